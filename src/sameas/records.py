@@ -1,0 +1,280 @@
+"""Records: what one source says of the objects it saw, checked here, once.
+
+Every later stage trusts what it gets from here: positions are finite, covariances positive definite, ids unique.
+Rows that cannot be used (no position, no error) are set aside with the reason and come back in the result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sameas.errors import InputError
+from sameas.space import Plane, Space, Sphere
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class SetAside:
+    """Rows that cannot be used: ``rows`` (k,) of the source's table, and per row the reason in words."""
+
+    rows: IntArray
+    reasons: NDArray[np.object_]
+
+    def counts(self) -> dict[str, int]:
+        """How many rows were set aside for each reason."""
+        reasons, counts = np.unique(self.reasons.astype(str), return_counts=True)
+        return {str(reason): int(count) for reason, count in zip(reasons, counts, strict=True)}
+
+
+@dataclass(frozen=True)
+class Records:
+    """The usable records of one source. Make them with :meth:`Records.of`.
+
+    Attributes
+    ----------
+    features : (n, d) positions in ``space``.
+    covariance : (n, p) packed error covariances in the space's residual unit, squared: p = 1 one variance for
+        all axes, p = d one variance per axis, p = d(d+1)/2 the upper triangle row by row (xx, xy, …, yy, …).
+    rows : (n,) row of each record in the source's own table.
+    ids : (n_table,) the source's own identifiers, unique, indexed by table row.
+    space : how residuals are formed.
+    source : the name of the source, used in messages.
+    table : the user's own table or None; carried, never read by the core.
+    set_aside : rows that cannot be used.
+    """
+
+    features: FloatArray
+    covariance: FloatArray
+    rows: IntArray
+    ids: NDArray[Any]
+    space: Space = field(default_factory=Plane)
+    source: str = "source"
+    table: Any = None
+    set_aside: SetAside = field(default_factory=lambda: SetAside(np.empty(0, np.int64), np.empty(0, object)))
+
+    def __len__(self) -> int:
+        return len(self.features)
+
+    @property
+    def d(self) -> int:
+        """Number of features."""
+        return int(self.features.shape[1])
+
+    @property
+    def n_table(self) -> int:
+        """Number of rows of the source's table, the unusable ones included."""
+        return len(self.ids)
+
+    @classmethod
+    def of(
+        cls,
+        features: ArrayLike,
+        *,
+        sigma: ArrayLike | None = None,
+        variance: ArrayLike | None = None,
+        covariance: ArrayLike | None = None,
+        ids: Sequence[Any] | NDArray[Any] | None = None,
+        space: Space | None = None,
+        source: str = "source",
+        table: Any = None,
+        invalid: str = "refuse",
+    ) -> Records:
+        """Records from positions and their errors, checked.
+
+        Parameters
+        ----------
+        features : (n, d), or (n,) for one feature. A masked or non-finite cell sets its row aside.
+        sigma : one standard deviation for all, (n,) one per record, (d,) when n ≠ d one per feature, or (n, d).
+        variance : the same shapes, squared.
+        covariance : (d, d) for all, or (n, d, d).
+            Exactly one of the three is given. Unit: that of the features; on a :class:`Sphere` arcsec (east, north).
+        ids : (n,) unique identifiers; the row numbers if not given.
+        space : :class:`Plane` (default) or :class:`Sphere`.
+        source : name used in messages.
+        table : carried along for the caller.
+        invalid : "refuse" raises on an error that is zero, negative or not positive definite;
+            "set aside" treats such rows like rows without an error.
+
+        Raises
+        ------
+        InputError : wrong shapes, no or several kinds of errors, bad errors, duplicate ids.
+        """
+        space = Plane() if space is None else space
+        values = _as_float(features, source, "features")
+        if values.ndim == 1:
+            values = values[:, None]
+        if values.ndim != 2 or values.shape[1] == 0:
+            raise InputError(f"{source}: features have shape {values.shape}; give (rows, features)")
+        n, d = values.shape
+        if isinstance(space, Sphere) and d != 2:
+            raise InputError(f"{source}: a direction has 2 features (longitude, latitude in degrees), got {d}")
+        if isinstance(space, Plane):
+            space.period_list(d)
+        packed = _packed_covariance(sigma, variance, covariance, n, d, source)
+        reasons = _unusable(values, packed, space, d, source, invalid)
+        keep = np.flatnonzero(reasons == 0)
+        aside = np.flatnonzero(reasons != 0)
+        everything = len(keep) == n
+        return cls(
+            features=np.ascontiguousarray(values if everything else values[keep]),
+            covariance=np.ascontiguousarray(packed if everything else packed[keep]),
+            rows=keep.astype(np.int64),
+            ids=_checked_ids(ids, n, source),
+            space=space,
+            source=source,
+            table=table,
+            set_aside=SetAside(aside.astype(np.int64), _REASONS[reasons[aside]]),
+        )
+
+    def full_covariance(self) -> FloatArray:
+        """(n, d, d) covariances, unpacked."""
+        return unpack(self.covariance, self.d)
+
+
+_REASONS = np.array(["", "no position", "no error", "error not positive", "latitude beyond ±90°"], dtype=object)
+
+
+def unpack(packed: FloatArray, d: int) -> FloatArray:
+    """(n, d, d) matrices from packed covariances (n, p); see :class:`Records`."""
+    n, p = packed.shape
+    full = np.zeros((n, d, d))
+    if p in (1, d):
+        axis = np.arange(d)
+        full[:, axis, axis] = packed
+        return full
+    upper = np.triu_indices(d)
+    full[:, upper[0], upper[1]] = packed
+    full[:, upper[1], upper[0]] = packed
+    return full
+
+
+def _as_float(values: ArrayLike, source: str, what: str) -> FloatArray:
+    if isinstance(values, np.ma.MaskedArray):
+        return np.asarray(values.astype(np.float64).filled(np.nan))
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{source}: {what} are not numbers ({error})") from None
+
+
+def _packed_covariance(
+    sigma: ArrayLike | None, variance: ArrayLike | None, covariance: ArrayLike | None, n: int, d: int, source: str
+) -> FloatArray:
+    given = [name for name, v in (("sigma", sigma), ("variance", variance), ("covariance", covariance)) if v is not None]
+    if len(given) != 1:
+        raise InputError(f"{source}: give one of sigma, variance, covariance; got {' and '.join(given) or 'none'}")
+    if covariance is not None:
+        return _packed_matrices(_as_float(covariance, source, "covariances"), n, d, source)
+    values = _as_float(sigma if sigma is not None else variance, source, given[0])  # type: ignore[arg-type]
+    if values.ndim == 0:
+        spread = np.full((n, 1), float(values))
+    elif values.shape == (n,):
+        spread = values[:, None].copy()
+    elif values.shape == (d,):
+        spread = np.broadcast_to(values, (n, d)).copy()
+    elif values.shape in ((n, d), (n, 1)):
+        spread = values.copy()
+    else:
+        raise InputError(f"{source}: {given[0]} has shape {values.shape}; give one number, ({n},), ({d},) or ({n}, {d})")
+    # The sign survives the square, so that a negative sigma is still seen as wrong below.
+    return spread * np.abs(spread) if sigma is not None else spread
+
+
+def _packed_matrices(matrices: FloatArray, n: int, d: int, source: str) -> FloatArray:
+    if matrices.shape == (d, d):
+        matrices = np.broadcast_to(matrices, (n, d, d))
+    if matrices.shape != (n, d, d):
+        raise InputError(f"{source}: covariance has shape {matrices.shape}; give ({d}, {d}) or ({n}, {d}, {d})")
+    with np.errstate(invalid="ignore"):
+        skew = np.abs(matrices - matrices.transpose(0, 2, 1)).max(axis=(1, 2), initial=0.0)
+        size = np.abs(matrices).max(axis=(1, 2), initial=0.0)
+        lopsided = np.flatnonzero(skew > 1e-9 * size)
+    if len(lopsided):
+        raise InputError(f"{source}: {len(lopsided)} covariances are not symmetric (first: row {lopsided[0]})")
+    upper = np.triu_indices(d)
+    return matrices[:, upper[0], upper[1]]
+
+
+def _unusable(values: FloatArray, packed: FloatArray, space: Space, d: int, source: str, invalid: str) -> NDArray[np.int8]:
+    """Per row 0 where it can be used, else the number of its reason."""
+    if invalid not in ("refuse", "set aside"):
+        raise InputError(f'{source}: invalid={invalid!r}; give "refuse" or "set aside"')
+    reasons = np.zeros(len(values), np.int8)
+    definite = _positive_definite(packed, d)
+    if not definite.all():
+        known = np.isfinite(packed).all(axis=1)
+        wrong = np.flatnonzero(known & ~definite)
+        if len(wrong) and invalid == "refuse":
+            raise InputError(_not_positive(packed, wrong, d, source))
+        reasons[wrong] = 3
+        reasons[~known] = 2
+    if isinstance(space, Sphere):
+        with np.errstate(invalid="ignore"):
+            beyond = np.flatnonzero(np.abs(values[:, 1]) > 90.0)
+        if len(beyond) and invalid == "refuse":
+            raise InputError(
+                f"{source}: {len(beyond)} latitudes lie beyond ±90° (first: row {beyond[0]}: {values[beyond[0], 1]:g}); "
+                "give longitude, latitude in degrees"
+            )
+        reasons[beyond] = 4
+    total = values.sum(axis=1)
+    if not np.isfinite(total).all():
+        reasons[~np.isfinite(values).all(axis=1)] = 1
+    return reasons
+
+
+def _positive_definite(packed: FloatArray, d: int) -> NDArray[np.bool_]:
+    if packed.shape[1] <= d:
+        return ((packed > 0) & (packed < np.inf)).all(axis=1)
+    if d == 2:
+        xx, xy, yy = packed.T
+        with np.errstate(invalid="ignore", over="ignore"):
+            # A correlation of ±1 leaves a determinant of rounding errors only; that matrix has no usable inverse.
+            return (xx > 0) & (yy > 0) & (xx * yy - xy * xy > 1e-14 * xx * yy) & (xx < np.inf) & (yy < np.inf)
+    good = np.isfinite(packed).all(axis=1)
+    matrices = unpack(packed[good], d)
+    scale = np.sqrt(np.maximum(np.einsum("nvv->nv", matrices), 1e-300))
+    least = np.linalg.eigvalsh(matrices / (scale[:, :, None] * scale[:, None, :]))[:, 0] if len(matrices) else 1.0
+    positive = (np.einsum("nvv->nv", matrices) > 0).all(axis=1) & (least > 1e-12)
+    result = np.zeros(len(packed), bool)
+    result[good] = positive
+    return result
+
+
+def _not_positive(packed: FloatArray, wrong: IntArray, d: int, source: str) -> str:
+    first = int(wrong[0])
+    if packed.shape[1] <= d:
+        value = packed[first].min()
+        return (
+            f"{source}: {len(wrong)} errors are zero or negative (first: row {first}, variance {value:g}); "
+            "give positive sigmas in the unit of the features, or leave the cell empty where the error is not known"
+        )
+    return (
+        f"{source}: {len(wrong)} covariances are not positive definite (first: row {first}); "
+        "check the correlations, or give sigmas in the unit of the features"
+    )
+
+
+def _checked_ids(ids: Sequence[Any] | NDArray[Any] | None, n: int, source: str) -> NDArray[Any]:
+    if ids is None:
+        return np.arange(n)
+    array = np.asarray(ids)
+    if array.shape != (n,):
+        raise InputError(f"{source}: {array.shape} ids for {n} rows; give one id per row")
+    ordered = np.sort(array) if array.dtype.kind in "iu" else np.sort(array.astype(str))
+    same = np.flatnonzero(ordered[1:] == ordered[:-1])
+    if len(same):
+        twice = ordered[same[0]]
+        rows = np.flatnonzero(array.astype(ordered.dtype) == twice)
+        raise InputError(
+            f"{source}: {len(same)} ids are not unique (first: {twice!s} in rows {rows[0]} and {rows[1]}); "
+            "give a unique id column, or none to number the rows"
+        )
+    return array

@@ -1,0 +1,59 @@
+"""Feature spaces: how two records' positions become one residual.
+
+Use :class:`Plane` for anything Euclidean (frame pixels, local metres, bearing and distance with a period),
+:class:`Sphere` for directions on the whole sky or globe. The residual of a pair is always a vector in the
+unit of the covariances, and its two covariances are brought to the same axes before they are added.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sameas.errors import InputError
+
+ARCSEC_PER_RADIAN = 206264.80624709636
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A Euclidean space of any dimension, whose axes may be periodic.
+
+    Parameters
+    ----------
+    periods : per feature its period in the feature's unit, or None where it does not wrap;
+        None alone means that no axis wraps. Example: ``Plane(periods=(360.0, None))`` for bearing in degrees
+        and distance.
+    """
+
+    periods: tuple[float | None, ...] | None = None
+
+    def __post_init__(self) -> None:
+        for axis, period in enumerate(self.periods or ()):
+            if period is not None and not period > 0:
+                raise InputError(f"Plane: the period of axis {axis} is {period}; give a positive number or None")
+
+    def period_list(self, d: int) -> list[float]:
+        """Per axis its period, infinity where the axis does not wrap."""
+        if self.periods is None:
+            return [float("inf")] * d
+        if len(self.periods) != d:
+            raise InputError(f"Plane has {len(self.periods)} periods, but the records have {d} features")
+        return [float("inf") if p is None else float(p) for p in self.periods]
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """Directions: features are longitude and latitude in degrees, covariances of (east, north) in arcsec².
+
+    The residual of two directions is exact for any separation, at the poles and across 0/360: with
+    α, δ their longitudes and latitudes,
+
+        sin(s/2) sin φ = sin(Δα/2) cos(½(δ₁+δ₂)),   sin(s/2) cos φ = cos(Δα/2) sin(½Δδ)
+
+    (Delambre's analogies), s the separation and φ the position angle (east of north) halfway between the two.
+    The local axes of the two records differ by the angle θ, tan(θ/2) = tan(Δα/2) sin(½(δ₁+δ₂)) / cos(½Δδ);
+    each covariance is turned by half of it.
+    """
+
+
+Space = Plane | Sphere
