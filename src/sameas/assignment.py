@@ -1,0 +1,83 @@
+"""The most probable one-to-one hypothesis of every group.
+
+Under a prior linear in the number of pairs it is a maximum-weight matching in which any record may stay alone; under
+any other prior, the best matching of every size k is found on one way of shortest augmenting paths, and the k of
+greatest ln P(k) + W_k is kept (METHOD 4.2). Either is exact, with dual variables as its certificate, at O(n³) at
+worst and in memory proportional to the candidates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas import threads
+from sameas.groups import Groups
+from sameas.prior import LogPrior
+from sameas.records import FloatArray
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """The most probable hypothesis, in the layout of the groups.
+
+    Attributes
+    ----------
+    chosen : (m,) whether each pair of the layout belongs to it.
+    weight : (m,) ln λ of each pair, with the prior's slope where the prior is linear.
+    dual_1, dual_2 : dual variables of the records of the layout: u + v ≥ weight + multiplier.
+    multiplier : (g,) Lagrange multiplier of the number of pairs (0 where the prior is linear).
+    prior : the prior that was used.
+    """
+
+    chosen: NDArray[np.bool_]
+    weight: FloatArray
+    dual_1: FloatArray
+    dual_2: FloatArray
+    multiplier: FloatArray
+    prior: LogPrior
+
+    def certificate(self, groups: Groups) -> tuple[float, float]:
+        """(least reduced cost, relative duality gap): not below −1e-12 and not above 1e-9 where it is the best."""
+        group = np.repeat(np.arange(len(groups)), groups.pair_counts)
+        total = self.weight + self.multiplier[group]
+        u = self.dual_1[groups.start_1[group] + groups.local_1]
+        v = self.dual_2[groups.start_2[group] + groups.local_2]
+        scale = np.maximum(1.0, np.abs(total))
+        least = float(np.min((u + v - total) / scale, initial=0.0))
+        least = min(least, float(self.dual_1.min(initial=0.0)), float(self.dual_2.min(initial=0.0)))
+        primal = float(total[self.chosen].sum())
+        dual = float(self.dual_1.sum() + self.dual_2.sum())
+        return least, abs(dual - primal) / max(1.0, abs(primal))
+
+
+def assign(groups: Groups, log_ratio: FloatArray, prior: LogPrior) -> Hypothesis:
+    """The most probable hypothesis of every group.
+
+    Parameters
+    ----------
+    log_ratio : (m,) ln λ of the pairs, in the order of the gate.
+    """
+    from sameas.kernels.assign import assign_counted, assign_linear
+
+    weight = log_ratio[groups.order]
+    chosen = np.zeros(len(weight), np.bool_)
+    u = np.zeros(len(groups.rows_1))
+    v = np.zeros(len(groups.rows_2))
+    multiplier = np.zeros(len(groups))
+    bounds = groups.bounds(len(threads.even(len(weight))) - 1)
+    shape = (groups.start, groups.start_1, groups.start_2, groups.edges_1)
+    if prior.slope is not None:
+        if np.any(prior.slope):
+            weight = weight + np.repeat(prior.slope, groups.pair_counts)
+        threads.over(
+            lambda a, b: assign_linear(a, b, *shape, groups.local_1, groups.local_2, weight, chosen, u, v), bounds
+        )
+    else:
+        table = (prior.start, prior.table)
+        threads.over(
+            lambda a, b: assign_counted(a, b, *shape, groups.local_2, weight, *table, chosen, u, v, multiplier), bounds
+        )
+    return Hypothesis(chosen, weight, u, v, multiplier, prior)

@@ -1,0 +1,85 @@
+"""Groups: the connected components of the candidate graph, identified independently of each other (METHOD 2).
+
+The layout is the same whatever the row order of the sources: groups in the order in which the gate lists their first
+pair, records of a group in the order in which they appear there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.gate import Pairs
+
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Groups:
+    """Candidates laid out group by group; g groups, m pairs.
+
+    Attributes
+    ----------
+    order : (m,) pair ``order[e]`` of the gate is the e-th of the layout.
+    start : (g+1,) group k holds the layout's pairs start[k]:start[k+1].
+    rows_1, start_1 : records of source 1, group by group, and their (g+1,) starts; rows_2, start_2 likewise.
+    edges_1 : CSR starts of the layout's pairs by record of ``rows_1``.
+    local_1, local_2 : (m,) number of each pair's records within their group.
+    """
+
+    order: IntArray
+    start: IntArray
+    rows_1: NDArray[np.int32]
+    start_1: IntArray
+    edges_1: IntArray
+    rows_2: NDArray[np.int32]
+    start_2: IntArray
+    local_1: NDArray[np.int32]
+    local_2: NDArray[np.int32]
+
+    def __len__(self) -> int:
+        return len(self.start) - 1
+
+    @property
+    def sizes_1(self) -> IntArray:
+        """(g,) number of records of source 1 in each group."""
+        return np.diff(self.start_1)
+
+    @property
+    def sizes_2(self) -> IntArray:
+        """(g,) number of records of source 2 in each group."""
+        return np.diff(self.start_2)
+
+    @property
+    def pair_counts(self) -> IntArray:
+        """(g,) number of candidate pairs in each group."""
+        return np.diff(self.start)
+
+    def of_pairs(self) -> NDArray[np.int32]:
+        """(m,) group of each pair, in the order of the gate."""
+        group = np.empty(len(self.order), np.int32)
+        group[self.order] = np.repeat(np.arange(len(self), dtype=np.int32), self.pair_counts)
+        return group
+
+    def bounds(self, parts: int) -> list[int]:
+        """Cuts between groups that share the pairs out evenly over ``parts`` ranges."""
+        wanted = np.linspace(0, len(self.order), parts + 1)[1:-1]
+        return [0, *np.searchsorted(self.start, wanted).tolist(), len(self)]
+
+    def statistics(self) -> dict[str, int]:
+        """How many groups of one pair, of up to 4, 16 and 64 records, larger ones, and the largest."""
+        size = self.sizes_1 + self.sizes_2
+        edges = (("of one pair", size <= 2), ("of 3 to 4 records", (size > 2) & (size <= 4)),
+                 ("of 5 to 16", (size > 4) & (size <= 16)), ("of 17 to 64", (size > 16) & (size <= 64)),
+                 ("larger", size > 64))  # fmt: skip
+        counts = {name: int(np.count_nonzero(mask)) for name, mask in edges}
+        return counts | {"records in the largest": int(size.max(initial=0))}
+
+
+def groups(pairs: Pairs) -> Groups:
+    """The connected components of ``pairs``."""
+    from sameas.kernels.components import components
+
+    return Groups(*components(pairs.i, pairs.j, len(pairs.first), len(pairs.second)))

@@ -1,0 +1,280 @@
+"""Compiled assignment: the best one-to-one hypothesis of each group by shortest augmenting paths.
+
+Notation: rows are records of source 1, columns of source 2, both numbered within their group; ``mate`` arrays hold −1
+for nobody. Dual variables u ≥ 0 of rows and v ≥ 0 of columns satisfy u + v ≥ w for every candidate, with equality on
+the chosen pairs and zero on records left alone: the certificate that the hypothesis is the best.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def assign_linear(first, last, start, start1, start2, edges1, local1, local2, weight, chosen, u, v):
+    """Maximum-weight matching of the groups first … last − 1; a record may stay alone at no cost.
+
+    weight (m,) per pair of the layout; chosen (m,), u, v (records of the layout) are filled.
+    """
+    widest1 = 0
+    widest2 = 0
+    for g in range(first, last):
+        widest1 = max(widest1, start1[g + 1] - start1[g])
+        widest2 = max(widest2, start2[g + 1] - start2[g])
+    mate1 = np.empty(widest1, np.int64)
+    mate2 = np.empty(widest2, np.int32)
+    distance = np.empty(widest2)
+    through = np.empty(widest2, np.int64)
+    reached = np.zeros(widest2, np.int64)
+    frontier = np.empty(widest2, np.int32)
+    scanned = np.empty(widest2, np.int32)
+    stamp = 0
+    for g in range(first, last):
+        if start[g + 1] - start[g] == 1:
+            e = start[g]
+            chosen[e] = weight[e] > 0.0
+            u[start1[g]] = max(weight[e], 0.0)
+            v[start2[g]] = 0.0
+            continue
+        base = start1[g]
+        n1 = start1[g + 1] - base
+        n2 = start2[g + 1] - start2[g]
+        vg = v[start2[g] : start2[g + 1]]
+        ug = u[base : start1[g + 1]]
+        vg[:] = 0.0
+        mate2[:n2] = -1
+        for r in range(n1):
+            mate1[r] = -1
+            best = 0.0
+            at = -1
+            for e in range(edges1[base + r], edges1[base + r + 1]):
+                if weight[e] > best:
+                    best = weight[e]
+                    at = e
+            ug[r] = best
+            if at >= 0 and mate2[local2[at]] < 0:
+                mate1[r] = at
+                mate2[local2[at]] = r
+        for s in range(n1):
+            if mate1[s] >= 0 or ug[s] == 0.0:
+                continue
+            stamp += 2
+            augment(s, base, edges1, local1, local2, weight, ug, vg, mate1, mate2, distance, through, reached, frontier,
+                    scanned, stamp)  # fmt: skip
+        for r in range(n1):
+            for e in range(edges1[base + r], edges1[base + r + 1]):
+                chosen[e] = mate1[r] == e
+
+
+@njit(cache=True, nogil=True)
+def augment(
+    s, base, edges1, local1, local2, weight, u, v, mate1, mate2, distance, through, reached, frontier, scanned, stamp
+):
+    """Give row s its place: the cheapest path to a free column, or to a row that does best to stay alone.
+
+    ``mate1`` holds the pair of each row; ``reached`` is stamp where a column waits, stamp + 1 where it is done.
+    """
+    waiting = 0
+    done = 0
+    end_row = s
+    end_column = -1
+    least = u[s]
+    row = s
+    at = 0.0
+    while True:
+        for e in range(edges1[base + row], edges1[base + row + 1]):
+            if weight[e] <= 0.0:
+                continue
+            c = local2[e]
+            if reached[c] == stamp + 1:
+                continue
+            reach = at + max(0.0, u[row] + v[c] - weight[e])
+            if reach >= least:
+                continue
+            if reached[c] != stamp:
+                reached[c] = stamp
+                frontier[waiting] = c
+                waiting += 1
+            elif reach >= distance[c]:
+                continue
+            distance[c] = reach
+            through[c] = e
+        if waiting == 0:
+            break
+        pick = 0
+        for t in range(1, waiting):
+            if distance[frontier[t]] < distance[frontier[pick]]:
+                pick = t
+        c = frontier[pick]
+        if distance[c] >= least:
+            break
+        waiting -= 1
+        frontier[pick] = frontier[waiting]
+        reached[c] = stamp + 1
+        at = distance[c]
+        if mate2[c] < 0:
+            least = at
+            end_column = c
+            break
+        scanned[done] = c
+        done += 1
+        row = mate2[c]
+        if at + u[row] < least:
+            least = at + u[row]
+            end_row = row
+    for t in range(done):
+        c = scanned[t]
+        if distance[c] < least:
+            v[c] += least - distance[c]
+            u[mate2[c]] = max(0.0, u[mate2[c]] - (least - distance[c]))
+    u[s] = max(0.0, u[s] - least)
+    if end_column < 0:
+        if end_row == s:
+            return
+        end_column = local2[mate1[end_row]]
+        mate1[end_row] = -1
+    c = end_column
+    while True:
+        row = local1[through[c]]
+        follow = local2[mate1[row]] if mate1[row] >= 0 else -1
+        mate1[row] = through[c]
+        mate2[c] = row
+        if row == s:
+            return
+        c = follow
+
+
+@njit(cache=True, nogil=True)
+def assign_counted(first, last, start, start1, start2, edges1, local2, weight, table_start, table, chosen, u, v, slope):
+    """The best matching of each group under any prior of the number of pairs: best of every size, then the best size.
+
+    table[table_start[g] + k] is ln P(k) of group g. Shortest augmenting paths from all free rows at once pass through
+    the best matching of every size k, of total W_k; the k of greatest ln P(k) + W_k is kept. slope (g,) receives the
+    multiplier μ for which u + v ≥ w + μ certifies the kept matching.
+    """
+    for g in range(first, last):
+        base = start1[g]
+        n1 = start1[g + 1] - base
+        n2 = start2[g + 1] - start2[g]
+        prior = table[table_start[g] : table_start[g + 1]]
+        edges = edges1[base : base + n1 + 1]
+        slope[g] = every_size(
+            n1, n2, edges, local2, weight, prior, chosen, u[base : base + n1], v[start2[g] : start2[g] + n2]
+        )
+
+
+@njit(cache=True, nogil=True)
+def by_column(n2, edges, local2, weight, heads):
+    """Per column its pairs by falling weight, as CSR: (starts (n2+1,), pairs)."""
+    low = edges[0]
+    high = edges[-1]
+    starts = np.zeros(n2 + 1, np.int64)
+    for e in range(low, high):
+        starts[local2[e] + 1] += 1
+    for c in range(n2):
+        starts[c + 1] += starts[c]
+    fill = starts[:-1].copy()
+    pairs = np.empty(high - low, np.int64)
+    by_weight = np.argsort(-weight[low:high], kind="mergesort")
+    for t in range(high - low):
+        e = low + by_weight[t]
+        pairs[fill[local2[e]]] = e
+        fill[local2[e]] += 1
+    heads[:] = starts[:-1]
+    return starts, pairs
+
+
+@njit(cache=True, nogil=True)
+def every_size(n1, n2, edges, local2, weight, prior, chosen, u, v):
+    """One group of :func:`assign_counted`; fills chosen, u, v and returns μ."""
+    low = edges[0]
+    row_of = np.empty(edges[-1] - low, np.int32)
+    for r in range(n1):
+        for e in range(edges[r], edges[r + 1]):
+            row_of[e - low] = r
+            chosen[e] = False
+    heads = np.empty(n2, np.int64)
+    starts, pairs = by_column(n2, edges, local2, weight, heads)
+    mate1 = np.full(n1, -1, np.int64)
+    mate2 = np.full(n2, -1, np.int64)
+    best1 = mate1.copy()
+    potential = np.zeros(n1)
+    price = np.zeros(n2)
+    distance = np.empty(n2)
+    through = np.empty(n2, np.int64)
+    done = np.empty(n2, np.bool_)
+    scanned = np.empty(n2, np.int64)
+    top = -np.inf
+    for e in range(low, edges[-1]):
+        top = max(top, weight[e])
+    total = 0.0
+    best = prior[0]
+    best_slope = -top
+    u[:] = 0.0
+    v[:] = 0.0
+    for k in range(1, len(prior)):
+        # All free rows share the potential ``top``; the head of a column is its best pair with a free row.
+        for c in range(n2):
+            while heads[c] < starts[c + 1] and mate1[row_of[pairs[heads[c]] - low]] >= 0:
+                heads[c] += 1
+            done[c] = False
+            if heads[c] < starts[c + 1]:
+                distance[c] = max(0.0, top + price[c] - weight[pairs[heads[c]]])
+                through[c] = pairs[heads[c]]
+            else:
+                distance[c] = np.inf
+        count = 0
+        end = -1
+        while True:
+            c = -1
+            for t in range(n2):
+                if not done[t] and (c < 0 or distance[t] < distance[c]):
+                    c = t
+            if c < 0 or distance[c] == np.inf:
+                break
+            done[c] = True
+            if mate2[c] < 0:
+                end = c
+                break
+            scanned[count] = c
+            count += 1
+            row = row_of[mate2[c] - low]
+            for e in range(edges[row], edges[row + 1]):
+                t = local2[e]
+                if not done[t]:
+                    reach = distance[c] + max(0.0, potential[row] + price[t] - weight[e])
+                    if reach < distance[t]:
+                        distance[t] = reach
+                        through[t] = e
+        if end < 0:
+            break
+        least = distance[end]
+        for t in range(count):
+            c = scanned[t]
+            price[c] += least - distance[c]
+            potential[row_of[mate2[c] - low]] -= least - distance[c]
+        total += top - least
+        top -= least
+        c = end
+        while True:
+            e = through[c]
+            row = row_of[e - low]
+            follow = mate1[row]
+            mate1[row] = e
+            mate2[c] = e
+            if follow < 0:
+                potential[row] = top
+                break
+            c = local2[follow]
+        if prior[k] + total > best:
+            best = prior[k] + total
+            best_slope = -top
+            best1[:] = mate1
+            for r in range(n1):
+                u[r] = max(0.0, potential[r] - top) if mate1[r] >= 0 else 0.0
+            v[:] = price
+    for r in range(n1):
+        if best1[r] >= 0:
+            chosen[best1[r]] = True
+    return best_slope

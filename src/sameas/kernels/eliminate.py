@@ -1,0 +1,332 @@
+"""Compiled exact posterior of one problem: rows are eliminated one by one, states are the sets of columns taken.
+
+A *problem* is a bipartite graph in CSR form: row r may take one of the columns ``column[start[r]:start[r+1]]`` with
+the given ``odds``, or none with the odds ``none[r]``; a column that nobody takes counts ``unused``; a hypothesis with k
+pairs counts ``prior[k]`` (one element: no prior of the count). Only columns that later rows still want are part of a
+state, so chains and trees of any length stay small; the rows are taken in an order that keeps few columns open.
+"""
+
+from __future__ import annotations
+
+from collections import namedtuple
+
+import numpy as np
+from numba import njit
+
+#: Most states, values, transitions and hash places that one problem may use; beyond, it is not solved exactly.
+STATES = 400_000
+VALUES = 1_600_000
+TRANSITIONS = 2_500_000
+PLACES = 1 << 19
+SLOTS = 62
+NEGLIGIBLE = 1e-17
+
+Scratch = namedtuple("Scratch", "key value back target place_key place_state place_stamp edge_bit edge_dies")
+
+
+@njit(cache=True, nogil=True)
+def scratch(most_pairs):
+    """Room for :func:`eliminate`, to be made once for many problems of at most ``most_pairs`` pairs."""
+    return Scratch(
+        np.empty(STATES, np.uint64),
+        np.empty(VALUES),
+        np.empty(VALUES),
+        np.empty(TRANSITIONS, np.int32),
+        np.empty(PLACES, np.uint64),
+        np.empty(PLACES, np.int32),
+        np.zeros(PLACES, np.int32),
+        np.empty(most_pairs, np.uint64),
+        np.empty(most_pairs, np.bool_),
+    )
+
+
+@njit(cache=True, nogil=True)
+def elimination_order(n, nc, start, column, order):
+    """Fill ``order`` with the rows such that few columns stay open; returns the most columns open at once."""
+    m = start[n]
+    col_start = np.zeros(nc + 1, np.int64)
+    for e in range(m):
+        col_start[column[e] + 1] += 1
+    for c in range(nc):
+        col_start[c + 1] += col_start[c]
+    fill = col_start[:-1].copy()
+    row_of = np.empty(m, np.int32)
+    remaining = np.empty(nc, np.int32)
+    for r in range(n):
+        for e in range(start[r], start[r + 1]):
+            row_of[fill[column[e]]] = r
+            fill[column[e]] += 1
+    for c in range(nc):
+        remaining[c] = col_start[c + 1] - col_start[c]
+    opened = np.zeros(nc, np.bool_)
+    state = np.zeros(n, np.int8)  # 0 untouched, 1 beside an open column, 2 eliminated
+    active = np.empty(n, np.int32)
+    actives = 0
+    width = 0
+    widest = 0
+    first_untouched = 0
+    for t in range(n):
+        best = -1
+        best_score = 1 << 30
+        if actives == 0:
+            while state[first_untouched] == 2:
+                first_untouched += 1
+            best = first_untouched
+            if t == 0:
+                for r in range(n):
+                    if start[r + 1] - start[r] < start[best + 1] - start[best]:
+                        best = r
+        for k in range(actives):
+            r = active[k]
+            score = 0
+            for e in range(start[r], start[r + 1]):
+                c = column[e]
+                if not opened[c]:
+                    score += 1 if remaining[c] > 1 else 0
+                elif remaining[c] == 1:
+                    score -= 1
+            if score < best_score or (score == best_score and r < best):
+                best = r
+                best_score = score
+        order[t] = best
+        state[best] = 2
+        for k in range(actives):
+            if active[k] == best:
+                actives -= 1
+                active[k] = active[actives]
+                break
+        for e in range(start[best], start[best + 1]):
+            c = column[e]
+            if not opened[c]:
+                opened[c] = True
+                width += 1
+                for p in range(col_start[c], col_start[c + 1]):
+                    if state[row_of[p]] == 0:
+                        state[row_of[p]] = 1
+                        active[actives] = row_of[p]
+                        actives += 1
+            remaining[c] -= 1
+            if remaining[c] == 0:
+                width -= 1
+        widest = max(widest, width)
+    return widest
+
+
+@njit(cache=True, nogil=True, inline="always")
+def find_state(key, begin, count, stamp, work):
+    """The state of this key within the current step, made when new; −1 when there is no room."""
+    place = np.int64(key) & (PLACES - 1)
+    if key >= PLACES:
+        place = np.int64((key * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(45))
+    while work.place_stamp[place] == stamp:
+        if work.place_key[place] == key:
+            return np.int64(work.place_state[place])
+        place = (place + 1) & (PLACES - 1)
+    if begin + count >= STATES or count >= PLACES // 2:
+        return np.int64(-1)
+    work.place_stamp[place] = stamp
+    work.place_key[place] = key
+    work.place_state[place] = begin + count
+    work.key[begin + count] = key
+    return np.int64(begin + count)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def left_unused(key, low, high, taken, column, unused, work):
+    """Product of ``unused`` over the columns that close with this row, are free in the state and not taken now."""
+    product = 1.0
+    for e in range(low, high):
+        if e != taken and work.edge_dies[e] and (key & work.edge_bit[e]) == 0:
+            product *= unused[column[e]]
+    return product
+
+
+@njit(cache=True, nogil=True)
+def eliminate(n, nc, start, column, odds, none, unused, prior, share, alone, stamp, work):
+    """Exact probabilities of a problem: ``share`` of every pair, ``alone`` of every row.
+
+    Returns the next free stamp, or −1 when the problem needs more room than there is (nothing is filled then).
+    """
+    order = np.empty(n, np.int64)
+    if elimination_order(n, nc, start, column, order) > SLOTS:
+        return -1
+    counted = len(prior) > 1
+    tiny = NEGLIGIBLE / max(1.0, prior.max())
+    remaining = np.zeros(nc, np.int32)
+    for e in range(start[n]):
+        remaining[column[e]] += 1
+    slot = np.full(nc, -1, np.int64)
+    taken_slots = np.uint64(0)
+    state_start = np.empty(n + 2, np.int64)
+    value_start = np.empty(n + 2, np.int64)
+    target_start = np.empty(n + 1, np.int64)
+    k_low = np.zeros(n + 1, np.int64)
+    k_count = np.ones(n + 1, np.int64)
+    state_start[0] = 0
+    state_start[1] = 1
+    value_start[0] = 0
+    target_start[0] = 0
+    work.key[0] = 0
+    work.value[0] = 1.0
+    for t in range(n):
+        r = order[t]
+        low = start[r]
+        high = start[r + 1]
+        dead = np.uint64(0)
+        for e in range(low, high):
+            c = column[e]
+            remaining[c] -= 1
+            if slot[c] < 0 and remaining[c] > 0:
+                s = 0
+                while (taken_slots >> np.uint64(s)) & np.uint64(1):
+                    s += 1
+                if s >= SLOTS:
+                    return -1
+                slot[c] = s
+                taken_slots |= np.uint64(1) << np.uint64(s)
+            work.edge_bit[e] = np.uint64(1) << np.uint64(slot[c]) if slot[c] >= 0 else np.uint64(0)
+            work.edge_dies[e] = remaining[c] == 0
+            if remaining[c] == 0:
+                dead |= work.edge_bit[e]
+        begin = state_start[t]
+        end = state_start[t + 1]
+        width = k_count[t]
+        next_width = min(width + 1, len(prior) - k_low[t]) if counted else 1
+        options = high - low + 1
+        if target_start[t] + (end - begin) * options > TRANSITIONS:
+            return -1
+        value_start[t + 1] = value_start[t] + (end - begin) * width
+        count = 0
+        stamp += 1
+        for s in range(begin, end):
+            key = work.key[s]
+            v0 = value_start[t] + (s - begin) * width
+            largest = 0.0
+            for k in range(width):
+                largest = max(largest, work.value[v0 + k])
+            for option in range(options):
+                at = target_start[t] + (s - begin) * options + option
+                work.target[at] = -1
+                e = low + option - 1
+                if largest < tiny or (option > 0 and (key & work.edge_bit[e]) != 0):
+                    continue
+                if option == 0:
+                    factor = none[r] * left_unused(key, low, high, -1, column, unused, work)
+                    next_key = key & ~dead
+                else:
+                    factor = odds[e] * left_unused(key, low, high, e, column, unused, work)
+                    next_key = (key | work.edge_bit[e]) & ~dead
+                if factor == 0.0:
+                    continue
+                goal = find_state(next_key, end, count, stamp, work)
+                if goal < 0:
+                    return -1
+                g0 = value_start[t + 1] + (goal - end) * next_width
+                if goal == end + count:
+                    count += 1
+                    if g0 + next_width > VALUES:
+                        return -1
+                    for k in range(next_width):
+                        work.value[g0 + k] = 0.0
+                work.target[at] = goal
+                step = 1 if counted and option > 0 else 0
+                for k in range(width):
+                    if k + step < next_width:
+                        work.value[g0 + k + step] += factor * work.value[v0 + k]
+        state_start[t + 2] = end + count
+        target_start[t + 1] = target_start[t] + (end - begin) * options
+        k_low[t + 1] = k_low[t]
+        k_count[t + 1] = next_width
+        settle(value_start[t + 1], count, next_width, k_low, k_count, t + 1, counted, tiny, work.value)
+        for e in range(low, high):
+            if work.edge_dies[e] and slot[column[e]] >= 0:
+                taken_slots &= ~work.edge_bit[e]
+    width = k_count[n]
+    for k in range(width):
+        work.back[value_start[n] + k] = prior[k_low[n] + k] if counted else prior[0]
+    for t in range(n - 1, -1, -1):
+        r = order[t]
+        gather(t, r, start[r], start[r + 1], column, odds, none, unused, state_start, value_start, target_start, k_low,
+               k_count, counted, share, alone, work)  # fmt: skip
+    return stamp
+
+
+@njit(cache=True, nogil=True)
+def settle(v0, states, width, k_low, k_count, t, counted, tiny, value):
+    """Scale the values of a step to at most 1 and, with a prior of the count, drop negligible counts at both ends."""
+    largest = 0.0
+    for at in range(v0, v0 + states * width):
+        largest = max(largest, value[at])
+    scale = 1.0 / largest
+    lo = 0
+    hi = width
+    if counted:
+        lo = width
+        hi = 0
+        for s in range(states):
+            for k in range(width):
+                if value[v0 + s * width + k] > tiny * largest:
+                    lo = min(lo, k)
+                    hi = max(hi, k + 1)
+    new_width = hi - lo
+    for s in range(states):
+        for k in range(new_width):
+            value[v0 + s * new_width + k] = value[v0 + s * width + lo + k] * scale
+    k_low[t] += lo
+    k_count[t] = new_width
+
+
+@njit(cache=True, nogil=True)
+def gather(
+    t, r, low, high, column, odds, none, unused, state_start, value_start, target_start, k_low, k_count, counted,
+    share, alone, work,
+):  # fmt: skip
+    """One step backwards: the values of the states seen from the end, and the probabilities of row r's options."""
+    begin = state_start[t]
+    end = state_start[t + 1]
+    width = k_count[t]
+    next_width = k_count[t + 1]
+    shift = k_low[t] - k_low[t + 1]
+    options = high - low + 1
+    alone[r] = 0.0
+    for e in range(low, high):
+        share[e] = 0.0
+    largest = 0.0
+    for s in range(begin, end):
+        key = work.key[s]
+        v0 = value_start[t] + (s - begin) * width
+        for k in range(width):
+            work.back[v0 + k] = 0.0
+        for option in range(options):
+            goal = work.target[target_start[t] + (s - begin) * options + option]
+            if goal < 0:
+                continue
+            e = low + option - 1
+            g0 = value_start[t + 1] + (goal - end) * next_width
+            if option == 0:
+                factor = none[r] * left_unused(key, low, high, -1, column, unused, work)
+            else:
+                factor = odds[e] * left_unused(key, low, high, e, column, unused, work)
+            step = shift + (1 if counted and option > 0 else 0)
+            mass = 0.0
+            for k in range(width):
+                at = k + step
+                if 0 <= at < next_width:
+                    part = factor * work.back[g0 + at]
+                    work.back[v0 + k] += part
+                    mass += part * work.value[v0 + k]
+            if option == 0:
+                alone[r] += mass
+            else:
+                share[e] += mass
+        for k in range(width):
+            largest = max(largest, work.back[v0 + k])
+    total = alone[r]
+    for e in range(low, high):
+        total += share[e]
+    alone[r] /= total
+    for e in range(low, high):
+        share[e] /= total
+    if largest > 0.0:
+        for at in range(value_start[t], value_start[t] + (end - begin) * width):
+            work.back[at] /= largest

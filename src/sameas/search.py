@@ -1,0 +1,287 @@
+"""The search behind the gate: every pair whose residual is small enough for its own covariance, and no other.
+
+Records are sorted into zones of one coordinate and swept along the other (``kernels/sweep.py``). Zones fit the
+largest errors of a sweep; records of very different errors are swept apart, class by class, so that a few wide ones
+do not slow down the many. The order of the pairs depends on what the records say, not on the rows they stand in.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas import threads
+from sameas.records import FloatArray, Records, unpack
+from sameas.space import Plane, Sphere
+
+#: i, j, residual, squared Mahalanobis distance, determinant: the columns of :class:`sameas.gate.Pairs`.
+Columns = tuple[NDArray[np.int32], NDArray[np.int32], FloatArray, FloatArray, FloatArray]
+
+
+def search(first: Records, second: Records, limit: float, box: bool) -> Columns:
+    """All pairs with Δᵀ Σ⁻¹ Δ ≤ limit (or, with ``box``, Δ_v² ≤ limit·Σ_vv in every feature v)."""
+    d = first.d
+    if not len(first) or not len(second):
+        return np.empty(0, np.int32), np.empty(0, np.int32), np.empty((0, d)), np.empty(0), np.empty(0)
+    geometry = _Geometry.of(first, second, limit, box)
+    sides = _Side.of(first, geometry), _Side.of(second, geometry)
+    classes = [side.classes() for side in sides]
+    chunks: list[Columns] = []
+    for one in classes[0]:
+        for two in classes[1]:
+            zones = _Zones.of(one, two, geometry)
+            chunks += _swept(one.sorted(zones), two.sorted(zones), zones, geometry)
+    columns = chunks[0] if len(chunks) == 1 else tuple(np.concatenate(parts) for parts in zip(*chunks, strict=True))
+    if len(classes[0]) * len(classes[1]) > 1:
+        place = [_places(groups, len(side.rows)) for groups, side in zip(classes, sides, strict=True)]
+        order = np.argsort((place[0][columns[0]] << 32) | place[1][columns[1]])
+        columns = tuple(np.ascontiguousarray(column[order]) for column in columns)
+    return columns  # type: ignore[return-value]
+
+
+@dataclass(frozen=True)
+class _Geometry:
+    """The feature space as the kernel wants it: which coordinate makes the zones (y), which is swept (x)."""
+
+    sphere: bool
+    box: bool
+    limit: float
+    periods: FloatArray
+    x: int
+    y: int
+
+    @classmethod
+    def of(cls, first: Records, second: Records, limit: float, box: bool) -> _Geometry:
+        if isinstance(first.space, Sphere):
+            return cls(True, box, limit, np.array([360.0, np.inf]), 0, 1)
+        assert isinstance(first.space, Plane)
+        periods = np.array(first.space.period_list(first.d))
+        if first.d == 1:
+            return cls(False, box, limit, periods, 0, 0)
+        # Sweep along the feature that separates best for its errors; zones of the second best.
+        sharpness = np.minimum(_sharpness(first), _sharpness(second))
+        best = np.argsort(-sharpness, kind="stable")
+        return cls(False, box, limit, periods, int(best[0]), int(best[1]))
+
+    def array(self, wraps: bool) -> FloatArray:
+        return np.array([self.sphere, self.box, self.limit, self.x, self.y, wraps], dtype=np.float64)
+
+
+def _sharpness(records: Records) -> FloatArray:
+    """Per feature, how many standard deviations wide the bulk of the records lies."""
+    middle = np.percentile(records.features, (5, 95), axis=0)
+    return (middle[1] - middle[0]) / np.sqrt(_variances(records).mean(axis=0))
+
+
+def _variances(records: Records) -> FloatArray:
+    """(n, 1) or (n, d) variances along the axes."""
+    p, d = records.covariance.shape[1], records.d
+    if p <= d:
+        return records.covariance
+    diagonal = np.cumsum([0, *range(d, 1, -1)])
+    return records.covariance[:, diagonal]
+
+
+@dataclass(frozen=True)
+class _Side:
+    """Records of one source as the sweep sees them.
+
+    features are folded into one period; reach (n, 1) or (n, d) is how far a record's own error opens the gate, in the
+    unit of the features; starts are the zones once the side is sorted; ids break ties between equal records.
+    """
+
+    features: FloatArray
+    covariance: FloatArray
+    rows: NDArray[np.int32]
+    reach: FloatArray
+    ids: NDArray[Any]
+    starts: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, records: Records, geometry: _Geometry) -> _Side:
+        features = records.features
+        for axis in np.flatnonzero(np.isfinite(geometry.periods)):
+            period = geometry.periods[axis]
+            folded = features[:, axis]
+            if folded.size and (folded.min() < 0 or folded.max() >= period):
+                folded = np.mod(folded, period)
+                folded[folded >= period] = 0.0
+                features = features.copy()
+                features[:, axis] = folded
+        if geometry.sphere and records.covariance.shape[1] > 1:
+            # The axes turn between two directions: only the largest eigenvalue bounds the reach on every axis.
+            widest = np.linalg.eigvalsh(unpack(records.covariance, 2))[:, -1:]
+        else:
+            widest = _variances(records)
+        reach = np.sqrt(geometry.limit * widest)
+        if geometry.sphere:
+            # Box edges reach √2 further than the ellipse that they enclose.
+            reach = reach * (math.sqrt(2.0) if geometry.box else 1.0) / 3600.0
+        rows = np.arange(len(records), dtype=np.int32)
+        return cls(features, records.covariance, rows, reach, records.ids[records.rows], np.empty(0, np.int64))
+
+    def take(self, rows: NDArray[np.int64]) -> _Side:
+        return replace(
+            self,
+            features=np.ascontiguousarray(self.features[rows]),
+            covariance=np.ascontiguousarray(self.covariance[rows]),
+            rows=self.rows[rows],
+            reach=self.reach[rows],
+            ids=self.ids[rows],
+        )
+
+    def classes(self) -> list[_Side]:
+        """This side split by the size of its errors: the few widest apart, as long as that saves work."""
+        size = self.reach.max(axis=1)
+        remaining = np.arange(len(size))
+        parts = []
+        while len(parts) < 8:
+            top = size[remaining].max()
+            wide = size[remaining] > top / 4.0
+            if wide.mean() > 0.2 or len(remaining) < 64:
+                break
+            parts.append(remaining[wide])
+            remaining = remaining[~wide]
+        if not parts:
+            return [self]
+        return [self.take(rows) for rows in [*parts, remaining]]
+
+    def sorted(self, zones: _Zones) -> _Side:
+        """Sorted by zone, then x, then the rest of the content, then id."""
+        zone = zones.of_y(self.features[:, zones.y])
+        order = _content_order(self, zone, zones)
+        starts = np.zeros(zones.count + 1, np.int64)
+        np.cumsum(np.bincount(zone, minlength=zones.count), out=starts[1:])
+        return replace(self.take(order), starts=starts)
+
+    def rank(self) -> NDArray[np.int64]:
+        """The place of each record's id among the ids: what orders records that are equal in all else."""
+        rank = np.empty(len(self.ids), np.int64)
+        rank[np.argsort(self.ids, kind="stable")] = np.arange(len(self.ids))
+        return rank
+
+    def content_order(self, *before: NDArray[Any]) -> NDArray[np.int64]:
+        """The rows sorted by the keys ``before``, then features, covariance and id."""
+        return np.lexsort([self.rank(), *self.covariance.T[::-1], *self.features.T[::-1], *before[::-1]])
+
+
+def _content_order(side: _Side, zone: NDArray[np.int64], zones: _Zones) -> NDArray[np.int64]:
+    from sameas.kernels.sweep import sort_within_bins
+
+    n = len(side.rows)
+    row_bits = max(1, int(n - 1).bit_length())
+    zone_bits = max(1, int(zones.count - 1).bit_length())
+    bin_bits = min(32, 64 - row_bits - zone_bits)
+    x = side.features[:, zones.x]
+    scale = (2.0**bin_bits - 1.0) / max(zones.x_high - zones.x_low, 1e-300)
+    bins = np.minimum((x - zones.x_low) * scale, 2.0**bin_bits - 1.0).astype(np.uint64)
+    keys = (zone.astype(np.uint64) << np.uint64(bin_bits + row_bits)) | (bins << np.uint64(row_bits))
+    keys |= np.arange(n, dtype=np.uint64)
+    keys.sort()
+    order = (keys & np.uint64((1 << row_bits) - 1)).astype(np.int64)
+    certain = sort_within_bins(order, np.uint64(row_bits), keys, side.features, side.covariance, zones.x)
+    return order if certain else side.content_order(zone, x)
+
+
+@dataclass(frozen=True)
+class _Zones:
+    """Zones of equal height in y, and for each the half width of the window in x."""
+
+    x: int
+    y: int
+    low: float
+    height: float
+    count: int
+    wraps: bool
+    windows: FloatArray
+    x_low: float
+    x_high: float
+
+    @classmethod
+    def of(cls, one: _Side, two: _Side, geometry: _Geometry) -> _Zones:
+        x, y = geometry.x, geometry.y
+        widest = np.hypot(one.reach.max(axis=0), two.reach.max(axis=0)) * (1.0 + 1e-9) + 1e-300
+        reach_x, reach_y = (float(widest[0]),) * 2 if len(widest) == 1 else (float(widest[x]), float(widest[y]))
+        x_low = min(one.features[:, x].min(), two.features[:, x].min())
+        x_high = max(one.features[:, x].max(), two.features[:, x].max())
+        period = float(geometry.periods[y])
+        most = 4 * max(len(one.rows), len(two.rows))
+        if x == y:
+            low, height, count, wraps = 0.0, math.inf, 1, False
+        elif math.isfinite(period):
+            count = int(min(period / reach_y, most))
+            count = count if count >= 3 else 1
+            low, height, wraps = 0.0, period / count, True
+        else:
+            low, high = _stretch(one.features[:, y], two.features[:, y], reach_y, most, geometry.sphere)
+            count = int(max(1, min((high - low) / reach_y, most)))
+            height, wraps = max((high - low) / count, reach_y), False
+        windows = _sphere_windows(low, height, count, reach_x) if geometry.sphere else np.full(count, reach_x)
+        return cls(x, y, low, height, count, wraps, windows, float(x_low), float(x_high))
+
+    def of_y(self, y: FloatArray) -> NDArray[np.int64]:
+        """The zone of each y; beyond the first and the last zone, those."""
+        zone = np.floor((y - self.low) / self.height)
+        return np.clip(zone, 0, self.count - 1).astype(np.int64)
+
+
+def _stretch(y1: FloatArray, y2: FloatArray, reach: float, most: int, sphere: bool) -> tuple[float, float]:
+    """The stretch of y to cut into zones: all of it, or its bulk where outliers would make the zones too coarse."""
+    low, high = min(y1.min(), y2.min()), max(y1.max(), y2.max())
+    if (high - low) / reach > most and not sphere:
+        inner = np.percentile(np.concatenate([y1, y2]), (0.5, 99.5))
+        margin = 0.05 * (inner[1] - inner[0])
+        low, high = max(low, inner[0] - margin), min(high, inner[1] + margin)
+    return float(low), float(high)
+
+
+def _sphere_windows(low: float, height: float, count: int, reach_deg: float) -> FloatArray:
+    """Half width in longitude, degrees, of what lies within ``reach_deg`` of any point of each zone.
+
+    From sin²(s/2) ≥ cos δ₁ cos δ₂ sin²(Δα/2), with the least cosines that the zone and its reach contain.
+    """
+    bottom = low + height * np.arange(count)
+    farthest = np.minimum(np.maximum(np.abs(bottom), np.abs(bottom + height)), 90.0)
+    beyond = np.minimum(farthest + reach_deg, 90.0)
+    cosines = np.cos(np.radians(farthest)) * np.cos(np.radians(beyond))
+    sine = math.sin(math.radians(min(reach_deg, 180.0)) / 2.0)
+    windows = np.full(count, 360.0)
+    narrow = cosines > sine**2
+    windows[narrow] = 2.0 * np.degrees(np.arcsin(sine / np.sqrt(cosines[narrow]))) * (1.0 + 1e-9)
+    return windows
+
+
+def _swept(one: _Side, two: _Side, zones: _Zones, geometry: _Geometry) -> list[Columns]:
+    from sameas.kernels.sweep import sweep
+
+    d = one.features.shape[1]
+    packed = geometry.array(zones.wraps)
+
+    def work(first: int, last: int) -> list[Columns]:
+        chunks: list[Columns] = []
+        while first < last:
+            capacity = max(4 * (last - first), len(two.rows), 1024)
+            out = (np.empty(capacity, np.int32), np.empty(capacity, np.int32), np.empty((capacity, d)),
+                   np.empty(capacity), np.empty(capacity))  # fmt: skip
+            found, first = sweep(
+                one.features, one.covariance, one.rows, one.starts, two.features, two.covariance, two.rows, two.starts,
+                zones.windows, packed, geometry.periods, first, last, *out,
+            )  # fmt: skip
+            chunks.append(tuple(column[:found] for column in out))  # type: ignore[arg-type]
+        return chunks
+
+    return [chunk for chunks in threads.over(work, threads.even(len(one.rows))) for chunk in chunks]
+
+
+def _places(classes: list[_Side], n: int) -> NDArray[np.int64]:
+    """The place of every record in an order of content: class by class, each sorted by its features."""
+    place = np.empty(n, np.int64)
+    used = 0
+    for side in classes:
+        place[side.rows[side.content_order()]] = np.arange(used, used + len(side.rows))
+        used += len(side.rows)
+    return place

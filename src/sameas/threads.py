@@ -1,0 +1,33 @@
+"""How many threads the compiled loops use, and running them side by side over independent ranges."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+T = TypeVar("T")
+
+
+def count() -> int:
+    """SAMEAS_THREADS where it is set, else the number of processors this process may run on."""
+    given = os.environ.get("SAMEAS_THREADS", "")
+    if given.isdigit() and int(given) > 0:
+        return int(given)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def over(work: Callable[[int, int], T], bounds: Sequence[int]) -> list[T]:
+    """``work(bounds[t], bounds[t + 1])`` for every t, side by side; results in the order of the ranges."""
+    ranges = [(int(a), int(b)) for a, b in zip(bounds[:-1], bounds[1:], strict=True) if b > a]
+    if len(ranges) <= 1:
+        return [work(a, b) for a, b in ranges]
+    with ThreadPoolExecutor(len(ranges)) as pool:
+        return list(pool.map(lambda r: work(*r), ranges))
+
+
+def even(n: int, least: int = 4096) -> list[int]:
+    """Bounds that cut n items in as many even ranges as there are threads, none smaller than ``least``."""
+    parts = max(1, min(count(), n // least))
+    return [n * t // parts for t in range(parts + 1)]
