@@ -1,0 +1,42 @@
+"""The whole method, one line a stage."""
+
+from __future__ import annotations
+
+from sameas.assignment import assign
+from sameas.evidence import Rule
+from sameas.gate import ChiSquare, Gate
+from sameas.groups import groups
+from sameas.posterior import posterior
+from sameas.prior import PerPair, Prior
+from sameas.records import Records
+from sameas.result import Identification
+
+
+def identify(
+    first: Records, second: Records, *, rule: Rule, prior: Prior = PerPair(), gate: Gate = ChiSquare()
+) -> Identification:
+    """Which records of two sources are the same object, one to one, and how sure that is.
+
+    Parameters
+    ----------
+    first, second : records of the two sources, in one feature space.
+    rule : the evidence, e.g. ``CloseObjects(a, b)``, ``PoissonField(…)``; rules add with ``+``.
+    prior : the belief in the number of common objects; ``PerPair(0)`` leaves it to the rule.
+    gate : which pairs are considered at all.
+
+    Example
+    -------
+    >>> from sameas import CloseObjects, CommonObjects, Records, identify
+    >>> radar = Records.of([[0.0, 0.0], [10.0, 0.0]], sigma=1.0, source="radar")
+    >>> ais = Records.of([[0.4, -0.2], [30.0, 5.0]], sigma=0.5, source="ais")
+    >>> answer = identify(radar, ais, rule=CloseObjects(a=2.0, b=20.0), prior=CommonObjects(q1=0.1, q2=0.2))
+    >>> answer.matches.rows_1, answer.matches.rows_2
+    (array([0]), array([0]))
+    """
+    pairs = gate(first, second)
+    grouped = groups(pairs)
+    evidence = rule(pairs)
+    believed = prior(grouped.sizes_1, grouped.sizes_2)
+    best = assign(grouped, evidence.log_ratio, believed)
+    sure = posterior(grouped, best)
+    return Identification(pairs, grouped, evidence, best, sure)

@@ -1,0 +1,24 @@
+"""Compiled summary of the pairs of each record."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def per_record(record, n, chosen, p_pair):
+    """For each of n records: (its chosen pair or −1, its most probable other pair or −1, candidates, Σ p of its pairs)."""
+    partner = np.full(n, -1, np.int64)
+    second = np.full(n, -1, np.int64)
+    count = np.zeros(n, np.int32)
+    total = np.zeros(n)
+    for e in range(len(record)):
+        r = record[e]
+        count[r] += 1
+        total[r] += p_pair[e]
+        if chosen[e]:
+            partner[r] = e
+        elif second[r] < 0 or p_pair[e] > p_pair[second[r]]:
+            second[r] = e
+    return partner, second, count, total

@@ -1,0 +1,243 @@
+"""The result: who is whom, who is left over, how sure it is, and why.
+
+Rows in a result are rows of the sources' own tables; absence is a mask. Everything is computed from the stages'
+values when it is asked for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.assignment import Hypothesis
+from sameas.errors import InputError
+from sameas.evidence import Evidence
+from sameas.gate import Pairs
+from sameas.groups import Groups
+from sameas.posterior import APPROXIMATE, METHODS, Posterior
+from sameas.records import FloatArray, Records
+
+if TYPE_CHECKING:
+    from sameas.explanation import Explanation
+
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Matches:
+    """The identified pairs, one row each, sorted by the row of the first source.
+
+    rows_1, rows_2 : rows of the two tables. pair : position among the candidates. p_match : posterior probability.
+    log_odds : ln λ with the prior's share per pair. residual : (k, d). mahalanobis : Δ over its error, (k,).
+    """
+
+    rows_1: IntArray
+    rows_2: IntArray
+    pair: IntArray
+    p_match: FloatArray
+    log_odds: FloatArray
+    residual: FloatArray
+    mahalanobis: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.pair)
+
+
+@dataclass(frozen=True)
+class Answers:
+    """What became of every row of one source's table (n_table,); masked where there is nothing to say.
+
+    partner : row in the other table. p_match : probability of that pair. p_none : probability of having no partner.
+    second : row in the other table of the most probable other candidate, and p_second its probability.
+    candidates : how many pairs passed the gate. group, group_size : number of the group and of its records.
+    usable : False for rows that were set aside.
+    """
+
+    partner: np.ma.MaskedArray
+    pair: np.ma.MaskedArray
+    p_match: np.ma.MaskedArray
+    p_none: np.ma.MaskedArray
+    second: np.ma.MaskedArray
+    p_second: np.ma.MaskedArray
+    candidates: np.ma.MaskedArray
+    group: np.ma.MaskedArray
+    group_size: np.ma.MaskedArray
+    usable: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Identification:
+    """The answer of :func:`sameas.identify`: every stage's value, and what users ask of them."""
+
+    pairs: Pairs
+    groups: Groups
+    evidence: Evidence
+    best: Hypothesis
+    posterior: Posterior
+
+    @property
+    def first(self) -> Records:
+        """The records of source 1."""
+        return self.pairs.first
+
+    @property
+    def second(self) -> Records:
+        """The records of source 2."""
+        return self.pairs.second
+
+    @cached_property
+    def chosen(self) -> NDArray[np.bool_]:
+        """(m,) whether each candidate belongs to the most probable hypothesis, in the order of the gate."""
+        chosen = np.empty(len(self.pairs), np.bool_)
+        chosen[self.groups.order] = self.best.chosen
+        return chosen
+
+    @cached_property
+    def log_odds(self) -> FloatArray:
+        """(m,) ln λ of each candidate, with the prior's slope where the prior is linear."""
+        weight = np.empty(len(self.pairs))
+        weight[self.groups.order] = self.best.weight
+        return weight
+
+    @property
+    def p_pair(self) -> FloatArray:
+        """(m,) posterior probability of each candidate, in the order of the gate."""
+        return self.posterior.p_pair
+
+    @cached_property
+    def rows_1(self) -> IntArray:
+        """(m,) row of each candidate in the table of source 1."""
+        return self.first.rows[self.pairs.i]
+
+    @cached_property
+    def rows_2(self) -> IntArray:
+        """(m,) row of each candidate in the table of source 2."""
+        return self.second.rows[self.pairs.j]
+
+    @cached_property
+    def matches(self) -> Matches:
+        """The identified pairs."""
+        pair = np.flatnonzero(self.chosen)
+        pair = pair[np.argsort(self.rows_1[pair])]
+        return Matches(
+            self.rows_1[pair], self.rows_2[pair], pair, self.p_pair[pair], self.log_odds[pair],
+            self.pairs.residual[pair], np.sqrt(self.pairs.mahalanobis_sq[pair]),
+        )  # fmt: skip
+
+    @cached_property
+    def answers_1(self) -> Answers:
+        """What became of every row of source 1."""
+        return self._answers(self.first, self.pairs.i, self.rows_2)
+
+    @cached_property
+    def answers_2(self) -> Answers:
+        """What became of every row of source 2."""
+        return self._answers(self.second, self.pairs.j, self.rows_1)
+
+    @property
+    def leftovers_1(self) -> IntArray:
+        """Usable rows of source 1 without a partner."""
+        return np.flatnonzero(self.answers_1.usable & np.ma.getmaskarray(self.answers_1.partner))
+
+    @property
+    def leftovers_2(self) -> IntArray:
+        """Usable rows of source 2 without a partner."""
+        return np.flatnonzero(self.answers_2.usable & np.ma.getmaskarray(self.answers_2.partner))
+
+    @cached_property
+    def expected_wrong(self) -> float:
+        """How many of the identified pairs are expected to be wrong: Σ (1 − p)."""
+        return float(np.sum(1.0 - self.p_pair[self.chosen]))
+
+    @cached_property
+    def expected_missed(self) -> float:
+        """How many true pairs among the candidates are expected to be missing from the identified ones."""
+        return float(np.sum(self.p_pair[~self.chosen]))
+
+    def residual_statistics(self) -> dict[str, Any]:
+        """Mean and rms of the identified residuals per axis, and the median of the normalised distance with its due.
+
+        The due is the median of the χ distribution of d degrees of freedom: errors are quoted too small where the
+        observed median lies above it, too large where below.
+        """
+        from scipy.special import gammaincinv
+
+        d = self.pairs.d
+        found = self.matches
+        if not len(found):
+            return {"mean": np.full(d, np.nan), "rms": np.full(d, np.nan), "median": np.nan, "median_due": np.nan}
+        return {
+            "mean": found.residual.mean(axis=0),
+            "rms": np.sqrt(np.mean(found.residual**2, axis=0)),
+            "median": float(np.median(found.mahalanobis)),
+            "median_due": float(np.sqrt(2.0 * gammaincinv(d / 2.0, 0.5))),
+        }
+
+    def method(self, group: int) -> str:
+        """How the posterior of a group was computed."""
+        return METHODS[self.posterior.method[group]]
+
+    @property
+    def approximate_pairs(self) -> int:
+        """Number of candidates whose probability is approximate."""
+        return int(self.groups.pair_counts[self.posterior.method == APPROXIMATE].sum())
+
+    def explain(self, record: Any, *, source: int = 1) -> Explanation:
+        """Why this record was identified as it was: its competitors, and what other answers would cost.
+
+        Parameters
+        ----------
+        record : the record's id.
+        source : 1 or 2, whose record it is.
+        """
+        from sameas.explanation import explain
+
+        if source not in (1, 2):
+            raise InputError(f"source is {source}; give 1 or 2")
+        return explain(self, record, source)
+
+    def _answers(self, records: Records, position: NDArray[np.int32], other_rows: IntArray) -> Answers:
+        from sameas.kernels.summary import per_record
+
+        n = len(records)
+        partner, second, count, total = per_record(position, n, self.chosen, self.p_pair)
+        p = np.append(self.p_pair, np.nan)
+        other = np.append(other_rows, 0)
+        group_of = np.append(self.groups.of_pairs(), 0)
+        some_pair = np.maximum(partner, second)
+        group = group_of[some_pair]
+        size = np.append(self.groups.sizes_1 + self.groups.sizes_2, 0)
+        table = _Table(records)
+        # 1 − Σ p is the probability of no partner; rounding must not make it negative.
+        return Answers(
+            partner=table(other[partner], partner < 0),
+            pair=table(partner, partner < 0),
+            p_match=table(p[partner], partner < 0),
+            p_none=table(np.clip(1.0 - total, 0.0, 1.0), np.zeros(n, bool)),
+            second=table(other[second], second < 0),
+            p_second=table(p[second], second < 0),
+            candidates=table(count, np.zeros(n, bool)),
+            group=table(group, some_pair < 0),
+            group_size=table(size[group], some_pair < 0),
+            usable=table.usable,
+        )
+
+
+class _Table:
+    """Spreads values of the usable records over the rows of their table."""
+
+    def __init__(self, records: Records) -> None:
+        self.rows = records.rows
+        self.usable = np.zeros(records.n_table, np.bool_)
+        self.usable[records.rows] = True
+
+    def __call__(self, values: NDArray[Any], absent: NDArray[np.bool_]) -> np.ma.MaskedArray:
+        column = np.zeros(len(self.usable), values.dtype)
+        mask = np.ones(len(self.usable), np.bool_)
+        column[self.rows] = np.where(absent, np.zeros((), values.dtype), values)
+        mask[self.rows] = absent
+        return np.ma.MaskedArray(column, mask)
