@@ -71,13 +71,43 @@ class Sum(Rule):
         return Evidence(terms)
 
 
-def log_normal(pairs: Pairs) -> FloatArray:
-    """(m,) ln N(Δ; 0, Σ) of the residuals [F14, T17]."""
-    log_density = np.log(pairs.determinant)
-    log_density += pairs.mahalanobis_sq
-    log_density *= -0.5
-    log_density -= 0.5 * pairs.d * LOG_2PI
-    return log_density
+@dataclass(frozen=True)
+class Errors:
+    """How residuals spread about their quoted covariances: a mixture of normals N(0, scale²·Σ).
+
+    ``Errors()`` takes the quoted errors as they are. ``Errors(scales=(1.4, 6.0), shares=(0.95, 0.05))`` says that they
+    are 1.4 times too small, and that one pair in twenty has errors 6 times larger than quoted (a heavy tail).
+    """
+
+    scales: tuple[float, ...] = (1.0,)
+    shares: tuple[float, ...] = (1.0,)
+
+    def __post_init__(self) -> None:
+        if len(self.scales) != len(self.shares) or not self.scales:
+            raise InputError(f"Errors: {len(self.scales)} scales but {len(self.shares)} shares; give one share per scale")
+        if min(self.scales) <= 0 or min(self.shares) < 0 or abs(sum(self.shares) - 1.0) > 1e-6:
+            raise InputError("Errors: scales must be positive, and shares non-negative with the sum 1")
+
+    def log_density(self, pairs: Pairs) -> FloatArray:
+        """(m,) ln of the density of the residuals [F14, T17, for one component of scale 1]."""
+        base = np.log(pairs.determinant)
+        base += pairs.d * LOG_2PI
+        base *= -0.5
+        if self.scales == (1.0,):
+            base -= 0.5 * pairs.mahalanobis_sq
+            return base
+        base += self.log_profile(pairs.mahalanobis_sq, pairs.d)
+        return base
+
+    def log_profile(self, mahalanobis_sq: FloatArray, d: int) -> FloatArray:
+        """(m,) ln Σ_k share_k scale_k^(−d) exp(−m²/(2 scale_k²)): what replaces exp(−m²/2) of one normal."""
+        total = np.full(len(mahalanobis_sq), -np.inf)
+        for scale, share in zip(self.scales, self.shares, strict=True):
+            if share > 0.0:
+                part = mahalanobis_sq * (-0.5 / scale**2)
+                part += math.log(share) - d * math.log(scale)
+                np.logaddexp(total, part, out=total)
+        return total
 
 
 @dataclass(frozen=True)
@@ -94,7 +124,7 @@ class Field(Rule):
 
     def __call__(self, pairs: Pairs) -> Evidence:
         density = _at(self.density, len(pairs.second), pairs.j, "Field: density")
-        return Evidence({"position": log_normal(pairs), "elsewhere": np.broadcast_to(-np.log(density), len(pairs))})
+        return Evidence({"position": Errors().log_density(pairs), "elsewhere": np.broadcast_to(-np.log(density), len(pairs))})
 
 
 @dataclass(frozen=True)
@@ -110,11 +140,13 @@ class PoissonField(Rule):
         of either source, whose logarithms are averaged for a pair.
     only_1, only_2 : densities of records that only one source shows; numbers, or (n₁,) and (n₂,).
         Unit: 1 / (unit of the residual)^d.
+    errors : how residuals spread about the quoted covariances.
     """
 
     common: ArrayLike | tuple[FloatArray, FloatArray]
     only_1: ArrayLike
     only_2: ArrayLike
+    errors: Errors = Errors()
 
     def __call__(self, pairs: Pairs) -> Evidence:
         n1, n2 = len(pairs.first), len(pairs.second)
@@ -126,7 +158,8 @@ class PoissonField(Rule):
             common = np.log(_at(self.common, n1, pairs.i, "PoissonField: common"))
         unrelated = np.log(_at(self.only_1, n1, pairs.i, "PoissonField: only_1"))
         unrelated = unrelated + np.log(_at(self.only_2, n2, pairs.j, "PoissonField: only_2"))
-        return Evidence({"position": log_normal(pairs), "densities": np.broadcast_to(common - unrelated, len(pairs))})
+        position = self.errors.log_density(pairs)
+        return Evidence({"position": position, "densities": np.broadcast_to(common - unrelated, len(pairs))})
 
 
 @dataclass(frozen=True)
@@ -145,7 +178,7 @@ class ConstantCost(Rule):
         return DetectionField(detection_probability, density)
 
     def __call__(self, pairs: Pairs) -> Evidence:
-        return Evidence({"position": log_normal(pairs), "cost": np.full(len(pairs), -2.0 * math.log(self.c))})
+        return Evidence({"position": Errors().log_density(pairs), "cost": np.full(len(pairs), -2.0 * math.log(self.c))})
 
 
 @dataclass(frozen=True)
@@ -167,7 +200,7 @@ class DetectionField(Rule):
             raise InputError("detection_probability is 1 or more; give the probability of a detection, below 1")
         density = _at(self.density, len(pairs.first), pairs.i, "density")
         odds = np.log(shown) - np.log1p(-shown) - np.log(density)
-        return Evidence({"position": log_normal(pairs), "detection": np.broadcast_to(odds, len(pairs))})
+        return Evidence({"position": Errors().log_density(pairs), "detection": np.broadcast_to(odds, len(pairs))})
 
 
 @dataclass(frozen=True)
@@ -212,7 +245,7 @@ class CloseObjects(Rule):
             log_density = log_surface_density(pairs.residual, sigma, a)
         else:
             log_density = log_neighbour_density(pairs.residual, sigma, a, _per_feature(self.b, d, "b"))
-        return Evidence({"position": log_normal(pairs), "neighbour": -log_density})
+        return Evidence({"position": Errors().log_density(pairs), "neighbour": -log_density})
 
 
 def log_neighbour_density(delta: FloatArray, sigma: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:

@@ -82,10 +82,14 @@ class ChiSquare:
         if not 0.0 < self.completeness < 1.0:
             raise InputError(f"gate: completeness is {self.completeness}; give a probability between 0 and 1")
 
-    def __call__(self, first: Records, second: Records) -> Pairs:
+    def limit(self, d: int) -> float:
+        """The χ² quantile for d features."""
         from scipy.special import gammainccinv
 
-        limit = 2.0 * float(gammainccinv(first.d / 2.0, 1.0 - self.completeness))
+        return 2.0 * float(gammainccinv(d / 2.0, 1.0 - self.completeness))
+
+    def __call__(self, first: Records, second: Records) -> Pairs:
+        limit = self.limit(first.d)
         return _candidates(first, second, limit, False, f"χ² ≤ {limit:.2f} (loses {1 - self.completeness:.1e} of the true)")
 
 

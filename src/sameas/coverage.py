@@ -1,0 +1,182 @@
+"""Where two sources look, and how densely their records lie there, from the records alone.
+
+The space is cut into cells of equal size, coarse to fine. A local density is the count of a cell, drawn towards the
+density of the coarser cell by two pseudo-counts, level after level: coarse where there is little to count, fine where
+there is much. A record is *not covered* by the other source where that source is empty although seven or more of its
+records were to be expected.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.records import FloatArray, Records
+from sameas.space import ARCSEC_PER_RADIAN, Sphere
+
+#: Cells get finer by this factor in volume, down to about ``FINEST`` records of the richer source in each.
+REFINEMENT = 8.0
+FINEST = 6.0
+PSEUDO_COUNT = 2.0
+#: Expected records in an empty cell that make it a hole: e⁻⁷ is the chance of it by accident.
+HOLE = 7.0
+
+
+@dataclass(frozen=True)
+class Level:
+    """Cells of one size: the cell of every record of both sources, and the volume of each cell."""
+
+    of_first: NDArray[np.int64]
+    of_second: NDArray[np.int64]
+    volume: FloatArray
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Cells of falling size over two sources. Make it with :meth:`Coverage.of`."""
+
+    first: Records
+    second: Records
+    volume: float
+    levels: tuple[Level, ...]
+
+    @classmethod
+    def of(cls, first: Records, second: Records) -> Coverage:
+        """Cells over the stretch that both sources span together; both must have records."""
+        cut = _SphereCells.over(first, second) if isinstance(first.space, Sphere) else _BoxCells.over(first, second)
+        levels: list[Level] = []
+        richer = max(len(first), len(second))
+        size = cut.volume
+        while len(levels) < 40:
+            level = _level(cut, first, second, size)
+            levels.append(level)
+            richest = level.of_first if len(first) >= len(second) else level.of_second
+            occupied = int(np.count_nonzero(np.bincount(richest, minlength=len(level.volume))))
+            if richer / occupied <= FINEST or occupied == richer:
+                break
+            size /= REFINEMENT
+        return cls(first, second, cut.volume, tuple(levels))
+
+    def density(self, source: int, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Local density of the records of ``source`` (1 or 2) counted with ``weights``, at the records of both.
+
+        Unit 1 / (residual unit)^d. A record does not count where it stands itself.
+        """
+        start = (float(weights.sum()) + 0.5) / self.volume
+        result = []
+        for query in (1, 2):
+            density = np.full(len(self.first if query == 1 else self.second), start)
+            own = weights if query == source else 0.0
+            for level in self.levels:
+                cells = level.of_first if source == 1 else level.of_second
+                count = np.bincount(cells, weights, len(level.volume))
+                at = level.of_first if query == 1 else level.of_second
+                others = np.maximum(count[at] - own, 0.0)
+                density = (others + PSEUDO_COUNT) / (level.volume[at] + PSEUDO_COUNT / density)
+            result.append(density)
+        return result[0], result[1]
+
+    @cached_property
+    def covered(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Whether source 2 looks where each record of source 1 lies, (n₁,), and the reverse, (n₂,)."""
+        return self._seen(1, 2), self._seen(2, 1)
+
+    def _seen(self, query: int, source: int) -> NDArray[np.bool_]:
+        n = len(self.first if query == 1 else self.second)
+        density = np.full(n, len(self.first if source == 1 else self.second) / self.volume)
+        seen = np.ones(n, np.bool_)
+        for level in self.levels:
+            cells = level.of_first if source == 1 else level.of_second
+            count = np.bincount(cells, minlength=len(level.volume)).astype(np.float64)
+            at = level.of_first if query == 1 else level.of_second
+            seen &= (count[at] > 0) | (density * level.volume[at] < HOLE)
+            density = (count[at] + PSEUDO_COUNT) / (level.volume[at] + PSEUDO_COUNT / density)
+        return seen
+
+    def common_volume(self) -> float:
+        """Volume where both sources look, (residual unit)^d: the finest cells that hold a covered record of either."""
+        finest = self.levels[-1]
+        held = np.zeros(len(finest.volume), np.bool_)
+        held[finest.of_first[self.covered[0]]] = True
+        held[finest.of_second[self.covered[1]]] = True
+        return float(finest.volume[held].sum())
+
+
+def _level(cut: _SphereCells | _BoxCells, first: Records, second: Records, size: float) -> Level:
+    cell, volume = cut.cells(np.concatenate([first.features, second.features]), size)
+    known, index = np.unique(cell, return_inverse=True)
+    n1 = len(first)
+    return Level(index[:n1], index[n1:], volume(known))
+
+
+@dataclass(frozen=True)
+class _SphereCells:
+    """Rings of equal height in latitude, cut into nearly square cells."""
+
+    low: float
+    high: float
+
+    @classmethod
+    def over(cls, first: Records, second: Records) -> _SphereCells:
+        latitude = np.concatenate([first.features[:, 1], second.features[:, 1]])
+        low, high = float(latitude.min()), float(latitude.max())
+        margin = max(1e-9, 1e-6 * (high - low))
+        return cls(max(-90.0, low - margin), min(90.0, high + margin))
+
+    @property
+    def volume(self) -> float:
+        sines = math.sin(math.radians(self.high)) - math.sin(math.radians(self.low))
+        return 2.0 * math.pi * sines * ARCSEC_PER_RADIAN**2
+
+    def cells(self, features: FloatArray, size: float):  # noqa: ANN201
+        rings = max(1, math.ceil((self.high - self.low) * 3600.0 / math.sqrt(size)))
+        height = (self.high - self.low) / rings
+        edges = np.radians(self.low + height * np.arange(rings + 1))
+        sines = np.diff(np.sin(edges))
+        per_ring = np.maximum(1, np.round(2.0 * math.pi * sines * ARCSEC_PER_RADIAN**2 / size)).astype(np.int64)
+        begin = np.concatenate([[0], np.cumsum(per_ring)])
+        ring = np.clip(((features[:, 1] - self.low) / height).astype(np.int64), 0, rings - 1)
+        along = np.mod(features[:, 0], 360.0) / 360.0
+        cell = begin[ring] + np.minimum((along * per_ring[ring]).astype(np.int64), per_ring[ring] - 1)
+
+        def volume(known: NDArray[np.int64]) -> FloatArray:
+            of = np.searchsorted(begin, known, side="right") - 1
+            return 2.0 * math.pi * sines[of] / per_ring[of] * ARCSEC_PER_RADIAN**2
+
+        return cell, volume
+
+
+@dataclass(frozen=True)
+class _BoxCells:
+    """Boxes of equal size over a Euclidean space, cut along every feature that has an extent."""
+
+    low: FloatArray
+    extent: FloatArray
+
+    @classmethod
+    def over(cls, first: Records, second: Records) -> _BoxCells:
+        both = np.concatenate([first.features, second.features])
+        sigma = np.sqrt(np.maximum(first.covariance[:, :1].mean(), second.covariance[:, :1].mean()))
+        # A feature without extent is as wide as its errors.
+        return cls(both.min(axis=0), np.maximum(both.max(axis=0) - both.min(axis=0), 1e-3 * sigma))
+
+    @property
+    def volume(self) -> float:
+        return float(np.prod(self.extent))
+
+    def cells(self, features: FloatArray, size: float):  # noqa: ANN201
+        d = len(self.extent)
+        cuts = max(1, round((self.volume / size) ** (1.0 / d)))
+        index = np.clip(((features - self.low) / self.extent * cuts).astype(np.int64), 0, cuts - 1)
+        cell = np.zeros(len(features), np.int64)
+        for v in range(d):
+            cell = cell * cuts + index[:, v]
+
+        def volume(known: NDArray[np.int64]) -> FloatArray:
+            return np.full(len(known), self.volume / float(cuts) ** d)
+
+        return cell, volume

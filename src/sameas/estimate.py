@@ -1,0 +1,223 @@
+"""What is not known in advance, estimated from the data: densities, shares in common, the spread of the errors.
+
+Identification and maximum likelihood take turns, with every pair weighted by its posterior (METHOD 6), until the
+expected number of common objects settles:
+
+- the local densities of common objects and of records that only one source shows (``coverage.py``);
+- how residuals spread about the quoted errors: a mixture of normals over a ladder of error scales, whose shares have
+  one maximum of the likelihood, so that errors quoted too small and heavy tails come out of the same estimate;
+- how wide the gate must be: it opens while its outermost part still holds true pairs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sameas.coverage import Coverage
+from sameas.errors import InputError
+from sameas.evidence import Errors, PoissonField
+from sameas.gate import ChiSquare, Pairs, Radius
+from sameas.identify import identify
+from sameas.prior import PerPair
+from sameas.records import FloatArray, Records
+from sameas.result import Identification
+
+#: Steps of the ladder of error scales, as a factor; enough for any smooth spread to be mixed from them.
+RUNG = 1.5
+#: The gate opens when this share of the expected true pairs lies beyond 0.7 of its radius (honest errors: 4e-5).
+OPENING = 3e-4
+WIDEST_SIGMAS = 200.0
+#: The gate does not open further when a record would have more candidates than this, on average.
+CROWDED = 6.0
+#: Fewer expected pairs than this say too little of the errors; the quoted ones are then believed.
+FEWEST = 50.0
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What was found, and how.
+
+    Attributes
+    ----------
+    common, share_1, share_2 : expected number of common objects, and what share of the covered records they are.
+    errors : the spread of the residuals about their quoted covariances.
+    gate_sigmas : radius of the gate, in quoted standard deviations.
+    coverage : where both look.
+    rounds, settled : rounds of identification, and whether they settled.
+    notes : what a user should know.
+    """
+
+    common: float
+    share_1: float
+    share_2: float
+    errors: Errors
+    gate_sigmas: float
+    coverage: Coverage
+    rounds: int
+    settled: bool
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def typical_scale(self) -> float:
+        """The factor by which the quoted errors must be multiplied for the typical pair: the median of the scales."""
+        order = np.argsort(self.errors.scales)
+        passed = np.cumsum(np.asarray(self.errors.shares)[order])
+        scales = np.asarray(self.errors.scales)[order]
+        return float(np.exp(np.interp(0.5, passed - 0.5 * np.asarray(self.errors.shares)[order], np.log(scales))))
+
+
+def match(
+    first: Records,
+    second: Records,
+    *,
+    errors: Errors | None = None,
+    gate: ChiSquare | Radius | None = None,
+    density: tuple[float, float] | None = None,
+    rounds: int = 30,
+    progress: Callable[[str], None] = lambda stage: None,
+) -> tuple[Identification, Estimate]:
+    """Identify two sources of which nothing is known but their records, and say what was estimated.
+
+    Parameters
+    ----------
+    errors : the spread of the residuals; estimated if not given. ``Errors()`` believes the quoted errors.
+    gate : the gate; if not given, as wide as the errors turn out to need.
+    density : (ρ₁, ρ₂) of all records of each source per (residual unit)^d, instead of local ones from the data.
+    rounds : at most so many rounds of identification.
+    progress : called with the name of what is being done.
+    """
+    for records in (first, second):
+        if not len(records):
+            raise InputError(f"{records.source} has no usable records; nothing can be identified")
+    progress("densities")
+    coverage = Coverage.of(first, second)
+    limit = math.sqrt(ChiSquare().limit(first.d))
+    loop = _Loop(first, second, coverage, errors, density)
+    total = 0
+    while True:
+        progress("gate")
+        pairs = (gate or Radius(limit))(first, second)
+        answer, done, settled = loop.run(pairs, rounds - total, progress)
+        total += done
+        if gate is not None or errors is not None or total >= rounds or not loop.must_open(answer, limit):
+            break
+        limit = min(2.0 * limit, WIDEST_SIGMAS)
+    common = float(answer.p_pair.sum())
+    seen_1, seen_2 = (max(int(np.count_nonzero(seen)), 1) for seen in coverage.covered)
+    estimate = Estimate(
+        common, min(1.0, common / seen_1), min(1.0, common / seen_2), loop.errors, limit, coverage, total, settled,
+        loop.notes(answer, settled),
+    )  # fmt: skip
+    return answer, estimate
+
+
+class _Loop:
+    """Identification and estimation in turn, for one gate after another."""
+
+    def __init__(
+        self,
+        first: Records,
+        second: Records,
+        coverage: Coverage,
+        errors: Errors | None,
+        density: tuple[float, float] | None,
+    ) -> None:
+        self.first, self.second, self.coverage = first, second, coverage
+        self.given = density
+        self.learns_errors = errors is None
+        self.errors = errors or Errors()
+        # Half of the poorer source is taken to be common, to begin with.
+        guess = 0.5 * min(len(first), len(second))
+        self.p_1 = np.full(len(first), guess / len(first))
+        self.p_2 = np.full(len(second), guess / len(second))
+
+    def run(self, pairs: Pairs, rounds: int, progress: Callable[[str], None]) -> tuple[Identification, int, bool]:
+        """Rounds over one list of candidates: the last answer, how many rounds, whether they settled."""
+        before = -1.0
+        for number in range(1, max(rounds, 1) + 1):
+            progress(f"identification, round {number}")
+            answer = identify(self.first, self.second, rule=self.rule(), prior=PerPair(), gate=lambda a, b: pairs)  # type: ignore[arg-type]
+            common = float(answer.p_pair.sum())
+            scales = self.errors
+            settled = abs(common - before) <= 1e-4 * common + 0.01
+            if settled or number == max(rounds, 1):
+                return answer, number, settled
+            before = common
+            self.p_1 = np.minimum(np.bincount(pairs.i, answer.p_pair, len(self.first)), 1.0)
+            self.p_2 = np.minimum(np.bincount(pairs.j, answer.p_pair, len(self.second)), 1.0)
+            if self.learns_errors and common >= FEWEST:
+                self.errors = fit_errors(pairs.mahalanobis_sq, answer.p_pair, pairs.d, scales)
+        raise AssertionError("unreachable")
+
+    def rule(self) -> PoissonField:
+        """The rule with the densities of this round."""
+        seen_1, seen_2 = self.coverage.covered
+        if self.given is not None:
+            share_1, share_2 = float(self.p_1.mean()), float(self.p_2.mean())
+            return PoissonField(
+                math.sqrt(self.given[0] * share_1 * self.given[1] * share_2),
+                self.given[0] * max(1.0 - share_1, 1e-6), self.given[1] * max(1.0 - share_2, 1e-6), self.errors,
+            )  # fmt: skip
+        c1 = self.coverage.density(1, self.p_1)
+        c2 = self.coverage.density(2, self.p_2)
+        only_1, _ = self.coverage.density(1, (1.0 - self.p_1) * seen_1)
+        _, only_2 = self.coverage.density(2, (1.0 - self.p_2) * seen_2)
+        # Both sources count the same common objects: the mean of the logarithms favours neither.
+        common = (np.sqrt(c1[0] * c2[0]), np.sqrt(c1[1] * c2[1]))
+        return PoissonField(common, only_1, only_2, self.errors)
+
+    def must_open(self, answer: Identification, limit: float) -> bool:
+        """Whether the outermost part of the gate still holds true pairs, and opening it is affordable."""
+        if limit >= WIDEST_SIGMAS or not self.learns_errors:
+            return False
+        if len(answer.pairs) > CROWDED * min(len(self.first), len(self.second)):
+            return False
+        outer = answer.pairs.mahalanobis_sq > (0.7 * limit) ** 2
+        beyond = float(answer.p_pair[outer].sum())
+        return beyond > 3.0 + OPENING * float(answer.p_pair.sum())
+
+    def notes(self, answer: Identification, settled: bool) -> tuple[str, ...]:
+        notes = []
+        common = float(answer.p_pair.sum())
+        if not settled:
+            notes.append("the estimates had not settled when the rounds ran out")
+        if common < 1.0:
+            notes.append("no common object is expected: the sources seem to have nothing in common")
+        if self.learns_errors and common < FEWEST:
+            notes.append(f"too few pairs ({common:.1f}) to judge the errors; the quoted ones are believed")
+        return tuple(notes)
+
+
+def fit_errors(mahalanobis_sq: FloatArray, weights: FloatArray, d: int, start: Errors, steps: int = 60) -> Errors:
+    """The mixture of error scales of greatest likelihood for residuals of the given posterior weights (EM).
+
+    The scales are a ladder from 0.44 upwards as far as the residuals reach; a pseudo-count on the scale 1 keeps a few
+    pairs from saying much.
+    """
+    used = weights > 1e-3
+    z2, weight = mahalanobis_sq[used], weights[used]
+    reach = math.sqrt(float(z2.max(initial=1.0)))
+    rungs = max(4, math.ceil(math.log(max(reach, 2.0) / 2.0) / math.log(RUNG)) + 1)
+    scales = RUNG ** np.arange(-2, rungs)
+    # Pairs of like distance are counted together: the likelihood depends on nothing else.
+    edges = np.geomspace(1e-3, max(reach, 2.0), 400)
+    bins = np.searchsorted(edges, np.sqrt(z2))
+    count = np.bincount(bins, weight, 401)
+    centre = np.bincount(bins, weight * z2, 401) / np.maximum(count, 1e-300)
+    log_part = -0.5 * centre[:, None] / scales**2 - d * np.log(scales)
+    part = np.exp(log_part - log_part.max(axis=1, keepdims=True))
+    known = dict(zip(np.round(start.scales, 9), start.shares, strict=True))
+    shares = np.array([known.get(round(s, 9), 0.0) for s in scales]) + 1e-3
+    shares /= shares.sum()
+    pseudo = 2.0 * (np.abs(np.log(scales)) < 0.01)
+    for _ in range(steps):
+        owned = part * shares
+        owned /= np.maximum(owned.sum(axis=1, keepdims=True), 1e-300)
+        shares = count @ owned + pseudo
+        shares /= shares.sum()
+    kept = shares > 1e-6
+    return Errors(tuple(scales[kept].tolist()), tuple((shares[kept] / shares[kept].sum()).tolist()))
