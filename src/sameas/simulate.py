@@ -161,7 +161,9 @@ def grid(
     if not spacing_sigmas >= 0:
         raise InputError(f"grid: spacing_sigmas is {spacing_sigmas}; give a number that is not negative")
     steps = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1)
-    positions = steps.reshape(-1, len(shape)).astype(np.float64) * (spacing_sigmas * math.hypot(sigma_1, sigma_2))
+    positions = steps.reshape(-1, len(shape)).astype(np.float64) * (
+        spacing_sigmas * math.hypot(sigma_1, sigma_2)
+    )
     seen = _seen(rng, len(positions), q1, q2)
     return _plane_scene(rng, positions, seen, len(positions), (sigma_1, sigma_2), False, Plane(), names)
 
@@ -326,8 +328,8 @@ def crowded_sky(
     """The workload of PERFORMANCE.md: a cap in which a record has ``lam`` chance candidates on average.
 
     Of the objects 80 % are in both sources and 10 % in each alone; each source has ``n`` rows. A chance
-    candidate lies within 3 √(σ₁² + σ₂²) and is another object. ``elliptical`` (see :func:`sky_field`) keeps the
-    mean variance; its gates ΔᵀΣ⁻¹Δ ≤ 9 are a few per cent smaller, and so is the true ``lam``.
+    candidate lies within 3 √(σ₁² + σ₂²) and is another object. ``elliptical`` (see :func:`sky_field`) keeps
+    the mean variance; its gates ΔᵀΣ⁻¹Δ ≤ 9 are a few per cent smaller, and so is the true ``lam``.
 
     Parameters
     ----------

@@ -9,6 +9,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from sameas.errors import InputError
 
 ARCSEC_PER_RADIAN = 206264.80624709636
@@ -57,3 +60,18 @@ class Sphere:
 
 
 Space = Plane | Sphere
+
+
+def sphere_offset(lon_1: ArrayLike, lat_1: ArrayLike, lon_2: ArrayLike, lat_2: ArrayLike) -> NDArray[np.float64]:
+    """(n, 2) east and north offset of directions 1 from directions 2 in arcsec, on the axes of :class:`Sphere`.
+
+    Longitudes and latitudes in degrees, (n,) each.
+    """
+    turn = np.subtract(lon_1, lon_2)
+    half_lon = np.radians(turn - 360.0 * np.round(turn / 360.0)) / 2.0
+    half_lat = np.radians(np.subtract(lat_1, lat_2)) / 2.0
+    u = np.sin(half_lon) * np.cos(np.radians(np.add(lat_1, lat_2)) / 2.0)
+    v = np.cos(half_lon) * np.sin(half_lat)
+    half_chord = np.minimum(np.hypot(u, v), 1.0)
+    arc = np.where(half_chord > 1e-9, np.arcsin(half_chord) / np.maximum(half_chord, 1e-300), 1.0)
+    return 2.0 * ARCSEC_PER_RADIAN * np.stack([u * arc, v * arc], axis=-1)

@@ -1,0 +1,12 @@
+"""Files: the tables that astronomers have, read and written; every output is whole or absent.
+
+``read_table`` and ``write_table`` know FITS, VOTable, ECSV, CSV and Parquet by the name of the file, and
+``read_provenance`` tells how a file that we wrote was made. ``replacing`` makes any other output (a picture,
+a page of HTML) whole or absent too. Nothing heavy is imported before a file is touched.
+"""
+
+from sameas.io.atomic import replacing
+from sameas.io.content import checksum
+from sameas.io.tables import known_formats, read_provenance, read_table, write_table
+
+__all__ = ["checksum", "known_formats", "read_provenance", "read_table", "replacing", "write_table"]

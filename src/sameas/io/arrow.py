@@ -1,0 +1,186 @@
+"""Between Arrow's columns and astropy's: nulls are masks, whole numbers stay whole, text is Unicode."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.errors import InputError
+from sameas.io.text import ascii_of, unicode_of
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    from astropy.table import Column
+
+_WIDEST_FIXED_TEXT = 256
+
+
+def column_of(name: str, values: pa.ChunkedArray) -> Column | None:
+    """The astropy column of an Arrow column; None for structures and maps, which no cell can hold."""
+    from astropy.table import Column, MaskedColumn
+
+    array, mask = _numpy_of(_simple(values))
+    if array is None:
+        return None
+    if mask is None or not mask.any():
+        return Column(array, name=name, copy=False)
+    return MaskedColumn(array, name=name, mask=mask, copy=False)
+
+
+def array_of(column: Column) -> pa.Array:
+    """The Arrow array of an astropy column; fixed-size lists where the column has several dimensions.
+
+    Raises
+    ------
+    InputError : cells of a kind that Arrow has no type for, or of several kinds.
+    """
+    import pyarrow as pa
+
+    values, mask = np.asarray(column), getattr(column, "mask", None)
+    mask = (
+        None
+        if mask is None or not np.any(mask)
+        else np.ascontiguousarray(np.broadcast_to(mask, values.shape))
+    )
+    flat, flat_mask = values.reshape(-1), None if mask is None else mask.reshape(-1)
+    if flat.dtype.kind == "S":
+        flat = unicode_of(flat)
+    if flat.dtype.kind not in "OU":
+        flat = np.ascontiguousarray(flat.astype(flat.dtype.newbyteorder("="), copy=False))
+    try:
+        array = _texts(flat, flat_mask) if flat.dtype.kind == "U" else pa.array(flat, mask=flat_mask)
+    except (pa.ArrowException, TypeError) as error:
+        raise InputError(
+            f"column {column.name} holds {_kinds(flat)}; give numbers, truth values or text"
+        ) from error
+    for size in reversed(values.shape[1:]):
+        array = pa.FixedSizeListArray.from_arrays(array, int(size))
+    return array
+
+
+def _texts(values: NDArray[Any], mask: NDArray[np.bool_] | None) -> pa.Array:
+    """Unicode cells as Arrow has them: all letters in one row, and where each cell begins."""
+    import pyarrow as pa
+
+    cells = ascii_of(values)
+    if cells is None or cells.nbytes >= 2**31:
+        return pa.array(values, mask=mask)
+    letters = cells.view(np.uint8).reshape(len(cells), cells.dtype.itemsize)
+    filled = letters != 0
+    if mask is not None:
+        filled &= ~mask[:, None]
+    begins = np.zeros(len(cells) + 1, np.int32)
+    np.cumsum(filled.sum(axis=1), out=begins[1:])
+    valid = None if mask is None else pa.array(~mask).buffers()[1]
+    buffers = [valid, pa.py_buffer(begins), pa.py_buffer(letters[filled])]
+    return pa.Array.from_buffers(pa.string(), len(cells), buffers)
+
+
+def _kinds(values: NDArray[Any]) -> str:
+    if values.dtype.kind != "O":
+        return f"values of type {values.dtype}"
+    return " and ".join(sorted({type(value).__name__ for value in values[:1000]}))
+
+
+def _simple(values: pa.ChunkedArray) -> pa.ChunkedArray:
+    """The column in a kind we know: dates as ISO text, decimals as floats, categories as values."""
+    import pyarrow as pa
+
+    kind = values.type
+    if pa.types.is_dictionary(kind):
+        return _simple(values.cast(kind.value_type))
+    if pa.types.is_timestamp(kind):
+        text = values.cast(pa.timestamp(kind.unit)).cast(pa.string())
+        return pa.compute.replace_substring(text, " ", "T")
+    if pa.types.is_temporal(kind):
+        return values.cast(pa.int64() if pa.types.is_duration(kind) else pa.string())
+    if pa.types.is_decimal(kind) or pa.types.is_null(kind):
+        return values.cast(pa.float64())
+    if pa.types.is_large_string(kind) or pa.types.is_string(kind):
+        return values
+    if str(kind) in ("string_view", "binary", "large_binary", "binary_view"):
+        return values.cast(pa.large_string())
+    return values
+
+
+def _numpy_of(values: pa.ChunkedArray) -> tuple[NDArray[Any] | None, NDArray[np.bool_] | None]:
+    import pyarrow as pa
+
+    kind = values.type
+    if pa.types.is_string(kind) or pa.types.is_large_string(kind):
+        return _text(values), _missing(values)
+    if pa.types.is_fixed_size_list(kind):
+        return _cells(values)
+    if pa.types.is_list(kind) or pa.types.is_large_list(kind):
+        return values.to_numpy(), _missing(values)
+    if not (pa.types.is_boolean(kind) or pa.types.is_integer(kind) or pa.types.is_floating(kind)):
+        return None, None
+    mask = _missing(values)
+    if mask is not None:
+        # Arrow would turn whole numbers with nulls into floats, and long identifiers into other ones.
+        values = pa.compute.fill_null(values, pa.scalar(0, pa.int8()).cast(kind))
+    array = values.to_numpy()
+    return array if array.flags.writeable else array.copy(), mask
+
+
+def _missing(values: pa.ChunkedArray) -> NDArray[np.bool_] | None:
+    return np.array(values.is_null().to_numpy()) if values.null_count else None
+
+
+def _cells(values: pa.ChunkedArray) -> tuple[NDArray[Any] | None, NDArray[np.bool_] | None]:
+    """(n, size, …) from lists of one size."""
+    import pyarrow as pa
+
+    size = values.type.list_size
+    if values.null_count:
+        # Arrow leaves the cells of a missing list out when it flattens.
+        empty = pa.array([[None] * size], values.type)
+        values = pa.chunked_array(
+            [pa.concat_arrays([chunk, empty]).take(_or_last(chunk)) for chunk in values.chunks], values.type
+        )
+    inner = pa.chunked_array([chunk.flatten() for chunk in values.chunks], values.type.value_type)
+    flat, mask = _numpy_of(_simple(inner))
+    if flat is None:
+        return None, None
+    shape = (len(values), size, *flat.shape[1:])
+    return flat.reshape(shape), None if mask is None else mask.reshape(shape)
+
+
+def _or_last(chunk: pa.Array) -> NDArray[np.int64]:
+    """Row numbers of a chunk, the row after its last where it has a null."""
+    return np.where(chunk.is_null().to_numpy(zero_copy_only=False), len(chunk), np.arange(len(chunk)))
+
+
+def _text(values: pa.ChunkedArray) -> NDArray[Any]:
+    """Unicode of fixed width, which sorts fast; Python strings where the longest is very long."""
+    from pyarrow import compute
+
+    values = compute.fill_null(values, "")
+    width = max(compute.max(compute.utf8_length(values)).as_py() or 1, 1)
+    if width > _WIDEST_FIXED_TEXT:
+        return values.to_numpy()
+    text = np.empty(len(values), dtype=f"U{width}")
+    begin = 0
+    for chunk in values.chunks:
+        end = begin + len(chunk)
+        if compute.all(compute.string_is_ascii(chunk)).as_py():
+            # Padded to one length, the bytes of a chunk are a NumPy array already.
+            padded = compute.ascii_rpad(chunk, width, padding="\0") if len(chunk) else chunk
+            if len(chunk):
+                offset = int(
+                    np.frombuffer(padded.buffers()[1], _offsets(padded), padded.offset + 1)[padded.offset]
+                )
+                cells = np.frombuffer(padded.buffers()[2], f"S{width}", len(chunk), offset)
+                text[begin:end] = unicode_of(cells)
+        else:
+            text[begin:end] = chunk.to_numpy(zero_copy_only=False)
+        begin = end
+    return text
+
+
+def _offsets(array: pa.Array) -> type:
+    import pyarrow as pa
+
+    return np.int64 if pa.types.is_large_string(array.type) else np.int32

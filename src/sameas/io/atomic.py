@@ -1,0 +1,122 @@
+"""Whole or absent: an output appears under its name only when the last byte of it is written.
+
+For any writer that takes a path: tables, pictures, text. What was there before stays until then.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import secrets
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from sameas.errors import InputError
+
+_NO_ROOM = {
+    errno.ENOSPC: "no space left on device",
+    errno.EDQUOT: "the disk quota is used up",
+    errno.EFBIG: "the file is too large for this file system",
+    errno.EIO: "the device reports an input/output error",
+    errno.EROFS: "the file system is read-only",
+}
+
+
+@contextmanager
+def replacing(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iterator[Path]:
+    """The path of a temporary file that becomes ``path`` when the block ends well, and vanishes otherwise.
+
+    Parameters
+    ----------
+    path : the output; a link is followed. The temporary file lies beside it and has its extension and the
+        permissions of the file replaced, or those the umask gives.
+    overwrite : False refuses a path that exists.
+
+    Raises
+    ------
+    InputError : no such directory, no permission, a directory, an existing path, a full device.
+        Other exceptions of the block, KeyboardInterrupt included, pass through.
+
+    Examples
+    --------
+    >>> with replacing("note.txt") as draft:  # doctest: +SKIP
+    ...     draft.write_text("whole")
+    """
+    given = Path(path)
+    if given.exists() and not (given.is_file() or given.is_dir()):
+        with _copied_into(given) as draft:
+            yield draft
+        return
+    target = Path(os.path.realpath(given))
+    _check_target(given, target, overwrite)
+    with _clear_errors(given):
+        draft = _new_file_beside(target)
+    try:
+        with _clear_errors(given):
+            yield draft
+            if target.exists():
+                shutil.copymode(target, draft)
+            os.replace(draft, target)
+    except BaseException:
+        with suppress(OSError):
+            draft.unlink()
+        raise
+
+
+@contextmanager
+def _copied_into(device: Path) -> Iterator[Path]:
+    """For a device or a pipe (/dev/stdout), which cannot be replaced: a temporary file, copied at the end.
+
+    Libraries never get its name: some remove what they fail to write, and root may remove a device.
+    """
+    with tempfile.TemporaryDirectory(prefix="sameas-") as directory, _clear_errors(device):
+        draft = Path(directory) / device.name
+        yield draft
+        with draft.open("rb") as whole, device.open("wb") as out:
+            shutil.copyfileobj(whole, out)
+
+
+def _check_target(given: Path, target: Path, overwrite: bool) -> None:
+    if target.is_dir():
+        raise InputError(f"cannot write {given}: it is a directory; give a file name")
+    if not target.parent.is_dir():
+        raise InputError(f"cannot write {given}: the directory {target.parent} does not exist; make it first")
+    if not overwrite and target.exists():
+        raise InputError(f"cannot write {given}: it exists already; give another name or allow overwriting")
+
+
+def _new_file_beside(target: Path) -> Path:
+    suffix = "".join(target.suffixes[-2:])
+    draft = target.with_name(f".sameas-{secrets.token_hex(6)}{suffix}")
+    # Not tempfile.mkstemp: its files are readable by their owner only, whatever the umask says.
+    os.close(os.open(draft, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+    return draft
+
+
+@contextmanager
+def _clear_errors(given: Path) -> Iterator[None]:
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        reason = _reason(error)
+        if reason is None:
+            raise
+        raise InputError(f"cannot write {given}: {reason}; nothing was written") from error
+
+
+def _reason(error: BaseException | None) -> str | None:
+    """Why the device refused, or None; libraries wrap the first error, so its causes are asked too."""
+    while error is not None:
+        if isinstance(error, PermissionError):
+            return "permission denied"
+        if isinstance(error, OSError) and error.errno in _NO_ROOM:
+            return _NO_ROOM[error.errno]
+        if isinstance(error, OSError) and "Not enough space on disk" in str(error):  # astropy.io.fits
+            return _NO_ROOM[errno.ENOSPC]
+        error = error.__cause__ or error.__context__
+    return None

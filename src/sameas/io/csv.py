@@ -1,0 +1,318 @@
+"""CSV: one line a row, the names in the first, parted by commas, semicolons, tabs or bars.
+
+Empty cells are masked, and so are those that say null, NA, N/A or --; nan is a number. Comment lines (#)
+before the names are passed over. Columns of several dimensions are written as name_1, name_2, … Comments
+would break many readers, so the provenance goes to a file beside: ``out.csv.provenance.json``.
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import json
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sameas.errors import InputError
+from sameas.io.arrow import array_of, column_of
+from sameas.io.atomic import replacing
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    from astropy.table import Column, Table
+
+_NULLS = ["null", "NULL", "NA", "N/A", "n/a", "--", *(" " * width for width in range(17))]
+_DELIMITERS = ",;\t|"
+
+
+@dataclass(frozen=True)
+class Header:
+    """The names of the columns, what parts them, and the number of lines before the first row."""
+
+    names: list[str]
+    delimiter: str
+    lines: int
+
+
+def read(path: Path, hdu: None) -> Table:
+    """The table of a CSV file; kinds of columns are found out from their cells."""
+    from astropy.table import Table
+
+    text = _bytes(path)
+    header = _header(text, path)
+    content = _parsed(text, header, path)
+    return Table([_column(name, content.column(i), path) for i, name in enumerate(header.names)], copy=False)
+
+
+def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
+    """Writes a CSV file, parted by tabs if it is called .tsv; see :func:`write_with_sidecar`."""
+    names, arrays = _flat_columns(table)
+    with opened(path) as file:
+        write_rows(names, arrays, file, "\t" if ".tsv" in path.suffixes else ",")
+
+
+def write_with_sidecar(table: Table, path: Path, provenance: Mapping[str, Any], overwrite: bool) -> None:
+    """Writes a CSV file and its provenance beside it; without provenance no file is left there."""
+    beside = sidecar(path)
+    if not provenance or not (path.is_file() or not path.exists()):
+        with replacing(path, overwrite=overwrite) as draft:
+            write(table, draft, {})
+        with suppress(FileNotFoundError):
+            # What an earlier run said is not true of this file.
+            beside.unlink()
+        return
+    with replacing(beside) as notes, replacing(path, overwrite=overwrite) as draft:
+        notes.write_text(json.dumps(provenance, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        write(table, draft, {})
+
+
+def provenance(path: Path) -> dict[str, Any]:
+    """What the file beside says."""
+    beside = sidecar(path)
+    return dict(json.loads(beside.read_text(encoding="utf-8"))) if beside.exists() else {}
+
+
+def sidecar(path: Path) -> Path:
+    """Where the provenance of a CSV file is kept.
+
+    Examples
+    --------
+    >>> sidecar(Path("pairs.csv")).name
+    'pairs.csv.provenance.json'
+    """
+    return path.with_name(path.name + ".provenance.json")
+
+
+def write_rows(names: list[str], arrays: list[pa.Array], file: Any, delimiter: str) -> None:
+    """Writes the names and the rows; text is quoted in files where some cell needs it."""
+    import pyarrow as pa
+    from pyarrow import compute
+    from pyarrow import csv as arrow_csv
+
+    line = io.StringIO()
+    csv.writer(line, delimiter=delimiter, lineterminator="\n").writerow(names)
+    file.write(line.getvalue().encode("utf-8"))
+    # A cell that begins with # would be taken for a comment, and blanks at its ends would be lost.
+    if len(arrays) == 1 and arrays[0].null_count:
+        # A line with nothing on it is no row; Python's writer knows, and puts quotes there.
+        rows = io.StringIO()
+        csv.writer(rows, delimiter=delimiter, lineterminator="\n").writerows([[c] for c in _texts(arrays[0])])
+        file.write(rows.getvalue().encode("utf-8"))
+        return
+    special = f'["\\r\\n{delimiter}]|^#|^ | $'
+    texts = [array for array in arrays if pa.types.is_string(array.type)]
+    quoted = any(compute.any(compute.match_substring_regex(array, special)).as_py() for array in texts)
+    options = arrow_csv.WriteOptions(
+        include_header=False, delimiter=delimiter, quoting_style="needed" if quoted else "none"
+    )
+    keys = [str(number) for number in range(len(names))]
+    arrow_csv.write_csv(pa.Table.from_arrays(arrays, names=keys), file, options)
+
+
+def _texts(array: pa.Array) -> list[str]:
+    import pyarrow as pa
+
+    return [text or "" for text in array.cast(pa.string()).to_pylist()]
+
+
+def opened(path: Path) -> Any:
+    """The file, open for writing bytes; gzipped when its name ends in .gz."""
+    return gzip.open(path, "wb", compresslevel=4) if path.suffix == ".gz" else path.open("wb")
+
+
+def _bytes(path: Path) -> pa.Buffer:
+    import pyarrow as pa
+
+    if path.suffix.lower() != ".gz":
+        with pa.memory_map(str(path)) as file:
+            return file.read_buffer()
+    try:
+        with gzip.open(path) as file:
+            return pa.py_buffer(file.read())
+    except EOFError as error:
+        raise InputError(f"{path}: is cut off in the middle; copy it again") from error
+
+
+def _header(text: pa.Buffer, path: Path) -> Header:
+    """The first line that is neither blank nor a comment; or the last comment, where that has the names."""
+    lines, comment = 0, ""
+    for raw in io.BytesIO(memoryview(text)[: 1 << 20]):
+        lines += 1
+        try:
+            line = raw.decode("utf-8-sig" if lines == 1 else "utf-8").strip("\r\n")
+        except UnicodeDecodeError as error:
+            raise InputError(f"{path}: is not UTF-8 text (line {lines}); save it as UTF-8") from error
+        if line.startswith("#"):
+            comment = line.lstrip("#").strip()
+        elif line.strip():
+            break
+    else:
+        if not any(delimiter in comment for delimiter in _DELIMITERS):
+            raise InputError(f"{path}: has no line with the names of the columns")
+        line = comment
+    delimiter = _delimiter(line, path)
+    names = _split(line, delimiter)
+    if any(_is_number(name) for name in names):
+        above = _split(comment, delimiter)
+        if len(above) != len(names) or any(_is_number(name) for name in above):
+            raise InputError(
+                f"{path}: line {lines} holds numbers; put the names of the columns above the first row"
+            )
+        names, lines = above, lines - 1
+    names = [name or f"column_{number}" for number, name in enumerate(names, start=1)]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise InputError(f"{path}: two columns are called {twice[0]}; rename one")
+    return Header(names, delimiter, lines)
+
+
+def _split(line: str, delimiter: str) -> list[str]:
+    return [name.strip() for name in next(csv.reader([line], delimiter=delimiter), [])]
+
+
+def _delimiter(line: str, path: Path) -> str:
+    if path.name.lower().removesuffix(".gz").endswith(".tsv"):
+        return "\t"
+    for delimiter in _DELIMITERS:
+        if len(_split(line, delimiter)) > 1:
+            return delimiter
+    if len(line.split()) > 1 and "(" not in line and "[" not in line and '"' not in line:
+        raise InputError(f"{path}: its columns are parted by blanks; part them by commas or tabs")
+    return ","
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return text.lower() not in ("nan", "inf", "infinity")
+
+
+def _parsed(text: pa.Buffer, header: Header, path: Path) -> pa.Table:
+    """The rows, with identifiers beyond 63 bits and dates kept as they stand."""
+    import pyarrow as pa
+    from pyarrow import compute
+
+    content = _arrow(text, header, path, {})
+    again = {}
+    for name, column in zip(content.column_names, content.columns, strict=True):
+        if pa.types.is_temporal(column.type):
+            again[name] = pa.string()
+        elif pa.types.is_floating(column.type) and len(column):
+            largest = compute.max(column).as_py()
+            # A whole number beyond 63 bits was read as a float and lost its last digits.
+            if largest is not None and 2.0**63 <= largest < 2.0**65:
+                again[name] = pa.uint64() if _all_whole(text, header, path, name) else pa.float64()
+    return _arrow(text, header, path, again) if again else content
+
+
+def _all_whole(text: pa.Buffer, header: Header, path: Path, name: str) -> bool:
+    import pyarrow as pa
+    from pyarrow import compute
+
+    column = _arrow(text, header, path, {name: pa.string()}).column(name)
+    try:
+        compute.cast(compute.utf8_trim_whitespace(column), pa.uint64())
+    except pa.ArrowInvalid:
+        return False
+    return True
+
+
+def _arrow(text: pa.Buffer, header: Header, path: Path, kinds: Mapping[str, Any]) -> pa.Table:
+    import pyarrow as pa
+    from pyarrow import csv as arrow_csv
+
+    wrong: list[Any] = []
+
+    def note(row: Any) -> str:
+        wrong.append(row)
+        return "error"
+
+    def parse(threads: bool) -> pa.Table:
+        return arrow_csv.read_csv(
+            pa.BufferReader(text),
+            arrow_csv.ReadOptions(use_threads=threads, column_names=header.names, skip_rows=header.lines),
+            arrow_csv.ParseOptions(
+                delimiter=header.delimiter, newlines_in_values=True, invalid_row_handler=note
+            ),
+            arrow_csv.ConvertOptions(null_values=_NULLS, strings_can_be_null=True, column_types=kinds),
+        )
+
+    if not _has_rows(text, header):
+        return pa.table({name: pa.array([], pa.float64()) for name in header.names})
+    try:
+        return parse(True)
+    except pa.ArrowInvalid as error:
+        if not wrong:
+            raise
+        wrong.clear()
+        # Threads do not know which line they are in.
+        with suppress(pa.ArrowInvalid):
+            parse(False)
+        row = wrong[0]
+        line = f"line {row.number}" if row.number else f"the line {row.text[:60]!r}"
+        raise InputError(
+            f"{path}: {line} has {row.actual_columns} cells, not {row.expected_columns}; "
+            "put text with a delimiter in it in quotes"
+        ) from error
+
+
+def _has_rows(text: pa.Buffer, header: Header) -> bool:
+    lines = io.BytesIO(memoryview(text))
+    for _ in range(header.lines):
+        lines.readline()
+    return any(line.strip() for line in lines)
+
+
+def _column(name: str, values: Any, path: Path) -> Column:
+    import pyarrow as pa
+
+    if pa.types.is_binary(values.type):
+        raise InputError(f"{path}: column {name} is not UTF-8 text; save the file as UTF-8")
+    column = column_of(name, values)
+    if column is None:
+        raise InputError(f"{path}: column {name} cannot be read ({values.type})")
+    return column
+
+
+def _flat_columns(table: Table) -> tuple[list[str], list[pa.Array]]:
+    names: list[str] = []
+    arrays: list[pa.Array] = []
+    for name in table.colnames:
+        column = table[name]
+        if len(column.shape) == 1:
+            names.append(name)
+            arrays.append(_cell_texts(column))
+            continue
+        flat = (
+            column.reshape(len(column), -1)
+            if len(column)
+            else column.reshape(0, int(np.prod(column.shape[1:])))
+        )
+        for number in range(flat.shape[1]):
+            names.append(f"{name}_{number + 1}")
+            arrays.append(_cell_texts(flat[:, number]))
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise InputError(f"two columns would be called {twice[0]}; rename one")
+    return names, arrays
+
+
+def _cell_texts(column: Column) -> pa.Array:
+    import pyarrow as pa
+
+    array = array_of(column)
+    if pa.types.is_nested(array.type):
+        raise InputError(
+            f"column {column.name} has lists in its cells; CSV has no room for them, write .fits or .vot"
+        )
+    if pa.types.is_float16(array.type):
+        array = array.cast(pa.float32())
+    return array.cast(pa.string()) if pa.types.is_large_string(array.type) else array

@@ -1,0 +1,96 @@
+"""ECSV: text that keeps units, descriptions and metadata; written and read in bulk through Arrow.
+
+A masked cell is empty; an empty text is read back as a missing one. The provenance is ``meta["sameas"]``.
+"""
+
+from __future__ import annotations
+
+import gzip
+from collections.abc import Mapping
+from io import StringIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sameas.io.arrow import array_of
+from sameas.io.csv import opened, write_rows
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    from astropy.table import Column, Table
+
+_KEY = "sameas"
+
+
+def read(path: Path, hdu: None) -> Table:
+    """The table of an ECSV file."""
+    from astropy.table import Table
+
+    table = _bulk_read(path)
+    if table is None:
+        table = Table.read(path, format="ascii.ecsv")
+    table.meta.pop(_KEY, None)
+    return table
+
+
+def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
+    """Writes an ECSV file with commas."""
+    from astropy.table import Table
+
+    meta = {key: value for key, value in table.meta.items() if key not in ("sameas_notes", _KEY)}
+    if provenance:
+        meta[_KEY] = dict(provenance)
+    whole = Table(list(table.columns.values()), names=table.colnames, meta=meta, copy=False)
+    columns = list(whole.columns.values())
+    text = StringIO()
+    if any(len(column.shape) > 1 or column.dtype.kind not in "biufSU" for column in columns):
+        # Cells with several values are JSON: astropy's own writer, slower, knows how.
+        whole.write(text, format="ascii.ecsv", delimiter=",")
+        with opened(path) as file:
+            file.write(text.getvalue().encode("utf-8"))
+        return
+    whole[:0].write(text, format="ascii.ecsv", delimiter=",")
+    comments = [line + "\n" for line in text.getvalue().splitlines() if line.startswith("#")]
+    with opened(path) as file:
+        file.write("".join(comments).encode("utf-8"))
+        write_rows(whole.colnames, [_spelled(column) for column in columns], file, ",")
+
+
+def provenance(path: Path) -> dict[str, Any]:
+    """What ``meta["sameas"]`` in the header says."""
+    from astropy.table.meta import get_header_from_yaml
+
+    header = []
+    with (
+        gzip.open(path, "rt", encoding="utf-8")
+        if path.suffix == ".gz"
+        else path.open(encoding="utf-8") as file
+    ):
+        for line in file:
+            if not line.startswith("#"):
+                break
+            header.append(line[2:].rstrip("\n"))
+    return dict((get_header_from_yaml(header).get("meta") or {}).get(_KEY, {}))
+
+
+def _bulk_read(path: Path) -> Table | None:
+    """The table by astropy's Arrow engine; None where this astropy has none, or it cannot read the file."""
+    try:
+        from astropy.io.misc.ecsv import read_ecsv
+    except ImportError:  # astropy before 7.2
+        return None
+    try:
+        # "null": files of the Gaia archive call themselves ECSV and say so.
+        return read_ecsv(path, engine="pyarrow", null_values=["", "null"])
+    except TypeError:  # float128
+        return None
+
+
+def _spelled(column: Column) -> pa.Array:
+    """The cells as ECSV spells them: truth values are True and False."""
+    import pyarrow as pa
+    from pyarrow import compute
+
+    array = array_of(column)
+    if pa.types.is_boolean(array.type):
+        return compute.if_else(array, "True", "False")
+    return array.cast(pa.float32()) if pa.types.is_float16(array.type) else array

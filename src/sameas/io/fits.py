@@ -1,0 +1,342 @@
+"""FITS: binary tables. Units in TUNIT, UCDs in TUCD, descriptions in TCOMM (as TOPCAT has them).
+
+A masked whole number is the column's TNULL, a masked truth value the byte 0, a masked float NaN, a masked
+text the empty text. FITS holds ASCII only: other text is refused on writing.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import warnings
+from collections.abc import Mapping
+from math import prod
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.errors import InputError
+from sameas.io.provenance import to_json, to_text
+from sameas.io.text import ascii_of, unicode_of
+
+if TYPE_CHECKING:
+    from astropy.table import Column, Table
+
+_CARD = "SAMEAS"
+_STRUCTURE = re.compile(
+    r"(XTENSION|BITPIX|NAXIS\d?|PCOUNT|GCOUNT|TFIELDS|THEAP|CHECKSUM|DATASUM|SAMEAS|"
+    r"T(TYPE|FORM|UNIT|NULL|SCAL|ZERO|DISP|DIM|UCD|COMM|CTYP|CUNI|CRPX|CRVL|CDLT|RPOS|BCOL)\d+)$"
+)
+
+
+def read(path: Path, hdu: int | str | None) -> Table:
+    """The first table of a FITS file, or that of extension ``hdu``."""
+    from astropy.io import fits
+
+    with warnings.catch_warnings():
+        # Neither the remarks on the letter of the standard are for the user of a catalogue, nor is this:
+        # a file cut short is refused below, with both sizes; astropy would only warn.
+        warnings.filterwarnings("ignore", message="File may have been truncated")
+        warnings.simplefilter("ignore", fits.verify.VerifyWarning)
+        with fits.open(path, memmap=path.suffix.lower() != ".gz", character_as_bytes=True) as hdus:
+            chosen, notes = _chosen(hdus, hdu, path)
+            _check_whole(chosen, path)
+            header = chosen.header
+            # Another program's serialized columns (times, sky coordinates) are astropy's own business.
+            if "--BEGIN-ASTROPY-SERIALIZED-COLUMNS--" in list(header.get("COMMENT", [])):
+                table = _astropys_table(chosen)
+            else:
+                table = _table(chosen)
+    if notes:
+        table.meta["sameas_notes"] = notes
+    return table
+
+
+def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
+    """Writes one binary table."""
+    from astropy.io import fits
+
+    with warnings.catch_warnings():
+        # Names such as "RA (deg)" are legal; astropy remarks that others are recommended.
+        warnings.simplefilter("ignore", fits.verify.VerifyWarning)
+        columns = [_fits_column(table[name]) for name in table.colnames]
+    hdu = fits.BinTableHDU.from_columns(columns, character_as_bytes=True)
+    raw = hdu.data.view(np.ndarray) if len(columns) else None
+    for number, name in enumerate(table.colnames, start=1):
+        column = table[name]
+        mask = getattr(column, "mask", None)
+        if column.dtype.kind == "b" and mask is not None and raw is not None:
+            raw[raw.dtype.names[number - 1]][np.asarray(mask)] = 0
+        if column.meta.get("ucd"):
+            hdu.header[f"TUCD{number}"] = str(column.meta["ucd"])
+        if column.description:
+            hdu.header[f"TCOMM{number}"] = _ascii(str(column.description))
+    _write_meta(hdu.header, table.meta)
+    if provenance:
+        hdu.header[_CARD] = to_json(provenance)
+        for key, value in provenance.items():
+            hdu.header.add_history(_ascii(f"sameas: {key} = {to_text(value)}"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", fits.verify.VerifyWarning)
+        hdu.writeto(path, overwrite=True)
+
+
+def provenance(path: Path) -> dict[str, Any]:
+    """What the card SAMEAS of the first extension with one says."""
+    from astropy.io import fits
+
+    with fits.open(path, memmap=False) as hdus:
+        for hdu in hdus:
+            if _CARD in hdu.header:
+                return dict(json.loads(hdu.header[_CARD]))
+    return {}
+
+
+def _chosen(hdus: Any, hdu: int | str | None, path: Path) -> tuple[Any, list[str]]:
+    from astropy.io import fits
+
+    kinds = (fits.BinTableHDU, fits.TableHDU)
+    tables = [number for number, each in enumerate(hdus) if isinstance(each, kinds)]
+    if not tables:
+        raise InputError(f"{path}: holds images only, no table")
+    listed = ", ".join(
+        f"{number} ({hdus[number].name})" if hdus[number].name else str(number) for number in tables
+    )
+    if hdu is None:
+        if len(tables) == 1:
+            return hdus[tables[0]], []
+        return hdus[tables[0]], [f"{path} holds {len(tables)} tables, extensions {listed}; took {tables[0]}"]
+    number = int(hdu) if isinstance(hdu, int) or hdu.lstrip("-").isdigit() else hdu
+    try:
+        chosen = hdus[number]
+    except (KeyError, IndexError) as error:
+        raise InputError(f"{path}: has no extension {hdu}; its tables are {listed}") from error
+    if not isinstance(chosen, kinds):
+        raise InputError(f"{path}: extension {hdu} is not a table; its tables are {listed}")
+    return chosen, []
+
+
+def _check_whole(hdu: Any, path: Path) -> None:
+    # Only the data, not the padding behind them, must be there. A gzipped file checks itself.
+    if path.suffix.lower() == ".gz":
+        return
+    header = hdu.header
+    end = hdu.fileinfo()["datLoc"] + header["NAXIS1"] * header["NAXIS2"] + header.get("PCOUNT", 0)
+    size = path.stat().st_size
+    if size < end:
+        raise InputError(f"{path}: is cut off: {size} of {end} bytes are there; copy it again")
+
+
+def _table(hdu: Any) -> Table:
+    from astropy.table import Table
+
+    data = hdu.data
+    columns = [_column(hdu, data, number, column) for number, column in enumerate(hdu.columns, start=1)]
+    return Table(columns, meta=_meta(hdu.header), copy=False)
+
+
+def _astropys_table(hdu: Any) -> Table:
+    from astropy.table import Column, Table
+
+    table = Table.read(hdu, format="fits", mask_invalid=False, unit_parse_strict="silent")
+    for name, column in list(table.columns.items()):
+        if isinstance(column, Column) and column.dtype.kind == "S":
+            values, mask = _text(np.asarray(column))
+            table.replace_column(name, _made(name, values, mask))
+        elif isinstance(column, Column):
+            table[name] = column.astype(column.dtype.newbyteorder("="))
+    table.meta = {key: value for key, value in table.meta.items() if not _STRUCTURE.match(key)}
+    return table
+
+
+def _column(hdu: Any, data: Any, number: int, field: Any) -> Column:
+    from astropy.units import Unit
+
+    # astropy reads an unknown truth value as False; the raw byte still knows.
+    logical = field.format.endswith("L") and not field.format.startswith(("P", "Q"))
+    values = (
+        data.view(np.ndarray)[data.dtype.names[number - 1]] if logical else np.asarray(data.field(number - 1))
+    )
+    mask = None
+    if logical:
+        values = values.reshape(np.asarray(data.field(number - 1)).shape) if field.dim else values
+        values, mask = values == ord("T"), values == 0
+    elif values.dtype.kind == "S":
+        values, mask = _text(values)
+    elif values.dtype.kind != "O":
+        if field.null not in (None, ""):
+            # TNULL is a value of the stored numbers, before TSCAL and TZERO.
+            mask = data.view(np.ndarray)[data.dtype.names[number - 1]].reshape(values.shape) == field.null
+        # A copy in the machine's own byte order: kernels need it, and the file can be closed.
+        values = values.astype(values.dtype.newbyteorder("="), copy=True)
+    column = _made(field.name, values, mask)
+    if field.unit:
+        column.unit = Unit(field.unit, format="fits", parse_strict="silent")
+    if hdu.header.get(f"TUCD{number}"):
+        column.meta["ucd"] = hdu.header[f"TUCD{number}"]
+    if hdu.header.get(f"TCOMM{number}"):
+        column.description = hdu.header[f"TCOMM{number}"]
+    return column
+
+
+def _made(name: str, values: NDArray[Any], mask: NDArray[np.bool_] | None) -> Column:
+    from astropy.table import Column, MaskedColumn
+
+    if mask is None or not mask.any():
+        return Column(values, name=name, copy=False)
+    return MaskedColumn(values, name=name, mask=mask, copy=False)
+
+
+def _text(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """Unicode without the spaces that fill a FITS cell up, and where nothing else was in it."""
+    text = np.char.rstrip(unicode_of(values), " ")
+    return text, text == ""
+
+
+def _meta(header: Any) -> dict[str, Any]:
+    meta: dict[str, Any] = {}
+    for key, value, _ in header.cards:
+        if not key or _STRUCTURE.match(key):
+            continue
+        if key in ("COMMENT", "HISTORY"):
+            if not str(value).startswith("sameas: "):
+                meta.setdefault("comments" if key == "COMMENT" else key, []).append(str(value))
+        elif key not in meta:
+            meta[key] = value
+    return meta
+
+
+def _write_meta(header: Any, meta: Mapping[str, Any]) -> None:
+    """Cards for the plain values of the table's metadata; what a card cannot hold is not for FITS."""
+    for key, value in meta.items():
+        card = key.upper()
+        if card in ("COMMENTS", "HISTORY") and isinstance(value, list):
+            add = header.add_comment if card == "COMMENTS" else header.add_history
+            for line in value:
+                add(_ascii(str(line)))
+        elif (
+            not re.fullmatch(r"[A-Z0-9_-]{1,8}", card)
+            or _STRUCTURE.match(card)
+            or card in ("COMMENT", "HISTORY")
+        ):
+            continue
+        elif isinstance(value, str):
+            header[card] = _ascii(value)
+        elif isinstance(value, bool | int | float) and np.isfinite(value):
+            header[card] = value
+
+
+def _ascii(text: str) -> str:
+    """The text in the characters that a card may hold."""
+    return "".join(c if " " <= c <= "~" else c.encode("unicode_escape").decode() for c in text)
+
+
+_CODES = {"b": "L", "u1": "B", "i2": "I", "i4": "J", "i8": "K", "f4": "E", "f8": "D", "c8": "C", "c16": "M"}
+_UNSIGNED = {"u2": ("I", 1 << 15), "u4": ("J", 1 << 31), "u8": ("K", 1 << 63)}
+
+
+def _fits_column(column: Column) -> Any:
+    from astropy.io import fits
+
+    values, null = _stored(column)
+    if values.dtype.kind == "O":
+        code, values = _variable(column.name, values)
+        return fits.Column(_ascii(column.name), code, array=values, unit=_unit(column))
+    shape = values.shape[1:]
+    sizes = tuple(reversed(shape))
+    zero = None
+    if values.dtype.kind == "S":
+        width = max(values.dtype.itemsize, 1)
+        code, sizes = f"{prod(shape) * width}A", (width, *sizes)
+    else:
+        spelled = "b" if values.dtype.kind == "b" else values.dtype.str[1:]
+        letter, zero = _UNSIGNED[spelled] if spelled in _UNSIGNED else (_CODES[spelled], None)
+        code = f"{prod(shape)}{letter}"
+    return fits.Column(
+        _ascii(column.name),
+        code,
+        array=values,
+        unit=_unit(column),
+        null=null if null is None or zero is None else null - zero,
+        bzero=zero,
+        dim=f"({','.join(map(str, sizes))})" if shape else None,
+    )
+
+
+def _stored(column: Column) -> tuple[NDArray[Any], int | None]:
+    """The cells in a kind that FITS has, nulls filled in, and the whole number that stands for null."""
+    values, mask = np.asarray(column), getattr(column, "mask", None)
+    mask = None if mask is None or not np.any(mask) else np.asarray(mask)
+    if values.dtype.kind in "UO":
+        values = _bytes(column.name, values, mask)
+    if values.dtype.kind == "i" and values.dtype.itemsize == 1:
+        values = values.astype("i2")
+    if values.dtype == np.float16:
+        values = values.astype("f4")
+    if mask is None or values.dtype.kind == "O":
+        return values, None
+    if values.dtype.kind == "b":
+        # astropy writes the byte of every value that it finds changed; a null is False to it, and stays.
+        return values & ~mask, None
+    if values.dtype.kind in "iu":
+        null = _unused(values, mask)
+        return np.where(mask, np.array(null, values.dtype), values), null
+    return np.where(mask, np.array(b"" if values.dtype.kind == "S" else np.nan, values.dtype), values), None
+
+
+def _bytes(name: str, values: NDArray[Any], mask: Any) -> NDArray[Any]:
+    """Text as ASCII bytes; arrays of varying length stay what they are."""
+    if values.dtype.kind == "O":
+        if len(values) and any(isinstance(v, np.ndarray) for v in values):
+            return values
+        missing = np.zeros(len(values), bool) if mask is None else np.asarray(mask)
+        values = np.array(
+            ["" if m or v is None else str(v) for v, m in zip(values, missing, strict=True)], dtype="U"
+        )
+    cells = ascii_of(values)
+    if cells is not None:
+        return cells
+    row = next(i for i, text in enumerate(values) if not all(t.isascii() for t in np.atleast_1d(text)))
+    raise InputError(
+        f"column {name} has letters that FITS cannot hold (row {row}: {values[row]}); "
+        "write .vot, .ecsv or .parquet instead"
+    )
+
+
+def _variable(name: str, values: NDArray[Any]) -> tuple[str, NDArray[Any]]:
+    """The format of arrays of varying length, and these in a kind that FITS has."""
+    kinds = {np.asarray(v).dtype for v in values if v is not None}
+    kind = np.result_type(*kinds) if kinds else np.dtype("f8")
+    if kind.kind not in "biufc":
+        raise InputError(f"column {name} has lists of {kind} in its cells; FITS has no room for them")
+    spelled = {"i1": "i2", "u2": "i4", "u4": "i8", "f2": "f4", "b1": "b"}.get(kind.str[1:], kind.str[1:])
+    if spelled not in _CODES:
+        raise InputError(f"column {name} has lists of {kind} in its cells; FITS has no room for them")
+    made = np.empty(len(values), dtype=object)
+    for row, value in enumerate(values):
+        made[row] = np.asarray([] if value is None else value, dtype="bool" if spelled == "b" else spelled)
+    return f"P{_CODES[spelled]}()", made
+
+
+def _unused(values: NDArray[Any], mask: NDArray[np.bool_]) -> int:
+    """A whole number that stands in no unmasked cell: the least of its kind, or the next one that is free."""
+    limits = np.iinfo(values.dtype)
+    present = values[~mask]
+    for candidate in (int(limits.min), int(limits.max)) if limits.min < 0 else (int(limits.max), 0):
+        if not np.any(present == candidate):
+            return candidate
+    taken = set(np.unique(present).tolist())
+    return next(n for n in range(int(limits.min), int(limits.max) + 1) if n not in taken)
+
+
+def _unit(column: Column) -> str | None:
+    if column.unit is None:
+        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            return _ascii(column.unit.to_string("fits"))
+        except ValueError:  # not a unit of the FITS standard: the name is still better than none
+            return _ascii(column.unit.to_string())

@@ -1,0 +1,156 @@
+"""Parquet: fast, exact, small. Units in the metadata of each column and in the form that astropy reads.
+
+A masked cell is a null. The UCDs and units of VOParquet files are read too.
+"""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Mapping
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sameas.errors import InputError
+from sameas.io.arrow import array_of, column_of
+
+if TYPE_CHECKING:
+    from astropy.table import Column, Table
+
+_KEY = b"sameas"
+_ASTROPY = b"table_meta_yaml"
+_VOPARQUET = b"IVOA.VOTable-Parquet.content"
+
+
+def read(path: Path, hdu: None) -> Table:
+    """The table of a Parquet file."""
+    from astropy.table import Table
+    from pyarrow import parquet
+
+    with parquet.ParquetFile(path, memory_map=True, pre_buffer=False) as file:
+        content = file.read()
+    columns, left_out = [], []
+    for name in content.column_names:
+        if content.column_names.count(name) > 1:
+            raise InputError(f"{path}: two columns are called {name}; rename one")
+        column = column_of(name, content.column(name))
+        if column is None:
+            left_out.append(
+                f"{path}: column {name} ({content.schema.field(name).type}) is no column of cells; left out"
+            )
+            continue
+        _describe(column, _decoded(content.schema.field(name).metadata))
+        columns.append(column)
+    table = _with_file_metadata(Table(columns, copy=False), content.schema.metadata or {})
+    if left_out:
+        table.meta["sameas_notes"] = left_out
+    return table
+
+
+def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
+    """Writes a Parquet file (zstd)."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    arrays = [array_of(table[name]) for name in table.colnames]
+    fields = [
+        pa.field(name, array.type, metadata=_column_metadata(table[name]))
+        for name, array in zip(table.colnames, arrays, strict=True)
+    ]
+    schema = pa.schema(fields, metadata=_file_metadata(table, provenance))
+    texts = [
+        name for name, array in zip(table.colnames, arrays, strict=True) if pa.types.is_string(array.type)
+    ]
+    # A dictionary pays for names that come again; numbers of a catalogue do not.
+    options: dict[str, Any] = {
+        "compression": "zstd",
+        "compression_level": 1,
+        "use_dictionary": texts or False,
+    }
+    parquet.write_table(pa.Table.from_arrays(arrays, schema=schema), path, **options)
+
+
+def provenance(path: Path) -> dict[str, Any]:
+    """What the key ``sameas`` of the schema says."""
+    from pyarrow import parquet
+
+    metadata = parquet.read_schema(path).metadata or {}
+    return dict(json.loads(metadata.get(_KEY, b"{}")))
+
+
+def _decoded(metadata: Mapping[bytes, bytes] | None) -> dict[str, str]:
+    return {
+        key.decode("utf-8", "replace"): value.decode("utf-8", "replace")
+        for key, value in (metadata or {}).items()
+    }
+
+
+def _describe(column: Column, facts: Mapping[str, Any]) -> None:
+    """Gives a column the unit, description and UCD that are known of it."""
+    from astropy.units import Unit
+
+    if facts.get("unit"):
+        column.unit = Unit(str(facts["unit"]), parse_strict="silent")
+    if facts.get("description"):
+        column.description = str(facts["description"])
+    if facts.get("ucd"):
+        column.meta["ucd"] = str(facts["ucd"])
+
+
+def _with_file_metadata(table: Table, metadata: Mapping[bytes, bytes]) -> Table:
+    if _ASTROPY in metadata:
+        return _with_astropys(table, metadata[_ASTROPY].decode("utf-8"))
+    if _VOPARQUET in metadata:
+        from astropy.io import votable
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            fields = votable.parse(BytesIO(metadata[_VOPARQUET])).get_first_table().fields
+        for field in fields:
+            if field.name in table.colnames:
+                _describe(table[field.name], {k: getattr(field, k) for k in ("unit", "description", "ucd")})
+    return table
+
+
+def _with_astropys(table: Table, text: str) -> Table:
+    from astropy.table import meta, serialize
+
+    header = meta.get_header_from_yaml(text.split("\n"))
+    for described in header["datatype"]:
+        if described["name"] in table.colnames:
+            column = table[described["name"]]
+            _describe(column, described)
+            column.format = described.get("format", column.format)
+            column.meta.update(described.get("meta", {}))
+    table.meta.update(header.get("meta", {}))
+    if "__serialized_columns__" in table.meta:
+        # Masks and sky coordinates that astropy's own writer takes apart.
+        table = serialize._construct_mixins_from_columns(table)
+    return table
+
+
+def _column_metadata(column: Column) -> dict[str, str] | None:
+    facts = {
+        "unit": column.unit.to_string() if column.unit is not None else None,
+        "description": column.description,
+        "ucd": column.meta.get("ucd"),
+    }
+    return {key: str(value) for key, value in facts.items() if value} or None
+
+
+def _file_metadata(table: Table, provenance: Mapping[str, Any]) -> dict[bytes, bytes]:
+    from astropy.table import Table, meta
+
+    kept = {key: value for key, value in table.meta.items() if key != "sameas_notes"}
+    bare = Table(list(table[:0].columns.values()), names=table.colnames, meta=kept)
+    metadata = {_ASTROPY: "\n".join(meta.get_yaml_from_table(bare)).encode()}
+    for name in table.colnames:
+        kind = table[name].dtype
+        if kind.kind in "US":
+            # astropy's reader wants the width of text columns here, or looks for it and warns.
+            width = kind.itemsize // (4 if kind.kind == "U" else 1)
+            metadata[f"table::len::{name}".encode()] = str(max(width, 1)).encode()
+    if provenance:
+        metadata[_KEY] = json.dumps(provenance).encode()
+    return metadata

@@ -1,0 +1,66 @@
+"""How a file was made, kept with it: a flat mapping of plain values, and its spelling as text."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from typing import Any
+
+from sameas.errors import InputError
+
+
+def plain(provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """The mapping with plain values only: text, whole numbers, floats, truth values, None, lists of these.
+
+    Raises
+    ------
+    InputError : a key that is not text, or a value of another kind.
+    """
+    wrong = [key for key in provenance if not isinstance(key, str)]
+    if wrong:
+        raise InputError(f"provenance: the key {wrong[0]!r} is not text")
+    return {key: _plain_value(key, value) for key, value in provenance.items()}
+
+
+def _plain_value(key: str, value: Any) -> Any:
+    if hasattr(value, "tolist"):  # NumPy's scalars and arrays, without importing it
+        value = value.tolist()
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, list | tuple):
+        return [_plain_value(key, item) for item in value]
+    for kind in (bool, int, float, str):
+        # Subclasses (enumerations, astropy's strings) become the plain kind, which every format can spell.
+        if isinstance(value, kind):
+            return kind(value)
+    if value is None:
+        return None
+    raise InputError(
+        f"provenance: {key} is a {type(value).__name__}; give text, numbers, truth values or lists"
+    )
+
+
+def to_json(provenance: Mapping[str, Any]) -> str:
+    """One line of ASCII without quotes (') and ampersands, which FITS cards treat specially."""
+    return json.dumps(provenance).replace("'", "\\u0027").replace("&", "\\u0026")
+
+
+def to_text(value: Any) -> str:
+    """One value as text: a string as it is, where that cannot be taken for another value; else JSON."""
+    if (
+        isinstance(value, str)
+        and value.isprintable()
+        and value.strip() == value
+        and from_text(value) == value
+    ):
+        return value
+    return json.dumps(value)
+
+
+def from_text(text: str) -> Any:
+    """The value that :func:`to_text` spelled."""
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text

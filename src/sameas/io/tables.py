@@ -1,0 +1,230 @@
+"""Tables by the name of their file: which format, what is wrong with it, and the reader or writer to call."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+from sameas.errors import InputError
+from sameas.io.atomic import replacing
+from sameas.io.content import first_bytes, kind_of
+from sameas.io.provenance import plain
+
+if TYPE_CHECKING:
+    from astropy.table import Table
+
+
+@dataclass(frozen=True)
+class Format:
+    """One format: ``name`` is that of its module in ``sameas.io``, ``label`` how people call it."""
+
+    name: str
+    label: str
+    extensions: tuple[str, ...]
+
+    def module(self) -> ModuleType:
+        """``read(path, hdu)``, ``write(table, path, provenance)`` and ``provenance(path)``."""
+        return importlib.import_module(f"sameas.io.{self.name}")
+
+
+FORMATS = (
+    Format("fits", "FITS", (".fits", ".fit", ".fts", ".fits.gz", ".fit.gz", ".fts.gz")),
+    Format("votable", "VOTable", (".vot", ".votable", ".xml", ".vot.gz", ".votable.gz", ".xml.gz")),
+    Format("ecsv", "ECSV", (".ecsv", ".ecsv.gz")),
+    Format("csv", "CSV", (".csv", ".tsv", ".txt", ".csv.gz", ".tsv.gz", ".txt.gz")),
+    Format("parquet", "Parquet", (".parquet", ".pq", ".parq")),
+)
+
+
+def known_formats() -> dict[str, tuple[str, ...]]:
+    """The formats we read and write, by name, with their extensions.
+
+    Examples
+    --------
+    >>> known_formats()["ecsv"]
+    ('.ecsv', '.ecsv.gz')
+    """
+    return {known.name: known.extensions for known in FORMATS}
+
+
+def read_table(
+    path: str | os.PathLike[str], *, format: str | None = None, hdu: int | str | None = None
+) -> Table:
+    """The table in a file, with its units, descriptions and metadata.
+
+    Parameters
+    ----------
+    path : a file of one of the :func:`known_formats`.
+    format : the name of the format, where the extension does not tell it.
+    hdu : FITS only: number or name of the extension; the first table if not given.
+
+    Returns
+    -------
+    An :class:`astropy.table.Table`. Cells without a value are masked; a NaN stays a NaN. Text is Unicode of
+    fixed width, or Python strings where the longest is beyond 256 characters. An empty text is a missing one
+    in FITS, ECSV and CSV. The UCD of a column is ``column.meta["ucd"]``. What a reader should know (several
+    tables in the file, a column left out) is in ``table.meta["sameas_notes"]``, a list of sentences. No file
+    stays open.
+
+    Raises
+    ------
+    InputError : no such file, a directory, an empty file, an unknown extension, other content than it claims.
+    """
+    path = Path(path)
+    known = _format_of(path, format)
+    _check_source(path, known)
+    if hdu is not None and known.name != "fits":
+        raise InputError(
+            f"{path}: hdu={hdu!r} was given, but only FITS files have several tables to choose from"
+        )
+    try:
+        return known.module().read(path, hdu)
+    except (InputError, MemoryError, ModuleNotFoundError):
+        raise
+    except Exception as error:
+        raise InputError(f"{path}: cannot be read as {known.label}: {_first_line(error)}") from error
+
+
+def write_table(
+    table: Table,
+    path: str | os.PathLike[str],
+    *,
+    provenance: Mapping[str, Any],
+    format: str | None = None,
+    overwrite: bool = True,
+) -> None:
+    """Writes a table and how it was made; the file is whole or absent.
+
+    Parameters
+    ----------
+    table : columns of numbers, truth values, text and arrays of them. Masked cells become the format's nulls.
+        Quantities are written as numbers with a unit, times as ISO text; other mixin columns are refused.
+    path : the format is that of the extension.
+    provenance : flat mapping to text, numbers, truth values or lists; :func:`read_provenance` reads it back.
+        It is kept inside the file: in the card SAMEAS (FITS), as INFO elements (VOTable), in the metadata
+        (ECSV, Parquet). CSV has no room for it: it goes to ``path`` + ``.provenance.json``.
+    format : the name of the format, where the extension does not tell it.
+    overwrite : False refuses a path that exists.
+
+    Raises
+    ------
+    InputError : the path or a column cannot be written; nothing is left behind, and an older file stays.
+    """
+    path = Path(path)
+    known = _format_of(path, format)
+    facts = plain(provenance)
+    table = _with_plain_columns(table, path)
+    try:
+        if known.name == "csv":
+            known.module().write_with_sidecar(table, path, facts, overwrite)
+            return
+        with replacing(path, overwrite=overwrite) as draft:
+            known.module().write(table, draft, facts)
+    except (InputError, MemoryError, ModuleNotFoundError) as error:
+        raise _naming(error, path) from error.__cause__
+    except Exception as error:
+        raise InputError(f"cannot write {path} as {known.label}: {_first_line(error)}") from error
+
+
+def read_provenance(path: str | os.PathLike[str], *, format: str | None = None) -> dict[str, Any]:
+    """How the file was made, as given to :func:`write_table`; empty where the file does not say.
+
+    Raises
+    ------
+    InputError : as :func:`read_table`.
+    """
+    path = Path(path)
+    known = _format_of(path, format)
+    _check_source(path, known)
+    try:
+        return dict(known.module().provenance(path))
+    except (InputError, MemoryError, ModuleNotFoundError):
+        raise
+    except Exception as error:
+        raise InputError(f"{path}: its provenance cannot be read: {_first_line(error)}") from error
+
+
+def _format_of(path: Path, name: str | None) -> Format:
+    if name is not None:
+        for known in FORMATS:
+            if name.lower() in (known.name, known.label.lower()):
+                return known
+        raise InputError(f"{path}: unknown format {name!r}; give one of {', '.join(f.name for f in FORMATS)}")
+    lowered = path.name.lower()
+    for known in FORMATS:
+        if lowered.endswith(known.extensions):
+            return known
+    every = " ".join(
+        extension for known in FORMATS for extension in known.extensions if ".gz" not in extension
+    )
+    suffix = f"the extension {path.suffix!r} is not known" if path.suffix else "the name has no extension"
+    raise InputError(f"{path}: {suffix}; known are {every}, or name the format")
+
+
+def _check_source(path: Path, known: Format) -> None:
+    """Refuses what is not a file of this format, in the user's words, before a library meets it."""
+    if path.is_dir():
+        raise InputError(f"{path}: is a directory; give a file")
+    if not path.exists():
+        raise InputError(f"{path}: no such file{_similar_names(path)}")
+    first = first_bytes(path)
+    if not first:
+        raise InputError(f"{path}: is empty")
+    kind = kind_of(first)
+    if kind == known.label or (known.name == "csv" and kind is None):
+        return
+    if kind is None and known.name == "votable":
+        return
+    remedy = ""
+    if kind in {other.label for other in FORMATS}:
+        remedy = f"; rename it, or give format={str(kind).lower()!r}"
+        kind = f"a {kind} file"
+    elif kind == "a web page (HTML)":
+        remedy = "; the download probably failed"
+    said = f"is {kind}, not {known.label}" if kind else f"is not a {known.label} file"
+    raise InputError(f"{path}: {said}{remedy}")
+
+
+def _similar_names(path: Path) -> str:
+    if not path.parent.is_dir():
+        return f": the directory {path.parent} does not exist"
+    names = sorted(entry.name for entry in path.parent.iterdir() if not entry.name.startswith("."))
+    similar = difflib.get_close_matches(path.name, names, n=3, cutoff=0.6)
+    return f"; did you mean {' or '.join(similar)}?" if similar else f" in {path.parent.absolute()}"
+
+
+def _with_plain_columns(table: Table, path: Path) -> Table:
+    """The same table, its quantities and times as plain columns."""
+    from astropy.table import Column, Table
+    from astropy.time import Time
+    from astropy.units import Quantity
+
+    columns = []
+    for name, column in table.columns.items():
+        if isinstance(column, Quantity):
+            column = Table({name: column})[name]
+        elif isinstance(column, Time):
+            column = Column(column.isot, name=name)
+        elif not isinstance(column, Column):
+            kind = type(column).__name__
+            raise InputError(f"cannot write {path}: column {name} is a {kind}; write its parts as columns")
+        columns.append(column)
+    return Table(columns, names=table.colnames, meta=table.meta, copy=False)
+
+
+def _naming(error: BaseException, path: Path) -> BaseException:
+    """The error, saying which output was meant."""
+    if not isinstance(error, InputError) or str(path) in str(error):
+        return error
+    return InputError(f"cannot write {path}: {error}")
+
+
+def _first_line(error: BaseException) -> str:
+    text = str(error).strip().splitlines()
+    return text[0].rstrip(".") if text else type(error).__name__

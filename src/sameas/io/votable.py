@@ -1,0 +1,373 @@
+"""VOTable: written as BINARY2 with cells of fixed size, which TOPCAT, astropy and the archives read.
+
+Such files are read in bulk; others (TABLEDATA, text of varying length) by astropy, some ten times slower.
+A masked cell is a null, except that astropy masks the NaNs of the other kinds too. The provenance is INFO
+elements.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import io
+import re
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from math import prod
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.errors import InputError
+from sameas.io.provenance import from_text, to_text
+from sameas.io.text import ascii_of, unicode_of
+
+if TYPE_CHECKING:
+    from astropy.table import Column, Table
+
+_INFO = "sameas:"
+_STREAM = re.compile(rb"<BINARY2>\s*<STREAM\s[^>]*encoding=[\"']base64[\"'][^>]*>")
+_DTYPES = {
+    "boolean": "S1",
+    "unsignedByte": "u1",
+    "short": ">i2",
+    "int": ">i4",
+    "long": ">i8",
+    "float": ">f4",
+    "double": ">f8",
+    "floatComplex": ">c8",
+    "doubleComplex": ">c16",
+    "unicodeChar": ">u2",
+}
+
+
+def read(path: Path, hdu: None) -> Table:
+    """The first table of a VOTable file."""
+    content = _content(path)
+    stream = _stream(content)
+    if stream is not None:
+        begin, end = stream
+        document, element = _parsed(content[:begin] + content[end:], path)
+        cells = _cells_dtype(element.fields)
+        if cells is not None:
+            table = _bulk(element, base64.b64decode(content[begin:end]), cells, path)
+            return _with_meta(table, document, element, path)
+    document, element = _parsed(content, path)
+    table = element.to_table(use_names_over_ids=True)
+    for name, column in list(table.columns.items()):
+        if column.dtype.kind in "OUS" and len(column.shape) == 1:
+            table.replace_column(name, _unicode(column, empty_is_missing=element.format != "binary2"))
+        elif not np.any(column.mask):
+            table.replace_column(name, _unmasked(column))
+    return _with_meta(table, document, element, path)
+
+
+def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
+    """Writes one table."""
+    from astropy.io.votable import from_table
+    from astropy.io.votable.tree import Info
+    from astropy.table import Table
+
+    columns = [_portable(table[name]) for name in table.colnames]
+    for column in columns:
+        if column.dtype.kind in "US" and len(column.shape) > 1:
+            raise InputError(
+                f"column {column.name} has arrays of text; VOTable has no room for them, write .fits"
+            )
+    fixed = all(column.dtype.kind != "O" for column in columns)
+    whole = Table(columns, names=table.colnames, copy=False)
+    packed = io.BytesIO()
+    with _quiet():
+        # Without a row astropy writes no place for rows; those of the file are put there below.
+        document = from_table(whole[:1] if fixed else whole)
+        for field in document.get_first_table().fields:
+            if fixed and field.datatype == "bit":  # which TOPCAT shows as numbers, and which knows no null
+                field.datatype = "boolean"
+        for key, value in provenance.items():
+            info = Info(name=_INFO + key, value=to_text(value))
+            document.resources[0].infos.append(info)
+        _params(document, table.meta)
+        document.to_xml(packed, tabledata_format="binary2")
+    text = packed.getvalue()
+    with gzip.open(path, "wb", compresslevel=4) if path.suffix == ".gz" else path.open("wb") as file:
+        opening = _STREAM.search(text)
+        if not fixed or opening is None:
+            file.write(text)
+            return
+        file.write(text[: opening.end()] + b"\n")
+        file.write(base64.b64encode(_packed(columns).tobytes()))
+        file.write(b"\n" + text[text.index(b"</STREAM>", opening.end()) :])
+
+
+def provenance(path: Path) -> dict[str, Any]:
+    """What the INFO elements before the table say."""
+    facts = {}
+    with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+        for _, element in ElementTree.iterparse(file, events=("start",)):
+            kind = element.tag.rpartition("}")[2]
+            if kind == "TABLE":
+                break
+            if kind == "INFO" and element.get("name", "").startswith(_INFO):
+                facts[element.get("name", "").removeprefix(_INFO)] = from_text(element.get("value", ""))
+    return facts
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without astropy's remarks on the letter of the standard, which no user of a catalogue can act on."""
+    from astropy.io.votable.exceptions import VOWarning
+    from astropy.units import UnitsWarning
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", VOWarning)
+        warnings.simplefilter("ignore", UnitsWarning)
+        yield
+
+
+def _content(path: Path) -> bytes:
+    if path.suffix.lower() != ".gz":
+        return path.read_bytes()
+    try:
+        return gzip.decompress(path.read_bytes())
+    except EOFError as error:
+        raise InputError(f"{path}: is cut off in the middle; copy it again") from error
+
+
+def _stream(content: bytes) -> tuple[int, int] | None:
+    """Where the base64 text of the only table begins and ends; None in files of another make."""
+    opening = _STREAM.search(content)
+    if opening is None or len(re.findall(rb"<TABLE[\s>]", content[: opening.start()])) != 1:
+        return None
+    end = content.find(b"<", opening.end())
+    if end < 0 or content.find(b"<TABLE", end) >= 0:
+        return None
+    return opening.end(), end
+
+
+def _parsed(content: bytes, path: Path) -> tuple[Any, Any]:
+    from astropy.io.votable import parse
+
+    with _quiet():
+        document = parse(io.BytesIO(content))
+    for element in document.iter_tables():
+        return document, element
+    messages = [info.content or info.value for info in document.iter_info() if info.value == "ERROR"]
+    said = f"; it says: {messages[0].strip()}" if messages else ""
+    raise InputError(f"{path}: has no table in it{said}")
+
+
+def _with_meta(table: Table, document: Any, element: Any, path: Path) -> Table:
+    """The table with what the file says of it as a whole: parameters, and the system of its positions."""
+    for param in [*(p for resource in document.resources for p in resource.params), *element.params]:
+        value = param.value.item() if isinstance(param.value, np.generic) else param.value
+        if isinstance(value, str | int | float | bool):
+            table.meta.setdefault(param.name, value)
+    for system in document.iter_coosys():
+        for key in ("system", "equinox", "epoch"):
+            if getattr(system, key, None) is not None:
+                table.meta.setdefault(f"coosys_{key}", str(getattr(system, key)))
+    count = sum(1 for _ in document.iter_tables())
+    if count > 1:
+        table.meta["sameas_notes"] = [f"{path} holds {count} tables; took the first"]
+    return table
+
+
+def _params(document: Any, meta: Mapping[str, Any]) -> None:
+    """PARAM elements for the plain values of the metadata, as :func:`read` finds them."""
+    from astropy.io.votable.tree import Param
+
+    element = document.get_first_table()
+    for key, value in meta.items():
+        if key in ("ID", "name", "ref", "ucd", "utype") or not isinstance(value, str | bool | int | float):
+            continue
+        if key == "description":
+            element.description = str(value)
+            continue
+        kinds = {
+            str: ("unicodeChar", "*"),
+            bool: ("boolean", None),
+            int: ("long", None),
+            float: ("double", None),
+        }
+        datatype, arraysize = kinds.get(type(value), ("unicodeChar", "*"))
+        text = value if type(value) in kinds else str(value)
+        element.params.append(Param(document, name=key, datatype=datatype, arraysize=arraysize, value=text))
+
+
+def _portable(column: Column) -> Column:
+    """The column in a kind that VOTable has, without what an earlier VOTable said of its layout."""
+    from astropy.table import Column, MaskedColumn
+
+    values, mask = np.asarray(column), getattr(column, "mask", None)
+    kept = {key: value for key, value in column.meta.items() if key in ("ucd", "utype", "xtype")}
+    kind = values.dtype.str[1:]
+    if values.dtype.kind == "O" and not any(isinstance(value, np.ndarray | list) for value in values):
+        gone = np.zeros(len(values), bool) if mask is None else np.asarray(mask)
+        values = np.array(
+            ["" if g or v is None else str(v) for v, g in zip(values, gone, strict=True)], dtype="U"
+        )
+    elif values.dtype.kind == "O":
+        lists, values = values, np.empty(len(values), dtype=object)
+        for row, value in enumerate(lists):
+            values[row] = np.ma.asarray([] if value is None else value)
+    elif kind in ("i1", "u2", "u4", "f2"):
+        values = values.astype({"i1": "i2", "u2": "i4", "u4": "i8", "f2": "f4"}[kind])
+    elif kind == "u8":
+        # The longest whole number of VOTable has 63 bits; beyond, the digits are kept as text.
+        values = values.astype("i8" if not len(values) or values.max() < 2**63 else "U20")
+    if values.dtype.kind == "S":
+        values = unicode_of(values)
+    if values.dtype.kind == "U":
+        values, kept["_votable_string_dtype"] = _text_cells(values)
+    made = {"name": column.name, "unit": column.unit, "description": column.description, "meta": kept}
+    if mask is None or not np.any(mask):
+        return Column(values, **made)
+    return MaskedColumn(values, mask=mask, **made)
+
+
+def _text_cells(values: NDArray[Any]) -> tuple[NDArray[Any], str]:
+    """The text as wide as its cells will be, and whether these hold bytes or units of UTF-16."""
+    cells = ascii_of(values)
+    if cells is None:
+        width = (np.char.encode(values, "utf-16-be").dtype.itemsize + 1) // 2
+        return values.astype(f"U{width}"), "unicodeChar"
+    return values.astype(f"U{cells.dtype.itemsize}", copy=False), "char"
+
+
+def _packed(columns: list[Column]) -> NDArray[Any]:
+    """(n,) rows as BINARY2 has them: one bit a column that is set for a null, then the cells."""
+    n = len(columns[0]) if columns else 0
+    cells = [_cell(column) for column in columns]
+    flags = (len(columns) + 7) // 8
+    kinds = [("", "u1", (flags,))] + [("", values.dtype, values.shape[1:]) for values in cells]
+    rows = np.zeros(n, np.dtype(kinds))
+    missing = np.zeros((n, len(columns)), bool)
+    for number, (column, values) in enumerate(zip(columns, cells, strict=True)):
+        rows[f"f{number + 1}"] = values
+        mask = getattr(column, "mask", None)
+        if mask is not None:
+            missing[:, number] = _wholly_missing(column.name, np.asarray(mask), values)
+    if n:
+        rows["f0"] = np.packbits(missing, axis=1)
+    return rows
+
+
+def _wholly_missing(name: str, mask: NDArray[np.bool_], values: NDArray[Any]) -> NDArray[np.bool_]:
+    if mask.ndim == 1:
+        return mask
+    flat = mask.reshape(len(mask), -1)
+    if values.dtype.kind not in "fc" and np.any(flat.any(axis=1) & ~flat.all(axis=1)):
+        raise InputError(
+            f"column {name} has arrays with some numbers missing; VOTable has no nulls inside arrays"
+        )
+    return np.asarray(flat.all(axis=1))
+
+
+def _cell(column: Column) -> NDArray[Any]:
+    values, mask = np.asarray(column), getattr(column, "mask", None)
+    if values.dtype.kind == "b":
+        return np.where(values, b"T", b"F").astype("S1")
+    if values.dtype.kind == "U":
+        if column.meta["_votable_string_dtype"] == "char":
+            return np.asarray(ascii_of(values))
+        return np.char.encode(values, "utf-16-be").astype(f"S{values.dtype.itemsize // 2}")
+    if mask is not None and values.dtype.kind in "fc":
+        values = np.where(mask, np.array(np.nan, values.dtype), values)
+    return values.astype(values.dtype.newbyteorder(">"), copy=False)
+
+
+def _cells_dtype(fields: list[Any]) -> np.dtype[Any] | None:
+    """The kind of a BINARY2 row; None when its cells vary in size."""
+    kinds: list[Any] = [("", "u1", ((len(fields) + 7) // 8,))]
+    for field in fields:
+        sizes = str(field.arraysize).split("x") if field.arraysize else []
+        if not all(size.isdigit() for size in sizes) or field.datatype not in (*_DTYPES, "char"):
+            return None
+        # The order is that of NumPy, as astropy has it; the standard has it the other way round.
+        shape = tuple(int(size) for size in sizes)
+        if field.datatype in ("char", "unicodeChar") and len(shape) > 1:
+            return None
+        if field.datatype == "char":
+            kinds.append(("", f"S{shape[0] if shape else 1}"))
+        else:
+            kinds.append(("", _DTYPES[field.datatype], () if shape == (1,) else shape))
+    return np.dtype(kinds)
+
+
+def _bulk(element: Any, content: bytes, kind: np.dtype[Any], path: Path) -> Table:
+    from astropy.table import Column, MaskedColumn, Table
+
+    if len(content) % kind.itemsize:
+        raise InputError(f"{path}: is cut off: its rows have {kind.itemsize} bytes, the last has fewer")
+    rows = np.frombuffer(content, kind)
+    fields = element.fields
+    missing = np.unpackbits(rows["f0"], axis=1)[:, : len(fields)].astype(bool)
+    with _quiet():
+        template = element.to_table(use_names_over_ids=True)
+    table = Table(meta=template.meta)
+    for number, (name, field) in enumerate(zip(template.colnames, fields, strict=True)):
+        values, mask = _values(field, rows[f"f{number + 1}"]), missing[:, number]
+        if field.values.null is not None and values.dtype.kind in "iu":
+            mask = mask | (values.reshape(len(values), -1) == field.values.null).all(axis=1)
+        if mask.any():
+            shaped = np.broadcast_to(mask.reshape(-1, *[1] * (values.ndim - 1)), values.shape).copy()
+            table.add_column(MaskedColumn(values, name=name, mask=shaped, copy=False), copy=False)
+        else:
+            table.add_column(Column(values, name=name, copy=False), copy=False)
+        _describe(table[name], template[name])
+    return table
+
+
+def _values(field: Any, cells: NDArray[Any]) -> NDArray[Any]:
+    if field.datatype == "boolean":
+        return np.isin(cells, [b"T", b"t", b"1"])
+    if field.datatype == "char":
+        return unicode_of(cells)
+    if field.datatype != "unicodeChar":
+        return cells.astype(cells.dtype.newbyteorder("="))
+    width = cells.shape[-1] if cells.ndim > 1 else 1
+    text = np.ascontiguousarray(cells.astype("u4")).view(f"U{width}").reshape(cells.shape[:-1] or len(cells))
+    paired = np.flatnonzero(((cells >= 0xD800) & (cells < 0xE000)).reshape(prod(text.shape), -1).any(axis=1))
+    for place in paired:  # two units of UTF-16 for one letter: emoji, rare scripts
+        text.flat[place] = (
+            text.flat[place].encode("utf-16-be", "surrogatepass").decode("utf-16-be", "replace")
+        )
+    return text
+
+
+def _describe(column: Column, template: Column) -> None:
+    column.unit, column.description, column.format = template.unit, template.description, template.format
+    column.meta.update(template.meta)
+
+
+def _unicode(column: Column, empty_is_missing: bool) -> Column:
+    """Text of fixed width instead of Python strings, where no cell is very long."""
+    from astropy.table import Column, MaskedColumn
+
+    if column.dtype.kind == "O" and any(isinstance(value, np.ndarray) for value in column[:100]):
+        return column
+    mask = np.ma.getmaskarray(column)
+    values = np.array(
+        ["" if m else v for v, m in zip(np.asarray(column).tolist(), mask, strict=True)], dtype=object
+    )
+    if max(map(len, values), default=0) <= 256:
+        values = values.astype("U")
+    if empty_is_missing:
+        mask = mask | (values == "")
+    made = (
+        MaskedColumn(values, mask=mask, name=column.name) if mask.any() else Column(values, name=column.name)
+    )
+    _describe(made, column)
+    return made
+
+
+def _unmasked(column: Column) -> Column:
+    from astropy.table import Column
+
+    made = Column(np.asarray(column), name=column.name)
+    _describe(made, column)
+    return made

@@ -1,0 +1,325 @@
+"""Catalogue: one table of the sky, understood: positions, errors, motion, epoch, brightness in known units.
+
+:meth:`Catalogue.of` makes it of a table by itself, :class:`CatalogueOptions` says what it cannot know. Print
+``understood`` (what was taken for what) and ``doubts`` (what looks wrong) before believing a result.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from astropy.table import Table
+from numpy.typing import NDArray
+
+from sameas.errors import InputError
+from sameas.records import Records
+from sameas.sky import cells, hipparcos
+from sameas.sky.cells import FloatArray
+from sameas.sky.columns import choose
+from sameas.sky.doubts import doubts_of
+from sameas.sky.motion import Astrometry, MissingMotion, position_at
+from sameas.sky.understood import CatalogueOptions, Column, ColumnChoice, PositionError, in_years
+from sameas.space import Sphere
+
+__all__ = ["Catalogue", "CatalogueOptions", "ellipse_covariance"]
+
+_FULL_TURN = {"deg": 360.0, "rad": 2 * np.pi, "hourangle": 24.0, "sexagesimal hours": 24.0}
+_MOTION_UNITS = ("mas", "mas / yr", "mas / yr", "km / s")
+
+
+@dataclass(frozen=True)
+class Catalogue:
+    """One source on the sky. Make it with :meth:`Catalogue.of`.
+
+    Attributes
+    ----------
+    name : used in messages.
+    table : the user's table, (n,) rows.
+    ids : (n,) identifiers, unique.
+    astrometry : (n,) positions, motions and errors; NaN where there is no position or no error of it, and in
+        ``epoch_jyr`` where the epoch is not known.
+    choice : which columns were taken. understood : the same as lines to print. doubts : what looks wrong.
+    has_motion : is there a proper motion in any row?
+    magnitude, magnitude_error : (n,), NaN where not measured, or None. magnitude_name : the column.
+    """
+
+    name: str
+    table: Table
+    ids: NDArray[Any]
+    astrometry: Astrometry
+    choice: ColumnChoice
+    understood: tuple[str, ...]
+    doubts: tuple[str, ...]
+    has_motion: bool
+    magnitude: FloatArray | None = None
+    magnitude_error: FloatArray | None = None
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @property
+    def magnitude_name(self) -> str | None:
+        """The column of the magnitude."""
+        return self.choice.magnitude
+
+    @property
+    def epoch_jyr(self) -> float | None:
+        """The median epoch of the rows, None where no epoch is known."""
+        known = self.astrometry.epoch_jyr[np.isfinite(self.astrometry.epoch_jyr)]
+        return float(np.median(known)) if len(known) else None
+
+    @classmethod
+    def of(cls, table: Any, name: str, *, options: CatalogueOptions | None = None) -> Catalogue:
+        """A catalogue of a table.
+
+        table : astropy Table or QTable, dict of arrays, pyarrow Table or pandas DataFrame.
+        name : of the source, for messages. options : what the user says of the columns.
+
+        Raises
+        ------
+        InputError : an empty table, no or ambiguous columns, no position errors, motion without an epoch,
+            numbers that cannot be in their unit.
+
+        Example
+        -------
+        >>> stars = Catalogue.of({"ra": [10.0], "dec": [20.0]}, "stars", options=CatalogueOptions(sigma=0.1))
+        >>> stars.records().covariance.round(4)
+        array([[0.01, 0.  , 0.01]])
+        """
+        options = CatalogueOptions() if options is None else options
+        rows = cells.as_table(table, name)
+        if len(rows) == 0:
+            raise InputError(f"{name}: the table has no rows")
+        choice = choose(rows, options, name)
+        astrometry = _astrometry(rows, choice, options, name)
+        pm = choice.motion[1]
+        has_motion = pm is not None and bool(np.isfinite(cells.numbers(rows, pm.name, name)).any())
+        if has_motion and not np.isfinite(astrometry.epoch_jyr).any():
+            raise InputError(_no_epoch(choice, name))
+        ids, id_note = _ids(rows, choice, options, name)
+        understood = choice.describe(_epochs_in_words(astrometry.epoch_jyr))
+        if not has_motion and not np.isfinite(astrometry.epoch_jyr).any():
+            understood = (*understood, "without epoch and motion: used where it is, and cannot be moved")
+        return cls(
+            name=name,
+            table=rows,
+            ids=ids,
+            astrometry=astrometry,
+            choice=choice,
+            understood=understood + id_note,
+            doubts=doubts_of(astrometry, choice, options),
+            has_motion=has_motion,
+            magnitude=_brightness(rows, choice.magnitude, name),
+            magnitude_error=_brightness(rows, choice.magnitude_error, name),
+        )
+
+    def records(self, epoch_jyr: float | None = None) -> Records:
+        """The catalogue's records at an epoch, with covariances of east and north in arcsec².
+
+        epoch_jyr : Julian year that every row is moved to; None leaves each where it was observed.
+        Rows without a position or a positive error are set aside.
+
+        Raises
+        ------
+        InputError : an epoch is asked for, but the catalogue's own is not known.
+        """
+        a = self.astrometry
+        ra, dec, covariance = a.ra_deg, a.dec_deg, 1e-6 * a.covariance[:, :2, :2]
+        if epoch_jyr is not None:
+            if self.epoch_jyr is None:
+                raise InputError(
+                    f"{self.name}: its epoch is not known, so it cannot be moved to {epoch_jyr:g}; "
+                    "say --epoch YEAR"
+                )
+            known = np.isfinite(a.epoch_jyr)
+            still = a if known.all() else replace(a, epoch_jyr=np.where(known, a.epoch_jyr, epoch_jyr))
+            ra, dec, covariance = position_at(still, epoch_jyr)
+            ra = np.where(known, ra, np.nan)
+        return Records.of(
+            np.column_stack([ra, dec]),
+            covariance=covariance,
+            ids=self.ids,
+            space=Sphere(),
+            source=self.name,
+            table=self.table,
+            invalid="set aside",
+        )
+
+
+def ellipse_covariance(
+    major: FloatArray, minor: FloatArray, angle_deg: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """East variance, north variance and covariance of error ellipses.
+
+    major, minor : (n,) semi-axes, one sigma. angle_deg : (n,) of the major axis, east of north.
+    """
+    sin, cos = np.sin(np.radians(angle_deg)), np.cos(np.radians(angle_deg))
+    a2, b2 = major**2, minor**2
+    return a2 * sin**2 + b2 * cos**2, a2 * cos**2 + b2 * sin**2, (a2 - b2) * sin * cos
+
+
+def _astrometry(table: Table, choice: ColumnChoice, options: CatalogueOptions, source: str) -> Astrometry:
+    ra, dec = _degrees(table, choice.ra, source), _degrees(table, choice.dec, source)
+    motion = [_motion_numbers(table, c, u, source) for c, u in zip(choice.motion, _MOTION_UNITS, strict=True)]
+    sigma, correlation = _errors(table, choice, options, source)
+    epoch = _epochs(table, choice, source)
+    missing = MissingMotion()
+    if options.missing_pm_mas_per_yr is not None:
+        missing = replace(missing, pm_sigma_mas_per_yr=options.missing_pm_mas_per_yr)
+    astrometry = Astrometry.of(
+        np.mod(ra, 360.0),
+        dec,
+        epoch_jyr=np.where(np.isnan(epoch), 2000.0, epoch),
+        sigma=sigma,
+        correlation=correlation,
+        parallax_mas=motion[0],
+        pm_ra_mas_per_yr=motion[1],
+        pm_dec_mas_per_yr=motion[2],
+        radial_velocity_km_per_s=motion[3],
+        missing=missing,
+        source=source,
+    )
+    # The epoch that is not known is not 2000.
+    return replace(astrometry, epoch_jyr=epoch) if np.isnan(epoch).any() else astrometry
+
+
+def _errors(
+    table: Table, choice: ColumnChoice, options: CatalogueOptions, source: str
+) -> tuple[FloatArray, FloatArray]:
+    """(n, 6) standard deviations in mas, mas/yr and km/s, and (n, 6, 6) their correlations."""
+    east, north, rho = _position_sigmas(table, choice.error, source)
+    motion = [
+        _motion_numbers(table, c, u, source) for c, u in zip(choice.motion_errors, _MOTION_UNITS, strict=True)
+    ]
+    if options.pm_sigma_mas_per_yr is not None:
+        for k in (1, 2):
+            motion[k] = np.where(np.isnan(motion[k]), options.pm_sigma_mas_per_yr, motion[k])
+    sigma = np.column_stack([1e3 * east, 1e3 * north, *motion])
+    correlation = _correlations(table, choice, sigma, source)
+    if not choice.weights:
+        correlation[:, 0, 1] = correlation[:, 1, 0] = rho
+    wide = sigma.copy()
+    wide[:, :2] = np.hypot(sigma[:, :2], 1e3 * options.sigma_floor_arcsec)
+    wide[:, :2] = np.where(wide[:, :2] > 0, wide[:, :2], np.nan)  # no error at all says nothing
+    # The floor is independent noise: it adds to the variances and leaves the covariances.
+    shrink = np.ones_like(sigma)
+    shrink[:, :2] = sigma[:, :2] / wide[:, :2]
+    return wide, correlation * shrink[:, :, None] * shrink[:, None, :]
+
+
+def _degrees(table: Table, column: Column, source: str) -> FloatArray:
+    if column.unit.startswith("sexagesimal"):
+        values = cells.sexagesimal(table, column.name, source)
+    else:
+        values = cells.numbers(table, column.name, source)
+    turn = _FULL_TURN.get(column.unit, np.inf)
+    with np.errstate(invalid="ignore"):
+        beyond = np.flatnonzero(np.abs(values) > turn * 1.0001)
+    if len(beyond) and column.unit != "deg":
+        raise InputError(
+            f"{source}: {column.name!r} is in {column.unit} ({column.reason}), but row {beyond[0]} has "
+            f"{values[beyond[0]]:g}; give the column its unit"
+        )
+    if column.unit == "sexagesimal degrees":
+        return values
+    return values * (15.0 if column.unit == "sexagesimal hours" else cells.factor(column.unit, "deg"))
+
+
+def _position_sigmas(
+    table: Table, error: PositionError, source: str
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(n,) standard deviations east and north in arcsec, and their correlation."""
+    n = len(table)
+    if error.kind == "number":
+        sigma = np.full(n, error.sigma_arcsec)
+        return sigma, sigma, np.zeros(n)
+    columns = [
+        cells.numbers(table, c.name, source) * cells.factor(c.unit, "deg" if k == 2 else "arcsec")
+        for k, c in enumerate(error.columns)
+    ]
+    with np.errstate(invalid="ignore"):
+        columns[:2] = [np.where(sigma >= 0, sigma, np.nan) for sigma in columns[:2]]
+    if error.kind == "circle":
+        return columns[0], columns[0], np.zeros(n)
+    if error.kind == "ellipse":
+        major, minor, angle = columns
+        xx, yy, xy = ellipse_covariance(
+            major, np.where(minor > 0, minor, np.nan), np.where(major == minor, 0.0, angle)
+        )
+        return np.sqrt(xx), np.sqrt(yy), xy / np.sqrt(xx * yy)
+    east, north = columns
+    if error.correlation:
+        return east, north, np.nan_to_num(cells.numbers(table, error.correlation, source))
+    if error.covariance:
+        unit = cells.unit_of(table, error.covariance)
+        native = cells.factor(error.columns[0].unit, "arcsec") ** 2
+        square = cells.factor(unit.to_string(), "arcsec2") if unit else native
+        covariance = cells.numbers(table, error.covariance, source) * square
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return east, north, np.nan_to_num(covariance / (east * north), posinf=0.0, neginf=0.0)
+    return east, north, np.zeros(n)
+
+
+def _motion_numbers(table: Table, column: Column | None, unit: str, source: str) -> FloatArray:
+    if column is None:
+        return np.full(len(table), np.nan)
+    return cells.numbers(table, column.name, source) * cells.factor(column.unit, unit)
+
+
+def _correlations(table: Table, choice: ColumnChoice, sigma: FloatArray, source: str) -> FloatArray:
+    """(n, 6, 6) correlations; see :mod:`sameas.sky.hipparcos` for those hidden in weights."""
+    matrices = np.zeros((len(table), 6, 6))
+    if choice.weights:
+        *weights, f2, transits = (cells.numbers(table, name, source) for name in choice.weights)
+        matrices[:, :5, :5] = hipparcos.correlations(np.column_stack(weights), sigma[:, :5], f2, transits)
+    for i, j, name in () if choice.weights else choice.correlations:
+        matrices[:, i, j] = matrices[:, j, i] = np.nan_to_num(cells.numbers(table, name, source))
+    return matrices
+
+
+def _epochs(table: Table, choice: ColumnChoice, source: str) -> FloatArray:
+    """(n,) Julian years, NaN where not known."""
+    if choice.epoch.column:
+        return cells.years(table, choice.epoch.column, source)
+    return np.full(len(table), np.nan if choice.epoch.jyr is None else choice.epoch.jyr)
+
+
+def _epochs_in_words(epochs: FloatArray) -> str:
+    known = epochs[np.isfinite(epochs)]
+    if not len(known):
+        return ""
+    first, last = known.min(), known.max()
+    return in_years(float(first)) if first == last else f"{first:.2f} to {last:.2f}"
+
+
+def _no_epoch(choice: ColumnChoice, source: str) -> str:
+    hint = " (Gaia DR1 2015.0, DR2 2015.5, DR3 2016.0)" if choice.convention.startswith("Gaia") else ""
+    return (
+        f"{source}: it has proper motions, but its epoch is not known; say --epoch YEAR{hint}, or --pm none"
+    )
+
+
+def _ids(
+    table: Table, choice: ColumnChoice, options: CatalogueOptions, source: str
+) -> tuple[NDArray[Any], tuple[str, ...]]:
+    """(n,) identifiers, and a note where the column found could not serve."""
+    if choice.id is None:
+        return np.arange(len(table)), ()
+    column = table[choice.id]
+    if np.ma.getmaskarray(column).any() if hasattr(column, "mask") else False:
+        return np.arange(len(table)), (f"id: {choice.id} has empty cells, so rows are numbered",)
+    ids = np.asarray(column)
+    if not options.id and len(np.unique(ids.astype(str) if ids.dtype.kind == "O" else ids)) < len(ids):
+        return np.arange(len(table)), (f"id: {choice.id} is not unique, so rows are numbered",)
+    return ids, ()
+
+
+def _brightness(table: Table, name: str | None, source: str) -> FloatArray | None:
+    """(n,) magnitudes; 99 and -99.99, which surveys write for no measurement, are none."""
+    if name is None:
+        return None
+    values = cells.numbers(table, name, source)
+    with np.errstate(invalid="ignore"):
+        return np.where(np.abs(values) < 90.0, values, np.nan)

@@ -1,0 +1,371 @@
+"""Conventions: which columns of known catalogues mean what. Tables only; :mod:`sameas.sky.columns` reads.
+
+A new survey is a new :class:`Convention` in :data:`CONVENTIONS`. Units given here hold where the table itself
+says none. Parameters are numbered 0 right ascension (times cos δ), 1 declination, 2 parallax, 3 proper motion
+in right ascension (times cos δ), 4 proper motion in declination, 5 radial velocity.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Correlations = tuple[tuple[int, int, str], ...]
+
+
+@dataclass(frozen=True)
+class ErrorNames:
+    """Columns of one position error: "circle" (σ), "axes" (σ east, σ north),
+    "ellipse" (a, b, angle in degrees east of north). ``unit`` "" means that no unit goes without saying.
+    ``covariance`` names east times north."""
+
+    kind: Literal["circle", "axes", "ellipse"]
+    names: tuple[str, ...]
+    unit: str = ""
+    covariance: str = ""
+
+
+@dataclass(frozen=True)
+class MotionNames:
+    """Columns of parallax, proper motion in right ascension (times cos δ) and declination, radial velocity,
+    and of their errors; mas, mas/yr, km/s. "" where the convention has none."""
+
+    names: tuple[str, str, str, str]
+    errors: tuple[str, str, str, str]
+
+
+@dataclass(frozen=True)
+class Convention:
+    """How one catalogue names its columns.
+
+    marks : at least one of these columns must be there too; () when the position's names are enough.
+    over : right ascensions that this convention's own makes superfluous.
+    epoch_jyr : epoch of the whole catalogue. releases : (pattern in the table's texts, epoch).
+    release_columns : (column of one release only, epoch).
+    weights : prefix of the columns of the triangular weight matrix of hip2.
+    """
+
+    title: str
+    position: tuple[str, str]
+    unit: str = "deg"
+    marks: tuple[str, ...] = ()
+    ids: tuple[str, ...] = ()
+    errors: tuple[ErrorNames, ...] = ()
+    motions: tuple[MotionNames, ...] = ()
+    correlations: Correlations = ()
+    epochs: tuple[str, ...] = ()
+    epoch_jyr: float | None = None
+    releases: tuple[tuple[str, float], ...] = ()
+    release_columns: tuple[tuple[str, float], ...] = ()
+    magnitudes: tuple[tuple[str, str], ...] = ()
+    over: tuple[str, ...] = ()
+    weights: str = ""
+
+
+def _correlations(pattern: str, names: tuple[str, ...]) -> Correlations:
+    n = len(names)
+    return tuple((i, j, pattern.format(a=names[i], b=names[j])) for i in range(n) for j in range(i + 1, n))
+
+
+def _own_axes(ra: str, dec: str, unit: str = "") -> tuple[ErrorNames, ...]:
+    """The ways in which tables name the errors of the columns ``ra`` and ``dec``."""
+    ways = (
+        "e_{}",
+        "{}_error",
+        "{}_err",
+        "{}err",
+        "{}Err",
+        "sigma_{}",
+        "{}_sigma",
+        "err_{}",
+        "{}_std",
+        "{}_unc",
+    )
+    stems = [(way.format(ra), way.format(dec)) for way in ways]
+    suffixed = [(a + s, b + s) for a, b in stems for s in ("_arcsec", "_mas", "_deg")]
+    return tuple(ErrorNames("axes", pair, unit) for pair in stems + suffixed)
+
+
+_GAIA_MOTION = MotionNames(
+    ("parallax", "pmra", "pmdec", "radial_velocity"),
+    ("parallax_error", "pmra_error", "pmdec_error", "radial_velocity_error"),
+)
+_VIZIER_MOTION = MotionNames(("Plx", "pmRA", "pmDE", "RV"), ("e_Plx", "e_pmRA", "e_pmDE", "e_RV"))
+_LSST_MOTION = MotionNames(
+    ("parallax", "pmRa", "pmDec", "radialVelocity"),
+    ("parallaxErr", "pmRaErr", "pmDecErr", "radialVelocityErr"),
+)
+_ASTROPY_MOTION = MotionNames(
+    ("parallax", "pm_ra_cosdec", "pm_dec", "radial_velocity"),
+    ("parallax_error", "pm_ra_cosdec_error", "pm_dec_error", "radial_velocity_error"),
+)
+_STAR_MOTION = MotionNames(
+    ("parallax", "mu_alpha_star", "mu_delta", "radial_velocity"),
+    ("parallax_error", "mu_alpha_star_error", "mu_delta_error", "radial_velocity_error"),
+)
+PLAIN_MOTIONS = (_GAIA_MOTION, _VIZIER_MOTION, _ASTROPY_MOTION, _STAR_MOTION)
+
+_GAIA_CORRELATIONS = _correlations("{a}_{b}_corr", ("ra", "dec", "parallax", "pmra", "pmdec"))
+_VIZIER_CORRELATIONS = _correlations("{a}{b}cor", ("RA", "DE", "Plx", "pmRA", "pmDE"))
+_HIPPARCOS_NAMES = ("RA", "DE", "Plx", "pmRA", "pmDE")
+_HIPPARCOS_CORRELATIONS = _correlations("{b}:{a}", _HIPPARCOS_NAMES) + _correlations(
+    "{b}_{a}", _HIPPARCOS_NAMES
+)
+
+_GAIA_RELEASES = (
+    (r"gaia[ _-]?dr1|\bI[/_]337\b", 2015.0),
+    (r"gaia[ _-]?dr2|\bI[/_]345\b|I_345_", 2015.5),
+    (r"gaia[ _-]?e?dr3|\bI[/_]35[05]\b|I_35[05]_", 2016.0),
+)
+_GAIA_RELEASE_COLUMNS = (
+    ("DR2Name", 2015.5),
+    ("EDR3Name", 2016.0),
+    ("DR3Name", 2016.0),
+    ("dr2_radial_velocity", 2016.0),  # EDR3 repeats the velocities of DR2 under this name
+    ("nu_eff_used_in_astrometry", 2016.0),
+)
+_TWOMASS_MAGNITUDES = (("j_m", "j_msigcom"), ("Jmag", "e_Jmag"), ("ks_m", ""), ("Kmag", "e_Kmag"))
+_SEXTRACTOR_MAGNITUDES = (
+    ("MAG_AUTO", "MAGERR_AUTO"),
+    ("MAG_PSF", "MAGERR_PSF"),
+    ("MAG_ISO", "MAGERR_ISO"),
+    ("MAG_APER", "MAGERR_APER"),
+)
+PLAIN_MAGNITUDES = (
+    ("phot_g_mean_mag", "phot_g_mean_mag_error"),
+    ("Gmag", "e_Gmag"),
+    ("Vmag", "e_Vmag"),
+    ("VTmag", "e_VTmag"),
+    ("Hpmag", "e_Hpmag"),
+    ("rmag", "e_rmag"),
+    *_SEXTRACTOR_MAGNITUDES,
+    *_TWOMASS_MAGNITUDES,
+    ("mag", "magerr"),
+    ("mag", "mag_err"),
+    ("mag", "e_mag"),
+    ("magnitude", "magnitude_error"),
+)
+PLAIN_IDS = (
+    "id",
+    "source_id",
+    "designation",
+    "name",
+    "obj_id",
+    "objid",
+    "objectId",
+    "number",
+    "_2MASS",
+    "HIP",
+)
+PLAIN_EPOCHS = (
+    "ref_epoch",
+    "epoch",
+    "epoch_jyr",
+    "mjd",
+    "obs_mjd",
+    "jd",
+    "obs_date",
+    "date_obs",
+    "obstime",
+    "Date",
+)
+PLAIN_CIRCLES = tuple(
+    ErrorNames("circle", (stem + suffix,))
+    for stem in (
+        "sigma",
+        "pos_err",
+        "poserr",
+        "e_pos",
+        "pos_error",
+        "pos_sigma",
+        "positional_error",
+        "err",
+        "error",
+    )
+    for suffix in ("", "_arcsec", "_mas", "_deg")
+)
+
+# Header keywords of a frame or a table that tell when it was observed. Not EPOCH: in FITS it is the equinox.
+HEADER_EPOCHS = (
+    "REF_EPOCH",
+    "REFEPOCH",
+    "epoch_jyr",
+    "MJD-AVG",
+    "MJD-MID",
+    "DATE-AVG",
+    "MJD-OBS",
+    "DATE-OBS",
+)
+
+# Columns that VizieR computes beside the catalogue's own.
+VIZIER_COMPUTED = ("_RAJ2000", "_RA", "_RA_icrs", "_RA.icrs", "_RAB1950")
+
+
+def _sextractor(flavour: str) -> tuple[Convention, ...]:
+    return tuple(
+        Convention(
+            title=f"SExtractor{' ' + flavour if flavour else ''}",
+            position=(f"ALPHA{flavour}_{frame}", f"DELTA{flavour}_{frame}"),
+            ids=("NUMBER",),
+            # SExtractor manual, "Positions and shapes": _WORLD in degrees; _J2000, _SKY east of north.
+            errors=(
+                ErrorNames(
+                    "ellipse",
+                    (f"ERRA{flavour}_WORLD", f"ERRB{flavour}_WORLD", f"ERRTHETA{flavour}_{frame}"),
+                    "deg",
+                ),
+            ),
+            magnitudes=_SEXTRACTOR_MAGNITUDES,
+            over=(f"ALPHA{flavour}_SKY",) if frame == "J2000" else (),
+        )
+        for frame in ("J2000", "SKY")
+    )
+
+
+_GAIA = Convention(
+    title="Gaia archive",
+    position=("ra", "dec"),
+    marks=("source_id", "phot_g_mean_mag", "astrometric_params_solved", "ruwe"),
+    ids=("source_id", "designation"),
+    errors=(ErrorNames("axes", ("ra_error", "dec_error"), "mas"),),
+    motions=(_GAIA_MOTION,),
+    correlations=_GAIA_CORRELATIONS,
+    epochs=("ref_epoch",),
+    releases=_GAIA_RELEASES,
+    release_columns=_GAIA_RELEASE_COLUMNS,
+    magnitudes=(("phot_g_mean_mag", "phot_g_mean_mag_error"),),
+)
+_GAIA_VIZIER = Convention(
+    title="Gaia at VizieR",
+    position=("RA_ICRS", "DE_ICRS"),
+    marks=("Source", "DR3Name", "EDR3Name", "DR2Name", "RPlx", "RUWE", "e_Gmag"),
+    ids=("Source", "DR3Name", "EDR3Name", "DR2Name"),
+    errors=(ErrorNames("axes", ("e_RA_ICRS", "e_DE_ICRS"), "mas"),),
+    motions=(_VIZIER_MOTION,),
+    correlations=_VIZIER_CORRELATIONS,
+    epochs=("Epoch", "ref_epoch"),
+    releases=_GAIA_RELEASES,
+    release_columns=_GAIA_RELEASE_COLUMNS,
+    magnitudes=(("Gmag", "e_Gmag"),),
+    over=("RAJ2000",),  # I/345, I/350, I/355: moved to 2000.0 by CDS
+)
+_HIP2 = Convention(
+    title="Hipparcos, the new reduction (I/311)",
+    position=("RArad", "DErad"),
+    unit="rad",
+    ids=("HIP",),
+    errors=(ErrorNames("axes", ("e_RArad", "e_DErad"), "mas"),),
+    motions=(_VIZIER_MOTION,),
+    epoch_jyr=1991.25,
+    magnitudes=(("Hpmag", "e_Hpmag"),),
+    over=("RAJ2000", "RAhms"),
+    weights="UW",
+)
+_HIPPARCOS = tuple(
+    Convention(
+        title="Hipparcos (I/239)",
+        position=position,
+        marks=("HIP",),
+        ids=("HIP",),
+        errors=(ErrorNames("axes", ("e_" + position[0], "e_" + position[1]), "mas"),),
+        motions=(_VIZIER_MOTION,),
+        correlations=_HIPPARCOS_CORRELATIONS,
+        epoch_jyr=1991.25,
+        magnitudes=(("Hpmag", "e_Hpmag"), ("Vmag", "")),
+        over=("RAhms",),
+    )
+    for position in (("RAICRS", "DEICRS"), ("RAdeg", "DEdeg"))
+)
+_TWOMASS = (
+    Convention(
+        title="2MASS",
+        position=("ra", "dec"),
+        marks=("err_maj", "pts_key", "j_msigcom"),
+        ids=("designation", "pts_key"),
+        errors=(ErrorNames("ellipse", ("err_maj", "err_min", "err_ang"), "arcsec"),),
+        epochs=("jdate", "date"),
+        magnitudes=_TWOMASS_MAGNITUDES,
+    ),
+    Convention(
+        title="2MASS at VizieR (II/246)",
+        position=("RAJ2000", "DEJ2000"),
+        marks=("_2MASS", "2MASS", "errMaj"),
+        ids=("_2MASS", "2MASS"),
+        errors=(ErrorNames("ellipse", ("errMaj", "errMin", "errPA"), "arcsec"),),
+        epochs=("Date", "_date", "JD"),
+        magnitudes=_TWOMASS_MAGNITUDES,
+    ),
+)
+_LSST = tuple(
+    Convention(
+        title="LSST",
+        position=position,
+        marks=marks,
+        ids=("diaSourceId", "sourceId", "diaObjectId", "objectId"),
+        # raErr is along the sky, times cos δ (LSST reference catalogue schema).
+        errors=(
+            ErrorNames("axes", ("raErr", "decErr"), "deg", "ra_dec_Cov"),
+            ErrorNames("axes", ("coord_raErr", "coord_decErr"), "deg", "coord_ra_coord_dec_Cov"),
+        ),
+        motions=(_LSST_MOTION,),
+        epochs=("midpointMjdTai", "midPointTai", "radecMjdTai", "expMidptMJD"),
+        magnitudes=(("mag", "magErr"), ("psfMag", "psfMagErr"), ("rPSMag", "rPSMagErr")),
+        over=over,
+    )
+    for position, marks, over in (
+        (("ra", "dec"), ("raErr", "diaObjectId", "diaSourceId", "midpointMjdTai"), ("coord_ra",)),
+        (("coord_ra", "coord_dec"), (), ()),
+    )
+)
+
+_PLAIN_POSITIONS = (
+    ("ra", "dec"),
+    ("ra", "de"),
+    ("RAdeg", "DEdeg"),
+    ("ra_deg", "dec_deg"),
+    ("RA_ICRS", "DE_ICRS"),
+    ("RAICRS", "DEICRS"),
+    ("RAJ2000", "DEJ2000"),
+    ("RAJ2000", "DECJ2000"),
+    ("ra2000", "dec2000"),
+    ("ra_j2000", "dec_j2000"),
+    ("RAhms", "DEdms"),
+    ("RightAscension", "Declination"),
+    ("right_ascension", "declination"),
+    ("lon", "lat"),
+    ("_RAJ2000", "_DEJ2000"),
+    ("_RA", "_DE"),
+    ("_RA_icrs", "_DE_icrs"),
+    ("_RA.icrs", "_DE.icrs"),
+)
+
+
+def plain(position: tuple[str, str], title: str = "plain names") -> Convention:
+    """The convention of a position of any other name: whatever of the usual names is there."""
+    ra, dec = position
+    return Convention(
+        title=title,
+        position=position,
+        ids=PLAIN_IDS,
+        errors=_own_axes(ra, dec),
+        motions=PLAIN_MOTIONS,
+        correlations=((0, 1, "RADEcor"), (0, 1, f"{ra}_{dec}_corr"), (0, 1, f"{ra}_{dec}_cor")),
+        epochs=PLAIN_EPOCHS,
+        magnitudes=PLAIN_MAGNITUDES,
+    )
+
+
+# Order matters among equals only: known surveys first.
+CONVENTIONS: tuple[Convention, ...] = (
+    _GAIA,
+    _GAIA_VIZIER,
+    _HIP2,
+    *_HIPPARCOS,
+    *_TWOMASS,
+    *_LSST,
+    *_sextractor("WIN"),
+    *_sextractor("PSF"),
+    *_sextractor("PEAK"),
+    *_sextractor(""),
+    *(plain(position) for position in _PLAIN_POSITIONS),
+)

@@ -1,0 +1,204 @@
+"""The joined table: rows of both catalogues side by side, with what the identification says of each pair.
+
+Join types have the names that STILTS users know; "pairs" lists every candidate. Added columns (all lower case):
+
+sep_arcsec, dx_arcsec, dy_arcsec : separation, and its east and north parts, first minus second, at the common epoch.
+mahalanobis : separation over its quoted error. log_odds : natural logarithm of the pair's odds before one-to-one.
+p_match : probability of the pair. p_none : probability that the row has no partner. p_second, id_second : the most
+probable other candidate. match_flag : 1 the identified pair, 2 a candidate at least half as probable as the row's
+best, 0 others. group_id, group_size : the group of competing records. n_within : candidates of the row.
+covered : whether the other catalogue looks there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from astropy.table import Column, MaskedColumn, Table
+from numpy.typing import NDArray
+
+from sameas.errors import InputError
+from sameas.result import Answers
+from sameas.sky.match import SkyMatch
+
+IntArray = NDArray[np.int64]
+NOBODY = -1  # a row index within this module only; tables carry masks
+
+JOINS = ("1and2", "1or2", "all1", "all2", "1not2", "2not1", "1xor2", "pairs")
+
+_UNITS = {"sep_arcsec": "arcsec", "dx_arcsec": "arcsec", "dy_arcsec": "arcsec"}
+_WORDS = {
+    "sep_arcsec": "separation at the common epoch",
+    "dx_arcsec": "first minus second, east",
+    "dy_arcsec": "first minus second, north",
+    "mahalanobis": "separation over its quoted error",
+    "log_odds": "ln odds of the pair before one-to-one",
+    "p_match": "probability of the pair",
+    "p_none": "probability that the row has no partner",
+    "p_second": "probability of the most probable other candidate",
+    "id_second": "the most probable other candidate",
+    "match_flag": "1 identified, 2 at least half as probable as the best, 0 other",
+    "group_id": "group of competing records",
+    "group_size": "records in the group",
+    "n_within": "candidates of the row",
+    "covered": "whether the other catalogue looks there",
+    "p_any": "NWAY: probability that the row has a partner",
+    "p_i": "NWAY: probability of the pair if there is a partner",
+    "dist_bayesfactor": "log10 of the odds of the pair",
+}
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """The output's rows: row in the first and in the second table (−1 for none), and the candidate (−1 for none)."""
+
+    one: IntArray
+    two: IntArray
+    pair: IntArray
+
+
+def joined(match: SkyMatch, join: str = "all1", *, nway_columns: bool = False) -> Table:
+    """The joined table.
+
+    Parameters
+    ----------
+    join : one of :data:`JOINS`. nway_columns : add ``p_any``, ``p_i`` and ``dist_bayesfactor`` by NWAY's names.
+
+    Raises
+    ------
+    InputError : an unknown join.
+    """
+    if join not in JOINS:
+        raise InputError(f"join {join!r} is not known; choose one of {', '.join(JOINS)}")
+    rows = _rows(match, join)
+    table = Table()
+    names = _names(match.first.table, match.second.table)
+    for side, (source, at) in enumerate(((match.first.table, rows.one), (match.second.table, rows.two))):
+        for column, name in zip(source.columns.values(), names[side], strict=True):
+            table[name] = _taken(column, at)
+    for name, values in _answers(match, rows, nway_columns).items():
+        unique = name if name not in table.colnames else f"{name}_sameas"
+        table[unique] = MaskedColumn(values, unit=_UNITS.get(name), description=_WORDS[name])
+    return table
+
+
+def _rows(match: SkyMatch, join: str) -> _Rows:
+    result = match.result
+    if join == "pairs":
+        order = np.lexsort([-result.p_pair, result.rows_1])
+        return _Rows(result.rows_1[order], result.rows_2[order], order)
+    found = result.matches
+    both = _Rows(found.rows_1, found.rows_2, found.pair)
+    alone_1 = np.setdiff1d(np.arange(len(match.first)), found.rows_1)
+    alone_2 = np.setdiff1d(np.arange(len(match.second)), found.rows_2)
+    only_1 = _Rows(alone_1, np.full(len(alone_1), NOBODY), np.full(len(alone_1), NOBODY))
+    only_2 = _Rows(np.full(len(alone_2), NOBODY), alone_2, np.full(len(alone_2), NOBODY))
+    parts = {
+        "1and2": (both,), "1or2": (both, only_1, only_2), "all1": (both, only_1), "all2": (both, only_2),
+        "1not2": (only_1,), "2not1": (only_2,), "1xor2": (only_1, only_2),
+    }[join]  # fmt: skip
+    rows = _Rows(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("one", "two", "pair")))
+    last = np.iinfo(np.int64).max
+    key_1, key_2 = (np.where(at >= 0, at, last) for at in (rows.one, rows.two))
+    order = np.lexsort([key_1, key_2] if join == "all2" else [key_2, key_1])
+    return _Rows(rows.one[order], rows.two[order], rows.pair[order])
+
+
+def _names(first: Table, second: Table) -> tuple[list[str], list[str]]:
+    """Column names of both tables; those that stand in both get the suffixes _1 and _2, as STILTS does."""
+    taken = {name.lower() for name in first.colnames} & {name.lower() for name in second.colnames}
+    return (
+        [f"{name}_1" if name.lower() in taken else name for name in first.colnames],
+        [f"{name}_2" if name.lower() in taken else name for name in second.colnames],
+    )
+
+
+def _taken(column: Any, at: IntArray) -> Column | MaskedColumn:
+    """The rows ``at`` of a column, masked where there is none."""
+    absent = at < 0
+    if not absent.any():
+        return column[at]
+    if not len(column):
+        values = np.zeros((len(at), *column.shape[1:]), column.dtype)
+        mask = np.zeros(values.shape, bool)
+    else:
+        picked = column[np.where(absent, 0, at)]
+        values, mask = np.ma.getdata(picked), np.array(np.ma.getmaskarray(picked))
+    mask[absent] = True
+    return MaskedColumn(
+        values, name=column.name, mask=mask, unit=column.unit, description=column.description, meta=column.meta
+    )
+
+
+def _answers(match: SkyMatch, rows: _Rows, nway_columns: bool) -> dict[str, np.ma.MaskedArray]:
+    result = match.result
+    absent = rows.pair < 0
+
+    def of_pair(values: NDArray[Any]) -> np.ma.MaskedArray:
+        padded = np.append(values, np.zeros(1, values.dtype))
+        return np.ma.MaskedArray(padded[np.where(absent, -1, rows.pair)], absent.copy())
+
+    residual = result.pairs.residual
+    columns = {
+        "sep_arcsec": of_pair(np.hypot(residual[:, 0], residual[:, 1])),
+        "dx_arcsec": of_pair(residual[:, 0]),
+        "dy_arcsec": of_pair(residual[:, 1]),
+        "mahalanobis": of_pair(np.sqrt(result.pairs.mahalanobis_sq)),
+        "log_odds": of_pair(result.log_odds),
+        "p_match": of_pair(result.p_pair),
+    }
+    # A row speaks for its record of the first catalogue, or of the second where there is none of the first.
+    second_1, second_2 = _second_ids(match, result.answers_1, 2), _second_ids(match, result.answers_2, 1)
+    mine = rows.one >= 0
+
+    def of_row(name: str) -> np.ma.MaskedArray:
+        one, two = getattr(result.answers_1, name), getattr(result.answers_2, name)
+        return _either(one, two, rows, mine)
+
+    for name, field in (("p_none", "p_none"), ("p_second", "p_second")):
+        columns[name] = of_row(field)
+    columns["id_second"] = _either(second_1, second_2, rows, mine)
+    columns["match_flag"] = _flags(match, rows, absent)
+    for name, field in (("group_id", "group"), ("group_size", "group_size"), ("n_within", "candidates")):
+        columns[name] = of_row(field)
+    covered = np.where(mine, match.covered_1[rows.one], match.covered_2[rows.two])
+    columns["covered"] = np.ma.MaskedArray(covered, np.ma.getmaskarray(columns["p_none"]))
+    if nway_columns:
+        columns["p_any"] = 1.0 - columns["p_none"]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            columns["p_i"] = columns["p_match"] / np.ma.masked_less_equal(columns["p_any"], 0.0)
+        columns["dist_bayesfactor"] = columns["log_odds"] / np.log(10.0)
+    return columns
+
+
+def _either(one: np.ma.MaskedArray, two: np.ma.MaskedArray, rows: _Rows, mine: NDArray[np.bool_]) -> np.ma.MaskedArray:
+    if mine.all():
+        return one[rows.one]
+    if one.dtype.kind in "OSU" or one.dtype != two.dtype:
+        one, two = one.astype(str), two.astype(str)
+    dtype = np.promote_types(one.dtype, two.dtype)
+    values = np.zeros(len(mine), dtype)
+    mask = np.ones(len(mine), bool)
+    for at, source, here in ((rows.one, one, mine), (rows.two, two, ~mine)):
+        values[here] = np.ma.getdata(source)[at[here]]
+        mask[here] = np.ma.getmaskarray(source)[at[here]]
+    return np.ma.MaskedArray(values, mask)
+
+
+def _second_ids(match: SkyMatch, answers: Answers, other: int) -> np.ma.MaskedArray:
+    ids = (match.first if other == 1 else match.second).ids
+    absent = np.ma.getmaskarray(answers.second)
+    at = np.where(absent, 0, np.ma.getdata(answers.second))
+    return np.ma.MaskedArray(ids[at], absent.copy())
+
+
+def _flags(match: SkyMatch, rows: _Rows, absent: NDArray[np.bool_]) -> np.ma.MaskedArray:
+    result = match.result
+    chosen = np.append(result.chosen, False)[rows.pair] & ~absent
+    best = np.zeros(len(match.first))
+    np.maximum.at(best, result.rows_1, result.p_pair)
+    p = np.append(result.p_pair, 0.0)[rows.pair]
+    rival = ~absent & ~chosen & (p >= 0.5 * best[rows.one]) & (p > 0)
+    return np.ma.MaskedArray(np.where(chosen, 1, np.where(rival, 2, 0)).astype(np.int16), np.zeros(len(p), bool))

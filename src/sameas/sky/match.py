@@ -1,0 +1,209 @@
+"""Two catalogues identified: brought to one epoch, everything unknown estimated, and what motion did to the residuals.
+
+Data passes: two :class:`Catalogue` → epoch → two ``Records`` on the sphere → ``estimate.match`` → :class:`SkyMatch`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.errors import InputError
+from sameas.estimate import Estimate
+from sameas.estimate import match as estimated
+from sameas.evidence import Errors
+from sameas.gate import ChiSquare, Radius
+from sameas.records import FloatArray, Records
+from sameas.result import Identification
+from sameas.sky.catalogue import Catalogue
+from sameas.sky.nearest import Nearest, nearest
+from sameas.space import sphere_offset
+
+ARCSEC2_PER_DEG2 = 3600.0**2
+
+
+@dataclass(frozen=True)
+class MatchOptions:
+    """What the user says of the match; everything not said is estimated or decided by the catalogues.
+
+    epoch_jyr : common epoch, Julian year. gate_sigmas : radius of the gate in quoted standard deviations.
+    error_scale : "auto" estimates how residuals spread about the quoted errors; a number takes that factor.
+    density_per_deg2 : (first, second) densities of all records, instead of local ones from the data.
+    """
+
+    epoch_jyr: float | None = None
+    gate_sigmas: float | None = None
+    error_scale: float | str = "auto"
+    density_per_deg2: tuple[float, float] | None = None
+
+    def errors(self) -> Errors | None:
+        """The spread of the residuals, None where it is to be estimated."""
+        if self.error_scale == "auto":
+            return None
+        scale = _number(self.error_scale)
+        if scale is None or not 0.0 < scale < math.inf:
+            raise InputError(f'error scale is {self.error_scale!r}; give "auto" or a positive factor')
+        return Errors((scale,), (1.0,))
+
+    def gate(self) -> ChiSquare | Radius | None:
+        """The gate, None where it is to be chosen."""
+        return None if self.gate_sigmas is None else Radius(self.gate_sigmas)
+
+    def density(self) -> tuple[float, float] | None:
+        """Densities per arcsec², None where they come from the data."""
+        if self.density_per_deg2 is None:
+            return None
+        if not all(0.0 < value < math.inf for value in self.density_per_deg2):
+            raise InputError("density: give two positive numbers, records per square degree of either catalogue")
+        return self.density_per_deg2[0] / ARCSEC2_PER_DEG2, self.density_per_deg2[1] / ARCSEC2_PER_DEG2
+
+
+@dataclass(frozen=True)
+class SkyMatch:
+    """Two catalogues identified.
+
+    epoch_jyr : the epoch both were brought to, None where each stayed where it was observed.
+    moved : one sentence on what was moved and why. doubts : what looks wrong with the result.
+    """
+
+    first: Catalogue
+    second: Catalogue
+    epoch_jyr: float | None
+    moved: str
+    result: Identification
+    estimate: Estimate
+    doubts: tuple[str, ...]
+
+    @cached_property
+    def covered_1(self) -> NDArray[np.bool_]:
+        """(n,) whether the second catalogue looks where each row of the first lies; True for unusable rows."""
+        return _by_row(self.result.first, self.estimate.coverage.covered[0])
+
+    @cached_property
+    def covered_2(self) -> NDArray[np.bool_]:
+        """(n,) whether the first catalogue looks where each row of the second lies; True for unusable rows."""
+        return _by_row(self.result.second, self.estimate.coverage.covered[1])
+
+    @cached_property
+    def still_offsets(self) -> FloatArray:
+        """(k, 2) east and north offsets of the identified pairs, arcsec, each at its own catalogue's epoch."""
+        a, b = self.first.astrometry, self.second.astrometry
+        i, j = self.result.matches.rows_1, self.result.matches.rows_2
+        return sphere_offset(a.ra_deg[i], a.dec_deg[i], b.ra_deg[j], b.dec_deg[j])
+
+    def nearest(self, moved: bool) -> Nearest:
+        """The nearest record of the second catalogue to each of the first, with or without motion."""
+        if moved:
+            return nearest(self.result.first, self.result.second)
+        return nearest(_unmoved(self.result.first, self.first), _unmoved(self.result.second, self.second))
+
+
+def match(
+    first: Catalogue,
+    second: Catalogue,
+    options: MatchOptions | None = None,
+    *,
+    progress: Callable[[str], None] = lambda stage: None,
+) -> SkyMatch:
+    """Identify two catalogues.
+
+    Parameters
+    ----------
+    first, second : the catalogues, understood.
+    options : what is known beforehand.
+    progress : called with the name of what is being done.
+
+    Raises
+    ------
+    InputError : no usable rows; a common epoch is needed and not known.
+    """
+    options = MatchOptions() if options is None else options
+    epoch, words = common_epoch(first, second, options.epoch_jyr)
+    progress("motion")
+    one, two = first.records(epoch), second.records(epoch)
+    for catalogue, records in ((first, one), (second, two)):
+        if not len(records):
+            reasons = ", ".join(f"{reason} ({n})" for reason, n in records.set_aside.counts().items())
+            raise InputError(f"{catalogue.name}: none of its {len(catalogue)} rows can be used: {reasons}")
+    result, estimate = estimated(
+        one, two, errors=options.errors(), gate=options.gate(), density=options.density(), progress=progress
+    )
+    return SkyMatch(first, second, epoch, words, result, estimate, _doubts(result, estimate))
+
+
+def common_epoch(first: Catalogue, second: Catalogue, asked: float | None) -> tuple[float | None, str]:
+    """The epoch to bring both catalogues to, None for no motion at all, and a sentence that says so.
+
+    A catalogue without proper motions stays at its own epoch and the other one moves; where both can move, the
+    second one's epoch is taken.
+    """
+    if asked is not None:
+        return asked, f"both catalogues moved to {asked:g} (option)"
+    known = first.epoch_jyr, second.epoch_jyr
+    if known[0] is None or known[1] is None:
+        if not first.has_motion and not second.has_motion:
+            return None, "neither catalogue has proper motions, and not both epochs are known: nothing is moved"
+        still = first if known[0] is None else second
+        raise InputError(
+            f"{still.name}: its epoch is not known, so the other catalogue cannot be moved to it; "
+            f"say --epoch{1 if still is first else 2} YEAR"
+        )
+    mover, target = (second, first) if second.has_motion and not first.has_motion else (first, second)
+    epoch = target.epoch_jyr
+    assert epoch is not None
+    if abs(known[0] - known[1]) < 0.01:  # type: ignore[operator]
+        return epoch, f"both catalogues are of epoch {epoch:.2f}"
+    if mover.has_motion:
+        return epoch, f"{mover.name} moved from {mover.epoch_jyr:.2f} to {epoch:.2f}, the epoch of {target.name}"
+    return epoch, (
+        f"neither catalogue has proper motions: the unknown motion of {mover.name} over "
+        f"{abs(known[0] - known[1]):.1f} years widens its errors"  # type: ignore[operator]
+    )
+
+
+def _doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]:
+    doubts = list(estimate.notes)
+    sigma = [math.sqrt(float(np.median(r.covariance[:, 0]))) for r in (result.first, result.second)]
+    spacing = 0.5 * math.sqrt(estimate.coverage.common_volume() / max(len(result.first), len(result.second)))
+    widest = max(range(2), key=lambda k: sigma[k])
+    if sigma[widest] > spacing:
+        name = (result.first, result.second)[widest].source
+        doubts.append(
+            f"{name}: its typical error, {sigma[widest]:.3g} arcsec, is larger than half the spacing of the records, "
+            f"{spacing:.3g} arcsec: are the errors in the unit that was understood?"
+        )
+    scale = estimate.typical_scale
+    if scale > 5.0 or scale < 0.3:
+        doubts.append(f"the residuals are {scale:.2g} times what the quoted errors say: are their units right?")
+    if result.approximate_pairs:
+        doubts.append(f"{result.approximate_pairs} candidates lie in entangled groups; their probabilities are approximate")
+    return tuple(doubts)
+
+
+def _by_row(records: Records, values: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    column = np.ones(records.n_table, np.bool_)
+    column[records.rows] = values
+    return column
+
+
+def _unmoved(records: Records, catalogue: Catalogue) -> Records:
+    at = catalogue.astrometry
+    position = np.column_stack([at.ra_deg, at.dec_deg])[records.rows]
+    return Records(
+        position, records.covariance, records.rows, records.ids, records.space, records.source
+    )
+
+
+def _number(value: float | str) -> float | None:
+    try:
+        return float(value)
+    except ValueError:
+        return None
+
+
+__all__ = ["MatchOptions", "SkyMatch", "common_epoch", "match"]

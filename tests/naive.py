@@ -1,0 +1,381 @@
+"""The slow obvious twin of every stage, straight from the definitions (METHOD 1 to 5).
+
+Nothing here is fast, shared with the library or clever: every function is one formula over one pair, or one
+enumeration of all hypotheses. Use it on a few records to judge what the library says of them.
+All probabilities are natural logarithms unless the name begins with ``p``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+
+import numpy as np
+from scipy.optimize import brentq, minimize_scalar
+from scipy.special import gammaln, log_ndtr, logsumexp, xlogy
+from scipy.stats import chi2
+
+from sameas.records import Records, unpack
+from sameas.space import ARCSEC_PER_RADIAN, Sphere
+
+Pair = tuple[int, int]
+LOG_2PI = math.log(2 * math.pi)
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(20)
+
+
+# ---- METHOD 1: records and residuals ----
+
+
+def residual(a: Records, i: int, b: Records, j: int) -> tuple[np.ndarray, np.ndarray]:
+    """Difference a − b (d,) of one pair and its covariance (d, d), in the unit of the covariances."""
+    one, two = a.features[i], b.features[j]
+    cov_1, cov_2 = (unpack(s.covariance[k : k + 1], s.d)[0] for s, k in ((a, i), (b, j)))
+    if isinstance(a.space, Sphere):
+        half = half_turn(*one, *two)
+        turn_1, turn_2 = turn(-half), turn(half)
+        return sphere_difference(*one, *two), turn_1 @ cov_1 @ turn_1.T + turn_2 @ cov_2 @ turn_2.T
+    delta = one - two
+    for v, period in enumerate(a.space.period_list(a.d)):
+        if math.isfinite(period):
+            delta[v] -= period * math.ceil(delta[v] / period - 0.5)
+    return delta, cov_1 + cov_2
+
+
+def sphere_difference(lon_1: float, lat_1: float, lon_2: float, lat_2: float) -> np.ndarray:
+    """(east, north) of 1 seen from 2 in arcsec, halfway between them; degrees in (Delambre's analogies)."""
+    half_lon = math.radians(math.remainder(lon_1 - lon_2, 360)) / 2
+    half_lat = math.radians(lat_1 - lat_2) / 2
+    middle = math.radians(lat_1 + lat_2) / 2
+    east, north = math.sin(half_lon) * math.cos(middle), math.cos(half_lon) * math.sin(half_lat)
+    sine = math.hypot(east, north)
+    cosine = math.hypot(math.cos(half_lon) * math.cos(half_lat), math.sin(half_lon) * math.sin(middle))
+    if sine == 0.0:
+        return np.zeros(2)
+    return np.array([east, north]) / sine * 2 * math.atan2(sine, cosine) * ARCSEC_PER_RADIAN
+
+
+def half_turn(lon_1: float, lat_1: float, lon_2: float, lat_2: float) -> float:
+    """Half of θ = (position angle of the great circle at 1) − (at 2), radians; degrees in."""
+    half_lon = math.radians(math.remainder(lon_1 - lon_2, 360)) / 2
+    half_lat = math.radians(lat_1 - lat_2) / 2
+    middle = math.radians(lat_1 + lat_2) / 2
+    return math.atan2(math.sin(half_lon) * math.sin(middle), math.cos(half_lon) * math.cos(half_lat))
+
+
+def turn(angle: float) -> np.ndarray:
+    """(2, 2) matrix that adds ``angle`` (radians) to the position angle, east of north, of (east, north)."""
+    return np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+
+
+# ---- METHOD 2: gate and groups ----
+
+
+def candidates(
+    a: Records, b: Records, *, sigmas: float | None = None, completeness: float | None = None
+) -> set[Pair]:
+    """Pairs in the gate: |Δ_v| ≤ sigmas·σ_v in every feature, or ΔᵀΣ⁻¹Δ ≤ the χ²_d quantile."""
+    if (sigmas is None) == (completeness is None):
+        raise ValueError("give either sigmas or completeness")
+    largest = math.inf if completeness is None else chi2.ppf(completeness, a.d)
+    found = set()
+    for i in range(len(a)):
+        for j in range(len(b)):
+            delta, cov = residual(a, i, b, j)
+            if sigmas is not None:
+                inside = (np.abs(delta) <= sigmas * np.sqrt(np.diag(cov))).all()
+            else:
+                inside = mahalanobis(delta, cov) <= largest
+            if inside:
+                found.add((i, j))
+    return found
+
+
+def mahalanobis(delta: np.ndarray, cov: np.ndarray) -> float:
+    """ΔᵀΣ⁻¹Δ."""
+    return float(delta @ np.linalg.solve(cov, delta))
+
+
+def components(n1: int, n2: int, pairs: Iterable[Pair]) -> list[tuple[set[int], set[int]]]:
+    """Connected components of the bipartite graph as (rows of 1, rows of 2), lone records included."""
+    links: dict[tuple[int, int], set[tuple[int, int]]] = {(0, i): set() for i in range(n1)}
+    links |= {(1, j): set() for j in range(n2)}
+    for i, j in pairs:
+        links[0, i].add((1, j))
+        links[1, j].add((0, i))
+    groups, seen = [], set()
+    for start in links:
+        if start in seen:
+            continue
+        reached, front = {start}, [start]
+        while front:
+            new = links[front.pop()] - reached
+            reached |= new
+            front += new
+        seen |= reached
+        groups.append(
+            ({row for side, row in reached if side == 0}, {row for side, row in reached if side == 1})
+        )
+    return groups
+
+
+# ---- METHOD 3: evidence, ln λ of one pair ----
+
+
+def log_normal(delta: np.ndarray, cov: np.ndarray) -> float:
+    """ln N(Δ; 0, Σ)  [F14, T17]."""
+    return -0.5 * (len(delta) * LOG_2PI + np.linalg.slogdet(cov)[1] + mahalanobis(delta, cov))
+
+
+def field(delta: np.ndarray, cov: np.ndarray, density: float) -> float:
+    """METHOD 3.1: the other object lies anywhere, with constant density per unit of feature space."""
+    return log_normal(delta, cov) - math.log(density)
+
+
+def constant_cost(delta: np.ndarray, cov: np.ndarray, c: float) -> float:
+    """METHOD 3.4: ln N − 2 ln C."""
+    return log_normal(delta, cov) - 2 * math.log(c)
+
+
+def calibrated(delta: np.ndarray, cov: np.ndarray, detection_probability: float, density: float) -> float:
+    """METHOD 3.4, calibrated: ln of P_d N / [(1 − P_d) β]; C² = β (1 − P_d) / P_d."""
+    return log_normal(delta, cov) + math.log(detection_probability / ((1 - detection_probability) * density))
+
+
+def log_interval(low: np.ndarray | float, high: np.ndarray | float) -> np.ndarray:
+    """ln[Φ(high) − Φ(low)], low ≤ high, without cancellation in tails and narrow intervals."""
+    low, high = np.broadcast_arrays(np.asarray(low, float), np.asarray(high, float))
+    low, high = np.where(low > 0, -high, low), np.where(low > 0, -low, high)
+    upper, lower, half = log_ndtr(high), log_ndtr(low), (high - low) / 2
+    exponent = -0.5 * ((low + high) / 2 + half * NODES.reshape(-1, *[1] * low.ndim)) ** 2
+    with np.errstate(divide="ignore"):
+        wide = upper + np.log1p(-np.exp(lower - upper))
+        narrow = np.log(half) + logsumexp(exponent.T, b=WEIGHTS, axis=-1).T - 0.5 * LOG_2PI
+    return np.where(2 * half * np.maximum(1, -low) < 1, narrow, wide)
+
+
+def close_objects_log_density(delta: np.ndarray, sigma: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
+    """METHOD 3.2, ln of the braces: a nearby object lies in the box b without the box a; all (d,)."""
+    inner = log_interval((-a - delta) / sigma, (a - delta) / sigma)
+    outer = log_interval((-b - delta) / sigma, (b - delta) / sigma)
+    above = log_interval((a - delta) / sigma, (b - delta) / sigma)
+    below = log_interval((-b - delta) / sigma, (-a - delta) / sigma)
+    shell = np.logaddexp(above, below)
+    terms = [inner[:v].sum() + shell[v] + outer[v + 1 :].sum() for v in range(len(delta))]
+    return float(logsumexp(terms)) - log_shell_volume(a, b)
+
+
+def log_shell_volume(a: np.ndarray, b: np.ndarray) -> float:
+    """ln(V_b − V_a), V_c = ∏ 2 c_v."""
+    return len(a) * math.log(2) + math.log(
+        sum(a[:v].prod() * (b[v] - a[v]) * b[v + 1 :].prod() for v in range(len(a)))
+    )
+
+
+def close_objects(delta: np.ndarray, cov: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
+    """METHOD 3.2 with exact ψ; N keeps the correlation, the braces know σ_v only (as in the paper)."""
+    return log_normal(delta, cov) - close_objects_log_density(delta, np.sqrt(np.diag(cov)), a, b)
+
+
+def close_objects_limit(delta: np.ndarray, cov: np.ndarray, a: np.ndarray) -> float:
+    """METHOD 3.2 as b → a in proportion: the nearby object lies on the surface of the box a.
+
+    d/dε of the probability of the box (1+ε)a, over d/dε of its volume, d·V_a.
+    """
+    sigma = np.sqrt(np.diag(cov))
+    inner = log_interval((-a - delta) / sigma, (a - delta) / sigma)
+    density = [-0.5 * (LOG_2PI + ((side * a - delta) / sigma) ** 2) - np.log(sigma) for side in (-1, 1)]
+    face = np.log(a) + np.logaddexp(*density)
+    terms = [inner[:v].sum() + face[v] + inner[v + 1 :].sum() for v in range(len(delta))]
+    log_volume = math.log(len(a)) + np.log(2 * a).sum()
+    return log_normal(delta, cov) - float(logsumexp(terms) - log_volume)
+
+
+def close_objects_correlated(delta: np.ndarray, cov: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
+    """METHOD 3.2 in two features with the boxes of the correlated normal: four rectangles around a."""
+    (a1, a2), (b1, b2) = a, b
+    around = [((-b1, -a1), (-b2, b2)), ((a1, b1), (-b2, b2)), ((-a1, a1), (-b2, -a2)), ((-a1, a1), (a2, b2))]
+    terms = [log_rectangle(delta, cov, x, y) for x, y in around]
+    return log_normal(delta, cov) - float(logsumexp(terms)) + log_shell_volume(a, b)
+
+
+def log_rectangle(mean: np.ndarray, cov: np.ndarray, x: tuple[float, float], y: tuple[float, float]) -> float:
+    """ln P(m ∈ x × y) for m ~ N(mean, cov): the conditional interval in y, integrated over x.
+
+    The integrand is log-concave: panels that double away from its peak see every scale.
+    """
+    if x[0] == x[1] or y[0] == y[1]:
+        return -math.inf
+    slope, sigma = cov[0, 1] / cov[0, 0], math.sqrt(cov[1, 1] - cov[0, 1] ** 2 / cov[0, 0])
+
+    def log_integrand(t: np.ndarray) -> np.ndarray:
+        centre = mean[1] + slope * (t - mean[0])
+        along = -0.5 * (LOG_2PI + math.log(cov[0, 0]) + (t - mean[0]) ** 2 / cov[0, 0])
+        return along + log_interval((y[0] - centre) / sigma, (y[1] - centre) / sigma)
+
+    width = x[1] - x[0]
+    peak = minimize_scalar(
+        lambda t: -float(log_integrand(t)), bounds=x, method="bounded", options={"xatol": 1e-10 * width}
+    ).x
+    steps = width * 2.0 ** -np.arange(42)
+    edges = np.unique(np.clip(np.concatenate([peak - steps, [peak], peak + steps]), *x))
+    half = np.diff(edges)[:, None] / 2
+    points = (edges[:-1] + edges[1:])[:, None] / 2 + half * NODES
+    return float(logsumexp(log_integrand(points), b=half * WEIGHTS))
+
+
+def generalized_gaussian(x: float, sigma: float, c: float) -> float:
+    """ln of T's stand-in for ψ(x; σ, c) [T21–T25]: same variance σ² + c²/3, same value at 0."""
+    variance = sigma**2 + c**2 / 3
+    at_zero = float(log_interval(-c / sigma, c / sigma)) - math.log(2 * c)
+
+    def log_peak(log_shape: float) -> float:  # of the generalized Gaussian with this shape and variance
+        s = math.exp(log_shape)
+        return (
+            log_shape - math.log(2) - 1.5 * gammaln(1 / s) + 0.5 * gammaln(3 / s) - 0.5 * math.log(variance)
+        )
+
+    ends = math.log(2), math.log(1e7)
+    if log_peak(ends[0]) <= at_zero:  # c ≪ σ: the normal, to rounding
+        log_shape = ends[0]
+    elif log_peak(ends[1]) >= at_zero:  # σ ≪ c: the uniform
+        log_shape = ends[1]
+    else:
+        log_shape = brentq(lambda s: log_peak(s) - at_zero, *ends, xtol=1e-14, rtol=1e-14)
+    shape = math.exp(log_shape)
+    scale = math.exp(0.5 * (math.log(variance) + gammaln(1 / shape) - gammaln(3 / shape)))
+    with np.errstate(over="ignore"):
+        return at_zero - float(np.float64(abs(x) / scale) ** shape)
+
+
+def close_objects_paper(delta: np.ndarray, cov: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
+    """METHOD 3.2 with the paper's generalized Gaussians; NaN where its braces turn negative (far tails)."""
+    sigma = np.sqrt(np.diag(cov))
+    boxes = [
+        sum(generalized_gaussian(x, s, v) + math.log(2 * v) for x, s, v in zip(delta, sigma, c, strict=True))
+        for c in (b, a)
+    ]
+    if boxes[0] <= boxes[1]:
+        return math.nan
+    return (
+        log_normal(delta, cov)
+        - boxes[0]
+        - math.log1p(-math.exp(boxes[1] - boxes[0]))
+        + log_shell_volume(a, b)
+    )
+
+
+def universal_1d(
+    x1: float,
+    variance_1: float,
+    x2: float,
+    variance_2: float,
+    log_p: Callable,
+    log_p_other: Callable,
+    grid: np.ndarray,
+) -> float:
+    """METHOD 3.3 in one feature, summed on an even ``grid`` of positions (m,).
+
+    log_p(M) and log_p_other(M1, M2) = ln p(M₂|M₁) take arrays; the grid must hold all that matters, finely.
+    """
+    one = -0.5 * (LOG_2PI + math.log(variance_1) + (x1 - grid) ** 2 / variance_1)
+    two = -0.5 * (LOG_2PI + math.log(variance_2) + (x2 - grid) ** 2 / variance_2)
+    log_step = math.log(grid[1] - grid[0])
+    same = logsumexp(log_p(grid) + one + two) + log_step
+    other = log_p(grid)[:, None] + log_p_other(grid[:, None], grid[None, :]) + one[:, None] + two[None, :]
+    return float(same - logsumexp(other) - 2 * log_step)
+
+
+# ---- METHOD 4: hypotheses, priors, the most probable one ----
+
+
+def hypotheses(n1: int, n2: int, allowed_pairs: Iterable[Pair]) -> Iterator[tuple[Pair, ...]]:
+    """Every one-to-one set of allowed pairs, the empty one included, each once, rows of 1 ascending."""
+    partners: list[list[int]] = [[] for _ in range(n1)]
+    for i, j in sorted(set(allowed_pairs)):
+        if not (0 <= i < n1 and 0 <= j < n2):
+            raise ValueError(f"pair {i, j} lies outside the {n1} and {n2} records")
+        partners[i].append(j)
+
+    def extend(i: int, used: frozenset[int]) -> Iterator[tuple[Pair, ...]]:
+        if i == n1:
+            yield ()
+            return
+        yield from extend(i + 1, used)
+        for j in partners[i]:
+            if j not in used:
+                yield from (((i, j), *rest) for rest in extend(i + 1, used | {j}))
+
+    return extend(0, frozenset())
+
+
+def number_of_hypotheses(n1: int, n2: int) -> int:
+    """Σ_k C(N₁,k) C(N₂,k) k!  [T1]."""
+    return sum(math.comb(n1, k) * math.comb(n2, k) * math.factorial(k) for k in range(min(n1, n2) + 1))
+
+
+def common_objects_log_prior(k: int, n1: int, n2: int, q1: float, q2: float) -> float:
+    """METHOD 4.1 [T6]: ln P of one hypothesis with k pairs, up to a constant; −∞ where it is impossible."""
+    n = n1 + n2 - k
+    return float(gammaln(n + 1) + xlogy(n1 - k, q2) + xlogy(n2 - k, q1) - (n + 1) * math.log1p(-q1 * q2))
+
+
+def common_objects_slope(n1: int, n2: int, q1: float, q2: float) -> float:
+    """a₂ of METHOD 4.2 [T28], the least-squares slope of 4.1 over k = 0 … N; 0 where N = min(N₁, N₂) = 0."""
+    n = min(n1, n2)
+    if n == 0:
+        return 0.0
+    total = sum((2 * i - n) * common_objects_log_prior(i, n1, n2, q1, q2) for i in range(n + 1))
+    return 6 * total / (n**3 + 3 * n**2 + 2 * n)
+
+
+def common_objects_linear(k: int, n1: int, n2: int, q1: float, q2: float) -> float:
+    """The paper's linear form of 4.1, up to a constant: a₂ k."""
+    return k * common_objects_slope(n1, n2, q1, q2)
+
+
+def per_pair(k: int, log_odds: float) -> float:
+    """Every pair costs or earns the same."""
+    return k * log_odds
+
+
+def scored(
+    n1: int, n2: int, log_ratio: dict[Pair, float], log_prior: Callable[[int], float]
+) -> list[tuple[float, tuple[Pair, ...]]]:
+    """Λ(A) = ln P(k) + Σ ln λ  [T27] of every hypothesis over the pairs of ``log_ratio``."""
+    return [(log_prior(len(h)) + sum(log_ratio[p] for p in h), h) for h in hypotheses(n1, n2, log_ratio)]
+
+
+def best(
+    n1: int, n2: int, log_ratio: dict[Pair, float], log_prior: Callable[[int], float]
+) -> tuple[float, set[Pair]]:
+    """The most probable hypothesis: (its score, its pairs); of equals any one."""
+    score, pairs = max(scored(n1, n2, log_ratio, log_prior))
+    return score, set(pairs)
+
+
+def best_per_k(n1: int, n2: int, log_ratio: dict[Pair, float]) -> list[float]:
+    """W_k, the largest Σ ln λ of k pairs, for k = 0 … min(N₁, N₂); −∞ where there are no k allowed pairs."""
+    totals = [-math.inf] * (min(n1, n2) + 1)
+    for score, pairs in scored(n1, n2, log_ratio, lambda k: 0.0):
+        totals[len(pairs)] = max(totals[len(pairs)], score)
+    return totals
+
+
+# ---- METHOD 5: how sure ----
+
+
+def posterior(
+    n1: int, n2: int, log_ratio: dict[Pair, float], log_prior: Callable[[int], float]
+) -> tuple[dict[Pair, float], np.ndarray, np.ndarray]:
+    """P of every pair of ``log_ratio``, and of no partner: (pair → p, p_none_1 (n1,), p_none_2 (n2,))."""
+    everything = scored(n1, n2, log_ratio, log_prior)
+    log_total = logsumexp([score for score, _ in everything])
+    p_pair = dict.fromkeys(log_ratio, 0.0)
+    p_none_1, p_none_2 = np.zeros(n1), np.zeros(n2)
+    for score, pairs in everything:
+        p = math.exp(score - log_total)
+        for pair in pairs:
+            p_pair[pair] += p
+        p_none_1[list(set(range(n1)) - {i for i, _ in pairs})] += p
+        p_none_2[list(set(range(n2)) - {j for _, j in pairs})] += p
+    return p_pair, p_none_1, p_none_2

@@ -1,0 +1,344 @@
+"""Columns are recognised by names, units and UCDs; what is not clear is refused with what to do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from astropy import units as u
+from astropy.table import MaskedColumn, Table
+
+from sameas.errors import InputError
+from sameas.sky.columns import choose
+from sameas.sky.conventions import CONVENTIONS
+from sameas.sky.understood import CatalogueOptions, ColumnChoice
+
+GAIA = ["source_id", "ra", "dec", "ra_error", "dec_error", "ra_dec_corr", "ref_epoch", "phot_g_mean_mag"]
+GAIA_MOTION = ["parallax", "parallax_error", "pmra", "pmra_error", "pmdec", "pmdec_error", "pmra_pmdec_corr"]
+GAIA_VIZIER = [
+    "RA_ICRS",
+    "DE_ICRS",
+    "Source",
+    "e_RA_ICRS",
+    "e_DE_ICRS",
+    "RADEcor",
+    "Plx",
+    "pmRA",
+    "pmDE",
+    "Gmag",
+]
+SEXTRACTOR = [
+    "NUMBER",
+    "ALPHA_J2000",
+    "DELTA_J2000",
+    "ERRA_WORLD",
+    "ERRB_WORLD",
+    "ERRTHETA_J2000",
+    "MAG_AUTO",
+]
+TWOMASS = ["ra", "dec", "err_maj", "err_min", "err_ang", "designation", "j_m", "j_msigcom", "jdate"]
+LSST = ["diaSourceId", "ra", "dec", "raErr", "decErr", "ra_dec_Cov", "midpointMjdTai"]
+
+
+def made(*names: str, units: dict[str, str] | None = None, meta: dict[str, str] | None = None) -> Table:
+    table = Table({name: np.full(3, 0.5) + np.arange(3) for name in names}, meta=meta or {})
+    for name, unit in (units or {}).items():
+        table[name].unit = unit
+    return table
+
+
+def chosen(table: Table, **options: object) -> ColumnChoice:
+    return choose(table, CatalogueOptions(**options), "cat.fits")  # type: ignore[arg-type]
+
+
+def names_of(choice: ColumnChoice) -> list[str]:
+    return [choice.ra.name, choice.dec.name, *(column.name for column in choice.error.columns)]
+
+
+def test_the_gaia_archive_needs_no_units() -> None:
+    choice = chosen(made(*GAIA, *GAIA_MOTION))
+    assert names_of(choice) == ["ra", "dec", "ra_error", "dec_error"]
+    assert [column.unit for column in choice.error.columns] == ["mas", "mas"]
+    assert choice.error.correlation == "ra_dec_corr"
+    assert [column and column.name for column in choice.motion] == ["parallax", "pmra", "pmdec", None]
+    assert (3, 4, "pmra_pmdec_corr") in choice.correlations
+    assert (choice.id, choice.magnitude, choice.epoch.column) == ("source_id", "phot_g_mean_mag", "ref_epoch")
+
+
+def test_a_choice_describes_itself_with_reasons() -> None:
+    lines = chosen(made(*GAIA, *GAIA_MOTION, units={"ra": "deg", "dec": "deg"})).describe("2016.0")
+    assert "position: ra, dec [deg, unit of the column]; names of: Gaia archive" in lines
+    assert (
+        "errors: ra_error, dec_error [mas, by convention], east and north, correlation ra_dec_corr" in lines
+    )
+    assert "epoch: 2016.0 (column ref_epoch)" in lines
+
+
+def test_the_unit_of_a_column_is_stronger_than_the_convention() -> None:
+    choice = chosen(made(*GAIA, units={"ra_error": "arcsec"}))
+    assert [column.unit for column in choice.error.columns] == ["arcsec", "mas"]
+
+
+def test_columns_are_found_in_any_case() -> None:
+    assert names_of(chosen(made(*(name.upper() for name in GAIA)))) == ["RA", "DEC", "RA_ERROR", "DEC_ERROR"]
+
+
+@pytest.mark.parametrize(
+    ("meta", "column", "epoch"),
+    [
+        ({"name": "gaiadr2.gaia_source"}, None, 2015.5),
+        ({"ID": "I_355_gaiadr3", "name": "I/355/gaiadr3"}, None, 2016.0),
+        ({}, "Gaia DR3 604697520872028160", 2016.0),
+        ({}, "Gaia DR2 604697520872028160", 2015.5),
+        ({"comment": "Gaia DR2 sources that are in Gaia DR3"}, None, None),
+        ({}, None, None),
+    ],
+)
+def test_the_epoch_of_gaia_is_that_of_the_release_it_names(
+    meta: dict[str, str], column: str | None, epoch: float | None
+) -> None:
+    table = made(*(name for name in GAIA if name != "ref_epoch"), meta=meta)
+    if column:
+        table["DESIGNATION"] = [column] * 3
+    assert chosen(table).epoch.jyr == epoch
+
+
+def test_edr3_is_known_by_the_velocities_of_dr2() -> None:
+    table = made("source_id", "ra", "dec", "dr2_radial_velocity")
+    assert chosen(table, sigma=1).epoch.jyr == 2016.0
+
+
+def test_names_that_differ_in_case_only_are_two_candidates() -> None:
+    with pytest.raises(InputError, match="2 candidates for right ascension: 'RA', 'ra'; say --ra NAME"):
+        chosen(made("ra", "dec", "RA", "DEC"), sigma=1)
+    assert names_of(chosen(made("ra", "dec", "RA", "DEC"), ra="RA", dec="DEC", sigma=1)) == ["RA", "DEC"]
+
+
+def test_gaia_at_vizier_is_not_confused_by_positions_moved_to_2000() -> None:
+    choice = chosen(
+        made(*GAIA_VIZIER, "RAJ2000", "DEJ2000", "e_RAJ2000", "e_DEJ2000", "_RAJ2000", "_DEJ2000")
+    )
+    assert names_of(choice) == ["RA_ICRS", "DE_ICRS", "e_RA_ICRS", "e_DE_ICRS"]
+    assert choice.error.correlation == "RADEcor"
+    assert "not used: RAJ2000, _RAJ2000" in choice.notes
+
+
+def test_the_epoch_of_vizier_is_read_in_the_description() -> None:
+    table = made(*GAIA_VIZIER)
+    table["RA_ICRS"].description = "Right ascension (ICRS) at Ep=2016.000 (ra)"
+    assert chosen(table).epoch.jyr == 2016.0
+
+
+def test_equinox_2000_is_no_epoch() -> None:
+    assert chosen(made("RAJ2000", "DEJ2000"), sigma=0.1).epoch.jyr is None
+
+
+def test_hip2_is_in_radians() -> None:
+    names = [
+        "HIP",
+        "RArad",
+        "DErad",
+        "Plx",
+        "pmRA",
+        "pmDE",
+        "e_RArad",
+        "e_DErad",
+        "e_Plx",
+        "e_pmRA",
+        "e_pmDE",
+    ]
+    weights = [f"UW{k}" for k in range(1, 16)]
+    choice = chosen(made(*names, "Hpmag", "Ntr", "F2", *weights))
+    assert (choice.ra.unit, choice.epoch.jyr, choice.magnitude) == ("rad", 1991.25, "Hpmag")
+    assert choice.weights == (*weights, "F2", "Ntr")
+    assert not chosen(made(*names, "Hpmag", *weights)).weights
+
+
+def test_hipparcos_of_1997_has_its_correlations() -> None:
+    choice = chosen(
+        made("HIP", "RAICRS", "DEICRS", "e_RAICRS", "e_DEICRS", "DE:RA", "pmDE:pmRA", "pmRA", "pmDE")
+    )
+    assert choice.error.correlation == "DE:RA"
+    assert (3, 4, "pmDE:pmRA") in choice.correlations
+    assert choice.epoch.jyr == 1991.25
+
+
+def test_sextractor_gives_ellipses_in_degrees() -> None:
+    choice = chosen(made(*SEXTRACTOR, meta={"DATE-OBS": "2018-10-18T03:01:00"}))
+    assert choice.error.kind == "ellipse"
+    assert [column.unit for column in choice.error.columns] == ["deg"] * 3
+    assert choice.epoch.jyr == pytest.approx(2018.795, abs=1e-3)
+    assert choice.magnitude == "MAG_AUTO"
+
+
+def test_two_positions_of_sextractor_are_refused() -> None:
+    table = made(
+        *SEXTRACTOR, "ALPHAWIN_J2000", "DELTAWIN_J2000", "ERRAWIN_WORLD", "ERRBWIN_WORLD", "ERRTHETAWIN_J2000"
+    )
+    with pytest.raises(
+        InputError, match=r"cat.fits: 2 candidates for right ascension: 'ALPHAWIN_J2000', 'ALPHA_J2000'"
+    ):
+        chosen(table)
+    choice = chosen(table, ra="alphawin_j2000")
+    assert names_of(choice)[1:3] == ["DELTAWIN_J2000", "ERRAWIN_WORLD"]
+
+
+def test_2mass_has_ellipses_and_an_epoch_per_row() -> None:
+    choice = chosen(made(*TWOMASS))
+    assert (choice.error.kind, choice.error.columns[0].unit) == ("ellipse", "arcsec")
+    assert (choice.epoch.column, choice.magnitude, choice.magnitude_error) == ("jdate", "j_m", "j_msigcom")
+    choice = chosen(
+        made("RAJ2000", "DEJ2000", "_2MASS", "errMaj", "errMin", "errPA", "Jmag", "e_Jmag", "Date")
+    )
+    assert (choice.error.kind, choice.epoch.column, choice.id) == ("ellipse", "Date", "_2MASS")
+
+
+def test_lsst_has_covariances_in_square_degrees() -> None:
+    choice = chosen(made(*LSST))
+    assert (choice.error.covariance, choice.error.columns[0].unit) == ("ra_dec_Cov", "deg")
+    assert choice.epoch.column == "midpointMjdTai"
+    assert chosen(made(*LSST, "coord_ra", "coord_dec")).ra.name == "ra"
+
+
+@pytest.mark.parametrize(
+    "position", [("RA", "DEC"), ("RAdeg", "DEdeg"), ("ra_deg", "dec_deg"), ("lon", "lat")]
+)
+def test_plain_names_are_taken(position: tuple[str, str]) -> None:
+    choice = chosen(made(*position, "sigma_arcsec", "mag", "magerr"))
+    assert names_of(choice) == [*position, "sigma_arcsec"]
+    assert (choice.error.columns[0].unit, choice.magnitude_error) == ("arcsec", "magerr")
+
+
+def test_stdpipe_needs_a_sigma_only() -> None:
+    table = made("obj", "x", "y", "ra", "dec", "mag", "magerr", "fwhm", "flags")
+    assert chosen(table, sigma=0.3).error.sigma_arcsec == 0.3
+    with pytest.raises(InputError, match=r"cat.fits: no column of position errors .*; say --sigma ARCSEC"):
+        chosen(table)
+
+
+def test_an_error_without_a_unit_is_refused_until_it_is_said() -> None:
+    table = made("ra", "dec", "ra_err", "dec_err")
+    with pytest.raises(
+        InputError, match=r"the unit of 'ra_err' \(median 1.5\) is not said; say --sigma-unit arcsec"
+    ):
+        chosen(table)
+    assert [column.unit for column in chosen(table, sigma_unit="mas").error.columns] == ["mas", "mas"]
+
+
+def test_two_kinds_of_errors_are_refused() -> None:
+    table = made("ra", "dec", "pos_err", "sigma", units={"pos_err": "arcsec", "sigma": "arcsec"})
+    with pytest.raises(
+        InputError, match=r"2 candidates for the position error: sigma or pos_err; say --sigma NAME"
+    ):
+        chosen(table)
+    assert names_of(chosen(table, sigma="pos_err")) == ["ra", "dec", "pos_err"]
+
+
+def test_errors_of_two_catalogues_of_one_position_are_refused() -> None:
+    with pytest.raises(
+        InputError, match=r"candidates for the position errors: err_maj,err_min,err_ang or ra_error"
+    ):
+        chosen(made(*GAIA, *TWOMASS[2:]))
+
+
+def test_two_positions_are_refused() -> None:
+    with pytest.raises(InputError, match=r"2 candidates for right ascension: 'RAJ2000', 'ra'; say --ra NAME"):
+        chosen(made("ra", "dec", "RAJ2000", "DEJ2000"), sigma=1)
+
+
+def test_the_position_with_errors_of_its_own_wins_and_takes_its_partner() -> None:
+    choice = chosen(made("ra", "dec", *GAIA_VIZIER))
+    assert names_of(choice)[:2] == ["RA_ICRS", "DE_ICRS"]
+    assert choice.notes == ("not used: ra",)
+
+
+def test_the_main_position_of_a_votable_wins() -> None:
+    table = made("ra", "dec", "RAJ2000", "DEJ2000")
+    table["ra"].meta = {"ucd": "pos.eq.ra"}
+    table["RAJ2000"].meta = {"ucd": "pos.eq.ra;meta.main"}
+    assert names_of(chosen(table, sigma=1)) == ["RAJ2000", "DEJ2000"]
+
+
+def test_unknown_names_are_found_by_their_ucds() -> None:
+    table = made("alpha", "delta")
+    with pytest.raises(
+        InputError, match=r"no columns of right ascension and declination found among: alpha, delta"
+    ):
+        chosen(table, sigma=1)
+    table["alpha"].meta = {"ucd": "POS_EQ_RA_MAIN"}
+    table["delta"].meta = {"ucd": "POS_EQ_DEC_MAIN"}
+    assert names_of(chosen(table, sigma=1)) == ["alpha", "delta"]
+
+
+def test_a_wrong_column_name_gets_a_suggestion() -> None:
+    with pytest.raises(InputError, match=r"no column 'RA_ICRSS' for --ra; did you mean 'RA_ICRS'"):
+        chosen(made(*GAIA_VIZIER), ra="RA_ICRSS")
+    with pytest.raises(InputError, match=r"no column 'sgima' for --sigma; it has: ra, dec"):
+        chosen(made("ra", "dec"), sigma="sgima")
+
+
+def test_an_option_for_ra_alone_finds_its_partner() -> None:
+    table = made("ra", "dec", "RAJ2000", "DEJ2000", "x", "y")
+    assert names_of(chosen(table, ra="RAJ2000", sigma=1)) == ["RAJ2000", "DEJ2000"]
+    assert names_of(chosen(table, dec="dec", sigma=1)) == ["ra", "dec"]
+    assert names_of(chosen(table, ra="x", dec="y", sigma=1)) == ["x", "y"]
+    with pytest.raises(InputError, match=r"'x' has no known partner; say --ra NAME and --dec NAME"):
+        chosen(table, ra="x", sigma=1)
+
+
+def test_motion_without_a_known_convention_is_not_taken() -> None:
+    table = made("ra", "dec", "pm_ra", "pm_dec")
+    choice = chosen(table, sigma=1)
+    assert choice.motion == (None,) * 4
+    assert (
+        "pm_ra, pm_dec not used: with or without cos(dec) is not said; if with, say --pm pm_ra,pm_dec"
+        in choice.notes
+    )
+    assert chosen(table, sigma=1, pm="pm_ra,pm_dec").motion[1] is not None
+
+
+@pytest.mark.parametrize(
+    "names", [("pmra", "pmdec"), ("pm_ra_cosdec", "pm_dec"), ("mu_alpha_star", "mu_delta")]
+)
+def test_motion_of_known_names_is_taken_and_can_be_ignored(names: tuple[str, str]) -> None:
+    table = made("ra", "dec", *names)
+    assert [column and column.name for column in chosen(table, sigma=1).motion[1:3]] == list(names)
+    assert chosen(table, sigma=1, pm="none").motion == (None,) * 4
+
+
+def test_units_that_cannot_be_are_refused() -> None:
+    with pytest.raises(InputError, match=r"'ra_error' is in pix, which is not an angle"):
+        chosen(made(*GAIA, units={"ra_error": "pix"}))
+    with pytest.raises(InputError, match=r"'pmra' is in s / yr, which is not convertible to mas / yr"):
+        chosen(made(*GAIA, *GAIA_MOTION, units={"pmra": "s / yr"}))
+    with pytest.raises(InputError, match=r"'--sigma' is in parsec, which is not an angle"):
+        chosen(made("ra", "dec"), sigma=1, sigma_unit="parsec")
+
+
+def test_hours_and_sexagesimal_notation_are_seen() -> None:
+    assert chosen(made("ra", "dec", units={"ra": "hourangle"}), sigma=1).ra.unit == "hourangle"
+    assert chosen(made("ra", "dec", units={"ra": "h"}), sigma=1).ra.unit == "hourangle"
+    table = Table({"_RAJ2000": ["12 34 56.7"], "_DEJ2000": ["-00 12 03"]})
+    choice = chosen(table, sigma=1)
+    assert (choice.ra.unit, choice.dec.unit) == ("sexagesimal hours", "sexagesimal degrees")
+
+
+def test_errors_of_other_kinds_are_passed_over() -> None:
+    assert (
+        chosen(made("ra", "dec", "err", "sigma", units={"err": "mag", "sigma": "arcsec"})).error.kind
+        == "circle"
+    )
+
+
+def test_magnitudes_that_are_vectors_are_passed_over() -> None:
+    table = made(*SEXTRACTOR[:-1])
+    table["MAG_AUTO"] = np.zeros((3, 2))
+    table["MAG_PSF"] = MaskedColumn([1.0, 2.0, 3.0], unit=u.mag)
+    assert chosen(table).magnitude == "MAG_PSF"
+
+
+def test_every_convention_is_recognised_by_its_own_names() -> None:
+    for convention in CONVENTIONS:
+        error = convention.errors[0]
+        table = made(*convention.position, *convention.marks[:1], *error.names)
+        choice = chosen(table, sigma_unit=None if error.unit else "arcsec")
+        assert names_of(choice) == [*convention.position, *error.names], convention.title
