@@ -47,6 +47,8 @@ def array_of(column: Column) -> pa.Array:
     flat, flat_mask = values.reshape(-1), None if mask is None else mask.reshape(-1)
     if flat.dtype.kind == "S":
         flat = unicode_of(flat)
+    if flat.dtype.kind == "O" and any(isinstance(value, np.ma.MaskedArray) for value in flat):
+        flat = np.fromiter((np.ma.asarray(value).tolist() for value in flat), dtype=object, count=len(flat))
     if flat.dtype.kind not in "OU":
         flat = np.ascontiguousarray(flat.astype(flat.dtype.newbyteorder("="), copy=False))
     try:

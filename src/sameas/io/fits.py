@@ -61,25 +61,11 @@ def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
     with warnings.catch_warnings():
         # Names such as "RA (deg)" are legal; astropy remarks that others are recommended.
         warnings.simplefilter("ignore", fits.verify.VerifyWarning)
-        columns = [_fits_column(table[name]) for name in table.colnames]
-    hdu = fits.BinTableHDU.from_columns(columns, character_as_bytes=True)
-    raw = hdu.data.view(np.ndarray) if len(columns) else None
-    for number, name in enumerate(table.colnames, start=1):
-        column = table[name]
-        mask = getattr(column, "mask", None)
-        if column.dtype.kind == "b" and mask is not None and raw is not None:
-            raw[raw.dtype.names[number - 1]][np.asarray(mask)] = 0
-        if column.meta.get("ucd"):
-            hdu.header[f"TUCD{number}"] = str(column.meta["ucd"])
-        if column.description:
-            hdu.header[f"TCOMM{number}"] = _ascii(str(column.description))
-    _write_meta(hdu.header, table.meta)
-    if provenance:
-        hdu.header[_CARD] = to_json(provenance)
-        for key, value in provenance.items():
-            hdu.header.add_history(_ascii(f"sameas: {key} = {to_text(value)}"))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", fits.verify.VerifyWarning)
+        hdu = _hdu(table)
+        if provenance:
+            hdu.header[_CARD] = to_json(provenance)
+            for key, value in provenance.items():
+                hdu.header.add_history(_ascii(f"sameas: {key} = {to_text(value)}"))
         hdu.writeto(path, overwrite=True)
 
 
@@ -92,6 +78,25 @@ def provenance(path: Path) -> dict[str, Any]:
             if _CARD in hdu.header:
                 return dict(json.loads(hdu.header[_CARD]))
     return {}
+
+
+def _hdu(table: Table) -> Any:
+    from astropy.io import fits
+
+    columns = [_fits_column(table[name]) for name in table.colnames]
+    hdu = fits.BinTableHDU.from_columns(columns, character_as_bytes=True)
+    raw = hdu.data.view(np.ndarray) if columns else None
+    for number, name in enumerate(table.colnames, start=1):
+        column = table[name]
+        mask = getattr(column, "mask", None)
+        if column.dtype.kind == "b" and mask is not None and raw is not None:
+            raw[raw.dtype.names[number - 1]][np.asarray(mask)] = 0
+        if column.meta.get("ucd"):
+            hdu.header[f"TUCD{number}"] = str(column.meta["ucd"])
+        if column.description:
+            hdu.header[f"TCOMM{number}"] = _ascii(str(column.description))
+    _write_meta(hdu.header, table.meta)
+    return hdu
 
 
 def _chosen(hdus: Any, hdu: int | str | None, path: Path) -> tuple[Any, list[str]]:

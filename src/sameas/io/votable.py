@@ -213,7 +213,8 @@ def _portable(column: Column) -> Column:
     elif values.dtype.kind == "O":
         lists, values = values, np.empty(len(values), dtype=object)
         for row, value in enumerate(lists):
-            values[row] = np.ma.asarray([] if value is None else value)
+            cell = np.ma.asarray([] if value is None else value)
+            values[row] = np.ma.array(cell.data, mask=np.ma.getmaskarray(cell))
     elif kind in ("i1", "u2", "u4", "f2"):
         values = values.astype({"i1": "i2", "u2": "i4", "u4": "i8", "f2": "f4"}[kind])
     elif kind == "u8":

@@ -1,0 +1,130 @@
+"""An output is whole or absent, whatever happens on the way."""
+
+import errno
+import os
+import stat
+import subprocess
+import sys
+
+import pytest
+from astropy.table import Table
+
+from sameas.errors import InputError
+from sameas.io import read_provenance, read_table, replacing, write_table
+
+ENDINGS = [".fits", ".vot", ".ecsv", ".csv", ".parquet"]
+
+
+@pytest.mark.parametrize("stop", [RuntimeError, KeyboardInterrupt, SystemExit])
+def test_an_interruption_leaves_the_old_file_and_no_other(stop, tmp_path):
+    out = tmp_path / "plot.png"
+    out.write_text("old")
+    with pytest.raises(stop), replacing(out) as draft:
+        draft.write_text("half")
+        raise stop
+    assert out.read_text() == "old" and os.listdir(tmp_path) == ["plot.png"]
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_an_interrupted_table_leaves_the_old_one(ending, tmp_path, monkeypatch):
+    out = tmp_path / f"t{ending}"
+    write_table(Table({"x": [1]}), out, provenance={"run": 1})
+    before = sorted(os.listdir(tmp_path))
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_table(Table({"x": [2]}), out, provenance={"run": 2})
+    assert sorted(os.listdir(tmp_path)) == before
+    assert read_table(out)["x"][0] == 1 and read_provenance(out) == {"run": 1}
+
+
+def test_the_draft_keeps_the_extension_and_lies_beside(tmp_path):
+    with replacing(tmp_path / "t.fits.gz") as draft:
+        assert draft.name.endswith(".fits.gz") and draft.parent == tmp_path
+
+
+def test_permissions_are_those_of_the_umask_or_of_the_file_before(tmp_path):
+    out = tmp_path / "t.csv"
+    before = os.umask(0o027)
+    try:
+        write_table(Table({"x": [1]}), out, provenance={})
+        assert stat.S_IMODE(out.stat().st_mode) == 0o640
+        out.chmod(0o604)
+        write_table(Table({"x": [2]}), out, provenance={})
+        assert stat.S_IMODE(out.stat().st_mode) == 0o604
+    finally:
+        os.umask(before)
+
+
+def test_a_link_is_followed(tmp_path):
+    (tmp_path / "real.txt").write_text("old")
+    (tmp_path / "link.txt").symlink_to(tmp_path / "real.txt")
+    with replacing(tmp_path / "link.txt") as draft:
+        draft.write_text("new")
+    assert (tmp_path / "link.txt").is_symlink() and (tmp_path / "real.txt").read_text() == "new"
+
+
+def test_bad_outputs_are_refused_before_anything_is_written(tmp_path):
+    with (
+        pytest.raises(InputError, match=r"nowhere does not exist; make it first"),
+        replacing(tmp_path / "nowhere/x"),
+    ):
+        pass
+    with pytest.raises(InputError, match="it is a directory"), replacing(tmp_path):
+        pass
+    (tmp_path / "x.csv").write_text("a\n1\n")
+    with pytest.raises(InputError, match=r"x\.csv: it exists already"):
+        write_table(Table({"x": [1]}), tmp_path / "x.csv", provenance={"a": 1}, overwrite=False)
+    assert os.listdir(tmp_path) == ["x.csv"]
+
+
+def test_other_errors_pass_through(tmp_path):
+    with pytest.raises(FileNotFoundError), replacing(tmp_path / "x.txt"):
+        raise FileNotFoundError(errno.ENOENT, "of the caller")
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT])
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_a_full_device_is_said_in_words(code, ending, tmp_path, monkeypatch):
+    from sameas.io import tables
+
+    out = tmp_path / f"t{ending}"
+    known = tables._format_of(out, None).module()
+
+    def full(table, path, provenance):
+        try:
+            raise OSError(code, os.strerror(code))
+        except OSError as error:
+            raise RuntimeError("the library's own words") from error
+
+    monkeypatch.setattr(known, "write", full)
+    with pytest.raises(
+        InputError, match=rf"cannot write .*t{ending}: (no space|the disk quota).*; nothing was written"
+    ):
+        write_table(Table({"x": [1]}), out, provenance={"a": 1})
+    assert os.listdir(tmp_path) == []
+
+
+def is_device(path):
+    return os.path.exists(path) and stat.S_ISCHR(os.stat(path).st_mode)
+
+
+@pytest.mark.skipif(not is_device("/dev/full"), reason="needs /dev/full")
+@pytest.mark.parametrize("format", ["fits", "csv", "ecsv", "votable", "parquet"])
+def test_a_device_that_is_full_says_so_and_stays_a_device(format):
+    with pytest.raises(InputError, match="cannot write /dev/full: no space left on device"):
+        write_table(Table({"x": range(100_000)}), "/dev/full", provenance={}, format=format)
+    assert is_device("/dev/full")
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/stdout"), reason="needs /dev/stdout")
+def test_a_pipe_is_written_to():
+    code = (
+        "from sameas.io import write_table; from astropy.table import Table;"
+        "write_table(Table({'x': [1, 2]}), '/dev/stdout', provenance={}, format='csv')"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
+    assert said.stdout == b"x\n1\n2\n"

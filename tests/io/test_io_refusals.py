@@ -1,0 +1,144 @@
+"""What cannot be read or written is refused in one sentence that names the file."""
+
+import gzip
+
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.io import fits
+from astropy.table import Table
+
+from sameas.errors import InputError
+from sameas.io import read_table, write_table
+
+
+def refusal(path, content=None, **how):
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        read_table(path, **how)
+    message = str(caught.value)
+    assert path.name in message and "\n" not in message
+    return message
+
+
+def test_a_missing_file_names_similar_ones(tmp_path):
+    (tmp_path / "gaia_dr3.fits").touch()
+    (tmp_path / "notes.txt").touch()
+    message = refusal(tmp_path / "gaia_dr2.fits")
+    assert "no such file; did you mean gaia_dr3.fits?" in message
+    assert f"no such file in {tmp_path}" in refusal(tmp_path / "zzz.csv")
+    assert "the directory" in refusal(tmp_path / "nowhere" / "x.csv")
+
+
+def test_directories_empty_files_and_unknown_names(tmp_path):
+    (tmp_path / "d.fits").mkdir()
+    assert "is a directory" in refusal(tmp_path / "d.fits")
+    assert "is empty" in refusal(tmp_path / "e.csv", b"")
+    assert "'.xlsx' is not known; known are .fits" in refusal(tmp_path / "t.xlsx", b"x")
+    assert "no extension" in refusal(tmp_path / "table", b"x")
+    assert "unknown format 'dbase'" in refusal(tmp_path / "t.csv", b"x", format="dbase")
+    assert "only FITS" in refusal(tmp_path / "t.csv", b"a,b\n1,2\n", hdu=1)
+
+
+@pytest.mark.parametrize("ending", [".fits", ".vot", ".ecsv", ".csv", ".parquet"])
+def test_other_content_than_the_name_says(ending, tmp_path):
+    path = tmp_path / f"t{ending}"
+    assert "is a PNG picture" in refusal(path, b"\x89PNG\r\n\x1a\n" + b"\x00" * 100)
+    page = b"\n<!DOCTYPE html>\n<html><body>503 Service Unavailable</body></html>"
+    assert "is a web page (HTML)" in refusal(path, page) and "download" in refusal(path, page)
+    assert "ZIP" in refusal(path, b"PK\x03\x04" + b"\x00" * 100)
+
+
+@pytest.mark.parametrize("ending", [".fits", ".vot", ".ecsv", ".parquet"])
+def test_text_that_is_no_table(ending, tmp_path):
+    assert "is not a" in refusal(tmp_path / f"t{ending}", b"hello") or ending == ".vot"
+
+
+def test_another_format_is_named_with_the_remedy(tmp_path):
+    write_table(Table({"x": [1]}), tmp_path / "t.fits", provenance={})
+    (tmp_path / "t.fits").rename(tmp_path / "t.csv")
+    assert "is a FITS file, not CSV; rename it, or give format='fits'" in refusal(tmp_path / "t.csv")
+    assert read_table(tmp_path / "t.csv", format="fits")["x"][0] == 1
+
+
+@pytest.mark.parametrize(
+    "ending", [".fits", ".vot", ".parquet", ".fits.gz", ".csv.gz", ".ecsv.gz", ".vot.gz"]
+)
+@pytest.mark.parametrize("share", [0.95, 0.7, 0.2])
+def test_files_cut_short_are_refused(ending, share, tmp_path):
+    path = tmp_path / f"t{ending}"
+    rng = np.random.default_rng(1)
+    write_table(Table({"x": rng.random(2160), "y": rng.random(2160)}), path, provenance={})
+    whole = path.read_bytes()
+    refusal(path, whole[: int(len(whole) * share)])
+
+
+def test_a_fits_file_cut_short_says_so(tmp_path):
+    path = tmp_path / "t.fits"
+    write_table(Table({"x": np.arange(5000.0)}), path, provenance={})
+    assert "is cut off: 20000 of" in refusal(path, path.read_bytes()[:20000])
+
+
+def test_fits_without_a_table(tmp_path):
+    fits.PrimaryHDU(np.zeros((4, 4))).writeto(tmp_path / "image.fits")
+    assert "holds images only, no table" in refusal(tmp_path / "image.fits")
+
+
+def test_votable_without_a_table_hands_on_what_it_says(tmp_path):
+    text = b"""<?xml version="1.0"?><VOTABLE version="1.3" xmlns="http://www.ivoa.net/xml/VOTable/v1.3">
+<RESOURCE type="results"><INFO name="QUERY_STATUS" value="ERROR">Unknown table gaia.dr9</INFO></RESOURCE>
+</VOTABLE>"""
+    assert "has no table in it; it says: Unknown table gaia.dr9" in refusal(tmp_path / "t.vot", text)
+
+
+def test_a_zipped_name_on_an_unzipped_file(tmp_path):
+    assert "is not a gzip file" in refusal(tmp_path / "t.csv.gz", b"a,b\n1,2\n")
+    assert "is cut off" in refusal(tmp_path / "t.csv.gz", gzip.compress(b"a,b\n" * 9)[:-9])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a,b,a\n1,2,3\n", "two columns are called a; rename one"),
+        (
+            "a,b\n1,2\n3,4\n5,6,7\n8,9\n",
+            "line 4 has 3 cells, not 2; put text with a delimiter in it in quotes",
+        ),
+        ("# c\n\na,b\n1,2\n3\n", "line 5 has 1 cells, not 2"),
+        ("1,2.5,3\n4,5.5,6\n", "line 1 holds numbers; put the names of the columns above"),
+        ("id ra dec\n1 2 3\n", "its columns are parted by blanks"),
+        ("# only\n# comments\n", "has no line with the names"),
+    ],
+)
+def test_csv_that_cannot_be_understood(text, words, tmp_path):
+    import re
+
+    assert re.search(words, refusal(tmp_path / "t.csv", text.encode()))
+
+
+def test_the_line_of_a_bad_row_is_right_in_a_long_file(tmp_path):
+    rows = [f"{n},{n / 7}" for n in range(200_000)]
+    rows[150_000] += ",extra"
+    assert "line 150002 has 3 cells" in refusal(tmp_path / "t.csv", ("a,b\n" + "\n".join(rows)).encode())
+
+
+def test_csv_that_is_not_utf8(tmp_path):
+    assert "column name is not UTF-8" in refusal(tmp_path / "t.csv", "name,n\nÅngström,1\n".encode("latin-1"))
+    assert "(line 1); save it as UTF-8" in refusal(tmp_path / "t.csv", "Ångström,n\n1,1\n".encode("latin-1"))
+
+
+@pytest.mark.parametrize("ending", [".fits", ".vot", ".ecsv", ".csv", ".parquet"])
+def test_columns_that_have_no_cells_are_refused_and_nothing_is_written(ending, tmp_path):
+    path = tmp_path / f"out{ending}"
+    with pytest.raises(InputError, match=rf"out{ending}: column where is a SkyCoord; write its parts"):
+        write_table(Table({"where": SkyCoord([1], [2], unit="deg")}), path, provenance={})
+    with pytest.raises(InputError, match="out"):
+        write_table(
+            Table({"odd": np.array([{1: 2}, object()], dtype=object)}),
+            tmp_path / "out.parquet",
+            provenance={},
+        )
+    with pytest.raises(InputError, match="provenance: rule is a dict"):
+        write_table(Table({"x": [1]}), path, provenance={"rule": {}})
+    assert list(tmp_path.iterdir()) == []

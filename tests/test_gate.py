@@ -1,0 +1,314 @@
+"""The gate finds the pairs that brute force finds, with the same numbers, in an order that knows no rows."""
+
+import math
+
+import naive
+import numpy as np
+import pytest
+from problems import KINDS, by_id, plane_records, shuffled, sky_records
+
+from sameas import Box, ChiSquare, InputError, Radius, Records, Sphere, threads
+from sameas.space import Plane
+
+GATES = {
+    "box": (Box(3.0), {"sigmas": 3.0}),
+    "chi square": (ChiSquare(0.99), {"completeness": 0.99}),
+    "radius": (Radius(2.5), None),
+    "wide": (ChiSquare(), {"completeness": 1 - 1e-9}),
+}
+
+
+def brute_force(first, second, gate, definition):
+    if definition is not None:
+        return naive.candidates(first, second, **definition)
+    found = set()
+    for i in range(len(first)):
+        for j in range(len(second)):
+            if naive.mahalanobis(*naive.residual(first, i, second, j)) <= gate.sigmas**2:
+                found.add((i, j))
+    return found
+
+
+def judge(first, second, gate=GATES["box"][0], definition=GATES["box"][1], least=1):
+    """The candidates are those of the definition, each once, and carry its residual, Σ, Δᵀ Σ⁻¹ Δ and |Σ|."""
+    pairs = gate(first, second)
+    found = list(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True))
+    assert len(found) == len(set(found))
+    assert set(found) == brute_force(first, second, gate, definition)
+    assert len(found) >= least
+    for e, (i, j) in enumerate(found[:300]):
+        delta, cov = naive.residual(first, i, second, j)
+        size = math.sqrt(np.trace(cov))
+        np.testing.assert_allclose(pairs.residual[e], delta, rtol=1e-9, atol=1e-9 * size)
+        np.testing.assert_allclose(pairs.covariance[e], cov, rtol=1e-9, atol=1e-12 * size**2)
+        assert pairs.determinant[e] == pytest.approx(np.linalg.det(cov), rel=1e-9)
+        assert pairs.mahalanobis_sq[e] == pytest.approx(naive.mahalanobis(delta, cov), rel=1e-8, abs=1e-9)
+    return pairs
+
+
+# ---- in a plane ----
+
+
+@pytest.mark.parametrize("name", GATES)
+@pytest.mark.parametrize("d", [1, 2, 3, 4])
+def test_plane_candidates_are_those_of_the_definition(d, name):
+    gate, definition = GATES[name]
+    for seed, kinds in enumerate([(a, b) for a in KINDS for b in KINDS]):
+        rng = np.random.default_rng([d, seed])
+        scale = 0.02 * 3.0 ** (d - 1)
+        first = plane_records(rng, 25, d, scale=scale / 3, kind=kinds[0])
+        second = plane_records(rng, 35, d, scale=scale / 3, kind=kinds[1])
+        judge(first, second, gate, definition)
+
+
+PERIODS = {
+    "swept or zone axis": [(1.0, None), (None, 1.0)],
+    "all axes": [(1.0, 1.0), (0.7, 1.3)],
+    "one feature": [(1.0,)],
+    "three features": [(None, 1.0, 1.0), (1.0, 1.0, 1.0)],
+}
+
+
+@pytest.mark.parametrize("periods", [p for several in PERIODS.values() for p in several])
+@pytest.mark.parametrize("scale", [0.01, 0.08, 0.4])
+def test_periodic_axes_wrap_for_gates_of_any_width(periods, scale):
+    d = len(periods)
+    for seed in range(3):
+        rng = np.random.default_rng([seed, d, int(scale * 100)])
+        # An elongated box makes now the one, now the other feature the swept axis.
+        extent = rng.permutation([1.0, 0.5, 0.2][:d])
+        first = plane_records(rng, 30, d, extent=extent, scale=scale, kind=KINDS[seed], periods=periods)
+        second = plane_records(rng, 30, d, extent=extent, scale=scale / 3, kind=KINDS[2 - seed], periods=periods)
+        judge(first, second)
+
+
+def test_axis_a_thousand_times_the_period_away_is_the_same_axis():
+    periods = (360.0, None)
+    first = Records.of([[5.0 + 360.0 * 1000, 0.0], [355.0, 0.0]], sigma=5.0, space=Plane(periods))
+    second = Records.of([[-3.0 - 360.0 * 1000, 0.0]], sigma=5.0, space=Plane(periods))
+    pairs = judge(first, second, least=2)
+    np.testing.assert_allclose(np.sort(pairs.residual[:, 0]), [-2.0, 8.0], atol=1e-8)
+
+
+# ---- on the sphere ----
+
+
+def near_pole(rng, n, sign, radius_deg):
+    """Directions about a pole, the pole itself under several longitudes among them."""
+    distance = radius_deg * np.sqrt(rng.uniform(0, 1, n))
+    distance[:4] = 0.0
+    return rng.uniform(0, 360, n), sign * (90.0 - distance)
+
+
+SKIES = {
+    "equator": lambda rng, n: (rng.uniform(40, 40.1, n), rng.uniform(-0.05, 0.05, n)),
+    "high latitude": lambda rng, n: (rng.uniform(10, 20, n), rng.uniform(89.5, 89.6, n)),
+    "across 0/360": lambda rng, n: (rng.uniform(-0.05, 0.05, n) % 360.0, rng.uniform(30, 30.1, n)),
+    "negative longitudes": lambda rng, n: (rng.uniform(-0.05, 0.05, n), rng.uniform(30, 30.1, n)),
+    "antimeridian": lambda rng, n: (rng.uniform(179.95, 180.05, n), rng.uniform(-60.1, -60, n)),
+    "north pole": lambda rng, n: near_pole(rng, n, 1, 0.05),
+    "south pole": lambda rng, n: near_pole(rng, n, -1, 0.05),
+    "at the very pole": lambda rng, n: near_pole(rng, n, 1, 1e-5),
+}
+
+
+@pytest.mark.parametrize("sky", SKIES)
+@pytest.mark.parametrize("name", ["box", "radius"])
+def test_sky_candidates_are_those_of_the_definition(sky, name):
+    gate, definition = GATES[name]
+    for seed, kinds in enumerate([("one sigma", "one sigma"), ("full", "axis sigmas"), ("full", "full")]):
+        rng = np.random.default_rng([seed, len(sky)])
+        first = sky_records(rng, *SKIES[sky](rng, 40), scale_arcsec=8.0, kind=kinds[0])
+        second = sky_records(rng, *SKIES[sky](rng, 40), scale_arcsec=rng.choice([2.0, 15.0], 40), kind=kinds[1])
+        judge(first, second, gate, definition)
+
+
+@pytest.mark.parametrize("scale_deg", [1.0, 6.0, 25.0])
+@pytest.mark.parametrize("name", ["box", "radius"])
+def test_gates_of_degrees_over_the_whole_sky(scale_deg, name):
+    gate, definition = GATES[name]
+    for seed, kind in enumerate(KINDS):
+        rng = np.random.default_rng([seed, int(scale_deg)])
+        whole = [(rng.uniform(0, 360, 45), np.degrees(np.arcsin(rng.uniform(-1, 1, 45)))) for _ in range(2)]
+        whole[0][1][:2] = 90.0, -90.0
+        first = sky_records(rng, *whole[0], scale_arcsec=3600 * scale_deg / 2, kind=kind)
+        second = sky_records(rng, *whole[1], scale_arcsec=3600 * scale_deg / 2, kind=KINDS[2 - seed])
+        judge(first, second, gate, definition, least=1 if scale_deg > 1 else 0)
+
+
+def test_turns_of_longitude_do_not_matter():
+    rng = np.random.default_rng(3)
+    lon, lat = SKIES["north pole"](rng, 40)
+    first = sky_records(rng, lon, lat, scale_arcsec=20.0, kind="full")
+    second = sky_records(rng, lon + 0.01, lat, scale_arcsec=20.0, kind="full")
+    turned = Records(
+        first.features + np.array([720.0, 0.0]), first.covariance, first.rows, first.ids, first.space, first.source
+    )
+    straight, around = Radius(3.0)(first, second), Radius(3.0)(turned, second)
+    assert by_id(straight) == by_id(around)
+    np.testing.assert_allclose(around.residual, straight.residual, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(around.covariance, straight.covariance, rtol=0, atol=1e-6)
+
+
+# ---- errors and positions far from the bulk ----
+
+
+@pytest.mark.parametrize("factor", [40.0, 1000.0])
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_records_with_far_larger_errors_are_neither_missed_nor_widen_the_gate_of_others(factor, d):
+    rng = np.random.default_rng([int(factor), d])
+    scales = [np.where(rng.uniform(size=n) < 0.03, 1e-3 * factor, 1e-3) for n in (150, 160)]
+    records = [plane_records(rng, len(s), d, scale=s, kind="full") for s in scales]
+    pairs = judge(*records)
+    assert np.isin(pairs.i, np.flatnonzero(scales[0] > 1e-3)).any()
+
+
+def test_records_with_far_larger_errors_on_the_sky():
+    rng = np.random.default_rng(5)
+    scales = [np.where(rng.uniform(size=150) < 0.04, 200.0, 0.5) for _ in range(2)]
+    records = [sky_records(rng, *SKIES["north pole"](rng, 150), scale_arcsec=s, kind="full") for s in scales]
+    judge(*records)
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_outliers_a_billion_away_are_found_too(d):
+    rng = np.random.default_rng(d)
+    first, second = (plane_records(rng, 80, d, scale=0.05) for _ in range(2))
+    one, two = first.features.copy(), second.features.copy()
+    one[:3] += 1e9
+    two[:3] = one[:3] + 0.01
+    two[3] -= 1e9
+    first = Records(one, first.covariance, first.rows, first.ids, first.space)
+    second = Records(two, second.covariance, second.rows, second.ids, second.space)
+    pairs = Box(3.0)(first, second)
+    found = set(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True))
+    assert found == naive.candidates(first, second, sigmas=3.0)
+    assert {(0, 0), (1, 1), (2, 2)} <= found
+
+
+# ---- degenerate scenes ----
+
+
+@pytest.mark.parametrize("space", [Plane(), Plane((1.0, None)), Sphere()])
+def test_many_records_at_one_place_are_all_candidates_of_each_other(space):
+    for n in (1, 2, 300):
+        first = Records.of(np.full((n, 2), 0.25), sigma=0.1, space=space)
+        second = Records.of(np.full((3, 2), 0.25), sigma=0.1, space=space)
+        assert len(Box(3.0)(first, second)) == 3 * n
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_records_on_a_line_along_an_axis(axis):
+    rng = np.random.default_rng(axis)
+    sides = []
+    for _ in range(2):
+        features = np.zeros((60, 2))
+        features[:, axis] = rng.uniform(0, 1, 60)
+        sides.append(Records.of(features, sigma=0.01))
+    judge(*sides)
+
+
+@pytest.mark.parametrize("n1,n2", [(0, 0), (0, 3), (3, 0)])
+def test_an_empty_side_has_no_candidates(n1, n2):
+    for space in (Plane(), Sphere()):
+        first, second = (Records.of(np.zeros((n, 2)), sigma=1.0, space=space) for n in (n1, n2))
+        pairs = ChiSquare()(first, second)
+        assert len(pairs) == 0 and pairs.residual.shape == (0, 2) and pairs.covariance.shape == (0, 2, 2)
+
+
+def test_one_record_of_each_source():
+    first = Records.of([[0.0, 0.0]], sigma=1.0)
+    judge(first, Records.of([[1.0, 1.0]], sigma=1.0))
+    judge(first, Records.of([[10.0, 1.0]], sigma=1.0), least=0)
+
+
+# ---- threads and the order of the listing ----
+
+
+@pytest.mark.parametrize("sky", [False, True])
+def test_threads_do_not_change_a_digit(monkeypatch, sky):
+    rng = np.random.default_rng(8)
+    if sky:
+        records = [sky_records(rng, *SKIES["across 0/360"](rng, 500), scale_arcsec=20.0, kind="full") for _ in range(2)]
+    else:
+        records = [plane_records(rng, 500, 2, scale=0.03, kind="full", periods=(1.0, None)) for _ in range(2)]
+    even = threads.even
+    monkeypatch.setattr(threads, "even", lambda n, least=4096: even(n, 16))
+    answers = []
+    for count in ("1", "2", "5"):
+        monkeypatch.setenv("SAMEAS_THREADS", count)
+        answers.append(ChiSquare()(*records))
+    assert len(answers[0]) > 1000
+    for other in answers[1:]:
+        for name in ("i", "j", "residual", "mahalanobis_sq", "determinant"):
+            np.testing.assert_array_equal(getattr(other, name), getattr(answers[0], name))
+
+
+def listed_alike(rng, first, second, gate=GATES["box"][0], times=4):
+    expected = by_id(gate(first, second))
+    assert len(expected) > 1
+    for _ in range(times):
+        assert by_id(gate(shuffled(rng, first), shuffled(rng, second))) == expected
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_listing_does_not_depend_on_the_row_order(d):
+    rng = np.random.default_rng(d)
+    wide = np.where(rng.uniform(size=300) < 0.05, 50.0, 1.0)
+    for scale in (0.01, 0.005 * wide):
+        listed_alike(rng, *(plane_records(rng, 300, d, scale=scale, kind="full") for _ in range(2)))
+
+
+def test_listing_of_equal_records_follows_their_ids():
+    rng = np.random.default_rng(1)
+    for features in (rng.integers(0, 4, (300, 2)) * 1.0, np.zeros((300, 2))):
+        first = Records.of(features, sigma=0.5, ids=rng.permutation(300))
+        second = Records.of(features[:20], sigma=0.5, ids=[f"s{k}" for k in rng.permutation(20)])
+        listed_alike(rng, first, second)
+
+
+def test_listing_of_equal_records_with_ids_of_mixed_kinds():
+    first = Records.of(np.zeros((4, 1)), sigma=1.0, ids=np.array([1, "a", 2, "b"], dtype=object))
+    second = Records.of(np.zeros((1, 1)), sigma=1.0)
+    listed_alike(np.random.default_rng(0), Records.of(first.features, sigma=1.0, ids=first.ids), second)
+
+
+def test_listing_on_the_sky_does_not_depend_on_the_row_order():
+    rng = np.random.default_rng(2)
+    for sky in SKIES.values():
+        listed_alike(rng, *(sky_records(rng, *sky(rng, 150), scale_arcsec=10.0, kind="full") for _ in range(2)))
+
+
+# ---- words ----
+
+
+@pytest.mark.parametrize(
+    "make, words",
+    [
+        (lambda: ChiSquare(1.0), "completeness is 1.0; give a probability between 0 and 1"),
+        (lambda: Radius(0.0), "sigmas is 0.0; give a positive number"),
+        (lambda: Box(math.nan), "sigmas is nan; give a positive number"),
+        (
+            lambda: Box()(Records.of([1.0], sigma=1.0, source="radar"), Records.of([[1.0, 2.0]], sigma=1.0, source="ais")),
+            "radar has 1 features .* ais 2 .* bring both to one feature space",
+        ),
+        (
+            lambda: Box()(Records.of([[1.0, 2.0]], sigma=1.0), Records.of([[1.0, 2.0]], sigma=1.0, space=Sphere())),
+            "bring both to one feature space",
+        ),
+        (lambda: Plane((0.0,)), "period of axis 0 is 0.0; give a positive number or None"),
+        (lambda: Records.of([1.0], sigma=1.0, space=Plane((1.0, 1.0))), "2 periods, but the records have 1 features"),
+    ],
+)
+def test_what_cannot_be_gated_is_refused_in_words(make, words):
+    with pytest.raises(InputError, match=words):
+        make()
+
+
+def test_the_gate_says_what_it_is():
+    first = Records.of([1.0], sigma=1.0)
+    assert Box()(first, first).gate == "each feature within 3 σ"
+    assert Radius(2.5)(first, first).gate == "distance ≤ 2.5 σ"
+    assert "loses 1.0e-09 of the true" in ChiSquare()(first, first).gate
+    # The default keeps 1 − 1e-9: √(−2 ln 1e-9) = 6.438 standard deviations in two features.
+    assert math.sqrt(ChiSquare().limit(2)) == pytest.approx(math.sqrt(-2 * math.log(1e-9)), rel=1e-7)

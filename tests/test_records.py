@@ -1,0 +1,158 @@
+"""Records are checked once, at the door: what passes can be trusted, what does not is refused or set aside in words."""
+
+import math
+
+import naive
+import numpy as np
+import pytest
+
+from sameas import InputError, Plane, Records, Sphere
+from sameas.records import unpack
+
+SQUARE = np.array([[0.0, 1.0], [2.0, 3.0], [4.0, 5.0]])
+FULL = np.array([[4.0, 1.0], [1.0, 9.0]])
+
+
+# ---- errors, in every shape they come ----
+
+
+@pytest.mark.parametrize(
+    "given, expected",
+    [
+        ({"sigma": 2.0}, [np.eye(2) * 4] * 3),
+        ({"sigma": [1.0, 2.0, 3.0]}, [np.eye(2), np.eye(2) * 4, np.eye(2) * 9]),
+        ({"sigma": [1.0, 2.0]}, [np.diag([1.0, 4.0])] * 3),
+        ({"sigma": [[1.0, 2.0]] * 3}, [np.diag([1.0, 4.0])] * 3),
+        ({"sigma": [[1.0], [2.0], [3.0]]}, [np.eye(2), np.eye(2) * 4, np.eye(2) * 9]),
+        ({"variance": 2.0}, [np.eye(2) * 2] * 3),
+        ({"variance": [1.0, 2.0]}, [np.diag([1.0, 2.0])] * 3),
+        ({"covariance": FULL}, [FULL] * 3),
+        ({"covariance": [FULL, 2 * FULL, 3 * FULL]}, [FULL, 2 * FULL, 3 * FULL]),
+    ],
+)
+def test_errors_of_every_shape_are_the_same_covariances(given, expected):
+    np.testing.assert_allclose(Records.of(SQUARE, **given).full_covariance(), expected)
+
+
+def test_with_as_many_records_as_features_one_sigma_belongs_to_one_record():
+    records = Records.of(SQUARE[:2], sigma=[1.0, 2.0])
+    np.testing.assert_allclose(records.full_covariance(), [np.eye(2), np.eye(2) * 4])
+
+
+@pytest.mark.parametrize("d", [1, 2, 3, 4])
+def test_packed_covariances_unpack_to_what_was_given(d):
+    rng = np.random.default_rng(d)
+    root = rng.standard_normal((5, d, d))
+    full = root @ root.transpose(0, 2, 1) + np.eye(d)
+    records = Records.of(np.zeros((5, d)), covariance=full)
+    assert records.covariance.shape == (5, d * (d + 1) // 2)
+    np.testing.assert_allclose(unpack(records.covariance, d), full)
+
+
+def test_one_feature_may_come_without_its_axis():
+    records = Records.of([1.0, 2.0, 3.0], sigma=0.1)
+    assert records.features.shape == (3, 1) and records.d == 1 and len(records) == records.n_table == 3
+
+
+def test_no_records_are_records():
+    for d in (1, 2, 3):
+        records = Records.of(np.empty((0, d)), sigma=1.0, source="radar")
+        assert len(records) == 0 and records.d == d and records.full_covariance().shape == (0, d, d)
+
+
+# ---- what is set aside ----
+
+
+def test_rows_without_position_or_error_are_set_aside_with_their_reason():
+    features = np.array([[0.0, 0.0], [np.nan, 0.0], [1.0, np.inf], [2.0, 2.0], [3.0, 3.0]])
+    sigma = np.array([1.0, 1.0, 1.0, np.nan, 2.0])
+    records = Records.of(features, sigma=sigma, ids=list("abcde"))
+    np.testing.assert_array_equal(records.rows, [0, 4])
+    np.testing.assert_array_equal(records.features, features[[0, 4]])
+    np.testing.assert_array_equal(records.covariance[:, 0], [1.0, 4.0])
+    np.testing.assert_array_equal(records.set_aside.rows, [1, 2, 3])
+    assert list(records.set_aside.reasons) == ["no position", "no position", "no error"]
+    assert records.set_aside.counts() == {"no error": 1, "no position": 2}
+    # Identifiers belong to the table, so that a row keeps its name.
+    assert records.n_table == 5 and list(records.ids) == list("abcde")
+
+
+def test_masked_cells_are_missing_even_where_a_number_hides_behind_the_mask():
+    features = np.ma.MaskedArray([[0.0, 0.0], [1.0, 1.0]], mask=[[False, True], [False, False]])
+    sigma = np.ma.MaskedArray([1.0, -99.0], mask=[False, True])
+    records = Records.of(features, sigma=sigma)
+    assert len(records) == 0
+    assert list(records.set_aside.reasons) == ["no position", "no error"]
+
+
+def test_bad_errors_are_set_aside_on_request():
+    records = Records.of(SQUARE, sigma=[1.0, -1.0, 0.0], invalid="set aside")
+    assert len(records) == 1 and list(records.set_aside.reasons) == ["error not positive"] * 2
+    bad = np.array([FULL, [[1.0, 1.0], [1.0, 1.0]], [[1.0, 2.0], [2.0, 1.0]]])
+    assert len(Records.of(SQUARE, covariance=bad, invalid="set aside")) == 1
+    polar = Records.of([[0.0, 90.0], [0.0, 90.1]], sigma=1.0, space=Sphere(), invalid="set aside")
+    assert len(polar) == 1 and polar.set_aside.counts() == {"latitude beyond ±90°": 1}
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_positive_definite_means_what_eigenvalues_mean(d):
+    rng = np.random.default_rng(d)
+    root = rng.standard_normal((400, d, d))
+    matrices = root @ root.transpose(0, 2, 1) - rng.uniform(0, 1.5, (400, 1, 1)) * np.eye(d)
+    scale = 10.0 ** rng.uniform(-6, 6, (400, d))
+    matrices = matrices * scale[:, :, None] * scale[:, None, :]
+    positive = np.array([np.all(np.linalg.eigvalsh(m / np.outer(s, s)) > 0) for m, s in zip(matrices, scale, strict=True)])
+    records = Records.of(np.zeros((400, d)), covariance=matrices, invalid="set aside")
+    assert 100 < positive.sum() < 380
+    np.testing.assert_array_equal(records.rows, np.flatnonzero(positive))
+
+
+def test_records_do_not_change_what_they_were_given():
+    features, sigma = SQUARE.copy(), np.array([1.0, 2.0, 3.0])
+    Records.of(features, sigma=sigma)
+    np.testing.assert_array_equal(features, SQUARE)
+    np.testing.assert_array_equal(sigma, [1.0, 2.0, 3.0])
+
+
+def test_the_oracle_reads_records_as_they_are():
+    delta, cov = naive.residual(Records.of(SQUARE, covariance=FULL), 1, Records.of(SQUARE, sigma=2.0), 0)
+    np.testing.assert_allclose(delta, [2.0, 2.0])
+    np.testing.assert_allclose(cov, FULL + 4 * np.eye(2))
+
+
+# ---- words ----
+
+
+def of(features=SQUARE, **keywords):
+    return lambda: Records.of(features, source="radar", **keywords)
+
+
+@pytest.mark.parametrize(
+    "make, words",
+    [
+        (of(), "radar: give one of sigma, variance, covariance; got none"),
+        (of(sigma=1.0, variance=1.0), "radar: give one of .* got sigma and variance"),
+        (of(sigma=[1.0] * 4), r"radar: sigma has shape \(4,\); give one number, \(3,\), \(2,\) or \(3, 2\)"),
+        (of(sigma=["a", "b", "c"]), "radar: sigma are not numbers"),
+        (of([["x", "y"]], sigma=1.0), "radar: features are not numbers"),
+        (of(np.zeros((2, 2, 2)), sigma=1.0), r"radar: features have shape \(2, 2, 2\); give \(rows, features\)"),
+        (of(sigma=[1.0, 0.0, 2.0]), r"radar: 1 errors are zero or negative \(first: row 1, variance 0\)"),
+        (of(sigma=[1.0, 2.0, -3.0]), r"first: row 2, variance -9\); give positive sigmas"),
+        (of(variance=-1.0), "radar: 3 errors are zero or negative"),
+        (of(covariance=np.eye(3)), r"radar: covariance has shape \(3, 3\); give \(2, 2\) or \(3, 2, 2\)"),
+        (of(covariance=[FULL, FULL, -FULL]), r"radar: 1 covariances are not positive definite \(first: row 2\)"),
+        (of(covariance=[[1.0, 1.0], [1.0, 1.0]]), "3 covariances are not positive definite .* check the correlations"),
+        (of(covariance=[FULL, [[1.0, 0.5], [0.2, 1.0]], FULL]), r"1 covariances are not symmetric \(first: row 1\)"),
+        (of(sigma=1.0, ids=[1, 2]), r"radar: \(2,\) ids for 3 rows; give one id per row"),
+        (of(sigma=1.0, ids=[7, 8, 7]), r"1 ids are not unique \(first: 7 in rows 0 and 2\)"),
+        (of(sigma=1.0, ids=["b", "a", "a"]), r"1 ids are not unique \(first: a in rows 1 and 2\)"),
+        (of(sigma=1.0, invalid="drop"), 'radar: invalid=\'drop\'; give "refuse" or "set aside"'),
+        (of([1.0, 2.0], sigma=1.0, space=Sphere()), "radar: a direction has 2 features .* got 1"),
+        (of([[0.0, 91.0]], sigma=1.0, space=Sphere()), r"1 latitudes lie beyond ±90° \(first: row 0: 91\)"),
+        (of(sigma=1.0, space=Plane((1.0,))), "Plane has 1 periods, but the records have 2 features"),
+        (lambda: Plane((1.0, math.nan)), "period of axis 1 is nan; give a positive number or None"),
+    ],
+)
+def test_what_cannot_be_a_record_is_refused_in_words(make, words):
+    with pytest.raises(InputError, match=words):
+        make()
