@@ -98,8 +98,11 @@ class Coverage:
         return seen
 
     def common_volume(self) -> float:
-        """Volume where both sources look, (residual unit)^d: the finest cells that hold a covered record of either."""
-        finest = self.levels[-1]
+        """Volume where both sources look, (residual unit)^d: the cells that hold a covered record of either.
+
+        Taken one level above the finest, where an empty cell is hardly ever an accident.
+        """
+        finest = self.levels[max(len(self.levels) - 2, 0)]
         held = np.zeros(len(finest.volume), np.bool_)
         held[finest.of_first[self.covered[0]]] = True
         held[finest.of_second[self.covered[1]]] = True

@@ -17,11 +17,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from sameas.assignment import assign
 from sameas.coverage import Coverage
 from sameas.errors import InputError
 from sameas.evidence import Errors, PoissonField
 from sameas.gate import ChiSquare, Pairs, Radius
+from sameas.groups import groups
 from sameas.identify import identify
+from sameas.posterior import by_messages
 from sameas.prior import PerPair
 from sameas.records import FloatArray, Records
 from sameas.result import Identification
@@ -136,22 +139,28 @@ class _Loop:
         self.p_2 = np.full(len(second), guess / len(second))
 
     def run(self, pairs: Pairs, rounds: int, progress: Callable[[str], None]) -> tuple[Identification, int, bool]:
-        """Rounds over one list of candidates: the last answer, how many rounds, whether they settled."""
-        before = -1.0
-        for number in range(1, max(rounds, 1) + 1):
-            progress(f"identification, round {number}")
-            answer = identify(self.first, self.second, rule=self.rule(), prior=PerPair(), gate=lambda a, b: pairs)  # type: ignore[arg-type]
-            common = float(answer.p_pair.sum())
-            scales = self.errors
-            settled = abs(common - before) <= 1e-4 * common + 0.01
-            if settled or number == max(rounds, 1):
-                return answer, number, settled
+        """Rounds over one list of candidates: the exact answer at the end, how many rounds, whether they settled.
+
+        Within the rounds only sums over many pairs are needed; messages are near enough for those.
+        """
+        grouped = groups(pairs)
+        before, settled, number = -1.0, False, 0
+        while not settled and number < max(rounds, 1):
+            number += 1
+            progress(f"estimation, round {number}")
+            linear = PerPair()(grouped.sizes_1, grouped.sizes_2)
+            best = assign(grouped, self.rule()(pairs).log_ratio, linear)
+            p_pair = by_messages(grouped, best).p_pair
+            common = float(p_pair.sum())
+            settled = abs(common - before) <= 3e-4 * common + 0.01
             before = common
-            self.p_1 = np.minimum(np.bincount(pairs.i, answer.p_pair, len(self.first)), 1.0)
-            self.p_2 = np.minimum(np.bincount(pairs.j, answer.p_pair, len(self.second)), 1.0)
+            self.p_1 = np.minimum(np.bincount(pairs.i, p_pair, len(self.first)), 1.0)
+            self.p_2 = np.minimum(np.bincount(pairs.j, p_pair, len(self.second)), 1.0)
             if self.learns_errors and common >= FEWEST:
-                self.errors = fit_errors(pairs.mahalanobis_sq, answer.p_pair, pairs.d, scales)
-        raise AssertionError("unreachable")
+                self.errors = fit_errors(pairs.mahalanobis_sq, p_pair, pairs.d, self.errors)
+        progress("identification")
+        answer = identify(self.first, self.second, rule=self.rule(), gate=lambda a, b: pairs)
+        return answer, number, settled
 
     def rule(self) -> PoissonField:
         """The rule with the densities of this round."""

@@ -85,7 +85,8 @@ class Errors:
     def __post_init__(self) -> None:
         if len(self.scales) != len(self.shares) or not self.scales:
             raise InputError(f"Errors: {len(self.scales)} scales but {len(self.shares)} shares; give one share per scale")
-        if min(self.scales) <= 0 or min(self.shares) < 0 or abs(sum(self.shares) - 1.0) > 1e-6:
+        positive = all(0.0 < scale < math.inf for scale in self.scales) and all(share >= 0.0 for share in self.shares)
+        if not positive or abs(sum(self.shares) - 1.0) > 1e-6:
             raise InputError("Errors: scales must be positive, and shares non-negative with the sum 1")
 
     def log_density(self, pairs: Pairs) -> FloatArray:
@@ -232,9 +233,10 @@ class CloseObjects(Rule):
         b = np.atleast_1d(np.asarray(self.b, dtype=np.float64))
         if a.size > 1 and b.size > 1 and a.size != b.size:
             raise InputError(f"CloseObjects: a has {a.size} features, b {b.size}; give one number or one per feature")
-        if not (np.all(b >= a) and np.any(b > a) and np.all(b < np.inf)):
+        if not (np.all(b >= a) and np.any(b > a) and np.all((b > 0) & (b < np.inf))):
             raise InputError(
-                f"CloseObjects: b is {self.b} with a {self.a}; give b ≥ a in every feature, larger in one, or no b"
+                f"CloseObjects: b is {self.b} with a {self.a}; "
+                "give b ≥ a and above zero in every feature, larger in one, or no b"
             )
 
     def __call__(self, pairs: Pairs) -> Evidence:
@@ -251,21 +253,22 @@ class CloseObjects(Rule):
 def log_neighbour_density(delta: FloatArray, sigma: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
     """(m,) ln of the braces of METHOD 3.2: density of Δ (m, d) for a neighbour between the boxes a and b (d,)."""
     x = np.abs(delta)
-    log_pa = _log_interval((x - a) / sigma, (x + a) / sigma)
-    log_pb = _log_interval((x - b) / sigma, (x + b) / sigma)
-    far = _log_interval((x + a) / sigma, (x + b) / sigma)
-    near = _log_interval((x - b) / sigma, (x - a) / sigma)
+    log_pa = _log_interval((x - a) / sigma, (x + a) / sigma, 2.0 * a / sigma)
+    log_pb = _log_interval((x - b) / sigma, (x + b) / sigma, 2.0 * b / sigma)
+    far = _log_interval((x + a) / sigma, (x + b) / sigma, (b - a) / sigma)
+    near = _log_interval((x - b) / sigma, (x - a) / sigma, (b - a) / sigma)
     log_e = np.logaddexp(far, near)
     before = np.cumsum(np.pad(log_pa, ((0, 0), (1, 0)))[:, :-1], axis=1)
     after = np.cumsum(np.pad(log_pb, ((0, 0), (0, 1)))[:, :0:-1], axis=1)[:, ::-1]
-    volume = np.prod(2.0 * b) - np.prod(2.0 * a)
+    # V_b − V_a, as the same sum of positive terms.
+    volume = sum(np.prod(2.0 * a[:v]) * 2.0 * (b[v] - a[v]) * np.prod(2.0 * b[v + 1 :]) for v in range(len(a)))
     return np.logaddexp.reduce(before + log_e + after, axis=1) - math.log(volume)
 
 
 def log_surface_density(delta: FloatArray, sigma: FloatArray, a: FloatArray) -> FloatArray:
     """(m,) the limit b = (1 + ε) a → a of :func:`log_neighbour_density`."""
     x = np.abs(delta)
-    log_pa = _log_interval((x - a) / sigma, (x + a) / sigma)
+    log_pa = _log_interval((x - a) / sigma, (x + a) / sigma, 2.0 * a / sigma)
     near = -0.5 * ((x - a) / sigma) ** 2
     far = -0.5 * ((x + a) / sigma) ** 2
     log_e = np.logaddexp(near, far) - 0.5 * LOG_2PI - np.log(sigma) + np.log(a)
@@ -273,15 +276,22 @@ def log_surface_density(delta: FloatArray, sigma: FloatArray, a: FloatArray) -> 
     return np.logaddexp.reduce(total, axis=1) - math.log(len(a) * np.prod(2.0 * a))
 
 
-def _log_interval(low: FloatArray, high: FloatArray) -> FloatArray:
-    """ln[Φ(high) − Φ(low)], both flipped to the negative tail where low is positive."""
+def _log_interval(low: FloatArray, high: FloatArray, width: FloatArray) -> FloatArray:
+    """ln[Φ(high) − Φ(low)], both flipped to the negative tail where low is positive.
+
+    ``width`` is high − low before rounding: where it is small, the difference is the density in the middle times the
+    width, to the second order.
+    """
     from scipy.special import log_ndtr
 
     flip = low > 0
     low, high = np.where(flip, -high, low), np.where(flip, -low, high)
+    middle = 0.5 * (low + high)
     top = log_ndtr(high)
     with np.errstate(divide="ignore"):
-        return top + np.log(-np.expm1(np.minimum(log_ndtr(low) - top, 0.0)))
+        wide = top + np.log(-np.expm1(np.minimum(log_ndtr(low) - top, 0.0)))
+        narrow = np.log(width) - 0.5 * (middle**2 + LOG_2PI) + (middle**2 - 1.0) * width**2 / 24.0
+    return np.where(width * (1.0 + np.abs(middle)) < 1e-3, narrow, wide)
 
 
 def _per_feature(value: float | tuple[float, ...], d: int, name: str) -> FloatArray:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from sameas.assignment import assign
 from sameas.evidence import Rule
-from sameas.gate import ChiSquare, Gate
+from sameas.gate import ChiSquare, Pairs
 from sameas.groups import groups
 from sameas.posterior import posterior
 from sameas.prior import PerPair, Prior
@@ -13,7 +15,12 @@ from sameas.result import Identification
 
 
 def identify(
-    first: Records, second: Records, *, rule: Rule, prior: Prior = PerPair(), gate: Gate = ChiSquare()
+    first: Records,
+    second: Records,
+    *,
+    rule: Rule,
+    prior: Prior = PerPair(),
+    gate: Callable[[Records, Records], Pairs] = ChiSquare(),
 ) -> Identification:
     """Which records of two sources are the same object, one to one, and how sure that is.
 

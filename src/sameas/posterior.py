@@ -2,9 +2,10 @@
 
 Groups in which one record has all the pairs are a closed form. Others are summed exactly by eliminating their records
 one by one, with the count of pairs carried where the prior asks for it; that covers every group of up to about 16
-records on its smaller side and larger ones that are thin, such as chains. What is too entangled is approximated:
-every record is solved exactly together with the records that compete with it most, and sum-product messages stand for
-what lies beyond. Which method a group got is part of the result.
+records on its smaller side and larger ones that are thin, such as chains. What is too entangled is first thinned:
+sum-product messages tell which pairs are next to impossible; without those most groups fall apart and are summed as
+before. What is still entangled is approximated: every record is solved exactly together with the records that compete
+with it most, and the messages stand for what lies beyond. Which method a group got is part of the result.
 """
 
 from __future__ import annotations
@@ -17,15 +18,24 @@ from numpy.typing import NDArray
 from sameas import threads
 from sameas.assignment import Hypothesis
 from sameas.groups import Groups
+from sameas.prior import LogPrior
 from sameas.records import FloatArray
 
 #: Names of the methods, by the number in :attr:`Posterior.method`.
-METHODS = ("closed form", "exact elimination", "local: exact around each record, messages beyond")
-APPROXIMATE = 2
+METHODS = (
+    "closed form",
+    "exact elimination",
+    "local: exact around each record, messages beyond",
+    "thinned: exact elimination without the least probable pairs",
+)
+APPROXIMATE, THINNED = 2, 3
+
+#: Pairs of an entangled group that messages give less than this are left out, step by step until it falls apart.
+THRESHOLDS = (1e-7, 1e-6, 1e-5, 1e-4)
 
 #: Size of the exact neighbourhood around a record of an entangled group: rows, and log2 of the choices among them.
-NEIGHBOURHOOD_ROWS = 12
-NEIGHBOURHOOD_BITS = 24.0
+NEIGHBOURHOOD_ROWS = 8
+NEIGHBOURHOOD_BITS = 16.0
 SWEEPS = 400
 
 
@@ -37,11 +47,13 @@ class Posterior:
     ----------
     p_pair : (m,) probability of each pair, in the order of the gate.
     method : (g,) number into :data:`METHODS`.
+    neglected : (g,) probability below which pairs were left at what the messages say; 0 where every pair counted.
     unsettled : largest relative change of a message in the last sweep (0 where no messages were needed).
     """
 
     p_pair: FloatArray
     method: NDArray[np.int8]
+    neglected: FloatArray
     unsettled: float
 
     def counts(self) -> dict[str, int]:
@@ -51,52 +63,153 @@ class Posterior:
 
 def posterior(groups: Groups, best: Hypothesis) -> Posterior:
     """Probabilities of all pairs, given the evidence and prior that made ``best``."""
-    from sameas.kernels.posterior import exact
-
     m = len(groups.order)
     share = np.zeros(m)
     method = np.zeros(len(groups), np.int8)
+    _exact(groups, best, share, method)
+    neglected = np.zeros(len(groups))
+    unsettled = 0.0
+    if np.any(method == APPROXIMATE):
+        unsettled = _local(groups, best, method, share, neglected)
+        share = _within_one(groups, share)
+    p_pair = np.empty(m)
+    p_pair[groups.order] = np.clip(share, 0.0, 1.0)
+    return Posterior(p_pair, method, neglected, unsettled)
+
+
+def _within_one(groups: Groups, share: FloatArray) -> FloatArray:
+    """Approximate shares, such that no record of either source is given away more than once."""
+    group = np.repeat(np.arange(len(groups)), groups.pair_counts)
+    records = groups.start_1[group] + groups.local_1, groups.start_2[group] + groups.local_2
+    total_1, total_2 = (np.bincount(record, share)[record] for record in records)
+    return share / np.maximum(1.0, np.maximum(total_1, total_2))
+
+
+def by_messages(groups: Groups, best: Hypothesis) -> Posterior:
+    """Probabilities of all pairs by sum-product messages alone: fast, exact for groups without cycles.
+
+    On short cycles messages are over-confident; use them where sums over many pairs are wanted, as estimation does.
+    """
+    share = np.zeros(len(groups.order))
+    method = np.full(len(groups), APPROXIMATE, np.int8)
+    _, _, change = _messages(groups, best, method, share)
+    p_pair = np.empty(len(share))
+    p_pair[groups.order] = np.clip(share, 0.0, 1.0)
+    return Posterior(p_pair, method, np.zeros(len(groups)), change)
+
+
+def _messages(
+    groups: Groups, best: Hypothesis, method: NDArray[np.int8], share: FloatArray
+) -> tuple[FloatArray, FloatArray, float]:
+    """Weights with a linear prior, claims of the rows, and the last change; fills ``share`` of APPROXIMATE groups."""
+    from sameas.kernels.posterior import messages
+
+    weight = best.weight
+    if best.prior.slope is None:
+        weight = weight + np.repeat(_local_slopes(groups, best), groups.pair_counts)
+    claims = np.zeros(len(weight))
+    shape = (groups.start, groups.start_1, groups.start_2, groups.edges_1, groups.local_2)
+    bounds = groups.bounds(len(threads.even(len(weight))) - 1)
+    changes = threads.over(
+        lambda a, b: messages(a, b, *shape, weight, best.dual_1, best.dual_2, method, claims, share, SWEEPS), bounds
+    )
+    return weight, claims, float(max(changes, default=0.0))
+
+
+def _exact(groups: Groups, best: Hypothesis, share: FloatArray, method: NDArray[np.int8]) -> None:
+    """Fill ``share`` and ``method`` of the groups that can be summed exactly; mark the others APPROXIMATE."""
+    from sameas.kernels.posterior import exact
+
     counted = best.prior.slope is None
     table = (best.prior.start, best.prior.table, best.multiplier)
     shape = (groups.start, groups.start_1, groups.start_2, groups.local_1, groups.local_2)
     state = (best.weight, best.chosen, best.dual_1, best.dual_2)
     threads.over(
         lambda a, b: exact(a, b, *shape, *state, counted, *table, share, method),
-        groups.bounds(len(threads.even(m)) - 1),
+        groups.bounds(len(threads.even(len(groups.order))) - 1),
     )
-    unsettled = 0.0
-    if np.any(method == APPROXIMATE):
-        unsettled = _local(groups, best, method, share)
-    p_pair = np.empty(m)
-    p_pair[groups.order] = np.clip(share, 0.0, 1.0)
-    return Posterior(p_pair, method, unsettled)
 
 
-def _local(groups: Groups, best: Hypothesis, method: NDArray[np.int8], share: FloatArray) -> float:
-    """Fill ``share`` for the groups that elimination gave up."""
-    from sameas.kernels.posterior import balls, columns_of, messages
+def _local(groups: Groups, best: Hypothesis, method: NDArray[np.int8], share: FloatArray, neglected: FloatArray) -> float:
+    """Fill ``share`` for the groups that elimination gave up; returns how far the messages were from settled.
 
-    weight, multiplier = best.weight, best.multiplier
-    if best.prior.slope is None:
-        weight = weight + np.repeat(_local_slopes(groups, best), groups.pair_counts)
-        multiplier = np.zeros(len(groups))
-    claims = np.zeros(len(weight))
-    start, start1, start2 = groups.start, groups.start_1, groups.start_2
-    local1, local2 = groups.local_1, groups.local_2
-    unsettled = messages(
-        0, len(groups), start, start1, start2, groups.edges_1, local2, weight, best.dual_1, best.dual_2, method,
-        claims, SWEEPS,
-    )  # fmt: skip
-    column_start, column_pairs = columns_of(len(groups), start, start1, start2, groups.edges_1, local2, method)
-    group1 = np.repeat(np.arange(len(groups), dtype=np.int32), groups.sizes_1)
-    shape = (group1, start1, start2, groups.edges_1, local1, local2, column_start, column_pairs)
-    threads.over(
-        lambda a, b: balls(
-            a, b, *shape, weight, best.dual_1, best.dual_2, method, claims, NEIGHBOURHOOD_ROWS, NEIGHBOURHOOD_BITS, share
-        ),
-        threads.even(len(group1), least=256),
-    )
-    return float(unsettled)
+    ``method`` becomes THINNED for groups that fall apart into parts that can be summed, and ``neglected`` the
+    probability below which their pairs were left at what the messages say.
+    """
+    weight, claims, change = _messages(groups, best, method, share)
+    group = np.repeat(np.arange(len(groups)), groups.pair_counts)
+    open_pairs = np.flatnonzero(method[group] == APPROXIMATE)
+    method[method == APPROXIMATE] = THINNED
+    for threshold in THRESHOLDS:
+        kept = open_pairs[(share[open_pairs] > threshold) | best.chosen[open_pairs]]
+        neglected[group[open_pairs]] = threshold
+        thin = _Thinned.of(groups, best, kept, weight[kept])
+        part, solved = thin.exact()
+        share[kept[solved]] = part[solved]
+        open_pairs = kept[~solved]
+        if not len(open_pairs):
+            break
+    else:
+        rest = _Thinned.of(groups, best, open_pairs, weight[open_pairs])
+        share[open_pairs] = rest.by_neighbourhoods(claims[open_pairs])
+        method[group[open_pairs]] = APPROXIMATE
+    return change
+
+
+@dataclass(frozen=True)
+class _Thinned:
+    """The pairs of entangled groups that matter, laid out anew as groups of their own, under a linear prior."""
+
+    groups: Groups
+    best: Hypothesis
+
+    @classmethod
+    def of(cls, groups: Groups, best: Hypothesis, kept: NDArray[np.int64], weight: FloatArray) -> _Thinned:
+        from sameas.kernels.components import components
+
+        group = np.repeat(np.arange(len(groups)), groups.pair_counts)[kept]
+        rows_1 = (groups.start_1[group] + groups.local_1[kept]).astype(np.int32)
+        rows_2 = (groups.start_2[group] + groups.local_2[kept]).astype(np.int32)
+        thin = Groups(*components(rows_1, rows_2, len(groups.rows_1), len(groups.rows_2)))
+        linear = LogPrior(np.zeros(len(thin)), np.zeros(len(thin) + 1, np.int64), np.empty(0))
+        return cls(
+            thin,
+            Hypothesis(
+                best.chosen[kept][thin.order], weight[thin.order], best.dual_1[thin.rows_1], best.dual_2[thin.rows_2],
+                np.zeros(len(thin)), linear,
+            ),
+        )  # fmt: skip
+
+    def exact(self) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Probability of every kept pair, and whether its part could be summed."""
+        share = np.zeros(len(self.groups.order))
+        method = np.zeros(len(self.groups), np.int8)
+        _exact(self.groups, self.best, share, method)
+        solved = np.repeat(method != APPROXIMATE, self.groups.pair_counts)
+        return self._as_given(share), self._as_given(solved)
+
+    def by_neighbourhoods(self, claims: FloatArray) -> FloatArray:
+        """Probability of every kept pair from the neighbourhood of its record; ``claims`` are the messages."""
+        from sameas.kernels.posterior import balls, columns_of
+
+        g, best = self.groups, self.best
+        share = np.zeros(len(g.order))
+        method = np.full(len(g), APPROXIMATE, np.int8)
+        columns = columns_of(len(g), g.start, g.start_1, g.start_2, g.edges_1, g.local_2, method)
+        group1 = np.repeat(np.arange(len(g), dtype=np.int32), g.sizes_1)
+        shape = (group1, g.start_1, g.start_2, g.edges_1, g.local_1, g.local_2, *columns)
+        state = (best.weight, best.dual_1, best.dual_2, method, claims[g.order])
+        threads.over(
+            lambda a, b: balls(a, b, *shape, *state, NEIGHBOURHOOD_ROWS, NEIGHBOURHOOD_BITS, share),
+            threads.even(len(group1), least=256),
+        )
+        return self._as_given(share)
+
+    def _as_given(self, values: NDArray) -> NDArray:
+        """Values per pair of the layout, in the order in which the pairs were given."""
+        back = np.empty_like(values)
+        back[self.groups.order] = values
+        return back
 
 
 def _local_slopes(groups: Groups, best: Hypothesis) -> FloatArray:

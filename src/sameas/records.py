@@ -238,13 +238,11 @@ def _positive_definite(packed: FloatArray, d: int) -> NDArray[np.bool_]:
         with np.errstate(invalid="ignore", over="ignore"):
             # A correlation of ±1 leaves a determinant of rounding errors only; that matrix has no usable inverse.
             return (xx > 0) & (yy > 0) & (xx * yy - xy * xy > 1e-14 * xx * yy) & (xx < np.inf) & (yy < np.inf)
-    good = np.isfinite(packed).all(axis=1)
-    matrices = unpack(packed[good], d)
-    scale = np.sqrt(np.maximum(np.einsum("nvv->nv", matrices), 1e-300))
-    least = np.linalg.eigvalsh(matrices / (scale[:, :, None] * scale[:, None, :]))[:, 0] if len(matrices) else 1.0
-    positive = (np.einsum("nvv->nv", matrices) > 0).all(axis=1) & (least > 1e-12)
-    result = np.zeros(len(packed), bool)
-    result[good] = positive
+    diagonal = packed[:, np.cumsum([0, *range(d, 1, -1)])]
+    result = np.isfinite(packed).all(axis=1) & (diagonal > 0).all(axis=1)
+    scale = np.sqrt(diagonal[result])
+    correlation = unpack(packed[result], d) / scale[:, :, None] / scale[:, None, :]
+    result[result] = np.linalg.eigvalsh(correlation)[:, 0] > 1e-12
     return result
 
 

@@ -183,7 +183,7 @@ class Identification:
 
     @property
     def approximate_pairs(self) -> int:
-        """Number of candidates whose probability is approximate."""
+        """Number of candidates in groups that had to be solved by neighbourhoods and messages."""
         return int(self.groups.pair_counts[self.posterior.method == APPROXIMATE].sum())
 
     def explain(self, record: Any, *, source: int = 1) -> Explanation:

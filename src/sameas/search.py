@@ -161,7 +161,9 @@ class _Side:
     def rank(self) -> NDArray[np.int64]:
         """The place of each record's id among the ids: what orders records that are equal in all else."""
         rank = np.empty(len(self.ids), np.int64)
-        rank[np.argsort(self.ids, kind="stable")] = np.arange(len(self.ids))
+        # Ids of several kinds have no order among themselves, but their texts have.
+        ids = self.ids.astype(str) if self.ids.dtype.kind == "O" else self.ids
+        rank[np.argsort(ids, kind="stable")] = np.arange(len(self.ids))
         return rank
 
     def content_order(self, *before: NDArray[Any]) -> NDArray[np.int64]:
@@ -177,7 +179,7 @@ def _content_order(side: _Side, zone: NDArray[np.int64], zones: _Zones) -> NDArr
     zone_bits = max(1, int(zones.count - 1).bit_length())
     bin_bits = min(32, 64 - row_bits - zone_bits)
     x = side.features[:, zones.x]
-    scale = (2.0**bin_bits - 1.0) / max(zones.x_high - zones.x_low, 1e-300)
+    scale = (2.0**bin_bits - 1.0) / max(zones.x_high - zones.x_low, 1e-290)
     bins = np.minimum((x - zones.x_low) * scale, 2.0**bin_bits - 1.0).astype(np.uint64)
     keys = (zone.astype(np.uint64) << np.uint64(bin_bits + row_bits)) | (bins << np.uint64(row_bits))
     keys |= np.arange(n, dtype=np.uint64)

@@ -1,0 +1,23 @@
+"""The command ``sameas``. Nothing heavy is imported before a command runs: ``--help`` answers at once."""
+
+from __future__ import annotations
+
+import sys
+
+
+def main() -> None:
+    """What the command ``sameas`` runs; ends the process with its exit code."""
+    try:
+        import warnings
+
+        from sameas.cli.app import app
+
+        if "--debug" not in sys.argv:
+            warnings.simplefilter("ignore")
+        app()
+    except KeyboardInterrupt:
+        sys.stderr.write("sameas: stopped; nothing was written\n")
+        sys.exit(130)
+
+
+__all__ = ["main"]

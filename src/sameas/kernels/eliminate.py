@@ -8,6 +8,7 @@ state, so chains and trees of any length stay small; the rows are taken in an or
 
 from __future__ import annotations
 
+import math
 from collections import namedtuple
 
 import numpy as np
@@ -19,7 +20,7 @@ VALUES = 1_600_000
 TRANSITIONS = 2_500_000
 PLACES = 1 << 19
 SLOTS = 62
-NEGLIGIBLE = 1e-17
+NEGLIGIBLE = 1e-14
 
 Scratch = namedtuple("Scratch", "key value back target place_key place_state place_stamp edge_bit edge_dies")
 
@@ -42,7 +43,10 @@ def scratch(most_pairs):
 
 @njit(cache=True, nogil=True)
 def elimination_order(n, nc, start, column, order):
-    """Fill ``order`` with the rows such that few columns stay open; returns the most columns open at once."""
+    """Fill ``order`` with the rows such that few columns stay open; returns the most columns open at once.
+
+    Stops as soon as more than SLOTS are open.
+    """
     m = start[n]
     col_start = np.zeros(nc + 1, np.int64)
     for e in range(m):
@@ -109,6 +113,8 @@ def elimination_order(n, nc, start, column, order):
             if remaining[c] == 0:
                 width -= 1
         widest = max(widest, width)
+        if widest > SLOTS:
+            break
     return widest
 
 
@@ -151,7 +157,10 @@ def eliminate(n, nc, start, column, odds, none, unused, prior, share, alone, sta
     if elimination_order(n, nc, start, column, order) > SLOTS:
         return -1
     counted = len(prior) > 1
-    tiny = NEGLIGIBLE / max(1.0, prior.max())
+    ahead = prior.copy()
+    for k in range(len(prior) - 2, -1, -1):
+        ahead[k] = max(ahead[k], ahead[k + 1])
+    log_scale = 0.0
     remaining = np.zeros(nc, np.int32)
     for e in range(start[n]):
         remaining[column[e]] += 1
@@ -208,7 +217,7 @@ def eliminate(n, nc, start, column, odds, none, unused, prior, share, alone, sta
                 at = target_start[t] + (s - begin) * options + option
                 work.target[at] = -1
                 e = low + option - 1
-                if largest < tiny or (option > 0 and (key & work.edge_bit[e]) != 0):
+                if largest == 0.0 or (option > 0 and (key & work.edge_bit[e]) != 0):
                     continue
                 if option == 0:
                     factor = none[r] * left_unused(key, low, high, -1, column, unused, work)
@@ -237,7 +246,9 @@ def eliminate(n, nc, start, column, odds, none, unused, prior, share, alone, sta
         target_start[t + 1] = target_start[t] + (end - begin) * options
         k_low[t + 1] = k_low[t]
         k_count[t + 1] = next_width
-        settle(value_start[t + 1], count, next_width, k_low, k_count, t + 1, counted, tiny, work.value)
+        log_scale = settle(
+            value_start[t + 1], count, next_width, k_low, k_count, t + 1, counted, ahead, log_scale, work.value
+        )
         for e in range(low, high):
             if work.edge_dies[e] and slot[column[e]] >= 0:
                 taken_slots &= ~work.edge_bit[e]
@@ -252,28 +263,37 @@ def eliminate(n, nc, start, column, odds, none, unused, prior, share, alone, sta
 
 
 @njit(cache=True, nogil=True)
-def settle(v0, states, width, k_low, k_count, t, counted, tiny, value):
-    """Scale the values of a step to at most 1 and, with a prior of the count, drop negligible counts at both ends."""
+def settle(v0, states, width, k_low, k_count, t, counted, ahead, log_scale, value):
+    """Scale the values of a step to at most 1 and drop what is negligible; returns ``log_scale`` with the new scale.
+
+    Without a prior of the count a value is negligible beside a much greater one. With it, a small value may meet a
+    great prior: it is negligible where its value before all scaling, times the greatest prior ``ahead`` of its count,
+    is. The hypothesis that a problem is reduced by counts 1 there.
+    """
     largest = 0.0
     for at in range(v0, v0 + states * width):
         largest = max(largest, value[at])
     scale = 1.0 / largest
     lo = 0
     hi = width
+    unscaled = math.exp(-log_scale)
     if counted:
         lo = width
         hi = 0
         for s in range(states):
             for k in range(width):
-                if value[v0 + s * width + k] > tiny * largest:
+                if value[v0 + s * width + k] * ahead[k_low[t] + k] > NEGLIGIBLE * unscaled:
                     lo = min(lo, k)
                     hi = max(hi, k + 1)
     new_width = hi - lo
     for s in range(states):
         for k in range(new_width):
-            value[v0 + s * new_width + k] = value[v0 + s * width + lo + k] * scale
+            x = value[v0 + s * width + lo + k]
+            least = NEGLIGIBLE * unscaled / ahead[k_low[t] + lo + k] if counted else NEGLIGIBLE * largest
+            value[v0 + s * new_width + k] = x * scale if x > least else 0.0
     k_low[t] += lo
     k_count[t] = new_width
+    return log_scale + math.log(largest)
 
 
 @njit(cache=True, nogil=True)

@@ -42,7 +42,7 @@ def by_row(n1, n2, low, high, local1, local2, weight, u, v, flipped, start, colu
         at = start[r]
         column[at] = column_of[e]
         pair[at] = e
-        odds[at] = math.exp(min(max(weight[e] - u[local1[e]] - v[local2[e]], -700.0), 0.0))
+        odds[at] = math.exp(max(weight[e] - u[local1[e]] - v[local2[e]], -700.0))
         start[r] += 1
     for r in range(n, 0, -1):
         start[r] = start[r - 1]
@@ -147,10 +147,11 @@ def exact(
 
 
 @njit(cache=True, nogil=True)
-def messages(first, last, start, start1, start2, edges1, local2, weight, u, v, method, to_column, sweeps):
-    """Sum-product messages of the groups left LOCAL; to_column (m,) is the odds with which a row claims a column.
+def messages(first, last, start, start1, start2, edges1, local2, weight, u, v, method, to_column, belief, sweeps):
+    """Sum-product messages of the groups left LOCAL.
 
-    Returns the largest change in the last sweep.
+    to_column (m,) receives the odds with which a row claims a column, belief (m,) the probability of each pair by
+    messages alone. Returns the largest change in the last sweep.
     """
     worst = 0.0
     for g in range(first, last):
@@ -206,9 +207,15 @@ def messages(first, last, start, start1, start2, edges1, local2, weight, u, v, m
                 c = local2[e]
                 others = total[c] if e == largest_at[c] else total[c] + largest[c] - to_column[e]
                 to_row[e - low] = 1.0 / others
-            if change < 1e-11:
+            if change < 1e-9:
                 break
         worst = max(worst, change)
+        for r in range(n1):
+            total_ = none[r]
+            for e in range(edges[r], edges[r + 1]):
+                total_ += odds[e - low] * to_row[e - low]
+            for e in range(edges[r], edges[r + 1]):
+                belief[e] = odds[e - low] * to_row[e - low] / total_
     return worst
 
 

@@ -306,8 +306,9 @@ def pair_covariances(features1, cov1, features2, cov2, i, j, sphere, out):
     d = features1.shape[1]
     for k in range(len(i)):
         if sphere:
+            # Records keep the longitudes that they were given, any number of turns away; the search has folded its own.
             _, _, turn = sphere_residual(
-                features1[i[k], 0], features1[i[k], 1], features2[j[k], 0], features2[j[k], 1]
+                features1[i[k], 0] % 360.0, features1[i[k], 1], features2[j[k], 0] % 360.0, features2[j[k], 1]
             )
             xx, xy, yy = sphere_spread(cov1, i[k], cov2, j[k], turn)
             out[k, 0, 0] = xx

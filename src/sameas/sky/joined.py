@@ -177,7 +177,7 @@ def _either(one: np.ma.MaskedArray, two: np.ma.MaskedArray, rows: _Rows, mine: N
     if mine.all():
         return one[rows.one]
     if one.dtype.kind in "OSU" or one.dtype != two.dtype:
-        one, two = one.astype(str), two.astype(str)
+        one, two = np.ma.asarray(one.astype(str)), np.ma.asarray(two.astype(str))
     dtype = np.promote_types(one.dtype, two.dtype)
     values = np.zeros(len(mine), dtype)
     mask = np.ones(len(mine), bool)

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from sameas.coverage import Coverage
 from sameas.errors import InputError
 from sameas.estimate import Estimate
 from sameas.estimate import match as estimated
@@ -96,6 +97,11 @@ class SkyMatch:
         i, j = self.result.matches.rows_1, self.result.matches.rows_2
         return sphere_offset(a.ra_deg[i], a.dec_deg[i], b.ra_deg[j], b.dec_deg[j])
 
+    @cached_property
+    def area_and_densities(self) -> tuple[float, float, float]:
+        """Area where both catalogues look, deg², and mean densities there of all their records, per deg²."""
+        return area_and_densities(self.estimate.coverage)
+
     def nearest(self, moved: bool) -> Nearest:
         """The nearest record of the second catalogue to each of the first, with or without motion."""
         if moved:
@@ -123,17 +129,31 @@ def match(
     InputError : no usable rows; a common epoch is needed and not known.
     """
     options = MatchOptions() if options is None else options
-    epoch, words = common_epoch(first, second, options.epoch_jyr)
     progress("motion")
+    epoch, words, one, two = brought_together(first, second, options.epoch_jyr)
+    result, estimate = estimated(
+        one, two, errors=options.errors(), gate=options.gate(), density=options.density(), progress=progress
+    )
+    doubts = density_doubts(estimate.coverage, options) + _doubts(result, estimate) + _missed(result, estimate)
+    return SkyMatch(first, second, epoch, words, result, estimate, doubts)
+
+
+def brought_together(
+    first: Catalogue, second: Catalogue, epoch_jyr: float | None = None
+) -> tuple[float | None, str, Records, Records]:
+    """The common epoch, the sentence that says so, and both catalogues' records at it.
+
+    Raises
+    ------
+    InputError : no usable rows; a common epoch is needed and not known.
+    """
+    epoch, words = common_epoch(first, second, epoch_jyr)
     one, two = first.records(epoch), second.records(epoch)
     for catalogue, records in ((first, one), (second, two)):
         if not len(records):
             reasons = ", ".join(f"{reason} ({n})" for reason, n in records.set_aside.counts().items())
             raise InputError(f"{catalogue.name}: none of its {len(catalogue)} rows can be used: {reasons}")
-    result, estimate = estimated(
-        one, two, errors=options.errors(), gate=options.gate(), density=options.density(), progress=progress
-    )
-    return SkyMatch(first, second, epoch, words, result, estimate, _doubts(result, estimate))
+    return epoch, words, one, two
 
 
 def common_epoch(first: Catalogue, second: Catalogue, asked: float | None) -> tuple[float | None, str]:
@@ -166,6 +186,32 @@ def common_epoch(first: Catalogue, second: Catalogue, asked: float | None) -> tu
     )
 
 
+def area_and_densities(coverage: Coverage) -> tuple[float, float, float]:
+    """Area where both catalogues look, deg², and mean densities there of all their records, per deg²."""
+    area_deg2 = coverage.common_volume() / ARCSEC2_PER_DEG2
+    seen_1, seen_2 = (int(np.count_nonzero(covered)) for covered in coverage.covered)
+    if not area_deg2 > 0.0:
+        return 0.0, 0.0, 0.0
+    return area_deg2, seen_1 / area_deg2, seen_2 / area_deg2
+
+
+def density_doubts(coverage: Coverage, options: MatchOptions) -> tuple[str, ...]:
+    """Questions to densities that the user gave and the data do not know."""
+    if options.density_per_deg2 is None:
+        return ()
+    _, *seen_per_deg2 = area_and_densities(coverage)
+    lines = []
+    for records, seen, said in zip(
+        (coverage.first, coverage.second), seen_per_deg2, options.density_per_deg2, strict=True
+    ):
+        if seen and not 0.01 < said / seen < 100.0:
+            lines.append(
+                f"density: {said:g} per square degree was said of {records.source}, but where both look it has "
+                f"{seen:.3g}: is the density per square degree?"
+            )
+    return tuple(lines)
+
+
 def _doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]:
     doubts = list(estimate.notes)
     sigma = [math.sqrt(float(np.median(r.covariance[:, 0]))) for r in (result.first, result.second)]
@@ -183,6 +229,22 @@ def _doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]:
     if result.approximate_pairs:
         doubts.append(f"{result.approximate_pairs} candidates lie in entangled groups; their probabilities are approximate")
     return tuple(doubts)
+
+
+def _missed(result: Identification, estimate: Estimate) -> tuple[str, ...]:
+    """A question to the errors where the records coincide, but not within them."""
+    first, second = result.first, result.second
+    _, _, density_2 = area_and_densities(estimate.coverage)
+    if estimate.common > 0.05 * min(len(first), len(second)) or not density_2:
+        return ()
+    near = float(np.quantile(nearest(first, second).separation_arcsec, 0.25))
+    by_chance = math.sqrt(math.log(4.0 / 3.0) * ARCSEC2_PER_DEG2 / (math.pi * density_2))
+    if near > 0.2 * by_chance:
+        return ()
+    return (
+        f"a quarter of {first.source} lies within {near:.2g} arcsec of a record of {second.source}, by chance it would "
+        f"be {by_chance:.2g}, but hardly any within its errors: are the errors in the unit that was understood?",
+    )
 
 
 def _by_row(records: Records, values: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -206,4 +268,6 @@ def _number(value: float | str) -> float | None:
         return None
 
 
-__all__ = ["MatchOptions", "SkyMatch", "common_epoch", "match"]
+__all__ = [
+    "MatchOptions", "SkyMatch", "area_and_densities", "brought_together", "common_epoch", "density_doubts", "match",
+]  # fmt: skip

@@ -1,0 +1,123 @@
+"""What is timed of `sameas`: work for ``worker.py``. The only module here that knows the stages by name."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from benchmarks.workload import Arrays
+from sameas import CommonObjects, Field, PerPair, Plane, Radius, Records, Sphere, identify
+from sameas.assignment import assign
+from sameas.gate import ChiSquare
+from sameas.groups import groups
+from sameas.posterior import METHODS, posterior
+
+STAGES = ("prepare", "gate", "groups", "evidence", "assignment", "posterior", "result")
+
+
+def records(arrays: Arrays) -> tuple[Records, Records]:
+    """Plain arrays as records."""
+    space = Sphere() if arrays.sphere else Plane()
+    return tuple(  # type: ignore[return-value]
+        Records.of(f, **({"sigma": e[:, None]} if e.ndim == 1 else {"covariance": e}), space=space, source=name)
+        for f, e, name in zip(arrays.features, arrays.errors, ("first", "second"), strict=True)
+    )
+
+
+def gate_of(sigmas: float | None) -> Radius | ChiSquare:
+    """The gate of so many sigmas; the default one for None."""
+    return ChiSquare() if sigmas is None else Radius(sigmas)
+
+
+def walk(folder: str, until: str = "posterior", gate_sigmas: float | None = 3.0) -> Callable[[], dict[str, Any]]:
+    """Arrays in → pairs out, up to "assignment" or "posterior", as ``identify`` does it; seconds of every stage."""
+    arrays = Arrays.load(folder)
+    rule, prior, gate = arrays.densities.rule(), PerPair(), gate_of(gate_sigmas)
+
+    def work() -> dict[str, Any]:
+        seconds = {}
+
+        def lap(stage: str) -> None:
+            nonlocal last
+            now = time.perf_counter()
+            seconds[stage], last = now - last, now
+
+        last = time.perf_counter()
+        first, second = records(arrays)
+        lap("prepare")
+        pairs = gate(first, second)
+        lap("gate")
+        grouped = groups(pairs)
+        lap("groups")
+        log_ratio = rule(pairs).log_ratio
+        lap("evidence")
+        best = assign(grouped, log_ratio, prior(grouped.sizes_1, grouped.sizes_2))
+        lap("assignment")
+        if until == "posterior":
+            posterior(grouped, best)
+            lap("posterior")
+        at = grouped.order[best.chosen]
+        rows_1, _ = pairs.i[at], pairs.j[at]
+        lap("result")
+        return {"stages": seconds, "pairs": len(rows_1), "candidates": len(pairs)}
+
+    return work
+
+
+def identified(folder: str, gate_sigmas: float | None = 3.0) -> Callable[[], int]:
+    """The whole call of a user: records, ``identify``, the pairs with their probabilities."""
+    arrays = Arrays.load(folder)
+    rule, gate = arrays.densities.rule(), gate_of(gate_sigmas)
+
+    def work() -> int:
+        answer = identify(*records(arrays), rule=rule, gate=gate)
+        at = answer.groups.order[answer.best.chosen]
+        return len(answer.p_pair[at])
+
+    return work
+
+
+def verdict(folder: str, gate_sigmas: float | None = 3.0) -> Callable[[], dict[str, Any]]:
+    """Not timed: the certificate of the assignment, the largest group, how the posteriors were computed."""
+    arrays = Arrays.load(folder)
+
+    def work() -> dict[str, Any]:
+        answer = identify(*records(arrays), rule=arrays.densities.rule(), gate=gate_of(gate_sigmas))
+        least, gap = answer.best.certificate(answer.groups)
+        by_method = np.bincount(answer.posterior.method, answer.groups.pair_counts, len(METHODS))
+        share = by_method / max(len(answer.pairs), 1)
+        return {
+            "least_reduced_cost": least, "duality_gap": gap, "candidates": len(answer.pairs),
+            "largest": answer.groups.statistics()["records in the largest"], "shares": share.tolist(),
+        }  # fmt: skip
+
+    work.warm = False  # type: ignore[attr-defined]
+    return work
+
+
+def full_group(n: int) -> Callable[[], int]:
+    """The exact prior on the number of common objects, every k, in one full group of n × n."""
+    pairs, grouped, log_ratio, believed = _full_group(n)
+    return lambda: int(assign(grouped, log_ratio, believed).chosen.sum())
+
+
+def linear_sum_assignment(n: int) -> Callable[[], int]:
+    """SciPy's assignment, once, on the same weights."""
+    from scipy.optimize import linear_sum_assignment as solve
+
+    pairs, _, log_ratio, _ = _full_group(n)
+    cost = np.empty((n, n))
+    cost[pairs.i, pairs.j] = -log_ratio
+    return lambda: len(solve(cost)[0])
+
+
+def _full_group(n: int) -> tuple[Any, Any, np.ndarray, Any]:
+    rng = np.random.default_rng(7)
+    place = rng.uniform(0.0, np.sqrt(n), (n, 2))
+    seen = [place + 0.3 * rng.standard_normal((n, 2)) for _ in range(2)]
+    pairs = Radius(1e6)(*(Records.of(x, sigma=0.3, source=f"source {k}") for k, x in enumerate(seen, start=1)))
+    grouped = groups(pairs)
+    return pairs, grouped, Field(1.0 / n)(pairs).log_ratio, CommonObjects(0.1, 0.2)(grouped.sizes_1, grouped.sizes_2)

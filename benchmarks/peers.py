@@ -1,0 +1,229 @@
+"""What others do with the same arrays: work for ``worker.py``, each in the interpreter where the peer is installed.
+
+Nothing but NumPy is imported before a peer is asked for, so that this module runs in any environment
+(``scripts/bench NAME --peer-python nway=/tmp/nway/bin/python``).
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.processes import Process
+from benchmarks.workload import Arrays
+
+ARCSEC = 206264.80624709636
+
+
+@dataclass(frozen=True)
+class Peer:
+    """name : as printed. package : what is imported, of that distribution; or program : a command.
+
+    install : what to say when it is missing.
+    """
+
+    name: str
+    package: str = ""
+    distribution: str = ""
+    program: str = ""
+    install: str = ""
+
+    def version(self, python: str) -> str | None:
+        """Its version in that interpreter, None where it is missing."""
+        if self.program:
+            return "installed" if shutil.which(self.program) else None
+        code = f"import {self.package}, importlib.metadata as m; print(m.version('{self.distribution}'))"
+        done = subprocess.run([python, "-W", "ignore", "-c", code], capture_output=True, text=True, check=False)
+        return done.stdout.strip().splitlines()[-1] if done.returncode == 0 and done.stdout.strip() else None
+
+
+PEERS = {
+    "astropy": Peer("astropy match_coordinates_sky", "astropy", "astropy", install="pip install astropy"),
+    "scipy": Peer("SciPy cKDTree nearest, 2 workers", "scipy", "scipy", install="pip install scipy"),
+    "stilts": Peer("STILTS tmatch2 find=best", program="stilts", install="apt-get install stilts"),
+    "nway": Peer("NWAY", "nwaylib", "nway", install='pip install nway "pandas<3"'),
+    "lsdb": Peer("LSDB crossmatch", "lsdb", "lsdb", install="pip install lsdb==0.11.1"),
+    "stonesoup": Peer("Stone Soup GNNWith2DAssignment", "stonesoup", "stonesoup", install="pip install stonesoup"),
+}
+
+
+@dataclass(frozen=True)
+class Interpreters:
+    """Where each peer lives: ours unless said otherwise."""
+
+    said: dict[str, str]
+
+    @classmethod
+    def of(cls, options: list[str]) -> Interpreters:
+        """From options NAME=/path/to/python."""
+        said = dict(option.partition("=")[::2] for option in options)
+        unknown = sorted(set(said) - set(PEERS))
+        if unknown or not all(said.values()):
+            sys.exit(f"--peer-python {unknown}: give NAME=PYTHON, NAME one of {', '.join(PEERS)}")
+        return cls(said)
+
+    def python(self, peer: str) -> str:
+        """The interpreter of a peer."""
+        return self.said.get(peer, sys.executable)
+
+    def versions(self) -> dict[str, str | None]:
+        """The version of every peer, None where it is missing."""
+        return {name: peer.version(self.python(name)) for name, peer in PEERS.items()}
+
+
+# ---- nearest neighbours ----
+
+
+def astropy(folder: str) -> Callable[[], int]:
+    """The nearest of the second source to every record of the first, whatever the errors."""
+    import astropy.units as u
+    from astropy.coordinates import SkyCoord, match_coordinates_sky
+
+    arrays = Arrays.load(folder)
+
+    def work() -> int:
+        first, second = (SkyCoord(*f.T, unit=u.deg) for f in arrays.features)
+        index, separation, _ = match_coordinates_sky(first, second)
+        return int(np.count_nonzero(separation < 1 * u.arcsec)) + 0 * len(index)
+
+    return work
+
+
+def scipy(folder: str) -> Callable[[], int]:
+    """The nearest of the second source to every record of the first, by a k-d tree and two threads."""
+    from scipy.spatial import cKDTree
+
+    arrays = Arrays.load(folder)
+
+    def work() -> int:
+        first, second = arrays.directions()
+        _, index = cKDTree(second).query(first, k=1, workers=2)
+        return len(index)
+
+    return work
+
+
+def lsdb(folder: str) -> Callable[[], int]:
+    """Nearest neighbour within 3 times the typical error, catalogues made of data frames beforehand."""
+    import lsdb as package
+    import pandas as pd
+
+    arrays = Arrays.load(folder)
+    radius = float(3.0 * np.hypot(*(np.sqrt(np.mean(s**2)) for s in arrays.sigmas())))
+    frames = [pd.DataFrame({"id": np.arange(len(f)), "ra": f[:, 0], "dec": f[:, 1]}) for f in arrays.features]
+    cut = {"partition_rows": 100_000, "highest_order": 10}
+    catalogues = [
+        package.from_dataframe(frame, ra_column="ra", dec_column="dec", margin_threshold=5.0, **cut) for frame in frames
+    ]
+
+    def work() -> int:
+        return len(catalogues[0].crossmatch(catalogues[1], radius_arcsec=radius, suffixes=("_1", "_2")).compute())
+
+    return work
+
+
+# ---- one to one, or with probabilities ----
+
+
+def stilts(folder: str) -> Process:
+    """STILTS, the whole process: FITS in, greedy best pairs out; candidates where separation ≤ 3σ₁ + 3σ₂."""
+    tables = stilts_tables(Arrays.load(folder))
+    out = Path(folder) / "stilts-out.fits"
+    return Process(stilts_command(*tables, out, 3.0), str(out))
+
+
+def stilts_tables(arrays: Arrays) -> tuple[Path, Path]:
+    """FITS tables of row, ra, dec, err."""
+    from astropy.table import Table
+
+    paths = []
+    for side, (features, sigma) in enumerate(zip(arrays.features, arrays.sigmas(), strict=True), start=1):
+        path = arrays.folder / f"stilts-{side}.fits"
+        columns = [np.arange(len(sigma)), *features.T, sigma]
+        Table(columns, names=["row", "ra", "dec", "err"]).write(path, overwrite=True)
+        paths.append(path)
+    return paths[0], paths[1]
+
+
+def stilts_command(first: Path, second: Path, out: Path, sigmas: float) -> list[str]:
+    """The command that joins two such tables by their errors."""
+    values = f"ra dec {sigmas:g}*err"
+    return [
+        "stilts", "tmatch2", f"in1={first}", f"in2={second}", "matcher=skyerr", "params=1", f"values1={values}",
+        f"values2={values}", "find=best", "join=1and2", f"out={out}", "ofmt=fits", "progress=none",
+    ]  # fmt: skip
+
+
+def stilts_pairs(arrays: Arrays, sigmas: float = 3.0) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the pairs that STILTS finds."""
+    from astropy.table import Table
+
+    out = arrays.folder / "stilts-pairs.fits"
+    Process(stilts_command(*stilts_tables(arrays), out, sigmas), str(out))()
+    table = Table.read(out)
+    return np.asarray(table["row_1"], np.int64), np.asarray(table["row_2"], np.int64)
+
+
+def nway(folder: str) -> Callable[[], int]:
+    """NWAY by its Python interface: the probability of every association within 3 times the largest errors."""
+    import logging
+
+    import nwaylib
+    import pandas as pd
+
+    arrays = Arrays.load(folder)
+    density = arrays.densities
+    area = len(arrays.features[0]) / (density.common + density.only_1) / 3600.0**2
+    tables = [
+        dict(name=f"T{k}", ra=f[:, 0], dec=f[:, 1], error=s, area=area, mags=[], maghists=[], magnames=[])
+        for k, (f, s) in enumerate(zip(arrays.features, arrays.sigmas(), strict=True), start=1)
+    ]
+    radius = 3.0 * float(np.hypot(*(s.max() for s in arrays.sigmas())))
+    log = logging.getLogger("nway")
+    log.setLevel(logging.CRITICAL)
+
+    def work() -> int:
+        copies = [dict(t) for t in tables]
+        result: pd.DataFrame = nwaylib.nway_match(copies, match_radius=radius, prior_completeness=8 / 9, logger=log)
+        return len(result)
+
+    return work
+
+
+def stonesoup(folder: str) -> Callable[[], int]:
+    """Stone Soup: tracks of one source, detections of the other, its global nearest neighbour by 2-D assignment."""
+    from datetime import datetime
+
+    from stonesoup.dataassociator.neighbour import GNNWith2DAssignment
+    from stonesoup.hypothesiser.distance import DistanceHypothesiser
+    from stonesoup.measures import Mahalanobis
+    from stonesoup.models.measurement.linear import LinearGaussian
+    from stonesoup.models.transition.linear import CombinedLinearGaussianTransitionModel, RandomWalk
+    from stonesoup.predictor.kalman import KalmanPredictor
+    from stonesoup.types.detection import Detection
+    from stonesoup.types.state import GaussianState
+    from stonesoup.types.track import Track
+    from stonesoup.updater.kalman import KalmanUpdater
+
+    arrays = Arrays.load(folder)
+    (first, second), (s1, s2) = arrays.features, arrays.sigmas()
+    d, now = first.shape[1], datetime(2026, 1, 1)
+    model = LinearGaussian(d, list(range(d)), np.eye(d) * s2[0] ** 2)
+    still = CombinedLinearGaussianTransitionModel([RandomWalk(1e-9)] * d)
+    hypothesiser = DistanceHypothesiser(
+        KalmanPredictor(still), KalmanUpdater(model), Mahalanobis(), missed_distance=3.0
+    )
+    associator = GNNWith2DAssignment(hypothesiser)
+
+    def work() -> int:
+        tracks = {Track([GaussianState(x[:, None], np.eye(d) * s**2, now)]) for x, s in zip(first, s1, strict=True)}
+        detections = {Detection(x[:, None], now, measurement_model=model) for x in second}
+        return len(associator.associate(tracks, detections, now))
+
+    return work

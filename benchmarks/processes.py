@@ -1,0 +1,50 @@
+"""Whole processes: how long a command takes from its start to its end, and how much memory. No imports to speak of."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+
+class Process:
+    """A command to be timed; it fails loudly. ``before`` is a file that must not exist when it starts."""
+
+    def __init__(self, command: list[str], before: str | None = None, environment: dict[str, str] | None = None):
+        self.command, self.before = command, before
+        self.environment = os.environ | (environment or {})
+        #: A process needs no warming up: it is all there is to measure.
+        self.warm = True
+
+    def __call__(self) -> dict[str, float]:
+        if self.before:
+            Path(self.before).unlink(missing_ok=True)
+        running = subprocess.Popen(
+            self.command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=self.environment
+        )
+        said = running.stderr.read() if running.stderr else ""
+        _, status, usage = os.wait4(running.pid, 0)
+        running.returncode = os.waitstatus_to_exitcode(status)
+        if running.returncode:
+            raise RuntimeError(f"{self.command[0]}: {said.strip()[-300:]}")
+        return {"peak_mb": usage.ru_maxrss / 1024}
+
+
+def process(command: list[str], before: str | None = None, environment: dict[str, str] | None = None) -> Callable:
+    """The command as work for the worker."""
+    return Process(command, before, environment)
+
+
+def first_ever(command: list[str], cache: str) -> Callable:
+    """The command with nothing compiled beforehand: its cache of compiled kernels is emptied before every run."""
+    import shutil
+
+    cold = Process(command, environment={"NUMBA_CACHE_DIR": cache})
+
+    def work() -> dict[str, float]:
+        shutil.rmtree(cache, ignore_errors=True)
+        return cold()
+
+    work.warm = False  # type: ignore[attr-defined]
+    return work

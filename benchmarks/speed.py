@@ -1,0 +1,350 @@
+"""How fast, beside whom: the table of speeds, or with ``--quick`` the time of every stage at 100 000 rows."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import statistics
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from benchmarks import workload
+from benchmarks.measure import Measurement, Work, measure
+from benchmarks.ours import STAGES
+from benchmarks.peers import PEERS, Interpreters
+from benchmarks.tables import Table, report
+from benchmarks.timetable import Row, timetable
+
+FULL = 1_000_000
+REFERENCE = Path(__file__).parent / "reference.json"
+
+
+@dataclass(frozen=True)
+class Bench:
+    """rows : of the large rows; the limits hold for a million. folder : where the arrays are. slow_s : per program."""
+
+    rows: int
+    folder: Path
+    interpreters: Interpreters
+    versions: dict[str, str | None]
+    slow_s: float
+
+    def sky(self, lam: float, *, elliptical: bool = False, rows: int | None = None) -> str:
+        """The folder of a scene of the workload, made when it is first asked for."""
+        n = rows or self.rows
+        folder = self.folder / f"sky-{n}-{lam:g}-{'full' if elliptical else 'circular'}"
+        if not folder.exists():
+            workload.save(folder, *workload.crowded(11, n, lam, elliptical))
+        return str(folder)
+
+    def made(self, name: str, scene: Callable[[], tuple]) -> str:
+        """The folder of any other scene."""
+        folder = self.folder / name
+        if not folder.exists():
+            workload.save(folder, *scene())
+        return str(folder)
+
+    def walk(self, folder: str, until: str = "assignment", **changes: object) -> Work:
+        """Our own path, to the assignment or the posterior."""
+        options = {"folder": folder, "until": until}
+        return replace(Work("benchmarks.ours:walk", options, at_most_s=self.slow_s), **changes)
+
+    def beside(self, folder: str, *names: str, runs: int = 5) -> tuple[tuple[str, Work], ...]:
+        """The peers that are installed, on the same arrays."""
+        return tuple(
+            (
+                PEERS[name].name,
+                Work(
+                    f"benchmarks.peers:{name}", {"folder": folder}, runs, self.slow_s,
+                    python=self.interpreters.python(name),
+                ),
+            )
+            for name in names
+            if self.versions[name]
+        )  # fmt: skip
+
+    def limit(self, seconds: float) -> float | None:
+        """What issue 3 asks, where the rows are those it speaks of."""
+        return seconds if self.rows == FULL else None
+
+    def factor(self, times: float) -> float | None:
+        """The same, as a ratio."""
+        return times if self.rows == FULL else None
+
+
+# ---- the large rows ----
+
+
+def sky(b: Bench) -> Iterator[Row]:
+    """Catalogue against catalogue, MAP, σ one number per record."""
+    limits = {0.05: None, 0.5: 0.25, 2.0: 0.4, 8.0: 1.2}
+    peers = {0.05: ("astropy", "scipy", "stilts"), 0.5: ("astropy", "scipy", "stilts", "lsdb")}
+    for lam in workload.LAMBDAS:
+        folder = b.sky(lam)
+        at_most = b.limit(limits[lam]) if limits[lam] else None
+        at_least = b.factor(8.0 if lam == 0.5 else 1.0)
+        beside = b.beside(folder, *peers.get(lam, ("astropy", "scipy")))
+        yield Row(f"{b.rows} × {b.rows}, λ {lam:g}, MAP", b.walk(folder), beside, at_most, at_least)
+
+
+def thread(b: Bench) -> Iterator[Row]:
+    """One thread."""
+    folder = b.sky(0.5)
+    beside = b.beside(folder, "astropy")
+    one = b.walk(folder, threads=1)
+    yield Row("the same, λ 0.5, one thread", one, beside, b.limit(0.4), b.factor(5.0))
+    sure = b.walk(folder, "posterior", threads=1)
+    yield Row("the same with posteriors, one thread", sure)
+
+
+def full(b: Bench) -> Iterator[Row]:
+    """A covariance matrix per record."""
+    folder = b.sky(0.5, elliptical=True)
+    yield Row("λ 0.5, 2×2 covariances, MAP", b.walk(folder), b.beside(folder, "astropy"), b.limit(0.4))
+    yield Row("λ 0.5, 2×2 covariances, posteriors", b.walk(folder, "posterior"))
+
+
+def sure(b: Bench) -> Iterator[Row]:
+    """With the posterior of every pair and record."""
+    yield Row("λ 0.5, posteriors", b.walk(b.sky(0.5), "posterior"), (), b.limit(0.8))
+    whole = Work("benchmarks.ours:identified", {"folder": b.sky(0.5), "gate_sigmas": None}, at_most_s=b.slow_s)
+    yield Row("λ 0.5, posteriors, default gate (6.4σ), whole call", whole)
+    some, few = min(b.rows, 100_000), min(b.rows, 10_000)
+    for lam, limit in ((0.5, 0.1), (2.0, 2.0)):
+        work = b.walk(b.sky(lam, rows=some), "posterior")
+        yield Row(f"{some} rows, λ {lam:g}, posteriors", work, (), limit if some == 100_000 else None)
+    folder = b.sky(0.5, rows=few)
+    yield Row(f"{few} rows, λ 0.5, posteriors", b.walk(folder, "posterior"), b.beside(folder, "nway"))
+
+
+def large(b: Bench) -> Iterator[Row]:
+    """Five times the rows."""
+    folder = b.sky(0.5, rows=5 * b.rows)
+    yield Row(f"{5 * b.rows} × {5 * b.rows}, λ 0.5, MAP", b.walk(folder), b.beside(folder, "astropy"), b.limit(2.0))
+
+
+def wide(b: Bench) -> Iterator[Row]:
+    """A few records with errors forty times larger."""
+    plain = b.sky(0.5)
+
+    def scene() -> tuple:
+        same, densities = workload.crowded(11, b.rows, 0.5)
+        return workload.widened(12, same), densities
+
+    beside = (("sameas without them", b.walk(plain)),)
+    folder = b.made(f"wide-{b.rows}", scene)
+    yield Row("λ 0.5, MAP, 0.1 % of the records with 40 σ (≤ 1.5 ×)", b.walk(folder), beside, None, b.factor(1 / 1.5))
+
+
+# ---- the small rows ----
+
+
+def frame(b: Bench) -> Iterator[Row]:
+    """A frame's detections against the stars of a catalogue."""
+    folder = b.made("frame", lambda: workload.frame(13))
+    beside = b.beside(folder, "astropy", "scipy", runs=50)
+    yield Row("one frame, 2000 × 5000, MAP", b.walk(folder, runs=200), beside, 2e-3)
+    yield Row("one frame, 2000 × 5000, posteriors", b.walk(folder, "posterior", runs=200))
+
+
+def targets(b: Bench) -> Iterator[Row]:
+    """Two sources of targets, a user's whole call with posteriors."""
+    limits = {2: (60e-6, 0.4e-3, 3e-3, 30e-3), 4: (150e-6, 1e-3, 15e-3, 200e-3)}
+    for d, most in limits.items():
+        for n, limit in zip((50, 200, 1000, 5000), most, strict=True):
+            folder = b.made(f"targets-{n}-{d}", lambda n=n, d=d: workload.targets(17, n, d))
+            calls = max(200, 200_000 // n)
+            work = Work("benchmarks.ours:identified", {"folder": folder}, min(calls, 2000), 20.0)
+            beside = b.beside(folder, "stonesoup") if n <= 200 else ()
+            yield Row(f"{n} targets, {d}-D, whole call", work, beside, limit, share=0.99)
+
+
+def count(b: Bench) -> Iterator[Row]:
+    """The exact prior on the number of common objects."""
+    for n, limit, runs in ((100, 0.5e-3, 200), (500, 60e-3, 20)):
+        ours, scipy = (
+            Work(f"benchmarks.ours:{name}", {"n": n}, runs, 60.0) for name in ("full_group", "linear_sum_assignment")
+        )
+        beside = (("SciPy linear_sum_assignment, one k", scipy),)
+        yield Row(f"count prior, all k, full group of {n}", ours, beside, limit)
+
+
+# ---- whole processes ----
+
+
+def files(b: Bench) -> Iterator[Row]:
+    """Tables in, table out: the whole process."""
+    folder = Path(b.sky(0.5))
+    first, second = _parquet(folder)
+    out = folder / "out.parquet"
+    command = [_sameas(), "match", str(first), str(second), "-o", str(out), "--sigma", "sigma", "--quiet"]
+    ours = Work("benchmarks.processes:process", {"command": command, "before": str(out)}, 5, b.slow_s)
+    beside = tuple((f"{name} (FITS)", work) for name, work in b.beside(str(folder), "stilts"))
+    yield Row(f"sameas match of two Parquet tables of {b.rows} rows", ours, beside, b.limit(2.5))
+
+
+def _parquet(folder: Path) -> list[Path]:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    arrays = workload.Arrays.load(folder)
+    paths = [folder / "first.parquet", folder / "second.parquet"]
+    for path, features, sigma in zip(paths, arrays.features, arrays.sigmas(), strict=True):
+        pq.write_table(pa.table({"ra": features[:, 0], "dec": features[:, 1], "sigma": sigma}), path)
+    return paths
+
+
+def _sameas() -> str:
+    beside = Path(sys.executable).with_name("sameas")
+    return str(beside) if beside.exists() else shutil.which("sameas") or "sameas"
+
+
+def start(b: Bench) -> Iterator[Row]:
+    """The help, the first run ever, a later one."""
+    process, tiny = "benchmarks.processes:process", b.sky(0.5, rows=1000)
+    first, second = _parquet(Path(tiny))
+    match = [_sameas(), "match", str(first), str(second), "--sigma", "sigma", "--quiet"]
+    yield Row("sameas --help", Work(process, {"command": [_sameas(), "--help"]}, 7), (), 0.25)
+    cold = {"command": match, "cache": str(b.folder / "numba")}
+    yield Row("sameas match, 1000 rows, first run ever", Work("benchmarks.processes:first_ever", cold, 1), (), 8.0)
+    yield Row("sameas match, 1000 rows, a later run", Work(process, {"command": match}, 7), (), 0.8)
+
+
+# ---- tables ----
+
+SECTIONS = {
+    "sky": sky, "thread": thread, "full": full, "posterior": sure, "large": large, "wide": wide, "frame": frame,
+    "targets": targets, "count": count, "files": files, "start": start,
+}  # fmt: skip
+
+
+def rows_of(b: Bench, only: str | None) -> Iterator[Row]:
+    """The rows of the table, or those of one section."""
+    for name, section in SECTIONS.items():
+        if only in (None, name):
+            yield from section(b)
+
+
+def growth(b: Bench) -> Table:
+    """Time per row from a thousand rows on, at constant λ."""
+    lines = []
+    n = 1000
+    while n <= 5 * b.rows:
+        folder = b.sky(0.5, rows=n)
+        runs = 7 if n > 20_000 else 50
+        one, two = (measure(b.walk(folder, until, runs=runs)) for until in ("assignment", "posterior"))
+        other = [measure(work) for _, work in b.beside(folder, "astropy")]
+        each = [1e9 * m.median / n for m in (one, two, *other)]
+        lines.append([n, *each, *([None] if not other else []), round(two.peak_mb - two.resting_mb)])
+        n *= 5 if str(n).startswith("1") else 2
+    columns = ("rows", "MAP, ns a row", "posteriors, ns a row", "astropy, ns a row", "MB above rest, posteriors")
+    tail = [line[1] for line in lines if line[0] >= 100_000]
+    note = f"from 10⁵ rows on, MAP per row varies by {max(tail) / min(tail):.2f} (asked: 1.5)" if tail else ""
+    return Table("Growth with the number of rows, λ 0.5", columns, lines, (note,) if note else ())
+
+
+def verdicts(b: Bench) -> Table:
+    """Certificates of the assignments, and how the posteriors were computed."""
+    lines = []
+    for lam in workload.LAMBDAS:
+        one = measure(Work("benchmarks.ours:verdict", {"folder": b.sky(lam)}, 1))
+        if one.missing:
+            lines.append([lam, one.missing, *[None] * 7])
+            continue
+        v = one.returned[0]
+        cells = [v[k] for k in ("candidates", "largest", "least_reduced_cost", "duality_gap")]
+        lines.append([lam, *cells, *(round(100 * s, 3) for s in v["shares"])])
+    columns = (
+        "λ", "candidates", "records in the largest group", "least reduced cost", "duality gap",
+        "% closed form", "% eliminated", "% local", "% thinned",
+    )  # fmt: skip
+    note = "right where the least reduced cost is ≥ −1e-12 and the gap ≤ 1e-9"
+    return Table(f"Certificates and methods, {b.rows} rows, 3σ", columns, lines, (note,))
+
+
+def quick(b: Bench, keep: bool) -> Table:
+    """The time of every stage at 100 000 rows, as a share of astropy's time, and the change since it was kept."""
+    stored = json.loads(REFERENCE.read_text()) if REFERENCE.exists() else {}
+    now: dict[str, float] = {}
+    lines = []
+    for lam in (0.5, 2.0):
+        folder = b.sky(lam)
+        nearest = measure(b.beside(folder, "astropy", runs=5)[0][1])
+        ours = measure(b.walk(folder, "posterior", runs=11))
+        if ours.missing:
+            sys.exit(ours.missing)
+        for stage, seconds in stage_medians(ours).items():
+            name = f"{b.rows} λ {lam:g} {stage}"
+            now[name] = seconds / nearest.median
+            before = stored.get(name)
+            change = now[name] / before if before else None
+            lines.append([f"λ {lam:g}", stage, 1e3 * seconds, 100 * now[name], before and 100 * before, change])
+        lines.append([f"λ {lam:g}", "astropy", 1e3 * nearest.median, 100.0, None, None])
+    if keep:
+        REFERENCE.write_text(json.dumps({k: round(v, 5) for k, v in now.items()}, indent=1) + "\n")
+    columns = ("workload", "stage", "ms", "% of astropy", "kept %", "change")
+    return Table(f"Stages at {b.rows} rows, default threads, medians", columns, lines)
+
+
+def stage_medians(one: Measurement) -> dict[str, float]:
+    """The median of every stage, and of all."""
+    runs = [r["stages"] for r in one.returned]
+    medians = {stage: statistics.median(r[stage] for r in runs) for stage in STAGES if stage in runs[0]}
+    return medians | {"all": one.median}
+
+
+def tables(b: Bench, options: argparse.Namespace) -> Iterator[Table]:
+    """What was asked for."""
+    if options.quick:
+        yield quick(b, options.keep)
+        return
+    absent = [f"{PEERS[k].name}: missing ({PEERS[k].install})" for k, v in b.versions.items() if v is None]
+    there = [f"{PEERS[k].name}: {v}" for k, v in b.versions.items() if v]
+    for name in SECTIONS if options.only is None else [options.only]:
+        if name in SECTIONS:
+            title = f"Speed: {name}. {SECTIONS[name].__doc__}"
+            yield timetable(title, rows_of(b, name), (*absent,) if options.only or name == "sky" else ())
+    if options.only in (None, "stages"):
+        yield stage_table(b)
+    if options.only in (None, "growth"):
+        yield growth(b)
+    if options.only in (None, "verdicts"):
+        yield verdicts(b)
+    yield Table("Peers", ("peer",), [[line] for line in there + absent])
+
+
+def stage_table(b: Bench) -> Table:
+    """Every stage at every λ."""
+    lines = []
+    for lam in workload.LAMBDAS:
+        one = measure(b.walk(b.sky(lam), "posterior"))
+        if one.missing:
+            lines.append([lam, one.missing, *[None] * len(STAGES)])
+            continue
+        lines.append([lam, *(1e3 * s for s in stage_medians(one).values())])
+    return Table(f"Stages, ms, {b.rows} rows, 3σ, circular", ("λ", *STAGES, "all"), lines)
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(prog="scripts/bench speed", description=__doc__)
+    parser.add_argument("--rows", type=int, help=f"rows of the large scenes (default {FULL}, quick 100000)")
+    parser.add_argument("--quick", action="store_true", help="times of the stages only, under two minutes")
+    parser.add_argument("--keep", action="store_true", help="with --quick: keep the ratios as the reference")
+    parser.add_argument("--only", choices=[*SECTIONS, "stages", "growth", "verdicts"], help="one section")
+    parser.add_argument("--peer-python", action="append", default=[], metavar="NAME=PYTHON")
+    parser.add_argument("--slow", type=float, default=240.0, help="seconds after which a program runs no more")
+    options = parser.parse_args()
+    interpreters = Interpreters.of(options.peer_python)
+    rows = options.rows or (100_000 if options.quick else FULL)
+    with tempfile.TemporaryDirectory(prefix="sameas-bench-") as folder:
+        b = Bench(rows, Path(folder), interpreters, interpreters.versions(), options.slow)
+        report("speed-quick" if options.quick else "speed", tables(b, options))
+
+
+if __name__ == "__main__":
+    main()

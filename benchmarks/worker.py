@@ -1,0 +1,49 @@
+"""One piece of work in a process of its own: reads the order from standard input, writes one line of JSON.
+
+Only the standard library is imported here, so that a process started from here does not look large: Linux counts the
+parent's memory in a child's ``ru_maxrss``.
+"""
+
+from __future__ import annotations
+
+import gc
+import importlib
+import json
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+
+def main() -> None:
+    """Warm up, then time every run; the memory is that of the timed runs."""
+    order = json.load(sys.stdin)
+    module, name = order["function"].split(":")
+    work = getattr(importlib.import_module(module), name)(**order["options"])
+    begin = time.monotonic()
+    if getattr(work, "warm", True):
+        work()
+    gc.collect()
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")  # the peak starts anew
+    resting = _status_mb("VmRSS")
+    seconds, returned = [], []
+    while len(seconds) < order["runs"] and (not seconds or time.monotonic() - begin < order["at_most_s"]):
+        start = time.perf_counter()
+        value = work()
+        seconds.append(time.perf_counter() - start)
+        returned.append(value)
+    answer = {"seconds": seconds, "peak_mb": _status_mb("VmHWM"), "resting_mb": resting, "returned": returned}
+    print(json.dumps(answer, default=float))
+
+
+def _status_mb(field: str) -> float:
+    try:
+        lines = Path("/proc/self/status").read_text().splitlines()
+    except OSError:
+        return float("nan")
+    return next((float(line.split()[1]) / 1024 for line in lines if line.startswith(field + ":")), float("nan"))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,119 @@
+"""The terminal: text on stdout, notices and progress on stderr."""
+
+from __future__ import annotations
+
+import os
+import sys
+import textwrap
+import threading
+from collections.abc import Iterable
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from sameas.report import DOUBT, WIDTH
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+#: Seconds before progress is shown.
+PATIENCE = 2.0
+
+
+class Printer:
+    """Prints lines of a report; a heading starts at the margin, everything else is indented."""
+
+    def __init__(self, quiet: bool) -> None:
+        from rich.console import Console
+
+        self.quiet = quiet
+        self.console = Console(highlight=False, markup=False, emoji=False, soft_wrap=True)
+
+    def __call__(self, lines: Iterable[str]) -> None:
+        """Print lines; when quiet only the doubts among them, on stderr."""
+        for line in lines:
+            doubt = line.startswith(DOUBT)
+            if self.quiet:
+                if doubt:
+                    notice(f"doubt: {line[len(DOUBT) :]}")
+                continue
+            style = "yellow" if doubt else "bold" if line[:1].strip() else None
+            for part in textwrap.wrap(line, WIDTH, subsequent_indent=" " * len(DOUBT)) if doubt else [line]:
+                self._print(part, style)
+
+    def _print(self, line: str, style: str | None) -> None:
+        try:
+            self.console.print(line, style=style)
+        except BrokenPipeError:
+            # Whoever read stdout has seen enough; the output is still to be written.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            self.quiet = True
+
+
+class Pace:
+    """Shows on a terminal what is being done, after two seconds. Call it with the name of each stage."""
+
+    def __init__(self, quiet: bool) -> None:
+        self.shown = not quiet and sys.stderr.isatty()
+        self.stage = ""
+        self.bar: Progress | None = None
+        self.lock = threading.Lock()
+        self.timer = threading.Timer(PATIENCE, self._show)
+        self.timer.daemon = True
+
+    def __enter__(self) -> Pace:
+        if self.shown:
+            self.timer.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with self.lock:
+            self.timer.cancel()
+            self.shown = False
+            if self.bar is not None:
+                self.bar.stop()
+
+    def __call__(self, stage: str) -> None:
+        """Say what is being done now."""
+        with self.lock:
+            self.stage = stage
+            if self.bar is not None:
+                self.bar.update(self.bar.task_ids[0], description=stage)
+                self.bar.start()
+
+    def pause(self) -> None:
+        """Clear the progress for something to be printed; the next stage shows it again."""
+        with self.lock:
+            if self.bar is not None:
+                self.bar.stop()
+
+    def _show(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+        with self.lock:
+            if self.shown:
+                self.bar = Progress(
+                    TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(),
+                    console=Console(stderr=True), transient=True,
+                    redirect_stdout=False, redirect_stderr=False,
+                )  # fmt: skip
+                self.bar.add_task(self.stage, total=None)
+                self.bar.start()
+
+
+def notice(message: str) -> None:
+    """One line on stderr."""
+    sys.stderr.write(f"sameas: {message}\n")
+
+
+def tell_compilation() -> None:
+    """Say that kernels are going to be compiled, where this machine has none."""
+    from sameas.kernels import sweep
+
+    statistics = getattr(sweep.sweep, "stats", None)  # a plain function where compilation is switched off
+    where = getattr(statistics, "cache_path", None)
+    if where and not any(Path(where).glob("sweep.sweep-*.nbi")):
+        notice("compiling kernels for this machine, once; it takes some seconds")

@@ -1,0 +1,312 @@
+"""One group of competing records drawn on the sky: error ellipses, candidates, probabilities."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.errors import InputError
+from sameas.plots.normalised import containment
+from sameas.plots.scene import Frame, ellipse, nice_length
+from sameas.plots.sheet import FAINT, FIRST, FOUND, INK, SECOND, sheet, tidy
+from sameas.records import FloatArray, Records
+from sameas.result import Identification
+from sameas.sky.catalogue import Catalogue
+from sameas.sky.match import SkyMatch
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+#: A group of more records than this is not chosen by itself: nobody could read its picture.
+READABLE = 12
+#: Records of a group that the user asks for: more than this are refused.
+DRAWABLE = 60
+#: Share of the true partners inside the dashed contour.
+INSIDE = 0.99
+#: For normal errors its radius is 3.03 σ; it is drawn where the estimated spread reaches farther than this.
+WORTH_DRAWING = 3.2
+DASHES = (0, (5, 4))
+
+
+@dataclass(frozen=True)
+class _Side:
+    """The records of one catalogue in the group.
+
+    position : (n,) in the result's records. place : (n, 2) arcsec east and north of the middle.
+    covariance : (n, 2, 2). names : labels. colour, marker : how they are drawn.
+    """
+
+    catalogue: Catalogue
+    position: NDArray[np.int64]
+    place: FloatArray
+    covariance: FloatArray
+    names: list[str]
+    colour: str
+    marker: str
+
+    @property
+    def size(self) -> float:
+        """The typical error in arcsec."""
+        return float(np.sqrt(np.median(np.trace(self.covariance, axis1=1, axis2=2)) / 2.0))
+
+
+def most_ambiguous(match: SkyMatch) -> int:
+    """Number of the group of three records or more whose candidates leave most open.
+
+    That is the largest Σ H(p) over its candidates, H the entropy of a pair's probability.
+
+    Raises
+    ------
+    InputError : no record has two candidates.
+    """
+    result = match.result
+    p = np.clip(result.p_pair, 1e-15, 1.0 - 1e-15)
+    entropy = -p * np.log(p) - (1.0 - p) * np.log1p(-p)
+    total = np.bincount(result.groups.of_pairs(), entropy, len(result.groups))
+    size = result.groups.sizes_1 + result.groups.sizes_2
+    open_groups = (size >= 3) & (size <= READABLE)
+    if not open_groups.any():
+        raise InputError(
+            f"{match.first.name} and {match.second.name}: no record has two candidates in a group of up to "
+            f"{READABLE} records; there is nothing ambiguous to draw"
+        )
+    return int(np.argmax(np.where(open_groups, total, -1.0)))
+
+
+def group(match: SkyMatch, *, record: Any = None, source: int = 1) -> Figure:
+    """The records that compete with each other, with their error ellipses at the common epoch.
+
+    Solid ellipses are 1, 2 and 3 quoted σ; the dashed one holds 99 % of true partners by the estimated spread
+    of the errors. Every candidate is a line with its probability, the identified ones are thick. North is up,
+    east left.
+
+    Parameters
+    ----------
+    record : id of a record of the group; the most ambiguous group if not given.
+    source : 1 or 2, whose id it is.
+
+    Raises
+    ------
+    InputError : an unknown id, a record without candidates, a group of more than 60, nothing ambiguous.
+    """
+    result = match.result
+    if record is None:
+        number = most_ambiguous(match)
+    else:
+        found = result.explain(record, source=source).group
+        if found is None:
+            raise InputError(f"{record} has no candidates; there is nothing to draw")
+        number = found
+    sides = _sides(match, number)
+    count = sum(len(side.position) for side in sides)
+    if count > DRAWABLE:
+        raise InputError(f"the group has {count} records; pictures are drawn of up to {DRAWABLE}")
+    pairs = np.flatnonzero(result.groups.of_pairs() == number)
+    when = "as observed" if match.epoch_jyr is None else f"at epoch {match.epoch_jyr:.2f}"
+    told = f"Positions {when}; each probability is that of the two records being one object."
+    figure = sheet(_finding(result, sides, pairs), told, 13.0, 6.8)
+    sky, words = figure.subplots(1, 2, width_ratios=(1.0, 1.05))
+    _draw(sky, match, sides, pairs)
+    words.set_axis_off()
+    _list(words, result, sides, pairs)
+    _key(words, match, sides)
+    return figure
+
+
+def _sides(match: SkyMatch, number: int) -> tuple[_Side, _Side]:
+    groups, result = match.result.groups, match.result
+    chosen = (
+        groups.rows_1[groups.start_1[number] : groups.start_1[number + 1]].astype(np.int64),
+        groups.rows_2[groups.start_2[number] : groups.start_2[number + 1]].astype(np.int64),
+    )
+    frame = Frame.about(np.concatenate([result.first.features[chosen[0]], result.second.features[chosen[1]]]))
+
+    def side(catalogue: Catalogue, records: Records, at: NDArray[np.int64], sign: tuple[str, str]) -> _Side:
+        place, axes = frame(records.features[at])
+        covariance = axes @ records.full_covariance()[at] @ axes.transpose(0, 2, 1)
+        return _Side(catalogue, at, place, covariance, _names(catalogue, records.rows[at]), *sign)
+
+    return (
+        side(match.first, result.first, chosen[0], (FIRST, "o")),
+        side(match.second, result.second, chosen[1], (SECOND, "s")),
+    )
+
+
+def _names(catalogue: Catalogue, rows: NDArray[np.int64]) -> list[str]:
+    label = f"{catalogue.choice.id} " if catalogue.choice.id and catalogue.choice.id.isupper() else ""
+    names = [f"{label}{catalogue.ids[row]}" for row in rows]
+    if catalogue.magnitude is None:
+        return names
+    return [
+        f"{name}\n{catalogue.magnitude[row]:.2f} mag" if np.isfinite(catalogue.magnitude[row]) else name
+        for name, row in zip(names, rows, strict=True)
+    ]
+
+
+def _draw(axes: Axes, match: SkyMatch, sides: tuple[_Side, _Side], pairs: NDArray[np.int64]) -> None:
+    _lines(axes, match.result, sides, pairs)
+    reach = containment(match.estimate.errors, INSIDE)
+    outlines = [_ellipses(axes, side, reach if side is _wider(sides) else 3.0) for side in sides]
+    places = np.concatenate([side.place for side in sides])
+    low, high = _view(places, np.concatenate(outlines))
+    for side in sides:
+        _labels(axes, side, places)
+    axes.set_aspect("equal")
+    axes.set_xlim(high[0], low[0])
+    axes.set_ylim(low[1], high[1])
+    tidy(axes, "east [arcsec]", "north [arcsec]")
+    _compass(axes, 0.5 * float(high[0] - low[0]))
+
+
+def _wider(sides: tuple[_Side, _Side]) -> _Side:
+    return max(sides, key=lambda side: side.size)
+
+
+def _view(places: FloatArray, outlines: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Corners of a square that holds all places, and the outlines unless they lie far out."""
+    low, high = places.min(axis=0), places.max(axis=0)
+    margin = 0.6 * float(np.ptp(places, axis=0).max())
+    span = np.ptp(outlines, axis=0).max()
+    if margin < 0.3 * span:
+        margin = max(margin, 0.1 * float(span))
+    low = np.maximum(outlines.min(axis=0), low - margin)
+    high = np.minimum(outlines.max(axis=0), high + margin)
+    half = 0.62 * float((high - low).max())
+    middle = 0.5 * (low + high)
+    return middle - half, middle + half
+
+
+def _lines(axes: Axes, result: Identification, sides: tuple[_Side, _Side], pairs: NDArray[np.int64]) -> None:
+    order = pairs[np.argsort(result.chosen[pairs], kind="stable")]
+    for pair in order:
+        ends = _ends(result, sides, pair)
+        chosen = bool(result.chosen[pair])
+        line, ink, weight = (FOUND, FOUND, "bold") if chosen else (FAINT, "#555555", "normal")
+        axes.plot(*ends.T, color=line, lw=3.4 if chosen else 1.2, zorder=1, solid_capstyle="round")
+        x, y = 0.42 * ends[0] + 0.58 * ends[1]
+        axes.text(
+            x, y, percent(result.p_pair[pair]), ha="center", va="center", fontsize=10, fontweight=weight,
+            color=ink, zorder=4, bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.2, "alpha": 0.9},
+        )  # fmt: skip
+
+
+def _ends(result: Identification, sides: tuple[_Side, _Side], pair: int) -> FloatArray:
+    one = np.flatnonzero(sides[0].position == result.pairs.i[pair])[0]
+    two = np.flatnonzero(sides[1].position == result.pairs.j[pair])[0]
+    return np.stack([sides[0].place[one], sides[1].place[two]])
+
+
+def _ellipses(axes: Axes, side: _Side, reach: float) -> FloatArray:
+    """Draws 1, 2, 3 quoted σ, and dashed ``reach`` σ where that is more; the points of the outermost."""
+    outermost = []
+    for place, covariance in zip(side.place, side.covariance, strict=True):
+        for sigmas, alpha in ((3.0, 0.10), (2.0, 0.16), (1.0, 0.30)):
+            outline = ellipse(place, covariance, sigmas)
+            axes.fill(*outline.T, facecolor=side.colour, alpha=alpha, linewidth=0, zorder=2)
+            axes.plot(*outline.T, color=side.colour, lw=0.8, zorder=2)
+        outermost.append(ellipse(place, covariance, max(reach, 3.0)))
+        if reach > WORTH_DRAWING:
+            axes.plot(*outermost[-1].T, color=side.colour, lw=1.2, ls=DASHES, zorder=1)
+        axes.plot(*place, marker=side.marker, ms=5, color=side.colour, zorder=5)
+    return np.concatenate(outermost)
+
+
+def _labels(axes: Axes, side: _Side, places: FloatArray) -> None:
+    """Names beside their ellipses, on the side where the other records are not."""
+    for place, covariance, name in zip(side.place, side.covariance, side.names, strict=True):
+        away = place - places.mean(axis=0)
+        sign = 1.0 if away[0] > 0 else -1.0
+        edge = place[0] + sign * 3.0 * float(np.sqrt(covariance[0, 0]))
+        axes.annotate(
+            name, (edge, place[1]), (-8 * sign, 4 if away[1] >= 0 else -4), textcoords="offset points",
+            ha="right" if sign > 0 else "left", va="center", fontsize=9, color=side.colour, zorder=6,
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8, "alpha": 0.75},
+        )  # fmt: skip
+
+
+def _compass(axes: Axes, half: float) -> None:
+    """N up, E left, and a bar of a round length."""
+    length = nice_length(0.45 * half)
+    share = length / (2.0 * half)
+    words = f"{length:g}″" if length >= 0.1 else f"{1e3 * length:g} mas"
+    axes.plot([0.04, 0.04 + share], [0.04, 0.04], transform=axes.transAxes, color=INK, lw=2.5)
+    axes.text(0.04 + share / 2, 0.05, words, transform=axes.transAxes, ha="center", va="bottom", fontsize=9.5)
+    directions = (((0.94, 0.15), "N", "center", "bottom"), ((0.85, 0.04), "E", "right", "center"))
+    for end, name, ha, va in directions:
+        axes.annotate(
+            "", end, (0.94, 0.04), xycoords="axes fraction", textcoords="axes fraction",
+            arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 1.2, "shrinkA": 0, "shrinkB": 0},
+        )  # fmt: skip
+        axes.text(*end, name, ha=ha, va=va, transform=axes.transAxes, fontsize=10, color=INK)
+
+
+def _list(axes: Axes, result: Identification, sides: tuple[_Side, _Side], pairs: NDArray[np.int64]) -> None:
+    """Every record of the first catalogue with its candidates, in words."""
+    lines: list[tuple[str, str, str]] = []
+    for at, name in zip(sides[0].position, sides[0].names, strict=True):
+        lines.append((f"{sides[0].catalogue.name} {', '.join(name.split(chr(10)))} is", FIRST, "bold"))
+        own = pairs[result.pairs.i[pairs] == at]
+        for pair in own[np.argsort(-result.p_pair[own])]:
+            two = int(np.flatnonzero(sides[1].position == result.pairs.j[pair])[0])
+            separation = float(np.hypot(*result.pairs.residual[pair]))
+            sigmas = float(np.sqrt(result.pairs.mahalanobis_sq[pair]))
+            words = f"{percent(result.p_pair[pair]):>7}  {', '.join(sides[1].names[two].split(chr(10)))}"
+            words += f"   {separation:.2f}″, {sigmas:.1f} σ"
+            chosen = bool(result.chosen[pair])
+            lines.append((words, FOUND if chosen else INK, "bold" if chosen else "normal"))
+        nobody = max(0.0, 1.0 - float(result.p_pair[own].sum()))
+        lines.append((f"{percent(nobody):>7}  none of them", INK, "normal"))
+        lines.append(("", INK, "normal"))
+    step = min(0.044, 0.72 / len(lines))
+    for k, (text, colour, weight) in enumerate(lines):
+        axes.text(
+            0.0, 0.97 - step * k, text, transform=axes.transAxes, fontsize=min(9.8, 222.0 * step),
+            family="monospace", color=colour, fontweight=weight, va="top",
+        )  # fmt: skip
+
+
+def _key(axes: Axes, match: SkyMatch, sides: tuple[_Side, _Side]) -> None:
+    """What the signs mean."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    signs: list[tuple[Any, str]] = []
+    for side in sides:
+        dot = Line2D([], [], color=side.colour, marker=side.marker, ls="", ms=6)
+        signs.append((dot, f"{side.catalogue.name}: error here {_arcsec(side.size)} on each axis"))
+    signs.append((Patch(facecolor=FIRST, alpha=0.3), "ellipses: 1, 2 and 3 σ of the quoted errors"))
+    if containment(match.estimate.errors, INSIDE) > WORTH_DRAWING:
+        wider = _wider(sides)
+        line = Line2D([], [], color=wider.colour, ls=DASHES, lw=1.2)
+        signs.append((line, f"{100 * INSIDE:.0f} % of true partners, by the spread that was estimated"))
+    signs.append((Line2D([], [], color=FOUND, lw=3.4), "identified, with its probability"))
+    signs.append((Line2D([], [], color=FAINT, lw=1.2), "other candidates, with theirs"))
+    handles, words = zip(*signs, strict=True)
+    axes.legend(handles, words, loc="lower left", frameon=False, fontsize=9.5, borderaxespad=0.0)
+
+
+def percent(p: float) -> str:
+    """A probability in a label."""
+    if p < 0.001:
+        return "< 0.1 %"
+    if p > 0.999:
+        return "> 99.9 %"
+    return f"{100 * p:.1f} %" if p < 0.095 or p > 0.905 else f"{100 * p:.0f} %"
+
+
+def _finding(result: Identification, sides: tuple[_Side, _Side], pairs: NDArray[np.int64]) -> str:
+    one, two = (len(side.position) for side in sides)
+    names = sides[0].catalogue.name, sides[1].catalogue.name
+    if one == 1:
+        best = percent(result.p_pair[pairs].max())
+        who = sides[0].names[0].split("\n")[0]
+        return f"{two} records of {names[1]} could be {names[0]} {who}; the best has {best}"
+    return f"{one} records of {names[0]} and {two} of {names[1]} compete"
+
+
+def _arcsec(value: float) -> str:
+    return f"{value:.2f}″" if value >= 0.1 else f"{1e3 * value:.3g} mas"

@@ -1,0 +1,120 @@
+"""Problems for the judges: records drawn at random, groups laid out from a list of pairs, whole answers from `naive`."""
+
+import naive
+import numpy as np
+
+from sameas.assignment import assign
+from sameas.gate import Pairs
+from sameas.groups import groups
+from sameas.posterior import posterior
+from sameas.prior import LogPrior
+from sameas.records import Records
+from sameas.space import Plane, Sphere
+
+KINDS = ("one sigma", "axis sigmas", "full")
+
+
+def spread_of(rng, n, d, scale, kind):
+    """Keyword of `Records.of` for random errors of about ``scale`` ((n,) or a number)."""
+    size = np.broadcast_to(scale, n) * rng.uniform(0.5, 1.5, n)
+    if kind == "one sigma":
+        return {"sigma": size[:, None]}
+    if kind == "axis sigmas":
+        return {"sigma": size[:, None] * rng.uniform(0.5, 2, (n, d))}
+    root = rng.standard_normal((n, d, d)) * 0.6 + np.eye(d)
+    return {"covariance": size[:, None, None] ** 2 * (root @ root.transpose(0, 2, 1) + 0.1 * np.eye(d))}
+
+
+def plane_records(rng, n, d, *, extent=1.0, scale=0.03, kind="one sigma", periods=None, source="source"):
+    """Records evenly scattered over a box (periodic axes: some periods around it too)."""
+    features = rng.uniform(0, 1, (n, d)) * extent
+    for v, period in enumerate(periods or ()):
+        if period is not None:
+            features[:, v] += period * rng.integers(-2, 3, n)
+    spread = spread_of(rng, n, d, scale, kind)
+    return Records.of(features, **spread, ids=rng.permutation(n) + 100, space=Plane(periods), source=source)
+
+
+def sky_records(rng, lon, lat, *, scale_arcsec, kind="one sigma", source="source"):
+    """Records at these directions (degrees)."""
+    n = len(lon)
+    spread = spread_of(rng, n, 2, scale_arcsec, kind)
+    ids = rng.permutation(n) + 100
+    return Records.of(np.stack([lon, lat], axis=1), **spread, ids=ids, space=Sphere(), source=source)
+
+
+def by_id(pairs):
+    """The candidates in the order of their listing, as pairs of ids."""
+    first, second = pairs.first, pairs.second
+    return list(zip(first.ids[first.rows[pairs.i]].tolist(), second.ids[second.rows[pairs.j]].tolist(), strict=True))
+
+
+def shuffled(rng, records):
+    """The same records in other rows."""
+    order = rng.permutation(len(records))
+    return Records(
+        records.features[order], records.covariance[order], np.arange(len(records)), records.ids[records.rows[order]],
+        records.space, records.source,
+    )  # fmt: skip
+
+
+def laid_out(n1, n2, edges):
+    """(pairs, groups) of n1 and n2 records of which ``edges`` (i, j) are the candidates."""
+    i, j = np.array(sorted(edges), np.int32).reshape(-1, 2).T
+    first, second = (Records.of(np.zeros((n, 1)), sigma=1.0) for n in (n1, n2))
+    m = len(i)
+    pairs = Pairs(first, second, i.copy(), j.copy(), np.zeros((m, 1)), np.zeros(m), np.ones(m), "by hand")
+    return pairs, groups(pairs)
+
+
+def solved(n1, n2, log_ratio, prior):
+    """(pairs, groups, best hypothesis, posterior) for the ratios {(i, j): ln λ}."""
+    pairs, grouped = laid_out(n1, n2, log_ratio)
+    weight = np.array([log_ratio[edge] for edge in zip(pairs.i.tolist(), pairs.j.tolist(), strict=True)])
+    believed = prior if isinstance(prior, LogPrior) else prior(grouped.sizes_1, grouped.sizes_2)
+    best = assign(grouped, weight, believed)
+    return pairs, grouped, best, posterior(grouped, best)
+
+
+def chosen_edges(pairs, grouped, best):
+    """The pairs of the hypothesis, as a set of (i, j)."""
+    at = grouped.order[best.chosen]
+    return set(zip(pairs.i[at].tolist(), pairs.j[at].tolist(), strict=True))
+
+
+def components_of(n1, n2, log_ratio):
+    """Per connected component with candidates: (rows of 1, rows of 2, its ratios in local numbers)."""
+    for rows_1, rows_2 in naive.components(n1, n2, log_ratio):
+        if not (rows_1 and rows_2):
+            continue
+        one = {row: k for k, row in enumerate(sorted(rows_1))}
+        two = {row: k for k, row in enumerate(sorted(rows_2))}
+        local = {(one[i], two[j]): x for (i, j), x in log_ratio.items() if i in one}
+        yield sorted(rows_1), sorted(rows_2), local
+
+
+def random_ratios(rng, n1, n2, share, draw):
+    """{(i, j): ln λ} for a share of all pairs, with ratios from ``draw(rng)``."""
+    return {(i, j): float(draw(rng)) for i in range(n1) for j in range(n2) if rng.uniform() < share}
+
+
+DRAWS = {
+    "ordinary": lambda rng: rng.normal(1, 3),
+    "ties": lambda rng: rng.integers(-1, 3),
+    "all equal": lambda rng: 0.5,
+    "extreme": lambda rng: rng.choice([-600.0, 600.0, 0.0, 2.0]) + rng.normal(),
+    "nearly equal": lambda rng: 1.0 + 1e-11 * rng.integers(0, 5),
+    "all unlikely": lambda rng: -rng.uniform(1, 20),
+}
+
+
+def many_blocks(rng, draw, blocks=40, most=5):
+    """(n1, n2, ratios) of many small separate graphs: sparse, crowded, rectangular both ways, with lonely records."""
+    n1 = n2 = 0
+    ratios = {}
+    for _ in range(blocks):
+        a, b = rng.integers(1, most + 1, 2)
+        for (i, j), x in random_ratios(rng, a, b, rng.choice([0.3, 0.6, 1.0]), draw).items():
+            ratios[n1 + i, n2 + j] = x
+        n1, n2 = n1 + int(a), n2 + int(b)
+    return n1, n2, ratios

@@ -1,0 +1,174 @@
+"""Pictures are drawn of any identification, ellipses lie as astronomers expect, and a lack of matplotlib is told."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.table import Table
+
+from sameas.errors import InputError
+from sameas.evidence import Errors
+from sameas.sky.catalogue import Catalogue, CatalogueOptions, ellipse_covariance
+from sameas.sky.match import SkyMatch, match
+from sameas.space import sphere_offset
+
+pytest.importorskip("matplotlib", reason="pictures need the extra sameas[plots]")
+
+from sameas import plots
+from sameas.plots.normalised import containment, rayleigh_mixture
+from sameas.plots.scene import Frame, ellipse, nice_length
+
+DEC = 40.0
+
+
+@pytest.fixture(scope="module")
+def stars() -> SkyMatch:
+    """300 stars seen twice, 16 years apart, and one record of the first source with two like candidates."""
+    rng = np.random.default_rng(5)
+    n, degrees = 300, 1.0 / 3600.0
+    ra, dec = rng.uniform(10.0, 11.0, n), DEC + rng.uniform(-0.5, 0.5, n)
+    ra[0], dec[0] = 12.0, DEC
+    pm = rng.normal(0.0, 100.0, (n, 2))
+    pm[0] = 0.0
+    noise = rng.normal(0.0, 0.1, (2, n, 2))
+    noise[:, 0] = 0.0
+    later = 16e-3 * pm
+    scale = degrees / np.cos(np.radians(dec))
+    first = Table(
+        {"id": np.arange(n), "ra": ra + noise[0, :, 0] * scale, "dec": dec + noise[0, :, 1] * degrees}
+    )
+    first["major"], first["minor"], first["angle"] = np.full(n, 0.12), np.full(n, 0.06), np.full(n, 30.0)
+    first["pmra"], first["pmdec"], first["mag"] = pm[:, 0], pm[:, 1], rng.uniform(10, 15, n)
+    east, north = noise[1, :, 0] + later[:, 0], noise[1, :, 1] + later[:, 1]
+    second = Table({"id": np.arange(n + 1) + 1000})
+    second["ra"] = np.append(ra + east * scale, ra[0] + 0.15 * scale[0])
+    second["dec"] = np.append(dec + north * degrees, dec[0])
+    second["ra"][0] -= 0.15 * scale[0]
+    options = CatalogueOptions(ellipse="major,minor,angle", epoch=2000.0, pm_sigma_mas_per_yr=1.0)
+    return match(
+        Catalogue.of(first, "early", options=options),
+        Catalogue.of(second, "late", options=CatalogueOptions(sigma=0.1, epoch=2016.0)),
+    )
+
+
+@pytest.fixture(scope="module")
+def strangers() -> SkyMatch:
+    """Two catalogues that have nothing in common."""
+    one = Table({"ra": [10.0, 10.5, 10.7], "dec": [0.0, 0.1, 0.2]})
+    two = Table({"ra": [10.2, 10.9], "dec": [0.3, 0.4]})
+    options = CatalogueOptions(sigma=0.1)
+    return match(Catalogue.of(one, "one", options=options), Catalogue.of(two, "two", options=options))
+
+
+@pytest.mark.parametrize("name", ["residuals", "normalised", "group", "certainty"])
+def test_every_picture_is_drawn(stars: SkyMatch, tmp_path: Path, name: str) -> None:
+    path = tmp_path / f"{name}.png"
+    plots.save(getattr(plots, name)(stars), path)
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert path.stat().st_size > 20_000
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("name", ["residuals", "normalised", "certainty"])
+def test_nothing_identified_is_a_picture_too(strangers: SkyMatch, tmp_path: Path, name: str) -> None:
+    assert len(strangers.result.matches) == 0
+    plots.save(getattr(plots, name)(strangers), tmp_path / "empty.png")
+
+
+def test_titles_say_the_finding(stars: SkyMatch) -> None:
+    told = plots.residuals(stars).get_suptitle()
+    assert told.startswith("Motion brings the identified pairs together: median distance 1.")
+
+
+def test_east_is_left_in_pictures_of_the_sky(stars: SkyMatch) -> None:
+    for figure in (plots.residuals(stars), plots.group(stars)):
+        left, right = figure.axes[0].get_xlim()
+        low, high = figure.axes[0].get_ylim()
+        assert left > right and low < high
+
+
+def test_an_ellipse_is_drawn_along_its_position_angle(stars: SkyMatch) -> None:
+    """In pixels: 30 degrees from up towards the left."""
+    axes = plots.group(stars, record=0).axes[0]
+    outlines = axes.transData.transform(axes.patches[0].get_path().vertices)
+    middle = 0.5 * (outlines.min(axis=0) + outlines.max(axis=0))
+    away = outlines - middle
+    tip = away[np.argmax(np.hypot(*away.T))]
+    tip *= np.sign(tip[1])
+    assert np.degrees(np.arctan2(-tip[0], tip[1])) == pytest.approx(30.0, abs=2.0)
+
+
+def test_the_outline_of_an_ellipse_reaches_its_axes() -> None:
+    for angle in (0.0, 30.0, 90.0, 135.0):
+        xx, yy, xy = ellipse_covariance(np.array(3.0), np.array(1.0), np.array(angle))
+        outline = ellipse(np.array([5.0, -2.0]), np.array([[xx, xy], [xy, yy]]), 2.0, points=721)
+        away = outline - [5.0, -2.0]
+        distance = np.hypot(*away.T)
+        assert (distance.min(), distance.max()) == pytest.approx((2.0, 6.0), rel=1e-4)
+        east, north = away[np.argmax(distance)]
+        assert np.degrees(np.arctan2(east, north)) % 180.0 == pytest.approx(angle % 180.0, abs=0.5)
+
+
+def test_the_most_ambiguous_group_is_the_one_with_two_like_candidates(stars: SkyMatch) -> None:
+    number = plots.most_ambiguous(stars)
+    assert number == stars.result.explain(0).group
+    assert stars.result.groups.sizes_1[number] == 1 and stars.result.groups.sizes_2[number] == 2
+
+
+def test_a_group_is_drawn_from_either_side(stars: SkyMatch) -> None:
+    words = [text.get_text() for text in plots.group(stars, record=1000, source=2).axes[0].texts]
+    assert sum(text.endswith("%") for text in words) == 2
+    assert {text.split("\n")[0] for text in words} >= {"0", "1000", "1300"}
+
+
+def test_what_cannot_be_drawn_is_refused(stars: SkyMatch, strangers: SkyMatch, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="nothing ambiguous to draw"):
+        plots.group(strangers)
+    with pytest.raises(InputError, match="0 has no candidates; there is nothing to draw"):
+        plots.group(strangers, record=0)
+    with pytest.raises(InputError, match=r"pictures are written as .*png"):
+        plots.save(plots.certainty(stars), tmp_path / "picture.fits")
+    with pytest.raises(InputError, match="does not exist"):
+        plots.save(plots.certainty(stars), tmp_path / "nowhere" / "picture.png")
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_matplotlib_the_install_line_is_told(
+    stars: SkyMatch, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in [name for name in sys.modules if name.split(".")[0] == "matplotlib"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(InputError, match=r"pip install 'sameas\[plots\]'"):
+        plots.residuals(stars)
+
+
+def test_densities_and_radii_are_those_of_the_mixture() -> None:
+    errors = Errors((1.0, 4.0), (0.8, 0.2))
+    x = np.linspace(0.0, 60.0, 60_001)
+    density = rayleigh_mixture(x, errors)
+    assert np.trapezoid(density, x) == pytest.approx(1.0, abs=1e-6)
+    for share in (0.5, 0.9, 0.99):
+        inside = x <= containment(errors, share)
+        assert np.trapezoid(density[inside], x[inside]) == pytest.approx(share, abs=2e-3)
+    assert containment(Errors(), 0.5) == pytest.approx(np.sqrt(2.0 * np.log(2.0)), abs=1e-3)
+
+
+def test_a_frame_lays_the_sky_flat_at_the_pole_and_across_the_meridian() -> None:
+    for position in ([[10.0, 89.9999], [130.0, 89.9998]], [[359.9999, -30.0], [0.0002, -30.0001]]):
+        at = np.array(position)
+        place, axes = Frame.about(at)(at)
+        offset = sphere_offset(*at[:1].T, *at[1:].T)[0]
+        assert np.hypot(*(place[0] - place[1])) == pytest.approx(np.hypot(*offset), rel=1e-6)
+        assert np.allclose(axes @ axes.transpose(0, 2, 1), np.eye(2), atol=1e-5)
+        # A small step north of a record is where its turned axes say.
+        step = at + [0.0, -1e-5]
+        moved = Frame.about(at)(step)[0] - place
+        assert np.allclose(moved, axes @ [0.0, -0.036], atol=1e-5)
+
+
+def test_scale_bars_have_round_lengths() -> None:
+    assert [nice_length(x) for x in (0.3, 1.0, 4.9, 73.0)] == pytest.approx([0.2, 1.0, 2.0, 50.0])

@@ -1,0 +1,165 @@
+"""Probabilities are the sums over all hypotheses: by enumeration, by transfer matrices, and nearly so where approximate."""
+
+import math
+
+import naive
+import numpy as np
+import pytest
+from problems import DRAWS, components_of, laid_out, many_blocks, random_ratios, solved
+from scipy.special import logsumexp
+from test_assignment import PRIORS
+
+from sameas import CommonObjects, PerPair
+from sameas.assignment import assign
+from sameas.posterior import APPROXIMATE, METHODS, THINNED, posterior
+
+
+def as_table(pairs, p_pair):
+    return dict(zip(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True), p_pair.tolist(), strict=True))
+
+
+def sums(pairs, p_pair):
+    return np.bincount(pairs.i, p_pair, len(pairs.first)), np.bincount(pairs.j, p_pair, len(pairs.second))
+
+
+@pytest.mark.parametrize("draw", DRAWS)
+@pytest.mark.parametrize("name", PRIORS)
+def test_the_posterior_is_the_sum_over_all_hypotheses(name, draw):
+    prior, log_prior = PRIORS[name]
+    rng = np.random.default_rng([len(name), len(draw), 1])
+    n1, n2, ratios = many_blocks(rng, DRAWS[draw], blocks=18)
+    pairs, grouped, _, sure = solved(n1, n2, ratios, prior)
+    ours = as_table(pairs, sure.p_pair)
+    sum_1, sum_2 = sums(pairs, sure.p_pair)
+    assert not np.any(sure.method == APPROXIMATE) and sure.unsettled == 0.0
+    assert set(sure.method.tolist()) == {0, 1} and sum(sure.counts().values()) == len(grouped)
+    for rows_1, rows_2, local in components_of(n1, n2, ratios):
+        a, b = len(rows_1), len(rows_2)
+        expected, none_1, none_2 = naive.posterior(a, b, local, log_prior(a, b))
+        for (i, j), p in expected.items():
+            assert ours[rows_1[i], rows_2[j]] == pytest.approx(p, abs=1e-9)
+        np.testing.assert_allclose(1.0 - sum_1[rows_1], none_1, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(1.0 - sum_2[rows_2], none_2, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", PRIORS)
+@pytest.mark.parametrize("n1, n2", [(6, 6), (4, 7), (7, 4)])
+def test_crowded_groups(name, n1, n2):
+    prior, log_prior = PRIORS[name]
+    ratios = random_ratios(np.random.default_rng([n1, n2]), n1, n2, 1.0, DRAWS["ordinary"])
+    pairs, _, _, sure = solved(n1, n2, ratios, prior)
+    expected, _, _ = naive.posterior(n1, n2, ratios, log_prior(n1, n2))
+    np.testing.assert_allclose(sure.p_pair, [expected[edge] for edge in as_table(pairs, sure.p_pair)], rtol=0, atol=1e-9)
+
+
+def test_small_probabilities_keep_their_digits():
+    ratios = {(0, 0): 9.0, (0, 1): -4.0, (1, 0): -5.0, (1, 1): 8.0}
+    expected, _, _ = naive.posterior(2, 2, ratios, lambda k: 0.0)
+    pairs, _, _, sure = solved(2, 2, ratios, PerPair(0.0))
+    for edge, p in as_table(pairs, sure.p_pair).items():
+        assert p == pytest.approx(expected[edge], rel=1e-6)
+    assert 0 < min(sure.p_pair) < 1e-8
+
+
+# ---- long chains, by transfer matrices ----
+
+
+def chain(rng, n, draw=lambda rng: rng.normal(0.5, 3.0)):
+    """Records 0 … n−1 of each source; i has the candidates i and i + 1."""
+    edges = [(k, k) for k in range(n)] + [(k, k + 1) for k in range(n - 1)]
+    return {edge: float(draw(rng)) for edge in edges}
+
+
+def by_transfer(n, ratios, log_prior):
+    """Probabilities of a chain: (log Z with the count) from both ends of the path of pairs 00 01 11 12 22 …
+
+    Neighbours on that path share a record, so a hypothesis is a set of pairs no two of which are neighbours.
+    """
+    path = [(k // 2, (k + 1) // 2) for k in range(2 * n - 1)]
+    weight = np.array([ratios[edge] for edge in path])
+
+    def prefixes(w):
+        """free[t], taken[t]: log sums by count over the first t pairs, the t-th not taken or taken."""
+        free, taken = [np.full(n + 2, -np.inf)], [np.full(n + 2, -np.inf)]
+        free[0][0] = 0.0
+        for x in w:
+            free.append(np.logaddexp(free[-1], taken[-1]))
+            taken.append(np.concatenate([[-np.inf], free[-2][:-1] + x]))
+        return free, taken
+
+    free, taken = prefixes(weight)
+    free_b, taken_b = prefixes(weight[::-1])
+    prior = np.array([log_prior(k) for k in range(n + 1)])
+    everything = logsumexp(np.logaddexp(free[-1], taken[-1])[: n + 1] + prior)
+    count = np.add.outer(np.arange(n + 1), np.arange(n + 1))
+    of_both = np.where(count <= n, prior[np.minimum(count, n)], -np.inf)
+    p = {}
+    for t, edge in enumerate(path):
+        before, after = taken[t + 1][: n + 1], free_b[len(path) - 1 - t][: n + 1]
+        p[edge] = math.exp(logsumexp(before[:, None] + after + of_both) - everything)
+    return p
+
+
+@pytest.mark.parametrize(
+    "prior, log_prior",
+    [
+        (PerPair(-0.3), lambda n: lambda k: -0.3 * k),
+        (CommonObjects(0.2, 0.1), lambda n: lambda k: naive.common_objects_log_prior(k, n, n, 0.2, 0.1)),
+        (CommonObjects(1e-3, 1e-3), lambda n: lambda k: naive.common_objects_log_prior(k, n, n, 1e-3, 1e-3)),
+    ],
+)
+def test_chains_of_hundreds_of_records_are_exact(prior, log_prior):
+    n = 200
+    with np.errstate(invalid="ignore"):
+        ratios = chain(np.random.default_rng(5), n)
+        expected = by_transfer(n, ratios, log_prior(n))
+    pairs, _, _, sure = solved(n, n, ratios, prior)
+    assert sure.counts()[METHODS[1]] == 1
+    ours = as_table(pairs, sure.p_pair)
+    np.testing.assert_allclose([ours[e] for e in ratios], [expected[e] for e in ratios], rtol=0, atol=1e-9)
+
+
+def test_chains_of_equal_ratios_are_exact_too():
+    n = 60
+    ratios = chain(None, n, lambda rng: 0.2)
+    with np.errstate(invalid="ignore"):
+        expected = by_transfer(n, ratios, lambda k: naive.common_objects_log_prior(k, n, n, 0.4, 0.4))
+    pairs, _, _, sure = solved(n, n, ratios, CommonObjects(0.4, 0.4))
+    ours = as_table(pairs, sure.p_pair)
+    np.testing.assert_allclose([ours[e] for e in ratios], [expected[e] for e in ratios], rtol=0, atol=1e-9)
+
+
+# ---- the local method ----
+
+
+def entangled(rng, n, degree, misses=0.15, noise=0.5):
+    """A crowded field on a torus of n + n records with ``degree`` candidates each."""
+    side, sigma = math.sqrt(n), 0.4
+    objects = rng.uniform(0, side, (n, 2))
+    one, two = (np.where(rng.uniform(size=n) < misses, False, True) for _ in range(2))
+    sources = [objects[seen] + rng.normal(0, sigma / math.sqrt(2), (seen.sum(), 2)) for seen in (one, two)]
+    delta = sources[0][:, None] - sources[1][None]
+    delta -= side * np.round(delta / side)
+    distance_sq = (delta**2).sum(axis=2)
+    constant = math.log(1.0 / (misses**2 * 2 * math.pi * sigma**2))
+    i, j = np.nonzero(distance_sq < degree / math.pi)
+    return len(sources[0]), len(sources[1]), {
+        (a, b): constant - 0.5 * distance_sq[a, b] / sigma**2 for a, b in zip(i.tolist(), j.tolist(), strict=True)
+    }  # fmt: skip
+
+
+def without_elimination(groups, best, share, method):
+    """Stands for elimination that has no room for anything."""
+    method[:] = APPROXIMATE
+
+
+def local_and_exact(monkeypatch, scene, prior):
+    """(pairs, p by the local method, p by elimination, which pairs elimination could do)."""
+    n1, n2, ratios = scene
+    pairs, grouped, best, sure = solved(n1, n2, ratios, prior)
+    with monkeypatch.context() as patch:
+        patch.setattr("sameas.posterior._exact", without_elimination)
+        local = posterior(grouped, best)
+    assert set(local.method.tolist()) <= {APPROXIMATE}
+    exact = ~np.isin(sure.method, (APPROXIMATE, THINNED))[grouped.of_pairs()]
+    return pairs, local, sure.p_pair, exact
