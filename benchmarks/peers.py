@@ -172,10 +172,8 @@ def stilts_pairs(arrays: Arrays, sigmas: float = 3.0) -> tuple[np.ndarray, np.nd
 
 def nway(folder: str) -> Callable[[], int]:
     """NWAY by its Python interface: the probability of every association within 3 times the largest errors."""
-    import logging
-
     import nwaylib
-    import pandas as pd
+    from nwaylib.logger import NullOutputLogger
 
     arrays = Arrays.load(folder)
     density = arrays.densities
@@ -185,13 +183,11 @@ def nway(folder: str) -> Callable[[], int]:
         for k, (f, s) in enumerate(zip(arrays.features, arrays.sigmas(), strict=True), start=1)
     ]
     radius = 3.0 * float(np.hypot(*(s.max() for s in arrays.sigmas())))
-    log = logging.getLogger("nway")
-    log.setLevel(logging.CRITICAL)
+    quiet = NullOutputLogger()
 
     def work() -> int:
-        copies = [dict(t) for t in tables]
-        result: pd.DataFrame = nwaylib.nway_match(copies, match_radius=radius, prior_completeness=8 / 9, logger=log)
-        return len(result)
+        copies = [dict(table) for table in tables]
+        return len(nwaylib.nway_match(copies, match_radius=radius, prior_completeness=8 / 9, logger=quiet))
 
     return work
 

@@ -1,4 +1,4 @@
-"""How fast, beside whom: the table of speeds, or with ``--quick`` the time of every stage at 100 000 rows."""
+"""How fast, beside whom: the table of speeds; with --quick the time of every stage at 100 000 rows."""
 
 from __future__ import annotations
 

@@ -128,23 +128,22 @@ def nearest_judged(found: SkyMatch, bright: Rows, ours: Rows) -> list[str]:
     known = bright & (moved.separation_arcsec < NEAR_ARCSEC)
     wrong = known & (still.rows != own)
     lost = known & (separations(found, own) > GATE_ARCSEC)
+    both = np.sum(wrong & lost)
     cases = {
         "takes another source than the star's own": wrong,
-        f"has the star's own source beyond {GATE_ARCSEC:g}″, and loses it": lost,
+        f"has the star's own beyond {GATE_ARCSEC:g}″: lost ({both} are both)": lost,
         "is right": known & ~wrong & ~lost,
     }
     lines = [
-        f"  {count(int(known.sum()))} have a source within {NEAR_ARCSEC}″ of their place of 2016: the star. Of these",
+        f"  {count(int(known.sum()))} have a source within {NEAR_ARCSEC}″ of their place of 2016. Of these",
         f"    {'nearest neighbour without motion':52}{'stars':>8}{'right in sameas':>18}",
     ]
     for words, which in cases.items():
-        lines.append(
-            f"      {words:50}{count(int(which.sum())):>8}{count(int(np.sum(which & (ours == own)))):>18}"
-        )
+        lines.append(f"      {words:50}{count(int(which.sum())):>8}{count(int(np.sum(which & (ours == own)))):>18}")
     shares = [f"{alike(found, wrong, rows):.1%}" for rows in (ours, still.rows)]
     lines += [
         f"    Brightness, which nobody used, agrees within a magnitude for {shares[0]} of the first",
-        f"    {wrong.sum()} as identified here, for {shares[1]} as nearest neighbour has them. Not right here:",
+        f"    {wrong.sum()} as identified here, for {shares[1]} as nearest has them. Not right here:",
     ]
     for row in np.flatnonzero(known & (ours != own)).tolist():
         lines.append(f"      HIP {found.first.ids[row]}: {excuse(found, row, int(own[row]))}")
@@ -171,9 +170,7 @@ def excuse(found: SkyMatch, row: int, own: int) -> str:
     if np.ma.getmaskarray(answers.partner)[row]:
         return "left alone, its source is too many quoted σ off"
     other = result.p_pair[(result.rows_1 == row) & (result.rows_2 == own)].sum()
-    return (
-        f"two sources compete; the nearest has p {other:.2f}, the one identified {answers.p_match[row]:.2f}"
-    )
+    return f"two sources compete; the nearest has p {other:.2f}, the one identified {answers.p_match[row]:.2f}"
 
 
 def errors_judged(found: SkyMatch) -> list[str]:

@@ -1,4 +1,4 @@
-"""Pictures are drawn of any identification, ellipses lie as astronomers expect, and a lack of matplotlib is told."""
+"""Pictures are drawn of any identification, ellipses lie as astronomers expect, no matplotlib is told."""
 
 from __future__ import annotations
 
@@ -37,9 +37,7 @@ def stars() -> SkyMatch:
     noise[:, 0] = 0.0
     later = 16e-3 * pm
     scale = degrees / np.cos(np.radians(dec))
-    first = Table(
-        {"id": np.arange(n), "ra": ra + noise[0, :, 0] * scale, "dec": dec + noise[0, :, 1] * degrees}
-    )
+    first = Table({"id": np.arange(n), "ra": ra + noise[0, :, 0] * scale, "dec": dec + noise[0, :, 1] * degrees})
     first["major"], first["minor"], first["angle"] = np.full(n, 0.12), np.full(n, 0.06), np.full(n, 30.0)
     first["pmra"], first["pmdec"], first["mag"] = pm[:, 0], pm[:, 1], rng.uniform(10, 15, n)
     east, north = noise[1, :, 0] + later[:, 0], noise[1, :, 1] + later[:, 1]
@@ -47,7 +45,7 @@ def stars() -> SkyMatch:
     second["ra"] = np.append(ra + east * scale, ra[0] + 0.15 * scale[0])
     second["dec"] = np.append(dec + north * degrees, dec[0])
     second["ra"][0] -= 0.15 * scale[0]
-    options = CatalogueOptions(ellipse="major,minor,angle", epoch=2000.0, pm_sigma_mas_per_yr=1.0)
+    options = CatalogueOptions(ellipse="major,minor,angle", sigma_unit="arcsec", epoch=2000.0, pm_sigma_mas_per_yr=1.0)
     return match(
         Catalogue.of(first, "early", options=options),
         Catalogue.of(second, "late", options=CatalogueOptions(sigma=0.1, epoch=2016.0)),
@@ -92,7 +90,9 @@ def test_east_is_left_in_pictures_of_the_sky(stars: SkyMatch) -> None:
 
 def test_an_ellipse_is_drawn_along_its_position_angle(stars: SkyMatch) -> None:
     """In pixels: 30 degrees from up towards the left."""
-    axes = plots.group(stars, record=0).axes[0]
+    figure = plots.group(stars, record=0)
+    figure.draw_without_rendering()
+    axes = figure.axes[0]
     outlines = axes.transData.transform(axes.patches[0].get_path().vertices)
     middle = 0.5 * (outlines.min(axis=0) + outlines.max(axis=0))
     away = outlines - middle
@@ -105,7 +105,7 @@ def test_the_outline_of_an_ellipse_reaches_its_axes() -> None:
     for angle in (0.0, 30.0, 90.0, 135.0):
         xx, yy, xy = ellipse_covariance(np.array(3.0), np.array(1.0), np.array(angle))
         outline = ellipse(np.array([5.0, -2.0]), np.array([[xx, xy], [xy, yy]]), 2.0, points=721)
-        away = outline - [5.0, -2.0]
+        away = outline - np.array([5.0, -2.0])
         distance = np.hypot(*away.T)
         assert (distance.min(), distance.max()) == pytest.approx((2.0, 6.0), rel=1e-4)
         east, north = away[np.argmax(distance)]
@@ -136,9 +136,7 @@ def test_what_cannot_be_drawn_is_refused(stars: SkyMatch, strangers: SkyMatch, t
     assert not list(tmp_path.iterdir())
 
 
-def test_without_matplotlib_the_install_line_is_told(
-    stars: SkyMatch, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_matplotlib_the_install_line_is_told(stars: SkyMatch, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [name for name in sys.modules if name.split(".")[0] == "matplotlib"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
@@ -165,9 +163,9 @@ def test_a_frame_lays_the_sky_flat_at_the_pole_and_across_the_meridian() -> None
         assert np.hypot(*(place[0] - place[1])) == pytest.approx(np.hypot(*offset), rel=1e-6)
         assert np.allclose(axes @ axes.transpose(0, 2, 1), np.eye(2), atol=1e-5)
         # A small step north of a record is where its turned axes say.
-        step = at + [0.0, -1e-5]
+        step = at - np.array([0.0, 1e-5])
         moved = Frame.about(at)(step)[0] - place
-        assert np.allclose(moved, axes @ [0.0, -0.036], atol=1e-5)
+        assert np.allclose(moved, axes @ np.array([0.0, -0.036]), atol=1e-5)
 
 
 def test_scale_bars_have_round_lengths() -> None:

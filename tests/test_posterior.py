@@ -163,3 +163,47 @@ def local_and_exact(monkeypatch, scene, prior):
     assert set(local.method.tolist()) <= {APPROXIMATE}
     exact = ~np.isin(sure.method, (APPROXIMATE, THINNED))[grouped.of_pairs()]
     return pairs, local, sure.p_pair, exact
+
+
+@pytest.mark.parametrize("prior", [PerPair(0.0), CommonObjects(0.15, 0.15)])
+@pytest.mark.parametrize("n, degree, misses, mean, worst", [
+    # As observed, doubled: the local method is good where misses are common and poor where they are rare.
+    (30, 3, 0.15, 0.007, 0.07), (60, 4, 0.15, 0.006, 0.06), (20, 6, 0.05, 0.02, 0.3), (20, 6, 0.005, 0.03, 0.6),
+])  # fmt: skip
+def test_the_local_method_is_as_good_as_stated(monkeypatch, prior, n, degree, misses, mean, worst):
+    errors = []
+    for seed in range(4):
+        scene = entangled(np.random.default_rng([seed, n]), n, degree, misses)
+        pairs, local, p_exact, exact = local_and_exact(monkeypatch, scene, prior)
+        assert exact.all() and local.unsettled < 1e-2
+        errors.append(np.abs(local.p_pair - p_exact))
+        for total in sums(pairs, local.p_pair):
+            assert total.max() <= 1 + 1e-9
+    errors = np.concatenate(errors)
+    assert len(errors) > 200 and errors.max() > 0
+    assert errors.mean() < mean and errors.max() < worst
+
+
+@pytest.mark.parametrize("prior", [PerPair(0.0), CommonObjects(0.15, 0.15)])
+def test_what_is_too_entangled_for_elimination_says_so_and_keeps_every_law(prior):
+    n1, n2, ratios = entangled(np.random.default_rng(1), 500, 12, 0.3)
+    pairs, grouped, best, sure = solved(n1, n2, ratios, prior)
+    assert len(pairs) > 2000 and np.isin(sure.method, (APPROXIMATE, THINNED)).any()
+    assert np.isfinite(sure.p_pair).all() and sure.p_pair.min() >= 0
+    for total in sums(pairs, sure.p_pair):
+        assert total.max() <= 1 + 1e-9
+
+
+def test_thin_groups_around_an_entangled_one_stay_exact(monkeypatch):
+    n1, n2, ratios = entangled(np.random.default_rng(2), 30, 4)
+    alone = {(n1, n2): 1.0, (n1 + 1, n2 + 1): 2.0, (n1 + 1, n2 + 2): 0.5}
+    pairs, _, _, sure = solved(n1 + 2, n2 + 3, ratios | alone, PerPair(0.0))
+    ours = as_table(pairs, sure.p_pair)
+    assert ours[n1, n2] == pytest.approx(1 / (1 + math.exp(-1.0)), abs=1e-12)
+    assert ours[n1 + 1, n2 + 1] == pytest.approx(math.exp(2.0) / (1 + math.exp(2.0) + math.exp(0.5)), abs=1e-12)
+
+
+def test_without_groups_there_is_nothing_to_be_sure_of():
+    _, grouped = laid_out(2, 3, set())
+    sure = posterior(grouped, assign(grouped, np.empty(0), CommonObjects(0.1, 0.1)(grouped.sizes_1, grouped.sizes_2)))
+    assert len(sure.p_pair) == 0 and sum(sure.counts().values()) == 0

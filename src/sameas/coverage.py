@@ -66,19 +66,17 @@ class Coverage:
 
         Unit 1 / (residual unit)^d. A record does not count where it stands itself.
         """
+        from sameas.kernels.density import refine
+
         start = (float(weights.sum()) + 0.5) / self.volume
-        result = []
-        for query in (1, 2):
-            density = np.full(len(self.first if query == 1 else self.second), start)
-            own = weights if query == source else 0.0
-            for level in self.levels:
-                cells = level.of_first if source == 1 else level.of_second
-                count = np.bincount(cells, weights, len(level.volume))
-                at = level.of_first if query == 1 else level.of_second
-                others = np.maximum(count[at] - own, 0.0)
-                density = (others + PSEUDO_COUNT) / (level.volume[at] + PSEUDO_COUNT / density)
-            result.append(density)
-        return result[0], result[1]
+        at_first, at_second = np.full(len(self.first), start), np.full(len(self.second), start)
+        nothing = np.empty(0)
+        for level in self.levels:
+            cells = level.of_first if source == 1 else level.of_second
+            count = np.bincount(cells, weights, len(level.volume))
+            refine(count, level.volume, level.of_first, weights if source == 1 else nothing, PSEUDO_COUNT, at_first)
+            refine(count, level.volume, level.of_second, weights if source == 2 else nothing, PSEUDO_COUNT, at_second)
+        return at_first, at_second
 
     @cached_property
     def covered(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

@@ -48,9 +48,7 @@ def report(match: SkyMatch) -> str:
 def catalogue_lines(catalogue: Catalogue, side: int, path: str = "") -> list[str]:
     """What was understood of catalogue 1 or 2, and what looks wrong with it; ``path`` of its file."""
     where = f" ({path})" if path else ""
-    lines = [
-        f"{('First', 'Second')[side - 1]} catalogue: {catalogue.name}, {count(len(catalogue))} rows{where}"
-    ]
+    lines = [f"{('First', 'Second')[side - 1]} catalogue: {catalogue.name}, {count(len(catalogue))} rows{where}"]
     told = [line.partition(": ") for line in catalogue.understood]
     last = {label: k for k, (label, _, _) in enumerate(told)}
     for k, (label, colon, words) in enumerate(told):
@@ -177,9 +175,7 @@ def _errors_in_words(estimate: Estimate) -> str:
 def _rows(match: SkyMatch) -> list[str]:
     """The table of what became of the rows of both catalogues."""
     result = match.result
-    reasons = sorted(
-        {reason for records in (result.first, result.second) for reason in records.set_aside.counts()}
-    )
+    reasons = sorted({reason for records in (result.first, result.second) for reason in records.set_aside.counts()})
     lines: list[tuple[str, list[str]]] = [("rows", [count(len(match.first)), count(len(match.second))])]
     per_side = [
         _fates(
@@ -241,14 +237,10 @@ def _pairs(match: SkyMatch) -> list[str]:
     statistics = result.groups.statistics()
     largest = statistics.pop("records in the largest")
     sizes = ", ".join(f"{count(n)} {words}" for words, n in statistics.items() if n)
-    groups = count(len(result.groups)) + (
-        f": {sizes}; the largest has {count(largest)} records" if sizes else ""
-    )
+    groups = count(len(result.groups)) + (f": {sizes}; the largest has {count(largest)} records" if sizes else "")
     k = len(result.matches)
     ambiguous = int(np.count_nonzero(result.matches.p_match < AMBIGUOUS))
-    methods = ", ".join(
-        f"{count(n)} groups by {words}" for words, n in result.posterior.counts().items() if n
-    )
+    methods = ", ".join(f"{count(n)} groups by {words}" for words, n in result.posterior.counts().items() if n)
     wrong, missed = result.expected_wrong, result.expected_missed
     return [
         *entry("groups", groups),
@@ -272,11 +264,10 @@ def _residuals(match: SkyMatch) -> list[str]:
     if match.epoch_jyr is not None:
         before = match.still_offsets
         rows.insert(0, ("at their own epochs", before, _still_distance(match, before)))
+    mean_and_rms = f"{'mean':>9}{'rms':>10}"
     lines = [
         f"{'Residuals, arcsec':{2 + LABEL}}{'east':>19}{'north':>19}{'distance':>12}{'in quoted σ':>14}",
-        f"  {'(first minus second)':{LABEL}}"
-        + f"{'mean':>9}{'rms':>10}" * 2
-        + f"{'median':>12}{'median':>14}",
+        f"  {'(first minus second)':{LABEL}}{2 * mean_and_rms}{'median':>12}{'median':>14}",
     ]
     for label, offset, distance in rows:
         mean, rms = offset.mean(axis=0), np.sqrt(np.mean(offset**2, axis=0))
@@ -289,9 +280,7 @@ def _residuals(match: SkyMatch) -> list[str]:
 def _still_distance(match: SkyMatch, offset: FloatArray) -> FloatArray:
     """(k,) distance of the identified pairs where they were observed, over the errors quoted there."""
     i, j = match.result.matches.rows_1, match.result.matches.rows_2
-    covariance = 1e-6 * (
-        match.first.astrometry.covariance[i, :2, :2] + match.second.astrometry.covariance[j, :2, :2]
-    )
+    covariance = 1e-6 * (match.first.astrometry.covariance[i, :2, :2] + match.second.astrometry.covariance[j, :2, :2])
     xx, yy, xy = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]
     x, y = offset.T
     return np.sqrt((yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy))
@@ -310,9 +299,7 @@ def _magnitudes(match: SkyMatch) -> list[str]:
         identified = np.zeros(len(catalogue), np.bool_)
         identified[found] = True
         rows = records.rows[(covered | identified)[records.rows]]
-        lines += _bins(
-            f"{catalogue.name}, {catalogue.magnitude_name}", catalogue.magnitude[rows], identified[rows]
-        )
+        lines += _bins(f"{catalogue.name}, {catalogue.magnitude_name}", catalogue.magnitude[rows], identified[rows])
     return ["", "Identified by magnitude, of the rows covered", *lines] if lines else []
 
 

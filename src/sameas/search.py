@@ -18,6 +18,9 @@ from sameas import threads
 from sameas.records import FloatArray, Records, unpack
 from sameas.space import Plane, Sphere
 
+#: Fewer tests than this for each record are not worth another sweep.
+FEW_TESTS = 4.0
+
 #: i, j, residual, squared Mahalanobis distance, determinant: the columns of :class:`sameas.gate.Pairs`.
 Columns = tuple[NDArray[np.int32], NDArray[np.int32], FloatArray, FloatArray, FloatArray]
 
@@ -29,18 +32,36 @@ def search(first: Records, second: Records, limit: float, box: bool) -> Columns:
         return np.empty(0, np.int32), np.empty(0, np.int32), np.empty((0, d)), np.empty(0), np.empty(0)
     geometry = _Geometry.of(first, second, limit, box)
     sides = _Side.of(first, geometry), _Side.of(second, geometry)
-    classes = [side.classes() for side in sides]
+    area = max(_area(*sides, geometry), 1e-290)
+    classes = [side.classes(len(other.rows) / area) for side, other in zip(sides, sides[::-1], strict=True)]
+    places = _Places(len(first)), _Places(len(second))
     chunks: list[Columns] = []
     for one in classes[0]:
         for two in classes[1]:
             zones = _Zones.of(one, two, geometry)
-            chunks += _swept(one.sorted(zones), two.sorted(zones), zones, geometry)
+            ordered = one.sorted(zones), two.sorted(zones)
+            places[0].note(ordered[0])
+            places[1].note(ordered[1])
+            chunks += _swept(*ordered, zones, geometry)
     columns = chunks[0] if len(chunks) == 1 else tuple(np.concatenate(parts) for parts in zip(*chunks, strict=True))
     if len(classes[0]) * len(classes[1]) > 1:
-        place = [_places(groups, len(side.rows)) for groups, side in zip(classes, sides, strict=True)]
-        order = np.argsort((place[0][columns[0]] << 32) | place[1][columns[1]])
+        order = np.argsort((places[0].place[columns[0]] << 32) | places[1].place[columns[1]])
         columns = tuple(np.ascontiguousarray(column[order]) for column in columns)
     return columns  # type: ignore[return-value]
+
+
+class _Places:
+    """The place of every record in an order of content: class by class, each as it was first sorted."""
+
+    def __init__(self, n: int) -> None:
+        self.place = np.full(n, -1, np.int64)
+        self.used = 0
+
+    def note(self, side: _Side) -> None:
+        """Give the records of a class their places, if they have none yet."""
+        if self.place[side.rows[0]] < 0:
+            self.place[side.rows] = np.arange(self.used, self.used + len(side.rows))
+            self.used += len(side.rows)
 
 
 @dataclass(frozen=True)
@@ -69,6 +90,24 @@ class _Geometry:
 
     def array(self, wraps: bool) -> FloatArray:
         return np.array([self.sphere, self.box, self.limit, self.x, self.y, wraps], dtype=np.float64)
+
+
+def _area(one: _Side, two: _Side, geometry: _Geometry) -> float:
+    """Area in x and y where records lie, by the cells of a grid that they occupy; 0 where there is no y."""
+    if geometry.x == geometry.y:
+        return 0.0
+    axes = [geometry.x, geometry.y]
+    low = np.minimum(one.features.min(axis=0), two.features.min(axis=0))[axes]
+    high = np.maximum(one.features.max(axis=0), two.features.max(axis=0))[axes]
+    extent = np.maximum(high - low, 1e-300)
+    occupied = np.zeros((32, 32), np.bool_)
+    for side in (one, two):
+        cell = [np.minimum((side.features[:, v] - low[k]) * (32.0 / extent[k]), 31.0) for k, v in enumerate(axes)]
+        occupied[cell[0].astype(np.int8), cell[1].astype(np.int8)] = True
+    shrink = np.ones(32)
+    if geometry.sphere:
+        shrink = np.maximum(np.cos(np.radians(low[1] + extent[1] * (np.arange(32) + 0.5) / 32.0)), 1e-6)
+    return float((occupied * shrink).sum() * extent[0] * extent[1] / 1024.0)
 
 
 def _sharpness(records: Records) -> FloatArray:
@@ -134,15 +173,19 @@ class _Side:
             ids=self.ids[rows],
         )
 
-    def classes(self) -> list[_Side]:
-        """This side split by the size of its errors: the few widest apart, as long as that saves work."""
+    def classes(self, others_per_area: float) -> list[_Side]:
+        """This side split by the size of its errors: the few widest apart, as long as that saves work.
+
+        others_per_area : density of the other source in the plane of x and y.
+        """
         size = self.reach.max(axis=1)
         remaining = np.arange(len(size))
-        parts = []
+        parts: list[NDArray[np.int64]] = []
         while len(parts) < 8:
             top = size[remaining].max()
             wide = size[remaining] > top / 4.0
-            if wide.mean() > 0.2 or len(remaining) < 64:
+            # A record is tested against three zones of height top in a window of 2 top.
+            if wide.mean() > 0.2 or len(remaining) < 64 or 6.0 * top**2 * others_per_area < FEW_TESTS:
                 break
             parts.append(remaining[wide])
             remaining = remaining[~wide]
@@ -185,8 +228,11 @@ def _content_order(side: _Side, zone: NDArray[np.int64], zones: _Zones) -> NDArr
     keys |= np.arange(n, dtype=np.uint64)
     keys.sort()
     order = (keys & np.uint64((1 << row_bits) - 1)).astype(np.int64)
-    certain = sort_within_bins(order, np.uint64(row_bits), keys, side.features, side.covariance, zones.x)
-    return order if certain else side.content_order(zone, x)
+    inner = (order, np.uint64(row_bits), keys, side.features, side.covariance, zones.x)
+    doubt = sort_within_bins(*inner, np.empty(0, np.int64))
+    if doubt == 1:
+        doubt = sort_within_bins(*inner, side.rank())
+    return order if doubt == 0 else side.content_order(zone, x)
 
 
 @dataclass(frozen=True)
@@ -277,13 +323,3 @@ def _swept(one: _Side, two: _Side, zones: _Zones, geometry: _Geometry) -> list[C
         return chunks
 
     return [chunk for chunks in threads.over(work, threads.even(len(one.rows))) for chunk in chunks]
-
-
-def _places(classes: list[_Side], n: int) -> NDArray[np.int64]:
-    """The place of every record in an order of content: class by class, each sorted by its features."""
-    place = np.empty(n, np.int64)
-    used = 0
-    for side in classes:
-        place[side.rows[side.content_order()]] = np.arange(used, used + len(side.rows))
-        used += len(side.rows)
-    return place

@@ -12,6 +12,8 @@ def main() -> None:
 
         from sameas.cli.app import app
 
+        for stream in (sys.stdout, sys.stderr):
+            stream.reconfigure(errors="replace")  # type: ignore[union-attr]  # σ where the terminal has none
         if "--debug" not in sys.argv:
             warnings.simplefilter("ignore")
         app()

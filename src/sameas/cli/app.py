@@ -114,9 +114,7 @@ def match(
         if output is None or dry_run:
             look(request, quiet)
         else:
-            wanted = Wanted(
-                output, out_format, overwrite, join, nway_columns, compare_nearest, ctx.meta["typed"]
-            )
+            wanted = Wanted(output, out_format, overwrite, join, nway_columns, compare_nearest, ctx.meta["typed"])
             check(request, wanted)
             wanted.fulfil(request, quiet)
 

@@ -31,16 +31,12 @@ Output = Annotated[
 ]
 Join = Annotated[
     str,
-    _option(
-        "--join", metavar="TYPE", callback=one_of(JOINS), help=f"Rows of the output: {', '.join(JOINS)}."
-    ),
+    _option("--join", metavar="TYPE", callback=one_of(JOINS), help=f"Rows of the output: {', '.join(JOINS)}."),
 ]
 Nway = Annotated[bool, _option("--nway-columns", help="Add p_any, p_i and dist_bayesfactor of NWAY.")]
 ToEpoch = Annotated[
     float | None,
-    _option(
-        "--to-epoch", panel=_MATCH, metavar="YEAR", help="Common epoch that both catalogues are moved to."
-    ),
+    _option("--to-epoch", panel=_MATCH, metavar="YEAR", help="Common epoch that both catalogues are moved to."),
 ]
 GateSigmas = Annotated[
     float | None,
@@ -92,9 +88,7 @@ OutFormat = Annotated[
     str | None,
     _option("--out-format", panel=_FILES, metavar="NAME", callback=_known_format, help="The same of OUT."),
 ]
-Overwrite = Annotated[
-    bool, _option("--overwrite/--no-overwrite", panel=_FILES, help="Whether OUT may exist already.")
-]
+Overwrite = Annotated[bool, _option("--overwrite/--no-overwrite", panel=_FILES, help="Whether OUT may exist already.")]
 CompareNearest = Annotated[
     bool, _option("--compare-nearest", help="Print what the nearest neighbour would say beside it.")
 ]

@@ -67,9 +67,7 @@ def check(request: Request, wanted: Wanted) -> None:
             raise InputError(f"{out}: is also an input; it would be overwritten; give -o another name")
     known = tuple(extension for extensions in known_formats().values() for extension in extensions)
     if wanted.format is None and not out.name.lower().endswith(known):
-        raise InputError(
-            f"{out}: its extension does not tell a format; see `sameas formats`, or say --out-format NAME"
-        )
+        raise InputError(f"{out}: its extension does not tell a format; see `sameas formats`, or say --out-format NAME")
     for path in request.paths:
         if not Path(path).exists():
             return  # reading it will say so, which is more important

@@ -48,9 +48,7 @@ COLUMN_OPTIONS = (
     ColumnOption("radial-velocity", "radial_velocity", "NAME|none", "Column of radial velocity."),
     ColumnOption("magnitude", "magnitude", "NAME|none", "Column of a magnitude."),
     ColumnOption("sigma-floor", "sigma_floor_arcsec", "ARCSEC", "Quadratically added to the errors.", float),
-    ColumnOption(
-        "missing-pm", "missing_pm_mas_per_yr", "MAS/YR", "Spread of unknown proper motions, 1σ.", float
-    ),
+    ColumnOption("missing-pm", "missing_pm_mas_per_yr", "MAS/YR", "Spread of unknown proper motions, 1σ.", float),
 )
 
 PANELS = {"": "Columns of both catalogues", "1": "First catalogue alone", "2": "Second catalogue alone"}

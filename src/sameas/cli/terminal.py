@@ -38,16 +38,21 @@ class Printer:
                     notice(f"doubt: {line[len(DOUBT) :]}")
                 continue
             style = "yellow" if doubt else "bold" if line[:1].strip() else None
-            for part in textwrap.wrap(line, WIDTH, subsequent_indent=" " * len(DOUBT)) if doubt else [line]:
+            for part in _wrapped(line) if doubt else [line]:
                 self._print(part, style)
 
     def _print(self, line: str, style: str | None) -> None:
         try:
             self.console.print(line, style=style)
-        except BrokenPipeError:
+        except (BrokenPipeError, SystemExit):  # rich ends the process where a reader has gone
             # Whoever read stdout has seen enough; the output is still to be written.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             self.quiet = True
+
+
+def _wrapped(line: str) -> list[str]:
+    indent = " " * len(DOUBT)
+    return textwrap.wrap(line, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 class Pace:

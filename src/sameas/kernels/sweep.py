@@ -17,10 +17,11 @@ ARCSEC = 206264.80624709636
 
 
 @njit(cache=True, nogil=True)
-def sort_within_bins(order, key_shift, keys, features, covariance, axis_x):
-    """Sort, in place, the rows that share a bin (equal ``keys >> key_shift``) by content.
+def sort_within_bins(order, key_shift, keys, features, covariance, axis_x, rank):
+    """Sort, in place, the rows that share a bin (equal ``keys >> key_shift``) by content, then by rank.
 
-    Returns whether that settled the order: not where two rows are equal or a bin holds more than 256 of them.
+    Returns 0 when that settled the order, 1 where two rows are equal and ``rank`` is empty, 2 where a bin holds more
+    than 256 rows.
     """
     n = len(order)
     start = 0
@@ -30,21 +31,24 @@ def sort_within_bins(order, key_shift, keys, features, covariance, axis_x):
         while stop < n and keys[stop] >> key_shift == bin_:
             stop += 1
         if stop - start > 256:
-            return False
+            return 2
         for k in range(start + 1, stop):
             row = order[k]
             t = k - 1
             while t >= start:
                 before = precedes(features, covariance, axis_x, order[t], row)
                 if before == 0:
-                    return False
+                    if len(rank) == 0:
+                        order[t + 1] = row
+                        return 1
+                    before = 1 if rank[order[t]] < rank[row] else -1
                 if before > 0:
                     break
                 order[t + 1] = order[t]
                 t -= 1
             order[t + 1] = row
         start = stop
-    return True
+    return 0
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -21,9 +21,7 @@ def certainty(match: SkyMatch) -> Figure:
     The share is that of the first catalogue against its magnitude, left out where it has none.
     """
     found = match.result.matches
-    title = (
-        f"Of {count(len(found))} identified pairs {match.result.expected_wrong:.1f} are expected to be wrong"
-    )
+    title = f"Of {count(len(found))} identified pairs {match.result.expected_wrong:.1f} are expected to be wrong"
     rows = f"{count(len(match.result.first))} usable rows of {match.first.name}"
     figure = sheet(title, f"{rows}, {count(len(match.result.second))} of {match.second.name}.")
     if not len(found):

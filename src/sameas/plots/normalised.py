@@ -47,9 +47,7 @@ def _bulk(axes: Axes, distance: FloatArray, errors: Errors) -> None:
         (np.median(distance), INK, "median", 0.88),
     ):
         axes.axvline(value, ymax=level / 1.06, color=colour, lw=1.0, ls=":")
-        axes.annotate(
-            f" {text} {value:.2f}", (value, level * top), color=colour, fontsize=9.5, va="top", ha="left"
-        )
+        axes.annotate(f" {text} {value:.2f}", (value, level * top), color=colour, fontsize=9.5, va="top", ha="left")
     axes.set_xlim(0.0, end)
     axes.set_ylim(0.0, 1.06 * top)
     tidy(axes, "separation / its quoted error  [σ]", "density of pairs  [1/σ]", "the bulk, linear")
@@ -112,9 +110,7 @@ def _finding(match: SkyMatch) -> str:
 def _detail(match: SkyMatch) -> str:
     errors = match.estimate.errors
     heavy = sum(share for scale, share in zip(errors.scales, errors.shares, strict=True) if scale > 3.0)
-    words = (
-        f"{count(len(match.result.matches))} identified pairs of {match.first.name} and {match.second.name}."
-    )
+    words = f"{count(len(match.result.matches))} identified pairs of {match.first.name} and {match.second.name}."
     if heavy > 0.005:
         words += f" {100 * heavy:.0f} % of them have errors more than 3 times the quoted ones: a heavy tail."
     return words

@@ -26,6 +26,8 @@ from sameas.sky.nearest import Nearest, nearest
 from sameas.space import sphere_offset
 
 ARCSEC2_PER_DEG2 = 3600.0**2
+#: More records of either catalogue than this within one typical error: nothing can be told apart.
+BLURRED = 20.0
 
 
 @dataclass(frozen=True)
@@ -131,6 +133,7 @@ def match(
     options = MatchOptions() if options is None else options
     progress("motion")
     epoch, words, one, two = brought_together(first, second, options.epoch_jyr)
+    _refuse_blur(one, two)
     result, estimate = estimated(
         one, two, errors=options.errors(), gate=options.gate(), density=options.density(), progress=progress
     )
@@ -154,6 +157,28 @@ def brought_together(
             reasons = ", ".join(f"{reason} ({n})" for reason, n in records.set_aside.counts().items())
             raise InputError(f"{catalogue.name}: none of its {len(catalogue)} rows can be used: {reasons}")
     return epoch, words, one, two
+
+
+def _refuse_blur(one: Records, two: Records) -> None:
+    """Refuses errors so large that all records are candidates of all others: a wrong unit, no doubt."""
+    sigmas = [math.sqrt(float(np.median(records.covariance[:, [0, -1]].mean(axis=1)))) for records in (one, two)]
+    sigma = math.hypot(*sigmas)
+    crowd = min(_records_per_cell(records.features, sigma) for records in (one, two))
+    if crowd > BLURRED:
+        worst = (one, two)[int(sigmas[1] > sigmas[0])].source
+        raise InputError(
+            f"{worst}: its typical error, {max(sigmas):.3g} arcsec, is so large that about {crowd:.0f} records lie "
+            "within it in either catalogue; are the errors in another unit? say --sigma-unit UNIT"
+        )
+
+
+def _records_per_cell(position_deg: FloatArray, side_arcsec: float) -> float:
+    """Mean number of records in the occupied cells of this size."""
+    lon, lat = position_deg.T
+    side = side_arcsec / 3600.0
+    ring = np.floor(lat / side)
+    along = np.floor(lon * np.cos(np.radians(ring * side)) / side)
+    return len(lon) / len(np.unique(ring + 1j * along))
 
 
 def common_epoch(first: Catalogue, second: Catalogue, asked: float | None) -> tuple[float | None, str]:
@@ -227,7 +252,8 @@ def _doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]:
     if scale > 5.0 or scale < 0.3:
         doubts.append(f"the residuals are {scale:.2g} times what the quoted errors say: are their units right?")
     if result.approximate_pairs:
-        doubts.append(f"{result.approximate_pairs} candidates lie in entangled groups; their probabilities are approximate")
+        count = result.approximate_pairs
+        doubts.append(f"{count} candidates lie in entangled groups; their probabilities are approximate")
     return tuple(doubts)
 
 

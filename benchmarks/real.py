@@ -1,0 +1,247 @@
+"""Real stars: NGC 188, Gaia × 2MASS, sameas beside STILTS find=best and nearest neighbour; every difference explained."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import peers
+from benchmarks.measure import ROOT
+from benchmarks.processes import Process
+from benchmarks.tables import Table, report
+from sameas.space import sphere_offset
+
+FOLDER = ROOT.parent / "shared" / "data" / "ngc188_gaia_2mass"
+GAIA, TWOMASS = FOLDER / "gaia_results.fits", FOLDER / "2MASS_results.ecsv"
+#: Typical errors of Gaia DR2 and 2MASS, which these tables leave out (SOURCE.txt).
+GAIA_ARCSEC, TWOMASS_ARCSEC = 0.0003, 0.08
+GAIA_EPOCH = 2015.5
+RADIUS_ARCSEC = 2.0
+NOBODY = -1
+
+
+def missing() -> str | None:
+    """Why this cannot be run, None where it can."""
+    absent = [path for path in (GAIA, TWOMASS) if not path.exists()]
+    return f"{absent[0]} is not there: the set is not part of the project (see ../shared/data/README.md)" if absent else None
+
+
+@cache
+def identified() -> tuple[Any, Any, Any]:
+    """The match, and both catalogues' records at the epoch of 2MASS."""
+    from sameas.io import read_table
+    from sameas.sky.catalogue import Catalogue, CatalogueOptions
+    from sameas.sky.match import match
+
+    options = {"gaia": CatalogueOptions(sigma=GAIA_ARCSEC, epoch=GAIA_EPOCH), "2mass": CatalogueOptions(sigma=TWOMASS_ARCSEC)}
+    paths = {"gaia": GAIA, "2mass": TWOMASS}
+    first, second = (Catalogue.of(read_table(paths[k]), k, options=options[k]) for k in options)
+    found = match(first, second)
+    return found, found.result.first, found.result.second
+
+
+@dataclass(frozen=True)
+class Field:
+    """What everyone says of each Gaia star: row of 2MASS or −1, all at the epoch of 2MASS.
+
+    offsets are taken between the moved positions.
+    """
+
+    found: Any
+    first: Any
+    second: Any
+    stilts: np.ndarray | None
+
+    def ours(self) -> np.ndarray:
+        """Our partner."""
+        return np.asarray(self.found.result.answers_1.partner.filled(NOBODY))
+
+    def nearest(self) -> tuple[np.ndarray, np.ndarray]:
+        """The nearest source and how far it is; −1 beyond the radius."""
+        near = self.found.nearest(moved=True)
+        rows = np.full(self.first.n_table, NOBODY)
+        separation = np.full(self.first.n_table, np.nan)
+        inside = near.separation_arcsec <= RADIUS_ARCSEC
+        rows[self.first.rows] = np.where(inside, near.rows, NOBODY)
+        separation[self.first.rows] = near.separation_arcsec
+        return rows, separation
+
+    def separation(self, i: int, j: int) -> float:
+        """Between a Gaia star and a 2MASS source, arcsec; rows of the tables."""
+        a = self.first.features[np.searchsorted(self.first.rows, i)]
+        b = self.second.features[np.searchsorted(self.second.rows, j)]
+        return float(np.hypot(*sphere_offset(*a, *b)))
+
+    def probability(self, i: int, j: int) -> float | None:
+        """Ours of that pair, None where it is no candidate."""
+        r = self.found.result
+        at = np.flatnonzero((r.rows_1 == i) & (r.rows_2 == j))
+        return float(r.p_pair[at[0]]) if len(at) else None
+
+
+def stilts_partners(first: Any, second: Any) -> np.ndarray | None:
+    """STILTS find=best within the radius, on the same moved positions; None where it is missing."""
+    from astropy.table import Table as FitsTable
+
+    if not shutil.which(peers.PEERS["stilts"].program):
+        return None
+    with tempfile.TemporaryDirectory(prefix="sameas-bench-") as name:
+        paths = [Path(name) / f"{side}.fits" for side in (1, 2)]
+        for path, records in zip(paths, (first, second), strict=True):
+            FitsTable([records.rows, *records.features.T], names=["row", "ra", "dec"]).write(path)
+        out = Path(name) / "out.fits"
+        Process([
+            "stilts", "tskymatch2", f"in1={paths[0]}", f"in2={paths[1]}", "ra1=ra", "dec1=dec", "ra2=ra", "dec2=dec",
+            f"error={RADIUS_ARCSEC:g}", "find=best", "join=1and2", f"out={out}", "ofmt=fits",
+        ])()  # fmt: skip
+        table = FitsTable.read(out)
+    partners = np.full(first.n_table, NOBODY)
+    partners[np.asarray(table["row_1"])] = np.asarray(table["row_2"])
+    return partners
+
+
+# ---- tables ----
+
+
+def summary(field: Field) -> Table:
+    """Pairs, double claims, agreement."""
+    ours, (near, _) = field.ours(), field.nearest()
+    said = {"sameas": ours, f"nearest within {RADIUS_ARCSEC:g}″": near}
+    if field.stilts is not None:
+        said[f"STILTS find=best, {RADIUS_ARCSEC:g}″"] = field.stilts
+    lines = []
+    for name, partner in said.items():
+        claimed = partner[partner >= 0]
+        twice = int(np.sum(np.unique(claimed, return_counts=True)[1] > 1))
+        both = (partner >= 0) & (ours >= 0)
+        same = int(np.sum(both & (partner == ours)))
+        other = int(np.sum(both & (partner != ours)))
+        lines.append([name, len(claimed), twice, same, other, int(np.sum((partner >= 0) & (ours < 0))),
+                      int(np.sum((partner < 0) & (ours >= 0)))])  # fmt: skip
+    e = field.found.estimate
+    notes = (
+        f"{field.found.moved}; gate {e.gate_sigmas:.3g} quoted σ ({GAIA_ARCSEC:g}″, {TWOMASS_ARCSEC:g}″)",
+        f"typical error {e.typical_scale:.2f} times the quoted; {len(e.errors.scales)} scales; "
+        f"{field.found.result.expected_wrong:.1f} of our pairs expected to be wrong",
+    )
+    columns = ("by", "pairs", "claimed twice", "same as ours", "other partner", "pair, ours none", "none, ours a pair")
+    return Table("NGC 188, Gaia × 2MASS: pairs", columns, lines, notes)
+
+
+def claims(field: Field) -> Table:
+    """2MASS sources that are nearest to two Gaia stars, and who got them."""
+    near, distance = field.nearest()
+    ours = field.ours()
+    sources, count = np.unique(near[near >= 0], return_counts=True)
+    lines: list[list[object]] = []
+    for source in sources[count > 1]:
+        stars = np.flatnonzero(near == source)
+        stars = stars[np.argsort(distance[stars])]
+        holder = np.flatnonzero(ours == source)
+        words = "nobody" if not len(holder) else "the nearer" if holder[0] == stars[0] else (
+            "the farther" if holder[0] in stars else "another star"
+        )  # fmt: skip
+        p = [field.probability(int(i), int(source)) for i in stars]
+        others = int(np.sum((ours[stars] >= 0) & (ours[stars] != source)))
+        lines.append([
+            str(field.second.ids[source]), len(stars), ", ".join(f"{distance[i]:.3f}" for i in stars),
+            ", ".join("cut" if x is None else f"{x:.3f}" for x in p), words, others,
+        ])  # fmt: skip
+    columns = ("2MASS", "claims", "separations, ″", "our p of each", "goes to", "claimants given another")
+    unresolved = int(np.sum(np.unique(ours[ours >= 0], return_counts=True)[1] > 1))
+    note = f"{len(lines)} double claims within {RADIUS_ARCSEC:g}″; {unresolved} left in our answer"
+    return Table("NGC 188: double claims", columns, lines, (note,))
+
+
+def differences(field: Field, name: str, theirs: np.ndarray) -> Table:
+    """Every Gaia star of which another says something else."""
+    ours = field.ours()
+    lines = []
+    for i in np.flatnonzero(theirs != ours):
+        t, o = int(theirs[i]), int(ours[i])
+        cells = [str(field.first.ids[i])]
+        for j in (t, o):
+            cells += ["none", None, None] if j < 0 else [
+                str(field.second.ids[j]), field.separation(i, j), field.probability(i, j)
+            ]  # fmt: skip
+        p_none = float(field.found.result.answers_1.p_none[i])
+        lines.append([*cells, p_none, explanation(field, int(i), theirs, ours)])
+    columns = ("Gaia", name, "sep ″", "our p", "sameas", "sep ″", "our p", "p none", "why")
+    kinds, count = np.unique([str(line[-1]).split(":")[0] for line in lines], return_counts=True)
+    notes = [f"{n} × {kind}" for kind, n in sorted(zip(kinds, count, strict=True), key=lambda x: -x[1])]
+    return Table(f"NGC 188: where {name} differs ({len(lines)})", columns, lines, notes)
+
+
+def explanation(field: Field, i: int, their_partners: np.ndarray, our_partners: np.ndarray) -> str:
+    """Why we do not say of star i what another says."""
+    theirs, ours = int(their_partners[i]), int(our_partners[i])
+    if theirs < 0:
+        return _found_by_us_alone(field, i, ours, their_partners)
+    if field.probability(i, theirs) is None:
+        return "not a candidate: beyond our gate" + _motion(field, i)
+    holder = np.flatnonzero(our_partners == theirs)
+    if len(holder) and holder[0] != i:
+        h = int(holder[0])
+        words = f"{field.separation(h, theirs):.3f}″ away, p {field.probability(h, theirs):.3f}"
+        return f"their source goes to a likelier star: Gaia {field.first.ids[h]}, {words}"
+    if ours >= 0:
+        return "the best hypothesis of the group pairs it otherwise"
+    return "more probably alone: too many σ" + _motion(field, i)
+
+
+def _found_by_us_alone(field: Field, i: int, ours: int, their_partners: np.ndarray) -> str:
+    """Why another leaves star i alone that we pair with a source."""
+    if field.separation(i, ours) > RADIUS_ARCSEC:
+        return f"they find none: ours is beyond {RADIUS_ARCSEC:g}″" + _motion(field, i)
+    holder = np.flatnonzero(their_partners == ours)
+    if len(holder):
+        return f"they find none: our source goes to a nearer star, Gaia {field.first.ids[int(holder[0])]}"
+    nearest, distance = field.nearest()
+    if nearest[i] != ours:
+        return (
+            f"they find none: its nearest source ({distance[i]:.3f}″) goes to a nearer star, and no second choice is made"
+        )
+    return "they find none: no reason found"
+
+
+def _motion(field: Field, i: int) -> str:
+    """A star whose motion is not known has wider errors."""
+    sigma = float(np.sqrt(field.first.covariance[np.searchsorted(field.first.rows, i), 0]))
+    return f"; its motion is not known, σ {sigma:.2f}″" if sigma > 0.02 else ""
+
+
+def tables(options: argparse.Namespace) -> Iterator[Table]:
+    """The summary, the double claims, the differences."""
+    found, first, second = identified()
+    field = Field(found, first, second, stilts_partners(first, second))
+    yield summary(field)
+    yield claims(field)
+    if field.stilts is not None:
+        yield differences(field, "STILTS", field.stilts)
+    if options.nearest:
+        yield differences(field, "nearest", field.nearest()[0])
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(prog="scripts/bench real", description=__doc__)
+    parser.add_argument("--nearest", action="store_true", help="list the differences from nearest neighbour too")
+    options = parser.parse_args()
+    reason = missing()
+    if reason:
+        print(f"skipped: {reason}")
+        sys.exit(0)
+    report("real", tables(options))
+
+
+if __name__ == "__main__":
+    main()

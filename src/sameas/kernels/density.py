@@ -1,0 +1,19 @@
+"""Compiled refinement of a local density by the counts of finer cells."""
+
+from __future__ import annotations
+
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def refine(count, volume, cell, own, pseudo_count, density):
+    """Draw ``density`` (n,), in place, towards the counts of each record's cell, its own weight left out.
+
+    count, volume : per cell. cell : (n,) of each record. own : (n,) weights of the records, or empty.
+    """
+    for k in range(len(cell)):
+        c = cell[k]
+        others = count[c]
+        if len(own):
+            others = max(others - own[k], 0.0)
+        density[k] = (others + pseudo_count) / (volume[c] + pseudo_count / density[k])

@@ -1,0 +1,126 @@
+"""`sameas match`: what it prints, what it writes, in every format."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from fields import field, save
+
+from sameas.io import read_provenance, read_table
+
+
+def pairs(path):
+    table = read_table(path)
+    p = np.ma.filled(np.ma.masked_invalid(table["p_match"]), 0.0)
+    return sorted(
+        zip(np.asarray(table["name_1"][p > 0]).tolist(), np.asarray(table["name_2"][p > 0]).tolist(), strict=True)
+    )
+
+
+@pytest.mark.parametrize("kind", ["fits", "vot", "ecsv", "csv", "parquet"])
+def test_every_format_in_and_out_gives_the_same_pairs_and_keeps_its_provenance(tmp_path, sameas, kind):
+    unit = ["--sigma-unit", "arcsec"] if kind == "csv" else []
+    first = save(field(120, 2), tmp_path / f"first.{kind}")
+    second = save(field(100, 3), tmp_path / f"second.{kind}")
+    out = tmp_path / f"out.{kind}"
+    sameas("match", first, second, "-o", out, "--id", "name", *unit)
+    assert pairs(out) == sorted((f"s{k}", f"s{k}") for k in range(100))
+    told = read_provenance(out)
+    assert told["pairs"] == 100 and told["rows_1"] == 120 and told["input_2"] == second
+    assert told["command"].startswith("sameas match ") and len(told["sha256_1"]) == 64
+    assert json.loads(told["options_1"])["id"] == "name"
+    assert sum(told["error_shares"]) == pytest.approx(1.0)
+
+
+def test_the_printed_text_tells_what_was_understood_estimated_and_found(tmp_path, sameas, field_files):
+    out = tmp_path / "out.fits"
+    text = sameas("match", *field_files, "-o", out, "--compare-nearest").stdout
+    for words in (
+        "First catalogue: first, 120 rows", "sigma [arcsec, unit of the column]", "area where both look",
+        "  identified                       100           100", "100 identified among", "expected wrong",
+        "probabilities         100 groups by closed form", "due if errors are true", "1.18",
+        "  second, mag", "second: claimed more than once", f"Output: {out}, 120 rows", "peak memory",
+    ):  # fmt: skip
+        assert words in text
+    assert "\x1b" not in text
+
+
+def test_provenance_is_the_same_but_for_the_date_and_the_paths(tmp_path, sameas, field_files):
+    told = []
+    for name in ("one.fits", "two.fits"):
+        sameas("match", *field_files, "-o", tmp_path / name, "-q")
+        told.append(read_provenance(tmp_path / name))
+    assert {key for key in told[0] if told[0][key] != told[1][key]} <= {"date_utc", "command"}
+
+
+@pytest.mark.parametrize(("join", "rows"), [("1and2", 100), ("1not2", 20), ("1or2", 120), ("2not1", 0)])
+def test_joins_by_the_names_of_stilts(tmp_path, sameas, field_files, join, rows):
+    sameas("match", *field_files, "-o", tmp_path / "out.ecsv", "--join", join, "-q", "--nway-columns")
+    table = read_table(tmp_path / "out.ecsv")
+    assert len(table) == rows and {"p_any", "p_i", "dist_bayesfactor"} <= set(table.colnames)
+
+
+def test_quiet_prints_nothing_but_doubts(tmp_path, sameas, field_files):
+    result = sameas("match", *field_files, "-o", tmp_path / "out.fits", "-q", "--density", "1e9,700")
+    assert result.stdout == ""
+    assert result.stderr.startswith("sameas: doubt: density: 1e+09 per square degree was said of first")
+
+
+def test_a_dry_run_tells_what_it_understands_and_writes_nothing(tmp_path, sameas, field_files):
+    text = sameas("match", *field_files, "-o", tmp_path / "out.fits", "--dry-run").stdout
+    assert "mean density there" in text and "Nothing was identified or written" in text
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_options_of_one_catalogue_win_over_those_of_both(tmp_path, sameas, field_files):
+    text = sameas("match", *field_files, "--dry-run", "--sigma", "0.3", "--sigma2", "0.2").stdout
+    assert "0.3 arcsec on each axis (option)" in text and "0.2 arcsec on each axis (option)" in text
+
+
+@pytest.mark.parametrize("said", [["sigma", "sigma", "angle"], ["sigma,sigma,angle"]])
+def test_an_ellipse_is_three_columns(tmp_path, sameas, field_files, said):
+    table = field(120, 2)
+    table["angle"] = np.zeros(120)
+    path = save(table, tmp_path / "ellipses.fits")
+    text = sameas("match", path, field_files[1], "--dry-run", "--ellipse1", *said).stdout
+    assert "ellipse, angle east of north" in text
+
+
+def test_rows_that_cannot_be_used_are_counted_by_their_reason(tmp_path, sameas, field_files):
+    table = field(120, 2)
+    table["sigma"][[0, 1, 2]] = 0.0, -1.0, np.nan
+    table["ra"][3] = np.nan
+    table = type(table)(table, masked=True)
+    table["dec"].mask[4] = True
+    text = sameas("match", save(table, tmp_path / "holes.ecsv"), field_files[1], "-o", tmp_path / "o.fits").stdout
+    assert "set aside: no error                3             0" in text
+    assert "set aside: no position             2             0" in text
+    assert "5 of 120 rows lack a position or a positive error" in text
+
+
+def test_one_row_and_the_same_file_twice_work(tmp_path, sameas, field_files):
+    one = save(field(1, 2), tmp_path / "one.fits")
+    sameas("match", one, field_files[1], "-o", tmp_path / "o.fits")
+    assert len(read_table(tmp_path / "o.fits")) == 1
+    text = sameas("match", field_files[0], field_files[0], "-o", tmp_path / "o.fits").stdout
+    assert "is given twice: every record will be found to be itself" in " ".join(text.split())
+    assert re.search(r"identified +120 +120\n", text)
+
+
+def test_guessed_ids_that_are_not_unique_give_way_to_row_numbers(tmp_path, sameas, field_files):
+    table = field(120, 2)
+    table.rename_column("name", "id")
+    table["id"][1] = "s0"
+    text = sameas("match", save(table, tmp_path / "twice.fits"), field_files[1], "--dry-run").stdout
+    assert "id is not unique, so rows are numbered" in text
+
+
+def test_errors_in_another_unit_are_questioned(tmp_path, sameas, field_files):
+    too_small = sameas("match", *field_files, "-o", tmp_path / "o.fits", "--sigma", "2.8e-5")
+    assert "are the errors in the unit that was understood?" in " ".join(too_small.stdout.split())
+
+
+def test_formats_and_version(sameas):
+    assert "parquet   .parquet .pq .parq" in sameas("formats").stdout
+    assert sameas("--version").stdout == "sameas 0.1.0\n"

@@ -1,0 +1,89 @@
+"""The command as its own process: what depends on signals, devices and terminals."""
+
+import os
+import pty
+import resource
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+COMMAND = [str(Path(sys.executable).with_name("sameas"))]
+
+
+def run(*arguments, **settings):
+    return subprocess.run([*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=120, **settings)
+
+
+def test_ctrl_c_says_so_in_one_line_and_leaves_nothing(tmp_path, field_files):
+    pipe = tmp_path / "never.csv"
+    os.mkfifo(pipe)
+    arguments = [*COMMAND, "match", field_files[0], str(pipe), "-o", str(tmp_path / "o.fits")]
+    process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout.readline().startswith("First catalogue")  # it now waits for the second one
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert said == "sameas: stopped; nothing was written\n"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["never.csv"]
+
+
+def test_a_full_disk_leaves_no_half_written_file(tmp_path, field_files):
+    def small():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))
+
+    done = run("match", *field_files, "-o", tmp_path / "o.fits", preexec_fn=small)
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1].startswith(f"sameas: cannot write {tmp_path}/o.fits: ")
+    assert "nothing was written" in done.stderr and "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
+    assert "100 identified" in done.stdout  # the summary is not lost with the file
+
+
+def test_a_reader_that_leaves_does_not_stop_the_work(tmp_path, field_files):
+    out = tmp_path / "o.fits"
+    arguments = [*COMMAND, "match", *field_files, "-o", str(out)]
+    process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process.stdout.close()
+    assert process.stderr.read() == "" and process.wait(timeout=60) == 0
+    process.stderr.close()
+    assert out.exists()
+
+
+def test_colour_on_a_terminal_unless_no_color(field_files):
+    for unwanted in (False, True):
+        environment = {**os.environ, "TERM": "xterm"} | ({"NO_COLOR": "1"} if unwanted else {})
+        for name in () if unwanted else ("NO_COLOR",):
+            environment.pop(name, None)
+        ours, theirs = pty.openpty()
+        arguments = [*COMMAND, "match", *field_files, "--dry-run", "--density", "1e9,1e9"]
+        done = subprocess.run(arguments, stdout=theirs, stderr=subprocess.PIPE, env=environment, timeout=60)
+        os.close(theirs)
+        text = b""
+        while chunk := _read(ours):
+            text += chunk
+        os.close(ours)
+        assert done.returncode == 0 and b"First catalogue" in text
+        assert (b"\x1b[33m" in text) is not unwanted
+
+
+def _read(terminal):
+    try:
+        return os.read(terminal, 65536)
+    except OSError:  # the other end is closed
+        return b""
+
+
+def test_help_imports_nothing_heavy_of_ours():
+    probe = """
+import sys
+sys.argv = ["sameas", "--help"]
+from sameas.cli import main
+try:
+    main()
+except SystemExit:
+    print([name for name in ("numba", "astropy", "scipy", "pyarrow", "sameas.sky") if name in sys.modules])
+"""
+    done = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, timeout=60)
+    assert done.stdout.splitlines()[-1] == "[]"
+    assert "match" in done.stdout and "explain" in done.stdout

@@ -1,0 +1,164 @@
+"""What a user may do wrong, and gets: one clear line, exit code 1 or 2, nothing written."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fields import field, save
+
+
+@pytest.fixture
+def refused(tmp_path, refusal, field_files):
+    """Refusal of a match of a changed first table with the second; nothing is left behind."""
+
+    def run(change=lambda table: None, *options, name="wrong.fits"):
+        table = field(120, 2)
+        changed = change(table)
+        path = save(table if changed is None else changed, tmp_path / name)
+        words = refusal("match", path, field_files[1], "-o", tmp_path / "o.fits", *options)
+        assert sorted(entry.name for entry in tmp_path.iterdir()) == [name]
+        return words
+
+    return run
+
+
+def test_a_missing_file_and_what_is_no_table(tmp_path, refusal, field_files):
+    out = tmp_path / "o.fits"
+    assert "frist.fits: no such file; did you mean first.fits" in refusal(
+        "match", field_files[0].replace("first", "frist"), field_files[1], "-o", out
+    )
+    page = tmp_path / "page.csv"
+    page.write_text("<!DOCTYPE html><html></html>")
+    assert "is a web page (HTML), not CSV; the download probably failed" in refusal(
+        "match", page, field_files[1], "-o", out
+    )
+    page.rename(tmp_path / "page.dat")
+    assert "or say --format1 NAME" in refusal("match", tmp_path / "page.dat", field_files[1], "-o", out)
+
+
+def test_no_position_or_two_name_the_option_of_that_catalogue(refused):
+    assert "say --ra1 NAME --dec1 NAME" in refused(lambda t: t.remove_column("ra"))
+
+    def second_position(table):
+        table["ALPHA_J2000"], table["DELTA_J2000"] = table["ra"], table["dec"]
+
+    assert "2 candidates for right ascension: 'ALPHA_J2000', 'ra'; say --ra1 NAME" in refused(second_position)
+
+
+def test_a_column_that_is_not_there_names_the_option_that_was_typed(refused):
+    assert "no column 'sigmas' for --sigma1; did you mean 'sigma'?" in refused(lambda t: None, "--sigma1", "sigmas")
+    assert "no column 'sigmas' for --sigma; did you mean" in refused(lambda t: None, "--sigma", "sigmas")
+
+
+def test_unknown_units_and_errors_without_one(refused):
+    def unitless(table):
+        table["sigma"].unit = None
+
+    assert "say --sigma-unit1 arcsec, mas or deg" in refused(unitless)
+    assert "is in furlong, which is not an angle" in refused(unitless, "--sigma-unit", "furlong")
+    assert "--sigma1 0 is not positive" in refused(unitless, "--sigma1", "0")
+
+
+def test_absurd_errors_are_refused_before_they_take_a_day(refused):
+    words = refused(lambda t: None, "--sigma1", "0.4", "--sigma-unit1", "deg")
+    assert "so large that about" in words and "say --sigma-unit1 UNIT" in words
+
+
+def test_correlations_beyond_one_name_the_row(refused):
+    def correlated(table):
+        table["north"], table["rho"] = table["sigma"], np.zeros(120)
+        table["rho"][11] = 1.5
+
+    words = refused(correlated, "--sigma1", "sigma,north", "--correlation1", "rho")
+    assert "correlations beyond ±1 in 1 rows (first: row 11)" in words
+
+
+def test_ids_that_were_asked_for_must_be_unique(refused):
+    def twice(table):
+        table["name"][2] = "s1"
+
+    assert "1 ids are not unique (first: s1 in rows 1 and 2)" in refused(twice, "--id1", "name")
+
+
+def test_tables_without_usable_rows(refused):
+    assert refused(lambda t: t[:0]) == "wrong: the table has no rows"
+
+    def no_errors(table):
+        table["sigma"] = np.nan
+
+    assert "none of its 120 rows can be used: no error (120)" in refused(no_errors)
+
+
+def test_an_epoch_that_is_not_known_names_its_option(refused):
+    assert "say --epoch1 YEAR" in refused(lambda t: None, "--to-epoch", "2000")
+
+
+def test_outputs_that_cannot_be_are_refused_before_the_work(tmp_path, refusal, field_files):
+    copy = tmp_path / "copy.fits"
+    copy.symlink_to(field_files[0])
+    before = Path(field_files[0]).read_bytes()
+    for out, words in (
+        (field_files[0], "is also an input; it would be overwritten"),
+        (copy, "is also an input; it would be overwritten"),
+        (tmp_path / "missing" / "o.fits", "missing does not exist; make it first"),
+        (tmp_path / "o.dat", "its extension does not tell a format; see `sameas formats`"),
+        (tmp_path, "its extension does not tell a format"),
+    ):
+        assert words in refusal("match", *field_files, "-o", out)
+    assert Path(field_files[0]).read_bytes() == before
+    there = tmp_path / "there.fits"
+    there.write_text("mine")
+    assert "exists already" in refusal("match", *field_files, "-o", there, "--no-overwrite")
+    assert there.read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--density", "5"], "--density 5: give two numbers N1,N2"),
+        (["--density", "5,-1"], "density: give two positive numbers"),
+        (["--error-scale", "much"], "error scale is 'much'"),
+        (["--gate-sigmas", "-1"], "sigmas is -1.0; give a positive number"),
+        (["--hdu1", "7"], "has no extension 7"),
+    ],
+)
+def test_options_of_the_match_that_make_no_sense(tmp_path, refusal, field_files, options, words):
+    assert words in refusal("match", *field_files, "-o", tmp_path / "o.fits", *options)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["-o", "o.fits", "--join", "al1"], "did you mean all1"),
+        (["-o", "o.fits", "--jion", "all1"], "--join"),
+        (["-o", "o.fits", "--out-format", "fist"], "did you mean fits"),
+        ([], "say -o OUT"),
+    ],
+)
+def test_wrong_usage_ends_with_2_and_tells_what_was_probably_meant(sameas, field_files, options, words):
+    result = sameas("match", *field_files, *options, exit_code=2)
+    assert words in " ".join(result.stderr.replace("│", " ").split())
+
+
+def test_an_interruption_within_the_work_writes_nothing(tmp_path, sameas, field_files, monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("sameas.cli.matching.joined", interrupted)
+    result = sameas("match", *field_files, "-o", tmp_path / "o.fits", exit_code=130)
+    assert result.stderr.splitlines()[-1] == "sameas: stopped; nothing was written"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_debug_shows_the_traceback_of_an_error_before_its_line(sameas, field_files, tmp_path):
+    result = sameas("match", "nowhere.fits", field_files[1], "-o", tmp_path / "o.fits", "--debug", exit_code=1)
+    assert result.stderr.startswith("Traceback") and "\nsameas: nowhere.fits: no such file" in result.stderr
+
+
+def test_a_fault_of_ours_is_called_one(tmp_path, refusal, field_files, monkeypatch):
+    def broken(*_, **__):
+        raise ZeroDivisionError("division\nby zero")
+
+    monkeypatch.setattr("sameas.cli.matching.joined", broken)
+    words = refusal("match", *field_files, "-o", tmp_path / "o.fits")
+    assert words.startswith("unexpected ZeroDivisionError: division by zero; this is a fault of sameas")

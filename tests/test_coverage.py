@@ -1,0 +1,92 @@
+"""Local densities are the densities, and a hole of one source is seen where the other has records enough."""
+
+import numpy as np
+import pytest
+
+from sameas import Plane, Records, Sphere
+from sameas.coverage import Coverage
+from sameas.simulate import Box, WholeSky
+from sameas.space import ARCSEC_PER_RADIAN
+
+
+def uniform(rng, n, d=2, low=0.0, high=10.0):
+    return Records.of(rng.uniform(low, high, (n, d)), sigma=0.01)
+
+
+def sky(rng, n, area):
+    return Records.of(area.draw(rng, n), sigma=1.0, space=Sphere())
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_an_even_field_has_its_density_everywhere(d):
+    rng = np.random.default_rng(d)
+    first, second = uniform(rng, 4000, d), uniform(rng, 1000, d)
+    cover = Coverage.of(first, second)
+    assert cover.volume == pytest.approx(10.0**d, rel=0.05)
+    for source, n in ((1, 4000), (2, 1000)):
+        for density in cover.density(source, np.ones(n)):
+            assert np.median(density) == pytest.approx(n / 10.0**d, rel=0.15)
+            assert np.percentile(density, 99) < 4 * n / 10.0**d
+    assert cover.covered[0].mean() > 0.99 and cover.covered[1].mean() > 0.99
+    assert cover.common_volume() == pytest.approx(10.0**d, rel=0.15)
+
+
+def test_weights_scale_the_density():
+    rng = np.random.default_rng(0)
+    cover = Coverage.of(uniform(rng, 3000), uniform(rng, 3000))
+    whole, half = cover.density(1, np.ones(3000)), cover.density(1, np.full(3000, 0.5))
+    for one, other in zip(whole, half, strict=True):
+        assert np.median(other / one) == pytest.approx(0.5, rel=0.15)
+
+
+def test_a_dense_clump_is_seen_as_dense():
+    rng = np.random.default_rng(1)
+    clump = rng.normal(5.0, 0.1, (2000, 2))
+    first = Records.of(np.concatenate([rng.uniform(0, 10, (2000, 2)), clump]), sigma=0.01)
+    second = uniform(rng, 4000)
+    density = Coverage.of(first, second).density(1, np.ones(4000))[1]
+    middle = np.hypot(*(second.features - 5.0).T) < 0.1
+    far = np.hypot(*(second.features - 5.0).T) > 2.0
+    # 2000 records of a normal of σ 0.1: about 2000 / (2π 0.01) e^(−¼) = 25 000 in its middle, and 20 far out.
+    assert np.median(density[middle]) == pytest.approx(25_000, rel=0.4)
+    assert np.median(density[far]) == pytest.approx(20, rel=0.3)
+
+
+def test_a_record_does_not_count_where_it_stands():
+    first = Records.of(np.array([[0.0, 0.0], [10.0, 10.0]]), sigma=0.1)
+    second = Records.of(np.array([[0.1, 0.1], [9.9, 9.9]]), sigma=0.1)
+    own, other = Coverage.of(first, second).density(1, np.ones(2))
+    assert np.all(own < other)
+
+
+def test_a_hole_is_where_many_were_to_be_expected():
+    rng = np.random.default_rng(2)
+    first = uniform(rng, 5000)
+    beyond = uniform(rng, 5000)
+    second = Records.of(beyond.features[beyond.features[:, 0] < 5.0], sigma=0.01)
+    seen_1, seen_2 = Coverage.of(first, second).covered
+    left = first.features[:, 0] < 4.7
+    right = first.features[:, 0] > 5.8
+    assert seen_2.mean() > 0.99 and seen_1[left].mean() > 0.99
+    assert seen_1[right].mean() < 0.05
+    assert Coverage.of(first, second).common_volume() == pytest.approx(50.0, rel=0.2)
+
+
+@pytest.mark.parametrize("area", [WholeSky(), Box((350.0, 370.0), (-10.0, 10.0)), Box((0.0, 360.0), (85.0, 90.0))])
+def test_the_sky_has_its_area(area):
+    rng = np.random.default_rng(3)
+    cover = Coverage.of(sky(rng, 5000, area), sky(rng, 5000, area))
+    arcsec_sq = area.steradians() * ARCSEC_PER_RADIAN**2
+    assert cover.common_volume() == pytest.approx(arcsec_sq, rel=0.25)
+    assert np.median(cover.density(1, np.ones(5000))[1]) == pytest.approx(5000 / arcsec_sq, rel=0.15)
+    assert cover.covered[0].mean() > 0.98
+
+
+@pytest.mark.parametrize("space", [Plane(), Sphere()])
+def test_a_handful_of_records_at_one_place_is_no_trouble(space):
+    for n1, n2 in ((1, 1), (1, 5), (5, 5)):
+        one, two = (Records.of(np.full((n, 2), 1.0), sigma=1.0, space=space) for n in (n1, n2))
+        cover = Coverage.of(one, two)
+        for density in (*cover.density(1, np.ones(n1)), *cover.density(2, np.ones(n2))):
+            assert np.isfinite(density).all() and (density > 0).all()
+        assert cover.covered[0].all() and cover.covered[1].all()

@@ -1,0 +1,213 @@
+"""Every block of code in README.md and docs/ runs and prints what the page says; so do the examples of the docstrings.
+
+A page is run from top to bottom in an empty directory. A ``python`` block is executed with the names of those before
+it, and a ``text`` block right below one is what it prints. In a ``console`` block the commands after ``$`` are run, and
+the lines below each are what it prints. Shown lines are to appear in this order, other lines may stand between; ``…``
+stands for anything, and runs of spaces count as one. Comments before a block say what is special about it:
+
+    <!-- not run: why -->       shown only          <!-- exit: 1 -->    the commands end with this exit code
+    <!-- needs: program -->     run where the program is installed
+"""
+
+from __future__ import annotations
+
+import contextlib
+import doctest
+import importlib
+import io
+import pkgutil
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+import sameas
+
+HOME = Path(__file__).parents[1]
+PAGES = [HOME / "README.md", *sorted((HOME / "docs").rglob("*.md"))]
+OTHERS = [HOME / name for name in ("VISION.md", "CHANGELOG.md", "CONTRIBUTING.md")]
+RUN = ("python", "console")
+
+FENCE = re.compile(
+    r"(?P<says>(?:^<!--[^\n]*-->\n)*)^```(?P<kind>\w*)\n(?P<code>.*?)^```$", re.MULTILINE | re.DOTALL
+)
+SAID = re.compile(r"<!-- ([\w ]+): (.+?) -->")
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block: its kind, what its comments say, its line in the page, and what a text block below it shows."""
+
+    kind: str
+    code: str
+    says: dict[str, str]
+    line: int
+    shown: str = ""
+
+
+def blocks(page: Path) -> list[Block]:
+    text, found, end = page.read_text(encoding="utf-8"), [], 0
+    for match in FENCE.finditer(text):
+        line = text.count("\n", 0, match.start("code")) + 1
+        beside = found and found[-1].kind == "python" and not text[end : match.start()].strip()
+        if beside and match["kind"] == "text":
+            last = found.pop()
+            found.append(Block(last.kind, last.code, last.says, last.line, match["code"]))
+        else:
+            found.append(Block(match["kind"], match["code"], dict(SAID.findall(match["says"])), line))
+        end = match.end()
+    return found
+
+
+def not_run() -> Iterator[object]:
+    for page in PAGES:
+        for block in blocks(page):
+            if "not run" in block.says:
+                yield pytest.param(block, id=f"{page.stem}:{block.line}")
+
+
+def named(page: Path) -> str:
+    return page.stem
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_a_page_runs_and_prints_what_it_shows(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {"__name__": "page"}
+    for block in blocks(page):
+        if block.kind not in RUN or "not run" in block.says:
+            continue
+        if "needs" in block.says and shutil.which(block.says["needs"]) is None:
+            continue
+        if block.kind == "python":
+            printed = run_python(page, block, names)
+            compare(block.shown, printed, f"{page.name}:{block.line}")
+        else:
+            run_console(page, block)
+
+
+@pytest.mark.parametrize("block", not_run())
+def test_a_block_that_is_only_shown(block):
+    pytest.skip(block.says["not run"])
+
+
+def run_python(page: Path, block: Block, names: dict[str, object]) -> str:
+    printed = io.StringIO()
+    # Empty lines in front, so that a traceback names the line of the page.
+    code = compile("\n" * block.line + block.code, str(page), "exec")
+    with contextlib.redirect_stdout(printed):
+        exec(code, names)
+    return printed.getvalue()
+
+
+def run_console(page: Path, block: Block) -> None:
+    for part in re.split(r"^\$ ", block.code, flags=re.MULTILINE)[1:]:
+        command, _, shown = part.replace("\\\n", " ").partition("\n")
+        program, *arguments = shlex.split(command)
+        assert program in ("sameas", "stilts"), f"{page.name}:{block.line}: say why `{command}` is not run"
+        found = str(Path(sys.executable).with_name("sameas")) if program == "sameas" else program
+        done = subprocess.run([found, *arguments], capture_output=True, text=True, check=False)
+        printed = done.stdout + done.stderr
+        assert done.returncode == int(block.says.get("exit", 0)), f"{page.name}:{block.line}: {printed}"
+        compare(shown, printed, f"{page.name}:{block.line}: {command}")
+
+
+def compare(shown: str, printed: str, where: str) -> None:
+    """Every shown line is printed, in this order."""
+    lines = [" ".join(line.split()) for line in printed.splitlines()]
+    at = 0
+    for line in shown.splitlines():
+        wanted = " ".join(line.split())
+        if wanted in ("", "…"):
+            continue
+        pattern = re.compile(".*".join(re.escape(piece) for piece in wanted.split("…")))
+        hit = next((k for k in range(at, len(lines)) if pattern.fullmatch(lines[k])), None)
+        assert hit is not None, f"{where}: {wanted!r} is not printed (in its place) in\n{printed}"
+        at = hit + 1
+
+
+@pytest.mark.parametrize("page", [*PAGES, *OTHERS], ids=named)
+def test_links_lead_somewhere(page):
+    text = page.read_text(encoding="utf-8")
+    for target in LINK.findall(re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)):
+        if target.startswith(("http://", "https://", "mailto:")):
+            continue
+        path, _, anchor = target.partition("#")
+        there = page if not path else (page.parent / path)
+        assert there.exists(), f"{page.name}: {target}"
+        if anchor:
+            assert anchor in anchors(there), f"{page.name}: {target}"
+
+
+def anchors(page: Path) -> set[str]:
+    """The anchors of a page's headings, as GitHub and Python-Markdown make them of plain words."""
+    heads = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"\s+", "-", re.sub(r"[^\w\s-]", "", head.lower()).strip()) for head in heads}
+
+
+@pytest.mark.parametrize("page", [*PAGES, *OTHERS], ids=named)
+def test_documents_name_no_private_place(page):
+    text = page.read_text(encoding="utf-8")
+    assert not re.search(r"/work\b|/tmp\b|/home/|\.\./shared|METHOD\.md|PERFORMANCE\.md|STYLE\.md", text)
+
+
+def test_equations_that_the_code_cites_are_on_the_page_of_the_method():
+    heads = re.findall(r"^#+ ([\d.]*\d)\.? ", (HOME / "docs/method.md").read_text(encoding="utf-8"), re.MULTILINE)
+    for path in (HOME / "src").rglob("*.py"):
+        for number in re.findall(r"METHOD (\d(?:\.\d)?)", path.read_text(encoding="utf-8")):
+            assert number in heads, f"{path.name} cites METHOD {number}"
+
+
+def test_readme_shows_the_body_of_identify():
+    source = (HOME / "src/sameas/identify.py").read_text(encoding="utf-8")
+    body = source[source.index("    pairs = gate(") :]
+    assert body.rstrip() in (HOME / "README.md").read_text(encoding="utf-8")
+
+
+def test_every_option_is_documented():
+    import inspect
+
+    from sameas.cli.app import explain, match
+
+    page = (HOME / "docs/files-and-command.md").read_text(encoding="utf-8")
+    for command in (match, explain):
+        for parameter in inspect.signature(command, eval_str=True).parameters.values():
+            for said in getattr(parameter.annotation, "__metadata__", ()):
+                for name in getattr(said, "param_decls", None) or ():
+                    for one in name.split("/"):
+                        plain = re.sub(r"[12]$", "", one) if one not in ("--hdu1", "--hdu2") else one
+                        if plain.startswith("-"):
+                            assert f"`{plain}" in page or f"`{one}" in page, f"{one} is not documented"
+
+
+def test_every_result_column_is_documented():
+    from sameas.sky.joined import _WORDS
+
+    page = (HOME / "docs/files-and-command.md").read_text(encoding="utf-8")
+    for name in _WORDS:
+        assert f"`{name}`" in page, f"{name} is not documented"
+
+
+def test_every_public_name_is_documented():
+    page = (HOME / "docs/reference.md").read_text(encoding="utf-8")
+    for name in sameas.__all__:
+        assert f"`{name}" in page, f"{name} is not documented"
+
+
+def modules() -> list[str]:
+    return [module.name for module in pkgutil.walk_packages(sameas.__path__, "sameas.")]
+
+
+@pytest.mark.parametrize("name", modules())
+def test_docstring_examples_run(name):
+    module = importlib.import_module(name)
+    if name == "sameas.plots":
+        pytest.importorskip("matplotlib")
+    assert doctest.testmod(module).failed == 0

@@ -1,0 +1,139 @@
+"""What is not known in advance is found: how many are common, how large the errors are, how wide the gate must be."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sameas import InputError, Radius, Records
+from sameas.estimate import fit_errors, match
+from sameas.evidence import Errors
+from sameas.score import is_true_pair, score_probabilities
+from sameas.simulate import Cap, poisson_field, sky_field
+
+
+def scene(seed, *, sigma=0.1, quoted=1.0, q1=0.2, q2=0.3, extent=40.0, d=2):
+    """A field whose errors are quoted ``1/quoted`` times too small."""
+    made = poisson_field(
+        np.random.default_rng(seed), density=1.0, extent=(extent,) * d, q1=q1, q2=q2, sigma_1=sigma, sigma_2=sigma
+    )
+    sides = [
+        Records(r.features, r.covariance * quoted**2, r.rows, r.ids, r.space, r.source) for r in (made.first, made.second)
+    ]
+    return made, *sides
+
+
+def calibration(answer, made):
+    return score_probabilities(answer.p_pair, is_true_pair((answer.rows_1, answer.rows_2), made.true_pairs()))
+
+
+def test_the_number_of_common_objects_and_the_misses_are_found():
+    made, first, second = scene(0)
+    answer, found = match(first, second)
+    true = len(made.true_pairs()[0])
+    assert found.settled and found.rounds <= 30 and found.notes == ()
+    assert found.common == pytest.approx(true, abs=3 * math.sqrt(true) * 0.3)
+    assert found.common == pytest.approx(answer.p_pair.sum(), rel=1e-9)
+    assert found.share_1 == pytest.approx(0.7, abs=0.03) and found.share_2 == pytest.approx(0.8, abs=0.03)
+    assert found.typical_scale == pytest.approx(1.0, abs=0.1)
+    assert calibration(answer, made).expected_calibration_error < 0.01
+
+
+@pytest.mark.parametrize("quoted, sigma", [(1 / 2, 0.1), (1 / 10, 0.1), (1.6, 0.1)])
+def test_errors_that_are_quoted_wrongly_are_seen_and_corrected(quoted, sigma):
+    made, first, second = scene(1, quoted=quoted, sigma=sigma)
+    answer, found = match(first, second)
+    assert found.typical_scale == pytest.approx(1 / quoted, rel=0.12)
+    assert found.common == pytest.approx(len(made.true_pairs()[0]), rel=0.03)
+    assert calibration(answer, made).expected_calibration_error < 0.015
+    # The gate opens as far as the errors need: they are ten times what is quoted in one of the cases.
+    assert found.gate_sigmas > 4 / quoted or quoted > 1
+
+
+def test_given_errors_and_gates_are_believed():
+    _, first, second = scene(2, extent=20.0)
+    answer, found = match(first, second, errors=Errors(), gate=Radius(3.0))
+    assert found.errors == Errors() and answer.pairs.gate == "distance ≤ 3 σ"
+
+
+def test_given_densities_are_believed_and_the_shares_still_found():
+    made, first, second = scene(3)
+    _, found = match(first, second, density=(0.8, 0.7))
+    assert found.common == pytest.approx(len(made.true_pairs()[0]), rel=0.03)
+
+
+def test_the_sky_is_matched_without_being_told_anything():
+    made = sky_field(
+        np.random.default_rng(4), n_common=1500, n_only_1=300, n_only_2=700, sigma_arcsec=(0.2, 0.5),
+        area=Cap(30.0, 89.99, 0.05), elliptical=True,
+    )  # fmt: skip
+    answer, found = match(made.first, made.second)
+    assert found.common == pytest.approx(1500, rel=0.02)
+    assert found.share_1 == pytest.approx(1500 / 1800, abs=0.02) and found.share_2 == pytest.approx(1500 / 2200, abs=0.02)
+    assert calibration(answer, made).expected_calibration_error < 0.015
+
+
+def test_sources_that_share_nothing_are_not_married():
+    rng = np.random.default_rng(5)
+    first, second = (Records.of(rng.uniform(0, 40, (1000, 2)), sigma=0.05) for _ in range(2))
+    answer, found = match(first, second)
+    assert found.common < 30 and len(answer.matches) < 30
+
+
+def test_sources_far_apart_say_so():
+    first = Records.of(np.random.default_rng(6).uniform(0, 1, (20, 2)), sigma=1e-3)
+    second = Records.of(np.random.default_rng(7).uniform(50, 51, (20, 2)), sigma=1e-3)
+    answer, found = match(first, second)
+    assert len(answer.matches) == 0 and found.common == 0
+    assert any("nothing in common" in note for note in found.notes)
+
+
+def test_a_few_pairs_do_not_judge_the_errors():
+    place = np.arange(10)[:, None] * [1.0, 1.0]
+    _, found = match(Records.of(place, sigma=0.01), Records.of(place + 0.005, sigma=0.01))
+    assert found.errors == Errors()
+    assert any("too few pairs" in note and "quoted ones are believed" in note for note in found.notes)
+
+
+def test_swapping_the_sources_swaps_the_estimate():
+    _, first, second = scene(8, extent=25.0)
+    forth, back = match(first, second)[1], match(second, first)[1]
+    assert forth.common == pytest.approx(back.common, rel=1e-3)
+    assert forth.share_1 == pytest.approx(back.share_2, rel=1e-3)
+
+
+def test_progress_is_told():
+    _, first, second = scene(9, extent=12.0)
+    told = []
+    match(first, second, progress=told.append)
+    assert told[:2] == ["densities", "gate"] and any("round 1" in step for step in told)
+
+
+@pytest.mark.parametrize("n1, n2, name", [(0, 3, "radar"), (3, 0, "ais")])
+def test_nothing_to_identify_is_refused_in_words(n1, n2, name):
+    first, second = Records.of(np.zeros((n1, 2)), sigma=1.0, source="radar"), Records.of(np.zeros((n2, 2)), sigma=1.0, source="ais")
+    with pytest.raises(InputError, match=f"{name} has no usable records; nothing can be identified"):
+        match(first, second)
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+@pytest.mark.parametrize("scale", [0.7, 1.0, 3.0])
+def test_the_spread_of_residuals_is_found_from_their_distances(d, scale):
+    rng = np.random.default_rng([d, int(10 * scale)])
+    z2 = scale**2 * rng.chisquare(d, 20_000)
+    found = fit_errors(z2, np.ones(len(z2)), d, Errors())
+    # The mixture of a coarse ladder predicts the distances, as nearly as observed.
+    shares, scales = np.array(found.shares), np.array(found.scales)
+    assert shares.sum() == pytest.approx(1.0)
+    assert d * np.sum(shares * scales**2) == pytest.approx(z2.mean(), rel=0.08)
+    drawn = rng.choice(scales, 200_000, p=shares) ** 2 * rng.chisquare(d, 200_000)
+    for q in (25, 50, 75, 95):
+        assert np.percentile(drawn, q) == pytest.approx(np.percentile(z2, q), rel=0.2)
+
+
+def test_pairs_that_are_improbable_do_not_count():
+    rng = np.random.default_rng(0)
+    z2 = np.concatenate([rng.chisquare(2, 5000), np.full(5000, 900.0)])
+    weights = np.concatenate([np.ones(5000), np.zeros(5000)])
+    found = fit_errors(z2, weights, 2, Errors())
+    assert max(s for s, share in zip(found.scales, found.shares, strict=True) if share > 0.01) < 2.0

@@ -1,0 +1,83 @@
+"""Data walks one way: a stage imports no later one, the core imports no room, and starting up imports little."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import sameas
+
+HOME = Path(sameas.__file__).parent
+STAGES = ["records", "gate", "groups", "evidence", "prior", "assignment", "posterior", "result", "identify", "estimate"]
+# Companions walk with their stage.
+WITH = {"errors": "records", "space": "records", "threads": "records", "search": "gate", "coverage": "estimate"}
+ROOMS = {"sky", "tracks", "io", "adapters", "plots", "report", "cli"}
+FOR_PEOPLE = {"io", "adapters", "plots", "report", "cli"}
+
+
+def imported(path, *, always=False):
+    """Modules of sameas that a file imports, as dotted names; with ``always`` not those for type checkers only."""
+    tree = ast.parse(path.read_text())
+    skipped = set()
+    if always:
+        for node in ast.walk(tree):
+            if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test):
+                skipped |= {id(inner) for inner in ast.walk(node)}
+    names = set()
+    for node in ast.walk(tree):
+        if id(node) in skipped:
+            continue
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            names.add(node.module)
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return {name.removeprefix("sameas.") for name in names if name.startswith("sameas.")}
+
+
+def tops(names):
+    return {name.split(".")[0] for name in names}
+
+
+def core_files():
+    files = [path for path in HOME.glob("*.py") if path.stem not in ROOMS | {"__init__"}]
+    return files + list((HOME / "kernels").glob("*.py"))
+
+
+@pytest.mark.parametrize("stage", STAGES + list(WITH))
+def test_a_stage_never_imports_a_later_one(stage):
+    place = STAGES.index(WITH.get(stage, stage))
+    for name in tops(imported(HOME / f"{stage}.py", always=True)) & (set(STAGES) | set(WITH)):
+        assert STAGES.index(WITH.get(name, name)) <= place, f"{stage} imports {name}"
+
+
+def test_stages_are_all_there():
+    assert all((HOME / f"{name}.py").exists() for name in [*STAGES, *WITH])
+
+
+@pytest.mark.parametrize("path", core_files(), ids=lambda path: path.stem)
+def test_the_core_imports_no_room(path):
+    assert not tops(imported(path)) & ROOMS
+
+
+@pytest.mark.parametrize("path", list((HOME / "kernels").glob("*.py")), ids=lambda path: path.stem)
+def test_kernels_import_kernels_only(path):
+    assert tops(imported(path)) <= {"kernels"}
+
+
+def test_nobody_imports_what_is_for_people():
+    for path in HOME.rglob("*.py"):
+        room = path.relative_to(HOME).with_suffix("").parts[0]
+        if room not in FOR_PEOPLE:
+            assert not tops(imported(path)) & FOR_PEOPLE, path
+
+
+def test_starting_up_imports_nothing_heavy():
+    program = "import sys, sameas; print(*sorted({name.split('.')[0] for name in sys.modules}))"
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    loaded = set(run.stdout.split())
+    assert "numpy" in loaded
+    assert not loaded & {"astropy", "scipy", "numba", "pyarrow", "matplotlib", "pandas", "typer", "rich", "llvmlite"}

@@ -1,0 +1,102 @@
+"""Reports: lines of text that say what a match says."""
+
+import re
+
+import numpy as np
+import pytest
+from astropy.table import Table
+
+from sameas import report
+from sameas.sky.catalogue import Catalogue, CatalogueOptions
+from sameas.sky.match import MatchOptions, match
+
+
+def catalogue(name, ra, dec, *, sigma=0.1, seed=0, **columns):
+    noise = np.random.default_rng(seed).normal(0, sigma / 3600, (2, len(ra)))
+    table = Table({"ra": ra + noise[0], "dec": dec + noise[1], **columns})
+    return Catalogue.of(table, name, options=CatalogueOptions(sigma=sigma))
+
+
+@pytest.fixture(scope="module")
+def found():
+    rng = np.random.default_rng(5)
+    ra, dec = rng.uniform(20, 20.5, 400), rng.uniform(-0.25, 0.25, 400)
+    mag = np.sort(rng.uniform(9.5, 20.5, 400))
+    first = catalogue("left", ra, dec, seed=1, mag=mag)
+    return match(first, catalogue("right", ra[:300], dec[:300], seed=2))
+
+
+def lines_of(text, label):
+    return [line for line in text.splitlines() if line.strip().startswith(label)]
+
+
+def test_the_report_holds_the_numbers_of_the_match(found):
+    text = report.report(found)
+    assert lines_of(text, "identified ")[0].split() == ["identified", "300", "300"]
+    assert lines_of(text, "without a partner")[0].split()[-2:] == ["100", "0"]
+    assert f"{found.result.expected_wrong:.1f} of the identified" in text
+    rms = np.sqrt(np.mean(found.result.matches.residual**2, axis=0))
+    assert lines_of(text, "at the common epoch")[0].split()[5:9:2] == [f"{rms[0]:.4f}", f"{rms[1]:.4f}"]
+
+
+def test_rows_always_add_up(found):
+    for side in (0, 1):
+
+        def number(label, side=side):
+            return int(lines_of("\n".join(report.summary_lines(found)), label)[0].split()[-2 + side])
+
+        assert number("used") == number("not covered") + number("without") + number("identified ")
+
+
+def test_lines_stay_within_the_width_but_for_doubts(found):
+    for line in report.report(found).splitlines():
+        assert len(line) <= report.WIDTH or line.startswith(report.DOUBT)
+
+
+def test_shares_by_magnitude_count_every_measured_row(found):
+    text = "\n".join(report.summary_lines(found))
+    rows = lines_of(text, "rows")[-1].split()[1:]
+    assert sum(map(int, rows)) == 400
+    shares = lines_of(text, "identified, %")[0].split()[2:]
+    assert shares[0] == "100.0" and shares[-1] == "0.0"
+
+
+def test_nearest_neighbours_claims_are_counted():
+    first = catalogue("left", np.array([10.0, 10.0005, 10.1]), np.zeros(3), sigma=1e-3)
+    second = catalogue("right", np.array([10.0, 10.2]), np.zeros(2), sigma=1e-3, seed=3)
+    lines = report.nearest_lines(match(first, second, MatchOptions(error_scale=1.0)))
+    assert re.search(r"right: claimed more than once \(within 5 arcsec\) +1 +1 +0$", lines[1])
+    assert re.search(r"left: not identified, but one is within 5 arcsec +1 +1 +–$", lines[4])
+
+
+def test_nothing_in_common_is_still_reported():
+    first = catalogue("left", np.array([10.0, 11.0]), np.zeros(2))
+    second = catalogue("right", np.array([50.0, 51.0]), np.zeros(2))
+    text = report.report(match(first, second))
+    assert "Residuals: no pair was identified" in text and "no common object is expected" in text
+
+
+def test_what_is_said_later_of_the_same_thing_replaces_what_was_said_before():
+    ra = np.array([10.0, 11.0])
+    lines = report.catalogue_lines(catalogue("left", ra, 0 * ra, id=np.array([7, 7])), 1)
+    assert [line.split(maxsplit=1) for line in lines if line.startswith("  id")] == [
+        ["id", "id is not unique, so rows are numbered"]
+    ]
+
+
+def test_what_reading_the_file_left_to_be_said_is_said():
+    left = catalogue("left", np.array([10.0]), np.zeros(1))
+    left.table.meta["sameas_notes"] = ["the file has 2 tables; the first was read"]
+    assert "  file                  the file has 2 tables; the first was read" in report.catalogue_lines(left, 1)
+
+
+@pytest.mark.parametrize(
+    ("share", "words"),
+    [(0.5, "50.0 %"), (1.0, "100.0 %"), (0.9996, "99.960 %"), (0.001, "0.100 %"), (float("nan"), "–")],
+)
+def test_shares_have_the_decimals_they_need(share, words):
+    assert report.percent(share) == words
+
+
+def test_counts_have_their_thousands_apart():
+    assert report.count(117955) == "117 955"
