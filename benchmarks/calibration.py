@@ -43,7 +43,9 @@ class Statements:
             alone[rows] = False
             lonely.append(alone[answers.usable])
         p = answer.p_pair
-        return cls((p, happened), (p[chosen], happened[chosen]), (np.concatenate(p_none), np.concatenate(lonely)))
+        return cls(
+            (p, happened), (p[chosen], happened[chosen]), (np.concatenate(p_none), np.concatenate(lonely))
+        )
 
     @classmethod
     def joined(cls, parts: list[Statements]) -> Statements:
@@ -122,7 +124,10 @@ def tables(options: argparse.Namespace, curves: dict[str, Statements]) -> Iterat
             for model, statements in catalogues(options.rows, lam, elliptical):
                 curves[f"λ {lam:g}, {kind}, {model}"] = statements
                 lines.append([f"λ {lam:g}, {kind}", model, *statements.line()])
-    priors = {"CommonObjects": CommonObjects(Q1, Q2), "CommonObjects, linear": CommonObjects(Q1, Q2, linear=True)}
+    priors = {
+        "CommonObjects": CommonObjects(Q1, Q2),
+        "CommonObjects, linear": CommonObjects(Q1, Q2, linear=True),
+    }
     for model, statements in pictures(options.scenes, priors).items():
         curves[f"pictures, {model}"] = statements
         lines.append([f"{options.scenes} pictures", model, *statements.line()])
@@ -163,8 +168,12 @@ def figure(curves: dict[str, Statements]) -> str:
         if "linear" in name or "estimated" in name:
             continue
         r = reliability(*statements.pairs)
-        axes.errorbar(r.stated, r.observed, r.standard_error, fmt="o-", markersize=3, linewidth=0.8, label=name)
-    axes.set(xlabel="stated probability", ylabel="observed frequency", title="Where the model is the true one")
+        axes.errorbar(
+            r.stated, r.observed, r.standard_error, fmt="o-", markersize=3, linewidth=0.8, label=name
+        )
+    axes.set(
+        xlabel="stated probability", ylabel="observed frequency", title="Where the model is the true one"
+    )
     axes.legend(fontsize=7)
     drawing.tight_layout()
     drawing.savefig(OUTPUT / "calibration.png", dpi=150)

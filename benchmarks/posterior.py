@@ -149,7 +149,9 @@ def errors(name: str, solved: list[Solved]) -> Table:
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(prog="scripts/bench posterior", description=__doc__)
-    parser.add_argument("--rows", type=int, default=50_000, help="rows of the simulated fields (default 50000)")
+    parser.add_argument(
+        "--rows", type=int, default=50_000, help="rows of the simulated fields (default 50000)"
+    )
     parser.add_argument("--scenes", type=int, default=100, help="number of lattices (default 100)")
     parser.add_argument("--no-real", dest="real", action="store_false", help="simulated groups only")
     report("posterior", tables(parser.parse_args()))

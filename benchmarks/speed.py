@@ -20,6 +20,7 @@ from benchmarks.tables import Table, report
 from benchmarks.timetable import Row, timetable
 
 FULL = 1_000_000
+COLUMNS_SAID = ("--sigma", "sigma", "--sigma-unit", "arcsec", "--quiet")
 REFERENCE = Path(__file__).parent / "reference.json"
 
 
@@ -111,7 +112,9 @@ def full(b: Bench) -> Iterator[Row]:
 def sure(b: Bench) -> Iterator[Row]:
     """With the posterior of every pair and record."""
     yield Row("λ 0.5, posteriors", b.walk(b.sky(0.5), "posterior"), (), b.limit(0.8))
-    whole = Work("benchmarks.ours:identified", {"folder": b.sky(0.5), "gate_sigmas": None}, at_most_s=b.slow_s)
+    whole = Work(
+        "benchmarks.ours:identified", {"folder": b.sky(0.5), "gate_sigmas": None}, at_most_s=b.slow_s
+    )
     yield Row("λ 0.5, posteriors, default gate (6.4σ), whole call", whole)
     some, few = min(b.rows, 100_000), min(b.rows, 10_000)
     for lam, limit in ((0.5, 0.1), (2.0, 2.0)):
@@ -124,7 +127,9 @@ def sure(b: Bench) -> Iterator[Row]:
 def large(b: Bench) -> Iterator[Row]:
     """Five times the rows."""
     folder = b.sky(0.5, rows=5 * b.rows)
-    yield Row(f"{5 * b.rows} × {5 * b.rows}, λ 0.5, MAP", b.walk(folder), b.beside(folder, "astropy"), b.limit(2.0))
+    yield Row(
+        f"{5 * b.rows} × {5 * b.rows}, λ 0.5, MAP", b.walk(folder), b.beside(folder, "astropy"), b.limit(2.0)
+    )
 
 
 def wide(b: Bench) -> Iterator[Row]:
@@ -137,7 +142,13 @@ def wide(b: Bench) -> Iterator[Row]:
 
     beside = (("sameas without them", b.walk(plain)),)
     folder = b.made(f"wide-{b.rows}", scene)
-    yield Row("λ 0.5, MAP, 0.1 % of the records with 40 σ (≤ 1.5 ×)", b.walk(folder), beside, None, b.factor(1 / 1.5))
+    yield Row(
+        "λ 0.5, MAP, 0.1 % of the records with 40 σ (≤ 1.5 ×)",
+        b.walk(folder),
+        beside,
+        None,
+        b.factor(1 / 1.5),
+    )
 
 
 # ---- the small rows ----
@@ -167,7 +178,8 @@ def count(b: Bench) -> Iterator[Row]:
     """The exact prior on the number of common objects."""
     for n, limit, runs in ((100, 0.5e-3, 200), (500, 60e-3, 20)):
         ours, scipy = (
-            Work(f"benchmarks.ours:{name}", {"n": n}, runs, 60.0) for name in ("full_group", "linear_sum_assignment")
+            Work(f"benchmarks.ours:{name}", {"n": n}, runs, 60.0)
+            for name in ("full_group", "linear_sum_assignment")
         )
         beside = (("SciPy linear_sum_assignment, one k", scipy),)
         yield Row(f"count prior, all k, full group of {n}", ours, beside, limit)
@@ -181,7 +193,7 @@ def files(b: Bench) -> Iterator[Row]:
     folder = Path(b.sky(0.5))
     first, second = _parquet(folder)
     out = folder / "out.parquet"
-    command = [_sameas(), "match", str(first), str(second), "-o", str(out), "--sigma", "sigma", "--quiet"]
+    command = [_sameas(), "match", str(first), str(second), "-o", str(out), *COLUMNS_SAID]
     ours = Work("benchmarks.processes:process", {"command": command, "before": str(out)}, 5, b.slow_s)
     beside = tuple((f"{name} (FITS)", work) for name, work in b.beside(str(folder), "stilts"))
     yield Row(f"sameas match of two Parquet tables of {b.rows} rows", ours, beside, b.limit(2.5))
@@ -207,10 +219,21 @@ def start(b: Bench) -> Iterator[Row]:
     """The help, the first run ever, a later one."""
     process, tiny = "benchmarks.processes:process", b.sky(0.5, rows=1000)
     first, second = _parquet(Path(tiny))
-    match = [_sameas(), "match", str(first), str(second), "--sigma", "sigma", "--quiet"]
+    match = [
+        _sameas(),
+        "match",
+        str(first),
+        str(second),
+        "-o",
+        f"{tiny}/out.parquet",
+        "--overwrite",
+        *COLUMNS_SAID,
+    ]
     yield Row("sameas --help", Work(process, {"command": [_sameas(), "--help"]}, 7), (), 0.25)
     cold = {"command": match, "cache": str(b.folder / "numba")}
-    yield Row("sameas match, 1000 rows, first run ever", Work("benchmarks.processes:first_ever", cold, 1), (), 8.0)
+    yield Row(
+        "sameas match, 1000 rows, first run ever", Work("benchmarks.processes:first_ever", cold, 1), (), 8.0
+    )
     yield Row("sameas match, 1000 rows, a later run", Work(process, {"command": match}, 7), (), 0.8)
 
 
@@ -241,7 +264,13 @@ def growth(b: Bench) -> Table:
         each = [1e9 * m.median / n for m in (one, two, *other)]
         lines.append([n, *each, *([None] if not other else []), round(two.peak_mb - two.resting_mb)])
         n *= 5 if str(n).startswith("1") else 2
-    columns = ("rows", "MAP, ns a row", "posteriors, ns a row", "astropy, ns a row", "MB above rest, posteriors")
+    columns = (
+        "rows",
+        "MAP, ns a row",
+        "posteriors, ns a row",
+        "astropy, ns a row",
+        "MB above rest, posteriors",
+    )
     tail = [line[1] for line in lines if line[0] >= 100_000]
     note = f"from 10⁵ rows on, MAP per row varies by {max(tail) / min(tail):.2f} (asked: 1.5)" if tail else ""
     return Table("Growth with the number of rows, λ 0.5", columns, lines, (note,) if note else ())
@@ -282,7 +311,9 @@ def quick(b: Bench, keep: bool) -> Table:
             now[name] = seconds / nearest.median
             before = stored.get(name)
             change = now[name] / before if before else None
-            lines.append([f"λ {lam:g}", stage, 1e3 * seconds, 100 * now[name], before and 100 * before, change])
+            lines.append(
+                [f"λ {lam:g}", stage, 1e3 * seconds, 100 * now[name], before and 100 * before, change]
+            )
         lines.append([f"λ {lam:g}", "astropy", 1e3 * nearest.median, 100.0, None, None])
     if keep:
         REFERENCE.write_text(json.dumps({k: round(v, 5) for k, v in now.items()}, indent=1) + "\n")
@@ -337,7 +368,9 @@ def main() -> None:
     parser.add_argument("--keep", action="store_true", help="with --quick: keep the ratios as the reference")
     parser.add_argument("--only", choices=[*SECTIONS, "stages", "growth", "verdicts"], help="one section")
     parser.add_argument("--peer-python", action="append", default=[], metavar="NAME=PYTHON")
-    parser.add_argument("--slow", type=float, default=240.0, help="seconds after which a program runs no more")
+    parser.add_argument(
+        "--slow", type=float, default=240.0, help="seconds after which a program runs no more"
+    )
     options = parser.parse_args()
     interpreters = Interpreters.of(options.peer_python)
     rows = options.rows or (100_000 if options.quick else FULL)

@@ -27,9 +27,7 @@ class Table:
         """Aligned columns; those that hold a number are aligned to the right."""
         cells = self._cells()
         widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-        right = [
-            any(isinstance(row[k], int | float) for row in self.rows) for k in range(len(self.columns))
-        ]
+        right = [any(isinstance(row[k], int | float) for row in self.rows) for k in range(len(self.columns))]
         lines = [
             "  ".join(c.rjust(w) if r else c.ljust(w) for c, w, r in zip(row, widths, right, strict=True))
             for row in cells
@@ -63,7 +61,7 @@ def shown(cell: Any) -> str:
     size = abs(cell)
     if size != 0 and size < 1e-3:
         return f"{cell:.1e}"
-    return f"{cell:.0f}" if size >= 1000 else f"{cell:.4g}" if size < 1 else f"{cell:.4g}"
+    return f"{cell:.0f}" if size >= 1000 else f"{cell:.4g}"
 
 
 def duration(seconds: float) -> str:
@@ -85,7 +83,7 @@ def report(name: str, tables: Iterable[Table]) -> None:
         print(table.text(), end="\n\n", flush=True)
         pages = [f"# {name}", *(f"- {line}" for line in about), *(t.markdown() for t in done)]
         (OUTPUT / f"{name}.md").write_text("\n\n".join(pages) + "\n")
-        kept = [dict(title=t.title, columns=t.columns, rows=t.rows, notes=t.notes) for t in done]
+        kept = [vars(t) for t in done]
         content = {"machine": about, "tables": kept}
         (OUTPUT / f"{name}.json").write_text(json.dumps(content, indent=1, ensure_ascii=False, default=float))
     print(f"kept in {OUTPUT / name}.md and .json")

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from benchmarks.measure import Measurement, Work, measure
 from benchmarks.tables import Table, duration
 
-COLUMNS = ("what", "by", "median", "min to max", "runs", "peak MB", "above rest", "× sameas", "asked", "holds")
+COLUMNS = (
+    "what",
+    "by",
+    "median",
+    "min to max",
+    "runs",
+    "peak MB",
+    "above rest",
+    "× sameas",
+    "asked",
+    "holds",
+)
 
 
 @dataclass(frozen=True)
@@ -28,25 +39,33 @@ class Row:
 
 
 def timetable(title: str, rows: Iterable[Row], notes: tuple[str, ...] = ()) -> Table:
-    """Every row measured, ours first, peers below it."""
-    return Table(title, COLUMNS, [line for row in rows for line in _lines(row)], notes)
+    """Every row measured, ours first, peers below it; what failed says why in a note."""
+    lines: list[list[object]] = []
+    failures: list[str] = []
+    for row in rows:
+        measured = [("sameas", measure(row.ours)), *((name, measure(work)) for name, work in row.beside)]
+        ours = measured[0][1]
+        for k, (name, one) in enumerate(measured):
+            judged = _verdict(row, measured) if k == 0 else ["", ""]
+            what = row.what if k == 0 else ""
+            lines.append([what, name, *_cells(one, row.share, _judged(ours, row.share)), *judged])
+            if one.missing:
+                failures.append(f"{row.what}: {name} failed: {one.missing}")
+    return Table(title, COLUMNS, lines, (*notes, *failures))
 
 
-def _lines(row: Row) -> Iterator[list[object]]:
-    ours = measure(row.ours)
-    others = [(name, measure(work)) for name, work in row.beside]
-    time = _judged(ours, row.share)
+def _verdict(row: Row, measured: list[tuple[str, Measurement]]) -> list[object]:
+    """What is asked for, and whether it holds."""
+    time = _judged(measured[0][1], row.share)
     asked, holds = [], []
     if row.at_most_s is not None:
         asked.append(f"≤ {duration(row.at_most_s)}")
         holds.append(time <= row.at_most_s)
-    if row.at_least is not None and others and others[0][1].seconds:
-        asked.append(f"≥ {row.at_least:g}× {others[0][0].split()[0]}")
-        holds.append(others[0][1].median >= row.at_least * time)
-    verdict = "" if not holds else "yes" if all(holds) else "NO"
-    yield [row.what, "sameas", *_cells(ours, row.share, time), ", ".join(asked), verdict]
-    for name, one in others:
-        yield ["", name, *_cells(one, row.share, time), "", ""]
+    if row.at_least is not None and len(measured) > 1 and measured[1][1].seconds:
+        name, peer = measured[1]
+        asked.append(f"≥ {row.at_least:.3g}× {name.split()[0]}")
+        holds.append(peer.median >= row.at_least * time)
+    return [", ".join(asked), "" if not holds else "yes" if all(holds) else "NO"]
 
 
 def _judged(one: Measurement, share: float) -> float:
@@ -55,7 +74,7 @@ def _judged(one: Measurement, share: float) -> float:
 
 def _cells(one: Measurement, share: float, ours: float) -> list[object]:
     if not one.seconds:
-        return [f"missing: {one.missing}", "", 0, None, None, None]
+        return ["failed", "", 0, None, None, None]
     word = "" if share == 0.5 else f"p{100 * share:.0f} "
     time = _judged(one, share)
     spread = f"{duration(min(one.seconds))} to {duration(max(one.seconds))}"

@@ -78,7 +78,13 @@ def targets(seed: int, n: int, d: int, lam: float = 0.5) -> tuple[Any, Densities
     density = lam / ball / (1 - q)
     extent = (n / density / (1 - q)) ** (1 / d)
     scene = poisson_field(
-        np.random.default_rng(seed), density=density, extent=(extent,) * d, q1=q, q2=q, sigma_1=1.0, sigma_2=1.0
+        np.random.default_rng(seed),
+        density=density,
+        extent=(extent,) * d,
+        q1=q,
+        q2=q,
+        sigma_1=1.0,
+        sigma_2=1.0,
     )
     return scene, Densities(density * (1 - q) ** 2, density * (1 - q) * q, density * q * (1 - q))
 
@@ -122,7 +128,8 @@ class Arrays:
         folder = Path(folder)
         about = json.loads((folder / "about.json").read_text())
         features, errors = (
-            tuple(np.load(folder / f"{kind}_{side}.npy") for side in (1, 2)) for kind in ("features", "errors")
+            tuple(np.load(folder / f"{kind}_{side}.npy") for side in (1, 2))
+            for kind in ("features", "errors")
         )
         return cls(folder, features, errors, about["sphere"], Densities(**about["densities"]))
 
@@ -139,7 +146,9 @@ class Arrays:
         result = []
         for features in self.features:
             lon, lat = np.radians(features).T
-            result.append(np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)]))
+            result.append(
+                np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+            )
         return result
 
 

@@ -1,8 +1,8 @@
-"""Problems for the judges: records drawn at random, groups laid out from a list of pairs, whole answers from `naive`."""
+"""Problems for the judges: records drawn at random, groups laid out from a list of pairs, answers to them."""
 
-import naive
 import numpy as np
 
+import naive
 from sameas.assignment import assign
 from sameas.gate import Pairs
 from sameas.groups import groups

@@ -1,18 +1,18 @@
-"""The kept hypothesis is the most probable one: enumerated where it can be, certified and by other solvers where not."""
+"""The kept hypothesis is the most probable one: by enumeration, by its certificate, by other solvers."""
 
 import math
 import subprocess
 import sys
 from pathlib import Path
 
-import naive
 import numpy as np
 import pytest
-from problems import DRAWS, chosen_edges, components_of, laid_out, many_blocks, random_ratios, solved
 from scipy.optimize import linear_sum_assignment
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 
+import naive
+from problems import DRAWS, chosen_edges, components_of, laid_out, many_blocks, random_ratios, solved
 from sameas import CommonObjects, PerPair, threads
 from sameas.assignment import assign
 from sameas.prior import LogPrior
@@ -127,7 +127,7 @@ def test_a_crowded_field_has_scipys_optimum():
 
 
 def best_of_size(matrix, k):
-    """W_k of a dense matrix: of n1 rows n1 − k go to columns of their own, of n2 columns n2 − k to rows of their own."""
+    """W_k of a dense matrix: n1 − k rows go to columns of their own, n2 − k columns to rows of their own."""
     n1, n2 = matrix.shape
     padded = np.zeros((n1 + n2 - k, n1 + n2 - k))
     padded[:n1, :n2] = matrix
@@ -148,7 +148,9 @@ def test_counted_prior_takes_the_best_of_all_sizes(n1, n2, q):
     believed = prior(grouped.sizes_1, grouped.sizes_2)
     best = assign(grouped, weight, believed)
     chosen = chosen_edges(pairs, grouped, best)
-    scores = [naive.common_objects_log_prior(k, n1, n2, q, 0.5 * q) + best_of_size(matrix, k) for k in range(min(n1, n2) + 1)]
+    scores = [
+        naive.common_objects_log_prior(k, n1, n2, q, 0.5 * q) + best_of_size(matrix, k) for k in range(min(n1, n2) + 1)
+    ]
     ours = naive.common_objects_log_prior(len(chosen), n1, n2, q, 0.5 * q) + total(ratios, chosen)
     assert one_to_one(chosen) and certified(grouped, best)
     assert ours == pytest.approx(max(scores), rel=1e-10, abs=1e-9)

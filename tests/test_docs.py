@@ -93,7 +93,7 @@ def test_a_page_runs_and_prints_what_it_shows(page, tmp_path, monkeypatch):
             run_console(page, block)
 
 
-@pytest.mark.parametrize("block", not_run())
+@pytest.mark.parametrize("block", list(not_run()))
 def test_a_block_that_is_only_shown(block):
     pytest.skip(block.says["not run"])
 

@@ -2,15 +2,15 @@
 
 import math
 
-import naive
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import KINDS, plane_records, sky_records
 from scipy.integrate import quad
 from scipy.stats import norm
 
+import naive
+from problems import KINDS, plane_records, sky_records
 from sameas import Box, CloseObjects, ConstantCost, Field, InputError, PoissonField, Radius, Records
 from sameas.evidence import DetectionField, Errors, Evidence, Rule, log_neighbour_density, log_surface_density
 
@@ -50,7 +50,9 @@ MIXED = Errors(scales=(0.8, 1.5, 6.0), shares=(0.3, 0.6, 0.1))
 
 
 def mixture(delta, cov):
-    return math.log(sum(w * math.exp(naive.log_normal(delta, s**2 * cov)) for s, w in zip(MIXED.scales, MIXED.shares, strict=True)))
+    return math.log(
+        sum(w * math.exp(naive.log_normal(delta, s**2 * cov)) for s, w in zip(MIXED.scales, MIXED.shares, strict=True))
+    )
 
 
 RULES = {

@@ -2,11 +2,11 @@
 
 import math
 
-import naive
 import numpy as np
 import pytest
-from problems import plane_records
 
+import naive
+from problems import plane_records
 from sameas import Box, CloseObjects, CommonObjects, Field, InputError, PerPair, Records, identify
 
 PRIORS = {
@@ -106,9 +106,7 @@ def test_a_record_may_be_named_as_text():
     answer = simple()
     assert answer.explain("9", source=2).id == answer.explain(9, source=2).id == 9
     assert answer.explain(" A2 ").id == "A2"
-    numbers = identify(
-        Records.of([0.0], sigma=1.0, ids=["5"]), Records.of([0.0], sigma=1.0), rule=Field(1.0)
-    )
+    numbers = identify(Records.of([0.0], sigma=1.0, ids=["5"]), Records.of([0.0], sigma=1.0), rule=Field(1.0))
     assert numbers.explain(5).id == "5"
 
 

@@ -2,11 +2,11 @@
 
 import math
 
-import naive
 import numpy as np
 import pytest
-from problems import KINDS, by_id, plane_records, shuffled, sky_records
 
+import naive
+from problems import KINDS, by_id, plane_records, shuffled, sky_records
 from sameas import Box, ChiSquare, InputError, Radius, Records, Sphere, threads
 from sameas.space import Plane
 
@@ -289,7 +289,9 @@ def test_listing_on_the_sky_does_not_depend_on_the_row_order():
         (lambda: Radius(0.0), "sigmas is 0.0; give a positive number"),
         (lambda: Box(math.nan), "sigmas is nan; give a positive number"),
         (
-            lambda: Box()(Records.of([1.0], sigma=1.0, source="radar"), Records.of([[1.0, 2.0]], sigma=1.0, source="ais")),
+            lambda: Box()(
+                Records.of([1.0], sigma=1.0, source="radar"), Records.of([[1.0, 2.0]], sigma=1.0, source="ais")
+            ),
             "radar has 1 features .* ais 2 .* bring both to one feature space",
         ),
         (

@@ -1,19 +1,17 @@
 """Groups are the connected components, and their layout is consistent with itself and with the gate."""
 
-import naive
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import laid_out, plane_records, shuffled
 
+import naive
+from problems import laid_out, plane_records, shuffled
 from sameas import Box
 from sameas.groups import groups
 
 graphs = st.tuples(st.integers(1, 12), st.integers(1, 12)).flatmap(
-    lambda n: st.tuples(
-        st.just(n), st.sets(st.tuples(st.integers(0, n[0] - 1), st.integers(0, n[1] - 1)), max_size=25)
-    )
+    lambda n: st.tuples(st.just(n), st.sets(st.tuples(st.integers(0, n[0] - 1), st.integers(0, n[1] - 1)), max_size=25))
 )
 
 
@@ -25,9 +23,7 @@ def test_groups_are_the_components_and_the_layout_is_consistent(graph):
     expected = [g for g in naive.components(n1, n2, edges) if g[0] and g[1]]
     rows = [
         (set(found.rows_1[a:b].tolist()), set(found.rows_2[c:d].tolist()))
-        for a, b, c, d in zip(
-            found.start_1[:-1], found.start_1[1:], found.start_2[:-1], found.start_2[1:], strict=True
-        )
+        for a, b, c, d in zip(found.start_1[:-1], found.start_1[1:], found.start_2[:-1], found.start_2[1:], strict=True)
     ]
     assert sorted(map(str, rows)) == sorted(map(str, expected))
     assert len(found) == len(expected)
@@ -66,7 +62,9 @@ def test_layout_does_not_depend_on_the_row_order(d):
 
 
 def test_statistics_name_the_sizes():
-    edges = {(0, 0)} | {(1, j) for j in (1, 2)} | {(2 + k, 3 + k) for k in range(40)} | {(2 + k, 4 + k) for k in range(39)}
+    edges = (
+        {(0, 0)} | {(1, j) for j in (1, 2)} | {(2 + k, 3 + k) for k in range(40)} | {(2 + k, 4 + k) for k in range(39)}
+    )
     _, found = laid_out(42, 43, edges)
     assert found.statistics() == {
         "of one pair": 1, "of 3 to 4 records": 1, "of 5 to 16": 0, "of 17 to 64": 0, "larger": 1,

@@ -179,9 +179,7 @@ def test_common_objects_are_calibrated_where_their_number_is_flat():
             measured = (place[s] + rng.normal(0, sigma, (len(s), 2))) % 1.0
             places[side].append(np.column_stack([measured, np.full(len(s), 1000.0 * scenes)]))
             numbers[side].append(100 * scenes + s)
-    records = [
-        Records.of(np.concatenate(p), sigma=[sigma, sigma, 1.0], space=Plane((1.0, 1.0, None))) for p in places
-    ]
+    records = [Records.of(np.concatenate(p), sigma=[sigma, sigma, 1.0], space=Plane((1.0, 1.0, None))) for p in places]
     density = 1.0 / math.sqrt(2 * math.pi * 2.0)
     answer = identify(*records, rule=Field(density), prior=CommonObjects(q1, q2), gate=Radius(100.0))
     assert len(answer.groups) == scenes

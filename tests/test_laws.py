@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import by_id, plane_records, shuffled, sky_records
 
+from problems import by_id, plane_records, shuffled, sky_records
 from sameas import (
     ChiSquare,
     CloseObjects,
@@ -134,7 +134,8 @@ def test_turning_the_sky_about_its_axis_changes_nothing(lon_shift):
         for _ in range(2)
     ]
     turned = [
-        Records((r.features + [lon_shift, 0.0]) % 360.0, r.covariance, r.rows, r.ids, r.space) for r in records
+        Records((r.features + np.array([lon_shift, 0.0])) % 360.0, r.covariance, r.rows, r.ids, r.space)
+        for r in records
     ]
     for prior, _ in PRIORS.values():
         answers = [identify(*pair, rule=Field(1e-3), prior=prior) for pair in (records, turned)]

@@ -1,17 +1,17 @@
-"""Probabilities are the sums over all hypotheses: by enumeration, by transfer matrices, and nearly so where approximate."""
+"""Probabilities are the sums over all hypotheses: by enumeration, by transfer matrices, nearly so where approximate."""
 
 import math
 
-import naive
 import numpy as np
 import pytest
-from problems import DRAWS, components_of, laid_out, many_blocks, random_ratios, solved
 from scipy.special import logsumexp
-from test_assignment import PRIORS
 
+import naive
+from problems import DRAWS, components_of, laid_out, many_blocks, random_ratios, solved
 from sameas import CommonObjects, PerPair
 from sameas.assignment import assign
 from sameas.posterior import APPROXIMATE, METHODS, THINNED, posterior
+from test_assignment import PRIORS
 
 
 def as_table(pairs, p_pair):
@@ -49,7 +49,9 @@ def test_crowded_groups(name, n1, n2):
     ratios = random_ratios(np.random.default_rng([n1, n2]), n1, n2, 1.0, DRAWS["ordinary"])
     pairs, _, _, sure = solved(n1, n2, ratios, prior)
     expected, _, _ = naive.posterior(n1, n2, ratios, log_prior(n1, n2))
-    np.testing.assert_allclose(sure.p_pair, [expected[edge] for edge in as_table(pairs, sure.p_pair)], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        sure.p_pair, [expected[edge] for edge in as_table(pairs, sure.p_pair)], rtol=0, atol=1e-9
+    )
 
 
 def test_small_probabilities_keep_their_digits():
@@ -88,7 +90,7 @@ def by_transfer(n, ratios, log_prior):
         return free, taken
 
     free, taken = prefixes(weight)
-    free_b, taken_b = prefixes(weight[::-1])
+    free_b, _ = prefixes(weight[::-1])
     prior = np.array([log_prior(k) for k in range(n + 1)])
     everything = logsumexp(np.logaddexp(free[-1], taken[-1])[: n + 1] + prior)
     count = np.add.outer(np.arange(n + 1), np.arange(n + 1))
@@ -187,7 +189,7 @@ def test_the_local_method_is_as_good_as_stated(monkeypatch, prior, n, degree, mi
 @pytest.mark.parametrize("prior", [PerPair(0.0), CommonObjects(0.15, 0.15)])
 def test_what_is_too_entangled_for_elimination_says_so_and_keeps_every_law(prior):
     n1, n2, ratios = entangled(np.random.default_rng(1), 500, 12, 0.3)
-    pairs, grouped, best, sure = solved(n1, n2, ratios, prior)
+    pairs, _, _, sure = solved(n1, n2, ratios, prior)
     assert len(pairs) > 2000 and np.isin(sure.method, (APPROXIMATE, THINNED)).any()
     assert np.isfinite(sure.p_pair).all() and sure.p_pair.min() >= 0
     for total in sums(pairs, sure.p_pair):

@@ -2,10 +2,10 @@
 
 import math
 
-import naive
 import numpy as np
 import pytest
 
+import naive
 from sameas import CommonObjects, InputError, PerPair
 
 N1, N2 = np.array([1, 3, 7, 2, 40, 5]), np.array([1, 5, 2, 2, 35, 5])

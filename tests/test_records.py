@@ -2,10 +2,10 @@
 
 import math
 
-import naive
 import numpy as np
 import pytest
 
+import naive
 from sameas import InputError, Plane, Records, Sphere
 from sameas.records import unpack
 
@@ -101,7 +101,9 @@ def test_positive_definite_means_what_eigenvalues_mean(d):
     matrices = root @ root.transpose(0, 2, 1) - rng.uniform(0, 1.5, (400, 1, 1)) * np.eye(d)
     scale = 10.0 ** rng.uniform(-6, 6, (400, d))
     matrices = matrices * scale[:, :, None] * scale[:, None, :]
-    positive = np.array([np.all(np.linalg.eigvalsh(m / np.outer(s, s)) > 0) for m, s in zip(matrices, scale, strict=True)])
+    positive = np.array(
+        [np.all(np.linalg.eigvalsh(m / np.outer(s, s)) > 0) for m, s in zip(matrices, scale, strict=True)]
+    )
     records = Records.of(np.zeros((400, d)), covariance=matrices, invalid="set aside")
     assert 50 < positive.sum() < 350
     np.testing.assert_array_equal(records.rows, np.flatnonzero(positive))
@@ -148,7 +150,7 @@ def of(features=SQUARE, **keywords):
         (of(sigma=1.0, ids=["b", "a", "a"]), r"1 ids are not unique \(first: a in rows 1 and 2\)"),
         (of(sigma=1.0, invalid="drop"), 'radar: invalid=\'drop\'; give "refuse" or "set aside"'),
         (of([1.0, 2.0], sigma=1.0, space=Sphere()), "radar: a direction has 2 features .* got 1"),
-        (of([[0.0, 91.0]], sigma=1.0, space=Sphere()), r"1 latitudes lie beyond ±90° \(first: row 0: 91\)"),
+        (of([[0.0, 91.0]], sigma=1.0, space=Sphere()), r"1 latitudes lie beyond ±90° \(row 0: 91\)"),
         (of(sigma=1.0, space=Plane((1.0,))), "Plane has 1 periods, but the records have 2 features"),
         (lambda: Plane((1.0, math.nan)), "period of axis 1 is nan; give a positive number or None"),
     ],

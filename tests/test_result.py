@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import plane_records
 
+from problems import plane_records
 from sameas import Box, ChiSquare, CommonObjects, Field, InputError, PerPair, Records, Sphere, identify
 from sameas.posterior import METHODS
 
@@ -53,7 +53,9 @@ def test_rows_that_were_set_aside_are_unusable_and_not_unmatched():
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 10**6), counted=st.booleans())
 def test_answers_of_both_sources_agree_with_the_candidates(seed, counted):
-    answer = answered(seed, n=np.random.default_rng(seed).integers(0, 15, 2), prior=CommonObjects(0.2, 0.1) if counted else PerPair())
+    answer = answered(
+        seed, n=np.random.default_rng(seed).integers(0, 15, 2), prior=CommonObjects(0.2, 0.1) if counted else PerPair()
+    )
     p, chosen = answer.p_pair, answer.chosen
     for answers, own, other in (
         (answer.answers_1, answer.rows_1, answer.rows_2),
@@ -115,7 +117,7 @@ def test_residual_statistics_see_errors_that_are_too_small():
     first = Records.of(place, sigma=0.1)
     for scale in (1.0, 2.0):
         noise = rng.normal(0, 0.1 * math.sqrt(2 * scale**2 - 1), place.shape)
-        second = Records.of(place + noise , sigma=0.1)
+        second = Records.of(place + noise, sigma=0.1)
         seen = identify(first, second, rule=Field(1e-6), gate=Box(20.0)).residual_statistics()
         spread = math.sqrt(2 * scale**2 - 1) / math.sqrt(2)
         assert seen["median_due"] == pytest.approx(math.sqrt(2 * math.log(2)))

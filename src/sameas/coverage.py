@@ -9,6 +9,7 @@ records were to be expected.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -24,6 +25,10 @@ FINEST = 6.0
 PSEUDO_COUNT = 2.0
 #: Expected records in an empty cell that make it a hole: e⁻⁷ is the chance of it by accident.
 HOLE = 7.0
+
+
+#: The cell of each record, and a function from cells to their volumes.
+Cut = tuple[NDArray[np.int64], Callable[[NDArray[np.int64]], FloatArray]]
 
 
 @dataclass(frozen=True)
@@ -133,7 +138,7 @@ class _SphereCells:
         sines = math.sin(math.radians(self.high)) - math.sin(math.radians(self.low))
         return 2.0 * math.pi * sines * ARCSEC_PER_RADIAN**2
 
-    def cells(self, features: FloatArray, size: float):  # noqa: ANN201
+    def cells(self, features: FloatArray, size: float) -> Cut:
         rings = max(1, math.ceil((self.high - self.low) * 3600.0 / math.sqrt(size)))
         height = (self.high - self.low) / rings
         edges = np.radians(self.low + height * np.arange(rings + 1))
@@ -169,7 +174,7 @@ class _BoxCells:
     def volume(self) -> float:
         return float(np.prod(self.extent))
 
-    def cells(self, features: FloatArray, size: float):  # noqa: ANN201
+    def cells(self, features: FloatArray, size: float) -> Cut:
         d = len(self.extent)
         cuts = max(1, round((self.volume / size) ** (1.0 / d)))
         index = np.clip(((features - self.low) / self.extent * cuts).astype(np.int64), 0, cuts - 1)

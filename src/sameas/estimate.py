@@ -32,8 +32,8 @@ from sameas.result import Identification
 #: Steps of the ladder of error scales, as a factor; enough for any smooth spread to be mixed from them.
 RUNG = 1.5
 #: The gate opens when this share of the expected true pairs lies beyond 0.7 of its radius (honest errors: 4e-5).
-OPENING = 3e-4
-WIDEST_SIGMAS = 200.0
+OPENING = 6e-5
+WIDEST_SIGMAS = 400.0
 #: The gate does not open further when a record would have more candidates than this, on average.
 CROWDED = 6.0
 #: Fewer expected pairs than this say too little of the errors; the quoted ones are then believed.
@@ -187,21 +187,21 @@ class _Loop:
             return False
         outer = answer.pairs.mahalanobis_sq > (0.7 * limit) ** 2
         beyond = float(answer.p_pair[outer].sum())
-        return beyond > 3.0 + OPENING * float(answer.p_pair.sum())
+        return beyond > 1.0 + OPENING * float(answer.p_pair.sum())
 
     def notes(self, answer: Identification, settled: bool) -> tuple[str, ...]:
         notes = []
         common = float(answer.p_pair.sum())
         if not settled:
             notes.append("the estimates had not settled when the rounds ran out")
-        if common < 1.0:
+        if common < 0.5:
             notes.append("no common object is expected: the sources seem to have nothing in common")
         if self.learns_errors and common < FEWEST:
             notes.append(f"too few pairs ({common:.1f}) to judge the errors; the quoted ones are believed")
         return tuple(notes)
 
 
-def fit_errors(mahalanobis_sq: FloatArray, weights: FloatArray, d: int, start: Errors, steps: int = 60) -> Errors:
+def fit_errors(mahalanobis_sq: FloatArray, weights: FloatArray, d: int, start: Errors, steps: int = 300) -> Errors:
     """The mixture of error scales of greatest likelihood for residuals of the given posterior weights (EM).
 
     The scales are a ladder from 0.44 upwards as far as the residuals reach; a pseudo-count on the scale 1 keeps a few

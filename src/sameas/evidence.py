@@ -5,9 +5,11 @@ Every rule gives a natural logarithm per pair, term by term; rules add with ``+`
 - :class:`Field`: a different object lies anywhere with constant density (METHOD 3.1, the papers' uniform rule).
 - :class:`PoissonField`: objects are a Poisson field; the densities of common and of unrelated objects are known or
   estimated (METHOD 4.3). The default for catalogues.
-- :class:`ConstantCost`: frame and catalogue, every unmatched record costs the constant density C (METHOD 3.4 [F15–F17]);
-  ``ConstantCost.calibrated`` is its form with a detection probability and the density of other measurements.
-- :class:`CloseObjects`: a different object lies near, but not nearer than two objects can be (METHOD 3.2 [T14–T19, T26]).
+- :class:`ConstantCost`: frame and catalogue, every unmatched record costs the constant density C
+  (METHOD 3.4 [F15–F17]); ``ConstantCost.calibrated`` is its form with a detection probability and the density of
+  other measurements.
+- :class:`CloseObjects`: a different object lies near, but not nearer than two objects can be
+  (METHOD 3.2 [T14–T19, T26]).
 """
 
 from __future__ import annotations
@@ -84,7 +86,9 @@ class Errors:
 
     def __post_init__(self) -> None:
         if len(self.scales) != len(self.shares) or not self.scales:
-            raise InputError(f"Errors: {len(self.scales)} scales but {len(self.shares)} shares; give one share per scale")
+            raise InputError(
+                f"Errors: {len(self.scales)} scales but {len(self.shares)} shares; give one share per scale"
+            )
         positive = all(0.0 < scale < math.inf for scale in self.scales) and all(share >= 0.0 for share in self.shares)
         if not positive or abs(sum(self.shares) - 1.0) > 1e-6:
             raise InputError("Errors: scales must be positive, and shares non-negative with the sum 1")
@@ -125,7 +129,9 @@ class Field(Rule):
 
     def __call__(self, pairs: Pairs) -> Evidence:
         density = _at(self.density, len(pairs.second), pairs.j, "Field: density")
-        return Evidence({"position": Errors().log_density(pairs), "elsewhere": np.broadcast_to(-np.log(density), len(pairs))})
+        return Evidence(
+            {"position": Errors().log_density(pairs), "elsewhere": np.broadcast_to(-np.log(density), len(pairs))}
+        )
 
 
 @dataclass(frozen=True)
@@ -297,7 +303,9 @@ def _log_interval(low: FloatArray, high: FloatArray, width: FloatArray) -> Float
 def _per_feature(value: float | tuple[float, ...], d: int, name: str) -> FloatArray:
     values = np.atleast_1d(np.asarray(value, dtype=np.float64))
     if values.size not in (1, d):
-        raise InputError(f"CloseObjects: {name} has {values.size} numbers for {d} features; give one, or one per feature")
+        raise InputError(
+            f"CloseObjects: {name} has {values.size} numbers for {d} features; give one, or one per feature"
+        )
     return np.broadcast_to(values, d).copy()
 
 

@@ -101,7 +101,9 @@ def _row_of(ids: NDArray[Any], record: Any, source: str) -> int:
     if not len(found):
         found = np.flatnonzero(np.char.strip(ids.astype(str)) == str(record).strip())
     if not len(found):
-        raise InputError(f"{source} has no record with the id {record}; its first ids are {', '.join(map(str, ids[:3]))}")
+        raise InputError(
+            f"{source} has no record with the id {record}; its first ids are {', '.join(map(str, ids[:3]))}"
+        )
     return int(found[0])
 
 
@@ -215,8 +217,10 @@ def _lines(x: Explanation) -> list[str]:
         distance = "" if c.mahalanobis is None else f"{c.mahalanobis:.2f} σ"
         odds = "" if c.log_odds is None else f"{c.log_odds:+.2f}"
         terms = ", ".join(f"{key} {value:+.2f}" for key, value in c.terms.items())
-        lines.append(f"{mark + name:>22}  {_percent(c.probability):>11}  {c.cost:8.2f}  {distance:>8}  {odds:>8}  {terms}")
-    lines.append("(costs: natural logarithm by which the best identification of the whole group with that answer is less probable)")
+        lines.append(
+            f"{mark + name:>22}  {_percent(c.probability):>11}  {c.cost:8.2f}  {distance:>8}  {odds:>8}  {terms}"
+        )
+    lines.append("(costs: ln by which the best identification of the whole group with that answer is less probable)")
     if x.next_best_cost is not None:
         added = ", ".join(f"{a} = {b}" for a, b in x.next_best[0]) or "nothing"
         removed = ", ".join(f"{a} = {b}" for a, b in x.next_best[1]) or "nothing"

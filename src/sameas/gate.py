@@ -90,7 +90,9 @@ class ChiSquare:
 
     def __call__(self, first: Records, second: Records) -> Pairs:
         limit = self.limit(first.d)
-        return _candidates(first, second, limit, False, f"χ² ≤ {limit:.2f} (loses {1 - self.completeness:.1e} of the true)")
+        return _candidates(
+            first, second, limit, False, f"χ² ≤ {limit:.2f} (loses {1 - self.completeness:.1e} of the true)"
+        )
 
 
 @dataclass(frozen=True)

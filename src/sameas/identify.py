@@ -13,14 +13,17 @@ from sameas.prior import PerPair, Prior
 from sameas.records import Records
 from sameas.result import Identification
 
+EVIDENCE_ALONE = PerPair(0.0)
+DEFAULT_GATE = ChiSquare()
+
 
 def identify(
     first: Records,
     second: Records,
     *,
     rule: Rule,
-    prior: Prior = PerPair(),
-    gate: Callable[[Records, Records], Pairs] = ChiSquare(),
+    prior: Prior = EVIDENCE_ALONE,
+    gate: Callable[[Records, Records], Pairs] = DEFAULT_GATE,
 ) -> Identification:
     """Which records of two sources are the same object, one to one, and how sure that is.
 

@@ -11,6 +11,7 @@ with it most, and the messages stand for what lies beyond. Which method a group 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,7 +131,9 @@ def _exact(groups: Groups, best: Hypothesis, share: FloatArray, method: NDArray[
     )
 
 
-def _local(groups: Groups, best: Hypothesis, method: NDArray[np.int8], share: FloatArray, neglected: FloatArray) -> float:
+def _local(
+    groups: Groups, best: Hypothesis, method: NDArray[np.int8], share: FloatArray, neglected: FloatArray
+) -> float:
     """Fill ``share`` for the groups that elimination gave up; returns how far the messages were from settled.
 
     ``method`` becomes THINNED for groups that fall apart into parts that can be summed, and ``neglected`` the
@@ -195,14 +198,12 @@ class _Thinned:
         g, best = self.groups, self.best
         share = np.zeros(len(g.order))
         method = np.full(len(g), APPROXIMATE, np.int8)
-        columns = columns_of(len(g), g.start, g.start_1, g.start_2, g.edges_1, g.local_2, method)
+        columns: tuple[Any, Any] = columns_of(len(g), g.start, g.start_1, g.start_2, g.edges_1, g.local_2, method)
         group1 = np.repeat(np.arange(len(g), dtype=np.int32), g.sizes_1)
         shape = (group1, g.start_1, g.start_2, g.edges_1, g.local_1, g.local_2, *columns)
         state = (best.weight, best.dual_1, best.dual_2, method, claims[g.order])
-        threads.over(
-            lambda a, b: balls(a, b, *shape, *state, NEIGHBOURHOOD_ROWS, NEIGHBOURHOOD_BITS, share),
-            threads.even(len(group1), least=256),
-        )
+        size = (NEIGHBOURHOOD_ROWS, NEIGHBOURHOOD_BITS)
+        threads.over(lambda a, b: balls(a, b, *shape, *state, *size, share), threads.even(len(group1), least=256))
         return self._as_given(share)
 
     def _as_given(self, values: NDArray) -> NDArray:

@@ -157,7 +157,7 @@ def unpack(packed: FloatArray, d: int) -> FloatArray:
 
 def _as_float(values: ArrayLike, source: str, what: str) -> FloatArray:
     if isinstance(values, np.ma.MaskedArray):
-        return np.asarray(values.astype(np.float64).filled(np.nan))
+        return np.asarray(np.ma.filled(values.astype(np.float64), np.nan))
     try:
         return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -167,7 +167,9 @@ def _as_float(values: ArrayLike, source: str, what: str) -> FloatArray:
 def _packed_covariance(
     sigma: ArrayLike | None, variance: ArrayLike | None, covariance: ArrayLike | None, n: int, d: int, source: str
 ) -> FloatArray:
-    given = [name for name, v in (("sigma", sigma), ("variance", variance), ("covariance", covariance)) if v is not None]
+    given = [
+        name for name, v in (("sigma", sigma), ("variance", variance), ("covariance", covariance)) if v is not None
+    ]
     if len(given) != 1:
         raise InputError(f"{source}: give one of sigma, variance, covariance; got {' and '.join(given) or 'none'}")
     if covariance is not None:
@@ -182,7 +184,9 @@ def _packed_covariance(
     elif values.shape in ((n, d), (n, 1)):
         spread = values.copy()
     else:
-        raise InputError(f"{source}: {given[0]} has shape {values.shape}; give one number, ({n},), ({d},) or ({n}, {d})")
+        raise InputError(
+            f"{source}: {given[0]} has shape {values.shape}; give one number, ({n},), ({d},) or ({n}, {d})"
+        )
     # The sign survives the square, so that a negative sigma is still seen as wrong below.
     return spread * np.abs(spread) if sigma is not None else spread
 
@@ -202,7 +206,9 @@ def _packed_matrices(matrices: FloatArray, n: int, d: int, source: str) -> Float
     return matrices[:, upper[0], upper[1]]
 
 
-def _unusable(values: FloatArray, packed: FloatArray, space: Space, d: int, source: str, invalid: str) -> NDArray[np.int8]:
+def _unusable(
+    values: FloatArray, packed: FloatArray, space: Space, d: int, source: str, invalid: str
+) -> NDArray[np.int8]:
     """Per row 0 where it can be used, else the number of its reason."""
     if invalid not in ("refuse", "set aside"):
         raise InputError(f'{source}: invalid={invalid!r}; give "refuse" or "set aside"')
@@ -220,7 +226,7 @@ def _unusable(values: FloatArray, packed: FloatArray, space: Space, d: int, sour
             beyond = np.flatnonzero(np.abs(values[:, 1]) > 90.0)
         if len(beyond) and invalid == "refuse":
             raise InputError(
-                f"{source}: {len(beyond)} latitudes lie beyond ±90° (first: row {beyond[0]}: {values[beyond[0], 1]:g}); "
+                f"{source}: {len(beyond)} latitudes lie beyond ±90° (row {beyond[0]}: {values[beyond[0], 1]:g}); "
                 "give longitude, latitude in degrees"
             )
         reasons[beyond] = 4
@@ -232,14 +238,14 @@ def _unusable(values: FloatArray, packed: FloatArray, space: Space, d: int, sour
 
 def _positive_definite(packed: FloatArray, d: int) -> NDArray[np.bool_]:
     if packed.shape[1] <= d:
-        return ((packed > 0) & (packed < np.inf)).all(axis=1)
+        return np.asarray(((packed > 0) & (packed < np.inf)).all(axis=1))
     if d == 2:
         xx, xy, yy = packed.T
         with np.errstate(invalid="ignore", over="ignore"):
             # A correlation of ±1 leaves a determinant of rounding errors only; that matrix has no usable inverse.
             return (xx > 0) & (yy > 0) & (xx * yy - xy * xy > 1e-14 * xx * yy) & (xx < np.inf) & (yy < np.inf)
     diagonal = packed[:, np.cumsum([0, *range(d, 1, -1)])]
-    result = np.isfinite(packed).all(axis=1) & (diagonal > 0).all(axis=1)
+    result = np.asarray(np.isfinite(packed).all(axis=1) & (diagonal > 0).all(axis=1))
     scale = np.sqrt(diagonal[result])
     correlation = unpack(packed[result], d) / scale[:, :, None] / scale[:, None, :]
     result[result] = np.linalg.eigvalsh(correlation)[:, 0] > 1e-12

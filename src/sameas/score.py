@@ -207,8 +207,7 @@ def reliability(p: ArrayLike, happened: ArrayLike, *, bins: int = 10, width: str
     else:
         raise InputError(f'width is {width!r}; give "equal" or "adaptive"')
     count, total, hits, variance = (
-        np.bincount(number, weights, minlength=bins)
-        for weights in (None, stated, event, stated * (1 - stated))
+        np.bincount(number, weights, minlength=bins) for weights in (None, stated, event, stated * (1 - stated))
     )
     full = count > 0
     count = count[full]
@@ -222,9 +221,7 @@ def _events(p: ArrayLike, happened: ArrayLike) -> tuple[FloatArray, NDArray[np.b
     # Sums of probabilities overshoot by rounding; anything more is an error of the one who states them.
     wrong = np.flatnonzero(~((stated >= -1e-9) & (stated <= 1 + 1e-9)))
     if len(wrong):
-        raise InputError(
-            f"{len(wrong)} probabilities lie outside 0 … 1 (first: row {wrong[0]}: {stated[wrong[0]]:g})"
-        )
+        raise InputError(f"{len(wrong)} probabilities lie outside 0 … 1 (first: row {wrong[0]}: {stated[wrong[0]]:g})")
     return np.clip(stated, 0.0, 1.0), event
 
 
@@ -243,7 +240,5 @@ def _one_to_one(pairs: Pairs, name: str) -> tuple[IntArray, IntArray]:
     for side, numbers in enumerate(rows, start=1):
         twice = np.flatnonzero(np.bincount(numbers) > 1)
         if len(twice):
-            raise InputError(
-                f"{name} pairs: row {twice[0]} of source {side} has several partners; give at most one"
-            )
+            raise InputError(f"{name} pairs: row {twice[0]} of source {side} has several partners; give at most one")
     return rows

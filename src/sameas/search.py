@@ -130,14 +130,14 @@ class _Side:
     """Records of one source as the sweep sees them.
 
     features are folded into one period; reach (n, 1) or (n, d) is how far a record's own error opens the gate, in the
-    unit of the features; starts are the zones once the side is sorted; ids break ties between equal records.
+    unit of the features; starts are the zones once the side is sorted; the records' ids break ties between equal ones.
     """
 
     features: FloatArray
     covariance: FloatArray
     rows: NDArray[np.int32]
     reach: FloatArray
-    ids: NDArray[Any]
+    records: Records
     starts: NDArray[np.int64]
 
     @classmethod
@@ -161,7 +161,7 @@ class _Side:
             # Box edges reach √2 further than the ellipse that they enclose.
             reach = reach * (math.sqrt(2.0) if geometry.box else 1.0) / 3600.0
         rows = np.arange(len(records), dtype=np.int32)
-        return cls(features, records.covariance, rows, reach, records.ids[records.rows], np.empty(0, np.int64))
+        return cls(features, records.covariance, rows, reach, records, np.empty(0, np.int64))
 
     def take(self, rows: NDArray[np.int64]) -> _Side:
         return replace(
@@ -170,7 +170,6 @@ class _Side:
             covariance=np.ascontiguousarray(self.covariance[rows]),
             rows=self.rows[rows],
             reach=self.reach[rows],
-            ids=self.ids[rows],
         )
 
     def classes(self, others_per_area: float) -> list[_Side]:
@@ -195,44 +194,51 @@ class _Side:
 
     def sorted(self, zones: _Zones) -> _Side:
         """Sorted by zone, then x, then the rest of the content, then id."""
-        zone = zones.of_y(self.features[:, zones.y])
-        order = _content_order(self, zone, zones)
+        from sameas.kernels.sweep import gather, sort_keys, sort_within_bins
+
+        n = len(self.rows)
+        row_bits = max(1, int(n - 1).bit_length())
+        bin_bits = min(32, 64 - row_bits - max(1, int(zones.count - 1).bit_length()))
+        keys = np.empty(n, np.uint64)
         starts = np.zeros(zones.count + 1, np.int64)
-        np.cumsum(np.bincount(zone, minlength=zones.count), out=starts[1:])
-        return replace(self.take(order), starts=starts)
+        sort_keys(self.features, zones.x, zones.y, zones.cuts(), row_bits, bin_bits, keys, starts)
+        keys.sort()
+        order = np.empty(n, np.int64)
+        inner = (order, row_bits, keys, self.features, self.covariance, zones.x)
+        doubt = sort_within_bins(*inner, np.empty(0, np.int64))
+        if doubt == 1:
+            doubt = sort_within_bins(*inner, self.rank())
+        if doubt:
+            order = self.content_order(zones.of_y(self.features[:, zones.y]), self.features[:, zones.x])
+        features, covariance = np.empty_like(self.features), np.empty_like(self.covariance)
+        reach, rows = np.empty_like(self.reach), np.empty_like(self.rows)
+        gather(order, self.features, self.covariance, self.reach, self.rows, features, covariance, reach, rows)
+        return replace(self, features=features, covariance=covariance, reach=reach, rows=rows, starts=starts)
+
+    def guard(self, geometry: _Geometry) -> FloatArray:
+        """(n, 2) what tells most pairs apart before anything exact: on the sphere squared reach and cosine of the
+        latitude; on a plane squared reach in x and in y."""
+        guard = np.empty((len(self.rows), 2))
+        if geometry.sphere:
+            np.multiply(self.reach[:, 0], self.reach[:, 0] * (1.0 + 1e-6), out=guard[:, 0])
+            np.cos(self.features[:, 1] * (math.pi / 180.0), out=guard[:, 1])
+            return guard
+        last = self.reach.shape[1] - 1
+        for k, axis in enumerate((geometry.x, geometry.y)):
+            np.multiply(self.reach[:, min(axis, last)], self.reach[:, min(axis, last)] * (1.0 + 1e-6), out=guard[:, k])
+        return guard
 
     def rank(self) -> NDArray[np.int64]:
         """The place of each record's id among the ids: what orders records that are equal in all else."""
-        rank = np.empty(len(self.ids), np.int64)
+        ids = self.records.ids[self.records.rows[self.rows]]
+        rank = np.empty(len(ids), np.int64)
         # Ids of several kinds have no order among themselves, but their texts have.
-        ids = self.ids.astype(str) if self.ids.dtype.kind == "O" else self.ids
-        rank[np.argsort(ids, kind="stable")] = np.arange(len(self.ids))
+        rank[np.argsort(ids.astype(str) if ids.dtype.kind == "O" else ids, kind="stable")] = np.arange(len(ids))
         return rank
 
     def content_order(self, *before: NDArray[Any]) -> NDArray[np.int64]:
         """The rows sorted by the keys ``before``, then features, covariance and id."""
         return np.lexsort([self.rank(), *self.covariance.T[::-1], *self.features.T[::-1], *before[::-1]])
-
-
-def _content_order(side: _Side, zone: NDArray[np.int64], zones: _Zones) -> NDArray[np.int64]:
-    from sameas.kernels.sweep import sort_within_bins
-
-    n = len(side.rows)
-    row_bits = max(1, int(n - 1).bit_length())
-    zone_bits = max(1, int(zones.count - 1).bit_length())
-    bin_bits = min(32, 64 - row_bits - zone_bits)
-    x = side.features[:, zones.x]
-    scale = (2.0**bin_bits - 1.0) / max(zones.x_high - zones.x_low, 1e-290)
-    bins = np.minimum((x - zones.x_low) * scale, 2.0**bin_bits - 1.0).astype(np.uint64)
-    keys = (zone.astype(np.uint64) << np.uint64(bin_bits + row_bits)) | (bins << np.uint64(row_bits))
-    keys |= np.arange(n, dtype=np.uint64)
-    keys.sort()
-    order = (keys & np.uint64((1 << row_bits) - 1)).astype(np.int64)
-    inner = (order, np.uint64(row_bits), keys, side.features, side.covariance, zones.x)
-    doubt = sort_within_bins(*inner, np.empty(0, np.int64))
-    if doubt == 1:
-        doubt = sort_within_bins(*inner, side.rank())
-    return order if doubt == 0 else side.content_order(zone, x)
 
 
 @dataclass(frozen=True)
@@ -271,6 +277,10 @@ class _Zones:
         windows = _sphere_windows(low, height, count, reach_x) if geometry.sphere else np.full(count, reach_x)
         return cls(x, y, low, height, count, wraps, windows, float(x_low), float(x_high))
 
+    def cuts(self) -> FloatArray:
+        """(low, height, count) of the zones and (low, extent) of x."""
+        return np.array([self.low, self.height, self.count, self.x_low, max(self.x_high - self.x_low, 1e-290)])
+
     def of_y(self, y: FloatArray) -> NDArray[np.int64]:
         """The zone of each y; beyond the first and the last zone, those."""
         zone = np.floor((y - self.low) / self.height)
@@ -308,6 +318,7 @@ def _swept(one: _Side, two: _Side, zones: _Zones, geometry: _Geometry) -> list[C
 
     d = one.features.shape[1]
     packed = geometry.array(zones.wraps)
+    guards = one.guard(geometry), two.guard(geometry)
 
     def work(first: int, last: int) -> list[Columns]:
         chunks: list[Columns] = []
@@ -316,7 +327,8 @@ def _swept(one: _Side, two: _Side, zones: _Zones, geometry: _Geometry) -> list[C
             out = (np.empty(capacity, np.int32), np.empty(capacity, np.int32), np.empty((capacity, d)),
                    np.empty(capacity), np.empty(capacity))  # fmt: skip
             found, first = sweep(
-                one.features, one.covariance, one.rows, one.starts, two.features, two.covariance, two.rows, two.starts,
+                one.features, one.covariance, one.rows, one.starts, guards[0],
+                two.features, two.covariance, two.rows, two.starts, guards[1],
                 zones.windows, packed, geometry.periods, first, last, *out,
             )  # fmt: skip
             chunks.append(tuple(column[:found] for column in out))  # type: ignore[arg-type]

@@ -101,9 +101,7 @@ def poisson_field(
     seen_1, seen_2 = _seen(rng, count, q1, q2)
     numbers = np.split(np.arange(len(positions)), [count, count + n_false[0]])
     objects = (np.concatenate([seen_1, numbers[1]]), np.concatenate([seen_2, numbers[2]]))
-    return _plane_scene(
-        rng, positions, objects, count, (sigma_1, sigma_2), correlated, space or Plane(), names
-    )
+    return _plane_scene(rng, positions, objects, count, (sigma_1, sigma_2), correlated, space or Plane(), names)
 
 
 def line(
@@ -161,9 +159,7 @@ def grid(
     if not spacing_sigmas >= 0:
         raise InputError(f"grid: spacing_sigmas is {spacing_sigmas}; give a number that is not negative")
     steps = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1)
-    positions = steps.reshape(-1, len(shape)).astype(np.float64) * (
-        spacing_sigmas * math.hypot(sigma_1, sigma_2)
-    )
+    positions = steps.reshape(-1, len(shape)).astype(np.float64) * (spacing_sigmas * math.hypot(sigma_1, sigma_2))
     seen = _seen(rng, len(positions), q1, q2)
     return _plane_scene(rng, positions, seen, len(positions), (sigma_1, sigma_2), False, Plane(), names)
 
@@ -386,19 +382,13 @@ def displaced(position_deg: FloatArray, offset_arcsec: FloatArray) -> FloatArray
     return np.stack([lon % 360, np.degrees(np.arctan2(z, np.hypot(x, east)))], axis=1)
 
 
-def _circular_sky(
-    rng: np.random.Generator, position_deg: FloatArray, spread: FloatArray, name: str
-) -> Records:
+def _circular_sky(rng: np.random.Generator, position_deg: FloatArray, spread: FloatArray, name: str) -> Records:
     """Directions displaced by as much as they state, σ (n,) on both axes."""
     offset = rng.standard_normal(position_deg.shape) * spread[:, None]
-    return Records.of(
-        displaced(position_deg, offset), variance=(spread**2)[:, None], space=Sphere(), source=name
-    )
+    return Records.of(displaced(position_deg, offset), variance=(spread**2)[:, None], space=Sphere(), source=name)
 
 
-def _elliptical_sky(
-    rng: np.random.Generator, position_deg: FloatArray, spread: FloatArray, name: str
-) -> Records:
+def _elliptical_sky(rng: np.random.Generator, position_deg: FloatArray, spread: FloatArray, name: str) -> Records:
     """Directions displaced by as much as they state, in covariances along their own east and north."""
     stretch = rng.uniform(0, 0.8, len(spread))
     axes = _turn(rng.uniform(0, np.pi, len(spread)))
@@ -446,9 +436,7 @@ def _log_uniform(rng: np.random.Generator, sigma: Sigma, n: int, name: str) -> F
 def _bounds(sigma: Sigma, name: str) -> tuple[float, float]:
     low, high = sigma if isinstance(sigma, tuple) else (sigma, sigma)
     if not 0 < low <= high < math.inf:
-        raise InputError(
-            f"{name}: sigma is {sigma}; give a positive number, or (low, high) with 0 < low ≤ high"
-        )
+        raise InputError(f"{name}: sigma is {sigma}; give a positive number, or (low, high) with 0 < low ≤ high")
     return float(low), float(high)
 
 

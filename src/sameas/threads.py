@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -20,7 +21,7 @@ def count() -> int:
 
 def over(work: Callable[[int, int], T], bounds: Sequence[int]) -> list[T]:
     """``work(bounds[t], bounds[t + 1])`` for every t, side by side; results in the order of the ranges."""
-    ranges = [(int(a), int(b)) for a, b in zip(bounds[:-1], bounds[1:], strict=True) if b > a]
+    ranges = [(int(a), int(b)) for a, b in pairwise(bounds) if b > a]
     if len(ranges) <= 1:
         return [work(a, b) for a, b in ranges]
     with ThreadPoolExecutor(len(ranges)) as pool:

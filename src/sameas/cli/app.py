@@ -103,20 +103,16 @@ def match(
     if output is None and not dry_run:
         raise typer.BadParameter("say -o OUT, the table to write (or --dry-run)", param_hint="-o")
     with answering(debug):
-        from sameas.cli.matching import Wanted, check, look
+        from sameas.cli.matching import Wanted, run
         from sameas.cli.request import Request, match_options
 
-        request = Request(
-            (str(first), str(second)), (format1, format2), (hdu1, hdu2),
-            (fields_of(columns, 1), fields_of(columns, 2)),
-            match_options(to_epoch, gate_sigmas, error_scale, density), columns,
-        )  # fmt: skip
-        if output is None or dry_run:
-            look(request, quiet)
-        else:
-            wanted = Wanted(output, out_format, overwrite, join, nway_columns, compare_nearest, ctx.meta["typed"])
-            check(request, wanted)
-            wanted.fulfil(request, quiet)
+        options = match_options(to_epoch, gate_sigmas, error_scale, density)
+        fields = fields_of(columns, 1), fields_of(columns, 2)
+        paths = str(first), str(second)
+        request = Request(paths, (format1, format2), (hdu1, hdu2), fields, options, columns)
+        command = ctx.meta["typed"]
+        wanted = Wanted(output, out_format, overwrite, join, nway_columns, compare_nearest, command) if output else None
+        run(request, None if dry_run else wanted, quiet)
 
 
 @app.command("explain", no_args_is_help=True)

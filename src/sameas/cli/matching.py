@@ -58,6 +58,15 @@ class Wanted:
         printer([f"Time: {time.perf_counter() - began:.1f} s; peak memory: {_peak_memory()}"])
 
 
+def run(request: Request, wanted: Wanted | None, quiet: bool) -> None:
+    """Match and write what is wanted; without it only look."""
+    if wanted is None:
+        look(request, quiet)
+    else:
+        check(request, wanted)
+        wanted.fulfil(request, quiet)
+
+
 def check(request: Request, wanted: Wanted) -> None:
     """Refuses an output that could not be written or would destroy an input, before any work is done."""
     out = wanted.path

@@ -177,7 +177,7 @@ def messages(first, last, start, start1, start2, edges1, local2, weight, u, v, m
                 x = weight[e] - u[start1[g] + r] - v[start2[g] + local2[e]]
                 odds[e - low] = math.exp(max(x, -700.0))
                 to_column[e] = 0.0
-        for sweep in range(sweeps):
+        for _ in range(sweeps):
             change = 0.0
             for r in range(n1):
                 best = -1
@@ -327,7 +327,9 @@ def balls(
                 odds[m] = math.exp(max(weight[e] - u[inside[t]] - v[c], -700.0))
                 m += 1
         start[count] = m
-        after = eliminate(count, nc, start[: count + 1], column, odds, none, unused[:nc], prior, part, alone, stamp, work)
+        after = eliminate(
+            count, nc, start[: count + 1], column, odds, none, unused[:nc], prior, part, alone, stamp, work
+        )
         if after < 0:
             stamp += count + 1
             lonely(center, base2, edges1, local1, local2, column_start, column_pairs, weight, u, v, to_column, share)

@@ -8,7 +8,7 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 def per_record(record, n, chosen, p_pair):
-    """For each of n records: (its chosen pair or −1, its most probable other pair or −1, candidates, Σ p of its pairs)."""
+    """For each of n records its chosen pair or −1, its most probable other pair or −1, candidates, Σ p of its pairs."""
     partner = np.full(n, -1, np.int64)
     second = np.full(n, -1, np.int64)
     count = np.zeros(n, np.int32)

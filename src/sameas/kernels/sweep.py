@@ -17,13 +17,49 @@ ARCSEC = 206264.80624709636
 
 
 @njit(cache=True, nogil=True)
-def sort_within_bins(order, key_shift, keys, features, covariance, axis_x, rank):
-    """Sort, in place, the rows that share a bin (equal ``keys >> key_shift``) by content, then by rank.
+def sort_keys(features, axis_x, axis_y, cuts, row_bits, bin_bits, keys, starts):
+    """Fill ``keys`` with zone | bin of x | row, and ``starts`` with the CSR of the zones.
+
+    cuts : (low, height, count) of the zones and (low, extent) of x.
+    """
+    low, height, count, x_low, x_extent = cuts[0], cuts[1], cuts[2], cuts[3], cuts[4]
+    bins = 2.0**bin_bits - 1.0
+    scale = bins / x_extent
+    for k in range(len(keys)):
+        zone = int(min(max(math.floor((features[k, axis_y] - low) / height), 0.0), count - 1.0))
+        bin_ = np.uint64(min((features[k, axis_x] - x_low) * scale, bins))
+        keys[k] = (np.uint64(zone) << np.uint64(bin_bits + row_bits)) | (bin_ << np.uint64(row_bits)) | np.uint64(k)
+        starts[zone + 1] += 1
+    for zone in range(len(starts) - 1):
+        starts[zone + 1] += starts[zone]
+
+
+@njit(cache=True, nogil=True)
+def gather(order, features, covariance, reach, rows, features_out, covariance_out, reach_out, rows_out):
+    """The columns of one side in the given order."""
+    for k in range(len(order)):
+        row = order[k]
+        for v in range(features.shape[1]):
+            features_out[k, v] = features[row, v]
+        for v in range(covariance.shape[1]):
+            covariance_out[k, v] = covariance[row, v]
+        for v in range(reach.shape[1]):
+            reach_out[k, v] = reach[row, v]
+        rows_out[k] = rows[row]
+
+
+@njit(cache=True, nogil=True)
+def sort_within_bins(order, row_bits, keys, features, covariance, axis_x, rank):
+    """Fill ``order`` with the rows of the sorted ``keys``; those that share a bin by content, then by rank.
 
     Returns 0 when that settled the order, 1 where two rows are equal and ``rank`` is empty, 2 where a bin holds more
     than 256 rows.
     """
     n = len(order)
+    row_mask = (np.uint64(1) << np.uint64(row_bits)) - np.uint64(1)
+    key_shift = np.uint64(row_bits)
+    for k in range(n):
+        order[k] = np.int64(keys[k] & row_mask)
     start = 0
     while start < n:
         stop = start + 1
@@ -89,27 +125,51 @@ def turned(xx, xy, yy, c, s):
 @njit(cache=True, nogil=True, inline="always")
 def sphere_residual(lon1, lat1, lon2, lat2):
     """(east, north, tangent of half the turn of the axes), the residual in arcsec; see space.Sphere."""
-    dlon = lon1 - lon2
+    mid = 0.5 * DEG * (lat1 + lat2)
+    return delambre(lon1 - lon2, lat1 - lat2, math.sin(mid), math.cos(mid))
+
+
+@njit(cache=True, nogil=True, inline="always")
+def near_residual(lon1, lat1, sin1, cos1, lon2, lat2):
+    """:func:`sphere_residual`, given the sine and cosine of lat1 and |lat1 − lat2| below a degree."""
+    half = 0.5 * DEG * (lat1 - lat2)
+    h2 = half * half
+    sine = half * (1.0 - h2 / 6.0 * (1.0 - h2 / 20.0))
+    cosine = 1.0 - h2 * 0.5 * (1.0 - h2 / 12.0)
+    return delambre(lon1 - lon2, lat1 - lat2, sin1 * cosine - cos1 * sine, cos1 * cosine + sin1 * sine)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def delambre(dlon, dlat, sin_mid, cos_mid):
+    """The residual from the differences in degrees and the sine and cosine of the middle latitude."""
     if dlon > 180.0:
         dlon -= 360.0
     elif dlon < -180.0:
         dlon += 360.0
     half_lon = 0.5 * DEG * dlon
-    half_lat = 0.5 * DEG * (lat1 - lat2)
-    mid = 0.5 * DEG * (lat1 + lat2)
-    sin_lon = math.sin(half_lon)
-    cos_lon = math.cos(half_lon)
-    sin_lat = math.sin(half_lat)
-    u = sin_lon * math.cos(mid)
+    half_lat = 0.5 * DEG * dlat
+    if abs(dlon) < 1.0 and abs(dlat) < 1.0:
+        # Series for less than half a degree: their remainders are below 1e-17 of the argument.
+        a2 = half_lon * half_lon
+        b2 = half_lat * half_lat
+        sin_lon = half_lon * (1.0 - a2 / 6.0 * (1.0 - a2 / 20.0 * (1.0 - a2 / 42.0)))
+        cos_lon = 1.0 - a2 * 0.5 * (1.0 - a2 / 12.0 * (1.0 - a2 / 30.0))
+        sin_lat = half_lat * (1.0 - b2 / 6.0 * (1.0 - b2 / 20.0 * (1.0 - b2 / 42.0)))
+        cos_lat = 1.0 - b2 * 0.5 * (1.0 - b2 / 12.0 * (1.0 - b2 / 30.0))
+    else:
+        sin_lon = math.sin(half_lon)
+        cos_lon = math.cos(half_lon)
+        sin_lat = math.sin(half_lat)
+        cos_lat = math.cos(half_lat)
+    u = sin_lon * cos_mid
     v = cos_lon * sin_lat
     h2 = u * u + v * v
-    if h2 < 1e-6:
-        arc = 1.0 + h2 * (1.0 / 6.0 + h2 * (3.0 / 40.0))
+    if h2 < 1e-4:
+        arc = 1.0 + h2 * (1.0 / 6.0 + h2 * (3.0 / 40.0 + h2 * (15.0 / 336.0)))
     else:
         h = min(1.0, math.sqrt(h2))
         arc = math.asin(h) / h
-    cos_lat = math.sqrt(max(0.0, 1.0 - sin_lat * sin_lat))
-    turn = sin_lon * math.sin(mid) / max(cos_lon * cos_lat, 1e-300)
+    turn = sin_lon * sin_mid / max(cos_lon * cos_lat, 1e-300)
     return 2.0 * ARCSEC * arc * u, 2.0 * ARCSEC * arc * v, turn
 
 
@@ -176,18 +236,21 @@ def whitened(matrix, residual, d):
 
 @njit(cache=True, nogil=True)
 def sweep(
-    features1, cov1, rows1, zones1, features2, cov2, rows2, zones2, windows, geometry, periods, first, last,
+    features1, cov1, rows1, zones1, guard1, features2, cov2, rows2, zones2, guard2,
+    windows, geometry, periods, first, last,
     out_i, out_j, out_residual, out_distance, out_determinant,
 ):  # fmt: skip
     """Candidates of the sorted records ``first`` ≤ k < ``last`` of source 1, written into the out arrays.
 
     geometry = (sphere, box, limit, axis_x, axis_y, wraps zones); zones are CSR starts into the sorted sources;
-    windows (zones,) is the half width in x. Returns (candidates written, next k): next k < last when out is full.
+    windows (zones,) is the half width in x; for the guards (n, 2) see ``search._Side.guard``. Returns (candidates
+    written, next k): next k < last when out is full.
     """
     sphere = geometry[0] > 0
     box = geometry[1] > 0
     limit = geometry[2]
     ax = int(geometry[3])
+    ay = int(geometry[4])
     wraps = geometry[5] > 0
     d = features1.shape[1]
     n_zones = len(zones1) - 1
@@ -214,6 +277,11 @@ def sweep(
                 pointer[t] = zones2[other] if 0 <= other < n_zones else 0
             fresh = False
         x = features1[k, ax]
+        y = features1[k, ay]
+        near = sphere and window < 1.0
+        if sphere:
+            sin1 = math.sin(DEG * y)
+            cos1 = math.cos(DEG * y)
         begin = count
         for t in range(3):
             other = zone - 1 + t
@@ -254,13 +322,30 @@ def sweep(
                     upper = np.inf
                 while q < stop and features2[q, ax] <= upper:
                     if sphere:
-                        east, north, turn = sphere_residual(
-                            features1[k, 0], features1[k, 1], features2[q, 0], features2[q, 1]
-                        )
+                        if near:
+                            dlat = y - features2[q, 1]
+                            dlon = x - features2[q, 0]
+                            if dlon > 180.0:
+                                dlon -= 360.0
+                            elif dlon < -180.0:
+                                dlon += 360.0
+                            # hav s = hav Δδ + cos δ₁ cos δ₂ hav Δα, and hav x ≥ (x/2)² (1 − 1e-4) below a degree.
+                            flat = dlat * dlat + cos1 * guard2[q, 1] * dlon * dlon
+                            if flat * (1.0 - 1e-4) > guard1[k, 0] + guard2[q, 0]:
+                                q += 1
+                                continue
+                            east, north, turn = near_residual(x, y, sin1, cos1, features2[q, 0], features2[q, 1])
+                        else:
+                            east, north, turn = sphere_residual(x, y, features2[q, 0], features2[q, 1])
                         xx, xy, yy = sphere_spread(cov1, k, cov2, q, turn)
                         delta[0] = east
                         delta[1] = north
                     else:
+                        if not wraps and ay != ax:
+                            dy = y - features2[q, ay]
+                            if dy * dy > guard1[k, 1] + guard2[q, 1]:
+                                q += 1
+                                continue
                         for v in range(d):
                             value = features1[k, v] - features2[q, v]
                             if periods[v] != np.inf:
