@@ -100,7 +100,7 @@ def pictures(scenes: int, priors: dict[str, Any]) -> dict[str, Statements]:
         density = rng.uniform(0.0, 3.0 * MOST / BOX**2)
         space = Plane(periods=(BOX, BOX))
         scene = poisson_field(
-            rng, density=density, extent=(BOX, BOX), q1=Q1, q2=Q2, sigma_1=0.6, sigma_2=(0.3, 0.9), correlated=True,
+            rng, density=density, extent=(BOX, BOX), q1=Q1, q2=Q2, sigma_1=0.3, sigma_2=(0.15, 0.45), correlated=True,
             space=space,
         )  # fmt: skip
         if not (0 < len(scene.first) <= MOST and 0 < len(scene.second) <= MOST):
@@ -184,7 +184,7 @@ def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(prog="scripts/bench calibration", description=__doc__)
     parser.add_argument("--rows", type=int, default=20_000, help="rows of either source (default 20000)")
-    parser.add_argument("--scenes", type=int, default=2000, help="number of small pictures (default 2000)")
+    parser.add_argument("--scenes", type=int, default=3000, help="number of small pictures (default 3000)")
     parser.add_argument("--lambdas", type=float, nargs="+", default=list(workload.LAMBDAS))
     parser.add_argument("--figure", action="store_true", help="draw the curves too")
     options = parser.parse_args()

@@ -32,13 +32,17 @@ class Work:
 
 @dataclass(frozen=True)
 class Measurement:
-    """seconds of each run; peak and resting memory of the process in MB; what the runs returned; why there is none."""
+    """seconds of each run; peak and resting memory of the process in MB; what the runs returned.
+
+    missing : why there is none; absent : because it is not installed.
+    """
 
     seconds: tuple[float, ...] = ()
     peak_mb: float = float("nan")
     resting_mb: float = float("nan")
     returned: tuple[Any, ...] = ()
     missing: str = ""
+    absent: bool = False
 
     @property
     def median(self) -> float:

@@ -11,13 +11,14 @@ import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from benchmarks import workload
 from benchmarks.measure import Measurement, Work, measure
 from benchmarks.ours import STAGES
 from benchmarks.peers import PEERS, Interpreters
 from benchmarks.tables import Table, report
-from benchmarks.timetable import Row, timetable
+from benchmarks.timetable import Beside, Row, timetable
 
 FULL = 1_000_000
 COLUMNS_SAID = ("--sigma", "sigma", "--sigma-unit", "arcsec", "--quiet")
@@ -49,26 +50,22 @@ class Bench:
             workload.save(folder, *scene())
         return str(folder)
 
-    def walk(self, folder: str, until: str = "assignment", **changes: object) -> Work:
+    def walk(self, folder: str, until: str = "assignment", **changes: Any) -> Work:
         """Our own path, to the assignment or the posterior."""
         options = {"folder": folder, "until": until}
         return replace(Work("benchmarks.ours:walk", options, at_most_s=self.slow_s), **changes)
 
-    def beside(self, folder: str, *names: str, runs: int = 5) -> tuple[tuple[str, Work], ...]:
-        """The peers that are installed, on the same arrays."""
-        return tuple(
-            (
-                PEERS[name].name,
-                Work(
-                    f"benchmarks.peers:{name}", {"folder": folder}, runs, self.slow_s,
-                    python=self.interpreters.python(name),
-                ),
-            )
-            for name in names
-            if self.versions[name]
-        )  # fmt: skip
+    def beside(self, folder: str, *names: str, runs: int = 5) -> tuple[Beside, ...]:
+        """The peers on the same arrays; how to install those that are missing."""
+        return tuple((PEERS[name].name, self._peer(name, folder, runs)) for name in names)
 
-    def limit(self, seconds: float) -> float | None:
+    def _peer(self, name: str, folder: str, runs: int) -> Work | str:
+        if not self.versions[name]:
+            return PEERS[name].install
+        python = self.interpreters.python(name)
+        return Work(f"benchmarks.peers:{name}", {"folder": folder}, runs, self.slow_s, python=python)
+
+    def limit(self, seconds: float | None) -> float | None:
         """What issue 3 asks, where the rows are those it speaks of."""
         return seconds if self.rows == FULL else None
 
@@ -86,7 +83,7 @@ def sky(b: Bench) -> Iterator[Row]:
     peers = {0.05: ("astropy", "scipy", "stilts"), 0.5: ("astropy", "scipy", "stilts", "lsdb")}
     for lam in workload.LAMBDAS:
         folder = b.sky(lam)
-        at_most = b.limit(limits[lam]) if limits[lam] else None
+        at_most = b.limit(limits[lam])
         at_least = b.factor(8.0 if lam == 0.5 else 1.0)
         beside = b.beside(folder, *peers.get(lam, ("astropy", "scipy")))
         yield Row(f"{b.rows} × {b.rows}, λ {lam:g}, MAP", b.walk(folder), beside, at_most, at_least)
@@ -245,13 +242,6 @@ SECTIONS = {
 }  # fmt: skip
 
 
-def rows_of(b: Bench, only: str | None) -> Iterator[Row]:
-    """The rows of the table, or those of one section."""
-    for name, section in SECTIONS.items():
-        if only in (None, name):
-            yield from section(b)
-
-
 def growth(b: Bench) -> Table:
     """Time per row from a thousand rows on, at constant λ."""
     lines = []
@@ -260,9 +250,9 @@ def growth(b: Bench) -> Table:
         folder = b.sky(0.5, rows=n)
         runs = 7 if n > 20_000 else 50
         one, two = (measure(b.walk(folder, until, runs=runs)) for until in ("assignment", "posterior"))
-        other = [measure(work) for _, work in b.beside(folder, "astropy")]
-        each = [1e9 * m.median / n for m in (one, two, *other)]
-        lines.append([n, *each, *([None] if not other else []), round(two.peak_mb - two.resting_mb)])
+        other = measure_peer(b, folder)
+        each = [1e9 * m.median / n for m in (one, two, other)]
+        lines.append([n, *each, two.peak_mb - two.resting_mb])
         n *= 5 if str(n).startswith("1") else 2
     columns = (
         "rows",
@@ -274,6 +264,11 @@ def growth(b: Bench) -> Table:
     tail = [line[1] for line in lines if line[0] >= 100_000]
     note = f"from 10⁵ rows on, MAP per row varies by {max(tail) / min(tail):.2f} (asked: 1.5)" if tail else ""
     return Table("Growth with the number of rows, λ 0.5", columns, lines, (note,) if note else ())
+
+
+def measure_peer(b: Bench, folder: str) -> Measurement:
+    """astropy, which always is there."""
+    return measure(Work("benchmarks.peers:astropy", {"folder": folder}, 5, b.slow_s))
 
 
 def verdicts(b: Bench) -> Table:
@@ -302,7 +297,7 @@ def quick(b: Bench, keep: bool) -> Table:
     lines = []
     for lam in (0.5, 2.0):
         folder = b.sky(lam)
-        nearest = measure(b.beside(folder, "astropy", runs=5)[0][1])
+        nearest = measure_peer(b, folder)
         ours = measure(b.walk(folder, "posterior", runs=11))
         if ours.missing:
             sys.exit(ours.missing)
@@ -338,7 +333,7 @@ def tables(b: Bench, options: argparse.Namespace) -> Iterator[Table]:
     for name in SECTIONS if options.only is None else [options.only]:
         if name in SECTIONS:
             title = f"Speed: {name}. {SECTIONS[name].__doc__}"
-            yield timetable(title, rows_of(b, name), (*absent,) if options.only or name == "sky" else ())
+            yield timetable(title, SECTIONS[name](b))
     if options.only in (None, "stages"):
         yield stage_table(b)
     if options.only in (None, "growth"):
@@ -375,7 +370,8 @@ def main() -> None:
     interpreters = Interpreters.of(options.peer_python)
     rows = options.rows or (100_000 if options.quick else FULL)
     with tempfile.TemporaryDirectory(prefix="sameas-bench-") as folder:
-        b = Bench(rows, Path(folder), interpreters, interpreters.versions(), options.slow)
+        slow_s = min(options.slow, 20.0) if options.quick else options.slow
+        b = Bench(rows, Path(folder), interpreters, interpreters.versions(), slow_s)
         report("speed-quick" if options.quick else "speed", tables(b, options))
 
 

@@ -22,9 +22,13 @@ COLUMNS = (
 )
 
 
+#: A peer: its name, and its work or how to install it.
+Beside = tuple[str, Work | str]
+
+
 @dataclass(frozen=True)
 class Row:
-    """what : what is done. ours : our work. beside : (name, work) of peers. at_most_s : what issue 3 asks, or None.
+    """what : what is done. ours : our work. beside : the peers. at_most_s : what issue 3 asks, or None.
 
     at_least : how many times faster than the first peer it must be, or None. share : the quantile that is judged
     (0.5 the median, 0.99 for p99).
@@ -32,7 +36,7 @@ class Row:
 
     what: str
     ours: Work
-    beside: tuple[tuple[str, Work], ...] = ()
+    beside: tuple[Beside, ...] = ()
     at_most_s: float | None = None
     at_least: float | None = None
     share: float = 0.5
@@ -43,15 +47,19 @@ def timetable(title: str, rows: Iterable[Row], notes: tuple[str, ...] = ()) -> T
     lines: list[list[object]] = []
     failures: list[str] = []
     for row in rows:
-        measured = [("sameas", measure(row.ours)), *((name, measure(work)) for name, work in row.beside)]
+        measured = [("sameas", measure(row.ours)), *((name, _measured(work)) for name, work in row.beside)]
         ours = measured[0][1]
         for k, (name, one) in enumerate(measured):
             judged = _verdict(row, measured) if k == 0 else ["", ""]
             what = row.what if k == 0 else ""
             lines.append([what, name, *_cells(one, row.share, _judged(ours, row.share)), *judged])
-            if one.missing:
+            if one.missing and not one.absent:
                 failures.append(f"{row.what}: {name} failed: {one.missing}")
     return Table(title, COLUMNS, lines, (*notes, *failures))
+
+
+def _measured(work: Work | str) -> Measurement:
+    return Measurement(missing=work, absent=True) if isinstance(work, str) else measure(work)
 
 
 def _verdict(row: Row, measured: list[tuple[str, Measurement]]) -> list[object]:
@@ -74,7 +82,8 @@ def _judged(one: Measurement, share: float) -> float:
 
 def _cells(one: Measurement, share: float, ours: float) -> list[object]:
     if not one.seconds:
-        return ["failed", "", 0, None, None, None]
+        words = ["missing", one.missing] if one.absent else ["failed", ""]
+        return [*words, 0, None, None, None]
     word = "" if share == 0.5 else f"p{100 * share:.0f} "
     time = _judged(one, share)
     spread = f"{duration(min(one.seconds))} to {duration(max(one.seconds))}"

@@ -6,14 +6,15 @@ the lines below each are what it prints. Shown lines are to appear in this order
 stands for anything, and runs of spaces count as one. Comments before a block say what is special about it:
 
     <!-- not run: why -->       shown only          <!-- exit: 1 -->    the commands end with this exit code
-    <!-- needs: program -->     run where the program is installed
+    <!-- needs: name -->        run where the program or module is installed
+    <!-- within: 0.05 -->       before what is printed: numbers may differ by 5 % (or by 0.05, if they are smaller)
 """
 
 from __future__ import annotations
 
 import contextlib
 import doctest
-import importlib
+import importlib.util
 import io
 import pkgutil
 import re
@@ -50,18 +51,19 @@ class Block:
     says: dict[str, str]
     line: int
     shown: str = ""
+    within: float = 0.0
 
 
 def blocks(page: Path) -> list[Block]:
     text, found, end = page.read_text(encoding="utf-8"), [], 0
     for match in FENCE.finditer(text):
-        line = text.count("\n", 0, match.start("code")) + 1
+        line, says = text.count("\n", 0, match.start("code")) + 1, dict(SAID.findall(match["says"]))
         beside = found and found[-1].kind == "python" and not text[end : match.start()].strip()
         if beside and match["kind"] == "text":
-            last = found.pop()
-            found.append(Block(last.kind, last.code, last.says, last.line, match["code"]))
+            last, within = found.pop(), float(says.get("within", 0.0))
+            found.append(Block(last.kind, last.code, last.says, last.line, match["code"], within))
         else:
-            found.append(Block(match["kind"], match["code"], dict(SAID.findall(match["says"])), line))
+            found.append(Block(match["kind"], match["code"], says, line, within=float(says.get("within", 0.0))))
         end = match.end()
     return found
 
@@ -84,11 +86,11 @@ def test_a_page_runs_and_prints_what_it_shows(page, tmp_path, monkeypatch):
     for block in blocks(page):
         if block.kind not in RUN or "not run" in block.says:
             continue
-        if "needs" in block.says and shutil.which(block.says["needs"]) is None:
+        if "needs" in block.says and not is_installed(block.says["needs"]):
             continue
         if block.kind == "python":
             printed = run_python(page, block, names)
-            compare(block.shown, printed, f"{page.name}:{block.line}")
+            compare(block, block.shown, printed, f"{page.name}:{block.line}")
         else:
             run_console(page, block)
 
@@ -96,6 +98,10 @@ def test_a_page_runs_and_prints_what_it_shows(page, tmp_path, monkeypatch):
 @pytest.mark.parametrize("block", list(not_run()))
 def test_a_block_that_is_only_shown(block):
     pytest.skip(block.says["not run"])
+
+
+def is_installed(name: str) -> bool:
+    return shutil.which(name) is not None or importlib.util.find_spec(name) is not None
 
 
 def run_python(page: Path, block: Block, names: dict[str, object]) -> str:
@@ -116,10 +122,10 @@ def run_console(page: Path, block: Block) -> None:
         done = subprocess.run([found, *arguments], capture_output=True, text=True, check=False)
         printed = done.stdout + done.stderr
         assert done.returncode == int(block.says.get("exit", 0)), f"{page.name}:{block.line}: {printed}"
-        compare(shown, printed, f"{page.name}:{block.line}: {command}")
+        compare(block, shown, printed, f"{page.name}:{block.line}: {command}")
 
 
-def compare(shown: str, printed: str, where: str) -> None:
+def compare(block: Block, shown: str, printed: str, where: str) -> None:
     """Every shown line is printed, in this order."""
     lines = [" ".join(line.split()) for line in printed.splitlines()]
     at = 0
@@ -127,10 +133,22 @@ def compare(shown: str, printed: str, where: str) -> None:
         wanted = " ".join(line.split())
         if wanted in ("", "…"):
             continue
-        pattern = re.compile(".*".join(re.escape(piece) for piece in wanted.split("…")))
-        hit = next((k for k in range(at, len(lines)) if pattern.fullmatch(lines[k])), None)
+        hit = next((k for k in range(at, len(lines)) if is_alike(wanted, lines[k], block.within)), None)
         assert hit is not None, f"{where}: {wanted!r} is not printed (in its place) in\n{printed}"
         at = hit + 1
+
+
+def is_alike(wanted: str, line: str, within: float) -> bool:
+    pieces = re.split(r"(…|\d+(?:\.\d+)?)" if within else "(…)", wanted)
+    number = r"(\d+(?:\.\d+)?)"
+    pattern = "".join(
+        re.escape(piece) if k % 2 == 0 else ".*" if piece == "…" else number for k, piece in enumerate(pieces)
+    )
+    found = re.fullmatch(pattern, line)
+    due = [float(piece) for piece in pieces[1::2] if piece != "…"]
+    return found is not None and all(
+        abs(float(here) - there) <= within * max(1.0, there) for here, there in zip(found.groups(), due, strict=True)
+    )
 
 
 @pytest.mark.parametrize("page", [*PAGES, *OTHERS], ids=named)

@@ -130,7 +130,7 @@ def test_probabilities_of_a_record_sum_to_one(rule, prior, seed):
 def test_turning_the_sky_about_its_axis_changes_nothing(lon_shift):
     rng = np.random.default_rng(int(lon_shift))
     records = [
-        sky_records(rng, rng.uniform(0, 0.02, 40), rng.uniform(70, 70.01, 40), scale_arcsec=3.0, kind="full")
+        sky_records(rng, rng.uniform(0, 0.02, 25), rng.uniform(70, 70.01, 25), scale_arcsec=1.5, kind="full")
         for _ in range(2)
     ]
     turned = [
