@@ -58,7 +58,8 @@ class Measurement:
 def measure(work: Work) -> Measurement:
     """The work done in a process of its own; a failure is told in ``missing``, not raised."""
     order = {name: getattr(work, name) for name in ("function", "options", "runs", "at_most_s")}
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "ignore"}
+    paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths), "PYTHONWARNINGS": "ignore"}
     if work.threads is not None:
         environment["SAMEAS_THREADS"] = str(work.threads)
     done = subprocess.run(

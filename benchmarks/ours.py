@@ -42,7 +42,7 @@ def walk(
     rule, prior, gate = arrays.densities.rule(), PerPair(), gate_of(gate_sigmas)
 
     def work() -> dict[str, Any]:
-        seconds = {}
+        seconds: dict[str, float] = {}
 
         def lap(stage: str) -> None:
             nonlocal last

@@ -27,7 +27,8 @@ def main() -> None:
     with suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")  # the peak starts anew
     resting = _status_mb("VmRSS")
-    seconds, returned = [], []
+    seconds: list[float] = []
+    returned: list[object] = []
     while len(seconds) < order["runs"] and (not seconds or time.monotonic() - begin < order["at_most_s"]):
         start = time.perf_counter()
         value = work()

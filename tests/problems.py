@@ -63,7 +63,7 @@ def laid_out(n1, n2, edges):
     i, j = np.array(sorted(edges), np.int32).reshape(-1, 2).T
     first, second = (Records.of(np.zeros((n, 1)), sigma=1.0) for n in (n1, n2))
     m = len(i)
-    pairs = Pairs(first, second, i.copy(), j.copy(), np.zeros((m, 1)), np.zeros(m), np.ones(m), "by hand")
+    pairs = Pairs(first, second, i, j, i.copy(), j.copy(), np.zeros((m, 1)), np.zeros(m), np.ones(m), "by hand")
     return pairs, groups(pairs)
 
 

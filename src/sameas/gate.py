@@ -36,6 +36,7 @@ class Pairs:
 
     Attributes
     ----------
+    place_1, place_2 : (m,) places of the two records in an order of their content, near in it what is near in space.
     i, j : (m,) positions of the two records in ``first`` and ``second``.
     residual : (m, d) Δ = X₁ − X₂ in the space's residual unit.
     mahalanobis_sq : (m,) Δᵀ Σ⁻¹ Δ.
@@ -45,6 +46,8 @@ class Pairs:
 
     first: Records
     second: Records
+    place_1: NDArray[np.int32]
+    place_2: NDArray[np.int32]
     i: NDArray[np.int32]
     j: NDArray[np.int32]
     residual: FloatArray

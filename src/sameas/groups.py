@@ -82,4 +82,4 @@ def groups(pairs: Pairs) -> Groups:
     """The connected components of ``pairs``."""
     from sameas.kernels.components import components
 
-    return Groups(*components(pairs.i, pairs.j, len(pairs.first), len(pairs.second)))
+    return Groups(*components(pairs.place_1, pairs.place_2, pairs.i, pairs.j, len(pairs.first), len(pairs.second)))

@@ -173,7 +173,7 @@ class _Thinned:
         group = np.repeat(np.arange(len(groups)), groups.pair_counts)[kept]
         rows_1 = (groups.start_1[group] + groups.local_1[kept]).astype(np.int32)
         rows_2 = (groups.start_2[group] + groups.local_2[kept]).astype(np.int32)
-        thin = Groups(*components(rows_1, rows_2, len(groups.rows_1), len(groups.rows_2)))
+        thin = Groups(*components(rows_1, rows_2, rows_1, rows_2, len(groups.rows_1), len(groups.rows_2)))
         linear = LogPrior(np.zeros(len(thin)), np.zeros(len(thin) + 1, np.int64), np.empty(0))
         return cls(
             thin,

@@ -8,7 +8,9 @@ do not slow down the many. The order of the pairs depends on what the records sa
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,47 +23,69 @@ from sameas.space import Plane, Sphere
 #: Fewer tests than this for each record are not worth another sweep.
 FEW_TESTS = 4.0
 
-#: i, j, residual, squared Mahalanobis distance, determinant: the columns of :class:`sameas.gate.Pairs`.
-Columns = tuple[NDArray[np.int32], NDArray[np.int32], FloatArray, FloatArray, FloatArray]
+#: Places, i, j, residual, squared Mahalanobis distance, determinant: the columns of :class:`sameas.gate.Pairs`.
+Columns = tuple[
+    NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], FloatArray, FloatArray, FloatArray
+]
 
 
 def search(first: Records, second: Records, limit: float, box: bool) -> Columns:
     """All pairs with Δᵀ Σ⁻¹ Δ ≤ limit (or, with ``box``, Δ_v² ≤ limit·Σ_vv in every feature v)."""
-    d = first.d
     if not len(first) or not len(second):
-        return np.empty(0, np.int32), np.empty(0, np.int32), np.empty((0, d)), np.empty(0), np.empty(0)
+        return _room(0, first.d)
     geometry = _Geometry.of(first, second, limit, box)
     sides = _Side.of(first, geometry), _Side.of(second, geometry)
-    area = max(_area(*sides, geometry), 1e-290)
-    classes = [side.classes(len(other.rows) / area) for side, other in zip(sides, sides[::-1], strict=True)]
+    classes = [side.classes(_Density(other, sides, geometry)) for side, other in zip(sides, sides[::-1], strict=True)]
+    several = len(classes[0]) * len(classes[1]) > 1
     places = _Places(len(first)), _Places(len(second))
-    chunks: list[Columns] = []
+    found: list[Columns] = []
     for one in classes[0]:
         for two in classes[1]:
             zones = _Zones.of(one, two, geometry)
-            ordered = one.sorted(zones), two.sorted(zones)
-            places[0].note(ordered[0])
-            places[1].note(ordered[1])
-            chunks += _swept(*ordered, zones, geometry)
-    columns = chunks[0] if len(chunks) == 1 else tuple(np.concatenate(parts) for parts in zip(*chunks, strict=True))
-    if len(classes[0]) * len(classes[1]) > 1:
-        order = np.argsort((places[0].place[columns[0]] << 32) | places[1].place[columns[1]])
-        columns = tuple(np.ascontiguousarray(column[order]) for column in columns)
-    return columns  # type: ignore[return-value]
+            ordered = threads.each([partial(one.sorted, zones), partial(two.sorted, zones)])
+            columns = _swept(ordered[0], ordered[1], zones, geometry)
+            if several:
+                at = [place.of(side) for place, side in zip(places, ordered, strict=True)]
+                columns = (at[0][columns[0]], at[1][columns[1]], *columns[2:])
+            found.append(columns)
+    if not several:
+        return found[0]
+    columns = tuple(np.concatenate(parts) for parts in zip(*found, strict=True))  # type: ignore[assignment]
+    order = np.argsort((columns[0].astype(np.int64) << 32) | columns[1])
+    return tuple(np.ascontiguousarray(column[order]) for column in columns)  # type: ignore[return-value]
+
+
+def _room(capacity: int, d: int) -> Columns:
+    """Columns for so many pairs."""
+    whole = [np.empty(capacity, np.int32) for _ in range(4)]
+    return (*whole, np.empty((capacity, d)), np.empty(capacity), np.empty(capacity))  # type: ignore[return-value]
+
+
+@dataclass(frozen=True)
+class _Density:
+    """How densely the records of a side lie in the plane of x and y; worked out only where it is asked for."""
+
+    side: _Side
+    sides: tuple[_Side, _Side]
+    geometry: _Geometry
+
+    def __call__(self) -> float:
+        return len(self.side.rows) / max(_area(*self.sides, self.geometry), 1e-290)
 
 
 class _Places:
     """The place of every record in an order of content: class by class, each as it was first sorted."""
 
     def __init__(self, n: int) -> None:
-        self.place = np.full(n, -1, np.int64)
+        self.place = np.full(n, -1, np.int32)
         self.used = 0
 
-    def note(self, side: _Side) -> None:
-        """Give the records of a class their places, if they have none yet."""
+    def of(self, side: _Side) -> NDArray[np.int32]:
+        """The places of the sorted records of a class, given to them when it is first asked for."""
         if self.place[side.rows[0]] < 0:
             self.place[side.rows] = np.arange(self.used, self.used + len(side.rows))
             self.used += len(side.rows)
+        return self.place[side.rows]
 
 
 @dataclass(frozen=True)
@@ -172,10 +196,10 @@ class _Side:
             reach=self.reach[rows],
         )
 
-    def classes(self, others_per_area: float) -> list[_Side]:
+    def classes(self, others: Callable[[], float]) -> list[_Side]:
         """This side split by the size of its errors: the few widest apart, as long as that saves work.
 
-        others_per_area : density of the other source in the plane of x and y.
+        others : gives the density of the other source in the plane of x and y.
         """
         size = self.reach.max(axis=1)
         remaining = np.arange(len(size))
@@ -184,7 +208,7 @@ class _Side:
             top = size[remaining].max()
             wide = size[remaining] > top / 4.0
             # A record is tested against three zones of height top in a window of 2 top.
-            if wide.mean() > 0.2 or len(remaining) < 64 or 6.0 * top**2 * others_per_area < FEW_TESTS:
+            if len(remaining) < 64 or wide.mean() > 0.2 or 6.0 * top**2 * others() < FEW_TESTS:
                 break
             parts.append(remaining[wide])
             remaining = remaining[~wide]
@@ -313,25 +337,41 @@ def _sphere_windows(low: float, height: float, count: int, reach_deg: float) -> 
     return windows
 
 
-def _swept(one: _Side, two: _Side, zones: _Zones, geometry: _Geometry) -> list[Columns]:
+def _swept(one: _Side, two: _Side, zones: _Zones, geometry: _Geometry) -> Columns:
+    """The candidates of two sorted sides; places are positions in them."""
     from sameas.kernels.sweep import sweep
 
     d = one.features.shape[1]
     packed = geometry.array(zones.wraps)
     guards = one.guard(geometry), two.guard(geometry)
 
+    bounds = threads.even(len(one.rows))
+    starts = [4 * k for k in bounds]
+    room = _room(starts[-1], d)
+
     def work(first: int, last: int) -> list[Columns]:
+        # Every range has its part of the room; what does not fit there gets more of its own.
+        out = tuple(column[4 * first : 4 * last] for column in room)
         chunks: list[Columns] = []
         while first < last:
-            capacity = max(4 * (last - first), len(two.rows), 1024)
-            out = (np.empty(capacity, np.int32), np.empty(capacity, np.int32), np.empty((capacity, d)),
-                   np.empty(capacity), np.empty(capacity))  # fmt: skip
             found, first = sweep(
                 one.features, one.covariance, one.rows, one.starts, guards[0],
                 two.features, two.covariance, two.rows, two.starts, guards[1],
                 zones.windows, packed, geometry.periods, first, last, *out,
             )  # fmt: skip
             chunks.append(tuple(column[:found] for column in out))  # type: ignore[arg-type]
+            out = _room(max(4 * (last - first), len(two.rows), 1024), d) if first < last else ()  # type: ignore[assignment]
         return chunks
 
-    return [chunk for chunks in threads.over(work, threads.even(len(one.rows))) for chunk in chunks]
+    ranges = threads.over(work, bounds)
+    if any(len(chunks) > 1 for chunks in ranges):
+        everything = [chunk for chunks in ranges for chunk in chunks]
+        return tuple(np.concatenate(parts) for parts in zip(*everything, strict=True))  # type: ignore[return-value]
+    used = 0
+    for (chunk,), start in zip(ranges, starts, strict=False):
+        count = len(chunk[0])
+        if start != used:
+            for column in room:
+                column[used : used + count] = column[start : start + count]
+        used += count
+    return tuple(column[:used] for column in room)  # type: ignore[return-value]

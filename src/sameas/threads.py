@@ -28,6 +28,14 @@ def over(work: Callable[[int, int], T], bounds: Sequence[int]) -> list[T]:
         return list(pool.map(lambda r: work(*r), ranges))
 
 
+def each(works: Sequence[Callable[[], T]]) -> list[T]:
+    """The results of several independent pieces of work, side by side where there are threads for it."""
+    if count() == 1:
+        return [work() for work in works]
+    with ThreadPoolExecutor(len(works)) as pool:
+        return [future.result() for future in [pool.submit(work) for work in works]]
+
+
 def even(n: int, least: int = 4096) -> list[int]:
     """Bounds that cut n items in as many even ranges as there are threads, none smaller than ``least``."""
     parts = max(1, min(count(), n // least))

@@ -16,8 +16,10 @@ def root(parent, k):
 
 
 @njit(cache=True, nogil=True)
-def components(i, j, n1, n2):
+def components(place1, place2, i, j, n1, n2):
     """Lay the candidate pairs (i, j) out by connected component, in the order in which components first appear.
+
+    place1, place2 number the records so that neighbours in the list are neighbours in memory.
 
     Returns (order, start, rows1, start1, edges1, rows2, start2, local1, local2): pair ``order[e]`` is the e-th of the
     layout; group g holds its pairs start[g]:start[g+1], its records rows1[start1[g]:start1[g+1]] and rows2[…];
@@ -26,8 +28,8 @@ def components(i, j, n1, n2):
     m = len(i)
     parent = np.arange(n1 + n2)
     for e in range(m):
-        a = root(parent, i[e])
-        b = root(parent, j[e] + n1)
+        a = root(parent, place1[e])
+        b = root(parent, place2[e] + n1)
         if a < b:
             parent[b] = a
         elif b < a:
@@ -36,7 +38,7 @@ def components(i, j, n1, n2):
     group = np.empty(m, np.int32)
     groups = 0
     for e in range(m):
-        a = root(parent, i[e])
+        a = root(parent, place1[e])
         if label[a] < 0:
             label[a] = groups
             groups += 1
@@ -52,16 +54,16 @@ def components(i, j, n1, n2):
         g = group[e]
         order[fill[g]] = e
         fill[g] += 1
-    return laid_out(i, j, n1, n2, order, start)
+    return laid_out(place1, place2, i, j, n1, n2, order, start)
 
 
 @njit(cache=True, nogil=True)
-def laid_out(i, j, n1, n2, order, start):
+def laid_out(place1, place2, i, j, n1, n2, order, start):
     """The second half of :func:`components`: number the records of every group as they first appear."""
     m = len(order)
     groups = len(start) - 1
-    place1 = np.full(n1, -1, np.int32)
-    place2 = np.full(n2, -1, np.int32)
+    number1 = np.full(n1, -1, np.int32)
+    number2 = np.full(n2, -1, np.int32)
     rows1 = np.empty(min(n1, m), np.int32)
     rows2 = np.empty(min(n2, m), np.int32)
     start1 = np.zeros(groups + 1, np.int64)
@@ -73,19 +75,19 @@ def laid_out(i, j, n1, n2, order, start):
     count2 = 0
     for g in range(groups):
         for e in range(start[g], start[g + 1]):
-            a = i[order[e]]
-            b = j[order[e]]
-            if place1[a] < 0:
-                place1[a] = count1 - start1[g]
-                rows1[count1] = a
+            a = place1[order[e]]
+            b = place2[order[e]]
+            if number1[a] < 0:
+                number1[a] = count1 - start1[g]
+                rows1[count1] = i[order[e]]
                 edges1[count1] = e
                 count1 += 1
-            if place2[b] < 0:
-                place2[b] = count2 - start2[g]
-                rows2[count2] = b
+            if number2[b] < 0:
+                number2[b] = count2 - start2[g]
+                rows2[count2] = j[order[e]]
                 count2 += 1
-            local1[e] = place1[a]
-            local2[e] = place2[b]
+            local1[e] = number1[a]
+            local2[e] = number2[b]
         start1[g + 1] = count1
         start2[g + 1] = count2
     edges1[count1] = m

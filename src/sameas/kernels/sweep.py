@@ -238,7 +238,7 @@ def whitened(matrix, residual, d):
 def sweep(
     features1, cov1, rows1, zones1, guard1, features2, cov2, rows2, zones2, guard2,
     windows, geometry, periods, first, last,
-    out_i, out_j, out_residual, out_distance, out_determinant,
+    out_place1, out_place2, out_i, out_j, out_residual, out_distance, out_determinant,
 ):  # fmt: skip
     """Candidates of the sorted records ``first`` ≤ k < ``last`` of source 1, written into the out arrays.
 
@@ -377,6 +377,8 @@ def sweep(
                     if inside:
                         if count == capacity:
                             return begin, k
+                        out_place1[count] = k
+                        out_place2[count] = q
                         out_i[count] = rows1[k]
                         out_j[count] = rows2[q]
                         for v in range(d):
