@@ -36,9 +36,7 @@ PAGES = [HOME / "README.md", *sorted((HOME / "docs").rglob("*.md"))]
 OTHERS = [HOME / name for name in ("VISION.md", "CHANGELOG.md", "CONTRIBUTING.md")]
 RUN = ("python", "console")
 
-FENCE = re.compile(
-    r"(?P<says>(?:^<!--[^\n]*-->\n)*)^```(?P<kind>\w*)\n(?P<code>.*?)^```$", re.MULTILINE | re.DOTALL
-)
+FENCE = re.compile(r"(?P<says>(?:^<!--[^\n]*-->\n)*)^```(?P<kind>\w*)\n(?P<code>.*?)^```$", re.MULTILINE | re.DOTALL)
 SAID = re.compile(r"<!-- ([\w ]+): (.+?) -->")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 

@@ -34,8 +34,16 @@ RUNG = 1.5
 #: The gate opens when this share of the expected true pairs lies beyond 0.7 of its radius (honest errors: 4e-5).
 OPENING = 6e-5
 WIDEST_SIGMAS = 400.0
-#: The gate does not open further when a record would have more candidates than this, on average.
-CROWDED = 6.0
+#: The gate does not open for a tail when a record would have more candidates by chance than this, on average,
+CROWDED = 0.5
+#: nor for errors that are quoted too small when it would have more than this.
+MOST_CROWDED = 8.0
+#: Errors this many times too small are always thought of.
+THINKABLE = 3.4
+#: Standard deviations by which close candidates must exceed what chance gives, for their errors to be judged.
+SIGNIFICANT = 4.0
+#: Chance candidates within √2 of its scale that a component of the errors may hold, times two.
+FILLED = 0.15
 #: Fewer expected pairs than this say too little of the errors; the quoted ones are then believed.
 FEWEST = 50.0
 
@@ -66,11 +74,8 @@ class Estimate:
 
     @property
     def typical_scale(self) -> float:
-        """The factor by which the quoted errors must be multiplied for the typical pair: the median of the scales."""
-        order = np.argsort(self.errors.scales)
-        passed = np.cumsum(np.asarray(self.errors.shares)[order])
-        scales = np.asarray(self.errors.scales)[order]
-        return float(np.exp(np.interp(0.5, passed - 0.5 * np.asarray(self.errors.shares)[order], np.log(scales))))
+        """The factor by which the quoted errors must be multiplied for the typical pair."""
+        return self.errors.typical_scale
 
 
 def match(
@@ -109,6 +114,12 @@ def match(
         if gate is not None or errors is not None or total >= rounds or not loop.must_open(answer, limit):
             break
         limit = min(2.0 * limit, WIDEST_SIGMAS)
+    if loop.learns_errors and len(answer.pairs) and not _stands_out(answer.pairs, limit):
+        limit = math.sqrt(ChiSquare().limit(first.d))
+        loop = _Loop(first, second, coverage, Errors(), density)
+        answer, done, settled = loop.run((gate or Radius(limit))(first, second), max(rounds - total, 5), progress)
+        total += done
+        loop.remarks.append("close candidates do not exceed what chance gives; the quoted errors are believed")
     common = float(answer.p_pair.sum())
     seen_1, seen_2 = (max(int(np.count_nonzero(seen)), 1) for seen in coverage.covered)
     estimate = Estimate(
@@ -116,6 +127,14 @@ def match(
         loop.notes(answer, settled),
     )  # fmt: skip
     return answer, estimate
+
+
+def _stands_out(pairs: Pairs, limit: float) -> bool:
+    """Whether the inner half of the gate holds more candidates than its outer part, at chance, lets expect."""
+    inner = int(np.count_nonzero(pairs.mahalanobis_sq < (0.5 * limit) ** 2))
+    share = 1.0 / (2.0**pairs.d - 1.0)
+    outer = (len(pairs) - inner) * share
+    return inner - outer > SIGNIFICANT * math.sqrt(inner + outer * share)
 
 
 class _Loop:
@@ -133,6 +152,7 @@ class _Loop:
         self.given = density
         self.learns_errors = errors is None
         self.errors = errors or Errors()
+        self.remarks: list[str] = []
         # Half of the poorer source is taken to be common, to begin with.
         guess = 0.5 * min(len(first), len(second))
         self.p_1 = np.full(len(first), guess / len(first))
@@ -157,7 +177,10 @@ class _Loop:
             self.p_1 = np.minimum(np.bincount(pairs.i, p_pair, len(self.first)), 1.0)
             self.p_2 = np.minimum(np.bincount(pairs.j, p_pair, len(self.second)), 1.0)
             if self.learns_errors and common >= FEWEST:
-                self.errors = fit_errors(pairs.mahalanobis_sq, p_pair, pairs.d, self.errors)
+                # A component so wide that chance fills it cannot be told from chance.
+                radius = math.sqrt(float(pairs.mahalanobis_sq.max(initial=1.0)))
+                widest = radius * (FILLED / max(self.by_chance(pairs, common), 1e-12)) ** (1.0 / pairs.d)
+                self.errors = fit_errors(pairs.mahalanobis_sq, p_pair, pairs.d, self.errors, widest=max(widest, THINKABLE))
         progress("identification")
         answer = identify(self.first, self.second, rule=self.rule(), gate=lambda a, b: pairs)
         return answer, number, settled
@@ -183,14 +206,21 @@ class _Loop:
         """Whether the outermost part of the gate still holds true pairs, and opening it is affordable."""
         if limit >= WIDEST_SIGMAS or not self.learns_errors:
             return False
-        if len(answer.pairs) > CROWDED * min(len(self.first), len(self.second)):
+        chance = self.by_chance(answer.pairs, float(answer.p_pair.sum())) * 2.0**self.first.d
+        if chance < MOST_CROWDED and limit < math.sqrt(ChiSquare().limit(self.first.d)) * self.errors.typical_scale:
+            return True
+        if chance > CROWDED:
             return False
         outer = answer.pairs.mahalanobis_sq > (0.7 * limit) ** 2
         beyond = float(answer.p_pair[outer].sum())
         return beyond > 1.0 + OPENING * float(answer.p_pair.sum())
 
+    def by_chance(self, pairs: Pairs, common: float) -> float:
+        """Mean number of candidates of a record that are there by chance."""
+        return max(len(pairs) - common, 0.0) / min(len(self.first), len(self.second))
+
     def notes(self, answer: Identification, settled: bool) -> tuple[str, ...]:
-        notes = []
+        notes = list(self.remarks)
         common = float(answer.p_pair.sum())
         if not settled:
             notes.append("the estimates had not settled when the rounds ran out")
@@ -201,17 +231,20 @@ class _Loop:
         return tuple(notes)
 
 
-def fit_errors(mahalanobis_sq: FloatArray, weights: FloatArray, d: int, start: Errors, steps: int = 300) -> Errors:
+def fit_errors(
+    mahalanobis_sq: FloatArray, weights: FloatArray, d: int, start: Errors, *, widest: float = np.inf, steps: int = 300
+) -> Errors:
     """The mixture of error scales of greatest likelihood for residuals of the given posterior weights (EM).
 
-    The scales are a ladder from 0.44 upwards as far as the residuals reach; a pseudo-count on the scale 1 keeps a few
-    pairs from saying much.
+    The scales are a ladder from 0.44 upwards as far as the residuals reach, and not beyond ``widest``; a pseudo-count
+    on the scale 1 keeps a few pairs from saying much.
     """
     used = weights > 1e-3
     z2, weight = mahalanobis_sq[used], weights[used]
     reach = math.sqrt(float(z2.max(initial=1.0)))
     rungs = max(4, math.ceil(math.log(max(reach, 2.0) / 2.0) / math.log(RUNG)) + 1)
-    scales = RUNG ** np.arange(-2, rungs)
+    scales = RUNG ** np.arange(-2.0, rungs)
+    scales = scales[scales <= max(widest, 1.0)]
     # Pairs of like distance are counted together: the likelihood depends on nothing else.
     edges = np.geomspace(1e-3, max(reach, 2.0), 400)
     bins = np.searchsorted(edges, np.sqrt(z2))

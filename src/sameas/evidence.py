@@ -93,6 +93,13 @@ class Errors:
         if not positive or abs(sum(self.shares) - 1.0) > 1e-6:
             raise InputError("Errors: scales must be positive, and shares non-negative with the sum 1")
 
+    @property
+    def typical_scale(self) -> float:
+        """The factor by which the quoted errors must be multiplied for the typical pair: the median of the scales."""
+        order = np.argsort(self.scales)
+        shares, logs = np.asarray(self.shares)[order], np.log(np.asarray(self.scales)[order])
+        return float(np.exp(np.interp(0.5, np.cumsum(shares) - 0.5 * shares, logs)))
+
     def log_density(self, pairs: Pairs) -> FloatArray:
         """(m,) ln of the density of the residuals [F14, T17, for one component of scale 1]."""
         base = np.log(pairs.determinant)

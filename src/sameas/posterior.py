@@ -31,13 +31,17 @@ METHODS = (
 )
 APPROXIMATE, THINNED = 2, 3
 
-#: Pairs of an entangled group that messages give less than this are left out, step by step until it falls apart.
-THRESHOLDS = (1e-7, 1e-6, 1e-5, 1e-4)
+#: Pairs of an entangled group that are less probable than this are left out, step by step until it falls apart:
+#: by what messages say at first, from SURE on by what neighbourhoods say.
+THRESHOLDS = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4)
+SURE = 1e-6
 
 #: Size of the exact neighbourhood around a record of an entangled group: rows, and log2 of the choices among them.
 NEIGHBOURHOOD_ROWS = 8
 NEIGHBOURHOOD_BITS = 16.0
 SWEEPS = 400
+#: Times that a prior of the count is made linear anew around the expected number of pairs.
+LINEARISATIONS = 6
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,7 @@ class Posterior:
     ----------
     p_pair : (m,) probability of each pair, in the order of the gate.
     method : (g,) number into :data:`METHODS`.
-    neglected : (g,) probability below which pairs were left at what the messages say; 0 where every pair counted.
+    neglected : (g,) probability, as first estimated, below which pairs were left at that; 0 where every pair counted.
     unsettled : largest relative change of a message in the last sweep (0 where no messages were needed).
     """
 
@@ -93,28 +97,51 @@ def by_messages(groups: Groups, best: Hypothesis) -> Posterior:
     """
     share = np.zeros(len(groups.order))
     method = np.full(len(groups), APPROXIMATE, np.int8)
-    _, _, change = _messages(groups, best, method, share)
+    change = _Messages.of(groups, best, method, share).change
     p_pair = np.empty(len(share))
     p_pair[groups.order] = np.clip(share, 0.0, 1.0)
     return Posterior(p_pair, method, np.zeros(len(groups)), change)
 
 
-def _messages(
-    groups: Groups, best: Hypothesis, method: NDArray[np.int8], share: FloatArray
-) -> tuple[FloatArray, FloatArray, float]:
-    """Weights with a linear prior, claims of the rows, and the last change; fills ``share`` of APPROXIMATE groups."""
-    from sameas.kernels.posterior import messages
+@dataclass(frozen=True)
+class _Messages:
+    """What messages say of the APPROXIMATE groups.
 
-    weight = best.weight
-    if best.prior.slope is None:
-        weight = weight + np.repeat(_local_slopes(groups, best), groups.pair_counts)
-    claims = np.zeros(len(weight))
-    shape = (groups.start, groups.start_1, groups.start_2, groups.edges_1, groups.local_2)
-    bounds = groups.bounds(len(threads.even(len(weight))) - 1)
-    changes = threads.over(
-        lambda a, b: messages(a, b, *shape, weight, best.dual_1, best.dual_2, method, claims, share, SWEEPS), bounds
-    )
-    return weight, claims, float(max(changes, default=0.0))
+    weight (m,) with a linear prior; claims_1 (m,) odds with which record 1 claims record 2, claims_2 the reverse;
+    change : largest relative change of a message in the last sweep.
+    """
+
+    weight: FloatArray
+    claims_1: FloatArray
+    claims_2: FloatArray
+    change: float
+
+    @classmethod
+    def of(cls, groups: Groups, best: Hypothesis, method: NDArray[np.int8], share: FloatArray) -> _Messages:
+        """Messages under the prior, made linear around the expected number of pairs; fills ``share``."""
+        if best.prior.slope is not None:
+            return cls._under(best.weight, groups, best, method, share)
+        size = np.add.reduceat(best.chosen.astype(np.float64), groups.start[:-1])
+        for _ in range(LINEARISATIONS):
+            weight = best.weight + np.repeat(_slopes(groups, best, size), groups.pair_counts)
+            heard = cls._under(weight, groups, best, method, share)
+            before, size = size, np.add.reduceat(share, groups.start[:-1])
+            if np.all((np.abs(size - before) < 0.5) | (method != APPROXIMATE)):
+                break
+        return heard
+
+    @classmethod
+    def _under(
+        cls, weight: FloatArray, groups: Groups, best: Hypothesis, method: NDArray[np.int8], share: FloatArray
+    ) -> _Messages:
+        from sameas.kernels.posterior import messages
+
+        claims = np.zeros(len(weight)), np.zeros(len(weight))
+        shape = (groups.start, groups.start_1, groups.start_2, groups.edges_1, groups.local_2)
+        state = (weight, best.dual_1, best.dual_2, method, *claims, share, SWEEPS)
+        bounds = groups.bounds(len(threads.even(len(weight))) - 1)
+        changes = threads.over(lambda a, b: messages(a, b, *shape, *state), bounds)
+        return cls(weight, *claims, float(max(changes, default=0.0)))
 
 
 def _exact(groups: Groups, best: Hypothesis, share: FloatArray, method: NDArray[np.int8]) -> None:
@@ -136,27 +163,44 @@ def _local(
 ) -> float:
     """Fill ``share`` for the groups that elimination gave up; returns how far the messages were from settled.
 
-    ``method`` becomes THINNED for groups that fall apart into parts that can be summed, and ``neglected`` the
-    probability below which their pairs were left at what the messages say.
+    ``method`` becomes THINNED for groups that fall apart into parts that can be summed, and ``neglected`` what
+    messages gave at most to the pairs that were left at it.
     """
-    weight, claims, change = _messages(groups, best, method, share)
+    heard = _Messages.of(groups, best, method, share)
     group = np.repeat(np.arange(len(groups)), groups.pair_counts)
     open_pairs = np.flatnonzero(method[group] == APPROXIMATE)
     method[method == APPROXIMATE] = THINNED
     for threshold in THRESHOLDS:
-        kept = open_pairs[(share[open_pairs] > threshold) | best.chosen[open_pairs]]
+        if threshold == SURE:
+            # From here on what is left out counts; messages alone are not to be trusted with it.
+            share[open_pairs] = _neighbourhoods(groups, best, open_pairs, heard)
         neglected[group[open_pairs]] = threshold
-        thin = _Thinned.of(groups, best, kept, weight[kept])
-        part, solved = thin.exact()
+        kept = open_pairs[(share[open_pairs] > threshold) | best.chosen[open_pairs]]
+        part, solved = _Thinned.of(groups, best, kept, heard.weight[kept]).exact()
         share[kept[solved]] = part[solved]
         open_pairs = kept[~solved]
         if not len(open_pairs):
             break
-    else:
-        rest = _Thinned.of(groups, best, open_pairs, weight[open_pairs])
-        share[open_pairs] = rest.by_neighbourhoods(claims[open_pairs])
-        method[group[open_pairs]] = APPROXIMATE
-    return change
+    method[group[open_pairs]] = APPROXIMATE
+    return heard.change
+
+
+def _neighbourhoods(groups: Groups, best: Hypothesis, pairs: NDArray[np.int64], heard: _Messages) -> FloatArray:
+    """Probabilities of some pairs from the neighbourhoods of their records; the mean over both favours neither."""
+    around_1 = _Thinned.of(groups, best, pairs, heard.weight[pairs]).by_neighbourhoods(heard.claims_1[pairs])
+    turn = np.lexsort(_places(groups, pairs))
+    by_2 = pairs[turn]
+    turned = _Thinned.of(groups, best, by_2, heard.weight[by_2], turned=True)
+    around_2 = np.empty_like(around_1)
+    around_2[turn] = turned.by_neighbourhoods(heard.claims_2[by_2])
+    return 0.5 * (around_1 + around_2)
+
+
+def _places(groups: Groups, pairs: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Places of the two records of some pairs of the layout among ``rows_1`` and ``rows_2``."""
+    group = np.repeat(np.arange(len(groups)), groups.pair_counts)[pairs]
+    place_1, place_2 = groups.start_1[group] + groups.local_1[pairs], groups.start_2[group] + groups.local_2[pairs]
+    return place_1.astype(np.int32), place_2.astype(np.int32)
 
 
 @dataclass(frozen=True)
@@ -167,21 +211,20 @@ class _Thinned:
     best: Hypothesis
 
     @classmethod
-    def of(cls, groups: Groups, best: Hypothesis, kept: NDArray[np.int64], weight: FloatArray) -> _Thinned:
+    def of(
+        cls, groups: Groups, best: Hypothesis, kept: NDArray[np.int64], weight: FloatArray, *, turned: bool = False
+    ) -> _Thinned:
+        """The pairs ``kept``, listed by their record 1; ``turned`` exchanges the sources, the list is by record 2."""
         from sameas.kernels.components import components
 
-        group = np.repeat(np.arange(len(groups)), groups.pair_counts)[kept]
-        rows_1 = (groups.start_1[group] + groups.local_1[kept]).astype(np.int32)
-        rows_2 = (groups.start_2[group] + groups.local_2[kept]).astype(np.int32)
-        thin = Groups(*components(rows_1, rows_2, rows_1, rows_2, len(groups.rows_1), len(groups.rows_2)))
+        places, duals = _places(groups, kept), (best.dual_1, best.dual_2)
+        if turned:
+            places, duals = places[::-1], duals[::-1]
+        thin = Groups(*components(*places, *places, len(duals[0]), len(duals[1])))
         linear = LogPrior(np.zeros(len(thin)), np.zeros(len(thin) + 1, np.int64), np.empty(0))
-        return cls(
-            thin,
-            Hypothesis(
-                best.chosen[kept][thin.order], weight[thin.order], best.dual_1[thin.rows_1], best.dual_2[thin.rows_2],
-                np.zeros(len(thin)), linear,
-            ),
-        )  # fmt: skip
+        chosen, weight = best.chosen[kept][thin.order], weight[thin.order]
+        state = (chosen, weight, duals[0][thin.rows_1], duals[1][thin.rows_2], np.zeros(len(thin)), linear)
+        return cls(thin, Hypothesis(*state))
 
     def exact(self) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Probability of every kept pair, and whether its part could be summed."""
@@ -213,10 +256,10 @@ class _Thinned:
         return back
 
 
-def _local_slopes(groups: Groups, best: Hypothesis) -> FloatArray:
-    """(g,) the slope of ln P(k) at the best hypothesis' number of pairs."""
-    size = np.add.reduceat(best.chosen.astype(np.int64), groups.start[:-1])
+def _slopes(groups: Groups, best: Hypothesis, size: FloatArray) -> FloatArray:
+    """(g,) the slope of ln P(k) where a group has ``size`` pairs."""
+    start = best.prior.start[:-1]
     most = np.diff(best.prior.start) - 1
-    low, high = np.maximum(size - 1, 0), np.minimum(size + 1, most)
-    table, start = best.prior.table, best.prior.start[:-1]
-    return (table[start + high] - table[start + low]) / (high - low)
+    middle = np.clip(np.round(size).astype(np.int64), 0, most)
+    low, high = np.maximum(middle - 1, 0), np.minimum(middle + 1, most)
+    return (best.prior.table[start + high] - best.prior.table[start + low]) / (high - low)

@@ -289,7 +289,7 @@ def sky_field(
         a random position angle, e uniform in 0 … 0.8.
     names : of the two sources.
 
-    Source: the workload of PERFORMANCE.md.
+    Source: the workload of the benchmarks (``benchmarks/README.md``).
     """
     counts = n_common, n_only_1, n_only_2
     if min(counts) < 0:
@@ -321,7 +321,7 @@ def crowded_sky(
     centre_deg: tuple[float, float] = (150.0, 40.0),
     names: tuple[str, str] = ("first", "second"),
 ) -> Scene:
-    """The workload of PERFORMANCE.md: a cap in which a record has ``lam`` chance candidates on average.
+    """The workload of the benchmarks: a cap in which a record has ``lam`` chance candidates on average.
 
     Of the objects 80 % are in both sources and 10 % in each alone; each source has ``n`` rows. A chance
     candidate lies within 3 √(σ₁² + σ₂²) and is another object. ``elliptical`` (see :func:`sky_field`) keeps
@@ -330,7 +330,7 @@ def crowded_sky(
     Parameters
     ----------
     n : rows of each source.
-    lam : mean number of chance candidates of a record (λ of PERFORMANCE.md: 0.05, 0.5, 2, 8).
+    lam : mean number of chance candidates of a record (the benchmarks take 0.05, 0.5, 2, 8).
     centre_deg : longitude and latitude of the cap's centre; latitude ±90 puts a pole into it.
     """
     steradians = chance_area_steradians(n, lam, sigma_arcsec)

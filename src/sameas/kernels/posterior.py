@@ -147,11 +147,14 @@ def exact(
 
 
 @njit(cache=True, nogil=True)
-def messages(first, last, start, start1, start2, edges1, local2, weight, u, v, method, to_column, belief, sweeps):
+def messages(
+    first, last, start, start1, start2, edges1, local2, weight, u, v, method, to_column, to_row_claim, belief, sweeps
+):
     """Sum-product messages of the groups left LOCAL.
 
-    to_column (m,) receives the odds with which a row claims a column, belief (m,) the probability of each pair by
-    messages alone. Returns the largest change in the last sweep.
+    to_column (m,) receives the odds with which a row claims a column, to_row_claim (m,) those with which the column
+    claims the row, belief (m,) the probability of each pair by messages alone. Returns the largest change in the last
+    sweep.
     """
     worst = 0.0
     for g in range(first, last):
@@ -215,7 +218,8 @@ def messages(first, last, start, start1, start2, edges1, local2, weight, u, v, m
             for e in range(edges[r], edges[r + 1]):
                 total_ += odds[e - low] * to_row[e - low]
             for e in range(edges[r], edges[r + 1]):
-                belief[e] = odds[e - low] * to_row[e - low] / total_
+                to_row_claim[e] = odds[e - low] * to_row[e - low]
+                belief[e] = to_row_claim[e] / total_
     return worst
 
 
