@@ -121,39 +121,80 @@ def _level(cut: _SphereCells | _BoxCells, first: Records, second: Records, size:
 
 @dataclass(frozen=True)
 class _SphereCells:
-    """Rings of equal height in latitude, cut into nearly square cells."""
+    """Rings of equal height in latitude, cut into nearly square cells along the arc of longitude that holds records.
+
+    west, arc : where that arc begins and how long it is, degrees.
+    """
 
     low: float
     high: float
+    west: float
+    arc: float
 
     @classmethod
     def over(cls, first: Records, second: Records) -> _SphereCells:
         latitude = np.concatenate([first.features[:, 1], second.features[:, 1]])
         low, high = float(latitude.min()), float(latitude.max())
-        margin = max(1e-9, 1e-6 * (high - low))
-        return cls(max(-90.0, low - margin), min(90.0, high + margin))
+        margin = _margin(np.array([high - low]), first, second)[0]
+        low, high = max(-90.0, low - margin / 3600.0), min(90.0, high + margin / 3600.0)
+        west, arc = _arc(np.mod(np.concatenate([first.features[:, 0], second.features[:, 0]]), 360.0))
+        narrow = max(math.cos(math.radians(max(abs(low), abs(high)))), 1e-9)
+        across = _margin(np.array([arc * narrow]), first, second)[0] / narrow / 3600.0
+        arc += 2.0 * across
+        return cls(low, high, west - across, arc) if arc < 360.0 else cls(low, high, 0.0, 360.0)
 
     @property
     def volume(self) -> float:
         sines = math.sin(math.radians(self.high)) - math.sin(math.radians(self.low))
-        return 2.0 * math.pi * sines * ARCSEC_PER_RADIAN**2
+        return math.radians(self.arc) * sines * ARCSEC_PER_RADIAN**2
 
     def cells(self, features: FloatArray, size: float) -> Cut:
         rings = max(1, math.ceil((self.high - self.low) * 3600.0 / math.sqrt(size)))
         height = (self.high - self.low) / rings
         edges = np.radians(self.low + height * np.arange(rings + 1))
-        sines = np.diff(np.sin(edges))
-        per_ring = np.maximum(1, np.round(2.0 * math.pi * sines * ARCSEC_PER_RADIAN**2 / size)).astype(np.int64)
+        areas = math.radians(self.arc) * np.diff(np.sin(edges)) * ARCSEC_PER_RADIAN**2
+        per_ring = np.maximum(1, np.round(areas / size)).astype(np.int64)
         begin = np.concatenate([[0], np.cumsum(per_ring)])
         ring = np.clip(((features[:, 1] - self.low) / height).astype(np.int64), 0, rings - 1)
-        along = np.mod(features[:, 0], 360.0) / 360.0
+        along = np.mod(features[:, 0] - self.west, 360.0) / self.arc
         cell = begin[ring] + np.minimum((along * per_ring[ring]).astype(np.int64), per_ring[ring] - 1)
 
         def volume(known: NDArray[np.int64]) -> FloatArray:
             of = np.searchsorted(begin, known, side="right") - 1
-            return 2.0 * math.pi * sines[of] / per_ring[of] * ARCSEC_PER_RADIAN**2
+            return areas[of] / per_ring[of]
 
         return cell, volume
+
+
+def _margin(extent: FloatArray, first: Records, second: Records) -> FloatArray:
+    """How far beyond its outermost records a region reaches on each side, in the unit of the residuals.
+
+    On average by extent/(n − 1) for n records strewn evenly, both sides together; and where there are so few records
+    that their errors are all one knows of the scale, to a hundred errors over √n in all. On the sphere ``extent`` is
+    in degrees.
+    """
+    n = max(len(first), len(second))
+    typical = math.sqrt(max(first.covariance[:, 0].mean(), second.covariance[:, 0].mean()))
+    size = extent * 3600.0 if isinstance(first.space, Sphere) else extent
+    return np.maximum(0.5 * size / max(n - 1, 1), 0.5 * (100.0 * typical / math.sqrt(n) - size)).clip(min=0.0)
+
+
+def _arc(longitude: FloatArray) -> tuple[float, float]:
+    """(west end, length) in degrees of the shortest arc that holds all longitudes, to half a degree of gap."""
+    bins = 720
+    empty = np.bincount((longitude * (bins / 360.0)).astype(np.int64) % bins, minlength=bins) == 0
+    if not empty.any():
+        return 0.0, 360.0
+    # Turn the circle so that it begins with a record; the longest run of empty bins is then in one piece.
+    begin = int(np.argmin(empty))
+    turned = np.roll(empty, -begin)
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], turned.astype(np.int8), [0]])))
+    gaps = ends[1::2] - ends[::2]
+    widest = int(np.argmax(gaps))
+    after = (ends[2 * widest + 1] + begin) % bins * (360.0 / bins)
+    from_there = np.mod(longitude - after, 360.0)
+    west = float(from_there.min())
+    return after + west, float(from_there.max()) - west
 
 
 @dataclass(frozen=True)
@@ -166,9 +207,9 @@ class _BoxCells:
     @classmethod
     def over(cls, first: Records, second: Records) -> _BoxCells:
         both = np.concatenate([first.features, second.features])
-        sigma = np.sqrt(np.maximum(first.covariance[:, :1].mean(), second.covariance[:, :1].mean()))
-        # A feature without extent is as wide as its errors.
-        return cls(both.min(axis=0), np.maximum(both.max(axis=0) - both.min(axis=0), 1e-3 * sigma))
+        low, high = both.min(axis=0), both.max(axis=0)
+        margin = _margin(high - low, first, second)
+        return cls(low - margin, high - low + 2.0 * margin)
 
     @property
     def volume(self) -> float:

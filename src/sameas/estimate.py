@@ -114,7 +114,7 @@ def match(
         if gate is not None or errors is not None or total >= rounds or not loop.must_open(answer, limit):
             break
         limit = min(2.0 * limit, WIDEST_SIGMAS)
-    if loop.learns_errors and len(answer.pairs) and not _stands_out(answer.pairs, limit):
+    if loop.errors != (errors or Errors()) and not _stands_out(answer.pairs, limit):
         limit = math.sqrt(ChiSquare().limit(first.d))
         loop = _Loop(first, second, coverage, Errors(), density)
         answer, done, settled = loop.run((gate or Radius(limit))(first, second), max(rounds - total, 5), progress)
@@ -180,7 +180,8 @@ class _Loop:
                 # A component so wide that chance fills it cannot be told from chance.
                 radius = math.sqrt(float(pairs.mahalanobis_sq.max(initial=1.0)))
                 widest = radius * (FILLED / max(self.by_chance(pairs, common), 1e-12)) ** (1.0 / pairs.d)
-                self.errors = fit_errors(pairs.mahalanobis_sq, p_pair, pairs.d, self.errors, widest=max(widest, THINKABLE))
+                widest = max(widest, THINKABLE)
+                self.errors = fit_errors(pairs.mahalanobis_sq, p_pair, pairs.d, self.errors, widest=widest)
         progress("identification")
         answer = identify(self.first, self.second, rule=self.rule(), gate=lambda a, b: pairs)
         return answer, number, settled

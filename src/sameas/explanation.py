@@ -195,7 +195,8 @@ class _Scene:
 
     def _ids(self, pairs: NDArray[np.int64]) -> list[tuple[Any, Any]]:
         result = self.result
-        return [(result.first.ids[result.rows_1[e]], result.second.ids[result.rows_2[e]]) for e in pairs]
+        ids = result.first.ids[result.rows_1[pairs]].tolist(), result.second.ids[result.rows_2[pairs]].tolist()
+        return list(zip(*ids, strict=True))
 
 
 def _lines(x: Explanation) -> list[str]:

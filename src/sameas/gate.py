@@ -55,6 +55,11 @@ class Pairs:
     determinant: FloatArray
     gate: str
 
+    def __post_init__(self) -> None:
+        columns = (self.place_1, self.place_2, self.i, self.j, self.residual, self.mahalanobis_sq, self.determinant)
+        if len({len(column) for column in columns}) != 1:
+            raise InputError(f"pairs: columns of {', '.join(str(len(c)) for c in columns)} rows; cut all of them alike")
+
     def __len__(self) -> int:
         return len(self.i)
 
