@@ -46,6 +46,7 @@ class Competitor:
 class Explanation:
     """What :meth:`Identification.explain` gives; ``str()`` of it is a text for people.
 
+    prior : a sentence on what the prior of the number of pairs adds, empty where it is part of the log-odds.
     next_best_cost : natural logarithm by which the group's next best hypothesis is less probable than its best, None
         where there is no other or the group is too large to search; next_best : the pairs of ids that differ, as
         (added, removed).
@@ -60,6 +61,7 @@ class Explanation:
     records: tuple[int, int]
     method: str
     competitors: tuple[Competitor, ...]
+    prior: str
     next_best_cost: float | None
     next_best: tuple[list[tuple[Any, Any]], list[tuple[Any, Any]]]
 
@@ -74,13 +76,15 @@ def explain(result: Identification, record: Any, source: int) -> Explanation:
     at = np.searchsorted(mine.rows, row)
     if at == len(mine.rows) or mine.rows[at] != row:
         reason = str(mine.set_aside.reasons[mine.set_aside.rows == row][0])
-        return Explanation(mine.ids[row], mine.source, other.source, row, reason, None, (0, 0), "", (), None, ([], []))
+        return Explanation(
+            mine.ids[row], mine.source, other.source, row, reason, None, (0, 0), "", (), "", None, ([], [])
+        )
     position = result.pairs.i if source == 1 else result.pairs.j
     own = np.flatnonzero(position == at)
     if not len(own):
         alone = Competitor(None, 1.0, 0.0, None, {}, None, None, True)
         return Explanation(
-            mine.ids[row], mine.source, other.source, row, "", None, (1, 0), METHODS[0], (alone,), None, ([], [])
+            mine.ids[row], mine.source, other.source, row, "", None, (1, 0), METHODS[0], (alone,), "", None, ([], [])
         )
     group = int(result.groups.of_pairs()[own[0]])
     scene = _Scene(result, group)
@@ -90,8 +94,8 @@ def explain(result: Identification, record: Any, source: int) -> Explanation:
     cost, difference = scene.next_best()
     sizes = (int(result.groups.sizes_1[group]), int(result.groups.sizes_2[group]))
     return Explanation(
-        mine.ids[row], mine.source, other.source, row, "", group, sizes, result.method(group), tuple(competitors), cost,
-        difference,
+        mine.ids[row], mine.source, other.source, row, "", group, sizes, result.method(group), tuple(competitors),
+        scene.prior_in_words(), cost, difference,
     )  # fmt: skip
 
 
@@ -138,6 +142,14 @@ class _Scene:
         count = int(chosen.sum())
         known = self.prior.table[count] if self.prior.slope is None else 0.0
         return float(self.weight[chosen].sum() + known)
+
+    def prior_in_words(self) -> str:
+        """What a prior of the count adds to the terms of the pairs: ln P(k) around the best hypothesis' k."""
+        if self.prior.slope is not None:
+            return ""
+        best, table = int(self.chosen.sum()), self.prior.table
+        steps = [f"{k} {table[k] - table[best]:+.2f}" for k in range(max(0, best - 2), min(len(table), best + 3))]
+        return f"(the prior of the number of pairs comes on top; ln P, relative to {best}: {', '.join(steps)})"
 
     def solve(self, required: NDArray[np.bool_], forbidden: NDArray[np.bool_]) -> tuple[float, NDArray[np.bool_]]:
         """(cost against the best, pairs) of the best hypothesis with some pairs required and others forbidden."""
@@ -222,6 +234,8 @@ def _lines(x: Explanation) -> list[str]:
             f"{mark + name:>22}  {_percent(c.probability):>11}  {c.cost:8.2f}  {distance:>8}  {odds:>8}  {terms}"
         )
     lines.append("(costs: ln by which the best identification of the whole group with that answer is less probable)")
+    if x.prior:
+        lines.append(x.prior)
     if x.next_best_cost is not None:
         added = ", ".join(f"{a} = {b}" for a, b in x.next_best[0]) or "nothing"
         removed = ", ".join(f"{a} = {b}" for a, b in x.next_best[1]) or "nothing"

@@ -240,7 +240,8 @@ def _pairs(match: SkyMatch) -> list[str]:
     groups = count(len(result.groups)) + (f": {sizes}; the largest has {count(largest)} records" if sizes else "")
     k = len(result.matches)
     ambiguous = int(np.count_nonzero(result.matches.p_match < AMBIGUOUS))
-    methods = ", ".join(f"{count(n)} groups by {words}" for words, n in result.posterior.counts().items() if n)
+    ways = [(n, words) for words, n in result.posterior.counts().items() if n]
+    methods = ", ".join(f"{count(n)} group{'s' if n > 1 else ''} by {words}" for n, words in ways)
     wrong, missed = result.expected_wrong, result.expected_missed
     return [
         *entry("groups", groups),

@@ -39,11 +39,7 @@ def array_of(column: Column) -> pa.Array:
     import pyarrow as pa
 
     values, mask = np.asarray(column), getattr(column, "mask", None)
-    mask = (
-        None
-        if mask is None or not np.any(mask)
-        else np.ascontiguousarray(np.broadcast_to(mask, values.shape))
-    )
+    mask = None if mask is None or not np.any(mask) else np.ascontiguousarray(np.broadcast_to(mask, values.shape))
     flat, flat_mask = values.reshape(-1), None if mask is None else mask.reshape(-1)
     if flat.dtype.kind == "S":
         flat = unicode_of(flat)
@@ -54,9 +50,7 @@ def array_of(column: Column) -> pa.Array:
     try:
         array = _texts(flat, flat_mask) if flat.dtype.kind == "U" else pa.array(flat, mask=flat_mask)
     except (pa.ArrowException, TypeError) as error:
-        raise InputError(
-            f"column {column.name} holds {_kinds(flat)}; give numbers, truth values or text"
-        ) from error
+        raise InputError(f"column {column.name} holds {_kinds(flat)}; give numbers, truth values or text") from error
     for size in reversed(values.shape[1:]):
         array = pa.FixedSizeListArray.from_arrays(array, int(size))
     return array
@@ -171,9 +165,7 @@ def _text(values: pa.ChunkedArray) -> NDArray[Any]:
             # Padded to one length, the bytes of a chunk are a NumPy array already.
             padded = compute.ascii_rpad(chunk, width, padding="\0") if len(chunk) else chunk
             if len(chunk):
-                offset = int(
-                    np.frombuffer(padded.buffers()[1], _offsets(padded), padded.offset + 1)[padded.offset]
-                )
+                offset = int(np.frombuffer(padded.buffers()[1], _offsets(padded), padded.offset + 1)[padded.offset])
                 cells = np.frombuffer(padded.buffers()[2], f"S{width}", len(chunk), offset)
                 text[begin:end] = unicode_of(cells)
         else:

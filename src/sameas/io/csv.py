@@ -161,9 +161,7 @@ def _header(text: pa.Buffer, path: Path) -> Header:
     if any(_is_number(name) for name in names):
         above = _split(comment, delimiter)
         if len(above) != len(names) or any(_is_number(name) for name in above):
-            raise InputError(
-                f"{path}: line {lines} holds numbers; put the names of the columns above the first row"
-            )
+            raise InputError(f"{path}: line {lines} holds numbers; put the names of the columns above the first row")
         names, lines = above, lines - 1
     names = [name or f"column_{number}" for number, name in enumerate(names, start=1)]
     twice = [name for name in names if names.count(name) > 1]
@@ -239,9 +237,7 @@ def _arrow(text: pa.Buffer, header: Header, path: Path, kinds: Mapping[str, Any]
         return arrow_csv.read_csv(
             pa.BufferReader(text),
             arrow_csv.ReadOptions(use_threads=threads, column_names=header.names, skip_rows=header.lines),
-            arrow_csv.ParseOptions(
-                delimiter=header.delimiter, newlines_in_values=True, invalid_row_handler=note
-            ),
+            arrow_csv.ParseOptions(delimiter=header.delimiter, newlines_in_values=True, invalid_row_handler=note),
             arrow_csv.ConvertOptions(null_values=_NULLS, strings_can_be_null=True, column_types=kinds),
         )
 
@@ -291,11 +287,7 @@ def _flat_columns(table: Table) -> tuple[list[str], list[pa.Array]]:
             names.append(name)
             arrays.append(_cell_texts(column))
             continue
-        flat = (
-            column.reshape(len(column), -1)
-            if len(column)
-            else column.reshape(0, int(np.prod(column.shape[1:])))
-        )
+        flat = column.reshape(len(column), -1) if len(column) else column.reshape(0, int(np.prod(column.shape[1:])))
         for number in range(flat.shape[1]):
             names.append(f"{name}_{number + 1}")
             arrays.append(_cell_texts(flat[:, number]))
@@ -310,9 +302,7 @@ def _cell_texts(column: Column) -> pa.Array:
 
     array = array_of(column)
     if pa.types.is_nested(array.type):
-        raise InputError(
-            f"column {column.name} has lists in its cells; CSV has no room for them, write .fits or .vot"
-        )
+        raise InputError(f"column {column.name} has lists in its cells; CSV has no room for them, write .fits or .vot")
     if pa.types.is_float16(array.type):
         array = array.cast(pa.float32())
     return array.cast(pa.string()) if pa.types.is_large_string(array.type) else array

@@ -60,11 +60,7 @@ def provenance(path: Path) -> dict[str, Any]:
     from astropy.table.meta import get_header_from_yaml
 
     header = []
-    with (
-        gzip.open(path, "rt", encoding="utf-8")
-        if path.suffix == ".gz"
-        else path.open(encoding="utf-8") as file
-    ):
+    with gzip.open(path, "rt", encoding="utf-8") if path.suffix == ".gz" else path.open(encoding="utf-8") as file:
         for line in file:
             if not line.startswith("#"):
                 break

@@ -106,9 +106,7 @@ def _chosen(hdus: Any, hdu: int | str | None, path: Path) -> tuple[Any, list[str
     tables = [number for number, each in enumerate(hdus) if isinstance(each, kinds)]
     if not tables:
         raise InputError(f"{path}: holds images only, no table")
-    listed = ", ".join(
-        f"{number} ({hdus[number].name})" if hdus[number].name else str(number) for number in tables
-    )
+    listed = ", ".join(f"{number} ({hdus[number].name})" if hdus[number].name else str(number) for number in tables)
     if hdu is None:
         if len(tables) == 1:
             return hdus[tables[0]], []
@@ -161,9 +159,7 @@ def _column(hdu: Any, data: Any, number: int, field: Any) -> Column:
 
     # astropy reads an unknown truth value as False; the raw byte still knows.
     logical = field.format.endswith("L") and not field.format.startswith(("P", "Q"))
-    values = (
-        data.view(np.ndarray)[data.dtype.names[number - 1]] if logical else np.asarray(data.field(number - 1))
-    )
+    values = data.view(np.ndarray)[data.dtype.names[number - 1]] if logical else np.asarray(data.field(number - 1))
     mask = None
     if logical:
         values = values.reshape(np.asarray(data.field(number - 1)).shape) if field.dim else values
@@ -221,11 +217,7 @@ def _write_meta(header: Any, meta: Mapping[str, Any]) -> None:
             add = header.add_comment if card == "COMMENTS" else header.add_history
             for line in value:
                 add(_ascii(str(line)))
-        elif (
-            not re.fullmatch(r"[A-Z0-9_-]{1,8}", card)
-            or _STRUCTURE.match(card)
-            or card in ("COMMENT", "HISTORY")
-        ):
+        elif not re.fullmatch(r"[A-Z0-9_-]{1,8}", card) or _STRUCTURE.match(card) or card in ("COMMENT", "HISTORY"):
             continue
         elif isinstance(value, str):
             header[card] = _ascii(value)
@@ -297,9 +289,7 @@ def _bytes(name: str, values: NDArray[Any], mask: Any) -> NDArray[Any]:
         if len(values) and any(isinstance(v, np.ndarray) for v in values):
             return values
         missing = np.zeros(len(values), bool) if mask is None else np.asarray(mask)
-        values = np.array(
-            ["" if m or v is None else str(v) for v, m in zip(values, missing, strict=True)], dtype="U"
-        )
+        values = np.array(["" if m or v is None else str(v) for v, m in zip(values, missing, strict=True)], dtype="U")
     cells = ascii_of(values)
     if cells is not None:
         return cells

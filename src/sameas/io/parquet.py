@@ -59,9 +59,7 @@ def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
         for name, array in zip(table.colnames, arrays, strict=True)
     ]
     schema = pa.schema(fields, metadata=_file_metadata(table, provenance))
-    texts = [
-        name for name, array in zip(table.colnames, arrays, strict=True) if pa.types.is_string(array.type)
-    ]
+    texts = [name for name, array in zip(table.colnames, arrays, strict=True) if pa.types.is_string(array.type)]
     # A dictionary pays for names that come again; numbers of a catalogue do not.
     options: dict[str, Any] = {
         "compression": "zstd",
@@ -80,10 +78,7 @@ def provenance(path: Path) -> dict[str, Any]:
 
 
 def _decoded(metadata: Mapping[bytes, bytes] | None) -> dict[str, str]:
-    return {
-        key.decode("utf-8", "replace"): value.decode("utf-8", "replace")
-        for key, value in (metadata or {}).items()
-    }
+    return {key.decode("utf-8", "replace"): value.decode("utf-8", "replace") for key, value in (metadata or {}).items()}
 
 
 def _describe(column: Column, facts: Mapping[str, Any]) -> None:

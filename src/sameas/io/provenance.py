@@ -36,9 +36,7 @@ def _plain_value(key: str, value: Any) -> Any:
             return kind(value)
     if value is None:
         return None
-    raise InputError(
-        f"provenance: {key} is a {type(value).__name__}; give text, numbers, truth values or lists"
-    )
+    raise InputError(f"provenance: {key} is a {type(value).__name__}; give text, numbers, truth values or lists")
 
 
 def to_json(provenance: Mapping[str, Any]) -> str:
@@ -48,12 +46,7 @@ def to_json(provenance: Mapping[str, Any]) -> str:
 
 def to_text(value: Any) -> str:
     """One value as text: a string as it is, where that cannot be taken for another value; else JSON."""
-    if (
-        isinstance(value, str)
-        and value.isprintable()
-        and value.strip() == value
-        and from_text(value) == value
-    ):
+    if isinstance(value, str) and value.isprintable() and value.strip() == value and from_text(value) == value:
         return value
     return json.dumps(value)
 

@@ -53,9 +53,7 @@ def known_formats() -> dict[str, tuple[str, ...]]:
     return {known.name: known.extensions for known in FORMATS}
 
 
-def read_table(
-    path: str | os.PathLike[str], *, format: str | None = None, hdu: int | str | None = None
-) -> Table:
+def read_table(path: str | os.PathLike[str], *, format: str | None = None, hdu: int | str | None = None) -> Table:
     """The table in a file, with its units, descriptions and metadata.
 
     Parameters
@@ -80,9 +78,7 @@ def read_table(
     known = _format_of(path, format)
     _check_source(path, known)
     if hdu is not None and known.name != "fits":
-        raise InputError(
-            f"{path}: hdu={hdu!r} was given, but only FITS files have several tables to choose from"
-        )
+        raise InputError(f"{path}: hdu={hdu!r} was given, but only FITS files have several tables to choose from")
     try:
         return known.module().read(path, hdu)
     except (InputError, MemoryError, ModuleNotFoundError):
@@ -160,9 +156,7 @@ def _format_of(path: Path, name: str | None) -> Format:
     for known in FORMATS:
         if lowered.endswith(known.extensions):
             return known
-    every = " ".join(
-        extension for known in FORMATS for extension in known.extensions if ".gz" not in extension
-    )
+    every = " ".join(extension for known in FORMATS for extension in known.extensions if ".gz" not in extension)
     suffix = f"the extension {path.suffix!r} is not known" if path.suffix else "the name has no extension"
     raise InputError(f"{path}: {suffix}; known are {every}, or name the format")
 

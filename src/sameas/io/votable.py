@@ -75,9 +75,7 @@ def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
     columns = [_portable(table[name]) for name in table.colnames]
     for column in columns:
         if column.dtype.kind in "US" and len(column.shape) > 1:
-            raise InputError(
-                f"column {column.name} has arrays of text; VOTable has no room for them, write .fits"
-            )
+            raise InputError(f"column {column.name} has arrays of text; VOTable has no room for them, write .fits")
     fixed = all(column.dtype.kind != "O" for column in columns)
     whole = Table(columns, names=table.colnames, copy=False)
     packed = io.BytesIO()
@@ -207,9 +205,7 @@ def _portable(column: Column) -> Column:
     kind = values.dtype.str[1:]
     if values.dtype.kind == "O" and not any(isinstance(value, np.ndarray | list) for value in values):
         gone = np.zeros(len(values), bool) if mask is None else np.asarray(mask)
-        values = np.array(
-            ["" if g or v is None else str(v) for v, g in zip(values, gone, strict=True)], dtype="U"
-        )
+        values = np.array(["" if g or v is None else str(v) for v, g in zip(values, gone, strict=True)], dtype="U")
     elif values.dtype.kind == "O":
         lists, values = values, np.empty(len(values), dtype=object)
         for row, value in enumerate(lists):
@@ -262,9 +258,7 @@ def _wholly_missing(name: str, mask: NDArray[np.bool_], values: NDArray[Any]) ->
         return mask
     flat = mask.reshape(len(mask), -1)
     if values.dtype.kind not in "fc" and np.any(flat.any(axis=1) & ~flat.all(axis=1)):
-        raise InputError(
-            f"column {name} has arrays with some numbers missing; VOTable has no nulls inside arrays"
-        )
+        raise InputError(f"column {name} has arrays with some numbers missing; VOTable has no nulls inside arrays")
     return np.asarray(flat.all(axis=1))
 
 
@@ -334,9 +328,7 @@ def _values(field: Any, cells: NDArray[Any]) -> NDArray[Any]:
     text = np.ascontiguousarray(cells.astype("u4")).view(f"U{width}").reshape(cells.shape[:-1] or len(cells))
     paired = np.flatnonzero(((cells >= 0xD800) & (cells < 0xE000)).reshape(prod(text.shape), -1).any(axis=1))
     for place in paired:  # two units of UTF-16 for one letter: emoji, rare scripts
-        text.flat[place] = (
-            text.flat[place].encode("utf-16-be", "surrogatepass").decode("utf-16-be", "replace")
-        )
+        text.flat[place] = text.flat[place].encode("utf-16-be", "surrogatepass").decode("utf-16-be", "replace")
     return text
 
 
@@ -352,16 +344,12 @@ def _unicode(column: Column, empty_is_missing: bool) -> Column:
     if column.dtype.kind == "O" and any(isinstance(value, np.ndarray) for value in column[:100]):
         return column
     mask = np.ma.getmaskarray(column)
-    values = np.array(
-        ["" if m else v for v, m in zip(np.asarray(column).tolist(), mask, strict=True)], dtype=object
-    )
+    values = np.array(["" if m else v for v, m in zip(np.asarray(column).tolist(), mask, strict=True)], dtype=object)
     if max(map(len, values), default=0) <= 256:
         values = values.astype("U")
     if empty_is_missing:
         mask = mask | (values == "")
-    made = (
-        MaskedColumn(values, mask=mask, name=column.name) if mask.any() else Column(values, name=column.name)
-    )
+    made = MaskedColumn(values, mask=mask, name=column.name) if mask.any() else Column(values, name=column.name)
     _describe(made, column)
     return made
 

@@ -130,8 +130,7 @@ class Catalogue:
         if epoch_jyr is not None:
             if self.epoch_jyr is None:
                 raise InputError(
-                    f"{self.name}: its epoch is not known, so it cannot be moved to {epoch_jyr:g}; "
-                    "say --epoch YEAR"
+                    f"{self.name}: its epoch is not known, so it cannot be moved to {epoch_jyr:g}; say --epoch YEAR"
                 )
             known = np.isfinite(a.epoch_jyr)
             still = a if known.all() else replace(a, epoch_jyr=np.where(known, a.epoch_jyr, epoch_jyr))
@@ -190,9 +189,7 @@ def _errors(
 ) -> tuple[FloatArray, FloatArray]:
     """(n, 6) standard deviations in mas, mas/yr and km/s, and (n, 6, 6) their correlations."""
     east, north, rho = _position_sigmas(table, choice.error, source)
-    motion = [
-        _motion_numbers(table, c, u, source) for c, u in zip(choice.motion_errors, _MOTION_UNITS, strict=True)
-    ]
+    motion = [_motion_numbers(table, c, u, source) for c, u in zip(choice.motion_errors, _MOTION_UNITS, strict=True)]
     if options.pm_sigma_mas_per_yr is not None:
         for k in (1, 2):
             motion[k] = np.where(np.isnan(motion[k]), options.pm_sigma_mas_per_yr, motion[k])
@@ -227,9 +224,7 @@ def _degrees(table: Table, column: Column, source: str) -> FloatArray:
     return values * (15.0 if column.unit == "sexagesimal hours" else cells.factor(column.unit, "deg"))
 
 
-def _position_sigmas(
-    table: Table, error: PositionError, source: str
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _position_sigmas(table: Table, error: PositionError, source: str) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(n,) standard deviations east and north in arcsec, and their correlation."""
     n = len(table)
     if error.kind == "number":
@@ -245,9 +240,7 @@ def _position_sigmas(
         return columns[0], columns[0], np.zeros(n)
     if error.kind == "ellipse":
         major, minor, angle = columns
-        xx, yy, xy = ellipse_covariance(
-            major, np.where(minor > 0, minor, np.nan), np.where(major == minor, 0.0, angle)
-        )
+        xx, yy, xy = ellipse_covariance(major, np.where(minor > 0, minor, np.nan), np.where(major == minor, 0.0, angle))
         return np.sqrt(xx), np.sqrt(yy), xy / np.sqrt(xx * yy)
     east, north = columns
     if error.correlation:
@@ -296,9 +289,7 @@ def _epochs_in_words(epochs: FloatArray) -> str:
 
 def _no_epoch(choice: ColumnChoice, source: str) -> str:
     hint = " (Gaia DR1 2015.0, DR2 2015.5, DR3 2016.0)" if choice.convention.startswith("Gaia") else ""
-    return (
-        f"{source}: it has proper motions, but its epoch is not known; say --epoch YEAR{hint}, or --pm none"
-    )
+    return f"{source}: it has proper motions, but its epoch is not known; say --epoch YEAR{hint}, or --pm none"
 
 
 def _ids(

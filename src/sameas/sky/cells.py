@@ -75,9 +75,7 @@ def _texts(table: Table, name: str) -> list[str]:
     empty = np.ma.getmaskarray(column) if hasattr(column, "mask") else np.zeros(len(column), bool)
     return [
         "" if gone or cell is None else cell.decode() if isinstance(cell, bytes) else str(cell)
-        for cell, gone in zip(
-            np.ma.getdata(column).tolist(), np.broadcast_to(empty, len(column)), strict=True
-        )
+        for cell, gone in zip(np.ma.getdata(column).tolist(), np.broadcast_to(empty, len(column)), strict=True)
     ]
 
 
@@ -85,9 +83,7 @@ def numbers(table: Table, name: str, source: str) -> FloatArray:
     """(n,) the column's numbers in its own unit."""
     column = table[name]
     if getattr(column, "ndim", 1) != 1:
-        raise InputError(
-            f"{source}: column {name!r} has {column.ndim} dimensions; give one with a number per row"
-        )
+        raise InputError(f"{source}: column {name!r} has {column.ndim} dimensions; give one with a number per row")
     if is_text(table, name):
         return _parsed(_texts(table, name), float, name, source)
     values = np.ma.asarray(column.value if isinstance(column, u.Quantity) else column)

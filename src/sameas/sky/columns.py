@@ -174,9 +174,7 @@ def _position_error(search: Search, convention: Convention) -> PositionError:
         return _said_error(search, options.sigma, convention)
     own = _own_error(search, convention)
     if own:
-        return _error_columns(
-            search, own.kind, search.find_all(own.names) or (), own.unit, own.covariance, convention
-        )
+        return _error_columns(search, own.kind, search.find_all(own.names) or (), own.unit, own.covariance, convention)
     ways = (*conventions.plain(convention.position).errors, *conventions.PLAIN_CIRCLES)
     found = {names: e for e in ways if (names := search.find_all(e.names)) and _may_be_angle(search, names)}
     if len(found) > 1:
@@ -211,9 +209,7 @@ def _said_error(search: Search, sigma: float | str, convention: Convention) -> P
     unit = search.options.sigma_unit or "arcsec"
     search.checked(Column("--sigma", unit, "option"), "arcsec", "an angle; give arcsec, mas, deg")
     if not number > 0:
-        raise InputError(
-            f"{search.source}: --sigma {sigma} is not positive; give a standard deviation per axis"
-        )
+        raise InputError(f"{search.source}: --sigma {sigma} is not positive; give a standard deviation per axis")
     return PositionError("number", sigma_arcsec=number * cells.factor(unit, "arcsec"))
 
 
@@ -231,16 +227,12 @@ def _error_columns(
     said = search.options.correlation
     correlation = search.required(said, "correlation") if said else ""
     if not said and kind == "axes" and convention:
-        correlation = next(
-            (n for i, j, w in convention.correlations if (i, j) == (0, 1) and (n := search.find(w))), ""
-        )
+        correlation = next((n for i, j, w in convention.correlations if (i, j) == (0, 1) and (n := search.find(w))), "")
     found = "" if correlation or kind != "axes" else search.find(covariance) or ""
     return PositionError(kind, columns, correlation=correlation, covariance=found)
 
 
-def _motion(
-    search: Search, convention: Convention
-) -> tuple[tuple[Any, ...], tuple[Any, ...], tuple[str, ...]]:
+def _motion(search: Search, convention: Convention) -> tuple[tuple[Any, ...], tuple[Any, ...], tuple[str, ...]]:
     """Columns of parallax, proper motion and radial velocity, those of their errors, and notes."""
     options, units = search.options, ("mas", "mas / yr", "mas / yr", "km / s")
     names: list[str | None] = [None] * 4
@@ -256,8 +248,7 @@ def _motion(
     elif options.pm:
         said = search.several(options.pm, 2, "pm")
         errors[1:3] = [
-            e if said == tuple(names[1:3]) else _error_of(search, s)
-            for s, e in zip(said, errors[1:3], strict=True)
+            e if said == tuple(names[1:3]) else _error_of(search, s) for s, e in zip(said, errors[1:3], strict=True)
         ]
         names[1:3] = said
     for k, text, option in (
@@ -270,8 +261,7 @@ def _motion(
     notes = []
     if names[1] is None and not options.pm and (other := search.find_all(("pm_ra", "pm_dec"))):
         notes.append(
-            f"{', '.join(other)} not used: with or without cos(dec) is not said; "
-            f"if with, say --pm {','.join(other)}"
+            f"{', '.join(other)} not used: with or without cos(dec) is not said; if with, say --pm {','.join(other)}"
         )
     return (
         tuple(search.motion_column(n, unit) if n else None for n, unit in zip(names, units, strict=True)),
@@ -362,6 +352,4 @@ def _magnitude(search: Search, convention: Convention) -> tuple[str | None, str 
         if name and getattr(search.table[name], "ndim", 1) == 1 and not cells.is_text(search.table, name):
             same = tuple(e for w, e in convention.magnitudes + conventions.PLAIN_MAGNITUDES if w == wanted)
             return name, search.find(error) or search.first(same)
-    return next(
-        (n for n in search.table.colnames if search.ucd(n).startswith(("phot.mag;", "phot_mag"))), None
-    ), None
+    return next((n for n in search.table.colnames if search.ucd(n).startswith(("phot.mag;", "phot_mag"))), None), None

@@ -108,9 +108,7 @@ PLAIN_MOTIONS = (_GAIA_MOTION, _VIZIER_MOTION, _ASTROPY_MOTION, _STAR_MOTION)
 _GAIA_CORRELATIONS = _correlations("{a}_{b}_corr", ("ra", "dec", "parallax", "pmra", "pmdec"))
 _VIZIER_CORRELATIONS = _correlations("{a}{b}cor", ("RA", "DE", "Plx", "pmRA", "pmDE"))
 _HIPPARCOS_NAMES = ("RA", "DE", "Plx", "pmRA", "pmDE")
-_HIPPARCOS_CORRELATIONS = _correlations("{b}:{a}", _HIPPARCOS_NAMES) + _correlations(
-    "{b}_{a}", _HIPPARCOS_NAMES
-)
+_HIPPARCOS_CORRELATIONS = _correlations("{b}:{a}", _HIPPARCOS_NAMES) + _correlations("{b}_{a}", _HIPPARCOS_NAMES)
 
 _GAIA_RELEASES = (
     (r"gaia[ _-]?dr1|\bI[/_]337\b", 2015.0),

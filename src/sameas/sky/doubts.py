@@ -34,9 +34,7 @@ def _errors(astrometry: Astrometry, choice: ColumnChoice) -> str:
     if median > _LARGEST_SIGMA_ARCSEC:
         return f"the position errors ({names}) have a median of {median:g} arcsec: are they rather in mas?"
     if median < _LEAST_SIGMA_ARCSEC:
-        return (
-            f"the position errors ({names}) have a median of {median:g} arcsec: are they rather in degrees?"
-        )
+        return f"the position errors ({names}) have a median of {median:g} arcsec: are they rather in degrees?"
     lost = len(sigma) - len(known)
     if lost:
         return f"{lost} of {len(sigma)} rows lack a position or a positive error and are set aside"
@@ -49,9 +47,7 @@ def _radians(astrometry: Astrometry, choice: ColumnChoice) -> str:
     ra, dec = astrometry.ra_deg, astrometry.dec_deg
     known = np.isfinite(ra) & np.isfinite(dec)
     if known.any() and (np.abs(dec[known]) <= np.pi / 2).all() and (ra[known] <= 2 * np.pi).all():
-        return (
-            f"{choice.ra.name}, {choice.dec.name} say no unit and stay below 2π and π/2: are they in radians?"
-        )
+        return f"{choice.ra.name}, {choice.dec.name} say no unit and stay below 2π and π/2: are they in radians?"
     return ""
 
 
@@ -91,11 +87,7 @@ def _motions(astrometry: Astrometry, choice: ColumnChoice) -> str:
 
 
 def _motion_errors(choice: ColumnChoice, options: CatalogueOptions) -> str:
-    if (
-        choice.motion[1] is None
-        or choice.motion_errors[1] is not None
-        or options.pm_sigma_mas_per_yr is not None
-    ):
+    if choice.motion[1] is None or choice.motion_errors[1] is not None or options.pm_sigma_mas_per_yr is not None:
         return ""
     return (
         f"{choice.motion[1].name} has no column of errors, so its error is taken to be that of an "

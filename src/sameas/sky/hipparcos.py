@@ -26,9 +26,7 @@ from sameas.sky.cells import FloatArray
 _TOLERANCE = 0.03
 
 
-def correlations(
-    weights: FloatArray, errors: FloatArray, f2: FloatArray, n_transits: FloatArray
-) -> FloatArray:
+def correlations(weights: FloatArray, errors: FloatArray, f2: FloatArray, n_transits: FloatArray) -> FloatArray:
     """(n, 5, 5) correlations of ra*, dec, parallax, pm ra*, pm dec; the identity where they cannot be told.
 
     weights : (n, 15) UW. errors : (n, 5) quoted formal errors in mas and mas/yr. f2 : (n,) goodness of fit.

@@ -1,6 +1,9 @@
 """The joined table: rows of both catalogues side by side, with what the identification says of each pair.
 
-Join types have the names that STILTS users know; "pairs" lists every candidate. Added columns (all lower case):
+Join types have the names that STILTS users know; "pairs" lists every candidate, and
+for every row of the first catalogue the answer "no partner" (its probability is p_none).
+
+Added columns (all lower case):
 
 sep_arcsec, dx_arcsec, dy_arcsec : separation, and its east and north parts, first minus second, at the common epoch.
 mahalanobis : separation over its quoted error. log_odds : natural logarithm of the pair's odds before one-to-one.
@@ -20,7 +23,7 @@ from astropy.table import Column, MaskedColumn, Table
 from numpy.typing import NDArray
 
 from sameas.errors import InputError
-from sameas.result import Answers
+from sameas.result import Answers, Identification
 from sameas.sky.match import SkyMatch
 
 IntArray = NDArray[np.int64]
@@ -52,11 +55,15 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class _Rows:
-    """The output's rows: row in the first and in the second table (−1 for none), and the candidate (−1 for none)."""
+    """The output's rows: row in the first and in the second table (−1 for none), and the candidate (−1 for none).
+
+    answers : whether each is a possible answer for its row of the first table, "no partner" among them.
+    """
 
     one: IntArray
     two: IntArray
     pair: IntArray
+    answers: bool = False
 
 
 def joined(match: SkyMatch, join: str = "all1", *, nway_columns: bool = False) -> Table:
@@ -87,8 +94,7 @@ def joined(match: SkyMatch, join: str = "all1", *, nway_columns: bool = False) -
 def _rows(match: SkyMatch, join: str) -> _Rows:
     result = match.result
     if join == "pairs":
-        order = np.lexsort([-result.p_pair, result.rows_1])
-        return _Rows(result.rows_1[order], result.rows_2[order], order)
+        return _every_answer(result)
     found = result.matches
     both = _Rows(found.rows_1, found.rows_2, found.pair)
     alone_1 = np.setdiff1d(np.arange(len(match.first)), found.rows_1)
@@ -99,11 +105,23 @@ def _rows(match: SkyMatch, join: str) -> _Rows:
         "1and2": (both,), "1or2": (both, only_1, only_2), "all1": (both, only_1), "all2": (both, only_2),
         "1not2": (only_1,), "2not1": (only_2,), "1xor2": (only_1, only_2),
     }[join]  # fmt: skip
-    rows = _Rows(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("one", "two", "pair")))
+    one, two, pair = (np.concatenate([getattr(part, name) for part in parts]) for name in ("one", "two", "pair"))
+    rows = _Rows(one, two, pair)
     last = np.iinfo(np.int64).max
     key_1, key_2 = (np.where(at >= 0, at, last) for at in (rows.one, rows.two))
     order = np.lexsort([key_1, key_2] if join == "all2" else [key_2, key_1])
     return _Rows(rows.one[order], rows.two[order], rows.pair[order])
+
+
+def _every_answer(result: Identification) -> _Rows:
+    """Every candidate, the most probable first, and after those of a row of the first catalogue "no partner"."""
+    n = result.first.n_table
+    nobody = np.full(n, NOBODY)
+    one = np.concatenate([result.rows_1, np.arange(n)])
+    two = np.concatenate([result.rows_2, nobody])
+    pair = np.concatenate([np.arange(len(result.pairs)), nobody])
+    order = np.lexsort([np.concatenate([-result.p_pair, np.ones(n)]), one])
+    return _Rows(one[order], two[order], pair[order], answers=True)
 
 
 def _names(first: Table, second: Table) -> tuple[list[str], list[str]]:
@@ -200,5 +218,7 @@ def _flags(match: SkyMatch, rows: _Rows, absent: NDArray[np.bool_]) -> np.ma.Mas
     best = np.zeros(len(match.first))
     np.maximum.at(best, result.rows_1, result.p_pair)
     p = np.append(result.p_pair, 0.0)[rows.pair]
+    if rows.answers:
+        chosen |= absent & result.answers_1.usable[rows.one] & ~np.isin(rows.one, result.matches.rows_1)
     rival = ~absent & ~chosen & (p >= 0.5 * best[rows.one]) & (p > 0)
     return np.ma.MaskedArray(np.where(chosen, 1, np.where(rival, 2, 0)).astype(np.int16), np.zeros(len(p), bool))

@@ -282,9 +282,7 @@ def _by_row(records: Records, values: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _unmoved(records: Records, catalogue: Catalogue) -> Records:
     at = catalogue.astrometry
     position = np.column_stack([at.ra_deg, at.dec_deg])[records.rows]
-    return Records(
-        position, records.covariance, records.rows, records.ids, records.space, records.source
-    )
+    return Records(position, records.covariance, records.rows, records.ids, records.space, records.source)
 
 
 def _number(value: float | str) -> float | None:

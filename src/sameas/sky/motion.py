@@ -305,9 +305,7 @@ def _derivatives(part: Astrometry, path: _Path, velocity: FloatArray) -> FloatAr
     parallax = np.where(no_parallax, np.inf, f * part.parallax_mas)
     by_transverse = (AU_KM_PER_S_YR * f2 * sin2 - velocity * shrink * sin) / parallax
     by_radial = (AU_KM_PER_S_YR * f2 * cos2 - velocity * shrink * cos) / parallax
-    derivatives[:, 5, 2] = (
-        by_radial * part.radial_velocity_km_per_s / AU_KM_PER_S_YR - velocity * f / parallax
-    )
+    derivatives[:, 5, 2] = by_radial * part.radial_velocity_km_per_s / AU_KM_PER_S_YR - velocity * f / parallax
     derivatives[:, 5, 3:5] = by_transverse[:, None] * path.start
     derivatives[:, 5, 5] = np.where(no_parallax, 1.0, by_radial * part.parallax_mas / AU_KM_PER_S_YR)
     return derivatives

@@ -58,9 +58,7 @@ class Search:
         """The columns that an option names, separated by commas."""
         parts = [part for part in text.split(",") if part.strip()]
         if len(parts) != count:
-            raise InputError(
-                f"{self.source}: --{option} {text} names {len(parts)} columns; give {count} with commas"
-            )
+            raise InputError(f"{self.source}: --{option} {text} names {len(parts)} columns; give {count} with commas")
         return tuple(self.required(part, option) for part in parts)
 
     def column(self, name: str, unit: str, option: str = "") -> Column:
@@ -70,9 +68,7 @@ class Search:
             return Column(name, option, "option")
         if own is not None:
             return Column(name, own.to_string(), "unit of the column")
-        return Column(
-            name, _suffix_unit(name) or unit, "by its name" if _suffix_unit(name) else "by convention"
-        )
+        return Column(name, _suffix_unit(name) or unit, "by its name" if _suffix_unit(name) else "by convention")
 
     def angle(self, name: str, unit: str) -> Column:
         """A column of small angles, such as errors."""
@@ -82,8 +78,7 @@ class Search:
             known = values[np.isfinite(values)]
             middle = f" (median {np.median(known):g})" if len(known) else ""
             raise InputError(
-                f"{self.source}: the unit of {name!r}{middle} is not said; "
-                "say --sigma-unit arcsec, mas or deg"
+                f"{self.source}: the unit of {name!r}{middle} is not said; say --sigma-unit arcsec, mas or deg"
             )
         return self.checked(column, "arcsec", "an angle")
 
@@ -91,9 +86,7 @@ class Search:
         try:
             cells.factor(column.unit, target)
         except (ValueError, TypeError):  # UnitConversionError, unknown unit
-            raise InputError(
-                f"{self.source}: {column.name!r} is in {column.unit}, which is not {words}"
-            ) from None
+            raise InputError(f"{self.source}: {column.name!r} is in {column.unit}, which is not {words}") from None
         return column
 
     def motion_column(self, name: str, unit: str) -> Column:

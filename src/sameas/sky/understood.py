@@ -101,9 +101,7 @@ class ColumnChoice:
         moving = [column for column in self.motion if column]
         if moving:
             known = [column for column in self.motion_errors if column]
-            words = f"motion: {_listed(*moving)}; " + (
-                f"errors: {_listed(*known)}" if known else "without errors"
-            )
+            words = f"motion: {_listed(*moving)}; " + (f"errors: {_listed(*known)}" if known else "without errors")
             count = sum(1 for i, j, _ in self.correlations if (i, j) != (0, 1))
             if self.weights:
                 words += "; correlations from the weight matrix UW"
@@ -115,9 +113,7 @@ class ColumnChoice:
         years = epochs if self.epoch.jyr is None else in_years(self.epoch.jyr)
         lines.append(f"epoch: {years} ({self.epoch.reason})" if years else f"epoch: {self.epoch.reason}")
         brightness = self.magnitude or "none"
-        lines.append(
-            f"magnitude: {brightness}" + (f" ± {self.magnitude_error}" if self.magnitude_error else "")
-        )
+        lines.append(f"magnitude: {brightness}" + (f" ± {self.magnitude_error}" if self.magnitude_error else ""))
         lines.append(f"id: {self.id or 'row number'}")
         return (*lines, *self.notes)
 
