@@ -218,15 +218,17 @@ class _Side:
 
     def sorted(self, zones: _Zones) -> _Side:
         """Sorted by zone, then x, then the rest of the content, then id."""
-        from sameas.kernels.sweep import gather, sort_keys, sort_within_bins
+        from sameas.kernels.sweep import gather, sort_by_bits, sort_keys, sort_within_bins
 
         n = len(self.rows)
         row_bits = max(1, int(n - 1).bit_length())
-        bin_bits = min(32, 64 - row_bits - max(1, int(zones.count - 1).bit_length()))
+        zone_bits = max(1, int(zones.count - 1).bit_length())
+        # Enough bins that few hold two records; those are put in order one by one.
+        bin_bits = min(row_bits + 3, 32, 64 - row_bits - zone_bits)
         keys = np.empty(n, np.uint64)
         starts = np.zeros(zones.count + 1, np.int64)
         sort_keys(self.features, zones.x, zones.y, zones.cuts(), row_bits, bin_bits, keys, starts)
-        keys.sort()
+        keys = sort_by_bits(keys, row_bits, row_bits + bin_bits + zone_bits)
         order = np.empty(n, np.int64)
         inner = (order, row_bits, keys, self.features, self.covariance, zones.x)
         doubt = sort_within_bins(*inner, np.empty(0, np.int64))

@@ -35,6 +35,34 @@ def sort_keys(features, axis_x, axis_y, cuts, row_bits, bin_bits, keys, starts):
 
 
 @njit(cache=True, nogil=True)
+def sort_by_bits(keys, low_bit, high_bit):
+    """The keys sorted by their bits low_bit … high_bit − 1, eleven at a time, stable."""
+    n = len(keys)
+    here = keys
+    there = np.empty(n, np.uint64)
+    count = np.empty(2048, np.int64)
+    bit = low_bit
+    while bit < high_bit:
+        width = min(11, high_bit - bit)
+        shift = np.uint64(bit)
+        mask = np.uint64((1 << width) - 1)
+        count[:] = 0
+        for k in range(n):
+            count[np.int64((here[k] >> shift) & mask)] += 1
+        total = 0
+        for digit in range(1 << width):
+            total += count[digit]
+            count[digit] = total - count[digit]
+        for k in range(n):
+            digit = np.int64((here[k] >> shift) & mask)
+            there[count[digit]] = here[k]
+            count[digit] += 1
+        here, there = there, here
+        bit += width
+    return here
+
+
+@njit(cache=True, nogil=True)
 def gather(order, features, covariance, reach, rows, features_out, covariance_out, reach_out, rows_out):
     """The columns of one side in the given order."""
     for k in range(len(order)):
