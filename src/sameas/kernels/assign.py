@@ -29,7 +29,7 @@ def assign_linear(first, last, start, start1, start2, edges1, local1, local2, we
     reached = np.zeros(widest2, np.int64)
     frontier = np.empty(widest2, np.int32)
     scanned = np.empty(widest2, np.int32)
-    stamp = 0
+    stamp = np.int64(0)
     for g in range(first, last):
         if start[g + 1] - start[g] == 1:
             e = start[g]

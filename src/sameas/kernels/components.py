@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def root(parent, k):
     """The representative of k, halving the path on the way."""
     while parent[k] != k:

@@ -20,6 +20,7 @@ VALUES = 1_600_000
 TRANSITIONS = 2_500_000
 PLACES = 1 << 19
 SLOTS = 62
+NOBODY = np.int64(-1)
 NEGLIGIBLE = 1e-14
 
 Scratch = namedtuple("Scratch", "key value back target place_key place_state place_stamp edge_bit edge_dies")
@@ -118,7 +119,7 @@ def elimination_order(n, nc, start, column, order):
     return widest
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def find_state(key, begin, count, stamp, work):
     """The state of this key within the current step, made when new; −1 when there is no room."""
     place = np.int64(key) & (PLACES - 1)
@@ -137,7 +138,7 @@ def find_state(key, begin, count, stamp, work):
     return np.int64(begin + count)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def left_unused(key, low, high, taken, column, unused, work):
     """Product of ``unused`` over the columns that close with this row, are free in the state and not taken now."""
     product = 1.0
@@ -205,7 +206,7 @@ def eliminate(n, nc, start, column, odds, none, unused, prior, share, alone, sta
         if target_start[t] + (end - begin) * options > TRANSITIONS:
             return -1
         value_start[t + 1] = value_start[t] + (end - begin) * width
-        count = 0
+        count = np.int64(0)  # not a literal: numba would compile for it apart
         stamp += 1
         for s in range(begin, end):
             key = work.key[s]
@@ -220,7 +221,7 @@ def eliminate(n, nc, start, column, odds, none, unused, prior, share, alone, sta
                 if largest == 0.0 or (option > 0 and (key & work.edge_bit[e]) != 0):
                     continue
                 if option == 0:
-                    factor = none[r] * left_unused(key, low, high, -1, column, unused, work)
+                    factor = none[r] * left_unused(key, low, high, NOBODY, column, unused, work)
                     next_key = key & ~dead
                 else:
                     factor = odds[e] * left_unused(key, low, high, e, column, unused, work)
@@ -324,7 +325,7 @@ def gather(
             e = low + option - 1
             g0 = value_start[t + 1] + (goal - end) * next_width
             if option == 0:
-                factor = none[r] * left_unused(key, low, high, -1, column, unused, work)
+                factor = none[r] * left_unused(key, low, high, NOBODY, column, unused, work)
             else:
                 factor = odds[e] * left_unused(key, low, high, e, column, unused, work)
             step = shift + (1 if counted and option > 0 else 0)

@@ -19,7 +19,7 @@ DEEPEST = 600.0
 HIGHEST = 300.0
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def bounded_exp(x):
     """exp(x) for x ≤ 0, never quite zero."""
     return math.exp(max(x, -DEEPEST))
@@ -90,7 +90,7 @@ def exact(
     method (g,) receives CLOSED, ELIMINATED or LOCAL (nothing filled: left to :func:`messages` and :func:`balls`).
     """
     widest = 1
-    longest = 1
+    longest = np.int64(1)
     for g in range(first, last):
         widest = max(widest, start1[g + 1] - start1[g], start2[g + 1] - start2[g])
         longest = max(longest, start[g + 1] - start[g])
@@ -104,7 +104,7 @@ def exact(
     unused = np.empty(widest)
     alone = np.empty(widest)
     single = np.ones(1)
-    stamp = 0
+    stamp = np.int64(0)  # not a literal: numba would compile for it apart
     for g in range(first, last):
         low = start[g]
         high = start[g + 1]
@@ -124,7 +124,7 @@ def exact(
         vg = v[start2[g] : start2[g + 1]]
         prior = single
         if counted:
-            size = 0
+            size = np.int64(0)
             for e in range(low, high):
                 size += chosen[e]
             prior = count_factors(table[table_start[g] : table_start[g + 1]], slope[g], size)
@@ -268,7 +268,7 @@ def balls(
     name = np.empty(capacity, np.int64)
     unused = np.empty(capacity)
     prior = np.ones(1)
-    stamp = 0
+    stamp = np.int64(0)  # not a literal: numba would compile for it apart
     for center in range(first, last):
         g = group1[center]
         if method[g] != LOCAL:

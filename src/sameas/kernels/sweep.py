@@ -115,7 +115,7 @@ def sort_within_bins(order, row_bits, keys, features, covariance, axis_x, rank):
     return 0
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def precedes(features, covariance, axis_x, a, b):
     """1 where row a comes before row b by content, x first; −1 where after, 0 where both say the same."""
     if features[a, axis_x] != features[b, axis_x]:
@@ -129,7 +129,7 @@ def precedes(features, covariance, axis_x, a, b):
     return 0
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def spread_2d(covariance, k):
     """(xx, xy, yy) of a packed covariance of two features."""
     p = covariance.shape[1]
@@ -140,7 +140,7 @@ def spread_2d(covariance, k):
     return covariance[k, 0], covariance[k, 1], covariance[k, 2]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def turned(xx, xy, yy, c, s):
     """A covariance turned counter-clockwise by the angle of cosine c and sine s."""
     return (
@@ -150,14 +150,14 @@ def turned(xx, xy, yy, c, s):
     )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def sphere_residual(lon1, lat1, lon2, lat2):
     """(east, north, tangent of half the turn of the axes), the residual in arcsec; see space.Sphere."""
     mid = 0.5 * DEG * (lat1 + lat2)
     return delambre(lon1 - lon2, lat1 - lat2, math.sin(mid), math.cos(mid))
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def near_residual(lon1, lat1, sin1, cos1, lon2, lat2):
     """:func:`sphere_residual`, given the sine and cosine of lat1 and |lat1 − lat2| below a degree."""
     half = 0.5 * DEG * (lat1 - lat2)
@@ -167,7 +167,7 @@ def near_residual(lon1, lat1, sin1, cos1, lon2, lat2):
     return delambre(lon1 - lon2, lat1 - lat2, sin1 * cosine - cos1 * sine, cos1 * cosine + sin1 * sine)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def delambre(dlon, dlat, sin_mid, cos_mid):
     """The residual from the differences in degrees and the sine and cosine of the middle latitude."""
     if dlon > 180.0:
@@ -201,7 +201,7 @@ def delambre(dlon, dlat, sin_mid, cos_mid):
     return 2.0 * ARCSEC * arc * u, 2.0 * ARCSEC * arc * v, turn
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def sphere_spread(cov1, k1, cov2, k2, turn):
     """(xx, xy, yy) of the sum of both covariances on the axes halfway between two directions."""
     ax, axy, ay = spread_2d(cov1, k1)
