@@ -155,12 +155,17 @@ def _area(coverage: Coverage) -> list[str]:
     area, density_1, density_2 = area_and_densities(coverage)
     names = coverage.first.source, coverage.second.source
     return [
-        *entry("area where both look", f"{area:.4g} square degrees"),
+        *entry("area where both look", f"{_figures(area)} square degrees"),
         *entry(
             "mean density there",
-            f"{density_1:.4g} of {names[0]} and {density_2:.4g} of {names[1]} per square degree",
+            f"{_figures(density_1)} of {names[0]} and {_figures(density_2)} of {names[1]} per square degree",
         ),
     ]
+
+
+def _figures(value: float) -> str:
+    """A positive number to four figures, never in powers of ten where it is large."""
+    return f"{value:.4g}" if value < 1e4 else count(round(value))
 
 
 def _errors_in_words(estimate: Estimate) -> str:
