@@ -101,9 +101,7 @@ def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(prog="scripts/bench accuracy", description=__doc__)
     parser.add_argument("--rows", type=int, default=50_000, help="rows of either source (default 50000)")
-    parser.add_argument(
-        "--lambdas", type=float, nargs="+", default=[0.05, 0.5, 2.0], help="chance candidates"
-    )
+    parser.add_argument("--lambdas", type=float, nargs="+", default=[0.05, 0.5, 2.0], help="chance candidates")
     report("accuracy", tables(parser.parse_args()))
 
 

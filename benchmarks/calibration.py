@@ -43,9 +43,7 @@ class Statements:
             alone[rows] = False
             lonely.append(alone[answers.usable])
         p = answer.p_pair
-        return cls(
-            (p, happened), (p[chosen], happened[chosen]), (np.concatenate(p_none), np.concatenate(lonely))
-        )
+        return cls((p, happened), (p[chosen], happened[chosen]), (np.concatenate(p_none), np.concatenate(lonely)))
 
     @classmethod
     def joined(cls, parts: list[Statements]) -> Statements:
@@ -168,12 +166,8 @@ def figure(curves: dict[str, Statements]) -> str:
         if "linear" in name or "estimated" in name:
             continue
         r = reliability(*statements.pairs)
-        axes.errorbar(
-            r.stated, r.observed, r.standard_error, fmt="o-", markersize=3, linewidth=0.8, label=name
-        )
-    axes.set(
-        xlabel="stated probability", ylabel="observed frequency", title="Where the model is the true one"
-    )
+        axes.errorbar(r.stated, r.observed, r.standard_error, fmt="o-", markersize=3, linewidth=0.8, label=name)
+    axes.set(xlabel="stated probability", ylabel="observed frequency", title="Where the model is the true one")
     axes.legend(fontsize=7)
     drawing.tight_layout()
     drawing.savefig(OUTPUT / "calibration.png", dpi=150)

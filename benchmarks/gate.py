@@ -112,9 +112,7 @@ def judged(case: Case, gates: list[float]) -> Table:
         local = sum(int(a.groups.pair_counts[a.posterior.method == APPROXIMATE].sum()) for a in answers)
         name = f"{sigmas:g}σ" + (" (default)" if abs(sigmas - limit) < 0.05 else "")
         numbers = (moved.max(initial=0.0), float(np.quantile(moved, 0.999)), moved.mean())
-        lines.append(
-            [name, candidates, *map(float, numbers), 100 * local / max(candidates, 1), 1e3 * seconds]
-        )
+        lines.append([name, candidates, *map(float, numbers), 100 * local / max(candidates, 1), 1e3 * seconds])
     return Table(f"Gate: {case.name}", COLUMNS, lines, NOTES)
 
 
@@ -131,9 +129,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="scripts/bench gate", description=__doc__)
     parser.add_argument("--rows", type=int, default=10_000, help="rows of the catalogues (default 10000)")
     parser.add_argument("--scenes", type=int, default=200, help="number of formations (default 200)")
-    parser.add_argument(
-        "--lambdas", type=float, nargs="+", default=[0.5, 2.0], help="chance candidates at 3σ"
-    )
+    parser.add_argument("--lambdas", type=float, nargs="+", default=[0.5, 2.0], help="chance candidates at 3σ")
     parser.add_argument("--gates", type=float, nargs="+", default=[3.0, 4.0, 5.0, 6.0, 6.4, 7.0, 8.0])
     report("gate", tables(parser.parse_args()))
 

@@ -22,9 +22,7 @@ def records(arrays: Arrays) -> tuple[Records, Records]:
     """Plain arrays as records."""
     space = Sphere() if arrays.sphere else Plane()
     return tuple(  # type: ignore[return-value]
-        Records.of(
-            f, **({"sigma": e[:, None]} if e.ndim == 1 else {"covariance": e}), space=space, source=name
-        )
+        Records.of(f, **({"sigma": e[:, None]} if e.ndim == 1 else {"covariance": e}), space=space, source=name)
         for f, e, name in zip(arrays.features, arrays.errors, ("first", "second"), strict=True)
     )
 
@@ -34,9 +32,7 @@ def gate_of(sigmas: float | None) -> Radius | ChiSquare:
     return ChiSquare() if sigmas is None else Radius(sigmas)
 
 
-def walk(
-    folder: str, until: str = "posterior", gate_sigmas: float | None = 3.0
-) -> Callable[[], dict[str, Any]]:
+def walk(folder: str, until: str = "posterior", gate_sigmas: float | None = 3.0) -> Callable[[], dict[str, Any]]:
     """Arrays in → pairs out, up to "assignment" or "posterior", as ``identify`` does it; seconds of every stage."""
     arrays = Arrays.load(folder)
     rule, prior, gate = arrays.densities.rule(), PerPair(), gate_of(gate_sigmas)
@@ -122,9 +118,7 @@ def _full_group(n: int) -> tuple[Any, Any, np.ndarray, Any]:
     rng = np.random.default_rng(7)
     place = rng.uniform(0.0, np.sqrt(n), (n, 2))
     seen = [place + 0.3 * rng.standard_normal((n, 2)) for _ in range(2)]
-    pairs = Radius(1e6)(
-        *(Records.of(x, sigma=0.3, source=f"source {k}") for k, x in enumerate(seen, start=1))
-    )
+    pairs = Radius(1e6)(*(Records.of(x, sigma=0.3, source=f"source {k}") for k, x in enumerate(seen, start=1)))
     grouped = groups(pairs)
     return (
         pairs,

@@ -39,9 +39,7 @@ class Peer:
         if self.program:
             return "installed" if shutil.which(self.program) else None
         code = f"import {self.package}, importlib.metadata as m; print(m.version('{self.distribution}'))"
-        done = subprocess.run(
-            [python, "-W", "ignore", "-c", code], capture_output=True, text=True, check=False
-        )
+        done = subprocess.run([python, "-W", "ignore", "-c", code], capture_output=True, text=True, check=False)
         return done.stdout.strip().splitlines()[-1] if done.returncode == 0 and done.stdout.strip() else None
 
 
@@ -51,9 +49,7 @@ PEERS = {
     "stilts": Peer("STILTS tmatch2 find=best", program="stilts", install="apt-get install stilts"),
     "nway": Peer("NWAY", "nwaylib", "nway", install='pip install nway "pandas<3"'),
     "lsdb": Peer("LSDB crossmatch", "lsdb", "lsdb", install="pip install lsdb==0.11.1"),
-    "stonesoup": Peer(
-        "Stone Soup GNNWith2DAssignment", "stonesoup", "stonesoup", install="pip install stonesoup"
-    ),
+    "stonesoup": Peer("Stone Soup GNNWith2DAssignment", "stonesoup", "stonesoup", install="pip install stonesoup"),
 }
 
 
@@ -123,14 +119,11 @@ def lsdb(folder: str) -> Callable[[], int]:
     frames = [pd.DataFrame({"id": np.arange(len(f)), "ra": f[:, 0], "dec": f[:, 1]}) for f in arrays.features]
     cut = {"partition_rows": 100_000, "highest_order": 10}
     catalogues = [
-        package.from_dataframe(frame, ra_column="ra", dec_column="dec", margin_threshold=5.0, **cut)
-        for frame in frames
+        package.from_dataframe(frame, ra_column="ra", dec_column="dec", margin_threshold=5.0, **cut) for frame in frames
     ]
 
     def work() -> int:
-        return len(
-            catalogues[0].crossmatch(catalogues[1], radius_arcsec=radius, suffixes=("_1", "_2")).compute()
-        )
+        return len(catalogues[0].crossmatch(catalogues[1], radius_arcsec=radius, suffixes=("_1", "_2")).compute())
 
     return work
 
@@ -226,9 +219,7 @@ def stonesoup(folder: str) -> Callable[[], int]:
     associator = GNNWith2DAssignment(hypothesiser)
 
     def work() -> int:
-        tracks = {
-            Track([GaussianState(x[:, None], np.eye(d) * s**2, now)]) for x, s in zip(first, s1, strict=True)
-        }
+        tracks = {Track([GaussianState(x[:, None], np.eye(d) * s**2, now)]) for x, s in zip(first, s1, strict=True)}
         detections = {Detection(x[:, None], now, measurement_model=model) for x in second}
         return len(associator.associate(tracks, detections, now))
 

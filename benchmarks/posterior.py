@@ -55,16 +55,16 @@ def approximations(solved: Solved) -> dict[str, np.ndarray]:
     g, best = solved.groups, solved.best
     method = np.where(solved.posterior.method == EXACT, stage.APPROXIMATE, 0).astype(np.int8)
     belief = np.zeros(len(g.order))
-    weight, claims, _ = stage._messages(g, best, method, belief)
+    heard = stage._Messages.of(g, best, method, belief, stage.CLOSELY)
     inside = np.flatnonzero(np.repeat(method == stage.APPROXIMATE, g.pair_counts))
-    whole = stage._Thinned.of(g, best, inside, weight[inside])
     around = belief.copy()
-    around[inside] = whole.by_neighbourhoods(claims[inside])
+    around[inside] = stage._neighbourhoods(g, best, inside, heard)
     ways = {"messages": belief, "neighbourhoods": around}
     for threshold in stage.THRESHOLDS[:: len(stage.THRESHOLDS) - 1]:
-        kept = inside[(belief[inside] > threshold) | best.chosen[inside]]
-        part, summed = stage._Thinned.of(g, best, kept, weight[kept]).exact()
-        thinned = belief.copy()
+        basis = around if threshold >= stage.SURE else belief
+        kept = inside[(basis[inside] > threshold) | best.chosen[inside]]
+        part, summed = stage._Thinned.of(g, best, kept, heard.weight[kept]).exact()
+        thinned = basis.copy()
         thinned[kept[summed]] = part[summed]
         ways[f"thinned below {threshold:g}"] = thinned
     return ways
@@ -149,9 +149,7 @@ def errors(name: str, solved: list[Solved]) -> Table:
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(prog="scripts/bench posterior", description=__doc__)
-    parser.add_argument(
-        "--rows", type=int, default=50_000, help="rows of the simulated fields (default 50000)"
-    )
+    parser.add_argument("--rows", type=int, default=50_000, help="rows of the simulated fields (default 50000)")
     parser.add_argument("--scenes", type=int, default=100, help="number of lattices (default 100)")
     parser.add_argument("--no-real", dest="real", action="store_false", help="simulated groups only")
     report("posterior", tables(parser.parse_args()))

@@ -11,9 +11,7 @@ from pathlib import Path
 class Process:
     """A command to be timed; it fails loudly. ``before`` is a file that must not exist when it starts."""
 
-    def __init__(
-        self, command: list[str], before: str | None = None, environment: dict[str, str] | None = None
-    ):
+    def __init__(self, command: list[str], before: str | None = None, environment: dict[str, str] | None = None):
         self.command, self.before = command, before
         self.environment = os.environ | (environment or {})
         #: A process needs no warming up: it is all there is to measure.
@@ -33,9 +31,7 @@ class Process:
         return {"peak_mb": usage.ru_maxrss / 1024}
 
 
-def process(
-    command: list[str], before: str | None = None, environment: dict[str, str] | None = None
-) -> Callable:
+def process(command: list[str], before: str | None = None, environment: dict[str, str] | None = None) -> Callable:
     """The command as work for the worker."""
     return Process(command, before, environment)
 

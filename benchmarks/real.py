@@ -252,9 +252,7 @@ def tables(options: argparse.Namespace) -> Iterator[Table]:
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(prog="scripts/bench real", description=__doc__)
-    parser.add_argument(
-        "--nearest", action="store_true", help="list the differences from nearest neighbour too"
-    )
+    parser.add_argument("--nearest", action="store_true", help="list the differences from nearest neighbour too")
     options = parser.parse_args()
     reason = missing()
     if reason:

@@ -109,9 +109,7 @@ def full(b: Bench) -> Iterator[Row]:
 def sure(b: Bench) -> Iterator[Row]:
     """With the posterior of every pair and record."""
     yield Row("λ 0.5, posteriors", b.walk(b.sky(0.5), "posterior"), (), b.limit(0.8))
-    whole = Work(
-        "benchmarks.ours:identified", {"folder": b.sky(0.5), "gate_sigmas": None}, at_most_s=b.slow_s
-    )
+    whole = Work("benchmarks.ours:identified", {"folder": b.sky(0.5), "gate_sigmas": None}, at_most_s=b.slow_s)
     yield Row("λ 0.5, posteriors, default gate (6.4σ), whole call", whole)
     some, few = min(b.rows, 100_000), min(b.rows, 10_000)
     for lam, limit in ((0.5, 0.1), (2.0, 2.0)):
@@ -124,9 +122,7 @@ def sure(b: Bench) -> Iterator[Row]:
 def large(b: Bench) -> Iterator[Row]:
     """Five times the rows."""
     folder = b.sky(0.5, rows=5 * b.rows)
-    yield Row(
-        f"{5 * b.rows} × {5 * b.rows}, λ 0.5, MAP", b.walk(folder), b.beside(folder, "astropy"), b.limit(2.0)
-    )
+    yield Row(f"{5 * b.rows} × {5 * b.rows}, λ 0.5, MAP", b.walk(folder), b.beside(folder, "astropy"), b.limit(2.0))
 
 
 def wide(b: Bench) -> Iterator[Row]:
@@ -175,8 +171,7 @@ def count(b: Bench) -> Iterator[Row]:
     """The exact prior on the number of common objects."""
     for n, limit, runs in ((100, 0.5e-3, 200), (500, 60e-3, 20)):
         ours, scipy = (
-            Work(f"benchmarks.ours:{name}", {"n": n}, runs, 60.0)
-            for name in ("full_group", "linear_sum_assignment")
+            Work(f"benchmarks.ours:{name}", {"n": n}, runs, 60.0) for name in ("full_group", "linear_sum_assignment")
         )
         beside = (("SciPy linear_sum_assignment, one k", scipy),)
         yield Row(f"count prior, all k, full group of {n}", ours, beside, limit)
@@ -228,9 +223,7 @@ def start(b: Bench) -> Iterator[Row]:
     ]
     yield Row("sameas --help", Work(process, {"command": [_sameas(), "--help"]}, 7), (), 0.25)
     cold = {"command": match, "cache": str(b.folder / "numba")}
-    yield Row(
-        "sameas match, 1000 rows, first run ever", Work("benchmarks.processes:first_ever", cold, 1), (), 8.0
-    )
+    yield Row("sameas match, 1000 rows, first run ever", Work("benchmarks.processes:first_ever", cold, 1), (), 8.0)
     yield Row("sameas match, 1000 rows, a later run", Work(process, {"command": match}, 7), (), 0.8)
 
 
@@ -306,9 +299,7 @@ def quick(b: Bench, keep: bool) -> Table:
             now[name] = seconds / nearest.median
             before = stored.get(name)
             change = now[name] / before if before else None
-            lines.append(
-                [f"λ {lam:g}", stage, 1e3 * seconds, 100 * now[name], before and 100 * before, change]
-            )
+            lines.append([f"λ {lam:g}", stage, 1e3 * seconds, 100 * now[name], before and 100 * before, change])
         lines.append([f"λ {lam:g}", "astropy", 1e3 * nearest.median, 100.0, None, None])
     if keep:
         REFERENCE.write_text(json.dumps({k: round(v, 5) for k, v in now.items()}, indent=1) + "\n")
@@ -363,9 +354,7 @@ def main() -> None:
     parser.add_argument("--keep", action="store_true", help="with --quick: keep the ratios as the reference")
     parser.add_argument("--only", choices=[*SECTIONS, "stages", "growth", "verdicts"], help="one section")
     parser.add_argument("--peer-python", action="append", default=[], metavar="NAME=PYTHON")
-    parser.add_argument(
-        "--slow", type=float, default=240.0, help="seconds after which a program runs no more"
-    )
+    parser.add_argument("--slow", type=float, default=240.0, help="seconds after which a program runs no more")
     options = parser.parse_args()
     interpreters = Interpreters.of(options.peer_python)
     rows = options.rows or (100_000 if options.quick else FULL)

@@ -43,9 +43,7 @@ def _status_mb(field: str) -> float:
         lines = Path("/proc/self/status").read_text().splitlines()
     except OSError:
         return float("nan")
-    return next(
-        (float(line.split()[1]) / 1024 for line in lines if line.startswith(field + ":")), float("nan")
-    )
+    return next((float(line.split()[1]) / 1024 for line in lines if line.startswith(field + ":")), float("nan"))
 
 
 if __name__ == "__main__":

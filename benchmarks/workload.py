@@ -128,16 +128,13 @@ class Arrays:
         folder = Path(folder)
         about = json.loads((folder / "about.json").read_text())
         features, errors = (
-            tuple(np.load(folder / f"{kind}_{side}.npy") for side in (1, 2))
-            for kind in ("features", "errors")
+            tuple(np.load(folder / f"{kind}_{side}.npy") for side in (1, 2)) for kind in ("features", "errors")
         )
         return cls(folder, features, errors, about["sphere"], Densities(**about["densities"]))
 
     def sigmas(self) -> tuple[np.ndarray, np.ndarray]:
         """(n,) one σ per record, the mean of the axes where it has more."""
-        return tuple(
-            e if e.ndim == 1 else np.sqrt(np.trace(e, axis1=1, axis2=2) / e.shape[-1]) for e in self.errors
-        )
+        return tuple(e if e.ndim == 1 else np.sqrt(np.trace(e, axis1=1, axis2=2) / e.shape[-1]) for e in self.errors)
 
     def directions(self) -> list[np.ndarray]:
         """(n, 3) unit vectors of longitude and latitude, or the features themselves on a plane."""
@@ -146,9 +143,7 @@ class Arrays:
         result = []
         for features in self.features:
             lon, lat = np.radians(features).T
-            result.append(
-                np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
-            )
+            result.append(np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)]))
         return result
 
 

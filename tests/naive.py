@@ -70,9 +70,7 @@ def turn(angle: float) -> np.ndarray:
 # ---- METHOD 2: gate and groups ----
 
 
-def candidates(
-    a: Records, b: Records, *, sigmas: float | None = None, completeness: float | None = None
-) -> set[Pair]:
+def candidates(a: Records, b: Records, *, sigmas: float | None = None, completeness: float | None = None) -> set[Pair]:
     """Pairs in the gate: |Δ_v| ≤ sigmas·σ_v in every feature, or ΔᵀΣ⁻¹Δ ≤ the χ²_d quantile."""
     if (sigmas is None) == (completeness is None):
         raise ValueError("give either sigmas or completeness")
@@ -112,9 +110,7 @@ def components(n1: int, n2: int, pairs: Iterable[Pair]) -> list[tuple[set[int], 
             reached |= new
             front += new
         seen |= reached
-        groups.append(
-            ({row for side, row in reached if side == 0}, {row for side, row in reached if side == 1})
-        )
+        groups.append(({row for side, row in reached if side == 0}, {row for side, row in reached if side == 1}))
     return groups
 
 
@@ -166,9 +162,7 @@ def close_objects_log_density(delta: np.ndarray, sigma: np.ndarray, a: np.ndarra
 
 def log_shell_volume(a: np.ndarray, b: np.ndarray) -> float:
     """ln(V_b − V_a), V_c = ∏ 2 c_v."""
-    return len(a) * math.log(2) + math.log(
-        sum(a[:v].prod() * (b[v] - a[v]) * b[v + 1 :].prod() for v in range(len(a)))
-    )
+    return len(a) * math.log(2) + math.log(sum(a[:v].prod() * (b[v] - a[v]) * b[v + 1 :].prod() for v in range(len(a))))
 
 
 def close_objects(delta: np.ndarray, cov: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
@@ -230,9 +224,7 @@ def generalized_gaussian(x: float, sigma: float, c: float) -> float:
 
     def log_peak(log_shape: float) -> float:  # of the generalized Gaussian with this shape and variance
         s = math.exp(log_shape)
-        return (
-            log_shape - math.log(2) - 1.5 * gammaln(1 / s) + 0.5 * gammaln(3 / s) - 0.5 * math.log(variance)
-        )
+        return log_shape - math.log(2) - 1.5 * gammaln(1 / s) + 0.5 * gammaln(3 / s) - 0.5 * math.log(variance)
 
     ends = math.log(2), math.log(1e7)
     if log_peak(ends[0]) <= at_zero:  # c ≪ σ: the normal, to rounding
@@ -256,12 +248,7 @@ def close_objects_paper(delta: np.ndarray, cov: np.ndarray, a: np.ndarray, b: np
     ]
     if boxes[0] <= boxes[1]:
         return math.nan
-    return (
-        log_normal(delta, cov)
-        - boxes[0]
-        - math.log1p(-math.exp(boxes[1] - boxes[0]))
-        + log_shell_volume(a, b)
-    )
+    return log_normal(delta, cov) - boxes[0] - math.log1p(-math.exp(boxes[1] - boxes[0])) + log_shell_volume(a, b)
 
 
 def universal_1d(
@@ -345,9 +332,7 @@ def scored(
     return [(log_prior(len(h)) + sum(log_ratio[p] for p in h), h) for h in hypotheses(n1, n2, log_ratio)]
 
 
-def best(
-    n1: int, n2: int, log_ratio: dict[Pair, float], log_prior: Callable[[int], float]
-) -> tuple[float, set[Pair]]:
+def best(n1: int, n2: int, log_ratio: dict[Pair, float], log_prior: Callable[[int], float]) -> tuple[float, set[Pair]]:
     """The most probable hypothesis: (its score, its pairs); of equals any one."""
     score, pairs = max(scored(n1, n2, log_ratio, log_prior))
     return score, set(pairs)

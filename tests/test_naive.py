@@ -51,9 +51,7 @@ def random_ratios(rng, n1, n2, share):
     lat_2=st.floats(-89.99, 89.99),
     seed=st.integers(0, 1000),
 )
-def test_sphere_residual_is_the_great_circle_with_covariances_carried_parallel(
-    lon_1, lat_1, lon_2, lat_2, seed
-):
+def test_sphere_residual_is_the_great_circle_with_covariances_carried_parallel(lon_1, lat_1, lon_2, lat_2, seed):
     (up_1, east_1, north_1), (up_2, east_2, north_2) = unit(lon_1, lat_1), unit(lon_2, lat_2)
     axis = np.cross(up_2, up_1)
     if np.linalg.norm(axis) < 1e-4 or up_1 @ up_2 < -0.99:
@@ -115,9 +113,7 @@ def test_half_a_period_is_counted_upwards():
 def test_gates_grow_with_their_width_and_do_not_know_the_order_of_the_sources():
     rng = np.random.default_rng(5)
     a, b = (
-        Records.of(
-            rng.uniform(0, 8, (15, 2)), covariance=np.stack([random_covariance(rng, 2) for _ in range(15)])
-        )
+        Records.of(rng.uniform(0, 8, (15, 2)), covariance=np.stack([random_covariance(rng, 2) for _ in range(15)]))
         for _ in range(2)
     )
     narrow, wide = naive.candidates(a, b, completeness=0.5), naive.candidates(a, b, completeness=0.999)
@@ -214,9 +210,7 @@ def test_close_objects_density_is_the_difference_of_the_boxes(seed, d):
 
 def test_close_objects_density_integrates_to_one():
     sigma, a, b = np.array([0.6]), np.array([1.1]), np.array([3.0])
-    total = quad(
-        lambda x: math.exp(naive.close_objects_log_density(np.array([x]), sigma, a, b)), -9, 9, limit=200
-    )
+    total = quad(lambda x: math.exp(naive.close_objects_log_density(np.array([x]), sigma, a, b)), -9, 9, limit=200)
     assert total[0] == pytest.approx(1, abs=1e-7)
 
 
@@ -248,9 +242,7 @@ def test_correlated_close_objects_without_correlation_is_the_plain_rule_far_out_
         for scale in (1.0, 0.01):
             cov = np.diag([1, 0.49]) * scale**2
             args = np.array(delta), cov, np.array([1.1, 0.8]), np.array([4.0, 3.0])
-            assert naive.close_objects_correlated(*args) == pytest.approx(
-                naive.close_objects(*args), rel=1e-9
-            )
+            assert naive.close_objects_correlated(*args) == pytest.approx(naive.close_objects(*args), rel=1e-9)
 
 
 @pytest.mark.parametrize("c", [0.01, 0.3, 1.0, 3.0, 20.0, 1e4])
@@ -304,9 +296,7 @@ def test_universal_rule_contains_the_uniform_and_the_close_objects_rule():
         return np.where((distance > 1.11) & (distance < 4.01), -math.log(2 * 2.9), -np.inf)
 
     near = naive.universal_1d(*args, lambda m: inside, shell, grid)
-    assert near == pytest.approx(
-        naive.close_objects(delta, cov, np.array([1.11]), np.array([4.01])), abs=1e-4
-    )
+    assert near == pytest.approx(naive.close_objects(delta, cov, np.array([1.11]), np.array([4.01])), abs=1e-4)
 
 
 # ---- hypotheses and priors ----
@@ -337,22 +327,12 @@ def test_prior_of_common_objects_is_the_sum_over_the_number_of_objects(n1, n2, q
     def summed(k):
         n = n1 + n2 - k
         m = np.arange(n, n + 2000)
-        counts = (
-            gammaln(m + 1) - gammaln(k + 1) - gammaln(n1 - k + 1) - gammaln(n2 - k + 1) - gammaln(m - n + 1)
-        )
-        seen = (
-            xlog1py(n1, -q1)
-            + xlogy(n1 - k, q2)
-            + xlogy(n2 - k, q1)
-            + xlog1py(n2, -q2)
-            + xlogy(m - n, q1 * q2)
-        )
+        counts = gammaln(m + 1) - gammaln(k + 1) - gammaln(n1 - k + 1) - gammaln(n2 - k + 1) - gammaln(m - n + 1)
+        seen = xlog1py(n1, -q1) + xlogy(n1 - k, q2) + xlogy(n2 - k, q1) + xlog1py(n2, -q2) + xlogy(m - n, q1 * q2)
         number = math.log(math.comb(n1, k) * math.comb(n2, k) * math.factorial(k))
         return logsumexp(counts + seen) - number
 
-    difference = [
-        naive.common_objects_log_prior(k, n1, n2, q1, q2) - summed(k) for k in range(min(n1, n2) + 1)
-    ]
+    difference = [naive.common_objects_log_prior(k, n1, n2, q1, q2) - summed(k) for k in range(min(n1, n2) + 1)]
     np.testing.assert_allclose(difference, difference[0], atol=1e-9)
 
 
@@ -397,9 +377,7 @@ def test_best_hypothesis_is_the_optimal_assignment_and_the_best_count(seed, n1, 
 def test_posterior_of_every_record_sums_to_one_and_turns_with_the_sources(seed, n1, n2, share):
     rng = np.random.default_rng(seed)
     ratio = random_ratios(rng, n1, n2, share)
-    p, none_1, none_2 = naive.posterior(
-        n1, n2, ratio, lambda k: naive.common_objects_log_prior(k, n1, n2, 0.1, 0.3)
-    )
+    p, none_1, none_2 = naive.posterior(n1, n2, ratio, lambda k: naive.common_objects_log_prior(k, n1, n2, 0.1, 0.3))
     for i in range(n1):
         assert none_1[i] + sum(v for pair, v in p.items() if pair[0] == i) == pytest.approx(1)
     for j in range(n2):
@@ -408,9 +386,7 @@ def test_posterior_of_every_record_sums_to_one_and_turns_with_the_sources(seed, 
     q, other_2, other_1 = naive.posterior(
         n2, n1, swapped, lambda k: naive.common_objects_log_prior(k, n2, n1, 0.3, 0.1)
     )
-    np.testing.assert_allclose(
-        [*p.values(), *none_1, *none_2], [*(q[j, i] for i, j in p), *other_1, *other_2]
-    )
+    np.testing.assert_allclose([*p.values(), *none_1, *none_2], [*(q[j, i] for i, j in p), *other_1, *other_2])
 
 
 def test_posterior_of_one_pair_is_the_logistic_of_its_odds():
@@ -470,9 +446,7 @@ def test_close_objects_rule_beats_the_uniform_one_on_targets_in_a_line_as_the_pa
         n1, n2 = len(scene.first), len(scene.second)
         total += n1 + n2
         truth = set(zip(*map(np.ndarray.tolist, scene.true_pairs()), strict=True))
-        residuals = {
-            (i, j): naive.residual(scene.first, i, scene.second, j) for i in range(n1) for j in range(n2)
-        }
+        residuals = {(i, j): naive.residual(scene.first, i, scene.second, j) for i in range(n1) for j in range(n2)}
         rules = {
             "close": lambda r: naive.close_objects(*r, 1.1 * sigma, 2.0 * spacing * sigma),
             "uniform": lambda r: naive.field(*r, 1 / (1000 * sigma.prod())),

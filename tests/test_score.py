@@ -41,9 +41,7 @@ def test_decisions_are_counted_as_sets_count_them(seed, n1, n2):
 
 def test_the_truth_scores_full_marks():
     true = [3, 1], [0, 2]
-    assert (
-        score_pairs(true, true).precision == score_pairs(true, true).recall == score_pairs(true, true).f1 == 1
-    )
+    assert score_pairs(true, true).precision == score_pairs(true, true).recall == score_pairs(true, true).f1 == 1
     assert score_records(true, true, 5, 4).share_right == 1
     assert score_records(true, true, 5, 4).whole_scene_right
 

@@ -53,9 +53,7 @@ def field_scene(seed=0, **changes):
     correlated=st.booleans(),
 )
 def test_true_pairs_are_the_records_of_one_object(seed, d, density, q1, q2, correlated):
-    scene = field_scene(
-        seed, density=density, extent=(2.0,) * d, q1=q1, q2=q2, false_1=0.5, correlated=correlated
-    )
+    scene = field_scene(seed, density=density, extent=(2.0,) * d, q1=q1, q2=q2, false_1=0.5, correlated=correlated)
     rows_1, rows_2 = scene.true_pairs()
     np.testing.assert_array_equal(scene.truth_1[rows_1], scene.truth_2[rows_2])
     assert {*scene.truth_1[rows_1]} == {*scene.truth_1} & {*scene.truth_2}
@@ -95,9 +93,7 @@ def test_poisson_field_has_the_promised_numbers():
 @pytest.mark.parametrize("d", [1, 3])
 def test_errors_in_a_plane_are_as_stated(d, correlated):
     extent = (20.0,) * d
-    scene = field_scene(
-        3, density=3000 / 20.0**d, extent=extent, correlated=correlated, space=Plane(periods=extent)
-    )
+    scene = field_scene(3, density=3000 / 20.0**d, extent=extent, correlated=correlated, space=Plane(periods=extent))
     assert scene.first.covariance.shape[1] == (d * (d + 1) // 2 if correlated else d)
     assert kstest(common_mahalanobis(scene), chi2(d).cdf).pvalue > 1e-3
     assert (scene.first.features >= 0).all() and (scene.first.features <= 20).all()
@@ -134,14 +130,10 @@ def test_empty_sides_are_scenes_too():
 
 
 def test_neighbours_on_a_grid_differ_by_the_spacing_in_one_feature_only():
-    scene = grid(
-        np.random.default_rng(0), shape=(3, 4), spacing_sigmas=2e6, q1=0, q2=0, sigma_1=3e-6, sigma_2=4e-6
-    )
+    scene = grid(np.random.default_rng(0), shape=(3, 4), spacing_sigmas=2e6, q1=0, q2=0, sigma_1=3e-6, sigma_2=4e-6)
     steps = scene.first.features / 10
     assert np.abs(steps - steps.round()).max() < 1e-4
-    assert {tuple(x) for x in steps.round().astype(int).tolist()} == {
-        (i, j) for i in range(3) for j in range(4)
-    }
+    assert {tuple(x) for x in steps.round().astype(int).tolist()} == {(i, j) for i in range(3) for j in range(4)}
 
 
 def test_a_line_is_a_grid_of_one_row_seen_with_the_stated_errors_and_misses():

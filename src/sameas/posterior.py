@@ -40,6 +40,8 @@ SURE = 1e-6
 NEIGHBOURHOOD_ROWS = 8
 NEIGHBOURHOOD_BITS = 16.0
 SWEEPS = 400
+#: Relative change of a message that counts as settled: where sums over many pairs are wanted, and where each counts.
+ROUGHLY, CLOSELY = 1e-4, 1e-8
 #: Times that a prior of the count is made linear anew around the expected number of pairs.
 LINEARISATIONS = 6
 
@@ -97,7 +99,7 @@ def by_messages(groups: Groups, best: Hypothesis) -> Posterior:
     """
     share = np.zeros(len(groups.order))
     method = np.full(len(groups), APPROXIMATE, np.int8)
-    change = _Messages.of(groups, best, method, share).change
+    change = _Messages.of(groups, best, method, share, ROUGHLY).change
     p_pair = np.empty(len(share))
     p_pair[groups.order] = np.clip(share, 0.0, 1.0)
     return Posterior(p_pair, method, np.zeros(len(groups)), change)
@@ -117,14 +119,16 @@ class _Messages:
     change: float
 
     @classmethod
-    def of(cls, groups: Groups, best: Hypothesis, method: NDArray[np.int8], share: FloatArray) -> _Messages:
+    def of(
+        cls, groups: Groups, best: Hypothesis, method: NDArray[np.int8], share: FloatArray, settled: float
+    ) -> _Messages:
         """Messages under the prior, made linear around the expected number of pairs; fills ``share``."""
         if best.prior.slope is not None:
-            return cls._under(best.weight, groups, best, method, share)
+            return cls._under(best.weight, groups, best, method, share, settled)
         size = np.add.reduceat(best.chosen.astype(np.float64), groups.start[:-1])
         for _ in range(LINEARISATIONS):
             weight = best.weight + np.repeat(_slopes(groups, best, size), groups.pair_counts)
-            heard = cls._under(weight, groups, best, method, share)
+            heard = cls._under(weight, groups, best, method, share, settled)
             before, size = size, np.add.reduceat(share, groups.start[:-1])
             if np.all((np.abs(size - before) < 0.5) | (method != APPROXIMATE)):
                 break
@@ -132,13 +136,19 @@ class _Messages:
 
     @classmethod
     def _under(
-        cls, weight: FloatArray, groups: Groups, best: Hypothesis, method: NDArray[np.int8], share: FloatArray
+        cls,
+        weight: FloatArray,
+        groups: Groups,
+        best: Hypothesis,
+        method: NDArray[np.int8],
+        share: FloatArray,
+        settled: float,
     ) -> _Messages:
         from sameas.kernels.posterior import messages
 
         claims = np.zeros(len(weight)), np.zeros(len(weight))
         shape = (groups.start, groups.start_1, groups.start_2, groups.edges_1, groups.local_2)
-        state = (weight, best.dual_1, best.dual_2, method, *claims, share, SWEEPS)
+        state = (weight, best.dual_1, best.dual_2, method, *claims, share, SWEEPS, settled)
         bounds = groups.bounds(len(threads.even(len(weight))) - 1)
         changes = threads.over(lambda a, b: messages(a, b, *shape, *state), bounds)
         return cls(weight, *claims, float(max(changes, default=0.0)))
@@ -166,7 +176,7 @@ def _local(
     ``method`` becomes THINNED for groups that fall apart into parts that can be summed, and ``neglected`` what
     messages gave at most to the pairs that were left at it.
     """
-    heard = _Messages.of(groups, best, method, share)
+    heard = _Messages.of(groups, best, method, share, CLOSELY)
     group = np.repeat(np.arange(len(groups)), groups.pair_counts)
     open_pairs = np.flatnonzero(method[group] == APPROXIMATE)
     method[method == APPROXIMATE] = THINNED

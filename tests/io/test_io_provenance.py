@@ -58,10 +58,7 @@ plain = st.one_of(st.text(max_size=120), st.integers(), st.floats(allow_nan=Fals
 )
 def test_any_provenance_survives(ending, tmp_path, facts):
     text = "".join(
-        v
-        for value in facts.values()
-        for v in (value if isinstance(value, list) else [value])
-        if isinstance(v, str)
+        v for value in facts.values() for v in (value if isinstance(value, list) else [value]) if isinstance(v, str)
     )
     if any(0xD800 <= ord(letter) < 0xE000 for letter in text):
         return
@@ -116,10 +113,5 @@ def test_checksum_is_the_sha256(tmp_path):
 
 
 def test_importing_io_imports_nothing_heavy():
-    code = (
-        "import sys, sameas.io; print(*{'astropy', 'pyarrow', 'numba', 'scipy', 'pandas'} & set(sys.modules))"
-    )
-    assert (
-        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-        == "\n"
-    )
+    code = "import sys, sameas.io; print(*{'astropy', 'pyarrow', 'numba', 'scipy', 'pandas'} & set(sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "\n"

@@ -62,9 +62,7 @@ def test_another_format_is_named_with_the_remedy(tmp_path):
     assert read_table(tmp_path / "t.csv", format="fits")["x"][0] == 1
 
 
-@pytest.mark.parametrize(
-    "ending", [".fits", ".vot", ".parquet", ".fits.gz", ".csv.gz", ".ecsv.gz", ".vot.gz"]
-)
+@pytest.mark.parametrize("ending", [".fits", ".vot", ".parquet", ".fits.gz", ".csv.gz", ".ecsv.gz", ".vot.gz"])
 @pytest.mark.parametrize("share", [0.95, 0.7, 0.2])
 def test_files_cut_short_are_refused(ending, share, tmp_path):
     path = tmp_path / f"t{ending}"

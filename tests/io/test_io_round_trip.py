@@ -129,18 +129,14 @@ def test_csv_writes_one_column_a_dimension(tmp_path):
 
 @pytest.mark.parametrize("ending", ENDINGS)
 def test_a_table_without_rows_is_a_table(ending, tmp_path):
-    table = Table(
-        {"id": np.zeros(0, np.int64), "x": np.zeros(0), "s": np.zeros(0, "U3"), "b": np.zeros(0, bool)}
-    )
+    table = Table({"id": np.zeros(0, np.int64), "x": np.zeros(0), "s": np.zeros(0, "U3"), "b": np.zeros(0, bool)})
     again = through(table, ending, tmp_path)
     assert again.colnames == table.colnames and len(again) == 0
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
 def test_columns_that_are_missing_throughout_survive(ending, tmp_path):
-    table = Table(
-        {"n": [1, 2], "id": MaskedColumn([7, 8], mask=True), "s": MaskedColumn(["a", "b"], mask=True)}
-    )
+    table = Table({"n": [1, 2], "id": MaskedColumn([7, 8], mask=True), "s": MaskedColumn(["a", "b"], mask=True)})
     again = through(table, ending, tmp_path)
     assert again["id"].mask.all() and again["s"].mask.all()
 
@@ -196,9 +192,7 @@ def test_astropy_reads_what_we_write(ending, tmp_path, monkeypatch):
 
     monkeypatch.setattr(parquet, "HAS_PANDAS", True)  # its reader asks for pandas and then does without
     path = tmp_path / f"t{ending}"
-    table = Table(
-        {"id": GAIA, "ra": Column([1.0, 2.5, 3.0], unit="deg"), "s": ["a", "Vega", "c d"], "b": [True] * 3}
-    )
+    table = Table({"id": GAIA, "ra": Column([1.0, 2.5, 3.0], unit="deg"), "s": ["a", "Vega", "c d"], "b": [True] * 3})
     write_table(table, path, provenance={"software": "sameas"})
     formats = {".vot": "votable", ".csv": "ascii.csv", ".ecsv": "ascii.ecsv"}
     again = Table.read(path, format=formats.get(ending, ending[1:]))
@@ -273,8 +267,7 @@ def write_text(path, text):
 def test_csv_names_comments_blanks_and_missing_cells(tmp_path):
     table = write_text(
         tmp_path / "t.csv",
-        "# made by hand\n#\n\nid, ra[deg],DE (deg),seen,name\n"
-        "1, 10.5,,true,a\n,null,  ,,\n3,nan,-2.5,false,NGC 1\n",
+        "# made by hand\n#\n\nid, ra[deg],DE (deg),seen,name\n1, 10.5,,true,a\n,null,  ,,\n3,nan,-2.5,false,NGC 1\n",
     )
     assert table.colnames == ["id", "ra[deg]", "DE (deg)", "seen", "name"]
     assert [table[name].dtype.kind for name in table.colnames] == ["i", "f", "f", "b", "U"]
@@ -369,9 +362,7 @@ def test_every_known_extension_is_written_and_read(tmp_path):
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
-@pytest.mark.parametrize(
-    "column", [MaskedColumn([1, 2, 3], mask=[0, 1, 1]), MaskedColumn(["a", "b"], mask=[1, 0])]
-)
+@pytest.mark.parametrize("column", [MaskedColumn([1, 2, 3], mask=[0, 1, 1]), MaskedColumn(["a", "b"], mask=[1, 0])])
 def test_a_missing_cell_is_a_row_even_when_it_is_alone(ending, column, tmp_path):
     table = Table({"only": column})
     assert_same(table, through(table, ending, tmp_path))

@@ -51,9 +51,7 @@ def catalogue(table: object, **options: object) -> Catalogue:
 
 def gaia(n: int = 4) -> Table:
     rng = np.random.default_rng(3)
-    table = Table(
-        {"source_id": np.arange(n) + 10, "ra": rng.uniform(0, 360, n), "dec": rng.uniform(-80, 80, n)}
-    )
+    table = Table({"source_id": np.arange(n) + 10, "ra": rng.uniform(0, 360, n), "dec": rng.uniform(-80, 80, n)})
     for name, value in (("ra", 0.3), ("dec", 0.2), ("parallax", 0.4), ("pmra", 0.5), ("pmdec", 0.6)):
         table[f"{name}_error"] = np.full(n, value)
     table["parallax"], table["pmra"], table["pmdec"] = np.full(n, 10.0), np.full(n, 100.0), np.full(n, -50.0)
@@ -113,9 +111,7 @@ def test_what_is_not_moved_stays_where_it_is() -> None:
 def test_motion_without_an_epoch_is_refused() -> None:
     table = gaia()
     table.remove_column("ref_epoch")
-    with pytest.raises(
-        InputError, match=r"cat: it has proper motions, but its epoch is not known; say --epoch YEAR"
-    ):
+    with pytest.raises(InputError, match=r"cat: it has proper motions, but its epoch is not known; say --epoch YEAR"):
         catalogue(table)
     assert catalogue(table, epoch="2016").epoch_jyr == 2016.0
     assert not catalogue(table, pm="none").has_motion
@@ -126,9 +122,7 @@ def test_without_motion_and_epoch_a_catalogue_is_used_where_it_is() -> None:
     assert "without epoch and motion: used where it is, and cannot be moved" in source.understood
     assert len(source.records()) == 2
     assert source.epoch_jyr is None
-    with pytest.raises(
-        InputError, match=r"cat: its epoch is not known, so it cannot be moved to 2016; say --epoch"
-    ):
+    with pytest.raises(InputError, match=r"cat: its epoch is not known, so it cannot be moved to 2016; say --epoch"):
         source.records(2016.0)
 
 
@@ -211,9 +205,7 @@ def test_every_form_of_error_is_read() -> None:
     turned = catalogue(table, ellipse="a,b,pa", sigma_unit="arcsec")
     np.testing.assert_allclose(sigma_arcsec(turned), [0.3, 0.1, 0], atol=1e-12)
     floored = catalogue(table, sigma="e,n", sigma_unit="arcsec", correlation="rho", sigma_floor_arcsec=0.4)
-    np.testing.assert_allclose(
-        sigma_arcsec(floored), [0.5, np.sqrt(0.17), 0.2 * 0.03 / (0.5 * np.sqrt(0.17))]
-    )
+    np.testing.assert_allclose(sigma_arcsec(floored), [0.5, np.sqrt(0.17), 0.2 * 0.03 / (0.5 * np.sqrt(0.17))])
     with pytest.raises(InputError, match="give --sigma or --ellipse, not both"):
         catalogue(table, sigma=1, ellipse="a,b,pa")
 
@@ -275,9 +267,7 @@ def test_epochs_are_read_in_every_notation(values: object) -> None:
 
 def test_an_epoch_that_is_none_is_refused() -> None:
     table = {"ra": [1.0], "dec": [50.0], "when": [7.0], "word": ["soon"]}
-    with pytest.raises(
-        InputError, match=r"column 'when' \(about 7\) is no epoch; give a column of Julian years"
-    ):
+    with pytest.raises(InputError, match=r"column 'when' \(about 7\) is no epoch; give a column of Julian years"):
         catalogue(table, sigma=1, epoch="when")
     with pytest.raises(InputError, match="column 'word', row 0: 'soon' is not a number"):
         catalogue(table, sigma=1, epoch="word")
@@ -286,9 +276,7 @@ def test_an_epoch_that_is_none_is_refused() -> None:
 
 
 def test_rows_without_an_epoch_are_not_moved() -> None:
-    table = Table(
-        {"ra": [1.0, 2.0], "dec": [50.0, 60.0], "when": MaskedColumn([2000.0, 0.0], mask=[False, True])}
-    )
+    table = Table({"ra": [1.0, 2.0], "dec": [50.0, 60.0], "when": MaskedColumn([2000.0, 0.0], mask=[False, True])})
     source = catalogue(table, sigma=1, epoch="when")
     assert len(source.records()) == 2
     assert list(source.records(2010.0).rows) == [0]
@@ -334,9 +322,7 @@ def test_nothing_is_doubted_without_reason() -> None:
 def test_numbers_that_cannot_be_in_their_unit_are_refused() -> None:
     with pytest.raises(InputError, match=r"'ra' is in hourangle \(unit of the column\), but row 1 has 200"):
         catalogue(Table({"ra": [1.0, 200.0] * u.hourangle, "dec": [1.0, 2.0]}), sigma=1)
-    with pytest.raises(
-        InputError, match=r"'RArad' is in rad \(by convention\), but row 0 has 100; give the column"
-    ):
+    with pytest.raises(InputError, match=r"'RArad' is in rad \(by convention\), but row 0 has 100; give the column"):
         catalogue({"RArad": [100.0], "DErad": [1.0]}, sigma=1)
     with pytest.raises(InputError, match="declinations beyond ±90°"):
         catalogue({"ra": [100.0], "dec": [91.0]}, sigma=1)
@@ -414,9 +400,7 @@ def test_hip2_is_understood_as_it_is() -> None:
     assert source.epoch_jyr == 1991.25
     assert source.doubts == ()
     assert any("correlations from the weight matrix UW" in line for line in source.understood)
-    np.testing.assert_allclose(
-        np.sqrt(source.astrometry.covariance[0].diagonal()[:5]), [1.29, 0.66, 1.33, 1.25, 0.75]
-    )
+    np.testing.assert_allclose(np.sqrt(source.astrometry.covariance[0].diagonal()[:5]), [1.29, 0.66, 1.33, 1.25, 0.75])
     assert len(source.records(2016.0)) == len(source)
 
 

@@ -67,9 +67,7 @@ def test_the_gaia_archive_needs_no_units() -> None:
 def test_a_choice_describes_itself_with_reasons() -> None:
     lines = chosen(made(*GAIA, *GAIA_MOTION, units={"ra": "deg", "dec": "deg"})).describe("2016.0")
     assert "position: ra, dec [deg, unit of the column]; names of: Gaia archive" in lines
-    assert (
-        "errors: ra_error, dec_error [mas, by convention], east and north, correlation ra_dec_corr" in lines
-    )
+    assert "errors: ra_error, dec_error [mas, by convention], east and north, correlation ra_dec_corr" in lines
     assert "epoch: 2016.0 (column ref_epoch)" in lines
 
 
@@ -114,9 +112,7 @@ def test_names_that_differ_in_case_only_are_two_candidates() -> None:
 
 
 def test_gaia_at_vizier_is_not_confused_by_positions_moved_to_2000() -> None:
-    choice = chosen(
-        made(*GAIA_VIZIER, "RAJ2000", "DEJ2000", "e_RAJ2000", "e_DEJ2000", "_RAJ2000", "_DEJ2000")
-    )
+    choice = chosen(made(*GAIA_VIZIER, "RAJ2000", "DEJ2000", "e_RAJ2000", "e_DEJ2000", "_RAJ2000", "_DEJ2000"))
     assert names_of(choice) == ["RA_ICRS", "DE_ICRS", "e_RA_ICRS", "e_DE_ICRS"]
     assert choice.error.correlation == "RADEcor"
     assert "not used: RAJ2000, _RAJ2000" in choice.notes
@@ -154,9 +150,7 @@ def test_hip2_is_in_radians() -> None:
 
 
 def test_hipparcos_of_1997_has_its_correlations() -> None:
-    choice = chosen(
-        made("HIP", "RAICRS", "DEICRS", "e_RAICRS", "e_DEICRS", "DE:RA", "pmDE:pmRA", "pmRA", "pmDE")
-    )
+    choice = chosen(made("HIP", "RAICRS", "DEICRS", "e_RAICRS", "e_DEICRS", "DE:RA", "pmDE:pmRA", "pmRA", "pmDE"))
     assert choice.error.correlation == "DE:RA"
     assert (3, 4, "pmDE:pmRA") in choice.correlations
     assert choice.epoch.jyr == 1991.25
@@ -171,9 +165,7 @@ def test_sextractor_gives_ellipses_in_degrees() -> None:
 
 
 def test_two_positions_of_sextractor_are_refused() -> None:
-    table = made(
-        *SEXTRACTOR, "ALPHAWIN_J2000", "DELTAWIN_J2000", "ERRAWIN_WORLD", "ERRBWIN_WORLD", "ERRTHETAWIN_J2000"
-    )
+    table = made(*SEXTRACTOR, "ALPHAWIN_J2000", "DELTAWIN_J2000", "ERRAWIN_WORLD", "ERRBWIN_WORLD", "ERRTHETAWIN_J2000")
     with pytest.raises(
         InputError, match=r"cat.fits: 2 candidates for right ascension: 'ALPHAWIN_J2000', 'ALPHA_J2000'"
     ):
@@ -186,9 +178,7 @@ def test_2mass_has_ellipses_and_an_epoch_per_row() -> None:
     choice = chosen(made(*TWOMASS))
     assert (choice.error.kind, choice.error.columns[0].unit) == ("ellipse", "arcsec")
     assert (choice.epoch.column, choice.magnitude, choice.magnitude_error) == ("jdate", "j_m", "j_msigcom")
-    choice = chosen(
-        made("RAJ2000", "DEJ2000", "_2MASS", "errMaj", "errMin", "errPA", "Jmag", "e_Jmag", "Date")
-    )
+    choice = chosen(made("RAJ2000", "DEJ2000", "_2MASS", "errMaj", "errMin", "errPA", "Jmag", "e_Jmag", "Date"))
     assert (choice.error.kind, choice.epoch.column, choice.id) == ("ellipse", "Date", "_2MASS")
 
 
@@ -199,9 +189,7 @@ def test_lsst_has_covariances_in_square_degrees() -> None:
     assert chosen(made(*LSST, "coord_ra", "coord_dec")).ra.name == "ra"
 
 
-@pytest.mark.parametrize(
-    "position", [("RA", "DEC"), ("RAdeg", "DEdeg"), ("ra_deg", "dec_deg"), ("lon", "lat")]
-)
+@pytest.mark.parametrize("position", [("RA", "DEC"), ("RAdeg", "DEdeg"), ("ra_deg", "dec_deg"), ("lon", "lat")])
 def test_plain_names_are_taken(position: tuple[str, str]) -> None:
     choice = chosen(made(*position, "sigma_arcsec", "mag", "magerr"))
     assert names_of(choice) == [*position, "sigma_arcsec"]
@@ -217,26 +205,20 @@ def test_stdpipe_needs_a_sigma_only() -> None:
 
 def test_an_error_without_a_unit_is_refused_until_it_is_said() -> None:
     table = made("ra", "dec", "ra_err", "dec_err")
-    with pytest.raises(
-        InputError, match=r"the unit of 'ra_err' \(median 1.5\) is not said; say --sigma-unit arcsec"
-    ):
+    with pytest.raises(InputError, match=r"the unit of 'ra_err' \(median 1.5\) is not said; say --sigma-unit arcsec"):
         chosen(table)
     assert [column.unit for column in chosen(table, sigma_unit="mas").error.columns] == ["mas", "mas"]
 
 
 def test_two_kinds_of_errors_are_refused() -> None:
     table = made("ra", "dec", "pos_err", "sigma", units={"pos_err": "arcsec", "sigma": "arcsec"})
-    with pytest.raises(
-        InputError, match=r"2 candidates for the position error: sigma or pos_err; say --sigma NAME"
-    ):
+    with pytest.raises(InputError, match=r"2 candidates for the position error: sigma or pos_err; say --sigma NAME"):
         chosen(table)
     assert names_of(chosen(table, sigma="pos_err")) == ["ra", "dec", "pos_err"]
 
 
 def test_errors_of_two_catalogues_of_one_position_are_refused() -> None:
-    with pytest.raises(
-        InputError, match=r"candidates for the position errors: err_maj,err_min,err_ang or ra_error"
-    ):
+    with pytest.raises(InputError, match=r"candidates for the position errors: err_maj,err_min,err_ang or ra_error"):
         chosen(made(*GAIA, *TWOMASS[2:]))
 
 
@@ -260,9 +242,7 @@ def test_the_main_position_of_a_votable_wins() -> None:
 
 def test_unknown_names_are_found_by_their_ucds() -> None:
     table = made("alpha", "delta")
-    with pytest.raises(
-        InputError, match=r"no columns of right ascension and declination found among: alpha, delta"
-    ):
+    with pytest.raises(InputError, match=r"no columns of right ascension and declination found among: alpha, delta"):
         chosen(table, sigma=1)
     table["alpha"].meta = {"ucd": "POS_EQ_RA_MAIN"}
     table["delta"].meta = {"ucd": "POS_EQ_DEC_MAIN"}
@@ -290,15 +270,12 @@ def test_motion_without_a_known_convention_is_not_taken() -> None:
     choice = chosen(table, sigma=1)
     assert choice.motion == (None,) * 4
     assert (
-        "pm_ra, pm_dec not used: with or without cos(dec) is not said; if with, say --pm pm_ra,pm_dec"
-        in choice.notes
+        "pm_ra, pm_dec not used: with or without cos(dec) is not said; if with, say --pm pm_ra,pm_dec" in choice.notes
     )
     assert chosen(table, sigma=1, pm="pm_ra,pm_dec").motion[1] is not None
 
 
-@pytest.mark.parametrize(
-    "names", [("pmra", "pmdec"), ("pm_ra_cosdec", "pm_dec"), ("mu_alpha_star", "mu_delta")]
-)
+@pytest.mark.parametrize("names", [("pmra", "pmdec"), ("pm_ra_cosdec", "pm_dec"), ("mu_alpha_star", "mu_delta")])
 def test_motion_of_known_names_is_taken_and_can_be_ignored(names: tuple[str, str]) -> None:
     table = made("ra", "dec", *names)
     assert [column and column.name for column in chosen(table, sigma=1).motion[1:3]] == list(names)
@@ -323,10 +300,7 @@ def test_hours_and_sexagesimal_notation_are_seen() -> None:
 
 
 def test_errors_of_other_kinds_are_passed_over() -> None:
-    assert (
-        chosen(made("ra", "dec", "err", "sigma", units={"err": "mag", "sigma": "arcsec"})).error.kind
-        == "circle"
-    )
+    assert chosen(made("ra", "dec", "err", "sigma", units={"err": "mag", "sigma": "arcsec"})).error.kind == "circle"
 
 
 def test_magnitudes_that_are_vectors_are_passed_over() -> None:

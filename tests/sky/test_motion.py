@@ -211,9 +211,7 @@ def test_covariance_is_that_of_random_draws():
     values = values_of(star) + draws / [3.6e6 * np.cos(np.radians(star.dec_deg[0])), 3.6e6, 1, 1, 1, 1]
     ends = propagate(astrometry_of(values, np.ones((200_000, 6)), missing=EXACT), 2096.0)
     end = propagate(star, 2096.0)
-    middle = dataclasses.replace(
-        ends, ra_deg=np.full(200_000, end.ra_deg), dec_deg=np.full(200_000, end.dec_deg)
-    )
+    middle = dataclasses.replace(ends, ra_deg=np.full(200_000, end.ra_deg), dec_deg=np.full(200_000, end.dec_deg))
     sample = np.column_stack([offset_mas(middle, ends), values_of(ends)[:, 2:]])
     scale = np.sqrt(np.diag(end.covariance[0]))
     assert np.abs((np.cov(sample.T) - end.covariance[0]) / np.outer(scale, scale)).max() < 0.02
@@ -258,9 +256,7 @@ def test_a_turned_sky_gives_the_same(seed, years):
     assert np.abs(offset_mas(expected, turned)).max() < 1e-6
     # At the pole itself east is where one says; compare vectors.
     scale = np.sqrt(np.einsum("nii->ni", as_vectors(expected)))[:, :, None]
-    assert (
-        np.abs(as_vectors(turned) - as_vectors(expected)) <= 1e-6 * scale * scale.swapaxes(1, 2) + 1e-9
-    ).all()
+    assert (np.abs(as_vectors(turned) - as_vectors(expected)) <= 1e-6 * scale * scale.swapaxes(1, 2) + 1e-9).all()
 
 
 def to_pole(stars, years):

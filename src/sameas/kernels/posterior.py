@@ -148,13 +148,28 @@ def exact(
 
 @njit(cache=True, nogil=True)
 def messages(
-    first, last, start, start1, start2, edges1, local2, weight, u, v, method, to_column, to_row_claim, belief, sweeps
+    first,
+    last,
+    start,
+    start1,
+    start2,
+    edges1,
+    local2,
+    weight,
+    u,
+    v,
+    method,
+    to_column,
+    to_row_claim,
+    belief,
+    sweeps,
+    settled,
 ):
     """Sum-product messages of the groups left LOCAL.
 
     to_column (m,) receives the odds with which a row claims a column, to_row_claim (m,) those with which the column
-    claims the row, belief (m,) the probability of each pair by messages alone. Returns the largest change in the last
-    sweep.
+    claims the row, belief (m,) the probability of each pair by messages alone. At most ``sweeps`` sweeps, fewer when no
+    message changes by more than ``settled``. Returns the largest change in the last sweep.
     """
     worst = 0.0
     for g in range(first, last):
@@ -210,7 +225,7 @@ def messages(
                 c = local2[e]
                 others = total[c] if e == largest_at[c] else total[c] + largest[c] - to_column[e]
                 to_row[e - low] = 1.0 / others
-            if change < 1e-9:
+            if change < settled:
                 break
         worst = max(worst, change)
         for r in range(n1):
