@@ -42,7 +42,9 @@ def search(first: Records, second: Records, limit: float, box: bool) -> Columns:
     for one in classes[0]:
         for two in classes[1]:
             zones = _Zones.of(one, two, geometry)
-            ordered = threads.each([partial(one.sorted, zones), partial(two.sorted, zones)])
+            ordered = threads.each(
+                [partial(one.sorted, zones), partial(two.sorted, zones)], len(one.rows) + len(two.rows)
+            )
             columns = _swept(ordered[0], ordered[1], zones, geometry)
             if several:
                 at = [place.of(side) for place, side in zip(places, ordered, strict=True)]

@@ -28,9 +28,9 @@ def over(work: Callable[[int, int], T], bounds: Sequence[int]) -> list[T]:
         return list(pool.map(lambda r: work(*r), ranges))
 
 
-def each(works: Sequence[Callable[[], T]]) -> list[T]:
-    """The results of several independent pieces of work, side by side where there are threads for it."""
-    if count() == 1:
+def each(works: Sequence[Callable[[], T]], size: int) -> list[T]:
+    """The results of several independent pieces of work, side by side where that is worth it for ``size`` items."""
+    if len(even(size)) <= 2:
         return [work() for work in works]
     with ThreadPoolExecutor(len(works)) as pool:
         return [future.result() for future in [pool.submit(work) for work in works]]

@@ -18,7 +18,7 @@ from numba import njit
 STATES = 400_000
 VALUES = 1_600_000
 TRANSITIONS = 2_500_000
-PLACES = 1 << 19
+PLACE_BITS = 19
 SLOTS = 62
 NOBODY = np.int64(-1)
 NEGLIGIBLE = 1e-14
@@ -27,16 +27,20 @@ Scratch = namedtuple("Scratch", "key value back target place_key place_state pla
 
 
 @njit(cache=True, nogil=True)
-def scratch(most_pairs):
-    """Room for :func:`eliminate`, to be made once for many problems of at most ``most_pairs`` pairs."""
+def scratch(most_pairs, most_columns):
+    """Room for :func:`eliminate`, to be made once for many problems of at most so many pairs and columns.
+
+    A problem of c columns has at most 2^c states in a step: whether it fits does not depend on the others.
+    """
+    places = np.int64(1) << min(most_columns + 1, PLACE_BITS)
     return Scratch(
         np.empty(STATES, np.uint64),
         np.empty(VALUES),
         np.empty(VALUES),
         np.empty(TRANSITIONS, np.int32),
-        np.empty(PLACES, np.uint64),
-        np.empty(PLACES, np.int32),
-        np.zeros(PLACES, np.int32),
+        np.empty(places, np.uint64),
+        np.empty(places, np.int32),
+        np.zeros(places, np.int32),
         np.empty(most_pairs, np.uint64),
         np.empty(most_pairs, np.bool_),
     )
@@ -122,14 +126,15 @@ def elimination_order(n, nc, start, column, order):
 @njit(cache=True, nogil=True)
 def find_state(key, begin, count, stamp, work):
     """The state of this key within the current step, made when new; −1 when there is no room."""
-    place = np.int64(key) & (PLACES - 1)
-    if key >= PLACES:
-        place = np.int64((key * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(45))
+    last = np.int64(len(work.place_key) - 1)
+    place = np.int64(key) & last
+    if key > np.uint64(last):
+        place = np.int64((key * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(64 - PLACE_BITS)) & last
     while work.place_stamp[place] == stamp:
         if work.place_key[place] == key:
             return np.int64(work.place_state[place])
-        place = (place + 1) & (PLACES - 1)
-    if begin + count >= STATES or count >= PLACES // 2:
+        place = (place + 1) & last
+    if begin + count >= STATES or 2 * count > last:
         return np.int64(-1)
     work.place_stamp[place] = stamp
     work.place_key[place] = key

@@ -91,10 +91,12 @@ def exact(
     """
     widest = 1
     longest = np.int64(1)
+    narrowest = np.int64(1)
     for g in range(first, last):
         widest = max(widest, start1[g + 1] - start1[g], start2[g + 1] - start2[g])
         longest = max(longest, start[g + 1] - start[g])
-    work = scratch(longest)
+        narrowest = max(narrowest, min(start1[g + 1] - start1[g], start2[g + 1] - start2[g]))
+    work = scratch(longest, narrowest)
     row_start = np.empty(widest + 2, np.int64)
     column = np.empty(longest, np.int32)
     pair = np.empty(longest, np.int64)
@@ -272,7 +274,7 @@ def balls(
     for r in range(first, last):
         longest = max(longest, edges1[r + 1] - edges1[r])
     capacity = longest * (most_rows + 1)
-    work = scratch(capacity)
+    work = scratch(capacity, capacity)
     inside = np.empty(most_rows, np.int64)
     start = np.empty(most_rows + 1, np.int64)
     column = np.empty(capacity, np.int32)
