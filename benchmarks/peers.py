@@ -1,7 +1,7 @@
 """What others do with the same arrays: work for ``worker.py``, each in the interpreter where the peer is installed.
 
 Nothing but NumPy is imported before a peer is asked for, so that this module runs in any environment
-(``scripts/bench NAME --peer-python nway=/tmp/nway/bin/python``).
+(``scripts/bench NAME --peer-python nway=../envs/nway/bin/python``).
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """The search behind the gate: every pair whose residual is small enough for its own covariance, and no other.
 
-Records are sorted into zones of one coordinate and swept along the other (``kernels/sweep.py``). Zones fit the
-largest errors of a sweep; records of very different errors are swept apart, class by class, so that a few wide ones
-do not slow down the many. The order of the pairs depends on what the records say, not on the rows they stand in.
+Records are sorted into zones of one coordinate (``kernels/order.py``) and swept along the other
+(``kernels/sweep.py``). Zones fit the largest errors of a sweep; records of very different errors are swept apart, class
+by class, so that a few wide ones do not slow down the many. The order of the pairs depends on what the records say, not
+on the rows they stand in.
 """
 
 from __future__ import annotations
@@ -220,7 +221,7 @@ class _Side:
 
     def sorted(self, zones: _Zones) -> _Side:
         """Sorted by zone, then x, then the rest of the content, then id."""
-        from sameas.kernels.sweep import gather, sort_by_bits, sort_keys, sort_within_bins
+        from sameas.kernels.order import gather, sort_by_bits, sort_keys, sort_within_bins
 
         n = len(self.rows)
         row_bits = max(1, int(n - 1).bit_length())
