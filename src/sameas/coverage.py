@@ -91,12 +91,15 @@ class Coverage:
     def _seen(self, query: int, source: int) -> NDArray[np.bool_]:
         n = len(self.first if query == 1 else self.second)
         density = np.full(n, len(self.first if source == 1 else self.second) / self.volume)
+        highest = np.zeros(n)
         seen = np.ones(n, np.bool_)
         for level in self.levels:
             cells = level.of_first if source == 1 else level.of_second
             count = np.bincount(cells, minlength=len(level.volume)).astype(np.float64)
             at = level.of_first if query == 1 else level.of_second
-            seen &= (count[at] > 0) | (density * level.volume[at] < HOLE)
+            # Just outside a border the coarser cells are empty for the most part: their own density says too little.
+            seen &= (count[at] > 0) | (np.maximum(density, 0.5 * highest) * level.volume[at] < HOLE)
+            highest = np.maximum(highest, density)
             density = (count[at] + PSEUDO_COUNT) / (level.volume[at] + PSEUDO_COUNT / density)
         return seen
 
