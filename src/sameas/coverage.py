@@ -23,6 +23,9 @@ from sameas.space import ARCSEC_PER_RADIAN, Sphere
 REFINEMENT = 8.0
 FINEST = 6.0
 PSEUDO_COUNT = 2.0
+#: Densities are not refined below this mean count of a cell: their noise would make the odds of chance pairs too good.
+SMOOTH = 40.0
+SHARED_PSEUDO_COUNT = 200.0
 #: Expected records in an empty cell that make it a hole: e⁻⁷ is the chance of it by accident.
 HOLE = 7.0
 
@@ -73,14 +76,37 @@ class Coverage:
         """
         from sameas.kernels.density import refine
 
+        source_size = len(self.first if source == 1 else self.second)
         start = (float(weights.sum()) + 0.5) / self.volume
         at_first, at_second = np.full(len(self.first), start), np.full(len(self.second), start)
         nothing = np.empty(0)
         for level in self.levels:
             cells = level.of_first if source == 1 else level.of_second
             count = np.bincount(cells, weights, len(level.volume))
+            if source_size < SMOOTH * np.count_nonzero(count) and level is not self.levels[0]:
+                break
             refine(count, level.volume, level.of_first, weights if source == 1 else nothing, PSEUDO_COUNT, at_first)
             refine(count, level.volume, level.of_second, weights if source == 2 else nothing, PSEUDO_COUNT, at_second)
+        return at_first, at_second
+
+    def share(self, source: int, part: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Local share Σ part / Σ weights of the records of ``source`` (1 or 2), at the records of both.
+
+        Drawn towards that of the coarser cell by many pseudo-counts: a share that is itself being estimated must not
+        gather where a few chance pairs happen to lie.
+        """
+        from sameas.kernels.density import refine_share
+
+        start = (float(part.sum()) + 0.5) / (float(weights.sum()) + 1.0)
+        at_first, at_second = np.full(len(self.first), start), np.full(len(self.second), start)
+        nothing = (np.empty(0), np.empty(0))
+        for level in self.levels:
+            cells = level.of_first if source == 1 else level.of_second
+            counts = (np.bincount(cells, part, len(level.volume)), np.bincount(cells, weights, len(level.volume)))
+            own_1 = (part, weights) if source == 1 else nothing
+            own_2 = (part, weights) if source == 2 else nothing
+            refine_share(*counts, level.of_first, *own_1, SHARED_PSEUDO_COUNT, at_first)
+            refine_share(*counts, level.of_second, *own_2, SHARED_PSEUDO_COUNT, at_second)
         return at_first, at_second
 
     @cached_property

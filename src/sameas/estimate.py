@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -40,6 +41,8 @@ CROWDED = 0.5
 MOST_CROWDED = 8.0
 #: Errors this many times too small are always thought of.
 THINKABLE = 3.4
+#: Least share of records that only one source shows.
+LEAST_SHARE = 1e-6
 #: Standard deviations by which close candidates must exceed what chance gives, for their errors to be judged.
 SIGNIFICANT = 4.0
 #: Chance candidates within √2 of its scale that a component of the errors may hold, times two.
@@ -172,6 +175,11 @@ class _Loop:
             best = assign(grouped, self.rule()(pairs).log_ratio, linear)
             p_pair = by_messages(grouped, best).p_pair
             common = float(p_pair.sum())
+            if not math.isfinite(common):
+                raise InputError(
+                    f"{self.first.source} and {self.second.source}: probabilities are beyond computing, the errors are "
+                    "far larger than the spacing of the records; are the errors in the unit that was understood?"
+                )
             settled = abs(common - before) <= 3e-4 * common + 0.01
             before = common
             self.p_1 = np.minimum(np.bincount(pairs.i, p_pair, len(self.first)), 1.0)
@@ -186,22 +194,28 @@ class _Loop:
         answer = identify(self.first, self.second, rule=self.rule(), gate=lambda a, b: pairs)
         return answer, number, settled
 
+    @cached_property
+    def densities(self) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
+        """Local densities of the covered records of either source, at the records of both."""
+        seen_1, seen_2 = (seen.astype(np.float64) for seen in self.coverage.covered)
+        return self.coverage.density(1, seen_1), self.coverage.density(2, seen_2)
+
     def rule(self) -> PoissonField:
         """The rule with the densities of this round."""
         seen_1, seen_2 = self.coverage.covered
         if self.given is not None:
-            share_1, share_2 = float(self.p_1.mean()), float(self.p_2.mean())
-            return PoissonField(
-                math.sqrt(self.given[0] * share_1 * self.given[1] * share_2),
-                self.given[0] * max(1.0 - share_1, 1e-6), self.given[1] * max(1.0 - share_2, 1e-6), self.errors,
-            )  # fmt: skip
-        c1 = self.coverage.density(1, self.p_1)
-        c2 = self.coverage.density(2, self.p_2)
-        only_1, _ = self.coverage.density(1, (1.0 - self.p_1) * seen_1)
-        _, only_2 = self.coverage.density(2, (1.0 - self.p_2) * seen_2)
+            mean_1, mean_2 = float(self.p_1.mean()), float(self.p_2.mean())
+            alone_1, alone_2 = max(1.0 - mean_1, LEAST_SHARE), max(1.0 - mean_2, LEAST_SHARE)
+            both = math.sqrt(self.given[0] * mean_1 * self.given[1] * mean_2)
+            return PoissonField(both, self.given[0] * alone_1, self.given[1] * alone_2, self.errors)
+        all_1, all_2 = self.densities
+        share_1 = self.coverage.share(1, self.p_1 * seen_1, seen_1.astype(np.float64))
+        share_2 = self.coverage.share(2, self.p_2 * seen_2, seen_2.astype(np.float64))
         # Both sources count the same common objects: the mean of the logarithms favours neither.
-        common = (np.sqrt(c1[0] * c2[0]), np.sqrt(c1[1] * c2[1]))
-        return PoissonField(common, only_1, only_2, self.errors)
+        common = tuple(np.sqrt(all_1[k] * share_1[k] * all_2[k] * share_2[k]) for k in range(2))
+        only_1 = all_1[0] * np.maximum(1.0 - share_1[0], LEAST_SHARE)
+        only_2 = all_2[1] * np.maximum(1.0 - share_2[1], LEAST_SHARE)
+        return PoissonField(common, only_1, only_2, self.errors)  # type: ignore[arg-type]
 
     def must_open(self, answer: Identification, limit: float) -> bool:
         """Whether the outermost part of the gate still holds true pairs, and opening it is affordable."""
@@ -237,14 +251,14 @@ def fit_errors(
 ) -> Errors:
     """The mixture of error scales of greatest likelihood for residuals of the given posterior weights (EM).
 
-    The scales are a ladder from 0.44 upwards as far as the residuals reach, and not beyond ``widest``; a pseudo-count
+    The scales are a ladder from 0.13 upwards as far as the residuals reach, and not beyond ``widest``; a pseudo-count
     on the scale 1 keeps a few pairs from saying much.
     """
     used = weights > 1e-3
     z2, weight = mahalanobis_sq[used], weights[used]
     reach = math.sqrt(float(z2.max(initial=1.0)))
     rungs = max(4, math.ceil(math.log(max(reach, 2.0) / 2.0) / math.log(RUNG)) + 1)
-    scales = RUNG ** np.arange(-2.0, rungs)
+    scales = RUNG ** np.arange(-5.0, rungs)
     scales = scales[scales <= max(widest, 1.0)]
     # Pairs of like distance are counted together: the likelihood depends on nothing else.
     edges = np.geomspace(1e-3, max(reach, 2.0), 400)
