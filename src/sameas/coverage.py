@@ -1,8 +1,8 @@
 """Where two sources look, and how densely their records lie there, from the records alone.
 
 The space is cut into cells of equal size, coarse to fine. A local density is the count of a cell, drawn towards the
-density of the coarser cell by two pseudo-counts, level after level: coarse where there is little to count, fine where
-there is much. A record is *not covered* by the other source where that source is empty although seven or more of its
+density of the coarser cell by pseudo-counts, level after level: coarse where there is little to count, fine where there
+is much. A record is *not covered* by the other source where that source is empty although seven or more of its
 records were to be expected.
 """
 
@@ -23,8 +23,8 @@ from sameas.space import ARCSEC_PER_RADIAN, Sphere
 REFINEMENT = 8.0
 FINEST = 6.0
 PSEUDO_COUNT = 2.0
-#: Densities are not refined below this mean count of a cell: their noise would make the odds of chance pairs too good.
-SMOOTH = 40.0
+#: The same for densities: their noise would make the odds of chance pairs too good.
+SMOOTH = 20.0
 SHARED_PSEUDO_COUNT = 200.0
 #: Expected records in an empty cell that make it a hole: e⁻⁷ is the chance of it by accident.
 HOLE = 7.0
@@ -76,17 +76,14 @@ class Coverage:
         """
         from sameas.kernels.density import refine
 
-        source_size = len(self.first if source == 1 else self.second)
         start = (float(weights.sum()) + 0.5) / self.volume
         at_first, at_second = np.full(len(self.first), start), np.full(len(self.second), start)
         nothing = np.empty(0)
         for level in self.levels:
             cells = level.of_first if source == 1 else level.of_second
             count = np.bincount(cells, weights, len(level.volume))
-            if source_size < SMOOTH * np.count_nonzero(count) and level is not self.levels[0]:
-                break
-            refine(count, level.volume, level.of_first, weights if source == 1 else nothing, PSEUDO_COUNT, at_first)
-            refine(count, level.volume, level.of_second, weights if source == 2 else nothing, PSEUDO_COUNT, at_second)
+            refine(count, level.volume, level.of_first, weights if source == 1 else nothing, SMOOTH, at_first)
+            refine(count, level.volume, level.of_second, weights if source == 2 else nothing, SMOOTH, at_second)
         return at_first, at_second
 
     def share(self, source: int, part: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
