@@ -314,3 +314,10 @@ def test_the_gate_says_what_it_is():
     assert "loses 1.0e-09 of the true" in ChiSquare()(first, first).gate
     # The default keeps 1 − 1e-9: √(−2 ln 1e-9) = 6.438 standard deviations in two features.
     assert math.sqrt(ChiSquare().limit(2)) == pytest.approx(math.sqrt(-2 * math.log(1e-9)), rel=1e-7)
+
+
+def test_a_source_that_is_no_records_says_how_to_make_them():
+    records = Records.of([[0.0, 0.0]], sigma=1.0)
+    for gate in (ChiSquare(), Radius(3.0), Box()):
+        with pytest.raises(InputError, match=r"a source is a list; make it with Records\.of\(features, sigma=…\)"):
+            gate([[0.0, 0.0]], records)

@@ -99,7 +99,7 @@ class ChiSquare:
         return 2.0 * float(gammainccinv(d / 2.0, 1.0 - self.completeness))
 
     def __call__(self, first: Records, second: Records) -> Pairs:
-        limit = self.limit(first.d)
+        limit = self.limit(_features(first, second))
         return _candidates(
             first, second, limit, False, f"χ² ≤ {limit:.2f} (loses {1 - self.completeness:.1e} of the true)"
         )
@@ -136,10 +136,19 @@ class Box:
 Gate = ChiSquare | Radius | Box
 
 
-def _candidates(first: Records, second: Records, limit: float, box: bool, description: str) -> Pairs:
+def _features(first: Records, second: Records) -> int:
+    """The number of features of two sources, which must be records of one space."""
+    for source in (first, second):
+        if not isinstance(source, Records):
+            raise InputError(f"a source is a {type(source).__name__}; make it with Records.of(features, sigma=…)")
     if first.d != second.d or first.space != second.space:
         raise InputError(
             f"{first.source} has {first.d} features in {first.space}, {second.source} {second.d} in {second.space}; "
             "bring both to one feature space"
         )
+    return first.d
+
+
+def _candidates(first: Records, second: Records, limit: float, box: bool, description: str) -> Pairs:
+    _features(first, second)
     return Pairs(first, second, *search(first, second, limit, box), gate=description)

@@ -242,7 +242,7 @@ def _doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]:
     sigma = [math.sqrt(float(np.median(r.covariance[:, 0]))) for r in (result.first, result.second)]
     spacing = 0.5 * math.sqrt(estimate.coverage.common_volume() / max(len(result.first), len(result.second)))
     widest = max(range(2), key=lambda k: sigma[k])
-    if sigma[widest] > spacing:
+    if sigma[widest] > spacing > 0.0:
         name = (result.first, result.second)[widest].source
         doubts.append(
             f"{name}: its typical error, {sigma[widest]:.3g} arcsec, is larger than half the spacing of the records, "
