@@ -41,10 +41,9 @@ class Hypothesis:
 
     def certificate(self, groups: Groups) -> tuple[float, float]:
         """(least reduced cost, relative duality gap): not below −1e-12 and not above 1e-9 where it is the best."""
-        group = np.repeat(np.arange(len(groups)), groups.pair_counts)
-        total = self.weight + self.multiplier[group]
-        u = self.dual_1[groups.start_1[group] + groups.local_1]
-        v = self.dual_2[groups.start_2[group] + groups.local_2]
+        total = self.weight + self.multiplier[groups.group]
+        place_1, place_2 = groups.places
+        u, v = self.dual_1[place_1], self.dual_2[place_2]
         scale = np.maximum(1.0, np.abs(total))
         least = float(np.min((u + v - total) / scale, initial=0.0))
         least = min(least, float(self.dual_1.min(initial=0.0)), float(self.dual_2.min(initial=0.0)))

@@ -106,7 +106,7 @@ def match(
             raise InputError(f"{records.source} has no usable records; nothing can be identified")
     progress("densities")
     coverage = Coverage.of(first, second)
-    limit = math.sqrt(ChiSquare().limit(first.d))
+    limit = _default_radius(first.d)
     loop = _Loop(first, second, coverage, errors, density)
     total = 0
     while True:
@@ -118,7 +118,7 @@ def match(
             break
         limit = min(2.0 * limit, WIDEST_SIGMAS)
     if loop.errors != (errors or Errors()) and not _stands_out(answer.pairs, limit):
-        limit = math.sqrt(ChiSquare().limit(first.d))
+        limit = _default_radius(first.d)
         loop = _Loop(first, second, coverage, Errors(), density)
         answer, done, settled = loop.run((gate or Radius(limit))(first, second), max(rounds - total, 5), progress)
         total += done
@@ -130,6 +130,11 @@ def match(
         loop.notes(answer, settled),
     )  # fmt: skip
     return answer, estimate
+
+
+def _default_radius(d: int) -> float:
+    """Radius of the default gate in d features, in standard deviations."""
+    return math.sqrt(ChiSquare().limit(d))
 
 
 def _stands_out(pairs: Pairs, limit: float) -> bool:
@@ -222,7 +227,7 @@ class _Loop:
         if limit >= WIDEST_SIGMAS or not self.learns_errors:
             return False
         chance = self.by_chance(answer.pairs, float(answer.p_pair.sum())) * 2.0**self.first.d
-        if chance < MOST_CROWDED and limit < math.sqrt(ChiSquare().limit(self.first.d)) * self.errors.typical_scale:
+        if chance < MOST_CROWDED and limit < _default_radius(self.first.d) * self.errors.typical_scale:
             return True
         if chance > CROWDED:
             return False

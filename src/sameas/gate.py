@@ -133,9 +133,6 @@ class Box:
         return _candidates(first, second, self.sigmas**2, True, f"each feature within {self.sigmas:g} σ")
 
 
-Gate = ChiSquare | Radius | Box
-
-
 def _features(first: Records, second: Records) -> int:
     """The number of features of two sources, which must be records of one space."""
     for source in (first, second):

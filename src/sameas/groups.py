@@ -7,6 +7,7 @@ pair, records of a group in the order in which they appear there.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,10 +58,20 @@ class Groups:
         """(g,) number of candidate pairs in each group."""
         return np.diff(self.start)
 
+    @cached_property
+    def group(self) -> IntArray:
+        """(m,) group of each pair of the layout."""
+        return np.repeat(np.arange(len(self)), self.pair_counts)
+
+    @cached_property
+    def places(self) -> tuple[IntArray, IntArray]:
+        """(m,), (m,) places among ``rows_1`` and ``rows_2`` of the two records of each pair of the layout."""
+        return self.start_1[self.group] + self.local_1, self.start_2[self.group] + self.local_2
+
     def of_pairs(self) -> NDArray[np.int32]:
         """(m,) group of each pair, in the order of the gate."""
         group = np.empty(len(self.order), np.int32)
-        group[self.order] = np.repeat(np.arange(len(self), dtype=np.int32), self.pair_counts)
+        group[self.order] = self.group
         return group
 
     def bounds(self, parts: int) -> list[int]:

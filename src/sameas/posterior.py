@@ -5,7 +5,8 @@ one by one, with the count of pairs carried where the prior asks for it; that co
 records on its smaller side and larger ones that are thin, such as chains. What is too entangled is first thinned:
 sum-product messages tell which pairs are next to impossible; without those most groups fall apart and are summed as
 before. What is still entangled is approximated: every record is solved exactly together with the records that compete
-with it most, and the messages stand for what lies beyond. Which method a group got is part of the result.
+with it most, and the messages stand for what lies beyond; by these probabilities it is thinned further, and what falls
+apart then is summed. Which method a group got is part of the result.
 """
 
 from __future__ import annotations
@@ -86,9 +87,7 @@ def posterior(groups: Groups, best: Hypothesis) -> Posterior:
 
 def _within_one(groups: Groups, share: FloatArray) -> FloatArray:
     """Approximate shares, such that no record of either source is given away more than once."""
-    group = np.repeat(np.arange(len(groups)), groups.pair_counts)
-    records = groups.start_1[group] + groups.local_1, groups.start_2[group] + groups.local_2
-    total_1, total_2 = (np.bincount(record, share)[record] for record in records)
+    total_1, total_2 = (np.bincount(place, share)[place] for place in groups.places)
     return share / np.maximum(1.0, np.maximum(total_1, total_2))
 
 
@@ -173,11 +172,11 @@ def _local(
 ) -> float:
     """Fill ``share`` for the groups that elimination gave up; returns how far the messages were from settled.
 
-    ``method`` becomes THINNED for groups that fall apart into parts that can be summed, and ``neglected`` what
-    messages gave at most to the pairs that were left at it.
+    ``method`` becomes THINNED for groups that fall apart into parts that can be summed, and ``neglected`` the
+    probability, as first estimated, below which their pairs were left at that.
     """
     heard = _Messages.of(groups, best, method, share, CLOSELY)
-    group = np.repeat(np.arange(len(groups)), groups.pair_counts)
+    group = groups.group
     open_pairs = np.flatnonzero(method[group] == APPROXIMATE)
     method[method == APPROXIMATE] = THINNED
     for threshold in THRESHOLDS:
@@ -198,19 +197,12 @@ def _local(
 def _neighbourhoods(groups: Groups, best: Hypothesis, pairs: NDArray[np.int64], heard: _Messages) -> FloatArray:
     """Probabilities of some pairs from the neighbourhoods of their records; the mean over both favours neither."""
     around_1 = _Thinned.of(groups, best, pairs, heard.weight[pairs]).by_neighbourhoods(heard.claims_1[pairs])
-    turn = np.lexsort(_places(groups, pairs))
+    turn = np.lexsort([place[pairs] for place in groups.places])
     by_2 = pairs[turn]
     turned = _Thinned.of(groups, best, by_2, heard.weight[by_2], turned=True)
     around_2 = np.empty_like(around_1)
     around_2[turn] = turned.by_neighbourhoods(heard.claims_2[by_2])
     return 0.5 * (around_1 + around_2)
-
-
-def _places(groups: Groups, pairs: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Places of the two records of some pairs of the layout among ``rows_1`` and ``rows_2``."""
-    group = np.repeat(np.arange(len(groups)), groups.pair_counts)[pairs]
-    place_1, place_2 = groups.start_1[group] + groups.local_1[pairs], groups.start_2[group] + groups.local_2[pairs]
-    return place_1.astype(np.int32), place_2.astype(np.int32)
 
 
 @dataclass(frozen=True)
@@ -227,7 +219,9 @@ class _Thinned:
         """The pairs ``kept``, listed by their record 1; ``turned`` exchanges the sources, the list is by record 2."""
         from sameas.kernels.components import components
 
-        places, duals = _places(groups, kept), (best.dual_1, best.dual_2)
+        place_1, place_2 = groups.places
+        places = place_1[kept].astype(np.int32), place_2[kept].astype(np.int32)
+        duals = (best.dual_1, best.dual_2)
         if turned:
             places, duals = places[::-1], duals[::-1]
         thin = Groups(*components(*places, *places, len(duals[0]), len(duals[1])))
