@@ -73,12 +73,16 @@ class Pairs:
     @cached_property
     def covariance(self) -> FloatArray:
         """(m, d, d) Σ of each residual, on the residual's axes."""
-        from sameas.kernels.sweep import pair_covariances
-
         out = np.empty((len(self), self.d, self.d))
         a, b = self.first, self.second
-        sphere = isinstance(a.space, Sphere)
-        pair_covariances(a.features, a.covariance, b.features, b.covariance, self.i, self.j, sphere, out)
+        if isinstance(a.space, Sphere):
+            from sameas.kernels.sphere import sphere_covariances
+
+            sphere_covariances(a.features, a.covariance, b.features, b.covariance, self.i, self.j, out)
+        else:
+            from sameas.kernels.plane import plane_covariances
+
+            plane_covariances(a.covariance, b.covariance, self.i, self.j, out)
         return out
 
 

@@ -1,28 +1,33 @@
 """The search behind the gate: every pair whose residual is small enough for its own covariance, and no other.
 
-Records are sorted into zones of one coordinate (``kernels/order.py``) and swept along the other
-(``kernels/sweep.py``). Zones fit the largest errors of a sweep; records of very different errors are swept apart, class
-by class, so that a few wide ones do not slow down the many. The order of the pairs depends on what the records say, not
-on the rows they stand in.
+Records are sorted into zones of one coordinate (``kernels/order.py``) and swept along the other (``kernels/spans.py``,
+``sphere.py``, ``plane.py``). Zones fit the largest errors of a sweep; records of very different errors are swept apart,
+class by class, so that a few wide ones do not slow down the many. The order of the pairs depends on what the records
+say, not on the rows they stand in.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sameas import threads
-from sameas.records import FloatArray, Records, unpack
+from sameas.records import FloatArray, Records
 from sameas.space import Plane, Sphere
+
+if TYPE_CHECKING:
+    from sameas.kernels import spans
 
 #: Fewer tests than this for each record are not worth another sweep.
 FEW_TESTS = 4.0
+#: So few records are swept in one zone: to lay out more costs as much as to test them all.
+FEW_RECORDS = 512
 
 #: Places, i, j, residual, squared Mahalanobis distance, determinant: the columns of :class:`sameas.gate.Pairs`.
 Columns = tuple[
@@ -44,11 +49,12 @@ def search(first: Records, second: Records, limit: float, box: bool) -> Columns:
         for two in classes[1]:
             zones = _Zones.of(one, two, geometry)
             ordered = threads.each(
-                [partial(one.sorted, zones), partial(two.sorted, zones)], len(one.rows) + len(two.rows)
+                [partial(one.sorted, zones, geometry), partial(two.sorted, zones, geometry)],
+                len(one.rows) + len(two.rows),
             )
             columns = _swept(ordered[0], ordered[1], zones, geometry)
             if several:
-                at = [place.of(side) for place, side in zip(places, ordered, strict=True)]
+                at = [place.of(side.rows) for place, side in zip(places, ordered, strict=True)]
                 columns = (at[0][columns[0]], at[1][columns[1]], *columns[2:])
             found.append(columns)
     if not several:
@@ -83,21 +89,25 @@ class _Places:
         self.place = np.full(n, -1, np.int32)
         self.used = 0
 
-    def of(self, side: _Side) -> NDArray[np.int32]:
+    def of(self, rows: NDArray[np.int32]) -> NDArray[np.int32]:
         """The places of the sorted records of a class, given to them when it is first asked for."""
-        if self.place[side.rows[0]] < 0:
-            self.place[side.rows] = np.arange(self.used, self.used + len(side.rows))
-            self.used += len(side.rows)
-        return self.place[side.rows]
+        if self.place[rows[0]] < 0:
+            self.place[rows] = np.arange(self.used, self.used + len(rows))
+            self.used += len(rows)
+        return self.place[rows]
 
 
 @dataclass(frozen=True)
 class _Geometry:
-    """The feature space as the kernel wants it: which coordinate makes the zones (y), which is swept (x)."""
+    """The feature space as the kernels want it: which coordinate makes the zones (y), which is swept (x).
+
+    opening : by how much a variance of one opens the gate, squared, in the unit of the features.
+    """
 
     sphere: bool
     box: bool
     limit: float
+    opening: float
     periods: FloatArray
     x: int
     y: int
@@ -105,18 +115,17 @@ class _Geometry:
     @classmethod
     def of(cls, first: Records, second: Records, limit: float, box: bool) -> _Geometry:
         if isinstance(first.space, Sphere):
-            return cls(True, box, limit, np.array([360.0, np.inf]), 0, 1)
+            # Box edges reach √2 further than the ellipse that they enclose.
+            opening = limit * (2.0 if box else 1.0) / 3600.0**2
+            return cls(True, box, limit, opening, np.array([360.0, np.inf]), 0, 1)
         assert isinstance(first.space, Plane)
         periods = np.array(first.space.period_list(first.d))
-        if first.d == 1:
-            return cls(False, box, limit, periods, 0, 0)
+        if first.d == 1 or len(first) + len(second) <= FEW_RECORDS:
+            return cls(False, box, limit, limit, periods, 0, 0)
         # Sweep along the feature that separates best for its errors; zones of the second best.
         sharpness = np.minimum(_sharpness(first), _sharpness(second))
         best = np.argsort(-sharpness, kind="stable")
-        return cls(False, box, limit, periods, int(best[0]), int(best[1]))
-
-    def array(self, wraps: bool) -> FloatArray:
-        return np.array([self.sphere, self.box, self.limit, self.x, self.y, wraps], dtype=np.float64)
+        return cls(False, box, limit, limit, periods, int(best[0]), int(best[1]))
 
 
 def _area(one: _Side, two: _Side, geometry: _Geometry) -> float:
@@ -124,8 +133,8 @@ def _area(one: _Side, two: _Side, geometry: _Geometry) -> float:
     if geometry.x == geometry.y:
         return 0.0
     axes = [geometry.x, geometry.y]
-    low = np.minimum(one.features.min(axis=0), two.features.min(axis=0))[axes]
-    high = np.maximum(one.features.max(axis=0), two.features.max(axis=0))[axes]
+    low = np.minimum(one.ends[0], two.ends[0])[axes]
+    high = np.maximum(one.ends[1], two.ends[1])[axes]
     extent = np.maximum(high - low, 1e-300)
     occupied = np.zeros((32, 32), np.bool_)
     for side in (one, two):
@@ -152,110 +161,104 @@ def _variances(records: Records) -> FloatArray:
     return records.covariance[:, diagonal]
 
 
+def _widest(records: Records) -> FloatArray:
+    """(n, 1) the largest variance in any direction of directions on the sphere: their axes turn from pair to pair."""
+    if records.covariance.shape[1] == 1:
+        return records.covariance
+    if records.covariance.shape[1] == 2:
+        return records.covariance.max(axis=1, keepdims=True)
+    xx, xy, yy = records.covariance.T
+    return (0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy))[:, None]
+
+
 @dataclass(frozen=True)
 class _Side:
-    """Records of one source as the sweep sees them.
+    """Records of one source as the sweep sees them, or one class of them.
 
-    features are folded into one period; reach (n, 1) or (n, d) is how far a record's own error opens the gate, in the
-    unit of the features; starts are the zones once the side is sorted; the records' ids break ties between equal ones.
+    features are folded into one period; variance (n, 1) or (n, d) opens the gate along the axes; rows are positions in
+    ``records``, whose ids break ties between equal ones; ends (2, d) are the least and greatest features.
     """
 
     features: FloatArray
     covariance: FloatArray
+    variance: FloatArray
     rows: NDArray[np.int32]
-    reach: FloatArray
     records: Records
-    starts: NDArray[np.int64]
+    ends: FloatArray
 
     @classmethod
     def of(cls, records: Records, geometry: _Geometry) -> _Side:
+        from sameas.kernels.order import extent
+
         features = records.features
+        ends = extent(features)
         for axis in np.flatnonzero(np.isfinite(geometry.periods)):
             period = geometry.periods[axis]
-            folded = features[:, axis]
-            if folded.size and (folded.min() < 0 or folded.max() >= period):
-                folded = np.mod(folded, period)
+            if ends[0, axis] < 0 or ends[1, axis] >= period:
+                folded = np.mod(features[:, axis], period)
                 folded[folded >= period] = 0.0
                 features = features.copy()
                 features[:, axis] = folded
-        if geometry.sphere and records.covariance.shape[1] > 1:
-            # The axes turn between two directions: only the largest eigenvalue bounds the reach on every axis.
-            widest = np.linalg.eigvalsh(unpack(records.covariance, 2))[:, -1:]
-        else:
-            widest = _variances(records)
-        reach = np.sqrt(geometry.limit * widest)
-        if geometry.sphere:
-            # Box edges reach √2 further than the ellipse that they enclose.
-            reach = reach * (math.sqrt(2.0) if geometry.box else 1.0) / 3600.0
-        rows = np.arange(len(records), dtype=np.int32)
-        return cls(features, records.covariance, rows, reach, records, np.empty(0, np.int64))
+                ends[:, axis] = folded.min(), folded.max()
+        variance = _widest(records) if geometry.sphere else _variances(records)
+        return cls(features, records.covariance, variance, np.arange(len(records), dtype=np.int32), records, ends)
 
     def take(self, rows: NDArray[np.int64]) -> _Side:
-        return replace(
-            self,
-            features=np.ascontiguousarray(self.features[rows]),
-            covariance=np.ascontiguousarray(self.covariance[rows]),
-            rows=self.rows[rows],
-            reach=self.reach[rows],
-        )
+        from sameas.kernels.order import extent
+
+        features = np.ascontiguousarray(self.features[rows])
+        covariance = np.ascontiguousarray(self.covariance[rows])
+        return _Side(features, covariance, self.variance[rows], self.rows[rows], self.records, extent(features))
 
     def classes(self, others: Callable[[], float]) -> list[_Side]:
         """This side split by the size of its errors: the few widest apart, as long as that saves work.
 
         others : gives the density of the other source in the plane of x and y.
         """
-        size = self.reach.max(axis=1)
-        remaining = np.arange(len(size))
+        if len(self.rows) < 64:
+            return [self]
+        size = self.variance[:, 0] if self.variance.shape[1] == 1 else self.variance.max(axis=1)
+        remaining: NDArray[np.int64] | None = None
         parts: list[NDArray[np.int64]] = []
         while len(parts) < 8:
-            top = size[remaining].max()
-            wide = size[remaining] > top / 4.0
-            # A record is tested against three zones of height top in a window of 2 top.
-            if len(remaining) < 64 or wide.mean() > 0.2 or 6.0 * top**2 * others() < FEW_TESTS:
+            top = size.max()
+            wide = size > top / 16.0
+            # A record is tested against three zones of height √top in a window of twice that.
+            if len(size) < 64 or np.count_nonzero(wide) > 0.2 * len(size) or 6.0 * top * others() < FEW_TESTS:
                 break
+            remaining = np.arange(len(self.rows)) if remaining is None else remaining
             parts.append(remaining[wide])
-            remaining = remaining[~wide]
-        if not parts:
+            remaining, size = remaining[~wide], size[~wide]
+        if remaining is None:
             return [self]
         return [self.take(rows) for rows in [*parts, remaining]]
 
-    def sorted(self, zones: _Zones) -> _Side:
+    def sorted(self, zones: _Zones, geometry: _Geometry) -> spans.Side:
         """Sorted by zone, then x, then the rest of the content, then id."""
-        from sameas.kernels.order import gather, sort_by_bits, sort_keys, sort_within_bins
+        from sameas.kernels.order import sort_by_bits, sort_within_bins, take_rows, write_rows
+        from sameas.kernels.spans import Side
 
-        n = len(self.rows)
+        n, d = self.features.shape
         row_bits = max(1, int(n - 1).bit_length())
         zone_bits = max(1, int(zones.count - 1).bit_length())
         # Enough bins that few hold two records; those are put in order one by one.
         bin_bits = min(row_bits + 3, 32, 64 - row_bits - zone_bits)
         keys = np.empty(n, np.uint64)
         starts = np.zeros(zones.count + 1, np.int64)
-        sort_keys(self.features, zones.x, zones.y, zones.cuts(), row_bits, bin_bits, keys, starts)
+        written = np.empty((n, d + self.covariance.shape[1]))
+        shape = (zones.x, zones.y, zones.cuts(), row_bits, bin_bits)
+        write_rows(self.features, self.covariance, *shape, keys, written, starts)
         keys = sort_by_bits(keys, row_bits, row_bits + bin_bits + zone_bits)
-        order = np.empty(n, np.int64)
-        inner = (order, row_bits, keys, self.features, self.covariance, zones.x)
-        doubt = sort_within_bins(*inner, np.empty(0, np.int64))
+        order = np.empty(n, np.int32)
+        doubt = sort_within_bins(order, row_bits, keys, written, zones.x, np.empty(0, np.int64))
         if doubt == 1:
-            doubt = sort_within_bins(*inner, self.rank())
+            doubt = sort_within_bins(order, row_bits, keys, written, zones.x, self.rank())
         if doubt:
             order = self.content_order(zones.of_y(self.features[:, zones.y]), self.features[:, zones.x])
-        features, covariance = np.empty_like(self.features), np.empty_like(self.covariance)
-        reach, rows = np.empty_like(self.reach), np.empty_like(self.rows)
-        gather(order, self.features, self.covariance, self.reach, self.rows, features, covariance, reach, rows)
-        return replace(self, features=features, covariance=covariance, reach=reach, rows=rows, starts=starts)
-
-    def guard(self, geometry: _Geometry) -> FloatArray:
-        """(n, 2) what tells most pairs apart before anything exact: on the sphere squared reach and cosine of the
-        latitude; on a plane squared reach in x and in y."""
-        guard = np.empty((len(self.rows), 2))
-        if geometry.sphere:
-            np.multiply(self.reach[:, 0], self.reach[:, 0] * (1.0 + 1e-6), out=guard[:, 0])
-            np.cos(self.features[:, 1] * (math.pi / 180.0), out=guard[:, 1])
-            return guard
-        last = self.reach.shape[1] - 1
-        for k, axis in enumerate((geometry.x, geometry.y)):
-            np.multiply(self.reach[:, min(axis, last)], self.reach[:, min(axis, last)] * (1.0 + 1e-6), out=guard[:, k])
-        return guard
+        content, guard = np.empty_like(written), np.empty((n, 4))
+        opening = geometry.opening * (1.0 + 1e-6)
+        take_rows(order, written, d, geometry.sphere, zones.x, zones.y, opening, content, guard)
+        return Side(content, guard, order if n == len(self.records) else self.rows[order], starts)
 
     def rank(self) -> NDArray[np.int64]:
         """The place of each record's id among the ids: what orders records that are equal in all else."""
@@ -265,9 +268,10 @@ class _Side:
         rank[np.argsort(ids.astype(str) if ids.dtype.kind == "O" else ids, kind="stable")] = np.arange(len(ids))
         return rank
 
-    def content_order(self, *before: NDArray[Any]) -> NDArray[np.int64]:
+    def content_order(self, *before: NDArray[Any]) -> NDArray[np.int32]:
         """The rows sorted by the keys ``before``, then features, covariance and id."""
-        return np.lexsort([self.rank(), *self.covariance.T[::-1], *self.features.T[::-1], *before[::-1]])
+        keys = [self.rank(), *self.covariance.T[::-1], *self.features.T[::-1], *before[::-1]]
+        return np.lexsort(keys).astype(np.int32)
 
 
 @dataclass(frozen=True)
@@ -287,10 +291,10 @@ class _Zones:
     @classmethod
     def of(cls, one: _Side, two: _Side, geometry: _Geometry) -> _Zones:
         x, y = geometry.x, geometry.y
-        widest = np.hypot(one.reach.max(axis=0), two.reach.max(axis=0)) * (1.0 + 1e-9) + 1e-300
-        reach_x, reach_y = (float(widest[0]),) * 2 if len(widest) == 1 else (float(widest[x]), float(widest[y]))
-        x_low = min(one.features[:, x].min(), two.features[:, x].min())
-        x_high = max(one.features[:, x].max(), two.features[:, x].max())
+        widest = one.variance.max(axis=0) + two.variance.max(axis=0)
+        reach = np.sqrt(geometry.opening * widest) * (1.0 + 1e-9) + 1e-300
+        reach_x, reach_y = (float(reach[0]),) * 2 if len(reach) == 1 else (float(reach[x]), float(reach[y]))
+        ends = np.minimum(one.ends[0], two.ends[0]), np.maximum(one.ends[1], two.ends[1])
         period = float(geometry.periods[y])
         most = 4 * max(len(one.rows), len(two.rows))
         if x == y:
@@ -300,15 +304,27 @@ class _Zones:
             count = count if count >= 3 else 1
             low, height, wraps = 0.0, period / count, True
         else:
-            low, high = _stretch(one.features[:, y], two.features[:, y], reach_y, most, geometry.sphere)
+            low, high = float(ends[0][y]), float(ends[1][y])
+            if (high - low) / reach_y > most and not geometry.sphere:
+                low, high = _bulk(one.features[:, y], two.features[:, y])
             count = int(max(1, min((high - low) / reach_y, most)))
             height, wraps = max((high - low) / count, reach_y), False
         windows = _sphere_windows(low, height, count, reach_x) if geometry.sphere else np.full(count, reach_x)
-        return cls(x, y, low, height, count, wraps, windows, float(x_low), float(x_high))
+        return cls(x, y, low, height, count, wraps, windows, float(ends[0][x]), float(ends[1][x]))
 
     def cuts(self) -> FloatArray:
         """(low, height, count) of the zones and (low, extent) of x."""
         return np.array([self.low, self.height, self.count, self.x_low, max(self.x_high - self.x_low, 1e-290)])
+
+    def cells(self, side: spans.Side) -> spans.Cells:
+        """The zones cut into cells of x, as many as the side has records, and one more each."""
+        from sameas.kernels.spans import Cells, cells_of
+
+        zones = np.empty(self.count + 1, np.int64)
+        starts = np.empty(len(side.rows) + self.count + 1, np.int32)
+        scale = np.empty(self.count)
+        cells_of(side, self.x_low, max(self.x_high - self.x_low, 1e-290), zones, starts, scale)
+        return Cells(zones, starts, self.x_low, scale)
 
     def of_y(self, y: FloatArray) -> NDArray[np.int64]:
         """The zone of each y; beyond the first and the last zone, those."""
@@ -316,14 +332,12 @@ class _Zones:
         return np.clip(zone, 0, self.count - 1).astype(np.int64)
 
 
-def _stretch(y1: FloatArray, y2: FloatArray, reach: float, most: int, sphere: bool) -> tuple[float, float]:
-    """The stretch of y to cut into zones: all of it, or its bulk where outliers would make the zones too coarse."""
-    low, high = min(y1.min(), y2.min()), max(y1.max(), y2.max())
-    if (high - low) / reach > most and not sphere:
-        inner = np.percentile(np.concatenate([y1, y2]), (0.5, 99.5))
-        margin = 0.05 * (inner[1] - inner[0])
-        low, high = max(low, inner[0] - margin), min(high, inner[1] + margin)
-    return float(low), float(high)
+def _bulk(y1: FloatArray, y2: FloatArray) -> tuple[float, float]:
+    """The stretch of y that holds the bulk of the records: outliers would make the zones too coarse."""
+    y = np.concatenate([y1, y2])
+    inner = np.percentile(y, (0.5, 99.5))
+    margin = 0.05 * (inner[1] - inner[0])
+    return float(max(y.min(), inner[0] - margin)), float(min(y.max(), inner[1] + margin))
 
 
 def _sphere_windows(low: float, height: float, count: int, reach_deg: float) -> FloatArray:
@@ -342,28 +356,28 @@ def _sphere_windows(low: float, height: float, count: int, reach_deg: float) -> 
     return windows
 
 
-def _swept(one: _Side, two: _Side, zones: _Zones, geometry: _Geometry) -> Columns:
+def _swept(one: spans.Side, two: spans.Side, zones: _Zones, geometry: _Geometry) -> Columns:
     """The candidates of two sorted sides; places are positions in them."""
-    from sameas.kernels.sweep import sweep
-
-    d = one.features.shape[1]
-    packed = geometry.array(zones.wraps)
-    guards = one.guard(geometry), two.guard(geometry)
-
     bounds = threads.even(len(one.rows))
     starts = [4 * k for k in bounds]
+    d = len(geometry.periods)
     room = _room(starts[-1], d)
+    if geometry.sphere:
+        from sameas.kernels.sphere import sweep_sphere
+
+        sweep = partial(sweep_sphere, one, two, zones.cells(two), zones.windows, geometry.limit, geometry.box)
+    else:
+        from sameas.kernels.plane import sweep_plane
+
+        shape = (zones.wraps, geometry.limit, geometry.box, (zones.x, zones.y), geometry.periods)
+        sweep = partial(sweep_plane, one, two, zones.cells(two), zones.windows, *shape)
 
     def work(first: int, last: int) -> list[Columns]:
         # Every range has its part of the room; what does not fit there gets more of its own.
         out = tuple(column[4 * first : 4 * last] for column in room)
         chunks: list[Columns] = []
         while first < last:
-            found, first = sweep(
-                one.features, one.covariance, one.rows, one.starts, guards[0],
-                two.features, two.covariance, two.rows, two.starts, guards[1],
-                zones.windows, packed, geometry.periods, first, last, *out,
-            )  # fmt: skip
+            found, first = sweep(first, last, out)
             chunks.append(tuple(column[:found] for column in out))  # type: ignore[arg-type]
             out = _room(max(4 * (last - first), len(two.rows), 1024), d) if first < last else ()  # type: ignore[assignment]
         return chunks

@@ -116,9 +116,9 @@ def notice(message: str) -> None:
 
 def tell_compilation() -> None:
     """Say that kernels are going to be compiled, where this machine has none."""
-    from sameas.kernels import sweep
+    from sameas.kernels import sphere
 
-    statistics = getattr(sweep.sweep, "stats", None)  # a plain function where compilation is switched off
+    statistics = getattr(sphere.sweep_sphere, "stats", None)  # a plain function where compilation is switched off
     where = getattr(statistics, "cache_path", None)
-    if where and not any(Path(where).glob("sweep.sweep-*.nbi")):
+    if where and not any(Path(where).glob("sphere.sweep_sphere-*.nbi")):
         notice("compiling kernels for this machine, once; it takes some seconds")

@@ -1,0 +1,151 @@
+"""Compiled search in a feature space: differences of the features, folded into half a period where they have one."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from sameas.kernels.spans import stretches, taken_back
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def folded(value, period):
+    """A difference of two angles within half a period."""
+    return value - period * math.floor(value / period + 0.5) if period < np.inf else value
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_spread(packed, k, at, d, out):
+    """Add row k of a packed covariance, which begins in column ``at``, to ``out`` (d, d), lower triangle only."""
+    p = packed.shape[1] - at
+    if p <= d:
+        for v in range(d):
+            out[v, v] += packed[k, at if p == 1 else at + v]
+        return
+    for v in range(d):
+        for w in range(v, d):
+            out[w, v] += packed[k, at]
+            at += 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def whitened(matrix, residual, solved):
+    """(Mahalanobis distance squared, determinant); the lower triangle of ``matrix`` becomes its Cholesky factor."""
+    d = len(residual)
+    distance = 0.0
+    determinant = 1.0
+    for v in range(d):
+        for w in range(v):
+            total = matrix[v, w]
+            for t in range(w):
+                total -= matrix[v, t] * matrix[w, t]
+            matrix[v, w] = total / matrix[w, w]
+        total = matrix[v, v]
+        rest = residual[v]
+        for t in range(v):
+            total -= matrix[v, t] * matrix[v, t]
+            rest -= matrix[v, t] * solved[t]
+        root = math.sqrt(total) if total > 0.0 else 1e-150
+        matrix[v, v] = root
+        determinant *= root * root
+        solved[v] = rest / root
+        distance += solved[v] * solved[v]
+    return distance, determinant
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sweep_plane(one, two, cells, windows, wraps, limit, box, axes, periods, first, last, out):
+    """Candidates of the sorted records ``first`` ≤ k < ``last`` of source 1, written into the arrays ``out``.
+
+    one, two : ``spans.Side``. cells : ``spans.Cells``. windows (zones,) : half width in x. wraps : whether the zones close to a ring. axes : of
+    x and y. periods (d,). out : the columns of ``gate.Pairs``. Returns (candidates written, next k): next k < last when
+    out is full.
+    """
+    record, low, high = np.empty(1024, np.int32), np.empty(1024, np.int32), np.empty(1024, np.int32)
+    of1, of2 = np.empty(4096, np.int32), np.empty(4096, np.int32)
+    period_x, period_y = periods[axes[0]], periods[axes[1]]
+    count = 0
+    k = first
+    while k < last:
+        spans, k = stretches(one, two, cells, windows, period_x, wraps, k, last, record, low, high)
+        s = 0
+        while s < spans:
+            s, near = near_on_plane(one, two, period_x, period_y, record, low, high, s, spans, of1, of2)
+            count, t = measured_on_plane(one, two, limit, box, periods, of1, of2, near, count, out)
+            if t < near:
+                return taken_back(out[0], count, of1[t]), of1[t]
+    return count, last
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def near_on_plane(one, two, period_x, period_y, record, low, high, s, spans, of1, of2):
+    """Fill of1, of2 with the pairs of the stretches s … that lie near enough; what is left of a stretch stays in it."""
+    near = 0
+    room = len(of1)
+    while s < spans and near < room:
+        k = record[s]
+        x, y = one.guard[k, 0], one.guard[k, 1]
+        opening_x, opening_y = one.guard[k, 2], one.guard[k, 3]
+        stop = min(high[s], low[s] + room - near)
+        for q in range(low[s], stop):
+            dx = folded(x - two.guard[q, 0], period_x)
+            dy = folded(y - two.guard[q, 1], period_y)
+            of1[near] = k
+            of2[near] = q
+            near += (dx * dx <= opening_x + two.guard[q, 2]) & (dy * dy <= opening_y + two.guard[q, 3])
+        low[s] = stop
+        if stop == high[s]:
+            s += 1
+    return s, near
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def measured_on_plane(one, two, limit, box, periods, of1, of2, near, count, out):
+    """Write those of the pairs that pass the gate; returns (candidates written, pairs done before out was full)."""
+    place1, place2, i, j, residual, distance, determinant = out
+    d = len(periods)
+    matrix = np.empty((d, d))
+    delta = np.empty(d)
+    solved = np.empty(d)
+    for t in range(near):
+        k, q = of1[t], of2[t]
+        matrix[:, :] = 0.0
+        add_spread(one.content, k, d, d, matrix)
+        add_spread(two.content, q, d, d, matrix)
+        inside = True
+        for v in range(d):
+            delta[v] = folded(one.content[k, v] - two.content[q, v], periods[v])
+            inside = inside and (not box or delta[v] * delta[v] <= limit * matrix[v, v])
+        if d == 2:
+            xx, xy, yy = matrix[0, 0], matrix[1, 0], matrix[1, 1]
+            area = xx * yy - xy * xy
+            squared = (delta[0] * delta[0] * yy - 2.0 * delta[0] * delta[1] * xy + delta[1] * delta[1] * xx) / area
+        else:
+            squared, area = whitened(matrix, delta, solved)
+        if not inside or (not box and squared > limit):
+            continue
+        if count == len(i):
+            return count, t
+        place1[count], place2[count] = k, q
+        i[count], j[count] = one.rows[k], two.rows[q]
+        for v in range(d):
+            residual[count, v] = delta[v]
+        distance[count] = squared
+        determinant[count] = area
+        count += 1
+    return count, near
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def plane_covariances(cov1, cov2, i, j, out):
+    """Fill ``out`` (m, d, d) with the covariance of each pair's residual."""
+    d = out.shape[1]
+    out[:] = 0.0
+    for k in range(len(i)):
+        add_spread(cov1, i[k], 0, d, out[k])
+        add_spread(cov2, j[k], 0, d, out[k])
+        for v in range(d):
+            for w in range(v):
+                out[k, w, v] = out[k, v, w]
