@@ -110,6 +110,7 @@ class Records:
         values = _as_float(features, source, "features")
         if values.ndim == 1:
             values = values[:, None]
+        values = np.ascontiguousarray(values)
         if values.ndim != 2 or values.shape[1] == 0:
             raise InputError(f"{source}: features have shape {values.shape}; give (rows, features)")
         n, d = values.shape
@@ -119,19 +120,11 @@ class Records:
             space.period_list(d)
         packed = _packed_covariance(sigma, variance, covariance, n, d, source)
         reasons = _unusable(values, packed, space, d, source, invalid)
-        keep = np.flatnonzero(reasons == 0)
-        aside = np.flatnonzero(reasons != 0)
-        everything = len(keep) == n
-        return cls(
-            features=np.ascontiguousarray(values if everything else values[keep]),
-            covariance=np.ascontiguousarray(packed if everything else packed[keep]),
-            rows=keep.astype(np.int64),
-            ids=_checked_ids(ids, n, source),
-            space=space,
-            source=source,
-            table=table,
-            set_aside=SetAside(aside.astype(np.int64), _REASONS[reasons[aside]]),
-        )
+        about = {"ids": _checked_ids(ids, n, source), "space": space, "source": source, "table": table}
+        if reasons is None:
+            return cls(values, packed, np.arange(n), **about)
+        keep, aside = np.flatnonzero(reasons == 0), np.flatnonzero(reasons)
+        return cls(values[keep], packed[keep], keep, **about, set_aside=SetAside(aside, _REASONS[reasons[aside]]))
 
     def full_covariance(self) -> FloatArray:
         """(n, d, d) covariances, unpacked."""
@@ -196,60 +189,47 @@ def _packed_matrices(matrices: FloatArray, n: int, d: int, source: str) -> Float
         matrices = np.broadcast_to(matrices, (n, d, d))
     if matrices.shape != (n, d, d):
         raise InputError(f"{source}: covariance has shape {matrices.shape}; give ({d}, {d}) or ({n}, {d}, {d})")
+    upper = [(v, w) for v in range(d) for w in range(v, d)]
+    if not all(np.array_equal(matrices[:, v, w], matrices[:, w, v]) for v, w in upper if w > v):
+        _refuse_skew(matrices, source)
+    packed = np.empty((n, len(upper)))
+    for t, (v, w) in enumerate(upper):
+        packed[:, t] = matrices[:, v, w]
+    return packed
+
+
+def _refuse_skew(matrices: FloatArray, source: str) -> None:
+    """Covariances may differ from their transposes by rounding only."""
     with np.errstate(invalid="ignore"):
         skew = np.abs(matrices - matrices.transpose(0, 2, 1)).max(axis=(1, 2), initial=0.0)
         size = np.abs(matrices).max(axis=(1, 2), initial=0.0)
         lopsided = np.flatnonzero(skew > 1e-9 * size)
     if len(lopsided):
         raise InputError(f"{source}: {len(lopsided)} covariances are not symmetric (first: row {lopsided[0]})")
-    upper = np.triu_indices(d)
-    return matrices[:, upper[0], upper[1]]
 
 
 def _unusable(
     values: FloatArray, packed: FloatArray, space: Space, d: int, source: str, invalid: str
-) -> NDArray[np.int8]:
-    """Per row 0 where it can be used, else the number of its reason."""
+) -> NDArray[np.int8] | None:
+    """Per row 0 where it can be used, else the number of its reason; None where all can be used."""
+    from sameas.kernels.checks import BEYOND_POLE, NOT_POSITIVE, check_rows
+
     if invalid not in ("refuse", "set aside"):
         raise InputError(f'{source}: invalid={invalid!r}; give "refuse" or "set aside"')
-    reasons = np.zeros(len(values), np.int8)
-    definite = _positive_definite(packed, d)
-    if not definite.all():
-        known = np.isfinite(packed).all(axis=1)
-        wrong = np.flatnonzero(known & ~definite)
-        if len(wrong) and invalid == "refuse":
+    reasons = np.empty(len(values), np.int8)
+    if not check_rows(values, packed, isinstance(space, Sphere), reasons):
+        return None
+    if invalid == "refuse":
+        wrong = np.flatnonzero(reasons == NOT_POSITIVE)
+        if len(wrong):
             raise InputError(_not_positive(packed, wrong, d, source))
-        reasons[wrong] = 3
-        reasons[~known] = 2
-    if isinstance(space, Sphere):
-        with np.errstate(invalid="ignore"):
-            beyond = np.flatnonzero(np.abs(values[:, 1]) > 90.0)
-        if len(beyond) and invalid == "refuse":
+        beyond = np.flatnonzero(reasons == BEYOND_POLE)
+        if len(beyond):
             raise InputError(
                 f"{source}: {len(beyond)} latitudes lie beyond ±90° (row {beyond[0]}: {values[beyond[0], 1]:g}); "
                 "give longitude, latitude in degrees"
             )
-        reasons[beyond] = 4
-    total = values.sum(axis=1)
-    if not np.isfinite(total).all():
-        reasons[~np.isfinite(values).all(axis=1)] = 1
     return reasons
-
-
-def _positive_definite(packed: FloatArray, d: int) -> NDArray[np.bool_]:
-    if packed.shape[1] <= d:
-        return np.asarray(((packed > 0) & (packed < np.inf)).all(axis=1))
-    if d == 2:
-        xx, xy, yy = packed.T
-        with np.errstate(invalid="ignore", over="ignore"):
-            # A correlation of ±1 leaves a determinant of rounding errors only; that matrix has no usable inverse.
-            return (xx > 0) & (yy > 0) & (xx * yy - xy * xy > 1e-14 * xx * yy) & (xx < np.inf) & (yy < np.inf)
-    diagonal = packed[:, np.cumsum([0, *range(d, 1, -1)])]
-    result = np.asarray(np.isfinite(packed).all(axis=1) & (diagonal > 0).all(axis=1))
-    scale = np.sqrt(diagonal[result])
-    correlation = unpack(packed[result], d) / scale[:, :, None] / scale[:, None, :]
-    result[result] = np.linalg.eigvalsh(correlation)[:, 0] > 1e-12
-    return result
 
 
 def _not_positive(packed: FloatArray, wrong: IntArray, d: int, source: str) -> str:

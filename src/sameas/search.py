@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 FEW_TESTS = 4.0
 #: So few records are swept in one zone: to lay out more costs as much as to test them all.
 FEW_RECORDS = 512
+#: Records in a row whose candidates are counted to know how much room all need.
+SAMPLE = 128
 
 #: Places, i, j, residual, squared Mahalanobis distance, determinant: the columns of :class:`sameas.gate.Pairs`.
 Columns = tuple[
@@ -358,10 +360,7 @@ def _sphere_windows(low: float, height: float, count: int, reach_deg: float) -> 
 
 def _swept(one: spans.Side, two: spans.Side, zones: _Zones, geometry: _Geometry) -> Columns:
     """The candidates of two sorted sides; places are positions in them."""
-    bounds = threads.even(len(one.rows))
-    starts = [4 * k for k in bounds]
     d = len(geometry.periods)
-    room = _room(starts[-1], d)
     if geometry.sphere:
         from sameas.kernels.sphere import sweep_sphere
 
@@ -371,15 +370,19 @@ def _swept(one: spans.Side, two: spans.Side, zones: _Zones, geometry: _Geometry)
 
         shape = (zones.wraps, geometry.limit, geometry.box, (zones.x, zones.y), geometry.periods)
         sweep = partial(sweep_plane, one, two, zones.cells(two), zones.windows, *shape)
+    bounds = threads.even(len(one.rows))
+    each = _expected(sweep, len(one.rows), d)
+    starts = [math.ceil(each * k) for k in bounds]
+    room = _room(starts[-1], d)
 
     def work(first: int, last: int) -> list[Columns]:
         # Every range has its part of the room; what does not fit there gets more of its own.
-        out = tuple(column[4 * first : 4 * last] for column in room)
+        out = tuple(column[math.ceil(each * first) : math.ceil(each * last)] for column in room)
         chunks: list[Columns] = []
         while first < last:
             found, first = sweep(first, last, out)
             chunks.append(tuple(column[:found] for column in out))  # type: ignore[arg-type]
-            out = _room(max(4 * (last - first), len(two.rows), 1024), d) if first < last else ()  # type: ignore[assignment]
+            out = _room(max(int(2 * each * (last - first)), len(two.rows), 1024), d) if first < last else ()  # type: ignore[assignment]
         return chunks
 
     ranges = threads.over(work, bounds)
@@ -394,3 +397,15 @@ def _swept(one: spans.Side, two: spans.Side, zones: _Zones, geometry: _Geometry)
                 column[used : used + count] = column[start : start + count]
         used += count
     return tuple(column[:used] for column in room)  # type: ignore[return-value]
+
+
+def _expected(sweep: Callable[[int, int, Columns], tuple[int, int]], n: int, d: int) -> float:
+    """Room to keep for the candidates of a record: what a sample of the records has, and some more."""
+    if n <= 32 * SAMPLE:
+        return 4.0
+    out = _room(16 * SAMPLE, d)
+    found = done = 0
+    for first in range(0, n - SAMPLE, n // 16):
+        count, reached = sweep(first, first + SAMPLE, out)
+        found, done = found + count, done + max(reached - first, 1)
+    return 1.25 * found / done + 0.5

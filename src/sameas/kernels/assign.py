@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def assign_linear(first, last, start, start1, start2, edges1, local1, local2, weight, chosen, u, v):
     """Maximum-weight matching of the groups first … last − 1; a record may stay alone at no cost.
 
@@ -67,7 +67,7 @@ def assign_linear(first, last, start, start1, start2, edges1, local1, local2, we
                 chosen[e] = mate1[r] == e
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def augment(
     s, base, edges1, local1, local2, weight, u, v, mate1, mate2, distance, through, reached, frontier, scanned, stamp
 ):
@@ -145,7 +145,7 @@ def augment(
         c = follow
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def assign_counted(first, last, start, start1, start2, edges1, local2, weight, table_start, table, chosen, u, v, slope):
     """The best matching of each group under any prior of the number of pairs: best of every size, then the best size.
 
@@ -164,7 +164,7 @@ def assign_counted(first, last, start, start1, start2, edges1, local2, weight, t
         )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def by_column(n2, edges, local2, weight, heads):
     """Per column its pairs by falling weight, as CSR: (starts (n2+1,), pairs)."""
     low = edges[0]
@@ -185,7 +185,7 @@ def by_column(n2, edges, local2, weight, heads):
     return starts, pairs
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def every_size(n1, n2, edges, local2, weight, prior, chosen, u, v):
     """One group of :func:`assign_counted`; fills chosen, u, v and returns μ."""
     low = edges[0]

@@ -26,7 +26,7 @@ NEGLIGIBLE = 1e-14
 Scratch = namedtuple("Scratch", "key value back target place_key place_state place_stamp edge_bit edge_dies")
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def scratch(most_pairs, most_columns):
     """Room for :func:`eliminate`, to be made once for many problems of at most so many pairs and columns.
 
@@ -46,7 +46,7 @@ def scratch(most_pairs, most_columns):
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def elimination_order(n, nc, start, column, order):
     """Fill ``order`` with the rows such that few columns stay open; returns the most columns open at once.
 
@@ -123,7 +123,7 @@ def elimination_order(n, nc, start, column, order):
     return widest
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def find_state(key, begin, count, stamp, work):
     """The state of this key within the current step, made when new; −1 when there is no room."""
     last = np.int64(len(work.place_key) - 1)
@@ -143,7 +143,7 @@ def find_state(key, begin, count, stamp, work):
     return np.int64(begin + count)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def left_unused(key, low, high, taken, column, unused, work):
     """Product of ``unused`` over the columns that close with this row, are free in the state and not taken now."""
     product = 1.0
@@ -153,7 +153,7 @@ def left_unused(key, low, high, taken, column, unused, work):
     return product
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def eliminate(n, nc, start, column, odds, none, unused, prior, share, alone, stamp, work):
     """Exact probabilities of a problem: ``share`` of every pair, ``alone`` of every row.
 
@@ -268,7 +268,7 @@ def eliminate(n, nc, start, column, odds, none, unused, prior, share, alone, sta
     return stamp
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def settle(v0, states, width, k_low, k_count, t, counted, ahead, log_scale, value):
     """Scale the values of a step to at most 1 and drop what is negligible; returns ``log_scale`` with the new scale.
 
@@ -302,7 +302,7 @@ def settle(v0, states, width, k_low, k_count, t, counted, ahead, log_scale, valu
     return log_scale + math.log(largest)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def gather(
     t, r, low, high, column, odds, none, unused, state_start, value_start, target_start, k_low, k_count, counted,
     share, alone, work,

@@ -64,7 +64,7 @@ def sweep_plane(one, two, cells, windows, wraps, limit, box, axes, periods, firs
     out is full.
     """
     record, low, high = np.empty(1024, np.int32), np.empty(1024, np.int32), np.empty(1024, np.int32)
-    of1, of2 = np.empty(4096, np.int32), np.empty(4096, np.int32)
+    of1, of2, passes = np.empty(4096, np.int32), np.empty(4096, np.int32), np.empty(4096, np.uint8)
     period_x, period_y = periods[axes[0]], periods[axes[1]]
     count = 0
     k = first
@@ -72,7 +72,7 @@ def sweep_plane(one, two, cells, windows, wraps, limit, box, axes, periods, firs
         spans, k = stretches(one, two, cells, windows, period_x, wraps, k, last, record, low, high)
         s = 0
         while s < spans:
-            s, near = near_on_plane(one, two, period_x, period_y, record, low, high, s, spans, of1, of2)
+            s, near = near_on_plane(one, two, period_x, period_y, record, low, high, s, spans, of1, of2, passes)
             count, t = measured_on_plane(one, two, limit, box, periods, of1, of2, near, count, out)
             if t < near:
                 return taken_back(out[0], count, of1[t]), of1[t]
@@ -80,7 +80,7 @@ def sweep_plane(one, two, cells, windows, wraps, limit, box, axes, periods, firs
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def near_on_plane(one, two, period_x, period_y, record, low, high, s, spans, of1, of2):
+def near_on_plane(one, two, period_x, period_y, record, low, high, s, spans, of1, of2, passes):
     """Fill of1, of2 with the pairs of the stretches s … that lie near enough; what is left of a stretch stays in it."""
     near = 0
     room = len(of1)
@@ -89,12 +89,17 @@ def near_on_plane(one, two, period_x, period_y, record, low, high, s, spans, of1
         x, y = one.guard[k, 0], one.guard[k, 1]
         opening_x, opening_y = one.guard[k, 2], one.guard[k, 3]
         stop = min(high[s], low[s] + room - near)
-        for q in range(low[s], stop):
-            dx = folded(x - two.guard[q, 0], period_x)
-            dy = folded(y - two.guard[q, 1], period_y)
+        # In two steps, of which the first works on many at once.
+        start = low[s]
+        for t in range(stop - start):
+            dx = folded(x - two.guard[start + t, 0], period_x)
+            dy = folded(y - two.guard[start + t, 1], period_y)
+            in_x = dx * dx <= opening_x + two.guard[start + t, 2]
+            passes[t] = in_x & (dy * dy <= opening_y + two.guard[start + t, 3])
+        for t in range(stop - start):
             of1[near] = k
-            of2[near] = q
-            near += (dx * dx <= opening_x + two.guard[q, 2]) & (dy * dy <= opening_y + two.guard[q, 3])
+            of2[near] = start + t
+            near += passes[t]
         low[s] = stop
         if stop == high[s]:
             s += 1

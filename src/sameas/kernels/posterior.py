@@ -19,13 +19,13 @@ DEEPEST = 600.0
 HIGHEST = 300.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def bounded_exp(x):
     """exp(x) for x ≤ 0, never quite zero."""
     return math.exp(max(x, -DEEPEST))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def by_row(n1, n2, low, high, local1, local2, weight, u, v, flipped, start, column, pair, odds, none, unused):
     """The reduced problem of one group, its rows being source 1 or, ``flipped``, source 2."""
     n = n2 if flipped else n1
@@ -54,7 +54,7 @@ def by_row(n1, n2, low, high, local1, local2, weight, u, v, flipped, start, colu
     return n, nc
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def star(low, high, weight, share):
     """Closed form where one record has all the pairs of the group: a softmax with the null."""
     top = 0.0
@@ -68,7 +68,7 @@ def star(low, high, weight, share):
         share[e] /= total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def count_factors(prior, slope, size):
     """exp(ln P(k) − μ (k − k₀)) relative to the best hypothesis' k₀ = ``size``; 0 where out of reach."""
     factors = np.zeros(len(prior))
@@ -79,7 +79,7 @@ def count_factors(prior, slope, size):
     return factors
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def exact(
     first, last, start, start1, start2, local1, local2, weight, chosen, u, v, counted, table_start, table, slope,
     share, method,
@@ -148,7 +148,7 @@ def exact(
             share[pair[t]] = part[t]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def messages(
     first,
     last,
@@ -240,7 +240,7 @@ def messages(
     return worst
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def columns_of(groups, start, start1, start2, edges1, local2, method):
     """CSR of the pairs by record of source 2, for the groups left LOCAL: (starts by record of the layout, pairs)."""
     starts = np.zeros(start2[groups] + 1, np.int64)
@@ -260,7 +260,7 @@ def columns_of(groups, start, start1, start2, edges1, local2, method):
     return starts, pairs
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def balls(
     first, last, group1, start1, start2, edges1, local1, local2, column_start, column_pairs, weight, u, v, method,
     to_column, most_rows, most_bits, share,
@@ -360,7 +360,7 @@ def balls(
             share[e] = part[e - edges1[center]]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def lonely(center, base2, edges1, local1, local2, column_start, column_pairs, weight, u, v, to_column, share):
     """The posterior of one row from its messages alone."""
     total = bounded_exp(-u[center])

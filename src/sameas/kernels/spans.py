@@ -20,8 +20,8 @@ Cells = namedtuple("Cells", "zones starts low scale")
 
 #: Stretches that one record may need: three zones, each cut in three where its window crosses the period.
 MOST = 9
-#: A stretch longer than this is cut to the window itself.
-LONG = 12
+#: Where the cells of a stretch hold more records than this each, it is cut to the window itself.
+CROWDED = 4
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -93,9 +93,10 @@ def stretches(one, two, cells, windows, period, wraps, k, last, record, low, hig
                 count += two.zones[other] < stop
                 continue
             first, number = cells.zones[other], cells.zones[other + 1] - cells.zones[other]
-            p = cells.starts[first + cell_at(x - window, cells.low, cells.scale[other], number)]
-            q = cells.starts[first + cell_at(x + window, cells.low, cells.scale[other], number) + 1]
-            if q - p > LONG:
+            left = cell_at(x - window, cells.low, cells.scale[other], number)
+            right = cell_at(x + window, cells.low, cells.scale[other], number) + 1
+            p, q = cells.starts[first + left], cells.starts[first + right]
+            if q - p > CROWDED * (right - left):
                 p = first_from(two.guard, p, q, x - window)
                 q = first_from(two.guard, p, q, np.nextafter(x + window, np.inf))
             record[count], low[count], high[count] = k, p, q

@@ -1,0 +1,69 @@
+"""Compiled check of what a source says: one look at every row."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+USABLE, NO_POSITION, NO_ERROR, NOT_POSITIVE, BEYOND_POLE = 0, 1, 2, 3, 4
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def check_rows(features, packed, directions, reasons):
+    """Fill ``reasons`` (n,) with 0 where a row can be used, else the number of what is wrong; returns how many are.
+
+    directions : features are longitude and latitude in degrees.
+    """
+    n, d = features.shape
+    p = packed.shape[1]
+    factor = np.empty((d, d))
+    wrong = 0
+    for k in range(n):
+        reason = USABLE
+        known = True
+        for t in range(p):
+            known = known and abs(packed[k, t]) < np.inf
+        if not known:
+            reason = NO_ERROR
+        elif p <= d:
+            for t in range(p):
+                if not packed[k, t] > 0.0:
+                    reason = NOT_POSITIVE
+        elif not definite(packed, k, d, factor):
+            reason = NOT_POSITIVE
+        if directions and abs(features[k, 1]) > 90.0:
+            reason = BEYOND_POLE
+        for v in range(d):
+            if not abs(features[k, v]) < np.inf:
+                reason = NO_POSITION
+        reasons[k] = reason
+        wrong += reason != USABLE
+    return wrong
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def definite(packed, k, d, factor):
+    """Whether a packed covariance is positive definite: correlations of ±1 leave rounding errors only, no inverse."""
+    least = 1e-14 if d == 2 else 1e-12
+    t = 0
+    for v in range(d):
+        for w in range(v, d):
+            factor[w, v] = packed[k, t]
+            t += 1
+    for v in range(d):
+        own = factor[v, v]
+        if not own > 0.0:
+            return False
+        total = own
+        for w in range(v):
+            part = factor[v, w]
+            for u in range(w):
+                part -= factor[v, u] * factor[w, u]
+            factor[v, w] = part / factor[w, w]
+            total -= factor[v, w] * factor[v, w]
+        if not total > least * own:
+            return False
+        factor[v, v] = math.sqrt(total)
+    return True
