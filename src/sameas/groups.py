@@ -76,6 +76,8 @@ class Groups:
 
     def bounds(self, parts: int) -> list[int]:
         """Cuts between groups that share the pairs out evenly over ``parts`` ranges."""
+        if parts == 1:
+            return [0, len(self)]
         wanted = np.linspace(0, len(self.order), parts + 1)[1:-1]
         return [0, *np.searchsorted(self.start, wanted).tolist(), len(self)]
 

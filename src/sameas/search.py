@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 FEW_TESTS = 4.0
 #: So few records are swept in one zone: to lay out more costs as much as to test them all.
 FEW_RECORDS = 512
+#: So few keys are not sorted by their bits.
+FEW_KEYS = 4096
 #: Records in a row whose candidates are counted to know how much room all need.
 SAMPLE = 128
 
@@ -250,7 +252,10 @@ class _Side:
         written = np.empty((n, d + self.covariance.shape[1]))
         shape = (zones.x, zones.y, zones.cuts(), row_bits, bin_bits)
         write_rows(self.features, self.covariance, *shape, keys, written, starts)
-        keys = sort_by_bits(keys, row_bits, row_bits + bin_bits + zone_bits)
+        if n < FEW_KEYS:
+            keys.sort()
+        else:
+            keys = sort_by_bits(keys, row_bits, row_bits + bin_bits + zone_bits)
         order = np.empty(n, np.int32)
         doubt = sort_within_bins(order, row_bits, keys, written, zones.x, np.empty(0, np.int64))
         if doubt == 1:

@@ -38,5 +38,7 @@ def each(works: Sequence[Callable[[], T]], size: int) -> list[T]:
 
 def even(n: int, least: int = 4096) -> list[int]:
     """Bounds that cut n items in as many even ranges as there are threads, none smaller than ``least``."""
+    if n < 2 * least:
+        return [0, n]
     parts = max(1, min(count(), n // least))
     return [n * t // parts for t in range(parts + 1)]

@@ -8,10 +8,11 @@ the chosen pairs and zero on records left alone: the certificate that the hypoth
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from sameas.kernels.compiled import kernel, part
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def assign_linear(first, last, start, start1, start2, edges1, local1, local2, weight, chosen, u, v):
     """Maximum-weight matching of the groups first … last − 1; a record may stay alone at no cost.
 
@@ -67,7 +68,7 @@ def assign_linear(first, last, start, start1, start2, edges1, local1, local2, we
                 chosen[e] = mate1[r] == e
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def augment(
     s, base, edges1, local1, local2, weight, u, v, mate1, mate2, distance, through, reached, frontier, scanned, stamp
 ):
@@ -145,7 +146,7 @@ def augment(
         c = follow
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def assign_counted(first, last, start, start1, start2, edges1, local2, weight, table_start, table, chosen, u, v, slope):
     """The best matching of each group under any prior of the number of pairs: best of every size, then the best size.
 
@@ -164,7 +165,7 @@ def assign_counted(first, last, start, start1, start2, edges1, local2, weight, t
         )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def by_column(n2, edges, local2, weight, heads):
     """Per column its pairs by falling weight, as CSR: (starts (n2+1,), pairs)."""
     low = edges[0]
@@ -181,11 +182,12 @@ def by_column(n2, edges, local2, weight, heads):
         e = low + by_weight[t]
         pairs[fill[local2[e]]] = e
         fill[local2[e]] += 1
-    heads[:] = starts[:-1]
+    for c in range(n2):
+        heads[c] = starts[c]
     return starts, pairs
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def every_size(n1, n2, edges, local2, weight, prior, chosen, u, v):
     """One group of :func:`assign_counted`; fills chosen, u, v and returns μ."""
     low = edges[0]
@@ -270,10 +272,11 @@ def every_size(n1, n2, edges, local2, weight, prior, chosen, u, v):
         if prior[k] + total > best:
             best = prior[k] + total
             best_slope = -top
-            best1[:] = mate1
             for r in range(n1):
+                best1[r] = mate1[r]
                 u[r] = max(0.0, potential[r] - top) if mate1[r] >= 0 else 0.0
-            v[:] = price
+            for c in range(n2):
+                v[c] = price[c]
     for r in range(n1):
         if best1[r] >= 0:
             chosen[best1[r]] = True

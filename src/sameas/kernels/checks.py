@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from sameas.kernels.compiled import kernel, part
 
 USABLE, NO_POSITION, NO_ERROR, NOT_POSITIVE, BEYOND_POLE = 0, 1, 2, 3, 4
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def check_rows(features, packed, directions, reasons):
     """Fill ``reasons`` (n,) with 0 where a row can be used, else the number of what is wrong; returns how many are.
 
@@ -43,7 +44,7 @@ def check_rows(features, packed, directions, reasons):
     return wrong
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def definite(packed, k, d, factor):
     """Whether a packed covariance is positive definite: correlations of ±1 leave rounding errors only, no inverse."""
     least = 1e-14 if d == 2 else 1e-12

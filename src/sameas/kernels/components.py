@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from sameas.kernels.compiled import kernel, part
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def root(parent, k):
     """The representative of k, halving the path on the way."""
     while parent[k] != k:
@@ -15,7 +16,7 @@ def root(parent, k):
     return k
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def components(place1, place2, i, j, n1, n2):
     """Lay the candidate pairs (i, j) out by connected component, in the order in which components first appear.
 
@@ -26,7 +27,9 @@ def components(place1, place2, i, j, n1, n2):
     edges1 is the CSR of the pairs by record of rows1; local1, local2 number the records of a pair within its group.
     """
     m = len(i)
-    parent = np.arange(n1 + n2).astype(np.int32)
+    parent = np.empty(n1 + n2, np.int32)
+    for k in range(n1 + n2):
+        parent[k] = k
     for e in range(m):
         a = root(parent, place1[e])
         b = root(parent, place2[e] + n1)
@@ -57,7 +60,7 @@ def components(place1, place2, i, j, n1, n2):
     return laid_out(place1, place2, i, j, n1, n2, order, start)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def laid_out(place1, place2, i, j, n1, n2, order, start):
     """The second half of :func:`components`: number the records of every group as they first appear."""
     m = len(order)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from numba import njit
+from sameas.kernels.compiled import kernel
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def refine(count, volume, cell, own, pseudo_count, density):
     """Draw ``density`` (n,), in place, towards the counts of each record's cell, its own weight left out.
 
@@ -19,7 +19,7 @@ def refine(count, volume, cell, own, pseudo_count, density):
         density[k] = (others + pseudo_count) / (volume[c] + pseudo_count / density[k])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def refine_share(part, count, cell, own_part, own_count, pseudo_count, share):
     """Draw ``share`` (n,), in place, towards part/count of each record's cell, its own part and count left out.
 

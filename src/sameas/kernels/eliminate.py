@@ -12,7 +12,8 @@ import math
 from collections import namedtuple
 
 import numpy as np
-from numba import njit
+
+from sameas.kernels.compiled import part
 
 #: Most states, values, transitions and hash places that one problem may use; beyond, it is not solved exactly.
 STATES = 400_000
@@ -26,18 +27,21 @@ NEGLIGIBLE = 1e-14
 Scratch = namedtuple("Scratch", "key value back target place_key place_state place_stamp edge_bit edge_dies")
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def scratch(most_pairs, most_columns):
-    """Room for :func:`eliminate`, to be made once for many problems of at most so many pairs and columns.
+@part
+def scratch(most_pairs, most_rows, most_columns):
+    """Room for :func:`eliminate`, to be made once for many problems of at most so many pairs, rows and columns.
 
     A problem of c columns has at most 2^c states in a step: whether it fits does not depend on the others.
     """
     places = np.int64(1) << min(most_columns + 1, PLACE_BITS)
+    states = min(STATES, (most_rows + 2) << min(most_columns, 19))
+    spread = states * (most_columns + 2)
+    values = min(VALUES, spread)
     return Scratch(
-        np.empty(STATES, np.uint64),
-        np.empty(VALUES),
-        np.empty(VALUES),
-        np.empty(TRANSITIONS, np.int32),
+        np.empty(states, np.uint64),
+        np.empty(values),
+        np.empty(values),
+        np.empty(min(TRANSITIONS, spread), np.int32),
         np.empty(places, np.uint64),
         np.empty(places, np.int32),
         np.zeros(places, np.int32),
@@ -46,7 +50,7 @@ def scratch(most_pairs, most_columns):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def elimination_order(n, nc, start, column, order):
     """Fill ``order`` with the rows such that few columns stay open; returns the most columns open at once.
 
@@ -123,7 +127,7 @@ def elimination_order(n, nc, start, column, order):
     return widest
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def find_state(key, begin, count, stamp, work):
     """The state of this key within the current step, made when new; −1 when there is no room."""
     last = np.int64(len(work.place_key) - 1)
@@ -143,7 +147,7 @@ def find_state(key, begin, count, stamp, work):
     return np.int64(begin + count)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def left_unused(key, low, high, taken, column, unused, work):
     """Product of ``unused`` over the columns that close with this row, are free in the state and not taken now."""
     product = 1.0
@@ -153,7 +157,7 @@ def left_unused(key, low, high, taken, column, unused, work):
     return product
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def eliminate(n, nc, start, column, odds, none, unused, prior, share, alone, stamp, work):
     """Exact probabilities of a problem: ``share`` of every pair, ``alone`` of every row.
 
@@ -268,7 +272,7 @@ def eliminate(n, nc, start, column, odds, none, unused, prior, share, alone, sta
     return stamp
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def settle(v0, states, width, k_low, k_count, t, counted, ahead, log_scale, value):
     """Scale the values of a step to at most 1 and drop what is negligible; returns ``log_scale`` with the new scale.
 
@@ -302,7 +306,7 @@ def settle(v0, states, width, k_low, k_count, t, counted, ahead, log_scale, valu
     return log_scale + math.log(largest)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def gather(
     t, r, low, high, column, odds, none, unused, state_start, value_start, target_start, k_low, k_count, counted,
     share, alone, work,

@@ -8,10 +8,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from sameas.kernels.compiled import kernel, part
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def extent(features):
     """(2, d) the least and the greatest value of every feature."""
     ends = np.empty((2, features.shape[1]))
@@ -25,7 +26,7 @@ def extent(features):
     return ends
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def write_rows(features, covariance, axis_x, axis_y, cuts, row_bits, bin_bits, keys, content, starts):
     """Fill ``content`` with features and covariance, ``keys`` with zone | bin of x | row, ``starts`` with zones' CSR.
 
@@ -48,7 +49,7 @@ def write_rows(features, covariance, axis_x, axis_y, cuts, row_bits, bin_bits, k
         starts[zone + 1] += starts[zone]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def sort_by_bits(keys, low_bit, high_bit):
     """The keys sorted by their bits low_bit … high_bit − 1, eleven at a time, stable."""
     here = keys
@@ -75,7 +76,7 @@ def sort_by_bits(keys, low_bit, high_bit):
     return here
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def sort_within_bins(order, row_bits, keys, content, axis_x, rank):
     """Fill ``order`` with the rows of the sorted ``keys``; those that share a bin by content, then by rank.
 
@@ -114,7 +115,7 @@ def sort_within_bins(order, row_bits, keys, content, axis_x, rank):
     return 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def precedes(content, axis_x, a, b):
     """1 where row a comes before row b by content, x first; −1 where after, 0 where both say the same."""
     if content[a, axis_x] != content[b, axis_x]:
@@ -125,7 +126,7 @@ def precedes(content, axis_x, a, b):
     return 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def take_rows(order, written, d, turning, axis_x, axis_y, opening, content, guard):
     """Fill ``content`` with the rows in their order, and ``guard`` (n, 4) with what tells most pairs apart.
 
@@ -147,7 +148,7 @@ def take_rows(order, written, d, turning, axis_x, axis_y, opening, content, guar
                 guard[k, 3] = opening * content[k, d + diagonal(written.shape[1] - d, d, axis_y)]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def copy_rows(order, written, content, start, stop):
     """Rows ``order[k]`` to the places start ≤ k < stop, so bare that the memory is asked for many of them at once."""
     width = written.shape[1]
@@ -162,7 +163,7 @@ def copy_rows(order, written, content, start, stop):
                 content[k, v] = written[row, v]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def sine(degrees):
     """The sine of 0 … 90°, by its series: the library's takes as long as the rest of the loop."""
     x = degrees * (math.pi / 180.0)
@@ -180,7 +181,7 @@ def sine(degrees):
     return x - x * z * total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def diagonal(p, d, axis):
     """Where a packed covariance of p numbers keeps the variance of a feature."""
     if p <= d:
@@ -188,7 +189,7 @@ def diagonal(p, d, axis):
     return axis * d - axis * (axis - 1) // 2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def widest(content, k):
     """The largest variance of a direction's two in any direction."""
     p = content.shape[1] - 2

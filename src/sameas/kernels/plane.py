@@ -5,18 +5,18 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from sameas.kernels.compiled import kernel, part
 from sameas.kernels.spans import stretches, taken_back
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def folded(value, period):
     """A difference of two angles within half a period."""
     return value - period * math.floor(value / period + 0.5) if period < np.inf else value
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def add_spread(packed, k, at, d, out):
     """Add row k of a packed covariance, which begins in column ``at``, to ``out`` (d, d), lower triangle only."""
     p = packed.shape[1] - at
@@ -30,7 +30,7 @@ def add_spread(packed, k, at, d, out):
             at += 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def whitened(matrix, residual, solved):
     """(Mahalanobis distance squared, determinant); the lower triangle of ``matrix`` becomes its Cholesky factor."""
     d = len(residual)
@@ -55,22 +55,22 @@ def whitened(matrix, residual, solved):
     return distance, determinant
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def sweep_plane(one, two, cells, windows, wraps, limit, box, axes, periods, first, last, out):
     """Candidates of the sorted records ``first`` ≤ k < ``last`` of source 1, written into the arrays ``out``.
 
-    one, two : ``spans.Side``. cells : ``spans.Cells``. windows (zones,) : half width in x. wraps : whether the zones close to a ring. axes : of
-    x and y. periods (d,). out : the columns of ``gate.Pairs``. Returns (candidates written, next k): next k < last when
-    out is full.
+    one, two : ``spans.Side``. cells : ``spans.Cells``. windows (zones,) : half width in x. wraps : whether the zones
+    close to a ring. axes : of x and y. periods (d,). out : the columns of ``gate.Pairs``. Returns (candidates written,
+    next k): next k < last when out is full.
     """
     record, low, high = np.empty(1024, np.int32), np.empty(1024, np.int32), np.empty(1024, np.int32)
     of1, of2, passes = np.empty(4096, np.int32), np.empty(4096, np.int32), np.empty(4096, np.uint8)
     period_x, period_y = periods[axes[0]], periods[axes[1]]
-    count = 0
+    count = np.int64(0)  # not a literal: numba would compile for it apart
     k = first
     while k < last:
         spans, k = stretches(one, two, cells, windows, period_x, wraps, k, last, record, low, high)
-        s = 0
+        s = np.int64(0)
         while s < spans:
             s, near = near_on_plane(one, two, period_x, period_y, record, low, high, s, spans, of1, of2, passes)
             count, t = measured_on_plane(one, two, limit, box, periods, of1, of2, near, count, out)
@@ -79,7 +79,7 @@ def sweep_plane(one, two, cells, windows, wraps, limit, box, axes, periods, firs
     return count, last
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def near_on_plane(one, two, period_x, period_y, record, low, high, s, spans, of1, of2, passes):
     """Fill of1, of2 with the pairs of the stretches s … that lie near enough; what is left of a stretch stays in it."""
     near = 0
@@ -106,7 +106,7 @@ def near_on_plane(one, two, period_x, period_y, record, low, high, s, spans, of1
     return s, near
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def measured_on_plane(one, two, limit, box, periods, of1, of2, near, count, out):
     """Write those of the pairs that pass the gate; returns (candidates written, pairs done before out was full)."""
     place1, place2, i, j, residual, distance, determinant = out
@@ -114,6 +114,7 @@ def measured_on_plane(one, two, limit, box, periods, of1, of2, near, count, out)
     matrix = np.empty((d, d))
     delta = np.empty(d)
     solved = np.empty(d)
+    reach = limit if box else limit * (1.0 + 1e-9)
     for t in range(near):
         k, q = of1[t], of2[t]
         matrix[:, :] = 0.0
@@ -122,14 +123,17 @@ def measured_on_plane(one, two, limit, box, periods, of1, of2, near, count, out)
         inside = True
         for v in range(d):
             delta[v] = folded(one.content[k, v] - two.content[q, v], periods[v])
-            inside = inside and (not box or delta[v] * delta[v] <= limit * matrix[v, v])
+            # No ellipse reaches further along an axis than its box.
+            inside = inside and delta[v] * delta[v] <= reach * matrix[v, v]
+        if not inside:
+            continue
         if d == 2:
             xx, xy, yy = matrix[0, 0], matrix[1, 0], matrix[1, 1]
             area = xx * yy - xy * xy
             squared = (delta[0] * delta[0] * yy - 2.0 * delta[0] * delta[1] * xy + delta[1] * delta[1] * xx) / area
         else:
             squared, area = whitened(matrix, delta, solved)
-        if not inside or (not box and squared > limit):
+        if not box and squared > limit:
             continue
         if count == len(i):
             return count, t
@@ -143,7 +147,7 @@ def measured_on_plane(one, two, limit, box, periods, of1, of2, near, count, out)
     return count, near
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def plane_covariances(cov1, cov2, i, j, out):
     """Fill ``out`` (m, d, d) with the covariance of each pair's residual."""
     d = out.shape[1]

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from sameas.kernels.compiled import kernel, part
 from sameas.kernels.eliminate import eliminate, scratch
 
 CLOSED, ELIMINATED, LOCAL = 0, 1, 2
@@ -19,13 +19,13 @@ DEEPEST = 600.0
 HIGHEST = 300.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def bounded_exp(x):
     """exp(x) for x ≤ 0, never quite zero."""
     return math.exp(max(x, -DEEPEST))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def by_row(n1, n2, low, high, local1, local2, weight, u, v, flipped, start, column, pair, odds, none, unused):
     """The reduced problem of one group, its rows being source 1 or, ``flipped``, source 2."""
     n = n2 if flipped else n1
@@ -54,7 +54,7 @@ def by_row(n1, n2, low, high, local1, local2, weight, u, v, flipped, start, colu
     return n, nc
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def star(low, high, weight, share):
     """Closed form where one record has all the pairs of the group: a softmax with the null."""
     top = 0.0
@@ -68,7 +68,7 @@ def star(low, high, weight, share):
         share[e] /= total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def count_factors(prior, slope, size):
     """exp(ln P(k) − μ (k − k₀)) relative to the best hypothesis' k₀ = ``size``; 0 where out of reach."""
     factors = np.zeros(len(prior))
@@ -79,7 +79,7 @@ def count_factors(prior, slope, size):
     return factors
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def exact(
     first, last, start, start1, start2, local1, local2, weight, chosen, u, v, counted, table_start, table, slope,
     share, method,
@@ -89,14 +89,17 @@ def exact(
     With ``counted``, weight excludes the prior and table holds ln P(k) (see ``assign_counted``); else weight is all.
     method (g,) receives CLOSED, ELIMINATED or LOCAL (nothing filled: left to :func:`messages` and :func:`balls`).
     """
-    widest = 1
+    widest = np.int64(1)
     longest = np.int64(1)
     narrowest = np.int64(1)
     for g in range(first, last):
-        widest = max(widest, start1[g + 1] - start1[g], start2[g + 1] - start2[g])
-        longest = max(longest, start[g + 1] - start[g])
-        narrowest = max(narrowest, min(start1[g + 1] - start1[g], start2[g + 1] - start2[g]))
-    work = scratch(longest, narrowest)
+        n1 = start1[g + 1] - start1[g]
+        n2 = start2[g + 1] - start2[g]
+        if n1 > 1 and n2 > 1:
+            widest = max(widest, n1, n2)
+            longest = max(longest, start[g + 1] - start[g])
+            narrowest = max(narrowest, min(n1, n2))
+    work = scratch(longest, widest, narrowest)
     row_start = np.empty(widest + 2, np.int64)
     column = np.empty(longest, np.int32)
     pair = np.empty(longest, np.int64)
@@ -148,7 +151,7 @@ def exact(
             share[pair[t]] = part[t]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def messages(
     first,
     last,
@@ -214,8 +217,9 @@ def messages(
                     new = odds[e - low] / others
                     change = max(change, abs(new - to_column[e]) / (1.0 + new))
                     to_column[e] = new
-            total[:] = free
-            largest[:] = -1.0
+            for c in range(n2):
+                total[c] = free[c]
+                largest[c] = -1.0
             for e in range(low, high):
                 if to_column[e] > largest[local2[e]]:
                     largest[local2[e]] = to_column[e]
@@ -240,7 +244,7 @@ def messages(
     return worst
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def columns_of(groups, start, start1, start2, edges1, local2, method):
     """CSR of the pairs by record of source 2, for the groups left LOCAL: (starts by record of the layout, pairs)."""
     starts = np.zeros(start2[groups] + 1, np.int64)
@@ -260,7 +264,7 @@ def columns_of(groups, start, start1, start2, edges1, local2, method):
     return starts, pairs
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def balls(
     first, last, group1, start1, start2, edges1, local1, local2, column_start, column_pairs, weight, u, v, method,
     to_column, most_rows, most_bits, share,
@@ -274,7 +278,7 @@ def balls(
     for r in range(first, last):
         longest = max(longest, edges1[r + 1] - edges1[r])
     capacity = longest * (most_rows + 1)
-    work = scratch(capacity, capacity)
+    work = scratch(np.int64(capacity), np.int64(most_rows), np.int64(capacity))
     inside = np.empty(most_rows, np.int64)
     start = np.empty(most_rows + 1, np.int64)
     column = np.empty(capacity, np.int32)
@@ -360,7 +364,7 @@ def balls(
             share[e] = part[e - edges1[center]]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def lonely(center, base2, edges1, local1, local2, column_start, column_pairs, weight, u, v, to_column, share):
     """The posterior of one row from its messages alone."""
     total = bounded_exp(-u[center])

@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections import namedtuple
 
 import numpy as np
-from numba import njit
+
+from sameas.kernels.compiled import kernel, part
 
 #: A source in its order: content (n, d + p), guard (n, 4; see ``order.take_rows``), rows (n,), zones (CSR starts).
 Side = namedtuple("Side", "content guard rows zones")
@@ -24,7 +25,7 @@ MOST = 9
 CROWDED = 4
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def cells_of(side, low, extent, zones, starts, scale):
     """Fill zones (z+1,), starts (cells + 1,) and scale (z,) of :data:`Cells`: cells as records in a zone, and one."""
     n_zones = len(side.zones) - 1
@@ -45,13 +46,26 @@ def cells_of(side, low, extent, zones, starts, scale):
     starts[cell] = side.zones[n_zones]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def cell_at(x, low, scale, count):
     """The cell of a zone in which x lies; beyond the first and the last, those."""
     return np.int64(min(max((x - low) * scale, 0.0), count - 1.0))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
+def zone_of(zones, k):
+    """The zone that record k belongs to."""
+    low, high = 0, len(zones) - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if zones[middle] <= k:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@part
 def first_from(guard, start, stop, x):
     """The first of the records start … stop − 1 of a zone that does not lie before x, or stop."""
     while start < stop:
@@ -63,15 +77,15 @@ def first_from(guard, start, stop, x):
     return start
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def stretches(one, two, cells, windows, period, wraps, k, last, record, low, high):
     """Fill ``record``, ``low``, ``high`` with stretches low ≤ q < high for the records k … last − 1, as many as fit.
 
     Returns (stretches, next k).
     """
     n_zones = len(one.zones) - 1
-    count = 0
-    zone = np.searchsorted(one.zones, k, side="right") - 1
+    count = np.int64(0)
+    zone = zone_of(one.zones, k)
     while k < last and count + MOST <= len(record):
         while k >= one.zones[zone + 1]:
             zone += 1
@@ -114,7 +128,7 @@ def stretches(one, two, cells, windows, period, wraps, k, last, record, low, hig
     return count, k
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def taken_back(place1, count, k):
     """The number of candidates before those of record k, which are the last ones."""
     while count > 0 and place1[count - 1] == k:

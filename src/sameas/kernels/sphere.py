@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from sameas.kernels.spans import stretches, taken_back
+from sameas.kernels.compiled import kernel, part
+from sameas.kernels.spans import stretches, taken_back, zone_of
 
 DEG = math.pi / 180.0
 ARCSEC = 206264.80624709636
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def spread_2d(packed, k, at):
     """(xx, xy, yy) of row k of a packed covariance of two features, which begins in column ``at``."""
     p = packed.shape[1] - at
@@ -24,7 +24,7 @@ def spread_2d(packed, k, at):
     return packed[k, at], packed[k, at + 1], packed[k, at + 2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def turned(xx, xy, yy, c, s):
     """A covariance turned counter-clockwise by the angle of cosine c and sine s."""
     return (
@@ -34,7 +34,7 @@ def turned(xx, xy, yy, c, s):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def sphere_residual(lon1, lat1, cos1, lon2, lat2, cos2):
     """(east, north) residual in arcsec of two directions, given the cosines of their latitudes; see space.Sphere."""
     dlon = lon1 - lon2
@@ -70,7 +70,7 @@ def sphere_residual(lon1, lat1, cos1, lon2, lat2, cos2):
     return 2.0 * ARCSEC * arc * u, 2.0 * ARCSEC * arc * v
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def sphere_spread(packed1, k1, packed2, k2, at, lon1, lat1, lon2, lat2):
     """(xx, xy, yy) of the sum of both covariances on the axes halfway between two directions."""
     ax, axy, ay = spread_2d(packed1, k1, at)
@@ -92,7 +92,7 @@ def sphere_spread(packed1, k1, packed2, k2, at, lon1, lat1, lon2, lat2):
     return ax + bx, axy + bxy, ay + by
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def sweep_sphere(one, two, cells, windows, limit, box, first, last, out):
     """Candidates of the sorted records ``first`` ≤ k < ``last`` of source 1, written into the arrays ``out``.
 
@@ -102,11 +102,11 @@ def sweep_sphere(one, two, cells, windows, limit, box, first, last, out):
     """
     record, low, high = np.empty(1024, np.int32), np.empty(1024, np.int32), np.empty(1024, np.int32)
     of1, of2, passes = np.empty(4096, np.int32), np.empty(4096, np.int32), np.empty(4096, np.uint8)
-    count = 0
+    count = np.int64(0)  # not a literal: numba would compile for it apart
     k = first
     while k < last:
         spans, k = stretches(one, two, cells, windows, 360.0, False, k, last, record, low, high)
-        s = 0
+        s = np.int64(0)
         while s < spans:
             s, near = near_on_sphere(one, two, windows, record, low, high, s, spans, of1, of2, passes)
             count, t = measured_on_sphere(one, two, limit, box, of1, of2, near, count, out)
@@ -115,10 +115,10 @@ def sweep_sphere(one, two, cells, windows, limit, box, first, last, out):
     return count, last
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def near_on_sphere(one, two, windows, record, low, high, s, spans, of1, of2, passes):
     """Fill of1, of2 with the pairs of the stretches s … that lie near enough; what is left of a stretch stays in it."""
-    zone = np.searchsorted(one.zones, record[s], side="right") - 1
+    zone = zone_of(one.zones, record[s])
     near = 0
     room = len(of1)
     while s < spans and near < room:
@@ -161,7 +161,7 @@ def near_on_sphere(one, two, windows, record, low, high, s, spans, of1, of2, pas
     return s, near
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def measured_on_sphere(one, two, limit, box, of1, of2, near, count, out):
     """Write those of the pairs that pass the gate; returns (candidates written, pairs done before out was full)."""
     place1, place2, i, j, residual, distance, determinant = out
@@ -191,7 +191,7 @@ def measured_on_sphere(one, two, limit, box, of1, of2, near, count, out):
     return count, near
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def sphere_covariances(features1, cov1, features2, cov2, i, j, out):
     """Fill ``out`` (m, 2, 2) with the covariance of each pair's residual."""
     for k in range(len(i)):

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from sameas.kernels.compiled import kernel
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def per_record(record, n, chosen, p_pair):
     """For each of n records its chosen pair or −1, its most probable other pair or −1, candidates, Σ p of its pairs."""
     partner = np.full(n, -1, np.int64)
