@@ -3,6 +3,7 @@
 import math
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 import naive
 from problems import DRAWS, chosen_edges, components_of, laid_out, many_blocks, random_ratios, solved
 from sameas import CommonObjects, PerPair, threads
-from sameas.assignment import assign
+from sameas.assignment import Certificate, assign
 from sameas.prior import LogPrior
 
 PRIORS = {
@@ -36,8 +37,7 @@ PRIORS = {
 
 
 def certified(grouped, best):
-    least, gap = best.certificate(grouped)
-    return least >= -1e-12 and gap <= 1e-9
+    return best.certificate(grouped).holds
 
 
 def total(weight, edges):
@@ -173,8 +173,7 @@ _, grouped = laid_out(n, n, set(zip(i[keep].tolist(), j[keep].tolist(), strict=T
 weight = np.random.default_rng(2).normal(1.0, 3.0, keep.sum())
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 best = assign(grouped, weight, prior(grouped.sizes_1, grouped.sizes_2))
-least, gap = best.certificate(grouped)
-assert len(grouped) == 1 and 0 < best.chosen.sum() <= n and least >= -1e-12 and gap <= 1e-9
+assert len(grouped) == 1 and 0 < best.chosen.sum() <= n and best.certificate(grouped).holds
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 """
 
@@ -186,6 +185,27 @@ def test_a_group_of_five_thousand_records_needs_memory_for_its_candidates_only(w
     assert run.returncode == 0, run.stderr
     # In KiB; a matrix of 5000 × 5000 would take 200 MB, the candidates take one or two.
     assert int(run.stdout) < 30_000
+
+
+# ---- the certificate ----
+
+
+def test_identify_refuses_a_hypothesis_that_is_not_proved_the_best(monkeypatch):
+    from sameas import Field, Records, identify
+
+    first, second = Records.of([[0.0], [1.0]], sigma=0.3), Records.of([[0.1], [1.1]], sigma=0.3)
+    answer = identify(first, second, rule=Field(0.1), certify=True)
+    certificate = answer.best.certificate(answer.groups)
+    assert certificate.holds and str(certificate).startswith("optimal: least reduced cost")
+
+    def worse(*arguments):
+        best = assign(*arguments)
+        return replace(best, chosen=np.zeros_like(best.chosen))
+
+    monkeypatch.setitem(identify.__globals__, "assign", worse)
+    with pytest.raises(ArithmeticError, match=r"NOT PROVED OPTIMAL: .* duality gap \d"):
+        identify(first, second, rule=Field(0.1), certify=True)
+    assert len(identify(first, second, rule=Field(0.1)).matches) == 0
 
 
 # ---- ties, nothing, threads ----
@@ -200,7 +220,7 @@ def test_a_pair_that_is_as_probable_as_none_is_left_out():
 def test_without_candidates_there_is_no_hypothesis(prior):
     _, grouped = laid_out(2, 3, set())
     best = assign(grouped, np.empty(0), prior(grouped.sizes_1, grouped.sizes_2))
-    assert len(best.chosen) == 0 and best.certificate(grouped) == (0.0, 0.0)
+    assert len(best.chosen) == 0 and best.certificate(grouped) == Certificate(0.0, 0.0)
 
 
 @pytest.mark.parametrize("prior", [PerPair(0.5), CommonObjects(0.2, 0.1)])

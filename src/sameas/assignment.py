@@ -20,6 +20,27 @@ from sameas.records import FloatArray
 
 
 @dataclass(frozen=True)
+class Certificate:
+    """Proof that no other one-to-one hypothesis is more probable.
+
+    least_reduced_cost : least of u + v − weight and of the dual variables, relative to the weight; 0 or rounding.
+    duality_gap : difference of the totals of the dual variables and of the chosen weights, relative.
+    """
+
+    least_reduced_cost: float
+    duality_gap: float
+
+    @property
+    def holds(self) -> bool:
+        """Reduced costs ≥ −1e-12 and a gap ≤ 1e-9."""
+        return self.least_reduced_cost >= -1e-12 and self.duality_gap <= 1e-9
+
+    def __str__(self) -> str:
+        word = "optimal" if self.holds else "NOT PROVED OPTIMAL"
+        return f"{word}: least reduced cost {self.least_reduced_cost:.1e}, duality gap {self.duality_gap:.1e}"
+
+
+@dataclass(frozen=True)
 class Hypothesis:
     """The most probable hypothesis, in the layout of the groups.
 
@@ -39,8 +60,8 @@ class Hypothesis:
     multiplier: FloatArray
     prior: LogPrior
 
-    def certificate(self, groups: Groups) -> tuple[float, float]:
-        """(least reduced cost, relative duality gap): not below −1e-12 and not above 1e-9 where it is the best."""
+    def certificate(self, groups: Groups) -> Certificate:
+        """Whether this is the most probable hypothesis, told by its dual variables in O(candidates)."""
         total = self.weight + self.multiplier[groups.group]
         place_1, place_2 = groups.places
         u, v = self.dual_1[place_1], self.dual_2[place_2]
@@ -49,7 +70,13 @@ class Hypothesis:
         least = min(least, float(self.dual_1.min(initial=0.0)), float(self.dual_2.min(initial=0.0)))
         primal = float(total[self.chosen].sum())
         dual = float(self.dual_1.sum() + self.dual_2.sum())
-        return least, abs(dual - primal) / max(1.0, abs(primal))
+        return Certificate(least, abs(dual - primal) / max(1.0, abs(primal)))
+
+    def certify(self, groups: Groups) -> None:
+        """Raise ArithmeticError unless the certificate holds."""
+        certificate = self.certificate(groups)
+        if not certificate.holds:
+            raise ArithmeticError(f"the assignment is {certificate}; please report this with the records")
 
 
 def assign(groups: Groups, log_ratio: FloatArray, prior: LogPrior) -> Hypothesis:

@@ -24,6 +24,7 @@ def identify(
     rule: Rule,
     prior: Prior = EVIDENCE_ALONE,
     gate: Callable[[Records, Records], Pairs] = DEFAULT_GATE,
+    certify: bool = False,
 ) -> Identification:
     """Which records of two sources are the same object, one to one, and how sure that is.
 
@@ -33,6 +34,7 @@ def identify(
     rule : the evidence, e.g. ``CloseObjects(a, b)``, ``PoissonField(…)``; rules add with ``+``.
     prior : the belief in the number of common objects; ``PerPair(0)`` leaves it to the rule.
     gate : which pairs are considered at all.
+    certify : refuse to answer unless dual variables prove that no other hypothesis is more probable.
 
     Example
     -------
@@ -48,5 +50,7 @@ def identify(
     evidence = rule(pairs)
     believed = prior(grouped.sizes_1, grouped.sizes_2)
     best = assign(grouped, evidence.log_ratio, believed)
+    if certify:
+        best.certify(grouped)
     sure = posterior(grouped, best)
     return Identification(pairs, grouped, evidence, best, sure)

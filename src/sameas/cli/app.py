@@ -10,6 +10,7 @@ from typer.core import TyperCommand
 
 import sameas
 from sameas.cli.arguments import (
+    Certify,
     CompareNearest,
     Debug,
     Density,
@@ -81,6 +82,7 @@ def match(
     join: Join = "all1",
     nway_columns: Nway = False,
     compare_nearest: CompareNearest = False,
+    certify: Certify = False,
     dry_run: DryRun = False,
     quiet: Quiet = False,
     debug: Debug = False,
@@ -111,7 +113,9 @@ def match(
         paths = str(first), str(second)
         request = Request(paths, (format1, format2), (hdu1, hdu2), fields, options, columns)
         command = ctx.meta["typed"]
-        wanted = Wanted(output, out_format, overwrite, join, nway_columns, compare_nearest, command) if output else None
+        wanted = None
+        if output:
+            wanted = Wanted(output, out_format, overwrite, join, nway_columns, compare_nearest, certify, command)
         run(request, None if dry_run else wanted, quiet)
 
 

@@ -92,6 +92,9 @@ Overwrite = Annotated[bool, _option("--overwrite/--no-overwrite", panel=_FILES, 
 CompareNearest = Annotated[
     bool, _option("--compare-nearest", help="Print what the nearest neighbour would say beside it.")
 ]
+Certify = Annotated[
+    bool, _option("--certify", help="Prove that no other one-to-one answer is more probable, and print the proof.")
+]
 DryRun = Annotated[
     bool, _option("--dry-run", help="Print what is understood of the catalogues; identify and write nothing.")
 ]

@@ -31,6 +31,7 @@ class Wanted:
     join: str
     nway_columns: bool
     compare_nearest: bool
+    certify: bool
     command: str
 
     def fulfil(self, request: Request, quiet: bool) -> None:
@@ -46,6 +47,9 @@ class Wanted:
             lines = [*report.estimate_lines(match), "", *report.summary_lines(match)]
             if self.compare_nearest:
                 lines += ["", *report.nearest_lines(match)]
+            if self.certify:
+                match.result.best.certify(match.result.groups)
+                lines += ["", f"Certificate: {match.result.best.certificate(match.result.groups)}"]
             pace.pause()
             printer(lines)
             pace("joining the tables")
