@@ -13,6 +13,7 @@ import naive
 from problems import KINDS, plane_records, sky_records
 from sameas import Box, CloseObjects, ConstantCost, Field, InputError, PoissonField, Radius, Records
 from sameas.evidence import DetectionField, Errors, Evidence, Rule, log_neighbour_density, log_surface_density
+from sameas.evidence.close import DIAGONAL
 
 # METHOD 3.2 gives −346.0532 and −3.894715; more digits by quadrature, see the test that recomputes them.
 CHECKS = [((30.0, 2.0), -346.0532), ((2.0, 1.0), -3.894715)]
@@ -83,15 +84,15 @@ RULES = {
         lambda x, s, i, j: mixture(x, s) + math.log(2.0 / (0.3 * 0.7)),
     ),
     "close objects": (
-        lambda n1, n2: CloseObjects(0.2, 0.9),
+        lambda n1, n2: CloseObjects(0.2, 0.9, correlation=DIAGONAL),
         lambda x, s, i, j: naive.close_objects(x, s, np.full(len(x), 0.2), np.full(len(x), 0.9)),
     ),
     "close objects, a = 0": (
-        lambda n1, n2: CloseObjects(0.0, 0.9),
+        lambda n1, n2: CloseObjects(0.0, 0.9, correlation=DIAGONAL),
         lambda x, s, i, j: naive.close_objects(x, s, np.zeros(len(x)), np.full(len(x), 0.9)),
     ),
     "close objects, surface": (
-        lambda n1, n2: CloseObjects(0.3),
+        lambda n1, n2: CloseObjects(0.3, correlation=DIAGONAL),
         lambda x, s, i, j: naive.close_objects_limit(x, s, np.full(len(x), 0.3)),
     ),
 }
@@ -111,7 +112,7 @@ def test_features_may_have_boxes_of_their_own_and_one_of_them_closed():
     pairs = plane_pairs(2)
     for a, b in (((0.1, 0.3), (0.7, 0.5)), ((0.1, 0.3), (0.1, 0.5)), ((0.0, 0.3), (0.4, 0.3))):
         expected = per_pair(pairs, lambda x, s, i, j, a=a, b=b: naive.close_objects(x, s, np.array(a), np.array(b)))
-        np.testing.assert_allclose(CloseObjects(a, b)(pairs).log_ratio, expected, rtol=1e-9, atol=1e-8)
+        np.testing.assert_allclose(CloseObjects(a, b, DIAGONAL)(pairs).log_ratio, expected, rtol=1e-9, atol=1e-8)
 
 
 # ---- the braces of METHOD 3.2 where they are extreme ----

@@ -12,7 +12,8 @@ import sameas
 HOME = Path(sameas.__file__).parent
 STAGES = ["records", "gate", "groups", "evidence", "prior", "assignment", "posterior", "result", "identify", "estimate"]
 # Companions walk with their stage.
-WITH = {"errors": "records", "space": "records", "threads": "records", "search": "gate", "coverage": "estimate"}
+WITH = {"errors": "records", "space": "records", "threads": "records", "search": "gate", "zones": "gate", "coverage": "estimate",
+        "decision": "result", "older": "result", "spacing": "evidence"}  # fmt: skip
 ROOMS = {"sky", "tracks", "io", "adapters", "plots", "report", "cli"}
 FOR_PEOPLE = {"io", "adapters", "plots", "report", "cli"}
 
@@ -42,20 +43,26 @@ def tops(names):
     return {name.split(".")[0] for name in names}
 
 
+def files_of(stage):
+    """The file of a stage, or the files of the package that it is."""
+    return list((HOME / stage).glob("*.py")) or [HOME / f"{stage}.py"]
+
+
 def core_files():
     files = [path for path in HOME.glob("*.py") if path.stem not in ROOMS | {"__init__"}]
-    return files + list((HOME / "kernels").glob("*.py"))
+    return files + [path for package in ("kernels", "evidence") for path in (HOME / package).glob("*.py")]
 
 
 @pytest.mark.parametrize("stage", STAGES + list(WITH))
 def test_a_stage_never_imports_a_later_one(stage):
     place = STAGES.index(WITH.get(stage, stage))
-    for name in tops(imported(HOME / f"{stage}.py", always=True)) & (set(STAGES) | set(WITH)):
-        assert STAGES.index(WITH.get(name, name)) <= place, f"{stage} imports {name}"
+    for path in files_of(stage):
+        for name in tops(imported(path, always=True)) & (set(STAGES) | set(WITH)):
+            assert STAGES.index(WITH.get(name, name)) <= place, f"{path.relative_to(HOME)} imports {name}"
 
 
 def test_stages_are_all_there():
-    assert all((HOME / f"{name}.py").exists() for name in [*STAGES, *WITH])
+    assert all(path.exists() for name in [*STAGES, *WITH] for path in files_of(name))
 
 
 @pytest.mark.parametrize("path", core_files(), ids=lambda path: path.stem)
@@ -82,3 +89,19 @@ def test_starting_up_imports_nothing_heavy(used):
     loaded = set(run.stdout.split())
     assert "sameas" in loaded and ("numpy" in loaded or used == "sameas")
     assert not loaded & {"astropy", "scipy", "numba", "pyarrow", "matplotlib", "pandas", "typer", "rich", "llvmlite"}
+
+
+# The way of many sources: its own stages, each from earlier ones only.
+MANY = ["observations", "joint", "union", "belief", "sets", "partition", "membership", "objects", "many", "sequence"]
+
+
+@pytest.mark.parametrize("stage", MANY)
+def test_a_stage_of_many_sources_never_imports_a_later_one(stage):
+    later = set(MANY[MANY.index(stage) + 1 :])
+    assert not tops(imported(HOME / f"{stage}.py", always=True)) & later
+
+
+def test_no_stage_of_two_sources_needs_many():
+    for stage in STAGES + list(WITH):
+        for path in files_of(stage):
+            assert not tops(imported(path)) & {*MANY, "fusion"}, path

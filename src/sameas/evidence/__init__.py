@@ -1,0 +1,29 @@
+"""Evidence: how much more probable a pair's residual is if both records are one object than if they are two.
+
+Every rule gives a natural logarithm per pair, term by term; rules add with ``+``.
+
+- :class:`Field`: a different object lies anywhere with constant density (METHOD 3.1, the papers' uniform rule).
+- :class:`PoissonField`: objects are a Poisson field; the densities of common and of unrelated objects are known or
+  estimated (METHOD 4.3). The default for catalogues.
+- :class:`ConstantCost`: frame and catalogue, every unmatched record costs the constant density C
+  (METHOD 3.4 [F15–F17]); ``ConstantCost.calibrated`` is its form with a detection probability and the density of
+  other measurements.
+- :class:`CloseObjects`: a different object lies near, but not nearer than two objects can be
+  (METHOD 3.2 [T14–T19, T26]). For pictures of a few targets.
+- :class:`Universal`: any density of objects and of their neighbours, as a mixture, samples or functions
+  (METHOD 3.3 [T13]). Where the densities are known and are none of the above.
+"""
+
+from sameas.evidence.boxes import log_neighbour_density, log_surface_density
+from sameas.evidence.close import CloseObjects
+from sameas.evidence.densities import Displacement, Flat, GaussianMixture, Samples
+from sameas.evidence.fields import ConstantCost, DetectionField, Field, PoissonField
+from sameas.evidence.rule import Evidence, Rule, Sum
+from sameas.evidence.spread import LOG_2PI, Errors
+from sameas.evidence.universal import Universal
+
+__all__ = [
+    "LOG_2PI", "CloseObjects", "ConstantCost", "DetectionField", "Displacement", "Errors", "Evidence", "Field", "Flat",
+    "GaussianMixture", "PoissonField", "Rule", "Samples", "Sum", "Universal", "log_neighbour_density",
+    "log_surface_density",
+]  # fmt: skip

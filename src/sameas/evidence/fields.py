@@ -1,0 +1,124 @@
+"""Rules of fields: a different object lies anywhere, with a density that is constant or known at every record."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sameas.errors import InputError
+from sameas.evidence.rule import Evidence, Rule
+from sameas.evidence.spread import AS_QUOTED, Errors
+from sameas.gate import Pairs
+from sameas.records import FloatArray
+
+
+@dataclass(frozen=True)
+class Field(Rule):
+    """A second object lies anywhere with constant density: λ = N(Δ; 0, Σ) / p_M (METHOD 3.1 [T4]).
+
+    Parameters
+    ----------
+    density : p_M, the probability density of one object's position over the region, 1/volume in the residual's unit
+        (on the sphere 1/arcsec²); a number, or (n₂,) at the records of source 2.
+    """
+
+    density: ArrayLike
+
+    def __call__(self, pairs: Pairs) -> Evidence:
+        density = _at(self.density, len(pairs.second), pairs.j, "Field: density")
+        return Evidence(
+            {"position": AS_QUOTED.log_density(pairs), "elsewhere": np.broadcast_to(-np.log(density), len(pairs))}
+        )
+
+
+@dataclass(frozen=True)
+class PoissonField(Rule):
+    """Objects are a Poisson field: λ·odds = ρ₁₂ N(Δ; 0, Σ) / (ρ₁ ρ₂) with the densities below (METHOD 4.3).
+
+    With objects of density ρ that the sources miss with q₁, q₂: ρ₁₂ = ρ(1−q₁)(1−q₂), ρ₁ = ρ(1−q₁)q₂, ρ₂ = ρq₁(1−q₂);
+    false records add to ρ₁, ρ₂. The rule gives posterior log-odds before one-to-one: combine it with ``PerPair(0)``.
+
+    Parameters
+    ----------
+    common : ρ₁₂, density of objects that both sources show; a number, or a pair of arrays (n₁,), (n₂,) at the records
+        of either source, whose logarithms are averaged for a pair.
+    only_1, only_2 : densities of records that only one source shows; numbers, or (n₁,) and (n₂,).
+        Unit: 1 / (unit of the residual)^d.
+    errors : how residuals spread about the quoted covariances.
+    """
+
+    common: ArrayLike | tuple[FloatArray, FloatArray]
+    only_1: ArrayLike
+    only_2: ArrayLike
+    errors: Errors = AS_QUOTED
+
+    def __call__(self, pairs: Pairs) -> Evidence:
+        n1, n2 = len(pairs.first), len(pairs.second)
+        if isinstance(self.common, tuple):
+            at_1 = _at(self.common[0], n1, pairs.i, "PoissonField: common[0]")
+            at_2 = _at(self.common[1], n2, pairs.j, "PoissonField: common[1]")
+            common = 0.5 * (np.log(at_1) + np.log(at_2))
+        else:
+            common = np.log(_at(self.common, n1, pairs.i, "PoissonField: common"))
+        unrelated = np.log(_at(self.only_1, n1, pairs.i, "PoissonField: only_1"))
+        unrelated = unrelated + np.log(_at(self.only_2, n2, pairs.j, "PoissonField: only_2"))
+        position = self.errors.log_density(pairs)
+        return Evidence({"position": position, "densities": np.broadcast_to(common - unrelated, len(pairs))})
+
+
+@dataclass(frozen=True)
+class ConstantCost(Rule):
+    """Every unmatched record costs the constant density C: a pair weighs ln N − 2 ln C (METHOD 3.4 [F15–F17])."""
+
+    c: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.c < math.inf:
+            raise InputError(f"ConstantCost: C is {self.c}; give a positive density in 1/(unit of the features)^(d/2)")
+
+    @staticmethod
+    def calibrated(detection_probability: ArrayLike, density: ArrayLike) -> DetectionField:
+        """The calibrated form, C² = β(1 − P_d)/P_d, with P_d and β per record where they vary."""
+        return DetectionField(detection_probability, density)
+
+    def __call__(self, pairs: Pairs) -> Evidence:
+        return Evidence(
+            {"position": AS_QUOTED.log_density(pairs), "cost": np.full(len(pairs), -2.0 * math.log(self.c))}
+        )
+
+
+@dataclass(frozen=True)
+class DetectionField(Rule):
+    """λ·odds = P_d N(Δ; 0, Σ) / [(1 − P_d) β]: measurements of source 1 against records of source 2 (METHOD 3.4).
+
+    Parameters
+    ----------
+    detection_probability : P_d, the probability that source 1 shows record j; a number or (n₂,).
+    density : β of measurements of other objects and false ones, per unit volume; a number or (n₁,).
+    """
+
+    detection_probability: ArrayLike
+    density: ArrayLike
+
+    def __call__(self, pairs: Pairs) -> Evidence:
+        shown = _at(self.detection_probability, len(pairs.second), pairs.j, "detection_probability")
+        if np.any(shown >= 1.0):
+            raise InputError("detection_probability is 1 or more; give the probability of a detection, below 1")
+        density = _at(self.density, len(pairs.first), pairs.i, "density")
+        odds = np.log(shown) - np.log1p(-shown) - np.log(density)
+        return Evidence({"position": AS_QUOTED.log_density(pairs), "detection": np.broadcast_to(odds, len(pairs))})
+
+
+def _at(value: ArrayLike, n: int, rows: np.ndarray, name: str) -> FloatArray:
+    """A number, or the values (n,) at the pairs' records; positive and finite."""
+    values = np.asarray(value, dtype=np.float64)
+    if not np.all((values > 0) & (values < np.inf)):
+        raise InputError(f"{name} is zero, negative or not finite; give positive numbers in the unit of the residual")
+    if values.ndim == 0:
+        return values
+    if values.shape != (n,):
+        raise InputError(f"{name} has shape {values.shape}; give a number or ({n},), one for each usable record")
+    return values[rows]

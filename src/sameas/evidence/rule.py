@@ -1,0 +1,65 @@
+"""What every decision rule is: a call from pairs to evidence, and sums of rules."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from sameas.gate import Pairs
+from sameas.records import FloatArray
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Named terms, (m,) each; their sum is the log likelihood ratio of every pair.
+
+    log_error : (m,) stated standard error of that sum where a rule integrates numerically, None where it is exact to
+        rounding; infinite where the sum is only a bound.
+    """
+
+    terms: Mapping[str, FloatArray]
+    log_error: FloatArray | None = None
+
+    @cached_property
+    def log_ratio(self) -> FloatArray:
+        """(m,) ln λ."""
+        parts = list(self.terms.values())
+        return parts[0] if len(parts) == 1 else np.sum(parts, axis=0)
+
+
+class Rule:
+    """What every decision rule is: a call from pairs to evidence, and a sum with other rules."""
+
+    def __call__(self, pairs: Pairs) -> Evidence:
+        raise TypeError(f"{type(self).__name__} is the interface of decision rules; use one of them")
+
+    def __add__(self, other: Rule) -> Rule:
+        return Sum((*self.parts(), *other.parts()))
+
+    def parts(self) -> tuple[Rule, ...]:
+        """The rules that this one is the sum of."""
+        return (self,)
+
+
+@dataclass(frozen=True)
+class Sum(Rule):
+    """Several rules that speak of independent features."""
+
+    rules: tuple[Rule, ...]
+
+    def parts(self) -> tuple[Rule, ...]:
+        return self.rules
+
+    def __call__(self, pairs: Pairs) -> Evidence:
+        terms: dict[str, FloatArray] = {}
+        error: FloatArray | None = None
+        for rule in self.rules:
+            evidence = rule(pairs)
+            for name, values in evidence.terms.items():
+                terms[name] = terms[name] + values if name in terms else values
+            if evidence.log_error is not None:
+                error = evidence.log_error if error is None else np.hypot(error, evidence.log_error)
+        return Evidence(terms, error)
