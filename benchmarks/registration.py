@@ -1,0 +1,228 @@
+"""The offset between two sources: what it costs to be ignored, chased by nearest neighbours, or estimated."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from benchmarks.tables import Table, report
+from sameas import Errors, Records, identify
+from sameas.estimate import match
+from sameas.evidence import PoissonField
+from sameas.registration import Offset, SensorBias, Shift, Similarity, register
+from sameas.score import score_pairs
+from sameas.simulate import Scene, poisson_field
+
+TARGETS = 40
+DENSITIES, MISSES, SHIFTS = (0.01, 0.03), (0.1, 0.3), (0.0, 2.0, 4.0, 8.0, 30.0)
+#: Rounds of the nearest-neighbour peer, and how far it looks in the end, in σ.
+CHASES, REACH_SIGMAS = 30, 3.0
+
+
+def drawn(seed: int, q: float, density: float, n: int = TARGETS) -> Scene:
+    """Targets scattered at ``density`` per σ², σ = 1 the error of one axis of a residual."""
+    side = math.sqrt(n / density)
+    half = math.sqrt(0.5)
+    return poisson_field(
+        np.random.default_rng(seed), density=density, extent=(side, side), q1=q, q2=q, sigma_1=half, sigma_2=half
+    )
+
+
+def put(records: Records, features: np.ndarray) -> Records:
+    """The records at other places."""
+    return replace(records, features=np.ascontiguousarray(features))
+
+
+def undone(model: Offset, theta: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """The positions that the offset would move to ``wanted``, by Newton's method."""
+    at = wanted.copy()
+    for _ in range(20):
+        missing = wanted - model.moved(at, theta)
+        at = at + np.linalg.solve(model.carried(at, theta), missing[..., None])[..., 0]
+    return at
+
+
+def f1(made: Scene, pairs: tuple[np.ndarray, np.ndarray]) -> float:
+    """F1 of the claimed pairs; NaN where there is nothing to find."""
+    return score_pairs(pairs, made.true_pairs()).f1
+
+
+def pairs_of(answer: object) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the identified pairs."""
+    found = answer.matches  # type: ignore[attr-defined]
+    return found.rows_1, found.rows_2
+
+
+def chased(first: Records, second: Records) -> tuple[np.ndarray, np.ndarray]:
+    """The peer: iterated closest points (ICP), mutual nearest and the mean of their residuals, wide to narrow."""
+    from scipy.spatial import cKDTree
+
+    x, y = first.features, second.features.copy()
+    for step in range(CHASES):
+        reach = max(30.0 * 0.7**step, REACH_SIGMAS)
+        away, nearest = cKDTree(y).query(x)
+        _, back = cKDTree(x).query(y)
+        rows = np.flatnonzero((back[nearest] == np.arange(len(x))) & (away <= reach * math.sqrt(2.0)))
+        if len(rows):
+            y = y + (x[rows] - y[nearest[rows]]).mean(axis=0)
+    return rows, nearest[rows]
+
+
+@dataclass
+class Tally:
+    """Values of one column, seed after seed."""
+
+    values: list[float] = field(default_factory=list)
+
+    @property
+    def mean(self) -> float:
+        """Mean."""
+        return float(np.nanmean(self.values))
+
+    @property
+    def error(self) -> float:
+        """Standard error of the mean."""
+        return float(np.nanstd(self.values) / math.sqrt(len(self.values)))
+
+
+def known(made: Scene, q: float, density: float) -> float:
+    """F1 without an offset, with the true densities and misses told."""
+    one = density * q * (1 - q)
+    return f1(made, pairs_of(identify(made.first, made.second, rule=PoissonField(density * (1 - q) ** 2, one, one))))
+
+
+def shifts(scenes: int) -> Table:
+    """Criterion 3: a shift of any size."""
+    lines = []
+    for density in DENSITIES:
+        for q in MISSES:
+            for shift in SHIFTS:
+                told, without, icp, ours, loss, sure = (Tally() for _ in range(6))
+                for seed in range(scenes):
+                    made = drawn(seed, q, density)
+                    angle = 2.0 * math.pi * np.random.default_rng(seed + 10**6).uniform()
+                    away = shift * np.array([math.cos(angle), math.sin(angle)])
+                    second = put(made.second, made.second.features - away)
+                    found = register(made.first, second, Shift())
+                    told.values.append(known(made, q, density))
+                    unshifted = f1(made, pairs_of(match(made.first, made.second, errors=Errors())[0]))
+                    without.values.append(f1(made, pairs_of(match(made.first, second, errors=Errors())[0])))
+                    icp.values.append(f1(made, chased(made.first, second)))
+                    ours.values.append(f1(made, pairs_of(found.identification)))
+                    loss.values.append(unshifted - ours.values[-1])
+                    sure.values.append(100.0 * found.established)
+                lines.append(
+                    [density, q, shift, told.mean, without.mean, icp.mean, ours.mean, loss.mean, loss.error,
+                     "yes" if loss.mean <= 0.03 else "no", sure.mean]
+                )  # fmt: skip
+    columns = ("β·s²", "misses", "shift σ", "F1 told all", "F1 no offset", "F1 ICP", "F1 register", "loss", "± s.e.",
+               "within 0.03", "established %")  # fmt: skip
+    return Table(
+        f"Shift: mean F1 of {scenes} scenes of {TARGETS} targets", columns, lines,
+        ("loss: F1 of match on the unshifted scene less F1 of register on the shifted one",),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Trial:
+    """An offset to find: its name, its model for a scene, the truth."""
+
+    name: str
+    model: Callable[[Scene, float], Offset]
+    theta: tuple[float, ...]
+
+
+def _velocity(made: Scene) -> np.ndarray:
+    return np.random.default_rng(len(made.second)).normal(0.0, 2.0, (len(made.second), 2))
+
+
+TRIALS = (
+    Trial("rotation 2°, scale 1 %, shift 8σ", lambda made, side: Similarity(), (8.0, 0.0, 2.0, 0.01)),
+    Trial("sensor: range 6σ, azimuth 3°", lambda made, side: SensorBias((-0.3 * side, -0.2 * side)), (6.0, 3.0)),
+    Trial(
+        "sensor: the same, gain 2 %, time 2",
+        lambda made, side: SensorBias(
+            (-0.3 * side, -0.2 * side), gain_width=0.02, time_width=3.0, velocity=_velocity(made)
+        ),
+        (6.0, 3.0, 0.02, 2.0),
+    ),
+)
+
+
+def others(scenes: int) -> Table:
+    """Criterion 3: rotation and scale, and a sensor's biases, with the coverage of their standard errors."""
+    lines = []
+    for trial in TRIALS:
+        for density in DENSITIES:
+            for q in MISSES:
+                loss, sure, seconds = Tally(), Tally(), Tally()
+                z = []
+                for seed in range(scenes):
+                    made = drawn(seed, q, density)
+                    model = trial.model(made, math.sqrt(TARGETS / density)).placed(made.first, made.second)
+                    theta = np.array(trial.theta)
+                    second = put(made.second, undone(model, theta, made.second.features))
+                    start = time.perf_counter()
+                    found = register(made.first, second, model)
+                    seconds.values.append(1e3 * (time.perf_counter() - start))
+                    unshifted = f1(made, pairs_of(match(made.first, made.second, errors=Errors())[0]))
+                    loss.values.append(unshifted - f1(made, pairs_of(found.identification)))
+                    sure.values.append(100.0 * found.established)
+                    z.append((found.theta - theta) / found.standard_errors)
+                inside = 100.0 * np.mean(np.abs(z) < 2.0, axis=0)
+                within = ", ".join(f"{name} {share:.1f}" for name, share in zip(model.names, inside, strict=True))
+                lines.append([trial.name, density, q, loss.mean, loss.error, within, sure.mean, seconds.mean])
+    columns = ("offset", "β·s²", "misses", "F1 loss", "± s.e.", "% within 2 s.e.", "established %", "ms")
+    error = 100.0 * math.sqrt(0.0455 * 0.9545 / scenes)
+    return Table(
+        f"Other offsets, {scenes} scenes", columns, lines,
+        (f"within 2 s.e.: 95.4 % is due, with a standard error of {error:.1f} %",),
+    )  # fmt: skip
+
+
+def times(runs: int) -> Table:
+    """How long it takes, and beside one identification with everything estimated."""
+    lines = []
+    for n in (40, 300, 2000, 20_000):
+        made = drawn(1, 0.1, 0.01, n)
+        for name, model in (("shift", Shift()), ("similarity", Similarity())):
+            second = put(made.second, made.second.features - [8.0, 3.0])
+            took: dict[str, list[float]] = {"register": [], "match": []}
+            for _ in range(runs + 1):
+                start = time.perf_counter()
+                register(made.first, second, model)
+                middle = time.perf_counter()
+                match(made.first, made.second, errors=Errors())
+                took["register"].append(middle - start)
+                took["match"].append(time.perf_counter() - middle)
+            medians = [1e3 * float(np.median(took[key][1:])) for key in ("register", "match")]
+            lines.append([n, name, *medians, medians[0] / medians[1]])
+    return Table("Time, ms (median)", ("objects", "offset", "register", "match alone", "×"), lines)
+
+
+def tables(options: argparse.Namespace) -> Iterator[Table]:
+    """All tables."""
+    if "times" in options.only:
+        yield times(3)
+    if "shifts" in options.only:
+        yield shifts(options.scenes)
+    if "others" in options.only:
+        yield others(options.scenes)
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(prog="scripts/bench registration", description=__doc__)
+    parser.add_argument("--scenes", type=int, default=200, help="scenes of each line (default 200)")
+    sections = ("times", "shifts", "others")
+    parser.add_argument("--only", nargs="+", choices=sections, default=sections, help="sections to print")
+    report("registration", tables(parser.parse_args()))
+
+
+if __name__ == "__main__":
+    main()

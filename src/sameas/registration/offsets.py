@@ -1,0 +1,307 @@
+"""Offsets: how the records of a second source stand off those of a first, as a function of a few parameters θ.
+
+Every offset moves the *second* source's records to where the first would show them.
+
+- :class:`Shift`: a constant shift, in any number of features; on the sphere an east and north shift of a small field.
+- :class:`Similarity`: shift, rotation and stretch in the plane: two pictures of different orientation and scale.
+- :class:`Affine`: shift and any linear distortion, in any number of features: a plate, a camera.
+- :class:`~sameas.registration.sensor.SensorBias`: the second source is a sensor that measures range and azimuth; both
+  may be biased, its range scale and its clock may be wrong.
+
+A width is the prior standard deviation of a parameter around zero: 0 leaves the parameter out, infinity says nothing.
+A new offset is a frozen dataclass with the methods of :class:`Offset`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sameas.areas import displaced
+from sameas.errors import InputError
+from sameas.records import FloatArray, Records
+from sameas.space import Plane, Sphere, sphere_offset
+
+RADIAN = math.pi / 180.0
+#: A field on the sphere may reach so far from its centre for one shift to be the same everywhere.
+SMALL_FIELD_DEG = 5.0
+
+EVERYWHERE_FLAT = Plane()
+
+
+class Offset:
+    """What every offset is. Features are (…, n, d), θ is (p,) or (…, 1, p): all methods broadcast.
+
+    names, units, widths : of the parameters, p each; a width is a prior standard deviation, infinity none.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    widths: tuple[float, ...]
+
+    def placed(self, first: Records, second: Records) -> Offset:
+        """The same offset with what it takes from the data, such as a centre; refuses data that do not suit it."""
+        raise TypeError(f"{type(self).__name__} is the interface of offsets; use Shift, Similarity, Affine, SensorBias")
+
+    def moved(self, features: FloatArray, theta: FloatArray) -> FloatArray:
+        """(…, n, d) the second source's positions in the first's space."""
+        raise NotImplementedError
+
+    def jacobian(self, features: FloatArray, theta: FloatArray) -> FloatArray:
+        """(…, n, d, p) ∂ moved / ∂ θ, in the residual's unit."""
+        raise NotImplementedError
+
+    def carried(self, features: FloatArray, theta: FloatArray) -> FloatArray:
+        """(…, n, d, d) ∂ moved / ∂ features: what becomes of a small error of a record; identity if not told."""
+        d, shape = features.shape[-1], np.broadcast_shapes(features.shape[:-1], theta.shape[:-1])
+        return np.broadcast_to(np.eye(d), (*shape, d, d))
+
+    def chart(self, features: FloatArray) -> FloatArray:
+        """(…, n, d) coordinates in which the parameters ``voted`` shift all records alike."""
+        return features
+
+    def periods(self, d: int) -> list[float]:
+        """Periods of the chart's axes."""
+        return [math.inf] * d
+
+    def voted(self, d: int) -> list[tuple[int | None, float]]:
+        """Per axis of the chart: which parameter shifts it (None: none does), and θ per unit of shift."""
+        return [(axis, 1.0) for axis in range(d)]
+
+    def turns(self) -> list[tuple[FloatArray, float]]:
+        """Directions in θ that are tried on a grid, with their prior widths: what the chart does not show."""
+        return []
+
+
+def require_plane(model: Offset, second: Records, d: int | None = None) -> None:
+    """Refuse spaces in which straight lines are not straight."""
+    name = type(model).__name__
+    if not isinstance(second.space, Plane):
+        raise InputError(f"{name}: {second.source} is on a sphere; project both sources to a plane, or use Shift")
+    if any(period < math.inf for period in second.space.period_list(second.d)):
+        raise InputError(f"{name}: a feature of {second.source} is periodic; give coordinates in a plane, or use Shift")
+    if d is not None and second.d != d:
+        raise InputError(f"{name}: {second.source} has {second.d} features; {name} is for {d}")
+
+
+def require_widths(model: Offset, **widths: float) -> None:
+    for name, width in widths.items():
+        if not width >= 0.0:
+            raise InputError(f"{type(model).__name__}: {name} is {width}; give 0 to leave it out, or a positive width")
+
+
+def _axes(prefix: str, d: int) -> tuple[str, ...]:
+    return tuple(f"{prefix}_{'xyz'[v]}" if d <= 3 else f"{prefix}_{v + 1}" for v in range(d))
+
+
+@dataclass(frozen=True)
+class Shift(Offset):
+    """A constant shift, added to the second source's records to bring them onto the first's.
+
+    Parameters
+    ----------
+    width : prior standard deviation of every component in the residual's unit; infinity (default) says nothing.
+
+    On a :class:`~sameas.space.Sphere` the shift is one of the tangent plane at the field's centre, east and north in
+    arcsec, and the field must be small (within 5° of its centre).
+    """
+
+    width: float = math.inf
+    space: Plane | Sphere = EVERYWHERE_FLAT
+    d: int = 0
+    centre: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        require_widths(self, width=self.width)
+        if self.width == 0.0:
+            raise InputError("Shift: width is 0, nothing is left to find; give a positive width")
+
+    @property
+    def names(self) -> tuple[str, ...]:  # type: ignore[override]
+        return ("shift_east", "shift_north") if isinstance(self.space, Sphere) else _axes("shift", self.d)
+
+    @property
+    def units(self) -> tuple[str, ...]:  # type: ignore[override]
+        return ("arcsec" if isinstance(self.space, Sphere) else "",) * self.d
+
+    @property
+    def widths(self) -> tuple[float, ...]:  # type: ignore[override]
+        return (self.width,) * self.d
+
+    def placed(self, first: Records, second: Records) -> Shift:
+        if not isinstance(second.space, Sphere):
+            return replace(self, space=second.space, d=second.d, centre=())
+        centre = _centre_deg(second)
+        for records in (first, second):
+            lon, lat = records.features.T
+            east, north = sphere_offset(lon, lat, centre[0], centre[1]).T
+            reach = np.hypot(east, north).max() / 3600.0
+            if reach > SMALL_FIELD_DEG or abs(centre[1]) > 90.0 - SMALL_FIELD_DEG:
+                raise InputError(
+                    f"Shift: {records.source} reaches {reach:.3g}° from the centre of {second.source} "
+                    f"({centre[0]:.4g}°, {centre[1]:.4g}°); a shift on the sphere is for fields within "
+                    f"{SMALL_FIELD_DEG:g}° of their centre and not around a pole: register field by field"
+                )
+        return replace(self, space=second.space, d=2, centre=centre)
+
+    def moved(self, features: FloatArray, theta: FloatArray) -> FloatArray:
+        if not isinstance(self.space, Sphere):
+            return features + theta
+        offset = np.einsum("...vp,...p->...v", self.jacobian(features, theta), theta)
+        shape = np.broadcast_shapes(features.shape, offset.shape)
+        flat = [np.broadcast_to(x, shape).reshape(-1, 2) for x in (features, offset)]
+        return displaced(flat[0], flat[1]).reshape(shape)
+
+    def jacobian(self, features: FloatArray, theta: FloatArray) -> FloatArray:
+        shape = np.broadcast_shapes(features.shape, theta.shape)
+        if not isinstance(self.space, Sphere):
+            return np.broadcast_to(np.eye(self.d), (*shape, self.d))
+        # The record's own east and north are turned against those of the centre (see Sphere).
+        cosine, sine = self._turned(features, 1.0)
+        turn = np.stack([np.stack([cosine, -sine], axis=-1), np.stack([sine, cosine], axis=-1)], axis=-2)
+        return np.broadcast_to(turn, (*shape, 2))
+
+    def chart(self, features: FloatArray) -> FloatArray:
+        if not isinstance(self.space, Sphere):
+            return features
+        flat = sphere_offset(features[..., 0], features[..., 1], self.centre[0], self.centre[1])
+        cosine, sine = self._turned(features, 0.5)
+        east, north = flat[..., 0], flat[..., 1]
+        return np.stack([cosine * east + sine * north, cosine * north - sine * east], axis=-1)
+
+    def periods(self, d: int) -> list[float]:
+        return [math.inf] * d if isinstance(self.space, Sphere) else self.space.period_list(d)
+
+    def _turned(self, features: FloatArray, share: float) -> tuple[FloatArray, FloatArray]:
+        """cos and sin of a share of the angle by which position angles grow from the centre to each record."""
+        lon, lat = self.centre
+        half_lon = np.radians((features[..., 0] - lon + 180.0) % 360.0 - 180.0) / 2.0
+        middle, half_lat = np.radians(features[..., 1] + lat) / 2.0, np.radians(features[..., 1] - lat) / 2.0
+        angle = 2.0 * share * np.arctan2(np.sin(half_lon) * np.sin(middle), np.cos(half_lon) * np.cos(half_lat))
+        return np.cos(angle), -np.sin(angle)
+
+
+def _centre_deg(records: Records) -> tuple[float, float]:
+    """Longitude and latitude of the mean direction."""
+    lon, lat = np.radians(records.features.T)
+    x, y, z = (np.cos(lat) * np.cos(lon)).mean(), (np.cos(lat) * np.sin(lon)).mean(), np.sin(lat).mean()
+    return float(np.degrees(np.arctan2(y, x))) % 360.0, float(np.degrees(np.arctan2(z, np.hypot(x, y))))
+
+
+def _middle(records: Records) -> tuple[float, ...]:
+    return tuple(float(x) for x in records.features.mean(axis=0))
+
+
+@dataclass(frozen=True)
+class Similarity(Offset):
+    """Shift, rotation and stretch of the second source's records about a centre, in two features.
+
+    θ: shift_x, shift_y in the features' unit, rotation_deg counter-clockwise, and stretch (0.01 moves the records apart
+    by 1 %).
+
+    Parameters
+    ----------
+    rotation_deg, stretch : prior standard deviations. shift : prior standard deviation of the shift.
+    centre : what is turned about; the mean position of the second source if not given.
+    """
+
+    rotation_deg: float = 5.0
+    stretch: float = 0.03
+    shift: float = math.inf
+    centre: tuple[float, ...] = ()
+
+    names = ("shift_x", "shift_y", "rotation_deg", "stretch")
+    units = ("", "", "deg", "")
+
+    def __post_init__(self) -> None:
+        require_widths(self, rotation_deg=self.rotation_deg, stretch=self.stretch, shift=self.shift)
+
+    @property
+    def widths(self) -> tuple[float, ...]:  # type: ignore[override]
+        return (self.shift, self.shift, min(self.rotation_deg, 180.0), min(self.stretch, 0.5))
+
+    def placed(self, first: Records, second: Records) -> Similarity:
+        require_plane(self, second, 2)
+        return replace(self, centre=self.centre or _middle(second))
+
+    def moved(self, features: FloatArray, theta: FloatArray) -> FloatArray:
+        arm = np.einsum("...vw,...w->...v", self.carried(features, theta), features - np.array(self.centre))
+        return np.asarray(arm + np.array(self.centre) + theta[..., :2])
+
+    def jacobian(self, features: FloatArray, theta: FloatArray) -> FloatArray:
+        arm = np.einsum("...vw,...w->...v", self.carried(features, theta), features - np.array(self.centre))
+        out = np.zeros((*arm.shape, 4))
+        out[..., 0, 0] = out[..., 1, 1] = 1.0
+        out[..., 0, 2], out[..., 1, 2] = -RADIAN * arm[..., 1], RADIAN * arm[..., 0]
+        out[..., :, 3] = arm / (1.0 + theta[..., 3])[..., None]
+        return out
+
+    def carried(self, features: FloatArray, theta: FloatArray) -> FloatArray:
+        angle, factor = RADIAN * theta[..., 2], 1.0 + theta[..., 3]
+        cosine, sine = factor * np.cos(angle), factor * np.sin(angle)
+        turn = np.stack([np.stack([cosine, -sine], axis=-1), np.stack([sine, cosine], axis=-1)], axis=-2)
+        return np.broadcast_to(turn, (*np.broadcast_shapes(features.shape[:-1], turn.shape[:-2]), 2, 2))
+
+    def turns(self) -> list[tuple[FloatArray, float]]:
+        return [(np.eye(4)[k], self.widths[k]) for k in (2, 3) if self.widths[k] > 0.0]
+
+
+@dataclass(frozen=True)
+class Affine(Offset):
+    """Shift and any linear distortion of the second source's records about a centre: X + θ_shift + M (X − centre).
+
+    Parameters
+    ----------
+    distortion : prior standard deviation of every element of M; a rotation of 5° makes elements of 0.09.
+    shift : prior standard deviation of the shift.
+    centre : the mean position of the second source if not given.
+    """
+
+    distortion: float = 0.05
+    shift: float = math.inf
+    centre: tuple[float, ...] = ()
+    d: int = 2
+
+    def __post_init__(self) -> None:
+        require_widths(self, distortion=self.distortion, shift=self.shift)
+
+    @property
+    def names(self) -> tuple[str, ...]:  # type: ignore[override]
+        axes = ["xyz"[v] if self.d <= 3 else str(v + 1) for v in range(self.d)]
+        return (*_axes("shift", self.d), *(f"distortion_{v}{w}" for v in axes for w in axes))
+
+    @property
+    def units(self) -> tuple[str, ...]:  # type: ignore[override]
+        return ("",) * (self.d + self.d**2)
+
+    @property
+    def widths(self) -> tuple[float, ...]:  # type: ignore[override]
+        return (self.shift,) * self.d + (min(self.distortion, 1.0),) * self.d**2
+
+    def placed(self, first: Records, second: Records) -> Affine:
+        require_plane(self, second)
+        return replace(self, centre=self.centre or _middle(second), d=second.d)
+
+    def moved(self, features: FloatArray, theta: FloatArray) -> FloatArray:
+        arm = np.einsum("...vw,...w->...v", self.carried(features, theta), features - np.array(self.centre))
+        return np.asarray(arm + np.array(self.centre) + theta[..., : self.d])
+
+    def jacobian(self, features: FloatArray, theta: FloatArray) -> FloatArray:
+        arm = features - np.array(self.centre)
+        out = np.zeros((*np.broadcast_shapes(features.shape[:-1], theta.shape[:-1]), self.d, self.d + self.d**2))
+        for v in range(self.d):
+            out[..., v, v] = 1.0
+            out[..., v, self.d * (v + 1) : self.d * (v + 2)] = arm
+        return out
+
+    def carried(self, features: FloatArray, theta: FloatArray) -> FloatArray:
+        matrix = np.eye(self.d) + theta[..., self.d :].reshape(*theta.shape[:-1], self.d, self.d)
+        return np.broadcast_to(matrix, (*np.broadcast_shapes(features.shape[:-1], matrix.shape[:-2]), self.d, self.d))
+
+    def turns(self) -> list[tuple[FloatArray, float]]:
+        if self.d != 2 or not self.distortion:
+            return []
+        # Unit steps of rotation (radian) and stretch; the two shears come with the refinement.
+        return [(np.array(v), self.widths[2]) for v in ([0.0, 0, 0, -1, 1, 0], [0.0, 0, 1, 0, 0, 1])]
