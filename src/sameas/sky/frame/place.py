@@ -1,0 +1,306 @@
+"""Where a frame points: from its header, an aim, or nothing but a range of scales.
+
+:func:`place` tries the hints in the order given and returns the first placement whose odds against all chance, and
+against the next best, are high enough; else it says how near it came.
+
+- :class:`Header`: a plate solution that is nearly right, with whatever distortion astropy reads (SIP, TPV, DSS).
+  Shift and turn are found by correlation.
+- :class:`Aim`: a direction, how far off it may be, and a range of scales. Any orientation, mirrored or not.
+- :class:`AllSky`: a range of scales only. For fields that hold a dozen of the catalogue's brighter stars; the index
+  (:func:`sky_index`) takes seconds and serves every frame of the same camera.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.errors import InputError
+from sameas.records import FloatArray, IntArray, unpack
+from sameas.sky.frame.aims import Aim, AllSky, Header, Hint, SkyIndex, candidates, sky_index
+from sameas.sky.frame.odds import Scene, Verdict, on_pixels, verify
+from sameas.sky.frame.tangent import Pointing, sky_of, unit_vectors
+from sameas.space import ARCSEC_PER_RADIAN
+
+__all__ = ["Aim", "AllSky", "Header", "Placement", "SkyIndex", "Stars", "place", "sky_index"]
+
+#: A placement is believed from these odds on.
+DEFAULT_ODDS = 1e6
+#: So many different pointings of a round are looked at closely.
+CLOSE_LOOKS = 20
+
+
+class Measured(Protocol):
+    """What is needed of measurements: pixels (0-based), covariances (xx, xy, yy in px²), fluxes, the frame's shape."""
+
+    @property
+    def x_px(self) -> FloatArray: ...
+    @property
+    def y_px(self) -> FloatArray: ...
+    @property
+    def covariance(self) -> FloatArray: ...
+    @property
+    def flux(self) -> FloatArray: ...
+    @property
+    def shape(self) -> tuple[int, int]: ...
+    @property
+    def name(self) -> str: ...
+
+
+@dataclass(frozen=True)
+class Stars:
+    """Catalogue stars where they are at the frame's epoch.
+
+    Attributes
+    ----------
+    ra_deg, dec_deg : (m,) ICRS. sigma_arcsec : (m,) error per axis, or one number. magnitude : (m,) in any band near
+        the frame's; a star without one (NaN) counts as faintest.
+    """
+
+    ra_deg: FloatArray
+    dec_deg: FloatArray
+    sigma_arcsec: FloatArray | float
+    magnitude: FloatArray
+    name: str = "catalogue"
+
+    def __post_init__(self) -> None:
+        n = len(self.ra_deg)
+        for what in ("dec_deg", "sigma_arcsec", "magnitude"):
+            values = np.asarray(getattr(self, what), dtype=np.float64)
+            if values.shape != (n,) and not (what == "sigma_arcsec" and values.ndim == 0):
+                raise InputError(f"{self.name}: {what} has shape {values.shape}; give one number per star, ({n},)")
+        known = np.isfinite(self.ra_deg) & np.isfinite(self.dec_deg) & (np.asarray(self.sigma_arcsec) >= 0)
+        if not known.all():
+            row = int(np.flatnonzero(~known)[0])
+            raise InputError(f"{self.name}: row {row} has no position or no error; leave such stars out")
+
+    def order(self) -> IntArray:
+        """(m,) rows, brightest first."""
+        return np.argsort(np.where(np.isnan(self.magnitude), np.inf, self.magnitude), kind="stable")
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where a frame points.
+
+    Attributes
+    ----------
+    wcs : the linear plate solution (TAN, ICRS) as an astropy WCS.
+    pointing : the same as plain numbers. log_odds : natural, that it is right against all chance.
+    runner_up_log_odds : of the next best, different placement, −inf if there is none.
+    rows_measured, rows_stars : (k,) the pairs it stands on, rows of the caller's tables.
+    residual_px : (k, 2) measured minus predicted. rms_arcsec : root mean square of them per axis.
+    found_by : in words.
+    """
+
+    wcs: Any
+    pointing: Pointing
+    log_odds: float
+    runner_up_log_odds: float
+    rows_measured: IntArray
+    rows_stars: IntArray
+    residual_px: FloatArray = field(repr=False)
+    rms_arcsec: float
+    found_by: str
+
+    @property
+    def n_matched(self) -> int:
+        """How many stars it stands on."""
+        return len(self.rows_stars)
+
+    @property
+    def scale_arcsec(self) -> float:
+        """Arcseconds per pixel."""
+        return self.pointing.scale_arcsec
+
+    @property
+    def rotation_deg(self) -> float:
+        """The direction of the frame's y axis, degrees from north through east."""
+        return self.pointing.rotation_deg
+
+    @property
+    def parity(self) -> int:
+        """−1 as the eye sees the sky, +1 mirrored."""
+        return self.pointing.parity
+
+    def describe(self) -> str:
+        """One line to print."""
+        ra, dec = self.wcs.wcs.crval
+        hand = "mirrored" if self.parity > 0 else "not mirrored"
+        return (
+            f"placed by {self.found_by}: RA {ra:.5f}° Dec {dec:+.5f}°, {self.scale_arcsec:.4f}″/px, y axis at "
+            f"{self.rotation_deg:.2f}° (N through E), {hand}; {self.n_matched} stars, rms {self.rms_arcsec:.2f}″, "
+            f"odds {odds_in_words(self.log_odds)}, next best {odds_in_words(self.runner_up_log_odds)}"
+        )
+
+
+def place(
+    measured: Measured,
+    stars: Stars,
+    hints: Hint | Sequence[Hint],
+    *,
+    index: SkyIndex | None = None,
+    odds: float = DEFAULT_ODDS,
+) -> Placement:
+    """Where a frame points, by the first hint that leads to a placement that can be believed.
+
+    Parameters
+    ----------
+    measured : the frame's measurements; up to half of the brighter ones may be spurious.
+    stars : the catalogue at the frame's epoch, of the field or (for :class:`AllSky`) of the whole sky.
+    hints : one or several of :class:`Header`, :class:`Aim`, :class:`AllSky`, tried in this order.
+    index : of :func:`sky_index` for an :class:`AllSky` hint, to be kept from frame to frame; else it is made here.
+    odds : a placement is refused below these odds against all chance, and against the next best placement.
+
+    Raises
+    ------
+    InputError : too few measurements or stars, or no placement reaches ``odds``.
+
+    Example
+    -------
+    >>> place(measurements, stars, Aim(62.5, 22.8, radius_deg=0.1, scale_arcsec=(0.9, 1.4)))  # doctest: +SKIP
+    """
+    hints = [hints] if isinstance(hints, Header | Aim | AllSky) else list(hints)
+    if not hints or not odds > 1:
+        raise InputError("place: give at least one hint, and odds above 1")
+    scene, order_1, order_2 = scene_of(measured, stars)
+    refused = []
+    for hint in hints:
+        best, second = _searched(scene, hint, index, math.log(odds))
+        if best is not None and _believed(best, second, math.log(odds)):
+            return _placement(scene, best, second, hint, measured, (order_1, order_2))
+        refused.append(_refusal(hint, best, second))
+    raise InputError(f"{measured.name}: no solution: {'; '.join(refused)}; {_advice(hints)}")
+
+
+def scene_of(measured: Measured, stars: Stars) -> tuple[Scene, IntArray, IntArray]:
+    """Both lists brightest first, and the rows that they had."""
+    px = np.column_stack([measured.x_px, measured.y_px]).astype(np.float64)
+    usable = np.isfinite(px).all(axis=1) & np.isfinite(measured.covariance).all(axis=1) & np.isfinite(measured.flux)
+    order_1 = np.argsort(np.where(usable, -measured.flux, np.inf), kind="stable")[: int(usable.sum())]
+    order_2 = stars.order()
+    for n, name, what in (
+        (len(order_1), measured.name, "usable measurements; is the threshold too high"),
+        (len(order_2), stars.name, "stars; does the catalogue cover the field"),
+    ):
+        if n < 4:
+            raise InputError(f"{name}: a frame cannot be placed with {n} {what}? Give at least four")
+    sigma = np.broadcast_to(np.asarray(stars.sigma_arcsec, dtype=np.float64), len(order_2))[order_2]
+    vectors = unit_vectors(np.asarray(stars.ra_deg)[order_2], np.asarray(stars.dec_deg)[order_2])
+    covariance = unpack(np.asarray(measured.covariance, dtype=np.float64)[order_1], 2)
+    shape = (int(measured.shape[0]), int(measured.shape[1]))
+    return Scene(px[order_1], covariance, shape, vectors, sigma / ARCSEC_PER_RADIAN), order_1, order_2
+
+
+def _searched(scene: Scene, hint: Hint, index: SkyIndex | None, enough: float) -> tuple[Verdict | None, float]:
+    """The best verdict under one hint, and the log-odds of the next best that is a different one."""
+    own = _straightened(scene, hint)
+    searched, tolerance = hint.searched(own), 0.01 * own.half_diagonal_px
+    best, second = None, -math.inf
+    for round_ in candidates(own, hint, index):
+        for pointing in _different(round_, own):
+            verdict = verify(own, pointing, searched, tolerance)
+            if not math.isfinite(verdict.log_odds) or not hint.allows(verdict.pointing, own):
+                continue
+            if best is None or verdict.log_odds > best.log_odds:
+                if best is not None and not _same(best.pointing, verdict.pointing, own):
+                    second = max(second, best.log_odds)
+                best = verdict
+            elif not _same(best.pointing, verdict.pointing, own):
+                second = max(second, verdict.log_odds)
+        if _believed(best, second, enough):
+            break
+    return best, second
+
+
+def _straightened(scene: Scene, hint: Hint) -> Scene:
+    """The scene with the header's distortion taken out of its measurements."""
+    if not isinstance(hint, Header):
+        return scene
+    linear = Pointing.of_wcs(hint.wcs, scene.shape)
+    px = linear.to_px(sky_of(hint.wcs, scene.px))
+    return Scene(px, scene.covariance, scene.shape, scene.vectors, scene.sigma_rad)
+
+
+def _different(pointings: Iterator[Pointing], scene: Scene) -> Iterator[Pointing]:
+    """The first of every bunch of nearly equal pointings, not more than are looked at closely."""
+    proposed = list(pointings)
+    if not proposed:
+        return
+    corners = np.stack([pointing.to_sky(_corners(scene)) for pointing in proposed])
+    left = np.ones(len(proposed), bool)
+    for _ in range(CLOSE_LOOKS):
+        if not left.any():
+            return
+        first = int(np.argmax(left))
+        apart = np.linalg.norm(corners - corners[first], axis=2).max(axis=1)
+        left &= apart > 0.03 * np.linalg.norm(corners[first, 2] - corners[first, 1])
+        left[first] = False
+        yield proposed[first]
+
+
+def _corners(scene: Scene) -> FloatArray:
+    """(3, 2) three corners of the frame, the last two opposite each other."""
+    high, wide = scene.shape
+    return np.array([[0.0, 0.0], [wide - 1.0, 0.0], [0.0, high - 1.0]])
+
+
+def _same(one: Pointing, other: Pointing, scene: Scene) -> bool:
+    """Do two pointings put the corners of the frame in the same places, to a hundredth of its diagonal?"""
+    apart = one.to_sky(_corners(scene)) - other.to_sky(_corners(scene))
+    size = 2 * scene.half_diagonal_px * one.scale_arcsec / ARCSEC_PER_RADIAN
+    return bool(np.linalg.norm(apart, axis=1).max() < 0.01 * size)
+
+
+def _believed(best: Verdict | None, second: float, enough: float) -> bool:
+    return best is not None and best.log_odds - max(second, 0.0) >= enough
+
+
+def _placement(
+    scene: Scene,
+    best: Verdict,
+    second: float,
+    hint: Hint,
+    measured: Measured,
+    orders: tuple[NDArray[np.int64], NDArray[np.int64]],
+) -> Placement:
+    rms_px = math.sqrt(np.mean(best.residual_px**2))
+    if isinstance(hint, Header):
+        best = on_pixels(best, scene, scene.px)
+    return Placement(
+        wcs=best.pointing.to_wcs(scene.shape),
+        pointing=best.pointing,
+        log_odds=best.log_odds,
+        runner_up_log_odds=second,
+        rows_measured=orders[0][best.measured],
+        rows_stars=orders[1][best.stars],
+        residual_px=best.residual_px,
+        rms_arcsec=rms_px * best.pointing.scale_arcsec,
+        found_by=hint.words,
+    )
+
+
+def odds_in_words(log_odds: float) -> str:
+    """Odds as people write them: 250:1, 1:30, 10^45:1."""
+    if log_odds == -math.inf:
+        return "none"
+    size = abs(log_odds)
+    number = f"{math.exp(size):.3g}" if size < math.log(1e5) else f"10^{size / math.log(10):.0f}"
+    return f"{number}:1" if log_odds >= 0 else f"1:{number}"
+
+
+def _refusal(hint: Hint, best: Verdict | None, second: float) -> str:
+    if best is None:
+        return f"by {hint.words} nothing fits"
+    said = f"by {hint.words} the best has odds {odds_in_words(best.log_odds)} ({len(best.stars)} stars)"
+    return said + (f", another {odds_in_words(second)}" if second > 0 else "")
+
+
+def _advice(hints: Sequence[Hint]) -> str:
+    aimed = all(isinstance(hint, AllSky) for hint in hints)
+    return ("give an aim, " if aimed else "give a larger radius, ") + "a wider range of scales or a deeper catalogue"

@@ -1,0 +1,300 @@
+"""The plate model: from pixels to the sky by a polynomial, fitted to identified stars, with its covariance.
+
+    (ξ, η) = Σ_{a+b ≤ p} c_ab uᵃ vᵇ,   (u, v) = (x − middle) / half diagonal,
+
+ξ east and η north on the tangent plane, arcsec. Every pair counts with its probability; its error is that of the
+measurement, brought to the plane, and that of the star. The order p is the one of least BIC, or given.
+:meth:`PlateModel.predict` says where a star is seen and how sure that is, :meth:`PlateModel.to_sky` the
+reverse, :meth:`PlateModel.to_wcs` gives an astropy WCS (TAN, or TAN-SIP: Shupe et al. 2005, ASP 347, 491).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sameas.errors import InputError
+from sameas.records import FloatArray, unpack
+from sameas.sky.frame.polynomial import Polynomial, sip, terms
+from sameas.sky.frame.tangent import Pointing, axes, directions_deg, from_plane, to_plane, unit_vectors
+from sameas.space import ARCSEC_PER_RADIAN
+
+if TYPE_CHECKING:
+    from astropy.wcs import WCS
+
+HIGHEST_ORDER = 5
+#: A residual of more than so many sigmas is weighed down as the square of it: a wrong pair does not pull.
+TAIL_SIGMAS = 3.5
+#: The quoted errors are worth so many residuals when their scale is estimated.
+QUOTED_WORTH = 4.0
+#: Rounds of fitting, weighing down and bringing the errors to the plane.
+ROUNDS = 8
+
+
+@dataclass(frozen=True)
+class MatchedStars:
+    """Measurements and the catalogue stars that they are.
+
+    Attributes
+    ----------
+    px : (n, 2) 0-based pixels. covariance_px : (n, 3) of them: xx, xy, yy in px².
+    ra_deg, dec_deg : (n,) of the stars at the frame's epoch. covariance_arcsec : (n, 3) east-east, east-north,
+        north-north in arcsec². p_match : (n,) the probability of each pair.
+    """
+
+    px: FloatArray
+    covariance_px: FloatArray
+    ra_deg: FloatArray
+    dec_deg: FloatArray
+    covariance_arcsec: FloatArray
+    p_match: FloatArray
+
+    def __post_init__(self) -> None:
+        n = len(self.px)
+        shapes = {"px": (n, 2), "covariance_px": (n, 3), "covariance_arcsec": (n, 3)}
+        for name in ("px", "covariance_px", "ra_deg", "dec_deg", "covariance_arcsec", "p_match"):
+            values, shape = np.asarray(getattr(self, name), dtype=np.float64), shapes.get(name, (n,))
+            if values.shape != shape:
+                raise InputError(f"plate: {name} has shape {values.shape}; give {shape}")
+            if not np.isfinite(values).all():
+                row = int(np.argwhere(~np.isfinite(values))[0, 0])
+                raise InputError(f"plate: {name} of pair {row} is not a number; leave such pairs out")
+        if np.any((self.p_match < 0) | (self.p_match > 1)):
+            raise InputError("plate: p_match must be within 0 … 1")
+
+
+@dataclass(frozen=True)
+class PlateModel:
+    """A fitted plate model. Make it with :func:`fit_plate`.
+
+    Attributes
+    ----------
+    centre : (3,) where the tangent plane touches the sphere. polynomial : pixels → ξ, η in arcsec.
+    covariance : (2q, 2q) of the coefficients (those of ξ, then those of η), arcsec², grown by ``error_scale``².
+    error_scale : by how much residuals are larger than quoted errors say; never below 1.
+    shape : (rows, columns) of the frame.
+    effective_pairs : the sum of the probabilities. bic : of every order that was tried.
+    residual_arcsec : (n, 2) star minus model. weight : (n,) what each pair counted for.
+    """
+
+    centre: FloatArray
+    polynomial: Polynomial
+    covariance: FloatArray
+    error_scale: float
+    shape: tuple[int, int]
+    effective_pairs: float
+    bic: Mapping[int, float]
+    residual_arcsec: FloatArray = field(repr=False)
+    weight: FloatArray = field(repr=False)
+
+    @property
+    def order(self) -> int:
+        """The order of the polynomial."""
+        return self.polynomial.order
+
+    @property
+    def rms_arcsec(self) -> FloatArray:
+        """(2,) weighted root mean square of the residuals, ξ and η."""
+        return np.asarray(np.sqrt(self.weight @ self.residual_arcsec**2 / self.weight.sum()))
+
+    def to_sky(
+        self, x_px: ArrayLike, y_px: ArrayLike, covariance_px: ArrayLike | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Right ascension, declination (degrees) and covariance (n, 3: east-east, east-north, north-north, arcsec²).
+
+        The covariance is the model's alone, or with ``covariance_px`` (n, 3) that of a measurement's position.
+        """
+        px = np.column_stack([np.ravel(x_px), np.ravel(y_px)]).astype(np.float64)
+        plane = self.polynomial(px)
+        spread = self._spread(px)
+        if covariance_px is not None:
+            slope = self.polynomial.slope(px)
+            spread += slope @ unpack(np.asarray(covariance_px, dtype=np.float64), 2) @ slope.transpose(0, 2, 1)
+        vectors = from_plane(plane / ARCSEC_PER_RADIAN, self.centre)
+        turn = sky_axes(vectors, self.centre)
+        return (*directions_deg(vectors), _packed(turn @ spread @ turn.transpose(0, 2, 1)))
+
+    def predict(
+        self, ra_deg: ArrayLike, dec_deg: ArrayLike, covariance_arcsec: ArrayLike | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Where stars are seen: x, y (pixels) and covariance (n, 3: xx, xy, yy in px²).
+
+        The covariance is the model's alone, or with ``covariance_arcsec`` (n, 3) the star's position error too.
+        NaN for stars that the model cannot see (the other half of the sky, or far outside a strongly curved frame).
+        """
+        vectors = unit_vectors(np.ravel(ra_deg), np.ravel(dec_deg))
+        px = self.polynomial.inverse(to_plane(vectors, self.centre) * ARCSEC_PER_RADIAN)
+        spread = self._spread(px)
+        if covariance_arcsec is not None:
+            to_local = np.linalg.inv(sky_axes(vectors, self.centre))
+            star = unpack(np.asarray(covariance_arcsec, dtype=np.float64), 2)
+            spread += to_local @ star @ to_local.transpose(0, 2, 1)
+        there = np.isfinite(px).all(axis=1)
+        to_px = np.linalg.inv(self.polynomial.slope(px[there]))
+        packed = np.full((len(px), 3), np.nan)
+        packed[there] = _packed(to_px @ spread[there] @ to_px.transpose(0, 2, 1))
+        return px[:, 0], px[:, 1], packed
+
+    def to_wcs(self) -> WCS:
+        """The same as an astropy WCS: TAN for order 1, else TAN-SIP with both directions."""
+        return sip(self.polynomial, self.centre, self.shape)
+
+    def describe(self) -> str:
+        """One line to print."""
+        rms = self.rms_arcsec
+        tried = ", ".join(f"{order}: {value:.1f}" for order, value in self.bic.items())
+        return (
+            f"plate model of order {self.order} on {self.effective_pairs:.1f} pairs, "
+            f"rms {rms[0]:.3f}″ × {rms[1]:.3f}″, errors {self.error_scale:.2f} times those quoted "
+            f"(BIC of each order: {tried})"
+        )
+
+    def _spread(self, px: FloatArray) -> FloatArray:
+        """(n, 2, 2) covariance of ξ, η by the model's own uncertainty, arcsec²."""
+        basis = self.polynomial.basis(px)
+        q = basis.shape[1]
+        blocks = self.covariance.reshape(2, q, 2, q)
+        return np.asarray(np.einsum("nq,aqbr,nr->nab", basis, blocks, basis))
+
+
+def fit_plate(stars: MatchedStars, start: Pointing, shape: tuple[int, int], *, order: int | None = None) -> PlateModel:
+    """The plate model of identified stars.
+
+    Parameters
+    ----------
+    stars : the pairs with their errors and probabilities.
+    start : a linear solution near enough to bring the stars' errors to pixels; its plane is kept.
+    shape : (rows, columns) of the frame. order : 1 … 5, or None for the one of least BIC.
+
+    Raises
+    ------
+    InputError : too few pairs for the order (an order of q terms needs (q + 1) pairs, three at least).
+
+    Example
+    -------
+    >>> plate = fit_plate(stars, placement.pointing, (1024, 1024))  # doctest: +SKIP
+    >>> x, y, covariance_px = plate.predict(ra_deg, dec_deg)  # doctest: +SKIP
+    """
+    effective = float(np.sum(stars.p_match))
+    if order is not None and not (isinstance(order, int) and 1 <= order <= HIGHEST_ORDER):
+        raise InputError(f"plate: order is {order}; give 1 … {HIGHEST_ORDER}, or None")
+    wanted = [order] if order else list(range(1, HIGHEST_ORDER + 1))
+    # One pair more than terms: without a residual left nothing tells an order from another.
+    possible = [p for p in wanted if effective >= len(terms(p)) + (1 if p > 1 else 0) - 1e-9]
+    if not possible:
+        need = len(terms(wanted[0])) + (1 if wanted[0] > 1 else 0)
+        raise InputError(
+            f"plate: {effective:.1f} identified stars are too few for order {wanted[0]}, which needs {need}; "
+            "give a lower order or a deeper catalogue"
+        )
+    behind = np.flatnonzero(unit_vectors(stars.ra_deg, stars.dec_deg) @ start.centre <= 0.0)
+    if len(behind):
+        raise InputError(f"plate: the star of pair {behind[0]} is 90° or more from the frame; check the pairs")
+    fits = {p: _fitted(stars, start, shape, p) for p in possible}
+    bic = {p: model.bic[p] for p, model in fits.items()}
+    return replace(fits[min(bic, key=lambda p: (bic[p], p))], bic=bic)
+
+
+def _fitted(stars: MatchedStars, start: Pointing, shape: tuple[int, int], order: int) -> PlateModel:
+    """The model of one order."""
+    middle = np.array([(shape[1] - 1) / 2.0, (shape[0] - 1) / 2.0])
+    polynomial = Polynomial.linear(start, middle, 0.5 * math.hypot(*shape), order)
+    vectors = unit_vectors(stars.ra_deg, stars.dec_deg)
+    plane = to_plane(vectors, start.centre) * ARCSEC_PER_RADIAN
+    to_local = np.linalg.inv(sky_axes(vectors, start.centre))
+    star = to_local @ unpack(stars.covariance_arcsec, 2) @ to_local.transpose(0, 2, 1)
+    basis, down = polynomial.basis(stars.px), np.ones(len(plane))
+    q = basis.shape[1]
+    for _ in range(ROUNDS):
+        slope = polynomial.slope(stars.px)
+        total = star + slope @ unpack(stars.covariance_px, 2) @ slope.transpose(0, 2, 1)
+        inverse = np.asarray(np.linalg.inv(total + 1e-12 * np.eye(2)), dtype=np.float64)
+        information, right = _normal_equations(basis, inverse, plane, stars.p_match * down)
+        solution = _solved(information, right)
+        polynomial = polynomial.with_coefficients(solution.reshape(2, q))
+        left = plane - basis @ polynomial.coefficients.T
+        square = np.einsum("ni,nij,nj->n", left, inverse, left)
+        scale_sq = _scale_squared(square, stars.p_match, down, 2 * q)
+        down = np.minimum(1.0, TAIL_SIGMAS**2 * scale_sq / np.maximum(square, 1e-300))
+    grown = max(1.0, scale_sq)
+    covariance = grown * _solved(_normal_equations(basis, inverse, plane, stars.p_match * down)[0], np.eye(2 * q))
+    return PlateModel(
+        centre=start.centre,
+        polynomial=polynomial,
+        covariance=0.5 * (covariance + covariance.T),
+        error_scale=math.sqrt(grown),
+        shape=shape,
+        effective_pairs=float(stars.p_match.sum()),
+        bic={order: _bic(square / scale_sq, scale_sq, down, stars.p_match, 2 * q)},
+        residual_arcsec=left,
+        weight=stars.p_match * down,
+    )
+
+
+def _bic(square: FloatArray, scale_sq: float, down: FloatArray, p_match: FloatArray, parameters: int) -> float:
+    """−2 ln L + parameters · ln(effective pairs), the scale of the errors being unknown.
+
+    ``square`` (n,) residuals squared in units of their scaled errors; beyond the tail a residual costs its logarithm.
+    """
+    n = 2.0 * float(p_match.sum())
+    loss = np.where(down < 1.0, TAIL_SIGMAS**2 * (1.0 - np.log(down)), square)
+    # The likeliest scale knows nothing of the parameters that were spent.
+    share = max(n - parameters + QUOTED_WORTH, 1.0) / (n + QUOTED_WORTH)
+    return n * math.log(scale_sq * share) + float(p_match @ loss) / share + parameters * math.log(n / 2.0)
+
+
+def _normal_equations(
+    basis: FloatArray, inverse: FloatArray, plane: FloatArray, weight: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Σ w Xᵀ Σ⁻¹ X (2q, 2q) and Σ w Xᵀ Σ⁻¹ y (2q,), X = diag(basis, basis)."""
+    q = basis.shape[1]
+    information = np.einsum("nq,nab,nr,n->aqbr", basis, inverse, basis, weight, optimize=True)
+    right = np.einsum("nq,nab,nb,n->aq", basis, inverse, plane, weight, optimize=True)
+    return information.reshape(2 * q, 2 * q), right.reshape(2 * q)
+
+
+def _solved(information: FloatArray, right: FloatArray) -> FloatArray:
+    """The solution of the normal equations; stars on a line or in a corner leave some of them open: refused."""
+    unit = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scaled = information * unit[:, None] * unit
+    if np.linalg.cond(scaled) > 1e12:
+        raise InputError(
+            "plate: the identified stars do not determine the model (they lie on a line or in one place); "
+            "give a lower order or a deeper catalogue"
+        )
+    turned = np.linalg.solve(scaled, right * (unit if right.ndim == 1 else unit[:, None]))
+    return np.asarray(turned * (unit if right.ndim == 1 else unit[:, None]))
+
+
+def _scale_squared(square: FloatArray, p_match: FloatArray, down: NDArray[np.float64], parameters: int) -> float:
+    """By how much the squares of residuals exceed what the errors say; the first round's is robust against tails."""
+    weight = p_match * down
+    if np.all(down == 1.0):
+        order = np.argsort(square)
+        share = np.cumsum(p_match[order]) / p_match.sum()
+        n = 2.0 * p_match.sum()
+        median = float(square[order][np.searchsorted(share, 0.5)]) / (2 * math.log(2.0))
+        mean = (float(weight @ square) + QUOTED_WORTH) / (max(n - parameters, 0.0) + QUOTED_WORTH)
+        # Where all is well the mean is the better of the two; a few wrong pairs make it many times the median.
+        return mean if mean < 3.0 * max(median, 1e-300) else median
+    freedom = max(2.0 * weight.sum() - parameters, 0.0)
+    return (float(weight @ square) + QUOTED_WORTH) / (freedom + QUOTED_WORTH)
+
+
+def sky_axes(vectors: FloatArray, centre: FloatArray) -> FloatArray:
+    """(n, 2, 2) by how much a step in ξ, η moves a direction (n, 3) to its own east and north."""
+    east, north = axes(np.broadcast_to(centre, vectors.shape))
+    depth = np.sum(vectors * centre, axis=1)
+    own = np.stack(axes(vectors), axis=1)
+    # v = (c + ξe + ηn)/|…|, |…| = 1/depth; what the step has along v is lost, and own axes are at right angles to v.
+    step = np.stack([east, north], axis=2) * depth[:, None, None]
+    return np.asarray(own @ step)
+
+
+def _packed(full: FloatArray) -> FloatArray:
+    return np.stack([full[:, 0, 0], full[:, 0, 1], full[:, 1, 1]], axis=1)

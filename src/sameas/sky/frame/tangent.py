@@ -1,0 +1,170 @@
+"""The tangent plane of a frame, and the linear map between its pixels and the sky.
+
+Directions are unit vectors (n, 3), so that nothing happens at the poles or at 0/360. The plane's ξ points east and η
+north, in radians: ξ = (v·east)/(v·centre), η = (v·north)/(v·centre). Pixels count from 0, and (0, 0) is the middle of
+the first.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sameas.records import FloatArray
+from sameas.space import ARCSEC_PER_RADIAN
+
+if TYPE_CHECKING:
+    from astropy.wcs import WCS
+
+
+def unit_vectors(ra_deg: ArrayLike, dec_deg: ArrayLike) -> FloatArray:
+    """(..., 3) unit vectors of directions."""
+    lon, lat = np.radians(ra_deg), np.radians(dec_deg)
+    return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
+
+
+def directions_deg(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Right ascension (0 … 360) and declination in degrees of vectors (..., 3) of any length."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    return np.degrees(np.arctan2(y, x)) % 360.0, np.degrees(np.arctan2(z, np.hypot(x, y)))
+
+
+def axes(centre: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The unit vectors east and north, (..., 3) each, of the plane that touches the sphere at ``centre`` (..., 3)."""
+    lon = np.arctan2(centre[..., 1], centre[..., 0])
+    zero, lat = np.zeros_like(lon), np.arctan2(centre[..., 2], np.hypot(centre[..., 0], centre[..., 1]))
+    east = np.stack([-np.sin(lon), np.cos(lon), zero], axis=-1)
+    north = np.stack([-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)], axis=-1)
+    return east, north
+
+
+def to_plane(vectors: FloatArray, centre: FloatArray) -> FloatArray:
+    """(..., 2) ξ, η of ``vectors`` on the plane at ``centre``; NaN for those 90° or more away."""
+    east, north = axes(centre)
+    depth = np.sum(vectors * centre, axis=-1)
+    depth = np.where(depth > 0.0, depth, np.nan)
+    return np.stack([np.sum(vectors * east, axis=-1), np.sum(vectors * north, axis=-1)], axis=-1) / depth[..., None]
+
+
+def from_plane(plane: FloatArray, centre: FloatArray) -> FloatArray:
+    """(..., 3) unit vectors of the points ξ, η of the plane at ``centre``."""
+    east, north = axes(centre)
+    vectors = centre + plane[..., :1] * east + plane[..., 1:] * north
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+
+
+@dataclass(frozen=True)
+class Pointing:
+    """A linear map between pixels and a tangent plane: (ξ, η) = cd · (x − origin_px).
+
+    Attributes
+    ----------
+    centre : (3,) the direction at which the plane touches the sphere.
+    cd : (2, 2) radians per pixel. origin_px : (2,) the pixel of ``centre``.
+    """
+
+    centre: FloatArray
+    cd: FloatArray
+    origin_px: FloatArray
+
+    def to_px(self, vectors: FloatArray) -> FloatArray:
+        """(n, 2) pixels of directions; NaN for those on the other half of the sky."""
+        return self.origin_px + to_plane(vectors, self.centre) @ np.linalg.inv(self.cd).T
+
+    def to_sky(self, px: FloatArray) -> FloatArray:
+        """(n, 3) directions of pixels."""
+        return from_plane((px - self.origin_px) @ self.cd.T, self.centre)
+
+    def moved(self, step: FloatArray) -> Pointing:
+        """The pointing whose predictions are x′ = x + D(x) step, with the columns of :func:`design`."""
+        growth, turn, stretch, shear = step[2:]
+        linear = np.array([[1 + growth + stretch, shear - turn], [shear + turn, 1 + growth - stretch]])
+        return replace(self, cd=self.cd @ np.linalg.inv(linear), origin_px=self.origin_px + step[:2])
+
+    @property
+    def scale_arcsec(self) -> float:
+        """The side of a pixel, arcsec: the root of its area."""
+        return math.sqrt(abs(np.linalg.det(self.cd))) * ARCSEC_PER_RADIAN
+
+    @property
+    def rotation_deg(self) -> float:
+        """The direction of the frame's y axis, degrees from north through east, 0 … 360."""
+        return math.degrees(math.atan2(self.cd[0, 1], self.cd[1, 1])) % 360.0
+
+    @property
+    def parity(self) -> int:
+        """−1 where the frame shows the sky as the eye sees it, +1 where it is mirrored: the sign of |cd|."""
+        return 1 if np.linalg.det(self.cd) > 0 else -1
+
+    def to_wcs(self, shape: tuple[int, int] | None = None) -> WCS:
+        """The same as an astropy WCS (TAN, ICRS); ``shape`` is (rows, columns) of the frame."""
+        from astropy.wcs import WCS
+
+        wcs = WCS(naxis=2)
+        ra, dec = directions_deg(self.centre)
+        wcs.wcs.ctype, wcs.wcs.cunit, wcs.wcs.radesys = ["RA---TAN", "DEC--TAN"], ["deg", "deg"], "ICRS"
+        wcs.wcs.crval, wcs.wcs.crpix = [float(ra), float(dec)], list(self.origin_px + 1.0)
+        wcs.wcs.cd = np.degrees(self.cd)
+        wcs.wcs.set()
+        if shape is not None:
+            wcs.array_shape = shape
+        return wcs
+
+    @classmethod
+    def of_wcs(cls, wcs: Any, shape: tuple[int, int]) -> Pointing:
+        """The linear map nearest to any astropy WCS over a frame of ``shape`` (rows, columns)."""
+        rows, columns = shape
+        middle = np.array([(columns - 1) / 2.0, (rows - 1) / 2.0])
+        x, y = np.meshgrid(np.linspace(0, columns - 1, 9), np.linspace(0, rows - 1, 9))
+        grid = np.column_stack([x.ravel(), y.ravel()])
+        centre = sky_of(wcs, middle[None])[0]
+        plane = to_plane(sky_of(wcs, grid), centre)
+        fit = np.linalg.lstsq(np.column_stack([np.ones(len(grid)), grid - middle]), plane, rcond=None)[0]
+        cd = fit[1:].T
+        return cls(centre, cd, middle - np.linalg.solve(cd, fit[0]))
+
+
+def sky_of(wcs: Any, px: FloatArray) -> FloatArray:
+    """(n, 3) directions that any celestial astropy WCS, distorted or not, gives to 0-based pixels (n, 2)."""
+    world = wcs.celestial if wcs.naxis > 2 else wcs
+    sky = world.pixel_to_world(px[:, 0], px[:, 1]).icrs
+    return unit_vectors(sky.ra.deg, sky.dec.deg)
+
+
+def design(offset_px: FloatArray) -> FloatArray:
+    """(n, 2, 6) what a shift in x and y, growth, a turn, a stretch and a shear do to points ``offset_px`` (n, 2)."""
+    x, y = offset_px.T
+    one, zero = np.ones_like(x), np.zeros_like(x)
+    return np.stack([np.stack([one, zero, x, -y, x, y], axis=-1), np.stack([zero, one, y, x, -y, x], axis=-1)], axis=-2)
+
+
+def similarities(
+    px: FloatArray, vectors: FloatArray, mirrored: NDArray[np.bool_], origin_px: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The least-squares shift, turn and scale of c sets of k pixels (c, k, 2) on k directions (c, k, 3).
+
+    Returns the directions of ``origin_px`` (c, 3) and the matrices cd (c, 2, 2) of the planes touching there.
+    ``mirrored`` (c,) says where x runs the same way as east when y runs north.
+    """
+    # Seen on the sky x runs west: the offset is turned to (−x) + iy before it is compared with ξ + iη.
+    hand = np.where(mirrored, 1.0, -1.0)[:, None]
+    seen = hand * (px[..., 0] - origin_px[0]) + 1j * (px[..., 1] - origin_px[1])
+    centre = vectors.sum(axis=1)
+    centre /= np.linalg.norm(centre, axis=1, keepdims=True)
+    # The second round fits on the plane that touches where the frame's middle is.
+    for _ in range(3):
+        plane = to_plane(vectors, centre[:, None, :])
+        seen_mean, sky = seen.mean(axis=1, keepdims=True), plane[..., 0] + 1j * plane[..., 1]
+        sky_mean, spread = sky.mean(axis=1, keepdims=True), np.abs(seen - seen_mean) ** 2
+        turn = np.sum(np.conj(seen - seen_mean) * (sky - sky_mean), axis=1) / np.sum(spread, axis=1)
+        at = sky_mean[:, 0] - turn * seen_mean[:, 0]
+        centre = from_plane(np.stack([at.real, at.imag], axis=-1), centre)
+    hand = hand[:, 0]
+    cd = np.stack(
+        [np.stack([hand * turn.real, -turn.imag], axis=-1), np.stack([hand * turn.imag, turn.real], axis=-1)], axis=-2
+    )
+    return centre, cd
