@@ -90,7 +90,8 @@ def verdict(folder: str, gate_sigmas: float | None = 3.0) -> Callable[[], dict[s
         by_method = np.bincount(answer.posterior.method, answer.groups.pair_counts, len(METHODS))
         share = by_method / max(len(answer.pairs), 1)
         return {
-            "least_reduced_cost": proof.least_reduced_cost, "duality_gap": proof.duality_gap, "candidates": len(answer.pairs),
+            "least_reduced_cost": proof.least_reduced_cost, "duality_gap": proof.duality_gap,
+            "candidates": len(answer.pairs),
             "largest": answer.groups.statistics()["records in the largest"], "shares": share.tolist(),
         }  # fmt: skip
 

@@ -12,8 +12,8 @@ import sameas
 HOME = Path(sameas.__file__).parent
 STAGES = ["records", "gate", "groups", "evidence", "prior", "assignment", "posterior", "result", "identify", "estimate"]
 # Companions walk with their stage.
-WITH = {"errors": "records", "space": "records", "threads": "records", "search": "gate", "zones": "gate", "coverage": "estimate",
-        "decision": "result", "older": "result", "spacing": "evidence"}  # fmt: skip
+WITH = {"errors": "records", "space": "records", "threads": "records", "search": "gate", "zones": "gate",
+        "coverage": "estimate", "decision": "result", "older": "result", "spacing": "evidence"}  # fmt: skip
 ROOMS = {"sky", "tracks", "io", "adapters", "plots", "report", "cli"}
 FOR_PEOPLE = {"io", "adapters", "plots", "report", "cli"}
 

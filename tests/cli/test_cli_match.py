@@ -39,7 +39,8 @@ def test_the_printed_text_tells_what_was_understood_estimated_and_found(tmp_path
     for words in (
         "First catalogue: first, 120 rows", "sigma [arcsec, unit of the column]", "area where both look",
         "  identified                       100           100", "100 identified among", "expected wrong",
-        "Certificate: optimal: least reduced cost", "probabilities         100 groups by closed form", "due if errors are true", "1.18",
+        "Certificate: optimal: least reduced cost",
+        "probabilities         100 groups by closed form", "due if errors are true", "1.18",
         "  second, mag", "second: claimed more than once", f"Output: {out}, 120 rows", "peak memory",
     ):  # fmt: skip
         assert words in text
