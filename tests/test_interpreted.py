@@ -52,7 +52,7 @@ for name in scenes:
     note(name)
 
 
-def without_elimination(groups, best, share, method):
+def without_elimination(groups, best, share, method, most=None):
     method[:] = APPROXIMATE
 
 

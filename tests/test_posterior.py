@@ -10,7 +10,8 @@ import naive
 from problems import DRAWS, components_of, laid_out, many_blocks, random_ratios, solved
 from sameas import CommonObjects, PerPair
 from sameas.assignment import assign
-from sameas.posterior import APPROXIMATE, METHODS, THINNED, posterior
+from sameas.kernels.bounds import log_bounds
+from sameas.posterior import APPROXIMATE, EVERY, METHODS, THINNED, posterior
 from test_assignment import PRIORS
 
 
@@ -131,12 +132,46 @@ def test_chains_of_equal_ratios_are_exact_too():
     np.testing.assert_allclose([ours[e] for e in ratios], [expected[e] for e in ratios], rtol=0, atol=1e-9)
 
 
+# ---- pairs that are proved improbable ----
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_pair_is_more_probable_than_its_bound(seed):
+    scene = entangled(np.random.default_rng(seed), 20, (3, 8)[seed % 2], (0.05, 0.3)[seed // 3], wide=3.0)
+    pairs, grouped, best, sure = solved(*scene, PerPair(0.0))
+    bound = np.zeros(len(pairs))
+    every = np.ones(len(grouped), np.bool_)
+    shape = (grouped.start, grouped.start_1, grouped.start_2, grouped.local_1, grouped.local_2)
+    log_bounds(0, len(grouped), *shape, best.weight, best.chosen, every, bound)
+    p = sure.p_pair[grouped.order]
+    assert np.all(p <= np.exp(bound) * (1 + 1e-9))
+    # Not a bound for its own sake: it tells pairs of an open gate apart from the likely ones.
+    assert np.mean(bound < math.log(1e-3)) > 0.1
+
+
+@pytest.mark.parametrize("limit, error", [(1e-7, 2e-6), (1e-5, 2e-4)])
+def test_leaving_the_improbable_out_changes_as_little_as_is_said(monkeypatch, limit, error):
+    left_out = 0
+    for seed in range(4):
+        scene = entangled(np.random.default_rng([seed, 7]), 30, 8, 0.1, wide=3.0)
+        _, grouped, best, _ = solved(*scene, PerPair(0.0))
+        monkeypatch.setattr("sameas.posterior.SMALL", EVERY)
+        every = posterior(grouped, best)
+        monkeypatch.setattr("sameas.posterior.SMALL", 0)
+        monkeypatch.setattr("sameas.posterior.IMPROBABLE", limit)
+        fewer = posterior(grouped, best)
+        np.testing.assert_allclose(fewer.p_pair, every.p_pair, rtol=0, atol=error)
+        assert set(fewer.neglected.tolist()) <= {0.0, limit}
+        left_out += np.count_nonzero(fewer.neglected)
+    assert left_out
+
+
 # ---- the local method ----
 
 
-def entangled(rng, n, degree, misses=0.15, noise=0.5):
+def entangled(rng, n, degree, misses=0.15, wide=1.0):
     """A crowded field on a torus of n + n records with ``degree`` candidates each."""
-    side, sigma = math.sqrt(n), 0.4
+    side, sigma = math.sqrt(n), 0.4 / wide
     objects = rng.uniform(0, side, (n, 2))
     one, two = (np.where(rng.uniform(size=n) < misses, False, True) for _ in range(2))
     sources = [objects[seen] + rng.normal(0, sigma / math.sqrt(2), (seen.sum(), 2)) for seen in (one, two)]
@@ -150,7 +185,7 @@ def entangled(rng, n, degree, misses=0.15, noise=0.5):
     }  # fmt: skip
 
 
-def without_elimination(groups, best, share, method):
+def without_elimination(groups, best, share, method, most=None):
     """Stands for elimination that has no room for anything."""
     method[:] = APPROXIMATE
 

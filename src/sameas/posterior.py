@@ -2,8 +2,9 @@
 
 Groups in which one record has all the pairs are a closed form. Others are summed exactly by eliminating their records
 one by one, with the count of pairs carried where the prior asks for it; that covers every group of up to about 16
-records on its smaller side and larger ones that are thin, such as chains. What is too entangled is first thinned:
-sum-product messages tell which pairs are next to impossible; without those most groups fall apart and are summed as
+records on its smaller side and larger ones that are thin, such as chains. From large groups those pairs are left out
+first that are proved to be less probable than 1e-7; most of them fall apart.
+What is too entangled is thinned further: sum-product messages tell which pairs are next to impossible; without those most groups fall apart and are summed as
 before. What is still entangled is approximated: every record is solved exactly together with the records that compete
 with it most, and the messages stand for what lies beyond; by these probabilities it is thinned further, and what falls
 apart then is summed. Which method a group got is part of the result.
@@ -11,6 +12,7 @@ apart then is summed. Which method a group got is part of the result.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,7 +32,13 @@ METHODS = (
     "local: exact around each record, messages beyond",
     "thinned: exact elimination without the least probable pairs",
 )
-APPROXIMATE, THINNED = 2, 3
+ELIMINATED, APPROXIMATE, THINNED = 1, 2, 3
+_NONE = np.empty(0, np.int64)
+
+#: Groups of no more records than this on one side are summed with every pair; from larger ones pairs are left out
+#: whose probability is proved to be below the other number, where the prior allows the proof.
+SMALL, IMPROBABLE = 8, 1e-7
+EVERY = 2**62
 
 #: Pairs of an entangled group that are less probable than this are left out, step by step until it falls apart:
 #: by what messages say at first, from SURE on by what neighbourhoods say.
@@ -74,15 +82,46 @@ def posterior(groups: Groups, best: Hypothesis) -> Posterior:
     m = len(groups.order)
     share = np.zeros(m)
     method = np.zeros(len(groups), np.int8)
-    _exact(groups, best, share, method)
+    linear = best.prior.slope is not None
+    _exact(groups, best, share, method, SMALL if linear else EVERY)
     neglected = np.zeros(len(groups))
     unsettled = 0.0
-    if np.any(method == APPROXIMATE):
-        unsettled = _local(groups, best, method, share, neglected)
+    open_pairs = np.flatnonzero((method == APPROXIMATE)[groups.group]) if np.any(method == APPROXIMATE) else _NONE
+    if linear and len(open_pairs):
+        open_pairs = _without_improbable(groups, best, open_pairs, method, share, neglected)
+    if len(open_pairs):
+        unsettled = _local(groups, best, open_pairs, method, share, neglected)
         share = _within_one(groups, share)
     p_pair = np.empty(m)
     p_pair[groups.order] = np.clip(share, 0.0, 1.0)
     return Posterior(p_pair, method, neglected, unsettled)
+
+
+def _without_improbable(
+    groups: Groups,
+    best: Hypothesis,
+    pairs: NDArray[np.int64],
+    method: NDArray[np.int8],
+    share: FloatArray,
+    neglected: FloatArray,
+) -> NDArray[np.int64]:
+    """Fill ``share`` of what falls apart without the pairs that are proved improbable; the pairs that still do not."""
+    from sameas.kernels.bounds import log_bounds
+
+    wanted = method == APPROXIMATE
+    bound = np.zeros(len(share))
+    shape = (groups.start, groups.start_1, groups.start_2, groups.local_1, groups.local_2)
+    state = (best.weight, best.chosen, wanted, bound)
+    threads.over(lambda a, b: log_bounds(a, b, *shape, *state), groups.bounds(len(threads.even(len(bound))) - 1))
+    improbable = bound[pairs] < math.log(IMPROBABLE)
+    share[pairs[improbable]] = np.exp(bound[pairs[improbable]])
+    kept = pairs[~improbable]
+    part, solved = _Thinned.of(groups, best, kept, best.weight[kept]).exact()
+    share[kept[solved]] = part[solved]
+    method[wanted] = ELIMINATED
+    neglected[groups.group[pairs[improbable]]] = IMPROBABLE
+    method[groups.group[kept[~solved]]] = APPROXIMATE
+    return kept[~solved]
 
 
 def _within_one(groups: Groups, share: FloatArray) -> FloatArray:
@@ -153,8 +192,13 @@ class _Messages:
         return cls(weight, *claims, float(max(changes, default=0.0)))
 
 
-def _exact(groups: Groups, best: Hypothesis, share: FloatArray, method: NDArray[np.int8]) -> None:
-    """Fill ``share`` and ``method`` of the groups that can be summed exactly; mark the others APPROXIMATE."""
+def _exact(
+    groups: Groups, best: Hypothesis, share: FloatArray, method: NDArray[np.int8], most: int = EVERY
+) -> None:
+    """Fill ``share`` and ``method`` of the groups that can be summed exactly; mark the others APPROXIMATE.
+
+    most : groups of more records than this on both sides are not tried.
+    """
     from sameas.kernels.posterior import exact
 
     counted = best.prior.slope is None
@@ -162,22 +206,28 @@ def _exact(groups: Groups, best: Hypothesis, share: FloatArray, method: NDArray[
     shape = (groups.start, groups.start_1, groups.start_2, groups.local_1, groups.local_2)
     state = (best.weight, best.chosen, best.dual_1, best.dual_2)
     threads.over(
-        lambda a, b: exact(a, b, *shape, *state, counted, *table, share, method),
+        lambda a, b: exact(a, b, *shape, *state, counted, *table, most, share, method),
         groups.bounds(len(threads.even(len(groups.order))) - 1),
     )
 
 
 def _local(
-    groups: Groups, best: Hypothesis, method: NDArray[np.int8], share: FloatArray, neglected: FloatArray
+    groups: Groups,
+    best: Hypothesis,
+    open_pairs: NDArray[np.int64],
+    method: NDArray[np.int8],
+    share: FloatArray,
+    neglected: FloatArray,
 ) -> float:
-    """Fill ``share`` for the groups that elimination gave up; returns how far the messages were from settled.
+    """Fill ``share`` of the pairs that elimination gave up; returns how far the messages were from settled.
 
     ``method`` becomes THINNED for groups that fall apart into parts that can be summed, and ``neglected`` the
     probability, as first estimated, below which their pairs were left at that.
     """
-    heard = _Messages.of(groups, best, method, share, CLOSELY)
+    said = np.zeros(len(share))
+    heard = _Messages.of(groups, best, method, said, CLOSELY)
+    share[open_pairs] = said[open_pairs]
     group = groups.group
-    open_pairs = np.flatnonzero(method[group] == APPROXIMATE)
     method[method == APPROXIMATE] = THINNED
     for threshold in THRESHOLDS:
         if threshold == SURE:

@@ -82,12 +82,13 @@ def count_factors(prior, slope, size):
 @kernel
 def exact(
     first, last, start, start1, start2, local1, local2, weight, chosen, u, v, counted, table_start, table, slope,
-    share, method,
+    most, share, method,
 ):  # fmt: skip
     """Posterior ``share`` (m,) of the pairs of the groups first … last − 1, as far as it can be exact.
 
     With ``counted``, weight excludes the prior and table holds ln P(k) (see ``assign_counted``); else weight is all.
-    method (g,) receives CLOSED, ELIMINATED or LOCAL (nothing filled: left to :func:`messages` and :func:`balls`).
+    method (g,) receives CLOSED, ELIMINATED or LOCAL (nothing filled: left to :func:`messages` and :func:`balls`), the
+    last also where both sides have more than ``most`` records.
     """
     widest = np.int64(1)
     longest = np.int64(1)
@@ -95,7 +96,7 @@ def exact(
     for g in range(first, last):
         n1 = start1[g + 1] - start1[g]
         n2 = start2[g + 1] - start2[g]
-        if n1 > 1 and n2 > 1:
+        if 1 < min(n1, n2) <= most:
             widest = max(widest, n1, n2)
             longest = max(longest, start[g + 1] - start[g])
             narrowest = max(narrowest, min(n1, n2))
@@ -124,6 +125,9 @@ def exact(
                 star(low, high, share, share)
             else:
                 star(low, high, weight, share)
+            continue
+        if min(n1, n2) > most:
+            method[g] = LOCAL
             continue
         ug = u[start1[g] : start1[g + 1]]
         vg = v[start2[g] : start2[g + 1]]
