@@ -1,0 +1,127 @@
+"""Background: the level of the sky and its noise, anywhere on a frame, and how the noise hangs together.
+
+Level and noise come from photutils (meshes of clipped pixels, the mode as SExtractor estimates it). Scanned plates
+and resampled images have noise that neighbouring pixels share; its correlation is measured here, for it makes a
+centroid several times less certain than independent pixels would.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.errors import InputError
+from sameas.records import FloatArray
+from sameas.sky.frame.image import Frame, Image
+
+_LAGS = 4
+_UNCORRELATED = 0.02  # correlations below are noise of their estimate
+
+
+@dataclass(frozen=True)
+class Background:
+    """The sky of a frame.
+
+    Attributes
+    ----------
+    level : (rows, columns) the sky, in the unit of the frame.
+    variance : (rows, columns) of one pixel without a star; infinite where there is no usable pixel.
+    inverse_gain : units of the frame per electron: variance that a unit of star light adds; 0 if not known, or if
+        the frame brings its own plane of errors.
+    correlation : (2·4 + 1, 2·4 + 1) of the noise of pixels so far apart, 1 in the middle.
+    """
+
+    level: Image
+    variance: Image
+    inverse_gain: float
+    correlation: FloatArray
+
+    @classmethod
+    def of(cls, frame: Frame, *, box_px: int = 64) -> Background:
+        """The background of a frame; box_px should be some ten times the width of a star.
+
+        Raises
+        ------
+        InputError : photutils is missing; hardly a pixel is usable.
+        """
+        level, rms = _meshes(frame, min(box_px, min(frame.shape) // 2))
+        variance = rms**2 if frame.sigma is None else frame.sigma**2
+        gain = frame.facts.gain_e_per_adu
+        known = np.isfinite(gain) and gain > 0 and frame.sigma is None
+        usable = ~frame.masked & (variance > 0) & np.isfinite(variance)
+        if not usable.any():
+            raise InputError(f"{frame.name}: the sky has no noise at all; the frame is empty or was clipped")
+        normal = np.where(usable, (frame.image - level) / np.sqrt(np.where(usable, variance, 1)), np.nan)
+        return cls(
+            level.astype(np.float32),
+            np.where(usable, variance, np.inf).astype(np.float32),
+            1 / gain if known else 0.0,
+            _correlation(normal),
+        )
+
+    def factor(self, sigma_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What correlation does to the variance of a flux and of a centroid in Gaussian windows of these widths.
+
+        Σ ρ(Δ) A(Δ)/A(0), A the autocorrelation of the window w, and of w·x for the centroid.
+        """
+        lags = np.arange(-_LAGS, _LAGS + 1)
+        s2 = np.asarray(sigma_px, float)[:, None, None] ** 2
+        x2 = (lags**2)[None, None, :]
+        near = np.exp(-(x2 + (lags**2)[None, :, None]) / (4 * s2)) * self.correlation
+        # The mean of both axes: the matrices differ by little, and the sum must not be below that of one pixel.
+        mean_axis = 1 - (x2 + (lags**2)[None, :, None]) / (4 * s2)
+        return np.maximum(near.sum((1, 2)), 1.0), np.maximum((near * mean_axis).sum((1, 2)), 1.0)
+
+
+def _meshes(frame: Frame, box_px: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Level and standard deviation of the sky."""
+    try:
+        from photutils.background import Background2D, SExtractorBackground, StdBackgroundRMS
+    except ImportError as error:
+        raise InputError("finding stars on frames needs photutils: pip install 'sameas[frames]'") from error
+    from astropy.stats import SigmaClip
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            sky = Background2D(
+                frame.image,
+                box_px,
+                mask=frame.flags != 0,
+                exclude_percentile=80,
+                sigma_clip=SigmaClip(3.0, maxiters=5),
+                bkg_estimator=SExtractorBackground(),
+                bkg_rms_estimator=StdBackgroundRMS(),
+            )
+            return np.asarray(sky.background, float), np.asarray(sky.background_rms, float)
+    except ValueError as error:
+        raise InputError(f"{frame.name}: too few usable pixels for a background ({error})") from error
+
+
+def _correlation(normal: FloatArray) -> FloatArray:
+    """Correlation of the noise at small lags, from pixels that look like sky."""
+    side = 2 * _LAGS + 1
+    rho = np.zeros((side, side))
+    # Stars are left out with their surroundings; the middle 600 pixels are enough.
+    rows, columns = (slice(max(0, size // 2 - 300), size // 2 + 300) for size in normal.shape)
+    part = normal[rows, columns]
+    from scipy.ndimage import maximum_filter, uniform_filter
+
+    smooth = uniform_filter(np.nan_to_num(part), 3)
+    bright = maximum_filter(np.abs(smooth) > 3.5 * 1.4826 * np.median(np.abs(smooth)), 9)
+    sky = np.isfinite(part) & ~bright
+    if sky.sum() < 1000:
+        rho[_LAGS, _LAGS] = 1
+        return rho
+    values = np.where(sky, part - np.median(part[sky]), 0.0)
+    size = [2 * n for n in part.shape]
+    power = np.abs(np.fft.rfft2(values, size)) ** 2
+    pairs = np.abs(np.fft.rfft2(sky.astype(float), size)) ** 2
+    product, count = np.fft.irfft2(power, size), np.fft.irfft2(pairs, size)
+    index = np.arange(-_LAGS, _LAGS + 1)
+    covariance = product[np.ix_(index, index)] / np.maximum(count[np.ix_(index, index)], 1)
+    rho = covariance / covariance[_LAGS, _LAGS]
+    return np.where(np.abs(rho) < _UNCORRELATED, 0.0, rho)

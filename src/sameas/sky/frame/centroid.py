@@ -1,0 +1,248 @@
+"""Centroids: windowed positions and shapes of many stars at once, with the covariance that the noise gives them.
+
+The windowed centroid c is where the first moment in a Gaussian window vanishes (SExtractor's XWIN, YWIN):
+
+    F(c) = Σ w(d) I d = 0,   d = x − c,   w = exp(−½ dᵀ S⁻¹ d).
+
+With S the matrix of the star it is the maximum of the matched filter, hence as good as fitting a Gaussian. Noise
+of variance v per pixel moves it by −F'⁻¹ δF, so that
+
+    C = J⁻¹ N J⁻ᵀ,   N = Σ w² v d dᵀ,   J = −F' = Σ w I (1 − d dᵀ S⁻¹).
+
+v is the sky's, its correlation between pixels included, and the star's own photons. J is that of the mean star of
+the frame, scaled to the light of this one: its own would be as noisy as its position.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.records import FloatArray, IntArray
+from sameas.sky.frame.background import Background
+from sameas.sky.frame.spread import Spread
+
+_ROUNDS = 25
+_SETTLED_PX = 2e-4
+_WIDEST_PX = 48
+_PIXELS_AT_ONCE = 4_000_000
+_REACH = 3.5  # half-width of a stamp in standard deviations of its window
+
+
+class Stamps(NamedTuple):
+    """Square cuts of one size. light : (n, k, k) above the sky, 0 where not usable. variance : (n, k, k) of the sky,
+    0 there. usable : (n, k, k). x, y : (n, 1, k), (n, k, 1) pixels of the frame. at_edge : (n,)."""
+
+    light: FloatArray
+    variance: FloatArray
+    usable: FloatArray
+    x: FloatArray
+    y: FloatArray
+    at_edge: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Centroids:
+    """Positions and moments, one row a star.
+
+    xy : (n, 2) px. weight : (n,) Σ w I. weight_variance : (n,). jacobian : (n, 2, 2) J / Σ w I. spread : (n, 2, 2) N.
+    moments : (n, 2, 2) second moments in the window. wide : (n,) Σ w' I in a window of twice the matrix.
+    usable : (n,) share of the window that is usable. at_edge, settled : (n,) masks.
+    """
+
+    xy: FloatArray
+    weight: FloatArray
+    weight_variance: FloatArray
+    jacobian: FloatArray
+    spread: FloatArray
+    moments: FloatArray
+    wide: FloatArray
+    usable: FloatArray
+    at_edge: NDArray[np.bool_]
+    settled: NDArray[np.bool_]
+
+    def covariance(self, jacobian: FloatArray) -> FloatArray:
+        """(n, 2, 2) of the positions in px²; ``jacobian`` (n, 2, 2) or (2, 2), J over Σ w I."""
+        scaled = np.broadcast_to(jacobian, self.spread.shape) * self.weight[:, None, None]
+        inverse = np.linalg.inv(scaled)
+        return inverse @ self.spread @ inverse.transpose(0, 2, 1)
+
+
+@dataclass(frozen=True)
+class Own:
+    """The light of the stars themselves where it was taken off the frame: positions (n, 2), fluxes (n,), profile."""
+
+    xy: FloatArray
+    flux: FloatArray
+    spread: Spread
+
+    def back(self, stamps: Stamps, rows: IntArray) -> Stamps:
+        """The stamps of some stars with their own light put back: what is left out is that of all others."""
+        dx, dy = stamps.x - self.xy[rows, 0, None, None], stamps.y - self.xy[rows, 1, None, None]
+        light = stamps.light + self.flux[rows, None, None] * self.spread.light(dx, dy) * stamps.usable
+        return stamps._replace(light=light)
+
+
+def centroids(
+    light: FloatArray, background: Background, xy: FloatArray, windows: FloatArray, own: Own | None = None
+) -> Centroids:
+    """Windowed centroids near ``xy`` (n, 2) in windows (n, 2, 2).
+
+    light : (rows, columns) above the sky; with ``own``, that of the stars was taken away from it.
+    """
+    n = len(xy)
+    largest = np.sqrt(np.linalg.eigvalsh(windows)[:, 1]) if n else np.empty(0)
+    half = np.clip(np.ceil(_REACH * largest).astype(int) + 1, 4, _WIDEST_PX)
+    # A few sizes of stamps: rounded up to the next of a geometric row.
+    half = np.minimum(np.ceil(4 * 1.3 ** np.ceil(np.log(half / 4) / np.log(1.3))).astype(int), _WIDEST_PX)
+    parts: list[tuple[IntArray, Centroids]] = []
+    for size in np.unique(half):
+        members = np.flatnonzero(half == size)
+        step = max(1, _PIXELS_AT_ONCE // (2 * size + 1) ** 2)
+        for first in range(0, len(members), step):
+            rows = members[first : first + step]
+            stamps = cut(light, background, np.rint(xy[rows]).astype(int), int(size))
+            stamps = stamps if own is None else own.back(stamps, rows)
+            parts.append((rows, settle(stamps, xy[rows], windows[rows], background)))
+    return _together(n, parts)
+
+
+def cut(light: FloatArray, background: Background, centre: IntArray, half: int) -> Stamps:
+    """Stamps of 2·half + 1 pixels around whole pixels (n, 2)."""
+    rows, columns = light.shape
+    reach = np.arange(-half, half + 1)
+    x, y = centre[:, :1] + reach, centre[:, 1:] + reach
+    inside = ((y >= 0) & (y < rows))[:, :, None] & ((x >= 0) & (x < columns))[:, None, :]
+    take = np.clip(y, 0, rows - 1)[:, :, None], np.clip(x, 0, columns - 1)[:, None, :]
+    variance = background.variance[take].astype(float)
+    usable = inside & np.isfinite(variance)
+    return Stamps(
+        np.where(usable, light[take], 0.0),
+        np.where(usable, variance, 0.0),
+        usable.astype(float),
+        x[:, None, :].astype(float),
+        y[:, :, None].astype(float),
+        ~inside.all(axis=(1, 2)),
+    )
+
+
+def settle(stamps: Stamps, start: FloatArray, windows: FloatArray, background: Background) -> Centroids:
+    """The centroids of stamps, from a start (n, 2): x ← x + 2 Σ w I d / Σ w I until it rests."""
+    inverse = np.asarray(np.linalg.inv(windows), float)
+    limit = np.sqrt(np.trace(windows, axis1=1, axis2=2))[:, None]
+    reach = 0.5 + 0.8 * limit  # farther off it has slid onto another star
+    xy, moving = start.copy(), np.arange(len(start))
+    settled = np.zeros(len(start), bool)
+    for _ in range(_ROUNDS):
+        part = Stamps(*(plane[moving] for plane in stamps))  # type: ignore[arg-type]
+        dx, dy, w = _window(part, xy[moving], inverse[moving])
+        wi = w * part.light
+        total = wi.sum((1, 2))
+        first = np.stack([(wi * dx).sum((1, 2)), (wi * dy).sum((1, 2))], axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            step = 2 * first / total[:, None]
+        good = np.isfinite(step).all(axis=1) & (total > 0)
+        step = np.where(good[:, None], np.clip(step, -0.5 * limit[moving], 0.5 * limit[moving]), 0.0)
+        xy[moving] += step
+        still = (np.abs(step) < _SETTLED_PX).all(axis=1)
+        astray = (np.abs(xy[moving] - start[moving]) > reach[moving]).any(axis=1)
+        settled[moving[still & good]] = True
+        moving = moving[~still & ~astray]
+        if not len(moving):
+            break
+    astray = (np.abs(xy - start) > reach).any(axis=1)
+    xy = np.where(astray[:, None], start, xy)
+    return _measured(stamps, xy, windows, inverse, settled & ~astray, background)
+
+
+def _window(stamps: Stamps, xy: FloatArray, inverse: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    dx, dy = stamps.x - xy[:, 0, None, None], stamps.y - xy[:, 1, None, None]
+    a, b, c = (inverse[:, i, j, None, None] for i, j in ((0, 0), (0, 1), (1, 1)))
+    return dx, dy, np.exp(-0.5 * (a * dx**2 + 2 * b * dx * dy + c * dy**2))
+
+
+def _measured(
+    stamps: Stamps,
+    xy: FloatArray,
+    windows: FloatArray,
+    inverse: FloatArray,
+    settled: NDArray[np.bool_],
+    background: Background,
+) -> Centroids:
+    dx, dy, w = _window(stamps, xy, inverse)
+    wi = w * stamps.light
+    total = wi.sum((1, 2))
+    safe = np.where(np.abs(total) > 0, total, 1.0)
+    moments = _matrix(wi, dx, dy) / safe[:, None, None]
+    jacobian = np.eye(2) - moments @ inverse
+    # The star's photons add in proportion to its light, as observed: the sum over a window is hardly noisy.
+    flux_factor, centroid_factor = background.factor(np.linalg.det(windows) ** 0.25)
+    sky = w**2 * stamps.variance
+    own = w**2 * stamps.light * background.inverse_gain
+    spread = _matrix(sky, dx, dy) * centroid_factor[:, None, None]
+    photons = _matrix(own, dx, dy)
+    spread = spread + np.where((np.linalg.eigvalsh(photons)[:, 0] > 0)[:, None, None], photons, 0.0)
+    variance = sky.sum((1, 2)) * flux_factor + np.maximum(own.sum((1, 2)), 0.0)
+    wide = np.sqrt(w)
+    return Centroids(
+        xy=xy,
+        weight=total,
+        weight_variance=variance,
+        jacobian=jacobian,
+        spread=spread,
+        moments=moments,
+        wide=(wide * stamps.light).sum((1, 2)),
+        usable=(w**2 * stamps.usable).sum((1, 2)) / (w**2).sum((1, 2)),
+        at_edge=stamps.at_edge,
+        settled=settled,
+    )
+
+
+def _matrix(weights: FloatArray, dx: FloatArray, dy: FloatArray) -> FloatArray:
+    """(n, 2, 2) Σ weights d dᵀ."""
+    xx, xy, yy = ((weights * product).sum((1, 2)) for product in (dx * dx, dx * dy, dy * dy))
+    return np.stack([np.stack([xx, xy], -1), np.stack([xy, yy], -1)], -2)
+
+
+def _together(n: int, parts: list[tuple[IntArray, Centroids]]) -> Centroids:
+    shapes = {"xy": (n, 2), "jacobian": (n, 2, 2), "spread": (n, 2, 2), "moments": (n, 2, 2)}
+    kinds = {"at_edge": bool, "settled": bool}
+    names = Centroids.__dataclass_fields__
+    whole = {name: np.zeros(shapes.get(name, (n,)), kinds.get(name, float)) for name in names}
+    for rows, part in parts:
+        for name in names:
+            whole[name][rows] = getattr(part, name)
+    return Centroids(**whole)
+
+
+def adaptive(
+    light: FloatArray,
+    background: Background,
+    xy: FloatArray,
+    start: FloatArray,
+    own: Own | None = None,
+    rounds: int = 8,
+) -> tuple[Centroids, FloatArray]:
+    """Centroids in windows that take the shape of each star, and these matrices (n, 2, 2).
+
+    A Gaussian of matrix P shows (P⁻¹ + S⁻¹)⁻¹ in a window S: P is solved for and becomes the next window
+    (Bernstein & Jarvis 2002, AJ 123, 583, sect. 3.1).
+    """
+    windows = start.copy()
+    found = centroids(light, background, xy, windows, own)
+    for _ in range(rounds):
+        with np.errstate(all="ignore"):
+            values, vectors = np.linalg.eigh(np.nan_to_num(found.moments, posinf=1.0, neginf=1.0))
+        values = np.clip(values, 0.05, None)
+        moments = (vectors * values[:, None, :]) @ vectors.transpose(0, 2, 1)
+        inverse = np.linalg.inv(moments) - np.linalg.inv(windows)
+        values, vectors = np.linalg.eigh(inverse)
+        old = np.linalg.eigvalsh(windows)
+        low, high = 1 / (2.5 * old[:, 1:]), 1 / (0.4 * old[:, :1])
+        values = np.clip(values, np.maximum(low, 1 / (_WIDEST_PX / 3) ** 2), np.minimum(high, 1 / 0.2))
+        windows = (vectors / values[:, None, :]) @ vectors.transpose(0, 2, 1)
+        found = centroids(light, background, found.xy, windows, own)
+    return found, windows

@@ -1,0 +1,370 @@
+"""Detect: the stars of a frame, measured; the way from pixels to :class:`Measurements`.
+
+Background and peaks come from photutils (BSD-3), centroids and their covariance are our own. On simulated frames
+(``scripts/bench centroids``) the windowed centroids of ``sep`` and of photutils are as good as ours for single
+well-sampled stars, twice as far off for bright stars 1.5 px wide, a third farther off where the frame is trailed; and
+neither gives their covariance, takes the light of neighbours away before it measures, or allows for pixels that share
+their noise. ``sep`` is much the fastest, but LGPL; photutils' deblending takes longer than all that is done here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.errors import InputError
+from sameas.records import FloatArray, IntArray
+from sameas.sky.frame.background import Background
+from sameas.sky.frame.centroid import Centroids, Own, adaptive, centroids, cut
+from sameas.sky.frame.defects import marked
+from sameas.sky.frame.image import Frame
+from sameas.sky.frame.measurements import Flag, Measurements
+from sameas.sky.frame.peaks import peaks, photon_noise, significance
+from sameas.sky.frame.spread import FWHM_PER_SIGMA, Spread
+
+_SHAPE_SNR = 15.0
+_WIDER = 1.3  # a star so much wider than the others gets a window of its own
+_LONGER = 2.0
+_NEIGHBOUR_ROUNDS = 3
+_STARS_FOR_SPREAD = 200
+_PULL_KEPT = 0.25  # share of a neighbour's pull that taking it away leaves, as simulations of crowded fields show
+_PAIR_KEPT = 0.1  # share of the excess second moment of two stars in one that a position may be off by, squared
+_FIRST = Spread(1.3**2 * np.eye(2))
+_FIRST_SHARPEST = Spread(0.55**2 * np.eye(2))  # before the frame's own stars are known, none is narrower than 1.3 px
+
+
+@dataclass(frozen=True)
+class Detection:
+    """How stars are looked for.
+
+    threshold_sigmas : lowest significance in the matched filter. box_px : mesh of the background. defects : look for
+    hot pixels, particles and bad columns on the frame itself. floor_px : error that no centroid is below.
+    """
+
+    threshold_sigmas: float = 4.0
+    box_px: int = 64
+    defects: bool = True
+    floor_px: float = 0.002
+
+    def __post_init__(self) -> None:
+        if not self.threshold_sigmas > 0 or self.box_px < 8 or not self.floor_px >= 0:
+            raise InputError(
+                f"Detection: threshold_sigmas {self.threshold_sigmas}, box_px {self.box_px}, floor_px {self.floor_px}; "
+                "give a threshold above 0, a mesh of 8 px or more, a floor of 0 or more"
+            )
+
+
+def detect(frame: Frame, detection: Detection | None = None) -> Measurements:
+    """The stars of a frame, brightest first.
+
+    Raises
+    ------
+    InputError : photutils is missing; no star is found.
+
+    >>> import numpy as np
+    >>> from sameas.sky.frame.simulate import Camera, frame_of
+    >>> seen = frame_of(np.random.default_rng(1), x_px=[20.3, 44.0, 50.6], y_px=[31.5, 12.2, 47.7],
+    ...                 flux_e=[2e4, 1e4, 4e4], camera=Camera(shape=(64, 64)))
+    >>> detect(seen.frame).x_px.round(0).tolist()
+    [51.0, 20.0, 44.0]
+    """
+    detection = detection or Detection()
+    background = Background.of(frame, box_px=detection.box_px)
+    if detection.defects:
+        frame, background = _without_defects(frame, background, _FIRST_SHARPEST)
+    spread = _spread(frame, background, detection)
+    if detection.defects:
+        frame, background = _without_defects(frame, background, spread)
+    light = np.where(np.isfinite(background.variance), frame.image - background.level, 0.0)
+    xy, snr = peaks(
+        significance(light, background, spread), photon_noise(light, background), spread, detection.threshold_sigmas
+    )
+    if not len(xy):
+        raise InputError(f"{frame.name}: no star above {detection.threshold_sigmas:g}σ; lower threshold_sigmas")
+    stars = _neighbours_apart(light, background, spread, xy, snr, detection.threshold_sigmas)
+    return _measurements(frame, background, spread, stars, detection)
+
+
+def _without_defects(frame: Frame, background: Background, spread: Spread) -> tuple[Frame, Background]:
+    frame = marked(frame, background, spread)
+    unusable = (frame.flags & (Flag.HOT | Flag.COSMIC | Flag.MASKED)) != 0
+    return frame, replace(background, variance=np.where(unusable, np.inf, background.variance).astype(np.float32))
+
+
+def _spread(frame: Frame, background: Background, detection: Detection) -> Spread:
+    """The mean star, from bright ones that are single and not saturated; of a first guess, then of the result."""
+    light = np.where(np.isfinite(background.variance), frame.image - background.level, 0.0)
+    spread = _FIRST
+    for _ in range(2):
+        xy, snr = peaks(
+            significance(light, background, spread),
+            photon_noise(light, background),
+            spread,
+            max(detection.threshold_sigmas, 8.0),
+        )
+        xy = _single(frame, xy, snr, 4 * spread.fwhm_px)[:_STARS_FOR_SPREAD]
+        if len(xy) < 3:
+            return spread
+        found, windows = adaptive(light, background, xy, np.broadcast_to(spread.matrix, (len(xy), 2, 2)))
+        good = found.settled & ~found.at_edge & (found.usable > 0.9) & (found.weight > 0)
+        if good.sum() < 3:
+            return spread
+        half = int(np.ceil(2.2 * spread.fwhm_px))
+        stamps = cut(light, background, np.rint(found.xy[good]).astype(int), half)
+        dx, dy = stamps.x - found.xy[good, 0, None, None], stamps.y - found.xy[good, 1, None, None]
+        share = stamps.light / (2 * found.weight[good])[:, None, None]
+        pixels = [tuple(np.broadcast_arrays(*each)) for each in zip(dx, dy, share, strict=True)]
+        spread = Spread.from_stars(windows[good], pixels)  # type: ignore[arg-type]
+    return spread
+
+
+def _single(frame: Frame, xy: FloatArray, snr: FloatArray, reach_px: float) -> FloatArray:
+    """Peaks without a comparable neighbour and without saturated pixels."""
+    if not len(xy):
+        return xy
+    from scipy.spatial import cKDTree
+
+    crowd = cKDTree(xy).query_pairs(reach_px, output_type="ndarray")
+    disturbed = np.zeros(len(xy), bool)
+    disturbed[crowd.max(axis=1)] = True  # the fainter of the two
+    strong = snr[crowd.max(axis=1)] > 0.05 * snr[crowd.min(axis=1)]
+    disturbed[crowd.min(axis=1)[strong]] = True
+    saturated = (_flags_near(frame, xy, reach_px / 4) & Flag.SATURATED) != 0
+    single = xy[~disturbed & ~saturated]
+    return single if len(single) >= 10 else xy[~saturated]
+
+
+@dataclass(frozen=True)
+class _Stars:
+    """Centroids in the common window with the neighbours' light taken away. before : (n, 2) without that."""
+
+    found: Centroids
+    flux: FloatArray
+    snr: FloatArray
+    before: FloatArray
+    residual: FloatArray
+    own: Own
+
+
+def _neighbours_apart(
+    light: FloatArray, background: Background, spread: Spread, xy: FloatArray, snr: FloatArray, threshold: float
+) -> _Stars:
+    """Measures, takes all stars off the frame, puts each one back alone, measures again."""
+    window, collected = spread.window(), spread.collected()
+    windows = np.broadcast_to(window, (len(xy), 2, 2))
+    found = centroids(light, background, xy, windows)
+    before, own, residual = found.xy, None, light
+    for _ in range(_NEIGHBOUR_ROUNDS):
+        flux = np.maximum(found.weight, 0) / collected
+        own = Own(found.xy, flux, spread)
+        residual = light - _model(own, light.shape)
+        found = centroids(residual, background, xy, windows[: len(xy)], own)
+        lasting = _lasting(found, snr, threshold, spread)
+        if not lasting.all():
+            found = Centroids(**{name: value[lasting] for name, value in vars(found).items()})
+            snr, before, xy = snr[lasting], before[lasting], xy[lasting]
+    flux = np.maximum(found.weight, 0) / collected
+    own = Own(found.xy, flux, spread)
+    return _Stars(found, flux, snr, before, light - _model(own, light.shape), own)
+
+
+def _lasting(found: Centroids, snr: FloatArray, threshold: float, spread: Spread) -> NDArray[np.bool_]:
+    """Not what vanishes with the light of a neighbour, nor what has slid onto one."""
+    from scipy.spatial import cKDTree
+
+    lasting = found.weight > 0.75 * threshold * np.sqrt(found.weight_variance)
+    pairs = cKDTree(found.xy).query_pairs(0.6 * spread.fwhm_px, output_type="ndarray")
+    if len(pairs):
+        lasting[pairs.max(axis=1)] = False  # rows are ordered by significance
+    return lasting | (np.arange(len(snr)) == 0)
+
+
+def _model(own: Own, shape: tuple[int, ...]) -> FloatArray:
+    """(rows, columns) light of all stars."""
+    model = np.zeros(shape)
+    half = int(np.ceil(4 * own.spread.fwhm_px))
+    reach = np.arange(-half, half + 1)
+    step = max(1, 4_000_000 // len(reach) ** 2)
+    for first in range(0, len(own.xy), step):
+        xy, flux = own.xy[first : first + step], own.flux[first : first + step]
+        centre = np.rint(xy).astype(int)
+        x, y = centre[:, 0, None, None] + reach[None, None, :], centre[:, 1, None, None] + reach[None, :, None]
+        light = flux[:, None, None] * own.spread.light(x - xy[:, 0, None, None], y - xy[:, 1, None, None])
+        inside = (x >= 0) & (x < shape[1]) & (y >= 0) & (y < shape[0])
+        cell = (np.clip(y, 0, shape[0] - 1) * shape[1] + np.clip(x, 0, shape[1] - 1)).ravel()
+        model += np.bincount(cell, np.where(inside, light, 0).ravel(), minlength=model.size).reshape(shape)
+    return model
+
+
+@dataclass(frozen=True)
+class _Shapes:
+    """What bright stars look like: rows (k,), their matrices (k, 2, 2) and centroids in windows of that shape."""
+
+    rows: IntArray
+    matrices: FloatArray
+    found: Centroids
+
+    @classmethod
+    def of(cls, background: Background, spread: Spread, stars: _Stars) -> _Shapes:
+        told = np.minimum(stars.found.weight / np.sqrt(stars.found.weight_variance), stars.snr) > _SHAPE_SNR
+        rows = np.flatnonzero(told)
+        own = Own(stars.own.xy[rows], stars.own.flux[rows], spread)
+        start = np.broadcast_to(spread.matrix, (len(rows), 2, 2))
+        found, matrices = adaptive(stars.residual, background, stars.found.xy[rows], start, own)
+        return cls(rows, matrices, found)
+
+    def wider(self, spread: Spread, snr: FloatArray) -> NDArray[np.bool_]:
+        """(k,) where the common window is too narrow by more than noise may do."""
+        mean = np.sqrt(np.linalg.det(spread.matrix))
+        area = np.sqrt(np.linalg.det(self.matrices))
+        return self.found.settled & (area > mean * _WIDER**2 * (1 + 4 / snr[self.rows]))
+
+    def trailed(self, spread: Spread) -> NDArray[np.bool_]:
+        """(k,) longer than the mean star, and not as much wider."""
+        values, mean = np.linalg.eigvalsh(self.matrices), np.linalg.eigvalsh(spread.matrix)
+        return (values[:, 1] > _LONGER**2 * mean[1]) & (values[:, 1] / values[:, 0] > _LONGER**2 * mean[1] / mean[0])
+
+    def extended(self, spread: Spread) -> NDArray[np.bool_]:
+        """(k,) wider along both axes."""
+        return np.linalg.eigvalsh(self.matrices)[:, 0] > _WIDER**2 * np.linalg.eigvalsh(spread.matrix)[0]
+
+
+def _measurements(
+    frame: Frame, background: Background, spread: Spread, stars: _Stars, detection: Detection
+) -> Measurements:
+    """Positions and errors: in the common window, or in that of the star where it is of another shape."""
+    found = stars.found
+    bright = (found.weight > 30 * np.sqrt(found.weight_variance)) & found.settled
+    usual = np.median(found.jacobian[bright], axis=0) if bright.sum() >= 5 else _theory(spread)
+    xy, covariance = found.xy.copy(), found.covariance(np.where(found.weight[:, None, None] > 0, usual, np.eye(2)))
+    flux, flux_err = stars.flux.copy(), np.sqrt(found.weight_variance) / spread.collected()
+    flags = _flags_near(frame, xy, spread.fwhm_px)
+    matrices = np.full((len(xy), 2, 2), np.nan)
+    shapes = _Shapes.of(background, spread, stars)
+    if len(shapes.rows):
+        matrices[shapes.rows] = shapes.matrices
+        wider, trailed = shapes.wider(spread, stars.snr), shapes.trailed(spread)
+        other = wider & (trailed | shapes.extended(spread) | ((flags[shapes.rows] & Flag.SATURATED) != 0))
+        rows = shapes.rows[other]
+        xy[rows] = shapes.found.xy[other]
+        covariance[rows] = shapes.found.covariance(_sane(shapes.found.jacobian))[other]
+        flux[rows] = 2 * shapes.found.weight[other]
+        flux_err[rows] = 2 * np.sqrt(shapes.found.weight_variance[other])
+        flags[rows] |= _flags_near(frame, xy[rows], 1.0, shapes.matrices[other])
+        flags[shapes.rows[other & trailed]] |= np.uint16(Flag.TRAILED)
+        # Longer without being a trail: two stars too near to be told apart, of which neither may be in the middle.
+        pairs = shapes.rows[wider & ~other]
+        flags[pairs] |= np.uint16(Flag.BLENDED)
+        covariance[pairs] += _PAIR_KEPT * (shapes.matrices[wider & ~other] - spread.matrix)
+    covariance = _allowed(covariance, stars, spread, flags, detection)
+    order = np.argsort(-flux, kind="stable")
+    return _table(frame, background, spread, xy, covariance, flux, flux_err, matrices, stars.snr, flags, order)
+
+
+def _allowed(
+    covariance: FloatArray, stars: _Stars, spread: Spread, flags: NDArray[np.uint16], detection: Detection
+) -> FloatArray:
+    """Covariances with what noise does not tell: neighbours, pixels, saturation; sets the flags that go with it."""
+    found = stars.found
+    pull = found.xy - stars.before
+    sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2)
+    flags[np.hypot(*pull.T) > 0.3 * sigma + 0.01] |= np.uint16(Flag.BLENDED)
+    flags[found.at_edge] |= np.uint16(Flag.EDGE)
+    flags[~found.settled] |= np.uint16(Flag.POOR)
+    covariance = covariance + _PULL_KEPT**2 * pull[:, :, None] * pull[:, None, :]
+    floor = detection.floor_px**2 + spread.phase_error_px() ** 2
+    saturated = (flags & Flag.SATURATED) != 0
+    covariance = covariance + (floor + np.where(saturated, (0.03 * spread.fwhm_px) ** 2, 0.0))[:, None, None] * np.eye(
+        2
+    )
+    covariance[~found.settled] = spread.matrix
+    # A pair of stars is wider along one axis only: the excess along the other may be negative.
+    values, vectors = np.linalg.eigh((covariance + covariance.transpose(0, 2, 1)) / 2)
+    return np.asarray((vectors * np.maximum(values, floor + 1e-12)[:, None, :]) @ vectors.transpose(0, 2, 1))
+
+
+def _table(
+    frame: Frame,
+    background: Background,
+    spread: Spread,
+    xy: FloatArray,
+    covariance: FloatArray,
+    flux: FloatArray,
+    flux_err: FloatArray,
+    matrices: FloatArray,
+    snr: FloatArray,
+    flags: NDArray[np.uint16],
+    order: IntArray,
+) -> Measurements:
+    values, vectors = np.linalg.eigh(np.where(np.isfinite(matrices), matrices, np.eye(2)))
+    told = np.isfinite(matrices).all(axis=(1, 2))
+    theta = np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1])) % 180
+    a, b, theta = (np.where(told, column, np.nan) for column in (np.sqrt(values[:, 1]), np.sqrt(values[:, 0]), theta))
+    pixel = np.rint(xy).astype(int)
+    x, y = np.clip(pixel[:, 0], 0, frame.shape[1] - 1), np.clip(pixel[:, 1], 0, frame.shape[0] - 1)
+    columns = {
+        "x_px": xy[:, 0], "y_px": xy[:, 1], "covariance": covariance[:, [0, 0, 1], [0, 1, 1]], "flux": flux,
+        "flux_err": flux_err, "background": background.level[y, x].astype(float), "a_px": a, "b_px": b,
+        "theta_deg": theta, "fwhm_px": FWHM_PER_SIGMA * np.sqrt(a * b), "snr": snr,
+        "peak": (frame.image - background.level)[y, x].astype(float), "flags": flags,
+    }  # fmt: skip
+    return Measurements(
+        **{name: np.ascontiguousarray(column[order]) for name, column in columns.items()},
+        shape=frame.shape,
+        psf_fwhm_px=spread.fwhm_px,
+        name=frame.name,
+        notes=_notes(frame, background, spread),
+    )
+
+
+def _notes(frame: Frame, background: Background, spread: Spread) -> tuple[str, ...]:
+    count = {flag: int(((frame.flags & flag) != 0).sum()) for flag in (Flag.HOT, Flag.COSMIC, Flag.MASKED)}
+    notes = [f"stars {spread.fwhm_px:.2f} px wide at half maximum, Moffat β {spread.beta:.1f}"]
+    notes += [f"{n} pixels {Flag.words(flag)}" for flag, n in count.items() if n]
+    axes = np.sqrt(np.linalg.eigvalsh(spread.matrix))
+    if axes[1] > _LONGER * axes[0]:
+        notes.append(f"doubt: the stars are trailed, {axes[1] / axes[0]:.1f} times longer than wide")
+    shared = float(background.factor(np.array([spread.sigma_px]))[1][0])
+    if shared > 1.2:
+        notes.append(f"neighbouring pixels share their noise: variances of positions are {shared:.1f} times larger")
+    if not background.inverse_gain and frame.sigma is None:
+        notes.append("assumed: no photon noise of the stars (gain not known); bright stars' errors are too small")
+    return tuple(notes)
+
+
+def _theory(spread: Spread) -> FloatArray:
+    """J over Σ w I for a Gaussian star."""
+    window = spread.window()
+    return np.asarray(
+        np.eye(2) - np.linalg.inv(np.linalg.inv(spread.matrix) + np.linalg.inv(window)) @ np.linalg.inv(window)
+    )
+
+
+def _sane(jacobian: FloatArray) -> FloatArray:
+    """Jacobians of single stars, kept from the singular ones of flat tops."""
+    symmetric = (jacobian + jacobian.transpose(0, 2, 1)) / 2
+    values, vectors = np.linalg.eigh(np.nan_to_num(symmetric))
+    return (vectors * np.clip(values, 0.15, 1.0)[:, None, :]) @ vectors.transpose(0, 2, 1)
+
+
+def _flags_near(
+    frame: Frame, xy: FloatArray, radius_px: float, windows: FloatArray | None = None
+) -> NDArray[np.uint16]:
+    """(n,) flags of the pixels within a radius, in units of the windows (n, 2, 2) where they are given."""
+    if windows is None:
+        windows = np.broadcast_to(np.eye(2), (len(xy), 2, 2))
+    if not len(xy):
+        return np.empty(0, np.uint16)
+    inverse = np.linalg.inv(windows)
+    half = int(np.ceil(radius_px * np.sqrt(np.linalg.eigvalsh(windows)[:, 1].max())))
+    reach = np.arange(-half, half + 1)
+    centre = np.rint(xy).astype(int)
+    x, y = centre[:, 0, None, None] + reach[None, None, :], centre[:, 1, None, None] + reach[None, :, None]
+    dx, dy = x - xy[:, 0, None, None], y - xy[:, 1, None, None]
+    a, b, c = (inverse[:, i, j, None, None] for i, j in ((0, 0), (0, 1), (1, 1)))
+    near = (a * dx**2 + 2 * b * dx * dy + c * dy**2 <= max(radius_px, 1.0) ** 2) & (x >= 0) & (y >= 0)
+    near &= (x < frame.shape[1]) & (y < frame.shape[0])
+    bits = frame.flags[np.clip(y, 0, frame.shape[0] - 1), np.clip(x, 0, frame.shape[1] - 1)]
+    return np.bitwise_or.reduce(np.where(near, bits, 0).reshape(len(xy), -1), axis=1).astype(np.uint16)

@@ -1,0 +1,282 @@
+"""Images: one frame of a FITS file, with what is known of its pixels and of its exposure.
+
+:func:`read` takes plain and compressed files (``.gz``, tile-compressed ``.fz``), any of several extensions, whole
+numbers (scaled and unsigned) and floats, planes of errors and of data quality beside the image, and a mask of the
+user. Whatever was assumed is a line of ``frame.facts``.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.errors import InputError
+from sameas.sky.frame.keywords import Facts, Given
+from sameas.sky.frame.measurements import PIXEL_FLAGS, Flag
+
+if TYPE_CHECKING:
+    from astropy.io.fits import Header
+
+Image = NDArray[np.float32]
+PixelFlags = NDArray[np.uint16]
+
+_QUALITY = ("DQ", "MASK", "BPM", "FLAGS", "QUALITY")
+_ERROR = ("ERR", "ERROR", "SIGMA", "UNCERT", "RMS")
+_VARIANCE = ("VAR", "VARIANCE")
+# Bits of the masks of the Rubin pipelines, which also mark what was detected: their names, and what they mean here.
+_PLANES = {
+    "MP_BAD": Flag.MASKED,
+    "MP_NO_DATA": Flag.MASKED,
+    "MP_SAT": Flag.SATURATED,
+    "MP_CR": Flag.COSMIC,
+}
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One image and what is known of it.
+
+    Attributes
+    ----------
+    image : (rows, columns) pixel values in ADU, or what BUNIT says; ``image[y, x]``. Not usable pixels hold 0.
+    flags : (rows, columns) bits of :class:`Flag`: saturated, hot, cosmic, masked.
+    facts : gain, noise, exposure, time, station and aim, and every assumption.
+    header : that of the image, the primary header's cards added where it has none of that name.
+    name : of the file, used in messages.
+    sigma : (rows, columns) standard deviation of every pixel, where the file has such a plane, or None.
+    """
+
+    image: Image
+    flags: PixelFlags
+    facts: Facts
+    header: Header | None = None
+    name: str = "frame"
+    sigma: Image | None = None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        rows, columns = self.image.shape
+        return rows, columns
+
+    @property
+    def masked(self) -> NDArray[np.bool_]:
+        """(rows, columns) where there is no usable number."""
+        return (self.flags & Flag.MASKED) != 0
+
+    def marked(self, where: NDArray[np.bool_], flag: Flag) -> Frame:
+        """The frame with ``flag`` set where the mask says."""
+        return replace(self, flags=self.flags | np.where(where, flag, 0).astype(np.uint16))
+
+    @classmethod
+    def of(
+        cls,
+        image: Any,
+        *,
+        facts: Facts | None = None,
+        mask: Any = None,
+        flags: PixelFlags | None = None,
+        sigma: Any = None,
+        header: Header | None = None,
+        name: str = "frame",
+    ) -> Frame:
+        """A frame from arrays, checked.
+
+        image : (rows, columns). Not finite pixels are masked. mask : (rows, columns), true or not zero where a pixel
+        is not usable. flags : (rows, columns) bits of :class:`Flag`, as of another frame. sigma : standard deviation
+        of every pixel.
+
+        Raises
+        ------
+        InputError : not two-dimensional, nothing usable, planes of another shape, every pixel the same.
+        """
+        values = np.asarray(image)
+        if values.ndim > 2 and values.size == np.prod(values.shape[-2:]):
+            values = values.reshape(values.shape[-2:])
+        if values.ndim != 2 or min(values.shape, default=0) < 8:
+            raise InputError(
+                f"{name}: the image has shape {values.shape}; give one of two dimensions, 8 pixels or more"
+            )
+        marks = np.zeros(values.shape, np.uint16) if flags is None else flags & np.uint16(PIXEL_FLAGS)
+        if mask is not None:
+            marks = marks | _masked(mask, values.shape, name)
+        finite = np.isfinite(values)
+        if not finite.any():
+            raise InputError(f"{name}: no pixel is a finite number; the frame is empty, calibrate or copy it again")
+        marks = marks | np.where(finite, 0, Flag.MASKED).astype(np.uint16)
+        usable = (marks & Flag.MASKED) == 0
+        if not usable.any():
+            raise InputError(f"{name}: every pixel is masked; check the mask or the data-quality plane")
+        facts = Facts() if facts is None else facts
+        facts = facts.with_saturation(values[usable], np.asarray(image).dtype)
+        marks |= np.where(usable & (values >= facts.saturation_adu), Flag.SATURATED, 0).astype(np.uint16)
+        _refuse_flat(values[usable], facts, name)
+        sigma = None if sigma is None else _plane(sigma, values.shape, name, "sigma")
+        pixels = np.where(usable, values, 0).astype(np.float32)
+        return cls(pixels, marks, facts, header, name, sigma)
+
+
+def read(
+    path: str | Path,
+    *,
+    hdu: int | str | None = None,
+    mask: str | Path | None = None,
+    given: Given | None = None,
+) -> Frame:
+    """One image of a FITS file.
+
+    Parameters
+    ----------
+    path : plain, ``.gz`` or tile-compressed ``.fz``.
+    hdu : number or EXTNAME of the image; the first image (the first SCI where there are such) if not given.
+    mask : a second FITS file, not zero where a pixel is not usable.
+    given : what the user knows better than the header.
+
+    Raises
+    ------
+    InputError : no such file, not FITS, cut short, no image, no such extension, nothing but NaN, all saturated.
+    """
+    path = Path(path)
+    name = path.name
+    planes, header, notes = _load(path, hdu)
+    facts = Facts.of(header, given or Given(), name=name, notes=notes)
+    bad = None if mask is None else _load(Path(mask), None)[0]["image"]
+    return Frame.of(
+        planes["image"],
+        facts=facts,
+        mask=bad,
+        flags=planes["quality"],
+        sigma=planes["sigma"],
+        header=header,
+        name=name,
+    )
+
+
+def _load(path: Path, hdu: int | str | None) -> tuple[dict[str, Any], Header, tuple[str, ...]]:
+    """The image with its planes, its header, and remarks on the choice."""
+    from astropy.io import fits
+    from astropy.utils.exceptions import AstropyWarning
+
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", AstropyWarning)
+            # astropy would only warn, and fail later or give zeros.
+            warnings.filterwarnings("error", message="File may have been truncated")
+            with path.open("rb") as file, fits.open(file, memmap=False) as hdus:
+                chosen, notes = _chosen(hdus, hdu, path)
+                image = hdus[chosen].data
+                planes = {"image": image, **_companions(hdus, chosen, image.shape[-2:])}
+                header = hdus[chosen].header.copy(strip=False)
+                for card in hdus[0].header.cards if chosen else ():
+                    if card.keyword and card.keyword not in header and card.keyword not in ("COMMENT", "HISTORY"):
+                        header.append(card, end=True)
+    except InputError:
+        raise
+    except Warning as warning:
+        raise InputError(f"{path.name}: the file is cut short ({warning}); copy it again") from warning
+    except (OSError, EOFError, ValueError, TypeError, IndexError) as error:
+        cause = "is cut short" if _ends_early(path) else "cannot be read as FITS"
+        raise InputError(f"{path.name}: the file {cause} ({error}); copy it again or convert it") from error
+    return planes, header, notes
+
+
+def _ends_early(path: Path) -> bool:
+    """Whether a compressed file stops before its end."""
+    import gzip
+
+    try:
+        with gzip.open(path) as file:
+            while file.read(1 << 20):
+                pass
+    except EOFError:
+        return True
+    except OSError:
+        return False
+    return False
+
+
+def _chosen(hdus: Any, hdu: int | str | None, path: Path) -> tuple[int, tuple[str, ...]]:
+    """Index of the image, and a remark where there were several."""
+    images = [k for k, each in enumerate(hdus) if each.is_image and each.header.get("NAXIS", 0) >= 2 and each.size]
+    science = [k for k in images if hdus[k].name.upper() not in _QUALITY + _ERROR + _VARIANCE]
+    if hdu is not None:
+        try:
+            found = int(hdu) if str(hdu).isdigit() else hdus.index_of(hdu)
+        except KeyError:
+            found = -1
+        if found not in images:
+            have = ", ".join(f"{k} ({hdus[k].name or 'primary'})" for k in images) or "none"
+            raise InputError(f"{path.name}: no image in extension {hdu}; images: {have}")
+        return found, ()
+    if not science:
+        raise InputError(f"{path.name}: the file has no image of two dimensions, only {_contents(hdus)}")
+    named = [k for k in science if hdus[k].name.upper() == "SCI"]
+    taken = (named or science)[0]
+    if len(science) == 1:
+        return taken, ()
+    others = ", ".join(f"{k} ({hdus[k].name or 'primary'})" for k in science if k != taken)
+    return taken, (f"image: extension {taken} ({hdus[taken].name or 'primary'}) taken; also there: {others}",)
+
+
+def _contents(hdus: Any) -> str:
+    return ", ".join(f"{type(each).__name__} of {each.header.get('NAXIS', 0)} axes" for each in hdus)
+
+
+def _companions(hdus: Any, chosen: int, shape: tuple[int, ...]) -> dict[str, Any]:
+    """Planes of errors and of quality that belong to the image: same shape, same EXTVER."""
+    planes: dict[str, Any] = {"quality": None, "sigma": None}
+    for k, each in enumerate(hdus):
+        name = each.name.upper()
+        if k == chosen or not each.is_image or each.ver != hdus[chosen].ver or each.shape != shape:
+            continue
+        if name in _QUALITY:
+            planes["quality"] = _quality(each.data, each.header)
+        elif name in _ERROR:
+            planes["sigma"] = each.data
+        elif name in _VARIANCE:
+            planes["sigma"] = np.sqrt(np.maximum(each.data, 0))
+    return planes
+
+
+def _quality(data: NDArray[Any], header: Header) -> PixelFlags:
+    """Flags from a plane of data quality: any bit marks a pixel, except where the header names its bits."""
+    named = {key: flag for key, flag in _PLANES.items() if key in header}
+    if not named:
+        return np.where(data != 0, Flag.MASKED, 0).astype(np.uint16)
+    flags = np.zeros(data.shape, np.uint16)
+    for key, flag in named.items():
+        flags |= np.where(data & (1 << int(header[key])), flag, 0).astype(np.uint16)
+    return flags
+
+
+def _masked(mask: Any, shape: tuple[int, ...], name: str) -> PixelFlags:
+    plane = np.asarray(mask)
+    if plane.shape != shape:
+        raise InputError(f"{name}: the mask has shape {plane.shape}, the image {shape}; give one of the same shape")
+    return np.where(plane != 0, Flag.MASKED, 0).astype(np.uint16)
+
+
+def _plane(values: Any, shape: tuple[int, ...], name: str, what: str) -> Image:
+    plane = np.asarray(values, np.float32)
+    if plane.shape != shape:
+        raise InputError(f"{name}: {what} has shape {plane.shape}, the image {shape}; give one of the same shape")
+    return plane
+
+
+def _refuse_flat(values: NDArray[Any], facts: Facts, name: str) -> None:
+    lowest, highest = values.min(), values.max()
+    if lowest == highest:
+        raise InputError(f"{name}: all pixels have the value {lowest}; the frame is empty or all saturated")
+    share = float((values >= facts.saturation_adu).mean())
+    if share > 0.5:
+        raise InputError(
+            f"{name}: {share:.0%} of the pixels are saturated (at {facts.saturation_adu:g} or above); "
+            "nothing can be measured; check the exposure, or give the saturation level"
+        )

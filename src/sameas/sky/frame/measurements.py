@@ -1,0 +1,140 @@
+"""Measurements: what a frame shows, star by star, with the error of every number.
+
+Pixels are counted from 0 and a whole number is the middle of a pixel, as in NumPy: the lower left pixel reaches
+from −0.5 to 0.5. FITS headers, DS9 and SExtractor count from 1; :meth:`Measurements.fits_xy` gives theirs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntFlag
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.errors import InputError
+from sameas.records import FloatArray, Records
+
+if TYPE_CHECKING:
+    from astropy.table import Table
+
+
+class Flag(IntFlag):
+    """What is doubtful about a measurement; the first five also mark single pixels of a frame."""
+
+    SATURATED = 1  # some of its pixels have reached the limit of the detector
+    HOT = 2  # it is, or covers, a pixel that is bright without light
+    COSMIC = 4  # it is, or covers, the hit of a particle
+    MASKED = 8  # some of its pixels are not usable: no number, marked bad, a dead column
+    EDGE = 16  # the frame ends within its window
+    BLENDED = 32  # a neighbour's light was taken away before it was measured
+    TRAILED = 64  # it is longer than the stars of the frame
+    POOR = 128  # the centroid did not settle; the position is that of the brightest pixel of the smoothed frame
+
+    @classmethod
+    def words(cls, bits: int) -> str:
+        """The names of the bits that are set, "saturated, edge"; empty for none."""
+        return ", ".join(str(flag.name).lower() for flag in cls if int(flag) & int(bits))
+
+
+PIXEL_FLAGS = Flag.SATURATED | Flag.HOT | Flag.COSMIC | Flag.MASKED
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """The stars and other marks of one frame, brightest first.
+
+    Attributes
+    ----------
+    x_px, y_px : (n,) windowed centroids, 0-based, whole numbers in the middle of pixels.
+    covariance : (n, 3) of the centroid in px²: xx, xy, yy.
+    flux, flux_err : (n,) in the unit of the frame (ADU of the calibrated frame): the total light of a star with
+        the mean profile of the frame, and its standard deviation.
+    background : (n,) level of the sky below it, the same unit per pixel.
+    a_px, b_px, theta_deg : (n,) standard deviations of its light along its long and short axis, and the angle of the
+        long axis from +x to +y; NaN where the light is too faint to tell.
+    fwhm_px : (n,) full width at half maximum of the circle of the same area; NaN with them.
+    snr : (n,) peak of the matched filter over its noise: the significance of the detection.
+    peak : (n,) highest pixel above the sky.
+    flags : (n,) bits of :class:`Flag`.
+    shape : (rows, columns) of the frame.
+    psf_fwhm_px : full width at half maximum of the frame's stars.
+    name : of the frame.
+    notes : what was assumed or is doubtful, in words.
+    """
+
+    x_px: FloatArray
+    y_px: FloatArray
+    covariance: FloatArray
+    flux: FloatArray
+    flux_err: FloatArray
+    background: FloatArray
+    a_px: FloatArray
+    b_px: FloatArray
+    theta_deg: FloatArray
+    fwhm_px: FloatArray
+    snr: FloatArray
+    peak: FloatArray
+    flags: NDArray[np.uint16]
+    shape: tuple[int, int]
+    psf_fwhm_px: float
+    name: str = "frame"
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.x_px)
+
+    def __getitem__(self, rows: slice | NDArray[np.int64] | NDArray[np.bool_]) -> Measurements:
+        """Some of the measurements."""
+        return Measurements(**{key: value[rows] if _per_row(value) else value for key, value in vars(self).items()})
+
+    def clean(self, but: Flag = Flag.BLENDED | Flag.TRAILED | Flag.SATURATED) -> NDArray[np.bool_]:
+        """(n,) mask of those that carry no flag, those in ``but`` excepted."""
+        return (self.flags & ~np.uint16(but)) == 0
+
+    def sigma_px(self) -> FloatArray:
+        """(n, 2) standard deviations along x and y."""
+        return np.sqrt(self.covariance[:, [0, 2]])
+
+    def fits_xy(self) -> FloatArray:
+        """(n, 2) positions as FITS headers, DS9 and SExtractor count them: the first pixel is 1."""
+        return np.column_stack([self.x_px, self.y_px]) + 1.0
+
+    def records(self) -> Records:
+        """The positions in pixels, ready to be identified in the plane of the frame."""
+        xy = np.column_stack([self.x_px, self.y_px])
+        xx, cross, yy = self.covariance.T
+        full = np.stack([np.stack([xx, cross], -1), np.stack([cross, yy], -1)], -2)
+        return Records.of(xy, covariance=full, source=self.name)
+
+    def table(self) -> Table:
+        """One row a measurement, with units; flags also in words."""
+        from astropy.table import QTable
+
+        units = {"x_px": "pix", "y_px": "pix", "a_px": "pix", "b_px": "pix", "fwhm_px": "pix", "theta_deg": "deg"}
+        columns: dict[str, Any] = {key: value for key, value in vars(self).items() if _per_row(value)}
+        xx, cross, yy = columns.pop("covariance").T
+        table = QTable(columns, units={key: unit for key, unit in units.items() if key in columns})
+        table.add_columns([xx, cross, yy], indexes=[2, 2, 2], names=["cov_xx_px2", "cov_xy_px2", "cov_yy_px2"])
+        table["remarks"] = np.array([Flag.words(bits) for bits in self.flags], dtype=str)
+        table.meta.update(name=self.name, psf_fwhm_px=self.psf_fwhm_px, notes=list(self.notes))
+        return table
+
+    def require(self, at_least: int, purpose: str) -> Measurements:
+        """Itself, if it has so many rows.
+
+        Raises
+        ------
+        InputError : there are fewer.
+        """
+        if len(self) < at_least:
+            raise InputError(
+                f"{self.name}: {len(self)} stars found, {purpose} needs {at_least}; "
+                "lower threshold_sigmas, or give darks and flats if the frame is raw"
+            )
+        return self
+
+
+def _per_row(value: object) -> bool:
+    return isinstance(value, np.ndarray)

@@ -1,0 +1,134 @@
+"""Frames are read as observatories write them; what cannot be used is refused in one clear line."""
+
+import gzip
+
+import numpy as np
+import pytest
+from astropy.io import fits
+
+from sameas.errors import InputError
+from sameas.sky.frame.image import Frame, read
+from sameas.sky.frame.keywords import Given
+from sameas.sky.frame.measurements import Flag
+
+SKY = np.random.default_rng(2).normal(1000.0, 10.0, (40, 60))
+
+
+def saved(path, *hdus):
+    fits.HDUList(list(hdus)).writeto(path)
+    return path
+
+
+def test_the_same_pixels_come_from_every_kind_of_file(tmp_path):
+    whole = np.rint(SKY).astype(np.uint16)
+    plain = saved(tmp_path / "plain.fits", fits.PrimaryHDU(whole))
+    packed = tmp_path / "packed.fits.gz"
+    packed.write_bytes(gzip.compress(plain.read_bytes()))
+    tiled = saved(tmp_path / "tiled.fits.fz", fits.PrimaryHDU(), fits.CompImageHDU(whole))
+    cube = saved(tmp_path / "cube.fits", fits.PrimaryHDU(whole[None].astype(np.float64)))
+    scaled = fits.PrimaryHDU(whole.astype(np.float32))
+    scaled.scale("int16", bscale=0.5, bzero=900.0)
+    for path in (plain, packed, tiled, cube, saved(tmp_path / "scaled.fits", scaled)):
+        np.testing.assert_allclose(read(path).image, whole, atol=0.3)
+
+
+def test_the_image_is_chosen_among_extensions_and_the_choice_is_told(tmp_path):
+    path = saved(
+        tmp_path / "multi.fits",
+        fits.PrimaryHDU(),
+        fits.ImageHDU(SKY, name="CHIP1"),
+        fits.ImageHDU(SKY + 5, name="CHIP2"),
+    )
+    first = read(path)
+    assert any("extension 1 (CHIP1) taken; also there: 2 (CHIP2)" in line for line in first.facts.lines)
+    assert read(path, hdu="CHIP2").image.mean() == pytest.approx(first.image.mean() + 5, abs=1e-3)
+    assert read(path, hdu=2).image.mean() == pytest.approx(first.image.mean() + 5, abs=1e-3)
+    with pytest.raises(InputError, match=r"no image in extension CHIP3; images: 1 \(CHIP1\), 2 \(CHIP2\)"):
+        read(path, hdu="CHIP3")
+
+
+def test_planes_of_quality_and_errors_belong_to_the_image(tmp_path):
+    quality = np.zeros(SKY.shape, np.int16)
+    quality[3, 4] = 16
+    path = saved(
+        tmp_path / "hst.fits",
+        fits.PrimaryHDU(),
+        fits.ImageHDU(SKY, name="SCI"),
+        fits.ImageHDU(np.full(SKY.shape, 3.0), name="ERR"),
+        fits.ImageHDU(quality, name="DQ"),
+    )
+    frame = read(path)
+    assert frame.masked.sum() == 1 and frame.masked[3, 4]
+    assert frame.sigma[0, 0] == 3.0
+
+
+def test_named_bits_of_a_mask_are_understood(tmp_path):
+    plane = fits.ImageHDU(np.zeros(SKY.shape, np.int32), name="MASK")
+    plane.data[1, 1], plane.data[2, 2], plane.data[3, 3] = 1 << 0, 1 << 2, 1 << 5
+    plane.header.update({"MP_BAD": 0, "MP_SAT": 2, "HIERARCH MP_DETECTED": 5})
+    frame = read(saved(tmp_path / "rubin.fits", fits.PrimaryHDU(), fits.ImageHDU(SKY, name="IMAGE"), plane))
+    assert frame.flags[1, 1] == Flag.MASKED and frame.flags[2, 2] == Flag.SATURATED and frame.flags[3, 3] == 0
+
+
+def test_a_mask_of_the_user_and_nan_pixels_are_left_out(tmp_path):
+    image = SKY.copy()
+    image[0, 0] = np.nan
+    mask = np.zeros(SKY.shape, np.uint16)
+    mask[5, 6] = 1
+    frame = read(
+        saved(tmp_path / "a.fits", fits.PrimaryHDU(image)), mask=saved(tmp_path / "m.fits", fits.PrimaryHDU(mask))
+    )
+    assert np.argwhere(frame.masked).tolist() == [[0, 0], [5, 6]]
+    assert np.isfinite(frame.image).all()
+
+
+def test_saturation_is_read_off_the_pixels_where_nobody_tells_it():
+    image = SKY.copy()
+    image[10:16, 10:20] = 30_000.0
+    image[20:24, 10:13] += np.linspace(500, 20_000, 12).reshape(4, 3)
+    frame = Frame.of(image)
+    assert ((frame.flags & Flag.SATURATED) != 0).sum() == 60
+    assert Frame.of(SKY.astype(np.uint16)).facts.saturation_adu == 65535
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda p: p.write_bytes(b"not a fits file" * 300), "cannot be read as FITS"),
+        (lambda p: saved(p, fits.PrimaryHDU()), "no image of two dimensions"),
+        (lambda p: saved(p, fits.PrimaryHDU(np.full((20, 20), np.nan))), "no pixel is a finite number"),
+        (lambda p: saved(p, fits.PrimaryHDU(np.full((20, 20), 65535, np.uint16))), "all pixels have the value 65535"),
+        (lambda p: saved(p, fits.PrimaryHDU(np.ones((3, 3)))), r"shape \(3, 3\); give one of two dimensions"),
+    ],
+)
+def test_bad_files_are_refused_by_name(tmp_path, make, message):
+    path = tmp_path / "bad.fits"
+    make(path)
+    with pytest.raises(InputError, match=message) as error:
+        read(path)
+    assert "bad.fits" in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_file_cut_short_is_refused(tmp_path, packed):
+    path = saved(tmp_path / "whole.fits", fits.PrimaryHDU(SKY))
+    content = gzip.compress(path.read_bytes()) if packed else path.read_bytes()
+    short = tmp_path / ("short.fits.gz" if packed else "short.fits")
+    short.write_bytes(content[: len(content) // 2])
+    with pytest.raises(InputError, match=r"short\.fits.* cut short .*copy it again"):
+        read(short)
+
+
+def test_a_missing_file_and_a_frame_full_of_light_are_refused(tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        read(tmp_path / "nowhere.fits")
+    path = saved(tmp_path / "bright.fits", fits.PrimaryHDU(SKY))
+    with pytest.raises(InputError, match="of the pixels are saturated"):
+        read(path, given=Given(saturation_adu=900.0))
+
+
+def test_a_missing_time_is_a_doubt_until_it_is_needed(tmp_path):
+    frame = read(saved(tmp_path / "timeless.fits", fits.PrimaryHDU(SKY)))
+    assert any(line.startswith("doubt: the header has no time") for line in frame.facts.lines)
+    with pytest.raises(InputError, match=r"timeless\.fits: the header has no time"):
+        frame.facts.time()

@@ -1,0 +1,132 @@
+"""Keywords are understood as observatories write them, and every assumption has its line."""
+
+import numpy as np
+import pytest
+from astropy.io import fits
+from astropy.time import Time
+
+from sameas.errors import InputError
+from sameas.sky.frame.cards import Card
+from sameas.sky.frame.keywords import Facts, Given, plateau
+
+
+def facts(given=None, comments=None, **cards):
+    header = fits.Header()
+    for name, value in cards.items():
+        name = name.replace("_", "-")
+        header[name] = (value, (comments or {}).get(name, ""))
+    return Facts.of(header, given)
+
+
+MIDDLE = "2018-10-18T03:03:53.784"
+
+
+@pytest.mark.parametrize(
+    "cards",
+    [
+        {"DATE_OBS": "2018-10-18T03:01:53.784", "EXPTIME": 240.0},
+        {"DATE_OBS": "2018-10-18", "TIME_OBS": "03:01:53.784", "EXPOSURE": "240.0"},
+        {"DATE_OBS": "2018/10/18", "UT": "03 01 53.784", "EXPTIME": 240},
+        {"DATE_OBS": "18/10/2018", "UT": "03:01:53.784", "EXPTIME": 240},
+        {"MJD_OBS": Time("2018-10-18T03:01:53.784").mjd, "EXPTIME": 240.0},
+        {"JD": Time("2018-10-18T03:01:53.784").jd, "EXPTIME": 240.0},
+        {"DATE_OBS": "2018-10-18T03:01:53.784", "DATE_END": "2018-10-18T03:05:53.784"},
+        {"DATE_AVG": MIDDLE, "DATE_OBS": "2018-10-18T03:00:00", "EXPTIME": 1.0},
+    ],
+)
+def test_the_middle_of_the_exposure_is_found(cards):
+    time = facts(**cards).time()
+    assert abs((time - Time(MIDDLE)).sec) < 1e-3
+    assert time.scale == "utc"
+
+
+def test_the_scale_of_the_time_is_that_of_the_header():
+    assert facts(DATE_OBS="2018-10-18T03:01:53", TIMESYS="TDB", EXPTIME=2).time().scale == "tdb"
+    assert "assumed: times are UTC (no TIMESYS)" in facts(DATE_OBS="2018-10-18T03:01:53", EXPTIME=2).lines
+
+
+def test_an_old_plate_has_universal_time_turned_into_tt():
+    plate = facts(comments={"EXPOSURE": "Exposure time minutes"}, DATE_OBS="29/11/51", UT="12:07:00.00", EXPOSURE=50.0)
+    assert plate.exposure_s == 3000
+    assert plate.time().scale == "tt"
+    assert plate.time().jyear == pytest.approx(1951.910, abs=2e-3)
+    assert any("there was no UTC before 1960" in line for line in plate.lines)
+
+
+def test_a_date_alone_is_taken_for_noon_and_disagreeing_clocks_are_told():
+    assert any(line.startswith("assumed: 12:00") for line in facts(DATE_OBS="2018-10-18", EXPTIME=0.0).lines)
+    lines = facts(DATE_OBS="2018-10-18T03:01:53", MJD_OBS=58409.5, EXPTIME=10).lines
+    assert any(line.startswith("doubt: MJD-OBS differs from DATE-OBS by") for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("cards", "comments", "how"),
+    [
+        ({"SITELONG": "+71 29 06", "LST": "00:02:10.1"}, {}, "west positive as LST tells"),
+        ({"SITELONG": "-71 29 06", "LST": "00:02:10.1"}, {}, "east positive as LST tells"),
+        ({"LONGITUD": "71:29:06 W"}, {}, "its letter"),
+        ({"LONGITUD": 71.485}, {"LONGITUD": "[deg] longitude, west positive"}, "west positive as its comment says"),
+        ({"GEOLON": -71.485}, {}, "assumed: east positive"),
+        ({"SITELONG": "+71 29 06", "SWCREATE": "TheSkyX Version 10.5.0"}, {}, "west positive as TheSkyX"),
+        ({"GEOLON": 288.515}, {}, "east positive"),
+    ],
+)
+def test_longitudes_of_either_sign_are_one_place(cards, comments, how):
+    found = facts(
+        comments=comments, DATE_OBS="2018-10-18T03:01:53", EXPTIME=240, SITELAT="+42 36 36", GEOLAT=42.61, **cards
+    )
+    assert found.station.lon_deg == pytest.approx(-71.485, abs=1e-3)
+    assert found.station.lat_deg == pytest.approx(42.61, abs=1e-3)
+    assert any(how in line for line in found.lines)
+
+
+def test_the_code_of_the_station_is_found():
+    site = facts(SITELAT="42 36 36", SITELONG="288 30 54", ORIGIN="MIT Wallace Astrophysical Observatory (810)").station
+    assert site.code == "810"
+
+
+@pytest.mark.parametrize(
+    "cards",
+    [
+        {"OBJCTRA": "04 10 08.801", "OBJCTDEC": "-22 50 22.5"},
+        {"RA": "04:10:08.801", "DEC": "-22:50:22.5"},
+        {"RA": 62.53667, "DEC": -22.83958},
+    ],
+)
+def test_aims_come_in_hours_and_in_degrees(cards):
+    assert facts(**cards).aim_deg == pytest.approx((62.53667, -22.83958), abs=1e-4)
+
+
+def test_an_aim_of_another_equinox_is_precessed():
+    ra, dec = facts(RA="04:10:08.8", DEC="+22:50:22.5", EQUINOX=1950.0).aim_deg
+    assert (ra, dec) == pytest.approx((63.283, 22.967), abs=3e-3)
+
+
+def test_gain_of_a_camera_setting_is_not_believed_and_electrons_are():
+    assert np.isnan(facts(GAIN=100).gain_e_per_adu)
+    assert facts(GAIN=100, EGAIN=0.8).gain_e_per_adu == 0.8
+    assert facts(BUNIT="electrons").gain_e_per_adu == 1.0
+    assert facts(BUNIT="ELECTRONS/S", EXPTIME=30.0).gain_e_per_adu == 30.0
+
+
+def test_what_is_given_goes_before_the_header_and_is_checked():
+    found = facts(Given(gain_e_per_adu=2.5, exposure_s=10.0), EGAIN=0.8, EXPTIME=5.0)
+    assert (found.gain_e_per_adu, found.exposure_s) == (2.5, 10.0)
+    assert "gain 2.5 (given)" in found.lines
+    with pytest.raises(InputError, match=r"gain_e_per_adu is -1\.0; give a number above zero"):
+        Given(gain_e_per_adu=-1.0)
+
+
+def test_angles_keep_the_sign_of_a_zero_degree():
+    assert Card("DEC", "-00 30 00").angle() == (-0.5, True)
+    assert np.isnan(Card("DEC", "-00 75 00").angle()[0])
+    assert Card("EXPTIME", "1.5D2 s").number() == 150.0
+
+
+def test_a_plateau_is_a_pile_of_bright_pixels_and_nothing_else():
+    rng = np.random.default_rng(3)
+    falling = 1000 + 60_000 * rng.power(0.15, 40_000)[:20_000] ** 3
+    assert plateau(1000 + rng.exponential(2000.0, 100_000)) == np.inf
+    piled = np.minimum(1000 + rng.exponential(9000.0, 100_000), 30_000)
+    assert 29_000 < plateau(piled) <= 30_000
+    assert plateau(falling) > 55_000
