@@ -140,9 +140,19 @@ class Coverage:
 
 def _level(cut: _SphereCells | _BoxCells, first: Records, second: Records, size: float) -> Level:
     cell, volume = cut.cells(np.concatenate([first.features, second.features]), size)
-    known, index = np.unique(cell, return_inverse=True)
+    known, index = _renumbered(cell)
     n1 = len(first)
     return Level(index[:n1], index[n1:], volume(known))
+
+
+def _renumbered(cell: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(numbers of the cells that occur, rising; position of each record's cell among them)."""
+    most = int(cell.max()) + 1
+    if most > 4 * len(cell) + 1024:
+        return np.unique(cell, return_inverse=True)
+    held = np.zeros(most, np.bool_)
+    held[cell] = True
+    return np.flatnonzero(held), (np.cumsum(held) - 1)[cell]
 
 
 @dataclass(frozen=True)

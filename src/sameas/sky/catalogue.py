@@ -136,9 +136,11 @@ class Catalogue:
             still = a if known.all() else replace(a, epoch_jyr=np.where(known, a.epoch_jyr, epoch_jyr))
             ra, dec, covariance = position_at(still, epoch_jyr)
             ra = np.where(known, ra, np.nan)
+        circles = np.array_equal(covariance[:, 0, 0], covariance[:, 1, 1]) and not covariance[:, 0, 1].any()
         return Records.of(
             np.column_stack([ra, dec]),
-            covariance=covariance,
+            variance=covariance[:, 0, :1] if circles else None,
+            covariance=None if circles else covariance,
             ids=self.ids,
             space=Sphere(),
             source=self.name,
@@ -186,20 +188,22 @@ def _astrometry(table: Table, choice: ColumnChoice, options: CatalogueOptions, s
 
 def _errors(
     table: Table, choice: ColumnChoice, options: CatalogueOptions, source: str
-) -> tuple[FloatArray, FloatArray]:
-    """(n, 6) standard deviations in mas, mas/yr and km/s, and (n, 6, 6) their correlations."""
+) -> tuple[FloatArray, FloatArray | None]:
+    """(n, 6) standard deviations in mas, mas/yr and km/s, and (n, 6, 6) their correlations, or None."""
     east, north, rho = _position_sigmas(table, choice.error, source)
     motion = [_motion_numbers(table, c, u, source) for c, u in zip(choice.motion_errors, _MOTION_UNITS, strict=True)]
     if options.pm_sigma_mas_per_yr is not None:
         for k in (1, 2):
             motion[k] = np.where(np.isnan(motion[k]), options.pm_sigma_mas_per_yr, motion[k])
     sigma = np.column_stack([1e3 * east, 1e3 * north, *motion])
-    correlation = _correlations(table, choice, sigma, source)
-    if not choice.weights:
-        correlation[:, 0, 1] = correlation[:, 1, 0] = rho
     wide = sigma.copy()
     wide[:, :2] = np.hypot(sigma[:, :2], 1e3 * options.sigma_floor_arcsec)
     wide[:, :2] = np.where(wide[:, :2] > 0, wide[:, :2], np.nan)  # no error at all says nothing
+    if not (choice.weights or choice.correlations or rho.any()):
+        return wide, None
+    correlation = _correlations(table, choice, sigma, source)
+    if not choice.weights:
+        correlation[:, 0, 1] = correlation[:, 1, 0] = rho
     # The floor is independent noise: it adds to the variances and leaves the covariances.
     shrink = np.ones_like(sigma)
     shrink[:, :2] = sigma[:, :2] / wide[:, :2]

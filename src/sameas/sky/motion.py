@@ -352,7 +352,10 @@ def _errors(sigma: ArrayLike, n: int, source: str) -> FloatArray:
 
 
 def _covariance(errors: FloatArray, filled: BoolArray, given: ArrayLike | None, source: str) -> FloatArray:
-    n, covariance = len(errors), np.empty((len(errors), 6, 6))
+    n, covariance = len(errors), np.zeros((len(errors), 6, 6))
+    if given is None:
+        covariance[:, np.arange(6), np.arange(6)] = errors**2
+        return covariance
     k = min(np.shape(given)[-1], 6) if given is not None and np.ndim(given) == 3 else 6
     rho = _floats(0.0 if given is None else given, (n, k, k), f"{source}: correlations")
     beyond, lopsided = np.zeros(n, bool), np.zeros(n, bool)
