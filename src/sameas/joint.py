@@ -63,7 +63,7 @@ class Observers:
             )
         if self.region is None and len(self.whole) < len(self.sources):
             partial = next(records_of(s).source for s in self.sources if isinstance(s, Observations))
-            raise InputError(f"{partial} observes a part of the state; give region=Region(centre, covariance)")
+            raise InputError(f"{partial} observes a part of the state; give region=Region(centre, spread)")
         if self.region is not None and (len(np.asarray(self.region.centre)) != sizes[0] or Sphere() in spaces):
             raise InputError(f"the region must be in a Plane of the state's {sizes[0]} components")
         return sizes[0]
@@ -122,7 +122,7 @@ class Observers:
         information, vector = np.zeros((len(sets), size, size)), np.zeros((len(sets), size))
         square, log_norm = np.zeros(len(sets)), np.zeros(len(sets))
         if self.region is not None:
-            prior = np.linalg.inv(np.asarray(self.region.covariance))
+            prior = np.linalg.inv(self.region.covariance)
             away = np.asarray(self.region.centre) - at
             information += prior
             vector += away @ prior

@@ -125,23 +125,29 @@ class Observations:
 class Region:
     """Where objects are at all: a broad normal, density falling as exp(−½ (x−centre)ᵀ covariance⁻¹ (x−centre)).
 
-    centre : (L,). covariance : (L, L), or (L,) standard deviations per component.
+    centre : (L,). spread : (L,) standard deviations per component, or an (L, L) covariance.
     """
 
     centre: ArrayLike
-    covariance: ArrayLike
+    spread: ArrayLike
 
     def __post_init__(self) -> None:
         centre = np.atleast_1d(np.asarray(self.centre, dtype=np.float64))
-        spread = np.atleast_1d(np.asarray(self.covariance, dtype=np.float64))
-        if spread.ndim == 1:
-            spread = np.diag(np.broadcast_to(spread, centre.shape) ** 2)
-        if centre.ndim != 1 or spread.shape != (len(centre), len(centre)):
-            raise InputError(f"Region: centre {centre.shape}, covariance {spread.shape}; give (L,) and (L, L) or (L,)")
-        if not (np.isfinite(spread).all() and np.linalg.eigvalsh(spread)[0] > 0):
-            raise InputError("Region: the covariance is not positive definite; give the spread of the objects' states")
         object.__setattr__(self, "centre", centre)
-        object.__setattr__(self, "covariance", spread)
+        covariance = self.covariance
+        if centre.ndim != 1 or covariance.shape != (len(centre), len(centre)):
+            shapes = f"centre {centre.shape}, spread {np.shape(self.spread)}"
+            raise InputError(f"Region: {shapes}; give (L,) and (L,) or (L, L)")
+        if not (np.isfinite(covariance).all() and np.linalg.eigvalsh(covariance)[0] > 0):
+            raise InputError("Region: the covariance is not positive definite; give the spread of the objects' states")
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(L, L) of the states."""
+        spread = np.atleast_1d(np.asarray(self.spread, dtype=np.float64))
+        if spread.ndim > 1:
+            return spread
+        return np.diag(np.broadcast_to(spread, (np.size(self.centre),)) ** 2)
 
 
 Source = Records | Observations

@@ -37,7 +37,7 @@ _NONE = np.empty(0, np.int64)
 
 #: Groups of no more records than this on one side are summed with every pair; from larger ones pairs are left out
 #: whose probability is proved to be below the other number, where the prior allows the proof.
-SMALL, IMPROBABLE = 8, 1e-7
+SMALL, IMPROBABLE = 16, 1e-7
 EVERY = 2**62
 
 #: Pairs of an entangled group that are less probable than this are left out, step by step until it falls apart:
