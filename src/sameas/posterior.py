@@ -39,6 +39,8 @@ _NONE = np.empty(0, np.int64)
 #: whose probability is proved to be below the other number, where the prior allows the proof.
 SMALL, IMPROBABLE = 16, 1e-7
 EVERY = 2**62
+#: Pairs that are proved to be less probable than this do not count where sums over many pairs are wanted.
+UNIMPORTANT = 1e-6
 
 #: Pairs of an entangled group that are less probable than this are left out, step by step until it falls apart:
 #: by what messages say at first, from SURE on by what neighbourhoods say.
@@ -106,13 +108,8 @@ def _without_improbable(
     neglected: FloatArray,
 ) -> NDArray[np.int64]:
     """Fill ``share`` of what falls apart without the pairs that are proved improbable; the pairs that still do not."""
-    from sameas.kernels.bounds import log_bounds
-
     wanted = method == APPROXIMATE
-    bound = np.zeros(len(share))
-    shape = (groups.start, groups.start_1, groups.start_2, groups.local_1, groups.local_2)
-    state = (best.weight, best.chosen, wanted, bound)
-    threads.over(lambda a, b: log_bounds(a, b, *shape, *state), groups.bounds(len(threads.even(len(bound))) - 1))
+    bound = _log_bounds(groups, best, wanted)
     improbable = bound[pairs] < math.log(IMPROBABLE)
     share[pairs[improbable]] = np.exp(bound[pairs[improbable]])
     kept = pairs[~improbable]
@@ -122,6 +119,17 @@ def _without_improbable(
     neglected[groups.group[pairs[improbable]]] = IMPROBABLE
     method[groups.group[kept[~solved]]] = APPROXIMATE
     return kept[~solved]
+
+
+def _log_bounds(groups: Groups, best: Hypothesis, wanted: NDArray[np.bool_]) -> FloatArray:
+    """(m,) upper bounds of ln P of the pairs of the wanted groups (g,), under a linear prior; 0 of the others."""
+    from sameas.kernels.bounds import log_bounds
+
+    bound = np.zeros(len(best.weight))
+    shape = (groups.start, groups.start_1, groups.start_2, groups.local_1, groups.local_2)
+    state = (best.weight, best.chosen, wanted, bound)
+    threads.over(lambda a, b: log_bounds(a, b, *shape, *state), groups.bounds(len(threads.even(len(bound))) - 1))
+    return bound
 
 
 def _within_one(groups: Groups, share: FloatArray) -> FloatArray:
@@ -134,10 +142,16 @@ def by_messages(groups: Groups, best: Hypothesis) -> Posterior:
     """Probabilities of all pairs by sum-product messages alone: fast, exact for groups without cycles.
 
     On short cycles messages are over-confident; use them where sums over many pairs are wanted, as estimation does.
+    Pairs that are proved to be less probable than 1e-6 get zero.
     """
     share = np.zeros(len(groups.order))
     method = np.full(len(groups), APPROXIMATE, np.int8)
-    change = _Messages.of(groups, best, method, share, ROUGHLY).change
+    if best.prior.slope is None:
+        change = _Messages.of(groups, best, method, share, ROUGHLY).change
+    else:
+        kept = np.flatnonzero(_log_bounds(groups, best, method == APPROXIMATE) > math.log(UNIMPORTANT))
+        thin = _Thinned.of(groups, best, kept, best.weight[kept])
+        share[kept], change = thin.by_messages()
     p_pair = np.empty(len(share))
     p_pair[groups.order] = np.clip(share, 0.0, 1.0)
     return Posterior(p_pair, method, np.zeros(len(groups)), change)
@@ -192,9 +206,7 @@ class _Messages:
         return cls(weight, *claims, float(max(changes, default=0.0)))
 
 
-def _exact(
-    groups: Groups, best: Hypothesis, share: FloatArray, method: NDArray[np.int8], most: int = EVERY
-) -> None:
+def _exact(groups: Groups, best: Hypothesis, share: FloatArray, method: NDArray[np.int8], most: int = EVERY) -> None:
     """Fill ``share`` and ``method`` of the groups that can be summed exactly; mark the others APPROXIMATE.
 
     most : groups of more records than this on both sides are not tried.
@@ -287,6 +299,13 @@ class _Thinned:
         _exact(self.groups, self.best, share, method)
         solved = np.repeat(method != APPROXIMATE, self.groups.pair_counts)
         return self._as_given(share), self._as_given(solved)
+
+    def by_messages(self) -> tuple[FloatArray, float]:
+        """Probability of every kept pair by messages alone, and their largest relative change in the last sweep."""
+        share = np.zeros(len(self.groups.order))
+        method = np.full(len(self.groups), APPROXIMATE, np.int8)
+        change = _Messages.of(self.groups, self.best, method, share, ROUGHLY).change
+        return self._as_given(share), change
 
     def by_neighbourhoods(self, claims: FloatArray) -> FloatArray:
         """Probability of every kept pair from the neighbourhood of its record; ``claims`` are the messages."""
