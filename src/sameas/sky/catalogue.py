@@ -86,7 +86,7 @@ class Catalogue:
         -------
         >>> stars = Catalogue.of({"ra": [10.0], "dec": [20.0]}, "stars", options=CatalogueOptions(sigma=0.1))
         >>> stars.records().covariance.round(4)
-        array([[0.01, 0.  , 0.01]])
+        array([[0.01]])
         """
         options = CatalogueOptions() if options is None else options
         rows = cells.as_table(table, name)
