@@ -166,8 +166,8 @@ def assign_counted(first, last, start, start1, start2, edges1, local2, weight, t
 
 
 @part
-def by_column(n2, edges, local2, weight, heads):
-    """Per column its pairs by falling weight, as CSR: (starts (n2+1,), pairs)."""
+def by_column(n2, edges, local2):
+    """The pairs of a group by column, as CSR: (starts (n2+1,), pairs)."""
     low = edges[0]
     high = edges[-1]
     starts = np.zeros(n2 + 1, np.int64)
@@ -177,14 +177,21 @@ def by_column(n2, edges, local2, weight, heads):
         starts[c + 1] += starts[c]
     fill = starts[:-1].copy()
     pairs = np.empty(high - low, np.int64)
-    by_weight = np.argsort(-weight[low:high], kind="mergesort")
-    for t in range(high - low):
-        e = low + by_weight[t]
+    for e in range(low, high):
         pairs[fill[local2[e]]] = e
         fill[local2[e]] += 1
-    for c in range(n2):
-        heads[c] = starts[c]
     return starts, pairs
+
+
+@part
+def heaviest_free(pairs, start, stop, row_of, low, mate1, weight):
+    """The heaviest of a column's pairs whose row is free, −1 for none."""
+    head = -1
+    for t in range(start, stop):
+        e = pairs[t]
+        if mate1[row_of[e - low]] < 0 and (head < 0 or weight[e] > weight[head]):
+            head = e
+    return head
 
 
 @part
@@ -196,8 +203,8 @@ def every_size(n1, n2, edges, local2, weight, prior, chosen, u, v):
         for e in range(edges[r], edges[r + 1]):
             row_of[e - low] = r
             chosen[e] = False
+    starts, pairs = by_column(n2, edges, local2)
     heads = np.empty(n2, np.int64)
-    starts, pairs = by_column(n2, edges, local2, weight, heads)
     mate1 = np.full(n1, -1, np.int64)
     mate2 = np.full(n2, -1, np.int64)
     best1 = mate1.copy()
@@ -218,12 +225,12 @@ def every_size(n1, n2, edges, local2, weight, prior, chosen, u, v):
     for k in range(1, len(prior)):
         # All free rows share the potential ``top``; the head of a column is its best pair with a free row.
         for c in range(n2):
-            while heads[c] < starts[c + 1] and mate1[row_of[pairs[heads[c]] - low]] >= 0:
-                heads[c] += 1
+            if k == 1 or (heads[c] >= 0 and mate1[row_of[heads[c] - low]] >= 0):
+                heads[c] = heaviest_free(pairs, starts[c], starts[c + 1], row_of, low, mate1, weight)
             done[c] = False
-            if heads[c] < starts[c + 1]:
-                distance[c] = max(0.0, top + price[c] - weight[pairs[heads[c]]])
-                through[c] = pairs[heads[c]]
+            if heads[c] >= 0:
+                distance[c] = max(0.0, top + price[c] - weight[heads[c]])
+                through[c] = heads[c]
             else:
                 distance[c] = np.inf
         count = 0
