@@ -114,6 +114,8 @@ class DetectionField(Rule):
 
 def _at(value: ArrayLike, n: int, rows: np.ndarray, name: str) -> FloatArray:
     """A number, or the values (n,) at the pairs' records; positive and finite."""
+    if isinstance(value, float) and 0.0 < value < math.inf:
+        return np.float64(value)  # type: ignore[return-value]
     values = np.asarray(value, dtype=np.float64)
     if not np.all((values > 0) & (values < np.inf)):
         raise InputError(f"{name} is zero, negative or not finite; give positive numbers in the unit of the residual")
