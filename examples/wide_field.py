@@ -1,0 +1,146 @@
+"""A wide-field frame placed from nothing but a range of scales, with the stars of the packages; the truth is known.
+
+A camera of 10° sees the sky of 2026 somewhere: real stars of Gaia and Hipparcos with their motions, a lens that
+distorts, photon and read noise, hot pixels, particles. ``scripts/demo`` runs
+
+    python examples/wide_field.py simulate demo-output
+    sameas frame demo-output/wide.fits --catalog bright --scale 20,45 -o demo-output
+    python examples/wide_field.py judge demo-output
+
+Nothing in the file says where the frame points. The stars come with ``pip install sameas[demo]``: Gaia's brighter
+than G = 10, with motions from Hipparcos.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from astropy.io import fits
+from astropy.table import Table
+from astropy.time import Time
+
+from sameas.io import read_table, replacing, write_table
+from sameas.io.catalogues import bright
+from sameas.sky.frame.field import Cone, StarField
+from sameas.sky.frame.simulate import Camera, Gaussian, Lens, SimulatedFrame, frame_of_sky
+from sameas.sky.frame.tangent import Pointing, unit_vectors
+from sameas.space import ARCSEC_PER_RADIAN
+
+SEED = 20260614
+SIDE_PX, SCALE_ARCSEC = 1200, 30.0
+#: Sagittarius, low in the Milky Way: crowded, and turned by an odd angle.
+RA_DEG, DEC_DEG, TURN_DEG = 277.3, -17.8, 217.0
+WHEN, EXPOSURE_S = "2026-06-14T23:10:00", 20.0
+CORNER_PX, FWHM_PX = 4.0, 2.1
+
+
+def true_pointing() -> Pointing:
+    """Where the camera points; nobody is told."""
+    turn = np.radians(TURN_DEG)
+    cd = np.array([[-np.cos(turn), np.sin(turn)], [np.sin(turn), np.cos(turn)]]) * SCALE_ARCSEC / ARCSEC_PER_RADIAN
+    return Pointing(unit_vectors(RA_DEG, DEC_DEG), cd, np.full(2, (SIDE_PX - 1) / 2))
+
+
+def simulated(seed: int = SEED) -> tuple[SimulatedFrame, StarField]:
+    """The frame with its truth, whose ``star`` is a row of the stars."""
+    stars = StarField.of(bright(), Time(WHEN).jyear, near=Cone(RA_DEG, DEC_DEG, 10.0))
+    # What is not known of a motion is drawn, so that the truth differs from the catalogue as it does in the sky.
+    rng = np.random.default_rng(seed)
+    off = rng.normal(size=(len(stars), 2)) * np.sqrt(stars.covariance_arcsec[:, [0, 2]]) / 3600
+    seen = frame_of_sky(
+        rng,
+        ra_deg=stars.ra_deg + off[:, 0] / np.cos(np.radians(stars.dec_deg)),
+        dec_deg=stars.dec_deg + off[:, 1],
+        magnitude=stars.magnitude,
+        wcs=true_pointing().to_wcs((SIDE_PX, SIDE_PX)),
+        zero_point=17.5,
+        lens=Lens(corner_px=CORNER_PX),
+        camera=Camera(shape=(SIDE_PX, SIDE_PX), sky_e=400.0, read_noise_e=9.0, hot_pixels=1500, cosmics=40),
+        psf=Gaussian(fwhm_px=FWHM_PX),
+        exposure_s=EXPOSURE_S,
+    )
+    return seen, stars
+
+
+def simulate(folder: Path) -> None:
+    """Writes the frame, as a camera would, and the truth beside it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    seen, stars = simulated()
+    facts, truth = seen.frame.facts, seen.truth
+    header = fits.Header({
+        "DATE-OBS": WHEN, "EXPTIME": EXPOSURE_S, "GAIN": facts.gain_e_per_adu, "RDNOISE": facts.read_noise_e,
+        "SATURATE": facts.saturation_adu,
+    })  # fmt: skip
+    with replacing(folder / "wide.fits") as draft:
+        fits.PrimaryHDU(seen.frame.image.astype(np.uint16), header).writeto(draft, overwrite=True)
+    table = Table({
+        "source_id": stars.ids[truth.star], "x_px": truth.x_px, "y_px": truth.y_px, "flux_e": truth.flux_e,
+        "magnitude": stars.magnitude[truth.star],
+    })  # fmt: skip
+    write_table(table, folder / "wide-truth.fits", provenance={"seed": SEED})
+    print(f"Frame of {SIDE_PX} × {SIDE_PX} px with {len(truth)} stars: {folder / 'wide.fits'}, truth beside it")
+
+
+def judge(folder: Path) -> None:
+    """Compares what was identified with the truth, and prints the rates of errors."""
+    rows, truth = read_table(folder / "wide.stars.fits"), read_table(folder / "wide-truth.fits")
+    told = json.loads((folder / "wide.json").read_text(encoding="utf-8"))
+    print("\n".join(judged(rows, truth, told)))
+
+
+def judged(rows: Table, truth: Table, told: dict[str, Any]) -> list[str]:
+    """Lines to print: place, rights and wrongs."""
+    middle = true_pointing().to_sky(np.full((1, 2), (SIDE_PX - 1) / 2))[0]
+    place = told["place"]
+    off = np.linalg.norm(unit_vectors(place["middle_ra_deg"], place["middle_dec_deg"]) - middle) * ARCSEC_PER_RADIAN
+    right, wrong, alone = verdicts(rows, truth)
+    p = np.ma.filled(rows["p_match"], np.nan)[np.asarray(rows["fate"]) == "identified"]
+    bright_truth = np.asarray(truth["magnitude"]) < 9.5
+    seen = np.isin(np.asarray(truth["source_id"])[bright_truth], np.asarray(rows["star"][rows["fate"] == "identified"]))
+    scatter = told["residuals"]["scatter_arcsec"]
+    return [
+        "The wide field against its truth",
+        f"  placed                {off:.1f}″ from the truth ({off / SCALE_ARCSEC:.2f} px), odds {place['odds']}",
+        f"  identified            {right + wrong}, of which wrong {wrong} ({wrong / max(right + wrong, 1):.2%}); "
+        f"expected wrong {np.sum(1 - p):.1f}",
+        f"  stars brighter than 9.5  {bright_truth.sum()}, identified {seen.mean():.2%}",
+        f"  left alone rightly    {alone[0]} measurements; wrongly {alone[1]}",
+        f"  residuals             {scatter[0]:.2f}″ × {scatter[1]:.2f}″ (1σ), "
+        f"{max(scatter) / SCALE_ARCSEC:.3f} px; plate of order {told['plate']['order']}",
+    ]
+
+
+def verdicts(rows: Table, truth: Table, reach_px: float = 1.5) -> tuple[int, int, tuple[int, int]]:
+    """Right and wrong identifications, and measurements left alone rightly and wrongly.
+
+    A measurement truly is the star within ``reach_px`` whose light is strongest there; stars that merge make one mark.
+    """
+    from scipy.spatial import cKDTree
+
+    measured = rows[np.isin(rows["fate"], ["identified", "unidentified"])]
+    # Light of stars just beyond the edge is seen too; the truth does not know them.
+    known = np.isin(np.ma.filled(measured["star"], 0), np.append(truth["source_id"], 0))
+    measured = measured[known]
+    place = np.column_stack([truth["x_px"], truth["y_px"]])
+    at = np.column_stack([measured["x_px"], measured["y_px"]])
+    own = np.zeros(len(at), np.int64)
+    for k, near in enumerate(cKDTree(place).query_ball_point(at, reach_px)):
+        if near:
+            off = np.sum((place[near] - at[k]) ** 2, axis=1)
+            light = np.log(truth["flux_e"][near]) - 0.5 * off / (FWHM_PX / 2.355) ** 2
+            own[k] = truth["source_id"][near[int(np.argmax(light))]]
+    identified = np.asarray(measured["fate"]) == "identified"
+    right = int(np.sum(identified & (np.ma.filled(measured["star"], 0) == own)))
+    alone = int(np.sum(~identified & (own == 0))), int(np.sum(~identified & (own != 0)))
+    return right, int(identified.sum()) - right, alone
+
+
+if __name__ == "__main__":
+    steps: Any = sys.argv[1:]
+    if len(steps) != 2 or steps[0] not in ("simulate", "judge"):
+        sys.exit("usage: python examples/wide_field.py simulate|judge FOLDER")
+    {"simulate": simulate, "judge": judge}[steps[0]](Path(steps[1]))

@@ -1,0 +1,159 @@
+"""Many frames: some processes, a row of progress each; one that fails does not stop the others."""
+
+from __future__ import annotations
+
+import multiprocessing
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from sameas.cli.framing import FrameRequest, fulfil
+from sameas.errors import InputError
+
+#: Rows of progress that a terminal shows at once.
+ROWS = 14
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a frame: its summary, or why there is none. skipped : it had been done before."""
+
+    request: FrameRequest
+    told: dict[str, Any] | None
+    error: str = ""
+    skipped: bool = False
+    seconds: float = 0.0
+
+
+def run_all(
+    requests: Sequence[FrameRequest], *, processes: int, again: bool, shown: bool, tell: Callable[[Outcome], None]
+) -> list[Outcome]:
+    """Every frame's outcome, in the order of the frames.
+
+    processes : how many work at once. again : do also what is done. shown : rows of progress on a terminal.
+    tell : called with each outcome as soon as it is there.
+    """
+    if len(requests) == 1 or processes == 1:
+        outcomes = []
+        with _rows(requests, shown) as row:
+            for number, request in enumerate(requests):
+                outcome = _one(request, again, lambda stage, number=number: row(number, stage))  # type: ignore[misc]
+                row(number, _in_a_word(outcome))
+                tell(outcome)
+                outcomes.append(outcome)
+        return outcomes
+    return _in_processes(requests, processes, again, shown, tell)
+
+
+def _in_processes(
+    requests: Sequence[FrameRequest], processes: int, again: bool, shown: bool, tell: Callable[[Outcome], None]
+) -> list[Outcome]:
+    # A forked process would share locks of threads that it does not have.
+    context = multiprocessing.get_context("spawn")
+    stages = context.SimpleQueue()
+    outcomes: dict[int, Outcome] = {}
+    with (
+        _rows(requests, shown) as row,
+        ProcessPoolExecutor(
+            min(processes, len(requests)), mp_context=context, initializer=_begin, initargs=(stages,)
+        ) as pool,
+    ):
+        listener = threading.Thread(target=_listen, args=(stages, row), daemon=True)
+        listener.start()
+        futures: dict[Future[Outcome], int] = {
+            pool.submit(_worked, number, request, again): number for number, request in enumerate(requests)
+        }
+        try:
+            for future in as_completed(futures):
+                number = futures[future]
+                try:
+                    outcome = future.result()
+                except Exception as error:  # the process itself has died
+                    outcome = Outcome(requests[number], None, f"{requests[number].path}: the process ended ({error})")
+                row(number, _in_a_word(outcome))
+                tell(outcome)
+                outcomes[number] = outcome
+        except KeyboardInterrupt:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+        finally:
+            stages.put(None)
+        listener.join(1.0)
+    return [outcomes[number] for number in range(len(requests))]
+
+
+_stages: Any = None
+
+
+def _begin(stages: Any) -> None:
+    """What a working process does first."""
+    import warnings
+
+    global _stages
+    _stages = stages
+    warnings.simplefilter("ignore")
+
+
+def _worked(number: int, request: FrameRequest, again: bool) -> Outcome:
+    return _one(request, again, lambda stage: _stages.put((number, stage)))
+
+
+def _listen(stages: Any, row: Callable[[int, str], None]) -> None:
+    while (said := stages.get()) is not None:
+        row(*said)
+
+
+def _one(request: FrameRequest, again: bool, progress: Callable[[str], None]) -> Outcome:
+    began = time.perf_counter()
+    try:
+        before = None if again else request.done()
+        if before is not None:
+            return Outcome(request, before, skipped=True)
+        told = fulfil(request, progress)
+        return Outcome(request, told, seconds=time.perf_counter() - began)
+    except InputError as error:
+        return Outcome(request, None, str(error), seconds=time.perf_counter() - began)
+    except MemoryError:
+        return Outcome(request, None, f"{request.path}: not enough memory for this frame")
+    except Exception as error:
+        words = " ".join(str(error).split())
+        told_fault = (
+            f"{request.path}: unexpected {type(error).__name__}: {words}; this is a fault of sameas, please report it"
+        )
+        return Outcome(request, None, told_fault, seconds=time.perf_counter() - began)
+
+
+def _in_a_word(outcome: Outcome) -> str:
+    if outcome.told is None:
+        return "failed"
+    return "done before" if outcome.skipped else f"done in {outcome.seconds:.1f} s"
+
+
+@contextmanager
+def _rows(requests: Sequence[FrameRequest], shown: bool) -> Iterator[Callable[[int, str], None]]:
+    """A function (number of the frame, stage) that shows one row a frame on a terminal; ended rows make room."""
+    if not (shown and sys.stderr.isatty()):
+        yield lambda number, stage: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = SpinnerColumn(), TextColumn("{task.fields[frame]}"), TextColumn("{task.description}"), TimeElapsedColumn()
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        tasks: dict[int, Any] = {}
+
+        def row(number: int, stage: str) -> None:
+            if number not in tasks:
+                tasks[number] = progress.add_task(stage, total=1, frame=requests[number].name)
+            ended = stage.startswith(("done", "failed"))
+            progress.update(tasks[number], description=stage, completed=int(ended))
+            over = [k for k, task in tasks.items() if progress.tasks[progress.task_ids.index(task)].finished]
+            for k in over[: max(0, len(tasks) - ROWS)]:
+                progress.remove_task(tasks.pop(k))
+
+        yield row

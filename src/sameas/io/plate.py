@@ -1,0 +1,117 @@
+"""Plate solutions in FITS: a header of their own (``.wcs``), or written into a copy of the frame.
+
+The copy keeps every extension, card and pixel of the frame but the old solution: WCS cards of the image and, for
+digitised plates, the polynomials of the DSS.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sameas.errors import InputError
+from sameas.io.atomic import replacing
+from sameas.sky.frame.plate import PlateModel
+
+if TYPE_CHECKING:
+    from astropy.io.fits import Header
+
+_OLD = re.compile(
+    r"(WCSAXES|WCSNAME|RADESYS|RADECSYS|EQUINOX|LONPOLE|LATPOLE|"
+    r"(CTYPE|CRVAL|CRPIX|CDELT|CUNIT|CROTA)\d|(CD|PC|PV|PS|DP|DQ)\d+_\d+|CPDIS\d|CQDIS\d|"
+    r"[AB]P?_(ORDER|DMAX|\d+_\d+)|AMD[XY]\d+|PPO\d|PLT(RA|DEC)[HMSDN]*|CNPIX\d|[XY]PIXELSZ)$"
+)
+
+
+def solution_cards(plate: PlateModel) -> Header:
+    """The plate model as header cards: TAN, or TAN-SIP with both directions, and a line of history on its making."""
+    header = plate.to_wcs().to_header(relax=True)
+    cd = {}
+    for i in (1, 2):
+        for j in (1, 2):
+            pc = header.pop(f"PC{i}_{j}", float(i == j))
+            cd[f"CD{i}_{j}"] = float(pc) * float(header.get(f"CDELT{i}", 1.0))
+    for name in ("CDELT1", "CDELT2"):
+        header.pop(name, None)
+    for name, value in cd.items():
+        header[name] = value
+    for name in ("DATE-OBS", "MJD-OBS", "MJDREF", "TIMESYS", "DATEREF"):
+        header.pop(name, None)  # those of the frame stay
+    header.add_history(f"sameas: {_ascii(plate.describe())}"[:300])
+    return header
+
+
+def write_solution(plate: PlateModel, path: str | os.PathLike[str]) -> None:
+    """Writes a FITS file without data whose header is the solution, as other programs lay it beside a frame.
+
+    Raises
+    ------
+    InputError : the path cannot be written.
+    """
+    from astropy.io import fits
+
+    rows, columns = plate.shape
+    primary = fits.PrimaryHDU()
+    primary.header.extend(solution_cards(plate), end=True)
+    primary.header["IMAGEW"] = (columns, "columns of the frame")
+    primary.header["IMAGEH"] = (rows, "rows of the frame")
+    with replacing(path) as draft:
+        primary.writeto(draft, overwrite=True)
+
+
+def write_copy(plate: PlateModel, frame: str | os.PathLike[str], path: str | os.PathLike[str]) -> None:
+    """Writes a copy of a frame with the solution in the header of its image.
+
+    Raises
+    ------
+    InputError : the copy would replace the frame; no image has the plate's shape; the path cannot be written.
+    """
+    from astropy.io import fits
+    from astropy.utils.exceptions import AstropyWarning
+
+    frame, path = Path(frame), Path(path)
+    if path.exists() and path.samefile(frame):
+        raise InputError(f"{path}: is the frame itself; give another name for the copy")
+    with replacing(path) as draft:
+        if frame.name.lower().endswith(".gz") == path.name.lower().endswith(".gz"):
+            shutil.copyfile(frame, draft)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", AstropyWarning)
+            with fits.open(frame, memmap=False, do_not_scale_image_data=True) as hdus:
+                chosen = _image(hdus, plate.shape)
+                if chosen is None:
+                    raise InputError(f"{frame.name}: no image of {plate.shape[0]} rows and {plate.shape[1]} columns")
+                _replace(hdus[chosen].header, solution_cards(plate))
+                hdus.writeto(draft, overwrite=True, output_verify="silentfix")
+
+
+def _image(hdus: Any, shape: tuple[int, int]) -> int | None:
+    """The image that was measured: the first of this shape, one named SCI before the others."""
+    fitting = [k for k, each in enumerate(hdus) if each.is_image and _shape(each) == shape]
+    named = [k for k in fitting if hdus[k].name.upper() == "SCI"]
+    return next(iter(named or fitting), None)
+
+
+def _shape(hdu: Any) -> tuple[int, ...]:
+    shape = tuple(int(size) for size in hdu.shape)
+    return shape[-2:] if len(shape) >= 2 and int(np.prod(shape[:-2])) == 1 else ()
+
+
+def _replace(header: Header, cards: Header) -> None:
+    for name in [name for name in header if _OLD.fullmatch(name)]:
+        header.remove(name, ignore_missing=True, remove_all=True)
+    for card in cards.cards:
+        if card.keyword == "HISTORY":
+            header.add_history(card.value)
+        elif card.keyword:
+            header[card.keyword] = (card.value, card.comment)
+
+
+def _ascii(words: str) -> str:
+    return words.replace("″", " arcsec").replace("×", "x").replace("−", "-").encode("ascii", "ignore").decode()

@@ -1,0 +1,289 @@
+"use strict";
+(() => {
+const data = JSON.parse(document.getElementById("data").textContent);
+const m = data.measured, s = data.stars, told = data.summary;
+const [rows, columns] = data.shape;
+const el = id => document.getElementById(id);
+const css = name => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+const colour = Object.fromEntries(["found", "alone", "lost", "east", "north", "ink", "dim", "line", "night"].map(n => [n, css("--" + n)]));
+const found = [], alone = [], lost = [];
+m.x.forEach((_, i) => (m.star[i] === null ? alone : found).push(i));
+s.missing.forEach((is, k) => { if (is) lost.push(k); });
+
+// ---- words ----
+const fix = (v, n) => v === null || v === undefined || !isFinite(v) ? "–" : v.toFixed(n).replace("-", "−");
+const grouped = n => String(n).replace(/\B(?=(\d{3})+(?!\d))/g, " ");
+const probability = p => p === null ? "–" : p > 0.9999 ? "> 0.9999" : p < 1e-6 ? "< 0.000001" : p < 0.001 ? p.toExponential(1).replace("-", "−") : p.toFixed(4);
+const hms = deg => { let t = Math.round(((deg / 15) % 24) * 36000) / 10; const h = Math.floor(t / 3600); t -= 3600 * h;
+  const mi = Math.floor(t / 60); return `${String(h).padStart(2, "0")}ʰ${String(mi).padStart(2, "0")}ᵐ${(t - 60 * mi).toFixed(1).padStart(4, "0")}ˢ`; };
+const dms = deg => { let t = Math.round(Math.abs(deg) * 3600); const d = Math.floor(t / 3600); t -= 3600 * d; const mi = Math.floor(t / 60);
+  return `${deg < 0 ? "−" : "+"}${String(d).padStart(2, "0")}°${String(mi).padStart(2, "0")}′${String(t - 60 * mi).padStart(2, "0")}″`; };
+const text = (tag, words, cls) => { const e = document.createElement(tag); e.textContent = words; if (cls) e.className = cls; return e; };
+const table = (into, pairs) => { into.replaceChildren(...pairs.map(([a, b]) => { const tr = document.createElement("tr");
+  tr.append(text("th", a), text("td", b)); return tr; })); };
+
+// ---- the frame ----
+const sky = el("sky"), picture = el("picture");
+const view = { x: (columns - 1) / 2, y: (rows - 1) / 2, scale: 1, least: 1 };
+let picked = null, pending = false;
+const show = { found: el("show-found"), alone: el("show-alone"), lost: el("show-lost"), arrows: el("show-arrows") };
+const toScreen = (x, y) => [(x - view.x) * view.scale + sky.clientWidth / 2, (view.y - y) * view.scale + sky.clientHeight / 2];
+const toPixel = (u, v) => [(u - sky.clientWidth / 2) / view.scale + view.x, view.y - (v - sky.clientHeight / 2) / view.scale];
+const fit = () => { view.least = Math.min(sky.clientWidth / columns, sky.clientHeight / rows); };
+const draw = () => { if (!pending) { pending = true; requestAnimationFrame(() => { pending = false; paint(); }); } };
+const radius = i => { const step = Math.min(Math.max(faintest - (m.inst[i] ?? faintest), 0), 7); return data.width_px * (1.6 + 0.38 * step); };
+const inOrder = m.inst.filter(v => v !== null).sort((a, b) => a - b), faintest = inOrder[Math.floor(0.9 * inOrder.length)] ?? 0;
+
+function surface(canvas) {
+  const ratio = window.devicePixelRatio || 1, w = canvas.clientWidth, h = canvas.clientHeight;
+  if (canvas.width !== Math.round(w * ratio) || canvas.height !== Math.round(h * ratio)) {
+    canvas.width = Math.round(w * ratio); canvas.height = Math.round(h * ratio);
+  }
+  const c = canvas.getContext("2d"); c.setTransform(ratio, 0, 0, ratio, 0, 0); c.clearRect(0, 0, w, h); return [c, w, h];
+}
+function paint() {
+  const [c, w, h] = surface(sky);
+  c.fillStyle = colour.night; c.fillRect(0, 0, w, h);
+  const wide = picture.naturalWidth * data.bin, high = picture.naturalHeight * data.bin;
+  const [u, v] = toScreen(-0.5, -0.5 + high);
+  c.imageSmoothingEnabled = view.scale * data.bin < 3;
+  c.drawImage(picture, u, v, wide * view.scale, high * view.scale);
+  const inside = (x, y, r) => x > -r && x < w + r && y > -r && y < h + r;
+  c.lineWidth = 1.15;
+  if (show.found.checked) {
+    c.strokeStyle = colour.found;
+    for (const i of found.slice(0, +el("many").value)) {
+      const [x, y] = toScreen(m.x[i], m.y[i]), r = Math.max(radius(i) * view.scale, 3);
+      if (!inside(x, y, r)) continue;
+      c.setLineDash(m.rivals[i].some(e => e[5] && e[1] < 0.9) ? [2, 3] : []);
+      c.beginPath(); c.arc(x, y, r, 0, 7); c.stroke();
+    }
+    c.setLineDash([]);
+  }
+  if (show.alone.checked) {
+    c.strokeStyle = colour.alone; c.beginPath();
+    const r = Math.max(3, Math.min(1.3 * data.width_px * view.scale, 12));
+    for (const i of alone) {
+      const [x, y] = toScreen(m.x[i], m.y[i]);
+      if (inside(x, y, r)) { c.moveTo(x - r, y - r); c.lineTo(x + r, y + r); c.moveTo(x - r, y + r); c.lineTo(x + r, y - r); }
+    }
+    c.stroke();
+  }
+  if (show.lost.checked) {
+    c.strokeStyle = colour.lost; c.beginPath();
+    const r = Math.max(4, Math.min(1.6 * data.width_px * view.scale, 15));
+    for (const k of lost) {
+      const [x, y] = toScreen(s.x[k], s.y[k]);
+      if (inside(x, y, r)) { c.moveTo(x - r, y); c.lineTo(x, y - r); c.lineTo(x + r, y); c.lineTo(x, y + r); c.closePath(); }
+    }
+    c.stroke();
+  }
+  if (show.arrows.checked) arrows(c);
+  if (picked) {
+    const [x, y] = toScreen(...where(picked));
+    c.strokeStyle = colour.ink; c.lineWidth = 2; c.beginPath(); c.arc(x, y, 17, 0, 7); c.stroke();
+    if (picked.kind === "measured") rivalLines(c, picked.row);
+  }
+}
+function arrows(c) {
+  const grown = +el("grown").value;
+  c.strokeStyle = colour.east; c.lineWidth = 1.4; c.beginPath();
+  for (const i of found) {
+    const [x, y] = toScreen(m.x[i], m.y[i]), [u, v] = toScreen(m.x[i] + grown * m.dx[i], m.y[i] + grown * m.dy[i]);
+    const a = Math.atan2(v - y, u - x), l = Math.min(5, 0.4 * Math.hypot(u - x, v - y));
+    c.moveTo(x, y); c.lineTo(u, v); c.lineTo(u - l * Math.cos(a - 0.5), v - l * Math.sin(a - 0.5));
+    c.moveTo(u, v); c.lineTo(u - l * Math.cos(a + 0.5), v - l * Math.sin(a + 0.5));
+  }
+  c.stroke();
+}
+function rivalLines(c, i) {
+  const [x, y] = toScreen(m.x[i], m.y[i]);
+  c.setLineDash([3, 3]); c.lineWidth = 1;
+  for (const [k] of m.rivals[i]) { const [u, v] = toScreen(s.x[k], s.y[k]);
+    c.beginPath(); c.moveTo(x, y); c.lineTo(u, v); c.stroke(); c.beginPath(); c.arc(u, v, 2.5, 0, 7); c.stroke(); }
+  c.setLineDash([]);
+}
+const where = p => p.kind === "measured" ? [m.x[p.row], m.y[p.row]] : [s.x[p.row], s.y[p.row]];
+function zoom(factor, u = sky.clientWidth / 2, v = sky.clientHeight / 2) {
+  const [x, y] = toPixel(u, v);
+  view.scale = Math.min(Math.max(view.scale * factor, view.least), 60);
+  view.x = x - (u - sky.clientWidth / 2) / view.scale; view.y = y + (v - sky.clientHeight / 2) / view.scale;
+  keep(); draw();
+}
+function keep() { view.x = Math.min(Math.max(view.x, 0), columns - 1); view.y = Math.min(Math.max(view.y, 0), rows - 1); }
+function whole() { fit(); view.scale = view.least; view.x = (columns - 1) / 2; view.y = (rows - 1) / 2; draw(); }
+
+function nearest(u, v) {
+  let best = null, least = 16;
+  const look = (kind, row, x, y, room) => { const [a, b] = toScreen(x, y), d = Math.hypot(a - u, b - v) - room;
+    if (d < least) { least = d; best = { kind, row }; } };
+  if (show.found.checked) for (const i of found.slice(0, +el("many").value)) look("measured", i, m.x[i], m.y[i], 0);
+  if (show.alone.checked) for (const i of alone) look("measured", i, m.x[i], m.y[i], 0);
+  if (show.lost.checked) for (const k of lost) look("star", k, s.x[k], s.y[k], 0);
+  return best;
+}
+function pick(p, centre) {
+  picked = p;
+  if (p && centre) { [view.x, view.y] = where(p); view.scale = Math.max(view.scale, 4 * view.least, 3); keep(); }
+  record(); draw();
+}
+
+// ---- the record ----
+function record() {
+  const box = el("record"); box.replaceChildren();
+  if (!picked) { box.append(text("p", "Click a mark to see what it is, and what else it might be.", "hint")); return; }
+  if (picked.kind === "star") missing(box, picked.row); else measured(box, picked.row);
+}
+function starFacts(k) {
+  const moved = Math.hypot(s.east[k], s.north[k]);
+  return [["star", s.id[k]], ["position", `${hms(s.ra[k])} ${dms(s.dec[k])}`], ["magnitude", fix(s.mag[k], 2)],
+    ...(s.tint[k] === null ? [] : [[data.colour, fix(s.tint[k], 2)]]),
+    ...(moved > 0.0005 ? [["moved", `${fix(s.east[k], 2)}″ east, ${fix(s.north[k], 2)}″ north`]] : [])];
+}
+function measured(box, i) {
+  const k = m.star[i];
+  box.append(text("h2", k === null ? "Not in the catalogue" : s.id[k], k === null ? "alone" : "found"));
+  const chosen = m.rivals[i].find(e => e[5]);
+  const facts = document.createElement("table");
+  table(facts, [["is this star", k === null ? "none: " + probability(m.none[i]) : probability(chosen[1])],
+    ...(k === null ? [] : [["residual", `${fix(m.de[i], 3)}″ east, ${fix(m.dn[i], 3)}″ north; ${fix(m.chi[i], 1)} σ`], ...starFacts(k).slice(1)])]);
+  box.append(facts, text("h3", "Candidates"));
+  const rivals = document.createElement("table"); rivals.className = "rivals";
+  const head = document.createElement("tr"); head.append(...["star", "mag", "px", "σ", "probability"].map(t => text("th", t)));
+  rivals.append(head);
+  for (const [star, p, dx, dy, chi, is] of m.rivals[i]) {
+    const tr = document.createElement("tr"); if (is) tr.className = "chosen";
+    tr.append(text("td", s.id[star]), text("td", fix(s.mag[star], 2)), text("td", fix(Math.hypot(dx, dy), 2)), text("td", fix(chi, 1)), text("td", probability(p)));
+    rivals.append(tr);
+  }
+  const none = document.createElement("tr"); none.className = k === null ? "none chosen" : "none";
+  none.append(text("td", "none of them"), text("td", ""), text("td", ""), text("td", ""), text("td", probability(m.none[i])));
+  rivals.append(none); box.append(rivals, text("h3", `Measurement ${i}`));
+  const own = document.createElement("table");
+  table(own, [["pixel", `${fix(m.x[i], 2)} ± ${fix(m.sx[i], 3)}, ${fix(m.y[i], 2)} ± ${fix(m.sy[i], 3)}`],
+    ["position", `${hms(m.ra[i])} ${dms(m.dec[i])}`], ["", `${fix(m.ra[i], 6)}°, ${fix(m.dec[i], 6)}°`],
+    ["magnitude", fix(m.mag[i], 2)], ["significance", fix(m.snr[i], 1)], ["width", m.fwhm[i] === null ? "–" : fix(m.fwhm[i], 2) + " px"],
+    ["flags", m.words[m.flags[i]] || "none"]]);
+  box.append(own);
+}
+function missing(box, k) {
+  box.append(text("h2", s.id[k], "lost"), text("p", "Missing: " + s.why[k] + "."));
+  const facts = document.createElement("table");
+  table(facts, [...starFacts(k).slice(1), ["pixel", `${fix(s.x[k], 2)}, ${fix(s.y[k], 2)}`], ["the frame shows", `${fix(100 * s.shown[k], 0)} % of stars so bright`]]);
+  box.append(facts);
+  const rivals = m.rivals.flatMap((list, i) => list.filter(e => e[0] === k).map(e => [i, e]));
+  if (!rivals.length) return;
+  box.append(text("h3", "Measurements that might be it"));
+  const t = document.createElement("table");
+  table(t, rivals.map(([i, e]) => [`measurement ${i}`, `${probability(e[1])}, ${fix(Math.hypot(e[2], e[3]), 2)} px away`]));
+  box.append(t);
+}
+function search() {
+  const wanted = el("search").value.trim(); if (!wanted) return;
+  const k = s.id.findIndex(id => id === wanted), part = k >= 0 ? k : s.id.findIndex(id => id.endsWith(wanted));
+  if (k >= 0 || (part >= 0 && !(/^\d+$/.test(wanted) && +wanted < m.x.length))) {
+    const at = k >= 0 ? k : part;
+    pick(s.owner[at] === null ? { kind: "star", row: at } : { kind: "measured", row: s.owner[at] }, true);
+  } else if (/^\d+$/.test(wanted) && +wanted < m.x.length) pick({ kind: "measured", row: +wanted }, true);
+  else el("record").replaceChildren(text("p", `No star or measurement “${wanted}” on this page.`, "hint"));
+}
+
+// ---- diagrams ----
+function axes(canvas, [x0, x1], [y0, y1], labelX, labelY) {
+  const [c, w, h] = surface(canvas), left = 52, right = 12, top = 10, bottom = 34;
+  const X = v => left + (v - x0) / (x1 - x0) * (w - left - right), Y = v => h - bottom - (v - y0) / (y1 - y0) * (h - top - bottom);
+  c.font = "12px system-ui, sans-serif"; c.fillStyle = colour.dim; c.strokeStyle = colour.line; c.lineWidth = 1;
+  const ticks = (a, b, n) => { const span = Math.abs(b - a), raw = span / n, p = 10 ** Math.floor(Math.log10(raw));
+    const step = [1, 2, 5, 10].map(f => f * p).find(f => f >= raw); const out = [];
+    for (let t = Math.ceil(Math.min(a, b) / step) * step; t <= Math.max(a, b) + 1e-9; t += step) out.push([t, Math.max(0, -Math.floor(Math.log10(step) + 1e-9))]); return out; };
+  c.textAlign = "center"; for (const [t, n] of ticks(x0, x1, 6)) { c.beginPath(); c.moveTo(X(t), top); c.lineTo(X(t), h - bottom); c.stroke(); c.fillText(fix(t, n), X(t), h - bottom + 15); }
+  c.textAlign = "right"; for (const [t, n] of ticks(y0, y1, 5)) { c.beginPath(); c.moveTo(left, Y(t)); c.lineTo(w - right, Y(t)); c.stroke(); c.fillText(fix(t, n), left - 6, Y(t) + 4); }
+  c.textAlign = "center"; c.fillText(labelX, (left + w - right) / 2, h - 4);
+  if (labelY) { c.save(); c.translate(12, (top + h - bottom) / 2); c.rotate(-Math.PI / 2); c.fillText(labelY, 0, 0); c.restore(); }
+  return [c, X, Y];
+}
+const range = (v, pad) => { const k = v.filter(x => x !== null && isFinite(x)); if (!k.length) return [0, 1];
+  const a = Math.min(...k), b = Math.max(...k); return [a - pad * (b - a || 1), b + pad * (b - a || 1)]; };
+const dots = (c, points, X, Y, fill) => { c.fillStyle = fill; c.globalAlpha = 0.6; for (const [x, y] of points) { c.beginPath(); c.arc(X(x), Y(y), points.length > 200 ? 1.6 : 3, 0, 7); c.fill(); } c.globalAlpha = 1; };
+let byMagnitude = null;
+function diagrams() {
+  const bright = i => s.mag[m.star[i]] ?? null, known = found.filter(i => bright(i) !== null);
+  const list = known.length > 2 ? known : found, value = known.length > 2 ? bright : i => m.inst[i];
+  const scatter = told.residuals.scatter_arcsec.map(v => v ?? 1), limit = 5 * Math.max(...scatter, 1e-4);
+  const name = known.length > 2 ? "magnitude" : "instrumental magnitude";
+  const clip = v => Math.min(Math.max(v, -limit), limit);
+  let [c, X, Y] = axes(el("by-magnitude"), range(list.map(value), 0.03), [-1.05 * limit, 1.05 * limit], name, "measured − catalogue [″]");
+  dots(c, list.map(i => [value(i), clip(m.de[i])]), X, Y, colour.east); dots(c, list.map(i => [value(i), clip(m.dn[i])]), X, Y, colour.north);
+  byMagnitude = { list, points: i => [[X(value(i)), Y(clip(m.de[i]))], [X(value(i)), Y(clip(m.dn[i]))]] };
+  const zero = told.brightness.zero_point;
+  el("zero").textContent = zero ? zero.words : "no magnitudes to compare";
+  if (zero) {
+    const [a, b] = range(known.map(i => m.inst[i]), 0.03), [p, q] = range(known.map(bright), 0.03);
+    [c, X, Y] = axes(el("magnitudes"), [b, a], [q, p], "instrumental magnitude", "catalogue magnitude");
+    dots(c, known.map(i => [m.inst[i], bright(i)]), X, Y, colour.east);
+    c.strokeStyle = colour.found; c.lineWidth = 2; c.beginPath(); data.relation.forEach(([x, y], k) => k ? c.lineTo(X(x), Y(y)) : c.moveTo(X(x), Y(y))); c.stroke();
+  }
+  const curve = told.brightness.completeness;
+  el("shown").textContent = curve ? curve.words : "the catalogue has no magnitudes";
+  if (curve) {
+    const e = curve.edges_mag; [c, X, Y] = axes(el("complete"), [e[0], e[e.length - 1]], [0, 1.08 * Math.max(...curve.stars, 1)], "magnitude", "stars on the frame");
+    curve.stars.forEach((n, k) => { const x = X(e[k]), w = X(e[k + 1]) - x - 1;
+      c.fillStyle = "#3a4a63"; c.fillRect(x, Y(n), w, Y(0) - Y(n)); c.fillStyle = "#2f9e70"; c.fillRect(x, Y(curve.found[k]), w, Y(0) - Y(curve.found[k])); });
+    const top = 1.08 * Math.max(...curve.stars, 1); c.strokeStyle = c.fillStyle = colour.north; c.lineWidth = 1.2;
+    curve.stars.forEach((n, k) => { if (!n) return; const x = X((e[k] + e[k + 1]) / 2), f = curve.found[k] / n, y = v => Y(v * top / 1.08);
+      c.beginPath(); c.arc(x, y(f), 2.6, 0, 7); c.fill(); c.beginPath(); c.moveTo(x, y(f - curve.sigma[k])); c.lineTo(x, y(Math.min(1.05, f + curve.sigma[k]))); c.stroke(); });
+    c.textAlign = "right"; c.fillText("points: share identified, top line 100 %", el("complete").clientWidth - 16, 22);
+    c.setLineDash([4, 4]); c.beginPath(); c.moveTo(X(e[0]), Y(top / 1.08)); c.lineTo(X(e[e.length - 1]), Y(top / 1.08)); c.stroke(); c.setLineDash([]);
+  }
+}
+
+// ---- facts ----
+function facts() {
+  const p = told.place, r = told.residuals, f = told.found, plate = told.plate;
+  const angle = d => d >= 1 ? fix(d, 2) + "°" : d >= 1 / 60 ? fix(60 * d, 1) + "′" : fix(3600 * d, 1) + "″";
+  el("about").textContent = `${hms(p.middle_ra_deg)} ${dms(p.middle_dec_deg)} · ${angle(p.width_deg)} × ${angle(p.height_deg)} · ${fix(p.scale_arcsec_per_px, 4)}″ per pixel`
+    + (told.exposure && told.exposure.mid_time ? ` · ${told.exposure.mid_time}` : "") + ` · ${data.catalogue}`;
+  el("n-found").textContent = grouped(found.length); el("n-alone").textContent = grouped(alone.length); el("n-lost").textContent = grouped(lost.length);
+  table(el("plate"), [["placed by", `${p.found_by}, odds ${p.odds}; next best ${p.next_best_odds}`], ["order", `${plate.order} (BIC ${Object.entries(plate.bic).map(([o, v]) => `${o}: ${fix(v, 0)}`).join(", ")})`],
+    ["residuals, robust 1σ", `${fix(r.scatter_arcsec[0], 3)}″ east, ${fix(r.scatter_arcsec[1], 3)}″ north`], ["rms", `${fix(r.rms_arcsec[0], 3)}″, ${fix(r.rms_arcsec[1], 3)}″`],
+    ["errors", `${fix(plate.error_scale, 2)} times those quoted`], ["y axis", `${fix(p.rotation_deg, 3)}° (north through east), ${p.mirrored ? "mirrored" : "not mirrored"}`],
+    ["tangent point", `${fix(plate.tangent_ra_deg, 6)}°, ${fix(plate.tangent_dec_deg, 6)}°`]]);
+  const names = []; for (let n = 0; n <= plate.order; n++) for (let b = 0; b <= n; b++) names.push(n === 0 ? "1" : `${n - b ? "u" + (n - b > 1 ? "²³⁴⁵"[n - b - 2] : "") : ""}${b ? "v" + (b > 1 ? "²³⁴⁵"[b - 2] : "") : ""}`);
+  const line = (cells, tag) => { const tr = document.createElement("tr"); tr.append(...cells.map(t => text(tag, t))); return tr; };
+  el("terms").replaceChildren(line(["term", "ξ east [″]", "σ", "η north [″]", "σ"], "th"), ...names.map((n, k) =>
+    line([n, fix(plate.coefficients_arcsec[0][k], 4), fix(plate.coefficients_sigma_arcsec[0][k], 4), fix(plate.coefficients_arcsec[1][k], 4), fix(plate.coefficients_sigma_arcsec[1][k], 4)], "td")));
+  table(el("counts"), [["measurements", grouped(f.measurements)], ["stars on the frame", grouped(f.stars_on_frame)], ["identified", grouped(f.identified)], ["expected wrong", fix(f.expected_wrong, 1)],
+    ["less sure than 0.9", grouped(f.ambiguous)], ["not in the catalogue", grouped(f.unidentified)], ["missing", grouped(f.missing)], ["gate", fix(f.gate_sigmas, 1) + " quoted σ"], ["typical error", `${fix(f.typical_error_scale, 2)} times the quoted`]]);
+  el("notes").replaceChildren(...[...(told.exposure ? told.exposure.read : []), ...told.notes].map(n => text("li", n, /^(doubt|assumed)/.test(n) ? "doubt" : "")));
+  const many = el("many"); many.max = found.length; many.value = Math.min(data.brightest, found.length);
+  const say = () => { el("n-many").textContent = grouped(+many.value); }; say(); many.addEventListener("input", () => { say(); draw(); });
+  const lengths = found.map(i => Math.hypot(m.dx[i], m.dy[i])).sort((a, b) => a - b), typical = lengths[Math.floor(0.7 * lengths.length)] || 1;
+  const ideal = 0.02 * columns / typical, steps = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000];
+  el("grown").replaceChildren(...steps.map(n => { const o = text("option", String(n)); o.value = n; return o; }));
+  el("grown").value = steps.filter(n => n <= ideal).pop() || 1;
+}
+
+// ---- what people do ----
+let drag = null;
+sky.addEventListener("wheel", e => { e.preventDefault(); zoom(Math.exp(-0.0016 * e.deltaY), e.offsetX, e.offsetY); }, { passive: false });
+sky.addEventListener("pointerdown", e => { drag = { u: e.offsetX, v: e.offsetY, x: view.x, y: view.y, moved: false }; sky.setPointerCapture(e.pointerId); });
+sky.addEventListener("pointermove", e => {
+  const [x, y] = toPixel(e.offsetX, e.offsetY); el("place").textContent = `x ${fix(x, 1)}  y ${fix(y, 1)}`;
+  if (!drag) return;
+  if (Math.hypot(e.offsetX - drag.u, e.offsetY - drag.v) > 4) drag.moved = true;
+  if (drag.moved) { view.x = drag.x - (e.offsetX - drag.u) / view.scale; view.y = drag.y + (e.offsetY - drag.v) / view.scale; keep(); draw(); }
+});
+sky.addEventListener("pointerup", e => { if (drag && !drag.moved) pick(nearest(e.offsetX, e.offsetY), false); drag = null; });
+sky.addEventListener("dblclick", e => zoom(2, e.offsetX, e.offsetY));
+sky.addEventListener("keydown", e => { if (e.key === "+" || e.key === "=") zoom(1.5); else if (e.key === "-") zoom(1 / 1.5); else if (e.key === "0") whole();
+  else if (e.key.startsWith("Arrow")) { const d = 60 / view.scale; view.x += { ArrowLeft: -d, ArrowRight: d }[e.key] || 0; view.y += { ArrowUp: d, ArrowDown: -d }[e.key] || 0; keep(); draw(); e.preventDefault(); } });
+el("closer").addEventListener("click", () => zoom(1.6)); el("farther").addEventListener("click", () => zoom(1 / 1.6)); el("whole").addEventListener("click", whole);
+el("grown").addEventListener("change", draw); for (const box of Object.values(show)) box.addEventListener("change", draw);
+el("search").addEventListener("change", search);
+el("by-magnitude").addEventListener("click", e => { let best = null, least = 8; for (const i of byMagnitude.list) for (const [u, v] of byMagnitude.points(i)) {
+  const d = Math.hypot(u - e.offsetX, v - e.offsetY); if (d < least) { least = d; best = i; } } if (best !== null) { pick({ kind: "measured", row: best }, true); sky.scrollIntoView({ block: "nearest" }); } });
+window.addEventListener("resize", () => { const was = view.least; fit(); if (view.scale <= was * 1.001) whole(); draw(); diagrams(); });
+facts();
+(picture.decode ? picture.decode() : Promise.resolve()).catch(() => {}).then(() => { whole(); diagrams(); document.body.dataset.ready = "yes"; });
+window.framePage = { toScreen, view, pick };
+})();

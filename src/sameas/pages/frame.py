@@ -1,0 +1,183 @@
+"""The page of a frame: the frame to zoom and click in, its records, residuals, magnitudes and plate model."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import os
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import sameas
+from sameas.io.atomic import replacing
+from sameas.pages.png import png
+from sameas.plots.stretch import binned, binning, stretched
+from sameas.records import IntArray
+from sameas.sky.frame.identified import EXPECTED, FrameIdentification
+from sameas.sky.frame.image import Frame
+from sameas.sky.frame.listing import why_missing
+from sameas.sky.frame.measurements import Flag
+from sameas.sky.frame.photometry import instrumental
+from sameas.sky.frame.summary import summary
+
+#: So many competitors of a measurement are told, down to this probability.
+COMPETITORS, LEAST = 6, 1e-6
+
+
+def write_frame_page(
+    found: FrameIdentification, frame: Frame, path: str | os.PathLike[str], *, brightest: int = 1000
+) -> None:
+    """Writes the page of an identified frame: one file, complete in itself.
+
+    brightest : so many of the brightest identified stars are marked at first; the page has a slider.
+
+    Raises
+    ------
+    InputError : the path cannot be written.
+    """
+    with replacing(path) as draft:
+        draft.write_text(frame_page(found, frame, brightest=brightest), encoding="utf-8")
+
+
+def frame_page(found: FrameIdentification, frame: Frame, *, brightest: int = 1000) -> str:
+    """The same as text."""
+    factor = binning(frame.shape)
+    shown = stretched(binned(frame.image, factor))[::-1]
+    picture = base64.b64encode(png(np.ascontiguousarray(shown))).decode("ascii")
+    data = json.dumps(_data(found, frame, factor, brightest), ensure_ascii=False, separators=(",", ":"))
+    parts = {name: (files("sameas.pages") / f"frame.{name}").read_text(encoding="utf-8") for name in ("css", "js")}
+    page = (files("sameas.pages") / "frame.html").read_text(encoding="utf-8")
+    for mark, text in (
+        ("{{title}}", html.escape(found.measured.name)),
+        ("{{version}}", html.escape(sameas.__version__)),
+        ("{{css}}", parts["css"]),
+        ("{{js}}", parts["js"]),
+        ("{{picture}}", picture),
+        # A name of a star must not end the script.
+        ("{{data}}", data.replace("</", "<\\/")),
+    ):
+        page = page.replace(mark, text)
+    return page
+
+
+def _data(found: FrameIdentification, frame: Frame, factor: int, brightest: int) -> dict[str, Any]:
+    rows, columns = found.measured.shape
+    told = _told_stars(found)
+    number = np.full(len(found.stars), -1)
+    number[told] = np.arange(len(told))
+    return {
+        "name": found.measured.name,
+        "catalogue": found.stars.name,
+        "colour": found.stars.colour_name,
+        "shape": [rows, columns],
+        "bin": factor,
+        "width_px": _rounded(found.measured.psf_fwhm_px, 2),
+        "brightest": brightest,
+        "expected": EXPECTED,
+        "summary": summary(found, frame),
+        "measured": _measured(found, number),
+        "stars": _stars(found, told),
+        "relation": _relation(found),
+    }
+
+
+def _told_stars(found: FrameIdentification) -> IntArray:
+    """Rows of the stars that the page tells of: identified, competing, or missing."""
+    told = np.zeros(len(found.stars), np.bool_)
+    told[found.missing] = True
+    told[found.result.rows_2[found.result.p_pair >= LEAST]] = True
+    told[found.pairs[1]] = True
+    return np.flatnonzero(told)
+
+
+def _measured(found: FrameIdentification, number: IntArray) -> dict[str, Any]:
+    m, result = found.measured, found.result
+    ra, dec, _ = found.plate.to_sky(m.x_px, m.y_px)
+    partner = result.answers_1.partner
+    sigma = m.sigma_px()
+    flags = sorted({Flag.words(bits) for bits in m.flags})
+    seen = np.full(len(m), np.nan)
+    if found.zero_point is not None:
+        rows = np.where(np.ma.getmaskarray(partner), 0, np.ma.getdata(partner))
+        colour = np.where(np.ma.getmaskarray(partner), np.nan, found.stars.colour[rows])
+        seen = found.zero_point(m.flux, colour)
+    left, arc, chi = np.full((len(m), 2), np.nan), np.full((len(m), 2), np.nan), np.full(len(m), np.nan)
+    i = found.pairs[0]
+    left[i], arc[i], chi[i] = found.residual_px, found.residual_arcsec, result.matches.mahalanobis
+    return {
+        "x": _listed(m.x_px, 2), "y": _listed(m.y_px, 2), "sx": _listed(sigma[:, 0], 3), "sy": _listed(sigma[:, 1], 3),
+        "ra": _listed(ra, 6), "dec": _listed(dec, 6), "flux": _listed(m.flux, 1),
+        "inst": _listed(instrumental(m.flux), 3),
+        "mag": _listed(seen, 3), "snr": _listed(m.snr, 1), "fwhm": _listed(m.fwhm_px, 2),
+        "words": flags, "flags": [flags.index(Flag.words(bits)) for bits in m.flags],
+        "star": [None if masked else int(number[row]) for row, masked in _masked(partner)],
+        "none": _listed(result.answers_1.p_none.filled(np.nan), 6),
+        "dx": _listed(left[:, 0], 3), "dy": _listed(left[:, 1], 3), "de": _listed(arc[:, 0], 4),
+        "dn": _listed(arc[:, 1], 4), "chi": _listed(chi, 2),
+        "rivals": _rivals(found, number),
+    }  # fmt: skip
+
+
+def _rivals(found: FrameIdentification, number: IntArray) -> list[list[list[Any]]]:
+    """Per measurement its candidates, likeliest first: star, probability, offset in px, distance in quoted errors."""
+    result = found.result
+    told = np.flatnonzero((result.p_pair >= LEAST) | result.chosen)
+    told = told[np.argsort(-result.p_pair[told], kind="stable")]
+    rivals: list[list[list[Any]]] = [[] for _ in range(len(found.measured))]
+    for e in told:
+        own = rivals[int(result.rows_1[e])]
+        if len(own) < COMPETITORS:
+            dx, dy = result.pairs.residual[e]
+            chi = float(np.sqrt(result.pairs.mahalanobis_sq[e]))
+            own.append([
+                int(number[result.rows_2[e]]), _rounded(result.p_pair[e], 6), _rounded(dx, 2), _rounded(dy, 2),
+                _rounded(chi, 2), int(result.chosen[e]),
+            ])  # fmt: skip
+    return rivals
+
+
+def _stars(found: FrameIdentification, told: IntArray) -> dict[str, Any]:
+    stars, px = found.stars, found.predicted_px[told]
+    owner = np.full(len(stars), -1)
+    owner[found.pairs[1]] = found.pairs[0]
+    missing = np.zeros(len(stars), np.bool_)
+    missing[found.missing] = True
+    lost = np.flatnonzero(missing[told])
+    words = [""] * len(told)
+    for k, why in zip(lost, why_missing(found, told[lost]), strict=True):
+        words[int(k)] = why
+    return {
+        "id": [str(name) for name in stars.ids[told]], "x": _listed(px[:, 0], 2), "y": _listed(px[:, 1], 2),
+        "ra": _listed(stars.ra_deg[told], 6), "dec": _listed(stars.dec_deg[told], 6),
+        "mag": _listed(stars.magnitude[told], 3), "tint": _listed(stars.colour[told], 3),
+        "east": _listed(stars.moved_arcsec[told, 0], 3), "north": _listed(stars.moved_arcsec[told, 1], 3),
+        "shown": _listed(found.p_detect[told], 3), "missing": missing[told].astype(int).tolist(), "why": words,
+        "owner": [None if row < 0 else int(row) for row in owner[told]],
+    }  # fmt: skip
+
+
+def _relation(found: FrameIdentification) -> list[list[float | None]]:
+    """The magnitudes that follow from instrumental ones, for a line in the diagram."""
+    if found.zero_point is None or not len(found.pairs[0]):
+        return []
+    seen = instrumental(found.measured.flux[found.pairs[0]])
+    grid = np.linspace(np.nanmin(seen), np.nanmax(seen), 60)
+    return [[_rounded(a, 3), _rounded(b, 3)] for a, b in zip(grid, found.zero_point(10 ** (-0.4 * grid)), strict=True)]
+
+
+def _masked(column: np.ma.MaskedArray) -> zip[tuple[Any, Any]]:
+    return zip(np.ma.getdata(column), np.ma.getmaskarray(column), strict=True)
+
+
+def _listed(values: NDArray[Any], digits: int) -> list[float | None]:
+    """Numbers rounded, null where they are none."""
+    column = np.round(np.asarray(values, np.float64), digits)
+    return [None if value != value or abs(value) == float("inf") else value for value in column.tolist()]
+
+
+def _rounded(value: float, digits: int) -> float | None:
+    return _listed(np.array([value]), digits)[0]

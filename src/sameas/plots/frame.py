@@ -1,0 +1,315 @@
+"""Pictures of an identified frame: the frame itself with its stars, and how well plate and magnitudes fit."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sameas.errors import InputError
+from sameas.plots.scene import nice_length
+from sameas.plots.sheet import DOTS_PER_INCH, FAINT, FILL, FIRST, FOUND, INK, SECOND, sheet, tidy
+from sameas.plots.stretch import binned, binning, stretched
+from sameas.prose import count
+from sameas.records import FloatArray, IntArray
+from sameas.sky.frame.identified import FrameIdentification
+from sameas.sky.frame.image import Frame
+from sameas.sky.frame.photometry import instrumental
+from sameas.sky.frame.summary import orientation
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+#: On the dark sky: identified, not identified, missing.
+GREEN, YELLOW, RED = "#4be39a", "#ffc845", "#ff6b6b"
+NIGHT, PAPER = "#0b0d12", "#e8e6df"
+#: So many identified stars are marked.
+BRIGHTEST = 1000
+ARROWS = 1500
+
+
+def picture(found: FrameIdentification, frame: Frame, *, brightest: int = BRIGHTEST) -> Figure:
+    """The frame with its brightest identified stars, what is not identified and what is missing, to be hung up."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise InputError("pictures need matplotlib: pip install 'sameas[plots]'") from error
+    rows, columns = found.measured.shape
+    side = 11.0
+    wide, high = (side, side * rows / columns) if columns >= rows else (side * columns / rows, side)
+    wide, high = max(wide, 5.0), max(high, 4.0)
+    figure = Figure(figsize=(wide + 0.5, high + 1.45), dpi=DOTS_PER_INCH, facecolor=NIGHT)
+    total = high + 1.45
+    axes = figure.add_axes((0.25 / (wide + 0.5), 0.62 / total, wide / (wide + 0.5), high / total))
+    shown = stretched(binned(frame.image, binning(frame.shape)))
+    extent = (-0.5, columns - 0.5, -0.5, rows - 0.5)
+    axes.imshow(shown, cmap="gray", origin="lower", extent=extent, interpolation="antialiased", vmin=0, vmax=255)
+    axes.set_axis_off()
+    handles = _marks(axes, found, brightest)
+    _compass(axes, found)
+    _scale_bar(axes, found)
+    _words(figure, found, handles, total)
+    axes.set_xlim(extent[:2])
+    axes.set_ylim(extent[2:])
+    return figure
+
+
+def brightest_pairs(found: FrameIdentification, number: int) -> IntArray:
+    """Positions among the identified pairs of so many of the brightest, brightest first."""
+    order = np.argsort(-found.measured.flux[found.pairs[0]], kind="stable")
+    return order[:number]
+
+
+def _marks(axes: Axes, found: FrameIdentification, brightest: int) -> list[Any]:
+    """Circles that grow with brightness, crosses and diamonds; returns what the legend shows."""
+    from matplotlib.collections import EllipseCollection
+
+    m, (i, _, p) = found.measured, found.pairs
+    kept = brightest_pairs(found, brightest)
+    unit = m.psf_fwhm_px * max(1.0, m.shape[1] / 1600)
+    magnitude = instrumental(m.flux[i[kept]])
+    faint = float(np.nanquantile(instrumental(m.flux), 0.9))
+    steps = np.clip(np.nan_to_num(faint - magnitude, nan=0.0), 0.0, 7.0)
+    size = unit * (3.2 + 0.75 * steps)
+    sure = p[kept] >= 0.9
+    for which, style in ((sure, "solid"), (~sure, "dotted")):
+        axes.add_collection(
+            EllipseCollection(
+                size[which],
+                size[which],
+                np.zeros(which.sum()),
+                units="xy",
+                facecolors="none",
+                edgecolors=GREEN,
+                linewidths=0.55,
+                linestyles=style,
+                alpha=0.9,
+                offsets=np.column_stack([m.x_px, m.y_px])[i[kept][which]],
+                transOffset=axes.transData,
+            )
+        )
+    alone = found.result.leftovers_1
+    lost = found.predicted_px[found.missing]
+    axes.plot(m.x_px[alone], m.y_px[alone], "x", color=YELLOW, ms=3.2, mew=0.6, alpha=0.9)
+    axes.plot(*lost.T, "D", color="none", markeredgecolor=RED, ms=4.4, mew=0.7)
+    return _legend(len(kept), len(i), len(alone), len(lost))
+
+
+def _legend(marked: int, found: int, alone: int, lost: int) -> list[Any]:
+    """What the marks mean, and how many there are."""
+    from matplotlib.lines import Line2D
+
+    first = f"{count(marked)} brightest identified" + (f" of {count(found)}" if found > marked else "")
+    legend = [
+        ("o", GREEN, first),
+        ("x", YELLOW, f"{count(alone)} not in the catalogue"),
+        ("D", RED, f"{count(lost)} of the catalogue missing"),
+    ]
+    return [
+        Line2D([], [], ls="", marker=mark, color=colour, label=words, markersize=7, markerfacecolor="none")
+        for mark, colour, words in legend
+    ]
+
+
+def _compass(axes: Axes, found: FrameIdentification) -> None:
+    """Arrows north and east in the upper right corner."""
+    rows, columns = found.measured.shape
+    slope = found.plate.polynomial.slope(np.array([[columns - 1.0, rows - 1.0]]) / 2.0)[0]
+    to_px = np.linalg.inv(slope)
+    length = 0.055 * min(rows, columns)
+    at = np.array([columns - 1.9 * length, rows - 1.9 * length])
+    for name, direction in (("E", np.array([1.0, 0.0])), ("N", np.array([0.0, 1.0]))):
+        step = to_px @ direction
+        step *= length / np.linalg.norm(step)
+        arrow = {"arrowstyle": "-|>", "color": PAPER, "lw": 1.1, "shrinkA": 0, "shrinkB": 0}
+        axes.annotate("", tuple(at + step), tuple(at), arrowprops=arrow)
+        axes.text(
+            at[0] + 1.32 * step[0], at[1] + 1.32 * step[1], name, color=PAPER, fontsize=10, ha="center", va="center"
+        )
+
+
+def _scale_bar(axes: Axes, found: FrameIdentification) -> None:
+    rows, columns = found.measured.shape
+    scale = orientation(found)[0]
+    units = ((3600.0, "°"), (60.0, "′"), (1.0, "″"))
+    unit, words = next((each for each in units if 0.22 * columns * scale >= each[0]), units[-1])
+    longest = 0.22 * columns * scale / unit
+    length = nice_length(longest)
+    px = length * unit / scale
+    x, y = 0.035 * columns, 0.035 * rows
+    axes.plot([x, x + px], [y, y], color=PAPER, lw=2.0, solid_capstyle="butt")
+    axes.text(x + px / 2, y + 0.012 * rows, f"{length:g}{words}", color=PAPER, fontsize=10, ha="center", va="bottom")
+
+
+def _words(figure: Figure, found: FrameIdentification, handles: list[Any], high: float) -> None:
+    rows, columns = found.measured.shape
+    ra, dec, _ = found.plate.to_sky((columns - 1) / 2.0, (rows - 1) / 2.0)
+    scale = orientation(found)[0]
+    scatter = found.scatter_arcsec
+    left = 0.25 / figure.get_figwidth()
+    figure.text(left, 1 - 0.34 / high, found.measured.name, color=PAPER, fontsize=15, fontweight="bold", va="center")
+    when = "" if found.stars.epoch_jyr is None else f" · epoch {found.stars.epoch_jyr:.2f}"
+    size = f"{_angle(columns * scale)} × {_angle(rows * scale)}, {scale:.3g}″ per pixel"
+    figure.text(
+        left, 1 - 0.62 / high,
+        f"{ra[0]:.4f}° {dec[0]:+.4f}° · {size}{when} · {found.stars.name} · "
+        f"scatter {scatter[0]:.2g}″ × {scatter[1]:.2g}″",
+        color="#a9adb5", fontsize=10, va="center",
+    )  # fmt: skip
+    legend = figure.legend(
+        handles=handles, loc="lower left", ncols=3, frameon=False, fontsize=10, bbox_to_anchor=(left - 0.012, 0.0),
+        handletextpad=0.3, columnspacing=2.0, borderpad=0.6,
+    )  # fmt: skip
+    for text in legend.get_texts():
+        text.set_color(PAPER)
+
+
+def _angle(arcsec: float) -> str:
+    for unit, words in ((3600.0, "°"), (60.0, "′")):
+        if arcsec >= unit:
+            return f"{arcsec / unit:.3g}{words}"
+    return f"{arcsec:.3g}″"
+
+
+def quality(found: FrameIdentification) -> Figure:
+    """Four panels: residuals over the frame, against brightness, the magnitudes, and how complete the frame is."""
+    left, i = found.residual_arcsec, found.pairs[0]
+    scatter = found.scatter_arcsec
+    told = f"{count(len(i))} identified stars of {found.stars.name} on {found.measured.name}; {_model(found)}"
+    title = "No star was identified" if not len(i) else f"Stars lie within {scatter[0]:.2g}″ × {scatter[1]:.2g}″ (1σ)"
+    figure = sheet(title, told, 12.0, 10.4)
+    if not len(i):
+        return figure
+    (a, b), (c, d) = figure.subplots(2, 2)
+    _arrows(a, found, left)
+    _against_brightness(b, found, left)
+    _magnitudes(c, found)
+    _complete(d, found)
+    return figure
+
+
+def _model(found: FrameIdentification) -> str:
+    plate = found.plate
+    return f"plate model of order {plate.order}, errors {plate.error_scale:.2f} times those quoted"
+
+
+def _arrows(axes: Axes, found: FrameIdentification, left: FloatArray) -> None:
+    """Residuals as arrows, magnified to be seen."""
+    kept = brightest_pairs(found, ARROWS)
+    i = found.pairs[0][kept]
+    rows, columns = found.measured.shape
+    px = found.residual_px[kept]
+    length = np.hypot(*px.T)
+    typical = max(float(np.quantile(length, 0.9)), 1e-6)
+    grown = 10.0 ** math.floor(math.log10(0.05 * max(rows, columns) / typical))
+    grown *= max((f for f in (1, 2, 5) if f * grown * typical <= 0.05 * max(rows, columns)), default=1)
+    shown = length <= 3 * typical
+    axes.quiver(
+        found.measured.x_px[i][shown], found.measured.y_px[i][shown], *(grown * px[shown]).T,
+        angles="xy", scale_units="xy", scale=1.0, width=0.0022, color=FIRST, alpha=0.75,
+    )  # fmt: skip
+    bar = nice_length(0.12 * columns / grown * orientation(found)[0])
+    reach = bar / orientation(found)[0] * grown
+    axes.plot([0.03 * columns, 0.03 * columns + reach], [1.03 * rows] * 2, color=INK, lw=2, clip_on=False)
+    axes.text(0.03 * columns + reach * 1.15, 1.03 * rows, f"{bar:g}″", va="center", fontsize=9.5, color=INK)
+    axes.set_aspect("equal")
+    axes.set_xlim(0, columns)
+    axes.set_ylim(0, 1.06 * rows)
+    far = int(np.count_nonzero(~shown))
+    words = f"residuals, {grown:g} × magnified" + (f"; {far} longer ones left out" if far else "")
+    tidy(axes, "x [px]", "y [px]", words)
+
+
+def _brightness(found: FrameIdentification) -> tuple[FloatArray, str]:
+    """What the identified pairs are sorted by: the stars' magnitudes, or those of the frame."""
+    i, j, _ = found.pairs
+    if np.isfinite(found.stars.magnitude[j]).sum() > 2:
+        return found.stars.magnitude[j], f"magnitude, {found.stars.name}"
+    return instrumental(found.measured.flux[i]), "instrumental magnitude"
+
+
+def _against_brightness(axes: Axes, found: FrameIdentification, left: FloatArray) -> None:
+    magnitude, words = _brightness(found)
+    limit = 4.0 * max(float(np.nanmax(found.scatter_arcsec)), 1e-6)
+    for values, colour, name in ((left[:, 0], FIRST, "east"), (left[:, 1], SECOND, "north")):
+        axes.plot(magnitude, np.clip(values, -limit, limit), ".", ms=_dot(left), color=colour, alpha=0.45, label=name)
+    axes.axhline(0.0, color=FAINT, lw=0.7)
+    _running(axes, magnitude, left)
+    axes.set_ylim(-1.05 * limit, 1.05 * limit)
+    tidy(axes, words, "measured minus catalogue [arcsec]", "residuals against brightness, and their running 1σ")
+    axes.legend(frameon=False, fontsize=9.5, markerscale=3, loc="upper left")
+
+
+def _dot(points: FloatArray | IntArray) -> float:
+    """Size of a point, larger where there are few."""
+    return 2.6 if len(points) > 200 else 6.0
+
+
+def _running(axes: Axes, magnitude: FloatArray, left: FloatArray) -> None:
+    """The robust standard deviation of either axis in bins of equal numbers."""
+    known = np.flatnonzero(np.isfinite(magnitude))
+    if len(known) < 60:
+        return
+    parts = np.array_split(known[np.argsort(magnitude[known])], min(12, len(known) // 30))
+    x = [float(np.median(magnitude[part])) for part in parts]
+    for axis, colour in ((0, FIRST), (1, SECOND)):
+        s = [1.4826 * float(np.median(np.abs(left[part, axis]))) for part in parts]
+        for sign in (-1, 1):
+            axes.plot(x, sign * np.array(s), color=colour, lw=1.6)
+
+
+def _magnitudes(axes: Axes, found: FrameIdentification) -> None:
+    """The stars' magnitudes against those of the frame, with the fitted relation."""
+    i, j, _ = found.pairs
+    seen, zero = instrumental(found.measured.flux[i]), found.zero_point
+    if zero is None or not np.isfinite(found.stars.magnitude[j]).any():
+        axes.text(0.5, 0.5, "no magnitudes to compare", ha="center", transform=axes.transAxes, color=FAINT)
+        tidy(axes, "", "", "magnitudes")
+        return
+    corrected = found.stars.magnitude[j] - (
+        zero(found.measured.flux[i], found.stars.colour[j]) - zero(found.measured.flux[i])
+    )
+    axes.plot(seen, corrected, ".", ms=_dot(i), color=FIRST, alpha=0.5)
+    grid = np.linspace(np.nanmin(seen), np.nanmax(seen), 200)
+    axes.plot(grid, zero(10 ** (-0.4 * grid)), color=FOUND, lw=1.8)
+    axes.invert_xaxis()
+    axes.invert_yaxis()
+    colour = " of mean colour" if zero.colour_term else ""
+    tidy(axes, "instrumental magnitude, −2.5 log flux", f"magnitude{colour}, {found.stars.name}", _zero_words(found))
+
+
+def _zero_words(found: FrameIdentification) -> str:
+    zero = found.zero_point
+    assert zero is not None
+    words = f"zero point {zero.zero_point:.3f} ± {zero.sigma:.3f}"
+    if zero.colour_term:
+        words += f", colour term {zero.colour_term:+.3f}"
+    return f"{words}; scatter {zero.scatter:.2f} mag"
+
+
+def _complete(axes: Axes, found: FrameIdentification) -> None:
+    """Stars of the catalogue on the frame, those found, and their share with its standard error."""
+    curve = found.completeness
+    if curve is None:
+        axes.text(0.5, 0.5, "the catalogue has no magnitudes", ha="center", transform=axes.transAxes, color=FAINT)
+        tidy(axes, "", "", "completeness")
+        return
+    axes.stairs(curve.stars, curve.edges, fill=True, color=FILL, label="in the catalogue")
+    axes.stairs(curve.found, curve.edges, fill=True, color=FOUND, alpha=0.55, label="identified")
+    tidy(axes, f"magnitude, {found.stars.name}", "stars on the frame", curve.describe())
+    axes.legend(frameon=False, fontsize=9.5, loc="center left")
+    share = axes.twinx()
+    middle, some = 0.5 * (curve.edges[1:] + curve.edges[:-1]), curve.stars > 0
+    share.errorbar(
+        middle[some], (curve.found / np.maximum(curve.stars, 1))[some], curve.sigma[some], fmt="o", ms=4, color=SECOND,
+        elinewidth=1.0,
+    )  # fmt: skip
+    grid = np.linspace(curve.edges[0], curve.edges[-1], 300)
+    share.plot(grid, curve(grid), color=SECOND, lw=1.4)
+    share.set_ylim(0, 1.08)
+    share.set_ylabel("share identified", color=SECOND, fontsize=10.5)
+    for spine in share.spines.values():
+        spine.set_visible(False)
+    share.tick_params(labelsize=9.5, color=FAINT, labelcolor=SECOND)

@@ -1,0 +1,191 @@
+"""The field: a catalogue's stars where they are at the moment of a frame, with errors, brightness and colour."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.errors import InputError
+from sameas.records import FloatArray, IntArray, unpack
+from sameas.sky.catalogue import Catalogue
+from sameas.sky.cells import numbers
+from sameas.sky.frame.place import Stars
+from sameas.sky.frame.tangent import unit_vectors
+from sameas.space import sphere_offset
+
+#: Columns that are a colour, and pairs of magnitudes whose difference is one, in the order they are looked for.
+COLOURS = ("bp_rp", "BP-RP", "b_v", "B-V", "g_r", "J-K")
+DIFFERENCES = (
+    ("phot_bp_mean_mag", "phot_rp_mean_mag"),
+    ("BPmag", "RPmag"),
+    ("Bmag", "Vmag"),
+    ("BTmag", "VTmag"),
+    ("BT", "VT"),
+    ("gmag", "rmag"),
+    ("Jmag", "Kmag"),
+)
+
+
+@dataclass(frozen=True)
+class Cone:
+    """A piece of sky: all directions within a radius of one."""
+
+    ra_deg: float
+    dec_deg: float
+    radius_deg: float
+
+    @property
+    def direction(self) -> FloatArray:
+        """(3,) unit vector."""
+        return unit_vectors(self.ra_deg, self.dec_deg)
+
+    def holds(self, other: Cone) -> bool:
+        """Whether all of another cone lies in this one."""
+        apart = math.degrees(2 * math.asin(min(1.0, float(np.linalg.norm(self.direction - other.direction)) / 2)))
+        return apart + other.radius_deg <= self.radius_deg + 1e-9
+
+
+@dataclass(frozen=True)
+class StarField:
+    """Stars of a catalogue at one epoch. Make it with :meth:`StarField.of`.
+
+    Attributes
+    ----------
+    name : of the catalogue. epoch_jyr : where the stars are shown at, None where each stayed at its own epoch.
+    rows : (n,) of the catalogue's table. ids : (n,) its identifiers.
+    ra_deg, dec_deg : (n,) ICRS. covariance_arcsec : (n, 3) east-east, east-north, north-north in arcsec².
+    magnitude, colour : (n,), NaN where not known. colour_name : what the colour is, empty if there is none.
+    moved_arcsec : (n, 2) east and north from the catalogue's own epoch to this one.
+    """
+
+    name: str
+    epoch_jyr: float | None
+    rows: IntArray
+    ids: Any
+    ra_deg: FloatArray
+    dec_deg: FloatArray
+    covariance_arcsec: FloatArray
+    magnitude: FloatArray
+    colour: FloatArray
+    colour_name: str
+    moved_arcsec: FloatArray
+
+    @classmethod
+    def of(
+        cls, catalogue: Catalogue, epoch_jyr: float | None, *, motion: bool = True, near: Cone | None = None
+    ) -> StarField:
+        """The catalogue's usable stars at an epoch.
+
+        epoch_jyr : Julian year of the frame, None if it is not known. motion : False leaves every star where it was
+        observed, to see what motion does. near : only stars in this cone.
+
+        Raises
+        ------
+        InputError : the catalogue moves, but either epoch is not known; no row has a position and an error.
+        """
+        known = catalogue.epoch_jyr is not None
+        if epoch_jyr is None and known and catalogue.has_motion:
+            raise InputError(
+                f"{catalogue.name}: its stars move, but the time of the frame is not known; say --time DATE, "
+                "or --pm none to leave them where they are"
+            )
+        used = np.arange(len(catalogue))
+        if near is not None:
+            used = _near(catalogue, near, epoch_jyr)
+            catalogue = _only(catalogue, used)
+        records = catalogue.records(epoch_jyr if known and motion and len(catalogue) else None)
+        if not len(records) and near is None:
+            raise InputError(f"{catalogue.name}: no row has a position and an error of it; check its columns")
+        rows, (ra, dec) = records.rows, records.features.T
+        full = records.full_covariance()
+        a = catalogue.astrometry
+        colour, name = _colour(catalogue)
+        magnitude = np.full(len(catalogue), np.nan) if catalogue.magnitude is None else catalogue.magnitude
+        return cls(
+            name=catalogue.name,
+            epoch_jyr=epoch_jyr if known and motion else None,
+            rows=used[rows],
+            ids=np.asarray(catalogue.ids)[rows],
+            ra_deg=ra % 360.0,
+            dec_deg=dec,
+            covariance_arcsec=np.stack([full[:, 0, 0], full[:, 0, 1], full[:, 1, 1]], axis=1),
+            magnitude=magnitude[rows],
+            colour=colour[rows],
+            colour_name=name,
+            moved_arcsec=sphere_offset(ra, dec, a.ra_deg[rows], a.dec_deg[rows]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __getitem__(self, which: Any) -> StarField:
+        """Some of the stars, by mask or rows."""
+        values = vars(self)
+        one = {key: values[key] for key in ("name", "epoch_jyr", "colour_name")}
+        many = {key: values[key][which] for key in self.__dataclass_fields__ if key not in one}
+        return StarField(**one, **many)
+
+    @cached_property
+    def vectors(self) -> FloatArray:
+        """(n, 3) unit vectors."""
+        return unit_vectors(self.ra_deg, self.dec_deg)
+
+    def within(self, cone: Cone) -> NDArray[np.bool_]:
+        """(n,) which stars lie in a cone."""
+        return np.asarray(self.vectors @ cone.direction >= math.cos(math.radians(min(cone.radius_deg, 180.0))))
+
+    def stars(self) -> Stars:
+        """The same as placing asks for them; the error is the mean of both axes."""
+        sigma = np.sqrt(np.trace(unpack(self.covariance_arcsec, 2), axis1=1, axis2=2) / 2.0)
+        return Stars(self.ra_deg, self.dec_deg, sigma, self.magnitude, self.name)
+
+
+def _near(catalogue: Catalogue, cone: Cone, epoch_jyr: float | None) -> IntArray:
+    """Rows of the catalogue that are in a cone, or may have come there by their motion."""
+    a = catalogue.astrometry
+    chord = np.linalg.norm(unit_vectors(a.ra_deg, a.dec_deg) - cone.direction, axis=1)
+    apart_deg = np.degrees(2 * np.arcsin(np.clip(chord / 2, 0.0, 1.0)))
+    years = 0.0 if epoch_jyr is None else np.nan_to_num(epoch_jyr - a.epoch_jyr)
+    moved_deg = np.abs(years) * np.hypot(a.pm_ra_mas_per_yr, a.pm_dec_mas_per_yr) / 3.6e6
+    with np.errstate(invalid="ignore"):
+        return np.flatnonzero(apart_deg <= cone.radius_deg + 1.1 * moved_deg)
+
+
+def _only(catalogue: Catalogue, rows: IntArray) -> Catalogue:
+    """Some rows of a catalogue."""
+    magnitude = None if catalogue.magnitude is None else catalogue.magnitude[rows]
+    return replace(
+        catalogue,
+        table=catalogue.table[rows],
+        ids=catalogue.ids[rows],
+        astrometry=catalogue.astrometry[rows],
+        magnitude=magnitude,
+        magnitude_error=None,
+    )
+
+
+def _colour(catalogue: Catalogue) -> tuple[FloatArray, str]:
+    """(n,) colours of the catalogue's rows and their name; NaN and empty where it has none."""
+    table = catalogue.table
+    known = {name.lower(): name for name in table.colnames}
+    for name in COLOURS:
+        if name.lower() in known:
+            column = known[name.lower()]
+            return _plausible(numbers(table, column, catalogue.name)), column
+    for blue, red in DIFFERENCES:
+        if blue.lower() in known and red.lower() in known:
+            names = known[blue.lower()], known[red.lower()]
+            one, two = (numbers(table, column, catalogue.name) for column in names)
+            return _plausible(one - two), " − ".join(names)
+    return np.full(len(table), np.nan), ""
+
+
+def _plausible(colour: FloatArray) -> FloatArray:
+    """Colours; numbers that surveys write for none are none."""
+    with np.errstate(invalid="ignore"):
+        return np.where(np.abs(colour) < 20.0, colour, np.nan)

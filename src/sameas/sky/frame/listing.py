@@ -1,0 +1,235 @@
+"""The listing of an identified frame: one row per measurement, and one per star of the catalogue that was not found.
+
+``fate`` says what became of a row:
+
+- ``identified``: a measurement and the star it is;
+- ``unidentified``: a measurement that is no star of the catalogue;
+- ``missing``: a star that the frame should show and no measurement is; ``remark`` says what stands in its place;
+- ``too faint``: a star of the catalogue that the frame shows with a probability below a half.
+
+Measurements come first, brightest first, then stars. Pixels are given twice: ``x_px`` counts from 0, ``x_image`` as in
+FITS headers, DS9 and SExtractor from 1.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.records import FloatArray, IntArray
+from sameas.sky.frame.identified import EXPECTED, FrameIdentification
+from sameas.sky.frame.measurements import Flag
+
+if TYPE_CHECKING:
+    from astropy.table import Table
+
+#: Two stars nearer than so many widths of a star give one mark.
+MERGED_WIDTHS = 1.5
+#: A saturated star hides what lies within so many of its widths.
+HIDDEN_WIDTHS = 4.0
+#: Magnitudes by which a star must be brighter to hide another.
+BRIGHTER = 0.5
+
+
+def listing(found: FrameIdentification, *, faint: bool = True) -> Table:
+    """The table of a frame; absent values are masked.
+
+    faint : whether the stars that the frame cannot show are listed too.
+    """
+    from astropy.table import MaskedColumn, Table
+
+    lost = _lost(found, faint)
+    table = Table(masked=True)
+    for name, (measured, star, unit, words) in _columns(found, lost).items():
+        parts = [_masked(measured, len(found.measured)), _masked(star, len(lost))]
+        kinds = [part for part in parts if part.dtype != object]
+        dtype = np.result_type(*(part.dtype for part in kinds)) if kinds else np.dtype("U1")
+        values = np.ma.concatenate([_cast(part, dtype) for part in parts])
+        table[name] = MaskedColumn(values, unit=unit or None, description=words)
+    table.meta.update(frame=found.measured.name, catalogue=found.stars.name)
+    return table
+
+
+def _lost(found: FrameIdentification, faint: bool) -> IntArray:
+    """Rows of the stars on the frame that no measurement is, brightest first."""
+    alone = found.inside.copy()
+    alone[found.pairs[1]] = False
+    if not faint:
+        alone &= found.p_detect >= EXPECTED
+    rows = np.flatnonzero(alone)
+    return rows[np.argsort(np.nan_to_num(found.stars.magnitude[rows], nan=99.0), kind="stable")]
+
+
+#: Values for the measurements, values for the stars (None: absent), unit, description.
+_Column = tuple[Any, Any, str, str]
+
+
+def _columns(found: FrameIdentification, lost: IntArray) -> dict[str, _Column]:
+    return {**_what(found, lost), **_where(found, lost), **_how_sure(found, lost), **_how_bright(found, lost)}
+
+
+def _what(found: FrameIdentification, lost: IntArray) -> dict[str, _Column]:
+    m, stars = found.measured, found.stars
+    partner = found.result.answers_1.partner
+    fate = np.where(np.ma.getmaskarray(partner), "unidentified", "identified")
+    ids = _taken(stars.ids, partner)
+    expected = found.p_detect[lost] >= EXPECTED
+    return {
+        "fate": (fate, np.where(expected, "missing", "too faint"), "", "what became of the row"),
+        "measurement": (np.arange(len(m)), None, "", "number of the measurement, brightest first"),
+        "star": (ids, stars.ids[lost], "", f"identifier in {stars.name}"),
+        "star_row": (_taken(stars.rows, partner), stars.rows[lost], "", f"row in {stars.name}"),
+        "remark": (
+            np.array([Flag.words(bits) for bits in m.flags], dtype=str),
+            np.array(why_missing(found, lost), dtype=str),
+            "",
+            "flags of a measurement; what stands in the place of a missing star",
+        ),
+        "flags": (m.flags, None, "", "bits: " + ", ".join(f"{int(f)} {str(f.name).lower()}" for f in Flag)),
+    }
+
+
+def _where(found: FrameIdentification, lost: IntArray) -> dict[str, _Column]:
+    m, stars, px = found.measured, found.stars, found.predicted_px
+    partner = found.result.answers_1.partner
+    ra, dec, sky = found.plate.to_sky(m.x_px, m.y_px, m.covariance)
+    star_px, star_cov = px[lost], found.predicted_covariance[lost]
+    left_px, left_sky = (_spread(found, values) for values in (found.residual_px, found.residual_arcsec))
+    measured, predicted = "measured, of a missing star predicted", "at the frame's epoch, from the catalogue"
+    return {
+        "x_px": (m.x_px, star_px[:, 0], "pix", f"{measured}; the first pixel is 0"),
+        "y_px": (m.y_px, star_px[:, 1], "pix", f"{measured}; the first pixel is 0"),
+        "x_image": (m.x_px + 1, star_px[:, 0] + 1, "pix", f"{measured}; the first pixel is 1"),
+        "y_image": (m.y_px + 1, star_px[:, 1] + 1, "pix", f"{measured}; the first pixel is 1"),
+        "cov_xx_px2": (m.covariance[:, 0], star_cov[:, 0], "pix2", "variance along x"),
+        "cov_xy_px2": (m.covariance[:, 1], star_cov[:, 1], "pix2", "covariance of x and y"),
+        "cov_yy_px2": (m.covariance[:, 2], star_cov[:, 2], "pix2", "variance along y"),
+        "ra_deg": (ra, stars.ra_deg[lost], "deg", "ICRS, of the measurement by the plate model"),
+        "dec_deg": (dec, stars.dec_deg[lost], "deg", "ICRS, of the measurement by the plate model"),
+        "cov_ee_arcsec2": (sky[:, 0], stars.covariance_arcsec[lost, 0], "arcsec2", "variance east"),
+        "cov_en_arcsec2": (sky[:, 1], stars.covariance_arcsec[lost, 1], "arcsec2", "covariance of east and north"),
+        "cov_nn_arcsec2": (sky[:, 2], stars.covariance_arcsec[lost, 2], "arcsec2", "variance north"),
+        "star_x_px": (_taken(px[:, 0], partner), star_px[:, 0], "pix", "where the plate model sees the star"),
+        "star_y_px": (_taken(px[:, 1], partner), star_px[:, 1], "pix", "where the plate model sees the star"),
+        "star_ra_deg": (_taken(stars.ra_deg, partner), stars.ra_deg[lost], "deg", predicted),
+        "star_dec_deg": (_taken(stars.dec_deg, partner), stars.dec_deg[lost], "deg", predicted),
+        "moved_east_arcsec": (_moved(found, partner, 0), stars.moved_arcsec[lost, 0], "arcsec", "since its own epoch"),
+        "moved_north_arcsec": (_moved(found, partner, 1), stars.moved_arcsec[lost, 1], "arcsec", "since its own epoch"),
+        "residual_x_px": (left_px[:, 0], None, "pix", "measured minus predicted"),
+        "residual_y_px": (left_px[:, 1], None, "pix", "measured minus predicted"),
+        "residual_east_arcsec": (left_sky[:, 0], None, "arcsec", "measured minus catalogue"),
+        "residual_north_arcsec": (left_sky[:, 1], None, "arcsec", "measured minus catalogue"),
+    }
+
+
+def _how_sure(found: FrameIdentification, lost: IntArray) -> dict[str, _Column]:
+    one, two = found.result.answers_1, found.result.answers_2
+    distance = np.full(len(found.measured), np.nan)
+    distance[found.pairs[0]] = found.result.matches.mahalanobis
+    other = _taken(np.arange(len(found.measured)), two.second)[lost]
+    return {
+        "p_match": (one.p_match, None, "", "probability that the measurement is this star"),
+        "p_none": (one.p_none, two.p_none[lost], "", "probability of having no partner"),
+        "p_second": (one.p_second, two.p_second[lost], "", "probability of the next best candidate"),
+        "second_star": (_taken(found.stars.ids, one.second), None, "", "the next best candidate of a measurement"),
+        "second_measurement": (None, other, "", "the best candidate of a missing star"),
+        "candidates": (one.candidates, two.candidates[lost], "", "how many were within the gate"),
+        "distance_sigma": (distance, None, "", "residual over its quoted error"),
+        "p_detect": (None, found.p_detect[lost], "", "probability that the frame shows a star so bright"),
+    }
+
+
+def _how_bright(found: FrameIdentification, lost: IntArray) -> dict[str, _Column]:
+    m, stars = found.measured, found.stars
+    partner = found.result.answers_1.partner
+    colour = _taken(stars.colour, partner)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error = np.where(m.flux > 0, 1.0857 * m.flux_err / m.flux, np.nan)
+    seen = None if found.zero_point is None else found.zero_point(m.flux, colour.filled(np.nan))
+    return {
+        "flux": (m.flux, None, "", "light above the sky, in the unit of the frame"),
+        "flux_err": (m.flux_err, None, "", "its standard deviation"),
+        "magnitude": (seen, None, "mag", f"from the flux, in the band of {stars.name}"),
+        "magnitude_err": (error, None, "mag", "from the error of the flux alone"),
+        "star_magnitude": (_taken(stars.magnitude, partner), stars.magnitude[lost], "mag", f"from {stars.name}"),
+        "star_colour": (colour, stars.colour[lost], "mag", stars.colour_name or "not known"),
+        "snr": (m.snr, None, "", "significance of the detection"),
+        "fwhm_px": (m.fwhm_px, None, "pix", "width at half maximum"),
+    }
+
+
+def why_missing(found: FrameIdentification, lost: IntArray) -> list[str]:
+    """What stands in the place of each of these stars, in words; (k,) rows of the stars."""
+    from scipy.spatial import cKDTree
+
+    m, px = found.measured, found.predicted_px
+    width = m.psf_fwhm_px
+    owner = found.result.answers_1.partner
+    tree = cKDTree(np.column_stack([m.x_px, m.y_px]))
+    reach = [width * MERGED_WIDTHS, width * HIDDEN_WIDTHS]
+    close, wide = (tree.query_ball_point(px[lost], radius, return_sorted=True) for radius in reach)
+    edge = np.minimum(px[lost], np.array(m.shape[::-1]) - 1 - px[lost]).min(axis=1)
+    words = []
+    for k, row in enumerate(lost):
+        hidden = [i for i in wide[k] if m.flags[i] & Flag.SATURATED and _is_brighter(found, int(i), int(row), owner)]
+        if close[k]:
+            i = min(close[k], key=lambda i: float(np.hypot(m.x_px[i] - px[row, 0], m.y_px[i] - px[row, 1])))
+            words.append(_in_its_place(found, int(i), int(row), owner))
+        elif edge[k] < width:
+            words.append("on the edge of the frame")
+        elif found.p_detect[row] < EXPECTED:
+            words.append(f"the frame shows {100 * found.p_detect[row]:.0f} % of stars so faint")
+        elif hidden:
+            words.append(f"in the light of measurement {hidden[0]}, which is saturated")
+        else:
+            words.append("nothing was measured there")
+    return words
+
+
+def _is_brighter(found: FrameIdentification, i: int, row: int, owner: np.ma.MaskedArray) -> bool:
+    if np.ma.getmaskarray(owner)[i]:
+        return True
+    return bool(found.stars.magnitude[owner[i]] < found.stars.magnitude[row] - BRIGHTER)
+
+
+def _in_its_place(found: FrameIdentification, i: int, row: int, owner: np.ma.MaskedArray) -> str:
+    m, px = found.measured, found.predicted_px[row]
+    off = float(np.hypot(m.x_px[i] - px[0], m.y_px[i] - px[1]))
+    if np.ma.getmaskarray(owner)[i]:
+        return f"measurement {i} is {off:.1f} px away, too far for their errors"
+    return f"measurement {i}, {off:.1f} px away, is {found.stars.ids[owner[i]]}; one mark for both"
+
+
+def _spread(found: FrameIdentification, values: FloatArray) -> FloatArray:
+    """(n, d) per measurement; NaN where it is not identified."""
+    column = np.full((len(found.measured), values.shape[1]), np.nan)
+    column[found.pairs[0]] = values
+    return column
+
+
+def _moved(found: FrameIdentification, partner: np.ma.MaskedArray, axis: int) -> np.ma.MaskedArray:
+    return _taken(found.stars.moved_arcsec[:, axis], partner)
+
+
+def _taken(values: NDArray[Any], rows: np.ma.MaskedArray) -> np.ma.MaskedArray:
+    """``values`` at ``rows``, masked where there is no row."""
+    absent = np.ma.getmaskarray(rows)
+    return np.ma.MaskedArray(values[np.where(absent, 0, np.ma.getdata(rows))], absent.copy())
+
+
+def _masked(values: Any, n: int) -> np.ma.MaskedArray:
+    """A part of a column: all of it absent where there are no values, and where they are not finite."""
+    if values is None:
+        return np.ma.MaskedArray(np.zeros(n, dtype=object), np.ones(n, bool))
+    column: np.ma.MaskedArray = np.ma.MaskedArray(values, copy=True)
+    if column.dtype.kind == "f":
+        column[~np.isfinite(np.ma.getdata(column))] = np.ma.masked
+    return column
+
+
+def _cast(values: np.ma.MaskedArray, dtype: np.dtype[Any]) -> np.ma.MaskedArray:
+    if values.dtype == object:
+        return np.ma.MaskedArray(np.zeros(len(values), dtype), np.ones(len(values), bool))
+    return np.ma.MaskedArray(values, dtype=dtype)

@@ -1,0 +1,250 @@
+"""Brightness on a frame: the magnitudes of its measurements, and how faint a star it still shows.
+
+    m = z + c (colour − mean) + Σ_k r_k sᵏ,   s = (instrumental − mean) / spread,
+
+instrumental = −2.5 log₁₀ flux. A linear detector needs z and c only; photographic plates bend (r₂, r₃). Which terms
+are real is decided by BIC on the identified pairs, each with its probability; stragglers are weighed down.
+
+The probability that the frame shows a star of magnitude m is a falling curve,
+
+    P_d(m) = top / (1 + exp((m − limit)/width)),
+
+fitted to the probabilities of being identified. It tells which stars the frame should have shown.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.records import FloatArray
+
+#: Pairs that a zero point needs, and that every further term needs.
+FEWEST, PER_TERM = 3, 12
+#: Pairs of weight 1 that say "the curve is smooth" when there are few stars.
+PRIOR_STARS = 2.0
+ROUNDS = 12
+TAIL_SIGMAS = 3.0
+#: Stars per bin of the printed completeness, at least.
+PER_BIN = 20
+#: Cells of magnitude in which stars are counted for the fit.
+FINE = 150
+
+
+@dataclass(frozen=True)
+class ZeroPoint:
+    """How magnitudes follow from fluxes. Make it with :meth:`ZeroPoint.of`.
+
+    Attributes
+    ----------
+    zero_point : magnitude of a star of flux 1 and mean colour, if the detector is linear; of one of mean brightness
+        and colour minus its instrumental magnitude in any case. sigma : its standard error.
+    colour_term, colour_sigma : magnitudes per magnitude of colour, 0 where not needed or not known.
+    bend : coefficients of s, s², s³; empty for a linear detector. centre, spread : of instrumental magnitudes.
+    reach : least and largest s of the pairs; beyond them a curve goes on straight.
+    mean_colour : of the pairs. scatter : robust standard deviation of a pair. pairs : their effective number.
+    """
+
+    zero_point: float
+    sigma: float
+    colour_term: float
+    colour_sigma: float
+    bend: tuple[float, ...]
+    centre: float
+    spread: float
+    reach: tuple[float, float]
+    mean_colour: float
+    scatter: float
+    pairs: float
+
+    @classmethod
+    def of(cls, flux: FloatArray, magnitude: FloatArray, colour: FloatArray, weight: FloatArray) -> ZeroPoint | None:
+        """The zero point of pairs with weights, (n,) each; None where there are fewer than three."""
+        known = (flux > 0) & np.isfinite(magnitude) & (weight > 0)
+        if weight[known].sum() < FEWEST:
+            return None
+        m, w = magnitude[known], weight[known]
+        seen = instrumental(flux[known])
+        centre, spread = float(np.average(seen, weights=w)), max(float(np.std(seen)), 1e-6)
+        s = (seen - centre) / spread
+        tint = colour[known]
+        coloured = np.isfinite(tint)
+        mean = float(np.average(tint[coloured], weights=w[coloured])) if w[coloured].sum() >= FEWEST else math.nan
+        tint = np.where(coloured, tint - mean, 0.0) if math.isfinite(mean) else np.zeros_like(s)
+        columns = {"colour": tint, "1": s, "2": s**2, "3": s**3}
+        tries: list[tuple[str, ...]] = [(), ("1", "2"), ("1", "2", "3")]
+        if math.isfinite(mean) and np.ptp(tint) > 0:
+            tries += [("colour", *terms) for terms in tries]
+        tries = [terms for terms in tries if w.sum() >= FEWEST + PER_TERM * len(terms)] or [()]
+        fits = {terms: _robust([columns[name] for name in terms], m - seen, w) for terms in tries}
+        best = min(fits, key=lambda terms: fits[terms].bic)
+        fit = fits[best]
+        value, error = dict(zip(best, fit.terms[1:], strict=True)), dict(zip(best, fit.sigma[1:], strict=True))
+        return cls(
+            zero_point=float(fit.terms[0]),
+            sigma=float(fit.sigma[0]),
+            colour_term=value.get("colour", 0.0),
+            colour_sigma=error.get("colour", 0.0),
+            bend=tuple(value[name] for name in ("1", "2", "3") if name in value),
+            centre=centre,
+            spread=spread,
+            reach=(float(np.quantile(s, 0.01)), float(np.quantile(s, 0.99))),
+            mean_colour=mean if "colour" in value else 0.0,
+            scatter=fit.scatter,
+            pairs=float(w.sum()),
+        )
+
+    def __call__(self, flux: FloatArray, colour: FloatArray | None = None) -> FloatArray:
+        """(n,) magnitudes of fluxes, for stars of mean colour where the colour is not known; NaN where flux ≤ 0."""
+        seen = instrumental(flux)
+        # A cubic runs away where there was nothing to fit it to.
+        s = np.clip((seen - self.centre) / self.spread, *self.reach)
+        result = seen + self.zero_point
+        for power, factor in enumerate(self.bend, 1):
+            result = result + factor * s**power
+        if colour is not None:
+            tint = np.where(np.isfinite(colour), colour - self.mean_colour, 0.0)
+            result = result + self.colour_term * tint
+        return result
+
+    def describe(self) -> str:
+        """One line to print."""
+        words = f"zero point {self.zero_point:.3f} ± {self.sigma:.3f} mag"
+        if self.colour_term:
+            words += f", colour term {self.colour_term:+.3f} ± {self.colour_sigma:.3f}"
+        if self.bend:
+            words += ", not linear (a curve of third order)" if len(self.bend) > 2 else ", not linear (a parabola)"
+        return f"{words}; scatter {self.scatter:.3f} mag of {self.pairs:.0f} pairs"
+
+
+def instrumental(flux: FloatArray) -> FloatArray:
+    """−2.5 log₁₀ flux, NaN where there is none."""
+    return np.asarray(-2.5 * np.log10(np.where(flux > 0, flux, np.nan)))
+
+
+@dataclass(frozen=True)
+class _Fit:
+    terms: NDArray[Any]
+    sigma: NDArray[Any]
+    scatter: float
+    bic: float
+
+
+def _robust(columns: list[FloatArray], y: FloatArray, weight: FloatArray) -> _Fit:
+    """Weighted least squares; residuals beyond three robust standard deviations are weighed down."""
+    a = np.column_stack([np.ones_like(y), *columns])
+    down = np.ones_like(y)
+    # Begun from the weighted median: one wrong pair of seven must not decide what is a straggler.
+    left = y - _weighted_median(y, weight)
+    scatter = 1.0
+    for round_ in range(ROUNDS):
+        if round_:
+            w = weight * down
+            normal = a.T @ (w[:, None] * a) + 1e-9 * np.eye(a.shape[1])
+            terms = np.linalg.solve(normal, a.T @ (w * y))
+            left = y - a @ terms
+        scatter = max(1.4826 * _weighted_median(np.abs(left), weight), 1e-3)
+        down = np.minimum(1.0, (TAIL_SIGMAS * scatter / np.maximum(np.abs(left), 1e-12)) ** 2)
+    n = float(weight.sum())
+    loss = np.where(down < 1.0, TAIL_SIGMAS**2 * (1.0 - np.log(down)), (left / scatter) ** 2)
+    bic = 2 * n * math.log(scatter) + float(weight @ loss) + a.shape[1] * math.log(max(n, 2.0))
+    return _Fit(np.asarray(terms), scatter * np.sqrt(np.diag(np.linalg.inv(normal))), scatter, bic)
+
+
+def _weighted_median(values: FloatArray, weight: FloatArray) -> float:
+    order = np.argsort(values)
+    share = np.cumsum(weight[order]) / weight.sum()
+    return float(values[order][np.searchsorted(share, 0.5)])
+
+
+@dataclass(frozen=True)
+class Completeness:
+    """How probably the frame shows a star of a magnitude. Make it with :meth:`Completeness.of`.
+
+    top : of bright stars. limit : where half of that is left. width : how gradually it falls.
+    edges : (k + 1,) of bins of magnitude. stars, found : (k,) stars on the frame, and how many of them are identified,
+    as a sum of probabilities.
+    """
+
+    top: float
+    limit: float
+    width: float
+    edges: FloatArray
+    stars: FloatArray
+    found: FloatArray
+
+    @classmethod
+    def of(cls, magnitude: FloatArray, p_found: FloatArray) -> Completeness | None:
+        """The curve of stars with probabilities of being identified, (n,) each; None where no magnitude is known."""
+        known = np.isfinite(magnitude)
+        if not known.any():
+            return None
+        m, p = magnitude[known], np.clip(p_found[known], 0.0, 1.0)
+        top, limit, width = _falling(m, p)
+        edges = _bins(m)
+        at = np.clip(np.searchsorted(edges, m, side="right") - 1, 0, len(edges) - 2)
+        count = np.bincount(at, minlength=len(edges) - 1).astype(np.float64)
+        found = np.bincount(at, p, len(edges) - 1).astype(np.float64)
+        return cls(top, limit, width, edges, count, found)
+
+    def __call__(self, magnitude: FloatArray) -> FloatArray:
+        """(n,) the probability that a star is shown; that of a bright one where the magnitude is not known."""
+        steps = np.clip((np.nan_to_num(magnitude, nan=-99.0) - self.limit) / self.width, -60.0, 60.0)
+        return np.asarray(self.top / (1.0 + np.exp(steps)))
+
+    def faintest(self, p: float) -> float:
+        """The magnitude at which the probability has fallen to ``p`` (below ``top``)."""
+        return self.limit + self.width * math.log(max(self.top / p - 1.0, 1e-9))
+
+    @property
+    def sigma(self) -> FloatArray:
+        """(k,) standard errors of ``found / stars``, binomial with one star's worth of caution."""
+        share = (self.found + 0.5) / (self.stars + 1.0)
+        return np.asarray(np.sqrt(share * (1.0 - share) / (self.stars + 1.0)))
+
+    def describe(self) -> str:
+        """One line to print."""
+        if self.faintest(0.5 * self.top) >= float(self.edges[-1]):
+            return f"{100 * self.top:.0f} % of the stars are shown, to the faintest of the catalogue"
+        return f"{100 * self.top:.0f} % of the bright stars are shown, half as many at magnitude {self.limit:.2f}"
+
+
+def _falling(m: FloatArray, p: FloatArray) -> tuple[float, float, float]:
+    """(top, limit, width) of greatest likelihood, with a weak belief that bright stars are shown."""
+    from scipy.optimize import minimize
+
+    low, high = float(m.min()), float(m.max())
+    # Stars of like magnitude are counted together.
+    cell = np.minimum(((m - low) / max(high - low, 1e-9) * FINE).astype(np.int64), FINE - 1)
+    number = np.bincount(cell, minlength=FINE)
+    used = number > 0
+    found = np.bincount(cell, p, FINE)[used]
+    lost, middle = number[used] - found, (np.bincount(cell, m, FINE) / np.maximum(number, 1))[used]
+
+    def cost(x: FloatArray) -> float:
+        top = 1.0 / (1.0 + math.exp(-x[0]))
+        width = math.exp(min(x[2], 3.0))
+        curve = top / (1.0 + np.exp(np.clip((middle - x[1]) / width, -60.0, 60.0)))
+        curve = np.clip(curve, 1e-9, 1.0 - 1e-9)
+        likelihood = float(found @ np.log(curve) + lost @ np.log1p(-curve))
+        # As if two bright stars had been shown, and two beyond the faintest had not.
+        belief = PRIOR_STARS * math.log(top) - PRIOR_STARS * ((x[2] + 1.2) / 2.0) ** 2
+        beyond = max(low - x[1], x[1] - high - 3.0, 0.0)
+        return -likelihood - belief + beyond**2
+
+    starts = [float(np.quantile(m, q)) for q in (0.2, 0.5, 0.8)] + [high + 1.0]
+    fits = [minimize(cost, [3.0, start, -1.2], method="Nelder-Mead", options={"maxiter": 300}) for start in starts]
+    x = min(fits, key=lambda fit: float(fit.fun)).x
+    return 1.0 / (1.0 + math.exp(-x[0])), float(x[1]), math.exp(min(x[2], 3.0))
+
+
+def _bins(m: FloatArray) -> FloatArray:
+    """Edges of bins of half a magnitude or wider, that hold some twenty stars in the middle."""
+    low, high = float(np.quantile(m, 0.002)), float(m.max())
+    step = 0.5 if len(m) >= PER_BIN * 4 * max(high - low, 1.0) else 1.0
+    first = math.floor(low / step) * step
+    return np.asarray(np.arange(first, max(high, first + 1e-6) + step, step))

@@ -1,0 +1,109 @@
+"""A frame solved: where it points, which star each measurement is, and the refined plate, one line a step.
+
+``solve`` is the whole way from measurements; :mod:`sameas.sky.frame.image` and :mod:`sameas.sky.frame.detect` lead
+from pixels to it, and :func:`sameas.sky.frame.listing.listing` from it to a table.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sameas.errors import InputError
+from sameas.sky.catalogue import Catalogue
+from sameas.sky.frame.aims import Hint
+from sameas.sky.frame.field import Cone, StarField
+from sameas.sky.frame.identified import FrameIdentification, Refinement, identify_frame
+from sameas.sky.frame.measurements import Measurements
+from sameas.sky.frame.place import Aim, AllSky, Header, SkyIndex, place
+from sameas.sky.frame.tangent import Pointing, directions_deg
+
+#: The field is searched for stars so much farther than the frame's corner: it may be turned or scaled a little.
+ROOM = 1.1
+
+
+def solve(
+    measured: Measurements,
+    catalogue: Catalogue,
+    hints: Hint | Sequence[Hint],
+    *,
+    epoch_jyr: float | None,
+    refinement: Refinement | None = None,
+    index: SkyIndex | None = None,
+    motion: bool = True,
+    faintest: float | None = None,
+) -> FrameIdentification:
+    """A frame placed, identified and refined.
+
+    Parameters
+    ----------
+    measured : the measurements of the frame. catalogue : of the field, or of the whole sky.
+    hints : what is known of where it points, tried in this order.
+    epoch_jyr : the middle of the exposure, Julian year; None if it is not known and the catalogue does not move.
+    refinement : how the loop goes. index : for an :class:`AllSky` hint, kept from frame to frame.
+    motion : False leaves the stars at their own epoch, to see what motion does.
+    faintest : magnitude of the faintest star that is used; None for as faint as the frame shows them.
+
+    Raises
+    ------
+    InputError : no solution that can be believed; the catalogue does not cover the field; times that are missing.
+
+    Example
+    -------
+    >>> found = solve(detect(frame), catalogue, Header(wcs), epoch_jyr=2018.8)  # doctest: +SKIP
+    >>> found.plate.to_wcs()  # doctest: +SKIP
+    """
+    hints = [hints] if isinstance(hints, Header | Aim | AllSky) else list(hints)
+    near = searched(hints, measured.shape)
+    stars = StarField.of(catalogue, epoch_jyr, motion=motion, near=near)
+    if faintest is not None:
+        stars = stars[~(stars.magnitude > faintest)]
+    if len(stars) < 4:
+        where = "" if near is None else f" within {near.radius_deg:.3g}° of {near.ra_deg:.4f}°, {near.dec_deg:+.4f}°"
+        raise InputError(
+            f"{catalogue.name}: {len(stars)} stars{where}, a frame needs four; does the catalogue cover the field?"
+        )
+    placement = place(measured, stars.stars(), hints, index=index)
+    frame = footprint(placement.pointing, measured.shape)
+    kept = stars.within(frame)
+    kept[placement.rows_stars] = True
+    number = np.cumsum(kept) - 1
+    placement = replace(placement, rows_stars=number[placement.rows_stars])
+    return identify_frame(measured, stars[kept], placement, refinement)
+
+
+def footprint(pointing: Pointing, shape: tuple[int, int]) -> Cone:
+    """The cone about a frame, with some room."""
+    rows, columns = shape
+    corners = np.array([[0.0, 0.0], [columns - 1.0, 0.0], [0.0, rows - 1.0], [columns - 1.0, rows - 1.0]])
+    middle = pointing.to_sky(np.array([[(columns - 1) / 2.0, (rows - 1) / 2.0]]))[0]
+    chord = np.linalg.norm(pointing.to_sky(corners) - middle, axis=1).max()
+    radius = math.degrees(2 * math.asin(min(1.0, float(chord) / 2)))
+    ra, dec = directions_deg(middle)
+    return Cone(float(ra), float(dec), min(ROOM * radius, 180.0))
+
+
+def searched(hints: Sequence[Hint], shape: tuple[int, int]) -> Cone | None:
+    """The smallest cone about everything that the hints allow; None for the whole sky."""
+    cones = []
+    for hint in hints:
+        if isinstance(hint, AllSky):
+            return None
+        if isinstance(hint, Header):
+            frame = footprint(Pointing.of_wcs(hint.wcs, shape), shape)
+            off = hint.radius_deg if hint.radius_deg is not None else 0.5 * frame.radius_deg
+            cones.append(replace(frame, radius_deg=frame.radius_deg + off))
+        else:
+            half = 0.5 * math.hypot(*shape) * hint.scale_arcsec[1] / 3600.0
+            cones.append(Cone(hint.ra_deg, hint.dec_deg, hint.radius_deg + ROOM * half))
+    middle = np.sum([cone.direction for cone in cones], axis=0)
+    ra, dec = directions_deg(middle)
+    about = Cone(float(ra), float(dec), 0.0)
+    apart = [
+        math.degrees(2 * math.asin(min(1.0, float(np.linalg.norm(c.direction - about.direction)) / 2))) for c in cones
+    ]
+    radius = max(off + cone.radius_deg for off, cone in zip(apart, cones, strict=True))
+    return replace(about, radius_deg=min(radius, 180.0))

@@ -1,0 +1,161 @@
+"""The summary of an identified frame: what is worth keeping of it, as plain numbers and words."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from sameas.sky.frame.identified import FrameIdentification
+from sameas.sky.frame.image import Frame
+from sameas.sky.frame.place import odds_in_words
+from sameas.sky.frame.tangent import directions_deg
+
+#: Identified pairs less probable than this are called ambiguous.
+AMBIGUOUS = 0.9
+
+
+def summary(found: FrameIdentification, frame: Frame | None = None) -> dict[str, Any]:
+    """Numbers, words, lists and nulls, ready for JSON; angles in degrees, units in the names.
+
+    frame : adds what its header says.
+    """
+    return {
+        "frame": found.measured.name,
+        "catalogue": found.stars.name,
+        "epoch_jyr": found.stars.epoch_jyr,
+        **({} if frame is None else {"exposure": _exposure(frame)}),
+        "place": _place(found),
+        "plate": _plate(found),
+        "found": _counts(found),
+        "residuals": _residuals(found),
+        "brightness": _brightness(found),
+        "notes": [*found.measured.notes, *found.notes],
+    }
+
+
+def _exposure(frame: Frame) -> dict[str, Any]:
+    facts = frame.facts
+    time = facts.mid_time
+    return {
+        "mid_time": None if time is None else f"{time.isot} {time.scale.upper()}",
+        "exposure_s": _number(facts.exposure_s),
+        "gain_e_per_adu": _number(facts.gain_e_per_adu),
+        "saturation_adu": _number(facts.saturation_adu),
+        "read": list(facts.lines),
+    }
+
+
+def _place(found: FrameIdentification) -> dict[str, Any]:
+    rows, columns = found.measured.shape
+    middle = (columns - 1) / 2.0, (rows - 1) / 2.0
+    ra, dec, _ = found.plate.to_sky(*middle)
+    scale, rotation, parity = orientation(found)
+    placement = found.placement
+    return {
+        "found_by": placement.found_by,
+        "odds": odds_in_words(placement.log_odds),
+        "log_odds": _number(placement.log_odds),
+        "next_best_odds": odds_in_words(placement.runner_up_log_odds),
+        "stars": placement.n_matched,
+        "middle_ra_deg": float(ra[0]),
+        "middle_dec_deg": float(dec[0]),
+        "scale_arcsec_per_px": scale,
+        "rotation_deg": rotation,
+        "mirrored": parity > 0,
+        "columns": columns,
+        "rows": rows,
+        "width_deg": columns * scale / 3600.0,
+        "height_deg": rows * scale / 3600.0,
+    }
+
+
+def orientation(found: FrameIdentification) -> tuple[float, float, int]:
+    """Arcsec per pixel, direction of the y axis from north through east in degrees, and the parity, in the middle."""
+    plate, rows, columns = found.plate, *found.measured.shape
+    slope = plate.polynomial.slope(np.array([[(columns - 1) / 2.0, (rows - 1) / 2.0]]))[0]
+    determinant = float(np.linalg.det(slope))
+    rotation = math.degrees(math.atan2(slope[0, 1], slope[1, 1])) % 360.0
+    return math.sqrt(abs(determinant)), rotation, 1 if determinant > 0 else -1
+
+
+def _plate(found: FrameIdentification) -> dict[str, Any]:
+    plate = found.plate
+    ra, dec = directions_deg(plate.centre)
+    spread = np.sqrt(np.diag(plate.covariance)).reshape(2, -1)
+    return {
+        "order": plate.order,
+        "bic": {str(order): float(value) for order, value in plate.bic.items()},
+        "effective_pairs": plate.effective_pairs,
+        "error_scale": plate.error_scale,
+        "tangent_ra_deg": float(ra),
+        "tangent_dec_deg": float(dec),
+        "middle_px": plate.polynomial.middle_px.tolist(),
+        "unit_px": plate.polynomial.unit_px,
+        "coefficients_arcsec": plate.polynomial.coefficients.tolist(),
+        "coefficients_sigma_arcsec": spread.tolist(),
+        "rms_arcsec": plate.rms_arcsec.tolist(),
+        "rounds": found.rounds,
+        "settled": found.settled,
+    }
+
+
+def _counts(found: FrameIdentification) -> dict[str, Any]:
+    result, (i, _, p) = found.result, found.pairs
+    return {
+        "measurements": len(found.measured),
+        "stars_on_frame": int(found.inside.sum()),
+        "candidate_stars": int(found.candidate.sum()),
+        "identified": len(i),
+        "unidentified": len(found.measured) - len(i),
+        "missing": len(found.missing),
+        "ambiguous": int(np.count_nonzero(p < AMBIGUOUS)),
+        "expected_wrong": result.expected_wrong,
+        "expected_missed": result.expected_missed,
+        "gate_sigmas": found.estimate.gate_sigmas,
+        "typical_error_scale": found.estimate.typical_scale,
+    }
+
+
+def _residuals(found: FrameIdentification) -> dict[str, Any]:
+    left = found.residual_arcsec
+    if not len(left):
+        return {"scatter_arcsec": [None, None], "rms_arcsec": [None, None], "median_arcsec": [None, None]}
+    return {
+        "scatter_arcsec": found.scatter_arcsec.tolist(),
+        "rms_arcsec": np.sqrt(np.mean(left**2, axis=0)).tolist(),
+        "median_arcsec": np.median(left, axis=0).tolist(),
+    }
+
+
+def _brightness(found: FrameIdentification) -> dict[str, Any]:
+    zero, curve = found.zero_point, found.completeness
+    told: dict[str, Any] = {"colour": found.stars.colour_name or None, "zero_point": None, "completeness": None}
+    if zero is not None:
+        told["zero_point"] = {
+            "zero_point_mag": zero.zero_point,
+            "sigma_mag": zero.sigma,
+            "colour_term": zero.colour_term,
+            "colour_term_sigma": zero.colour_sigma,
+            "bend": list(zero.bend),
+            "scatter_mag": zero.scatter,
+            "words": zero.describe(),
+        }
+    if curve is not None:
+        told["completeness"] = {
+            "top": curve.top,
+            "limit_mag": curve.limit,
+            "width_mag": curve.width,
+            "edges_mag": curve.edges.tolist(),
+            "stars": curve.stars.tolist(),
+            "found": curve.found.tolist(),
+            "sigma": curve.sigma.tolist(),
+            "words": curve.describe(),
+        }
+    return told
+
+
+def _number(value: float) -> float | None:
+    """A number, null where it is not one."""
+    return float(value) if math.isfinite(value) else None

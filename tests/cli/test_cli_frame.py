@@ -1,0 +1,387 @@
+"""`sameas frame`: from a file to a table, a solution, regions, pictures and a page; many frames; bad frames."""
+
+from __future__ import annotations
+
+import http.server
+import json
+import re
+import threading
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import parse_qs
+
+import numpy as np
+import pytest
+from astropy.io import fits
+from astropy.table import Table
+from astropy.wcs import WCS
+from browser import CHROMIUM, Browser
+
+from sameas.errors import InputError
+from sameas.io import read_provenance, read_table, write_table
+from sameas.io.archive import COLUMNS, GaiaArchive, rounded
+from sameas.io.catalogues import catalogue
+from sameas.sky.catalogue import CatalogueOptions
+from sameas.sky.frame.field import Cone
+from sameas.sky.frame.simulate import Camera, Gaussian, Lens, frame_of_sky
+from sameas.sky.frame.tangent import Pointing, unit_vectors
+from sameas.space import ARCSEC_PER_RADIAN
+
+pytest.importorskip("photutils", reason="finding stars needs the extra sameas[frames]")
+pytest.importorskip("matplotlib", reason="pictures need the extra sameas[plots]")
+
+SIDE = 320
+WHERE = (150.0, 20.0)
+
+
+@dataclass(frozen=True)
+class Files:
+    folder: Path
+    frame: Path
+    stars: Path
+    wcs: WCS
+
+
+def pointing(turn_deg: float = 30.0) -> Pointing:
+    turn = np.radians(turn_deg)
+    cd = np.array([[-np.cos(turn), np.sin(turn)], [np.sin(turn), np.cos(turn)]]) * 2.0 / ARCSEC_PER_RADIAN
+    return Pointing(unit_vectors(*WHERE), cd, np.full(2, (SIDE - 1) / 2))
+
+
+def sky(n: int = 400) -> Table:
+    rng = np.random.default_rng(2)
+    table = Table({
+        "source_id": np.arange(n) + 10**12, "ra": WHERE[0] + rng.uniform(-0.13, 0.13, n) / np.cos(np.radians(20.0)),
+        "dec": WHERE[1] + rng.uniform(-0.13, 0.13, n), "ra_error": np.full(n, 20.0), "dec_error": np.full(n, 20.0),
+        "pmra": rng.normal(0, 10, n), "pmdec": rng.normal(0, 10, n), "pmra_error": np.full(n, 0.1),
+        "pmdec_error": np.full(n, 0.1), "ref_epoch": np.full(n, 2016.0),
+        "phot_g_mean_mag": 10 + 9 * rng.random(n) ** 0.5, "bp_rp": rng.normal(0.9, 0.3, n),
+    })  # fmt: skip
+    return table
+
+
+def picture(path: Path, table: Table, seed: int = 3, *, solved: bool = True, **cards: object) -> Path:
+    seen = frame_of_sky(
+        np.random.default_rng(seed), ra_deg=table["ra"], dec_deg=table["dec"], magnitude=table["phot_g_mean_mag"],
+        wcs=pointing().to_wcs((SIDE, SIDE)), zero_point=19.0, lens=Lens(0.6), psf=Gaussian(2.6),
+        camera=Camera(shape=(SIDE, SIDE), hot_pixels=20),
+    )  # fmt: skip
+    header = pointing().to_wcs((SIDE, SIDE)).to_header() if solved else fits.Header()
+    header.update({"DATE-OBS": "2016-01-01T12:00:00", "EXPTIME": 60.0, "GAIN": 1.5, "RDNOISE": 6.0, **cards})
+    fits.PrimaryHDU(seen.frame.image.astype(np.uint16), header).writeto(path, overwrite=True)
+    return path
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory) -> Files:
+    folder = tmp_path_factory.mktemp("frames")
+    table = sky()
+    write_table(table, folder / "stars.fits", provenance={})
+    return Files(folder, picture(folder / "night.fits", table), folder / "stars.fits", pointing().to_wcs())
+
+
+@pytest.fixture(scope="module")
+def done(files, tmp_path_factory):
+    """The folder of outputs of one frame, and what was printed."""
+    from typer.testing import CliRunner
+
+    from sameas.cli.app import app
+
+    out = tmp_path_factory.mktemp("out")
+    arguments = ["frame", files.frame, "-c", files.stars, "-o", out, "--wcs-copy", "--brightest", 40]
+    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    assert result.exit_code == 0, result.output
+    return out, result.stdout
+
+
+def test_what_is_printed_tells_place_counts_and_assumptions(done):
+    _, text = done
+    for words in (
+        "placed", "by                    the header's plate solution, odds 10^", "scale                 2.0",
+        "measurements ", "missing stars", "expected wrong", "zero point", "half as many at magnitude",
+        "assumed               times are UTC", "night.html", "night.json",
+    ):  # fmt: skip
+        assert " ".join(words.split()).lower() in " ".join(text.split()).lower(), words
+
+
+def test_the_table_holds_the_truth_and_how_it_was_made(done):
+    out, _ = done
+    rows, truth = read_table(out / "night.stars.fits"), sky()
+    found = rows[rows["fate"] == "identified"]
+    row = np.searchsorted(truth["source_id"], found["star"])
+    off = np.hypot(
+        (found["ra_deg"] - truth["ra"][row]) * np.cos(np.radians(20.0)), found["dec_deg"] - truth["dec"][row]
+    )
+    assert len(found) > 90 and np.median(off * 3600) < 0.4
+    told = read_provenance(out / "night.stars.fits")
+    assert told["frame"] == "night.fits" and json.loads(told["summary"])["found"]["identified"] == len(found)
+
+
+@pytest.mark.filterwarnings("ignore:The WCS transformation has more axes")
+def test_the_solution_stands_alone_and_in_the_copy(done, files):
+    out, _ = done
+    rows = read_table(out / "night.stars.fits")
+    found = rows[rows["fate"] == "identified"][:50]
+    for path in (out / "night.wcs", out / "night.wcs.fits"):
+        x, y = WCS(fits.getheader(path)).all_world2pix(found["ra_deg"], found["dec_deg"], 0)
+        np.testing.assert_allclose(x, found["x_px"], atol=0.01)
+        np.testing.assert_allclose(y, found["y_px"], atol=0.01)
+    np.testing.assert_array_equal(fits.getdata(out / "night.wcs.fits"), fits.getdata(files.frame))
+    assert fits.getheader(out / "night.wcs.fits")["GAIN"] == 1.5
+
+
+def test_regions_are_one_for_each_row_that_can_be_seen(done):
+    out, _ = done
+    lines = (out / "night.reg").read_text().splitlines()
+    fate = np.asarray(read_table(out / "night.stars.fits")["fate"])
+    assert lines[0].startswith("# Region file format: DS9") and lines[2] == "icrs"
+    assert len(lines) - 3 == np.sum(fate != "too faint")
+    assert sum(line.startswith("circle") for line in lines) == np.sum(fate == "identified")
+    assert not any(";" in line for line in lines[2:])
+
+
+def test_a_second_run_does_nothing_until_something_changes(done, files, sameas):
+    out, _ = done
+    before = (out / "night.json").stat().st_mtime_ns
+    arguments = ["frame", files.frame, "-c", files.stars, "-o", out, "--wcs-copy"]
+    assert "done before" in sameas(*arguments, "--brightest", 40).stdout
+    assert (out / "night.json").stat().st_mtime_ns == before
+    assert "done before" not in sameas(*arguments, "--brightest", 41, "--no-page", "--no-picture").stdout
+
+
+def test_many_frames_go_on_where_one_fails(files, sameas, tmp_path):
+    good = [picture(tmp_path / f"n{k}.fits", sky(), seed=k) for k in (1, 2)]
+    (tmp_path / "bad.fits").write_bytes(good[0].read_bytes()[:30_000])
+    out = tmp_path / "out"
+    arguments = [
+        "frame",
+        good[0],
+        tmp_path / "bad.fits",
+        good[1],
+        "-c",
+        files.stars,
+        "-o",
+        out,
+        "--no-page",
+        "--no-picture",
+    ]
+    result = sameas(*arguments, "-j", 1, exit_code=1)
+    assert "Frames: 3; 2 done, 1 failed" in result.stdout
+    assert re.search(r"bad: bad\.fits: the file is cut short", result.stderr)
+    assert {path.name for path in out.glob("*.json")} == {"n1.json", "n2.json"}
+    assert "Frames: 3; 0 done, 2 done before, 1 failed" in sameas(*arguments, "-j", 1, exit_code=1).stdout
+
+
+@pytest.mark.slow
+def test_two_processes_write_what_one_writes(files, sameas, tmp_path):
+    frames = [picture(tmp_path / f"n{k}.fits", sky(), seed=k) for k in (1, 2)]
+    for processes in (1, 2):
+        out = tmp_path / f"by{processes}"
+        sameas("frame", *frames, "-c", files.stars, "-o", out, "--no-page", "--no-picture", "-j", processes)
+    for path in (tmp_path / "by1").glob("*.reg"):
+        assert path.read_text() == (tmp_path / "by2" / path.name).read_text()
+
+
+def test_an_aim_and_a_scale_place_a_frame_without_a_solution(files, sameas, tmp_path):
+    bare = picture(tmp_path / "bare.fits", sky(), solved=False)
+    more = ["-c", files.stars, "-o", tmp_path / "out", "--no-page", "--no-picture"]
+    for aim in ("150.02,20.01", "10:00:04.8,+20:00:36"):
+        text = sameas("frame", bare, *more, "--aim", aim, "--scale", "1.6,2.4", "--again").stdout
+        assert "by                    the aim, odds 10^" in text
+
+
+BARE = {"solved": False}
+
+
+@pytest.mark.parametrize(
+    ("cards", "options", "words"),
+    [
+        (BARE, (), r"bare\.fits: no plate solution and no aim in the header; say --aim RA,DEC and --scale LO,HI"),
+        (BARE, ("--aim", "150,20"), r"bare\.fits: the aim is known, but not the scale; say --scale LO,HI"),
+        (BARE, ("--aim", "150,20", "--scale", "3,3.3", "--radius", "0.02"), "no solution: by the aim .* odds 1:"),
+        (BARE, ("--aim", "15,20", "--scale", "1.6,2.4"), r"stars: 0 stars within .* cover the field\?"),
+        ({"DATE-OBS": ""}, (), r"bare\.fits: the header has no time of the exposure .*; say --time DATE"),
+        ({}, ("--epoch", "none"), "epoch"),
+        ({}, ("--threshold", "1e6"), r"bare\.fits: no star above 1e\+06σ"),
+        ({}, ("--aim", "here",), "--aim here: give RA,DEC in degrees"),
+        ({}, ("--scale", "3,2"), "--scale 3,2: give LO,HI in arcsec per pixel"),
+        ({}, ("--time", "noon"), "--time noon: give a date such as"),
+        ({}, ("--catalog", "nowhere.fits"), r"nowhere\.fits: no such file"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_done_is_one_clear_line(files, refusal, tmp_path, cards, options, words):
+    frame = picture(tmp_path / "bare.fits", sky(), **cards)
+    arguments = ["frame", frame, "-o", tmp_path / "out", *options]
+    if "--catalog" not in options:
+        arguments += ["-c", files.stars]
+    assert re.search(words, refusal(*arguments))
+    assert not list((tmp_path / "out").glob("*")) if (tmp_path / "out").exists() else True
+
+
+@pytest.mark.parametrize(
+    ("image", "words"),
+    [
+        (np.full((64, 64), np.nan, np.float32), "no pixel is a finite number"),
+        (np.full((64, 64), 65535, np.uint16), "all pixels have the value 65535"),
+        (np.random.default_rng(1).normal(100, 5, (96, 96)).astype(np.float32), "cannot be placed|no star above"),
+    ],
+    ids=["nan", "saturated", "no stars"],
+)  # fmt: skip
+def test_bad_images_are_one_clear_line(files, refusal, tmp_path, image, words):
+    header = pointing().to_wcs().to_header()
+    header["DATE-OBS"] = "2016-01-01T12:00:00"
+    fits.PrimaryHDU(image, header).writeto(tmp_path / "bad.fits")
+    said = refusal("frame", tmp_path / "bad.fits", "-c", files.stars, "-o", tmp_path / "out")
+    assert "bad.fits" in said and re.search(words, said)
+
+
+def test_a_catalogue_without_epoch_is_used_where_it_is_and_one_that_moves_is_refused(files, refusal, sameas, tmp_path):
+    table = sky()["source_id", "ra", "dec", "phot_g_mean_mag", "pmra", "pmdec"]
+    table["ra"].unit = table["dec"].unit = "deg"
+    write_table(table, tmp_path / "moves.ecsv", provenance={})
+    more = ["-o", tmp_path / "out", "--no-page", "--no-picture", "--sigma", "0.05"]
+    assert "its epoch is not known; say --epoch YEAR" in refusal(
+        "frame", files.frame, "-c", tmp_path / "moves.ecsv", *more
+    )
+    text = sameas("frame", files.frame, "-c", tmp_path / "moves.ecsv", *more, "--pm", "none").stdout
+    assert "identified" in text
+
+
+def test_a_folder_of_parquet_is_read_where_the_cone_is(files, tmp_path):
+    folder = tmp_path / "hats"
+    for k, part in enumerate(np.array_split(np.arange(400), 3)):
+        path = folder / "dataset" / "Norder=1" / "Dir=0" / f"Npix={k}.parquet"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_table(sky()[part], path, provenance={})
+    (folder / "hats.properties").write_text("obs_collection=test\nhats_col_ra=ra\nhats_col_dec=dec\n")
+    whole = catalogue(str(folder), None)
+    near = catalogue(str(folder), Cone(*WHERE, 0.03))
+    assert len(whole) == 400 and 0 < len(near) < 60
+    assert np.abs(near.astrometry.dec_deg - WHERE[1]).max() <= 0.03
+    with pytest.raises(InputError, match="no stars there; does the catalogue cover the field"):
+        catalogue(str(folder), Cone(10.0, -50.0, 0.1))
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="the folder has no Parquet files"):
+        catalogue(str(tmp_path / "empty"), None)
+
+
+class Archive(http.server.BaseHTTPRequestHandler):
+    """Answers as the archive's TAP service does to a job: made, run, asked for its phase, fetched, deleted."""
+
+    asked: list[str]
+
+    def log_message(self, *_):
+        pass
+
+    def reply(self, body: bytes, code: int = 200, kind: str = "text/xml", **headers: str) -> None:
+        self.send_response(code)
+        for name, value in {"Content-Type": kind, "Content-Length": str(len(body)), **headers}.items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(body)
+
+    def do_POST(self):
+        sent = parse_qs(self.rfile.read(int(self.headers["Content-Length"] or 0)).decode())
+        if self.path.endswith("/async"):
+            self.asked.append(sent["QUERY"][0])
+        self.reply(b"", 303, Location=f"http://{self.headers['Host']}/tap/async/1")
+
+    def do_DELETE(self):
+        self.reply(b"", 303, Location=f"http://{self.headers['Host']}/tap/async")
+
+    def do_GET(self):
+        if self.path.endswith("/results/result"):
+            import io
+
+            table = sky()
+            for name in COLUMNS:
+                if name not in table.colnames:
+                    table[name] = np.full(len(table), np.nan)
+            out = io.BytesIO()
+            table[list(COLUMNS)].write(out, format="votable")
+            self.reply(out.getvalue(), kind="application/x-votable+xml")
+            return
+        base = f"http://{self.headers['Host']}/tap/async/1"
+        self.reply(
+            f'<?xml version="1.0"?><uws:job xmlns:uws="http://www.ivoa.net/xml/UWS/v1.0" '
+            f'xmlns:xlink="http://www.w3.org/1999/xlink" version="1.1"><uws:jobId>1</uws:jobId>'
+            f"<uws:phase>COMPLETED</uws:phase><uws:results>"
+            f'<uws:result id="result" xlink:type="simple" xlink:href="{base}/results/result"/>'
+            f"</uws:results></uws:job>".encode()
+        )
+
+
+@pytest.fixture
+def archive(tmp_path):
+    pytest.importorskip("pyvo", reason="the archive needs the extra sameas[archive]")
+    handler = type("Answering", (Archive,), {"asked": []})
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield GaiaArchive(url=f"http://127.0.0.1:{server.server_port}/tap", folder=tmp_path / "kept"), handler.asked
+    server.shutdown()
+    server.server_close()
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_the_archive_is_asked_once_for_a_field_and_its_neighbours(archive):
+    ask, asked = archive
+    stars = catalogue("gaia", Cone(*WHERE, 0.12), archive=ask)
+    assert len(stars) == 400 and stars.epoch_jyr == 2016.0 and stars.has_motion
+    assert len(asked) == 1 and "FROM gaiadr3.gaia_source" in asked[0] and "phot_g_mean_mag < 21" in asked[0]
+    catalogue("gaia", Cone(WHERE[0] + 0.02, WHERE[1] - 0.02, 0.12), CatalogueOptions(), archive=ask)
+    catalogue("gaia", Cone(*WHERE, 0.12), archive=ask, faintest=18.0)
+    assert len(asked) == 1
+    catalogue("gaia", Cone(WHERE[0] + 1.0, WHERE[1], 0.12), archive=ask)
+    assert len(asked) == 2
+
+
+def test_a_silent_archive_is_one_line_that_names_what_works_offline(tmp_path):
+    pytest.importorskip("pyvo", reason="the archive needs the extra sameas[archive]")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with pytest.raises(InputError, match=r"127\.0\.0\.1:9/tap: the archive does not answer .*--catalog bright"):
+            catalogue("gaia", Cone(*WHERE, 0.1), archive=GaiaArchive("http://127.0.0.1:9/tap", folder=tmp_path))
+    with pytest.raises(InputError, match="asked a field at a time; give --aim"):
+        catalogue("gaia", None)
+
+
+def test_round_cones_hold_the_ones_they_are_about():
+    rng = np.random.default_rng(7)
+    for _ in range(200):
+        cone = Cone(rng.uniform(0, 360), rng.uniform(-89.9, 89.9), rng.uniform(0.01, 3))
+        assert rounded(cone).holds(cone) and rounded(cone).radius_deg < cone.radius_deg + 0.25
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to show the page in")
+def test_the_page_shows_zooms_and_tells_a_stars_record_in_a_browser(done, tmp_path):
+    out, _ = done
+    rows = read_table(out / "night.stars.fits")
+    third = int(np.flatnonzero(rows["fate"] == "identified")[2])
+    browser = Browser(tmp_path / "profile", out / "night.html")
+    try:
+        assert browser.js("document.title").startswith("night.fits")
+        assert int(browser.js("document.getElementById('n-found').textContent").replace(" ", "")) == np.sum(
+            rows["fate"] == "identified"
+        )
+        left, top = browser.js("(r => [r.left, r.top])(document.getElementById('sky').getBoundingClientRect())")
+        at = f"framePage.toScreen({float(rows['x_px'][third])}, {float(rows['y_px'][third])})"
+        x, y = browser.js(at)
+        before = browser.js("framePage.view.scale")
+        browser.wheel(left + x, top + y, -400)
+        browser.until(f"framePage.view.scale > 1.5 * {before}")
+        nx, ny = browser.js(at)
+        assert abs(nx - x) < 1 and abs(ny - y) < 1  # the point under the hand stays
+        browser.click(left + nx, top + ny)
+        record = browser.js("document.getElementById('record').innerText")
+        assert str(rows["star"][third]) in record and "none of them" in record and f"Measurement {third}" in record
+        missing = str(rows["star"][rows["fate"] == "missing"][0])
+        browser.js(f"document.getElementById('search').value = '{missing}'")
+        browser.js("document.getElementById('search').dispatchEvent(new Event('change'))")
+        assert browser.js("document.getElementById('record').innerText").startswith(missing)
+        browser.js("document.getElementById('whole').click()")
+        assert browser.js("framePage.view.scale") == pytest.approx(before)
+        assert not browser.errors
+        assert not [url for url in browser.requests if not url.startswith(("file:", "data:", "blob:"))]
+    finally:
+        browser.close()
