@@ -1,0 +1,244 @@
+"""Contenders: the decision rules that the study compares, each told what its user would know.
+
+A contender is called with scenes and the formation they were drawn from, and gives a :class:`Verdict`. All get the same
+candidates. What a rule is told of the formation is written in it: the papers' rule the spacing and q, the uniform rule
+the box of the records and q, the constant cost the density and q. ``factor`` tells it a wrong number on purpose.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.decision import most_right
+from sameas.evidence import CloseObjects, ConstantCost, Field, Flat, GaussianMixture, Rule, Universal
+from sameas.gate import Box, Pairs
+from sameas.groups import groups
+from sameas.identify import identify
+from sameas.older import classified, enumerated, most_pairs, mutual_nearest, nearest
+from sameas.prior import CommonObjects, PerPair, Prior
+from sameas.records import FloatArray, IntArray, Records
+from sameas.study.scenes import Formation, Lattice, Scenes
+
+Gate = Callable[[Records, Records], Pairs]
+#: The papers' gate: each feature within 3σ.
+PAPERS_GATE = Box(3.0)
+#: The papers' inner box, in σ.
+INNER = 1.1
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Pairs that a contender takes for one object: rows ``i``, ``j`` (k,) of the two sources.
+
+    candidates : rows of all candidates and their probabilities, ((m,), (m,), (m,)); None where none are stated.
+    """
+
+    i: IntArray
+    j: IntArray
+    candidates: tuple[IntArray, IntArray, FloatArray] | None = None
+
+
+class Contender(Protocol):
+    """A decision rule with a name."""
+
+    @property
+    def name(self) -> str:
+        """As the tables call it."""
+
+    def __call__(self, scenes: Scenes, formation: Formation) -> Verdict:
+        """What it decides."""
+
+
+# ---- what rules are told ----
+
+
+@dataclass(frozen=True)
+class Close:
+    """The papers' rule: a = 1.1 σ, b = 2 · spacing · ``factor``; below a its limit b → a.
+
+    approximation : of the boxes, as ``CloseObjects`` takes it.
+    """
+
+    factor: float = 1.0
+    approximation: str | None = None
+
+    def __call__(self, scenes: Scenes, formation: Formation) -> Rule:
+        b = 2.0 * formation.spacing * self.factor
+        return CloseObjects(INNER, b if b > INNER else None, approximation=self.approximation)
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """Constant density: 1 over the box around the scene's records, ``margin`` σ wider on each side (METHOD 3.1)."""
+
+    margin: float = 1.0
+
+    def __call__(self, scenes: Scenes, formation: Formation) -> Rule:
+        return Field(1.0 / scenes.boxes(self.margin)[scenes.scene[1]])
+
+
+@dataclass(frozen=True)
+class Constant:
+    """The frame paper's constant, C² = ρ q₁ q₂ (METHOD 4.3), with the density of the formation; C times ``factor``."""
+
+    factor: float = 1.0
+
+    def __call__(self, scenes: Scenes, formation: Formation) -> Rule:
+        return ConstantCost(self.factor * math.sqrt(formation.density * math.prod(formation.q[:2])))
+
+
+@dataclass(frozen=True)
+class Known:
+    """The universal rule told where the other targets stand from a target (METHOD 3.3); lattices only."""
+
+    def __call__(self, scenes: Scenes, formation: Formation) -> Rule:
+        assert isinstance(formation, Lattice)
+        means, shares = formation.offsets
+        points = np.broadcast_to(1e-6 * np.eye(formation.d), (len(means), formation.d, formation.d))
+        return Universal(Flat(formation.density), GaussianMixture(shares, means, points))
+
+
+@dataclass(frozen=True)
+class Counted:
+    """Prior of the number of common targets from q, told q · ``factor`` at most 0.95."""
+
+    factor: float = 1.0
+    linear: bool = False
+
+    def __call__(self, formation: Formation) -> Prior:
+        q1, q2 = (min(max(q * self.factor, 1e-4), 0.95) for q in formation.q[:2])
+        return CommonObjects(q1, q2, linear=self.linear)
+
+
+@dataclass(frozen=True)
+class Nothing:
+    """No prior beside what the rule contains."""
+
+    def __call__(self, formation: Formation) -> Prior:
+        return PerPair(0.0)
+
+
+# ---- contenders ----
+
+
+@dataclass(frozen=True)
+class MostProbable:
+    """The most probable one-to-one hypothesis under a rule and a prior, with probabilities: ``identify``."""
+
+    name: str
+    rule: Callable[[Scenes, Formation], Rule]
+    prior: Callable[[Formation], Prior] = field(default_factory=Counted)
+    gate: Gate = PAPERS_GATE
+
+    def __call__(self, scenes: Scenes, formation: Formation) -> Verdict:
+        found = identify(*scenes.sources[:2], rule=self.rule(scenes, formation), prior=self.prior(formation),
+                         gate=self.gate)  # fmt: skip
+        return _verdict(found.pairs, found.chosen, found.p_pair)
+
+
+@dataclass(frozen=True)
+class MostRight:
+    """The one-to-one decision with most records expected to be right, from the same probabilities."""
+
+    name: str
+    rule: Callable[[Scenes, Formation], Rule]
+    prior: Callable[[Formation], Prior] = field(default_factory=Counted)
+    gate: Gate = PAPERS_GATE
+
+    def __call__(self, scenes: Scenes, formation: Formation) -> Verdict:
+        found = identify(*scenes.sources[:2], rule=self.rule(scenes, formation), prior=self.prior(formation),
+                         gate=self.gate)  # fmt: skip
+        return _verdict(found.pairs, most_right(found).chosen, found.p_pair)
+
+
+@dataclass(frozen=True)
+class Enumerated:
+    """The most probable hypothesis by looking at all of them: the oracle, for small scenes."""
+
+    name: str
+    rule: Callable[[Scenes, Formation], Rule]
+    prior: Callable[[Formation], Prior] = field(default_factory=Counted)
+    gate: Gate = PAPERS_GATE
+
+    def __call__(self, scenes: Scenes, formation: Formation) -> Verdict:
+        pairs = self.gate(*scenes.sources[:2])
+        grouped = groups(pairs)
+        believed = self.prior(formation)(grouped.sizes_1, grouped.sizes_2)
+        return _verdict(pairs, enumerated(grouped, self.rule(scenes, formation)(pairs).log_ratio, believed))
+
+
+@dataclass(frozen=True)
+class MostPairs:
+    """k = min(N₁, N₂) pairs of least Σ ΔᵀΣ⁻¹Δ in every group [T3]."""
+
+    name: str = "k = min"
+    gate: Gate = PAPERS_GATE
+
+    def __call__(self, scenes: Scenes, formation: Formation) -> Verdict:
+        pairs = self.gate(*scenes.sources[:2])
+        return _verdict(pairs, most_pairs(pairs, groups(pairs)))
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """For each record of source 1 its nearest candidate; a record of source 2 may be named twice."""
+
+    name: str = "nearest"
+    gate: Gate = PAPERS_GATE
+
+    def __call__(self, scenes: Scenes, formation: Formation) -> Verdict:
+        pairs = self.gate(*scenes.sources[:2])
+        return _verdict(pairs, nearest(pairs))
+
+
+@dataclass(frozen=True)
+class MutualNearest:
+    """Pairs that are each other's nearest candidates."""
+
+    name: str = "mutual nearest"
+    gate: Gate = PAPERS_GATE
+
+    def __call__(self, scenes: Scenes, formation: Formation) -> Verdict:
+        pairs = self.gate(*scenes.sources[:2])
+        return _verdict(pairs, mutual_nearest(pairs))
+
+
+@dataclass(frozen=True)
+class Independent:
+    """Each record of source 1 for itself to the most probable candidate or nobody (METHOD 3.5), by the constant C."""
+
+    name: str = "independent Bayes"
+    gate: Gate = PAPERS_GATE
+
+    def __call__(self, scenes: Scenes, formation: Formation) -> Verdict:
+        pairs = self.gate(*scenes.sources[:2])
+        return _verdict(pairs, classified(pairs, Constant()(scenes, formation)(pairs).log_ratio))
+
+
+def _verdict(pairs: Pairs, chosen: NDArray[np.bool_], p: FloatArray | None = None) -> Verdict:
+    i, j = pairs.i.astype(np.int64), pairs.j.astype(np.int64)
+    return Verdict(i[chosen], j[chosen], None if p is None else (i, j, p))
+
+
+def line_up(formation: Formation) -> tuple[Contender, ...]:
+    """The contenders of the main comparison that a formation allows, ours first."""
+    chosen: list[Contender] = [
+        MostProbable("close objects", Close()),
+        MostProbable("close objects, linear prior", Close(), Counted(linear=True)),
+        MostRight("close objects, most right", Close()),
+        MostProbable("uniform", Uniform()),
+        MostProbable("constant C", Constant(), Nothing()),
+        Independent(),
+        MostPairs(),
+        MutualNearest(),
+        Nearest(),
+    ]
+    if isinstance(formation, Lattice) and formation.targets > 1:
+        chosen.append(MostProbable("universal, formation known", Known()))
+    return tuple(chosen)
