@@ -1,0 +1,176 @@
+"""aircraft.json: the aircraft that dump1090, readsb and tar1090 see, one snapshot a file or one a line.
+
+Each snapshot tells the whole picture, so most of it was in the one before: a position is a report only when it is new.
+Its time is that of the snapshot less ``seen_pos``. Accuracy is NACp, else half the containment radius (``rc`` or NIC);
+positions by multilateration (mlat) and rebroadcast (tisb) state none and stay without.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from sameas.errors import InputError
+from sameas.io.sensors.clock import seconds
+from sameas.io.sensors.units import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S
+from sameas.records import FloatArray
+from sameas.tracks.accuracy import (
+    round_covariance,
+    sigma_of_containment,
+    sigma_of_nacp,
+    sigma_of_nacv,
+    sigma_of_nic,
+)
+from sameas.tracks.reports import Damaged, Reports, of_rows
+
+#: Snapshots round the age of a position to 0.1 s: two ages of one position differ by no more.
+_SAME_POSITION_S = 0.25
+_NO_POSITION = "aircraft without a position"
+#: Fields that are numbers, and the column and factor they become.
+_NUMBERS = {
+    "gs": ("speed_m_per_s", KNOT_M_PER_S),
+    "track": ("course_deg", 1.0),
+    "true_heading": ("heading_deg", 1.0),
+    "alt_geom": ("alt_m", FOOT_M),
+    "nac_p": ("nac_p", 1.0),
+    "nac_v": ("nac_v", 1.0),
+    "nic": ("nic", 1.0),
+    "rc": ("rc_m", 1.0),
+    "sil": ("sil", 1.0),
+}
+
+
+def read(lines: Sequence[str], source: str) -> Reports:
+    """The positions of aircraft in snapshots.
+
+    Parameters
+    ----------
+    lines : of a file that is one snapshot, or has one in each line.
+    source : its name in messages.
+
+    Raises
+    ------
+    InputError : no snapshot; no position.
+    """
+    damaged: list[tuple[int, str]] = []
+    passed_over: Counter[str] = Counter()
+    rows: list[dict[str, Any]] = []
+    last: dict[str, Mapping[str, Any]] = {}
+    for number, snapshot in _snapshots(lines, damaged):
+        for aircraft in snapshot["aircraft"]:
+            row = _row(number, snapshot["now"], aircraft)
+            if isinstance(row, str):
+                if row == _NO_POSITION:
+                    passed_over[row] += 1
+                else:
+                    damaged.append((number, row))
+            elif _is_same(last.get(row["track_id"]), row):
+                passed_over["position told before"] += 1
+            else:
+                last[row["track_id"]] = row
+                rows.append(row)
+    if not rows:
+        said = "; ".join(Damaged.of(damaged).sentences()) or "no aircraft has one"
+        raise InputError(f"{source}: no position of an aircraft: {said}")
+    columns = of_rows(rows)
+    columns |= errors_of(columns)
+    return Reports.of(
+        source, "adsb", columns, damaged=Damaged.of(damaged), passed_over=passed_over, notes=notes(source)
+    )
+
+
+def errors_of(columns: Mapping[str, Any]) -> dict[str, FloatArray]:
+    """Covariances of position and velocity, from what transponders state: ``nac_p``, ``rc_m``, ``nic``, ``nac_v``."""
+    n = len(columns["time_s"])
+    absent = np.full(n, np.nan)
+    sigma = sigma_of_nacp(columns.get("nac_p", absent))
+    for other in (sigma_of_containment(columns.get("rc_m", absent)), sigma_of_nic(columns.get("nic", absent))):
+        sigma = np.where(np.isfinite(sigma), sigma, other)
+    return {
+        "covariance_m2": round_covariance(sigma),
+        "velocity_covariance_m2_per_s2": round_covariance(sigma_of_nacv(columns.get("nac_v", absent))),
+    }
+
+
+def notes(source: str) -> tuple[str, ...]:
+    """What is assumed of the accuracy that transponders state."""
+    return (
+        f"{source}: errors are the transponder's NACp (radius of 95 % over 2.45); without it, half of the containment "
+        "radius is taken for the radius of 95 %; positions that state neither have no error of their own",
+    )
+
+
+def identity_of(address: str) -> dict[str, str | None]:
+    """Columns of an address: ``icao`` where it is one of ICAO's (no ~ before it), and ``track_id``."""
+    text = address.strip().lower()
+    return {"track_id": text, "icao": None if text.startswith("~") else text}
+
+
+def _snapshots(lines: Sequence[str], damaged: list[tuple[int, str]]) -> Iterator[tuple[int, Mapping[str, Any]]]:
+    """Numbers of lines and snapshots; one snapshot may be spread over all lines."""
+    try:
+        whole = [(1, json.loads("\n".join(lines)))]
+    except ValueError:
+        whole = []
+        for number, line in enumerate(lines, start=1):
+            if line.strip():
+                try:
+                    whole.append((number, json.loads(line)))
+                except ValueError:
+                    damaged.append((number, "no JSON"))
+    for number, snapshot in whole:
+        if not isinstance(snapshot, dict) or not isinstance(snapshot.get("aircraft"), list):
+            damaged.append((number, "no list of aircraft"))
+        elif not isinstance(snapshot.get("now"), (int, float)):
+            damaged.append((number, 'no time ("now")'))
+        else:
+            yield number, snapshot | {"now": seconds(float(snapshot["now"]))}
+
+
+def _row(number: int, now: float, aircraft: Any) -> dict[str, Any] | str:
+    """One report, or why there is none."""
+    if not isinstance(aircraft, dict) or not isinstance(aircraft.get("hex"), str):
+        return "an aircraft without an address"
+    if "lat" not in aircraft or "lon" not in aircraft:
+        return _NO_POSITION
+    try:
+        lat, lon = float(aircraft["lat"]), float(aircraft["lon"])
+        age = float(aircraft.get("seen_pos", 0.0))
+        values = {
+            column: scale * float(aircraft[name]) for name, (column, scale) in _NUMBERS.items() if name in aircraft
+        }
+        on_ground = aircraft.get("alt_baro") == "ground"
+        pressure = None if on_ground or "alt_baro" not in aircraft else FOOT_M * float(aircraft["alt_baro"])
+        climb = next((float(aircraft[name]) for name in ("geom_rate", "baro_rate") if name in aircraft), None)
+    except (TypeError, ValueError):
+        return "a position or another number is none"
+    if not (abs(lat) <= 90.0 and abs(lon) <= 180.0):
+        return "position outside the earth"
+    return {
+        "line": number,
+        "time_s": now - age,
+        "lat_deg": lat,
+        "lon_deg": lon,
+        **identity_of(aircraft["hex"]),
+        "callsign": str(aircraft.get("flight", "")).strip() or None,
+        "mode_a": str(aircraft.get("squawk", "")).strip() or None,
+        "name": aircraft.get("r"),
+        "type": aircraft.get("t"),
+        "category": aircraft.get("category"),
+        "origin": str(aircraft.get("type", "")) or None,
+        "pressure_alt_m": pressure,
+        "on_ground": float(on_ground),
+        "climb_m_per_s": None if climb is None else climb * FEET_PER_MINUTE_M_PER_S,
+        **values,
+    }
+
+
+def _is_same(before: Mapping[str, Any] | None, row: Mapping[str, Any]) -> bool:
+    if before is None:
+        return False
+    same_place = before["lat_deg"] == row["lat_deg"] and before["lon_deg"] == row["lon_deg"]
+    return same_place and abs(before["time_s"] - row["time_s"]) <= _SAME_POSITION_S

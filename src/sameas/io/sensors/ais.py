@@ -1,0 +1,318 @@
+"""AIS: what ships say of themselves, from the !AIVDM sentences of a log.
+
+Position reports 1, 2, 3, 9, 18, 19 and 27 become reports; 5, 19 and 24 tell name, call sign, kind and hull; 4 and 11
+serve as a clock where the log has none. Values that mean "not available" are absent. Positions are those of the hull's
+middle where hull and heading are known (:mod:`sameas.tracks.hull`), those of the antenna stay in ``extra``. Decoding is
+done by pyais (MIT).
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+
+from sameas.errors import InputError
+from sameas.io.sensors.clock import at_second, counted_on, held
+from sameas.io.sensors.nmea import Log
+from sameas.io.sensors.units import KNOT_M_PER_S, MILE_M
+from sameas.records import FloatArray
+from sameas.tracks.accuracy import AIS_RECKONED_SIGMA_M, AIS_SIGMA_M, round_covariance
+from sameas.tracks.hull import Hull
+from sameas.tracks.reports import Damaged, Reports, of_rows
+
+#: The sentences that this module reads; VDO is own ship's own report.
+SENTENCES = ("VDM", "VDO")
+_POSITIONS = (1, 2, 3, 9, 18, 19, 27)
+_STATICS = (5, 19, 24)
+_CLOCKS = (4, 11)
+#: Metres of one step of latitude in reports 27 (0.1′); in all others it is 0.2 m, far below the errors.
+_LONG_RANGE_STEP_M = 0.1 * MILE_M
+#: Below this speed the course says nothing of where the bow points.
+_STEERING_M_PER_S = 1.0
+_SIDES = ("bow", "stern", "port", "starboard")
+_KINDS = {20: "wing in ground", 30: "fishing", 31: "towing", 32: "towing", 33: "dredging", 34: "diving",
+          35: "military", 36: "sailing", 37: "pleasure", 40: "high speed craft", 50: "pilot",
+          51: "search and rescue", 52: "tug", 53: "port tender", 54: "anti-pollution", 55: "law enforcement",
+          58: "medical", 60: "passenger", 70: "cargo", 80: "tanker", 90: "other"}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Message:
+    """One message: the line of its last sentence and the place of that in the log, and what pyais decoded."""
+
+    line: int
+    place: int
+    own_ship: bool
+    told: Any
+
+    @property
+    def type(self) -> int:
+        return int(self.told.msg_type)
+
+
+@dataclass(frozen=True)
+class Static:
+    """What a ship told of itself until some line: texts and numbers by the name of their column."""
+
+    line: int
+    values: Mapping[str, Any]
+
+
+def read(log: Log, source: str, start_s: float | None = None) -> Reports:
+    """The reports of ships in a log.
+
+    Parameters
+    ----------
+    log : sentences with their clock; those that are not AIS are left alone.
+    source : its name in messages.
+    start_s : UTC of the first message, for logs without any clock: the seconds in the messages are counted on from it.
+
+    Raises
+    ------
+    InputError : pyais is not installed; no position among the messages; no time.
+    """
+    messages, damaged = _messages(log)
+    positions, passed_over = [], Counter[str]()
+    for message in messages:
+        reason = _unusable(message)
+        if message.own_ship:
+            passed_over["own ship's own report (VDO)"] += 1
+        elif message.type not in _POSITIONS:
+            if message.type not in _STATICS:
+                passed_over[f"AIS message of type {message.type}"] += 1
+        elif reason.startswith("AIS"):
+            passed_over[reason] += 1
+        elif reason:
+            damaged.append((message.line, reason))
+        else:
+            positions.append(message)
+    if not positions:
+        raise InputError(f"{source}: no AIS position in {len(messages)} messages; {_what_else(damaged, passed_over)}")
+    time_s, clock = _times(log, messages, positions, source, start_s)
+    columns = of_rows(_rows(positions, _statics(messages)))
+    columns |= {"time_s": time_s, **_placed(columns, np.array([message.type for message in positions]))}
+    return Reports.of(
+        source, "ais", columns, damaged=Damaged.of(damaged), passed_over=passed_over, notes=_notes(source, clock)
+    )
+
+
+def _messages(log: Log) -> tuple[list[Message], list[tuple[int, str]]]:
+    """The decoded messages, those of several sentences put together, and the lines that could not be decoded."""
+    decode = _decoder()
+    messages: list[Message] = []
+    damaged = list(log.damaged)
+    waiting: dict[tuple[str, ...], list[int]] = {}
+    for place, sentence in enumerate(log.sentences):
+        if sentence.kind not in SENTENCES:
+            continue
+        parts = [place]
+        if not sentence.field(5):
+            damaged.append((sentence.line, "AIS sentence without a message"))
+            continue
+        if sentence.field(1) != "1":
+            key = (sentence.kind, sentence.field(1), sentence.field(3), sentence.field(4))
+            parts = _parts(waiting, key, place, log, damaged)
+        if not parts:
+            continue
+        try:
+            told = decode(*(log.sentences[k].text for k in parts))
+        except Exception as error:
+            # Whatever a decoder stumbles over is one damaged message, never the end of the file.
+            damaged += [(log.sentences[k].line, f"cannot be decoded ({type(error).__name__})") for k in parts]
+            continue
+        messages.append(Message(sentence.line, place, sentence.kind == "VDO", told))
+    for parts in waiting.values():
+        damaged += [(log.sentences[k].line, "part of a message without the others") for k in parts]
+    return messages, damaged
+
+
+def _parts(
+    waiting: dict[tuple[str, ...], list[int]],
+    key: tuple[str, ...],
+    place: int,
+    log: Log,
+    damaged: list[tuple[int, str]],
+) -> list[int]:
+    """The places of all parts of a message when its last one has come, else none; broken rows become damaged."""
+    total, number = key[1], log.sentences[place].field(2)
+    before = waiting.pop(key, [])
+    if number != str(len(before) + 1):
+        damaged += [(log.sentences[k].line, "part of a message without the others") for k in before]
+        before = []
+    if number != "1" and not before:
+        damaged.append((log.sentences[place].line, "part of a message without the others"))
+        return []
+    parts = [*before, place]
+    if str(len(parts)) == total:
+        return parts
+    waiting[key] = parts
+    return []
+
+
+def _decoder() -> Callable[..., Any]:
+    try:
+        from pyais import decode
+    except ImportError as error:
+        raise InputError("AIS messages need pyais: pip install 'sameas[targets]'") from error
+    return decode
+
+
+def _unusable(message: Message) -> str:
+    """Why a position report cannot be used; empty where it can. What begins with "AIS" is no damage."""
+    told = message.told
+    if message.type not in _POSITIONS:
+        return ""
+    lat, lon = getattr(told, "lat", None), getattr(told, "lon", None)
+    if lat is None or lon is None:
+        return f"too short for a message of type {message.type}"
+    if lat == 91.0 or lon == 181.0:
+        return "AIS report without a position"
+    if abs(lat) > 90.0 or abs(lon) > 180.0:
+        return "position outside the earth"
+    return "AIS report, positioning inoperative" if getattr(told, "second", None) == 63 else ""
+
+
+def _times(
+    log: Log, messages: Sequence[Message], positions: Sequence[Message], source: str, start_s: float | None
+) -> tuple[FloatArray, str]:
+    """When each position was true, and whose clock told it."""
+    second = np.array([_below(getattr(message.told, "second", None), 60) for message in positions], float)
+    places = [message.place for message in positions]
+    clock_s, clock = log.clock_s, log.clock
+    if not clock and any(message.type in _CLOCKS for message in messages):
+        clock_s = np.full(len(log.sentences), np.nan)
+        for message in messages:
+            if message.type in _CLOCKS:
+                clock_s[message.place] = _base_station(message.told)
+        clock_s, clock = held(clock_s), "base stations' reports"
+    if np.isfinite(clock_s[places]).all():
+        return at_second(clock_s[places], second), clock
+    if start_s is None:
+        raise InputError(
+            f"{source}: no time: the lines carry no time of receipt, and there is no ZDA, RMC or base station; "
+            "give start, the UTC of the first line"
+        )
+    counted = held(counted_on(second, 60.0, start_s))
+    return counted, "the seconds in the messages, counted on from the start that was given"
+
+
+def _base_station(told: Any) -> float:
+    try:
+        moment = datetime(told.year, told.month, told.day, told.hour, told.minute, told.second, tzinfo=UTC)
+    except (TypeError, ValueError):
+        return np.nan
+    return moment.timestamp()
+
+
+def _rows(positions: Sequence[Message], statics: Mapping[str, list[Static]]) -> list[dict[str, Any]]:
+    rows = []
+    for message in positions:
+        told, kind = message.told, message.type
+        # Knots in tenths; report 27 has whole knots and 63 for none, 9 whole knots and 1023.
+        speed = _below(told.speed, {27: 63.0, 9: 1023.0}.get(kind, 102.25))
+        second = getattr(told, "second", None)
+        mmsi = f"{int(told.mmsi):09d}"
+        rows.append(
+            {
+                "line": message.line,
+                "mmsi": mmsi,
+                "track_id": mmsi,
+                "antenna_lat_deg": float(told.lat),
+                "antenna_lon_deg": float(told.lon),
+                "alt_m": _below(getattr(told, "alt", None), 4095),
+                "speed_m_per_s": None if speed is None else speed * KNOT_M_PER_S,
+                "course_deg": _below(told.course, 360.0),
+                "heading_deg": _below(getattr(told, "heading", None), 360),
+                "message_type": kind,
+                "accuracy_flag": float(bool(told.accuracy)),
+                "raim_flag": float(bool(told.raim)),
+                "reckoned": float(second in (61, 62)),
+                **_static_at(statics.get(mmsi, []), message.line),
+            }
+        )
+    return rows
+
+
+def _below(value: Any, limit: float) -> float | None:
+    """The value as a number; None where it is missing or at the limit that means "not available"."""
+    return None if value is None or not 0 <= float(value) < limit else float(value)
+
+
+def _statics(messages: Sequence[Message]) -> dict[str, list[Static]]:
+    """What each ship told of itself, in the order of the lines; later words replace earlier ones, silence does not."""
+    by_ship: dict[str, list[Static]] = {}
+    for message in messages:
+        if message.type not in _STATICS or message.own_ship:
+            continue
+        mmsi = f"{int(message.told.mmsi):09d}"
+        before = by_ship.setdefault(mmsi, [])
+        said = _static(message.told)
+        before.append(Static(message.line, {**(before[-1].values if before else {}), **said}))
+    return by_ship
+
+
+def _static_at(told: Sequence[Static], line: int) -> Mapping[str, Any]:
+    """What was known of a ship at a line; before its first word that first word, since hulls and names last."""
+    if not told:
+        return {}
+    return told[max(bisect_right([static.line for static in told], line) - 1, 0)].values
+
+
+def _static(told: Any) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for column, field in (("name", "shipname"), ("callsign", "callsign")):
+        text = str(getattr(told, field, None) or "").rstrip("@ ").strip()
+        if text:
+            values[column] = text
+    if getattr(told, "imo", None):
+        values["imo"] = str(told.imo)
+    code = int(getattr(told, "ship_type", None) or 0)
+    if 20 <= code < 100:
+        values["type"] = _KINDS.get(code, _KINDS.get(10 * (code // 10), "other"))
+    sides = {f"to_{side}_m": getattr(told, f"to_{side}", None) for side in _SIDES}
+    # An auxiliary craft (98…) tells its mother ship in the bits of its hull.
+    if None not in sides.values() and any(sides.values()) and not f"{int(told.mmsi):09d}".startswith("98"):
+        values |= {name: float(distance or 0.0) for name, distance in sides.items()}
+    return values
+
+
+def _placed(columns: Mapping[str, Any], kinds: np.ndarray) -> dict[str, Any]:
+    """Positions of the middles of the hulls, and their covariances."""
+    n = len(kinds)
+    lat, lon = columns["antenna_lat_deg"], columns["antenna_lon_deg"]
+    sigma = np.where(columns["accuracy_flag"] > 0.0, AIS_SIGMA_M[True], AIS_SIGMA_M[False])
+    sigma = np.where(columns["reckoned"] > 0.0, AIS_RECKONED_SIGMA_M, sigma)
+    covariance = round_covariance(sigma)
+    # A position rounded to steps lies anywhere within one.
+    step = np.where(kinds == 27, _LONG_RANGE_STEP_M, 0.0)
+    covariance[:, 2] += step**2 / 12.0
+    covariance[:, 0] += (step * np.cos(np.radians(lat))) ** 2 / 12.0
+    sides = [np.asarray(columns.get(f"to_{side}_m", np.full(n, np.nan))) for side in _SIDES]
+    hull = Hull(*sides)
+    steering = np.nan_to_num(columns["speed_m_per_s"]) > _STEERING_M_PER_S
+    heading = np.where(steering, columns["course_deg"], np.nan)
+    heading = np.where(np.isfinite(columns["heading_deg"]), columns["heading_deg"], heading)
+    lat, lon, extent = hull.centre(lat, lon, heading)
+    return {"lat_deg": lat, "lon_deg": lon, "covariance_m2": covariance + extent,
+            "length_m": hull.length_m, "width_m": hull.width_m}  # fmt: skip
+
+
+def _what_else(damaged: Sequence[tuple[int, str]], passed_over: Mapping[str, int]) -> str:
+    found = Damaged.of(damaged).sentences() + [f"{count} passed over: {what}" for what, count in passed_over.items()]
+    return "; ".join(found) or "is it AIS?"
+
+
+def _notes(source: str, clock: str) -> tuple[str, ...]:
+    return (
+        f"{source}: times from {clock}, and the second within the message where it tells one",
+        f"{source}: assumed {AIS_SIGMA_M[True]:g} m per axis where the accuracy flag is set, {AIS_SIGMA_M[False]:g} m "
+        f"where not, {AIS_RECKONED_SIGMA_M:g} m for positions that are reckoned or put in by hand",
+        f"{source}: positions are those of the hull's middle; echoes are taken to come evenly from the whole hull; "
+        f"the course stands for the heading where that is not told and the ship makes {_STEERING_M_PER_S:g} m/s",
+    )

@@ -1,0 +1,208 @@
+"""ARPA: what a ship's radar tracks, from TTM and TLL sentences of its log.
+
+TTM gives range and bearing, speed and course, each true or relative by its own flag; TLL the latitude and longitude
+that the radar worked out. Where a log has both, they are the same targets twice, and TTM is read: it is what was
+measured. OSD, HDT and THS tell where the bow points; RMC, GGA and GLL where the ship was. No sentence tells how good
+the radar is: errors are the source's to describe.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from sameas.errors import InputError
+from sameas.io.sensors.clock import held
+from sameas.io.sensors.nmea import Log, Sentence, dated, latitude, longitude, time_of_day
+from sameas.io.sensors.units import KNOT_M_PER_S, MILE_M
+from sameas.records import FloatArray
+from sameas.tracks.reports import Damaged, Reports, of_rows
+
+#: The sentences of targets.
+SENTENCES = ("TTM", "TLL")
+#: Metres, and metres per second, of the units of distance and speed.
+_UNITS = {"N": (MILE_M, KNOT_M_PER_S), "K": (1000.0, 1.0 / 3.6), "S": (1609.344, 0.44704)}
+_STATUS = {"L": "lost", "Q": "being acquired", "T": "tracked"}
+
+
+def read(log: Log, source: str, start_s: float | None = None) -> Reports:
+    """The targets of a ship's radar.
+
+    Parameters
+    ----------
+    log : sentences with their clock; those of other kinds are left alone.
+    source : its name in messages.
+    start_s : UTC of the first line, for logs that tell the time of day but no date.
+
+    Raises
+    ------
+    InputError : no target; no time.
+    """
+    kind = "TTM" if any(s.kind == "TTM" for s in log.sentences) else "TLL"
+    damaged = list(log.damaged)
+    passed_over: Counter[str] = Counter()
+    own = _own_ship(log)
+    places, rows = [], []
+    for place, sentence in enumerate(log.sentences):
+        if sentence.kind != kind:
+            if sentence.kind in SENTENCES:
+                passed_over["TLL of targets that TTM tells too"] += 1
+            continue
+        try:
+            row = _target(sentence, {name: values[place] for name, values in own.items()})
+        except ValueError as error:
+            damaged.append((sentence.line, str(error)))
+            continue
+        if row is None:
+            passed_over["target lost by the radar"] += 1
+        else:
+            places.append(place)
+            rows.append(row)
+    if not rows:
+        lost = "; ".join(Damaged.of(damaged).sentences()) or "every target is lost"
+        raise InputError(f"{source}: no radar target that can be used: {lost}")
+    columns = of_rows(rows)
+    columns["time_s"] = _times(log, columns.pop("day_s"), np.array(places), source, start_s)
+    return Reports.of(
+        source,
+        "arpa",
+        columns,
+        damaged=Damaged.of(damaged),
+        passed_over=passed_over,
+        notes=_notes(source, log, columns),
+    )
+
+
+def _own_ship(log: Log) -> dict[str, FloatArray]:
+    """Heading and position of own ship at each sentence: what was said last, and before the first word nothing."""
+    found = {name: np.full(len(log.sentences), np.nan) for name in ("heading", "lat", "lon")}
+    for place, sentence in enumerate(log.sentences):
+        reader = _OWN_SHIP.get(sentence.kind)
+        if reader:
+            try:
+                told = reader(sentence)
+            except (ValueError, IndexError):
+                continue
+            for name, value in told.items():
+                found[name][place] = np.nan if value is None else value
+    return {name: _until_now(values) for name, values in found.items()}
+
+
+def _until_now(values: FloatArray) -> FloatArray:
+    said = np.isfinite(values)
+    return np.where(np.cumsum(said) > 0, held(values), np.nan)
+
+
+def _position(lat: int) -> Callable[[Sentence], dict[str, float | None]]:
+    """The reader of a position whose latitude is this field."""
+
+    def told(s: Sentence) -> dict[str, float | None]:
+        return {
+            "lat": latitude(s.field(lat), s.field(lat + 1)),
+            "lon": longitude(s.field(lat + 2), s.field(lat + 3)),
+        }
+
+    return told
+
+
+_OWN_SHIP: Mapping[str, Callable[[Sentence], dict[str, float | None]]] = {
+    "OSD": lambda s: {"heading": s.number(1) if s.field(2) != "V" else None},
+    "HDT": lambda s: {"heading": s.number(1)},
+    "THS": lambda s: {"heading": s.number(1) if s.field(2) != "V" else None},
+    "RMC": lambda s: _position(3)(s) if s.field(2) != "V" else {},
+    "GGA": lambda s: _position(2)(s) if s.field(6) != "0" else {},
+    "GLL": lambda s: _position(1)(s) if s.field(6) != "V" else {},
+}
+
+
+def _target(s: Sentence, own: Mapping[str, float]) -> dict[str, Any] | None:
+    """One target; None where the radar has lost it. ValueError says what is wrong."""
+    ttm = s.kind == "TTM"
+    status = s.field(12 if ttm else 8) or "T"
+    if status not in _STATUS:
+        raise ValueError(f"status of the target is {status!r}, not L, Q or T")
+    if status == "L":
+        return None
+    number = s.field(1)
+    if not number:
+        raise ValueError("target without a number")
+    row = {
+        "line": s.line,
+        "track_id": number,
+        "name": s.field(11 if ttm else 6) or None,
+        "day_s": time_of_day(s.field(14 if ttm else 7)),
+        "tracked": float(status == "T"),
+        "reference": float(s.field(13 if ttm else 9) == "R"),
+    }
+    if not ttm:
+        lat, lon = latitude(s.field(2), s.field(3)), longitude(s.field(4), s.field(5))
+        return row | {"lat_deg": lat, "lon_deg": lon}
+    return row | _measured(s, own)
+
+
+def _measured(s: Sentence, own: Mapping[str, float]) -> dict[str, Any]:
+    """Range, bearing, speed and course of a TTM."""
+    unit = s.field(10) or "N"
+    if unit not in _UNITS:
+        raise ValueError(f"unit of distance is {unit!r}, not K, N or S")
+    metres, metres_per_s = _UNITS[unit]
+    distance, bearing = s.number(2), s.number(3)
+    if distance is None or bearing is None:
+        raise ValueError("target without distance or bearing")
+    if not distance > 0.0:
+        raise ValueError("target at distance 0")
+    speed, course = s.number(5), s.number(6)
+    return {
+        "range_m": distance * metres,
+        "bearing_deg": _true(bearing, s.field(4), own["heading"]),
+        "speed_m_per_s": None if speed is None else speed * metres_per_s,
+        "course_deg": _course(course, s.field(7), own["heading"]),
+        "station_lat_deg": own["lat"],
+        "station_lon_deg": own["lon"],
+        "station_heading_deg": own["heading"],
+    }
+
+
+def _course(angle: float | None, flag: str, heading: float) -> float | None:
+    """The course from true north; None where it is not told, or from a bow whose heading nobody told."""
+    if angle is None or (flag == "R" and not np.isfinite(heading)):
+        return None
+    return _true(angle, flag, heading)
+
+
+def _true(angle: float, flag: str, heading: float) -> float:
+    """A direction from true north, of one from there (T) or from the bow (R)."""
+    if flag in ("T", ""):
+        return angle
+    if flag != "R":
+        raise ValueError(f"flag of a direction is {flag!r}, neither T nor R")
+    if not np.isfinite(heading):
+        raise ValueError("direction from the bow, but no heading (OSD, HDT, THS) heard yet")
+    return angle + heading
+
+
+def _times(log: Log, day_s: FloatArray, places: np.ndarray, source: str, start_s: float | None) -> FloatArray:
+    """When each target was where it is told."""
+    clock_s = log.clock_s[places]
+    own_time = dated(day_s, clock_s, start_s)
+    times = np.where(np.isfinite(own_time), own_time, clock_s)
+    if not np.isfinite(times).all():
+        some = "the sentences tell the time of day, but no date" if np.isfinite(day_s).any() else "no line tells a time"
+        remedy = "; give start, the UTC date of the first line" if np.isfinite(day_s).all() else ", no ZDA and no RMC"
+        raise InputError(f"{source}: no time: {some}{remedy}")
+    return np.asarray(times)
+
+
+def _notes(source: str, log: Log, columns: Mapping[str, Any]) -> tuple[str, ...]:
+    notes = [
+        f"{source}: times from {log.clock or 'the start that was given'}, and from the targets where they tell theirs"
+    ]
+    if "range_m" not in columns:
+        return tuple(notes)
+    notes.append(f"{source}: directions marked R are counted from the bow, at the heading heard last")
+    if not np.isfinite(columns["station_lat_deg"]).any():
+        notes.append(f"{source}: the log does not tell where own ship was; the description of the source must")
+    return tuple(notes)

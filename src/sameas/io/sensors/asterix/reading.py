@@ -1,0 +1,136 @@
+"""Reading: the reports of every sensor in an ASTERIX file."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from sameas.errors import InputError
+from sameas.io.sensors.asterix import cat021, cat048, cat062
+from sameas.io.sensors.asterix.blocks import PCAPNG, Block, blocks_of
+from sameas.io.sensors.asterix.layout import CATEGORIES
+from sameas.io.sensors.asterix.records import DamagedRecord, records_of, unsigned
+from sameas.io.sensors.clock import DAY_S, counted_on
+from sameas.records import FloatArray
+from sameas.tracks.reports import Damaged, Reports, of_rows
+
+_MEANINGS: dict[int, ModuleType] = {21: cat021, 48: cat048, 62: cat062}
+#: Category, SAC and SIC: one sensor.
+Sensor = tuple[int, int, int]
+
+
+def read(found: bytes, source: str, start_s: float | None = None) -> list[Reports]:
+    """The reports in ASTERIX bytes, one :class:`Reports` for each category and sensor (SAC, SIC).
+
+    Parameters
+    ----------
+    found : blocks one after the other, or a pcap capture. A line number is the number of the record in the file.
+    source : its name in messages; several sensors are called ``source:048 SAC/SIC``.
+    start_s : UTC date of the first record, for files that are no capture: records tell the time of day only.
+
+    Raises
+    ------
+    InputError : nothing of categories 021, 048 or 062; no date.
+    """
+    if found[:4] == PCAPNG:
+        raise InputError(f"{source}: is a pcapng capture; convert it: editcap -F pcap FILE FILE.pcap")
+    rows: dict[Sensor, list[dict[str, Any]]] = {}
+    damaged: list[tuple[int, str]] = []
+    passed_over: Counter[str] = Counter()
+    number = 0
+    known: set[tuple[int, bytes]] = set()
+    for block in blocks_of(found):
+        again = (block.category, block.data) in known
+        known.add((block.category, block.data))
+        if again and not block.problem:
+            # Sensors send over two networks; times of day make every other block new.
+            passed_over["block that came before, from a second network"] += 1
+        elif block.problem:
+            damaged.append((number + 1, block.problem))
+        elif block.category not in _MEANINGS:
+            passed_over[f"block of category {block.category:03d}"] += 1
+        else:
+            number = _add(block, number, rows, damaged, passed_over)
+    if not rows:
+        said = [
+            *Damaged.of(damaged, "record").sentences(),
+            *(f"{n} passed over: {what}" for what, n in passed_over.items()),
+        ]
+        raise InputError(f"{source}: no target of category 021, 048 or 062; {'; '.join(said) or 'is it ASTERIX?'}")
+    # What was damaged or passed over belongs to the file; the first source carries it.
+    about: list[tuple[Damaged, Mapping[str, int]]] = [(Damaged.of(damaged, "record"), passed_over)]
+    about += [(Damaged(unit="record"), {})] * (len(rows) - 1)
+    return [
+        _reports(sensor, of_rows(its), _name(source, sensor, len(rows)), start_s, *its_about)
+        for (sensor, its), its_about in zip(sorted(rows.items()), about, strict=True)
+    ]
+
+
+def _add(
+    block: Block,
+    number: int,
+    rows: dict[Sensor, list[dict[str, Any]]],
+    damaged: list[tuple[int, str]],
+    passed_over: Counter[str],
+) -> int:
+    """Adds the reports of a block; the number of its last record is returned."""
+    meaning = _MEANINGS[block.category]
+    try:
+        for items in records_of(CATEGORIES[block.category], block.data):
+            number += 1
+            row = meaning.row(items)
+            if isinstance(row, str):
+                # What begins with its category is whole, but no target.
+                if row.startswith("0"):
+                    passed_over[row] += 1
+                else:
+                    damaged.append((number, row))
+                continue
+            if abs(row.get("lat_deg", 0.0)) > 90.0:
+                damaged.append((number, "latitude beyond ±90°"))
+                continue
+            identity = items.get("010", b"\0\0")
+            sensor = (block.category, unsigned(identity[:1]), unsigned(identity[1:]))  # type: ignore[index, arg-type]
+            rows.setdefault(sensor, []).append({"line": number, "received_s": block.received_s, **row})
+    except DamagedRecord as error:
+        number += 1
+        damaged.append((number, f"{error}; the rest of its block is lost"))
+    return number
+
+
+def _name(source: str, sensor: Sensor, count: int) -> str:
+    category, sac, sic = sensor
+    return source if count == 1 else f"{source}:{category:03d} {sac}/{sic}"
+
+
+def _reports(
+    sensor: Sensor,
+    columns: dict[str, Any],
+    name: str,
+    start_s: float | None,
+    damaged: Damaged,
+    passed_over: Mapping[str, int],
+) -> Reports:
+    meaning = _MEANINGS[sensor[0]]
+    received_s = columns.pop("received_s")
+    columns["time_s"] = _times(columns.pop("day_s"), received_s, name, start_s)
+    columns |= meaning.errors(columns)
+    dated = "of the capture" if np.isfinite(received_s).any() else "that was given"
+    notes = (f"{name}: times of day on the date {dated}", *meaning.notes(name))
+    return Reports.of(name, f"asterix {sensor[0]:03d}", columns, damaged=damaged, passed_over=passed_over, notes=notes)
+
+
+def _times(day_s: FloatArray, received_s: FloatArray, name: str, start_s: float | None) -> FloatArray:
+    """UTC of the times of day: on the day nearest to the packet's, else counted on from the date that was given."""
+    if np.isfinite(received_s).all():
+        day_s = np.where(np.isnan(day_s), np.mod(received_s, DAY_S), day_s)
+        return np.asarray(day_s + DAY_S * np.round((received_s - day_s) / DAY_S))
+    if start_s is None:
+        raise InputError(
+            f"{name}: no date: the records tell the time of day only; give start, the UTC date of the first"
+        )
+    return counted_on(day_s, DAY_S, start_s)

@@ -1,0 +1,106 @@
+"""Clock: instants from the ways in which logs write time, and time that begins anew counted on."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sameas.errors import InputError
+from sameas.records import FloatArray
+
+DAY_S = 86400.0
+#: Numbers above these are milliseconds, microseconds, nanoseconds since 1970: as seconds they lie beyond the year 5138.
+_FINER = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3))
+
+
+def instant(text: str) -> float | None:
+    """UTC seconds since 1970 of ISO 8601 text or of a number of (milli-, micro-, nano-) seconds; None where it is none.
+
+    Text without a zone is UTC.
+
+    Example
+    -------
+    >>> instant("2016-01-12 13:02:11.5"), instant("1452603731500"), instant("radar")
+    (1452603731.5, 1452603731.5, None)
+    """
+    cell = text.strip()
+    try:
+        return seconds(float(cell))
+    except ValueError:
+        pass
+    try:
+        moment = datetime.fromisoformat(cell)
+    except ValueError:
+        return None
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+
+
+def seconds(number: float) -> float:
+    """Seconds, of a number that may count in thousandths, millionths or billionths of them."""
+    for above, unit in _FINER:
+        if abs(number) > above:
+            return number / unit
+    return number
+
+
+def started(start: str | float | None, source: str) -> float | None:
+    """The instant at which a file begins, as the user gave it."""
+    if start is None or isinstance(start, (int, float)):
+        return start if start is None else float(start)
+    found = instant(start)
+    if found is None:
+        raise InputError(f"{source}: start={start!r} is no instant; give a date or a time like 2024-05-01T13:00:00Z")
+    return found
+
+
+def counted_on(values: ArrayLike, period_s: float, start_s: float | None = None) -> FloatArray:
+    """Times (n,) that grow on where ``values`` begin anew after every period.
+
+    values : (n,) seconds of the day, of the minute …; NaN stays NaN.
+    start_s : the first value is taken on this day (or minute), the nearest to it; a start at midnight is only a date,
+        and the first value is of that day. None: the first period counts from 0.
+
+    Each value is taken in the period in which it is nearest to the one before; those late by less than half a period
+    find their place.
+
+    Example
+    -------
+    >>> counted_on([86399.0, 2.0, 86398.0, 5.0], 86400.0).tolist()
+    [86399.0, 86402.0, 86398.0, 86405.0]
+    """
+    values = np.asarray(values, dtype=np.float64)
+    known = np.flatnonzero(np.isfinite(values))
+    out = np.full(len(values), np.nan)
+    if not len(known):
+        return out
+    told = values[known]
+    steps = np.diff(told)
+    turns = np.concatenate([[0.0], np.cumsum(-np.round(steps / period_s))])
+    begin = 0.0
+    if start_s is not None:
+        date_only = period_s == DAY_S and start_s % DAY_S == 0.0
+        begin = start_s if date_only else period_s * np.round((start_s - told[0]) / period_s)
+    out[known] = begin + told + period_s * turns
+    return out
+
+
+def held(values: FloatArray) -> FloatArray:
+    """(n,) the last value said until then; before the first, the first. All NaN where none is."""
+    said = np.flatnonzero(np.isfinite(values))
+    if not len(said):
+        return values
+    last = np.searchsorted(said, np.arange(len(values)), side="right") - 1
+    return np.asarray(values[said[np.maximum(last, 0)]])
+
+
+def at_second(clock_s: FloatArray, second: FloatArray, tolerance_s: float = 5.0) -> FloatArray:
+    """When messages received at ``clock_s`` (n,) were true, of the UTC second (n,) in which their positions were fixed.
+
+    The latest such instant not later than the receipt, give or take the receiver's clock. Without a second it is the
+    receipt.
+    """
+    age = np.mod(clock_s - second, 60.0)
+    age = np.where(age > 60.0 - tolerance_s, age - 60.0, age)
+    return np.where(np.isfinite(second), clock_s - age, clock_s)

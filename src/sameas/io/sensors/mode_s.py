@@ -1,0 +1,177 @@
+"""Raw Mode S: the 14-byte messages of transponders in hexadecimal, one a line with its time.
+
+``1457996400.25,8D40621D58C382D690C8AC2863A7`` or the same with a blank; ``@`` and 12 digits of a 12 MHz counter before
+the message, as AVR receivers write (counted on from a start that the user gives). Positions come in two alternating
+halves (CPR); the decoder rs1090 (MIT) puts them together and checks the parity. NACp and the version come in messages
+of their own, NIC or NUCp with every position.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from sameas.errors import InputError
+from sameas.io.sensors.aircraft import errors_of, identity_of, notes
+from sameas.io.sensors.clock import counted_on, instant
+from sameas.io.sensors.units import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S
+from sameas.tracks.accuracy import round_covariance, sigma_of_nucp
+from sameas.tracks.reports import Damaged, Reports, of_rows
+
+_LINE = re.compile(r"(?:(?P<time>[^,;*@\s][^,;*@]*?)[,;\s]+)?[*@]?(?P<hex>[0-9A-Fa-f]{14,42});?")
+_COUNTER_HZ = 12e6
+_COUNTER_S = 2.0**48 / _COUNTER_HZ
+#: Words older than this are not taken along with a position: velocities, and what is told seldom.
+_STALE_S, _SELDOM_S = 10.0, 120.0
+
+
+def read(lines: Sequence[str], source: str, start_s: float | None = None) -> Reports:
+    """The positions of aircraft in raw messages.
+
+    Parameters
+    ----------
+    lines : one message each, see the module.
+    source : its name in messages.
+    start_s : UTC of the first line, for receivers that only count.
+
+    Raises
+    ------
+    InputError : rs1090 is not installed; no message; no time; no position.
+    """
+    numbers, messages, times, damaged = _messages(lines)
+    if not messages:
+        raise InputError(f"{source}: no Mode S message: {'; '.join(Damaged.of(damaged).sentences())}")
+    time_s = _times(times, source, start_s)
+    passed_over: Counter[str] = Counter()
+    known: dict[str, dict[str, tuple[float, Any]]] = {}
+    rows = []
+    for number, when, told in zip(numbers, time_s.tolist(), _decoded(messages, time_s.tolist()), strict=True):
+        if told is None:
+            damaged.append((number, "not Mode S, or wrong parity"))
+            continue
+        if told.get("df") not in ("17", "18"):
+            passed_over[f"downlink format {told.get('df')}"] += 1
+            continue
+        words = known.setdefault(told["icao24"], {})
+        words |= {name: (when, value) for name, value in _words(told).items()}
+        if told.get("latitude") is not None:
+            rows.append({"line": number, "time_s": when, **_report(told, words, when)})
+        else:
+            passed_over["half a position" if "lat_cpr" in told else f"message of register {told.get('bds')}"] += 1
+    if not rows:
+        raise InputError(f"{source}: no position in {len(messages)} messages; two halves within 10 s make one")
+    columns = of_rows(rows)
+    columns |= _errors(columns)
+    return Reports.of(
+        source, "adsb", columns, damaged=Damaged.of(damaged), passed_over=passed_over, notes=notes(source)
+    )
+
+
+def _messages(lines: Sequence[str]) -> tuple[list[int], list[str], list[tuple[float, float]], list[tuple[int, str]]]:
+    """Numbers of lines, messages, their times as (UTC, counter), and the damaged lines."""
+    numbers, messages, times = [], [], []
+    damaged = []
+    for number, line in enumerate(lines, start=1):
+        text = line.strip()
+        if not text or text.startswith("#") or (number == 1 and text[0].isalpha() and "," in text):
+            # A first line of words names the columns.
+            continue
+        match = _LINE.fullmatch(text)
+        digits = match["hex"] if match else ""
+        counted = "@" in text and len(digits) in (26, 40)
+        message = digits[12:] if counted else digits
+        # Some programs write what a Beast receiver put before it: kind, counter and signal.
+        message = message[18:] if len(message) in (32, 46) else message
+        if len(message) not in (14, 28):
+            damaged.append((number, "no message of 14 or 28 hexadecimal digits"))
+            continue
+        utc = instant(match["time"]) if match and match["time"] else None
+        numbers.append(number)
+        messages.append(message.lower())
+        times.append((np.nan if utc is None else utc, int(digits[:12], 16) / _COUNTER_HZ if counted else np.nan))
+    return numbers, messages, times, damaged
+
+
+def _times(times: Sequence[tuple[float, float]], source: str, start_s: float | None) -> np.ndarray:
+    utc, counter = np.array(times).T
+    if np.isfinite(utc).all():
+        return np.asarray(utc)
+    if np.isfinite(counter).all() and start_s is not None:
+        counted = counted_on(counter, _COUNTER_S)
+        return np.asarray(start_s + counted - counted[0])
+    remedy = "give start, the UTC of the first line" if np.isfinite(counter).all() else "write one before every message"
+    raise InputError(f"{source}: no time in {int((~np.isfinite(utc)).sum())} of {len(utc)} messages; {remedy}")
+
+
+def _decoder() -> Callable[..., Any]:
+    try:
+        from rs1090 import decode
+    except ImportError as error:
+        raise InputError("raw Mode S messages need rs1090: pip install 'sameas[targets]'") from error
+    return decode
+
+
+def _decoded(messages: Sequence[str], times: Sequence[float]) -> list[Mapping[str, Any] | None]:
+    """What each message tells; None where its parity is wrong."""
+    # All in one batch: the halves of a position are put together within one. Broken messages are left out of it.
+    found = [told for told in _decoder()(messages, times, batch=len(messages)) if told]
+    told_of: list[Mapping[str, Any] | None] = []
+    place = 0
+    for message, when in zip(messages, times, strict=True):
+        is_it = place < len(found) and found[place]["frame"] == message and found[place]["timestamp"] == when
+        told_of.append(found[place] if is_it else None)
+        place += is_it
+    return told_of
+
+
+def _words(told: Mapping[str, Any]) -> dict[str, Any]:
+    """What a message tells besides a position, by column."""
+    values = {
+        "callsign": str(told.get("callsign") or "").strip() or None,
+        "mode_a": told.get("squawk"),
+        "version": told.get("version"),
+        "nac_p": told.get("NACp"),
+        "nac_v": told.get("NACv"),
+        "speed_m_per_s": _scaled(told.get("groundspeed"), KNOT_M_PER_S),
+        "course_deg": told.get("track"),
+        "climb_m_per_s": _scaled(told.get("vertical_rate"), FEET_PER_MINUTE_M_PER_S),
+        "above_pressure_m": _scaled(told.get("geo_minus_baro"), FOOT_M),
+    }
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def _report(told: Mapping[str, Any], words: Mapping[str, tuple[float, Any]], when: float) -> dict[str, Any]:
+    seldom = ("callsign", "mode_a", "version", "nac_p", "nac_v")
+    row = {n: v for n, (said, v) in words.items() if when - said <= (_SELDOM_S if n in seldom else _STALE_S)}
+    height = _scaled(told.get("altitude"), FOOT_M)
+    barometric = told.get("source") != "GNSS"
+    difference = row.get("above_pressure_m")
+    geometric = height if not barometric else None
+    if barometric and height is not None and difference is not None:
+        geometric = height + difference
+    return {
+        **identity_of(told["icao24"]),
+        **row,
+        "lat_deg": told["latitude"],
+        "lon_deg": told["longitude"],
+        "pressure_alt_m": height if barometric else None,
+        "alt_m": geometric,
+        "on_ground": float(told.get("bds") == "06"),
+        "nuc_p": told.get("NUCp"),
+    }
+
+
+def _scaled(value: Any, unit: float) -> float | None:
+    return None if value is None else float(value) * unit
+
+
+def _errors(columns: Mapping[str, Any]) -> dict[str, Any]:
+    """NACp where it was told; else NUCp, which the kind of the message itself tells."""
+    found = errors_of(columns)
+    by_kind = round_covariance(sigma_of_nucp(columns.get("nuc_p", np.full(len(columns["time_s"]), np.nan))))
+    missing = ~np.isfinite(found["covariance_m2"][:, 0])
+    return found | {"covariance_m2": np.where(missing[:, None], by_kind, found["covariance_m2"])}

@@ -1,0 +1,205 @@
+"""NMEA 0183: the sentences of a log, their checksums, and the clock that the log itself gives.
+
+``$RATTM,…*hh`` of navigation equipment and ``!AIVDM,…*hh`` of AIS stand in the same files. Receivers write the time of
+receipt in many ways, all known here: a tag block (``\\c:1241544035*53\\!AIVDM…``), an instant before the sentence, an
+instant after its checksum (as coast guards do), a ``$PGHP`` sentence before it. Else own ship's ``ZDA`` and ``RMC``
+tell the time.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+
+from sameas.io.sensors.clock import DAY_S, counted_on, held, instant, seconds
+from sameas.records import FloatArray
+
+_SENTENCE = re.compile(r"([!$])([A-Z]{1,5}[A-Z0-9]{0,4})((?:,[^*]*)?)(?:\*([0-9A-Fa-f]{2}))?")
+_TAG_BLOCK = re.compile(r"\\([^\\]*)\\")
+_TAG_TIME = re.compile(r"(?:^|,)c:(\d+(?:\.\d+)?)")
+
+
+@dataclass(frozen=True)
+class Sentence:
+    """One sentence: the number of its line, ``text`` from its first character to the checksum, and its parts.
+
+    ``kind`` is the sentence without its talker ("TTM" of "RATTM"), ``fields`` what follows, from the first comma.
+    ``time_s`` is when the line says it was received, NaN where it does not.
+    """
+
+    line: int
+    text: str
+    kind: str
+    fields: tuple[str, ...]
+    time_s: float
+
+    def field(self, number: int) -> str:
+        """Field 1, 2, … without blanks; empty where the sentence is shorter."""
+        return self.fields[number - 1].strip() if number <= len(self.fields) else ""
+
+    def number(self, number: int) -> float | None:
+        """The field as a number; None where it is empty.
+
+        Raises
+        ------
+        ValueError : it holds something else.
+        """
+        text = self.field(number)
+        if not text:
+            return None
+        value = float(text)
+        if not np.isfinite(value):
+            raise ValueError(f"field {number} is {text!r}")
+        return value
+
+
+@dataclass(frozen=True)
+class Log:
+    """The sentences of a file, and per sentence what its clock showed.
+
+    ``clock_s`` (n,) UTC; all NaN where the log tells no time. ``clock`` says in words whose clock it is.
+    ``damaged`` are numbers of lines with the reason, ``comments`` the number of lines that are none.
+    """
+
+    sentences: tuple[Sentence, ...]
+    clock_s: FloatArray
+    clock: str
+    damaged: tuple[tuple[int, str], ...]
+
+
+def log_of(lines: Sequence[str]) -> Log:
+    """The sentences of these lines. Lines that are no sentences, or have a wrong checksum, are damaged."""
+    sentences, damaged = [], []
+    for number, raw in enumerate(lines, start=1):
+        if not raw.strip() or raw.lstrip().startswith("#"):
+            continue
+        found = _sentence(number, raw)
+        if isinstance(found, Sentence):
+            sentences.append(found)
+        else:
+            damaged.append((number, found))
+    clock_s, clock = _clock(sentences)
+    return Log(tuple(sentences), clock_s, clock, tuple(damaged))
+
+
+def latitude(text: str, side: str) -> float:
+    """Degrees, of ddmm.mm and N or S.
+
+    Raises
+    ------
+    ValueError : something else is written there.
+    """
+    return _degrees(text, side, 2, "NS", 90.0)
+
+
+def longitude(text: str, side: str) -> float:
+    """Degrees, of dddmm.mm and E or W; raises as :func:`latitude`."""
+    return _degrees(text, side, 3, "EW", 180.0)
+
+
+def time_of_day(text: str) -> float:
+    """Seconds since midnight, of hhmmss.ss; NaN where empty. Raises ValueError where something else is written."""
+    if not text:
+        return np.nan
+    if len(text) < 6:
+        raise ValueError(f"time {text!r}")
+    hours, minutes, rest = int(text[:2]), int(text[2:4]), float(text[4:])
+    if not (hours < 24 and minutes < 60 and 0.0 <= rest < 61.0):
+        raise ValueError(f"time {text!r}")
+    return 3600.0 * hours + 60.0 * minutes + rest
+
+
+def _degrees(text: str, side: str, digits: int, sides: str, limit: float) -> float:
+    if side not in tuple(sides):
+        raise ValueError(f"{side!r} is neither {sides[0]} nor {sides[1]}")
+    minutes = float(text[digits:])
+    value = int(text[:digits]) + minutes / 60.0
+    if not (0.0 <= minutes < 60.0 and value <= limit):
+        raise ValueError(f"position {text!r}")
+    return value if side == sides[0] else -value
+
+
+def _sentence(number: int, raw: str) -> Sentence | str:
+    """The sentence in a line, or why there is none."""
+    tags = "".join(block + "," for block in _TAG_BLOCK.findall(raw))
+    line = _TAG_BLOCK.sub("", raw)
+    match = _SENTENCE.search(line)
+    if match is None:
+        return "no NMEA sentence"
+    text, told = match[0].strip(), match[4]
+    body = text[1:].split("*")[0]
+    if told is None:
+        if "*" in line[match.start() :]:
+            return "checksum cut off"
+    elif int(told, 16) != checksum(body):
+        return "wrong checksum"
+    address, *values = body.split(",")
+    kind = address[1:] if address.startswith("P") else address[2:]
+    time_s = _receipt(tags, line[: match.start()], line[match.end() :])
+    return Sentence(number, text, kind, tuple(values), time_s)
+
+
+def checksum(body: str) -> int:
+    """Exclusive or of what stands between the first character and the star."""
+    total = 0
+    for byte in body.encode("utf-8", errors="replace"):
+        total ^= byte
+    return total
+
+
+def _receipt(tags: str, before: str, after: str) -> float:
+    """When the line says that it was received."""
+    tagged = _TAG_TIME.search(tags)
+    if tagged:
+        return seconds(float(tagged[1]))
+    for text in (before.strip(" \t[]<>,;|"), *reversed(after.split(","))):
+        found = instant(text.strip(" \t[]<>,;|")) if text.strip() else None
+        # A small number is a counter or a signal strength.
+        if found is not None and found > 1e8:
+            return found
+    return np.nan
+
+
+def _clock(sentences: Sequence[Sentence]) -> tuple[FloatArray, str]:
+    received = np.array([s.time_s for s in sentences])
+    if np.isfinite(received).any():
+        return held(received), "times of receipt written in the log"
+    said = [(s, _said(s)) for s in sentences]
+    for kinds, words in (({"GHP"}, "$PGHP sentences"), ({"ZDA", "RMC"}, "own ship's ZDA and RMC sentences")):
+        told = np.array([time_s if s.kind in kinds else np.nan for s, time_s in said])
+        if np.isfinite(told).any():
+            return held(told), words
+    return np.full(len(sentences), np.nan), ""
+
+
+def _said(sentence: Sentence) -> float:
+    """The instant that a sentence tells with its date, else NaN."""
+    s = sentence
+    try:
+        if s.kind == "ZDA":
+            return _date(int(s.field(4)), int(s.field(3)), int(s.field(2))) + time_of_day(s.field(1))
+        if s.kind == "RMC":
+            date = s.field(9)
+            year = int(date[4:6])
+            return _date(year + (1900 if year >= 80 else 2000), int(date[2:4]), int(date[:2])) + time_of_day(s.field(1))
+        if s.kind == "GHP":
+            year, month, day, hour, minute, second, thousandth = (int(s.field(k)) for k in range(2, 9))
+            return _date(year, month, day) + 3600.0 * hour + 60.0 * minute + second + thousandth / 1e3
+    except (ValueError, IndexError):
+        pass
+    return np.nan
+
+
+def _date(year: int, month: int, day: int) -> float:
+    return datetime(year, month, day, tzinfo=UTC).timestamp()
+
+
+def dated(day_s: FloatArray, clock_s: FloatArray, start_s: float | None) -> FloatArray:
+    """UTC (n,) of seconds of the day: on the day nearest to what the clock showed, else counted on from the start."""
+    if np.isfinite(clock_s).any():
+        return np.asarray(day_s + DAY_S * np.round((clock_s - day_s) / DAY_S))
+    return counted_on(day_s, DAY_S, start_s) if start_s is not None else np.full(len(day_s), np.nan)

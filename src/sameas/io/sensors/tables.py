@@ -1,0 +1,361 @@
+"""Tables: reports in CSV, Parquet or JSON lines, with columns understood by their names.
+
+Any table of positions will do: latitude and longitude, x and y, range and bearing, or bearings alone; speeds, errors
+and identities where it has them. A line with too few cells, or with words where a number belongs, is damaged; the
+others are read.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.errors import InputError
+from sameas.io.sensors.clock import DAY_S, counted_on, instant, seconds
+from sameas.io.sensors.columns import Choice, choose
+from sameas.records import FloatArray
+from sameas.tracks.accuracy import round_covariance
+from sameas.tracks.reports import Damaged, Reports
+
+_NULLS = {"", "null", "none", "na", "n/a", "--", "nan"}
+_DELIMITERS = ",;\t|"
+_DAY_FIRST = re.compile(r"(\d{1,2})[/.](\d{1,2})[/.](\d{4})[ T]+(\d{1,2}):(\d{2})(?::(\d{2}(?:\.\d+)?))?")
+_OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:\.\d+)?)")
+
+
+@dataclass(frozen=True)
+class Cells:
+    """A table as it stands: cells (text, numbers or None) by name of the column, and the line of each row."""
+
+    columns: Mapping[str, Sequence[Any]]
+    lines: NDArray[np.int64]
+    damaged: tuple[tuple[int, str], ...] = ()
+
+
+def cells_of_csv(lines: Sequence[str], source: str) -> Cells:
+    """The cells of lines parted by commas, semicolons, tabs or bars; lines that begin with # are comments."""
+    # A comment that is parted like the rows may be the line of names, as Danish AIS has it.
+    number = next((k for k, line in enumerate(lines, start=1) if line.strip() and (line[0] != "#" or _splits(line))), 1)
+    named = lines[number - 1].lstrip("# ")
+    delimiter = _splits(named)
+    if not delimiter:
+        raise InputError(f"{source}: line {number} does not name columns; part them by commas")
+    names = [name.strip() for name in next(csv.reader([named], delimiter=delimiter))]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise InputError(f"{source}: two columns are called {twice[0]}; rename one")
+    rows: list[list[str]] = []
+    places: list[int] = []
+    damaged: list[tuple[int, str]] = []
+    reader = csv.reader(io.StringIO("\n".join(lines[number:])), delimiter=delimiter)
+    for row in reader:
+        line = number + reader.line_num
+        if not row or row[0].startswith("#"):
+            continue
+        if len(row) == len(names):
+            rows.append(row)
+            places.append(line)
+        else:
+            damaged.append((line, f"has not {len(names)} cells"))
+    columns: dict[str, Sequence[Any]] = dict(
+        zip(names, zip(*rows, strict=True) if rows else [()] * len(names), strict=True)
+    )
+    return Cells(columns, np.array(places, np.int64), tuple(damaged))
+
+
+def cells_of_json(lines: Sequence[str], source: str) -> Cells:
+    """The cells of JSON objects, one a line or all in one list; an object within is opened by the names in it."""
+    rows: list[dict[str, Any]] = []
+    places: list[int] = []
+    damaged: list[tuple[int, str]] = []
+    objects: list[tuple[int, Any]] = []
+    try:
+        whole = json.loads("\n".join(lines))
+        objects = list(enumerate(whole, start=1)) if isinstance(whole, list) else [(1, whole)]
+    except ValueError:
+        for number, line in enumerate(lines, start=1):
+            if line.strip():
+                try:
+                    objects.append((number, json.loads(line)))
+                except ValueError:
+                    damaged.append((number, "no JSON"))
+    for number, told in objects:
+        if isinstance(told, dict):
+            rows.append(_opened(told))
+            places.append(number)
+        else:
+            damaged.append((number, "no JSON object"))
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    if not names:
+        raise InputError(f"{source}: no JSON object with columns")
+    return Cells({name: [row.get(name) for row in rows] for name in names}, np.array(places, np.int64), tuple(damaged))
+
+
+def cells_of_parquet(path: str | os.PathLike[str]) -> Cells:
+    """The cells of a Parquet file."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    table = parquet.read_table(path)
+    columns: dict[str, Sequence[Any]] = {}
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        if pa.types.is_timestamp(column.type):
+            whole = column.cast(pa.timestamp("us"), safe=False).cast(pa.int64())
+            columns[name] = [None if t is None else t / 1e6 for t in whole.to_pylist()]
+        else:
+            columns[name] = column.to_pylist()
+    return Cells(columns, np.arange(1, table.num_rows + 1))
+
+
+def read(
+    cells: Cells,
+    source: str,
+    start_s: float | None = None,
+    columns: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+) -> Reports:
+    """The reports of a table.
+
+    Parameters
+    ----------
+    cells : of the table.
+    source : its name in messages.
+    start_s : UTC date of the first row, for tables that tell the time of day only.
+    columns : by quantity (``lat_deg``, ``time_s`` …) the name of the column, where it is not understood.
+    units : by name of a column its unit.
+
+    Raises
+    ------
+    InputError : no time; no position; two columns of one quantity; every row damaged; dates of two readings.
+    """
+    chosen = choose(list(cells.columns), source, columns, units)
+    _check_chosen(chosen, list(cells.columns), source)
+    damaged = dict(cells.damaged)
+    values = {
+        name: _values(cells, choice, damaged) for name, choice in chosen.items() if name not in ("time_s", "day_s")
+    }
+    values["time_s"], note = _times(cells, chosen, source, start_s, damaged)
+    _mark_unusable(values, cells.lines, damaged)
+    good = ~np.isin(cells.lines, list(damaged))
+    if not good.any():
+        raise InputError(f"{source}: no row can be used: {'; '.join(Damaged.of(damaged.items()).sentences())}")
+    values = {name: column[good] for name, column in values.items()} | {"line": cells.lines[good]}
+    values, repeated = _without_repeats(_with_track_id(values))
+    passed_over = {"position told before": repeated} if repeated else {}
+    notes = [note, *(f"{source}: {choice.why}" for choice in chosen.values() if choice.why)]
+    return Reports.of(
+        source, "table", _with_covariances(values), damaged=Damaged.of(damaged.items()),
+        passed_over=passed_over, notes=notes,
+    )  # fmt: skip
+
+
+def _splits(line: str) -> str:
+    """The sign that parts the columns; empty where none does."""
+    return next((sign for sign in _DELIMITERS if sign in line), "")
+
+
+def _opened(told: Mapping[str, Any]) -> dict[str, Any]:
+    row: dict[str, Any] = {}
+    for name, value in told.items():
+        for inner, cell in value.items() if isinstance(value, dict) else [(name, value)]:
+            row[inner if inner not in row else f"{name}_{inner}"] = cell
+    return row
+
+
+def _check_chosen(chosen: Mapping[str, Choice], names: Sequence[str], source: str) -> None:
+    listed = ", ".join(names)
+    if "time_s" not in chosen and "day_s" not in chosen:
+        raise InputError(f"{source}: no column of time among: {listed}; say columns={{'time_s': NAME}}")
+    for pair in (("lat_deg", "lon_deg"), ("x_m", "y_m")):
+        if (pair[0] in chosen) != (pair[1] in chosen):
+            missing = pair[0] if pair[1] in chosen else pair[1]
+            raise InputError(f"{source}: no column of {missing} among: {listed}; say columns={{{missing!r}: NAME}}")
+    if not {"lat_deg", "x_m", "bearing_deg"} & set(chosen):
+        raise InputError(
+            f"{source}: no columns of a position among: {listed}; "
+            "say columns={'lat_deg': NAME, 'lon_deg': NAME}, or those of x_m and y_m, range_m and bearing_deg"
+        )
+
+
+def _values(cells: Cells, choice: Choice, damaged: dict[int, str]) -> NDArray[Any]:
+    """A column in our units; cells that are no numbers damage their lines."""
+    column = cells.columns[choice.name]
+    if choice.quantity.kind == "text":
+        return _texts(column, choice.quantity.column)
+    try:
+        return np.array(column, dtype=np.float64) * choice.factor
+    except (TypeError, ValueError):
+        pass
+    values = np.full(len(column), np.nan)
+    for k, cell in enumerate(column):
+        if cell is None or str(cell).strip().lower() in _NULLS:
+            continue
+        try:
+            values[k] = float(cell) * choice.factor
+        except (TypeError, ValueError):
+            damaged.setdefault(int(cells.lines[k]), f"{choice.name} is no number")
+    return values
+
+
+def _texts(column: Sequence[Any], quantity: str) -> NDArray[np.object_]:
+    """Texts as people write them: whole numbers without a point, addresses in small letters, codes in four digits."""
+    texts: list[str | None] = []
+    for cell in column:
+        if isinstance(cell, float):
+            cell = None if np.isnan(cell) else (int(cell) if cell.is_integer() else cell)
+        text = "" if cell is None else str(cell).strip()
+        if text.lower() in _NULLS:
+            texts.append(None)
+            continue
+        if quantity in ("mmsi", "mode_a", "imo") and re.fullmatch(r"\d+\.0*", text):
+            text = text.split(".")[0]
+        if quantity == "mode_a" and text.isdigit():
+            text = text.zfill(4)
+        if quantity == "mmsi" and text.isdigit():
+            text = text.zfill(9)
+        texts.append(text.lower() if quantity == "icao" else text)
+    return np.array([*texts, None], object)[:-1]
+
+
+def _times(
+    cells: Cells, chosen: Mapping[str, Choice], source: str, start_s: float | None, damaged: dict[int, str]
+) -> tuple[FloatArray, str]:
+    """UTC of the rows, and how it was read."""
+    choice = chosen.get("time_s") or chosen["day_s"]
+    column = list(cells.columns[choice.name])
+    parts = [next((name for name in cells.columns if name.lower() == part), None) for part in ("date", "time")]
+    if choice.name in parts and None not in parts:
+        days, hours = (cells.columns[str(part)] for part in parts)
+        column = [f"{day} {hour}" for day, hour in zip(days, hours, strict=True)]
+    if choice.quantity.column == "time_s":
+        times = _instants(column, choice, source)
+        if np.isfinite(times).any():
+            _mark(np.isnan(times), cells.lines, damaged, "no time")
+            low = float(np.nanmax(np.abs(times))) < 1e8
+            return times, f"{source}: {choice.name} is read as " + (
+                "seconds from a start of its own: all sources must count from the same" if low else "UTC"
+            )
+    times = np.array([_of_day(cell) for cell in column])
+    _mark(np.isnan(times), cells.lines, damaged, "no time")
+    if not np.isfinite(times).any():
+        raise InputError(
+            f"{source}: no time can be read in column {choice.name!r} (first: {column[0]!r}); write ISO 8601"
+        )
+    if start_s is None:
+        raise InputError(
+            f"{source}: {choice.name!r} tells the time of day only; give start, the UTC date of the first row"
+        )
+    return counted_on(
+        times, DAY_S, start_s
+    ), f"{source}: {choice.name} is read as UTC time of day, counted on from the start"
+
+
+def _instants(column: Sequence[Any], choice: Choice, source: str) -> FloatArray:
+    """Instants of numbers, of ISO text, of days before months or months before days; NaN where none can be read."""
+    try:
+        numbers = np.array(column, dtype=np.float64)
+    except (TypeError, ValueError):
+        texts = ["" if cell is None else str(cell).strip() for cell in column]
+        if any(_DAY_FIRST.fullmatch(text) for text in texts[:100]):
+            return _slashed(texts, source)
+        return np.array([np.nan if (found := instant(text)) is None else found for text in texts])
+    if choice.factor in (1.0, 0.0):
+        return np.array([seconds(number) for number in numbers])
+    return numbers * choice.factor
+
+
+def _slashed(texts: Sequence[str], source: str) -> FloatArray:
+    """Dates like 13/01/2024 12:00:00: which is the day is told by the first number beyond 12."""
+    matches = [_DAY_FIRST.fullmatch(text) for text in texts]
+    firsts = [(int(match[1]), int(match[2])) for match in matches if match]
+    day_first, month_first = any(a > 12 for a, _ in firsts), any(b > 12 for _, b in firsts)
+    if day_first == month_first:
+        raise InputError(f"{source}: dates like {texts[0]!r} can be read in two ways; write them as 2024-01-13")
+    times = []
+    for match in matches:
+        try:
+            day, month = (int(match[1]), int(match[2])) if day_first else (int(match[2]), int(match[1]))  # type: ignore
+            moment = datetime(int(match[3]), month, day, int(match[4]), int(match[5]), tzinfo=UTC)  # type: ignore
+            times.append(moment.timestamp() + float(match[6] or 0.0))  # type: ignore[index]
+        except (TypeError, ValueError):
+            times.append(np.nan)
+    return np.array(times)
+
+
+def _of_day(cell: Any) -> float:
+    match = _OF_DAY.fullmatch(str(cell).strip())
+    if match:
+        return 3600.0 * int(match[1]) + 60.0 * int(match[2]) + float(match[3])
+    try:
+        return float(cell)
+    except (TypeError, ValueError):
+        return np.nan
+
+
+def _mark(rows: NDArray[np.bool_], lines: NDArray[np.int64], damaged: dict[int, str], reason: str) -> None:
+    for line in lines[rows]:
+        damaged.setdefault(int(line), reason)
+
+
+def _mark_unusable(values: Mapping[str, Any], lines: NDArray[np.int64], damaged: dict[int, str]) -> None:
+    """Rows without a position, or with one outside the earth."""
+    pairs = [pair for pair in (("lat_deg", "lon_deg"), ("x_m", "y_m"), ("bearing_deg",)) if pair[0] in values]
+    missing = np.logical_and.reduce([np.isnan(sum(values[name] for name in pair)) for pair in pairs])
+    _mark(missing, lines, damaged, "no position")
+    if "lat_deg" not in values:
+        return
+    beyond = np.abs(values["lat_deg"]) > 90.0
+    # Where most lie outside, the columns are wrong, not the lines: Reports refuses them in its own words.
+    if 2 * beyond.sum() <= len(lines):
+        _mark(beyond, lines, damaged, "latitude beyond ±90°")
+
+
+def _with_track_id(values: dict[str, Any]) -> dict[str, Any]:
+    """The number of the track: where the table has none, the identity that every report carries."""
+    own = next((name for name in ("mmsi", "icao") if name in values), None)
+    return values if "track_id" in values or own is None else values | {"track_id": values[own]}
+
+
+def _without_repeats(values: dict[str, Any]) -> tuple[dict[str, Any], int]:
+    """Without rows that say the same of the same object at the same time again, and how many they were."""
+    if "track_id" not in values:
+        return values, 0
+    place = next(pair for pair in (("lat_deg", "lon_deg"), ("x_m", "y_m"), ("bearing_deg",)) if pair[0] in values)
+    told: set[tuple[Any, ...]] = set()
+    first = np.ones(len(values["time_s"]), bool)
+    for k, key in enumerate(zip(*(values[name].tolist() for name in ("track_id", "time_s", *place)), strict=True)):
+        first[k] = key[0] is None or key not in told
+        told.add(key)
+    return {name: column[first] for name, column in values.items()}, int((~first).sum())
+
+
+def _with_covariances(values: dict[str, Any]) -> dict[str, Any]:
+    """Covariances instead of the columns of which they are made; a covariance before standard deviations."""
+    position = _matrix(values, ("cov_xx", "cov_xy", "cov_yy"), ("sigma_x_m", "sigma_y_m"))
+    circle = values.pop("sigma_m", None)
+    if position is None and circle is not None:
+        position = round_covariance(circle)
+    velocity = _matrix(values, ("cov_vxvx", "cov_vxvy", "cov_vyvy"), ("sigma_vx", "sigma_vy"))
+    found = {"covariance_m2": position, "velocity_covariance_m2_per_s2": velocity}
+    return values | {name: matrix for name, matrix in found.items() if matrix is not None}
+
+
+def _matrix(values: dict[str, Any], covariances: Sequence[str], sigmas: Sequence[str]) -> FloatArray | None:
+    told = [values.pop(name, None) for name in covariances]
+    sigma = [values.pop(name, None) for name in sigmas]
+    if told[0] is not None and told[2] is not None:
+        cross = np.zeros(len(told[0])) if told[1] is None else told[1]
+        return np.stack([told[0], cross, told[2]], axis=-1)
+    if sigma[0] is not None and sigma[1] is not None:
+        return np.stack([sigma[0] ** 2, np.zeros(len(sigma[0])), sigma[1] ** 2], axis=-1)
+    return None

@@ -1,0 +1,297 @@
+"""Reports: what one source says, as columns, before anything is believed of it.
+
+A reader (:mod:`sameas.io.sensors`) turns a file into Reports: times in UTC, lengths in metres, angles in degrees,
+positions and errors *as the source gives them*. What the source does not say is absent: a whole column is None, a cell
+is NaN or None. The description of the source fills in later what it must. Lines that cannot be used are counted, with
+their numbers and the reason; lines that say something else (a weather message among ships) are counted by kind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sameas.errors import InputError
+from sameas.records import FloatArray, IntArray
+
+TextArray = NDArray[np.object_]
+
+
+@dataclass(frozen=True)
+class Damaged:
+    """Lines that could not be used: their numbers (k,), counted from 1, and per line the reason in words.
+
+    ``unit`` is what the numbers count: "line" of a text, "record" or "packet" of a binary file.
+    """
+
+    lines: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    reasons: TextArray = field(default_factory=lambda: np.empty(0, object))
+    unit: str = "line"
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    @classmethod
+    def of(cls, found: Iterable[tuple[int, str]], unit: str = "line") -> Damaged:
+        """From pairs of number and reason, in the order of the numbers."""
+        pairs = sorted(found)
+        return cls(np.array([n for n, _ in pairs], np.int64), np.array([r for _, r in pairs], object), unit)
+
+    def counts(self) -> dict[str, int]:
+        """How many lines were damaged for each reason, the most frequent first."""
+        reasons, counts = np.unique(self.reasons.astype(str), return_counts=True)
+        order = np.argsort(-counts, kind="stable")
+        return {str(reasons[i]): int(counts[i]) for i in order}
+
+    def sentences(self) -> list[str]:
+        """One printable line a reason: how many, and where the first ones are.
+
+        Example
+        -------
+        >>> Damaged.of([(7, "wrong checksum"), (3, "wrong checksum")]).sentences()
+        ['2 lines damaged: wrong checksum (lines 3, 7)']
+        """
+        said = []
+        for reason, count in self.counts().items():
+            where = self.lines[self.reasons == reason]
+            numbers = ", ".join(str(n) for n in where[:5]) + (", …" if count > 5 else "")
+            unit = self.unit if count == 1 else f"{self.unit}s"
+            said.append(f"{count} {unit} damaged: {reason} ({unit} {numbers})")
+        return said
+
+
+@dataclass(frozen=True)
+class Reports:
+    """The reports of one source, in the order of its file. Make them with :meth:`Reports.of`.
+
+    Attributes
+    ----------
+    source : the name of the source, used in messages.
+    kind : what wrote it: "ais", "arpa", "adsb", "asterix 021", "asterix 048", "asterix 062" or "table".
+    time_s : (n,) UTC, seconds since 1970: when the position was true, as far as the source tells.
+    line : (n,) number of the line (or record) in the file, counted from 1.
+    lat_deg, lon_deg : (n,) WGS84, longitude from −180 to 180.
+    alt_m : (n,) height above the ellipsoid. pressure_alt_m : (n,) height in the standard atmosphere (flight level).
+    x_m, y_m, z_m : (n,) in a plane of the source's own, x to the east and y to the north where it does not say else.
+    range_m : (n,) distance from the sensor; on the slope for air radars.
+    bearing_deg : (n,) clockwise from true north, 0 to 360. elevation_deg : (n,) above the horizon.
+    station_lat_deg, station_lon_deg, station_x_m, station_y_m : (n,) where the sensor was, if its own file says so.
+    speed_m_per_s, course_deg : (n,) over ground, course clockwise from true north.
+    vx_m_per_s, vy_m_per_s : (n,) velocity east and north, or along x and y. climb_m_per_s : (n,) upwards.
+    heading_deg : (n,) where the bow points, from true north.
+    covariance_m2 : (n, 3) xx, xy, yy of the position, east and north (or x and y).
+    velocity_covariance_m2_per_s2 : (n, 3) the same of the velocity.
+    sigma_alt_m, sigma_range_m, sigma_bearing_deg, sigma_elevation_deg : (n,) standard deviations.
+    track_id : (n,) the source's own number of the object. mmsi, imo, icao, callsign, mode_a, name, type : (n,) texts as
+        people write them (nine digits, six lower hexadecimal digits, four octal digits); None where not said.
+    length_m, width_m : (n,) of the hull.
+    extra : further columns of the format by name, for those who know it.
+    damaged : lines that could not be used.
+    passed_over : what else the file held, by kind, and how often.
+    notes : what was assumed, one printable sentence each.
+    """
+
+    source: str
+    kind: str
+    time_s: FloatArray
+    line: IntArray
+    lat_deg: FloatArray | None = None
+    lon_deg: FloatArray | None = None
+    alt_m: FloatArray | None = None
+    pressure_alt_m: FloatArray | None = None
+    x_m: FloatArray | None = None
+    y_m: FloatArray | None = None
+    z_m: FloatArray | None = None
+    range_m: FloatArray | None = None
+    bearing_deg: FloatArray | None = None
+    elevation_deg: FloatArray | None = None
+    station_lat_deg: FloatArray | None = None
+    station_lon_deg: FloatArray | None = None
+    station_x_m: FloatArray | None = None
+    station_y_m: FloatArray | None = None
+    speed_m_per_s: FloatArray | None = None
+    course_deg: FloatArray | None = None
+    vx_m_per_s: FloatArray | None = None
+    vy_m_per_s: FloatArray | None = None
+    climb_m_per_s: FloatArray | None = None
+    heading_deg: FloatArray | None = None
+    covariance_m2: FloatArray | None = None
+    velocity_covariance_m2_per_s2: FloatArray | None = None
+    sigma_alt_m: FloatArray | None = None
+    sigma_range_m: FloatArray | None = None
+    sigma_bearing_deg: FloatArray | None = None
+    sigma_elevation_deg: FloatArray | None = None
+    track_id: TextArray | None = None
+    mmsi: TextArray | None = None
+    imo: TextArray | None = None
+    icao: TextArray | None = None
+    callsign: TextArray | None = None
+    mode_a: TextArray | None = None
+    name: TextArray | None = None
+    type: TextArray | None = None
+    length_m: FloatArray | None = None
+    width_m: FloatArray | None = None
+    extra: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    damaged: Damaged = field(default_factory=Damaged)
+    passed_over: Mapping[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    @classmethod
+    def of(
+        cls,
+        source: str,
+        kind: str,
+        columns: Mapping[str, ArrayLike],
+        *,
+        damaged: Damaged | None = None,
+        passed_over: Mapping[str, int] | None = None,
+        notes: Sequence[str] = (),
+    ) -> Reports:
+        """Reports from columns by name, checked.
+
+        Parameters
+        ----------
+        source, kind, damaged, passed_over, notes : see :class:`Reports`.
+        columns : by the names of the attributes, all of one length; ``time_s`` and a position are among them. A name
+            that is no attribute becomes a column of ``extra``. A column without a single value counts as absent.
+
+        Raises
+        ------
+        InputError : no time, no position, columns of different lengths, a latitude beyond ±90°.
+        """
+        if "time_s" not in columns:
+            raise InputError(f"{source}: no time; give a column time_s (UTC, seconds since 1970)")
+        n = len(np.asarray(columns["time_s"]))
+        own: dict[str, Any] = {"line": np.arange(1, n + 1)}
+        extra: dict[str, NDArray[Any]] = {}
+        for name, values in columns.items():
+            array = np.asarray(values)
+            if len(array) != n:
+                raise InputError(f"{source}: column {name} has {len(array)} values for {n} times")
+            if name not in _COLUMNS:
+                extra[name] = array
+            elif name in ("time_s", "line") or not _is_empty(array):
+                own[name] = _typed(name, array)
+        about = Damaged() if damaged is None else damaged
+        made = cls(source, kind, **own, extra=extra, damaged=about, passed_over=passed_over or {}, notes=tuple(notes))
+        return _with_plain_angles(_checked(made))
+
+    @property
+    def position(self) -> str:
+        """How the source gives positions: "geodetic", "local", "polar", or "bearing" where it knows no distance."""
+        if self.lat_deg is not None and self.lon_deg is not None:
+            return "geodetic"
+        if self.x_m is not None and self.y_m is not None:
+            return "local"
+        return "polar" if self.range_m is not None else "bearing"
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """The columns that are there, by name; those of ``extra`` after the others."""
+        own = {name: getattr(self, name) for name in _COLUMNS}
+        return {name: column for name, column in own.items() if column is not None} | dict(self.extra)
+
+    def velocity_m_per_s(self) -> FloatArray | None:
+        """(n, 2) velocity to the east and north (or along x and y); NaN where it is not said, None where never.
+
+        Who stands still has a velocity, even without a course.
+        """
+        if self.vx_m_per_s is not None and self.vy_m_per_s is not None:
+            return np.column_stack([self.vx_m_per_s, self.vy_m_per_s])
+        if self.speed_m_per_s is None:
+            return None
+        course = np.full(len(self), np.nan) if self.course_deg is None else np.radians(self.course_deg)
+        course = np.where(self.speed_m_per_s == 0.0, 0.0, course)
+        return self.speed_m_per_s[:, None] * np.column_stack([np.sin(course), np.cos(course)])
+
+    def where(self, rows: ArrayLike) -> Reports:
+        """The reports of some rows only: a mask (n,) or row numbers. What is damaged stays said."""
+        chosen = np.asarray(rows)
+        own = {name: column[chosen] for name in _COLUMNS if (column := getattr(self, name)) is not None}
+        return replace(self, **own, extra={name: column[chosen] for name, column in self.extra.items()})
+
+    def in_time_order(self) -> Reports:
+        """The same reports, the earliest first; equal times keep the order of the file."""
+        return self.where(np.argsort(self.time_s, kind="stable"))
+
+    def summary(self) -> list[str]:
+        """Printable lines: what there is, what was damaged or passed over, what was assumed."""
+        lines = [f"{self.source}: {len(self)} reports ({self.kind}, {self.position} positions)"]
+        lines += self.damaged.sentences()
+        lines += [f"{count} passed over: {what}" for what, count in self.passed_over.items()]
+        return lines + list(self.notes)
+
+
+def of_rows(rows: Sequence[Mapping[str, Any]], names: Iterable[str] = ()) -> dict[str, Any]:
+    """Columns for :meth:`Reports.of` from one mapping a report; what a row does not hold is absent.
+
+    names : columns to make even where no row holds them.
+    """
+    every = dict.fromkeys([*names, *(name for row in rows for name in row)])
+    columns: dict[str, Any] = {}
+    for name in every:
+        cells = [row.get(name) for row in rows]
+        if name in _MATRICES:
+            columns[name] = np.array([(np.nan,) * 3 if cell is None else cell for cell in cells], float).reshape(-1, 3)
+        elif name in _TEXTS or any(isinstance(cell, str) for cell in cells):
+            columns[name] = np.array([*cells, None], object)[:-1]
+        else:
+            columns[name] = np.array([np.nan if cell is None else cell for cell in cells], float)
+    return columns
+
+
+_MATRICES = ("covariance_m2", "velocity_covariance_m2_per_s2")
+_TEXTS = ("track_id", "mmsi", "imo", "icao", "callsign", "mode_a", "name", "type")
+_NO_COLUMNS = ("source", "kind", "extra", "damaged", "passed_over", "notes")
+_COLUMNS = tuple(f.name for f in fields(Reports) if f.name not in _NO_COLUMNS)
+_ANGLES = ("bearing_deg", "course_deg", "heading_deg")
+
+
+def _typed(name: str, array: NDArray[Any]) -> NDArray[Any]:
+    if name == "line":
+        return array.astype(np.int64)
+    if name not in _TEXTS:
+        return array.astype(np.float64)
+    return np.array([*(None if cell is None else str(cell) for cell in array), None], object)[:-1]
+
+
+def _is_empty(array: NDArray[Any]) -> bool:
+    if array.dtype == object:
+        return all(cell is None for cell in array)
+    return array.dtype.kind == "f" and bool(np.isnan(array).all())
+
+
+def _checked(reports: Reports) -> Reports:
+    for first, second in (("lat_deg", "lon_deg"), ("x_m", "y_m"), ("vx_m_per_s", "vy_m_per_s")):
+        if len(reports) and (getattr(reports, first) is None) != (getattr(reports, second) is None):
+            there, missing = (first, second) if getattr(reports, second) is None else (second, first)
+            raise InputError(f"{reports.source}: has {there}, but no {missing}; give both")
+    if len(reports) and reports.position == "bearing" and reports.bearing_deg is None:
+        raise InputError(f"{reports.source}: no position; give lat and lon, x and y, range and bearing, or a bearing")
+    lat = reports.lat_deg
+    beyond = np.flatnonzero(np.abs(lat) > 90.0) if lat is not None else np.empty(0, int)
+    if lat is not None and len(beyond):
+        first_line = reports.line[beyond[0]]
+        raise InputError(
+            f"{reports.source}: {len(beyond)} latitudes lie beyond ±90° "
+            f"(first: {reports.damaged.unit} {first_line}, {lat[beyond[0]]:g}); are latitude and longitude swapped?"
+        )
+    return reports
+
+
+def _with_plain_angles(reports: Reports) -> Reports:
+    """Longitudes within ±180°, directions from 0° to 360°."""
+    changed: dict[str, Any] = {}
+    for name in _ANGLES:
+        if (angle := getattr(reports, name)) is not None:
+            changed[name] = np.mod(angle, 360.0)
+    for name in ("lon_deg", "station_lon_deg"):
+        if (angle := getattr(reports, name)) is not None and (np.abs(angle) > 180.0).any():
+            changed[name] = np.mod(angle + 180.0, 360.0) - 180.0
+    return replace(reports, **changed) if changed else reports

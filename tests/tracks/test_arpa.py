@@ -1,0 +1,126 @@
+"""ARPA: ranges and bearings as the radar measured them, true whatever their flags."""
+
+import numpy as np
+import pytest
+
+from sameas.errors import InputError
+from sameas.io.sensors import arpa, read_reports
+from sameas.io.sensors.nmea import checksum, latitude, log_of, longitude
+
+DAY = 1452556800.0  # 2016-01-12
+ZDA = "GPZDA,130211.00,12,01,2016,00,00"
+RMC = "GPRMC,130212.00,A,5046.380,N,00105.576,W,10.0,157.8,120116,,,A"
+
+
+def reports(*bodies, **options):
+    return arpa.read(log_of([f"${body}*{checksum(body):02X}" for body in bodies]), "bridge", **options)
+
+
+def ttm(number="01", distance="2.50", bearing="13.6", flag="T", speed="7.0", course="20.0", course_flag="T", unit="N",
+        status="T", time="130215.50"):  # fmt: skip
+    return (
+        f"RATTM,{number},{distance},{bearing},{flag},{speed},{course},{course_flag},0.0,0.0,{unit},,{status},,{time},A"
+    )
+
+
+def test_a_true_target_is_taken_as_it_stands():
+    made = reports(ZDA, RMC, ttm())
+    assert made.position == "polar" and made.track_id.tolist() == ["01"]
+    assert made.range_m[0] == pytest.approx(2.5 * 1852.0) and made.bearing_deg[0] == 13.6
+    assert made.speed_m_per_s[0] == pytest.approx(7.0 * 1852 / 3600) and made.course_deg[0] == 20.0
+    assert made.station_lat_deg[0] == pytest.approx(50 + 46.380 / 60)
+    assert made.station_lon_deg[0] == pytest.approx(-(1 + 5.576 / 60))
+    # The target's own time of day, on the date of ZDA.
+    assert made.time_s[0] == DAY + 13 * 3600 + 2 * 60 + 15.5
+
+
+def test_directions_from_the_bow_are_turned_by_the_heading_heard_last():
+    made = reports(ZDA, "HEHDT,350.0,T", ttm(flag="R", course_flag="R"), "IIOSD,100.0,A,101.0,P,8.0,P,,,N",
+                   ttm(number="02", flag="R", course="90.0", course_flag="T"))  # fmt: skip
+    np.testing.assert_allclose(made.bearing_deg, [3.6, 113.6])
+    np.testing.assert_allclose(made.course_deg, [10.0, 90.0])
+    made = reports(ZDA, "HEHDT,350.0,T", "IIOSD,100.0,V,101.0,P,8.0,P,,,N", ttm(flag="R"))
+    assert made.bearing_deg[0] == pytest.approx(3.6)
+
+
+def test_a_bearing_from_the_bow_without_a_heading_is_no_bearing():
+    made = reports(ZDA, ttm(flag="R"), ttm(number="02", course_flag="R"))
+    assert made.track_id.tolist() == ["02"] and made.course_deg is None
+    assert made.damaged.sentences() == [
+        "1 line damaged: direction from the bow, but no heading (OSD, HDT, THS) heard yet (line 2)"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("unit", "metres", "speed"), [("N", 1852.0, 0.514444), ("K", 1000.0, 1 / 3.6), ("S", 1609.344, 0.44704)]
+)
+def test_units_are_those_of_the_sentence(unit, metres, speed):
+    made = reports(ZDA, ttm(distance="1.0", speed="1.0", unit=unit))
+    assert (made.range_m[0], made.speed_m_per_s[0]) == (metres, pytest.approx(speed, rel=1e-5))
+
+
+def test_lost_targets_are_passed_over_and_broken_ones_counted():
+    made = reports(ZDA, ttm(status="L"), ttm(status="X"), ttm(distance=""), ttm(distance="0.0"), ttm(unit="Q"),
+                   ttm(bearing="abc"), ttm(flag="M"), ttm(number="09", status="Q"))  # fmt: skip
+    assert made.passed_over == {"target lost by the radar": 1}
+    assert made.damaged.lines.tolist() == [3, 4, 5, 6, 7, 8]
+    assert made.track_id.tolist() == ["09"] and made.extra["tracked"].tolist() == [0.0]
+
+
+def test_positions_that_the_radar_worked_out_are_read_where_there_is_nothing_else():
+    # The example of a TLL sentence that chart plotters print in their sources.
+    tll = "RATLL,01,5603.370,N,01859.976,E,ALPHA,015200.36,T,"
+    made = reports(ZDA, tll)
+    assert made.position == "geodetic" and made.name.tolist() == ["ALPHA"]
+    assert (made.lat_deg[0], made.lon_deg[0]) == pytest.approx((56 + 3.370 / 60, 18 + 59.976 / 60))
+    assert made.time_s[0] == pytest.approx(DAY + 3600 + 52 * 60 + 0.36)
+    both = reports(ZDA, tll, ttm())
+    assert both.position == "polar" and both.passed_over == {"TLL of targets that TTM tells too": 1}
+
+
+def test_times_of_day_cross_midnight_with_the_date_nearest_to_the_clock():
+    late, early = "GPZDA,235959.00,12,01,2016,00,00", "GPZDA,000001.00,13,01,2016,00,00"
+    made = reports(late, ttm(time="235958.00"), ttm(time="000000.50"), early, ttm(time="235959.50"))
+    assert (made.time_s - DAY - 86400.0).tolist() == [-2.0, 0.5, -0.5]
+
+
+def test_without_a_date_a_start_is_asked_for():
+    with pytest.raises(
+        InputError, match="bridge: no time: the sentences tell the time of day, but no date; give start"
+    ):
+        reports(ttm())
+    made = reports(ttm(time="235959.00"), ttm(time="000001.00"), start_s=DAY)
+    assert (made.time_s - DAY).tolist() == [86399.0, 86401.0]
+    with pytest.raises(InputError, match="no line tells a time, no ZDA and no RMC"):
+        reports(ttm(time=""), start_s=DAY)
+
+
+def test_the_clock_of_the_log_stands_in_for_targets_without_their_own():
+    assert reports(ZDA, ttm(time="")).time_s[0] == DAY + 13 * 3600 + 2 * 60 + 11
+
+
+def test_where_own_ship_was_is_not_made_up():
+    made = reports(ZDA, ttm())
+    assert made.station_lat_deg is None and "does not tell where own ship was" in made.notes[-1]
+    made = reports(
+        ZDA, "GPGGA,130211,5046.380,N,00105.576,W,0,00,,,M,,M,,", ttm(), "GPGLL,5000.000,S,00000.000,E,130213,A", ttm()
+    )
+    assert np.isnan(made.station_lat_deg[0]) and made.station_lat_deg[1] == -50.0
+
+
+@pytest.mark.parametrize(
+    ("text", "side"), [("9100.0", "N"), ("5061.0", "N"), ("50xx.0", "N"), ("5000.0", "E"), ("", "N")]
+)
+def test_what_is_no_latitude_is_refused(text, side):
+    with pytest.raises(ValueError):
+        latitude(text, side)
+    assert longitude("17959.99", "W") == pytest.approx(-179.99983, abs=1e-5)
+
+
+def test_a_log_of_ais_and_radar_is_two_sources(tmp_path):
+    lines = [f"${ZDA}*{checksum(ZDA):02X}", "!AIVDM,1,1,,B,15M67FC000G?ufbE`FepT@3n00Sa,0*5C",
+             f"${ttm()}*{checksum(ttm()):02X}", "rubbish"]  # fmt: skip
+    (tmp_path / "log.nmea").write_text("\r\n".join(lines))
+    ships, radar = read_reports(tmp_path / "log.nmea")
+    assert (ships.source, ships.kind, radar.source, radar.kind) == ("log.nmea:ais", "ais", "log.nmea:arpa", "arpa")
+    assert ships.damaged.lines.tolist() == [4] and len(radar.damaged) == 0

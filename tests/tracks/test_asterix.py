@@ -1,0 +1,213 @@
+"""ASTERIX: cut into items as libasterix cuts them, and meaning what libasterix reads in them."""
+
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sameas.errors import InputError
+from sameas.io.sensors.asterix import read
+from sameas.io.sensors.asterix.layout import CATEGORIES
+from sameas.io.sensors.asterix.records import DamagedRecord, letters, octal, records_of
+from sameas.tracks.accuracy import RADIUS_95
+
+ORACLE = json.loads((Path(__file__).parent / "data" / "asterix_oracle.json").read_text())
+DATE = 1714521600.0  # 2024-05-01
+# Names that differ between editions for subfields of one place and length.
+RENAMED = {"ISA": "SAL", "GS": "GSP", "BDSDATA": "MB"}
+NM, FL = 1852.0, 30.48
+
+
+def told(k):
+    return ORACLE["records"][k]["values"], bytes.fromhex(ORACLE["records"][k]["block"])
+
+
+def block(category, data):
+    return bytes([category]) + (len(data) + 3).to_bytes(2, "big") + data
+
+
+def plot(seconds, number=1, distance=256):
+    """The data of a category 048 record: 010, 140, 040, 161."""
+    tod = int(seconds * 128).to_bytes(3, "big")
+    return bytes([0xD1, 0x10, 1, 2]) + tod + distance.to_bytes(2, "big") + b"\x40\0" + number.to_bytes(2, "big")
+
+
+@pytest.mark.parametrize("case", ORACLE["layouts"], ids=lambda case: case["edition"])
+def test_every_item_of_a_category_is_cut_where_the_specification_cuts(case):
+    found = list(records_of(CATEGORIES[case["category"]], bytes.fromhex(case["data"])))
+    assert len(found) == len(case["records"]) == 4
+    for items, expected in zip(found, case["records"], strict=True):
+        assert set(items) == set(expected)
+        for name, value in items.items():
+            if isinstance(value, bytes):
+                assert value.hex() == expected[name]
+            else:
+                subfields = {RENAMED.get(part, part): told for part, told in expected[name].items()}
+                assert {part: told.hex() for part, told in value.items()} == subfields
+    assert len(set().union(*case["records"])) >= 25
+
+
+def test_a_radar_plot_means_what_libasterix_reads():
+    values, data = told(0)
+    [made] = read(data, "radar", DATE)
+    assert (made.kind, made.position) == ("asterix 048", "polar")
+    assert made.time_s[0] == DATE + values["140"]
+    assert made.range_m[0] == pytest.approx(values["040.RHO"] * NM)
+    assert made.bearing_deg[0] == pytest.approx(values["040.THETA"])
+    assert (made.mode_a[0], made.callsign[0], made.icao[0]) == (values["070.MODE3A"], values["240"].strip(), "3c660c")
+    assert int(made.icao[0], 16) == values["220"] and made.track_id[0] == str(values["161.TRN"])
+    assert made.pressure_alt_m[0] == pytest.approx(values["090.FL"] * FL)
+    assert made.speed_m_per_s[0] == pytest.approx(values["200.GSP"] * NM)
+    assert made.course_deg[0] == pytest.approx(values["200.HDG"])
+    np.testing.assert_allclose(
+        made.covariance_m2[0], [(values["210.SIGX"] * NM) ** 2, 0, (values["210.SIGY"] * NM) ** 2]
+    )
+
+
+def test_a_system_track_means_what_libasterix_reads_and_its_covariance_is_a_signed_square():
+    values, data = told(1)
+    [made] = read(data, "system", DATE)
+    assert (made.kind, made.position) == ("asterix 062", "geodetic") and made.time_s[0] == DATE + values["070"]
+    assert (made.lat_deg[0], made.lon_deg[0]) == pytest.approx((values["105.LAT"], values["105.LON"]), abs=1e-9)
+    assert (made.x_m[0], made.y_m[0]) == (values["100.X"], values["100.Y"])
+    assert (made.vx_m_per_s[0], made.vy_m_per_s[0]) == (values["185.VX"], values["185.VY"])
+    assert (made.mode_a[0], made.callsign[0], made.track_id[0]) == (values["060.MODE3A"], "QFA12", str(values["040"]))
+    assert int(made.icao[0], 16) == values["380.ADR"]
+    assert made.pressure_alt_m[0] == pytest.approx(values["136"] * FL)
+    assert made.alt_m[0] == pytest.approx(values["130"] * 0.3048)
+    assert made.climb_m_per_s[0] == pytest.approx(values["220"] * 0.3048 / 60)
+    x, root, y = values["500.APC.X"], values["500.COV"], values["500.APC.Y"]
+    assert root < 0
+    np.testing.assert_allclose(made.covariance_m2[0], [x**2, -(root**2), y**2])
+    np.testing.assert_allclose(
+        made.velocity_covariance_m2_per_s2[0], [values["500.ATV.X"] ** 2, 0, values["500.ATV.Y"] ** 2]
+    )
+    assert made.sigma_alt_m[0] == pytest.approx(values["500.AGA"] * 0.3048)
+
+
+def test_an_ads_b_report_means_what_libasterix_reads():
+    values, data = told(2)
+    [made] = read(data, "ground", DATE)
+    assert made.kind == "asterix 021" and made.time_s[0] == DATE + values["071"]
+    assert (made.lat_deg[0], made.lon_deg[0]) == pytest.approx((values["131.LAT"], values["131.LON"]), abs=1e-9)
+    assert made.alt_m[0] == pytest.approx(values["140"] * 0.3048)
+    assert made.pressure_alt_m[0] == pytest.approx(values["145"] * FL)
+    assert made.speed_m_per_s[0] == pytest.approx(values["160.GS"] * NM) and made.course_deg[0] == values["160.TA"]
+    assert made.climb_m_per_s[0] == pytest.approx(values["157.GVR"] * 0.3048 / 60)
+    assert (made.mode_a[0], made.callsign[0]) == (values["070.MODE3A"], values["170"].strip())
+    assert int(made.icao[0], 16) == values["080"] and made.track_id[0] == str(values["161.TRNUM"])
+    # Version 2 with NACp 9 and NACv 2: 30 m and 3 m/s in 95 %.
+    np.testing.assert_allclose(made.covariance_m2[0, 0], (30 / RADIUS_95) ** 2)
+    np.testing.assert_allclose(made.velocity_covariance_m2_per_s2[0, 0], (3 / RADIUS_95) ** 2)
+
+
+def test_a_version_0_transponder_states_nucp_in_the_bits_of_nic():
+    # FSPEC of items 010, 071, 130, 090, 210; quality with NUCp 7 and, in its second part, bits that mean nothing yet.
+    items = [bytes([1, 2]), (128).to_bytes(3, "big"), bytes(6), bytes([7 << 1]), bytes([0 << 3 | 2])]
+    spec = bytes([0b10001101, 0b00000001, 0b00110000])
+    [made] = read(block(21, spec + b"".join(items)), "ground", DATE)
+    assert made.extra["version"][0] == 0.0
+    np.testing.assert_allclose(made.covariance_m2[0, 0], (92.6 / RADIUS_95) ** 2)
+
+
+def test_times_of_day_cross_midnight_and_come_late():
+    seconds = [86399.0, 1.0, 86398.5, 3.0]
+    data = b"".join(block(48, plot(s, k)) for k, s in enumerate(seconds))
+    [made] = read(data, "radar", DATE)
+    assert (made.time_s - DATE).tolist() == [86399.0, 86401.0, 86398.5, 86403.0]
+    # A start that is an instant, not a date, finds the nearest day.
+    [made] = read(data, "radar", DATE - 2.0)
+    assert (made.time_s - DATE).tolist() == [-1.0, 1.0, -1.5, 3.0]
+    with pytest.raises(InputError, match="radar: no date: the records tell the time of day only; give start"):
+        read(data, "radar")
+
+
+def test_every_sensor_in_a_file_is_a_source():
+    other = bytearray(plot(10.0))
+    other[3] = 9
+    found = read(block(48, plot(9.0) + bytes(other)) + block(34, b"\x80\x01\x02"), "site", DATE)
+    assert [made.source for made in found] == ["site:048 1/2", "site:048 1/9"]
+    assert [made.line.tolist() for made in found] == [[1], [2]]
+    assert found[0].passed_over == {"block of category 034": 1}
+
+
+def test_a_block_that_comes_over_two_networks_is_one():
+    [made] = read(block(48, plot(1.0)) * 2 + block(48, plot(1.0, 2)), "radar", DATE)
+    assert made.track_id.tolist() == ["1", "2"]
+    assert made.passed_over == {"block that came before, from a second network": 1}
+
+
+def test_damaged_records_are_counted_and_the_next_block_is_read():
+    cut = plot(1.0)[:-3]
+    spare = bytes([0x01, 0x01, 0x01, 0x01, 0x80])
+    data = block(48, plot(1.0)) + block(48, cut) + block(48, spare) + block(48, plot(2.0, 7))
+    [made] = read(data + b"\x30\xff\xff", "radar", DATE)
+    assert made.track_id.tolist() == ["1", "7"] and made.damaged.unit == "record"
+    assert made.damaged.lines.tolist() == [2, 3, 5]
+    assert made.damaged.reasons[0] == "ends within an item; the rest of its block is lost"
+    assert made.damaged.reasons[1].startswith("names item 29 of its field specification, which does not exist")
+    assert "length 65535 of the block at byte" in made.damaged.reasons[2]
+
+
+def test_any_bytes_are_records_or_damage_and_never_more():
+    rng = np.random.default_rng(3)
+    for category in CATEGORIES.values():
+        for _ in range(100):
+            data = rng.integers(0, 256, 60, dtype=np.uint8).tobytes()
+            try:
+                for items in records_of(category, data):
+                    assert items
+            except DamagedRecord:
+                pass
+
+
+def test_simulated_and_empty_records_are_passed_over():
+    # FSPEC 010, 140, 020, 040; item 020 with SIM set.
+    simulated = bytes([0xF0, 1, 2, 0, 0, 128, 0xB0, 1, 0, 0x40, 0])
+    nowhere = bytes([0xC0, 1, 2, 0, 0, 128])
+    timeless = bytes([0x90, 1, 2, 1, 0, 0x40, 0])
+    [made] = read(block(48, simulated + nowhere + timeless + plot(1.0)), "radar", DATE)
+    assert made.passed_over == {
+        "048 of a simulated target or a field monitor": 1,
+        "048 without a measured position": 1,
+    }
+    assert made.damaged.sentences() == ["1 record damaged: a plot without a time (record 3)"]
+    with pytest.raises(
+        InputError, match="site: no target of category 021, 048 or 062; 1 passed over: block of category 034"
+    ):
+        read(block(34, b"\x80\x01\x02"), "site", DATE)
+
+
+def capture(packets, order="<", link=1):
+    """A pcap file of UDP over IPv4 on Ethernet."""
+    head = struct.pack(order + "IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, link)
+    out = [head]
+    for when, payload in packets:
+        udp = struct.pack(">HHHH", 8600, 8600, 8 + len(payload), 0) + payload
+        ip = struct.pack(">BBHHHBBH8x", 0x45, 0, 20 + len(udp), 0, 0, 64, 17, 0) + udp
+        frame = (bytes(12) + b"\x08\0" if link == 1 else b"") + ip
+        out.append(struct.pack(order + "IIII", int(when), int(when % 1 * 1e6), len(frame), len(frame)) + frame)
+    return b"".join(out)
+
+
+@pytest.mark.parametrize(("order", "link"), [("<", 1), (">", 1), ("<", 101)])
+def test_a_capture_brings_its_date(order, link):
+    packets = [(DATE + 86400.5, block(48, plot(86399.75))), (DATE + 86401.0, block(48, plot(0.5, 2)))]
+    [made] = read(capture(packets, order, link), "site")
+    assert (made.time_s - DATE).tolist() == [86399.75, 86400.5]
+
+
+def test_a_capture_of_the_newer_kind_is_refused_with_the_remedy():
+    with pytest.raises(InputError, match="editcap -F pcap"):
+        read(b"\x0a\x0d\x0d\x0a" + bytes(20), "site")
+
+
+def test_letters_and_codes_are_those_of_the_standard():
+    # ICAO Annex 10: letters are their place in the alphabet, digits those of ASCII, a blank is 32.
+    codes = [ord(c) - 64 if c.isalpha() else ord(c) for c in "KLM1023 "]
+    packed = int("".join(f"{code:06b}" for code in codes), 2).to_bytes(6, "big")
+    assert letters(packed) == "KLM1023"
+    assert letters(bytes(6)) is None
+    assert octal(bytes([0x0F, 0x11])) == "7421"

@@ -1,0 +1,86 @@
+"""Reports: what a source says stays what it said, and what it does not say is absent."""
+
+import numpy as np
+import pytest
+
+from sameas.errors import InputError
+from sameas.tracks.reports import Damaged, Reports, of_rows
+
+
+def reports(**columns):
+    base = {"time_s": [0.0, 10.0, 5.0], "lat_deg": [50.0, 51.0, 52.0], "lon_deg": [179.0, 181.0, -190.0]}
+    return Reports.of("radar", "table", base | columns)
+
+
+def test_longitudes_and_directions_come_in_one_way():
+    made = reports(course_deg=[-10.0, 370.0, np.nan])
+    np.testing.assert_allclose(made.lon_deg, [179.0, -179.0, 170.0])
+    np.testing.assert_allclose(made.course_deg, [350.0, 10.0, np.nan])
+
+
+def test_a_column_without_a_value_is_absent_and_unknown_names_are_extra():
+    made = reports(speed_m_per_s=[np.nan] * 3, name=[None] * 3, nac_p=[9, 8, 7], mmsi=[235, None, "002"])
+    assert made.speed_m_per_s is None and made.name is None
+    assert made.extra["nac_p"].tolist() == [9, 8, 7]
+    assert made.mmsi.tolist() == ["235", None, "002"]
+    assert set(made.columns()) == {"time_s", "line", "lat_deg", "lon_deg", "mmsi", "nac_p"}
+
+
+@pytest.mark.parametrize(
+    ("columns", "kind"),
+    [
+        ({"lat_deg": [1.0], "lon_deg": [2.0], "range_m": [1.0], "bearing_deg": [1.0]}, "geodetic"),
+        ({"x_m": [1.0], "y_m": [2.0]}, "local"),
+        ({"range_m": [1.0], "bearing_deg": [1.0]}, "polar"),
+        ({"bearing_deg": [1.0]}, "bearing"),
+    ],
+)
+def test_the_kind_of_position_is_what_is_there(columns, kind):
+    assert Reports.of("a", "table", {"time_s": [0.0], **columns}).position == kind
+
+
+def test_velocity_is_east_and_north_and_known_of_those_who_stand():
+    made = reports(speed_m_per_s=[10.0, 0.0, 5.0], course_deg=[90.0, np.nan, np.nan])
+    np.testing.assert_allclose(made.velocity_m_per_s(), [[10.0, 0.0], [0.0, 0.0], [np.nan, np.nan]], atol=1e-12)
+    made = reports(vx_m_per_s=[1.0, 2.0, 3.0], vy_m_per_s=[4.0, 5.0, 6.0])
+    np.testing.assert_allclose(made.velocity_m_per_s()[1], [2.0, 5.0])
+    assert reports().velocity_m_per_s() is None
+
+
+def test_some_rows_and_the_order_of_time_keep_every_column_together():
+    made = reports(covariance_m2=np.arange(9.0).reshape(3, 3), track_id=["a", "b", "c"], rank=np.arange(3))
+    ordered = made.in_time_order()
+    assert ordered.track_id.tolist() == ["a", "c", "b"] and ordered.extra["rank"].tolist() == [0, 2, 1]
+    assert ordered.covariance_m2[1].tolist() == [6.0, 7.0, 8.0]
+    assert made.where(made.time_s > 1.0).line.tolist() == [2, 3]
+
+
+def test_damage_is_told_by_reason_and_number():
+    damaged = Damaged.of([(9, "no time"), (2, "wrong checksum"), (7, "no time")])
+    assert damaged.counts() == {"no time": 2, "wrong checksum": 1}
+    assert damaged.sentences() == [
+        "2 lines damaged: no time (lines 7, 9)",
+        "1 line damaged: wrong checksum (line 2)",
+    ]
+    assert reports().damaged.sentences() == []
+
+
+def test_rows_become_columns_with_what_is_missing_absent():
+    columns = of_rows([{"time_s": 1.0, "name": "A"}, {"time_s": 2.0, "covariance_m2": (1.0, 0.0, 1.0)}])
+    assert columns["name"].tolist() == ["A", None]
+    assert np.isnan(columns["covariance_m2"][0]).all() and columns["covariance_m2"][1].tolist() == [1.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ({"lat_deg": [1.0], "lon_deg": [1.0]}, "radar: no time; give a column time_s"),
+        ({"time_s": [1.0], "lat_deg": [1.0]}, "radar: has lat_deg, but no lon_deg; give both"),
+        ({"time_s": [1.0], "speed_m_per_s": [1.0]}, "radar: no position; give lat and lon, x and y"),
+        ({"time_s": [1.0], "lat_deg": [-118.2], "lon_deg": [33.9]}, "latitude and longitude swapped"),
+        ({"time_s": [1.0], "lat_deg": [1.0, 2.0], "lon_deg": [1.0, 2.0]}, "lat_deg has 2 values for 1 times"),
+    ],
+)
+def test_refusals_say_what_is_missing(columns, words):
+    with pytest.raises(InputError, match=words.replace("(", r"\(")):
+        Reports.of("radar", "table", columns)

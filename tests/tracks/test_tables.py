@@ -1,0 +1,233 @@
+"""Tables: columns are understood by their names, and a damaged line is one line."""
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+from sameas.errors import InputError
+from sameas.io.sensors import ReadOptions, read_reports
+from sameas.io.sensors.columns import choose
+from sameas.io.sensors.tables import cells_of_csv, read
+
+DATA = Path(__file__).parents[2] / ".." / "shared" / "data" / "stonesoup_demos"
+KNOT = 1852.0 / 3600.0
+
+
+def table(text, start_s=None, columns=None, units=None):
+    return read(cells_of_csv(text.strip().split("\n"), "radar.csv"), "radar.csv", start_s, columns, units)
+
+
+def understood(*names):
+    return {column: choice.name for column, choice in choose(names, "radar.csv").items()}
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        (("Time", "MMSI", "Latitude_degrees", "Longitude_degrees", "COG_degrees", "SOG_knots"),
+         {"time_s": "Time", "mmsi": "MMSI", "lat_deg": "Latitude_degrees", "lon_deg": "Longitude_degrees",
+          "course_deg": "COG_degrees", "speed_m_per_s": "SOG_knots"}),
+        (("timestamp", "icao24", "callsign", "latitude", "longitude", "altitude", "groundspeed", "track",
+          "vertical_rate"),
+         {"time_s": "timestamp", "icao": "icao24", "callsign": "callsign", "lat_deg": "latitude",
+          "lon_deg": "longitude", "alt_m": "altitude", "speed_m_per_s": "groundspeed", "course_deg": "track",
+          "climb_m_per_s": "vertical_rate"}),
+        (("t", "range (NM)", "bearing [deg]", "track", "sigma_range_m"),
+         {"time_s": "t", "range_m": "range (NM)", "bearing_deg": "bearing [deg]", "track_id": "track",
+          "sigma_range_m": "sigma_range_m"}),
+        (("utc", "x_m", "y_m", "vx_m_per_s", "vy_m_per_s", "cov_xx", "cov_xy", "cov_yy", "id"),
+         {"time_s": "utc", "x_m": "x_m", "y_m": "y_m", "vx_m_per_s": "vx_m_per_s", "vy_m_per_s": "vy_m_per_s",
+          "cov_xx": "cov_xx", "cov_xy": "cov_xy", "cov_yy": "cov_yy", "track_id": "id"}),
+        (("BaseDateTime", "LAT", "LON", "VesselName", "VesselType", "Length", "Width", "IMO"),
+         {"time_s": "BaseDateTime", "lat_deg": "LAT", "lon_deg": "LON", "name": "VesselName", "type": "VesselType",
+          "length_m": "Length", "width_m": "Width", "imo": "IMO"}),
+    ],
+)  # fmt: skip
+def test_names_as_people_write_them_are_understood(names, expected):
+    assert understood(*names) == expected
+
+
+def test_units_at_the_end_of_a_name_count_and_habits_stand_in():
+    made = table("time,lat,lon,sog,alt_ft,course_rad\n0,50,1,10,1000,1.5707963\n")
+    assert made.speed_m_per_s[0] == pytest.approx(10 * KNOT) and made.alt_m[0] == pytest.approx(304.8)
+    assert made.course_deg[0] == pytest.approx(90.0, abs=1e-5)
+    made = table("time,icao24,lat,lon,altitude,groundspeed,vertical_rate\n0,4ca7a8,50,1,36000,450,-600\n")
+    assert made.alt_m[0] == pytest.approx(36000 * 0.3048) and made.speed_m_per_s[0] == pytest.approx(450 * KNOT)
+    assert made.climb_m_per_s[0] == pytest.approx(-600 * 0.3048 / 60)
+    assert "radar.csv: altitude is taken in ft: altitudes are feet" in made.notes
+    made = table("time,lat,lon,speed_kmh\n0,50,1,36\n")
+    assert made.speed_m_per_s[0] == pytest.approx(10.0)
+
+
+def test_a_unit_that_nobody_wrote_is_said():
+    made = table("time,range,bearing\n0,1500,45\n")
+    assert "radar.csv: range is taken in m: its name says no unit" in made.notes
+    made = table("time,range,bearing\n0,1.5,45\n", units={"range": "km"})
+    assert made.range_m[0] == 1500.0 and "radar.csv: range is in km, as said" in made.notes
+
+
+def test_what_the_user_says_wins():
+    made = table(
+        "when,phi,lam,lat,lon\n0,10,20,30,40\n", columns={"time_s": "when", "lat_deg": "phi", "lon_deg": "lam"}
+    )
+    assert (made.lat_deg[0], made.lon_deg[0]) == (10.0, 20.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("lat,lon\n1,2", r"no column of time among: lat, lon; say columns=\{'time_s': NAME\}"),
+        ("time,lat\n1,2", r"no column of lon_deg among: time, lat; say columns=\{'lon_deg': NAME\}"),
+        ("time,speed\n1,2", "no columns of a position among: time, speed"),
+        ("time,lat,Lat,lon\n1,2,3,4", r"2 columns may be lat_deg: 'lat', 'Lat'; say columns=\{'lat_deg': NAME\}"),
+        ("time,lat,lat,lon\n1,2,3,4", "two columns are called lat; rename one"),
+        ("time,lat,lon\n0,-118.2,33.9\n1,-118.3,33.8", "2 latitudes lie beyond ±90°.*swapped"),
+        ("time,lat,lon\nx,1,2", "no time can be read in column 'time' .first: 'x'.; write ISO 8601"),
+        ("time,lat,lon\n1,x,2", "no row can be used: 1 line damaged: lat is no number .line 2."),
+        ("time,lat,lon\n01/02/2024 12:00:00,1,2", "dates like .* can be read in two ways; write them as 2024-01-13"),
+        ("nothing", "line 1 does not name columns; part them by commas"),
+    ],
+)
+def test_refusals_say_what_to_do(text, words):
+    with pytest.raises(InputError, match=f"radar.csv: {words}"):
+        table(text)
+
+
+def test_a_wrong_option_is_refused_with_what_there_is():
+    text = "time,lat,lon\n0,1,2"
+    with pytest.raises(InputError, match="'latt' is no quantity; did you mean lat_deg"):
+        table(text, columns={"latt": "lat"})
+    with pytest.raises(InputError, match="no column 'Y' among: time, lat, lon"):
+        table(text, columns={"lat_deg": "Y"})
+    with pytest.raises(InputError, match="column 'lat': unit 'furlong' is none of deg"):
+        table(text, units={"lat": "furlong"})
+
+
+def test_damaged_lines_are_counted_by_number_and_the_rest_is_read():
+    made = table(
+        """
+# made by hand
+time,lat,lon,speed_m_s
+0,50.0,1.0,3
+1,50.0
+2,fifty,1.0,3
+,50.0,1.0,3
+4,,,3
+5,95.0,1.0,3
+6,50.6,1.0,
+7,50.7,1.0,NA
+"""
+    )
+    assert made.line.tolist() == [3, 9, 10] and made.lat_deg.tolist() == [50.0, 50.6, 50.7]
+    assert dict(zip(made.damaged.lines.tolist(), made.damaged.reasons, strict=True)) == {
+        4: "has not 4 cells",
+        5: "lat is no number",
+        6: "no time",
+        7: "no position",
+        8: "latitude beyond ±90°",
+    }
+    assert np.isnan(made.speed_m_per_s[1:]).all()
+
+
+@pytest.mark.parametrize(
+    "cell",
+    ["1452603731.5", "1452603731500", "1452603731500000", "2016-01-12T13:02:11.5Z", "2016-01-12 13:02:11.500",
+     "2016-01-12T14:02:11.5+01:00"],
+)  # fmt: skip
+def test_time_is_read_as_it_is_written(cell):
+    assert table(f"timestamp,lat,lon\n{cell},1,2").time_s[0] == 1452603731.5
+
+
+def test_days_and_months_are_told_apart_by_the_numbers():
+    made = table("# Timestamp,Latitude,Longitude\n13/01/2016 13:02:11,1,2\n05/01/2016 00:00:00,1,2")
+    assert made.time_s.tolist() == [datetime(2016, 1, 13, 13, 2, 11, tzinfo=UTC).timestamp(),
+                                    datetime(2016, 1, 5, tzinfo=UTC).timestamp()]  # fmt: skip
+    made = table("time,lat,lon\n1/13/2016 13:02:11,1,2")
+    assert made.time_s[0] == datetime(2016, 1, 13, 13, 2, 11, tzinfo=UTC).timestamp()
+
+
+def test_time_in_two_columns_and_time_of_day():
+    made = table("date,time,lat,lon\n2016-01-12,13:02:11,1,2")
+    assert made.time_s[0] == 1452603731.0
+    with pytest.raises(InputError, match="tells the time of day only; give start"):
+        table("time,lat,lon\n23:59:59,1,2")
+    made = table("time,lat,lon\n23:59:59,1,2\n00:00:01.5,1,2", start_s=1452556800.0)
+    assert (made.time_s - 1452556800.0).tolist() == [86399.0, 86401.5]
+
+
+def test_seconds_from_an_own_start_are_said():
+    assert "seconds from a start of its own" in table("t,x,y\n0.0,1,2\n1.0,2,3").notes[0]
+
+
+def test_errors_come_as_covariances_however_written():
+    circle = table("t,x,y,sigma_m\n0,1,2,3")
+    axes = table("t,x,y,sigma_x,sigma_y\n0,1,2,3,4")
+    full = table("t,x,y,cov_xx,cov_xy,cov_yy,sigma\n0,1,2,9,-2,16,100")
+    assert circle.covariance_m2.tolist() == [[9.0, 0.0, 9.0]]
+    assert axes.covariance_m2.tolist() == [[9.0, 0.0, 16.0]]
+    assert full.covariance_m2.tolist() == [[9.0, -2.0, 16.0]]
+    polar = table("t,range_km,bearing,sigma_range_m,sigma_bearing_mrad\n0,1,2,30,10")
+    assert (polar.sigma_range_m[0], polar.sigma_bearing_deg[0]) == pytest.approx((30.0, np.degrees(0.01)))
+    moving = table("t,x,y,vx,vy,sigma_vx,sigma_vy\n0,1,2,3,4,0.5,2")
+    assert moving.velocity_covariance_m2_per_s2.tolist() == [[0.25, 0.0, 4.0]]
+
+
+def test_bearings_alone_are_a_source():
+    made = table("time,bearing_rad,id\n0,-1.5707963,7\n")
+    assert made.position == "bearing" and made.bearing_deg[0] == pytest.approx(270.0, abs=1e-5)
+    assert made.track_id.tolist() == ["7"]
+
+
+def test_identities_are_texts_as_people_write_them():
+    made = table("time,lat,lon,mmsi,icao24,squawk\n0,1,2,2350070,4CA7A8,17\n1,1,2,2350070.0,,1000.0")
+    assert made.mmsi.tolist() == ["002350070"] * 2 and made.icao.tolist() == ["4ca7a8", None]
+    assert made.mode_a.tolist() == ["0017", "1000"] and made.track_id.tolist() == ["002350070"] * 2
+
+
+def test_rows_told_again_are_passed_over():
+    made = table("time,lat,lon,mmsi\n0,1,2,9\n0,1,2,9\n0,1,2,8\n1,1,2,9")
+    assert made.line.tolist() == [2, 4, 5] and made.passed_over == {"position told before": 1}
+
+
+def test_json_lines_lists_and_parquet_say_the_same(tmp_path):
+    rows = [{"time": "2016-01-12T13:02:11Z", "position": {"lat": 50.0, "lon": -1.0}, "mmsi": 235070762},
+            {"time": "2016-01-12T13:02:21Z", "position": {"lat": 50.1, "lon": -1.1}, "mmsi": 235070762}]  # fmt: skip
+    (tmp_path / "a.jsonl").write_text("\n".join([json.dumps(rows[0]), "{", "7", json.dumps(rows[1])]))
+    (tmp_path / "a.json").write_text(json.dumps(rows, indent=1))
+    stamps = pa.array(
+        [datetime(2016, 1, 12, 13, 2, second, tzinfo=UTC) for second in (11, 21)], pa.timestamp("ns", "UTC")
+    )
+    columns = {"time": stamps, "lat": [50.0, 50.1], "lon": [-1.0, -1.1], "mmsi": [235070762] * 2}
+    parquet.write_table(pa.table(columns), tmp_path / "a.parquet")
+    found = [read_reports(tmp_path / name)[0] for name in ("a.jsonl", "a.json", "a.parquet")]
+    for made in found:
+        assert made.time_s.tolist() == [1452603731.0, 1452603741.0] and made.lat_deg.tolist() == [50.0, 50.1]
+        assert made.mmsi.tolist() == ["235070762"] * 2
+    assert found[0].damaged.sentences() == [
+        "1 line damaged: no JSON (line 2)",
+        "1 line damaged: no JSON object (line 3)",
+    ]
+
+
+@pytest.mark.skipif(not DATA.exists(), reason="the shared data sets are not here")
+def test_the_solent_is_read():
+    [made] = read_reports(DATA / "SolentAIS_20160112_130211.csv")
+    assert len(made) + sum(made.passed_over.values()) == 18623 and len(made.damaged) == 0
+    assert len(set(made.mmsi)) == 91 and made.speed_m_per_s[0] == pytest.approx(5.9 * KNOT)
+    assert (np.abs(made.lat_deg - 50.75) < 0.75).all() and made.time_s[0] == pytest.approx(1452603731.218)
+
+
+@pytest.mark.skipif(not DATA.exists(), reason="the shared data sets are not here")
+def test_states_of_opensky_are_read_at_the_time_of_their_positions():
+    [made] = read_reports(DATA / "OpenSky_Plane_States.csv", ReadOptions(source="opensky"))
+    assert len(set(made.icao)) == 84 and made.passed_over["position told before"] > 0
+    assert made.time_s[0] == 1626098398.996 and made.heading_deg is None
+    velocity = made.velocity_m_per_s()
+    speed = made.speed_m_per_s
+    np.testing.assert_allclose(np.hypot(*velocity.T), speed, rtol=0.01, atol=0.5)
+    assert made.alt_m[0] == 10843.26 and made.pressure_alt_m[0] == 10668.0
