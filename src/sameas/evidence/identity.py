@@ -1,0 +1,332 @@
+"""Identity as evidence: MMSI, ICAO address, callsign, Mode A, name, type, length, each with a model of its errors.
+
+What two records say of themselves speaks for or against their being one object, and never decides alone: addresses
+are shared, mistyped, off by a bit, inherited from a neighbour, or forged. Each attribute that both records have gives a
+ratio r_k = p(both values | one object) / p(both values | two objects); together they give
+
+    λ = [(1 − g) R + g] / [(1 − s) + s R],   R = ∏ r_k,
+
+with g the probability that a record carries another object's identity altogether, and s that a second object nearby
+shows this one's. So ln λ stays between ln g and ln(1/s), whatever and however many the attributes are.
+
+- :class:`Identity`: the rule; add it to a rule of positions: ``CloseObjects(a, b) + Identity({...})``.
+- :class:`Code`, :class:`Category`, :class:`Size`: models of attributes; :data:`MODELS` for the usual ones.
+- :func:`alarms`: records whose identities agree while their positions contradict, and the reverse of unique names.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sameas.errors import InputError
+from sameas.evidence.rule import Evidence, Rule
+from sameas.evidence.texts import differ_by_one_bit, differ_by_one_typing, plain
+from sameas.gate import DEFAULT_COMPLETENESS, ChiSquare, Pairs
+from sameas.records import FloatArray, IntArray, Records, unpack
+from sameas.space import Plane
+
+#: Per source the attributes of the rows of its table, by name; None, NaN or "" where a record does not say.
+Attributes = Mapping[str, Mapping[str, ArrayLike]]
+
+
+class Model(Protocol):
+    """What an attribute's values say of two records."""
+
+    def __call__(self, first: NDArray[Any], second: NDArray[Any], pool: NDArray[Any]) -> FloatArray:
+        """(m,) ln r of pairs of known values; ``pool``: all known values of all sources, for their frequencies."""
+
+
+@dataclass(frozen=True)
+class Code:
+    """Values that should name one object: addresses, numbers, names.
+
+    r = (1 − e) / p(value) where they are equal; where they differ by one bit or one slip of typing the share e of such
+    errors, spread over as many as there can be; else the share ``other`` of values that have nothing to do with the
+    object. p(value), the probability that an unrelated object has it: 1/``values``, or how often it is given to
+    several objects of one source.
+
+    Parameters
+    ----------
+    values : how many values there are in use, about.
+    slips : e, the probability of a small error. other : of a value that is wrong altogether.
+    bits : whether small errors are single bits of a hexadecimal address; else slips of typing: one letter changed,
+        lost or added, or two swapped.
+    neighbours : how many values are one small error away.
+    shared : values given to many objects, with the share of objects that have them.
+    unknown : values that mean nothing.
+    """
+
+    values: float
+    slips: float = 0.01
+    other: float = 0.005
+    bits: bool = False
+    neighbours: float = 24.0
+    shared: Mapping[str, float] = field(default_factory=dict)
+    unknown: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not (self.values > 1 and 0 < self.slips < 1 and 0 < self.other < 1 and self.slips + self.other < 1):
+            raise InputError("Code: give values above 1, and shares of errors between 0 and 1 whose sum is below 1")
+
+    def __call__(self, first: NDArray[Any], second: NDArray[Any], pool: NDArray[Any]) -> FloatArray:
+        chance = 0.5 * (self._log_chance(first, pool) + self._log_chance(second, pool))
+        near = (differ_by_one_bit if self.bits else differ_by_one_typing)(first, second)
+        wrong = math.log(self.other)
+        slipped = np.logaddexp(math.log(self.slips / self.neighbours) - chance, wrong)
+        equal = np.logaddexp(math.log1p(-self.slips - self.other) - chance, wrong)
+        return np.where(first == second, equal, np.where(near, slipped, wrong))
+
+    def _log_chance(self, values: NDArray[Any], pool: NDArray[Any]) -> FloatArray:
+        """(m,) ln p that an unrelated object has the value."""
+        known, counts = np.unique(pool, return_counts=True)
+        at = np.searchsorted(known, values)
+        # The pool holds each source's values once an object: what is there n times too often is shared by n more.
+        again = np.maximum(counts[at] - 1.0, 0.0) / max(len(pool) - 1, 1)
+        listed = np.array([self.shared.get(str(value), 0.0) for value in known])[at]
+        return np.log(np.maximum(np.maximum(again, listed), 1.0 / self.values))
+
+
+@dataclass(frozen=True)
+class Category:
+    """Values of a few classes, such as the type of ship: r by how frequent they are, and how often mistaken.
+
+    wrong : probability that the two sources class one object differently.
+    """
+
+    wrong: float = 0.15
+    unknown: tuple[str, ...] = ("0", "unknown", "not available", "other")
+
+    def __call__(self, first: NDArray[Any], second: NDArray[Any], pool: NDArray[Any]) -> FloatArray:
+        known, counts = np.unique(pool, return_counts=True)
+        share = (counts + 1.0) / (counts.sum() + len(known) + 1.0)
+        chance = np.sqrt(share[np.searchsorted(known, first)] * share[np.searchsorted(known, second)])
+        return np.log(np.where(first == second, (1.0 - self.wrong) / chance, 0.0) + self.wrong)
+
+
+@dataclass(frozen=True)
+class Size:
+    """Lengths or other sizes: normal about each other with the relative error ``share`` and the error ``sigma``.
+
+    wrong : probability that one of them is wrong altogether.
+    """
+
+    sigma: float = 2.0
+    share: float = 0.1
+    wrong: float = 0.05
+    unknown: tuple[str, ...] = ()
+
+    def __call__(self, first: NDArray[Any], second: NDArray[Any], pool: NDArray[Any]) -> FloatArray:
+        a, b, everyone = first.astype(np.float64), second.astype(np.float64), pool.astype(np.float64)
+        mean = 0.5 * (a + b)
+        variance = 2.0 * (self.sigma**2 + (self.share * mean) ** 2)
+        centre, spread = float(np.mean(everyone)), float(np.var(everyone)) + float(np.mean(variance))
+        same = -0.5 * ((a - b) ** 2 / variance + np.log(variance))
+        # That of an unrelated object: a normal as wide as all values, at either of the two.
+        other = -0.5 * (0.5 * ((a - centre) ** 2 + (b - centre) ** 2) / spread + math.log(spread))
+        return np.logaddexp(math.log1p(-self.wrong) + same - other, math.log(self.wrong))
+
+
+MODELS: Mapping[str, Model] = {
+    "mmsi": Code(1e5, neighbours=160.0, unknown=("0", "000000000", "111111111", "123456789", "999999999")),
+    "imo": Code(6e4, neighbours=120.0, unknown=("0",)),
+    "icao": Code(1e5, bits=True, neighbours=24.0, unknown=("000000", "ffffff")),
+    "callsign": Code(3e4, slips=0.03, other=0.02, neighbours=400.0, unknown=("00000000",)),
+    "name": Code(2e4, slips=0.05, other=0.02, neighbours=800.0, unknown=("UNKNOWN", "NONAME")),
+    "mode_a": Code(
+        4096.0, slips=0.01, other=0.01, neighbours=12.0, unknown=("0000",),
+        shared={"1000": 0.5, "1200": 0.3, "2000": 0.1, "7000": 0.3, "7001": 0.02, "7600": 1e-3, "7700": 1e-3},
+    ),
+    "type": Category(),
+    "length_m": Size(),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Identity(Rule):
+    """What the records say of themselves, as evidence that is bounded on both sides (see the module).
+
+    Parameters
+    ----------
+    attributes : per source, by its name, per attribute the values of all rows of its table (n_table,), one row an
+        object: how often a source gives a value to several rows is how often objects share it.
+    models : per attribute; an attribute without a model is refused.
+    borrowed : g, the probability that a record carries another object's identity. shown_twice : s, that another
+        object nearby shows the same: duplicates, forgeries, rebroadcasts.
+
+    Example
+    -------
+    >>> from sameas import Radius, Records
+    >>> radar = Records.of([[0.0, 0.0], [9.0, 0.0]], sigma=5.0, source="radar")
+    >>> adsb = Records.of([[1.0, 1.0], [8.0, 0.0]], sigma=5.0, source="adsb")
+    >>> said = {"radar": {"icao": ["4b1814", None]}, "adsb": {"icao": ["4b1814", "4b1815"]}}
+    >>> pairs = Radius(5.0)(radar, adsb)
+    >>> found = Identity(said)(pairs)
+    >>> [(int(i), int(j), round(float(v), 1)) for i, j, v in zip(pairs.i, pairs.j, found.log_ratio)]
+    [(0, 0, 6.9), (0, 1, 3.7), (1, 0, 0.0), (1, 1, 0.0)]
+    """
+
+    attributes: Attributes = field(repr=False)
+    models: Mapping[str, Model] = field(default_factory=lambda: MODELS)
+    borrowed: float = 0.01
+    shown_twice: float = 1e-3
+
+    def __post_init__(self) -> None:
+        if not (0.0 < self.borrowed < 1.0 and 0.0 < self.shown_twice < 1.0):
+            raise InputError("Identity: borrowed and shown_twice are probabilities, strictly between 0 and 1")
+        for source, columns in self.attributes.items():
+            for name in columns:
+                if name not in self.models:
+                    raise InputError(f"{source}: no model for {name!r}; give one in models, or leave the column out")
+
+    def __call__(self, pairs: Pairs) -> Evidence:
+        terms = {}
+        for name in self.common(pairs.first.source, pairs.second.source):
+            first = self.column(pairs.first, name)[pairs.first.rows[pairs.i]]
+            second = self.column(pairs.second, name)[pairs.second.rows[pairs.j]]
+            terms[name] = self._term(name, first, second)
+        if not terms:
+            return Evidence({"identity": np.zeros(len(pairs))})
+        total = np.sum(list(terms.values()), axis=0)
+        bounded = np.logaddexp(math.log1p(-self.borrowed) + total, math.log(self.borrowed))
+        bounded -= np.logaddexp(math.log1p(-self.shown_twice), math.log(self.shown_twice) + total)
+        # Where nothing is said, nothing is added: no rounding of ln 1.
+        bounded[total == 0.0] = 0.0
+        return Evidence({**terms, "borrowed or shared": bounded - total})
+
+    def common(self, first: str, second: str) -> list[str]:
+        """The attributes that both sources have."""
+        return [name for name in self.attributes.get(first, {}) if name in self.attributes.get(second, {})]
+
+    def column(self, records: Records, name: str) -> NDArray[Any]:
+        """(n_table,) the values of a source, in plain spelling; "" or NaN where a record does not say."""
+        values = plain(self.attributes[records.source][name], getattr(self.models[name], "unknown", ()))
+        if len(values) != records.n_table:
+            raise InputError(
+                f"{records.source}: {len(values)} values of {name} for {records.n_table} rows; give one for every row "
+                "of its table"
+            )
+        return values
+
+    def _term(self, name: str, first: NDArray[Any], second: NDArray[Any]) -> FloatArray:
+        """(m,) ln r of one attribute, 0 where either does not say."""
+        out = np.zeros(len(first))
+        known = np.flatnonzero(_said(first) & _said(second))
+        if len(known):
+            pool = np.concatenate(self._pool(name))
+            out[known] = self.models[name](first[known], second[known], pool)
+        return out
+
+    def _pool(self, name: str) -> list[NDArray[Any]]:
+        """Known values of all sources: of each value as often as the source that has it most."""
+        columns = [
+            plain(c[name], getattr(self.models[name], "unknown", ())) for c in self.attributes.values() if name in c
+        ]
+        columns = [column[_said(column)] for column in columns]
+        if any(column.dtype.kind == "f" for column in columns):
+            return columns
+        counted = [np.unique(column, return_counts=True) for column in columns]
+        values, place = np.unique(np.concatenate([v for v, _ in counted]), return_inverse=True)
+        most = np.zeros(len(values), np.int64)
+        np.maximum.at(most, place, np.concatenate([n for _, n in counted]))
+        return [np.repeat(values, most)]
+
+
+def _said(values: NDArray[Any]) -> NDArray[np.bool_]:
+    return np.isfinite(values) if values.dtype.kind == "f" else np.asarray(values != "")
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """Two records that show one identity at places too far apart for one object.
+
+    first, second : name of the source and row of its table. distance : between them, in the unit of the features.
+    chi_sq : Δᵀ Σ⁻¹ Δ.
+    """
+
+    attribute: str
+    value: str
+    first: tuple[str, int]
+    second: tuple[str, int]
+    distance: float
+    chi_sq: float
+
+    def __str__(self) -> str:
+        (one, i), (two, j) = self.first, self.second
+        kind = "shown twice" if one == two else "contradicts positions"
+        return (
+            f"{self.attribute} {self.value} {kind}: {one} row {i} and {two} row {j} are {self.distance:.4g} apart "
+            f"({math.sqrt(self.chi_sq):.1f} σ); forged, duplicate or wrong"
+        )
+
+
+def alarms(
+    sources: Sequence[Records],
+    identity: Identity,
+    *,
+    unique: Sequence[str] = ("mmsi", "imo", "icao"),
+    gate: ChiSquare | None = None,
+) -> list[Alarm]:
+    """Records of one instant that show the same identity where their positions contradict, in one source or in two.
+
+    However equal they are, the gate keeps them apart and :class:`Identity` never hears of them; here they are said.
+
+    Parameters
+    ----------
+    sources : records of one plane at one instant. identity : what they say of themselves.
+    unique : attributes that only one object should have.
+    gate : beyond whose quantile positions contradict; that of the default gate.
+    """
+    limit_of = gate or ChiSquare(DEFAULT_COMPLETENESS)
+    found = []
+    for name in unique:
+        shown = [_Shown.of(records, identity, name) for records in sources if isinstance(records.space, Plane)]
+        for s, first in enumerate(shown):
+            for second in shown[s:]:
+                found += first.against(second, name, limit_of)
+    return sorted(found, key=lambda alarm: (alarm.attribute, alarm.value, alarm.first, alarm.second))
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """The usable records of one source that say an attribute: positions ``at`` in it, sorted by value."""
+
+    records: Records
+    values: NDArray[Any]
+    at: IntArray
+
+    @classmethod
+    def of(cls, records: Records, identity: Identity, name: str) -> _Shown:
+        if name not in identity.attributes.get(records.source, {}):
+            return cls(records, np.empty(0, dtype="U1"), np.empty(0, np.int64))
+        values = identity.column(records, name)[records.rows]
+        at = np.flatnonzero(_said(values))
+        order = np.argsort(values[at], kind="stable")
+        return cls(records, values[at][order], at[order])
+
+    def against(self, other: _Shown, name: str, gate: ChiSquare) -> list[Alarm]:
+        low, high = (np.searchsorted(other.values, self.values, side) for side in ("left", "right"))
+        width = high - low
+        i = np.repeat(np.arange(len(self.values)), width)
+        j = np.arange(len(i)) - np.repeat(np.cumsum(width) - width, width) + np.repeat(low, width)
+        a, b = self.at[i], other.at[j]
+        if other is self:
+            once = a < b
+            a, b, i = a[once], b[once], i[once]
+        one, two = self.records, other.records
+        if not len(a) or one.d != two.d:
+            return []
+        delta = one.features[a] - two.features[b]
+        total = unpack(one.covariance[a], one.d) + unpack(two.covariance[b], two.d)
+        chi_sq = np.einsum("mv,mv->m", delta, np.linalg.solve(total, delta[..., None])[..., 0])
+        apart = np.linalg.norm(delta[:, :2], axis=1)
+        return [
+            Alarm(name, str(self.values[i[k]]), (one.source, int(one.rows[a[k]])), (two.source, int(two.rows[b[k]])),
+                  float(apart[k]), float(chi_sq[k]))
+            for k in np.flatnonzero(chi_sq > gate.limit(one.d))
+        ]  # fmt: skip

@@ -1,0 +1,216 @@
+"""Time: every record moved to one instant by its own motion, its uncertainty grown by what the motion leaves open.
+
+A state is (east, north, velocity east, velocity north) in a plane, metres and seconds. Its velocity is a random walk of
+known power density q (m²/s³), the standard model of nearly constant velocity. Moved by dt a state becomes F x, with
+covariance F P Fᵀ + Q(|dt|). The past is reached as the future is: a record that is later than the instant is moved
+back, and its uncertainty grows all the same.
+
+- :class:`States`: the reports of one source as states, whatever they said of their velocity.
+- :func:`moved`: states at other times. :func:`latest`: which report of each track stands for it at an instant.
+- :func:`aged`: which of them have grown so uncertain that they tell nothing any more. There is no limit of age.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sameas.errors import InputError
+from sameas.observations import Part
+from sameas.records import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class States:
+    """Reports of one source in a plane, in the order in which it made them.
+
+    Attributes
+    ----------
+    time_s : (n,) seconds, the time for which a state holds.
+    state : (n, 4) east, north, velocity east, velocity north; NaN where no position is known.
+    covariance : (n, 4, 4).
+    track : (n,) the source's own name of the object, or None each: every report is then one of its own.
+    rows : (n,) row in the source's table.
+    """
+
+    time_s: FloatArray
+    state: FloatArray
+    covariance: FloatArray
+    track: NDArray[Any] | None
+    rows: IntArray
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    @property
+    def usable(self) -> NDArray[np.bool_]:
+        """(n,) whether a report has a position with its error."""
+        sound = np.isfinite(self.covariance).all(axis=(1, 2)) & np.isfinite(self.state).all(axis=1)
+        return np.asarray(sound)
+
+    def take(self, which: NDArray[Any]) -> States:
+        """Some of the reports."""
+        track = None if self.track is None else self.track[which]
+        return States(self.time_s[which], self.state[which], self.covariance[which], track, self.rows[which])
+
+    @classmethod
+    def of(
+        cls,
+        time_s: ArrayLike,
+        position: ArrayLike,
+        covariance: ArrayLike,
+        *,
+        speed_m_per_s: float,
+        velocity: ArrayLike | None = None,
+        velocity_covariance: ArrayLike | None = None,
+        track: ArrayLike | None = None,
+        source: str = "source",
+    ) -> States:
+        """States from positions (n, 2) with covariances (n, 2, 2), and velocities (n, 2) where they are known.
+
+        An unknown velocity, NaN or not given, is 0 ± ``speed_m_per_s`` per axis; a velocity without a covariance is
+        refused. Reports without a time are refused, those without a position are kept and never used.
+        """
+        t, x = np.asarray(time_s, dtype=np.float64), np.asarray(position, dtype=np.float64)
+        n = len(t)
+        if x.shape != (n, 2) or t.ndim != 1:
+            raise InputError(f"{source}: times {t.shape}, positions {x.shape}; give (n,) and (n, 2)")
+        if not np.isfinite(t).all():
+            first = np.flatnonzero(~np.isfinite(t))[0]
+            raise InputError(
+                f"{source}: {np.sum(~np.isfinite(t))} reports have no time (first: row {first}); give seconds"
+            )
+        if not speed_m_per_s > 0.0:
+            raise InputError(f"{source}: motion.speed_m_per_s is {speed_m_per_s}; give how fast objects may be, 1σ")
+        state, spread = np.zeros((n, 4)), np.zeros((n, 4, 4))
+        state[:, :2], spread[:, :2, :2] = x, np.broadcast_to(np.asarray(covariance, dtype=np.float64), (n, 2, 2))
+        spread[:, 2, 2] = spread[:, 3, 3] = speed_m_per_s**2
+        if velocity is not None:
+            if velocity_covariance is None:
+                raise InputError(f"{source}: velocities are given without their covariances; give (n, 2, 2)")
+            v = np.asarray(velocity, dtype=np.float64)
+            vv = np.broadcast_to(np.asarray(velocity_covariance, dtype=np.float64), (n, 2, 2))
+            known = np.isfinite(v).all(axis=1) & np.isfinite(vv).all(axis=(1, 2))
+            state[known, 2:], spread[known, 2:, 2:] = v[known], vv[known]
+        names = None if track is None else np.asarray(track)
+        if names is not None and names.shape != (n,):
+            raise InputError(f"{source}: {names.shape} names of tracks for {n} reports; give one each")
+        return cls(t, state, spread, names, np.arange(n))
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """What ``part`` saw of a state (east, north, velocity) ``age_s`` seconds ago, as a part of the state now.
+
+    >>> from sameas.observations import Bearing
+    >>> Earlier(Bearing((0.0, 0.0), dimension=4), 2.0)(np.array([[10.0, 30.0, 5.0, 0.0]])).tolist()
+    [[0.0]]
+    """
+
+    part: Part
+    age_s: float
+
+    @property
+    def dimension(self) -> int:
+        return self.part.dimension
+
+    def __call__(self, states: FloatArray) -> FloatArray:
+        return self.part(states @ transition(-self.age_s)[0].T)
+
+    def jacobian(self, states: FloatArray) -> FloatArray:
+        back = transition(-self.age_s)[0]
+        return np.asarray(self.part.jacobian(states @ back.T) @ back)
+
+
+def transition(dt_s: ArrayLike) -> FloatArray:
+    """(n, 4, 4) F: the position goes on with the velocity for dt (n,)."""
+    dt = np.atleast_1d(np.asarray(dt_s, dtype=np.float64))
+    f = np.broadcast_to(np.eye(4), (len(dt), 4, 4)).copy()
+    f[:, 0, 2] = f[:, 1, 3] = dt
+    return f
+
+
+def process_noise(dt_s: ArrayLike, acceleration_m2_per_s3: float) -> FloatArray:
+    """(n, 4, 4) Q of a velocity that is a random walk: q [|dt|³/3, dt|dt|/2; dt|dt|/2, |dt|] per axis."""
+    dt = np.atleast_1d(np.asarray(dt_s, dtype=np.float64))
+    q = np.zeros((len(dt), 4, 4))
+    for axis in (0, 1):
+        q[:, axis, axis] = np.abs(dt) ** 3 / 3.0
+        q[:, axis, axis + 2] = q[:, axis + 2, axis] = dt * np.abs(dt) / 2.0
+        q[:, axis + 2, axis + 2] = np.abs(dt)
+    return acceleration_m2_per_s3 * q
+
+
+def moved(
+    state: FloatArray, covariance: FloatArray, dt_s: ArrayLike, acceleration_m2_per_s3: float
+) -> tuple[FloatArray, FloatArray]:
+    """States (n, 4) and covariances (n, 4, 4) after dt (n,) seconds, before where dt is negative."""
+    dt = np.broadcast_to(np.asarray(dt_s, dtype=np.float64), (len(state),))
+    f = transition(dt)
+    there = np.einsum("nvw,nw->nv", f, state)
+    spread = f @ covariance @ f.transpose(0, 2, 1) + process_noise(dt, acceleration_m2_per_s3)
+    # Rounding in a chain of moves must not add up to a covariance that is not symmetric.
+    return there, 0.5 * (spread + spread.transpose(0, 2, 1))
+
+
+def stamped_late(covariance: FloatArray, state: FloatArray, sigma_s: float) -> FloatArray:
+    """Covariances grown by stamps that are uncertain by ``sigma_s``: v vᵀ σ² along the velocity."""
+    grown = covariance.copy()
+    speed_sq = state[:, 2:, None] * state[:, None, 2:] + covariance[:, 2:, 2:]
+    grown[:, :2, :2] += sigma_s**2 * speed_sq
+    return grown
+
+
+def latest(time_s: FloatArray, track: NDArray[Any] | None, instant_s: float) -> IntArray:
+    """Reports that stand for their tracks at an instant: of each the last that is not later than it.
+
+    It is the time that a report holds for that counts, not when it came in: reports out of order do no harm. Without
+    names of tracks every report is one of its own; see :func:`last_look`.
+    """
+    past = np.flatnonzero(time_s <= instant_s)
+    if track is None or not len(past):
+        return past
+    order = past[np.argsort(time_s[past], kind="stable")]
+    names = track[order].astype(str) if track.dtype == object else track[order]
+    # The last of each name: the first of the reversed list.
+    _, first = np.unique(names[::-1], return_index=True)
+    return np.sort(order[::-1][first])
+
+
+def looks_of(time_s: FloatArray, period_s: float | None) -> FloatArray:
+    """(n,) the time of the look, a turn of the antenna or an exposure, to which each report of bare plots belongs.
+
+    Where reports share stamps, a stamp is a look; else looks are runs of reports within 0.9 periods.
+    """
+    order = np.argsort(time_s, kind="stable")
+    stamps = time_s[order]
+    if period_s is None or not len(stamps) or np.any(np.diff(stamps) == 0.0):
+        return time_s.copy()
+    begins, began = np.zeros(len(stamps)), stamps[0]
+    for at, stamp in enumerate(stamps):
+        if stamp - began >= 0.9 * period_s:
+            began = stamp
+        begins[at] = began
+    out = np.empty_like(begins)
+    out[order] = begins
+    return out
+
+
+def last_look(look_s: FloatArray, looked_s: FloatArray, instant_s: float) -> IntArray:
+    """Reports of the last look at or before an instant; none where that look, one of ``looked_s``, showed nothing."""
+    past = looked_s[looked_s <= instant_s]
+    return np.flatnonzero(look_s == past.max()) if len(past) else np.empty(0, np.int64)
+
+
+def aged(covariance: FloatArray, density_per_m2: float) -> NDArray[np.bool_]:
+    """(n,) whether more than one other object is expected within a state's own 1σ ellipse: π √|P| ρ > 1.
+
+    Such a record does not tell objects apart any more. Whether that is after seconds or hours is a matter of how it
+    moves and how crowded it is there, not of a limit.
+    """
+    area = math.pi * np.sqrt(np.maximum(np.linalg.det(covariance[:, :2, :2]), 0.0))
+    return np.asarray(area * density_per_m2 > 1.0)

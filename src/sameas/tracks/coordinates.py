@@ -1,0 +1,301 @@
+"""Coordinates: from WGS84 and from what sensors measure to one local plane of metres, with covariances.
+
+All sources of a picture are compared in one :class:`LocalPlane`: east and north, in metres, of the *foot* of a
+position, its point on the ellipsoid below it, in the plane that touches the ellipsoid at the origin. A height does not
+move the foot, so a source that knows no heights agrees with one that does.
+
+- :class:`LocalPlane`: WGS84 latitude and longitude ↔ the plane, velocities and covariances too. It knows neither
+  antimeridian nor poles: everything goes through earth-centred coordinates.
+- :func:`polar_to_geodetic`: range, bearing and height or elevation as a sensor at a known place measures them, and the
+  covariance of the position on the ground.
+- :func:`bearing_in_plane`: a bearing as the plane sees it.
+
+Geodesy is done by pymap3d (BSD-2-Clause).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sameas.errors import InputError
+from sameas.records import FloatArray
+
+#: Beyond this distance from the origin the plane shortens distances by more than 1 %.
+FARTHEST_M = 900e3
+#: Mean radius of the earth, for what needs no ellipsoid.
+EARTH_M = 6_371_000.0
+#: A target nearer to the zenith than this elevation has no usable direction on the ground.
+STEEPEST_DEG = 80.0
+
+
+def geodesy() -> ModuleType:
+    """pymap3d, or a refusal that says how to get it."""
+    try:
+        import pymap3d
+    except ImportError as error:
+        raise InputError("positions on the earth need pymap3d: pip install 'sameas[targets]'") from error
+    return pymap3d
+
+
+@dataclass(frozen=True)
+class LocalPlane:
+    """The plane that touches the WGS84 ellipsoid at an origin; x is east, y is north there, in metres.
+
+    Distances come out right at the origin, and 0.05 % short at 200 km from it.
+
+    Parameters
+    ----------
+    lat_deg, lon_deg : the origin.
+
+    Example
+    -------
+    >>> plane = LocalPlane(50.8, -1.3)
+    >>> position = plane.of_geodetic([50.81, 50.8], [-1.3, -1.29])
+    >>> print(position.round(1))
+    [[   0.  1112.4]
+     [ 705.     0. ]]
+    >>> [axis.round(6).tolist() for axis in plane.to_geodetic(position)]
+    [[50.81, 50.8], [-1.3, -1.29]]
+    """
+
+    lat_deg: float
+    lon_deg: float
+
+    def __post_init__(self) -> None:
+        _degrees("LocalPlane", np.atleast_1d(self.lat_deg), np.atleast_1d(self.lon_deg))
+        if not (np.isfinite(self.lat_deg) and np.isfinite(self.lon_deg)):
+            raise InputError(
+                f"LocalPlane: origin is {self.lat_deg}, {self.lon_deg}; give latitude, longitude in degrees"
+            )
+
+    @classmethod
+    def about(cls, lat_deg: ArrayLike, lon_deg: ArrayLike) -> LocalPlane:
+        """The plane in the middle of these positions: the direction of the mean of their unit vectors."""
+        lat, lon = _numbers(lat_deg, lon_deg)
+        known = np.isfinite(lat) & np.isfinite(lon)
+        if not known.any():
+            raise InputError("LocalPlane: no position is known; give the origin of the plane")
+        phi, lam = np.radians(lat[known]), np.radians(lon[known])
+        x, y, z = (np.mean(part) for part in (np.cos(phi) * np.cos(lam), np.cos(phi) * np.sin(lam), np.sin(phi)))
+        if np.hypot(np.hypot(x, y), z) < 1e-6:
+            raise InputError("LocalPlane: the positions lie all around the earth; give the origin of the plane")
+        return cls(float(np.degrees(np.arctan2(z, np.hypot(x, y)))), float(np.degrees(np.arctan2(y, x))))
+
+    def of_geodetic(self, lat_deg: ArrayLike, lon_deg: ArrayLike, source: str = "positions") -> FloatArray:
+        """(n, 2) east and north in metres of the feet of positions (n,); NaN where a position is not known.
+
+        Raises
+        ------
+        InputError : beyond ±90°, beyond ±360°, or farther than 900 km from the origin (first row is named).
+        """
+        lat, lon = _numbers(lat_deg, lon_deg)
+        _degrees(source, lat, lon)
+        east, north, up = geodesy().geodetic2enu(lat, lon, np.zeros_like(lat), self.lat_deg, self.lon_deg, 0.0)
+        position = np.column_stack([east, north])
+        with np.errstate(invalid="ignore"):
+            far = np.flatnonzero(np.hypot(np.hypot(east, north), up) > FARTHEST_M)
+        if len(far):
+            first = far[0]
+            raise InputError(
+                f"{source}: {len(far)} positions lie farther than {FARTHEST_M / 1e3:.0f} km from the origin "
+                f"{self.lat_deg:g}, {self.lon_deg:g} (first: row {first}: {lat[first]:g}, {lon[first]:g}); "
+                "check the sign of the longitude and the order latitude, longitude, or give the origin of the plane"
+            )
+        return position
+
+    def to_geodetic(self, position: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """(n,) latitude and longitude in degrees of positions (n, 2) in the plane."""
+        xy = np.asarray(position, dtype=np.float64).reshape(-1, 2)
+        pm = geodesy()
+        origin = np.array(pm.geodetic2ecef(self.lat_deg, self.lon_deg, 0.0))
+        axes = _axes(np.atleast_1d(self.lat_deg), np.atleast_1d(self.lon_deg))[0]
+        above, up = origin + xy @ axes[:2], axes[2]
+        # The foot is where the line through the plane's point meets the ellipsoid: the upper root of a quadratic.
+        ellipsoid = pm.Ellipsoid.from_name("wgs84")
+        weight = np.array([ellipsoid.semimajor_axis, ellipsoid.semimajor_axis, ellipsoid.semiminor_axis]) ** -2.0
+        a, b, c = up**2 @ weight, above * up @ weight, above**2 @ weight - 1.0
+        with np.errstate(invalid="ignore"):
+            # Written so that nothing cancels where the foot is near: c and with it the height are small there.
+            height = -c / (b + np.sqrt(b**2 - a * c))
+        if np.any(np.isfinite(xy).all(axis=1) & ~np.isfinite(height)):
+            raise InputError(
+                "LocalPlane: a position lies beyond the edge of the earth; positions are metres east, north"
+            )
+        lat, lon, _ = pm.ecef2geodetic(*(above + height[:, None] * up).T)
+        return np.atleast_1d(lat), np.atleast_1d(lon)
+
+    def turn(self, lat_deg: ArrayLike, lon_deg: ArrayLike, height_m: ArrayLike = 0.0) -> FloatArray:
+        """(n, 2, 2) matrices from metres east and north at places (n,) to metres in the plane: velocities, covariances.
+
+        It turns by the convergence of the meridians, and shortens what is high or far.
+        """
+        lat, lon = _numbers(lat_deg, lon_deg)
+        here = _axes(np.atleast_1d(self.lat_deg), np.atleast_1d(self.lon_deg))[0, :2]
+        there = _axes(lat, lon)[:, :2]
+        shrunk = EARTH_M / (EARTH_M + np.broadcast_to(np.asarray(height_m, np.float64), lat.shape))
+        return np.asarray(np.einsum("vx,nwx->nvw", here, there) * shrunk[:, None, None])
+
+
+def turned(covariance: FloatArray, matrix: FloatArray) -> FloatArray:
+    """(n, d, d) J Σ Jᵀ."""
+    return np.asarray(matrix @ covariance @ matrix.swapaxes(-1, -2))
+
+
+@dataclass(frozen=True)
+class Ground:
+    """Positions on the ground (n,), and their covariances (n, 2, 2) in metres east and north at these places."""
+
+    lat_deg: FloatArray
+    lon_deg: FloatArray
+    height_m: FloatArray
+    covariance: FloatArray
+
+
+def polar_to_geodetic(
+    *,
+    range_m: ArrayLike,
+    bearing_deg: ArrayLike,
+    sensor_lat_deg: ArrayLike,
+    sensor_lon_deg: ArrayLike,
+    sensor_height_m: ArrayLike = 0.0,
+    height_m: ArrayLike = 0.0,
+    sigma_range_m: ArrayLike,
+    sigma_bearing_deg: ArrayLike,
+    sigma_height_m: ArrayLike = 0.0,
+) -> Ground:
+    """Where the targets of a radar are, from slant range, bearing and height.
+
+    The elevation that puts a target at its height is found on the ellipsoid. The covariance on the ground is
+    J diag(σ_r², σ_h², σ_b²) Jᵀ, with ∂g/∂r = 1/cos ε and ∂g/∂h = −tan ε along the line of sight (ε the elevation) and
+    g σ_b across it; ½ g² σ_b⁴ is added along it, for the arc that a wide beam bends to (Lerro and Bar-Shalom 1993).
+    Above 80° elevation J is that of 80°.
+
+    Parameters
+    ----------
+    range_m : (n,) slant range. bearing_deg : (n,) clockwise from true north at the sensor.
+    sensor_lat_deg, sensor_lon_deg, sensor_height_m : the sensor, or (n,) where it moves.
+    height_m : (n,) or a number: height of the targets above the ellipsoid. A range shorter than the difference in
+        height is taken to be straight up or down.
+    sigma_range_m, sigma_bearing_deg, sigma_height_m : 1σ errors, numbers or (n,).
+    """
+    r, bearing, lat0, lon0, h0, h = np.broadcast_arrays(
+        *(np.atleast_1d(np.asarray(v, dtype=np.float64)) for v in
+          (range_m, bearing_deg, sensor_lat_deg, sensor_lon_deg, sensor_height_m, height_m))
+    )  # fmt: skip
+    sight = _Sight(r, bearing, lat0, lon0, h0)
+    elevation = sight.elevation_of(h)
+    lat, lon, height = sight.geodetic(elevation)
+    lean = np.radians(np.clip(np.abs(elevation), 0.0, STEEPEST_DEG))
+    sigma_b = np.radians(np.asarray(sigma_bearing_deg, dtype=np.float64))
+    ground = r * np.cos(np.radians(elevation))
+    along = (sigma_range_m / np.cos(lean)) ** 2 + (np.tan(lean) * sigma_height_m) ** 2 + 0.5 * ground**2 * sigma_b**4
+    across = (ground * sigma_b) ** 2
+    # Far away the line of sight arrives with another bearing than it left; its azimuth back is that at the target.
+    back, _, _ = geodesy().geodetic2aer(lat0, lon0, h0, lat, lon, height)
+    return Ground(lat, lon, height, along_and_across(along, across, np.where(r > 0, np.asarray(back) + 180.0, bearing)))
+
+
+def along_and_across(along: ArrayLike, across: ArrayLike, bearing_deg: ArrayLike) -> FloatArray:
+    """(n, 2, 2) covariance on (east, north) of variances along and across a direction, clockwise from north."""
+    angle = np.radians(np.asarray(bearing_deg, dtype=np.float64))
+    sine, cosine = np.sin(angle), np.cos(angle)
+    along, across, sine, cosine = np.broadcast_arrays(along, across, sine, cosine)
+    out = np.empty((*sine.shape, 2, 2))
+    out[..., 0, 0] = along * sine**2 + across * cosine**2
+    out[..., 1, 1] = along * cosine**2 + across * sine**2
+    out[..., 0, 1] = out[..., 1, 0] = (along - across) * sine * cosine
+    return out
+
+
+def plane_polar(
+    *,
+    range_m: ArrayLike,
+    bearing_deg: ArrayLike,
+    sensor_m: ArrayLike,
+    sigma_range_m: ArrayLike,
+    sigma_bearing_deg: ArrayLike,
+) -> tuple[FloatArray, FloatArray]:
+    """(n, 2) positions and (n, 2, 2) covariances of ranges and bearings in a plane that has no place on the earth.
+
+    sensor_m : (2,) or (n, 2), east and north of the sensor.
+    """
+    r, bearing = _numbers(range_m, bearing_deg)
+    angle, sigma_b = np.radians(bearing), np.radians(np.asarray(sigma_bearing_deg, dtype=np.float64))
+    position = np.asarray(sensor_m, dtype=np.float64) + r[:, None] * np.column_stack([np.sin(angle), np.cos(angle)])
+    along = np.asarray(sigma_range_m, dtype=np.float64) ** 2 + 0.5 * r**2 * sigma_b**4
+    return position, along_and_across(along, (r * sigma_b) ** 2, bearing)
+
+
+def bearing_in_plane(
+    plane: LocalPlane, bearing_deg: ArrayLike, sensor_lat_deg: ArrayLike, sensor_lon_deg: ArrayLike
+) -> FloatArray:
+    """(n,) bearings from the plane's north, of bearings from true north at the sensor."""
+    bearing, lat, lon = (
+        np.atleast_1d(np.asarray(v, np.float64)) for v in (bearing_deg, sensor_lat_deg, sensor_lon_deg)
+    )
+    angle = np.radians(bearing)
+    direction = np.einsum("nvw,nw->nv", plane.turn(lat, lon), np.column_stack([np.sin(angle), np.cos(angle)]))
+    return np.asarray(np.degrees(np.arctan2(direction[:, 0], direction[:, 1])) % 360.0)
+
+
+def velocity_of(speed_m_per_s: ArrayLike, course_deg: ArrayLike) -> FloatArray:
+    """(n, 2) metres per second east and north, of speed and course (clockwise from north)."""
+    speed, course = _numbers(speed_m_per_s, course_deg)
+    return speed[:, None] * np.column_stack([np.sin(np.radians(course)), np.cos(np.radians(course))])
+
+
+@dataclass(frozen=True)
+class _Sight:
+    """Lines of sight (n,) from sensors; ``geodetic`` says where they end."""
+
+    range_m: FloatArray
+    bearing_deg: FloatArray
+    lat_deg: FloatArray
+    lon_deg: FloatArray
+    height_m: FloatArray
+
+    def geodetic(self, elevation_deg: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        here = (self.lat_deg, self.lon_deg, self.height_m)
+        lat, lon, height = geodesy().aer2geodetic(self.bearing_deg, elevation_deg, self.range_m, *here)
+        return np.atleast_1d(lat), np.atleast_1d(lon), np.atleast_1d(height)
+
+    def elevation_of(self, height_m: FloatArray) -> FloatArray:
+        """(n,) degrees: the elevation at which the line ends at this height."""
+        r, start = np.maximum(self.range_m, 1e-9), EARTH_M + self.height_m
+        climb = height_m - self.height_m
+        # On a sphere by the law of cosines; the ellipsoid's curvature by two steps more.
+        sine = np.clip((climb * (2.0 * start + climb) - r**2) / (2.0 * start * r), -1.0, 1.0)
+        for _ in range(2):
+            elevation = np.degrees(np.arcsin(sine))
+            sine = np.clip(sine + (height_m - self.geodetic(elevation)[2]) / r, -1.0, 1.0)
+        return np.asarray(np.degrees(np.arcsin(sine)))
+
+
+def _axes(lat_deg: FloatArray, lon_deg: FloatArray) -> NDArray[np.float64]:
+    """(n, 3, 3) the unit vectors east, north, up at places, in earth-centred coordinates."""
+    phi, lam = np.radians(lat_deg), np.radians(lon_deg)
+    sp, cp, sl, cl = np.sin(phi), np.cos(phi), np.sin(lam), np.cos(lam)
+    zero = np.zeros_like(phi)
+    rows = [[-sl, cl, zero], [-sp * cl, -sp * sl, cp], [cp * cl, cp * sl, sp]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _numbers(first: ArrayLike, second: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    a, b = (np.atleast_1d(np.asarray(np.ma.filled(v, np.nan), dtype=np.float64)) for v in (first, second))
+    a, b = np.broadcast_arrays(a, b)
+    return a, b
+
+
+def _degrees(source: str, lat: FloatArray, lon: FloatArray) -> None:
+    with np.errstate(invalid="ignore"):
+        for name, values, limit in (("latitudes", lat, 90.0), ("longitudes", lon, 360.0)):
+            beyond = np.flatnonzero(np.abs(values) > limit)
+            if len(beyond):
+                raise InputError(
+                    f"{source}: {len(beyond)} {name} lie beyond ±{limit:.0f}° (first: row {beyond[0]}: "
+                    f"{values[beyond[0]]:g}); give latitude, longitude in degrees"
+                )

@@ -1,0 +1,122 @@
+"""A feed: one source of a scene, its reports in the plane, and what its description says of any place and instant."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sameas.errors import InputError
+from sameas.evidence.identity import MODELS
+from sameas.records import FloatArray
+from sameas.tracks.alignment import States, looks_of
+from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.filter import follow
+from sameas.tracks.placement import Directions, placed, sensor_places
+from sameas.tracks.reports import Reports
+from sameas.tracks.source import Description
+
+
+@dataclass(frozen=True)
+class Feed:
+    """One source of a scene.
+
+    Attributes
+    ----------
+    description, reports : what is known of it, and what it says, in the plane.
+    looked_s : (l,) the times at which it looked. look_s : (n,) the look to which each report belongs.
+    sensor_m : (n, 2) where its sensor was, None for a source that is in no one place.
+    attributes : what the reports say of the objects' identity, (n,) each: mmsi, icao, name, …
+    """
+
+    description: Description
+    reports: States | Directions
+    looked_s: FloatArray
+    look_s: FloatArray
+    sensor_m: FloatArray | None
+    attributes: Mapping[str, NDArray[Any]]
+
+    @classmethod
+    def of(
+        cls,
+        description: Description,
+        reports: Reports,
+        plane: LocalPlane | None = None,
+        *,
+        looked_s: ArrayLike | None = None,
+        filtered: bool = False,
+    ) -> Feed:
+        """A feed of what a reader gave.
+
+        Parameters
+        ----------
+        looked_s : times of all looks of a source of bare plots, those that showed nothing among them. Without it a
+            look that showed nothing is not known of, and the one before it stands until it is too old to tell.
+        filtered : whether reports with names are to be filtered to tracks first.
+        """
+        there = placed(description, reports, plane)
+        if filtered:
+            if not isinstance(there, States):
+                raise InputError(f"{description.name}: directions are not filtered; give positions")
+            there = follow(there, acceleration_m2_per_s3=walk_of(description)).states
+        look_s = looks_of(there.time_s, description.timing.period_s)
+        looked = look_s if looked_s is None else np.concatenate([np.asarray(looked_s, np.float64), look_s])
+        attributes = {name: said for name in MODELS if (said := getattr(reports, name, None)) is not None}
+        sensor_m = sensor_places(description, reports, plane)
+        return cls(description, there, np.unique(looked), look_s, sensor_m, attributes)
+
+    @property
+    def walk_m2_per_s3(self) -> float:
+        """Power density of the random walk of its objects' velocities."""
+        return walk_of(self.description)
+
+    @property
+    def tells_velocities(self) -> bool:
+        """Whether any report is surer of its velocity than that objects move somehow."""
+        speed = self.description.motion.speed_m_per_s or math.inf
+        reports = self.reports
+        return isinstance(reports, States) and bool(np.any(reports.covariance[:, 2, 2] < 0.99 * speed**2))
+
+    def sensor_at(self, instant_s: float) -> FloatArray | None:
+        """(2,) the sensor at its last report before the instant; None where nothing says where it is."""
+        times = self.reports.time_s
+        if self.sensor_m is None or not len(times):
+            return None
+        past = np.flatnonzero(times <= instant_s)
+        return np.asarray(self.sensor_m[past[np.argmax(times[past])] if len(past) else 0])
+
+    def mean_q(self, places: FloatArray, instant_s: float) -> float:
+        """The mean probability that an object at one of the places (n, 2) is missed."""
+        description, sensor = self.description, self.sensor_at(instant_s)
+        if sensor is None or not len(places):
+            q = description.misses.at(np.zeros(1))
+        else:
+            arm = places - sensor
+            q = description.q_at(np.hypot(*arm.T), np.degrees(np.arctan2(arm[:, 0], arm[:, 1])))
+        if not np.isfinite(q).all():
+            raise InputError(f"{description.name}: misses.q is not known; give misses = {{ q = … }} in its description")
+        return float(np.clip(q.mean(), 1e-6, 1.0 - 1e-6))
+
+    def clutter(self, features: int) -> float:
+        """β in the unit of its features: per m², per m² and (m/s)², or per degree."""
+        clutter = self.description.clutter
+        if isinstance(self.reports, Directions):
+            return clutter.per_deg or 0.0
+        density = (clutter.per_km2 or 0.0) / 1e6
+        speed = self.description.motion.speed_m_per_s or 1.0
+        return density if features == 2 else density / (2.0 * math.pi * speed**2)
+
+
+def walk_of(description: Description) -> float:
+    """Power density of the random walk of a source's objects' velocities, m²/s³."""
+    walk = description.motion.acceleration_m2_per_s3
+    if walk is None:
+        raise InputError(
+            f"{description.name}: motion.acceleration_m2_per_s3 is not known and {description.kind!r} assumes none; "
+            "give motion = { acceleration_m2_per_s3 = … } in its description"
+        )
+    return walk

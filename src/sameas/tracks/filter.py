@@ -1,0 +1,100 @@
+"""Tracks from a source's plots: a Kalman filter of nearly constant velocity, over all of its tracks at once.
+
+For sources that name their objects but report bare positions, or positions better than their velocities: AIS, ADS-B,
+a radar's plots with track numbers. One pass in the order of time gives every report the state that all reports of its
+track so far say, with a covariance that is checked by NIS: the mean of the normalised innovations squared is their
+dimension where noise and motion are described rightly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.errors import InputError
+from sameas.gate import ChiSquare
+from sameas.records import FloatArray, IntArray
+from sameas.tracks.alignment import States, moved
+
+#: A report farther off than this share of honest ones begins its track anew.
+ABSURD = ChiSquare(1.0 - 1e-9)
+
+
+@dataclass(frozen=True)
+class Followed:
+    """What the filter made of a source's reports.
+
+    Attributes
+    ----------
+    states : the reports with the state of their track after each of them.
+    nis : (n,) normalised innovation squared of every report against what its track foretold; NaN where it began one.
+    began : (n,) whether the report began a track: its first, or one so far off that the name must have been given
+        to another object, or the object moved as its motion does not allow.
+    """
+
+    states: States
+    nis: FloatArray
+    began: NDArray[np.bool_]
+
+
+def follow(reports: States, *, acceleration_m2_per_s3: float, features: int = 2) -> Followed:
+    """The track state after every report of a source that names its tracks.
+
+    Parameters
+    ----------
+    reports : in any order of time; a report of a time already passed by its track is filtered in its place.
+    acceleration_m2_per_s3 : power density of the velocity's random walk.
+    features : 2 measures positions only, the velocity that a report states serving where its track begins; 4 measures
+        both, for sources whose velocities are measured on their own (Doppler).
+
+    Source: METHOD 1 (prediction); Bar-Shalom, Li and Kirubarajan 2001, sections 5.2 and 6.2.
+    """
+    if reports.track is None:
+        raise InputError("follow: reports name no tracks; give the source's own track numbers or identities")
+    if features not in (2, 4):
+        raise InputError(f"follow: features is {features}; give 2 (positions) or 4 (positions and velocities)")
+    usable = reports.usable
+    state, covariance = reports.state.copy(), reports.covariance.copy()
+    nis, began = np.full(len(reports), np.nan), np.zeros(len(reports), bool)
+    limit = ABSURD.limit(features)
+    before = np.empty(0, np.int64)
+    for now in _rounds(reports, usable):
+        if not len(before):
+            began[now] = True
+            before = now
+            continue
+        before = before[: len(now)]
+        dt = reports.time_s[now] - reports.time_s[before]
+        ahead, spread = moved(state[before], covariance[before], dt, acceleration_m2_per_s3)
+        innovation = reports.state[now, :features] - ahead[:, :features]
+        total = spread[:, :features, :features] + reports.covariance[now, :features, :features]
+        gain = spread[:, :, :features] @ np.linalg.inv(total)
+        square = np.einsum("nv,nvw,nw->n", innovation, np.linalg.inv(total), innovation)
+        anew = square > limit
+        keep = now[~anew]
+        state[keep] = (ahead + np.einsum("nvw,nw->nv", gain, innovation))[~anew]
+        after = spread - gain @ spread[:, :features, :]
+        covariance[keep] = (0.5 * (after + after.transpose(0, 2, 1)))[~anew]
+        nis[keep], began[now[anew]] = square[~anew], True
+        before = now
+    return Followed(States(reports.time_s, state, covariance, reports.track, reports.rows), nis, began)
+
+
+def _rounds(reports: States, usable: NDArray[np.bool_]) -> list[IntArray]:
+    """The first report of every track, then the second, …: tracks with more reports stand first in every round."""
+    rows = np.flatnonzero(usable)
+    assert reports.track is not None
+    _, number = np.unique(reports.track[rows].astype(str), return_inverse=True)
+    count = np.bincount(number)
+    # Tracks by their number of reports, most first, so that those of a round are the first of the one before.
+    rank = np.empty(len(count), np.int64)
+    rank[np.argsort(-count, kind="stable")] = np.arange(len(count))
+    order = np.lexsort([reports.time_s[rows], rank[number]])
+    rows, owner = rows[order], rank[number][order]
+    turn = np.arange(len(rows)) - np.searchsorted(owner, owner)
+    by_turn = np.lexsort([owner, turn])
+    cuts = np.searchsorted(turn[by_turn], np.arange(int(count.max(initial=0)) + 1))
+    return [rows[by_turn[a:b]] for a, b in pairwise(cuts)]

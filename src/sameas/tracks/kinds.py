@@ -1,0 +1,193 @@
+"""Kinds of sources: what is assumed of each where its description does not say, and why. Tables only.
+
+A new kind is a new :class:`Kind` in :data:`KINDS`. Names are those of :class:`sameas.tracks.source.Description`,
+``part.field``. Every value that is used from here is in the description's ``assumed`` and printed with the result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+Value = float | tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of source. defaults : name of a quantity to (value, why)."""
+
+    title: str
+    defaults: Mapping[str, tuple[Value, str]]
+
+
+_VESSEL = {
+    "motion.acceleration_m2_per_s3": (
+        0.01,
+        "a vessel's speed wanders by 0.1 m/s in a second, 1.3 m/s in three minutes",
+    ),
+    "motion.speed_m_per_s": (8.0, "vessels make 16 knots and less"),
+}
+_AIRCRAFT = {
+    "motion.acceleration_m2_per_s3": (4.0, "an airliner's turns and speed changes: 2 m/s in a second"),
+    "motion.speed_m_per_s": (150.0, "aircraft make 300 knots, twice that at most"),
+}
+_FIXED_ERRORS = {
+    "errors.speed_m_per_s": (0.3, "satellite receivers"),
+    "errors.course_deg": (3.0, "satellite receivers"),
+}
+
+KINDS: Mapping[str, Kind] = {
+    "marine radar": Kind(
+        "a ship's or coastal navigation radar, plots or ARPA targets",
+        {
+            "coverage.range_m": (44_448.0, "24 nautical miles, the longest scale of target tracking"),
+            "misses.q": (0.1, "a radar shows nine of ten vessels within its range"),
+            "clutter.per_km2": (0.01, "a few false echoes in the picture"),
+            "resolution.range_m": (40.0, "IMO MSC.192(79): two targets 40 m apart in range are two"),
+            "resolution.bearing_deg": (2.5, "IMO MSC.192(79): two targets 2.5° apart are two"),
+            "errors.range_m": (15.0, "IMO MSC.192(79) allows 30 m, taken as 2σ"),
+            "errors.range_share": (0.005, "IMO MSC.192(79) allows 1 % of the scale, taken as 2σ"),
+            "errors.bearing_deg": (0.5, "IMO MSC.192(79) allows 1°, taken as 2σ"),
+            "errors.extent_m": (15.0, "the echo wanders over a hull of 50 m"),
+            "errors.speed_m_per_s": (0.5, "ARPA after three minutes of tracking"),
+            "errors.course_deg": (5.0, "ARPA after three minutes of tracking"),
+            "timing.period_s": (3.0, "20 turns a minute"),
+            "timing.latency_s": (0.0, "the stamp is the measurement's"),
+            "timing.latency_sigma_s": (1.5, "within one turn"),
+            "bias.range_m": (50.0, "cable and trigger delay"),
+            "bias.azimuth_deg": (1.0, "alignment of the antenna, compass"),
+            **_VESSEL,
+        },
+    ),
+    "air radar": Kind(
+        "a surveillance radar for aircraft: primary, secondary or Mode S",
+        {
+            "coverage.range_m": (370_400.0, "200 nautical miles"),
+            "misses.q": (0.05, "EUROCONTROL asks for a detection of 95 % and more"),
+            "clutter.per_km2": (1e-5, "a few false plots a turn"),
+            "resolution.range_m": (200.0, "pulse length"),
+            "resolution.bearing_deg": (2.0, "beam width"),
+            "errors.range_m": (70.0, "secondary radar; primary 120 m, Mode S 50 m"),
+            "errors.range_share": (0.0, "a clock's error, negligible"),
+            "errors.bearing_deg": (0.06, "secondary radar, monopulse"),
+            "errors.height_m": (60.0, "pressure height against height above the ellipsoid is biased besides"),
+            "errors.speed_m_per_s": (5.0, "tracked"),
+            "errors.course_deg": (3.0, "tracked"),
+            "targets.height_m": (5000.0, "where no height is reported"),
+            "targets.height_sigma_m": (3500.0, "where no height is reported"),
+            "timing.period_s": (8.0, "terminal 4 s, en route 8 to 12 s"),
+            "timing.latency_s": (0.0, "the stamp is the measurement's"),
+            "timing.latency_sigma_s": (0.1, "ASTERIX stamps 1/128 s; clocks differ"),
+            "bias.range_m": (100.0, "transponder and cable delay"),
+            "bias.azimuth_deg": (0.2, "alignment to north"),
+            **_AIRCRAFT,
+        },
+    ),
+    "ais": Kind(
+        "vessels that say where they are (AIS)",
+        {
+            "misses.q": (0.2, "small craft carry none, and slots collide"),
+            "clutter.per_km2": (0.0, "what speaks is there"),
+            "errors.position_m": (15.0, "accuracy flag 0 in ITU-R M.1371: worse than 10 m"),
+            "errors.extent_m": (10.0, "the antenna stands anywhere on a hull of 35 m"),
+            "timing.period_s": (10.0, "2 s to 3 min by speed and class"),
+            "timing.latency_s": (0.0, "the stamp is the fix's"),
+            "timing.latency_sigma_s": (1.0, "seconds are whole; receivers add theirs"),
+            **_FIXED_ERRORS,
+            **_VESSEL,
+        },
+    ),
+    "ads-b": Kind(
+        "aircraft that say where they are (ADS-B)",
+        {
+            "misses.q": (0.1, "some do not carry it, and not all is received"),
+            "clutter.per_km2": (0.0, "what speaks is there"),
+            "errors.position_m": (76.0, "NACp 8: 95 % within 93 m, σ = 93 / 2.448 per axis, twice that for caution"),
+            "errors.height_m": (60.0, "pressure height against height above the ellipsoid is biased besides"),
+            "timing.period_s": (1.0, "two positions a second are sent"),
+            "timing.latency_s": (0.2, "uncompensated latency"),
+            "timing.latency_sigma_s": (0.2, "DO-260B: within 0.6 s"),
+            "errors.speed_m_per_s": (1.5, "NACv 2: 95 % within 3 m/s"),
+            "errors.course_deg": (1.0, "from the velocity"),
+            **_AIRCRAFT,
+        },
+    ),
+    "mlat": Kind(
+        "aircraft located by the times of arrival at several receivers",
+        {
+            "misses.q": (0.3, "four receivers must hear one reply"),
+            "clutter.per_km2": (1e-5, "wrong solutions"),
+            "errors.position_m": (200.0, "amateur receivers; no covariance is sent"),
+            "errors.height_m": (60.0, "pressure height"),
+            "timing.period_s": (1.0, "usual"),
+            "timing.latency_s": (2.0, "solving takes a while"),
+            "timing.latency_sigma_s": (1.0, "usual"),
+            "errors.speed_m_per_s": (10.0, "tracked"),
+            "errors.course_deg": (5.0, "tracked"),
+            **_AIRCRAFT,
+        },
+    ),
+    "lidar": Kind(
+        "clusters of a scanning laser",
+        {
+            "coverage.range_m": (150.0, "returns of dark hulls end there"),
+            "misses.q": (0.3, "waves, angle, dark hulls"),
+            "clutter.per_km2": (20.0, "wakes and the shore"),
+            "resolution.range_m": (2.0, "clusters nearer than this merge"),
+            "resolution.bearing_deg": (1.0, "clusters nearer than this merge"),
+            "errors.range_m": (0.5, "pose of the platform"),
+            "errors.range_share": (0.0, "time of flight"),
+            "errors.bearing_deg": (0.5, "pose of the platform"),
+            "errors.extent_m": (2.0, "only the near side of a hull is seen"),
+            "timing.period_s": (0.5, "usual"),
+            "timing.latency_s": (0.0, "the stamp is the measurement's"),
+            "timing.latency_sigma_s": (0.05, "usual"),
+            "bias.azimuth_deg": (1.0, "mounting"),
+            **_VESSEL,
+        },
+    ),
+    "camera": Kind(
+        "directions of what an electro-optical or infrared camera sees",
+        {
+            "coverage.range_m": (1000.0, "detectors lose small boats there"),
+            "misses.q": (0.4, "weather, light and detectors"),
+            "clutter.per_deg": (0.01, "shores, buoys and waves"),
+            "resolution.bearing_deg": (1.0, "boxes nearer than this merge"),
+            "errors.bearing_deg": (1.0, "pose of the platform"),
+            "errors.extent_m": (3.0, "the box is centred on what is seen of the hull"),
+            "timing.period_s": (0.2, "usual"),
+            "timing.latency_s": (0.0, "the stamp is the measurement's"),
+            "timing.latency_sigma_s": (0.1, "exposure and transfer"),
+            "bias.azimuth_deg": (1.0, "mounting"),
+            **_VESSEL,
+        },
+    ),
+    "esm": Kind(
+        "directions of emitters (ESM, DF)",
+        {
+            "coverage.range_m": (100_000.0, "the radio horizon and beyond"),
+            "misses.q": (0.5, "many do not emit"),
+            "clutter.per_deg": (0.01, "reflections"),
+            "resolution.bearing_deg": (5.0, "usual"),
+            "errors.bearing_deg": (3.0, "usual"),
+            "timing.period_s": (5.0, "usual"),
+            "timing.latency_s": (0.0, "the stamp is the measurement's"),
+            "timing.latency_sigma_s": (1.0, "usual"),
+            "bias.azimuth_deg": (2.0, "mounting"),
+            **_VESSEL,
+        },
+    ),
+    "tracks": Kind(
+        "tracks of another system, which state their own covariances",
+        {
+            "misses.q": (0.1, "usual"),
+            "clutter.per_km2": (0.0, "tracks are confirmed"),
+            "errors.speed_m_per_s": (1.0, "where the track does not say"),
+            "errors.course_deg": (5.0, "where the track does not say"),
+            "timing.latency_s": (0.0, "the stamp is the state's"),
+            "timing.latency_sigma_s": (0.0, "the stamp is the state's"),
+            **_VESSEL,
+        },
+    ),
+    "other": Kind("a source of which nothing is assumed", {}),
+}

@@ -1,0 +1,205 @@
+"""The scene: all sources of a picture in one plane, and what they say at one instant, ready to be identified.
+
+>>> from sameas.many import identify_many
+>>> from sameas.tracks.reports import Reports
+>>> from sameas.tracks.source import Description, ErrorModel, Motion
+>>> said = {"time_s": [0.0, 0.0], "x_m": [0.0, 400.0], "y_m": [0.0, 0.0]}
+>>> radar = Reports.of("radar", "table", said | {"vx_m_per_s": [5.0, 0.0], "vy_m_per_s": [0.0, 0.0]})
+>>> ais = Reports.of("ais", "table", {"time_s": [10.0], "x_m": [47.0], "y_m": [3.0]})
+>>> scene = Scene.of([
+...     (Description("radar", "tracks", errors=ErrorModel(position_m=5.0)), radar), (Description("ais", "ais"), ais)])
+>>> now = scene.at(10.0)
+>>> now.sources[0].features.round(1).tolist()
+[[50.0, 0.0], [400.0, 0.0]]
+>>> print(identify_many(now.sources, rule=now.belief(), region=now.region).members)
+[[0 0]
+ [1 --]]
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.belief import PoissonObjects
+from sameas.errors import InputError
+from sameas.evidence.identity import Alarm, Identity, alarms
+from sameas.observations import Region, Source, records_of
+from sameas.records import FloatArray, IntArray, Records
+from sameas.tracks.alignment import States
+from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.feed import Feed
+from sameas.tracks.reports import Reports
+from sameas.tracks.said import POSITION, POSITION_AND_VELOCITY, Said
+from sameas.tracks.source import Assumption, Description
+
+__all__ = ["POSITION", "POSITION_AND_VELOCITY", "Feed", "Instant", "Scene"]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Feeds of all sources in one plane. Make it with :meth:`Scene.of`; ask :meth:`at` for an instant."""
+
+    feeds: tuple[Feed, ...]
+    plane: LocalPlane | None = None
+
+    @classmethod
+    def of(cls, sources: Sequence[tuple[Description, Reports]], plane: LocalPlane | None = None) -> Scene:
+        """A scene of descriptions and their reports; the plane is laid in their middle where none is given.
+
+        Sources that give metres in one plane of the user's own need none: all of them must, then.
+        """
+        if plane is None and any(r.lat_deg is not None or r.station_lat_deg is not None for _, r in sources):
+            plane = LocalPlane.about(*_middle(sources))
+        names = [description.name for description, _ in sources]
+        if len(set(names)) < len(names):
+            raise InputError(f"two sources are called {max(names, key=names.count)}; give every source its own name")
+        return cls(tuple(Feed.of(description, reports, plane) for description, reports in sources), plane)
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """The first and the last time of any report."""
+        times = [feed.reports.time_s for feed in self.feeds if len(feed.reports)]
+        if not times:
+            raise InputError("no source of the scene has a report")
+        return float(min(t.min() for t in times)), float(max(t.max() for t in times))
+
+    def at(self, instant_s: float, *, features: int = POSITION) -> Instant:
+        """What every source says at an instant: its last reports at or before it, moved there by their motion.
+
+        features : POSITION, or POSITION_AND_VELOCITY, in which sources without velocities observe a part.
+        """
+        if features not in (POSITION, POSITION_AND_VELOCITY):
+            raise InputError(f"Scene: features is {features}; give 2 (positions) or 4 (positions and velocities)")
+        said = [Said.of(feed, instant_s) for feed in self.feeds]
+        surroundings = _Surroundings.of(said, features)
+        said = [one.without_aged(surroundings.per_m2) for one in said]
+        places = np.concatenate([np.empty((0, 2)), *(one.state[:, :2] for one in said if one.state.ndim == 2)])
+        return Instant(
+            instant_s, features, tuple(self.feeds), tuple(one.source(instant_s, features, places) for one in said),
+            tuple(instant_s - one.time_s for one in said), tuple(one.aged for one in said), surroundings.region,
+            surroundings.density,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Instant:
+    """All sources at one instant.
+
+    Attributes
+    ----------
+    sources : for :func:`sameas.many.identify_many`, in the scene's order; the ids of their records are rows of the
+        source's own reports.
+    age_s : per source (n,) how old each record's report is.
+    aged : per source the rows of reports that have grown too uncertain to tell objects apart.
+    region : where objects are; needed by ``identify_many`` where a source observes a part of the state.
+    density : objects per m² at the middle of the region (per m² and (m/s)² where velocities are features).
+    """
+
+    instant_s: float
+    features: int
+    feeds: tuple[Feed, ...]
+    sources: tuple[Source, ...]
+    age_s: tuple[FloatArray, ...]
+    aged: tuple[IntArray, ...]
+    region: Region
+    density: float
+
+    @property
+    def descriptions(self) -> tuple[Description, ...]:
+        """Of the sources, in their order."""
+        return tuple(feed.description for feed in self.feeds)
+
+    @property
+    def assumed(self) -> tuple[Assumption, ...]:
+        """Every number that nobody gave."""
+        return tuple(line for description in self.descriptions for line in description.assumed)
+
+    def heard(self) -> Instant:
+        """The same without the sources that say nothing; ``identify_many`` needs two that do."""
+        keep = [k for k, source in enumerate(self.sources) if len(records_of(source))]
+        chosen = {name: tuple(getattr(self, name)[k] for k in keep) for name in ("feeds", "sources", "age_s", "aged")}
+        return replace(self, **chosen)  # type: ignore[arg-type]
+
+    def identity(self) -> Identity:
+        """What the records say of themselves, as evidence for two of the sources: add it to a rule of positions."""
+        said = {}
+        for feed, source in zip(self.feeds, self.sources, strict=True):
+            rows = records_of(source).ids
+            said[feed.description.name] = {name: column[rows] for name, column in feed.attributes.items()}
+        return Identity(said)
+
+    def alarms(self) -> list[Alarm]:
+        """Identities that are shown at two places too far apart for one object: forged, duplicate or wrong."""
+        return alarms([source for source in self.sources if isinstance(source, Records)], self.identity())
+
+    def belief(self) -> PoissonObjects:
+        """What the descriptions say of misses and clutter, for ``identify_many``: its ``rule``.
+
+        The probability of a miss is the mean over the places where records of any source are: a source whose coverage
+        most of them lie outside is not held to have missed them.
+        """
+        places = np.concatenate([np.empty((0, 2)), *(_places(source) for source in self.sources)])
+        q = tuple(feed.mean_q(places, self.instant_s) for feed in self.feeds)
+        pairs = zip(self.feeds, self.sources, strict=True)
+        return PoissonObjects(self.density, q, tuple(feed.clutter(records_of(source).d) for feed, source in pairs))
+
+
+@dataclass(frozen=True)
+class _Surroundings:
+    """Where objects are at an instant, and how many: from the positions of all sources."""
+
+    region: Region
+    density: float
+    per_m2: float
+
+    @classmethod
+    def of(cls, said: Sequence[Said], features: int) -> _Surroundings:
+        states = [one.state for one in said if isinstance(one.feed.reports, States) and len(one.rows)]
+        reach = max((one.feed.description.coverage.range_m or 0.0 for one in said), default=0.0)
+        if states:
+            places = np.concatenate(states)[:, :2]
+            centre, spread = places.mean(axis=0), np.cov(places.T) if len(places) > 2 else np.zeros((2, 2))
+            narrow = max(float(np.trace(spread)) / 20.0, (min(reach, 1000.0) or 1000.0) ** 2 / 16.0)
+            spread = spread + narrow * np.eye(2)
+        else:
+            sensors = [one.sensor() for one in said]
+            centre, spread = np.mean(sensors, axis=0), np.eye(2) * ((reach or 1000.0) / 2.0) ** 2
+        area = 2.0 * math.pi * math.sqrt(float(np.linalg.det(spread)))
+        density = _objects(said, area) / area
+        if features == POSITION:
+            return cls(Region(centre, spread), density, density)
+        speed = max(one.feed.description.motion.speed_m_per_s or 1.0 for one in said)
+        whole = np.diag(np.full(4, speed**2))
+        whole[:2, :2] = spread
+        return cls(Region(np.concatenate([centre, [0.0, 0.0]]), whole), density / (2.0 * math.pi * speed**2), density)
+
+
+def _objects(said: Sequence[Said], area_m2: float) -> float:
+    """How many objects there are, by the source that shows most: its records less its clutter, over 1 − q."""
+    most = 1.0
+    for one in said:
+        description = one.feed.description
+        if isinstance(one.feed.reports, States):
+            clutter = (description.clutter.per_km2 or 0.0) * area_m2 / 1e6
+            q = float(np.mean(description.misses.at(np.zeros(1)))) if description.misses.q is not None else 0.5
+            most = max(most, (len(one.rows) - clutter) / (1.0 - q))
+    return most
+
+
+def _places(source: Source) -> FloatArray:
+    records = records_of(source)
+    return records.features[:, :2] if records.d > 1 else np.empty((0, 2))
+
+
+def _middle(sources: Sequence[tuple[Description, Reports]]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """All latitudes and longitudes of positions, or of the sensors where there are none."""
+    pairs = [(r.lat_deg, r.lon_deg) for _, r in sources if r.lat_deg is not None]
+    pairs = pairs or [(r.station_lat_deg, r.station_lon_deg) for _, r in sources if r.station_lat_deg is not None]
+    lat, lon = (np.concatenate([np.asarray(column) for column in side]) for side in zip(*pairs, strict=True))
+    return lat, lon

@@ -1,0 +1,368 @@
+"""What is known of a source before it is heard: place, coverage, misses, errors, timing, motion, biases.
+
+A :class:`Description` is written in Python, or read from TOML with :func:`read_descriptions`. It says what the user
+knows; the rest comes from the source's kind (``sameas.tracks.kinds``), and every number that came from there stands in
+``assumed``, with the reason, to be printed with the result.
+
+    [sources.harbour]
+    kind = "marine radar"
+    site = { lat_deg = 50.77, lon_deg = -1.30, height_m = 25 }
+    coverage = { range_m = 20000, sector_deg = [300, 120], shadows_deg = [[40, 55]] }
+    misses = { q = [0.05, 0.1, 0.5], range_m = [0, 10000, 20000] }
+    errors = { range_m = 10, bearing_deg = 0.4 }
+    bias = { azimuth_deg = 2 }
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sameas.errors import InputError
+from sameas.records import FloatArray
+from sameas.registration import SensorBias
+from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.kinds import KINDS
+
+
+@dataclass(frozen=True)
+class Site:
+    """Where a sensor stands: latitude, longitude and height, or metres east and north in a plane of the user's own."""
+
+    lat_deg: float | None = None
+    lon_deg: float | None = None
+    height_m: float = 0.0
+    east_m: float | None = None
+    north_m: float | None = None
+
+    def __post_init__(self) -> None:
+        pairs = [(self.lat_deg, self.lon_deg), (self.east_m, self.north_m)]
+        if [None not in pair for pair in pairs].count(True) != 1 or sum(v is not None for p in pairs for v in p) != 2:
+            raise InputError("site: give lat_deg and lon_deg, or east_m and north_m")
+
+    def in_plane(self, plane: LocalPlane | None) -> tuple[float, float]:
+        """(east, north) in metres; ``plane`` None stands for the user's own plane."""
+        if (plane is None) == (self.east_m is None):
+            raise InputError(
+                "site: its coordinates are not those of the picture; give both in degrees, or both in metres"
+            )
+        if plane is None:
+            return float(self.east_m or 0.0), float(self.north_m or 0.0)
+        east, north = plane.of_geodetic(self.lat_deg, self.lon_deg, "site")[0]  # type: ignore[arg-type]
+        return float(east), float(north)
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Where a sensor sees at all. sector_deg : (from, to), clockwise. shadows_deg : sectors in which it is blind."""
+
+    range_m: float | None = None
+    nearest_m: float = 0.0
+    sector_deg: tuple[float, float] | None = None
+    shadows_deg: tuple[tuple[float, float], ...] = ()
+
+    def covers(self, range_m: ArrayLike, bearing_deg: ArrayLike) -> NDArray[np.bool_]:
+        """(n,) whether places at these ranges and bearings (clockwise from north) are seen."""
+        distance, bearing = np.broadcast_arrays(np.asarray(range_m, float), np.asarray(bearing_deg, float))
+        inside = (distance >= self.nearest_m) & (distance <= (math.inf if self.range_m is None else self.range_m))
+        if self.sector_deg is not None:
+            inside &= _within(bearing, self.sector_deg)
+        for shadow in self.shadows_deg:
+            inside &= ~_within(bearing, shadow)
+        return inside
+
+
+def _within(bearing: FloatArray, sector: tuple[float, float]) -> NDArray[np.bool_]:
+    """Clockwise from the first bearing to the second, through north where need be."""
+    width = (sector[1] - sector[0]) % 360.0
+    return np.asarray((bearing - sector[0]) % 360.0 <= (width or 360.0))
+
+
+@dataclass(frozen=True)
+class Misses:
+    """Probability that an object within the coverage is missed: one number, or a table over the range."""
+
+    q: float | tuple[float, ...] | None = None
+    range_m: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.q is None:
+            return
+        q = np.atleast_1d(np.asarray(self.q, dtype=np.float64))
+        if len(q) != max(len(self.range_m), 1) or np.any(np.diff(self.range_m) <= 0):
+            raise InputError(
+                f"misses: {len(q)} q for ranges {self.range_m}; give one q, or one for each ascending range_m"
+            )
+        if not np.all((q > 0.0) & (q < 1.0)):
+            raise InputError(f"misses: q is {self.q}; give probabilities of a miss, strictly between 0 and 1")
+
+    def at(self, range_m: ArrayLike) -> FloatArray:
+        """(n,) q at these ranges."""
+        distance = np.asarray(range_m, dtype=np.float64)
+        if not self.range_m:
+            return np.full(distance.shape, np.nan if self.q is None else float(np.atleast_1d(self.q)[0]))
+        return np.interp(distance, self.range_m, np.atleast_1d(self.q))  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class Clutter:
+    """Density of records that are no object: per km² of the plane, or per degree for directions."""
+
+    per_km2: float | None = None
+    per_deg: float | None = None
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """How near two objects may be for the source to show two."""
+
+    range_m: float | None = None
+    bearing_deg: float | None = None
+
+
+@dataclass(frozen=True)
+class ErrorModel:
+    """1σ errors where a record does not state its own.
+
+    range_share : part of the range that adds to range_m. position_m : per axis. extent_m : how far the point that is
+    measured wanders from the object's middle, per axis; added wherever a record does not state a covariance, and to
+    directions as the angle that it is at the range of what other sources show there.
+    """
+
+    range_m: float | None = None
+    range_share: float | None = None
+    bearing_deg: float | None = None
+    position_m: float | None = None
+    height_m: float | None = None
+    extent_m: float | None = None
+    speed_m_per_s: float | None = None
+    course_deg: float | None = None
+
+    def sigma_range_m(self, range_m: ArrayLike) -> FloatArray:
+        """(n,) 1σ of these ranges."""
+        return np.hypot(self.range_m or 0.0, (self.range_share or 0.0) * np.asarray(range_m, dtype=np.float64))
+
+
+@dataclass(frozen=True)
+class Targets:
+    """What stands for what a record does not say: the height of targets, and its spread."""
+
+    height_m: float | None = None
+    height_sigma_m: float | None = None
+
+
+@dataclass(frozen=True)
+class Timing:
+    """period_s : between looks. latency_s : by which stamps are late, ± latency_sigma_s."""
+
+    period_s: float | None = None
+    latency_s: float | None = None
+    latency_sigma_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How objects move: velocity is a random walk of this power density (m²/s³), and 0 ± speed_m_per_s at first."""
+
+    acceleration_m2_per_s3: float | None = None
+    speed_m_per_s: float | None = None
+
+
+@dataclass(frozen=True)
+class BiasPrior:
+    """How large the source's biases may be, 1σ; 0 or nothing: it has none. For :meth:`Description.offset`."""
+
+    range_m: float | None = None
+    azimuth_deg: float | None = None
+    range_gain: float | None = None
+    time_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Assumption:
+    """One number that nobody gave: ``name`` is part.field."""
+
+    source: str
+    kind: str
+    name: str
+    value: Any
+    why: str
+
+    def __str__(self) -> str:
+        value = f"{self.value:g}" if isinstance(self.value, float) else str(self.value)
+        return f"{self.source}: {self.name} = {value}, assumed for {self.kind}: {self.why}"
+
+
+@dataclass(frozen=True)
+class Description:
+    """One source: what the user says of it, completed from its kind.
+
+    Parameters
+    ----------
+    name : of the source, used in messages and results.
+    kind : marine radar, air radar, ais, ads-b, mlat, lidar, camera, esm, tracks or other (``sameas.tracks.kinds``).
+    site : where it stands; None for a source that is in no one place, or whose reports say where it was.
+    assumed : every number that came from the kind; filled in here.
+
+    Example
+    -------
+    >>> radar = Description("harbour", "marine radar", errors=ErrorModel(bearing_deg=0.4))
+    >>> radar.errors.bearing_deg, radar.errors.range_m
+    (0.4, 15.0)
+    >>> print([line for line in radar.assumed if line.name == "errors.range_m"][0])
+    harbour: errors.range_m = 15, assumed for marine radar: IMO MSC.192(79) allows 30 m, taken as 2σ
+    """
+
+    name: str
+    kind: str = "other"
+    site: Site | None = None
+    coverage: Coverage = Coverage()
+    misses: Misses = Misses()
+    clutter: Clutter = Clutter()
+    resolution: Resolution = Resolution()
+    errors: ErrorModel = ErrorModel()
+    targets: Targets = Targets()
+    timing: Timing = Timing()
+    motion: Motion = Motion()
+    bias: BiasPrior = BiasPrior()
+    assumed: tuple[Assumption, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise InputError(f"{self.name}: kind is {self.kind!r}; give one of {', '.join(KINDS)}")
+        assumptions = list(self.assumed)
+        for name, part in self._parts().items():
+            _require_numbers(self.name, name, part)
+            missing = {f.name for f in fields(part) if getattr(part, f.name) is None}
+            defaults = {
+                key.partition(".")[2]: said
+                for key, said in KINDS[self.kind].defaults.items()
+                if key.partition(".")[0] == name and key.partition(".")[2] in missing
+            }
+            if defaults:
+                object.__setattr__(
+                    self, name, replace(part, **{field: value for field, (value, _) in defaults.items()})
+                )
+            for field, (value, why) in defaults.items():
+                assumptions.append(Assumption(self.name, self.kind, f"{name}.{field}", value, why))
+        object.__setattr__(self, "assumed", tuple(assumptions))
+
+    def _parts(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in _PARTS if name != "site"}
+
+    @classmethod
+    def from_mapping(cls, name: str, given: Mapping[str, Any]) -> Description:
+        """A description from nested names and numbers, as TOML or JSON give them. Unknown names are refused."""
+        parts: dict[str, Any] = {}
+        for key, value in given.items():
+            if key == "kind":
+                parts["kind"] = value
+            elif key not in _PARTS:
+                raise InputError(_unknown(name, key, ["kind", *_PARTS]))
+            elif not isinstance(value, Mapping):
+                raise InputError(f"{name}: {key} is {value!r}; give a table, such as {key} = {{ … }}")
+            else:
+                parts[key] = _part(name, key, _PARTS[key], value)
+        return cls(name, **parts)
+
+    def q_at(self, range_m: ArrayLike, bearing_deg: ArrayLike) -> FloatArray:
+        """(n,) probability that an object at this range and bearing is missed: 1 outside the coverage."""
+        q = self.misses.at(range_m)
+        return np.where(self.coverage.covers(range_m, bearing_deg), q, 1.0)
+
+    def resolved_m(self, range_m: ArrayLike) -> FloatArray:
+        """(n,) how near two objects at this range may be to be shown as two: a of the close-objects rule.
+
+        The wider of the range cell and the beam's width there; 0 where the source says nothing of either.
+        """
+        beam = np.radians(self.resolution.bearing_deg or 0.0) * np.asarray(range_m, dtype=np.float64)
+        return np.maximum(self.resolution.range_m or 0.0, beam)
+
+    def offset(self, plane: LocalPlane | None, velocity: ArrayLike | None = None) -> SensorBias | None:
+        """What :func:`sameas.registration.register` is to look for in this source; None where it may have no bias.
+
+        velocity : (n, 2) of the records that are registered; a time offset needs it.
+        """
+        bias = self.bias
+        time = 0.0 if velocity is None else bias.time_s or 0.0
+        widths = (bias.range_m or 0.0, bias.azimuth_deg or 0.0, bias.range_gain or 0.0, time)
+        if self.site is None or not any(widths):
+            return None
+        return SensorBias(self.site.in_plane(plane), *widths, velocity=velocity if time else None)
+
+
+#: The parts of a description: sections of a file.
+_PARTS: dict[str, Any] = {
+    "site": Site, "coverage": Coverage, "misses": Misses, "clutter": Clutter, "resolution": Resolution,
+    "errors": ErrorModel, "targets": Targets, "timing": Timing, "motion": Motion, "bias": BiasPrior,
+}  # fmt: skip
+
+
+def read_descriptions(path: str | Path) -> tuple[Description, ...]:
+    """The descriptions of a TOML file, one table ``[sources.NAME]`` each.
+
+    Raises
+    ------
+    InputError : not TOML, no sources, a name that is not known, a number out of its range.
+    """
+    try:
+        given = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as TOML ({error})") from error
+    sources = given.get("sources")
+    if not isinstance(sources, Mapping) or not sources:
+        raise InputError(f"{path}: describes no sources; give tables such as [sources.radar]")
+    wrong = [name for name, said in sources.items() if not isinstance(said, Mapping)]
+    if wrong:
+        raise InputError(f"{path}: sources.{wrong[0]} is no table; give [sources.{wrong[0]}] with its kind")
+    return tuple(Description.from_mapping(name, said) for name, said in sources.items())
+
+
+def _part(source: str, section: str, part: Any, given: Mapping[str, Any]) -> Any:
+    known = [f.name for f in fields(part)]
+    for key in given:
+        if key not in known:
+            raise InputError(_unknown(source, key, known, f" in {section}"))
+    try:
+        return part(**{key: _tuples(value) for key, value in given.items()})
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from None
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(_tuples(v) for v in value) if isinstance(value, list) else value
+
+
+def _unknown(source: str, key: str, known: list[str], where: str = "") -> str:
+    near = difflib.get_close_matches(key, known, 1)
+    hint = f"did you mean {near[0]}?" if near else f"give one of {', '.join(known)}"
+    return f"{source}: {key!r}{where} is not known; {hint}"
+
+
+def _require_numbers(source: str, section: str, part: Any) -> None:
+    """All numbers of a part are finite and none is negative."""
+    for f in fields(part):
+        value = getattr(part, f.name)
+        if value is None:
+            continue
+        try:
+            numbers = np.asarray(value)
+            signed = f.name in ("sector_deg", "shadows_deg", "height_m")
+            good = numbers.dtype.kind in "iuf" and bool(np.isfinite(numbers).all() and (signed or (numbers >= 0).all()))
+        except (TypeError, ValueError):
+            good = False
+        if not good:
+            raise InputError(f"{source}: {section}.{f.name} is {value!r}; give numbers of zero or more")
+    shapes = {"sector_deg": (2,), "shadows_deg": (len(getattr(part, "shadows_deg", ())), 2)}
+    for name, shape in shapes.items():
+        value = getattr(part, name, None)
+        if value and np.shape(value) != shape:
+            raise InputError(f"{source}: {section}.{name} is {value!r}; give (from, to) in degrees, clockwise")

@@ -1,0 +1,208 @@
+"""Identity as evidence: it speaks both ways and never alone decides; stated odds are observed ones; alarms."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sameas import CommonObjects, Field, InputError, Plane, Records, Sphere, identify
+from sameas.evidence.identity import MODELS, Category, Code, Identity, Size, alarms
+from sameas.evidence.texts import differ_by_one_bit, differ_by_one_typing, plain
+from sameas.gate import Radius
+
+
+def column(*values):
+    return np.array(values, dtype=np.str_)
+
+
+def ratio(model, first, second, pool=()):
+    return float(model(column(first), column(second), column(*{first, second}, *pool))[0])
+
+
+def damerau(a, b):
+    """Optimal string alignment distance, by the book."""
+    d = {(i, 0): i for i in range(len(a) + 1)} | {(0, j): j for j in range(len(b) + 1)}
+    for i in range(1, len(a) + 1):
+        for j in range(1, len(b) + 1):
+            d[i, j] = min(d[i - 1, j] + 1, d[i, j - 1] + 1, d[i - 1, j - 1] + (a[i - 1] != b[j - 1]))
+            if i > 1 and j > 1 and a[i - 1] == b[j - 2] and a[i - 2] == b[j - 1]:
+                d[i, j] = min(d[i, j], d[i - 2, j - 2] + 1)
+    return d[len(a), len(b)]
+
+
+TEXT = st.text("AB1", max_size=6)
+
+
+@settings(max_examples=200, deadline=None)
+@given(TEXT, TEXT)
+def test_one_slip_of_typing_is_a_distance_of_one(a, b):
+    assert bool(differ_by_one_typing(column(a), column(b))[0]) == (damerau(a, b) == 1)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 2**24 - 1), st.integers(0, 2**24 - 1), st.integers(0, 23))
+def test_one_bit_is_one_bit(a, b, bit):
+    one, other, flipped = (f"{v:06X}" for v in (a, b, a ^ (1 << bit)))
+    assert differ_by_one_bit(column(one), column(flipped))[0]
+    assert bool(differ_by_one_bit(column(one), column(other))[0]) == (bin(a ^ b).count("1") == 1)
+    assert not differ_by_one_bit(column("", "XYZ"), column("1", "XYY")).any()
+
+
+def test_spelling_is_made_plain_and_what_says_nothing_is_nothing():
+    assert list(plain([" ever given ", None, "unknown", "NaN"], ("unknown",))) == ["EVER GIVEN", "", "", ""]
+    assert list(plain(np.ma.array([235, 7], mask=[False, True]))) == ["235", ""]
+    assert list(plain([235, None])) == ["235", ""]
+    np.testing.assert_array_equal(plain([None, 12.5]), [np.nan, 12.5])
+
+
+def test_a_code_weighs_most_when_equal_less_when_off_by_a_bit_and_against_when_different():
+    icao = MODELS["icao"]
+    equal, near, far = (ratio(icao, "4B1814", other) for other in ("4B1814", "4B1815", "3C6444"))
+    assert equal == pytest.approx(math.log(0.985 * 1e5), abs=1e-3)
+    assert 0 < near < equal and near == pytest.approx(math.log(0.01 / 24 * 1e5), abs=0.02)
+    assert far == pytest.approx(math.log(0.005), abs=1e-9)
+
+
+def test_shared_codes_say_little():
+    mode_a = MODELS["mode_a"]
+    assert ratio(mode_a, "7000", "7000") < 1.5 < 7.0 < ratio(mode_a, "4521", "4521")
+    # A value that one source gives to every fourth of its objects is not an identity.
+    crowd = ["X"] * 25 + [f"N{k}" for k in range(75)]
+    assert ratio(MODELS["name"], "X", "X", crowd) == pytest.approx(math.log(1 / 0.25), abs=0.2)
+
+
+@pytest.mark.parametrize("slips", [0.02, 0.2])
+def test_stated_odds_of_a_code_are_observed_ones(slips):
+    """Codes drawn as the model says: among pairs with a stated λ the odds of being one object are λ."""
+    rng = np.random.default_rng(1)
+    bits, n = 10, 200_000
+    model = Code(2.0**bits, slips=slips, other=0.1, bits=True, neighbours=bits)
+    truth = rng.integers(0, 2**bits, n)
+    same = rng.random(n) < 0.5
+    kind = rng.random(n)
+    second = np.where(kind < slips, truth ^ (1 << rng.integers(0, bits, n)), truth)
+    second = np.where((kind > 1.0 - 0.1) | ~same, rng.integers(0, 2**bits, n), second)
+    a, b = (np.array([f"{v:03X}" for v in values]) for values in (truth, second))
+    log_ratio = model(a, b, np.unique(a))
+    for value in np.unique(log_ratio.round(9)):
+        here = np.abs(log_ratio - value) < 1e-6
+        odds = same[here].sum() / max((~same[here]).sum(), 1)
+        assert math.log(odds) == pytest.approx(value, abs=0.25)
+
+
+def test_sizes_agree_within_their_errors_and_differ_beyond():
+    lengths = [8.0, 12.0, 60.0, 120.0, 200.0, 300.0]
+    pool = np.array(lengths)
+    size = Size()
+    assert size(np.array([200.0]), np.array([205.0]), pool)[0] > 0.5
+    far = size(np.array([200.0]), np.array([12.0]), pool)[0]
+    assert math.log(0.05) <= far < -2.0
+    cargo = Category()(column("CARGO", "CARGO", "TUG"), column("CARGO", "TUG", "TUG"), column(*["CARGO"] * 9, "TUG"))
+    assert cargo[1] < 0 < cargo[0] < cargo[2]
+
+
+def scene(said, sigma=10.0, apart=4.0):
+    one = Records.of([[0.0, 0.0], [50.0, 0.0]], sigma=sigma, source="radar")
+    two = Records.of([[0.0, apart], [50.0, apart]], sigma=sigma, source="adsb")
+    return one, two, Identity({"radar": {"icao": said[0]}, "adsb": {"icao": said[1]}})
+
+
+def test_evidence_lies_between_what_is_borrowed_and_what_is_shown_twice():
+    one, two, _ = scene((["A", "B"], ["A", "B"]))
+    many = {name: ["1234", "5678"] for name in ("mmsi", "imo", "callsign", "name", "icao")}
+    rule = Identity({"radar": many, "adsb": many}, borrowed=0.02, shown_twice=1e-4)
+    pairs = Radius(9.0)(one, two)
+    evidence = rule(pairs)
+    same = pairs.i == pairs.j
+    assert evidence.log_ratio[same] == pytest.approx(math.log(0.98 / 1e-4), abs=1e-3)
+    assert evidence.log_ratio[~same] == pytest.approx(math.log(0.02), abs=1e-3)
+    assert set(evidence.terms) == {*many, "borrowed or shared"}
+    np.testing.assert_allclose(np.sum(list(evidence.terms.values()), axis=0), evidence.log_ratio)
+
+
+def test_records_that_say_nothing_are_judged_by_their_positions_alone():
+    for said in ((["4B1814", None], [None, "4B1814"]), ([None, ""], ["000000", None])):
+        one, two, rule = scene(said)
+        pairs = Radius(3.0)(one, two)
+        assert len(pairs) and not rule(pairs).log_ratio.any()
+
+
+def test_equal_identity_joins_what_positions_leave_open_and_contradiction_parts_it():
+    prior, field = CommonObjects(0.3, 0.3), Field(1e-4)
+    one, two, agreeing = scene((["4B1814", "3C6444"], ["4B1814", "3C6444"]), apart=45.0)
+    plain_answer = identify(one, two, rule=field, prior=prior)
+    joined = identify(one, two, rule=field + agreeing, prior=prior)
+    assert len(plain_answer.matches) == 0 and list(joined.matches.rows_1) == list(joined.matches.rows_2) == [0, 1]
+    one, two, crossed = scene((["4B1814", "3C6444"], ["A0F123", "71BE22"]), apart=12.0)
+    assert len(identify(one, two, rule=field, prior=prior).matches) == 2
+    assert len(identify(one, two, rule=field + crossed, prior=prior).matches) == 0
+
+
+def test_neither_is_a_hard_key():
+    """An address inherited from a neighbour does not override positions that are clear."""
+    one, two, swapped = scene((["4B1814", "3C6444"], ["3C6444", "4B1814"]), sigma=1.0, apart=0.5)
+    answer = identify(one, two, rule=Field(1e-5) + swapped, prior=CommonObjects(0.1, 0.1), gate=Radius(60.0))
+    assert list(answer.matches.rows_1) == list(answer.matches.rows_2) == [0, 1]
+
+
+def test_swapping_the_sources_changes_nothing():
+    rng = np.random.default_rng(3)
+    names = ["EVER GIVEN", "EVER GIVE", "MAERSK", None, "EVER GREEN", "MAERSK"]
+    one, two = (Records.of(rng.normal(size=(6, 2)), sigma=1.0, source=s) for s in ("a", "b"))
+    rule = Identity({"a": {"name": names, "length_m": [400.0, 30.0, None, 12.0, 390.0, 300.0]},
+                     "b": {"name": names[::-1], "length_m": [410.0, 30.0, 14.0, 12.0, 390.0, None]}})  # fmt: skip
+    forth, back = Radius(9.0)(one, two), Radius(9.0)(two, one)
+    a = {(i, j): v for i, j, v in zip(forth.i, forth.j, rule(forth).log_ratio, strict=True)}
+    b = {(j, i): v for i, j, v in zip(back.i, back.j, rule(back).log_ratio, strict=True)}
+    assert a.keys() == b.keys() and all(a[key] == pytest.approx(b[key]) for key in a)
+
+
+def test_an_identity_at_two_places_raises_an_alarm_and_one_at_one_place_none():
+    one, two, rule = scene((["4B1814", "3C6444"], ["3C6444", "4B1814"]), sigma=1.0, apart=0.5)
+    raised = alarms([one, two], rule)
+    assert [(alarm.value, alarm.first, alarm.second) for alarm in raised] == [
+        ("3C6444", ("radar", 1), ("adsb", 0)),
+        ("4B1814", ("radar", 0), ("adsb", 1)),
+    ]
+    assert str(raised[1]).startswith(
+        "icao 4B1814 contradicts positions: radar row 0 and adsb row 1 are 50 apart (35.4 σ)"
+    )
+    one, two, fine = scene((["4B1814", "3C6444"], ["4B1814", "3C6444"]), sigma=1.0, apart=0.5)
+    assert alarms([one, two], fine) == []
+
+
+def test_a_source_that_shows_one_identity_twice_raises_an_alarm():
+    ais = Records.of([[0.0, 0.0], [9e3, 0.0], [5.0, 0.0]], sigma=10.0, source="ais")
+    rule = Identity({"ais": {"mmsi": ["235000001", "235000001", "235000001"]}})
+    assert [(a.first[1], a.second[1]) for a in alarms([ais], rule)] == [(0, 1), (1, 2)]
+    assert "mmsi 235000001 shown twice: ais row 0 and ais row 1 are 9000 apart" in str(alarms([ais], rule)[0])
+    known_nothing = Identity({"ais": {"mmsi": ["123456789"] * 3}})
+    assert alarms([ais], known_nothing) == []
+
+
+def test_rows_that_are_set_aside_keep_their_attributes_in_place():
+    one = Records.of([[np.nan, 0.0], [50.0, 0.0]], sigma=1.0, source="radar")
+    two = Records.of([[50.0, 0.5]], sigma=1.0, source="adsb")
+    rule = Identity({"radar": {"icao": ["AAAAAA", "4B1814"]}, "adsb": {"icao": ["4B1814"]}})
+    assert rule(Radius(3.0)(one, two)).log_ratio[0] > 6.0
+
+
+def test_places_on_the_sphere_raise_no_alarms_since_planes_are_asked_for():
+    one = Records.of([[10.0, 0.0]], sigma=1.0, source="a", space=Sphere())
+    assert alarms([one, one], Identity({"a": {"mmsi": ["1"]}})) == []
+    assert Plane() == Records.of([[0.0]], sigma=1.0).space
+
+
+def test_mistakes_are_refused_in_words():
+    one, two, _ = scene((["A", "B"], ["A", "B"]))
+    with pytest.raises(InputError, match="radar: no model for 'colour'"):
+        Identity({"radar": {"colour": ["red", "blue"]}})
+    short = Identity({"radar": {"icao": ["A"]}, "adsb": {"icao": ["A", "B"]}})
+    with pytest.raises(InputError, match="radar: 1 values of icao for 2 rows"):
+        short(Radius(9.0)(one, two))
+    with pytest.raises(InputError, match="strictly between 0 and 1"):
+        Identity({}, borrowed=0.0)
+    with pytest.raises(InputError, match="shares of errors"):
+        Code(10.0, slips=0.9, other=0.2)

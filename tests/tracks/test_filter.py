@@ -1,0 +1,140 @@
+"""The filter: against one track worked by hand, consistent (NEES, NIS), whatever the order; names given twice."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from sameas.errors import InputError
+from sameas.tracks.alignment import States, moved
+from sameas.tracks.filter import follow
+
+Q = 0.2
+
+
+def scene(rng, tracks=150, reports=12, sigma=20.0):
+    """Targets that move as the model says, reported at uneven times; the states and the truth."""
+    time_s = np.cumsum(rng.uniform(0.5, 12.0, (tracks, reports)), axis=1)
+    truth = np.empty((tracks, reports, 4))
+    truth[:, 0] = np.column_stack([rng.uniform(-1e4, 1e4, (tracks, 2)), 8.0 * rng.standard_normal((tracks, 2))])
+    for k in range(1, reports):
+        ahead, noise = moved(truth[:, k - 1], np.zeros((tracks, 4, 4)), time_s[:, k] - time_s[:, k - 1], Q)
+        root = np.linalg.cholesky(noise + 1e-12 * np.eye(4))
+        truth[:, k] = ahead + np.einsum("nvw,nw->nv", root, rng.standard_normal((tracks, 4)))
+    seen = truth[..., :2] + sigma * rng.standard_normal((tracks, reports, 2))
+    names = np.repeat([f"t{k}" for k in range(tracks)], reports)
+    made = States.of(time_s.ravel(), seen.reshape(-1, 2), sigma**2 * np.eye(2), speed_m_per_s=8.0, track=names)
+    return made, truth.reshape(-1, 4)
+
+
+def by_hand(time_s, position, covariance, first):
+    """The filter of the textbook, for one track."""
+    x, p = first
+    out = [x]
+    h = np.eye(2, 4)
+    for k in range(1, len(time_s)):
+        (x,), (p,) = moved(x[None], p[None], time_s[k] - time_s[k - 1], Q)
+        gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + covariance)
+        x = x + gain @ (position[k] - h @ x)
+        p = (np.eye(4) - gain @ h) @ p
+        out.append(x)
+    return np.array(out), p
+
+
+def test_a_track_is_what_the_textbook_makes_of_it():
+    reports, _ = scene(np.random.default_rng(1), tracks=3, reports=8)
+    followed = follow(reports, acceleration_m2_per_s3=Q)
+    for name in ("t0", "t1", "t2"):
+        own = np.flatnonzero(reports.track == name)
+        states, last = by_hand(
+            reports.time_s[own],
+            reports.state[own, :2],
+            400.0 * np.eye(2),
+            (reports.state[own[0]], reports.covariance[own[0]]),
+        )
+        np.testing.assert_allclose(followed.states.state[own], states, rtol=1e-8, atol=1e-6)
+        np.testing.assert_allclose(followed.states.covariance[own[-1]], last, rtol=1e-6, atol=1e-8)
+    assert list(np.flatnonzero(followed.began)) == [0, 8, 16]
+
+
+def test_errors_are_as_large_as_stated():
+    reports, truth = scene(np.random.default_rng(2))
+    followed = follow(reports, acceleration_m2_per_s3=Q)
+    error = followed.states.state - truth
+    nees = np.einsum("nv,nvw,nw->n", error, np.linalg.inv(followed.states.covariance), error)
+    # The last state of each track: independent of each other.
+    last = nees.reshape(150, -1)[:, -1]
+    low, high = chi2.ppf([0.0005, 0.9995], 4 * 150) / 150
+    assert low < last.mean() < high
+    nis = followed.nis[np.isfinite(followed.nis)]
+    low, high = chi2.ppf([0.0005, 0.9995], 2 * len(nis)) / len(nis)
+    assert low < nis.mean() < high
+
+
+def test_a_filter_that_thinks_too_well_of_its_reports_is_found_out_by_nis():
+    reports, _ = scene(np.random.default_rng(3))
+    proud = States(reports.time_s, reports.state, 0.25 * reports.covariance, reports.track, reports.rows)
+    nis = follow(proud, acceleration_m2_per_s3=Q).nis
+    assert np.nanmean(nis) > 3.0
+
+
+def test_the_order_of_rows_changes_nothing():
+    rng = np.random.default_rng(4)
+    reports, _ = scene(rng, tracks=9, reports=7)
+    turn = rng.permutation(len(reports))
+    one, other = (follow(r, acceleration_m2_per_s3=Q) for r in (reports, reports.take(turn)))
+    np.testing.assert_allclose(other.states.state, one.states.state[turn], rtol=1e-9)
+    np.testing.assert_allclose(other.nis, one.nis[turn], rtol=1e-9)
+
+
+def test_the_track_knows_its_velocity_better_than_any_report():
+    reports, truth = scene(np.random.default_rng(5))
+    last = np.arange(11, len(reports), 12)
+    error = follow(reports, acceleration_m2_per_s3=Q).states.state[last] - truth[last]
+    assert np.sqrt(np.mean(error[:, 2:] ** 2)) < 0.5 * 8.0
+    assert np.sqrt(np.mean(error[:, :2] ** 2)) < 20.0
+
+
+def test_a_name_that_is_given_to_another_object_begins_a_new_track():
+    time_s = np.arange(8.0)
+    position = np.column_stack([5.0 * time_s, np.zeros(8)])
+    position[4:, 1] += 20e3
+    reports = States.of(time_s, position, np.eye(2), speed_m_per_s=8.0, track=["7"] * 8)
+    followed = follow(reports, acceleration_m2_per_s3=Q)
+    assert list(np.flatnonzero(followed.began)) == [0, 4]
+    assert np.abs(followed.states.state[-1, 3]) < 3.0
+
+
+def test_reports_that_tell_nothing_are_left_as_they_are():
+    reports, _ = scene(np.random.default_rng(6), tracks=2, reports=5)
+    holed = States(reports.time_s, reports.state.copy(), reports.covariance, reports.track, reports.rows)
+    holed.state[2] = np.nan
+    followed = follow(holed, acceleration_m2_per_s3=Q)
+    rest = np.delete(np.arange(10), 2)
+    np.testing.assert_allclose(
+        followed.states.state[rest], follow(reports.take(rest), acceleration_m2_per_s3=Q).states.state
+    )
+    assert np.isnan(followed.states.state[2]).all() and np.isnan(followed.nis[2])
+
+
+def test_velocities_measured_on_their_own_are_used_where_asked_for():
+    reports, truth = scene(np.random.default_rng(7))
+    rng = np.random.default_rng(8)
+    covariance = reports.covariance.copy()
+    covariance[:, 2:, 2:] = 0.01 * np.eye(2)
+    state = reports.state.copy()
+    state[:, 2:] = truth[:, 2:] + 0.1 * rng.standard_normal((len(truth), 2))
+    doppler = States(reports.time_s, state, covariance, reports.track, reports.rows)
+    four = follow(doppler, acceleration_m2_per_s3=Q, features=4)
+    assert np.nanmean(four.nis) == pytest.approx(4.0, rel=0.1)
+    two = follow(doppler, acceleration_m2_per_s3=Q)
+    error = [np.mean((f.states.state - truth)[:, 2:] ** 2) for f in (two, four)]
+    assert error[1] < 0.2 * error[0]
+
+
+def test_what_it_cannot_do_is_said():
+    bare = States.of([0.0], np.zeros((1, 2)), np.eye(2), speed_m_per_s=8.0)
+    with pytest.raises(InputError, match="name no tracks"):
+        follow(bare, acceleration_m2_per_s3=Q)
+    named = States.of([0.0], np.zeros((1, 2)), np.eye(2), speed_m_per_s=8.0, track=["a"])
+    with pytest.raises(InputError, match="give 2 "):
+        follow(named, acceleration_m2_per_s3=Q, features=3)

@@ -1,0 +1,120 @@
+"""Descriptions: what the user says counts, the rest is assumed aloud, and nonsense is refused by name."""
+
+import numpy as np
+import pytest
+
+from sameas.errors import InputError
+from sameas.registration import SensorBias
+from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.kinds import KINDS
+from sameas.tracks.source import (
+    _PARTS,
+    BiasPrior,
+    Coverage,
+    Description,
+    ErrorModel,
+    Misses,
+    Resolution,
+    Site,
+    read_descriptions,
+)
+
+TOML = """
+[sources.harbour]
+kind = "marine radar"
+site = { lat_deg = 50.77, lon_deg = -1.30, height_m = 25 }
+coverage = { range_m = 20000, sector_deg = [300, 120], shadows_deg = [[40, 55]] }
+misses = { q = [0.05, 0.1, 0.5], range_m = [0, 10000, 20000] }
+errors = { bearing_deg = 0.4 }
+
+[sources.ais]
+kind = "ais"
+"""
+
+
+def test_toml_says_what_python_says(tmp_path):
+    path = tmp_path / "sources.toml"
+    path.write_text(TOML)
+    harbour, ais = read_descriptions(path)
+    assert harbour == Description(
+        "harbour", "marine radar", site=Site(50.77, -1.30, 25), coverage=Coverage(20000, 0.0, (300, 120), ((40, 55),)),
+        misses=Misses((0.05, 0.1, 0.5), (0, 10000, 20000)), errors=ErrorModel(bearing_deg=0.4),
+    )  # fmt: skip
+    assert ais.name == "ais" and ais.errors.position_m == 15.0
+
+
+def test_every_number_that_nobody_gave_is_told_with_its_reason():
+    radar = Description("harbour", "marine radar", errors=ErrorModel(bearing_deg=0.4), misses=Misses(0.3))
+    told = {line.name: line for line in radar.assumed}
+    assert "errors.bearing_deg" not in told and "misses.q" not in told
+    assert set(told) | {"errors.bearing_deg", "misses.q"} == set(KINDS["marine radar"].defaults)
+    assert str(told["errors.range_m"]) == (
+        "harbour: errors.range_m = 15, assumed for marine radar: IMO MSC.192(79) allows 30 m, taken as 2σ"
+    )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_defaults_of_every_kind_are_numbers_of_known_parts_with_reasons(kind):
+    for name, (value, why) in KINDS[kind].defaults.items():
+        part, _, field = name.partition(".")
+        assert hasattr(_PARTS[part](), field) and np.isfinite(value) and len(why) > 3
+    described = Description("one", kind)
+    assert len(described.assumed) == len(KINDS[kind].defaults)
+
+
+def test_misses_follow_the_range_and_are_certain_outside_the_coverage():
+    radar = Description(
+        "radar", coverage=Coverage(20e3, 100.0, (300.0, 120.0), ((40.0, 55.0),)), misses=Misses((0.1, 0.5), (0.0, 20e3))
+    )
+    q = radar.q_at([10e3, 10e3, 10e3, 10e3, 30e3, 50.0], [0.0, 200.0, 50.0, 359.0, 0.0, 0.0])
+    np.testing.assert_allclose(q, [0.3, 1.0, 1.0, 0.3, 1.0, 1.0])
+
+
+def test_resolution_is_the_wider_of_cell_and_beam():
+    radar = Description("radar", resolution=Resolution(40.0, 2.5))
+    np.testing.assert_allclose(radar.resolved_m([100.0, 10e3]), [40.0, 10e3 * np.radians(2.5)])
+
+
+def test_bias_priors_become_what_registration_looks_for():
+    radar = Description("radar", site=Site(east_m=10.0, north_m=20.0), bias=BiasPrior(range_m=50.0, azimuth_deg=1.0))
+    wanted = radar.offset(None)
+    assert isinstance(wanted, SensorBias) and wanted.position == (10.0, 20.0)
+    assert wanted.names == ("range", "azimuth_deg") and wanted.widths == (50.0, 1.0)
+    assert Description("ais", "ais").offset(None) is None
+    timed = Description("radar", site=Site(east_m=0.0, north_m=0.0), bias=BiasPrior(time_s=2.0))
+    assert timed.offset(None) is None and timed.offset(None, np.ones((3, 2))).which == (3,)
+
+
+def test_a_site_is_in_degrees_or_in_metres_and_fits_the_picture():
+    pytest.importorskip("pymap3d")
+    plane = LocalPlane(50.0, 0.0)
+    assert Site(50.0, 0.0).in_plane(plane) == pytest.approx((0.0, 0.0))
+    with pytest.raises(InputError, match="not those of the picture"):
+        Site(50.0, 0.0).in_plane(None)
+    with pytest.raises(InputError, match="give lat_deg and lon_deg, or east_m and north_m"):
+        Site(50.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('[sources.a]\nkind = "radr"', r"a: kind is 'radr'; give one of marine radar"),
+        ("[sources.a]\nerrors = { bearing = 1 }", r"a: 'bearing' in errors is not known; did you mean bearing_deg\?"),
+        ("[sources.a]\nerors = { bearing_deg = 1 }", r"a: 'erors' is not known; did you mean errors\?"),
+        ("[sources.a]\nerrors = 3", r"a: errors is 3; give a table"),
+        ("[sources.a]\nmisses = { q = 1.5 }", r"a: misses: q is 1.5; give probabilities"),
+        ("[sources.a]\nmisses = { q = [0.1, 0.2] }", r"a: misses: 2 q for ranges \(\)"),
+        ("[sources.a]\nerrors = { range_m = -3 }", r"a: errors.range_m is -3; give numbers of zero or more"),
+        ('[sources.a]\nerrors = { range_m = "3" }', r"a: errors.range_m is '3'"),
+        ("[sources.a]\ncoverage = { sector_deg = [10, 20, 30] }", r"a: coverage.sector_deg is .*give \(from, to\)"),
+        ("[sources.a]\ncoverage = { shadows_deg = [10, 20] }", r"a: coverage.shadows_deg"),
+        ("[radar]\nkind = 3", r"describes no sources; give tables such as \[sources.radar\]"),
+        ("sources = { a = 3 }", r"sources.a is no table"),
+        ("not toml", r"cannot be read as TOML"),
+    ],
+)
+def test_mistakes_in_a_file_are_named(tmp_path, text, words):
+    path = tmp_path / "sources.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=words):
+        read_descriptions(path)
