@@ -96,6 +96,7 @@ class Observers:
             at = at + np.linalg.solve(information, vector[..., None])[..., 0]
         information, vector, square, log_norm = self._summed(sets, at)
         covariance = np.linalg.inv(information)
+        covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
         step = np.einsum("kvw,kw->kv", covariance, vector)
         chi_sq = np.maximum(square - np.einsum("kv,kv->k", vector, step), 0.0)
         log_det = np.linalg.slogdet(information)[1]

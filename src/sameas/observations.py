@@ -84,7 +84,7 @@ class Bearing:
     def jacobian(self, states: FloatArray) -> FloatArray:
         east, north = (states[:, :2] - np.asarray(self.sensor)).T
         # At the sensor itself there is no direction; a tiny distance keeps the numbers finite.
-        range_sq = np.maximum(east**2 + north**2, 1e-30)
+        range_sq = np.maximum(east**2 + north**2, 1e-12)
         slope = np.zeros((len(states), 1, self.dimension))
         slope[:, 0, 0], slope[:, 0, 1] = np.degrees(north / range_sq), np.degrees(-east / range_sq)
         return slope
