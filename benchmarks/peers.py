@@ -193,6 +193,24 @@ def nway(folder: str) -> Callable[[], int]:
     return work
 
 
+def nway_pairs(folder: str, area_deg2: float, completeness: float) -> None:
+    """Leave the rows of NWAY's most probable associations, of sources that have one with p > ½, in ``nway.npy``."""
+    import nwaylib
+    from nwaylib.logger import NullOutputLogger
+
+    arrays = Arrays.load(folder)
+    empty: dict[str, list] = {"mags": [], "maghists": [], "magnames": []}
+    tables = [
+        {"name": f"T{k}", "ra": f[:, 0], "dec": f[:, 1], "error": s, "area": area_deg2} | empty
+        for k, (f, s) in enumerate(zip(arrays.features, arrays.sigmas(), strict=True), start=1)
+    ]
+    radius = 5.0 * float(np.hypot(*(np.quantile(s, 0.99) for s in arrays.sigmas())))
+    quiet = NullOutputLogger()
+    found = nwaylib.nway_match(tables, match_radius=radius, prior_completeness=completeness, logger=quiet)
+    best = (found["match_flag"] == 1) & (found["prob_has_match"] > 0.5) & (found["T2"] >= 0)
+    np.save(arrays.folder / "nway.npy", np.array([found["T1"][best], found["T2"][best]], np.int64))
+
+
 def stonesoup(folder: str) -> Callable[[], int]:
     """Stone Soup: tracks of one source, detections of the other, its global nearest neighbour by 2-D assignment."""
     from datetime import datetime

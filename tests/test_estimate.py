@@ -8,6 +8,7 @@ import pytest
 from sameas import InputError, Radius, Records
 from sameas.estimate import fit_errors, match
 from sameas.evidence import Errors
+from sameas.quantity import Quantity
 from sameas.score import is_true_pair, score_probabilities
 from sameas.simulate import Cap, poisson_field, sky_field
 
@@ -49,6 +50,46 @@ def test_errors_that_are_quoted_wrongly_are_seen_and_corrected(quoted, sigma):
     assert calibration(answer, made).expected_calibration_error < 0.015
     # The gate opens as far as the errors need: they are ten times what is quoted in one of the cases.
     assert found.gate_sigmas > 4 / quoted or quoted > 1
+
+
+def test_everything_estimated_has_a_standard_error_that_covers_the_truth():
+    inside: dict[str, list[bool]] = {}
+    for seed in range(14):
+        made = poisson_field(
+            np.random.default_rng([20, seed]), density=1.0, extent=(25.0, 25.0), q1=0.2, q2=0.3, sigma_1=0.15,
+            sigma_2=0.1, false_1=0.1,
+        )  # fmt: skip
+        found = match(made.first, made.second)[1].quantities
+        true = {"common": len(made.true_pairs()[0]), "density_common": 0.56, "density_only_1": 0.24 + 0.1,
+                "density_only_2": 0.14, "share_1": 0.56 / 0.9, "share_2": 0.8, "error_scale": 1.0}  # fmt: skip
+        assert set(true) == set(found)
+        for name, value in true.items():
+            deviation = (found[name].value - value) / found[name].standard_error
+            inside.setdefault(name, []).append(abs(deviation) < 1.96)
+    covered = {name: float(np.mean(values)) for name, values in inside.items()}
+    assert all(share >= 0.7 for share in covered.values()), covered
+    assert 0.90 <= np.mean(list(covered.values())) <= 0.99
+
+
+def test_quantities_are_written_with_their_errors():
+    assert str(Quantity(0.35123, 0.0042, "mag")) == "0.3512 ± 0.0042 mag"
+    assert str(Quantity(12345.6, 78.0)) == "12346 ± 78" and str(Quantity(3.0, math.inf)) == "3"
+
+
+def test_errors_of_either_source_are_told_apart_where_they_vary():
+    rng = np.random.default_rng(21)
+    made = poisson_field(
+        rng, density=1.0, extent=(50.0, 50.0), q1=0.1, q2=0.1, sigma_1=(0.01, 0.1), sigma_2=(0.01, 0.1)
+    )
+    wide = Records(*(
+        getattr(made.first, name) if name != "covariance" else made.first.covariance / 4.0
+        for name in ("features", "covariance", "rows", "ids", "space", "source")
+    ))  # fmt: skip
+    model = match(wide, made.second)[1].error_model
+    assert model.factor_1.value == pytest.approx(2.0, abs=4 * model.factor_1.standard_error)
+    assert model.factor_2.value == pytest.approx(1.0, abs=4 * model.factor_2.standard_error)
+    assert model.factor_1.standard_error < 0.15 and model.note == ""
+    assert match(wide, made.second, errors=Errors())[1].error_model is None
 
 
 def test_given_errors_and_gates_are_believed():

@@ -13,9 +13,11 @@ HOME = Path(sameas.__file__).parent
 STAGES = ["records", "gate", "groups", "evidence", "prior", "assignment", "posterior", "result", "identify", "estimate"]
 # Companions walk with their stage.
 WITH = {"errors": "records", "space": "records", "threads": "records", "search": "gate", "zones": "gate",
-        "coverage": "estimate", "decision": "result", "older": "result", "spacing": "evidence"}  # fmt: skip
-ROOMS = {"sky", "tracks", "io", "adapters", "plots", "report", "cli"}
-FOR_PEOPLE = {"io", "adapters", "plots", "report", "cli"}
+        "coverage": "estimate", "detection": "estimate", "photometry": "estimate", "piecewise": "records",
+        "quantity": "estimate", "regression": "estimate", "error_model": "estimate",
+        "decision": "result", "older": "result", "spacing": "evidence"}  # fmt: skip
+ROOMS = {"sky", "tracks", "io", "adapters", "plots", "report", "findings", "prose", "cli", "study", "pages"}
+FOR_PEOPLE = {"io", "adapters", "plots", "report", "findings", "prose", "cli", "study", "pages"}
 
 
 def imported(path, *, always=False):

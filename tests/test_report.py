@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
-from sameas import report
+from sameas import prose, report
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.match import MatchOptions, match
 
@@ -50,7 +50,7 @@ def test_rows_always_add_up(found):
 
 def test_lines_stay_within_the_width_but_for_doubts(found):
     for line in report.report(found).splitlines():
-        assert len(line) <= report.WIDTH or line.startswith(report.DOUBT)
+        assert len(line) <= prose.WIDTH or line.startswith(prose.DOUBT)
 
 
 def test_shares_by_magnitude_count_every_measured_row(found):
@@ -95,8 +95,8 @@ def test_what_reading_the_file_left_to_be_said_is_said():
     [(0.5, "50.0 %"), (1.0, "100.0 %"), (0.9996, "99.960 %"), (0.001, "0.100 %"), (float("nan"), "–")],
 )
 def test_shares_have_the_decimals_they_need(share, words):
-    assert report.percent(share) == words
+    assert prose.percent(share) == words
 
 
 def test_counts_have_their_thousands_apart():
-    assert report.count(117955) == "117 955"
+    assert prose.count(117955) == "117 955"

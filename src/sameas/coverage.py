@@ -148,7 +148,8 @@ def _level(cut: _SphereCells | _BoxCells, first: Records, second: Records, size:
 def _renumbered(cell: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """(numbers of the cells that occur, rising; position of each record's cell among them)."""
     most = int(cell.max()) + 1
-    if most > 4 * len(cell) + 1024:
+    # Numbers of cells smaller than a double can tell apart overflow, and are then no more than names.
+    if most > 4 * len(cell) + 1024 or cell.min() < 0:
         return np.unique(cell, return_inverse=True)
     held = np.zeros(most, np.bool_)
     held[cell] = True

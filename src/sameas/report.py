@@ -1,12 +1,11 @@
 """Reports: what was understood, estimated and found, as lines of plain text for people and their logs.
 
 :func:`report` gives everything of a :class:`~sameas.sky.match.SkyMatch`, the other functions its parts. A
-heading starts at the margin, what belongs to it is indented, a doubt starts with :data:`DOUBT`.
+heading starts at the margin, what belongs to it is indented, a doubt starts with :data:`sameas.prose.DOUBT`.
 """
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
 from itertools import pairwise
 
@@ -14,15 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.coverage import Coverage
-from sameas.estimate import Estimate
+from sameas.findings import common_objects, findings
+from sameas.prose import DOUBT, LABEL, count, entry, figures, percent
 from sameas.records import FloatArray, Records
 from sameas.result import Answers, Identification
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.match import SkyMatch, area_and_densities
 
-WIDTH = 100
-LABEL = 22
-DOUBT = "  doubt".ljust(2 + LABEL)
 #: Identified pairs less probable than this are called ambiguous.
 AMBIGUOUS = 0.9
 #: A radius within which nearest neighbours are often believed.
@@ -68,17 +65,12 @@ def coverage_lines(moved: str, coverage: Coverage, doubts: Sequence[str] = ()) -
 
 def estimate_lines(match: SkyMatch) -> list[str]:
     """What was estimated of the two catalogues together."""
-    e = match.estimate
-    names = match.first.name, match.second.name
-    found = f"{e.common:.1f}: {percent(e.share_1)} of {names[0]}, {percent(e.share_2)} of {names[1]}"
     return [
         "Estimated",
         *entry("epoch", match.moved),
-        *entry("common objects", found),
-        *_area(e.coverage),
-        *entry("errors", _errors_in_words(e)),
-        *entry("gate", f"{e.gate_sigmas:.1f} quoted σ"),
-        *entry("rounds", f"{e.rounds}, " + ("settled" if e.settled else "not settled")),
+        *common_objects(match),
+        *_area(match.estimate.coverage),
+        *findings(match),
         *_doubt_lines(match.doubts),
     ]
 
@@ -125,27 +117,6 @@ def nearest_lines(match: SkyMatch) -> list[str]:
     return lines
 
 
-def count(number: int | np.integer) -> str:
-    """A whole number, its thousands apart."""
-    return f"{int(number):,}".replace(",", " ")
-
-
-def percent(share: float) -> str:
-    """A share in percent, with as many decimals as it needs near 0 and 100."""
-    if not np.isfinite(share):
-        return "–"
-    near = min(share, 1.0 - share)
-    return f"{100 * share:.{1 if near > 0.005 or near <= 0 else 3}f} %"
-
-
-def entry(label: str, words: str) -> list[str]:
-    """A labelled line, wrapped under itself."""
-    return textwrap.wrap(
-        words, WIDTH, initial_indent=f"  {label:{LABEL}}", subsequent_indent=" " * (2 + LABEL),
-        break_long_words=False, break_on_hyphens=False,
-    ) or [f"  {label}"]  # fmt: skip
-
-
 def _doubt_lines(doubts: Sequence[str]) -> list[str]:
     """One line each, however long: a doubt may be printed alone."""
     return [DOUBT + words for words in doubts]
@@ -155,26 +126,12 @@ def _area(coverage: Coverage) -> list[str]:
     area, density_1, density_2 = area_and_densities(coverage)
     names = coverage.first.source, coverage.second.source
     return [
-        *entry("area where both look", f"{_figures(area)} square degrees"),
+        *entry("area where both look", f"{figures(area)} square degrees"),
         *entry(
             "mean density there",
-            f"{_figures(density_1)} of {names[0]} and {_figures(density_2)} of {names[1]} per square degree",
+            f"{figures(density_1)} of {names[0]} and {figures(density_2)} of {names[1]} per square degree",
         ),
     ]
-
-
-def _figures(value: float) -> str:
-    """A positive number to four figures, never in powers of ten where it is large."""
-    return f"{value:.4g}" if value < 1e4 else count(round(value))
-
-
-def _errors_in_words(estimate: Estimate) -> str:
-    scales, shares = np.asarray(estimate.errors.scales), np.asarray(estimate.errors.shares)
-    if len(scales) == 1:
-        return "taken as quoted" if scales[0] == 1.0 else f"{scales[0]:g} times the quoted ones"
-    tail = float(shares[scales > 2.0].sum())
-    words = f"typically {estimate.typical_scale:.2f} times the quoted ones"
-    return words + (f"; more than 2 times for {percent(tail)} of the pairs" if tail > 1e-4 else "")
 
 
 def _rows(match: SkyMatch) -> list[str]:

@@ -122,6 +122,14 @@ def test_errors_in_another_unit_are_questioned(tmp_path, sameas, field_files):
     assert "are the errors in the unit that was understood?" in " ".join(too_small.stdout.split())
 
 
+def test_magnitudes_are_evidence_unless_switched_off(tmp_path, sameas, field_files):
+    said = {how: sameas("match", *field_files, "-o", tmp_path / "o.fits", *how).stdout for how in (
+        (), ("--magnitudes", "off"), ("--magnitudes", "mag:mag"),
+    )}  # fmt: skip
+    assert "brightness" in said[()] and "completeness" in said[()] and "brightness" in said["--magnitudes", "mag:mag"]
+    assert "brightness" not in said["--magnitudes", "off"]
+
+
 def test_formats_and_version(sameas):
     assert "parquet   .parquet .pq .parq" in sameas("formats").stdout
     assert sameas("--version").stdout == "sameas 0.1.0\n"

@@ -118,6 +118,8 @@ def test_outputs_that_cannot_be_are_refused_before_the_work(tmp_path, refusal, f
         (["--density", "5"], "--density 5: give two numbers N1,N2"),
         (["--density", "5,-1"], "density: give two positive numbers"),
         (["--error-scale", "much"], "error scale is 'much'"),
+        (["--magnitudes", "J"], "--magnitudes J: give auto, off, or columns of both catalogues"),
+        (["--magnitudes", "mag:J"], "no column 'J' of magnitudes; it has"),
         (["--gate-sigmas", "-1"], "sigmas is -1.0; give a positive number"),
         (["--hdu1", "7"], "has no extension 7"),
     ],

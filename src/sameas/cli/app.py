@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -25,6 +26,7 @@ from sameas.cli.arguments import (
     Hdu2,
     Join,
     Made,
+    MagnitudeEvidence,
     Nway,
     OutFormat,
     Output,
@@ -35,8 +37,10 @@ from sameas.cli.arguments import (
     Source,
     ToEpoch,
 )  # fmt: skip
+from sameas.cli.frame import frame
 from sameas.cli.options import ellipses_split, fields_of, with_columns
 from sameas.cli.outcome import answering
+from sameas.cli.study import Folder, Only, Page, Quick, Scenes
 
 app = typer.Typer(
     name="sameas",
@@ -90,6 +94,7 @@ def match(
     gate_sigmas: GateSigmas = None,
     error_scale: ErrorScale = "auto",
     density: Density = None,
+    magnitudes: MagnitudeEvidence = "auto",
     hdu1: Hdu1 = None,
     hdu2: Hdu2 = None,
     format1: Format1 = None,
@@ -108,7 +113,7 @@ def match(
         from sameas.cli.matching import Wanted, run
         from sameas.cli.request import Request, match_options
 
-        options = match_options(to_epoch, gate_sigmas, error_scale, density)
+        options = match_options(to_epoch, gate_sigmas, error_scale, density, magnitudes)
         fields = fields_of(columns, 1), fields_of(columns, 2)
         paths = str(first), str(second)
         request = Request(paths, (format1, format2), (hdu1, hdu2), fields, options, columns)
@@ -135,6 +140,28 @@ def explain(
         from sameas.cli.explaining import run
 
         run(output, record, source, format)
+
+
+app.command("frame", no_args_is_help=True)(frame)
+
+
+@app.command("study")
+def study(
+    scenes: Scenes = None,
+    quick: Quick = False,
+    output: Folder = Path("sameas-study"),
+    only: Only = None,
+    page: Page = None,
+    debug: Debug = False,
+) -> None:
+    """What the papers claim of their rules and what we measure: simulated scenes, tables, figures, a page.
+
+    Runs on all cores; some minutes. The same numbers come out whatever their number.
+    """
+    with answering(debug):
+        from sameas.cli.study import run
+
+        run(scenes, quick, output, only, page)
 
 
 @app.command("formats")

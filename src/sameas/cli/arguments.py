@@ -65,6 +65,15 @@ Density = Annotated[
         help="Records per square degree of A and B, instead of local densities from the data.",
     ),
 ]
+MagnitudeEvidence = Annotated[
+    str,
+    _option(
+        "--magnitudes",
+        panel=_MATCH,
+        metavar="auto|off|A,…:B,…",
+        help="Magnitudes as evidence: those of both catalogues, none, or columns of A and of B.",
+    ),
+]
 Hdu1 = Annotated[
     str | None,
     _option("--hdu1", panel=_FILES, metavar="HDU", help="Number or name of the FITS extension of A."),

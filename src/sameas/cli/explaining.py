@@ -13,7 +13,7 @@ from sameas.cli.terminal import Pace, Printer, tell_compilation
 from sameas.errors import InputError
 from sameas.explanation import Competitor, Explanation
 from sameas.io import read_provenance
-from sameas.report import WIDTH, entry
+from sameas.prose import WIDTH, entry
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.match import SkyMatch
 

@@ -16,6 +16,7 @@ from sameas.cli.terminal import Pace, Printer, tell_compilation
 from sameas.coverage import Coverage
 from sameas.errors import InputError
 from sameas.io import known_formats, replacing, write_table
+from sameas.prose import DOUBT, count
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.joined import joined
 from sameas.sky.match import brought_together, density_doubts
@@ -57,7 +58,7 @@ class Wanted:
             pace(f"writing {self.path}")
             facts = provenance(request, match, self.command)
             write_table(table, self.path, provenance=facts, format=self.format, overwrite=self.overwrite)
-        size = f"{report.count(len(table))} rows, {len(table.columns)} columns ({self.join})"
+        size = f"{count(len(table))} rows, {len(table.columns)} columns ({self.join})"
         printer(["", f"Output: {self.path}, {size}"])
         printer([f"Time: {time.perf_counter() - began:.1f} s; peak memory: {_peak_memory()}"])
 
@@ -116,7 +117,7 @@ def _understood(request: Request, printer: Printer, pace: Pace) -> tuple[Catalog
         catalogue = request.catalogue(side)
         lines = [*report.catalogue_lines(catalogue, side, path), ""]
         pace.pause()
-        printer(request.sided(line, side) if line.startswith(report.DOUBT) else line for line in lines)
+        printer(request.sided(line, side) if line.startswith(DOUBT) else line for line in lines)
         read.append(catalogue)
     printer(_same_file(request.paths))
     return read[0], read[1]
@@ -124,7 +125,7 @@ def _understood(request: Request, printer: Printer, pace: Pace) -> tuple[Catalog
 
 def _same_file(paths: tuple[str, str]) -> Iterator[str]:
     if os.path.samefile(*paths):
-        yield f"{report.DOUBT}{paths[0]} is given twice: every record will be found to be itself"
+        yield f"{DOUBT}{paths[0]} is given twice: every record will be found to be itself"
         yield ""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import platform
 from datetime import UTC, datetime
 from typing import Any
@@ -49,8 +50,19 @@ def provenance(request: Request, match: SkyMatch, command: str) -> dict[str, Any
         "error_shares": list(estimate.errors.shares),
         "gate_sigmas": estimate.gate_sigmas,
         "rounds": estimate.rounds,
+        **_quantities(match),
         "candidates": len(result.pairs),
         "pairs": len(result.matches),
         "expected_wrong": result.expected_wrong,
         "doubts": list(match.doubts),
     }
+
+
+def _quantities(match: SkyMatch) -> dict[str, float]:
+    """Everything estimated with its standard error, where it has one."""
+    facts = {}
+    for name, quantity in match.estimate.quantities.items():
+        if math.isfinite(quantity.standard_error):
+            facts[f"estimated_{name}"] = quantity.value
+            facts[f"estimated_{name}_error"] = quantity.standard_error
+    return facts

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from sameas.cli.options import sided
 from sameas.errors import InputError
 from sameas.io import checksum, read_table
+from sameas.sky.bands import AUTO, OFF
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.match import MatchOptions, SkyMatch, match
 
@@ -126,10 +127,10 @@ class Request:
 
 
 def match_options(
-    to_epoch: float | None, gate_sigmas: float | None, error_scale: str, density: str | None
+    to_epoch: float | None, gate_sigmas: float | None, error_scale: str, density: str | None, magnitudes: str
 ) -> MatchOptions:
     """The options of the match, refused at once where they make no sense."""
-    options = MatchOptions(to_epoch, gate_sigmas, error_scale)
+    options = MatchOptions(to_epoch, gate_sigmas, error_scale, magnitudes=magnitudes)
     if density is not None:
         try:
             one, two = (float(part) for part in density.split(","))
@@ -138,6 +139,8 @@ def match_options(
                 f"--density {density}: give two numbers N1,N2, records per square degree of either catalogue"
             ) from None
         options = replace(options, density_per_deg2=(one, two))
+    if magnitudes not in (AUTO, OFF) and magnitudes.count(":") != 1:
+        raise InputError(f"--magnitudes {magnitudes}: give auto, off, or columns of both catalogues, A,…:B,…")
     for check in (options.errors, options.gate, options.density):
         check()
     return options

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from sameas.report import DOUBT, WIDTH
+from sameas.prose import DOUBT, WIDTH
 
 if TYPE_CHECKING:
     from rich.progress import Progress

@@ -10,20 +10,35 @@ Every rule gives a natural logarithm per pair, term by term; rules add with ``+`
   other measurements.
 - :class:`CloseObjects`: a different object lies near, but not nearer than two objects can be
   (METHOD 3.2 [T14–T19, T26]). For pictures of a few targets.
+- :class:`Brightness`: what magnitudes and colours of a pair say beside its position; ``sameas.match`` learns it from
+  the :class:`Magnitudes` of both sources.
 - :class:`Universal`: any density of objects and of their neighbours, as a mixture, samples or functions
   (METHOD 3.3 [T13]). Where the densities are known and are none of the above.
 """
 
 from sameas.evidence.boxes import log_neighbour_density, log_surface_density
+from sameas.evidence.brightness import (
+    Brightness,
+    Chain,
+    Compared,
+    Magnitudes,
+    Measured,
+    Pattern,
+    Regressors,
+    Side,
+    compared,
+)  # fmt: skip
 from sameas.evidence.close import CloseObjects
 from sameas.evidence.densities import Displacement, Flat, GaussianMixture, Samples
 from sameas.evidence.fields import ConstantCost, DetectionField, Field, PoissonField
+from sameas.evidence.relation import MagnitudeDensity, Relation
 from sameas.evidence.rule import Evidence, Rule, Sum
 from sameas.evidence.spread import LOG_2PI, Errors
 from sameas.evidence.universal import Universal
 
 __all__ = [
-    "LOG_2PI", "CloseObjects", "ConstantCost", "DetectionField", "Displacement", "Errors", "Evidence", "Field", "Flat",
-    "GaussianMixture", "PoissonField", "Rule", "Samples", "Sum", "Universal", "log_neighbour_density",
-    "log_surface_density",
+    "LOG_2PI", "Brightness", "Chain", "CloseObjects", "Compared", "ConstantCost", "DetectionField", "Displacement",
+    "Errors", "Evidence", "Field", "Flat", "GaussianMixture", "MagnitudeDensity", "Magnitudes", "Measured", "Pattern",
+    "PoissonField", "Regressors", "Relation", "Rule", "Samples", "Side", "Sum", "Universal", "compared",
+    "log_neighbour_density", "log_surface_density",
 ]  # fmt: skip

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sameas.plots.sheet import FIRST, FOUND, SECOND, sheet, tidy
-from sameas.report import count
+from sameas.prose import count
 from sameas.sky.match import SkyMatch
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import numpy as np
 from sameas.evidence import Errors
 from sameas.plots.sheet import FAINT, FILL, FOUND, INK, SECOND, sheet, tidy
 from sameas.records import FloatArray
-from sameas.report import count
+from sameas.prose import count
 from sameas.sky.match import SkyMatch
 
 if TYPE_CHECKING:

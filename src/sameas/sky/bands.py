@@ -1,0 +1,72 @@
+"""Bands: which columns of two catalogues are magnitudes to be compared."""
+
+from __future__ import annotations
+
+import numpy as np
+from astropy.table import Table
+
+from sameas.errors import InputError
+from sameas.evidence import Magnitudes
+from sameas.records import FloatArray
+from sameas.sky import cells
+from sameas.sky.catalogue import Catalogue
+
+AUTO, OFF = "auto", "off"
+#: Names that the column of an error may have, beside that of its magnitude.
+ERROR_NAMES = ("e_{}", "{}_error", "{}_err", "{}err", "{}Err", "sigma_{}", "{}_msigcom", "{}_sigma")
+
+
+def magnitudes_of(first: Catalogue, second: Catalogue, said: str = AUTO) -> tuple[Magnitudes, Magnitudes] | None:
+    """The magnitudes of both catalogues; None where they are not to be used or one has none.
+
+    Parameters
+    ----------
+    said : "auto" takes the magnitude that each catalogue was understood to have; "off" none; "G,BP,RP:J,H" those
+        columns of the first and of the second catalogue, the brightest known band of either first.
+
+    Raises
+    ------
+    InputError : no such columns; words that are none of these.
+    """
+    if said == OFF:
+        return None
+    if said == AUTO:
+        one, two = _understood(first), _understood(second)
+        return None if one is None or two is None else (one, two)
+    sides = said.split(":")
+    if len(sides) != 2 or not all(side.strip() for side in sides):
+        raise InputError(f'magnitudes {said!r}: give "auto", "off", or columns of both catalogues, BAND,…:BAND,…')
+    named = [tuple(name.strip() for name in side.split(",")) for side in sides]
+    return _columns(first, named[0]), _columns(second, named[1])
+
+
+def _understood(catalogue: Catalogue) -> Magnitudes | None:
+    if catalogue.magnitude is None:
+        return None
+    return Magnitudes(catalogue.magnitude, catalogue.magnitude_error, (str(catalogue.magnitude_name),))
+
+
+def _columns(catalogue: Catalogue, names: tuple[str, ...]) -> Magnitudes:
+    known = {name.lower(): name for name in catalogue.table.colnames}
+    unknown = [name for name in names if name.lower() not in known]
+    if unknown:
+        raise InputError(
+            f"{catalogue.name}: no column {', '.join(map(repr, unknown))} of magnitudes; "
+            f"it has {', '.join(catalogue.table.colnames)}"
+        )
+    names = tuple(known[name.lower()] for name in names)
+    values, errors = [], []
+    for name in names:
+        ways = (way.format(name.removesuffix("_m") if "msigcom" in way else name).lower() for way in ERROR_NAMES)
+        error = next((known[way] for way in ways if way in known), None)
+        values.append(_measured(catalogue.table, name, catalogue.name))
+        nothing = np.full(len(catalogue), np.nan)
+        errors.append(nothing if error is None else _measured(catalogue.table, error, catalogue.name))
+    sigma = np.column_stack(errors)
+    return Magnitudes(np.column_stack(values), np.where(sigma >= 0.0, sigma, np.nan), names)
+
+
+def _measured(table: Table, name: str, source: str) -> FloatArray:
+    """(n,) numbers; 99 and −99.99, which surveys write for no measurement, are none."""
+    values = cells.numbers(table, name, source)
+    return np.where(np.abs(values) < 90.0, values, np.nan)

@@ -1,0 +1,102 @@
+"""Magnitudes of two catalogues are evidence by themselves, by name, or not at all, and what they did is told."""
+
+import numpy as np
+import pytest
+
+from sameas import InputError, plots, report
+from sameas.exposures import Sky, exposure
+from sameas.score import is_true_pair
+from sameas.sky.bands import magnitudes_of
+from sameas.sky.catalogue import Catalogue, CatalogueOptions
+from sameas.sky.match import MatchOptions, match
+
+
+def catalogue(records, magnitudes, bands):
+    """A table such as a user has."""
+    ra, dec = records.features.T
+    xx, xy, yy = records.covariance.T
+    table = {"ra": ra, "dec": dec, "ra_error": np.sqrt(xx), "dec_error": np.sqrt(yy), "corr": xy / np.sqrt(xx * yy)}
+    for k, band in enumerate(bands):
+        table[band] = np.where(np.isnan(magnitudes.values[:, k]), 99.0, magnitudes.values[:, k])
+        table[f"e_{band}"] = magnitudes.sigma[:, k]
+    options = CatalogueOptions(sigma="ra_error,dec_error", sigma_unit="arcsec", correlation="corr")
+    return Catalogue.of(table, records.source, options=options)
+
+
+@pytest.fixture(scope="module")
+def made():
+    return exposure(np.random.default_rng(1), Sky(stars_per_deg2=400_000.0), side_deg=0.1, missing=0.02)
+
+
+@pytest.fixture(scope="module")
+def sides(made):
+    first = catalogue(made.scene.first, made.brightness[0], ("mag",))
+    return first, catalogue(made.scene.second, made.brightness[1], ("Vmag", "Imag"))
+
+
+def wrong(found, made):
+    claimed = found.result.matches.rows_1, found.result.matches.rows_2
+    return int((~is_true_pair(claimed, made.scene.true_pairs())).sum())
+
+
+@pytest.fixture(scope="module")
+def found(sides):
+    return match(*sides)
+
+
+def test_magnitudes_are_used_unless_switched_off(sides, found, made):
+    off = match(*sides, MatchOptions(magnitudes="off"))
+    assert off.estimate.photometry is None and "brightness" not in off.result.evidence.terms
+    assert found.estimate.photometry is not None and wrong(found, made) < 0.5 * wrong(off, made)
+
+
+def test_bands_can_be_named(sides, made):
+    found = match(*sides, MatchOptions(magnitudes="mag:vmag, Imag"))
+    assert found.estimate.photometry.names == (("mag",), ("Vmag", "Imag"))
+    colour = found.estimate.quantities["colour_Imag"]
+    assert colour.value == pytest.approx(-made.sky.colour_term, abs=5 * colour.standard_error)
+    assert np.nanmax(found.estimate.photometry.sides[1].measured.variance) > 0.0
+
+
+def test_99_is_not_a_magnitude(sides):
+    one, two = magnitudes_of(*sides, "mag:Vmag")
+    assert np.isnan(one.values).any() and np.nanmax(one.values) < 30.0 and np.nanmax(two.values) < 30.0
+
+
+def test_a_catalogue_without_a_magnitude_leaves_it_to_the_positions(sides):
+    bare = Catalogue.of({"ra": [10.0], "dec": [0.0]}, "bare", options=CatalogueOptions(sigma=0.1))
+    assert magnitudes_of(bare, sides[1]) is None and magnitudes_of(sides[0], sides[1], "off") is None
+
+
+@pytest.mark.parametrize(
+    "said, words",
+    [
+        ("mag:K", "catalogue: no column 'K' of magnitudes; it has ra, dec"),
+        ("mag", 'give "auto", "off", or columns of both catalogues'),
+        ("mag:", 'give "auto", "off", or columns of both catalogues'),
+    ],
+)
+def test_bands_that_are_not_there_are_refused_in_words(sides, said, words):
+    with pytest.raises(InputError, match=words):
+        magnitudes_of(*sides, said)
+
+
+def test_the_report_says_what_brightness_did(found):
+    lines = report.estimate_lines(found)
+    text = " ".join(" ".join(lines).split())
+    for words in (
+        "brightness mag − Vmag is 0.", "scatter 0.", "of the pairs follow no relation",
+        "of catalogue frame shows", "at Vmag 1", "half as many at 1", "what decides", "answers", "by catalogue", "± ",
+    ):  # fmt: skip
+        assert words in text, words
+    assert all(len(line) <= 100 for line in lines)
+
+
+def test_the_picture_shows_completeness_and_relation(found, sides):
+    pytest.importorskip("matplotlib")
+    figure = plots.brightness(found)
+    left, right = figure.axes
+    assert len(left.containers) == 2 and left.get_ylim() == (0.0, 105.0)
+    assert "Vmag of catalogue" in right.get_xlabel() and len(right.lines) == 2
+    with pytest.raises(InputError, match="no magnitudes were used"):
+        plots.brightness(match(*sides, MatchOptions(magnitudes="off")))
