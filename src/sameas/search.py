@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -57,7 +57,8 @@ def search(first: Records, second: Records, limit: float, box: bool) -> Columns:
     if not several:
         return found[0]
     columns = tuple(np.concatenate(parts) for parts in zip(*found, strict=True))  # type: ignore[assignment]
-    order = np.argsort((columns[0].astype(np.int64) << 32) | columns[1])
+    # What each sweep found is in order already, which a stable sort makes use of.
+    order = np.argsort((columns[0].astype(np.int64) << 32) | columns[1], kind="stable")
     return tuple(np.ascontiguousarray(column[order]) for column in columns)  # type: ignore[return-value]
 
 
@@ -69,14 +70,18 @@ def _room(capacity: int, d: int) -> Columns:
 
 @dataclass(frozen=True)
 class _Density:
-    """How densely the records of a side lie in the plane of x and y; worked out only where it is asked for."""
+    """How many records of a side lie in the area that a variance of one opens; worked out only where asked for."""
 
     side: Side
     sides: tuple[Side, Side]
     geometry: Geometry
 
+    @cached_property
+    def _per_opening(self) -> float:
+        return self.geometry.opening * len(self.side.rows) / max(area(*self.sides, self.geometry), 1e-290)
+
     def __call__(self) -> float:
-        return len(self.side.rows) / max(area(*self.sides, self.geometry), 1e-290)
+        return self._per_opening
 
 
 class _Places:

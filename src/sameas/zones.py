@@ -101,13 +101,14 @@ class Side:
     def classes(self, others: Callable[[], float]) -> list[Side]:
         """This side split by the size of its errors: the few widest apart, as long as that saves work.
 
-        others : gives the density of the other source in the plane of x and y.
+        others : gives how many records of the other source lie in the area that a variance of one opens.
         """
         if len(self.rows) < 64:
             return [self]
         size = self.variance[:, 0] if self.variance.shape[1] == 1 else self.variance.max(axis=1)
         remaining: NDArray[np.int64] | None = None
         parts: list[NDArray[np.int64]] = []
+        widest = 0.0
         while len(parts) < 8:
             top = size.max()
             wide = size > top / 16.0
@@ -115,7 +116,13 @@ class Side:
             if len(size) < 64 or np.count_nonzero(wide) > 0.2 * len(size) or 6.0 * top * others() < FEW_TESTS:
                 break
             remaining = np.arange(len(self.rows)) if remaining is None else remaining
-            parts.append(remaining[wide])
+            part = remaining[wide]
+            if parts and 6.0 * widest * others() * len(part) < FEW_TESTS * len(self.rows):
+                # So few that another sweep would cost more than to test them as widely as those before.
+                parts[-1] = np.concatenate([parts[-1], part])
+            else:
+                parts.append(part)
+                widest = top
             remaining, size = remaining[~wide], size[~wide]
         if remaining is None:
             return [self]
