@@ -11,7 +11,7 @@ from sameas.kernels.compiled import kernel
 
 @kernel
 def log_bounds(first, last, start, start1, start2, local1, local2, weight, chosen, wanted, bound):
-    """Fill ``bound`` (m,) with an upper bound of ln P of the pairs of those groups first … last − 1 that are ``wanted``.
+    """Fill ``bound`` (m,) with upper bounds of ln P of the pairs of those groups first … last − 1 that are ``wanted``.
 
     Let Z be the sum over all hypotheses and Z₋ the same without the records i and j of pair e: those with e make
     exp(wₑ) Z₋. In the best hypothesis i has the partner j′, j the partner i′. Hypotheses with both pairs make

@@ -8,8 +8,8 @@ import numpy as np
 
 from sameas.evidence import Errors
 from sameas.plots.sheet import FAINT, FILL, FOUND, INK, SECOND, sheet, tidy
-from sameas.records import FloatArray
 from sameas.prose import count
+from sameas.records import FloatArray
 from sameas.sky.match import SkyMatch
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sameas.plots.sheet import DENSITY, FAINT, INK, sheet, tidy
-from sameas.records import FloatArray
 from sameas.prose import count
+from sameas.records import FloatArray
 from sameas.sky.match import SkyMatch
 
 if TYPE_CHECKING:
