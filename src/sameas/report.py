@@ -188,10 +188,13 @@ def _fates(
 
 def _claims(claimant: NDArray[np.int32], claimed: NDArray[np.int32], result: Identification) -> int:
     """How many records are the likeliest candidate, each alone, of several records of the other side."""
-    order = np.lexsort((-result.log_odds, claimant))
-    foremost = np.ones(len(order), np.bool_)
-    foremost[1:] = claimant[order[1:]] != claimant[order[:-1]]
-    return int(np.count_nonzero(np.bincount(claimed[order[foremost]]) > 1))
+    if not len(claimant):
+        return 0
+    best = np.full(int(claimant.max()) + 1, -np.inf)
+    np.maximum.at(best, claimant, result.log_odds)
+    foremost = np.flatnonzero(result.log_odds == best[claimant])
+    _, first = np.unique(claimant[foremost], return_index=True)
+    return int(np.count_nonzero(np.bincount(claimed[foremost[first]]) > 1))
 
 
 def _pairs(match: SkyMatch) -> list[str]:

@@ -306,7 +306,7 @@ def _ids(
     if np.ma.getmaskarray(column).any() if hasattr(column, "mask") else False:
         return np.arange(len(table)), (f"id: {choice.id} has empty cells, so rows are numbered",)
     ids = np.asarray(column)
-    if not options.id and len(np.unique(ids.astype(str) if ids.dtype.kind == "O" else ids)) < len(ids):
+    if not options.id and _repeats(ids):
         return np.arange(len(table)), (f"id: {choice.id} is not unique, so rows are numbered",)
     return ids, ()
 
@@ -318,3 +318,9 @@ def _brightness(table: Table, name: str | None, source: str) -> FloatArray | Non
     values = cells.numbers(table, name, source)
     with np.errstate(invalid="ignore"):
         return np.where(np.abs(values) < 90.0, values, np.nan)
+
+
+def _repeats(ids: NDArray[Any]) -> bool:
+    """Whether an identifier occurs twice."""
+    ordered = np.sort(ids.astype(str) if ids.dtype.kind == "O" else ids)
+    return bool(np.any(ordered[1:] == ordered[:-1]))

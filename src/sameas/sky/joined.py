@@ -97,8 +97,8 @@ def _rows(match: SkyMatch, join: str) -> _Rows:
         return _every_answer(result)
     found = result.matches
     both = _Rows(found.rows_1, found.rows_2, found.pair)
-    alone_1 = np.setdiff1d(np.arange(len(match.first)), found.rows_1)
-    alone_2 = np.setdiff1d(np.arange(len(match.second)), found.rows_2)
+    alone_1 = _others(len(match.first), found.rows_1)
+    alone_2 = _others(len(match.second), found.rows_2)
     only_1 = _Rows(alone_1, np.full(len(alone_1), NOBODY), np.full(len(alone_1), NOBODY))
     only_2 = _Rows(np.full(len(alone_2), NOBODY), alone_2, np.full(len(alone_2), NOBODY))
     parts = {
@@ -111,6 +111,13 @@ def _rows(match: SkyMatch, join: str) -> _Rows:
     key_1, key_2 = (np.where(at >= 0, at, last) for at in (rows.one, rows.two))
     order = np.lexsort([key_1, key_2] if join == "all2" else [key_2, key_1])
     return _Rows(rows.one[order], rows.two[order], rows.pair[order])
+
+
+def _others(n: int, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The rows of a table of n that are not among ``rows``, rising."""
+    other = np.ones(n, np.bool_)
+    other[rows] = False
+    return np.flatnonzero(other)
 
 
 def _every_answer(result: Identification) -> _Rows:

@@ -183,7 +183,9 @@ def _records_per_cell(position_deg: FloatArray, side_arcsec: float) -> float:
     side = side_arcsec / 3600.0
     ring = np.floor(lat / side)
     along = np.floor(lon * np.cos(np.radians(ring * side)) / side)
-    return len(lon) / len(np.unique(ring + 1j * along))
+    order = np.lexsort((along, ring))
+    cell = np.flatnonzero((np.diff(ring[order]) != 0) | (np.diff(along[order]) != 0))
+    return len(lon) / (len(cell) + 1)
 
 
 def common_epoch(first: Catalogue, second: Catalogue, asked: float | None) -> tuple[float | None, str]:
