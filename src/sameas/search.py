@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,7 +37,9 @@ def search(first: Records, second: Records, limit: float, box: bool) -> Columns:
         return _room(0, first.d)
     geometry = Geometry.of(first, second, limit, box)
     sides = Side.of(first, geometry), Side.of(second, geometry)
-    classes = [side.classes(_Density(other, sides, geometry)) for side, other in zip(sides, sides[::-1], strict=True)]
+    # Worked out only where it is asked for, and once.
+    density = [cache(partial(_within_opening, other, sides, geometry)) for other in sides[::-1]]
+    classes = [side.classes(others) for side, others in zip(sides, density, strict=True)]
     several = len(classes[0]) * len(classes[1]) > 1
     places = _Places(len(first)), _Places(len(second))
     found: list[Columns] = []
@@ -68,20 +69,9 @@ def _room(capacity: int, d: int) -> Columns:
     return (*whole, np.empty((capacity, d)), np.empty(capacity), np.empty(capacity))  # type: ignore[return-value]
 
 
-@dataclass(frozen=True)
-class _Density:
-    """How many records of a side lie in the area that a variance of one opens; worked out only where asked for."""
-
-    side: Side
-    sides: tuple[Side, Side]
-    geometry: Geometry
-
-    @cached_property
-    def _per_opening(self) -> float:
-        return self.geometry.opening * len(self.side.rows) / max(area(*self.sides, self.geometry), 1e-290)
-
-    def __call__(self) -> float:
-        return self._per_opening
+def _within_opening(side: Side, sides: tuple[Side, Side], geometry: Geometry) -> float:
+    """How many records of a side lie in the area that a variance of one opens."""
+    return geometry.opening * len(side.rows) / max(area(*sides, geometry), 1e-290)
 
 
 class _Places:

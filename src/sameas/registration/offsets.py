@@ -43,15 +43,19 @@ class Offset:
 
     def placed(self, first: Records, second: Records) -> Offset:
         """The same offset with what it takes from the data, such as a centre; refuses data that do not suit it."""
-        raise TypeError(f"{type(self).__name__} is the interface of offsets; use Shift, Similarity, Affine, SensorBias")
+        raise self._unfinished()
 
     def moved(self, features: FloatArray, theta: FloatArray) -> FloatArray:
         """(…, n, d) the second source's positions in the first's space."""
-        raise NotImplementedError
+        raise self._unfinished()
 
     def jacobian(self, features: FloatArray, theta: FloatArray) -> FloatArray:
         """(…, n, d, p) ∂ moved / ∂ θ, in the residual's unit."""
-        raise NotImplementedError
+        raise self._unfinished()
+
+    def _unfinished(self) -> TypeError:
+        name = type(self).__name__
+        return TypeError(f"{name} is the interface of offsets; use Shift, Similarity, Affine, SensorBias")
 
     def carried(self, features: FloatArray, theta: FloatArray) -> FloatArray:
         """(…, n, d, d) ∂ moved / ∂ features: what becomes of a small error of a record; identity if not told."""
