@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from sameas import InputError, Radius, Records
-from sameas.estimate import fit_errors, match
+from sameas.error_scales import fit_errors
+from sameas.estimate import match
 from sameas.evidence import Errors
 from sameas.quantity import Quantity
 from sameas.score import is_true_pair, score_probabilities

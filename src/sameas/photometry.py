@@ -27,7 +27,7 @@ from sameas.evidence import (
     compared,
 )  # fmt: skip
 from sameas.gate import Pairs
-from sameas.records import FloatArray
+from sameas.records import FloatArray, IntArray
 from sameas.regression import Sample, density_of, fit_relation
 from sameas.result import Identification
 
@@ -67,6 +67,13 @@ class Photometry:
         """Nothing learned yet."""
         return cls((_side(measured[0]), _side(measured[1])), names)
 
+    def part(self, rows_1: IntArray, rows_2: IntArray) -> Photometry:
+        """The magnitudes of some of the records only."""
+        one, two = (
+            replace(side, measured=side.measured.take(rows)) for side, rows in zip(self.sides, (rows_1, rows_2), strict=True)
+        )
+        return replace(self, sides=(one, two), known=None)
+
     def facing(self, pairs: Pairs) -> Photometry:
         """The same, with the magnitudes of these pairs side by side: they are asked for round after round."""
         return replace(self, known=(pairs, compared(self.sides, pairs)))
@@ -99,6 +106,11 @@ class Photometry:
         return replace(self, chains=chains, curves=curves)
 
     @property
+    def tells(self) -> bool:
+        """Whether anything has been learned."""
+        return self.chains is not None or self.curves != (None, None)
+
+    @property
     def first_relation(self) -> Relation | None:
         """How the first band of source 1 follows all bands of source 2 that most pairs have; None where unknown."""
         known = self.chains[0].related[0] if self.chains else {}
@@ -107,7 +119,7 @@ class Photometry:
 
     def rule(self, shares: tuple[FloatArray, FloatArray]) -> Brightness | None:
         """As evidence, with the shares at the records' positions; None as long as nothing was learned."""
-        if self.chains is None and self.curves == (None, None):
+        if not self.tells:
             return None
         shown = [
             np.zeros(len(share)) if curve is None else curve.terms(side.measured.values[:, 0], share)

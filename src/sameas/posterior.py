@@ -37,7 +37,7 @@ _NONE = np.empty(0, np.int64)
 
 #: Groups of no more records than this on one side are summed with every pair; from larger ones pairs are left out
 #: whose probability is proved to be below the other number, where the prior allows the proof.
-SMALL, IMPROBABLE = 16, 1e-7
+SMALL, IMPROBABLE = 8, 1e-6
 EVERY = 2**62
 #: Pairs that are proved to be less probable than this do not count where sums over many pairs are wanted.
 UNIMPORTANT = 1e-6
@@ -109,9 +109,9 @@ def _without_improbable(
 ) -> NDArray[np.int64]:
     """Fill ``share`` of what falls apart without the pairs that are proved improbable; the pairs that still do not."""
     wanted = method == APPROXIMATE
-    bound = _log_bounds(groups, best, wanted)
-    improbable = bound[pairs] < math.log(IMPROBABLE)
-    share[pairs[improbable]] = np.exp(bound[pairs[improbable]])
+    bound = _bounds(groups, best, wanted)
+    improbable = bound[pairs] < IMPROBABLE
+    share[pairs[improbable]] = bound[pairs[improbable]]
     kept = pairs[~improbable]
     part, solved = _Thinned.of(groups, best, kept, best.weight[kept]).exact()
     share[kept[solved]] = part[solved]
@@ -121,14 +121,14 @@ def _without_improbable(
     return kept[~solved]
 
 
-def _log_bounds(groups: Groups, best: Hypothesis, wanted: NDArray[np.bool_]) -> FloatArray:
-    """(m,) upper bounds of ln P of the pairs of the wanted groups (g,), under a linear prior; 0 of the others."""
-    from sameas.kernels.bounds import log_bounds
+def _bounds(groups: Groups, best: Hypothesis, wanted: NDArray[np.bool_]) -> FloatArray:
+    """(m,) upper bounds of P of the pairs of the wanted groups (g,), under a linear prior; 1 of the others."""
+    from sameas.kernels.bounds import bounds
 
-    bound = np.zeros(len(best.weight))
-    shape = (groups.start, groups.start_1, groups.start_2, groups.local_1, groups.local_2)
+    bound = np.ones(len(best.weight))
+    shape = (groups.start, groups.start_1, groups.start_2, groups.edges_1, groups.local_1, groups.local_2)
     state = (best.weight, best.chosen, wanted, bound)
-    threads.over(lambda a, b: log_bounds(a, b, *shape, *state), groups.bounds(len(threads.even(len(bound))) - 1))
+    threads.over(lambda a, b: bounds(a, b, *shape, *state), groups.bounds(len(threads.even(len(bound))) - 1))
     return bound
 
 
@@ -149,7 +149,7 @@ def by_messages(groups: Groups, best: Hypothesis) -> Posterior:
     if best.prior.slope is None:
         change = _Messages.of(groups, best, method, share, ROUGHLY).change
     else:
-        kept = np.flatnonzero(_log_bounds(groups, best, method == APPROXIMATE) > math.log(UNIMPORTANT))
+        kept = np.flatnonzero(_bounds(groups, best, method == APPROXIMATE) > UNIMPORTANT)
         thin = _Thinned.of(groups, best, kept, best.weight[kept])
         share[kept], change = thin.by_messages()
     p_pair = np.empty(len(share))

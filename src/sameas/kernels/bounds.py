@@ -1,4 +1,17 @@
-"""Compiled upper bounds of the probability of pairs, from what their records can do without each other."""
+"""Compiled upper bounds of the probability of pairs, from what their records can do without each other.
+
+Let i have the partner j′ in the best hypothesis and j the partner i′. With Z the sum over all hypotheses,
+
+    P(ij) = λ_ij Z(without i, j) / Z,   Z ≥ λ_ij′ λ_i′j Z₄,   Z₄ = Z(without i, j, i′, j′),
+
+and in Z(without i, j) the two that were left alone stay alone, have each other, or take others k and c:
+
+    Z(without i, j) ≤ Z₄ [1 + λ_i′j′ + A + B + min(A B¹, A¹ B)],   A = Σ_k λ_kj′ f_k,   B = Σ_c λ_i′c f_c,
+
+A¹ and B¹ with f = 1. f_k bounds the probability that k is free for it, in any problem that holds k and its partner
+k′: f_k = min(1, (1 + Σ_l λ_lk′ f_l) / λ_kk′), where f_l may be any bound found before. A factor is 1 where a record is
+alone in the best hypothesis.
+"""
 
 from __future__ import annotations
 
@@ -6,47 +19,87 @@ import math
 
 import numpy as np
 
-from sameas.kernels.compiled import kernel
+from sameas.kernels.compiled import kernel, part
+
+#: Times that what is found of the others is put in; every time is a bound.
+SWEEPS = 4
+#: Logarithms of odds are not taken to be more than this; and no record is less probably free than exp of minus this.
+HIGHEST = 300.0
 
 
 @kernel
-def log_bounds(first, last, start, start1, start2, local1, local2, weight, chosen, wanted, bound):
-    """Fill ``bound`` (m,) with upper bounds of ln P of the pairs of those groups first … last − 1 that are ``wanted``.
+def bounds(first, last, start, start1, start2, edges1, local1, local2, weight, chosen, wanted, bound):
+    """Fill ``bound`` (m,) with upper bounds of P of the pairs of those groups first … last − 1 that are ``wanted``.
 
-    Let Z be the sum over all hypotheses and Z₋ the same without the records i and j of pair e: those with e make
-    exp(wₑ) Z₋. In the best hypothesis i has the partner j′, j the partner i′. Hypotheses with both pairs make
-    exp(w_ij′ + w_i′j) Z₌ with Z₌ free of all four records, and Z₋ ≤ (1 + Σ_k exp w_kj′)(1 + Σ_k exp w_i′k) Z₌, the
-    sums over their other pairs. So P(e) ≤ exp(wₑ − w_ij′ − w_i′j)(1 + Σ …)(1 + Σ …); a factor is 1 where a record is
-    alone in the best hypothesis. weight (m,) includes the prior, which is linear.
+    weight : (m,) ln λ, with the prior, which is linear.
     """
     for g in range(first, last):
         if not wanted[g]:
             continue
-        n1 = start1[g + 1] - start1[g]
-        n2 = start2[g + 1] - start2[g]
-        mate1 = np.full(n1, -1, np.int64)
-        mate2 = np.full(n2, -1, np.int64)
-        top1, top2 = np.zeros(n1), np.zeros(n2)
-        sum1, sum2 = np.zeros(n1), np.zeros(n2)
-        for e in range(start[g], start[g + 1]):
+        low, high = start[g], start[g + 1]
+        n1, n2 = start1[g + 1] - start1[g], start2[g + 1] - start2[g]
+        mate1, mate2 = np.full(n1, -1, np.int64), np.full(n2, -1, np.int64)
+        for e in range(low, high):
             if chosen[e]:
                 mate1[local1[e]] = e
                 mate2[local2[e]] = e
+        others1, others2 = np.empty(n1), np.empty(n2)
+        free1, free2 = np.ones(n1), np.ones(n2)
+        over(low, high, local1, local2, weight, chosen, mate1, mate2, free1, free2, others1, others2)
+        any1, any2 = others1.copy(), others2.copy()
+        for _ in range(SWEEPS):
+            freed(mate1, local2, weight, others2, free1)
+            freed(mate2, local1, weight, others1, free2)
+            over(low, high, local1, local2, weight, chosen, mate1, mate2, free1, free2, others1, others2)
+        for e in range(low, high):
+            a, b = mate1[local1[e]], mate2[local2[e]]
+            if chosen[e] or weight[e] > HIGHEST:
+                bound[e] = 1.0
+            elif a >= 0 and b >= 0:
+                i, j = local1[b], local2[a]
+                swapped = 0.0
+                for s in range(edges1[start1[g] + i], edges1[start1[g] + i + 1]):
+                    if local2[s] == j:
+                        swapped = math.exp(weight[e] + weight[s] - weight[a] - weight[b])
+                x, y = others2[j], others1[i]
+                total = swapped + math.exp(weight[e] - weight[a] - weight[b])
+                total += x * limited(weight[e] - weight[b]) + y * limited(weight[e] - weight[a])
+                total += min(x * any1[i], any2[j] * y) * math.exp(weight[e])
+                bound[e] = min(total, 1.0)
+            elif a >= 0:
+                x = math.exp(weight[e] - weight[a]) + others2[local2[a]] * limited(weight[e])
+                bound[e] = min(x, 1.0)
+            elif b >= 0:
+                x = math.exp(weight[e] - weight[b]) + others1[local1[b]] * limited(weight[e])
+                bound[e] = min(x, 1.0)
             else:
-                top1[local1[e]] = max(top1[local1[e]], weight[e])
-                top2[local2[e]] = max(top2[local2[e]], weight[e])
-        for e in range(start[g], start[g + 1]):
-            if not chosen[e]:
-                sum1[local1[e]] += math.exp(weight[e] - top1[local1[e]])
-                sum2[local2[e]] += math.exp(weight[e] - top2[local2[e]])
-        for e in range(start[g], start[g + 1]):
-            total = weight[e]
-            a = mate1[local1[e]]
+                bound[e] = math.exp(min(weight[e], 0.0))
+
+
+@part
+def limited(log_odds):
+    """exp of log odds that are not higher than ``HIGHEST``."""
+    return math.exp(min(log_odds, HIGHEST))
+
+
+@part
+def over(low, high, local1, local2, weight, chosen, mate1, mate2, free1, free2, others1, others2):
+    """Fill Σ λ f over the pairs of each record that are not chosen, in units of the odds of the chosen one."""
+    others1[:] = 0.0
+    others2[:] = 0.0
+    for e in range(low, high):
+        if not chosen[e]:
+            a, b = mate1[local1[e]], mate2[local2[e]]
             if a >= 0:
-                c = local2[a]
-                total += top2[c] + math.log(sum2[c] + math.exp(-top2[c])) - weight[a]
-            b = mate2[local2[e]]
+                others1[local1[e]] += limited(weight[e] - weight[a]) * free2[local2[e]]
             if b >= 0:
-                r = local1[b]
-                total += top1[r] + math.log(sum1[r] + math.exp(-top1[r])) - weight[b]
-            bound[e] = 0.0 if chosen[e] else min(total, 0.0)
+                others2[local2[e]] += limited(weight[e] - weight[b]) * free1[local1[e]]
+
+
+@part
+def freed(mate, local, weight, others, free):
+    """Fill ``free`` (n,) with bounds of the probability of having no partner."""
+    for r in range(len(mate)):
+        e = mate[r]
+        if e >= 0:
+            free[r] = min(1.0, max(math.exp(-weight[e]) + others[local[e]], math.exp(-HIGHEST)))

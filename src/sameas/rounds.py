@@ -1,0 +1,214 @@
+"""Rounds: identification and maximum likelihood in turn, over one list of candidates, until the estimates settle.
+
+In every round each pair has its probability by the estimates of the round before, and what is estimated is learned from
+the pairs with these weights (METHOD 6): the shares in common, the spread of the errors, how magnitudes are related.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas import threads
+from sameas.assignment import assign
+from sameas.coverage import local_share
+from sameas.error_scales import fit_errors
+from sameas.errors import InputError
+from sameas.evidence import Brightness, Errors, PoissonField, Rule
+from sameas.groups import groups
+from sameas.photometry import Lesson, Photometry
+from sameas.posterior import by_messages
+from sameas.prior import PerPair
+from sameas.records import FloatArray
+from sameas.sample import Setting
+
+#: Errors this many times too small are always thought of.
+THINKABLE = 3.4
+#: Least share of records that only one source shows.
+LEAST_SHARE = 1e-6
+#: Chance candidates within √2 of its scale that a component of the errors may hold, times two.
+FILLED = 0.15
+#: Fewer expected pairs than this say too little of the errors; the quoted ones are then believed.
+FEWEST = 50.0
+#: Rounds by positions alone before magnitudes are learned from, and rounds with them at least.
+POSITIONS_FIRST, WITH_BRIGHTNESS = 2, 3
+#: The number of common objects has settled when it changes by no more than this share of it, and this number.
+SETTLED, SETTLED_NUMBER = 3e-4, 0.01
+
+Both = tuple[FloatArray, FloatArray]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known between two rounds.
+
+    Attributes
+    ----------
+    setting : candidates and records, which stay the same.
+    partner : (n₁,), (n₂,) probability of having a partner; ``counted`` for which records it is known.
+    local : local share of the records of source 1, and of source 2, that have a partner, each at the records of both.
+    errors : the spread of the residuals; learned from the pairs where ``learns_errors``.
+    photometry : how the magnitudes are related, None where they are not asked for. lessons : how often it was learned.
+    density : (ρ₁, ρ₂) of all records of each source where the user gave them, else None.
+    """
+
+    setting: Setting
+    partner: Both
+    counted: tuple[BoolArray, BoolArray]
+    local: tuple[Both, Both]
+    errors: Errors
+    learns_errors: bool
+    photometry: Photometry | None
+    density: tuple[float, float] | None = None
+    lessons: int = 0
+
+    @classmethod
+    def nothing(
+        cls,
+        setting: Setting,
+        errors: Errors | None,
+        photometry: Photometry | None,
+        density: tuple[float, float] | None,
+    ) -> Known:
+        """Before the first round: half of the poorer source is taken to be common."""
+        n1, n2 = (len(rows) for rows in setting.rows)
+        guess = 0.5 * min(n1, n2)
+        partner = np.full(n1, guess / n1), np.full(n2, guess / n2)
+        local = _local(setting, partner, setting.counted)
+        return cls(setting, partner, setting.counted, local, errors or Errors(), errors is None, photometry, density)
+
+    def at(self, setting: Setting, photometry: Photometry | None) -> Known:
+        """The same where other candidates and records take part, with the magnitudes of these."""
+        partner, counted = [], []
+        for old, new, p, known in zip(self.setting.rows, setting.rows, self.partner, self.counted, strict=True):
+            whole = np.full(max(old[-1], new[-1]) + 1, np.nan)
+            whole[old[known]] = p[known]
+            partner.append(np.nan_to_num(whole[new]))
+            counted.append(np.isfinite(whole[new]))
+        if photometry is not None and self.photometry is not None:
+            photometry = replace(photometry, chains=self.photometry.chains, curves=self.photometry.curves)
+        known_there = replace(self, setting=setting, photometry=photometry)
+        return known_there._with_partners((partner[0], partner[1]), (counted[0], counted[1]))
+
+    def _with_partners(self, partner: Both, counted: tuple[BoolArray, BoolArray]) -> Known:
+        return replace(self, partner=partner, counted=counted, local=_local(self.setting, partner, counted))
+
+    @property
+    def means(self) -> tuple[float, float]:
+        """Mean share of either source's records that have a partner."""
+        one, two = (float(p[known].mean()) for p, known in zip(self.partner, self.counted, strict=True))
+        return one, two
+
+    def shares(self) -> Both:
+        """Share of the records of either source that have a partner, at the positions of its own."""
+        if self.density is not None:
+            one, two = self.means
+            return np.full(len(self.partner[0]), one), np.full(len(self.partner[1]), two)
+        (at_1, _), (_, at_2) = self.local
+        return at_1, at_2
+
+    def brightness(self) -> Brightness | None:
+        """What magnitudes say; None as long as nothing is known of that."""
+        return None if self.photometry is None else self.photometry.rule(self.shares())
+
+    def rule(self) -> Rule:
+        """The rule with all that is known."""
+        positions, brightness = self._positions(), self.brightness()
+        return positions if brightness is None else positions + brightness
+
+    def _positions(self) -> PoissonField:
+        if self.density is not None:
+            (mean_1, mean_2), (all_1, all_2) = self.means, self.density
+            alone_1, alone_2 = max(1.0 - mean_1, LEAST_SHARE), max(1.0 - mean_2, LEAST_SHARE)
+            both = math.sqrt(all_1 * mean_1 * all_2 * mean_2)
+            return PoissonField(both, all_1 * alone_1, all_2 * alone_2, self.errors)
+        of_1, of_2 = self.setting.densities
+        share_1, share_2 = self.local
+        # Both sources count the same common objects: the mean of the logarithms favours neither.
+        common = tuple(np.sqrt(of_1[k] * share_1[k] * of_2[k] * share_2[k]) for k in range(2))
+        only_1 = of_1[0] * np.maximum(1.0 - share_1[0], LEAST_SHARE)
+        only_2 = of_2[1] * np.maximum(1.0 - share_2[1], LEAST_SHARE)
+        return PoissonField(common, only_1, only_2, self.errors)  # type: ignore[arg-type]
+
+    def expected(self) -> float:
+        """Number of common objects that the shares let expect."""
+        return min(float((share * seen).sum()) for share, seen in zip(self.shares(), self.setting.seen, strict=True))
+
+    def learned(self, p_pair: FloatArray, *, brightness: bool) -> Known:
+        """What the probabilities of a round (m,) say of shares and errors, and of magnitudes where these are asked."""
+        pairs = self.setting.pairs
+        partner = (
+            np.minimum(np.bincount(pairs.i, p_pair, len(self.partner[0])), 1.0),
+            np.minimum(np.bincount(pairs.j, p_pair, len(self.partner[1])), 1.0),
+        )
+        known = self._with_partners(partner, self.setting.counted)
+        told = self.setting.told(p_pair)
+        if told.sum() < FEWEST:
+            return known
+        if self.learns_errors:
+            # A component so wide that chance fills it cannot be told from chance.
+            radius = math.sqrt(float(pairs.mahalanobis_sq.max(initial=1.0)))
+            widest = radius * (FILLED / max(self.setting.by_chance(told), 1e-12)) ** (1.0 / pairs.d)
+            errors = fit_errors(pairs.mahalanobis_sq, told, pairs.d, self.errors, widest=max(widest, THINKABLE))
+            known = replace(known, errors=errors)
+        return known.with_lesson(told) if brightness and self.photometry is not None else known
+
+    def with_lesson(self, told: FloatArray, *, last: bool = False) -> Known:
+        """The magnitudes learned from, with pairs of these probabilities (m,)."""
+        assert self.photometry is not None
+        seen = self.setting.seen
+        covered = seen[0] & self.counted[0], seen[1] & self.counted[1]
+        lesson: Lesson = (self.setting.pairs, told, self.partner, self.shares(), covered)
+        return replace(self, photometry=self.photometry.learned(*lesson, last=last), lessons=self.lessons + 1)
+
+
+def _local(setting: Setting, partner: Both, counted: tuple[BoolArray, BoolArray]) -> tuple[Both, Both]:
+    """Local shares, of the records that tell of them."""
+    weights = [(seen & known).astype(np.float64) for seen, known in zip(setting.seen, counted, strict=True)]
+    works = [partial(local_share, setting.levels, k + 1, partner[k] * weights[k], weights[k]) for k in (0, 1)]
+    one, two = threads.each(works, len(weights[0]))
+    return one, two
+
+
+def settled(
+    known: Known, rounds: int, progress: Callable[[str], None]
+) -> tuple[Known, FloatArray, int, bool]:
+    """Rounds over one list of candidates: what is known then, the probabilities (m,) of the pairs that count, how many
+    rounds it took, and whether the estimates settled.
+
+    Within the rounds only sums over many pairs are needed; messages are near enough for those.
+    """
+    setting = known.setting
+    grouped = groups(setting.pairs)
+    linear = PerPair()(grouped.sizes_1, grouped.sizes_2)
+    if known.photometry is not None:
+        known = replace(known, photometry=known.photometry.facing(setting.pairs))
+    before, done, number = -1.0, False, 0
+    told = np.empty(0)
+    while not done and number < max(rounds, 1):
+        number += 1
+        progress(f"estimation, round {number}")
+        best = assign(grouped, known.rule()(setting.pairs).log_ratio, linear)
+        p_pair = by_messages(grouped, best).p_pair
+        told = setting.told(p_pair)
+        common = float(told.sum())
+        if not math.isfinite(common):
+            raise InputError(
+                f"{setting.pairs.first.source} and {setting.pairs.second.source}: probabilities are beyond computing, "
+                "the errors are far larger than the spacing of the records; are the errors in the unit that was "
+                "understood?"
+            )
+        done = abs(common - before) <= SETTLED * common + SETTLED_NUMBER
+        # The magnitudes must have had their say.
+        done &= known.photometry is None or common < FEWEST or known.lessons >= WITH_BRIGHTNESS
+        before = common
+        known = known.learned(p_pair, brightness=number >= POSITIONS_FIRST)
+    if known.lessons:
+        known = known.with_lesson(told, last=True)
+    return known, told, number, done
