@@ -101,21 +101,19 @@ class Coverage:
     @cached_property
     def covered(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Whether source 2 looks where each record of source 1 lies, (n₁,), and the reverse, (n₂,)."""
-        return self._seen(1, 2), self._seen(2, 1)
+        one, two = threads.each([partial(self._seen, 1, 2), partial(self._seen, 2, 1)], len(self.first))
+        return one, two
 
     def _seen(self, query: int, source: int) -> NDArray[np.bool_]:
+        from sameas.kernels.density import look
+
         n = len(self.first if query == 1 else self.second)
         density = np.full(n, len(self.first if source == 1 else self.second) / self.volume)
-        highest = np.zeros(n)
-        seen = np.ones(n, np.bool_)
+        seen, highest = np.ones(n, np.bool_), np.zeros(n)
         for level in self.levels:
-            cells = level.of_first if source == 1 else level.of_second
+            cells, at = (level.of_first if k == 1 else level.of_second for k in (source, query))
             count = np.bincount(cells, minlength=len(level.volume)).astype(np.float64)
-            at = level.of_first if query == 1 else level.of_second
-            # Just outside a border the coarser cells are empty for the most part: their own density says too little.
-            seen &= (count[at] > 0) | (np.maximum(density, 0.5 * highest) * level.volume[at] < HOLE)
-            highest = np.maximum(highest, density)
-            density = (count[at] + PSEUDO_COUNT) / (level.volume[at] + PSEUDO_COUNT / density)
+            look(count, level.volume, at, PSEUDO_COUNT, HOLE, seen, density, highest)
         return seen
 
     def common_volume(self) -> float:
@@ -154,22 +152,26 @@ def local_share(
 
 
 def _level(cut: _SphereCells | _BoxCells, first: Records, second: Records, size: float) -> Level:
-    cell, volume = cut.cells(np.concatenate([first.features, second.features]), size)
-    known, index = _renumbered(cell)
-    # Half as wide, they are half as much to fetch, level after level and round after round.
-    narrow, n1 = index.astype(np.int32), len(first)
-    return Level(narrow[:n1], narrow[n1:], volume(known))
+    works = [partial(cut.cells, records.features, size) for records in (first, second)]
+    (one, volume), (two, _) = threads.each(works, len(first) + len(second))
+    known, of_first, of_second = _renumbered(one, two)
+    return Level(of_first, of_second, volume(known))
 
 
-def _renumbered(cell: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """(numbers of the cells that occur, rising; position of each record's cell among them)."""
-    most = int(cell.max()) + 1
+def _renumbered(one: IntArray, two: IntArray) -> tuple[IntArray, NDArray[np.int32], NDArray[np.int32]]:
+    """(numbers of the cells that occur, rising; positions of either source's cells among them).
+
+    Positions are half as wide as need be, and so half as much to fetch, level after level and round after round.
+    """
+    least, most = min(int(one.min()), int(two.min())), max(int(one.max()), int(two.max())) + 1
     # Numbers of cells smaller than a double can tell apart overflow, and are then no more than names.
-    if most > 4 * len(cell) + 1024 or cell.min() < 0:
-        return np.unique(cell, return_inverse=True)
+    if most > 4 * (len(one) + len(two)) + 1024 or least < 0:
+        known, index = np.unique(np.concatenate([one, two]), return_inverse=True)
+        return known, index[: len(one)].astype(np.int32), index[len(one) :].astype(np.int32)
     held = np.zeros(most, np.bool_)
-    held[cell] = True
-    return np.flatnonzero(held), (np.cumsum(held) - 1)[cell]
+    held[one] = held[two] = True
+    number = np.cumsum(held, dtype=np.int32) - np.int32(1)
+    return np.flatnonzero(held), number[one], number[two]
 
 
 @dataclass(frozen=True)
@@ -202,15 +204,16 @@ class _SphereCells:
         return math.radians(self.arc) * sines * ARCSEC_PER_RADIAN**2
 
     def cells(self, features: FloatArray, size: float) -> Cut:
+        from sameas.kernels.density import sphere_cells
+
         rings = max(1, math.ceil((self.high - self.low) * 3600.0 / math.sqrt(size)))
         height = (self.high - self.low) / rings
         edges = np.radians(self.low + height * np.arange(rings + 1))
         areas = math.radians(self.arc) * np.diff(np.sin(edges)) * ARCSEC_PER_RADIAN**2
         per_ring = np.maximum(1, np.round(areas / size)).astype(np.int64)
         begin = np.concatenate([[0], np.cumsum(per_ring)])
-        ring = np.clip(((features[:, 1] - self.low) / height).astype(np.int64), 0, rings - 1)
-        along = np.mod(features[:, 0] - self.west, 360.0) / self.arc
-        cell = begin[ring] + np.minimum((along * per_ring[ring]).astype(np.int64), per_ring[ring] - 1)
+        cell = np.empty(len(features), np.int64)
+        sphere_cells(features, self.low, height, self.west, self.arc, begin, per_ring, cell)
 
         def volume(known: NDArray[np.int64]) -> FloatArray:
             of = np.searchsorted(begin, known, side="right") - 1

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sameas.quantity import Quantity
-from sameas.records import FloatArray
+from sameas.records import FloatArray, unpack
 from sameas.result import Identification
 
 #: Pairs learned from: at least, in expectation, and at most.
@@ -58,18 +58,12 @@ def error_model(answer: Identification) -> ErrorModel:
         return ErrorModel(
             None, None, None, f"fewer than {FEWEST:.0f} pairs: too few to judge the sources' errors apart"
         )
-    parts = np.stack([
-        pairs.first.full_covariance()[pairs.i[told]],
-        pairs.second.full_covariance()[pairs.j[told]],
-        np.broadcast_to(_unit(answer) * np.eye(pairs.d), (len(told), pairs.d, pairs.d)),
-    ])  # fmt: skip
-    theta, inverse = _fit(pairs.residual[told], parts, weight)
-    return _told(theta, inverse, _unit(answer))
-
-
-def _unit(answer: Identification) -> float:
-    """A typical variance of the pairs: the floor is counted in it."""
-    return float(np.median(np.einsum("mvv->m", answer.pairs.covariance)) / answer.pairs.d)
+    one = unpack(pairs.first.covariance[pairs.i[told]], pairs.d)
+    two = unpack(pairs.second.covariance[pairs.j[told]], pairs.d)
+    # The floor is counted in a typical variance of the pairs.
+    unit = float(np.median(np.einsum("mvv->m", one + two)) / pairs.d)
+    parts = np.stack([one, two, np.broadcast_to(unit * np.eye(pairs.d), one.shape)])
+    return _told(*_fit(pairs.residual[told], parts, weight), unit)
 
 
 def _fit(residual: FloatArray, parts: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray | None]:
@@ -77,12 +71,12 @@ def _fit(residual: FloatArray, parts: FloatArray, weight: FloatArray) -> tuple[F
 
     residual (m, d), parts (3, m, d, d).
     """
-    from scipy.stats import chi2
+    from scipy.special import gammainc, gammaincinv
 
     d = residual.shape[1]
-    limit = float(chi2.ppf(CORE, d))
+    limit = 2.0 * float(gammaincinv(0.5 * d, CORE))
     # What the mean square of a normal loses where its tail is cut off.
-    kept = float(chi2.cdf(limit, d + 2)) / CORE
+    kept = float(gammainc(0.5 * d + 1.0, 0.5 * limit)) / CORE
     theta, damping = np.array([1.0, 1.0, 0.05]), 0.5
     for _ in range(STEPS):
         inverse = np.linalg.inv(np.einsum("k,kmvw->mvw", theta, parts))

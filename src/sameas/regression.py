@@ -30,6 +30,8 @@ BEND, STEEP = 0.3, 1.0
 PSEUDO_PAIRS = 20.0
 LEAST_SCATTER = 0.003
 FIRST_STEPS, STEPS, LAST_STEPS = 8, 2, 20
+#: Values that are sorted whole for their median, and steps that more are counted in.
+SORTED, STEPPED = 10_000, 4_096
 
 
 def density_of(magnitude: FloatArray) -> MagnitudeDensity:
@@ -168,6 +170,15 @@ def _scatter(
 
 def weighted_median(values: FloatArray, weights: FloatArray) -> float:
     """The value that half of the weight lies below."""
+    half = 0.5 * float(weights.sum())
+    if len(values) > SORTED:
+        # A long list is not sorted whole: only the step of the values in which the half is reached.
+        low, high = float(values.min()), float(values.max())
+        step = ((values - low) * ((STEPPED - 1) / max(high - low, 1e-300))).astype(np.int64)
+        below = np.cumsum(np.bincount(step, weights, STEPPED))
+        at = int(np.searchsorted(below, half))
+        half -= float(below[at - 1]) if at else 0.0
+        values, weights = values[step == at], weights[step == at]
     order = np.argsort(values, kind="stable")
     cumulated = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(cumulated, 0.5 * cumulated[-1])])
+    return float(values[order][min(int(np.searchsorted(cumulated, half)), len(values) - 1)])

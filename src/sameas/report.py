@@ -193,8 +193,9 @@ def _claims(claimant: NDArray[np.int32], claimed: NDArray[np.int32], result: Ide
     best = np.full(int(claimant.max()) + 1, -np.inf)
     np.maximum.at(best, claimant, result.log_odds)
     foremost = np.flatnonzero(result.log_odds == best[claimant])
-    _, first = np.unique(claimant[foremost], return_index=True)
-    return int(np.count_nonzero(np.bincount(claimed[foremost[first]]) > 1))
+    first = np.full(len(best), -1)
+    first[claimant[foremost[::-1]]] = foremost[::-1]  # of several as likely, the one that is listed first
+    return int(np.count_nonzero(np.bincount(claimed[first[first >= 0]]) > 1))
 
 
 def _pairs(match: SkyMatch) -> list[str]:
@@ -246,7 +247,7 @@ def _residuals(match: SkyMatch) -> list[str]:
 def _still_distance(match: SkyMatch, offset: FloatArray) -> FloatArray:
     """(k,) distance of the identified pairs where they were observed, over the errors quoted there."""
     i, j = match.result.matches.rows_1, match.result.matches.rows_2
-    covariance = 1e-6 * (match.first.astrometry.covariance[i, :2, :2] + match.second.astrometry.covariance[j, :2, :2])
+    covariance = 1e-6 * (match.first.astrometry[i].position_covariance + match.second.astrometry[j].position_covariance)
     xx, yy, xy = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]
     x, y = offset.T
     return np.sqrt((yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy))

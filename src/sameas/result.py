@@ -200,6 +200,11 @@ class Identification:
             raise InputError(f"source is {source}; give 1 or 2")
         return explain(self, record, source)
 
+    @cached_property
+    def _group_of(self) -> NDArray[np.int32]:
+        """(m,) group of each candidate, in the order of the gate."""
+        return self.groups.of_pairs()
+
     def _answers(self, records: Records, position: NDArray[np.int32], other_rows: IntArray) -> Answers:
         from sameas.kernels.summary import per_record
 
@@ -207,7 +212,7 @@ class Identification:
         partner, second, count, total = per_record(position, n, self.chosen, self.p_pair)
         p = np.append(self.p_pair, np.nan)
         other = np.append(other_rows, 0)
-        group_of = np.append(self.groups.of_pairs(), 0)
+        group_of = np.append(self._group_of, 0)
         some_pair = np.maximum(partner, second)
         group = group_of[some_pair]
         size = np.append(self.groups.sizes_1 + self.groups.sizes_2, 0)
@@ -236,6 +241,8 @@ class _Table:
         self.usable[records.rows] = True
 
     def __call__(self, values: NDArray[Any], absent: NDArray[np.bool_]) -> np.ma.MaskedArray:
+        if len(self.rows) == len(self.usable):
+            return np.ma.MaskedArray(np.where(absent, np.zeros((), values.dtype), values), absent)
         column = np.zeros(len(self.usable), values.dtype)
         mask = np.ones(len(self.usable), np.bool_)
         column[self.rows] = np.where(absent, np.zeros((), values.dtype), values)

@@ -275,7 +275,7 @@ def turned_sky(stars, turn):
     change = np.einsum("nkx,nxy,nly->nkl", triad(result)[:, :2], turn, axes[:, :2])
     jacobian = np.repeat(np.eye(6)[None], len(stars), 0)
     jacobian[:, :2, :2] = jacobian[:, 3:5, 3:5] = change
-    return dataclasses.replace(result, covariance=jacobian @ stars.covariance @ jacobian.swapaxes(1, 2))
+    return dataclasses.replace(result, packed=jacobian @ stars.covariance @ jacobian.swapaxes(1, 2))
 
 
 def as_vectors(stars):

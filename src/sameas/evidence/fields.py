@@ -57,16 +57,17 @@ class PoissonField(Rule):
 
     def __call__(self, pairs: Pairs) -> Evidence:
         n1, n2 = len(pairs.first), len(pairs.second)
+        # What a record brings along is taken to its logarithm once, however many pairs it has.
+        log_1 = -_log(self.only_1, n1, "PoissonField: only_1")
+        log_2 = -_log(self.only_2, n2, "PoissonField: only_2")
         if isinstance(self.common, tuple):
-            at_1 = _at(self.common[0], n1, pairs.i, "PoissonField: common[0]")
-            at_2 = _at(self.common[1], n2, pairs.j, "PoissonField: common[1]")
-            common = 0.5 * (np.log(at_1) + np.log(at_2))
+            log_1 = log_1 + 0.5 * _log(self.common[0], n1, "PoissonField: common[0]")
+            log_2 = log_2 + 0.5 * _log(self.common[1], n2, "PoissonField: common[1]")
         else:
-            common = np.log(_at(self.common, n1, pairs.i, "PoissonField: common"))
-        unrelated = np.log(_at(self.only_1, n1, pairs.i, "PoissonField: only_1"))
-        unrelated = unrelated + np.log(_at(self.only_2, n2, pairs.j, "PoissonField: only_2"))
+            log_1 = log_1 + _log(self.common, n1, "PoissonField: common")
+        densities = (log_1 if log_1.ndim == 0 else log_1[pairs.i]) + (log_2 if log_2.ndim == 0 else log_2[pairs.j])
         position = self.errors.log_density(pairs)
-        return Evidence({"position": position, "densities": np.broadcast_to(common - unrelated, len(pairs))})
+        return Evidence({"position": position, "densities": np.broadcast_to(densities, len(pairs))})
 
 
 @dataclass(frozen=True)
@@ -114,13 +115,22 @@ class DetectionField(Rule):
 
 def _at(value: ArrayLike, n: int, rows: np.ndarray, name: str) -> FloatArray:
     """A number, or the values (n,) at the pairs' records; positive and finite."""
+    values = _positive(value, n, name)
+    return values if values.ndim == 0 else values[rows]
+
+
+def _log(value: ArrayLike, n: int, name: str) -> FloatArray:
+    """ln of a number, or of values (n,)."""
+    return np.log(_positive(value, n, name))
+
+
+def _positive(value: ArrayLike, n: int, name: str) -> FloatArray:
+    """A number or values (n,), refused where they are not positive and finite."""
     if isinstance(value, float) and 0.0 < value < math.inf:
         return np.float64(value)  # type: ignore[return-value]
     values = np.asarray(value, dtype=np.float64)
     if not np.all((values > 0) & (values < np.inf)):
         raise InputError(f"{name} is zero, negative or not finite; give positive numbers in the unit of the residual")
-    if values.ndim == 0:
-        return values
-    if values.shape != (n,):
+    if values.ndim and values.shape != (n,):
         raise InputError(f"{name} has shape {values.shape}; give a number or ({n},), one for each usable record")
-    return values[rows]
+    return values

@@ -12,6 +12,8 @@ from sameas.gate import Pairs
 from sameas.records import FloatArray
 
 LOG_2PI = math.log(2.0 * math.pi)
+#: Pairs worked on at a time.
+STRETCH = 16_384
 
 
 @dataclass(frozen=True)
@@ -54,13 +56,17 @@ class Errors:
 
     def log_profile(self, mahalanobis_sq: FloatArray, d: int) -> FloatArray:
         """(m,) ln Σ_k share_k scale_k^(−d) exp(−m²/(2 scale_k²)): what replaces exp(−m²/2) of one normal."""
-        total = np.full(len(mahalanobis_sq), -np.inf)
-        for scale, share in zip(self.scales, self.shares, strict=True):
-            if share > 0.0:
-                part = mahalanobis_sq * (-0.5 / scale**2)
-                part += math.log(share) - d * math.log(scale)
-                np.logaddexp(total, part, out=total)
-        return total
+        known = [(scale, share) for scale, share in zip(self.scales, self.shares, strict=True) if share > 0.0]
+        widest = max(scale for scale, _ in known)
+        profile = np.empty(len(mahalanobis_sq))
+        # Beside the widest normal none is too great or too small for a double; a stretch at a time stays in the cache.
+        for begin in range(0, len(profile), STRETCH):
+            half = -0.5 * mahalanobis_sq[begin : begin + STRETCH]
+            total = np.zeros(len(half))
+            for scale, share in known:
+                total += share * scale**-d * np.exp(half * (scale**-2 - widest**-2))
+            profile[begin : begin + STRETCH] = np.log(total) + half * widest**-2
+        return profile
 
 
 #: The quoted errors as they are.

@@ -126,27 +126,39 @@ class Catalogue:
         InputError : an epoch is asked for, but the catalogue's own is not known.
         """
         a = self.astrometry
-        ra, dec, covariance = a.ra_deg, a.dec_deg, 1e-6 * a.covariance[:, :2, :2]
-        if epoch_jyr is not None:
-            if self.epoch_jyr is None:
-                raise InputError(
-                    f"{self.name}: its epoch is not known, so it cannot be moved to {epoch_jyr:g}; say --epoch YEAR"
-                )
-            known = np.isfinite(a.epoch_jyr)
-            still = a if known.all() else replace(a, epoch_jyr=np.where(known, a.epoch_jyr, epoch_jyr))
-            ra, dec, covariance = position_at(still, epoch_jyr)
-            ra = np.where(known, ra, np.nan)
-        circles = np.array_equal(covariance[:, 0, 0], covariance[:, 1, 1]) and not covariance[:, 0, 1].any()
+        if epoch_jyr is None:
+            return self._records(a.ra_deg, a.dec_deg, _position_spread(a))
+        if self.epoch_jyr is None:
+            raise InputError(
+                f"{self.name}: its epoch is not known, so it cannot be moved to {epoch_jyr:g}; say --epoch YEAR"
+            )
+        known = np.isfinite(a.epoch_jyr)
+        still = a if known.all() else replace(a, epoch_jyr=np.where(known, a.epoch_jyr, epoch_jyr))
+        ra, dec, covariance = position_at(still, epoch_jyr)
+        return self._records(np.where(known, ra, np.nan), dec, covariance)
+
+    def _records(self, ra_deg: FloatArray, dec_deg: FloatArray, spread: FloatArray) -> Records:
+        """Records at these positions; ``spread`` (n, 2) variances or (n, 2, 2) covariances, arcsec²."""
+        if spread.ndim == 3 and not spread[:, 0, 1].any():
+            spread = np.einsum("nvv->nv", spread)
+        if spread.ndim == 2 and np.array_equal(spread[:, 0], spread[:, 1]):
+            spread = spread[:, :1]
         return Records.of(
-            np.column_stack([ra, dec]),
-            variance=covariance[:, 0, :1] if circles else None,
-            covariance=None if circles else covariance,
+            np.column_stack([ra_deg, dec_deg]),
+            variance=spread if spread.ndim == 2 else None,
+            covariance=spread if spread.ndim == 3 else None,
             ids=self.ids,
             space=Sphere(),
             source=self.name,
             table=self.table,
             invalid="set aside",
         )
+
+
+def _position_spread(astrometry: Astrometry) -> FloatArray:
+    """(n, 2) variances or (n, 2, 2) covariances of the positions, arcsec²."""
+    packed = astrometry.packed
+    return 1e-6 * (packed[:, :2] if packed.ndim == 2 else packed[:, :2, :2])
 
 
 def ellipse_covariance(
@@ -189,21 +201,30 @@ def _astrometry(table: Table, choice: ColumnChoice, options: CatalogueOptions, s
 def _errors(
     table: Table, choice: ColumnChoice, options: CatalogueOptions, source: str
 ) -> tuple[FloatArray, FloatArray | None]:
-    """(n, 6) standard deviations in mas, mas/yr and km/s, and (n, 6, 6) their correlations, or None."""
+    """(n, k) standard deviations in mas, mas/yr and km/s, and (n, 6, 6) their correlations, or None.
+
+    k is 2 where nothing is said of the errors of motions, else 6.
+    """
     east, north, rho = _position_sigmas(table, choice.error, source)
     motion = [_motion_numbers(table, c, u, source) for c, u in zip(choice.motion_errors, _MOTION_UNITS, strict=True)]
     if options.pm_sigma_mas_per_yr is not None:
         for k in (1, 2):
-            motion[k] = np.where(np.isnan(motion[k]), options.pm_sigma_mas_per_yr, motion[k])
-    sigma = np.column_stack([1e3 * east, 1e3 * north, *motion])
+            said = motion[k]
+            empty = np.full(len(table), np.nan) if said is None else said
+            motion[k] = np.where(np.isnan(empty), options.pm_sigma_mas_per_yr, empty)
+    correlated = rho is not None or bool(choice.weights) or bool(choice.correlations)
+    spoken = motion if correlated or any(column is not None for column in motion) else []
+    nothing = np.full(len(table), np.nan) if spoken else None
+    sigma = np.column_stack([1e3 * east, 1e3 * north, *(nothing if column is None else column for column in spoken)])
     wide = sigma.copy()
-    wide[:, :2] = np.hypot(sigma[:, :2], 1e3 * options.sigma_floor_arcsec)
-    wide[:, :2] = np.where(wide[:, :2] > 0, wide[:, :2], np.nan)  # no error at all says nothing
-    if not (choice.weights or choice.correlations or rho.any()):
+    if options.sigma_floor_arcsec:
+        wide[:, :2] = np.hypot(sigma[:, :2], 1e3 * options.sigma_floor_arcsec)
+    wide[:, :2][~(wide[:, :2] > 0)] = np.nan  # no error at all says nothing
+    if not correlated:
         return wide, None
     correlation = _correlations(table, choice, sigma, source)
     if not choice.weights:
-        correlation[:, 0, 1] = correlation[:, 1, 0] = rho
+        correlation[:, 0, 1] = correlation[:, 1, 0] = 0.0 if rho is None else rho
     # The floor is independent noise: it adds to the variances and leaves the covariances.
     shrink = np.ones_like(sigma)
     shrink[:, :2] = sigma[:, :2] / wide[:, :2]
@@ -228,12 +249,13 @@ def _degrees(table: Table, column: Column, source: str) -> FloatArray:
     return values * (15.0 if column.unit == "sexagesimal hours" else cells.factor(column.unit, "deg"))
 
 
-def _position_sigmas(table: Table, error: PositionError, source: str) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(n,) standard deviations east and north in arcsec, and their correlation."""
-    n = len(table)
+def _position_sigmas(
+    table: Table, error: PositionError, source: str
+) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+    """(n,) standard deviations east and north in arcsec, and their correlation, None where there is none."""
     if error.kind == "number":
-        sigma = np.full(n, error.sigma_arcsec)
-        return sigma, sigma, np.zeros(n)
+        sigma = np.full(len(table), error.sigma_arcsec)
+        return sigma, sigma, None
     columns = [
         cells.numbers(table, c.name, source) * cells.factor(c.unit, "deg" if k == 2 else "arcsec")
         for k, c in enumerate(error.columns)
@@ -241,7 +263,7 @@ def _position_sigmas(table: Table, error: PositionError, source: str) -> tuple[F
     with np.errstate(invalid="ignore"):
         columns[:2] = [np.where(sigma >= 0, sigma, np.nan) for sigma in columns[:2]]
     if error.kind == "circle":
-        return columns[0], columns[0], np.zeros(n)
+        return columns[0], columns[0], None
     if error.kind == "ellipse":
         major, minor, angle = columns
         xx, yy, xy = ellipse_covariance(major, np.where(minor > 0, minor, np.nan), np.where(major == minor, 0.0, angle))
@@ -256,12 +278,12 @@ def _position_sigmas(table: Table, error: PositionError, source: str) -> tuple[F
         covariance = cells.numbers(table, error.covariance, source) * square
         with np.errstate(divide="ignore", invalid="ignore"):
             return east, north, np.nan_to_num(covariance / (east * north), posinf=0.0, neginf=0.0)
-    return east, north, np.zeros(n)
+    return east, north, None
 
 
-def _motion_numbers(table: Table, column: Column | None, unit: str, source: str) -> FloatArray:
+def _motion_numbers(table: Table, column: Column | None, unit: str, source: str) -> FloatArray | None:
     if column is None:
-        return np.full(len(table), np.nan)
+        return None
     return cells.numbers(table, column.name, source) * cells.factor(column.unit, unit)
 
 

@@ -25,7 +25,7 @@ def doubts_of(astrometry: Astrometry, choice: ColumnChoice, options: CatalogueOp
 
 
 def _errors(astrometry: Astrometry, choice: ColumnChoice) -> str:
-    sigma = 1e-3 * np.sqrt(0.5 * (astrometry.covariance[:, 0, 0] + astrometry.covariance[:, 1, 1]))
+    sigma = 1e-3 * np.sqrt(0.5 * (astrometry.variance(0) + astrometry.variance(1)))
     known = sigma[np.isfinite(sigma) & np.isfinite(astrometry.ra_deg) & np.isfinite(astrometry.dec_deg)]
     if not len(known):
         return "no row has both a position and a positive error: nothing can be matched"

@@ -84,10 +84,11 @@ def joined(match: SkyMatch, join: str = "all1", *, nway_columns: bool = False) -
     names = _names(match.first.table, match.second.table)
     for side, (source, at) in enumerate(((match.first.table, rows.one), (match.second.table, rows.two))):
         for column, name in zip(source.columns.values(), names[side], strict=True):
-            table[name] = _taken(column, at)
+            table.add_column(_taken(column, at), name=name, copy=False)
     for name, values in _answers(match, rows, nway_columns).items():
         unique = name if name not in table.colnames else f"{name}_sameas"
-        table[unique] = MaskedColumn(values, unit=_UNITS.get(name), description=_WORDS[name])
+        told = MaskedColumn(values, unit=_UNITS.get(name), description=_WORDS[name])
+        table.add_column(told, name=unique, copy=False)
     return table
 
 
@@ -106,11 +107,11 @@ def _rows(match: SkyMatch, join: str) -> _Rows:
         "1not2": (only_1,), "2not1": (only_2,), "1xor2": (only_1, only_2),
     }[join]  # fmt: skip
     one, two, pair = (np.concatenate([getattr(part, name) for part in parts]) for name in ("one", "two", "pair"))
-    rows = _Rows(one, two, pair)
-    last = np.iinfo(np.int64).max
-    key_1, key_2 = (np.where(at >= 0, at, last) for at in (rows.one, rows.two))
-    order = np.lexsort([key_1, key_2] if join == "all2" else [key_2, key_1])
-    return _Rows(rows.one[order], rows.two[order], rows.pair[order])
+    # Rows without a partner come where their own table has them, and after all others where it is not the leading one.
+    # Each part is in its order already, which a stable sort makes use of; ties are among rows of one part.
+    leading = two if join == "all2" else one
+    order = np.argsort(np.where(leading >= 0, leading, np.iinfo(np.int64).max), kind="stable")
+    return _Rows(one[order], two[order], pair[order])
 
 
 def _others(n: int, rows: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -160,10 +161,14 @@ def _taken(column: Any, at: IntArray) -> Column | MaskedColumn:
 def _answers(match: SkyMatch, rows: _Rows, nway_columns: bool) -> dict[str, np.ma.MaskedArray]:
     result = match.result
     absent = rows.pair < 0
+    at_pair = np.maximum(rows.pair, 0)
 
     def of_pair(values: NDArray[Any]) -> np.ma.MaskedArray:
-        padded = np.append(values, np.zeros(1, values.dtype))
-        return np.ma.MaskedArray(padded[np.where(absent, -1, rows.pair)], absent.copy())
+        if not len(values):
+            return np.ma.MaskedArray(np.zeros(len(absent), values.dtype), absent.copy())
+        taken = values[at_pair]
+        taken[absent] = 0
+        return np.ma.MaskedArray(taken, absent.copy())
 
     residual = result.pairs.residual
     columns = {

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sameas.errors import InputError
+from sameas.records import unpack
 from sameas.space import ARCSEC_PER_RADIAN
 
 FloatArray = NDArray[np.float64]
@@ -51,18 +52,25 @@ class MissingMotion:
             if not 0.0 <= value < np.inf:
                 raise InputError(f"MissingMotion: {name} is {value}; give a standard deviation, zero or more")
 
-    def __call__(self, values: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """``values`` and ``sigma``, (n, 6) with NaN where unknown, filled; and where they were filled.
+    def __call__(
+        self, parameter: int, value: FloatArray | None, error: FloatArray | None, n: int
+    ) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """(n,) values and errors of a parameter with NaN where unknown, or None, filled; and where they were filled.
 
         Positions are left alone. A value without an error is kept, and gets the error of a missing one.
         An error without a value is of no use and gives way.
         """
         pm = self.pm_sigma_mas_per_yr
-        prior = [np.nan, np.nan, self.parallax_sigma_mas, pm, pm, self.radial_velocity_sigma_km_per_s]
-        motion = np.arange(6) >= 2
-        no_value = np.isnan(values) & motion
-        filled = no_value | (np.isnan(sigma) & motion)
-        return np.where(no_value, 0.0, values), np.where(filled, prior, sigma), filled
+        prior = (np.nan, np.nan, self.parallax_sigma_mas, pm, pm, self.radial_velocity_sigma_km_per_s)[parameter]
+        if value is None:
+            # One number stands for all rows; it takes no room.
+            return np.broadcast_to(0.0, n), np.broadcast_to(prior, n), np.broadcast_to(True, n)
+        error = np.broadcast_to(np.nan, n) if error is None else error
+        if parameter < 2:
+            return value, error, np.broadcast_to(False, n)
+        no_value = np.isnan(value)
+        filled = no_value | np.isnan(error)
+        return np.where(no_value, 0.0, value), np.where(filled, prior, error), filled
 
 
 @dataclass(frozen=True)
@@ -75,8 +83,8 @@ class Astrometry:
     parallax_mas : (n,) may be zero or negative, as measured.
     pm_ra_mas_per_yr, pm_dec_mas_per_yr : (n,) proper motion; ``pm_ra`` includes cos(dec).
     radial_velocity_km_per_s : (n,) barycentric, positive for a receding object.
-    covariance : (n, 6, 6) in the order of ``PARAMETERS``: ra·cos(dec) and dec [mas], parallax [mas],
-        proper motions [mas/yr], radial velocity [km/s].
+    packed : covariances in the order of ``PARAMETERS``: ra·cos(dec) and dec [mas], parallax [mas], proper motions
+        [mas/yr], radial velocity [km/s]; (n, 6, 6), or (n, 6) variances where nothing is correlated.
     epoch_jyr : (n,) Julian year of each row.
     """
 
@@ -86,7 +94,7 @@ class Astrometry:
     pm_ra_mas_per_yr: FloatArray
     pm_dec_mas_per_yr: FloatArray
     radial_velocity_km_per_s: FloatArray
-    covariance: FloatArray
+    packed: FloatArray
     epoch_jyr: FloatArray
 
     def __len__(self) -> int:
@@ -95,6 +103,20 @@ class Astrometry:
     def __getitem__(self, rows: slice | NDArray[np.int64] | BoolArray) -> Astrometry:
         """The astrometry of some rows."""
         return Astrometry(**{name: array[rows] for name, array in vars(self).items()})
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(n, 6, 6) covariances, unpacked."""
+        return unpack(self.packed, 6) if self.packed.ndim == 2 else self.packed
+
+    @property
+    def position_covariance(self) -> FloatArray:
+        """(n, 2, 2) of ra·cos(dec) and dec, mas²."""
+        return unpack(self.packed[:, :2], 2) if self.packed.ndim == 2 else self.packed[:, :2, :2]
+
+    def variance(self, parameter: int) -> FloatArray:
+        """(n,) variances of one of the six parameters."""
+        return self.packed[:, parameter] if self.packed.ndim == 2 else self.packed[:, parameter, parameter]
 
     @classmethod
     def of(
@@ -143,13 +165,15 @@ class Astrometry:
         """
         given = (ra_deg, dec_deg, parallax_mas, pm_ra_mas_per_yr, pm_dec_mas_per_yr, radial_velocity_km_per_s)
         n = np.size(ra_deg)
-        columns = [_floats(v, (n,), f"{source}: {p}") for p, v in zip(PARAMETERS, given, strict=True)]
-        values = np.stack(columns, axis=1)
-        _refuse(np.abs(values[:, 1]) > 90.0, f"{source}: declinations beyond ±90°", "give degrees")
-        values, errors, filled = (missing or MissingMotion())(values, _errors(sigma, n, source))
-        covariance = _covariance(errors, filled, correlation, source)
-        complete = dict(zip(PARAMETERS, np.ascontiguousarray(values.T), strict=True))
-        return cls(**complete, covariance=covariance, epoch_jyr=_epochs(epoch_jyr, n, source))
+        values = [
+            None if v is None else _floats(v, (n,), f"{source}: {p}") for p, v in zip(PARAMETERS, given, strict=True)
+        ]
+        _refuse(np.abs(_floats(dec_deg, (n,), source)) > 90.0, f"{source}: declinations beyond ±90°", "give degrees")
+        missing, errors = missing or MissingMotion(), _errors(sigma, n, source)
+        complete = [missing(k, values[k], errors[k] if k < len(errors) else None, n) for k in range(6)]
+        packed = _packed(*zip(*(part[1:] for part in complete), strict=True), correlation, source)  # type: ignore[arg-type]
+        columns = dict(zip(PARAMETERS, (part[0] for part in complete), strict=True))
+        return cls(**columns, packed=packed, epoch_jyr=_epochs(epoch_jyr, n, source))
 
 
 PARAMETERS = tuple(field.name for field in fields(Astrometry))[:6]
@@ -203,7 +227,7 @@ def propagate(astrometry: Astrometry, epoch_jyr: ArrayLike) -> Astrometry:
         values[:, rows] = _end_values(part, path)
         covariance[rows] = _carried(part, _derivatives(part, path, values[5, rows]))
     columns = dict(zip(PARAMETERS, values, strict=True))
-    return Astrometry(**columns, covariance=covariance, epoch_jyr=epochs)
+    return Astrometry(**columns, packed=covariance, epoch_jyr=epochs)
 
 
 class _Path(NamedTuple):
@@ -340,24 +364,29 @@ def _chunks(n: int) -> Iterator[slice]:
     return (slice(start, start + _CHUNK) for start in range(0, n, _CHUNK))
 
 
-def _errors(sigma: ArrayLike, n: int, source: str) -> FloatArray:
-    """(n, 6) standard deviations, NaN where unknown."""
+def _errors(sigma: ArrayLike, n: int, source: str) -> list[FloatArray]:
+    """Standard deviations (n,) of the first parameters, NaN where unknown."""
     k = np.shape(sigma)[-1] if np.ndim(sigma) == 2 else 0
     if not 2 <= k <= 6:
         raise InputError(f"{source}: sigma has shape {np.shape(sigma)}; give ({n}, 2) up to ({n}, 6)")
-    errors = np.full((n, 6), np.nan)
-    errors[:, :k] = _floats(sigma, (n, k), f"{source}: sigma")
-    _refuse(np.any(errors < 0.0, axis=1), f"{source}: negative errors", "leave unknown errors empty")
-    return errors
+    errors = _floats(sigma, (n, k), f"{source}: sigma")
+    _refuse((errors < 0.0).any(axis=1), f"{source}: negative errors", "leave unknown errors empty")
+    return list(errors.T)
 
 
-def _covariance(errors: FloatArray, filled: BoolArray, given: ArrayLike | None, source: str) -> FloatArray:
-    n, covariance = len(errors), np.zeros((len(errors), 6, 6))
+def _packed(
+    sigmas: tuple[FloatArray, ...], fill: tuple[BoolArray, ...], given: ArrayLike | None, source: str
+) -> FloatArray:
+    """(n, 6) variances, or (n, 6, 6) where correlations are ``given``."""
+    n = len(sigmas[0])
+    errors = np.empty((n, 6))
+    for parameter, sigma in enumerate(sigmas):
+        errors[:, parameter] = sigma
     if given is None:
-        covariance[:, np.arange(6), np.arange(6)] = errors**2
-        return covariance
-    k = min(np.shape(given)[-1], 6) if given is not None and np.ndim(given) == 3 else 6
-    rho = _floats(0.0 if given is None else given, (n, k, k), f"{source}: correlations")
+        return np.square(errors, out=errors)
+    filled, covariance = np.stack(fill, axis=1), np.empty((n, 6, 6))
+    k = min(np.shape(given)[-1], 6) if np.ndim(given) == 3 else 6
+    rho = _floats(given, (n, k, k), f"{source}: correlations")
     beyond, lopsided = np.zeros(n, bool), np.zeros(n, bool)
     for rows in _chunks(n):
         turned = rho[rows].swapaxes(1, 2)
@@ -383,7 +412,8 @@ def _floats(values: ArrayLike | None, shape: tuple[int, ...], what: str) -> Floa
     if column.shape not in ((), shape):
         raise InputError(f"{what}: shape {column.shape}; give {shape}")
     array = np.ma.filled(column, np.nan)
-    return np.broadcast_to(np.where(np.isfinite(array), array, np.nan), shape)
+    finite = np.isfinite(array)
+    return np.broadcast_to(array if finite.all() else np.where(finite, array, np.nan), shape)
 
 
 def _epochs(epoch_jyr: ArrayLike, n: int, source: str) -> FloatArray:
