@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sameas.chisquare import quantile, share_within
 from sameas.quantity import Quantity
 from sameas.records import FloatArray, unpack
 from sameas.result import Identification
@@ -71,12 +72,10 @@ def _fit(residual: FloatArray, parts: FloatArray, weight: FloatArray) -> tuple[F
 
     residual (m, d), parts (3, m, d, d).
     """
-    from scipy.special import gammainc, gammaincinv
-
     d = residual.shape[1]
-    limit = 2.0 * float(gammaincinv(0.5 * d, CORE))
+    limit = quantile(CORE, d)
     # What the mean square of a normal loses where its tail is cut off.
-    kept = float(gammainc(0.5 * d + 1.0, 0.5 * limit)) / CORE
+    kept = share_within(limit, d + 2) / CORE
     theta, damping = np.array([1.0, 1.0, 0.05]), 0.5
     for _ in range(STEPS):
         inverse = np.linalg.inv(np.einsum("k,kmvw->mvw", theta, parts))

@@ -23,6 +23,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from sameas.chisquare import upper_quantile
 from sameas.errors import InputError
 from sameas.records import FloatArray, Records
 from sameas.search import search
@@ -98,9 +99,7 @@ class ChiSquare:
 
     def limit(self, d: int) -> float:
         """The χ² quantile for d features."""
-        from scipy.special import gammainccinv
-
-        return 2.0 * float(gammainccinv(d / 2.0, 1.0 - self.completeness))
+        return upper_quantile(1.0 - self.completeness, d)
 
     def __call__(self, first: Records, second: Records) -> Pairs:
         limit = self.limit(_features(first, second))

@@ -3,7 +3,7 @@
 Groups in which one record has all the pairs are a closed form. Others are summed exactly by eliminating their records
 one by one, with the count of pairs carried where the prior asks for it; that covers every group of up to about 16
 records on its smaller side and larger ones that are thin, such as chains. From large groups those pairs are left out
-first that are proved to be less probable than 1e-7; most of them fall apart. What is too entangled is thinned further:
+first that are proved to be less probable than 1e-6; most of them fall apart. What is too entangled is thinned further:
 sum-product messages tell which pairs are next to impossible; without those most groups fall apart and are summed as
 before. What is still entangled is approximated: every record is solved exactly together with the records that compete
 with it most, and the messages stand for what lies beyond; by these probabilities it is thinned further, and what falls
@@ -37,10 +37,10 @@ _NONE = np.empty(0, np.int64)
 
 #: Groups of no more records than this on one side are summed with every pair; from larger ones pairs are left out
 #: whose probability is proved to be below the other number, where the prior allows the proof.
-SMALL, IMPROBABLE = 8, 1e-6
+SMALL, IMPROBABLE = 16, 1e-6
 EVERY = 2**62
 #: Pairs that are proved to be less probable than this do not count where sums over many pairs are wanted.
-UNIMPORTANT = 1e-6
+UNIMPORTANT = 1e-5
 
 #: Pairs of an entangled group that are less probable than this are left out, step by step until it falls apart:
 #: by what messages say at first, from SURE on by what neighbourhoods say.
@@ -88,48 +88,45 @@ def posterior(groups: Groups, best: Hypothesis) -> Posterior:
     _exact(groups, best, share, method, SMALL if linear else EVERY)
     neglected = np.zeros(len(groups))
     unsettled = 0.0
-    open_pairs = np.flatnonzero((method == APPROXIMATE)[groups.group]) if np.any(method == APPROXIMATE) else _NONE
-    if linear and len(open_pairs):
-        open_pairs = _without_improbable(groups, best, open_pairs, method, share, neglected)
+    open_pairs = _NONE
+    if np.any(method == APPROXIMATE):
+        if linear:
+            open_pairs = _without_improbable(groups, best, method, share, neglected)
+        else:
+            open_pairs = np.flatnonzero(np.repeat(method == APPROXIMATE, groups.pair_counts))
     if len(open_pairs):
         unsettled = _local(groups, best, open_pairs, method, share, neglected)
         share = _within_one(groups, share)
     p_pair = np.empty(m)
-    p_pair[groups.order] = np.clip(share, 0.0, 1.0)
+    p_pair[groups.order] = np.clip(share, 0.0, 1.0, out=share)
     return Posterior(p_pair, method, neglected, unsettled)
 
 
 def _without_improbable(
-    groups: Groups,
-    best: Hypothesis,
-    pairs: NDArray[np.int64],
-    method: NDArray[np.int8],
-    share: FloatArray,
-    neglected: FloatArray,
+    groups: Groups, best: Hypothesis, method: NDArray[np.int8], share: FloatArray, neglected: FloatArray
 ) -> NDArray[np.int64]:
     """Fill ``share`` of what falls apart without the pairs that are proved improbable; the pairs that still do not."""
     wanted = method == APPROXIMATE
-    bound = _bounds(groups, best, wanted)
-    improbable = bound[pairs] < IMPROBABLE
-    share[pairs[improbable]] = bound[pairs[improbable]]
-    kept = pairs[~improbable]
+    _bounds(groups, best, wanted, share)
+    kept = np.flatnonzero(np.repeat(wanted, groups.pair_counts) & (share >= IMPROBABLE))
+    neglected[wanted & (np.minimum.reduceat(share, groups.start[:-1]) < IMPROBABLE)] = IMPROBABLE
     part, solved = _Thinned.of(groups, best, kept, best.weight[kept]).exact()
-    share[kept[solved]] = part[solved]
     method[wanted] = ELIMINATED
-    neglected[groups.group[pairs[improbable]]] = IMPROBABLE
+    if solved.all():
+        share[kept] = part
+        return _NONE
+    share[kept[solved]] = part[solved]
     method[groups.group[kept[~solved]]] = APPROXIMATE
     return kept[~solved]
 
 
-def _bounds(groups: Groups, best: Hypothesis, wanted: NDArray[np.bool_]) -> FloatArray:
-    """(m,) upper bounds of P of the pairs of the wanted groups (g,), under a linear prior; 1 of the others."""
+def _bounds(groups: Groups, best: Hypothesis, wanted: NDArray[np.bool_], bound: FloatArray) -> None:
+    """Fill ``bound`` (m,) with upper bounds of P of the pairs of the wanted groups (g,), under a linear prior."""
     from sameas.kernels.bounds import bounds
 
-    bound = np.ones(len(best.weight))
     shape = (groups.start, groups.start_1, groups.start_2, groups.edges_1, groups.local_1, groups.local_2)
     state = (best.weight, best.chosen, wanted, bound)
     threads.over(lambda a, b: bounds(a, b, *shape, *state), groups.bounds(len(threads.even(len(bound))) - 1))
-    return bound
 
 
 def _within_one(groups: Groups, share: FloatArray) -> FloatArray:
@@ -142,14 +139,16 @@ def by_messages(groups: Groups, best: Hypothesis) -> Posterior:
     """Probabilities of all pairs by sum-product messages alone: fast, exact for groups without cycles.
 
     On short cycles messages are over-confident; use them where sums over many pairs are wanted, as estimation does.
-    Pairs that are proved to be less probable than 1e-6 get zero.
+    Pairs that are proved to be less probable than 1e-5 get zero.
     """
     share = np.zeros(len(groups.order))
     method = np.full(len(groups), APPROXIMATE, np.int8)
     if best.prior.slope is None:
         change = _Messages.of(groups, best, method, share, ROUGHLY).change
     else:
-        kept = np.flatnonzero(_bounds(groups, best, method == APPROXIMATE) > UNIMPORTANT)
+        _bounds(groups, best, method == APPROXIMATE, share)
+        kept = np.flatnonzero(share > UNIMPORTANT)
+        share[:] = 0.0
         thin = _Thinned.of(groups, best, kept, best.weight[kept])
         share[kept], change = thin.by_messages()
     p_pair = np.empty(len(share))
@@ -281,8 +280,9 @@ class _Thinned:
         """The pairs ``kept``, listed by their record 1; ``turned`` exchanges the sources, the list is by record 2."""
         from sameas.kernels.components import components
 
-        place_1, place_2 = groups.places
-        places = place_1[kept].astype(np.int32), place_2[kept].astype(np.int32)
+        group = np.repeat(np.arange(len(groups), dtype=np.int32), groups.pair_counts)[kept]
+        starts = groups.start_1.astype(np.int32), groups.start_2.astype(np.int32)
+        places = starts[0][group] + groups.local_1[kept], starts[1][group] + groups.local_2[kept]
         duals = (best.dual_1, best.dual_2)
         if turned:
             places, duals = places[::-1], duals[::-1]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sameas.chisquare import quantile
 from sameas.coverage import Coverage
 from sameas.photometry import Photometry
 from sameas.records import FloatArray
@@ -109,12 +110,10 @@ def _error_scale(answer: Identification) -> Quantity:
 
     Pairs of probability p count as p; the standard error is that of a median of χ_d.
     """
-    from scipy.special import gammaincinv
-
     d, weight = answer.pairs.d, answer.p_pair
     told = weight > 1e-3
     median = weighted_median(np.sqrt(answer.pairs.mahalanobis_sq[told]), weight[told])
-    due = math.sqrt(2.0 * float(gammaincinv(0.5 * d, 0.5)))
+    due = math.sqrt(quantile(0.5, d))
     log_density = (d - 1) * math.log(due) - 0.5 * due**2 - (0.5 * d - 1) * math.log(2.0) - math.lgamma(0.5 * d)
     enough = float(weight.sum() - (weight * (1.0 - weight)).sum())
     error = 0.5 / (due * math.exp(log_density) * math.sqrt(max(enough, 1.0)))

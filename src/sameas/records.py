@@ -252,6 +252,8 @@ def _checked_ids(ids: Sequence[Any] | NDArray[Any] | None, n: int, source: str) 
     array = np.asarray(ids)
     if array.shape != (n,):
         raise InputError(f"{source}: {array.shape} ids for {n} rows; give one id per row")
+    if array.dtype.kind in "iu" and np.all(array[1:] > array[:-1]):
+        return array
     ordered = np.sort(array) if array.dtype.kind in "iu" else np.sort(array.astype(str))
     same = np.flatnonzero(ordered[1:] == ordered[:-1])
     if len(same):

@@ -6,6 +6,7 @@ values when it is asked for.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.assignment import Hypothesis
+from sameas.chisquare import quantile
 from sameas.errors import InputError
 from sameas.evidence import Evidence
 from sameas.gate import Pairs
@@ -122,7 +124,9 @@ class Identification:
     def matches(self) -> Matches:
         """The identified pairs."""
         pair = np.flatnonzero(self.chosen)
-        pair = pair[np.argsort(self.rows_1[pair])]
+        of_row = np.full(self.first.n_table, -1)
+        of_row[self.rows_1[pair]] = pair
+        pair = of_row[of_row >= 0]
         return Matches(
             self.rows_1[pair], self.rows_2[pair], pair, self.p_pair[pair], self.log_odds[pair],
             self.pairs.residual[pair], np.sqrt(self.pairs.mahalanobis_sq[pair]),
@@ -164,8 +168,6 @@ class Identification:
         The due is the median of the χ distribution of d degrees of freedom: errors are quoted too small where the
         observed median lies above it, too large where below.
         """
-        from scipy.special import gammaincinv
-
         d = self.pairs.d
         found = self.matches
         if not len(found):
@@ -174,7 +176,7 @@ class Identification:
             "mean": found.residual.mean(axis=0),
             "rms": np.sqrt(np.mean(found.residual**2, axis=0)),
             "median": float(np.median(found.mahalanobis)),
-            "median_due": float(np.sqrt(2.0 * gammaincinv(d / 2.0, 0.5))),
+            "median_due": math.sqrt(quantile(0.5, d)),
         }
 
     def method(self, group: int) -> str:
@@ -210,12 +212,11 @@ class Identification:
 
         n = len(records)
         partner, second, count, total = per_record(position, n, self.chosen, self.p_pair)
-        p = np.append(self.p_pair, np.nan)
-        other = np.append(other_rows, 0)
-        group_of = np.append(self._group_of, 0)
         some_pair = np.maximum(partner, second)
+        # Without any pair there is nothing to take from; what stands at −1, the last, is masked below.
+        p, other, group_of = (x if len(x) else np.zeros(1, x.dtype) for x in (self.p_pair, other_rows, self._group_of))
         group = group_of[some_pair]
-        size = np.append(self.groups.sizes_1 + self.groups.sizes_2, 0)
+        size = self.groups.sizes_1 + self.groups.sizes_2 if len(self.groups) else np.zeros(1, np.int64)
         table = _Table(records)
         # 1 − Σ p is the probability of no partner; rounding must not make it negative.
         return Answers(

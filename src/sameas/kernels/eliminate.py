@@ -13,7 +13,7 @@ from collections import namedtuple
 
 import numpy as np
 
-from sameas.kernels.compiled import part
+from sameas.kernels.compiled import inlined, part
 
 #: Most states, values, transitions and hash places that one problem may use; beyond, it is not solved exactly.
 STATES = 400_000
@@ -23,6 +23,8 @@ PLACE_BITS = 19
 SLOTS = 62
 NOBODY = np.int64(-1)
 NEGLIGIBLE = 1e-14
+#: A product greater than this has lost nothing to underflow.
+DIVISIBLE = 1e-200
 
 Scratch = namedtuple("Scratch", "key value back target place_key place_state place_stamp edge_bit edge_dies")
 
@@ -127,7 +129,7 @@ def elimination_order(n, nc, start, column, order):
     return widest
 
 
-@part
+@inlined
 def find_state(key, begin, count, stamp, work):
     """The state of this key within the current step, made when new; −1 when there is no room."""
     last = np.int64(len(work.place_key) - 1)
@@ -147,7 +149,7 @@ def find_state(key, begin, count, stamp, work):
     return np.int64(begin + count)
 
 
-@part
+@inlined
 def left_unused(key, low, high, taken, column, unused, work):
     """Product of ``unused`` over the columns that close with this row, are free in the state and not taken now."""
     product = 1.0
@@ -155,6 +157,16 @@ def left_unused(key, low, high, taken, column, unused, work):
         if e != taken and work.edge_dies[e] and (key & work.edge_bit[e]) == 0:
             product *= unused[column[e]]
     return product
+
+
+@inlined
+def left_beside(whole, key, low, high, taken, column, unused, work):
+    """The same with column ``taken``, from the product ``whole`` without: divided, where nothing is lost by that."""
+    if not work.edge_dies[taken]:
+        return whole
+    if whole > DIVISIBLE:
+        return whole / unused[column[taken]]
+    return left_unused(key, low, high, taken, column, unused, work)
 
 
 @part
@@ -223,6 +235,7 @@ def eliminate(n, nc, start, column, odds, none, unused, prior, share, alone, sta
             largest = 0.0
             for k in range(width):
                 largest = max(largest, work.value[v0 + k])
+            whole = left_unused(key, low, high, NOBODY, column, unused, work)
             for option in range(options):
                 at = target_start[t] + (s - begin) * options + option
                 work.target[at] = -1
@@ -230,10 +243,10 @@ def eliminate(n, nc, start, column, odds, none, unused, prior, share, alone, sta
                 if largest == 0.0 or (option > 0 and (key & work.edge_bit[e]) != 0):
                     continue
                 if option == 0:
-                    factor = none[r] * left_unused(key, low, high, NOBODY, column, unused, work)
+                    factor = none[r] * whole
                     next_key = key & ~dead
                 else:
-                    factor = odds[e] * left_unused(key, low, high, e, column, unused, work)
+                    factor = odds[e] * left_beside(whole, key, low, high, e, column, unused, work)
                     next_key = (key | work.edge_bit[e]) & ~dead
                 if factor == 0.0:
                     continue
@@ -327,6 +340,7 @@ def gather(
         v0 = value_start[t] + (s - begin) * width
         for k in range(width):
             work.back[v0 + k] = 0.0
+        whole = left_unused(key, low, high, NOBODY, column, unused, work)
         for option in range(options):
             goal = work.target[target_start[t] + (s - begin) * options + option]
             if goal < 0:
@@ -334,9 +348,9 @@ def gather(
             e = low + option - 1
             g0 = value_start[t + 1] + (goal - end) * next_width
             if option == 0:
-                factor = none[r] * left_unused(key, low, high, NOBODY, column, unused, work)
+                factor = none[r] * whole
             else:
-                factor = odds[e] * left_unused(key, low, high, e, column, unused, work)
+                factor = odds[e] * left_beside(whole, key, low, high, e, column, unused, work)
             step = shift + (1 if counted and option > 0 else 0)
             mass = 0.0
             for k in range(width):

@@ -344,5 +344,7 @@ def _brightness(table: Table, name: str | None, source: str) -> FloatArray | Non
 
 def _repeats(ids: NDArray[Any]) -> bool:
     """Whether an identifier occurs twice."""
+    if ids.dtype.kind in "iu" and np.all(ids[1:] > ids[:-1]):
+        return False
     ordered = np.sort(ids.astype(str) if ids.dtype.kind == "O" else ids)
     return bool(np.any(ordered[1:] == ordered[:-1]))
