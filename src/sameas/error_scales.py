@@ -7,8 +7,10 @@ errors quoted too small and heavy tails come out of the same estimate.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sameas.evidence import Errors
 from sameas.records import FloatArray
@@ -18,83 +20,149 @@ RUNG = 1.5
 LOWEST_RUNG = -5.0
 #: Pairs of like distance are counted together, in so many bins from the first distance on, in standard deviations.
 BINS, NEAREST = 400, 1e-3
-#: Pairs less probable than this say nothing of the errors.
-PROBABLE = 1e-3
-#: The search for the shares stops at steps smaller than this, far below their standard errors, or after so many.
-SETTLED, STEPS = 1e-5, 100
-#: What a share that was zero starts from: EM would leave it at zero.
-REVIVED = 1e-4
+#: Pairs less probable than this say nothing of the errors; none is taken to be more probable than the other number.
+PROBABLE, SUREST = 1e-3, 1.0 - 1e-9
+#: Steps of the logarithm of their odds between these.
+ACROSS = 40
+#: The search for the shares stops when ln of the likelihood grows by less than this, or after so many steps.
+SETTLED, STEPS = 1e-4, 40
+#: Least part of a step, and what is added to the curvature, of its trace: neighbouring normals are much alike.
+SHORTEST, RIDGE = 1e-4, 1e-10
+
+BoolArray = NDArray[np.bool_]
 
 
 def fit_errors(
     mahalanobis_sq: FloatArray, weights: FloatArray, d: int, start: Errors, *, widest: float = math.inf
 ) -> Errors:
-    """The mixture of error scales of greatest likelihood for residuals of the given posterior weights.
+    """The mixture of error scales of greatest likelihood for pairs of which each is true with a probability.
 
-    The scales are a ladder from 0.13 upwards as far as the residuals reach, and not beyond ``widest``; a pseudo-count
-    on the scale 1 keeps a few pairs from saying much.
+    That probability follows the mixture while it is sought: what other evidence says of a pair stays as it is. The
+    scales are a ladder from 0.13 upwards as far as the residuals reach, and not beyond ``widest``; a pseudo-count on
+    the scale 1 keeps a few pairs from saying much.
 
     Parameters
     ----------
     mahalanobis_sq, weights : (m,) squared normalised distances in d features, and the probabilities of the pairs.
-    start : where the search begins.
+    start : the mixture by which these probabilities were found; the search begins there.
     """
     used = weights > PROBABLE
-    z2, weight = mahalanobis_sq[used], weights[used]
-    reach = max(math.sqrt(float(z2.max(initial=1.0))), 2.0)
-    rungs = max(4, math.ceil(math.log(reach / 2.0) / math.log(RUNG)) + 1)
+    cells = _Cells.of(mahalanobis_sq[used], weights[used])
+    rungs = max(4, math.ceil(math.log(cells.reach / 2.0) / math.log(RUNG)) + 1)
     scales = RUNG ** np.arange(LOWEST_RUNG, rungs)
     scales = scales[scales <= max(widest, 1.0)]
-    count, centre = _counted(z2, weight, reach)
-    log_part = -0.5 * centre[:, None] / scales**2 - d * np.log(scales)
-    part = np.exp(log_part - log_part.max(axis=1, keepdims=True))
+    log_part = cells.log_normals(scales, d)
+    # Only ratios within a cell count.
+    height = log_part.max(axis=1, keepdims=True)
+    before = np.exp(cells.log_normals(np.array(start.scales), d) - height) @ np.array(start.shares)
+    odds = cells.probability / ((1.0 - cells.probability) * np.maximum(before, 1e-300))
     known = dict(zip(np.round(start.scales, 9), start.shares, strict=True))
-    shares = np.array([known.get(round(s, 9), 0.0) for s in scales]) + REVIVED
+    shares = np.array([known.get(round(s, 9), 0.0) for s in scales])
     pseudo = 2.0 * (np.abs(np.log(scales)) < 0.01)
-    shares = _accelerated(_Mixture(count, part, pseudo), shares / shares.sum())
+    shares += 1e-3 * pseudo
+    mixture = _Mixture(cells.count, odds, np.exp(log_part - height), pseudo)
+    shares = mixture.best_shares(shares / shares.sum())
     kept = shares > 1e-6
     return Errors(tuple(scales[kept].tolist()), tuple((shares[kept] / shares[kept].sum()).tolist()))
 
 
-def _counted(z2: FloatArray, weight: FloatArray, reach: float) -> tuple[FloatArray, FloatArray]:
-    """Weight and mean squared distance of the bins that hold any: the likelihood depends on nothing else."""
-    begin = math.log(NEAREST)
-    along = 0.5 * np.log(np.maximum(z2, NEAREST**2))
-    bins = ((along - begin) * ((BINS - 1) / (math.log(reach) - begin))).astype(np.int64)
-    count = np.bincount(bins, weight, BINS)
-    full = count > 0.0
-    return count[full], np.bincount(bins, weight * z2, BINS)[full] / count[full]
+@dataclass(frozen=True)
+class _Cells:
+    """Pairs of like distance and probability, taken together: the likelihood depends on nothing else.
+
+    count, square, probability : (b,) pairs in each cell, their mean squared distance and probability.
+    reach : the greatest distance.
+    """
+
+    count: FloatArray
+    square: FloatArray
+    probability: FloatArray
+    reach: float
+
+    @classmethod
+    def of(cls, z2: FloatArray, probability: FloatArray) -> _Cells:
+        """Cells of pairs (m,), with probabilities above ``PROBABLE``."""
+        reach, begin = max(math.sqrt(float(z2.max(initial=1.0))), 2.0), math.log(NEAREST)
+        probability = np.minimum(probability, SUREST)
+        along = 0.5 * np.log(np.maximum(z2, NEAREST**2)) - begin
+        across = np.log(probability / (1.0 - probability)) - math.log(PROBABLE)
+        cell = (along * ((BINS - 1) / (math.log(reach) - begin))).astype(np.int64) * ACROSS
+        cell += np.clip(across * (ACROSS / -math.log((1.0 - SUREST) * PROBABLE)), 0, ACROSS - 1).astype(np.int64)
+        count = np.bincount(cell, minlength=BINS * ACROSS)
+        full = np.flatnonzero(count)
+        mean = (np.bincount(cell, values, BINS * ACROSS)[full] / count[full] for values in (z2, probability))
+        return cls(count[full].astype(np.float64), *mean, reach)
+
+    def log_normals(self, scales: FloatArray, d: int) -> FloatArray:
+        """(b, k) ln of normals of these scales in d features, but for constants."""
+        return -0.5 * self.square[:, None] / scales**2 - d * np.log(scales)
 
 
+@dataclass(frozen=True)
 class _Mixture:
-    """Counts (b,) of bins whose densities by the components are ``part`` (b, k), and pseudo-counts (k,)."""
+    """Cells (b,) of ``count`` pairs, whose ``odds`` times their density by the components, ``part`` (b, k), are the
+    odds of being true; pseudo-counts (k,) of the components.
 
-    def __init__(self, count: FloatArray, part: FloatArray, pseudo: FloatArray) -> None:
-        self.count, self.part, self.pseudo = count, part, pseudo
+    Of n pairs of odds o·f the likelihood is (1 + o·f)^n, whose logarithm is concave in the shares: one maximum.
+    """
 
-    def improved(self, shares: FloatArray) -> FloatArray:
-        """One step of EM."""
-        owned = self.count / np.maximum(self.part @ shares, 1e-300)
-        shares = shares * (owned @ self.part) + self.pseudo
-        return shares / shares.sum()
+    count: FloatArray
+    odds: FloatArray
+    part: FloatArray
+    pseudo: FloatArray
 
     def log_likelihood(self, shares: FloatArray) -> float:
         """With the prior that the pseudo-counts stand for."""
-        log_prior = self.pseudo @ np.log(np.maximum(shares, 1e-300))
-        return float(self.count @ np.log(np.maximum(self.part @ shares, 1e-300)) + log_prior)
+        log_prior = float(self.pseudo @ np.log(np.maximum(shares, 1e-300)))
+        return float(self.count @ np.log1p(self.odds * (self.part @ shares))) + log_prior
+
+    def best_shares(self, shares: FloatArray) -> FloatArray:
+        """The shares of greatest likelihood, from any on: Newton's steps among shares that are not negative."""
+        free, reached = shares > 0.0, self.log_likelihood(shares)
+        for _ in range(STEPS):
+            slope, bend = self._derivatives(shares)
+            wanted, free = _on_simplex(slope + bend @ shares, bend, free)
+            step, length = wanted - shares, 1.0
+            while length > SHORTEST:
+                tried = np.maximum(shares + length * step, 0.0)
+                now = self.log_likelihood(tried)
+                if now >= reached:
+                    break
+                length *= 0.5
+            else:
+                break
+            shares, gained, reached = tried, now - reached, now
+            if gained < SETTLED:
+                break
+        return shares
+
+    def _derivatives(self, shares: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(k,) slope and (k, k) negative curvature of the logarithm of the likelihood."""
+        held = np.maximum(shares, 1e-100)
+        weight = self.odds / (1.0 + self.odds * (self.part @ shares))
+        slope = (self.count * weight) @ self.part + np.where(self.pseudo > 0.0, self.pseudo / held, 0.0)
+        bend = (self.part * (self.count * weight**2)[:, None]).T @ self.part
+        diagonal = np.where(self.pseudo > 0.0, self.pseudo / held**2, 0.0) + RIDGE * np.trace(bend)
+        return slope, bend + np.diag(diagonal)
 
 
-def _accelerated(mixture: _Mixture, shares: FloatArray) -> FloatArray:
-    """Where EM leads, reached by squared extrapolation (Varadhan & Roland 2008, Scand. J. Statist. 35, 335, S3)."""
-    for _ in range(STEPS):
-        once = mixture.improved(shares)
-        twice = mixture.improved(once)
-        if np.abs(twice - shares).max() < SETTLED:
-            return twice
-        step, bend = once - shares, (twice - once) - (once - shares)
-        length = max(1.0, float(np.linalg.norm(step) / max(np.linalg.norm(bend), 1e-300)))
-        # A share that the leap would take below zero stays a little above it, or it could not come back.
-        leap = np.maximum(shares + 2.0 * length * step + length**2 * bend, 1e-3 * twice)
-        leap = mixture.improved(leap / leap.sum())
-        shares = leap if mixture.log_likelihood(leap) >= mixture.log_likelihood(twice) else twice
-    return shares
+def _on_simplex(slope: FloatArray, bend: FloatArray, free: BoolArray) -> tuple[FloatArray, BoolArray]:
+    """The shares y ≥ 0, Σ y = 1, of greatest slope·y − ½ y·bend·y, and which are not zero; ``free`` is a first guess."""
+    k = len(slope)
+    free, size = free.copy(), float(np.abs(slope).max())
+    for _ in range(6 * k):
+        at = np.flatnonzero(free)
+        system = np.ones((len(at) + 1, len(at) + 1))
+        system[:-1, :-1], system[-1, -1] = bend[np.ix_(at, at)], 0.0
+        solved = np.linalg.solve(system, np.append(slope[at], 1.0))
+        if len(at) > 1 and solved[:-1].min() < 0.0:
+            free[at[np.argmin(solved[:-1])]] = False
+            continue
+        shares = np.zeros(k)
+        shares[at] = solved[:-1]
+        gain = np.where(free, -np.inf, slope - bend @ shares - solved[-1])
+        best = int(np.argmax(gain))
+        if gain[best] <= 1e-9 * size:
+            break
+        free[best] = True
+    return shares, free

@@ -172,7 +172,7 @@ class _Found:
         if limit >= WIDEST_SIGMAS or not self.known.learns_errors:
             return False
         chance = self.known.setting.by_chance(self.told) * 2.0**pairs.d
-        if chance < MOST_CROWDED and limit < _default_radius(pairs.d) * self.known.errors.typical_scale:
+        if chance < MOST_CROWDED and limit < _radius(None, pairs.d) * self.known.errors.typical_scale:
             return True
         if chance > CROWDED:
             return False
@@ -192,14 +192,21 @@ class _Search:
 
     def settled(self, errors: Errors | None, most: int) -> _Found:
         """The end of at most so many rounds; ``errors`` are estimated if not given."""
-        limit, total, known = _default_radius(self.coverage.first.d), 0, None
+        first, second = self.coverage.first, self.coverage.second
+        limit, total, known = _radius(self.gate, first.d), 0, None
         while True:
             self.progress("gate")
-            pairs = (self.gate or Radius(limit))(self.coverage.first, self.coverage.second)
+            pairs = (self.gate or Radius(limit))(first, second)
             whole = Setting.whole(pairs, self.coverage)
             part = whole.sample()
             seen = self.photometry if part is whole or self.photometry is None else self.photometry.part(*part.rows)
-            known = Known.nothing(part, errors, seen, self.density) if known is None else known.at(part, seen)
+            if known is None:
+                # More close candidates than chance gives are common objects.
+                inner, by_chance = _halves(pairs, limit)
+                excess = (inner - by_chance) / min(len(first), len(second))
+                known = Known.nothing(part, errors, seen, self.density, excess)
+            else:
+                known = known.at(part, seen)
             known, told, done, settled = going.settled(known, most - total, self.progress)
             total += done
             found = _Found(whole, known, told, limit, total, settled)
@@ -261,14 +268,18 @@ def _notes(found: _Found, common: float) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _default_radius(d: int) -> float:
-    """Radius of the default gate in d features, in standard deviations."""
-    return math.sqrt(ChiSquare().limit(d))
+def _radius(gate: ChiSquare | Radius | None, d: int) -> float:
+    """Radius of a gate, or of the default one, in d features, in standard deviations."""
+    return gate.sigmas if isinstance(gate, Radius) else math.sqrt((gate or ChiSquare()).limit(d))
+
+
+def _halves(pairs: Pairs, limit: float) -> tuple[float, float]:
+    """Candidates in the inner half of the gate, and as many as the density of its outer part lets expect there."""
+    inner = int(np.count_nonzero(pairs.mahalanobis_sq < (0.5 * limit) ** 2))
+    return float(inner), (len(pairs) - inner) / (2.0**pairs.d - 1.0)
 
 
 def _stands_out(pairs: Pairs, limit: float) -> bool:
     """Whether the inner half of the gate holds more candidates than its outer part, at chance, lets expect."""
-    inner = int(np.count_nonzero(pairs.mahalanobis_sq < (0.5 * limit) ** 2))
-    share = 1.0 / (2.0**pairs.d - 1.0)
-    outer = (len(pairs) - inner) * share
-    return inner - outer > SIGNIFICANT * math.sqrt(inner + outer * share)
+    inner, by_chance = _halves(pairs, limit)
+    return inner - by_chance > SIGNIFICANT * math.sqrt(inner + by_chance / (2.0**pairs.d - 1.0))

@@ -6,6 +6,7 @@ the shares of common objects. It becomes a rule (``evidence.Brightness``) for th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -34,7 +35,9 @@ from sameas.result import Identification
 #: Expected pairs of a pattern of measured bands, and records of a source, from which anything is learned at all.
 FEWEST = 50.0
 #: Pairs that a relation is learned from, and records that a curve is, at most: more would not better it noticeably.
-ENOUGH, ENOUGH_IN_ROUNDS = 10_000, 3_000
+ENOUGH, ENOUGH_IN_ROUNDS = 10_000, 4_000
+#: The golden ratio of 2³²: multiples of it are strewn evenly.
+SCATTERING = 2_654_435_769
 
 #: The pairs and their probabilities (m,), those of having a partner (n₁,), (n₂,), the shares at the records' positions
 #: (n₁,), (n₂,), and whether each is covered.
@@ -94,8 +97,7 @@ class Photometry:
         """
         one, two = map(_curve, self.sides, p_partner, shares, covered, self.curves)
         curves = one, two
-        telling = np.flatnonzero(p_pair > 1e-3)
-        telling = telling[:: max(1, -(-len(telling) // (ENOUGH if last else ENOUGH_IN_ROUNDS)))]
+        telling = _some(np.flatnonzero(p_pair > 1e-3), ENOUGH if last else ENOUGH_IN_ROUNDS)
         seen_1, seen_2 = (
             side.measured.take(rows[telling]) for side, rows in zip(self.sides, (pairs.i, pairs.j), strict=True)
         )
@@ -139,6 +141,15 @@ class Photometry:
             enough = np.count_nonzero(these) >= FEWEST
             curves.append(DetectionCurve.of(names[0], magnitude[these], partner[these], volume) if enough else None)
         return curves[0], curves[1]
+
+
+def _some(telling: IntArray, enough: int) -> IntArray:
+    """Half of enough pairs or more, strewn over all, and from round to round the same as far as these still tell."""
+    if len(telling) <= enough:
+        return telling
+    halvings = math.ceil(math.log2(len(telling) / enough))
+    strewn = (telling.astype(np.uint64) * np.uint64(SCATTERING)) & np.uint64(2**32 - 1)
+    return telling[strewn < np.uint64(2 ** (32 - halvings))]
 
 
 def _chain(side: Side, own: Measured, other: Measured, weight: FloatArray, before: Chain | None, last: bool) -> Chain:

@@ -39,6 +39,8 @@ _NONE = np.empty(0, np.int64)
 #: whose probability is proved to be below the other number, where the prior allows the proof.
 SMALL, IMPROBABLE = 16, 1e-6
 EVERY = 2**62
+#: Groups of no more records than this on one side are summed exactly even where sums over many pairs are wanted.
+FEW = 4
 #: Pairs that are proved to be less probable than this do not count where sums over many pairs are wanted.
 UNIMPORTANT = 1e-5
 
@@ -136,23 +138,25 @@ def _within_one(groups: Groups, share: FloatArray) -> FloatArray:
 
 
 def by_messages(groups: Groups, best: Hypothesis) -> Posterior:
-    """Probabilities of all pairs by sum-product messages alone: fast, exact for groups without cycles.
+    """Probabilities of all pairs, exact in small groups, by sum-product messages alone in others: fast.
 
     On short cycles messages are over-confident; use them where sums over many pairs are wanted, as estimation does.
     Pairs that are proved to be less probable than 1e-5 get zero.
     """
     share = np.zeros(len(groups.order))
-    method = np.full(len(groups), APPROXIMATE, np.int8)
+    method = np.zeros(len(groups), np.int8)
+    _exact(groups, best, share, method, FEW)
+    change, wanted = 0.0, method == APPROXIMATE
     if best.prior.slope is None:
         change = _Messages.of(groups, best, method, share, ROUGHLY).change
-    else:
-        _bounds(groups, best, method == APPROXIMATE, share)
-        kept = np.flatnonzero(share > UNIMPORTANT)
-        share[:] = 0.0
+    elif wanted.any():
+        bound = share.copy()
+        _bounds(groups, best, wanted, bound)
+        kept = np.flatnonzero(np.repeat(wanted, groups.pair_counts) & (bound > UNIMPORTANT))
         thin = _Thinned.of(groups, best, kept, best.weight[kept])
         share[kept], change = thin.by_messages()
     p_pair = np.empty(len(share))
-    p_pair[groups.order] = np.clip(share, 0.0, 1.0)
+    p_pair[groups.order] = np.clip(share, 0.0, 1.0, out=share)
     return Posterior(p_pair, method, np.zeros(len(groups)), change)
 
 

@@ -30,6 +30,8 @@ BEND, STEEP = 0.3, 1.0
 PSEUDO_PAIRS = 20.0
 LEAST_SCATTER = 0.003
 FIRST_STEPS, STEPS, LAST_STEPS = 8, 2, 20
+#: Steps end when they change nothing by more than this share of its standard error.
+SETTLED = 0.05
 #: Values that are sorted whole for their median, and steps that more are counted in.
 SORTED, STEPPED = 10_000, 4_096
 
@@ -68,8 +70,19 @@ def fit_relation(
     """The relation of greatest likelihood; a few steps on from ``start`` where there is one, many for the last time."""
     relation = start if start is not None else _first(sample, background)
     for _ in range(LAST_STEPS if last else STEPS if start is not None else FIRST_STEPS):
-        relation = _improved(sample, replace(relation, background=background))
+        before, relation = relation, _improved(sample, replace(relation, background=background))
+        if _settled(before, relation):
+            break
     return relation
+
+
+def _settled(before: Relation, after: Relation) -> bool:
+    """Whether a step has changed a relation by much less than its standard errors."""
+    was, now = (np.concatenate([r.offset, r.slopes]) for r in (before, after))
+    allowed = SETTLED * np.sqrt(np.diag(after.covariance))
+    scatters = abs(after.typical_scatter - before.typical_scatter) <= SETTLED * after.scatter_error
+    alone = SETTLED * math.sqrt(after.unrelated / max(after.weight, 1.0))
+    return bool(scatters and np.all(np.abs(now - was) <= allowed) and abs(after.unrelated - before.unrelated) <= alone)
 
 
 def _first(sample: Sample, background: MagnitudeDensity) -> Relation:

@@ -27,6 +27,8 @@ from sameas.prior import PerPair
 from sameas.records import FloatArray
 from sameas.sample import Setting
 
+#: The first guess of the share of the poorer source that is common lies between these.
+LEAST_GUESS, MOST_GUESS = 0.1, 0.95
 #: Errors this many times too small are always thought of.
 THINKABLE = 3.4
 #: Least share of records that only one source shows.
@@ -36,9 +38,10 @@ FILLED = 0.15
 #: Fewer expected pairs than this say too little of the errors; the quoted ones are then believed.
 FEWEST = 50.0
 #: Rounds by positions alone before magnitudes are learned from, and rounds with them at least.
-POSITIONS_FIRST, WITH_BRIGHTNESS = 2, 3
-#: The number of common objects has settled when it changes by no more than this share of it, and this number.
-SETTLED, SETTLED_NUMBER = 3e-4, 0.01
+POSITIONS_FIRST, WITH_BRIGHTNESS = 1, 3
+#: The number of common objects has settled when it changes by no more than this share of its standard error; each
+#: change is about as large as all that would follow. Of very few it must change by no more than this number.
+SETTLED, SETTLED_NUMBER = 0.1, 0.01
 
 Both = tuple[FloatArray, FloatArray]
 BoolArray = NDArray[np.bool_]
@@ -55,6 +58,7 @@ class Known:
     local : local share of the records of source 1, and of source 2, that have a partner, each at the records of both.
     errors : the spread of the residuals; learned from the pairs where ``learns_errors``.
     photometry : how the magnitudes are related, None where they are not asked for. lessons : how often it was learned.
+    common : expected number of common objects among the counted, negative before the first round.
     density : (ρ₁, ρ₂) of all records of each source where the user gave them, else None.
     """
 
@@ -67,6 +71,7 @@ class Known:
     photometry: Photometry | None
     density: tuple[float, float] | None = None
     lessons: int = 0
+    common: float = -1.0
 
     @classmethod
     def nothing(
@@ -75,10 +80,11 @@ class Known:
         errors: Errors | None,
         photometry: Photometry | None,
         density: tuple[float, float] | None,
+        share: float,
     ) -> Known:
-        """Before the first round: half of the poorer source is taken to be common."""
+        """Before the first round, when this ``share`` of the poorer source is taken to be common."""
         n1, n2 = (len(rows) for rows in setting.rows)
-        guess = 0.5 * min(n1, n2)
+        guess = min(max(share, LEAST_GUESS), MOST_GUESS) * min(n1, n2)
         partner = np.full(n1, guess / n1), np.full(n2, guess / n2)
         local = _local(setting, partner, setting.counted)
         return cls(setting, partner, setting.counted, local, errors or Errors(), errors is None, photometry, density)
@@ -140,6 +146,11 @@ class Known:
         """Number of common objects that the shares let expect."""
         return min(float((share * seen).sum()) for share, seen in zip(self.shares(), self.setting.seen, strict=True))
 
+    def count_error(self) -> float:
+        """Standard error of the number of common objects among the counted: what is not sure of the surer source."""
+        unsure = (p[known] * (1.0 - p[known]) for p, known in zip(self.partner, self.counted, strict=True))
+        return math.sqrt(min(float(part.sum()) for part in unsure))
+
     def learned(self, p_pair: FloatArray, *, brightness: bool) -> Known:
         """What the probabilities of a round (m,) say of shares and errors, and of magnitudes where these are asked."""
         pairs = self.setting.pairs
@@ -147,8 +158,8 @@ class Known:
             np.minimum(np.bincount(pairs.i, p_pair, len(self.partner[0])), 1.0),
             np.minimum(np.bincount(pairs.j, p_pair, len(self.partner[1])), 1.0),
         )
-        known = self._with_partners(partner, self.setting.counted)
         told = self.setting.told(p_pair)
+        known = replace(self, common=float(told.sum()))._with_partners(partner, self.setting.counted)
         if told.sum() < FEWEST:
             return known
         if self.learns_errors:
@@ -189,7 +200,7 @@ def settled(
     linear = PerPair()(grouped.sizes_1, grouped.sizes_2)
     if known.photometry is not None:
         known = replace(known, photometry=known.photometry.facing(setting.pairs))
-    before, done, number = -1.0, False, 0
+    done, number = False, 0
     told = np.empty(0)
     while not done and number < max(rounds, 1):
         number += 1
@@ -197,18 +208,17 @@ def settled(
         best = assign(grouped, known.rule()(setting.pairs).log_ratio, linear)
         p_pair = by_messages(grouped, best).p_pair
         told = setting.told(p_pair)
-        common = float(told.sum())
+        before, common = known.common, float(told.sum())
         if not math.isfinite(common):
             raise InputError(
                 f"{setting.pairs.first.source} and {setting.pairs.second.source}: probabilities are beyond computing, "
                 "the errors are far larger than the spacing of the records; are the errors in the unit that was "
                 "understood?"
             )
-        done = abs(common - before) <= SETTLED * common + SETTLED_NUMBER
-        # The magnitudes must have had their say.
-        done &= known.photometry is None or common < FEWEST or known.lessons >= WITH_BRIGHTNESS
-        before = common
         known = known.learned(p_pair, brightness=number >= POSITIONS_FIRST)
+        done = abs(common - before) <= SETTLED * known.count_error() + SETTLED_NUMBER
+        # The magnitudes must have had their say.
+        done &= known.photometry is None or common < FEWEST or known.lessons > WITH_BRIGHTNESS
     if known.lessons:
         known = known.with_lesson(told, last=True)
     return known, told, number, done
