@@ -26,8 +26,10 @@ PROBABLE, SUREST = 1e-3, 1.0 - 1e-9
 ACROSS = 40
 #: The search for the shares stops when ln of the likelihood grows by less than this, or after so many steps.
 SETTLED, STEPS = 1e-4, 40
+#: What every share begins with besides its own: EM never revives one that is zero.
+SPREAD = 1e-3
 #: Least part of a step, and what is added to the curvature, of its trace: neighbouring normals are much alike.
-SHORTEST, RIDGE = 1e-4, 1e-10
+SHORTEST, RIDGE = 1e-3, 1e-10
 
 BoolArray = NDArray[np.bool_]
 
@@ -59,9 +61,8 @@ def fit_errors(
     known = dict(zip(np.round(start.scales, 9), start.shares, strict=True))
     shares = np.array([known.get(round(s, 9), 0.0) for s in scales])
     pseudo = 2.0 * (np.abs(np.log(scales)) < 0.01)
-    shares += 1e-3 * pseudo
     mixture = _Mixture(cells.count, odds, np.exp(log_part - height), pseudo)
-    shares = mixture.best_shares(shares / shares.sum())
+    shares = mixture.best_shares(shares)
     kept = shares > 1e-6
     return Errors(tuple(scales[kept].tolist()), tuple((shares[kept] / shares[kept].sum()).tolist()))
 
@@ -117,21 +118,24 @@ class _Mixture:
         return float(self.count @ np.log1p(self.odds * (self.part @ shares))) + log_prior
 
     def best_shares(self, shares: FloatArray) -> FloatArray:
-        """The shares of greatest likelihood, from any on: Newton's steps among shares that are not negative."""
-        free, reached = shares > 0.0, self.log_likelihood(shares)
+        """The shares of greatest likelihood, from any on: a step of EM, which always leads upwards, and one of
+        Newton's among shares that are not negative, which leads there at once from near by, in turn."""
+        free = (shares > 0.0) | (self.pseudo > 0.0)
+        shares, reached = shares + SPREAD, -math.inf
         for _ in range(STEPS):
             slope, bend = self._derivatives(shares)
+            shares = np.maximum(shares * slope, 0.0)
+            shares /= shares.sum()
+            slope, bend = self._derivatives(shares)
             wanted, free = _on_simplex(slope + bend @ shares, bend, free)
-            step, length = wanted - shares, 1.0
+            now, best, length = self.log_likelihood(shares), shares, 1.0
             while length > SHORTEST:
-                tried = np.maximum(shares + length * step, 0.0)
-                now = self.log_likelihood(tried)
-                if now >= reached:
+                tried = shares + length * (wanted - shares)
+                if (there := self.log_likelihood(tried)) > now:
+                    now, best = there, tried
                     break
-                length *= 0.5
-            else:
-                break
-            shares, gained, reached = tried, now - reached, now
+                length *= 0.25
+            shares, gained, reached = best, now - reached, now
             if gained < SETTLED:
                 break
         return shares
