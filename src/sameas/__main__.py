@@ -1,0 +1,5 @@
+"""``python -m sameas``: the command."""
+
+from sameas.cli import main
+
+main()
