@@ -16,8 +16,8 @@ WITH = {"errors": "records", "space": "records", "threads": "records", "search":
         "coverage": "estimate", "detection": "estimate", "photometry": "estimate", "piecewise": "records",
         "quantity": "estimate", "regression": "estimate", "error_model": "estimate",
         "decision": "result", "older": "result", "spacing": "evidence"}  # fmt: skip
-ROOMS = {"sky", "tracks", "io", "adapters", "plots", "report", "findings", "prose", "cli", "study", "pages"}
-FOR_PEOPLE = {"io", "adapters", "plots", "report", "findings", "prose", "cli", "study", "pages"}
+ROOMS = {"sky", "tracks", "maps", "io", "adapters", "plots", "report", "findings", "prose", "cli", "study", "pages"}
+FOR_PEOPLE = {"io", "maps", "adapters", "plots", "report", "findings", "prose", "cli", "study", "pages"}
 
 
 def imported(path, *, always=False):
