@@ -16,8 +16,9 @@ WITH = {"errors": "records", "space": "records", "threads": "records", "search":
         "coverage": "estimate", "detection": "estimate", "photometry": "estimate", "piecewise": "records",
         "quantity": "estimate", "regression": "estimate", "error_model": "estimate",
         "decision": "result", "older": "result", "spacing": "evidence"}  # fmt: skip
-ROOMS = {"sky", "tracks", "maps", "io", "adapters", "plots", "report", "findings", "prose", "cli", "study", "pages"}
-FOR_PEOPLE = {"io", "maps", "adapters", "plots", "report", "findings", "prose", "cli", "study", "pages"}
+ROOMS = {"sky", "tracks", "picture", "maps", "io", "adapters", "plots", "report", "findings", "prose", "cli", "study",
+         "pages", "__main__"}  # fmt: skip
+FOR_PEOPLE = {"io", "maps", "adapters", "plots", "report", "findings", "prose", "cli", "study", "pages", "__main__"}
 
 
 def imported(path, *, always=False):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,12 @@ from sameas.evidence.identity import MODELS
 from sameas.records import FloatArray
 from sameas.tracks.alignment import States, looks_of
 from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.correction import corrected
 from sameas.tracks.filter import follow
-from sameas.tracks.placement import Directions, placed, sensor_places
+from sameas.tracks.namesakes import parted
+from sameas.tracks.placement import Directions, placed, sensor_places, set_aside
 from sameas.tracks.reports import Reports
+from sameas.tracks.silence import ending_silence_s
 from sameas.tracks.source import Description
 
 
@@ -31,6 +35,7 @@ class Feed:
     looked_s : (l,) the times at which it looked. look_s : (n,) the look to which each report belongs.
     sensor_m : (n, 2) where its sensor was, None for a source that is in no one place.
     attributes : what the reports say of the objects' identity, (n,) each: mmsi, icao, name, …
+    given : the reports as a reader gave them. notes : what was set aside, printable sentences.
     """
 
     description: Description
@@ -39,6 +44,8 @@ class Feed:
     look_s: FloatArray
     sensor_m: FloatArray | None
     attributes: Mapping[str, NDArray[Any]]
+    given: Reports | None = None
+    notes: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -59,6 +66,13 @@ class Feed:
         filtered : whether reports with names are to be filtered to tracks first.
         """
         there = placed(description, reports, plane)
+        notes = set_aside(reports, there)
+        sensor_m = sensor_places(description, reports, plane)
+        biases = known_biases(description, sensor_m)
+        there = corrected(there, sensor_m, biases) if biases.any() else there
+        if isinstance(there, States):
+            there, more = parted(there, description.motion.speed_m_per_s or math.inf)
+            notes += tuple(f"{description.name}: {note}" for note in more)
         if filtered:
             if not isinstance(there, States):
                 raise InputError(f"{description.name}: directions are not filtered; give positions")
@@ -66,13 +80,17 @@ class Feed:
         look_s = looks_of(there.time_s, description.timing.period_s)
         looked = look_s if looked_s is None else np.concatenate([np.asarray(looked_s, np.float64), look_s])
         attributes = {name: said for name in MODELS if (said := getattr(reports, name, None)) is not None}
-        sensor_m = sensor_places(description, reports, plane)
-        return cls(description, there, np.unique(looked), look_s, sensor_m, attributes)
+        return cls(description, there, np.unique(looked), look_s, sensor_m, attributes, reports, notes)
 
     @property
     def walk_m2_per_s3(self) -> float:
         """Power density of the random walk of its objects' velocities."""
         return walk_of(self.description)
+
+    @cached_property
+    def ending_silence_s(self) -> float:
+        """After how long a track of the source that says nothing has ended."""
+        return ending_silence_s(self.reports.time_s, self.reports.track)
 
     @property
     def tells_velocities(self) -> bool:
@@ -109,6 +127,25 @@ class Feed:
         density = (clutter.per_km2 or 0.0) / 1e6
         speed = self.description.motion.speed_m_per_s or 1.0
         return density if features == 2 else density / (2.0 * math.pi * speed**2)
+
+
+def known_biases(description: Description, sensor_m: FloatArray | None) -> FloatArray:
+    """(6,) the biases that the user knows, in the order of BIASES."""
+    given = description.calibration
+    polar = (given.range_m, given.azimuth_deg, given.range_gain)
+    if sensor_m is None and any(polar):
+        raise InputError(
+            f"{description.name}: calibration of range or azimuth needs to know where the sensor is; give site"
+        )
+    return np.array([value or 0.0 for value in (*polar, None, given.east_m, given.north_m)], dtype=np.float64)
+
+
+def are_numbered_plots(reports: Reports) -> bool:
+    """Whether reports are single measurements of range and bearing under numbers of tracks, which filtering betters.
+
+    Targets of an ARPA are smoothed already; satellite positions come with velocities that are measured apart.
+    """
+    return reports.position == "polar" and reports.track_id is not None and reports.kind != "arpa"
 
 
 def walk_of(description: Description) -> float:

@@ -180,6 +180,11 @@ def _check_chosen(chosen: Mapping[str, Choice], names: Sequence[str], source: st
         if (pair[0] in chosen) != (pair[1] in chosen):
             missing = pair[0] if pair[1] in chosen else pair[1]
             raise InputError(f"{source}: no column of {missing} among: {listed}; say columns={{{missing!r}: NAME}}")
+    if "range_m" in chosen and not {"lat_deg", "x_m", "bearing_deg"} & set(chosen):
+        raise InputError(
+            f"{source}: ranges ({chosen['range_m'].name}), but no column of bearings among: {listed}; "
+            "say columns={'bearing_deg': NAME}"
+        )
     if not {"lat_deg", "x_m", "bearing_deg"} & set(chosen):
         raise InputError(
             f"{source}: no columns of a position among: {listed}; "
