@@ -168,6 +168,7 @@ def test_nees_is_the_number_of_components_where_covariances_are_honest() -> None
     off = np.einsum("nvw,nw->nv", root, rng.normal(size=(4000, 2)))
     honest = nees(off, spread, np.zeros((4000, 2)))
     assert honest.low < honest.mean < honest.high and honest.low < 2.0 < honest.high
+    assert abs(honest.median / honest.median_due - 1.0) < 0.1
     assert nees(off, spread / 4.0, np.zeros((4000, 2))).mean == pytest.approx(4.0 * honest.mean)
 
 

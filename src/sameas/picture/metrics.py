@@ -277,12 +277,15 @@ def _ratio(part: float, whole: float) -> float:
 
 @dataclass(frozen=True)
 class Nees:
-    """Normalised estimation error squared, averaged over n states of d components: d where covariances are honest.
+    """Normalised estimation error squared of n states of d components: on average d where covariances are honest.
 
     low, high : between which the mean lies with 95 % if they are and the states are independent.
+    median, median_due : what a few wild states do not change, and what it is of honest covariances.
     """
 
     mean: float
+    median: float
+    median_due: float
     low: float
     high: float
     n: int
@@ -313,11 +316,12 @@ def nees(found: ArrayLike, covariance: ArrayLike, true: ArrayLike) -> Nees:
     known = np.isfinite(off).all(axis=1)
     off, spread = off[known], spread[known]
     n, d = off.shape
+    due = float(chi2.median(d))
     if not n:
-        return Nees(math.nan, math.nan, math.nan, 0, d)
+        return Nees(math.nan, math.nan, due, math.nan, math.nan, 0, d)
     square = np.einsum("nv,nv->n", off, np.linalg.solve(spread, off[..., None])[..., 0])
     low, high = (float(chi2.ppf(p, n * d)) / n for p in (0.025, 0.975))
-    return Nees(float(square.mean()), low, high, n, d)
+    return Nees(float(square.mean()), float(np.median(square)), due, low, high, n, d)
 
 
 def mean_gospa(
