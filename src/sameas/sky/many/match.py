@@ -134,10 +134,7 @@ def match_many(
     _refuse(catalogues)
     order = sorted(range(len(catalogues)), key=lambda k: _content(catalogues[k]))
     epoch, ordered = _at_one_time([catalogues[k] for k in order], options.epoch_jyr)
-    matches: dict[tuple[int, int], SkyMatch] = {}
-    for a, b in combinations(range(len(ordered)), 2):
-        stages = partial(_stage, progress, f"{ordered[a].name} and {ordered[b].name}")
-        matches[a, b] = match_two(ordered[a], ordered[b], options.of_two(), progress=stages)
+    matches = _two_by_two(ordered, options, progress)
     progress("candidates of all")
     records = [catalogue.records(epoch) for catalogue in ordered]
     sightings = tuple(Sightings.of(c, r, epoch) for c, r in zip(ordered, records, strict=True))
@@ -148,15 +145,31 @@ def match_many(
     observers = StarObservers.of(together, records, sightings, _first_guess(matches, records, coverages, options))
     found = _settled(replace(together, observers=observers), coverages, options, progress)
     objects = Objects(tuple(given), found.union, found.sets, found.answer, found.terms)
-    names = [catalogue.name for catalogue in ordered]
-    expected = {
-        tuple(name for s, name in enumerate(names) if pattern >> s & 1): number
-        for pattern, number in enumerate(found.expected.tolist())
-        if pattern
-    }
+    expected = _by_names(found.expected, order, [catalogue.name for catalogue in catalogues])
     pairs = {(ordered[a].name, ordered[b].name): match for (a, b), match in matches.items()}
     doubts = _doubts(pairs, objects, found.settled)
     return ManyMatch(tuple(catalogues), epoch, objects, pairs, expected, found.rounds, found.settled, doubts)
+
+
+def _two_by_two(
+    catalogues: Sequence[Catalogue], options: ManyOptions, progress: Callable[[str], None]
+) -> dict[tuple[int, int], SkyMatch]:
+    """Every two catalogues identified with each other."""
+    matches = {}
+    for a, b in combinations(range(len(catalogues)), 2):
+        stages = partial(_stage, progress, f"{catalogues[a].name} and {catalogues[b].name}")
+        matches[a, b] = match_two(catalogues[a], catalogues[b], options.of_two(), progress=stages)
+    return matches
+
+
+def _by_names(expected: FloatArray, order: list[int], names: list[str]) -> dict[tuple[str, ...], float]:
+    """Expected numbers of objects by names, as the catalogues were given; those of one catalogue first."""
+    shown = {}
+    for pattern, number in enumerate(expected.tolist()):
+        within = tuple(sorted(order[s] for s in range(len(order)) if pattern >> s & 1))
+        if within:
+            shown[within] = number
+    return {tuple(names[k] for k in within): shown[within] for within in sorted(shown, key=lambda w: (len(w), w))}
 
 
 def _stage(progress: Callable[[str], None], names: str, stage: str) -> None:

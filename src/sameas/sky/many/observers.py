@@ -25,7 +25,8 @@ class StarObservers(Observers):
     """Catalogues as observers of stars, ``sources`` their records in the order of the union.
 
     The state of a set: right ascension and declination in degrees at the reference epoch, proper motion east and north
-    in arcsec per year, (k, 4); its covariance in arcsec and arcsec per year, as the residuals of its pattern spread.
+    in arcsec per year, (k, 4); its covariance in arcsec and arcsec per year, as the residuals of its pattern spread
+    where they tell of errors.
 
     sightings, population : in the order of the catalogues and of their tables. catalogue : (S,) which one each source
     is. position : per source where its records stand there.
@@ -62,7 +63,7 @@ class StarObservers(Observers):
         log_density = fit.log_peak + self.population.log_spread(patterns, fit.chi_sq)
         several = patterns & (patterns - 1) > 0
         log_density += np.where(several, self.population.log_together(placed, patterns), 0.0)
-        scale_sq = self.population.scale_sq(patterns, fit.chi_sq)
+        scale_sq = np.where(fit.judged, self.population.scale_sq(patterns, fit.chi_sq), 1.0)
         state = np.column_stack([fit.direction, fit.motion])
         return Joint(log_density, fit.chi_sq, state, scale_sq[:, None, None] * fit.covariance)
 

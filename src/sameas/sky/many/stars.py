@@ -103,6 +103,8 @@ class Fit(NamedTuple):
     """Per set (k,): ``log_peak`` ln J without its −½ χ², ``chi_sq`` χ² of 2 (size − 1) degrees of freedom.
 
     direction, motion : (k, 2) of the star at the reference epoch. covariance : (k, 4, 4) of both.
+    judged : whether χ² judges the records' errors; where no record has a motion and time has passed between them, it
+        tells of the motions.
     """
 
     log_peak: FloatArray
@@ -110,6 +112,7 @@ class Fit(NamedTuple):
     direction: FloatArray
     motion: FloatArray
     covariance: FloatArray
+    judged: BoolArray
 
 
 def fitted(sightings: tuple[Sightings, ...], sets: NDArray[np.integer]) -> Fit:
@@ -138,12 +141,13 @@ def _fitted(sightings: tuple[Sightings, ...], sets: NDArray[np.integer]) -> Fit:
     open_motion[:, [2, 3], [2, 3]] = 1.0 / spread[still, None] ** 2
     whole.add(still, np.zeros((len(still), 4)), open_motion, -LOG_2PI - 2.0 * np.log(spread[still]))
     log_peak, chi_sq, state, covariance = whole.solved()
+    judged = (moving > 0) | ~whole.information[:, :2, 2:].any(axis=(1, 2))
     several = np.flatnonzero(moving > 1)
     if len(several):
         peak, own, _, _ = motions.at(several).solved()
         log_peak[several] -= peak
         chi_sq[several] -= own
-    return Fit(log_peak, np.maximum(chi_sq, 0.0), displaced(anchor, state[:, :2]), state[:, 2:], covariance)
+    return Fit(log_peak, np.maximum(chi_sq, 0.0), displaced(anchor, state[:, :2]), state[:, 2:], covariance, judged)
 
 
 @dataclass(frozen=True)
