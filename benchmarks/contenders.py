@@ -91,10 +91,10 @@ def _within(known: Records, new: Records, reach_m: np.ndarray) -> tuple[np.ndarr
 
 
 def stone_soup(known: Records, new: Records, away_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Stone Soup's OneToOneTrackAssociator, every state a track of one time.
+    """Stone Soup's OneToOneTrackAssociator, every state a track of one time, threshold three sigma.
 
-    Its Mahalanobis measure takes the covariance of the first state alone: it is given that of both, the larger side
-    first is not known to it. The threshold is three sigma.
+    Its Mahalanobis measure takes the covariance of the first side alone: new records stand first, and to be fair each
+    is given the median covariance of the objects beside its own.
     """
     from stonesoup.dataassociator.tracktotrack import OneToOneTrackAssociator
     from stonesoup.measures import Mahalanobis
@@ -105,17 +105,15 @@ def stone_soup(known: Records, new: Records, away_m: np.ndarray) -> tuple[np.nda
     when = datetime(2026, 1, 1)
     measure = MeanMeasure(StateSequenceMeasure(Mahalanobis()))
     associator = OneToOneTrackAssociator(measure=measure, association_threshold=3.0)
-    # New records first: theirs are the larger errors, and only the first covariance counts.
+    other = np.median(known.full_covariance(), axis=0)
     sides = [
-        [Track([GaussianState(x[:, None], p, when)]) for x, p in zip(r.features, r.full_covariance(), strict=True)]
-        for r in (new, known)
-    ]  # fmt: skip
-    place = {id(track): k for side in sides for k, track in enumerate(side)}
+        [Track([GaussianState(x[:, None], p, when)]) for x, p in zip(records.features, covariances, strict=True)]
+        for records, covariances in ((new, new.full_covariance() + other), (known, known.full_covariance()))
+    ]
+    place = {id(track): (side, k) for side, tracks in enumerate(sides) for k, track in enumerate(tracks)}
     rows = []
-    firsts = {id(track) for track in sides[0]}
     for association in associator.associate_tracks(set(sides[0]), set(sides[1])).associations:
-        one, two = association.objects
-        one, two = (one, two) if id(one) in firsts else (two, one)
-        rows.append((place[id(two)], place[id(one)]))
+        (_, j), (_, i) = sorted(place[id(track)] for track in association.objects)
+        rows.append((i, j))
     found = np.array(rows, np.int64).reshape(-1, 2)
     return found[:, 0], found[:, 1]

@@ -230,7 +230,8 @@ class Lines:
         ours = [
             *label, *(score.pairs.f1 for score in one), picture.score.pairs.f1, picture.score.pairs.precision,
             picture.score.pairs.recall, picture.score.share_right, picture.siap.completeness, picture.siap.ambiguity,
-            picture.siap.continuity, picture.siap.switches, picture.nees.mean, picture.error_m,
+            picture.siap.continuity, picture.siap.switches, picture.nees.mean,
+            picture.nees.median, picture.error_m,
         ]  # fmt: skip
         others = [
             [*label, name, *(judged(trial, scene, instants, way).pairs.f1 for scene in (as_it_is, found))]
@@ -256,7 +257,7 @@ def _bias_rows(trial: Trial, found: tuple[SourceBiases, ...]) -> list[list[objec
 LABEL = ("noise, m", "misses", "radars")
 OURS = (
     *LABEL, "alone, biased", "alone, known", "alone, found", "memory", "precision", "recall", "instants right",
-    "complete", "ambiguity", "continuity", "switches", "NEES (2)", "fused, m",
+    "complete", "ambiguity", "continuity", "switches", "NEES (2)", "median (1.39)", "fused, m",
 )  # fmt: skip
 OTHERS = (*LABEL, "way", "F1, biased", "F1, biases found")
 FOUND = (

@@ -103,12 +103,16 @@ def test_one_source_is_a_picture_and_so_is_none():
     picture = Picture.of(Scene.of(sources[1:2]), times)
     assert set(picture.objects["n_sources"].tolist()) == {1} and set(picture.records["p_alone"].tolist()) == {1.0}
     assert set(picture.objects["object"].tolist()) == set(range(1, 31)) and not picture.texts
-    assert picture.summary.lines()[0].startswith("30 objects: 30 by 1 source")
+    assert picture.summary.lines()[0] == "objects: 30 confirmed"
     early = Picture.of(Scene.of(sources), [-20.0, -10.0, 0.0])
     assert (early.objects["time_s"] == 0.0).all() and len(early.objects["object"]) == 30
     nothing = Picture.of(Scene.of(sources), [-20.0])
     assert {len(column) for column in [*nothing.objects.values(), *nothing.records.values()]} == {0}
-    assert nothing.summary.lines()[0] == "0 objects: none; 0 never confirmed"
+    assert nothing.summary.lines()[:2] == [
+        "objects: 0 confirmed",
+        "how sure: of 0 objects at an instant none are expected not to have exactly the right records; "
+        "ambiguous groups of neighbours at an instant: none",
+    ]
 
 
 def test_a_source_may_begin_late_and_fall_silent():
@@ -198,7 +202,7 @@ def test_the_summary_says_what_a_user_should_know():
     assert abs(misses["coast"] - 17 / 30) < 0.05 and misses["radar"] < 0.1
     assert summary.alarms[0].alarm.value == "235000001" and summary.alarms[0].instants == len(times)
     assert summary.alarms[0].alarm.second == ("elsewhere", 0) or summary.alarms[0].alarm.first == ("elsewhere", 0)
-    for words in ("radar: 2°", "elsewhere shares no object", "never says nothing", "coast has no record of",
+    for words in ("radar: 2°", "elsewhere shares no object", "never says nothing", "coast misses ",
                   "assumed for tracks"):  # fmt: skip
         assert words in told_lines, words
 

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sameas.errors import InputError
 from sameas.maps.outline import Outline
+from sameas.prose import UTC_FROM_S
 from sameas.records import FloatArray, IntArray
 from sameas.tracks.coordinates import LocalPlane, bearing_in_plane
 from sameas.tracks.source import Description
@@ -27,8 +28,6 @@ from sameas.tracks.source import Description
 Columns = Mapping[str, NDArray[Any]]
 
 STAGES = ("tentative", "confirmed", "coasting", "ended")
-#: Times after this are seconds since 1970, in UTC (it is March 1973); earlier ones are the user's own seconds.
-UTC_FROM_S = 1e8
 
 #: Columns of the objects: what stands where a column is absent; None: it must be there.
 OBJECTS: Mapping[str, Any] = {

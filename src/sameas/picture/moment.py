@@ -241,7 +241,8 @@ class Moment:
         )
 
     def explain(self, number: int) -> Reasons:
-        """Why its records are object ``number`` of the picture.
+        """Why its records are object ``number`` of the picture; records are named as their sources name them: by their
+        tracks, else by the lines of their files.
 
         Raises
         ------
@@ -250,9 +251,24 @@ class Moment:
         at = np.flatnonzero(self.number == number)
         if self.found is None or not len(at):
             raise InputError(f"object {number} is not shown by any source at {self.now.instant_s:g} s")
-        reasons = self.found.explain(int(at[0]))
+        reasons, names = self.found.explain(int(at[0])), self._names
         rivals = tuple(
-            replace(rival, taken=tuple((record, int(self.number[other])) for record, other in rival.taken))
+            replace(
+                rival, members=tuple(names[record] for record in rival.members),
+                taken=tuple((names[record], int(self.number[other])) for record, other in rival.taken),
+            )
             for rival in reasons.rivals
-        )
+        )  # fmt: skip
         return replace(reasons, number=number, rivals=rivals)
+
+    @cached_property
+    def _names(self) -> Mapping[tuple[str, Any], tuple[str, str]]:
+        """By source and row of its reports, the source and what a user finds the record by."""
+        roll, feeds = self.roll, self.roll.now.feeds
+        sources = [description.name for description in roll.now.descriptions]
+        names = {}
+        for s, row, track in zip(roll.source.tolist(), roll.row.tolist(), roll.track.tolist(), strict=True):
+            given = feeds[s].given
+            said = track or (f"row {row}" if given is None else f"{given.damaged.unit} {given.line[row]}")
+            names[sources[s], row] = sources[s], said
+        return names

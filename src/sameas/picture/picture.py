@@ -10,7 +10,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -93,6 +93,7 @@ class Picture:
         watch: Watch | None = None,
         features: int = POSITION,
         biases: Sequence[str] = (),
+        progress: Callable[[str], object] | None = None,
     ) -> Picture:
         """The picture of a scene at some instants.
 
@@ -103,6 +104,7 @@ class Picture:
             ended.
         features : POSITION, or POSITION_AND_VELOCITY.
         biases : printable lines on the sensors' offsets, for the summary.
+        progress : called with what is being done, at every instant.
 
         Raises
         ------
@@ -129,6 +131,8 @@ class Picture:
         shown: dict[int, tuple[str, str]] = {}
         moment = None
         for k, moment in enumerate(moments(scene, times, watch, features=features)):
+            if progress is not None:
+                progress(f"instant {k + 1} of {len(times)}")
             objects.append(object_columns(moment))
             records.append(record_columns(moment))
             tallies.append(Tally.of(moment))

@@ -21,8 +21,9 @@ from sameas.tracks.scene import Instant
 
 BoolArray = NDArray[np.bool_]
 
-#: A velocity whose variance is this share of what is believed of any object's is not said: nobody measured it.
-UNSAID = 0.99
+#: A velocity whose variance is this share of what is believed of any object's is not said: nobody measured it. Taking
+#: a range bias off turns and shrinks what was not said by some percent, too.
+UNSAID = 0.9
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from sameas.evidence.identity import Alarm
 from sameas.picture.moment import Moment
 from sameas.picture.roll import BoolArray
+from sameas.prose import count, counted, moment
 from sameas.records import FloatArray, IntArray
 from sameas.tracks.feed import Feed
 from sameas.tracks.scene import Scene
@@ -23,13 +24,15 @@ FEWEST = 20
 class Tally:
     """What one moment adds to the summary.
 
-    expected_wrong : objects expected not to be exactly right. ambiguous_groups : groups with an ambiguous object.
+    objects : that sources show. expected_wrong : of them expected not to be exactly right.
+    ambiguous_groups : groups with an ambiguous object.
     records, shared : per source its records, and those in one object with another source's.
     due, missed : per source the objects within its coverage that others show, and how many of them it does not.
     aged : per source rows of reports that had grown too uncertain. alarms : of the moment.
     """
 
     instant_s: float
+    objects: int
     expected_wrong: float
     ambiguous_groups: int
     records: IntArray
@@ -53,7 +56,7 @@ class Tally:
         ambiguous = 0 if found is None else len(np.unique(found.group[moment.ambiguous]))
         several = there.sum(axis=1) > 1
         return cls(
-            now.instant_s, float(np.sum(1.0 - moment.probability)), ambiguous, there.sum(axis=0),
+            now.instant_s, len(there), float(np.sum(1.0 - moment.probability)), ambiguous, there.sum(axis=0),
             (there & several[:, None]).sum(axis=0), due.sum(axis=1), (due * ~there.T).sum(axis=1), now.aged,
             moment.alarms,
         )  # fmt: skip
@@ -90,10 +93,8 @@ class Misses:
     described: float | None
 
     def __str__(self) -> str:
-        said = "" if self.described is None else f", and should miss {100.0 * self.described:.0f} % at a look"
-        return (
-            f"{self.source} has no record of {100.0 * self.share:.0f} % of what others show within its coverage{said}"
-        )
+        said = "" if self.described is None else f"; described: {100.0 * self.described:.0f} % at a look"
+        return f"{self.source} misses {100.0 * self.share:.0f} % of what others show within its coverage{said}"
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ class Alarmed:
     instants: int
 
     def __str__(self) -> str:
-        return f"{self.alarm} (at {self.instants} instant{'s' * (self.instants > 1)})"
+        return f"{self.alarm} (at {counted(self.instants, 'instant')})"
 
 
 @dataclass(frozen=True)
@@ -118,8 +119,8 @@ class Summary:
     instants : how many. first_s, last_s : the first and the last.
     by_sources : confirmed objects by the most sources that showed them at one instant, from 0.
     unconfirmed : objects that were never confirmed.
-    ambiguous_groups, expected_wrong : groups with an ambiguous object, and objects expected not to be exactly right,
-        per instant.
+    shown, expected_wrong, ambiguous_groups : per instant the objects that sources show, those of them expected not to
+        be exactly right, and groups with an ambiguous object.
     misses : per source; biases : printable lines, as given; alarms; assumed : every number that nobody gave.
     notes : what else a user should know.
     """
@@ -129,8 +130,9 @@ class Summary:
     last_s: float
     by_sources: tuple[int, ...]
     unconfirmed: int
-    ambiguous_groups: float
+    shown: float
     expected_wrong: float
+    ambiguous_groups: float
     misses: tuple[Misses, ...]
     biases: tuple[str, ...]
     alarms: tuple[Alarmed, ...]
@@ -146,21 +148,45 @@ class Summary:
         assumed = tuple(str(line) for feed in scene.feeds for line in feed.description.assumed)
         return cls(
             len(tallies), tallies[0].instant_s, tallies[-1].instant_s, by_sources, unconfirmed,
+            float(np.mean([tally.objects for tally in tallies])),
+            float(np.mean([tally.expected_wrong for tally in tallies])),
             float(np.mean([tally.ambiguous_groups for tally in tallies])),
-            float(np.mean([tally.expected_wrong for tally in tallies])), tuple(_misses(scene.feeds, tallies)),
-            tuple(biases), tuple(_alarms(tallies)), assumed, tuple(_notes(scene.feeds, tallies)),
+            tuple(_misses(scene.feeds, tallies)), tuple(biases), tuple(_alarms(tallies)), assumed,
+            tuple(_notes(scene.feeds, tallies)),
         )  # fmt: skip
 
+    def entries(self) -> list[tuple[str, str]]:
+        """Labels and printable words, the most important first; without what was assumed."""
+        several = len(self.by_sources) > 2
+        said = [("objects", self._objects() if several else f"{count(sum(self.by_sources))} confirmed")]
+        if self.unconfirmed:
+            said.append(("not confirmed", f"{count(self.unconfirmed)} more, seen too seldom, as false echoes are"))
+        if several:
+            said.append(("how sure", self._sure()))
+        said += [("ALARM", f"{alarm}, from {moment(alarm.first_s)}") for alarm in self.alarms]
+        labelled = {"doubt": self.notes, "offset": self.biases, "misses": self.misses}
+        return said + [(label, str(words)) for label, told in labelled.items() for words in told]
+
     def lines(self) -> list[str]:
-        """Printable, the most important first."""
-        seen = [f"{n} by {k} source{'s' * (k > 1)}" for k, n in enumerate(self.by_sources) if n and k]
-        return [
-            f"{sum(self.by_sources)} objects: {', '.join(seen[::-1]) or 'none'}; {self.unconfirmed} never confirmed",
-            f"per instant {self.expected_wrong:.2g} objects are expected not to be exactly right, and "
-            f"{self.ambiguous_groups:.2g} groups are ambiguous",
-            *(f"alarm: {alarm}" for alarm in self.alarms), *self.biases, *map(str, self.misses), *self.notes,
-            *self.assumed,
-        ]  # fmt: skip
+        """Printable, the most important first, what was assumed at the end."""
+        return [*(f"{label}: {words}" for label, words in self.entries()), *self.assumed]
+
+    def _objects(self) -> str:
+        seen = [f"{count(n)} by {k}" for k, n in enumerate(self.by_sources) if n and k][::-1]
+        words = f"{count(sum(self.by_sources))} confirmed"
+        return words + (f", {', '.join(seen)} of {len(self.by_sources) - 1} sources at once" if seen else "")
+
+    def _sure(self) -> str:
+        wrong, groups = map(_few, (self.expected_wrong, self.ambiguous_groups))
+        return (
+            f"of {self.shown:.4g} objects at an instant {wrong} are expected not to have exactly the right records; "
+            f"ambiguous groups of neighbours at an instant: {groups}"
+        )
+
+
+def _few(mean: float) -> str:
+    """A mean count, as far as anybody wants to know it."""
+    return f"{mean:.2g}" if mean >= 1e-3 else "fewer than 0.001" if mean else "none"
 
 
 def _by_sources(objects: Mapping[str, NDArray], n_sources: int) -> tuple[tuple[int, ...], int]:
@@ -201,7 +227,7 @@ def _notes(feeds: Sequence[Feed], tallies: Sequence[Tally]) -> Iterable[str]:
         yield from feed.notes
         old = np.unique(np.concatenate([tally.aged[s] for tally in tallies]))
         if len(old):
-            yield f"{name}: {len(old)} reports grew too uncertain to tell objects apart, and were left out then"
+            yield f"{name}: {counted(len(old), 'report')} grew too uncertain to tell objects apart, left out then"
         if not records[s]:
             yield f"{name} says nothing at any instant; do its times lie within the picture's?"
         elif len(feeds) > 1 and not shared[s]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -24,6 +24,9 @@ from sameas.tracks.reports import Reports
 from sameas.tracks.silence import ending_silence_s
 from sameas.tracks.source import Description
 
+#: Kinds of sources whose errors of position last longer than a filter averages.
+LASTING = ("ais", "ads-b")
+
 
 @dataclass(frozen=True)
 class Feed:
@@ -36,6 +39,7 @@ class Feed:
     sensor_m : (n, 2) where its sensor was, None for a source that is in no one place.
     attributes : what the reports say of the objects' identity, (n,) each: mmsi, icao, name, …
     given : the reports as a reader gave them. notes : what was set aside, printable sentences.
+    filtered : whether a filter made tracks of them.
     """
 
     description: Description
@@ -46,6 +50,7 @@ class Feed:
     attributes: Mapping[str, NDArray[Any]]
     given: Reports | None = None
     notes: tuple[str, ...] = ()
+    filtered: bool = False
 
     @classmethod
     def of(
@@ -55,7 +60,7 @@ class Feed:
         plane: LocalPlane | None = None,
         *,
         looked_s: ArrayLike | None = None,
-        filtered: bool = False,
+        to_tracks: bool = False,
     ) -> Feed:
         """A feed of what a reader gave.
 
@@ -63,7 +68,7 @@ class Feed:
         ----------
         looked_s : times of all looks of a source of bare plots, those that showed nothing among them. Without it a
             look that showed nothing is not known of, and the one before it stands until it is too old to tell.
-        filtered : whether reports with names are to be filtered to tracks first.
+        to_tracks : whether reports with names are to be filtered to tracks first (:func:`need_filtering`).
         """
         there = placed(description, reports, plane)
         notes = set_aside(reports, there)
@@ -73,14 +78,14 @@ class Feed:
         if isinstance(there, States):
             there, more = parted(there, description.motion.speed_m_per_s or math.inf)
             notes += tuple(f"{description.name}: {note}" for note in more)
-        if filtered:
+        if to_tracks:
             if not isinstance(there, States):
                 raise InputError(f"{description.name}: directions are not filtered; give positions")
-            there = follow(there, acceleration_m2_per_s3=walk_of(description)).states
+            there = filtered(description, there)
         look_s = looks_of(there.time_s, description.timing.period_s)
         looked = look_s if looked_s is None else np.concatenate([np.asarray(looked_s, np.float64), look_s])
         attributes = {name: said for name in MODELS if (said := getattr(reports, name, None)) is not None}
-        return cls(description, there, np.unique(looked), look_s, sensor_m, attributes, reports, notes)
+        return cls(description, there, np.unique(looked), look_s, sensor_m, attributes, reports, notes, to_tracks)
 
     @property
     def walk_m2_per_s3(self) -> float:
@@ -97,7 +102,7 @@ class Feed:
         """Whether any report is surer of its velocity than that objects move somehow."""
         speed = self.description.motion.speed_m_per_s or math.inf
         reports = self.reports
-        return isinstance(reports, States) and bool(np.any(reports.covariance[:, 2, 2] < 0.99 * speed**2))
+        return isinstance(reports, States) and bool(np.any(reports.covariance[:, 2, 2] < 0.9 * speed**2))
 
     def sensor_at(self, instant_s: float) -> FloatArray | None:
         """(2,) the sensor at its last report before the instant; None where nothing says where it is."""
@@ -140,12 +145,34 @@ def known_biases(description: Description, sensor_m: FloatArray | None) -> Float
     return np.array([value or 0.0 for value in (*polar, None, given.east_m, given.north_m)], dtype=np.float64)
 
 
-def are_numbered_plots(reports: Reports) -> bool:
-    """Whether reports are single measurements of range and bearing under numbers of tracks, which filtering betters.
+def need_filtering(description: Description, reports: Reports) -> bool:
+    """Whether reports are single measurements under names of their objects, which only a filter makes tracks.
 
-    Targets of an ARPA are smoothed already; satellite positions come with velocities that are measured apart.
+    They are where none tells a velocity. Who tells velocities with ranges and bearings is a tracker, whose targets are
+    smoothed already (ARPA); but the plots of ASTERIX 048 are measured ones whatever its tracker says beside them.
+    Tracks of another system are not filtered again.
     """
-    return reports.position == "polar" and reports.track_id is not None and reports.kind != "arpa"
+    names = (reports.track_id, reports.mmsi, reports.icao)
+    smoothed = reports.kind == "arpa" or description.kind == "tracks"
+    if smoothed or reports.position == "bearing" or all(column is None for column in names):
+        return False
+    velocity = reports.velocity_m_per_s()
+    return velocity is None or not np.isfinite(velocity).any() or reports.kind == "asterix 048"
+
+
+def filtered(description: Description, reports: States) -> States:
+    """The reports with the velocities that all reports of their track so far make, and positions bettered by these.
+
+    The errors of satellite positions last for minutes, and no filter makes them smaller: they stay as they are said.
+    """
+    tracks = follow(reports, acceleration_m2_per_s3=walk_of(description)).states
+    if description.kind not in LASTING:
+        return tracks
+    state, covariance = tracks.state.copy(), tracks.covariance.copy()
+    state[:, :2] = reports.state[:, :2]
+    covariance[:, :2, :2] = reports.covariance[:, :2, :2]
+    covariance[:, :2, 2:], covariance[:, 2:, :2] = 0.0, 0.0
+    return replace(tracks, state=state, covariance=covariance)
 
 
 def walk_of(description: Description) -> float:

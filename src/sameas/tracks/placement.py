@@ -159,8 +159,8 @@ def _of_local(description: Description, reports: Reports, plane: LocalPlane | No
     site = description.site
     if site is None or site.lat_deg is None or site.lon_deg is None:
         raise InputError(
-            f"{description.name}: positions are metres in a plane of its own; give site = {{ lat_deg, lon_deg }}, "
-            "the origin of that plane"
+            f"{description.name}: positions are metres in a plane of its own; give the origin of that plane, "
+            "site = { lat_deg = …, lon_deg = … }, in its description"
         )
     lat, lon = LocalPlane(site.lat_deg, site.lon_deg).to_geodetic(xy)
     turn = plane.turn(np.full(n, site.lat_deg), np.full(n, site.lon_deg))
@@ -234,7 +234,10 @@ def _sensor_geodetic(description: Description, reports: Reports) -> tuple[FloatA
     if reports.station_lat_deg is not None and reports.station_lon_deg is not None:
         return reports.station_lat_deg, reports.station_lon_deg, height
     if site is None or site.lat_deg is None or site.lon_deg is None:
-        raise InputError(f"{description.name}: nothing says where the sensor is; give site = {{ lat_deg, lon_deg }}")
+        raise InputError(
+            f"{description.name}: nothing says where the sensor is; give site = {{ lat_deg = …, lon_deg = … }} "
+            "in its description"
+        )
     return np.full(n, site.lat_deg), np.full(n, site.lon_deg), height
 
 
@@ -246,7 +249,10 @@ def _sensor_m(description: Description, reports: Reports, plane: LocalPlane | No
     if reports.station_x_m is not None and reports.station_y_m is not None:
         return np.column_stack([reports.station_x_m, reports.station_y_m])
     if description.site is None:
-        raise InputError(f"{description.name}: nothing says where the sensor is; give site = {{ east_m, north_m }}")
+        raise InputError(
+            f"{description.name}: nothing says where the sensor is; give site = {{ east_m = …, north_m = … }} "
+            "in its description"
+        )
     return np.broadcast_to(description.site.in_plane(None), (len(reports), 2)).copy()
 
 

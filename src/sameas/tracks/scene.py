@@ -34,7 +34,7 @@ from sameas.records import FloatArray, IntArray, Records
 from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.doubts import apart, doubts
-from sameas.tracks.feed import Feed, are_numbered_plots
+from sameas.tracks.feed import Feed, need_filtering
 from sameas.tracks.registration import SourceBiases, registered
 from sameas.tracks.reports import Reports
 from sameas.tracks.said import POSITION, POSITION_AND_VELOCITY, Said
@@ -54,7 +54,8 @@ class Scene:
     def of(cls, sources: Sequence[tuple[Description, Reports]], plane: LocalPlane | None = None) -> Scene:
         """A scene of descriptions and their reports; the plane is laid in their middle where none is given.
 
-        Sources that give metres in one plane of the user's own need none: all of them must, then.
+        Sources that give metres in one plane of the user's own need none: all of them must, then. Plots under numbers
+        or names that tell no velocities are filtered to tracks first.
         """
         if far := apart(sources):
             raise InputError("; ".join(far))
@@ -63,7 +64,7 @@ class Scene:
         names = [description.name for description, _ in sources]
         if len(set(names)) < len(names):
             raise InputError(f"two sources are called {max(names, key=names.count)}; give every source its own name")
-        feeds = (Feed.of(said, reports, plane, filtered=are_numbered_plots(reports)) for said, reports in sources)
+        feeds = (Feed.of(said, reports, plane, to_tracks=need_filtering(said, reports)) for said, reports in sources)
         return cls(tuple(feeds), plane)
 
     @property

@@ -295,7 +295,7 @@ class Description:
         parts: dict[str, Any] = {}
         for key, value in given.items():
             if key == "kind":
-                parts["kind"] = value
+                parts["kind"] = str(value)
             elif key not in _PARTS:
                 raise InputError(_unknown(name, key, ["kind", *_PARTS]))
             elif not isinstance(value, Mapping):
@@ -333,17 +333,22 @@ def read_descriptions(path: str | Path) -> tuple[Description, ...]:
     ------
     InputError : not TOML, no sources, a name that is not known, a number out of its range.
     """
+    return tuple(Description.from_mapping(name, said) for name, said in source_tables(path).items())
+
+
+def source_tables(path: str | Path) -> Mapping[str, Mapping[str, Any]]:
+    """The tables ``[sources.NAME]`` of a TOML file as they stand, by name; refused as by :func:`read_descriptions`."""
     try:
         given = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as TOML ({error})") from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read as TOML ({getattr(error, 'strerror', None) or error})") from error
     sources = given.get("sources")
     if not isinstance(sources, Mapping) or not sources:
         raise InputError(f"{path}: describes no sources; give tables such as [sources.radar]")
-    wrong = [name for name, said in sources.items() if not isinstance(said, Mapping)]
-    if wrong:
-        raise InputError(f"{path}: sources.{wrong[0]} is no table; give [sources.{wrong[0]}] with its kind")
-    return tuple(Description.from_mapping(name, said) for name, said in sources.items())
+    for name, said in sources.items():
+        if not isinstance(said, Mapping):
+            raise InputError(f"{path}: sources.{name} is no table; give [sources.{name}] with its kind")
+    return sources
 
 
 def _part(source: str, section: str, part: Any, given: Mapping[str, Any]) -> Any:
@@ -351,10 +356,16 @@ def _part(source: str, section: str, part: Any, given: Mapping[str, Any]) -> Any
     for key in given:
         if key not in known:
             raise InputError(_unknown(source, key, known, f" in {section}"))
+        if not _is_numeric(given[key]):
+            raise InputError(f"{source}: {section}.{key} is {given[key]!r}; give a number, or a list of numbers")
     try:
         return part(**{key: _tuples(value) for key, value in given.items()})
     except InputError as error:
         raise InputError(f"{source}: {error}") from None
+
+
+def _is_numeric(value: Any) -> bool:
+    return all(map(_is_numeric, value)) if isinstance(value, list) else type(value) in (int, float)
 
 
 def _tuples(value: Any) -> Any:

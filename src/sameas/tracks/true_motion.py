@@ -103,10 +103,7 @@ class TrueMotion:
         if not gap_s > 0.0:
             raise InputError(f"TrueMotion: gap_s is {gap_s}; give seconds above 0")
         plane = plane or LocalPlane.about(reports.lat_deg, reports.lon_deg)
-        named = _names(reports)
-        height = np.zeros(len(reports))
-        for column in (reports.pressure_alt_m, reports.alt_m):
-            height = height if column is None else np.where(np.isfinite(column), column, height)
+        named, height = _names(reports), _heights(reports)
         usable = np.flatnonzero(np.isfinite(reports.lat_deg) & np.isfinite(reports.lon_deg) & (named != ""))
         lat, lon = reports.lat_deg[usable], reports.lon_deg[usable]
         place = np.column_stack([plane.of_geodetic(lat, lon, reports.source), height[usable]])
@@ -148,6 +145,14 @@ class TrueMotion:
     def only(self, which: Sequence[int] | NDArray[np.int64]) -> TrueMotion:
         """The paths of some of the objects, numbered anew."""
         return TrueMotion(self.plane, tuple(self.names[k] for k in which), tuple(self.paths[k] for k in which))
+
+
+def _heights(reports: Reports) -> FloatArray:
+    """(n,) as told, from the satellites where that is told too; 0 where nothing is."""
+    height = np.zeros(len(reports))
+    for column in (reports.pressure_alt_m, reports.alt_m):
+        height = height if column is None else np.where(np.isfinite(column), column, height)
+    return height
 
 
 def _stiffness_s3(description: Description) -> float:

@@ -7,15 +7,15 @@ sources by these names; beside what :class:`~sameas.tracks.source.Description` t
     kind = "marine radar"
     file = { path = "plots.csv", start = "2024-05-01", columns = { range_m = "d" }, units = { d = "km" } }
 
-Sources that nobody described get the kind that their format or their columns tell, and that is said.
+Sources whose kind nobody told get the one that their format, their name or their columns tell, and that is said.
 """
 
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from sameas.errors import InputError
 from sameas.io.sensors.reading import ReadOptions, read_reports
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.reports import Reports
-from sameas.tracks.source import Description
+from sameas.tracks.source import Description, source_tables
 
 #: The kind of source that writes a format.
 KIND_OF_FORMAT: Mapping[str, str] = {
@@ -35,16 +35,24 @@ _WORDS = {
     "airradar": "air radar", "radar": "marine radar", "lidar": "lidar", "ais": "ais", "adsb": "ads-b", "mlat": "mlat",
     "esm": "esm", "camera": "camera", "tracks": "tracks",
 }  # fmt: skip
+#: What ``file`` of a description may hold.
+_FILE: Mapping[str, type | tuple[type, ...]] = {
+    "path": str, "format": str, "start": (str, int, float, date), "columns": Mapping, "units": Mapping,
+}  # fmt: skip
 _COLUMNS = {"mmsi": "ais", "icao": "ads-b", "range_m": "marine radar", "covariance_m2": "tracks"}
 
 
 @dataclass(frozen=True)
 class Told:
-    """What the user says of one source: its description, how to read it, and its file where that is said here."""
+    """What the user says of one source: its description, how to read it, and its file where that is said here.
+
+    has_kind : whether the user says of what kind it is.
+    """
 
     description: Description
     options: ReadOptions = field(default_factory=ReadOptions)
     path: Path | None = None
+    has_kind: bool = True
 
 
 @dataclass(frozen=True)
@@ -59,9 +67,10 @@ class SensorSource:
     def lines(self) -> list[str]:
         """Printable: what was read, and what was guessed."""
         first, *rest = self.reports.summary()
+        first = first.replace(self.reports.source, f"{self.reports.source} ({self.path.name})", 1)
         if self.why_kind is None:
             return [f"{first}, {self.description.kind}", *rest]
-        return [f"{first}; taken for {self.description.kind}: {self.why_kind}", *rest]
+        return [f"{first}, taken for {self.description.kind}: {self.why_kind}", *rest]
 
 
 def read_told(path: str | Path) -> dict[str, Told]:
@@ -71,29 +80,30 @@ def read_told(path: str | Path) -> dict[str, Told]:
     ------
     InputError : not TOML, no sources, a name that is not known.
     """
-    try:
-        given = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as TOML ({error})") from error
-    sources = given.get("sources")
-    if not isinstance(sources, Mapping) or not sources:
-        raise InputError(f"{path}: describes no sources; give tables such as [sources.radar]")
-    return {name: _told(name, said, Path(path)) for name, said in sources.items()}
+    return {name: _told(name, said, Path(path)) for name, said in source_tables(path).items()}
 
 
-def _told(name: str, said: Any, toml: Path) -> Told:
-    if not isinstance(said, Mapping):
-        raise InputError(f"{toml}: sources.{name} is no table; give [sources.{name}] with its kind")
+def _told(name: str, said: Mapping[str, Any], toml: Path) -> Told:
     rest = {key: value for key, value in said.items() if key != "file"}
     file = said.get("file", {})
     file = {"path": file} if isinstance(file, str) else file
-    known = ["path", *(f.name for f in fields(ReadOptions) if f.name != "source")]
-    for key in file:
-        if key not in known:
-            raise InputError(f"{toml}: sources.{name}.file: {key!r} is not known; give {', '.join(known)}")
-    options = ReadOptions(name, **{key: value for key, value in file.items() if key != "path"})
+    where = f"{toml}: sources.{name}.file"
+    if not isinstance(file, Mapping):
+        raise InputError(f'{where} is {file!r}; give a path, or {{ path = "…", start = "…" }}')
+    for key, value in file.items():
+        if key not in _FILE:
+            raise InputError(f"{where}: {key!r} is not known; give {', '.join(_FILE)}")
+        if not isinstance(value, _FILE[key]) or isinstance(value, bool):
+            example = '{ range_m = "d" }' if key == "columns" else '{ d = "km" }' if key == "units" else "a text"
+            raise InputError(f"{where}.{key} is {value!r}; give {example}")
+    options = ReadOptions(name, **{key: _plain(value) for key, value in file.items() if key != "path"})
     path = toml.parent / file["path"] if "path" in file else None
-    return Told(Description.from_mapping(name, rest), options, path)
+    return Told(Description.from_mapping(name, rest), options, path, "kind" in said)
+
+
+def _plain(value: Any) -> Any:
+    """Dates and times that TOML knows of itself, as text."""
+    return value.isoformat() if isinstance(value, date) else value
 
 
 def read_sources(
@@ -141,10 +151,11 @@ def _named(given: str) -> tuple[str, Path]:
 
 
 def _source(reports: Reports, told: Told | None, path: Path) -> SensorSource:
-    if told is not None:
+    if told is not None and told.has_kind:
         return SensorSource(told.description, reports, path, None)
     kind, why = _kind(reports)
-    return SensorSource(Description(reports.source, kind), reports, path, why)
+    described = Description(reports.source) if told is None else told.description
+    return SensorSource(replace(described, kind=kind), reports, path, why)
 
 
 def _kind(reports: Reports) -> tuple[str, str]:
@@ -162,8 +173,17 @@ def _kind(reports: Reports) -> tuple[str, str]:
         return "camera", "it tells directions only"
     raise InputError(
         f"{reports.source}: what kind of sensor is it? Neither its name nor its columns tell; describe it in a file "
-        f'for --sensors: [sources.{reports.source}] kind = "…", one of {", ".join(KINDS)}'
+        f'for --sensors: {toml_table(reports.source)} kind = "…", one of {", ".join(KINDS)}'
     )
+
+
+def toml_table(name: str) -> str:
+    """How the table of a source begins in a TOML file.
+
+    >>> toml_table("radar"), toml_table("bridge:ais")
+    ('[sources.radar]', '[sources."bridge:ais"]')
+    """
+    return f"[sources.{name}]" if re.fullmatch(r"[A-Za-z0-9_-]+", name) else f'[sources."{name}"]'
 
 
 def _all_used(sources: Sequence[SensorSource], told: Mapping[str, Told]) -> None:

@@ -140,6 +140,9 @@ def read(
     """
     chosen = choose(list(cells.columns), source, columns, units)
     _check_chosen(chosen, list(cells.columns), source)
+    if not len(cells.lines):
+        broken = "; ".join(Damaged.of(cells.damaged).sentences())
+        raise InputError(f"{source}: names columns, but has no row that can be used{': ' * bool(broken)}{broken}")
     damaged = dict(cells.damaged)
     values = {
         name: _values(cells, choice, damaged) for name, choice in chosen.items() if name not in ("time_s", "day_s")
