@@ -2,10 +2,11 @@
 
 Real motion, modelled sensors: half an hour of AIS (``examples/data``) says where 62 vessels really were and is the
 first source as it stands; two radars that nobody set up well are modelled on top, with noise, misses, false echoes and
-tracks that break. ``scripts/demo`` runs
+tracks that break. ``scripts/demo`` runs, in effect
 
     python examples/new_york.py sensors demo-output/new-york
-    sameas picture --sensors demo-output/new-york/sensors.toml ais.csv radar1.csv radar2.csv -o demo-output/new-york
+    cd demo-output/new-york
+    sameas picture ais.csv radar1.csv radar2.csv --sensors sensors.toml --every 10s -o .
     python examples/new_york.py judge demo-output/new-york
 
 Three things to look for. Two ferries pass within 40 m of each other in the East River at 00:12. One tug's AIS is left
