@@ -2,12 +2,11 @@
 
 Real motion, modelled sensors: half an hour of AIS (``examples/data``) says where 62 vessels really were and is the
 first source as it stands; two radars that nobody set up well are modelled on top, with noise, misses, false echoes and
-tracks that break. ``scripts/demo`` runs, in effect
+tracks that break. ``scripts/demo`` runs
 
-    python examples/new_york.py sensors demo-output/new-york
-    cd demo-output/new-york
-    sameas picture ais.csv radar1.csv radar2.csv --sensors sensors.toml --every 10s -o .
-    python examples/new_york.py judge demo-output/new-york
+    python examples/new_york.py sensors ny
+    sameas picture ny/ais.csv ny/radar1.csv ny/radar2.csv --sensors ny/sensors.toml --every 10s -o ny
+    python examples/new_york.py judge ny
 
 Three things to look for. Two ferries pass within 40 m of each other in the East River at 00:12. One tug's AIS is left
 out: only the radars see it. And from 00:10 on one vessel's AIS carries the identity of the Staten Island ferry. The
