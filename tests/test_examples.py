@@ -72,3 +72,46 @@ def test_the_demo_runs_and_is_right_where_nearest_neighbour_is_not(
     assert wrong is not None and int(wrong[1]) > 10 and int(wrong[1]) - int(wrong[2]) <= 1
     for name in ("residuals", "normalised", "ambiguous", "certainty"):
         assert (tmp_path / "output" / f"{name}.png").stat().st_size > 20_000
+
+
+@pytest.fixture(scope="module")
+def new_york() -> ModuleType:
+    for package in ("pymap3d", "pyais"):
+        pytest.importorskip(package, reason="pictures of targets need the extra sameas[targets]")
+    spec = importlib.util.spec_from_file_location("new_york", EXAMPLES / "new_york.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_log_of_new_york_is_what_its_readme_says(new_york: ModuleType) -> None:
+    log = new_york.log()
+    said = (EXAMPLES / "data" / "README.md").read_text(encoding="utf-8")
+    assert f"{len(log)} AIS reports of {len(set(log.mmsi))} vessels" in said
+    assert {new_york.SILENT, new_york.FORGER, new_york.FERRY, *new_york.CLOSE} <= set(log.mmsi)
+
+
+def test_vessels_off_manhattan_are_told_from_each_other(
+    new_york: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from sameas.io.sensors.sources import read_sources, read_told
+    from sameas.picture.picture import Picture
+    from sameas.tracks import Scene
+
+    new_york.sensors(tmp_path)
+    assert "62 vessels" in capsys.readouterr().out
+    files = [str(tmp_path / f"{name}.csv") for name in ("ais", "radar1", "radar2")]
+    sources = read_sources(files, read_told(tmp_path / "sensors.toml"))
+    scene, biases = Scene.of([(source.description, source.reports) for source in sources]).registered()
+    for found, true in zip(biases[1:], new_york.BIASES.values(), strict=True):
+        assert abs(found.parameters["azimuth_deg"].value - true.azimuth_deg) < 0.15
+        assert abs(found.parameters["range_m"].value - true.range_m) < 10.0
+    picture = Picture.of(scene, new_york.FORGED_FROM_S + np.arange(-120.0, 240.0, 15.0))
+    told = new_york.truth_of(tmp_path / "truth.csv")
+    lines = new_york.judged(picture.records, told, [str(alarm) for alarm in picture.summary.alarms])
+    said = "\n".join(lines)
+    numbers = re.search(r"F1 (\d\.\d+), over 24", said), re.search(r"tug, (\d+\.\d+)% kept", said)
+    assert all(number is not None for number in numbers), said
+    assert float(numbers[0][1]) > 0.9 and float(numbers[1][1]) > 90.0  # type: ignore[index]
+    assert re.search(r"twice +[1-9]", said)

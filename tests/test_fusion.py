@@ -85,6 +85,18 @@ def test_intersection_never_claims_more_than_any_correlation_allows(criterion):
         assert np.linalg.eigvalsh(fused.covariance[0] - gain @ joint @ gain.T)[0] > -1e-9
 
 
+@pytest.mark.parametrize("k", [2, 3, 5])
+def test_weights_of_an_intersection_are_proved_best(k):
+    rng = np.random.default_rng(8)
+    p = covariances(rng, 200, k, d=4)
+    fused = covariance_intersection(np.zeros((200, k, 4)), p)
+    # The equivalence theorem of Kiefer and Wolfowitz: no estimate has a gradient above 1, those in use have just that.
+    slope = np.einsum("nkvw,nwv->nk", np.linalg.inv(p), fused.covariance) / 4
+    assert slope.max() < 1.0 + 1e-6
+    np.testing.assert_allclose(np.sum(fused.weights * slope, axis=1), 1.0, atol=1e-9)
+    assert (fused.weights >= 0).all() and (fused.weights == 0).any()
+
+
 def test_the_same_estimate_twice_is_not_two():
     p = np.array([[2.0, 0.3], [0.3, 1.0]])
     fused = covariance_intersection(np.ones((2, 2)), np.stack([p, p]))

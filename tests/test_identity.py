@@ -57,6 +57,17 @@ def test_spelling_is_made_plain_and_what_says_nothing_is_nothing():
     np.testing.assert_array_equal(plain([None, 12.5]), [np.nan, 12.5])
 
 
+def test_codes_that_a_table_holds_as_numbers_are_texts():
+    one, two, _ = scene((["A", "B"], ["A", "B"]))
+    pairs = Radius(9.0)(one, two)
+    first, second = [235000001.0, np.nan], [235000001.0, 247000009.0]
+    numbers = Identity({"radar": {"mmsi": first}, "adsb": {"mmsi": second}})
+    texts = Identity({"radar": {"mmsi": ["235000001", None]}, "adsb": {"mmsi": ["235000001", "247000009"]}})
+    np.testing.assert_array_equal(numbers(pairs).log_ratio, texts(pairs).log_ratio)
+    nothing = Identity({"radar": {"mmsi": [None, None]}, "adsb": {"mmsi": second}})(pairs)
+    assert not nothing.log_ratio.any() and not nothing.spoken.any()
+
+
 def test_a_code_weighs_most_when_equal_less_when_off_by_a_bit_and_against_when_different():
     icao = MODELS["icao"]
     equal, near, far = (ratio(icao, "4B1814", other) for other in ("4B1814", "4B1815", "3C6444"))

@@ -16,8 +16,9 @@ WITH = {"errors": "records", "space": "records", "threads": "records", "search":
         "coverage": "estimate", "detection": "estimate", "photometry": "estimate", "piecewise": "records",
         "quantity": "estimate", "regression": "estimate", "error_model": "estimate",
         "decision": "result", "older": "result", "spacing": "evidence"}  # fmt: skip
-ROOMS = {"sky", "tracks", "io", "adapters", "plots", "report", "findings", "prose", "cli", "study", "pages"}
-FOR_PEOPLE = {"io", "adapters", "plots", "report", "findings", "prose", "cli", "study", "pages"}
+ROOMS = {"sky", "tracks", "picture", "maps", "io", "adapters", "plots", "report", "findings", "prose", "cli", "study",
+         "pages", "__main__"}  # fmt: skip
+FOR_PEOPLE = {"io", "maps", "adapters", "plots", "report", "findings", "prose", "cli", "study", "pages", "__main__"}
 
 
 def imported(path, *, always=False):
@@ -94,7 +95,8 @@ def test_starting_up_imports_nothing_heavy(used):
 
 
 # The way of many sources: its own stages, each from earlier ones only.
-MANY = ["observations", "joint", "union", "belief", "sets", "partition", "membership", "objects", "many", "sequence"]
+MANY = ["observations", "joint", "union", "terms", "belief", "sets", "partition", "membership", "reasons", "objects", "many",
+        "sequence"]  # fmt: skip
 
 
 @pytest.mark.parametrize("stage", MANY)

@@ -1,15 +1,15 @@
 """Belief: what a set of records weighs as one object against all of its records being objects of their own.
 
-Every belief of :func:`sameas.many.identify_many` is brought to one form. A set T of k ≥ 2 records weighs
-
-    ln w(T) = constant + Σ_{i∈T} gain_i + ln J(T) + (k − 1) · mean over its pairs of between_ij,
-
-with J the joint density of :mod:`sameas.joint`; one record alone weighs 0. A hypothesis weighs Σ ln w(T), and under a
-count prior also ln P of its number of merges, Σ (k − 1).
+Every belief of :func:`sameas.many.identify_many` is brought to the terms of :mod:`sameas.terms`. A hypothesis weighs
+Σ ln w of its sets, and under a count prior also ln P of its number of merges, Σ (k − 1).
 
 - :class:`PoissonObjects`: objects are a Poisson field, sources miss some and add false records (METHOD 4.3).
 - Pairwise rules, ``CloseObjects`` and ``Field``, for sets: see :class:`Pairwise`.
 - :class:`MissedObjects`: only the probabilities of a miss are known (METHOD 4.1 for any number of sources).
+- Rules of what records say beside their positions are added: ``PoissonObjects(…) + Identity(…)`` or
+  ``CloseObjects(…) + Identity(…)``. Such a rule is called once for every two sources, in an order of their content: it
+  knows sources by their names and records by the rows of their tables, says the same of (i, j) as of (j, i), and gives
+  exactly 0.0 where it says nothing.
 """
 
 from __future__ import annotations
@@ -22,22 +22,25 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sameas.errors import InputError
-from sameas.evidence import CloseObjects, Errors, Field, Rule
+from sameas.evidence import (
+    Brightness,
+    CloseObjects,
+    ConstantCost,
+    DetectionField,
+    Evidence,
+    Field,
+    PoissonField,
+    Rule,
+    Universal,
+)
+from sameas.gate import Pairs
 from sameas.prior import PerPair
 from sameas.records import FloatArray
+from sameas.terms import Between, Linear, Terms, best_word, mean_of_pairs
 from sameas.union import Union
 
-
-@dataclass(frozen=True)
-class Terms:
-    """constant, gain (n,) per record, between (m,) per pair: see the module."""
-
-    constant: float
-    gain: FloatArray
-    between: FloatArray
-
-    def __add__(self, other: Terms) -> Terms:
-        return Terms(self.constant + other.constant, self.gain + other.gain, self.between + other.between)
+#: Rules that know two sources, in the order in which they were made for.
+OF_TWO_SOURCES = (Brightness, ConstantCost, DetectionField, PoissonField, Universal)
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,11 @@ class PoissonObjects:
         if not np.all((false >= 0.0) & (false < np.inf)):
             raise InputError(f"PoissonObjects: false is {self.false}; give densities of zero or more")
 
+    def __add__(self, other: Rule) -> Belief:
+        return Belief(self, ()) + other
+
+    __radd__ = __add__
+
     def terms(self, union: Union) -> Terms:
         """The terms of the records and pairs of ``union``."""
         q, false = _per_source(self.q, union, "q"), _per_source(self.false, union, "false")
@@ -78,30 +86,47 @@ class PoissonObjects:
         base = math.log(self.density) + log_missed.sum()
         with np.errstate(divide="ignore"):
             alone = np.logaddexp(base + odds + log_j, np.log(false)[union.source])
-        return Terms(base, odds - alone, np.zeros(len(union.i)))
+        # What a record's own place says is taken out of the densities: J of one record is 1 unless there is a region.
+        return Terms({"position": Linear(0.0, -log_j), "densities": Linear(base, odds - alone + log_j)})
+
+
+@dataclass(frozen=True)
+class Belief:
+    """A belief in objects, and rules of what records say beside their positions: ``PoissonObjects(…) + Identity(…)``.
+
+    Example
+    -------
+    >>> from sameas.evidence import Identity
+    >>> said = {"radar": {"icao": ["4b1814", None]}, "adsb": {"icao": ["4b1814", "4b1815"]}}
+    >>> [type(rule).__name__ for rule in (PoissonObjects(density=1e-3, q=0.2) + Identity(said)).beside]
+    ['Identity']
+    """
+
+    objects: PoissonObjects
+    beside: tuple[Rule, ...]
+
+    def __add__(self, other: Rule) -> Belief:
+        if not isinstance(other, Rule):
+            return NotImplemented
+        return Belief(self.objects, (*self.beside, *other.parts()))
+
+    __radd__ = __add__
 
 
 @dataclass(frozen=True)
 class Pairwise:
-    """A rule for pairs, λ = N(Δ; 0, Σ)/f(Δ), extended to sets: λ(T) = J(T) / f(T), symmetric in the records.
+    """A rule of positions for pairs, λ = N(Δ; 0, Σ)/f(Δ), extended to sets: λ(T) = J(T) / f(T), whatever their order.
 
     ln f(T) = (k − 1) · mean over the pairs of ln f(Δ_ij). It is the rule itself for two records, and exact for any
     number where f is constant (``Field``); for ``CloseObjects`` and three records or more it is an extension, not a
     theorem: k − 1 other objects, each as near as the records of the set are to each other on average.
     """
 
-    rule: Rule
+    rule: CloseObjects | Field
 
     def __post_init__(self) -> None:
-        for rule in self.rule.parts():
-            numbers = [np.ndim(getattr(rule, f.name)) for f in fields(rule)] if isinstance(rule, Field) else []
-            if not isinstance(rule, CloseObjects | Field) or any(numbers):
-                raise InputError(
-                    f"identify_many: {type(rule).__name__} speaks of two sources; give PoissonObjects(density, q), "
-                    "CloseObjects(a, b), or Field(density) with one number"
-                )
-        if len(self.rule.parts()) > 1:
-            raise InputError("identify_many: both rules speak of position; give one of them")
+        if isinstance(self.rule, Field) and any(np.ndim(getattr(self.rule, f.name)) for f in fields(self.rule)):
+            raise InputError(_two_sources(self.rule))
 
     def terms(self, union: Union) -> Terms:
         """The terms of the records and pairs of ``union``."""
@@ -110,10 +135,11 @@ class Pairwise:
                 f"{type(self.rule).__name__} compares whole positions, but a source observes a part of the state; "
                 "give PoissonObjects(density, q) and a region"
             )
-        between = np.zeros(len(union.i))
-        for pairs, place in union.parts:
-            between[place] = self.rule(pairs).log_ratio - Errors().log_density(pairs)
-        return Terms(0.0, np.zeros(len(union)), between)
+        return Terms({}, (Between.of(self._strangers, union, mean_of_pairs),))
+
+    def _strangers(self, pairs: Pairs) -> Evidence:
+        """−ln f(Δ); J stands for the rule's N."""
+        return Evidence({name: values for name, values in self.rule(pairs).terms.items() if name != "position"})
 
 
 @dataclass(frozen=True)
@@ -135,7 +161,7 @@ class MissedObjects:
     def terms(self, union: Union) -> Terms:
         """The part linear in the number of merges: every merge spares one object the misses of all sources."""
         total = float(np.log(_per_source(self.q, union, "q")).sum())
-        return Terms(total, np.full(len(union), -total), np.zeros(len(union.i)))
+        return Terms({"linear prior": Linear(total, np.full(len(union), -total))})
 
     def table(self, union: Union, records: int) -> FloatArray:
         """(records,) ln P of 0, 1, … merges among so many records, less that of none and the linear part."""
@@ -146,24 +172,69 @@ class MissedObjects:
         return log_p - log_p[:1]
 
 
-SetRule = PoissonObjects | Rule
+SetRule = PoissonObjects | Belief | Rule
 SetPrior = MissedObjects | PerPair
 
 
 def terms_of(rule: SetRule, prior: SetPrior, union: Union) -> Terms:
     """The terms of a rule and of the linear part of a prior together."""
-    if not isinstance(rule, PoissonObjects | Rule):
+    positions, beside = parts_of(rule)
+    said = tuple(_beside(part, union) for part in beside)
+    return positions.terms(union) + Terms({}, said) + _prior_terms(prior, union)
+
+
+def parts_of(rule: SetRule) -> tuple[PoissonObjects | Pairwise, tuple[Rule, ...]]:
+    """The rule of positions, and those beside it.
+
+    Raises
+    ------
+    InputError : none of the rules speaks of positions, or several do, or one knows two sources only.
+    """
+    if isinstance(rule, PoissonObjects | Belief):
+        objects, rules = (rule, ()) if isinstance(rule, PoissonObjects) else (rule.objects, rule.beside)
+    elif isinstance(rule, Rule):
+        objects, rules = None, rule.parts()
+    else:
         raise InputError(f"identify_many: rule is a {type(rule).__name__}; give PoissonObjects(…) or CloseObjects(…)")
-    evidence = rule.terms(union) if isinstance(rule, PoissonObjects) else Pairwise(rule).terms(union)
+    for part in rules:
+        if isinstance(part, OF_TWO_SOURCES):
+            raise InputError(_two_sources(part))
+    pairwise = [part for part in rules if isinstance(part, CloseObjects | Field)]
+    if len(pairwise) + (objects is not None) > 1:
+        raise InputError("identify_many: both rules speak of position; give one of them")
+    if objects is None and not pairwise:
+        names = " + ".join(type(part).__name__ for part in rules)
+        raise InputError(f"identify_many: {names} says nothing of positions; add it to PoissonObjects(density, q)")
+    beside = tuple(part for part in rules if not isinstance(part, CloseObjects | Field))
+    return objects or Pairwise(pairwise[0]), beside
+
+
+def _beside(rule: Rule, union: Union) -> Between:
+    """What a rule says beside the positions."""
+    said = Between.of(rule, union, best_word)
+    if "position" in said.terms:
+        raise InputError(f"identify_many: both {type(rule).__name__} and the rule it is added to speak of position")
+    return said
+
+
+def _prior_terms(prior: SetPrior, union: Union) -> Terms:
     if isinstance(prior, MissedObjects):
-        return evidence + prior.terms(union)
+        return prior.terms(union)
     if not isinstance(prior, PerPair):
         raise InputError(
             f"identify_many: prior is a {type(prior).__name__}; give MissedObjects(q) or PerPair(log_odds)"
         )
+    if prior.log_odds == 0.0:
+        return Terms({})
     # Every merge, the second record of an object and each further one, has the pair's odds.
-    linear = Terms(-prior.log_odds, np.full(len(union), prior.log_odds), np.zeros(len(union.i)))
-    return evidence + linear
+    return Terms({"prior": Linear(-prior.log_odds, np.full(len(union), prior.log_odds))})
+
+
+def _two_sources(rule: Rule) -> str:
+    return (
+        f"identify_many: {type(rule).__name__} speaks of two sources; give PoissonObjects(density, q), "
+        "CloseObjects(a, b), or Field(density) with one number"
+    )
 
 
 def _probabilities(q: ArrayLike, name: str) -> None:

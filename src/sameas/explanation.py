@@ -219,7 +219,7 @@ def _lines(x: Explanation) -> list[str]:
     chosen = next(c for c in x.competitors if c.chosen)
     who = "has no partner" if chosen.id is None else f"is {x.other} {chosen.id}"
     lines = [
-        f"{x.source} {x.id} (row {x.row}) {who}, probability {_percent(chosen.probability)}.",
+        f"{x.source} {x.id} (row {x.row}) {who}, probability {probability_text(chosen.probability)}.",
         f"Group {x.group}: {x.records[0]} + {x.records[1]} records; posterior by {x.method}.",
         "",
         f"{'answer':>22}  {'probability':>11}  {'costs':>8}  {'distance':>8}  {'log-odds':>8}  terms",
@@ -230,9 +230,8 @@ def _lines(x: Explanation) -> list[str]:
         distance = "" if c.mahalanobis is None else f"{c.mahalanobis:.2f} σ"
         odds = "" if c.log_odds is None else f"{c.log_odds:+.2f}"
         terms = ", ".join(f"{key} {value:+.2f}" for key, value in c.terms.items())
-        lines.append(
-            f"{mark + name:>22}  {_percent(c.probability):>11}  {c.cost:8.2f}  {distance:>8}  {odds:>8}  {terms}"
-        )
+        p = probability_text(c.probability)
+        lines.append(f"{mark + name:>22}  {p:>11}  {c.cost:8.2f}  {distance:>8}  {odds:>8}  {terms}")
     lines.append("(costs: ln by which the best identification of the whole group with that answer is less probable)")
     if x.prior:
         lines.append(x.prior)
@@ -244,7 +243,8 @@ def _lines(x: Explanation) -> list[str]:
     return lines
 
 
-def _percent(p: float) -> str:
+def probability_text(p: float) -> str:
+    """A probability in figures that tell it from 0 and 1."""
     if p > 0.9999:
         return f"1 − {1 - p:.0e}" if p < 1 else "1"
     return f"{p:.4f}" if p > 1e-3 else f"{p:.1e}"

@@ -3,8 +3,9 @@
 Use :func:`identify_many` for two sources or more; the answer does not depend on their order. The papers' way, source
 after source against the fused picture, is :func:`sameas.sequence.identify_sequentially`.
 
-records → union → sets → partition → membership → objects: the union of the records in an order of their content, the
-sets of them that could be one object, the best partition into such sets, how sure each is.
+records → union → belief → sets → partition → membership → objects: the union of the records in an order of their
+content, what is believed of them, the sets that could be one object, the best partition into such sets, how sure each
+is.
 """
 
 from __future__ import annotations
@@ -40,7 +41,8 @@ def identify_many(
     ----------
     sources : Records in one feature space, or Observations of a part of the objects' state.
     rule : what a set of records weighs: ``PoissonObjects(density, q, false)`` where densities are known,
-        ``CloseObjects(a, b)`` or ``Field(density)`` where they are not.
+        ``CloseObjects(a, b)`` or ``Field(density)`` where they are not; and, added to it, rules of what records say
+        beside their positions, ``Identity(attributes)`` or your own (:mod:`sameas.belief` says how they are called).
     prior : ``MissedObjects(q)`` beside the latter two; ``PerPair`` odds for every record beyond an object's first.
     gate : which two records may be one object; all records of an object are pairs of the gate.
     region : where objects are at all; needed where a source observes a part of the state.
@@ -61,6 +63,7 @@ def identify_many(
      [-- 1 --]]
     """
     together = union(sources, gate, region)
-    sets = candidate_sets(together, terms_of(rule, prior, together))
+    terms = terms_of(rule, prior, together)
+    sets = candidate_sets(together, terms)
     counts = prior if isinstance(prior, MissedObjects) else None
-    return Objects(tuple(sources), together, sets, answer(sets, together, counts, time_limit_s=time_limit_s))
+    return Objects(tuple(sources), together, sets, answer(sets, together, counts, time_limit_s=time_limit_s), terms)

@@ -29,6 +29,8 @@ EXACT = 30.0
 MOST_STEPS = 300_000
 #: Records of a block: bits of a state.
 MOST_RECORDS = 63
+#: Records of a group that is summed at once.
+SMALL = 8
 
 
 @dataclass(frozen=True)
@@ -50,10 +52,18 @@ class Answer:
 def answer(sets: Sets, union: Union, counts: MissedObjects | None, *, time_limit_s: float) -> Answer:
     """The best partition of every group and the probabilities of its sets; ``counts`` is the count prior, if any."""
     if counts is None:
-        best = best_partition(sets, len(union), time_limit_s=time_limit_s)
+        # Small groups need no programme: their sums are short, and give the best partition too.
+        sums = _Sums.additive(sets, len(union))
+        small = (union.sizes <= SMALL) & (sets.floor <= 0)
+        share, chosen, solved = sums.without(np.zeros(len(sets)), EXACT, small)
+        solved &= small
+        best = best_partition(sets, len(union), ~solved, time_limit_s=time_limit_s)
         cost = _reduced_cost(sets, best.dual, best.slack, sets.log_weight)
-        share, _, cut = _Sums.additive(sets, len(union)).all(cost, best.chosen, np.full(len(union.sizes), -1.0))
-        return Answer(best.chosen, share, best.gap, cut)
+        part, _, cut = sums.all(cost, best.chosen, np.where(solved, EXACT, -1.0))
+        done = solved[sets.group]
+        return Answer(
+            np.where(done, chosen, best.chosen), np.where(done, share, part), np.where(solved, 0.0, best.gap), cut
+        )
     sums = _Sums.counted(sets, union, counts)
     nothing = np.zeros(len(sets))
     share, chosen, solved = sums.without(nothing, EXACT, np.ones(len(union.sizes), bool))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,11 @@ from sameas.membership import EXACT, Answer
 from sameas.observations import Source, records_of
 from sameas.records import FloatArray, IntArray
 from sameas.sets import Sets
+from sameas.terms import Terms
 from sameas.union import Union
+
+if TYPE_CHECKING:
+    from sameas.reasons import Grounds, Reasons
 
 
 @dataclass(frozen=True)
@@ -60,19 +64,22 @@ class GroupTable:
 class Objects:
     """The answer of :func:`sameas.many.identify_many`.
 
-    given : the sources, in the order in which they were given. union, sets, answer : the stages' values.
+    given : the sources, in the order in which they were given. union, sets, answer, terms : the stages' values; terms
+        are None where the sets were not weighed.
     """
 
     given: tuple[Source, ...]
     union: Union
     sets: Sets
     answer: Answer
+    terms: Terms | None = None
 
     def __len__(self) -> int:
-        return len(self._chosen)
+        return len(self.set_of_object)
 
     @cached_property
-    def _chosen(self) -> IntArray:
+    def set_of_object(self) -> IntArray:
+        """(n,) the set that each object is: a row of :attr:`sets`."""
         chosen = np.flatnonzero(self.answer.chosen)
         members = self.sets.members[chosen]
         first = np.where(members >= 0, members, len(self.union)).min(axis=1)
@@ -85,30 +92,30 @@ class Objects:
     @cached_property
     def members(self) -> np.ma.MaskedArray:
         """(n, S) row of each object's record in the table of each source, masked where the source has none."""
-        return self._table.rows_of(self.sets.members[self._chosen])
+        return self._table.rows_of(self.sets.members[self.set_of_object])
 
     @property
     def probability(self) -> FloatArray:
         """(n,) probability that exactly these records are one object."""
-        return self.answer.probability[self._chosen]
+        return self.answer.probability[self.set_of_object]
 
     @property
     def n_members(self) -> IntArray:
         """(n,) by how many sources each object is seen."""
-        return self.sets.size[self._chosen]
+        return self.sets.size[self.set_of_object]
 
     @property
     def group(self) -> IntArray:
         """(n,) number of the group that each object is in: a row of :attr:`groups`."""
-        return self.sets.group[self._chosen]
+        return self.sets.group[self.set_of_object]
 
     @cached_property
     def _second(self) -> IntArray:
         """(n,) the most probable other set that shares a record with each object, −1 where there is none."""
         best = np.full(len(self), -1)
         best_p = np.zeros(len(self))
-        of_record = self._object_of_record
-        other = np.setdiff1d(np.flatnonzero(self.answer.probability > 0), self._chosen)
+        of_record = self.object_of_record
+        other = np.setdiff1d(np.flatnonzero(self.answer.probability > 0), self.set_of_object)
         # Ascending, so that the last to be written is the most probable; of equals the first by content.
         other = other[np.lexsort([-other, self.answer.probability[other]])]
         for column in self.sets.members[other].T:
@@ -135,7 +142,7 @@ class Objects:
     @cached_property
     def fused(self) -> Joint:
         """Per object its fused ``state`` (n, L) and ``covariance``, errors of the records taken as independent."""
-        return self.union.observers.joint(self.union.positions(self.sets.members[self._chosen]))
+        return self.union.observers.joint(self.union.positions(self.sets.members[self.set_of_object]))
 
     @cached_property
     def expected_wrong(self) -> float:
@@ -160,7 +167,7 @@ class Objects:
             raise InputError(f"source is {source}; give 0 … {len(names) - 1}, its place in the list of sources")
         s = self.union.given.index(source)
         here = np.arange(self.union.start[s], self.union.start[s + 1])
-        of_record = self._object_of_record[here]
+        of_record = self.object_of_record[here]
         partner, p_partner = self._partners(s, here)
         spread = self._table.spread(s)
         away = np.arange(len(names)) == source
@@ -172,10 +179,28 @@ class Objects:
             p_partner=spread(np.clip(p_partner, 0.0, 1.0), np.broadcast_to(away, p_partner.shape)),
         )
 
+    def explain(self, number: int) -> Reasons:
+        """Why these records are object ``number``: its rivals, what each weighs term by term; ``print`` it.
+
+        Raises
+        ------
+        InputError : there is no such object, or the sets were not weighed (``identify_sequentially``).
+        """
+        if not 0 <= number < len(self):
+            raise InputError(f"there is no object {number}; give 0 … {len(self) - 1}, a row of members")
+        return self._grounds.of_object(number)
+
     @cached_property
-    def _object_of_record(self) -> IntArray:
+    def _grounds(self) -> Grounds:
+        from sameas.reasons import Grounds
+
+        return Grounds.of(self)
+
+    @cached_property
+    def object_of_record(self) -> IntArray:
+        """(records,) the object of every record, numbered as in the union."""
         out = np.zeros(len(self.union), np.int64)
-        members = self.sets.members[self._chosen]
+        members = self.sets.members[self.set_of_object]
         at, source = np.nonzero(members >= 0)
         out[members[at, source]] = at
         return out

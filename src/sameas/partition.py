@@ -38,10 +38,12 @@ class Partition:
     slack: FloatArray
 
 
-def best_partition(sets: Sets, n_records: int, *, time_limit_s: float) -> Partition:
-    """The partition of greatest Σ ln w of every group."""
+def best_partition(
+    sets: Sets, n_records: int, wanted: NDArray[np.bool_] | None = None, *, time_limit_s: float
+) -> Partition:
+    """The partition of greatest Σ ln w of every group, or of the ``wanted`` (g,); all records alone in the others."""
     incidence = incidence_of(sets, n_records)
-    active, x, dual = _relaxation(sets, incidence)
+    active, x, dual = _relaxation(sets, incidence, np.ones(len(sets.start) - 1, bool) if wanted is None else wanted)
     n_groups = len(sets.start) - 1
     chosen = np.zeros(len(sets), bool)
     chosen[active[x > 0.5]] = True
@@ -83,11 +85,12 @@ def best_counted(weight: FloatArray, merges: IntArray, incidence: csr_array, log
     return np.flatnonzero(x[:n] > 0.5), max(bound - value, 0.0)
 
 
-def _relaxation(sets: Sets, incidence: csr_array) -> tuple[IntArray, FloatArray, FloatArray]:
+def _relaxation(sets: Sets, incidence: csr_array, wanted: NDArray[np.bool_]) -> tuple[IntArray, FloatArray, FloatArray]:
     """(sets in it, their shares, dual values of all records) of the linear relaxation of all groups."""
     # A set that weighs no more than its records alone, or than the set without one of them, is never needed: whatever
     # the duals of the others, theirs are not below it.
-    useful = np.flatnonzero((sets.log_weight > 0) & ~_dominated(sets))
+    asked = (sets.log_weight > 0) & wanted[sets.group]
+    useful = np.flatnonzero(asked & ~_dominated(sets)) if asked.any() else np.empty(0, np.int64)
     n_records = incidence.shape[0]
     if not len(useful):
         return useful, np.empty(0), np.zeros(n_records)

@@ -22,6 +22,7 @@ from sameas.sky.match import SkyMatch, area_and_densities
 
 #: Identified pairs less probable than this are called ambiguous.
 AMBIGUOUS = 0.9
+ORDINALS = ("First", "Second", "Third", "Fourth", "Fifth", "Sixth", "Seventh", "Eighth")
 #: A radius within which nearest neighbours are often believed.
 USUAL_RADIUS_ARCSEC = 5.0
 
@@ -43,9 +44,9 @@ def report(match: SkyMatch) -> str:
 
 
 def catalogue_lines(catalogue: Catalogue, side: int, path: str = "") -> list[str]:
-    """What was understood of catalogue 1 or 2, and what looks wrong with it; ``path`` of its file."""
+    """What was understood of catalogue 1, 2, …, and what looks wrong with it; ``path`` of its file."""
     where = f" ({path})" if path else ""
-    lines = [f"{('First', 'Second')[side - 1]} catalogue: {catalogue.name}, {count(len(catalogue))} rows{where}"]
+    lines = [f"{ORDINALS[side - 1]} catalogue: {catalogue.name}, {count(len(catalogue))} rows{where}"]
     told = [line.partition(": ") for line in catalogue.understood]
     last = {label: k for k, (label, _, _) in enumerate(told)}
     for k, (label, colon, words) in enumerate(told):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 
-from sameas.belief import MissedObjects, PoissonObjects, SetPrior, SetRule
+from sameas.belief import MissedObjects, Pairwise, PoissonObjects, SetPrior, SetRule, parts_of
 from sameas.errors import InputError
 from sameas.evidence import PoissonField, Rule
 from sameas.gate import ChiSquare, Pairs
@@ -42,14 +42,27 @@ def identify_sequentially(
     its sources. A probability is the product of those of the steps that made the object, as if each step's picture
     were certain: it is not the posterior that ``identify_many`` gives. Nothing is known of better partitions: the gap
     of groups of more than one record is infinite.
+
+    Raises
+    ------
+    InputError : a rule beside the positions is given: a fused picture is nobody's record and says nothing of itself.
     """
+    positions, beside = parts_of(rule)
+    if beside:
+        raise InputError(
+            f"identify_sequentially compares positions, and {type(beside[0]).__name__} speaks of records, which the "
+            "fused picture is not; give it to identify_many"
+        )
     together = union(sources, gate)
     if len(together.observers.whole) < len(sources):
         raise InputError("identify_sequentially needs sources of whole positions; give the parts to identify_many")
     picture = _Picture.of(together, together.given.index(0))
     for step in range(1, len(sources)):
         picture = picture.joined(
-            together.given.index(step), _pair_rule(rule, step, len(sources)), _prior(prior, step, len(sources)), gate
+            together.given.index(step),
+            _pair_rule(positions, step, len(sources)),
+            _prior(prior, step, len(sources)),
+            gate,
         )
     return picture.objects(tuple(sources))
 
@@ -126,13 +139,14 @@ def _result(
     several = together.sizes > 1
     sets = Sets(members[order], size[order], np.zeros(len(order)), group[order], start, np.where(several, np.inf, 0.0))
     unknown = np.where(several, np.inf, 0.0)
-    return Objects(given, together, sets, Answer(chosen[order], p[order], unknown, np.where(several, 0.0, EXACT)))
+    solved = Answer(chosen[order], p[order], unknown, np.where(several, 0.0, EXACT))
+    return Objects(given, together, sets, solved, terms=None)
 
 
-def _pair_rule(rule: SetRule, step: int, n_sources: int) -> Rule:
+def _pair_rule(rule: PoissonObjects | Pairwise, step: int, n_sources: int) -> Rule:
     """The rule of the picture of ``step`` sources against the next."""
-    if not isinstance(rule, PoissonObjects):
-        return rule
+    if isinstance(rule, Pairwise):
+        return rule.rule
     q = np.broadcast_to(np.asarray(rule.q, dtype=np.float64), n_sources)
     false = np.broadcast_to(np.asarray(rule.false, dtype=np.float64), n_sources)
     missed = float(np.prod(q[:step]))

@@ -2,10 +2,10 @@
 
 A set has at most one record of each source, and every two of its records are a pair of the gate. Sets grow record by
 record in the order of the union. A set is left where neither it nor any that grows from it can weigh more than a
-``floor``: no record adds more to ln w than its gain, the group's largest between and −½ ln|2π R|, the peak of its
-density. With floor 0 nothing that the best partition needs is lost: its sets outweigh their records alone, and a count
-prior only asks for more. Groups get the lowest floor of :data:`FLOORS` at which they have no more than ``LIMIT`` sets;
-what a floor above 0 may have cost is reported as a gap.
+``floor``: no record adds more to ln w than its gain, the most that any pair of its group says by each rule, and
+−½ ln|2π R|, the peak of its density. With floor 0 nothing that the best partition needs is lost: its sets outweigh
+their records alone, and a count prior only asks for more. Groups get the lowest floor of :data:`FLOORS` at which they
+have no more than ``LIMIT`` sets; what a floor above 0 may have cost is reported as a gap.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.belief import Terms
 from sameas.records import FloatArray, IntArray
+from sameas.terms import Terms
 from sameas.union import Union
 
 #: ln w below which sets are left out, tried in this order.
@@ -73,14 +73,21 @@ def candidate_sets(union: Union, terms: Terms, *, limit: int = LIMIT) -> Sets:
 
 @dataclass(frozen=True)
 class _Level:
-    """Sets of one size: ``records`` (k, size) ascending, Σ between over their pairs, and ln w."""
+    """Sets of one size: ``records`` (k, size) ascending, their ``pairs`` as of :func:`sameas.terms.pairs_of`, ln w, and
+    the part of it that the rules of pairs say."""
 
     records: IntArray
-    between: FloatArray
+    pairs: IntArray
     log_weight: FloatArray
+    between: FloatArray
+
+    @classmethod
+    def alone(cls, records: IntArray) -> _Level:
+        nothing = np.zeros(len(records))
+        return cls(records[:, None], np.empty((len(records), 0), np.int64), nothing, nothing)
 
     def only(self, keep: NDArray) -> _Level:
-        return _Level(self.records[keep], self.between[keep], self.log_weight[keep])
+        return _Level(self.records[keep], self.pairs[keep], self.log_weight[keep], self.between[keep])
 
     def of_groups(self, union: Union, wanted: NDArray[np.bool_]) -> _Level:
         return self.only(wanted[union.group[self.records[:, 0]]])
@@ -99,10 +106,9 @@ class _Growth:
     @classmethod
     def of(cls, union: Union, terms: Terms) -> _Growth:
         n, g, n_sources = len(union), len(union.sizes), len(union.sources)
-        highest = np.zeros(g)
-        np.maximum.at(highest, union.group[union.i], terms.between)
+        highest = terms.most_between(union)
         best = np.full((g, n_sources), -np.inf)
-        np.maximum.at(best, (union.group, union.source), terms.gain + union.log_peak)
+        np.maximum.at(best, (union.group, union.source), terms.gain(union) + union.log_peak)
         best = np.maximum(best + highest[:, None], 0.0)
         # What the sources after s can add at most.
         most = np.cumsum(best[:, ::-1], axis=1)[:, ::-1] - best
@@ -112,7 +118,7 @@ class _Growth:
         """Levels of two records and more of the wanted groups, and which groups have more than ``limit`` sets."""
         union = self.union
         lone = np.flatnonzero(wanted[union.group])
-        level = _Level(lone[:, None], np.zeros(len(lone)), np.zeros(len(lone)))
+        level = _Level.alone(lone)
         levels, count, too_many = [], np.zeros(len(union.sizes), np.int64), np.zeros(len(union.sizes), bool)
         if floor == np.inf:
             return [], too_many
@@ -133,34 +139,33 @@ class _Growth:
         parent = np.repeat(np.arange(len(last)), width)
         step = np.arange(len(parent)) - np.repeat(np.cumsum(width) - width, width)
         pair = self.start[last][parent] + step
-        added, between = union.j[pair], level.between[parent] + self.terms.between[pair]
+        added = union.j[pair]
         keep = np.ones(len(parent), bool)
+        pairs = []
         for column in range(level.records.shape[1] - 1):
             found, at = union.pair(level.records[parent, column], added)
             keep &= found
-            between += np.where(found, self.terms.between[at], 0.0) if len(self.terms.between) else 0.0
-        parent, added, between = parent[keep], added[keep], between[keep]
-        grown = self._weighed(np.column_stack([level.records[parent], added]), between)
+            pairs.append(at)
+        parent, added = parent[keep], added[keep]
+        new = [at[keep] for at in (*pairs, pair)]
+        grown = self._weighed(
+            np.column_stack([level.records[parent], added]), np.column_stack([level.pairs[parent], *new])
+        )
         group = union.group[added]
         keep = self._reach(grown, group) > floor
         count += np.bincount(group[keep], minlength=len(count))
         too_many |= count > limit
         return grown.only(keep & ~too_many[group])
 
-    def _weighed(self, records: IntArray, between: FloatArray) -> _Level:
-        k = records.shape[1]
+    def _weighed(self, records: IntArray, pairs: IntArray) -> _Level:
         log_j = self.union.observers.joint(self.union.positions(_by_source(self.union, records))).log_density
-        mean = between * (2.0 / k)  # (k − 1) · sum / (k (k − 1) / 2)
-        gain = self.terms.gain[records].sum(axis=1)
-        return _Level(records, between, self.terms.constant + gain + log_j + mean)
+        between = self.terms.between_of(pairs)
+        return _Level(records, pairs, self.terms.linear_of(records) + log_j + between, between)
 
     def _reach(self, level: _Level, group: IntArray) -> FloatArray:
         """(k,) more than which neither the sets nor any that grow from them can weigh."""
-        k = level.records.shape[1]
-        slack = (k - 1) * self.highest[group] - level.between * (2.0 / k)
+        slack = (level.records.shape[1] - 1) * self.highest[group] - level.between
         last = self.union.source[level.records[:, -1]]
-        if not self.terms.between.any():
-            slack = 0.0
         return level.log_weight + slack + self.most[group, last]
 
 

@@ -40,7 +40,8 @@ class Union:
     given : (S,) the position of each of them in the caller's list.
     start : (S+1,) the records of source s are numbered start[s] … start[s+1] − 1.
     i, j : (m,) the two records of each pair, i < j, sorted.
-    parts : per two sources that the gate compared: its Pairs and where they stand among the m.
+    parts : per two sources their Pairs and where they stand among the m; pairs of which one record sees a part of the
+        state have no residual (m, 0) and no determinant, but the χ² of their being one object of the region.
     group : (n,) the group of each record, numbered by first appearance.
     gate : the gate's description.
     """
@@ -84,7 +85,7 @@ class Union:
     def pair(self, i: IntArray, j: IntArray) -> tuple[NDArray[np.bool_], IntArray]:
         """Whether records i < j are a pair, and which (0 where they are none)."""
         if not len(self._keys):
-            return np.zeros(len(i), bool), np.zeros(len(i), np.int64)
+            return np.zeros(i.shape, bool), np.zeros(i.shape, np.int64)
         wanted = i * len(self) + j
         place = np.minimum(np.searchsorted(self._keys, wanted), len(self._keys) - 1)
         found = self._keys[place] == wanted
@@ -135,47 +136,48 @@ def _content(source: Source) -> tuple[object, ...]:
 def _pairs(
     observers: Observers, start: IntArray, gate: Gate
 ) -> tuple[IntArray, IntArray, tuple[tuple[Pairs, IntArray], ...], str]:
+    compared: list[Pairs] = []
     found: list[tuple[IntArray, IntArray]] = []
-    compared: list[tuple[Pairs | None, int]] = []
     description = ""
     for s, first in enumerate(observers.sources):
         for t in range(s + 1, len(observers.sources)):
             second = observers.sources[t]
             if isinstance(first, Records) and isinstance(second, Records):
                 pairs = gate(first, second)
-                a, b = pairs.i.astype(np.int64), pairs.j.astype(np.int64)
                 description = pairs.gate
-                compared.append((pairs, len(a)))
             else:
-                a, b = _possible(observers, s, t, gate)
-                compared.append((None, len(a)))
-            found.append((a + start[s], b + start[t]))
+                pairs = _possible(observers, s, t, gate)
+            compared.append(pairs)
+            found.append((pairs.i.astype(np.int64) + start[s], pairs.j.astype(np.int64) + start[t]))
     i, j = (np.concatenate(column) for column in zip(*found, strict=True))
     order = np.lexsort([j, i])
     place = np.empty_like(order)
     place[order] = np.arange(len(order))
-    cuts = np.cumsum([0] + [count for _, count in compared])
-    parts = tuple((p, place[cuts[k] : cuts[k + 1]]) for k, (p, _) in enumerate(compared) if p is not None)
+    cuts = np.cumsum([0, *map(len, compared)])
+    parts = tuple((pairs, place[cuts[k] : cuts[k + 1]]) for k, pairs in enumerate(compared))
     return i[order], j[order], parts, description
 
 
-def _possible(observers: Observers, s: int, t: int, gate: Gate) -> tuple[IntArray, IntArray]:
+def _possible(observers: Observers, s: int, t: int, gate: Gate) -> Pairs:
     """Pairs of two sources, at least one of them partial, that one object of the region could have made."""
     from scipy.special import gammainccinv
 
     first, second = records_of(observers.sources[s]), records_of(observers.sources[t])
     completeness = gate.completeness if isinstance(gate, ChiSquare) else DEFAULT_COMPLETENESS
     limit = 2.0 * float(gammainccinv((first.d + second.d) / 2.0, 1.0 - completeness))
-    kept = [np.empty((0, 2), np.int64)]
+    kept = [(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))]
     total = len(first) * len(second)
     for low in range(0, total, CHUNK):
         a, b = np.divmod(np.arange(low, min(low + CHUNK, total)), len(second))
         sets = np.full((len(a), len(observers.sources)), -1)
         sets[:, s], sets[:, t] = a, b
-        inside = observers.joint(sets).chi_sq <= limit
-        kept.append(np.stack([a[inside], b[inside]], axis=1))
-    both = np.concatenate(kept)
-    return both[:, 0], both[:, 1]
+        chi_sq = observers.joint(sets).chi_sq
+        inside = chi_sq <= limit
+        kept.append((a[inside], b[inside], chi_sq[inside]))
+    i, j, chi_sq = (np.concatenate(column) for column in zip(*kept, strict=True))
+    i, j = i.astype(np.int32), j.astype(np.int32)
+    described = f"χ² ≤ {limit:.2f} of one object of the region"
+    return Pairs(first, second, i, j, i, j, np.empty((len(i), 0)), chi_sq, np.full(len(i), np.nan), described)
 
 
 def numbered_groups(i: IntArray, j: IntArray, n: int) -> IntArray:

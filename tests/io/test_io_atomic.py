@@ -11,6 +11,7 @@ from astropy.table import Table
 
 from sameas.errors import InputError
 from sameas.io import read_provenance, read_table, replacing, write_table
+from sameas.io.atomic import filling
 
 ENDINGS = [".fits", ".vot", ".ecsv", ".csv", ".parquet"]
 
@@ -23,6 +24,39 @@ def test_an_interruption_leaves_the_old_file_and_no_other(stop, tmp_path):
         draft.write_text("half")
         raise stop
     assert out.read_text() == "old" and os.listdir(tmp_path) == ["plot.png"]
+
+
+@pytest.mark.parametrize("stop", [RuntimeError, KeyboardInterrupt, SystemExit])
+@pytest.mark.parametrize("there", [True, False])
+def test_an_interruption_leaves_a_folder_as_it_was(there, stop, tmp_path):
+    out = tmp_path / "picture"
+    if there:
+        out.mkdir()
+        (out / "map.html").write_text("old")
+    with pytest.raises(stop), filling(out) as draft:
+        (draft / "map.html").write_text("new")
+        raise stop
+    assert os.listdir(tmp_path) == ["picture"] * there
+    assert not there or (os.listdir(out), (out / "map.html").read_text()) == (["map.html"], "old")
+
+
+def test_all_files_of_a_folder_come_at_once_beside_what_was_there(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / "map.html").write_text("old")
+    with filling(tmp_path) as draft:
+        for name in ("map.html", "table.csv"):
+            (draft / name).write_text("new")
+            assert not (tmp_path / name).exists() or (tmp_path / name).read_text() == "old"
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {
+        "notes.txt": "mine", "map.html": "new", "table.csv": "new",
+    }  # fmt: skip
+
+
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    for name in ("file", "file/deeper"):
+        with pytest.raises(InputError, match=f"into .*{name}: .*; give another"), filling(tmp_path / name):
+            raise AssertionError("never reached")
 
 
 @pytest.mark.parametrize("ending", ENDINGS)

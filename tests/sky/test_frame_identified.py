@@ -128,6 +128,17 @@ def test_normalised_residuals_have_unit_spread(found: FrameIdentification) -> No
     assert 1.4826 * np.median(np.abs(chi)) == pytest.approx(1.0, abs=0.12)
 
 
+def test_brightness_tells_neighbours_apart_in_a_crowd() -> None:
+    crowd = scene(3, stars=30_000, false=4_000)
+    header = Header(crowd.pointing.to_wcs((SIDE, SIDE)))
+    blind, seeing = (
+        solve(crowd.measured, crowd.catalogue, header, epoch_jyr=2020.0, refinement=Refinement(magnitudes=how))
+        for how in ("off", "auto")
+    )
+    assert wrong(seeing, crowd.truth) <= 0.6 * wrong(blind, crowd.truth)
+    assert wrong(seeing, crowd.truth) <= seeing.result.expected_wrong + 3 * np.sqrt(seeing.result.expected_wrong + 1)
+
+
 def test_without_motion_stars_lie_apart_and_the_fast_ones_are_lost(seen: Scene, found: FrameIdentification) -> None:
     header = Header(seen.pointing.to_wcs((SIDE, SIDE)))
     still = solve(seen.measured, seen.catalogue, header, epoch_jyr=2020.0, motion=False)

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from sameas.errors import InputError
-from sameas.registration import SensorBias
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.source import (
     _PARTS,
     BiasPrior,
+    Calibration,
     Coverage,
     Description,
     ErrorModel,
@@ -75,14 +75,14 @@ def test_resolution_is_the_wider_of_cell_and_beam():
     np.testing.assert_allclose(radar.resolved_m([100.0, 10e3]), [40.0, 10e3 * np.radians(2.5)])
 
 
-def test_bias_priors_become_what_registration_looks_for():
-    radar = Description("radar", site=Site(east_m=10.0, north_m=20.0), bias=BiasPrior(range_m=50.0, azimuth_deg=1.0))
-    wanted = radar.offset(None)
-    assert isinstance(wanted, SensorBias) and wanted.position == (10.0, 20.0)
-    assert wanted.names == ("range", "azimuth_deg") and wanted.widths == (50.0, 1.0)
-    assert Description("ais", "ais").offset(None) is None
-    timed = Description("radar", site=Site(east_m=0.0, north_m=0.0), bias=BiasPrior(time_s=2.0))
-    assert timed.offset(None) is None and timed.offset(None, np.ones((3, 2))).which == (3,)
+def test_a_bias_that_is_known_is_not_looked_for_unless_its_doubt_is_told():
+    known = Description("radar", "marine radar", calibration=Calibration(range_m=-35.0))
+    assert known.bias.range_m is None and known.bias.azimuth_deg == 1.0
+    assert "bias.range_m" not in {line.name for line in known.assumed}
+    nearly = Description("radar", "marine radar", calibration=Calibration(range_m=-35.0), bias=BiasPrior(range_m=5.0))
+    assert nearly.bias.range_m == 5.0
+    shifted = Description("other", "tracks", calibration=Calibration(east_m=3.0))
+    assert shifted.bias.shift_m is None and Description("other", "tracks").bias.shift_m == 50.0
 
 
 def test_a_site_is_in_degrees_or_in_metres_and_fits_the_picture():

@@ -38,8 +38,10 @@ from sameas.cli.arguments import (
     ToEpoch,
 )  # fmt: skip
 from sameas.cli.frame import frame
+from sameas.cli.many import many
 from sameas.cli.options import ellipses_split, fields_of, with_columns
 from sameas.cli.outcome import answering
+from sameas.cli.picture import picture
 from sameas.cli.study import Folder, Only, Page, Quick, Scenes
 
 app = typer.Typer(
@@ -142,7 +144,10 @@ def explain(
         run(output, record, source, format)
 
 
+app.command("many", cls=_Recorded, no_args_is_help=True)(many)
 app.command("frame", no_args_is_help=True)(frame)
+
+app.command("picture", cls=_Recorded, no_args_is_help=True)(picture)
 
 
 @app.command("study")

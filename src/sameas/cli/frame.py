@@ -12,6 +12,7 @@ from sameas.cli.frame_arguments import (
     AimAt,
     Biases,
     Brightest,
+    Brightness,
     Darks,
     Faintest,
     Flats,
@@ -61,6 +62,7 @@ def frame(
     read_noise: ReadNoise = None,
     saturation: Saturation = None,
     order: Order = None,
+    magnitudes: Brightness = "auto",
     faintest: Faintest = None,
     no_motion: NoMotion = False,
     brightest: Brightest = 1000,
@@ -102,6 +104,7 @@ def frame(
                 biases=tuple(map(str, bias or ())),
                 threshold_sigmas=threshold,
                 order=order,
+                magnitudes=magnitudes,  # type: ignore[arg-type]
                 faintest=faintest,
                 motion=not no_motion,
                 brightest=brightest,

@@ -57,6 +57,12 @@ ReadNoise = Annotated[float | None, _option("--read-noise", panel=_IMAGE, metava
 Saturation = Annotated[
     float | None, _option("--saturation", panel=_IMAGE, metavar="ADU", help="Level of a full pixel.")
 ]
+Brightness = Annotated[
+    str,
+    _option(
+        "--magnitudes", metavar="auto|off", callback=one_of(("auto", "off")), help="Brightness as evidence, or not."
+    ),
+]
 Order = Annotated[
     int | None,
     _option("--order", metavar="1…5", min=1, max=5, help="Of the plate model; else that of the least BIC."),

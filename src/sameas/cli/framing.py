@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import sameas
 from sameas.cli.hints import Said, hints
@@ -64,6 +64,7 @@ class FrameRequest:
     biases: tuple[str, ...] = ()
     threshold_sigmas: float = 4.0
     order: int | None = None
+    magnitudes: Literal["auto", "off"] = "auto"
     faintest: float | None = None
     motion: bool = True
     brightest: int = 1000
@@ -180,7 +181,7 @@ def _found(request: FrameRequest, frame: Frame, measured: Any, progress: Progres
         stars,
         own_hints,
         epoch_jyr=epoch,
-        refinement=Refinement(order=request.order),
+        refinement=Refinement(order=request.order, magnitudes=request.magnitudes),
         index=None if all_sky is None else _index(_key(request, near), epoch, frame.shape, all_sky),
         motion=request.motion,
         faintest=request.faintest,

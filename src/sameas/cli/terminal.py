@@ -7,7 +7,6 @@ import sys
 import textwrap
 import threading
 from collections.abc import Iterable
-from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
@@ -115,10 +114,9 @@ def notice(message: str) -> None:
 
 
 def tell_compilation() -> None:
-    """Say that kernels are going to be compiled, where this machine has none."""
-    from sameas.kernels import sphere
+    """Say that kernels are going to be compiled, where this machine has none, and begin with some of them."""
+    from sameas import compilation
 
-    statistics = getattr(sphere.sweep_sphere, "stats", None)  # a plain function where compilation is switched off
-    where = getattr(statistics, "cache_path", None)
-    if where and not any(Path(where).glob("sphere.sweep_sphere-*.nbi")):
+    if compilation.needed():
         notice("compiling kernels for this machine, once; it takes some seconds")
+        compilation.beside()

@@ -12,6 +12,9 @@ Every rule gives a natural logarithm per pair, term by term; rules add with ``+`
   (METHOD 3.2 [T14–T19, T26]). For pictures of a few targets.
 - :class:`Brightness`: what magnitudes and colours of a pair say beside its position; ``sameas.match`` learns it from
   the :class:`Magnitudes` of both sources.
+- :class:`Identity`: what the records say of themselves (addresses, callsigns, names, types, lengths) beside their
+  position, each attribute with a model of its errors: :class:`Code`, :class:`Category`, :class:`Size`. :func:`alarms`
+  are identities shown where they cannot be.
 - :class:`Universal`: any density of objects and of their neighbours, as a mixture, samples or functions
   (METHOD 3.3 [T13]). Where the densities are known and are none of the above.
 """
@@ -31,14 +34,16 @@ from sameas.evidence.brightness import (
 from sameas.evidence.close import CloseObjects
 from sameas.evidence.densities import Displacement, Flat, GaussianMixture, Samples
 from sameas.evidence.fields import ConstantCost, DetectionField, Field, PoissonField
+from sameas.evidence.identity import MODELS, Alarm, Category, Code, Identity, Model, Size, alarms
 from sameas.evidence.relation import MagnitudeDensity, Relation
 from sameas.evidence.rule import Evidence, Rule, Sum
 from sameas.evidence.spread import LOG_2PI, Errors
 from sameas.evidence.universal import Universal
 
 __all__ = [
-    "LOG_2PI", "Brightness", "Chain", "CloseObjects", "Compared", "ConstantCost", "DetectionField", "Displacement",
-    "Errors", "Evidence", "Field", "Flat", "GaussianMixture", "MagnitudeDensity", "Magnitudes", "Measured", "Pattern",
-    "PoissonField", "Regressors", "Relation", "Rule", "Samples", "Side", "Sum", "Universal", "compared",
-    "log_neighbour_density", "log_surface_density",
+    "LOG_2PI", "MODELS", "Alarm", "Brightness", "Category", "Chain", "CloseObjects", "Code", "Compared",
+    "ConstantCost", "DetectionField", "Displacement", "Errors", "Evidence", "Field", "Flat", "GaussianMixture",
+    "Identity", "MagnitudeDensity", "Magnitudes", "Measured", "Model", "Pattern", "PoissonField", "Regressors",
+    "Relation", "Rule", "Samples", "Side", "Size", "Sum", "Universal", "alarms", "compared", "log_neighbour_density",
+    "log_surface_density",
 ]  # fmt: skip

@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -75,21 +76,26 @@ class Code:
             raise InputError("Code: give values above 1, and shares of errors between 0 and 1 whose sum is below 1")
 
     def __call__(self, first: NDArray[Any], second: NDArray[Any], pool: NDArray[Any]) -> FloatArray:
-        chance = 0.5 * (self._log_chance(first, pool) + self._log_chance(second, pool))
-        near = (differ_by_one_bit if self.bits else differ_by_one_typing)(first, second)
+        known, chance_of = self._log_chances(pool)
+        chance = 0.5 * (chance_of[np.searchsorted(known, first)] + chance_of[np.searchsorted(known, second)])
         wrong = math.log(self.other)
-        slipped = np.logaddexp(math.log(self.slips / self.neighbours) - chance, wrong)
-        equal = np.logaddexp(math.log1p(-self.slips - self.other) - chance, wrong)
-        return np.where(first == second, equal, np.where(near, slipped, wrong))
+        out = np.full(len(first), wrong)
+        same = first == second
+        out[same] = np.logaddexp(math.log1p(-self.slips - self.other) - chance[same], wrong)
+        differ = np.flatnonzero(~same)
+        near = differ[(differ_by_one_bit if self.bits else differ_by_one_typing)(first[differ], second[differ])]
+        out[near] = np.logaddexp(math.log(self.slips / self.neighbours) - chance[near], wrong)
+        return out
 
-    def _log_chance(self, values: NDArray[Any], pool: NDArray[Any]) -> FloatArray:
-        """(m,) ln p that an unrelated object has the value."""
+    def _log_chances(self, pool: NDArray[Any]) -> tuple[NDArray[Any], FloatArray]:
+        """The values of the pool, ascending, and ln p that an unrelated object has each."""
         known, counts = np.unique(pool, return_counts=True)
-        at = np.searchsorted(known, values)
         # The pool holds each source's values once an object: what is there n times too often is shared by n more.
-        again = np.maximum(counts[at] - 1.0, 0.0) / max(len(pool) - 1, 1)
-        listed = np.array([self.shared.get(str(value), 0.0) for value in known])[at]
-        return np.log(np.maximum(np.maximum(again, listed), 1.0 / self.values))
+        chance = np.maximum((counts - 1.0) / max(len(pool) - 1, 1), 1.0 / self.values)
+        for value, share in self.shared.items():
+            at = np.flatnonzero(known == value)
+            chance[at] = np.maximum(chance[at], share)
+        return known, np.log(chance)
 
 
 @dataclass(frozen=True)
@@ -205,7 +211,7 @@ class Identity(Rule):
 
     def column(self, records: Records, name: str) -> NDArray[Any]:
         """(n_table,) the values of a source, in plain spelling; "" or NaN where a record does not say."""
-        values = plain(self.attributes[records.source][name], getattr(self.models[name], "unknown", ()))
+        values = self._plain[records.source][name]
         if len(values) != records.n_table:
             raise InputError(
                 f"{records.source}: {len(values)} values of {name} for {records.n_table} rows; give one for every row "
@@ -218,23 +224,43 @@ class Identity(Rule):
         out = np.zeros(len(first))
         known = np.flatnonzero(_said(first) & _said(second))
         if len(known):
-            pool = np.concatenate(self._pool(name))
-            out[known] = self.models[name](first[known], second[known], pool)
+            out[known] = self.models[name](first[known], second[known], self._pools[name])
         return out
 
-    def _pool(self, name: str) -> list[NDArray[Any]]:
+    @cached_property
+    def _plain(self) -> dict[str, dict[str, NDArray[Any]]]:
+        """The attributes in plain spelling."""
+        return {
+            source: {name: _spelled(values, self.models[name]) for name, values in columns.items()}
+            for source, columns in self.attributes.items()
+        }
+
+    @cached_property
+    def _pools(self) -> dict[str, NDArray[Any]]:
+        """Known values of all sources, by attribute."""
+        names = {name for columns in self.attributes.values() for name in columns}
+        return {name: self._pool(name) for name in names}
+
+    def _pool(self, name: str) -> NDArray[Any]:
         """Known values of all sources: of each value as often as the source that has it most."""
-        columns = [
-            plain(c[name], getattr(self.models[name], "unknown", ())) for c in self.attributes.values() if name in c
-        ]
+        columns = [column[name] for column in self._plain.values() if name in column]
         columns = [column[_said(column)] for column in columns]
         if any(column.dtype.kind == "f" for column in columns):
-            return columns
+            return np.concatenate(columns)
         counted = [np.unique(column, return_counts=True) for column in columns]
         values, place = np.unique(np.concatenate([v for v, _ in counted]), return_inverse=True)
         most = np.zeros(len(values), np.int64)
         np.maximum.at(most, place, np.concatenate([n for _, n in counted]))
-        return [np.repeat(values, most)]
+        return np.repeat(values, most)
+
+
+def _spelled(values: ArrayLike, model: Model) -> NDArray[Any]:
+    """(n_table,) values in plain spelling; codes and classes as texts, however a table holds them."""
+    unknown = getattr(model, "unknown", ())
+    column = plain(values, unknown)
+    if column.dtype.kind == "f" and isinstance(model, Code | Category):
+        column = plain([f"{value:.15g}" if np.isfinite(value) else "" for value in column], unknown)
+    return column
 
 
 def _said(values: NDArray[Any]) -> NDArray[np.bool_]:

@@ -1,4 +1,8 @@
-"""What every decision rule is: a call from pairs to evidence, and sums of rules."""
+"""What every decision rule is: a call from pairs to evidence, and sums of rules.
+
+A rule that speaks of some pairs only, because one of the records says nothing of what it compares, gives exactly 0.0
+for the others: so :attr:`Evidence.spoken` knows of which pairs it speaks.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sameas.gate import Pairs
 from sameas.records import FloatArray
@@ -29,6 +34,12 @@ class Evidence:
         parts = list(self.terms.values())
         return parts[0] if len(parts) == 1 else np.sum(parts, axis=0)
 
+    @cached_property
+    def spoken(self) -> NDArray[np.bool_]:
+        """(m,) whether anything is said of a pair: a term that is not exactly 0.0."""
+        parts = [np.asarray(values != 0.0) for values in self.terms.values()]
+        return parts[0] if len(parts) == 1 else np.logical_or.reduce(parts)
+
 
 class Rule:
     """What every decision rule is: a call from pairs to evidence, and a sum with other rules."""
@@ -37,6 +48,8 @@ class Rule:
         raise TypeError(f"{type(self).__name__} is the interface of decision rules; use one of them")
 
     def __add__(self, other: Rule) -> Rule:
+        if not isinstance(other, Rule):
+            return NotImplemented
         return Sum((*self.parts(), *other.parts()))
 
     def parts(self) -> tuple[Rule, ...]:

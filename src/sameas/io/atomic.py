@@ -67,6 +67,42 @@ def replacing(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iterat
 
 
 @contextmanager
+def filling(folder: str | os.PathLike[str]) -> Iterator[Path]:
+    """A temporary folder whose files all come into ``folder`` when the block ends well, and vanish otherwise.
+
+    What was there before stays, save files of the same names. A folder made for this goes where nothing comes of it.
+
+    Raises
+    ------
+    InputError : the folder cannot be made or written, a full device. Other exceptions of the block, KeyboardInterrupt
+        included, pass through.
+
+    Examples
+    --------
+    >>> with filling("report") as draft:  # doctest: +SKIP
+    ...     (draft / "note.txt").write_text("all or none")
+    """
+    target = Path(folder)
+    made = not target.exists()
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+        draft = Path(tempfile.mkdtemp(prefix=".sameas-", dir=target))
+    except OSError as error:
+        raise InputError(f"cannot write into {folder}: {str(error.strerror).lower()}; give another folder") from error
+    try:
+        with _clear_errors(target):
+            yield draft
+            for file in sorted(draft.iterdir()):
+                os.replace(file, target / file.name)
+        made = False
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+        if made:
+            with suppress(OSError):
+                target.rmdir()
+
+
+@contextmanager
 def _copied_into(device: Path) -> Iterator[Path]:
     """For a device or a pipe (/dev/stdout), which cannot be replaced: a temporary file, copied at the end.
 

@@ -253,8 +253,9 @@ def _several(study: Study, tables: dict[str, list[Row]]) -> str:
         order = max(c.mean("joint order").value for _, c in study.several)
         text += f"""
 - Three sources at spacing 4: every hypothesis of the first two sources, each with the best third, was looked at in a
-  quarter of the scenes. The joint answer is not the best of them in {_share(differs)} of these. Another order of the
-  sources changes the joint answer in {_share(order)} of the scenes; that too was looked at in a quarter of them."""
+  quarter of the scenes. In {_share(differs)} of these one of them is more probable than the joint answer. Another order
+  of the sources changes the joint answer in {_share(order)} of the scenes; that too was looked at in a quarter of
+  them."""
     if crowd is not None:
         text += f"""
 - `identify_many`, six sources × 200 targets: {crowd.records} records, {crowd.largest_group} in the largest group,

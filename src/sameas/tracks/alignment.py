@@ -134,19 +134,19 @@ def transition(dt_s: ArrayLike) -> FloatArray:
     return f
 
 
-def process_noise(dt_s: ArrayLike, acceleration_m2_per_s3: float) -> FloatArray:
-    """(n, 4, 4) Q of a velocity that is a random walk: q [|dt|³/3, dt|dt|/2; dt|dt|/2, |dt|] per axis."""
+def process_noise(dt_s: ArrayLike, acceleration_m2_per_s3: ArrayLike) -> FloatArray:
+    """(n, 4, 4) Q of a random walk of velocity: q [|dt|³/3, dt|dt|/2; dt|dt|/2, |dt|] per axis; one q or (n,)."""
     dt = np.atleast_1d(np.asarray(dt_s, dtype=np.float64))
     q = np.zeros((len(dt), 4, 4))
     for axis in (0, 1):
         q[:, axis, axis] = np.abs(dt) ** 3 / 3.0
         q[:, axis, axis + 2] = q[:, axis + 2, axis] = dt * np.abs(dt) / 2.0
         q[:, axis + 2, axis + 2] = np.abs(dt)
-    return acceleration_m2_per_s3 * q
+    return np.asarray(acceleration_m2_per_s3, dtype=np.float64).reshape(-1, 1, 1) * q
 
 
 def moved(
-    state: FloatArray, covariance: FloatArray, dt_s: ArrayLike, acceleration_m2_per_s3: float
+    state: FloatArray, covariance: FloatArray, dt_s: ArrayLike, acceleration_m2_per_s3: ArrayLike
 ) -> tuple[FloatArray, FloatArray]:
     """States (n, 4) and covariances (n, 4, 4) after dt (n,) seconds, before where dt is negative."""
     dt = np.broadcast_to(np.asarray(dt_s, dtype=np.float64), (len(state),))
@@ -157,11 +157,11 @@ def moved(
     return there, 0.5 * (spread + spread.transpose(0, 2, 1))
 
 
-def stamped_late(covariance: FloatArray, state: FloatArray, sigma_s: float) -> FloatArray:
-    """Covariances grown by stamps that are uncertain by ``sigma_s``: v vᵀ σ² along the velocity."""
+def stamped_late(covariance: FloatArray, state: FloatArray, sigma_s: float | FloatArray) -> FloatArray:
+    """Covariances grown by stamps that are uncertain by ``sigma_s``, (n,) or one: v vᵀ σ² along the velocity."""
     grown = covariance.copy()
     speed_sq = state[:, 2:, None] * state[:, None, 2:] + covariance[:, 2:, 2:]
-    grown[:, :2, :2] += sigma_s**2 * speed_sq
+    grown[:, :2, :2] += np.square(sigma_s).reshape(-1, 1, 1) * speed_sq
     return grown
 
 

@@ -26,6 +26,8 @@ from sameas.records import FloatArray
 
 #: Beyond this distance from the origin the plane shortens distances by more than 1 %.
 FARTHEST_M = 900e3
+#: The middle of positions: of at most so many, evenly chosen, in so many steps (Weiszfeld).
+MEDIAN_SAMPLE, MEDIAN_STEPS = 20_000, 50
 #: Mean radius of the earth, for what needs no ellipsoid.
 EARTH_M = 6_371_000.0
 #: A target nearer to the zenith than this elevation has no usable direction on the ground.
@@ -74,37 +76,50 @@ class LocalPlane:
 
     @classmethod
     def about(cls, lat_deg: ArrayLike, lon_deg: ArrayLike) -> LocalPlane:
-        """The plane in the middle of these positions: the direction of the mean of their unit vectors."""
+        """The plane in the middle of these positions, however wrong fewer than half of them are.
+
+        The middle is their geometric median, the point with the least sum of distances through the earth.
+        """
         lat, lon = _numbers(lat_deg, lon_deg)
         known = np.isfinite(lat) & np.isfinite(lon)
         if not known.any():
             raise InputError("LocalPlane: no position is known; give the origin of the plane")
-        phi, lam = np.radians(lat[known]), np.radians(lon[known])
-        x, y, z = (np.mean(part) for part in (np.cos(phi) * np.cos(lam), np.cos(phi) * np.sin(lam), np.sin(phi)))
+        few = np.unique(np.linspace(0, known.sum() - 1, min(int(known.sum()), MEDIAN_SAMPLE)).astype(np.int64))
+        phi, lam = np.radians(lat[known][few]), np.radians(lon[known][few])
+        places = np.column_stack([np.cos(phi) * np.cos(lam), np.cos(phi) * np.sin(lam), np.sin(phi)])
+        middle = places.mean(axis=0)
+        for _ in range(MEDIAN_STEPS):
+            weight = 1.0 / np.maximum(np.linalg.norm(places - middle, axis=1), 1e-7)
+            middle = weight @ places / weight.sum()
+        x, y, z = middle
         if np.hypot(np.hypot(x, y), z) < 1e-6:
             raise InputError("LocalPlane: the positions lie all around the earth; give the origin of the plane")
         return cls(float(np.degrees(np.arctan2(z, np.hypot(x, y)))), float(np.degrees(np.arctan2(y, x))))
 
     def of_geodetic(self, lat_deg: ArrayLike, lon_deg: ArrayLike, source: str = "positions") -> FloatArray:
-        """(n, 2) east and north in metres of the feet of positions (n,); NaN where a position is not known.
+        """(n, 2) east and north in metres of the feet of positions (n,).
+
+        NaN where a position is not known, or farther than 900 km from the origin, where the plane ends.
 
         Raises
         ------
-        InputError : beyond ±90°, beyond ±360°, or farther than 900 km from the origin (first row is named).
+        InputError : beyond ±90°, beyond ±360°, or half of the positions and more lie too far (first row is named).
         """
         lat, lon = _numbers(lat_deg, lon_deg)
         _degrees(source, lat, lon)
         east, north, up = geodesy().geodetic2enu(lat, lon, np.zeros_like(lat), self.lat_deg, self.lon_deg, 0.0)
         position = np.column_stack([east, north])
         with np.errstate(invalid="ignore"):
-            far = np.flatnonzero(np.hypot(np.hypot(east, north), up) > FARTHEST_M)
-        if len(far):
+            beyond = np.hypot(np.hypot(east, north), up) > FARTHEST_M
+        far = np.flatnonzero(beyond)
+        if len(far) and 2 * len(far) >= np.isfinite(east).sum():
             first = far[0]
             raise InputError(
                 f"{source}: {len(far)} positions lie farther than {FARTHEST_M / 1e3:.0f} km from the origin "
                 f"{self.lat_deg:g}, {self.lon_deg:g} (first: row {first}: {lat[first]:g}, {lon[first]:g}); "
                 "check the sign of the longitude and the order latitude, longitude, or give the origin of the plane"
             )
+        position[beyond] = np.nan
         return position
 
     def to_geodetic(self, position: ArrayLike) -> tuple[FloatArray, FloatArray]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,16 @@ from sameas.evidence.identity import MODELS
 from sameas.records import FloatArray
 from sameas.tracks.alignment import States, looks_of
 from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.correction import corrected
 from sameas.tracks.filter import follow
-from sameas.tracks.placement import Directions, placed, sensor_places
+from sameas.tracks.namesakes import parted
+from sameas.tracks.placement import Directions, placed, sensor_places, set_aside
 from sameas.tracks.reports import Reports
+from sameas.tracks.silence import ending_silence_s
 from sameas.tracks.source import Description
+
+#: Kinds of sources whose errors of position last longer than a filter averages.
+LASTING = ("ais", "ads-b")
 
 
 @dataclass(frozen=True)
@@ -31,6 +38,8 @@ class Feed:
     looked_s : (l,) the times at which it looked. look_s : (n,) the look to which each report belongs.
     sensor_m : (n, 2) where its sensor was, None for a source that is in no one place.
     attributes : what the reports say of the objects' identity, (n,) each: mmsi, icao, name, …
+    given : the reports as a reader gave them. notes : what was set aside, printable sentences.
+    filtered : whether a filter made tracks of them.
     """
 
     description: Description
@@ -39,6 +48,9 @@ class Feed:
     look_s: FloatArray
     sensor_m: FloatArray | None
     attributes: Mapping[str, NDArray[Any]]
+    given: Reports | None = None
+    notes: tuple[str, ...] = ()
+    filtered: bool = False
 
     @classmethod
     def of(
@@ -48,7 +60,7 @@ class Feed:
         plane: LocalPlane | None = None,
         *,
         looked_s: ArrayLike | None = None,
-        filtered: bool = False,
+        to_tracks: bool = False,
     ) -> Feed:
         """A feed of what a reader gave.
 
@@ -56,30 +68,41 @@ class Feed:
         ----------
         looked_s : times of all looks of a source of bare plots, those that showed nothing among them. Without it a
             look that showed nothing is not known of, and the one before it stands until it is too old to tell.
-        filtered : whether reports with names are to be filtered to tracks first.
+        to_tracks : whether reports with names are to be filtered to tracks first (:func:`need_filtering`).
         """
         there = placed(description, reports, plane)
-        if filtered:
+        notes = set_aside(reports, there)
+        sensor_m = sensor_places(description, reports, plane)
+        biases = known_biases(description, sensor_m)
+        there = corrected(there, sensor_m, biases) if biases.any() else there
+        if isinstance(there, States):
+            there, more = parted(there, description.motion.speed_m_per_s or math.inf)
+            notes += tuple(f"{description.name}: {note}" for note in more)
+        if to_tracks:
             if not isinstance(there, States):
                 raise InputError(f"{description.name}: directions are not filtered; give positions")
-            there = follow(there, acceleration_m2_per_s3=walk_of(description)).states
+            there = filtered(description, there)
         look_s = looks_of(there.time_s, description.timing.period_s)
         looked = look_s if looked_s is None else np.concatenate([np.asarray(looked_s, np.float64), look_s])
         attributes = {name: said for name in MODELS if (said := getattr(reports, name, None)) is not None}
-        sensor_m = sensor_places(description, reports, plane)
-        return cls(description, there, np.unique(looked), look_s, sensor_m, attributes)
+        return cls(description, there, np.unique(looked), look_s, sensor_m, attributes, reports, notes, to_tracks)
 
     @property
     def walk_m2_per_s3(self) -> float:
         """Power density of the random walk of its objects' velocities."""
         return walk_of(self.description)
 
+    @cached_property
+    def ending_silence_s(self) -> float:
+        """After how long a track of the source that says nothing has ended."""
+        return ending_silence_s(self.reports.time_s, self.reports.track)
+
     @property
     def tells_velocities(self) -> bool:
         """Whether any report is surer of its velocity than that objects move somehow."""
         speed = self.description.motion.speed_m_per_s or math.inf
         reports = self.reports
-        return isinstance(reports, States) and bool(np.any(reports.covariance[:, 2, 2] < 0.99 * speed**2))
+        return isinstance(reports, States) and bool(np.any(reports.covariance[:, 2, 2] < 0.9 * speed**2))
 
     def sensor_at(self, instant_s: float) -> FloatArray | None:
         """(2,) the sensor at its last report before the instant; None where nothing says where it is."""
@@ -109,6 +132,47 @@ class Feed:
         density = (clutter.per_km2 or 0.0) / 1e6
         speed = self.description.motion.speed_m_per_s or 1.0
         return density if features == 2 else density / (2.0 * math.pi * speed**2)
+
+
+def known_biases(description: Description, sensor_m: FloatArray | None) -> FloatArray:
+    """(6,) the biases that the user knows, in the order of BIASES."""
+    given = description.calibration
+    polar = (given.range_m, given.azimuth_deg, given.range_gain)
+    if sensor_m is None and any(polar):
+        raise InputError(
+            f"{description.name}: calibration of range or azimuth needs to know where the sensor is; give site"
+        )
+    return np.array([value or 0.0 for value in (*polar, None, given.east_m, given.north_m)], dtype=np.float64)
+
+
+def need_filtering(description: Description, reports: Reports) -> bool:
+    """Whether reports are single measurements under names of their objects, which only a filter makes tracks.
+
+    They are where none tells a velocity. Who tells velocities with ranges and bearings is a tracker, whose targets are
+    smoothed already (ARPA); but the plots of ASTERIX 048 are measured ones whatever its tracker says beside them.
+    Tracks of another system are not filtered again.
+    """
+    names = (reports.track_id, reports.mmsi, reports.icao)
+    smoothed = reports.kind == "arpa" or description.kind == "tracks"
+    if smoothed or reports.position == "bearing" or all(column is None for column in names):
+        return False
+    velocity = reports.velocity_m_per_s()
+    return velocity is None or not np.isfinite(velocity).any() or reports.kind == "asterix 048"
+
+
+def filtered(description: Description, reports: States) -> States:
+    """The reports with the velocities that all reports of their track so far make, and positions bettered by these.
+
+    The errors of satellite positions last for minutes, and no filter makes them smaller: they stay as they are said.
+    """
+    tracks = follow(reports, acceleration_m2_per_s3=walk_of(description)).states
+    if description.kind not in LASTING:
+        return tracks
+    state, covariance = tracks.state.copy(), tracks.covariance.copy()
+    state[:, :2] = reports.state[:, :2]
+    covariance[:, :2, :2] = reports.covariance[:, :2, :2]
+    covariance[:, :2, 2:], covariance[:, 2:, :2] = 0.0, 0.0
+    return replace(tracks, state=state, covariance=covariance)
 
 
 def walk_of(description: Description) -> float:

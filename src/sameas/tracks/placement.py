@@ -28,6 +28,10 @@ from sameas.tracks.coordinates import (
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description
 
+#: Of a source with so many positions or more, one is a stray beyond so many times the distance from their middle within
+#: which nine of ten lie, and so many metres.
+FEW, STRAY, STRAY_M = 20, 20.0, 20e3
+
 
 @dataclass(frozen=True)
 class Directions:
@@ -116,8 +120,34 @@ def _of_geodetic(description: Description, reports: Reports, plane: LocalPlane |
         raise InputError(f"{description.name}: positions are latitudes and longitudes; give the plane of the picture")
     lat, lon = np.asarray(reports.lat_deg), np.asarray(reports.lon_deg)
     turn = plane.turn(lat, lon, 0.0 if reports.alt_m is None else np.nan_to_num(reports.alt_m))
-    position = plane.of_geodetic(lat, lon, description.name)
+    position = _without_strays(plane.of_geodetic(lat, lon, description.name))
     return _Placed(position, turned(_stated(description, reports), turn), turn)
+
+
+def _without_strays(position: FloatArray) -> FloatArray:
+    """The positions, NaN where one lies absurdly far from the others of its source."""
+    known = np.isfinite(position).all(axis=1)
+    if known.sum() < FEW:
+        return position
+    away = np.hypot(*(position - np.median(position[known], axis=0)).T)
+    limit = max(STRAY * float(np.quantile(away[known], 0.9)), STRAY_M)
+    return np.where((away > limit)[:, None], np.nan, position)
+
+
+def set_aside(reports: Reports, there: States | Directions) -> tuple[str, ...]:
+    """A sentence that names the reports whose positions are too far off to be believed; none where none is."""
+    if reports.lat_deg is None or reports.lon_deg is None or isinstance(there, Directions):
+        return ()
+    said = np.isfinite(reports.lat_deg) & np.isfinite(reports.lon_deg)
+    lines = reports.line[said & ~np.isfinite(there.state[:, 0])]
+    if not len(lines):
+        return ()
+    unit = reports.damaged.unit if len(lines) == 1 else f"{reports.damaged.unit}s"
+    listed = ", ".join(str(line) for line in lines[:5]) + (", …" if len(lines) > 5 else "")
+    return (
+        f"{reports.source}: {len(lines)} of {len(reports)} positions lie absurdly far from the rest and were set aside "
+        f"({unit} {listed})",
+    )
 
 
 def _of_local(description: Description, reports: Reports, plane: LocalPlane | None) -> _Placed:
@@ -129,8 +159,8 @@ def _of_local(description: Description, reports: Reports, plane: LocalPlane | No
     site = description.site
     if site is None or site.lat_deg is None or site.lon_deg is None:
         raise InputError(
-            f"{description.name}: positions are metres in a plane of its own; give site = {{ lat_deg, lon_deg }}, "
-            "the origin of that plane"
+            f"{description.name}: positions are metres in a plane of its own; give the origin of that plane, "
+            "site = { lat_deg = …, lon_deg = … }, in its description"
         )
     lat, lon = LocalPlane(site.lat_deg, site.lon_deg).to_geodetic(xy)
     turn = plane.turn(np.full(n, site.lat_deg), np.full(n, site.lon_deg))
@@ -204,7 +234,10 @@ def _sensor_geodetic(description: Description, reports: Reports) -> tuple[FloatA
     if reports.station_lat_deg is not None and reports.station_lon_deg is not None:
         return reports.station_lat_deg, reports.station_lon_deg, height
     if site is None or site.lat_deg is None or site.lon_deg is None:
-        raise InputError(f"{description.name}: nothing says where the sensor is; give site = {{ lat_deg, lon_deg }}")
+        raise InputError(
+            f"{description.name}: nothing says where the sensor is; give site = {{ lat_deg = …, lon_deg = … }} "
+            "in its description"
+        )
     return np.full(n, site.lat_deg), np.full(n, site.lon_deg), height
 
 
@@ -216,7 +249,10 @@ def _sensor_m(description: Description, reports: Reports, plane: LocalPlane | No
     if reports.station_x_m is not None and reports.station_y_m is not None:
         return np.column_stack([reports.station_x_m, reports.station_y_m])
     if description.site is None:
-        raise InputError(f"{description.name}: nothing says where the sensor is; give site = {{ east_m, north_m }}")
+        raise InputError(
+            f"{description.name}: nothing says where the sensor is; give site = {{ east_m = …, north_m = … }} "
+            "in its description"
+        )
     return np.broadcast_to(description.site.in_plane(None), (len(reports), 2)).copy()
 
 

@@ -37,6 +37,7 @@ class Said:
         else:
             usable = np.flatnonzero(reports.usable)
             rows = usable[latest(reports.time_s[usable], reports.track[usable], instant_s)]
+            rows = rows[instant_s - reports.time_s[rows] <= feed.ending_silence_s]
         rows = rows[reports.usable[rows]]
         time_s, none = reports.time_s[rows], np.empty(0, np.int64)
         if isinstance(reports, Directions):

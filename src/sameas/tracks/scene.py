@@ -33,7 +33,9 @@ from sameas.observations import Region, Source, records_of
 from sameas.records import FloatArray, IntArray, Records
 from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.feed import Feed
+from sameas.tracks.doubts import apart, doubts
+from sameas.tracks.feed import Feed, need_filtering
+from sameas.tracks.registration import SourceBiases, registered
 from sameas.tracks.reports import Reports
 from sameas.tracks.said import POSITION, POSITION_AND_VELOCITY, Said
 from sameas.tracks.source import Assumption, Description
@@ -52,14 +54,18 @@ class Scene:
     def of(cls, sources: Sequence[tuple[Description, Reports]], plane: LocalPlane | None = None) -> Scene:
         """A scene of descriptions and their reports; the plane is laid in their middle where none is given.
 
-        Sources that give metres in one plane of the user's own need none: all of them must, then.
+        Sources that give metres in one plane of the user's own need none: all of them must, then. Plots under numbers
+        or names that tell no velocities are filtered to tracks first.
         """
+        if far := apart(sources):
+            raise InputError("; ".join(far))
         if plane is None and any(r.lat_deg is not None or r.station_lat_deg is not None for _, r in sources):
             plane = LocalPlane.about(*_middle(sources))
         names = [description.name for description, _ in sources]
         if len(set(names)) < len(names):
             raise InputError(f"two sources are called {max(names, key=names.count)}; give every source its own name")
-        return cls(tuple(Feed.of(description, reports, plane) for description, reports in sources), plane)
+        feeds = (Feed.of(said, reports, plane, to_tracks=need_filtering(said, reports)) for said, reports in sources)
+        return cls(tuple(feeds), plane)
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -68,6 +74,33 @@ class Scene:
         if not times:
             raise InputError("no source of the scene has a report")
         return float(min(t.min() for t in times)), float(max(t.max() for t in times))
+
+    def registered(self, references: Sequence[str] | None = None) -> tuple[Scene, tuple[SourceBiases, ...]]:
+        """The scene without the biases of its sources, and what was found of each, in their order.
+
+        Every source is compared with those that may have no bias (satellite positions: AIS, ADS-B) at many instants of
+        the whole span; where there are none, the sources with each other. The uncertainty of what is taken away is in
+        the covariances. How large biases may be is ``bias`` in the descriptions; what is known of them beforehand,
+        ``calibration``, is gone already.
+
+        references : names of sources whose positions are taken as they are, if not by their descriptions.
+        """
+        feeds, found = registered(self.feeds, references)
+        return replace(self, feeds=feeds), found
+
+    def doubts(self) -> tuple[str, ...]:
+        """What looks wrong with a source as a whole, one sentence each, with the remedy; empty where all make sense.
+
+        Wrong signs, exchanged columns, kilometres, miles, feet or radians where metres and degrees are meant, a clock
+        in another zone, nothing in common with the others. Nothing is changed. It takes seconds where a source makes no
+        sense.
+        """
+        return doubts(self.feeds, self.plane)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was set aside when the scene was made, printable sentences."""
+        return tuple(note for feed in self.feeds for note in feed.notes)
 
     def at(self, instant_s: float, *, features: int = POSITION) -> Instant:
         """What every source says at an instant: its last reports at or before it, moved there by their motion.

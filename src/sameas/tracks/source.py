@@ -11,6 +11,7 @@ knows; the rest comes from the source's kind (``sameas.tracks.kinds``), and ever
     misses = { q = [0.05, 0.1, 0.5], range_m = [0, 10000, 20000] }
     errors = { range_m = 10, bearing_deg = 0.4 }
     bias = { azimuth_deg = 2 }
+    calibration = { range_m = -35 }
 """
 
 from __future__ import annotations
@@ -28,7 +29,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from sameas.errors import InputError
 from sameas.records import FloatArray
-from sameas.registration import SensorBias
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.kinds import KINDS
 
@@ -178,12 +178,39 @@ class Motion:
 
 @dataclass(frozen=True)
 class BiasPrior:
-    """How large the source's biases may be, 1σ; 0 or nothing: it has none. For :meth:`Description.offset`."""
+    """How large biases that nobody knows may be, 1σ; 0 or nothing: there is none. ``Scene.registered`` looks for them.
+
+    range_m, azimuth_deg, range_gain : of a sensor with a site, read too much. time_s : by which stamps are late,
+    besides timing.latency_s. shift_m : of the whole source, to the east and to the north each.
+    """
 
     range_m: float | None = None
     azimuth_deg: float | None = None
     range_gain: float | None = None
     time_s: float | None = None
+    shift_m: float | None = None
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Biases that are known: taken off every report, and not looked for unless ``bias`` says how wrong they may be.
+
+    The like for stamps that are late is timing.latency_s.
+
+    range_m : by which ranges are read too long. azimuth_deg : too far clockwise. range_gain : 0.01 reads 1 % too far.
+    east_m, north_m : by which everything is shown too far there.
+    """
+
+    range_m: float | None = None
+    azimuth_deg: float | None = None
+    range_gain: float | None = None
+    east_m: float | None = None
+    north_m: float | None = None
+
+    def known(self, bias: str) -> bool:
+        """Whether it says what a bias of :class:`BiasPrior` is."""
+        names = ("east_m", "north_m") if bias == "shift_m" else (bias,)
+        return any(getattr(self, name, None) is not None for name in names)
 
 
 @dataclass(frozen=True)
@@ -233,15 +260,19 @@ class Description:
     timing: Timing = Timing()
     motion: Motion = Motion()
     bias: BiasPrior = BiasPrior()
+    calibration: Calibration = Calibration()
     assumed: tuple[Assumption, ...] = ()
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise InputError(f"{self.name}: kind is {self.kind!r}; give one of {', '.join(KINDS)}")
-        assumptions = list(self.assumed)
+        assumptions, timed = list(self.assumed), self.timing.latency_s is not None
         for name, part in self._parts().items():
             _require_numbers(self.name, name, part)
             missing = {f.name for f in fields(part) if getattr(part, f.name) is None}
+            if name == "bias":
+                # What the user knows is not looked for, unless the user also says how wrong it may be.
+                missing = {f for f in missing if not (self.calibration.known(f) or (f == "time_s" and timed))}
             defaults = {
                 key.partition(".")[2]: said
                 for key, said in KINDS[self.kind].defaults.items()
@@ -264,7 +295,7 @@ class Description:
         parts: dict[str, Any] = {}
         for key, value in given.items():
             if key == "kind":
-                parts["kind"] = value
+                parts["kind"] = str(value)
             elif key not in _PARTS:
                 raise InputError(_unknown(name, key, ["kind", *_PARTS]))
             elif not isinstance(value, Mapping):
@@ -286,23 +317,12 @@ class Description:
         beam = np.radians(self.resolution.bearing_deg or 0.0) * np.asarray(range_m, dtype=np.float64)
         return np.maximum(self.resolution.range_m or 0.0, beam)
 
-    def offset(self, plane: LocalPlane | None, velocity: ArrayLike | None = None) -> SensorBias | None:
-        """What :func:`sameas.registration.register` is to look for in this source; None where it may have no bias.
-
-        velocity : (n, 2) of the records that are registered; a time offset needs it.
-        """
-        bias = self.bias
-        time = 0.0 if velocity is None else bias.time_s or 0.0
-        widths = (bias.range_m or 0.0, bias.azimuth_deg or 0.0, bias.range_gain or 0.0, time)
-        if self.site is None or not any(widths):
-            return None
-        return SensorBias(self.site.in_plane(plane), *widths, velocity=velocity if time else None)
-
 
 #: The parts of a description: sections of a file.
 _PARTS: dict[str, Any] = {
     "site": Site, "coverage": Coverage, "misses": Misses, "clutter": Clutter, "resolution": Resolution,
     "errors": ErrorModel, "targets": Targets, "timing": Timing, "motion": Motion, "bias": BiasPrior,
+    "calibration": Calibration,
 }  # fmt: skip
 
 
@@ -313,17 +333,22 @@ def read_descriptions(path: str | Path) -> tuple[Description, ...]:
     ------
     InputError : not TOML, no sources, a name that is not known, a number out of its range.
     """
+    return tuple(Description.from_mapping(name, said) for name, said in source_tables(path).items())
+
+
+def source_tables(path: str | Path) -> Mapping[str, Mapping[str, Any]]:
+    """The tables ``[sources.NAME]`` of a TOML file as they stand, by name; refused as by :func:`read_descriptions`."""
     try:
         given = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as TOML ({error})") from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read as TOML ({getattr(error, 'strerror', None) or error})") from error
     sources = given.get("sources")
     if not isinstance(sources, Mapping) or not sources:
         raise InputError(f"{path}: describes no sources; give tables such as [sources.radar]")
-    wrong = [name for name, said in sources.items() if not isinstance(said, Mapping)]
-    if wrong:
-        raise InputError(f"{path}: sources.{wrong[0]} is no table; give [sources.{wrong[0]}] with its kind")
-    return tuple(Description.from_mapping(name, said) for name, said in sources.items())
+    for name, said in sources.items():
+        if not isinstance(said, Mapping):
+            raise InputError(f"{path}: sources.{name} is no table; give [sources.{name}] with its kind")
+    return sources
 
 
 def _part(source: str, section: str, part: Any, given: Mapping[str, Any]) -> Any:
@@ -331,10 +356,16 @@ def _part(source: str, section: str, part: Any, given: Mapping[str, Any]) -> Any
     for key in given:
         if key not in known:
             raise InputError(_unknown(source, key, known, f" in {section}"))
+        if not _is_numeric(given[key]):
+            raise InputError(f"{source}: {section}.{key} is {given[key]!r}; give a number, or a list of numbers")
     try:
         return part(**{key: _tuples(value) for key, value in given.items()})
     except InputError as error:
         raise InputError(f"{source}: {error}") from None
+
+
+def _is_numeric(value: Any) -> bool:
+    return all(map(_is_numeric, value)) if isinstance(value, list) else type(value) in (int, float)
 
 
 def _tuples(value: Any) -> Any:
@@ -355,7 +386,7 @@ def _require_numbers(source: str, section: str, part: Any) -> None:
             continue
         try:
             numbers = np.asarray(value)
-            signed = f.name in ("sector_deg", "shadows_deg", "height_m")
+            signed = f.name in ("sector_deg", "shadows_deg", "height_m") or section == "calibration"
             good = numbers.dtype.kind in "iuf" and bool(np.isfinite(numbers).all() and (signed or (numbers >= 0).all()))
         except (TypeError, ValueError):
             good = False

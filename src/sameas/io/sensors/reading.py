@@ -104,8 +104,6 @@ def format_of(found: bytes, source: str = "file") -> str:
     if found[:4] == PCAPNG or looks_like(found):
         return "asterix"
     head = found[:65536]
-    if b"\0" in head:
-        raise InputError(f"{source}: is binary, but neither ASTERIX, pcap nor Parquet; name the format")
     lines = [line.strip() for line in lines_of(head)[:_LOOKED_AT] if line.strip()]
     if any(re.search(r"[!$][A-Z]{4,9}[A-Z0-9]?,", line) for line in lines):
         return "nmea"
@@ -115,6 +113,9 @@ def format_of(found: bytes, source: str = "file") -> str:
         return "sbs"
     if _share(lines, r"(?:[^,;*@]+[,;\s]+)?[*@]?[0-9A-Fa-f]{14,42};?") > 0.5:
         return "mode-s"
+    # A zero among sentences is a line that was damaged; no table has one.
+    if b"\0" in head:
+        raise InputError(f"{source}: is binary, but neither ASTERIX, pcap nor Parquet; give another file")
     return "table"
 
 

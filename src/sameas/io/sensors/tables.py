@@ -140,6 +140,9 @@ def read(
     """
     chosen = choose(list(cells.columns), source, columns, units)
     _check_chosen(chosen, list(cells.columns), source)
+    if not len(cells.lines):
+        broken = "; ".join(Damaged.of(cells.damaged).sentences())
+        raise InputError(f"{source}: names columns, but has no row that can be used{': ' * bool(broken)}{broken}")
     damaged = dict(cells.damaged)
     values = {
         name: _values(cells, choice, damaged) for name, choice in chosen.items() if name not in ("time_s", "day_s")
@@ -180,6 +183,11 @@ def _check_chosen(chosen: Mapping[str, Choice], names: Sequence[str], source: st
         if (pair[0] in chosen) != (pair[1] in chosen):
             missing = pair[0] if pair[1] in chosen else pair[1]
             raise InputError(f"{source}: no column of {missing} among: {listed}; say columns={{{missing!r}: NAME}}")
+    if "range_m" in chosen and not {"lat_deg", "x_m", "bearing_deg"} & set(chosen):
+        raise InputError(
+            f"{source}: ranges ({chosen['range_m'].name}), but no column of bearings among: {listed}; "
+            "say columns={'bearing_deg': NAME}"
+        )
     if not {"lat_deg", "x_m", "bearing_deg"} & set(chosen):
         raise InputError(
             f"{source}: no columns of a position among: {listed}; "

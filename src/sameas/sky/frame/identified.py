@@ -7,22 +7,27 @@ its probability. Stars so faint that the frame shows none of them are no candida
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sameas.errors import InputError
 from sameas.estimate import Estimate, match
+from sameas.evidence import Magnitudes
 from sameas.records import FloatArray, IntArray, Records
 from sameas.result import Identification
 from sameas.sky.frame.field import StarField
-from sameas.sky.frame.measurements import Measurements
+from sameas.sky.frame.measurements import Flag, Measurements
 from sameas.sky.frame.photometry import Completeness, ZeroPoint
 from sameas.sky.frame.place import Placement
 from sameas.sky.frame.plate import MatchedStars, PlateModel, fit_plate
 
+#: Magnitudes of a relative error of one.
+POGSON = 2.5 / math.log(10.0)
 #: Stars predicted so far outside the frame (px) may still be measured on its edge.
 MARGIN_PX = 2.0
 #: Pairs less probable than this say nothing of the plate.
@@ -41,11 +46,13 @@ class Refinement:
 
     order : of the plate's polynomial, 1 … 5, None for the one of least BIC. rounds : at most so many.
     settled_px : the loop rests when no prediction moves farther.
+    magnitudes : "auto" takes brightness as evidence, once the places agree and where the catalogue knows it; "off".
     """
 
     order: int | None = None
     rounds: int = 8
     settled_px: float = 0.01
+    magnitudes: Literal["auto", "off"] = "auto"
 
 
 @dataclass(frozen=True)
@@ -150,7 +157,9 @@ def identify_frame(
     px, covariance = _predicted(plate, stars)
     for rounds in range(1, how.rounds + 1):
         candidate = _candidates(px, stars, measured.shape, faintest)
-        result, estimate = match(first, _records(px, covariance, candidate, stars))
+        # Brightness would hold wrong pairs of the first plate as fast as right ones.
+        bright = None if rounds == 1 or how.magnitudes == "off" else _brightness(measured, stars)
+        result, estimate = match(first, _records(px, covariance, candidate, stars), brightness=bright)
         completeness = _completeness(px, stars, result, measured.shape)
         if completeness is not None:
             faintest = completeness.faintest(UNSEEN)
@@ -222,6 +231,19 @@ def _records(px: FloatArray, covariance: FloatArray, candidate: NDArray[np.bool_
     """The candidates in pixels; their rows are those of the stars."""
     rows = np.flatnonzero(candidate)
     return Records(px[rows], covariance[rows], rows, stars.ids, source=stars.name)
+
+
+def _brightness(measured: Measurements, stars: StarField) -> tuple[Magnitudes, Magnitudes] | None:
+    """Instrumental magnitudes and those of the stars; None where the catalogue has none.
+
+    The light of what is saturated, cut or not of a star's form says nothing.
+    """
+    if not np.isfinite(stars.magnitude).any():
+        return None
+    usable = measured.clean(Flag.BLENDED) & (measured.flux > 0.0)
+    flux = np.where(usable, measured.flux, np.nan)
+    shown = Magnitudes(-2.5 * np.log10(flux), POGSON * measured.flux_err / flux, ("instrumental",))
+    return shown, Magnitudes(stars.magnitude, names=("catalogue",))
 
 
 def _completeness(

@@ -1,0 +1,297 @@
+"""One picture from many sensors: AIS or ADS-B of real objects, and two or three modelled sensors on top.
+
+Real motion, modelled sensors: vessels in the Solent (AIS) and aircraft about Paris (ADS-B) are where their reports say;
+radars about them miss some, add false echoes, break tracks, read range and azimuth wrongly and stamp late, with every
+number drawn by ``sameas.tracks.modelled``. The log itself is the first source. Nobody uses identities: the radars know
+none. Judged are pairs of records at every instant (``sameas.picture.metrics``): ours by one instant alone, biases as
+they are, known and found, and with memory (``sameas.picture``); beside it other ways, given our states moved to the
+instant, without our registration and with it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import contenders, motion
+from benchmarks.tables import Table, report
+from sameas.many import identify_many
+from sameas.observations import records_of
+from sameas.picture.metrics import Identities, Nees, PictureScore, Siap, nees, pair_score, siap, standing
+from sameas.picture.picture import Picture
+from sameas.tracks.modelled import Bias, Sensor
+from sameas.tracks.modelled_tracks import Tracker
+from sameas.tracks.registration import SourceBiases
+from sameas.tracks.reports import Reports
+from sameas.tracks.scene import Instant, Scene
+from sameas.tracks.source import (
+    BiasPrior,
+    Clutter,
+    Coverage,
+    Description,
+    ErrorModel,
+    Misses,
+    Resolution,
+    Site,
+    Timing,
+)
+from sameas.tracks.true_motion import TrueMotion
+
+CACHE = Path(__file__).resolve().parents[1] / "cache"
+#: What the radars read wrong and nobody is told.
+BIASES = (Bias(50.0, 1.0, time_s=0.5), Bias(-30.0, -0.8, time_s=-0.3), Bias(40.0, 0.6, time_s=0.4))
+#: Radars are shown the antennas of the log's paths, not hulls about them.
+AIS_ERRORS = ErrorModel(position_m=5.0, extent_m=0.0)
+#: Positions of a receiver network are late by up to a second and seldom stamped better.
+ADSB_ERRORS = ErrorModel(position_m=60.0)
+SPAN_S, WARM_S = 1500.0, 300.0
+
+
+@dataclass(frozen=True)
+class World:
+    """Objects that move, and where radars stand: (lat, lon, height) each."""
+
+    name: str
+    log: Reports
+    described: Description
+    true: TrueMotion
+    sites: tuple[tuple[float, float, float], ...]
+    radar: Description
+
+    def sensor(self, number: int, noise_m: float, misses: float) -> Sensor:
+        """One of the radars."""
+        lat, lon, height = self.sites[number]
+        described = replace(
+            self.radar, name=f"radar {number + 1}", site=Site(lat, lon, height), misses=Misses(misses),
+            errors=replace(self.radar.errors, position_m=noise_m), assumed=(),
+        )  # fmt: skip
+        return Sensor(described, BIASES[number], Tracker())
+
+
+def solent() -> World | None:
+    """The Solent from 13:05, its busiest stretch about Portsmouth harbour."""
+    log = motion.solent()
+    if log is None:
+        return None
+    start = float(log.time_s.min()) + 120.0
+    log = motion.between(log, start - 120.0, start + SPAN_S + 200.0)
+    radar = Description(
+        "radar", "marine radar", coverage=Coverage(range_m=20e3), clutter=Clutter(0.01),
+        resolution=Resolution(30.0, 0.5), errors=ErrorModel(extent_m=0.0), bias=BiasPrior(time_s=1.0),
+        timing=Timing(period_s=3.0, latency_s=1.0, latency_sigma_s=0.1),
+    )  # fmt: skip
+    sites = ((50.7905, -1.1030, 20.0), (50.7735, -1.1395, 15.0), (50.7300, -1.1600, 30.0))
+    described = Description("ais", "ais", errors=AIS_ERRORS)
+    return World("Solent, AIS", log, described, TrueMotion.of(log, described), sites, radar)
+
+
+def paris(cache: Path) -> World:
+    """Aircraft about Paris, the busiest 25 minutes of three hours."""
+    whole = motion.aircraft(cache)
+    start = float(whole.time_s.min()) + 24 * 300.0
+    log = motion.between(whole, start, start + SPAN_S + 200.0)
+    radar = Description(
+        "radar", "air radar", coverage=Coverage(range_m=150e3), clutter=Clutter(1e-4),
+        resolution=Resolution(200.0, 1.0),
+        errors=ErrorModel(extent_m=0.0, height_m=15.0), bias=BiasPrior(azimuth_deg=1.0, time_s=1.0),
+        timing=Timing(period_s=4.0, latency_s=1.0, latency_sigma_s=0.05),
+    )  # fmt: skip
+    sites = ((48.72, 2.38, 90.0), (49.01, 2.55, 120.0), (48.61, 2.68, 90.0))
+    described = Description("adsb", "ads-b", errors=ADSB_ERRORS, timing=Timing(latency_s=0.0))
+    return World("Paris, ADS-B", log, described, TrueMotion.of(log, described, gap_s=30.0), sites, radar)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A world as its sensors report it, and the truth of every report of every source."""
+
+    world: World
+    sources: tuple[tuple[Description, Reports], ...]
+    truth: tuple[np.ndarray, ...]
+    biases: tuple[Bias, ...]
+
+    @classmethod
+    def of(cls, world: World, noise_m: float, misses: float, sensors: int, seed: int) -> Trial:
+        rng = np.random.default_rng(seed)
+        start = float(world.log.time_s.min())
+        sources, truth = [(world.described, world.log)], [world.true.objects_of(world.log)]
+        for number in range(sensors):
+            sensor = world.sensor(number, noise_m, misses)
+            heard = sensor(world.true, (start, start + SPAN_S), rng)
+            sources.append((sensor.description, heard.reports))
+            truth.append(heard.truth)
+        return cls(world, tuple(sources), tuple(truth), (Bias(), *BIASES[:sensors]))
+
+    def true_of(self, records: Mapping[str, np.ndarray]) -> np.ndarray:
+        """(n,) the true object of every record, by its source and row."""
+        truth = {described.name: own for (described, _), own in zip(self.sources, self.truth, strict=True)}
+        pairs = zip(np.asarray(records["source"]).tolist(), np.asarray(records["row"]).tolist(), strict=True)
+        return np.array([truth[source][row] for source, row in pairs], np.int64)
+
+    def instants(self, every_s: float) -> np.ndarray:
+        """Times of the picture, after the trackers have begun."""
+        start = float(self.world.log.time_s.min())
+        return np.arange(start + WARM_S, start + SPAN_S, every_s)
+
+    def scene(self) -> Scene:
+        """With the biases that nobody told."""
+        return Scene.of(self.sources, self.world.true.plane)
+
+    def scene_unbiased(self) -> Scene:
+        """As if somebody had told them."""
+        pairs = zip(self.sources, self.biases, strict=True)
+        return Scene.of([(described, corrected(reports, bias)) for (described, reports), bias in pairs],
+                        self.world.true.plane)  # fmt: skip
+
+
+def corrected(reports: Reports, bias: Bias) -> Reports:
+    """Reports without a bias that is known."""
+    if reports.range_m is None or reports.bearing_deg is None:
+        return reports
+    course = None if reports.course_deg is None else (reports.course_deg - bias.azimuth_deg) % 360.0
+    return replace(
+        reports, time_s=reports.time_s - bias.time_s, range_m=(reports.range_m - bias.range_m) / (1 + bias.range_gain),
+        bearing_deg=(reports.bearing_deg - bias.azimuth_deg) % 360.0, course_deg=course,
+    )  # fmt: skip
+
+
+Way = Callable[[Instant], list[np.ndarray]]
+
+
+def alone(now: Instant) -> list[np.ndarray]:
+    """Object numbers of the records of every source, by one instant and nothing else."""
+    found = identify_many(now.sources, rule=now.belief(), region=now.region)
+    return [np.ma.filled(found.of(k).object, -1) for k in range(len(now.sources))]
+
+
+def judged(trial: Trial, scene: Scene, instants: np.ndarray, way: Way) -> PictureScore:
+    """The score of a way to identify, instant by instant."""
+    columns: dict[str, list[np.ndarray]] = {"time_s": [], "source": [], "object": [], "row": []}
+    for instant_s in instants:
+        now = scene.at(float(instant_s)).heard()
+        for feed, source, numbers in zip(now.feeds, now.sources, way(now), strict=True):
+            rows = records_of(source).ids
+            columns["time_s"].append(np.full(len(rows), instant_s))
+            columns["source"].append(np.full(len(rows), feed.description.name))
+            columns["object"].append(np.asarray(numbers))
+            columns["row"].append(rows)
+    whole = {name: np.concatenate(parts) for name, parts in columns.items()}
+    return pair_score(Identities.of(whole, trial.true_of(whole)))
+
+
+@dataclass(frozen=True)
+class Remembered:
+    """The picture over time against the truth: pairs, the SIAP metrics, and whether fused states are honest."""
+
+    score: PictureScore
+    siap: Siap
+    nees: Nees
+    error_m: float
+
+    @classmethod
+    def of(cls, trial: Trial, picture: Picture) -> Remembered:
+        identities = Identities.of(picture.records, trial.true_of(picture.records))
+        stands = standing(identities)
+        key = {pair: k for k, pair in enumerate(zip(stands.time_s.tolist(), stands.told.tolist(), strict=True))}
+        objects = picture.objects
+        at = [key.get(pair, -1) for pair in zip(objects["time_s"].tolist(), objects["object"].tolist(), strict=True)]
+        row = np.flatnonzero([k >= 0 and stands.true[k] >= 0 for k in at])
+        k = np.array(at)[row]
+        places = {t: trial.world.true.at(t)[:, :2] for t in np.unique(stands.time_s).tolist()}
+        true = np.array([places[t][j] for t, j in zip(stands.time_s[k].tolist(), stands.true[k], strict=True)])
+        found = np.column_stack([objects["x_m"], objects["y_m"]])[row]
+        packed = [np.ma.filled(objects[name], np.nan)[row] for name in ("var_x_m2", "cov_xy_m2", "var_y_m2")]
+        honest = nees(found, np.stack([packed[0], packed[1], packed[1], packed[2]], axis=-1).reshape(-1, 2, 2), true)
+        error_m = float(np.sqrt(np.nanmean(np.sum((found - true) ** 2, axis=1))))
+        return cls(pair_score(identities), siap(identities), honest, error_m)
+
+
+@dataclass(frozen=True)
+class Lines:
+    """The rows of one trial in every table."""
+
+    ours: list[object]
+    others: list[list[object]]
+    biases: list[list[object]]
+
+    @classmethod
+    def of(cls, trial: Trial, label: list[object], every_s: float) -> Lines:
+        began = time.process_time()
+        instants = trial.instants(every_s)
+        as_it_is, known = trial.scene(), trial.scene_unbiased()
+        found, biases = as_it_is.registered()
+        picture = Remembered.of(trial, Picture.of(found, trial.instants(10.0)))
+        one = [judged(trial, scene, instants, alone) for scene in (as_it_is, known, found)]
+        ours = [
+            *label, *(score.pairs.f1 for score in one), picture.score.pairs.f1, picture.score.pairs.precision,
+            picture.score.pairs.recall, picture.score.share_right, picture.siap.completeness, picture.siap.ambiguity,
+            picture.siap.continuity, picture.siap.switches, picture.nees.mean,
+            picture.nees.median, picture.error_m,
+        ]  # fmt: skip
+        others = [
+            [*label, name, *(judged(trial, scene, instants, way).pairs.f1 for scene in (as_it_is, found))]
+            for name, way in contenders.ways().items()
+        ]
+        others.append([*label, "ours, one instant", one[0].pairs.f1, one[2].pairs.f1])
+        print(f"  {trial.world.name} {label}: {time.process_time() - began:.0f} s of CPU", flush=True)
+        return cls(ours, others, [[*label, *row] for row in _bias_rows(trial, biases)])
+
+
+def _bias_rows(trial: Trial, found: tuple[SourceBiases, ...]) -> list[list[object]]:
+    """Found and true, of every radar."""
+    rows: list[list[object]] = []
+    for source, bias in zip(found[1:], trial.biases[1:], strict=True):
+        row: list[object] = [source.source]
+        for name in ("range_m", "azimuth_deg", "time_s"):
+            got = source.parameters.get(name)
+            row += [getattr(bias, name), *((None, None) if got is None else (got.value, got.standard_error))]
+        rows.append(row)
+    return rows
+
+
+LABEL = ("noise, m", "misses", "radars")
+OURS = (
+    *LABEL, "alone, biased", "alone, known", "alone, found", "memory", "precision", "recall", "instants right",
+    "complete", "ambiguity", "continuity", "switches", "NEES (2)", "median (1.39)", "fused, m",
+)  # fmt: skip
+OTHERS = (*LABEL, "way", "F1, biased", "F1, biases found")
+FOUND = (
+    *LABEL, "source", "range, m", "found", "±", "azimuth, °", "found", "±", "late, s", "found", "±",
+)  # fmt: skip
+
+
+def tables(world: World, noises: tuple[float, ...], misses: tuple[float, ...], every_s: float) -> list[Table]:
+    """The three tables of a world."""
+    lines = [
+        Lines.of(Trial.of(world, noise, q, count, seed=count), [noise, q, count], every_s)
+        for noise in noises for q in misses for count in (2, 3)
+    ]  # fmt: skip
+    notes = ("real motion, modelled sensors; F1 of pairs of records over all instants",)
+    return [
+        Table(f"{world.name}: ours", OURS, [line.ours for line in lines], notes),
+        Table(
+            f"{world.name}: beside others, one instant", OTHERS, [row for line in lines for row in line.others], notes
+        ),
+        Table(f"{world.name}: biases", FOUND, [row for line in lines for row in line.biases], notes),
+    ]
+
+
+def main() -> None:
+    """Prints the tables and keeps them."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="25 m and 10 %% misses only")
+    parser.add_argument("--every", type=float, default=60.0, help="seconds between instants that are judged alone")
+    parser.add_argument("--cache", type=Path, default=CACHE, help="folder of downloads")
+    options = parser.parse_args()
+    worlds = [world for world in (solent(), paris(options.cache)) if world is not None]
+    noises, misses = ((25.0,), (0.1,)) if options.quick else ((25.0, 50.0), (0.1, 0.3))
+    report("picture", (table for world in worlds for table in tables(world, noises, misses, options.every)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,132 @@
+"""GeoJSON: the objects of a picture for maps and geographic information systems (RFC 7946: WGS84, longitude first).
+
+One feature per object and instant: its position, or null where directions do not cross, and everything else that is
+known of it as properties; absent values are null. With the records, a second feature shows the lines from an object to
+the records that it is made of, cut where they cross the antimeridian.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from itertools import chain
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.errors import InputError
+from sameas.io.atomic import replacing
+from sameas.maps.sheet import UTC_FROM_S
+
+Columns = Mapping[str, NDArray[Any]]
+
+#: Decimals of degrees: a centimetre. Digits of other numbers.
+DECIMALS, DIGITS = 7, 9
+
+
+def write_geojson(
+    objects: Columns, path: str | os.PathLike[str], *, records: Columns | None = None, overwrite: bool = True
+) -> None:
+    """Writes the objects of a picture as a FeatureCollection; the file is whole or absent.
+
+    Parameters
+    ----------
+    objects : columns as of :class:`sameas.picture.Picture`, lat_deg and lon_deg among them.
+    records : columns of its records; adds the lines between objects and their records.
+    overwrite : False refuses a path that exists.
+
+    Raises
+    ------
+    InputError : there are no latitudes and longitudes; the path cannot be written.
+    """
+    for name in ("time_s", "object", "lat_deg", "lon_deg"):
+        if name not in objects:
+            raise InputError(
+                f"cannot write {path}: the objects have no {name}; GeoJSON needs latitudes and longitudes, which a "
+                "picture in metres of its own does not have; write CSV or Parquet"
+            )
+    lines = iter(()) if records is None else _lines(objects, records)
+    with replacing(path, overwrite=overwrite) as draft, draft.open("w", encoding="utf-8") as out:
+        out.write('{"type": "FeatureCollection", "features": [')
+        for k, feature in enumerate(chain(_points(objects), lines)):
+            out.write((",\n" if k else "\n") + json.dumps(feature, ensure_ascii=False, allow_nan=False))
+        out.write("\n]}\n")
+
+
+def _points(objects: Columns) -> Iterator[dict[str, Any]]:
+    """A feature for each row of the objects."""
+    places = _places(objects)
+    columns = {name: _values(column) for name, column in objects.items() if name not in ("lat_deg", "lon_deg")}
+    # Times of today have more digits than the others.
+    columns["time_s"] = np.asarray(objects["time_s"], dtype=np.float64).tolist()
+    stamps = _stamps(columns["time_s"])
+    for k, place in enumerate(places):
+        properties = {name: column[k] for name, column in columns.items()}
+        geometry = None if place is None else {"type": "Point", "coordinates": place}
+        properties = {**stamps.get(properties["time_s"], {}), **properties}
+        yield {"type": "Feature", "geometry": geometry, "properties": properties}
+
+
+def _lines(objects: Columns, records: Columns) -> Iterator[dict[str, Any]]:
+    """A feature for each object and instant of two records or more with a position."""
+    home = dict(zip(_keys(objects), _places(objects), strict=True))
+    ends: dict[tuple[float, int], list[list[float]]] = {}
+    for key, place in zip(_keys(records), _places(records), strict=True):
+        if place is not None and home.get(key) is not None:
+            ends.setdefault(key, []).append(place)
+    stamps = _stamps([time_s for time_s, _ in ends])
+    for (time_s, number), places in ends.items():
+        if len(places) > 1:
+            pieces = [piece for place in places for piece in _cut(home[time_s, number], place)]
+            geometry = {"type": "MultiLineString", "coordinates": pieces}
+            properties = {**stamps.get(time_s, {}), "time_s": time_s, "object": number}
+            yield {"type": "Feature", "geometry": geometry, "properties": properties}
+
+
+def _keys(columns: Columns) -> list[tuple[float, int]]:
+    """Time and object of every row."""
+    times = np.asarray(columns["time_s"], dtype=np.float64)
+    return list(zip(times.tolist(), np.asarray(columns["object"]).tolist(), strict=True))
+
+
+def _cut(begin: list[float] | None, end: list[float]) -> list[list[list[float]]]:
+    """The straight pieces of a short line; two where it crosses the antimeridian (RFC 7946, 3.1.9)."""
+    assert begin is not None
+    width = end[0] - begin[0]
+    if abs(width) <= 180.0:
+        return [[begin, end]]
+    side = 180.0 if width < 0.0 else -180.0
+    share = (side - begin[0]) / (width + 2.0 * side)
+    lat = round(begin[1] + share * (end[1] - begin[1]), DECIMALS)
+    return [[begin, [side, lat]], [[-side, lat], end]]
+
+
+def _places(columns: Columns) -> list[list[float] | None]:
+    """[longitude, latitude] of every row, None where it is not known."""
+    lon, lat = (np.ma.filled(np.ma.asarray(columns[name], dtype=np.float64), np.nan) for name in ("lon_deg", "lat_deg"))
+    pairs = np.round(np.column_stack([(lon + 180.0) % 360.0 - 180.0, lat]), DECIMALS)
+    known = np.asarray(np.isfinite(pairs).all(axis=1))
+    return [pair if there else None for pair, there in zip(pairs.tolist(), known.tolist(), strict=True)]
+
+
+def _values(column: NDArray[Any]) -> list[Any]:
+    """The cells of a column as JSON knows them; None where one is masked, empty or not a number."""
+    hidden: NDArray[Any] = np.ma.getmaskarray(column)
+    values = np.ma.getdata(column)
+    if values.dtype.kind == "f":
+        hidden = hidden | ~np.isfinite(values)
+        cells: list[Any] = [float(f"{value:.{DIGITS}g}") for value in values.tolist()]
+    else:
+        cells = values.tolist()
+        if values.dtype.kind == "U":
+            hidden = hidden | np.asarray(values == "")
+    return [None if absent else cell for cell, absent in zip(cells, hidden.tolist(), strict=True)]
+
+
+def _stamps(times_s: list[float]) -> dict[float, dict[str, str]]:
+    """The property "time" by seconds, ISO 8601 in UTC; none where times are the user's own seconds."""
+    utc = {t for t in times_s if t >= UTC_FROM_S}
+    return {t: {"time": datetime.fromtimestamp(t, UTC).isoformat().replace("+00:00", "Z")} for t in utc}

@@ -1,0 +1,195 @@
+"""Sources: files of sensors brought together with what is known of the sensors, ready for a scene.
+
+A source is named by its file (``radar.csv`` is radar), or by the user (``radar=plots.csv``). A TOML file describes
+sources by these names; beside what :class:`~sameas.tracks.source.Description` takes, a table may say how to read:
+
+    [sources.radar]
+    kind = "marine radar"
+    file = { path = "plots.csv", start = "2024-05-01", columns = { range_m = "d" }, units = { d = "km" } }
+
+Sources whose kind nobody told get the one that their format, their name or their columns tell, and that is said.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+from sameas.errors import InputError
+from sameas.io.sensors.reading import ReadOptions, read_reports
+from sameas.tracks.kinds import KINDS
+from sameas.tracks.reports import Reports
+from sameas.tracks.source import Description, source_tables
+
+#: The kind of source that writes a format.
+KIND_OF_FORMAT: Mapping[str, str] = {
+    "ais": "ais", "arpa": "marine radar", "adsb": "ads-b", "asterix 021": "ads-b", "asterix 048": "air radar",
+    "asterix 062": "tracks",
+}  # fmt: skip
+#: Words in the name of a table and the kind that they mean; what carries such a column is of the kind beside it.
+_WORDS = {
+    "airradar": "air radar", "radar": "marine radar", "lidar": "lidar", "ais": "ais", "adsb": "ads-b", "mlat": "mlat",
+    "esm": "esm", "camera": "camera", "tracks": "tracks",
+}  # fmt: skip
+#: What ``file`` of a description may hold.
+_FILE: Mapping[str, type | tuple[type, ...]] = {
+    "path": str, "format": str, "start": (str, int, float, date), "columns": Mapping, "units": Mapping,
+}  # fmt: skip
+_COLUMNS = {"mmsi": "ais", "icao": "ads-b", "range_m": "marine radar", "covariance_m2": "tracks"}
+
+
+@dataclass(frozen=True)
+class Told:
+    """What the user says of one source: its description, how to read it, and its file where that is said here.
+
+    has_kind : whether the user says of what kind it is.
+    """
+
+    description: Description
+    options: ReadOptions = field(default_factory=ReadOptions)
+    path: Path | None = None
+    has_kind: bool = True
+
+
+@dataclass(frozen=True)
+class SensorSource:
+    """One source that was read. why_kind : on what the kind was guessed; None where the user said it."""
+
+    description: Description
+    reports: Reports
+    path: Path
+    why_kind: str | None
+
+    def lines(self) -> list[str]:
+        """Printable: what was read, and what was guessed."""
+        first, *rest = self.reports.summary()
+        first = first.replace(self.reports.source, f"{self.reports.source} ({self.path.name})", 1)
+        if self.why_kind is None:
+            return [f"{first}, {self.description.kind}", *rest]
+        return [f"{first}, taken for {self.description.kind}: {self.why_kind}", *rest]
+
+
+def read_told(path: str | Path) -> dict[str, Told]:
+    """What a TOML file says of every source, by name.
+
+    Raises
+    ------
+    InputError : not TOML, no sources, a name that is not known.
+    """
+    return {name: _told(name, said, Path(path)) for name, said in source_tables(path).items()}
+
+
+def _told(name: str, said: Mapping[str, Any], toml: Path) -> Told:
+    rest = {key: value for key, value in said.items() if key != "file"}
+    file = said.get("file", {})
+    file = {"path": file} if isinstance(file, str) else file
+    where = f"{toml}: sources.{name}.file"
+    if not isinstance(file, Mapping):
+        raise InputError(f'{where} is {file!r}; give a path, or {{ path = "…", start = "…" }}')
+    for key, value in file.items():
+        if key not in _FILE:
+            raise InputError(f"{where}: {key!r} is not known; give {', '.join(_FILE)}")
+        if not isinstance(value, _FILE[key]) or isinstance(value, bool):
+            example = '{ range_m = "d" }' if key == "columns" else '{ d = "km" }' if key == "units" else "a text"
+            raise InputError(f"{where}.{key} is {value!r}; give {example}")
+    options = ReadOptions(name, **{key: _plain(value) for key, value in file.items() if key != "path"})
+    path = toml.parent / file["path"] if "path" in file else None
+    return Told(Description.from_mapping(name, rest), options, path, "kind" in said)
+
+
+def _plain(value: Any) -> Any:
+    """Dates and times that TOML knows of itself, as text."""
+    return value.isoformat() if isinstance(value, date) else value
+
+
+def read_sources(
+    files: Sequence[str | Path], told: Mapping[str, Told] | None = None, *, start: str | None = None
+) -> list[SensorSource]:
+    """Every source of the files, and of those that the descriptions name, with its description.
+
+    Parameters
+    ----------
+    files : paths, or NAME=PATH. A file that holds several sensors (a log of AIS and radar) gives NAME:ais, NAME:arpa.
+    told : by name, from :func:`read_told`.
+    start : UTC of the first line of files that tell the time of day only.
+
+    Raises
+    ------
+    InputError : a description without a file, two sources of one name, a kind that cannot be told, an unreadable file.
+    """
+    told = dict(told or {})
+    named = [_named(str(file)) for file in files]
+    named += [(name, one.path) for name, one in told.items() if one.path and name not in dict(named)]
+    if not named:
+        raise InputError("no files; give the sensors' files, or descriptions that name them")
+    sources: list[SensorSource] = []
+    for name, path in named:
+        options = told[name].options if name in told else ReadOptions(name)
+        if options.start is None:
+            options = replace(options, start=start)
+        for reports in read_reports(path, options):
+            sources.append(_source(reports, told.get(reports.source), path))
+    _all_used(sources, told)
+    names = [source.description.name for source in sources]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"two sources are called {twice}; name them, as in {twice}2=FILE")
+    return sources
+
+
+def _named(given: str) -> tuple[str, Path]:
+    """Name and path of NAME=PATH or PATH."""
+    name, equals, path = given.partition("=")
+    if equals and re.fullmatch(r"[\w:. -]+", name) and not Path(given).exists():
+        return name, Path(path)
+    path = Path(given).name.removesuffix(".gz")
+    return (path.rpartition(".")[0] or path), Path(given)
+
+
+def _source(reports: Reports, told: Told | None, path: Path) -> SensorSource:
+    if told is not None and told.has_kind:
+        return SensorSource(told.description, reports, path, None)
+    kind, why = _kind(reports)
+    described = Description(reports.source) if told is None else told.description
+    return SensorSource(replace(described, kind=kind), reports, path, why)
+
+
+def _kind(reports: Reports) -> tuple[str, str]:
+    """The kind of a source that nobody described, and what tells it."""
+    if reports.kind in KIND_OF_FORMAT:
+        return KIND_OF_FORMAT[reports.kind], f"its format is {reports.kind}"
+    plain = re.sub(r"[^a-z]", "", reports.source.lower())
+    for word, kind in _WORDS.items():
+        if word in plain:
+            return kind, "by its name"
+    for column, kind in _COLUMNS.items():
+        if getattr(reports, column) is not None:
+            return kind, f"it has a column of {column}"
+    if reports.position == "bearing":
+        return "camera", "it tells directions only"
+    raise InputError(
+        f"{reports.source}: what kind of sensor is it? Neither its name nor its columns tell; describe it in a file "
+        f'for --sensors: {toml_table(reports.source)} kind = "…", one of {", ".join(KINDS)}'
+    )
+
+
+def toml_table(name: str) -> str:
+    """How the table of a source begins in a TOML file.
+
+    >>> toml_table("radar"), toml_table("bridge:ais")
+    ('[sources.radar]', '[sources."bridge:ais"]')
+    """
+    return f"[sources.{name}]" if re.fullmatch(r"[A-Za-z0-9_-]+", name) else f'[sources."{name}"]'
+
+
+def _all_used(sources: Sequence[SensorSource], told: Mapping[str, Told]) -> None:
+    names = [source.description.name for source in sources]
+    for name in told:
+        if name not in names:
+            raise InputError(
+                f"{name} is described, but none of the files is of it; there are {', '.join(names)}: give {name}=FILE"
+            )

@@ -1,0 +1,177 @@
+"""Coasts, large lakes and borders around a place, in its local plane: what a map is drawn upon.
+
+Natural Earth 1:10 million, public domain (outline.txt), true to about a kilometre: for orientation, not navigation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.errors import InputError
+from sameas.records import FloatArray, IntArray
+from sameas.tracks.coordinates import EARTH_M, LocalPlane, geodesy
+
+#: The data's cells and steps, as scripts/make-outline has them.
+CELL_DEG, STEP_DEG, COLUMNS = 5.0, 0.0005, 72
+#: Outlines reach no farther from the middle of the plane: beyond, the earth turns away.
+FARTHEST_M = 2500e3
+#: Longer lines are broken up: they follow a parallel, not a chord.
+LONGEST_DEG = 0.25
+
+
+@dataclass(frozen=True)
+class Outline:
+    """Lines in a plane, each (n, 2) metres east and north.
+
+    land : closed rings (the last point not repeated), land to the left: fill all of them as one path, nonzero rule.
+    coast : open lines along the water. borders : open lines between countries.
+    """
+
+    land: tuple[FloatArray, ...] = ()
+    coast: tuple[FloatArray, ...] = ()
+    borders: tuple[FloatArray, ...] = ()
+
+
+@dataclass(frozen=True)
+class Box:
+    """The part of a plane that is drawn, in metres."""
+
+    west_m: float
+    south_m: float
+    east_m: float
+    north_m: float
+
+    def __post_init__(self) -> None:
+        if not (self.west_m < self.east_m and self.south_m < self.north_m):
+            raise InputError(f"Box: {self} is empty; give west < east and south < north")
+
+    @property
+    def farthest_m(self) -> float:
+        """From the origin of the plane to the farthest corner."""
+        return float(np.hypot(max(-self.west_m, self.east_m), max(-self.south_m, self.north_m)))
+
+
+def outline(plane: LocalPlane, west_m: float, south_m: float, east_m: float, north_m: float) -> Outline:
+    """What lies in a box of a plane.
+
+    Parameters
+    ----------
+    plane : whose east and north the lines are in.
+    west_m, south_m, east_m, north_m : the box; what is farther than 2500 km from the origin is left out.
+
+    Example
+    -------
+    >>> around = outline(LocalPlane(50.8, -1.3), -30e3, -30e3, 30e3, 30e3)
+    >>> len(around.land) > 0 and len(around.borders) == 0
+    True
+    """
+    box = Box(west_m, south_m, east_m, north_m)
+    land, coast = [], []
+    for lines in _read("land").near(plane, box):
+        ring = lines.in_plane(plane, closed=True)
+        cut = _clipped(ring, box)
+        if len(cut) >= 3:
+            land.append(cut)
+            coast += _pieces(ring, lines.along_cells(), box)
+    borders = []
+    for lines in _read("border").near(plane, box):
+        line = lines.in_plane(plane, closed=False)
+        borders += _pieces(line, np.zeros(len(line) - 1, np.bool_), box)
+    return Outline(tuple(land), tuple(coast), tuple(borders))
+
+
+@dataclass(frozen=True)
+class _Line:
+    """One ring or line in steps of the data, (n, 2) eastwards and northwards from 180° W, 90° S."""
+
+    steps: IntArray
+
+    def in_plane(self, plane: LocalPlane, *, closed: bool) -> FloatArray:
+        """(m, 2) points; a closed ring ends where it began."""
+        steps = np.concatenate([self.steps, self.steps[:1]]) if closed else self.steps
+        number, share = _broken(steps)
+        fine = steps[number] + share[:, None] * (steps[np.minimum(number + 1, len(steps) - 1)] - steps[number])
+        lon, lat = fine[:, 0] * STEP_DEG - 180.0, fine[:, 1] * STEP_DEG - 90.0
+        east, north, _ = geodesy().geodetic2enu(lat, lon, np.zeros_like(lat), plane.lat_deg, plane.lon_deg, 0.0)
+        return np.column_stack([east, north])
+
+    def along_cells(self) -> NDArray[np.bool_]:
+        """(m − 1,) which sides of the closed ring only close its cell: they are no coast."""
+        steps = np.concatenate([self.steps, self.steps[:1]])
+        per_cell = round(CELL_DEG / STEP_DEG)
+        here, there = steps[:-1], steps[1:]
+        along = np.any((here == there) & (here % per_cell == 0), axis=1)
+        return along[_broken(steps)[0][:-1]]
+
+
+def _broken(steps: IntArray) -> tuple[IntArray, FloatArray]:
+    """(m,) side and share of it at which each point of the broken up line lies, its end included."""
+    longest = np.abs(np.diff(steps, axis=0)).max(axis=1) * STEP_DEG
+    pieces = np.maximum(1, np.ceil(longest / LONGEST_DEG - 1e-9)).astype(np.int64)
+    number = np.repeat(np.arange(len(pieces)), pieces)
+    within = np.arange(len(number)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    return np.append(number, len(steps) - 1), np.append(within / pieces[number], 0.0)
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """All lines of a kind, packed: of each its cell, first point and number of points; of all, their steps."""
+
+    cell: IntArray
+    first: IntArray
+    length: IntArray
+    steps: IntArray
+
+    def near(self, plane: LocalPlane, box: Box) -> Iterator[_Line]:
+        """The lines of all cells that may reach into the box."""
+        reach = np.degrees(min(box.farthest_m, FARTHEST_M) / EARTH_M) * 1.1 + CELL_DEG
+        row, column = np.divmod(self.cell, COLUMNS)
+        lat = np.radians((row + 0.5) * CELL_DEG - 90.0)
+        lon = np.radians((column + 0.5) * CELL_DEG - 180.0 - plane.lon_deg)
+        here = np.radians(plane.lat_deg)
+        cosine = np.sin(lat) * np.sin(here) + np.cos(lat) * np.cos(here) * np.cos(lon)
+        start = np.cumsum(self.length - 1) - (self.length - 1)
+        for k in np.flatnonzero(cosine > np.cos(np.radians(reach))):
+            corner = np.array([column[k], row[k]]) * round(CELL_DEG / STEP_DEG)
+            moved = self.steps[start[k] : start[k] + self.length[k] - 1]
+            yield _Line(corner + self.first[k] + np.concatenate([np.zeros((1, 2), np.int64), np.cumsum(moved, axis=0)]))
+
+
+@cache
+def _read(kind: str) -> _Cells:
+    """ "land" or "border" of the data file."""
+    with (files("sameas.maps") / "outline.npz").open("rb") as file, np.load(file) as data:
+        zigzag = (data[f"{kind}_low"].astype(np.int64) + (data[f"{kind}_high"].astype(np.int64) << 8)).T
+        cell, first, length = (data[f"{kind}_{name}"].astype(np.int64) for name in ("cell", "first", "length"))
+    return _Cells(cell, first, length, (zigzag >> 1) ^ -(zigzag & 1))
+
+
+def _clipped(ring: FloatArray, box: Box) -> FloatArray:
+    """(m, 2) the part of a closed ring in the box (Sutherland and Hodgman 1974): what is cut runs along its sides."""
+    points = ring[:-1]
+    for axis, sign, limit in ((0, -1, box.west_m), (0, 1, box.east_m), (1, -1, box.south_m), (1, 1, box.north_m)):
+        if len(points) == 0:
+            return points
+        room = sign * (limit - points[:, axis])
+        after, room_after = np.roll(points, -1, axis=0), np.roll(room, -1)
+        crosses = (room >= 0) != (room_after >= 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.where(crosses, room / (room - room_after), 0.0)
+        both = np.stack([points, points + share[:, None] * (after - points)], axis=1)
+        points = both[np.column_stack([room >= 0, crosses])]
+    return points
+
+
+def _pieces(line: FloatArray, hidden: NDArray[np.bool_], box: Box) -> list[FloatArray]:
+    """The runs of a line's sides that reach into the box and are not hidden."""
+    low, high = np.minimum(line[:-1], line[1:]), np.maximum(line[:-1], line[1:])
+    inside = (high[:, 0] >= box.west_m) & (low[:, 0] <= box.east_m)
+    inside &= (high[:, 1] >= box.south_m) & (low[:, 1] <= box.north_m) & ~hidden
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(np.int8)))
+    return [line[start : stop + 1] for start, stop in edges.reshape(-1, 2)]

@@ -1,0 +1,277 @@
+"""The sheet: all that a map shows of a picture, as columns and words, whoever made the picture.
+
+>>> import numpy as np
+>>> objects = {"time_s": [0.0, 10.0], "object": [1, 1], "stage": ["tentative", "confirmed"],
+...            "x_m": [0.0, 50.0], "y_m": [0.0, 0.0]}
+>>> sheet = MapSheet.of("Harbour", objects, {})
+>>> sheet.instants_s.tolist(), sheet.utc
+([0.0, 10.0], False)
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sameas.errors import InputError
+from sameas.maps.outline import Outline
+from sameas.prose import UTC_FROM_S
+from sameas.records import FloatArray, IntArray
+from sameas.tracks.coordinates import LocalPlane, bearing_in_plane
+from sameas.tracks.source import Description
+
+Columns = Mapping[str, NDArray[Any]]
+
+STAGES = ("tentative", "confirmed", "coasting", "ended")
+
+#: Columns of the objects: what stands where a column is absent; None: it must be there.
+OBJECTS: Mapping[str, Any] = {
+    "time_s": None, "object": None, "stage": None, "x_m": None, "y_m": None,
+    "lat_deg": np.nan, "lon_deg": np.nan, "vx_m_per_s": np.nan, "vy_m_per_s": np.nan, "speed_m_per_s": np.nan,
+    "course_deg": np.nan, "var_x_m2": np.nan, "cov_xy_m2": np.nan, "var_y_m2": np.nan, "n_sources": 0,
+    "probability": np.nan, "runner_up": "", "p_runner_up": np.nan, "label": "", "mmsi": "", "icao": "", "callsign": "",
+    "name": "", "mode_a": "", "type": "", "ambiguous": False,
+}  # fmt: skip
+RECORDS: Mapping[str, Any] = {
+    "time_s": None, "source": None, "row": None, "object": None,
+    "line": -1, "track_id": "", "p_object": np.nan, "p_alone": np.nan, "age_s": np.nan, "x_m": np.nan, "y_m": np.nan,
+    "var_x_m2": np.nan, "cov_xy_m2": np.nan, "var_y_m2": np.nan, "bearing_deg": np.nan, "sigma_bearing_deg": np.nan,
+    "sensor_x_m": np.nan, "sensor_y_m": np.nan,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class MapSensor:
+    """A source on the map, and where it sees.
+
+    x_m, y_m : its site in the plane; None where it has none. visible_deg : bearings in the plane (from, to), clockwise,
+    that it sees; a whole turn is (0, 360). file : that its reports come from.
+    """
+
+    name: str
+    kind: str = ""
+    file: str = ""
+    x_m: float | None = None
+    y_m: float | None = None
+    range_m: float | None = None
+    nearest_m: float = 0.0
+    visible_deg: tuple[tuple[float, float], ...] = ((0.0, 360.0),)
+
+    @classmethod
+    def of(cls, description: Description, plane: LocalPlane | None, file: str = "") -> MapSensor:
+        """From a source's description; ``plane`` None stands for the user's own plane."""
+        seen = description.coverage
+        visible = _visible(seen.sector_deg, seen.shadows_deg)
+        if description.site is None:
+            return cls(description.name, description.kind, file, None, None, seen.range_m, seen.nearest_m, visible)
+        site = description.site
+        if plane is not None and site.lat_deg is not None and site.lon_deg is not None:
+            turn = float(bearing_in_plane(plane, [0.0], [site.lat_deg], [site.lon_deg])[0])
+            visible = tuple((start + turn, stop + turn) for start, stop in visible)
+        x, y = site.in_plane(plane)
+        return cls(description.name, description.kind, file, x, y, seen.range_m, seen.nearest_m, visible)
+
+
+def _visible(
+    sector: tuple[float, float] | None, shadows: Sequence[tuple[float, float]]
+) -> tuple[tuple[float, float], ...]:
+    """A sector less its shadows: bearings (from, to), from 0 up, to at most a turn later."""
+    start = 0.0 if sector is None else sector[0] % 360.0
+    width = 360.0 if sector is None else (sector[1] - sector[0]) % 360.0 or 360.0
+    seen = [(start, start + width)]
+    for shadow in shadows:
+        low = shadow[0] % 360.0
+        long = (shadow[1] - shadow[0]) % 360.0 or 360.0
+        for turn in (-360.0, 0.0, 360.0):
+            dark = (low + turn, low + turn + long)
+            seen = [
+                part for a, b in seen for part in ((a, min(b, dark[0])), (max(a, dark[1]), b)) if part[1] - part[0] > 0
+            ]
+    return tuple(seen)
+
+
+@dataclass(frozen=True)
+class MapAlarm:
+    """Something to look at. time_s : when, None: always. objects : numbers of those that it is about."""
+
+    text: str
+    time_s: float | None = None
+    objects: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class MapSheet:
+    """What a map shows. Make it with :meth:`MapSheet.of`, which checks it.
+
+    Attributes
+    ----------
+    title : of the map.
+    objects : columns of :data:`OBJECTS`, one row per object and instant, in the order of objects and times.
+    records : columns of :data:`RECORDS`, one row per record and instant, in the order of sources, rows and times.
+    instants_s : (k,) ascending times at which there is a picture, those included at which nothing was there.
+    sensors : all sources of the records, in the order of their colours.
+    plane : in which x and y are; None for the user's own, then there is no coast.
+    summary : lines to be printed beside the map.
+    texts : why, by place in ``instants_s`` and number of the object; each holds until the object's next one.
+    ground : coasts of one's own, in the plane; None stands for those of :func:`sameas.maps.outline`.
+    """
+
+    title: str
+    objects: Columns
+    records: Columns
+    instants_s: FloatArray
+    sensors: tuple[MapSensor, ...] = ()
+    plane: LocalPlane | None = None
+    summary: tuple[str, ...] = ()
+    alarms: tuple[MapAlarm, ...] = ()
+    texts: Mapping[tuple[int, int], str] = field(default_factory=dict)
+    ground: Outline | None = None
+
+    @classmethod
+    def of(
+        cls,
+        title: str,
+        objects: Mapping[str, Any],
+        records: Mapping[str, Any],
+        *,
+        instants_s: ArrayLike | None = None,
+        sensors: Sequence[MapSensor] = (),
+        plane: LocalPlane | None = None,
+        summary: Sequence[str] = (),
+        alarms: Sequence[MapAlarm] = (),
+        texts: Mapping[tuple[int, int], str] | None = None,
+        ground: Outline | None = None,
+    ) -> MapSheet:
+        """A checked and ordered sheet; columns that it does not know are left out.
+
+        instants_s : None stands for the times of the objects and records. sensors : sources that are not among them
+        are added.
+
+        Raises
+        ------
+        InputError : a column is missing or has another length; an unknown stage; a time that is no instant.
+        """
+        rows, marks = _complete("objects", objects, OBJECTS), _complete("records", records, RECORDS)
+        wrong = sorted(set(rows["stage"].tolist()) - set(STAGES))
+        if wrong:
+            raise InputError(f"objects: stage is {wrong[0]!r}; give one of {', '.join(STAGES)}")
+        times = np.unique(np.concatenate([rows["time_s"], marks["time_s"]]).astype(np.float64))
+        if instants_s is not None:
+            own = np.unique(np.asarray(instants_s, dtype=np.float64))
+            strange = np.setdiff1d(times, own)
+            if len(strange):
+                raise InputError(f"map: {len(strange)} times are none of the instants (first: {strange[0]:g} s)")
+            times = own
+        if not len(times):
+            raise InputError("map: there is no instant to show; give objects, records or instants_s")
+        known = {sensor.name for sensor in sensors}
+        more = [MapSensor(str(name)) for name in dict.fromkeys(marks["source"].tolist()) if name not in known]
+        by_object = np.lexsort((rows["time_s"], rows["object"]))
+        by_source = np.lexsort((marks["time_s"], marks["row"], marks["source"].astype(str)))
+        return cls(
+            title, {name: column[by_object] for name, column in rows.items()},
+            {name: column[by_source] for name, column in marks.items()}, times, (*sensors, *more), plane,
+            tuple(summary), tuple(alarms), dict(texts or {}), ground,
+        )  # fmt: skip
+
+    @property
+    def utc(self) -> bool:
+        """Whether times are seconds since 1970 in UTC; else they are the user's own seconds."""
+        return bool(self.instants_s[0] >= UTC_FROM_S)
+
+    def nearest(self, time_s: float) -> int:
+        """Place of the instant that is nearest to a time."""
+        return int(np.argmin(np.abs(self.instants_s - time_s)))
+
+    def instant_of(self, columns: Columns) -> IntArray:
+        """(n,) place in ``instants_s`` of each row of objects or records."""
+        return np.searchsorted(self.instants_s, columns["time_s"].astype(np.float64))
+
+    def extent(self) -> tuple[float, float, float, float]:
+        """West, south, east and north of all that is ever shown, in metres."""
+        places = [np.column_stack([c["x_m"], c["y_m"]]) for c in (self.objects, self.records)]
+        return _around(np.concatenate([*places, self._sites()]))
+
+    def home(self) -> tuple[float, float, float, float]:
+        """The same of what is looked at first: sites, and confirmed objects where there are any."""
+        sure = self.objects["stage"] == "confirmed"
+        if not sure.any():
+            return self.extent()
+        places = np.column_stack([self.objects["x_m"][sure], self.objects["y_m"][sure]])
+        return _around(np.concatenate([places, self._sites()]))
+
+    def _sites(self) -> FloatArray:
+        sites = [(s.x_m, s.y_m) for s in self.sensors if s.x_m is not None and s.y_m is not None]
+        return np.array(sites, np.float64).reshape(-1, 2)
+
+
+def _around(places: FloatArray) -> tuple[float, float, float, float]:
+    """West, south, east and north of places, at least 100 m wide and high."""
+    known = places[np.isfinite(places).all(axis=1)]
+    if not len(known):
+        known = np.zeros((1, 2))
+    low, high = known.min(axis=0), known.max(axis=0)
+    pad = np.maximum(50.0 - (high - low) / 2.0, 0.0)
+    west, south = low - pad
+    east, north = high + pad
+    return float(west), float(south), float(east), float(north)
+
+
+def _complete(what: str, given: Mapping[str, Any], wanted: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+    """All wanted columns: numbers with NaN where absent, texts with ""; an empty mapping is an empty table."""
+    lengths = {name: len(given[name]) for name in given if name in wanted}
+    if len(set(lengths.values())) > 1:
+        name = next(name for name in lengths if lengths[name] != next(iter(lengths.values())))
+        first = next(iter(lengths))
+        raise InputError(f"{what}: column {name} has {lengths[name]} rows, {first} has {lengths[first]}")
+    n = next(iter(lengths.values()), 0)
+    missing = [name for name, default in wanted.items() if default is None and name not in given]
+    if missing and lengths:
+        raise InputError(f"{what}: there is no column {missing[0]}; give {', '.join(missing)}")
+    columns = {}
+    for name, default in wanted.items():
+        if name not in given or not lengths:
+            columns[name] = np.full(n, "" if default is None else default, object if default == "" else None)
+        elif isinstance(default, str) or name in ("stage", "source"):
+            columns[name] = _texts(given[name])
+        else:
+            columns[name] = _numbers(f"{what}: column {name}", given[name], default)
+    if n == 0:
+        columns |= {name: np.empty(0) for name, default in wanted.items() if default is None}
+    return columns
+
+
+def _texts(column: Any) -> NDArray[Any]:
+    """(n,) str, "" where there is none."""
+    hidden = np.ma.getmaskarray(np.ma.asarray(column))
+    values = np.ma.getdata(np.ma.asarray(column)).tolist()
+    said = ["" if off or v is None or v != v else str(v) for v, off in zip(values, hidden, strict=True)]
+    return np.array(said, dtype=object)
+
+
+def _numbers(what: str, column: Any, default: Any) -> NDArray[Any]:
+    """(n,) numbers, the default where there is none."""
+    values = np.ma.asarray(column)
+    if values.dtype.kind not in "iufb":
+        raise InputError(f"{what} is of type {values.dtype}; give numbers")
+    if values.dtype.kind == "f" or isinstance(default, float):
+        return np.asarray(np.ma.filled(values.astype(np.float64), np.nan))
+    if default is None and np.ma.is_masked(values):
+        raise InputError(f"{what} is masked in row {np.flatnonzero(np.ma.getmaskarray(values))[0]}; give a number")
+    return np.asarray(np.ma.getdata(values) if default is None else np.ma.filled(values, default))
+
+
+def members_of(text: str) -> list[tuple[str, int]]:
+    """(source, row) of a list of members, as tables have it.
+
+    Example
+    -------
+    >>> members_of("radar:12 north ais:3")
+    [('radar', 12), ('north ais', 3)]
+    """
+    return [(source, int(row)) for source, row in re.findall(r"\s*(.+?):(\d+)(?=\s|$)", text)]

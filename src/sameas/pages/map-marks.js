@@ -1,0 +1,155 @@
+// ---- how things look: colours of day and night, marks of sources, symbols of objects ----
+// After Okabe and Ito, darker by day and lighter by night: told apart by every kind of colour vision. Orange and red are
+// kept for what is doubtful and for alarms.
+const PALETTE = {
+  day: ["#0067a5", "#007a58", "#a8407e", "#7a6200", "#5a45a8", "#2f8fc4", "#5c5c5c"],
+  night: ["#5fb4f0", "#2fcf9b", "#f09ac6", "#d7d36a", "#b3a1ff", "#9fd8ff", "#bdbdbd"],
+};
+const MARKS = ["square", "diamond", "circle", "cross", "plus", "down", "bar"];
+const colour = {};
+let night = false;
+function readColours() {
+  const style = getComputedStyle(document.documentElement);
+  for (const name of [
+    "sea",
+    "land",
+    "coast",
+    "border",
+    "grid",
+    "ink",
+    "dim",
+    "accent",
+    "warn",
+    "alarm",
+    "halo",
+    "cover",
+    "cover-line",
+    "old",
+    "panel",
+  ])
+    colour[name] = style.getPropertyValue("--" + name).trim();
+}
+const colourOf = source => PALETTE[night ? "night" : "day"][source % PALETTE.day.length];
+// Who says himself where he is gets the triangle, as AIS targets have on radars.
+const markOf = (() => {
+  const own = data.sensors.map(s => (/^(ais|ads-b)$/.test(s.kind) ? "triangle" : null));
+  let used = 0;
+  return own.map(m => m || MARKS[used++ % MARKS.length]);
+})();
+const shown = {
+  source: data.sensors.map(() => true),
+  records: true,
+  ellipses: true,
+  members: true,
+  labels: true,
+  coverage: true,
+  grid: true,
+};
+
+// Outlines about 0, 0 of size 1, for the chart and for icons.
+const OUTLINES = {
+  square: "M-.85-.85h1.7v1.7h-1.7z",
+  triangle: "M0-1.2 1 .8H-1z",
+  down: "M0 1.2 1-.8H-1z",
+  diamond: "M0-1.2 1.2 0 0 1.2-1.2 0z",
+  circle: "M-1 0a1 1 0 1 0 2 0a1 1 0 1 0-2 0z",
+  cross: "M-1-1 1 1M1-1-1 1",
+  plus: "M-1.2 0h2.4M0-1.2v2.4",
+  bar: "M-1.2 0h2.4",
+};
+const outlinePaths = Object.fromEntries(Object.entries(OUTLINES).map(([kind, d]) => [kind, new Path2D(d)]));
+function outlineAt(kind, x, y, r) {
+  const path = new Path2D();
+  path.addPath(outlinePaths[kind], { a: r, d: r, e: x, f: y });
+  return path;
+}
+// A line that is seen on any ground: on a wider one in the colour of the ground.
+function strokeOnHalo(c, path, ink, wide, halo = wide + 2.5) {
+  c.strokeStyle = colour.halo;
+  c.lineWidth = halo;
+  c.stroke(path);
+  c.strokeStyle = ink;
+  c.lineWidth = wide;
+  c.stroke(path);
+}
+function drawMark(c, source, x, y, r = 4) {
+  c.setLineDash([]);
+  strokeOnHalo(c, outlineAt(markOf[source], x, y, r), colourOf(source), 1.7, 3.4);
+}
+
+// Symbols of objects, near to those of tracked radar targets (IMO SN.1/Circ.243): dashed while being acquired, a
+// circle when tracked, crossed when lost; a dot where two or more sources see it.
+function symbolInk(stage, ambiguous, alarmed) {
+  if (alarmed) return colour.alarm;
+  if (ambiguous) return colour.warn;
+  return stage === STAGE.coasting || stage === STAGE.ended ? colour.dim : colour.ink;
+}
+function drawSymbol(c, stage, x, y, { several = false, ambiguous = false, alarmed = false, r = 8 } = {}) {
+  c.strokeStyle = c.fillStyle = symbolInk(stage, ambiguous, alarmed);
+  c.setLineDash([]);
+  c.lineWidth = 1.5;
+  if (stage === STAGE.ended) return c.stroke(outlineAt("cross", x, y, 4));
+  const ring = outlineAt("circle", x, y, r);
+  c.save();
+  c.strokeStyle = colour.halo;
+  c.lineWidth = 4.5;
+  c.stroke(ring);
+  c.restore();
+  c.setLineDash(stage === STAGE.tentative ? [3, 3.2] : []);
+  c.lineWidth = stage === STAGE.confirmed ? 2 : 1.5;
+  c.stroke(ring);
+  c.setLineDash([]);
+  if (stage === STAGE.coasting) c.stroke(outlineAt("cross", x, y, r * 0.7));
+  else if (several) c.fill(outlineAt("circle", x, y, 2.4));
+  if (ambiguous) drawDoubt(c, x, y, r);
+  if (alarmed) drawAlarm(c, x, y, r);
+}
+function drawDoubt(c, x, y, r) {
+  c.setLineDash([5, 3]);
+  c.lineWidth = 1.6;
+  c.strokeStyle = colour.warn;
+  c.stroke(outlineAt("circle", x, y, r + 4));
+  c.setLineDash([]);
+}
+function drawAlarm(c, x, y, r) {
+  c.strokeStyle = colour.alarm;
+  c.lineWidth = 2;
+  c.stroke(new Path2D(`M${x} ${y - r - 10}L${x + r + 10} ${y + r + 4}H${x - r - 10}z`));
+}
+function drawCorners(c, x, y, r) {
+  c.setLineDash([]);
+  c.lineWidth = 2.2;
+  c.strokeStyle = colour.accent;
+  for (const u of [-r, r])
+    for (const v of [-r, r]) {
+      const [du, dv] = [6 * Math.sign(u), 6 * Math.sign(v)];
+      c.stroke(new Path2D(`M${x + u} ${y + v - dv}V${y + v}H${x + u - du}`));
+    }
+}
+
+// A canvas with a small drawing, for legends and tables.
+function icon(size, paint) {
+  const canvas = document.createElement("canvas"),
+    ratio = window.devicePixelRatio || 1;
+  canvas.width = canvas.height = Math.round(size * ratio);
+  canvas.style.width = canvas.style.height = size + "px";
+  canvas.setAttribute("aria-hidden", "true");
+  const c = canvas.getContext("2d");
+  c.scale(ratio, ratio);
+  paint(c, size / 2);
+  return canvas;
+}
+const SVG = "http://www.w3.org/2000/svg";
+function sourceIcon(source) {
+  const icon = document.createElementNS(SVG, "svg"),
+    path = document.createElementNS(SVG, "path");
+  icon.setAttribute("viewBox", "-1.7 -1.7 3.4 3.4");
+  icon.setAttribute("class", "swatch");
+  icon.setAttribute("aria-hidden", "true");
+  path.setAttribute("d", OUTLINES[markOf[source]]);
+  path.setAttribute("fill", "none");
+  path.setAttribute("stroke", colourOf(source));
+  path.setAttribute("stroke-width", "0.45");
+  icon.append(path);
+  return icon;
+}

@@ -1,0 +1,278 @@
+// ---- the picked object, explained ----
+const tag = (words, cls = "") => text("span", words, `tag ${cls}`);
+const facts = pairs => {
+  const t = document.createElement("table");
+  t.append(...pairs.filter(p => p[1]).map(([a, b]) => tableRow(text("th", a), text("td", b))));
+  return t;
+};
+const sourceCell = source => {
+  const cell = document.createElement("td");
+  cell.append(sourceIcon(source), data.sensors[source].name);
+  return cell;
+};
+const recordWords = r =>
+  `${data.sensors[records.source[r]].name} ${said("r", "track_id", r) || (records.line[r] >= 0 ? `line ${records.line[r]}` : `row ${records.row[r]}`)}`;
+
+async function showObject() {
+  const box = el("object");
+  if (picked === null) {
+    box.hidden = true;
+    box.replaceChildren();
+    return;
+  }
+  const number = picked,
+    instantShown = now.k,
+    r = now.rowOf.get(number);
+  const shut = text("button", "×", "close");
+  shut.setAttribute("aria-label", "let go of the object");
+  shut.addEventListener("click", () => pick(null));
+  if (r === undefined) {
+    const [first, last] = rowsOf.get(number);
+    box.replaceChildren(
+      shut,
+      text("h2", nameOf(last - 1)),
+      text(
+        "p",
+        `Object ${number} is not in the picture at this time; it is from ${clock(data.instants[objects.t[first]])[0]} to ${clock(data.instants[objects.t[last - 1]])[0]}.`,
+        "hint",
+      ),
+    );
+    box.hidden = false;
+    return;
+  }
+  const why = document.createElement("div");
+  box.replaceChildren(shut, text("h2", nameOf(r)), tags(r), facts(state(r)), ...membership(r), why);
+  box.hidden = false;
+  const words = await whyText(number, instantShown);
+  if (words && picked === number && now.k === instantShown) why.replaceChildren(text("h3", "Why"), text("pre", words));
+}
+function tags(r) {
+  const line = document.createElement("div");
+  line.className = "tags";
+  line.append(
+    tag(`object ${numberOf(r)}`),
+    tag(data.stages[objects.stage[r]], objects.stage[r] === STAGE.coasting ? "warn" : ""),
+    tag(objects.sources[r] ? plural(objects.sources[r], "source") : "no source now"),
+  );
+  if (objects.ambiguous[r]) line.append(tag("ambiguous", "warn"));
+  if (now.alarmed.has(numberOf(r))) line.append(tag("alarm", "alarm"));
+  return line;
+}
+function state(r) {
+  const speed = objects.speed[r],
+    from = ringCentre(),
+    place = [objects.x[r], objects.y[r]],
+    own = el("ring").value === "object";
+  const [bearing, range] = from && !own ? bearingRange(from, place) : [];
+  return [
+    ["Position", placeWords(...place)],
+    [
+      "2σ",
+      Number.isFinite(objects.major[r]) ? `${metres(2 * objects.major[r])} × ${metres(2 * objects.minor[r])}` : "",
+    ],
+    ["Speed", Number.isFinite(speed) ? `${knots(speed)}  (${fix(speed, 1)} m/s)` : ""],
+    ["Course", Number.isFinite(objects.course[r]) ? course(objects.course[r]) : ""],
+    [
+      from && !own ? `From ${data.sensors[+el("ring").value].name}` : "",
+      from && Number.isFinite(range) ? `${course(bearing)}  ${distance(range)}` : "",
+    ],
+    ...[
+      ["Name", "name"],
+      ["Callsign", "callsign"],
+      ["MMSI", "mmsi"],
+      ["ICAO", "icao"],
+      ["Mode A", "mode_a"],
+      ["Type", "type"],
+    ].map(([label, key]) => [label, said("o", key, r)]),
+    ...data.alarms.filter(a => a.objects.includes(numberOf(r)) && holds(a, now.k)).map(a => ["Alarm", a.text]),
+  ];
+}
+function membership(r) {
+  const own = now.members.get(numberOf(r)),
+    parts = [];
+  parts.push(
+    text(
+      "h3",
+      own.length
+        ? `${own.length > 1 ? "These records are one object" : "This record is an object of its own"}: probability ${probability(objects.p[r])}`
+        : "No source shows it now; its place is predicted",
+    ),
+  );
+  if (own.length) parts.push(memberTable(r, own));
+  if (own.length && objects.rival[r] > 0.00001) {
+    const rivals = rivalsOf(r),
+      gone = own.filter(m => !rivals.includes(m)),
+      more = rivals.filter(m => !own.includes(m));
+    const change = [
+      more.length ? "with " + more.map(recordWords).join(", ") : "",
+      rivals.length && gone.length ? "without " + gone.map(recordWords).join(", ") : "",
+    ]
+      .filter(Boolean)
+      .join("; ");
+    parts.push(
+      text("h3", `Otherwise, with probability ${probability(objects.rival[r])}${change ? ": " + change : ""}`),
+    );
+    if (more.length) parts.push(memberTable(r, more, "rival"));
+  }
+  return parts;
+}
+function memberTable(r, rows, cls = "") {
+  const t = document.createElement("table");
+  t.className = "members";
+  t.append(tableRow(...["source", "track, line", "off", "age", "p"].map(words => text("th", words))));
+  for (const m of rows) {
+    const file = data.sensors[records.source[m]].file,
+      track = said("r", "track_id", m),
+      line = records.line[m] >= 0 ? `line ${records.line[m]}` : `row ${records.row[m]}`;
+    const place = markPlace(m),
+      off = place ? Math.hypot(place[0] - objects.x[r], place[1] - objects.y[r]) : NaN;
+    const cells = [
+      sourceCell(records.source[m]),
+      text("td", [track, file ? `${file} ${line}` : line].filter(Boolean).join(", ")),
+      text("td", Number.isFinite(off) ? metres(off) : "–"),
+      text("td", Number.isFinite(records.age[m]) ? duration(records.age[m]) : "–"),
+      text("td", probability(records.p[m])),
+    ];
+    const tr = tableRow(...cells);
+    tr.className = cls;
+    tr.title = [
+      Number.isFinite(records.alone[m])
+        ? `probability that it is no part of another record's object: ${probability(records.alone[m])}`
+        : "",
+      Number.isFinite(records.bearing[m]) ? `bearing ${fix(records.bearing[m], 2)}° ± ${fix(records.sb[m], 2)}°` : "",
+    ]
+      .filter(Boolean)
+      .join("\n");
+    t.append(tr);
+  }
+  return t;
+}
+
+// ---- alarms, summary, legend ----
+function listAlarms() {
+  const list = document.createElement("ul");
+  for (const a of data.alarms) {
+    const item = document.createElement("li"),
+      button = text("button", `${a.time === null ? "" : clock(a.time)[0] + "  "}${a.text}`);
+    button.addEventListener("click", () => {
+      if (a.instant !== null) show(a.instant);
+      if (a.objects.length) pick(a.objects[0], true);
+    });
+    item.append(button);
+    list.append(item);
+  }
+  el("alarms").replaceChildren(data.alarms.length ? list : text("p", "No alarms.", "hint"));
+}
+function showAlarms() {
+  const items = el("alarms").querySelectorAll("li");
+  data.alarms.forEach((a, k) => {
+    items[k].className = holds(a, now.k) ? "current" : "past";
+  });
+  const current = data.alarms.filter(a => holds(a, now.k)).length;
+  el("tab-alarms").replaceChildren(
+    "Alarms",
+    ...(data.alarms.length ? [text("span", ` ${data.alarms.length}`, current ? "warn" : "")] : []),
+  );
+  el("alarm-button").hidden = !current;
+  el("alarm-button").textContent = `⚠ ${plural(current, "alarm")}`;
+}
+function showSummary() {
+  const list = document.createElement("ul");
+  list.append(...data.summary.map(line => text("li", line)));
+  el("summary").replaceChildren(data.summary.length ? list : text("p", "No summary.", "hint"));
+}
+function showHelp() {
+  const keys = [
+    ["space", "play, pause"],
+    ["← →", "one instant back, on"],
+    ["Home End", "first, last instant"],
+    ["+ − 0", "zoom in, out, show everything"],
+    ["arrows", "move the chart when it has the focus"],
+    ["N P", "next, previous object"],
+    ["F", "keep the picked object in the middle"],
+    ["D", "day or night"],
+    ["Esc", "let go of the object"],
+  ];
+  const t = document.createElement("table");
+  t.append(
+    ...keys.map(([key, words]) => {
+      const cell = document.createElement("td");
+      key.split(" ").forEach((k, n) => cell.append(n ? " " : "", text("kbd", k)));
+      return tableRow(cell, text("td", words));
+    }),
+  );
+  const notes = [
+    "Circles are objects: dashed while tentative, crossed while no source shows them. A dot: two or more sources show it. Lines ahead are where it will be if it keeps course and speed.",
+    "An orange ring and “?”: which records belong to it is not certain; dashed lines lead to the records it would have otherwise. A red triangle: an alarm.",
+    "Times are UTC, courses and bearings true, 1 nm = 1852 m. " +
+      (data.origin
+        ? "The coast is true to about a kilometre: not for navigation."
+        : "Places are metres in the plane of the user."),
+  ];
+  if (!data.utc) notes[2] = notes[2].replace("Times are UTC, c", "Times are seconds as given, c");
+  el("help").replaceChildren(t, ...notes.map(n => text("p", n, "hint")));
+}
+function showLegend() {
+  el("sources").replaceChildren(
+    ...data.sensors.map((s, k) => {
+      const label = document.createElement("label"),
+        tick = document.createElement("input");
+      tick.type = "checkbox";
+      tick.checked = shown.source[k];
+      tick.dataset.source = k;
+      tick.addEventListener("change", () => {
+        shown.source[k] = tick.checked;
+        draw();
+      });
+      label.title = [s.name, s.kind, s.file].filter(Boolean).join(", ");
+      const count = text("span", "", "count");
+      count.dataset.count = k;
+      label.append(
+        tick,
+        sourceIcon(k),
+        text("span", s.name, "name"),
+        text("span", s.kind === s.name ? "" : s.kind, "kind"),
+        count,
+      );
+      return label;
+    }),
+  );
+  const samples = [
+    ["tentative", {}, STAGE.tentative],
+    ["confirmed", {}, STAGE.confirmed],
+    ["coasting", {}, STAGE.coasting],
+    ["2+ sources", { several: true }, STAGE.confirmed],
+    ["ambiguous", { ambiguous: true, several: true, r: 6 }, STAGE.confirmed],
+    ["alarm", { alarmed: true, r: 4.5 }, STAGE.confirmed],
+  ];
+  el("marks-legend").replaceChildren(
+    ...samples.map(([words, how, stage]) => {
+      const s = document.createElement("span");
+      s.append(
+        icon(22, (c, m) => {
+          if (words === "alarm") {
+            c.translate(m, m + 2);
+            c.scale(0.68, 0.68);
+            c.translate(-m, -m);
+          }
+          drawSymbol(c, stage, m, m, { r: 7, ...how });
+        }),
+        words,
+      );
+      return s;
+    }),
+  );
+}
+function showCounts() {
+  const counts = data.sensors.map(() => 0);
+  for (const r of now.marks) counts[records.source[r]]++;
+  for (const e of document.querySelectorAll("[data-count]")) e.textContent = grouped(counts[e.dataset.count]);
+  const live = now.rows.filter(r => objects.stage[r] !== STAGE.ended),
+    doubtful = live.filter(r => objects.ambiguous[r]).length,
+    several = live.filter(r => objects.sources[r] > 1).length;
+  el("counts").replaceChildren(
+    text("b", plural(live.length, "object")),
+    `, ${grouped(several)} seen by two or more sources`,
+    ...(doubtful ? [", ", text("span", `${grouped(doubtful)} ambiguous`, "warn")] : []),
+  );
+}

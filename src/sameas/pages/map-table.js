@@ -1,0 +1,110 @@
+// ---- the data of the page: columns packed by packing.py, and what they are called ----
+const data = JSON.parse(document.getElementById("data").textContent);
+const packedTexts = JSON.parse(document.getElementById("texts").textContent);
+const el = id => document.getElementById(id);
+
+async function unpacked(base64) {
+  if (typeof DecompressionStream === "undefined")
+    throw new Error("this browser is too old for the map; one of 2023 or later shows it");
+  const text = atob(base64),
+    bytes = new Uint8Array(text.length);
+  for (let k = 0; k < text.length; k++) bytes[k] = text.charCodeAt(k);
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+  return new Uint8Array(await new Response(stream).arrayBuffer());
+}
+
+function column(head, bytes, at) {
+  const n = head.n,
+    out = new Float64Array(n);
+  let sum = 0;
+  for (let k = 0; k < n; k++) {
+    let zigzag = 0;
+    for (let b = head.bytes - 1; b >= 0; b--) zigzag = zigzag * 256 + bytes[at + b * n + k];
+    sum += zigzag % 2 ? -(zigzag + 1) / 2 : zigzag / 2;
+    out[k] = sum * head.step;
+  }
+  at += head.bytes * n;
+  if (head.holes) {
+    for (let k = 0; k < n; k++) if (!bytes[at + k]) out[k] = NaN;
+    at += n;
+  }
+  return [out, at];
+}
+
+// Rows of a table by the instant that its column t names: start[t] … start[t + 1] in order.
+function byInstant(t) {
+  const start = new Uint32Array(data.instants.length + 1),
+    order = new Uint32Array(t.length);
+  for (const k of t) start[k + 1]++;
+  for (let k = 0; k < data.instants.length; k++) start[k + 1] += start[k];
+  const next = start.slice();
+  t.forEach((k, row) => {
+    order[next[k]++] = row;
+  });
+  return k => order.subarray(start[k], start[k + 1]);
+}
+
+const tables = { o: {}, r: {} };
+try {
+  const bytes = await unpacked(el("columns-data").textContent);
+  let at = 0;
+  for (const head of data.columns) {
+    const [table, name] = head.name.split(".");
+    [tables[table][name], at] = column(head, bytes, at);
+  }
+} catch (error) {
+  const said = document.createElement("p");
+  said.className = "broken";
+  said.textContent = `The map cannot be shown: ${error.message}`;
+  document.body.replaceChildren(said);
+  return;
+}
+const objects = tables.o,
+  records = tables.r;
+const objectsAt = byInstant(objects.t),
+  recordsAt = byInstant(records.t);
+const said = (table, name, row) => data.strings[`${table}.${name}`][tables[table][name][row]];
+const STAGE = Object.fromEntries(data.stages.map((name, k) => [name, k]));
+
+// Rows of an object lie together, in the order of time.
+const rowsOf = new Map();
+for (let row = 0, start = 0; row < objects.n.length; row++)
+  if (objects.n[row + 1] !== objects.n[row]) {
+    rowsOf.set(objects.n[row], [start, row + 1]);
+    start = row + 1;
+  }
+
+const unpackedTexts = new Map();
+async function whyText(number, instant) {
+  if (!packedTexts[number]) return "";
+  if (!unpackedTexts.has(number))
+    unpackedTexts.set(number, JSON.parse(new TextDecoder().decode(await unpacked(packedTexts[number]))));
+  // A text holds until the next one.
+  const texts = unpackedTexts.get(number);
+  const since = Object.keys(texts)
+    .map(Number)
+    .filter(k => k <= instant);
+  return since.length ? texts[Math.max(...since)] : "";
+}
+
+// The instant at which an alarm is shown: the nearest; null for one that always holds.
+const nearestInstant = t =>
+  data.instants.reduce((best, v, k) => (Math.abs(v - t) < Math.abs(data.instants[best] - t) ? k : best), 0);
+for (const a of data.alarms) a.instant = a.time === null ? null : nearestInstant(a.time);
+const holds = (alarm, k) => alarm.instant === null || alarm.instant === k;
+
+// What is known of the instant that is shown.
+let now = null;
+function instant(k) {
+  const rows = [...objectsAt(k)],
+    members = new Map(rows.map(row => [objects.n[row], []]));
+  const marks = [...recordsAt(k)];
+  for (const r of marks) members.get(records.n[r])?.push(r);
+  const rowOf = new Map(rows.map(row => [objects.n[row], row]));
+  const alarmed = new Set();
+  for (const a of data.alarms) if (holds(a, k)) for (const n of a.objects) alarmed.add(n);
+  return { k, time: data.instants[k], rows, marks, members, rowOf, alarmed };
+}
+const rivalsOf = row => [...objects.rivalRows.subarray(objects.rivals[row], objects.rivals[row + 1])];
+const numberOf = row => objects.n[row];
+const nameOf = row => said("o", "label", row) || `#${numberOf(row)}`;

@@ -1,0 +1,77 @@
+// ---- numbers as people at sea and in the air read them ----
+const KNOT = 1852 / 3600,
+  MILE = 1852;
+const fix = (v, n) => (Number.isFinite(v) ? v.toFixed(n).replace("-", "−") : "–");
+const grouped = n => String(n).replace(/\B(?=(\d{3})+(?!\d))/g, " ");
+const course = deg =>
+  Number.isFinite(deg) ? String(Math.round(((deg % 360) + 360) % 360) % 360).padStart(3, "0") + "°" : "–";
+const probability = p =>
+  !Number.isFinite(p)
+    ? "–"
+    : p > 0.9999
+      ? "> 0.9999"
+      : p < 0.0001
+        ? "< 0.0001"
+        : p.toFixed(p > 0.995 || p < 0.005 ? 4 : 2);
+const nautical = data.extent[2] - data.extent[0] > 2 * MILE || data.extent[3] - data.extent[1] > 2 * MILE;
+const metres = m =>
+  m >= 10000
+    ? `${fix(m / 1000, m < 99500 ? 1 : 0)} km`
+    : m >= 1000
+      ? `${fix(m / 1000, 2)} km`
+      : m >= 10
+        ? `${fix(m, 0)} m`
+        : `${fix(m, 1)} m`;
+const distance = m => (nautical && m >= 0.1 * MILE ? `${fix(m / MILE, m < 10 * MILE ? 2 : 1)} nm` : metres(m));
+const knots = speed => (Number.isFinite(speed) ? `${fix(speed / KNOT, 1)} kn` : "–");
+const plural = (n, word) => `${grouped(n)} ${word}${n === 1 ? "" : "s"}`;
+const duration = s =>
+  s < 60 ? `${+s.toFixed(1)} s` : s < 3600 ? `${+(s / 60).toFixed(1)} min` : `${+(s / 3600).toFixed(1)} h`;
+// A length of time that an axis or a menu may have.
+const PERIODS = [1, 2, 5, 10, 30, 60, 180, 360, 720, 1800, 3600, 7200, 21600];
+const nice = most => {
+  const p = 10 ** Math.floor(Math.log10(most));
+  return Math.max(...[1, 2, 5].map(s => s * p).filter(v => v <= most * 1.0000001));
+};
+
+const shortest = data.instants.reduce(
+  (least, t, k) => (k ? Math.min(least, t - data.instants[k - 1]) : least),
+  Infinity,
+);
+const decimals =
+  shortest < 0.1 ? 2 : shortest < 1 || data.instants.some(t => Math.abs(t - Math.round(t)) > 0.001) ? 1 : 0;
+function clock(t) {
+  if (!data.utc) return [`${fix(t, decimals)} s`, ""];
+  const unit = 10 ** decimals,
+    d = new Date((Math.round(t * unit) / unit) * 1000 + 1e-3),
+    two = n => String(n).padStart(2, "0");
+  const part = decimals
+    ? "." + String(Math.floor((d.getUTCMilliseconds() / 1000) * unit + 1e-6)).padStart(decimals, "0")
+    : "";
+  return [
+    `${two(d.getUTCHours())}:${two(d.getUTCMinutes())}:${two(d.getUTCSeconds())}${part}`,
+    `${d.getUTCFullYear()}-${two(d.getUTCMonth() + 1)}-${two(d.getUTCDate())}`,
+  ];
+}
+
+const text = (tag, words, cls) => {
+  const e = document.createElement(tag);
+  e.textContent = words;
+  if (cls) e.className = cls;
+  return e;
+};
+const tableRow = (...cells) => {
+  const tr = document.createElement("tr");
+  tr.append(...cells);
+  return tr;
+};
+function options(select, pairs, chosen) {
+  select.replaceChildren(
+    ...pairs.map(([value, words]) => {
+      const o = text("option", words);
+      o.value = value;
+      return o;
+    }),
+  );
+  select.value = String(chosen);
+}

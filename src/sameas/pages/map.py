@@ -1,0 +1,197 @@
+"""The page of a picture: a chart with a time slider, its objects and records, and why each is what it is.
+
+One file that needs no network: it opens from disk in Chromium, Firefox and Safari of 2023 and later.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+import os
+from collections.abc import Iterable
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import sameas
+from sameas.io.atomic import replacing
+from sameas.maps.outline import Outline, outline
+from sameas.maps.sheet import STAGES, Columns, MapSheet, members_of
+from sameas.pages.packing import packed, squeezed
+from sameas.records import FloatArray
+
+#: The scripts of the page, in the order in which they build on one another.
+SCRIPTS = ("table", "words", "earth", "marks", "labels", "chart", "ground", "panel", "listing", "hands")
+#: The chart reaches so many times the size of what is shown, and at least so far (m).
+ROOM, LEAST_M = 4.0, 20e3
+#: Probabilities are kept to this.
+SHARE = 1e-5
+
+
+def write_map_page(sheet: MapSheet, path: str | os.PathLike[str]) -> None:
+    """Writes the page of a sheet: one file, complete in itself.
+
+    Raises
+    ------
+    InputError : the path cannot be written; a number is too large to be shown.
+    """
+    page = map_page(sheet)
+    with replacing(path) as draft:
+        draft.write_text(page, encoding="utf-8")
+
+
+def map_page(sheet: MapSheet) -> str:
+    """The same as text."""
+    objects, strings = _objects(sheet)
+    records, tracks = _records(sheet)
+    heads, columns = packed({f"o.{k}": v for k, v in objects.items()} | {f"r.{k}": v for k, v in records.items()})
+    told = _told(sheet) | {"columns": heads, "strings": strings | tracks}
+    marks = {
+        "title": html.escape(sheet.title),
+        "version": html.escape(sameas.__version__),
+        "css": _asset("map.css"),
+        "js": "\n".join(_asset(f"map-{name}.js") for name in SCRIPTS),
+        "data": _script_safe(told),
+        "columns": columns,
+        "texts": _script_safe(_texts(sheet)),
+    }
+    # In one pass: a title must not become a mark of the page.
+    pieces = _asset("map.html").split("{{")
+    return pieces[0] + "".join(
+        marks[name] + rest for name, _, rest in (piece.partition("}}") for piece in pieces[1:])
+    )  # fmt: skip
+
+
+def _asset(name: str) -> str:
+    return (files("sameas.pages") / name).read_text(encoding="utf-8")
+
+
+def _script_safe(value: Any) -> str:
+    """JSON in which nothing can end or open the element that holds it: names come from radio."""
+    text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
+
+
+def _told(sheet: MapSheet) -> dict[str, Any]:
+    plane = sheet.plane
+    return {
+        "title": sheet.title,
+        "utc": sheet.utc,
+        "instants": np.round(sheet.instants_s, 3).tolist(),
+        "origin": None if plane is None else [plane.lat_deg, plane.lon_deg],
+        "extent": [round(v, 2) for v in sheet.home()],
+        "stages": list(STAGES),
+        "sensors": [
+            {
+                "name": s.name, "kind": s.kind, "file": s.file,
+                "site": None if s.x_m is None or s.y_m is None else [round(s.x_m, 2), round(s.y_m, 2)],
+                "range": s.range_m, "nearest": s.nearest_m, "visible": [list(part) for part in s.visible_deg],
+            }
+            for s in sheet.sensors
+        ],
+        "summary": list(sheet.summary),
+        "credit": "" if sheet.plane is None or sheet.ground else "coast: Natural Earth, ± 1 km, not for navigation",
+        "alarms": [{"text": a.text, "time": a.time_s, "objects": list(a.objects)} for a in sheet.alarms],
+        **_ground(sheet),
+    }  # fmt: skip
+
+
+def _ground(sheet: MapSheet) -> dict[str, Any]:
+    """The part of the plane that can be looked at, and coasts and borders in it."""
+    west, south, east, north = sheet.extent()
+    half = max(ROOM * max(east - west, north - south) / 2.0, LEAST_M if sheet.plane is not None else 0.0)
+    x, y = (west + east) / 2.0, (south + north) / 2.0
+    box = (x - half, y - half, x + half, y + half)
+    lines = Outline() if sheet.plane is None else sheet.ground or outline(sheet.plane, *box)
+    return {
+        "box": [round(v) for v in box],
+        "land": _points(lines.land),
+        "coast": _points(lines.coast),
+        "borders": _points(lines.borders),
+    }
+
+
+def _points(lines: Iterable[FloatArray]) -> list[list[int]]:
+    """Each line as x, y, x, y … in whole metres."""
+    return [np.rint(line).astype(np.int64).ravel().tolist() for line in lines]
+
+
+def _texts(sheet: MapSheet) -> dict[str, str]:
+    """Per object all its explanations, by place of the instant: packed together, as they hardly change."""
+    own: dict[int, dict[int, str]] = {}
+    for (instant, number), text in sorted(sheet.texts.items()):
+        own.setdefault(number, {})[instant] = text
+    return {str(n): squeezed(json.dumps(texts, ensure_ascii=False).encode()) for n, texts in own.items()}
+
+
+def _objects(sheet: MapSheet) -> tuple[dict[str, tuple[NDArray[Any], float]], dict[str, list[str]]]:
+    """Packed columns of the objects, and the lists of texts that some of them count in."""
+    o, step = sheet.objects, _step(sheet)
+    numbers, said = _counted(o, ("label", "mmsi", "icao", "callsign", "name", "mode_a", "type"), "o")
+    stage = np.array([STAGES.index(name) for name in o["stage"].tolist()], np.float64)
+    first, rows = _runners_up(sheet)
+    return {
+        "t": (sheet.instant_of(o), 1), "n": (o["object"], 1), "stage": (stage, 1),
+        "x": (o["x_m"], step), "y": (o["y_m"], step), "vx": (o["vx_m_per_s"], 0.01), "vy": (o["vy_m_per_s"], 0.01),
+        "speed": (o["speed_m_per_s"], 0.01), "course": (o["course_deg"], 0.1), **_ellipses(o, step),
+        "sources": (o["n_sources"], 1), "p": (o["probability"], SHARE), "ambiguous": (o["ambiguous"], 1),
+        "rival": (o["p_runner_up"], SHARE), "rivals": (first, 1), "rivalRows": (rows, 1), **numbers,
+    }, said  # fmt: skip
+
+
+def _records(sheet: MapSheet) -> tuple[dict[str, tuple[NDArray[Any], float]], dict[str, list[str]]]:
+    r, step = sheet.records, _step(sheet)
+    places = {sensor.name: k for k, sensor in enumerate(sheet.sensors)}
+    source = np.array([places[name] for name in r["source"].tolist()], np.float64)
+    numbers, said = _counted(r, ("track_id",), "r")
+    return {
+        "t": (sheet.instant_of(r), 1), "n": (r["object"], 1), "source": (source, 1), "row": (r["row"], 1),
+        "line": (r["line"], 1), "x": (r["x_m"], step), "y": (r["y_m"], step), **_ellipses(r, step),
+        "p": (r["p_object"], SHARE), "alone": (r["p_alone"], SHARE), "age": (r["age_s"], 0.1),
+        "bearing": (r["bearing_deg"], 0.01), "sb": (r["sigma_bearing_deg"], 0.01),
+        "sx": (r["sensor_x_m"], step), "sy": (r["sensor_y_m"], step), **numbers,
+    }, said  # fmt: skip
+
+
+def _step(sheet: MapSheet) -> float:
+    """A centimetre in a harbour, a decimetre on a sea."""
+    west, south, east, north = sheet.extent()
+    return 0.01 if max(abs(west), abs(south), abs(east), abs(north)) < 20e3 else 0.1
+
+
+def _ellipses(columns: Columns, step: float) -> dict[str, tuple[NDArray[Any], float]]:
+    """1σ along and across the longer axis, and the angle of that from east to north."""
+    a, b, c = columns["var_x_m2"], columns["cov_xy_m2"], columns["var_y_m2"]
+    half, spread = (a + c) / 2.0, np.hypot((a - c) / 2.0, b)
+    with np.errstate(invalid="ignore"):
+        major, minor = np.sqrt(half + spread), np.sqrt(np.maximum(half - spread, 0.0))
+    angle = np.degrees(np.arctan2(b, (a - c) / 2.0)) / 2.0
+    # No ellipse that is wider than the earth is drawn, nor has to be.
+    huge = ~(major < 2e6)
+    major, minor, angle = (np.where(huge, np.nan, v) for v in (major, minor, angle))
+    return {"major": (major, step), "minor": (minor, step), "angle": (angle, 1.0)}
+
+
+def _counted(
+    columns: Columns, names: Iterable[str], table: str
+) -> tuple[dict[str, tuple[NDArray[Any], float]], dict[str, list[str]]]:
+    """Texts as places in lists of those that occur."""
+    numbers, said = {}, {}
+    for name in names:
+        texts, place = np.unique(columns[name].astype(str), return_inverse=True)
+        numbers[name], said[f"{table}.{name}"] = (place, 1.0), texts.tolist()
+    return numbers, said
+
+
+def _runners_up(sheet: MapSheet) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Per object row where its second best members begin in the second array, which counts rows of the records."""
+    r = sheet.records
+    keys = zip(sheet.instant_of(r).tolist(), r["source"].tolist(), r["row"].tolist(), strict=True)
+    place = {(t, source, int(row)): k for k, (t, source, row) in enumerate(keys)}
+    first, rows = [0], []
+    for t, text in zip(sheet.instant_of(sheet.objects).tolist(), sheet.objects["runner_up"].tolist(), strict=True):
+        rows += [place[(t, *member)] for member in members_of(text) if (t, *member) in place]
+        first.append(len(rows))
+    return np.array(first, np.int64), np.array(rows, np.int64)

@@ -1,0 +1,23 @@
+"""The picture: objects that persist, from what many sources say over time, and its metrics where the truth is known.
+
+:class:`Picture` is that of a whole span; :class:`Watch` goes from instant to instant, for live use.
+"""
+
+from sameas.picture.memory import Memory, Past
+from sameas.picture.moment import Moment, Watch, all_that_is_said
+from sameas.picture.numbering import Stages
+from sameas.picture.picture import Picture, instants, moments
+from sameas.picture.summary import Summary
+
+__all__ = [
+    "Memory",
+    "Moment",
+    "Past",
+    "Picture",
+    "Stages",
+    "Summary",
+    "Watch",
+    "all_that_is_said",
+    "instants",
+    "moments",
+]

@@ -1,0 +1,145 @@
+"""Memory: what the past says of two named tracks being one object, beside what they say now.
+
+Two tracks that were together for ten minutes do not part because noise brings another nearer for one turn of the
+antenna. :class:`Past` goes from instant to instant; :meth:`Past.rule` is a rule for
+:func:`sameas.many.identify_many`, to be added to those of the instant:
+
+    past = past.on(roll)
+    found = identify_many(now.sources, rule=now.belief() + now.identity() + past.rule(), region=now.region)
+    past = past.met(found.union)
+
+Its logarithm is that of all looks (:mod:`sameas.picture.couples`) less what ``now`` says of the two positions, so the
+sum of both is what all looks say, each once. It never gets beyond ±ln((1−ε)/ε), with ε the probability that a look is
+of another object than its name says: numbers are given again, and swapped where two targets cross. So a picture that
+was wrong mends. Records without a name have no past, and tracks that nobody hears any more are forgotten.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sameas.errors import InputError
+from sameas.evidence.rule import Evidence, Rule
+from sameas.gate import Pairs
+from sameas.picture.couples import Couples, keys
+from sameas.picture.named import NamedTracks, found_in
+from sameas.picture.roll import Roll
+from sameas.union import Union
+
+#: ε where nobody says. Taken: one look in a thousand, for a radar of 20 turns a minute every 50 minutes.
+REASSIGNED = 1e-3
+
+
+@dataclass(frozen=True)
+class Memory(Rule):
+    """What the past says of pairs of named tracks; made by :meth:`Past.rule`.
+
+    Parameters
+    ----------
+    numbers : per source, by its name, the number of the track of every row of its table, −1 for rows without a name.
+    first, second : (k,) numbers of tracks, first < second, in ascending order. log_ratio : (k,) ln r of the past.
+
+    Example
+    -------
+    >>> from sameas import Radius, Records
+    >>> radar = Records.of([[0.0, 0.0], [9.0, 0.0]], sigma=5.0, source="radar")
+    >>> ais = Records.of([[5.0, 0.0]], sigma=5.0, source="ais")
+    >>> past = Memory({"radar": [3, 4], "ais": [7]}, first=[3], second=[7], log_ratio=[5.5])
+    >>> past(Radius(5.0)(radar, ais)).log_ratio.tolist()
+    [5.5, 0.0]
+    """
+
+    numbers: Mapping[str, ArrayLike] = field(repr=False)
+    first: ArrayLike
+    second: ArrayLike
+    log_ratio: ArrayLike
+
+    def __post_init__(self) -> None:
+        first, second, said = np.asarray(self.first), np.asarray(self.second), np.asarray(self.log_ratio)
+        if not len(first) == len(second) == len(said) or np.any(first >= second):
+            raise InputError("Memory: give first, second and log_ratio of every couple of tracks, first < second")
+        if np.any(np.diff(keys(first, second)) <= 0):
+            raise InputError("Memory: give every couple of tracks once, in ascending order")
+
+    def __call__(self, pairs: Pairs) -> Evidence:
+        one, two = (
+            np.asarray(self.numbers.get(side.source, np.full(side.n_table, -1)))[side.rows[at]]
+            for side, at in ((pairs.first, pairs.i), (pairs.second, pairs.j))
+        )
+        wanted = np.where((one >= 0) & (two >= 0), keys(np.minimum(one, two), np.maximum(one, two)), -1)
+        at = found_in(keys(np.asarray(self.first), np.asarray(self.second)), wanted)
+        return Evidence({"memory": np.append(np.asarray(self.log_ratio, dtype=np.float64), 0.0)[at]})
+
+
+@dataclass(frozen=True)
+class Past:
+    """What is remembered of named tracks, and of couples of them that the gate has let through.
+
+    Parameters
+    ----------
+    reassigned : ε of the module. correlation_s : by name of source how long its errors last, where that is not what
+        its kind does (:data:`sameas.picture.named.CORRELATION_S`); 0 where every look measures anew.
+    tracks, couples : filled in from instant to instant.
+    """
+
+    reassigned: float = REASSIGNED
+    correlation_s: Mapping[str, float] = field(default_factory=dict)
+    tracks: NamedTracks = field(default_factory=NamedTracks)
+    couples: Couples = field(default_factory=Couples)
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.reassigned < 0.5:
+            raise InputError(f"memory: reassigned is {self.reassigned}; give a probability between 0 and 0.5")
+
+    def on(self, roll: Roll) -> Past:
+        """The past as the looks of a later instant leave it.
+
+        Raises
+        ------
+        InputError : the roll is of an earlier instant than the last.
+        """
+        if roll.now.instant_s < self.tracks.instant_s:
+            raise InputError(
+                f"the picture is at {self.tracks.instant_s:g} s and was given {roll.now.instant_s:g} s; "
+                "give instants in the order of time"
+            )
+        tracks, step = self.tracks.on(roll, self.correlation_s)
+        return replace(self, tracks=tracks, couples=self.couples.stepped(step, self.reassigned))
+
+    def rule(self) -> Memory:
+        """What the past says at the instant."""
+        roll, couples, numbers = self.tracks.roll, self.couples, {}
+        for s, description in enumerate(() if roll is None else roll.now.descriptions):
+            assert roll is not None
+            here = slice(roll.start[s], roll.start[s + 1])
+            numbers[description.name] = np.full(int(roll.table[here].max(initial=-1)) + 1, -1)
+            numbers[description.name][roll.table[here]] = self.tracks.on_roll[here]
+        sure = math.log((1.0 - self.reassigned) / self.reassigned)
+        said = np.clip(couples.log_ratio + couples.at_look - couples.now, -sure, sure)
+        return Memory(numbers, couples.first, couples.second, said)
+
+    def met(self, union: Union) -> Past:
+        """The same with the couples that the gate let through for the first time: they have no past yet."""
+        roll = self.tracks.roll
+        if roll is None:
+            return self
+        names = [description.name for description in roll.now.descriptions]
+        found = [np.empty((0, 2), np.int64)]
+        for pairs in (part for part, _ in union.parts if len(part)):
+            one, two = names.index(pairs.first.source), names.index(pairs.second.source)
+            i, j = pairs.first.rows[pairs.i], pairs.second.rows[pairs.j]
+            found.append(np.column_stack([roll.find(one, i), roll.find(two, j)]))
+        places = np.concatenate(found)
+        places = places[(self.tracks.on_roll[places] >= 0).all(axis=1) & roll.placed[places].all(axis=1)]
+        order = np.argsort(self.tracks.on_roll[places], axis=1)
+        a, b = np.take_along_axis(places, order, axis=1).T
+        new = ~self.couples.has(self.tracks.on_roll[a], self.tracks.on_roll[b])
+        a, b = a[new], b[new]
+        delta, spread = roll.state[a, :2] - roll.state[b, :2], roll.covariance[:, :2, :2]
+        fresh = Couples.of(self.tracks.on_roll[a], self.tracks.on_roll[b], delta, spread[a], spread[b])
+        return replace(self, couples=self.couples.with_(fresh))

@@ -1,0 +1,274 @@
+"""A moment: the picture at one instant, and what it hands on to the next.
+
+:class:`Watch` is what a picture carries along: what it remembers of tracks, the objects it knows, and their texts.
+:meth:`Watch.advance` takes it to an instant and gives the :class:`Moment`; for live use call it instant by instant,
+
+    moment = watch.advance(scene.at(t))
+    watch = moment.watch
+
+:class:`sameas.picture.Picture` does so for a whole span. Nothing that was fused comes back as evidence: a moment
+without memory is what ``identify_many`` says of that instant, and memory counts every look once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.belief import PoissonObjects, SetRule
+from sameas.errors import InputError
+from sameas.evidence.identity import Alarm
+from sameas.gate import ChiSquare
+from sameas.many import identify_many
+from sameas.objects import Objects
+from sameas.observations import records_of
+from sameas.picture.memory import Past
+from sameas.picture.numbering import Known, Seen, Stages
+from sameas.picture.roll import BoolArray, Roll
+from sameas.picture.states import object_states
+from sameas.reasons import Reasons
+from sameas.records import FloatArray, IntArray, Records
+from sameas.tracks.scene import POSITION, Instant
+
+#: What the picture says of an object's identity; and what of it names one object alone.
+TEXTS = ("mmsi", "icao", "callsign", "name", "mode_a", "type")
+NAMES_ONE = ("mmsi", "icao", "callsign")
+#: An object is ambiguous where its records are less probable than this.
+CERTAIN = 0.95
+
+#: What an instant and the past say of the records.
+Say = Callable[[Instant, Past], SetRule]
+
+
+def all_that_is_said(now: Instant, past: Past) -> SetRule:
+    """Positions, misses and clutter as described, what records say of their identities, and what tracks did before."""
+    return now.belief() + now.identity() + past.rule()
+
+
+@dataclass(frozen=True)
+class Watch:
+    """What a picture carries from instant to instant; start with ``Watch()``.
+
+    Parameters
+    ----------
+    say : what counts as evidence. ``lambda now, past: now.belief() + past.rule()`` leaves identities out,
+        ``lambda now, past: now.belief() + now.identity()`` judges every instant alone.
+    past : what is remembered of tracks; give one to change how long their errors last.
+    stages : when objects are confirmed. gate : of ``identify_many``.
+    known, called : objects and their texts; filled in from instant to instant.
+    """
+
+    say: Say = all_that_is_said
+    past: Past = field(default_factory=Past)
+    stages: Stages = field(default_factory=Stages)
+    gate: ChiSquare = field(default_factory=ChiSquare)
+    known: Known = field(default_factory=Known)
+    called: Mapping[int, NDArray[Any]] = field(default_factory=dict, repr=False)
+
+    def advance(self, now: Instant) -> Moment:
+        """The picture at an instant not before the last.
+
+        Raises
+        ------
+        InputError : the instant is before the last; a source lacks what its evidence needs.
+        """
+        heard = now.heard()
+        roll = Roll.of(heard)
+        past = self.past.on(roll)
+        found = self._found(heard, past)
+        members = np.full((0, len(heard.sources)), -1)
+        if found is not None:
+            members, past = roll.places(found.members[:, : len(heard.sources)]), past.met(found.union)
+        texts = {name: roll.texts(name) for name in TEXTS}
+        seen = self._seen(roll, members, found, past, texts)
+        known = self.known.on(now.instant_s, seen, _per_m2(now), self.stages)
+        called = self._called(roll, members, texts, known)
+        return Moment(now, roll, found, members, seen, replace(self, past=past, known=known, called=called))
+
+    def _found(self, heard: Instant, past: Past) -> Objects | None:
+        """The objects of an instant; None where nobody says anything."""
+        if not heard.sources:
+            return None
+        if len(heard.sources) == 1:
+            # A source alone is identified with one that says nothing: each of its records is an object.
+            nobody = Records.of(np.empty((0, heard.features)), sigma=1.0, source="")
+            rule = PoissonObjects(heard.density, 0.5)
+            return identify_many((*heard.sources, nobody), rule=rule, region=heard.region)
+        return identify_many(heard.sources, rule=self.say(heard, past), gate=self.gate, region=heard.region)
+
+    def _seen(
+        self, roll: Roll, members: IntArray, found: Objects | None, past: Past, texts: Mapping[str, NDArray[Any]]
+    ) -> Seen:
+        """What the objects of an instant are to be recognised by."""
+        states = object_states(roll, members, found)
+        there = members >= 0
+        track = np.append(past.tracks.on_roll, -1)[members]
+        named = np.append(np.any([texts[name] != "" for name in NAMES_ONE], axis=0), False)[members]
+        # No clutter: what the source shows is there.
+        honest = np.array([feed.clutter(2) == 0.0 for feed in roll.now.feeds], dtype=bool)
+        sure = (there & honest).any(axis=1)
+        if found is not None:
+            sure |= (there.sum(axis=1) > 1) & (found.probability >= self.stages.sure)
+        looked = np.append(roll.new_since(self.past.tracks.roll), False)
+        walk = np.append(roll.walk_m2_per_s3, 0.0)[members].max(axis=1, initial=0.0)
+        speed = np.append(roll.speed_m_per_s, 0.0)[members].max(axis=1, initial=0.0)
+        return Seen(states, track, named & there, np.asarray(looked[members].any(axis=1)), sure, walk, speed)
+
+    def _called(
+        self, roll: Roll, members: IntArray, texts: Mapping[str, NDArray[Any]], known: Known
+    ) -> Mapping[int, NDArray[Any]]:
+        """Per object of the picture its texts: what its newest record says, else what was said before."""
+        at, source = np.nonzero(members >= 0)
+        record = members[at, source]
+        said = np.full((len(members), len(TEXTS)), "", dtype=object)
+        for column, name in enumerate(TEXTS):
+            values = texts[name][record]
+            tells = np.flatnonzero(values != "")
+            # The newest is written last; of equally new ones the first by the alphabet.
+            order = tells[
+                np.lexsort([np.argsort(np.argsort(values[tells].astype(str)[::-1])), roll.time_s[record[tells]]])
+            ]
+            said[at[order], column] = values[order]
+        called = {}
+        for number, k in zip(known.number.tolist(), known.seen.tolist(), strict=True):
+            before = self.called.get(number, _NOTHING)
+            called[number] = before if k < 0 else np.where(said[k] != "", said[k], before)
+        return called
+
+
+_NOTHING = np.full(len(TEXTS), "", dtype=object)
+
+
+def _per_m2(now: Instant) -> float:
+    """Objects per m² of the plane at the middle of the region."""
+    if now.features == POSITION:
+        return now.density
+    # The density of velocities falls to 1/(2π σ²) at rest.
+    variance = np.linalg.det(now.region.covariance[2:, 2:]) ** 0.5
+    return float(now.density * 2.0 * np.pi * variance)
+
+
+@dataclass(frozen=True)
+class Moment:
+    """The picture at one instant; made by :meth:`Watch.advance`.
+
+    Attributes
+    ----------
+    now : the instant. roll : the records of the sources that say anything.
+    found : what ``identify_many`` found, None where nobody says anything.
+    members : (n, S) records on the roll of each object found, −1 for none. seen : what it is recognised by.
+    watch : what the picture carries on.
+    """
+
+    now: Instant
+    roll: Roll
+    found: Objects | None
+    members: IntArray
+    seen: Seen
+    watch: Watch
+
+    @property
+    def known(self) -> Known:
+        """The objects of the picture."""
+        return self.watch.known
+
+    @cached_property
+    def number(self) -> IntArray:
+        """(n,) the number in the picture of each object found."""
+        return self.known.numbers(len(self.seen))
+
+    @cached_property
+    def object_of_record(self) -> IntArray:
+        """(records,) which object found each record of the roll is in."""
+        out = np.zeros(len(self.roll), np.int64)
+        at, source = np.nonzero(self.members >= 0)
+        out[self.members[at, source]] = at
+        return out
+
+    @cached_property
+    def runner_up(self) -> IntArray:
+        """(n, S) records on the roll of the most probable other set that has one of an object's records."""
+        if self.found is None:
+            return self.members
+        return self.roll.places(self.found.runner_up[:, : self.members.shape[1]])
+
+    @cached_property
+    def p_runner_up(self) -> FloatArray:
+        """(n,) its probability, 0 where nothing else is possible."""
+        return np.empty(0) if self.found is None else np.asarray(np.ma.filled(self.found.p_runner_up, 0.0))
+
+    @cached_property
+    def probability(self) -> FloatArray:
+        """(n,) that exactly its records are one object."""
+        return np.empty(0) if self.found is None else self.found.probability
+
+    @cached_property
+    def p_alone(self) -> FloatArray:
+        """(records,) that a record has no partner."""
+        out = np.ones(len(self.roll))
+        if self.found is not None:
+            union, sets = self.found.union, self.found.sets
+            lone = np.flatnonzero(sets.size == 1)
+            alone = np.zeros(len(union))
+            alone[sets.members[lone].max(axis=1)] = self.found.answer.probability[lone]
+            for s, source in zip(union.given, union.sources, strict=True):
+                rows, first = records_of(source).rows, union.start[union.given.index(s)]
+                if s < self.members.shape[1]:
+                    out[self.roll.find(s, rows)] = alone[first : first + len(rows)]
+        return np.clip(out, 0.0, 1.0)
+
+    @cached_property
+    def ambiguous(self) -> BoolArray:
+        """(n,) whether it is not certain that exactly these records are the object."""
+        return np.asarray(self.probability < CERTAIN)
+
+    @cached_property
+    def alarms(self) -> tuple[Alarm, ...]:
+        """Identities shown at two places too far apart for one object; rows are those of the sources' reports."""
+        start = dict(zip((d.name for d in self.roll.now.descriptions), range(len(self.roll.start)), strict=False))
+
+        def reported(where: tuple[str, int]) -> tuple[str, int]:
+            return where[0], int(self.roll.row[self.roll.find(start[where[0]], np.array([where[1]]))[0]])
+
+        return tuple(
+            replace(alarm, first=reported(alarm.first), second=reported(alarm.second))
+            for alarm in self.roll.now.alarms()
+        )
+
+    def explain(self, number: int) -> Reasons:
+        """Why its records are object ``number`` of the picture; records are named as their sources name them: by their
+        tracks, else by the lines of their files.
+
+        Raises
+        ------
+        InputError : no record of the instant is in an object of that number.
+        """
+        at = np.flatnonzero(self.number == number)
+        if self.found is None or not len(at):
+            raise InputError(f"object {number} is not shown by any source at {self.now.instant_s:g} s")
+        reasons, names = self.found.explain(int(at[0])), self._names
+        rivals = tuple(
+            replace(
+                rival, members=tuple(names[record] for record in rival.members),
+                taken=tuple((names[record], int(self.number[other])) for record, other in rival.taken),
+            )
+            for rival in reasons.rivals
+        )  # fmt: skip
+        return replace(reasons, number=number, rivals=rivals)
+
+    @cached_property
+    def _names(self) -> Mapping[tuple[str, Any], tuple[str, str]]:
+        """By source and row of its reports, the source and what a user finds the record by."""
+        roll, feeds = self.roll, self.roll.now.feeds
+        sources = [description.name for description in roll.now.descriptions]
+        names = {}
+        for s, row, track in zip(roll.source.tolist(), roll.row.tolist(), roll.track.tolist(), strict=True):
+            given = feeds[s].given
+            said = track or (f"row {row}" if given is None else f"{given.damaged.unit} {given.line[row]}")
+            names[sources[s], row] = sources[s], said
+        return names

@@ -1,0 +1,237 @@
+"""The summary of a picture: what there was, how sure it is, and what a user should look at, in printable lines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.evidence.identity import Alarm
+from sameas.picture.moment import Moment
+from sameas.picture.roll import BoolArray
+from sameas.prose import count, counted, moment
+from sameas.records import FloatArray, IntArray
+from sameas.tracks.feed import Feed
+from sameas.tracks.scene import Scene
+
+#: Objects that a source ought to have shown, below which a share of misses says nothing.
+FEWEST = 20
+
+
+@dataclass(frozen=True)
+class Tally:
+    """What one moment adds to the summary.
+
+    objects : that sources show. expected_wrong : of them expected not to be exactly right.
+    ambiguous_groups : groups with an ambiguous object.
+    records, shared : per source its records, and those in one object with another source's.
+    due, missed : per source the objects within its coverage that others show, and how many of them it does not.
+    aged : per source rows of reports that had grown too uncertain. alarms : of the moment.
+    """
+
+    instant_s: float
+    objects: int
+    expected_wrong: float
+    ambiguous_groups: int
+    records: IntArray
+    shared: IntArray
+    due: FloatArray
+    missed: FloatArray
+    aged: tuple[IntArray, ...]
+    alarms: tuple[Alarm, ...]
+
+    @classmethod
+    def of(cls, moment: Moment) -> Tally:
+        """Of a moment; sources are those of its scene."""
+        feeds, now = moment.now.feeds, moment.now
+        names = [description.name for description in moment.roll.now.descriptions]
+        there = np.zeros((len(moment.members), len(feeds)), bool)
+        for s, feed in enumerate(feeds):
+            if feed.description.name in names:
+                there[:, s] = moment.members[:, names.index(feed.description.name)] >= 0
+        due = np.array([_due(moment, there, s) for s in range(len(feeds))]).reshape(len(feeds), len(there))
+        found = moment.found
+        ambiguous = 0 if found is None else len(np.unique(found.group[moment.ambiguous]))
+        several = there.sum(axis=1) > 1
+        return cls(
+            now.instant_s, len(there), float(np.sum(1.0 - moment.probability)), ambiguous, there.sum(axis=0),
+            (there & several[:, None]).sum(axis=0), due.sum(axis=1), (due * ~there.T).sum(axis=1), now.aged,
+            moment.alarms,
+        )  # fmt: skip
+
+
+def _due(moment: Moment, there: BoolArray, s: int) -> FloatArray:
+    """(n,) 1 where source s should show an object: others do, beyond doubt, and it lies where s sees."""
+    others = np.delete(there, s, axis=1)
+    honest = np.delete(np.array([feed.clutter(2) == 0.0 for feed in moment.now.feeds], dtype=bool), s)
+    beyond_doubt = (others & honest).any(axis=1) | (others.sum(axis=1) > 1)
+    if len(honest) == 1:
+        beyond_doubt = others[:, 0]
+    feed = moment.now.feeds[s]
+    sensor = feed.sensor_at(moment.now.instant_s)
+    seen = moment.seen.states.placed & beyond_doubt
+    if sensor is None:
+        return seen.astype(np.float64)
+    arm = moment.seen.states.state[:, :2] - sensor
+    covers = feed.description.coverage.covers(np.hypot(*arm.T), np.degrees(np.arctan2(arm[:, 0], arm[:, 1])))
+    return (seen & covers).astype(np.float64)
+
+
+@dataclass(frozen=True)
+class Misses:
+    """Of the objects that others show within a source's coverage, ``due``, the share of which it has no record.
+
+    One object counts at every instant; a named track has one as long as its last report stands. described : what the
+    source's description says of a look; None where it says nothing.
+    """
+
+    source: str
+    due: float
+    share: float
+    described: float | None
+
+    def __str__(self) -> str:
+        said = "" if self.described is None else f"; described: {100.0 * self.described:.0f} % at a look"
+        return f"{self.source} misses {100.0 * self.share:.0f} % of what others show within its coverage{said}"
+
+
+@dataclass(frozen=True)
+class Alarmed:
+    """An alarm, from its first instant to its last, and at how many."""
+
+    alarm: Alarm
+    first_s: float
+    last_s: float
+    instants: int
+
+    def __str__(self) -> str:
+        return f"{self.alarm} (at {counted(self.instants, 'instant')})"
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What there is to know of a picture as a whole.
+
+    Attributes
+    ----------
+    instants : how many. first_s, last_s : the first and the last.
+    by_sources : confirmed objects by the most sources that showed them at one instant, from 0.
+    unconfirmed : objects that were never confirmed.
+    shown, expected_wrong, ambiguous_groups : per instant the objects that sources show, those of them expected not to
+        be exactly right, and groups with an ambiguous object.
+    misses : per source; biases : printable lines, as given; alarms; assumed : every number that nobody gave.
+    notes : what else a user should know.
+    """
+
+    instants: int
+    first_s: float
+    last_s: float
+    by_sources: tuple[int, ...]
+    unconfirmed: int
+    shown: float
+    expected_wrong: float
+    ambiguous_groups: float
+    misses: tuple[Misses, ...]
+    biases: tuple[str, ...]
+    alarms: tuple[Alarmed, ...]
+    assumed: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls, scene: Scene, objects: Mapping[str, NDArray], tallies: Sequence[Tally], biases: Sequence[str] = ()
+    ) -> Summary:
+        """Of the columns of a picture's objects and the tallies of its moments."""
+        by_sources, unconfirmed = _by_sources(objects, len(scene.feeds))
+        assumed = tuple(str(line) for feed in scene.feeds for line in feed.description.assumed)
+        return cls(
+            len(tallies), tallies[0].instant_s, tallies[-1].instant_s, by_sources, unconfirmed,
+            float(np.mean([tally.objects for tally in tallies])),
+            float(np.mean([tally.expected_wrong for tally in tallies])),
+            float(np.mean([tally.ambiguous_groups for tally in tallies])),
+            tuple(_misses(scene.feeds, tallies)), tuple(biases), tuple(_alarms(tallies)), assumed,
+            tuple(_notes(scene.feeds, tallies)),
+        )  # fmt: skip
+
+    def entries(self) -> list[tuple[str, str]]:
+        """Labels and printable words, the most important first; without what was assumed."""
+        several = len(self.by_sources) > 2
+        said = [("objects", self._objects() if several else f"{count(sum(self.by_sources))} confirmed")]
+        if self.unconfirmed:
+            said.append(("not confirmed", f"{count(self.unconfirmed)} more, seen too seldom, as false echoes are"))
+        if several:
+            said.append(("how sure", self._sure()))
+        said += [("ALARM", f"{alarm}, from {moment(alarm.first_s)}") for alarm in self.alarms]
+        labelled = {"doubt": self.notes, "offset": self.biases, "misses": self.misses}
+        return said + [(label, str(words)) for label, told in labelled.items() for words in told]
+
+    def lines(self) -> list[str]:
+        """Printable, the most important first, what was assumed at the end."""
+        return [*(f"{label}: {words}" for label, words in self.entries()), *self.assumed]
+
+    def _objects(self) -> str:
+        seen = [f"{count(n)} by {k}" for k, n in enumerate(self.by_sources) if n and k][::-1]
+        words = f"{count(sum(self.by_sources))} confirmed"
+        return words + (f", {', '.join(seen)} of {len(self.by_sources) - 1} sources at once" if seen else "")
+
+    def _sure(self) -> str:
+        wrong, groups = map(_few, (self.expected_wrong, self.ambiguous_groups))
+        return (
+            f"of {self.shown:.4g} objects at an instant {wrong} are expected not to have exactly the right records; "
+            f"ambiguous groups of neighbours at an instant: {groups}"
+        )
+
+
+def _few(mean: float) -> str:
+    """A mean count, as far as anybody wants to know it."""
+    return f"{mean:.2g}" if mean >= 1e-3 else "fewer than 0.001" if mean else "none"
+
+
+def _by_sources(objects: Mapping[str, NDArray], n_sources: int) -> tuple[tuple[int, ...], int]:
+    if not len(objects["object"]):
+        return (0,) * (n_sources + 1), 0
+    number, at = np.unique(objects["object"], return_inverse=True)
+    most, confirmed = np.zeros(len(number), np.int64), np.zeros(len(number), bool)
+    np.maximum.at(most, at, objects["n_sources"])
+    confirmed[at[np.isin(objects["stage"], ["confirmed", "coasting"])]] = True
+    return tuple(np.bincount(most[confirmed], minlength=n_sources + 1).tolist()), int(np.sum(~confirmed))
+
+
+def _misses(feeds: Sequence[Feed], tallies: Sequence[Tally]) -> Iterable[Misses]:
+    due, missed = (np.sum([getattr(tally, name) for tally in tallies], axis=0) for name in ("due", "missed"))
+    for s, feed in enumerate(feeds):
+        if due[s] >= FEWEST:
+            told = feed.description.misses.q
+            described = None if told is None else float(np.mean(told))
+            yield Misses(feed.description.name, float(due[s]), float(missed[s] / due[s]), described)
+
+
+def _alarms(tallies: Sequence[Tally]) -> list[Alarmed]:
+    found: dict[tuple[str, str, str, str], list[tuple[float, Alarm]]] = {}
+    for tally in tallies:
+        for alarm in tally.alarms:
+            key = (alarm.attribute, alarm.value, alarm.first[0], alarm.second[0])
+            found.setdefault(key, []).append((tally.instant_s, alarm))
+    return [
+        Alarmed(said[0][1], said[0][0], said[-1][0], len({instant_s for instant_s, _ in said}))
+        for said in found.values()
+    ]
+
+
+def _notes(feeds: Sequence[Feed], tallies: Sequence[Tally]) -> Iterable[str]:
+    records, shared = (np.sum([getattr(tally, name) for tally in tallies], axis=0) for name in ("records", "shared"))
+    for s, feed in enumerate(feeds):
+        name = feed.description.name
+        yield from feed.notes
+        old = np.unique(np.concatenate([tally.aged[s] for tally in tallies]))
+        if len(old):
+            yield f"{name}: {counted(len(old), 'report')} grew too uncertain to tell objects apart, left out then"
+        if not records[s]:
+            yield f"{name} says nothing at any instant; do its times lie within the picture's?"
+        elif len(feeds) > 1 and not shared[s]:
+            yield (
+                f"{name} shares no object with the others; check its times, its place, the sign of its longitudes, and "
+                "how large its errors and offsets may be"
+            )

@@ -1,0 +1,381 @@
+"""The chart of a picture at one instant, for a report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.maps.graticule import GridLine, graticule
+from sameas.maps.outline import Outline, outline
+from sameas.maps.sheet import MapSensor, MapSheet, members_of
+from sameas.plots.scene import ellipse, nice_length
+from sameas.plots.sheet import FAINT, INK, sheet
+from sameas.prose import count
+from sameas.records import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+#: The colours and marks of sources, as the page has them by day.
+COLOURS = ("#0067a5", "#007a58", "#a8407e", "#7a6200", "#5a45a8", "#2f8fc4", "#5c5c5c")
+MARKS, OWN_MARK = ("s", "D", "o", "x", "+", "v", "_"), "^"
+SEA, LAND, COAST, BORDER, GRID, RING, DOUBT, ALARM = (
+    "#e4eef4", "#efe7cd", "#9c8d62", "#b9ac86", "#c2d2dd", "#5f8aa8", "#a84300", "#b3121f",
+)  # fmt: skip
+KNOT, MILE_M = 1852.0 / 3600.0, 1852.0
+#: Seconds that course vectors may reach ahead.
+AHEAD_S = (1, 2, 5, 10, 30, 60, 180, 360, 720, 1800, 3600)
+WIDTH_IN = 11.0
+#: West, south, east and north in metres.
+Box = tuple[float, float, float, float]
+#: Labels are drawn for so many objects.
+MOST_LABELS = 200
+
+
+def chart(shown: MapSheet, instant_s: float | None = None) -> Figure:
+    """Objects with their courses, ellipses and records on coast and grid.
+
+    Parameters
+    ----------
+    instant_s : the nearest instant of the sheet is drawn; None stands for the last.
+
+    Raises
+    ------
+    InputError : matplotlib is not installed.
+
+    Example
+    -------
+    >>> from sameas.plots import save
+    >>> save(chart(shown), "map.png")  # doctest: +SKIP
+    """
+    k = len(shown.instants_s) - 1 if instant_s is None else shown.nearest(instant_s)
+    now = _Now.of(shown, k)
+    box = _box(shown)
+    # The chart fills the width; title and legend take the rest of the height.
+    height_in = WIDTH_IN * (box[3] - box[1]) / (box[2] - box[0]) + 1.7
+    figure = sheet(f"{shown.title}: {now.finding}", now.time, WIDTH_IN, height_in)
+    axes = _frame(figure, box)
+    _ground(axes, shown, box)
+    for number, sensor in enumerate(shown.sensors):
+        _coverage(axes, sensor, COLOURS[number % len(COLOURS)])
+    _rings(axes, shown, box)
+    ahead_s = _ahead_s(now, box)
+    _records(axes, now)
+    _objects(axes, now, ahead_s)
+    _labels(axes, now, box)
+    _scale(axes, box)
+    _legend(figure, now, ahead_s)
+    return figure
+
+
+class _Now:
+    """What is there at one instant of a sheet: rows of its objects and of its records."""
+
+    def __init__(self, shown: MapSheet, rows: IntArray, marks: IntArray, time_s: float) -> None:
+        self.shown, self.rows, self.marks, self.time_s = shown, rows, marks, time_s
+        self.place = {int(shown.objects["object"][row]): int(row) for row in rows}
+        self.alarmed = {
+            n
+            for a in shown.alarms
+            if a.time_s is None or shown.nearest(a.time_s) == shown.nearest(time_s)
+            for n in a.objects
+        }
+
+    @classmethod
+    def of(cls, shown: MapSheet, k: int) -> _Now:
+        o, r = shown.objects, shown.records
+        there = (shown.instant_of(o) == k) & (o["stage"] != "ended") & np.isfinite(o["x_m"].astype(np.float64))
+        return cls(shown, np.flatnonzero(there), np.flatnonzero(shown.instant_of(r) == k), float(shown.instants_s[k]))
+
+    @property
+    def finding(self) -> str:
+        o = self.shown.objects
+        doubtful, several = int(o["ambiguous"][self.rows].sum()), int((o["n_sources"][self.rows] > 1).sum())
+        plural = "" if len(self.rows) == 1 else "s"
+        words = f"{count(len(self.rows))} object{plural}, {count(several)} seen by two or more sources"
+        return words + (f", {count(doubtful)} ambiguous" if doubtful else "")
+
+    @property
+    def time(self) -> str:
+        if not self.shown.utc:
+            return f"{self.time_s:g} s"
+        words = datetime.fromtimestamp(self.time_s, UTC).strftime("%Y-%m-%d %H:%M:%S.%f")[:-4]
+        return f"{words.removesuffix('.00')} UTC"
+
+    def state(self, row: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Place (2,), velocity (2,) and covariance (2, 2) of an object."""
+        o = self.shown.objects
+        a, b, c = (o[name][row] for name in ("var_x_m2", "cov_xy_m2", "var_y_m2"))
+        place = np.array([o["x_m"][row], o["y_m"][row]], np.float64)
+        velocity = np.array([o["vx_m_per_s"][row], o["vy_m_per_s"][row]], np.float64)
+        return place, velocity, np.array([[a, b], [b, c]], np.float64)
+
+    def mark_of(self, r: int) -> FloatArray | None:
+        """Where a record is drawn: its position, or the point of its ray nearest to its object."""
+        m, owner = self.shown.records, self.place.get(int(self.shown.records["object"][r]))
+        if np.isfinite(m["x_m"][r]):
+            return np.array([m["x_m"][r], m["y_m"][r]], np.float64)
+        if owner is None or not np.isfinite(m["sensor_x_m"][r]):
+            return None
+        angle, site = np.radians(m["bearing_deg"][r]), np.array([m["sensor_x_m"][r], m["sensor_y_m"][r]])
+        along = np.array([np.sin(angle), np.cos(angle)])
+        return np.asarray(site + max(float((self.state(owner)[0] - site) @ along), 0.0) * along)
+
+
+def _box(shown: MapSheet) -> Box:
+    """West, south, east and north around sites and confirmed objects of all times, not too wide and not too high."""
+    west, south, east, north = shown.home()
+    pad = 0.06 * max(east - west, north - south)
+    half_x, half_y = (east - west) / 2.0 + pad, (north - south) / 2.0 + pad
+    half_x, half_y = max(half_x, 1.2 * half_y), max(half_y, 0.6 * half_x)
+    x, y = (west + east) / 2.0, (south + north) / 2.0
+    return x - half_x, y - half_y, x + half_x, y + half_y
+
+
+def _frame(figure: Figure, box: Box) -> Axes:
+    axes = figure.subplots()
+    axes.set_xlim(box[0], box[2])
+    axes.set_ylim(box[1], box[3])
+    axes.set_aspect("equal")
+    axes.set_facecolor(SEA)
+    axes.tick_params(length=0, labelsize=8.5, labelcolor=FAINT)
+    for spine in axes.spines.values():
+        spine.set_color(FAINT)
+    return axes
+
+
+def _ground(axes: Axes, shown: MapSheet, box: Box) -> None:
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path
+
+    lines = Outline()
+    if shown.plane is not None:
+        lines = shown.ground or outline(shown.plane, *box)
+        credit = "coast: Natural Earth, ± 1 km, not for navigation" if shown.ground is None else ""
+        axes.text(0.006, 0.008, credit, transform=axes.transAxes, fontsize=7.5, color="#5c6b76", zorder=3)
+    if lines.land:
+        # One path, so that cells that touch show no seams.
+        path = Path.make_compound_path(*(Path(np.vstack([ring, ring[:1]]), closed=True) for ring in lines.land))
+        axes.add_patch(PathPatch(path, facecolor=LAND, edgecolor="none", zorder=0.1))
+    for line in lines.coast:
+        axes.plot(*line.T, color=COAST, lw=0.8, zorder=0.3)
+    for line in lines.borders:
+        axes.plot(*line.T, color=BORDER, lw=0.8, ls=(0, (6, 3)), zorder=0.3)
+    ticks: dict[bool, list[tuple[float, str]]] = {True: [], False: []}
+    for each in graticule(shown.plane, *box):
+        axes.plot(*each.points.T, color=GRID, lw=0.7, zorder=0.2)
+        place = _crossing(each, box)
+        if place is not None:
+            ticks[each.parallel].append((place, each.words))
+    axes.set_xticks([place for place, _ in ticks[False]], [words for _, words in ticks[False]])
+    axes.set_yticks(
+        [place for place, _ in ticks[True]], [words for _, words in ticks[True]], rotation=90, va="center"
+    )  # fmt: skip
+
+
+def _crossing(line: GridLine, box: Box) -> float | None:
+    """Where a parallel crosses the left side of the frame, a meridian its lower one."""
+    axis, limit = (0, box[0]) if line.parallel else (1, box[1])
+    across = line.points[:, axis] - limit
+    sides = np.flatnonzero(across[:-1] * across[1:] <= 0)
+    if not len(sides):
+        return None
+    k = int(sides[0])
+    share = across[k] / (across[k] - across[k + 1]) if across[k] != across[k + 1] else 0.0
+    place = line.points[k] + share * (line.points[k + 1] - line.points[k])
+    other = float(place[1 - axis])
+    low, high = (box[1], box[3]) if line.parallel else (box[0], box[2])
+    return other if low <= other <= high else None
+
+
+def _coverage(axes: Axes, sensor: MapSensor, colour: str) -> None:
+    """Where a sensor sees, and its site."""
+    from matplotlib.patches import Wedge
+
+    if sensor.x_m is None or sensor.y_m is None:
+        return
+    if sensor.range_m is not None:
+        for start, stop in sensor.visible_deg:
+            # Matplotlib's angles run from east, anticlockwise.
+            site, width = (sensor.x_m, sensor.y_m), sensor.range_m - sensor.nearest_m
+            wedge = Wedge(
+                site, sensor.range_m, 90.0 - stop, 90.0 - start, width=width, facecolor="none", edgecolor=colour,
+                ls=(0, (7, 4)), lw=0.8, alpha=0.6, zorder=0.4,
+            )  # fmt: skip
+            axes.add_patch(wedge)
+    axes.plot(sensor.x_m, sensor.y_m, marker="1", color=colour, ms=12, mew=1.8, zorder=2.0)
+    axes.annotate(
+        sensor.name, (sensor.x_m, sensor.y_m), (0, -11), textcoords="offset points", ha="center", va="top",
+        fontsize=8.5, color=colour, annotation_clip=True,
+    )  # fmt: skip
+
+
+def _rings(axes: Axes, shown: MapSheet, box: Box) -> None:
+    """Ranges from the first sensor that has a site, in nautical miles, or in metres where these are small."""
+    from matplotlib.patches import Circle
+
+    site = next(((s.x_m, s.y_m) for s in shown.sensors if s.x_m is not None and s.y_m is not None), None)
+    if site is None:
+        return
+    wanted = (box[2] - box[0]) / 6.0
+    unit, words = (MILE_M, "nm") if wanted > 0.2 * MILE_M else (1.0, "m")
+    step = nice_length(wanted / unit)
+    for k in range(1, 7):
+        radius = k * step * unit
+        axes.add_patch(Circle(site, radius, fill=False, ec=RING, lw=0.6, alpha=0.7, zorder=0.35))
+        axes.text(
+            site[0], site[1] + radius, f"{k * step:g} {words}", fontsize=7.5, color=RING, ha="center", va="center",
+            clip_on=True, zorder=0.5, bbox={"facecolor": SEA, "edgecolor": "none", "pad": 0.8, "alpha": 0.7},
+        )  # fmt: skip
+
+
+def marks_of(sensors: tuple[MapSensor, ...]) -> list[str]:
+    """A mark for each source: who says himself where he is gets the triangle."""
+    free = iter(MARKS * (1 + len(sensors)))
+    return [OWN_MARK if sensor.kind in ("ais", "ads-b") else next(free) for sensor in sensors]
+
+
+def _records(axes: Axes, now: _Now) -> None:
+    r, marks = now.shown.records, marks_of(now.shown.sensors)
+    for number, sensor in enumerate(now.shown.sensors):
+        colour, mark = COLOURS[number % len(COLOURS)], marks[number]
+        own = now.marks[r["source"][now.marks] == sensor.name]
+        places = [(int(row), place) for row in own if (place := now.mark_of(int(row))) is not None]
+        for row, place in places:
+            owner = now.place.get(int(r["object"][row]))
+            if np.isfinite(r["bearing_deg"][row]):
+                site = np.array([r["sensor_x_m"][row], r["sensor_y_m"][row]])
+                axes.plot(*np.stack([site, place]).T, color=colour, lw=0.6, alpha=0.6, zorder=1.0)
+            if owner is not None:
+                axes.plot(*np.stack([now.state(owner)[0], place]).T, color=colour, lw=0.9, zorder=1.2)
+        if places:
+            points = np.array([place for _, place in places])
+            face = {} if mark in "x+_" else {"markerfacecolor": "none"}
+            axes.plot(*points.T, ls="", marker=mark, ms=5.0, mew=1.1, color=colour, zorder=1.6, **face)  # type: ignore[arg-type]
+    for start, stop in _rival_lines(now):
+        axes.plot(*np.stack([start, stop]).T, color=DOUBT, lw=1.2, ls=(0, (4, 3)), zorder=1.3)
+
+
+def _rival_lines(now: _Now) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """From ambiguous objects to the records that they would have otherwise."""
+    r, o = now.shown.records, now.shown.objects
+    place = {(str(r["source"][k]), int(r["row"][k])): int(k) for k in now.marks}
+    for row in now.rows[o["ambiguous"][now.rows].astype(bool)]:
+        for member in members_of(str(o["runner_up"][row])):
+            mark = place.get(member)
+            if mark is not None and r["object"][mark] != o["object"][row]:
+                end = now.mark_of(mark)
+                if end is not None:
+                    yield now.state(int(row))[0], end
+
+
+def _objects(axes: Axes, now: _Now, ahead_s: float) -> None:
+    """Symbols near to those of tracked radar targets: dashed while tentative, crossed while coasting."""
+    o = now.shown.objects
+    for row in now.rows:
+        place, velocity, covariance = now.state(int(row))
+        stage, doubtful = str(o["stage"][row]), bool(o["ambiguous"][row])
+        colour = ALARM if int(o["object"][row]) in now.alarmed else DOUBT if doubtful else INK
+        colour = FAINT if stage == "coasting" and colour == INK else colour
+        if np.isfinite(covariance).all():
+            axes.plot(*ellipse(place, covariance, 2.0, 61).T, color=colour, lw=0.8, alpha=0.7, zorder=1.1)
+        if np.isfinite(velocity).all():
+            style = "-" if stage == "confirmed" else (0, (4, 2.5))
+            axes.plot(*np.stack([place, place + ahead_s * velocity]).T, color=colour, lw=1.3, ls=style, zorder=1.8)
+        axes.plot(*place, "o", ms=9.5, mfc="none", mec=colour, mew=1.4 if stage == "confirmed" else 1.0, zorder=2.1,
+                  alpha=0.6 if stage == "tentative" else 1.0)  # fmt: skip
+        if stage == "coasting":
+            axes.plot(*place, "x", ms=6, mec=colour, mew=1.0, zorder=2.1)
+        elif o["n_sources"][row] > 1:
+            axes.plot(*place, "o", ms=2.6, mfc=colour, mec="none", zorder=2.1)
+        if doubtful:
+            axes.plot(*place, "o", ms=15, mfc="none", mec=DOUBT, mew=0.9, zorder=2.1)
+        if int(o["object"][row]) in now.alarmed:
+            axes.plot(*place, "^", ms=22, mfc="none", mec=ALARM, mew=1.3, zorder=2.2)
+
+
+def _labels(axes: Axes, now: _Now, box: Box) -> None:
+    """Names where there is room, the important ones first."""
+    from matplotlib.patheffects import withStroke
+
+    o = now.shown.objects
+    important = [int(o["object"][row]) in now.alarmed or bool(o["ambiguous"][row]) for row in now.rows]
+    metres_per_point = (box[2] - box[0]) / (9.2 * 72.0)
+    taken = [np.concatenate([p - 6 * metres_per_point, p + 6 * metres_per_point])
+             for p in (now.state(int(row))[0] for row in now.rows)]  # fmt: skip
+    for k in np.argsort(~np.array(important, bool), kind="stable")[:MOST_LABELS]:
+        row = int(now.rows[k])
+        words = str(o["label"][row])[:24] or f"#{o['object'][row]}"
+        size = np.array([5.4 * len(words), 11.0]) * metres_per_point
+        place = now.state(row)[0]
+        ahead = -1 if o["vx_m_per_s"][row] > 0 else 1
+        for side, up in ((1, -0.5), (-1, -0.5), (1, 0.4), (1, -1.4), (-1, 0.4), (-1, -1.4)):
+            right = side * ahead
+            aside = 9.0 * metres_per_point * right - (size[0] if right < 0 else 0.0)
+            corner = place + np.array([aside, up * size[1]])
+            spot = np.concatenate([corner, corner + size])
+            if _free(spot, taken) and box[0] < spot[0] and spot[2] < box[2]:
+                taken.append(spot)
+                axes.text(
+                    corner[0], corner[1] + size[1] / 2, words, fontsize=8.5, va="center", zorder=3, clip_on=True,
+                    color=DOUBT if o["ambiguous"][row] else INK, parse_math=False,
+                    path_effects=[withStroke(linewidth=2.2, foreground="white")],
+                )  # fmt: skip
+                break
+
+
+def _free(spot: FloatArray, taken: list[NDArray[np.float64]]) -> bool:
+    return all(spot[0] >= t[2] or spot[2] <= t[0] or spot[1] >= t[3] or spot[3] <= t[1] for t in taken)
+
+
+def _ahead_s(now: _Now, box: Box) -> float:
+    """Vectors of the faster objects are a tenth of the chart long, less where there are many."""
+    speed = np.array([np.hypot(*now.state(int(row))[1]) for row in now.rows])
+    moving = speed[speed > 0.5]
+    share = min(0.1, 1.0 / np.sqrt(max(len(now.rows), 1)))
+    wanted = share * (box[2] - box[0]) / float(np.quantile(moving, 0.9)) if len(moving) else 60.0
+    return float(min(AHEAD_S, key=lambda s: abs(np.log(s / wanted))))
+
+
+def _scale(axes: Axes, box: Box) -> None:
+    """Bars of metres and of nautical miles, and north, where the plane touches the earth."""
+    wide, high = box[2] - box[0], box[3] - box[1]
+    metres, miles = nice_length(wide / 5.0), nice_length(wide / 5.0 / MILE_M)
+    bars = [(metres, f"{metres / 1e3:g} km" if metres >= 1e3 else f"{metres:g} m")]
+    if miles >= 0.1:
+        bars.append((miles * MILE_M, f"{miles:g} nm"))
+    right = box[2] - 0.025 * wide
+    for k, (length, words) in enumerate(bars):
+        y = box[1] + (0.02 + 0.035 * k) * high
+        axes.plot([right - length, right], [y, y], color=INK, lw=2.0, solid_capstyle="butt", zorder=3)
+        axes.text(
+            right - length / 2, y + 0.004 * high, words, ha="center", va="bottom", fontsize=8.5, color=INK, zorder=3
+        )
+    x, y = box[2] - 0.03 * wide, box[3] - 0.035 * high
+    axes.annotate("", (x, y), (x, y - 0.06 * high), arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 1.2}, zorder=3)
+    axes.text(x, y + 0.004 * high, "N", ha="center", va="bottom", fontsize=10, fontweight="bold", color=INK, zorder=3)
+
+
+def _legend(figure: Figure, now: _Now, ahead_s: float) -> None:
+    from matplotlib.lines import Line2D
+
+    r, marks = now.shown.records, marks_of(now.shown.sensors)
+    handles = []
+    for number, sensor in enumerate(now.shown.sensors):
+        seen = int((r["source"][now.marks] == sensor.name).sum())
+        handles.append(Line2D([], [], ls="", marker=marks[number], color=COLOURS[number % len(COLOURS)], ms=6,
+                              mfc="none", label=f"{sensor.name} ({count(seen)})"))  # fmt: skip
+    ahead = f"{ahead_s / 60:g} min" if ahead_s >= 60 else f"{ahead_s:g} s"
+    handles += [
+        Line2D([], [], color=INK, marker="o", mfc="none", ms=8, markevery=[0], label=f"object, {ahead} ahead"),
+        Line2D([], [], ls="", marker="o", mfc="none", color=DOUBT, ms=9, label="ambiguous"),
+        Line2D([], [], ls="", marker="x", color=FAINT, ms=6, label="coasting"),
+    ]
+    if now.alarmed:
+        handles.append(Line2D([], [], ls="", marker="^", mfc="none", color=ALARM, ms=9, label="alarm"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 7), frameon=False, fontsize=9)

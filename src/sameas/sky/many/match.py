@@ -1,0 +1,307 @@
+"""Several catalogues identified at once: every object, its record in each catalogue, and how sure that is.
+
+Data passes: catalogues → identified two by two → candidates → what each record says of place and motion
+(:mod:`sameas.sky.many.stars`) → the sets that could be one star → the population, estimated with the probabilities of
+the sets (:mod:`sameas.sky.many.population`) → the best partition into stars. Nothing of it depends on the order of the
+catalogues.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.errors import InputError
+from sameas.joint import Joint
+from sameas.membership import Answer, answer
+from sameas.objects import Objects
+from sameas.records import FloatArray, IntArray, Records
+from sameas.sets import Sets, candidate_sets
+from sameas.sky.bands import OFF
+from sameas.sky.catalogue import Catalogue
+from sameas.sky.many.candidates import Candidates, Matches
+from sameas.sky.many.observers import StarObservers
+from sameas.sky.many.population import Coverages, Population, first_guess, patterns_of
+from sameas.sky.many.stars import Sightings, fitted, moving_rows
+from sameas.sky.match import MatchOptions, SkyMatch
+from sameas.sky.match import match as match_two
+from sameas.terms import Terms
+from sameas.union import Union, union
+
+#: More catalogues have more patterns than data can tell apart.
+MOST_CATALOGUES = 8
+ROUNDS = 8
+#: The population has settled when the expected number of objects of no pattern changes by more than this share of all.
+SETTLED = 3e-4
+#: Records nearer in time than this do not tell a motion.
+LEAST_SPAN_YR = 0.1
+
+
+@dataclass(frozen=True)
+class ManyOptions:
+    """What the user says beforehand; everything not said is estimated or decided by the catalogues.
+
+    epoch_jyr : of the objects' places in the answer; the mean of the catalogues' epochs if not said.
+    gate_sigmas, error_scale : as in :class:`~sameas.sky.match.MatchOptions`, of every two catalogues.
+    time_limit_s : of branch and bound in one group; where it is reached the answer states its gap.
+    """
+
+    epoch_jyr: float | None = None
+    gate_sigmas: float | None = None
+    error_scale: float | str = "auto"
+    time_limit_s: float = 60.0
+
+    def of_two(self) -> MatchOptions:
+        """The options of every two catalogues."""
+        return MatchOptions(gate_sigmas=self.gate_sigmas, error_scale=self.error_scale, magnitudes=OFF)
+
+
+@dataclass(frozen=True)
+class ManyMatch:
+    """Several catalogues identified.
+
+    catalogues : in the order given, as the sources of ``objects``. epoch_jyr : of the objects' states, None where
+    nothing was moved. objects : the answer; its ``fused.state`` is (n, 4), see :class:`StarObservers`.
+    two_by_two : the catalogues identified in pairs, by their names. expected : by names of catalogues, the expected
+    number of objects that exactly these show. rounds, settled : of the estimate. doubts : what looks wrong.
+    """
+
+    catalogues: tuple[Catalogue, ...]
+    epoch_jyr: float | None
+    objects: Objects
+    two_by_two: dict[tuple[str, str], SkyMatch]
+    expected: dict[tuple[str, ...], float]
+    rounds: int
+    settled: bool
+    doubts: tuple[str, ...]
+
+    @cached_property
+    def state(self) -> Joint:
+        """Place and motion of every object, χ² and covariance; see :class:`StarObservers`."""
+        return self.objects.fused
+
+    @cached_property
+    def motion_told(self) -> NDArray[np.bool_]:
+        """(n,) whether an object's records tell its motion: one has it, or two are of different epochs."""
+        members = np.ma.filled(self.objects.members, -1)
+        told = np.zeros(len(members), bool)
+        first, last = np.full(len(members), np.inf), np.full(len(members), -np.inf)
+        for k, catalogue in enumerate(self.catalogues):
+            here = np.flatnonzero(members[:, k] >= 0)
+            rows = members[here, k]
+            epoch = catalogue.astrometry.epoch_jyr[rows]
+            told[here] |= moving_rows(catalogue)[rows]
+            first[here], last[here] = np.fmin(first[here], epoch), np.fmax(last[here], epoch)
+        return told | (last - first > LEAST_SPAN_YR)
+
+    @cached_property
+    def broken(self) -> int:
+        """How many pairs that the catalogues two by two make are not kept by all together."""
+        names = [catalogue.name for catalogue in self.catalogues]
+        number = [np.ma.filled(self.objects.of(name).object, -1) for name in names]
+        total = 0
+        for (a, b), match in self.two_by_two.items():
+            found = match.result.matches
+            one, two = number[names.index(a)][found.rows_1], number[names.index(b)][found.rows_2]
+            total += int(np.count_nonzero(one != two))
+        return total
+
+
+def match_many(
+    catalogues: Sequence[Catalogue],
+    options: ManyOptions | None = None,
+    *,
+    progress: Callable[[str], None] = lambda stage: None,
+) -> ManyMatch:
+    """Identify two catalogues or more, all at once.
+
+    Parameters
+    ----------
+    catalogues : understood, of different names; their order changes nothing.
+    options : what is known beforehand.
+    progress : called with the name of what is being done.
+
+    Raises
+    ------
+    InputError : fewer than two catalogues or too many, two of one name, no usable rows, motions without an epoch.
+    """
+    options = ManyOptions() if options is None else options
+    _refuse(catalogues)
+    order = sorted(range(len(catalogues)), key=lambda k: _content(catalogues[k]))
+    epoch, ordered = _at_one_time([catalogues[k] for k in order], options.epoch_jyr)
+    matches = _two_by_two(ordered, options, progress)
+    progress("candidates of all")
+    records = [catalogue.records(epoch) for catalogue in ordered]
+    sightings = tuple(Sightings.of(c, r, epoch) for c, r in zip(ordered, records, strict=True))
+    candidates = Candidates.of(matches, records, sightings)
+    given = [records[order.index(k)] for k in range(len(order))]
+    together = union(given, candidates)
+    coverages = {pair: match.estimate.coverage for pair, match in matches.items()}
+    observers = StarObservers.of(together, records, sightings, _first_guess(matches, records, coverages, options))
+    found = _settled(replace(together, observers=observers), coverages, options, progress)
+    objects = Objects(tuple(given), found.union, found.sets, found.answer, found.terms)
+    expected = _by_names(found.expected, order, [catalogue.name for catalogue in catalogues])
+    pairs = {(ordered[a].name, ordered[b].name): match for (a, b), match in matches.items()}
+    doubts = _doubts(pairs, objects, found.settled)
+    return ManyMatch(tuple(catalogues), epoch, objects, pairs, expected, found.rounds, found.settled, doubts)
+
+
+def _two_by_two(
+    catalogues: Sequence[Catalogue], options: ManyOptions, progress: Callable[[str], None]
+) -> dict[tuple[int, int], SkyMatch]:
+    """Every two catalogues identified with each other."""
+    matches = {}
+    for a, b in combinations(range(len(catalogues)), 2):
+        stages = partial(_stage, progress, f"{catalogues[a].name} and {catalogues[b].name}")
+        matches[a, b] = match_two(catalogues[a], catalogues[b], options.of_two(), progress=stages)
+    return matches
+
+
+def _by_names(expected: FloatArray, order: list[int], names: list[str]) -> dict[tuple[str, ...], float]:
+    """Expected numbers of objects by names, as the catalogues were given; those of one catalogue first."""
+    shown = {}
+    for pattern, number in enumerate(expected.tolist()):
+        within = tuple(sorted(order[s] for s in range(len(order)) if pattern >> s & 1))
+        if within:
+            shown[within] = number
+    return {tuple(names[k] for k in within): shown[within] for within in sorted(shown, key=lambda w: (len(w), w))}
+
+
+def _stage(progress: Callable[[str], None], names: str, stage: str) -> None:
+    progress(f"{names}: {stage}")
+
+
+@dataclass(frozen=True)
+class _Found:
+    """The answer with the population that it was found with; ``expected`` (2^S,) objects of every pattern."""
+
+    union: Union
+    sets: Sets
+    terms: Terms
+    answer: Answer
+    expected: FloatArray
+    rounds: int
+    settled: bool
+
+
+def _settled(together: Union, coverages: Coverages, options: ManyOptions, progress: Callable[[str], None]) -> _Found:
+    """Population and probabilities estimated in turn, until they settle."""
+    observers = together.observers
+    assert isinstance(observers, StarObservers)
+    progress("sets of all")
+    sets = candidate_sets(together, observers.terms(together))
+    placed = observers.placed(together.positions(sets.members))
+    weighing = _Weighing.of(placed, observers)
+    before = np.full(1 << len(observers.sources), -1.0)
+    population = observers.population
+    for number in range(1, ROUNDS + 1):
+        progress(f"estimation of all, round {number}")
+        weighed = replace(sets, log_weight=weighing(population))
+        best = answer(weighed, together, None, time_limit_s=options.time_limit_s)
+        expected = np.bincount(weighing.patterns, best.probability, len(before)).astype(np.float64)
+        settled = bool(np.abs(expected - before).max() <= SETTLED * expected.sum() + 0.01)
+        if settled or number == ROUNDS:
+            break
+        before = expected
+        population = population.learned(placed, weighing.chi_sq, best.probability, coverages)
+    observers = replace(observers, population=population)
+    together = replace(together, observers=observers)
+    return _Found(together, weighed, observers.terms(together), best, expected, number, settled)
+
+
+@dataclass(frozen=True)
+class _Weighing:
+    """Sets (k, S) of records and the part of their weight that no population changes; 0 for one record alone."""
+
+    sets: IntArray
+    patterns: IntArray
+    several: IntArray
+    log_peak: FloatArray
+    chi_sq: FloatArray
+
+    @classmethod
+    def of(cls, sets: IntArray, observers: StarObservers) -> _Weighing:
+        patterns = patterns_of(sets)
+        several = np.flatnonzero(patterns & (patterns - 1))
+        fit = fitted(observers.sightings, sets[several])
+        log_peak, chi_sq = np.zeros(len(sets)), np.zeros(len(sets))
+        log_peak[several], chi_sq[several] = fit.log_peak, fit.chi_sq
+        return cls(sets, patterns, several, log_peak, chi_sq)
+
+    def __call__(self, population: Population) -> FloatArray:
+        """(k,) ln w under a population."""
+        k, weight = self.several, self.log_peak.copy()
+        sets, patterns = self.sets[k], self.patterns[k]
+        weight[k] += population.log_spread(patterns, self.chi_sq[k]) + population.log_together(sets, patterns)
+        for s in range(sets.shape[1]):
+            here = np.flatnonzero(sets[:, s] >= 0)
+            weight[k[here]] -= population.log_alone(s)[sets[here, s]]
+        return weight
+
+
+def _first_guess(
+    matches: Matches, records: Sequence[Records], coverages: Coverages, options: ManyOptions
+) -> Population:
+    """The population that the catalogues two by two make one believe in."""
+    partnered: dict[tuple[int, int], FloatArray] = {}
+    for (a, b), match in matches.items():
+        for s, t, answers in ((a, b, match.result.answers_1), (b, a, match.result.answers_2)):
+            partnered[s, t] = 1.0 - np.ma.filled(answers.p_none, 1.0)[records[s].rows]
+    spread = {1 << a | 1 << b: match.estimate.errors for (a, b), match in matches.items()}
+    return first_guess(coverages, partnered, spread, options.error_scale == "auto")
+
+
+def _refuse(catalogues: Sequence[Catalogue]) -> None:
+    if not 2 <= len(catalogues) <= MOST_CATALOGUES:
+        raise InputError(f"{len(catalogues)} catalogues given; give two to {MOST_CATALOGUES}, as a list")
+    names = [catalogue.name for catalogue in catalogues]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"two catalogues are named {twice!r}; give each a name of its own")
+
+
+def _content(catalogue: Catalogue) -> tuple[object, ...]:
+    """What a catalogue is ordered by: what it says, however its rows are ordered."""
+    epoch = catalogue.epoch_jyr
+    place = np.sort(catalogue.astrometry.ra_deg).tobytes()
+    return len(catalogue), -np.inf if epoch is None else epoch, place, catalogue.name
+
+
+def _at_one_time(catalogues: list[Catalogue], asked: float | None) -> tuple[float | None, list[Catalogue]]:
+    """The reference epoch, and the catalogues; without their epochs where these are not known of all.
+
+    Raises
+    ------
+    InputError : some move, and not all epochs are known.
+    """
+    epochs = [catalogue.epoch_jyr for catalogue in catalogues]
+    unknown = [c.name for c, epoch in zip(catalogues, epochs, strict=True) if epoch is None]
+    if not unknown:
+        return (
+            float(np.mean([epoch for epoch in epochs if epoch is not None])) if asked is None else asked
+        ), catalogues
+    if asked is not None or any(catalogue.has_motion for catalogue in catalogues):
+        raise InputError(
+            f"{unknown[0]}: its epoch is not known, so stars cannot be moved to or from it; say --epoch YEAR"
+        )
+    still = [replace(c, astrometry=replace(c.astrometry, epoch_jyr=np.full(len(c), np.nan))) for c in catalogues]
+    return None, still
+
+
+def _doubts(pairs: dict[tuple[str, str], SkyMatch], objects: Objects, settled: bool) -> tuple[str, ...]:
+    doubts = [f"{a} and {b}: {words}" for (a, b), match in pairs.items() for words in match.doubts]
+    if not settled:
+        doubts.append("the estimates of all catalogues had not settled when the rounds ran out")
+    groups = objects.groups
+    rough = int(np.count_nonzero(~groups.exact))
+    if rough:
+        doubts.append(f"{rough} groups are entangled; their probabilities are approximate")
+    open_ = int(np.count_nonzero(groups.gap > 0))
+    if open_:
+        doubts.append(f"in {open_} groups a better partition could exist, at most e^{groups.gap.max():.2g} as probable")
+    return tuple(doubts)

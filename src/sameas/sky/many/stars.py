@@ -1,0 +1,228 @@
+"""Stars: what several catalogues, each at its own epoch, see of one star's place and motion.
+
+A star is at x at a reference epoch T and moves by v. A record seen at epoch t without a motion says z = x + (t − T) v;
+one with a motion says both, x and v, carried to T. With Λ, η and χ² summed over the records of a set as in
+:mod:`sameas.joint`, on the tangent plane at the set's first record, the density of their places is
+
+    ln J = Σ ln norm + 2 ln 2π − ½ ln|Λ| − ½ χ²,
+
+less the same of the motions alone where two records or more have one: the places are judged, given that their motions
+are one motion, as :func:`sameas.sky.match.match` judges them. Where no record of a set has a motion, v is normal about
+0 with the standard deviation that the catalogues were given for motions that are not known. So a star of large motion
+is found in catalogues without motions wherever one catalogue has it, in both directions of time; a common epoch cannot
+do that. For two catalogues J is the density of the residual at the common epoch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.areas import displaced
+from sameas.evidence.spread import LOG_2PI
+from sameas.records import FloatArray, IntArray, Records
+from sameas.sky import cells
+from sameas.sky.catalogue import Catalogue
+from sameas.sky.motion import propagate
+from sameas.space import sphere_offset
+
+BoolArray = NDArray[np.bool_]
+#: Rows worked on at a time.
+CHUNK = 100_000
+#: Standard deviation of a place that no time separates from the reference epoch is not touched by the motion's.
+_STILL_ARCSEC_PER_YR = 1.0
+#: Of the six parameters of an :class:`~sameas.sky.motion.Astrometry`: place and proper motion.
+_PLACE_AND_MOTION = np.array([0, 1, 3, 4])
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """What one catalogue's usable records say of place and motion; lengths in arcsec, times in years, axes east, north.
+
+    Attributes
+    ----------
+    direction : (n, 2) right ascension and declination, degrees: at the reference epoch where the motion is known, at
+        the record's own epoch where not.
+    motion : (n, 2) proper motion, 0 where it is not known.
+    precision : (n, 4, 4) of (place, motion) at the reference epoch. log_norm : (n,) ln of their normal's factor.
+    moving : (n,) whether the motion is known.
+    motion_precision : (n, 2, 2), 0 where it is not known. motion_log_norm : (n,) the same of the motion alone.
+    unknown_motion : (n,) standard deviation of a motion that is not known.
+    """
+
+    direction: FloatArray
+    motion: FloatArray
+    precision: FloatArray
+    log_norm: FloatArray
+    moving: BoolArray
+    motion_precision: FloatArray
+    motion_log_norm: FloatArray
+    unknown_motion: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.direction)
+
+    def at(self, rows: IntArray) -> Sightings:
+        """Those of some records."""
+        return Sightings(**{name: values[rows] for name, values in vars(self).items()})
+
+    @classmethod
+    def of(cls, catalogue: Catalogue, records: Records, epoch_jyr: float | None) -> Sightings:
+        """Those of the ``records`` of a catalogue; ``epoch_jyr`` None where nothing moves."""
+        part = catalogue.astrometry[records.rows]
+        covariance = 1e-6 * part.covariance[:, :2, :2]
+        direction, motion = np.column_stack([part.ra_deg, part.dec_deg]), np.zeros((len(records), 2))
+        span = np.zeros(len(records)) if epoch_jyr is None else part.epoch_jyr - epoch_jyr
+        inverse = np.linalg.inv(covariance)
+        # z = (1, span) (x, v)
+        precision = np.empty((len(records), 4, 4))
+        precision[:, :2, :2] = inverse
+        precision[:, :2, 2:] = precision[:, 2:, :2] = span[:, None, None] * inverse
+        precision[:, 2:, 2:] = span[:, None, None] ** 2 * inverse
+        log_norm = _log_norm(covariance)
+        moving = np.zeros(len(records), bool) if epoch_jyr is None else moving_rows(catalogue)[records.rows]
+        motion_precision, motion_log_norm = np.zeros((len(records), 2, 2)), np.zeros(len(records))
+        k = np.flatnonzero(moving)
+        if len(k):
+            carried = propagate(part[k], float(epoch_jyr or 0.0))
+            both = 1e-6 * carried.covariance[:, _PLACE_AND_MOTION[:, None], _PLACE_AND_MOTION]
+            direction[k] = np.column_stack([carried.ra_deg, carried.dec_deg])
+            motion[k] = 1e-3 * np.column_stack([carried.pm_ra_mas_per_yr, carried.pm_dec_mas_per_yr])
+            precision[k], log_norm[k] = np.linalg.inv(both), _log_norm(both)
+            alone = both[:, 2:, 2:]
+            motion_precision[k], motion_log_norm[k] = np.linalg.inv(alone), _log_norm(alone)
+        unknown = 1e-3 * np.sqrt(part.covariance[:, 3, 3])
+        unknown = np.where(moving | (unknown <= 0.0) | (epoch_jyr is None), _STILL_ARCSEC_PER_YR, unknown)
+        return cls(direction, motion, precision, log_norm, moving, motion_precision, motion_log_norm, unknown)
+
+
+class Fit(NamedTuple):
+    """Per set (k,): ``log_peak`` ln J without its −½ χ², ``chi_sq`` χ² of 2 (size − 1) degrees of freedom.
+
+    direction, motion : (k, 2) of the star at the reference epoch. covariance : (k, 4, 4) of both.
+    judged : whether χ² judges the records' errors; where no record has a motion and time has passed between them, it
+        tells of the motions.
+    """
+
+    log_peak: FloatArray
+    chi_sq: FloatArray
+    direction: FloatArray
+    motion: FloatArray
+    covariance: FloatArray
+    judged: BoolArray
+
+
+def fitted(sightings: tuple[Sightings, ...], sets: NDArray[np.integer]) -> Fit:
+    """The star of each of the ``sets`` (k, catalogues) of records, named by position, −1 for none; none is empty."""
+    parts = [_fitted(sightings, sets[low : low + CHUNK]) for low in range(0, max(len(sets), 1), CHUNK)]
+    return parts[0] if len(parts) == 1 else Fit(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _fitted(sightings: tuple[Sightings, ...], sets: NDArray[np.integer]) -> Fit:
+    anchor = _anchors(sightings, sets)
+    whole, motions = _Sum.of(len(sets), 4), _Sum.of(len(sets), 2)
+    moving, spread = np.zeros(len(sets), np.int64), np.zeros(len(sets))
+    for s, catalogue in enumerate(sightings):
+        k = np.flatnonzero(sets[:, s] >= 0)
+        seen = catalogue.at(sets[k, s])
+        offset, turn = _on_axes_of(anchor[k], seen.direction)
+        velocity = np.einsum("kvw,kw->kv", turn, seen.motion)
+        axes = np.zeros((len(k), 4, 4))
+        axes[:, :2, :2] = axes[:, 2:, 2:] = turn
+        whole.add(k, np.column_stack([offset, velocity]), _turned(seen.precision, axes), seen.log_norm)
+        motions.add(k, velocity, _turned(seen.motion_precision, turn), seen.motion_log_norm)
+        moving[k] += seen.moving
+        spread[k] = np.maximum(spread[k], np.where(seen.moving, 0.0, seen.unknown_motion))
+    still = np.flatnonzero(moving == 0)
+    open_motion = np.zeros((len(still), 4, 4))
+    open_motion[:, [2, 3], [2, 3]] = 1.0 / spread[still, None] ** 2
+    whole.add(still, np.zeros((len(still), 4)), open_motion, -LOG_2PI - 2.0 * np.log(spread[still]))
+    log_peak, chi_sq, state, covariance = whole.solved()
+    judged = (moving > 0) | ~whole.information[:, :2, 2:].any(axis=(1, 2))
+    several = np.flatnonzero(moving > 1)
+    if len(several):
+        peak, own, _, _ = motions.at(several).solved()
+        log_peak[several] -= peak
+        chi_sq[several] -= own
+    return Fit(log_peak, np.maximum(chi_sq, 0.0), displaced(anchor, state[:, :2]), state[:, 2:], covariance, judged)
+
+
+@dataclass(frozen=True)
+class _Sum:
+    """Information, vector, square and ln of the factors of many normals, set by set."""
+
+    information: FloatArray
+    vector: FloatArray
+    square: FloatArray
+    log_norm: FloatArray
+
+    @classmethod
+    def of(cls, k: int, d: int) -> _Sum:
+        return cls(np.zeros((k, d, d)), np.zeros((k, d)), np.zeros(k), np.zeros(k))
+
+    def at(self, k: IntArray) -> _Sum:
+        return _Sum(self.information[k], self.vector[k], self.square[k], self.log_norm[k])
+
+    def add(self, k: IntArray, value: FloatArray, precision: FloatArray, log_norm: FloatArray) -> None:
+        """A normal about ``value`` more for each of the sets k."""
+        weighted = np.einsum("kvw,kw->kv", precision, value)
+        self.information[k] += precision
+        self.vector[k] += weighted
+        self.square[k] += np.einsum("kv,kv->k", value, weighted)
+        self.log_norm[k] += log_norm
+
+    def solved(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """ln of the integral's peak (k,), χ² (k,), the mean (k, d) and its covariance (k, d, d)."""
+        covariance = np.linalg.inv(self.information)
+        covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
+        mean = np.einsum("kvw,kw->kv", covariance, self.vector)
+        chi_sq = np.maximum(self.square - np.einsum("kv,kv->k", self.vector, mean), 0.0)
+        log_peak = self.log_norm + 0.5 * (self.vector.shape[1] * LOG_2PI - np.linalg.slogdet(self.information)[1])
+        return log_peak, chi_sq, mean, covariance
+
+
+def _anchors(sightings: tuple[Sightings, ...], sets: NDArray[np.integer]) -> FloatArray:
+    """(k, 2) the direction of each set's first record."""
+    at = np.full((len(sets), 2), np.nan)
+    for s in reversed(range(len(sightings))):
+        here = sets[:, s] >= 0
+        at[here] = sightings[s].direction[sets[here, s]]
+    return at
+
+
+def _on_axes_of(at: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Offsets (k, 2) of directions from ``at``, arcsec, on the axes of ``at``, and the turn (k, 2, 2) to those axes."""
+    offset = sphere_offset(direction[:, 0], direction[:, 1], at[:, 0], at[:, 1])
+    turn = direction[:, 0] - at[:, 0]
+    half_lon = np.radians(turn - 360.0 * np.round(turn / 360.0)) / 2.0
+    half_lat, middle = np.radians(direction[:, 1] - at[:, 1]) / 2.0, np.radians(direction[:, 1] + at[:, 1]) / 2.0
+    # θ/2 of :class:`sameas.space.Sphere`: the offset lies on axes halfway, what a record says on its own.
+    half = np.arctan2(np.sin(half_lon) * np.sin(middle), np.cos(half_lon) * np.cos(half_lat))
+    return np.einsum("kvw,kw->kv", _turn(-half), offset), _turn(-2.0 * half)
+
+
+def _turn(angle: FloatArray) -> FloatArray:
+    """(k, 2, 2) matrices that add ``angle`` to the position angle of (east, north)."""
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return np.stack([cosine, sine, -sine, cosine], axis=1).reshape(-1, 2, 2)
+
+
+def _turned(precision: FloatArray, turn: FloatArray) -> FloatArray:
+    return turn @ precision @ turn.transpose(0, 2, 1)
+
+
+def _log_norm(covariance: FloatArray) -> FloatArray:
+    return -0.5 * (covariance.shape[1] * LOG_2PI + np.linalg.slogdet(covariance)[1])
+
+
+def moving_rows(catalogue: Catalogue) -> BoolArray:
+    """(n,) the rows of the table that have a proper motion."""
+    known = np.ones(len(catalogue), bool)
+    for column in catalogue.choice.motion[1:3]:
+        if column is None:
+            return np.zeros(len(catalogue), bool)
+        known &= np.isfinite(cells.numbers(catalogue.table, column.name, catalogue.name))
+    return known

@@ -1,0 +1,225 @@
+"""Biases: how a source that is set up wrongly displaces what it shows, and what it would have shown without.
+
+Six numbers say it, in the order of :data:`BIASES`. A sensor with a site reads ranges and azimuths too large; any
+source may be shifted as a whole, and its stamps may be late.
+
+- :class:`BiasModel`: from where an object is to where the source shows it, and back, with derivatives.
+- :class:`Between`: the offset between two such sources, for :mod:`sameas.registration`.
+- :class:`Turned`: the same for directions.
+
+A bias in range is one along the ground: for targets at a steep elevation it is not quite that of the slant range.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sameas.records import FloatArray, Records
+from sameas.registration.offsets import RADIAN, Offset
+
+#: Range read too long; azimuth read too far clockwise; 0.01 reads 1 % too far; stamps too late; shown too far east,
+#: north.
+BIASES = ("range_m", "azimuth_deg", "range_gain", "time_s", "east_m", "north_m")
+RANGE, AZIMUTH, GAIN, TIME, EAST, NORTH = range(6)
+
+
+@dataclass(frozen=True)
+class Displaced:
+    """Places (…, n, 2) after a displacement, and their derivatives by those before (…, n, 2, 2) and by the biases."""
+
+    place: FloatArray
+    by_place: FloatArray
+    by_bias: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class BiasModel:
+    """What biases θ (…, 6), in the order of :data:`BIASES`, do to what one source shows.
+
+    site_m : (2,), or (n, 2) where it moves, east and north of the sensor; None for a source that is in no one place.
+    """
+
+    site_m: ArrayLike | None = None
+
+    def shown(self, place: FloatArray, velocity: FloatArray, theta: FloatArray) -> Displaced:
+        """Where the source shows objects that are at ``place`` (…, n, 2) with ``velocity`` (n, 2)."""
+        before = place - velocity * theta[..., TIME, None]
+        shift, eye = theta[..., EAST:], np.broadcast_to(np.eye(2), (*before.shape, 2))
+        if self.site_m is None:
+            read, by_place, polar = before, eye, np.zeros((*before.shape, 3))
+        else:
+            site = np.asarray(self.site_m, dtype=np.float64)
+            true_m, along, across = _polar(before - site)
+            read_m = true_m * (1.0 + theta[..., GAIN]) + theta[..., RANGE]
+            along_read, across_read = _turned(along, across, theta[..., AZIMUTH])
+            read = site + read_m[..., None] * along_read
+            stretched = (1.0 + theta[..., GAIN])[..., None, None] * _outer(along_read, along)
+            by_place = stretched + (read_m / true_m)[..., None, None] * _outer(across_read, across)
+            moves = along_read, RADIAN * read_m[..., None] * across_read, true_m[..., None] * along_read
+            polar = np.stack(np.broadcast_arrays(*moves), axis=-1)
+        late = -np.einsum("...vw,...w->...v", by_place, np.broadcast_to(velocity, before.shape))
+        by_bias = np.concatenate([polar, late[..., None], np.broadcast_to(eye, by_place.shape)], axis=-1)
+        return Displaced(read + shift, by_place, by_bias)
+
+    def undone(self, shown: FloatArray, velocity: FloatArray, theta: FloatArray) -> Displaced:
+        """Where objects are that the source shows at ``shown`` (…, n, 2): the inverse of :meth:`shown`."""
+        read = shown - theta[..., EAST:]
+        if self.site_m is not None:
+            site = np.asarray(self.site_m, dtype=np.float64)
+            read_m, along_read, across_read = _polar(read - site)
+            along, _ = _turned(along_read, across_read, -theta[..., AZIMUTH])
+            read = site + ((read_m - theta[..., RANGE]) / (1.0 + theta[..., GAIN]))[..., None] * along
+        place = read + velocity * theta[..., TIME, None]
+        forward = self.shown(place, velocity, theta)
+        back = _inverse(forward.by_place)
+        return Displaced(place, back, -back @ forward.by_bias)
+
+
+def _polar(arm: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Range, and the unit vectors along and across (clockwise) the line of sight; away from the sensor itself."""
+    angle = np.arctan2(arm[..., 0], arm[..., 1])
+    sine, cosine = np.sin(angle), np.cos(angle)
+    distance = np.maximum(np.hypot(arm[..., 0], arm[..., 1]), 1e-6)
+    return distance, np.stack([sine, cosine], axis=-1), np.stack([cosine, -sine], axis=-1)
+
+
+def _turned(along: FloatArray, across: FloatArray, azimuth_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The same unit vectors, clockwise by an angle."""
+    cosine, sine = np.cos(RADIAN * azimuth_deg)[..., None], np.sin(RADIAN * azimuth_deg)[..., None]
+    return cosine * along + sine * across, cosine * across - sine * along
+
+
+def _inverse(matrix: FloatArray) -> FloatArray:
+    """Of (…, 2, 2), faster than for any size."""
+    (a, b), (c, d) = (matrix[..., 0, 0], matrix[..., 0, 1]), (matrix[..., 1, 0], matrix[..., 1, 1])
+    adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
+    return np.asarray(adjugate / (a * d - b * c)[..., None, None])
+
+
+def _outer(one: FloatArray, other: FloatArray) -> FloatArray:
+    return np.asarray(one[..., :, None] * other[..., None, :])
+
+
+@dataclass(frozen=True, eq=False)
+class Between(Offset):
+    """The offset between two sources: the second's records are moved to where the first would show them.
+
+    first, second : their models. velocity : (n, 2) of the second source's records, 0 where not known.
+    prior : (12,) prior standard deviations of the biases of the first and of the second; 0 leaves one out.
+    """
+
+    first: BiasModel
+    second: BiasModel
+    velocity: FloatArray
+    prior: tuple[float, ...]
+
+    @property
+    def which(self) -> tuple[int, ...]:
+        """Numbers of the biases that are looked for; those of the second source count from 6."""
+        return tuple(k for k, width in enumerate(self.prior) if width > 0.0)
+
+    @property
+    def names(self) -> tuple[str, ...]:  # type: ignore[override]
+        return tuple(f"{('first', 'second')[k // 6]}_{BIASES[k % 6]}" for k in self.which)
+
+    @property
+    def units(self) -> tuple[str, ...]:  # type: ignore[override]
+        return tuple(("m", "deg", "", "s", "m", "m")[k % 6] for k in self.which)
+
+    @property
+    def widths(self) -> tuple[float, ...]:  # type: ignore[override]
+        return tuple(self.prior[k] for k in self.which)
+
+    def placed(self, first: Records, second: Records) -> Between:
+        return self
+
+    def moved(self, features: FloatArray, theta: FloatArray) -> FloatArray:
+        return self._displaced(features, theta).place
+
+    def jacobian(self, features: FloatArray, theta: FloatArray) -> FloatArray:
+        return self._displaced(features, theta).by_bias[..., list(self.which)]
+
+    def carried(self, features: FloatArray, theta: FloatArray) -> FloatArray:
+        return self._displaced(features, theta).by_place
+
+    def _displaced(self, features: FloatArray, theta: FloatArray) -> Displaced:
+        every = np.zeros((*theta.shape[:-1], 12))
+        every[..., list(self.which)] = theta
+        if not any(self.prior[:6]):
+            true = self.second.undone(features, self.velocity, every[..., 6:])
+            return replace(true, by_bias=np.concatenate([np.zeros_like(true.by_bias), true.by_bias], axis=-1))
+        if not any(self.prior[6:]):
+            there = self.first.shown(features, self.velocity, every[..., :6])
+            return replace(there, by_bias=np.concatenate([there.by_bias, np.zeros_like(there.by_bias)], axis=-1))
+        true = self.second.undone(features, self.velocity, every[..., 6:])
+        there = self.first.shown(true.place, self.velocity, every[..., :6])
+        by_bias = np.concatenate(np.broadcast_arrays(there.by_bias, there.by_place @ true.by_bias), axis=-1)
+        return Displaced(there.place, there.by_place @ true.by_place, by_bias)
+
+    def chart(self, features: FloatArray) -> FloatArray:
+        site = self._charted()[1]
+        if site is None:
+            return features
+        arm = features - np.asarray(site)
+        return np.stack([np.hypot(arm[..., 0], arm[..., 1]), np.degrees(np.arctan2(arm[..., 0], arm[..., 1]))], axis=-1)
+
+    def periods(self, d: int) -> list[float]:
+        return [math.inf, math.inf if self._charted()[1] is None else 360.0]
+
+    def voted(self, d: int) -> list[tuple[int | None, float]]:
+        start, site = self._charted()
+        pair = (EAST, NORTH) if site is None else (RANGE, AZIMUTH)
+        # What the first reads too much is added to the records; what the second reads too much is taken off.
+        per = -1.0 if start else 1.0
+        return [(self.which.index(k + start) if k + start in self.which else None, per) for k in pair]
+
+    def turns(self) -> list[tuple[FloatArray, float]]:
+        shown = {at for at, _ in self.voted(2)}
+        p = len(self.which)
+        return [(np.eye(p)[at], self.widths[at]) for at in range(p) if at not in shown]
+
+    def _charted(self) -> tuple[int, ArrayLike | None]:
+        """Whose biases the chart shows (0 or 6), and from which site: the one that may be turned farther."""
+        polar = [side for side in (0, 6) if self.prior[side + RANGE] or self.prior[side + AZIMUTH]]
+        if polar:
+            start = max(polar, key=lambda side: self.prior[side + AZIMUTH])
+            return start, (self.second if start else self.first).site_m
+        return (0 if self.prior[EAST] > self.prior[EAST + 6] else 6), None
+
+
+@dataclass(frozen=True)
+class Turned(Offset):
+    """The azimuth bias of a source of directions, the second: features are degrees clockwise from north."""
+
+    azimuth_deg: float
+
+    names = ("second_azimuth_deg",)
+    units = ("deg",)
+
+    @property
+    def which(self) -> tuple[int, ...]:
+        """As :attr:`Between.which`."""
+        return (AZIMUTH + 6,)
+
+    @property
+    def widths(self) -> tuple[float, ...]:  # type: ignore[override]
+        return (self.azimuth_deg,)
+
+    def placed(self, first: Records, second: Records) -> Turned:
+        return self
+
+    def moved(self, features: FloatArray, theta: FloatArray) -> FloatArray:
+        return features - theta
+
+    def jacobian(self, features: FloatArray, theta: FloatArray) -> FloatArray:
+        return np.full((*np.broadcast_shapes(features.shape, theta.shape), 1), -1.0)
+
+    def periods(self, d: int) -> list[float]:
+        return [360.0]
+
+    def voted(self, d: int) -> list[tuple[int | None, float]]:
+        return [(0, -1.0)]

@@ -1,0 +1,95 @@
+"""GeoJSON and tables of a picture: what is written comes back, and a map program understands it."""
+
+import json
+
+import numpy as np
+import pytest
+
+from sameas.errors import InputError
+from sameas.io.columns import write_columns
+from sameas.io.geojson import write_geojson
+from sameas.io.tables import read_provenance, read_table
+
+NOON_S = 1_700_000_000.25
+
+
+def objects():
+    hidden = np.array([False, False, True])
+    return {
+        "time_s": np.array([NOON_S, NOON_S, NOON_S]),
+        "object": np.array([1, 2, 3]),
+        "lat_deg": np.ma.MaskedArray([50.123456789, -10.0, 0.0], hidden),
+        "lon_deg": np.ma.MaskedArray([-1.5, 179.9995, 0.0], hidden),
+        "x_m": np.ma.MaskedArray([1234.56789012, 2.0, 0.0], hidden),
+        "probability": np.array([0.999999, 0.5, np.nan]),
+        "label": np.array(["Ålesund \"7\"", "", ""]),
+        "ambiguous": np.array([False, True, False]),
+    }  # fmt: skip
+
+
+def records():
+    return {
+        "time_s": np.full(5, NOON_S),
+        "object": np.array([1, 2, 2, 3, 2]),
+        "lat_deg": np.ma.MaskedArray([50.0, -10.001, -9.999, 1.0, 0.0], [False] * 4 + [True]),
+        "lon_deg": np.ma.MaskedArray([-1.5, 179.999, -179.9995, 1.0, 0.0], [False] * 4 + [True]),
+    }
+
+
+def test_objects_are_points_longitude_first(tmp_path):
+    write_geojson(objects(), tmp_path / "o.geojson")
+    whole = json.loads((tmp_path / "o.geojson").read_text(encoding="utf-8"))
+    assert set(whole) == {"type", "features"} and whole["type"] == "FeatureCollection"
+    first, second, third = whole["features"]
+    assert first["geometry"] == {"type": "Point", "coordinates": [-1.5, 50.1234568]}
+    assert first["properties"] == {
+        "time": "2023-11-14T22:13:20.250000Z", "time_s": NOON_S, "object": 1, "x_m": 1234.56789,
+        "probability": 0.999999, "label": 'Ålesund "7"', "ambiguous": False,
+    }  # fmt: skip
+    assert second["properties"]["label"] is None and second["properties"]["ambiguous"] is True
+    assert (
+        third["geometry"] is None and third["properties"]["probability"] is None and third["properties"]["x_m"] is None
+    )
+
+
+def test_lines_go_to_the_records_and_are_cut_at_the_antimeridian(tmp_path):
+    write_geojson(objects(), tmp_path / "o.geojson", records=records())
+    *points, line = json.loads((tmp_path / "o.geojson").read_text())["features"]
+    assert len(points) == 3 and line["properties"]["object"] == 2
+    assert line["geometry"]["type"] == "MultiLineString"
+    straight, west, east = line["geometry"]["coordinates"]
+    assert straight == [[179.9995, -10.0], [179.999, -10.001]]
+    assert west == [[179.9995, -10.0], [180.0, -9.9995]] and east == [[-180.0, -9.9995], [-179.9995, -9.999]]
+
+
+def test_seconds_of_ones_own_have_no_date(tmp_path):
+    mine = objects() | {"time_s": np.array([0.0, 10.0, 20.0])}
+    write_geojson(mine, tmp_path / "o.geojson")
+    assert "time" not in json.loads((tmp_path / "o.geojson").read_text())["features"][1]["properties"]
+
+
+def test_a_picture_in_metres_of_its_own_is_refused_and_nothing_is_left(tmp_path):
+    flat = {name: column for name, column in objects().items() if not name.endswith("_deg")}
+    with pytest.raises(InputError, match="no lat_deg; GeoJSON needs latitudes and longitudes"):
+        write_geojson(flat, tmp_path / "o.geojson")
+    with pytest.raises(InputError, match="does not exist"):
+        write_geojson(objects(), tmp_path / "no" / "o.geojson")
+    write_geojson(objects(), tmp_path / "o.geojson")
+    with pytest.raises(InputError, match="exists already"):
+        write_geojson(objects(), tmp_path / "o.geojson", overwrite=False)
+    assert [path.name for path in tmp_path.iterdir()] == ["o.geojson"]
+
+
+@pytest.mark.parametrize("name", ["o.parquet", "o.csv"])
+def test_columns_come_back_from_tables_with_units(tmp_path, name):
+    given = objects()
+    write_columns(given, tmp_path / name, provenance={"command": "sameas picture"})
+    table = read_table(tmp_path / name)
+    assert read_provenance(tmp_path / name)["command"] == "sameas picture"
+    assert table.colnames == list(given)
+    for column in ("time_s", "object", "probability"):
+        np.testing.assert_allclose(np.ma.filled(table[column], np.nan), given[column])
+    assert np.ma.getmaskarray(table["x_m"]).tolist() == [False, False, True]
+    assert str(table["label"][0]) == 'Ålesund "7"'
+    if name.endswith("parquet"):
+        assert str(table["x_m"].unit) == "m" and str(table["lat_deg"].unit) == "deg"

@@ -1,0 +1,76 @@
+"""Small scenes with known truth: named tracks with autocorrelated errors, plots without names, directions."""
+
+import numpy as np
+
+from sameas.tracks.reports import Reports
+from sameas.tracks.scene import Scene
+from sameas.tracks.source import (
+    Clutter,
+    Coverage,
+    Description,
+    ErrorModel,
+    Misses,
+    Motion,
+    Site,
+    Timing,
+)
+
+WALK = Motion(0.01, 8.0)
+
+
+def describe(name, kind, sigma_m=20.0, period_s=10.0, clutter_per_km2=0.0, q=0.1):
+    return Description(
+        name, kind, site=Site(east_m=0.0, north_m=0.0), coverage=Coverage(range_m=1e5), misses=Misses(q), motion=WALK,
+        clutter=Clutter(clutter_per_km2), timing=Timing(period_s, 0.0, 0.0),
+        errors=ErrorModel(position_m=sigma_m, speed_m_per_s=0.3, course_deg=3.0, extent_m=0.0),
+    )  # fmt: skip
+
+
+def wandering(rng, n, looks, every_s, tau_s, sigma_m):
+    """(n, looks, 2) errors that last for tau_s."""
+    error = sigma_m * rng.standard_normal((n, looks, 2))
+    rho = np.exp(-every_s / tau_s) if tau_s > 0.0 else 0.0
+    for k in range(1, looks):
+        error[:, k] = rho * error[:, k - 1] + np.sqrt(1.0 - rho**2) * error[:, k]
+    return error
+
+
+def told(rng, description, times_s, position, velocity, tau_s, names=None, extra=None):
+    """Reports of objects (n, k, 2) at times (k,) with the errors of a description; ``names`` (n,) of their tracks."""
+    n, looks = position.shape[:2]
+    sigma, every = description.errors.position_m, times_s[1] - times_s[0] if len(times_s) > 1 else 1.0
+    x = position + wandering(rng, n, looks, every, tau_s, sigma)
+    v = velocity + description.errors.speed_m_per_s * rng.standard_normal(velocity.shape)
+    columns = {"time_s": np.tile(times_s, n), "x_m": x[..., 0].ravel(), "y_m": x[..., 1].ravel()}
+    columns |= {"vx_m_per_s": v[..., 0].ravel(), "vy_m_per_s": v[..., 1].ravel()}
+    if names is not None:
+        columns["track_id"] = np.repeat(np.asarray(names, object), looks)
+    for name, values in (extra or {}).items():
+        columns[name] = np.repeat(np.asarray(values, object), looks)
+    return description, Reports.of(description.name, "table", columns)
+
+
+def straight(start, velocity, times_s):
+    """(n, k, 2) positions and velocities of objects on straight courses."""
+    start, velocity = np.asarray(start, float), np.asarray(velocity, float)
+    position = start[:, None] + times_s[None, :, None] * velocity[:, None]
+    return position, np.broadcast_to(velocity[:, None], position.shape)
+
+
+def two_meet(seed, gap_m, side_by_side=False, swap_s=None, tau_s=60.0):
+    """Two objects on opposite courses, or side by side, seen by a tracking radar every 10 s and by AIS every 30 s."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(0.0, 301.0, 10.0)
+    course = [[4.0, 0.0], [4.0 if side_by_side else -4.0, 0.0]]
+    start = [[-600.0, gap_m / 2.0], [-600.0 if side_by_side else 600.0, -gap_m / 2.0]]
+    x, v = straight(start, course, times)
+    radar, ais = describe("radar", "tracks"), describe("ais", "ais", period_s=30.0)
+    x_radar, v_radar = x.copy(), v.copy()
+    if swap_s is not None:
+        late = times >= swap_s
+        x_radar[:, late], v_radar[:, late] = x[::-1, late], v[::-1, late]
+    sources = [
+        told(rng, radar, times, x_radar, v_radar, tau_s, ["r0", "r1"]),
+        told(rng, ais, times[::3], x[:, ::3], v[:, ::3], 600.0, ["a0", "a1"], {"mmsi": ["235000000", "235000001"]}),
+    ]
+    return Scene.of(sources), times

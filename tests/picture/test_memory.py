@@ -1,0 +1,150 @@
+"""Memory: calibrated for tracks whose errors last, bounded, and silent where nothing new was said."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from modelled_scenes import describe, straight, told, two_meet
+
+from sameas.errors import InputError
+from sameas.gate import Radius
+from sameas.many import identify_many
+from sameas.picture import Past
+from sameas.picture.couples import Couples
+from sameas.picture.memory import Memory
+from sameas.picture.roll import Roll
+from sameas.records import Records
+from sameas.tracks.scene import Scene
+
+
+def couples_apart(seed, tau_s, n=300, box_m=600.0, looks=30):
+    """Pairs of tracks, half of them of one object, the others of a second one in convoy; what is said at the end."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(looks) * 3.0
+    same = rng.random(n) < 0.5
+    cell = np.stack(np.divmod(np.arange(n), 20), axis=1) * 20e3
+    x, v = straight(cell, 4.0 * rng.standard_normal((n, 2)), times)
+    apart = np.where(same[:, None], 0.0, rng.uniform(-box_m / 2, box_m / 2, (n, 2)))
+    names = [str(k) for k in range(n)]
+    one, two = describe("one", "tracks", 30.0), describe("two", "ais")
+    sources = [told(rng, one, times, x, v, tau_s[0], names), told(rng, two, times[::3], (x + apart[:, None])[:, ::3],
+               v[:, ::3], tau_s[1], names)]  # fmt: skip
+    scene, past = Scene.of(sources), Past(correlation_s=dict(zip(("one", "two"), tau_s, strict=True)))
+    for time_s in times:
+        roll = Roll.of(scene.at(time_s))
+        past = past.on(roll)
+        if time_s == 0.0:
+            past = replace(past, couples=_all_couples(roll, past.tracks.on_roll))
+            # Tracks are numbered in the order of the roll.
+            order = roll.track[:n].astype(int)
+    return same[order], past.rule().log_ratio, past.couples.now + 2.0 * np.log(box_m)
+
+
+def _all_couples(roll, number):
+    """Couples of tracks of one name."""
+    n = len(roll) // 2
+    a = np.arange(n)
+    b = n + np.argsort(roll.track[n:].astype(int))[roll.track[:n].astype(int)]
+    delta, spread = roll.state[a, :2] - roll.state[b, :2], roll.covariance[:, :2, :2]
+    return Couples().with_(Couples.of(number[a], number[b], delta, spread[a], spread[b]))
+
+
+def log_loss(log_odds, same):
+    return float(np.mean(np.logaddexp(0.0, np.where(same, -log_odds, log_odds))))
+
+
+@pytest.mark.parametrize("tau_s", [(60.0, 600.0), (0.0, 0.0), (0.0, 600.0)])
+def test_memory_is_calibrated_however_long_errors_last(tau_s):
+    same, past, now = (
+        np.concatenate(column) for column in zip(*(couples_apart(k, tau_s) for k in range(3)), strict=True)
+    )
+    assert log_loss(now + past, same) < 0.75 * log_loss(now, same)
+    p = 1.0 / (1.0 + np.exp(-(now + past)))
+    for low, high in ((0.02, 0.5), (0.5, 0.98), (0.98, 1.0)):
+        some = (p > low) & (p <= high)
+        if some.sum() >= 15:
+            error = np.sqrt(p[some].mean() * (1.0 - p[some].mean()) / some.sum())
+            # Convoys are the worst case, so it may be less sure than it could; never surer than is right.
+            assert p[some].mean() - same[some].mean() < 3.0 * error + 0.02 or p[some].mean() < 0.5
+
+
+def test_memory_is_bounded_by_what_numbers_are_worth():
+    scene, times = two_meet(0, 200.0)
+    past = Past(reassigned=0.01)
+    for time_s in times:
+        now = scene.at(time_s)
+        past = past.on(Roll.of(now))
+        found = identify_many(now.sources, rule=now.belief() + past.rule(), region=now.region)
+        past = past.met(found.union)
+        assert np.abs(past.rule().log_ratio).max(initial=0.0) <= np.log(0.99 / 0.01) + 1e-9
+    # Who met and went on is another's; who stays together gains less, for errors that last say little more each time.
+    said = past.rule().log_ratio
+    assert said.min() < -3.0 and said.max() > 0.5
+
+
+def test_what_is_said_twice_is_no_evidence():
+    scene, _ = two_meet(1, 200.0)
+    past = Past()
+    for time_s in (0.0, 10.0, 20.0):
+        now = scene.at(time_s)
+        past = past.on(Roll.of(now))
+        past = past.met(identify_many(now.sources, rule=now.belief() + past.rule(), region=now.region).union)
+    said = past.rule().log_ratio + past.couples.now
+    for time_s in (21.0, 24.0, 29.0):
+        past = past.on(Roll.of(scene.at(time_s)))
+        # Now and past together say what they did; the reports have only grown older.
+        np.testing.assert_allclose(past.rule().log_ratio + past.couples.now, said, atol=1e-9)
+
+
+def test_a_track_that_jumps_begins_anew():
+    rng = np.random.default_rng(2)
+    times = np.arange(0.0, 61.0, 10.0)
+    x, v = straight([[0.0, 0.0]], [[3.0, 0.0]], times)
+    jumped = x.copy()
+    jumped[:, 4:] += 5000.0
+    radar, ais = describe("radar", "tracks"), describe("ais", "ais")
+    scene = Scene.of([told(rng, radar, times, jumped, v, 60.0, ["7"]), told(rng, ais, times, x, v, 600.0, ["a"])])
+    past = Past()
+    for time_s in times:
+        now = scene.at(time_s)
+        past = past.on(Roll.of(now))
+        if time_s == 40.0:
+            assert not len(past.couples)
+        past = past.met(identify_many(now.sources, rule=now.belief(), region=now.region).union)
+        assert len(past.couples) == (time_s < 40.0)
+
+
+def test_records_without_names_have_no_past():
+    rng = np.random.default_rng(3)
+    times = np.arange(0.0, 31.0, 10.0)
+    x, v = straight([[0.0, 0.0], [500.0, 0.0]], [[3.0, 0.0]] * 2, times)
+    radar, ais = describe("radar", "marine radar"), describe("ais", "ais")
+    scene, past = Scene.of([told(rng, radar, times, x, v, 0.0), told(rng, ais, times, x, v, 600.0, ["a", "b"])]), Past()
+    for time_s in times:
+        now = scene.at(time_s)
+        past = past.on(Roll.of(now))
+        past = past.met(identify_many(now.sources, rule=now.belief(), region=now.region).union)
+    assert not len(past.couples) and past.tracks.on_roll.tolist() == [-1, -1, 0, 1]
+
+
+def test_memory_says_the_same_of_a_pair_either_way_round():
+    one = Records.of([[0.0, 0.0], [9.0, 0.0]], sigma=5.0, source="one")
+    two = Records.of([[5.0, 0.0], [8.0, 0.0]], sigma=5.0, source="two")
+    memory = Memory({"one": [3, 4], "two": [7, -1]}, first=[3, 4], second=[7, 7], log_ratio=[5.5, -2.0])
+    pairs, turned = Radius(5.0)(one, two), Radius(5.0)(two, one)
+    said = {(int(i), int(j)): v for i, j, v in zip(pairs.i, pairs.j, memory(pairs).log_ratio, strict=True)}
+    again = {(int(j), int(i)): v for i, j, v in zip(turned.i, turned.j, memory(turned).log_ratio, strict=True)}
+    assert said == again == {(0, 0): 5.5, (1, 0): -2.0, (0, 1): 0.0, (1, 1): 0.0}
+    assert memory(pairs).spoken.sum() == 2
+
+
+def test_what_cannot_be_is_refused():
+    with pytest.raises(InputError, match="first < second"):
+        Memory({}, [2], [1], [0.5])
+    with pytest.raises(InputError, match="once, in ascending order"):
+        Memory({}, [1, 1], [2, 2], [0.5, 0.5])
+    with pytest.raises(InputError, match="reassigned is 0"):
+        Past(reassigned=0.0)
+    scene, _ = two_meet(1, 200.0)
+    with pytest.raises(InputError, match="instants in the order of time"):
+        Past().on(Roll.of(scene.at(20.0))).on(Roll.of(scene.at(10.0)))

@@ -1,0 +1,157 @@
+"""Numbers: an object keeps its own; it appears, is confirmed, coasts and ends; noise does not make records change."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from modelled_scenes import describe, straight, told, two_meet
+
+from sameas.errors import InputError
+from sameas.picture import Picture, Stages, Watch, instants, moments
+from sameas.tracks.reports import Reports
+from sameas.tracks.scene import Feed, Scene
+
+ALONE = Watch(say=lambda now, past: now.belief() + now.identity())
+
+
+def memberships(picture):
+    """Per instant {source and last letter of the track} of every object that has records."""
+    r = picture.records
+    names = [f"{s} {t[-1]}" for s, t in zip(r["source"].tolist(), r["track_id"].tolist(), strict=True)]
+    out = [{} for _ in picture.instants_s]
+    for name, at, number in zip(names, np.searchsorted(picture.instants_s, r["time_s"]), r["object"], strict=True):
+        out[at][int(number)] = out[at].get(int(number), frozenset()) | {name}
+    return out
+
+
+def changes(picture):
+    """How often the records that are together are not those of the instant before."""
+    return sum(a != b for a, b in pairwise(frozenset(each.values()) for each in memberships(picture)))
+
+
+#: 2 σ apart, σ of the difference of two positions of 20 m each.
+TWO_SIGMA_M = 2.0 * 20.0 * np.sqrt(2.0)
+
+
+def test_who_crosses_keeps_its_records():
+    right = {frozenset({"radar 0", "ais 0"}), frozenset({"radar 1", "ais 1"})}
+    for seed in range(20):
+        scene, times = two_meet(seed, TWO_SIGMA_M)
+        assert all(set(each.values()) == right for each in memberships(Picture.of(scene, times[10:21])))
+
+
+def test_switching_has_to_be_earned_side_by_side():
+    with_memory = without = 0
+    for seed in range(8):
+        scene, times = two_meet(seed, TWO_SIGMA_M, side_by_side=True, tau_s=0.0)
+        with_memory += changes(Picture.of(scene, times[:16]))
+        without += changes(Picture.of(scene, times[:16], watch=ALONE))
+    assert with_memory <= 0.5 * without and without >= 5
+
+
+def test_numbers_stay_with_their_objects_where_they_cross():
+    for seed in range(6):
+        scene, times = two_meet(seed, 40.0)
+        o = Picture.of(scene, times[8:23]).objects
+        assert set(o["object"].tolist()) == {1, 2}
+        for number in (1, 2):
+            assert len(set(o["mmsi"][o["object"] == number].tolist())) == 1
+
+
+def test_a_picture_mends_where_a_radar_swaps_its_numbers():
+    mended = 0
+    for seed in range(6):
+        scene, times = two_meet(seed, 60.0, swap_s=150.0)
+        picture = Picture.of(scene, times[10:25])
+        mended += set(memberships(picture)[-1].values()) == {
+            frozenset({"radar 0", "ais 1"}), frozenset({"radar 1", "ais 0"}),
+        }  # fmt: skip
+        o = picture.objects
+        # The numbers stay with the names that nobody else bears.
+        assert all(len(set(o["object"][o["mmsi"] == mmsi].tolist())) == 1 for mmsi in ("235000000", "235000001"))
+    assert mended == 6
+
+
+def plots(looks):
+    """A scene of a radar with false echoes: looks as {time: positions}, those that show nothing among them."""
+    radar = describe("radar", "marine radar", period_s=10.0, clutter_per_km2=0.05)
+    rows = [(t, *p) for t, places in looks.items() for p in places]
+    columns = dict(zip(("time_s", "x_m", "y_m"), np.array(rows, float).reshape(-1, 3).T, strict=True))
+    columns["range_m"] = None
+    columns = {name: column for name, column in columns.items() if column is not None}
+    reports = Reports.of("radar", "table", columns)
+    return Scene((Feed.of(radar, reports, looked_s=sorted(looks)),))
+
+
+def test_an_object_appears_is_confirmed_coasts_and_ends():
+    there = [(1000.0 + 5.0 * t, 0.0) for t in range(0, 1400, 10)]
+    looks = {10.0 * k: [there[k]] + [(float(5000 + 40 * j), 3e3) for j in range(3)] for k in range(6)}
+    looks |= {10.0 * k: [(float(5000 + 40 * j), 3e3) for j in range(3)] for k in range(6, 140)}
+    # A false echo that shows once.
+    looks[20.0] = [*looks[20.0], (-8e3, -8e3)]
+    picture = Picture.of(plots(looks), sorted(looks))
+    o = picture.objects
+    first = o["object"] == o["object"][np.argmin(np.hypot(o["x_m"] - 1000.0, o["y_m"]))]
+    assert o["stage"][first][:4].tolist() == ["tentative", "tentative", "confirmed", "confirmed"]
+    after = o["stage"][first][6:]
+    assert set(after[:-1].tolist()) == {"coasting"} and after[-1] == "ended"
+    spread = np.asarray(o["var_x_m2"][first][6:])
+    assert (np.diff(spread) > 0).all() and o["n_sources"][first][6:].max() == 0
+    # It went on as it had gone: 5 m/s to the east, which nobody told.
+    coasting = np.flatnonzero(first)[8]
+    assert abs(o["x_m"][coasting] - (1000.0 + 5.0 * o["time_s"][coasting])) < 4.0 * np.sqrt(o["var_x_m2"][coasting])
+    false = np.asarray(o["x_m"] < -7e3)
+    assert o["stage"][false].tolist() == ["tentative", "tentative", "tentative", "ended"]
+
+
+def test_what_speaks_is_there_and_two_sources_are_believed_at_once():
+    scene, times = two_meet(0, 500.0)
+    assert set(Picture.of(scene, times[:1]).objects["stage"].tolist()) == {"confirmed"}
+    watch = Watch(stages=Stages(looks=1, of=1))
+    looks = {0.0: [(0.0, 0.0)], 10.0: [(0.0, 0.0)]}
+    assert Picture.of(plots(looks), [0.0], watch=watch).objects["stage"].tolist() == ["confirmed"]
+    assert Picture.of(plots(looks), [0.0]).objects["stage"].tolist() == ["tentative"]
+
+
+def test_who_comes_back_under_a_name_of_its_own_has_its_number_again():
+    rng = np.random.default_rng(5)
+    early, late = np.arange(0.0, 100.0, 10.0), np.arange(2000.0, 2100.0, 20.0)
+    x, v = straight([[0.0, 0.0]], [[5.0, 0.0]], np.concatenate([early, late]))
+    others, still = straight(rng.uniform(-400, 400, (12, 2)), np.zeros((12, 2)), np.arange(0.0, 2100.0, 10.0))
+    ais, radar = describe("ais", "ais"), describe("radar", "tracks")
+    scene = Scene.of([
+        told(rng, ais, np.concatenate([early, late]), x, v, 600.0, ["a"], {"mmsi": ["235000001"]}),
+        told(rng, radar, np.arange(0.0, 2100.0, 10.0), others, still, 60.0, [str(k) for k in range(12)]),
+    ])  # fmt: skip
+    o = Picture.of(scene, instants((0.0, 2090.0), 30.0)).objects
+    mine = o["mmsi"] == "235000001"
+    assert "ended" in o["stage"][mine] and len(set(o["object"][mine].tolist())) == 1
+    assert o["stage"][mine][-1] == "confirmed"
+
+
+def test_a_ship_that_brakes_harder_than_ships_do_keeps_its_number():
+    times = np.arange(0.0, 601.0, 60.0)
+    rng = np.random.default_rng(6)
+    x, v = (np.array(part) for part in straight([[0.0, 0.0]], [[18.0, 0.0]], times))
+    x[:, 5:], v[:, 5:] = x[:, 4:5] + [[[300.0, 0.0]]], 0.0
+    scene = Scene.of([told(rng, describe("ais", "ais", 10.0), times, x, v, 600.0, ["a"], {"mmsi": ["235000001"]})])
+    o = Picture.of(scene, times).objects
+    assert set(o["object"].tolist()) == {1} and set(o["stage"].tolist()) == {"confirmed"}
+
+
+def test_live_and_batch_are_one():
+    scene, times = two_meet(3, 80.0)
+    watch, numbers = Watch(), []
+    for time_s in times:
+        moment = watch.advance(scene.at(time_s))
+        watch = moment.watch
+        numbers += moment.known.number.tolist()
+    half = Picture.of(scene, times[:15])
+    again = Picture.of(scene, times[15:], watch=half.watch)
+    assert half.objects["object"].tolist() + again.objects["object"].tolist() == numbers
+    assert [m.now.instant_s for m in moments(scene, times[:2])] == times[:2].tolist()
+
+
+def test_stages_that_cannot_be_are_refused():
+    with pytest.raises(InputError, match="1 ≤ looks ≤ of"):
+        Stages(looks=4, of=3)

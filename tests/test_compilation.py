@@ -1,0 +1,37 @@
+"""What is compiled beside the search is what an identification then needs."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from sameas.cli import terminal
+
+LATER = """
+import numpy as np
+from sameas import Field, Records, compilation, identify
+from sameas.kernels import posterior
+
+assert not compilation.needed()
+places = np.random.default_rng(1).uniform(0.0, 5.0, (2, 30, 2))
+identify(*(Records.of(x, sigma=0.5) for x in places), rule=Field(1.0))
+assert posterior.exact.stats.cache_hits and not posterior.exact.stats.cache_misses
+"""
+
+
+@pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="compilation is switched off")
+def test_sums_compiled_beforehand_are_found(tmp_path):
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    subprocess.run([sys.executable, "-m", "sameas.compilation"], env=environment, check=True, timeout=300)
+    subprocess.run([sys.executable, "-c", LATER], env=environment, check=True, timeout=300)
+
+
+def test_compilation_is_said_once_and_begun(monkeypatch, capsys):
+    begun = []
+    monkeypatch.setattr("sameas.compilation.beside", lambda: begun.append(True))
+    monkeypatch.setattr("sameas.compilation.needed", lambda: True)
+    terminal.tell_compilation()
+    monkeypatch.setattr("sameas.compilation.needed", lambda: False)
+    terminal.tell_compilation()
+    assert capsys.readouterr().err.count("compiling kernels") == len(begun) == 1

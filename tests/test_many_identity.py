@@ -1,0 +1,393 @@
+"""Rules of what records say, beside positions, in many sources: enumeration, laws, bounds, calibration, reasons."""
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+
+import test_many
+from sameas import (
+    CloseObjects,
+    CommonObjects,
+    Field,
+    InputError,
+    PerPair,
+    Plane,
+    PoissonField,
+    Records,
+    Region,
+    Universal,
+    identify,
+)
+from sameas.belief import Belief, MissedObjects, PoissonObjects, parts_of, terms_of
+from sameas.evidence import Displacement, Evidence, Flat, Identity, Rule
+from sameas.gate import Radius
+from sameas.many import identify_many
+from sameas.observations import Bearing, Observations
+from sameas.sequence import identify_sequentially
+from sameas.sets import candidate_sets
+from sameas.terms import best_word
+from sameas.union import union
+from test_many import WIDE, field_scene, oracle, probabilities, same_as_identify, sets_of, small_scene
+
+
+@dataclass(frozen=True)
+class Told(Rule):
+    """Made-up evidence: ln r of two records by {source, row} of either, 0.0 where nothing is said."""
+
+    values: dict
+
+    def __call__(self, pairs):
+        a, b = pairs.first, pairs.second
+        rows = zip(a.rows[pairs.i].tolist(), b.rows[pairs.j].tolist(), strict=True)
+        said = [self.values.get(frozenset({(a.source, i), (b.source, j)}), 0.0) for i, j in rows]
+        return Evidence({"told": np.array(said, dtype=np.float64)})
+
+
+def told(rng, sources, share):
+    """Evidence from −5 to 5 of a share of all pairs."""
+    records = [(s.source, row) for s in sources for row in range(len(s))]
+    pairs = itertools.combinations(records, 2)
+    return Told({frozenset(pair): rng.uniform(-5, 5) for pair in pairs if rng.random() < share})
+
+
+def naive_best_word(ln_r, members):
+    """What a rule says of a set, record by record: ln_r is {two members: value} of those that it speaks of."""
+    speak = [m for m in members if any(m in pair for pair in ln_r)]
+    stars = []
+    for hub in speak:
+        others = [frozenset({hub, m}) for m in speak if m != hub]
+        if all(pair in ln_r for pair in others):
+            stars.append(sum(ln_r[pair] for pair in others))
+    if stars:
+        return max(stars)
+    return min(1.0, (len(speak) - 1) / max(len(ln_r), 1)) * sum(ln_r.values())
+
+
+def said_of(sources, rules, members):
+    total = 0.0
+    for rule in rules:
+        named = {(s, row): (sources[s].source, row) for s, row in members}
+        ln_r = {}
+        for one, other in itertools.combinations(members, 2):
+            value = rule.values.get(frozenset({named[one], named[other]}), 0.0)
+            if value != 0.0:
+                ln_r[frozenset({one, other})] = value
+        total += naive_best_word(ln_r, members)
+    return total
+
+
+# ---- against the enumeration of every partition ----
+
+
+@pytest.mark.parametrize("counts", [(2, 2), (2, 2, 2), (3, 2, 1), (1, 2, 1, 2), (2, 1, 1, 1, 1)])
+@pytest.mark.parametrize("share", [0.4, 1.0])
+def test_rules_beside_positions_are_those_of_all_partitions(counts, share):
+    rng = np.random.default_rng([*counts, int(10 * share)])
+    for _ in range(3):
+        sources = small_scene(rng, counts)
+        rules = [told(rng, sources, share), told(rng, sources, share)]
+        q, false = rng.uniform(0.1, 0.5, len(counts)), rng.uniform(0, 0.1, len(counts))
+        of_positions = test_many.poisson_weight(sources, 0.1, q, false)
+        got = identify_many(sources, rule=PoissonObjects(0.1, q, false) + rules[0] + rules[1], gate=WIDE)
+        _, best, p = oracle(sources, lambda x: of_positions(x) + sum(said_of(sources, rules, m) for m in x))  # noqa: B023
+        assert set(sets_of(got)) == best and got.groups.exact.all()
+        for members, stated in probabilities(got).items():
+            assert stated == pytest.approx(p[members], abs=1e-9)
+
+
+def test_rules_are_added_to_pairwise_ones_under_a_count_prior():
+    rng = np.random.default_rng(2)
+    for counts in ((2, 2, 2), (3, 2, 1)):
+        sources = small_scene(rng, counts)
+        rule, q = told(rng, sources, 0.7), rng.uniform(0.1, 0.5, 3)
+        of_positions = test_many.counted_weight(sources, 1.0, 4.0, q)
+        got = identify_many(sources, rule=CloseObjects(1.0, 4.0) + rule, prior=MissedObjects(q), gate=WIDE)
+        _, best, p = oracle(sources, lambda x: of_positions(x) + sum(said_of(sources, [rule], m) for m in x))  # noqa: B023
+        assert set(sets_of(got)) == best
+        for members, stated in probabilities(got).items():
+            assert stated == pytest.approx(p[members], abs=1e-9)
+
+
+@pytest.mark.parametrize("believed", [PoissonObjects(0.3, 0.2), CloseObjects(1.0, 4.0)])
+def test_no_set_that_outweighs_its_records_is_left_out(believed, monkeypatch):
+    """The bounds hold with evidence beside positions: at every floor the sets above it are those of floor −∞."""
+    rng = np.random.default_rng(4)
+    for _ in range(6):
+        sources = small_scene(rng, (3, 3, 2, 2), extent=5.0)
+        rule = believed + told(rng, sources, rng.choice([0.3, 1.0])) + told(rng, sources, 0.5)
+        together = union(sources, Radius(4.0))
+        terms = terms_of(rule, PerPair(-1.0), together)
+        everything = candidate_sets(together, terms)
+        heavy = {tuple(m): w for m, w in zip(everything.members.tolist(), everything.log_weight, strict=True)}
+        for floor in (0.0, 3.0, 8.0):
+            monkeypatch.setattr("sameas.sets.FLOORS", (floor,))
+            kept = candidate_sets(together, terms)
+            several = kept.members[kept.size > 1].tolist()
+            assert set(map(tuple, several)) == {m for m, w in heavy.items() if w > floor and sum(np.array(m) >= 0) > 1}
+            monkeypatch.undo()
+        assert max(heavy.values()) > 8.0
+
+
+# ---- how pairs add in a set ----
+
+
+def exact_code(values, n_values, wrong):
+    """ln λ of texts that k records show of one object, each wrong with some probability: the sum over what is true."""
+    p = 1.0 / n_values
+    ln_each = [sum(math.log((1 - wrong) * (v == true) + wrong * p) for v in values) for true in [*set(values), None]]
+    others = math.log1p(-len(set(values)) * p)
+    ln_p = [math.log(p)] * len(set(values)) + [others]
+    return float(logsumexp(np.add(ln_p, ln_each))) - len(values) * math.log(p)
+
+
+@pytest.mark.parametrize("values", ["AA", "AB", "AAA", "AAB", "ABC", "AAAA", "AAAB", "AABB", "AABC", "ABCD", "AAAAB"])
+def test_sets_of_codes_weigh_what_their_model_says(values):
+    """The record whose word is taken costs less than ln k against the sum over all that the object could be called."""
+    n_values, wrong = 1e5, 0.01
+    pairs = [(i, j) for j in range(len(values)) for i in range(j)]
+    ln_r = np.array([[exact_code([values[i], values[j]], n_values, wrong) for i, j in pairs]])
+    found = float((best_word(ln_r, np.ones(ln_r.shape, bool)) * ln_r).sum())
+    assert found == pytest.approx(exact_code(values, n_values, wrong), abs=math.log(len(values)) + 0.05)
+
+
+def test_a_third_record_that_says_the_same_adds_once_and_one_that_contradicts_two_speaks_once():
+    agree, against = 7.0, -5.0
+    spoken = np.ones((2, 3), bool)
+    ln_r = np.array([[agree] * 3, [agree, against, against]])  # pairs (0, 1), (0, 2), (1, 2)
+    np.testing.assert_allclose((best_word(ln_r, spoken) * ln_r).sum(axis=1), [2 * agree, agree + against])
+
+
+def test_records_that_say_nothing_neither_add_nor_share():
+    ln_r, spoken = np.array([[7.0, 0.0, 0.0], [7.0, 0.0, -5.0]]), np.array([[True, False, False], [True, False, True]])
+    np.testing.assert_allclose((best_word(ln_r, spoken) * ln_r).sum(axis=1), [7.0, 2.0])
+    # A–B and C–D speak, of different things: both count, each once.
+    apart = np.array([[3.0, 0.0, 0.0, 0.0, 0.0, 4.0]])
+    np.testing.assert_allclose((best_word(apart, apart != 0) * apart).sum(axis=1), [7.0])
+
+
+# ---- laws ----
+
+
+def said_by(rng, sources, objects, known=0.7, wrong=0.02):
+    """An Identity of records of ``objects`` (per source the object of every row)."""
+    n = max(int(o.max()) for o in objects) + 1
+    names = {"mmsi": rng.integers(200_000_000, 775_999_999, n), "callsign": rng.integers(10_000, 99_999, n)}
+    attributes = {}
+    for source, of in zip(sources, objects, strict=True):
+        columns = {}
+        for name, values in names.items():
+            shown = np.where(rng.random(len(of)) < wrong, rng.permutation(values[of]), values[of]).astype(object)
+            shown[rng.random(len(of)) >= known] = None
+            columns[name] = shown
+        attributes[source.source] = columns
+    return Identity(attributes)
+
+
+def named_scene(rng, n_sources, n, extent, sigma=1.0, q=0.15, **said):
+    places = rng.uniform(0, extent, (n, 2))
+    objects = [rng.permutation(np.flatnonzero(rng.uniform(size=n) >= q)) for _ in range(n_sources)]
+    sources = [
+        Records.of(places[o] + rng.normal(size=(len(o), 2)) * sigma, sigma=sigma, source=f"s{s}")
+        for s, o in enumerate(objects)
+    ]
+    return sources, objects, said_by(rng, sources, objects, **said)
+
+
+def test_two_sources_are_identify_with_the_same_rules():
+    rng = np.random.default_rng(11)
+    for _ in range(4):
+        sources, _, identity = named_scene(rng, 2, 15, 14.0)
+        q, density = (0.1, 0.3), 0.08
+        field = PoissonField(density * 0.9 * 0.7, density * 0.9 * 0.3, density * 0.7 * 0.1)
+        many = identify_many(sources, rule=PoissonObjects(density, q) + identity)
+        same_as_identify(many, identify(*sources, rule=field + identity))
+        many = identify_many(sources, rule=identity + CloseObjects(1.0, 6.0), prior=MissedObjects(q))
+        prior = CommonObjects(*q)
+        same_as_identify(many, identify(*sources, rule=CloseObjects(1.0, 6.0) + identity, prior=prior))
+
+
+@pytest.mark.parametrize("grid", [None, 3.0])
+def test_the_order_of_sources_and_rows_changes_nothing(grid):
+    rng = np.random.default_rng(21)
+    sources = field_scene(rng, 3, 10, extent=12.0, grid=grid)
+    identity = said_by(rng, sources, [np.arange(len(s)) for s in sources])
+    first = probabilities(identify_many(sources, rule=PoissonObjects(0.07, (0.1, 0.2, 0.3)) + identity))
+    for turn in itertools.permutations(range(3)):
+        rows = [rng.permutation(len(sources[s])) for s in turn]
+        mixed, said = [], {}
+        for s, order in zip(turn, rows, strict=True):
+            name = sources[s].source
+            mixed.append(Records.of(sources[s].features[order], sigma=1.0, ids=order, source=name))
+            said[name] = {key: np.asarray(v)[order] for key, v in identity.attributes[name].items()}
+        q = tuple((0.1, 0.2, 0.3)[s] for s in turn)
+        got = probabilities(identify_many(mixed, rule=PoissonObjects(0.07, q) + Identity(said)))
+        assert {frozenset((turn[s], int(rows[s][row])) for s, row in k): p for k, p in got.items()} == first
+
+
+def test_a_rule_that_says_nothing_changes_nothing():
+    rng = np.random.default_rng(22)
+    sources = field_scene(rng, 3, 30, extent=30.0)
+    alone = identify_many(sources, rule=PoissonObjects(0.03, 0.15))
+    silent = identify_many(sources, rule=PoissonObjects(0.03, 0.15) + Told({}) + Identity({}))
+    assert probabilities(alone) == probabilities(silent)
+
+
+def test_stated_probabilities_are_observed_frequencies_when_identities_are_sometimes_wrong():
+    rng = np.random.default_rng(23)
+    stated, right = [], []
+    for _ in range(6):
+        sources, objects, identity = named_scene(rng, 3, 150, 60.0, known=0.9, wrong=0.01)
+        found = identify_many(sources, rule=PoissonObjects(150 / 60.0**2, 0.15) + identity)
+        whole = {
+            frozenset((s, int(np.flatnonzero(o == k)[0])) for s, o in enumerate(objects) if k in o) for k in range(150)
+        }
+        stated += found.probability.tolist()
+        right += [members in whole for members in sets_of(found)]
+    stated, right = np.array(stated), np.array(right)
+    assert (~right).sum() == pytest.approx((1 - stated).sum(), abs=3 * math.sqrt((stated * (1 - stated)).sum()) + 3)
+    assert right.mean() > 0.95
+
+
+# ---- sources that see a part ----
+
+
+def test_identities_are_heard_with_bearings():
+    radar = Records.of([[0.0, 1000.0], [100.0, 1000.0]], sigma=30.0, source="radar")
+    heard = Records.of([[2.9]], sigma=2.0, space=Plane(periods=(360.0,)), source="esm")
+    region = Region((0.0, 0.0), (5000.0, 5000.0))
+    arguments = {"region": region}
+    sources = [radar, Observations(heard, Bearing(sensor=(0.0, 0.0)))]
+    belief = PoissonObjects(1e-6, 0.1, (0.0, 1e-4))
+    open_ = identify_many(sources, rule=belief, **arguments)
+    assert open_.of("esm").p_partner[0, 0] < 0.6
+    for row in (0, 1):
+        said = {"radar": {"callsign": [None, None]}, "esm": {"callsign": ["SUPER7"]}}
+        said["radar"]["callsign"][row] = "SUPER7"
+        told = identify_many(sources, rule=belief + Identity(said), **arguments).of("esm")
+        assert told.partner[0, 0] == row and told.p_partner[0, 0] > 0.95
+
+
+# ---- what is refused ----
+
+
+def test_rules_are_parted_into_positions_and_beside():
+    identity, objects = Identity({}), PoissonObjects(1.0, 0.1)
+    for rule in (objects + identity + Told({}), identity + objects + Told({}), objects + (identity + Told({}))):
+        assert isinstance(rule, Belief) and parts_of(rule) == (objects, (identity, Told({})))
+    assert [type(part) for part in parts_of(identity + Field(1.0))[1]] == [Identity]
+    with pytest.raises(TypeError):
+        objects + 1.0
+    with pytest.raises(TypeError):
+        objects + objects
+
+
+@dataclass(frozen=True)
+class Near(Rule):
+    """Somebody's own rule of positions."""
+
+    def __call__(self, pairs):
+        return Evidence({"position": -pairs.mahalanobis_sq})
+
+
+def test_mistakes_are_refused_in_words():
+    rng = np.random.default_rng(31)
+    sources = small_scene(rng, (2, 2, 2))
+    objects, identity = PoissonObjects(0.1, 0.2), Identity({})
+    refused = {
+        "Identity says nothing of positions; add it to PoissonObjects": identity,
+        "both rules speak of position": objects + Field(1.0),
+        "Universal speaks of two sources": objects + Universal(Flat(1.0), Displacement(Flat(1.0))),
+        "both Near and the rule it is added to speak of position": objects + Near(),
+    }
+    for words, rule in refused.items():
+        with pytest.raises(InputError, match=words):
+            identify_many(sources, rule=rule)
+    impossible = Told({frozenset({("s0", 1), ("s2", 0)}): -math.inf})
+    with pytest.raises(InputError, match=r"told is -inf for s(0 row 1 and s2 row 0|2 row 0 and s0 row 1).*bound it"):
+        identify_many(sources, rule=objects + impossible, gate=WIDE)
+    with pytest.raises(InputError, match="identify_sequentially compares positions, and Identity speaks of records"):
+        identify_sequentially(sources, rule=objects + identity)
+
+
+# ---- reasons ----
+
+
+def test_reasons_say_what_every_term_weighs():
+    rng = np.random.default_rng(41)
+    sources, _, identity = named_scene(rng, 3, 12, 14.0)
+    for rule, prior in ((PoissonObjects(0.06, 0.15), PerPair(-0.5)), (CloseObjects(1.0, 6.0), MissedObjects(0.2))):
+        found = identify_many(sources, rule=rule + identity, prior=prior)
+        weight = dict(zip(map(tuple, found.sets.members.tolist()), found.sets.log_weight, strict=True))
+        for k in range(len(found)):
+            why = found.explain(k)
+            assert why.chosen.probability == found.probability[k]
+            if why.runner_up is None:
+                assert found.p_runner_up[k] is np.ma.masked
+            else:
+                assert why.runner_up.probability == pytest.approx(float(found.p_runner_up[k]), abs=1e-12)
+                difference = why.chosen.log_odds - why.runner_up.log_odds
+                assert sum(why.against_runner_up.values()) == pytest.approx(difference, abs=1e-9)
+            for rival in why.rivals:
+                assert sum(rival.terms.values()) == pytest.approx(rival.log_odds, abs=1e-9)
+                numbers = [-1, -1, -1]
+                for source, row in rival.members:
+                    s = found.union.given.index(int(source[1:]))
+                    at = np.flatnonzero(found.union.sources[s].rows == row)[0]
+                    numbers[s] = int(found.union.start[s] + at)
+                assert weight[tuple(numbers)] == rival.log_odds
+            if found.groups.exact[why.group]:
+                # With the sets that share one of its records, any record is somewhere.
+                one = why.chosen.members[0]
+                assert sum(r.probability for r in why.rivals if one in r.members) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_reasons_of_two_sources_are_those_of_identify():
+    rng = np.random.default_rng(42)
+    sources, _, identity = named_scene(rng, 2, 8, 8.0, known=1.0)
+    density, q = 0.12, 0.15
+    field = PoissonField(density * (1 - q) ** 2, density * (1 - q) * q, density * (1 - q) * q)
+    one = identify(*sources, rule=field + identity)
+    many = identify_many(sources, rule=PoissonObjects(density, q) + identity)
+    for k in np.flatnonzero(many.n_members == 2).tolist():
+        rows = many.members[k]
+        pair = np.flatnonzero((one.rows_1 == rows[0]) & (one.rows_2 == rows[1]))[0]
+        for name, value in many.explain(k).chosen.terms.items():
+            assert value == pytest.approx(float(one.evidence.terms[name][pair]), abs=1e-9)
+
+
+def test_reasons_are_told_in_words():
+    radar = Records.of([[0.0, 0.0], [6.0, 0.0]], sigma=2.0, ids=["r1", "r2"], source="radar")
+    ais = Records.of([[3.2, 0.0], [6.0, 3.0]], sigma=1.0, ids=["a1", "a2"], source="ais")
+    said = {"radar": {"callsign": ["SUPER7", None]}, "ais": {"callsign": ["SUPER7", None]}}
+    found = identify_many([radar, ais], rule=PoissonObjects(0.01, 0.2) + Identity(said))
+    text = str(found.explain(0))
+    assert text.startswith("Object 0 is radar r1 = ais a1, probability 0.99")
+    assert "Group 0: 4 records; probabilities are summed over all partitions." in text
+    assert "callsign +" in text and "\n→ radar r1 = ais a1" in text
+    assert "Against the runner-up, " in text.splitlines()[-2] + text.splitlines()[-1]
+    lonely = identify_many([radar, Records.of([[900.0, 0.0]], sigma=1.0)], rule=PoissonObjects(0.01, 0.2))
+    assert str(lonely.explain(0)).endswith("Nothing else is possible.")
+
+
+def test_a_rival_that_would_take_a_record_from_another_object_says_so():
+    radar = Records.of([[0.0, 0.0], [2.0, 0.0]], sigma=1.0, source="radar")
+    ais = Records.of([[0.9, 0.0], [2.2, 0.0]], sigma=1.0, source="ais")
+    found = identify_many([radar, ais], rule=PoissonObjects(0.01, 0.1))
+    why = found.explain(0)
+    ((record, holder),) = why.runner_up.taken
+    assert record in (("ais", 1), ("radar", 1)) and record in why.runner_up.members and holder == 1
+    assert str(why).endswith(f"It would take {record[0]} 1 from object 1.")
+
+
+def test_what_cannot_be_explained_is_refused():
+    rng = np.random.default_rng(43)
+    sources = small_scene(rng, (2, 2))
+    found = identify_many(sources, rule=PoissonObjects(0.1, 0.2))
+    with pytest.raises(InputError, match=f"there is no object {len(found)}; give 0 … {len(found) - 1}"):
+        found.explain(len(found))
+    with pytest.raises(InputError, match="only the objects of identify_many are explained"):
+        identify_sequentially(sources, rule=PoissonObjects(0.1, 0.2)).explain(0)

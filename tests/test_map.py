@@ -1,0 +1,457 @@
+"""Maps: outlines lie where the earth has them, sheets are checked, pages work in a browser, pictures are drawn."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from browser import CHROMIUM, Browser
+from charted import SOLENT, START_S, charted
+from sameas.errors import InputError
+from sameas.maps import MapSensor, MapSheet, outline
+from sameas.maps.graticule import graticule
+from sameas.maps.outline import Outline
+from sameas.maps.sheet import members_of
+from sameas.pages.map import map_page, write_map_page
+from sameas.pages.packing import packed
+from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.source import Coverage, Description, Site
+
+pytest.importorskip("pymap3d", reason="maps of the earth need the extra sameas[targets]")
+
+HOSTILE = '</script><script>document.title="taken"</script><img src=x onerror="document.title=1">'
+in_a_browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to show the page in")
+
+
+# ---- the earth ----
+
+
+def winding(rings: tuple[NDArray[Any], ...], place: tuple[float, float]) -> int:
+    """How often all rings together go round a place: 1 on land, 0 on water."""
+    total = 0.0
+    for ring in rings:
+        angle = np.unwrap(np.arctan2(*(np.vstack([ring, ring[:1]]) - place).T))
+        total += angle[-1] - angle[0]
+    return -round(total / (2.0 * np.pi))
+
+
+@pytest.mark.parametrize(
+    ("lat", "lon", "land"),
+    [
+        (51.5, -0.1, True), (50.2, -1.3, False), (50.67, -1.3, True),  # London, the Channel, the Isle of Wight
+        (-16.6, 179.3, True), (-16.5, -179.5, False), (-17.8, 178.0, True),  # Fiji, over the antimeridian
+        (-90.0, 0.0, True), (90.0, 0.0, False),  # the poles
+        (47.7, -87.5, False), (46.5, -88.5, True),  # Lake Superior and its shore
+        (25.0, 10.0, True), (25.0, 15.0, True), (30.0, 10.0, True),  # the Sahara, corners of cells in it
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("off", [0.0, 2.0])
+def test_land_is_where_the_earth_has_it(lat: float, lon: float, land: bool, off: float) -> None:
+    plane = LocalPlane(float(np.clip(lat - off, -90.0, 90.0)), lon + off)
+    place = plane.of_geodetic([lat], [lon])[0] + [3.0, 7.0]
+    around = outline(plane, -400e3, -400e3, 400e3, 400e3)
+    assert winding(around.land, tuple(place)) == int(land)
+
+
+def test_where_cells_meet_there_is_no_coast() -> None:
+    around = outline(LocalPlane(25.0, 10.0), -400e3, -400e3, 400e3, 400e3)
+    assert len(around.land) >= 4 and not around.coast and around.borders
+    sea = outline(LocalPlane(0.0, -25.0), -300e3, -300e3, 300e3, 300e3)
+    assert not sea.land and not sea.coast and not sea.borders
+
+
+def test_the_coast_is_the_shore_of_the_land() -> None:
+    around = outline(SOLENT, -60e3, -60e3, 60e3, 60e3)
+    for line in around.coast:
+        here, there = line[:-1], line[1:]
+        middle, along = (here + there) / 2.0, (there - here) / np.hypot(*(there - here).T)[:, None]
+        left = middle + 3.0 * np.column_stack([-along[:, 1], along[:, 0]])
+        inside = (np.abs(left) < 59e3).all(axis=1)
+        for place in left[inside][::7]:
+            assert winding(around.land, tuple(place)) == 1
+    assert all(np.abs(ring).max() <= 60e3 + 1e-6 for ring in around.land)
+
+
+def test_a_box_without_room_is_refused() -> None:
+    with pytest.raises(InputError, match="give west < east"):
+        outline(SOLENT, 10.0, 0.0, -10.0, 5.0)
+
+
+@pytest.mark.parametrize(("lat", "lon"), [(50.77, -1.25), (-17.5, 179.9), (89.6, 40.0), (0.0, 0.0)])
+def test_lines_of_the_graticule_lie_on_what_they_say(lat: float, lon: float) -> None:
+    plane = LocalPlane(lat, lon)
+    lines = graticule(plane, -90e3, -90e3, 90e3, 90e3)
+    assert min(sum(line.parallel for line in lines), sum(not line.parallel for line in lines)) >= 3
+    for line in lines:
+        degrees, minutes, letter = re.fullmatch(r"(\d+)°([\d.]+)′([NSEW])", line.words).groups()  # type: ignore[union-attr]
+        said = (float(degrees) + float(minutes) / 60.0) * (-1.0 if letter in "SW" else 1.0)
+        inside = line.points[np.abs(line.points).max(axis=1) < 500e3]
+        own = plane.to_geodetic(inside)[0 if line.parallel else 1]
+        assert np.allclose((own - said + 180.0) % 360.0 - 180.0, 0.0, atol=1e-6), line.words
+
+
+# ---- sheets ----
+
+
+def test_a_sheet_says_what_is_wrong_with_its_columns() -> None:
+    good = {"time_s": [0.0], "object": [1], "stage": ["confirmed"], "x_m": [0.0], "y_m": [0.0]}
+    with pytest.raises(InputError, match="objects: there is no column y_m"):
+        MapSheet.of("map", {name: good[name] for name in list(good)[:4]}, {})
+    with pytest.raises(InputError, match="objects: column x_m has 2 rows, time_s has 1"):
+        MapSheet.of("map", good | {"x_m": [0.0, 1.0]}, {})
+    with pytest.raises(InputError, match="stage is 'sunk'; give one of tentative, confirmed"):
+        MapSheet.of("map", good | {"stage": ["sunk"]}, {})
+    with pytest.raises(InputError, match="1 times are none of the instants"):
+        MapSheet.of("map", good, {}, instants_s=[5.0])
+    with pytest.raises(InputError, match="x_m is of type <U3; give numbers"):
+        MapSheet.of("map", good | {"x_m": ["far"]}, {})
+    with pytest.raises(InputError, match="no instant to show"):
+        MapSheet.of("map", {}, {})
+
+
+def test_masked_cells_are_absent_and_unknown_sources_get_a_place() -> None:
+    objects = {"time_s": [0.0, 0.0], "object": [2, 1], "stage": ["confirmed"] * 2,
+               "x_m": np.ma.array([1.0, 2.0], mask=[True, False]), "y_m": [0.0, 0.0]}  # fmt: skip
+    records = {"time_s": [0.0], "source": ["esm"], "row": [4], "object": [1]}
+    sheet = MapSheet.of("map", objects, records, sensors=[MapSensor("radar")])
+    assert sheet.objects["object"].tolist() == [1, 2] and np.isnan(sheet.objects["x_m"][1])
+    assert [sensor.name for sensor in sheet.sensors] == ["radar", "esm"]
+    assert sheet.extent() == sheet.home() == (-48.0, -50.0, 52.0, 50.0)
+
+
+def test_what_is_looked_at_first_are_confirmed_objects_and_sites() -> None:
+    stage = ["confirmed", "confirmed", "tentative"]
+    objects = {"time_s": [0.0] * 3, "object": [1, 2, 3], "stage": stage, "x_m": [0.0, 500.0, 9e5], "y_m": [0.0] * 3}
+    sheet = MapSheet.of("map", objects, {}, sensors=[MapSensor("radar", x_m=-100.0, y_m=-300.0)])
+    assert sheet.home() == (-100.0, -300.0, 500.0, 0.0) and sheet.extent()[2] == 9e5
+    told = json.loads(map_page(sheet).split('id="data">')[1].split("</script>")[0])
+    assert told["extent"] == [-100.0, -300.0, 500.0, 0.0] and told["box"][2] >= 9e5
+
+
+def test_an_instant_without_anything_is_shown_too() -> None:
+    sheet = MapSheet.of("map", {}, {}, instants_s=[0.0, 1.0])
+    assert len(sheet.instants_s) == 2 and "columns" in map_page(sheet)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.tuples(st.integers(0, 359), st.integers(1, 360)),
+    st.lists(st.tuples(st.integers(0, 359), st.integers(1, 90)), max_size=3),
+)
+def test_a_sensor_sees_its_sector_less_its_shadows(whole: tuple[int, int], dark: list[tuple[int, int]]) -> None:
+    sector = (float(whole[0]), float(sum(whole) % 360))
+    shadows = tuple((float(a), float((a + w) % 360)) for a, w in dark)
+    coverage = Coverage(range_m=1000.0, sector_deg=sector, shadows_deg=shadows)
+    sensor = MapSensor.of(Description("radar", "other", Site(east_m=0.0, north_m=0.0), coverage), None)
+    bearing = np.arange(360) + 0.5
+    seen = np.zeros(360, np.bool_)
+    for start, stop in sensor.visible_deg:
+        seen |= (bearing - start) % 360.0 <= stop - start
+    assert np.array_equal(seen, coverage.covers(500.0, bearing))
+
+
+def test_members_are_read_from_their_list() -> None:
+    assert members_of("radar:12 north ais:3 adsb:0") == [("radar", 12), ("north ais", 3), ("adsb", 0)]
+    assert members_of("") == []
+
+
+# ---- packing ----
+
+
+def unpack(heads: list[dict[str, Any]], text: str) -> dict[str, NDArray[Any]]:
+    """Straight from the definition in packing.py."""
+    data, at, found = gzip.decompress(base64.b64decode(text)), 0, {}
+    for head in heads:
+        n, total, values = head["n"], 0, []
+        for k in range(n):
+            zigzag = sum(data[at + b * n + k] << (8 * b) for b in range(head["bytes"]))
+            total += -(zigzag + 1) // 2 if zigzag % 2 else zigzag // 2
+            values.append(total * head["step"])
+        at += head["bytes"] * n
+        if head["holes"]:
+            values = [v if data[at + k] else np.nan for k, v in enumerate(values)]
+            at += n
+        found[head["name"]] = np.array(values)
+    assert at == len(data)
+    return found
+
+
+@given(st.lists(st.one_of(st.just(np.nan), st.floats(-1e6, 1e6)), max_size=30), st.sampled_from([0.01, 0.5, 1.0]))
+def test_packed_columns_come_back_to_half_a_step(values: list[float], step: float) -> None:
+    column = np.array(values, np.float64)
+    back = unpack(*packed({"a": (column, step), "b": (column[::-1], 1.0)}))
+    assert np.array_equal(np.isnan(back["a"]), np.isnan(column))
+    assert np.nanmax(np.abs(back["a"] - column), initial=0.0) <= step * 0.5000001
+    assert np.nanmax(np.abs(back["b"] - column[::-1]), initial=0.0) <= 0.5000001
+
+
+def test_numbers_too_large_to_be_shown_are_refused() -> None:
+    with pytest.raises(InputError, match="column x holds 1e"):
+        packed({"x": (np.array([1e20]), 0.1)})
+
+
+# ---- the page ----
+
+
+def test_the_page_is_small_and_asks_for_nothing() -> None:
+    sheet = charted(60, 60, reach_m=20e3)
+    page = map_page(sheet)
+    assert len(page) < 600_000 + 45 * len(sheet.objects["object"])
+    assert not re.search(r"https?://|src=|href=", page.replace("http://www.w3.org/2000/svg", ""))
+    assert "default-src 'none'" in page
+
+
+def test_names_from_radio_do_not_end_the_script() -> None:
+    page = map_page(charted(3, 4, names={1: HOSTILE, 2: "{{js}}", 3: "\u2028"}))
+    assert HOSTILE not in page and page.count("</script>") == 4
+    assert "\\u003c/script>\\u003cscript>" in page
+    assert page.count("mapPage = {") == 1
+
+
+def test_a_page_that_cannot_be_written_says_so(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="does not exist"):
+        write_map_page(charted(2, 2), tmp_path / "none" / "map.html")
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Browser, MapSheet]]:
+    """A browser with the map of twelve vessels; the first has a hostile name."""
+    folder = tmp_path_factory.mktemp("map")
+    sheet = charted(names={1: HOSTILE})
+    write_map_page(sheet, folder / "map.html")
+    browser = Browser(folder / "profile", folder / "map.html", (1400, 900))
+    yield browser, sheet
+    browser.close()
+
+
+def key(browser: Browser, name: str, code: str = "", text: str = "") -> None:
+    for kind in ("keyDown", "keyUp"):
+        browser.do(
+            "Input.dispatchKeyEvent", type=kind, key=name, code=code or name, text=text if kind == "keyDown" else ""
+        )
+
+
+def centre_of(browser: Browser, selector: str) -> tuple[float, float]:
+    box = f"document.querySelector({json.dumps(selector)}).getBoundingClientRect()"
+    found = browser.js(f"(r => [r.left + r.width / 2, r.top + r.height / 2])({box})")
+    return found[0], found[1]
+
+
+def place_of(browser: Browser, number: int) -> tuple[float, float]:
+    """Where an object is drawn on the page."""
+    return tuple(browser.js(
+        f"(row => {{ const r = document.getElementById('chart').getBoundingClientRect(), o = mapPage.objects;"
+        "const [u, v] = mapPage.toScreen(o.x[row], o.y[row]); return [r.left + u, r.top + v]; })"
+        f"(mapPage.now.rowOf.get({number}))"
+    ))  # fmt: skip
+
+
+def words(browser: Browser, name: str) -> str:
+    return str(browser.js(f"document.getElementById('{name}').innerText"))
+
+
+@in_a_browser
+def test_the_page_holds_the_columns_of_the_sheet(shown: tuple[Browser, MapSheet]) -> None:
+    browser, sheet = shown
+    for table, columns in (("objects", sheet.objects), ("records", sheet.records)):
+        for here, there, step in (("x", "x_m", 0.01), ("y", "y_m", 0.01), ("n", "object", 1e-9)):
+            read = [np.nan if v is None else v for v in browser.js(f"[...mapPage.{table}.{here}]")]
+            assert np.allclose(read, columns[there].astype(float), atol=step, equal_nan=True)
+    assert browser.js("mapPage.records.bearing.filter(v => !isNaN(v)).length") == int(
+        np.isfinite(sheet.records["bearing_deg"]).sum()
+    )
+
+
+@in_a_browser
+def test_the_page_and_the_plane_agree_on_the_earth(shown: tuple[Browser, MapSheet]) -> None:
+    browser, _ = shown
+    rng = np.random.default_rng(1)
+    xy = rng.uniform(-300e3, 300e3, (20, 2))
+    lat, lon = SOLENT.to_geodetic(xy)
+    read = np.array(browser.js(f"{xy.tolist()}.map(p => mapPage.earth.toEarth(...p))"))
+    assert np.allclose(read, np.column_stack([lat, lon]), atol=1e-9)
+    back = np.array(browser.js(f"{read.tolist()}.map(p => mapPage.earth.toPlane(...p))"))
+    assert np.allclose(back, xy, atol=1e-3)
+
+
+@in_a_browser
+def test_the_slider_moves_what_is_drawn(shown: tuple[Browser, MapSheet]) -> None:
+    browser, sheet = shown
+    browser.js("mapPage.show(0)")
+    assert words(browser, "time") == "22:13:20" and words(browser, "day") == "2023-11-14"
+    pixels = "document.getElementById('chart').toDataURL()"
+    browser.until("document.body.dataset.drawn === '0'")
+    before = browser.js(pixels)
+    browser.click(*centre_of(browser, "#slider"))
+    browser.until("document.body.dataset.drawn !== '0'")
+    k = browser.js("mapPage.now.k")
+    assert abs(k - (len(sheet.instants_s) - 1) / 2) <= 1 and browser.js(pixels) != before
+    key(browser, "ArrowRight")
+    browser.until(f"document.body.dataset.drawn === '{k + 1}'")
+    seconds = int(sheet.instants_s[k + 1] - START_S)
+    assert words(browser, "time") == f"22:{13 + (20 + seconds) // 60}:{(20 + seconds) % 60:02d}"
+    browser.click(*centre_of(browser, "#play"))
+    browser.until(f"mapPage.now.k >= {k + 3}")
+    key(browser, " ", "Space")
+    browser.until("document.getElementById('play').getAttribute('aria-label') === 'play'")
+
+
+@in_a_browser
+def test_a_click_on_an_object_explains_it(shown: tuple[Browser, MapSheet]) -> None:
+    browser, sheet = shown
+    browser.js("mapPage.show(20); mapPage.pick(null)")
+    browser.until("document.body.dataset.drawn === '20'")
+    browser.click(*place_of(browser, 9))
+    browser.until("mapPage.picked === 9")
+    browser.until("document.getElementById('object').innerText.includes('Why')")
+    told = words(browser, "object")
+    row = int(np.flatnonzero((sheet.objects["object"] == 9) & (sheet.instant_of(sheet.objects) == 20))[0])
+    speed = sheet.objects["speed_m_per_s"][row]
+    lat, _ = SOLENT.to_geodetic([[sheet.objects["x_m"][row], sheet.objects["y_m"][row]]])
+    assert "VESSEL 09" in told and f"{speed / (1852 / 3600):.1f} kn" in told and f"({speed:.1f} m/s)" in told
+    assert f"{int(lat[0])}°{(lat[0] % 1) * 60:06.3f}′N" in told
+    assert "one object: probability 0.99" in told and "marine.csv line 200010" in told and "camera.csv" in told
+    assert sheet.texts[20, 9].splitlines()[1] in told
+    assert browser.js("location.hash") == "#t=20&object=9"
+    browser.js("mapPage.show(22)")
+    browser.until("document.getElementById('object').innerText.includes('Why')")
+    assert sheet.texts[20, 9].splitlines()[1] in words(browser, "object")
+    key(browser, "Escape")
+    assert browser.js("mapPage.picked") is None and browser.js("document.getElementById('object').hidden")
+
+
+@in_a_browser
+def test_an_ambiguous_object_shows_what_else_it_might_be(shown: tuple[Browser, MapSheet]) -> None:
+    browser, _ = shown
+    browser.js("mapPage.show(20); mapPage.pick(1)")
+    browser.until("document.getElementById('object').innerText.includes('Why')")
+    told = words(browser, "object")
+    assert (
+        "ambiguous" in told and "probability 0.71" in told and "with probability 0.28: with harbour radar 101" in told
+    )
+    assert "1 ambiguous" in words(browser, "counts")
+
+
+@in_a_browser
+def test_a_hostile_name_stays_text(shown: tuple[Browser, MapSheet]) -> None:
+    browser, sheet = shown
+    browser.js("mapPage.show(20); mapPage.pick(1)")
+    assert browser.js("document.querySelector('#object h2').textContent") == HOSTILE
+    assert browser.js("document.querySelector('#rows tr.picked td.label').textContent") == HOSTILE
+    assert browser.js("document.title") == f"{sheet.title} · map"
+    assert browser.js("document.images.length") == 0
+
+
+@in_a_browser
+def test_list_search_alarms_and_layers(shown: tuple[Browser, MapSheet]) -> None:
+    browser, _ = shown
+    browser.js("mapPage.show(20); mapPage.pick(null)")
+    numbers = "[...document.querySelectorAll('#rows tr[data-number]')].map(tr => +tr.dataset.number)"
+    assert browser.js(numbers) == sorted(browser.js(numbers))
+    browser.click(*centre_of(browser, "#columns th[data-key=speed] button"))
+    speeds = browser.js(
+        "[...document.querySelectorAll('#rows tr[data-number] td:nth-child(3)')].map(td => +td.innerText)"
+    )
+    assert len(speeds) > 5 and speeds == sorted(speeds)
+    browser.click(*centre_of(browser, "#search"))
+    browser.do("Input.insertText", text="vessel 11")
+    assert browser.js(numbers) == [11]
+    browser.click(*centre_of(browser, "#rows tr[data-number='11']"))
+    assert browser.js("mapPage.picked") == 11
+    browser.js("(s => { s.value = ''; s.dispatchEvent(new Event('input')); })(document.getElementById('search'))")
+    browser.click(*centre_of(browser, "#alarm-button"))
+    assert "shown twice" in words(browser, "alarms")
+    browser.js("mapPage.show(3)")
+    browser.click(*centre_of(browser, "#alarms button"))
+    assert browser.js("mapPage.now.k") == 20 and browser.js("mapPage.picked") == 3
+    browser.click(*centre_of(browser, "#tab-summary"))
+    assert "misses.q = 0.1" in words(browser, "summary")
+    browser.click(*centre_of(browser, "#tab-list"))
+    pixels = "(mapPage.paint(), document.getElementById('chart').toDataURL())"
+    before = browser.js(pixels)
+    browser.click(*centre_of(browser, "[data-source='0']"))
+    assert browser.js(pixels) != before
+    browser.click(*centre_of(browser, "[data-source='0']"))
+    assert browser.js(pixels) == before
+
+
+@in_a_browser
+def test_wheel_and_drag_move_the_chart(shown: tuple[Browser, MapSheet]) -> None:
+    browser, _ = shown
+    browser.js("mapPage.pick(null); document.getElementById('whole').click()")
+    x, y = place_of(browser, 8)
+    scale = browser.js("mapPage.view.scale")
+    browser.wheel(x, y, -500)
+    browser.until(f"mapPage.view.scale > 1.8 * {scale}")
+    assert np.allclose(place_of(browser, 8), (x, y), atol=1.0)  # the place under the hand stays
+    browser.do("Input.dispatchMouseEvent", type="mousePressed", x=x, y=y + 60, button="left", clickCount=1)
+    browser.do("Input.dispatchMouseEvent", type="mouseMoved", x=x - 80, y=y + 110, button="left", buttons=1)
+    browser.do("Input.dispatchMouseEvent", type="mouseReleased", x=x - 80, y=y + 110, button="left", clickCount=1)
+    assert np.allclose(place_of(browser, 8), (x - 80, y + 50), atol=1.0)
+    assert browser.js("mapPage.picked") is None
+    key(browser, "0")
+    assert browser.js("mapPage.view.scale") == pytest.approx(scale)
+
+
+@in_a_browser
+def test_nothing_went_wrong_and_nothing_was_fetched(shown: tuple[Browser, MapSheet]) -> None:
+    browser, _ = shown
+    assert not browser.errors
+    assert not [url for url in browser.requests if not url.startswith(("file:", "data:", "blob:"))]
+
+
+@in_a_browser
+def test_metres_alone_make_a_map_on_a_phone(tmp_path: Path) -> None:
+    write_map_page(charted(plane=None), tmp_path / "map.html")
+    browser = Browser(tmp_path / "profile", tmp_path / "map.html", (1000, 700))
+    try:
+        browser.do("Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=2, mobile=True)
+        browser.js("mapPage.show(20); mapPage.pick(9)")
+        assert words(browser, "time") == "200 s" and words(browser, "zone") == ""
+        assert " m  y " in browser.js("document.getElementById('object').textContent")
+        assert words(browser, "credit") == ""
+        browser.until("document.getElementById('chart').clientWidth <= 390")
+        assert browser.js("document.documentElement.scrollWidth") <= 390
+        assert not browser.errors
+    finally:
+        browser.close()
+
+
+# ---- the picture ----
+
+
+@pytest.mark.parametrize("plane", [SOLENT, None, LocalPlane(89.6, 40.0), LocalPlane(-17.5, 179.9)])
+def test_the_chart_is_drawn_anywhere(plane: LocalPlane | None, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib", reason="pictures need the extra sameas[plots]")
+    from sameas.plots import save
+    from sameas.plots.map import chart
+
+    sheet = charted(6, 6, plane=plane, names={1: "$x_1$ <b>"})
+    figure = chart(sheet, sheet.instants_s[3])
+    assert figure.get_suptitle().startswith(f"{sheet.title}: 6 objects")
+    told = [text.get_text() for text in figure.axes[0].texts]
+    assert "$x_1$ <b>" in told and "harbour radar" in told and "N" in told
+    assert any("Natural Earth" in text for text in told) == (plane is not None)
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels[0].startswith("harbour radar (") and any("ahead" in label for label in labels)
+    save(figure, tmp_path / "map.png")
+    assert (tmp_path / "map.png").stat().st_size > 20_000
+
+
+def test_a_coast_of_ones_own_stands_for_the_other(tmp_path: Path) -> None:
+    island = np.array([[0.0, 0.0], [900.0, 0.0], [900.0, 900.0]])
+    sheet = replace(charted(3, 3), ground=Outline((island,), (island,)))
+    page = map_page(sheet)
+    assert '"land":[[0,0,900,0,900,900]]' in page and "Natural Earth, ±" not in page

@@ -1,0 +1,115 @@
+"""Biases: there and back, derivatives, and errors that are still those of the sensor when reports are corrected."""
+
+import numpy as np
+import pytest
+
+from sameas.errors import InputError
+from sameas.records import Records
+from sameas.tracks import Calibration, Description, ErrorModel, Feed, Motion, Reports, Scene, Site, Timing
+from sameas.tracks.alignment import States
+from sameas.tracks.biases import BIASES, Between, BiasModel
+from sameas.tracks.coordinates import plane_polar
+from sameas.tracks.correction import corrected
+
+RNG = np.random.default_rng(1)
+PLACE, VELOCITY = RNG.uniform(-9e3, 9e3, (7, 2)), 6.0 * RNG.standard_normal((7, 2))
+THETA = np.array([60.0, -1.5, 0.004, 2.5, 30.0, -20.0])
+MODELS = {
+    "site": BiasModel((500.0, -2000.0)),
+    "nowhere": BiasModel(),
+    "moving": BiasModel(RNG.uniform(-1e4, 0, (7, 2))),
+}
+
+
+def without_site(name):
+    return np.where(np.arange(6) < 3, 0.0, THETA) if name == "nowhere" else THETA
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_what_is_undone_is_where_it_was(name):
+    model, theta = MODELS[name], without_site(name)
+    shown = model.shown(PLACE, VELOCITY, theta)
+    assert np.hypot(*(shown.place - PLACE).T).min() > 20.0
+    np.testing.assert_allclose(model.undone(shown.place, VELOCITY, theta).place, PLACE, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("way", ["shown", "undone"])
+def test_derivatives_are_those_of_the_places(name, way):
+    move, theta = getattr(MODELS[name], way), without_site(name)
+    found = move(PLACE, VELOCITY, theta)
+    step = 1e-3 * np.eye(2)
+    numeric = [(move(PLACE + e, VELOCITY, theta).place - move(PLACE - e, VELOCITY, theta).place) / 2e-3 for e in step]
+    np.testing.assert_allclose(found.by_place, np.stack(numeric, axis=-1), atol=1e-6)
+    for k, e in enumerate(1e-4 * np.eye(6)):
+        if name == "nowhere" and k < 3:
+            continue
+        slope = (move(PLACE, VELOCITY, theta + e).place - move(PLACE, VELOCITY, theta - e).place) / 2e-4
+        np.testing.assert_allclose(found.by_bias[..., k], slope, atol=2e-3, err_msg=BIASES[k])
+
+
+def test_an_offset_between_two_biased_sources_brings_their_records_together():
+    other = np.array([-40.0, 0.8, 0.0, -1.0, 0.0, 0.0])
+    first, second = MODELS["site"], BiasModel((4000.0, 3000.0))
+    seen_1, seen_2 = (m.shown(PLACE, VELOCITY, t).place for m, t in ((first, THETA), (second, other)))
+    model = Between(first, second, VELOCITY, (1.0,) * 12)
+    theta = np.concatenate([THETA, other])
+    np.testing.assert_allclose(model.moved(seen_2, theta), seen_1, atol=1e-6)
+    many = model.moved(seen_2, np.stack([theta, 0.0 * theta])[:, None, :])
+    np.testing.assert_allclose(many[1], seen_2, atol=1e-9)
+    assert model.jacobian(seen_2, theta).shape == (7, 2, 12) and len(model.names) == 12
+    # Only what may differ is looked for, and the chart is that of the sensor that may be turned farther.
+    radar = Between(first, second, VELOCITY, (0.0,) * 6 + (50.0, 1.0, 0.0, 2.0, 0.0, 0.0))
+    assert radar.names == ("second_range_m", "second_azimuth_deg", "second_time_s")
+    assert radar.voted(2) == [(0, -1.0), (1, -1.0)] and len(radar.turns()) == 1
+    records = Records.of(seen_2, sigma=1.0)
+    assert radar.placed(records, records) is radar
+
+
+def test_a_radar_is_still_exact_in_range_when_its_azimuth_is_corrected():
+    site, bearing = np.zeros((1, 2)), 40.0
+    position, covariance = plane_polar(
+        range_m=10e3, bearing_deg=bearing + 2.0, sensor_m=site, sigma_range_m=5.0, sigma_bearing_deg=1.0
+    )
+    reports = States.of([0.0], position, covariance, speed_m_per_s=8.0, velocity=[[3.0, 4.0]],
+                        velocity_covariance=np.eye(2), track=["1"])  # fmt: skip
+    theta = np.array([0.0, 2.0, 0.0, 3.0, 0.0, 0.0])
+    right = corrected(reports, site, theta)
+    wanted, spread = plane_polar(
+        range_m=10e3, bearing_deg=bearing, sensor_m=site, sigma_range_m=5.0, sigma_bearing_deg=1.0
+    )
+    np.testing.assert_allclose(right.state[:, :2], wanted, atol=1e-6)
+    np.testing.assert_allclose(right.covariance[:, :2, :2], spread, rtol=1e-9)
+    assert right.time_s[0] == -3.0 and np.hypot(*right.state[0, 2:]) == pytest.approx(5.0)
+    # What is taken off is not known exactly: 0.1° across, nothing along; 2 m along, nothing across.
+    for variance, along, across in [((0.0, 0.01), 0.0, (10e3 * np.radians(0.1)) ** 2), ((4.0, 0.0), 4.0, 0.0)]:
+        grown = (
+            corrected(reports, site, theta, np.diag([*variance, 0.0, 0.0, 0.0, 0.0])).covariance[0, :2, :2] - spread[0]
+        )
+        out = np.array([np.sin(np.radians(bearing)), np.cos(np.radians(bearing))])
+        assert out @ grown @ out == pytest.approx(along, abs=1e-6)
+        assert np.trace(grown) == pytest.approx(along + across, rel=1e-6)
+
+
+def test_a_calibration_that_is_known_is_taken_off_at_once():
+    said = Reports.of("radar", "table", {"time_s": [0.0], "range_m": [1030.0], "bearing_deg": [91.0]})
+    errors = ErrorModel(5.0, 0.0, 0.1)
+    known = Calibration(range_m=30.0, azimuth_deg=1.0, north_m=7.0)
+    there = Site(east_m=0.0, north_m=0.0)
+    feed = Feed.of(Description("radar", "marine radar", site=there, errors=errors, calibration=known), said)
+    np.testing.assert_allclose(feed.reports.state[0, :2], [1000.0, -7.0], atol=0.3)
+    with pytest.raises(InputError, match=r"radar: calibration of range or azimuth needs .* give site"):
+        said = Reports.of("radar", "table", {"time_s": [0.0], "x_m": [1030.0], "y_m": [0.0]})
+        Feed.of(Description("radar", "tracks", errors=ErrorModel(position_m=5.0), calibration=known), said)
+
+
+def test_directions_are_turned_and_grow_by_what_is_not_known():
+    camera = Description(
+        "camera", "camera", site=Site(east_m=0.0, north_m=0.0), motion=Motion(0.01, 8.0), timing=Timing(1.0),
+        errors=ErrorModel(bearing_deg=0.3), calibration=Calibration(azimuth_deg=2.0),
+    )  # fmt: skip
+    scene = Scene.of([(camera, Reports.of("camera", "table", {"time_s": [0.0], "bearing_deg": [1.0]}))])
+    directions = scene.feeds[0].reports
+    assert directions.bearing_deg[0] == pytest.approx(359.0) and camera.bias.azimuth_deg is None
+    grown = corrected(directions, scene.feeds[0].sensor_m, np.zeros(6), np.diag([0.0, 0.16, 0, 0, 0, 0]))
+    assert grown.sigma_deg[0] == pytest.approx(0.5)

@@ -1,0 +1,133 @@
+"""Doubts: a source that is wrong as a whole is told in words that say how and what to do; a sound one is not."""
+
+import re
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+from harbour import harbour
+
+from sameas.errors import InputError
+from sameas.tracks import Description, ErrorModel, LocalPlane, Misses, Reports, Scene, Site
+
+pytest.importorskip("pymap3d")
+
+PLANE = LocalPlane(50.7, -1.2)
+MADE = harbour(5, 40, until_s=150.0)
+NOON = datetime(2024, 5, 1, 12, tzinfo=UTC).timestamp()
+METRES = {"radar": MADE.sources[0], "ais": MADE.sources[1]}
+
+
+def on_earth(about, said):
+    """The same source, its positions or its site in degrees, its times in UTC."""
+    said = replace(said, time_s=said.time_s + NOON)
+    if said.x_m is not None:
+        lat, lon = PLANE.to_geodetic(np.column_stack([said.x_m, said.y_m]))
+        return about, replace(said, x_m=None, y_m=None, lat_deg=lat, lon_deg=lon)
+    lat, lon = PLANE.to_geodetic([[about.site.east_m, about.site.north_m]])
+    return replace(about, site=Site(float(lat[0]), float(lon[0]))), said
+
+
+DEGREES = {name: on_earth(*source) for name, source in METRES.items()}
+
+
+def told(sources, changed, columns):
+    """The doubts of a scene in which one source has other columns."""
+    about, said = sources[changed]
+    return Scene.of(list((sources | {changed: (about, replace(said, **columns))}).values())).doubts()
+
+
+def test_sound_sources_raise_no_doubt():
+    assert Scene.of(list(METRES.values())).doubts() == () == Scene.of(list(DEGREES.values())).doubts()
+
+
+AIS, RADAR = DEGREES["ais"][1], METRES["radar"][1]
+PLAIN = METRES["ais"][1]
+
+
+@pytest.mark.parametrize(
+    ("sources", "changed", "columns", "words"),
+    [
+        (DEGREES, "ais", {"lon_deg": -AIS.lon_deg}, "ais: its longitudes look like they have the wrong sign: .* turn"),
+        (METRES, "ais", {"x_m": PLAIN.x_m / 1e3, "y_m": PLAIN.y_m / 1e3}, "ais: its coordinates look like kilometres"),
+        (METRES, "ais", {"x_m": PLAIN.y_m, "y_m": PLAIN.x_m}, "ais: its x and y look exchanged"),
+        (METRES, "radar", {"range_m": RADAR.range_m / 1e3}, "radar 1: its ranges look .*unit is kilometres"),
+        (METRES, "radar", {"range_m": RADAR.range_m / 1852.0}, "radar 1: its ranges look like nautical miles"),
+        (METRES, "radar", {"range_m": RADAR.range_m / 0.3048}, "radar 1: its ranges look like feet"),
+        (METRES, "radar", {"bearing_deg": np.radians(RADAR.bearing_deg)}, "radar 1: its bearings look like radians"),
+        (METRES, "radar", {"bearing_deg": (90.0 - RADAR.bearing_deg) % 360.0}, "radar 1: its bearings .*anticlockwise"),
+        (DEGREES, "ais", {"time_s": AIS.time_s - 5 * 3600.0}, "clock looks 5 h (ahead|behind), as in another"),
+        (DEGREES, "ais", {"time_s": AIS.time_s - 400 * 86400.0}, "says nothing while others do: .* 2024-05-01 12:0"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_named_with_the_remedy(sources, changed, columns, words):
+    (sentence,) = told(sources, changed, columns)
+    assert re.search(words, sentence), sentence
+    if "while others do" not in sentence:
+        assert "as it stands" in sentence and "unless it is" in sentence
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ({"lat_deg": -AIS.lat_deg}, "latitudes look like they have the wrong sign: with .*, (\\d+) of \\1 "),
+        ({"lat_deg": AIS.lon_deg, "lon_deg": AIS.lat_deg}, "ais: its latitudes and longitudes look exchanged"),
+        ({"lat_deg": np.radians(AIS.lat_deg), "lon_deg": np.radians(AIS.lon_deg)}, "look like radians: .* unit is rad"),
+        ({"lat_deg": AIS.lat_deg - 30.0}, "km from ais, too far for one plane; check the sign and the order"),
+    ],
+)  # fmt: skip
+def test_what_is_too_far_for_one_plane_is_refused_with_the_reason(columns, words):
+    with pytest.raises(InputError, match=words):
+        told(DEGREES, "ais", columns)
+
+
+def test_a_site_of_the_wrong_sign_is_named():
+    about, said = DEGREES["radar"]
+    site = replace(about.site, lon_deg=-about.site.lon_deg)
+    (sentence,) = Scene.of([(replace(about, site=site), said), DEGREES["ais"]]).doubts()
+    assert sentence.startswith("radar 1: its site's longitude looks like it has the wrong sign")
+
+
+def test_of_three_sources_the_wrong_one_is_named():
+    made = harbour(6, 30, biases=((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), until_s=100.0)
+    about, said = made.sources[1]
+    wrong = (about, replace(said, range_m=said.range_m / 1e3))
+    (sentence,) = Scene.of([made.sources[0], wrong, made.sources[2]]).doubts()
+    assert sentence.startswith("radar 2: its ranges look like kilometres") and "unless" not in sentence
+
+
+def test_a_source_that_shares_nothing_is_told():
+    rng = np.random.default_rng(7)
+    n = len(PLAIN)
+    (sentence,) = told(METRES, "ais", {"x_m": rng.uniform(-12e3, 12e3, n), "y_m": rng.uniform(-9e3, 9e3, n)})
+    assert "has no more in common with the others than chance" in sentence and "leave it out" in sentence
+    assert Scene.of([METRES["ais"]]).doubts() == ()
+
+
+def test_a_stray_report_is_set_aside_by_its_line_and_the_others_are_kept():
+    about, said = DEGREES["ais"]
+    for lon in (54.83, -6.0):
+        astray = said.lon_deg.copy()
+        astray[[3, 7]] = lon
+        scene = Scene.of([(about, replace(said, lon_deg=astray))])
+        (note,) = scene.notes
+        assert note == (
+            f"ais: 2 of {len(said)} positions lie absurdly far from the rest and were set aside (lines 4, 8)"
+        )
+        assert np.flatnonzero(~scene.feeds[0].reports.usable).tolist() == [3, 7]
+        assert abs(scene.plane.lon_deg + 1.2) < 0.2 and scene.doubts() == ()
+    assert Scene.of([DEGREES["ais"]]).notes == ()
+
+
+def test_the_middle_of_a_plane_is_not_moved_by_what_is_absurd():
+    lat, lon = np.r_[np.full(30, -17.8), 50.0], np.r_[np.linspace(179.5, 180.5, 30), 0.0]
+    plane = LocalPlane.about(lat, (lon + 180.0) % 360.0 - 180.0)
+    assert plane.lat_deg == pytest.approx(-17.8, abs=0.02) and abs(abs(plane.lon_deg) - 180.0) < 0.1
+
+
+def test_a_source_of_another_kind_of_coordinates_is_still_refused():
+    bare = Description("bare", "tracks", misses=Misses(0.1), errors=ErrorModel(position_m=5.0))
+    plots = Reports.of("bare", "table", {"time_s": [NOON], "x_m": [0.0], "y_m": [0.0]})
+    with pytest.raises(InputError, match="bare: positions are metres in a plane of its own; give site"):
+        Scene.of([DEGREES["ais"], (bare, plots)])

@@ -1,0 +1,187 @@
+"""Registration of a scene: biases come out within their errors, with a reference and without, and do no harm."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from harbour import harbour
+
+from sameas.errors import InputError
+from sameas.many import identify_many
+from sameas.observations import records_of
+from sameas.tracks import (
+    BiasPrior,
+    Calibration,
+    Clutter,
+    Coverage,
+    Description,
+    ErrorModel,
+    Misses,
+    Motion,
+    Reports,
+    Scene,
+    Site,
+    Timing,
+)
+from sameas.tracks.agreement import Pool
+from sameas.tracks.encounters import Side, encounters
+
+NAMES = ("range_m", "azimuth_deg", "time_s")
+
+
+def normalised(found, truth):
+    """(biases,) errors in standard errors."""
+    return [
+        (found.parameters[name].value - true) / found.parameters[name].standard_error for name, true in truth.items()
+    ]
+
+
+def pair_f1(made, scene, instant_s):
+    """F1 of the pairs of the first two sources at an instant."""
+    now = scene.at(instant_s)
+    answer = identify_many(now.sources, rule=now.belief(), region=now.region)
+    owners = [own[records_of(source).ids] for own, source in zip(made.owners, now.sources, strict=True)]
+    both = ~np.ma.getmaskarray(answer.members)[:, :2].any(axis=1)
+    i, j = answer.members[both][:, :2].T
+    right = np.sum((owners[0][i] == owners[1][j]) & (owners[0][i] >= 0))
+    possible = len(np.intersect1d(owners[0][owners[0] >= 0], owners[1]))
+    return 2.0 * right / (both.sum() + possible)
+
+
+def test_biases_of_a_radar_against_ais_are_found_within_their_errors():
+    apart = []
+    for seed in range(7):
+        made = harbour(seed, (20, 40, 60)[seed % 3], sigma=(25.0, 50.0)[seed % 2], q=(0.1, 0.3)[seed // 2 % 2])
+        registered, (radar, ais) = made.scene.registered()
+        apart.append(normalised(radar, dict(zip(NAMES, (50.0, 1.0, 3.0), strict=True))))
+        assert radar.established and radar.notes == () and radar.against == ("ais",) and not ais.parameters
+        assert pair_f1(made, registered, 350.0) > max(pair_f1(made, made.scene, 350.0), 0.9)
+    assert np.mean(np.abs(apart) < 3.0) >= 0.95 and np.abs(apart).max() < 4.5
+    # Errors are stated neither too small nor much too large.
+    assert 0.4 < np.sqrt(np.mean(np.square(apart))) < 1.5
+
+
+def test_without_a_bias_none_is_found_and_nothing_is_lost():
+    for seed in range(2):
+        made = harbour(seed + 20, biases=((0.0, 0.0, 0.0),))
+        registered, (radar, _) = made.scene.registered()
+        assert np.abs(normalised(radar, dict.fromkeys(NAMES, 0.0))).max() < 3.5
+        assert pair_f1(made, registered, 350.0) >= pair_f1(made, made.scene, 350.0) - 0.03
+        grown = registered.feeds[0].reports.covariance[:, 0, 0] / made.scene.feeds[0].reports.covariance[:, 0, 0]
+        assert 1.0 <= np.median(grown) < 1.3
+
+
+def test_a_bias_far_beyond_the_distance_of_neighbours_is_found():
+    # 2.5° at 15 km are 650 m; ships are some 700 m apart.
+    made = harbour(31, 60, biases=((-120.0, -2.5, 0.0),))
+    _, (radar, _) = made.scene.registered()
+    assert radar.established
+    assert np.abs(normalised(radar, {"range_m": -120.0, "azimuth_deg": -2.5})).max() < 4.0
+
+
+def test_two_radars_without_a_reference_come_to_agree():
+    apart = []
+    for seed in range(2):
+        truth = (50.0, 1.0, 0.0), (-35.0, -0.7, 0.0)
+        made = harbour(seed + 40, 40, biases=truth, ais=False, until_s=150.0)
+        registered, found = made.scene.registered()
+        for radar, true in zip(found, truth, strict=True):
+            apart += normalised(radar, dict(zip(NAMES[:2], true[:2], strict=True)))
+            assert any("neither it nor radar" in note for note in radar.notes)
+        assert any("have no reference" in note for radar in found for note in radar.notes)
+        assert pair_f1(made, registered, 140.0) > max(0.85, pair_f1(made, made.scene, 140.0))
+        # What displaces both alike is uncertain, and yet not in the errors of one against the other.
+        own = [np.sqrt(np.median(scene.feeds[0].reports.covariance[:, 0, 0])) for scene in (made.scene, registered)]
+        assert own[1] < 1.6 * own[0]
+    assert np.abs(apart).max() < 3.5
+
+
+def test_a_reference_can_be_chosen_and_a_known_bias_be_fixed():
+    made = harbour(50, 30, until_s=200.0)
+    (about, said), ais = made.sources
+    fixed = replace(
+        about, calibration=Calibration(50.0, 1.0), timing=Timing(3.0, 3.0, 0.2), bias=BiasPrior(0.0, 0.0, 0.0, 0.0)
+    )
+    scene = Scene.of([(fixed, said), ais])
+    registered, found = scene.registered()
+    assert [str(one) for one in found] == [
+        f"{n}: taken as it is, the reference for the others" for n in ("radar 1", "ais")
+    ]
+    assert pair_f1(made, registered, 190.0) > 0.9
+    shifted = Scene.of([(about, said), (replace(ais[0], bias=BiasPrior(shift_m=100.0)), ais[1])])
+    _, found = shifted.registered(references=["radar 1"])
+    assert set(found[1].parameters) == {"east_m", "north_m"} and not found[0].parameters
+    with pytest.raises(InputError, match=r"'radar' is no source of positions; give some of radar 1, ais as references"):
+        scene.registered(["radar"])
+
+
+def test_a_shifted_source_without_a_site_is_brought_back():
+    made = harbour(60, 30, until_s=200.0)
+    about, said = made.sources[1]
+    rng = np.random.default_rng(1)
+    moved = replace(said, x_m=said.x_m + 80.0 + 10 * rng.standard_normal(len(said)), y_m=said.y_m - 45.0, mmsi=None,
+                    track_id=said.mmsi)  # fmt: skip
+    other = Description("other", "tracks", motion=about.motion, errors=ErrorModel(position_m=15.0, speed_m_per_s=0.3))
+    _, (_, found) = Scene.of([made.sources[1], (other, moved)]).registered()
+    assert np.abs(normalised(found, {"east_m": 80.0, "north_m": -45.0})).max() < 3.5
+    assert 5 <= found.tracks <= 30 and "east" in str(found)
+
+
+def test_a_camera_is_turned_back():
+    made = harbour(70, 25, biases=(), until_s=120.0)
+    rng = np.random.default_rng(2)
+    rows = []
+    for t in np.arange(0.0, 120.0, 2.0):
+        at = made.start + t * made.velocity
+        away, bearing = np.hypot(*at.T), np.degrees(np.arctan2(at[:, 0], at[:, 1]))
+        seen = (away < 8000.0) & (rng.random(len(at)) > 0.2)
+        rows += [[t, b + 1.7 + 0.3 * rng.standard_normal()] for b in bearing[seen]]
+    time_s, bearing = np.array(rows).T
+    camera = Description(
+        "camera", "camera", site=Site(east_m=0.0, north_m=0.0), coverage=Coverage(8000.0), misses=Misses(0.2),
+        clutter=Clutter(per_deg=0.001), errors=ErrorModel(bearing_deg=0.3, extent_m=5.0),
+        timing=Timing(2.0, 0.0, 0.0), motion=Motion(0.01, 8.0),
+    )  # fmt: skip
+    columns = {"time_s": time_s, "bearing_deg": bearing}
+    scene = Scene.of([*made.sources, (camera, Reports.of("camera", "table", columns))])
+    registered, (_, found) = scene.registered()
+    assert found.established and abs(normalised(found, {"azimuth_deg": 1.7})[0]) < 3.5
+    turned = (scene.feeds[1].reports.bearing_deg - registered.feeds[1].reports.bearing_deg) % 360.0
+    np.testing.assert_allclose(turned, found.parameters["azimuth_deg"].value)
+
+
+def test_what_has_nothing_in_common_is_left_where_it_is():
+    made = harbour(80, 12, biases=((0.0, 0.0, 0.0),), until_s=100.0)
+    radar, (about, said) = made.sources
+    rng = np.random.default_rng(3)
+    lost = replace(said, x_m=rng.uniform(-12e3, 12e3, len(said)), y_m=rng.uniform(-9e3, 9e3, len(said)))
+    scene = Scene.of([radar, (about, lost)])
+    registered, (found, _) = scene.registered()
+    assert not found.established and any("nothing in common with ais" in note for note in found.notes)
+    assert registered.feeds[0] is scene.feeds[0] and "NOT ESTABLISHED" in str(found)
+    later = Scene.of([radar, (about, replace(said, time_s=said.time_s + 1e5))])
+    registered, (found, _) = later.registered()
+    assert found.notes == ("radar 1: shows nothing at the times at which ais does; its biases were not looked for",)
+    assert registered.feeds[0] is later.feeds[0]
+
+
+def test_few_tracks_are_told():
+    made = harbour(90, 2, biases=((0.0, 0.0, 0.0),), until_s=150.0)
+    _, (found, _) = made.scene.registered()
+    assert any("too few tracks" in note for note in found.notes)
+
+
+def test_the_score_is_the_slope_of_the_posterior_over_all_instants():
+    made = harbour(100, 20, biases=((30.0, 0.5, 0.0), (-20.0, 0.3, 0.0)), until_s=60.0)
+    radars = made.scene.feeds[:2]
+    met = encounters(Side(radars[0], 0), Side(radars[1], 6), 3)
+    pool = Pool(met)
+    assert pool.biases.tolist() == [0, 1, 6, 7] and len(met) == 3
+    theta = np.array([[25.0, 0.45, -15.0, 0.25]])
+    common = [np.array([12.0])] * 3
+    score, information = pool.equations(theta, pool.weighed(theta, common, 1.0))
+    for k, step in enumerate(0.02 / np.sqrt(np.diagonal(information[0]))):
+        near = [theta + sign * step * np.eye(4)[k] for sign in (1.0, -1.0)]
+        up, down = (pool.gain(at, pool.weighed(at, common, 1.0))[0] for at in near)
+        # Where both look moves with the biases, by little.
+        assert abs((up - down) / (2.0 * step) - score[0, k]) * step / 0.02 < 0.5

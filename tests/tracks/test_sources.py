@@ -1,0 +1,74 @@
+"""Files of sensors find their descriptions, and what nobody described is told by the file."""
+
+import pytest
+
+from sameas.errors import InputError
+from sameas.io.sensors.sources import read_sources, read_told
+
+PLOTS = "time,range_km,bearing\n2024-05-01T12:00:00Z,5.2,40\n2024-05-01T12:00:03Z,5.1,41\n"
+FIXES = "time,lat,lon,sog,mmsi\n2024-05-01T12:00:00Z,50.1,-1.2,10,235070762\n"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "plots.csv").write_text(PLOTS)
+    (tmp_path / "coast.csv").write_text(FIXES)
+    return tmp_path
+
+
+def test_kinds_are_told_by_name_and_columns(folder):
+    (folder / "harbour radar.csv").write_text(PLOTS)
+    (folder / "unknown.csv").write_text("time,lat,lon\n2024-05-01T12:00:00Z,50.1,-1.2\n")
+    radar, coast, plots = read_sources([folder / name for name in ("harbour radar.csv", "coast.csv", "plots.csv")])
+    assert [s.description.kind for s in (radar, coast, plots)] == ["marine radar", "ais", "marine radar"]
+    assert "taken for ais: it has a column of mmsi" in coast.lines()[0]
+    with pytest.raises(InputError, match=r"unknown: what kind of sensor is it\?.*\[sources.unknown\]"):
+        read_sources([folder / "unknown.csv"])
+
+
+def test_a_description_names_its_file_and_how_to_read_it(folder):
+    (folder / "odd.csv").write_text("t,d,theta\n00:00:00,5.2,40\n00:00:03,5.1,41\n")
+    (folder / "sensors.toml").write_text(
+        '[sources.west]\nkind = "marine radar"\nsite = { lat_deg = 50, lon_deg = -1 }\n'
+        'file = { path = "odd.csv", start = "2024-05-01", columns = { time_s = "t", range_m = "d", '
+        'bearing_deg = "theta" }, units = { d = "km" } }\n'
+    )
+    [west] = read_sources([], read_told(folder / "sensors.toml"))
+    assert west.description.name == west.reports.source == "west" and west.why_kind is None
+    assert west.reports.range_m.tolist() == [5200.0, 5100.0] and west.reports.time_s[0] == 1714521600.0
+
+
+def test_names_are_given_with_the_file(folder):
+    toml = folder / "s.toml"
+    toml.write_text('[sources.west]\nkind = "marine radar"\n')
+    [west] = read_sources([f"west={folder / 'plots.csv'}"], read_told(toml))
+    assert west.description.name == "west" and not any(a.source != "west" for a in west.description.assumed)
+    with pytest.raises(InputError, match="west is described, but none of the files is of it; there are plots: give"):
+        read_sources([folder / "plots.csv"], read_told(toml))
+    with pytest.raises(InputError, match="two sources are called west; name them"):
+        read_sources([f"west={folder / 'plots.csv'}", f"west={folder / 'coast.csv'}"])
+    with pytest.raises(InputError, match="no files"):
+        read_sources([])
+
+
+@pytest.mark.parametrize(
+    ("toml", "message"),
+    [
+        ("[sources]\nwest = 3\n", r"sources.west is no table"),
+        ('[sources.west]\nkind = "ais"\nfile = { colums = {} }\n', "'colums' is not known; give path, format"),
+        ("[sources.west\n", "cannot be read as TOML"),
+        ("x = 1\n", "describes no sources"),
+    ],
+)
+def test_what_is_wrong_with_a_description_is_said(tmp_path, toml, message):
+    (tmp_path / "s.toml").write_text(toml)
+    with pytest.raises(InputError, match=message):
+        read_told(tmp_path / "s.toml")
+
+
+def test_a_log_of_two_sensors_gives_two_sources():
+    from pathlib import Path
+
+    log = Path(__file__).parent / "data" / "ais_sample.nmea"
+    ais = read_sources([log], start="2024-05-01")
+    assert [s.description.kind for s in ais] == ["ais"]
