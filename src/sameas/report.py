@@ -69,6 +69,7 @@ def estimate_lines(match: SkyMatch) -> list[str]:
     return [
         "Estimated",
         *entry("epoch", match.moved),
+        *(entry("offset", f"added to {match.second.name}: {match.turn}") if match.turn else ()),
         *common_objects(match),
         *_area(match.estimate.coverage),
         *findings(match),

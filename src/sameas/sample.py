@@ -134,4 +134,6 @@ def _renumbered(at: NDArray[np.int32], known: IntArray) -> NDArray[np.int32]:
 
 
 def _some(records: Records, rows: IntArray) -> Records:
-    return replace(records, features=records.features[rows], covariance=records.covariance[rows], rows=records.rows[rows])
+    return replace(
+        records, features=records.features[rows], covariance=records.covariance[rows], rows=records.rows[rows]
+    )

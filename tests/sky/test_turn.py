@@ -4,11 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from astropy.table import Table
 
 from sameas import match
 from sameas.areas import Cap, WholeSky
 from sameas.score import score_pairs
 from sameas.simulate import sky_field
+from sameas.sky.catalogue import Catalogue
+from sameas.sky.match import MatchOptions
+from sameas.sky.match import match as match_catalogues
 from sameas.sky.turn import Turn, find_turn
 from sameas.space import sphere_offset
 
@@ -81,3 +85,22 @@ def test_no_turn_moves_nothing():
     made = scene(Cap(10.0, -80.0, 0.3), 50)
     still = Turn((10.0, -80.0), np.zeros(3), np.zeros((3, 3)))
     np.testing.assert_array_equal(still.moved(made.second.features), made.second.features)
+
+
+def catalogue(records, name):
+    ra, dec = records.features.T
+    return Catalogue.of(Table({"ra": ra, "dec": dec, "sigma_arcsec": np.sqrt(records.covariance[:, 0])}), name)
+
+
+@pytest.mark.parametrize("vector", [(0.15, -0.1, 0.0), (8.0, -5.0, 0.0)], ids=["part of an error", "many errors"])
+def test_catalogues_off_each_other_are_doubted_and_brought_together(vector):
+    made = scene(Cap(40.0, 60.0, 0.4), 1500)
+    first, second = catalogue(made.first, "a"), catalogue(turned(made.second, (40.0, 60.0), vector), "b")
+    believed = match_catalogues(first, second)
+    assert any("--offset find" in doubt for doubt in believed.doubts) and believed.turn is None
+    found = match_catalogues(first, second, MatchOptions(offset="find"))
+    assert found.turn is not None and not any("--offset" in doubt for doubt in found.doubts)
+    assert np.abs(found.turn.vector[:2] - vector[:2]).max() < 0.1
+    assert len(found.result.matches) > 0.98 * 1500
+    still = match_catalogues(first, catalogue(made.second, "b"))
+    assert not any("--offset" in doubt for doubt in still.doubts)

@@ -28,6 +28,7 @@ from sameas.cli.arguments import (
     Made,
     MagnitudeEvidence,
     Nway,
+    Offset,
     OutFormat,
     Output,
     Overwrite,
@@ -97,6 +98,7 @@ def match(
     error_scale: ErrorScale = "auto",
     density: Density = None,
     magnitudes: MagnitudeEvidence = "auto",
+    offset: Offset = "none",
     hdu1: Hdu1 = None,
     hdu2: Hdu2 = None,
     format1: Format1 = None,
@@ -115,7 +117,7 @@ def match(
         from sameas.cli.matching import Wanted, run
         from sameas.cli.request import Request, match_options
 
-        options = match_options(to_epoch, gate_sigmas, error_scale, density, magnitudes)
+        options = match_options(to_epoch, gate_sigmas, error_scale, density, magnitudes, offset)
         fields = fields_of(columns, 1), fields_of(columns, 2)
         paths = str(first), str(second)
         request = Request(paths, (format1, format2), (hdu1, hdu2), fields, options, columns)

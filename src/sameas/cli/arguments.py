@@ -74,6 +74,16 @@ MagnitudeEvidence = Annotated[
         help="Magnitudes as evidence: those of both catalogues, none, or columns of A and of B.",
     ),
 ]
+Offset = Annotated[
+    str,
+    _option(
+        "--offset",
+        panel=_MATCH,
+        metavar="none|find",
+        callback=one_of(("none", "find")),
+        help="Find the shift and turn of B against A, and take it away.",
+    ),
+]
 Hdu1 = Annotated[
     str | None,
     _option("--hdu1", panel=_FILES, metavar="HDU", help="Number or name of the FITS extension of A."),

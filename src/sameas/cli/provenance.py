@@ -40,6 +40,7 @@ def provenance(request: Request, match: SkyMatch, command: str) -> dict[str, Any
         "epoch_2": match.second.epoch_jyr,
         "common_epoch": match.epoch_jyr,
         "motion": match.moved,
+        "offset": None if match.turn is None else str(match.turn),
         "area_deg2": area,
         "density_1_per_deg2": density_1,
         "density_2_per_deg2": density_2,

@@ -127,10 +127,15 @@ class Request:
 
 
 def match_options(
-    to_epoch: float | None, gate_sigmas: float | None, error_scale: str, density: str | None, magnitudes: str
+    to_epoch: float | None,
+    gate_sigmas: float | None,
+    error_scale: str,
+    density: str | None,
+    magnitudes: str,
+    offset: str = "none",
 ) -> MatchOptions:
     """The options of the match, refused at once where they make no sense."""
-    options = MatchOptions(to_epoch, gate_sigmas, error_scale, magnitudes=magnitudes)
+    options = MatchOptions(to_epoch, gate_sigmas, error_scale, magnitudes=magnitudes, offset=offset)
     if density is not None:
         try:
             one, two = (float(part) for part in density.split(","))

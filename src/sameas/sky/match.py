@@ -24,6 +24,7 @@ from sameas.result import Identification
 from sameas.sky.bands import AUTO, magnitudes_of
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.nearest import Nearest, nearest
+from sameas.sky.turn import Turn, find_turn, left_over
 from sameas.space import sphere_offset
 
 ARCSEC2_PER_DEG2 = 3600.0**2
@@ -42,6 +43,8 @@ class MatchOptions:
     density_per_deg2 : (first, second) densities of all records, instead of local ones from the data.
     magnitudes : "auto" takes those of both catalogues as evidence, "off" leaves it to the positions; columns by name
         as "G,BP:J,H" (see ``sky.bands``).
+    offset : "none" believes that both are on one frame, and doubts it where the pairs say else; "find" looks for the
+        shift and turn of the second catalogue and takes it away (see ``sky.turn``).
     """
 
     epoch_jyr: float | None = None
@@ -49,6 +52,7 @@ class MatchOptions:
     error_scale: float | str = "auto"
     density_per_deg2: tuple[float, float] | None = None
     magnitudes: str = AUTO
+    offset: str = "none"
 
     def errors(self) -> Errors | None:
         """The spread of the residuals, None where it is to be estimated."""
@@ -78,6 +82,7 @@ class SkyMatch:
 
     epoch_jyr : the epoch both were brought to, None where each stayed where it was observed.
     moved : one sentence on what was moved and why. doubts : what looks wrong with the result.
+    turn : of the second catalogue onto the first, None where none was looked for.
     """
 
     first: Catalogue
@@ -87,6 +92,7 @@ class SkyMatch:
     result: Identification
     estimate: Estimate
     doubts: tuple[str, ...]
+    turn: Turn | None = None
 
     @cached_property
     def covered_1(self) -> NDArray[np.bool_]:
@@ -140,12 +146,16 @@ def match(
     progress("motion")
     epoch, words, one, two = brought_together(first, second, options.epoch_jyr)
     _refuse_blur(one, two)
+    turn = find_turn(one, two, progress) if options.offset == "find" else None
+    if turn is not None:
+        two = turn.of(two)
     result, estimate = estimated(
         one, two, errors=options.errors(), gate=options.gate(), density=options.density(),
         brightness=magnitudes_of(first, second, options.magnitudes), progress=progress,
     )  # fmt: skip
     doubts = density_doubts(estimate.coverage, options) + _doubts(result, estimate) + _missed(result, estimate)
-    return SkyMatch(first, second, epoch, words, result, estimate, doubts)
+    doubts += _standing_off(result, estimate) if turn is None else turn.notes
+    return SkyMatch(first, second, epoch, words, result, estimate, doubts, turn)
 
 
 def brought_together(
@@ -270,6 +280,20 @@ def _doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]:
     return tuple(doubts)
 
 
+def _standing_off(result: Identification, estimate: Estimate) -> tuple[str, ...]:
+    """A question to the frames where the pairs lie off each other on the average, or there are none."""
+    if estimate.common < 1.0:
+        return ("one may stand off the other by more than their errors: --offset find looks for that",)
+    found = left_over(result, estimate.typical_scale)
+    if found is None:
+        return ()
+    turn, share = found
+    return (
+        f"{result.second.source} stands off {result.first.source} by {share:.1g} of a pair's error or more "
+        f"({turn}): say --offset find to take it away",
+    )
+
+
 def _missed(result: Identification, estimate: Estimate) -> tuple[str, ...]:
     """A question to the errors where the records coincide, but not within them."""
     first, second = result.first, result.second
@@ -282,7 +306,8 @@ def _missed(result: Identification, estimate: Estimate) -> tuple[str, ...]:
         return ()
     return (
         f"a quarter of {first.source} lies within {near:.2g} arcsec of a record of {second.source}, by chance it would "
-        f"be {by_chance:.2g}, but hardly any within its errors: are the errors in the unit that was understood?",
+        f"be {by_chance:.2g}, but hardly any within its errors: are the errors in the unit that was understood? "
+        "Or is one shifted (--offset find)?",
     )
 
 

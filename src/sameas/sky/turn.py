@@ -27,8 +27,10 @@ PATCH_RECORDS, PATCH_DEG = 800, 3.0
 PLACES = 48
 #: Rounds at most, and the part of a typical error of its own that a last step may move the catalogue by.
 ROUNDS, SETTLED = 8, 0.05
-#: Pairs less probable than this do not speak.
-UNLIKELY = 0.01
+#: Pairs less probable than this do not speak; of many, so many do.
+UNLIKELY, MANY = 0.01, 100_000
+#: A turn that nobody asked for is told from so many of its errors on, and where it moves a pair by so much of its own.
+TOLD, MATTERS = 5.0, 0.3
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,12 @@ class Turn:
     def standard_errors(self) -> FloatArray:
         """(3,) arcsec."""
         return np.sqrt(np.diag(self.covariance))
+
+    def __str__(self) -> str:
+        """What is added to the second catalogue, where it is told."""
+        east, north, turn = (f"{v:+.4g} ± {e:.2g}" for v, e in zip(self.vector, self.standard_errors, strict=True))
+        lon, lat = self.centre_deg
+        return f"{east} arcsec east, {north} north, turned by {turn} arcsec about RA {lon:.3f}°, Dec {lat:+.3f}°"
 
     def of(self, records: Records) -> Records:
         """The records turned; their covariances include what is not known of the turn."""
@@ -95,6 +103,7 @@ class Turn:
         scale : by which residuals are larger than quoted.
         """
         use = np.flatnonzero(answer.p_pair > UNLIKELY)
+        use = use[:: -(-len(use) // MANY) or 1]
         pairs, p = answer.pairs, answer.p_pair[use]
         slope = self._slope(answer.second.features[pairs.j[use]])
         precision = np.linalg.inv(pairs.covariance[use]) / scale**2
@@ -130,6 +139,22 @@ def find_turn(first: Records, second: Records, progress: Callable[[str], None] =
             break
         before = share
     return turn
+
+
+def left_over(answer: Identification, scale: float) -> tuple[Turn, float] | None:
+    """The turn that the pairs of an identification show beside their errors, and by how many of a pair's errors it
+    moves one at most; None where it does not matter.
+
+    A turn of many errors hides its own pairs: what is left of it is seen, and :func:`find_turn` finds the rest.
+    """
+    if not len(answer.p_pair):
+        return None
+    at = answer.second.features[:: -(-len(answer.second) // MANY)]
+    x, y, z = _vectors(at).mean(axis=0)
+    centre = (float(np.degrees(np.arctan2(y, x)) % 360.0), float(np.degrees(np.arctan2(z, np.hypot(x, y)))))
+    turn, share = Turn(centre, np.zeros(3), np.zeros((3, 3))).refined(answer, scale)
+    sure = float(np.sqrt(turn.vector @ np.linalg.solve(turn.covariance, turn.vector)))
+    return (turn, share) if share > MATTERS and sure > TOLD else None
 
 
 def _begun(centre: tuple[float, float], registration: Registration) -> Turn:
