@@ -289,7 +289,7 @@ def _standing_off(result: Identification, estimate: Estimate) -> tuple[str, ...]
         return ()
     turn, share = found
     return (
-        f"{result.second.source} stands off {result.first.source} by {share:.1g} of a pair's error or more "
+        f"{result.second.source} stands off {result.first.source} by up to {share:.1g} of a pair's error "
         f"({turn}): say --offset find to take it away",
     )
 
