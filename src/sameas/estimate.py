@@ -211,7 +211,7 @@ class _Search:
             total += done
             found = _Found(whole, known, told, limit, total, settled)
             if self.gate is not None or total >= most or not found.must_open():
-                return found
+                return found if not known.lessons else replace(found, known=known.with_lesson(told, last=True))
             limit = min(2.0 * limit, WIDEST_SIGMAS)
 
     def identified(self, found: _Found, most: int) -> tuple[Identification, _Found]:

@@ -71,7 +71,7 @@ class Groups:
     def of_pairs(self) -> NDArray[np.int32]:
         """(m,) group of each pair, in the order of the gate."""
         group = np.empty(len(self.order), np.int32)
-        group[self.order] = self.group
+        group[self.order] = np.repeat(np.arange(len(self), dtype=np.int32), self.pair_counts)
         return group
 
     def bounds(self, parts: int) -> list[int]:

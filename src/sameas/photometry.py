@@ -34,8 +34,10 @@ from sameas.result import Identification
 
 #: Expected pairs of a pattern of measured bands, and records of a source, from which anything is learned at all.
 FEWEST = 50.0
-#: Pairs that a relation is learned from, and records that a curve is, at most: more would not better it noticeably.
-ENOUGH, ENOUGH_IN_ROUNDS = 10_000, 4_000
+#: Pairs that a relation is learned from, at most, in the end and in rounds: more would not better it noticeably.
+ENOUGH, ENOUGH_IN_ROUNDS = 10_000, 2_000
+#: Records that a curve of the shares, or how the bands of one source follow each other, is learned from.
+CURVED = 4_000
 #: The golden ratio of 2³²: multiples of it are strewn evenly.
 SCATTERING = 2_654_435_769
 
@@ -168,7 +170,7 @@ def _chain(side: Side, own: Measured, other: Measured, weight: FloatArray, befor
 def _side(measured: Measured) -> Side:
     """The densities of a source's bands, and how they follow each other in its records."""
     densities = tuple(map(_density, measured.values.T))
-    some = measured.take(np.arange(0, len(measured.values), max(1, -(-len(measured.values) // ENOUGH))))
+    some = measured.take(np.arange(0, len(measured.values), max(1, -(-len(measured.values) // CURVED))))
     alone: list[Mapping[Pattern, Relation]] = []
     for band, density in enumerate(densities):
         these = Regressors.split(band, some, None) if band and density is not None else ()
@@ -207,7 +209,7 @@ def _curve(
 ) -> ShareCurve | None:
     magnitude = side.measured.values[:, 0]
     these = np.flatnonzero(np.isfinite(magnitude) & covered)
-    these = these[:: max(1, -(-len(these) // ENOUGH))]
+    these = these[:: max(1, -(-len(these) // CURVED))]
     if len(these) < FEWEST:
         return None
     return ShareCurve.fit(magnitude[these], share[these], p_partner[these], before)

@@ -68,9 +68,10 @@ def fit_relation(
     sample: Sample, background: MagnitudeDensity, start: Relation | None = None, *, last: bool = False
 ) -> Relation:
     """The relation of greatest likelihood; a few steps on from ``start`` where there is one, many for the last time."""
-    relation = start if start is not None else _first(sample, background)
+    relation = replace(start, background=background) if start is not None else _first(sample, background)
+    hats, alone = Hats.at(relation.knots, sample.others[:, 0]), np.exp(background(sample.y))
     for _ in range(LAST_STEPS if last else STEPS if start is not None else FIRST_STEPS):
-        before, relation = relation, _improved(sample, replace(relation, background=background))
+        before, relation = relation, _improved(sample, relation, hats, alone)
         if _settled(before, relation):
             break
     return relation
@@ -110,14 +111,15 @@ def _first(sample: Sample, background: MagnitudeDensity) -> Relation:
     )
 
 
-def _improved(sample: Sample, relation: Relation) -> Relation:
-    """One step of EM."""
-    residual, total = relation.residual(sample.y, sample.others, sample.variance, sample.other_variance)
+def _improved(sample: Sample, relation: Relation, hats: Hats, density_alone: FloatArray) -> Relation:
+    """One step of EM; ``hats`` at the first of the others, and (n,) the density of y by the background."""
+    curves = hats.curve(relation.offset), hats.curve(relation.scatter)
+    residual, total = relation.residual(sample.y, sample.others, sample.variance, sample.other_variance, curves)
     scales, weight = relation.scales, sample.weight
     # Not in terms of matrices: these are long and thin, and libraries would start threads for them.
     half, peak = -0.5 * residual**2 / total, 1.0 / np.sqrt(2.0 * np.pi * total)
     parts = [share / s * peak * np.exp(half / s**2) for s, share in zip(scales, relation.shares, strict=True)]
-    unrelated = relation.unrelated * np.exp(relation.background(sample.y))
+    unrelated = relation.unrelated * density_alone
     per_density = weight / np.maximum(sum(parts, unrelated), 1e-300)
     owned = weight - unrelated * per_density
     counts = np.array([(part * per_density).sum() for part in parts])
@@ -125,7 +127,6 @@ def _improved(sample: Sample, relation: Relation) -> Relation:
     alone = float((weight - owned).sum()) + PSEUDO_UNRELATED
     shares, alone = shares / (shares.sum() + alone), alone / (shares.sum() + alone)
     precise = per_density * sum(part / s**2 for s, part in zip(scales, parts, strict=True))
-    hats = Hats.at(relation.knots, sample.others[:, 0])
     solved, covariance, mean = _curve(sample, relation, hats, precise / total, owned)
     # What the residuals really scatter, where the mixture does not quite describe them.
     covariance *= float((precise**2 * residual**2 / total**2).sum() / (precise / total).sum())

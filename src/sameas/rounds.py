@@ -24,6 +24,7 @@ from sameas.groups import groups
 from sameas.photometry import Lesson, Photometry
 from sameas.posterior import by_messages
 from sameas.prior import PerPair
+from sameas.quantity import MOST_MISSING
 from sameas.records import FloatArray
 from sameas.sample import Setting
 
@@ -39,8 +40,8 @@ FILLED = 0.15
 FEWEST = 50.0
 #: Rounds by positions alone before magnitudes are learned from, and rounds with them at least.
 POSITIONS_FIRST, WITH_BRIGHTNESS = 1, 3
-#: The number of common objects has settled when it changes by no more than this share of its standard error; each
-#: change is about as large as all that would follow. Of very few it must change by no more than this number.
+#: The number of common objects has settled when all changes to come are no more than this share of its standard error,
+#: or, of very few, when it changes by no more than this number.
 SETTLED, SETTLED_NUMBER = 0.1, 0.01
 
 Both = tuple[FloatArray, FloatArray]
@@ -146,10 +147,19 @@ class Known:
         """Number of common objects that the shares let expect."""
         return min(float((share * seen).sum()) for share, seen in zip(self.shares(), self.setting.seen, strict=True))
 
-    def count_error(self) -> float:
-        """Standard error of the number of common objects among the counted: what is not sure of the surer source."""
-        unsure = (p[known] * (1.0 - p[known]) for p, known in zip(self.partner, self.counted, strict=True))
-        return math.sqrt(min(float(part.sum()) for part in unsure))
+    def slack(self) -> float:
+        """Standard error of the number of common objects among the counted, for all that changes like the last may add.
+
+        Σ p(1 − p) of what is not sure; its share r of the information that there could be is missing, and as much of
+        each change follows in the next round.
+        """
+        slacks = []
+        for partner, known in zip(self.partner, self.counted, strict=True):
+            p = partner[known]
+            unsure, mean = float((p * (1.0 - p)).sum()), float(p.mean())
+            missing = min(unsure / max(len(p) * mean * (1.0 - mean), 1e-300), MOST_MISSING)
+            slacks.append(math.sqrt(unsure / (1.0 - missing)) * (1.0 - missing))
+        return min(slacks)
 
     def learned(self, p_pair: FloatArray, *, brightness: bool) -> Known:
         """What the probabilities of a round (m,) say of shares and errors, and of magnitudes where these are asked."""
@@ -214,9 +224,7 @@ def settled(known: Known, rounds: int, progress: Callable[[str], None]) -> tuple
                 "understood?"
             )
         known = known.learned(p_pair, brightness=number >= POSITIONS_FIRST)
-        done = abs(common - before) <= SETTLED * known.count_error() + SETTLED_NUMBER
+        done = abs(common - before) <= SETTLED * known.slack() + SETTLED_NUMBER
         # The magnitudes must have had their say.
         done &= known.photometry is None or common < FEWEST or known.lessons > WITH_BRIGHTNESS
-    if known.lessons:
-        known = known.with_lesson(told, last=True)
     return known, told, number, done

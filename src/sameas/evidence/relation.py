@@ -82,12 +82,21 @@ class Relation:
         return math.sqrt(float(share @ self.scatter**2) / max(float(share.sum()), 1e-300))
 
     def residual(
-        self, y: FloatArray, others: FloatArray, variance: FloatArray, other_variance: FloatArray
+        self,
+        y: FloatArray,
+        others: FloatArray,
+        variance: FloatArray,
+        other_variance: FloatArray,
+        curves: tuple[FloatArray, FloatArray] | None = None,
     ) -> tuple[FloatArray, FloatArray]:
-        """(m,) y minus its mean, and (m,) the variance of a normal of scale 1."""
+        """(m,) y minus its mean, and (m,) the variance of a normal of scale 1.
+
+        curves : offset and scatter at the first of the others, (m,) each, where these are known already.
+        """
         x = others[:, 0]
-        mean = x + np.interp(x, self.knots, self.offset)
-        total = np.interp(x, self.knots, self.scatter) ** 2 + variance
+        offset, scatter = curves or (np.interp(x, self.knots, self.offset), np.interp(x, self.knots, self.scatter))
+        mean = x + offset
+        total = scatter**2 + variance
         # An error of each of the others moves the mean as strongly as it is weighed in it.
         total += (1.0 - self.slopes.sum()) ** 2 * other_variance[:, 0]
         for c, (slope, centre) in enumerate(zip(self.slopes, self.centres, strict=True), start=1):
