@@ -1,15 +1,14 @@
 """Zones: how the search lays two sources out, so that what is near in space is near in memory.
 
-Records are sorted into zones of one coordinate and along the other within each; records of very different errors are
+Records are sorted into zones of one coordinate and along the other within each; the few of very different errors are
 laid out apart, class by class. The order depends on what the records say, not on the rows they stand in.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +19,16 @@ from sameas.space import Plane, Sphere
 if TYPE_CHECKING:
     from sameas.kernels import spans
 
-#: Fewer tests than this for each record are not worth another sweep.
+Rows = NDArray[np.int32]
+
+#: Fewer tests than this for each record are not worth another layout.
 FEW_TESTS = 4.0
-#: So few records are swept in one zone: to lay out more costs as much as to test them all.
+#: So few records are laid out in one zone: to lay out more costs as much as to test them all.
 FEW_RECORDS = 512
-#: So few keys are not sorted by their bits.
-FEW_KEYS = 4096
+#: A zone is as high as a square that holds so many records: to look a stretch up costs as much as some tests.
+SQUARE = 8.0
+#: Squares along either axis of the grid that tells where records lie.
+SQUARES = 32
 
 
 @dataclass(frozen=True)
@@ -33,10 +36,12 @@ class Geometry:
     """The feature space as the kernels want it: which coordinate makes the zones (y), which is swept (x).
 
     opening : by how much a variance of one opens the gate, squared, in the unit of the features.
+    bare : whether x, y and one variance are all that there is to know of a record.
     """
 
     sphere: bool
     box: bool
+    bare: bool
     limit: float
     opening: float
     periods: FloatArray
@@ -48,34 +53,39 @@ class Geometry:
         if isinstance(first.space, Sphere):
             # Box edges reach √2 further than the ellipse that they enclose.
             opening = limit * (2.0 if box else 1.0) / 3600.0**2
-            return cls(True, box, limit, opening, np.array([360.0, np.inf]), 0, 1)
+            bare = first.covariance.shape[1] == second.covariance.shape[1] == 1
+            return cls(True, box, bare, limit, opening, np.array([360.0, np.inf]), 0, 1)
         assert isinstance(first.space, Plane)
         periods = np.array(first.space.period_list(first.d))
         if first.d == 1 or len(first) + len(second) <= FEW_RECORDS:
-            return cls(False, box, limit, limit, periods, 0, 0)
+            return cls(False, box, False, limit, limit, periods, 0, 0)
         # Sweep along the feature that separates best for its errors; zones of the second best.
         sharpness = np.minimum(_sharpness(first), _sharpness(second))
         best = np.argsort(-sharpness, kind="stable")
-        return cls(False, box, limit, limit, periods, int(best[0]), int(best[1]))
+        return cls(False, box, False, limit, limit, periods, int(best[0]), int(best[1]))
+
+    @property
+    def folds(self) -> tuple[float, float] | None:
+        """The periods of x and y on a plane; None on the sphere."""
+        return None if self.sphere else (float(self.periods[self.x]), float(self.periods[self.y]))
 
 
 @dataclass(frozen=True)
-class Side:
-    """Records of one source as the sweep sees them, or one class of them.
+class Source:
+    """Records of one source as the search sees them.
 
-    features are folded into one period; variance (n, 1) or (n, d) opens the gate along the axes; rows are positions in
-    ``records``, whose ids break ties between equal ones; ends (2, d) are the least and greatest features.
+    features are folded into one period; variance (n, 1) or (n, d) opens the gate along the axes; ends (2, d) are the
+    least and greatest features.
     """
 
     features: FloatArray
     covariance: FloatArray
     variance: FloatArray
-    rows: NDArray[np.int32]
     records: Records
     ends: FloatArray
 
     @classmethod
-    def of(cls, records: Records, geometry: Geometry) -> Side:
+    def of(cls, records: Records, geometry: Geometry) -> Source:
         from sameas.kernels.order import extent
 
         features = records.features
@@ -89,169 +99,207 @@ class Side:
                 features[:, axis] = folded
                 ends[:, axis] = folded.min(), folded.max()
         variance = _widest(records) if geometry.sphere else _variances(records)
-        return cls(features, records.covariance, variance, np.arange(len(records), dtype=np.int32), records, ends)
+        return cls(features, records.covariance, variance, records, ends)
 
-    def take(self, rows: NDArray[np.int64]) -> Side:
-        from sameas.kernels.order import extent
+    def classes(self, others: float) -> list[Rows]:
+        """The rows split by the size of their errors, narrowest first: the few widest apart, as long as it saves work.
 
-        features = np.ascontiguousarray(self.features[rows])
-        covariance = np.ascontiguousarray(self.covariance[rows])
-        return Side(features, covariance, self.variance[rows], self.rows[rows], self.records, extent(features))
-
-    def classes(self, others: Callable[[], float]) -> list[Side]:
-        """This side split by the size of its errors: the few widest apart, as long as that saves work.
-
-        others : gives how many records of the other source lie in the area that a variance of one opens.
+        others : how many records of the other source lie in the area that a variance of one opens.
         """
-        if len(self.rows) < 64:
-            return [self]
+        remaining = np.arange(len(self.features), dtype=np.int32)
+        if len(remaining) < 64:
+            return [remaining]
         size = self.variance[:, 0] if self.variance.shape[1] == 1 else self.variance.max(axis=1)
-        remaining: NDArray[np.int64] | None = None
-        parts: list[NDArray[np.int64]] = []
+        parts: list[Rows] = []
         widest = 0.0
         while len(parts) < 8:
             top = size.max()
             wide = size > top / 16.0
-            # A record is tested against three zones of height √top in a window of twice that.
-            if len(size) < 64 or np.count_nonzero(wide) > 0.2 * len(size) or 6.0 * top * others() < FEW_TESTS:
+            # A record is tested against zones and a window of about twice its own reach and √top each.
+            if len(size) < 64 or np.count_nonzero(wide) > 0.2 * len(size) or 6.0 * top * others < FEW_TESTS:
                 break
-            remaining = np.arange(len(self.rows)) if remaining is None else remaining
             part = remaining[wide]
-            if parts and 6.0 * widest * others() * len(part) < FEW_TESTS * len(self.rows):
-                # So few that another sweep would cost more than to test them as widely as those before.
+            if parts and 6.0 * widest * others * len(part) < FEW_TESTS * len(self.features):
+                # So few that another layout would cost more than to test them as widely as those before.
                 parts[-1] = np.concatenate([parts[-1], part])
             else:
                 parts.append(part)
                 widest = top
             remaining, size = remaining[~wide], size[~wide]
-        if remaining is None:
-            return [self]
-        return [self.take(rows) for rows in [*parts, remaining]]
+        return [remaining, *parts[::-1]]
 
-    def sorted(self, zones: Zones, geometry: Geometry) -> spans.Side:
-        """Sorted by zone, then x, then the rest of the content, then id."""
-        from sameas.kernels import spans
-        from sameas.kernels.order import sort_by_bits, sort_within_bins, take_rows, write_rows
-
-        n, d = self.features.shape
-        row_bits = max(1, int(n - 1).bit_length())
-        zone_bits = max(1, int(zones.count - 1).bit_length())
-        # Enough bins that few hold two records; those are put in order one by one.
-        bin_bits = min(row_bits + 3, 32, 64 - row_bits - zone_bits)
-        keys = np.empty(n, np.uint64)
-        starts = np.zeros(zones.count + 1, np.int64)
-        written = np.empty((n, d + self.covariance.shape[1]))
-        shape = (zones.x, zones.y, zones.cuts(), row_bits, bin_bits)
-        write_rows(self.features, self.covariance, *shape, keys, written, starts)
-        if n < FEW_KEYS:
-            keys.sort()
-        else:
-            keys = sort_by_bits(keys, row_bits, row_bits + bin_bits + zone_bits)
-        order = np.empty(n, np.int32)
-        doubt = sort_within_bins(order, row_bits, keys, written, zones.x, np.empty(0, np.int64))
-        if doubt == 1:
-            doubt = sort_within_bins(order, row_bits, keys, written, zones.x, self.rank())
-        if doubt:
-            order = self.content_order(zones.of_y(self.features[:, zones.y]), self.features[:, zones.x])
-        content, guard = np.empty_like(written), np.empty((n, 4))
-        opening = geometry.opening * (1.0 + 1e-6)
-        take_rows(order, written, d, geometry.sphere, zones.x, zones.y, opening, content, guard)
-        return spans.Side(content, guard, order if n == len(self.records) else self.rows[order], starts)
+    def widest(self, rows: Rows) -> FloatArray:
+        """(1,) or (d,) largest variances of some of the rows, or of all."""
+        return np.asarray((self.variance if len(rows) == len(self.variance) else self.variance[rows]).max(axis=0))
 
     def rank(self) -> NDArray[np.int64]:
         """The place of each record's id among the ids: what orders records that are equal in all else."""
-        ids = self.records.ids[self.records.rows[self.rows]]
+        ids = self.records.ids[self.records.rows]
         rank = np.empty(len(ids), np.int64)
         # Ids of several kinds have no order among themselves, but their texts have.
         rank[np.argsort(ids.astype(str) if ids.dtype.kind == "O" else ids, kind="stable")] = np.arange(len(ids))
         return rank
 
-    def content_order(self, *before: NDArray[Any]) -> NDArray[np.int32]:
-        """The rows sorted by the keys ``before``, then features, covariance and id."""
-        keys = [self.rank(), *self.covariance.T[::-1], *self.features.T[::-1], *before[::-1]]
-        return np.lexsort(keys).astype(np.int32)
+
+@dataclass(frozen=True)
+class Extent:
+    """Where the records of two sources lie: (low, high) of x and of y without outliers, and the area in them.
+
+    The area counts the squares of a grid that hold records; it is 0 where there is no y.
+    """
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+    area: float
+
+    @classmethod
+    def of(cls, sources: tuple[Source, Source], geometry: Geometry) -> Extent:
+        from sameas.kernels.order import tally
+
+        axes = [geometry.x, geometry.y]
+        low = np.minimum(sources[0].ends[0], sources[1].ends[0])[axes]
+        high = np.maximum(sources[0].ends[1], sources[1].ends[1])[axes]
+        x, y = ((float(a), float(b)) for a, b in zip(low, high, strict=True))
+        if len(sources[0].features) + len(sources[1].features) <= FEW_RECORDS:
+            return cls(x, y, 0.0)
+        counts = np.zeros((SQUARES, SQUARES), np.int64)
+        size = np.maximum((high - low) / SQUARES, 1e-300)
+        for source in sources:
+            tally(source.features, geometry.x, geometry.y, *low, *(1.0 / size), counts)
+        shrink = np.ones(SQUARES)
+        if geometry.sphere:
+            shrink = np.maximum(np.cos(np.radians(low[1] + size[1] * (np.arange(SQUARES) + 0.5))), 1e-6)
+        area = float(((counts > 0) * shrink).sum() * size[0] * size[1]) if geometry.x != geometry.y else 0.0
+        x = _bulk(x, counts.sum(axis=1), [source.features[:, geometry.x] for source in sources])
+        if not geometry.sphere:
+            y = _bulk(y, counts.sum(axis=0), [source.features[:, geometry.y] for source in sources])
+        return cls(x, y, area)
 
 
 @dataclass(frozen=True)
 class Zones:
-    """Zones of equal height in y, and for each the half width of the window in x."""
+    """Zones of equal height in y; whether they close to a ring."""
 
-    x: int
-    y: int
     low: float
     height: float
     count: int
     wraps: bool
-    windows: FloatArray
-    x_low: float
-    x_high: float
 
     @classmethod
-    def of(cls, one: Side, two: Side, geometry: Geometry) -> Zones:
-        x, y = geometry.x, geometry.y
-        widest = one.variance.max(axis=0) + two.variance.max(axis=0)
-        reach = np.sqrt(geometry.opening * widest) * (1.0 + 1e-9) + 1e-300
-        reach_x, reach_y = (float(reach[0]),) * 2 if len(reach) == 1 else (float(reach[x]), float(reach[y]))
-        ends = np.minimum(one.ends[0], two.ends[0]), np.maximum(one.ends[1], two.ends[1])
-        period = float(geometry.periods[y])
-        most = 4 * max(len(one.rows), len(two.rows))
-        if x == y:
-            low, height, count, wraps = 0.0, math.inf, 1, False
-        elif math.isfinite(period):
-            count = int(min(period / reach_y, most))
-            count = count if count >= 3 else 1
-            low, height, wraps = 0.0, period / count, True
-        else:
-            low, high = float(ends[0][y]), float(ends[1][y])
-            if (high - low) / reach_y > most and not geometry.sphere:
-                low, high = _bulk(one.features[:, y], two.features[:, y])
-            count = int(max(1, min((high - low) / reach_y, most)))
-            height, wraps = max((high - low) / count, reach_y), False
-        windows = _sphere_windows(low, height, count, reach_x) if geometry.sphere else np.full(count, reach_x)
-        return cls(x, y, low, height, count, wraps, windows, float(ends[0][x]), float(ends[1][x]))
+    def of(cls, n: int, reach: float, extent: Extent, geometry: Geometry) -> Zones:
+        """Zones for n records whose own errors reach so far in y."""
+        if geometry.x == geometry.y:
+            return cls(0.0, math.inf, 1, False)
+        height = max(math.sqrt(SQUARE * extent.area / n), 0.25 * reach)
+        period = float(geometry.periods[geometry.y])
+        low, high = (0.0, period) if math.isfinite(period) else extent.y
+        count = max(1, int(min((high - low) / height, float(n))))
+        return cls(low, max((high - low) / count, 1e-290), count, math.isfinite(period) and count > 1)
 
-    def cuts(self) -> FloatArray:
-        """(low, height, count) of the zones and (low, extent) of x."""
-        return np.array([self.low, self.height, self.count, self.x_low, max(self.x_high - self.x_low, 1e-290)])
-
-    def cells(self, side: spans.Side) -> spans.Cells:
-        """The zones cut into cells of x, as many as the side has records, and one more each."""
-        from sameas.kernels.spans import Cells, cells_of
-
-        zones = np.empty(self.count + 1, np.int64)
-        starts = np.empty(len(side.rows) + self.count + 1, np.int32)
-        scale = np.empty(self.count)
-        cells_of(side, self.x_low, max(self.x_high - self.x_low, 1e-290), zones, starts, scale)
-        return Cells(zones, starts, self.x_low, scale)
-
-    def of_y(self, y: FloatArray) -> NDArray[np.int64]:
-        """The zone of each y; beyond the first and the last zone, those."""
-        zone = np.floor((y - self.low) / self.height)
-        return np.clip(zone, 0, self.count - 1).astype(np.int64)
+    def stretch(self, reach: float, geometry: Geometry) -> FloatArray:
+        """(zones,) by how much what lies within reach stretches in x, per unit of it, up to so great a reach."""
+        if not geometry.sphere:
+            return np.ones(self.count)
+        return _longitudes(self.low, self.height, self.count, reach)
 
 
-def _bulk(y1: FloatArray, y2: FloatArray) -> tuple[float, float]:
-    """The stretch of y that holds the bulk of the records: outliers would make the zones too coarse."""
-    y = np.concatenate([y1, y2])
-    inner = np.percentile(y, (0.5, 99.5))
+@dataclass(frozen=True)
+class Layout:
+    """A source laid out, class by class of errors, narrowest first.
+
+    Attributes
+    ----------
+    side : all records, class after class. starts : the first place of each class, and the end.
+    zones, grids : of every class. widest : (classes, 2) largest variances in x and in y.
+    """
+
+    side: spans.Side
+    starts: list[int]
+    zones: list[Zones]
+    grids: list[spans.Grid]
+    widest: FloatArray
+
+    @classmethod
+    def of(cls, source: Source, classes: list[Rows], extent: Extent, geometry: Geometry) -> Layout:
+        """Every class in zones of its own, its records by zone, then x, then the rest of the content, then id."""
+        from sameas.kernels.spans import Side
+
+        n, width = len(source.features), source.covariance.shape[1]
+        width += 0 if geometry.sphere else source.features.shape[1]
+        side = Side(np.empty((0 if geometry.bare else n, width)), np.empty((n, 4)), np.empty(n, np.int32))
+        starts = np.cumsum([0, *map(len, classes)]).tolist()
+        largest = [source.widest(rows) for rows in classes]
+        widest = np.array([[v[0], v[0]] if len(v) == 1 else [v[geometry.x], v[geometry.y]] for v in largest])
+        reach = np.sqrt(geometry.opening * 2.0 * widest[:, 1])
+        zones = [Zones.of(len(rows), float(r), extent, geometry) for rows, r in zip(classes, reach, strict=True)]
+        grids = [
+            _laid_out(source, rows, cut, extent, geometry, side, base)
+            for rows, cut, base in zip(classes, zones, starts[:-1], strict=True)
+        ]
+        return cls(side, starts, zones, grids, widest)
+
+    def reach(self, which: int, visitors: FloatArray, end: int, geometry: Geometry) -> spans.Reach:
+        """How far records of variances up to ``visitors`` (2,), at places before ``end``, reach into a class."""
+        from sameas.kernels.spans import Reach
+
+        opening = geometry.opening * (1.0 + 1e-6)
+        x, y = self.widest[which]
+        stretch = self.zones[which].stretch(math.sqrt(opening * (y + visitors[1])), geometry)
+        return Reach(opening, float(x), float(y), stretch, end)
+
+
+def _laid_out(
+    source: Source, rows: Rows, zones: Zones, extent: Extent, geometry: Geometry, side: spans.Side, base: int
+) -> spans.Grid:
+    """Write one class into ``side`` from place ``base`` on."""
+    from sameas.kernels.order import CELLS, into_cells, into_zones, take_rows, zones_of
+    from sameas.kernels.spans import Grid, Side
+
+    n, content = len(rows), (source.features, source.covariance)
+    zone, ends = np.empty(n, np.int32), np.empty(zones.count + 1, np.int64)
+    zones_of(source.features, rows, geometry.y, zones.low, 1.0 / zones.height, zone, ends)
+    guard, dealt = np.empty((n, 4)), np.empty(n, np.int32)
+    into_zones(*content, rows, geometry.x, geometry.y, geometry.sphere, zone, ends[:-1].copy(), guard, dealt)
+    first, scale = np.empty(zones.count + 1, np.int64), np.empty(zones.count)
+    starts = np.empty(CELLS * n + zones.count + 1, np.int32)
+    frame = extent.x[0], max(extent.x[1] - extent.x[0], 1e-290)
+    part = Side(*(column[base : base + n] for column in side))
+    dealt_out = ends, frame, guard, dealt
+    for rank in (lambda: np.empty(0, np.int64), source.rank):
+        if into_cells(*content, geometry.sphere, *dealt_out, rank(), base, (first, starts, scale), part):
+            break
+    take_rows(*content, part.rows, part.content)
+    return Grid(first, starts, scale, extent.x[0], zones.low, 1.0 / zones.height, zones.wraps)
+
+
+def _bulk(ends: tuple[float, float], counts: NDArray[np.int64], values: list[FloatArray]) -> tuple[float, float]:
+    """The ends of what holds the bulk of some values, where a few outliers leave most of the whole empty."""
+    share = np.cumsum(counts)
+    middle = np.searchsorted(share, share[-1] * np.array([0.005, 0.995]))
+    if middle[1] - middle[0] >= SQUARES // 8:
+        return ends
+    inner = np.percentile(np.concatenate(values), (0.5, 99.5))
     margin = 0.05 * (inner[1] - inner[0])
-    return float(max(y.min(), inner[0] - margin)), float(min(y.max(), inner[1] + margin))
+    return float(max(ends[0], inner[0] - margin)), float(min(ends[1], inner[1] + margin))
 
 
-def _sphere_windows(low: float, height: float, count: int, reach_deg: float) -> FloatArray:
-    """Half width in longitude, degrees, of what lies within ``reach_deg`` of any point of each zone.
+def _longitudes(low: float, height: float, count: int, reach_deg: float) -> FloatArray:
+    """(zones,) half width in longitude of what lies within reach of any point of each zone, per unit of that reach.
 
-    From sin²(s/2) ≥ cos δ₁ cos δ₂ sin²(Δα/2), with the least cosines that the zone and its reach contain.
+    From sin²(s/2) ≥ cos δ₁ cos δ₂ sin²(Δα/2), with the least cosines that the zone and its reach contain. The width
+    grows faster than the reach, but for that of sin(s/2): the quotient for the greatest is enough for all.
     """
     bottom = low + height * np.arange(count)
     farthest = np.minimum(np.maximum(np.abs(bottom), np.abs(bottom + height)), 90.0)
     beyond = np.minimum(farthest + reach_deg, 90.0)
     cosines = np.cos(np.radians(farthest)) * np.cos(np.radians(beyond))
-    sine = math.sin(math.radians(min(reach_deg, 180.0)) / 2.0)
-    windows = np.full(count, 360.0)
+    half = math.radians(min(reach_deg, 180.0)) / 2.0
+    sine = math.sin(half)
+    stretch = np.full(count, np.inf)
     narrow = cosines > sine**2
-    windows[narrow] = 2.0 * np.degrees(np.arcsin(sine / np.sqrt(cosines[narrow]))) * (1.0 + 1e-9)
-    return windows
+    width = 2.0 * np.degrees(np.arcsin(sine / np.sqrt(cosines[narrow]))) * (1.0 + 1e-9)
+    stretch[narrow] = width / reach_deg * (half / sine)
+    return stretch
 
 
 def _sharpness(records: Records) -> FloatArray:
@@ -277,21 +325,3 @@ def _widest(records: Records) -> FloatArray:
         return records.covariance.max(axis=1, keepdims=True)
     xx, xy, yy = records.covariance.T
     return (0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy))[:, None]
-
-
-def area(one: Side, two: Side, geometry: Geometry) -> float:
-    """Area in x and y where records lie, by the cells of a grid that they occupy; 0 where there is no y."""
-    if geometry.x == geometry.y:
-        return 0.0
-    axes = [geometry.x, geometry.y]
-    low = np.minimum(one.ends[0], two.ends[0])[axes]
-    high = np.maximum(one.ends[1], two.ends[1])[axes]
-    extent = np.maximum(high - low, 1e-300)
-    occupied = np.zeros((32, 32), np.bool_)
-    for side in (one, two):
-        cell = [np.minimum((side.features[:, v] - low[k]) * (32.0 / extent[k]), 31.0) for k, v in enumerate(axes)]
-        occupied[cell[0].astype(np.int8), cell[1].astype(np.int8)] = True
-    shrink = np.ones(32)
-    if geometry.sphere:
-        shrink = np.maximum(np.cos(np.radians(low[1] + extent[1] * (np.arange(32) + 0.5) / 32.0)), 1e-6)
-    return float((occupied * shrink).sum() * extent[0] * extent[1] / 1024.0)

@@ -1,6 +1,8 @@
-"""Compiled order of the records of one source: by zone, then x, then the rest of what they say.
+"""Compiled layout of the records of one source: by zone, then x, then the rest of what they say.
 
-The records are first written out as whole rows, so that taking them in their order touches each of them once.
+Records are dealt into zones; then every zone, small enough to stay in the processor's memory, is put in order by
+itself: it is cut into cells of x, some for every record, and the few records that share a cell are sorted one by one.
+The same cells tell the search later where to look.
 """
 
 from __future__ import annotations
@@ -10,6 +12,9 @@ import math
 import numpy as np
 
 from sameas.kernels.compiled import kernel, part
+
+#: Cells of a zone for each of its records: few enough to be looked up fast, enough that few records share one.
+CELLS = 2
 
 
 @kernel
@@ -27,140 +32,188 @@ def extent(features):
 
 
 @kernel
-def write_rows(features, covariance, axis_x, axis_y, cuts, row_bits, bin_bits, keys, content, starts):
-    """Fill ``content`` with features and covariance, ``keys`` with zone | bin of x | row, ``starts`` with zones' CSR.
-
-    cuts : (low, height, count) of the zones and (low, extent) of x.
-    """
-    low, height, count, x_low, x_extent = cuts[0], cuts[1], cuts[2], cuts[3], cuts[4]
-    bins = 2.0**bin_bits - 1.0
-    scale = bins / x_extent
-    d = features.shape[1]
-    for k in range(len(keys)):
-        for v in range(d):
-            content[k, v] = features[k, v]
-        for v in range(covariance.shape[1]):
-            content[k, d + v] = covariance[k, v]
-        zone = int(min(max(math.floor((features[k, axis_y] - low) / height), 0.0), count - 1.0))
-        bin_ = np.uint64(min((features[k, axis_x] - x_low) * scale, bins))
-        keys[k] = (np.uint64(zone) << np.uint64(bin_bits + row_bits)) | (bin_ << np.uint64(row_bits)) | np.uint64(k)
-        starts[zone + 1] += 1
-    for zone in range(len(starts) - 1):
-        starts[zone + 1] += starts[zone]
+def tally(features, axis_x, axis_y, low_x, low_y, per_x, per_y, counts):
+    """Add to ``counts`` (c, c) how many records lie in each square of a grid of so many squares per unit."""
+    last = len(counts) - 1.0
+    for k in range(len(features)):
+        x = min(max((features[k, axis_x] - low_x) * per_x, 0.0), last)
+        y = min(max((features[k, axis_y] - low_y) * per_y, 0.0), last)
+        counts[np.int64(x), np.int64(y)] += 1
 
 
 @kernel
-def sort_by_bits(keys, low_bit, high_bit):
-    """The keys sorted by their bits low_bit … high_bit − 1, eleven at a time, stable."""
-    here = keys
-    there = np.empty_like(keys)
-    count = np.empty(2048, np.int64)
-    bit = low_bit
-    while bit < high_bit:
-        width = min(11, high_bit - bit)
-        shift = np.uint64(bit)
-        mask = np.uint64((1 << width) - 1)
-        count[:] = 0
-        for k in range(len(keys)):
-            count[np.int64((here[k] >> shift) & mask)] += 1
-        total = 0
-        for digit in range(1 << width):
-            total += count[digit]
-            count[digit] = total - count[digit]
-        for k in range(len(keys)):
-            digit = np.int64((here[k] >> shift) & mask)
-            there[count[digit]] = here[k]
-            count[digit] += 1
-        here, there = there, here
-        bit += width
-    return here
+def zones_of(features, rows, axis_y, low, per_y, zone, ends):
+    """Fill ``zone`` (n,) with the zone of each of the ``rows``, ends (z+1,) with how many lie in those before each.
+
+    per_y : zones per unit of y."""
+    last = len(ends) - 2.0
+    ends[:] = 0
+    for t in range(len(rows)):
+        zone[t] = np.int32(min(max(np.floor((features[rows[t], axis_y] - low) * per_y), 0.0), last))
+        ends[zone[t] + 1] += 1
+    for z in range(1, len(ends)):
+        ends[z] += ends[z - 1]
 
 
 @kernel
-def sort_within_bins(order, row_bits, keys, content, axis_x, rank):
-    """Fill ``order`` with the rows of the sorted ``keys``; those that share a bin by content, then by rank.
+def into_zones(features, covariance, rows, axis_x, axis_y, turning, zone, fill, guard, dealt):
+    """Write the guards of the ``rows`` to ``guard`` (n, 4), and the rows to ``dealt`` (n,), zone by zone.
 
-    Returns 0 when that settled the order, 1 where two rows are equal and ``rank`` is empty, 2 where a bin holds more
-    than 256 rows.
+    The guard holds x, y and the variances in x and in y; where the axes are ``turning`` (on the sphere) the cosine of
+    y, which is still to come, and the largest variance in any direction. fill (z,) : the first place of every zone.
     """
-    n = len(order)
-    row_mask = (np.uint64(1) << np.uint64(row_bits)) - np.uint64(1)
-    key_shift = np.uint64(row_bits)
-    for k in range(n):
-        order[k] = np.int32(keys[k] & row_mask)
+    d, p = features.shape[1], covariance.shape[1]
+    at_x, at_y = diagonal(p, d, axis_x), diagonal(p, d, axis_y)
+    for t in range(len(rows)):
+        row = rows[t]
+        place = fill[zone[t]]
+        fill[zone[t]] = place + 1
+        dealt[place] = row
+        guard[place, 0] = features[row, axis_x]
+        guard[place, 1] = features[row, axis_y]
+        guard[place, 2] = covariance[row, at_x]
+        guard[place, 3] = widest(covariance, row) if turning else covariance[row, at_y]
+
+
+@kernel
+def into_cells(features, covariance, turning, ends, frame, guard, dealt, rank, base, grid, side):
+    """Put every zone in order by x, then content, then ``rank`` (one for each row of features), and note its cells.
+
+    ends (z+1,), guard, dealt : zone by zone, see above. frame : (low, extent) of x. grid : (first (z+1,), starts,
+    scale (z,)) of ``spans.Grid``, filled, with places from ``base`` on. side : ``spans.Side``, of which guard and rows
+    are filled. Returns False where two records say the same and ``rank`` is empty: call again with it.
+    """
+    first, starts, scale = grid
+    x_low, x_extent = frame
+    first[0] = 0
+    most = 0
+    for z in range(len(scale)):
+        number = CELLS * (ends[z + 1] - ends[z]) + 1
+        first[z + 1] = first[z] + number
+        scale[z] = number / x_extent
+        most = max(most, number)
+    cell, order = np.empty(most, np.int32), np.empty(most, np.int32)
+    fill = np.empty(most + 1, np.int32)
+    cosine = np.empty(most)
+    settled = True
+    for z in range(len(scale)):
+        low, high = ends[z], ends[z + 1]
+        here, rows = guard[low:high], dealt[low:high]
+        cells = fill[: first[z + 1] - first[z] + 1]
+        by_cell(here, x_low, scale[z], cell, cells, order)
+        settled &= sort_cells(features, covariance, rank, rows, here, cells, order)
+        # Every cell has been filled up to where the next one starts.
+        starts[first[z]] = base + low
+        for c in range(1, len(cells) - 1):
+            starts[first[z] + c] = base + low + cells[c - 1]
+        for t in range(high - low):
+            k = order[t]
+            side.rows[low + t] = rows[k]
+            side.guard[low + t, 0], side.guard[low + t, 1] = here[k, 0], here[k, 1]
+            side.guard[low + t, 2], side.guard[low + t, 3] = here[k, 2], here[k, 3]
+        if turning:
+            for t in range(high - low):
+                cosine[t] = side.guard[low + t, 1]
+            for t in range(high - low):
+                cosine[t] = sine(90.0 - abs(cosine[t]))
+            for t in range(high - low):
+                side.guard[low + t, 2] = cosine[t]
+    starts[-1] = base + ends[-1]
+    return settled
+
+
+@part
+def by_cell(guard, x_low, scale, cell, fill, order):
+    """Fill ``order`` with the numbers of a zone's records cell by cell, ``fill`` with where the cells end."""
+    n = len(guard)
+    fill[:] = 0
+    for t in range(n):
+        cell[t] = cell_of((guard[t, 0] - x_low) * scale, len(fill) - 1)
+    for t in range(n):
+        fill[cell[t] + 1] += 1
+    for c in range(len(fill) - 1):
+        fill[c + 1] += fill[c]
+    for t in range(n):
+        place = fill[cell[t]]
+        fill[cell[t]] = place + 1
+        order[place] = t
+
+
+@part
+def cell_of(at, count):
+    """The cell of a zone at so many cells from the first one's edge; beyond the first and the last, those."""
+    return np.int64(min(max(at, 0.0), count - 1.0))
+
+
+@part
+def sort_cells(features, covariance, rank, rows, guard, ends, order):
+    """Put the records of a zone that share a cell in order; see :func:`into_cells`."""
     start = 0
-    while start < n:
-        stop = start + 1
-        bin_ = keys[start] >> key_shift
-        while stop < n and keys[stop] >> key_shift == bin_:
-            stop += 1
-        if stop - start > 256:
-            return 2
-        for k in range(start + 1, stop):
-            row = order[k]
-            t = k - 1
-            while t >= start:
-                before = precedes(content, axis_x, order[t], row)
-                if before == 0:
-                    if len(rank) == 0:
-                        order[t + 1] = row
-                        return 1
-                    before = 1 if rank[order[t]] < rank[row] else -1
-                if before > 0:
-                    break
-                order[t + 1] = order[t]
-                t -= 1
-            order[t + 1] = row
+    for c in range(len(ends) - 1):
+        stop = ends[c]
+        if stop - start > 1 and not sort_run(features, covariance, rank, rows, guard, order[start:stop]):
+            return False
         start = stop
-    return 0
+    return True
 
 
 @part
-def precedes(content, axis_x, a, b):
-    """1 where row a comes before row b by content, x first; −1 where after, 0 where both say the same."""
-    if content[a, axis_x] != content[b, axis_x]:
-        return 1 if content[a, axis_x] < content[b, axis_x] else -1
-    for v in range(content.shape[1]):
-        if content[a, v] != content[b, v]:
-            return 1 if content[a, v] < content[b, v] else -1
-    return 0
+def sort_run(features, covariance, rank, rows, guard, order):
+    """Sort the numbers of a few records, or of many, by x, content and rank: Shell's sort."""
+    gap = np.int64(1)
+    while 9 * gap < len(order):
+        gap = 3 * gap + 1
+    while gap > 0:
+        for k in range(gap, len(order)):
+            one = order[k]
+            t = k
+            while t >= gap:
+                other = order[t - gap]
+                if guard[other, 0] < guard[one, 0]:
+                    break
+                if guard[other, 0] == guard[one, 0]:
+                    before = precedes(features, covariance, rank, rows[other], rows[one])
+                    if before == 0:
+                        return False
+                    if before > 0:
+                        break
+                order[t] = other
+                t -= gap
+            order[t] = one
+        gap //= 3
+    return True
+
+
+@part
+def precedes(features, covariance, rank, a, b):
+    """1 where row a comes before row b; −1 where after; 0 where both say the same and there is no rank."""
+    for v in range(features.shape[1]):
+        if features[a, v] != features[b, v]:
+            return 1 if features[a, v] < features[b, v] else -1
+    for v in range(covariance.shape[1]):
+        if covariance[a, v] != covariance[b, v]:
+            return 1 if covariance[a, v] < covariance[b, v] else -1
+    if len(rank) == 0:
+        return 0
+    return 1 if rank[a] < rank[b] else -1
 
 
 @kernel
-def take_rows(order, written, d, turning, axis_x, axis_y, opening, content, guard):
-    """Fill ``content`` with the rows in their order, and ``guard`` (n, 4) with what tells most pairs apart.
-
-    The guard holds x, y, and how far the record's own error opens the gate, squared: ``opening`` times the variance in
-    x and in y; where the axes are ``turning`` (on the sphere) the cosine of y and, times the largest variance in any
-    direction, the opening.
-    """
-    for start in range(0, len(order), 64):
-        stop = min(start + 64, len(order))
-        copy_rows(order, written, content, start, stop)
-        for k in range(start, stop):
-            guard[k, 0] = content[k, axis_x]
-            guard[k, 1] = content[k, axis_y]
-            if turning:
-                guard[k, 2] = sine(90.0 - abs(content[k, 1]))
-                guard[k, 3] = opening * widest(content, k)
-            else:
-                guard[k, 2] = opening * content[k, d + diagonal(written.shape[1] - d, d, axis_x)]
-                guard[k, 3] = opening * content[k, d + diagonal(written.shape[1] - d, d, axis_y)]
-
-
-@part
-def copy_rows(order, written, content, start, stop):
-    """Rows ``order[k]`` to the places start ≤ k < stop, so bare that the memory is asked for many of them at once."""
-    width = written.shape[1]
-    if width == 3:
-        for k in range(start, stop):
-            row = order[k]
-            content[k, 0], content[k, 1], content[k, 2] = written[row, 0], written[row, 1], written[row, 2]
-    else:
-        for k in range(start, stop):
-            row = order[k]
-            for v in range(width):
-                content[k, v] = written[row, v]
+def take_rows(features, covariance, rows, content):
+    """Fill ``content`` with features, where there is room for them, and covariance of the rows."""
+    p = covariance.shape[1]
+    copied = content.shape[1] - p
+    if copied == 0 and p == 3:
+        # So bare that the memory is asked for many rows at once.
+        for k in range(len(content)):
+            row = rows[k]
+            content[k, 0], content[k, 1], content[k, 2] = covariance[row, 0], covariance[row, 1], covariance[row, 2]
+        return
+    for k in range(len(content)):
+        for v in range(copied):
+            content[k, v] = features[rows[k], v]
+        for v in range(p):
+            content[k, copied + v] = covariance[rows[k], v]
 
 
 @part
@@ -190,12 +243,12 @@ def diagonal(p, d, axis):
 
 
 @part
-def widest(content, k):
+def widest(covariance, k):
     """The largest variance of a direction's two in any direction."""
-    p = content.shape[1] - 2
+    p = covariance.shape[1]
     if p == 1:
-        return content[k, 2]
+        return covariance[k, 0]
     if p == 2:
-        return max(content[k, 2], content[k, 3])
-    half = 0.5 * (content[k, 2] - content[k, 4])
-    return 0.5 * (content[k, 2] + content[k, 4]) + math.sqrt(half * half + content[k, 3] * content[k, 3])
+        return max(covariance[k, 0], covariance[k, 1])
+    half = 0.5 * (covariance[k, 0] - covariance[k, 2])
+    return 0.5 * (covariance[k, 0] + covariance[k, 2]) + math.sqrt(half * half + covariance[k, 1] * covariance[k, 1])

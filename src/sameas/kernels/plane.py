@@ -7,13 +7,7 @@ import math
 import numpy as np
 
 from sameas.kernels.compiled import kernel, part
-from sameas.kernels.spans import stretches, taken_back
-
-
-@part
-def folded(value, period):
-    """A difference of two angles within half a period."""
-    return value - period * math.floor(value / period + 0.5) if period < np.inf else value
+from sameas.kernels.spans import ROOM, folded, near, taken_back
 
 
 @part
@@ -56,58 +50,27 @@ def whitened(matrix, residual, solved):
 
 
 @kernel
-def sweep_plane(one, two, cells, windows, wraps, limit, box, axes, periods, first, last, out):
-    """Candidates of the sorted records ``first`` ≤ k < ``last`` of source 1, written into the arrays ``out``.
+def sweep_plane(one, two, grid, reach, folds, told, limit, box, periods, first, last, out):
+    """Candidates of the records at places ``first`` ≤ k < ``last`` of source 1, written into the arrays ``out``.
 
-    one, two : ``spans.Side``. cells : ``spans.Cells``. windows (zones,) : half width in x. wraps : whether the zones
-    close to a ring. axes : of x and y. periods (d,). out : the columns of ``gate.Pairs``. Returns (candidates written,
+    one, two : ``spans.Side``. grid, reach : of what lies in source 2. folds : periods of x and y. told : see
+    ``spans.near``, from ``first`` on. periods (d,). out : the columns of ``gate.Pairs``. Returns (candidates written,
     next k): next k < last when out is full.
     """
-    record, low, high = np.empty(1024, np.int32), np.empty(1024, np.int32), np.empty(1024, np.int32)
-    of1, of2, passes = np.empty(4096, np.int32), np.empty(4096, np.int32), np.empty(4096, np.uint8)
-    period_x, period_y = periods[axes[0]], periods[axes[1]]
+    room = np.empty(ROOM, np.int32), np.empty(ROOM, np.int32), np.empty(ROOM, np.uint8)
     count = np.int64(0)  # not a literal: numba would compile for it apart
-    k = first
-    while k < last:
-        spans, k = stretches(one, two, cells, windows, period_x, wraps, k, last, record, low, high)
-        s = np.int64(0)
-        while s < spans:
-            s, near = near_on_plane(one, two, period_x, period_y, record, low, high, s, spans, of1, of2, passes)
-            count, t = measured_on_plane(one, two, limit, box, periods, of1, of2, near, count, out)
-            if t < near:
-                return taken_back(out[0], count, of1[t]), of1[t]
-    return count, last
+    at = (np.int64(first), np.int64(0), np.int64(0), np.int64(0))
+    while True:
+        found, at = near(one, two, grid, reach, folds, told, at, last, room)
+        if found == 0:
+            return count, last
+        count, t = measured_on_plane(one, two, limit, box, periods, room[0], room[1], found, count, out)
+        if t < found:
+            return taken_back(out[0], count, room[0][t]), np.int64(room[0][t])
 
 
 @part
-def near_on_plane(one, two, period_x, period_y, record, low, high, s, spans, of1, of2, passes):
-    """Fill of1, of2 with the pairs of the stretches s … that lie near enough; what is left of a stretch stays in it."""
-    near = 0
-    room = len(of1)
-    while s < spans and near < room:
-        k = record[s]
-        x, y = one.guard[k, 0], one.guard[k, 1]
-        opening_x, opening_y = one.guard[k, 2], one.guard[k, 3]
-        stop = min(high[s], low[s] + room - near)
-        # In two steps, of which the first works on many at once.
-        start = low[s]
-        for t in range(stop - start):
-            dx = folded(x - two.guard[start + t, 0], period_x)
-            dy = folded(y - two.guard[start + t, 1], period_y)
-            in_x = dx * dx <= opening_x + two.guard[start + t, 2]
-            passes[t] = in_x & (dy * dy <= opening_y + two.guard[start + t, 3])
-        for t in range(stop - start):
-            of1[near] = k
-            of2[near] = start + t
-            near += passes[t]
-        low[s] = stop
-        if stop == high[s]:
-            s += 1
-    return s, near
-
-
-@part
-def measured_on_plane(one, two, limit, box, periods, of1, of2, near, count, out):
+def measured_on_plane(one, two, limit, box, periods, of1, of2, found, count, out):
     """Write those of the pairs that pass the gate; returns (candidates written, pairs done before out was full)."""
     place1, place2, i, j, residual, distance, determinant = out
     d = len(periods)
@@ -115,7 +78,7 @@ def measured_on_plane(one, two, limit, box, periods, of1, of2, near, count, out)
     delta = np.empty(d)
     solved = np.empty(d)
     reach = limit if box else limit * (1.0 + 1e-9)
-    for t in range(near):
+    for t in range(found):
         k, q = of1[t], of2[t]
         matrix[:, :] = 0.0
         add_spread(one.content, k, d, d, matrix)
@@ -144,7 +107,7 @@ def measured_on_plane(one, two, limit, box, periods, of1, of2, near, count, out)
         distance[count] = squared
         determinant[count] = area
         count += 1
-    return count, near
+    return count, found
 
 
 @kernel

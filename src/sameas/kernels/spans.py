@@ -1,68 +1,48 @@
-"""Compiled look-up of the stretches of source 2 in which the candidates of a record of source 1 may lie.
+"""Compiled look-up of the pairs of two sources that lie near enough to be measured.
 
-Both sources are sorted by (zone, x). A record of zone z can only have candidates in the zones z − 1, z, z + 1, and
-there only within the zone's window of x. Every zone of source 2 is cut into cells of x, as many as it has records; the
-cells' starts give the ends of a stretch at once, and a search among its records where many share a cell.
+Records are laid out by zone and x (``order.py``). What a record may be with lies in the zones that its own error and
+the largest of the others reach, and there within a window of x. The cells of a zone give the ends of a stretch at once,
+and a search among its records where many share a cell.
+
+``folds`` below are the periods of x and y on a plane, infinite where there is none, and None on the sphere.
 """
 
 from __future__ import annotations
 
+import math
 from collections import namedtuple
 
 import numpy as np
 
 from sameas.kernels.compiled import kernel, part
+from sameas.kernels.order import cell_of
 
-#: A source in its order: content (n, d + p), guard (n, 4; see ``order.take_rows``), rows (n,), zones (CSR starts).
-Side = namedtuple("Side", "content guard rows zones")
+#: A source as it is laid out: guard (n, 4; see ``order.into_zones``); content, the covariance (n, p), on a plane after
+#: the features (n, d + p), without rows where the guard says it all; rows (n,).
+Side = namedtuple("Side", "content guard rows")
 
-#: The cells of source 2: the first cell of every zone (CSR), the first record of every cell, and x of its first edge.
-Cells = namedtuple("Cells", "zones starts low scale")
+#: One class of a source, laid out: the first cell of every zone, the first record of every cell, cells per unit of x in
+#: every zone, x of the first cell's edge; y of the first zone's edge and zones per unit of y,
+#: whether they close to a ring.
+Grid = namedtuple("Grid", "first starts scale low_x low_y per_y wraps")
 
-#: Stretches that one record may need: three zones, each cut in three where its window crosses the period.
-MOST = 9
+#: How far records reach into a grid: what a variance of one opens, squared; the largest variances in x and in y there;
+#: ``stretch`` (zones,) the half width of the window per unit of reach; and the place from which on records do not
+#: reach into it, but have only the pairs that are told.
+Reach = namedtuple("Reach", "opening widest_x widest_y stretch end")
+
+#: Pairs that are looked up before they are measured.
+ROOM = 4096
 #: Where the cells of a stretch hold more records than this each, it is cut to the window itself.
 CROWDED = 4
-
-
-@kernel
-def cells_of(side, low, extent, zones, starts, scale):
-    """Fill zones (z+1,), starts (cells + 1,) and scale (z,) of :data:`Cells`: cells as records in a zone, and one."""
-    n_zones = len(side.zones) - 1
-    zones[0] = 0
-    cell = 0
-    for z in range(n_zones):
-        count = side.zones[z + 1] - side.zones[z] + 1
-        zones[z + 1] = zones[z] + count
-        scale[z] = count / extent
-        for q in range(side.zones[z], side.zones[z + 1]):
-            here = zones[z] + cell_at(side.guard[q, 0], low, scale[z], count)
-            while cell <= here:
-                starts[cell] = q
-                cell += 1
-        while cell < zones[z + 1]:
-            starts[cell] = side.zones[z + 1]
-            cell += 1
-    starts[cell] = side.zones[n_zones]
+#: Stretches of fewer records than this are tested one by one.
+LONG = 24
 
 
 @part
-def cell_at(x, low, scale, count):
-    """The cell of a zone in which x lies; beyond the first and the last, those."""
-    return np.int64(min(max((x - low) * scale, 0.0), count - 1.0))
-
-
-@part
-def zone_of(zones, k):
-    """The zone that record k belongs to."""
-    low, high = 0, len(zones) - 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        if zones[middle] <= k:
-            low = middle
-        else:
-            high = middle
-    return low
+def folded(value, period):
+    """A difference of two angles within half a period."""
+    return value - period * math.floor(value / period + 0.5) if period < np.inf else value
 
 
 @part
@@ -78,54 +58,161 @@ def first_from(guard, start, stop, x):
 
 
 @part
-def stretches(one, two, cells, windows, period, wraps, k, last, record, low, high):
-    """Fill ``record``, ``low``, ``high`` with stretches low ≤ q < high for the records k … last − 1, as many as fit.
+def zones_within(grid, y, reach):
+    """(first, last) zone within reach of y; those of a ring are counted on beyond either end of it."""
+    last = len(grid.scale) - 1.0
+    if grid.wraps:
+        reach += 1e-12 * (last + 1.0) / grid.per_y
+    bottom = np.floor((y - reach - grid.low_y) * grid.per_y)
+    top = np.floor((y + reach - grid.low_y) * grid.per_y)
+    if not grid.wraps:
+        return np.int64(min(max(bottom, 0.0), last)), np.int64(min(max(top, 0.0), last))
+    if top - bottom >= last:
+        return np.int64(0), np.int64(last)
+    return np.int64(bottom), np.int64(top)
 
-    Returns (stretches, next k).
+
+@part
+def inside(grid, guard, zone, x, window):
+    """(low, high) of the stretch of a zone within a window of x, and perhaps some more."""
+    first = np.uint64(grid.first[zone])
+    number = grid.first[zone + 1] - grid.first[zone]
+    left = first + np.uint64(cell_of((x - window - grid.low_x) * grid.scale[zone], number))
+    right = first + np.uint64(cell_of((x + window - grid.low_x) * grid.scale[zone], number) + 1)
+    low, high = np.int64(grid.starts[left]), np.int64(grid.starts[right])
+    if high - low > CROWDED * np.int64(right - left):
+        low = first_from(guard, low, high, x - window)
+        high = first_from(guard, low, high, np.nextafter(x + window, np.inf))
+    return low, high
+
+
+@part
+def across(grid, guard, zone, x, window, period):
+    """(low, high) twice of the stretches of a zone within a window that reaches over the period's end, or all round."""
+    start, stop = np.int64(grid.starts[grid.first[zone]]), np.int64(grid.starts[grid.first[zone + 1]])
+    if 2.0 * window >= period:
+        return start, stop, stop, stop
+    if x >= window:
+        x -= period
+    low = first_from(guard, start, stop, np.nextafter(x + window, np.inf))
+    return start, low, first_from(guard, low, stop, x - window + period), stop
+
+
+@part
+def near(one, two, grid, reach, folds, told, at, last, room):
+    """Fill of1, of2 with pairs near enough to be measured, of the records from ``at`` on, as many as fit.
+
+    at : (k, zones of k done, records of the next one done, pairs of ``told`` done). told : further pairs k << 32 | q,
+    sorted, which follow what the grid gives. room : (of1, of2, passes), as long as each other. Returns (pairs, at); at
+    the end none.
     """
-    n_zones = len(one.zones) - 1
+    of1, of2, _ = room
+    period = 360.0 if folds is None else folds[0]
+    k, done, skip, e = at
     count = np.int64(0)
-    zone = zone_of(one.zones, k)
-    while k < last and count + MOST <= len(record):
-        while k >= one.zones[zone + 1]:
-            zone += 1
-        window = windows[zone]
-        x = one.guard[k, 0]
-        everything = 2.0 * window >= period
-        crosses = (not everything) and (x + window >= period or x < window) and period < np.inf
-        for t in range(-1, 2):
-            other = zone + t
-            if wraps:
-                if n_zones == 1 and t != 0:
-                    continue
-                other %= n_zones
-            if other < 0 or other >= n_zones:
-                continue
-            stop = two.zones[other + 1]
-            if everything:
-                record[count], low[count], high[count] = k, two.zones[other], stop
-                count += two.zones[other] < stop
-                continue
-            first, number = cells.zones[other], cells.zones[other + 1] - cells.zones[other]
-            left = cell_at(x - window, cells.low, cells.scale[other], number)
-            right = cell_at(x + window, cells.low, cells.scale[other], number) + 1
-            p, q = cells.starts[first + left], cells.starts[first + right]
-            if q - p > CROWDED * (right - left):
-                p = first_from(two.guard, p, q, x - window)
-                q = first_from(two.guard, p, q, np.nextafter(x + window, np.inf))
-            record[count], low[count], high[count] = k, p, q
-            count += p < q
+    while True:
+        while e < len(told) and told[e] >> 32 < k and count < len(of1):
+            of1[count], of2[count] = told[e] >> 32, told[e] & 0xFFFFFFFF
+            count += 1
+            e += 1
+        if k >= last or count == len(of1):
+            return count, (k, done, skip, e)
+        if k >= reach.end:
+            k += 1
+            continue
+        x, y, a, b = one.guard[k, 0], one.guard[k, 1], one.guard[k, 2], one.guard[k, 3]
+        reach_y = math.sqrt(reach.opening * (b + reach.widest_y))
+        bottom, top = zones_within(grid, y, reach_y)
+        if folds is None:
+            # The nearer a pole, the wider.
+            window = reach_y * max(reach.stretch[bottom], reach.stretch[top])
+            # hav s = hav Δδ + cos δ₁ cos δ₂ hav Δα, and hav x ≥ (x/2)² (1 − 1e-4) below a degree; beyond, all pass.
+            opening = reach.opening / (1.0 - 1e-4) if window < 1.0 else np.inf
+        else:
+            window = math.sqrt(reach.opening * (a + reach.widest_x))
+            opening = reach.opening
+        crosses = period < np.inf and (x < window or x + window >= period)
+        for zone in range(bottom + done, top + 1):
+            ring = zone % len(grid.scale) if grid.wraps else zone
             if crosses:
-                # What the window reaches across the period at either end.
-                start = two.zones[other]
-                q = first_from(two.guard, start, stop, np.nextafter(x + window - period, np.inf))
-                record[count], low[count], high[count] = k, start, q
-                count += start < q
-                p = first_from(two.guard, max(start, q), stop, x - window + period)
-                record[count], low[count], high[count] = k, p, stop
-                count += p < stop
+                p, q, r, s = across(grid, two.guard, ring, x, window, period)
+            else:
+                p, q = inside(grid, two.guard, ring, x, window)
+                if skip == 0 and q - p < min(LONG, len(of1) - count):
+                    # Numbers without a sign, so that no index has to be looked at for counting from the end.
+                    free = np.uint64(count)
+                    for c in range(np.uint64(p), np.uint64(q)):
+                        of1[free], of2[free] = k, c
+                        free += np.uint64(is_near(two.guard, c, x, y, a, b, opening, folds))
+                    count = np.int64(free)
+                    continue
+                r, s = q, q
+            both = q - p + s - r
+            while skip < both and (count == 0 or both - skip <= len(of1) - count):
+                # One stretch after the other, piece by piece: what is longer than the room fits in it when it is empty.
+                low, high = (p + skip, q) if skip < q - p else (r + skip - (q - p), s)
+                high = min(high, low + len(of1) - count)
+                skip += high - low
+                count = near_in(one.guard, two.guard, folds, opening, k, low, high, room, count)
+            if skip < both:
+                return count, (k, zone - bottom, skip, e)
+            skip = np.int64(0)
         k += 1
-    return count, k
+        done = 0
+
+
+@part
+def near_in(guard1, guard2, folds, opening, k, low, high, room, count):
+    """Add to of1, of2 the records low ≤ c < high that lie near enough to k; returns the number of pairs."""
+    of1, of2, passes = room
+    x, y, a, b = guard1[k, 0], guard1[k, 1], guard1[k, 2], guard1[k, 3]
+    if folds is None:
+        # All of a stretch lies on the same side of the period's end.
+        x -= 360.0 if x - guard2[low, 0] > 180.0 else (-360.0 if x - guard2[low, 0] < -180.0 else 0.0)
+    # In two steps, of which the first works on many at once.
+    guard = guard2[low:high]
+    for t in range(len(guard)):
+        passes[t] = is_near(guard, t, x, y, a, b, opening, folds)
+    for t in range(len(guard)):
+        of1[count], of2[count] = k, low + t
+        count += passes[t]
+    return count
+
+
+@part
+def is_near(guard, c, x, y, a, b, opening, folds):
+    """Whether a record lies near (x, y), of which the guard says also (a, b): all that the gate lets pass do."""
+    if folds is None:
+        dlat = y - guard[c, 1]
+        dlon = x - guard[c, 0]
+        return dlat * dlat + a * guard[c, 2] * dlon * dlon <= opening * (b + guard[c, 3])
+    dx = folded(x - guard[c, 0], folds[0])
+    dy = folded(y - guard[c, 1], folds[1])
+    return (dx * dx <= opening * (a + guard[c, 2])) & (dy * dy <= opening * (b + guard[c, 3]))
+
+
+@kernel
+def visit(one, two, grid, reach, folds, first, last, out):
+    """Pairs near enough of the records ``first`` ≤ k < ``last`` of one with what lies in a grid of two, as k << 32 | q.
+
+    Written into out[0]; returns (pairs written, next k): next k < last when it is full.
+    """
+    pairs, told = out[0], np.empty(0, np.int64)
+    room = np.empty(ROOM, np.int32), np.empty(ROOM, np.int32), np.empty(ROOM, np.uint8)
+    count = np.int64(0)
+    at = (np.int64(first), np.int64(0), np.int64(0), np.int64(0))
+    while True:
+        found, at = near(one, two, grid, reach, folds, told, at, last, room)
+        if found == 0:
+            return count, last
+        if count + found > len(pairs):
+            k = np.int64(room[0][0])
+            while count > 0 and pairs[count - 1] >> 32 == k:
+                count -= 1
+            return count, k
+        for t in range(found):
+            pairs[count + t] = (np.int64(room[0][t]) << 32) | np.int64(room[1][t])
+        count += found
 
 
 @part

@@ -7,10 +7,13 @@ import math
 import numpy as np
 
 from sameas.kernels.compiled import kernel, part
-from sameas.kernels.spans import stretches, taken_back, zone_of
+from sameas.kernels.order import sine
+from sameas.kernels.spans import ROOM, near, taken_back
 
 DEG = math.pi / 180.0
 ARCSEC = 206264.80624709636
+#: Directions closer than this in longitude and latitude are measured by series.
+CLOSE_DEG = 0.8
 
 
 @part
@@ -35,146 +38,141 @@ def turned(xx, xy, yy, c, s):
 
 
 @part
-def sphere_residual(lon1, lat1, cos1, lon2, lat2, cos2):
-    """(east, north) residual in arcsec of two directions, given the cosines of their latitudes; see space.Sphere."""
-    dlon = lon1 - lon2
-    if dlon > 180.0:
-        dlon -= 360.0
-    elif dlon < -180.0:
-        dlon += 360.0
+def close_series(dlon, dlat):
+    """Sine and cosine of half of two angles in degrees: (sin ½Δα, cos ½Δα, sin ½Δδ, cos ½Δδ).
+
+    Series for about a degree: their remainders are below 1e-17 of the argument.
+    """
     half_lon = 0.5 * DEG * dlon
-    half_lat = 0.5 * DEG * (lat1 - lat2)
-    if abs(half_lon) < 0.01 and abs(half_lat) < 0.01:
-        # Series for about half a degree: their remainders are below 1e-17 of the argument.
-        a2 = half_lon * half_lon
-        b2 = half_lat * half_lat
-        sin_lon = half_lon * (1.0 - a2 * (1.0 / 6.0 - a2 * (1.0 / 120.0 - a2 * (1.0 / 5040.0))))
-        cos_lon = 1.0 - a2 * (0.5 - a2 * (1.0 / 24.0 - a2 * (1.0 / 720.0)))
-        sin_lat = half_lat * (1.0 - b2 * (1.0 / 6.0 - b2 * (1.0 / 120.0 - b2 * (1.0 / 5040.0))))
-        cos_lat = 1.0 - b2 * (0.5 - b2 * (1.0 / 24.0 - b2 * (1.0 / 720.0)))
-        # cos δ₁ + cos δ₂ = 2 cos of the middle · cos of half the difference.
-        cos_mid = 0.5 * (cos1 + cos2) / cos_lat
-    else:
-        sin_lon = math.sin(half_lon)
-        cos_lon = math.cos(half_lon)
-        sin_lat = math.sin(half_lat)
-        cos_mid = math.cos(0.5 * DEG * (lat1 + lat2))
-    u = sin_lon * cos_mid
+    half_lat = 0.5 * DEG * dlat
+    a2 = half_lon * half_lon
+    b2 = half_lat * half_lat
+    sin_lon = half_lon * (1.0 - a2 * (1.0 / 6.0 - a2 * (1.0 / 120.0 - a2 * (1.0 / 5040.0))))
+    cos_lon = 1.0 - a2 * (0.5 - a2 * (1.0 / 24.0 - a2 * (1.0 / 720.0)))
+    sin_lat = half_lat * (1.0 - b2 * (1.0 / 6.0 - b2 * (1.0 / 120.0 - b2 * (1.0 / 5040.0))))
+    cos_lat = 1.0 - b2 * (0.5 - b2 * (1.0 / 24.0 - b2 * (1.0 / 720.0)))
+    return sin_lon, cos_lon, sin_lat, cos_lat
+
+
+@part
+def close_residual(dlon, dlat, cosines):
+    """(east, north) in arcsec of two directions less than CLOSE_DEG apart in either; cosines: cos δ₁ + cos δ₂."""
+    sin_lon, cos_lon, sin_lat, cos_lat = close_series(dlon, dlat)
+    # cos δ₁ + cos δ₂ = 2 cos of the middle · cos of half the difference.
+    u = sin_lon * (0.5 * cosines / cos_lat)
     v = cos_lon * sin_lat
     h2 = u * u + v * v
-    if h2 < 1e-4:
-        arc = 1.0 + h2 * (1.0 / 6.0 + h2 * (3.0 / 40.0 + h2 * (15.0 / 336.0)))
-    else:
-        h = min(1.0, math.sqrt(h2))
-        arc = math.asin(h) / h
+    arc = 1.0 + h2 * (1.0 / 6.0 + h2 * (3.0 / 40.0 + h2 * (15.0 / 336.0)))
     return 2.0 * ARCSEC * arc * u, 2.0 * ARCSEC * arc * v
 
 
 @part
-def sphere_spread(packed1, k1, packed2, k2, at, lon1, lat1, lon2, lat2):
-    """(xx, xy, yy) of the sum of both covariances on the axes halfway between two directions."""
+def close_turn(dlon, dlat, latitudes):
+    """The tangent of half the turn between the axes of two directions as close; latitudes: δ₁ + δ₂."""
+    sin_lon, cos_lon, _, cos_lat = close_series(dlon, dlat)
+    middle = 0.5 * latitudes
+    return sin_lon * math.copysign(sine(abs(middle)), middle) / (cos_lon * cos_lat)
+
+
+@part
+def wide_residual(dlon, dlat, latitudes):
+    """(east, north) in arcsec of any two directions; see space.Sphere."""
+    half_lon = 0.5 * DEG * dlon
+    half_lat = 0.5 * DEG * dlat
+    u = math.sin(half_lon) * math.cos(0.5 * DEG * latitudes)
+    v = math.cos(half_lon) * math.sin(half_lat)
+    h = min(1.0, math.sqrt(u * u + v * v))
+    arc = math.asin(h) / h if h > 1e-9 else 1.0
+    return 2.0 * ARCSEC * arc * u, 2.0 * ARCSEC * arc * v
+
+
+@part
+def wide_turn(dlon, dlat, latitudes):
+    """The tangent of half the turn between the axes of any two directions."""
+    across = math.sin(0.5 * DEG * dlon) * math.sin(0.5 * DEG * latitudes)
+    along = math.cos(0.5 * DEG * dlon) * math.cos(0.5 * DEG * dlat)
+    return across / max(along, 1e-300)
+
+
+@part
+def shorter_way(dlon):
+    """A difference of two longitudes of 0 … 360° as −180 … 180°."""
+    return dlon - (360.0 if dlon > 180.0 else (-360.0 if dlon < -180.0 else 0.0))
+
+
+@part
+def sphere_spread(packed1, k1, packed2, k2, at, turn):
+    """(xx, xy, yy) of the sum of both covariances on the axes halfway; turn: the tangent of half their turn."""
     ax, axy, ay = spread_2d(packed1, k1, at)
     bx, bxy, by = spread_2d(packed2, k2, at)
-    if packed1.shape[1] + packed2.shape[1] > 2 * at + 2:
-        dlon = lon1 - lon2
-        if dlon > 180.0:
-            dlon -= 360.0
-        elif dlon < -180.0:
-            dlon += 360.0
-        # The tangent of half the turn between the axes at either end.
-        across = math.sin(0.5 * DEG * dlon) * math.sin(0.5 * DEG * (lat1 + lat2))
-        along = math.cos(0.5 * DEG * dlon) * math.cos(0.5 * DEG * (lat1 - lat2))
-        turn = across / max(along, 1e-300)
-        c = 1.0 / math.sqrt(1.0 + turn * turn)
-        s = turn * c
-        ax, axy, ay = turned(ax, axy, ay, c, s)
-        bx, bxy, by = turned(bx, bxy, by, c, -s)
+    c = 1.0 / math.sqrt(1.0 + turn * turn)
+    s = turn * c
+    ax, axy, ay = turned(ax, axy, ay, c, s)
+    bx, bxy, by = turned(bx, bxy, by, c, -s)
     return ax + bx, axy + bxy, ay + by
 
 
 @kernel
-def sweep_sphere(one, two, cells, windows, limit, box, first, last, out):
-    """Candidates of the sorted records ``first`` ≤ k < ``last`` of source 1, written into the arrays ``out``.
+def sweep_sphere(one, two, grid, reach, told, limit, box, first, last, out):
+    """Candidates of the records at places ``first`` ≤ k < ``last`` of source 1, written into the arrays ``out``.
 
-    one, two : ``spans.Side``, guards (longitude, latitude, its cosine, opening²). cells : ``spans.Cells``. windows
-    (zones,) : half width in longitude. out : the columns of ``gate.Pairs``. Returns (candidates written, next k): next
-    k < last when out is full.
+    one, two : ``spans.Side``, guards (longitude, latitude, its cosine, variance). grid, reach : of what lies in source
+    2. told : see ``spans.near``, from ``first`` on. out : the columns of ``gate.Pairs``. Returns (candidates written,
+    next k): next k < last when out is full.
     """
-    record, low, high = np.empty(1024, np.int32), np.empty(1024, np.int32), np.empty(1024, np.int32)
-    of1, of2, passes = np.empty(4096, np.int32), np.empty(4096, np.int32), np.empty(4096, np.uint8)
+    room = np.empty(ROOM, np.int32), np.empty(ROOM, np.int32), np.empty(ROOM, np.uint8)
+    terms = np.empty((7, ROOM))
     count = np.int64(0)  # not a literal: numba would compile for it apart
-    k = first
-    while k < last:
-        spans, k = stretches(one, two, cells, windows, 360.0, False, k, last, record, low, high)
-        s = np.int64(0)
-        while s < spans:
-            s, near = near_on_sphere(one, two, windows, record, low, high, s, spans, of1, of2, passes)
-            count, t = measured_on_sphere(one, two, limit, box, of1, of2, near, count, out)
-            if t < near:
-                return taken_back(out[0], count, of1[t]), of1[t]
-    return count, last
+    at = (np.int64(first), np.int64(0), np.int64(0), np.int64(0))
+    while True:
+        found, at = near(one, two, grid, reach, None, told, at, last, room)
+        if found == 0:
+            return count, last
+        count, t = measured_on_sphere(one, two, limit, box, room[0], room[1], found, terms, count, out)
+        if t < found:
+            return taken_back(out[0], count, room[0][t]), np.int64(room[0][t])
 
 
 @part
-def near_on_sphere(one, two, windows, record, low, high, s, spans, of1, of2, passes):
-    """Fill of1, of2 with the pairs of the stretches s … that lie near enough; what is left of a stretch stays in it."""
-    zone = zone_of(one.zones, record[s])
-    near = 0
-    room = len(of1)
-    while s < spans and near < room:
-        k = record[s]
-        while k >= one.zones[zone + 1]:
-            zone += 1
-        # All of a stretch lies on the same side of the period's end.
-        lon = one.guard[k, 0]
-        if lon - two.guard[low[s], 0] > 180.0:
-            lon -= 360.0
-        elif lon - two.guard[low[s], 0] < -180.0:
-            lon += 360.0
-        lat = one.guard[k, 1]
-        cosine, opening = one.guard[k, 2], one.guard[k, 3]
-        # hav s = hav Δδ + cos δ₁ cos δ₂ hav Δα, and hav x ≥ (x/2)² (1 − 1e-4) below a degree; beyond, all are measured.
-        flat = 1.0 - 1e-4 if windows[zone] < 1.0 else 0.0
-        stop = min(high[s], low[s] + room - near)
-        if stop - low[s] < 8:
-            for q in range(low[s], stop):
-                dlat = lat - two.guard[q, 1]
-                dlon = lon - two.guard[q, 0]
-                of1[near] = k
-                of2[near] = q
-                near += flat * (dlat * dlat + cosine * two.guard[q, 2] * dlon * dlon) <= opening + two.guard[q, 3]
+def residuals(one, two, of1, of2, found, circles, terms):
+    """Fill terms[0], terms[1] with residuals east and north of so many pairs; terms[2] with turns, unless circles."""
+    east, north, turn, dlon, dlat, cosines, latitudes = terms
+    close = True
+    for t in range(found):
+        k, q = of1[t], of2[t]
+        dlon[t] = shorter_way(one.guard[k, 0] - two.guard[q, 0])
+        dlat[t] = one.guard[k, 1] - two.guard[q, 1]
+        cosines[t] = one.guard[k, 2] + two.guard[q, 2]
+        latitudes[t] = one.guard[k, 1] + two.guard[q, 1]
+        close &= (abs(dlon[t]) < CLOSE_DEG) & (abs(dlat[t]) < CLOSE_DEG)
+    if close:
+        for t in range(found):
+            east[t], north[t] = close_residual(dlon[t], dlat[t], cosines[t])
+        for t in range(0 if circles else found):
+            turn[t] = close_turn(dlon[t], dlat[t], latitudes[t])
+        return
+    for t in range(found):
+        if abs(dlon[t]) < CLOSE_DEG and abs(dlat[t]) < CLOSE_DEG:
+            east[t], north[t] = close_residual(dlon[t], dlat[t], cosines[t])
         else:
-            # The same in two steps, of which the first works on many at once.
-            start = low[s]
-            for t in range(stop - start):
-                dlat = lat - two.guard[start + t, 1]
-                dlon = lon - two.guard[start + t, 0]
-                length = flat * (dlat * dlat + cosine * two.guard[start + t, 2] * dlon * dlon)
-                passes[t] = length <= opening + two.guard[start + t, 3]
-            for t in range(stop - start):
-                of1[near] = k
-                of2[near] = start + t
-                near += passes[t]
-        low[s] = stop
-        if stop == high[s]:
-            s += 1
-    return s, near
+            east[t], north[t] = wide_residual(dlon[t], dlat[t], latitudes[t])
+        turn[t] = wide_turn(dlon[t], dlat[t], latitudes[t])
 
 
 @part
-def measured_on_sphere(one, two, limit, box, of1, of2, near, count, out):
+def measured_on_sphere(one, two, limit, box, of1, of2, found, terms, count, out):
     """Write those of the pairs that pass the gate; returns (candidates written, pairs done before out was full)."""
     place1, place2, i, j, residual, distance, determinant = out
-    circles = one.content.shape[1] + two.content.shape[1] == 6
-    for t in range(near):
+    circles = len(one.content) == 0
+    residuals(one, two, of1, of2, found, circles, terms)
+    for t in range(found):
         k, q = of1[t], of2[t]
-        lon1, lat1, lon2, lat2 = one.content[k, 0], one.content[k, 1], two.content[q, 0], two.content[q, 1]
-        east, north = sphere_residual(lon1, lat1, one.guard[k, 2], lon2, lat2, two.guard[q, 2])
+        east, north = terms[0, t], terms[1, t]
         if circles:
-            xx = one.content[k, 2] + two.content[q, 2]
+            xx = one.guard[k, 3] + two.guard[q, 3]
             xy, yy = 0.0, xx
         else:
-            xx, xy, yy = sphere_spread(one.content, k, two.content, q, 2, lon1, lat1, lon2, lat2)
+            xx, xy, yy = sphere_spread(one.content, k, two.content, q, 0, terms[2, t])
         area = xx * yy - xy * xy
         squared = (east * east * yy - 2.0 * east * north * xy + north * north * xx) / area
         inside = east * east <= limit * xx and north * north <= limit * yy if box else squared <= limit
@@ -188,7 +186,7 @@ def measured_on_sphere(one, two, limit, box, of1, of2, near, count, out):
         distance[count] = squared
         determinant[count] = area
         count += 1
-    return count, near
+    return count, found
 
 
 @kernel
@@ -196,9 +194,9 @@ def sphere_covariances(features1, cov1, features2, cov2, i, j, out):
     """Fill ``out`` (m, 2, 2) with the covariance of each pair's residual."""
     for k in range(len(i)):
         # Records keep the longitudes that they were given, any number of turns away; the search has folded its own.
-        lon1, lon2 = features1[i[k], 0] % 360.0, features2[j[k], 0] % 360.0
+        dlon = shorter_way(features1[i[k], 0] % 360.0 - features2[j[k], 0] % 360.0)
         lat1, lat2 = features1[i[k], 1], features2[j[k], 1]
-        xx, xy, yy = sphere_spread(cov1, i[k], cov2, j[k], 0, lon1, lat1, lon2, lat2)
+        xx, xy, yy = sphere_spread(cov1, i[k], cov2, j[k], 0, wide_turn(dlon, lat1 - lat2, lat1 + lat2))
         out[k, 0, 0] = xx
         out[k, 0, 1] = xy
         out[k, 1, 0] = xy
