@@ -19,10 +19,11 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.coverage import Coverage
-from sameas.estimate import FEWEST, LEAST_SHARE, THINKABLE, fit_errors
+from sameas.coverage import Coverage, local_share
+from sameas.error_scales import fit_errors
 from sameas.evidence import Errors
 from sameas.records import FloatArray, IntArray
+from sameas.rounds import FEWEST, LEAST_SHARE, THINKABLE
 
 Coverages = Mapping[tuple[int, int], Coverage]
 
@@ -136,7 +137,7 @@ def log_densities(coverages: Coverages, shares: Sequence[FloatArray]) -> tuple[F
             all_at = coverage.density(side, np.ones(len(shares[s])))
             for pattern in _patterns_with(s, n_sources):
                 weights = seen[s][:, pattern].astype(np.float64)
-                share_at = coverage.share(side, shares[s][:, pattern] * weights, weights)
+                share_at = local_share(coverage.levels, side, shares[s][:, pattern] * weights, weights)
                 for t, density, share in zip((a, b), all_at, share_at, strict=True):
                     if pattern >> t & 1:
                         # Two catalogues share one coverage; a catalogue's own place is in all of its coverages.
