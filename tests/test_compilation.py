@@ -35,3 +35,17 @@ def test_compilation_is_said_once_and_begun(monkeypatch, capsys):
     monkeypatch.setattr("sameas.compilation.needed", lambda: False)
     terminal.tell_compilation()
     assert capsys.readouterr().err.count("compiling kernels") == len(begun) == 1
+
+
+def test_one_process_compiles_at_a_time(tmp_path, monkeypatch):
+    from sameas import compilation
+
+    begun = []
+    monkeypatch.setattr(compilation, "_cache", lambda: tmp_path)
+    monkeypatch.setattr(compilation.threading.Thread, "start", lambda thread: begun.append(thread))
+    compilation.beside()
+    compilation.beside()
+    assert len(begun) == 1
+    os.utime(tmp_path / "compiling", (0, 0))
+    compilation.beside()
+    assert len(begun) == 2

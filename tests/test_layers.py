@@ -18,7 +18,7 @@ WITH = {"errors": "records", "space": "records", "threads": "records", "search":
         "decision": "result", "older": "result", "spacing": "evidence"}  # fmt: skip
 ROOMS = {"sky", "tracks", "picture", "maps", "io", "adapters", "plots", "report", "findings", "prose", "cli", "study",
          "pages", "__main__"}  # fmt: skip
-FOR_PEOPLE = {"io", "maps", "adapters", "plots", "report", "findings", "prose", "cli", "study", "pages", "__main__"}
+FOR_PEOPLE = {"io", "maps", "adapters", "plots", "report", "findings", "cli", "study", "pages", "__main__"}
 
 
 def imported(path, *, always=False):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -18,21 +19,45 @@ from sameas.assignment import Hypothesis
 from sameas.groups import Groups
 from sameas.prior import PerPair
 
+#: A compilation that has not ended after so many seconds has been stopped.
+LONGEST_S = 120.0
 
-def needed() -> bool:
-    """Whether this machine has no compiled sums yet."""
+
+def _cache() -> Path | None:
+    """The folder in which compiled sums are kept; None where nothing is compiled."""
     from sameas.kernels import posterior
 
     statistics = getattr(posterior.exact, "stats", None)  # a plain function where compilation is switched off
     where = getattr(statistics, "cache_path", None)
-    return bool(where) and not any(Path(str(where)).glob("posterior.exact-*.nbi"))
+    return Path(str(where)) if where else None
+
+
+def needed() -> bool:
+    """Whether this machine has no compiled sums yet."""
+    cache = _cache()
+    return cache is not None and not any(cache.glob("posterior.exact-*.nbi"))
 
 
 def beside() -> None:
-    """Start to compile the sums in a process of its own; nobody has to wait for it, nor to end it."""
+    """Start to compile the sums in a process of its own, unless one does already; nobody has to wait for it."""
+    cache = _cache()
+    if cache is None or not _claimed(cache / "compiling"):
+        return
     quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     command = [sys.executable, "-m", "sameas.compilation"]
     threading.Thread(target=subprocess.run, args=(command,), kwargs=quiet, daemon=True).start()
+
+
+def _claimed(mark: Path) -> bool:
+    """Whether the mark of a compilation could be set: nobody has, or it was left behind."""
+    try:
+        mark.parent.mkdir(parents=True, exist_ok=True)
+        if mark.exists() and time.time() - mark.stat().st_mtime > LONGEST_S:
+            mark.unlink(missing_ok=True)
+        mark.touch(exist_ok=False)
+    except OSError:
+        return False
+    return True
 
 
 def compile_sums() -> None:
@@ -48,5 +73,14 @@ def compile_sums() -> None:
     by_messages(group, best)
 
 
+def _main() -> None:
+    cache = _cache()
+    try:
+        compile_sums()
+    finally:
+        if cache is not None:
+            (cache / "compiling").unlink(missing_ok=True)
+
+
 if __name__ == "__main__":
-    compile_sums()
+    _main()
