@@ -7,7 +7,7 @@ errors quoted too small and heavy tails come out of the same estimate.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,9 @@ PROBABLE, SUREST = 1e-3, 1.0 - 1e-9
 ACROSS = 40
 #: The search for the shares stops when ln of the likelihood grows by less than this, or after so many steps.
 SETTLED, STEPS = 1e-4, 40
+#: Errors larger than so many times the quoted ones are a tail. It must better ln of the likelihood by so much (the square
+#: of four standard errors, halved): what chance pairs look like feeds on itself, as more of them are then believed.
+TAIL, STANDING_OUT = 2.0, 8.0
 #: What every share begins with besides its own: EM never revives one that is zero.
 SPREAD = 1e-3
 #: Least part of a step, and what is added to the curvature, of its trace: neighbouring normals are much alike.
@@ -60,11 +63,25 @@ def fit_errors(
     odds = cells.probability / ((1.0 - cells.probability) * np.maximum(before, 1e-300))
     known = dict(zip(np.round(start.scales, 9), start.shares, strict=True))
     shares = np.array([known.get(round(s, 9), 0.0) for s in scales])
-    pseudo = 2.0 * (np.abs(np.log(scales)) < 0.01)
+    pseudo = np.where(np.abs(np.log(scales)) < 0.01, 2.0, 0.0)
     mixture = _Mixture(cells.count, odds, np.exp(log_part - height), pseudo)
-    shares = mixture.best_shares(shares)
+    shares = _standing_out(mixture, mixture.best_shares(shares), scales)
     kept = shares > 1e-6
     return Errors(tuple(scales[kept].tolist()), tuple((shares[kept] / shares[kept].sum()).tolist()))
+
+
+def _standing_out(mixture: _Mixture, shares: FloatArray, scales: FloatArray) -> FloatArray:
+    """The shares, without a tail where the data would be nearly as likely without one."""
+    core = scales <= TAIL
+    if not shares[~core].any() or not shares[core].any():
+        return shares
+    without = replace(mixture, part=mixture.part[:, core], pseudo=mixture.pseudo[core])
+    alone = without.best_shares(shares[core] / shares[core].sum())
+    if mixture.log_likelihood(shares) - without.log_likelihood(alone) > STANDING_OUT:
+        return shares
+    bare = np.zeros(len(scales))
+    bare[core] = alone
+    return bare
 
 
 @dataclass(frozen=True)
@@ -91,8 +108,9 @@ class _Cells:
         cell += np.clip(across * (ACROSS / -math.log((1.0 - SUREST) * PROBABLE)), 0, ACROSS - 1).astype(np.int64)
         count = np.bincount(cell, minlength=BINS * ACROSS)
         full = np.flatnonzero(count)
-        mean = (np.bincount(cell, values, BINS * ACROSS)[full] / count[full] for values in (z2, probability))
-        return cls(count[full].astype(np.float64), *mean, reach)
+        held = count[full].astype(np.float64)
+        square, mean = (np.bincount(cell, values, BINS * ACROSS)[full] / held for values in (z2, probability))
+        return cls(held, square, mean, reach)
 
     def log_normals(self, scales: FloatArray, d: int) -> FloatArray:
         """(b, k) ln of normals of these scales in d features, but for constants."""
@@ -151,7 +169,7 @@ class _Mixture:
 
 
 def _on_simplex(slope: FloatArray, bend: FloatArray, free: BoolArray) -> tuple[FloatArray, BoolArray]:
-    """The shares y ≥ 0, Σ y = 1, of greatest slope·y − ½ y·bend·y, and which are not zero; ``free`` is a first guess."""
+    """The shares y ≥ 0, Σ y = 1, of greatest slope·y − ½ y·bend·y, and which are not zero; ``free``: a guess."""
     k = len(slope)
     free, size = free.copy(), float(np.abs(slope).max())
     for _ in range(6 * k):

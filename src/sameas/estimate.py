@@ -60,6 +60,7 @@ class Estimate:
     gate_sigmas : radius of the gate, in quoted standard deviations.
     coverage : where both look.
     rounds, settled : rounds of identification, and whether they settled.
+    learned_from : records of either source that the rounds went over: all of them, or a sample that stands for them.
     notes : what a user should know.
     quantities : everything that is a number, by name, with its standard error; see ``sameas.quantity.quantities``.
     detection_1, detection_2 : share of each source's records that the other shows, by magnitude; None without.
@@ -77,6 +78,7 @@ class Estimate:
     coverage: Coverage
     rounds: int
     settled: bool
+    learned_from: tuple[int, int]
     notes: tuple[str, ...] = field(default=())
     quantities: Mapping[str, Quantity] = field(default_factory=dict)
     detection_1: DetectionCurve | None = None
@@ -155,6 +157,7 @@ class _Found:
     gate_sigmas: float
     rounds: int
     settled: bool
+    learned_from: tuple[int, int]
 
     @property
     def sampled(self) -> bool:
@@ -209,7 +212,7 @@ class _Search:
                 known = known.at(part, seen)
             known, told, done, settled = going.settled(known, most - total, self.progress)
             total += done
-            found = _Found(whole, known, told, limit, total, settled)
+            found = _Found(whole, known, told, limit, total, settled, part.numbers)
             if self.gate is not None or total >= most or not found.must_open():
                 return found if not known.lessons else replace(found, known=known.with_lesson(told, last=True))
             limit = min(2.0 * limit, WIDEST_SIGMAS)
@@ -222,7 +225,8 @@ class _Search:
             return answer, replace(found, known=known)
         known = known.learned(answer.p_pair, brightness=False)
         known, told, done, settled = going.settled(known, max(most - found.rounds, 5), self.progress)
-        found = _Found(found.whole, known, told, found.gate_sigmas, found.rounds + done, settled)
+        total = found.rounds + done
+        found = _Found(found.whole, known, told, found.gate_sigmas, total, settled, found.whole.numbers)
         return self._identified(known), found
 
     def _identified(self, known: Known) -> Identification:
@@ -245,7 +249,7 @@ def _told(answer: Identification, coverage: Coverage, found: _Found, remarks: li
     curves = (None, None) if photometry is None else photometry.detection(answer, coverage)
     return Estimate(
         common, min(1.0, common / seen_1), min(1.0, common / seen_2), known.errors, found.gate_sigmas, coverage,
-        found.rounds, found.settled, tuple(remarks) + _notes(found, common),
+        found.rounds, found.settled, found.learned_from, tuple(remarks) + _notes(found, common),
         quantities(answer, coverage, photometry, errors=judged), *curves, photometry,
         decisive(answer), 0 if photometry is None else changed_without(answer, BRIGHTNESS_TERMS),
         answer if judged else None,

@@ -75,7 +75,8 @@ class Photometry:
     def part(self, rows_1: IntArray, rows_2: IntArray) -> Photometry:
         """The magnitudes of some of the records only."""
         one, two = (
-            replace(side, measured=side.measured.take(rows)) for side, rows in zip(self.sides, (rows_1, rows_2), strict=True)
+            replace(side, measured=side.measured.take(rows))
+            for side, rows in zip(self.sides, (rows_1, rows_2), strict=True)
         )
         return replace(self, sides=(one, two), known=None)
 

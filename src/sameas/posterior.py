@@ -12,7 +12,6 @@ apart then is summed. Which method a group got is part of the result.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 

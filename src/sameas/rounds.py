@@ -197,9 +197,7 @@ def _local(setting: Setting, partner: Both, counted: tuple[BoolArray, BoolArray]
     return one, two
 
 
-def settled(
-    known: Known, rounds: int, progress: Callable[[str], None]
-) -> tuple[Known, FloatArray, int, bool]:
+def settled(known: Known, rounds: int, progress: Callable[[str], None]) -> tuple[Known, FloatArray, int, bool]:
     """Rounds over one list of candidates: what is known then, the probabilities (m,) of the pairs that count, how many
     rounds it took, and whether the estimates settled.
 
