@@ -24,6 +24,7 @@ from sameas import rounds as going
 from sameas.coverage import Coverage
 from sameas.detection import DetectionCurve
 from sameas.error_model import ErrorModel, error_model
+from sameas.error_scales import STANDING_OUT
 from sameas.errors import InputError
 from sameas.evidence import Errors, Magnitudes
 from sameas.gate import ChiSquare, Pairs, Radius
@@ -42,6 +43,8 @@ WIDEST_SIGMAS = 400.0
 CROWDED = 0.5
 #: nor for errors that are quoted too small when it would have more than this.
 MOST_CROWDED = 8.0
+#: A tail of the errors that betters ln of the likelihood by so much, but does not stand out, is looked for farther out.
+SUSPECTED = 1.0
 #: Standard deviations by which close candidates must exceed what chance gives, for their errors to be judged.
 SIGNIFICANT = 4.0
 #: A sample has misled where it lets expect another number of common objects, by more than this share beyond chance.
@@ -179,6 +182,8 @@ class _Found:
             return True
         if chance > CROWDED:
             return False
+        if SUSPECTED < self.known.tail < STANDING_OUT:
+            return True  # what lies farther out decides whether it is one
         beyond = float(self.told[pairs.mahalanobis_sq > (0.7 * limit) ** 2].sum())
         return beyond > 1.0 + OPENING * common
 
@@ -223,7 +228,7 @@ class _Search:
         answer = self._identified(known)
         if not found.sampled or _as_expected(float(answer.p_pair.sum()), known.expected(), float(found.told.sum())):
             return answer, replace(found, known=known)
-        known = known.learned(answer.p_pair, brightness=False)
+        known = known.learned(answer.p_pair, answer.evidence.log_ratio, brightness=False)
         known, told, done, settled = going.settled(known, max(most - found.rounds, 5), self.progress)
         total = found.rounds + done
         found = _Found(found.whole, known, told, found.gate_sigmas, total, settled, found.whole.numbers)
