@@ -20,12 +20,13 @@ RUNG = 1.5
 LOWEST_RUNG = -5.0
 #: Pairs of like distance are counted together, in so many bins from the first distance on, in standard deviations.
 BINS, NEAREST = 400, 1e-3
-#: Pairs whose log odds are less say nothing of the errors, whatever these are; more is as sure as can be. Steps between.
+#: Pairs whose log odds are less say nothing of the errors, whatever these are; more is as sure as can be; in so many
+#: steps.
 LEAST_LOG_ODDS, MOST_LOG_ODDS, ACROSS = -12.0, 30.0, 84
 #: The search for the shares stops when ln of the likelihood grows by less than this, or after so many steps.
 SETTLED, STEPS = 1e-4, 40
-#: Errors larger than so many times the quoted ones are a tail. It must better ln of the likelihood by so much (the square
-#: of four standard errors, halved): what chance pairs look like feeds on itself, as more of them are then believed.
+#: Errors larger than so many times the quoted ones are a tail. It must better ln of the likelihood by so much, four
+#: standard errors: what chance pairs look like feeds on itself, as more of them are then believed.
 TAIL, STANDING_OUT = 2.0, 8.0
 #: What every share begins with besides its own: EM never revives one that is zero.
 SPREAD = 1e-3

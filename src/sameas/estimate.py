@@ -44,7 +44,8 @@ CROWDED = 0.5
 #: nor for errors that are quoted too small when it would have more than this.
 MOST_CROWDED = 8.0
 #: A tail of the errors that betters ln of the likelihood by so much, but does not stand out, is looked for farther out.
-SUSPECTED = 1.0
+#: Then a record may have this many candidates by chance.
+SUSPECTED, SUSPECTED_CROWDED = 1.0, 2.0
 #: Standard deviations by which close candidates must exceed what chance gives, for their errors to be judged.
 SIGNIFICANT = 4.0
 #: A sample has misled where it lets expect another number of common objects, by more than this share beyond chance.
@@ -180,10 +181,10 @@ class _Found:
         chance = self.known.setting.by_chance(self.told) * 2.0**pairs.d
         if chance < MOST_CROWDED and limit < _radius(None, pairs.d) * self.known.errors.typical_scale:
             return True
+        if SUSPECTED < self.known.tail < STANDING_OUT and chance < SUSPECTED_CROWDED:
+            return True  # what lies farther out decides whether it is one
         if chance > CROWDED:
             return False
-        if SUSPECTED < self.known.tail < STANDING_OUT:
-            return True  # what lies farther out decides whether it is one
         beyond = float(self.told[pairs.mahalanobis_sq > (0.7 * limit) ** 2].sum())
         return beyond > 1.0 + OPENING * common
 
@@ -255,7 +256,7 @@ def _told(answer: Identification, coverage: Coverage, found: _Found, remarks: li
     return Estimate(
         common, min(1.0, common / seen_1), min(1.0, common / seen_2), known.errors, found.gate_sigmas, coverage,
         found.rounds, found.settled, found.learned_from, tuple(remarks) + _notes(found, common),
-        quantities(answer, coverage, photometry, errors=judged), *curves, photometry,
+        quantities(answer, coverage, photometry, errors=judged, learned_from=found.learned_from), *curves, photometry,
         decisive(answer), 0 if photometry is None else changed_without(answer, BRIGHTNESS_TERMS),
         answer if judged else None,
     )  # fmt: skip
