@@ -170,7 +170,7 @@ def test_nothing_to_identify_is_refused_in_words(n1, n2, name):
 def test_the_spread_of_residuals_is_found_from_their_distances(d, scale):
     rng = np.random.default_rng([d, int(10 * scale)])
     z2 = scale**2 * rng.chisquare(d, 20_000)
-    found = fit_errors(z2, np.ones(len(z2)), d, Errors())
+    found = fit_errors(z2, np.full(len(z2), 20.0), d, Errors()).errors
     # The mixture of a coarse ladder predicts the distances, as nearly as observed.
     shares, scales = np.array(found.shares), np.array(found.scales)
     assert shares.sum() == pytest.approx(1.0)
@@ -183,6 +183,6 @@ def test_the_spread_of_residuals_is_found_from_their_distances(d, scale):
 def test_pairs_that_are_improbable_do_not_count():
     rng = np.random.default_rng(0)
     z2 = np.concatenate([rng.chisquare(2, 5000), np.full(5000, 900.0)])
-    weights = np.concatenate([np.ones(5000), np.zeros(5000)])
-    found = fit_errors(z2, weights, 2, Errors())
+    log_odds = np.concatenate([np.full(5000, 20.0), np.full(5000, -30.0)])
+    found = fit_errors(z2, log_odds, 2, Errors()).errors
     assert max(s for s, share in zip(found.scales, found.shares, strict=True) if share > 0.01) < 2.0

@@ -24,6 +24,7 @@ from sameas import rounds as going
 from sameas.coverage import Coverage
 from sameas.detection import DetectionCurve
 from sameas.error_model import ErrorModel, error_model
+from sameas.error_scales import STANDING_OUT
 from sameas.errors import InputError
 from sameas.evidence import Errors, Magnitudes
 from sameas.gate import ChiSquare, Pairs, Radius
@@ -42,6 +43,9 @@ WIDEST_SIGMAS = 400.0
 CROWDED = 0.5
 #: nor for errors that are quoted too small when it would have more than this.
 MOST_CROWDED = 8.0
+#: A tail of the errors that betters ln of the likelihood by so much, but does not stand out, is looked for farther out.
+#: Then a record may have this many candidates by chance.
+SUSPECTED, SUSPECTED_CROWDED = 1.0, 2.0
 #: Standard deviations by which close candidates must exceed what chance gives, for their errors to be judged.
 SIGNIFICANT = 4.0
 #: A sample has misled where it lets expect another number of common objects, by more than this share beyond chance.
@@ -60,6 +64,7 @@ class Estimate:
     gate_sigmas : radius of the gate, in quoted standard deviations.
     coverage : where both look.
     rounds, settled : rounds of identification, and whether they settled.
+    learned_from : records of either source that the rounds went over: all of them, or a sample that stands for them.
     notes : what a user should know.
     quantities : everything that is a number, by name, with its standard error; see ``sameas.quantity.quantities``.
     detection_1, detection_2 : share of each source's records that the other shows, by magnitude; None without.
@@ -77,6 +82,7 @@ class Estimate:
     coverage: Coverage
     rounds: int
     settled: bool
+    learned_from: tuple[int, int]
     notes: tuple[str, ...] = field(default=())
     quantities: Mapping[str, Quantity] = field(default_factory=dict)
     detection_1: DetectionCurve | None = None
@@ -155,6 +161,7 @@ class _Found:
     gate_sigmas: float
     rounds: int
     settled: bool
+    learned_from: tuple[int, int]
 
     @property
     def sampled(self) -> bool:
@@ -174,6 +181,8 @@ class _Found:
         chance = self.known.setting.by_chance(self.told) * 2.0**pairs.d
         if chance < MOST_CROWDED and limit < _radius(None, pairs.d) * self.known.errors.typical_scale:
             return True
+        if SUSPECTED < self.known.tail < STANDING_OUT and chance < SUSPECTED_CROWDED:
+            return True  # what lies farther out decides whether it is one
         if chance > CROWDED:
             return False
         beyond = float(self.told[pairs.mahalanobis_sq > (0.7 * limit) ** 2].sum())
@@ -209,7 +218,7 @@ class _Search:
                 known = known.at(part, seen)
             known, told, done, settled = going.settled(known, most - total, self.progress)
             total += done
-            found = _Found(whole, known, told, limit, total, settled)
+            found = _Found(whole, known, told, limit, total, settled, part.numbers)
             if self.gate is not None or total >= most or not found.must_open():
                 return found if not known.lessons else replace(found, known=known.with_lesson(told, last=True))
             limit = min(2.0 * limit, WIDEST_SIGMAS)
@@ -220,9 +229,10 @@ class _Search:
         answer = self._identified(known)
         if not found.sampled or _as_expected(float(answer.p_pair.sum()), known.expected(), float(found.told.sum())):
             return answer, replace(found, known=known)
-        known = known.learned(answer.p_pair, brightness=False)
+        known = known.learned(answer.p_pair, answer.evidence.log_ratio, brightness=False)
         known, told, done, settled = going.settled(known, max(most - found.rounds, 5), self.progress)
-        found = _Found(found.whole, known, told, found.gate_sigmas, found.rounds + done, settled)
+        total = found.rounds + done
+        found = _Found(found.whole, known, told, found.gate_sigmas, total, settled, found.whole.numbers)
         return self._identified(known), found
 
     def _identified(self, known: Known) -> Identification:
@@ -245,8 +255,8 @@ def _told(answer: Identification, coverage: Coverage, found: _Found, remarks: li
     curves = (None, None) if photometry is None else photometry.detection(answer, coverage)
     return Estimate(
         common, min(1.0, common / seen_1), min(1.0, common / seen_2), known.errors, found.gate_sigmas, coverage,
-        found.rounds, found.settled, tuple(remarks) + _notes(found, common),
-        quantities(answer, coverage, photometry, errors=judged), *curves, photometry,
+        found.rounds, found.settled, found.learned_from, tuple(remarks) + _notes(found, common),
+        quantities(answer, coverage, photometry, errors=judged, learned_from=found.learned_from), *curves, photometry,
         decisive(answer), 0 if photometry is None else changed_without(answer, BRIGHTNESS_TERMS),
         answer if judged else None,
     )  # fmt: skip

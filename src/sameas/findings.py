@@ -28,8 +28,16 @@ def findings(match: SkyMatch) -> list[str]:
         *_by_source(match),
         *_brightness(match),
         *entry("gate", f"{e.gate_sigmas:.1f} quoted σ"),
-        *entry("rounds", f"{e.rounds}, " + ("settled" if e.settled else "not settled")),
+        *entry("rounds", f"{e.rounds}{_sampled(match)}, " + ("settled" if e.settled else "not settled")),
     ]
+
+
+def _sampled(match: SkyMatch) -> str:
+    """Of how many records the rounds were, where these are not all."""
+    (one, two), result = match.estimate.learned_from, match.result
+    if (one, two) == (len(result.first), len(result.second)):
+        return ""
+    return f" of {count(one)} and {count(two)} records that stand for all"
 
 
 def _share(share: Quantity) -> str:

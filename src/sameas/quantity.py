@@ -40,16 +40,21 @@ class Quantity:
 
 
 def quantities(
-    answer: Identification, coverage: Coverage, photometry: Photometry | None, *, errors: bool
+    answer: Identification,
+    coverage: Coverage,
+    photometry: Photometry | None,
+    *,
+    errors: bool,
+    learned_from: tuple[int, int],
 ) -> Mapping[str, Quantity]:
-    """All that was estimated; ``errors`` tells whether their scale was.
+    """All that was estimated; ``errors`` tells whether their scale was, ``learned_from`` of how many records.
 
     common : number of common objects. share_1, share_2 : probability that a covered record of the source is shown by
     the other too. density_common, density_only_1, density_only_2 : per (unit of the residuals)^d where both look.
     error_scale : factor by which the quoted errors are to be multiplied. zero_point, scatter, colour_BAND,
     brightness_unrelated : of the magnitudes, see :func:`_of_relation`.
     """
-    shares = [_Share.of(answer, coverage, source) for source in (1, 2)]
+    shares = [_Share.of(answer, coverage, source, learned_from[source - 1]) for source in (1, 2)]
     surest = min(shares, key=lambda share: share.count_error)
     common = Quantity(surest.found, surest.count_error)
     found = {"common": common, "share_1": shares[0].quantity(), "share_2": shares[1].quantity()}
@@ -70,19 +75,24 @@ def quantities(
 
 @dataclass(frozen=True)
 class _Share:
-    """Of ``number`` covered records ``found`` are expected to have a partner; ``unsure`` is Σ p(1 − p)."""
+    """Of ``number`` covered records ``found`` are expected to have a partner; ``unsure`` is Σ p(1 − p).
+
+    left_out : records per record that the estimate was learned from which it was not, 0 where it was all.
+    """
 
     number: int
     found: float
     unsure: float
+    left_out: float
 
     @classmethod
-    def of(cls, answer: Identification, coverage: Coverage, source: int) -> _Share:
+    def of(cls, answer: Identification, coverage: Coverage, source: int, learned_from: int) -> _Share:
         records, at = (answer.first, answer.pairs.i) if source == 1 else (answer.second, answer.pairs.j)
         partner = np.clip(np.bincount(at, answer.p_pair, len(records)), 0.0, 1.0)
         seen = coverage.covered[source - 1]
         partner = partner[seen]
-        return cls(len(partner), float(partner.sum()), float((partner * (1.0 - partner)).sum()))
+        unsure = float((partner * (1.0 - partner)).sum())
+        return cls(len(partner), float(partner.sum()), unsure, len(records) / max(learned_from, 1) - 1.0)
 
     @property
     def share(self) -> float:
@@ -96,13 +106,18 @@ class _Share:
 
     @property
     def count_error(self) -> float:
-        """Standard error of ``found`` as the number of pairs that there are, their share being estimated too."""
-        return math.sqrt(self.unsure / (1.0 - self.missing))
+        """Standard error of ``found`` as the number of pairs that there are, their share being estimated too.
+
+        Of the error of a share that was learned from a sample, as much comes into the number as information is missing.
+        """
+        return math.sqrt(self.unsure / (1.0 - self.missing) * (1.0 + self.missing**2 * self.left_out))
 
     def quantity(self) -> Quantity:
         """The share as a probability."""
         binomial = self.share * (1.0 - self.share) / (self.number + 1.0)
-        return Quantity(self.found / max(self.number, 1), math.sqrt(binomial / (1.0 - self.missing)))
+        sampling = self.unsure * self.missing**2 * self.left_out / max(self.number, 1) ** 2
+        error = math.sqrt((binomial + sampling) / (1.0 - self.missing))
+        return Quantity(self.found / max(self.number, 1), error)
 
 
 def _error_scale(answer: Identification) -> Quantity:

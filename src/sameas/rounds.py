@@ -28,6 +28,8 @@ from sameas.quantity import MOST_MISSING
 from sameas.records import FloatArray
 from sameas.sample import Setting
 
+#: Pairs less probable than this, and more, are not taken at their word when errors are judged.
+FAINT, SUREST = 1e-3, 1.0 - 1e-12
 #: The first guess of the share of the poorer source that is common lies between these.
 LEAST_GUESS, MOST_GUESS = 0.1, 0.95
 #: Errors this many times too small are always thought of.
@@ -60,6 +62,7 @@ class Known:
     errors : the spread of the residuals; learned from the pairs where ``learns_errors``.
     photometry : how the magnitudes are related, None where they are not asked for. lessons : how often it was learned.
     common : expected number of common objects among the counted, negative before the first round.
+    tail : by how much a tail of the errors, believed or not, betters ln of the likelihood.
     density : (ρ₁, ρ₂) of all records of each source where the user gave them, else None.
     """
 
@@ -73,6 +76,7 @@ class Known:
     density: tuple[float, float] | None = None
     lessons: int = 0
     common: float = -1.0
+    tail: float = 0.0
 
     @classmethod
     def nothing(
@@ -161,8 +165,11 @@ class Known:
             slacks.append(math.sqrt(unsure / (1.0 - missing)) * (1.0 - missing))
         return min(slacks)
 
-    def learned(self, p_pair: FloatArray, *, brightness: bool) -> Known:
-        """What the probabilities of a round (m,) say of shares and errors, and of magnitudes where these are asked."""
+    def learned(self, p_pair: FloatArray, log_ratio: FloatArray, *, brightness: bool) -> Known:
+        """What a round says of shares and errors, and of magnitudes where these are asked for.
+
+        p_pair, log_ratio : (m,) probabilities of the pairs, and ln of their odds before one-to-one.
+        """
         pairs = self.setting.pairs
         partner = (
             np.minimum(np.bincount(pairs.i, p_pair, len(self.partner[0])), 1.0),
@@ -176,9 +183,23 @@ class Known:
             # A component so wide that chance fills it cannot be told from chance.
             radius = math.sqrt(float(pairs.mahalanobis_sq.max(initial=1.0)))
             widest = radius * (FILLED / max(self.setting.by_chance(told), 1e-12)) ** (1.0 / pairs.d)
-            errors = fit_errors(pairs.mahalanobis_sq, told, pairs.d, self.errors, widest=max(widest, THINKABLE))
-            known = replace(known, errors=errors)
+            log_odds = known.log_odds_but_errors(p_pair, log_ratio)
+            fit = fit_errors(pairs.mahalanobis_sq, log_odds, pairs.d, self.errors, widest=max(widest, THINKABLE))
+            known = replace(known, errors=fit.errors, tail=fit.tail)
         return known.with_lesson(told) if brightness and self.photometry is not None else known
+
+    def log_odds_but_errors(self, p_pair: FloatArray, log_ratio: FloatArray) -> FloatArray:
+        """(m,) ln of the odds of the pairs but for what the errors say, given how sure their records are of others.
+
+        −∞ for those whose record 1 is not counted.
+        """
+        pairs, (one, two) = self.setting.pairs, self.partner
+        free = np.maximum(1.0 - one[pairs.i], 1e-30) * np.maximum(1.0 - two[pairs.j], 1e-30)
+        p = np.clip(p_pair, FAINT, SUREST)
+        # What is improbable may have been left at zero; it is as probable as both its records are free for it.
+        log_odds = np.where(p_pair > FAINT, np.log(p) - np.log1p(-p), log_ratio + np.log(free))
+        log_odds -= self.errors.log_profile(pairs.mahalanobis_sq, pairs.d)
+        return np.where(self.setting.counted[0][pairs.i], log_odds, -np.inf)
 
     def with_lesson(self, told: FloatArray, *, last: bool = False) -> Known:
         """The magnitudes learned from, with pairs of these probabilities (m,)."""
@@ -213,7 +234,8 @@ def settled(known: Known, rounds: int, progress: Callable[[str], None]) -> tuple
     while not done and number < max(rounds, 1):
         number += 1
         progress(f"estimation, round {number}")
-        best = assign(grouped, known.rule()(setting.pairs).log_ratio, linear)
+        log_ratio = known.rule()(setting.pairs).log_ratio
+        best = assign(grouped, log_ratio, linear)
         p_pair = by_messages(grouped, best).p_pair
         told = setting.told(p_pair)
         before, common = known.common, float(told.sum())
@@ -223,7 +245,7 @@ def settled(known: Known, rounds: int, progress: Callable[[str], None]) -> tuple
                 "the errors are far larger than the spacing of the records; are the errors in the unit that was "
                 "understood?"
             )
-        known = known.learned(p_pair, brightness=number >= POSITIONS_FIRST)
+        known = known.learned(p_pair, log_ratio, brightness=number >= POSITIONS_FIRST)
         done = abs(common - before) <= SETTLED * known.slack() + SETTLED_NUMBER
         # The magnitudes must have had their say.
         done &= known.photometry is None or common < FEWEST or known.lessons > WITH_BRIGHTNESS

@@ -55,15 +55,20 @@ class Setting:
             pairs, (np.arange(n1), np.arange(n2)), coverage.levels, coverage.covered, every, coverage.covered_densities
         )
 
+    @property
+    def numbers(self) -> tuple[int, int]:
+        """How many records of either source are counted."""
+        one, two = (int(np.count_nonzero(counted)) for counted in self.counted)
+        return one, two
+
     def told(self, p_pair: FloatArray) -> FloatArray:
         """(m,) probabilities of the pairs whose record 1 is counted, 0 of the others."""
         return p_pair if self.counted[0].all() else p_pair * self.counted[0][self.pairs.i]
 
     def by_chance(self, told: FloatArray) -> float:
         """Mean number of candidates of a record that are there by chance, with these probabilities (m,)."""
-        counted = [int(np.count_nonzero(which)) for which in self.counted]
-        candidates = len(told) if counted[0] == len(self.rows[0]) else np.count_nonzero(self.counted[0][self.pairs.i])
-        return max(candidates - float(told.sum()), 0.0) / min(counted)
+        candidates = np.count_nonzero(self.counted[0][self.pairs.i])
+        return max(int(candidates) - float(told.sum()), 0.0) / min(self.numbers)
 
     def sample(self) -> Setting:
         """Enough of it: itself where it is not large."""
@@ -74,12 +79,11 @@ class Setting:
         counted = cells[level.of_first], cells[level.of_second]
         kept, used_1, used_2 = _competing(self.pairs, *counted)
         rows_1, rows_2 = np.flatnonzero(used_1), np.flatnonzero(used_2)
-        pairs = _part(self.pairs, kept, rows_1, rows_2)
+        pairs, (of_1, of_2) = _part(self.pairs, kept, rows_1, rows_2), self.densities
         return Setting(
             pairs, (rows_1, rows_2), tuple(level.part(rows_1, rows_2) for level in self.levels),
-            tuple(seen[rows] for seen, rows in zip(self.seen, (rows_1, rows_2), strict=True)),
-            tuple(which[rows] for which, rows in zip(counted, (rows_1, rows_2), strict=True)),
-            tuple((density[0][rows_1], density[1][rows_2]) for density in self.densities),
+            (self.seen[0][rows_1], self.seen[1][rows_2]), (counted[0][rows_1], counted[1][rows_2]),
+            ((of_1[0][rows_1], of_1[1][rows_2]), (of_2[0][rows_1], of_2[1][rows_2])),
         )  # fmt: skip
 
     def _drawn(self) -> tuple[Level, BoolArray] | None:

@@ -395,3 +395,28 @@ def test_other_refusals():
 
 def test_examples_run():
     assert doctest.testmod(motion).failed == 0
+
+
+def test_at_their_own_epoch_objects_are_where_they_were_seen():
+    stars = Astrometry.of(
+        [10.0, 359.9], [20.0, -89.0], epoch_jyr=[2000.0, 2016.0], sigma=[[50.0, 40.0], [3.0, 4.0]],
+        pm_ra_mas_per_yr=[100.0, np.nan], pm_dec_mas_per_yr=[5.0, np.nan],
+    )  # fmt: skip
+    here = position_at(stars, stars.epoch_jyr)
+    assert here.ra_deg.tolist() == stars.ra_deg.tolist() and here.dec_deg.tolist() == stars.dec_deg.tolist()
+    np.testing.assert_allclose(here.covariance_arcsec2, 1e-6 * stars.covariance[:, :2, :2], rtol=1e-15)
+    near = position_at(stars, stars.epoch_jyr + 1e-9)
+    np.testing.assert_allclose(near.covariance_arcsec2, here.covariance_arcsec2, rtol=1e-9, atol=1e-12)
+
+
+def test_without_correlations_variances_are_all_that_is_kept():
+    plain = Astrometry.of([10.0, 20.0], [0.0, 1.0], epoch_jyr=2000.0, sigma=[[3.0, 4.0], [5.0, 6.0]])
+    full = Astrometry.of(
+        [10.0, 20.0], [0.0, 1.0], epoch_jyr=2000.0, sigma=[[3.0, 4.0], [5.0, 6.0]], correlation=np.zeros((2, 2, 2))
+    )
+    assert plain.packed.shape == (2, 6) and full.packed.shape == (2, 6, 6)
+    np.testing.assert_array_equal(plain.covariance, full.covariance)
+    np.testing.assert_array_equal(plain.position_covariance, full.position_covariance)
+    np.testing.assert_array_equal(plain.variance(4), full.variance(4))
+    moved = [position_at(stars, 2010.0).covariance_arcsec2 for stars in (plain, full)]
+    np.testing.assert_allclose(*moved, rtol=1e-14)

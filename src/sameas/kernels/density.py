@@ -9,8 +9,10 @@ from sameas.kernels.compiled import kernel
 
 @kernel
 def sphere_cells(features, low, height, west, arc, begin, per_ring, cell):
-    """Fill ``cell`` (n,) with the cells of directions (n, 2), degrees: rings from ``low`` on, ``height`` apart, each cut
-    into ``per_ring`` (rings,) cells along ``arc`` from ``west`` on, the first of them being ``begin`` (rings,).
+    """Fill ``cell`` (n,) with the cells of directions (n, 2), degrees.
+
+    Rings lie from ``low`` on, ``height`` apart, each cut into ``per_ring`` (rings,) cells along ``arc`` from ``west``
+    on, the first of them being ``begin`` (rings,).
     """
     rings = len(per_ring)
     for k in range(len(cell)):

@@ -214,7 +214,7 @@ def _errors(
             motion[k] = np.where(np.isnan(empty), options.pm_sigma_mas_per_yr, empty)
     correlated = rho is not None or bool(choice.weights) or bool(choice.correlations)
     spoken = motion if correlated or any(column is not None for column in motion) else []
-    nothing = np.full(len(table), np.nan) if spoken else None
+    nothing = np.full(len(table) if spoken else 0, np.nan)
     sigma = np.column_stack([1e3 * east, 1e3 * north, *(nothing if column is None else column for column in spoken)])
     wide = sigma.copy()
     if options.sigma_floor_arcsec:

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sameas.errors import InputError
 from sameas.records import unpack
+from sameas.sky.unmeasured import MissingMotion
 from sameas.space import ARCSEC_PER_RADIAN
 
 FloatArray = NDArray[np.float64]
@@ -31,46 +32,6 @@ AU_KM_PER_S_YR = 149597870.7 / (365.25 * 86400.0)  # one astronomical unit per J
 _RADIAN_PER_MAS = 1e-3 / ARCSEC_PER_RADIAN
 _FARTHEST_JYR = 10_000.0  # an MJD or JD given as an epoch lies beyond
 _CHUNK = 8192  # rows worked on at a time, so that intermediate arrays stay in the processor's cache
-
-
-@dataclass(frozen=True)
-class MissingMotion:
-    """What is believed of a motion that was not measured: mean zero, these standard deviations, uncorrelated.
-
-    The defaults are those of a faint field star. Michalik et al. 2015 (A&A 583, A68) give the prior that Gaia
-    uses for its two-parameter solutions: at G = 20 a parallax scatter of 0.4 mas (galactic plane) to 1.1 mas
-    (poles), and 10 /yr times that in proper motion. Radial velocities near the Sun scatter by some 50 km/s
-    (both discs, and the Sun's own motion). A brighter or nearer sample deserves larger values.
-    """
-
-    pm_sigma_mas_per_yr: float = 10.0
-    parallax_sigma_mas: float = 1.0
-    radial_velocity_sigma_km_per_s: float = 50.0
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not 0.0 <= value < np.inf:
-                raise InputError(f"MissingMotion: {name} is {value}; give a standard deviation, zero or more")
-
-    def __call__(
-        self, parameter: int, value: FloatArray | None, error: FloatArray | None, n: int
-    ) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """(n,) values and errors of a parameter with NaN where unknown, or None, filled; and where they were filled.
-
-        Positions are left alone. A value without an error is kept, and gets the error of a missing one.
-        An error without a value is of no use and gives way.
-        """
-        pm = self.pm_sigma_mas_per_yr
-        prior = (np.nan, np.nan, self.parallax_sigma_mas, pm, pm, self.radial_velocity_sigma_km_per_s)[parameter]
-        if value is None:
-            # One number stands for all rows; it takes no room.
-            return np.broadcast_to(0.0, n), np.broadcast_to(prior, n), np.broadcast_to(True, n)
-        error = np.broadcast_to(np.nan, n) if error is None else error
-        if parameter < 2:
-            return value, error, np.broadcast_to(False, n)
-        no_value = np.isnan(value)
-        filled = no_value | np.isnan(error)
-        return np.where(no_value, 0.0, value), np.where(filled, prior, error), filled
 
 
 @dataclass(frozen=True)
@@ -171,8 +132,9 @@ class Astrometry:
         _refuse(np.abs(_floats(dec_deg, (n,), source)) > 90.0, f"{source}: declinations beyond ±90°", "give degrees")
         missing, errors = missing or MissingMotion(), _errors(sigma, n, source)
         complete = [missing(k, values[k], errors[k] if k < len(errors) else None, n) for k in range(6)]
-        packed = _packed(*zip(*(part[1:] for part in complete), strict=True), correlation, source)  # type: ignore[arg-type]
-        columns = dict(zip(PARAMETERS, (part[0] for part in complete), strict=True))
+        filled, sigmas, unknown = zip(*complete, strict=True)
+        packed = _packed(sigmas, unknown, correlation, source)
+        columns = dict(zip(PARAMETERS, filled, strict=True))
         return cls(**columns, packed=packed, epoch_jyr=_epochs(epoch_jyr, n, source))
 
 
@@ -195,6 +157,8 @@ def position_at(astrometry: Astrometry, epoch_jyr: ArrayLike) -> Position:
     """
     n = len(astrometry)
     epochs = _epochs(epoch_jyr, n, "position_at")
+    if np.array_equal(epochs, astrometry.epoch_jyr):
+        return Position(np.mod(astrometry.ra_deg, 360.0), astrometry.dec_deg, 1e-6 * astrometry.position_covariance)
     ra, dec, covariance = np.empty(n), np.empty(n), np.empty((n, 2, 2))
     for rows in _chunks(n):
         part = astrometry[rows]
@@ -370,7 +334,7 @@ def _errors(sigma: ArrayLike, n: int, source: str) -> list[FloatArray]:
     if not 2 <= k <= 6:
         raise InputError(f"{source}: sigma has shape {np.shape(sigma)}; give ({n}, 2) up to ({n}, 6)")
     errors = _floats(sigma, (n, k), f"{source}: sigma")
-    _refuse((errors < 0.0).any(axis=1), f"{source}: negative errors", "leave unknown errors empty")
+    _refuse(np.any(errors < 0.0, axis=1), f"{source}: negative errors", "leave unknown errors empty")
     return list(errors.T)
 
 

@@ -1,0 +1,64 @@
+"""The spread of the errors is that of greatest likelihood, and no tail is believed that does not stand out."""
+
+import numpy as np
+import pytest
+
+import sameas.error_scales as error_scales
+from sameas.error_scales import STANDING_OUT, fit_errors
+from sameas.evidence import Errors
+
+
+def log_likelihood(errors, z2, log_odds, d):
+    """What is made as great as can be, pair by pair, with the pseudo-counts on the scale 1."""
+    share = dict(zip(np.round(errors.scales, 9), errors.shares, strict=True)).get(1.0, 1e-300)
+    return np.log1p(np.exp(log_odds + errors.log_profile(z2, d))).sum() + 2.0 * np.log(share)
+
+
+def pairs(rng, n, d=2, scale=1.3, chance=0):
+    """True pairs with errors ``scale`` times too small, and chance ones; odds as densities of 1 in 40 would have it."""
+    true = scale**2 * rng.chisquare(d, n)
+    false = 36.0 * rng.uniform(size=chance) ** (2.0 / d)
+    z2 = np.concatenate([true, false])
+    return z2, np.full(len(z2), np.log(40.0)) + rng.normal(0.0, 1.0, len(z2))
+
+
+@pytest.mark.parametrize("seed, scale, chance", [(0, 1.3, 0), (1, 0.6, 200), (2, 2.4, 50), (3, 1.0, 800)])
+def test_no_other_mixture_of_the_ladder_is_more_likely(monkeypatch, seed, scale, chance):
+    monkeypatch.setattr(error_scales, "STANDING_OUT", 0.0)
+    rng = np.random.default_rng(seed)
+    z2, log_odds = pairs(rng, 600, scale=scale, chance=chance)
+    found = fit_errors(z2, log_odds, 2, Errors()).errors
+    best = log_likelihood(found, z2, log_odds, 2)
+    known = dict(zip(found.scales, found.shares, strict=True))
+    ladder = [1.5**k for k in range(-5, 5)]
+    for k, here in enumerate(ladder):
+        # A little more of one scale, at the cost of all others.
+        moved = np.array([known.get(s, 0.0) for s in ladder]) * 0.98
+        moved[k] += 0.02
+        # Cells round distances and odds, which is worth a little.
+        assert log_likelihood(Errors(tuple(ladder), tuple(moved / moved.sum())), z2, log_odds, 2) < best + 0.3, here
+
+
+def test_where_the_search_begins_does_not_matter():
+    z2, log_odds = pairs(np.random.default_rng(4), 3000, scale=1.7, chance=500)
+    one = fit_errors(z2, log_odds, 2, Errors()).errors
+    two = fit_errors(z2, log_odds, 2, Errors((1.5**-4, 1.0), (0.9, 0.1))).errors
+    grid = np.linspace(0.0, 30.0, 50)
+    np.testing.assert_allclose(one.log_profile(grid, 2), two.log_profile(grid, 2), atol=0.02)
+
+
+def test_a_tail_is_believed_where_it_stands_out():
+    rng = np.random.default_rng(5)
+    # Chance candidates are rare: hardly one in 3000 within 12 standard deviations.
+    core, odds = rng.chisquare(2, 3000), np.full(3000, np.log(2e5))
+    without = fit_errors(core, odds, 2, Errors())
+    assert max(without.errors.scales) < 2.0 and without.tail < STANDING_OUT
+    far = np.concatenate([core, 25.0 * rng.chisquare(2, 60)])
+    found = fit_errors(far, np.full(3060, np.log(2e5)), 2, Errors())
+    tail = sum(share for scale, share in zip(found.errors.scales, found.errors.shares, strict=True) if scale > 2.0)
+    assert found.tail > STANDING_OUT and tail == pytest.approx(0.02, abs=0.008)
+
+
+def test_pairs_of_no_odds_and_no_pairs_say_nothing():
+    assert fit_errors(np.full(5, 4.0), np.full(5, -np.inf), 2, Errors()).errors == Errors()
+    assert fit_errors(np.empty(0), np.empty(0), 3, Errors()).errors == Errors()
