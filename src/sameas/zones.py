@@ -130,7 +130,10 @@ class Source:
 
     def widest(self, rows: Rows) -> FloatArray:
         """(1,) or (d,) largest variances of some of the rows, or of all."""
-        return np.asarray((self.variance if len(rows) == len(self.variance) else self.variance[rows]).max(axis=0))
+        from sameas.kernels.order import extent
+
+        largest: FloatArray = extent(self.variance if len(rows) == len(self.variance) else self.variance[rows])[1]
+        return largest
 
     def rank(self) -> NDArray[np.int64]:
         """The place of each record's id among the ids: what orders records that are equal in all else."""

@@ -74,7 +74,7 @@ def all_usable(features, packed, directions):
 
 @kernel
 def pack(matrices, packed):
-    """Fill ``packed`` (n, d(d+1)/2) with the upper triangles, row by row; returns whether all matrices are symmetric."""
+    """Fill ``packed`` (n, d(d+1)/2) with upper triangles, row by row; returns whether all matrices are symmetric."""
     d = matrices.shape[1]
     symmetric = True
     if d == 2:

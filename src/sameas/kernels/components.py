@@ -68,7 +68,9 @@ def join(place1, place2, parent, n1):
 
 
 @kernel
-def lay_out(place1, place2, i, j, group, number2, start, start1, start2, fill, fill1, order, edges1, local1, local2, rows):
+def lay_out(
+    place1, place2, i, j, group, number2, start, start1, start2, fill, fill1, order, edges1, local1, local2, rows
+):
     """Lay the candidate pairs (i, j) out by component, in each as they are listed.
 
     group, number2, start, start1, start2 : see :func:`label_pairs`; fill, fill1 : copies of start, start1. Filled are
