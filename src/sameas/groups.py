@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from sameas.gate import Pairs
 
 IntArray = NDArray[np.int64]
+Places = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -93,6 +94,26 @@ class Groups:
 
 def groups(pairs: Pairs) -> Groups:
     """The connected components of ``pairs``."""
-    from sameas.kernels.components import components
+    return laid_out(pairs.place_1, pairs.place_2, pairs.i, pairs.j, len(pairs.first), len(pairs.second))
 
-    return Groups(*components(pairs.place_1, pairs.place_2, pairs.i, pairs.j, len(pairs.first), len(pairs.second)))
+
+def laid_out(place_1: Places, place_2: Places, i: Places, j: Places, n_1: int, n_2: int) -> Groups:
+    """The connected components of pairs of records i and j, (m,) each, of n₁ and n₂.
+
+    The places, (m,) each, are numbers of the records by which neighbours in the list are neighbours in memory; the
+    pairs of a record of source 1 follow each other.
+    """
+    from sameas.kernels.components import label_pairs, lay_out
+
+    m = len(i)
+    group, number_2 = np.empty(m, np.int32), np.empty(n_2, np.int32)
+    starts = [np.empty(min(n_1, n_2, m) + 1, np.int64) for _ in range(3)]
+    scratch = np.empty(n_1 + n_2, np.int32), np.empty(n_1, np.int32)
+    found = label_pairs(place_1, place_2, *scratch, number_2, group, *starts)
+    start, start_1, start_2 = (column[: found + 1] for column in starts)
+    order, edges_1 = np.empty(m, np.int64), np.empty(start_1[-1] + 1, np.int64)
+    local_1, local_2 = np.empty(m, np.int32), np.empty(m, np.int32)
+    rows_1, rows_2 = np.empty(start_1[-1], np.int32), np.empty(start_2[-1], np.int32)
+    given = (place_1, place_2, i, j, group, number_2, start, start_1, start_2, start.copy(), start_1.copy())
+    lay_out(*given, order, edges_1, local_1, local_2, (rows_1, rows_2))
+    return Groups(order, start, rows_1, start_1, edges_1, rows_2, start_2, local_1, local_2)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from sameas import threads
 from sameas.assignment import Hypothesis
-from sameas.groups import Groups
+from sameas.groups import Groups, laid_out
 from sameas.prior import LogPrior
 from sameas.records import FloatArray
 
@@ -281,15 +281,13 @@ class _Thinned:
         cls, groups: Groups, best: Hypothesis, kept: NDArray[np.int64], weight: FloatArray, *, turned: bool = False
     ) -> _Thinned:
         """The pairs ``kept``, listed by their record 1; ``turned`` exchanges the sources, the list is by record 2."""
-        from sameas.kernels.components import components
-
         group = np.repeat(np.arange(len(groups), dtype=np.int32), groups.pair_counts)[kept]
         starts = groups.start_1.astype(np.int32), groups.start_2.astype(np.int32)
         places = starts[0][group] + groups.local_1[kept], starts[1][group] + groups.local_2[kept]
         duals = (best.dual_1, best.dual_2)
         if turned:
             places, duals = places[::-1], duals[::-1]
-        thin = Groups(*components(*places, *places, len(duals[0]), len(duals[1])))
+        thin = laid_out(*places, *places, len(duals[0]), len(duals[1]))
         linear = LogPrior(np.zeros(len(thin)), np.zeros(len(thin) + 1, np.int64), np.empty(0))
         chosen, weight = best.chosen[kept][thin.order], weight[thin.order]
         state = (chosen, weight, duals[0][thin.rows_1], duals[1][thin.rows_2], np.zeros(len(thin)), linear)

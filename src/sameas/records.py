@@ -122,7 +122,7 @@ class Records:
         reasons = _unusable(values, packed, space, d, source, invalid)
         about = {"ids": _checked_ids(ids, n, source), "space": space, "source": source, "table": table}
         if reasons is None:
-            return cls(values, packed, np.arange(n), **about)
+            return cls(values, packed, about["ids"] if ids is None else np.arange(n), **about)
         keep, aside = np.flatnonzero(reasons == 0), np.flatnonzero(reasons)
         return cls(values[keep], packed[keep], keep, **about, set_aside=SetAside(aside, _REASONS[reasons[aside]]))
 
@@ -189,12 +189,11 @@ def _packed_matrices(matrices: FloatArray, n: int, d: int, source: str) -> Float
         matrices = np.broadcast_to(matrices, (n, d, d))
     if matrices.shape != (n, d, d):
         raise InputError(f"{source}: covariance has shape {matrices.shape}; give ({d}, {d}) or ({n}, {d}, {d})")
-    upper = [(v, w) for v in range(d) for w in range(v, d)]
-    if not all(np.array_equal(matrices[:, v, w], matrices[:, w, v]) for v, w in upper if w > v):
+    from sameas.kernels.checks import pack
+
+    packed = np.empty((n, d * (d + 1) // 2))
+    if not pack(np.ascontiguousarray(matrices), packed):
         _refuse_skew(matrices, source)
-    packed = np.empty((n, len(upper)))
-    for t, (v, w) in enumerate(upper):
-        packed[:, t] = matrices[:, v, w]
     return packed
 
 

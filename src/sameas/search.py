@@ -75,6 +75,8 @@ def _told(one: Layout, two: Layout, geometry: Geometry) -> IntArray:
 
     Of two classes the wider one does the looking up.
     """
+    from sameas.kernels.spans import turned_round
+
     found = [np.empty(0, np.int64)]
     for a, b in product(range(len(one.grids)), range(len(two.grids))):
         if a == b == 0:
@@ -83,8 +85,10 @@ def _told(one: Layout, two: Layout, geometry: Geometry) -> IntArray:
             found.append(_visited(one, a, two, b, geometry))
         else:
             back = _visited(two, b, one, a, geometry)
-            found.append(((back & 0xFFFFFFFF) << 32) | (back >> 32))
-    return np.sort(np.concatenate(found)) if len(found) > 1 else found[0]
+            found.append(np.empty_like(back))
+            turned_round(back, np.zeros(len(one.side.rows) + 1, np.int32), found[-1])
+    # What each visit found is in order already, which a stable sort makes use of.
+    return np.sort(np.concatenate(found), kind="stable") if len(found) > 1 else found[0]
 
 
 def _visited(visitors: Layout, a: int, hosts: Layout, b: int, geometry: Geometry) -> IntArray:

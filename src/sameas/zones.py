@@ -130,7 +130,10 @@ class Source:
 
     def widest(self, rows: Rows) -> FloatArray:
         """(1,) or (d,) largest variances of some of the rows, or of all."""
-        return np.asarray((self.variance if len(rows) == len(self.variance) else self.variance[rows]).max(axis=0))
+        from sameas.kernels.order import extent
+
+        largest: FloatArray = extent(self.variance if len(rows) == len(self.variance) else self.variance[rows])[1]
+        return largest
 
     def rank(self) -> NDArray[np.int64]:
         """The place of each record's id among the ids: what orders records that are equal in all else."""
@@ -258,15 +261,13 @@ def _laid_out(
     n, content = len(rows), (source.features, source.covariance)
     zone, ends = np.empty(n, np.int32), np.empty(zones.count + 1, np.int64)
     zones_of(source.features, rows, geometry.y, zones.low, 1.0 / zones.height, zone, ends)
-    guard, dealt = np.empty((n, 4)), np.empty(n, np.int32)
-    into_zones(*content, rows, geometry.x, geometry.y, geometry.sphere, zone, ends[:-1].copy(), guard, dealt)
+    part = Side(*(column[base : base + n] for column in side))
+    into_zones(source.features, source.variance, rows, geometry.x, geometry.y, zone, ends[:-1].copy(), part)
     first, scale = np.empty(zones.count + 1, np.int64), np.empty(zones.count)
     starts = np.empty(CELLS * n + zones.count + 1, np.int32)
     frame = extent.x[0], max(extent.x[1] - extent.x[0], 1e-290)
-    part = Side(*(column[base : base + n] for column in side))
-    dealt_out = ends, frame, guard, dealt
     for rank in (lambda: np.empty(0, np.int64), source.rank):
-        if into_cells(*content, geometry.sphere, *dealt_out, rank(), base, (first, starts, scale), part):
+        if into_cells(*content, geometry.sphere, ends, frame, rank(), base, (first, starts, scale), part):
             break
     take_rows(*content, part.rows, part.content)
     return Grid(first, starts, scale, extent.x[0], zones.low, 1.0 / zones.height, zones.wraps)
@@ -323,5 +324,8 @@ def _widest(records: Records) -> FloatArray:
         return records.covariance
     if records.covariance.shape[1] == 2:
         return records.covariance.max(axis=1, keepdims=True)
-    xx, xy, yy = records.covariance.T
-    return (0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy))[:, None]
+    from sameas.kernels.order import widest
+
+    variance = np.empty((len(records), 1))
+    widest(records.covariance, variance)
+    return variance

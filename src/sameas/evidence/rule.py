@@ -32,7 +32,7 @@ class Evidence:
     def log_ratio(self) -> FloatArray:
         """(m,) ln λ."""
         parts = list(self.terms.values())
-        return parts[0] if len(parts) == 1 else np.sum(parts, axis=0)
+        return sum(parts[1:], parts[0])
 
     @cached_property
     def spoken(self) -> NDArray[np.bool_]:

@@ -15,8 +15,10 @@ USABLE, NO_POSITION, NO_ERROR, NOT_POSITIVE, BEYOND_POLE = 0, 1, 2, 3, 4
 def check_rows(features, packed, directions, reasons):
     """Fill ``reasons`` (n,) with 0 where a row can be used, else the number of what is wrong; returns how many are.
 
-    directions : features are longitude and latitude in degrees.
+    Where it returns 0, reasons are not filled. directions : features are longitude and latitude in degrees.
     """
+    if all_usable(features, packed, directions):
+        return 0
     n, d = features.shape
     p = packed.shape[1]
     factor = np.empty((d, d))
@@ -42,6 +44,52 @@ def check_rows(features, packed, directions, reasons):
         reasons[k] = reason
         wrong += reason != USABLE
     return wrong
+
+
+@part
+def all_usable(features, packed, directions):
+    """Whether all rows can surely be used, without asking which: loops so plain that they work on many at once."""
+    d = features.shape[1]
+    p = packed.shape[1]
+    if p > d and d != 2:
+        return False
+    unsure = 0
+    if directions:
+        for k in range(len(features)):
+            unsure += not ((abs(features[k, 0]) < np.inf) & (abs(features[k, 1]) <= 90.0))
+    else:
+        for value in features.reshape(-1):
+            unsure += not abs(value) < np.inf
+    if p <= d:
+        for value in packed.reshape(-1):
+            unsure += not ((value > 0.0) & (value < np.inf))
+        return unsure == 0
+    for k in range(len(packed)):
+        xx, xy, yy = packed[k, 0], packed[k, 1], packed[k, 2]
+        # Twice what is asked below: near the limit, the rows are looked at one by one.
+        positive = (xx > 0.0) & (yy > 0.0) & (xx * yy - xy * xy > 2e-14 * xx * yy)
+        unsure += not (positive & (xx < np.inf) & (yy < np.inf))
+    return unsure == 0
+
+
+@kernel
+def pack(matrices, packed):
+    """Fill ``packed`` (n, d(d+1)/2) with upper triangles, row by row; returns whether all matrices are symmetric."""
+    d = matrices.shape[1]
+    symmetric = True
+    if d == 2:
+        for k in range(len(matrices)):
+            packed[k, 0], packed[k, 1], packed[k, 2] = matrices[k, 0, 0], matrices[k, 0, 1], matrices[k, 1, 1]
+            symmetric &= matrices[k, 0, 1] == matrices[k, 1, 0]
+        return symmetric
+    for k in range(len(matrices)):
+        t = 0
+        for v in range(d):
+            for w in range(v, d):
+                packed[k, t] = matrices[k, v, w]
+                symmetric &= matrices[k, v, w] == matrices[k, w, v]
+                t += 1
+    return symmetric
 
 
 @part

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from sameas.kernels.compiled import kernel, part
 
 
@@ -17,81 +15,81 @@ def root(parent, k):
 
 
 @kernel
-def components(place1, place2, i, j, n1, n2):
-    """Lay the candidate pairs (i, j) out by connected component, in the order in which components first appear.
+def label_pairs(place1, place2, parent, label, number2, group, start, start1, start2):
+    """Number the components in the order in which the list first shows them; returns how many there are.
 
-    place1, place2 number the records so that neighbours in the list are neighbours in memory.
-
-    Returns (order, start, rows1, start1, edges1, rows2, start2, local1, local2): pair ``order[e]`` is the e-th of the
-    layout; group g holds its pairs start[g]:start[g+1], its records rows1[start1[g]:start1[g+1]] and rows2[…];
-    edges1 is the CSR of the pairs by record of rows1; local1, local2 number the records of a pair within its group.
+    place1, place2 number the records so that neighbours in the list are neighbours in memory; the pairs of a record of
+    source 1 follow each other. group (m,) receives each pair's component, number2 (n2,) each record's number within
+    its own. start, start1, start2 (components + 1, or longer) : at g + 1, the pairs and the records of either source
+    of the components up to g. parent (n1 + n2,) and label (n1,) are scratch.
     """
-    m = len(i)
-    parent = np.empty(n1 + n2, np.int32)
-    for k in range(n1 + n2):
+    n1 = len(label)
+    join(place1, place2, parent, n1)
+    label[:] = -1
+    number2[:] = -1
+    start[:], start1[:], start2[:] = 0, 0, 0
+    groups = 0
+    g = -1
+    for e in range(len(place1)):
+        if e == 0 or place1[e] != place1[e - 1]:
+            a = root(parent, place1[e])
+            if label[a] < 0:
+                label[a] = groups
+                groups += 1
+            g = label[a]
+            start1[g + 1] += 1
+        group[e] = g
+        start[g + 1] += 1
+        if number2[place2[e]] < 0:
+            number2[place2[e]] = start2[g + 1]
+            start2[g + 1] += 1
+    for g in range(groups):
+        start[g + 1] += start[g]
+        start1[g + 1] += start1[g]
+        start2[g + 1] += start2[g]
+    return groups
+
+
+@part
+def join(place1, place2, parent, n1):
+    """Union of the two records of every pair; the representative is the first in place, one of source 1."""
+    for k in range(len(parent)):
         parent[k] = k
-    for e in range(m):
-        a = root(parent, place1[e])
+    a = 0
+    for e in range(len(place1)):
+        if e == 0 or place1[e] != place1[e - 1]:
+            a = root(parent, place1[e])
         b = root(parent, place2[e] + n1)
         if a < b:
             parent[b] = a
         elif b < a:
             parent[a] = b
-    label = np.full(n1 + n2, -1, np.int32)
-    group = np.empty(m, np.int32)
-    groups = 0
-    for e in range(m):
-        a = root(parent, place1[e])
-        if label[a] < 0:
-            label[a] = groups
-            groups += 1
-        group[e] = label[a]
-    start = np.zeros(groups + 1, np.int64)
-    for e in range(m):
-        start[group[e] + 1] += 1
-    for g in range(groups):
-        start[g + 1] += start[g]
-    order = np.empty(m, np.int64)
-    fill = start[:-1].copy()
-    for e in range(m):
+            a = b
+
+
+@kernel
+def lay_out(
+    place1, place2, i, j, group, number2, start, start1, start2, fill, fill1, order, edges1, local1, local2, rows
+):
+    """Lay the candidate pairs (i, j) out by component, in each as they are listed.
+
+    group, number2, start, start1, start2 : see :func:`label_pairs`; fill, fill1 : copies of start, start1. Filled are
+    order (m,), so that pair ``order[e]`` is the e-th of the layout; edges1, the CSR of the pairs by record of source 1;
+    local1, local2 (m,), the numbers of a pair's records within its group; rows, the records of either source.
+    """
+    rows1, rows2 = rows
+    at = 0
+    for e in range(len(place1)):
         g = group[e]
-        order[fill[g]] = e
-        fill[g] += 1
-    return laid_out(place1, place2, i, j, n1, n2, order, start)
-
-
-@part
-def laid_out(place1, place2, i, j, n1, n2, order, start):
-    """The second half of :func:`components`: number the records of every group as they first appear."""
-    m = len(order)
-    groups = len(start) - 1
-    number1 = np.full(n1, -1, np.int32)
-    number2 = np.full(n2, -1, np.int32)
-    rows1 = np.empty(min(n1, m), np.int32)
-    rows2 = np.empty(min(n2, m), np.int32)
-    start1 = np.zeros(groups + 1, np.int64)
-    start2 = np.zeros(groups + 1, np.int64)
-    edges1 = np.zeros(min(n1, m) + 1, np.int64)
-    local1 = np.empty(m, np.int32)
-    local2 = np.empty(m, np.int32)
-    count1 = 0
-    count2 = 0
-    for g in range(groups):
-        for e in range(start[g], start[g + 1]):
-            a = place1[order[e]]
-            b = place2[order[e]]
-            if number1[a] < 0:
-                number1[a] = count1 - start1[g]
-                rows1[count1] = i[order[e]]
-                edges1[count1] = e
-                count1 += 1
-            if number2[b] < 0:
-                number2[b] = count2 - start2[g]
-                rows2[count2] = j[order[e]]
-                count2 += 1
-            local1[e] = number1[a]
-            local2[e] = number2[b]
-        start1[g + 1] = count1
-        start2[g + 1] = count2
-    edges1[count1] = m
-    return order, start, rows1[:count1], start1, edges1[: count1 + 1], rows2[:count2], start2, local1, local2
+        to = fill[g]
+        fill[g] = to + 1
+        if e == 0 or place1[e] != place1[e - 1]:
+            at = fill1[g]
+            fill1[g] = at + 1
+            rows1[at] = i[e]
+            edges1[at] = to
+        order[to] = e
+        local1[to] = at - start1[g]
+        local2[to] = number2[place2[e]]
+        rows2[start2[g] + number2[place2[e]]] = j[e]
+    edges1[len(rows1)] = len(place1)

@@ -56,32 +56,32 @@ def zones_of(features, rows, axis_y, low, per_y, zone, ends):
 
 
 @kernel
-def into_zones(features, covariance, rows, axis_x, axis_y, turning, zone, fill, guard, dealt):
-    """Write the guards of the ``rows`` to ``guard`` (n, 4), and the rows to ``dealt`` (n,), zone by zone.
+def into_zones(features, variance, rows, axis_x, axis_y, zone, fill, side):
+    """Write the ``rows`` and their guards to ``side`` (``spans.Side``), zone by zone.
 
-    The guard holds x, y and the variances in x and in y; where the axes are ``turning`` (on the sphere) the cosine of
-    y, which is still to come, and the largest variance in any direction. fill (z,) : the first place of every zone.
+    The guard holds x, y and the variances in x and in y; on the sphere the third is to become the cosine of y.
+    variance (n, d), or (n, 1) for all axes. fill (z,) : the first place of every zone.
     """
-    d, p = features.shape[1], covariance.shape[1]
-    at_x, at_y = diagonal(p, d, axis_x), diagonal(p, d, axis_y)
+    at_x, at_y = (axis_x, axis_y) if variance.shape[1] > 1 else (0, 0)
+    guard = side.guard
     for t in range(len(rows)):
         row = rows[t]
         place = fill[zone[t]]
         fill[zone[t]] = place + 1
-        dealt[place] = row
+        side.rows[place] = row
         guard[place, 0] = features[row, axis_x]
         guard[place, 1] = features[row, axis_y]
-        guard[place, 2] = covariance[row, at_x]
-        guard[place, 3] = widest(covariance, row) if turning else covariance[row, at_y]
+        guard[place, 2] = variance[row, at_x]
+        guard[place, 3] = variance[row, at_y]
 
 
 @kernel
-def into_cells(features, covariance, turning, ends, frame, guard, dealt, rank, base, grid, side):
+def into_cells(features, covariance, turning, ends, frame, rank, base, grid, side):
     """Put every zone in order by x, then content, then ``rank`` (one for each row of features), and note its cells.
 
-    ends (z+1,), guard, dealt : zone by zone, see above. frame : (low, extent) of x. grid : (first (z+1,), starts,
-    scale (z,)) of ``spans.Grid``, filled, with places from ``base`` on. side : ``spans.Side``, of which guard and rows
-    are filled. Returns False where two records say the same and ``rank`` is empty: call again with it.
+    ends (z+1,), side : what :func:`zones_of` and :func:`into_zones` gave. frame : (low, extent) of x. grid : (first
+    (z+1,), starts, scale (z,)) of ``spans.Grid``, to be filled, with places from ``base`` on. Returns False where two
+    records say the same and ``rank`` is empty: call again with it.
     """
     first, starts, scale = grid
     x_low, x_extent = frame
@@ -94,11 +94,12 @@ def into_cells(features, covariance, turning, ends, frame, guard, dealt, rank, b
         most = max(most, number)
     cell, order = np.empty(most, np.int32), np.empty(most, np.int32)
     fill = np.empty(most + 1, np.int32)
-    cosine = np.empty(most)
+    guard, rows, cosine = np.empty((most, 4)), np.empty(most, np.int32), np.empty(most)
     settled = True
     for z in range(len(scale)):
         low, high = ends[z], ends[z + 1]
-        here, rows = guard[low:high], dealt[low:high]
+        guard[: high - low], rows[: high - low] = side.guard[low:high], side.rows[low:high]
+        here = guard[: high - low]
         cells = fill[: first[z + 1] - first[z] + 1]
         by_cell(here, x_low, scale[z], cell, cells, order)
         settled &= sort_cells(features, covariance, rank, rows, here, cells, order)
@@ -234,21 +235,9 @@ def sine(degrees):
     return x - x * z * total
 
 
-@part
-def diagonal(p, d, axis):
-    """Where a packed covariance of p numbers keeps the variance of a feature."""
-    if p <= d:
-        return axis if p == d else 0
-    return axis * d - axis * (axis - 1) // 2
-
-
-@part
-def widest(covariance, k):
-    """The largest variance of a direction's two in any direction."""
-    p = covariance.shape[1]
-    if p == 1:
-        return covariance[k, 0]
-    if p == 2:
-        return max(covariance[k, 0], covariance[k, 1])
-    half = 0.5 * (covariance[k, 0] - covariance[k, 2])
-    return 0.5 * (covariance[k, 0] + covariance[k, 2]) + math.sqrt(half * half + covariance[k, 1] * covariance[k, 1])
+@kernel
+def widest(covariance, out):
+    """Fill ``out`` (n, 1) with the largest variance in any direction of packed covariances (n, 3)."""
+    for k in range(len(covariance)):
+        xx, xy, yy = covariance[k, 0], covariance[k, 1], covariance[k, 2]
+        out[k, 0] = 0.5 * (xx + yy) + math.sqrt(0.25 * (xx - yy) * (xx - yy) + xy * xy)

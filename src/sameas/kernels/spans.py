@@ -215,6 +215,19 @@ def visit(one, two, grid, reach, folds, first, last, out):
         count += found
 
 
+@kernel
+def turned_round(pairs, starts, out):
+    """Fill ``out`` with sorted pairs k << 32 | q as q << 32 | k, sorted. starts : zeros, one more than there are q."""
+    for e in range(len(pairs)):
+        starts[(pairs[e] & 0xFFFFFFFF) + 1] += 1
+    for q in range(len(starts) - 1):
+        starts[q + 1] += starts[q]
+    for e in range(len(pairs)):
+        q = pairs[e] & 0xFFFFFFFF
+        out[starts[q]] = (q << 32) | (pairs[e] >> 32)
+        starts[q] += 1
+
+
 @part
 def taken_back(place1, count, k):
     """The number of candidates before those of record k, which are the last ones."""
