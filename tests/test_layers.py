@@ -95,8 +95,8 @@ def test_starting_up_imports_nothing_heavy(used):
 
 
 # The way of many sources: its own stages, each from earlier ones only.
-MANY = ["observations", "joint", "union", "terms", "belief", "sets", "partition", "membership", "reasons", "objects", "many",
-        "sequence"]  # fmt: skip
+MANY = ["observations", "joint", "union", "terms", "belief", "sets", "partition", "membership", "reasons", "objects",
+        "many", "sequence"]  # fmt: skip
 
 
 @pytest.mark.parametrize("stage", MANY)

@@ -16,8 +16,8 @@ import pytest
 from astropy.io import fits
 from astropy.table import Table
 from astropy.wcs import WCS
-from browser import CHROMIUM, Browser
 
+from browser import CHROMIUM, Browser
 from sameas.errors import InputError
 from sameas.io import read_provenance, read_table, write_table
 from sameas.io.archive import COLUMNS, GaiaArchive, rounded

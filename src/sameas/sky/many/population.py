@@ -26,6 +26,8 @@ from sameas.records import FloatArray, IntArray
 from sameas.rounds import FEWEST, LEAST_SHARE, THINKABLE
 
 Coverages = Mapping[tuple[int, int], Coverage]
+#: Sets less probable than this say nothing of the errors; none is taken to be more probable than the other number.
+UNLIKELY, SUREST = 1e-3, 1.0 - 1e-9
 
 
 @dataclass(frozen=True)
@@ -89,12 +91,15 @@ class Population:
     def _spread(self, patterns: IntArray, chi_sq: FloatArray, probability: FloatArray) -> dict[int, Errors]:
         spread = dict(self.spread)
         for pattern, errors in self.spread.items():
-            here = patterns == pattern
+            here = np.flatnonzero((patterns == pattern) & (probability > UNLIKELY))
             if probability[here].sum() < FEWEST:
                 continue
+            # What everything but the residuals says of these sets: their odds without the spread that was believed.
+            p, d = np.minimum(probability[here], SUREST), freedom(pattern)
+            log_odds = np.log(p / (1.0 - p)) - errors.log_profile(chi_sq[here], d)
             # No wider than the catalogues two by two were found to spread: chance fills what lies beyond.
             widest = max(THINKABLE, *(max(self.spread[pair].scales) for pair in pairs_within(pattern)))
-            spread[pattern] = fit_errors(chi_sq[here], probability[here], freedom(pattern), errors, widest=widest)
+            spread[pattern] = fit_errors(chi_sq[here], log_odds, d, errors, widest=widest).errors
         return spread
 
 
