@@ -432,6 +432,15 @@ def test_metres_alone_make_a_map_on_a_phone(tmp_path: Path) -> None:
 # ---- the picture ----
 
 
+def test_a_chart_of_many_objects_has_no_more_to_draw_than_one_of_few() -> None:
+    pytest.importorskip("matplotlib", reason="charts need the extra sameas[plots]")
+    from sameas.plots.map import chart
+
+    few, many = (chart(charted(vessels, 3)).axes[0] for vessels in (40, 160))
+    texts = [len(axes.texts) for axes in (few, many)]
+    assert len(many.get_children()) - texts[1] <= len(few.get_children()) - texts[0] + 30
+
+
 @pytest.mark.parametrize("plane", [SOLENT, None, LocalPlane(89.6, 40.0), LocalPlane(-17.5, 179.9)])
 def test_the_chart_is_drawn_anywhere(plane: LocalPlane | None, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="pictures need the extra sameas[plots]")

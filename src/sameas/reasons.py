@@ -195,6 +195,8 @@ def _lines(x: Reasons) -> list[str]:
         lines.append(f"({len(x.rivals) - len(shown)} less probable not shown)")
     if other is None:
         return [*lines, "Nothing else is possible."]
+    if other.probability > chosen.probability:
+        lines += ["", f"By itself {other} is more probable; the answer is the most probable for all records together."]
     total = chosen.log_odds - other.log_odds
     lines += ["", f"Against the runner-up, {other}: log-odds {total:+.2f}, of which {_said(x.against_runner_up)}."]
     if other.taken:

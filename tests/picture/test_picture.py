@@ -110,8 +110,8 @@ def test_one_source_is_a_picture_and_so_is_none():
     assert {len(column) for column in [*nothing.objects.values(), *nothing.records.values()]} == {0}
     assert nothing.summary.lines()[:2] == [
         "objects: 0 confirmed",
-        "how sure: of 0 objects at an instant none are expected not to have exactly the right records; "
-        "ambiguous groups of neighbours at an instant: none",
+        "how sure: of 0 objects at an instant none are expected to be put together wrongly; no groups of neighbours "
+        "are ambiguous",
     ]
 
 

@@ -11,9 +11,7 @@ from sameas.tracks.alignment import (
     Earlier,
     States,
     aged,
-    last_look,
     latest,
-    looks_of,
     moved,
     process_noise,
     stamped_late,
@@ -81,20 +79,6 @@ def test_the_last_report_by_its_own_time_stands_for_a_track_whatever_the_order_o
         assert sorted(chosen) == [3, 4, 5]
     assert len(latest(time_s, track, 1.0)) == 0
     assert list(latest(time_s, None, 10.0)) == [0, 1, 5]
-
-
-def test_looks_are_stamps_where_reports_share_them_and_turns_where_not():
-    np.testing.assert_allclose(looks_of(np.array([5.0, 0.0, 0.0, 5.0]), 99.0), [5.0, 0.0, 0.0, 5.0])
-    turning = np.array([0.0, 0.5, 2.5, 3.0, 3.6, 5.9, 6.0])
-    np.testing.assert_allclose(looks_of(turning, 3.0), [0.0, 0.0, 0.0, 3.0, 3.0, 5.9, 5.9])
-    np.testing.assert_allclose(looks_of(turning, None), turning)
-
-
-def test_a_look_that_showed_nothing_hides_the_one_before_it():
-    look_s = np.array([1.0, 1.0, 2.0])
-    assert list(last_look(look_s, np.array([1.0, 2.0]), 1.9)) == [0, 1]
-    assert list(last_look(look_s, np.array([1.0, 2.0, 3.0]), 3.5)) == []
-    assert list(last_look(look_s, np.array([1.0, 2.0]), 0.5)) == []
 
 
 def test_records_age_out_by_their_own_uncertainty_not_by_the_clock():

@@ -94,6 +94,24 @@ def test_the_track_knows_its_velocity_better_than_any_report():
     assert np.sqrt(np.mean(error[:, :2] ** 2)) < 20.0
 
 
+def test_a_straight_course_is_followed_without_lag():
+    rng = np.random.default_rng(9)
+    tracks, looks, course = 400, 40, 2.0 * np.pi * np.random.default_rng(10).random(400)
+    ahead = np.column_stack([np.sin(course), np.cos(course)])
+    time_s = np.broadcast_to(3.0 * np.arange(looks), (tracks, looks))
+    truth = 6.0 * ahead[:, None] * time_s[..., None]
+    seen = truth + 25.0 * rng.standard_normal(truth.shape)
+    names = np.repeat([f"t{k}" for k in range(tracks)], looks)
+    made = States.of(time_s.ravel(), seen.reshape(-1, 2), 625.0 * np.eye(2), speed_m_per_s=8.0, track=names)
+    states = follow(made, acceleration_m2_per_s3=0.01).states
+    last = states.state.reshape(tracks, looks, 4)[:, -1]
+    late_s = -np.einsum("nv,nv->n", last[:, :2] - truth[:, -1], ahead) / 6.0
+    slow = 1.0 - np.einsum("nv,nv->n", last[:, 2:], ahead) / 6.0
+    for bias in (late_s, slow):
+        assert abs(bias.mean()) < 4.0 * bias.std() / np.sqrt(tracks)
+    assert late_s.std() / np.sqrt(tracks) < 0.1
+
+
 def test_a_name_that_is_given_to_another_object_begins_a_new_track():
     time_s = np.arange(8.0)
     position = np.column_stack([5.0 * time_s, np.zeros(8)])

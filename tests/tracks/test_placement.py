@@ -119,7 +119,12 @@ def test_heights_are_assumed_only_where_nothing_tells_them():
         ("ais", {"lat_deg": [1.0], "lon_deg": [1.0]}, None, "give the plane of the picture"),
         ("ais", {"x_m": [0.0], "y_m": [0.0]}, PLANE, "give the origin of that plane, site = "),
         ("marine radar", {"range_m": [1.0], "bearing_deg": [1.0]}, PLANE, "nothing says where the sensor is"),
-        ("marine radar", {"range_m": [1.0], "bearing_deg": [1.0]}, None, r"give site = \{ east_m = …, north_m = … \} in its d"),
+        (
+            "marine radar",
+            {"range_m": [1.0], "bearing_deg": [1.0]},
+            None,
+            r"give site = \{ east_m = …, north_m = … \} in its d",
+        ),
         ("marine radar", {"range_m": [1.0]}, None, "ranges without bearings"),
         ("camera", {"bearing_deg": [1.0]}, PLANE, "nothing says where the sensor is"),
     ],

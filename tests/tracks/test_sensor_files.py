@@ -65,7 +65,7 @@ def test_the_start_is_a_date_or_an_instant(tmp_path):
             b"$GPZDA,130211.00,12,01,2016,00,00*61\n",
             "no AIS .VDM. and no radar targets .TTM, TLL. among its sentences: ZDA",
         ),
-        (b"hello\n", "line 1 does not name columns"),
+        (b"hello\n", "no format of sensors fits; as a table, its line 1 does not name columns"),
     ],
 )
 def test_what_cannot_be_read_is_said(tmp_path, content, words):

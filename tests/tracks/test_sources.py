@@ -38,6 +38,17 @@ def test_a_description_names_its_file_and_how_to_read_it(folder):
     assert west.reports.range_m.tolist() == [5200.0, 5100.0] and west.reports.time_s[0] == 1714521600.0
 
 
+def test_a_description_may_leave_the_kind_to_the_file(folder):
+    (folder / "s.toml").write_text(
+        '[sources.plots]\nsite = { lat_deg = 50, lon_deg = -1 }\nfile = { path = "plots.csv", start = 2024-05-01 }\n'
+        '[sources.coast]\nkind = "other"\nfile = "coast.csv"\n'
+    )
+    plots, coast = read_sources([], read_told(folder / "s.toml"))
+    assert (plots.description.kind, plots.why_kind) == ("marine radar", "it has a column of range_m")
+    assert plots.description.site.lat_deg == 50 and plots.description.errors.bearing_deg == 0.5
+    assert (coast.description.kind, coast.why_kind) == ("other", None)
+
+
 def test_names_are_given_with_the_file(folder):
     toml = folder / "s.toml"
     toml.write_text('[sources.west]\nkind = "marine radar"\n')

@@ -90,7 +90,7 @@ def test_what_the_user_says_wins():
         ("time,lat,lon\nx,1,2", "no time can be read in column 'time' .first: 'x'.; write ISO 8601"),
         ("time,lat,lon\n1,x,2", "no row can be used: 1 line damaged: lat is no number .line 2."),
         ("time,lat,lon\n01/02/2024 12:00:00,1,2", "dates like .* can be read in two ways; write them as 2024-01-13"),
-        ("nothing", "line 1 does not name columns; part them by commas"),
+        ("nothing", "no format of sensors fits; as a table, its line 1 does not"),
     ],
 )
 def test_refusals_say_what_to_do(text, words):

@@ -105,7 +105,8 @@ def picture(
     if at is not None and (every or begin or end):
         raise typer.BadParameter("say --at, or --every with --from and --to, not both", param_hint="--at")
     with answering(debug):
-        from sameas.cli.picturing import Instants, Method, Outputs, run
+        from sameas.cli.picture_files import Outputs
+        from sameas.cli.picturing import Instants, Method, run
 
         instants = Instants(duration_s(every), at, begin, end)
         method = Method(registration=not no_registration, identity=not no_identity, memory=not no_memory)

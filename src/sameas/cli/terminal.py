@@ -10,13 +10,15 @@ from collections.abc import Iterable
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from sameas.prose import DOUBT, WIDTH
+from sameas.prose import ALARM, DOUBT, WIDTH
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
 #: Seconds before progress is shown.
 PATIENCE = 2.0
+#: What is printed even when quiet, and how it looks.
+_STYLES = {DOUBT: "yellow", ALARM: "bold red"}
 
 
 class Printer:
@@ -29,15 +31,15 @@ class Printer:
         self.console = Console(highlight=False, markup=False, emoji=False, soft_wrap=True)
 
     def __call__(self, lines: Iterable[str]) -> None:
-        """Print lines; when quiet only the doubts among them, on stderr."""
+        """Print lines; when quiet only the doubts and alarms among them, on stderr."""
         for line in lines:
-            doubt = line.startswith(DOUBT)
+            label = next((label for label in _STYLES if line.startswith(label)), None)
             if self.quiet:
-                if doubt:
-                    notice(f"doubt: {line[len(DOUBT) :]}")
+                if label is not None:
+                    notice(f"{label.strip()}: {line[len(label) :]}")
                 continue
-            style = "yellow" if doubt else "bold" if line[:1].strip() else None
-            for part in _wrapped(line) if doubt else [line]:
+            style = _STYLES[label] if label else "bold" if line[:1].strip() else None
+            for part in _wrapped(line) if label else [line]:
                 self._print(part, style)
 
     def _print(self, line: str, style: str | None) -> None:

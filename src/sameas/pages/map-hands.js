@@ -52,11 +52,13 @@ function recall() {
   show(kept.has("t") && Number.isFinite(+kept.get("t")) ? +kept.get("t") : firstWorth());
   if (kept.has("object") && rowsOf.has(number)) pick(number);
 }
-// The map opens where there is most to see, so that nobody meets an empty chart.
+// The map opens at the first instant at which nearly all is there that there ever is at once.
 const firstWorth = () => {
-  let best = 0;
-  for (let k = 0; k <= last; k++) if (recordsAt(k).length > recordsAt(best).length) best = k;
-  return recordsAt(0).length * 2 >= recordsAt(best).length ? 0 : best;
+  let most = 0;
+  for (let k = 0; k <= last; k++) most = Math.max(most, recordsAt(k).length);
+  let k = 0;
+  while (k < last && recordsAt(k).length < 0.9 * most) k++;
+  return k;
 };
 
 function play(on) {

@@ -43,8 +43,10 @@ async function showObject() {
   const why = document.createElement("div");
   box.replaceChildren(shut, text("h2", nameOf(r)), tags(r), facts(state(r)), ...membership(r), why);
   box.hidden = false;
-  const words = await whyText(number, instantShown);
-  if (words && picked === number && now.k === instantShown) why.replaceChildren(text("h3", "Why"), text("pre", words));
+  const told = await whyText(number, instantShown);
+  if (!told || picked !== number || now.k !== instantShown) return;
+  const since = told.at < instantShown ? `, as at ${clock(data.instants[told.at])[0]}` : "";
+  why.replaceChildren(text("h3", `Why${since}`), text("pre", told.words));
 }
 function tags(r) {
   const line = document.createElement("div");
@@ -112,6 +114,10 @@ function membership(r) {
     parts.push(
       text("h3", `Otherwise, with probability ${probability(objects.rival[r])}${change ? ": " + change : ""}`),
     );
+    if (objects.rival[r] > objects.p[r])
+      parts.push(
+        text("p", "By itself that is more probable; the answer is the most probable for all records together.", "hint"),
+      );
     if (more.length) parts.push(memberTable(r, more, "rival"));
   }
   return parts;

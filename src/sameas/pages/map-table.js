@@ -76,7 +76,7 @@ for (let row = 0, start = 0; row < objects.n.length; row++)
 
 const unpackedTexts = new Map();
 async function whyText(number, instant) {
-  if (!packedTexts[number]) return "";
+  if (!packedTexts[number]) return null;
   if (!unpackedTexts.has(number))
     unpackedTexts.set(number, JSON.parse(new TextDecoder().decode(await unpacked(packedTexts[number]))));
   // A text holds until the next one.
@@ -84,7 +84,7 @@ async function whyText(number, instant) {
   const since = Object.keys(texts)
     .map(Number)
     .filter(k => k <= instant);
-  return since.length ? texts[Math.max(...since)] : "";
+  return since.length ? { words: texts[Math.max(...since)], at: Math.max(...since) } : null;
 }
 
 // The instant at which an alarm is shown: the nearest; null for one that always holds.

@@ -146,13 +146,18 @@ class Picture:
 
 
 def _changed(moment: Moment, shown: dict[int, tuple[str, str]]) -> list[int]:
-    """Objects of two records or with a likely rival, whose tracks, or the rival's, are not what was explained last."""
-    names = [description.name for description in moment.roll.now.descriptions]
-    words = [f"{names[s]}:{track}" for s, track in zip(moment.roll.source.tolist(), moment.roll.track, strict=True)]
+    """Objects of two records or with a likely rival, whose tracks, or the rival's, are not what was explained last.
+
+    A plot without a track is another at every look.
+    """
+    roll = moment.roll
+    names = [description.name for description in roll.now.descriptions]
+    columns = zip(roll.source.tolist(), roll.track.tolist(), roll.row.tolist(), strict=True)
+    words = [f"{names[s]}:{track or row}" for s, track, row in columns]
     several, out = (moment.members >= 0).sum(axis=1) > 1, []
     rivals = np.where(moment.p_runner_up[:, None] > LIKELY, moment.runner_up, -1)
-    columns = moment.number.tolist(), joined(moment.members, words).tolist(), joined(rivals, words).tolist()
-    for number, members, rival, told in zip(*columns, several.tolist(), strict=True):
+    both = joined(moment.members, words).tolist(), joined(rivals, words).tolist()
+    for number, members, rival, told in zip(moment.number.tolist(), *both, several.tolist(), strict=True):
         if (told or rival) and shown.get(number) != (members, rival):
             shown[number] = members, rival
             out.append(number)

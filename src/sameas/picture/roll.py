@@ -138,9 +138,9 @@ def _part(feed: Feed, ids: NDArray[Any], table: IntArray, instant_s: float) -> d
     state, covariance = said_state, said_covariance
     if isinstance(reports, States):
         said_state, said_covariance = reports.state[row], reports.covariance[row]
-        state, covariance = moved(said_state, said_covariance, instant_s - time_s, feed.walk_m2_per_s3)
+        state, covariance = moved(said_state, said_covariance, instant_s - time_s, feed.walk_m2_per_s3[row])
         covariance = stamped_late(covariance, state, late)
-    walk = feed.walk_m2_per_s3 if isinstance(reports, States) else description.motion.acceleration_m2_per_s3 or 0.0
+    walk = feed.walk_m2_per_s3[row] if isinstance(reports, States) else description.motion.acceleration_m2_per_s3 or 0.0
     return {
         "row": row, "table": table, "track": _names(reports.track, row), "time_s": time_s, "late_s": np.full(n, late),
         "walk_m2_per_s3": np.full(n, walk),

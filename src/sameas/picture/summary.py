@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -11,7 +12,6 @@ from numpy.typing import NDArray
 from sameas.evidence.identity import Alarm
 from sameas.picture.moment import Moment
 from sameas.picture.roll import BoolArray
-from sameas.prose import count, counted, moment
 from sameas.records import FloatArray, IntArray
 from sameas.tracks.feed import Feed
 from sameas.tracks.scene import Scene
@@ -99,15 +99,21 @@ class Misses:
 
 @dataclass(frozen=True)
 class Alarmed:
-    """An alarm, from its first instant to its last, and at how many."""
+    """An alarm, from its first instant to its last, and at how many; where : source and line of both reports, first."""
 
     alarm: Alarm
+    where: tuple[str, str]
     first_s: float
     last_s: float
     instants: int
 
     def __str__(self) -> str:
-        return f"{self.alarm} (at {counted(self.instants, 'instant')})"
+        alarm = self.alarm
+        return (
+            f"{alarm.attribute.upper()} {alarm.value} is shown at two places {alarm.distance:.0f} m apart "
+            f"({math.sqrt(alarm.chi_sq):.0f} σ) by {self.where[0]} and {self.where[1]}: forged, duplicate or wrong "
+            f"(at {self.instants} instant{'s' * (self.instants > 1)})"
+        )
 
 
 @dataclass(frozen=True)
@@ -151,42 +157,44 @@ class Summary:
             float(np.mean([tally.objects for tally in tallies])),
             float(np.mean([tally.expected_wrong for tally in tallies])),
             float(np.mean([tally.ambiguous_groups for tally in tallies])),
-            tuple(_misses(scene.feeds, tallies)), tuple(biases), tuple(_alarms(tallies)), assumed,
+            tuple(_misses(scene.feeds, tallies)), tuple(biases), tuple(_alarms(scene.feeds, tallies)), assumed,
             tuple(_notes(scene.feeds, tallies)),
         )  # fmt: skip
 
     def entries(self) -> list[tuple[str, str]]:
-        """Labels and printable words, the most important first; without what was assumed."""
+        """Labels and printable words, the most important first; without alarms and what was assumed."""
         several = len(self.by_sources) > 2
-        said = [("objects", self._objects() if several else f"{count(sum(self.by_sources))} confirmed")]
+        said = [("objects", self._objects() if several else f"{sum(self.by_sources)} confirmed")]
         if self.unconfirmed:
-            said.append(("not confirmed", f"{count(self.unconfirmed)} more, seen too seldom, as false echoes are"))
+            said.append(("not confirmed", f"{self.unconfirmed} more, seen too seldom, as false echoes are"))
         if several:
             said.append(("how sure", self._sure()))
-        said += [("ALARM", f"{alarm}, from {moment(alarm.first_s)}") for alarm in self.alarms]
         labelled = {"doubt": self.notes, "offset": self.biases, "misses": self.misses}
         return said + [(label, str(words)) for label, told in labelled.items() for words in told]
 
     def lines(self) -> list[str]:
         """Printable, the most important first, what was assumed at the end."""
-        return [*(f"{label}: {words}" for label, words in self.entries()), *self.assumed]
+        told = [("alarm", str(alarm)) for alarm in self.alarms] + self.entries()
+        return [*(f"{label}: {words}" for label, words in told), *self.assumed]
 
     def _objects(self) -> str:
-        seen = [f"{count(n)} by {k}" for k, n in enumerate(self.by_sources) if n and k][::-1]
-        words = f"{count(sum(self.by_sources))} confirmed"
-        return words + (f", {', '.join(seen)} of {len(self.by_sources) - 1} sources at once" if seen else "")
+        seen = [(k, n) for k, n in enumerate(self.by_sources) if n and k][::-1]
+        words = [f"{n} by {k}{' sources at once' if at == 0 and k > 1 else ' alone' if k == 1 else ''}"
+                 for at, (k, n) in enumerate(seen)]  # fmt: skip
+        return f"{sum(self.by_sources)} confirmed" + (f"; seen: {', '.join(words)}" if words else "")
 
     def _sure(self) -> str:
-        wrong, groups = map(_few, (self.expected_wrong, self.ambiguous_groups))
+        wrong, groups = _few(self.expected_wrong, "none"), _few(self.ambiguous_groups, "no")
+        shown = f"{self.shown:.4g}" if self.shown < 1e4 else f"{self.shown:.0f}"
         return (
-            f"of {self.shown:.4g} objects at an instant {wrong} are expected not to have exactly the right records; "
-            f"ambiguous groups of neighbours at an instant: {groups}"
+            f"of {shown} objects at an instant {wrong} are expected to be put together wrongly; "
+            f"{groups} groups of neighbours are ambiguous"
         )
 
 
-def _few(mean: float) -> str:
+def _few(mean: float, none: str) -> str:
     """A mean count, as far as anybody wants to know it."""
-    return f"{mean:.2g}" if mean >= 1e-3 else "fewer than 0.001" if mean else "none"
+    return f"{mean:.2g}" if mean >= 1e-3 else "fewer than 0.001" if mean else none
 
 
 def _by_sources(objects: Mapping[str, NDArray], n_sources: int) -> tuple[tuple[int, ...], int]:
@@ -208,16 +216,22 @@ def _misses(feeds: Sequence[Feed], tallies: Sequence[Tally]) -> Iterable[Misses]
             yield Misses(feed.description.name, float(due[s]), float(missed[s] / due[s]), described)
 
 
-def _alarms(tallies: Sequence[Tally]) -> list[Alarmed]:
+def _alarms(feeds: Sequence[Feed], tallies: Sequence[Tally]) -> list[Alarmed]:
     found: dict[tuple[str, str, str, str], list[tuple[float, Alarm]]] = {}
     for tally in tallies:
         for alarm in tally.alarms:
             key = (alarm.attribute, alarm.value, alarm.first[0], alarm.second[0])
             found.setdefault(key, []).append((tally.instant_s, alarm))
+    by_name = {feed.description.name: feed for feed in feeds}
+
+    def line_of(source: str, row: int) -> str:
+        given = by_name[source].given
+        return f"{source} row {row}" if given is None else f"{source} {given.damaged.unit} {given.line[row]}"
+
     return [
-        Alarmed(said[0][1], said[0][0], said[-1][0], len({instant_s for instant_s, _ in said}))
-        for said in found.values()
-    ]
+        Alarmed(alarm, (line_of(*alarm.first), line_of(*alarm.second)), first_s, said[-1][0], len({t for t, _ in said}))
+        for said in found.values() for first_s, alarm in said[:1]
+    ]  # fmt: skip
 
 
 def _notes(feeds: Sequence[Feed], tallies: Sequence[Tally]) -> Iterable[str]:
@@ -227,7 +241,8 @@ def _notes(feeds: Sequence[Feed], tallies: Sequence[Tally]) -> Iterable[str]:
         yield from feed.notes
         old = np.unique(np.concatenate([tally.aged[s] for tally in tallies]))
         if len(old):
-            yield f"{name}: {counted(len(old), 'report')} grew too uncertain to tell objects apart, left out then"
+            reports = f"{len(old)} report{'s' * (len(old) > 1)}"
+            yield f"{name}: {reports} too uncertain to tell objects apart after a while, and left out from then on"
         if not records[s]:
             yield f"{name} says nothing at any instant; do its times lie within the picture's?"
         elif len(feeds) > 1 and not shared[s]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
@@ -241,24 +241,28 @@ def marks_of(sensors: tuple[MapSensor, ...]) -> list[str]:
 
 
 def _records(axes: Axes, now: _Now) -> None:
+    from matplotlib.collections import LineCollection
+
     r, marks = now.shown.records, marks_of(now.shown.sensors)
     for number, sensor in enumerate(now.shown.sensors):
         colour, mark = COLOURS[number % len(COLOURS)], marks[number]
         own = now.marks[r["source"][now.marks] == sensor.name]
         places = [(int(row), place) for row in own if (place := now.mark_of(int(row))) is not None]
+        rays, arms = [], []
         for row, place in places:
             owner = now.place.get(int(r["object"][row]))
             if np.isfinite(r["bearing_deg"][row]):
-                site = np.array([r["sensor_x_m"][row], r["sensor_y_m"][row]])
-                axes.plot(*np.stack([site, place]).T, color=colour, lw=0.6, alpha=0.6, zorder=1.0)
+                rays.append(np.stack([np.array([r["sensor_x_m"][row], r["sensor_y_m"][row]]), place]))
             if owner is not None:
-                axes.plot(*np.stack([now.state(owner)[0], place]).T, color=colour, lw=0.9, zorder=1.2)
-        if places:
-            points = np.array([place for _, place in places])
-            face = {} if mark in "x+_" else {"markerfacecolor": "none"}
-            axes.plot(*points.T, ls="", marker=mark, ms=5.0, mew=1.1, color=colour, zorder=1.6, **face)  # type: ignore[arg-type]
-    for start, stop in _rival_lines(now):
-        axes.plot(*np.stack([start, stop]).T, color=DOUBT, lw=1.2, ls=(0, (4, 3)), zorder=1.3)
+                arms.append(np.stack([now.state(owner)[0], place]))
+        axes.add_collection(LineCollection(rays, color=colour, lw=0.6, alpha=0.6, zorder=1.0), autolim=False)
+        axes.add_collection(LineCollection(arms, color=colour, lw=0.9, zorder=1.2), autolim=False)
+        face = colour if mark in "x+_" else "none"
+        points = np.reshape([place for _, place in places], (-1, 2))
+        axes.plot(*points.T, ls="", marker=mark, ms=5.0, mew=1.1, mec=colour, mfc=face, zorder=1.6)
+    axes.add_collection(
+        LineCollection(list(_rival_lines(now)), color=DOUBT, lw=1.2, ls=(0, (4, 3)), zorder=1.3), autolim=False
+    )
 
 
 def _rival_lines(now: _Now) -> Iterator[tuple[FloatArray, FloatArray]]:
@@ -277,26 +281,37 @@ def _rival_lines(now: _Now) -> Iterator[tuple[FloatArray, FloatArray]]:
 def _objects(axes: Axes, now: _Now, ahead_s: float) -> None:
     """Symbols near to those of tracked radar targets: dashed while tentative, crossed while coasting."""
     o = now.shown.objects
-    for row in now.rows:
-        place, velocity, covariance = now.state(int(row))
-        stage, doubtful = str(o["stage"][row]), bool(o["ambiguous"][row])
-        colour = ALARM if int(o["object"][row]) in now.alarmed else DOUBT if doubtful else INK
-        colour = FAINT if stage == "coasting" and colour == INK else colour
-        if np.isfinite(covariance).all():
-            axes.plot(*ellipse(place, covariance, 2.0, 61).T, color=colour, lw=0.8, alpha=0.7, zorder=1.1)
-        if np.isfinite(velocity).all():
-            style = "-" if stage == "confirmed" else (0, (4, 2.5))
-            axes.plot(*np.stack([place, place + ahead_s * velocity]).T, color=colour, lw=1.3, ls=style, zorder=1.8)
-        axes.plot(*place, "o", ms=9.5, mfc="none", mec=colour, mew=1.4 if stage == "confirmed" else 1.0, zorder=2.1,
-                  alpha=0.6 if stage == "tentative" else 1.0)  # fmt: skip
-        if stage == "coasting":
-            axes.plot(*place, "x", ms=6, mec=colour, mew=1.0, zorder=2.1)
-        elif o["n_sources"][row] > 1:
-            axes.plot(*place, "o", ms=2.6, mfc=colour, mec="none", zorder=2.1)
-        if doubtful:
-            axes.plot(*place, "o", ms=15, mfc="none", mec=DOUBT, mew=0.9, zorder=2.1)
-        if int(o["object"][row]) in now.alarmed:
-            axes.plot(*place, "^", ms=22, mfc="none", mec=ALARM, mew=1.3, zorder=2.2)
+    alike: dict[tuple[str, str], list[int]] = {}
+    for row in now.rows.tolist():
+        colour = ALARM if int(o["object"][row]) in now.alarmed else DOUBT if o["ambiguous"][row] else INK
+        stage = str(o["stage"][row])
+        alike.setdefault((FAINT if stage == "coasting" and colour == INK else colour, stage), []).append(row)
+    for (colour, stage), rows in alike.items():
+        _alike(axes, now, ahead_s, colour, stage, rows)
+    doubtful = [now.state(row)[0] for row in now.rows.tolist() if o["ambiguous"][row]]
+    axes.plot(*np.reshape(doubtful, (-1, 2)).T, ls="", marker="o", ms=15, mfc="none", mec=DOUBT, mew=0.9, zorder=2.1)
+    alarmed = [now.state(row)[0] for row in now.rows.tolist() if int(o["object"][row]) in now.alarmed]
+    axes.plot(*np.reshape(alarmed, (-1, 2)).T, ls="", marker="^", ms=22, mfc="none", mec=ALARM, mew=1.3, zorder=2.2)
+
+
+def _alike(axes: Axes, now: _Now, ahead_s: float, colour: str, stage: str, rows: Sequence[int]) -> None:
+    """Objects of one colour and stage, lines of one look in one: thousands of artists take minutes."""
+    from matplotlib.collections import LineCollection
+
+    places, velocities, covariances = map(np.array, zip(*(now.state(row) for row in rows), strict=True))
+    wide, fast = np.isfinite(covariances).all(axis=(1, 2)), np.isfinite(velocities).all(axis=1)
+    rims = [ellipse(*each, 2.0, 61) for each in zip(places[wide], covariances[wide], strict=True)]
+    axes.add_collection(LineCollection(rims, color=colour, lw=0.8, alpha=0.7, zorder=1.1), autolim=False)
+    style = "-" if stage == "confirmed" else (0, (4, 2.5))
+    ahead = np.stack([places, places + ahead_s * velocities], axis=1)[fast]
+    axes.add_collection(LineCollection(ahead, color=colour, lw=1.3, ls=style, zorder=1.8), autolim=False)
+    axes.plot(*places.T, ls="", marker="o", ms=9.5, mfc="none", mec=colour, mew=1.4 if stage == "confirmed" else 1.0,
+              zorder=2.1, alpha=0.6 if stage == "tentative" else 1.0)  # fmt: skip
+    if stage == "coasting":
+        axes.plot(*places.T, ls="", marker="x", ms=6, mec=colour, mew=1.0, zorder=2.1)
+    else:
+        several = now.shown.objects["n_sources"][rows] > 1
+        axes.plot(*places[several].T, ls="", marker="o", ms=2.6, mfc=colour, mec="none", zorder=2.1)
 
 
 def _labels(axes: Axes, now: _Now, box: Box) -> None:

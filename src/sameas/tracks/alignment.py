@@ -169,7 +169,7 @@ def latest(time_s: FloatArray, track: NDArray[Any] | None, instant_s: float) -> 
     """Reports that stand for their tracks at an instant: of each the last that is not later than it.
 
     It is the time that a report holds for that counts, not when it came in: reports out of order do no harm. Without
-    names of tracks every report is one of its own; see :func:`last_look`.
+    names of tracks every report is one of its own; see :mod:`sameas.tracks.looks`.
     """
     past = np.flatnonzero(time_s <= instant_s)
     if track is None or not len(past):
@@ -179,31 +179,6 @@ def latest(time_s: FloatArray, track: NDArray[Any] | None, instant_s: float) -> 
     # The last of each name: the first of the reversed list.
     _, first = np.unique(names[::-1], return_index=True)
     return np.sort(order[::-1][first])
-
-
-def looks_of(time_s: FloatArray, period_s: float | None) -> FloatArray:
-    """(n,) the time of the look, a turn of the antenna or an exposure, to which each report of bare plots belongs.
-
-    Where reports share stamps, a stamp is a look; else looks are runs of reports within 0.9 periods.
-    """
-    order = np.argsort(time_s, kind="stable")
-    stamps = time_s[order]
-    if period_s is None or not len(stamps) or np.any(np.diff(stamps) == 0.0):
-        return time_s.copy()
-    begins, began = np.zeros(len(stamps)), stamps[0]
-    for at, stamp in enumerate(stamps):
-        if stamp - began >= 0.9 * period_s:
-            began = stamp
-        begins[at] = began
-    out = np.empty_like(begins)
-    out[order] = begins
-    return out
-
-
-def last_look(look_s: FloatArray, looked_s: FloatArray, instant_s: float) -> IntArray:
-    """Reports of the last look at or before an instant; none where that look, one of ``looked_s``, showed nothing."""
-    past = looked_s[looked_s <= instant_s]
-    return np.flatnonzero(look_s == past.max()) if len(past) else np.empty(0, np.int64)
 
 
 def aged(covariance: FloatArray, density_per_m2: float) -> NDArray[np.bool_]:

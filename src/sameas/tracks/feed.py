@@ -14,15 +14,18 @@ from numpy.typing import ArrayLike, NDArray
 from sameas.errors import InputError
 from sameas.evidence.identity import MODELS
 from sameas.records import FloatArray
-from sameas.tracks.alignment import States, looks_of
+from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.correction import corrected
 from sameas.tracks.filter import follow
+from sameas.tracks.fixes import fresh
+from sameas.tracks.looks import Turn, looks_of, seen_from
 from sameas.tracks.namesakes import parted
 from sameas.tracks.placement import Directions, placed, sensor_places, set_aside
 from sameas.tracks.reports import Reports
 from sameas.tracks.silence import ending_silence_s
 from sameas.tracks.source import Description
+from sameas.tracks.standing import standing
 
 #: Kinds of sources whose errors of position last longer than a filter averages.
 LASTING = ("ais", "ads-b")
@@ -40,6 +43,8 @@ class Feed:
     attributes : what the reports say of the objects' identity, (n,) each: mmsi, icao, name, …
     given : the reports as a reader gave them. notes : what was set aside, printable sentences.
     filtered : whether a filter made tracks of them.
+    turn : of an antenna whose bare plots bear their own stamps; None where looks are exposures.
+    stands : (n,) probability that a report is of an object that stands; None where nothing is known of such.
     """
 
     description: Description
@@ -51,6 +56,8 @@ class Feed:
     given: Reports | None = None
     notes: tuple[str, ...] = ()
     filtered: bool = False
+    turn: Turn | None = None
+    stands: FloatArray | None = None
 
     @classmethod
     def of(
@@ -76,21 +83,29 @@ class Feed:
         biases = known_biases(description, sensor_m)
         there = corrected(there, sensor_m, biases) if biases.any() else there
         if isinstance(there, States):
+            there, repeated = fresh(there)
             there, more = parted(there, description.motion.speed_m_per_s or math.inf)
-            notes += tuple(f"{description.name}: {note}" for note in more)
+            notes += tuple(f"{description.name}: {note}" for note in (*repeated, *more))
         if to_tracks:
             if not isinstance(there, States):
                 raise InputError(f"{description.name}: directions are not filtered; give positions")
             there = filtered(description, there)
-        look_s = looks_of(there.time_s, description.timing.period_s)
-        looked = look_s if looked_s is None else np.concatenate([np.asarray(looked_s, np.float64), look_s])
+        stands = None
+        if isinstance(there, States):
+            there, stands = standing(there, description.motion)
+        looks = looks_of(there.time_s, description.timing.period_s, _bearings(there, sensor_m))
+        looked = looks.look_s if looked_s is None else np.concatenate([np.asarray(looked_s, np.float64), looks.look_s])
         attributes = {name: said for name in MODELS if (said := getattr(reports, name, None)) is not None}
-        return cls(description, there, np.unique(looked), look_s, sensor_m, attributes, reports, notes, to_tracks)
+        return cls(
+            description, there, np.unique(looked), looks.look_s, sensor_m, attributes, reports, notes, to_tracks,
+            looks.turn, stands,
+        )  # fmt: skip
 
-    @property
-    def walk_m2_per_s3(self) -> float:
-        """Power density of the random walk of its objects' velocities."""
-        return walk_of(self.description)
+    @cached_property
+    def walk_m2_per_s3(self) -> FloatArray:
+        """(n,) power density of the random walk of the velocity of each report's object: none while it stands."""
+        going = np.ones(len(self.reports)) if self.stands is None else 1.0 - self.stands
+        return walk_of(self.description) * going
 
     @cached_property
     def ending_silence_s(self) -> float:
@@ -112,17 +127,25 @@ class Feed:
         past = np.flatnonzero(times <= instant_s)
         return np.asarray(self.sensor_m[past[np.argmax(times[past])] if len(past) else 0])
 
+    def q_at(self, places: FloatArray, instant_s: float) -> FloatArray:
+        """(n,) the probability that an object at each of the places (n, 2) is missed."""
+        sensor = self.sensor_at(instant_s)
+        if sensor is None:
+            return self._known(self.description.misses.at(np.zeros(len(places))))
+        arm = places - sensor
+        return self._known(self.description.q_at(np.hypot(*arm.T), np.degrees(np.arctan2(arm[:, 0], arm[:, 1]))))
+
     def mean_q(self, places: FloatArray, instant_s: float) -> float:
         """The mean probability that an object at one of the places (n, 2) is missed."""
-        description, sensor = self.description, self.sensor_at(instant_s)
-        if sensor is None or not len(places):
-            q = description.misses.at(np.zeros(1))
-        else:
-            arm = places - sensor
-            q = description.q_at(np.hypot(*arm.T), np.degrees(np.arctan2(arm[:, 0], arm[:, 1])))
-        if not np.isfinite(q).all():
-            raise InputError(f"{description.name}: misses.q is not known; give misses = {{ q = … }} in its description")
+        anywhere = self.description.misses.at(np.zeros(1))
+        q = self.q_at(places, instant_s) if len(places) else self._known(anywhere)
         return float(np.clip(q.mean(), 1e-6, 1.0 - 1e-6))
+
+    def _known(self, q: FloatArray) -> FloatArray:
+        if not np.isfinite(q).all():
+            name = self.description.name
+            raise InputError(f"{name}: misses.q is not known; give misses = {{ q = … }} in its description")
+        return q
 
     def clutter(self, features: int) -> float:
         """β in the unit of its features: per m², per m² and (m/s)², or per degree."""
@@ -132,6 +155,13 @@ class Feed:
         density = (clutter.per_km2 or 0.0) / 1e6
         speed = self.description.motion.speed_m_per_s or 1.0
         return density if features == 2 else density / (2.0 * math.pi * speed**2)
+
+
+def _bearings(there: States | Directions, sensor_m: FloatArray | None) -> FloatArray | None:
+    """(n,) bearings of bare plots, which show how an antenna turns."""
+    if there.track is not None:
+        return None
+    return there.bearing_deg if isinstance(there, Directions) else seen_from(there.state[:, :2], sensor_m)
 
 
 def known_biases(description: Description, sensor_m: FloatArray | None) -> FloatArray:

@@ -95,6 +95,8 @@ KINDS: Mapping[str, Kind] = {
             "timing.period_s": (10.0, "2 s to 3 min by speed and class"),
             "timing.latency_s": (0.0, "the stamp is the fix's"),
             "timing.latency_sigma_s": (1.0, "seconds are whole; receivers add theirs"),
+            "motion.standing_m_per_s": (0.1, "at anchor a vessel swings by some 20 m in three minutes"),
+            "motion.standing_share": (0.2, "in sight of a harbour more lie than that, at sea fewer"),
             **_FIXED_ERRORS,
             **_VESSEL,
         },

@@ -222,7 +222,7 @@ class Reports:
 
     def summary(self) -> list[str]:
         """Printable lines: what there is, what was damaged or passed over, what was assumed."""
-        lines = [f"{self.source}: {len(self)} reports ({self.kind}, {self.position} positions)"]
+        lines = [f"{self.source}: {len(self)} report{'s' * (len(self) != 1)} ({self.kind}, {self.position} positions)"]
         lines += self.damaged.sentences()
         lines += [f"{count} passed over: {what}" for what, count in self.passed_over.items()]
         return lines + list(self.notes)

@@ -10,9 +10,11 @@ import numpy as np
 from sameas.observations import LinearPart, Observations, Source
 from sameas.records import FloatArray, IntArray, Records
 from sameas.space import Plane
-from sameas.tracks.alignment import Earlier, States, aged, last_look, latest, moved, process_noise, stamped_late
+from sameas.tracks.alignment import Earlier, States, aged, latest, moved, process_noise, stamped_late
 from sameas.tracks.feed import Feed
+from sameas.tracks.looks import last_look, last_turn
 from sameas.tracks.placement import Directions, Sight
+from sameas.tracks.pointing import pointed_at
 
 #: What an object's state is at an instant: a place, or a place and a velocity.
 POSITION, POSITION_AND_VELOCITY = 2, 4
@@ -32,7 +34,9 @@ class Said:
     @classmethod
     def of(cls, feed: Feed, instant_s: float) -> Said:
         reports, description = feed.reports, feed.description
-        if reports.track is None:
+        if reports.track is None and feed.turn is not None:
+            rows = last_turn(reports.time_s, feed.turn, feed.looked_s, instant_s)
+        elif reports.track is None:
             rows = last_look(feed.look_s, feed.looked_s, instant_s)
         else:
             usable = np.flatnonzero(reports.usable)
@@ -44,7 +48,7 @@ class Said:
             return cls(feed, rows, time_s, reports.bearing_deg[rows], reports.sigma_deg[rows] ** 2, none)
         late = description.timing.latency_sigma_s or 0.0
         state, covariance = moved(
-            reports.state[rows], reports.covariance[rows], instant_s - time_s, feed.walk_m2_per_s3
+            reports.state[rows], reports.covariance[rows], instant_s - time_s, feed.walk_m2_per_s3[rows]
         )
         return cls(feed, rows, time_s, state, stamped_late(covariance, state, late), none)
 
@@ -74,11 +78,10 @@ class Said:
         assert isinstance(reports, States)
         age = instant_s - float(self.time_s.mean()) if len(self.rows) else 0.0
         rest = instant_s - age - self.time_s
-        state, covariance = moved(
-            reports.state[self.rows], reports.covariance[self.rows], rest, self.feed.walk_m2_per_s3
-        )
+        walk = self.feed.walk_m2_per_s3[self.rows]
+        state, covariance = moved(reports.state[self.rows], reports.covariance[self.rows], rest, walk)
         late = (description.motion.speed_m_per_s or 0.0) * (description.timing.latency_sigma_s or 0.0)
-        wander = process_noise(age, self.feed.walk_m2_per_s3)[0, :2, :2] + late**2 * np.eye(2)
+        wander = process_noise(np.full(len(walk), age), walk)[:, :2, :2] + late**2 * np.eye(2)
         covariance = covariance[:, :2, :2] + wander
         records = Records.of(state[:, :2], covariance=covariance, ids=reports.rows[self.rows], source=description.name)
         return Observations(records, LinearPart(np.hstack([np.eye(2), -age * np.eye(2)])))
@@ -101,20 +104,18 @@ class Said:
         return Observations(records, Earlier(bearing, age) if features == POSITION_AND_VELOCITY else bearing)
 
     def _ranges(self, places: FloatArray, reach_m: float) -> FloatArray:
-        """(n,) how far what each direction points at may be: as the place nearest to it in angle, within 10°.
+        """(n,) how far what each direction points at may be, by the places that others show where it points.
 
-        Metres of hull or of motion are more degrees the nearer the object. Half the reach where no other source shows
-        anything there.
+        Metres are most degrees at the nearest: it is the distance at which they are as many degrees in the mean square.
+        Half the reach where no other source shows anything there.
         """
+        extent = self.feed.description.errors.extent_m or 0.0
+        weight = pointed_at(self.state, np.sqrt(self.covariance), self.sensor(), places, extent)
         out = np.full(len(self.rows), reach_m / 2.0)
-        if not len(places) or not len(self.rows):
-            return out
-        arm = places - np.asarray(self.sensor())
-        off = np.abs((self.state[:, None] - np.degrees(np.arctan2(arm[:, 0], arm[:, 1])) + 180.0) % 360.0 - 180.0)
-        nearest = off.argmin(axis=1)
-        near = off[np.arange(len(off)), nearest] < 10.0
-        out[near] = np.hypot(*arm[nearest[near]].T)
-        return np.asarray(np.maximum(out, 1.0))
+        some = weight.any(axis=1)
+        away = np.maximum(np.hypot(*(places - np.asarray(self.sensor())).T), 1.0)
+        out[some] = (weight[some] @ away**-2.0) ** -0.5
+        return out
 
     def sensor(self) -> tuple[float, float]:
         """Where the sensor was: one place at an instant, that of its last report."""

@@ -170,10 +170,12 @@ class Timing:
 
 @dataclass(frozen=True)
 class Motion:
-    """How objects move: velocity is a random walk of this power density (m²/s³), and 0 ± speed_m_per_s at first."""
+    """How objects move: velocity walks with this density (m²/s³), is 0 ± speed at first; a share of them may stand."""
 
     acceleration_m2_per_s3: float | None = None
     speed_m_per_s: float | None = None
+    standing_m_per_s: float | None = None
+    standing_share: float | None = None
 
 
 @dataclass(frozen=True)
@@ -278,10 +280,7 @@ class Description:
                 for key, said in KINDS[self.kind].defaults.items()
                 if key.partition(".")[0] == name and key.partition(".")[2] in missing
             }
-            if defaults:
-                object.__setattr__(
-                    self, name, replace(part, **{field: value for field, (value, _) in defaults.items()})
-                )
+            object.__setattr__(self, name, replace(part, **{field: said[0] for field, said in defaults.items()}))
             for field, (value, why) in defaults.items():
                 assumptions.append(Assumption(self.name, self.kind, f"{name}.{field}", value, why))
         object.__setattr__(self, "assumed", tuple(assumptions))

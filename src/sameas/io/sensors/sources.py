@@ -191,5 +191,6 @@ def _all_used(sources: Sequence[SensorSource], told: Mapping[str, Told]) -> None
     for name in told:
         if name not in names:
             raise InputError(
-                f"{name} is described, but none of the files is of it; there are {', '.join(names)}: give {name}=FILE"
+                f"{name} is described, but none of the files is of it; there are {', '.join(names)}: give {name}=FILE, "
+                f"or describe {toml_table(names[-1])}"
             )

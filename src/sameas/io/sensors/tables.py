@@ -49,7 +49,7 @@ def cells_of_csv(lines: Sequence[str], source: str) -> Cells:
     named = lines[number - 1].lstrip("# ")
     delimiter = _splits(named)
     if not delimiter:
-        raise InputError(f"{source}: line {number} does not name columns; part them by commas")
+        raise InputError(f"{source}: no format of sensors fits; as a table, its line {number} does not name columns")
     names = [name.strip() for name in next(csv.reader([named], delimiter=delimiter))]
     twice = [name for name in names if names.count(name) > 1]
     if twice:

@@ -1,0 +1,338 @@
+"""``sameas picture`` from files to files: what it finds, writes, says and refuses."""
+
+import csv
+import json
+import os
+import sys
+
+import numpy as np
+import pytest
+
+from sameas import threads
+from sameas.cli.picturing import Instants
+from sameas.io import read_table
+from sameas.io.sensors.sources import read_sources
+
+START = 1714605000.0  # 2024-05-01 23:10 UTC
+LAT, LON = 50.6, -1.0
+NORTH, EAST = 111_229.0, 70_768.0  # metres per degree there
+QUICK = "--no-map", "--no-image"
+TOML = f"""
+[sources.radar]
+kind = "marine radar"
+site = {{ lat_deg = {LAT}, lon_deg = {LON} }}
+errors = {{ range_m = 20, range_share = 0, bearing_deg = 0.3, extent_m = 0 }}
+"""
+
+
+def write(path, head, rows):
+    with open(path, "w", newline="") as file:
+        csv.writer(file).writerows([head, *rows])
+    return path
+
+
+@pytest.fixture(scope="module")
+def coast(tmp_path_factory):
+    """AIS and a radar that reads 60 m and 1° too much, of eight ships during two minutes; one ship has no AIS."""
+    folder, rng = tmp_path_factory.mktemp("coast"), np.random.default_rng(3)
+    place, speed = rng.uniform(-6e3, 6e3, (8, 2)), rng.normal(0.0, 5.0, (8, 2))
+    ais, radar = [], []
+    for t in np.arange(0.0, 120.0, 3.0):
+        east, north = (place + speed * t).T
+        distance, bearing = np.hypot(east, north), np.degrees(np.arctan2(east, north))
+        for k in np.flatnonzero(rng.random(8) < 0.9):
+            seen = distance[k] + 60 + 15 * rng.normal(), (bearing[k] + 1.0 + 0.2 * rng.normal()) % 360
+            radar.append([START + t, k + 101, *seen])
+        for k in range(7):
+            if t % 12 == 3 * (k % 4):
+                knots, course = np.hypot(*speed[k]) / 0.514444, np.degrees(np.arctan2(*speed[k])) % 360
+                spot = LAT + north[k] / NORTH, LON + east[k] / EAST
+                ais.append([START + t, 235000001 + k, *spot, knots, course, f"SHIP {k}" if k % 2 else ""])
+    write(folder / "ais.csv", ["time", "mmsi", "lat", "lon", "sog_kn", "cog_deg", "name"], ais)
+    write(folder / "radar.csv", ["time", "track_id", "range_m", "bearing_deg"], radar)
+    (folder / "sensors.toml").write_text(TOML)
+    return folder
+
+
+@pytest.fixture
+def picture(sameas, coast, tmp_path):
+    """Makes a picture of the coast; gives what was printed and the folder."""
+
+    def run(*more, files=("ais.csv", "radar.csv"), exit_code=0):
+        out = tmp_path / "out"
+        paths = [coast / name for name in files]
+        shown = sameas("picture", *paths, "-s", coast / "sensors.toml", "-o", out, *more, exit_code=exit_code)
+        return shown, out
+
+    return run
+
+
+@pytest.fixture
+def refused(refusal, coast, tmp_path):
+    """What the command says when it refuses; nothing is written."""
+
+    def run(*arguments):
+        said = refusal("picture", *arguments, "-o", tmp_path / "out", "--quiet", *QUICK)
+        assert not (tmp_path / "out").exists()
+        return said
+
+    return run
+
+
+def test_files_become_objects_tables_a_map_and_a_summary(picture):
+    shown, out = picture("--every", "10s")
+    assert sorted(os.listdir(out)) == [
+        "identities.parquet", "map.html", "objects.geojson", "objects.parquet", "picture.png", "summary.json",
+    ]  # fmt: skip
+    text = " ".join(shown.stdout.split())
+    for words in (
+        "Sources ais (ais.csv): 70 reports (table, geodetic positions), taken for ais: by its name",
+        "radar: plots under numbers or names, made tracks with velocities by a filter",
+        "Picture: 12 instants, 2024-05-01 23:10:00 to 23:11:50 UTC",
+        "objects 8 confirmed; seen: 7 by 2 sources at once, 1 by 1 alone",
+        "are expected to be put together wrongly",
+        "offset ais: taken as it is, the reference for the others offset radar: range +",
+        "% of what others show within its coverage; described: 10 % at a look",
+        "assumed radar (marine radar): coverage.range_m 44448",
+    ):
+        assert words in text, words
+    objects, records = read_table(out / "objects.parquet"), read_table(out / "identities.parquet")
+    last = objects[objects["time_s"] == objects["time_s"].max()]
+    assert len(last) == 8 and set(last["stage"]) == {"confirmed"} and np.sum(last["sources"] == "ais radar") == 7
+    assert sorted(set(last["mmsi"]) - {""}) == [str(235000001 + k) for k in range(7)]
+    # A row of the identities leads to the line of its file.
+    number_of = dict(zip(last["mmsi"], last["object"], strict=True))
+    lines = (picture_of := records[records["time_s"] == last["time_s"][0]])["line"]
+    for source, line, track, number in zip(picture_of["source"], lines, picture_of["track_id"], picture_of["object"],
+                                           strict=True):  # fmt: skip
+        if source == "radar" and track != "108":
+            assert number == number_of[str(235000001 + int(track) - 101)] and line > 1
+
+
+def test_the_summary_is_told_in_numbers_too(picture, coast):
+    _, out = picture("--every", "30s", *QUICK)
+    told = json.loads((out / "summary.json").read_text())
+    ais, radar = told["sources"]
+    assert (ais["kind_guessed"], radar["kind_guessed"]) == ("by its name", None) and ais["reports"] == 70
+    found = told["offsets"][1]
+    shift, turn = found["parameters"]["range_m"], found["parameters"]["azimuth_deg"]
+    assert found["source"] == "radar" and found["against"] == ["ais"] and found["established"]
+    assert abs(shift["value"] - 60.0) < 4.0 * shift["standard_error"] and abs(turn["value"] - 1.0) < 0.2
+    assert told["confirmed_objects_by_number_of_sources"] == [0, 1, 7] and told["unconfirmed_objects"] == 0
+    assert 7.5 < told["objects_per_instant"] <= 8.0 and told["expected_wrong_per_instant"] < 0.1
+    assert {"source": "ais", "kind": "ais", "name": "misses.q", "value": 0.2,
+            "why": "small craft carry none, and slots collide"} in told["assumed"]  # fmt: skip
+    assert told["files"] == [str(coast / "ais.csv"), str(coast / "radar.csv")] and len(told["sha256"]) == 2
+
+
+def test_tables_may_be_csv_and_say_nothing_where_nothing_is_known(picture):
+    _, out = picture("--every", "60s", "--format", "csv", *QUICK)
+    with open(out / "identities.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["bearing_deg"] for row in rows} == {""} and {row["source"] for row in rows} == {"ais", "radar"}
+    with open(out / "objects.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    silent = [row for row in rows if row["sources"] == "radar"]
+    assert silent and {row["mmsi"] for row in silent} == {""} and all(float(row["probability"]) > 0.9 for row in rows)
+
+
+def test_an_older_picture_in_the_folder_is_pointed_out(picture):
+    picture("--every", "60s", *QUICK)
+    shown, out = picture("--every", "60s", "--format", "csv", *QUICK)
+    assert f"not of this one: {out / 'objects.parquet'}, {out / 'identities.parquet'}" in shown.stderr
+
+
+def test_quiet_says_doubts_and_alarms_only(sameas, coast, tmp_path):
+    rows = [[START + t, 235000001, LAT + 0.03 * k, LON, 0.0, 0.0] for t in range(0, 60, 6) for k in (0, 1)]
+    write(tmp_path / "ais.csv", ["time", "mmsi", "lat", "lon", "sog_kn", "cog_deg"], rows)
+    shown = sameas("picture", tmp_path / "ais.csv", "-o", tmp_path / "out", "--every", "20s", "--quiet", *QUICK)
+    assert shown.stdout == ""
+    lines = [line for line in shown.stderr.splitlines() if "compiling" not in line]
+    assert lines[0].startswith("sameas: ALARM: MMSI 235000001 is shown at two places 3337 m apart (")
+    assert lines[0].endswith("from 2024-05-01 23:10:00 UTC") and " by ais line 2 and ais line 3: forged," in lines[0]
+    assert all(line.startswith(("sameas: ALARM: ", "sameas: doubt: ")) for line in lines)
+
+
+def test_the_tables_are_the_same_for_any_number_of_threads(picture, monkeypatch):
+    # Small pictures are not worth threads: here all that are allowed are used.
+    monkeypatch.setattr(threads.even, "__defaults__", (1,))
+    contents = []
+    for count in ("1", "2", "3"):
+        monkeypatch.setenv("SAMEAS_THREADS", count)
+        _, out = picture("--every", "30s", *QUICK)
+        contents.append({name: (out / name).read_bytes() for name in sorted(os.listdir(out))})
+    assert len(contents[0]) == 4 and contents[0] == contents[1] == contents[2]
+
+
+def test_the_order_of_the_files_changes_no_object(picture):
+    tables = []
+    for files in (("ais.csv", "radar.csv"), ("radar.csv", "ais.csv")):
+        _, out = picture("--every", "30s", *QUICK, files=files)
+        tables.append(read_table(out / "objects.parquet"))
+    one, two = tables
+    assert one.colnames == two.colnames and len(one) == len(two)
+    for name in one.colnames:
+        if one[name].dtype.kind == "f":
+            np.testing.assert_allclose(np.ma.filled(one[name], -1.0), np.ma.filled(two[name], -1.0), atol=1e-6)
+        else:
+            words = [[" ".join(sorted(str(cell).split())) for cell in table[name]] for table in tables]
+            assert words[0] == words[1], name
+
+
+def test_one_source_is_a_picture(sameas, coast, tmp_path):
+    shown = sameas("picture", coast / "ais.csv", "-o", tmp_path / "out", "--at", "23:11", *QUICK)
+    assert "Picture: 2024-05-01 23:11:00 UTC\n  objects               7 confirmed\n  assumed" in shown.stdout
+
+
+def test_sources_in_metres_make_no_geojson(sameas, tmp_path):
+    rows = [[t, 1 + k, 100.0 * k + 2.0 * t, 50.0] for t in range(0, 20, 2) for k in range(3)]
+    write(tmp_path / "radar.csv", ["t", "track_id", "x_m", "y_m"], rows)
+    bearings = [[t, float(np.degrees(np.arctan2(r[2] - 50.0, r[3] + 400.0)))] for r in rows for t in [r[0]]]
+    write(tmp_path / "camera.csv", ["t", "bearing_deg"], bearings)
+    (tmp_path / "s.toml").write_text(
+        "[sources.radar]\nsite = { east_m = 0, north_m = 0 }\nerrors = { position_m = 5 }\n"
+        '[sources.camera]\nkind = "camera"\nsite = { east_m = 50, north_m = -400 }\n'
+    )
+    shown = sameas("picture", tmp_path / "radar.csv", tmp_path / "camera.csv", "-s", tmp_path / "s.toml",
+                   "-o", tmp_path / "out", "--every", "6s", *QUICK)  # fmt: skip
+    # A description without a kind is of the kind that its name tells.
+    assert "taken for marine radar: by its name" in shown.stdout and "0 to 18 s" in shown.stdout
+    assert sorted(os.listdir(tmp_path / "out")) == ["identities.parquet", "objects.parquet", "summary.json"]
+    assert "3 confirmed; seen: 3 by 2 sources at once" in shown.stdout
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("", "is empty"),
+        ("time,lat,lon,mmsi\n", "names columns, but has no row that can be used"),
+        ("lat,lon,mmsi\n1,2,3\n", "no column of time among: lat, lon, mmsi; say columns={'time_s': NAME}; in a TOML "
+                                  "file given with --sensors: file = { columns = { … } } in the table of the source"),
+        ("time,lat,lon\n2024-05-01T12:00:00Z,50,1\n", "what kind of sensor is it? Neither its name nor its columns"),
+        ("time,lat,lon,mmsi\n23:10:00,50,1,235000001\n", "give start, the UTC date of the first row: --start, or"),
+        ("hello\n", "no format of sensors fits; as a table, its line 1 does not name columns"),
+        ("time,track_id,range_m,bearing_deg\n0,1,2,3\n",
+         "nothing says where the sensor is; give site = { lat_deg = …, lon_deg = … } in its description, "
+         "its table in a TOML file given with --sensors"),
+    ],
+)  # fmt: skip
+def test_files_that_cannot_be_used_are_refused_with_what_to_do(content, words, refused, coast, tmp_path):
+    (tmp_path / "told.csv").write_text(content)
+    assert words in refused(coast / "ais.csv", tmp_path / "told.csv")
+
+
+@pytest.mark.parametrize(
+    ("toml", "words"),
+    [
+        (None, "s.toml: cannot be read as TOML (No such file or directory)"),
+        ("[sources.radar", "s.toml: cannot be read as TOML (Expected ']'"),
+        (TOML.replace("radar]", "lidar]"), "lidar is described, but none of the files is of it; there are ais, radar"),
+        (TOML.replace("lon_deg", "long_deg"), "radar: 'long_deg' in site is not known; did you mean lon_deg?"),
+        (TOML.replace("= 20", '= "20 m"'), "radar: errors.range_m is '20 m'; give a number"),
+        (TOML + "file = 3\n", "sources.radar.file is 3; give a path, or { path = "),
+        (TOML + 'file = { columns = "d" }\n', "sources.radar.file.columns is 'd'; give { range_m = \"d\" }"),
+        (TOML + "file = { path = 3 }\n", "sources.radar.file.path is 3; give a text"),
+    ],
+)
+def test_descriptions_that_cannot_be_used_are_refused_with_what_to_do(toml, words, refused, coast, tmp_path):
+    if toml is not None:
+        (tmp_path / "s.toml").write_text(toml)
+    assert words in refused(coast / "ais.csv", coast / "radar.csv", "-s", tmp_path / "s.toml")
+
+
+@pytest.mark.parametrize(
+    ("when", "words"),
+    [
+        (("--at", "12:00"), "no source says anything at 2024-05-01 12:00:00 UTC; they speak from 2024-05-01 23:"),
+        (("--at", "noon"), "--at noon: give a time such as 2024-05-01T13:00:00Z, 13:00, or seconds"),
+        (("--from", "23:11", "--to", "23:10:30"), "from 2024-05-01 23:11:00 (--from 23:11) to 23:10:30 UTC (--to 23:"),
+        (("--to", "2024-05-01T20:00:00Z"), "to 20:00:00 UTC (--to 2024-05-01T20:00:00Z): it ends before it begins"),
+        (("--every", "0.0001s"), "--every 0.0001s makes 1 170 000 instants from 2024-05-01 23:10:00 to 23:11:57 UTC"),
+    ],
+)
+def test_times_that_make_no_picture_are_refused(when, words, refused, coast):
+    assert words in refused(coast / "ais.csv", coast / "radar.csv", "-s", coast / "sensors.toml", *when)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--quiet",), "say what to read: the sensors' files, or --sensors"),
+        (("a.csv", "--every", "-3s"), "'-3s' is no duration; give 10s, 2min or 1h"),
+        (("a.csv", "--every", "0s"), "'0s' is no duration"),
+        (("a.csv", "--at", "12:00", "--every", "3s"), "say --at, or --every with --from and --to, not both"),
+        (("a.csv", "--format", "fits"), "'fits' is not known"),
+    ],
+)
+def test_wrong_usage_is_told(arguments, words, sameas):
+    shown = sameas("picture", *arguments, exit_code=2)
+    assert words in " ".join(shown.stderr.replace("│", " ").split())
+
+
+def test_a_time_of_day_is_that_of_the_reports_through_midnight():
+    midnight = 1714608000.0
+    late = midnight - 600.0, midnight + 900.0
+    assert Instants(None, "23:55", None, None).of(late).tolist() == [midnight - 300.0]
+    assert Instants(None, "00:05:30", None, None).of(late).tolist() == [midnight + 330.0]
+    assert Instants(300.0, None, "23:56", "00:10").of(late).tolist() == [midnight, midnight + 300, midnight + 600]
+
+
+def test_without_a_wish_there_are_enough_instants_and_not_too_many():
+    assert len(Instants(None, None, None, None).of((START, START + 100.0))) == 101
+    for span_s in (7000.0, 86400.0, 1e7):
+        assert 100 <= len(Instants(None, None, None, None).of((START, START + span_s))) <= 202
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_the_work(refusal, coast, tmp_path):
+    (tmp_path / "file").write_text("mine")
+    said = refusal("picture", coast / "nothing.csv", "-o", tmp_path / "file")
+    assert said == f"cannot write into {tmp_path / 'file'}: file exists; give another folder"
+
+
+def test_stopped_while_it_writes_it_leaves_nothing(sameas, coast, tmp_path, monkeypatch):
+    from sameas.io import geojson
+
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(geojson, "write_geojson", stopped)
+    shown = sameas("picture", coast / "ais.csv", "-o", tmp_path / "out", "--at", "23:11", *QUICK, exit_code=130)
+    assert "stopped; nothing was written" in shown.stderr and not (tmp_path / "out").exists()
+
+
+def test_without_matplotlib_there_is_no_image_and_all_else(sameas, coast, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    shown = sameas("picture", coast / "ais.csv", "-o", tmp_path / "out", "--at", "23:11", "--no-map")
+    assert "no picture.png: " in shown.stderr and "pip install 'sameas[plots]'" in shown.stderr
+    assert "picture.png" not in os.listdir(tmp_path / "out") and "objects.parquet" in os.listdir(tmp_path / "out")
+
+
+@pytest.mark.parametrize("missing", ["pymap3d", "pyais"])
+def test_a_missing_package_is_named_with_how_to_install_it(missing, refused, coast, tmp_path, monkeypatch):
+    for name in [name for name in sys.modules if name.partition(".")[0] == missing]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, missing, None)
+    log = tmp_path / "coast.nmea"
+    log.write_text("!AIVDM,1,1,,B,15M67FC000G?ufbE`FepT@3n00Sa,0*5C\n")
+    file = log if missing == "pyais" else coast / "ais.csv"
+    assert "pip install 'sameas[targets]'" in refused(file, "--start", "2024-05-01")
+
+
+def test_damaged_lines_are_named_and_the_rest_is_used(sameas, coast, tmp_path):
+    lines = (coast / "ais.csv").read_text().splitlines()
+    lines[4], lines[9] = "ink", lines[9].replace("50.", "fifty ")
+    (tmp_path / "ais.csv").write_text("\n".join(lines) + "\n")
+    shown = sameas("picture", tmp_path / "ais.csv", "-o", tmp_path / "out", "--at", "23:11", *QUICK)
+    assert "68 reports" in shown.stdout and "1 line damaged: has not 7 cells (line 5)" in shown.stdout
+    assert "1 line damaged: lat is no number (line 10)" in shown.stdout
+    told = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert sum(told["sources"][0]["damaged"].values()) == 2
+
+
+def test_a_zero_byte_in_a_log_is_one_damaged_line(tmp_path):
+    (tmp_path / "log.nmea").write_bytes(
+        b"\\c:1714605000*50\\!AIVDM,1,1,,B,15M67FC000G?ufbE`FepT@3n00Sa,0*5C\n\x00\x01\n"
+    )
+    [source] = read_sources([tmp_path / "log.nmea"])
+    assert len(source.reports) == 1 and source.reports.damaged.lines.tolist() == [2]

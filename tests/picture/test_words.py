@@ -1,0 +1,68 @@
+"""What a picture says names records as a user finds them, and does not hide that a rival may be the more probable."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sameas.picture.picture import Picture
+from sameas.reasons import Reasons, Rival
+from sameas.tracks.reports import Reports
+from sameas.tracks.scene import Scene
+from sameas.tracks.source import Description, ErrorModel, Misses, Site
+
+
+def crossing(seed=4):
+    """Three vessels seen by a radar that numbers them and by a camera that does not; two cross in the camera's view."""
+    rng = np.random.default_rng(seed)
+    place = np.array([[-60.0, 400.0], [60.0, 420.0], [300.0, 300.0]])
+    speed = np.array([[3.0, 0.0], [-3.0, 0.0], [0.0, 2.0]])
+    plots, bearings = [], []
+    for t in np.arange(0.0, 40.0, 2.0):
+        for k, (east, north) in enumerate(place + speed * t + 3.0 * rng.normal(size=(3, 2))):
+            plots.append((t, k + 5, east, north))
+        for east, north in (place + speed * t)[rng.permutation(3)[:2]]:
+            bearings.append((t + 0.5, np.degrees(np.arctan2(east, north)) + rng.normal()))
+    time_s, number, x_m, y_m = np.transpose(plots)
+    columns = {"time_s": time_s, "track_id": number.astype(int), "x_m": x_m, "y_m": y_m}
+    radar = Reports.of("radar", "table", columns | {"line": np.arange(2, len(plots) + 2)})
+    time_s, bearing = np.transpose(bearings)
+    columns = {"time_s": time_s, "bearing_deg": bearing % 360.0, "line": np.arange(2, len(bearings) + 2)}
+    camera = Reports.of("camera", "table", columns)
+    at = Site(east_m=0.0, north_m=0.0)
+    return [
+        (Description("radar", "marine radar", site=at, errors=ErrorModel(position_m=4.0), misses=Misses(0.05)), radar),
+        (Description("camera", "camera", site=at), camera),
+    ]
+
+
+def test_explanations_name_tracks_and_lines_as_the_identities_do():
+    picture = Picture.of(Scene.of(crossing()), np.arange(1.0, 39.0, 2.0))
+    r, o = picture.records, picture.objects
+    assert picture.texts
+    for (k, number), text in picture.texts.items():
+        now = r["time_s"] == picture.instants_s[k]
+        for row in np.flatnonzero(now & (r["object"] == number)):
+            name = r["track_id"][row] or f"line {r['line'][row]}"
+            assert f"{r['source'][row]} {name}" in text.splitlines()[0]
+        shown = (o["time_s"] == picture.instants_s[k]) & (o["object"] == number)
+        better = float(np.ma.filled(o["p_runner_up"], 0.0)[shown][0]) > float(o["probability"][shown][0])
+        assert ("By itself" in text) == better
+
+
+def test_a_rival_that_is_more_probable_by_itself_is_said_to_be_so():
+    camera, radar = ("camera", "line 3"), ("radar", "5")
+    rival = Rival((radar,), 0.51, 0.0, {}, (), chosen=False)
+    chosen = Rival((camera, radar), 0.49, 3.0, {"position": 3.0}, (), chosen=True)
+    said = "By itself radar 5 is more probable; the answer is the most probable for all records together."
+    assert said in str(Reasons(2, 0, 3, True, (rival, chosen))).splitlines()
+    assert "By itself" not in str(Reasons(2, 0, 3, True, (chosen, replace(rival, probability=0.48))))
+
+
+def test_a_plot_without_a_number_is_explained_anew_at_every_look():
+    times = np.arange(1.0, 39.0, 2.0)
+    picture = Picture.of(Scene.of(crossing()), times)
+    r = picture.records
+    for k, instant_s in enumerate(times):
+        seen = r["object"][(r["time_s"] == instant_s) & (r["source"] == "camera")]
+        shared = [n for n in seen.tolist() if np.sum((r["time_s"] == instant_s) & (r["object"] == n)) > 1]
+        assert all((k, number) in picture.texts for number in shared)
