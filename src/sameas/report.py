@@ -190,14 +190,10 @@ def _fates(
 
 def _claims(claimant: NDArray[np.int32], claimed: NDArray[np.int32], result: Identification) -> int:
     """How many records are the likeliest candidate, each alone, of several records of the other side."""
-    if not len(claimant):
-        return 0
-    best = np.full(int(claimant.max()) + 1, -np.inf)
-    np.maximum.at(best, claimant, result.log_odds)
-    foremost = np.flatnonzero(result.log_odds == best[claimant])
-    first = np.full(len(best), -1)
-    first[claimant[foremost[::-1]]] = foremost[::-1]  # of several as likely, the one that is listed first
-    return int(np.count_nonzero(np.bincount(claimed[first[first >= 0]]) > 1))
+    from sameas.kernels.summary import foremost
+
+    best = foremost(claimant, int(claimant.max(initial=-1)) + 1, result.log_odds)
+    return int(np.count_nonzero(np.bincount(claimed[best[best >= 0]]) > 1))
 
 
 def _pairs(match: SkyMatch) -> list[str]:

@@ -23,3 +23,17 @@ def per_record(record, n, chosen, p_pair):
         elif second[r] < 0 or p_pair[e] > p_pair[second[r]]:
             second[r] = e
     return partner, second, count, total
+
+
+@kernel
+def foremost(position, n, value):
+    """(n,) the pair of greatest value of each record, the first of equal ones; −1 without pairs.
+
+    position : (m,) record of each pair. value : (m,).
+    """
+    best = np.full(n, -1, np.int64)
+    for e in range(len(position)):
+        k = position[e]
+        if best[k] < 0 or value[e] > value[best[k]]:
+            best[k] = e
+    return best
