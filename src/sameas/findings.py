@@ -119,10 +119,11 @@ def _completeness(curve: DetectionCurve) -> str:
 
 def _errors_in_words(estimate: Estimate) -> str:
     scales, shares = np.asarray(estimate.errors.scales), np.asarray(estimate.errors.shares)
-    if len(scales) == 1:
+    judged = "error_scale" in estimate.quantities
+    if len(scales) == 1 and not judged:
         return "taken as quoted" if scales[0] == 1.0 else f"{scales[0]:g} times the quoted ones"
     tail = float(shares[scales > 2.0].sum())
     words = f"typically {estimate.typical_scale:.2f} times the quoted ones"
-    if "error_scale" in estimate.quantities:
+    if judged:
         words += f" (their median is {estimate.quantities['error_scale']} times its due)"
     return words + (f"; more than 2 times for {percent(tail)} of the pairs" if tail > 1e-4 else "")
