@@ -85,13 +85,7 @@ def into_cells(features, covariance, turning, ends, frame, rank, base, grid, sid
     """
     first, starts, scale = grid
     x_low, x_extent = frame
-    first[0] = 0
-    most = 0
-    for z in range(len(scale)):
-        number = CELLS * (ends[z + 1] - ends[z]) + 1
-        first[z + 1] = first[z] + number
-        scale[z] = number / x_extent
-        most = max(most, number)
+    most = cut(ends, x_extent, first, scale)
     cell, order = np.empty(most, np.int32), np.empty(most, np.int32)
     fill = np.empty(most + 1, np.int32)
     guard, rows, cosine = np.empty((most, 4)), np.empty(most, np.int32), np.empty(most)
@@ -119,6 +113,19 @@ def into_cells(features, covariance, turning, ends, frame, rank, base, grid, sid
             cosines(side.guard[low:high], cosine)
     starts[-1] = base + ends[-1]
     return settled
+
+
+@part
+def cut(ends, x_extent, first, scale):
+    """Fill ``first`` (z+1,) with the first cell of every zone, ``scale`` with its cells per unit; returns the most."""
+    first[0] = 0
+    most = 0
+    for z in range(len(scale)):
+        number = CELLS * (ends[z + 1] - ends[z]) + 1
+        first[z + 1] = first[z] + number
+        scale[z] = number / x_extent
+        most = max(most, number)
+    return most
 
 
 @part
