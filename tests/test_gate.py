@@ -8,7 +8,7 @@ import pytest
 import naive
 from problems import KINDS, by_id, plane_records, shuffled, sky_records
 from sameas import Box, ChiSquare, InputError, Radius, Records, Sphere, threads
-from sameas.space import Plane
+from sameas.space import Plane, sphere_offset
 
 GATES = {
     "box": (Box(3.0), {"sigmas": 3.0}),
@@ -184,6 +184,78 @@ def test_outliers_a_billion_away_are_found_too(d):
     found = set(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True))
     assert found == naive.candidates(first, second, sigmas=3.0)
     assert {(0, 0), (1, 1), (2, 2)} <= found
+
+
+# ---- more records than a search holds at a time ----
+
+
+def by_matrix(first, second, sigmas):
+    """The pairs within so many sigmas of the distance, circles only, all measured at once."""
+    a, b = first.features, second.features
+    if isinstance(first.space, Sphere):
+        delta = sphere_offset(a[:, None, 0], a[:, None, 1], b[None, :, 0], b[None, :, 1])
+    else:
+        delta = a[:, None] - b[None]
+        for axis, period in enumerate(first.space.period_list(first.d)):
+            if math.isfinite(period):
+                delta[..., axis] -= period * np.round(delta[..., axis] / period)
+    spread = first.covariance + second.covariance[:, 0]
+    return set(zip(*(x.tolist() for x in np.nonzero((delta**2).sum(axis=2) <= sigmas**2 * spread)), strict=True))
+
+
+def some_wide(rng, n, sigma, share, factor):
+    return np.where(rng.uniform(size=n) < share, factor * sigma, sigma * rng.uniform(0.3, 1.0, n))[:, None]
+
+
+@pytest.mark.parametrize("sky", [sky for sky in SKIES if sky != "at the very pole"])
+@pytest.mark.parametrize("share", [(0.0, 0.0), (0.01, 0.0), (0.0, 0.01), (0.02, 0.01)])
+def test_skies_of_thousands_with_few_wide_errors_of_either_source(sky, share):
+    rng = np.random.default_rng([len(sky), int(1000 * sum(share))])
+    sources = []
+    for n, few in zip((700, 1000), share, strict=True):
+        features = np.column_stack(SKIES[sky](rng, n))
+        features[:50, 0] += 360.0  # the same places, a turn on
+        sources.append(Records.of(features, sigma=some_wide(rng, n, 2.0, few, 40.0), space=Sphere()))
+    pairs = Radius(3.0)(*sources)
+    found = list(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True))
+    assert len(found) == len(set(found)) > 20
+    assert set(found) == by_matrix(*sources, 3.0)
+    # Listed by place, which is one for each record.
+    assert (np.diff(pairs.place_1) >= 0).all()
+    for place, record in ((pairs.place_1, pairs.i), (pairs.place_2, pairs.j)):
+        assert len(set(zip(place.tolist(), record.tolist(), strict=True))) == len(set(place.tolist()))
+
+
+@pytest.mark.parametrize("periods", [(None, None), (1.0, None), (None, 1.0), (1.0, 1.0)])
+@pytest.mark.parametrize("wide_source", [0, 1])
+def test_one_record_may_have_more_candidates_than_are_looked_up_at_a_time(periods, wide_source):
+    rng = np.random.default_rng(4)
+    sources = []
+    for source in range(2):
+        sigma = np.full((9000 if source != wide_source else 300, 1), 1e-4)
+        if source == wide_source:
+            sigma[:3, 0] = 0.3, 0.1, 0.05
+        features = rng.uniform(0, 1, (len(sigma), 2)) * [1.0, 0.5]
+        sources.append(Records.of(features, sigma=sigma, space=Plane(periods)))
+    pairs = Radius(1.5)(*sources)
+    found = list(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True))
+    counts = np.bincount((pairs.i, pairs.j)[wide_source])
+    assert counts.max() > 4096
+    assert len(found) == len(set(found))
+    assert set(found) == by_matrix(*sources, 1.5)
+
+
+def test_fields_far_apart_and_clumps_are_searched_like_any_other():
+    rng = np.random.default_rng(6)
+    sources = []
+    for _ in range(2):
+        fields = rng.choice([0.01, 120.0, 240.0, 359.9], 2000)
+        features = np.column_stack([fields + rng.uniform(0, 0.05, 2000), 70.0 + 0.02 * rng.standard_normal(2000)])
+        features[:600] = [120.02, 70.0] + 0.0005 * rng.standard_normal((600, 2))
+        sources.append(Records.of(features, sigma=0.5, space=Sphere()))
+    pairs = Radius(3.0)(*sources)
+    assert set(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True)) == by_matrix(*sources, 3.0)
+    listed_alike(rng, *sources, gate=Radius(3.0), times=1)
 
 
 # ---- degenerate scenes ----

@@ -8,6 +8,7 @@ order of the pairs depends on what the records say, not on their rows.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
 from itertools import product
@@ -66,7 +67,7 @@ def _candidates(one: Layout, two: Layout, told: IntArray, geometry: Geometry) ->
     n, d = len(one.side.rows), len(geometry.periods)
     each = _expected(partial(kernel, *about, told[:0], *gate), one.starts[1], d)
     bounds = threads.even(n)
-    starts = [int(np.ceil(each * k)) + int(np.searchsorted(told, k << 32)) for k in bounds]
+    starts = [math.ceil(each * k) + (int(np.searchsorted(told, k << 32)) if len(told) else 0) for k in bounds]
     return _gathered(sweep, bounds, starts, partial(_room, d), len(two.side.rows))  # type: ignore[return-value]
 
 
@@ -81,7 +82,7 @@ def _told(one: Layout, two: Layout, geometry: Geometry) -> IntArray:
     for a, b in product(range(len(one.grids)), range(len(two.grids))):
         if a == b == 0:
             continue
-        if one.widest[a].max() >= two.widest[b].max():
+        if max(one.widest[a]) >= max(two.widest[b]):
             found.append(_visited(one, a, two, b, geometry))
         else:
             back = _visited(two, b, one, a, geometry)

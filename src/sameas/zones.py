@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -128,12 +129,12 @@ class Source:
             remaining, size = remaining[~wide], size[~wide]
         return [remaining, *parts[::-1]]
 
-    def widest(self, rows: Rows) -> FloatArray:
-        """(1,) or (d,) largest variances of some of the rows, or of all."""
+    def widest(self, rows: Rows, geometry: Geometry) -> tuple[float, float]:
+        """The largest variances in x and in y of some of the rows, or of all."""
         from sameas.kernels.order import extent
 
-        largest: FloatArray = extent(self.variance if len(rows) == len(self.variance) else self.variance[rows])[1]
-        return largest
+        largest = extent(self.variance if len(rows) == len(self.variance) else self.variance[rows])[1].tolist()
+        return (largest[0], largest[0]) if len(largest) == 1 else (largest[geometry.x], largest[geometry.y])
 
     def rank(self) -> NDArray[np.int64]:
         """The place of each record's id among the ids: what orders records that are equal in all else."""
@@ -213,14 +214,14 @@ class Layout:
     Attributes
     ----------
     side : all records, class after class. starts : the first place of each class, and the end.
-    zones, grids : of every class. widest : (classes, 2) largest variances in x and in y.
+    zones, grids : of every class. widest : their largest variances in x and in y.
     """
 
     side: spans.Side
     starts: list[int]
     zones: list[Zones]
     grids: list[spans.Grid]
-    widest: FloatArray
+    widest: list[tuple[float, float]]
 
     @classmethod
     def of(cls, source: Source, classes: list[Rows], extent: Extent, geometry: Geometry) -> Layout:
@@ -230,25 +231,26 @@ class Layout:
         n, width = len(source.features), source.covariance.shape[1]
         width += 0 if geometry.sphere else source.features.shape[1]
         side = Side(np.empty((0 if geometry.bare else n, width)), np.empty((n, 4)), np.empty(n, np.int32))
-        starts = np.cumsum([0, *map(len, classes)]).tolist()
-        largest = [source.widest(rows) for rows in classes]
-        widest = np.array([[v[0], v[0]] if len(v) == 1 else [v[geometry.x], v[geometry.y]] for v in largest])
-        reach = np.sqrt(geometry.opening * 2.0 * widest[:, 1])
-        zones = [Zones.of(len(rows), float(r), extent, geometry) for rows, r in zip(classes, reach, strict=True)]
+        starts = list(accumulate(map(len, classes), initial=0))
+        widest = [source.widest(rows, geometry) for rows in classes]
+        zones = [
+            Zones.of(len(rows), math.sqrt(geometry.opening * 2.0 * y), extent, geometry)
+            for rows, (_, y) in zip(classes, widest, strict=True)
+        ]
         grids = [
             _laid_out(source, rows, cut, extent, geometry, side, base)
             for rows, cut, base in zip(classes, zones, starts[:-1], strict=True)
         ]
         return cls(side, starts, zones, grids, widest)
 
-    def reach(self, which: int, visitors: FloatArray, end: int, geometry: Geometry) -> spans.Reach:
-        """How far records of variances up to ``visitors`` (2,), at places before ``end``, reach into a class."""
+    def reach(self, which: int, visitors: tuple[float, float], end: int, geometry: Geometry) -> spans.Reach:
+        """How far records of variances up to those of ``visitors``, at places before ``end``, reach into a class."""
         from sameas.kernels.spans import Reach
 
         opening = geometry.opening * (1.0 + 1e-6)
         x, y = self.widest[which]
         stretch = self.zones[which].stretch(math.sqrt(opening * (y + visitors[1])), geometry)
-        return Reach(opening, float(x), float(y), stretch, end)
+        return Reach(opening, x, y, stretch, end)
 
 
 def _laid_out(

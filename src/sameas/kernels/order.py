@@ -85,21 +85,18 @@ def into_cells(features, covariance, turning, ends, frame, rank, base, grid, sid
     """
     first, starts, scale = grid
     x_low, x_extent = frame
-    first[0] = 0
-    most = 0
-    for z in range(len(scale)):
-        number = CELLS * (ends[z + 1] - ends[z]) + 1
-        first[z + 1] = first[z] + number
-        scale[z] = number / x_extent
-        most = max(most, number)
+    most = cut(ends, x_extent, first, scale)
     cell, order = np.empty(most, np.int32), np.empty(most, np.int32)
     fill = np.empty(most + 1, np.int32)
     guard, rows, cosine = np.empty((most, 4)), np.empty(most, np.int32), np.empty(most)
     settled = True
     for z in range(len(scale)):
         low, high = ends[z], ends[z + 1]
-        guard[: high - low], rows[: high - low] = side.guard[low:high], side.rows[low:high]
         here = guard[: high - low]
+        for t in range(high - low):
+            rows[t] = side.rows[low + t]
+            for v in range(4):
+                here[t, v] = side.guard[low + t, v]
         cells = fill[: first[z + 1] - first[z] + 1]
         by_cell(here, x_low, scale[z], cell, cells, order)
         settled &= sort_cells(features, covariance, rank, rows, here, cells, order)
@@ -113,14 +110,33 @@ def into_cells(features, covariance, turning, ends, frame, rank, base, grid, sid
             side.guard[low + t, 0], side.guard[low + t, 1] = here[k, 0], here[k, 1]
             side.guard[low + t, 2], side.guard[low + t, 3] = here[k, 2], here[k, 3]
         if turning:
-            for t in range(high - low):
-                cosine[t] = side.guard[low + t, 1]
-            for t in range(high - low):
-                cosine[t] = sine(90.0 - abs(cosine[t]))
-            for t in range(high - low):
-                side.guard[low + t, 2] = cosine[t]
+            cosines(side.guard[low:high], cosine)
     starts[-1] = base + ends[-1]
     return settled
+
+
+@part
+def cut(ends, x_extent, first, scale):
+    """Fill ``first`` (z+1,) with the first cell of every zone, ``scale`` with its cells per unit; returns the most."""
+    first[0] = 0
+    most = 0
+    for z in range(len(scale)):
+        number = CELLS * (ends[z + 1] - ends[z]) + 1
+        first[z + 1] = first[z] + number
+        scale[z] = number / x_extent
+        most = max(most, number)
+    return most
+
+
+@part
+def cosines(guard, cosine):
+    """Write the cosine of y to the third column of ``guard``; by way of ``cosine``, to work on many at once."""
+    for t in range(len(guard)):
+        cosine[t] = guard[t, 1]
+    for t in range(len(guard)):
+        cosine[t] = sine(90.0 - abs(cosine[t]))
+    for t in range(len(guard)):
+        guard[t, 2] = cosine[t]
 
 
 @part
@@ -175,6 +191,7 @@ def sort_run(features, covariance, rank, rows, guard, order):
                 if guard[other, 0] == guard[one, 0]:
                     before = precedes(features, covariance, rank, rows[other], rows[one])
                     if before == 0:
+                        order[t] = one
                         return False
                     if before > 0:
                         break

@@ -87,8 +87,9 @@ def inside(grid, guard, zone, x, window):
 
 
 @part
-def across(grid, guard, zone, x, window, period):
+def across(grid, guard, zone, x, window, folds):
     """(low, high) twice of the stretches of a zone within a window that reaches over the period's end, or all round."""
+    period = 360.0 if folds is None else folds[0]
     start, stop = np.int64(grid.starts[grid.first[zone]]), np.int64(grid.starts[grid.first[zone + 1]])
     if 2.0 * window >= period:
         return start, stop, stop, stop
@@ -96,6 +97,22 @@ def across(grid, guard, zone, x, window, period):
         x -= period
     low = first_from(guard, start, stop, np.nextafter(x + window, np.inf))
     return start, low, first_from(guard, low, stop, x - window + period), stop
+
+
+@part
+def around(one, grid, reach, folds, k):
+    """What record k reaches: (first and last zone, half width of the window, opening, whether it crosses a period)."""
+    reach_y = math.sqrt(reach.opening * (one.guard[k, 3] + reach.widest_y))
+    bottom, top = zones_within(grid, one.guard[k, 1], reach_y)
+    x = one.guard[k, 0]
+    if folds is None:
+        # The nearer a pole, the wider.
+        window = reach_y * max(reach.stretch[bottom], reach.stretch[top])
+        # hav s = hav Δδ + cos δ₁ cos δ₂ hav Δα, and hav x ≥ (x/2)² (1 − 1e-4) below a degree; beyond, all are near.
+        opening = reach.opening / (1.0 - 1e-4) if window < 1.0 else np.inf
+        return bottom, top, window, opening, x < window or x + window >= 360.0
+    window = math.sqrt(reach.opening * (one.guard[k, 2] + reach.widest_x))
+    return bottom, top, window, reach.opening, folds[0] < np.inf and (x < window or x + window >= folds[0])
 
 
 @part
@@ -107,7 +124,6 @@ def near(one, two, grid, reach, folds, told, at, last, room):
     the end none.
     """
     of1, of2, _ = room
-    period = 360.0 if folds is None else folds[0]
     k, done, skip, e = at
     count = np.int64(0)
     while True:
@@ -121,44 +137,41 @@ def near(one, two, grid, reach, folds, told, at, last, room):
             k += 1
             continue
         x, y, a, b = one.guard[k, 0], one.guard[k, 1], one.guard[k, 2], one.guard[k, 3]
-        reach_y = math.sqrt(reach.opening * (b + reach.widest_y))
-        bottom, top = zones_within(grid, y, reach_y)
-        if folds is None:
-            # The nearer a pole, the wider.
-            window = reach_y * max(reach.stretch[bottom], reach.stretch[top])
-            # hav s = hav Δδ + cos δ₁ cos δ₂ hav Δα, and hav x ≥ (x/2)² (1 − 1e-4) below a degree; beyond, all pass.
-            opening = reach.opening / (1.0 - 1e-4) if window < 1.0 else np.inf
-        else:
-            window = math.sqrt(reach.opening * (a + reach.widest_x))
-            opening = reach.opening
-        crosses = period < np.inf and (x < window or x + window >= period)
+        bottom, top, window, opening, crosses = around(one, grid, reach, folds, k)
         for zone in range(bottom + done, top + 1):
             ring = zone % len(grid.scale) if grid.wraps else zone
-            if crosses:
-                p, q, r, s = across(grid, two.guard, ring, x, window, period)
-            else:
-                p, q = inside(grid, two.guard, ring, x, window)
-                if skip == 0 and q - p < min(LONG, len(of1) - count):
-                    # Numbers without a sign, so that no index has to be looked at for counting from the end.
-                    free = np.uint64(count)
-                    for c in range(np.uint64(p), np.uint64(q)):
-                        of1[free], of2[free] = k, c
-                        free += np.uint64(is_near(two.guard, c, x, y, a, b, opening, folds))
-                    count = np.int64(free)
-                    continue
-                r, s = q, q
-            both = q - p + s - r
-            while skip < both and (count == 0 or both - skip <= len(of1) - count):
-                # One stretch after the other, piece by piece: what is longer than the room fits in it when it is empty.
-                low, high = (p + skip, q) if skip < q - p else (r + skip - (q - p), s)
-                high = min(high, low + len(of1) - count)
-                skip += high - low
-                count = near_in(one.guard, two.guard, folds, opening, k, low, high, room, count)
-            if skip < both:
-                return count, (k, zone - bottom, skip, e)
-            skip = np.int64(0)
+            p, q = inside(grid, two.guard, ring, x, window)
+            if not crosses and skip == 0 and q - p < min(LONG, len(of1) - count):
+                # Numbers without a sign, so that no index has to be looked at for counting from the end.
+                free = np.uint64(count)
+                for c in range(np.uint64(p), np.uint64(q)):
+                    of1[free], of2[free] = k, c
+                    free += np.uint64(is_near(two.guard, c, x, y, a, b, opening, folds))
+                count = np.int64(free)
+                continue
+            ends = across(grid, two.guard, ring, x, window, folds) if crosses else (p, q, q, q)
+            count, skip = piecewise(one.guard, two.guard, folds, opening, k, ends, skip, room, count)
+            if skip > 0:
+                return count, (k, zone - bottom, skip - 1, e)
         k += 1
         done = 0
+
+
+@part
+def piecewise(guard1, guard2, folds, opening, k, ends, skip, room, count):
+    """Two stretches, one after the other, from record ``skip`` of them on; returns (pairs, 0), or, when of1 is full
+    before their end, (pairs, 1 + records done).
+
+    Piece by piece: what is longer than the room fits in it when it is empty.
+    """
+    p, q, r, s = ends
+    both = q - p + s - r
+    while skip < both and (count == 0 or both - skip <= len(room[0]) - count):
+        low, high = (p + skip, q) if skip < q - p else (r + skip - (q - p), s)
+        high = min(high, low + len(room[0]) - count)
+        skip += high - low
+        count = near_in(guard1, guard2, folds, opening, k, low, high, room, count)
+    return (count, skip + 1) if skip < both else (count, np.int64(0))
 
 
 @part
