@@ -66,7 +66,7 @@ class Bench:
         return Work(f"benchmarks.peers:{name}", {"folder": folder}, runs, self.slow_s, python=python)
 
     def limit(self, seconds: float | None) -> float | None:
-        """What issue 3 asks, where the rows are those it speaks of."""
+        """What the plan asks, where the rows are those it speaks of."""
         return seconds if self.rows == FULL else None
 
     def factor(self, times: float) -> float | None:

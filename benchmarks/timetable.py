@@ -28,7 +28,7 @@ Beside = tuple[str, Work | str]
 
 @dataclass(frozen=True)
 class Row:
-    """what : what is done. ours : our work. beside : the peers. at_most_s : what issue 3 asks, or None.
+    """what : what is done. ours : our work. beside : the peers. at_most_s : what the plan asks, or None.
 
     at_least : how many times faster than the first peer it must be, or None. share : the quantile that is judged
     (0.5 the median, 0.99 for p99).
