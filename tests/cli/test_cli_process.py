@@ -19,24 +19,19 @@ def test_ctrl_c_says_so_in_one_line_and_leaves_nothing(tmp_path, field_files):
     pipe = tmp_path / "never.csv"
     os.mkfifo(pipe)
     arguments = [*COMMAND, "match", field_files[0], str(pipe), "-o", str(tmp_path / "o.fits")]
-    process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+                               preexec_fn=_interruptible)  # fmt: skip
     assert process.stdout.readline().startswith("First catalogue")  # it now waits for the second one
-    said = _pressed_until_it_ends(process)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60)
     assert process.returncode == 130
     assert said == "sameas: stopped; nothing was written\n"
     assert [entry.name for entry in tmp_path.iterdir()] == ["never.csv"]
 
 
-def _pressed_until_it_ends(process):
-    """What it says on standard error. A signal that comes just before a blocking system call waits for the next one."""
-    for _ in range(10):
-        process.send_signal(signal.SIGINT)
-        try:
-            return process.communicate(timeout=10)[1]
-        except subprocess.TimeoutExpired:
-            pass
-    process.kill()
-    return process.communicate()[1]
+def _interruptible():
+    """Undo what a shell does to jobs in the background: they ignore Ctrl-C, and so would the command."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def test_a_full_disk_leaves_no_half_written_file(tmp_path, field_files):
