@@ -1,6 +1,7 @@
 """The gate finds the pairs that brute force finds, with the same numbers, in an order that knows no rows."""
 
 import math
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -18,6 +19,12 @@ GATES = {
 }
 
 
+def laid_out(first, second, gate):
+    """The candidates as the search of many records finds them, which lays both sources out first."""
+    with mock.patch("sameas.search.FEW_RECORDS", 0):
+        return gate(first, second)
+
+
 def brute_force(first, second, gate, definition):
     if definition is not None:
         return naive.candidates(first, second, **definition)
@@ -31,11 +38,18 @@ def brute_force(first, second, gate, definition):
 
 def judge(first, second, gate=GATES["box"][0], definition=GATES["box"][1], least=1):
     """The candidates are those of the definition, each once, and carry its residual, Σ, Δᵀ Σ⁻¹ Δ and |Σ|."""
-    pairs = gate(first, second)
+    expected = brute_force(first, second, gate, definition)
+    assert len(expected) >= least
+    for pairs in (laid_out(first, second, gate), gate(first, second)):
+        _judged(pairs, expected)
+    return pairs
+
+
+def _judged(pairs, expected):
+    first, second = pairs.first, pairs.second
     found = list(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True))
     assert len(found) == len(set(found))
-    assert set(found) == brute_force(first, second, gate, definition)
-    assert len(found) >= least
+    assert set(found) == expected
     for e, (i, j) in enumerate(found[:300]):
         delta, cov = naive.residual(first, i, second, j)
         size = math.sqrt(np.trace(cov))
@@ -43,7 +57,6 @@ def judge(first, second, gate=GATES["box"][0], definition=GATES["box"][1], least
         np.testing.assert_allclose(pairs.covariance[e], cov, rtol=1e-9, atol=1e-12 * size**2)
         assert pairs.determinant[e] == pytest.approx(np.linalg.det(cov), rel=1e-9)
         assert pairs.mahalanobis_sq[e] == pytest.approx(naive.mahalanobis(delta, cov), rel=1e-8, abs=1e-9)
-    return pairs
 
 
 # ---- in a plane ----
@@ -317,10 +330,11 @@ def test_threads_do_not_change_a_digit(monkeypatch, sky):
 
 
 def listed_alike(rng, first, second, gate=GATES["box"][0], times=4):
-    expected = by_id(gate(first, second))
-    assert len(expected) > 1
-    for _ in range(times):
-        assert by_id(gate(shuffled(rng, first), shuffled(rng, second))) == expected
+    for search in (lambda *sources: laid_out(*sources, gate), gate):
+        expected = by_id(search(first, second))
+        assert len(expected) > 1
+        for _ in range(times):
+            assert by_id(search(shuffled(rng, first), shuffled(rng, second))) == expected
 
 
 @pytest.mark.parametrize("d", [1, 2, 3])

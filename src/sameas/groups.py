@@ -47,17 +47,17 @@ class Groups:
     @property
     def sizes_1(self) -> IntArray:
         """(g,) number of records of source 1 in each group."""
-        return np.diff(self.start_1)
+        return self.start_1[1:] - self.start_1[:-1]
 
     @property
     def sizes_2(self) -> IntArray:
         """(g,) number of records of source 2 in each group."""
-        return np.diff(self.start_2)
+        return self.start_2[1:] - self.start_2[:-1]
 
     @property
     def pair_counts(self) -> IntArray:
         """(g,) number of candidate pairs in each group."""
-        return np.diff(self.start)
+        return self.start[1:] - self.start[:-1]
 
     @cached_property
     def group(self) -> IntArray:

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from sameas import threads
 from sameas.records import FloatArray, IntArray, Records
-from sameas.zones import Extent, Geometry, Layout, Source
+from sameas.space import Plane
+from sameas.zones import FEW_RECORDS, Extent, Geometry, Layout, Source
 
 #: Records in a row whose candidates are counted to know how much room all need.
 SAMPLE = 128
@@ -37,6 +38,9 @@ def search(first: Records, second: Records, limit: float, box: bool) -> Columns:
     """All pairs with Δᵀ Σ⁻¹ Δ ≤ limit (or, with ``box``, Δ_v² ≤ limit·Σ_vv in every feature v)."""
     if not len(first) or not len(second):
         return _room(first.d, 0)
+    found = _each_with_each(first, second, limit, box)
+    if found is not None:
+        return found
     geometry = Geometry.of(first, second, limit, box)
     sources = Source.of(first, geometry), Source.of(second, geometry)
     extent = Extent.of(sources, geometry)
@@ -47,6 +51,19 @@ def search(first: Records, second: Records, limit: float, box: bool) -> Columns:
         len(first) + len(second),
     )
     return _candidates(one, two, _told(one, two, geometry), geometry)
+
+
+def _each_with_each(first: Records, second: Records, limit: float, box: bool) -> Columns | None:
+    """All pairs of few records on a plane; None where there are many, or some say exactly the same."""
+    n = len(first) + len(second)
+    if n > FEW_RECORDS or not isinstance(first.space, Plane):
+        return None
+    from sameas.kernels.few import sweep_few
+
+    out = _room(first.d, 4 * n)
+    periods = np.array(first.space.period_list(first.d))
+    found = sweep_few(first.features, first.covariance, second.features, second.covariance, limit, box, periods, out)
+    return None if found < 0 else tuple(column[:found] for column in out)  # type: ignore[return-value]
 
 
 def _candidates(one: Layout, two: Layout, told: IntArray, geometry: Geometry) -> Columns:
