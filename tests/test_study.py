@@ -21,8 +21,8 @@ from sameas.study.contenders import (
     Close,
     Constant,
     Enumerated,
+    Identified,
     Known,
-    MostProbable,
     Nothing,
     Uniform,
     Verdict,
@@ -58,8 +58,8 @@ def pairs_of(verdict):
 def test_all_at_once_is_one_by_one(name):
     formation = FORMATIONS[name]
     scenes = drawn(formation)
-    rules = [MostProbable("close", Close()), MostProbable("uniform", Uniform()),
-             MostProbable("constant", Constant(), Nothing(), experiments.OPEN_GATE)]  # fmt: skip
+    rules = [Identified("close", Close()), Identified("uniform", Uniform()),
+             Identified("constant", Constant(), Nothing(), experiments.OPEN_GATE)]  # fmt: skip
     for contender in rules:
         verdict = contender(scenes, formation)
         claimed, certain = [], {}
@@ -108,7 +108,7 @@ def test_sources_miss_and_err_as_told():
 
 
 def test_a_run_of_more_scenes_repeats_a_shorter_one():
-    point = trial.Point("x", "five", FIVE, (MostProbable("close", Close()),))
+    point = trial.Point("x", "five", FIVE, (Identified("close", Close()),))
     one, two, both = (trial.tallies(point, blocks)[0] for blocks in ([0], [1], [0, 1]))
     np.testing.assert_array_equal(both.total, one.total + two.total)
     assert not np.array_equal(one.total, two.total)
@@ -134,7 +134,7 @@ def test_refusals(make, words):
 
 def test_a_tally_is_what_the_scores_say_scene_by_scene():
     scenes = drawn(FIVE, 30)
-    verdict = MostProbable("close", Close())(scenes, FIVE)
+    verdict = Identified("close", Close())(scenes, FIVE)
     figures = count(scenes, verdict).figures()
     right, whole, total, distance = 0, 0, 0, []
     for scene in range(len(scenes)):
@@ -166,7 +166,7 @@ def test_a_tally_is_what_the_scores_say_scene_by_scene():
 
 
 def test_standard_errors_are_those_of_repetition():
-    contender = MostProbable("close", Close())
+    contender = Identified("close", Close())
     figures = [count(s, contender(s, FIVE)).figures() for s in (drawn(FIVE, 100, seed) for seed in range(120))]
     for name in ("right", "whole", "wrong pairs"):
         spread = np.std([f[name].value for f in figures], ddof=1)
@@ -184,7 +184,7 @@ def test_many_to_one_answers_wrong_the_record_that_is_named_twice():
 
 
 def test_a_lead_is_the_difference_of_two_rules_with_the_error_of_the_difference():
-    point = trial.Point("x", "lead", FIVE, (MostProbable("close", Close()), MostProbable("uniform", Uniform())))
+    point = trial.Point("x", "lead", FIVE, (Identified("close", Close()), Identified("uniform", Uniform())))
     close, uniform = (t.figures() for t in trial.tallies(point, [0]))
     assert close["lead"] == Ratio(0.0, 0.0)
     assert uniform["lead"].value == pytest.approx(uniform["right"].value - close["right"].value)
@@ -203,7 +203,7 @@ def test_enumeration_decides_as_the_assignment_does():
     for formation in (FIVE, FORMATIONS["grid"]):
         scenes = drawn(formation, 30)
         assert pairs_of(Enumerated("all", Close())(scenes, formation)) == pairs_of(
-            MostProbable("close", Close())(scenes, formation)
+            Identified("close", Close())(scenes, formation)
         )
 
 
@@ -212,7 +212,7 @@ def test_who_knows_the_formation_decides_best():
     scenes = drawn(formation, 1500)
     shares = {
         c.name: count(scenes, c(scenes, formation)).figures()["right"].value
-        for c in (*line_up(formation)[:7], MostProbable("known", Known()))
+        for c in (*line_up(formation)[:7], Identified("known", Known()))
     }
     assert max(shares, key=shares.get) == "known"
     assert shares["close objects"] > shares["independent Bayes"] + 0.08
@@ -382,7 +382,7 @@ def test_one_experiment_alone_writes_its_tables_and_no_page(small, tmp_path):
 
 
 def test_processes_change_nothing(monkeypatch):
-    point = trial.Point("x", "processes", FIVE, (MostProbable("close", Close()),))
+    point = trial.Point("x", "processes", FIVE, (Identified("close", Close()),))
     monkeypatch.setattr(trial, "PIECE", trial.BLOCK)
     outcomes = []
     for cores in ("1", "2"):

@@ -8,7 +8,7 @@ import numpy as np
 
 from sameas.kernels.compiled import kernel, part
 from sameas.kernels.plane import add_spread, measured_on_plane
-from sameas.kernels.spans import Side
+from sameas.kernels.spans import Side, first_from
 
 
 @kernel
@@ -31,7 +31,7 @@ def sweep_few(features1, packed1, features2, packed2, limit, box, periods, out):
         x = one.content[k, 0]
         reach = math.sqrt(enough * (variance1[k, 0] + widest)) if periods[0] == np.inf else np.inf
         found = 0
-        for q in range(_first_from(two.content, x - reach), n2):
+        for q in range(first_from(two.content, 0, n2, x - reach), n2):
             if two.content[q, 0] > x + reach:
                 break
             of1[found], of2[found] = k, q
@@ -64,19 +64,6 @@ def _along_axes(content, d):
         for v in range(d):
             variance[k, v] = matrix[v, v]
     return variance
-
-
-@part
-def _first_from(content, x):
-    """The first of some records in order whose first feature is not below x."""
-    start, stop = 0, len(content)
-    while start < stop:
-        middle = (start + stop) // 2
-        if content[middle, 0] < x:
-            start = middle + 1
-        else:
-            stop = middle
-    return start
 
 
 @part

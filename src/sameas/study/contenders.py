@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import Protocol
 
 import numpy as np
@@ -23,6 +24,7 @@ from sameas.identify import identify
 from sameas.older import classified, enumerated, most_pairs, mutual_nearest, nearest
 from sameas.prior import CommonObjects, PerPair, Prior
 from sameas.records import FloatArray, IntArray, Records
+from sameas.result import Identification
 from sameas.study.scenes import Formation, Lattice, Scenes
 
 Gate = Callable[[Records, Records], Pairs]
@@ -128,33 +130,22 @@ class Nothing:
 
 
 @dataclass(frozen=True)
-class MostProbable:
-    """The most probable one-to-one hypothesis under a rule and a prior, with probabilities: ``identify``."""
+class Identified:
+    """What ``identify`` says under a rule and a prior, with probabilities.
+
+    decide : the pairs (m,) taken of it; the most probable one-to-one hypothesis unless told otherwise.
+    """
 
     name: str
     rule: Callable[[Scenes, Formation], Rule]
     prior: Callable[[Formation], Prior] = field(default_factory=Counted)
     gate: Gate = PAPERS_GATE
+    decide: Callable[[Identification], NDArray[np.bool_]] = attrgetter("chosen")
 
     def __call__(self, scenes: Scenes, formation: Formation) -> Verdict:
         found = identify(*scenes.sources[:2], rule=self.rule(scenes, formation), prior=self.prior(formation),
                          gate=self.gate)  # fmt: skip
-        return _verdict(found.pairs, found.chosen, found.p_pair)
-
-
-@dataclass(frozen=True)
-class MostRight:
-    """The one-to-one decision with most records expected to be right, from the same probabilities."""
-
-    name: str
-    rule: Callable[[Scenes, Formation], Rule]
-    prior: Callable[[Formation], Prior] = field(default_factory=Counted)
-    gate: Gate = PAPERS_GATE
-
-    def __call__(self, scenes: Scenes, formation: Formation) -> Verdict:
-        found = identify(*scenes.sources[:2], rule=self.rule(scenes, formation), prior=self.prior(formation),
-                         gate=self.gate)  # fmt: skip
-        return _verdict(found.pairs, most_right(found).chosen, found.p_pair)
+        return _verdict(found.pairs, self.decide(found), found.p_pair)
 
 
 @dataclass(frozen=True)
@@ -174,39 +165,21 @@ class Enumerated:
 
 
 @dataclass(frozen=True)
-class MostPairs:
-    """k = min(N₁, N₂) pairs of least Σ ΔᵀΣ⁻¹Δ in every group [T3]."""
+class Measured:
+    """A way that looks at the distances of the pairs and at nothing else; ``choose`` gives those it takes, (m,)."""
 
-    name: str = "k = min"
+    name: str
+    choose: Callable[[Pairs], NDArray[np.bool_]]
     gate: Gate = PAPERS_GATE
 
     def __call__(self, scenes: Scenes, formation: Formation) -> Verdict:
         pairs = self.gate(*scenes.sources[:2])
-        return _verdict(pairs, most_pairs(pairs, groups(pairs)))
+        return _verdict(pairs, self.choose(pairs))
 
 
-@dataclass(frozen=True)
-class Nearest:
-    """For each record of source 1 its nearest candidate; a record of source 2 may be named twice."""
-
-    name: str = "nearest"
-    gate: Gate = PAPERS_GATE
-
-    def __call__(self, scenes: Scenes, formation: Formation) -> Verdict:
-        pairs = self.gate(*scenes.sources[:2])
-        return _verdict(pairs, nearest(pairs))
-
-
-@dataclass(frozen=True)
-class MutualNearest:
-    """Pairs that are each other's nearest candidates."""
-
-    name: str = "mutual nearest"
-    gate: Gate = PAPERS_GATE
-
-    def __call__(self, scenes: Scenes, formation: Formation) -> Verdict:
-        pairs = self.gate(*scenes.sources[:2])
-        return _verdict(pairs, mutual_nearest(pairs))
+def most_pairs_of_groups(pairs: Pairs) -> NDArray[np.bool_]:
+    """(m,) k = min(N₁, N₂) pairs of least Σ ΔᵀΣ⁻¹Δ in every group [T3]."""
+    return most_pairs(pairs, groups(pairs))
 
 
 @dataclass(frozen=True)
@@ -221,6 +194,11 @@ class Independent:
         return _verdict(pairs, classified(pairs, Constant()(scenes, formation)(pairs).log_ratio))
 
 
+def _most_right(found: Identification) -> NDArray[np.bool_]:
+    """The decision with most records expected to be right."""
+    return most_right(found).chosen
+
+
 def _verdict(pairs: Pairs, chosen: NDArray[np.bool_], p: FloatArray | None = None) -> Verdict:
     i, j = pairs.i.astype(np.int64), pairs.j.astype(np.int64)
     return Verdict(i[chosen], j[chosen], None if p is None else (i, j, p))
@@ -229,16 +207,16 @@ def _verdict(pairs: Pairs, chosen: NDArray[np.bool_], p: FloatArray | None = Non
 def line_up(formation: Formation) -> tuple[Contender, ...]:
     """The contenders of the main comparison that a formation allows, ours first."""
     chosen: list[Contender] = [
-        MostProbable("close objects", Close()),
-        MostProbable("close objects, linear prior", Close(), Counted(linear=True)),
-        MostRight("close objects, most right", Close()),
-        MostProbable("uniform", Uniform()),
-        MostProbable("constant C", Constant(), Nothing()),
+        Identified("close objects", Close()),
+        Identified("close objects, linear prior", Close(), Counted(linear=True)),
+        Identified("close objects, most right", Close(), decide=_most_right),
+        Identified("uniform", Uniform()),
+        Identified("constant C", Constant(), Nothing()),
         Independent(),
-        MostPairs(),
-        MutualNearest(),
-        Nearest(),
+        Measured("k = min", most_pairs_of_groups),
+        Measured("mutual nearest", mutual_nearest),
+        Measured("nearest", nearest),
     ]
     if isinstance(formation, Lattice) and formation.targets > 1:
-        chosen.append(MostProbable("universal, formation known", Known()))
+        chosen.append(Identified("universal, formation known", Known()))
     return tuple(chosen)

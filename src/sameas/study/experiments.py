@@ -23,11 +23,12 @@ from sameas.study.contenders import (
     Counted,
     Enumerated,
     Gate,
-    MostPairs,
-    MostProbable,
+    Identified,
+    Measured,
     Nothing,
     Uniform,
     line_up,
+    most_pairs_of_groups,
 )  # fmt: skip
 from sameas.study.reach import EstimatedReach
 from sameas.study.scenes import EQUAL, UNEQUAL, Formation, Lattice, Scatter
@@ -97,13 +98,11 @@ def formations() -> list[Point]:
 def wrong() -> list[Point]:
     """Rules that are told a wrong C, b or q, all on the same scenes: a line of five, d = 3, q = 0.4."""
     formation = Lattice(FIVE, 3.0, (0.4, 0.4))
-    told: dict[str, list[Contender]] = {
-        what: [MostProbable(RIGHT, Close(), gate=OPEN_GATE)] for what in ("C", "b", "q")
-    }
+    told: dict[str, list[Contender]] = {what: [Identified(RIGHT, Close(), gate=OPEN_GATE)] for what in ("C", "b", "q")}
     for suffix, gate in GATES.items():
-        told["C"] += [MostProbable(f"C × {f:g}{suffix}", Constant(f), Nothing(), gate) for f in C_FACTORS]
-        told["b"] += [MostProbable(f"b × {f:g}{suffix}", Close(f), gate=gate) for f in B_FACTORS]
-        told["q"] += [MostProbable(f"q × {f:g}{suffix}", Close(), Counted(f), gate) for f in Q_FACTORS]
+        told["C"] += [Identified(f"C × {f:g}{suffix}", Constant(f), Nothing(), gate) for f in C_FACTORS]
+        told["b"] += [Identified(f"b × {f:g}{suffix}", Close(f), gate=gate) for f in B_FACTORS]
+        told["q"] += [Identified(f"q × {f:g}{suffix}", Close(), Counted(f), gate) for f in Q_FACTORS]
         told["b"].append(EstimatedReach(f"b estimated{suffix}", gate=gate))
     return [Point("wrong", what, formation, tuple(contenders), scenes_of="wrong") for what, contenders in told.items()]
 
@@ -111,7 +110,7 @@ def wrong() -> list[Point]:
 def claims() -> list[Point]:
     """The papers' own figures; without a gate where theirs can only be had so."""
     points = []
-    ours = (MostProbable("close objects", Close()), MostProbable("close objects, no gate", Close(), gate=OPEN_GATE))
+    ours = (Identified("close objects", Close()), Identified("close objects, no gate", Close(), gate=OPEN_GATE))
     for shape, several_q in ((TWO, (0.2, 0.4)), (FIVE, (0.05, 0.1))):
         for q in several_q:
             for d in (1.6, 1.9):
@@ -120,13 +119,13 @@ def claims() -> list[Point]:
     rules: list[Contender] = []
     for suffix, gate in GATES.items():
         rules += [
-            MostProbable(f"close objects{suffix}", Close(), gate=gate),
-            MostProbable(f"close objects, generalized Gaussian{suffix}", Close(approximation="generalized Gaussian"),
+            Identified(f"close objects{suffix}", Close(), gate=gate),
+            Identified(f"close objects, generalized Gaussian{suffix}", Close(approximation="generalized Gaussian"),
                          gate=gate),
-            MostProbable(f"uniform{suffix}", Uniform(), gate=gate),
-            MostPairs(f"k = min{suffix}", gate),
+            Identified(f"uniform{suffix}", Uniform(), gate=gate),
+            Measured(f"k = min{suffix}", most_pairs_of_groups, gate),
         ]  # fmt: skip
-    rules.append(MostProbable(f"uniform, box by a record's σ{suffix}", Uniform(RECORD), gate=gate))
+    rules.append(Identified(f"uniform, box by a record's σ{suffix}", Uniform(RECORD), gate=gate))
     points.append(Point("claims", "2 targets, d 3, q 0.5", Lattice(TWO, 3.0, (0.5, 0.5)), tuple(rules)))
     return points
 
