@@ -208,44 +208,28 @@ class Identification:
         return self.groups.of_pairs()
 
     def _answers(self, records: Records, position: NDArray[np.int32], other_rows: IntArray) -> Answers:
-        from sameas.kernels.summary import per_record
+        from sameas.kernels.summary import by_row, per_record
 
-        n = len(records)
-        partner, second, count, total = per_record(position, n, self.chosen, self.p_pair)
-        some_pair = np.maximum(partner, second)
-        # Without any pair there is nothing to take from; what stands at −1, the last, is masked below.
-        p, other, group_of = (x if len(x) else np.zeros(1, x.dtype) for x in (self.p_pair, other_rows, self._group_of))
-        group = group_of[some_pair]
-        size = self.groups.sizes_1 + self.groups.sizes_2 if len(self.groups) else np.zeros(1, np.int64)
-        table = _Table(records)
-        # 1 − Σ p is the probability of no partner; rounding must not make it negative.
+        told = per_record(position, len(records), self.chosen, self.p_pair)
+        size = self.groups.sizes_1 + self.groups.sizes_2
+        n = records.n_table
+        rows = tuple(np.zeros(n, np.int64) for _ in range(3))
+        shares = tuple(np.zeros(n) for _ in range(3))
+        counts = np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n, np.int64)
+        alone, no_other, no_group, unusable = absent = tuple(np.ones(n, np.bool_) for _ in range(4))
+        by_row(records.rows, told, (self.p_pair, other_rows, self._group_of, size), rows, shares, counts, absent)
+        partner, pair, second = rows
+        p_match, p_none, p_second = shares
+        candidates, group, group_size = counts
         return Answers(
-            partner=table(other[partner], partner < 0),
-            pair=table(partner, partner < 0),
-            p_match=table(p[partner], partner < 0),
-            p_none=table(np.clip(1.0 - total, 0.0, 1.0), np.zeros(n, bool)),
-            second=table(other[second], second < 0),
-            p_second=table(p[second], second < 0),
-            candidates=table(count, np.zeros(n, bool)),
-            group=table(group, some_pair < 0),
-            group_size=table(size[group], some_pair < 0),
-            usable=table.usable,
+            partner=np.ma.MaskedArray(partner, alone),
+            pair=np.ma.MaskedArray(pair, alone),
+            p_match=np.ma.MaskedArray(p_match, alone),
+            p_none=np.ma.MaskedArray(p_none, unusable),
+            second=np.ma.MaskedArray(second, no_other),
+            p_second=np.ma.MaskedArray(p_second, no_other),
+            candidates=np.ma.MaskedArray(candidates, unusable),
+            group=np.ma.MaskedArray(group, no_group),
+            group_size=np.ma.MaskedArray(group_size, no_group),
+            usable=~unusable,
         )
-
-
-class _Table:
-    """Spreads values of the usable records over the rows of their table."""
-
-    def __init__(self, records: Records) -> None:
-        self.rows = records.rows
-        self.usable = np.zeros(records.n_table, np.bool_)
-        self.usable[records.rows] = True
-
-    def __call__(self, values: NDArray[Any], absent: NDArray[np.bool_]) -> np.ma.MaskedArray:
-        if len(self.rows) == len(self.usable):
-            return np.ma.MaskedArray(np.where(absent, np.zeros((), values.dtype), values), absent)
-        column = np.zeros(len(self.usable), values.dtype)
-        mask = np.ones(len(self.usable), np.bool_)
-        column[self.rows] = np.where(absent, np.zeros((), values.dtype), values)
-        mask[self.rows] = absent
-        return np.ma.MaskedArray(column, mask)
