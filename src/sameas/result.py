@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sameas import threads
 from sameas.assignment import Hypothesis
 from sameas.chisquare import quantile
 from sameas.errors import InputError
@@ -127,20 +128,29 @@ class Identification:
         of_row = np.full(self.first.n_table, -1)
         of_row[self.rows_1[pair]] = pair
         pair = of_row[of_row >= 0]
-        return Matches(
-            self.rows_1[pair], self.rows_2[pair], pair, self.p_pair[pair], self.log_odds[pair],
-            self.pairs.residual[pair], np.sqrt(self.pairs.mahalanobis_sq[pair]),
-        )  # fmt: skip
+        columns = (self.rows_1, self.rows_2, self.p_pair, self.log_odds, self.pairs.residual, self.pairs.mahalanobis_sq)
+        rows_1, rows_2, p_match, log_odds, residual, distance_sq = threads.each(
+            [partial(np.take, column, pair, axis=0) for column in columns], len(pair)
+        )
+        return Matches(rows_1, rows_2, pair, p_match, log_odds, residual, np.sqrt(distance_sq, out=distance_sq))
 
-    @cached_property
+    @property
     def answers_1(self) -> Answers:
         """What became of every row of source 1."""
-        return self._answers(self.first, self.pairs.i, self.rows_2)
+        return self._both_answers[0]
 
-    @cached_property
+    @property
     def answers_2(self) -> Answers:
         """What became of every row of source 2."""
-        return self._answers(self.second, self.pairs.j, self.rows_1)
+        return self._both_answers[1]
+
+    @cached_property
+    def _both_answers(self) -> tuple[Answers, Answers]:
+        sides = (self.first, self.pairs.i, self.rows_2), (self.second, self.pairs.j, self.rows_1)
+        # What both need is there before they are made side by side.
+        shared = self.chosen, self._group_of, self.groups.sizes_1 + self.groups.sizes_2
+        one, two = threads.each([partial(self._answers, *side, *shared) for side in sides], len(self.pairs))
+        return one, two
 
     @property
     def leftovers_1(self) -> IntArray:
@@ -207,17 +217,19 @@ class Identification:
         """(m,) group of each candidate, in the order of the gate."""
         return self.groups.of_pairs()
 
-    def _answers(self, records: Records, position: NDArray[np.int32], other_rows: IntArray) -> Answers:
+    def _answers(
+        self, records: Records, position: NDArray[np.int32], other_rows: IntArray,
+        chosen: NDArray[np.bool_], group_of: NDArray[np.int32], size: IntArray,
+    ) -> Answers:  # fmt: skip
         from sameas.kernels.summary import by_row, per_record
 
-        told = per_record(position, len(records), self.chosen, self.p_pair)
-        size = self.groups.sizes_1 + self.groups.sizes_2
+        told = per_record(position, len(records), chosen, self.p_pair)
         n = records.n_table
         rows = tuple(np.zeros(n, np.int64) for _ in range(3))
         shares = tuple(np.zeros(n) for _ in range(3))
         counts = np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n, np.int64)
         alone, no_other, no_group, unusable = absent = tuple(np.ones(n, np.bool_) for _ in range(4))
-        by_row(records.rows, told, (self.p_pair, other_rows, self._group_of, size), rows, shares, counts, absent)
+        by_row(records.rows, told, (self.p_pair, other_rows, group_of, size), rows, shares, counts, absent)
         partner, pair, second = rows
         p_match, p_none, p_second = shares
         candidates, group, group_size = counts

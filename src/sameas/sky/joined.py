@@ -191,7 +191,7 @@ class _Told:
         """The added columns, by name."""
         result, n = self.match.result, len(self.rows.one)
         # Asked for here, so that they are there when several columns are made side by side.
-        threads.each([lambda: result.answers_1, lambda: result.answers_2], n)
+        _ = result.answers_1, result.log_odds, self.rows.absent, self.rows.mine
         works: dict[str, Callable[[], np.ma.MaskedArray]] = {
             "mahalanobis": lambda: self._of_pair(result.pairs.mahalanobis_sq, np.sqrt),
             "log_odds": lambda: self._of_pair(result.log_odds),

@@ -28,7 +28,7 @@ PLACES = 48
 #: Rounds at most, and the part of a typical error of its own that a last step may move the catalogue by.
 ROUNDS, SETTLED = 8, 0.05
 #: Pairs less probable than this do not speak; of many, so many do.
-UNLIKELY, MANY = 0.01, 100_000
+UNLIKELY, MANY = 0.01, 30_000
 #: A turn that nobody asked for is told from so many of its errors on, and where it moves a pair by so much of its own.
 TOLD, MATTERS = 5.0, 0.3
 
