@@ -126,13 +126,15 @@ class Identification:
         """The identified pairs."""
         pair = np.flatnonzero(self.chosen)
         of_row = np.full(self.first.n_table, -1)
-        of_row[self.rows_1[pair]] = pair
+        of_row[self.first.rows[self.pairs.i[pair]]] = pair
         pair = of_row[of_row >= 0]
-        columns = (self.rows_1, self.rows_2, self.p_pair, self.log_odds, self.pairs.residual, self.pairs.mahalanobis_sq)
-        rows_1, rows_2, p_match, log_odds, residual, distance_sq = threads.each(
+        pairs = self.pairs
+        columns = (pairs.i, pairs.j, self.p_pair, self.log_odds, pairs.residual, pairs.mahalanobis_sq)
+        i, j, p_match, log_odds, residual, distance_sq = threads.each(
             [partial(np.take, column, pair, axis=0) for column in columns], len(pair)
         )
-        return Matches(rows_1, rows_2, pair, p_match, log_odds, residual, np.sqrt(distance_sq, out=distance_sq))
+        rows = self.first.rows[i], self.second.rows[j]
+        return Matches(*rows, pair, p_match, log_odds, residual, np.sqrt(distance_sq, out=distance_sq))
 
     @property
     def answers_1(self) -> Answers:
@@ -146,7 +148,8 @@ class Identification:
 
     @cached_property
     def _both_answers(self) -> tuple[Answers, Answers]:
-        sides = (self.first, self.pairs.i, self.rows_2), (self.second, self.pairs.j, self.rows_1)
+        i, j = self.pairs.i, self.pairs.j
+        sides = (self.first, i, (j, self.second.rows)), (self.second, j, (i, self.first.rows))
         # What both need is there before they are made side by side.
         shared = self.chosen, self._group_of, self.groups.sizes_1 + self.groups.sizes_2
         one, two = threads.each([partial(self._answers, *side, *shared) for side in sides], len(self.pairs))
@@ -218,7 +221,7 @@ class Identification:
         return self.groups.of_pairs()
 
     def _answers(
-        self, records: Records, position: NDArray[np.int32], other_rows: IntArray,
+        self, records: Records, position: NDArray[np.int32], other: tuple[NDArray[np.int32], IntArray],
         chosen: NDArray[np.bool_], group_of: NDArray[np.int32], size: IntArray,
     ) -> Answers:  # fmt: skip
         from sameas.kernels.summary import by_row, per_record
@@ -229,7 +232,7 @@ class Identification:
         shares = tuple(np.zeros(n) for _ in range(3))
         counts = np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n, np.int64)
         alone, no_other, no_group, unusable = absent = tuple(np.ones(n, np.bool_) for _ in range(4))
-        by_row(records.rows, told, (self.p_pair, other_rows, group_of, size), rows, shares, counts, absent)
+        by_row(records.rows, told, (self.p_pair, *other, group_of, size), rows, shares, counts, absent)
         partner, pair, second = rows
         p_match, p_none, p_second = shares
         candidates, group, group_size = counts
