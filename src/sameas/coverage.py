@@ -91,7 +91,6 @@ class Coverage:
             refine(count, level.volume, level.of_second, weights if source == 2 else nothing, SMOOTH, at_second)
         return at_first, at_second
 
-    @cached_property
     def covered_densities(self) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
         """Local densities of the covered records of source 1 and of source 2, each at the records of both."""
         seen_1, seen_2 = (seen.astype(np.float64) for seen in self.covered)

@@ -202,11 +202,11 @@ class _Search:
     def settled(self, errors: Errors | None, most: int) -> _Found:
         """The end of at most so many rounds; ``errors`` are estimated if not given."""
         first, second = self.coverage.first, self.coverage.second
-        limit, total, known = _radius(self.gate, first.d), 0, None
+        limit, total, known, whole = _radius(self.gate, first.d), 0, None, None
         while True:
             self.progress("gate")
             pairs = (self.gate or Radius(limit))(first, second)
-            whole = Setting.whole(pairs, self.coverage)
+            whole = Setting.whole(pairs, self.coverage) if whole is None else replace(whole, pairs=pairs)
             part = whole.sample()
             seen = self.photometry if part is whole or self.photometry is None else self.photometry.part(*part.rows)
             if known is None:

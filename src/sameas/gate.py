@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from sameas.chisquare import upper_quantile
 from sameas.errors import InputError
-from sameas.records import FloatArray, Records
+from sameas.records import FloatArray, IntArray, Records
 from sameas.search import search
 from sameas.space import Sphere
 
@@ -74,16 +74,23 @@ class Pairs:
     @cached_property
     def covariance(self) -> FloatArray:
         """(m, d, d) Σ of each residual, on the residual's axes."""
-        out = np.empty((len(self), self.d, self.d))
+        return self._covariance(self.i, self.j)
+
+    def covariance_of(self, some: IntArray) -> FloatArray:
+        """(k, d, d) Σ of the residuals of some pairs (k,), without those of all others."""
+        return self._covariance(self.i[some], self.j[some])
+
+    def _covariance(self, i: NDArray[np.int32], j: NDArray[np.int32]) -> FloatArray:
+        out = np.empty((len(i), self.d, self.d))
         a, b = self.first, self.second
         if isinstance(a.space, Sphere):
             from sameas.kernels.sphere import sphere_covariances
 
-            sphere_covariances(a.features, a.covariance, b.features, b.covariance, self.i, self.j, out)
+            sphere_covariances(a.features, a.covariance, b.features, b.covariance, i, j, out)
         else:
             from sameas.kernels.plane import plane_covariances
 
-            plane_covariances(a.covariance, b.covariance, self.i, self.j, out)
+            plane_covariances(a.covariance, b.covariance, i, j, out)
         return out
 
 

@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
+from sameas import threads
 from sameas.chisquare import quantile
 from sameas.coverage import Coverage
 from sameas.photometry import Photometry
@@ -54,7 +57,8 @@ def quantities(
     error_scale : factor by which the quoted errors are to be multiplied. zero_point, scatter, colour_BAND,
     brightness_unrelated : of the magnitudes, see :func:`_of_relation`.
     """
-    shares = [_Share.of(answer, coverage, source, learned_from[source - 1]) for source in (1, 2)]
+    works = [partial(_Share.of, answer, coverage, source, learned_from[source - 1]) for source in (1, 2)]
+    shares = threads.each(works, len(answer.pairs))
     surest = min(shares, key=lambda share: share.count_error)
     common = Quantity(surest.found, surest.count_error)
     found = {"common": common, "share_1": shares[0].quantity(), "share_2": shares[1].quantity()}
@@ -160,7 +164,15 @@ def decisive(answer: Identification) -> Mapping[str, float]:
     chosen = answer.chosen
     if not chosen.any():
         return {}
-    return {name: float(np.median(np.abs(values[chosen]))) for name, values in answer.evidence.terms.items()}
+    terms = answer.evidence.terms
+    medians = threads.each([partial(_typical, values, chosen) for values in terms.values()], len(chosen))
+    return dict(zip(terms, medians, strict=True))
+
+
+def _typical(values: FloatArray, chosen: NDArray[np.bool_]) -> float:
+    """The median absolute value of those that are chosen."""
+    some = values[chosen]
+    return float(np.median(np.abs(some, out=some), overwrite_input=True))
 
 
 def changed_without(answer: Identification, names: tuple[str, ...]) -> int:

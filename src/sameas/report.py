@@ -6,17 +6,21 @@ heading starts at the margin, what belongs to it is indented, a doubt starts wit
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sameas import threads
+from sameas.chisquare import quantile
 from sameas.coverage import Coverage
 from sameas.findings import common_objects, findings
 from sameas.prose import DOUBT, LABEL, count, entry, figures, percent
 from sameas.records import FloatArray, Records
-from sameas.result import Answers, Identification
+from sameas.result import Answers
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.match import SkyMatch, area_and_densities
 
@@ -141,21 +145,16 @@ def _rows(match: SkyMatch) -> list[str]:
     result = match.result
     reasons = sorted({reason for records in (result.first, result.second) for reason in records.set_aside.counts()})
     lines: list[tuple[str, list[str]]] = [("rows", [count(len(match.first)), count(len(match.second))])]
+    claims = threads.each(
+        [
+            partial(_claims, result.pairs.j, result.pairs.i, result.log_odds),
+            partial(_claims, result.pairs.i, result.pairs.j, result.log_odds),
+        ],
+        len(result.pairs),
+    )
     per_side = [
-        _fates(
-            result.first,
-            match.covered_1,
-            result.answers_1,
-            _claims(result.pairs.j, result.pairs.i, result),
-            reasons,
-        ),
-        _fates(
-            result.second,
-            match.covered_2,
-            result.answers_2,
-            _claims(result.pairs.i, result.pairs.j, result),
-            reasons,
-        ),
+        _fates(result.first, match.covered_1, result.answers_1, claims[0], reasons),
+        _fates(result.second, match.covered_2, result.answers_2, claims[1], reasons),
     ]
     lines += [(label, [side[label] for side in per_side]) for label in per_side[0]]
     wide = [max(len(name) + 3, 14) for name in (match.first.name, match.second.name)]
@@ -188,11 +187,11 @@ def _fates(
     }
 
 
-def _claims(claimant: NDArray[np.int32], claimed: NDArray[np.int32], result: Identification) -> int:
+def _claims(claimant: NDArray[np.int32], claimed: NDArray[np.int32], log_odds: FloatArray) -> int:
     """How many records are the likeliest candidate, each alone, of several records of the other side."""
     from sameas.kernels.summary import foremost
 
-    best = foremost(claimant, int(claimant.max(initial=-1)) + 1, result.log_odds)
+    best = foremost(claimant, int(claimant.max(initial=-1)) + 1, log_odds)
     return int(np.count_nonzero(np.bincount(claimed[best[best >= 0]]) > 1))
 
 
@@ -224,7 +223,7 @@ def _residuals(match: SkyMatch) -> list[str]:
     if not len(match.result.matches):
         return ["Residuals: no pair was identified"]
     after = match.result.matches.residual
-    due = match.result.residual_statistics()["median_due"]
+    due = math.sqrt(quantile(0.5, match.result.pairs.d))
     rows = [("at the common epoch", after, match.result.matches.mahalanobis)]
     if match.epoch_jyr is not None:
         before = match.still_offsets

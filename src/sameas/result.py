@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sameas import threads
 from sameas.assignment import Hypothesis
 from sameas.chisquare import quantile
 from sameas.errors import InputError
@@ -125,22 +126,34 @@ class Identification:
         """The identified pairs."""
         pair = np.flatnonzero(self.chosen)
         of_row = np.full(self.first.n_table, -1)
-        of_row[self.rows_1[pair]] = pair
+        of_row[self.first.rows[self.pairs.i[pair]]] = pair
         pair = of_row[of_row >= 0]
-        return Matches(
-            self.rows_1[pair], self.rows_2[pair], pair, self.p_pair[pair], self.log_odds[pair],
-            self.pairs.residual[pair], np.sqrt(self.pairs.mahalanobis_sq[pair]),
-        )  # fmt: skip
+        pairs = self.pairs
+        columns = (pairs.i, pairs.j, self.p_pair, self.log_odds, pairs.residual, pairs.mahalanobis_sq)
+        i, j, p_match, log_odds, residual, distance_sq = threads.each(
+            [partial(np.take, column, pair, axis=0) for column in columns], len(pair)
+        )
+        rows = self.first.rows[i], self.second.rows[j]
+        return Matches(*rows, pair, p_match, log_odds, residual, np.sqrt(distance_sq, out=distance_sq))
 
-    @cached_property
+    @property
     def answers_1(self) -> Answers:
         """What became of every row of source 1."""
-        return self._answers(self.first, self.pairs.i, self.rows_2)
+        return self._both_answers[0]
 
-    @cached_property
+    @property
     def answers_2(self) -> Answers:
         """What became of every row of source 2."""
-        return self._answers(self.second, self.pairs.j, self.rows_1)
+        return self._both_answers[1]
+
+    @cached_property
+    def _both_answers(self) -> tuple[Answers, Answers]:
+        i, j = self.pairs.i, self.pairs.j
+        sides = (self.first, i, (j, self.second.rows)), (self.second, j, (i, self.first.rows))
+        # What both need is there before they are made side by side.
+        shared = self.chosen, self._group_of, self.groups.sizes_1 + self.groups.sizes_2
+        one, two = threads.each([partial(self._answers, *side, *shared) for side in sides], len(self.pairs))
+        return one, two
 
     @property
     def leftovers_1(self) -> IntArray:
@@ -207,45 +220,31 @@ class Identification:
         """(m,) group of each candidate, in the order of the gate."""
         return self.groups.of_pairs()
 
-    def _answers(self, records: Records, position: NDArray[np.int32], other_rows: IntArray) -> Answers:
-        from sameas.kernels.summary import per_record
+    def _answers(
+        self, records: Records, position: NDArray[np.int32], other: tuple[NDArray[np.int32], IntArray],
+        chosen: NDArray[np.bool_], group_of: NDArray[np.int32], size: IntArray,
+    ) -> Answers:  # fmt: skip
+        from sameas.kernels.summary import by_row, per_record
 
-        n = len(records)
-        partner, second, count, total = per_record(position, n, self.chosen, self.p_pair)
-        some_pair = np.maximum(partner, second)
-        # Without any pair there is nothing to take from; what stands at −1, the last, is masked below.
-        p, other, group_of = (x if len(x) else np.zeros(1, x.dtype) for x in (self.p_pair, other_rows, self._group_of))
-        group = group_of[some_pair]
-        size = self.groups.sizes_1 + self.groups.sizes_2 if len(self.groups) else np.zeros(1, np.int64)
-        table = _Table(records)
-        # 1 − Σ p is the probability of no partner; rounding must not make it negative.
+        told = per_record(position, len(records), chosen, self.p_pair)
+        n = records.n_table
+        rows = tuple(np.zeros(n, np.int64) for _ in range(3))
+        shares = tuple(np.zeros(n) for _ in range(3))
+        counts = np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n, np.int64)
+        alone, no_other, no_group, unusable = absent = tuple(np.ones(n, np.bool_) for _ in range(4))
+        by_row(records.rows, told, (self.p_pair, *other, group_of, size), rows, shares, counts, absent)
+        partner, pair, second = rows
+        p_match, p_none, p_second = shares
+        candidates, group, group_size = counts
         return Answers(
-            partner=table(other[partner], partner < 0),
-            pair=table(partner, partner < 0),
-            p_match=table(p[partner], partner < 0),
-            p_none=table(np.clip(1.0 - total, 0.0, 1.0), np.zeros(n, bool)),
-            second=table(other[second], second < 0),
-            p_second=table(p[second], second < 0),
-            candidates=table(count, np.zeros(n, bool)),
-            group=table(group, some_pair < 0),
-            group_size=table(size[group], some_pair < 0),
-            usable=table.usable,
+            partner=np.ma.MaskedArray(partner, alone),
+            pair=np.ma.MaskedArray(pair, alone),
+            p_match=np.ma.MaskedArray(p_match, alone),
+            p_none=np.ma.MaskedArray(p_none, unusable),
+            second=np.ma.MaskedArray(second, no_other),
+            p_second=np.ma.MaskedArray(p_second, no_other),
+            candidates=np.ma.MaskedArray(candidates, unusable),
+            group=np.ma.MaskedArray(group, no_group),
+            group_size=np.ma.MaskedArray(group_size, no_group),
+            usable=~unusable,
         )
-
-
-class _Table:
-    """Spreads values of the usable records over the rows of their table."""
-
-    def __init__(self, records: Records) -> None:
-        self.rows = records.rows
-        self.usable = np.zeros(records.n_table, np.bool_)
-        self.usable[records.rows] = True
-
-    def __call__(self, values: NDArray[Any], absent: NDArray[np.bool_]) -> np.ma.MaskedArray:
-        if len(self.rows) == len(self.usable):
-            return np.ma.MaskedArray(np.where(absent, np.zeros((), values.dtype), values), absent)
-        column = np.zeros(len(self.usable), values.dtype)
-        mask = np.ones(len(self.usable), np.bool_)
-        column[self.rows] = np.where(absent, np.zeros((), values.dtype), values)
-        mask[self.rows] = absent
-        return np.ma.MaskedArray(column, mask)

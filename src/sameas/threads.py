@@ -32,7 +32,7 @@ def each(works: Sequence[Callable[[], T]], size: int) -> list[T]:
     """The results of several independent pieces of work, side by side where that is worth it for ``size`` items."""
     if len(even(size)) <= 2:
         return [work() for work in works]
-    with ThreadPoolExecutor(len(works)) as pool:
+    with ThreadPoolExecutor(min(len(works), count())) as pool:
         return [future.result() for future in [pool.submit(work) for work in works]]
 
 

@@ -28,9 +28,9 @@ class Evidence:
     terms: Mapping[str, FloatArray]
     log_error: FloatArray | None = None
 
-    @cached_property
+    @property
     def log_ratio(self) -> FloatArray:
-        """(m,) ln λ."""
+        """(m,) ln λ, summed when it is asked for: who needs it again keeps it."""
         parts = list(self.terms.values())
         return sum(parts[1:], parts[0])
 

@@ -25,6 +25,7 @@ _VOPARQUET = b"IVOA.VOTable-Parquet.content"
 
 def read(path: Path, hdu: None) -> Table:
     """The table of a Parquet file."""
+    import pyarrow as pa
     from astropy.table import Table
     from pyarrow import parquet
 
@@ -43,6 +44,9 @@ def read(path: Path, hdu: None) -> Table:
         _describe(column, _decoded(content.schema.field(name).metadata))
         columns.append(column)
     table = _with_file_metadata(Table(columns, copy=False), content.schema.metadata or {})
+    # What was read is NumPy's now; Arrow would keep as much again for what it might read next.
+    del content
+    pa.default_memory_pool().release_unused()
     if left_out:
         table.meta["sameas_notes"] = left_out
     return table

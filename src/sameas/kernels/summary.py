@@ -37,3 +37,36 @@ def foremost(position, n, value):
         if best[k] < 0 or value[e] > value[best[k]]:
             best[k] = e
     return best
+
+
+@kernel
+def by_row(at, told, pairs, rows, shares, counts, absent):
+    """Write what is told of each record to its row ``at[k]`` of the table.
+
+    told : what :func:`per_record` gave. pairs : probability and position of the other record, (m,) each, the rows (n,)
+    of such records, the group (m,), and the sizes of the groups. Filled are rows (partner, pair, second), shares
+    (p_match, p_none, p_second), counts (candidates, group, group_size), and in absent, all True at first, what is
+    there: (partner, second, group, record).
+    """
+    partner, second, number, total = told
+    p, other, other_rows, group_of, size = pairs
+    of_partner, of_pair, of_second = rows
+    p_match, p_none, p_second = shares
+    candidates, group, group_size = counts
+    alone, no_other, no_group, unusable = absent
+    for k in range(len(at)):
+        r = at[k]
+        unusable[r] = False
+        candidates[r] = number[k]
+        # 1 − Σ p is the probability of no partner; rounding must not make it negative.
+        p_none[r] = min(max(1.0 - total[k], 0.0), 1.0)
+        if partner[k] >= 0:
+            alone[r] = False
+            of_partner[r], of_pair[r], p_match[r] = other_rows[other[partner[k]]], partner[k], p[partner[k]]
+        if second[k] >= 0:
+            no_other[r] = False
+            of_second[r], p_second[r] = other_rows[other[second[k]]], p[second[k]]
+        some = max(partner[k], second[k])
+        if some >= 0:
+            no_group[r] = False
+            group[r], group_size[r] = group_of[some], size[group_of[some]]

@@ -21,6 +21,7 @@ from sameas.sky.columns import choose
 from sameas.sky.doubts import doubts_of
 from sameas.sky.motion import Astrometry, MissingMotion, position_at
 from sameas.sky.understood import CatalogueOptions, Column, ColumnChoice, PositionError, in_years
+from sameas.sky.variances import Variances
 from sameas.space import Sphere
 
 __all__ = ["Catalogue", "CatalogueOptions", "ellipse_covariance"]
@@ -158,7 +159,7 @@ class Catalogue:
 def _position_spread(astrometry: Astrometry) -> FloatArray:
     """(n, 2) variances or (n, 2, 2) covariances of the positions, arcsec²."""
     packed = astrometry.packed
-    return 1e-6 * (packed[:, :2] if packed.ndim == 2 else packed[:, :2, :2])
+    return 1e-6 * (packed.stacked(2) if isinstance(packed, Variances) else packed[:, :2, :2])
 
 
 def ellipse_covariance(
@@ -302,7 +303,7 @@ def _epochs(table: Table, choice: ColumnChoice, source: str) -> FloatArray:
     """(n,) Julian years, NaN where not known."""
     if choice.epoch.column:
         return cells.years(table, choice.epoch.column, source)
-    return np.full(len(table), np.nan if choice.epoch.jyr is None else choice.epoch.jyr)
+    return np.broadcast_to(np.nan if choice.epoch.jyr is None else choice.epoch.jyr, len(table))
 
 
 def _epochs_in_words(epochs: FloatArray) -> str:

@@ -75,10 +75,12 @@ def _epochs(astrometry: Astrometry, choice: ColumnChoice) -> str:
 
 
 def _motions(astrometry: Astrometry, choice: ColumnChoice) -> str:
+    if choice.motion[1] is None:
+        return ""
     speed = np.hypot(astrometry.pm_ra_mas_per_yr, astrometry.pm_dec_mas_per_yr)
     with np.errstate(invalid="ignore"):
         fast = np.flatnonzero(speed > _FASTEST_MAS_PER_YR)
-    if not len(fast) or choice.motion[1] is None:
+    if not len(fast):
         return ""
     return (
         f"{len(fast)} proper motions exceed 20 arcsec/yr "

@@ -15,18 +15,22 @@ covered : whether the other catalogue looks there.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 from astropy.table import Column, MaskedColumn, Table
 from numpy.typing import NDArray
 
+from sameas import threads
 from sameas.errors import InputError
 from sameas.result import Answers, Identification
 from sameas.sky.match import SkyMatch
 
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 NOBODY = -1  # a row index within this module only; tables carry masks
 
 JOINS = ("1and2", "1or2", "all1", "all2", "1not2", "2not1", "1xor2", "pairs")
@@ -65,6 +69,16 @@ class _Rows:
     pair: IntArray
     answers: bool = False
 
+    @cached_property
+    def absent(self) -> BoolArray:
+        """Whether a row has no candidate."""
+        return self.pair < 0
+
+    @cached_property
+    def mine(self) -> BoolArray:
+        """Whether a row speaks for its record of the first catalogue; else, without one, for that of the second."""
+        return self.one >= 0
+
 
 def joined(match: SkyMatch, join: str = "all1", *, nway_columns: bool = False) -> Table:
     """The joined table.
@@ -83,9 +97,10 @@ def joined(match: SkyMatch, join: str = "all1", *, nway_columns: bool = False) -
     table = Table()
     names = _names(match.first.table, match.second.table)
     for side, (source, at) in enumerate(((match.first.table, rows.one), (match.second.table, rows.two))):
-        for column, name in zip(source.columns.values(), names[side], strict=True):
-            table.add_column(_taken(column, at), name=name, copy=False)
-    for name, values in _answers(match, rows, nway_columns).items():
+        works = [partial(_taken, column, at) for column in source.columns.values()]
+        for name, column in zip(names[side], threads.each(works, len(at)), strict=True):
+            table.add_column(column, name=name, copy=False)
+    for name, values in _Told(match, rows).columns(nway_columns).items():
         unique = name if name not in table.colnames else f"{name}_sameas"
         told = MaskedColumn(values, unit=_UNITS.get(name), description=_WORDS[name])
         table.add_column(told, name=unique, copy=False)
@@ -141,8 +156,15 @@ def _names(first: Table, second: Table) -> tuple[list[str], list[str]]:
     )
 
 
+def _whole(at: IntArray, n: int) -> bool:
+    """Whether these rows are all of n, in order."""
+    return len(at) == n and bool(np.array_equal(at, np.arange(n)))
+
+
 def _taken(column: Any, at: IntArray) -> Column | MaskedColumn:
     """The rows ``at`` of a column, masked where there is none."""
+    if _whole(at, len(column)):
+        return column
     absent = at < 0
     if not absent.any():
         return column[at]
@@ -150,87 +172,103 @@ def _taken(column: Any, at: IntArray) -> Column | MaskedColumn:
         values = np.zeros((len(at), *column.shape[1:]), column.dtype)
         mask = np.zeros(values.shape, bool)
     else:
-        picked = column[np.where(absent, 0, at)]
-        values, mask = np.ma.getdata(picked), np.array(np.ma.getmaskarray(picked))
-    mask[absent] = True
+        picked = column[at]  # the last row where there is none
+        values, mask = np.ma.getdata(picked), np.ma.getmaskarray(picked)
+    mask = mask | absent.reshape(-1, *[1] * (values.ndim - 1))
     return MaskedColumn(
         values, name=column.name, mask=mask, unit=column.unit, description=column.description, meta=column.meta
     )
 
 
-def _answers(match: SkyMatch, rows: _Rows, nway_columns: bool) -> dict[str, np.ma.MaskedArray]:
-    result = match.result
-    absent = rows.pair < 0
-    at_pair = np.maximum(rows.pair, 0)
+@dataclass(frozen=True)
+class _Told:
+    """What the identification says at the output's rows."""
 
-    def of_pair(values: NDArray[Any]) -> np.ma.MaskedArray:
+    match: SkyMatch
+    rows: _Rows
+
+    def columns(self, nway_columns: bool) -> dict[str, np.ma.MaskedArray]:
+        """The added columns, by name."""
+        result, n = self.match.result, len(self.rows.one)
+        # Asked for here, so that they are there when several columns are made side by side.
+        _ = result.answers_1, result.log_odds, self.rows.absent, self.rows.mine
+        works: dict[str, Callable[[], np.ma.MaskedArray]] = {
+            "mahalanobis": lambda: self._of_pair(result.pairs.mahalanobis_sq, np.sqrt),
+            "log_odds": lambda: self._of_pair(result.log_odds),
+            "p_match": lambda: self._of_pair(result.p_pair),
+            "p_none": lambda: self._of_row("p_none"),
+            "p_second": lambda: self._of_row("p_second"),
+            "id_second": self._id_second,
+            "match_flag": self._flags,
+            "group_id": lambda: self._of_row("group"),
+            "group_size": lambda: self._of_row("group_size"),
+            "n_within": lambda: self._of_row("candidates"),
+            "covered": self._covered,
+        }
+        columns = self._separations() | dict(zip(works, threads.each(list(works.values()), n), strict=True))
+        if nway_columns:
+            columns["p_any"] = 1.0 - columns["p_none"]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                columns["p_i"] = columns["p_match"] / np.ma.masked_less_equal(columns["p_any"], 0.0)
+            columns["dist_bayesfactor"] = columns["log_odds"] / np.log(10.0)
+        return columns
+
+    def _of_pair(self, values: NDArray[Any], change: Callable[..., NDArray[Any]] | None = None) -> np.ma.MaskedArray:
+        absent = self.rows.absent
         if not len(values):
-            return np.ma.MaskedArray(np.zeros(len(absent), values.dtype), absent.copy())
-        taken = values[at_pair]
+            return np.ma.MaskedArray(np.zeros((len(absent), *values.shape[1:]), values.dtype), absent)
+        taken = values[self.rows.pair]  # the last pair where there is none
         taken[absent] = 0
-        return np.ma.MaskedArray(taken, absent.copy())
+        return np.ma.MaskedArray(taken if change is None else change(taken, out=taken), absent)
 
-    residual = result.pairs.residual
-    columns = {
-        "sep_arcsec": of_pair(np.hypot(residual[:, 0], residual[:, 1])),
-        "dx_arcsec": of_pair(residual[:, 0]),
-        "dy_arcsec": of_pair(residual[:, 1]),
-        "mahalanobis": of_pair(np.sqrt(result.pairs.mahalanobis_sq)),
-        "log_odds": of_pair(result.log_odds),
-        "p_match": of_pair(result.p_pair),
-    }
-    # A row speaks for its record of the first catalogue, or of the second where there is none of the first.
-    second_1, second_2 = _second_ids(match, result.answers_1, 2), _second_ids(match, result.answers_2, 1)
-    mine = rows.one >= 0
+    def _separations(self) -> dict[str, np.ma.MaskedArray]:
+        residual = self.match.result.pairs.residual[:, 0], self.match.result.pairs.residual[:, 1]
+        east, north = threads.each([partial(self._of_pair, part) for part in residual], len(self.rows.one))
+        far = np.ma.MaskedArray(np.hypot(east.data, north.data), self.rows.absent)
+        return {"sep_arcsec": far, "dx_arcsec": east, "dy_arcsec": north}
 
-    def of_row(name: str) -> np.ma.MaskedArray:
-        one, two = getattr(result.answers_1, name), getattr(result.answers_2, name)
-        return _either(one, two, rows, mine)
+    def _of_row(self, name: str) -> np.ma.MaskedArray:
+        one, two = self.match.result.answers_1, self.match.result.answers_2
+        return self._either(getattr(one, name), getattr(two, name))
 
-    for name, field in (("p_none", "p_none"), ("p_second", "p_second")):
-        columns[name] = of_row(field)
-    columns["id_second"] = _either(second_1, second_2, rows, mine)
-    columns["match_flag"] = _flags(match, rows, absent)
-    for name, field in (("group_id", "group"), ("group_size", "group_size"), ("n_within", "candidates")):
-        columns[name] = of_row(field)
-    covered = np.where(mine, match.covered_1[rows.one], match.covered_2[rows.two])
-    columns["covered"] = np.ma.MaskedArray(covered, np.ma.getmaskarray(columns["p_none"]))
-    if nway_columns:
-        columns["p_any"] = 1.0 - columns["p_none"]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            columns["p_i"] = columns["p_match"] / np.ma.masked_less_equal(columns["p_any"], 0.0)
-        columns["dist_bayesfactor"] = columns["log_odds"] / np.log(10.0)
-    return columns
+    def _id_second(self) -> np.ma.MaskedArray:
+        one, two = self.match.result.answers_1, self.match.result.answers_2
+        return self._either(_second_ids(self.match, one, 2), _second_ids(self.match, two, 1))
 
+    def _either(self, one: np.ma.MaskedArray, two: np.ma.MaskedArray) -> np.ma.MaskedArray:
+        """What is said of the records that the rows speak for: ``one`` of the first catalogue's, ``two`` of the
+        second's."""
+        rows, mine = self.rows, self.rows.mine
+        if mine.all():
+            return one if _whole(rows.one, len(one)) else one[rows.one]
+        if one.dtype.kind in "OSU" or one.dtype != two.dtype:
+            one, two = np.ma.asarray(one.astype(str)), np.ma.asarray(two.astype(str))
+        values = np.zeros(len(mine), np.promote_types(one.dtype, two.dtype))
+        mask = np.ones(len(mine), bool)
+        for at, source, here in ((rows.one, one, mine), (rows.two, two, ~mine)):
+            values[here] = np.ma.getdata(source)[at[here]]
+            mask[here] = np.ma.getmaskarray(source)[at[here]]
+        return np.ma.MaskedArray(values, mask)
 
-def _either(one: np.ma.MaskedArray, two: np.ma.MaskedArray, rows: _Rows, mine: NDArray[np.bool_]) -> np.ma.MaskedArray:
-    if mine.all():
-        return one[rows.one]
-    if one.dtype.kind in "OSU" or one.dtype != two.dtype:
-        one, two = np.ma.asarray(one.astype(str)), np.ma.asarray(two.astype(str))
-    dtype = np.promote_types(one.dtype, two.dtype)
-    values = np.zeros(len(mine), dtype)
-    mask = np.ones(len(mine), bool)
-    for at, source, here in ((rows.one, one, mine), (rows.two, two, ~mine)):
-        values[here] = np.ma.getdata(source)[at[here]]
-        mask[here] = np.ma.getmaskarray(source)[at[here]]
-    return np.ma.MaskedArray(values, mask)
+    def _covered(self) -> np.ma.MaskedArray:
+        rows = self.rows
+        covered = np.where(rows.mine, self.match.covered_1[rows.one], self.match.covered_2[rows.two])
+        return np.ma.MaskedArray(covered, np.ma.getmaskarray(self._of_row("p_none")))
+
+    def _flags(self) -> np.ma.MaskedArray:
+        result, rows, absent = self.match.result, self.rows, self.rows.absent
+        if not rows.answers:  # every candidate that is told of is an identified one
+            return np.ma.MaskedArray((~absent).astype(np.int16), np.zeros(len(absent), bool))
+        chosen = np.append(result.chosen, False)[rows.pair] & ~absent
+        best = np.zeros(len(self.match.first))
+        np.maximum.at(best, result.rows_1, result.p_pair)
+        p = np.append(result.p_pair, 0.0)[rows.pair]
+        chosen |= absent & result.answers_1.usable[rows.one] & ~np.isin(rows.one, result.matches.rows_1)
+        rival = ~absent & ~chosen & (p >= 0.5 * best[rows.one]) & (p > 0)
+        return np.ma.MaskedArray(np.where(chosen, 1, np.where(rival, 2, 0)).astype(np.int16), np.zeros(len(p), bool))
 
 
 def _second_ids(match: SkyMatch, answers: Answers, other: int) -> np.ma.MaskedArray:
     ids = (match.first if other == 1 else match.second).ids
     absent = np.ma.getmaskarray(answers.second)
-    at = np.where(absent, 0, np.ma.getdata(answers.second))
-    return np.ma.MaskedArray(ids[at], absent.copy())
-
-
-def _flags(match: SkyMatch, rows: _Rows, absent: NDArray[np.bool_]) -> np.ma.MaskedArray:
-    result = match.result
-    chosen = np.append(result.chosen, False)[rows.pair] & ~absent
-    best = np.zeros(len(match.first))
-    np.maximum.at(best, result.rows_1, result.p_pair)
-    p = np.append(result.p_pair, 0.0)[rows.pair]
-    if rows.answers:
-        chosen |= absent & result.answers_1.usable[rows.one] & ~np.isin(rows.one, result.matches.rows_1)
-    rival = ~absent & ~chosen & (p >= 0.5 * best[rows.one]) & (p > 0)
-    return np.ma.MaskedArray(np.where(chosen, 1, np.where(rival, 2, 0)).astype(np.int16), np.zeros(len(p), bool))
+    return np.ma.MaskedArray(ids[np.where(absent, 0, np.ma.getdata(answers.second))], absent)

@@ -8,11 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sameas import threads
 from sameas.coverage import Coverage
 from sameas.errors import InputError
 from sameas.estimate import Estimate
@@ -168,7 +169,8 @@ def brought_together(
     InputError : no usable rows; a common epoch is needed and not known.
     """
     epoch, words = common_epoch(first, second, epoch_jyr)
-    one, two = first.records(epoch), second.records(epoch)
+    works = [partial(catalogue.records, epoch) for catalogue in (first, second)]
+    one, two = threads.each(works, len(first) + len(second))
     for catalogue, records in ((first, one), (second, two)):
         if not len(records):
             reasons = ", ".join(f"{reason} ({n})" for reason, n in records.set_aside.counts().items())
@@ -178,15 +180,21 @@ def brought_together(
 
 def _refuse_blur(one: Records, two: Records) -> None:
     """Refuses errors so large that all records are candidates of all others: a wrong unit, no doubt."""
-    sigmas = [math.sqrt(float(np.median(records.covariance[:, [0, -1]].mean(axis=1)))) for records in (one, two)]
+    n = len(one) + len(two)
+    sigmas = threads.each([partial(_typical_sigma, records) for records in (one, two)], n)
     sigma = math.hypot(*sigmas)
-    crowd = min(_records_per_cell(records.features, sigma) for records in (one, two))
+    crowd = min(threads.each([partial(_records_per_cell, records.features, sigma) for records in (one, two)], n))
     if crowd > BLURRED:
         worst = (one, two)[int(sigmas[1] > sigmas[0])].source
         raise InputError(
             f"{worst}: its typical error, {max(sigmas):.3g} arcsec, is so large that about {crowd:.0f} records lie "
             "within it in either catalogue; are the errors in another unit? say --sigma-unit UNIT"
         )
+
+
+def _typical_sigma(records: Records) -> float:
+    """The median of the errors, each the root of the mean variance of both axes."""
+    return math.sqrt(float(np.median(0.5 * (records.covariance[:, 0] + records.covariance[:, -1]))))
 
 
 def _records_per_cell(position_deg: FloatArray, side_arcsec: float) -> float:
@@ -262,7 +270,8 @@ def density_doubts(coverage: Coverage, options: MatchOptions) -> tuple[str, ...]
 
 def _doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]:
     doubts = list(estimate.notes)
-    sigma = [math.sqrt(float(np.median(r.covariance[:, 0]))) for r in (result.first, result.second)]
+    works = [partial(np.median, records.covariance[:, 0]) for records in (result.first, result.second)]
+    sigma = [math.sqrt(float(median)) for median in threads.each(works, len(result.first))]
     spacing = 0.5 * math.sqrt(estimate.coverage.common_volume() / max(len(result.first), len(result.second)))
     widest = max(range(2), key=lambda k: sigma[k])
     if sigma[widest] > spacing > 0.0:

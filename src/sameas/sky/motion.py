@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sameas.errors import InputError
-from sameas.records import unpack
 from sameas.sky.unmeasured import MissingMotion
+from sameas.sky.variances import Variances
 from sameas.space import ARCSEC_PER_RADIAN
 
 FloatArray = NDArray[np.float64]
@@ -45,7 +45,7 @@ class Astrometry:
     pm_ra_mas_per_yr, pm_dec_mas_per_yr : (n,) proper motion; ``pm_ra`` includes cos(dec).
     radial_velocity_km_per_s : (n,) barycentric, positive for a receding object.
     packed : covariances in the order of ``PARAMETERS``: ra·cos(dec) and dec [mas], parallax [mas], proper motions
-        [mas/yr], radial velocity [km/s]; (n, 6, 6), or (n, 6) variances where nothing is correlated.
+        [mas/yr], radial velocity [km/s]; (n, 6, 6), or their ``Variances`` where nothing is correlated.
     epoch_jyr : (n,) Julian year of each row.
     """
 
@@ -55,7 +55,7 @@ class Astrometry:
     pm_ra_mas_per_yr: FloatArray
     pm_dec_mas_per_yr: FloatArray
     radial_velocity_km_per_s: FloatArray
-    packed: FloatArray
+    packed: FloatArray | Variances
     epoch_jyr: FloatArray
 
     def __len__(self) -> int:
@@ -68,16 +68,18 @@ class Astrometry:
     @property
     def covariance(self) -> FloatArray:
         """(n, 6, 6) covariances, unpacked."""
-        return unpack(self.packed, 6) if self.packed.ndim == 2 else self.packed
+        return self.packed.matrices(6) if isinstance(self.packed, Variances) else self.packed
 
     @property
     def position_covariance(self) -> FloatArray:
         """(n, 2, 2) of ra·cos(dec) and dec, mas²."""
-        return unpack(self.packed[:, :2], 2) if self.packed.ndim == 2 else self.packed[:, :2, :2]
+        return self.packed.matrices(2) if isinstance(self.packed, Variances) else self.packed[:, :2, :2]
 
     def variance(self, parameter: int) -> FloatArray:
         """(n,) variances of one of the six parameters."""
-        return self.packed[:, parameter] if self.packed.ndim == 2 else self.packed[:, parameter, parameter]
+        if isinstance(self.packed, Variances):
+            return self.packed.columns[parameter]
+        return self.packed[:, parameter, parameter]
 
     @classmethod
     def of(
@@ -340,14 +342,11 @@ def _errors(sigma: ArrayLike, n: int, source: str) -> list[FloatArray]:
 
 def _packed(
     sigmas: tuple[FloatArray, ...], fill: tuple[BoolArray, ...], given: ArrayLike | None, source: str
-) -> FloatArray:
-    """(n, 6) variances, or (n, 6, 6) where correlations are ``given``."""
-    n = len(sigmas[0])
-    errors = np.empty((n, 6))
-    for parameter, sigma in enumerate(sigmas):
-        errors[:, parameter] = sigma
+) -> FloatArray | Variances:
+    """Variances, or (n, 6, 6) covariances where correlations are ``given``."""
     if given is None:
-        return np.square(errors, out=errors)
+        return Variances.of(sigmas)
+    n, errors = len(sigmas[0]), np.column_stack(sigmas)
     filled, covariance = np.stack(fill, axis=1), np.empty((n, 6, 6))
     k = min(np.shape(given)[-1], 6) if np.ndim(given) == 3 else 6
     rho = _floats(given, (n, k, k), f"{source}: correlations")

@@ -28,7 +28,7 @@ PLACES = 48
 #: Rounds at most, and the part of a typical error of its own that a last step may move the catalogue by.
 ROUNDS, SETTLED = 8, 0.05
 #: Pairs less probable than this do not speak; of many, so many do.
-UNLIKELY, MANY = 0.01, 100_000
+UNLIKELY, MANY = 0.01, 30_000
 #: A turn that nobody asked for is told from so many of its errors on, and where it moves a pair by so much of its own.
 TOLD, MATTERS = 5.0, 0.3
 
@@ -106,12 +106,13 @@ class Turn:
         use = use[:: -(-len(use) // MANY) or 1]
         pairs, p = answer.pairs, answer.p_pair[use]
         slope = self._slope(answer.second.features[pairs.j[use]])
-        precision = np.linalg.inv(pairs.covariance[use]) / scale**2
+        covariance = pairs.covariance_of(use)
+        precision = np.linalg.inv(covariance) / scale**2
         pull = np.einsum("mvw,mwk->mvk", precision, slope) * p[:, None, None]
         information = np.einsum("mvk,mvl->kl", pull, slope) + np.diag([1e-12, 1e-12, 1e-12])
         step = np.linalg.solve(information, np.einsum("mvk,mv->k", pull, pairs.residual[use]))
         moved = np.linalg.norm(np.einsum("mvk,k->mv", slope, step), axis=1)
-        sigma = scale * np.sqrt(0.5 * np.einsum("mvv->m", pairs.covariance[use]))
+        sigma = scale * np.sqrt(0.5 * np.einsum("mvv->m", covariance))
         share = float(np.max(moved / sigma, initial=0.0))
         turned = replace(self, vector=self.vector + step, covariance=np.linalg.inv(information), rounds=self.rounds + 1)
         return turned, share
