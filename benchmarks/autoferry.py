@@ -1,11 +1,16 @@
 """Two vessels seen by radar, lidar, infrared and optical cameras: are they found as two, with the right members?
 
 Real detections of the Autoferry sensor fusion benchmark (Helgesen and others 2022, CC0): three scenarios, two vessels
-with GNSS truth that come as near to each other as 9 m. Every instant is judged on its own: the last look of every
-sensor, and nothing remembered. Counted are instants at which two sensors or more show each of the vessels. One is right
-where both are found as two objects, each with a detection of it from every sensor that shows it, and with nothing that
-is not on its hull. Cameras split a hull of 36 m in two, so any detection on the hull is a right one; one where both
-hulls lie may be either's.
+with GNSS truth that come as near to each other as 9 m. What is told of the sensors, errors, misses, clutter, latency,
+is learned from the truth of the two scenarios that are not judged; the lengths of the vessels that may be there, how
+they move, and how many, are told. Two ways are judged:
+
+- alone: every instant for itself, the last look of every sensor;
+- with memory: :class:`sameas.picture.following.Follower`, every look used once.
+
+Counted are instants at which two sensors or more show each of the vessels. One is right where both are found as two
+objects, each with a detection of it from every sensor that shows it, and with nothing that is not on its hull. Cameras
+split a hull of 36 m in two, so any detection on the hull is a right one; one where both hulls lie may be either's.
 
 Positions are compared where a sensor shows a vessel: root mean square of that sensor's error, and of the object's that
 its detection is a member of.
@@ -14,117 +19,45 @@ its detection is a member of.
 from __future__ import annotations
 
 import argparse
-import json
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from pathlib import Path
+from itertools import pairwise
 
 import numpy as np
 
+from benchmarks.autoferry_models import Learned, describe_all, learned_elsewhere
+from benchmarks.autoferry_scenes import FOLDER, SCENARIOS, Truth, off_hulls, off_sights, scene_of, truth_of, turned
 from benchmarks.tables import Table, report
 from sameas.many import identify_many
-from sameas.objects import Objects
 from sameas.observations import Region, records_of
+from sameas.picture.following import Follower, Following
+from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions
-from sameas.tracks.reports import Reports
-from sameas.tracks.scene import POSITION_AND_VELOCITY, Feed, Instant, Scene
-from sameas.tracks.source import Clutter, Coverage, Description, ErrorModel, Misses, Motion, Resolution, Timing
+from sameas.tracks.scene import POSITION_AND_VELOCITY, Instant
 
-FOLDER = Path(__file__).resolve().parents[1].parent / "shared" / "data" / "autoferry"
-SCENARIOS = ("scenario2", "scenario4", "scenario17")
-SENSORS = (1, 2, 3, 4)
-MOTION = Motion(acceleration_m2_per_s3=0.1, speed_m_per_s=3.0)
-#: Half the length of the hulls: Havfruen, and Gunnerus (36 m) or the jet boat of the canal.
-HALF_HULL_M = {"scenario2": (6.0, 18.0), "scenario4": (6.0, 18.0), "scenario17": (6.0, 5.0)}
-#: How far from the hull a detection may be and still be one of it.
-MARGIN_M, MARGIN_DEG = 8.0, 3.0
-#: False detections of infrared and optical cameras per degree: two in a picture of the fjord, many in the canal.
-CLUTTER_PER_DEG = {"scenario2": (0.001, 0.004), "scenario4": (0.001, 0.004), "scenario17": (0.013, 0.04)}
-
-
-def descriptions(scenario: str) -> dict[int, Description]:
-    """The sensors: errors, misses and clutter as seen against the truth of these data; a radar's stamp is late."""
-    infrared, optical = CLUTTER_PER_DEG[scenario]
-    laser = ErrorModel(range_m=1.0, bearing_deg=0.8, extent_m=3.0)
-    radar = ErrorModel(range_m=2.0, range_share=0.0, bearing_deg=1.5, extent_m=3.5)
-    camera, reach = ErrorModel(bearing_deg=2.0, extent_m=5.0), Coverage(range_m=300.0)
-    late, cells = Timing(period_s=1.7, latency_s=1.5, latency_sigma_s=0.5), Resolution(range_m=5.0, bearing_deg=2.0)
-    per_deg, per_km2 = (Clutter(per_deg=infrared), Clutter(per_deg=optical)), (Clutter(5.0), Clutter(15.0))
-    return {
-        1: Description("lidar", "lidar", misses=Misses(0.4), errors=laser, clutter=per_km2[0], motion=MOTION),
-        2: Description("radar", "marine radar", coverage=reach, misses=Misses(0.15), errors=radar, clutter=per_km2[1],
-                       resolution=cells, timing=late, motion=MOTION),
-        3: Description("infrared", "camera", coverage=reach, misses=Misses(0.6), errors=camera, clutter=per_deg[0],
-                       motion=MOTION),
-        4: Description("electro-optical", "camera", coverage=reach, misses=Misses(0.3), errors=camera,
-                       clutter=per_deg[1], motion=MOTION),
-    }  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Truth:
-    """GNSS positions of the two vessels: per vessel (n,) times and (n, 2) east and north; half their lengths."""
-
-    time_s: tuple[np.ndarray, ...]
-    position: tuple[np.ndarray, ...]
-    half_m: np.ndarray
-
-    def at(self, instant_s: float) -> np.ndarray:
-        """(2, 2) both vessels at an instant."""
-        pairs = zip(self.time_s, self.position, strict=True)
-        return np.array([[np.interp(instant_s, t, x[:, axis]) for axis in (0, 1)] for t, x in pairs])
-
-
-def read(scenario: str) -> tuple[Scene, Truth]:
-    """The scene and the truth of one scenario, in metres east and north of the data set's origin."""
-    looks, describe = _loaded(scenario, "detections"), descriptions(scenario)
-    feeds = tuple(_feed(describe[sensor], [look for look in looks if look["sensorID"] == sensor]) for sensor in SENSORS)
-    rows = [row for rows in _loaded(scenario, "groundTruth") for row in (rows if isinstance(rows, list) else [rows])]
-    times, places = [], []
-    for vessel in (1, 2):
-        own = {row["time"]: row["position"][1::-1] for row in rows if row["targetID"] == vessel}
-        times.append(np.array(sorted(own)))
-        places.append(np.array([own[t] for t in sorted(own)]))
-    return Scene(feeds), Truth(tuple(times), tuple(places), np.array(HALF_HULL_M[scenario]))
-
-
-def _loaded(scenario: str, what: str) -> list:
-    return json.loads((FOLDER / scenario / f"{scenario}_{what}.json").read_text())
-
-
-def _feed(description: Description, looks: list[dict]) -> Feed:
-    """All looks of one sensor; a measurement is norths, then easts (radar, lidar), or bearings in radians (cameras)."""
-    columns: dict[str, list] = {name: [] for name in ("time_s", "range_m", "bearing_deg", "station_x_m", "station_y_m")}
-    for look in looks:
-        seen = np.asarray(look["measurement"], dtype=np.float64).reshape(-1)
-        own_north, own_east = look["ownshipPosition"]
-        if description.kind != "camera":
-            north, east = seen.reshape(2, -1)
-            columns["range_m"] += list(np.hypot(east, north))
-            bearing = np.degrees(np.arctan2(east, north))
-        else:
-            bearing = np.degrees(seen)
-        columns["bearing_deg"] += list(bearing)
-        for name, value in (("time_s", look["time"]), ("station_x_m", own_east), ("station_y_m", own_north)):
-            columns[name] += [value] * len(bearing)
-    if description.kind == "camera":
-        del columns["range_m"]
-    latency = description.timing.latency_s or 0.0
-    looked = [look["time"] - latency for look in looks]
-    return Feed.of(description, Reports.of(description.name, "table", columns), looked_s=looked)
+WAYS = ("alone", "with memory")
+#: Off the hull, but by so little that the criterion is to blame.
+NEARLY = 1.3
+#: Between these distances of the vessels instants are told apart.
+APART_M = (0.0, 20.0, 50.0, 100.0, np.inf)
 
 
 @dataclass(frozen=True)
 class Due:
     """What the sensors show of the vessels at an instant: distances from the hulls, below 1 where on the hull.
 
-    cost : per sensor (2, n).
+    cost : per sensor (2, n). names : of the sensors.
     """
 
     cost: tuple[np.ndarray, ...]
+    names: tuple[str, ...]
 
     @classmethod
     def of(cls, now: Instant, truth: Truth) -> Due:
-        return cls(tuple(_cost(records_of(s).ids, feed, truth) for s, feed in zip(now.sources, now.feeds, strict=True)))
+        pairs = zip(now.sources, now.feeds, strict=True)
+        cost = tuple(_cost(records_of(source).ids, feed, truth) for source, feed in pairs)
+        return cls(cost, tuple(d.name for d in now.descriptions))
 
     def shows(self, vessel: int) -> np.ndarray:
         """(S,) whether each sensor shows the vessel: it has a detection on its hull that is nearer to it."""
@@ -134,14 +67,47 @@ class Due:
         """(S,) whether each sensor has a detection that is on its hull and not on the other's, which hides it."""
         return np.array([bool(((c[vessel] < 1.0) & (c[1 - vessel] >= 1.0)).any()) for c in self.cost], bool)
 
+    @property
+    def counts(self) -> bool:
+        """Whether two sensors or more show each of the vessels."""
+        return all(self.shows(vessel).sum() >= 2 for vessel in (0, 1))
+
     def right(self, members: np.ndarray) -> bool:
         """Whether two of the objects, (n, S) members, are the two vessels."""
-        fits = np.array([[self._fits(row, vessel) for vessel in (0, 1)] for row in members])
+        fits = np.array([[self.fits(row, vessel) for vessel in (0, 1)] for row in members]).reshape(-1, 2)
         return bool(fits.any(axis=0).all() and fits.any(axis=1).sum() >= 2)
 
-    def _fits(self, row: np.ndarray, vessel: int) -> bool:
+    def fits(self, row: np.ndarray, vessel: int) -> bool:
+        """Whether an object with these members is the vessel."""
         on_hull = all(self.cost[s][vessel, k] < 1.0 for s, k in enumerate(row) if k >= 0)
         return on_hull and (row >= 0).sum() >= 2 and bool((row >= 0)[self.must_show(vessel)].all())
+
+    def failures(self, members: np.ndarray) -> Iterator[str]:
+        """What is wrong with the objects nearest to being the vessels, in words."""
+        for vessel in (0, 1):
+            if any(self.fits(row, vessel) for row in members):
+                continue
+            on = [[self.cost[s][vessel, k] < 1.0 for s, k in enumerate(row) if k >= 0] for row in members]
+            best = max(range(len(members)), key=lambda n: 2 * sum(on[n]) - len(on[n]), default=None)
+            if best is None or sum(on[best]) < 2:
+                yield "not found"
+                continue
+            row = members[best]
+            for s in np.flatnonzero(row >= 0):
+                cost = self.cost[s][vessel, row[s]]
+                if cost >= 1.0:
+                    yield f"{self.names[s]}: " + ("just off the hull" if cost < NEARLY else "something else taken in")
+            for s in np.flatnonzero(self.must_show(vessel) & (row < 0)).tolist():
+                yield f"{self.names[s]}: " + self._left_out(members, s, vessel)
+
+    def _left_out(self, members: np.ndarray, s: int, vessel: int) -> str:
+        """Where the sensor's detections on the hull went."""
+        mine = np.flatnonzero(self.cost[s][vessel] < 1.0)
+        for row in members[np.isin(members[:, s], mine)]:
+            others = [self.cost[t][vessel, k] < 1.0 for t, k in enumerate(row) if k >= 0 and t != s]
+            if others:
+                return "with another part of the hull" if all(others) else "taken by something else"
+        return "left alone"
 
 
 def _cost(rows: np.ndarray, feed: Feed, truth: Truth) -> np.ndarray:
@@ -151,90 +117,183 @@ def _cost(rows: np.ndarray, feed: Feed, truth: Truth) -> np.ndarray:
     places = truth.at(float(reports.time_s[rows[0]]))
     if isinstance(reports, Directions):
         arm = places - reports.sensor_m[rows[0]]
-        delta = reports.bearing_deg[rows] - np.degrees(np.arctan2(arm[:, 0], arm[:, 1]))[:, None]
-        wide = MARGIN_DEG + np.degrees(np.arctan2(truth.half_m, np.hypot(*arm.T)))
-        return np.abs((delta + 180.0) % 360.0 - 180.0) / wide[:, None]
-    away = np.linalg.norm(reports.state[rows, :2] - places[:, None], axis=2)
-    return away / (MARGIN_M + truth.half_m)[:, None]
+        delta = turned(reports.bearing_deg[rows] - np.degrees(np.arctan2(*arm.T))[:, None])
+        return off_sights(delta, np.hypot(*arm.T), truth.half_m)
+    return off_hulls(reports.state[rows, :2] - places[:, None], truth.half_m)
+
+
+@dataclass(frozen=True)
+class Found:
+    """The objects of an instant: (n, S) members, (n, 2) positions with (n, 2, 2) covariances; numbers (n,), if any."""
+
+    members: np.ndarray
+    position: np.ndarray
+    covariance: np.ndarray
+    number: np.ndarray | None = None
 
 
 @dataclass
 class Tally:
-    """Counts of one scenario; errors are pairs of a sensor's error and the fused one, by sensor."""
+    """Counts of one scenario, judged in one way.
 
-    instants: int = 0
-    right: int = 0
+    judged : of every instant that counts its time, how far the vessels are apart, and whether it is right. wrong : what
+        is wrong where it is not. errors : by sensor its error and the fused one. changes : of the vessels' numbers.
+    """
+
+    judged: list[tuple[float, float, bool]] = field(default_factory=list)
+    wrong: Counter[str] = field(default_factory=Counter)
     errors: dict[str, list[tuple[float, float]]] = field(default_factory=lambda: {"lidar": [], "radar": []})
+    square: list[float] = field(default_factory=list)
+    changes: int = 0
+    last: dict[int, int] = field(default_factory=dict)
 
-    def add(self, due: Due, members: np.ndarray) -> None:
-        if all(due.shows(vessel).sum() >= 2 for vessel in (0, 1)):
-            self.instants += 1
-            self.right += due.right(members)
-
-    def measure(self, now: Instant, due: Due, found: Objects, members: np.ndarray, truth: Truth) -> None:
-        """Errors of the records that show a vessel best, and of the objects that they are members of."""
+    def add(self, now: Instant, due: Due, found: Found, truth: Truth) -> None:
+        """One instant."""
         places = truth.at(now.instant_s)
+        if due.counts:
+            right = due.right(found.members)
+            self.judged.append((now.instant_s, float(np.linalg.norm(places[0] - places[1])), right))
+            self.wrong.update(() if right else set(due.failures(found.members)))
         for s, feed in enumerate(now.feeds):
-            if isinstance(feed.reports, Directions):
-                continue
-            seen = feed.reports.state[records_of(now.sources[s]).ids, :2]
-            for v in (0, 1):
-                if due.shows(v)[s]:
-                    k = int(np.argmin(due.cost[s][v]))
-                    state = found.fused.state[np.flatnonzero(members[:, s] == k)[0], :2]
-                    own, fused = (float(np.linalg.norm(x - places[v])) for x in (seen[k], state))
-                    self.errors[feed.description.name].append((own, fused))
+            if not isinstance(feed.reports, Directions):
+                for vessel in (0, 1):
+                    self._measure(now, due, found, (s, vessel), places[vessel])
+
+    def _measure(self, now: Instant, due: Due, found: Found, which: tuple[int, int], place: np.ndarray) -> None:
+        """Errors of the detection of a sensor that shows a vessel best, and of the object that it is a member of."""
+        s, vessel = which
+        cost = due.cost[s]
+        shown = np.flatnonzero((cost[vessel] < 1.0) & (cost[vessel] <= cost[1 - vessel]))
+        if not len(shown):
+            return
+        best = int(shown[cost[vessel, shown].argmin()])
+        feed, (n, *_) = now.feeds[s], np.flatnonzero(found.members[:, s] == best)
+        seen = feed.reports.state[records_of(now.sources[s]).ids[best], :2]  # type: ignore[union-attr]
+        off = found.position[n] - place
+        self.errors[feed.description.name].append((float(np.linalg.norm(seen - place)), float(np.linalg.norm(off))))
+        self.square.append(float(off @ np.linalg.solve(found.covariance[n], off)) / 2.0)
+        if found.number is not None:
+            numbers = found.number[np.isin(found.members[:, s], shown)].tolist()
+            self.changes += vessel in self.last and self.last[vessel] not in numbers
+            self.last[vessel] = self.last[vessel] if self.last.get(vessel) in numbers else int(found.number[n])
+
+    def share(self, nearest_m: float = 0.0, farthest_m: float = np.inf) -> float:
+        """Per cent of the instants that are right, of those at which the vessels are so far apart."""
+        right = [right for _, apart_m, right in self.judged if nearest_m <= apart_m < farthest_m]
+        return 100.0 * float(np.mean(right)) if right else float("nan")
 
     def root_mean_square(self, sensor: str) -> tuple[float, float]:
         """The sensor's, and the fused one where the sensor shows a vessel."""
-        pairs = np.array(self.errors[sensor]).reshape(-1, 2)
-        return (float("nan"),) * 2 if not len(pairs) else tuple(np.sqrt(np.mean(pairs**2, axis=0)))
+        own, fused = np.sqrt(np.mean(np.square(self.errors[sensor]).reshape(-1, 2), axis=0)).tolist()
+        return own, fused
 
 
-def region_of(now: Instant) -> tuple[Region, float]:
-    """120 m about the own ship, where eight objects are thought to be, and their density in the middle."""
-    ship = np.mean(
-        [feed.sensor_m[np.searchsorted(feed.reports.time_s, now.instant_s) - 1] for feed in now.feeds], axis=0
-    )
+def among_few(now: Instant) -> Instant:
+    """The instant with eight objects thought to be within 120 m about the own ship."""
+    ship = np.mean([feed.sensor_at(now.instant_s) for feed in now.feeds], axis=0)
     region = Region(np.concatenate([ship, [0.0, 0.0]]), (120.0, 120.0, 3.0, 3.0))
-    return region, 8.0 / ((2.0 * np.pi) ** 2 * 120.0**2 * 3.0**2)
+    return replace(now, region=region, density=8.0 / ((2.0 * np.pi) ** 2 * 120.0**2 * 3.0**2))
 
 
-def run(scenario: str, step_s: float) -> Tally:
-    """One scenario from its beginning to its end."""
-    scene, truth = read(scenario)
+def run(scenario: str, models: dict[int, Learned], step_s: float) -> dict[str, Tally]:
+    """One scenario from its beginning to its end, in every way."""
+    scene, truth = scene_of(scenario, describe_all(models, scenario)), truth_of(scenario)
     start, end = scene.span_s
-    tally = Tally()
+    tallies = {way: Tally() for way in WAYS}
+    splits = {feed.description.name: model.split for feed, model in zip(scene.feeds, models.values(), strict=True)}
+    follower, following = Follower(split=splits), None
     for instant_s in np.arange(start + step_s, end, step_s):
-        now = scene.at(instant_s, features=POSITION_AND_VELOCITY).heard()
-        if len(now.sources) < 2:
+        now = among_few(scene.at(instant_s, features=POSITION_AND_VELOCITY))
+        following = follower.advance(now, following)
+        heard = now.heard()
+        if len(heard.sources) < 2:
             continue
-        region, density = region_of(now)
-        found = identify_many(now.sources, rule=replace(now, density=density).belief(), region=region)
-        due, members = Due.of(now, truth), np.ma.filled(found.members, -1)
-        tally.add(due, members)
-        tally.measure(now, due, found, members, truth)
-    return tally
+        due = Due.of(heard, truth)
+        found = {"alone": alone(heard), "with memory": followed(following)}
+        for way, tally in tallies.items():
+            tally.add(heard, due, found[way], truth)
+    return tallies
 
 
-def row_of(scenario: str, step_s: float) -> list[object]:
-    """The table's row of one scenario."""
-    tally = run(scenario, step_s)
-    share = 100.0 * tally.right / max(tally.instants, 1)
-    return [scenario, tally.instants, share, *tally.root_mean_square("lidar"), *tally.root_mean_square("radar")]
+def alone(heard: Instant) -> Found:
+    """An instant for itself."""
+    found = identify_many(heard.sources, rule=heard.belief(), region=heard.region)
+    return Found(np.ma.filled(found.members, -1), found.fused.state[:, :2], found.fused.covariance[:, :2, :2])
+
+
+def followed(following: Following) -> Found:
+    """What was followed, of the sources that say something."""
+    heard = [s for s, source in enumerate(following.now.sources) if len(records_of(source))]
+    state, covariance = following.state[:, :2], following.covariance[:, :2, :2]
+    return Found(following.members[:, heard], state, covariance, following.number)
+
+
+def tables(step_s: float) -> Iterator[Table]:
+    """Judges all scenarios."""
+    done = {scenario: run(scenario, learned_elsewhere(scenario, SCENARIOS), step_s) for scenario in SCENARIOS}
+    yield _shares(done)
+    yield _distances(done)
+    yield _positions(done)
+    yield _failures(done)
+
+
+def _shares(done: dict[str, dict[str, Tally]]) -> Table:
+    columns = ("scenario", "instants", *(f"right % {way}" for way in WAYS), "numbers changed")
+    rows, notes = [], []
+    for scenario, by_way in done.items():
+        last = by_way[WAYS[-1]]
+        rows.append([scenario, len(last.judged), *(tally.share() for tally in by_way.values()), last.changes])
+        start = last.judged[0][0]
+        wrong = ", ".join(f"{t - start:.1f} ({apart_m:.0f} m)" for t, apart_m, right in last.judged if not right)
+        notes.append(f"{scenario}, not right with memory, seconds from the first (vessels apart): {wrong}")
+    return Table("Two vessels, four sensors, models learned from the other two scenarios", columns, rows, notes)
+
+
+def _distances(done: dict[str, dict[str, Tally]]) -> Table:
+    rows: list[list[object]] = []
+    for scenario, by_way in done.items():
+        for near, far in pairwise(APART_M):
+            number = sum(near <= apart_m < far for _, apart_m, _ in by_way[WAYS[0]].judged)
+            if number:
+                here = f"{near:g} to {far:g} m" if np.isfinite(far) else f"{near:g} m and more"
+                rows.append([scenario, here, number, *(tally.share(near, far) for tally in by_way.values())])
+    return Table(
+        "By the distance of the vessels",
+        ("scenario", "apart", "instants", *(f"right % {way}" for way in WAYS)),
+        rows,
+    )
+
+
+def _positions(done: dict[str, dict[str, Tally]]) -> Table:
+    columns = ("scenario", "sensor", "its error, m", *(f"fused {way}" for way in WAYS))
+    rows: list[list[object]] = []
+    for scenario, by_way in done.items():
+        for sensor in ("lidar", "radar"):
+            pairs = [tally.root_mean_square(sensor) for tally in by_way.values()]
+            rows.append([scenario, sensor, pairs[0][0], *(fused for _, fused in pairs)])
+    nees = ", ".join(f"{name} {np.mean(by_way[WAYS[-1]].square):.2f}" for name, by_way in done.items())
+    notes = (f"NEES per dimension with memory, 1 where covariances are right: {nees}",)
+    return Table("Positions where the sensor shows a vessel", columns, rows, notes)
+
+
+def _failures(done: dict[str, dict[str, Tally]]) -> Table:
+    rows: list[list[object]] = []
+    for scenario, by_way in done.items():
+        kinds = sorted({kind for tally in by_way.values() for kind in tally.wrong})
+        rows += [[scenario, kind, *(tally.wrong[kind] for tally in by_way.values())] for kind in kinds]
+    columns = ("scenario", "what is wrong", *WAYS)
+    return Table("Instants that are not right, by what is wrong (several may be)", columns, rows)
 
 
 def main() -> None:
-    """Prints the table and keeps it."""
+    """Prints the tables and keeps them."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--step", type=float, default=0.5, help="seconds between instants")
     options = parser.parse_args()
     if not FOLDER.exists():
         print(f"the data are not there: {FOLDER}")
         return
-    columns = ("scenario", "instants", "right %", "lidar, m", "fused there", "radar, m", "fused there")
-    rows = [row_of(scenario, options.step) for scenario in SCENARIOS]
-    report("autoferry", [Table("Two vessels, four sensors", columns, rows)])
+    report("autoferry", tables(options.step))
 
 
 if __name__ == "__main__":

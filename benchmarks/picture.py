@@ -198,6 +198,7 @@ def judged(trial: Trial, scene: Scene, instants: np.ndarray, way: Way) -> Pictur
 class Remembered:
     """The picture over time against the truth: pairs, the SIAP metrics, and whether fused states are honest.
 
+    error_m, half_m : of the fused places, their root mean square, and within which half of them lie.
     gospa_m, missed, false : means over instants.
     """
 
@@ -205,6 +206,7 @@ class Remembered:
     siap: Siap
     nees: Nees
     error_m: float
+    half_m: float
     gospa_m: float
     missed: float
     false: float
@@ -223,8 +225,9 @@ class Remembered:
         found = np.column_stack([objects["x_m"], objects["y_m"]])[row]
         packed = [np.ma.filled(objects[name], np.nan)[row] for name in ("var_x_m2", "cov_xy_m2", "var_y_m2")]
         honest = nees(found, np.stack([packed[0], packed[1], packed[1], packed[2]], axis=-1).reshape(-1, 2, 2), true)
-        error_m = float(np.sqrt(np.nanmean(np.sum((found - true) ** 2, axis=1))))
-        return cls(pair_score(identities), siap(identities), honest, error_m, *gospa(trial, picture))
+        off_m = np.ma.filled(np.hypot(*(found - true).T), np.nan)
+        error_m, half_m = float(np.sqrt(np.nanmean(off_m**2))), float(np.nanmedian(off_m))
+        return cls(pair_score(identities), siap(identities), honest, error_m, half_m, *gospa(trial, picture))
 
 
 def gospa(trial: Trial, picture: Picture) -> tuple[float, float, float]:
@@ -268,7 +271,7 @@ class Lines:
             *label, *(score.pairs.f1 for score in one), picture.score.pairs.f1, picture.score.pairs.precision,
             picture.score.pairs.recall, picture.score.share_right, picture.siap.completeness, picture.siap.ambiguity,
             picture.siap.continuity, picture.siap.switches, picture.nees.mean,
-            picture.nees.median, picture.error_m, picture.gospa_m, picture.missed, picture.false,
+            picture.nees.median, picture.error_m, picture.half_m, picture.gospa_m, picture.missed, picture.false,
         ]  # fmt: skip
         others = [
             [*label, name, *(judged(trial, scene, instants, way).pairs.f1 for scene in (as_it_is, found))]
@@ -294,7 +297,7 @@ def _bias_rows(trial: Trial, found: tuple[SourceBiases, ...]) -> list[list[objec
 LABEL = ("noise, m", "misses", "radars")
 OURS = (
     *LABEL, "alone, biased", "alone, known", "alone, found", "memory", "precision", "recall", "instants right",
-    "complete", "ambiguity", "continuity", "switches", "NEES (2)", "median (1.39)", "fused, m",
+    "complete", "ambiguity", "continuity", "switches", "NEES (2)", "median (1.39)", "fused, m", "half within, m",
     "GOSPA, m", "missed", "false",
 )  # fmt: skip
 OTHERS = (*LABEL, "way", "F1, biased", "F1, biases found")

@@ -43,8 +43,21 @@ from sameas.union import Union
 OF_TWO_SOURCES = (Brightness, ConstantCost, DetectionField, PoissonField, Universal)
 
 
+class ObjectsRule:
+    """What every belief in objects at places is: terms of records and pairs; and a sum with rules beside positions."""
+
+    def terms(self, union: Union) -> Terms:
+        """The terms of the records and pairs of ``union``."""
+        raise TypeError(f"{type(self).__name__} is the interface of beliefs in objects; use one of them")
+
+    def __add__(self, other: Rule) -> Belief:
+        return Belief(self, ()) + other
+
+    __radd__ = __add__
+
+
 @dataclass(frozen=True)
-class PoissonObjects:
+class PoissonObjects(ObjectsRule):
     """Objects are a Poisson field of known density; a set's weight follows from it (METHOD 4.3, 7).
 
     A set A of records that is an object weighs ρ ∏_{s∈A}(1−q_s) ∏_{s∉A} q_s J(A); a record alone is an object that the
@@ -69,11 +82,6 @@ class PoissonObjects:
         false = np.asarray(self.false, dtype=np.float64)
         if not np.all((false >= 0.0) & (false < np.inf)):
             raise InputError(f"PoissonObjects: false is {self.false}; give densities of zero or more")
-
-    def __add__(self, other: Rule) -> Belief:
-        return Belief(self, ()) + other
-
-    __radd__ = __add__
 
     def terms(self, union: Union) -> Terms:
         """The terms of the records and pairs of ``union``."""
@@ -102,7 +110,7 @@ class Belief:
     ['Identity']
     """
 
-    objects: PoissonObjects
+    objects: ObjectsRule
     beside: tuple[Rule, ...]
 
     def __add__(self, other: Rule) -> Belief:
@@ -114,7 +122,7 @@ class Belief:
 
 
 @dataclass(frozen=True)
-class Pairwise:
+class Pairwise(ObjectsRule):
     """A rule of positions for pairs, λ = N(Δ; 0, Σ)/f(Δ), extended to sets: λ(T) = J(T) / f(T), whatever their order.
 
     ln f(T) = (k − 1) · mean over the pairs of ln f(Δ_ij). It is the rule itself for two records, and exact for any
@@ -172,7 +180,7 @@ class MissedObjects:
         return log_p - log_p[:1]
 
 
-SetRule = PoissonObjects | Belief | Rule
+SetRule = ObjectsRule | Belief | Rule
 SetPrior = MissedObjects | PerPair
 
 
@@ -183,17 +191,21 @@ def terms_of(rule: SetRule, prior: SetPrior, union: Union) -> Terms:
     return positions.terms(union) + Terms({}, said) + _prior_terms(prior, union)
 
 
-def parts_of(rule: SetRule) -> tuple[PoissonObjects | Pairwise, tuple[Rule, ...]]:
+def parts_of(rule: SetRule) -> tuple[ObjectsRule, tuple[Rule, ...]]:
     """The rule of positions, and those beside it.
 
     Raises
     ------
     InputError : none of the rules speaks of positions, or several do, or one knows two sources only.
     """
-    if isinstance(rule, PoissonObjects | Belief):
-        objects, rules = (rule, ()) if isinstance(rule, PoissonObjects) else (rule.objects, rule.beside)
+    objects: ObjectsRule | None = None
+    rules: tuple[Rule, ...] = ()
+    if isinstance(rule, Belief):
+        objects, rules = rule.objects, rule.beside
     elif isinstance(rule, Rule):
-        objects, rules = None, rule.parts()
+        rules = rule.parts()
+    elif isinstance(rule, ObjectsRule):
+        objects = rule
     else:
         raise InputError(f"identify_many: rule is a {type(rule).__name__}; give PoissonObjects(…) or CloseObjects(…)")
     for part in rules:

@@ -45,7 +45,8 @@ def identify_sequentially(
 
     Raises
     ------
-    InputError : a rule beside the positions is given: a fused picture is nobody's record and says nothing of itself.
+    InputError : a rule beside the positions is given: a fused picture is nobody's record and says nothing of itself;
+        or a rule that knows no pairs.
     """
     positions, beside = parts_of(rule)
     if beside:
@@ -53,6 +54,8 @@ def identify_sequentially(
             f"identify_sequentially compares positions, and {type(beside[0]).__name__} speaks of records, which the "
             "fused picture is not; give it to identify_many"
         )
+    if not isinstance(positions, PoissonObjects | Pairwise):
+        raise InputError(f"{type(positions).__name__} weighs whole sets of records; give it to identify_many")
     together = union(sources, gate)
     if len(together.observers.whole) < len(sources):
         raise InputError("identify_sequentially needs sources of whole positions; give the parts to identify_many")

@@ -1,0 +1,152 @@
+"""How long one instant of a picture takes: two or three sources that track many targets, far apart and crowded.
+
+Timed is the processor's time of one thread, instant by instant after the first: what the sources say (``Scene.at``),
+which of their records are one object and what the picture carries on (``Watch.advance``), and the columns of its two
+tables. Beside it ``identify_many`` alone, without memory and without identities.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TypeVar
+
+import numpy as np
+
+from benchmarks.tables import Table, report
+from sameas.many import identify_many
+from sameas.picture.columns import Columns, object_columns, record_columns
+from sameas.picture.moment import Moment, Watch
+from sameas.records import FloatArray
+from sameas.tracks.reports import Reports
+from sameas.tracks.scene import Instant, Scene
+from sameas.tracks.source import Description, ErrorModel, Misses, Motion, Timing
+
+SIGMA_M, SPEED_M_PER_S, MISSES, PERIOD_S, EVERY_S = 25.0, 5.0, 0.1, 3.0, 10.0
+#: Standard deviation of the difference of two records.
+PAIR_M = math.sqrt(2.0) * SIGMA_M
+#: Mean number of other targets within one standard deviation of a pair: far apart, busy, crowded.
+CROWDS = (0.01, 0.03, 0.1)
+Made = TypeVar("Made")
+
+
+@dataclass(frozen=True)
+class Case:
+    """So many targets seen by so many sources; ``asked_ms``: what one instant may take."""
+
+    sources: int
+    targets: int
+    asked_ms: float
+
+
+CASES = (Case(3, 500, 100.0), Case(2, 5000, 300.0))
+
+
+@dataclass(frozen=True)
+class Stopwatch:
+    """Milliseconds of this thread by stage, one for each instant."""
+
+    spent_ms: dict[str, list[float]] = field(default_factory=dict)
+
+    def of(self, stage: str, work: Callable[[], Made]) -> Made:
+        """What the work makes; its time is noted."""
+        began = time.thread_time()
+        made = work()
+        self.spent_ms.setdefault(stage, []).append(1e3 * (time.thread_time() - began))
+        return made
+
+    def total_ms(self, stages: tuple[str, ...]) -> np.ndarray:
+        """(k,) per instant after the first, which compiles and fills caches."""
+        return np.sum([self.spent_ms[stage] for stage in stages], axis=0)[1:]
+
+
+def scene(case: Case, crowd: float, seed: int, span_s: float) -> Scene:
+    """Targets on straight courses over a square, as sources that number them report them."""
+    rng = np.random.default_rng(seed)
+    width_m = math.sqrt(case.targets * math.pi * PAIR_M**2 / crowd)
+    start = rng.uniform(0.0, width_m, (case.targets, 2))
+    velocity = SPEED_M_PER_S * rng.standard_normal((case.targets, 2))
+    sources = []
+    for number in range(case.sources):
+        looks = np.arange(rng.uniform(-PERIOD_S, 0.0), span_s, PERIOD_S)
+        who, look = np.nonzero(rng.random((case.targets, len(looks))) >= MISSES)
+        place = start[who] + looks[look, None] * velocity[who] + SIGMA_M * rng.standard_normal((len(who), 2))
+        told = velocity[who] + 0.3 * rng.standard_normal((len(who), 2))
+        columns = {
+            "time_s": looks[look], "x_m": place[:, 0], "y_m": place[:, 1], "vx_m_per_s": told[:, 0],
+            "vy_m_per_s": told[:, 1], "track_id": np.array([f"{k}" for k in who], object),
+        }  # fmt: skip
+        said = Description(
+            f"source {number}", "tracks", errors=ErrorModel(position_m=SIGMA_M, speed_m_per_s=0.3, course_deg=3.0),
+            misses=Misses(MISSES), motion=Motion(0.01, SPEED_M_PER_S), timing=Timing(PERIOD_S, 0.0, 0.0),
+        )  # fmt: skip
+        sources.append((said, Reports.of(said.name, "table", columns)))
+    return Scene.of(sources)
+
+
+STAGES = ("said", "picture", "columns")
+
+
+def timed(case: Case, crowd: float, seed: int, instants: int) -> Stopwatch:
+    """The stages of a picture, and one instant judged alone."""
+    made, watch, clock = scene(case, crowd, seed, EVERY_S * (instants + 1)), Watch(), Stopwatch()
+
+    for k in range(instants):
+        now = clock.of("said", partial(made.at, EVERY_S * (k + 1)))
+        moment = clock.of("picture", partial(watch.advance, now))
+        clock.of("columns", partial(tables_of, moment))
+        clock.of("alone", partial(alone, now))
+        watch = moment.watch
+    return clock
+
+
+def tables_of(moment: Moment) -> tuple[Columns, Columns]:
+    """The rows of both tables."""
+    return object_columns(moment), record_columns(moment)
+
+
+def alone(now: Instant) -> FloatArray:
+    """How sure the objects of one instant are, by nothing but their places."""
+    return identify_many(now.sources, rule=now.belief(), region=now.region).probability
+
+
+def lines(case: Case, seeds: int, instants: int) -> Iterator[list[object]]:
+    """The rows of one case, one for each crowd."""
+    for crowd in CROWDS:
+        clocks = [timed(case, crowd, seed, instants) for seed in range(seeds)]
+        whole = np.concatenate([clock.total_ms(STAGES) for clock in clocks])
+        parts = [np.median(np.concatenate([clock.total_ms((stage,)) for clock in clocks])) for stage in STAGES]
+        alone = np.concatenate([clock.total_ms(("alone",)) for clock in clocks])
+        yield [
+            case.sources, case.targets, crowd, *map(float, parts), float(np.median(whole)), float(whole.max()),
+            float(np.median(alone)), float(alone.max()), case.asked_ms,
+        ]  # fmt: skip
+
+
+COLUMNS = (
+    "sources", "targets", "others within σ", "said, ms", "picture, ms", "columns, ms", "all, ms", "slowest",
+    "identify_many alone, ms", "slowest", "asked",
+)  # fmt: skip
+
+
+def main() -> None:
+    """Prints the table and keeps it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="one scene of four instants each")
+    options = parser.parse_args()
+    seeds, instants = (1, 4) if options.quick else (4, 8)
+    rows = [line for case in CASES for line in lines(case, seeds, instants)]
+    notes = (
+        f"milliseconds of one thread, medians over {seeds} scene{'s' * (seeds > 1)} of {instants - 1} instants after "
+        "the first, modelled tracks",
+        f"σ of a record {SIGMA_M:g} m; others within σ: of the difference of two records",
+    )
+    report("instants", [Table("One instant", COLUMNS, rows, notes)])
+
+
+if __name__ == "__main__":
+    main()
