@@ -10,6 +10,7 @@ of c > 20, 14, …, until it fits, and the result says so.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -152,6 +153,7 @@ class _Sums:
         from sameas.kernels.partitions import eliminate
 
         sets = self.sets
+        wanted = wanted & ~self._too_wide(np.flatnonzero((cost <= cut) & wanted[sets.group]))
         kept = np.flatnonzero((cost <= cut) & wanted[sets.group])
         blocks = _Blocks.of(sets, kept, self.n_records, self.counts)
         share, chosen = np.zeros(len(sets)), np.zeros(len(sets), bool)
@@ -164,10 +166,31 @@ class _Sums:
             np.flatnonzero(blocks.size <= MOST_RECORDS), blocks.start, blocks.first, blocks.mask, sets.log_weight[at],
             sets.size[at] - 1, start, table, self.counts, MOST_STEPS, part, best, solved,
         )  # fmt: skip
-        done = wanted.copy()
+        done = wanted
         done[blocks.group[~solved]] = False
         share[at], chosen[at] = part, best
         return np.where(done[sets.group], share, 0.0), chosen & done[sets.group], done
+
+    def _too_wide(self, kept: IntArray) -> NDArray[np.bool_]:
+        """(g,) groups in which the kept sets entangle more records than a state can hold: not to be begun with."""
+        sets, wide = self.sets, np.zeros(len(self.sets.start) - 1, bool)
+        kept = kept[(self._sizes > MOST_RECORDS)[sets.group[kept]] & (sets.size[kept] > 1)]
+        if self.counts or not len(kept):
+            return wide
+        at, source = np.nonzero(sets.members[kept] >= 0)
+        edges = (sets.members[kept][at, source], self.n_records + at)
+        size = self.n_records + len(kept)
+        _, part = connected_components(
+            csr_array((np.ones(len(at), np.int8), edges), shape=(size, size)), directed=False
+        )
+        records = np.bincount(part[: self.n_records])
+        wide[sets.group[kept[records[part[self.n_records :]] > MOST_RECORDS]]] = True
+        return wide
+
+    @cached_property
+    def _sizes(self) -> IntArray:
+        """(g,) records of each group."""
+        return np.bincount(self.sets.group[self.sets.size == 1], minlength=len(self.sets.start) - 1)
 
     def _left_of_table(self, blocks: _Blocks, sure: IntArray) -> tuple[IntArray, FloatArray]:
         """Starts and ln P of the merges that are left to each block when those of the sure sets are made."""

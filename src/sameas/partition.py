@@ -52,11 +52,10 @@ def best_partition(
     _, group_of_record = _group_of(sets, n_records)
     bound = np.bincount(group_of_record, dual, n_groups)
     for g in np.flatnonzero(broken):
-        here = np.arange(sets.start[g], sets.start[g + 1])
-        here = np.intersect1d(here, active)
-        chosen[here] = False
-        picked, better = _packed(sets.log_weight[here], incidence[:, here], time_limit_s)
-        chosen[here[picked]] = True
+        there = slice(*np.searchsorted(active, sets.start[g : g + 2]))
+        chosen[active[there]] = False
+        picked, better = _packed(sets, active[there], x[there], dual, incidence, time_limit_s)
+        chosen[picked] = True
         bound[g] = min(bound[g], better)
     chosen |= _left_alone(sets, chosen, incidence)
     value = np.bincount(sets.group[chosen], sets.log_weight[chosen], n_groups)
@@ -120,8 +119,31 @@ def _dominated(sets: Sets) -> NDArray[np.bool_]:
     return out
 
 
-def _packed(weight: FloatArray, incidence: csr_array, time_limit_s: float) -> tuple[IntArray, float]:
-    """The best packing of some sets, and the bound."""
+def _packed(
+    sets: Sets, here: IntArray, share: FloatArray, dual: FloatArray, incidence: csr_array, time_limit_s: float
+) -> tuple[IntArray, float]:
+    """The best packing of one group's sets, and the bound, from their shares in the relaxation and its duals.
+
+    A good packing comes first: the sets whose share is whole, and the best of those that share no record with them. Of
+    a better one every set has a reduced cost of no more than the good one falls short of the relaxation.
+    """
+    within, weight = incidence[:, here], sets.log_weight[here]
+    whole = share > 1.0 - 1e-6
+    apart = np.flatnonzero(within.T @ (within[:, whole].sum(axis=1) > 0) == 0)
+    added, _ = _branched_packing(weight[apart], within[:, apart], 0.5 * time_limit_s)
+    begun = np.concatenate([np.flatnonzero(whole), apart[added]])
+    known, cost = float(weight[begun].sum()), within.T @ dual - weight
+    relaxed = float(dual[within.sum(axis=1) > 0].sum())
+    kept = np.flatnonzero(cost <= relaxed - known + 1e-6 * max(1.0, abs(relaxed)))
+    picked, bound = _branched_packing(weight[kept], within[:, kept], 0.5 * time_limit_s)
+    best = kept[picked]
+    return here[best if weight[best].sum() >= known else begun], max(bound, known)
+
+
+def _branched_packing(weight: FloatArray, incidence: csr_array, time_limit_s: float) -> tuple[IntArray, float]:
+    """The best packing of some sets by branch and bound, and the bound."""
+    if not len(weight):
+        return np.empty(0, np.int64), 0.0
     high = np.ones(incidence.shape[0])
     x, bound, _ = _branched(weight, incidence, np.full(len(high), -np.inf), high, time_limit_s)
     return np.flatnonzero(x > 0.5), bound

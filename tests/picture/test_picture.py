@@ -115,6 +115,21 @@ def test_one_source_is_a_picture_and_so_is_none():
     ]
 
 
+def test_the_summary_tells_how_well_places_are_known():
+    sources, times = ships(seed=8)
+    picture = Picture.of(Scene.of(sources), [*times, times[-1] + 20.0, times[-1] + 60.0])
+    o, told = picture.objects, picture.summary.places
+    confirmed = o["stage"] == "confirmed"
+    both = np.ma.sqrt(0.5 * (o["var_x_m2"] + o["var_y_m2"]))[confirmed].compressed()
+    assert told.shown_m == np.median(both)
+    assert told.coasting == np.mean([np.sum(o["stage"][o["time_s"] == t] == "coasting") for t in picture.instants_s])
+    line = next(line for line in picture.summary.lines() if line.startswith("places"))
+    assert line.startswith(f"places: known to {told.shown_m:.2g} m (1σ, the median object)")
+    assert ("coast, unseen" in line) == (told.coasting > 0.0)
+    # Who coasts is known less well.
+    assert told.coasting_m is None or told.coasting_m > told.shown_m
+
+
 def test_a_source_may_begin_late_and_fall_silent():
     sources, times = ships(seed=6, looks=12)
     late = sources[2][1].where((sources[2][1].time_s >= 40.0) & (sources[2][1].time_s < 70.0))

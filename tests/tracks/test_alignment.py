@@ -10,8 +10,8 @@ from sameas.observations import Bearing, LinearPart
 from sameas.tracks.alignment import (
     Earlier,
     States,
+    Succession,
     aged,
-    latest,
     moved,
     process_noise,
     stamped_late,
@@ -75,10 +75,14 @@ def test_the_last_report_by_its_own_time_stands_for_a_track_whatever_the_order_o
     rng = np.random.default_rng(3)
     for _ in range(5):
         order = rng.permutation(6)
-        chosen = order[latest(time_s[order], track[order], 12.0)]
+        chosen = order[Succession.of(time_s[order], track[order]).at(12.0)]
         assert sorted(chosen) == [3, 4, 5]
-    assert len(latest(time_s, track, 1.0)) == 0
-    assert list(latest(time_s, None, 10.0)) == [0, 1, 5]
+    follows = Succession.of(time_s, track)
+    assert len(follows.at(1.0)) == 0
+    assert [list(follows.at(t)) for t in (4.0, 7.0, 10.0, 99.0)] == [[1], [1, 5], [0, 1, 5], [2, 3, 5]]
+    assert len(Succession.of(np.empty(0), np.empty(0, object)).at(0.0)) == 0
+    # Of equal times the one that came last.
+    assert list(Succession.of(np.zeros(3), np.array(["a", "b", "a"])).at(0.0)) == [1, 2]
 
 
 def test_records_age_out_by_their_own_uncertainty_not_by_the_clock():

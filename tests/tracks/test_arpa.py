@@ -78,6 +78,20 @@ def test_positions_that_the_radar_worked_out_are_read_where_there_is_nothing_els
     assert both.position == "polar" and both.passed_over == {"TLL of targets that TTM tells too": 1}
 
 
+def test_own_ship_is_where_her_own_ais_says_too():
+    pyais = pytest.importorskip("pyais")
+    [said] = pyais.encode_dict({"type": 1, "mmsi": 235000001, "lat": 50.9, "lon": -1.4, "heading": 30})
+    own = said[1:].split("*")[0].replace("VDM", "VDO")
+    made = reports(ZDA, own, ttm(flag="R"))
+    assert made.station_lat_deg[0] == pytest.approx(50.9) and made.station_lon_deg[0] == pytest.approx(-1.4)
+    assert made.bearing_deg[0] == pytest.approx(43.6)
+    assert "bridge: own ship's place from 1 AIS sentences of her own (VDO) too" in made.notes
+    tll = "RATLL,03,5046.0,N,00105.0,W,X,015200.36,T,"
+    # Places that the radar worked out were seen from own ship, where all of them were.
+    assert reports(ZDA, RMC, tll).station_lat_deg[0] == pytest.approx(50 + 46.380 / 60)
+    assert reports(ZDA, tll, RMC, tll).station_lat_deg is None
+
+
 def test_times_of_day_cross_midnight_with_the_date_nearest_to_the_clock():
     late, early = "GPZDA,235959.00,12,01,2016,00,00", "GPZDA,000001.00,13,01,2016,00,00"
     made = reports(late, ttm(time="235958.00"), ttm(time="000000.50"), early, ttm(time="235959.50"))

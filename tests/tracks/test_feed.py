@@ -1,4 +1,4 @@
-"""Plots under numbers become tracks where nobody tells velocities, and only there."""
+"""Plots under numbers become tracks where nobody tells velocities, or where they scatter; what is smoothed stays."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from sameas.observations import records_of
 from sameas.tracks.feed import Feed, need_filtering
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
-from sameas.tracks.source import Description, ErrorModel, Misses
+from sameas.tracks.source import Description, ErrorModel, Misses, Site
 
 PLOTS = {"time_s": [0.0, 3.0], "range_m": [900.0, 910.0], "bearing_deg": [10.0, 11.0]}
 PLACES = {"time_s": [0.0, 3.0], "lat_deg": [50.0, 50.1], "lon_deg": [1.0, 1.0]}
@@ -31,7 +31,8 @@ SPEEDS = {"speed_m_per_s": [4.0, np.nan], "course_deg": [10.0, np.nan]}
     ],
 )
 def test_plots_with_names_and_without_velocities_are_to_be_filtered(kind, wrote, columns, needed):
-    assert need_filtering(Description("one", kind), Reports.of("one", wrote, columns)) is needed
+    about = Description("one", kind, site=Site(east_m=0.0, north_m=0.0))
+    assert need_filtering(about, Reports.of("one", wrote, columns)) is needed
 
 
 def vessels(rng, n=60, width_m=6e3):
@@ -56,6 +57,24 @@ RADAR = Description(
     "radar", "marine radar", errors=ErrorModel(position_m=40.0, extent_m=0.0), misses=Misses(0.1)
 )  # fmt: skip
 AIS = Description("ais", "ais", errors=ErrorModel(position_m=8.0, extent_m=0.0))
+
+
+@pytest.mark.parametrize("said_m", [25.0, 40.0, 60.0])
+def test_whether_a_tracker_that_tells_velocities_tells_plots_or_smoothed_places_shows_in_their_scatter(said_m):
+    radar, _ = vessels(np.random.default_rng(4))
+    about = Description("radar", "marine radar", errors=ErrorModel(position_m=said_m, extent_m=0.0))
+    tracks = Feed.of(RADAR, radar, to_tracks=True).reports
+    velocity = {"vx_m_per_s": tracks.state[:, 2], "vy_m_per_s": tracks.state[:, 3]}
+    names = {"time_s": radar.time_s, "track_id": radar.track_id}
+    plots = Reports.of("radar", "table", names | velocity | {"x_m": radar.x_m, "y_m": radar.y_m})
+    smoothed = {"x_m": tracks.state[:, 0], "y_m": tracks.state[:, 1]}
+    # A tracker's tracks are reported when they have settled.
+    settled = Reports.of("radar", "table", names | velocity | smoothed).where(radar.time_s > 120.0)
+    assert need_filtering(about, plots)
+    assert not need_filtering(about, settled)
+    # Few reports tell nothing.
+    assert not need_filtering(about, plots.where(np.arange(40)))
+    assert not need_filtering(Description("radar", "tracks", errors=about.errors), plots)
 
 
 def f1_of_pairs(scene, instants_s):

@@ -94,6 +94,17 @@ def test_what_shows_all_at_once_does_not_turn():
     assert np.abs(looks.look_s - frames).max() < 0.05
 
 
+def test_exposures_of_an_object_that_goes_round_do_not_turn():
+    # Bearings that drift by a turn over the whole time fold at a period a little beside that of the exposures.
+    frames = 0.5 * np.arange(400) + 0.02 * np.sin(np.arange(400.0) ** 2)
+    drift = 360.0 * frames / 200.0 + np.random.default_rng(6).normal(0.0, 5.0, 400)
+    assert turning_s(frames, drift, 0.5) is not None
+    assert looks_of(frames, 0.5, drift).turn is None
+    # Irregular ones, where all looks are known.
+    frames = np.sort(np.random.default_rng(7).uniform(0.0, 200.0, 400))
+    assert looks_of(frames, 0.5, drift, np.append(frames, 7.77)).turn is None
+
+
 def test_one_object_under_a_turning_antenna_is_one():
     time_s = TURN_S * np.arange(40) + 0.001 * np.sin(np.arange(40))
     looks = looks_of(time_s, 1.01 * TURN_S, np.full(40, 77.0))

@@ -6,7 +6,7 @@ import pytest
 from sameas.errors import InputError
 from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.placement import Directions, Sight, placed
+from sameas.tracks.placement import Directions, Sight, placed, supposed
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description, ErrorModel, Motion, Site, Targets, Timing
 
@@ -102,6 +102,33 @@ def test_a_sight_is_a_bearing_that_has_a_slope_at_the_sensor_too():
     sight = Sight((0.0, 0.0), nearest_m=10.0)
     assert np.isfinite(sight.jacobian(states)).all() and np.abs(sight.jacobian(states)[0]).max() < 1e-3
     np.testing.assert_allclose(sight.jacobian(states)[1, 0], np.degrees([40.0, -30.0]) / 2500.0)
+
+
+def test_places_without_errors_are_as_good_as_the_radar_measures():
+    radar = Description("radar", "marine radar", site=SITE)
+    plots = {"time_s": np.zeros(6), "range_m": [2e3] * 3 + [15e3] * 3, "bearing_deg": [0.0, 60.0, 200.0] * 2}
+    measured = placed(radar, Reports.of("radar", "table", plots), PLANE)
+    lat, lon = PLANE.to_geodetic(measured.state[:, :2])
+    said = Reports.of("radar", "table", {"time_s": np.zeros(6), "lat_deg": lat, "lon_deg": lon})
+    told = placed(radar, said, PLANE)
+    np.testing.assert_allclose(told.covariance[:, :2, :2], measured.covariance[:, :2, :2], rtol=0.02, atol=10.0)
+    assert supposed(radar, said) == (
+        "radar: 6 positions state no errors; they are taken to be as good as a range ± 15 m ± 0.5 % and a bearing "
+        "± 0.5°; errors.position_m says better",
+    )
+    # From nowhere they are as good as at a quarter of the range, the same in all directions.
+    bare = Description("radar", "marine radar")
+    sigma = np.hypot(0.25 * 44_448.0 * np.radians(0.5), 15.0)
+    np.testing.assert_allclose(placed(bare, said, PLANE).covariance[:, 0, 0], sigma**2, rtol=0.02)
+    assert "a bearing ± 0.5° at 11.1 km, since nothing says where it stands" in supposed(bare, said)[0]
+    # In metres of the user's own, and where errors are described or stated.
+    flat = Description("radar", "marine radar", site=Site(east_m=0.0, north_m=0.0))
+    here = {"time_s": [0.0], "x_m": [0.0], "y_m": [10e3]}
+    spread = placed(flat, Reports.of("radar", "table", here)).covariance[0, :2, :2]
+    np.testing.assert_allclose(np.sqrt(np.diag(spread)), [np.hypot(87.3, 15.0), np.hypot(52.2, 15.0)], rtol=0.01)
+    known = Description("radar", "marine radar", site=SITE, errors=ErrorModel(position_m=7.0, extent_m=0.0))
+    assert supposed(known, said) == ()
+    np.testing.assert_allclose(placed(known, said, PLANE).covariance[:, 0, 0], 49.0, rtol=1e-3)
 
 
 def test_heights_are_assumed_only_where_nothing_tells_them():

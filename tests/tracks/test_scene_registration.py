@@ -148,6 +148,10 @@ def test_a_camera_is_turned_back():
     assert found.established and abs(normalised(found, {"azimuth_deg": 1.7})[0]) < 3.5
     turned = (scene.feeds[1].reports.bearing_deg - registered.feeds[1].reports.bearing_deg) % 360.0
     np.testing.assert_allclose(turned, found.parameters["azimuth_deg"].value)
+    # Hulls of 5 m stay 5 m wide, seen from some kilometres; ships go at some metres a second.
+    for met in encounters(Side(scene.feeds[0], None), Side(scene.feeds[1], 0)):
+        assert 0.0 < met.lasting_m2 < 0.1
+        assert 1.0 < met.speed_m_per_s < 20.0
 
 
 def test_what_has_nothing_in_common_is_left_where_it_is():

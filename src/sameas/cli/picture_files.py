@@ -60,7 +60,7 @@ class Made:
             "instants": said.instants, "first_s": said.first_s, "last_s": said.last_s,
             "confirmed_objects_by_number_of_sources": list(said.by_sources), "unconfirmed_objects": said.unconfirmed,
             "objects_per_instant": said.shown, "expected_wrong_per_instant": said.expected_wrong,
-            "ambiguous_groups_per_instant": said.ambiguous_groups,
+            "ambiguous_groups_per_instant": said.ambiguous_groups, "places": asdict(said.places),
             "alarms": [str(alarm) for alarm in said.alarms], "doubts": [*self.doubts, *said.notes],
             "offsets": [_offset(found) for found in self.biases], "misses": [asdict(misses) for misses in said.misses],
             "assumed": [asdict(line) for source in self.sources for line in source.description.assumed],

@@ -41,24 +41,19 @@ def _group(n, first, mask, weight, merges, log_p, counted, cap, share, chosen):
     key, made, layer, origin, target, used = _steps(n, first, mask, merges, counted, cap)
     if len(layer) == 0:
         return False
-    forward, best, step = _forward(key, origin, target, used, weight)
+    best, step = _best(len(key), origin, target, used, weight)
     last, stop = layer[n], layer[n + 1]
-    top, finish = -np.inf, last
+    top, highest, finish = -np.inf, -np.inf, last
     for t in range(last, stop):
         prior = log_p[made[t]] if counted else 0.0
+        highest = max(highest, prior)
         if best[t] + prior > top:
             top, finish = best[t] + prior, t
-    backward = np.full(len(key), -np.inf)
-    total = -np.inf
+    ends = np.ones(stop - last)
     for t in range(last, stop):
-        backward[t] = log_p[made[t]] if counted else 0.0
-        total = _add(total, forward[t] + backward[t])
-    for e in range(len(origin) - 1, -1, -1):
-        gain = weight[used[e]] if used[e] >= 0 else 0.0
-        ahead = gain + backward[target[e]]
-        backward[origin[e]] = _add(backward[origin[e]], ahead)
-        if used[e] >= 0:
-            share[used[e]] += math.exp(forward[origin[e]] + ahead - total)
+        ends[t - last] = math.exp(log_p[made[t]] - highest) if counted else 1.0
+    if not _summed(layer[: n + 2], origin, target, used, _factors(n, mask, weight), ends, share):
+        return False
     while step[finish] >= 0:
         e = step[finish]
         if used[e] >= 0:
@@ -68,15 +63,81 @@ def _group(n, first, mask, weight, merges, log_p, counted, cap, share, chosen):
 
 
 @part
+def _factors(n, mask, weight):
+    """Per set its weight, no logarithm, by what its records could add elsewhere: at most 1, so that no sum overflows.
+
+    Every partition has every record once, so that what is taken off for the records is the same for all of them.
+    """
+    one = np.uint64(1)
+    most, total = np.full(n, -np.inf), np.zeros(len(mask))
+    for turn in range(2):
+        for k in range(len(mask)):
+            size = 0
+            for r in range(n):
+                size += (mask[k] >> np.uint64(r)) & one == one
+            for r in range(n):
+                if (mask[k] >> np.uint64(r)) & one == one:
+                    if turn == 0:
+                        most[r] = max(most[r], weight[k] / size)
+                    else:
+                        total[k] += most[r]
+    return np.exp(weight - total)
+
+
+@part
+def _summed(layer, origin, target, used, factor, ends, share):
+    """Add to ``share`` of every set the part of all ways, from the first state to the last ones, that use it.
+
+    Every layer's sums are divided by their largest. Every way takes one step from each layer to the next, so that the
+    parts of those steps are what they are by themselves. False where all ways are too improbable for a number.
+    """
+    n, size = len(layer) - 2, layer[-1]
+    forward, backward = np.zeros(size), np.zeros(size)
+    forward[0] = 1.0
+    backward[layer[n] :] = ends
+    cuts = np.searchsorted(origin, layer[: n + 1])
+    for r in range(n):
+        for e in range(cuts[r], cuts[r + 1]):
+            forward[target[e]] += forward[origin[e]] * (factor[used[e]] if used[e] >= 0 else 1.0)
+        if not _scaled(forward[layer[r + 1] : layer[r + 2]]):
+            return False
+    for r in range(n - 1, -1, -1):
+        total = 0.0
+        for e in range(cuts[r], cuts[r + 1]):
+            ahead = backward[target[e]] * (factor[used[e]] if used[e] >= 0 else 1.0)
+            backward[origin[e]] += ahead
+            total += forward[origin[e]] * ahead
+        if not total > 0.0:
+            return False
+        for e in range(cuts[r], cuts[r + 1]):
+            if used[e] >= 0:
+                share[used[e]] += forward[origin[e]] * factor[used[e]] * backward[target[e]] / total
+        if not _scaled(backward[layer[r] : layer[r + 1]]):
+            return False
+    return True
+
+
+@part
+def _scaled(values):
+    """Divide by the largest; whether there is one above 0."""
+    most = 0.0
+    for value in values:
+        most = max(most, value)
+    for k in range(len(values)):
+        values[k] /= most
+    return most > 0.0
+
+
+@part
 def _steps(n, first, mask, merges, counted, cap):
     """States (records taken, merges made), the layers' starts, and the steps between them; no layers beyond ``cap``."""
     one = np.uint64(1)
     key, made = np.zeros(64, np.uint64), np.zeros(64, np.int64)
-    origin, target, used = np.empty(256, np.int64), np.empty(256, np.int64), np.empty(256, np.int64)
+    origin, target, used = np.empty(256, np.int32), np.empty(256, np.int32), np.empty(256, np.int32)
     layer = np.zeros(n + 2, np.int64)
     layer[1] = 1
     size, steps, low = 1, 0, 0
-    slots = np.full(256, NONE, np.int64)
+    slots = np.full(256, NONE, np.int32)
     for r in range(n):
         high = low
         while high < len(first) and first[high] == r:
@@ -91,7 +152,7 @@ def _steps(n, first, mask, merges, counted, cap):
                 new = key[s] & ~bit if taken else (key[s] | mask[k]) & ~bit
                 count = made[s] if taken or not counted else made[s] + merges[k]
                 if size == len(key):
-                    key, made = _wider_states(key), _wider(made)
+                    key, made = _wider(key), _wider(made)
                 if 2 * (size - layer[r + 1]) >= len(slots):
                     slots = _rehashed(slots, key, made, layer[r + 1], size)
                 place = _slot(slots, key, made, new, count)
@@ -111,28 +172,15 @@ def _steps(n, first, mask, merges, counted, cap):
 
 
 @part
-def _forward(key, origin, target, used, weight):
-    """Per state ln of the sum of all ways to it, the best of them, and its last step."""
-    forward, best = np.full(len(key), -np.inf), np.full(len(key), -np.inf)
-    step = np.full(len(key), NONE, np.int64)
-    forward[0] = best[0] = 0.0
+def _best(size, origin, target, used, weight):
+    """Per state the greatest weight of a way to it, and the last step of that."""
+    best, step = np.full(size, -np.inf), np.full(size, NONE, np.int64)
+    best[0] = 0.0
     for e in range(len(origin)):
-        gain = weight[used[e]] if used[e] >= 0 else 0.0
-        s, t = origin[e], target[e]
-        forward[t] = _add(forward[t], forward[s] + gain)
-        if best[s] + gain > best[t]:
-            best[t], step[t] = best[s] + gain, e
-    return forward, best, step
-
-
-@part
-def _add(a, b):
-    """ln(eᵃ + eᵇ)."""
-    if a < b:
-        a, b = b, a
-    if b == -np.inf or a - b > 745.0:
-        return a
-    return a + math.log1p(math.exp(b - a))
+        gain = best[origin[e]] + (weight[used[e]] if used[e] >= 0 else 0.0)
+        if gain > best[target[e]]:
+            best[target[e]], step[target[e]] = gain, e
+    return best, step
 
 
 @part
@@ -151,7 +199,7 @@ def _slot(slots, key, made, new, count):
 
 @part
 def _rehashed(slots, key, made, low, high):
-    wider = np.full(4 * len(slots), NONE, np.int64)
+    wider = np.full(4 * len(slots), NONE, np.int32)
     for s in range(low, high):
         wider[_slot(wider, key, made, key[s], made[s])] = s
     return wider
@@ -159,13 +207,6 @@ def _rehashed(slots, key, made, low, high):
 
 @part
 def _wider(values):
-    out = np.zeros(2 * len(values), np.int64)
-    out[: len(values)] = values
-    return out
-
-
-@part
-def _wider_states(values):
-    out = np.zeros(2 * len(values), np.uint64)
+    out = np.zeros(2 * len(values), values.dtype)
     out[: len(values)] = values
     return out

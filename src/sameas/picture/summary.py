@@ -98,6 +98,35 @@ class Misses:
 
 
 @dataclass(frozen=True)
+class Places:
+    """How well the places of confirmed objects are known: the median of their 1σ per axis; None where there are none.
+
+    shown_m : of those that a source shows. coasting_m : of those that nobody shows just now. coasting : how many these
+    are at an instant, on average.
+    """
+
+    shown_m: float | None
+    coasting_m: float | None
+    coasting: float
+
+    @classmethod
+    def of(cls, objects: Mapping[str, NDArray], instants: int) -> Places:
+        """Of the columns of a picture's objects."""
+        sigma = np.ma.sqrt(0.5 * (np.ma.asarray(objects["var_x_m2"]) + objects["var_y_m2"]))
+        coasts = objects["stage"] == "coasting"
+        known = [sigma[of].compressed() for of in (objects["stage"] == "confirmed", coasts)]
+        shown_m, coasting_m = (float(np.median(each)) if len(each) else None for each in known)
+        return cls(shown_m, coasting_m, float(np.sum(coasts)) / instants)
+
+    def __str__(self) -> str:
+        words = [f"known to {self.shown_m:.2g} m (1σ, the median object)"] if self.shown_m is not None else []
+        if self.coasting:
+            known = f", known to {self.coasting_m:.2g} m" if self.coasting_m is not None else ""
+            words.append(f"{self.coasting:.2g} at an instant coast, unseen{known}")
+        return "; ".join(words)
+
+
+@dataclass(frozen=True)
 class Alarmed:
     """An alarm, from its first instant to its last, and at how many; where : source and line of both reports, first."""
 
@@ -127,7 +156,8 @@ class Summary:
     unconfirmed : objects that were never confirmed.
     shown, expected_wrong, ambiguous_groups : per instant the objects that sources show, those of them expected not to
         be exactly right, and groups with an ambiguous object.
-    misses : per source; biases : printable lines, as given; alarms; assumed : every number that nobody gave.
+    places : how well they are known. misses : per source; biases : printable lines, as given; alarms; assumed : every
+        number that nobody gave.
     notes : what else a user should know.
     """
 
@@ -139,6 +169,7 @@ class Summary:
     shown: float
     expected_wrong: float
     ambiguous_groups: float
+    places: Places
     misses: tuple[Misses, ...]
     biases: tuple[str, ...]
     alarms: tuple[Alarmed, ...]
@@ -156,7 +187,7 @@ class Summary:
             len(tallies), tallies[0].instant_s, tallies[-1].instant_s, by_sources, unconfirmed,
             float(np.mean([tally.objects for tally in tallies])),
             float(np.mean([tally.expected_wrong for tally in tallies])),
-            float(np.mean([tally.ambiguous_groups for tally in tallies])),
+            float(np.mean([tally.ambiguous_groups for tally in tallies])), Places.of(objects, len(tallies)),
             tuple(_misses(scene.feeds, tallies)), tuple(biases), tuple(_alarms(scene.feeds, tallies)), assumed,
             tuple(_notes(scene.feeds, tallies)),
         )  # fmt: skip
@@ -169,6 +200,7 @@ class Summary:
             said.append(("not confirmed", f"{self.unconfirmed} more, seen too seldom, as false echoes are"))
         if several:
             said.append(("how sure", self._sure()))
+            said += [("places", str(self.places))] if str(self.places) else []
         labelled = {"doubt": self.notes, "offset": self.biases, "misses": self.misses}
         return said + [(label, str(words)) for label, told in labelled.items() for words in told]
 

@@ -6,7 +6,7 @@ covariance F P Fᵀ + Q(|dt|). The past is reached as the future is: a record th
 back, and its uncertainty grows all the same.
 
 - :class:`States`: the reports of one source as states, whatever they said of their velocity.
-- :func:`moved`: states at other times. :func:`latest`: which report of each track stands for it at an instant.
+- :func:`moved`: states at other times. :class:`Succession`: which report of each track stands for it at an instant.
 - :func:`aged`: which of them have grown so uncertain that they tell nothing any more. There is no limit of age.
 """
 
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -46,7 +47,7 @@ class States:
     def __len__(self) -> int:
         return len(self.time_s)
 
-    @property
+    @cached_property
     def usable(self) -> NDArray[np.bool_]:
         """(n,) whether a report has a position with its error."""
         sound = np.isfinite(self.covariance).all(axis=(1, 2)) & np.isfinite(self.state).all(axis=1)
@@ -165,20 +166,42 @@ def stamped_late(covariance: FloatArray, state: FloatArray, sigma_s: float | Flo
     return grown
 
 
-def latest(time_s: FloatArray, track: NDArray[Any] | None, instant_s: float) -> IntArray:
-    """Reports that stand for their tracks at an instant: of each the last that is not later than it.
+@dataclass(frozen=True)
+class Succession:
+    """Which reports of a source follow each other in its tracks; :meth:`at` is asked instant after instant.
 
-    It is the time that a report holds for that counts, not when it came in: reports out of order do no harm. Without
-    names of tracks every report is one of its own; see :mod:`sameas.tracks.looks`.
+    Attributes
+    ----------
+    rows : (n,) reports, track after track, in each by their times; equal times in the order in which they came.
+    time_s : (n,) their times. final : (n,) whether a report is the last of its track.
     """
-    past = np.flatnonzero(time_s <= instant_s)
-    if track is None or not len(past):
-        return past
-    order = past[np.argsort(time_s[past], kind="stable")]
-    names = track[order].astype(str) if track.dtype == object else track[order]
-    # The last of each name: the first of the reversed list.
-    _, first = np.unique(names[::-1], return_index=True)
-    return np.sort(order[::-1][first])
+
+    rows: IntArray
+    time_s: FloatArray
+    final: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, time_s: FloatArray, track: NDArray[Any]) -> Succession:
+        """Of reports in any order of time, each under the name of its track.
+
+        >>> Succession.of(np.array([5.0, 0.0, 9.0]), np.array(["a", "a", "b"])).at(6.0).tolist()
+        [0]
+        """
+        # Names need not be comparable; their texts are.
+        _, number = np.unique(track.astype(str), return_inverse=True)
+        rows = np.lexsort([time_s, number])
+        final = np.append(np.diff(number[rows]) != 0, True) if len(rows) else np.empty(0, bool)
+        return cls(rows, time_s[rows], final)
+
+    def at(self, instant_s: float) -> IntArray:
+        """Rows, ascending, of the reports that stand at an instant: of each track the last that is not later.
+
+        It is the time that a report holds for that counts, not when it came in: reports out of order do no harm.
+        """
+        past = self.time_s <= instant_s
+        # The reports of a track that are past stand before those that are not.
+        overtaken = np.append(past[1:], False) & ~self.final
+        return np.sort(self.rows[past & ~overtaken])
 
 
 def aged(covariance: FloatArray, density_per_m2: float) -> NDArray[np.bool_]:

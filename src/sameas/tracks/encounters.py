@@ -39,7 +39,7 @@ class Encounter:
     labels : (n₁,), (n₂,) names of tracks, None where a record has none.
     speed_m_per_s : typical of the records.
     lasting_m2 : variance per axis of errors that stay with an object, where no name tells whose they are: late stamps
-        that do not show, since no velocity is known, and the echo's place on the hull.
+        that do not show, since no velocity is known, and the echo's place on the hull; deg² for directions.
     """
 
     instant_s: float
@@ -196,8 +196,10 @@ def _of_directions(positions: Said, directions: Said, side: Side, instant_s: flo
     model = Turned(float(side.widths()[AZIMUTH]))
     biases = np.array([(side.start or 0) + AZIMUTH], np.int64)
     speed = float(np.median(np.hypot(*positions.state[:, 2:].T)))
+    # The place on the hull that is seen stays with its object: here as the angle that it is.
+    lasting_deg2 = float(np.mean(np.degrees((description.errors.extent_m or 0.0) / away[seen]) ** 2))
     labels = (_labels(positions)[seen], _labels(directions))
-    return Encounter(instant_s, Weighing.of(first, second, model), biases, labels, False, speed)
+    return Encounter(instant_s, Weighing.of(first, second, model), biases, labels, speed, lasting_deg2)
 
 
 def _labels(said: Said) -> NDArray[Any]:

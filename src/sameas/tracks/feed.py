@@ -13,15 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from sameas.errors import InputError
 from sameas.evidence.identity import MODELS
-from sameas.records import FloatArray
-from sameas.tracks.alignment import States
+from sameas.records import FloatArray, IntArray
+from sameas.tracks.alignment import States, Succession
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.correction import corrected
-from sameas.tracks.filter import follow
+from sameas.tracks.filter import follow, measures_anew
 from sameas.tracks.fixes import fresh
 from sameas.tracks.looks import Turn, looks_of, seen_from
 from sameas.tracks.namesakes import parted
-from sameas.tracks.placement import Directions, placed, sensor_places, set_aside
+from sameas.tracks.placement import Directions, placed, sensor_places, set_aside, supposed
 from sameas.tracks.reports import Reports
 from sameas.tracks.silence import ending_silence_s
 from sameas.tracks.source import Description
@@ -78,7 +78,7 @@ class Feed:
         to_tracks : whether reports with names are to be filtered to tracks first (:func:`need_filtering`).
         """
         there = placed(description, reports, plane)
-        notes = set_aside(reports, there)
+        notes = set_aside(reports, there) + supposed(description, reports)
         sensor_m = sensor_places(description, reports, plane)
         biases = known_biases(description, sensor_m)
         there = corrected(there, sensor_m, biases) if biases.any() else there
@@ -93,8 +93,9 @@ class Feed:
         stands = None
         if isinstance(there, States):
             there, stands = standing(there, description.motion)
-        looks = looks_of(there.time_s, description.timing.period_s, _bearings(there, sensor_m))
-        looked = looks.look_s if looked_s is None else np.concatenate([np.asarray(looked_s, np.float64), looks.look_s])
+        given = None if looked_s is None else np.asarray(looked_s, np.float64)
+        looks = looks_of(there.time_s, description.timing.period_s, _bearings(there, sensor_m), given)
+        looked = looks.look_s if given is None else np.concatenate([given, looks.look_s])
         attributes = {name: said for name in MODELS if (said := getattr(reports, name, None)) is not None}
         return cls(
             description, there, np.unique(looked), looks.look_s, sensor_m, attributes, reports, notes, to_tracks,
@@ -112,7 +113,15 @@ class Feed:
         """After how long a track of the source that says nothing has ended."""
         return ending_silence_s(self.reports.time_s, self.reports.track)
 
-    @property
+    @cached_property
+    def succession(self) -> Succession:
+        """Which report of each track stands for it at an instant, of a source that names its tracks."""
+        assert self.reports.track is not None
+        usable = np.flatnonzero(self.reports.usable)
+        found = Succession.of(self.reports.time_s[usable], self.reports.track[usable])
+        return replace(found, rows=usable[found.rows])
+
+    @cached_property
     def tells_velocities(self) -> bool:
         """Whether any report is surer of its velocity than that objects move somehow."""
         speed = self.description.motion.speed_m_per_s or math.inf
@@ -121,11 +130,18 @@ class Feed:
 
     def sensor_at(self, instant_s: float) -> FloatArray | None:
         """(2,) the sensor at its last report before the instant; None where nothing says where it is."""
-        times = self.reports.time_s
-        if self.sensor_m is None or not len(times):
+        if self.sensor_m is None or not len(self.reports):
             return None
-        past = np.flatnonzero(times <= instant_s)
-        return np.asarray(self.sensor_m[past[np.argmax(times[past])] if len(past) else 0])
+        order, times = self._in_time
+        last = np.searchsorted(times, instant_s, side="right") - 1
+        # Of equal times the report that came first.
+        return np.asarray(self.sensor_m[order[np.searchsorted(times, times[last])] if last >= 0 else 0])
+
+    @cached_property
+    def _in_time(self) -> tuple[IntArray, FloatArray]:
+        """(n,) rows by their times, and these."""
+        order = np.argsort(self.reports.time_s, kind="stable")
+        return order, self.reports.time_s[order]
 
     def q_at(self, places: FloatArray, instant_s: float) -> FloatArray:
         """(n,) the probability that an object at each of the places (n, 2) is missed."""
@@ -175,19 +191,25 @@ def known_biases(description: Description, sensor_m: FloatArray | None) -> Float
     return np.array([value or 0.0 for value in (*polar, None, given.east_m, given.north_m)], dtype=np.float64)
 
 
-def need_filtering(description: Description, reports: Reports) -> bool:
+def need_filtering(description: Description, reports: Reports, plane: LocalPlane | None = None) -> bool:
     """Whether reports are single measurements under names of their objects, which only a filter makes tracks.
 
-    They are where none tells a velocity. Who tells velocities with ranges and bearings is a tracker, whose targets are
-    smoothed already (ARPA); but the plots of ASTERIX 048 are measured ones whatever its tracker says beside them.
-    Tracks of another system are not filtered again.
+    They are where none tells a velocity, and the plots of ASTERIX 048 are whatever a tracker says beside them. Others
+    that tell velocities are where they scatter as single measurements do (:func:`sameas.tracks.filter.measures_anew`).
+    Targets of an ARPA and tracks of another system are smoothed already, and satellite positions with velocities have
+    all that is needed.
     """
     names = (reports.track_id, reports.mmsi, reports.icao)
     smoothed = reports.kind == "arpa" or description.kind == "tracks"
     if smoothed or reports.position == "bearing" or all(column is None for column in names):
         return False
     velocity = reports.velocity_m_per_s()
-    return velocity is None or not np.isfinite(velocity).any() or reports.kind == "asterix 048"
+    if velocity is None or not np.isfinite(velocity).any() or reports.kind == "asterix 048":
+        return True
+    if description.kind in LASTING:
+        return False
+    there = placed(description, reports, plane)
+    return isinstance(there, States) and measures_anew(there, acceleration_m2_per_s3=walk_of(description))
 
 
 def filtered(description: Description, reports: States) -> States:

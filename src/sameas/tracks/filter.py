@@ -4,10 +4,13 @@ For sources that name their objects but report bare positions, or positions bett
 a radar's plots with track numbers. One pass in the order of time gives every report the state that all reports of its
 track so far say, with a covariance that is checked by NIS: the mean of the normalised innovations squared is their
 dimension where noise and motion are described rightly.
+
+- :func:`follow`: the tracks. :func:`measures_anew`: whether reports are plots, which it betters, or smoothed already.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -19,6 +22,11 @@ from sameas.gate import ChiSquare
 from sameas.records import FloatArray, IntArray
 from sameas.tracks.alignment import States, moved
 
+#: Reports measure anew whose innovations are, in the median, at least this share of what independent errors make them;
+#: so many of them tell it.
+ANEW, FEWEST = 1.0 / 3.0, 30
+#: Median of χ² of two degrees of freedom.
+MEDIAN = 2.0 * math.log(2.0)
 #: A report farther off than this share of honest ones begins its track anew.
 ABSURD = ChiSquare(1.0 - 1e-9)
 
@@ -81,6 +89,18 @@ def follow(reports: States, *, acceleration_m2_per_s3: float, features: int = 2)
         nis[keep], began[now[anew]] = square[~anew], True
         before = now
     return Followed(States(reports.time_s, state, covariance, reports.track, reports.rows), nis, began)
+
+
+def measures_anew(reports: States, *, acceleration_m2_per_s3: float) -> bool:
+    """Whether every report of a source that names its tracks is a measurement of its own, or one smoothed by a tracker.
+
+    Measurements scatter about their tracks by as much as they say, and the innovations of a filter are χ² distributed
+    with two degrees of freedom; the reports of a tracker follow each other more closely than their errors allow them.
+    The median tells, which a few breaks of tracks do not change. False where too few reports tell.
+    """
+    nis = follow(reports, acceleration_m2_per_s3=acceleration_m2_per_s3).nis
+    nis = nis[np.isfinite(nis)]
+    return len(nis) >= FEWEST and float(np.median(nis)) > ANEW * MEDIAN
 
 
 def _rounds(reports: States, usable: NDArray[np.bool_]) -> list[IntArray]:

@@ -29,8 +29,10 @@ STEPS, DECISIVE = 6.0, 12.0
 UNEXPLAINED = 0.5
 #: An antenna pauses for as long as the longest of this share of the gaps between its plots.
 USUAL = 0.99
-#: Exposures begin at least this share of the period apart, and take less than half of it.
-APART, PAUSE = 0.75, 0.5
+#: Reports of one exposure follow each other within this share of the period, and all within this.
+TOGETHER, BRIEF = 0.1, 0.5
+#: Exposures are so many in a period at most, and no more than this share follows the one before in half the usual time.
+MOST, HURRIED = 1.5, 0.1
 
 
 @dataclass(frozen=True)
@@ -49,34 +51,41 @@ class Looks:
     turn: Turn | None = None
 
 
-def looks_of(time_s: FloatArray, period_s: float | None, bearing_deg: FloatArray | None = None) -> Looks:
+def looks_of(
+    time_s: FloatArray,
+    period_s: float | None,
+    bearing_deg: FloatArray | None = None,
+    looked_s: FloatArray | None = None,
+) -> Looks:
     """The looks of bare plots.
 
     Parameters
     ----------
     time_s : (n,) in any order. period_s : between looks, as described; without it every stamp is a look.
     bearing_deg : (n,) of the plots from the sensor, NaN where not known; None where the sensor is in no one place.
+    looked_s : (l,) times of all looks, where they are known.
 
     Example
     -------
     >>> looks_of(np.array([5.0, 0.0, 0.0, 5.0]), 5.0)
     Looks(look_s=array([5., 0., 0., 5.]), turn=None)
     """
-    if period_s is None or period_s <= 0.0 or not len(time_s):
+    known = looked_s is not None and bool(np.isin(time_s, looked_s).all())
+    if known or period_s is None or period_s <= 0.0 or not len(time_s):
         return Looks(time_s.copy())
+    _, stamp, count = np.unique(time_s, return_inverse=True, return_counts=True)
+    shared = float(np.mean(count[stamp] > 1)) >= 0.5
+    exposures = _exposures(time_s, period_s, 0.0 if shared else TOGETHER * period_s)
+    if exposures is not None:
+        return Looks(exposures)
     turning = None if bearing_deg is None else turning_s(time_s, bearing_deg, period_s)
-    if turning is None:
-        _, stamp, count = np.unique(time_s, return_inverse=True, return_counts=True)
-        if np.mean(count[stamp] > 1) >= 0.5:
-            return Looks(time_s.copy())
-        exposures = _exposures(time_s, period_s)
-        if exposures is not None:
-            return Looks(exposures)
+    if shared and turning is None:
+        return Looks(time_s.copy())
     period = period_s if turning is None else turning
     gaps, first = np.diff(np.sort(time_s)), float(time_s.min())
-    usual = float(np.quantile(gaps, USUAL)) if len(gaps) else 0.0
     # The last plot itself must not fall out of the turn that it ends.
-    return Looks(first + period * np.floor((time_s - first) / period), Turn(period, min(usual, 0.999 * period)))
+    pause_s = min(float(np.quantile(gaps, USUAL)), 0.999 * period)
+    return Looks(first + period * np.floor((time_s - first) / period), Turn(period, pause_s))
 
 
 def turning_s(time_s: FloatArray, bearing_deg: FloatArray, near_s: float) -> float | None:
@@ -117,17 +126,20 @@ def turning_s(time_s: FloatArray, bearing_deg: FloatArray, near_s: float) -> flo
     return None if chance or 1.0 - strength > UNEXPLAINED * (1.0 - fixed) else 1.0 / best
 
 
-def _exposures(time_s: FloatArray, period_s: float) -> FloatArray | None:
-    """(n,) the beginning of the exposure of each report, if all come in bursts with pauses; None if not."""
+def _exposures(time_s: FloatArray, period_s: float, together_s: float) -> FloatArray | None:
+    """(n,) the beginning of the exposure of each report, if they come in short bursts, once a period; None if not."""
     order = np.argsort(time_s, kind="stable")
     stamps = time_s[order]
-    begins = np.concatenate([[True], np.diff(stamps) > PAUSE * period_s])
+    begins = np.concatenate([[True], np.diff(stamps) > together_s])
     starts = stamps[begins]
-    if len(starts) > 1 and np.quantile(np.diff(starts), 0.05) < APART * period_s:
-        return None
     out = np.empty_like(stamps)
     out[order] = starts[np.cumsum(begins) - 1]
-    return out if np.all(time_s - out < PAUSE * period_s) else None
+    if np.any(time_s - out > BRIEF * period_s):
+        return None
+    gaps = np.diff(starts)
+    crowded = len(starts) > MOST * (np.ptp(starts) / period_s + 1.0)
+    hurried = len(gaps) > 0 and np.mean(gaps < 0.5 * np.median(gaps)) > HURRIED
+    return None if crowded or hurried else out
 
 
 def last_look(look_s: FloatArray, looked_s: FloatArray, instant_s: float) -> IntArray:

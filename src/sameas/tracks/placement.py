@@ -8,6 +8,7 @@ states of its errors counts; what it does not state comes from the description.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,8 @@ from sameas.tracks.coordinates import (
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description
 
+#: A radar whose place nobody tells is taken to stand so far from its targets: this share of its range.
+USUAL_SHARE = 0.25
 #: Of a source with so many positions or more, one is a stray beyond so many times the distance from their middle within
 #: which nine of ten lie, and so many metres.
 FEW, STRAY, STRAY_M = 20, 20.0, 20e3
@@ -47,7 +50,7 @@ class Directions:
     def __len__(self) -> int:
         return len(self.time_s)
 
-    @property
+    @cached_property
     def usable(self) -> NDArray[np.bool_]:
         """(n,) whether a report has a direction with its error."""
         known = np.isfinite(self.bearing_deg) & np.isfinite(self.sigma_deg) & np.isfinite(self.sensor_m).all(axis=1)
@@ -121,7 +124,8 @@ def _of_geodetic(description: Description, reports: Reports, plane: LocalPlane |
     lat, lon = np.asarray(reports.lat_deg), np.asarray(reports.lon_deg)
     turn = plane.turn(lat, lon, 0.0 if reports.alt_m is None else np.nan_to_num(reports.alt_m))
     position = _without_strays(plane.of_geodetic(lat, lon, description.name))
-    return _Placed(position, turned(_stated(description, reports), turn), turn)
+    stated = turned(_stated(description, reports), turn)
+    return _Placed(position, _as_measured(description, reports, plane, position, stated), turn)
 
 
 def _without_strays(position: FloatArray) -> FloatArray:
@@ -153,8 +157,9 @@ def set_aside(reports: Reports, there: States | Directions) -> tuple[str, ...]:
 def _of_local(description: Description, reports: Reports, plane: LocalPlane | None) -> _Placed:
     n = len(reports)
     xy = np.column_stack([np.asarray(reports.x_m), np.asarray(reports.y_m)])
-    covariance = _stated(description, reports)
+    stated = _stated(description, reports)
     if plane is None:
+        covariance = _as_measured(description, reports, None, xy, stated)
         return _Placed(xy, covariance, np.broadcast_to(np.eye(2), (n, 2, 2)))
     site = description.site
     if site is None or site.lat_deg is None or site.lon_deg is None:
@@ -164,7 +169,8 @@ def _of_local(description: Description, reports: Reports, plane: LocalPlane | No
         )
     lat, lon = LocalPlane(site.lat_deg, site.lon_deg).to_geodetic(xy)
     turn = plane.turn(np.full(n, site.lat_deg), np.full(n, site.lon_deg))
-    return _Placed(plane.of_geodetic(lat, lon, description.name), turned(covariance, turn), turn)
+    position = plane.of_geodetic(lat, lon, description.name)
+    return _Placed(position, _as_measured(description, reports, plane, position, turned(stated, turn)), turn)
 
 
 def _of_polar(description: Description, reports: Reports, plane: LocalPlane | None) -> _Placed:
@@ -263,14 +269,60 @@ def sensor_places(description: Description, reports: Reports, plane: LocalPlane 
 
 
 def _stated(description: Description, reports: Reports) -> FloatArray:
-    """(n, 2, 2) covariances on east and north: stated by the reports, else of the description."""
+    """(n, 2, 2) covariances on east and north: stated by the reports, else errors.position_m, else NaN."""
     given = np.full((len(reports), 3), np.nan) if reports.covariance_m2 is None else reports.covariance_m2
     covariance = unpack(given, 2)
     silent = ~np.isfinite(covariance).all(axis=(1, 2))
-    if silent.any():
-        own = np.hypot(_needed(description, "errors", "position_m"), description.errors.extent_m or 0.0)
+    if silent.any() and description.errors.position_m is not None:
+        own = np.hypot(description.errors.position_m, description.errors.extent_m or 0.0)
         covariance[silent] = own**2 * np.eye(2)
     return covariance
+
+
+def _as_measured(
+    description: Description, reports: Reports, plane: LocalPlane | None, position: FloatArray, stated: FloatArray
+) -> FloatArray:
+    """(n, 2, 2) the stated covariances; where there are none, those of the range and bearing that were measured.
+
+    Where nothing says from where, the wider of both at the distance of :func:`_usual_m`.
+    """
+    silent = ~np.isfinite(stated).all(axis=(1, 2))
+    if not silent.any():
+        return stated
+    if description.errors.range_m is None or description.errors.bearing_deg is None:
+        _needed(description, "errors", "position_m")
+    sensor_m = sensor_places(description, reports, plane)
+    arm = position - (np.nan if sensor_m is None else sensor_m)
+    known = np.isfinite(arm[:, 0]) & np.isfinite(arm[:, 1])
+    lost = silent & ~known & np.isfinite(position).all(axis=1)
+    away = np.where(known, np.hypot(*arm.T), _usual_m(description) if lost.any() else np.nan)
+    along = description.errors.sigma_range_m(away)
+    across = away * np.radians(description.errors.bearing_deg or 0.0)
+    # Who may stand anywhere may look from anywhere.
+    along, across = np.where(known, [along, across], np.maximum(along, across))
+    extent_m2 = (description.errors.extent_m or 0.0) ** 2
+    bearing = np.where(known, np.degrees(np.arctan2(arm[:, 0], arm[:, 1])), 0.0)
+    out = stated.copy()
+    out[silent] = along_and_across(along**2 + extent_m2, across**2 + extent_m2, bearing)[silent]
+    return out
+
+
+def _usual_m(description: Description) -> float:
+    return USUAL_SHARE * _needed(description, "coverage", "range_m")
+
+
+def supposed(description: Description, reports: Reports) -> tuple[str, ...]:
+    """A sentence that tells how good positions are taken to be that state no errors; none where all do."""
+    given = reports.covariance_m2
+    silent = len(reports) - (0 if given is None else int(np.isfinite(given).all(axis=-1).sum()))
+    if reports.position not in ("geodetic", "local") or not silent or description.errors.position_m is not None:
+        return ()
+    name, errors = description.name, description.errors
+    good = f"as good as a range ± {errors.range_m:g} m ± {100.0 * (errors.range_share or 0.0):g} % and a bearing "
+    good += f"± {errors.bearing_deg:g}°"
+    if description.site is None and reports.station_lat_deg is None and reports.station_x_m is None:
+        good += f" at {_usual_m(description) / 1000.0:.3g} km, since nothing says where it stands"
+    return (f"{name}: {silent} positions state no errors; they are taken to be {good}; errors.position_m says better",)
 
 
 def _velocity(description: Description, reports: Reports) -> tuple[FloatArray | None, FloatArray | None]:

@@ -10,7 +10,7 @@ import numpy as np
 from sameas.observations import LinearPart, Observations, Source
 from sameas.records import FloatArray, IntArray, Records
 from sameas.space import Plane
-from sameas.tracks.alignment import Earlier, States, aged, latest, moved, process_noise, stamped_late
+from sameas.tracks.alignment import Earlier, States, aged, moved, process_noise, stamped_late
 from sameas.tracks.feed import Feed
 from sameas.tracks.looks import last_look, last_turn
 from sameas.tracks.placement import Directions, Sight
@@ -39,8 +39,7 @@ class Said:
         elif reports.track is None:
             rows = last_look(feed.look_s, feed.looked_s, instant_s)
         else:
-            usable = np.flatnonzero(reports.usable)
-            rows = usable[latest(reports.time_s[usable], reports.track[usable], instant_s)]
+            rows = feed.succession.at(instant_s)
             rows = rows[instant_s - reports.time_s[rows] <= feed.ending_silence_s]
         rows = rows[reports.usable[rows]]
         time_s, none = reports.time_s[rows], np.empty(0, np.int64)

@@ -55,7 +55,7 @@ class Scene:
         """A scene of descriptions and their reports; the plane is laid in their middle where none is given.
 
         Sources that give metres in one plane of the user's own need none: all of them must, then. Plots under numbers
-        or names that tell no velocities are filtered to tracks first.
+        or names are filtered to tracks first: where they tell no velocities, or scatter as single measurements do.
         """
         if far := apart(sources):
             raise InputError("; ".join(far))
@@ -64,7 +64,9 @@ class Scene:
         names = [description.name for description, _ in sources]
         if len(set(names)) < len(names):
             raise InputError(f"two sources are called {max(names, key=names.count)}; give every source its own name")
-        feeds = (Feed.of(said, reports, plane, to_tracks=need_filtering(said, reports)) for said, reports in sources)
+        feeds = (
+            Feed.of(said, reports, plane, to_tracks=need_filtering(said, reports, plane)) for said, reports in sources
+        )
         return cls(tuple(feeds), plane)
 
     @property

@@ -19,7 +19,7 @@ import numpy as np
 
 from sameas.errors import InputError
 from sameas.io.sensors.clock import at_second, counted_on, held
-from sameas.io.sensors.nmea import Log
+from sameas.io.sensors.nmea import Log, Sentence
 from sameas.io.sensors.units import KNOT_M_PER_S, MILE_M
 from sameas.records import FloatArray
 from sameas.tracks.accuracy import AIS_RECKONED_SIGMA_M, AIS_SIGMA_M, round_covariance
@@ -100,6 +100,27 @@ def read(log: Log, source: str, start_s: float | None = None) -> Reports:
     return Reports.of(
         source, "ais", columns, damaged=Damaged.of(damaged), passed_over=passed_over, notes=_notes(source, clock)
     )
+
+
+def own_ship(sentence: Sentence) -> dict[str, float | None]:
+    """Latitude, longitude and heading that own ship tells of herself in a sentence (VDO), as far as she does.
+
+    Raises
+    ------
+    ValueError : it cannot be decoded, or pyais is not installed.
+    """
+    if sentence.field(1) != "1":
+        return {}
+    try:
+        told = _decoder()(sentence.text)
+    except Exception as error:
+        raise ValueError(f"cannot be decoded ({type(error).__name__})") from error
+    message = Message(sentence.line, 0, True, told)
+    if message.type not in _POSITIONS or _unusable(message):
+        return {}
+    where: dict[str, float | None] = {"lat": float(told.lat), "lon": float(told.lon)}
+    heading = _below(getattr(told, "heading", None), 360)
+    return where if heading is None else where | {"heading": heading}
 
 
 def _messages(log: Log) -> tuple[list[Message], list[tuple[int, str]]]:

@@ -2,8 +2,8 @@
 
 TTM gives range and bearing, speed and course, each true or relative by its own flag; TLL the latitude and longitude
 that the radar worked out. Where a log has both, they are the same targets twice, and TTM is read: it is what was
-measured. OSD, HDT and THS tell where the bow points; RMC, GGA and GLL where the ship was. No sentence tells how good
-the radar is: errors are the source's to describe.
+measured. OSD, HDT and THS tell where the bow points; RMC, GGA, GLL and own AIS (VDO) where the ship was. No sentence
+tells how good the radar is: errors are the source's to describe.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from sameas.errors import InputError
+from sameas.io.sensors.ais import own_ship
 from sameas.io.sensors.clock import held
 from sameas.io.sensors.nmea import Log, Sentence, dated, latitude, longitude, time_of_day
 from sameas.io.sensors.units import KNOT_M_PER_S, MILE_M
@@ -65,6 +66,9 @@ def read(log: Log, source: str, start_s: float | None = None) -> Reports:
         lost = "; ".join(Damaged.of(damaged).sentences()) or "every target is lost"
         raise InputError(f"{source}: no radar target that can be used: {lost}")
     columns = of_rows(rows)
+    if kind == "TLL" and not np.isfinite(columns["station_lat_deg"]).all():
+        # Places need no own ship; one that is known at times only would help at these only.
+        del columns["station_lat_deg"], columns["station_lon_deg"]
     columns["time_s"] = _times(log, columns.pop("day_s"), np.array(places), source, start_s)
     return Reports.of(
         source,
@@ -115,6 +119,7 @@ _OWN_SHIP: Mapping[str, Callable[[Sentence], dict[str, float | None]]] = {
     "RMC": lambda s: _position(3)(s) if s.field(2) != "V" else {},
     "GGA": lambda s: _position(2)(s) if s.field(6) != "0" else {},
     "GLL": lambda s: _position(1)(s) if s.field(6) != "V" else {},
+    "VDO": own_ship,
 }
 
 
@@ -139,8 +144,8 @@ def _target(s: Sentence, own: Mapping[str, float]) -> dict[str, Any] | None:
     }
     if not ttm:
         lat, lon = latitude(s.field(2), s.field(3)), longitude(s.field(4), s.field(5))
-        return row | {"lat_deg": lat, "lon_deg": lon}
-    return row | _measured(s, own)
+        return row | {"lat_deg": lat, "lon_deg": lon, **_station(own)}
+    return row | _measured(s, own) | _station(own)
 
 
 def _measured(s: Sentence, own: Mapping[str, float]) -> dict[str, Any]:
@@ -160,6 +165,12 @@ def _measured(s: Sentence, own: Mapping[str, float]) -> dict[str, Any]:
         "bearing_deg": _true(bearing, s.field(4), own["heading"]),
         "speed_m_per_s": None if speed is None else speed * metres_per_s,
         "course_deg": _course(course, s.field(7), own["heading"]),
+    }
+
+
+def _station(own: Mapping[str, float]) -> dict[str, Any]:
+    """Where own ship was, and where her bow pointed."""
+    return {
         "station_lat_deg": own["lat"],
         "station_lon_deg": own["lon"],
         "station_heading_deg": own["heading"],
@@ -200,6 +211,9 @@ def _notes(source: str, log: Log, columns: Mapping[str, Any]) -> tuple[str, ...]
     notes = [
         f"{source}: times from {log.clock or 'the start that was given'}, and from the targets where they tell theirs"
     ]
+    own_reports = sum(sentence.kind == "VDO" for sentence in log.sentences)
+    if own_reports:
+        notes.append(f"{source}: own ship's place from {own_reports} AIS sentences of her own (VDO) too")
     if "range_m" not in columns:
         return tuple(notes)
     notes.append(f"{source}: directions marked R are counted from the bow, at the heading heard last")

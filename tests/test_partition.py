@@ -1,0 +1,71 @@
+"""The best partition: exact where the relaxation is broken, whatever was left out on the way to it."""
+
+import numpy as np
+import pytest
+from scipy.optimize import Bounds, LinearConstraint, linprog, milp
+
+from sameas.belief import PoissonObjects
+from sameas.many import identify_many
+from sameas.membership import CUTS, MOST_RECORDS
+from sameas.partition import best_partition, incidence_of
+from sameas.records import Records
+from sameas.sets import Sets
+
+
+def entangled(rng, per_source=9, triples=50):
+    """One group: records of three sources alone, and random sets of three that weigh about the same."""
+    n = 3 * per_source
+    drawn = np.unique(rng.integers(0, per_source, (triples, 3)), axis=0) + per_source * np.arange(3)
+    alone = np.full((n, 3), -1)
+    alone[np.arange(n), np.arange(n) // per_source] = np.arange(n)
+    members = np.concatenate([alone, drawn])
+    weight = np.concatenate([np.zeros(n), rng.uniform(4.0, 6.0, len(drawn))])
+    size = (members >= 0).sum(axis=1)
+    group = np.zeros(len(members), np.int64)
+    return Sets(members, size, weight, group, np.array([0, len(members)]), np.array([-np.inf])), n
+
+
+def direct(sets, n, whole):
+    """The greatest weight of disjoint sets, by one programme over all of them."""
+    incidence, ones = incidence_of(sets, n), np.ones(len(sets))
+    if not whole:
+        return -linprog(-sets.log_weight, A_ub=incidence, b_ub=np.ones(n)).fun
+    constraint = LinearConstraint(incidence, -np.inf, 1.0)
+    options = {"mip_rel_gap": 0.0}
+    return -milp(-sets.log_weight, constraints=constraint, integrality=ones, bounds=Bounds(0, 1), options=options).fun
+
+
+def test_the_partition_is_the_best_where_the_relaxation_is_broken():
+    broken = 0
+    for seed in range(12):
+        sets, n = entangled(np.random.default_rng(seed))
+        best = direct(sets, n, whole=True)
+        broken += direct(sets, n, whole=False) > best + 1e-6
+        found = best_partition(sets, n, time_limit_s=20.0)
+        taken = incidence_of(sets, n)[:, found.chosen].sum(axis=1)
+        assert (taken == 1).all()
+        assert sets.log_weight[found.chosen].sum() == pytest.approx(best, abs=1e-6)
+        assert found.gap[0] == 0.0
+        # The duals bound every set, and their slack says by how much they promise too much.
+        assert found.dual[sets.members[n:]].sum(axis=1) == pytest.approx(
+            np.maximum(found.dual[sets.members[n:]].sum(axis=1), sets.log_weight[n:]), abs=1e-6
+        )
+        assert found.dual.sum() - found.slack[0] == pytest.approx(best, abs=1e-6)
+    assert broken >= 3
+
+
+def test_a_group_of_more_records_than_a_sum_can_hold_is_summed_without_improbable_sets():
+    rng = np.random.default_rng(3)
+    place = np.sort(rng.uniform(0.0, 200.0, 60))
+    sources = [
+        Records.of(np.column_stack([place, np.zeros(60)]) + rng.standard_normal((60, 2)), sigma=1.0, source=name)
+        for name in ("one", "two", "three")
+    ]
+    found = identify_many(sources, rule=PoissonObjects(0.1, 0.1))
+    widest = int(np.argmax(found.union.sizes))
+    assert found.union.sizes[widest] > MOST_RECORDS
+    assert found.groups.cut[widest] in CUTS
+    total = np.zeros(len(found.union))
+    at, record = found.sets.entries()
+    np.add.at(total, record, found.answer.probability[at])
+    np.testing.assert_allclose(total, 1.0, atol=1e-9)
