@@ -1,6 +1,8 @@
 """Continuity: what says that an object of an instant is one that the picture knows already.
 
-Where the known one should be now, and the names of the tracks that both have. A track's name that nobody else bears (an
+Where the known one should be now and how fast it goes, and the names of the tracks that both have. A track that breaks
+and goes on under another name shares none with the object that it was of, and two that cross while nobody sees them are
+told apart by their velocities. A track's name that nobody else bears (an
 MMSI, an address) carries more, and is heard however far away: a ferry that brakes harder than vessels should is still
 that ferry. For a radar's number that is not so: numbers are given again.
 """
@@ -14,11 +16,15 @@ import numpy as np
 
 from sameas.evidence import Evidence, Field, Rule
 from sameas.gate import ChiSquare, Pairs
+from sameas.picture.roll import BoolArray
+from sameas.picture.weighing import log_normal
 from sameas.records import FloatArray, IntArray, Records
 
-#: ln r of a track in common, of which one look in a thousand is another object's; and what a name adds that nobody else
-#: bears, so that the number goes where the name goes.
-IN_COMMON, UNIQUE = math.log(1e3), math.log(1e6)
+#: A look of a track that is another object's: one in a thousand. So a track that has been a known object's for a share
+#: s of the last minutes says ln(1 + s/ε).
+REASSIGNED = 1e-3
+#: What a name adds that nobody else bears, so that the number goes where the name goes.
+UNIQUE = math.log(1e7)
 #: Share of the objects of an instant that may be new. Taken.
 APPEARING = 0.05
 
@@ -36,10 +42,11 @@ class InCommon:
     unique: FloatArray
 
     @classmethod
-    def of(cls, known: IntArray, seen: IntArray, unique: FloatArray) -> InCommon:
-        """Of each track in common: whose it was (m,), whose it is (m,), and whether its name is unique, 1 or 0."""
+    def of(cls, known: IntArray, seen: IntArray, share: FloatArray, unique: BoolArray) -> InCommon:
+        """Of each track in common (m,): whose it was and for what share of the last minutes, whose it is, and whether
+        its name is unique."""
         key, back = np.unique((known << 32) | seen, return_inverse=True)
-        weight = np.bincount(back, IN_COMMON + UNIQUE * unique, len(key)).astype(np.float64)
+        weight = np.bincount(back, np.log1p(share / REASSIGNED) + UNIQUE * unique, len(key)).astype(np.float64)
         alike = np.bincount(back, unique, len(key)).astype(np.float64)
         return cls(key >> 32, key & 0xFFFFFFFF, weight, alike)
 
@@ -54,17 +61,42 @@ class InCommon:
 
 
 @dataclass(frozen=True)
+class Motions:
+    """States of objects (n, 4) with their covariances (n, 4, 4), and (n,) how fast such objects go, 1σ per axis."""
+
+    state: FloatArray
+    covariance: FloatArray
+    speed_m_per_s: FloatArray
+
+
+@dataclass(frozen=True)
 class Continuity(Rule):
-    """ln r of a known object and one of the instant: by their places, among objects of ``per_m2``, and their tracks."""
+    """ln r of a known object and one of the instant: by their places, among objects of ``per_m2``, by their tracks,
+    and, where they have none of these in common, by their velocities."""
 
     per_m2: float
     in_common: InCommon
+    known: Motions
+    seen: Motions
 
     def __call__(self, pairs: Pairs) -> Evidence:
         place = Field(APPEARING * self.per_m2)(pairs).log_ratio
         weight, unique = self.in_common.of_pairs(pairs)
-        place = np.where(unique > 0.0, np.maximum(place, -IN_COMMON), place)
-        return Evidence({"place": place, "tracks in common": weight})
+        place = np.where(unique > 0.0, np.maximum(place, math.log(REASSIGNED)), place)
+        velocity = np.zeros(len(pairs))
+        strange = np.flatnonzero(weight == 0.0)
+        velocity[strange] = self._velocities(pairs.first.rows[pairs.i[strange]], pairs.second.rows[pairs.j[strange]])
+        return Evidence({"place": place, "velocity": velocity, "tracks in common": weight})
+
+    def _velocities(self, i: IntArray, j: IntArray) -> FloatArray:
+        """(m,) ln of how probable the velocity of j is as that of i, given both places, against that of any object."""
+        residual = self.known.state[i] - self.seen.state[j]
+        total = self.known.covariance[i] + self.seen.covariance[j]
+        gain = total[:, 2:, :2] @ np.linalg.inv(total[:, :2, :2])
+        rest = residual[:, 2:] - np.einsum("nvw,nw->nv", gain, residual[:, :2])
+        same, _ = log_normal(rest, total[:, 2:, 2:] - gain @ total[:, :2, 2:])
+        any_ = self.seen.covariance[j, 2:, 2:] + self.seen.speed_m_per_s[j, None, None] ** 2 * np.eye(2)
+        return np.asarray(same - log_normal(self.seen.state[j, 2:], any_)[0])
 
 
 @dataclass(frozen=True)

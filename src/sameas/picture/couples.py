@@ -18,7 +18,8 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.picture.named import LEAST_M2, Step, found_in, log_normal, looked
+from sameas.picture.named import Step, found_in
+from sameas.picture.weighing import LEAST_M2, log_normal, looked
 from sameas.records import FloatArray, IntArray
 
 
@@ -36,7 +37,7 @@ class Couples:
     first, second : numbers of the tracks, first < second.
     mean, covariance : (k, 2), (k, 2, 2) of the first one's error, if they are one object.
     log_ratio : ln r of the looks before the last one, less than certain: see :meth:`stepped`.
-    at_look : ln N(δ; 0, P_a + P_b) at the last look of either. now : the same at the instant.
+    at_look : ln N(δ; 0, P_a + P_b) at the last look of either. now : the same at the instant. chi_sq : its χ².
     """
 
     first: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
@@ -46,6 +47,7 @@ class Couples:
     log_ratio: FloatArray = field(default_factory=lambda: np.empty(0))
     at_look: FloatArray = field(default_factory=lambda: np.empty(0))
     now: FloatArray = field(default_factory=lambda: np.empty(0))
+    chi_sq: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def __len__(self) -> int:
         return len(self.first)
@@ -54,9 +56,9 @@ class Couples:
     def of(cls, first: IntArray, second: IntArray, delta: FloatArray, one: FloatArray, other: FloatArray) -> Couples:
         """Couples that meet now: δ (k, 2) and covariances P_a, P_b (k, 2, 2). They have no past."""
         share = one @ np.linalg.inv(one + other)
-        density, _ = log_normal(delta, one + other)
+        density, chi_sq = log_normal(delta, one + other)
         mean = np.einsum("kvw,kw->kv", share, delta)
-        return cls(first, second, mean, one - share @ one, np.zeros(len(first)), density, density)
+        return cls(first, second, mean, one - share @ one, np.zeros(len(first)), density, density, chi_sq)
 
     def has(self, first: IntArray, second: IntArray) -> NDArray[np.bool_]:
         """(k,) whether couples are among these."""
@@ -88,7 +90,7 @@ class Couples:
         went = (step.moved[a] - step.moved[b]) - (step.last[a] - step.last[b])
         mean = self.mean + np.einsum("kvw,kw->kv", share, went)
         covariance = _symmetric(self.covariance + drift - share @ drift)
-        return Couples(self.first, self.second, mean, covariance, self.log_ratio, self.at_look, self.now)
+        return Couples(self.first, self.second, mean, covariance, self.log_ratio, self.at_look, self.now, self.chi_sq)
 
     def _looked(self, step: Step, a: IntArray, b: IntArray, reassigned: float) -> Couples:
         """After the new looks of the step, where there are any: those of the first track, then of the second."""
@@ -103,19 +105,55 @@ class Couples:
             mean = np.where(new[:, None], after if side > 0.0 else after + delta, mean)
             spread = np.where(new[:, None, None], narrowed, spread)
             more += np.where(new, log_p - step.log_own[track], 0.0)
-        now = log_normal(delta, step.covariance[a] + step.covariance[b])[0]
-        ratio = _leaky(self.log_ratio + self.at_look + more - now, reassigned)
+        now, chi_sq = log_normal(delta, step.covariance[a] + step.covariance[b])
+        rivals = Rivals.of(self.first, self.second, step.source[a], step.source[b])
+        ratio = rivals.leaky(self.log_ratio + self.at_look + more - now, chi_sq, reassigned)
         new = step.looked[a] | step.looked[b]
         return Couples(
             self.first, self.second, mean, spread, np.where(new, ratio, self.log_ratio),
-            np.where(new, now, self.at_look), now,
+            np.where(new, now, self.at_look), now, chi_sq,
         )  # fmt: skip
 
 
-def _leaky(log_ratio: FloatArray, reassigned: float) -> FloatArray:
-    """ln r after one more look that may belong to another object than its name says."""
-    stay, swap = math.log1p(-reassigned), math.log(reassigned)
-    return np.asarray(np.logaddexp(stay + log_ratio, swap) - np.logaddexp(stay, swap + log_ratio))
+@dataclass(frozen=True)
+class Rivals:
+    """Couples of which one at most is one object: a track with each of the tracks of one other source.
+
+    sides : (k,) numbers of the two crowds that each couple is of.
+    """
+
+    sides: tuple[IntArray, IntArray]
+
+    @classmethod
+    def of(cls, first: IntArray, second: IntArray, one: IntArray, other: IntArray) -> Rivals:
+        """Of tracks (k,) and the sources that they are of (k,)."""
+        crowds = (np.unique((track << 16) | source, return_inverse=True)[1].reshape(-1)
+                  for track, source in ((first, other), (second, one)))  # fmt: skip
+        return cls(tuple(crowds))
+
+    def most(self, values: FloatArray) -> FloatArray:
+        """(k,) the highest value of any rival of each couple, itself among them."""
+        out = values
+        for crowd in self.sides:
+            best = np.full(int(crowd.max(initial=-1)) + 1, -np.inf)
+            np.maximum.at(best, crowd, values)
+            out = np.maximum(out, best[crowd])
+        return out
+
+    def bounded(self, log_ratio: FloatArray, chi_sq: FloatArray, reassigned: float) -> FloatArray:
+        """ln r within ±ln((1−ε)/ε), less what the best of the rivals has too much, so that they keep their distances.
+
+        chi_sq : (k,) of δ now: what the past says more only because the present contradicts is not held against rivals.
+        """
+        sure = math.log((1.0 - reassigned) / reassigned)
+        excess = np.maximum(self.most(np.where(chi_sq <= 13.8, log_ratio, -np.inf)) - sure, 0.0)
+        return np.clip(log_ratio - excess, -sure, sure)
+
+    def leaky(self, log_ratio: FloatArray, chi_sq: FloatArray, reassigned: float) -> FloatArray:
+        """ln r after one more look that may belong to another object than its name says."""
+        best = np.maximum(self.most(np.where(chi_sq <= 13.8, log_ratio, -np.inf)), 0.0)
+        leaked = np.logaddexp(math.log1p(-reassigned) + log_ratio, math.log(reassigned) + best)
+        return self.bounded(leaked, chi_sq, reassigned)
 
 
 def _symmetric(covariance: FloatArray) -> FloatArray:

@@ -16,7 +16,6 @@ was wrong mends. Records without a name have no past, and tracks that nobody hea
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -26,13 +25,16 @@ from numpy.typing import ArrayLike
 from sameas.errors import InputError
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
-from sameas.picture.couples import Couples, keys
+from sameas.picture.couples import Couples, Rivals, keys
+from sameas.picture.lives import Lives
+from sameas.picture.manoeuvres import loosened
 from sameas.picture.named import NamedTracks, found_in
 from sameas.picture.roll import Roll
+from sameas.records import FloatArray, IntArray
 from sameas.union import Union
 
-#: ε where nobody says. Taken: one look in a thousand, for a radar of 20 turns a minute every 50 minutes.
-REASSIGNED = 1e-3
+#: ε where nobody says. Taken: one look in ten thousand, for a radar of 20 turns a minute every eight hours.
+REASSIGNED = 1e-4
 
 
 @dataclass(frozen=True)
@@ -82,14 +84,15 @@ class Past:
 
     Parameters
     ----------
-    reassigned : ε of the module. correlation_s : by name of source how long its errors last, where that is not what
-        its kind does (:data:`sameas.picture.named.CORRELATION_S`); 0 where every look measures anew.
-    tracks, couples : filled in from instant to instant.
+    reassigned : ε of the module. correlation_s : by name of source how long its errors last, where that is not to be
+        learned (:mod:`sameas.picture.lasting`); 0 where every look measures anew.
+    tracks, lives, couples : filled in from instant to instant.
     """
 
     reassigned: float = REASSIGNED
     correlation_s: Mapping[str, float] = field(default_factory=dict)
     tracks: NamedTracks = field(default_factory=NamedTracks)
+    lives: Lives = field(default_factory=Lives)
     couples: Couples = field(default_factory=Couples)
 
     def __post_init__(self) -> None:
@@ -108,8 +111,10 @@ class Past:
                 f"the picture is at {self.tracks.instant_s:g} s and was given {roll.now.instant_s:g} s; "
                 "give instants in the order of time"
             )
-        tracks, step = self.tracks.on(roll, self.correlation_s)
-        return replace(self, tracks=tracks, couples=self.couples.stepped(step, self.reassigned))
+        lasting = replace(self.tracks.lasting, told_s=self.correlation_s)
+        tracks, step = replace(self.tracks, lasting=lasting).on(roll)
+        couples = self.couples.stepped(step, self.reassigned)
+        return replace(self, tracks=tracks, couples=couples, lives=self.lives.on(tracks))
 
     def rule(self) -> Memory:
         """What the past says at the instant."""
@@ -119,9 +124,23 @@ class Past:
             here = slice(roll.start[s], roll.start[s + 1])
             numbers[description.name] = np.full(int(roll.table[here].max(initial=-1)) + 1, -1)
             numbers[description.name][roll.table[here]] = self.tracks.on_roll[here]
-        sure = math.log((1.0 - self.reassigned) / self.reassigned)
-        said = np.clip(couples.log_ratio + couples.at_look - couples.now, -sure, sure)
-        return Memory(numbers, couples.first, couples.second, said)
+        return Memory(numbers, couples.first, couples.second, self._said())
+
+    def _said(self) -> FloatArray:
+        """(k,) ln r of the couples by the past."""
+        couples, tracks = self.couples, self.tracks
+        one, other = (tracks.source[found_in(tracks.number, number)] for number in (couples.first, couples.second))
+        rivals = Rivals.of(couples.first, couples.second, one, other)
+        past = couples.log_ratio + couples.at_look - couples.now
+        return rivals.bounded(past, couples.chi_sq, self.reassigned)
+
+    def proved(self, track: IntArray) -> Past:
+        """The same, with tracks (any shape, −1 for none) that are real by what other sources show."""
+        return replace(self, lives=self.lives.met(track[track >= 0]))
+
+    def loosened(self, roll: Roll, per_m2: float) -> Roll:
+        """A later instant's roll with the covariances of reports that their objects have left behind."""
+        return loosened(roll, self.tracks, self.couples, self._said(), per_m2)
 
     def met(self, union: Union) -> Past:
         """The same with the couples that the gate let through for the first time: they have no past yet."""

@@ -28,7 +28,7 @@ from sameas.many import identify_many
 from sameas.objects import Objects
 from sameas.observations import records_of
 from sameas.picture.memory import Past
-from sameas.picture.numbering import Known, Seen, Stages
+from sameas.picture.numbering import Known, Life, Seen, Stages
 from sameas.picture.roll import BoolArray, Roll
 from sameas.picture.states import object_states
 from sameas.reasons import Reasons
@@ -78,14 +78,15 @@ class Watch:
         InputError : the instant is before the last; a source lacks what its evidence needs.
         """
         heard = now.heard()
-        roll = Roll.of(heard)
-        past = self.past.on(roll)
+        roll = self.past.loosened(Roll.of(heard), _per_m2(now))
+        heard, past = roll.now, self.past.on(roll)
         found = self._found(heard, past)
         members = np.full((0, len(heard.sources)), -1)
         if found is not None:
             members, past = roll.places(found.members[:, : len(heard.sources)]), past.met(found.union)
         texts = {name: roll.texts(name) for name in TEXTS}
         seen = self._seen(roll, members, found, past, texts)
+        past = past.proved(seen.tracks[_together(members, found, self.stages)])
         known = self.known.on(now.instant_s, seen, _per_m2(now), self.stages)
         called = self._called(roll, members, texts, known)
         return Moment(now, roll, found, members, seen, replace(self, past=past, known=known, called=called))
@@ -111,13 +112,13 @@ class Watch:
         named = np.append(np.any([texts[name] != "" for name in NAMES_ONE], axis=0), False)[members]
         # No clutter: what the source shows is there.
         honest = np.array([feed.clutter(2) == 0.0 for feed in roll.now.feeds], dtype=bool)
-        sure = (there & honest).any(axis=1)
-        if found is not None:
-            sure |= (there.sum(axis=1) > 1) & (found.probability >= self.stages.sure)
-        looked = np.append(roll.new_since(self.past.tracks.roll), False)
+        sure = (there & honest).any(axis=1) | _together(members, found, self.stages)
+        new = np.append(roll.new_since(self.past.tracks.roll), False)
+        plotted = np.append(new[:-1] & (past.tracks.on_roll < 0), False)
+        looked, plotted = (np.asarray(column[members].any(axis=1)) for column in (new, plotted))
         walk = np.append(roll.walk_m2_per_s3, 0.0)[members].max(axis=1, initial=0.0)
         speed = np.append(roll.speed_m_per_s, 0.0)[members].max(axis=1, initial=0.0)
-        return Seen(states, track, named & there, np.asarray(looked[members].any(axis=1)), sure, walk, speed)
+        return Seen(states, track, named & there, looked, plotted, sure, _longest(track, past), walk, speed)
 
     def _called(
         self, roll: Roll, members: IntArray, texts: Mapping[str, NDArray[Any]], known: Known
@@ -139,6 +140,21 @@ class Watch:
             before = self.called.get(number, _NOTHING)
             called[number] = before if k < 0 else np.where(said[k] != "", said[k], before)
         return called
+
+
+def _longest(track: IntArray, past: Past) -> Life:
+    """The life of that track of each object, of its tracks (n, S), that is most surely of something real."""
+    track = np.column_stack([track, np.full(len(track), -1)])
+    begun, lived = past.lives.log_odds(track)
+    most = np.argmax(begun + lived, axis=1)[:, None]
+    return Life(*(np.take_along_axis(column, most, 1)[:, 0] for column in (track, begun, lived)))  # type: ignore[arg-type]
+
+
+def _together(members: IntArray, found: Objects | None, stages: Stages) -> BoolArray:
+    """(n,) whether two sources or more show an object beyond doubt."""
+    if found is None:
+        return np.zeros(len(members), bool)
+    return np.asarray(((members >= 0).sum(axis=1) > 1) & (found.probability >= stages.sure))
 
 
 _NOTHING = np.full(len(TEXTS), "", dtype=object)

@@ -16,10 +16,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
+from scipy.special import logit
 
 from sameas.errors import InputError
 from sameas.identify import identify
-from sameas.picture.continuity import Continuity, InCommon, NearOrNamed
+from sameas.picture.belonging import Belonging
+from sameas.picture.continuity import Continuity, InCommon, Motions, NearOrNamed
 from sameas.picture.named import found_in
 from sameas.picture.roll import BoolArray
 from sameas.picture.states import ObjectStates
@@ -27,24 +29,40 @@ from sameas.records import FloatArray, IntArray, Records
 from sameas.tracks.alignment import aged, moved
 
 TENTATIVE, CONFIRMED, COASTING, ENDED = range(4)
+#: What parted from an object is another once its tracks have been its own for this share of the last minutes. Taken.
+OWN = 0.8
 STAGES = ("tentative", "confirmed", "coasting", "ended")
 
 
 @dataclass(frozen=True)
 class Stages:
-    """When an object is confirmed: at ``looks`` looks among the first ``of`` instants, or at once if it is sure.
+    """When an object is confirmed: as soon as it is sure, or, where its records have no names, at ``looks`` looks among
+    the first ``of`` instants.
 
-    Sure is an object of two sources or more with at least the probability ``sure``, or of a source without false
-    records: what speaks is there. A tentative object that is missing at more than of − looks instants is dropped.
+    Sure is an object of two sources or more with at least the probability ``sure``; of a source without false records:
+    what speaks is there; and of a named track that has lived so long that it is real with the probability ``real``
+    (:mod:`sameas.picture.lives`): of those at most 1 − real are false. A tentative object that is missing at more than
+    of − looks instants is dropped.
     """
 
     looks: int = 3
     of: int = 5
     sure: float = 0.95
+    real: float = 0.99
 
     def __post_init__(self) -> None:
-        if not (1 <= self.looks <= self.of and 0.0 < self.sure <= 1.0):
-            raise InputError("Stages: give 1 ≤ looks ≤ of, and sure as a probability")
+        if not (1 <= self.looks <= self.of and 0.0 < self.sure <= 1.0 and 0.0 < self.real < 1.0):
+            raise InputError("Stages: give 1 ≤ looks ≤ of, and sure and real as probabilities")
+
+
+@dataclass(frozen=True)
+class Life:
+    """Lives of tracks (n,): their numbers, −1 for none; ln of the odds that each was of something real when it began,
+    and what its life has added since (:mod:`sameas.picture.lives`)."""
+
+    track: IntArray
+    begun: FloatArray
+    lived: FloatArray
 
 
 @dataclass(frozen=True)
@@ -52,7 +70,8 @@ class Seen:
     """The objects of an instant, (n,) each, before they have numbers.
 
     states : theirs. tracks : (n, S) numbers of their named tracks, −1 for none. unique : (n, S) whether nobody else
-    bears that track's name. looked : whether a source looked at it anew. sure : whether it is there beyond doubt.
+    bears that track's name. looked : whether a source looked at it anew. plotted : whether one did that names no
+    tracks. sure : whether it is there beyond doubt. life : of that track of it which says most of that.
     walk_m2_per_s3, speed_m_per_s : how they move.
     """
 
@@ -60,7 +79,9 @@ class Seen:
     tracks: IntArray
     unique: BoolArray
     looked: BoolArray
+    plotted: BoolArray
     sure: BoolArray
+    life: Life
     walk_m2_per_s3: FloatArray
     speed_m_per_s: FloatArray
 
@@ -79,10 +100,13 @@ class Known:
     state, covariance : (k, 4), (k, 4, 4) of position and velocity. placed : whether the position is known.
     moving : whether the velocity is known, said by a record or from the object's own positions.
     seen : (k,) which object of the instant it is, −1 where nobody shows it.
-    looks, absent : instants with a new look of it, and without a record of it while it was tentative.
+    looks, plots : instants with a new look at it, and with one of a source that names no tracks.
+    longest, lived, earlier : its track that has lived longest, what that life says for its being real, and what the
+        lives of those before say: ln of odds.
+    absent : instants without a record of it while it was tentative.
+    apart : whether it parted from an object that went on, and its tracks have not been its own for most of the time.
     walk_m2_per_s3, speed_m_per_s : how it moves.
-    track, owner, unique : (t,) numbers of tracks, ascending, of the objects that they belonged to last, and whether
-        nobody else bears their names.
+    belonging : which of them tracks have been of.
     """
 
     instant_s: float = -np.inf
@@ -95,12 +119,15 @@ class Known:
     moving: BoolArray = field(default_factory=lambda: np.empty(0, bool))
     seen: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     looks: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    plots: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    longest: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    lived: FloatArray = field(default_factory=lambda: np.empty(0))
+    earlier: FloatArray = field(default_factory=lambda: np.empty(0))
     absent: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    apart: BoolArray = field(default_factory=lambda: np.empty(0, bool))
     walk_m2_per_s3: FloatArray = field(default_factory=lambda: np.empty(0))
     speed_m_per_s: FloatArray = field(default_factory=lambda: np.empty(0))
-    track: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    owner: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    unique: BoolArray = field(default_factory=lambda: np.empty(0, bool))
+    belonging: Belonging = field(default_factory=Belonging)
 
     def __len__(self) -> int:
         return len(self.number)
@@ -114,7 +141,7 @@ class Known:
         number = alive._numbers_of(seen, new)
         parts = [
             alive.take(to[known])._shown(seen, known, stages),
-            Known._appeared(seen, new, number, stages),
+            Known._appeared(seen, new, number, alive._apart(seen, new), stages),
             alive.take(left)._unseen(seen, density_per_m2, stages),
         ]
         return parts[0]._joined(parts[1:], instant_s, int(number.max(initial=self.given)))._owning(self, seen)
@@ -142,27 +169,32 @@ class Known:
         out = np.full(len(seen), -1)
         if not len(seen) or not len(self):
             return out
-        at, column = np.nonzero(seen.tracks >= 0)
-        who = found_in(self.number, self._owner_of(seen.tracks[at, column]))
-        mine = who >= 0
-        common = InCommon.of(who[mine], at[mine], seen.unique[at, column][mine].astype(np.float64))
-        here, there = (slice(None), slice(0, 2)), (slice(None), slice(0, 2), slice(0, 2))
-        known = Records.of(self.state[here], covariance=self.covariance[there], source="known")
-        shown = Records.of(seen.states.state[here], covariance=seen.states.covariance[there], source="seen")
-        matches = identify(known, shown, rule=Continuity(density_per_m2, common), gate=NearOrNamed(common)).matches
+        common = self._in_common(seen)
+        before = Motions(self.state, self.covariance, self.speed_m_per_s)
+        after = Motions(seen.states.state, seen.states.covariance, seen.speed_m_per_s)
+        known, shown = (
+            Records.of(one.state[:, :2], covariance=one.covariance[:, :2, :2], source=name)
+            for one, name in ((before, "known"), (after, "seen"))
+        )
+        rule = Continuity(density_per_m2, common, before, after)
+        matches = identify(known, shown, rule=rule, gate=NearOrNamed(common)).matches
         out[matches.rows_2] = matches.rows_1
         return out
 
-    def _owner_of(self, track: IntArray) -> IntArray:
-        """(k,) the object that each track belonged to last, 0 for none."""
-        at = found_in(self.track, track)
-        return np.where(at >= 0, np.append(self.owner, 0)[at], 0)
+    def _in_common(self, seen: Seen) -> InCommon:
+        """What tracks say of these objects and those of the instant."""
+        at, column = np.nonzero(seen.tracks >= 0)
+        shown, row = self.belonging.of(seen.tracks[at, column])
+        who = found_in(self.number, self.belonging.number[row])
+        mine = who >= 0
+        shown, row = shown[mine], row[mine]
+        return InCommon.of(who[mine], at[shown], self.belonging.share[row], seen.unique[at, column][shown])
 
     def _numbers_of(self, seen: Seen, new: IntArray) -> IntArray:
         """(k,) the numbers of objects that none of these is: of one that ended, by a unique name, or new ones."""
         number = np.zeros(len(new), np.int64)
         for column in range(seen.tracks.shape[1]):
-            before = np.where(seen.unique[new, column], self._owner_of(seen.tracks[new, column]), 0)
+            before = np.where(seen.unique[new, column], self.belonging.last_of(seen.tracks[new, column]), 0)
             free = (before > 0) & (number == 0) & ~np.isin(before, self.number) & ~np.isin(before, number)
             _, first = np.unique(before, return_index=True)
             once = np.isin(np.arange(len(new)), first)
@@ -171,31 +203,54 @@ class Known:
         number[fresh] = self.given + 1 + np.arange(np.count_nonzero(fresh))
         return number
 
+    def _apart(self, seen: Seen, new: IntArray) -> BoolArray:
+        """(k,) whether a new object has a track of one of these: it parted from that, and has to earn its number."""
+        tracks = seen.tracks[new]
+        owner = found_in(self.number, self.belonging.last_of(tracks.ravel())).reshape(tracks.shape)
+        return np.asarray((owner >= 0).any(axis=1))
+
     def _shown(self, seen: Seen, which: IntArray, stages: Stages) -> Known:
         """These objects, as the objects ``which`` of the instant show them."""
         states, looked = seen.states, seen.looked[which]
         state, covariance = states.state[which], states.covariance[which]
         own, spread = _followed(self, state, covariance, looked)
         said = states.moving[which]
-        looks = self.looks + looked
-        sure = (self.stage != TENTATIVE) | seen.sure[which] | (looks >= stages.looks)
+        looks, plots = self.looks + looked, self.plots + seen.plotted[which]
+        # A track that went on under another name has said what it had to say; one that is still there says it itself.
+        over = (self.longest != seen.life.track[which]) & ~(self.longest[:, None] == seen.tracks[which]).any(axis=1)
+        earlier = self.earlier + np.where(over, self.lived, 0.0)
+        real = seen.life.begun[which] + earlier + seen.life.lived[which] >= logit(stages.real)
+        apart = self.apart & (self._own_share(seen.tracks[which]) < OWN)
+        sure = (self.stage != TENTATIVE) | ((seen.sure[which] | real) & ~apart) | (plots >= stages.looks)
         return replace(
             self, stage=np.where(sure, CONFIRMED, TENTATIVE), state=np.where(said[:, None], state, own),
             covariance=np.where(said[:, None, None], covariance, spread), placed=states.placed[which],
-            moving=said | (self.placed & states.placed[which] & (looks > 1)), seen=which, looks=looks,
+            moving=said | (self.placed & states.placed[which] & (looks > 1)), seen=which, looks=looks, plots=plots,
+            apart=apart, longest=seen.life.track[which], lived=seen.life.lived[which], earlier=earlier,
             walk_m2_per_s3=seen.walk_m2_per_s3[which], speed_m_per_s=seen.speed_m_per_s[which],
         )  # fmt: skip
 
+    def _own_share(self, tracks: IntArray) -> FloatArray:
+        """(k,) for what share of the last minutes any of its tracks (k, S) has been of each of these objects."""
+        out = np.zeros(len(self))
+        at, row = self.belonging.of(tracks.ravel())
+        at //= max(tracks.shape[1], 1)
+        mine = self.belonging.number[row] == self.number[at]
+        np.maximum.at(out, at[mine], self.belonging.share[row[mine]])
+        return out
+
     @classmethod
-    def _appeared(cls, seen: Seen, which: IntArray, number: IntArray, stages: Stages) -> Known:
-        """Objects that nobody knew, or that have ended, and their numbers."""
+    def _appeared(cls, seen: Seen, which: IntArray, number: IntArray, apart: BoolArray, stages: Stages) -> Known:
+        """Objects that nobody knew, or that have ended, and their numbers; ``apart``: from one that goes on."""
         n, states = len(which), seen.states
-        sure = seen.sure[which] | (stages.looks <= 1)
+        real = seen.life.begun[which] + seen.life.lived[which] >= logit(stages.real)
+        sure = ((seen.sure[which] | real) & ~apart) | (stages.looks <= 1)
         return cls(
             number=number, stage=np.where(sure, CONFIRMED, TENTATIVE), state=states.state[which],
             covariance=states.covariance[which], placed=states.placed[which], moving=states.moving[which], seen=which,
-            looks=np.ones(n, np.int64), absent=np.zeros(n, np.int64), walk_m2_per_s3=seen.walk_m2_per_s3[which],
-            speed_m_per_s=seen.speed_m_per_s[which],
+            looks=np.ones(n, np.int64), plots=seen.plotted[which].astype(np.int64), absent=np.zeros(n, np.int64),
+            apart=apart, longest=seen.life.track[which], lived=seen.life.lived[which], earlier=np.zeros(n),
+            walk_m2_per_s3=seen.walk_m2_per_s3[which], speed_m_per_s=seen.speed_m_per_s[which],
         )  # fmt: skip
 
     def _unseen(self, seen: Seen, density_per_m2: float, stages: Stages) -> Known:
@@ -204,8 +259,9 @@ class Known:
         absent = self.absent + (tentative & bool(seen.looked.any()))
         old = aged(self.covariance, density_per_m2)
         # Whose tracks are all another object's now was one with it.
-        there = np.isin(self.track, seen.tracks)
-        taken = np.isin(self.number, self.owner[there]) & ~np.isin(self.number, self.owner[~there])
+        own = self.belonging.take(np.flatnonzero(self.belonging.last))
+        there = np.isin(own.track, seen.tracks)
+        taken = np.isin(self.number, own.number[there]) & ~np.isin(self.number, own.number[~there])
         over = old | taken | (tentative & (absent > stages.of - stages.looks))
         stage = np.where(over, ENDED, np.where(tentative, TENTATIVE, COASTING))
         return replace(self, stage=stage, absent=absent, seen=np.full(len(self), -1))
@@ -214,25 +270,17 @@ class Known:
         whole = {name: np.concatenate([getattr(part, name) for part in (self, *others)]) for name in _COLUMNS}
         order = np.argsort(whole["number"])
         columns = {name: column[order] for name, column in whole.items()}
-        return Known(instant_s, given, **columns)
+        return replace(self, instant_s=instant_s, given=given, **columns)  # type: ignore[arg-type]
 
     def _owning(self, before: Known, seen: Seen) -> Known:
-        """The same with the tracks of the objects of the instant; other tracks stay with whom they were last.
-
-        Of those who have ended only names that nobody else bears are kept.
-        """
+        """The same with whom the tracks of the instant are of."""
         there = seen.tracks >= 0
-        track, unique = seen.tracks[there], seen.unique[there]
-        owner = self.numbers(len(seen))[np.nonzero(there)[0]]
-        alive = np.isin(before.owner, self.number[self.stage != ENDED])
-        stay = ~np.isin(before.track, track) & (alive | before.unique)
-        columns = ((before.track, track), (before.owner, owner), (before.unique, unique))
-        track, owner, unique = (np.concatenate([old[stay], new]) for old, new in columns)
-        order = np.argsort(track)
-        return replace(self, track=track[order], owner=owner[order], unique=unique[order])
+        number, alive = self.numbers(len(seen))[np.nonzero(there)[0]], self.number[self.stage != ENDED]
+        after = before.belonging.on(self.instant_s, seen.tracks[there], number, seen.unique[there], alive)
+        return replace(self, belonging=after)
 
 
-_COLUMNS = tuple(f.name for f in fields(Known) if f.name not in ("instant_s", "given", "track", "owner", "unique"))
+_COLUMNS = tuple(f.name for f in fields(Known) if f.name not in ("instant_s", "given", "belonging"))
 
 
 def _followed(

@@ -40,6 +40,7 @@ class Roll:
     said_state, said_covariance : (n, 4), (n, 4, 4) at that time; NaN for directions.
     state, covariance : the same, moved to the instant.
     placed : whether it is a position. moving : whether it says a velocity.
+    loose : (n, 4, 4) what of the covariance a manoeuvre left open (:mod:`sameas.picture.manoeuvres`).
     """
 
     now: Instant
@@ -58,6 +59,7 @@ class Roll:
     covariance: FloatArray
     placed: BoolArray
     moving: BoolArray
+    loose: FloatArray
 
     def __len__(self) -> int:
         return len(self.row)
@@ -75,7 +77,8 @@ class Roll:
         with np.errstate(invalid="ignore"):
             unknown = UNSAID * columns["speed_m_per_s"] ** 2
             moving = placed & (columns["said_covariance"][:, 2, 2] < unknown)
-        return cls(now=now, start=start, source=source, placed=placed, moving=moving, **columns)
+        loose = np.zeros((len(source), 4, 4))
+        return cls(now=now, start=start, source=source, placed=placed, moving=moving, loose=loose, **columns)
 
     def texts(self, attribute: str) -> NDArray[Any]:
         """(n,) what the records say of an attribute of identity, "" where they do not."""
