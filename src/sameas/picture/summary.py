@@ -197,7 +197,7 @@ class Summary:
         several = len(self.by_sources) > 2
         said = [("objects", self._objects() if several else f"{sum(self.by_sources)} confirmed")]
         if self.unconfirmed:
-            said.append(("not confirmed", f"{self.unconfirmed} more, seen too seldom, as false echoes are"))
+            said.append(("not confirmed", f"{self.unconfirmed} more, seen too briefly, as false echoes are"))
         if several:
             said.append(("how sure", self._sure()))
             said += [("places", str(self.places))] if str(self.places) else []
