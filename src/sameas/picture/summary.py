@@ -119,11 +119,15 @@ class Places:
         return cls(shown_m, coasting_m, float(np.sum(coasts)) / instants)
 
     def __str__(self) -> str:
-        words = [f"known to {self.shown_m:.2g} m (1σ, the median object)"] if self.shown_m is not None else []
+        words = [f"known to {_metres(self.shown_m)} (1σ, the median object)"] if self.shown_m is not None else []
         if self.coasting:
-            known = f", known to {self.coasting_m:.2g} m" if self.coasting_m is not None else ""
+            known = f", known to {_metres(self.coasting_m)}" if self.coasting_m is not None else ""
             words.append(f"{self.coasting:.2g} at an instant coast, unseen{known}")
         return "; ".join(words)
+
+
+def _metres(sigma_m: float) -> str:
+    return f"{sigma_m:.1f} m" if sigma_m < 10.0 else f"{sigma_m:.0f} m"
 
 
 @dataclass(frozen=True)
