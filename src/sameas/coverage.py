@@ -140,14 +140,11 @@ def local_share(
 
     start = (float(part.sum()) + 0.5) / (float(weights.sum()) + 1.0)
     at_first, at_second = np.full(len(levels[0].of_first), start), np.full(len(levels[0].of_second), start)
-    nothing = (np.empty(0), np.empty(0))
+    at = (at_first, at_second) if source == 1 else (at_second, at_first)
     for level in levels:
-        cells = level.of_first if source == 1 else level.of_second
-        counts = (np.bincount(cells, part, len(level.volume)), np.bincount(cells, weights, len(level.volume)))
-        own_1 = (part, weights) if source == 1 else nothing
-        own_2 = (part, weights) if source == 2 else nothing
-        refine_share(*counts, level.of_first, *own_1, SHARED_PSEUDO_COUNT, at_first)
-        refine_share(*counts, level.of_second, *own_2, SHARED_PSEUDO_COUNT, at_second)
+        cells = (level.of_first, level.of_second) if source == 1 else (level.of_second, level.of_first)
+        sums = np.empty(len(level.volume)), np.empty(len(level.volume))
+        refine_share(*cells, part, weights, *sums, SHARED_PSEUDO_COUNT, *at)
     return at_first, at_second
 
 

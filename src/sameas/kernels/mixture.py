@@ -1,0 +1,157 @@
+"""Compiled likelihood of error scales: pairs counted in cells of like distance and odds, and the likeliest shares."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sameas.kernels.compiled import kernel, part
+from sameas.kernels.linear import solve
+
+
+@kernel
+def cells(square, log_odds, least, most, nearest, reach, shape):
+    """(distances, odds) pairs in each cell of ``shape``, sums of their log odds, and (distances,) sums of squares.
+
+    square, log_odds : (m,) squared distances and log odds; those of ``least`` odds or less are left out, and of ``most``
+    or more taken as ``most``. Steps are even in ln distance from ``nearest`` to ``reach``, and in the log odds.
+    """
+    count, odds = np.zeros(shape), np.zeros(shape)
+    squares = np.zeros(shape[0])
+    begin = np.log(nearest)
+    along, across = (shape[0] - 1) / (np.log(reach) - begin), (shape[1] - 1) / (most - least)
+    for e in range(len(square)):
+        if log_odds[e] > least:
+            told = min(log_odds[e], most)
+            a = int((0.5 * np.log(max(square[e], nearest**2)) - begin) * along)
+            b = int((told - least) * across)
+            count[a, b] += 1.0
+            odds[a, b] += told
+            squares[a] += square[e]
+    return count, odds, squares
+
+
+@kernel
+def log_likelihood(start, count, odds, density, pseudo, shares):
+    """Σ count · ln(1 + odds · f) over the cells, f = density · shares at their distances, and Σ pseudo · ln shares.
+
+    The cells start[b]:start[b + 1] lie at distance b; density : (b, k) of each component there.
+    """
+    total = 0.0
+    for k in range(len(shares)):
+        if pseudo[k] > 0.0:
+            total += pseudo[k] * np.log(max(shares[k], 1e-300))
+    for b in range(len(density)):
+        f = 0.0
+        for k in range(len(shares)):
+            f += density[b, k] * shares[k]
+        for c in range(start[b], start[b + 1]):
+            total += count[c] * np.log1p(odds[c] * f)
+    return total
+
+
+@part
+def _derivatives(start, count, odds, density, pseudo, shares, ridge, slope, bend):
+    """Fill ``slope`` (k,) and the negative curvature ``bend`` (k, k) of the logarithm of the likelihood."""
+    size = len(shares)
+    slope[:] = 0.0
+    bend[:] = 0.0
+    for b in range(len(density)):
+        f, once, twice = 0.0, 0.0, 0.0
+        for k in range(size):
+            f += density[b, k] * shares[k]
+        for c in range(start[b], start[b + 1]):
+            each = odds[c] / (1.0 + odds[c] * f)
+            once += count[c] * each
+            twice += count[c] * each**2
+        for k in range(size):
+            slope[k] += once * density[b, k]
+            for h in range(k + 1):
+                bend[k, h] += twice * density[b, k] * density[b, h]
+    trace = 0.0
+    for k in range(size):
+        trace += bend[k, k]
+        for h in range(k):
+            bend[h, k] = bend[k, h]
+    for k in range(size):
+        bend[k, k] += ridge * trace
+        if pseudo[k] > 0.0:
+            slope[k] += pseudo[k] / max(shares[k], 1e-100)
+            bend[k, k] += pseudo[k] / max(shares[k], 1e-100) ** 2
+
+
+@part
+def _on_simplex(slope, bend, free, wanted):
+    """Fill ``wanted`` with the y ≥ 0, Σ y = 1, of greatest slope·y − ½ y·bend·y; ``free``: which are not zero, a guess
+    that is bettered."""
+    size, steepest = len(slope), np.max(np.abs(slope))
+    for _ in range(6 * size):
+        at = np.flatnonzero(free)
+        n = len(at)
+        system, right = np.ones((n + 1, n + 1)), np.ones((n + 1, 1))
+        for a in range(n):
+            right[a, 0] = slope[at[a]]
+            for b in range(n):
+                system[a, b] = bend[at[a], at[b]]
+        system[n, n] = 0.0
+        solve(system, right)
+        lowest = np.argmin(right[:n, 0])
+        if n > 1 and right[lowest, 0] < 0.0:
+            free[at[lowest]] = False
+            continue
+        wanted[:] = 0.0
+        for a in range(n):
+            wanted[at[a]] = right[a, 0]
+        best, gain = -1, 1e-9 * steepest
+        for k in range(size):
+            if not free[k]:
+                pull = slope[k] - right[n, 0]
+                for a in range(n):
+                    pull -= bend[k, at[a]] * right[a, 0]
+                if pull > gain:
+                    best, gain = k, pull
+        if best < 0:
+            return
+        free[best] = True
+
+
+@kernel
+def likeliest(start, count, odds, density, pseudo, shares, spread, steps, settled, shortest, ridge):
+    """The shares of greatest likelihood, from ``shares`` on: a step of EM, which always leads upwards, and one of
+    Newton's among shares that are not negative, which leads there at once from near by, in turn.
+
+    start, count, odds, density, pseudo : as in ``log_likelihood``. spread : what every share begins with besides its
+    own. It stops after ``steps``, or when one gains less than ``settled``; no step of Newton's is cut below the part
+    ``shortest``.
+    """
+    size = len(shares)
+    free = (shares > 0.0) | (pseudo > 0.0)
+    shares = (shares + spread) / np.sum(shares + spread)
+    slope, bend, wanted, tried = np.empty(size), np.empty((size, size)), np.empty(size), np.empty(size)
+    reached = -np.inf
+    for _ in range(steps):
+        _derivatives(start, count, odds, density, pseudo, shares, ridge, slope, bend)
+        shares = np.maximum(shares * slope, 0.0)
+        shares /= np.sum(shares)
+        _derivatives(start, count, odds, density, pseudo, shares, ridge, slope, bend)
+        for k in range(size):
+            for h in range(size):
+                slope[k] += bend[k, h] * shares[h]
+        _on_simplex(slope, bend, free, wanted)
+        now = log_likelihood(start, count, odds, density, pseudo, shares)
+        length = 1.0
+        while length > shortest:
+            for k in range(size):
+                # A share with pseudo-counts is never zero; a parabola does not know that.
+                least = 0.1 * shares[k] if pseudo[k] > 0.0 else 0.0
+                tried[k] = max(shares[k] + length * (wanted[k] - shares[k]), least)
+            tried /= np.sum(tried)
+            there = log_likelihood(start, count, odds, density, pseudo, tried)
+            if there > now:
+                now = there
+                shares = tried.copy()
+                break
+            length *= 0.25
+        gained, reached = now - reached, now
+        if gained < settled:
+            break
+    return shares
