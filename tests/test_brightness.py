@@ -316,7 +316,8 @@ def test_a_relation_and_its_errors_are_recovered():
         y = x + 0.5 + 0.1 * (colour - 0.8) + rng.normal(0.0, 1.0, 800) * np.hypot(0.08, error)
         lost = rng.uniform(size=800) < 0.03
         y[lost] = rng.uniform(12.0, 22.0, int(lost.sum()))
-        sample = Sample(y, np.column_stack([x, x - colour]), error**2, np.zeros((800, 2)), np.ones(800))
+        background = np.exp(density_of(y)(y))
+        sample = Sample(y, np.column_stack([x, x - colour]), error**2, np.zeros((800, 2)), np.ones(800), background)
         relation = fit_relation(sample, density_of(y))
         relation = fit_relation(sample, density_of(y), relation, last=True)
         truth = 0.5 + 0.1 * float(np.average(colour[~lost] - 0.8))

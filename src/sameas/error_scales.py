@@ -19,10 +19,10 @@ from sameas.records import FloatArray
 RUNG = 1.5
 LOWEST_RUNG = -5.0
 #: Pairs of like distance are counted together, in so many bins from the first distance on, in standard deviations.
-BINS, NEAREST = 400, 1e-3
+BINS, NEAREST = 160, 1e-2
 #: Pairs whose log odds are less say nothing of the errors, whatever these are; more is as sure as can be; in so many
 #: steps.
-LEAST_LOG_ODDS, MOST_LOG_ODDS, ACROSS = -12.0, 30.0, 84
+LEAST_LOG_ODDS, MOST_LOG_ODDS, ACROSS = -12.0, 30.0, 43
 #: The search for the shares stops when ln of the likelihood grows by less than this, or after so many steps.
 SETTLED, STEPS = 1e-4, 40
 #: Errors larger than so many times the quoted ones are a tail. It must better ln of the likelihood by so much, four
@@ -91,14 +91,14 @@ def _standing_out(mixture: _Mixture, shares: FloatArray, scales: FloatArray) -> 
 class _Cells:
     """Pairs of like distance and odds, taken together: the likelihood depends on nothing else.
 
-    square : (b,) means of the squared distances. start : (b + 1,) the cells start[k]:start[k + 1] lie at distance k.
-    count, odds : (c,) pairs in each cell, and their odds. reach : the greatest distance.
+    start : (b + 1,) the cells start[k]:start[k + 1] lie at distance k. count, odds : (c,) pairs in each cell, and their
+    odds. square : (b,) means of the squared distances. reach : the greatest distance.
     """
 
-    square: FloatArray
     start: NDArray[np.int64]
     count: FloatArray
     odds: FloatArray
+    square: FloatArray
     reach: float
 
     @classmethod
@@ -109,13 +109,7 @@ class _Cells:
         furthest = float(z2.max(initial=1.0, where=log_odds > LEAST_LOG_ODDS))
         reach = max(math.sqrt(furthest), 2.0)
         limits = LEAST_LOG_ODDS, MOST_LOG_ODDS, NEAREST, reach
-        count, sums, squares = cells(z2, log_odds, *limits, (BINS, ACROSS))
-        number = count.sum(axis=1)
-        there = np.flatnonzero(number)
-        held = np.flatnonzero(count[there])
-        start = np.searchsorted(held, ACROSS * np.arange(len(there) + 1))
-        count, sums = count[there].ravel()[held], sums[there].ravel()[held]
-        return cls(squares[there] / number[there], start, count, np.exp(sums / count), reach)
+        return cls(*cells(z2, log_odds, *limits, (BINS, ACROSS)), reach)
 
 
 @dataclass(frozen=True)

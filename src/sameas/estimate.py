@@ -41,8 +41,10 @@ OPENING = 6e-5
 WIDEST_SIGMAS = 400.0
 #: The gate does not open for a tail when a record would have more candidates by chance than this, on average,
 CROWDED = 0.5
-#: nor for errors that are quoted too small when it would have more than this.
+#: nor for errors that are quoted too small when it would have more than this;
 MOST_CROWDED = 8.0
+#: a gate is too narrow for the typical error when it is less than this part of the default one: of 4.5σ, 4e-5 are lost.
+NARROW = 0.7
 #: A tail of the errors that betters ln of the likelihood by so much, but does not stand out, is looked for farther out.
 #: Then a record may have this many candidates by chance.
 SUSPECTED, SUSPECTED_CROWDED = 1.0, 2.0
@@ -179,7 +181,7 @@ class _Found:
         if limit >= WIDEST_SIGMAS or not self.known.learns_errors:
             return False
         chance = self.known.setting.by_chance(self.told) * 2.0**pairs.d
-        if chance < MOST_CROWDED and limit < _radius(None, pairs.d) * self.known.errors.typical_scale:
+        if chance < MOST_CROWDED and limit < NARROW * _radius(None, pairs.d) * self.known.errors.typical_scale:
             return True
         if SUSPECTED < self.known.tail < STANDING_OUT and chance < SUSPECTED_CROWDED:
             return True  # what lies farther out decides whether it is one

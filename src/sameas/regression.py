@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sameas.evidence import MagnitudeDensity, Relation
-from sameas.piecewise import Hats, knots_of, roughness
+from sameas.piecewise import knots_of, roughness
 from sameas.records import FloatArray
 
 #: Scales of the mixture, in units of error and scatter.
@@ -55,13 +57,15 @@ def density_of(magnitude: FloatArray) -> MagnitudeDensity:
 
 @dataclass(frozen=True)
 class Sample:
-    """Pairs to learn from: y (n,), others (n, 1 + c), the variances of both, and the probability of each pair."""
+    """Pairs to learn from: y (n,), others (n, 1 + c), the variances of both, the probability of each pair, and the
+    density of y where it is unrelated."""
 
     y: FloatArray
     others: FloatArray
     variance: FloatArray
     other_variance: FloatArray
     weight: FloatArray
+    unrelated: FloatArray
 
 
 def fit_relation(
@@ -70,7 +74,7 @@ def fit_relation(
     """The relation of greatest likelihood; a few steps on from ``start`` where there is one, many for the last time."""
     relation = replace(start, background=background) if start is not None else _first(sample, background)
     steps = LAST_STEPS if last else STEPS if start is not None else FIRST_STEPS
-    return _improved(sample, relation, Hats.at(relation.knots, sample.others[:, 0]), steps)
+    return _improved(sample, relation, steps)
 
 
 def _first(sample: Sample, background: MagnitudeDensity) -> Relation:
@@ -81,15 +85,8 @@ def _first(sample: Sample, background: MagnitudeDensity) -> Relation:
     centres = (sample.weight[:, None] * colours).sum(axis=0) / sample.weight.sum()
     difference = sample.y - x
     nearest = np.searchsorted(0.5 * (knots[1:] + knots[:-1]), x)
-    middle = weighted_median(difference, sample.weight)
-    spread = 1.4826 * weighted_median(np.abs(difference - middle), sample.weight)
-    offset, scatter = np.full(len(knots), middle), np.full(len(knots), spread)
-    for k in range(len(knots)):
-        these = nearest == k
-        if sample.weight[these].sum() > PSEUDO_PAIRS:
-            offset[k] = weighted_median(difference[these], sample.weight[these])
-            away = np.abs(difference[these] - offset[k])
-            scatter[k] = 1.4826 * weighted_median(away, sample.weight[these])
+    offset = _medians(difference, sample.weight, nearest, len(knots))
+    scatter = 1.4826 * _medians(np.abs(difference - offset[nearest]), sample.weight, nearest, len(knots))
     size = len(knots) + colours.shape[1]
     nothing = np.zeros((size, size)), np.zeros(size), math.inf, float(sample.weight.sum())
     slopes, scatter = np.zeros(colours.shape[1]), np.maximum(scatter, LEAST_SCATTER)
@@ -98,20 +95,30 @@ def _first(sample: Sample, background: MagnitudeDensity) -> Relation:
     )
 
 
-def _improved(sample: Sample, relation: Relation, hats: Hats, steps: int) -> Relation:
-    """After at most so many steps of EM; ``hats`` at the first of the others."""
+def _medians(values: FloatArray, weight: FloatArray, nearest: NDArray[np.integer], k: int) -> FloatArray:
+    """(k,) weighted medians of the values nearest to each knot; that of all where there are few."""
+    from sameas.kernels.relation import medians
+
+    order = np.argsort(values, kind="stable")
+    out = np.empty(k + 1)
+    medians(order, values, weight, nearest, out)
+    enough = np.bincount(nearest, weight, k) > PSEUDO_PAIRS
+    return np.where(enough, out[:k], out[k])
+
+
+def _improved(sample: Sample, relation: Relation, steps: int) -> Relation:
+    """After at most so many steps of EM."""
     from sameas.kernels.relation import learn
 
     x, variance = sample.others[:, 0], sample.other_variance
-    unrelated = np.exp(relation.background(sample.y))
-    pairs = np.column_stack([sample.y - x, sample.variance, variance[:, 0], sample.weight, unrelated])
+    pairs = np.column_stack([sample.y - x, sample.variance, variance[:, 0], sample.weight, sample.unrelated, x])
     colours = np.hstack([sample.others[:, 1:] - x[:, None] - relation.centres, variance[:, 1:]])
     offset, scatter, slopes = relation.offset.copy(), relation.scatter.copy(), relation.slopes.copy()
     shares, error = np.append(relation.shares, relation.unrelated), np.array([relation.scatter_error])
     covariance, mean = relation.covariance.copy(), relation.mean_basis.copy()
     learned = offset, scatter, slopes, relation.scales, shares, covariance, mean, error
     priors = np.array([*TAIL_ALLOWANCE, PSEUDO_UNRELATED, PSEUDO_PAIRS, LEAST_SCATTER, SETTLED])
-    learn(pairs, colours, (hats.left, hats.part), learned, _penalty(hats, len(slopes)), priors, steps)
+    learn(pairs, colours, relation.knots, learned, _penalty(len(offset), len(slopes)), priors, steps)
     return replace(
         relation, offset=offset, slopes=slopes, covariance=covariance, mean_basis=mean, scatter=scatter,
         scatter_error=float(error[0]), shares=shares[:-1], unrelated=float(shares[-1]),
@@ -119,9 +126,9 @@ def _improved(sample: Sample, relation: Relation, hats: Hats, steps: int) -> Rel
     )  # fmt: skip
 
 
-def _penalty(hats: Hats, slopes: int) -> FloatArray:
+@cache
+def _penalty(k: int, slopes: int) -> FloatArray:
     """(k + c, k + c) how curves and slopes are drawn to straight and flat ones."""
-    k = len(hats.knots)
     penalty = np.zeros((k + slopes, k + slopes))
     penalty[:k, :k] = roughness(k, BEND) + 1e-6 * np.eye(k)
     penalty[k:, k:] = np.eye(slopes) / STEEP**2

@@ -91,7 +91,7 @@ class Known:
         n1, n2 = (len(rows) for rows in setting.rows)
         guess = min(max(share, LEAST_GUESS), MOST_GUESS) * min(n1, n2)
         partner = np.full(n1, guess / n1), np.full(n2, guess / n2)
-        local = _local(setting, partner, setting.counted)
+        local = tuple((np.full(n1, guess / n), np.full(n2, guess / n)) for n in (n1, n2))
         return cls(setting, partner, setting.counted, local, errors or Errors(), errors is None, photometry, density)
 
     def at(self, setting: Setting, photometry: Photometry | None) -> Known:
@@ -193,13 +193,11 @@ class Known:
 
         −∞ for those whose record 1 is not counted.
         """
-        pairs, (one, two) = self.setting.pairs, self.partner
-        free = np.maximum(1.0 - one[pairs.i], 1e-30) * np.maximum(1.0 - two[pairs.j], 1e-30)
-        p = np.clip(p_pair, FAINT, SUREST)
-        # What is improbable may have been left at zero; it is as probable as both its records are free for it.
-        log_odds = np.where(p_pair > FAINT, np.log(p) - np.log1p(-p), log_ratio + np.log(free))
-        log_odds -= self.errors.log_profile(pairs.mahalanobis_sq, pairs.d)
-        return np.where(self.setting.counted[0][pairs.i], log_odds, -np.inf)
+        from sameas.kernels.mixture import log_odds
+
+        pairs, out = self.setting.pairs, self.errors.log_profile(self.setting.pairs.mahalanobis_sq, self.setting.pairs.d)
+        log_odds(pairs.i, pairs.j, p_pair, log_ratio, *self.partner, self.setting.counted[0], FAINT, SUREST, out)
+        return out
 
     def with_lesson(self, told: FloatArray, *, last: bool = False) -> Known:
         """The magnitudes learned from, with pairs of these probabilities (m,)."""
@@ -212,8 +210,10 @@ class Known:
 
 def _local(setting: Setting, partner: Both, counted: tuple[BoolArray, BoolArray]) -> tuple[Both, Both]:
     """Local shares, of the records that tell of them."""
+    # One cell says no more than the mean of all, and the finest say next to nothing.
+    levels = setting.levels[1:-1] or setting.levels
     weights = [(seen & known).astype(np.float64) for seen, known in zip(setting.seen, counted, strict=True)]
-    works = [partial(local_share, setting.levels, k + 1, partner[k] * weights[k], weights[k]) for k in (0, 1)]
+    works = [partial(local_share, levels, k + 1, partner[k] * weights[k], weights[k]) for k in (0, 1)]
     one, two = threads.each(works, len(weights[0]))
     return one, two
 

@@ -9,25 +9,59 @@ from sameas.kernels.linear import solve
 
 
 @kernel
+def log_odds(i, j, p_pair, log_ratio, partner_1, partner_2, counted, faint, surest, profile):
+    """Turn ``profile`` (m,), what the errors say of pairs, into ln of their odds but for that; −∞ if i is not counted.
+
+    i, j, p_pair, log_ratio : (m,) records of the pairs, their probabilities, and ln of their odds before one-to-one.
+    partner_1, partner_2 : how probably each record has a partner. Less probable pairs than ``faint`` may have been
+    left at zero: they are as probable as both their records are free for them. None is surer than ``surest``.
+    """
+    for e in range(len(profile)):
+        if not counted[i[e]]:
+            profile[e] = -np.inf
+        elif p_pair[e] > faint:
+            p = min(p_pair[e], surest)
+            profile[e] = np.log(p / (1.0 - p)) - profile[e]
+        else:
+            free = max(1.0 - partner_1[i[e]], 1e-30) * max(1.0 - partner_2[j[e]], 1e-30)
+            profile[e] = log_ratio[e] + np.log(free) - profile[e]
+
+
+@kernel
 def cells(square, log_odds, least, most, nearest, reach, shape):
-    """(distances, odds) pairs in each cell of ``shape``, sums of their log odds, and (distances,) sums of squares.
+    """Pairs of like distance and odds, counted together: what ``log_likelihood`` takes, and means of the squares.
 
     square, log_odds : (m,) squared distances and log odds; those of ``least`` odds or less are left out, and of ``most``
-    or more taken as ``most``. Steps are even in ln distance from ``nearest`` to ``reach``, and in the log odds.
+    or more taken as ``most``. shape : steps, even in ln distance from ``nearest`` to ``reach``, and in the log odds.
+    Returns start (b + 1,), count and odds (c,) of the cells that are not empty, squares (b,) of distances that are not.
     """
-    count, odds = np.zeros(shape), np.zeros(shape)
-    squares = np.zeros(shape[0])
+    number, told = np.zeros(shape), np.zeros(shape)
+    squares, there = np.zeros(shape[0]), np.zeros(shape[0])
     begin = np.log(nearest)
     along, across = (shape[0] - 1) / (np.log(reach) - begin), (shape[1] - 1) / (most - least)
     for e in range(len(square)):
         if log_odds[e] > least:
-            told = min(log_odds[e], most)
+            here = min(log_odds[e], most)
             a = int((0.5 * np.log(max(square[e], nearest**2)) - begin) * along)
-            b = int((told - least) * across)
-            count[a, b] += 1.0
-            odds[a, b] += told
+            b = int((here - least) * across)
+            number[a, b] += 1.0
+            told[a, b] += here
             squares[a] += square[e]
-    return count, odds, squares
+            there[a] += 1.0
+    size = min(len(square), shape[0] * shape[1])
+    start, mean = np.zeros(shape[0] + 1, np.int64), np.empty(shape[0])
+    count, odds = np.empty(size), np.empty(size)
+    distances, full = 0, 0
+    for a in range(shape[0]):
+        if there[a] > 0.0:
+            for b in range(shape[1]):
+                if number[a, b] > 0.0:
+                    count[full], odds[full] = number[a, b], np.exp(told[a, b] / number[a, b])
+                    full += 1
+            mean[distances] = squares[a] / there[a]
+            distances += 1
+            start[distances] = full
+    return start[: distances + 1], count[:full], odds[:full], mean[:distances]
 
 
 @kernel

@@ -34,12 +34,31 @@ def log_mixture(y, variance, others, other_variance, knots, relation, background
 
 
 @kernel
-def learn(sample, colours, hats, relation, penalty, priors, steps):
+def medians(order, values, weight, nearest, out):
+    """Fill ``out`` (k + 1,) with the weighted medians of the values (n,) nearest to each of k knots, and of all.
+
+    order : (n,) rising order of the values.
+    """
+    k = len(out) - 1
+    half, below = np.zeros(k + 1), np.zeros(k + 1)
+    out[:] = np.nan
+    for e in order:
+        half[nearest[e]] += 0.5 * weight[e]
+        half[k] += 0.5 * weight[e]
+    for e in order:
+        for at in (nearest[e], k):
+            below[at] += weight[e]
+            if np.isnan(out[at]) and below[at] >= half[at]:
+                out[at] = values[e]
+
+
+@kernel
+def learn(sample, colours, knots, relation, penalty, priors, steps):
     """Steps of EM, in place, until one changes nothing by more than a share of its standard error, or none are left.
 
-    sample : (n, 5) difference of the magnitude and the first of the others, variances of both, weight, and density
-    of the magnitude where it is unrelated. colours : (n, 2c) other magnitudes minus the first and their centres, then
-    their variances. hats : left and upper (n,). relation : offset and scatter (k,), slopes (c,), scales (s,), shares
+    sample : (n, 6) difference of the magnitude and the first of the others, variances of both, weight, density of the
+    magnitude where it is unrelated, and the first of the others. colours : (n, 2c) other magnitudes minus the first and their centres, then
+    their variances. knots : (k,) rising. relation : offset and scatter (k,), slopes (c,), scales (s,), shares
     (s + 1,), the last unrelated, covariance (k + c, k + c), mean basis (k + c,), error of the typical scatter (1,).
     penalty : (k + c, k + c). priors : allowances of the shares (s,), pairs that are always unrelated, pairs by which
     scatters are drawn to that of all, the least scatter, and the share of a standard error that is nothing.
@@ -48,7 +67,9 @@ def learn(sample, colours, hats, relation, penalty, priors, steps):
     k, c, weight = len(offset), len(slopes), np.sum(sample[:, 3])
     share = np.sum(mean[:k])
     typical = np.sqrt(np.sum(mean[:k] * scatter**2) / share) if share > 0.0 else np.inf
-    told = np.empty((len(sample), 2))
+    told, hats = np.empty((len(sample), 2)), (np.empty(len(sample), np.int64), np.empty(len(sample)))
+    for e in range(len(sample)):
+        hats[0][e], _, hats[1][e] = interval(knots, sample[e, 5])
     for _ in range(steps):
         system, right, owned, counts, excess, wider = _summed(sample, colours, hats, relation, told)
         number = np.sum(owned[:k])
