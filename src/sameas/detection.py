@@ -84,7 +84,7 @@ def _edges(magnitude: FloatArray) -> FloatArray:
     low, high = float(magnitude.min()), float(magnitude.max())
     width = next((w for w in WIDTHS if (high - low) / w <= MOST_BINS), (high - low) / MOST_BINS)
     edges = width * np.arange(np.floor(low / width), np.floor(high / width) + 2)
-    count = np.histogram(magnitude, edges)[0]
+    count = np.bincount(((magnitude - edges[0]) / width).astype(np.int64), minlength=len(edges) - 1)[: len(edges) - 1]
     below, above = np.cumsum(count), np.cumsum(count[::-1])
     begin = int(np.searchsorted(below, LEAST_IN_BIN))
     end = len(count) - int(np.searchsorted(above, LEAST_IN_BIN))

@@ -41,7 +41,7 @@ FILLED = 0.15
 #: Fewer expected pairs than this say too little of the errors; the quoted ones are then believed.
 FEWEST = 50.0
 #: Rounds by positions alone before magnitudes are learned from, and rounds with them at least.
-POSITIONS_FIRST, WITH_BRIGHTNESS = 1, 3
+POSITIONS_FIRST, WITH_BRIGHTNESS = 1, 2
 #: The number of common objects has settled when all changes to come are no more than this share of its standard error,
 #: or, of very few, when it changes by no more than this number.
 SETTLED, SETTLED_NUMBER = 0.1, 0.01

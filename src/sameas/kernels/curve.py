@@ -9,14 +9,32 @@ from sameas.kernels.linear import solve
 
 
 @part
-def interval(knots, x):
-    """The knot at or before x, that after it, and how far x is between them, 0 … 1; nothing changes beyond the ends."""
+def directory(knots):
+    """For steps of a 128th from the first knot to the last, the knot at or before each: where a search begins."""
+    found, at = np.zeros(128, np.int64), 0
+    for step in range(len(found)):
+        x = knots[0] + (knots[-1] - knots[0]) * step / len(found)
+        while at < len(knots) - 2 and knots[at + 1] <= x:
+            at += 1
+        found[step] = at
+    return found
+
+
+@part
+def interval(knots, found, x):
+    """The knot at or before x, that after it, and how far x is between them, 0 … 1; nothing changes beyond the ends.
+
+    found : the ``directory`` of the knots.
+    """
     last = len(knots) - 1
-    low = min(max(np.searchsorted(knots, x, side="right") - 1, 0), max(last - 1, 0))
-    high = min(low + 1, last)
-    if high == low:
-        return low, high, 0.0
-    return low, high, min(max((x - knots[low]) / (knots[high] - knots[low]), 0.0), 1.0)
+    if last == 0 or x <= knots[0]:
+        return 0, min(1, last), 0.0
+    if x >= knots[last]:
+        return last - 1, last, 1.0
+    low = found[int((x - knots[0]) / (knots[last] - knots[0]) * len(found))]
+    while knots[low + 1] <= x:
+        low += 1
+    return low, low + 1, (x - knots[low]) / (knots[low + 1] - knots[low])
 
 
 @kernel
@@ -27,9 +45,9 @@ def climb(magnitude, log_odds, shown, knots, penalty, values, steps, longest):
     that they are shown. penalty : (k, k). No value changes by more than ``longest`` in a step.
     """
     n, k = len(magnitude), len(knots)
-    low, along = np.empty(n, np.int64), np.empty(n)
+    low, along, found = np.empty(n, np.int64), np.empty(n), directory(knots)
     for e in range(n):
-        low[e], _, along[e] = interval(knots, magnitude[e])
+        low[e], _, along[e] = interval(knots, found, magnitude[e])
     for _ in range(steps):
         gram, step = penalty.copy(), np.zeros((k, 1))
         for a in range(k):
@@ -55,7 +73,7 @@ def climb(magnitude, log_odds, shown, knots, penalty, values, steps, longest):
 @part
 def _weight(log_odds):
     """½ ln s − ln (1 − s) for the share s of these log odds."""
-    half = 0.5 * np.log1p(np.exp(-abs(log_odds)))
+    half = 0.5 * np.log(1.0 + np.exp(-abs(log_odds)))
     return half + (log_odds if log_odds > 0.0 else 0.5 * log_odds)
 
 
@@ -65,11 +83,12 @@ def weigh(magnitude, share, least, knots, values, out):
 
     Shares are kept ``least`` away from 0 and 1.
     """
+    found = directory(knots)
     for e in range(len(magnitude)):
         out[e] = 0.0
         if not np.isnan(magnitude[e]):
-            low, high, along = interval(knots, magnitude[e])
+            low, high, along = interval(knots, found, magnitude[e])
             s = min(max(share[e], least), 1.0 - least)
-            before, beyond = np.log(s), np.log1p(-s)
+            before, beyond = np.log(s), np.log(1.0 - s)
             after = before - beyond + values[low] + along * (values[high] - values[low])
             out[e] = _weight(after) - (0.5 * before - beyond)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sameas.kernels.compiled import kernel, part
-from sameas.kernels.curve import interval
+from sameas.kernels.curve import directory, interval
 from sameas.kernels.linear import solve
 
 
@@ -17,10 +17,10 @@ def log_mixture(y, variance, others, other_variance, knots, relation, background
     (s,), and shares (s + 1,), the last of which follows the density ``background`` (n,) instead.
     """
     offset, scatter, slopes, centres, scales, shares = relation
-    rest = (1.0 - np.sum(slopes)) ** 2
+    rest, found = (1.0 - np.sum(slopes)) ** 2, directory(knots)
     for e in range(len(y)):
         x = others[e, 0]
-        low, high, along = interval(knots, x)
+        low, high, along = interval(knots, found, x)
         residual = y[e] - x - (offset[low] + along * (offset[high] - offset[low]))
         # An error of each of the others moves the mean as strongly as it is weighed in it.
         total = (scatter[low] + along * (scatter[high] - scatter[low])) ** 2 + variance[e] + rest * other_variance[e, 0]
@@ -68,8 +68,9 @@ def learn(sample, colours, knots, relation, penalty, priors, steps):
     share = np.sum(mean[:k])
     typical = np.sqrt(np.sum(mean[:k] * scatter**2) / share) if share > 0.0 else np.inf
     told, hats = np.empty((len(sample), 2)), (np.empty(len(sample), np.int64), np.empty(len(sample)))
+    found = directory(knots)
     for e in range(len(sample)):
-        hats[0][e], _, hats[1][e] = interval(knots, sample[e, 5])
+        hats[0][e], _, hats[1][e] = interval(knots, found, sample[e, 5])
     for _ in range(steps):
         system, right, owned, counts, excess, wider = _summed(sample, colours, hats, relation, told)
         number = np.sum(owned[:k])
