@@ -45,6 +45,8 @@ POSITIONS_FIRST, WITH_BRIGHTNESS = 1, 2
 #: The number of common objects has settled when all changes to come are no more than this share of its standard error,
 #: or, of very few, when it changes by no more than this number.
 SETTLED, SETTLED_NUMBER = 0.1, 0.01
+#: At least so much of each change is taken to follow in the next round.
+LEAST_FOLLOWING = 0.25
 
 Both = tuple[FloatArray, FloatArray]
 BoolArray = NDArray[np.bool_]
@@ -61,7 +63,8 @@ class Known:
     local : local share of the records of source 1, and of source 2, that have a partner, each at the records of both.
     errors : the spread of the residuals; learned from the pairs where ``learns_errors``.
     photometry : how the magnitudes are related, None where they are not asked for. lessons : how often it was learned.
-    common : expected number of common objects among the counted, negative before the first round.
+    common : expected number of common objects among the counted, a guess before the first round. change : by how much
+        the last round changed it, NaN before.
     tail : by how much a tail of the errors, believed or not, betters ln of the likelihood.
     density : (ρ₁, ρ₂) of all records of each source where the user gave them, else None.
     """
@@ -75,7 +78,8 @@ class Known:
     photometry: Photometry | None
     density: tuple[float, float] | None = None
     lessons: int = 0
-    common: float = -1.0
+    common: float = math.nan
+    change: float = math.nan
     tail: float = 0.0
 
     @classmethod
@@ -92,7 +96,8 @@ class Known:
         guess = min(max(share, LEAST_GUESS), MOST_GUESS) * min(n1, n2)
         partner = np.full(n1, guess / n1), np.full(n2, guess / n2)
         local = tuple((np.full(n1, guess / n), np.full(n2, guess / n)) for n in (n1, n2))
-        return cls(setting, partner, setting.counted, local, errors or Errors(), errors is None, photometry, density)
+        known = cls(setting, partner, setting.counted, local, errors or Errors(), errors is None, photometry, density)
+        return replace(known, common=float(partner[0][setting.counted[0]].sum()))
 
     def at(self, setting: Setting, photometry: Photometry | None) -> Known:
         """The same where other candidates and records take part, with the magnitudes of these."""
@@ -151,19 +156,23 @@ class Known:
         """Number of common objects that the shares let expect."""
         return min(float((share * seen).sum()) for share, seen in zip(self.shares(), self.setting.seen, strict=True))
 
-    def slack(self) -> float:
-        """Standard error of the number of common objects among the counted, for all that changes like the last may add.
+    def settled(self, before: Known) -> bool:
+        """Whether all that later rounds may change the number of common objects by, but for the next, is small.
 
-        Σ p(1 − p) of what is not sure; its share r of the information that there could be is missing, and as much of
-        each change follows in the next round.
+        A part r of each change follows in the next round: at least the share of the information that is missing
+        because the pairs are not sure, and as much as followed in this. The standard error is that of Σ p(1 − p) of
+        what is not sure, 1/(1 − r) times as large because the shares are estimated.
         """
-        slacks = []
+        followed = abs(self.change / before.change) if before.change else math.inf
+        to_come = []
         for partner, known in zip(self.partner, self.counted, strict=True):
             p = partner[known]
             unsure, mean = float((p * (1.0 - p)).sum()), float(p.mean())
             missing = min(unsure / max(len(p) * mean * (1.0 - mean), 1e-300), MOST_MISSING)
-            slacks.append(math.sqrt(unsure / (1.0 - missing)) * (1.0 - missing))
-        return min(slacks)
+            r = min(max(missing, followed, LEAST_FOLLOWING), MOST_MISSING)
+            error = math.sqrt(unsure / (1.0 - missing))
+            to_come.append(abs(self.change) * r**2 / (1.0 - r) <= SETTLED * error)
+        return all(to_come) or abs(self.change) <= SETTLED_NUMBER
 
     def learned(self, p_pair: FloatArray, log_ratio: FloatArray, *, brightness: bool) -> Known:
         """What a round says of shares and errors, and of magnitudes where these are asked for.
@@ -176,8 +185,10 @@ class Known:
             np.minimum(np.bincount(pairs.j, p_pair, len(self.partner[1])), 1.0),
         )
         told = self.setting.told(p_pair)
-        known = replace(self, common=float(told.sum()))._with_partners(partner, self.setting.counted)
-        if told.sum() < FEWEST:
+        common = float(told.sum())
+        known = replace(self, common=common, change=common - self.common)
+        known = known._with_partners(partner, self.setting.counted)
+        if common < FEWEST:
             return known
         if self.learns_errors:
             # A component so wide that chance fills it cannot be told from chance.
@@ -238,7 +249,7 @@ def settled(known: Known, rounds: int, progress: Callable[[str], None]) -> tuple
         best = assign(grouped, log_ratio, linear)
         p_pair = by_messages(grouped, best).p_pair
         told = setting.told(p_pair)
-        before, common = known.common, float(told.sum())
+        before, common = known, float(told.sum())
         if not math.isfinite(common):
             raise InputError(
                 f"{setting.pairs.first.source} and {setting.pairs.second.source}: probabilities are beyond computing, "
@@ -246,7 +257,7 @@ def settled(known: Known, rounds: int, progress: Callable[[str], None]) -> tuple
                 "understood?"
             )
         known = known.learned(p_pair, log_ratio, brightness=number >= POSITIONS_FIRST)
-        done = abs(common - before) <= SETTLED * known.slack() + SETTLED_NUMBER
+        done = known.settled(before)
         # The magnitudes must have had their say.
         done &= known.photometry is None or common < FEWEST or known.lessons > WITH_BRIGHTNESS
     return known, told, number, done
