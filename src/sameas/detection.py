@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sameas.piecewise import knots_of, roughness
 from sameas.records import FloatArray
@@ -115,15 +116,20 @@ class ShareCurve:
         climb(magnitude, logit(share), p_partner, start.knots, penalty, values, steps, LONGEST)
         return cls(start.knots, values)
 
-    def terms(self, magnitude: FloatArray, share: FloatArray) -> FloatArray:
+    def terms(
+        self, magnitude: FloatArray, share: FloatArray, wanted: NDArray[np.integer] | None = None
+    ) -> FloatArray:
         """(n,) what a pair's log-odds gain when the share s of its record becomes s(m); 0 where m is not known.
 
         Half of ln s, because both sources' records tell of the density of common objects, less ln (1 − s) of those
-        that only one source shows.
+        that only one source shows. wanted : records that it is asked of, the others get 0; all if not given.
         """
         from sameas.kernels.curve import weigh
 
         terms = np.empty(len(magnitude))
+        if wanted is not None:
+            asked, magnitude = magnitude[wanted], np.full(len(magnitude), np.nan)
+            magnitude[wanted] = asked
         weigh(magnitude, share, LEAST_SHARE, self.knots, self.values, terms)
         return terms
 

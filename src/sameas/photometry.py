@@ -125,13 +125,17 @@ class Photometry:
         whole = {pattern: relation for pattern, relation in known.items() if pattern[0]}
         return max(whole.values(), key=lambda relation: relation.weight, default=None)
 
-    def rule(self, shares: tuple[FloatArray, FloatArray]) -> Brightness | None:
-        """As evidence, with the shares at the records' positions; None as long as nothing was learned."""
+    def rule(self, shares: tuple[FloatArray, FloatArray], pairs: Pairs | None = None) -> Brightness | None:
+        """As evidence, with the shares at the records' positions; None as long as nothing was learned.
+
+        pairs : those that it will be asked of, if no others.
+        """
         if not self.tells:
             return None
+        rows = (None, None) if pairs is None else (pairs.i, pairs.j)
         shown = [
-            np.zeros(len(share)) if curve is None else curve.terms(side.measured.values[:, 0], share)
-            for side, share, curve in zip(self.sides, shares, self.curves, strict=True)
+            np.zeros(len(share)) if curve is None else curve.terms(side.measured.values[:, 0], share, wanted)
+            for side, share, curve, wanted in zip(self.sides, shares, self.curves, rows, strict=True)
         ]
         return Brightness(self.sides, self.chains, shown[0], shown[1], self.known)
 

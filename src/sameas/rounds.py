@@ -131,7 +131,7 @@ class Known:
 
     def brightness(self) -> Brightness | None:
         """What magnitudes say; None as long as nothing is known of that."""
-        return None if self.photometry is None else self.photometry.rule(self.shares())
+        return None if self.photometry is None else self.photometry.rule(self.shares(), self.setting.pairs)
 
     def rule(self) -> Rule:
         """The rule with all that is known."""
