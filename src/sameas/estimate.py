@@ -31,7 +31,7 @@ from sameas.gate import ChiSquare, Pairs, Radius
 from sameas.identify import identify
 from sameas.photometry import Photometry
 from sameas.quantity import Quantity, changed_without, decisive, quantities
-from sameas.records import FloatArray, Records
+from sameas.records import FloatArray, Records, unpack
 from sameas.result import Identification
 from sameas.rounds import FEWEST, Known
 from sameas.sample import Setting
@@ -41,10 +41,10 @@ OPENING = 6e-5
 WIDEST_SIGMAS = 400.0
 #: The gate does not open for a tail when a record would have more candidates by chance than this, on average,
 CROWDED = 0.5
-#: nor for errors that are quoted too small when it would have more than this;
+#: nor for errors that are quoted too small when it would have more than this.
 MOST_CROWDED = 8.0
-#: a gate is too narrow for the typical error when it is less than this part of the default one: of 4.5σ, 4e-5 are lost.
-NARROW = 0.7
+#: It is twice as wide as the default from the beginning where a record would have fewer candidates by chance than this.
+ROOMY = 1.0
 #: A tail of the errors that betters ln of the likelihood by so much, but does not stand out, is looked for farther out.
 #: Then a record may have this many candidates by chance.
 SUSPECTED, SUSPECTED_CROWDED = 1.0, 2.0
@@ -68,12 +68,10 @@ class Estimate:
     rounds, settled : rounds of identification, and whether they settled.
     learned_from : records of either source that the rounds went over: all of them, or a sample that stands for them.
     notes : what a user should know.
-    quantities : everything that is a number, by name, with its standard error; see ``sameas.quantity.quantities``.
-    detection_1, detection_2 : share of each source's records that the other shows, by magnitude; None without.
     photometry : how the magnitudes of both sources are related, None where they were not given or told nothing.
-    decisive : median absolute value of each term of the evidence over the identified pairs.
-    changed_by_brightness : records of source 1 that positions alone would identify otherwise.
-    judged : the answer that the errors were judged by; None where they were not.
+    answer : the identification. judged : whether the spread of the errors was learned from its pairs.
+
+    What follows from these is computed when it is asked for.
     """
 
     common: float
@@ -85,19 +83,46 @@ class Estimate:
     rounds: int
     settled: bool
     learned_from: tuple[int, int]
-    notes: tuple[str, ...] = field(default=())
-    quantities: Mapping[str, Quantity] = field(default_factory=dict)
-    detection_1: DetectionCurve | None = None
-    detection_2: DetectionCurve | None = None
-    photometry: Photometry | None = None
-    decisive: Mapping[str, float] = field(default_factory=dict)
-    changed_by_brightness: int = 0
-    judged: Identification | None = field(default=None, repr=False)
+    notes: tuple[str, ...]
+    photometry: Photometry | None
+    answer: Identification = field(repr=False)
+    judged: bool
+
+    @cached_property
+    def quantities(self) -> Mapping[str, Quantity]:
+        """All that is a number, by name, with its standard error; see ``sameas.quantity.quantities``."""
+        return quantities(
+            self.answer, self.coverage, self.photometry, errors=self.judged, learned_from=self.learned_from
+        )
+
+    @property
+    def detection_1(self) -> DetectionCurve | None:
+        """Share of source 1's records that source 2 shows, by magnitude; None without magnitudes."""
+        return self._detection[0]
+
+    @property
+    def detection_2(self) -> DetectionCurve | None:
+        """Share of source 2's records that source 1 shows, by magnitude; None without magnitudes."""
+        return self._detection[1]
+
+    @cached_property
+    def _detection(self) -> tuple[DetectionCurve | None, DetectionCurve | None]:
+        return (None, None) if self.photometry is None else self.photometry.detection(self.answer, self.coverage)
+
+    @cached_property
+    def decisive(self) -> Mapping[str, float]:
+        """Median absolute value of each term of the evidence over the identified pairs."""
+        return decisive(self.answer)
+
+    @cached_property
+    def changed_by_brightness(self) -> int:
+        """How many records of source 1 positions alone would identify otherwise."""
+        return 0 if self.photometry is None else changed_without(self.answer, BRIGHTNESS_TERMS)
 
     @cached_property
     def error_model(self) -> ErrorModel | None:
         """Which source's errors are too small, where that can be told; None where errors were not judged."""
-        return None if self.judged is None else error_model(self.judged)
+        return error_model(self.answer) if self.judged else None
 
     @property
     def typical_scale(self) -> float:
@@ -181,7 +206,7 @@ class _Found:
         if limit >= WIDEST_SIGMAS or not self.known.learns_errors:
             return False
         chance = self.known.setting.by_chance(self.told) * 2.0**pairs.d
-        if chance < MOST_CROWDED and limit < NARROW * _radius(None, pairs.d) * self.known.errors.typical_scale:
+        if chance < MOST_CROWDED and limit < _radius(None, pairs.d) * self.known.errors.typical_scale:
             return True
         if SUSPECTED < self.known.tail < STANDING_OUT and chance < SUSPECTED_CROWDED:
             return True  # what lies farther out decides whether it is one
@@ -205,6 +230,8 @@ class _Search:
         """The end of at most so many rounds; ``errors`` are estimated if not given."""
         first, second = self.coverage.first, self.coverage.second
         limit, total, known = _radius(self.gate, first.d), 0, None
+        if self.gate is None and errors is None and _by_chance(self.coverage, 2.0 * limit) < ROOMY:
+            limit *= 2.0
         while True:
             self.progress("gate")
             pairs = (self.gate or Radius(limit))(first, second)
@@ -252,15 +279,11 @@ def _told(answer: Identification, coverage: Coverage, found: _Found, remarks: li
     """What was found, as it stands in the last identification."""
     known, common = found.known, float(answer.p_pair.sum())
     seen_1, seen_2 = (max(int(np.count_nonzero(seen)), 1) for seen in coverage.covered)
-    judged = known.learns_errors and common >= FEWEST
     photometry = known.photometry if known.photometry is not None and known.photometry.tells else None
-    curves = (None, None) if photometry is None else photometry.detection(answer, coverage)
     return Estimate(
         common, min(1.0, common / seen_1), min(1.0, common / seen_2), known.errors, found.gate_sigmas, coverage,
-        found.rounds, found.settled, found.learned_from, tuple(remarks) + _notes(found, common),
-        quantities(answer, coverage, photometry, errors=judged, learned_from=found.learned_from), *curves, photometry,
-        decisive(answer), 0 if photometry is None else changed_without(answer, BRIGHTNESS_TERMS),
-        answer if judged else None,
+        found.rounds, found.settled, found.learned_from, tuple(remarks) + _notes(found, common), photometry, answer,
+        known.learns_errors and common >= FEWEST,
     )  # fmt: skip
 
 
@@ -283,6 +306,16 @@ def _notes(found: _Found, common: float) -> tuple[str, ...]:
 def _radius(gate: ChiSquare | Radius | None, d: int) -> float:
     """Radius of a gate, or of the default one, in d features, in standard deviations."""
     return gate.sigmas if isinstance(gate, Radius) else math.sqrt((gate or ChiSquare()).limit(d))
+
+
+def _by_chance(coverage: Coverage, limit: float) -> float:
+    """Mean number of candidates that a record of the poorer source has by chance in a gate of so many sigmas, at most."""
+    first, second = coverage.first, coverage.second
+    of_1, of_2 = coverage.covered_densities
+    density = of_2[0] if len(first) <= len(second) else of_1[1]
+    covariance = unpack(first.covariance.mean(axis=0)[None] + second.covariance.mean(axis=0)[None], first.d)[0]
+    ball = math.pi ** (0.5 * first.d) / math.gamma(0.5 * first.d + 1.0)
+    return float(density.mean()) * ball * limit**first.d * math.sqrt(float(np.linalg.det(covariance)))
 
 
 def _halves(pairs: Pairs, limit: float) -> tuple[float, float]:

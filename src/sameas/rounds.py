@@ -20,7 +20,8 @@ from sameas.coverage import local_share
 from sameas.error_scales import fit_errors
 from sameas.errors import InputError
 from sameas.evidence import Brightness, Errors, PoissonField, Rule
-from sameas.groups import groups
+from sameas.gate import Pairs
+from sameas.groups import laid_out
 from sameas.photometry import Lesson, Photometry
 from sameas.posterior import by_messages
 from sameas.prior import PerPair
@@ -30,6 +31,8 @@ from sameas.sample import Setting
 
 #: Pairs less probable than this, and more, are not taken at their word when errors are judged.
 FAINT, SUREST = 1e-3, 1.0 - 1e-12
+#: Pairs of smaller ln of the odds, before one-to-one, are less probable than 1e-5, and count for nothing in sums.
+LEAST_LOG_RATIO = math.log(1e-5)
 #: The first guess of the share of the poorer source that is common lies between these.
 LEAST_GUESS, MOST_GUESS = 0.1, 0.95
 #: Errors this many times too small are always thought of.
@@ -64,7 +67,7 @@ class Known:
     errors : the spread of the residuals; learned from the pairs where ``learns_errors``.
     photometry : how the magnitudes are related, None where they are not asked for. lessons : how often it was learned.
     common : expected number of common objects among the counted, a guess before the first round. change : by how much
-        the last round changed it, NaN before.
+        the last round changed it, NaN before the first; 0 where other candidates take part since.
     tail : by how much a tail of the errors, believed or not, betters ln of the likelihood.
     density : (ρ₁, ρ₂) of all records of each source where the user gave them, else None.
     """
@@ -109,7 +112,7 @@ class Known:
             counted.append(np.isfinite(whole[new]))
         if photometry is not None and self.photometry is not None:
             photometry = replace(photometry, chains=self.photometry.chains, curves=self.photometry.curves)
-        known_there = replace(self, setting=setting, photometry=photometry)
+        known_there = replace(self, setting=setting, photometry=photometry, change=0.0)
         return known_there._with_partners((partner[0], partner[1]), (counted[0], counted[1]))
 
     def _with_partners(self, partner: Both, counted: tuple[BoolArray, BoolArray]) -> Known:
@@ -163,7 +166,9 @@ class Known:
         because the pairs are not sure, and as much as followed in this. The standard error is that of Σ p(1 − p) of
         what is not sure, 1/(1 − r) times as large because the shares are estimated.
         """
-        followed = abs(self.change / before.change) if before.change else math.inf
+        if math.isnan(before.change):
+            return False
+        followed = abs(self.change / before.change) if before.change else 0.0
         to_come = []
         for partner, known in zip(self.partner, self.counted, strict=True):
             p = partner[known]
@@ -236,8 +241,6 @@ def settled(known: Known, rounds: int, progress: Callable[[str], None]) -> tuple
     Within the rounds only sums over many pairs are needed; messages are near enough for those.
     """
     setting = known.setting
-    grouped = groups(setting.pairs)
-    linear = PerPair()(grouped.sizes_1, grouped.sizes_2)
     if known.photometry is not None:
         known = replace(known, photometry=known.photometry.facing(setting.pairs))
     done, number = False, 0
@@ -246,8 +249,7 @@ def settled(known: Known, rounds: int, progress: Callable[[str], None]) -> tuple
         number += 1
         progress(f"estimation, round {number}")
         log_ratio = known.rule()(setting.pairs).log_ratio
-        best = assign(grouped, log_ratio, linear)
-        p_pair = by_messages(grouped, best).p_pair
+        p_pair = _probabilities(setting.pairs, log_ratio)
         told = setting.told(p_pair)
         before, common = known, float(told.sum())
         if not math.isfinite(common):
@@ -261,3 +263,17 @@ def settled(known: Known, rounds: int, progress: Callable[[str], None]) -> tuple
         # The magnitudes must have had their say.
         done &= known.photometry is None or common < FEWEST or known.lessons > WITH_BRIGHTNESS
     return known, told, number, done
+
+
+def _probabilities(pairs: Pairs, log_ratio: FloatArray) -> FloatArray:
+    """(m,) probabilities of the pairs, near enough for sums over many of them.
+
+    No pair is more probable than its odds before one-to-one say: those of next to none are left out, and at zero.
+    """
+    kept = np.flatnonzero(log_ratio > LEAST_LOG_RATIO)
+    places = pairs.place_1[kept], pairs.place_2[kept], pairs.i[kept], pairs.j[kept]
+    grouped = laid_out(*places, len(pairs.first), len(pairs.second))
+    best = assign(grouped, log_ratio[kept], PerPair()(grouped.sizes_1, grouped.sizes_2))
+    p_pair = np.zeros(len(pairs))
+    p_pair[kept] = by_messages(grouped, best).p_pair
+    return p_pair
