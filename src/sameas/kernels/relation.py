@@ -17,6 +17,7 @@ def log_mixture(y, variance, others, other_variance, knots, relation, background
     (s,), and shares (s + 1,), the last of which follows the density ``background`` (n,) instead.
     """
     offset, scatter, slopes, centres, scales, shares = relation
+    peaks, narrow = shares[:-1] / (scales * np.sqrt(2.0 * np.pi)), 1.0 / scales**2
     rest, found = (1.0 - np.sum(slopes)) ** 2, directory(knots)
     for e in range(len(y)):
         x = others[e, 0]
@@ -27,10 +28,11 @@ def log_mixture(y, variance, others, other_variance, knots, relation, background
         for v in range(len(slopes)):
             residual -= slopes[v] * (others[e, v + 1] - x - centres[v])
             total += slopes[v] ** 2 * other_variance[e, v + 1]
-        half, related = -0.5 * residual**2 / total, 0.0
+        precision = 1.0 / total
+        half, related = -0.5 * residual**2 * precision, 0.0
         for s in range(len(scales)):
-            related += shares[s] / scales[s] * np.exp(half / scales[s] ** 2)
-        out[e] = np.log(related / np.sqrt(2.0 * np.pi * total) + shares[-1] * background[e])
+            related += peaks[s] * np.exp(half * narrow[s])
+        out[e] = np.log(related * np.sqrt(precision) + shares[-1] * background[e])
 
 
 @kernel
@@ -107,6 +109,7 @@ def _summed(sample, colours, hats, relation, told):
     gram, right, owned = np.zeros((k + c, k + c)), np.zeros(k + c), np.zeros(k + c)
     counts, excess, parts = np.zeros(normals), np.zeros((3, k)), np.empty(normals)
     squared, simple, rest = 0.0, 0.0, (1.0 - np.sum(slopes)) ** 2
+    peaks, narrow = shares[:-1] / (scales * np.sqrt(2.0 * np.pi)), 1.0 / scales**2
     for e in range(len(sample)):
         low, along, weight = left[e], upper[e], sample[e, 3]
         high = min(low + 1, k - 1)
@@ -116,20 +119,20 @@ def _summed(sample, colours, hats, relation, told):
         for v in range(c):
             residual -= slopes[v] * colours[e, v]
             total += slopes[v] ** 2 * colours[e, c + v]
-        half, peak = -0.5 * residual**2 / total, 1.0 / np.sqrt(2.0 * np.pi * total)
-        unrelated, density = shares[-1] * sample[e, 4], 0.0
+        inverse, unrelated, density = 1.0 / total, shares[-1] * sample[e, 4], 0.0
+        half, root = -0.5 * residual**2 * inverse, np.sqrt(inverse)
         for s in range(normals):
-            parts[s] = shares[s] / scales[s] * peak * np.exp(half / scales[s] ** 2)
+            parts[s] = root * peaks[s] * np.exp(half * narrow[s])
             density += parts[s]
         each = weight / max(density + unrelated, 1e-300)
         own, precise = weight - unrelated * each, 0.0
         for s in range(normals):
             counts[s] += parts[s] * each
-            precise += parts[s] * each / scales[s] ** 2
-        precision, leverage = precise / total, 1.0 / total**2
+            precise += parts[s] * each * narrow[s]
+        precision, leverage = precise * inverse, inverse**2
         squared += precision**2 * residual**2
         simple += precision
-        told[e, 0], told[e, 1] = leverage * precise * residual**2, own / total
+        told[e, 0], told[e, 1] = leverage * precise * residual**2, own * inverse
         for at, basis in ((low, 1.0 - along), (high, along)):
             right[at] += precision * basis * sample[e, 0]
             owned[at] += own * basis
