@@ -1,4 +1,4 @@
-"""What estimation costs: everything estimated against one identification with given parameters, in CPU of one thread."""
+"""What estimation costs: everything estimated against one identification with given parameters, CPU of one thread."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Brightness = tuple[Magnitudes, Magnitudes]
 
 @dataclass(frozen=True)
 class Task:
-    """Two sources, the rule with the parameters that made them, and their magnitudes in two bands where they have any."""
+    """Two sources, the rule with the parameters that made them, and magnitudes in two bands where they have any."""
 
     name: str
     first: Records
@@ -115,8 +115,8 @@ def registration(options: argparse.Namespace) -> Table:
         lines.append([n, 1e3 * once, 1e3 * found, found / once, shifts, found / (once * shifts)])
     columns = ("targets", "match without offset, ms", "register, ms", "ratio", "shifts, σ²", "of a match at each")
     notes = (
-        "no five matches can find a shift of many neighbour distances: 'shifts' are those, 1σ apart, that bring any two "
-        "records together; a match at each of them is what the search stands for",
+        "no five matches can find a shift of many neighbour distances: 'shifts' are those, 1σ apart, that bring any "
+        "two records together; a match at each of them is what the search stands for",
     )
     return Table(f"Cost of registration, a shift of {SHIFT_SIGMAS:g}σ", columns, lines, notes)
 

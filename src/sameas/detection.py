@@ -116,9 +116,7 @@ class ShareCurve:
         climb(magnitude, logit(share), p_partner, start.knots, penalty, values, steps, LONGEST)
         return cls(start.knots, values)
 
-    def terms(
-        self, magnitude: FloatArray, share: FloatArray, wanted: NDArray[np.integer] | None = None
-    ) -> FloatArray:
+    def terms(self, magnitude: FloatArray, share: FloatArray, wanted: NDArray[np.integer] | None = None) -> FloatArray:
         """(n,) what a pair's log-odds gain when the share s of its record becomes s(m); 0 where m is not known.
 
         Half of ln s, because both sources' records tell of the density of common objects, less ln (1 − s) of those

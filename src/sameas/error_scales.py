@@ -109,7 +109,8 @@ class _Cells:
         furthest = float(z2.max(initial=1.0, where=log_odds > LEAST_LOG_ODDS))
         reach = max(math.sqrt(furthest), 2.0)
         limits = LEAST_LOG_ODDS, MOST_LOG_ODDS, NEAREST, reach
-        return cls(*cells(z2, log_odds, *limits, (BINS, ACROSS)), reach)
+        start, count, odds, square = cells(z2, log_odds, *limits, (BINS, ACROSS))
+        return cls(start, count, odds, square, reach)
 
 
 @dataclass(frozen=True)

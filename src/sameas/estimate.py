@@ -230,7 +230,8 @@ class _Search:
         """The end of at most so many rounds; ``errors`` are estimated if not given."""
         first, second = self.coverage.first, self.coverage.second
         limit, total, known = _radius(self.gate, first.d), 0, None
-        if self.gate is None and errors is None and _by_chance(self.coverage, 2.0 * limit) < ROOMY:
+        judged = self.gate is None and errors is None and min(len(first), len(second)) >= FEWEST
+        if judged and _by_chance(self.coverage, 2.0 * limit) < ROOMY:
             limit *= 2.0
         while True:
             self.progress("gate")
@@ -309,7 +310,7 @@ def _radius(gate: ChiSquare | Radius | None, d: int) -> float:
 
 
 def _by_chance(coverage: Coverage, limit: float) -> float:
-    """Mean number of candidates that a record of the poorer source has by chance in a gate of so many sigmas, at most."""
+    """Mean number of candidates that a record of the poorer source has by chance in a gate of so many sigmas."""
     first, second = coverage.first, coverage.second
     of_1, of_2 = coverage.covered_densities
     density = of_2[0] if len(first) <= len(second) else of_1[1]

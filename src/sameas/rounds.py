@@ -98,8 +98,10 @@ class Known:
         n1, n2 = (len(rows) for rows in setting.rows)
         guess = min(max(share, LEAST_GUESS), MOST_GUESS) * min(n1, n2)
         partner = np.full(n1, guess / n1), np.full(n2, guess / n2)
-        local = tuple((np.full(n1, guess / n), np.full(n2, guess / n)) for n in (n1, n2))
-        known = cls(setting, partner, setting.counted, local, errors or Errors(), errors is None, photometry, density)
+        of_1, of_2 = ((np.full(n1, guess / n), np.full(n2, guess / n)) for n in (n1, n2))
+        known = cls(
+            setting, partner, setting.counted, (of_1, of_2), errors or Errors(), errors is None, photometry, density
+        )
         return replace(known, common=float(partner[0][setting.counted[0]].sum()))
 
     def at(self, setting: Setting, photometry: Photometry | None) -> Known:
@@ -211,7 +213,10 @@ class Known:
         """
         from sameas.kernels.mixture import log_odds
 
-        pairs, out = self.setting.pairs, self.errors.log_profile(self.setting.pairs.mahalanobis_sq, self.setting.pairs.d)
+        pairs, out = (
+            self.setting.pairs,
+            self.errors.log_profile(self.setting.pairs.mahalanobis_sq, self.setting.pairs.d),
+        )
         log_odds(pairs.i, pairs.j, p_pair, log_ratio, *self.partner, self.setting.counted[0], FAINT, SUREST, out)
         return out
 

@@ -91,7 +91,14 @@ class Relation:
         """(m,) ln p of magnitudes y (m,), given others (m, 1 + c); variances of both, and (m,) the background at y."""
         from sameas.kernels.relation import log_mixture
 
-        relation = self.offset, self.scatter, self.slopes, self.centres, self.scales, np.append(self.shares, self.unrelated)
+        relation = (
+            self.offset,
+            self.scatter,
+            self.slopes,
+            self.centres,
+            self.scales,
+            np.append(self.shares, self.unrelated),
+        )
         out = np.empty(len(y))
         log_mixture(y, variance, others, other_variance, self.knots, relation, background, out)
         return out

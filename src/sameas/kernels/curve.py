@@ -79,7 +79,7 @@ def _weight(log_odds):
 
 @kernel
 def weigh(magnitude, share, least, knots, values, out):
-    """Fill ``out`` (n,) with what ½ ln s − ln (1 − s) gains when shares (n,) follow the curve; 0 where a magnitude is NaN.
+    """Fill ``out`` (n,) with what ½ ln s − ln (1 − s) gains when shares (n,) follow the curve; 0 of a NaN magnitude.
 
     Shares are kept ``least`` away from 0 and 1.
     """

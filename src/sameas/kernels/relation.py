@@ -11,7 +11,7 @@ from sameas.kernels.linear import solve
 
 @kernel
 def log_mixture(y, variance, others, other_variance, knots, relation, background, out):
-    """Fill ``out`` (n,) with ln of the density of magnitudes y (n,), given others (n, 1 + c), and the variances of both.
+    """Fill ``out`` (n,) with ln of the density of magnitudes y (n,), given others (n, 1 + c), and variances of both.
 
     knots : (k,) rising, of the first of the others. relation : offset and scatter (k,), slopes and centres (c,), scales
     (s,), and shares (s + 1,), the last of which follows the density ``background`` (n,) instead.
@@ -59,13 +59,13 @@ def learn(sample, colours, knots, relation, penalty, priors, steps):
     """Steps of EM, in place, until one changes nothing by more than a share of its standard error, or none are left.
 
     sample : (n, 6) difference of the magnitude and the first of the others, variances of both, weight, density of the
-    magnitude where it is unrelated, and the first of the others. colours : (n, 2c) other magnitudes minus the first and their centres, then
-    their variances. knots : (k,) rising. relation : offset and scatter (k,), slopes (c,), scales (s,), shares
+    magnitude where it is unrelated, and the first of the others. colours : (n, 2c) other magnitudes minus the first and
+    their centres, then their variances. knots : (k,) rising. relation : offset and scatter (k,), slopes (c,), scales (s,), shares
     (s + 1,), the last unrelated, covariance (k + c, k + c), mean basis (k + c,), error of the typical scatter (1,).
     penalty : (k + c, k + c). priors : allowances of the shares (s,), pairs that are always unrelated, pairs by which
     scatters are drawn to that of all, the least scatter, and the share of a standard error that is nothing.
     """
-    offset, scatter, slopes, scales, shares, covariance, mean, error = relation
+    offset, scatter, slopes, _, shares, covariance, mean, error = relation
     k, c, weight = len(offset), len(slopes), np.sum(sample[:, 3])
     share = np.sum(mean[:k])
     typical = np.sqrt(np.sum(mean[:k] * scatter**2) / share) if share > 0.0 else np.inf
