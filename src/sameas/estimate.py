@@ -31,7 +31,7 @@ from sameas.gate import ChiSquare, Pairs, Radius
 from sameas.identify import identify
 from sameas.photometry import Photometry
 from sameas.quantity import Quantity, changed_without, decisive, quantities
-from sameas.records import FloatArray, Records, unpack
+from sameas.records import FloatArray, Records
 from sameas.result import Identification
 from sameas.rounds import FEWEST, Known
 from sameas.sample import Setting
@@ -43,8 +43,6 @@ WIDEST_SIGMAS = 400.0
 CROWDED = 0.5
 #: nor for errors that are quoted too small when it would have more than this.
 MOST_CROWDED = 8.0
-#: It is twice as wide as the default from the beginning where a record would have fewer candidates by chance than this.
-ROOMY = 1.0
 #: A tail of the errors that betters ln of the likelihood by so much, but does not stand out, is looked for farther out.
 #: Then a record may have this many candidates by chance.
 SUSPECTED, SUSPECTED_CROWDED = 1.0, 2.0
@@ -230,9 +228,6 @@ class _Search:
         """The end of at most so many rounds; ``errors`` are estimated if not given."""
         first, second = self.coverage.first, self.coverage.second
         limit, total, known = _radius(self.gate, first.d), 0, None
-        judged = self.gate is None and errors is None and min(len(first), len(second)) >= FEWEST
-        if judged and _by_chance(self.coverage, 2.0 * limit) < ROOMY:
-            limit *= 2.0
         while True:
             self.progress("gate")
             pairs = (self.gate or Radius(limit))(first, second)
@@ -307,16 +302,6 @@ def _notes(found: _Found, common: float) -> tuple[str, ...]:
 def _radius(gate: ChiSquare | Radius | None, d: int) -> float:
     """Radius of a gate, or of the default one, in d features, in standard deviations."""
     return gate.sigmas if isinstance(gate, Radius) else math.sqrt((gate or ChiSquare()).limit(d))
-
-
-def _by_chance(coverage: Coverage, limit: float) -> float:
-    """Mean number of candidates that a record of the poorer source has by chance in a gate of so many sigmas."""
-    first, second = coverage.first, coverage.second
-    of_1, of_2 = coverage.covered_densities
-    density = of_2[0] if len(first) <= len(second) else of_1[1]
-    covariance = unpack(first.covariance.mean(axis=0)[None] + second.covariance.mean(axis=0)[None], first.d)[0]
-    ball = math.pi ** (0.5 * first.d) / math.gamma(0.5 * first.d + 1.0)
-    return float(density.mean()) * ball * limit**first.d * math.sqrt(float(np.linalg.det(covariance)))
 
 
 def _halves(pairs: Pairs, limit: float) -> tuple[float, float]:

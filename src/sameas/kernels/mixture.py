@@ -32,7 +32,8 @@ def cells(square, log_odds, least, most, nearest, reach, shape):
     """Pairs of like distance and odds, counted together: what ``log_likelihood`` takes, and means of the squares.
 
     square, log_odds : (m,) squared distances and log odds; those of ``least`` odds or less are left out, and of
-    ``most`` or more taken as ``most``. shape : steps, even in ln distance from ``nearest`` to ``reach``, and in the log odds.
+    ``most`` or more taken as ``most``. shape : steps, even in ln distance from ``nearest`` to ``reach``, and in the
+    log odds.
     Returns start (b + 1,), count and odds (c,) of the cells that are not empty, squares (b,) of distances that are not.
     """
     number, told = np.zeros(shape), np.zeros(shape)
