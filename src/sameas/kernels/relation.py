@@ -61,7 +61,8 @@ def learn(sample, colours, knots, relation, penalty, priors, steps):
     sample : (n, 6) difference of the magnitude and the first of the others, variances of both, weight, density of the
     magnitude where it is unrelated, and the first of the others. colours : (n, 2c) other magnitudes minus the first
     and their centres, then their variances. knots : (k,) rising. relation : offset and scatter (k,), slopes (c,),
-    scales (s,), shares (s + 1,), the last unrelated, covariance (k + c, k + c), mean basis (k + c,), error of the typical scatter (1,).
+    scales (s,), shares (s + 1,), the last unrelated, covariance (k + c, k + c), mean basis (k + c,), and the error of
+    the typical scatter (1,).
     penalty : (k + c, k + c). priors : allowances of the shares (s,), pairs that are always unrelated, pairs by which
     scatters are drawn to that of all, the least scatter, and the share of a standard error that is nothing.
     """
