@@ -1,4 +1,4 @@
-"""Frame and catalogue with nothing told: wrong identifications, calibration, standard errors, cost, magnitudes."""
+"""Frame and catalogue with nothing told: wrong identifications, calibration, standard errors, magnitudes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import argparse
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -255,50 +254,6 @@ def curve_deviations(estimate: Estimate, made: Exposure) -> Iterator[tuple[str, 
             yield "P_d(m) of the catalogue", float((curve.probability[k] - expected) / curve.standard_error[k])
 
 
-# ---- cost ----
-
-
-def cost(options: argparse.Namespace) -> Table:
-    """Seconds of one identification with known parameters, and how many times that the estimation takes."""
-    lines = []
-    for words, make in scenes(options):
-        first, second, rule, brightness = make()
-        runs: dict[str, Callable[[], Any]] = {
-            "one identification": lambda f=first, s=second, r=rule: identify(f, s, rule=r),
-            "positions alone": lambda f=first, s=second: match(f, s),
-        }
-        if brightness is not None:
-            runs["one band"] = lambda f=first, s=second, b=brightness: match(f, s, brightness=one_band(b))
-            runs["two bands"] = lambda f=first, s=second, b=brightness: match(f, s, brightness=b)
-        seconds = {name: best_of(run) for name, run in runs.items()}
-        base = seconds["one identification"]
-        ratios = [seconds[name] / base if name in seconds else None for name in list(runs)[1:]]
-        lines.append([words, len(first), len(second), base, *ratios, *[None] * (3 - len(ratios))])
-    columns = ("scene", "rows 1", "rows 2", "one identification, s", "× positions", "× one band", "× two bands")
-    return Table("Cost of estimation", columns, lines, ("asked: at most five times; the best of three runs each",))
-
-
-def scenes(options: argparse.Namespace) -> Iterator[tuple[str, Callable[[], Any]]]:
-    """What the cost is measured on."""
-    for side in options.cost_sides:
-        made = exposure(np.random.default_rng(83), side_deg=side)
-        yield f"frame of {side:g}°", lambda m=made: (m.scene.first, m.scene.second, true_rule(m), m.brightness)
-    for lam in (0.5, 2.0):
-        scene, densities = workload.crowded(83, options.cost_rows, lam, True)
-        yield f"catalogues, λ {lam:g}", lambda s=scene, d=densities: (s.first, s.second, d.rule(), None)
-
-
-def best_of(run: Callable[[], Any], times: int = 3) -> float:
-    """Seconds of the fastest of some runs, after one to warm up."""
-    run()
-    taken = []
-    for _ in range(times):
-        begin = time.perf_counter()
-        run()
-        taken.append(time.perf_counter() - begin)
-    return min(taken)
-
-
 # ---- real ----
 
 
@@ -355,7 +310,7 @@ def hipparcos_gaia() -> Any:
 
 
 SECTIONS: dict[str, Callable[[argparse.Namespace], Table]] = {
-    "contest": contest, "spoiled": spoiled, "recovered": recovered, "cost": cost,
+    "contest": contest, "spoiled": spoiled, "recovered": recovered,
 }  # fmt: skip
 
 
@@ -375,8 +330,6 @@ def main() -> None:
     parser.add_argument("--side", type=float, default=0.2, help="side of a frame, degrees (default 0.2)")
     parser.add_argument("--trials", type=int, default=200, help="frames for the standard errors (default 200)")
     parser.add_argument("--trial-side", type=float, default=0.12, help="their side, degrees (default 0.12)")
-    parser.add_argument("--cost-sides", type=float, nargs="+", default=[0.2, 0.6])
-    parser.add_argument("--cost-rows", type=int, default=100_000)
     parser.add_argument("--peer-python", action="append", default=[], help="NAME=PYTHON, where a peer is installed")
     parser.add_argument("--only", nargs="+", default=[*SECTIONS, "real"], choices=[*SECTIONS, "real"])
     options = parser.parse_args()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sameas import InputError, PoissonField, Records, identify
-from sameas.detection import DetectionCurve, ShareCurve, logistic, logit, share_error
+from sameas.detection import DetectionCurve, ShareCurve, logit, share_error
 from sameas.estimate import match
 from sameas.evidence import Brightness, Chain, Magnitudes, Side
 from sameas.exposures import Sky, exposure, misquoted, with_outliers
@@ -231,7 +231,9 @@ def test_the_ratio_is_that_of_the_true_densities_for_one_normal_band():
 def test_no_magnitude_weighs_less_than_the_share_that_is_unrelated(frame, found):
     relation = found[1].photometry.first_relation
     far = np.array([5.0, 15.0, 40.0])
-    ratio = relation.log_mixture(far - 100.0, np.full(3, 0.01), relation.background(far)) - relation.background(far)
+    others, none = np.column_stack([far + 100.0] * (1 + len(relation.slopes))), np.zeros((3, 1 + len(relation.slopes)))
+    density = relation.background(far)
+    ratio = relation.log_density(far, others, np.full(3, 0.01), none, np.exp(density)) - density
     assert ratio == pytest.approx(math.log(relation.unrelated))
 
 
@@ -314,7 +316,8 @@ def test_a_relation_and_its_errors_are_recovered():
         y = x + 0.5 + 0.1 * (colour - 0.8) + rng.normal(0.0, 1.0, 800) * np.hypot(0.08, error)
         lost = rng.uniform(size=800) < 0.03
         y[lost] = rng.uniform(12.0, 22.0, int(lost.sum()))
-        sample = Sample(y, np.column_stack([x, x - colour]), error**2, np.zeros((800, 2)), np.ones(800))
+        background = np.exp(density_of(y)(y))
+        sample = Sample(y, np.column_stack([x, x - colour]), error**2, np.zeros((800, 2)), np.ones(800), background)
         relation = fit_relation(sample, density_of(y))
         relation = fit_relation(sample, density_of(y), relation, last=True)
         truth = 0.5 + 0.1 * float(np.average(colour[~lost] - 0.8))
@@ -341,14 +344,14 @@ def test_a_density_of_magnitudes_is_one_and_never_zero():
 def test_shares_are_recovered_on_top_of_those_at_the_position():
     rng = np.random.default_rng(12)
     magnitude, position = rng.uniform(14.0, 20.0, 20_000), rng.choice([0.3, 0.8], 20_000)
-    true = logistic(logit(position) + 2.0 - 1.0 * (magnitude - 16.0))
+    true = 1.0 / (1.0 + np.exp(-(logit(position) + 2.0 - 1.0 * (magnitude - 16.0))))
     shown = (rng.uniform(size=20_000) < true).astype(float)
     curve = ShareCurve.fit(magnitude, position, shown)
     at = np.linspace(14.5, 19.5, 6)
     fitted = Hats.at(curve.knots, at).curve(curve.values)
     assert fitted == pytest.approx(2.0 - (at - 16.0), abs=0.3)
     terms = curve.terms(np.array([16.0, np.nan]), np.array([0.5, 0.5]))
-    s = logistic(np.array([2.0]))[0]
+    s = 1.0 / (1.0 + math.exp(-2.0))
     assert terms[0] == pytest.approx(0.5 * math.log(s / 0.5) - math.log((1 - s) / 0.5), abs=0.3) and terms[1] == 0.0
 
 

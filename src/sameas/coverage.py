@@ -65,7 +65,7 @@ class Coverage:
         richer = max(len(first), len(second))
         size = cut.volume
         while len(levels) < 40:
-            level = _level(cut, first, second, size)
+            level = _level(cut, first, second, size) if levels else _everything(cut, first, second)
             levels.append(level)
             richest = level.of_first if len(first) >= len(second) else level.of_second
             occupied = int(np.count_nonzero(np.bincount(richest, minlength=len(level.volume))))
@@ -139,15 +139,17 @@ def local_share(
 
     start = (float(part.sum()) + 0.5) / (float(weights.sum()) + 1.0)
     at_first, at_second = np.full(len(levels[0].of_first), start), np.full(len(levels[0].of_second), start)
-    nothing = (np.empty(0), np.empty(0))
+    at = (at_first, at_second) if source == 1 else (at_second, at_first)
     for level in levels:
-        cells = level.of_first if source == 1 else level.of_second
-        counts = (np.bincount(cells, part, len(level.volume)), np.bincount(cells, weights, len(level.volume)))
-        own_1 = (part, weights) if source == 1 else nothing
-        own_2 = (part, weights) if source == 2 else nothing
-        refine_share(*counts, level.of_first, *own_1, SHARED_PSEUDO_COUNT, at_first)
-        refine_share(*counts, level.of_second, *own_2, SHARED_PSEUDO_COUNT, at_second)
+        cells = (level.of_first, level.of_second) if source == 1 else (level.of_second, level.of_first)
+        sums = np.empty(len(level.volume)), np.empty(len(level.volume))
+        refine_share(*cells, part, weights, *sums, SHARED_PSEUDO_COUNT, *at)
     return at_first, at_second
+
+
+def _everything(cut: _SphereCells | _BoxCells, first: Records, second: Records) -> Level:
+    """One cell that holds all."""
+    return Level(np.zeros(len(first), np.int32), np.zeros(len(second), np.int32), np.array([cut.volume]))
 
 
 def _level(cut: _SphereCells | _BoxCells, first: Records, second: Records, size: float) -> Level:
@@ -191,7 +193,7 @@ class _SphereCells:
         low, high = float(latitude.min()), float(latitude.max())
         margin = _margin(np.array([high - low]), first, second)[0]
         low, high = max(-90.0, low - margin / 3600.0), min(90.0, high + margin / 3600.0)
-        west, arc = _arc(np.mod(np.concatenate([first.features[:, 0], second.features[:, 0]]), 360.0))
+        west, arc = _arc(np.concatenate([first.features[:, 0], second.features[:, 0]]))
         narrow = max(math.cos(math.radians(max(abs(low), abs(high)))), 1e-9)
         across = _margin(np.array([arc * narrow]), first, second)[0] / narrow / 3600.0
         arc += 2.0 * across
@@ -236,7 +238,10 @@ def _margin(extent: FloatArray, first: Records, second: Records) -> FloatArray:
 
 def _arc(longitude: FloatArray) -> tuple[float, float]:
     """(west end, length) in degrees of the shortest arc that holds all longitudes, to half a degree of gap."""
-    bins = 720
+    west, east = float(longitude.min()), float(longitude.max())
+    if east - west < 180.0:
+        return west, east - west
+    bins, longitude = 720, np.mod(longitude, 360.0)
     empty = np.bincount((longitude * (bins / 360.0)).astype(np.int64) % bins, minlength=bins) == 0
     if not empty.any():
         return 0.0, 360.0

@@ -10,15 +10,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sameas.piecewise import Hats, knots_of
+from sameas.piecewise import knots_of, roughness
 from sameas.records import FloatArray
 
 #: Records per knot of the curve and most knots; how much its logit bends from knot to knot, and how far it strays.
 PER_KNOT, MOST_KNOTS = 100.0, 24
 BEND, FAR = 1.0, 6.0
-#: Newton steps of the first fit, and of each later one.
-FIRST_STEPS, STEPS = 8, 2
+#: Newton steps of the first fit, and of each later one, and how far one leads at most.
+FIRST_STEPS, STEPS, LONGEST = 8, 2, 2.0
+#: Shares are kept so far away from 0 and 1.
+LEAST_SHARE = 1e-6
 #: Records in a bin of the reported curve, at least; widths of the bins, mag, and how many there are at most.
 LEAST_IN_BIN, WIDTHS, MOST_BINS = 30, (0.1, 0.2, 0.25, 0.5, 1.0, 2.0), 24
 
@@ -82,7 +85,7 @@ def _edges(magnitude: FloatArray) -> FloatArray:
     low, high = float(magnitude.min()), float(magnitude.max())
     width = next((w for w in WIDTHS if (high - low) / w <= MOST_BINS), (high - low) / MOST_BINS)
     edges = width * np.arange(np.floor(low / width), np.floor(high / width) + 2)
-    count = np.histogram(magnitude, edges)[0]
+    count = np.bincount(((magnitude - edges[0]) / width).astype(np.int64), minlength=len(edges) - 1)[: len(edges) - 1]
     below, above = np.cumsum(count), np.cumsum(count[::-1])
     begin = int(np.searchsorted(below, LEAST_IN_BIN))
     end = len(count) - int(np.searchsorted(above, LEAST_IN_BIN))
@@ -105,41 +108,31 @@ class ShareCurve:
         if start is None:
             knots = knots_of(magnitude, np.ones(len(magnitude)), PER_KNOT, MOST_KNOTS)
             start = cls(knots, np.zeros(len(knots)))
-        hats, values = Hats.at(start.knots, magnitude), start.values
-        at_position = logit(share)
-        penalty = hats.roughness(BEND) + np.eye(len(values)) / FAR**2
-        for _ in range(STEPS if start.values.any() else FIRST_STEPS):
-            expected = logistic(at_position + hats.curve(values))
-            gradient = hats.sum(p_partner - expected) - penalty @ values
-            step = np.linalg.solve(hats.gram(expected * (1.0 - expected)) + penalty, gradient)
-            values = values + np.clip(step, -2.0, 2.0)
+        from sameas.kernels.curve import climb
+
+        values, k = start.values.copy(), len(start.knots)
+        penalty = roughness(k, BEND) + np.eye(k) / FAR**2
+        steps = STEPS if values.any() else FIRST_STEPS
+        climb(magnitude, logit(share), p_partner, start.knots, penalty, values, steps, LONGEST)
         return cls(start.knots, values)
 
-    def terms(self, magnitude: FloatArray, share: FloatArray) -> FloatArray:
+    def terms(self, magnitude: FloatArray, share: FloatArray, wanted: NDArray[np.integer] | None = None) -> FloatArray:
         """(n,) what a pair's log-odds gain when the share s of its record becomes s(m); 0 where m is not known.
 
         Half of ln s, because both sources' records tell of the density of common objects, less ln (1 − s) of those
-        that only one source shows.
+        that only one source shows. wanted : records that it is asked of, the others get 0; all if not given.
         """
-        known = np.isfinite(magnitude)
-        before = logit(share[known])
-        after = before + Hats.at(self.knots, magnitude[known]).curve(self.values)
-        terms = np.zeros(len(magnitude))
-        terms[known] = _weight(after) - _weight(before)
+        from sameas.kernels.curve import weigh
+
+        terms = np.empty(len(magnitude))
+        if wanted is not None:
+            asked, magnitude = magnitude[wanted], np.full(len(magnitude), np.nan)
+            magnitude[wanted] = asked
+        weigh(magnitude, share, LEAST_SHARE, self.knots, self.values, terms)
         return terms
-
-
-def _weight(log_odds: FloatArray) -> FloatArray:
-    """½ ln s − ln (1 − s) for the share s of these log-odds."""
-    return -0.5 * np.logaddexp(0.0, -log_odds) + np.logaddexp(0.0, log_odds)
 
 
 def logit(share: FloatArray) -> FloatArray:
     """ln s / (1 − s), for shares kept a millionth away from 0 and 1."""
-    share = np.clip(share, 1e-6, 1.0 - 1e-6)
+    share = np.clip(share, LEAST_SHARE, 1.0 - LEAST_SHARE)
     return np.log(share) - np.log1p(-share)
-
-
-def logistic(log_odds: FloatArray) -> FloatArray:
-    """The share of these log-odds."""
-    return np.exp(-np.logaddexp(0.0, -log_odds))

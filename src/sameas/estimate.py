@@ -66,12 +66,10 @@ class Estimate:
     rounds, settled : rounds of identification, and whether they settled.
     learned_from : records of either source that the rounds went over: all of them, or a sample that stands for them.
     notes : what a user should know.
-    quantities : everything that is a number, by name, with its standard error; see ``sameas.quantity.quantities``.
-    detection_1, detection_2 : share of each source's records that the other shows, by magnitude; None without.
     photometry : how the magnitudes of both sources are related, None where they were not given or told nothing.
-    decisive : median absolute value of each term of the evidence over the identified pairs.
-    changed_by_brightness : records of source 1 that positions alone would identify otherwise.
-    judged : the answer that the errors were judged by; None where they were not.
+    answer : the identification. judged : whether the spread of the errors was learned from its pairs.
+
+    What follows from these is computed when it is asked for.
     """
 
     common: float
@@ -83,19 +81,46 @@ class Estimate:
     rounds: int
     settled: bool
     learned_from: tuple[int, int]
-    notes: tuple[str, ...] = field(default=())
-    quantities: Mapping[str, Quantity] = field(default_factory=dict)
-    detection_1: DetectionCurve | None = None
-    detection_2: DetectionCurve | None = None
-    photometry: Photometry | None = None
-    decisive: Mapping[str, float] = field(default_factory=dict)
-    changed_by_brightness: int = 0
-    judged: Identification | None = field(default=None, repr=False)
+    notes: tuple[str, ...]
+    photometry: Photometry | None
+    answer: Identification = field(repr=False)
+    judged: bool
+
+    @cached_property
+    def quantities(self) -> Mapping[str, Quantity]:
+        """All that is a number, by name, with its standard error; see ``sameas.quantity.quantities``."""
+        return quantities(
+            self.answer, self.coverage, self.photometry, errors=self.judged, learned_from=self.learned_from
+        )
+
+    @property
+    def detection_1(self) -> DetectionCurve | None:
+        """Share of source 1's records that source 2 shows, by magnitude; None without magnitudes."""
+        return self._detection[0]
+
+    @property
+    def detection_2(self) -> DetectionCurve | None:
+        """Share of source 2's records that source 1 shows, by magnitude; None without magnitudes."""
+        return self._detection[1]
+
+    @cached_property
+    def _detection(self) -> tuple[DetectionCurve | None, DetectionCurve | None]:
+        return (None, None) if self.photometry is None else self.photometry.detection(self.answer, self.coverage)
+
+    @cached_property
+    def decisive(self) -> Mapping[str, float]:
+        """Median absolute value of each term of the evidence over the identified pairs."""
+        return decisive(self.answer)
+
+    @cached_property
+    def changed_by_brightness(self) -> int:
+        """How many records of source 1 positions alone would identify otherwise."""
+        return 0 if self.photometry is None else changed_without(self.answer, BRIGHTNESS_TERMS)
 
     @cached_property
     def error_model(self) -> ErrorModel | None:
         """Which source's errors are too small, where that can be told; None where errors were not judged."""
-        return None if self.judged is None else error_model(self.judged)
+        return error_model(self.answer) if self.judged else None
 
     @property
     def typical_scale(self) -> float:
@@ -250,15 +275,11 @@ def _told(answer: Identification, coverage: Coverage, found: _Found, remarks: li
     """What was found, as it stands in the last identification."""
     known, common = found.known, float(answer.p_pair.sum())
     seen_1, seen_2 = (max(int(np.count_nonzero(seen)), 1) for seen in coverage.covered)
-    judged = known.learns_errors and common >= FEWEST
     photometry = known.photometry if known.photometry is not None and known.photometry.tells else None
-    curves = (None, None) if photometry is None else photometry.detection(answer, coverage)
     return Estimate(
         common, min(1.0, common / seen_1), min(1.0, common / seen_2), known.errors, found.gate_sigmas, coverage,
-        found.rounds, found.settled, found.learned_from, tuple(remarks) + _notes(found, common),
-        quantities(answer, coverage, photometry, errors=judged, learned_from=found.learned_from), *curves, photometry,
-        decisive(answer), 0 if photometry is None else changed_without(answer, BRIGHTNESS_TERMS),
-        answer if judged else None,
+        found.rounds, found.settled, found.learned_from, tuple(remarks) + _notes(found, common), photometry, answer,
+        known.learns_errors and common >= FEWEST,
     )  # fmt: skip
 
 

@@ -72,6 +72,11 @@ class Pairs:
         return int(self.residual.shape[1])
 
     @cached_property
+    def log_peak(self) -> FloatArray:
+        """(m,) ln of the density of no residual at all, −½ ln |2πΣ|."""
+        return np.asarray(-0.5 * (np.log(self.determinant) + self.d * math.log(2.0 * math.pi)))
+
+    @cached_property
     def covariance(self) -> FloatArray:
         """(m, d, d) Σ of each residual, on the residual's axes."""
         return self._covariance(self.i, self.j)

@@ -19,6 +19,7 @@ from sameas.evidence import (
     Brightness,
     Chain,
     Compared,
+    Comparison,
     MagnitudeDensity,
     Measured,
     Pattern,
@@ -35,9 +36,9 @@ from sameas.result import Identification
 #: Expected pairs of a pattern of measured bands, and records of a source, from which anything is learned at all.
 FEWEST = 50.0
 #: Pairs that a relation is learned from, at most, in the end and in rounds: more would not better it noticeably.
-ENOUGH, ENOUGH_IN_ROUNDS = 10_000, 2_000
+ENOUGH, ENOUGH_IN_ROUNDS = 10_000, 1_000
 #: Records that a curve of the shares, or how the bands of one source follow each other, is learned from.
-CURVED = 4_000
+CURVED = 2_000
 #: The golden ratio of 2³²: multiples of it are strewn evenly.
 SCATTERING = 2_654_435_769
 
@@ -100,13 +101,15 @@ class Photometry:
         """
         one, two = map(_curve, self.sides, p_partner, shares, covered, self.curves)
         curves = one, two
-        telling = _some(np.flatnonzero(p_pair > 1e-3), ENOUGH if last else ENOUGH_IN_ROUNDS)
-        seen_1, seen_2 = (
-            side.measured.take(rows[telling]) for side, rows in zip(self.sides, (pairs.i, pairs.j), strict=True)
-        )
+        telling = np.zeros(len(p_pair), np.bool_)
+        telling[_some(np.flatnonzero(p_pair > 1e-3), ENOUGH if last else ENOUGH_IN_ROUNDS)] = True
+        there = self.known is not None and self.known[0] is pairs
+        sides = self.known[1] if there and self.known else compared(self.sides, pairs)
         before = self.chains or (None, None)
-        forth = _chain(self.sides[0], seen_1, seen_2, p_pair[telling], before[0], last)
-        back = _chain(self.sides[1], seen_2, seen_1, p_pair[telling], before[1], last)
+        forth, back = (
+            _chain(side, these, np.where(telling, p_pair, 0.0), start, last)
+            for side, these, start in zip(self.sides, sides, before, strict=True)
+        )
         chains = (forth, back) if any(forth.related) and any(back.related) else None
         return replace(self, chains=chains, curves=curves)
 
@@ -122,13 +125,17 @@ class Photometry:
         whole = {pattern: relation for pattern, relation in known.items() if pattern[0]}
         return max(whole.values(), key=lambda relation: relation.weight, default=None)
 
-    def rule(self, shares: tuple[FloatArray, FloatArray]) -> Brightness | None:
-        """As evidence, with the shares at the records' positions; None as long as nothing was learned."""
+    def rule(self, shares: tuple[FloatArray, FloatArray], pairs: Pairs | None = None) -> Brightness | None:
+        """As evidence, with the shares at the records' positions; None as long as nothing was learned.
+
+        pairs : those that it will be asked of, if no others.
+        """
         if not self.tells:
             return None
+        rows = (None, None) if pairs is None else (pairs.i, pairs.j)
         shown = [
-            np.zeros(len(share)) if curve is None else curve.terms(side.measured.values[:, 0], share)
-            for side, share, curve in zip(self.sides, shares, self.curves, strict=True)
+            np.zeros(len(share)) if curve is None else curve.terms(side.measured.values[:, 0], share, wanted)
+            for side, share, curve, wanted in zip(self.sides, shares, self.curves, rows, strict=True)
         ]
         return Brightness(self.sides, self.chains, shown[0], shown[1], self.known)
 
@@ -155,15 +162,16 @@ def _some(telling: IntArray, enough: int) -> IntArray:
     return telling[strewn < np.uint64(2 ** (32 - halvings))]
 
 
-def _chain(side: Side, own: Measured, other: Measured, weight: FloatArray, before: Chain | None, last: bool) -> Chain:
-    """How the bands of one source follow those of the other, in pairs of these weights."""
+def _chain(side: Side, these: Compared, weight: FloatArray, before: Chain | None, last: bool) -> Chain:
+    """How the bands of one source follow those of the other, in pairs of these weights (m,)."""
     related: list[Mapping[Pattern, Relation]] = []
-    for band, density in enumerate(side.densities):
+    for band, (density, comparisons) in enumerate(zip(side.densities, these.bands, strict=True)):
         start = before.related[band] if before else {}
-        these = Regressors.split(band, own, other) if density is not None else ()
-        related.append(
-            {x.pattern: r for x in these if (r := _relation(x, weight, density, start.get(x.pattern), last=last))}
-        )
+        found = {
+            x.regressors.pattern: _relation(x, weight, density, start.get(x.regressors.pattern), last=last)
+            for x in comparisons
+        }
+        related.append({pattern: relation for pattern, relation in found.items() if relation is not None})
     return Chain(tuple(related))
 
 
@@ -175,7 +183,8 @@ def _side(measured: Measured) -> Side:
     for band, density in enumerate(densities):
         these = Regressors.split(band, some, None) if band and density is not None else ()
         weight = np.ones(len(some.values))
-        alone.append({x.pattern: r for x in these if (r := _relation(x, weight, density, None))})
+        seen = [Comparison(x, np.exp(density(x.y)), np.empty(0)) for x in these if density is not None]
+        alone.append({x.regressors.pattern: r for x in seen if (r := _relation(x, weight, density, None))})
     return Side(measured, densities, tuple(alone))
 
 
@@ -185,19 +194,20 @@ def _density(magnitude: FloatArray) -> MagnitudeDensity | None:
 
 
 def _relation(
-    these: Regressors,
+    these: Comparison,
     weight: FloatArray,
     density: MagnitudeDensity | None,
     start: Relation | None,
     *,
     last: bool = False,
 ) -> Relation | None:
-    weight = weight[these.rows]
+    x = these.regressors
+    at = np.flatnonzero(weight[x.rows])
+    weight = weight[x.rows[at]]
     if density is None or weight.sum() < FEWEST:
         return None
-    return fit_relation(
-        Sample(these.y, these.others, these.variance, these.other_variance, weight), density, start, last=last
-    )
+    sample = Sample(x.y[at], x.others[at], x.variance[at], x.other_variance[at], weight, these.background[at])
+    return fit_relation(sample, density, start, last=last)
 
 
 def _curve(

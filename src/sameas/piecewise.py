@@ -62,8 +62,8 @@ class Hats:
         cross = np.bincount(self.left, weights * low * high, k)[: k - 1]
         return np.asarray(square + np.diag(cross, 1) + np.diag(cross, -1), np.float64)
 
-    def roughness(self, bend: float) -> FloatArray:
-        """(k, k) the penalty of curves whose second difference from knot to knot is drawn from N(0, bend²)."""
-        k = len(self.knots)
-        second = np.diff(np.eye(k), n=2, axis=0) / bend
-        return second.T @ second
+
+def roughness(k: int, bend: float) -> FloatArray:
+    """(k, k) the penalty of curves whose second difference from knot to knot is drawn from N(0, bend²)."""
+    second = np.diff(np.eye(k), n=2, axis=0) / bend
+    return second.T @ second

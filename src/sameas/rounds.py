@@ -20,7 +20,8 @@ from sameas.coverage import local_share
 from sameas.error_scales import fit_errors
 from sameas.errors import InputError
 from sameas.evidence import Brightness, Errors, PoissonField, Rule
-from sameas.groups import groups
+from sameas.gate import Pairs
+from sameas.groups import laid_out
 from sameas.photometry import Lesson, Photometry
 from sameas.posterior import by_messages
 from sameas.prior import PerPair
@@ -30,6 +31,8 @@ from sameas.sample import Setting
 
 #: Pairs less probable than this, and more, are not taken at their word when errors are judged.
 FAINT, SUREST = 1e-3, 1.0 - 1e-12
+#: Pairs of smaller ln of the odds, before one-to-one, are less probable than 1e-5, and count for nothing in sums.
+LEAST_LOG_RATIO = math.log(1e-5)
 #: The first guess of the share of the poorer source that is common lies between these.
 LEAST_GUESS, MOST_GUESS = 0.1, 0.95
 #: Errors this many times too small are always thought of.
@@ -41,10 +44,12 @@ FILLED = 0.15
 #: Fewer expected pairs than this say too little of the errors; the quoted ones are then believed.
 FEWEST = 50.0
 #: Rounds by positions alone before magnitudes are learned from, and rounds with them at least.
-POSITIONS_FIRST, WITH_BRIGHTNESS = 1, 3
+POSITIONS_FIRST, WITH_BRIGHTNESS = 1, 2
 #: The number of common objects has settled when all changes to come are no more than this share of its standard error,
 #: or, of very few, when it changes by no more than this number.
 SETTLED, SETTLED_NUMBER = 0.1, 0.01
+#: At least so much of each change is taken to follow in the next round.
+LEAST_FOLLOWING = 0.25
 
 Both = tuple[FloatArray, FloatArray]
 BoolArray = NDArray[np.bool_]
@@ -61,7 +66,8 @@ class Known:
     local : local share of the records of source 1, and of source 2, that have a partner, each at the records of both.
     errors : the spread of the residuals; learned from the pairs where ``learns_errors``.
     photometry : how the magnitudes are related, None where they are not asked for. lessons : how often it was learned.
-    common : expected number of common objects among the counted, negative before the first round.
+    common : expected number of common objects among the counted, a guess before the first round. change : by how much
+        the last round changed it, NaN before the first; 0 where other candidates take part since.
     tail : by how much a tail of the errors, believed or not, betters ln of the likelihood.
     density : (ρ₁, ρ₂) of all records of each source where the user gave them, else None.
     """
@@ -75,7 +81,8 @@ class Known:
     photometry: Photometry | None
     density: tuple[float, float] | None = None
     lessons: int = 0
-    common: float = -1.0
+    common: float = math.nan
+    change: float = math.nan
     tail: float = 0.0
 
     @classmethod
@@ -91,8 +98,11 @@ class Known:
         n1, n2 = (len(rows) for rows in setting.rows)
         guess = min(max(share, LEAST_GUESS), MOST_GUESS) * min(n1, n2)
         partner = np.full(n1, guess / n1), np.full(n2, guess / n2)
-        local = _local(setting, partner, setting.counted)
-        return cls(setting, partner, setting.counted, local, errors or Errors(), errors is None, photometry, density)
+        of_1, of_2 = ((np.full(n1, guess / n), np.full(n2, guess / n)) for n in (n1, n2))
+        known = cls(
+            setting, partner, setting.counted, (of_1, of_2), errors or Errors(), errors is None, photometry, density
+        )
+        return replace(known, common=float(partner[0][setting.counted[0]].sum()))
 
     def at(self, setting: Setting, photometry: Photometry | None) -> Known:
         """The same where other candidates and records take part, with the magnitudes of these."""
@@ -104,7 +114,7 @@ class Known:
             counted.append(np.isfinite(whole[new]))
         if photometry is not None and self.photometry is not None:
             photometry = replace(photometry, chains=self.photometry.chains, curves=self.photometry.curves)
-        known_there = replace(self, setting=setting, photometry=photometry)
+        known_there = replace(self, setting=setting, photometry=photometry, change=0.0)
         return known_there._with_partners((partner[0], partner[1]), (counted[0], counted[1]))
 
     def _with_partners(self, partner: Both, counted: tuple[BoolArray, BoolArray]) -> Known:
@@ -126,7 +136,7 @@ class Known:
 
     def brightness(self) -> Brightness | None:
         """What magnitudes say; None as long as nothing is known of that."""
-        return None if self.photometry is None else self.photometry.rule(self.shares())
+        return None if self.photometry is None else self.photometry.rule(self.shares(), self.setting.pairs)
 
     def rule(self) -> Rule:
         """The rule with all that is known."""
@@ -151,19 +161,25 @@ class Known:
         """Number of common objects that the shares let expect."""
         return min(float((share * seen).sum()) for share, seen in zip(self.shares(), self.setting.seen, strict=True))
 
-    def slack(self) -> float:
-        """Standard error of the number of common objects among the counted, for all that changes like the last may add.
+    def settled(self, before: Known) -> bool:
+        """Whether all that later rounds may change the number of common objects by, but for the next, is small.
 
-        Σ p(1 − p) of what is not sure; its share r of the information that there could be is missing, and as much of
-        each change follows in the next round.
+        A part r of each change follows in the next round: at least the share of the information that is missing
+        because the pairs are not sure, and as much as followed in this. The standard error is that of Σ p(1 − p) of
+        what is not sure, 1/(1 − r) times as large because the shares are estimated.
         """
-        slacks = []
+        if math.isnan(before.change):
+            return False
+        followed = abs(self.change / before.change) if before.change else 0.0
+        to_come = []
         for partner, known in zip(self.partner, self.counted, strict=True):
             p = partner[known]
             unsure, mean = float((p * (1.0 - p)).sum()), float(p.mean())
             missing = min(unsure / max(len(p) * mean * (1.0 - mean), 1e-300), MOST_MISSING)
-            slacks.append(math.sqrt(unsure / (1.0 - missing)) * (1.0 - missing))
-        return min(slacks)
+            r = min(max(missing, followed, LEAST_FOLLOWING), MOST_MISSING)
+            error = math.sqrt(unsure / (1.0 - missing))
+            to_come.append(abs(self.change) * r**2 / (1.0 - r) <= SETTLED * error)
+        return all(to_come) or abs(self.change) <= SETTLED_NUMBER
 
     def learned(self, p_pair: FloatArray, log_ratio: FloatArray, *, brightness: bool) -> Known:
         """What a round says of shares and errors, and of magnitudes where these are asked for.
@@ -176,8 +192,10 @@ class Known:
             np.minimum(np.bincount(pairs.j, p_pair, len(self.partner[1])), 1.0),
         )
         told = self.setting.told(p_pair)
-        known = replace(self, common=float(told.sum()))._with_partners(partner, self.setting.counted)
-        if told.sum() < FEWEST:
+        common = float(told.sum())
+        known = replace(self, common=common, change=common - self.common)
+        known = known._with_partners(partner, self.setting.counted)
+        if common < FEWEST:
             return known
         if self.learns_errors:
             # A component so wide that chance fills it cannot be told from chance.
@@ -193,13 +211,14 @@ class Known:
 
         −∞ for those whose record 1 is not counted.
         """
-        pairs, (one, two) = self.setting.pairs, self.partner
-        free = np.maximum(1.0 - one[pairs.i], 1e-30) * np.maximum(1.0 - two[pairs.j], 1e-30)
-        p = np.clip(p_pair, FAINT, SUREST)
-        # What is improbable may have been left at zero; it is as probable as both its records are free for it.
-        log_odds = np.where(p_pair > FAINT, np.log(p) - np.log1p(-p), log_ratio + np.log(free))
-        log_odds -= self.errors.log_profile(pairs.mahalanobis_sq, pairs.d)
-        return np.where(self.setting.counted[0][pairs.i], log_odds, -np.inf)
+        from sameas.kernels.mixture import log_odds
+
+        pairs, out = (
+            self.setting.pairs,
+            self.errors.log_profile(self.setting.pairs.mahalanobis_sq, self.setting.pairs.d),
+        )
+        log_odds(pairs.i, pairs.j, p_pair, log_ratio, *self.partner, self.setting.counted[0], FAINT, SUREST, out)
+        return out
 
     def with_lesson(self, told: FloatArray, *, last: bool = False) -> Known:
         """The magnitudes learned from, with pairs of these probabilities (m,)."""
@@ -212,8 +231,10 @@ class Known:
 
 def _local(setting: Setting, partner: Both, counted: tuple[BoolArray, BoolArray]) -> tuple[Both, Both]:
     """Local shares, of the records that tell of them."""
+    # One cell says no more than the mean of all, and the finest say next to nothing.
+    levels = setting.levels[1:-1] or setting.levels
     weights = [(seen & known).astype(np.float64) for seen, known in zip(setting.seen, counted, strict=True)]
-    works = [partial(local_share, setting.levels, k + 1, partner[k] * weights[k], weights[k]) for k in (0, 1)]
+    works = [partial(local_share, levels, k + 1, partner[k] * weights[k], weights[k]) for k in (0, 1)]
     one, two = threads.each(works, len(weights[0]))
     return one, two
 
@@ -225,8 +246,6 @@ def settled(known: Known, rounds: int, progress: Callable[[str], None]) -> tuple
     Within the rounds only sums over many pairs are needed; messages are near enough for those.
     """
     setting = known.setting
-    grouped = groups(setting.pairs)
-    linear = PerPair()(grouped.sizes_1, grouped.sizes_2)
     if known.photometry is not None:
         known = replace(known, photometry=known.photometry.facing(setting.pairs))
     done, number = False, 0
@@ -235,10 +254,9 @@ def settled(known: Known, rounds: int, progress: Callable[[str], None]) -> tuple
         number += 1
         progress(f"estimation, round {number}")
         log_ratio = known.rule()(setting.pairs).log_ratio
-        best = assign(grouped, log_ratio, linear)
-        p_pair = by_messages(grouped, best).p_pair
+        p_pair = _probabilities(setting.pairs, log_ratio)
         told = setting.told(p_pair)
-        before, common = known.common, float(told.sum())
+        before, common = known, float(told.sum())
         if not math.isfinite(common):
             raise InputError(
                 f"{setting.pairs.first.source} and {setting.pairs.second.source}: probabilities are beyond computing, "
@@ -246,7 +264,21 @@ def settled(known: Known, rounds: int, progress: Callable[[str], None]) -> tuple
                 "understood?"
             )
         known = known.learned(p_pair, log_ratio, brightness=number >= POSITIONS_FIRST)
-        done = abs(common - before) <= SETTLED * known.slack() + SETTLED_NUMBER
+        done = known.settled(before)
         # The magnitudes must have had their say.
         done &= known.photometry is None or common < FEWEST or known.lessons > WITH_BRIGHTNESS
     return known, told, number, done
+
+
+def _probabilities(pairs: Pairs, log_ratio: FloatArray) -> FloatArray:
+    """(m,) probabilities of the pairs, near enough for sums over many of them.
+
+    No pair is more probable than its odds before one-to-one say: those of next to none are left out, and at zero.
+    """
+    kept = np.flatnonzero(log_ratio > LEAST_LOG_RATIO)
+    places = pairs.place_1[kept], pairs.place_2[kept], pairs.i[kept], pairs.j[kept]
+    grouped = laid_out(*places, len(pairs.first), len(pairs.second))
+    best = assign(grouped, log_ratio[kept], PerPair()(grouped.sizes_1, grouped.sizes_2))
+    p_pair = np.zeros(len(pairs))
+    p_pair[kept] = by_messages(grouped, best).p_pair
+    return p_pair

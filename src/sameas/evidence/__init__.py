@@ -24,6 +24,7 @@ from sameas.evidence.brightness import (
     Brightness,
     Chain,
     Compared,
+    Comparison,
     Magnitudes,
     Measured,
     Pattern,
@@ -42,6 +43,7 @@ from sameas.evidence.universal import Universal
 
 __all__ = [
     "LOG_2PI", "MODELS", "Alarm", "Brightness", "Category", "Chain", "CloseObjects", "Code", "Compared",
+    "Comparison",
     "ConstantCost", "DetectionField", "Displacement", "Errors", "Evidence", "Field", "Flat", "GaussianMixture",
     "Identity", "MagnitudeDensity", "Magnitudes", "Measured", "Model", "Pattern", "PoissonField", "Regressors",
     "Relation", "Rule", "Samples", "Side", "Size", "Sum", "Universal", "alarms", "compared", "log_neighbour_density",

@@ -155,11 +155,9 @@ class Regressors:
             at = np.ix_(rows, np.flatnonzero(pattern))
             yield cls(pattern, rows, own.values[rows, band], own.variance[rows, band], values[at], variance[at])
 
-    def log_density(self, relation: Relation, log_background: FloatArray) -> FloatArray:
-        """(r,) ln p of the band by a relation to these regressors."""
-        return relation.log_mixture(
-            *relation.residual(self.y, self.others, self.variance, self.other_variance), log_background
-        )
+    def log_density(self, relation: Relation, background: FloatArray) -> FloatArray:
+        """(r,) ln p of the band by a relation to these regressors; (r,) the background's density."""
+        return relation.log_density(self.y, self.others, self.variance, self.other_variance, background)
 
     def of_own(self, band: int) -> Regressors:
         """With the regressors of the band's own source only."""
@@ -190,9 +188,10 @@ class Side:
                 bands.append(())
                 continue
             for these in Regressors.split(band, own, other):
-                background, earlier = density(these.y), these.pattern[:band]
+                log_background, earlier = density(these.y), these.pattern[:band]
+                background = np.exp(log_background)
                 if not any(earlier):
-                    comparisons.append(Comparison(these, background, background))
+                    comparisons.append(Comparison(these, background, log_background))
                 elif earlier in alone:
                     without = these.of_own(band).log_density(alone[earlier], background)
                     comparisons.append(Comparison(these, background, without))
@@ -202,10 +201,10 @@ class Side:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A band with its regressors; (r,) ln p of it by its background, and by the earlier bands of its own source."""
+    """A band with its regressors; (r,) p of it by its background, and ln p by the earlier bands of its own source."""
 
     regressors: Regressors
-    log_background: FloatArray
+    background: FloatArray
     log_without: FloatArray
 
 
@@ -234,7 +233,7 @@ class Chain:
             for comparison in comparisons:
                 these, relation = comparison.regressors, related.get(comparison.regressors.pattern)
                 if relation is not None:
-                    total[these.rows] += these.log_density(relation, comparison.log_background) - comparison.log_without
+                    total[these.rows] += these.log_density(relation, comparison.background) - comparison.log_without
         return total
 
 

@@ -56,15 +56,11 @@ class PoissonField(Rule):
     errors: Errors = AS_QUOTED
 
     def __call__(self, pairs: Pairs) -> Evidence:
-        n1, n2 = len(pairs.first), len(pairs.second)
         # What a record brings along is taken to its logarithm once, however many pairs it has.
-        log_1 = -_log(self.only_1, n1, "PoissonField: only_1")
-        log_2 = -_log(self.only_2, n2, "PoissonField: only_2")
-        if isinstance(self.common, tuple):
-            log_1 = log_1 + 0.5 * _log(self.common[0], n1, "PoissonField: common[0]")
-            log_2 = log_2 + 0.5 * _log(self.common[1], n2, "PoissonField: common[1]")
-        else:
-            log_1 = log_1 + _log(self.common, n1, "PoissonField: common")
+        both = isinstance(self.common, tuple)
+        common = self.common if isinstance(self.common, tuple) else (self.common, self.common)
+        log_1 = _log_weight(common[0], self.only_1, len(pairs.first), ("common[0]" if both else "common", "only_1"))
+        log_2 = _log_weight(common[1], self.only_2, len(pairs.second), ("common[1]" if both else "common", "only_2"))
         densities = (log_1 if log_1.ndim == 0 else log_1[pairs.i]) + (log_2 if log_2.ndim == 0 else log_2[pairs.j])
         position = self.errors.log_density(pairs)
         return Evidence({"position": position, "densities": np.broadcast_to(densities, len(pairs))})
@@ -119,9 +115,16 @@ def _at(value: ArrayLike, n: int, rows: np.ndarray, name: str) -> FloatArray:
     return values if values.ndim == 0 else values[rows]
 
 
-def _log(value: ArrayLike, n: int, name: str) -> FloatArray:
-    """ln of a number, or of values (n,)."""
-    return np.log(_positive(value, n, name))
+def _log_weight(common: ArrayLike, only: ArrayLike, n: int, names: tuple[str, str]) -> FloatArray:
+    """ln √common / only of a number, or of values (n,)."""
+    with np.errstate(all="ignore"):
+        weight = np.asarray(np.log(np.sqrt(common) / np.asarray(only)))
+    if weight.shape in ((), (n,)) and np.isfinite(weight).all():
+        return weight
+    known, alone = (
+        _positive(value, n, f"PoissonField: {name}") for value, name in zip((common, only), names, strict=True)
+    )
+    return np.asarray(0.5 * np.log(known) - np.log(alone))
 
 
 def _positive(value: ArrayLike, n: int, name: str) -> FloatArray:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sameas.evidence.spread import LOG_2PI
 from sameas.records import FloatArray
 
 
@@ -81,34 +80,25 @@ class Relation:
         share = self.mean_basis[: len(self.knots)]
         return math.sqrt(float(share @ self.scatter**2) / max(float(share.sum()), 1e-300))
 
-    def residual(
+    def log_density(
         self,
         y: FloatArray,
         others: FloatArray,
         variance: FloatArray,
         other_variance: FloatArray,
-        curves: tuple[FloatArray, FloatArray] | None = None,
-    ) -> tuple[FloatArray, FloatArray]:
-        """(m,) y minus its mean, and (m,) the variance of a normal of scale 1.
+        background: FloatArray,
+    ) -> FloatArray:
+        """(m,) ln p of magnitudes y (m,), given others (m, 1 + c); variances of both, and (m,) the background at y."""
+        from sameas.kernels.relation import log_mixture
 
-        curves : offset and scatter at the first of the others, (m,) each, where these are known already.
-        """
-        x = others[:, 0]
-        offset, scatter = curves or (np.interp(x, self.knots, self.offset), np.interp(x, self.knots, self.scatter))
-        mean = x + offset
-        total = scatter**2 + variance
-        # An error of each of the others moves the mean as strongly as it is weighed in it.
-        total += (1.0 - self.slopes.sum()) ** 2 * other_variance[:, 0]
-        for c, (slope, centre) in enumerate(zip(self.slopes, self.centres, strict=True), start=1):
-            mean += slope * (others[:, c] - x - centre)
-            total += slope**2 * other_variance[:, c]
-        return y - mean, total
-
-    def log_mixture(self, residual: FloatArray, total: FloatArray, log_background: FloatArray) -> FloatArray:
-        """(m,) ln of the mixture."""
-        half = -0.5 * residual**2 / total
-        profile = np.zeros(len(residual))
-        for scale, share in zip(self.scales, self.shares, strict=True):
-            profile += share / scale * np.exp(half / scale**2)
-        profile *= np.exp(-0.5 * (np.log(total) + LOG_2PI))
-        return np.log(profile + self.unrelated * np.exp(log_background))
+        relation = (
+            self.offset,
+            self.scatter,
+            self.slopes,
+            self.centres,
+            self.scales,
+            np.append(self.shares, self.unrelated),
+        )
+        out = np.empty(len(y))
+        log_mixture(y, variance, others, other_variance, self.knots, relation, background, out)
+        return out

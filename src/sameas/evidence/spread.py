@@ -45,14 +45,9 @@ class Errors:
 
     def log_density(self, pairs: Pairs) -> FloatArray:
         """(m,) ln of the density of the residuals [F14, T17, for one component of scale 1]."""
-        base = np.log(pairs.determinant)
-        base += pairs.d * LOG_2PI
-        base *= -0.5
         if self.scales == (1.0,):
-            base -= 0.5 * pairs.mahalanobis_sq
-            return base
-        base += self.log_profile(pairs.mahalanobis_sq, pairs.d)
-        return base
+            return pairs.log_peak - 0.5 * pairs.mahalanobis_sq
+        return pairs.log_peak + self.log_profile(pairs.mahalanobis_sq, pairs.d)
 
     def log_profile(self, mahalanobis_sq: FloatArray, d: int) -> FloatArray:
         """(m,) ln Σ_k share_k scale_k^(−d) exp(−m²/(2 scale_k²)): what replaces exp(−m²/2) of one normal."""

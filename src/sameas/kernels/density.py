@@ -51,16 +51,21 @@ def refine(count, volume, cell, own, pseudo_count, density):
 
 
 @kernel
-def refine_share(part, count, cell, own_part, own_count, pseudo_count, share):
-    """Draw ``share`` (n,), in place, towards part/count of each record's cell, its own part and count left out.
+def refine_share(own, other, part, weight, parts, weights, pseudo_count, at_own, at_other):
+    """Draw shares, in place, towards part/weight of each record's cell: ``at_own`` (n,) and ``at_other`` (n',).
 
-    part, count : per cell. own_part, own_count : (n,) of the records, or empty.
+    own, part, weight : (n,) cells of the records that are counted, and what of each counts; its own is left out at
+    itself. other : (n',) cells of the other records. parts, weights : room for the sums of the cells.
     """
-    for k in range(len(cell)):
-        c = cell[k]
-        others_part = part[c]
-        others_count = count[c]
-        if len(own_part):
-            others_part = max(others_part - own_part[k], 0.0)
-            others_count = max(others_count - own_count[k], 0.0)
-        share[k] = (others_part + pseudo_count * share[k]) / (others_count + pseudo_count)
+    parts[:] = 0.0
+    weights[:] = 0.0
+    for k in range(len(own)):
+        parts[own[k]] += part[k]
+        weights[own[k]] += weight[k]
+    for k in range(len(own)):
+        c = own[k]
+        others_part, others = max(parts[c] - part[k], 0.0), max(weights[c] - weight[k], 0.0)
+        at_own[k] = (others_part + pseudo_count * at_own[k]) / (others + pseudo_count)
+    for k in range(len(other)):
+        c = other[k]
+        at_other[k] = (parts[c] + pseudo_count * at_other[k]) / (weights[c] + pseudo_count)

@@ -1,0 +1,141 @@
+"""What estimation costs: everything estimated against one identification with given parameters, CPU of one thread."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks import workload
+from benchmarks.frames import one_band, true_rule
+from benchmarks.registration import drawn, put
+from benchmarks.tables import Table, report
+from sameas import Errors, Identification, Records, identify
+from sameas.estimate import Estimate, match
+from sameas.evidence import Magnitudes, Rule
+from sameas.exposures import Sky, exposure
+from sameas.registration import Shift, register
+
+ASKED = 5.0
+#: Registration is tried at this density of targets, per σ², with this shift, σ.
+DENSITY, SHIFT_SIGMAS = 0.01, 30.0
+
+Brightness = tuple[Magnitudes, Magnitudes]
+
+
+@dataclass(frozen=True)
+class Task:
+    """Two sources, the rule with the parameters that made them, and magnitudes in two bands where they have any."""
+
+    name: str
+    first: Records
+    second: Records
+    rule: Rule
+    brightness: Brightness | None = None
+
+
+def tasks(options: argparse.Namespace) -> Iterator[Task]:
+    """What the cost is measured on."""
+    skies = [(f"crowded frame of {side:g}°", Sky(), side) for side in options.sides]
+    skies += [(f"sparse frame of {side:g}°", Sky(stars_per_deg2=5000.0), side) for side in (0.4, 1.0)]
+    for name, sky, side in skies:
+        made = exposure(np.random.default_rng(83), sky, side_deg=side)
+        yield Task(name, made.scene.first, made.scene.second, true_rule(made), made.brightness)
+    scene, densities = workload.frame(13)
+    yield Task("frame, wide range of errors", scene.first, scene.second, densities.rule())
+    for lam in options.lambdas:
+        scene, densities = workload.crowded(83, options.rows, lam, True)
+        yield Task(f"catalogues, λ {lam:g}", scene.first, scene.second, densities.rule())
+
+
+def seconds(run: Callable[[], Any], times: int) -> float:
+    """CPU of this thread that the cheapest of some runs takes, after one to warm up."""
+    run()
+    taken = []
+    for _ in range(times):
+        begin = time.thread_time()
+        run()
+        taken.append(time.thread_time() - begin)
+    return min(taken)
+
+
+def told(task: Task, estimate: Estimate) -> Rule:
+    """The rule of a task, with what magnitudes say as it was learned."""
+    shares = np.full(len(task.first), estimate.share_1), np.full(len(task.second), estimate.share_2)
+    brightness = estimate.photometry.rule(shares) if estimate.photometry is not None else None
+    return task.rule if brightness is None else task.rule + replace(brightness, known=None)
+
+
+def measured(task: Task, times: int) -> Iterator[list[object]]:
+    """A line for positions alone, and for one and two bands."""
+    kinds: dict[str, Brightness | None] = {"positions": None}
+    if task.brightness is not None:
+        kinds |= {"one band": one_band(task.brightness), "two bands": task.brightness}
+    for kind, brightness in kinds.items():
+        _, estimate = match(task.first, task.second, brightness=brightness)
+        rule = told(task, estimate)
+        given = seconds(lambda rule=rule: identify(task.first, task.second, rule=rule), times)  # type: ignore[misc]
+        plain = seconds(lambda: identify(task.first, task.second, rule=task.rule), times)
+        all_of_it = seconds(lambda b=brightness: match(task.first, task.second, brightness=b), times)  # type: ignore[misc]
+        ratio = all_of_it / given
+        yield [
+            task.name, len(task.first), len(task.second), kind, 1e3 * plain, 1e3 * given, 1e3 * all_of_it,
+            estimate.rounds, ratio, all_of_it / plain, "yes" if ratio <= ASKED else "no",
+        ]  # fmt: skip
+
+
+def estimation(options: argparse.Namespace) -> Table:
+    """Estimation of densities, errors and magnitudes."""
+    lines = [line for task in tasks(options) for line in measured(task, options.times)]
+    columns = (
+        "scene", "rows 1", "rows 2", "evidence", "positions given, ms", "all given, ms", "all estimated, ms", "rounds",
+        "ratio", "× positions given", f"at most {ASKED:g}",
+    )  # fmt: skip
+    notes = (
+        "ratio: all estimated over one identification with the same evidence, its parameters given",
+        "× positions given: over one identification by positions alone, whatever the evidence that is estimated",
+    )
+    return Table("Cost of estimation, CPU of one thread", columns, lines, notes)
+
+
+def registration(options: argparse.Namespace) -> Table:
+    """The search for a shift, against the same identification at every shift that there could be."""
+    lines = []
+    for n in options.targets:
+        made = drawn(7, 0.1, DENSITY, n)
+        shifted = put(made.second, made.second.features - [SHIFT_SIGMAS, 0.0])
+        once = seconds(lambda m=made: _matched(m.first, m.second), options.times)  # type: ignore[misc]
+        found = seconds(lambda m=made, s=shifted: register(m.first, s, Shift()), options.times)  # type: ignore[misc]
+        span = np.ptp(made.first.features, axis=0) + np.ptp(shifted.features, axis=0)
+        shifts = float(np.prod(span))
+        lines.append([n, 1e3 * once, 1e3 * found, found / once, shifts, found / (once * shifts)])
+    columns = ("targets", "match without offset, ms", "register, ms", "ratio", "shifts, σ²", "of a match at each")
+    notes = (
+        "no five matches can find a shift of many neighbour distances: 'shifts' are those, 1σ apart, that bring any "
+        "two records together; a match at each of them is what the search stands for",
+    )
+    return Table(f"Cost of registration, a shift of {SHIFT_SIGMAS:g}σ", columns, lines, notes)
+
+
+def _matched(first: Records, second: Records) -> Identification:
+    return match(first, second, errors=Errors())[0]
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(prog="scripts/bench cost", description=__doc__)
+    parser.add_argument("--sides", type=float, nargs="+", default=[0.1, 0.2, 0.6], help="of crowded frames, degrees")
+    parser.add_argument("--rows", type=int, default=20_000, help="of the catalogues (default 20000)")
+    parser.add_argument("--lambdas", type=float, nargs="+", default=[0.05, 0.5, 2.0])
+    parser.add_argument("--targets", type=int, nargs="+", default=[40, 400, 4000], help="of registration")
+    parser.add_argument("--times", type=int, default=7, help="runs of each; the cheapest counts (default 7)")
+    options = parser.parse_args()
+    report("cost", (make(options) for make in (estimation, registration)))
+
+
+if __name__ == "__main__":
+    main()

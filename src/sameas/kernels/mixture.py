@@ -1,0 +1,192 @@
+"""Compiled likelihood of error scales: pairs counted in cells of like distance and odds, and the likeliest shares."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sameas.kernels.compiled import kernel, part
+from sameas.kernels.linear import solve
+
+
+@kernel
+def log_odds(i, j, p_pair, log_ratio, partner_1, partner_2, counted, faint, surest, profile):
+    """Turn ``profile`` (m,), what the errors say of pairs, into ln of their odds but for that; −∞ if i is not counted.
+
+    i, j, p_pair, log_ratio : (m,) records of the pairs, their probabilities, and ln of their odds before one-to-one.
+    partner_1, partner_2 : how probably each record has a partner. Less probable pairs than ``faint`` may have been
+    left at zero: they are as probable as both their records are free for them. None is surer than ``surest``.
+    """
+    for e in range(len(profile)):
+        if not counted[i[e]]:
+            profile[e] = -np.inf
+        elif p_pair[e] > faint:
+            p = min(p_pair[e], surest)
+            profile[e] = np.log(p / (1.0 - p)) - profile[e]
+        else:
+            free = max(1.0 - partner_1[i[e]], 1e-30) * max(1.0 - partner_2[j[e]], 1e-30)
+            profile[e] = log_ratio[e] + np.log(free) - profile[e]
+
+
+@kernel
+def cells(square, log_odds, least, most, nearest, reach, shape):
+    """Pairs of like distance and odds, counted together: what ``log_likelihood`` takes, and means of the squares.
+
+    square, log_odds : (m,) squared distances and log odds; those of ``least`` odds or less are left out, and of
+    ``most`` or more taken as ``most``. shape : steps, even in ln distance from ``nearest`` to ``reach``, and in the
+    log odds.
+    Returns start (b + 1,), count and odds (c,) of the cells that are not empty, squares (b,) of distances that are not.
+    """
+    number, told = np.zeros(shape), np.zeros(shape)
+    squares, there = np.zeros(shape[0]), np.zeros(shape[0])
+    begin = np.log(nearest)
+    along, across = (shape[0] - 1) / (np.log(reach) - begin), (shape[1] - 1) / (most - least)
+    for e in range(len(square)):
+        if log_odds[e] > least:
+            here = min(log_odds[e], most)
+            a = int((0.5 * np.log(max(square[e], nearest**2)) - begin) * along)
+            b = int((here - least) * across)
+            number[a, b] += 1.0
+            told[a, b] += here
+            squares[a] += square[e]
+            there[a] += 1.0
+    size = min(len(square), shape[0] * shape[1])
+    start, mean = np.zeros(shape[0] + 1, np.int64), np.empty(shape[0])
+    count, odds = np.empty(size), np.empty(size)
+    distances, full = 0, 0
+    for a in range(shape[0]):
+        if there[a] > 0.0:
+            for b in range(shape[1]):
+                if number[a, b] > 0.0:
+                    count[full], odds[full] = number[a, b], np.exp(told[a, b] / number[a, b])
+                    full += 1
+            mean[distances] = squares[a] / there[a]
+            distances += 1
+            start[distances] = full
+    return start[: distances + 1], count[:full], odds[:full], mean[:distances]
+
+
+@kernel
+def log_likelihood(start, count, odds, density, pseudo, shares):
+    """Σ count · ln(1 + odds · f) over the cells, f = density · shares at their distances, and Σ pseudo · ln shares.
+
+    The cells start[b]:start[b + 1] lie at distance b; density : (b, k) of each component there.
+    """
+    total = 0.0
+    for k in range(len(shares)):
+        if pseudo[k] > 0.0:
+            total += pseudo[k] * np.log(max(shares[k], 1e-300))
+    for b in range(len(density)):
+        f = 0.0
+        for k in range(len(shares)):
+            f += density[b, k] * shares[k]
+        for c in range(start[b], start[b + 1]):
+            total += count[c] * np.log1p(odds[c] * f)
+    return total
+
+
+@part
+def _derivatives(start, count, odds, density, pseudo, shares, ridge, slope, bend):
+    """Fill ``slope`` (k,) and the negative curvature ``bend`` (k, k) of the logarithm of the likelihood."""
+    size = len(shares)
+    slope[:] = 0.0
+    bend[:] = 0.0
+    for b in range(len(density)):
+        f, once, twice = 0.0, 0.0, 0.0
+        for k in range(size):
+            f += density[b, k] * shares[k]
+        for c in range(start[b], start[b + 1]):
+            each = odds[c] / (1.0 + odds[c] * f)
+            once += count[c] * each
+            twice += count[c] * each**2
+        for k in range(size):
+            slope[k] += once * density[b, k]
+            for h in range(k + 1):
+                bend[k, h] += twice * density[b, k] * density[b, h]
+    trace = 0.0
+    for k in range(size):
+        trace += bend[k, k]
+        for h in range(k):
+            bend[h, k] = bend[k, h]
+    for k in range(size):
+        bend[k, k] += ridge * trace
+        if pseudo[k] > 0.0:
+            slope[k] += pseudo[k] / max(shares[k], 1e-100)
+            bend[k, k] += pseudo[k] / max(shares[k], 1e-100) ** 2
+
+
+@part
+def _on_simplex(slope, bend, free, wanted):
+    """Fill ``wanted`` with the y ≥ 0, Σ y = 1, of greatest slope·y − ½ y·bend·y; ``free``: which are not zero, a guess
+    that is bettered."""
+    size, steepest = len(slope), np.max(np.abs(slope))
+    for _ in range(6 * size):
+        at = np.flatnonzero(free)
+        n = len(at)
+        system, right = np.ones((n + 1, n + 1)), np.ones((n + 1, 1))
+        for a in range(n):
+            right[a, 0] = slope[at[a]]
+            for b in range(n):
+                system[a, b] = bend[at[a], at[b]]
+        system[n, n] = 0.0
+        solve(system, right)
+        lowest = np.argmin(right[:n, 0])
+        if n > 1 and right[lowest, 0] < 0.0:
+            free[at[lowest]] = False
+            continue
+        wanted[:] = 0.0
+        for a in range(n):
+            wanted[at[a]] = right[a, 0]
+        best, gain = -1, 1e-9 * steepest
+        for k in range(size):
+            if not free[k]:
+                pull = slope[k] - right[n, 0]
+                for a in range(n):
+                    pull -= bend[k, at[a]] * right[a, 0]
+                if pull > gain:
+                    best, gain = k, pull
+        if best < 0:
+            return
+        free[best] = True
+
+
+@kernel
+def likeliest(start, count, odds, density, pseudo, shares, spread, steps, settled, shortest, ridge):
+    """The shares of greatest likelihood, from ``shares`` on: a step of EM, which always leads upwards, and one of
+    Newton's among shares that are not negative, which leads there at once from near by, in turn.
+
+    start, count, odds, density, pseudo : as in ``log_likelihood``. spread : what every share begins with besides its
+    own. It stops after ``steps``, or when one gains less than ``settled``; no step of Newton's is cut below the part
+    ``shortest``.
+    """
+    size = len(shares)
+    free = (shares > 0.0) | (pseudo > 0.0)
+    shares = (shares + spread) / np.sum(shares + spread)
+    slope, bend, wanted, tried = np.empty(size), np.empty((size, size)), np.empty(size), np.empty(size)
+    reached = -np.inf
+    for _ in range(steps):
+        _derivatives(start, count, odds, density, pseudo, shares, ridge, slope, bend)
+        shares = np.maximum(shares * slope, 0.0)
+        shares /= np.sum(shares)
+        _derivatives(start, count, odds, density, pseudo, shares, ridge, slope, bend)
+        for k in range(size):
+            for h in range(size):
+                slope[k] += bend[k, h] * shares[h]
+        _on_simplex(slope, bend, free, wanted)
+        now = log_likelihood(start, count, odds, density, pseudo, shares)
+        length = 1.0
+        while length > shortest:
+            for k in range(size):
+                # A share with pseudo-counts is never zero; a parabola does not know that.
+                least = 0.1 * shares[k] if pseudo[k] > 0.0 else 0.0
+                tried[k] = max(shares[k] + length * (wanted[k] - shares[k]), least)
+            tried /= np.sum(tried)
+            there = log_likelihood(start, count, odds, density, pseudo, tried)
+            if there > now:
+                now = there
+                shares = tried.copy()
+                break
+            length *= 0.25
+        gained, reached = now - reached, now
+        if gained < settled:
+            break
+    return shares

@@ -1,0 +1,194 @@
+"""Compiled densities of one magnitude given others, and how they are learned: see ``sameas.regression``."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sameas.kernels.compiled import kernel, part
+from sameas.kernels.curve import directory, interval
+from sameas.kernels.linear import solve
+
+
+@kernel
+def log_mixture(y, variance, others, other_variance, knots, relation, background, out):
+    """Fill ``out`` (n,) with ln of the density of magnitudes y (n,), given others (n, 1 + c), and variances of both.
+
+    knots : (k,) rising, of the first of the others. relation : offset and scatter (k,), slopes and centres (c,), scales
+    (s,), and shares (s + 1,), the last of which follows the density ``background`` (n,) instead.
+    """
+    offset, scatter, slopes, centres, scales, shares = relation
+    peaks, narrow = shares[:-1] / (scales * np.sqrt(2.0 * np.pi)), 1.0 / scales**2
+    rest, found = (1.0 - np.sum(slopes)) ** 2, directory(knots)
+    for e in range(len(y)):
+        x = others[e, 0]
+        low, high, along = interval(knots, found, x)
+        residual = y[e] - x - (offset[low] + along * (offset[high] - offset[low]))
+        # An error of each of the others moves the mean as strongly as it is weighed in it.
+        total = (scatter[low] + along * (scatter[high] - scatter[low])) ** 2 + variance[e] + rest * other_variance[e, 0]
+        for v in range(len(slopes)):
+            residual -= slopes[v] * (others[e, v + 1] - x - centres[v])
+            total += slopes[v] ** 2 * other_variance[e, v + 1]
+        precision = 1.0 / total
+        half, related = -0.5 * residual**2 * precision, 0.0
+        for s in range(len(scales)):
+            related += peaks[s] * np.exp(half * narrow[s])
+        out[e] = np.log(related * np.sqrt(precision) + shares[-1] * background[e])
+
+
+@kernel
+def medians(order, values, weight, nearest, out):
+    """Fill ``out`` (k + 1,) with the weighted medians of the values (n,) nearest to each of k knots, and of all.
+
+    order : (n,) rising order of the values.
+    """
+    k = len(out) - 1
+    half, below = np.zeros(k + 1), np.zeros(k + 1)
+    out[:] = np.nan
+    for e in order:
+        half[nearest[e]] += 0.5 * weight[e]
+        half[k] += 0.5 * weight[e]
+    for e in order:
+        for at in (nearest[e], k):
+            below[at] += weight[e]
+            if np.isnan(out[at]) and below[at] >= half[at]:
+                out[at] = values[e]
+
+
+@kernel
+def learn(sample, colours, knots, relation, penalty, priors, steps):
+    """Steps of EM, in place, until one changes nothing by more than a share of its standard error, or none are left.
+
+    sample : (n, 6) difference of the magnitude and the first of the others, variances of both, weight, density of the
+    magnitude where it is unrelated, and the first of the others. colours : (n, 2c) other magnitudes minus the first
+    and their centres, then their variances. knots : (k,) rising. relation : offset and scatter (k,), slopes (c,),
+    scales (s,), shares (s + 1,), the last unrelated, covariance (k + c, k + c), mean basis (k + c,), and the error of
+    the typical scatter (1,).
+    penalty : (k + c, k + c). priors : allowances of the shares (s,), pairs that are always unrelated, pairs by which
+    scatters are drawn to that of all, the least scatter, and the share of a standard error that is nothing.
+    """
+    offset, scatter, slopes, _, shares, covariance, mean, error = relation
+    k, c, weight = len(offset), len(slopes), np.sum(sample[:, 3])
+    share = np.sum(mean[:k])
+    typical = np.sqrt(np.sum(mean[:k] * scatter**2) / share) if share > 0.0 else np.inf
+    told, hats = np.empty((len(sample), 2)), (np.empty(len(sample), np.int64), np.empty(len(sample)))
+    found = directory(knots)
+    for e in range(len(sample)):
+        hats[0][e], _, hats[1][e] = interval(knots, found, sample[e, 5])
+    for _ in range(steps):
+        system, right, owned, counts, excess, wider = _summed(sample, colours, hats, relation, told)
+        number = np.sum(owned[:k])
+        inverse = np.eye(k + c)
+        solve(system + penalty, inverse)
+        solved = inverse @ right
+        covariance[:] = inverse * wider
+        mean[:] = owned / max(number, 1e-300)
+        before, typical = typical, _scatters(scatter, error, hats, told, excess, mean[:k], number, k + c, priors)
+        settled = abs(typical - before) <= priors[-1] * error[0]
+        alone = shares[-1]
+        _shares(shares, counts, weight, number, priors)
+        settled &= abs(shares[-1] - alone) <= priors[-1] * np.sqrt(shares[-1] / max(weight, 1.0))
+        for a in range(k + c):
+            now = offset[a] if a < k else slopes[a - k]
+            settled &= abs(solved[a] - now) <= priors[-1] * np.sqrt(covariance[a, a])
+        offset[:], slopes[:] = solved[:k], solved[k:]
+        if settled:
+            break
+
+
+@part
+def _summed(sample, colours, hats, relation, told):
+    """What a step needs of the pairs.
+
+    Normal equations (k + c, k + c) and (k + c,); Σ of what is owned · basis (k + c,); counts of the mixture's normals
+    (s,); (3, k) the squares of the residuals, what of them the quoted errors explain, and what they tell, · basis; by
+    how much the residuals scatter more than the mixture says. Fills ``told`` (n, 2): the square of each residual and
+    what it should be, by what it tells of the scatter.
+    """
+    left, upper = hats
+    offset, scatter, slopes, scales, shares = relation[:5]
+    k, c, normals = len(offset), len(slopes), len(scales)
+    gram, right, owned = np.zeros((k + c, k + c)), np.zeros(k + c), np.zeros(k + c)
+    counts, excess, parts = np.zeros(normals), np.zeros((3, k)), np.empty(normals)
+    squared, simple, rest = 0.0, 0.0, (1.0 - np.sum(slopes)) ** 2
+    peaks, narrow = shares[:-1] / (scales * np.sqrt(2.0 * np.pi)), 1.0 / scales**2
+    for e in range(len(sample)):
+        low, along, weight = left[e], upper[e], sample[e, 3]
+        high = min(low + 1, k - 1)
+        width = scatter[low] + along * (scatter[high] - scatter[low])
+        total = width**2 + sample[e, 1] + rest * sample[e, 2]
+        residual = sample[e, 0] - (offset[low] + along * (offset[high] - offset[low]))
+        for v in range(c):
+            residual -= slopes[v] * colours[e, v]
+            total += slopes[v] ** 2 * colours[e, c + v]
+        inverse, unrelated, density = 1.0 / total, shares[-1] * sample[e, 4], 0.0
+        half, root = -0.5 * residual**2 * inverse, np.sqrt(inverse)
+        for s in range(normals):
+            parts[s] = root * peaks[s] * np.exp(half * narrow[s])
+            density += parts[s]
+        each = weight / max(density + unrelated, 1e-300)
+        own, precise = weight - unrelated * each, 0.0
+        for s in range(normals):
+            counts[s] += parts[s] * each
+            precise += parts[s] * each * narrow[s]
+        precision, leverage = precise * inverse, inverse**2
+        squared += precision**2 * residual**2
+        simple += precision
+        told[e, 0], told[e, 1] = leverage * precise * residual**2, own * inverse
+        for at, basis in ((low, 1.0 - along), (high, along)):
+            right[at] += precision * basis * sample[e, 0]
+            owned[at] += own * basis
+            excess[0, at] += told[e, 0] * basis
+            excess[1, at] += leverage * own * (total - width**2) * basis
+            excess[2, at] += leverage * own * basis
+            for v in range(c):
+                gram[at, k + v] += precision * basis * colours[e, v]
+        gram[low, low] += precision * (1.0 - along) ** 2
+        gram[high, high] += precision * along**2
+        if high != low:
+            gram[low, high] += precision * along * (1.0 - along)
+        for v in range(c):
+            right[k + v] += precision * sample[e, 0] * colours[e, v]
+            owned[k + v] += own * colours[e, v]
+            for w in range(v, c):
+                gram[k + v, k + w] += precision * colours[e, v] * colours[e, w]
+    for a in range(k + c):
+        for b in range(a):
+            gram[a, b] = gram[b, a]
+    return gram, right, owned, counts, excess, squared / simple
+
+
+@part
+def _scatters(scatter, error, hats, told, excess, share, number, fitted, priors):
+    """Fill the scatters (k,) beyond the quoted errors, and the ``error`` of the typical one, which is returned."""
+    left, upper = hats
+    drawing, least = priors[-3], priors[-2]
+    # One step of scoring: what the squares leave beyond the quoted errors, each by what it can tell of the scatter.
+    larger = number / max(number - fitted, 1.0)
+    beyond, weight = larger * excess[0] - excess[1], excess[2]
+    overall, drawn = np.sum(beyond) / np.sum(weight), drawing * weight / max(number, 1e-300)
+    for a in range(len(scatter)):
+        told_here = (beyond[a] + drawn[a] * overall) / (weight[a] + drawn[a]) if weight[a] > 0.0 else overall
+        scatter[a] = np.sqrt(max(told_here, least**2))
+    # The typical scatter weighs the knots by their pairs; its error comes from how the squares scatter.
+    by_knot = np.where(weight > 0.0, share / np.maximum(weight + drawn, 1e-300), 0.0)
+    by_all = np.sum(by_knot * drawn) / np.sum(weight)
+    typical = np.sqrt(max(np.sum(share * scatter**2), least**2))
+    total = 0.0
+    for e in range(len(told)):
+        low = left[e]
+        high = min(low + 1, len(scatter) - 1)
+        here = by_knot[low] + upper[e] * (by_knot[high] - by_knot[low]) + by_all
+        total += ((larger * told[e, 0] - told[e, 1]) * here) ** 2
+    error[0] = np.sqrt(total) / (2.0 * typical)
+    return typical
+
+
+@part
+def _shares(shares, counts, weight, number, priors):
+    """Fill the shares of the mixture's normals and, last, of what is unrelated."""
+    total = weight - number + priors[-4]
+    shares[-1] = total
+    for s in range(len(counts)):
+        shares[s] = max(counts[s] - priors[s] * np.sqrt(weight), 1e-3)
+        total += shares[s]
+    shares /= total
