@@ -154,6 +154,38 @@ def test_a_camera_is_turned_back():
         assert 1.0 < met.speed_m_per_s < 20.0
 
 
+def speeding_up(seed, every_s, sigma_m):
+    """Reports of 40 ships of a seed that gain 3 m/s a minute: columns, velocities (n, 2) and ships (n,)."""
+    rng = np.random.default_rng(seed)
+    start, course = rng.uniform(-6e3, 6e3, (40, 2)), rng.uniform(0.0, 2.0 * np.pi, 40)
+    way = np.column_stack([np.sin(course), np.cos(course)])
+    rng = np.random.default_rng([seed, int(every_s)])
+    ship, turn = (a.ravel() for a in np.meshgrid(np.arange(40), np.arange(0.0, 300.0, every_s)))
+    time_s = turn + every_s * rng.random(40)[ship]
+    place = start[ship] + way[ship] * (2.0 * time_s + 0.025 * time_s**2)[:, None]
+    place += sigma_m * rng.standard_normal(place.shape)
+    return {"time_s": time_s, "x_m": place[:, 0], "y_m": place[:, 1]}, way[ship] * (2.0 + 0.05 * time_s)[:, None], ship
+
+
+def test_a_filter_that_lags_behind_what_speeds_up_is_not_taken_for_a_late_stamp():
+    motion = Motion(acceleration_m2_per_s3=0.01, speed_m_per_s=8.0)
+    radar = Description(
+        "radar", "marine radar", site=Site(east_m=0.0, north_m=-9e3), errors=ErrorModel(position_m=50.0), motion=motion,
+        bias=BiasPrior(range_m=50.0, azimuth_deg=1.0, time_s=2.0), misses=Misses(0.1),
+    )  # fmt: skip
+    ais = Description("ais", "ais", errors=ErrorModel(position_m=5.0), motion=motion, misses=Misses(0.1))
+    for seed in range(3):
+        plots, _, ship = speeding_up(seed, 3.0, 50.0)
+        told, velocity, name = speeding_up(seed, 10.0, 5.0)
+        told |= {"vx_m_per_s": velocity[:, 0], "vy_m_per_s": velocity[:, 1], "mmsi": 235_000_000 + name}
+        scene = Scene.of([
+            (radar, Reports.of("radar", "table", plots | {"track_id": ship})), (ais, Reports.of("ais", "ais", told)),
+        ])  # fmt: skip
+        assert scene.feeds[0].filtered
+        _, (found, _) = scene.registered()
+        assert np.abs(normalised(found, dict.fromkeys(NAMES, 0.0))).max() < 4.0
+
+
 def test_what_has_nothing_in_common_is_left_where_it_is():
     made = harbour(80, 12, biases=((0.0, 0.0, 0.0),), until_s=100.0)
     radar, (about, said) = made.sources

@@ -127,7 +127,7 @@ def _typical_count(feed: Feed) -> float:
 
 
 def _encounter(first: Side, second: Side, instant_s: float) -> Encounter | None:
-    said = [Said.of(side.feed, instant_s) for side in (first, second)]
+    said = [Said.of(side.feed.as_measured, instant_s) for side in (first, second)]
     density = _density(said)
     said = [each.without_aged(density) for each in said]
     if not all(len(each.rows) for each in said):

@@ -27,7 +27,7 @@ from sameas.tracks.silence import ending_silence_s
 from sameas.tracks.source import Description
 from sameas.tracks.standing import standing
 
-#: Kinds of sources whose errors of position last longer than a filter averages.
+#: Kinds of sources whose errors of position last for minutes: no filter makes them smaller, they stay as they are said.
 LASTING = ("ais", "ads-b")
 
 
@@ -42,7 +42,7 @@ class Feed:
     sensor_m : (n, 2) where its sensor was, None for a source that is in no one place.
     attributes : what the reports say of the objects' identity, (n,) each: mmsi, icao, name, …
     given : the reports as a reader gave them. notes : what was set aside, printable sentences.
-    filtered : whether a filter made tracks of them.
+    measured : where a filter made tracks of them, what was measured at each report, with the velocity of its track.
     turn : of an antenna whose bare plots bear their own stamps; None where looks are exposures.
     stands : (n,) probability that a report is of an object that stands; None where nothing is known of such.
     """
@@ -55,7 +55,7 @@ class Feed:
     attributes: Mapping[str, NDArray[Any]]
     given: Reports | None = None
     notes: tuple[str, ...] = ()
-    filtered: bool = False
+    measured: States | None = None
     turn: Turn | None = None
     stands: FloatArray | None = None
 
@@ -86,11 +86,14 @@ class Feed:
             there, repeated = fresh(there)
             there, more = parted(there, description.motion.speed_m_per_s or math.inf)
             notes += tuple(f"{description.name}: {note}" for note in (*repeated, *more))
+        stands, measured = None, None
         if to_tracks:
             if not isinstance(there, States):
                 raise InputError(f"{description.name}: directions are not filtered; give positions")
-            there = filtered(description, there)
-        stands = None
+            tracks = follow(there, acceleration_m2_per_s3=walk_of(description)).states
+            placed_anew = _in_place(there, tracks)
+            there = placed_anew if description.kind in LASTING else tracks
+            measured, _ = standing(placed_anew, description.motion)
         if isinstance(there, States):
             there, stands = standing(there, description.motion)
         given = None if looked_s is None else np.asarray(looked_s, np.float64)
@@ -98,9 +101,19 @@ class Feed:
         looked = looks.look_s if given is None else np.concatenate([given, looks.look_s])
         attributes = {name: said for name in MODELS if (said := getattr(reports, name, None)) is not None}
         return cls(
-            description, there, np.unique(looked), looks.look_s, sensor_m, attributes, reports, notes, to_tracks,
+            description, there, np.unique(looked), looks.look_s, sensor_m, attributes, reports, notes, measured,
             looks.turn, stands,
         )  # fmt: skip
+
+    @property
+    def filtered(self) -> bool:
+        """Whether a filter made tracks of the reports."""
+        return self.measured is not None
+
+    @cached_property
+    def as_measured(self) -> Feed:
+        """The same with the positions that were measured: errors of a filter last, as if they were the sensor's."""
+        return self if self.measured is None else replace(self, reports=self.measured)
 
     @cached_property
     def walk_m2_per_s3(self) -> FloatArray:
@@ -212,14 +225,8 @@ def need_filtering(description: Description, reports: Reports, plane: LocalPlane
     return isinstance(there, States) and measures_anew(there, acceleration_m2_per_s3=walk_of(description))
 
 
-def filtered(description: Description, reports: States) -> States:
-    """The reports with the velocities that all reports of their track so far make, and positions bettered by these.
-
-    The errors of satellite positions last for minutes, and no filter makes them smaller: they stay as they are said.
-    """
-    tracks = follow(reports, acceleration_m2_per_s3=walk_of(description)).states
-    if description.kind not in LASTING:
-        return tracks
+def _in_place(reports: States, tracks: States) -> States:
+    """The velocities that all reports of a track so far make, at the positions that the reports say."""
     state, covariance = tracks.state.copy(), tracks.covariance.copy()
     state[:, :2] = reports.state[:, :2]
     covariance[:, :2, :2] = reports.covariance[:, :2, :2]

@@ -187,8 +187,10 @@ def _settled(feed: Feed, start: int, found: Agreement, against: tuple[str, ...])
 
 def unbiased(feed: Feed, biases: FloatArray, covariance: FloatArray) -> Feed:
     """A feed without these biases (6,), which are known with a covariance (6, 6)."""
+    measured = None if feed.measured is None else corrected(feed.measured, feed.sensor_m, biases, covariance)
+    assert not isinstance(measured, Directions)
     return replace(
-        feed, reports=corrected(feed.reports, feed.sensor_m, biases, covariance),
+        feed, reports=corrected(feed.reports, feed.sensor_m, biases, covariance), measured=measured,
         looked_s=feed.looked_s - biases[TIME], look_s=feed.look_s - biases[TIME],
     )  # fmt: skip
 
