@@ -1,12 +1,13 @@
-"""The first compilation on a machine, shared out: what sums over hypotheses is compiled beside what comes before it.
+"""The first compilation on a machine, shared out: what comes after the search is compiled beside it.
 
-The kernels are compiled when they are first called and kept for later runs. The search and the sums take about as long
-to compile; a program that is about to identify for the first time says ``beside()``, and finds the sums in the cache
-when it gets there. Without it everything is the same, but later.
+The kernels are compiled when they are first called and kept for later runs. The search takes about as long to compile
+as the error scales and the sums over hypotheses; a program that is about to identify for the first time says
+``beside()``, and finds these in the cache when it gets there. Without it everything is the same, but later.
 """
 
 from __future__ import annotations
 
+import gc
 import subprocess
 import sys
 import threading
@@ -39,7 +40,7 @@ def needed() -> bool:
 
 
 def beside() -> None:
-    """Start to compile the sums in a process of its own, unless one does already; nobody has to wait for it."""
+    """Start to compile scales and sums in a process of its own, unless one does already; nobody has to wait for it."""
     cache = _cache()
     if cache is None or not _claimed(cache / "compiling"):
         return
@@ -62,7 +63,7 @@ def _claimed(mark: Path) -> bool:
 
 def compile_sums() -> None:
     """Compile the kernels of the posterior, by summing over one small group: two records against two."""
-    from sameas.posterior import by_messages, posterior
+    from sameas.posterior import posterior
 
     place = np.array([0, 0, 1, 1], np.int32), np.array([0, 1, 0, 1], np.int32)
     two, ends = np.arange(2, dtype=np.int32), np.array([0, 2])
@@ -70,13 +71,22 @@ def compile_sums() -> None:
     weight, none = np.array([1.0, 0.0, 0.0, 1.0]), np.zeros(1)
     best = Hypothesis(weight > 0, weight, np.ones(2), np.zeros(2), none, PerPair(0.0)(group.sizes_1, group.sizes_2))
     posterior(group, best)
-    by_messages(group, best)
+
+
+def compile_scales() -> None:
+    """Compile the kernels of the error scales, by fitting them to a few pairs."""
+    from sameas.error_scales import fit_errors
+    from sameas.evidence import Errors
+
+    fit_errors(np.linspace(0.1, 9.0, 20), np.linspace(-5.0, 5.0, 20), 2, Errors())
 
 
 def _main() -> None:
     cache = _cache()
+    gc.set_threshold(100_000, 50, 100)  # as in the command itself
     try:
         compile_sums()
+        compile_scales()
     finally:
         if cache is not None:
             (cache / "compiling").unlink(missing_ok=True)
