@@ -122,10 +122,21 @@ class Clutter:
 
 @dataclass(frozen=True)
 class Resolution:
-    """How near two objects may be for the source to show two."""
+    """How near two objects may be for the source to show two; split : probability that a look shows one as two.
+
+    Long hulls are split. It matters where objects are followed by plots without names (:mod:`sameas.picture`).
+    """
 
     range_m: float | None = None
     bearing_deg: float | None = None
+    split: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.split is not None and not 0.0 < self.split < 1.0:
+            raise InputError(
+                f"resolution: split is {self.split}; give the probability that a look shows one object as two, "
+                "strictly between 0 and 1"
+            )
 
 
 @dataclass(frozen=True)
