@@ -58,7 +58,7 @@ def test_how_often_a_look_shows_one_object_as_two_is_told_or_assumed():
     told = Description.from_mapping("camera", {"kind": "camera", "resolution": {"split": 0.3}})
     assert told.resolution.split == 0.3 and "resolution.split" not in {line.name for line in told.assumed}
     for wrong in (0.0, 1.0):
-        with pytest.raises(InputError, match=f"camera: resolution: split is {wrong}; give the probability"):
+        with pytest.raises(InputError, match=f"camera: resolution: split is {wrong}; give a probability"):
             Description.from_mapping("camera", {"kind": "camera", "resolution": {"split": wrong}})
 
 
