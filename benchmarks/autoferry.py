@@ -200,8 +200,7 @@ def run(scenario: str, models: dict[int, Learned], step_s: float) -> dict[str, T
     scene, truth = scene_of(scenario, describe_all(models, scenario)), truth_of(scenario)
     start, end = scene.span_s
     tallies = {way: Tally() for way in WAYS}
-    splits = {feed.description.name: model.split for feed, model in zip(scene.feeds, models.values(), strict=True)}
-    follower, following = Follower(split=splits), None
+    follower, following = Follower(), None
     for instant_s in np.arange(start + step_s, end, step_s):
         now = among_few(scene.at(instant_s, features=POSITION_AND_VELOCITY))
         following = follower.advance(now, following)

@@ -91,7 +91,7 @@ class Learned:
             NAME[sensor], KIND[sensor], coverage=Coverage(range_m=REACH_M), misses=Misses(self.q, self.q_range_m),
             errors=polar if camera else plane, motion=MOTION, timing=late if sensor == RADAR else Timing(),
             clutter=Clutter(per_deg=self.clutter) if camera else Clutter(1e6 * self.clutter),
-            resolution=Resolution(5.0, 2.0) if sensor == RADAR else Resolution(),
+            resolution=Resolution(5.0, 2.0, self.split) if sensor == RADAR else Resolution(split=self.split),
         )  # fmt: skip
 
 

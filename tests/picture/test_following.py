@@ -258,7 +258,7 @@ def test_what_it_does_not_follow_is_refused_in_words():
     named = Feed.of(sensor("tracker", 2.0, 0.5), Reports.of("tracker", "table", said))
     with pytest.raises(InputError, match="tracker names its objects"):
         follower.advance(Scene((named,)).at(1.0, features=POSITION_AND_VELOCITY))
-    for wrong in ({"correlation_s": -1.0}, {"least_q": 0.5}, {"split": {"lidar": 0.0}}, {"lasting_s": np.inf}):
+    for wrong in ({"correlation_s": -1.0}, {"least_q": 0.5}, {"lasting_s": np.inf}):
         with pytest.raises(InputError, match=f"Follower: .*{next(iter(wrong)).split('_')[0]}"):
             Follower(**wrong)
 

@@ -89,7 +89,7 @@ def test_an_object_appears_is_confirmed_coasts_and_ends():
     looks |= {10.0 * k: [(float(5000 + 40 * j), 3e3) for j in range(3)] for k in range(6, 140)}
     # A false echo that shows once.
     looks[20.0] = [*looks[20.0], (-8e3, -8e3)]
-    picture = Picture.of(plots(looks), sorted(looks))
+    picture = Picture.of(plots(looks), sorted(looks), watch=Watch())
     o = picture.objects
     first = o["object"] == o["object"][np.argmin(np.hypot(o["x_m"] - 1000.0, o["y_m"]))]
     assert o["stage"][first][:4].tolist() == ["tentative", "tentative", "confirmed", "confirmed"]

@@ -53,6 +53,15 @@ def test_every_number_that_nobody_gave_is_told_with_its_reason():
     )
 
 
+def test_how_often_a_look_shows_one_object_as_two_is_told_or_assumed():
+    assert Description("camera", "camera").resolution.split == 0.1
+    told = Description.from_mapping("camera", {"kind": "camera", "resolution": {"split": 0.3}})
+    assert told.resolution.split == 0.3 and "resolution.split" not in {line.name for line in told.assumed}
+    for wrong in (0.0, 1.0):
+        with pytest.raises(InputError, match=f"camera: resolution: split is {wrong}; give a probability"):
+            Description.from_mapping("camera", {"kind": "camera", "resolution": {"split": wrong}})
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_defaults_of_every_kind_are_numbers_of_known_parts_with_reasons(kind):
     for name, (value, why) in KINDS[kind].defaults.items():

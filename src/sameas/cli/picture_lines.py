@@ -6,6 +6,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from sameas.io.sensors.sources import SensorSource
+from sameas.picture.lookout import Lookout
+from sameas.picture.moment import Watch
 from sameas.picture.summary import Summary
 from sameas.prose import ALARM, DOUBT, counted, entry, moment, span
 from sameas.tracks.scene import Scene
@@ -20,11 +22,15 @@ def read_lines(sources: Sequence[SensorSource]) -> Iterator[str]:
         yield from (f"    {line.removeprefix(f'{source.reports.source}: ')}" for line in rest)
 
 
-def scene_lines(scene: Scene) -> Iterator[str]:
-    """What was done to the reports to make a scene of them."""
+def scene_lines(scene: Scene, watch: Watch | Lookout) -> Iterator[str]:
+    """What was done to the reports to make a scene of them, and what becomes of plots without names."""
     for feed in scene.feeds:
         if feed.filtered:
             yield f"  {feed.description.name}: plots under numbers or names, made tracks with velocities by a filter"
+        elif feed.reports.track is None and not isinstance(watch, Lookout):
+            yield f"  {feed.description.name}: plots without names, every instant judged alone"
+    if isinstance(watch, Lookout):
+        yield "  no source names what it shows: objects are followed from look to look"
 
 
 def doubt_lines(doubts: Sequence[str]) -> Iterator[str]:

@@ -19,6 +19,7 @@ from sameas.errors import InputError
 from sameas.io.atomic import filling
 from sameas.io.sensors.clock import DAY_S, instant
 from sameas.io.sensors.sources import SensorSource, read_sources, read_told
+from sameas.picture.lookout import Lookout, nameless
 from sameas.picture.memory import Past
 from sameas.picture.moment import Watch
 from sameas.picture.picture import MOST, Picture, instants
@@ -81,6 +82,10 @@ class Method:
 
         return rule
 
+    def watch(self, scene: Scene) -> Watch | Lookout:
+        """What the picture carries from instant to instant."""
+        return Lookout() if self.memory and nameless(scene) else Watch(say=self.say())
+
 
 def run(
     files: Sequence[str],
@@ -125,7 +130,7 @@ def _made(
     with _remedies(sensors):
         scene = Scene.of([(source.description, source.reports) for source in sources])
     times = when.of(scene.span_s)
-    printer(scene_lines(scene))
+    printer(scene_lines(scene, method.watch(scene)))
     pace("looking for what is wrong")
     doubts = scene.doubts()
     pace.pause()
@@ -136,7 +141,7 @@ def _made(
         scene, biases = scene.registered()
     pace(counted(len(times), "instant"))
     lines = [line for found in biases for line in found.lines()]
-    picture = Picture.of(scene, times, watch=Watch(say=method.say()), biases=lines, progress=pace)
+    picture = Picture.of(scene, times, watch=method.watch(scene), biases=lines, progress=pace)
     if not len(picture.records["row"]):
         raise InputError(
             f"no source says anything at {span(times[0], times[-1])}; they speak from {span(*scene.span_s)}: "

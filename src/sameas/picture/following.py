@@ -12,7 +12,8 @@ as it stands. So nothing fused comes back as evidence of itself.
 The errors of looks last: the same side of a hull, the same error of a compass. A look counts as the share of one that
 it adds, Δt/τ, in the states. And sources miss the same objects again and again, which every object remembers.
 
-Use it where sources name nothing; tracks with names have :class:`sameas.picture.Watch`. Source: METHOD 7; Bernoulli
+Use it where sources name nothing; tracks with names have :class:`sameas.picture.Watch`, and a whole picture of bare
+plots :class:`sameas.picture.Lookout`. Source: METHOD 7; Bernoulli
 objects with a Poisson field of unknown ones as in Williams 2015, the most probable hypothesis kept.
 """
 
@@ -20,7 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -41,7 +42,7 @@ from sameas.tracks.placement import Directions
 from sameas.tracks.pointing import pointed_at
 from sameas.tracks.scene import POSITION_AND_VELOCITY, Instant
 
-#: Where nobody says how often a source shows one object as two.
+#: Where neither the description nor the kind of a source says how often it shows one object as two.
 SPLIT = 0.02
 #: Less probable objects are forgotten.
 FORGOTTEN = 0.01
@@ -56,14 +57,12 @@ class Follower:
     Parameters
     ----------
     correlation_s : τ, how long errors of looks last. Taken: 10 s.
-    split : by name of source the probability that a look shows one object as two, such as a long hull.
     lasting_s : how long objects last without being seen, 1/e. sighting_looks : how many looks the described probability
         of a miss is worth against what an object's own looks say, which are remembered for sighting_s.
     least_q : no probability of a miss is nearer to 0 or 1: misses of one object repeat themselves.
     """
 
     correlation_s: float = 10.0
-    split: Mapping[str, float] = field(default_factory=dict)
     lasting_s: float = 60.0
     sighting_looks: float = 6.0
     sighting_s: float = 10.0
@@ -79,9 +78,6 @@ class Follower:
             )
         if not 0.0 < self.least_q < 0.5:
             raise InputError(f"Follower: least_q is {self.least_q}; give a probability between 0 and 0.5")
-        wrong = [name for name, split in self.split.items() if not 0.0 < split < 1.0]
-        if wrong:
-            raise InputError(f"Follower: split of {wrong[0]} is {self.split[wrong[0]]}; give a probability above 0")
 
     def advance(self, now: Instant, before: Following | None = None) -> Following:
         """The objects at an instant: those of ``before``, found again or not, and new ones.
@@ -111,7 +107,7 @@ class Follower:
         sets = before.retiring(now)
         seen, (born, born_q) = before.seen(sets), before.born(sets)
         known = before.fused(sets, self.correlation_s).after(Sighting(seen, before.passed(now), before.rule.known_q))
-        split = np.array([self.split.get(d.name, SPLIT) for d in now.descriptions])
+        split = np.array([d.resolution.split or SPLIT for d in now.descriptions])
         known = known.with_(born).told_apart(np.vstack([seen, born.hits]), np.vstack([before.usual_q, born_q]), split)
         density = _per_m2(now)
         known = known.merged(density)

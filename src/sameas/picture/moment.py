@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,18 +26,23 @@ from sameas.evidence.identity import Alarm
 from sameas.gate import ChiSquare
 from sameas.many import identify_many
 from sameas.objects import Objects
-from sameas.observations import records_of
 from sameas.picture.memory import Past
 from sameas.picture.numbering import Known, Life, Seen, Stages
 from sameas.picture.roll import BoolArray, Roll
-from sameas.picture.states import object_states
-from sameas.reasons import Reasons
+from sameas.picture.shown import Shown, ShownNow
+from sameas.picture.states import ObjectStates, object_states
+from sameas.reasons import Name, Reasons
 from sameas.records import FloatArray, IntArray, Records
 from sameas.tracks.scene import POSITION, Instant
+
+if TYPE_CHECKING:
+    from sameas.picture.lookout import Followed, Lookout
 
 #: What the picture says of an object's identity; and what of it names one object alone.
 TEXTS = ("mmsi", "icao", "callsign", "name", "mode_a", "type")
 NAMES_ONE = ("mmsi", "icao", "callsign")
+#: What is said of an object of which nobody says anything.
+NOTHING = np.full(len(TEXTS), "", dtype=object)
 #: An object is ambiguous where its records are less probable than this.
 CERTAIN = 0.95
 
@@ -81,15 +86,15 @@ class Watch:
         roll = self.past.loosened(Roll.of(heard), _per_m2(now))
         heard, past = roll.now, self.past.on(roll)
         found = self._found(heard, past)
-        members = np.full((0, len(heard.sources)), -1)
-        if found is not None:
-            members, past = roll.places(found.members[:, : len(heard.sources)]), past.met(found.union)
+        shown = ShownNow(roll, found)
+        members, past = shown.members, past if found is None else past.met(found.union)
         texts = {name: roll.texts(name) for name in TEXTS}
         seen = self._seen(roll, members, found, past, texts)
         past = past.proved(seen.tracks[_together(members, found, self.stages)])
         known = self.known.on(now.instant_s, seen, _per_m2(now), self.stages)
         called = self._called(roll, members, texts, known)
-        return Moment(now, roll, found, members, seen, replace(self, past=past, known=known, called=called))
+        carried = replace(self, past=past, known=known, called=called)
+        return Moment(now, roll, shown, seen.states, carried)
 
     def _found(self, heard: Instant, past: Past) -> Objects | None:
         """The objects of an instant; None where nobody says anything."""
@@ -137,7 +142,7 @@ class Watch:
             said[at[order], column] = values[order]
         called = {}
         for number, k in zip(known.number.tolist(), known.seen.tolist(), strict=True):
-            before = self.called.get(number, _NOTHING)
+            before = self.called.get(number, NOTHING)
             called[number] = before if k < 0 else np.where(said[k] != "", said[k], before)
         return called
 
@@ -157,9 +162,6 @@ def _together(members: IntArray, found: Objects | None, stages: Stages) -> BoolA
     return np.asarray(((members >= 0).sum(axis=1) > 1) & (found.probability >= stages.sure))
 
 
-_NOTHING = np.full(len(TEXTS), "", dtype=object)
-
-
 def _per_m2(now: Instant) -> float:
     """Objects per m² of the plane at the middle of the region."""
     if now.features == POSITION:
@@ -171,32 +173,35 @@ def _per_m2(now: Instant) -> float:
 
 @dataclass(frozen=True)
 class Moment:
-    """The picture at one instant; made by :meth:`Watch.advance`.
+    """The picture at one instant; made by :meth:`Watch.advance`, or :meth:`sameas.picture.lookout.Lookout.at`.
 
     Attributes
     ----------
     now : the instant. roll : the records of the sources that say anything.
-    found : what ``identify_many`` found, None where nobody says anything.
-    members : (n, S) records on the roll of each object found, −1 for none. seen : what it is recognised by.
+    shown : the objects that they show, (n,), and how sure they are. states : of these.
     watch : what the picture carries on.
     """
 
     now: Instant
     roll: Roll
-    found: Objects | None
-    members: IntArray
-    seen: Seen
-    watch: Watch
+    shown: Shown
+    states: ObjectStates
+    watch: Watch | Lookout
 
     @property
-    def known(self) -> Known:
+    def known(self) -> Known | Followed:
         """The objects of the picture."""
         return self.watch.known
+
+    @property
+    def members(self) -> IntArray:
+        """(n, S) records on the roll of each object found, −1 for none."""
+        return self.shown.members
 
     @cached_property
     def number(self) -> IntArray:
         """(n,) the number in the picture of each object found."""
-        return self.known.numbers(len(self.seen))
+        return self.known.numbers(len(self.members))
 
     @cached_property
     def object_of_record(self) -> IntArray:
@@ -206,37 +211,25 @@ class Moment:
         out[self.members[at, source]] = at
         return out
 
-    @cached_property
+    @property
     def runner_up(self) -> IntArray:
         """(n, S) records on the roll of the most probable other set that has one of an object's records."""
-        if self.found is None:
-            return self.members
-        return self.roll.places(self.found.runner_up[:, : self.members.shape[1]])
+        return self.shown.runner_up
 
-    @cached_property
+    @property
     def p_runner_up(self) -> FloatArray:
         """(n,) its probability, 0 where nothing else is possible."""
-        return np.empty(0) if self.found is None else np.asarray(np.ma.filled(self.found.p_runner_up, 0.0))
+        return self.shown.p_runner_up
 
-    @cached_property
+    @property
     def probability(self) -> FloatArray:
         """(n,) that exactly its records are one object."""
-        return np.empty(0) if self.found is None else self.found.probability
+        return self.shown.probability
 
-    @cached_property
+    @property
     def p_alone(self) -> FloatArray:
         """(records,) that a record has no partner."""
-        out = np.ones(len(self.roll))
-        if self.found is not None:
-            union, sets = self.found.union, self.found.sets
-            lone = np.flatnonzero(sets.size == 1)
-            alone = np.zeros(len(union))
-            alone[sets.members[lone].max(axis=1)] = self.found.answer.probability[lone]
-            for s, source in zip(union.given, union.sources, strict=True):
-                rows, first = records_of(source).rows, union.start[union.given.index(s)]
-                if s < self.members.shape[1]:
-                    out[self.roll.find(s, rows)] = alone[first : first + len(rows)]
-        return np.clip(out, 0.0, 1.0)
+        return self.shown.p_alone
 
     @cached_property
     def ambiguous(self) -> BoolArray:
@@ -265,9 +258,9 @@ class Moment:
         InputError : no record of the instant is in an object of that number.
         """
         at = np.flatnonzero(self.number == number)
-        if self.found is None or not len(at):
+        if not len(at):
             raise InputError(f"object {number} is not shown by any source at {self.now.instant_s:g} s")
-        reasons, names = self.found.explain(int(at[0])), self._names
+        reasons, names = self.shown.explain(int(at[0])), self._names
         rivals = tuple(
             replace(
                 rival, members=tuple(names[record] for record in rival.members),
@@ -278,11 +271,11 @@ class Moment:
         return replace(reasons, number=number, rivals=rivals)
 
     @cached_property
-    def _names(self) -> Mapping[tuple[str, Any], tuple[str, str]]:
+    def _names(self) -> Mapping[Name, Name]:
         """By source and row of its reports, the source and what a user finds the record by."""
         roll, feeds = self.roll, self.roll.now.feeds
         sources = [description.name for description in roll.now.descriptions]
-        names = {}
+        names: dict[Name, Name] = dict(self.shown.names)
         for s, row, track in zip(roll.source.tolist(), roll.row.tolist(), roll.track.tolist(), strict=True):
             given = feeds[s].given
             said = track or (f"row {row}" if given is None else f"{given.damaged.unit} {given.line[row]}")

@@ -17,6 +17,7 @@ import numpy as np
 
 from sameas.errors import InputError
 from sameas.picture.columns import Columns, gathered, joined, object_columns, record_columns, with_degrees
+from sameas.picture.lookout import Lookout, nameless
 from sameas.picture.moment import Moment, Watch
 from sameas.picture.summary import Summary, Tally
 from sameas.records import FloatArray
@@ -50,13 +51,24 @@ def instants(span_s: tuple[float, float], every_s: float) -> FloatArray:
     return every_s * np.arange(low, high + 1, dtype=np.float64) if high >= low else np.array([last])
 
 
+def watch_of(scene: Scene) -> Watch | Lookout:
+    """What a picture of a scene begins with: a :class:`Lookout` where no source names what it shows."""
+    return Lookout() if nameless(scene) else Watch()
+
+
 def moments(
-    scene: Scene, instants_s: Iterable[float], watch: Watch | None = None, *, features: int = POSITION
+    scene: Scene, instants_s: Iterable[float], watch: Watch | Lookout | None = None, *, features: int = POSITION
 ) -> Iterator[Moment]:
-    """The moments of a scene one after another; ``watch``: what to begin with. features : as of ``Scene.at``."""
-    carried = Watch() if watch is None else watch
-    for instant_s in instants_s:
-        moment = carried.advance(scene.at(float(instant_s), features=features))
+    """The moments of a scene one after another; ``watch``: what to begin with.
+
+    features : as of ``Scene.at``; a :class:`Lookout` follows velocities in any case.
+    """
+    carried = watch_of(scene) if watch is None else watch
+    for instant_s in map(float, instants_s):
+        if isinstance(carried, Lookout):
+            moment = carried.at(scene, instant_s)
+        else:
+            moment = carried.advance(scene.at(instant_s, features=features))
         carried = moment.watch
         yield moment
 
@@ -82,7 +94,7 @@ class Picture:
     summary: Summary
     texts: Mapping[tuple[int, int], str] = field(repr=False)
     plane: LocalPlane | None
-    watch: Watch = field(repr=False)
+    watch: Watch | Lookout = field(repr=False)
 
     @classmethod
     def of(
@@ -90,7 +102,7 @@ class Picture:
         scene: Scene,
         instants_s: Sequence[float] | FloatArray,
         *,
-        watch: Watch | None = None,
+        watch: Watch | Lookout | None = None,
         features: int = POSITION,
         biases: Sequence[str] = (),
         progress: Callable[[str], object] | None = None,
@@ -101,8 +113,8 @@ class Picture:
         ----------
         instants_s : ascending; see :func:`instants`.
         watch : what counts as evidence, what is remembered, when objects are confirmed; or where an earlier picture
-            ended.
-        features : POSITION, or POSITION_AND_VELOCITY.
+            ended. Without it scenes in which no source names anything are followed by a :class:`Lookout`.
+        features : POSITION, or POSITION_AND_VELOCITY, which a :class:`Lookout` follows in any case.
         biases : printable lines on the sensors' offsets, for the summary.
         progress : called with what is being done, at every instant.
 

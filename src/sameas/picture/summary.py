@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.evidence.identity import Alarm
+from sameas.picture.lookout import Followed
 from sameas.picture.moment import Moment
+from sameas.picture.numbering import CONFIRMED
 from sameas.picture.roll import BoolArray
 from sameas.records import FloatArray, IntArray
 from sameas.tracks.feed import Feed
@@ -52,8 +54,7 @@ class Tally:
             if feed.description.name in names:
                 there[:, s] = moment.members[:, names.index(feed.description.name)] >= 0
         due = np.array([_due(moment, there, s) for s in range(len(feeds))]).reshape(len(feeds), len(there))
-        found = moment.found
-        ambiguous = 0 if found is None else len(np.unique(found.group[moment.ambiguous]))
+        ambiguous = len(np.unique(moment.shown.group[moment.ambiguous]))
         several = there.sum(axis=1) > 1
         return cls(
             now.instant_s, len(there), float(np.sum(1.0 - moment.probability)), ambiguous, there.sum(axis=0),
@@ -69,12 +70,16 @@ def _due(moment: Moment, there: BoolArray, s: int) -> FloatArray:
     beyond_doubt = (others & honest).any(axis=1) | (others.sum(axis=1) > 1)
     if len(honest) == 1:
         beyond_doubt = others[:, 0]
+    if isinstance(moment.known, Followed):
+        # A plot may be false, and two of them be so together; what was found again and again is there.
+        known = moment.known
+        beyond_doubt = others.any(axis=1) & np.isin(moment.number, known.number[known.stage == CONFIRMED])
     feed = moment.now.feeds[s]
     sensor = feed.sensor_at(moment.now.instant_s)
-    seen = moment.seen.states.placed & beyond_doubt
+    seen = moment.states.placed & beyond_doubt
     if sensor is None:
         return seen.astype(np.float64)
-    arm = moment.seen.states.state[:, :2] - sensor
+    arm = moment.states.state[:, :2] - sensor
     covers = feed.description.coverage.covers(np.hypot(*arm.T), np.degrees(np.arctan2(arm[:, 0], arm[:, 1])))
     return (seen & covers).astype(np.float64)
 

@@ -122,10 +122,15 @@ class Clutter:
 
 @dataclass(frozen=True)
 class Resolution:
-    """How near two objects may be for the source to show two."""
+    """How near two objects may be for the source to show two. split : probability that a look shows one as two."""
 
     range_m: float | None = None
     bearing_deg: float | None = None
+    split: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.split is not None and not 0.0 < self.split < 1.0:
+            raise InputError(f"resolution: split is {self.split}; give a probability, strictly between 0 and 1")
 
 
 @dataclass(frozen=True)
@@ -305,8 +310,7 @@ class Description:
 
     def q_at(self, range_m: ArrayLike, bearing_deg: ArrayLike) -> FloatArray:
         """(n,) probability that an object at this range and bearing is missed: 1 outside the coverage."""
-        q = self.misses.at(range_m)
-        return np.where(self.coverage.covers(range_m, bearing_deg), q, 1.0)
+        return np.where(self.coverage.covers(range_m, bearing_deg), self.misses.at(range_m), 1.0)
 
     def resolved_m(self, range_m: ArrayLike) -> FloatArray:
         """(n,) how near two objects at this range may be to be shown as two: a of the close-objects rule.
@@ -379,20 +383,17 @@ def _unknown(source: str, key: str, known: list[str], where: str = "") -> str:
 
 def _require_numbers(source: str, section: str, part: Any) -> None:
     """All numbers of a part are finite and none is negative."""
-    for f in fields(part):
-        value = getattr(part, f.name)
-        if value is None:
-            continue
+    said = {f.name: value for f in fields(part) if (value := getattr(part, f.name)) is not None}
+    for field, value in said.items():
         try:
             numbers = np.asarray(value)
-            signed = f.name in ("sector_deg", "shadows_deg", "height_m") or section == "calibration"
+            signed = field in ("sector_deg", "shadows_deg", "height_m") or section == "calibration"
             good = numbers.dtype.kind in "iuf" and bool(np.isfinite(numbers).all() and (signed or (numbers >= 0).all()))
         except (TypeError, ValueError):
             good = False
         if not good:
-            raise InputError(f"{source}: {section}.{f.name} is {value!r}; give numbers of zero or more")
+            raise InputError(f"{source}: {section}.{field} is {value!r}; give numbers of zero or more")
     shapes = {"sector_deg": (2,), "shadows_deg": (len(getattr(part, "shadows_deg", ())), 2)}
     for name, shape in shapes.items():
-        value = getattr(part, name, None)
-        if value and np.shape(value) != shape:
-            raise InputError(f"{source}: {section}.{name} is {value!r}; give (from, to) in degrees, clockwise")
+        if said.get(name) and np.shape(said[name]) != shape:
+            raise InputError(f"{source}: {section}.{name} is {said[name]!r}; give (from, to) in degrees, clockwise")

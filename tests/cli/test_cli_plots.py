@@ -1,0 +1,146 @@
+"""``sameas picture`` on plots without names: objects are followed from look to look, through misses and clutter."""
+
+import csv
+import json
+import re
+
+import numpy as np
+import pytest
+
+from browser import CHROMIUM, Browser
+from sameas.io import read_table
+
+START = 1714605000.0  # 2024-05-01 23:10 UTC
+UNTIL_S = 60.0
+SENSORS = {"lidar": (2.0, 0.5), "radar": (4.0, 1.5)}  # 1σ in metres, seconds between looks
+COURSES = np.array([[-120.0, 6.0], [120.0, -6.0]]), np.array([[4.0, 0.0], [-4.0, 0.0]])
+TOML = """
+[sources.{name}]
+kind = "{kind}"
+site = {{ east_m = 0, north_m = 0 }}
+coverage = {{ range_m = 500 }}
+motion = {{ acceleration_m2_per_s3 = 0.02, speed_m_per_s = 4 }}
+misses = {{ q = 0.2 }}
+clutter = {{ per_km2 = 11 }}
+errors = {{ position_m = {sigma_m}, extent_m = 0 }}
+timing = {{ period_s = {period_s}, latency_sigma_s = 0 }}
+resolution = {{ split = 0.02 }}
+"""
+
+
+@pytest.fixture(scope="module")
+def quay(tmp_path_factory):
+    """Bare plots of a lidar and a radar: two boats that pass each other 12 m apart, one look in five missed, and as
+    many false plots as true ones."""
+    folder, rng = tmp_path_factory.mktemp("quay"), np.random.default_rng(4)
+    for name, (sigma_m, period_s) in SENSORS.items():
+        rows = []
+        for t in np.arange(0.0, UNTIL_S, period_s).tolist():
+            place = (COURSES[0] + t * COURSES[1])[rng.random(2) < 0.8]
+            false = rng.uniform(-300.0, 300.0, (rng.poisson(4), 2))
+            seen = np.vstack([place + sigma_m * rng.standard_normal(place.shape), false])
+            rows += [[START + t, *np.round(plot, 2).tolist()] for plot in seen[rng.permutation(len(seen))]]
+        with open(folder / f"{name}.csv", "w", newline="") as file:
+            csv.writer(file).writerows([["time", "x_m", "y_m"], *rows])
+    kinds = zip(SENSORS.items(), ("lidar", "marine radar"), strict=True)
+    said = [TOML.format(name=name, kind=kind, sigma_m=s, period_s=p) for (name, (s, p)), kind in kinds]
+    (folder / "sensors.toml").write_text("".join(said))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def made(quay, tmp_path_factory):
+    """The picture every five seconds, ten looks of the lidar: what was printed, and the folder."""
+    from typer.testing import CliRunner
+
+    from sameas.cli.app import app
+
+    out = tmp_path_factory.mktemp("made") / "picture"
+    files = [quay / f"{name}.csv" for name in SENSORS]
+    words = ["picture", *files, "-s", quay / "sensors.toml", "-o", out, "--every", "5s"]
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    assert result.exit_code == 0, result.output
+    return result.stdout, out
+
+
+def truth(t):
+    return COURSES[0] + (t - START) * COURSES[1]
+
+
+def confirmed(objects):
+    return objects[np.isin(objects["stage"], ["confirmed", "coasting"])]
+
+
+def test_two_that_pass_each_other_are_confirmed_keep_their_numbers_and_no_false_plot_is(made):
+    _, out = made
+    there = confirmed(read_table(out / "objects.parquet"))
+    there = there[there["time_s"] > START + 5.0]
+    numbers = []
+    for t in np.unique(there["time_s"]).tolist():
+        now = there[there["time_s"] == t].filled(np.nan)
+        place = np.column_stack([now["x_m"], now["y_m"]])
+        off = np.linalg.norm(place[:, None] - truth(t), axis=2)
+        assert off.shape == (2, 2) and off.min(axis=0).max() < 8.0, (t, off)
+        numbers.append(np.asarray(now["object"])[off.argmin(axis=0)].tolist())
+        velocity = np.column_stack([now["vx_m_per_s"], now["vy_m_per_s"]])[off.argmin(axis=0)]
+        if t > START + 15.0:
+            assert np.abs(velocity - COURSES[1]).max() < 1.5, velocity
+    assert len(numbers) >= 10 and len({tuple(pair) for pair in numbers}) == 1 and len(set(numbers[0])) == 2
+    told = json.loads((out / "summary.json").read_text())
+    assert told["confirmed_objects_by_number_of_sources"] == [0, 0, 2]
+    assert told["unconfirmed_objects"] > 20
+    # Misses are counted of what is there, and not of false plots: one look in five, of some twenty.
+    assert told["misses"] and all(one["share"] < 0.5 for one in told["misses"])
+
+
+def test_members_are_plots_of_the_files_and_what_is_remembered_is_none(made, quay):
+    _, out = made
+    objects, records = read_table(out / "objects.parquet"), read_table(out / "identities.parquet")
+    assert set(" ".join(objects["sources"]).split()) == {"lidar", "radar"} == set(records["source"])
+    for text in [*objects["members"], *objects["runner_up"]]:
+        assert re.fullmatch(r"((lidar|radar):\d+( |$))*", text), text
+    unseen = objects["n_sources"] == 0
+    assert set(objects["stage"][unseen]) <= {"coasting", "ended"}
+    assert (np.asarray(objects["members"][unseen]) == "").all()
+    # Every record is in the one object that has it as a member, with the probability that the object has.
+    held = {(t, member): (n, p) for t, n, p, text in zip(
+        objects["time_s"], objects["object"], objects["probability"], objects["members"], strict=True)
+        for member in text.split()}  # fmt: skip
+    assert len(held) == len(records)
+    for t, source, row, number, p in zip(
+        records["time_s"], records["source"], records["row"], records["object"], records["p_object"], strict=True
+    ):
+        assert held[t, f"{source}:{row}"] == (number, p)
+    p_alone = np.asarray(records["p_alone"], float)
+    assert ((p_alone >= 0.0) & (p_alone <= 1.0)).all()
+    alone = {key for key, (n, p) in held.items() if p > 0.99}
+    assert alone
+    # Positions lead back to the lines of the files.
+    with open(quay / "lidar.csv", newline="") as file:
+        lines = [None, *csv.reader(file)]
+    for row in records[records["source"] == "lidar"][:20]:
+        assert float(lines[row["line"]][1]) == pytest.approx(row["x_m"], abs=2.5 * 4.0)
+
+
+def test_it_is_said_that_objects_are_followed_and_what_was_taken_for_how_long(made, sameas, quay, tmp_path):
+    shown, _ = made
+    text = " ".join(shown.split())
+    assert "no source names what it shows: objects are followed from look to look" in text
+    files = [quay / "lidar.csv", quay / "radar.csv"]
+    alone = sameas("picture", *files, "-s", quay / "sensors.toml", "-o", tmp_path / "out", "--every", "20s",
+                   "--no-memory", "--no-map", "--no-image")  # fmt: skip
+    assert "lidar: plots without names, every instant judged alone" in alone.stdout
+    assumed = sameas("picture", files[0], "-o", tmp_path / "assumed", "--at", str(START + 20.0), "--no-map",
+                     "--no-image").stdout  # fmt: skip
+    assert "resolution.split 0.1" in " ".join(assumed.split())
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_the_map_opens_and_tells_why(made, tmp_path):
+    _, out = made
+    browser = Browser(tmp_path / "profile", out / "map.html")
+    try:
+        assert not browser.errors and not [url for url in browser.requests if not url.startswith("file:")]
+        assert browser.js("document.title").startswith("Picture of lidar and radar")
+    finally:
+        browser.close()
