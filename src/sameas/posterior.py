@@ -198,7 +198,7 @@ class _Messages:
         share: FloatArray,
         settled: float,
     ) -> _Messages:
-        from sameas.kernels.posterior import messages
+        from sameas.kernels.messages import messages
 
         claims = np.zeros(len(weight)), np.zeros(len(weight))
         shape = (groups.start, groups.start_1, groups.start_2, groups.edges_1, groups.local_2)
@@ -213,16 +213,22 @@ def _exact(groups: Groups, best: Hypothesis, share: FloatArray, method: NDArray[
 
     most : groups of more records than this on both sides are not tried.
     """
-    from sameas.kernels.posterior import exact
-
-    counted = best.prior.slope is None
-    table = (best.prior.start, best.prior.table, best.multiplier)
+    bounds = groups.bounds(len(threads.even(len(groups.order))) - 1)
     shape = (groups.start, groups.start_1, groups.start_2, groups.local_1, groups.local_2)
-    state = (best.weight, best.chosen, best.dual_1, best.dual_2)
-    threads.over(
-        lambda a, b: exact(a, b, *shape, *state, counted, *table, most, share, method),
-        groups.bounds(len(threads.even(len(groups.order))) - 1),
-    )
+    duals = (best.dual_1, best.dual_2)
+    counted = best.prior.slope is None
+    if counted:
+        method[:] = APPROXIMATE
+    else:
+        from sameas.kernels.posterior import exact
+
+        threads.over(lambda a, b: exact(a, b, *shape, best.weight, *duals, most, share, method), bounds)
+        small = np.minimum(groups.sizes_1, groups.sizes_2) <= most
+    if counted or np.any((method == APPROXIMATE) & small):
+        from sameas.kernels.posterior import exact_by_states
+
+        state = (best.weight, best.chosen, *duals, counted, best.prior.start, best.prior.table, best.multiplier)
+        threads.over(lambda a, b: exact_by_states(a, b, *shape, *state, share, method), bounds)
 
 
 def _local(
@@ -310,7 +316,7 @@ class _Thinned:
 
     def by_neighbourhoods(self, claims: FloatArray) -> FloatArray:
         """Probability of every kept pair from the neighbourhood of its record; ``claims`` are the messages."""
-        from sameas.kernels.posterior import balls, columns_of
+        from sameas.kernels.messages import balls, columns_of
 
         g, best = self.groups, self.best
         share = np.zeros(len(g.order))
