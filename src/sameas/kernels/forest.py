@@ -1,7 +1,7 @@
 """Compiled folding of leaves: a record with one pair left is summed over into its partner, until none is left.
 
-A record that stays without partner counts ``loose``, a pair its odds times the ``scale`` of both records. Where record x
-has one pair left, with y, what is summed over x leaves y the same choices as before, with other numbers,
+A record that stays without partner counts ``loose``, a pair its odds times the ``scale`` of both records. Where record
+x has one pair left, with y, what is summed over x leaves y the same choices as before, with other numbers,
 
     loose_y ← loose_y loose_x + odds_xy scale_x scale_y,   scale_y ← scale_y loose_x.
 
@@ -18,7 +18,7 @@ import numpy as np
 from sameas.kernels.compiled import part
 
 #: Numbers of a record are divided by the greater one where that is above this.
-GREAT = 1e60
+GREAT = 1e15
 
 #: By record, source 1 first: pairs left, exclusive or of their numbers, loose, scale, and the probability of having
 #: a partner nearer to the core, or none. By folded leaf: record, pair, and how the partner's ``loose`` divides in two.

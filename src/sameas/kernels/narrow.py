@@ -17,15 +17,18 @@ from sameas.kernels.compiled import part
 #: Most sums of one problem.
 SUMS = 1 << 20
 #: Problems of more sums than this are laid out from as many records, spread over all, and the least is taken.
-MANY, TRIALS = 512, 8
-#: Sums are divided by their largest where that is not within this factor of 1.
-GREAT = 1e100
+MANY, TRIALS = 2048, 8
+#: After so many steps sums are divided by their largest where that is not within this factor of 1.
+EVERY, GREAT = 4, 1e60
 UNTOUCHED, BESIDE, OPEN, GONE = 0, 1, 2, 3
 
 #: The graph: CSR starts by record, of the neighbours and the pairs with them. The order: the records, their bits, the
-#: starts and sizes of the sums before them, CSR starts of the choices left to them: their bits and pairs. By record
-#: its state while the order is found, its bit, and how many neighbours are left; a list of records; the sums.
-Narrow = namedtuple("Narrow", "start near pair order own begin size first bit choice state bits left active sum")
+#: starts and sizes of the sums before them, CSR starts of the choices left to them: their bits, pairs and
+#: odds. By record, while the order is found, its state, its bit, how many neighbours are left, and how many more
+#: records are open after it; a list of records. The sums.
+Narrow = namedtuple(
+    "Narrow", "start near pair order own begin size first bit choice odds state bits left more active sum"
+)
 
 
 @part
@@ -42,6 +45,8 @@ def narrow(records, pairs):
         np.empty(records + 1, np.int64),
         np.empty(pairs, np.int64),
         np.empty(pairs, np.int64),
+        np.empty(pairs),
+        np.empty(records, np.int64),
         np.empty(records, np.int64),
         np.empty(records, np.int64),
         np.empty(records, np.int64),
@@ -75,33 +80,18 @@ def _laid_out_from(first, n, limit, room):
         room.state[x] = UNTOUCHED
         room.bits[x] = 0
         room.left[x] = room.start[x + 1] - room.start[x]
+        room.more[x] = room.left[x]
     room.active[0] = first
-    actives, used, chosen = 1, np.int64(0), 0
+    actives, used, chosen = np.int64(1), np.int64(0), np.int64(0)
     room.begin[0], room.size[0], room.first[0] = 0, 1, 0
     for t in range(n):
         at = _next(actives, room)
         x = room.active[at]
         actives -= 1
         room.active[at] = room.active[actives]
-        room.state[x] = GONE
         room.order[t], room.own[t] = x, room.bits[x]
         used &= ~room.bits[x]
-        for q in range(room.start[x], room.start[x + 1]):
-            y = room.near[q]
-            if room.state[y] == GONE:
-                continue
-            room.left[y] -= 1
-            if room.state[y] != OPEN:
-                if room.state[y] == UNTOUCHED:
-                    room.active[actives] = y
-                    actives += 1
-                room.state[y] = OPEN
-                actives = _beside(y, actives, room)
-                room.bits[y] = ~used & (used + 1)  # the lowest that is free
-                used |= room.bits[y]
-            room.bit[chosen] = room.bits[y]
-            room.choice[chosen] = room.pair[q]
-            chosen += 1
+        actives, used, chosen = _eliminated(x, actives, used, chosen, room)
         room.first[t + 1] = chosen
         room.begin[t + 1] = room.begin[t] + room.size[t]
         size = np.int64(1)
@@ -114,10 +104,42 @@ def _laid_out_from(first, n, limit, room):
 
 
 @part
+def _eliminated(x, actives, used, chosen, room):
+    """Note the choices that record x has left, and open its neighbours; returns the three counters anew."""
+    # It counted for its neighbours: as one to be opened, or as one that closes with the last of them.
+    step = (1 if room.left[x] == 1 else 0) if room.state[x] == OPEN else -1
+    room.state[x] = GONE
+    for q in range(room.start[x], room.start[x + 1]):
+        y = room.near[q]
+        if room.state[y] == GONE:
+            continue
+        room.more[y] += step
+        room.left[y] -= 1
+        if room.state[y] != OPEN:
+            if room.state[y] == UNTOUCHED:
+                room.active[actives] = y
+                actives += 1
+            room.state[y] = OPEN
+            room.more[y] -= 1
+            actives = _beside(y, actives, room)
+            room.bits[y] = ~used & (used + 1)  # the lowest that is free
+            used |= room.bits[y]
+        if room.left[y] == 1:
+            for p in range(room.start[y], room.start[y + 1]):
+                if room.state[room.near[p]] != GONE:
+                    room.more[room.near[p]] -= 1
+        room.bit[chosen] = room.bits[y]
+        room.choice[chosen] = room.pair[q]
+        chosen += 1
+    return actives, used, chosen
+
+
+@part
 def _beside(y, actives, room):
-    """List the untouched neighbours of a record that opens as next to what is open."""
+    """List the untouched neighbours of a record that opens as next to what is open, for none of which it opens again."""
     for p in range(room.start[y], room.start[y + 1]):
         z = room.near[p]
+        room.more[z] -= 1
         if room.state[z] == UNTOUCHED:
             room.state[z] = BESIDE
             room.active[actives] = z
@@ -128,17 +150,10 @@ def _beside(y, actives, room):
 @part
 def _next(actives, room):
     """Place of the listed record after which fewest are open; of those, with fewest choices, then the first."""
-    best, least = 0, np.int64(1) << 60
+    best, least = np.int64(0), np.int64(1) << 60
     for k in range(actives):
         x = room.active[k]
-        opens = -1 if room.state[x] == OPEN else 0
-        for q in range(room.start[x], room.start[x + 1]):
-            y = room.near[q]
-            if room.state[y] == OPEN:
-                opens -= 1 if room.left[y] == 1 else 0
-            elif room.state[y] != GONE:
-                opens += 1
-        score = 1024 * opens + min(room.left[x], 1000)
+        score = 1024 * room.more[x] + min(room.left[x], 1000)
         if score < least or (score == least and x < room.active[best]):
             best, least = k, score
     return best
@@ -150,76 +165,78 @@ def sum_narrow(n, odds, loose, room, share, open_, taken):
 
     odds of the pairs, ``loose`` of every record to be left alone.
     """
+    for k in range(room.first[n]):
+        room.odds[k] = odds[room.choice[k]]
     room.sum[0] = 1.0
     for t in range(n):
-        _forwards(t, odds, loose[room.order[t]], room)
+        _forwards(t, loose[room.order[t]], room)
+        if t % EVERY == 0:
+            _settle(room.begin[t + 1], room.size[t + 1], room)
     room.sum[room.begin[n]] = 1.0
     for t in range(n - 1, -1, -1):
-        x = room.order[t]
-        open_[x], taken[x] = _backwards(t, odds, loose[x], room, share)
+        _backwards(t, room.order[t], loose, room, share, open_, taken)
+        if t % EVERY == 0:
+            _settle(room.begin[t], room.size[t], room)
 
 
 @part
-def _forwards(t, odds, alone, room):
-    size, own = room.size[t], room.own[t]
-    now = room.sum[room.begin[t] : room.begin[t] + size]
-    then = room.sum[room.begin[t + 1] : room.begin[t + 1] + room.size[t + 1]]
-    then[:] = 0.0
-    for s in range(size):
-        so_far = now[s]
+def _forwards(t, alone, room):
+    value, bit, odds = room.sum, room.bit, room.odds
+    now, then, own = room.begin[t], room.begin[t + 1], room.own[t]
+    low, high = room.first[t], room.first[t + 1]
+    for s in range(then, then + room.size[t + 1]):
+        value[s] = 0.0
+    for s in range(room.size[t]):
+        so_far = value[now + s]
         if so_far == 0.0:
             continue
         if s & own:
-            then[s ^ own] += so_far
+            value[then + (s ^ own)] += so_far
             continue
-        then[s] += so_far * alone
-        for k in range(room.first[t], room.first[t + 1]):
-            if s & room.bit[k] == 0:
-                then[s | room.bit[k]] += so_far * odds[room.choice[k]]
-    _settle(then)
+        value[then + s] += so_far * alone
+        for k in range(low, high):
+            if s & bit[k] == 0:
+                value[then + (s | bit[k])] += so_far * odds[k]
 
 
 @part
-def _backwards(t, odds, alone, room, share):
+def _backwards(t, x, loose, room, share, open_, taken):
     """The sums ahead in the place of those so far; probabilities of the record's pairs, and of being open or taken."""
-    size, own = room.size[t], room.own[t]
+    value, bit, odds = room.sum, room.bit, room.odds
+    now, then, own = room.begin[t], room.begin[t + 1], room.own[t]
     low, high = room.first[t], room.first[t + 1]
-    now = room.sum[room.begin[t] : room.begin[t] + size]
-    then = room.sum[room.begin[t + 1] : room.begin[t + 1] + room.size[t + 1]]
     for k in range(low, high):
         share[room.choice[k]] = 0.0
-    open_, taken = 0.0, 0.0
-    for s in range(size):
-        so_far = now[s]
+    alone, before = 0.0, 0.0
+    for s in range(room.size[t]):
+        so_far = value[now + s]
         if so_far == 0.0:
             continue
         if s & own:
-            now[s] = then[s ^ own]
-            taken += so_far * now[s]
-            continue
-        ahead = alone * then[s]
-        open_ += so_far * ahead
-        for k in range(low, high):
-            if s & room.bit[k] == 0:
-                more = odds[room.choice[k]] * then[s | room.bit[k]]
-                share[room.choice[k]] += so_far * more
-                ahead += more
-        now[s] = ahead
+            ahead = value[then + (s ^ own)]
+            before += so_far * ahead
+        else:
+            ahead = loose[x] * value[then + s]
+            alone += so_far * ahead
+            for k in range(low, high):
+                if s & bit[k] == 0:
+                    more = odds[k] * value[then + (s | bit[k])]
+                    share[room.choice[k]] += so_far * more
+                    ahead += more
+        value[now + s] = ahead
     for k in range(low, high):
-        taken += share[room.choice[k]]
-    total = open_ + taken
+        before += share[room.choice[k]]
     for k in range(low, high):
-        share[room.choice[k]] /= total
-    _settle(now)
-    return open_ / total, taken / total
+        share[room.choice[k]] /= alone + before
+    open_[x], taken[x] = alone / (alone + before), before / (alone + before)
 
 
 @part
-def _settle(value):
-    """Divide by the largest where that gets out of hand."""
+def _settle(begin, size, room):
+    """Divide sums by the largest where that gets out of hand."""
     largest = 0.0
-    for x in value:
-        largest = max(largest, x)
+    for s in range(begin, begin + size):
+        largest = max(largest, room.sum[s])
     if largest > GREAT or 0.0 < largest < 1.0 / GREAT:
-        for s in range(len(value)):
-            value[s] /= largest
+        for s in range(begin, begin + size):
+            room.sum[s] /= largest
