@@ -213,22 +213,16 @@ def _exact(groups: Groups, best: Hypothesis, share: FloatArray, method: NDArray[
 
     most : groups of more records than this on both sides are not tried.
     """
+    from sameas.kernels.posterior import exact, exact_counted
+
     bounds = groups.bounds(len(threads.even(len(groups.order))) - 1)
     shape = (groups.start, groups.start_1, groups.start_2, groups.local_1, groups.local_2)
-    duals = (best.dual_1, best.dual_2)
-    counted = best.prior.slope is None
-    if counted:
-        method[:] = APPROXIMATE
-    else:
-        from sameas.kernels.posterior import exact
-
+    duals, prior = (best.dual_1, best.dual_2), best.prior
+    if prior.slope is not None:
         threads.over(lambda a, b: exact(a, b, *shape, best.weight, *duals, most, share, method), bounds)
-        small = np.minimum(groups.sizes_1, groups.sizes_2) <= most
-    if counted or np.any((method == APPROXIMATE) & small):
-        from sameas.kernels.posterior import exact_by_states
-
-        state = (best.weight, best.chosen, *duals, counted, best.prior.start, best.prior.table, best.multiplier)
-        threads.over(lambda a, b: exact_by_states(a, b, *shape, *state, share, method), bounds)
+    else:
+        state = (best.weight, best.chosen, *duals, prior.start, prior.table, best.multiplier)
+        threads.over(lambda a, b: exact_counted(a, b, *shape, *state, most, share, method), bounds)
 
 
 def _local(

@@ -15,7 +15,7 @@ import numpy as np
 from sameas.kernels.compiled import part
 
 #: Most sums of one problem.
-SUMS = 1 << 20
+SUMS = 1 << 22
 #: Problems of more sums than this are laid out from as many records, spread over all, and the least is taken.
 MANY, TRIALS = 2048, 8
 #: After so many steps sums are divided by their largest where that is not within this factor of 1.
@@ -33,7 +33,7 @@ Narrow = namedtuple(
 
 @part
 def narrow(records, pairs):
-    """Room for groups of at most so many records and pairs."""
+    """Room for groups of at most so many records and pairs; every problem that SUMS allows fits."""
     return Narrow(
         np.empty(records + 1, np.int64),
         np.empty(2 * pairs, np.int64),
@@ -51,15 +51,15 @@ def narrow(records, pairs):
         np.empty(records, np.int64),
         np.empty(records, np.int64),
         np.empty(records, np.int64),
-        np.empty(SUMS),
+        np.empty(min(SUMS, (records + 2) << min(records, 22))),
     )
 
 
 @part
 def arranged(n, room):
     """Find an order that needs few sums, and lay them out; False where there is no room for them."""
-    most = np.int64(SUMS)  # not literals: numba would compile for each of them apart
-    best = np.int64(0)
+    most = len(room.sum)
+    best = np.int64(0)  # not a literal: numba would compile for it apart
     last = best
     least = _laid_out_from(best, n, most, room)
     if least > MANY:
@@ -136,7 +136,7 @@ def _eliminated(x, actives, used, chosen, room):
 
 @part
 def _beside(y, actives, room):
-    """List the untouched neighbours of a record that opens as next to what is open, for none of which it opens again."""
+    """List the untouched neighbours of a record that opens as next to what is open, for which it opens no more."""
     for p in range(room.start[y], room.start[y + 1]):
         z = room.near[p]
         room.more[z] -= 1

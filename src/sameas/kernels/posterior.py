@@ -130,63 +130,48 @@ def exact(first, last, start, start1, start2, local1, local2, weight, u, v, most
 
 
 @kernel
-def exact_by_states(
-    first, last, start, start1, start2, local1, local2, weight, chosen, u, v, counted, table_start, table, slope,
-    share, method,
+def exact_counted(
+    first, last, start, start1, start2, local1, local2, weight, chosen, u, v, table_start, table, slope, most, share,
+    method,
 ):  # fmt: skip
-    """The same as :func:`exact` with any prior, for those groups first … last − 1 whose method is LOCAL.
+    """The same as :func:`exact` under any prior of the count: weight excludes it (see ``assign_counted``).
 
-    With ``counted``, weight excludes the prior and table holds ln P(k) (see ``assign_counted``); else weight is all.
+    table[table_start[g] + k] : ln P of k pairs.
     """
-    widest = np.int64(1)
-    longest = np.int64(1)
-    narrowest = np.int64(1)
+    widest, longest, narrowest = np.int64(1), np.int64(1), np.int64(1)
     for g in range(first, last):
-        n1 = start1[g + 1] - start1[g]
-        n2 = start2[g + 1] - start2[g]
-        if method[g] == LOCAL and min(n1, n2) > 1:
+        n1, n2 = start1[g + 1] - start1[g], start2[g + 1] - start2[g]
+        if 1 < min(n1, n2) <= most:
             widest = max(widest, n1, n2)
             longest = max(longest, start[g + 1] - start[g])
             narrowest = max(narrowest, min(n1, n2))
     work = scratch(longest, widest, narrowest)
     row_start = np.empty(widest + 2, np.int64)
-    column = np.empty(longest, np.int32)
-    pair = np.empty(longest, np.int64)
-    odds = np.empty(longest)
-    part = np.empty(longest)
-    none = np.empty(widest)
-    unused = np.empty(widest)
-    alone = np.empty(widest)
-    single = np.ones(1)
+    column, pair = np.empty(longest, np.int32), np.empty(longest, np.int64)
+    odds, part = np.empty(longest), np.empty(longest)
+    none, unused, alone = np.empty(widest), np.empty(widest), np.empty(widest)
     stamp = np.int64(0)  # not a literal: numba would compile for it apart
     for g in range(first, last):
-        low = start[g]
-        high = start[g + 1]
-        n1 = start1[g + 1] - start1[g]
-        n2 = start2[g + 1] - start2[g]
-        if method[g] != LOCAL:
-            continue
+        low, high = start[g], start[g + 1]
+        n1, n2 = start1[g + 1] - start1[g], start2[g + 1] - start2[g]
+        log_p = table[table_start[g] : table_start[g + 1]]
         if n1 == 1 or n2 == 1:
             method[g] = CLOSED
-            lift = table[table_start[g] + 1] - table[table_start[g]] if counted else 0.0
             for e in range(low, high):
-                share[e] = weight[e] + lift
+                share[e] = weight[e] + log_p[1] - log_p[0]
             star(low, high, share, share)
             continue
-        ug = u[start1[g] : start1[g + 1]]
-        vg = v[start2[g] : start2[g + 1]]
-        prior = single
-        if counted:
-            size = np.int64(0)
-            for e in range(low, high):
-                size += chosen[e]
-            prior = count_factors(table[table_start[g] : table_start[g + 1]], slope[g], size)
-            for e in range(low, high):
-                share[e] = weight[e] + slope[g]
-        weights = share if counted else weight
-        flipped = n2 > n1
-        n, nc = by_row(n1, n2, low, high, local1, local2, weights, ug, vg, flipped, row_start, column, pair, odds,
+        method[g] = LOCAL
+        if min(n1, n2) > most:
+            continue
+        size = np.int64(0)
+        for e in range(low, high):
+            size += chosen[e]
+            share[e] = weight[e] + slope[g]
+        ug, vg = u[start1[g] : start1[g + 1]], v[start2[g] : start2[g + 1]]
+        n, nc = by_row(n1, n2, low, high, local1, local2, share, ug, vg, n2 > n1, row_start, column, pair, odds,
                        none, unused)  # fmt: skip
+        prior = count_factors(log_p, slope[g], size)
         after = eliminate(n, nc, row_start[: n + 1], column, odds, none, unused, prior, part, alone, stamp, work)
         if after < 0:
             stamp += n + 1
