@@ -1,13 +1,14 @@
 """How sure: the probability of every pair, summed over all one-to-one hypotheses of its group (METHOD 5).
 
-Groups in which one record has all the pairs are a closed form. Others are summed exactly by eliminating their records
-one by one, with the count of pairs carried where the prior asks for it; that covers every group of up to about 16
-records on its smaller side and larger ones that are thin, such as chains. From large groups those pairs are left out
-first that are proved to be less probable than 1e-6; most of them fall apart. What is too entangled is thinned further:
-sum-product messages tell which pairs are next to impossible; without those most groups fall apart and are summed as
-before. What is still entangled is approximated: every record is solved exactly together with the records that compete
-with it most, and the messages stand for what lies beyond; by these probabilities it is thinned further, and what falls
-apart then is summed. Which method a group got is part of the result.
+Groups in which one record has all the pairs are a closed form. Under a linear prior others are summed exactly by
+folding records with one pair into their partners and eliminating what remains one by one; under a prior of the count it
+is carried along. That covers every group of up to about 16 records on its smaller side and larger ones that are thin,
+such as trees and chains. From large groups those pairs are left out first that are proved to be less probable than
+1e-6; most of them fall apart. What is too entangled is thinned further: sum-product messages tell which pairs are next
+to impossible; without those most groups fall apart and are summed as before. What is still entangled is approximated:
+every record is solved exactly together with the records that compete with it most, and the messages stand for what lies
+beyond; by these probabilities it is thinned further, and what falls apart then is summed. Which method a group got is
+part of the result.
 """
 
 from __future__ import annotations
