@@ -244,3 +244,60 @@ def test_without_groups_there_is_nothing_to_be_sure_of():
     _, grouped = laid_out(2, 3, set())
     sure = posterior(grouped, assign(grouped, np.empty(0), CommonObjects(0.1, 0.1)(grouped.sizes_1, grouped.sizes_2)))
     assert len(sure.p_pair) == 0 and sum(sure.counts().values()) == 0
+
+
+# ---- leaves, cores, and what is too wide ----
+
+
+def tree(rng, n, extra=0):
+    """A random tree of n records of each source, and ``extra`` more pairs, by which it has cycles."""
+    edges, reached = {(0, 0)}, ([0], [0])
+    for k in range(1, 2 * n - 1):
+        side = k % 2
+        new, old = (k + 1) // 2, int(rng.choice(reached[1 - side][-6:]))
+        edges.add((new, old) if side == 0 else (old, new))
+        reached[side].append(new)
+    while len(edges) < 2 * n - 1 + extra:
+        edges.add((int(rng.integers(n)), int(rng.integers(n))))
+    return {edge: float(rng.normal(1.0, 4.0)) for edge in sorted(edges)}
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("extra", [0, 1, 2, 5])
+def test_trees_and_cores_with_trees_on_them_are_exact(seed, extra):
+    ratios = tree(np.random.default_rng([seed, extra]), 7, extra)
+    expected, _, _ = naive.posterior(7, 7, ratios, lambda k: -0.5 * k)
+    pairs, _, _, sure = solved(7, 7, ratios, PerPair(-0.5))
+    for edge, p in as_table(pairs, sure.p_pair).items():
+        assert p == pytest.approx(expected[edge], rel=1e-9, abs=1e-14)
+
+
+@pytest.mark.parametrize("ratio", [-3.0, 0.2, 3.0])
+def test_chains_and_rings_of_thousands_neither_overflow_nor_underflow(ratio):
+    n = 3000
+    ring = {(k, k): ratio for k in range(n)} | {(k, (k + 1) % n): ratio for k in range(n)}
+    pairs, _, _, sure = solved(n, n, ring, PerPair(0.0))
+    # One pair in ½ (1 − 1 / √(1 + 4 λ)) of the links of an endless chain (monomers and dimers on a line).
+    odds = math.exp(ratio)
+    expected = 0.5 * (1.0 - 1.0 / math.sqrt(1.0 + 4.0 * odds))
+    np.testing.assert_allclose(sure.p_pair, expected, rtol=1e-10)
+    open_chain = {edge: r for edge, r in ring.items() if edge != (n - 1, 0)}
+    pairs, _, _, sure = solved(n, n, open_chain, PerPair(0.0))
+    middle = np.abs(pairs.i - n // 2) < 100
+    np.testing.assert_allclose(sure.p_pair[middle], expected, rtol=1e-10)
+
+
+def test_the_order_of_the_records_changes_no_probability():
+    rng = np.random.default_rng(9)
+    n1, n2, ratios = entangled(rng, 40, 4)
+    turn_1, turn_2 = rng.permutation(n1), rng.permutation(n2)
+    turned = {(int(turn_1[i]), int(turn_2[j])): r for (i, j), r in ratios.items()}
+    swapped = {(j, i): r for (i, j), r in ratios.items()}
+    pairs, _, _, sure = solved(n1, n2, ratios, PerPair(0.0))
+    p = as_table(pairs, sure.p_pair)
+    for a, b, scene, name in (
+        (n1, n2, turned, lambda i, j: (int(turn_1[i]), int(turn_2[j]))), (n2, n1, swapped, lambda i, j: (j, i)),
+    ):  # fmt: skip
+        other_pairs, _, _, other = solved(a, b, scene, PerPair(0.0))
+        theirs = as_table(other_pairs, other.p_pair)
+        np.testing.assert_allclose([theirs[name(*edge)] for edge in p], list(p.values()), rtol=0, atol=1e-12)

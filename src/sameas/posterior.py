@@ -1,13 +1,14 @@
 """How sure: the probability of every pair, summed over all one-to-one hypotheses of its group (METHOD 5).
 
-Groups in which one record has all the pairs are a closed form. Others are summed exactly by eliminating their records
-one by one, with the count of pairs carried where the prior asks for it; that covers every group of up to about 16
-records on its smaller side and larger ones that are thin, such as chains. From large groups those pairs are left out
-first that are proved to be less probable than 1e-6; most of them fall apart. What is too entangled is thinned further:
-sum-product messages tell which pairs are next to impossible; without those most groups fall apart and are summed as
-before. What is still entangled is approximated: every record is solved exactly together with the records that compete
-with it most, and the messages stand for what lies beyond; by these probabilities it is thinned further, and what falls
-apart then is summed. Which method a group got is part of the result.
+Groups in which one record has all the pairs are a closed form. Under a linear prior others are summed exactly by
+folding records with one pair into their partners and eliminating what remains one by one; under a prior of the count it
+is carried along. That covers every group of up to about 16 records on its smaller side and larger ones that are thin,
+such as trees and chains. From large groups those pairs are left out first that are proved to be less probable than
+1e-6; most of them fall apart. What is too entangled is thinned further: sum-product messages tell which pairs are next
+to impossible; without those most groups fall apart and are summed as before. What is still entangled is approximated:
+every record is solved exactly together with the records that compete with it most, and the messages stand for what lies
+beyond; by these probabilities it is thinned further, and what falls apart then is summed. Which method a group got is
+part of the result.
 """
 
 from __future__ import annotations
@@ -198,7 +199,7 @@ class _Messages:
         share: FloatArray,
         settled: float,
     ) -> _Messages:
-        from sameas.kernels.posterior import messages
+        from sameas.kernels.messages import messages
 
         claims = np.zeros(len(weight)), np.zeros(len(weight))
         shape = (groups.start, groups.start_1, groups.start_2, groups.edges_1, groups.local_2)
@@ -213,16 +214,16 @@ def _exact(groups: Groups, best: Hypothesis, share: FloatArray, method: NDArray[
 
     most : groups of more records than this on both sides are not tried.
     """
-    from sameas.kernels.posterior import exact
+    from sameas.kernels.posterior import exact, exact_counted
 
-    counted = best.prior.slope is None
-    table = (best.prior.start, best.prior.table, best.multiplier)
+    bounds = groups.bounds(len(threads.even(len(groups.order))) - 1)
     shape = (groups.start, groups.start_1, groups.start_2, groups.local_1, groups.local_2)
-    state = (best.weight, best.chosen, best.dual_1, best.dual_2)
-    threads.over(
-        lambda a, b: exact(a, b, *shape, *state, counted, *table, most, share, method),
-        groups.bounds(len(threads.even(len(groups.order))) - 1),
-    )
+    duals, prior = (best.dual_1, best.dual_2), best.prior
+    if prior.slope is not None:
+        threads.over(lambda a, b: exact(a, b, *shape, best.weight, *duals, most, share, method), bounds)
+    else:
+        state = (best.weight, best.chosen, *duals, prior.start, prior.table, best.multiplier)
+        threads.over(lambda a, b: exact_counted(a, b, *shape, *state, most, share, method), bounds)
 
 
 def _local(
@@ -310,7 +311,7 @@ class _Thinned:
 
     def by_neighbourhoods(self, claims: FloatArray) -> FloatArray:
         """Probability of every kept pair from the neighbourhood of its record; ``claims`` are the messages."""
-        from sameas.kernels.posterior import balls, columns_of
+        from sameas.kernels.messages import balls, columns_of
 
         g, best = self.groups, self.best
         share = np.zeros(len(g.order))

@@ -43,14 +43,27 @@ def bounds(first, last, start, start1, start2, edges1, local1, local2, weight, c
             if chosen[e]:
                 mate1[local1[e]] = e
                 mate2[local2[e]] = e
+        # Odds of each pair in units of those of the chosen pair of its record 1, and of its record 2.
+        beside1, beside2 = np.zeros(high - low), np.zeros(high - low)
+        for e in range(low, high):
+            if not chosen[e]:
+                a, b = mate1[local1[e]], mate2[local2[e]]
+                if a >= 0:
+                    beside1[e - low] = limited(weight[e] - weight[a])
+                if b >= 0:
+                    beside2[e - low] = limited(weight[e] - weight[b])
+        without1, without2 = inverse(mate1, weight), inverse(mate2, weight)
+        record1, record2 = local1[low:high], local2[low:high]
         others1, others2 = np.empty(n1), np.empty(n2)
         free1, free2 = np.ones(n1), np.ones(n2)
-        over(low, high, local1, local2, weight, chosen, mate1, mate2, free1, free2, others1, others2)
+        over(record1, beside1, record2, free2, others1)
+        over(record2, beside2, record1, free1, others2)
         any1, any2 = others1.copy(), others2.copy()
         for _ in range(SWEEPS):
-            freed(mate1, local2, weight, others2, free1)
-            freed(mate2, local1, weight, others1, free2)
-            over(low, high, local1, local2, weight, chosen, mate1, mate2, free1, free2, others1, others2)
+            freed(mate1, local2, without1, others2, free1)
+            freed(mate2, local1, without2, others1, free2)
+            over(record1, beside1, record2, free2, others1)
+            over(record2, beside2, record1, free1, others2)
         for e in range(low, high):
             a, b = mate1[local1[e]], mate2[local2[e]]
             if chosen[e] or weight[e] > HIGHEST:
@@ -62,15 +75,15 @@ def bounds(first, last, start, start1, start2, edges1, local1, local2, weight, c
                     if local2[s] == j:
                         swapped = math.exp(weight[e] + weight[s] - weight[a] - weight[b])
                 x, y = others2[j], others1[i]
-                total = swapped + math.exp(weight[e] - weight[a] - weight[b])
-                total += x * limited(weight[e] - weight[b]) + y * limited(weight[e] - weight[a])
+                total = swapped + beside1[e - low] * without2[local2[e]]
+                total += x * beside2[e - low] + y * beside1[e - low]
                 total += min(x * any1[i], any2[j] * y) * math.exp(weight[e])
                 bound[e] = min(total, 1.0)
             elif a >= 0:
-                x = math.exp(weight[e] - weight[a]) + others2[local2[a]] * limited(weight[e])
+                x = beside1[e - low] + others2[local2[a]] * limited(weight[e])
                 bound[e] = min(x, 1.0)
             elif b >= 0:
-                x = math.exp(weight[e] - weight[b]) + others1[local1[b]] * limited(weight[e])
+                x = beside2[e - low] + others1[local1[b]] * limited(weight[e])
                 bound[e] = min(x, 1.0)
             else:
                 bound[e] = math.exp(min(weight[e], 0.0))
@@ -83,23 +96,27 @@ def limited(log_odds):
 
 
 @part
-def over(low, high, local1, local2, weight, chosen, mate1, mate2, free1, free2, others1, others2):
-    """Fill Σ λ f over the pairs of each record that are not chosen, in units of the odds of the chosen one."""
-    others1[:] = 0.0
-    others2[:] = 0.0
-    for e in range(low, high):
-        if not chosen[e]:
-            a, b = mate1[local1[e]], mate2[local2[e]]
-            if a >= 0:
-                others1[local1[e]] += limited(weight[e] - weight[a]) * free2[local2[e]]
-            if b >= 0:
-                others2[local2[e]] += limited(weight[e] - weight[b]) * free1[local1[e]]
+def inverse(mate, weight):
+    """(n,) 1 / odds of the chosen pair of each record, 0 where it has none."""
+    without = np.zeros(len(mate))
+    for r in range(len(mate)):
+        if mate[r] >= 0:
+            without[r] = math.exp(-weight[mate[r]])
+    return without
 
 
 @part
-def freed(mate, local, weight, others, free):
+def over(record, beside, partner, free, others):
+    """Fill ``others`` (n,): Σ λ f over the pairs of each record that are not chosen, in units of the chosen one."""
+    others[:] = 0.0
+    for e in range(len(beside)):
+        others[record[e]] += beside[e] * free[partner[e]]
+
+
+@part
+def freed(mate, local, without, others, free):
     """Fill ``free`` (n,) with bounds of the probability of having no partner."""
     for r in range(len(mate)):
         e = mate[r]
         if e >= 0:
-            free[r] = min(1.0, max(math.exp(-weight[e]) + others[local[e]], math.exp(-HIGHEST)))
+            free[r] = min(1.0, max(without[r] + others[local[e]], math.exp(-HIGHEST)))

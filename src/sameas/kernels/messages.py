@@ -1,0 +1,240 @@
+"""Compiled sum-product messages, and exact sums around each record with messages for what lies beyond."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sameas.kernels.compiled import kernel, part
+from sameas.kernels.eliminate import eliminate, scratch
+from sameas.kernels.posterior import LOCAL, bounded_exp
+
+
+@kernel
+def messages(
+    first,
+    last,
+    start,
+    start1,
+    start2,
+    edges1,
+    local2,
+    weight,
+    u,
+    v,
+    method,
+    to_column,
+    to_row_claim,
+    belief,
+    sweeps,
+    settled,
+):
+    """Sum-product messages of the groups left LOCAL.
+
+    to_column (m,) receives the odds with which a row claims a column, to_row_claim (m,) those with which the column
+    claims the row, belief (m,) the probability of each pair by messages alone. At most ``sweeps`` sweeps, fewer when no
+    message changes by more than ``settled``. Returns the largest change in the last sweep.
+    """
+    worst = 0.0
+    for g in range(first, last):
+        if method[g] != LOCAL:
+            continue
+        low = start[g]
+        high = start[g + 1]
+        n1 = start1[g + 1] - start1[g]
+        n2 = start2[g + 1] - start2[g]
+        edges = edges1[start1[g] : start1[g] + n1 + 1]
+        free = np.empty(n2)
+        total = np.empty(n2)
+        largest = np.empty(n2)
+        largest_at = np.empty(n2, np.int64)
+        none = np.empty(n1)
+        to_row = np.ones(high - low)
+        odds = np.empty(high - low)
+        for c in range(n2):
+            free[c] = bounded_exp(-v[start2[g] + c])
+        for r in range(n1):
+            none[r] = bounded_exp(-u[start1[g] + r])
+            for e in range(edges[r], edges[r + 1]):
+                x = weight[e] - u[start1[g] + r] - v[start2[g] + local2[e]]
+                odds[e - low] = math.exp(max(x, -700.0))
+                to_column[e] = 0.0
+        for _ in range(sweeps):
+            change = 0.0
+            for r in range(n1):
+                best = -1
+                rest = none[r]
+                for e in range(edges[r], edges[r + 1]):
+                    if best < 0 or odds[e - low] * to_row[e - low] > odds[best - low] * to_row[best - low]:
+                        best = e
+                for e in range(edges[r], edges[r + 1]):
+                    if e != best:
+                        rest += odds[e - low] * to_row[e - low]
+                top = odds[best - low] * to_row[best - low]
+                for e in range(edges[r], edges[r + 1]):
+                    others = rest if e == best else rest + top - odds[e - low] * to_row[e - low]
+                    new = odds[e - low] / others
+                    change = max(change, abs(new - to_column[e]) / (1.0 + new))
+                    to_column[e] = new
+            for c in range(n2):
+                total[c] = free[c]
+                largest[c] = -1.0
+            for e in range(low, high):
+                if to_column[e] > largest[local2[e]]:
+                    largest[local2[e]] = to_column[e]
+                    largest_at[local2[e]] = e
+            for e in range(low, high):
+                if e != largest_at[local2[e]]:
+                    total[local2[e]] += to_column[e]
+            for e in range(low, high):
+                c = local2[e]
+                others = total[c] if e == largest_at[c] else total[c] + largest[c] - to_column[e]
+                to_row[e - low] = 1.0 / others
+            if change < settled:
+                break
+        worst = max(worst, change)
+        for r in range(n1):
+            total_ = none[r]
+            for e in range(edges[r], edges[r + 1]):
+                total_ += odds[e - low] * to_row[e - low]
+            for e in range(edges[r], edges[r + 1]):
+                to_row_claim[e] = odds[e - low] * to_row[e - low]
+                belief[e] = to_row_claim[e] / total_
+    return worst
+
+
+@kernel
+def columns_of(groups, start, start1, start2, edges1, local2, method):
+    """CSR of the pairs by record of source 2, for the groups left LOCAL: (starts by record of the layout, pairs)."""
+    starts = np.zeros(start2[groups] + 1, np.int64)
+    for g in range(groups):
+        if method[g] == LOCAL:
+            for e in range(start[g], start[g + 1]):
+                starts[start2[g] + local2[e] + 1] += 1
+    for c in range(start2[groups]):
+        starts[c + 1] += starts[c]
+    fill = starts[:-1].copy()
+    pairs = np.empty(starts[-1], np.int64)
+    for g in range(groups):
+        if method[g] == LOCAL:
+            for e in range(start[g], start[g + 1]):
+                pairs[fill[start2[g] + local2[e]]] = e
+                fill[start2[g] + local2[e]] += 1
+    return starts, pairs
+
+
+@kernel
+def balls(
+    first, last, group1, start1, start2, edges1, local1, local2, column_start, column_pairs, weight, u, v, method,
+    to_column, most_rows, most_bits, share,
+):  # fmt: skip
+    """Posterior of the pairs of rows first … last − 1 of the layout whose group was left LOCAL.
+
+    Each row is solved exactly together with the rows that compete with it most, up to ``most_rows`` of them and
+    ``most_bits`` of choices; what lies outside answers by its messages at the border.
+    """
+    longest = 64
+    for r in range(first, last):
+        longest = max(longest, edges1[r + 1] - edges1[r])
+    capacity = longest * (most_rows + 1)
+    work = scratch(np.int64(capacity), np.int64(most_rows), np.int64(capacity))
+    inside = np.empty(most_rows, np.int64)
+    start = np.empty(most_rows + 1, np.int64)
+    column = np.empty(capacity, np.int32)
+    odds = np.empty(capacity)
+    part = np.empty(capacity)
+    none = np.empty(most_rows)
+    alone = np.empty(most_rows)
+    name = np.empty(capacity, np.int64)
+    unused = np.empty(capacity)
+    prior = np.ones(1)
+    stamp = np.int64(0)  # not a literal: numba would compile for it apart
+    for center in range(first, last):
+        g = group1[center]
+        if method[g] != LOCAL:
+            continue
+        base2 = start2[g]
+        count = 1
+        inside[0] = center
+        bits = math.log2(1.0 + edges1[center + 1] - edges1[center])
+        pairs = edges1[center + 1] - edges1[center]
+        while count < most_rows:
+            best = -1
+            strongest = 1e-9
+            for t in range(count):
+                for e in range(edges1[inside[t]], edges1[inside[t] + 1]):
+                    c = base2 + local2[e]
+                    for p in range(column_start[c], column_start[c + 1]):
+                        other = start1[g] + local1[column_pairs[p]]
+                        # A rival's claim counts for as much as the ball's own row can want the column.
+                        claim = min(to_column[column_pairs[p]], 1.0) * min(to_column[e], 1.0)
+                        if claim > strongest:
+                            known = False
+                            for s in range(count):
+                                known = known or inside[s] == other
+                            if not known:
+                                strongest = claim
+                                best = other
+            if best < 0:
+                break
+            degree = edges1[best + 1] - edges1[best]
+            if bits + math.log2(1.0 + degree) > most_bits or pairs + degree > capacity:
+                break
+            bits += math.log2(1.0 + degree)
+            pairs += degree
+            inside[count] = best
+            count += 1
+        nc = 0
+        m = 0
+        for t in range(count):
+            start[t] = m
+            none[t] = bounded_exp(-u[inside[t]])
+            for e in range(edges1[inside[t]], edges1[inside[t] + 1]):
+                c = base2 + local2[e]
+                at = -1
+                for s in range(nc):
+                    if name[s] == c:
+                        at = s
+                if at < 0:
+                    at = nc
+                    name[nc] = c
+                    nc += 1
+                    unused[at] = bounded_exp(-v[c])
+                    for p in range(column_start[c], column_start[c + 1]):
+                        other = start1[g] + local1[column_pairs[p]]
+                        known = False
+                        for s in range(count):
+                            known = known or inside[s] == other
+                        if not known:
+                            unused[at] += to_column[column_pairs[p]]
+                column[m] = at
+                odds[m] = math.exp(max(weight[e] - u[inside[t]] - v[c], -700.0))
+                m += 1
+        start[count] = m
+        after = eliminate(
+            count, nc, start[: count + 1], column, odds, none, unused[:nc], prior, part, alone, stamp, work
+        )
+        if after < 0:
+            stamp += count + 1
+            lonely(center, base2, edges1, local1, local2, column_start, column_pairs, weight, u, v, to_column, share)
+            continue
+        stamp = after
+        for e in range(edges1[center], edges1[center + 1]):
+            share[e] = part[e - edges1[center]]
+
+
+@part
+def lonely(center, base2, edges1, local1, local2, column_start, column_pairs, weight, u, v, to_column, share):
+    """The posterior of one row from its messages alone."""
+    total = bounded_exp(-u[center])
+    for e in range(edges1[center], edges1[center + 1]):
+        c = base2 + local2[e]
+        open_ = bounded_exp(-v[c])
+        for p in range(column_start[c], column_start[c + 1]):
+            if column_pairs[p] != e:
+                open_ += to_column[column_pairs[p]]
+        share[e] = math.exp(max(weight[e] - u[center] - v[c], -700.0)) / open_
+        total += share[e]
+    for e in range(edges1[center], edges1[center + 1]):
+        share[e] /= total
