@@ -377,7 +377,7 @@ def hats(knots: np.ndarray, x: np.ndarray | float) -> np.ndarray:
 def log_odds_but_errors(
     p: float, log_ratio: float, partners: tuple[float, float], profile: float, faint: float, surest: float
 ) -> float:
-    """ln of the odds of a pair without what the errors say: of its p, or of its ratio if its records are free for it."""
+    """ln of the odds of a pair but for its errors: from its p, or from its ratio if its records are free for it."""
     if p > faint:
         p = min(p, surest)
         return math.log(p / (1 - p)) - profile
@@ -387,7 +387,7 @@ def log_odds_but_errors(
 def cells(
     square: np.ndarray, log_odds: np.ndarray, least: float, most: float, nearest: float, reach: float, shape: Pair
 ) -> list[tuple[float, list[tuple[int, float]]]]:
-    """By rising distance: the mean square, and by rising odds (number of pairs, odds at the mean of their logarithms)."""
+    """By rising distance: the mean square, and by rising odds (number of pairs, odds at the mean logarithm)."""
     by_distance: dict[int, dict[int, list[int]]] = {}
     for e in np.flatnonzero(log_odds > least):
         along = (0.5 * math.log(max(square[e], nearest**2)) - math.log(nearest)) / math.log(reach / nearest)
@@ -445,19 +445,22 @@ def learned(
 ):
     """One step of EM for a relation: (offset, scatter, slopes, scales, shares, covariance, mean basis, scatter error).
 
-    sample : (n, 6) difference, its variances, weight, background, first of the others. colours : (n, 2c) with variances.
+    sample : (n, 7) difference, its variances, weight, density if unrelated, first of the others, density if no pair.
+    colours : (n, 2c) with variances.
     """
     offset, scatter, slopes, scales, shares = state[:5]
-    difference, variance, of_first, weight, background, x = sample.T
+    difference, variance, of_first, weight, background, x, chance = sample.T
     c, curve = len(slopes), hats(knots, x)
     basis = np.hstack([curve, colours[:, :c]])
     quoted = variance + (1 - slopes.sum()) ** 2 * of_first + colours[:, c:] @ slopes**2
     total = quoted + (curve @ scatter) ** 2
     residual = difference - basis @ np.append(offset, slopes)
     parts = shares[:-1] * norm.pdf(residual[:, None], 0.0, scales * np.sqrt(total)[:, None])
-    parts *= (weight / (parts.sum(axis=1) + shares[-1] * background))[:, None]
+    unrelated = shares[-1] * background
+    each = weight / (parts.sum(axis=1) + unrelated + chance)
+    parts *= each[:, None]
     own, precise = parts.sum(axis=1), parts @ scales**-2.0
-    precision, number = precise / total, own.sum()
+    precision, number, true = precise / total, own.sum(), own.sum() + unrelated @ each
     inverse = np.linalg.inv(basis.T @ (precision[:, None] * basis) + penalty)
     covariance = inverse * np.sum((precision * residual) ** 2) / precision.sum()
     solved, mean = inverse @ basis.T @ (precision * difference), basis.T @ own / number
@@ -471,8 +474,8 @@ def learned(
     by_knot = share / (tells + drawn)
     moves = (larger * seen - due) * (curve @ by_knot + by_knot @ drawn / tells.sum())
     error = math.sqrt(moves @ moves) / (2 * math.sqrt(share @ scatter**2))
-    counts = np.maximum(parts.sum(axis=0) - priors["allowances"] * math.sqrt(weight.sum()), 1e-3)
-    shares = np.append(counts, weight.sum() - number + priors["unrelated"])
+    counts = np.maximum(parts.sum(axis=0) - priors["allowances"] * math.sqrt(true), 1e-3)
+    shares = np.append(counts, true - number + priors["unrelated"])
     offset, slopes = np.split(solved, [len(knots)])
     return offset, scatter, slopes, scales, shares / shares.sum(), covariance, mean, error
 

@@ -98,7 +98,9 @@ def magnitudes(seed, c):
     difference = 0.3 + 0.02 * (x - 17.0) + colours[:, :c] @ slopes + rng.normal(0.0, 0.1, n)
     difference[rng.uniform(size=n) < 0.1] += 2.0
     quoted = rng.uniform(1e-4, 2e-2, (2, n))
-    sample = np.column_stack([difference, *quoted, weight, rng.uniform(0.02, 0.3, n), x])
+    unrelated = rng.uniform(0.02, 0.3, n)
+    chance = unrelated * rng.choice([0.0, 0.2, 3.0], n)
+    sample = np.column_stack([difference, *quoted, weight, unrelated, x, chance])
     k = len(knots)
     start = (
         np.full(k, 0.2), rng.uniform(0.05, 0.2, k), np.zeros(c), np.array([1.0, 3.0, 10.0]),
