@@ -47,7 +47,7 @@ FEWEST = 50.0
 WITH_BRIGHTNESS = 1
 #: The number of common objects has settled when all changes to come are no more than this share of its standard error,
 #: or, of very few, when it changes by no more than this number.
-SETTLED, SETTLED_NUMBER = 0.1, 0.01
+SETTLED, SETTLED_NUMBER = 0.2, 0.01
 #: At least so much of each change is taken to follow in the next round.
 LEAST_FOLLOWING = 0.25
 
