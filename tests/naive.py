@@ -1,4 +1,4 @@
-"""The slow obvious twin of every stage, straight from the definitions (METHOD 1 to 5).
+"""The slow obvious twin of every stage, straight from the definitions (METHOD 1 to 6).
 
 Nothing here is fast, shared with the library or clever: every function is one formula over one pair, or one
 enumeration of all hypotheses. Use it on a few records to judge what the library says of them.
@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import gammaln, log_ndtr, logsumexp, xlogy
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
 from sameas.records import Records, unpack
 from sameas.space import ARCSEC_PER_RADIAN, Sphere
@@ -364,3 +364,141 @@ def posterior(
         p_none_1[list(set(range(n1)) - {i for i, _ in pairs})] += p
         p_none_2[list(set(range(n2)) - {j for _, j in pairs})] += p
     return p_pair, p_none_1, p_none_2
+
+
+# ---- METHOD 6: what is not known, estimated ----
+
+
+def hats(knots: np.ndarray, x: np.ndarray | float) -> np.ndarray:
+    """(…, k) basis of curves that are straight between knots (k,) and constant beyond them."""
+    return np.stack([np.interp(x, knots, at) for at in np.eye(len(knots))], axis=-1)
+
+
+def log_odds_but_errors(
+    p: float, log_ratio: float, partners: tuple[float, float], profile: float, faint: float, surest: float
+) -> float:
+    """ln of the odds of a pair but for its errors: from its p, or from its ratio if its records are free for it."""
+    if p > faint:
+        p = min(p, surest)
+        return math.log(p / (1 - p)) - profile
+    return log_ratio + sum(math.log(max(1 - x, 1e-30)) for x in partners) - profile
+
+
+def cells(
+    square: np.ndarray, log_odds: np.ndarray, least: float, most: float, nearest: float, reach: float, shape: Pair
+) -> list[tuple[float, list[tuple[int, float]]]]:
+    """By rising distance: the mean square, and by rising odds (number of pairs, odds at the mean logarithm)."""
+    by_distance: dict[int, dict[int, list[int]]] = {}
+    for e in np.flatnonzero(log_odds > least):
+        along = (0.5 * math.log(max(square[e], nearest**2)) - math.log(nearest)) / math.log(reach / nearest)
+        across = (min(log_odds[e], most) - least) / (most - least)
+        row = by_distance.setdefault(int(along * (shape[0] - 1)), {})
+        row.setdefault(int(across * (shape[1] - 1)), []).append(int(e))
+    found = []
+    for _, row in sorted(by_distance.items()):
+        like = [(len(at), math.exp(np.minimum(log_odds[at], most).mean())) for _, at in sorted(row.items())]
+        found.append((float(square[np.concatenate([*row.values()])].mean()), like))
+    return found
+
+
+def log_likelihood(
+    count: np.ndarray, odds: np.ndarray, density: np.ndarray, pseudo: np.ndarray, shares: np.ndarray
+) -> float:
+    """Σ count ln(1 + odds · Σ_k density_k share_k) + Σ pseudo_k ln share_k; count, odds (n,), density (n, k)."""
+    return float(count @ np.log1p(odds * (density @ shares)) + xlogy(pseudo, shares).sum())
+
+
+def likeliest(count: np.ndarray, odds: np.ndarray, density: np.ndarray, pseudo: np.ndarray, steps: int) -> np.ndarray:
+    """(k,) shares that make this the greatest, by EM from equal shares on."""
+    shares = np.full(len(pseudo), 1 / len(pseudo))
+    for _ in range(steps):
+        expected = (count * odds / (1 + odds * (density @ shares))) @ density * shares + pseudo
+        shares = expected / expected.sum()
+    return shares
+
+
+def log_magnitude_density(
+    y: float, variance: float, others: np.ndarray, other_variance: np.ndarray, knots: np.ndarray, relation: tuple,
+    background: float,
+) -> float:  # fmt: skip
+    """ln p of a magnitude given others (1 + c,); relation: offset, scatter, slopes, centres, scales, shares."""
+    offset, scatter, slopes, centres, scales, shares = relation
+    basis = hats(knots, others[0])
+    mean = others[0] + basis @ offset + slopes @ (others[1:] - others[0] - centres)
+    moves = np.append(1 - slopes.sum(), slopes)  # the mean, by each of the others
+    sigma = math.sqrt((basis @ scatter) ** 2 + variance + moves**2 @ other_variance)
+    return math.log(shares[:-1] @ norm.pdf(y, mean, scales * sigma) + shares[-1] * background)
+
+
+def weighted_medians(values: np.ndarray, weight: np.ndarray, nearest: np.ndarray, k: int) -> list[float]:
+    """Of the values nearest to each of k knots, NaN where there are none; and of all."""
+    medians = []
+    for these in [*(nearest == at for at in range(k)), np.full(len(values), True)]:
+        order = np.argsort(values[these], kind="stable")
+        below = np.cumsum(weight[these][order])
+        medians.append(values[these][order][np.argmax(below >= below[-1] / 2)] if these.any() else math.nan)
+    return medians
+
+
+def learned(
+    sample: np.ndarray, colours: np.ndarray, knots: np.ndarray, state: tuple, penalty: np.ndarray, priors: dict
+):
+    """One step of EM for a relation: (offset, scatter, slopes, scales, shares, covariance, mean basis, scatter error).
+
+    sample : (n, 7) difference, its variances, weight, density if unrelated, first of the others, density if no pair.
+    colours : (n, 2c) with variances.
+    """
+    offset, scatter, slopes, scales, shares = state[:5]
+    difference, variance, of_first, weight, background, x, chance = sample.T
+    c, curve = len(slopes), hats(knots, x)
+    basis = np.hstack([curve, colours[:, :c]])
+    quoted = variance + (1 - slopes.sum()) ** 2 * of_first + colours[:, c:] @ slopes**2
+    total = quoted + (curve @ scatter) ** 2
+    residual = difference - basis @ np.append(offset, slopes)
+    parts = shares[:-1] * norm.pdf(residual[:, None], 0.0, scales * np.sqrt(total)[:, None])
+    unrelated = shares[-1] * background
+    each = weight / (parts.sum(axis=1) + unrelated + chance)
+    parts *= each[:, None]
+    own, precise = parts.sum(axis=1), parts @ scales**-2.0
+    precision, number, true = precise / total, own.sum(), own.sum() + unrelated @ each
+    inverse = np.linalg.inv(basis.T @ (precision[:, None] * basis) + penalty)
+    covariance = inverse * np.sum((precision * residual) ** 2) / precision.sum()
+    solved, mean = inverse @ basis.T @ (precision * difference), basis.T @ own / number
+    # What the squares leave beyond the quoted errors, knot by knot, drawn to that of all knots.
+    larger, share = number / max(number - len(mean), 1.0), mean[: len(knots)]
+    seen, due, tells = precise * residual**2 / total**2, own / total, curve.T @ (own / total**2)
+    beyond = curve.T @ (larger * seen - own * quoted / total**2)
+    drawn = priors["pairs"] * tells / number
+    squares = (beyond + drawn * beyond.sum() / tells.sum()) / (tells + drawn)
+    scatter = np.sqrt(np.maximum(squares, priors["scatter"] ** 2))
+    by_knot = share / (tells + drawn)
+    moves = (larger * seen - due) * (curve @ by_knot + by_knot @ drawn / tells.sum())
+    error = math.sqrt(moves @ moves) / (2 * math.sqrt(share @ scatter**2))
+    counts = np.maximum(parts.sum(axis=0) - priors["allowances"] * math.sqrt(true), 1e-3)
+    shares = np.append(counts, true - number + priors["unrelated"])
+    offset, slopes = np.split(solved, [len(knots)])
+    return offset, scatter, slopes, scales, shares / shares.sum(), covariance, mean, error
+
+
+def climbed(
+    magnitude: np.ndarray, log_odds: np.ndarray, shown: np.ndarray, knots: np.ndarray, penalty: np.ndarray,
+    values: np.ndarray, longest: float,
+) -> np.ndarray:  # fmt: skip
+    """(k,) one step of Newton's towards the curve of greatest penalised likelihood."""
+    basis = hats(knots, magnitude)
+    expected = 1 / (1 + np.exp(-(log_odds + basis @ values)))
+    bend = basis.T @ ((expected * (1 - expected))[:, None] * basis) + penalty
+    step = np.linalg.solve(bend, basis.T @ (shown - expected) - penalty @ values)
+    return values + np.clip(step, -longest, longest)
+
+
+def weighed(magnitude: float, share: float, least: float, knots: np.ndarray, values: np.ndarray) -> float:
+    """What ½ ln s − ln(1 − s) gains when s follows the curve; 0 without a magnitude."""
+    if math.isnan(magnitude):
+        return 0.0
+    share = min(max(share, least), 1 - least)
+    before = math.log(share) - math.log(1 - share)
+    after = before + hats(knots, magnitude) @ values
+    # ln s = −ln(1 + e^−x) and ln(1 − s) = −ln(1 + e^x) for the logit x.
+    gains = [np.logaddexp(0, x) - 0.5 * np.logaddexp(0, -x) for x in (before, after)]
+    return float(gains[1] - gains[0])

@@ -18,8 +18,8 @@ from sameas.records import FloatArray
 #: Records per knot of the curve and most knots; how much its logit bends from knot to knot, and how far it strays.
 PER_KNOT, MOST_KNOTS = 100.0, 24
 BEND, FAR = 1.0, 6.0
-#: Newton steps of the first fit, and of each later one, and how far one leads at most.
-FIRST_STEPS, STEPS, LONGEST = 8, 2, 2.0
+#: Newton steps of the first fit, and of each later one at most, how far one leads at most, and what is next to nothing.
+FIRST_STEPS, STEPS, LONGEST, SETTLED = 8, 2, 2.0, 0.05
 #: Shares are kept so far away from 0 and 1.
 LEAST_SHARE = 1e-6
 #: Records in a bin of the reported curve, at least; widths of the bins, mag, and how many there are at most.
@@ -113,7 +113,7 @@ class ShareCurve:
         values, k = start.values.copy(), len(start.knots)
         penalty = roughness(k, BEND) + np.eye(k) / FAR**2
         steps = STEPS if values.any() else FIRST_STEPS
-        climb(magnitude, logit(share), p_partner, start.knots, penalty, values, steps, LONGEST)
+        climb(magnitude, logit(share), p_partner, start.knots, penalty, values, steps, LONGEST, SETTLED)
         return cls(start.knots, values)
 
     def terms(self, magnitude: FloatArray, share: FloatArray, wanted: NDArray[np.integer] | None = None) -> FloatArray:
@@ -124,11 +124,9 @@ class ShareCurve:
         """
         from sameas.kernels.curve import weigh
 
-        terms = np.empty(len(magnitude))
-        if wanted is not None:
-            asked, magnitude = magnitude[wanted], np.full(len(magnitude), np.nan)
-            magnitude[wanted] = asked
-        weigh(magnitude, share, LEAST_SHARE, self.knots, self.values, terms)
+        terms = np.zeros(len(magnitude))
+        wanted = np.arange(len(magnitude)) if wanted is None else wanted
+        weigh(magnitude, share, wanted, LEAST_SHARE, self.knots, self.values, terms)
         return terms
 
 

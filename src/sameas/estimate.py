@@ -39,12 +39,15 @@ from sameas.sample import Setting
 #: The gate opens when this share of the expected true pairs lies beyond 0.7 of its radius (honest errors: 4e-5).
 OPENING = 6e-5
 WIDEST_SIGMAS = 400.0
+#: So far the typical errors may exceed the quoted ones before the gate opens for it: by positions alone, where more
+#: candidates cost little, and with magnitudes; it then still loses only 2e-6.
+EXCEEDED, EXCEEDED_WITH_MAGNITUDES = 1.0, 1.25
 #: The gate does not open for a tail when a record would have more candidates by chance than this, on average,
 CROWDED = 0.5
 #: nor for errors that are quoted too small when it would have more than this.
 MOST_CROWDED = 8.0
 #: A tail of the errors that betters ln of the likelihood by so much, but does not stand out, is looked for farther out.
-#: Then a record may have this many candidates by chance.
+#: Then, and where one stands out, a record may have this many candidates by chance.
 SUSPECTED, SUSPECTED_CROWDED = 1.0, 2.0
 #: Standard deviations by which close candidates must exceed what chance gives, for their errors to be judged.
 SIGNIFICANT = 4.0
@@ -198,17 +201,30 @@ class _Found:
         """Whether errors or magnitudes have been learned from the pairs."""
         return (self.known.learns_errors and self.known.errors != Errors()) or self.known.lessons > 0
 
+    def _chance(self) -> float:
+        """Candidates of a record that are there by chance, if the gate were twice as wide."""
+        pairs = self.known.setting.pairs
+        return self.known.setting.by_chance(self.told) * 2.0**pairs.d
+
+    def is_narrow(self) -> bool:
+        """Whether the gate is too narrow for the typical errors, and opening it is affordable."""
+        if self.gate_sigmas >= WIDEST_SIGMAS or not self.known.learns_errors:
+            return False
+        exceeded = EXCEEDED if self.known.photometry is None else EXCEEDED_WITH_MAGNITUDES
+        needed = _radius(None, self.known.setting.pairs.d) * self.known.errors.typical_scale
+        return exceeded * self.gate_sigmas < needed and self._chance() < MOST_CROWDED
+
     def must_open(self) -> bool:
         """Whether the outermost part of the gate still holds true pairs, and opening it is affordable."""
         pairs, limit, common = self.known.setting.pairs, self.gate_sigmas, float(self.told.sum())
         if limit >= WIDEST_SIGMAS or not self.known.learns_errors:
             return False
-        chance = self.known.setting.by_chance(self.told) * 2.0**pairs.d
-        if chance < MOST_CROWDED and limit < _radius(None, pairs.d) * self.known.errors.typical_scale:
+        if self.is_narrow():
             return True
+        chance = self._chance()
         if SUSPECTED < self.known.tail < STANDING_OUT and chance < SUSPECTED_CROWDED:
             return True  # what lies farther out decides whether it is one
-        if chance > CROWDED:
+        if chance > (SUSPECTED_CROWDED if self.known.tail >= STANDING_OUT else CROWDED):
             return False
         beyond = float(self.told[pairs.mahalanobis_sq > (0.7 * limit) ** 2].sum())
         return beyond > 1.0 + OPENING * common
@@ -241,12 +257,22 @@ class _Search:
                 known = Known.nothing(part, errors, seen, self.density, excess)
             else:
                 known = known.at(part, seen)
-            known, told, done, settled = going.settled(known, most - total, self.progress)
-            total += done
-            found = _Found(whole, known, told, limit, total, settled, part.numbers)
+            found = self._in_gate(known, whole, limit, most - total)
+            found = replace(found, rounds=total + found.rounds)
+            known, told, total = found.known, found.told, found.rounds
             if self.gate is not None or total >= most or not found.must_open():
-                return found if not known.lessons else replace(found, known=known.with_lesson(told, last=True))
+                return replace(found, known=known.with_lesson(told, last=True))
+            known = known.with_lesson(told)
             limit = min(2.0 * limit, WIDEST_SIGMAS)
+
+    def _in_gate(self, known: Known, whole: Setting, limit: float, most: int) -> _Found:
+        """The end of at most so many rounds with one gate; of the first where it shows that the gate is too narrow."""
+        known, told, number, settled = going.settled(known, 1, self.progress)
+        found = _Found(whole, known, told, limit, number, settled, known.setting.numbers)
+        if most <= 1 or settled or (self.gate is None and found.is_narrow()):
+            return found
+        known, told, more, settled = going.settled(known.with_lesson(told), most - 1, self.progress)
+        return replace(found, known=known, told=told, rounds=number + more, settled=settled)
 
     def identified(self, found: _Found, most: int) -> tuple[Identification, _Found]:
         """All records identified with what is known; with rounds over all of them, where a sample misled."""
@@ -254,9 +280,9 @@ class _Search:
         answer = self._identified(known)
         if not found.sampled or _as_expected(float(answer.p_pair.sum()), known.expected(), float(found.told.sum())):
             return answer, replace(found, known=known)
-        known = known.learned(answer.p_pair, answer.evidence.log_ratio, brightness=False)
+        known = known.learned(answer.p_pair, answer.evidence.log_ratio)
         known, told, done, settled = going.settled(known, max(most - found.rounds, 5), self.progress)
-        total = found.rounds + done
+        total, known = found.rounds + done, known.with_lesson(told, last=True)
         found = _Found(found.whole, known, told, found.gate_sigmas, total, settled, found.whole.numbers)
         return self._identified(known), found
 
@@ -293,9 +319,8 @@ def _notes(found: _Found, common: float) -> tuple[str, ...]:
     if known.learns_errors and common < FEWEST:
         notes.append(f"too few pairs ({common:.1f}) to judge the errors; the quoted ones are believed")
     if known.photometry is not None and known.photometry.chains is None:
-        early = common >= FEWEST and not known.lessons
-        why = "too few rounds" if early else f"too few pairs with magnitudes of both (of {common:.1f})"
-        notes.append(f"{why} to learn from the magnitudes; they are not used")
+        few = f"too few pairs with magnitudes of both (of {common:.1f})"
+        notes.append(f"{few} to learn from the magnitudes; they are not used")
     return tuple(notes)
 
 

@@ -83,7 +83,8 @@ class Photometry:
 
     def facing(self, pairs: Pairs) -> Photometry:
         """The same, with the magnitudes of these pairs side by side: they are asked for round after round."""
-        return replace(self, known=(pairs, compared(self.sides, pairs)))
+        there = self.known is not None and self.known[0] is pairs
+        return self if there else replace(self, known=(pairs, compared(self.sides, pairs)))
 
     def learned(
         self,
@@ -107,7 +108,7 @@ class Photometry:
         sides = self.known[1] if there and self.known else compared(self.sides, pairs)
         before = self.chains or (None, None)
         forth, back = (
-            _chain(side, these, np.where(telling, p_pair, 0.0), start, last)
+            _chain(side, these, np.where(telling, p_pair, 0.0), start, last=last)
             for side, these, start in zip(self.sides, sides, before, strict=True)
         )
         chains = (forth, back) if any(forth.related) and any(back.related) else None
@@ -162,13 +163,18 @@ def _some(telling: IntArray, enough: int) -> IntArray:
     return telling[strewn < np.uint64(2 ** (32 - halvings))]
 
 
-def _chain(side: Side, these: Compared, weight: FloatArray, before: Chain | None, last: bool) -> Chain:
-    """How the bands of one source follow those of the other, in pairs of these weights (m,)."""
+def _chain(side: Side, these: Compared, weight: FloatArray, before: Chain | None, *, last: bool) -> Chain:
+    """How the bands of one source follow those of the other, in pairs of these weights (m,).
+
+    Those of the first time, without a chain ``before``, are by positions alone.
+    """
     related: list[Mapping[Pattern, Relation]] = []
     for band, (density, comparisons) in enumerate(zip(side.densities, these.bands, strict=True)):
         start = before.related[band] if before else {}
         found = {
-            x.regressors.pattern: _relation(x, weight, density, start.get(x.regressors.pattern), last=last)
+            x.regressors.pattern: _relation(
+                x, weight, density, start.get(x.regressors.pattern), last=last, weighed=before is not None
+            )
             for x in comparisons
         }
         related.append({pattern: relation for pattern, relation in found.items() if relation is not None})
@@ -200,13 +206,14 @@ def _relation(
     start: Relation | None,
     *,
     last: bool = False,
+    weighed: bool = True,
 ) -> Relation | None:
     x = these.regressors
     at = np.flatnonzero(weight[x.rows])
     weight = weight[x.rows[at]]
     if density is None or weight.sum() < FEWEST:
         return None
-    sample = Sample(x.y[at], x.others[at], x.variance[at], x.other_variance[at], weight, these.background[at])
+    sample = Sample(x.y[at], x.others[at], x.variance[at], x.other_variance[at], weight, these.background[at], weighed)
     return fit_relation(sample, density, start, last=last)
 
 

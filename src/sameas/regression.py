@@ -43,7 +43,7 @@ def density_of(magnitude: FloatArray) -> MagnitudeDensity:
     from scipy.ndimage import gaussian_filter1d
 
     n = len(magnitude)
-    low, lower, upper, high = np.quantile(magnitude, [0.0, 0.25, 0.75, 1.0])
+    low, lower, upper, high = np.sort(magnitude)[[0, n // 4, 3 * n // 4, -1]]
     quartiles = (upper - lower) / 1.35
     width = 0.5 * min(x for x in (float(magnitude.std()), quartiles, math.inf) if x > 0.0) * n**-0.2
     width = min(max(width, 0.01), 1.0) if math.isfinite(width) else 0.1
@@ -58,7 +58,11 @@ def density_of(magnitude: FloatArray) -> MagnitudeDensity:
 @dataclass(frozen=True)
 class Sample:
     """Pairs to learn from: y (n,), others (n, 1 + c), the variances of both, the probability of each pair, and the
-    density of y where it is unrelated."""
+    density of y where it is unrelated.
+
+    weighed : whether the probabilities know of the magnitudes. Where they do not, a pair whose magnitudes do not fit
+    is less probable than that, and it does not count as one that is unrelated.
+    """
 
     y: FloatArray
     others: FloatArray
@@ -66,6 +70,7 @@ class Sample:
     other_variance: FloatArray
     weight: FloatArray
     unrelated: FloatArray
+    weighed: bool = True
 
 
 def fit_relation(
@@ -111,7 +116,11 @@ def _improved(sample: Sample, relation: Relation, steps: int) -> Relation:
     from sameas.kernels.relation import learn
 
     x, variance = sample.others[:, 0], sample.other_variance
-    pairs = np.column_stack([sample.y - x, sample.variance, variance[:, 0], sample.weight, sample.unrelated, x])
+    weight, chance = sample.weight, np.zeros(len(x))
+    if not sample.weighed:
+        weight, chance = np.ones(len(x)), sample.unrelated * (1.0 - weight) / weight
+    columns = sample.y - x, sample.variance, variance[:, 0], weight, sample.unrelated, x, chance
+    pairs = np.column_stack(columns)
     colours = np.hstack([sample.others[:, 1:] - x[:, None] - relation.centres, variance[:, 1:]])
     offset, scatter, slopes = relation.offset.copy(), relation.scatter.copy(), relation.slopes.copy()
     shares, error = np.append(relation.shares, relation.unrelated), np.array([relation.scatter_error])

@@ -43,11 +43,11 @@ LEAST_SHARE = 1e-6
 FILLED = 0.15
 #: Fewer expected pairs than this say too little of the errors; the quoted ones are then believed.
 FEWEST = 50.0
-#: Rounds by positions alone before magnitudes are learned from, and rounds with them at least.
-POSITIONS_FIRST, WITH_BRIGHTNESS = 1, 2
+#: Rounds with magnitudes at least.
+WITH_BRIGHTNESS = 1
 #: The number of common objects has settled when all changes to come are no more than this share of its standard error,
 #: or, of very few, when it changes by no more than this number.
-SETTLED, SETTLED_NUMBER = 0.1, 0.01
+SETTLED, SETTLED_NUMBER = 0.2, 0.01
 #: At least so much of each change is taken to follow in the next round.
 LEAST_FOLLOWING = 0.25
 
@@ -181,8 +181,8 @@ class Known:
             to_come.append(abs(self.change) * r**2 / (1.0 - r) <= SETTLED * error)
         return all(to_come) or abs(self.change) <= SETTLED_NUMBER
 
-    def learned(self, p_pair: FloatArray, log_ratio: FloatArray, *, brightness: bool) -> Known:
-        """What a round says of shares and errors, and of magnitudes where these are asked for.
+    def learned(self, p_pair: FloatArray, log_ratio: FloatArray) -> Known:
+        """What a round says of shares and errors; what it says of magnitudes is ``with_lesson``.
 
         p_pair, log_ratio : (m,) probabilities of the pairs, and ln of their odds before one-to-one.
         """
@@ -204,7 +204,7 @@ class Known:
             log_odds = known.log_odds_but_errors(p_pair, log_ratio)
             fit = fit_errors(pairs.mahalanobis_sq, log_odds, pairs.d, self.errors, widest=max(widest, THINKABLE))
             known = replace(known, errors=fit.errors, tail=fit.tail)
-        return known.with_lesson(told) if brightness and self.photometry is not None else known
+        return known
 
     def log_odds_but_errors(self, p_pair: FloatArray, log_ratio: FloatArray) -> FloatArray:
         """(m,) ln of the odds of the pairs but for what the errors say, given how sure their records are of others.
@@ -221,8 +221,9 @@ class Known:
         return out
 
     def with_lesson(self, told: FloatArray, *, last: bool = False) -> Known:
-        """The magnitudes learned from, with pairs of these probabilities (m,)."""
-        assert self.photometry is not None
+        """The magnitudes learned from, where there are any, with pairs of these probabilities (m,)."""
+        if self.photometry is None or self.common < FEWEST:
+            return self
         seen = self.setting.seen
         covered = seen[0] & self.counted[0], seen[1] & self.counted[1]
         lesson: Lesson = (self.setting.pairs, told, self.partner, self.shares(), covered)
@@ -251,6 +252,8 @@ def settled(known: Known, rounds: int, progress: Callable[[str], None]) -> tuple
     done, number = False, 0
     told = np.empty(0)
     while not done and number < max(rounds, 1):
+        if number:
+            known = known.with_lesson(told)
         number += 1
         progress(f"estimation, round {number}")
         log_ratio = known.rule()(setting.pairs).log_ratio
@@ -263,10 +266,10 @@ def settled(known: Known, rounds: int, progress: Callable[[str], None]) -> tuple
                 "the errors are far larger than the spacing of the records; are the errors in the unit that was "
                 "understood?"
             )
-        known = known.learned(p_pair, log_ratio, brightness=number >= POSITIONS_FIRST)
+        known = known.learned(p_pair, log_ratio)
         done = known.settled(before)
         # The magnitudes must have had their say.
-        done &= known.photometry is None or common < FEWEST or known.lessons > WITH_BRIGHTNESS
+        done &= known.photometry is None or common < FEWEST or known.lessons >= WITH_BRIGHTNESS
     return known, told, number, done
 
 

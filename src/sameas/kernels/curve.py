@@ -38,11 +38,12 @@ def interval(knots, found, x):
 
 
 @kernel
-def climb(magnitude, log_odds, shown, knots, penalty, values, steps, longest):
+def climb(magnitude, log_odds, shown, knots, penalty, values, steps, longest, settled):
     """Newton's steps towards the penalised maximum of the likelihood of ``values`` (k,) at ``knots``, in place.
 
     magnitude, log_odds, shown : (n,) of the records, what their log odds are without the curve, and the probability
-    that they are shown. penalty : (k, k). No value changes by more than ``longest`` in a step.
+    that they are shown. penalty : (k, k). No value changes by more than ``longest`` in a step; when none changes by
+    more than ``settled``, no more steps are taken.
     """
     n, k = len(magnitude), len(knots)
     low, along, found = np.empty(n, np.int64), np.empty(n), directory(knots)
@@ -66,29 +67,25 @@ def climb(magnitude, log_odds, shown, knots, penalty, values, steps, longest):
                 gram[a, b] += weight * t * (1.0 - t)
                 gram[b, a] += weight * t * (1.0 - t)
         solve(gram, step)
+        furthest = 0.0
         for a in range(k):
             values[a] += min(max(step[a, 0], -longest), longest)
-
-
-@part
-def _weight(log_odds):
-    """½ ln s − ln (1 − s) for the share s of these log odds."""
-    half = 0.5 * np.log(1.0 + np.exp(-abs(log_odds)))
-    return half + (log_odds if log_odds > 0.0 else 0.5 * log_odds)
+            furthest = max(furthest, abs(step[a, 0]))
+        if furthest <= settled:
+            break
 
 
 @kernel
-def weigh(magnitude, share, least, knots, values, out):
-    """Fill ``out`` (n,) with what ½ ln s − ln (1 − s) gains when shares (n,) follow the curve; 0 of a NaN magnitude.
+def weigh(magnitude, share, wanted, least, knots, values, out):
+    """Fill ``out`` (n,) at the records ``wanted`` with what ½ ln s − ln (1 − s) gains when shares s (n,) follow the
+    curve: ½ [v + ln (1 − s + s eᵛ)] where its value is v; 0 of a NaN magnitude.
 
     Shares are kept ``least`` away from 0 and 1.
     """
     found = directory(knots)
-    for e in range(len(magnitude)):
+    for e in wanted:
         out[e] = 0.0
         if not np.isnan(magnitude[e]):
             low, high, along = interval(knots, found, magnitude[e])
-            s = min(max(share[e], least), 1.0 - least)
-            before, beyond = np.log(s), np.log(1.0 - s)
-            after = before - beyond + values[low] + along * (values[high] - values[low])
-            out[e] = _weight(after) - (0.5 * before - beyond)
+            s, v = min(max(share[e], least), 1.0 - least), values[low] + along * (values[high] - values[low])
+            out[e] = 0.5 * (v + np.log(1.0 + s * (np.exp(v) - 1.0)))

@@ -58,8 +58,9 @@ def medians(order, values, weight, nearest, out):
 def learn(sample, colours, knots, relation, penalty, priors, steps):
     """Steps of EM, in place, until one changes nothing by more than a share of its standard error, or none are left.
 
-    sample : (n, 6) difference of the magnitude and the first of the others, variances of both, weight, density of the
-    magnitude where it is unrelated, and the first of the others. colours : (n, 2c) other magnitudes minus the first
+    sample : (n, 7) difference of the magnitude and the first of the others, variances of both, weight, density of the
+    magnitude where it is unrelated, the first of the others, and that density times the odds that the pair is none;
+    0 where the weight has these in it. colours : (n, 2c) other magnitudes minus the first
     and their centres, then their variances. knots : (k,) rising. relation : offset and scatter (k,), slopes (c,),
     scales (s,), shares (s + 1,), the last unrelated, covariance (k + c, k + c), mean basis (k + c,), and the error of
     the typical scatter (1,).
@@ -67,7 +68,7 @@ def learn(sample, colours, knots, relation, penalty, priors, steps):
     scatters are drawn to that of all, the least scatter, and the share of a standard error that is nothing.
     """
     offset, scatter, slopes, _, shares, covariance, mean, error = relation
-    k, c, weight = len(offset), len(slopes), np.sum(sample[:, 3])
+    k, c = len(offset), len(slopes)
     share = np.sum(mean[:k])
     typical = np.sqrt(np.sum(mean[:k] * scatter**2) / share) if share > 0.0 else np.inf
     told, hats = np.empty((len(sample), 2)), (np.empty(len(sample), np.int64), np.empty(len(sample)))
@@ -75,7 +76,7 @@ def learn(sample, colours, knots, relation, penalty, priors, steps):
     for e in range(len(sample)):
         hats[0][e], _, hats[1][e] = interval(knots, found, sample[e, 5])
     for _ in range(steps):
-        system, right, owned, counts, excess, wider = _summed(sample, colours, hats, relation, told)
+        system, right, owned, counts, excess, weight, wider = _summed(sample, colours, hats, relation, told)
         number = np.sum(owned[:k])
         inverse = np.eye(k + c)
         solve(system + penalty, inverse)
@@ -100,16 +101,16 @@ def _summed(sample, colours, hats, relation, told):
     """What a step needs of the pairs.
 
     Normal equations (k + c, k + c) and (k + c,); Σ of what is owned · basis (k + c,); counts of the mixture's normals
-    (s,); (3, k) the squares of the residuals, what of them the quoted errors explain, and what they tell, · basis; by
-    how much the residuals scatter more than the mixture says. Fills ``told`` (n, 2): the square of each residual and
-    what it should be, by what it tells of the scatter.
+    (s,); (3, k) the squares of the residuals, what of them the quoted errors explain, and what they tell, · basis; the
+    expected number of pairs; by how much the residuals scatter more than the mixture says. Fills ``told`` (n, 2): the
+    square of each residual and what it should be, by what it tells of the scatter.
     """
     left, upper = hats
     offset, scatter, slopes, scales, shares = relation[:5]
     k, c, normals = len(offset), len(slopes), len(scales)
     gram, right, owned = np.zeros((k + c, k + c)), np.zeros(k + c), np.zeros(k + c)
     counts, excess, parts = np.zeros(normals), np.zeros((3, k)), np.empty(normals)
-    squared, simple, rest = 0.0, 0.0, (1.0 - np.sum(slopes)) ** 2
+    true, squared, simple, rest = 0.0, 0.0, 0.0, (1.0 - np.sum(slopes)) ** 2
     peaks, narrow = shares[:-1] / (scales * np.sqrt(2.0 * np.pi)), 1.0 / scales**2
     for e in range(len(sample)):
         low, along, weight = left[e], upper[e], sample[e, 3]
@@ -125,8 +126,9 @@ def _summed(sample, colours, hats, relation, told):
         for s in range(normals):
             parts[s] = root * peaks[s] * np.exp(half * narrow[s])
             density += parts[s]
-        each = weight / max(density + unrelated, 1e-300)
-        own, precise = weight - unrelated * each, 0.0
+        each = weight / max(density + unrelated + sample[e, 6], 1e-300)
+        own, precise = density * each, 0.0
+        true += own + unrelated * each
         for s in range(normals):
             counts[s] += parts[s] * each
             precise += parts[s] * each * narrow[s]
@@ -154,7 +156,7 @@ def _summed(sample, colours, hats, relation, told):
     for a in range(k + c):
         for b in range(a):
             gram[a, b] = gram[b, a]
-    return gram, right, owned, counts, excess, squared / simple
+    return gram, right, owned, counts, excess, true, squared / simple
 
 
 @part
