@@ -70,6 +70,10 @@ class Method:
     identity: bool
     memory: bool
 
+    def watch(self) -> Watch:
+        """What the picture begins with; without memory every instant is its own."""
+        return Watch(say=self.say()) if self.memory else Watch(say=self.say(), bound=1.0)
+
     def say(self) -> Callable[[Instant, Past], SetRule]:
         """What counts as evidence at an instant."""
 
@@ -136,7 +140,7 @@ def _made(
         scene, biases = scene.registered()
     pace(counted(len(times), "instant"))
     lines = [line for found in biases for line in found.lines()]
-    picture = Picture.of(scene, times, watch=Watch(say=method.say()), biases=lines, progress=pace)
+    picture = Picture.of(scene, times, watch=method.watch(), biases=lines, progress=pace)
     if not len(picture.records["row"]):
         raise InputError(
             f"no source says anything at {span(times[0], times[-1])}; they speak from {span(*scene.span_s)}: "

@@ -12,6 +12,7 @@ without memory is what ``identify_many`` says of that instant, and memory counts
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -27,19 +28,25 @@ from sameas.gate import ChiSquare
 from sameas.many import identify_many
 from sameas.objects import Objects
 from sameas.observations import records_of
+from sameas.picture.hysteresis import BOUND, held
 from sameas.picture.memory import Past
+from sameas.picture.named import found_in
 from sameas.picture.numbering import Known, Life, Seen, Stages
 from sameas.picture.roll import BoolArray, Roll
 from sameas.picture.states import object_states
 from sameas.reasons import Reasons
 from sameas.records import FloatArray, IntArray, Records
 from sameas.tracks.scene import POSITION, Instant
+from sameas.union import Union
 
 #: What the picture says of an object's identity; and what of it names one object alone.
 TEXTS = ("mmsi", "icao", "callsign", "name", "mode_a", "type")
 NAMES_ONE = ("mmsi", "icao", "callsign")
 #: An object is ambiguous where its records are less probable than this.
 CERTAIN = 0.95
+
+#: Why an object is shown that is not in the most probable answer.
+STAYS = "it stays what it was until something else is much more probable"
 
 #: What an instant and the past say of the records.
 Say = Callable[[Instant, Past], SetRule]
@@ -59,16 +66,23 @@ class Watch:
     say : what counts as evidence. ``lambda now, past: now.belief() + past.rule()`` leaves identities out,
         ``lambda now, past: now.belief() + now.identity()`` judges every instant alone.
     past : what is remembered of tracks; give one to change how long their errors last.
+    bound : of the odds at which records change their company (:mod:`sameas.picture.hysteresis`); 1 for the most
+        probable answer of every instant, whatever was shown before.
     stages : when objects are confirmed. gate : of ``identify_many``.
     known, called : objects and their texts; filled in from instant to instant.
     """
 
     say: Say = all_that_is_said
     past: Past = field(default_factory=Past)
+    bound: float = BOUND
     stages: Stages = field(default_factory=Stages)
     gate: ChiSquare = field(default_factory=ChiSquare)
     known: Known = field(default_factory=Known)
     called: Mapping[int, NDArray[Any]] = field(default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        if not 1.0 <= self.bound < math.inf:
+            raise InputError(f"Watch: bound is {self.bound}; give odds of 1 or more")
 
     def advance(self, now: Instant) -> Moment:
         """The picture at an instant not before the last.
@@ -81,15 +95,28 @@ class Watch:
         roll = self.past.loosened(Roll.of(heard), _per_m2(now))
         heard, past = roll.now, self.past.on(roll)
         found = self._found(heard, past)
-        members = np.full((0, len(heard.sources)), -1)
+        members, kept = np.full((0, len(heard.sources)), -1), np.zeros(0, bool)
         if found is not None:
+            was = self._was(found.union, roll, past)
+            found, kept = held(found, was, math.log(self.bound))
             members, past = roll.places(found.members[:, : len(heard.sources)]), past.met(found.union)
         texts = {name: roll.texts(name) for name in TEXTS}
         seen = self._seen(roll, members, found, past, texts)
         past = past.proved(seen.tracks[_together(members, found, self.stages)])
         known = self.known.on(now.instant_s, seen, _per_m2(now), self.stages)
         called = self._called(roll, members, texts, known)
-        return Moment(now, roll, found, members, seen, replace(self, past=past, known=known, called=called))
+        return Moment(now, roll, found, members, kept, seen, replace(self, past=past, known=known, called=called))
+
+    def _was(self, union: Union, roll: Roll, past: Past) -> IntArray:
+        """(records,) the object of the last instant that each record of the union belongs to by its track, −1 for
+        those whose track was not there."""
+        track = past.tracks.on_roll
+        was = np.where(found_in(self.past.tracks.number, track) >= 0, self.known.belonging.last_of(track), 0)
+        out = np.full(len(union), -1)
+        for s, (given, source) in enumerate(zip(union.given, union.sources, strict=True)):
+            if given + 1 < len(roll.start):
+                out[union.start[s] : union.start[s + 1]] = was[roll.find(given, records_of(source).rows)]
+        return np.where(out > 0, out, -1)
 
     def _found(self, heard: Instant, past: Past) -> Objects | None:
         """The objects of an instant; None where nobody says anything."""
@@ -178,6 +205,7 @@ class Moment:
     now : the instant. roll : the records of the sources that say anything.
     found : what ``identify_many`` found, None where nobody says anything.
     members : (n, S) records on the roll of each object found, −1 for none. seen : what it is recognised by.
+    kept : (n,) whether it is shown only since it was so at the last instant (:mod:`sameas.picture.hysteresis`).
     watch : what the picture carries on.
     """
 
@@ -185,6 +213,7 @@ class Moment:
     roll: Roll
     found: Objects | None
     members: IntArray
+    kept: BoolArray
     seen: Seen
     watch: Watch
 
@@ -275,7 +304,8 @@ class Moment:
             )
             for rival in reasons.rivals
         )  # fmt: skip
-        return replace(reasons, number=number, rivals=rivals)
+        stays = STAYS if self.kept[at[0]] else ""
+        return replace(reasons, number=number, rivals=rivals, stays=stays)
 
     @cached_property
     def _names(self) -> Mapping[tuple[str, Any], tuple[str, str]]:
