@@ -27,7 +27,7 @@ from sameas.records import FloatArray, IntArray
 from sameas.sets import Sets
 
 #: b: how many times as probable per link. Taken.
-BOUND = 8.0
+BOUND = 4.0
 #: Of the search for the best partition in one group.
 TIME_LIMIT_S = 10.0
 
