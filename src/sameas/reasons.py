@@ -65,6 +65,7 @@ class Reasons:
     number : of the object. group, records : the number of its group, and how many records that has.
     exact : whether the probabilities are sums over all partitions of the group.
     rivals : every set that has one of the object's records, itself among them, the most probable first.
+    stays : why it is shown though another answer is more probable; "" where none is.
     """
 
     number: int
@@ -72,6 +73,7 @@ class Reasons:
     records: int
     exact: bool
     rivals: tuple[Rival, ...]
+    stays: str = ""
 
     @property
     def chosen(self) -> Rival:
@@ -196,7 +198,8 @@ def _lines(x: Reasons) -> list[str]:
     if other is None:
         return [*lines, "Nothing else is possible."]
     if other.probability > chosen.probability:
-        lines += ["", f"By itself {other} is more probable; the answer is the most probable for all records together."]
+        why = x.stays or "the answer is the most probable for all records together"
+        lines += ["", f"By itself {other} is more probable; {why}."]
     total = chosen.log_odds - other.log_odds
     lines += ["", f"Against the runner-up, {other}: log-odds {total:+.2f}, of which {_said(x.against_runner_up)}."]
     if other.taken:

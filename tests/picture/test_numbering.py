@@ -11,7 +11,7 @@ from sameas.picture import Picture, Stages, Watch, instants, moments
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Feed, Scene
 
-ALONE = Watch(say=lambda now, past: now.belief() + now.identity())
+ALONE = Watch(say=lambda now, past: now.belief() + now.identity(), bound=1.0)
 
 
 def memberships(picture):

@@ -83,8 +83,10 @@ class Method:
         return rule
 
     def watch(self, scene: Scene) -> Watch | Lookout:
-        """What the picture carries from instant to instant."""
-        return Lookout() if self.memory and nameless(scene) else Watch(say=self.say())
+        """What the picture carries from instant to instant; without memory every instant is its own."""
+        if not self.memory:
+            return Watch(say=self.say(), bound=1.0)
+        return Lookout() if nameless(scene) else Watch(say=self.say())
 
 
 def run(

@@ -8,8 +8,9 @@ and leaves open
 
     D = (s² I + v vᵀ) ⊗ [t²/3, t/2; t/2, 1],   t the report's age.
 
-Which report was followed by one is told by tracks of other sources that have been with it so far: it is where its own
-foretelling and D together make them much more probable than its own alone. Its position stays what its source said;
+Which report was followed by one is told by the tracks of other sources that have been with it so far, one of each
+source: where they together are more probable with D than without, by more than the odds against a manoeuvre. A radar
+that is too coarse to see it does not outvote one that does. Its position stays what its source said;
 only its covariance grows, and evidence, memory and fused states find it as uncertain as it is.
 """
 
@@ -29,7 +30,8 @@ from sameas.records import FloatArray, IntArray, Records
 
 #: Between two manoeuvres of an object, on average. Taken.
 EVERY_S = 600.0
-#: ln r of the past from which a track is believed to have been with another.
+#: A track may be another's although so much less probable, in ln r, than a stranger by their places alone: that sources
+#: would have missed both speaks for it, too.
 TOGETHER = math.log(20.0)
 
 
@@ -39,7 +41,7 @@ def loosened(roll: Roll, tracks: NamedTracks, couples: Couples, said: FloatArray
     tracks, couples : of the instant before. said : (k,) ln r of the couples then.
     """
     a, b = (_places(roll, tracks, number) for number in (couples.first, couples.second))
-    there = (a >= 0) & (b >= 0) & (said + couples.now >= math.log(per_m2))
+    there = (a >= 0) & (b >= 0) & (said + couples.now >= math.log(per_m2) - TOGETHER)
     a, b, said = a[there], b[there], said[there]
     if not len(a):
         return roll
@@ -49,12 +51,18 @@ def loosened(roll: Roll, tracks: NamedTracks, couples: Couples, said: FloatArray
     with np.errstate(divide="ignore"):
         # ln of the odds that there was a manoeuvre since the report.
         log_odds = np.log(np.expm1(np.maximum(roll.now.instant_s - roll.time_s, 0.0) / EVERY_S))
-    foretold, left = said + usual, np.zeros(len(roll), bool)
-    for own in (a, b):
-        moved, _ = log_normal(delta, spread + open_[own, :2, :2])
-        # Neither has a rival that explains the other without a manoeuvre.
-        best = np.maximum(_most(own, foretold), Rivals.of(a, b, roll.source[a], roll.source[b]).most(foretold))
-        left[own[log_odds[own] + said + moved > best]] = True
+    foretold = said + usual
+    best = Rivals.of(a, b, roll.source[a], roll.source[b]).most(foretold)
+    # Either of the two may be the one that was left behind.
+    own, other, k = np.append(a, b), np.append(b, a), np.tile(np.arange(len(a)), 2)
+    moved, _ = log_normal(delta[k], spread[k] + open_[own, :2, :2])
+    gone = log_odds[own] + said[k] + moved
+    likely = np.maximum(foretold[k], gone)
+    partner = likely == _most(own * len(roll.start) + roll.source[other], likely)
+    told = np.bincount(own[partner], (moved - usual[k])[partner], len(roll)) + log_odds
+    left = np.zeros(len(roll), bool)
+    # No rival explains the other without a manoeuvre, and its partners in all sources together say that there was one.
+    left[own[(gone > best[k]) & (told[own] > 0.0)]] = True
     return _with(roll, np.where(left[:, None, None], open_, 0.0)) if left.any() else roll
 
 

@@ -12,6 +12,7 @@ without memory is what ``identify_many`` says of that instant, and memory counts
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -26,7 +27,10 @@ from sameas.evidence.identity import Alarm
 from sameas.gate import ChiSquare
 from sameas.many import identify_many
 from sameas.objects import Objects
+from sameas.observations import records_of
+from sameas.picture.hysteresis import BOUND, held
 from sameas.picture.memory import Past
+from sameas.picture.named import found_in
 from sameas.picture.numbering import Known, Life, Seen, Stages
 from sameas.picture.roll import BoolArray, Roll
 from sameas.picture.shown import Shown, ShownNow
@@ -34,6 +38,7 @@ from sameas.picture.states import ObjectStates, object_states
 from sameas.reasons import Name, Reasons
 from sameas.records import FloatArray, IntArray, Records
 from sameas.tracks.scene import POSITION, Instant
+from sameas.union import Union
 
 if TYPE_CHECKING:
     from sameas.picture.lookout import Followed, Lookout
@@ -45,6 +50,9 @@ NAMES_ONE = ("mmsi", "icao", "callsign")
 NOTHING = np.full(len(TEXTS), "", dtype=object)
 #: An object is ambiguous where its records are less probable than this.
 CERTAIN = 0.95
+
+#: Why an object is shown that is not in the most probable answer.
+STAYS = "it stays what it was until something else is much more probable"
 
 #: What an instant and the past say of the records.
 Say = Callable[[Instant, Past], SetRule]
@@ -64,16 +72,23 @@ class Watch:
     say : what counts as evidence. ``lambda now, past: now.belief() + past.rule()`` leaves identities out,
         ``lambda now, past: now.belief() + now.identity()`` judges every instant alone.
     past : what is remembered of tracks; give one to change how long their errors last.
+    bound : of the odds at which records change their company (:mod:`sameas.picture.hysteresis`); 1 for the most
+        probable answer of every instant, whatever was shown before.
     stages : when objects are confirmed. gate : of ``identify_many``.
     known, called : objects and their texts; filled in from instant to instant.
     """
 
     say: Say = all_that_is_said
     past: Past = field(default_factory=Past)
+    bound: float = BOUND
     stages: Stages = field(default_factory=Stages)
     gate: ChiSquare = field(default_factory=ChiSquare)
     known: Known = field(default_factory=Known)
     called: Mapping[int, NDArray[Any]] = field(default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        if not 1.0 <= self.bound < math.inf:
+            raise InputError(f"Watch: bound is {self.bound}; give odds of 1 or more")
 
     def advance(self, now: Instant) -> Moment:
         """The picture at an instant not before the last.
@@ -86,8 +101,12 @@ class Watch:
         roll = self.past.loosened(Roll.of(heard), _per_m2(now))
         heard, past = roll.now, self.past.on(roll)
         found = self._found(heard, past)
-        shown = ShownNow(roll, found)
-        members, past = shown.members, past if found is None else past.met(found.union)
+        kept = np.zeros(0, bool)
+        if found is not None:
+            found, kept = held(found, self._was(found.union, roll, past), math.log(self.bound))
+            past = past.met(found.union)
+        shown = ShownNow(roll, found, kept)
+        members = shown.members
         texts = {name: roll.texts(name) for name in TEXTS}
         seen = self._seen(roll, members, found, past, texts)
         past = past.proved(seen.tracks[_together(members, found, self.stages)])
@@ -95,6 +114,17 @@ class Watch:
         called = self._called(roll, members, texts, known)
         carried = replace(self, past=past, known=known, called=called)
         return Moment(now, roll, shown, seen.states, carried)
+
+    def _was(self, union: Union, roll: Roll, past: Past) -> IntArray:
+        """(records,) the object of the last instant that each record of the union belongs to by its track, −1 for
+        those whose track was not there."""
+        track = past.tracks.on_roll
+        was = np.where(found_in(self.past.tracks.number, track) >= 0, self.known.belonging.last_of(track), 0)
+        out = np.full(len(union), -1)
+        for s, (given, source) in enumerate(zip(union.given, union.sources, strict=True)):
+            if given + 1 < len(roll.start):
+                out[union.start[s] : union.start[s + 1]] = was[roll.find(given, records_of(source).rows)]
+        return np.where(out > 0, out, -1)
 
     def _found(self, heard: Instant, past: Past) -> Objects | None:
         """The objects of an instant; None where nobody says anything."""
@@ -268,7 +298,8 @@ class Moment:
             )
             for rival in reasons.rivals
         )  # fmt: skip
-        return replace(reasons, number=number, rivals=rivals)
+        stays = STAYS if self.shown.kept[at[0]] else ""
+        return replace(reasons, number=number, rivals=rivals, stays=stays)
 
     @cached_property
     def _names(self) -> Mapping[Name, Name]:

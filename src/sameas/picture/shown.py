@@ -31,6 +31,7 @@ class Shown(Protocol):
     runner_up : (n, S) the most probable other set that has one of them. p_runner_up : its probability, 0 for none.
     p_alone : (records,) that a record has no partner. group : the group that each object is in.
     names : what to call that which is no record, in explanations.
+    kept : whether one is shown only since it was so at the last instant (:mod:`sameas.picture.hysteresis`).
     """
 
     @property
@@ -47,6 +48,8 @@ class Shown(Protocol):
     def group(self) -> IntArray: ...
     @property
     def names(self) -> Mapping[Name, Name]: ...
+    @property
+    def kept(self) -> BoolArray: ...
 
     def explain(self, row: int) -> Reasons:
         """Why object ``row`` has its records; objects that other records are in are rows, too."""
@@ -59,6 +62,7 @@ class ShownNow:
 
     roll: Roll
     found: Objects | None
+    kept: BoolArray
 
     @cached_property
     def members(self) -> IntArray:
@@ -168,6 +172,11 @@ class ShownAgain:
         """(n,) the group that each object is in."""
         found = self.following.found
         return np.empty(0, np.int64) if found is None else found.group[self.which]
+
+    @property
+    def kept(self) -> BoolArray:
+        """(n,) none: what was before is among the evidence."""
+        return np.zeros(len(self.which), bool)
 
     @cached_property
     def names(self) -> Mapping[Name, Name]:

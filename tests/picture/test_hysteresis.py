@@ -1,0 +1,117 @@
+"""Hysteresis: who is with whom stays while nothing else is much more probable; probabilities stay what they are."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from modelled_scenes import describe, straight, told
+
+from sameas.belief import PoissonObjects
+from sameas.errors import InputError
+from sameas.many import identify_many
+from sameas.picture import Picture, Watch
+from sameas.picture.hysteresis import held
+from sameas.records import Records
+from sameas.tracks.scene import Scene
+
+RULE = PoissonObjects(density=1e-7, q=0.1)
+
+
+def alongside(echo_x_m):
+    """Two vessels 20 m apart that speak, and one echo at x; the records are those of the union."""
+    ais = Records.of([[0.0, 0.0], [20.0, 0.0]], sigma=15.0, source="ais", ids=["left", "right"])
+    radar = Records.of([[echo_x_m, 0.0]], sigma=10.0, source="radar", ids=["echo"])
+    return identify_many([ais, radar], rule=RULE)
+
+
+def company(found):
+    """The AIS that the echo is with."""
+    [members] = found.members[~np.ma.getmaskarray(found.members)[:, 1]]
+    return ("left", "right")[int(members[0])]
+
+
+def was(found, echo_with):
+    """The objects of the last instant: 1 left, 2 right, and the echo with one of them."""
+    out = np.full(len(found.union), -1)
+    for s, source in enumerate(found.union.sources):
+        ids = source.ids[source.rows]
+        objects = {"left": 1, "right": 2, "echo": 1 if echo_with == "left" else 2}
+        out[found.union.start[s] : found.union.start[s + 1]] = [objects[name] for name in ids]
+    return out
+
+
+def test_what_is_even_stays_and_what_is_much_more_probable_is_shown():
+    # ln of the odds of right against left is (x² − (20 − x)²) / 2 (15² + 10²); a move breaks one link.
+    bound = np.log(3.0)
+    for x in np.linspace(-30.0, 50.0, 41):
+        found = alongside(x)
+        odds = (x**2 - (20.0 - x) ** 2) / (2.0 * 325.0)
+        if abs(odds) > 1e-9 and abs(odds - bound) > 0.05:
+            shown, kept = held(found, was(found, "left"), bound)
+            assert company(shown) == ("right" if odds > bound else "left")
+            assert kept.any() == (0.0 < odds < bound)
+            np.testing.assert_array_equal(shown.answer.probability, found.answer.probability)
+            # How much more probable another partition would be is said.
+            assert shown.groups.gap.max() == pytest.approx(odds if kept.any() else 0.0, abs=1e-6)
+    assert company(held(alongside(10.0), was(alongside(10.0), "right"), bound)[0]) == "right"
+
+
+def test_records_that_were_not_there_go_where_they_are_most_probable():
+    found = alongside(14.0)
+    before = was(found, "left")
+    before[[found.union.start[list(found.union.given).index(1)]]] = -1
+    assert company(held(found, before, np.log(1e6))[0]) == company(found) == "right"
+    assert company(held(found, was(found, "left"), 0.0)[0]) == "right"
+
+
+def moored(seed, looks=60):
+    """Two vessels moored side by side, whose AIS is 18 m apart, and the one echo of both under two radars' numbers."""
+    rng = np.random.default_rng(seed)
+    times = 10.0 * np.arange(looks)
+    x, v = straight([[0.0, 0.0], [18.0, 0.0]], np.zeros((2, 2)), times)
+    mmsi = ["235000001", "235000002"]
+    return Scene.of([
+        told(rng, describe("ais", "ais", 15.0, period_s=30.0), times[::3], x[:, ::3], v[:, ::3], 600.0, mmsi,
+             {"mmsi": mmsi}),
+        told(rng, describe("radar", "tracks", 15.0), times, x[:1], v[:1], 30.0, ["7"]),
+        told(rng, describe("coast", "tracks", 25.0), times, x[:1], v[:1], 30.0, ["3"]),
+    ]), times  # fmt: skip
+
+
+def changes(picture):
+    """How often the records that are together are not those of the instant before."""
+    r, out = picture.records, []
+    names = np.array([f"{s} {t}" for s, t in zip(r["source"].tolist(), r["track_id"].tolist(), strict=True)])
+    for time_s in picture.instants_s:
+        here = r["time_s"] == time_s
+        out.append({frozenset(names[here & (r["object"] == number)]) for number in np.unique(r["object"][here])})
+    return sum(a != b for a, b in pairwise(out))
+
+
+def test_an_echo_of_two_vessels_side_by_side_does_not_go_to_and_fro():
+    steady = restless = 0
+    for seed in range(6):
+        scene, times = moored(seed)
+        steady += changes(Picture.of(scene, times))
+        restless += changes(Picture.of(scene, times, watch=Watch(bound=1.0)))
+    assert restless >= 20 and steady <= 0.35 * restless
+
+
+def test_who_is_kept_says_why_and_how_probable_it_is():
+    kept = 0
+    for seed in range(3):
+        watch = Watch()
+        scene, times = moored(seed)
+        for time_s in times:
+            moment = watch.advance(scene.at(time_s))
+            watch = moment.watch
+            for number in moment.number[moment.kept].tolist():
+                kept += 1
+                assert "it stays what it was" in str(moment.explain(number))
+        assert not moment.kept.all()
+    assert kept > 0
+
+
+def test_a_bound_below_even_is_refused():
+    with pytest.raises(InputError, match=r"bound is 0\.5"):
+        Watch(bound=0.5)

@@ -1,0 +1,38 @@
+"""Manoeuvres: a report that its ship has left behind stays hers, whatever a coarse radar cannot see."""
+
+import numpy as np
+from modelled_scenes import describe, told
+
+from sameas.picture import Picture
+from sameas.tracks.scene import Scene
+
+
+def departing(seed):
+    """A ferry that lies still, and leaves with 8 m/s after 62 s; AIS every 60 s, a fine radar and a coarse one."""
+    rng = np.random.default_rng(seed)
+    times = 10.0 * np.arange(18)
+    speed = np.where(times > 62.0, 8.0, 0.0)
+    x = np.zeros((1, 18, 2))
+    x[0, :, 0] = 8.0 * np.maximum(times - 62.0, 0.0)
+    v = np.stack([speed, np.zeros(18)], axis=-1)[None]
+    mmsi = {"mmsi": ["235000001"]}
+    # Others all about, so that it is known how many there are.
+    far = rng.uniform(-4e3, 4e3, (30, 1, 2)) + np.zeros((30, 18, 2))
+    return Scene.of([
+        told(rng, describe("ais", "ais", 15.0, period_s=60.0), times[::6], x[:, ::6], v[:, ::6], 600.0, ["a"], mmsi),
+        told(rng, describe("radar", "tracks", 10.0), times, np.vstack([x, far]), np.vstack([v, 0.0 * far]), 30.0,
+             [str(k) for k in range(31)]),
+        told(rng, describe("coast", "tracks", 60.0), times, x, v, 30.0, ["3"]),
+    ]), times  # fmt: skip
+
+
+def test_a_ferry_that_leaves_her_report_behind_is_not_two():
+    apart = 0
+    for seed in range(8):
+        scene, times = departing(seed)
+        r = Picture.of(scene, times).records
+        for time_s in times:
+            here = r["time_s"] == time_s
+            hers = here & ((r["source"] == "ais") | ((r["source"] == "radar") & (r["track_id"] == "0")))
+            apart += len(set(r["object"][hers].tolist())) > 1
+    assert apart <= 4
