@@ -105,10 +105,10 @@ def test_who_is_kept_says_why_and_how_probable_it_is():
         for time_s in times:
             moment = watch.advance(scene.at(time_s))
             watch = moment.watch
-            for number in moment.number[moment.kept].tolist():
+            for number in moment.number[moment.shown.kept].tolist():
                 kept += 1
                 assert "it stays what it was" in str(moment.explain(number))
-        assert not moment.kept.all()
+        assert not moment.shown.kept.all()
     assert kept > 0
 
 
