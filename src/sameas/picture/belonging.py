@@ -10,12 +10,13 @@ Shares go by the instants that show the track: s ← s e^(−Δt/τ), and 1 − 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from sameas.picture.named import found_in
 from sameas.picture.roll import BoolArray
+from sameas.picture.rows import Rows
 from sameas.records import FloatArray, IntArray
 
 #: τ, seconds. Taken.
@@ -25,13 +26,14 @@ LEAST = 1e-3
 
 
 @dataclass(frozen=True)
-class Belonging:
+class Belonging(Rows):
     """Tracks and objects that they have been of, (k,) each, by ascending track, then object.
 
     track, number : of the track and the object. share : of the last minutes. last : whether it is the object that the
     track was of when it was last shown. unique : whether nobody else bears the track's name. instant_s : the last one.
     """
 
+    WHOLE = frozenset({"instant_s"})
     instant_s: float = -math.inf
     track: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     number: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
@@ -64,10 +66,6 @@ class Belonging:
         more = Belonging(instant_s, track, number, np.where(known, 1.0 - fade, 1.0), np.ones(len(track), bool), unique)
         return old._with(more)
 
-    def take(self, which: IntArray) -> Belonging:
-        """Some of the rows."""
-        return Belonging(self.instant_s, *(getattr(self, name)[which] for name in _COLUMNS))
-
     def of(self, tracks: IntArray) -> tuple[IntArray, IntArray]:
         """(m,) places in ``tracks`` (k,) and (m,) rows here of everything that these tracks have been of."""
         low, high = (np.searchsorted(self.track, tracks, side) for side in ("left", "right"))
@@ -84,13 +82,10 @@ class Belonging:
 
     def _with(self, more: Belonging) -> Belonging:
         """Rows of both, those of one track and object as one."""
-        whole = {name: np.concatenate([getattr(self, name), getattr(more, name)]) for name in _COLUMNS}
-        key = np.column_stack([whole["track"], whole["number"]])
+        whole = self.stacked(more)
+        key = np.column_stack([whole.track, whole.number])
         rows, back = np.unique(key, axis=0, return_inverse=True)
         back, n = back.reshape(-1), len(rows)
-        share = np.asarray(np.bincount(back, whole["share"], n), np.float64)
-        last, unique = (np.bincount(back, whole[name], n) > 0 for name in ("last", "unique"))
+        share = np.asarray(np.bincount(back, whole.share, n), np.float64)
+        last, unique = (np.bincount(back, column, n) > 0 for column in (whole.last, whole.unique))
         return Belonging(self.instant_s, rows[:, 0], rows[:, 1], share, last, unique)
-
-
-_COLUMNS = tuple(f.name for f in fields(Belonging) if f.name != "instant_s")

@@ -13,12 +13,13 @@ Source: METHOD 3.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sameas.picture.named import Step, found_in
+from sameas.picture.rows import Rows
 from sameas.picture.weighing import LEAST_M2, log_normal, looked
 from sameas.records import FloatArray, IntArray
 
@@ -29,7 +30,7 @@ def keys(first: IntArray, second: IntArray) -> IntArray:
 
 
 @dataclass(frozen=True)
-class Couples:
+class Couples(Rows):
     """Couples of tracks at an instant, (k,) each, by ascending numbers of their tracks.
 
     Attributes
@@ -64,13 +65,9 @@ class Couples:
         """(k,) whether couples are among these."""
         return np.asarray(found_in(keys(self.first, self.second), keys(first, second)) >= 0)
 
-    def take(self, which: NDArray) -> Couples:
-        """Some of the couples."""
-        return Couples(*(getattr(self, f.name)[which] for f in fields(self)))
-
     def with_(self, more: Couples) -> Couples:
         """These and others, in order."""
-        both = Couples(*(np.concatenate([getattr(self, f.name), getattr(more, f.name)]) for f in fields(self)))
+        both = self.stacked(more)
         return both.take(np.argsort(keys(both.first, both.second)))
 
     def stepped(self, step: Step, reassigned: float) -> Couples:

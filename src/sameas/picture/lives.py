@@ -18,13 +18,14 @@ Source: Wald 1947, section 3; mixtures of lives with censoring as in McLachlan a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import expit
 
 from sameas.picture.named import KEPT_S, NamedTracks, found_in
 from sameas.picture.roll import BoolArray
+from sameas.picture.rows import Rows
 from sameas.records import FloatArray, IntArray
 
 #: T₀ before any track has died, in looks of the source; and how many tracks that is worth. Taken.
@@ -41,7 +42,7 @@ STEPS = 4
 
 
 @dataclass(frozen=True)
-class Mixture:
+class Mixture(Rows):
     """Of the sources heard so far (s,): T₀ and T₁ in seconds, and T₀ beforehand; share : (s, 2) of the real among the
     tracks that were there first, and among those that began later."""
 
@@ -54,8 +55,7 @@ class Mixture:
         """The same and new sources with these periods (k,)."""
         before, n = FALSE_LOOKS * period_s, len(period_s)
         share = np.tile(ALIKE[0] / ALIKE.sum(axis=0), (n, 1))
-        new = Mixture(before, np.maximum(REAL_S, 10.0 * before), share, before)
-        return Mixture(*(np.concatenate([getattr(self, f.name), getattr(new, f.name)]) for f in fields(Mixture)))
+        return self.stacked(Mixture(before, np.maximum(REAL_S, 10.0 * before), share, before))
 
     def log_odds(self, source: IntArray, later: BoolArray, life_s: FloatArray, ended: BoolArray) -> FloatArray:
         """(n,) ln of the odds that tracks are real."""
@@ -85,7 +85,7 @@ class Mixture:
 
 
 @dataclass(frozen=True)
-class Lives:
+class Lives(Rows):
     """The lives of named tracks, (k,) each, by ascending number.
 
     number, source : of the track, and the place of its source in ``NamedTracks.lasting.names``.
@@ -95,6 +95,7 @@ class Lives:
     known : whether another source has shown it to be real.
     """
 
+    WHOLE = frozenset({"mixture"})
     number: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     source: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     later: BoolArray = field(default_factory=lambda: np.empty(0, bool))
@@ -120,12 +121,10 @@ class Lives:
         last_s = time_s.copy()
         last_s[old] = np.maximum(last_s[old], self.last_s[at[old]])
         n = len(at)
-        shown = (tracks.number, tracks.source, later, first_s, last_s, np.full(n, now_s), np.zeros(n), known)
+        shown = Lives(tracks.number, tracks.source, later, first_s, last_s, np.full(n, now_s), np.zeros(n), known)
         gone = self._gone(np.flatnonzero(found_in(tracks.number, self.number) < 0), tracks, now_s)
-        columns = [np.concatenate(pair) for pair in zip(gone, shown, strict=True)]
-        order = np.argsort(columns[0])
-        whole = {name: column[order] for name, column in zip(_COLUMNS, columns, strict=True)}
-        lives = replace(self, mixture=self._mixture(tracks), **whole)  # type: ignore[arg-type]
+        whole = gone.stacked(shown)
+        lives = replace(whole.take(np.argsort(whole.number)), mixture=self._mixture(tracks))
         life_s, ended = lives.last_s - lives.first_s + lives.later_s, lives.shown_s < now_s
         mixture = lives.mixture
         for _ in range(STEPS):
@@ -146,8 +145,8 @@ class Lives:
         now = self.mixture.log_odds(self.source, self.later, self.last_s - self.first_s, living)
         return np.append(begun, -math.inf)[at], np.append(now - begun, 0.0)[at]
 
-    def _gone(self, which: IntArray, tracks: NamedTracks, now_s: float) -> list[np.ndarray]:
-        """The columns of tracks that are not on the roll, but those that went long ago."""
+    def _gone(self, which: IntArray, tracks: NamedTracks, now_s: float) -> Lives:
+        """The tracks that are not on the roll, but those that went long ago."""
         which = which[now_s - self.shown_s[which] <= KEPT_S]
         just = np.flatnonzero(self.later_s[which] == 0.0)
         later_s = self.later_s[which].copy()
@@ -155,8 +154,7 @@ class Lives:
         silence_s = _silences(tracks)[self.source[which[just]]]
         period_s = self.mixture.before_s[self.source[which[just]]] / FALSE_LOOKS
         later_s[just] = 0.5 * np.maximum(now_s - silence_s - self.last_s[which[just]], period_s)
-        own = (self.number, self.source, self.later, self.first_s, self.last_s, self.shown_s)
-        return [*(column[which] for column in own), later_s, self.known[which]]
+        return replace(self.take(which), later_s=later_s)
 
     def _mixture(self, tracks: NamedTracks) -> Mixture:
         """That of the last instant, with the sources that were not heard before."""
@@ -164,9 +162,6 @@ class Lives:
         new = tracks.lasting.names[len(self.mixture.share) :]
         periods = {d.name: d.timing.period_s or PERIOD_S for d in tracks.roll.now.descriptions}
         return self.mixture.with_sources(np.array([periods[name] for name in new], np.float64))
-
-
-_COLUMNS = tuple(f.name for f in fields(Lives) if f.name != "mixture")
 
 
 def _silences(tracks: NamedTracks) -> FloatArray:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -27,7 +27,7 @@ from scipy.special import logit
 from sameas.errors import InputError
 from sameas.picture.following import Follower, Following
 from sameas.picture.moment import NOTHING, Moment
-from sameas.picture.numbering import COASTING, CONFIRMED, ENDED, TENTATIVE
+from sameas.picture.numbering import COASTING, CONFIRMED, ENDED, TENTATIVE, Numbered
 from sameas.picture.remembered import LEAST
 from sameas.picture.roll import BoolArray, Roll
 from sameas.picture.shown import ShownAgain, says_velocity
@@ -73,7 +73,7 @@ def _period_s(feed: Feed) -> float:
 
 
 @dataclass(frozen=True)
-class Followed:
+class Followed(Numbered):
     """The objects of the picture at an instant, (k,) each, by ascending number; those that end are in it once more.
 
     number, stage, state, covariance, placed, moving, seen : as of :class:`sameas.picture.numbering.Known`.
@@ -104,17 +104,6 @@ class Followed:
         kept = np.flatnonzero((seen >= 0) | real)
         return whole.take(kept[np.argsort(now.number[kept])])
 
-    def take(self, which: IntArray) -> Followed:
-        """Some of the objects."""
-        return Followed(**{f.name: getattr(self, f.name)[which] for f in fields(self)})
-
-    def numbers(self, n_seen: int) -> IntArray:
-        """(n,) the number of each object that a look shows."""
-        out = np.zeros(n_seen, np.int64)
-        here = self.seen >= 0
-        out[self.seen[here]] = self.number[here]
-        return out
-
     def with_ends(self, before: Followed, there: IntArray, dt_s: float, walk_m2_per_s3: float) -> Followed:
         """The same with those that were sure ``dt_s`` before and whose numbers are not among ``there`` any more."""
         over = ((before.stage == CONFIRMED) | (before.stage == COASTING)) & ~np.isin(before.number, there)
@@ -124,8 +113,8 @@ class Followed:
         state, covariance = moved(gone.state, gone.covariance, dt_s, walk_m2_per_s3)
         gone = replace(gone, state=state, covariance=covariance, stage=np.full(len(gone), ENDED),
                        seen=np.full(len(gone), -1))  # fmt: skip
-        columns = {f.name: np.concatenate([getattr(self, f.name), getattr(gone, f.name)]) for f in fields(self)}
-        return Followed(**columns).take(np.argsort(columns["number"]))
+        both = self.stacked(gone)
+        return both.take(np.argsort(both.number))
 
 
 @dataclass(frozen=True)

@@ -21,13 +21,14 @@ Source: METHOD 1; autocorrelated errors of tracks as in Bar-Shalom, Li and Kirub
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from sameas.gate import ChiSquare
 from sameas.picture.lasting import Lasting
 from sameas.picture.roll import BoolArray, Roll
+from sameas.picture.rows import Rows
 from sameas.picture.weighing import growth, looked
 from sameas.records import FloatArray, IntArray
 from sameas.tracks.alignment import moved, stamped_late
@@ -40,7 +41,7 @@ FORETOLD = ChiSquare(1.0 - 1e-9)
 
 
 @dataclass(frozen=True)
-class Step:
+class Step(Rows):
     """What became of tracks that are there at the last instant and at this one, (m,) each, by ascending number.
 
     last : (m, 2) where a track was put at the last instant. moved : (m, 2) the same report, moved to this instant.
@@ -68,10 +69,6 @@ class Step:
     def find(self, number: IntArray) -> IntArray:
         """(k,) where tracks stand in the step, −1 for those that are not in it."""
         return found_in(self.number, number)
-
-    def take(self, which: IntArray) -> Step:
-        """Some of the tracks."""
-        return Step(*(getattr(self, f.name)[which] for f in fields(self)))
 
 
 @dataclass(frozen=True)

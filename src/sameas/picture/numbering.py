@@ -13,7 +13,7 @@ number again.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import logit
@@ -24,6 +24,7 @@ from sameas.picture.belonging import Belonging
 from sameas.picture.continuity import Continuity, InCommon, Motions, NearOrNamed
 from sameas.picture.named import found_in
 from sameas.picture.roll import BoolArray
+from sameas.picture.rows import Rows
 from sameas.picture.states import ObjectStates
 from sameas.records import FloatArray, IntArray, Records
 from sameas.tracks.alignment import aged, moved
@@ -89,8 +90,22 @@ class Seen:
         return len(self.looked)
 
 
+class Numbered(Rows):
+    """Objects of the picture with the ``number`` of each (k,), and which object of the instant it is: ``seen`` (k,)."""
+
+    number: IntArray
+    seen: IntArray
+
+    def numbers(self, n_seen: int) -> IntArray:
+        """(n,) the number of each object of the instant."""
+        out = np.zeros(n_seen, np.int64)
+        here = self.seen >= 0
+        out[self.seen[here]] = self.number[here]
+        return out
+
+
 @dataclass(frozen=True)
-class Known:
+class Known(Numbered):
     """The objects of the picture at an instant, (k,) each, by ascending number; those that end are in it once more.
 
     Attributes
@@ -109,6 +124,7 @@ class Known:
     belonging : which of them tracks have been of.
     """
 
+    WHOLE = frozenset({"instant_s", "given", "belonging"})
     instant_s: float = -np.inf
     given: int = 0
     number: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
@@ -145,17 +161,6 @@ class Known:
             alive.take(left)._unseen(seen, density_per_m2, stages),
         ]
         return parts[0]._joined(parts[1:], instant_s, int(number.max(initial=self.given)))._owning(self, seen)
-
-    def take(self, which: IntArray) -> Known:
-        """Some of the objects."""
-        return replace(self, **{name: getattr(self, name)[which] for name in _COLUMNS})  # type: ignore[arg-type]
-
-    def numbers(self, n_seen: int) -> IntArray:
-        """(n,) the number of each object of the instant."""
-        out = np.zeros(n_seen, np.int64)
-        here = self.seen >= 0
-        out[self.seen[here]] = self.number[here]
-        return out
 
     def _foretold(self, instant_s: float) -> Known:
         """Where the objects should be at a later instant."""
@@ -267,10 +272,8 @@ class Known:
         return replace(self, stage=stage, absent=absent, seen=np.full(len(self), -1))
 
     def _joined(self, others: list[Known], instant_s: float, given: int) -> Known:
-        whole = {name: np.concatenate([getattr(part, name) for part in (self, *others)]) for name in _COLUMNS}
-        order = np.argsort(whole["number"])
-        columns = {name: column[order] for name, column in whole.items()}
-        return replace(self, instant_s=instant_s, given=given, **columns)  # type: ignore[arg-type]
+        whole = self.stacked(*others)
+        return replace(whole.take(np.argsort(whole.number)), instant_s=instant_s, given=given)
 
     def _owning(self, before: Known, seen: Seen) -> Known:
         """The same with whom the tracks of the instant are of."""
@@ -278,9 +281,6 @@ class Known:
         number, alive = self.numbers(len(seen))[np.nonzero(there)[0]], self.number[self.stage != ENDED]
         after = before.belonging.on(self.instant_s, seen.tracks[there], number, seen.unique[there], alive)
         return replace(self, belonging=after)
-
-
-_COLUMNS = tuple(f.name for f in fields(Known) if f.name not in ("instant_s", "given", "belonging"))
 
 
 def _followed(

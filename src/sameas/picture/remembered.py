@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from sameas.evidence import LOG_2PI
 from sameas.gate import ChiSquare
 from sameas.picture.foreknown import KNOWN
+from sameas.picture.rows import Rows
 from sameas.records import FloatArray, IntArray, Records
 from sameas.tracks.alignment import moved
 
@@ -44,7 +45,7 @@ class Sighting:
 
 
 @dataclass(frozen=True)
-class Remembered:
+class Remembered(Rows):
     """Objects, (m,) each.
 
     number : of the object. state, covariance : (m, 4), (m, 4, 4) in the plane. existence : probability that it exists.
@@ -52,6 +53,7 @@ class Remembered:
     apart : (m, m) ln odds by the looks that two objects are two and not one.
     """
 
+    WHOLE = frozenset({"apart"})
     number: IntArray
     state: FloatArray
     covariance: FloatArray
@@ -88,16 +90,13 @@ class Remembered:
 
     def take(self, which: NDArray) -> Remembered:
         """Some of the objects: a mask (m,) or places."""
-        columns = {f.name: getattr(self, f.name)[which] for f in fields(self)}
-        return Remembered(**columns | {"apart": self.apart[which][:, which]})
+        return replace(super().take(which), apart=self.apart[which][:, which])
 
     def with_(self, more: Remembered) -> Remembered:
         """These and others."""
-        columns = {f.name: np.concatenate([getattr(self, f.name), getattr(more, f.name)])
-                   for f in fields(self) if f.name != "apart"}  # fmt: skip
         apart = np.zeros((len(self) + len(more),) * 2)
         apart[: len(self), : len(self)], apart[len(self) :, len(self) :] = self.apart, more.apart
-        return Remembered(**columns, apart=apart)
+        return replace(self.stacked(more), apart=apart)
 
     def moved(self, dt_s: float, walk_m2_per_s3: float, lasting_s: float, memory_s: float) -> Remembered:
         """The objects after dt: gone on, surer that they are gone, and with an older memory."""
