@@ -21,7 +21,7 @@ OBJECTS = """time_s object stage x_m y_m var_x_m2 cov_xy_m2 var_y_m2 vx_m_per_s 
     n_sources sources members runner_up probability p_runner_up label mmsi icao callsign name mode_a type ambiguous"""
 RECORDS = """time_s source row line track_id object p_object p_alone age_s x_m y_m var_x_m2 cov_xy_m2 var_y_m2
     bearing_deg sigma_bearing_deg sensor_x_m sensor_y_m"""
-SOLENT = Path("/work/shared/data/stonesoup_demos/SolentAIS_20160112_130211.csv")
+SOLENT = Path(__file__).parents[2] / ".." / "shared" / "data" / "stonesoup_demos" / "SolentAIS_20160112_130211.csv"
 
 
 def ships(seed=1, n=30, looks=8, names=True):
