@@ -201,33 +201,34 @@ class _Found:
         """Whether errors or magnitudes have been learned from the pairs."""
         return (self.known.learns_errors and self.known.errors != Errors()) or self.known.lessons > 0
 
-    def _chance(self) -> float:
-        """Candidates of a record that are there by chance, if the gate were twice as wide."""
-        pairs = self.known.setting.pairs
-        return self.known.setting.by_chance(self.told) * 2.0**pairs.d
-
-    def is_narrow(self) -> bool:
-        """Whether the gate is too narrow for the typical errors, and opening it is affordable."""
-        if self.gate_sigmas >= WIDEST_SIGMAS or not self.known.learns_errors:
-            return False
-        exceeded = EXCEEDED if self.known.photometry is None else EXCEEDED_WITH_MAGNITUDES
-        needed = _radius(None, self.known.setting.pairs.d) * self.known.errors.typical_scale
-        return exceeded * self.gate_sigmas < needed and self._chance() < MOST_CROWDED
-
     def must_open(self) -> bool:
         """Whether the outermost part of the gate still holds true pairs, and opening it is affordable."""
         pairs, limit, common = self.known.setting.pairs, self.gate_sigmas, float(self.told.sum())
         if limit >= WIDEST_SIGMAS or not self.known.learns_errors:
             return False
-        if self.is_narrow():
+        if _is_narrow(self.known, self.told, limit):
             return True
-        chance = self._chance()
+        chance = _chance(self.known, self.told)
         if SUSPECTED < self.known.tail < STANDING_OUT and chance < SUSPECTED_CROWDED:
             return True  # what lies farther out decides whether it is one
         if chance > (SUSPECTED_CROWDED if self.known.tail >= STANDING_OUT else CROWDED):
             return False
         beyond = float(self.told[pairs.mahalanobis_sq > (0.7 * limit) ** 2].sum())
         return beyond > 1.0 + OPENING * common
+
+
+def _chance(known: Known, told: FloatArray) -> float:
+    """Candidates of a record that are there by chance, if the gate were twice as wide."""
+    return known.setting.by_chance(told) * 2.0**known.setting.pairs.d
+
+
+def _is_narrow(known: Known, told: FloatArray, limit: float) -> bool:
+    """Whether a gate of so many sigmas is too narrow for the typical errors, and opening it is affordable."""
+    if limit >= WIDEST_SIGMAS or not known.learns_errors:
+        return False
+    exceeded = EXCEEDED if known.photometry is None else EXCEEDED_WITH_MAGNITUDES
+    needed = _radius(None, known.setting.pairs.d) * known.errors.typical_scale
+    return exceeded * limit < needed and _chance(known, told) < MOST_CROWDED
 
 
 @dataclass(frozen=True)
@@ -267,12 +268,12 @@ class _Search:
 
     def _in_gate(self, known: Known, whole: Setting, limit: float, most: int) -> _Found:
         """The end of at most so many rounds with one gate; of the first where it shows that the gate is too narrow."""
-        known, told, number, settled = going.settled(known, 1, self.progress)
-        found = _Found(whole, known, told, limit, number, settled, known.setting.numbers)
-        if most <= 1 or settled or (self.gate is None and found.is_narrow()):
-            return found
-        known, told, more, settled = going.settled(known.with_lesson(told), most - 1, self.progress)
-        return replace(found, known=known, told=told, rounds=number + more, settled=settled)
+
+        def narrow(known: Known, told: FloatArray) -> bool:
+            return self.gate is None and _is_narrow(known, told, limit)
+
+        known, told, number, settled = going.settled(known, most, self.progress, narrow)
+        return _Found(whole, known, told, limit, number, settled, known.setting.numbers)
 
     def identified(self, found: _Found, most: int) -> tuple[Identification, _Found]:
         """All records identified with what is known; with rounds over all of them, where a sample misled."""

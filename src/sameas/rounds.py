@@ -240,11 +240,18 @@ def _local(setting: Setting, partner: Both, counted: tuple[BoolArray, BoolArray]
     return one, two
 
 
-def settled(known: Known, rounds: int, progress: Callable[[str], None]) -> tuple[Known, FloatArray, int, bool]:
+def settled(
+    known: Known,
+    rounds: int,
+    progress: Callable[[str], None],
+    useless: Callable[[Known, FloatArray], bool] = lambda known, told: False,
+) -> tuple[Known, FloatArray, int, bool]:
     """Rounds over one list of candidates: what is known then, the probabilities (m,) of the pairs that count, how many
     rounds it took, and whether the estimates settled.
 
     Within the rounds only sums over many pairs are needed; messages are near enough for those.
+
+    useless : whether more rounds would be, by what is known after the first and the probabilities in it.
     """
     setting = known.setting
     if known.photometry is not None:
@@ -270,6 +277,8 @@ def settled(known: Known, rounds: int, progress: Callable[[str], None]) -> tuple
         done = known.settled(before)
         # The magnitudes must have had their say.
         done &= known.photometry is None or common < FEWEST or known.lessons >= WITH_BRIGHTNESS
+        if number == 1 and not done and useless(known, told):
+            break
     return known, told, number, done
 
 
