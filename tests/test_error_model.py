@@ -37,6 +37,12 @@ def test_factors_and_floor_are_recovered_with_their_errors(factors, floor):
     assert all(m.note == "" for m in found)
 
 
+def test_a_floor_that_is_not_there_is_within_its_error_of_none():
+    floors = [error_model(answer([6, k])).floor for k in range(40)]
+    beyond = np.mean([floor.value > 1.96 * floor.standard_error for floor in floors])
+    assert beyond <= 0.15 and all(floor.standard_error > 0.0 for floor in floors)
+
+
 def test_a_few_outliers_do_not_move_the_factors():
     found = error_model(answer(2, factors=(1.3, 1.0), outliers=0.02))
     assert found.factor_1.value == pytest.approx(1.3, abs=0.1) and found.factor_2.value == pytest.approx(1.0, abs=0.1)

@@ -26,6 +26,8 @@ from sameas.result import Identification
 FEWEST, ENOUGH = 200.0, 5_000
 CORE = 0.99
 STEPS, SETTLED = 60, 1e-6
+#: Standard errors from a value to the ends of its 90 % interval.
+ENDS = 1.645
 #: A factor whose standard error is larger than this share of it is not told from the others.
 TELLING = 0.25
 
@@ -105,12 +107,19 @@ def _told(theta: FloatArray, covariance: FloatArray | None, unit: float) -> Erro
     apart = "the quoted errors vary too little, or too much alike, from pair to pair to judge the sources apart"
     if covariance is None:
         return ErrorModel(None, None, None, apart)
-    roots, errors = np.sqrt(theta), np.sqrt(np.diag(covariance))
-    # Where a term is zero within its error, the error of its root is the root of its error.
-    spread = errors / (2.0 * np.maximum(roots, np.sqrt(errors)))
+    roots, spread = np.sqrt(theta), _root_errors(theta, np.sqrt(np.diag(covariance)))
     factors = [Quantity(float(roots[k]), float(spread[k])) for k in range(2)]
     known = [q if q.standard_error < TELLING * max(q.value, 1.0) else None for q in factors]
     floor = Quantity(float(roots[2]) * math.sqrt(unit), float(spread[2]) * math.sqrt(unit))
     if known == [None, None]:
         return ErrorModel(None, None, None, apart)
     return ErrorModel(known[0], known[1], floor, "" if all(known) else apart)
+
+
+def _root_errors(theta: FloatArray, errors: FloatArray) -> FloatArray:
+    """Standard errors of √θ, from those of θ ≥ 0: the farther end of its 90 % interval, in 1.645 of them.
+
+    Where θ is zero within its error its root is not normal, and to first order its error would be nearly none.
+    """
+    ends = (np.sqrt(np.maximum(theta + side * ENDS * errors, 0.0)) for side in (-1.0, 1.0))
+    return np.asarray(np.max([np.abs(end - np.sqrt(theta)) for end in ends], axis=0) / ENDS)
