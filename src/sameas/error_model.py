@@ -98,8 +98,19 @@ def _fit(residual: FloatArray, parts: FloatArray, weight: FloatArray) -> tuple[F
     normal = information / np.outer(scale, scale)
     if np.linalg.eigvalsh(normal)[0] < 1e-6:
         return theta, None
-    # The truncated squares scatter a little more than those of a whole normal.
-    return theta, np.linalg.inv(normal) / np.outer(scale, scale) / kept
+    return theta, np.linalg.inv(normal) / np.outer(scale, scale) * _widened(d, limit, kept)
+
+
+def _widened(d: int, limit: float, kept: float) -> float:
+    """How much larger the variance of a common factor of all variances is because of the core, against 1/information.
+
+    With the squares x ~ χ²_d and the core x ≤ θL the factor θ solves Σ_core (x/(θ kept) − d) = 0; its variance is
+    V / J², V that of a pair's part in the sum and J the slope of its mean, in which the border of the core takes part.
+    """
+    variance = d * (d + 2) * share_within(limit, d + 4) / kept**2 - CORE * d**2
+    log_density = (0.5 * d - 1.0) * math.log(limit) - 0.5 * limit - 0.5 * d * math.log(2.0) - math.lgamma(0.5 * d)
+    slope = CORE * d - limit * math.exp(log_density) * (limit / kept - d)
+    return variance / slope**2 * 0.5 * d * CORE
 
 
 def _told(theta: FloatArray, covariance: FloatArray | None, unit: float) -> ErrorModel:
