@@ -98,7 +98,12 @@ def _fit(residual: FloatArray, parts: FloatArray, weight: FloatArray) -> tuple[F
     normal = information / np.outer(scale, scale)
     if np.linalg.eigvalsh(normal)[0] < 1e-6:
         return theta, None
-    return theta, np.linalg.inv(normal) / np.outer(scale, scale) * _widened(d, limit, kept)
+    covariance = np.linalg.inv(normal) / np.outer(scale, scale)
+    # A term that is held at zero takes nothing from what is known of the others.
+    free = theta > 1e-6
+    held = np.diag(np.diag(covariance))
+    held[np.ix_(free, free)] = np.linalg.inv(information[np.ix_(free, free)])
+    return theta, held * _widened(d, limit, kept)
 
 
 def _widened(d: int, limit: float, kept: float) -> float:
