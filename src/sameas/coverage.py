@@ -91,6 +91,7 @@ class Coverage:
             refine(count, level.volume, level.of_second, weights if source == 2 else nothing, SMOOTH, at_second)
         return at_first, at_second
 
+    @cached_property
     def covered_densities(self) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
         """Local densities of the covered records of source 1 and of source 2, each at the records of both."""
         seen_1, seen_2 = (seen.astype(np.float64) for seen in self.covered)
@@ -114,6 +115,15 @@ class Coverage:
             count = np.bincount(cells, minlength=len(level.volume)).astype(np.float64)
             look(count, level.volume, at, PSEUDO_COUNT, HOLE, seen, density, highest)
         return seen
+
+    def by_chance(self, sigmas: float) -> float:
+        """Records of source 2 that fall so near to one of source 1 by accident, on average, as ellipsoids go."""
+        (_, (at_first, _)), d = self.covered_densities, self.first.d
+        spread = self.first.variances.mean(axis=0) + self.second.variances.mean(axis=0)
+        ellipsoid = (
+            math.pi ** (0.5 * d) / math.gamma(0.5 * d + 1.0) * math.sqrt(float(np.prod(np.broadcast_to(spread, d))))
+        )
+        return float(at_first.mean()) * ellipsoid * sigmas**d
 
     def common_volume(self) -> float:
         """Volume where both sources look, (residual unit)^d: the cells that hold a covered record of either.

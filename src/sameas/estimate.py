@@ -39,15 +39,15 @@ from sameas.sample import Setting
 #: The gate opens when this share of the expected true pairs lies beyond 0.7 of its radius (honest errors: 4e-5).
 OPENING = 6e-5
 WIDEST_SIGMAS = 400.0
-#: So far the typical errors may exceed the quoted ones before the gate opens for it: by positions alone, where more
-#: candidates cost little, and with magnitudes; it then still loses only 2e-6.
-EXCEEDED, EXCEEDED_WITH_MAGNITUDES = 1.0, 1.25
+#: So far the typical errors may exceed the quoted ones before the gate opens for it; it then still loses only 2e-6.
+EXCEEDED = 1.25
 #: The gate does not open for a tail when a record would have more candidates by chance than this, on average,
 CROWDED = 0.5
 #: nor for errors that are quoted too small when it would have more than this.
 MOST_CROWDED = 8.0
 #: A tail of the errors that betters ln of the likelihood by so much, but does not stand out, is looked for farther out.
-#: Then, and where one stands out, a record may have this many candidates by chance.
+#: Then, and where one stands out, a record may have this many candidates by chance; and by positions alone, where more
+#: candidates cost little, from the beginning.
 SUSPECTED, SUSPECTED_CROWDED = 1.0, 2.0
 #: Standard deviations by which close candidates must exceed what chance gives, for their errors to be judged.
 SIGNIFICANT = 4.0
@@ -226,9 +226,8 @@ def _is_narrow(known: Known, told: FloatArray, limit: float) -> bool:
     """Whether a gate of so many sigmas is too narrow for the typical errors, and opening it is affordable."""
     if limit >= WIDEST_SIGMAS or not known.learns_errors:
         return False
-    exceeded = EXCEEDED if known.photometry is None else EXCEEDED_WITH_MAGNITUDES
     needed = _radius(None, known.setting.pairs.d) * known.errors.typical_scale
-    return exceeded * limit < needed and _chance(known, told) < MOST_CROWDED
+    return EXCEEDED * limit < needed and _chance(known, told) < MOST_CROWDED
 
 
 @dataclass(frozen=True)
@@ -244,7 +243,7 @@ class _Search:
     def settled(self, errors: Errors | None, most: int) -> _Found:
         """The end of at most so many rounds; ``errors`` are estimated if not given."""
         first, second = self.coverage.first, self.coverage.second
-        limit, total, known, whole = _radius(self.gate, first.d), 0, None, None
+        limit, total, known, whole = self._first_radius(errors), 0, None, None
         while True:
             self.progress("gate")
             pairs = (self.gate or Radius(limit))(first, second)
@@ -265,6 +264,16 @@ class _Search:
                 return replace(found, known=known.with_lesson(told, last=True))
             known = known.with_lesson(told)
             limit = min(2.0 * limit, WIDEST_SIGMAS)
+
+    def _first_radius(self, errors: Errors | None) -> float:
+        """Radius of the first gate: the default one, or twice that where what lies there is worth its cost.
+
+        It tells a tail of the errors from chance.
+        """
+        narrow = _radius(self.gate, self.coverage.first.d)
+        if self.gate is not None or errors is not None or self.photometry is not None:
+            return narrow
+        return 2.0 * narrow if self.coverage.by_chance(2.0 * narrow) < SUSPECTED_CROWDED else narrow
 
     def _in_gate(self, known: Known, whole: Setting, limit: float, most: int) -> _Found:
         """The end of at most so many rounds with one gate; of the first where it shows that the gate is too narrow."""

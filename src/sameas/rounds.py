@@ -67,7 +67,8 @@ class Known:
     errors : the spread of the residuals; learned from the pairs where ``learns_errors``.
     photometry : how the magnitudes are related, None where they are not asked for. lessons : how often it was learned.
     common : expected number of common objects among the counted, a guess before the first round. change : by how much
-        the last round changed it, NaN before the first; 0 where other candidates take part since.
+        the last round changed it, NaN before the first; 0 after it, which changed a guess, and where other candidates
+        take part since.
     tail : by how much a tail of the errors, believed or not, betters ln of the likelihood.
     density : (ρ₁, ρ₂) of all records of each source where the user gave them, else None.
     """
@@ -193,7 +194,7 @@ class Known:
         )
         told = self.setting.told(p_pair)
         common = float(told.sum())
-        known = replace(self, common=common, change=common - self.common)
+        known = replace(self, common=common, change=0.0 if math.isnan(self.change) else common - self.common)
         known = known._with_partners(partner, self.setting.counted)
         if common < FEWEST:
             return known
