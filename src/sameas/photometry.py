@@ -37,8 +37,8 @@ from sameas.result import Identification
 FEWEST = 50.0
 #: Pairs that a relation is learned from, at most, in the end and in rounds: more would not better it noticeably.
 ENOUGH, ENOUGH_IN_ROUNDS = 10_000, 1_000
-#: Records that a curve of the shares, or how the bands of one source follow each other, is learned from.
-CURVED = 2_000
+#: Records that a curve of the shares is learned from, and how the bands of one source follow each other.
+CURVED, ALONE = 2_000, 1_000
 #: The golden ratio of 2³²: multiples of it are strewn evenly.
 SCATTERING = 2_654_435_769
 
@@ -184,7 +184,7 @@ def _chain(side: Side, these: Compared, weight: FloatArray, before: Chain | None
 def _side(measured: Measured) -> Side:
     """The densities of a source's bands, and how they follow each other in its records."""
     densities = tuple(map(_density, measured.values.T))
-    some = measured.take(np.arange(0, len(measured.values), max(1, -(-len(measured.values) // CURVED))))
+    some = measured.take(np.arange(0, len(measured.values), max(1, -(-len(measured.values) // ALONE))))
     alone: list[Mapping[Pattern, Relation]] = []
     for band, density in enumerate(densities):
         these = Regressors.split(band, some, None) if band and density is not None else ()
@@ -209,11 +209,10 @@ def _relation(
     weighed: bool = True,
 ) -> Relation | None:
     x = these.regressors
-    at = np.flatnonzero(weight[x.rows])
-    weight = weight[x.rows[at]]
+    weight = weight[x.rows]
     if density is None or weight.sum() < FEWEST:
         return None
-    sample = Sample(x.y[at], x.others[at], x.variance[at], x.other_variance[at], weight, these.background[at], weighed)
+    sample = Sample.of(x.y, x.others, x.variance, x.other_variance, these.background, weight, weighed=weighed)
     return fit_relation(sample, density, start, last=last)
 
 
