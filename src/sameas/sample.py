@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.coverage import Coverage, Level
+from sameas.coverage import Coverage
 from sameas.gate import Pairs
+from sameas.levels import Level
 from sameas.records import FloatArray, IntArray, Records
 
 #: Records of each source that estimation needs; it takes all of them unless there are so many times more.
