@@ -85,6 +85,26 @@ def test_the_shares_of_error_scales_are_the_likeliest(seed):
     assert naive.log_likelihood(*by_cell, found) == pytest.approx(best, rel=1e-9)
 
 
+@pytest.mark.parametrize("outlying", [0.0, 0.003, 0.1])
+def test_a_tail_of_the_errors_is_kept_where_it_stands_out(outlying):
+    rng = np.random.default_rng(8)
+    scales, core, pseudo = np.array([0.7, 1.0, 1.5, 4.0, 9.0]), 3, np.array([0.0, 2.0, 0.0, 0.0, 0.0])
+    square = rng.chisquare(2, 1000) * np.where(rng.uniform(size=1000) < outlying, 16.0, 1.0)
+    found = mixture.cells(square, np.full(1000, 14.0), -12.0, 30.0, 1e-2, 20.0, (60, 15))
+    start, count, odds, squares = found
+    search = (1e-3, 100, 1e-10, 1e-3, 1e-10)
+    shares, tail = mixture.fit(*found, 2, scales, core, pseudo, np.eye(5)[1], 8.0, search)
+    density = np.repeat(scales**-2.0 * np.exp(-0.5 * squares[:, None] / scales**2), np.diff(start), axis=0)
+    best = naive.likeliest(count, odds, density, pseudo, 5000)
+    alone = naive.likeliest(count, odds, density[:, :core], pseudo[:core], 5000)
+    gained = naive.log_likelihood(count, odds, density, pseudo, best)
+    gained -= naive.log_likelihood(count, odds, density[:, :core], pseudo[:core], alone)
+    assert tail == pytest.approx(gained, abs=0.01)
+    expected = best if gained > 8.0 else np.append(alone, [0.0, 0.0])
+    assert (shares[core:].sum() > 0.0) == (gained > 8.0) == (outlying > 0.01)
+    assert shares == pytest.approx(expected, abs=0.02)
+
+
 # ---- relations of magnitudes ----
 
 

@@ -24,7 +24,7 @@ BINS, NEAREST = 160, 1e-2
 #: steps.
 LEAST_LOG_ODDS, MOST_LOG_ODDS, ACROSS = -12.0, 30.0, 43
 #: The search for the shares stops when ln of the likelihood grows by less than this, or after so many steps.
-SETTLED, STEPS = 1e-4, 40
+SETTLED, STEPS = 1e-2, 40
 #: Errors larger than so many times the quoted ones are a tail. It must better ln of the likelihood by so much, four
 #: standard errors: what chance pairs look like feeds on itself, as more of them are then believed.
 TAIL, STANDING_OUT = 2.0, 8.0
@@ -56,87 +56,25 @@ def fit_errors(
     mahalanobis_sq, log_odds : (m,) squared normalised distances m² in d features, and ln of the odds.
     start : where the search begins.
     """
-    cells = _Cells.of(mahalanobis_sq, log_odds)
-    rungs = max(4, math.ceil(math.log(cells.reach / 2.0) / math.log(RUNG)) + 1)
+    from sameas.kernels.mixture import fit
+
+    reach, cells = _cells(mahalanobis_sq, log_odds)
+    rungs = max(4, math.ceil(math.log(reach / 2.0) / math.log(RUNG)) + 1)
     scales = RUNG ** np.arange(LOWEST_RUNG, rungs)
     scales = scales[scales <= max(widest, 1.0)]
-    known = dict(zip(np.round(start.scales, 9), start.shares, strict=True))
-    shares = np.array([known.get(round(s, 9), 0.0) for s in scales])
-    pseudo = np.where(np.abs(np.log(scales)) < 0.01, 2.0, 0.0)
-    density = scales**-d * np.exp(-0.5 * cells.square[:, None] / scales**2)
-    mixture = _Mixture(cells, density, pseudo)
-    shares, tail = _standing_out(mixture, mixture.best_shares(shares), scales)
+    known = {round(scale, 9): share for scale, share in zip(start.scales, start.shares, strict=True)}
+    shares = np.array([known.get(round(scale, 9), 0.0) for scale in scales.tolist()])
+    core, pseudo = int(np.searchsorted(scales, TAIL, side="right")), np.zeros(len(scales))
+    pseudo[np.abs(np.log(scales)) < 0.01] = 2.0
+    shares, tail = fit(*cells, d, scales, core, pseudo, shares, STANDING_OUT, (SPREAD, STEPS, SETTLED, SHORTEST, RIDGE))
     kept = shares > 1e-6
     return ErrorFit(Errors(tuple(scales[kept].tolist()), tuple((shares[kept] / shares[kept].sum()).tolist())), tail)
 
 
-def _standing_out(mixture: _Mixture, shares: FloatArray, scales: FloatArray) -> tuple[FloatArray, float]:
-    """The shares, without a tail where the data would be nearly as likely without one; and how much less likely."""
-    core = scales <= TAIL
-    if not shares[~core].any():
-        return shares, 0.0
-    if not shares[core].any():
-        return shares, math.inf
-    without = _Mixture(mixture.cells, mixture.density[:, core], mixture.pseudo[core])
-    alone = without.best_shares(shares[core] / shares[core].sum())
-    gained = mixture.log_likelihood(shares) - without.log_likelihood(alone)
-    if gained > STANDING_OUT:
-        return shares, gained
-    bare = np.zeros(len(scales))
-    bare[core] = alone
-    return bare, gained
+def _cells(z2: FloatArray, log_odds: FloatArray) -> tuple[float, tuple[NDArray, ...]]:
+    """How far the pairs (m,) reach, but for those of too little odds, and these in cells of like distance and odds."""
+    from sameas.kernels.mixture import cells
 
-
-@dataclass(frozen=True)
-class _Cells:
-    """Pairs of like distance and odds, taken together: the likelihood depends on nothing else.
-
-    start : (b + 1,) the cells start[k]:start[k + 1] lie at distance k. count, odds : (c,) pairs in each cell, and their
-    odds. square : (b,) means of the squared distances. reach : the greatest distance.
-    """
-
-    start: NDArray[np.int64]
-    count: FloatArray
-    odds: FloatArray
-    square: FloatArray
-    reach: float
-
-    @classmethod
-    def of(cls, z2: FloatArray, log_odds: FloatArray) -> _Cells:
-        """Cells of pairs (m,); those of too little odds are left out."""
-        from sameas.kernels.mixture import cells
-
-        furthest = float(z2.max(initial=1.0, where=log_odds > LEAST_LOG_ODDS))
-        reach = max(math.sqrt(furthest), 2.0)
-        limits = LEAST_LOG_ODDS, MOST_LOG_ODDS, NEAREST, reach
-        start, count, odds, square = cells(z2, log_odds, *limits, (BINS, ACROSS))
-        return cls(start, count, odds, square, reach)
-
-
-@dataclass(frozen=True)
-class _Mixture:
-    """Pairs in cells, and the density (b, k) that each component gives the distances of the cells; pseudo-counts (k,)
-    of the components.
-
-    Of n pairs of odds o the likelihood is (1 + o)^n, whose logarithm is concave in the shares: one maximum.
-    """
-
-    cells: _Cells
-    density: FloatArray
-    pseudo: FloatArray
-
-    @property
-    def _state(self) -> tuple[NDArray, ...]:
-        return self.cells.start, self.cells.count, self.cells.odds, np.ascontiguousarray(self.density), self.pseudo
-
-    def log_likelihood(self, shares: FloatArray) -> float:
-        """With the prior that the pseudo-counts stand for."""
-        from sameas.kernels.mixture import log_likelihood
-
-        return float(log_likelihood(*self._state, shares))
-
-    def best_shares(self, shares: FloatArray) -> FloatArray:
-        """The shares of greatest likelihood, from any on."""
-        from sameas.kernels.mixture import likeliest
-
-        return np.asarray(likeliest(*self._state, shares, SPREAD, STEPS, SETTLED, SHORTEST, RIDGE))
+    furthest = float(z2.max(initial=1.0, where=log_odds > LEAST_LOG_ODDS))
+    reach = max(math.sqrt(furthest), 2.0)
+    return reach, cells(z2, log_odds, LEAST_LOG_ODDS, MOST_LOG_ODDS, NEAREST, reach, (BINS, ACROSS))
