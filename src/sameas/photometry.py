@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,8 +38,9 @@ from sameas.result import Identification
 FEWEST = 50.0
 #: Pairs that a relation is learned from, at most, in the end and in rounds: more would not better it noticeably.
 ENOUGH, ENOUGH_IN_ROUNDS = 10_000, 1_000
-#: Records that a curve of the shares is learned from, and how the bands of one source follow each other.
-CURVED, ALONE = 2_000, 1_000
+#: Records that a curve of the shares is learned from, in the end and in rounds, and how the bands of a source follow
+#: each other.
+CURVED, CURVED_IN_ROUNDS, ALONE = 2_000, 1_000, 1_000
 #: The golden ratio of 2³²: multiples of it are strewn evenly.
 SCATTERING = 2_654_435_769
 
@@ -100,7 +102,8 @@ class Photometry:
 
         Rounds learn from some pairs in a few steps; the ``last`` words, with their standard errors, are from many.
         """
-        one, two = map(_curve, self.sides, p_partner, shares, covered, self.curves)
+        enough = CURVED if last else CURVED_IN_ROUNDS
+        one, two = map(partial(_curve, enough), self.sides, p_partner, shares, covered, self.curves)
         curves = one, two
         telling = np.zeros(len(p_pair), np.bool_)
         telling[_some(np.flatnonzero(p_pair > 1e-3), ENOUGH if last else ENOUGH_IN_ROUNDS)] = True
@@ -217,6 +220,7 @@ def _relation(
 
 
 def _curve(
+    enough: int,
     side: Side,
     p_partner: FloatArray,
     share: FloatArray,
@@ -225,7 +229,7 @@ def _curve(
 ) -> ShareCurve | None:
     magnitude = side.measured.values[:, 0]
     these = np.flatnonzero(np.isfinite(magnitude) & covered)
-    these = these[:: max(1, -(-len(these) // CURVED))]
+    these = these[:: max(1, -(-len(these) // enough))]
     if len(these) < FEWEST:
         return None
     return ShareCurve.fit(magnitude[these], share[these], p_partner[these], before)

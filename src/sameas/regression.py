@@ -32,8 +32,8 @@ PSEUDO_PAIRS = 20.0
 LEAST_SCATTER = 0.003
 FIRST_STEPS, STEPS, LAST_STEPS = 8, 2, 20
 #: Steps end when they change nothing by more than this share of its standard error; the first, before pairs were
-#: weighed by their magnitudes, need not be as near.
-SETTLED, FIRST_SETTLED = 0.05, 0.3
+#: weighed by their magnitudes, need not be nearer than that error.
+SETTLED, FIRST_SETTLED = 0.05, 1.0
 #: The quartiles of a normal are so many standard deviations apart.
 QUARTILES_APART = 1.349
 #: Values that are sorted whole for their median, and steps that more are counted in.
