@@ -13,8 +13,8 @@ HOME = Path(sameas.__file__).parent
 STAGES = ["records", "gate", "groups", "evidence", "prior", "assignment", "posterior", "result", "identify", "estimate"]
 # Companions walk with their stage.
 WITH = {"errors": "records", "space": "records", "threads": "records", "search": "gate", "zones": "gate",
-        "coverage": "estimate", "detection": "estimate", "photometry": "estimate", "piecewise": "records",
-        "quantity": "estimate", "regression": "estimate", "error_model": "estimate",
+        "coverage": "estimate", "grades": "estimate", "detection": "estimate", "photometry": "estimate",
+        "piecewise": "records", "quantity": "estimate", "regression": "estimate", "error_model": "estimate",
         "decision": "result", "older": "result", "spacing": "evidence"}  # fmt: skip
 ROOMS = {"sky", "tracks", "picture", "maps", "io", "adapters", "plots", "report", "findings", "prose", "cli", "study",
          "pages", "__main__"}  # fmt: skip

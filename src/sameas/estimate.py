@@ -28,6 +28,7 @@ from sameas.error_scales import STANDING_OUT
 from sameas.errors import InputError
 from sameas.evidence import Errors, Magnitudes
 from sameas.gate import ChiSquare, Pairs, Radius
+from sameas.grades import Grades
 from sameas.identify import identify
 from sameas.photometry import Photometry
 from sameas.quantity import Quantity, changed_without, decisive, quantities
@@ -139,6 +140,7 @@ def match(
     gate: ChiSquare | Radius | None = None,
     density: tuple[float, float] | None = None,
     brightness: tuple[Magnitudes, Magnitudes] | None = None,
+    precision: bool = True,
     rounds: int = 30,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> tuple[Identification, Estimate]:
@@ -150,6 +152,7 @@ def match(
     gate : the gate; if not given, as wide as the errors turn out to need.
     density : (ρ₁, ρ₂) of all records of each source per (residual unit)^d, instead of local ones from the data.
     brightness : magnitudes of every row of both tables, which are then evidence too; None leaves it to the positions.
+    precision : whether the sizes of the quoted errors are evidence too: of faint objects they are larger.
     rounds : at most so many rounds of identification.
     progress : called with the name of what is being done.
     """
@@ -157,10 +160,11 @@ def match(
         if not len(records):
             raise InputError(f"{records.source} has no usable records; nothing can be identified")
     progress("densities")
-    search = _Search(Coverage.of(first, second), _photometry(first, second, brightness), density, gate, progress)
+    seen = _photometry(first, second, brightness)
+    search = _Search(Coverage.of(first, second), seen, precision, density, gate, progress)
     found, remarks = search.settled(errors, rounds), []
     if found.has_learned and not _stands_out(found.whole.pairs, found.gate_sigmas):
-        search = replace(search, photometry=None)
+        search = replace(search, photometry=None, precision=False)
         again = search.settled(errors or Errors(), max(rounds - found.rounds, 5))
         found = replace(again, rounds=found.rounds + again.rounds)
         believed = "the quoted errors" if brightness is None else "positions and quoted errors alone"
@@ -198,8 +202,9 @@ class _Found:
 
     @property
     def has_learned(self) -> bool:
-        """Whether errors or magnitudes have been learned from the pairs."""
-        return (self.known.learns_errors and self.known.errors != Errors()) or self.known.lessons > 0
+        """Whether errors, their sizes or magnitudes have been learned from the pairs."""
+        graded = self.known.grades is not None and self.known.grades.rule is not None
+        return (self.known.learns_errors and self.known.errors != Errors()) or self.known.lessons > 0 or graded
 
     def must_open(self) -> bool:
         """Whether the outermost part of the gate still holds true pairs, and opening it is affordable."""
@@ -236,6 +241,7 @@ class _Search:
 
     coverage: Coverage
     photometry: Photometry | None
+    precision: bool
     density: tuple[float, float] | None
     gate: ChiSquare | Radius | None
     progress: Callable[[str], None]
@@ -254,7 +260,8 @@ class _Search:
                 # More close candidates than chance gives are common objects.
                 inner, by_chance = _halves(pairs, limit)
                 excess = (inner - by_chance) / min(len(first), len(second))
-                known = Known.nothing(part, errors, seen, self.density, excess)
+                grades = Grades.of(part, seen) if self.precision else None
+                known = Known.nothing(part, errors, seen, self.density, excess, grades)
             else:
                 known = known.at(part, seen)
             found = self._in_gate(known, whole, limit, most - total)

@@ -21,6 +21,7 @@ from sameas.error_scales import fit_errors
 from sameas.errors import InputError
 from sameas.evidence import Brightness, Errors, PoissonField, Rule
 from sameas.gate import Pairs
+from sameas.grades import Grades
 from sameas.groups import laid_out
 from sameas.photometry import Lesson, Photometry
 from sameas.posterior import by_messages
@@ -70,6 +71,7 @@ class Known:
         the last round changed it, NaN before the first; 0 after it, which changed a guess, and where other candidates
         take part since.
     tail : by how much a tail of the errors, believed or not, betters ln of the likelihood.
+    grades : what the sizes of the quoted errors say, None where they are not asked.
     density : (ρ₁, ρ₂) of all records of each source where the user gave them, else None.
     """
 
@@ -85,6 +87,7 @@ class Known:
     common: float = math.nan
     change: float = math.nan
     tail: float = 0.0
+    grades: Grades | None = None
 
     @classmethod
     def nothing(
@@ -94,6 +97,7 @@ class Known:
         photometry: Photometry | None,
         density: tuple[float, float] | None,
         share: float,
+        grades: Grades | None = None,
     ) -> Known:
         """Before the first round, when this ``share`` of the poorer source is taken to be common."""
         n1, n2 = (len(rows) for rows in setting.rows)
@@ -101,8 +105,9 @@ class Known:
         partner = np.full(n1, guess / n1), np.full(n2, guess / n2)
         of_1, of_2 = ((np.full(n1, guess / n), np.full(n2, guess / n)) for n in (n1, n2))
         known = cls(
-            setting, partner, setting.counted, (of_1, of_2), errors or Errors(), errors is None, photometry, density
-        )
+            setting, partner, setting.counted, (of_1, of_2), errors or Errors(), errors is None, photometry, density,
+            grades=grades,
+        )  # fmt: skip
         return replace(known, common=float(partner[0][setting.counted[0]].sum()))
 
     def at(self, setting: Setting, photometry: Photometry | None) -> Known:
@@ -115,7 +120,8 @@ class Known:
             counted.append(np.isfinite(whole[new]))
         if photometry is not None and self.photometry is not None:
             photometry = replace(photometry, chains=self.photometry.chains, curves=self.photometry.curves)
-        known_there = replace(self, setting=setting, photometry=photometry, change=0.0)
+        grades = self.grades and self.grades.at(setting, photometry)
+        known_there = replace(self, setting=setting, photometry=photometry, change=0.0, grades=grades)
         return known_there._with_partners((partner[0], partner[1]), (counted[0], counted[1]))
 
     def _with_partners(self, partner: Both, counted: tuple[BoolArray, BoolArray]) -> Known:
@@ -126,6 +132,12 @@ class Known:
         """Mean share of either source's records that have a partner."""
         one, two = (float(p[known].mean()) for p, known in zip(self.partner, self.counted, strict=True))
         return one, two
+
+    @property
+    def covered(self) -> tuple[BoolArray, BoolArray]:
+        """Which records tell of shares: the other source looks there, and they count."""
+        (seen_1, seen_2), (counted_1, counted_2) = self.setting.seen, self.counted
+        return seen_1 & counted_1, seen_2 & counted_2
 
     def shares(self) -> Both:
         """Share of the records of either source that have a partner, at the positions of its own."""
@@ -141,8 +153,11 @@ class Known:
 
     def rule(self) -> Rule:
         """The rule with all that is known."""
-        positions, brightness = self._positions(), self.brightness()
-        return positions if brightness is None else positions + brightness
+        rule: Rule = self._positions()
+        graded = None if self.grades is None else self.grades.rule
+        for more in (self.brightness(), graded):
+            rule = rule if more is None else rule + more
+        return rule
 
     def _positions(self) -> PoissonField:
         if self.density is not None:
@@ -182,6 +197,12 @@ class Known:
             to_come.append(abs(self.change) * r**2 / (1.0 - r) <= SETTLED * error)
         return all(to_come) or abs(self.change) <= SETTLED_NUMBER
 
+    def has_heard(self, before: Known) -> bool:
+        """Whether what is learned from pairs, magnitudes and grades, has had its say in the last round."""
+        magnitudes = self.photometry is None or self.common < FEWEST or self.lessons >= WITH_BRIGHTNESS
+        silent = self.grades is None or self.grades.rule is None
+        return magnitudes and (silent or (before.grades is not None and before.grades.says_of(self.setting.pairs)))
+
     def learned(self, p_pair: FloatArray, log_ratio: FloatArray) -> Known:
         """What a round says of shares and errors; what it says of magnitudes is ``with_lesson``.
 
@@ -198,6 +219,8 @@ class Known:
         known = known._with_partners(partner, self.setting.counted)
         if common < FEWEST:
             return known
+        if self.grades is not None:
+            known = replace(known, grades=self.grades.learned(pairs, told, partner, known.covered))
         if self.learns_errors:
             # A component so wide that chance fills it cannot be told from chance.
             radius = math.sqrt(float(pairs.mahalanobis_sq.max(initial=1.0)))
@@ -225,9 +248,7 @@ class Known:
         """The magnitudes learned from, where there are any, with pairs of these probabilities (m,)."""
         if self.photometry is None or self.common < FEWEST:
             return self
-        seen = self.setting.seen
-        covered = seen[0] & self.counted[0], seen[1] & self.counted[1]
-        lesson: Lesson = (self.setting.pairs, told, self.partner, self.shares(), covered)
+        lesson: Lesson = (self.setting.pairs, told, self.partner, self.shares(), self.covered)
         return replace(self, photometry=self.photometry.learned(*lesson, last=last), lessons=self.lessons + 1)
 
 
@@ -275,9 +296,7 @@ def settled(
                 "understood?"
             )
         known = known.learned(p_pair, log_ratio)
-        done = known.settled(before)
-        # The magnitudes must have had their say.
-        done &= known.photometry is None or common < FEWEST or known.lessons >= WITH_BRIGHTNESS
+        done = known.settled(before) and known.has_heard(before)
         if number == 1 and not done and useless(known, told):
             break
     return known, told, number, done

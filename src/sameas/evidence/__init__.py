@@ -12,6 +12,8 @@ Every rule gives a natural logarithm per pair, term by term; rules add with ``+`
   (METHOD 3.2 [T14–T19, T26]). For pictures of a few targets.
 - :class:`Brightness`: what magnitudes and colours of a pair say beside its position; ``sameas.match`` learns it from
   the :class:`Magnitudes` of both sources.
+- :class:`Precision`: what the sizes of both quoted errors say beside its position and magnitudes; ``sameas.match``
+  learns it.
 - :class:`Identity`: what the records say of themselves (addresses, callsigns, names, types, lengths) beside their
   position, each attribute with a model of its errors: :class:`Code`, :class:`Category`, :class:`Size`. :func:`alarms`
   are identities shown where they cannot be.
@@ -36,6 +38,7 @@ from sameas.evidence.close import CloseObjects
 from sameas.evidence.densities import Displacement, Flat, GaussianMixture, Samples
 from sameas.evidence.fields import ConstantCost, DetectionField, Field, PoissonField
 from sameas.evidence.identity import MODELS, Alarm, Category, Code, Identity, Model, Size, alarms
+from sameas.evidence.precision import Precision, both_grades
 from sameas.evidence.relation import MagnitudeDensity, Relation
 from sameas.evidence.rule import Evidence, Rule, Sum
 from sameas.evidence.spread import LOG_2PI, Errors
@@ -45,7 +48,7 @@ __all__ = [
     "LOG_2PI", "MODELS", "Alarm", "Brightness", "Category", "Chain", "CloseObjects", "Code", "Compared",
     "Comparison",
     "ConstantCost", "DetectionField", "Displacement", "Errors", "Evidence", "Field", "Flat", "GaussianMixture",
-    "Identity", "MagnitudeDensity", "Magnitudes", "Measured", "Model", "Pattern", "PoissonField", "Regressors",
-    "Relation", "Rule", "Samples", "Side", "Size", "Sum", "Universal", "alarms", "compared", "log_neighbour_density",
-    "log_surface_density",
+    "Identity", "MagnitudeDensity", "Magnitudes", "Measured", "Model", "Pattern", "PoissonField", "Precision",
+    "Regressors", "Relation", "Rule", "Samples", "Side", "Size", "Sum", "Universal", "alarms", "both_grades",
+    "compared", "log_neighbour_density", "log_surface_density",
 ]  # fmt: skip

@@ -1,0 +1,46 @@
+"""Precision as evidence: how well a record is measured tells what it may be a record of.
+
+Errors grow towards faint objects. So a record with large errors is less often shown by a source that sees less deep,
+and the errors of two records of one object go together: quoted errors stand for a magnitude where none is given.
+``sameas.grades`` learns how much they say.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.evidence.rule import Evidence, Rule
+from sameas.gate import Pairs
+from sameas.records import FloatArray
+
+
+@dataclass(frozen=True)
+class Precision(Rule):
+    """ln p(g₁, g₂ | one object) − ln p(g₁, g₂ | two objects), with the grades g of how well both records are measured.
+
+    Parameters
+    ----------
+    grades : (n₁,), (n₂,) of every record, from 0. log_ratio : (k₁, k₂) of every two grades.
+    own : the pairs that this was learned from, and by how much each made its own two grades too good, (m,).
+    """
+
+    grades: tuple[NDArray[np.integer], NDArray[np.integer]] = field(repr=False)
+    log_ratio: FloatArray = field(repr=False)
+    own: tuple[Pairs, FloatArray] | None = field(repr=False, default=None)
+
+    def __call__(self, pairs: Pairs) -> Evidence:
+        said = self.log_ratio.ravel()[both_grades(self.grades, self.log_ratio.shape[1], pairs)]
+        if self.own is not None and self.own[0] is pairs:
+            said -= self.own[1]
+        return Evidence({"precision": said})
+
+
+def both_grades(
+    grades: tuple[NDArray[np.integer], NDArray[np.integer]], number_2: int, pairs: Pairs
+) -> NDArray[np.integer]:
+    """(m,) g₁ · number_2 + g₂ of the pairs."""
+    one, two = grades
+    return one[pairs.i] * number_2 + two[pairs.j]

@@ -1,0 +1,213 @@
+"""Grades: what the sizes of quoted errors say, that it is right, and that they keep silent where they say nothing."""
+
+import numpy as np
+import pytest
+
+from sameas import match
+from sameas.evidence import Magnitudes
+from sameas.exposures import Sky, exposure
+from sameas.grades import PSEUDO_COUNT, Grades, Scale
+from sameas.score import is_true_pair, score_probabilities
+
+FLAT = Sky(
+    catalogue_sigma_arcsec=(0.15, 0.15), motion_sigma_mas_per_yr=(5.0, 5.0), unknown_motion=0.0,
+    frame_sigma_arcsec=(0.2, 0.2),
+)  # fmt: skip
+
+
+def claimed(answer):
+    return answer.matches.rows_1, answer.matches.rows_2
+
+
+def wrong(answer, scene):
+    return int((~is_true_pair(claimed(answer), scene.true_pairs())).sum())
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return [exposure(np.random.default_rng([11, k]), side_deg=0.12) for k in range(6)]
+
+
+@pytest.fixture(scope="module")
+def found(frames):
+    return [match(made.scene.first, made.scene.second) for made in frames]
+
+
+# ---- what they are for ----
+
+
+def test_quoted_errors_take_away_a_third_of_the_wrong_identifications(frames, found):
+    without = [match(made.scene.first, made.scene.second, precision=False)[0] for made in frames]
+    with_grades = sum(wrong(answer, made.scene) for (answer, _), made in zip(found, frames, strict=True))
+    assert with_grades < 0.67 * sum(wrong(answer, made.scene) for answer, made in zip(without, frames, strict=True))
+
+
+def test_what_they_say_is_calibrated(frames, found):
+    stated, happened = [], []
+    for made, (answer, _) in zip(frames, found, strict=True):
+        stated.append(answer.p_pair)
+        happened.append(is_true_pair((answer.rows_1, answer.rows_2), made.scene.true_pairs()))
+    assert score_probabilities(np.concatenate(stated), np.concatenate(happened)).expected_calibration_error < 0.003
+
+
+def test_the_number_of_common_objects_is_not_biased(frames, found):
+    more = [exposure(np.random.default_rng([12, k]), side_deg=0.12) for k in range(24)]
+    estimates = [estimate for _, estimate in found] + [match(m.scene.first, m.scene.second)[1] for m in more]
+    deviations = [
+        (estimate.common - len(made.scene.true_pairs()[0])) / estimate.quantities["common"].standard_error
+        for made, estimate in zip(frames + more, estimates, strict=True)
+    ]
+    assert abs(np.mean(deviations)) < 0.3 + 3.0 / np.sqrt(len(deviations))
+    assert np.mean(np.abs(deviations) < 1.96) >= 0.8
+
+
+def test_large_errors_speak_against_a_source_that_sees_less_deep(found):
+    answer, estimate = found[0]
+    assert estimate.decisive["precision"] > 0.1 and "precision" in answer.evidence.terms
+    volume = answer.second.covariance[:, 0] * answer.second.covariance[:, -1]
+    faint = volume[answer.pairs.j] > np.quantile(volume, 0.9)
+    said = answer.evidence.terms["precision"]
+    assert np.median(said[faint]) < -0.5 < np.median(said[answer.chosen])
+
+
+def test_missing_magnitudes_leave_the_word_to_the_errors():
+    crowded, lost = Sky(stars_per_deg2=400_000.0), 0
+    kept = 0
+    for k in range(3):
+        made = exposure(np.random.default_rng([4, k]), crowded, side_deg=0.12, missing=0.5)
+        first, second = made.scene.first, made.scene.second
+        lost += wrong(match(first, second, brightness=made.brightness, precision=False)[0], made.scene)
+        kept += wrong(match(first, second, brightness=made.brightness)[0], made.scene)
+    assert kept < 0.9 * lost
+
+
+# ---- where they say nothing ----
+
+
+def test_errors_that_say_nothing_change_nothing():
+    scene = exposure(np.random.default_rng(3), FLAT, side_deg=0.12).scene
+    answer, _ = match(scene.first, scene.second)
+    assert "precision" not in answer.evidence.terms
+    assert np.array_equal(answer.p_pair, match(scene.first, scene.second, precision=False)[0].p_pair)
+
+
+def test_nothing_is_learned_where_magnitudes_say_it_all(frames):
+    made = frames[0]
+    answer, _ = match(made.scene.first, made.scene.second, brightness=made.brightness)
+    assert "precision" not in answer.evidence.terms
+
+
+def test_a_few_records_or_like_errors_have_no_grades(frames):
+    scene = exposure(np.random.default_rng(3), side_deg=0.01).scene
+    assert "precision" not in match(scene.first, scene.second)[0].evidence.terms
+
+
+def test_sources_with_nothing_in_common_stay_so(frames):
+    answer, estimate = match(frames[0].scene.first, frames[1].scene.second)
+    assert estimate.common < 0.02 * len(answer.first) and "precision" not in answer.evidence.terms
+
+
+# ---- laws ----
+
+
+def test_swapping_the_sources_transposes_what_is_said(frames, found):
+    scene, (answer, _) = frames[0].scene, found[0]
+    other, _ = match(scene.second, scene.first)
+    mine = dict(zip(zip(answer.pairs.i, answer.pairs.j, strict=True), answer.p_pair, strict=True))
+    theirs = dict(zip(zip(other.pairs.j, other.pairs.i, strict=True), other.p_pair, strict=True))
+    assert max(abs(p - theirs.get(key, 0.0)) for key, p in mine.items()) < 0.05
+
+
+# ---- grades ----
+
+
+def test_grades_are_about_equal_in_number_and_rise_with_the_error():
+    volume = np.random.default_rng(1).normal(size=5000)
+    grades = Scale.of(volume, None, 8).grades(volume, None)
+    assert np.bincount(grades, minlength=8).min() > 500 and grades.max() == 7
+    assert np.all(np.diff(grades[np.argsort(volume)]) >= 0)
+
+
+def test_like_errors_have_like_grades():
+    volume = np.repeat([0.0, 1.0], [3000, 1000])
+    grades = Scale.of(volume, None, 6).grades(volume, None)
+    assert len(np.unique(grades[:3000])) == 1 and len(np.unique(grades[3000:])) == 1 and grades[0] <= grades[-1]
+
+
+def test_among_like_magnitudes_grades_say_nothing_of_the_magnitude():
+    rng = np.random.default_rng(2)
+    magnitude = rng.uniform(12.0, 20.0, 4000)
+    volume = magnitude + rng.normal(size=4000)
+    grades = Scale.of(volume, magnitude, 4).grades(volume, magnitude)
+    assert abs(np.corrcoef(grades, magnitude)[0, 1]) < 0.1 < np.corrcoef(grades, volume)[0, 1]
+
+
+def test_what_has_no_magnitude_is_graded_by_itself():
+    rng = np.random.default_rng(2)
+    magnitude = np.where(rng.uniform(size=4000) < 0.3, np.nan, rng.uniform(12.0, 20.0, 4000))
+    volume = rng.normal(size=4000)
+    scale = Scale.of(volume, magnitude, 4)
+    grades = scale.grades(volume, magnitude)
+    missing = np.isnan(magnitude)
+    assert scale.size == 8 and grades[missing].min() == 4 and grades[~missing].max() == 3
+    assert np.bincount(grades[missing] - 4).min() > 200
+
+
+def test_the_unit_of_a_feature_does_not_matter():
+    rng = np.random.default_rng(5)
+    volume = rng.normal(size=1000)
+    scales = Scale.of(volume, None, 5), Scale.of(volume + 3.0, None, 5)
+    assert np.array_equal(scales[0].grades(volume, None), scales[1].grades(volume + 3.0, None))
+
+
+def test_grades_that_change_over_the_sky_alike_say_nothing_of_pairs(found):
+    """Two fields, one measured well by both sources and one badly: within each, errors say nothing."""
+    answer, _ = found[0]
+    pairs, n1, n2 = answer.pairs, len(answer.first), len(answer.second)
+    rng = np.random.default_rng(7)
+    west = [features[:, 0] > np.median(features[:, 0]) for features in (answer.first.features, answer.second.features)]
+    cells = tuple(side.astype(np.int32) for side in west)
+    sizes = tuple(side + rng.uniform(size=len(side)) for side in west)
+    scales = tuple(Scale.of(size, None, 4) for size in sizes)
+    graded = Grades(scales, tuple(s.grades(x, None) for s, x in zip(scales, sizes, strict=True)), cells)
+    partner = np.full(n1, 0.5), np.full(n2, 0.5)
+    every = np.ones(n1, bool), np.ones(n2, bool)
+    assert graded.learned(pairs, answer.p_pair, partner, every).rule is None
+    nowhere = np.zeros(n1, np.int32), np.zeros(n2, np.int32)
+    one_cell = Grades(scales, graded.grades, nowhere)
+    assert one_cell.learned(pairs, answer.p_pair, partner, every).rule is not None
+
+
+def test_what_is_learned_is_the_ratio_of_the_counts(found):
+    answer, _ = found[0]
+    pairs, n1, n2 = answer.pairs, len(answer.first), len(answer.second)
+    rng = np.random.default_rng(6)
+    size = rng.normal(size=n1), rng.normal(size=n2)
+    size[1][pairs.j[answer.chosen]] = size[0][pairs.i[answer.chosen]]
+    scales = tuple(Scale.of(x, None, 3) for x in size)
+    nowhere = np.zeros(n1, np.int32), np.zeros(n2, np.int32)
+    grades = tuple(s.grades(x, None) for s, x in zip(scales, size, strict=True))
+    partner = tuple(np.clip(np.bincount(at, answer.p_pair, n), 0.0, 1.0) for at, n in ((pairs.i, n1), (pairs.j, n2)))
+    rule = (
+        Grades(scales, grades, nowhere)
+        .learned(pairs, answer.p_pair, partner, (np.ones(n1, bool), np.ones(n2, bool)))
+        .rule
+    )
+    common, alone = np.zeros((3, 3)), [np.zeros(3), np.zeros(3)]
+    for i, j, p in zip(pairs.i, pairs.j, answer.p_pair, strict=True):
+        common[grades[0][i], grades[1][j]] += p
+    for source in range(2):
+        for grade, p in zip(grades[source], partner[source], strict=True):
+            alone[source][grade] += 1.0 - p
+    chance = np.outer(alone[0] / alone[0].sum(), alone[1] / alone[1].sum())
+    assert np.exp(rule.log_ratio) == pytest.approx(common / common.sum() / chance, rel=0.05, abs=9 * PSEUDO_COUNT)
+    own = answer.p_pair / common[grades[0][pairs.i], grades[1][pairs.j]]
+    assert rule(pairs).terms["precision"] == pytest.approx(
+        rule.log_ratio[grades[0][pairs.i], grades[1][pairs.j]] - own, rel=0.05, abs=0.05
+    )
+
+
+def test_useless_magnitudes_do_not_silence_the_errors(frames):
+    scene, rng = frames[0].scene, np.random.default_rng(3)
+    noise = tuple(Magnitudes(rng.normal(15.0, 1.0, len(records))) for records in (scene.first, scene.second))
+    assert "precision" in match(scene.first, scene.second, brightness=noise)[0].evidence.terms
