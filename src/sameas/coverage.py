@@ -8,7 +8,6 @@ records were to be expected.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -80,15 +79,6 @@ class Coverage:
             own, other = level.facing(source)
             look(own, other, level.volume, np.empty(len(level.volume)), PSEUDO_COUNT, HOLE, seen, density, highest)
         return seen
-
-    def by_chance(self, sigmas: float) -> float:
-        """Records of source 2 that fall so near to one of source 1 by accident, on average, as ellipsoids go."""
-        (_, (at_first, _)), d = self.covered_densities, self.first.d
-        spread = self.first.variances.mean(axis=0) + self.second.variances.mean(axis=0)
-        ellipsoid = (
-            math.pi ** (0.5 * d) / math.gamma(0.5 * d + 1.0) * math.sqrt(float(np.prod(np.broadcast_to(spread, d))))
-        )
-        return float(at_first.mean()) * ellipsoid * sigmas**d
 
     def common_volume(self) -> float:
         """Volume where both sources look, (residual unit)^d: the cells that hold a covered record of either.

@@ -47,13 +47,14 @@ CROWDED = 0.5
 #: nor for errors that are quoted too small when it would have more than this.
 MOST_CROWDED = 8.0
 #: A tail of the errors that betters ln of the likelihood by so much, but does not stand out, is looked for farther out.
-#: Then, and where one stands out, a record may have this many candidates by chance; and by positions alone, where more
-#: candidates cost little, from the beginning.
+#: Then, and where one stands out, a record may have this many candidates by chance.
 SUSPECTED, SUSPECTED_CROWDED = 1.0, 2.0
 #: Standard deviations by which close candidates must exceed what chance gives, for their errors to be judged.
 SIGNIFICANT = 4.0
 #: A sample has misled where it lets expect another number of common objects, by more than this share beyond chance.
 MISLED = 0.02
+#: Quoted errors are not asked of objects whose magnitudes are known but for this share of either source.
+LACKING = 0.05
 BRIGHTNESS_TERMS = ("completeness", "brightness")
 
 
@@ -249,7 +250,7 @@ class _Search:
     def settled(self, errors: Errors | None, most: int) -> _Found:
         """The end of at most so many rounds; ``errors`` are estimated if not given."""
         first, second = self.coverage.first, self.coverage.second
-        limit, total, known, whole = self._first_radius(errors), 0, None, None
+        limit, total, known, whole = _radius(self.gate, first.d), 0, None, None
         while True:
             self.progress("gate")
             pairs = (self.gate or Radius(limit))(first, second)
@@ -260,7 +261,8 @@ class _Search:
                 # More close candidates than chance gives are common objects.
                 inner, by_chance = _halves(pairs, limit)
                 excess = (inner - by_chance) / min(len(first), len(second))
-                grades = Grades.of(part, seen) if self.precision else None
+                asked = self.precision and (seen is None or seen.lacking > LACKING)
+                grades = Grades.of(part, seen) if asked else None
                 known = Known.nothing(part, errors, seen, self.density, excess, grades)
             else:
                 known = known.at(part, seen)
@@ -271,16 +273,6 @@ class _Search:
                 return replace(found, known=known.with_lesson(told, last=True))
             known = known.with_lesson(told)
             limit = min(2.0 * limit, WIDEST_SIGMAS)
-
-    def _first_radius(self, errors: Errors | None) -> float:
-        """Radius of the first gate: the default one, or twice that where what lies there is worth its cost.
-
-        It tells a tail of the errors from chance.
-        """
-        narrow = _radius(self.gate, self.coverage.first.d)
-        if self.gate is not None or errors is not None or self.photometry is not None:
-            return narrow
-        return 2.0 * narrow if self.coverage.by_chance(2.0 * narrow) < SUSPECTED_CROWDED else narrow
 
     def _in_gate(self, known: Known, whole: Setting, limit: float, most: int) -> _Found:
         """The end of at most so many rounds with one gate; of the first where it shows that the gate is too narrow."""

@@ -183,11 +183,7 @@ def _margin(count: FloatArray, axis: int) -> FloatArray:
 
 def _log_volume(records: Records) -> FloatArray:
     """(n,) ln of the product of the quoted variances, whose order no unit of a feature changes."""
-    d, packed = records.d, records.covariance
-    # Packed are the upper triangles, row by row.
-    diagonal = [v * d - v * (v - 1) // 2 for v in range(d)]
-    variances = packed if packed.shape[1] in (1, d) else packed[:, diagonal]
-    return np.asarray(np.log(variances).sum(axis=1))
+    return np.asarray(np.log(records.variances.prod(axis=1)))
 
 
 def _magnitudes(photometry: Photometry | None) -> tuple[FloatArray | None, FloatArray | None]:
