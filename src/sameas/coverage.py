@@ -83,13 +83,14 @@ class Coverage:
     def common_volume(self) -> float:
         """Volume where both sources look, (residual unit)^d: the cells that hold a covered record of either.
 
-        Taken one level above the finest, where an empty cell is hardly ever an accident.
+        Taken of the finest cells that hold so many records that an empty one is hardly ever an accident.
         """
-        finest = self.levels[max(len(self.levels) - 2, 0)]
-        held = np.zeros(len(finest.volume), np.bool_)
-        held[finest.of_first[self.covered[0]]] = True
-        held[finest.of_second[self.covered[1]]] = True
-        return float(finest.volume[held].sum())
+        richer = max(len(self.first), len(self.second))
+        fine = next((level for level in self.levels[::-1] if richer >= HOLE * len(level.volume)), self.levels[0])
+        held = np.zeros(len(fine.volume), np.bool_)
+        held[fine.of_first[self.covered[0]]] = True
+        held[fine.of_second[self.covered[1]]] = True
+        return float(fine.volume[held].sum())
 
 
 def local_share(

@@ -53,8 +53,6 @@ SUSPECTED, SUSPECTED_CROWDED = 1.0, 2.0
 SIGNIFICANT = 4.0
 #: A sample has misled where it lets expect another number of common objects, by more than this share beyond chance.
 MISLED = 0.02
-#: Quoted errors are not asked of objects whose magnitudes are known but for this share of either source.
-LACKING = 0.05
 BRIGHTNESS_TERMS = ("completeness", "brightness")
 
 
@@ -261,8 +259,7 @@ class _Search:
                 # More close candidates than chance gives are common objects.
                 inner, by_chance = _halves(pairs, limit)
                 excess = (inner - by_chance) / min(len(first), len(second))
-                asked = self.precision and (seen is None or seen.lacking > LACKING)
-                grades = Grades.of(part, seen) if asked else None
+                grades = Grades.of(part, seen) if self.precision else None
                 known = Known.nothing(part, errors, seen, self.density, excess, grades)
             else:
                 known = known.at(part, seen)

@@ -11,12 +11,13 @@ positions every neighbour of such a record is a good one, and it does not know t
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.evidence import Precision, both_grades
+from sameas.evidence import Precision
 from sameas.gate import Pairs
 from sameas.photometry import Photometry
 from sameas.records import FloatArray, Records
@@ -34,9 +35,11 @@ SHARED_PSEUDO_COUNT = 2.0
 #: Records of the poorer source in a cell, on average, for its grades to be counted by themselves.
 CELL = 25.0
 #: Records that a scale is taken from: more would not better it noticeably; for each grade in a range of magnitudes.
-ENOUGH, PER_GRADE = 2_000, 8
+ENOUGH, PER_GRADE = 1_000, 8
 #: Records without a magnitude, of those that have a scale, that are graded by themselves.
-UNMEASURED = 200
+UNMEASURED = 100
+#: Errors that differ by less than this factor, in volume, are all alike.
+ALIKE = 1.0 + 1e-9
 
 Both = tuple[FloatArray, FloatArray]
 BothGrades = tuple[NDArray[np.int32], NDArray[np.int32]]
@@ -47,61 +50,51 @@ class Scale:
     """How one source's records are graded: by the volume of their errors, among those of like magnitude.
 
     number : of grades. edges : (b − 1,) between ranges of magnitude; what has none is of another range, the last.
-    limits : ((b + 1)(number − 1),) places between the grades on one line, range after range. low, high : of ln of the
-    volumes. apart : whether records without a magnitude have grades of their own.
+    limits : ((b + 1)(number − 1),) volumes between the grades, range after range. apart : whether records without a
+    magnitude have grades of their own.
     """
 
     number: int
     edges: FloatArray
     limits: FloatArray
-    low: float
-    high: float
     apart: bool
 
     @classmethod
-    def of(cls, log_volume: FloatArray, magnitude: FloatArray | None, number: int) -> Scale:
-        """For records of these ln volumes (n,), and magnitudes (n,), NaN where they have none."""
-        every = max(1, len(log_volume) // ENOUGH)
-        some, low, high = log_volume[::every], float(log_volume.min()), float(log_volume.max())
-        measured = np.empty(0) if magnitude is None else magnitude[::every][np.isfinite(magnitude[::every])]
+    def of(cls, volume: FloatArray, magnitude: FloatArray | None, number: int) -> Scale:
+        """For records with errors of these volumes (n,), and magnitudes (n,), NaN where they have none."""
+        every, parts = max(1, len(volume) // ENOUGH), np.arange(1, number)
+        some, seen = volume[::every], None if magnitude is None else magnitude[::every]
+        measured = np.empty(0) if seen is None else seen[np.isfinite(seen)]
         ranges = max(1, len(measured) // (PER_GRADE * number))
         edges = np.quantile(measured, np.linspace(0.0, 1.0, ranges + 1)[1:-1]) if ranges > 1 else np.empty(0)
         apart = len(measured) > 0 and len(some) - len(measured) >= UNMEASURED
-        scale = cls(number, edges, np.empty(0), low, high, apart)
-        within = scale._range(None if magnitude is None else magnitude[::every], len(some))
-        line = np.sort(scale._place(within, some))
-        count = np.bincount(within, minlength=ranges + 1)
-        begin = np.cumsum(count) - count
-        at = begin[:, None] + count[:, None] * np.arange(1, number) // number
-        # The limits of a range without records are never asked for, but must lie in order with the others.
-        empty = scale._place(np.arange(ranges + 1), np.full(ranges + 1, low))
-        limits = np.where(count[:, None] > 0, line[np.minimum(at, len(line) - 1)], empty[:, None])
-        return replace(scale, limits=limits.ravel())
+        scale = cls(number, edges, np.empty(0), apart)
+        within = scale._range(seen, len(some))
+        line, count = some[np.lexsort((some, within))], np.bincount(within, minlength=ranges + 1)
+        at = (np.cumsum(count) - count)[:, None] + count[:, None] * parts // number
+        # The limits of a range without records are never asked for.
+        return replace(scale, limits=line[np.minimum(at, len(line) - 1)].ravel())
 
     @property
     def size(self) -> int:
         """Number of grades, with those of records without a magnitude."""
         return self.number * (1 + self.apart)
 
-    def grades(self, log_volume: FloatArray, magnitude: FloatArray | None) -> NDArray[np.int32]:
+    def grades(self, volume: FloatArray, magnitude: FloatArray | None) -> NDArray[np.int32]:
         """(n,) of records, from 0."""
-        within = self._range(magnitude, len(log_volume))
-        grade = np.searchsorted(self.limits, self._place(within, log_volume), side="right")
-        grade -= within * (self.number - 1)
+        from sameas.kernels.grades import grade
+
+        within, grades = self._range(magnitude, len(volume)), np.empty(len(volume), np.int32)
+        grade(volume, within, self.limits, self.number, grades)
         if self.apart:
-            grade += self.number * (within == len(self.edges) + 1)
-        return grade.astype(np.int32)
+            grades[within == len(self.edges) + 1] += self.number
+        return grades
 
     def _range(self, magnitude: FloatArray | None, n: int) -> NDArray[np.int64]:
         """(n,) the ranges of magnitude of the records."""
         if magnitude is None:
             return np.zeros(n, np.int64)
         return np.where(np.isfinite(magnitude), np.searchsorted(self.edges, magnitude), len(self.edges) + 1)
-
-    def _place(self, within: NDArray[np.int64], log_volume: FloatArray) -> FloatArray:
-        """(n,) places on one line where the ranges follow each other."""
-        length = self.high - self.low
-        return within * (length + 1.0) + (log_volume - self.low).clip(0.0, length)
 
 
 @dataclass(frozen=True)
@@ -121,18 +114,19 @@ class Grades:
     def of(cls, setting: Setting, photometry: Photometry | None) -> Grades | None:
         """Nothing learned yet; None where records are too few, or the errors of either source all alike."""
         number = min(int(math.sqrt(min(setting.numbers) / PER_TWO_GRADES)), MOST)
-        volumes = [_log_volume(records) for records in (setting.pairs.first, setting.pairs.second)]
-        if number < 2 or all(np.ptp(volume) < 1e-9 for volume in volumes):
+        volumes = [_volume(records) for records in (setting.pairs.first, setting.pairs.second)]
+        if number < 2 or all(volume.max() < ALIKE * volume.min() for volume in volumes):
             return None
         one, two = (
             Scale.of(volume, magnitude, number)
             for volume, magnitude in zip(volumes, _magnitudes(photometry), strict=True)
         )
-        return cls((one, two), *_placed((one, two), setting, photometry))
+        return cls((one, two), *_placed((one, two), volumes, setting, photometry))
 
     def at(self, setting: Setting, photometry: Photometry | None) -> Grades:
         """The same where other records take part, with the magnitudes of these."""
-        grades, cells = _placed(self.scales, setting, photometry)
+        volumes = [_volume(records) for records in (setting.pairs.first, setting.pairs.second)]
+        grades, cells = _placed(self.scales, volumes, setting, photometry)
         return replace(self, grades=grades, cells=cells, rule=self.rule and replace(self.rule, grades=grades, own=None))
 
     def says_of(self, pairs: Pairs) -> bool:
@@ -144,10 +138,11 @@ class Grades:
 
         partner : (n₁,), (n₂,) probability of having one. covered : (n₁,), (n₂,) whether a record tells of it.
         """
+        from sameas.kernels.grades import count_pairs
+
         k1, k2 = (scale.size for scale in self.scales)
-        at = both_grades(self.grades, k2, pairs)
-        common = np.asarray(np.bincount(at, told, k1 * k2).reshape(k1, k2), np.float64)
-        chance = self._by_chance(partner, covered)
+        common, chance = np.zeros((k1, k2)), self._by_chance(partner, covered)
+        at = count_pairs(pairs.i, pairs.j, *self.grades, told, common)
         apart = _margin(common, 1)[:, None] * _margin(common, 0) * chance
         apart /= chance.sum(axis=1)[:, None] * chance.sum(axis=0)
         counted = common + PSEUDO_COUNT * k1 * k2 * apart / apart.sum()
@@ -163,13 +158,13 @@ class Grades:
 
         Cell by cell, because grades that change over the sky alike say nothing of which two records are one object.
         """
-        number = int(max(cells.max() for cells in self.cells)) + 1
-        parts = []
+        from sameas.kernels.grades import count_alone
+
+        number, parts = int(max(cells.max() for cells in self.cells)) + 1, []
         for source in range(2):
-            grades, cells, k = self.grades[source], self.cells[source], self.scales[source].size
-            alone = np.where(covered[source], 1.0 - partner[source], 0.0)
-            count = np.asarray(np.bincount(cells * k + grades, alone, number * k).reshape(number, k), np.float64)
-            count = count + SHARED_PSEUDO_COUNT * _margin(count, 0)
+            count = np.zeros((number, self.scales[source].size))
+            count_alone(self.cells[source], self.grades[source], partner[source], covered[source], count)
+            count += SHARED_PSEUDO_COUNT * _margin(count, 0)
             parts.append(count / count.sum(axis=1, keepdims=True))
         weight = np.bincount(self.cells[0], np.where(covered[0], partner[0], 0.0), number)
         return np.asarray((parts[0] * weight[:, None]).T @ parts[1] / max(float(weight.sum()), 1e-300))
@@ -181,9 +176,9 @@ def _margin(count: FloatArray, axis: int) -> FloatArray:
     return np.asarray(sums / sums.sum())
 
 
-def _log_volume(records: Records) -> FloatArray:
-    """(n,) ln of the product of the quoted variances, whose order no unit of a feature changes."""
-    return np.asarray(np.log(records.variances.prod(axis=1)))
+def _volume(records: Records) -> FloatArray:
+    """(n,) products of the quoted variances, whose order no unit of a feature changes."""
+    return np.asarray(records.variances.prod(axis=1))
 
 
 def _magnitudes(photometry: Photometry | None) -> tuple[FloatArray | None, FloatArray | None]:
@@ -195,13 +190,13 @@ def _magnitudes(photometry: Photometry | None) -> tuple[FloatArray | None, Float
 
 
 def _placed(
-    scales: tuple[Scale, Scale], setting: Setting, photometry: Photometry | None
+    scales: tuple[Scale, Scale], volumes: Sequence[FloatArray], setting: Setting, photometry: Photometry | None
 ) -> tuple[BothGrades, BothGrades]:
-    """The grades of either source's records, and their cells."""
-    pairs, most = setting.pairs, min(setting.numbers) / CELL
+    """The grades of either source's records, with errors of these volumes, and their cells."""
+    most = min(setting.numbers) / CELL
     one, two = (
-        scale.grades(_log_volume(records), magnitude)
-        for scale, records, magnitude in zip(scales, (pairs.first, pairs.second), _magnitudes(photometry), strict=True)
+        scale.grades(volume, magnitude)
+        for scale, volume, magnitude in zip(scales, volumes, _magnitudes(photometry), strict=True)
     )
     level = next((level for level in setting.levels[::-1] if len(level.volume) <= most), setting.levels[0])
     return (one, two), (level.of_first, level.of_second)

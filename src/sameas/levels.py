@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from sameas.records import FloatArray, IntArray, Records
 from sameas.space import ARCSEC_PER_RADIAN, Sphere
 
-#: Cells get finer by this factor in volume, down to about ``FINEST`` records of the richer source in each,
+#: Cells get finer by this factor in volume, until most records of the richer source share theirs with hardly more than
+#: so many,
 REFINEMENT = 8.0
-FINEST = 6.0
+FINEST = 12.0
 #: and no further than to so many cells a record: records at one and the same place are never told apart.
 CELLS_PER_RECORD = 4096.0
 
@@ -50,8 +51,8 @@ def levels_of(first: Records, second: Records) -> tuple[float, tuple[Level, ...]
     richer, size = max(len(first), len(second)), space.volume
     while size * CELLS_PER_RECORD * richer > space.volume:
         richest = levels[-1].of_first if len(first) >= len(second) else levels[-1].of_second
-        occupied = int(np.count_nonzero(np.bincount(richest, minlength=len(levels[-1].volume))))
-        if richer / occupied <= FINEST or occupied == richer:
+        count = np.bincount(richest).astype(np.float64)
+        if count @ count <= FINEST * richer:
             break
         size /= REFINEMENT
         levels.append(_level(*space.cells(first.features, second.features, size)))

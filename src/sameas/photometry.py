@@ -118,11 +118,6 @@ class Photometry:
         return replace(self, chains=chains, curves=curves)
 
     @property
-    def lacking(self) -> float:
-        """Share of the records without a magnitude in the first band, of the source with more of them."""
-        return max(float(np.isnan(side.measured.values[:, 0]).mean()) for side in self.sides)
-
-    @property
     def tells(self) -> bool:
         """Whether anything has been learned."""
         return self.chains is not None or self.curves != (None, None)
