@@ -28,7 +28,6 @@ from sameas.error_scales import STANDING_OUT
 from sameas.errors import InputError
 from sameas.evidence import Errors, Magnitudes
 from sameas.gate import ChiSquare, Pairs, Radius
-from sameas.grades import Grades
 from sameas.identify import identify
 from sameas.photometry import Photometry
 from sameas.quantity import Quantity, changed_without, decisive, quantities
@@ -259,8 +258,7 @@ class _Search:
                 # More close candidates than chance gives are common objects.
                 inner, by_chance = _halves(pairs, limit)
                 excess = (inner - by_chance) / min(len(first), len(second))
-                grades = Grades.of(part, seen) if self.precision else None
-                known = Known.nothing(part, errors, seen, self.density, excess, grades)
+                known = Known.nothing(part, errors, seen, self.density, excess, self.precision)
             else:
                 known = known.at(part, seen)
             found = self._in_gate(known, whole, limit, most - total)

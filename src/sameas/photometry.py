@@ -118,6 +118,19 @@ class Photometry:
         return replace(self, chains=chains, curves=curves)
 
     @property
+    def lacking(self) -> float:
+        """Share of the records without a magnitude in the first band, of the source with more of them."""
+        return max(float(np.isnan(side.measured.values[:, 0]).mean()) for side in self.sides)
+
+    @property
+    def telling(self) -> bool:
+        """Whether the first bands of most pairs are related: far closer to each other than those of any two records."""
+        relation, magnitude = self.first_relation, self.sides[0].measured.values[:, 0]
+        if relation is None or relation.unrelated > 0.5:
+            return False
+        return relation.typical_scatter < 0.5 * float(np.nanstd(magnitude))
+
+    @property
     def tells(self) -> bool:
         """Whether anything has been learned."""
         return self.chains is not None or self.curves != (None, None)
