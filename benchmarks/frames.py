@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks import accuracy, peers, workload
+from benchmarks.recovered import recovered, true_rule
 from benchmarks.tables import Table, report
-from sameas import Identification, PoissonField, identify
+from sameas import Identification, identify
 from sameas.estimate import Estimate, match
 from sameas.evidence import Magnitudes
 from sameas.exposures import Exposure, Sky, exposure, misquoted, with_outliers
@@ -73,19 +74,6 @@ def decided_wrongly(claimed: Pairs, true: Pairs, scene: Scene) -> int:
     partner, truth = (np.full(len(scene.first), -1) for _ in range(2))
     partner[claimed[0]], truth[true[0]] = claimed[1], true[1]
     return int(np.count_nonzero(partner != truth))
-
-
-def true_rule(made: Exposure) -> PoissonField:
-    """The positions' rule with the parameters that made the frame."""
-    sky = made.sky
-    magnitude = np.linspace(sky.brightest, sky.faintest, 4001)
-    number = 10 ** (sky.steepness * magnitude)
-    shown = float(np.average(sky.completeness(magnitude), weights=number))
-    stars, listed = sky.stars_per_deg2 / 3600.0**2, 1.0 - sky.uncatalogued
-    false = stars * shown * sky.false_share / (1.0 - sky.false_share)
-    return PoissonField(
-        stars * listed * shown, stars * shown * sky.uncatalogued + false, stars * listed * (1.0 - shown)
-    )
 
 
 def one_band(brightness: tuple[Magnitudes, Magnitudes]) -> tuple[Magnitudes, Magnitudes]:
@@ -199,61 +187,6 @@ def spoiled(options: argparse.Namespace) -> Table:
     return Table("Errors not as quoted", columns, lines, (f"largest ECE {worst:.4f} (asked: ≤ 0.01)",))
 
 
-# ---- standard errors ----
-
-
-def recovered(options: argparse.Namespace) -> Table:
-    """Every estimated quantity against the truth: mean deviation and coverage of 1.96 standard errors."""
-    deviations: dict[str, list[float]] = {}
-    for number in range(options.trials):
-        made = exposure(np.random.default_rng([79, number]), side_deg=options.trial_side)
-        _, estimate = match(made.scene.first, made.scene.second, brightness=made.brightness)
-        truth = truths(made)
-        for name, quantity in estimate.quantities.items():
-            if name in truth:
-                deviation = (quantity.value - truth[name]) / quantity.standard_error
-                deviations.setdefault(name, []).append(deviation)
-        for name, deviation in curve_deviations(estimate, made):
-            deviations.setdefault(name, []).append(deviation)
-    lines = []
-    for name, values in deviations.items():
-        z = np.array(values)
-        covered = float(np.mean(np.abs(z) < 1.96))
-        lines.append([name, len(z), float(z.mean()), float(z.mean() * np.sqrt(len(z))), float(z.std()), covered])
-    columns = ("quantity", "n", "mean deviation, σ", "of its own error", "spread, σ", "within 1.96 σ")
-    notes = ("asked: 0.90 to 0.98 within 1.96 σ. Deviations of bins of one curve are taken together.",)
-    return Table(f"Standard errors, {options.trials} frames of {options.trial_side:g}°", columns, lines, notes)
-
-
-def truths(made: Exposure) -> dict[str, float]:
-    """What the estimates should be."""
-    rule, sky = true_rule(made), made.sky
-    only_1, only_2, common = (float(x) for x in (rule.only_1, rule.only_2, rule.common))  # type: ignore[arg-type]
-    pairs = made.scene.true_pairs()
-    true = made.magnitude[made.scene.truth_1[pairs[0]]]
-    colour = np.mean(0.08 * (true - 16.0))
-    return {
-        "common": len(pairs[0]), "share_1": common / (common + only_1), "share_2": common / (common + only_2),
-        "density_common": common, "density_only_1": only_1, "density_only_2": only_2, "error_scale": 1.0,
-        "zero_point": sky.zero_point + sky.colour_term * float(colour),
-        "scatter": sky.scatter,
-    }  # fmt: skip
-
-
-def curve_deviations(estimate: Estimate, made: Exposure) -> Iterator[tuple[str, float]]:
-    """Bins of P_d(m) of the catalogue, in standard errors, where the error of a magnitude does not matter."""
-    curve, sky = estimate.detection_2, made.sky
-    if curve is None:
-        return
-    seen = np.asarray(made.brightness[1].values)[:, 0]
-    true = made.magnitude[made.scene.truth_2]
-    at = np.searchsorted(curve.edges, seen, side="right") - 1
-    for k in range(len(curve.number)):
-        expected = float(sky.completeness(true[at == k]).mean()) if np.any(at == k) else np.nan
-        if curve.number[k] >= 30 and np.isfinite(expected):
-            yield "P_d(m) of the catalogue", float((curve.probability[k] - expected) / curve.standard_error[k])
-
-
 # ---- real ----
 
 
@@ -309,18 +242,20 @@ def hipparcos_gaia() -> Any:
     return sky_match(first, second)
 
 
-SECTIONS: dict[str, Callable[[argparse.Namespace], Table]] = {
-    "contest": contest, "spoiled": spoiled, "recovered": recovered,
+def alone(section: Callable[[argparse.Namespace], Table]) -> Callable[[argparse.Namespace], Iterator[Table]]:
+    """A section of one table."""
+    return lambda options: iter([section(options)])
+
+
+SECTIONS: dict[str, Callable[[argparse.Namespace], Iterator[Table]]] = {
+    "contest": alone(contest), "spoiled": alone(spoiled), "recovered": recovered, "real": real,
 }  # fmt: skip
 
 
 def tables(options: argparse.Namespace) -> Iterator[Table]:
     """The sections that are asked for."""
     for name in options.only:
-        if name == "real":
-            yield from real(options)
-        else:
-            yield SECTIONS[name](options)
+        yield from SECTIONS[name](options)
 
 
 def main() -> None:
@@ -328,10 +263,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="scripts/bench frames", description=__doc__)
     parser.add_argument("--frames", type=int, default=24, help="frames of each kind (default 24)")
     parser.add_argument("--side", type=float, default=0.2, help="side of a frame, degrees (default 0.2)")
-    parser.add_argument("--trials", type=int, default=200, help="frames for the standard errors (default 200)")
-    parser.add_argument("--trial-side", type=float, default=0.12, help="their side, degrees (default 0.12)")
+    parser.add_argument(
+        "--trials", type=int, default=200, help="frames of each kind for the standard errors (default 200)"
+    )
+    parser.add_argument("--trial-side", type=float, default=0.12, help="side of the crowded, degrees (default 0.12)")
     parser.add_argument("--peer-python", action="append", default=[], help="NAME=PYTHON, where a peer is installed")
-    parser.add_argument("--only", nargs="+", default=[*SECTIONS, "real"], choices=[*SECTIONS, "real"])
+    parser.add_argument("--only", nargs="+", default=[*SECTIONS], choices=[*SECTIONS])
     options = parser.parse_args()
     options.interpreters = peers.Interpreters.of(options.peer_python)
     report("frames", tables(options))

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from sameas import PoissonField, Radius, Records, identify
-from sameas.error_model import error_model
+from sameas.chisquare import quantile, share_within
+from sameas.error_model import CORE, _widened, error_model
 
 
 def answer(seed, *, factors=(1.0, 1.0), floor=0.0, alike=False, n=1500, outliers=0.0):
@@ -35,6 +36,25 @@ def test_factors_and_floor_are_recovered_with_their_errors(factors, floor):
     else:
         assert np.all(floors < 3.5 * np.array([m.floor.standard_error for m in found]))
     assert all(m.note == "" for m in found)
+
+
+def test_a_floor_that_is_not_there_is_within_its_error_of_none():
+    floors = [error_model(answer([6, k])).floor for k in range(40)]
+    beyond = np.mean([floor.value > 1.96 * floor.standard_error for floor in floors])
+    assert beyond <= 0.15 and all(floor.standard_error > 0.0 for floor in floors)
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_leaving_the_tail_out_costs_as_much_as_in_simulation(d):
+    limit, n, rng = quantile(CORE, d), 1000, np.random.default_rng(1)
+    kept = share_within(limit, d + 2) / CORE
+    found = []
+    for _ in range(1000):
+        squares, factor = rng.chisquare(d, n), 1.0
+        for _ in range(40):
+            factor = squares[squares <= factor * limit].mean() / (d * kept)
+        found.append(factor)
+    assert _widened(d, limit, kept) == pytest.approx(np.var(found) * 0.5 * d * CORE * n, rel=0.12)
 
 
 def test_a_few_outliers_do_not_move_the_factors():

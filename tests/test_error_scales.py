@@ -9,9 +9,9 @@ from sameas.evidence import Errors
 
 
 def log_likelihood(errors, z2, log_odds, d):
-    """What is made as great as can be, pair by pair, with the pseudo-counts on the scale 1."""
-    share = dict(zip(np.round(errors.scales, 9), errors.shares, strict=True)).get(1.0, 1e-300)
-    return np.log1p(np.exp(log_odds + errors.log_profile(z2, d))).sum() + 2.0 * np.log(share)
+    """What is made as great as can be, pair by pair, with the pseudo-counts on the scale nearest to 1."""
+    nearest = int(np.argmin(np.abs(np.log(errors.scales))))
+    return np.log1p(np.exp(log_odds + errors.log_profile(z2, d))).sum() + 2.0 * np.log(errors.shares[nearest])
 
 
 def pairs(rng, n, d=2, scale=1.3, chance=0):
@@ -28,12 +28,14 @@ def test_no_other_mixture_of_the_ladder_is_more_likely(monkeypatch, seed, scale,
     rng = np.random.default_rng(seed)
     z2, log_odds = pairs(rng, 600, scale=scale, chance=chance)
     found = fit_errors(z2, log_odds, 2, Errors()).errors
-    best = log_likelihood(found, z2, log_odds, 2)
-    known = dict(zip(found.scales, found.shares, strict=True))
-    ladder = [1.5**k for k in range(-5, 5)]
+    ladder = found.scales[0] * 1.5 ** np.arange(-8.0, 9.0)
+    ladder = ladder[(ladder > 0.1) & (ladder < 8.0)]
+    known = dict(zip(np.round(found.scales, 9), found.shares, strict=True))
+    shares = np.array([known.get(s, 1e-300) for s in np.round(ladder, 9)])
+    best = log_likelihood(Errors(tuple(ladder), tuple(shares)), z2, log_odds, 2)
     for k, here in enumerate(ladder):
         # A little more of one scale, at the cost of all others.
-        moved = np.array([known.get(s, 0.0) for s in ladder]) * 0.98
+        moved = shares * 0.98
         moved[k] += 0.02
         # Cells round distances and odds, which is worth a little.
         assert log_likelihood(Errors(tuple(ladder), tuple(moved / moved.sum())), z2, log_odds, 2) < best + 0.3, here
@@ -45,6 +47,19 @@ def test_where_the_search_begins_does_not_matter():
     two = fit_errors(z2, log_odds, 2, Errors((1.5**-4, 1.0), (0.9, 0.1))).errors
     grid = np.linspace(0.0, 30.0, 50)
     np.testing.assert_allclose(one.log_profile(grid, 2), two.log_profile(grid, 2), atol=0.02)
+
+
+@pytest.mark.parametrize("scale", [1.25, 1.7, 2.0, 2.7])
+def test_one_normal_has_no_tail_whatever_its_scale(scale):
+    rng = np.random.default_rng(8)
+    z2 = scale**2 * rng.chisquare(2, 20_000)
+    found = fit_errors(z2, np.full(len(z2), np.log(1e4)), 2, Errors()).errors
+    assert found.typical_scale == pytest.approx(scale, rel=0.08)
+    # Its density, out to where one of ten thousand lies.
+    reach = np.linspace(0.0, 2.0 * np.log(1e4), 50) * scale**2
+    true = -0.5 * reach / scale**2 - 2.0 * np.log(scale)
+    assert np.abs(found.log_profile(reach, 2) - true)[reach < 12.0 * scale**2].max() < 0.35
+    assert (found.log_profile(reach, 2) - true).max() < 1.0
 
 
 def test_a_tail_is_believed_where_it_stands_out():

@@ -93,7 +93,7 @@ def test_a_tail_of_the_errors_is_kept_where_it_stands_out(outlying):
     found = mixture.cells(square, np.full(1000, 14.0), -12.0, 30.0, 1e-2, 20.0, (60, 15))
     start, count, odds, squares = found
     search = (1e-3, 100, 1e-10, 1e-3, 1e-10)
-    shares, tail = mixture.fit(*found, 2, scales, core, pseudo, np.eye(5)[1], 8.0, search)
+    shares, tail, reached = mixture.fit(*found, 2, scales, core, pseudo, np.eye(5)[1], 8.0, search)
     density = np.repeat(scales**-2.0 * np.exp(-0.5 * squares[:, None] / scales**2), np.diff(start), axis=0)
     best = naive.likeliest(count, odds, density, pseudo, 5000)
     alone = naive.likeliest(count, odds, density[:, :core], pseudo[:core], 5000)
@@ -103,6 +103,7 @@ def test_a_tail_of_the_errors_is_kept_where_it_stands_out(outlying):
     expected = best if gained > 8.0 else np.append(alone, [0.0, 0.0])
     assert (shares[core:].sum() > 0.0) == (gained > 8.0) == (outlying > 0.01)
     assert shares == pytest.approx(expected, abs=0.02)
+    assert reached == pytest.approx(naive.log_likelihood(count, odds, density, pseudo, shares))
 
 
 # ---- relations of magnitudes ----

@@ -26,6 +26,8 @@ from sameas.result import Identification
 FEWEST, ENOUGH = 200.0, 5_000
 CORE = 0.99
 STEPS, SETTLED = 60, 1e-6
+#: Standard errors from a value to the ends of its 90 % interval.
+ENDS = 1.645
 #: A factor whose standard error is larger than this share of it is not told from the others.
 TELLING = 0.25
 
@@ -96,8 +98,24 @@ def _fit(residual: FloatArray, parts: FloatArray, weight: FloatArray) -> tuple[F
     normal = information / np.outer(scale, scale)
     if np.linalg.eigvalsh(normal)[0] < 1e-6:
         return theta, None
-    # The truncated squares scatter a little more than those of a whole normal.
-    return theta, np.linalg.inv(normal) / np.outer(scale, scale) / kept
+    covariance = np.linalg.inv(normal) / np.outer(scale, scale)
+    # A term that is held at zero takes nothing from what is known of the others.
+    free = theta > 1e-6
+    held = np.diag(np.diag(covariance))
+    held[np.ix_(free, free)] = np.linalg.inv(information[np.ix_(free, free)])
+    return theta, held * _widened(d, limit, kept)
+
+
+def _widened(d: int, limit: float, kept: float) -> float:
+    """How much larger the variance of a common factor of all variances is because of the core, against 1/information.
+
+    With the squares x ~ χ²_d and the core x ≤ θL the factor θ solves Σ_core (x/(θ kept) − d) = 0; its variance is
+    V / J², V that of a pair's part in the sum and J the slope of its mean, in which the border of the core takes part.
+    """
+    variance = d * (d + 2) * share_within(limit, d + 4) / kept**2 - CORE * d**2
+    log_density = (0.5 * d - 1.0) * math.log(limit) - 0.5 * limit - 0.5 * d * math.log(2.0) - math.lgamma(0.5 * d)
+    slope = CORE * d - limit * math.exp(log_density) * (limit / kept - d)
+    return variance / slope**2 * 0.5 * d * CORE
 
 
 def _told(theta: FloatArray, covariance: FloatArray | None, unit: float) -> ErrorModel:
@@ -105,12 +123,19 @@ def _told(theta: FloatArray, covariance: FloatArray | None, unit: float) -> Erro
     apart = "the quoted errors vary too little, or too much alike, from pair to pair to judge the sources apart"
     if covariance is None:
         return ErrorModel(None, None, None, apart)
-    roots, errors = np.sqrt(theta), np.sqrt(np.diag(covariance))
-    # Where a term is zero within its error, the error of its root is the root of its error.
-    spread = errors / (2.0 * np.maximum(roots, np.sqrt(errors)))
+    roots, spread = np.sqrt(theta), _root_errors(theta, np.sqrt(np.diag(covariance)))
     factors = [Quantity(float(roots[k]), float(spread[k])) for k in range(2)]
     known = [q if q.standard_error < TELLING * max(q.value, 1.0) else None for q in factors]
     floor = Quantity(float(roots[2]) * math.sqrt(unit), float(spread[2]) * math.sqrt(unit))
     if known == [None, None]:
         return ErrorModel(None, None, None, apart)
     return ErrorModel(known[0], known[1], floor, "" if all(known) else apart)
+
+
+def _root_errors(theta: FloatArray, errors: FloatArray) -> FloatArray:
+    """Standard errors of √θ, from those of θ ≥ 0: the farther end of its 90 % interval, in 1.645 of them.
+
+    Where θ is zero within its error its root is not normal, and to first order its error would be nearly none.
+    """
+    ends = (np.sqrt(np.maximum(theta + side * ENDS * errors, 0.0)) for side in (-1.0, 1.0))
+    return np.asarray(np.max([np.abs(end - np.sqrt(theta)) for end in ends], axis=0) / ENDS)

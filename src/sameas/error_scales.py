@@ -18,6 +18,8 @@ from sameas.records import FloatArray
 #: Steps of the ladder of error scales, as a factor; enough for any smooth spread to be mixed from them.
 RUNG = 1.5
 LOWEST_RUNG = -5.0
+#: Where typical errors are not within this of those quoted, in ln, ladders shifted by these parts of a rung are tried.
+AS_QUOTED, SHIFTS = 0.1, (1.0 / 3.0, 2.0 / 3.0)
 #: Pairs of like distance are counted together, in so many bins from the first distance on, in standard deviations.
 BINS, NEAREST = 160, 1e-2
 #: Pairs whose log odds are less say nothing of the errors, whatever these are; more is as sure as can be; in so many
@@ -36,10 +38,14 @@ SHORTEST, RIDGE = 1e-3, 1e-10
 
 @dataclass(frozen=True)
 class ErrorFit:
-    """The errors, and by how much a tail of them would better ln of the likelihood, whether it stands out or not."""
+    """The errors, and by how much a tail of them would better ln of the likelihood, whether it stands out or not.
+
+    log_likelihood : of the errors, up to a constant of the pairs.
+    """
 
     errors: Errors
     tail: float
+    log_likelihood: float
 
 
 def fit_errors(
@@ -49,26 +55,43 @@ def fit_errors(
 
     f = Σ share scale^(−d) exp(−m²/(2 scale²)) is what the mixture says of a pair (``Errors.log_profile``), ``log_odds``
     what everything else does. The scales are a ladder from 0.13 upwards as far as the residuals reach, and not beyond
-    ``widest``; a pseudo-count on the scale 1 keeps a few pairs from saying much.
+    ``widest``; a pseudo-count on the scale nearest to 1 keeps a few pairs from saying much. Where errors are typically
+    not as quoted, ladders that begin between its rungs are tried too: mixed from two neighbours, one normal would have
+    too long a tail, which chance pairs fill.
 
     Parameters
     ----------
     mahalanobis_sq, log_odds : (m,) squared normalised distances m² in d features, and ln of the odds.
     start : where the search begins.
     """
+    reach, cells = _cells(mahalanobis_sq, log_odds)
+    fit = _on_ladder(reach, cells, d, start, widest, 0.0)
+    if abs(math.log(fit.errors.typical_scale)) < AS_QUOTED:
+        return fit
+    others = [_on_ladder(reach, cells, d, fit.errors, widest, shift) for shift in SHIFTS]
+    return max(fit, *others, key=lambda fit: fit.log_likelihood)
+
+
+def _on_ladder(
+    reach: float, cells: tuple[NDArray, ...], d: int, start: Errors, widest: float, shift: float
+) -> ErrorFit:
+    """The likeliest mixture of one ladder, whose rungs stand ``shift`` of one higher than 1, 1.5, …"""
     from sameas.kernels.mixture import fit
 
-    reach, cells = _cells(mahalanobis_sq, log_odds)
     rungs = max(4, math.ceil(math.log(reach / 2.0) / math.log(RUNG)) + 1)
-    scales = RUNG ** np.arange(LOWEST_RUNG, rungs)
-    scales = scales[scales <= max(widest, 1.0)]
-    known = {round(scale, 9): share for scale, share in zip(start.scales, start.shares, strict=True)}
-    shares = np.array([known.get(round(scale, 9), 0.0) for scale in scales.tolist()])
+    steps = np.arange(LOWEST_RUNG, rungs) + shift
+    scales = RUNG**steps
+    scales = scales[scales <= max(widest, RUNG**shift)]
+    nearest = np.round(np.log(np.asarray(start.scales)) / math.log(RUNG) - steps[0])
+    at = nearest.clip(0, len(scales) - 1).astype(np.int64)
+    shares = np.asarray(np.bincount(at, start.shares, len(scales)), np.float64)
     core, pseudo = int(np.searchsorted(scales, TAIL, side="right")), np.zeros(len(scales))
-    pseudo[np.abs(np.log(scales)) < 0.01] = 2.0
-    shares, tail = fit(*cells, d, scales, core, pseudo, shares, STANDING_OUT, (SPREAD, STEPS, SETTLED, SHORTEST, RIDGE))
+    pseudo[np.argmin(np.abs(np.log(scales)))] = 2.0
+    search = SPREAD, STEPS, SETTLED, SHORTEST, RIDGE
+    shares, tail, likelihood = fit(*cells, d, scales, core, pseudo, shares, STANDING_OUT, search)
     kept = shares > 1e-6
-    return ErrorFit(Errors(tuple(scales[kept].tolist()), tuple((shares[kept] / shares[kept].sum()).tolist())), tail)
+    errors = Errors(tuple(scales[kept].tolist()), tuple((shares[kept] / shares[kept].sum()).tolist()))
+    return ErrorFit(errors, tail, likelihood)
 
 
 def _cells(z2: FloatArray, log_odds: FloatArray) -> tuple[float, tuple[NDArray, ...]]:

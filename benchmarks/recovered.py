@@ -1,0 +1,188 @@
+"""What was estimated against the truth: mean deviation and coverage of 1.96 standard errors, by kind of frame."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from benchmarks.tables import Table
+from sameas import PoissonField, match
+from sameas.areas import displaced
+from sameas.estimate import Estimate
+from sameas.evidence import Magnitudes
+from sameas.exposures import Exposure, Sky, exposure, misquoted
+from sameas.quantity import Quantity
+
+Change = Callable[[np.random.Generator, Exposure], Exposure]
+SPARSE = Sky(stars_per_deg2=5_000.0)
+#: Errors that are not as quoted: of both sources; of the frame, and a floor under the catalogue's, arcsec.
+BOTH, FRAME, FLOOR_ARCSEC = 1.7, 1.4, 0.1
+#: Share of the frame's magnitudes that are those of another star.
+UNRELATED = 0.05
+#: Asked of the share of trials within 1.96 standard errors.
+LEAST, MOST = 0.90, 0.98
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Frames of one kind.
+
+    side_deg : None for the side that is asked for. banded : whether magnitudes are told. change : what is done to a
+    frame that was made. known : true values that are not those of honest frames; NaN where there is no such value.
+    """
+
+    title: str
+    sky: Sky = field(default_factory=Sky)
+    side_deg: float | None = None
+    banded: bool = False
+    change: Change = lambda rng, made: made
+    known: Mapping[str, float] = field(default_factory=dict)
+
+    def deviations(self, seed: tuple[int, int], side_deg: float) -> Iterator[tuple[str, float]]:
+        """Names and deviations, in standard errors, of all that one frame has a true value for."""
+        rng = np.random.default_rng(seed)
+        made = self.change(rng, exposure(rng, self.sky, side_deg=self.side_deg or side_deg))
+        _, estimate = match(made.scene.first, made.scene.second, brightness=made.brightness if self.banded else None)
+        truth = truths(made) | dict(self.known)
+        for name, quantity in found(estimate):
+            if np.isfinite(truth.get(name, np.nan)):
+                yield name, (quantity.value - truth[name]) / quantity.standard_error
+        if self.banded:
+            yield from curve_deviations(estimate, made)
+
+
+def too_small(rng: np.random.Generator, made: Exposure) -> Exposure:
+    """All errors quoted too small."""
+    return replace(made, scene=misquoted(made.scene, BOTH))
+
+
+def uneven(rng: np.random.Generator, made: Exposure) -> Exposure:
+    """The frame's errors quoted too small, and a floor under the catalogue's."""
+    first, second = made.scene.first, made.scene.second
+    moved = displaced(second.features, FLOOR_ARCSEC * rng.standard_normal((len(second), 2)))
+    first, second = replace(first, covariance=first.covariance / FRAME**2), replace(second, features=moved)
+    return replace(made, scene=replace(made.scene, first=first, second=second))
+
+
+def confused(rng: np.random.Generator, made: Exposure) -> Exposure:
+    """Some of the frame's magnitudes are those of other stars of it."""
+    frame, catalogue = made.brightness
+    values = np.array(frame.values)
+    at = np.flatnonzero(rng.uniform(size=len(values)) < UNRELATED)
+    values[at] = values[rng.integers(0, len(values), len(at))]
+    return replace(made, brightness=(Magnitudes(values, frame.sigma, frame.names), catalogue))
+
+
+KINDS = (
+    Kind("crowded, positions alone"),
+    Kind("sparse, positions alone", SPARSE, 0.6),
+    Kind("crowded, two bands", banded=True),
+    Kind(
+        f"crowded, two bands, {UNRELATED:.0%} of the magnitudes unrelated", banded=True, change=confused,
+        known={"brightness_unrelated": UNRELATED},
+    ),
+    Kind(
+        f"crowded, errors quoted {BOTH:g} times too small", change=too_small,
+        known={"error_scale": BOTH, "factor_1": BOTH, "factor_2": BOTH},
+    ),
+    Kind(
+        f"sparse, the frame's errors quoted {FRAME:g} times too small, a floor of {FLOOR_ARCSEC:g}″", SPARSE, 0.6,
+        change=uneven, known={"error_scale": np.nan, "factor_1": FRAME, "floor": FLOOR_ARCSEC},
+    ),
+    Kind(
+        f"crowded, the frame's errors quoted {FRAME:g} times too small, a floor of {FLOOR_ARCSEC:g}″",
+        change=uneven, known={"error_scale": np.nan, "factor_1": FRAME, "floor": FLOOR_ARCSEC},
+    ),
+)  # fmt: skip
+
+
+def recovered(options: argparse.Namespace) -> Iterator[Table]:
+    """A table for each kind of frame."""
+    for kind in KINDS:
+        deviations: dict[str, list[float]] = {}
+        for number in range(options.trials):
+            for name, deviation in kind.deviations((79, number), options.trial_side):
+                deviations.setdefault(name, []).append(deviation)
+        yield _table(kind, deviations, options)
+
+
+def _table(kind: Kind, deviations: Mapping[str, list[float]], options: argparse.Namespace) -> Table:
+    """Mean deviation, spread and coverage of every quantity."""
+    lines: list[list[object]] = []
+    outside = []
+    for name, values in deviations.items():
+        z = np.array(values)
+        covered = float(np.mean(np.abs(z) < 1.96))
+        lines.append([name, len(z), float(z.mean()), float(z.mean() * np.sqrt(len(z))), float(z.std()), covered])
+        if not LEAST <= covered <= MOST:
+            outside.append(f"{name} {covered:.3f}")
+    columns = ("quantity", "n", "mean deviation, σ", "of its own error", "spread, σ", "within 1.96 σ")
+    side = kind.side_deg or options.trial_side
+    asked = f"asked: {LEAST:.2f} to {MOST:.2f} within 1.96 σ; outside: {', '.join(outside) or 'none'}"
+    title = f"Standard errors, {options.trials} frames of {side:g}°: {kind.title}"
+    notes = (f"{asked}. Of {options.trials} trials, chance moves a share by ±{1.96 * _chance(options.trials):.3f}",)
+    return Table(title, columns, lines, notes)
+
+
+def _chance(trials: int) -> float:
+    """Standard error of a share of 0.95."""
+    return float(np.sqrt(0.95 * 0.05 / trials))
+
+
+# ---- true values ----
+
+
+def true_rule(made: Exposure) -> PoissonField:
+    """The positions' rule with the parameters that made the frame."""
+    sky = made.sky
+    magnitude = np.linspace(sky.brightest, sky.faintest, 4001)
+    number = 10 ** (sky.steepness * magnitude)
+    shown = float(np.average(sky.completeness(magnitude), weights=number))
+    stars, listed = sky.stars_per_deg2 / 3600.0**2, 1.0 - sky.uncatalogued
+    false = stars * shown * sky.false_share / (1.0 - sky.false_share)
+    return PoissonField(
+        stars * listed * shown, stars * shown * sky.uncatalogued + false, stars * listed * (1.0 - shown)
+    )
+
+
+def truths(made: Exposure) -> dict[str, float]:
+    """What the estimates should be, where errors and magnitudes are what is said of them."""
+    rule, sky = true_rule(made), made.sky
+    only_1, only_2, common = (float(x) for x in (rule.only_1, rule.only_2, rule.common))  # type: ignore[arg-type]
+    pairs = made.scene.true_pairs()
+    true = made.magnitude[made.scene.truth_1[pairs[0]]]
+    colour = np.mean(0.08 * (true - 16.0))
+    return {
+        "common": len(pairs[0]), "share_1": common / (common + only_1), "share_2": common / (common + only_2),
+        "density_common": common, "density_only_1": only_1, "density_only_2": only_2, "error_scale": 1.0,
+        "zero_point": sky.zero_point + sky.colour_term * float(colour), "scatter": sky.scatter,
+        # The frame's band follows V − I, the relation I − V.
+        "colour_I": -sky.colour_term,
+        "factor_1": 1.0, "factor_2": 1.0, "floor": 0.0,
+    }  # fmt: skip
+
+
+def found(estimate: Estimate) -> Iterator[tuple[str, Quantity]]:
+    """All numbers that were estimated."""
+    yield from estimate.quantities.items()
+    model = estimate.error_model
+    if model is not None:
+        parts = {"factor_1": model.factor_1, "factor_2": model.factor_2, "floor": model.floor}
+        yield from ((name, quantity) for name, quantity in parts.items() if quantity is not None)
+
+
+def curve_deviations(estimate: Estimate, made: Exposure) -> Iterator[tuple[str, float]]:
+    """Bins of P_d(m) of the catalogue, in standard errors, where the error of a magnitude does not matter."""
+    curve, sky = estimate.detection_2, made.sky
+    if curve is None:
+        return
+    seen = np.asarray(made.brightness[1].values)[:, 0]
+    true = made.magnitude[made.scene.truth_2]
+    at = np.searchsorted(curve.edges, seen, side="right") - 1
+    for k in range(len(curve.number)):
+        expected = float(sky.completeness(true[at == k]).mean()) if np.any(at == k) else np.nan
+        if curve.number[k] >= 30 and np.isfinite(expected):
+            yield "P_d(m) of the catalogue", float((curve.probability[k] - expected) / curve.standard_error[k])
