@@ -83,7 +83,7 @@ class SkyMatch:
 
     epoch_jyr : the epoch both were brought to, None where each stayed where it was observed.
     moved : one sentence on what was moved and why. doubts : what looks wrong with the result.
-    turn : of the second catalogue onto the first, None where none was looked for.
+    turn : of the second catalogue onto the first, None where none was looked for, or none found beside chance.
     """
 
     first: Catalogue
@@ -147,7 +147,8 @@ def match(
     progress("motion")
     epoch, words, one, two = brought_together(first, second, options.epoch_jyr)
     _refuse_blur(one, two)
-    turn = find_turn(one, two, progress) if options.offset == "find" else None
+    sought = find_turn(one, two, progress) if options.offset == "find" else None
+    turn = None if sought is None or sought.by_chance else sought
     if turn is not None:
         two = turn.of(two)
     result, estimate = estimated(
@@ -155,7 +156,7 @@ def match(
         brightness=magnitudes_of(first, second, options.magnitudes), progress=progress,
     )  # fmt: skip
     doubts = density_doubts(estimate.coverage, options) + _doubts(result, estimate) + _missed(result, estimate)
-    doubts += _standing_off(result, estimate) if turn is None else turn.notes
+    doubts += _standing_off(result, estimate) if sought is None else _of_search(sought)
     return SkyMatch(first, second, epoch, words, result, estimate, doubts, turn)
 
 
@@ -287,6 +288,11 @@ def _doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]:
         count = result.approximate_pairs
         doubts.append(f"{count} candidates lie in entangled groups; their probabilities are approximate")
     return tuple(doubts)
+
+
+def _of_search(sought: Turn) -> tuple[str, ...]:
+    """What is in doubt of a turn that was looked for."""
+    return (*sought.notes, "no offset was taken away") if sought.by_chance else sought.notes
 
 
 def _standing_off(result: Identification, estimate: Estimate) -> tuple[str, ...]:
