@@ -33,6 +33,9 @@ ARCSEC2_PER_DEG2 = 3600.0**2
 BLURRED = 20.0
 #: Rows from which only every so manieth ring of cells is looked at for that.
 FEW_ROWS, RINGS = 100_000, 16.0
+#: Sources have next to nothing in common where no more than this share of the poorer one, and no more than so many
+#: standard errors, is expected.
+SPARSE, TELLING = 0.05, 3.0
 
 
 @dataclass(frozen=True)
@@ -297,8 +300,12 @@ def _of_search(sought: Turn) -> tuple[str, ...]:
 
 def _standing_off(result: Identification, estimate: Estimate) -> tuple[str, ...]:
     """A question to the frames where the pairs lie off each other on the average, or there are none."""
-    if estimate.common < 1.0:
-        return ("one may stand off the other by more than their errors: --offset find looks for that",)
+    if _next_to_nothing(result, estimate):
+        return (
+            f"{result.first.source} and {result.second.source} have next to nothing in common "
+            f"({estimate.quantities['common']} objects); one may stand off the other by more than their errors: "
+            "--offset find looks for that",
+        )
     found = left_over(result, estimate.typical_scale)
     if found is None:
         return ()
@@ -307,6 +314,13 @@ def _standing_off(result: Identification, estimate: Estimate) -> tuple[str, ...]
         f"{result.second.source} stands off {result.first.source} by up to {share:.1g} of a pair's error "
         f"({turn}): say --offset find to take it away",
     )
+
+
+def _next_to_nothing(result: Identification, estimate: Estimate) -> bool:
+    """Whether the common objects are few, and no more than their standard error lets chance give."""
+    if estimate.common > SPARSE * min(len(result.first), len(result.second)):
+        return False
+    return estimate.common <= max(0.5, TELLING * estimate.quantities["common"].standard_error)
 
 
 def _missed(result: Identification, estimate: Estimate) -> tuple[str, ...]:
