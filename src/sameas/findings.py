@@ -28,7 +28,7 @@ def findings(match: SkyMatch) -> list[str]:
     return [
         *_unmatched(match),
         *entry("errors", _errors_in_words(match)),
-        *_by_source(match),
+        *(entry("  by catalogue", words) if (words := by_source(match)) else ()),
         *_brightness(match),
         *entry("gate", f"{e.gate_sigmas:.1f} quoted σ"),
         *entry("rounds", f"{e.rounds}{_sampled(match)}, " + ("settled" if e.settled else "not settled")),
@@ -61,11 +61,11 @@ def _unmatched(match: SkyMatch) -> list[str]:
     return entry("of those in one only", words)
 
 
-def _by_source(match: SkyMatch) -> list[str]:
-    """Which catalogue's errors are too small, where the data can tell."""
+def by_source(match: SkyMatch) -> str:
+    """Which catalogue's errors are too small, where the data can tell; "" where errors were not judged."""
     model = match.estimate.error_model
     if model is None:
-        return []
+        return ""
     names = match.first.name, match.second.name
     factors = zip(names, (model.factor_1, model.factor_2), strict=True)
     words = [f"those of {name} × {q}" for name, q in factors if q is not None]
@@ -74,7 +74,7 @@ def _by_source(match: SkyMatch) -> list[str]:
         most = model.floor.value + 2.0 * model.floor.standard_error
         floor = f"{model.floor} arcsec" if seen else f"none seen, less than {most:.2g} arcsec"
         words.append(f"floor in quadrature on each axis: {floor}")
-    return entry("  by catalogue", ", ".join(words) + ("; " if words and model.note else "") + model.note)
+    return ", ".join(words) + ("; " if words and model.note else "") + model.note
 
 
 def _brightness(match: SkyMatch) -> list[str]:
