@@ -70,11 +70,16 @@ def by_source(match: SkyMatch) -> str:
     factors = zip(names, (model.factor_1, model.factor_2), strict=True)
     words = [f"those of {name} × {q}" for name, q in factors if q is not None]
     if model.floor is not None:
-        seen = model.floor.value > SIGNIFICANT * model.floor.standard_error
-        most = model.floor.value + 2.0 * model.floor.standard_error
-        floor = f"{model.floor} arcsec" if seen else f"none seen, less than {most:.2g} arcsec"
-        words.append(f"floor in quadrature on each axis: {floor}")
+        words.append(floor_in_words(model.floor))
     return ", ".join(words) + ("; " if words and model.note else "") + model.note
+
+
+def floor_in_words(floor_arcsec: Quantity) -> str:
+    """What the errors have beyond the quoted ones, or how small it is."""
+    seen = floor_arcsec.value > SIGNIFICANT * floor_arcsec.standard_error
+    most = floor_arcsec.value + 2.0 * floor_arcsec.standard_error
+    floor = f"{floor_arcsec} arcsec" if seen else f"none seen, less than {most:.2g} arcsec"
+    return f"floor in quadrature on each axis: {floor}"
 
 
 def _brightness(match: SkyMatch) -> list[str]:
@@ -128,7 +133,7 @@ def _errors_in_words(match: SkyMatch) -> str:
     scales, scale = e.errors.scales, e.quantities.get("error_scale")
     if scale is None and len(scales) == 1:
         return "taken as quoted" if scales[0] == 1.0 else f"{scales[0]:g} times the quoted ones"
-    words = f"typically {e.typical_scale:.2f} times the quoted ones" if scale is None else _judged(scale)
+    words = f"typically {e.typical_scale:.2f} times the quoted ones" if scale is None else judged(scale)
     beyond = tail(match.result, e.errors)
     if beyond is None:
         return words
@@ -136,7 +141,7 @@ def _errors_in_words(match: SkyMatch) -> str:
     return f"{words}; a tail: {far}"
 
 
-def _judged(scale: Quantity) -> str:
+def judged(scale: Quantity) -> str:
     """The verdict on the quoted errors, from the median residual over its due."""
     off = scale.value - 1.0
     if abs(off) <= max(AS_QUOTED, SIGNIFICANT * scale.standard_error):
