@@ -32,6 +32,7 @@ from sameas.cli.arguments import (
     OutFormat,
     Output,
     Overwrite,
+    Pictures,
     Quiet,
     Record,
     Second,
@@ -90,6 +91,7 @@ def match(
     nway_columns: Nway = False,
     compare_nearest: CompareNearest = False,
     certify: Certify = False,
+    pictures: Pictures = None,
     dry_run: DryRun = False,
     quiet: Quiet = False,
     debug: Debug = False,
@@ -124,7 +126,8 @@ def match(
         command = ctx.meta["typed"]
         wanted = None
         if output:
-            wanted = Wanted(output, out_format, overwrite, join, nway_columns, compare_nearest, certify, command)
+            told = join, nway_columns, compare_nearest, certify, pictures
+            wanted = Wanted(output, out_format, overwrite, *told, command)
         run(request, None if dry_run else wanted, quiet)
 
 

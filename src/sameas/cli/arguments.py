@@ -34,6 +34,10 @@ Join = Annotated[
     _option("--join", metavar="TYPE", callback=one_of(JOINS), help=f"Rows of the output: {', '.join(JOINS)}."),
 ]
 Nway = Annotated[bool, _option("--nway-columns", help="Add p_any, p_i and dist_bayesfactor of NWAY.")]
+Pictures = Annotated[
+    Path | None,
+    _option("--pictures", metavar="FOLDER", help="Draw residuals, errors, certainty and brightness into a folder."),
+]
 ToEpoch = Annotated[
     float | None,
     _option("--to-epoch", panel=_MATCH, metavar="YEAR", help="Common epoch that both catalogues are moved to."),

@@ -33,6 +33,9 @@ ARCSEC2_PER_DEG2 = 3600.0**2
 BLURRED = 20.0
 #: Rows from which only every so manieth ring of cells is looked at for that.
 FEW_ROWS, RINGS = 100_000, 16.0
+#: Sources have next to nothing in common where no more than this share of the poorer one, and no more than so many
+#: standard errors, is expected.
+SPARSE, TELLING = 0.05, 3.0
 
 
 @dataclass(frozen=True)
@@ -83,7 +86,7 @@ class SkyMatch:
 
     epoch_jyr : the epoch both were brought to, None where each stayed where it was observed.
     moved : one sentence on what was moved and why. doubts : what looks wrong with the result.
-    turn : of the second catalogue onto the first, None where none was looked for.
+    turn : of the second catalogue onto the first, None where none was looked for, or none found beside chance.
     """
 
     first: Catalogue
@@ -147,7 +150,8 @@ def match(
     progress("motion")
     epoch, words, one, two = brought_together(first, second, options.epoch_jyr)
     _refuse_blur(one, two)
-    turn = find_turn(one, two, progress) if options.offset == "find" else None
+    sought = find_turn(one, two, progress) if options.offset == "find" else None
+    turn = None if sought is None or sought.by_chance else sought
     if turn is not None:
         two = turn.of(two)
     result, estimate = estimated(
@@ -155,7 +159,7 @@ def match(
         brightness=magnitudes_of(first, second, options.magnitudes), progress=progress,
     )  # fmt: skip
     doubts = density_doubts(estimate.coverage, options) + _doubts(result, estimate) + _missed(result, estimate)
-    doubts += _standing_off(result, estimate) if turn is None else turn.notes
+    doubts += _standing_off(result, estimate) if sought is None else _of_search(sought)
     return SkyMatch(first, second, epoch, words, result, estimate, doubts, turn)
 
 
@@ -289,10 +293,19 @@ def _doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]:
     return tuple(doubts)
 
 
+def _of_search(sought: Turn) -> tuple[str, ...]:
+    """What is in doubt of a turn that was looked for."""
+    return (*sought.notes, "no offset was taken away") if sought.by_chance else sought.notes
+
+
 def _standing_off(result: Identification, estimate: Estimate) -> tuple[str, ...]:
     """A question to the frames where the pairs lie off each other on the average, or there are none."""
-    if estimate.common < 1.0:
-        return ("one may stand off the other by more than their errors: --offset find looks for that",)
+    if _next_to_nothing(result, estimate):
+        return (
+            f"{result.first.source} and {result.second.source} have next to nothing in common "
+            f"({estimate.quantities['common']} objects); one may stand off the other by more than their errors: "
+            "--offset find looks for that",
+        )
     found = left_over(result, estimate.typical_scale)
     if found is None:
         return ()
@@ -301,6 +314,13 @@ def _standing_off(result: Identification, estimate: Estimate) -> tuple[str, ...]
         f"{result.second.source} stands off {result.first.source} by up to {share:.1g} of a pair's error "
         f"({turn}): say --offset find to take it away",
     )
+
+
+def _next_to_nothing(result: Identification, estimate: Estimate) -> bool:
+    """Whether the common objects are few, and no more than their standard error lets chance give."""
+    if estimate.common > SPARSE * min(len(result.first), len(result.second)):
+        return False
+    return estimate.common <= max(0.5, TELLING * estimate.quantities["common"].standard_error)
 
 
 def _missed(result: Identification, estimate: Estimate) -> tuple[str, ...]:
