@@ -52,7 +52,7 @@ SUSPECTED, SUSPECTED_CROWDED = 1.0, 2.0
 SIGNIFICANT = 4.0
 #: A sample has misled where it lets expect another number of common objects, by more than this share beyond chance.
 MISLED = 0.02
-BRIGHTNESS_TERMS = ("completeness", "brightness")
+BRIGHTNESS_TERMS, PRECISION_TERMS = ("completeness", "brightness"), ("precision",)
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,12 @@ class Estimate:
     @cached_property
     def changed_by_brightness(self) -> int:
         """How many records of source 1 positions alone would identify otherwise."""
-        return 0 if self.photometry is None else changed_without(self.answer, BRIGHTNESS_TERMS)
+        return changed_without(self.answer, BRIGHTNESS_TERMS)
+
+    @cached_property
+    def changed_by_precision(self) -> int:
+        """How many records of source 1 would be identified otherwise without the sizes of the quoted errors."""
+        return changed_without(self.answer, PRECISION_TERMS)
 
     @cached_property
     def error_model(self) -> ErrorModel | None:

@@ -109,8 +109,10 @@ def _brightness(match: SkyMatch) -> list[str]:
             lines += entry("completeness", f"of {mine.name} {other.name} shows {_completeness(curve)}")
     weights = ", ".join(f"{name} {value:.1f}" for name, value in e.decisive.items())
     if weights:
-        changed = f"; brightness changes {count(e.changed_by_brightness)} answers" if e.photometry is not None else ""
-        lines += entry("what decides", f"median |ln odds| over the identified: {weights}{changed}")
+        changed = [f"; brightness changes {count(e.changed_by_brightness)} answers"] if e.photometry is not None else []
+        if "precision" in e.decisive:
+            changed.append(f"; precision, the sizes of the quoted errors, changes {count(e.changed_by_precision)}")
+        lines += entry("what decides", f"median |ln odds| over the identified: {weights}{''.join(changed)}")
     return lines
 
 

@@ -44,9 +44,9 @@ def density_of(magnitude: FloatArray) -> MagnitudeDensity:
     """The density of all magnitudes (n,) of a source: smoothed by half of Silverman's width, a pseudo-record flat."""
     from scipy.ndimage import gaussian_filter1d
 
-    n = len(magnitude)
-    low, lower, upper, high = np.sort(magnitude)[[0, n // 4, 3 * n // 4, -1]]
-    quartiles = (upper - lower) / 1.35
+    n, low, high = len(magnitude), float(magnitude.min()), float(magnitude.max())
+    lower, upper = np.partition(magnitude, (n // 4, 3 * n // 4))[[n // 4, 3 * n // 4]]
+    quartiles = (upper - lower) / QUARTILES_APART
     width = 0.5 * min(x for x in (float(magnitude.std()), quartiles, math.inf) if x > 0.0) * n**-0.2
     width = min(max(width, 0.01), 1.0) if math.isfinite(width) else 0.1
     step = max(width / 3.0, (high - low) / 4000.0)

@@ -33,6 +33,7 @@ from sameas.cli.arguments import (
     Output,
     Overwrite,
     Pictures,
+    PrecisionEvidence,
     Quiet,
     Record,
     Second,
@@ -100,6 +101,7 @@ def match(
     error_scale: ErrorScale = "auto",
     density: Density = None,
     magnitudes: MagnitudeEvidence = "auto",
+    precision: PrecisionEvidence = True,
     offset: Offset = "none",
     hdu1: Hdu1 = None,
     hdu2: Hdu2 = None,
@@ -119,7 +121,7 @@ def match(
         from sameas.cli.matching import Wanted, run
         from sameas.cli.request import Request, match_options
 
-        options = match_options(to_epoch, gate_sigmas, error_scale, density, magnitudes, offset)
+        options = match_options(to_epoch, gate_sigmas, error_scale, density, magnitudes, offset, precision)
         fields = fields_of(columns, 1), fields_of(columns, 2)
         paths = str(first), str(second)
         request = Request(paths, (format1, format2), (hdu1, hdu2), fields, options, columns)

@@ -78,6 +78,14 @@ MagnitudeEvidence = Annotated[
         help="Magnitudes as evidence: those of both catalogues, none, or columns of A and of B.",
     ),
 ]
+PrecisionEvidence = Annotated[
+    bool,
+    _option(
+        "--precision/--no-precision",
+        panel=_MATCH,
+        help="Whether the sizes of the quoted errors are evidence too, where magnitudes tell too little.",
+    ),
+]
 Offset = Annotated[
     str,
     _option(

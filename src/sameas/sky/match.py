@@ -47,6 +47,7 @@ class MatchOptions:
     density_per_deg2 : (first, second) densities of all records, instead of local ones from the data.
     magnitudes : "auto" takes those of both catalogues as evidence, "off" leaves it to the positions; columns by name
         as "G,BP:J,H" (see ``sky.bands``).
+    precision : whether the sizes of the quoted errors are evidence too, where magnitudes tell too little.
     offset : "none" believes that both are on one frame, and doubts it where the pairs say else; "find" looks for the
         shift and turn of the second catalogue and takes it away (see ``sky.turn``).
     """
@@ -57,6 +58,7 @@ class MatchOptions:
     density_per_deg2: tuple[float, float] | None = None
     magnitudes: str = AUTO
     offset: str = "none"
+    precision: bool = True
 
     def errors(self) -> Errors | None:
         """The spread of the residuals, None where it is to be estimated."""
@@ -156,7 +158,7 @@ def match(
         two = turn.of(two)
     result, estimate = estimated(
         one, two, errors=options.errors(), gate=options.gate(), density=options.density(),
-        brightness=magnitudes_of(first, second, options.magnitudes), progress=progress,
+        brightness=magnitudes_of(first, second, options.magnitudes), precision=options.precision, progress=progress,
     )  # fmt: skip
     doubts = density_doubts(estimate.coverage, options) + _doubts(result, estimate) + _missed(result, estimate)
     doubts += _standing_off(result, estimate) if sought is None else _of_search(sought)
