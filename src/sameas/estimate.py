@@ -26,7 +26,7 @@ from sameas.detection import DetectionCurve
 from sameas.error_model import ErrorModel, error_model
 from sameas.error_scales import STANDING_OUT
 from sameas.errors import InputError
-from sameas.evidence import Errors, Magnitudes
+from sameas.evidence import Errors, Magnitudes, Precision
 from sameas.gate import ChiSquare, Pairs, Radius
 from sameas.identify import identify
 from sameas.photometry import Photometry
@@ -69,6 +69,7 @@ class Estimate:
     learned_from : records of either source that the rounds went over: all of them, or a sample that stands for them.
     notes : what a user should know.
     photometry : how the magnitudes of both sources are related, None where they were not given or told nothing.
+    precision : what the sizes of the quoted errors say, None where they were not asked or told nothing.
     answer : the identification. judged : whether the spread of the errors was learned from its pairs.
 
     What follows from these is computed when it is asked for.
@@ -85,6 +86,7 @@ class Estimate:
     learned_from: tuple[int, int]
     notes: tuple[str, ...]
     photometry: Photometry | None
+    precision: Precision | None
     answer: Identification = field(repr=False)
     judged: bool
 
@@ -311,9 +313,11 @@ def _told(answer: Identification, coverage: Coverage, found: _Found, remarks: li
     known, common = found.known, float(answer.p_pair.sum())
     seen_1, seen_2 = (max(int(np.count_nonzero(seen)), 1) for seen in coverage.covered)
     photometry = known.photometry if known.photometry is not None and known.photometry.tells else None
+    precision = None if known.grades is None else known.grades.rule
     return Estimate(
         common, min(1.0, common / seen_1), min(1.0, common / seen_2), known.errors, found.gate_sigmas, coverage,
-        found.rounds, found.settled, found.learned_from, tuple(remarks) + _notes(found, common), photometry, answer,
+        found.rounds, found.settled, found.learned_from, tuple(remarks) + _notes(found, common), photometry, precision,
+        answer,
         known.learns_errors and common >= FEWEST,
     )  # fmt: skip
 
