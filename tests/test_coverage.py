@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sameas import Plane, Records, Sphere
-from sameas.coverage import Coverage
+from sameas.coverage import SMOOTH, Coverage
 from sameas.simulate import Box, WholeSky
 from sameas.space import ARCSEC_PER_RADIAN
 
@@ -83,10 +83,51 @@ def test_the_sky_has_its_area(area):
 
 
 @pytest.mark.parametrize("space", [Plane(), Sphere()])
-def test_a_handful_of_records_at_one_place_is_no_trouble(space):
-    for n1, n2 in ((1, 1), (1, 5), (5, 5)):
+def test_records_at_one_place_are_no_trouble(space):
+    for n1, n2 in ((1, 1), (1, 5), (5, 5), (60, 40)):
         one, two = (Records.of(np.full((n, 2), 1.0), sigma=1.0, space=space) for n in (n1, n2))
         cover = Coverage.of(one, two)
         for density in (*cover.density(1, np.ones(n1)), *cover.density(2, np.ones(n2))):
             assert np.isfinite(density).all() and (density > 0).all()
         assert cover.covered[0].all() and cover.covered[1].all()
+
+
+@pytest.mark.parametrize("space", [Plane(), Sphere()])
+def test_a_crowd_at_one_place_among_others_is_cut_no_finer_than_it_pays(space):
+    rng = np.random.default_rng(4)
+    crowded = np.concatenate([rng.uniform(0.0, 50.0, (20, 2)), np.full((500, 2), 30.0)])
+    records = Records.of(crowded, sigma=1e-9, space=space)
+    cover = Coverage.of(records, records)
+    assert all(np.isfinite(density).all() for density in cover.density(1, np.ones(520)))
+    assert cover.covered[0].all()
+
+
+def defined(cover, weights, side, k):
+    """Density of source 1 at record k of a side: level after level drawn towards the count of its cell."""
+    density = (weights.sum() + 0.5) / cover.volume
+    for level in cover.levels:
+        here = getattr(level, side)[k]
+        count = weights[level.of_first == here].sum() - (weights[k] if side == "of_first" else 0.0)
+        density = (count + SMOOTH) / (level.volume[here] + SMOOTH / density)
+    return density
+
+
+@pytest.mark.parametrize("space", [Plane(), Sphere()])
+def test_cells_and_densities_are_those_of_the_definition(space):
+    rng = np.random.default_rng(5)
+    clump = rng.normal(20.0, 0.5, (150, 2))
+    one, two = (
+        Records.of(np.concatenate([rng.uniform(0.0, 60.0, (n, 2)), clump]), sigma=1.0, space=space) for n in (80, 300)
+    )
+    cover = Coverage.of(one, two)
+    for coarse, fine in zip(cover.levels, cover.levels[1:], strict=False):
+        assert fine.volume.mean() == pytest.approx(coarse.volume.mean() / 8.0, rel=0.5)
+    for level in cover.levels:
+        cells = np.concatenate([level.of_first, level.of_second])
+        assert sorted(set(cells.tolist())) == list(range(len(level.volume)))
+    weights = rng.uniform(size=len(one))
+    at_first, at_second = cover.density(1, weights)
+    for k in range(0, len(one), 17):
+        assert at_first[k] == pytest.approx(defined(cover, weights, "of_first", k))
+    for k in range(0, len(two), 17):
+        assert at_second[k] == pytest.approx(defined(cover, weights, "of_second", k))

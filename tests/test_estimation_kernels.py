@@ -85,6 +85,27 @@ def test_the_shares_of_error_scales_are_the_likeliest(seed):
     assert naive.log_likelihood(*by_cell, found) == pytest.approx(best, rel=1e-9)
 
 
+@pytest.mark.parametrize("outlying", [0.0, 0.003, 0.1])
+def test_a_tail_of_the_errors_is_kept_where_it_stands_out(outlying):
+    rng = np.random.default_rng(8)
+    scales, core, pseudo = np.array([0.7, 1.0, 1.5, 4.0, 9.0]), 3, np.array([0.0, 2.0, 0.0, 0.0, 0.0])
+    square = rng.chisquare(2, 1000) * np.where(rng.uniform(size=1000) < outlying, 16.0, 1.0)
+    found = mixture.cells(square, np.full(1000, 14.0), -12.0, 30.0, 1e-2, 20.0, (60, 15))
+    start, count, odds, squares = found
+    search = (1e-3, 100, 1e-10, 1e-3, 1e-10)
+    shares, tail, reached = mixture.fit(*found, 2, scales, core, pseudo, np.eye(5)[1], 8.0, search)
+    density = np.repeat(scales**-2.0 * np.exp(-0.5 * squares[:, None] / scales**2), np.diff(start), axis=0)
+    best = naive.likeliest(count, odds, density, pseudo, 5000)
+    alone = naive.likeliest(count, odds, density[:, :core], pseudo[:core], 5000)
+    gained = naive.log_likelihood(count, odds, density, pseudo, best)
+    gained -= naive.log_likelihood(count, odds, density[:, :core], pseudo[:core], alone)
+    assert tail == pytest.approx(gained, abs=0.01)
+    expected = best if gained > 8.0 else np.append(alone, [0.0, 0.0])
+    assert (shares[core:].sum() > 0.0) == (gained > 8.0) == (outlying > 0.01)
+    assert shares == pytest.approx(expected, abs=0.02)
+    assert reached == pytest.approx(naive.log_likelihood(count, odds, density, pseudo, shares))
+
+
 # ---- relations of magnitudes ----
 
 
@@ -103,7 +124,7 @@ def magnitudes(seed, c):
     sample = np.column_stack([difference, *quoted, weight, unrelated, x, chance])
     k = len(knots)
     start = (
-        np.full(k, 0.2), rng.uniform(0.05, 0.2, k), np.zeros(c), np.array([1.0, 3.0, 10.0]),
+        np.full(k, 0.2), rng.uniform(0.05, 0.2, k), np.zeros(c), np.array([1.0, 3.0, 9.0]),
         np.array([0.8, 0.12, 0.03, 0.05]), np.zeros((k + c, k + c)), np.zeros(k + c), np.array([np.inf]),
     )  # fmt: skip
     return sample, colours, knots, start
@@ -144,7 +165,7 @@ def test_the_density_of_a_magnitude_given_others(seed, c):
     knots = np.sort(rng.uniform(14.0, 20.0, k))
     state = (
         rng.normal(0.0, 0.2, k), rng.uniform(0.01, 0.3, k), rng.normal(0.0, 0.2, c), rng.normal(0.5, 0.2, c),
-        np.array([1.0, 3.0, 10.0]), rng.dirichlet(np.ones(4)),
+        np.array([1.0, 3.0, 9.0]), rng.dirichlet(np.ones(4)),
     )  # fmt: skip
     others = rng.uniform(13.0, 21.0, (n, 1 + c))
     y, variance, background = (
@@ -162,14 +183,32 @@ def test_the_density_of_a_magnitude_given_others(seed, c):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_medians_of_the_values_nearest_to_each_knot(seed):
+def test_quartiles_of_the_values_nearest_to_each_knot(seed):
     rng = np.random.default_rng([4, seed])
     n, k = 50, 5
     values, weight, nearest = rng.normal(size=n), rng.uniform(size=n), rng.integers(0, k - 1, n)
-    found = np.empty(k + 1)
-    relation.medians(np.argsort(values, kind="stable"), values, weight, nearest, found)
-    expected = naive.weighted_medians(values, weight, nearest, k)
-    assert np.isnan(expected[k - 1]) and found == pytest.approx(np.array(expected), nan_ok=True, **exactly)
+    found = np.empty((3, k + 1))
+    relation.quartiles(np.argsort(values, kind="stable"), values, weight, nearest, found)
+    for quarter, row in zip((0.25, 0.5, 0.75), found, strict=True):
+        expected = naive.weighted_quantiles(quarter, values, weight, nearest, k)
+        assert np.isnan(expected[k - 1]) and row == pytest.approx(np.array(expected), nan_ok=True, **exactly)
+
+
+@pytest.mark.parametrize("c", [0, 2])
+@pytest.mark.parametrize("weighed", [True, False])
+def test_a_sample_of_pairs_is_gathered(weighed, c):
+    rng = np.random.default_rng([7, c])
+    y, variance, unrelated = rng.uniform(size=(3, 20))
+    others, other_variance = rng.uniform(size=(2, 20, 1 + c))
+    at, weight = rng.permutation(20)[:8], rng.uniform(0.1, 1.0, 8)
+    sample, colours = np.empty((8, 7)), np.empty((8, 2 * c))
+    relation.gather(at, weight, y, variance, others, other_variance, unrelated, weighed, sample, colours)
+    for e, row in enumerate(at):
+        odds = (1.0 - weight[e]) / weight[e]
+        told = (weight[e], 0.0) if weighed else (1.0, odds * unrelated[row])
+        first = y[row] - others[row, 0], variance[row], other_variance[row, 0]
+        assert sample[e] == pytest.approx([*first, told[0], unrelated[row], others[row, 0], told[1]])
+        assert colours[e] == pytest.approx([*(others[row, 1:] - others[row, 0]), *other_variance[row, 1:]])
 
 
 # ---- curves of a share ----

@@ -166,15 +166,15 @@ def test_grades_that_change_over_the_sky_alike_say_nothing_of_pairs(found):
     pairs, n1, n2 = answer.pairs, len(answer.first), len(answer.second)
     rng = np.random.default_rng(7)
     west = [features[:, 0] > np.median(features[:, 0]) for features in (answer.first.features, answer.second.features)]
-    cells = tuple(side.astype(np.intp) for side in west)
+    cells = tuple(side.astype(np.int32) for side in west)
     sizes = tuple(side + rng.uniform(size=len(side)) for side in west)
     scales = tuple(Scale.of(size, None, 4) for size in sizes)
-    grades = tuple(s.grades(x, None) for s, x in zip(scales, sizes, strict=True))
-    graded = Grades(scales, grades, (cells[0] * 4 + grades[0], cells[1] * 4 + grades[1], 2))
+    graded = Grades(scales, tuple(s.grades(x, None) for s, x in zip(scales, sizes, strict=True)), cells)
     partner = np.full(n1, 0.5), np.full(n2, 0.5)
     every = np.ones(n1, bool), np.ones(n2, bool)
     assert graded.learned(pairs, answer.p_pair, partner, every).rule is None
-    one_cell = Grades(scales, grades, (*grades, 1))
+    nowhere = np.zeros(n1, np.int32), np.zeros(n2, np.int32)
+    one_cell = Grades(scales, graded.grades, nowhere)
     assert one_cell.learned(pairs, answer.p_pair, partner, every).rule is not None
 
 
@@ -185,10 +185,11 @@ def test_what_is_learned_is_the_ratio_of_the_counts(found):
     size = rng.normal(size=n1), rng.normal(size=n2)
     size[1][pairs.j[answer.chosen]] = size[0][pairs.i[answer.chosen]]
     scales = tuple(Scale.of(x, None, 3) for x in size)
+    nowhere = np.zeros(n1, np.int32), np.zeros(n2, np.int32)
     grades = tuple(s.grades(x, None) for s, x in zip(scales, size, strict=True))
     partner = tuple(np.clip(np.bincount(at, answer.p_pair, n), 0.0, 1.0) for at, n in ((pairs.i, n1), (pairs.j, n2)))
     rule = (
-        Grades(scales, grades, (*grades, 1))
+        Grades(scales, grades, nowhere)
         .learned(pairs, answer.p_pair, partner, (np.ones(n1, bool), np.ones(n2, bool)))
         .rule
     )

@@ -70,7 +70,7 @@ def test_every_picture_is_drawn(stars: SkyMatch, tmp_path: Path, name: str) -> N
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
 
 
-@pytest.mark.parametrize("name", ["residuals", "normalised", "certainty"])
+@pytest.mark.parametrize("name", ["residuals", "normalised", "scatter", "certainty"])
 def test_nothing_identified_is_a_picture_too(strangers: SkyMatch, tmp_path: Path, name: str) -> None:
     assert len(strangers.result.matches) == 0
     plots.save(getattr(plots, name)(strangers), tmp_path / "empty.png")
@@ -170,3 +170,24 @@ def test_a_frame_lays_the_sky_flat_at_the_pole_and_across_the_meridian() -> None
 
 def test_scale_bars_have_round_lengths() -> None:
     assert [nice_length(x) for x in (0.3, 1.0, 4.9, 73.0)] == pytest.approx([0.2, 1.0, 2.0, 50.0])
+
+
+def test_the_scatter_that_is_drawn_is_the_one_that_was_made() -> None:
+    rng = np.random.default_rng(8)
+    n, sigma = 3000, np.exp(rng.uniform(np.log(0.05), np.log(0.5), 3000))
+    ra, dec, mag = rng.uniform(10.0, 11.0, n), rng.uniform(-0.5, 0.5, n), 15.0 + np.log(sigma)
+    off = rng.normal(size=(2, n)) * np.hypot(1.5 * sigma, 0.1) / 3600.0
+    first = Table({"ra": ra + off[0], "dec": dec + off[1], "sigma_arcsec": sigma, "mag": mag})
+    second = Table({"ra": ra, "dec": dec, "sigma_arcsec": np.full(n, 1e-3)})
+    found = match(Catalogue.of(first, "plate"), Catalogue.of(second, "gaia"))
+    left, right = plots.scatter(found).axes
+    quoted = left.lines[0].get_xdata()
+    seen = left.lines[2].get_ydata()
+    np.testing.assert_allclose(left.lines[0].get_ydata(), quoted, rtol=1e-12)
+    np.testing.assert_allclose(seen, np.hypot(1.5 * quoted, 0.1), rtol=0.2)
+    assert len(right.lines[2].get_xdata()) == len(quoted)
+
+
+def test_every_picture_that_can_be_drawn_is(stars: SkyMatch, strangers: SkyMatch) -> None:
+    assert [name for name, _ in plots.every(stars)] == ["residuals", "normalised", "scatter", "certainty", "ambiguous"]
+    assert "ambiguous" not in dict(plots.every(strangers)) and "scatter" in dict(plots.every(strangers))

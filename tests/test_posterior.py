@@ -231,6 +231,27 @@ def test_what_is_too_entangled_for_elimination_says_so_and_keeps_every_law(prior
         assert total.max() <= 1 + 1e-9
 
 
+@pytest.mark.parametrize("name", PRIORS)
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("n", [40, 63, 64, 65, 300])
+def test_two_records_may_compete_for_any_number(n, turned, name):
+    """As many open at once as a machine word has bits, and more."""
+    rng = np.random.default_rng(n)
+    odds = np.exp(rng.normal(-4.0, 1.0, (2, n)))
+    ratios = {((j, i) if turned else (i, j)): math.log(odds[i, j]) for i in range(2) for j in range(n)}
+    n1, n2 = (n, 2) if turned else (2, n)
+    prior, log_prior = PRIORS[name]
+    pairs, _, _, sure = solved(n1, n2, ratios, prior)
+    # One pair: every odds; two: the products of the rows' but those of one column.
+    beside = odds * (odds.sum(axis=1)[::-1, None] - odds[::-1])
+    counts = np.exp([log_prior(n1, n2)(k) - log_prior(n1, n2)(0) for k in range(3)])
+    whole = counts[0] + counts[1] * odds.sum() + counts[2] * beside.sum() / 2.0
+    expected = (counts[1] * odds + counts[2] * beside) / whole
+    ours = as_table(pairs, sure.p_pair)
+    table = [[ours[(j, i) if turned else (i, j)] for j in range(n)] for i in range(2)]
+    np.testing.assert_allclose(table, expected, rtol=0, atol=2e-6)
+
+
 def test_thin_groups_around_an_entangled_one_stay_exact(monkeypatch):
     n1, n2, ratios = entangled(np.random.default_rng(2), 30, 4)
     alone = {(n1, n2): 1.0, (n1 + 1, n2 + 1): 2.0, (n1 + 1, n2 + 2): 0.5}

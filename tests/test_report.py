@@ -100,3 +100,53 @@ def test_shares_have_the_decimals_they_need(share, words):
 
 def test_counts_have_their_thousands_apart():
     assert prose.count(117955) == "117 955"
+
+
+def judged(rng, quoted, outliers=0.0):
+    """The report of two catalogues whose errors are so many times as large as said, some records a second farther."""
+    ra, dec = rng.uniform(20, 20.5, 3000), rng.uniform(-0.25, 0.25, 3000)
+    far = (rng.uniform(size=3000) < outliers) / 3600.0
+    told = CatalogueOptions(sigma=0.1 / quoted)
+    noise = rng.normal(0, 0.1 / 3600, (2, 2, 3000))
+    places = np.array([[ra, dec + far], [ra, dec]]) + noise
+    first, second = (
+        Catalogue.of(Table(list(place), names=("ra", "dec")), name, options=told)
+        for place, name in zip(places, ("left", "right"), strict=True)
+    )
+    return report.report(match(first, second))
+
+
+@pytest.mark.parametrize(
+    ("quoted", "verdict"),
+    [(1.0, "as quoted"), (1.7, r"quoted 1\.[67]\d+ ± 0\.0\d+ times too small"), (0.5, "quoted too large")],
+)
+def test_the_quoted_errors_are_judged_in_plain_words(quoted, verdict):
+    text = judged(np.random.default_rng(6), quoted)
+    assert re.search(rf"errors +{verdict}", text) and "a tail" not in text
+
+
+def test_outliers_are_a_tail_and_nothing_else():
+    text = " ".join(judged(np.random.default_rng(7), 1.0, outliers=0.02).split())
+    assert re.search(r"errors as quoted .* a tail: [12]\.\d+ ± 0\.\d+ % of the pairs have errors about [5-9]\.", text)
+
+
+def test_columns_of_one_name_are_told_apart():
+    rng = np.random.default_rng(8)
+    ra, dec, mag = rng.uniform(20, 20.5, 400), rng.uniform(-0.25, 0.25, 400), rng.uniform(9.5, 20.5, 400)
+    pair = [catalogue(name, ra, dec, seed=k, mag=mag + 0.3 * k) for k, name in enumerate(("left", "right"))]
+    assert "mag of left − mag of right is" in " ".join(report.report(match(*pair)).split())
+
+
+def test_chance_pairs_alone_are_called_next_to_nothing():
+    rng = np.random.default_rng(9)
+    pair = [
+        catalogue(n, rng.uniform(20, 20.3, 2000), rng.uniform(-0.15, 0.15, 2000), sigma=0.2) for n in ("left", "right")
+    ]
+    found = match(*pair)
+    assert 0.5 < found.estimate.common < 10.0
+    assert "left and right have next to nothing in common" in report.report(found)
+
+
+def test_one_record_in_each_is_no_reason_to_look_for_an_offset():
+    found = match(catalogue("left", np.array([10.0]), np.zeros(1)), catalogue("right", np.array([10.0]), np.zeros(1)))
+    assert len(found.result.matches) == 1 and "--offset" not in report.report(found)

@@ -26,7 +26,7 @@ BINS, NEAREST = 160, 1e-2
 #: steps.
 LEAST_LOG_ODDS, MOST_LOG_ODDS, ACROSS = -12.0, 30.0, 43
 #: The search for the shares stops when ln of the likelihood grows by less than this, or after so many steps.
-SETTLED, STEPS = 1e-4, 40
+SETTLED, STEPS = 1e-2, 40
 #: Errors larger than so many times the quoted ones are a tail. It must better ln of the likelihood by so much, four
 #: standard errors: what chance pairs look like feeds on itself, as more of them are then believed.
 TAIL, STANDING_OUT = 2.0, 8.0
@@ -64,99 +64,40 @@ def fit_errors(
     mahalanobis_sq, log_odds : (m,) squared normalised distances m² in d features, and ln of the odds.
     start : where the search begins.
     """
-    cells = _Cells.of(mahalanobis_sq, log_odds)
-    fit = _on_ladder(cells, d, start, widest, 0.0)
+    reach, cells = _cells(mahalanobis_sq, log_odds)
+    fit = _on_ladder(reach, cells, d, start, widest, 0.0)
     if abs(math.log(fit.errors.typical_scale)) < AS_QUOTED:
         return fit
-    others = [_on_ladder(cells, d, fit.errors, widest, shift) for shift in SHIFTS]
+    others = [_on_ladder(reach, cells, d, fit.errors, widest, shift) for shift in SHIFTS]
     return max(fit, *others, key=lambda fit: fit.log_likelihood)
 
 
-def _on_ladder(cells: _Cells, d: int, start: Errors, widest: float, shift: float) -> ErrorFit:
+def _on_ladder(
+    reach: float, cells: tuple[NDArray, ...], d: int, start: Errors, widest: float, shift: float
+) -> ErrorFit:
     """The likeliest mixture of one ladder, whose rungs stand ``shift`` of one higher than 1, 1.5, …"""
-    rungs = max(4, math.ceil(math.log(cells.reach / 2.0) / math.log(RUNG)) + 1)
+    from sameas.kernels.mixture import fit
+
+    rungs = max(4, math.ceil(math.log(reach / 2.0) / math.log(RUNG)) + 1)
     steps = np.arange(LOWEST_RUNG, rungs) + shift
     scales = RUNG**steps
     scales = scales[scales <= max(widest, RUNG**shift)]
     nearest = np.round(np.log(np.asarray(start.scales)) / math.log(RUNG) - steps[0])
     at = nearest.clip(0, len(scales) - 1).astype(np.int64)
     shares = np.asarray(np.bincount(at, start.shares, len(scales)), np.float64)
-    density = scales**-d * np.exp(-0.5 * cells.square[:, None] / scales**2)
-    pseudo = np.where(np.arange(len(scales)) == np.argmin(np.abs(np.log(scales))), 2.0, 0.0)
-    mixture = _Mixture(cells, density, pseudo)
-    shares, tail = _standing_out(mixture, mixture.best_shares(shares), scales)
+    core, pseudo = int(np.searchsorted(scales, TAIL, side="right")), np.zeros(len(scales))
+    pseudo[np.argmin(np.abs(np.log(scales)))] = 2.0
+    search = SPREAD, STEPS, SETTLED, SHORTEST, RIDGE
+    shares, tail, likelihood = fit(*cells, d, scales, core, pseudo, shares, STANDING_OUT, search)
     kept = shares > 1e-6
     errors = Errors(tuple(scales[kept].tolist()), tuple((shares[kept] / shares[kept].sum()).tolist()))
-    return ErrorFit(errors, tail, mixture.log_likelihood(shares))
+    return ErrorFit(errors, tail, likelihood)
 
 
-def _standing_out(mixture: _Mixture, shares: FloatArray, scales: FloatArray) -> tuple[FloatArray, float]:
-    """The shares, without a tail where the data would be nearly as likely without one; and how much less likely."""
-    core = scales <= TAIL
-    if not shares[~core].any():
-        return shares, 0.0
-    if not shares[core].any():
-        return shares, math.inf
-    without = _Mixture(mixture.cells, mixture.density[:, core], mixture.pseudo[core])
-    alone = without.best_shares(shares[core] / shares[core].sum())
-    gained = mixture.log_likelihood(shares) - without.log_likelihood(alone)
-    if gained > STANDING_OUT:
-        return shares, gained
-    bare = np.zeros(len(scales))
-    bare[core] = alone
-    return bare, gained
+def _cells(z2: FloatArray, log_odds: FloatArray) -> tuple[float, tuple[NDArray, ...]]:
+    """How far the pairs (m,) reach, but for those of too little odds, and these in cells of like distance and odds."""
+    from sameas.kernels.mixture import cells
 
-
-@dataclass(frozen=True)
-class _Cells:
-    """Pairs of like distance and odds, taken together: the likelihood depends on nothing else.
-
-    start : (b + 1,) the cells start[k]:start[k + 1] lie at distance k. count, odds : (c,) pairs in each cell, and their
-    odds. square : (b,) means of the squared distances. reach : the greatest distance.
-    """
-
-    start: NDArray[np.int64]
-    count: FloatArray
-    odds: FloatArray
-    square: FloatArray
-    reach: float
-
-    @classmethod
-    def of(cls, z2: FloatArray, log_odds: FloatArray) -> _Cells:
-        """Cells of pairs (m,); those of too little odds are left out."""
-        from sameas.kernels.mixture import cells
-
-        furthest = float(z2.max(initial=1.0, where=log_odds > LEAST_LOG_ODDS))
-        reach = max(math.sqrt(furthest), 2.0)
-        limits = LEAST_LOG_ODDS, MOST_LOG_ODDS, NEAREST, reach
-        start, count, odds, square = cells(z2, log_odds, *limits, (BINS, ACROSS))
-        return cls(start, count, odds, square, reach)
-
-
-@dataclass(frozen=True)
-class _Mixture:
-    """Pairs in cells, and the density (b, k) that each component gives the distances of the cells; pseudo-counts (k,)
-    of the components.
-
-    Of n pairs of odds o the likelihood is (1 + o)^n, whose logarithm is concave in the shares: one maximum.
-    """
-
-    cells: _Cells
-    density: FloatArray
-    pseudo: FloatArray
-
-    @property
-    def _state(self) -> tuple[NDArray, ...]:
-        return self.cells.start, self.cells.count, self.cells.odds, np.ascontiguousarray(self.density), self.pseudo
-
-    def log_likelihood(self, shares: FloatArray) -> float:
-        """With the prior that the pseudo-counts stand for."""
-        from sameas.kernels.mixture import log_likelihood
-
-        return float(log_likelihood(*self._state, shares))
-
-    def best_shares(self, shares: FloatArray) -> FloatArray:
-        """The shares of greatest likelihood, from any on."""
-        from sameas.kernels.mixture import likeliest
-
-        return np.asarray(likeliest(*self._state, shares, SPREAD, STEPS, SETTLED, SHORTEST, RIDGE))
+    furthest = float(z2.max(initial=1.0, where=log_odds > LEAST_LOG_ODDS))
+    reach = max(math.sqrt(furthest), 2.0)
+    return reach, cells(z2, log_odds, LEAST_LOG_ODDS, MOST_LOG_ODDS, NEAREST, reach, (BINS, ACROSS))

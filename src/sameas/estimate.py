@@ -26,9 +26,8 @@ from sameas.detection import DetectionCurve
 from sameas.error_model import ErrorModel, error_model
 from sameas.error_scales import STANDING_OUT
 from sameas.errors import InputError
-from sameas.evidence import Errors, Magnitudes
+from sameas.evidence import Errors, Magnitudes, Precision
 from sameas.gate import ChiSquare, Pairs, Radius
-from sameas.grades import Grades
 from sameas.identify import identify
 from sameas.photometry import Photometry
 from sameas.quantity import Quantity, changed_without, decisive, quantities
@@ -40,9 +39,8 @@ from sameas.sample import Setting
 #: The gate opens when this share of the expected true pairs lies beyond 0.7 of its radius (honest errors: 4e-5).
 OPENING = 6e-5
 WIDEST_SIGMAS = 400.0
-#: So far the typical errors may exceed the quoted ones before the gate opens for it: by positions alone, where more
-#: candidates cost little, and with magnitudes; it then still loses only 2e-6.
-EXCEEDED, EXCEEDED_WITH_MAGNITUDES = 1.0, 1.25
+#: So far the typical errors may exceed the quoted ones before the gate opens for it; it then still loses only 2e-6.
+EXCEEDED = 1.25
 #: The gate does not open for a tail when a record would have more candidates by chance than this, on average,
 CROWDED = 0.5
 #: nor for errors that are quoted too small when it would have more than this.
@@ -54,7 +52,7 @@ SUSPECTED, SUSPECTED_CROWDED = 1.0, 2.0
 SIGNIFICANT = 4.0
 #: A sample has misled where it lets expect another number of common objects, by more than this share beyond chance.
 MISLED = 0.02
-BRIGHTNESS_TERMS = ("completeness", "brightness")
+BRIGHTNESS_TERMS, PRECISION_TERMS = ("completeness", "brightness"), ("precision",)
 
 
 @dataclass(frozen=True)
@@ -71,6 +69,7 @@ class Estimate:
     learned_from : records of either source that the rounds went over: all of them, or a sample that stands for them.
     notes : what a user should know.
     photometry : how the magnitudes of both sources are related, None where they were not given or told nothing.
+    precision : what the sizes of the quoted errors say, None where they were not asked or told nothing.
     answer : the identification. judged : whether the spread of the errors was learned from its pairs.
 
     What follows from these is computed when it is asked for.
@@ -87,6 +86,7 @@ class Estimate:
     learned_from: tuple[int, int]
     notes: tuple[str, ...]
     photometry: Photometry | None
+    precision: Precision | None
     answer: Identification = field(repr=False)
     judged: bool
 
@@ -119,7 +119,12 @@ class Estimate:
     @cached_property
     def changed_by_brightness(self) -> int:
         """How many records of source 1 positions alone would identify otherwise."""
-        return 0 if self.photometry is None else changed_without(self.answer, BRIGHTNESS_TERMS)
+        return changed_without(self.answer, BRIGHTNESS_TERMS)
+
+    @cached_property
+    def changed_by_precision(self) -> int:
+        """How many records of source 1 would be identified otherwise without the sizes of the quoted errors."""
+        return changed_without(self.answer, PRECISION_TERMS)
 
     @cached_property
     def error_model(self) -> ErrorModel | None:
@@ -231,9 +236,8 @@ def _is_narrow(known: Known, told: FloatArray, limit: float) -> bool:
     """Whether a gate of so many sigmas is too narrow for the typical errors, and opening it is affordable."""
     if limit >= WIDEST_SIGMAS or not known.learns_errors:
         return False
-    exceeded = EXCEEDED if known.photometry is None else EXCEEDED_WITH_MAGNITUDES
     needed = _radius(None, known.setting.pairs.d) * known.errors.typical_scale
-    return exceeded * limit < needed and _chance(known, told) < MOST_CROWDED
+    return EXCEEDED * limit < needed and _chance(known, told) < MOST_CROWDED
 
 
 @dataclass(frozen=True)
@@ -261,8 +265,7 @@ class _Search:
                 # More close candidates than chance gives are common objects.
                 inner, by_chance = _halves(pairs, limit)
                 excess = (inner - by_chance) / min(len(first), len(second))
-                grades = Grades.of(part, seen) if self.precision else None
-                known = Known.nothing(part, errors, seen, self.density, excess, grades)
+                known = Known.nothing(part, errors, seen, self.density, excess, self.precision)
             else:
                 known = known.at(part, seen)
             found = self._in_gate(known, whole, limit, most - total)
@@ -310,9 +313,11 @@ def _told(answer: Identification, coverage: Coverage, found: _Found, remarks: li
     known, common = found.known, float(answer.p_pair.sum())
     seen_1, seen_2 = (max(int(np.count_nonzero(seen)), 1) for seen in coverage.covered)
     photometry = known.photometry if known.photometry is not None and known.photometry.tells else None
+    precision = None if known.grades is None else known.grades.rule
     return Estimate(
         common, min(1.0, common / seen_1), min(1.0, common / seen_2), known.errors, found.gate_sigmas, coverage,
-        found.rounds, found.settled, found.learned_from, tuple(remarks) + _notes(found, common), photometry, answer,
+        found.rounds, found.settled, found.learned_from, tuple(remarks) + _notes(found, common), photometry, precision,
+        answer,
         known.learns_errors and common >= FEWEST,
     )  # fmt: skip
 

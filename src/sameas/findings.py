@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from sameas.detection import DetectionCurve
-from sameas.estimate import Estimate
 from sameas.prose import count, entry, percent
 from sameas.quantity import Quantity
 from sameas.sky.match import ARCSEC2_PER_DEG2, SkyMatch
+from sameas.tails import tail
+
+#: Quoted errors are right where the residuals differ from them by no more than this, or so many standard errors.
+AS_QUOTED, SIGNIFICANT = 0.03, 3.0
 
 
 def common_objects(match: SkyMatch) -> list[str]:
@@ -24,8 +27,8 @@ def findings(match: SkyMatch) -> list[str]:
     e = match.estimate
     return [
         *_unmatched(match),
-        *entry("errors", _errors_in_words(e)),
-        *_by_source(match),
+        *entry("errors", _errors_in_words(match)),
+        *(entry("  by catalogue", words) if (words := by_source(match)) else ()),
         *_brightness(match),
         *entry("gate", f"{e.gate_sigmas:.1f} quoted σ"),
         *entry("rounds", f"{e.rounds}{_sampled(match)}, " + ("settled" if e.settled else "not settled")),
@@ -58,19 +61,25 @@ def _unmatched(match: SkyMatch) -> list[str]:
     return entry("of those in one only", words)
 
 
-def _by_source(match: SkyMatch) -> list[str]:
-    """Which catalogue's errors are too small, where the data can tell."""
+def by_source(match: SkyMatch) -> str:
+    """Which catalogue's errors are too small, where the data can tell; "" where errors were not judged."""
     model = match.estimate.error_model
     if model is None:
-        return []
+        return ""
     names = match.first.name, match.second.name
-    words = [f"{name} × {q}" for name, q in zip(names, (model.factor_1, model.factor_2), strict=True) if q is not None]
+    factors = zip(names, (model.factor_1, model.factor_2), strict=True)
+    words = [f"those of {name} × {q}" for name, q in factors if q is not None]
     if model.floor is not None:
-        seen = model.floor.value > 2.0 * model.floor.standard_error
-        most = model.floor.value + 2.0 * model.floor.standard_error
-        floor = f"{model.floor} arcsec" if seen else f"less than {most:.2g} arcsec"
-        words.append(f"and {floor} beyond them on each axis")
-    return entry("  by catalogue", ", ".join(words) + ("; " if words and model.note else "") + model.note)
+        words.append(floor_in_words(model.floor))
+    return ", ".join(words) + ("; " if words and model.note else "") + model.note
+
+
+def floor_in_words(floor_arcsec: Quantity) -> str:
+    """What the errors have beyond the quoted ones, or how small it is."""
+    seen = floor_arcsec.value > SIGNIFICANT * floor_arcsec.standard_error
+    most = floor_arcsec.value + 2.0 * floor_arcsec.standard_error
+    floor = f"{floor_arcsec} arcsec" if seen else f"none seen, less than {most:.2g} arcsec"
+    return f"floor in quadrature on each axis: {floor}"
 
 
 def _brightness(match: SkyMatch) -> list[str]:
@@ -79,6 +88,7 @@ def _brightness(match: SkyMatch) -> list[str]:
     relation = None if e.photometry is None else e.photometry.first_relation
     if e.photometry is not None and relation is not None:
         (one, *_), (two, *_) = e.photometry.names
+        of_one, of_two = (one, two) if one != two else (f"{one} of {match.first.name}", f"{two} of {match.second.name}")
         colours = [
             f", {q} per mag of {name.removeprefix('colour_')} − {two}"
             for name, q in e.quantities.items()
@@ -87,7 +97,7 @@ def _brightness(match: SkyMatch) -> list[str]:
         ends = ", ".join(f"{relation.offset[k]:+.2f} at {two} {relation.knots[k]:.1f}" for k in (0, -1))
         lines += entry(
             "brightness",
-            f"{one} − {two} is {e.quantities['zero_point']} ({ends}){''.join(colours)}; scatter "
+            f"{of_one} − {of_two} is {e.quantities['zero_point']} ({ends}){''.join(colours)}; scatter "
             f"{e.quantities['scatter']}; {percent(relation.unrelated)} of the pairs follow no relation",
         )
     for curve, (mine, other) in zip(
@@ -99,8 +109,10 @@ def _brightness(match: SkyMatch) -> list[str]:
             lines += entry("completeness", f"of {mine.name} {other.name} shows {_completeness(curve)}")
     weights = ", ".join(f"{name} {value:.1f}" for name, value in e.decisive.items())
     if weights:
-        changed = f"; brightness changes {count(e.changed_by_brightness)} answers" if e.photometry is not None else ""
-        lines += entry("what decides", f"median |ln odds| over the identified: {weights}{changed}")
+        changed = [f"; brightness changes {count(e.changed_by_brightness)} answers"] if e.photometry is not None else []
+        if "precision" in e.decisive:
+            changed.append(f"; precision, the sizes of the quoted errors, changes {count(e.changed_by_precision)}")
+        lines += entry("what decides", f"median |ln odds| over the identified: {weights}{''.join(changed)}")
     return lines
 
 
@@ -117,13 +129,25 @@ def _completeness(curve: DetectionCurve) -> str:
     return f"{words}, {percent(curve.probability[-1])} of the faintest"
 
 
-def _errors_in_words(estimate: Estimate) -> str:
-    scales, shares = np.asarray(estimate.errors.scales), np.asarray(estimate.errors.shares)
-    judged = "error_scale" in estimate.quantities
-    if len(scales) == 1 and not judged:
+def _errors_in_words(match: SkyMatch) -> str:
+    """Whether the quoted errors are too small, by how much, and which share of the pairs lies far beyond."""
+    e = match.estimate
+    scales, scale = e.errors.scales, e.quantities.get("error_scale")
+    if scale is None and len(scales) == 1:
         return "taken as quoted" if scales[0] == 1.0 else f"{scales[0]:g} times the quoted ones"
-    tail = float(shares[scales > 2.0].sum())
-    words = f"typically {estimate.typical_scale:.2f} times the quoted ones"
-    if judged:
-        words += f" (their median is {estimate.quantities['error_scale']} times its due)"
-    return words + (f"; more than 2 times for {percent(tail)} of the pairs" if tail > 1e-4 else "")
+    words = f"typically {e.typical_scale:.2f} times the quoted ones" if scale is None else judged(scale)
+    beyond = tail(match.result, e.errors)
+    if beyond is None:
+        return words
+    far = f"{_share(beyond.share)} of the pairs have errors about {beyond.factor:.1f} times the quoted ones"
+    return f"{words}; a tail: {far}"
+
+
+def judged(scale: Quantity) -> str:
+    """The verdict on the quoted errors, from the median residual over its due."""
+    off = scale.value - 1.0
+    if abs(off) <= max(AS_QUOTED, SIGNIFICANT * scale.standard_error):
+        return f"as quoted (the median residual is {scale} times its due)"
+    if off > 0.0:
+        return f"quoted {scale} times too small (the median residual over its due)"
+    return f"quoted too large (the median residual is {scale} times its due)"

@@ -11,13 +11,13 @@ positions every neighbour of such a record is a good one, and it does not know t
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.evidence import Graded, Precision, both_grades
+from sameas.evidence import Precision
 from sameas.gate import Pairs
 from sameas.photometry import Photometry
 from sameas.records import FloatArray, Records
@@ -35,13 +35,14 @@ SHARED_PSEUDO_COUNT = 2.0
 #: Records of the poorer source in a cell, on average, for its grades to be counted by themselves.
 CELL = 25.0
 #: Records that a scale is taken from: more would not better it noticeably; for each grade in a range of magnitudes.
-ENOUGH, PER_GRADE = 2_000, 8
+ENOUGH, PER_GRADE = 1_000, 8
 #: Records without a magnitude, of those that have a scale, that are graded by themselves.
-UNMEASURED = 200
+UNMEASURED = 100
+#: Errors that differ by less than this factor, in volume, are all alike.
+ALIKE = 1.0 + 1e-9
 
 Both = tuple[FloatArray, FloatArray]
-BothGrades = tuple[NDArray[np.int16], NDArray[np.int16]]
-Places = tuple[NDArray[np.intp], NDArray[np.intp], int]
+BothGrades = tuple[NDArray[np.int32], NDArray[np.int32]]
 
 
 @dataclass(frozen=True)
@@ -49,8 +50,8 @@ class Scale:
     """How one source's records are graded: by the volume of their errors, among those of like magnitude.
 
     number : of grades. edges : (b − 1,) between ranges of magnitude; what has none is of another range, the last.
-    limits : (b + 1, number − 1) least volumes of the grades but for the first, in each range. apart : whether records
-    without a magnitude have grades of their own.
+    limits : ((b + 1)(number − 1),) volumes between the grades, range after range. apart : whether records without a
+    magnitude have grades of their own.
     """
 
     number: int
@@ -60,141 +61,124 @@ class Scale:
 
     @classmethod
     def of(cls, volume: FloatArray, magnitude: FloatArray | None, number: int) -> Scale:
-        """For records of these volumes (n,), and magnitudes (n,), NaN where they have none."""
-        every = max(1, len(volume) // ENOUGH)
-        some = volume[::every]
-        if magnitude is None:
-            return cls(number, np.empty(0), _limits(some, number)[None], False)
-        magnitude = magnitude[::every]
-        measured = magnitude[np.isfinite(magnitude)]
+        """For records with errors of these volumes (n,), and magnitudes (n,), NaN where they have none."""
+        every, parts = max(1, len(volume) // ENOUGH), np.arange(1, number)
+        some, seen = volume[::every], None if magnitude is None else magnitude[::every]
+        measured = np.empty(0) if seen is None else seen[np.isfinite(seen)]
         ranges = max(1, len(measured) // (PER_GRADE * number))
         edges = np.quantile(measured, np.linspace(0.0, 1.0, ranges + 1)[1:-1]) if ranges > 1 else np.empty(0)
-        within = _range(edges, magnitude)
-        limits = np.stack([_limits(some[within == k], number) for k in range(len(edges) + 2)])
-        return cls(number, edges, limits, len(measured) > 0 and len(some) - len(measured) >= UNMEASURED)
+        apart = len(measured) > 0 and len(some) - len(measured) >= UNMEASURED
+        scale = cls(number, edges, np.empty(0), apart)
+        within = scale._range(seen, len(some))
+        line, count = some[np.lexsort((some, within))], np.bincount(within, minlength=ranges + 1)
+        at = (np.cumsum(count) - count)[:, None] + count[:, None] * parts // number
+        # The limits of a range without records are never asked for.
+        return replace(scale, limits=line[np.minimum(at, len(line) - 1)].ravel())
 
     @property
     def size(self) -> int:
         """Number of grades, with those of records without a magnitude."""
         return self.number * (1 + self.apart)
 
-    def grades(self, volume: FloatArray, magnitude: FloatArray | None) -> NDArray[np.int16]:
+    def grades(self, volume: FloatArray, magnitude: FloatArray | None) -> NDArray[np.int32]:
         """(n,) of records, from 0."""
-        grade = np.zeros(len(volume), np.int16)
+        from sameas.kernels.grades import grade
+
+        within, grades = self._range(magnitude, len(volume)), np.empty(len(volume), np.int32)
+        grade(volume, within, self.limits, self.number, grades)
+        if self.apart:
+            grades[within == len(self.edges) + 1] += self.number
+        return grades
+
+    def _range(self, magnitude: FloatArray | None, n: int) -> NDArray[np.int64]:
+        """(n,) the ranges of magnitude of the records."""
         if magnitude is None:
-            for limit in self.limits[0]:
-                grade += volume >= limit
-            return grade
-        within = _range(self.edges, magnitude)
-        for limits in self.limits.T:
-            grade += volume >= limits[within]
-        return grade + np.int16(self.number) * (within == len(self.edges) + 1) if self.apart else grade
-
-
-def _range(edges: FloatArray, magnitude: FloatArray) -> NDArray[np.int64]:
-    """(n,) between which edges magnitudes lie; NaN after the last."""
-    return np.where(np.isfinite(magnitude), np.searchsorted(edges, magnitude), len(edges) + 1)
-
-
-def _limits(volume: FloatArray, number: int) -> FloatArray:
-    """(number − 1,) that part volumes into grades of about equal numbers; any where there are none."""
-    if not len(volume):
-        return np.zeros(number - 1)
-    return np.sort(volume)[len(volume) * np.arange(1, number) // number]
+            return np.zeros(n, np.int64)
+        return np.where(np.isfinite(magnitude), np.searchsorted(self.edges, magnitude), len(self.edges) + 1)
 
 
 @dataclass(frozen=True)
 class Grades:
     """The grades of two sources' records, and what has been learned of them. Make it with :meth:`Grades.of`.
 
-    scales : of either source. grades : (n₁,), (n₂,) of the records.
-    places : (n₁,), (n₂,) cell · number of grades + grade of the records, and how many cells there are.
+    scales : of either source. grades : (n₁,), (n₂,) of the records. cells : (n₁,), (n₂,) in which the records lie.
     rule : None as long as nothing was learned, or where the grades say too little.
     """
 
     scales: tuple[Scale, Scale] = field(repr=False)
     grades: BothGrades = field(repr=False)
-    places: Places = field(repr=False)
+    cells: BothGrades = field(repr=False)
     rule: Precision | None = None
 
     @classmethod
     def of(cls, setting: Setting, photometry: Photometry | None) -> Grades | None:
         """Nothing learned yet; None where records are too few, or the errors of either source all alike."""
         number = min(int(math.sqrt(min(setting.numbers) / PER_TWO_GRADES)), MOST)
-        one, two = (_volume(records) for records in (setting.pairs.first, setting.pairs.second))
-        if number < 2 or (one.min() == one.max() and two.min() == two.max()):
+        volumes = [_volume(records) for records in (setting.pairs.first, setting.pairs.second)]
+        if number < 2 or all(volume.max() < ALIKE * volume.min() for volume in volumes):
             return None
-        seen_1, seen_2 = _magnitudes(photometry)
-        scales = Scale.of(one, seen_1, number), Scale.of(two, seen_2, number)
-        grades = scales[0].grades(one, seen_1), scales[1].grades(two, seen_2)
-        return cls(scales, grades, _places(scales, grades, setting))
+        one, two = (
+            Scale.of(volume, magnitude, number)
+            for volume, magnitude in zip(volumes, _magnitudes(photometry), strict=True)
+        )
+        return cls((one, two), *_placed((one, two), volumes, setting, photometry))
 
     def at(self, setting: Setting, photometry: Photometry | None) -> Grades:
         """The same where other records take part, with the magnitudes of these."""
-        seen, sides = _magnitudes(photometry), (setting.pairs.first, setting.pairs.second)
-        one, two = (
-            scale.grades(_volume(records), magnitude)
-            for scale, records, magnitude in zip(self.scales, sides, seen, strict=True)
-        )
-        rule = self.rule and replace(self.rule, grades=(one, two), lesson=None)
-        return Grades(self.scales, (one, two), _places(self.scales, (one, two), setting), rule)
+        volumes = [_volume(records) for records in (setting.pairs.first, setting.pairs.second)]
+        grades, cells = _placed(self.scales, volumes, setting, photometry)
+        return replace(self, grades=grades, cells=cells, rule=self.rule and replace(self.rule, grades=grades, own=None))
+
+    def says_of(self, pairs: Pairs) -> bool:
+        """Whether it says something, which was learned from these pairs and no others."""
+        return self.rule is not None and self.rule.own is not None and self.rule.own[0] is pairs
 
     def learned(self, pairs: Pairs, told: FloatArray, partner: Both, covered: tuple[NDArray[np.bool_], ...]) -> Grades:
         """What pairs of these probabilities (m,) say.
 
         partner : (n₁,), (n₂,) probability of having one. covered : (n₁,), (n₂,) whether a record tells of it.
         """
+        from sameas.kernels.grades import count_pairs
+
         k1, k2 = (scale.size for scale in self.scales)
-        both = self._both(pairs)
-        common = np.asarray(np.bincount(both, told, k1 * k2).reshape(k1, k2), np.float64)
-        chance = self._by_chance(partner, covered)
+        common, chance = np.zeros((k1, k2)), self._by_chance(partner, covered)
+        at = count_pairs(pairs.i, pairs.j, *self.grades, told, common)
         apart = _margin(common, 1)[:, None] * _margin(common, 0) * chance
         apart /= chance.sum(axis=1)[:, None] * chance.sum(axis=0)
         counted = common + PSEUDO_COUNT * k1 * k2 * apart / apart.sum()
         log_ratio = np.log(counted / counted.sum()) - np.log(chance)
         # A pair must not be its own witness: to first order, what its own count adds to ln of the counts.
-        own = told / counted.ravel()[both]
-        gained = 2.0 * float((common * log_ratio).sum() - (told * own).sum())
+        own = told / counted.ravel()[at]
+        gained = 2.0 * float(told @ (log_ratio.ravel()[at] - own))
         tells = gained > TELLING * (k1 * k2 - 1)
-        return replace(self, rule=Precision(self.grades, log_ratio, Graded(pairs, both, own)) if tells else None)
-
-    def _both(self, pairs: Pairs) -> NDArray[np.integer]:
-        """(m,) both grades of the pairs."""
-        lesson = None if self.rule is None else self.rule.lesson
-        if lesson is not None and lesson.pairs is pairs:
-            return lesson.both
-        return both_grades(self.grades, self.scales[1].size, pairs)
+        return replace(self, rule=Precision(self.grades, log_ratio, (pairs, own)) if tells else None)
 
     def _by_chance(self, partner: Both, covered: tuple[NDArray[np.bool_], ...]) -> FloatArray:
         """(k₁, k₂) how probable each two grades are of two different objects, where common objects lie.
 
         Cell by cell, because grades that change over the sky alike say nothing of which two records are one object.
         """
-        *places, number = self.places
-        parts, shape = [], [(number, scale.size) for scale in self.scales]
+        from sameas.kernels.grades import count_alone
+
+        number, parts = int(max(cells.max() for cells in self.cells)) + 1, []
         for source in range(2):
-            alone = np.where(covered[source], 1.0 - partner[source], 0.0)
-            count = np.bincount(places[source], alone, math.prod(shape[source])).reshape(shape[source])
-            part = count + SHARED_PSEUDO_COUNT * _margin(count, 0)
-            parts.append(part / part.sum(axis=1, keepdims=True))
-        common = np.where(covered[0], partner[0], 0.0)
-        weight = np.bincount(places[0], common, math.prod(shape[0])).reshape(shape[0]).sum(axis=1)
+            count = np.zeros((number, self.scales[source].size))
+            count_alone(self.cells[source], self.grades[source], partner[source], covered[source], count)
+            count += SHARED_PSEUDO_COUNT * _margin(count, 0)
+            parts.append(count / count.sum(axis=1, keepdims=True))
+        weight = np.bincount(self.cells[0], np.where(covered[0], partner[0], 0.0), number)
         return np.asarray((parts[0] * weight[:, None]).T @ parts[1] / max(float(weight.sum()), 1e-300))
 
 
-def _margin(count: NDArray[Any], axis: int) -> FloatArray:
+def _margin(count: FloatArray, axis: int) -> FloatArray:
     """What shares of the counts remain when summed over an axis, none of them nothing."""
     sums = count.sum(axis=axis) + 0.5
     return np.asarray(sums / sums.sum())
 
 
 def _volume(records: Records) -> FloatArray:
-    """(n,) product of the quoted variances, whose order no unit of a feature changes."""
-    d, packed = records.d, records.covariance
-    # Packed are all variances, or the upper triangles row by row.
-    whole = packed.shape[1] in (1, d)
-    diagonal = range(packed.shape[1]) if whole else [v * d - v * (v - 1) // 2 for v in range(d)]
-    return np.asarray(math.prod(packed[:, v] for v in diagonal))
+    """(n,) products of the quoted variances, whose order no unit of a feature changes."""
+    return np.asarray(records.variances.prod(axis=1))
 
 
 def _magnitudes(photometry: Photometry | None) -> tuple[FloatArray | None, FloatArray | None]:
@@ -205,12 +189,14 @@ def _magnitudes(photometry: Photometry | None) -> tuple[FloatArray | None, Float
     return one.measured.values[:, 0], two.measured.values[:, 0]
 
 
-def _places(scales: tuple[Scale, Scale], grades: BothGrades, setting: Setting) -> Places:
-    """Cell and grade of every record, and how many cells there are."""
+def _placed(
+    scales: tuple[Scale, Scale], volumes: Sequence[FloatArray], setting: Setting, photometry: Photometry | None
+) -> tuple[BothGrades, BothGrades]:
+    """The grades of either source's records, with errors of these volumes, and their cells."""
     most = min(setting.numbers) / CELL
-    level = next((level for level in setting.levels[::-1] if len(level.volume) <= most), setting.levels[0])
     one, two = (
-        cell.astype(np.intp) * scale.size + grade
-        for cell, scale, grade in zip((level.of_first, level.of_second), scales, grades, strict=True)
+        scale.grades(volume, magnitude)
+        for scale, volume, magnitude in zip(scales, volumes, _magnitudes(photometry), strict=True)
     )
-    return one, two, len(level.volume)
+    level = next((level for level in setting.levels[::-1] if len(level.volume) <= most), setting.levels[0])
+    return (one, two), (level.of_first, level.of_second)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,8 +38,9 @@ from sameas.result import Identification
 FEWEST = 50.0
 #: Pairs that a relation is learned from, at most, in the end and in rounds: more would not better it noticeably.
 ENOUGH, ENOUGH_IN_ROUNDS = 10_000, 1_000
-#: Records that a curve of the shares, or how the bands of one source follow each other, is learned from.
-CURVED = 2_000
+#: Records that a curve of the shares is learned from, in the end and in rounds, and how the bands of a source follow
+#: each other.
+CURVED, CURVED_IN_ROUNDS, ALONE = 2_000, 1_000, 1_000
 #: The golden ratio of 2³²: multiples of it are strewn evenly.
 SCATTERING = 2_654_435_769
 
@@ -100,7 +102,8 @@ class Photometry:
 
         Rounds learn from some pairs in a few steps; the ``last`` words, with their standard errors, are from many.
         """
-        one, two = map(_curve, self.sides, p_partner, shares, covered, self.curves)
+        enough = CURVED if last else CURVED_IN_ROUNDS
+        one, two = map(partial(_curve, enough), self.sides, p_partner, shares, covered, self.curves)
         curves = one, two
         telling = np.zeros(len(p_pair), np.bool_)
         telling[_some(np.flatnonzero(p_pair > 1e-3), ENOUGH if last else ENOUGH_IN_ROUNDS)] = True
@@ -113,6 +116,19 @@ class Photometry:
         )
         chains = (forth, back) if any(forth.related) and any(back.related) else None
         return replace(self, chains=chains, curves=curves)
+
+    @property
+    def lacking(self) -> float:
+        """Share of the records without a magnitude in the first band, of the source with more of them."""
+        return max(float(np.isnan(side.measured.values[:, 0]).mean()) for side in self.sides)
+
+    @property
+    def telling(self) -> bool:
+        """Whether the first bands of most pairs are related: far closer to each other than those of any two records."""
+        relation, magnitude = self.first_relation, self.sides[0].measured.values[:, 0]
+        if relation is None or relation.unrelated > 0.5:
+            return False
+        return relation.typical_scatter < 0.5 * float(np.nanstd(magnitude))
 
     @property
     def tells(self) -> bool:
@@ -184,7 +200,7 @@ def _chain(side: Side, these: Compared, weight: FloatArray, before: Chain | None
 def _side(measured: Measured) -> Side:
     """The densities of a source's bands, and how they follow each other in its records."""
     densities = tuple(map(_density, measured.values.T))
-    some = measured.take(np.arange(0, len(measured.values), max(1, -(-len(measured.values) // CURVED))))
+    some = measured.take(np.arange(0, len(measured.values), max(1, -(-len(measured.values) // ALONE))))
     alone: list[Mapping[Pattern, Relation]] = []
     for band, density in enumerate(densities):
         these = Regressors.split(band, some, None) if band and density is not None else ()
@@ -209,15 +225,15 @@ def _relation(
     weighed: bool = True,
 ) -> Relation | None:
     x = these.regressors
-    at = np.flatnonzero(weight[x.rows])
-    weight = weight[x.rows[at]]
+    weight = weight[x.rows]
     if density is None or weight.sum() < FEWEST:
         return None
-    sample = Sample(x.y[at], x.others[at], x.variance[at], x.other_variance[at], weight, these.background[at], weighed)
+    sample = Sample.of(x.y, x.others, x.variance, x.other_variance, these.background, weight, weighed=weighed)
     return fit_relation(sample, density, start, last=last)
 
 
 def _curve(
+    enough: int,
     side: Side,
     p_partner: FloatArray,
     share: FloatArray,
@@ -226,7 +242,7 @@ def _curve(
 ) -> ShareCurve | None:
     magnitude = side.measured.values[:, 0]
     these = np.flatnonzero(np.isfinite(magnitude) & covered)
-    these = these[:: max(1, -(-len(these) // CURVED))]
+    these = these[:: max(1, -(-len(these) // enough))]
     if len(these) < FEWEST:
         return None
     return ShareCurve.fit(magnitude[these], share[these], p_partner[these], before)

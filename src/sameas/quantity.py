@@ -181,6 +181,8 @@ def changed_without(answer: Identification, names: tuple[str, ...]) -> int:
     from sameas.prior import PerPair
 
     terms: list[FloatArray] = [values for name, values in answer.evidence.terms.items() if name in names]
+    if not terms:
+        return 0
     grouped = answer.groups
     linear = PerPair()(grouped.sizes_1, grouped.sizes_2)
     other = assign(grouped, answer.evidence.log_ratio - np.sum(terms, axis=0), linear)

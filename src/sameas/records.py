@@ -126,6 +126,14 @@ class Records:
         keep, aside = np.flatnonzero(reasons == 0), np.flatnonzero(reasons)
         return cls(values[keep], packed[keep], keep, **about, set_aside=SetAside(aside, _REASONS[reasons[aside]]))
 
+    @property
+    def variances(self) -> FloatArray:
+        """(n, d) variances along the axes, or (n, 1) where one is that of all."""
+        p, d = self.covariance.shape[1], self.d
+        if p <= d:
+            return self.covariance
+        return self.covariance[:, np.cumsum([0, *range(d, 1, -1)])]
+
     def full_covariance(self) -> FloatArray:
         """(n, d, d) covariances, unpacked."""
         return unpack(self.covariance, self.d)

@@ -12,14 +12,13 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sameas.evidence import MagnitudeDensity, Relation
 from sameas.piecewise import knots_of, roughness
 from sameas.records import FloatArray
 
-#: Scales of the mixture, in units of error and scatter.
-SCALES = np.array([1.0, 3.0, 10.0])
+#: Scales of the mixture, in units of error and scatter; the kernels rely on their ratio.
+SCALES = np.array([1.0, 3.0, 9.0])
 #: A tail must stand out: it starts from so many pairs less, in units of the square root of their number.
 TAIL_ALLOWANCE = np.array([0.0, 0.3, 0.1])
 #: Pairs that are always taken to be unrelated.
@@ -32,8 +31,11 @@ BEND, STEEP = 0.3, 1.0
 PSEUDO_PAIRS = 20.0
 LEAST_SCATTER = 0.003
 FIRST_STEPS, STEPS, LAST_STEPS = 8, 2, 20
-#: Steps end when they change nothing by more than this share of its standard error.
-SETTLED = 0.05
+#: Steps end when they change nothing by more than this share of its standard error; the first, before pairs were
+#: weighed by their magnitudes, need not be nearer than that error.
+SETTLED, FIRST_SETTLED = 0.05, 1.0
+#: The quartiles of a normal are so many standard deviations apart.
+QUARTILES_APART = 1.349
 #: Values that are sorted whole for their median, and steps that more are counted in.
 SORTED, STEPPED = 10_000, 4_096
 
@@ -42,9 +44,9 @@ def density_of(magnitude: FloatArray) -> MagnitudeDensity:
     """The density of all magnitudes (n,) of a source: smoothed by half of Silverman's width, a pseudo-record flat."""
     from scipy.ndimage import gaussian_filter1d
 
-    n = len(magnitude)
-    low, lower, upper, high = np.sort(magnitude)[[0, n // 4, 3 * n // 4, -1]]
-    quartiles = (upper - lower) / 1.35
+    n, low, high = len(magnitude), float(magnitude.min()), float(magnitude.max())
+    lower, upper = np.partition(magnitude, (n // 4, 3 * n // 4))[[n // 4, 3 * n // 4]]
+    quartiles = (upper - lower) / QUARTILES_APART
     width = 0.5 * min(x for x in (float(magnitude.std()), quartiles, math.inf) if x > 0.0) * n**-0.2
     width = min(max(width, 0.01), 1.0) if math.isfinite(width) else 0.1
     step = max(width / 3.0, (high - low) / 4000.0)
@@ -57,77 +59,86 @@ def density_of(magnitude: FloatArray) -> MagnitudeDensity:
 
 @dataclass(frozen=True)
 class Sample:
-    """Pairs to learn from: y (n,), others (n, 1 + c), the variances of both, the probability of each pair, and the
-    density of y where it is unrelated.
+    """Pairs to learn from. Make it with :meth:`Sample.of`.
 
-    weighed : whether the probabilities know of the magnitudes. Where they do not, a pair whose magnitudes do not fit
-    is less probable than that, and it does not count as one that is unrelated.
+    pairs : (n, 7) difference of the magnitude and the first of the others, variances of both, the pair's weight, the
+    density of the magnitude where it is unrelated, the first of the others, and that density times the odds that the
+    pair is none. colours : (n, 2c) the other magnitudes minus the first of them, then their variances.
+    weight : (n,) the probability of each pair.
     """
 
-    y: FloatArray
-    others: FloatArray
-    variance: FloatArray
-    other_variance: FloatArray
+    pairs: FloatArray
+    colours: FloatArray
     weight: FloatArray
-    unrelated: FloatArray
-    weighed: bool = True
+
+    @classmethod
+    def of(
+        cls,
+        y: FloatArray,
+        others: FloatArray,
+        variance: FloatArray,
+        other_variance: FloatArray,
+        unrelated: FloatArray,
+        weight: FloatArray,
+        *,
+        weighed: bool = True,
+    ) -> Sample:
+        """Of magnitudes y (n,), others (n, 1 + c), the variances of both, the density of y where it is unrelated, and
+        the probability of each pair; those of probability zero are left out.
+
+        weighed : whether the probabilities know of the magnitudes. Where they do not, a pair whose magnitudes do not
+            fit is less probable than that, and it does not count as one that is unrelated.
+        """
+        from sameas.kernels.relation import gather
+
+        at = np.flatnonzero(weight)
+        weight = weight[at]
+        pairs, colours = np.empty((len(at), 7)), np.empty((len(at), 2 * others.shape[1] - 2))
+        gather(at, weight, y, variance, others, other_variance, unrelated, weighed, pairs, colours)
+        return cls(pairs, colours, weight)
 
 
 def fit_relation(
     sample: Sample, background: MagnitudeDensity, start: Relation | None = None, *, last: bool = False
 ) -> Relation:
     """The relation of greatest likelihood; a few steps on from ``start`` where there is one, many for the last time."""
-    relation = replace(start, background=background) if start is not None else _first(sample, background)
-    steps = LAST_STEPS if last else STEPS if start is not None else FIRST_STEPS
-    return _improved(sample, relation, steps)
+    if start is None:
+        return _improved(sample, _first(sample, background), FIRST_STEPS, FIRST_SETTLED)
+    return _improved(sample, replace(start, background=background), LAST_STEPS if last else STEPS, SETTLED)
 
 
 def _first(sample: Sample, background: MagnitudeDensity) -> Relation:
     """Medians and spreads around every knot, no slopes: what a few outliers and chance pairs cannot spoil."""
-    x = sample.others[:, 0]
+    from sameas.kernels.relation import quartiles
+
+    difference, x, c = sample.pairs[:, 0], sample.pairs[:, 5], sample.colours.shape[1] // 2
     knots = knots_of(x, sample.weight, PER_KNOT, MOST_KNOTS)
-    colours = sample.others[:, 1:] - x[:, None]
-    centres = (sample.weight[:, None] * colours).sum(axis=0) / sample.weight.sum()
-    difference = sample.y - x
+    centres = sample.weight @ sample.colours[:, :c] / sample.weight.sum()
     nearest = np.searchsorted(0.5 * (knots[1:] + knots[:-1]), x)
-    offset = _medians(difference, sample.weight, nearest, len(knots))
-    scatter = 1.4826 * _medians(np.abs(difference - offset[nearest]), sample.weight, nearest, len(knots))
-    size = len(knots) + colours.shape[1]
-    nothing = np.zeros((size, size)), np.zeros(size), math.inf, float(sample.weight.sum())
-    slopes, scatter = np.zeros(colours.shape[1]), np.maximum(scatter, LEAST_SCATTER)
+    k = len(knots)
+    found = np.empty((3, k + 1))
+    quartiles(np.argsort(difference, kind="stable"), difference, sample.weight, nearest, found)
+    enough = np.bincount(nearest, sample.weight, k) > PSEUDO_PAIRS
+    lower, offset, upper = np.where(enough, found[:, :k], found[:, k:])
+    scatter = np.maximum((upper - lower) / QUARTILES_APART, LEAST_SCATTER)
+    nothing = np.zeros((k + c, k + c)), np.zeros(k + c), math.inf, float(sample.weight.sum())
     return Relation(
-        knots, offset, scatter, slopes, centres, SCALES, FIRST_SHARES, FIRST_UNRELATED, background, *nothing
+        knots, offset, scatter, np.zeros(c), centres, SCALES, FIRST_SHARES, FIRST_UNRELATED, background, *nothing
     )
 
 
-def _medians(values: FloatArray, weight: FloatArray, nearest: NDArray[np.integer], k: int) -> FloatArray:
-    """(k,) weighted medians of the values nearest to each knot; that of all where there are few."""
-    from sameas.kernels.relation import medians
-
-    order = np.argsort(values, kind="stable")
-    out = np.empty(k + 1)
-    medians(order, values, weight, nearest, out)
-    enough = np.bincount(nearest, weight, k) > PSEUDO_PAIRS
-    return np.where(enough, out[:k], out[k])
-
-
-def _improved(sample: Sample, relation: Relation, steps: int) -> Relation:
-    """After at most so many steps of EM."""
+def _improved(sample: Sample, relation: Relation, steps: int, settled: float) -> Relation:
+    """After at most so many steps of EM, until they change nothing by more than this share of its standard error."""
     from sameas.kernels.relation import learn
 
-    x, variance = sample.others[:, 0], sample.other_variance
-    weight, chance = sample.weight, np.zeros(len(x))
-    if not sample.weighed:
-        weight, chance = np.ones(len(x)), sample.unrelated * (1.0 - weight) / weight
-    columns = sample.y - x, sample.variance, variance[:, 0], weight, sample.unrelated, x, chance
-    pairs = np.column_stack(columns)
-    colours = np.hstack([sample.others[:, 1:] - x[:, None] - relation.centres, variance[:, 1:]])
+    colours, c = sample.colours.copy(), len(relation.centres)
+    colours[:, :c] -= relation.centres
     offset, scatter, slopes = relation.offset.copy(), relation.scatter.copy(), relation.slopes.copy()
     shares, error = np.append(relation.shares, relation.unrelated), np.array([relation.scatter_error])
     covariance, mean = relation.covariance.copy(), relation.mean_basis.copy()
     learned = offset, scatter, slopes, relation.scales, shares, covariance, mean, error
-    priors = np.array([*TAIL_ALLOWANCE, PSEUDO_UNRELATED, PSEUDO_PAIRS, LEAST_SCATTER, SETTLED])
-    learn(pairs, colours, relation.knots, learned, _penalty(len(offset), len(slopes)), priors, steps)
+    priors = np.array([*TAIL_ALLOWANCE, PSEUDO_UNRELATED, PSEUDO_PAIRS, LEAST_SCATTER, settled])
+    learn(sample.pairs, colours, relation.knots, learned, _penalty(len(offset), len(slopes)), priors, steps)
     return replace(
         relation, offset=offset, slopes=slopes, covariance=covariance, mean_basis=mean, scatter=scatter,
         scatter_error=float(error[0]), shares=shares[:-1], unrelated=float(shares[-1]),

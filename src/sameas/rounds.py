@@ -44,6 +44,8 @@ LEAST_SHARE = 1e-6
 FILLED = 0.15
 #: Fewer expected pairs than this say too little of the errors; the quoted ones are then believed.
 FEWEST = 50.0
+#: Quoted errors are not asked where magnitudes tell and hardly more than this share of the records lacks them.
+LACKING = 0.05
 #: Rounds with magnitudes at least.
 WITH_BRIGHTNESS = 1
 #: The number of common objects has settled when all changes to come are no more than this share of its standard error,
@@ -68,9 +70,10 @@ class Known:
     errors : the spread of the residuals; learned from the pairs where ``learns_errors``.
     photometry : how the magnitudes are related, None where they are not asked for. lessons : how often it was learned.
     common : expected number of common objects among the counted, a guess before the first round. change : by how much
-        the last round changed it, NaN before the first; 0 where other candidates take part since.
+        the last round changed it, NaN before the first; 0 after it, which changed a guess, and where other candidates
+        take part since.
     tail : by how much a tail of the errors, believed or not, betters ln of the likelihood.
-    grades : what the sizes of the quoted errors say, None where they are not asked.
+    precision : whether the sizes of the quoted errors are asked. grades : what they say, None as long as they were not.
     density : (ρ₁, ρ₂) of all records of each source where the user gave them, else None.
     """
 
@@ -86,6 +89,7 @@ class Known:
     common: float = math.nan
     change: float = math.nan
     tail: float = 0.0
+    precision: bool = True
     grades: Grades | None = None
 
     @classmethod
@@ -96,7 +100,7 @@ class Known:
         photometry: Photometry | None,
         density: tuple[float, float] | None,
         share: float,
-        grades: Grades | None = None,
+        precision: bool,
     ) -> Known:
         """Before the first round, when this ``share`` of the poorer source is taken to be common."""
         n1, n2 = (len(rows) for rows in setting.rows)
@@ -105,7 +109,7 @@ class Known:
         of_1, of_2 = ((np.full(n1, guess / n), np.full(n2, guess / n)) for n in (n1, n2))
         known = cls(
             setting, partner, setting.counted, (of_1, of_2), errors or Errors(), errors is None, photometry, density,
-            grades=grades,
+            precision=precision,
         )  # fmt: skip
         return replace(known, common=float(partner[0][setting.counted[0]].sum()))
 
@@ -199,9 +203,8 @@ class Known:
     def has_heard(self, before: Known) -> bool:
         """Whether what is learned from pairs, magnitudes and grades, has had its say in the last round."""
         magnitudes = self.photometry is None or self.common < FEWEST or self.lessons >= WITH_BRIGHTNESS
-        graded = None if before.grades is None else before.grades.rule
         silent = self.grades is None or self.grades.rule is None
-        return magnitudes and (silent or (graded is not None and graded.says_of(self.setting.pairs)))
+        return magnitudes and (silent or (before.grades is not None and before.grades.says_of(self.setting.pairs)))
 
     def learned(self, p_pair: FloatArray, log_ratio: FloatArray) -> Known:
         """What a round says of shares and errors; what it says of magnitudes is ``with_lesson``.
@@ -215,12 +218,13 @@ class Known:
         )
         told = self.setting.told(p_pair)
         common = float(told.sum())
-        known = replace(self, common=common, change=common - self.common)
+        known = replace(self, common=common, change=0.0 if math.isnan(self.change) else common - self.common)
         known = known._with_partners(partner, self.setting.counted)
         if common < FEWEST:
             return known
-        if self.grades is not None:
-            known = replace(known, grades=self.grades.learned(pairs, told, partner, known.covered))
+        grades = self.grades or (Grades.of(self.setting, self.photometry) if self._asks_errors() else None)
+        if grades is not None:
+            known = replace(known, grades=grades.learned(pairs, told, partner, known.covered))
         if self.learns_errors:
             # A component so wide that chance fills it cannot be told from chance.
             radius = math.sqrt(float(pairs.mahalanobis_sq.max(initial=1.0)))
@@ -229,6 +233,13 @@ class Known:
             fit = fit_errors(pairs.mahalanobis_sq, log_odds, pairs.d, self.errors, widest=max(widest, THINKABLE))
             known = replace(known, errors=fit.errors, tail=fit.tail)
         return known
+
+    def _asks_errors(self) -> bool:
+        """Whether the sizes of the quoted errors may say what nothing else does: of faint objects they are larger."""
+        magnitudes = self.photometry
+        if not self.precision or magnitudes is None or magnitudes.lacking > LACKING:
+            return self.precision
+        return self.lessons > 0 and not magnitudes.telling
 
     def log_odds_but_errors(self, p_pair: FloatArray, log_ratio: FloatArray) -> FloatArray:
         """(m,) ln of the odds of the pairs but for what the errors say, given how sure their records are of others.

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.coverage import Coverage, Level
+from sameas.coverage import Coverage
 from sameas.gate import Pairs
+from sameas.levels import Level
 from sameas.records import FloatArray, IntArray, Records
 
 #: Records of each source that estimation needs; it takes all of them unless there are so many times more.
@@ -51,7 +52,7 @@ class Setting:
         """All candidates and records."""
         n1, n2 = len(pairs.first), len(pairs.second)
         every = np.ones(n1, np.bool_), np.ones(n2, np.bool_)
-        rows, densities = (np.arange(n1), np.arange(n2)), coverage.covered_densities()
+        rows, densities = (np.arange(n1), np.arange(n2)), coverage.covered_densities
         return cls(pairs, rows, coverage.levels, coverage.covered, every, densities)
 
     @property

@@ -100,7 +100,7 @@ def estimate_reach(first: Records, second: Records) -> Spacing:
     neighbour = np.sqrt(d * np.maximum(mean_square, 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
         error = np.where(neighbour > 0.0, 0.5 * d * spread / neighbour, np.inf)
-    sigma = np.sqrt(sum(np.median(_variances(source), axis=0) for source in (first, second)))
+    sigma = np.sqrt(sum(_typical_variance(source) for source in (first, second)))
     a = INNER_SIGMAS * sigma
     b = np.maximum(2.0 * neighbour, LEAST_SIGMAS * sigma)
     return Spacing(a, b, neighbour, error, sigma, count)
@@ -109,17 +109,16 @@ def estimate_reach(first: Records, second: Records) -> Spacing:
 def _excess(source: Records) -> tuple[FloatArray, int]:
     """(n, d) squares of the displacements to the nearest other record, less the errors' share; number of pairs."""
     other = _nearest(source)
-    variance = _variances(source)
+    variance = source.variances
     excess = _displacement(source, other) ** 2 - variance - variance[other]
     own = np.arange(len(source))
     mutual = int(np.count_nonzero(other[other] == own))
     return excess, len(source) - mutual // 2
 
 
-def _variances(source: Records) -> FloatArray:
-    """(n, d) variance of every feature; one record without an error stands for a source without records."""
-    full = source.full_covariance() if len(source) else np.zeros((1, source.d, source.d))
-    return np.asarray(np.einsum("nvv->nv", full))
+def _typical_variance(source: Records) -> FloatArray:
+    """(d,) typical variance of every feature; none of a source without records."""
+    return np.broadcast_to(np.median(source.variances, axis=0) if len(source) else 0.0, (source.d,))
 
 
 def _nearest(source: Records) -> NDArray[np.int64]:
@@ -131,7 +130,7 @@ def _nearest(source: Records) -> NDArray[np.int64]:
         points = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
         tree = cKDTree(points)
     else:
-        scale = np.sqrt(np.median(_variances(source), axis=0))
+        scale = np.sqrt(_typical_variance(source))
         periods = np.array(source.space.period_list(source.d)) / scale
         wraps = np.isfinite(periods)
         points = source.features / scale

@@ -99,7 +99,7 @@ class Source:
                 features = features.copy()
                 features[:, axis] = folded
                 ends[:, axis] = folded.min(), folded.max()
-        variance = _widest(records) if geometry.sphere else _variances(records)
+        variance = _widest(records) if geometry.sphere else records.variances
         return cls(features, records.covariance, variance, records, ends)
 
     def classes(self, others: float) -> list[Rows]:
@@ -308,16 +308,7 @@ def _longitudes(low: float, height: float, count: int, reach_deg: float) -> Floa
 def _sharpness(records: Records) -> FloatArray:
     """Per feature, how many standard deviations wide the bulk of the records lies."""
     middle = np.percentile(records.features, (5, 95), axis=0)
-    return (middle[1] - middle[0]) / np.sqrt(_variances(records).mean(axis=0))
-
-
-def _variances(records: Records) -> FloatArray:
-    """(n, 1) or (n, d) variances along the axes."""
-    p, d = records.covariance.shape[1], records.d
-    if p <= d:
-        return records.covariance
-    diagonal = np.cumsum([0, *range(d, 1, -1)])
-    return records.covariance[:, diagonal]
+    return (middle[1] - middle[0]) / np.sqrt(records.variances.mean(axis=0))
 
 
 def _widest(records: Records) -> FloatArray:

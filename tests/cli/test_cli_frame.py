@@ -105,6 +105,24 @@ def test_what_is_printed_tells_place_counts_and_assumptions(done):
         assert " ".join(words.split()).lower() in " ".join(text.split()).lower(), words
 
 
+def test_what_was_estimated_is_printed_with_its_standard_error(done):
+    out, text = done
+    told, words = json.loads((out / "night.json").read_text())["estimated"], " ".join(text.split())
+    assert all(error > 0.0 for _, error in told.values())
+    assert re.search(r"of those in one only [\d.]+ ± [\d.]+ of the frame and [\d.]+ ± [\d.]+ of the catalogue", words)
+    assert re.search(r"errors (as quoted|quoted) ", words) and {"error_scale"} <= set(told)
+
+
+def test_doubts_of_the_catalogue_are_told_of_the_frame(files, sameas, tmp_path):
+    table = sky()
+    table["pmra"], table["pmdec"] = 3.0, -2.0
+    table.remove_columns([name for name in table.colnames if name in ("pmra_error", "pmdec_error")])
+    write_table(table, tmp_path / "moving.fits", provenance={})
+    options = "--no-page", "--no-picture", "-o", tmp_path / "out"
+    text = " ".join(sameas("frame", files.frame, "-c", tmp_path / "moving.fits", *options).stdout.split())
+    assert "doubt pmra has no column of errors" in text and "--pm-sigma" in text
+
+
 def test_the_table_holds_the_truth_and_how_it_was_made(done):
     out, _ = done
     rows, truth = read_table(out / "night.stars.fits"), sky()

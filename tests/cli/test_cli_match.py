@@ -55,6 +55,26 @@ def test_provenance_is_the_same_but_for_the_date_and_the_paths(tmp_path, sameas,
     assert {key for key in told[0] if told[0][key] != told[1][key]} <= {"date_utc", "command"}
 
 
+def test_provenance_keeps_every_estimate_with_its_standard_error(tmp_path, sameas, field_files):
+    sameas("match", *field_files, "-o", tmp_path / "out.fits", "-q", "--offset", "find")
+    told = read_provenance(tmp_path / "out.fits")
+    for name in ("common", "share_1", "share_2", "density_only_1", "density_only_2", "error_scale"):
+        assert f"estimated_{name}" in told and told[f"estimated_{name}_error"] > 0.0
+    assert told["settled"] is True and len(told["offset_arcsec"]) == len(told["offset_arcsec_error"]) == 3
+    for side in (1, 2):
+        bins = len(told[f"completeness_{side}_edges_mag"]) - 1
+        for name in (f"completeness_{side}", f"density_only_{side}_per_deg2_mag"):
+            assert len(told[name]) == len(told[f"{name}_error"]) == bins > 0
+
+
+def test_pictures_are_drawn_of_all_that_there_is(tmp_path, sameas, field_files):
+    pytest.importorskip("matplotlib", reason="pictures need the extra sameas[plots]")
+    text = sameas("match", *field_files, "-o", tmp_path / "out.fits", "--pictures", tmp_path / "drawn").stdout
+    names = {path.name for path in (tmp_path / "drawn").iterdir()}
+    assert {"residuals.png", "normalised.png", "scatter.png", "certainty.png"} <= names
+    assert all(name in text for name in names)
+
+
 @pytest.mark.parametrize(("join", "rows"), [("1and2", 100), ("1not2", 20), ("1or2", 120), ("2not1", 0)])
 def test_joins_by_the_names_of_stilts(tmp_path, sameas, field_files, join, rows):
     sameas("match", *field_files, "-o", tmp_path / "out.ecsv", "--join", join, "-q", "--nway-columns")

@@ -5,10 +5,22 @@ from dataclasses import replace
 import numpy as np
 
 from sameas.picture.picture import Picture
+from sameas.picture.summary import share_error
 from sameas.reasons import Reasons, Rival
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
 from sameas.tracks.source import Description, ErrorModel, Misses, Site
+
+
+def test_the_share_of_misses_has_the_standard_error_that_trials_show():
+    """Looks follow each other: what one misses the next three miss as well."""
+    rng, pulls = np.random.default_rng(4), []
+    for _ in range(300):
+        due = np.repeat(rng.integers(3, 9, 60), 4).astype(np.float64)
+        missed = np.repeat(rng.binomial(due[::4].astype(np.int64), 0.2), 4).astype(np.float64)
+        pulls.append((missed.sum() / due.sum() - 0.2) / share_error(due, missed))
+    assert abs(np.mean(pulls)) < 0.25 and 0.9 < np.std(pulls) < 1.3
+    assert share_error(due[:1], missed[:1]) is None
 
 
 def crossing(seed=4):

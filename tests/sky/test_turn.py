@@ -81,6 +81,21 @@ def test_nothing_in_common_is_said():
     assert any("nothing in common" in note or "explain" in note for note in found.notes)
 
 
+@pytest.mark.parametrize("n", [1, 40])
+def test_an_offset_that_is_no_better_than_chance_is_not_taken_away(n):
+    one, two = scene(Cap(10.0, 0.0, 0.3), n, 1), scene(Cap(10.0, 0.0, 0.3), n, 2)
+    found = match_catalogues(catalogue(one.first, "a"), catalogue(two.second, "b"), MatchOptions(offset="find"))
+    assert found.turn is None and "no offset was taken away" in found.doubts
+    assert not any("unit" in doubt or "--offset" in doubt for doubt in found.doubts)
+
+
+def test_catalogues_of_different_fields_are_said_to_lie_apart():
+    one, two = scene(Cap(10.0, 0.0, 0.3), 40, 1), scene(Cap(90.0, 0.0, 0.3), 40, 2)
+    found = match_catalogues(catalogue(one.first, "a"), catalogue(two.second, "b"), MatchOptions(offset="find"))
+    assert found.turn is None and len(found.result.matches) == 0
+    assert any("apart" in doubt for doubt in found.doubts)
+
+
 def test_no_turn_moves_nothing():
     made = scene(Cap(10.0, -80.0, 0.3), 50)
     still = Turn((10.0, -80.0), np.zeros(3), np.zeros((3, 3)))

@@ -32,6 +32,8 @@ from sameas.cli.arguments import (
     OutFormat,
     Output,
     Overwrite,
+    Pictures,
+    PrecisionEvidence,
     Quiet,
     Record,
     Second,
@@ -90,6 +92,7 @@ def match(
     nway_columns: Nway = False,
     compare_nearest: CompareNearest = False,
     certify: Certify = False,
+    pictures: Pictures = None,
     dry_run: DryRun = False,
     quiet: Quiet = False,
     debug: Debug = False,
@@ -98,6 +101,7 @@ def match(
     error_scale: ErrorScale = "auto",
     density: Density = None,
     magnitudes: MagnitudeEvidence = "auto",
+    precision: PrecisionEvidence = True,
     offset: Offset = "none",
     hdu1: Hdu1 = None,
     hdu2: Hdu2 = None,
@@ -117,14 +121,15 @@ def match(
         from sameas.cli.matching import Wanted, run
         from sameas.cli.request import Request, match_options
 
-        options = match_options(to_epoch, gate_sigmas, error_scale, density, magnitudes, offset)
+        options = match_options(to_epoch, gate_sigmas, error_scale, density, magnitudes, offset, precision)
         fields = fields_of(columns, 1), fields_of(columns, 2)
         paths = str(first), str(second)
         request = Request(paths, (format1, format2), (hdu1, hdu2), fields, options, columns)
         command = ctx.meta["typed"]
         wanted = None
         if output:
-            wanted = Wanted(output, out_format, overwrite, join, nway_columns, compare_nearest, certify, command)
+            told = join, nway_columns, compare_nearest, certify, pictures
+            wanted = Wanted(output, out_format, overwrite, *told, command)
         run(request, None if dry_run else wanted, quiet)
 
 

@@ -34,6 +34,10 @@ Join = Annotated[
     _option("--join", metavar="TYPE", callback=one_of(JOINS), help=f"Rows of the output: {', '.join(JOINS)}."),
 ]
 Nway = Annotated[bool, _option("--nway-columns", help="Add p_any, p_i and dist_bayesfactor of NWAY.")]
+Pictures = Annotated[
+    Path | None,
+    _option("--pictures", metavar="FOLDER", help="Draw residuals, errors, certainty and brightness into a folder."),
+]
 ToEpoch = Annotated[
     float | None,
     _option("--to-epoch", panel=_MATCH, metavar="YEAR", help="Common epoch that both catalogues are moved to."),
@@ -72,6 +76,14 @@ MagnitudeEvidence = Annotated[
         panel=_MATCH,
         metavar="auto|off|A,…:B,…",
         help="Magnitudes as evidence: those of both catalogues, none, or columns of A and of B.",
+    ),
+]
+PrecisionEvidence = Annotated[
+    bool,
+    _option(
+        "--precision/--no-precision",
+        panel=_MATCH,
+        help="Whether the sizes of the quoted errors are evidence too, where magnitudes tell too little.",
     ),
 ]
 Offset = Annotated[

@@ -11,7 +11,7 @@ import json
 import time
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
@@ -176,7 +176,7 @@ def _found(request: FrameRequest, frame: Frame, measured: Any, progress: Progres
     epoch = None if moment is None else float(moment.tdb.jyear)
     all_sky = next((hint for hint in own_hints if isinstance(hint, AllSky)), None)
     progress("identifying" if all_sky is None else "searching the whole sky")
-    return solve(
+    found = solve(
         measured,
         stars,
         own_hints,
@@ -186,6 +186,7 @@ def _found(request: FrameRequest, frame: Frame, measured: Any, progress: Progres
         motion=request.motion,
         faintest=request.faintest,
     )
+    return replace(found, notes=(*found.notes, *(f"doubt: {words}" for words in stars.doubts)))
 
 
 def _write(request: FrameRequest, frame: Frame, found: FrameIdentification, told: dict[str, Any]) -> None:

@@ -19,7 +19,7 @@ from sameas.io import known_formats, replacing, write_table
 from sameas.prose import DOUBT, count
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.joined import joined
-from sameas.sky.match import brought_together, density_doubts
+from sameas.sky.match import SkyMatch, brought_together, density_doubts
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,7 @@ class Wanted:
     nway_columns: bool
     compare_nearest: bool
     certify: bool
+    pictures: Path | None
     command: str
 
     def fulfil(self, request: Request, quiet: bool) -> None:
@@ -60,6 +61,8 @@ class Wanted:
             write_table(table, self.path, provenance=facts, format=self.format, overwrite=self.overwrite)
         size = f"{count(len(table))} rows, {len(table.columns)} columns ({self.join})"
         printer(["", f"Output: {self.path}, {size}"])
+        if self.pictures is not None:
+            printer([f"Pictures: {self.pictures}/: {', '.join(drawn(match, self.pictures))}"])
         printer([f"Time: {time.perf_counter() - began:.1f} s; peak memory: {_peak_memory()}"])
 
 
@@ -79,6 +82,10 @@ def check(request: Request, wanted: Wanted) -> None:
         same = Path(path).exists() and out.exists() and os.path.samefile(path, out)
         if same or os.path.realpath(path) == os.path.realpath(out):
             raise InputError(f"{out}: is also an input; it would be overwritten; give -o another name")
+    if wanted.pictures is not None:
+        from sameas.plots.sheet import required
+
+        required()
     known = tuple(extension for extensions in known_formats().values() for extension in extensions)
     if wanted.format is None and not out.name.lower().endswith(known):
         raise InputError(f"{out}: its extension does not tell a format; see `sameas formats`, or say --out-format NAME")
@@ -92,6 +99,18 @@ def check(request: Request, wanted: Wanted) -> None:
 
 class _Rehearsed(Exception):
     """The output could be opened."""
+
+
+def drawn(match: SkyMatch, folder: Path) -> list[str]:
+    """Draws every picture that there is something to draw for; the names of the files."""
+    from sameas import plots
+
+    folder.mkdir(parents=True, exist_ok=True)
+    names = []
+    for name, figure in plots.every(match):
+        plots.save(figure, folder / f"{name}.png")
+        names.append(f"{name}.png")
+    return names
 
 
 def look(request: Request, quiet: bool) -> None:

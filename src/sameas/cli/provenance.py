@@ -13,7 +13,8 @@ import numpy
 
 import sameas
 from sameas.cli.request import Request
-from sameas.sky.match import SkyMatch
+from sameas.sky.match import ARCSEC2_PER_DEG2, SkyMatch
+from sameas.tails import tail
 
 
 def provenance(request: Request, match: SkyMatch, command: str) -> dict[str, Any]:
@@ -40,7 +41,7 @@ def provenance(request: Request, match: SkyMatch, command: str) -> dict[str, Any
         "epoch_2": match.second.epoch_jyr,
         "common_epoch": match.epoch_jyr,
         "motion": match.moved,
-        "offset": None if match.turn is None else str(match.turn),
+        **_offset(match),
         "area_deg2": area,
         "density_1_per_deg2": density_1,
         "density_2_per_deg2": density_2,
@@ -51,7 +52,9 @@ def provenance(request: Request, match: SkyMatch, command: str) -> dict[str, Any
         "error_shares": list(estimate.errors.shares),
         "gate_sigmas": estimate.gate_sigmas,
         "rounds": estimate.rounds,
+        "settled": estimate.settled,
         **_quantities(match),
+        **_completeness(match),
         "candidates": len(result.pairs),
         "pairs": len(result.matches),
         "expected_wrong": result.expected_wrong,
@@ -59,11 +62,48 @@ def provenance(request: Request, match: SkyMatch, command: str) -> dict[str, Any
     }
 
 
+def _offset(match: SkyMatch) -> dict[str, Any]:
+    """What was taken away from the second catalogue: in words, and east, north and turn with their errors, arcsec."""
+    turn = match.turn
+    if turn is None:
+        return {"offset": None}
+    return {
+        "offset": str(turn),
+        "offset_centre_deg": list(turn.centre_deg),
+        "offset_arcsec": turn.vector.tolist(),
+        "offset_arcsec_error": turn.standard_errors.tolist(),
+    }
+
+
 def _quantities(match: SkyMatch) -> dict[str, float]:
     """Everything estimated with its standard error, where it has one."""
+    estimate, beyond = match.estimate, tail(match.result, match.estimate.errors)
+    found = dict(estimate.quantities)
+    if beyond is not None:
+        found["error_tail_share"] = beyond.share
+    if estimate.error_model is not None:
+        model = estimate.error_model
+        apart = {"error_factor_1": model.factor_1, "error_factor_2": model.factor_2, "error_floor": model.floor}
+        found |= {name: quantity for name, quantity in apart.items() if quantity is not None}
     facts = {}
-    for name, quantity in match.estimate.quantities.items():
+    for name, quantity in found.items():
         if math.isfinite(quantity.standard_error):
             facts[f"estimated_{name}"] = quantity.value
             facts[f"estimated_{name}_error"] = quantity.standard_error
+    return facts
+
+
+def _completeness(match: SkyMatch) -> dict[str, Any]:
+    """By magnitude: the share of either catalogue that the other shows, and the density of those it does not show."""
+    facts: dict[str, Any] = {}
+    for side, curve in ((1, match.estimate.detection_1), (2, match.estimate.detection_2)):
+        if curve is not None:
+            facts |= {
+                f"completeness_{side}_band": curve.band,
+                f"completeness_{side}_edges_mag": curve.edges.tolist(),
+                f"completeness_{side}": curve.probability.tolist(),
+                f"completeness_{side}_error": curve.standard_error.tolist(),
+                f"density_only_{side}_per_deg2_mag": (ARCSEC2_PER_DEG2 * curve.density).tolist(),
+                f"density_only_{side}_per_deg2_mag_error": (ARCSEC2_PER_DEG2 * curve.density_error).tolist(),
+            }
     return facts

@@ -132,10 +132,13 @@ def match_options(
     error_scale: str,
     density: str | None,
     magnitudes: str,
-    offset: str = "none",
+    offset: str,
+    precision: bool,
 ) -> MatchOptions:
     """The options of the match, refused at once where they make no sense."""
-    options = MatchOptions(to_epoch, gate_sigmas, error_scale, magnitudes=magnitudes, offset=offset)
+    options = MatchOptions(
+        to_epoch, gate_sigmas, error_scale, magnitudes=magnitudes, offset=offset, precision=precision
+    )
     if density is not None:
         try:
             one, two = (float(part) for part in density.split(","))

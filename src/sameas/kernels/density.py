@@ -1,33 +1,22 @@
-"""Compiled cells of the sky, and what their counts say: local densities and shares, refined from cell to finer cell."""
+"""Compiled counts of cells, and what they say: local densities and shares, refined from cell to finer cell."""
 
 from __future__ import annotations
-
-import numpy as np
 
 from sameas.kernels.compiled import kernel
 
 
 @kernel
-def sphere_cells(features, low, height, west, arc, begin, per_ring, cell):
-    """Fill ``cell`` (n,) with the cells of directions (n, 2), degrees.
-
-    Rings lie from ``low`` on, ``height`` apart, each cut into ``per_ring`` (rings,) cells along ``arc`` from ``west``
-    on, the first of them being ``begin`` (rings,).
-    """
-    rings = len(per_ring)
-    for k in range(len(cell)):
-        ring = min(max(int((features[k, 1] - low) / height), 0), rings - 1)
-        turn = features[k, 0] - west
-        along = (turn - 360.0 * np.floor(turn / 360.0)) / arc
-        cell[k] = begin[ring] + min(int(along * per_ring[ring]), per_ring[ring] - 1)
-
-
-@kernel
-def look(count, volume, cell, pseudo_count, hole, seen, density, highest):
+def look(of_source, cell, volume, count, pseudo_count, hole, seen, density, highest):
     """Clear ``seen`` (n,) where a record's cell is empty although more than ``hole`` were to be expected; refine the
-    ``density`` (n,) by its count, in place. highest : (n,) of the densities so far, which is what is expected at least
+    ``density`` (n,) by its count, in place.
+
+    of_source : (n',) cells of the records that are counted. cell : (n,) of those that are asked for. volume : of the
+    cells. count : room for their counts. highest : (n,) of the densities so far, which is what is expected at least
     half of: just outside a border coarse cells are empty for the most part, and their own density says too little.
     """
+    count[:] = 0.0
+    for c in of_source:
+        count[c] += 1.0
     for k in range(len(cell)):
         c = cell[k]
         if count[c] == 0.0 and max(density[k], 0.5 * highest[k]) * volume[c] >= hole:
@@ -37,17 +26,22 @@ def look(count, volume, cell, pseudo_count, hole, seen, density, highest):
 
 
 @kernel
-def refine(count, volume, cell, own, pseudo_count, density):
-    """Draw ``density`` (n,), in place, towards the counts of each record's cell, its own weight left out.
+def refine(own, other, weight, volume, count, pseudo_count, at_own, at_other):
+    """Draw densities, in place, towards the counts of each record's cell: ``at_own`` (n,) and ``at_other`` (n',).
 
-    count, volume : per cell. cell : (n,) of each record. own : (n,) weights of the records, or empty.
+    own, weight : (n,) cells of the records that are counted, and as how many each; it is left out at itself. other :
+    (n',) cells of the other records. volume : of the cells. count : room for their counts.
     """
-    for k in range(len(cell)):
-        c = cell[k]
-        others = count[c]
-        if len(own):
-            others = max(others - own[k], 0.0)
-        density[k] = (others + pseudo_count) / (volume[c] + pseudo_count / density[k])
+    count[:] = 0.0
+    for k in range(len(own)):
+        count[own[k]] += weight[k]
+    for k in range(len(own)):
+        c = own[k]
+        others = max(count[c] - weight[k], 0.0)
+        at_own[k] = (others + pseudo_count) / (volume[c] + pseudo_count / at_own[k])
+    for k in range(len(other)):
+        c = other[k]
+        at_other[k] = (count[c] + pseudo_count) / (volume[c] + pseudo_count / at_other[k])
 
 
 @kernel

@@ -190,3 +190,33 @@ def likeliest(start, count, odds, density, pseudo, shares, spread, steps, settle
         if gained < settled:
             break
     return shares
+
+
+@kernel
+def fit(start, count, odds, squares, d, scales, core, pseudo, shares, standing_out, search):
+    """The shares (k,) of greatest likelihood of normals in d features, of these ``scales`` (k,), rising; and by how
+    much a tail, all of them from ``core`` on, betters ln of the likelihood, which comes last. One that does not stand
+    out is left out.
+
+    start, count, odds, squares : what ``cells`` returns. The likelihood of n pairs of odds o is (1 + o f)^n, whose
+    logarithm is concave in the shares: it has one maximum. pseudo, shares : as in ``likeliest``, and ``search`` its
+    last five arguments.
+    """
+    density = np.empty((len(squares), len(scales)))
+    for b in range(len(squares)):
+        for k in range(len(scales)):
+            density[b, k] = np.exp(-0.5 * squares[b] / scales[k] ** 2) / scales[k] ** d
+    best = likeliest(start, count, odds, density, pseudo, shares, *search)
+    reached, typical = log_likelihood(start, count, odds, density, pseudo, best), np.sum(best[:core])
+    if typical == np.sum(best):
+        return best, 0.0, reached
+    if typical == 0.0:
+        return best, np.inf, reached
+    narrow, kept = density[:, :core].copy(), pseudo[:core].copy()
+    alone = likeliest(start, count, odds, narrow, kept, best[:core] / typical, *search)
+    without = log_likelihood(start, count, odds, narrow, kept, alone)
+    if reached - without > standing_out:
+        return best, reached - without, reached
+    best[:core] = alone
+    best[core:] = 0.0
+    return best, reached - without, without

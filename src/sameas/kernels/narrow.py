@@ -16,6 +16,8 @@ from sameas.kernels.compiled import part
 
 #: Most sums of one problem.
 SUMS = 1 << 22
+#: More records than this, open at a time, need more sums; far more would not fit into the bits of a word.
+MOST_OPEN = 22
 #: Problems of more sums than this are laid out from as many records, spread over all, and the least is taken.
 MANY, TRIALS = 2048, 8
 #: After so many steps sums are divided by their largest where that is not within this factor of 1.
@@ -87,6 +89,8 @@ def _laid_out_from(first, n, limit, room):
     for t in range(n):
         at = _next(actives, room)
         x = room.active[at]
+        if room.left[x] > MOST_OPEN:
+            return limit
         actives -= 1
         room.active[at] = room.active[actives]
         room.order[t], room.own[t] = x, room.bits[x]

@@ -14,10 +14,11 @@ def log_mixture(y, variance, others, other_variance, knots, relation, background
     """Fill ``out`` (n,) with ln of the density of magnitudes y (n,), given others (n, 1 + c), and variances of both.
 
     knots : (k,) rising, of the first of the others. relation : offset and scatter (k,), slopes and centres (c,), scales
-    (s,), and shares (s + 1,), the last of which follows the density ``background`` (n,) instead.
+    (s,), each three times the one before, and shares (s + 1,), the last of which follows the density ``background``
+    (n,) instead.
     """
     offset, scatter, slopes, centres, scales, shares = relation
-    peaks, narrow = shares[:-1] / (scales * np.sqrt(2.0 * np.pi)), 1.0 / scales**2
+    peaks, widest = shares[:-1] / (scales * np.sqrt(2.0 * np.pi)), 1.0 / scales[-1] ** 2
     rest, found = (1.0 - np.sum(slopes)) ** 2, directory(knots)
     for e in range(len(y)):
         x = others[e, 0]
@@ -28,30 +29,60 @@ def log_mixture(y, variance, others, other_variance, knots, relation, background
         for v in range(len(slopes)):
             residual -= slopes[v] * (others[e, v + 1] - x - centres[v])
             total += slopes[v] ** 2 * other_variance[e, v + 1]
-        precision = 1.0 / total
-        half, related = -0.5 * residual**2 * precision, 0.0
-        for s in range(len(scales)):
-            related += peaks[s] * np.exp(half * narrow[s])
+        precision, related = 1.0 / total, 0.0
+        height = np.exp(-0.5 * residual**2 * precision * widest)
+        for s in range(len(scales) - 1, -1, -1):
+            related += peaks[s] * height
+            height = _ninth(height)
         out[e] = np.log(related * np.sqrt(precision) + shares[-1] * background[e])
 
 
+@part
+def _ninth(x):
+    """x⁹: what a normal's height at a place becomes when it is three times as narrow, but for its peak."""
+    square = x * x
+    fourth = square * square
+    return fourth * fourth * x
+
+
 @kernel
-def medians(order, values, weight, nearest, out):
-    """Fill ``out`` (k + 1,) with the weighted medians of the values (n,) nearest to each of k knots, and of all.
+def quartiles(order, values, weight, nearest, out):
+    """Fill ``out`` (3, k + 1) with the weighted quartiles of the values (n,) nearest to each of k knots, and of all.
 
     order : (n,) rising order of the values.
     """
-    k = len(out) - 1
-    half, below = np.zeros(k + 1), np.zeros(k + 1)
+    k = out.shape[1] - 1
+    whole, below = np.zeros(k + 1), np.zeros(k + 1)
     out[:] = np.nan
     for e in order:
-        half[nearest[e]] += 0.5 * weight[e]
-        half[k] += 0.5 * weight[e]
+        whole[nearest[e]] += weight[e]
+        whole[k] += weight[e]
     for e in order:
         for at in (nearest[e], k):
             below[at] += weight[e]
-            if np.isnan(out[at]) and below[at] >= half[at]:
-                out[at] = values[e]
+            for quarter in range(3):
+                if np.isnan(out[quarter, at]) and below[at] >= 0.25 * (quarter + 1) * whole[at]:
+                    out[quarter, at] = values[e]
+
+
+@kernel
+def gather(at, weight, y, variance, others, other_variance, unrelated, weighed, sample, colours):
+    """Fill ``sample`` (n, 7) and ``colours`` (n, 2c), but for their centres, with what ``learn`` takes of the rows
+    ``at`` (n,) of the others (r, ·), whose pairs have the probabilities ``weight`` (n,).
+
+    weighed : whether these know of the magnitudes.
+    """
+    c = others.shape[1] - 1
+    for e in range(len(at)):
+        r = at[e]
+        x = others[r, 0]
+        sample[e, 0], sample[e, 1], sample[e, 2], sample[e, 5] = y[r] - x, variance[r], other_variance[r, 0], x
+        sample[e, 4] = unrelated[r]
+        sample[e, 3], sample[e, 6] = weight[e], 0.0
+        if not weighed:
+            sample[e, 3], sample[e, 6] = 1.0, unrelated[r] * (1.0 - weight[e]) / weight[e]
+        for v in range(c):
+            colours[e, v], colours[e, c + v] = others[r, v + 1] - x, other_variance[r, v + 1]
 
 
 @kernel
@@ -62,8 +93,8 @@ def learn(sample, colours, knots, relation, penalty, priors, steps):
     magnitude where it is unrelated, the first of the others, and that density times the odds that the pair is none;
     0 where the weight has these in it. colours : (n, 2c) other magnitudes minus the first
     and their centres, then their variances. knots : (k,) rising. relation : offset and scatter (k,), slopes (c,),
-    scales (s,), shares (s + 1,), the last unrelated, covariance (k + c, k + c), mean basis (k + c,), and the error of
-    the typical scatter (1,).
+    scales (s,), each three times the one before, shares (s + 1,), the last unrelated, covariance (k + c, k + c), mean
+    basis (k + c,), and the error of the typical scatter (1,).
     penalty : (k + c, k + c). priors : allowances of the shares (s,), pairs that are always unrelated, pairs by which
     scatters are drawn to that of all, the least scatter, and the share of a standard error that is nothing.
     """
@@ -122,10 +153,11 @@ def _summed(sample, colours, hats, relation, told):
             residual -= slopes[v] * colours[e, v]
             total += slopes[v] ** 2 * colours[e, c + v]
         inverse, unrelated, density = 1.0 / total, shares[-1] * sample[e, 4], 0.0
-        half, root = -0.5 * residual**2 * inverse, np.sqrt(inverse)
-        for s in range(normals):
-            parts[s] = root * peaks[s] * np.exp(half * narrow[s])
+        root, height = np.sqrt(inverse), np.exp(-0.5 * residual**2 * inverse * narrow[-1])
+        for s in range(normals - 1, -1, -1):
+            parts[s] = root * peaks[s] * height
             density += parts[s]
+            height = _ninth(height)
         each = weight / max(density + unrelated + sample[e, 6], 1e-300)
         own, precise = density * each, 0.0
         true += own + unrelated * each

@@ -20,6 +20,8 @@ from sameas.tracks.scene import Scene
 
 #: Objects that a source ought to have shown, below which a share of misses says nothing.
 FEWEST = 20
+#: Stretches of the picture that its standard error is judged by: what one look misses, the next does as well.
+STRETCHES = 12
 
 
 @dataclass(frozen=True)
@@ -88,18 +90,22 @@ def _due(moment: Moment, there: BoolArray, s: int) -> FloatArray:
 class Misses:
     """Of the objects that others show within a source's coverage, ``due``, the share of which it has no record.
 
-    One object counts at every instant; a named track has one as long as its last report stands. described : what the
-    source's description says of a look; None where it says nothing.
+    One object counts at every instant; a named track has one as long as its last report stands. error : standard error
+    of the share, by how it differs from stretch to stretch of the picture; None where that is one stretch. described :
+    what the source's description says of a look; None where it says nothing.
     """
 
     source: str
     due: float
     share: float
+    error: float | None
     described: float | None
 
     def __str__(self) -> str:
         said = "" if self.described is None else f"; described: {100.0 * self.described:.0f} % at a look"
-        return f"{self.source} misses {100.0 * self.share:.0f} % of what others show within its coverage{said}"
+        error = "" if self.error is None else f" ± {100.0 * self.error:.1f}"
+        share = f"{100.0 * self.share:.{1 if error else 0}f}{error} %"
+        return f"{self.source} misses {share} of what others show within its coverage{said}"
 
 
 @dataclass(frozen=True)
@@ -249,12 +255,24 @@ def _by_sources(objects: Mapping[str, NDArray], n_sources: int) -> tuple[tuple[i
 
 
 def _misses(feeds: Sequence[Feed], tallies: Sequence[Tally]) -> Iterable[Misses]:
-    due, missed = (np.sum([getattr(tally, name) for tally in tallies], axis=0) for name in ("due", "missed"))
+    due, missed = (np.array([getattr(tally, name) for tally in tallies]) for name in ("due", "missed"))
     for s, feed in enumerate(feeds):
-        if due[s] >= FEWEST:
+        whole = float(due[:, s].sum())
+        if whole >= FEWEST:
             told = feed.description.misses.q
             described = None if told is None else float(np.mean(told))
-            yield Misses(feed.description.name, float(due[s]), float(missed[s] / due[s]), described)
+            share = float(missed[:, s].sum() / whole)
+            yield Misses(feed.description.name, whole, share, share_error(due[:, s], missed[:, s]), described)
+
+
+def share_error(due: FloatArray, missed: FloatArray) -> float | None:
+    """Standard error of the share Σ missed / Σ due of some instants (n,), from the stretches they make; None of one."""
+    parts = np.array_split(np.arange(len(due)), min(STRETCHES, len(due)))
+    if len(parts) < 2:
+        return None
+    of_due, of_missed = (np.array([values[part].sum() for part in parts]) for values in (due, missed))
+    off = of_missed - of_due * of_missed.sum() / of_due.sum()
+    return float(math.sqrt(len(parts) / (len(parts) - 1) * (off**2).sum()) / of_due.sum())
 
 
 def _alarms(feeds: Sequence[Feed], tallies: Sequence[Tally]) -> list[Alarmed]:

@@ -1,4 +1,4 @@
-"""What was learned of the magnitudes: which share of each catalogue the other shows, and how both are related."""
+"""What was learned of the magnitudes: the share of each catalogue that the other shows, the rest, their relation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sameas.detection import DetectionCurve
 from sameas.errors import InputError
 from sameas.plots.sheet import FAINT, FIRST, FOUND, INK, SECOND, sheet, tidy
 from sameas.prose import percent
-from sameas.sky.match import SkyMatch
+from sameas.sky.match import ARCSEC2_PER_DEG2, SkyMatch
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,7 +21,7 @@ MOST_DOTS = 5000
 
 
 def brightness(match: SkyMatch) -> Figure:
-    """Completeness of either catalogue against its magnitude, and the magnitude difference of the identified pairs.
+    """Completeness of either catalogue and density of what it has alone by magnitude; the pairs' magnitudes compared.
 
     Raises
     ------
@@ -34,18 +34,28 @@ def brightness(match: SkyMatch) -> Figure:
     names = e.photometry.names[0][0], e.photometry.names[1][0]
     title = f"Brightness changes {e.changed_by_brightness} of the answers"
     told = "" if relation is None else f"Zero point {e.quantities['zero_point']}, scatter {e.quantities['scatter']}"
-    figure = sheet(title, told)
-    left, right = figure.subplots(1, 2)
+    figure = sheet(title, told, 15.0)
+    left, middle, right = figure.subplots(1, 3)
     for curve, mine, other, colour in (
         (e.detection_1, match.first.name, match.second.name, FIRST),
         (e.detection_2, match.second.name, match.first.name, SECOND),
     ):
         if curve is not None:
             _completeness(left, curve, f"{mine}, shown by {other}", colour)
+            _alone(middle, curve, f"{mine} alone", colour)
     left.set_ylim(0.0, 105.0)
-    if left.lines:
-        left.legend(frameon=False, fontsize=9)
-    tidy(left, "magnitude in the first band of each  [mag]", "also in the other  [%]", "completeness, ± 1 σ")
+    middle.set_yscale("log")
+    for axes in (left, middle):
+        if axes.lines:
+            axes.legend(frameon=False, fontsize=9)
+    bands = "magnitude in the first band of each  [mag]"
+    tidy(left, bands, "also in the other  [%]", "completeness, ± 1 σ")
+    tidy(
+        middle,
+        "magnitude in the first band of each  [mag]",
+        "per square degree and magnitude",
+        "those in one only, ± 1 σ",
+    )
     _relation(right, match, names)
     return figure
 
@@ -55,6 +65,17 @@ def _completeness(axes: Axes, curve: DetectionCurve, label: str, colour: str) ->
     axes.errorbar(
         curve.middle, 100.0 * curve.probability, 100.0 * curve.standard_error, half, fmt="o-", ms=3.5, lw=1.0,
         color=colour, label=f"{label} ({curve.band})",
+    )  # fmt: skip
+
+
+def _alone(axes: Axes, curve: DetectionCurve, label: str, colour: str) -> None:
+    """Density of the records that the other catalogue does not show; bins without any are left out."""
+    some = curve.density > curve.density_error
+    density, error = ARCSEC2_PER_DEG2 * curve.density[some], ARCSEC2_PER_DEG2 * curve.density_error[some]
+    half = 0.5 * np.diff(curve.edges)[some]
+    axes.errorbar(
+        curve.middle[some], density, (np.minimum(error, 0.7 * density), error), half, fmt="o-", ms=3.5, lw=1.0,
+        color=colour, label=label,
     )  # fmt: skip
 
 
@@ -80,5 +101,6 @@ def _relation(axes: Axes, match: SkyMatch, names: tuple[str, str]) -> None:
         )  # fmt: skip
         reach = 6.0 * float(relation.scatter.max()) + 0.3
         axes.set_ylim(float(relation.offset.min()) - reach, float(relation.offset.max()) + reach)
-    label = f"{names[0]} of {first.source} − {names[1]} of {second.source}  [mag]"
+    own = ("", "") if names[0] != names[1] else (f" of {first.source}", f" of {second.source}")
+    label = f"{names[0]}{own[0]} − {names[1]}{own[1]}  [mag]"
     tidy(axes, f"{names[1]} of {second.source}  [mag]", label, "identified pairs, mean and scatter")

@@ -236,7 +236,7 @@ def _against_brightness(axes: Axes, found: FrameIdentification, left: FloatArray
     for values, colour, name in ((left[:, 0], FIRST, "east"), (left[:, 1], SECOND, "north")):
         axes.plot(magnitude, np.clip(values, -limit, limit), ".", ms=_dot(left), color=colour, alpha=0.45, label=name)
     axes.axhline(0.0, color=FAINT, lw=0.7)
-    _running(axes, magnitude, left)
+    _running(axes, magnitude, found)
     axes.set_ylim(-1.05 * limit, 1.05 * limit)
     tidy(axes, words, "measured minus catalogue [arcsec]", "residuals against brightness, and their running 1σ")
     axes.legend(frameon=False, fontsize=9.5, markerscale=3, loc="upper left")
@@ -247,13 +247,19 @@ def _dot(points: FloatArray | IntArray) -> float:
     return 2.6 if len(points) > 200 else 6.0
 
 
-def _running(axes: Axes, magnitude: FloatArray, left: FloatArray) -> None:
-    """The robust standard deviation of either axis in bins of equal numbers."""
+def _running(axes: Axes, magnitude: FloatArray, found: FrameIdentification) -> None:
+    """The robust standard deviation of either axis in bins of equal numbers, and what the errors of the pairs say."""
     known = np.flatnonzero(np.isfinite(magnitude))
     if len(known) < 60:
         return
+    left, pairs = found.residual_arcsec, found.result.pairs
+    covariance = pairs.covariance_of(found.result.matches.pair)
+    quoted = orientation(found)[0] * np.sqrt(0.5 * np.einsum("mvv->m", covariance))
     parts = np.array_split(known[np.argsort(magnitude[known])], min(12, len(known) // 30))
     x = [float(np.median(magnitude[part])) for part in parts]
+    said = np.array([float(np.median(quoted[part])) for part in parts])
+    for sign, label in ((-1, None), (1, "1σ as quoted")):
+        axes.plot(x, sign * said, "--", color=INK, lw=1.4, label=label)
     for axis, colour in ((0, FIRST), (1, SECOND)):
         s = [1.4826 * float(np.median(np.abs(left[part, axis]))) for part in parts]
         for sign in (-1, 1):

@@ -8,9 +8,10 @@ import numpy as np
 
 from sameas.evidence import Errors
 from sameas.plots.sheet import FAINT, FILL, FOUND, INK, SECOND, sheet, tidy
-from sameas.prose import count
+from sameas.prose import count, percent
 from sameas.records import FloatArray
 from sameas.sky.match import SkyMatch
+from sameas.tails import tail
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,7 +25,7 @@ def normalised(match: SkyMatch) -> Figure:
     """
     distance = match.result.matches.mahalanobis
     errors = match.estimate.errors
-    figure = sheet(_finding(match), _detail(match))
+    figure = sheet(finding(match), _detail(match))
     if not len(distance):
         return figure
     bulk, tail = figure.subplots(1, 2)
@@ -94,23 +95,23 @@ def containment(errors: Errors, share: float) -> float:
     return float(np.interp(share, inside, x))
 
 
-def _finding(match: SkyMatch) -> str:
-    scale = match.estimate.typical_scale
+def finding(match: SkyMatch) -> str:
+    """Whether the quoted errors are right, in a sentence."""
+    e = match.estimate
+    scale = e.quantities["error_scale"].value if "error_scale" in e.quantities else e.typical_scale
     if not len(match.result.matches):
         return "No pair was identified"
     if scale > 1.1:
-        wrong = f"{scale:.2g} times too small"
-    elif scale < 0.9:
-        wrong = f"{1 / scale:.2g} times too large"
-    else:
-        return "The typical pair scatters as its quoted errors say"
-    return f"The quoted errors are {wrong} for the typical pair; the estimated spread follows"
+        return f"The quoted errors are {scale:.2f} times too small for the typical pair"
+    if scale < 0.9:
+        return f"The quoted errors are too large: the typical pair scatters {scale:.2f} times as far"
+    return "The typical pair scatters as its quoted errors say"
 
 
 def _detail(match: SkyMatch) -> str:
-    errors = match.estimate.errors
-    heavy = sum(share for scale, share in zip(errors.scales, errors.shares, strict=True) if scale > 3.0)
     words = f"{count(len(match.result.matches))} identified pairs of {match.first.name} and {match.second.name}."
-    if heavy > 0.005:
-        words += f" {100 * heavy:.0f} % of them have errors more than 3 times the quoted ones: a heavy tail."
+    beyond = tail(match.result, match.estimate.errors)
+    if beyond is not None:
+        share = f"{percent(beyond.share.value)} of them have errors about {beyond.factor:.1f} times the quoted ones"
+        words += f" A tail: {share}."
     return words

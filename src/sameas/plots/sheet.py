@@ -24,8 +24,8 @@ DENSITY = "viridis"
 DOTS_PER_INCH = 150
 
 
-def sheet(title: str, subtitle: str, width: float = 11.0, height: float = 5.4) -> Figure:
-    """An empty figure that says its finding on top; sizes in inches.
+def required() -> type[Figure]:
+    """Matplotlib's figure, that every picture needs.
 
     Raises
     ------
@@ -35,7 +35,17 @@ def sheet(title: str, subtitle: str, width: float = 11.0, height: float = 5.4) -
         from matplotlib.figure import Figure
     except ImportError as error:
         raise InputError("pictures need matplotlib: pip install 'sameas[plots]'") from error
-    figure = Figure(figsize=(width, height), dpi=DOTS_PER_INCH, facecolor="white", layout="constrained")
+    return Figure
+
+
+def sheet(title: str, subtitle: str, width: float = 11.0, height: float = 5.4) -> Figure:
+    """An empty figure that says its finding on top; sizes in inches.
+
+    Raises
+    ------
+    InputError : matplotlib is not installed.
+    """
+    figure = required()(figsize=(width, height), dpi=DOTS_PER_INCH, facecolor="white", layout="constrained")
     head = figure.suptitle(f"{title}\n", x=0.012, ha="left", fontsize=14, fontweight="bold", color=INK)
     # Constrained layout leaves room for the title only: its empty second line is the subtitle's.
     head.set_linespacing(1.6)

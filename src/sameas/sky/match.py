@@ -33,6 +33,9 @@ ARCSEC2_PER_DEG2 = 3600.0**2
 BLURRED = 20.0
 #: Rows from which only every so manieth ring of cells is looked at for that.
 FEW_ROWS, RINGS = 100_000, 16.0
+#: Sources have next to nothing in common where no more than this share of the poorer one, and no more than so many
+#: standard errors, is expected.
+SPARSE, TELLING = 0.05, 3.0
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,7 @@ class MatchOptions:
     density_per_deg2 : (first, second) densities of all records, instead of local ones from the data.
     magnitudes : "auto" takes those of both catalogues as evidence, "off" leaves it to the positions; columns by name
         as "G,BP:J,H" (see ``sky.bands``).
+    precision : whether the sizes of the quoted errors are evidence too, where magnitudes tell too little.
     offset : "none" believes that both are on one frame, and doubts it where the pairs say else; "find" looks for the
         shift and turn of the second catalogue and takes it away (see ``sky.turn``).
     """
@@ -54,6 +58,7 @@ class MatchOptions:
     density_per_deg2: tuple[float, float] | None = None
     magnitudes: str = AUTO
     offset: str = "none"
+    precision: bool = True
 
     def errors(self) -> Errors | None:
         """The spread of the residuals, None where it is to be estimated."""
@@ -83,7 +88,7 @@ class SkyMatch:
 
     epoch_jyr : the epoch both were brought to, None where each stayed where it was observed.
     moved : one sentence on what was moved and why. doubts : what looks wrong with the result.
-    turn : of the second catalogue onto the first, None where none was looked for.
+    turn : of the second catalogue onto the first, None where none was looked for, or none found beside chance.
     """
 
     first: Catalogue
@@ -147,15 +152,16 @@ def match(
     progress("motion")
     epoch, words, one, two = brought_together(first, second, options.epoch_jyr)
     _refuse_blur(one, two)
-    turn = find_turn(one, two, progress) if options.offset == "find" else None
+    sought = find_turn(one, two, progress) if options.offset == "find" else None
+    turn = None if sought is None or sought.by_chance else sought
     if turn is not None:
         two = turn.of(two)
     result, estimate = estimated(
         one, two, errors=options.errors(), gate=options.gate(), density=options.density(),
-        brightness=magnitudes_of(first, second, options.magnitudes), progress=progress,
+        brightness=magnitudes_of(first, second, options.magnitudes), precision=options.precision, progress=progress,
     )  # fmt: skip
     doubts = density_doubts(estimate.coverage, options) + _doubts(result, estimate) + _missed(result, estimate)
-    doubts += _standing_off(result, estimate) if turn is None else turn.notes
+    doubts += _standing_off(result, estimate) if sought is None else _of_search(sought)
     return SkyMatch(first, second, epoch, words, result, estimate, doubts, turn)
 
 
@@ -289,10 +295,19 @@ def _doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]:
     return tuple(doubts)
 
 
+def _of_search(sought: Turn) -> tuple[str, ...]:
+    """What is in doubt of a turn that was looked for."""
+    return (*sought.notes, "no offset was taken away") if sought.by_chance else sought.notes
+
+
 def _standing_off(result: Identification, estimate: Estimate) -> tuple[str, ...]:
     """A question to the frames where the pairs lie off each other on the average, or there are none."""
-    if estimate.common < 1.0:
-        return ("one may stand off the other by more than their errors: --offset find looks for that",)
+    if _next_to_nothing(result, estimate):
+        return (
+            f"{result.first.source} and {result.second.source} have next to nothing in common "
+            f"({estimate.quantities['common']} objects); one may stand off the other by more than their errors: "
+            "--offset find looks for that",
+        )
     found = left_over(result, estimate.typical_scale)
     if found is None:
         return ()
@@ -301,6 +316,13 @@ def _standing_off(result: Identification, estimate: Estimate) -> tuple[str, ...]
         f"{result.second.source} stands off {result.first.source} by up to {share:.1g} of a pair's error "
         f"({turn}): say --offset find to take it away",
     )
+
+
+def _next_to_nothing(result: Identification, estimate: Estimate) -> bool:
+    """Whether the common objects are few, and no more than their standard error lets chance give."""
+    if estimate.common > SPARSE * min(len(result.first), len(result.second)):
+        return False
+    return estimate.common <= max(0.5, TELLING * estimate.quantities["common"].standard_error)
 
 
 def _missed(result: Identification, estimate: Estimate) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ import numpy as np
 from sameas.estimate import match
 from sameas.records import FloatArray, Records
 from sameas.registration import Registration, Shift, register
+from sameas.registration.joint import DECISIVE
 from sameas.result import Identification
 from sameas.space import ARCSEC_PER_RADIAN, sphere_offset
 
@@ -39,7 +40,8 @@ class Turn:
 
     centre_deg : where it is told. vector : (3,) shift east and north there and turn about it, from north to east
     seen from inside, arcsec. covariance : (3, 3) of it. found : whether nothing else explains the data as well.
-    rounds : how many it took. notes : what is in doubt.
+    rounds : how many it took. notes : what is in doubt. by_chance : whether chance explains it as well as a turn does;
+    it is then not refined, and nobody should take it away.
     """
 
     centre_deg: tuple[float, float]
@@ -48,6 +50,7 @@ class Turn:
     found: bool = True
     rounds: int = 0
     notes: tuple[str, ...] = ()
+    by_chance: bool = False
 
     @property
     def standard_errors(self) -> FloatArray:
@@ -129,10 +132,12 @@ def find_turn(first: Records, second: Records, progress: Callable[[str], None] =
     """
     progress("search for the offset")
     centre, patch_1, patch_2 = _patch(first, second)
-    begun = register(patch_1, patch_2, Shift())
-    turn = _begun(centre, begun)
+    if not (len(patch_1) and len(patch_2)):
+        apart = f"{first.source} and {second.source} lie more than {PATCH_DEG:g}° apart; so far no offset is looked for"
+        return Turn(centre, np.zeros(3), np.zeros((3, 3)), False, 0, (apart,), True)
+    turn = _begun(centre, register(patch_1, patch_2, Shift()))
     before = math.inf
-    while turn.rounds < ROUNDS:
+    while turn.rounds < ROUNDS and not turn.by_chance:
         progress("offset")
         answer, estimate = match(first, turn.of(second))
         turn, share = turn.refined(answer, estimate.typical_scale)
@@ -163,7 +168,8 @@ def _begun(centre: tuple[float, float], registration: Registration) -> Turn:
     covariance = np.zeros((3, 3))
     covariance[:2, :2] = registration.covariance
     vector = np.array([*registration.theta, 0.0])
-    return Turn(centre, vector, covariance, registration.established, 0, registration.notes)
+    by_chance = registration.log_evidence < DECISIVE
+    return Turn(centre, vector, covariance, registration.established, 0, registration.notes, by_chance)
 
 
 def _patch(first: Records, second: Records) -> tuple[tuple[float, float], Records, Records]:

@@ -11,6 +11,7 @@ from sameas.sky.frame.identified import FrameIdentification
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.place import odds_in_words
 from sameas.sky.frame.tangent import directions_deg
+from sameas.tails import tail
 
 #: Identified pairs less probable than this are called ambiguous.
 AMBIGUOUS = 0.9
@@ -29,6 +30,7 @@ def summary(found: FrameIdentification, frame: Frame | None = None) -> dict[str,
         "place": _place(found),
         "plate": _plate(found),
         "found": _counts(found),
+        "estimated": _estimated(found),
         "residuals": _residuals(found),
         "brightness": _brightness(found),
         "notes": [*found.measured.notes, *found.notes],
@@ -116,6 +118,33 @@ def _counts(found: FrameIdentification) -> dict[str, Any]:
         "gate_sigmas": found.estimate.gate_sigmas,
         "typical_error_scale": found.estimate.typical_scale,
     }
+
+
+def _estimated(found: FrameIdentification) -> dict[str, list[float]]:
+    """What was estimated with the identification, each with its standard error.
+
+    Densities per square arcminute of what only the frame and only the catalogue shows, of the stars that could be seen;
+    the error scale; factors on the errors of the frame and of the catalogue, and a floor in arcsec, where told apart.
+    """
+    estimate, scale = found.estimate, orientation(found)[0]
+    per_arcmin2 = (60.0 / scale) ** 2
+    known = {
+        ("only_on_frame_per_arcmin2", per_arcmin2): estimate.quantities.get("density_only_1"),
+        ("only_in_catalogue_per_arcmin2", per_arcmin2): estimate.quantities.get("density_only_2"),
+        ("error_scale", 1.0): estimate.quantities.get("error_scale"),
+    }
+    model = estimate.error_model
+    if model is not None:
+        known |= {
+            ("error_factor_frame", 1.0): model.factor_1,
+            ("error_factor_catalogue", 1.0): model.factor_2,
+            ("error_floor_arcsec", scale): model.floor,
+        }
+    told = {name: (unit * q.value, unit * q.standard_error) for (name, unit), q in known.items() if q is not None}
+    beyond = tail(found.result, estimate.errors)
+    if beyond is not None:
+        told["error_tail_share"] = beyond.share.value, beyond.share.standard_error
+    return {name: list(values) for name, values in told.items() if all(map(math.isfinite, values))}
 
 
 def _residuals(found: FrameIdentification) -> dict[str, Any]:
