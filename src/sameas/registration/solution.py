@@ -19,17 +19,18 @@ from numpy.typing import NDArray
 from sameas.kernels import offsets
 from sameas.records import FloatArray
 from sameas.registration.votes import Votes
-from sameas.registration.weights import Scene, Weighed, boxed, flattened, weigh
+from sameas.registration.weights import CLOSELY, ROUGHLY, Scene, Weighed, boxed, flattened, meet, weigh, weighed
 
 #: Factors by which errors are taken wider than quoted, round by round, and how many beginnings go on after each.
-WIDENINGS = (2.0, 1.5, 1.2, 1.0, 1.0, 1.0)
-KEPT = (64, 64, 48, 32, 24, 16)
+WIDENINGS = (2.0, 1.5, 1.2, 1.0, 1.0)
+KEPT = (64, 64, 48, 32, 16)
 #: Where the widenings begin again with all records, after patches and after a sample.
-FROM_PATCHES, FROM_SAMPLE = 2, 4
-#: A step below this share of a standard error is no step.
-SETTLED = 0.003
-#: Two solutions are one when no record moves between them by more than so many standard deviations.
-SAME_SIGMAS = 0.7
+FROM_PATCHES, FROM_SAMPLE = 2, 3
+#: A step below this share of a standard error is near enough: the last one knows the curvature, and needs no other.
+SETTLED = 0.01
+#: Two solutions are one when no record moves between them by more than so many standard deviations, or when they differ
+#: by no more than so many standard errors.
+SAME_SIGMAS, SAME_ERRORS = 0.7, 2.0
 #: Solutions that are less likely than the best by this factor (its logarithm) are not pursued.
 HOPELESS = 8.0
 #: A pattern repeats where another solution explains this share of what the best explains: chance never does.
@@ -41,6 +42,8 @@ OF_ASKED = 16
 #: A patch grows by this factor from one refinement to the next.
 GROWTH = 8
 WEAK = 1e-6
+#: With fewer common objects than this the likelihood is looked at so many standard deviations away from its maximum.
+MANY, AWAY = 200.0, np.array([-3.0, -1.5, 1.5, 3.0])
 
 
 @dataclass(frozen=True)
@@ -122,7 +125,7 @@ def refine(scene: Scene, votes: Votes, rounds: int) -> list[Solution]:
         if sample is not scene:
             one, _, number, _ = _settled(sample, belief, one, rounds)
             one, more = one.shared_by(len(scene.second) / len(sample.second)), more + number
-        found.append(_finished(scene, belief, one, rounds, more))
+        found.append(_finished(scene, sample, belief, one, rounds, more))
     found.sort(key=lambda solution: -solution.log_evidence)
     return _without_doubles(scene, found)
 
@@ -220,11 +223,19 @@ def _settled(scene: Scene, belief: Belief, one: Trials, rounds: int) -> tuple[Tr
             return Trials(at, common, found.gain), information[0], number, settled
 
 
-def _finished(scene: Scene, belief: Belief, one: Trials, rounds: int, spent: int) -> Solution:
+def _finished(scene: Scene, sample: Scene, belief: Belief, one: Trials, rounds: int, spent: int) -> Solution:
     """One offset brought to its maximum, with its covariance and evidence."""
     one, complete, number, settled = _settled(scene, belief, one, rounds)
-    covariance, score, found = _covariance(scene, belief, one.theta, one.common, complete)
-    theta = one.theta[0] + covariance @ score
+    share = len(sample.second) / len(scene.second)
+    axes, score, found = _missing(sample, belief, one.shared_by(share), share * complete)
+    if sample is not scene:
+        found = weigh(scene, one.theta, one.common, 1.0)
+        score, _ = _normal_equations(scene, belief, one.theta, found)
+    root = np.linalg.cholesky(np.linalg.inv(complete)) @ axes
+    theta = one.theta[0] + root @ root.T @ score[0]
+    if found.common[0] < MANY:
+        root = _stretched(scene, belief, theta, found.common[:1], root)
+    covariance = root @ root.T
     log_prior = float(np.sum(belief.log_density - 0.5 * belief.precision * theta**2))
     occam = 0.5 * (np.linalg.slogdet(covariance)[1] + len(theta) * math.log(2.0 * math.pi))
     likelihood = float(found.gain[0])
@@ -236,25 +247,36 @@ def _finished(scene: Scene, belief: Belief, one: Trials, rounds: int, spent: int
     )  # fmt: skip
 
 
-def _covariance(
-    scene: Scene, belief: Belief, theta: FloatArray, common: FloatArray, complete: FloatArray
-) -> tuple[FloatArray, FloatArray, Weighed]:
-    """(p, p) inverse of the observed information, by central differences of the score over a fifth of a sigma.
+def _missing(scene: Scene, belief: Belief, one: Trials, complete: FloatArray) -> tuple[FloatArray, FloatArray, Weighed]:
+    """By how much longer the axes (p, p) of the covariance are than if it were known which pairs are true.
 
-    Also the score (p,) at theta (1, p) itself, and the weights there and around.
+    The observed information is taken by central differences of the score over a fifth of a standard error: its
+    eigenvalues, in the units of the complete information (p, p), are the shares of it that are not missing. Also the
+    scores, and the weights, at the offset itself and around.
     """
-    p = theta.shape[1]
+    p = one.theta.shape[1]
     step = 0.2 / np.sqrt(np.diag(complete))
-    nodes = np.concatenate([theta, theta + np.diag(step), theta - np.diag(step)])
-    found = weigh(scene, nodes, np.repeat(common, 2 * p + 1), 1.0)
-    score, _ = _normal_equations(scene, belief, nodes, found)
+    nodes = np.concatenate([one.theta, one.theta + np.diag(step), one.theta - np.diag(step)])
+    found = weigh(scene, nodes, np.repeat(one.common, 2 * p + 1), 1.0)
+    score, information = _normal_equations(scene, belief, nodes, found)
     observed = -(score[1 : p + 1] - score[p + 1 :]) / (2.0 * step[:, None])
-    observed = 0.5 * (observed + observed.T)
-    # In the units of the complete information its eigenvalues are the shares of it that are not missing.
-    scale = np.linalg.cholesky(np.linalg.inv(complete))
-    shares, axes = np.linalg.eigh(scale.T @ observed @ scale)
-    root = scale @ axes / np.sqrt(np.clip(shares, 0.02, None))
-    return np.asarray(root @ root.T), score[0], found
+    scale = np.linalg.cholesky(np.linalg.inv(information[0]))
+    shares, axes = np.linalg.eigh(scale.T @ (0.5 * (observed + observed.T)) @ scale)
+    return axes / np.sqrt(np.clip(shares, 0.02, None)), score, found
+
+
+def _stretched(scene: Scene, belief: Belief, theta: FloatArray, common: FloatArray, root: FloatArray) -> FloatArray:
+    """The axes ``root`` (p, p) of the covariance, as long as the posterior of θ reaches along each of them.
+
+    The likelihood of a few pairs is wider than its curvature at the maximum says: other pairs take over further out,
+    and the number of common objects follows. Second moments along the axes, by the trapezoidal rule.
+    """
+    nodes = np.concatenate([theta[None, :], (theta + AWAY[:, None, None] * root.T).reshape(-1, len(theta))])
+    met = meet(scene, nodes, 1.0).as_overlapping_at(0)
+    shared = weighed(scene, met, np.repeat(common, len(nodes)), ROUGHLY).common
+    log_density = weighed(scene, met, shared, CLOSELY).gain - 0.5 * np.sum(belief.precision * nodes**2, axis=1)
+    density = np.exp(np.minimum(log_density[1:] - log_density[0], 0.0)).reshape(len(AWAY), -1)
+    return np.asarray(root * np.sqrt((AWAY**2 @ density) / (1.0 + density.sum(axis=0))))
 
 
 def displacement_sigmas(scene: Scene, one: FloatArray, other: FloatArray) -> float:
@@ -273,9 +295,16 @@ def _distinct(scene: Scene, trials: Trials) -> Trials:
     return trials.chosen(kept)
 
 
+def _same(scene: Scene, one: Solution, other: Solution) -> bool:
+    """Whether two solutions are one: by where they put the records, or by how well either is known."""
+    apart = other.theta - one.theta
+    by_errors = float(apart @ np.linalg.solve(one.covariance, apart))
+    return by_errors <= SAME_ERRORS**2 or displacement_sigmas(scene, one.theta, other.theta) <= SAME_SIGMAS
+
+
 def _without_doubles(scene: Scene, found: list[Solution]) -> list[Solution]:
     kept: list[Solution] = []
     for one in found:
-        if all(displacement_sigmas(scene, other.theta, one.theta) > SAME_SIGMAS for other in kept):
+        if not any(_same(scene, other, one) for other in kept):
             kept.append(one)
     return kept

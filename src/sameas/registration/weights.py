@@ -94,32 +94,67 @@ class Weighed:
     in_common: FloatArray
 
 
-def weigh(scene: Scene, theta: FloatArray, common: FloatArray, widening: float) -> Weighed:
-    """Weights of all pairs under the offsets theta (s, p), for so many expected common objects (s,).
+@dataclass(frozen=True)
+class Meeting:
+    """Which records can meet under s offsets: pairs, and where both sources look.
 
-    widening : the factor by which errors are taken larger than quoted, for the search.
+    start (s + 1,), i, j (m,), residual (m, d), precision (m, d, d), log_normal (m,) ln density of a true pair.
+    volume (s,) where both look, expected (s, 2) records of each there on average, in_common (s, 2) those there are.
     """
+
+    start: NDArray[np.int64]
+    i: NDArray[np.int64]
+    j: NDArray[np.int64]
+    residual: FloatArray
+    precision: FloatArray
+    log_normal: FloatArray
+    volume: FloatArray
+    expected: FloatArray
+    in_common: FloatArray
+
+    def as_overlapping_at(self, s: int) -> Meeting:
+        """The same pairs, with the overlap that offset s has: no record at the edge comes in or goes."""
+        same = np.full(len(self.volume), s)
+        return replace(self, volume=self.volume[same], expected=self.expected[same], in_common=self.in_common[same])
+
+
+def meet(scene: Scene, theta: FloatArray, widening: float) -> Meeting:
+    """The pairs under the offsets theta (s, p), of errors that are so many times larger than quoted."""
     features = scene.second.features
     shape = (len(theta), *features.shape)
     moved = np.ascontiguousarray(np.broadcast_to(scene.model.moved(features, theta[:, None, :]), shape))
     carried = np.broadcast_to(scene.model.carried(features, theta[:, None, :]), (*shape, scene.first.d))
     spread = offsets.carried_errors(np.ascontiguousarray(carried), scene.covariance_2)
-    start, i, j, residual, precision, log_normal = _candidates(scene, moved, spread, widening)
     flat = np.ascontiguousarray(flattened(moved, scene.model, scene.second))
     volume, whole, inside = offsets.both_look(scene.box, scene.flat, flat, scene.sigma, scene.periods)
-    density = np.stack([len(scene.first) / whole[:, 0], len(scene.second) / whole[:, 1]], axis=1)
-    expected = density * volume[:, None]
+    expected = np.array([len(scene.first), len(scene.second)]) / whole * volume[:, None]
+    return Meeting(*_candidates(scene, moved, spread, widening), volume, expected, inside)
+
+
+def weigh(scene: Scene, theta: FloatArray, common: FloatArray, widening: float) -> Weighed:
+    """Weights of all pairs under the offsets theta (s, p), for so many expected common objects (s,).
+
+    widening : the factor by which errors are taken larger than quoted, for the search.
+    """
+    return weighed(scene, meet(scene, theta, widening), common, ROUGHLY if widening > 1.0 else CLOSELY)
+
+
+def weighed(scene: Scene, met: Meeting, common: FloatArray, settled: float) -> Weighed:
+    """Weights of the pairs that meet, by messages that settle to so small a share of them."""
+    volume, expected, sets = met.volume, met.expected, len(met.volume)
     shared = np.clip(common, LEAST_COMMON, MOST_SHARE * np.maximum(expected.min(axis=1), 2 * LEAST_COMMON))
     rest = np.maximum(expected - shared[:, None], 0.5)
-    log_odds = np.log(shared) + np.log(np.maximum(volume, 1e-300)) - np.log(rest).sum(axis=1)
-    s = np.repeat(np.arange(len(theta)), np.diff(start))
-    settled = ROUGHLY if widening > 1.0 else CLOSELY
-    share, log_sum, total = offsets.messages(
-        start, i, j, log_odds[s] + log_normal, (len(scene.first), len(scene.second)), SWEEPS, settled
-    )
-    alone = inside * (np.log(rest) - np.log(np.maximum(expected, 0.5)))
+    # One more than are left: the mean of its inverse is that of the number that is due (Poisson), few or many.
+    due = np.maximum(expected - shared[:, None], 0.0) + 1.0
+    log_odds = np.log(shared) + np.log(np.maximum(volume, 1e-300)) - np.log(due).sum(axis=1)
+    s = np.repeat(np.arange(sets), np.diff(met.start))
+    records = len(scene.first), len(scene.second)
+    log_weight = log_odds[s] + met.log_normal
+    share, log_sum, total = offsets.messages(met.start, met.i, met.j, log_weight, records, SWEEPS, settled)
+    # The likelihood is that of what is left, so it has to be said for the shared what they are weighed less.
+    alone = met.in_common * (np.log(rest) - np.log(np.maximum(expected, 0.5))) + shared[:, None] * np.log(due / rest)
     gain = np.where(volume > 0.0, shared + alone.sum(axis=1) + log_sum, 0.0)
-    return Weighed(s, i, j, residual, precision, share, total, gain, inside)
+    return Weighed(s, met.i, met.j, met.residual, met.precision, share, total, gain, met.in_common)
 
 
 #: start (s + 1,), i, j (m,), residual (m, d), precision (m, d, d), log density of a true pair (m,).
