@@ -26,8 +26,6 @@ from sameas.result import Identification
 FEWEST, ENOUGH = 200.0, 5_000
 CORE = 0.99
 STEPS, SETTLED = 60, 1e-6
-#: Standard errors from a value to the ends of its 90 % interval.
-ENDS = 1.645
 #: A factor whose standard error is larger than this share of it is not told from the others.
 TELLING = 0.25
 
@@ -133,9 +131,9 @@ def _told(theta: FloatArray, covariance: FloatArray | None, unit: float) -> Erro
 
 
 def _root_errors(theta: FloatArray, errors: FloatArray) -> FloatArray:
-    """Standard errors of √θ, from those of θ ≥ 0: the farther end of its 90 % interval, in 1.645 of them.
+    """Standard errors of √θ, from those of θ ≥ 0: how far the root moves at most when θ does by its own.
 
     Where θ is zero within its error its root is not normal, and to first order its error would be nearly none.
     """
-    ends = (np.sqrt(np.maximum(theta + side * ENDS * errors, 0.0)) for side in (-1.0, 1.0))
-    return np.asarray(np.max([np.abs(end - np.sqrt(theta)) for end in ends], axis=0) / ENDS)
+    ends = (np.sqrt(np.maximum(theta + side * errors, 0.0)) for side in (-1.0, 1.0))
+    return np.asarray(np.max([np.abs(end - np.sqrt(theta)) for end in ends], axis=0))
