@@ -502,3 +502,64 @@ def weighed(magnitude: float, share: float, least: float, knots: np.ndarray, val
     # ln s = −ln(1 + e^−x) and ln(1 − s) = −ln(1 + e^x) for the logit x.
     gains = [np.logaddexp(0, x) - 0.5 * np.logaddexp(0, -x) for x in (before, after)]
     return float(gains[1] - gains[0])
+
+
+# ---- METHOD 6: the offset between two sources ----
+
+
+def folded(delta: np.ndarray, periods: np.ndarray) -> np.ndarray:
+    """(d,) a difference brought to within half a period, where an axis has one."""
+    return np.array(
+        [x - p * math.floor(x / p + 0.5) if p < math.inf else x for x, p in zip(delta, periods, strict=True)]
+    )
+
+
+def near_pairs(
+    one: tuple[np.ndarray, np.ndarray], two: tuple[np.ndarray, np.ndarray], periods: np.ndarray, sigmas: float,
+    widening: float,
+) -> dict[Pair, tuple[np.ndarray, np.ndarray]]:  # fmt: skip
+    """Residual and covariance of the pairs within so many widened standard deviations; positions (n, d) and errors."""
+    found = {}
+    for i in range(len(one[0])):
+        for j in range(len(two[0])):
+            delta, cov = folded(one[0][i] - two[0][j], periods), widening**2 * (one[1][i] + two[1][j])
+            if mahalanobis(delta, cov) <= sigmas**2:
+                found[i, j] = delta, cov
+    return found
+
+
+def both_look(
+    box: np.ndarray, one: np.ndarray, two: np.ndarray, margin: float, periods: np.ndarray
+) -> tuple[float, list[float], list[int]]:
+    """(volume where both look, where each looks, records of each in the first)."""
+    more = np.ptp(two, axis=0) / max(len(two) - 1, 1) + margin
+    open_axes = np.isinf(periods)
+    boxes = [box, np.array([two.min(axis=0) - more, two.max(axis=0) + more])]
+    boxes = [np.where(open_axes, b, [np.zeros(len(periods)), periods]) for b in boxes]
+    low, high = np.maximum(boxes[0][0], boxes[1][0]), np.minimum(boxes[0][1], boxes[1][1])
+    inside = [int((((x >= low) & (x <= high)) | ~open_axes).all(axis=1).sum()) for x in (one, two)]
+    return float(np.prod(np.maximum(high - low, 0.0))), [float(np.prod(b[1] - b[0])) for b in boxes], inside
+
+
+def messages(weight: np.ndarray, sweeps: int) -> tuple[np.ndarray, float]:
+    """(probability of each pair, ln of the sum over all hypotheses) by so many sweeps; weight (n1, n2), 0: no pair."""
+    to_row = np.ones_like(weight)
+    for _ in range(sweeps):
+        heard = weight * to_row
+        to_column = weight / (1 + heard.sum(axis=1, keepdims=True) - heard)
+        to_row = 1 / (1 + to_column.sum(axis=0) - to_column)
+    heard = weight * to_row
+    by_row, by_column = 1 + heard.sum(axis=1), 1 + to_column.sum(axis=0)
+    log_sum = np.log(by_row).sum() + np.log(by_column).sum() - np.log1p(to_column * to_row).sum()
+    return heard / by_row[:, None], float(log_sum)
+
+
+def tally(one: np.ndarray, two: np.ndarray, periods: np.ndarray, low: np.ndarray, size: np.ndarray, cells: np.ndarray):
+    """(cells) how many differences fall into each cell but the outermost."""
+    votes = np.zeros(cells)
+    for a in one:
+        for b in two:
+            at = np.floor((folded(a - b, periods) - low) / size).astype(int)
+            if (at > 0).all() and (at < cells - 1).all():
+                votes[tuple(at)] += 1
+    return votes

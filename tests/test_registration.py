@@ -10,12 +10,13 @@ from sameas import Errors, InputError, Plane, Records, Sphere
 from sameas.areas import Cap, displaced
 from sameas.estimate import match
 from sameas.evidence import Field
+from sameas.kernels import offsets
 from sameas.prior import CommonObjects
 from sameas.registration import Affine, SensorBias, Shift, Similarity, register
 from sameas.registration.offsets import Offset
-from sameas.registration.solution import Belief, _covariance, _normal_equations
+from sameas.registration.solution import Belief, Trials, _missing, _normal_equations
 from sameas.registration.votes import vote
-from sameas.registration.weights import Scene, _messages, weigh
+from sameas.registration.weights import Scene, weigh
 from sameas.score import score_pairs
 from sameas.simulate import grid, poisson_field, sky_field
 
@@ -98,7 +99,8 @@ def test_weights_and_likelihood_are_those_of_all_hypotheses_where_the_graph_is_a
     # A chain of pairs: messages are exact there.
     edges = {(0, 0): 0.7, (1, 0): 1.9, (1, 1): -0.4, (2, 1): 2.2, (2, 2): 0.1}
     i, j = np.array(list(edges)).T
-    share, log_sum = _messages(np.zeros(5, np.int64), i, j, np.array(list(edges.values())), (1, 3, 3), 1e-12)
+    log_weight = np.array(list(edges.values()))
+    share, log_sum, common = offsets.messages(np.array([0, 5]), i, j, log_weight, (3, 3), 100, 1e-12)
     total, of_pair = 0.0, dict.fromkeys(edges, 0.0)
     for hypothesis in naive.hypotheses(3, 3, set(edges)):
         weight = np.exp(sum(edges[pair] for pair in hypothesis))
@@ -107,6 +109,7 @@ def test_weights_and_likelihood_are_those_of_all_hypotheses_where_the_graph_is_a
             of_pair[pair] += weight
     assert log_sum[0] == pytest.approx(np.log(total), rel=1e-9)
     np.testing.assert_allclose(share, [of_pair[pair] / total for pair in edges], rtol=1e-7)
+    assert common[0] == pytest.approx(share.sum())
 
 
 def test_the_score_is_the_slope_of_the_likelihood_and_the_covariance_its_curvature():
@@ -126,9 +129,11 @@ def test_the_score_is_the_slope_of_the_likelihood_and_the_covariance_its_curvatu
     numeric = [(gain(theta + e) - gain(theta - e)) / 2e-3 for e in 1e-3 * np.eye(2)]
     np.testing.assert_allclose(slope(theta), numeric, rtol=2e-3, atol=2e-3)
     complete = _normal_equations(scene, belief, theta, weigh(scene, theta, common, 1.0))[1][0]
-    covariance = _covariance(scene, belief, theta, common, complete)
+    axes, score, _ = _missing(scene, belief, Trials(theta, common, np.zeros(1)), complete)
+    np.testing.assert_allclose(score[0], slope(theta), rtol=1e-9)
+    root = np.linalg.cholesky(np.linalg.inv(complete)) @ axes
     # Not knowing which pairs are true costs information.
-    assert np.all(np.linalg.eigvalsh(covariance - np.linalg.inv(complete)) > 0)
+    assert np.all(np.linalg.eigvalsh(root @ root.T - np.linalg.inv(complete)) > 0)
 
 
 # ---- found, from afar ----

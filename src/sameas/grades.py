@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.evidence import Precision
+from sameas.evidence import Graded, Precision
 from sameas.gate import Pairs
 from sameas.photometry import Photometry
 from sameas.records import FloatArray, Records
@@ -127,11 +127,9 @@ class Grades:
         """The same where other records take part, with the magnitudes of these."""
         volumes = [_volume(records) for records in (setting.pairs.first, setting.pairs.second)]
         grades, cells = _placed(self.scales, volumes, setting, photometry)
-        return replace(self, grades=grades, cells=cells, rule=self.rule and replace(self.rule, grades=grades, own=None))
-
-    def says_of(self, pairs: Pairs) -> bool:
-        """Whether it says something, which was learned from these pairs and no others."""
-        return self.rule is not None and self.rule.own is not None and self.rule.own[0] is pairs
+        return replace(
+            self, grades=grades, cells=cells, rule=self.rule and replace(self.rule, grades=grades, lesson=None)
+        )
 
     def learned(self, pairs: Pairs, told: FloatArray, partner: Both, covered: tuple[NDArray[np.bool_], ...]) -> Grades:
         """What pairs of these probabilities (m,) say.
@@ -151,7 +149,7 @@ class Grades:
         own = told / counted.ravel()[at]
         gained = 2.0 * float(told @ (log_ratio.ravel()[at] - own))
         tells = gained > TELLING * (k1 * k2 - 1)
-        return replace(self, rule=Precision(self.grades, log_ratio, (pairs, own)) if tells else None)
+        return replace(self, rule=Precision(self.grades, log_ratio, Graded(pairs, at, own)) if tells else None)
 
     def _by_chance(self, partner: Both, covered: tuple[NDArray[np.bool_], ...]) -> FloatArray:
         """(k₁, k₂) how probable each two grades are of two different objects, where common objects lie.

@@ -21,6 +21,7 @@ def test_the_share_of_misses_has_the_standard_error_that_trials_show():
         pulls.append((missed.sum() / due.sum() - 0.2) / share_error(due, missed))
     assert abs(np.mean(pulls)) < 0.25 and 0.9 < np.std(pulls) < 1.3
     assert share_error(due[:1], missed[:1]) is None
+    assert share_error(np.full(24, 6.0), np.full(24, 1.0)) > 0.02
 
 
 def crossing(seed=4):

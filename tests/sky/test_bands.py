@@ -92,11 +92,16 @@ def test_the_report_says_what_brightness_did(found):
     assert all(len(line) <= 100 for line in lines)
 
 
-def test_the_picture_shows_completeness_and_relation(found, sides):
+def test_the_picture_shows_completeness_densities_and_relation(found, sides):
     pytest.importorskip("matplotlib")
     figure = plots.brightness(found)
-    left, right = figure.axes
+    left, middle, right = figure.axes
     assert len(left.containers) == 2 and left.get_ylim() == (0.0, 105.0)
+    assert middle.get_ylabel() == "per square degree and magnitude"
+    drawn = np.concatenate([line.get_ydata() for line in middle.lines])
+    curves = found.estimate.detection_1, found.estimate.detection_2
+    seen = np.concatenate([c.density[c.density > c.density_error] for c in curves if c is not None]) * 3600.0**2
+    assert np.isin(np.round(seen, 6), np.round(drawn, 6)).all() and len(seen)
     assert "Vmag of catalogue" in right.get_xlabel() and len(right.lines) == 2
     with pytest.raises(InputError, match="no magnitudes were used"):
         plots.brightness(match(*sides, MatchOptions(magnitudes="off")))

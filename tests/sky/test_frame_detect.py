@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from sameas.errors import InputError
+from sameas.sky.frame.background import Background
 from sameas.sky.frame.calibration import Calibration
 from sameas.sky.frame.detect import Detection, detect
 from sameas.sky.frame.image import Frame, read
@@ -212,3 +213,17 @@ def test_a_raw_frame_with_darks_gives_its_stars():
     assert 300 < len(found) < 1500
     assert raw.facts.station.lon_deg == pytest.approx(-71.485, abs=1e-3)
     assert raw.facts.aim_deg == pytest.approx((62.54, 22.84), abs=0.01)
+
+
+def test_a_mask_over_the_middle_does_not_hide_that_pixels_share_their_noise():
+    from scipy.ndimage import gaussian_filter
+
+    rng = np.random.default_rng(12)
+    image = 100.0 + 10.0 * gaussian_filter(rng.normal(size=(700, 700)), 0.8)
+    y, x = np.mgrid[:700, :700]
+    rho = [
+        Background.of(Frame.of(image, mask=mask), box_px=50).correlation
+        for mask in (None, np.hypot(x - 350, y - 350) < 290)
+    ]
+    np.testing.assert_allclose(rho[1], rho[0], atol=0.05)
+    assert rho[1][4, 5] > 0.4

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -336,3 +336,17 @@ def test_two_raw_frames_without_a_solution_agree_to_a_tenth_of_a_pixel() -> None
     terms = np.column_stack([np.ones(close.sum()), at[close] / 500 - 1])
     left = step - terms @ np.linalg.lstsq(terms, step, rcond=None)[0]
     assert close.sum() > 80 and (1.4826 * np.median(np.abs(left), axis=0) < 0.12).all()
+
+
+def test_stars_behind_a_mask_are_not_missed(seen: Scene, found: FrameIdentification) -> None:
+    measured = seen.measured
+    y, x = np.mgrid[:SIDE, :SIDE]
+    blind = np.hypot(x - 350, y - 600) < 250
+    clear = ~blind[np.rint(measured.y_px).astype(int), np.rint(measured.x_px).astype(int)]
+    masked = replace(measured[np.flatnonzero(clear)], blind=blind)
+    again = solve(masked, seen.catalogue, Header(seen.pointing.to_wcs((SIDE, SIDE))), epoch_jyr=2020.0)
+    assert again.completeness is not None and found.completeness is not None
+    assert abs(again.completeness.top - found.completeness.top) < 0.08
+    assert abs(again.completeness.limit - found.completeness.limit) < 0.1
+    behind = blind[tuple(np.rint(again.predicted_px[again.missing]).astype(int).T[::-1])]
+    assert not behind.any() and len(again.missing) <= len(found.missing)

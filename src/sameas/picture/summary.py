@@ -266,13 +266,19 @@ def _misses(feeds: Sequence[Feed], tallies: Sequence[Tally]) -> Iterable[Misses]
 
 
 def share_error(due: FloatArray, missed: FloatArray) -> float | None:
-    """Standard error of the share Σ missed / Σ due of some instants (n,), from the stretches they make; None of one."""
+    """Standard error of the share Σ missed / Σ due of some instants (n,), from the stretches they make; None of one.
+
+    No less than that of looks that have nothing to do with each other: stretches are few, and may agree by accident.
+    """
     parts = np.array_split(np.arange(len(due)), min(STRETCHES, len(due)))
     if len(parts) < 2:
         return None
     of_due, of_missed = (np.array([values[part].sum() for part in parts]) for values in (due, missed))
-    off = of_missed - of_due * of_missed.sum() / of_due.sum()
-    return float(math.sqrt(len(parts) / (len(parts) - 1) * (off**2).sum()) / of_due.sum())
+    whole, lost = float(of_due.sum()), float(of_missed.sum())
+    off = of_missed - of_due * (lost / whole)
+    of_stretches = math.sqrt(len(parts) / (len(parts) - 1) * float((off**2).sum())) / whole
+    share = (lost + 0.5) / (whole + 1.0)
+    return max(of_stretches, math.sqrt(share * (1.0 - share) / (whole + 1.0)))
 
 
 def _alarms(feeds: Sequence[Feed], tallies: Sequence[Tally]) -> list[Alarmed]:

@@ -11,30 +11,39 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sameas.kernels import offsets
 from sameas.records import FloatArray
 from sameas.registration.votes import Votes
-from sameas.registration.weights import Scene, Weighed, boxed, flattened, weigh
+from sameas.registration.weights import CLOSELY, ROUGHLY, Scene, Weighed, boxed, flattened, meet, weigh, weighed
 
 #: Factors by which errors are taken wider than quoted, round by round, and how many beginnings go on after each.
-WIDENINGS = (2.0, 1.5, 1.2, 1.0, 1.0, 1.0)
-KEPT = (64, 64, 48, 32, 24, 16)
-#: A step below this share of a standard error is no step.
-SETTLED = 0.003
-#: Two solutions are one when no record moves between them by more than so many standard deviations.
-SAME_SIGMAS = 0.7
+WIDENINGS = (2.0, 1.5, 1.2, 1.0, 1.0)
+KEPT = (64, 64, 48, 32, 16)
+#: Where the widenings begin again with all records, after patches and after a sample.
+FROM_PATCHES, FROM_SAMPLE = 2, 3
+#: A step below this share of a standard error is near enough: the last one knows the curvature, and needs no other.
+SETTLED = 0.01
+#: Two solutions are one when no record moves between them by more than so many standard deviations, or when they differ
+#: by no more than so many standard errors.
+SAME_SIGMAS, SAME_ERRORS = 0.7, 2.0
 #: Solutions that are less likely than the best by this factor (its logarithm) are not pursued.
 HOPELESS = 8.0
 #: A pattern repeats where another solution explains this share of what the best explains: chance never does.
 REPEATING = 0.4
 #: Many records are searched with so many of the second source; all of them speak in the last refinement.
 SAMPLE = 4000
+#: So many times more records than were asked for votes are searched where those votes decided.
+OF_ASKED = 16
 #: A patch grows by this factor from one refinement to the next.
 GROWTH = 8
 WEAK = 1e-6
+#: With fewer common objects than this the likelihood is looked at so many standard deviations away from its maximum.
+MANY, AWAY = 200.0, np.array([-3.0, -1.5, 1.5, 3.0])
 
 
 @dataclass(frozen=True)
@@ -83,28 +92,80 @@ class Belief:
         return cls(precision, np.where(flat, 0.5 * np.log(precision), log_normal))
 
 
+@dataclass(frozen=True)
+class Trials:
+    """Offsets theta (s, p) on their way to solutions, their common objects (s,), log likelihoods (s,); best first."""
+
+    theta: FloatArray
+    common: FloatArray
+    gain: FloatArray
+
+    @classmethod
+    def fresh(cls, scene: Scene, theta: FloatArray) -> Trials:
+        """Offsets of which nothing is known yet."""
+        return cls(theta, np.full(len(theta), 0.5 * min(len(scene.first), len(scene.second))), np.zeros(len(theta)))
+
+    def chosen(self, which: Sequence[int] | NDArray[Any]) -> Trials:
+        """Some of them."""
+        return Trials(self.theta[which], self.common[which], self.gain[which])
+
+    def shared_by(self, factor: float) -> Trials:
+        """The same of so many times as many records."""
+        return Trials(self.theta, self.common * factor, self.gain)
+
+
 def refine(scene: Scene, votes: Votes, rounds: int) -> list[Solution]:
     """The solutions that the votes lead to, most probable first; at most ``rounds`` rounds each after the search."""
     belief = Belief.of(scene)
-    n = len(scene.second)
-    sample = scene.of_patch(np.linspace(0, n - 1, min(n, SAMPLE)).astype(np.int64))
-    ends: list[FloatArray] = []
-    for number, rows in enumerate(votes.patches):
-        theta = votes.theta[votes.patch == number]
-        for part, keep in _nested(scene, rows) if len(theta) else []:
-            theta, _ = _anneal(sample if part is None else scene.of_patch(part), belief, theta, keep, WIDENINGS)
-        ends.extend(theta)
-    distinct = _distinct(scene, np.array(ends).reshape(-1, len(belief.precision)))
-    # What was found on a patch is only near for all records.
-    closing = WIDENINGS[-2:] if len(votes.patches) == 1 else WIDENINGS[2:]
-    theta, gain = _anneal(sample, belief, distinct, KEPT[-1], closing)
-    theta = _distinct(scene, theta[gain > min(gain[0] - HOPELESS, REPEATING * gain[0])])
-    if sample is not scene:
-        theta = np.array([_finished(sample, belief, one, rounds, 0).theta for one in theta])
-    spent = len(WIDENINGS) + len(closing)
-    found = [_finished(scene, belief, one, rounds, spent) for one in theta]
+    sample = scene.of_patch(_sampled(len(scene.second), _searched_records(scene, votes)))
+    trials, spent = _searched(scene, sample, belief, votes)
+    found = []
+    for k in range(len(trials.gain)):
+        one, more = trials.chosen([k]), spent
+        if sample is not scene:
+            one, _, number, _ = _settled(sample, belief, one, rounds)
+            one, more = one.shared_by(len(scene.second) / len(sample.second)), more + number
+        found.append(_finished(scene, sample, belief, one, rounds, more))
     found.sort(key=lambda solution: -solution.log_evidence)
     return _without_doubles(scene, found)
+
+
+def _sampled(n: int, size: int) -> NDArray[np.int64]:
+    """Rows of so many of n records, in even steps."""
+    return np.linspace(0, n - 1, min(n, size)).astype(np.int64)
+
+
+def _searched_records(scene: Scene, votes: Votes) -> int:
+    """How many records the search takes: fewer where the votes of a few have decided."""
+    return SAMPLE if scene.model.turns() else min(SAMPLE, OF_ASKED * len(votes.patches[0]))
+
+
+def _searched(scene: Scene, sample: Scene, belief: Belief, votes: Votes) -> tuple[Trials, int]:
+    """What the votes lead to on their patches and then on the sample of all; and in how many rounds."""
+    ends = []
+    for number, rows in enumerate(votes.patches):
+        trials = Trials.fresh(scene, votes.theta[votes.patch == number])
+        for part, keep in _nested(scene, rows) if len(trials.theta) else []:
+            here = sample if part is None else scene.of_patch(part)
+            trials = _anneal(here, belief, Trials.fresh(here, trials.theta), keep, WIDENINGS)
+            trials = trials.shared_by(len(sample.second) / len(here.second))
+        ends.append(trials)
+    if len(ends) == 1:
+        trials, spent = _distinct(scene, _hopeful(ends[0])), len(WIDENINGS)
+        if len(votes.patches[0]) == len(sample.second) or len(trials.gain) == 1:
+            return trials, spent
+        closing = WIDENINGS[FROM_SAMPLE:]
+    else:
+        # What was found on a patch is only near for all records.
+        trials = _distinct(scene, Trials.fresh(sample, np.concatenate([trials.theta for trials in ends])))
+        spent, closing = len(WIDENINGS), WIDENINGS[FROM_PATCHES:]
+    trials = _anneal(sample, belief, Trials.fresh(sample, trials.theta), KEPT[-1], closing)
+    return _distinct(scene, _hopeful(trials)), spent + len(closing)
+
+
+def _hopeful(trials: Trials) -> Trials:
+    """Those that may be the truth, or show that a pattern repeats."""
+    return trials.chosen(trials.gain > min(trials.gain[0] - HOPELESS, REPEATING * trials.gain[0]))
 
 
 def _nested(scene: Scene, rows: NDArray[np.int64]) -> list[tuple[NDArray[np.int64] | None, int]]:
@@ -112,6 +173,8 @@ def _nested(scene: Scene, rows: NDArray[np.int64]) -> list[tuple[NDArray[np.int6
     n = len(scene.second)
     if len(rows) == n:
         return [(None, KEPT[-1])]
+    if not scene.model.turns():
+        return [(rows, KEPT[-1])]
     features = scene.second.features
     distance = np.sum((features - features[rows].mean(axis=0)) ** 2, axis=1)
     order = np.argsort(distance, kind="stable")
@@ -123,42 +186,31 @@ def _nested(scene: Scene, rows: NDArray[np.int64]) -> list[tuple[NDArray[np.int6
     return parts
 
 
-def _anneal(
-    scene: Scene, belief: Belief, theta: FloatArray, keep: int, widenings: Sequence[float]
-) -> tuple[FloatArray, FloatArray]:
-    """All offsets refined together, errors from wide to quoted: the best ``keep`` of them and their log likelihoods."""
-    common = np.full(len(theta), 0.5 * min(len(scene.first), len(scene.second)))
-    gain = np.zeros(len(theta))
+def _anneal(scene: Scene, belief: Belief, trials: Trials, keep: int, widenings: Sequence[float]) -> Trials:
+    """All offsets refined together, errors from wide to quoted: the best ``keep`` of them."""
     for number, widening in enumerate(widenings):
-        found = weigh(scene, theta, common, widening)
-        score, information = _normal_equations(scene, belief, theta, found)
-        theta = theta + np.linalg.solve(information, score[..., None])[..., 0]
+        found = weigh(scene, trials.theta, trials.common, widening)
+        score, information = _normal_equations(scene, belief, trials.theta, found)
+        theta = trials.theta + np.linalg.solve(information, score[..., None])[..., 0]
         gain = found.gain - 0.5 * np.sum(belief.precision * theta**2, axis=1)
-        best = np.sort(np.argsort(-gain, kind="stable")[: max(KEPT[number], keep)])
-        theta, common, gain = theta[best], found.common[best], gain[best]
-    best = np.argsort(-gain, kind="stable")[:keep]
-    return theta[best], gain[best]
+        best = np.argsort(-gain, kind="stable")[: max(KEPT[number], keep)]
+        trials = Trials(theta, found.common, gain).chosen(best)
+    return trials.chosen(range(min(keep, len(trials.gain))))
 
 
 def _normal_equations(scene: Scene, belief: Belief, theta: FloatArray, found: Weighed) -> tuple[FloatArray, FloatArray]:
     """Score (s, p) of the log posterior of θ, and its information (s, p, p) if the weights were the truth."""
-    use = found.weight > WEAK
-    s, j, weight = found.s[use], found.j[use], found.weight[use]
-    jacobian = scene.model.jacobian(scene.second.features, theta[:, None, :])[s, j]
-    pull = np.einsum("mvw,mwp->mvp", found.precision[use], jacobian) * weight[:, None, None]
-    p, sets = theta.shape[1], len(theta)
-    terms = np.einsum("mvp,mv->mp", pull, found.residual[use])
-    squares = np.einsum("mvp,mvq->mpq", pull, jacobian).reshape(-1, p * p)
-    score = np.stack([np.bincount(s, terms[:, k], sets) for k in range(p)], axis=1)
-    information = np.stack([np.bincount(s, squares[:, k], sets) for k in range(p * p)], axis=1).reshape(-1, p, p)
-    return np.asarray(score - belief.precision * theta), np.asarray(information + np.diag(belief.precision), np.float64)
+    d, p = scene.second.d, theta.shape[1]
+    jacobian = scene.model.jacobian(scene.second.features, theta[:, None, :])
+    jacobian = np.ascontiguousarray(np.broadcast_to(jacobian, (len(theta), len(scene.second), d, p)))
+    score, information = offsets.pulls(found.s, found.j, found.residual, found.precision, found.weight, jacobian, WEAK)
+    return score - belief.precision * theta, information + np.diag(belief.precision)
 
 
-def _finished(scene: Scene, belief: Belief, theta: FloatArray, rounds: int, spent: int) -> Solution:
-    """One offset brought to its maximum, with its covariance and evidence."""
-    at, common, number, settled = theta[None, :], np.array([0.5 * min(len(scene.first), len(scene.second))]), 0, False
-    common = weigh(scene, at, common, 1.0).common
-    while not settled and number < rounds:
+def _settled(scene: Scene, belief: Belief, one: Trials, rounds: int) -> tuple[Trials, FloatArray, int, bool]:
+    """One offset near its maximum, (p, p) its information if the weights were true, rounds, whether they settled."""
+    at, common, number, settled = one.theta, one.common, 0, False
+    while True:
         number += 1
         found = weigh(scene, at, common, 1.0)
         score, information = _normal_equations(scene, belief, at, found)
@@ -167,37 +219,64 @@ def _finished(scene: Scene, belief: Belief, theta: FloatArray, rounds: int, spen
         moved_by = math.sqrt(max(float(step[0] @ information[0] @ step[0]), 0.0))
         settled = moved_by <= SETTLED and abs(float(found.common[0] - common[0])) <= 0.01 + 3e-3 * float(common[0])
         common = found.common
-    found = weigh(scene, at, common, 1.0)
-    _, complete = _normal_equations(scene, belief, at, found)
-    covariance = _covariance(scene, belief, at, common, complete[0])
-    log_prior = float(np.sum(belief.log_density - 0.5 * belief.precision * at[0] ** 2))
+        if settled or number >= rounds:
+            return Trials(at, common, found.gain), information[0], number, settled
+
+
+def _finished(scene: Scene, sample: Scene, belief: Belief, one: Trials, rounds: int, spent: int) -> Solution:
+    """One offset brought to its maximum, with its covariance and evidence."""
+    one, complete, number, settled = _settled(scene, belief, one, rounds)
+    share = len(sample.second) / len(scene.second)
+    axes, score, found = _missing(sample, belief, one.shared_by(share), share * complete)
+    if sample is not scene:
+        found = weigh(scene, one.theta, one.common, 1.0)
+        score, _ = _normal_equations(scene, belief, one.theta, found)
+    root = np.linalg.cholesky(np.linalg.inv(complete)) @ axes
+    theta = one.theta[0] + root @ root.T @ score[0]
+    if found.common[0] < MANY:
+        root = _stretched(scene, belief, theta, found.common[:1], root)
+    covariance = root @ root.T
+    log_prior = float(np.sum(belief.log_density - 0.5 * belief.precision * theta**2))
     occam = 0.5 * (np.linalg.slogdet(covariance)[1] + len(theta) * math.log(2.0 * math.pi))
     likelihood = float(found.gain[0])
     # No mean is larger than the maximum, however little the data say of an offset.
     evidence = likelihood + min(log_prior + float(occam), 0.0)
     shared = (int(found.in_common[0, 0]), int(found.in_common[0, 1]))
     return Solution(
-        at[0], covariance, float(found.common[0]), likelihood, evidence, shared,
-        spent + number, settled,
+        theta, covariance, float(found.common[0]), likelihood, evidence, shared, spent + number, settled,
     )  # fmt: skip
 
 
-def _covariance(
-    scene: Scene, belief: Belief, theta: FloatArray, common: FloatArray, complete: FloatArray
-) -> FloatArray:
-    """(p, p) inverse of the observed information, by central differences of the score over a fifth of a sigma."""
-    p = theta.shape[1]
+def _missing(scene: Scene, belief: Belief, one: Trials, complete: FloatArray) -> tuple[FloatArray, FloatArray, Weighed]:
+    """By how much longer the axes (p, p) of the covariance are than if it were known which pairs are true.
+
+    The observed information is taken by central differences of the score over a fifth of a standard error: its
+    eigenvalues, in the units of the complete information (p, p), are the shares of it that are not missing. Also the
+    scores, and the weights, at the offset itself and around.
+    """
+    p = one.theta.shape[1]
     step = 0.2 / np.sqrt(np.diag(complete))
-    nodes = np.concatenate([theta + np.diag(step), theta - np.diag(step)])
-    found = weigh(scene, nodes, np.repeat(common, 2 * p), 1.0)
-    score, _ = _normal_equations(scene, belief, nodes, found)
-    observed = -(score[:p] - score[p:]) / (2.0 * step[:, None])
-    observed = 0.5 * (observed + observed.T)
-    # In the units of the complete information its eigenvalues are the shares of it that are not missing.
-    scale = np.linalg.cholesky(np.linalg.inv(complete))
-    shares, axes = np.linalg.eigh(scale.T @ observed @ scale)
-    root = scale @ axes / np.sqrt(np.clip(shares, 0.02, None))
-    return np.asarray(root @ root.T)
+    nodes = np.concatenate([one.theta, one.theta + np.diag(step), one.theta - np.diag(step)])
+    found = weigh(scene, nodes, np.repeat(one.common, 2 * p + 1), 1.0)
+    score, information = _normal_equations(scene, belief, nodes, found)
+    observed = -(score[1 : p + 1] - score[p + 1 :]) / (2.0 * step[:, None])
+    scale = np.linalg.cholesky(np.linalg.inv(information[0]))
+    shares, axes = np.linalg.eigh(scale.T @ (0.5 * (observed + observed.T)) @ scale)
+    return axes / np.sqrt(np.clip(shares, 0.02, None)), score, found
+
+
+def _stretched(scene: Scene, belief: Belief, theta: FloatArray, common: FloatArray, root: FloatArray) -> FloatArray:
+    """The axes ``root`` (p, p) of the covariance, as long as the posterior of θ reaches along each of them.
+
+    The likelihood of a few pairs is wider than its curvature at the maximum says: other pairs take over further out,
+    and the number of common objects follows. Second moments along the axes, by the trapezoidal rule.
+    """
+    nodes = np.concatenate([theta[None, :], (theta + AWAY[:, None, None] * root.T).reshape(-1, len(theta))])
+    met = meet(scene, nodes, 1.0).as_overlapping_at(0)
+    shared = weighed(scene, met, np.repeat(common, len(nodes)), ROUGHLY).common
+    log_density = weighed(scene, met, shared, CLOSELY).gain - 0.5 * np.sum(belief.precision * nodes**2, axis=1)
+    density = np.exp(np.minimum(log_density[1:] - log_density[0], 0.0)).reshape(len(AWAY), -1)
+    return np.asarray(root * np.sqrt((AWAY**2 @ density) / (1.0 + density.sum(axis=0))))
 
 
 def displacement_sigmas(scene: Scene, one: FloatArray, other: FloatArray) -> float:
@@ -207,18 +286,25 @@ def displacement_sigmas(scene: Scene, one: FloatArray, other: FloatArray) -> flo
     return float(np.quantile(np.sqrt(np.sum(move**2, axis=1)), 0.9)) / scene.sigma
 
 
-def _distinct(scene: Scene, theta: FloatArray) -> FloatArray:
+def _distinct(scene: Scene, trials: Trials) -> Trials:
     """The same offsets, each only once, in their order."""
-    kept: list[FloatArray] = []
-    for one in theta:
-        if all(displacement_sigmas(scene, one, other) > 0.1 for other in kept):
-            kept.append(one)
-    return np.array(kept).reshape(-1, theta.shape[1])
+    kept: list[int] = []
+    for k, one in enumerate(trials.theta):
+        if all(displacement_sigmas(scene, one, trials.theta[other]) > 0.1 for other in kept):
+            kept.append(k)
+    return trials.chosen(kept)
+
+
+def _same(scene: Scene, one: Solution, other: Solution) -> bool:
+    """Whether two solutions are one: by where they put the records, or by how well either is known."""
+    apart = other.theta - one.theta
+    by_errors = float(apart @ np.linalg.solve(one.covariance, apart))
+    return by_errors <= SAME_ERRORS**2 or displacement_sigmas(scene, one.theta, other.theta) <= SAME_SIGMAS
 
 
 def _without_doubles(scene: Scene, found: list[Solution]) -> list[Solution]:
     kept: list[Solution] = []
     for one in found:
-        if all(displacement_sigmas(scene, other.theta, one.theta) > SAME_SIGMAS for other in kept):
+        if not any(_same(scene, other, one) for other in kept):
             kept.append(one)
     return kept

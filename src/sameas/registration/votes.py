@@ -17,6 +17,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sameas.kernels import offsets
 from sameas.records import FloatArray, Records
 from sameas.registration.offsets import Offset
 from sameas.space import Sphere
@@ -24,7 +25,9 @@ from sameas.space import Sphere
 #: Most pairs whose votes are listed one by one, and most cells to count them in.
 MOST_PAIRS, MOST_CELLS = 2_000_000, 1 << 19
 #: Cells no larger than so many standard deviations are fine; of coarser ones so many are looked into.
-FINE, COARSE_PEAKS = 1.6, 8
+FINE, COARSE_PEAKS = 2.0, 8
+#: So many records are asked first, then so many times more; votes of such a score that few come near it have decided.
+ASKED, MORE, DECIDED, FEW = 64, 8, 25.0, 4
 #: Records of a patch, where a grid must be tried, and its cells in standard deviations: a grid tears true votes apart.
 PATCH, PATCH_CELL = 40, 1.6
 #: Votes that a node of the grid hands on, of a patch.
@@ -33,6 +36,8 @@ FROM_A_NODE = 5
 STEP_SIGMAS, REACH_WIDTHS, MOST_STEPS = 3.0, 2.5, 41
 #: Votes of less than this share of the best score are not looked at.
 HOPELESS = 0.3
+#: Which peaks count as ones of their own: the share of the best score, and the cells in between.
+FINELY, COARSELY = (HOPELESS, 2), (0.0, 1)
 #: Records that say where in a coarse cell the votes lie.
 SAMPLE = 20_000
 
@@ -53,13 +58,10 @@ class Votes:
 
 def vote(first: Records, second: Records, model: Offset, count: int) -> Votes:
     """The ``count`` most voted offsets of a placed model."""
-    found: list[tuple[float, int, FloatArray]] = []
-    patches = _patches(model.chart(second.features), bool(model.turns()))
-    # On small patches the true votes stand out; elsewhere chance may outvote them, and more must be looked at.
-    each = count if len(patches) == 1 else FROM_A_NODE
-    for number, rows in enumerate(patches):
-        for node in _grid(first, second, model, rows):
-            found += [(score, number, theta) for score, theta in _shifts(first, second, model, rows, node, each)]
+    if model.turns():
+        found, patches = _on_patches(first, second, model, count)
+    else:
+        found, patches = _by_sample(first, second, model, count)
     found.sort(key=lambda entry: -entry[0])
     found = [entry for entry in found if entry[0] >= HOPELESS * found[0][0]][:count]
     p = len(model.names)
@@ -69,10 +71,44 @@ def vote(first: Records, second: Records, model: Offset, count: int) -> Votes:
     )  # fmt: skip
 
 
-def _patches(chart: FloatArray, turning: bool) -> tuple[NDArray[np.int64], ...]:
+#: Score, number of the patch, θ.
+Found = list[tuple[float, int, FloatArray]]
+
+
+def _by_sample(
+    first: Records, second: Records, model: Offset, count: int
+) -> tuple[Found, tuple[NDArray[np.int64], ...]]:
+    """The votes of a few records of the second source, or of more and more where those leave open what is true."""
+    n, size = len(second), ASKED
+    while True:
+        rows = np.linspace(0, n - 1, min(size, n)).astype(np.int64)
+        found = _shifts(first, second, model, rows, np.zeros(len(model.names)), 1.0, count)
+        best = max((score for score, _ in found), default=0.0)
+        near = sum(score >= HOPELESS * best for score, _ in found)
+        if len(rows) == n or (best >= DECIDED and near <= FEW):
+            return [(score, 0, theta) for score, theta in found], (rows,)
+        size *= MORE
+
+
+def _on_patches(
+    first: Records, second: Records, model: Offset, count: int
+) -> tuple[Found, tuple[NDArray[np.int64], ...]]:
+    """The votes at every node of the grid, of all records or of small patches."""
+    found: Found = []
+    patches = _patches(model.chart(second.features))
+    # On small patches the true votes stand out; elsewhere chance may outvote them, and more must be looked at.
+    each, cell = (count, 1.0) if len(patches) == 1 else (FROM_A_NODE, PATCH_CELL)
+    for number, rows in enumerate(patches):
+        for node in _grid(first, second, model, rows):
+            shifts = _shifts(first, second, model, rows, node, cell, each)
+            found += [(score, number, theta) for score, theta in shifts]
+    return found, patches
+
+
+def _patches(chart: FloatArray) -> tuple[NDArray[np.int64], ...]:
     """Rows of all records, or of those nearest to the middle and to the middles of the quarters."""
     n, d = chart.shape
-    if not turning or n <= 2 * PATCH:
+    if n <= 2 * PATCH:
         return (np.arange(n),)
     spread = np.maximum(chart.std(axis=0), 1e-300)
     signs = [np.zeros(d), *(np.array(s) for s in product((-0.8, 0.8), repeat=min(d, 2)))]
@@ -131,23 +167,22 @@ def wrapped(difference: FloatArray, periods: ArrayLike) -> FloatArray:
 
 
 def _shifts(
-    first: Records, second: Records, model: Offset, rows: NDArray[np.int64], node: FloatArray, count: int
+    first: Records, second: Records, model: Offset, rows: NDArray[np.int64], node: FloatArray, cell: float, count: int
 ) -> list[Peak]:
-    """The most voted shifts at one node of the grid, as (score, θ)."""
+    """The most voted shifts at one node of the grid, as (score, θ), in cells of so many standard deviations."""
     d, periods = first.d, np.array(model.periods(first.d))
     moved = model.moved(second.features, node)
     sigma = np.hypot(_chart_sigma(model, first, first.features), _chart_sigma(model, second, moved))
-    one, two = model.chart(first.features), model.chart(moved)[rows]
+    one, two = np.ascontiguousarray(model.chart(first.features)), model.chart(moved)[rows]
     limit = np.empty(d)
     for axis, (which, per) in enumerate(model.voted(d)):
         width = 0.0 if which is None else model.widths[which]
         limit[axis] = (3.5 * width / abs(per) if width < math.inf else math.inf) + 3.0 * sigma[axis]
     if len(one) * len(two) <= MOST_PAIRS:
-        votes = [wrapped(np.subtract.outer(one[:, v], two[:, v]).ravel(), periods[v]) for v in range(d)]
-        if np.isfinite(limit).any():
-            inside = np.logical_and.reduce([np.abs(votes[v]) <= limit[v] for v in range(d)])
-            votes = [axis[inside] for axis in votes]
-        peaks = _peaks(votes, sigma * (PATCH_CELL if len(rows) < len(second) else 1.0), count)
+        low = np.where(np.isfinite(periods), -0.5 * periods, one.min(axis=0) - two.max(axis=0)) - 3.0 * sigma
+        high = np.where(np.isfinite(periods), 0.5 * periods, one.max(axis=0) - two.min(axis=0)) + 3.0 * sigma
+        box = np.maximum(low, -limit), np.maximum(np.minimum(high, limit), np.maximum(low, -limit))
+        peaks = _peaks((one, two), periods, box, sigma * cell, count)
     else:
         peaks = _peaks_of_pictures(one, two, periods, limit, sigma, count)
     result = []
@@ -161,43 +196,32 @@ def _shifts(
 
 
 def _peaks(
-    difference: list[FloatArray],
+    records: tuple[FloatArray, FloatArray],
+    periods: FloatArray,
+    box: tuple[FloatArray, FloatArray],
     sigma: FloatArray,
     count: int,
-    block: tuple[FloatArray, FloatArray, float] | None = None,
+    density: float | None = None,
 ) -> list[Peak]:
-    """Where differences, d axes of (m,), crowd: coarse cells first where there must be, then finer in the best.
+    """Where differences of records crowd within a box: coarse cells first where there must be, then finer in the best.
 
-    block : low and high corner of the coarse block that is looked into, and the density of votes around it.
+    box : its low and high corner. density : of the votes that chance brings; what is seen around if not given.
     """
-    if not len(difference[0]):
-        return []
-    low, high, density = block or (*_corners(difference, sigma), None)
-    size = sigma * _coarser((high - low) / sigma, min(max(64 * len(difference[0]), 4096), MOST_CELLS))
-    cells = np.maximum(np.ceil((high - low) / size).astype(int), 1)
-    flat = np.zeros(len(difference[0]), np.int64)
-    for axis, start, side, most in zip(difference, low, size, cells, strict=True):
-        flat = flat * most + np.clip((axis - start) / side, 0, most - 1).astype(np.int64)
-    votes = np.bincount(flat, minlength=int(cells.prod())).reshape(tuple(cells)).astype(np.float64)
+    low, high = box
+    most = min(max(64 * len(records[0]) * len(records[1]), 4096), MOST_CELLS)
+    size = sigma * _coarser((high - low) / sigma, most)
+    # A cell more at every end, which is left empty.
+    cells, start = np.maximum(np.ceil((high - low) / size).astype(np.int64), 1) + 2, low - size
+    votes = offsets.tally(*records, periods, start, size, cells).reshape(tuple(cells))
     chance = None if density is None else density * float(size.prod())
     if np.all(size <= FINE * sigma):
-        return [(score, low + (place + 0.5) * size) for score, place, _ in _crowded(votes, count, chance)]
+        return [(score, start + (place + 0.5) * size) for score, place, _ in _crowded(votes, count, chance, *FINELY)]
     result: list[Peak] = []
-    for _, place, around in _crowded(votes, min(count, COARSE_PEAKS), chance):
-        corners = low + (place - 1.0) * size, low + (place + 2.0) * size
-        near = [(axis >= at) & (axis <= to) for axis, at, to in zip(difference, *corners, strict=True)]
-        inside = [axis[np.logical_and.reduce(near)] for axis in difference]
-        result += _peaks(inside, sigma, max(1, count // COARSE_PEAKS), (*corners, around / float(size.prod())))
+    for _, place, around in _crowded(votes, min(count, COARSE_PEAKS), chance, *COARSELY):
+        block = start + (place - 1.0) * size, start + (place + 2.0) * size
+        result += _peaks(records, periods, block, sigma, max(1, count // COARSE_PEAKS), around / float(size.prod()))
     result.sort(key=lambda entry: -entry[0])
     return result[:count]
-
-
-def _corners(difference: list[FloatArray], sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The box of all differences, a little wider."""
-    return (
-        np.array([axis.min() for axis in difference]) - 3.0 * sigma,
-        np.array([axis.max() for axis in difference]) + 3.0 * sigma,
-    )
 
 
 def _coarser(extent_sigmas: FloatArray, most: float) -> float:
@@ -206,30 +230,32 @@ def _coarser(extent_sigmas: FloatArray, most: float) -> float:
     return max(1.0, (wanted / most) ** (1.0 / len(extent_sigmas)))
 
 
-def _crowded(votes: FloatArray, count: int, chance: float | None) -> list[tuple[float, FloatArray, float]]:
+def _crowded(
+    votes: FloatArray, count: int, chance: float | None, share: float, beside: int
+) -> list[tuple[float, FloatArray, float]]:
     """The blocks of 3 cells a side that hold most in excess of chance: score, middle cell, chance votes of a cell.
 
-    chance : votes that a cell gets by chance; what is seen in the wider surroundings if not given.
-    The score is the log likelihood ratio of a Poisson count.
+    chance : votes that a cell gets by chance; what is seen in the wider surroundings if not given. share : of the best
+    score, which a block must have. beside : cells so near to a better one are of the same peak.
+    The score is the log likelihood ratio of a Poisson count. The outermost cells have no votes.
     """
-    from scipy import ndimage
-
-    block = 3.0**votes.ndim
-    here = (ndimage.uniform_filter(votes, 3, mode="constant") * block).ravel()
-    most = min(12 * count, here.size)
-    top = np.argpartition(here, here.size - most)[here.size - most :]
-    top = top[here[top] > 0.5]
-    place = np.stack(np.unravel_index(top, votes.shape), axis=1)
+    flat = votes.ravel()
+    block, filled = 3.0**votes.ndim, np.flatnonzero(flat > 0.5)
+    stride = [math.prod(votes.shape[axis + 1 :]) for axis in range(votes.ndim)]
+    near = np.array([np.dot(step, stride) for step in product((-1, 0, 1), repeat=votes.ndim)], np.int64)
+    here = offsets.blocks(flat, filled, near)
+    most = min(12 * count, len(here))
+    top = np.argpartition(here, len(here) - most)[len(here) - most :] if most else filled
+    place = np.stack(np.unravel_index(filled[top], votes.shape), axis=1)
     around = _surroundings(votes, place) if chance is None else np.full(len(top), chance)
     due, seen = around * block, here[top]
     score = np.where(seen > due, seen * np.log(seen / due) - (seen - due), 0.0)
     peaks: list[tuple[float, FloatArray, float]] = []
     taken = np.empty((0, votes.ndim))
-    for k in np.lexsort((top, -score)):
-        if len(peaks) == count or score[k] <= 0.0:
+    for k in np.lexsort((filled[top], -score)):
+        if len(peaks) == count or score[k] <= 0.0 or (peaks and score[k] < share * peaks[0][0]):
             break
-        # A cell beside a better one is the same peak.
-        if not (np.abs(taken - place[k]) <= 1).all(axis=1).any():
+        if not (np.abs(taken - place[k]) <= beside).all(axis=1).any():
             peaks.append((float(score[k]), place[k].astype(np.float64), float(around[k])))
             taken = np.vstack([taken, place[k]])
     return peaks
@@ -266,23 +292,25 @@ def _peaks_of_pictures(
     size = sigma * _coarser(span / sigma, MOST_CELLS / 2.0)
     cells = np.ceil(span / size).astype(int) + 1
     pictures = [_picture((one - origin_1) / size, cells), _picture((two - origin_2) / size, cells)]
-    votes = fftconvolve(pictures[0], pictures[1][(slice(None, None, -1),) * d]).clip(0.0)
-    start = origin_1 - origin_2 - (cells - 1) * size
+    votes = np.pad(fftconvolve(pictures[0], pictures[1][(slice(None, None, -1),) * d]).clip(0.0), 1)
+    start = origin_1 - origin_2 - cells * size
     for v in range(d):
         shift = wrapped(start[v] + np.arange(votes.shape[v]) * size[v], periods[v])
         votes *= np.expand_dims(np.abs(shift) <= limit[v] + size[v], tuple(u for u in range(d) if u != v))
     if np.all(size <= FINE * sigma):
-        return [(score, start + place * size) for score, place, _ in _crowded(votes, count, None)]
+        return [(score, start + place * size) for score, place, _ in _crowded(votes, count, None, *FINELY)]
     tree = cKDTree(one / size)
     sample = two[np.linspace(0, len(two) - 1, min(SAMPLE, len(two))).astype(np.int64)]
     result: list[Peak] = []
-    for _, place, around in _crowded(votes, COARSE_PEAKS, None):
+    for _, place, around in _crowded(votes, COARSE_PEAKS, None, *COARSELY):
         centre = start + place * size
         near = tree.query_ball_point((sample + centre) / size, 1.5, p=np.inf, return_sorted=False)
         at = np.repeat(np.arange(len(sample)), [len(rows) for rows in near])
         rows = np.array([row for rows in near for row in rows], np.int64)
-        block = (centre - 1.5 * size, centre + 1.5 * size, around / float(size.prod()) * len(sample) / len(two))
-        result += _peaks(list((one[rows] - sample[at]).T), sigma, max(1, count // COARSE_PEAKS), block)
+        apart, box = one[rows] - sample[at], (centre - 1.5 * size, centre + 1.5 * size)
+        density = around / float(size.prod()) * len(sample) / len(two)
+        nowhere = np.zeros((1, d))
+        result += _peaks((apart, nowhere), np.full(d, np.inf), box, sigma, max(1, count // COARSE_PEAKS), density)
     result.sort(key=lambda entry: -entry[0])
     return result[:count]
 

@@ -16,23 +16,28 @@ from numpy.typing import NDArray
 
 from sameas.evidence import LOG_2PI
 from sameas.gate import Radius
+from sameas.kernels import offsets
 from sameas.records import FloatArray, Records
 from sameas.registration.offsets import Offset
-from sameas.registration.votes import typical_sigma, wrapped
+from sameas.registration.votes import typical_sigma
 from sameas.space import Plane
 
 #: Pairs beyond so many (widened) standard deviations are not weighed.
 GATE_SIGMAS = 5.5
-#: All distances are computed up to so many pairs; beyond, the gate looks for them.
-DENSE = 400_000
+#: Size in standard deviations of the cells in which the first source is searched, and most of them for a record.
+CELL_SIGMAS, CELLS_OF_A_RECORD = 6.0, 4.0
 #: Sweeps of the messages, and the relative change that counts as settled: in the search, and at the end.
-SWEEPS, ROUGHLY, CLOSELY = 100, 1e-2, 1e-7
+SWEEPS, ROUGHLY, CLOSELY = 100, 1e-2, 1e-5
 LEAST_COMMON, MOST_SHARE = 0.05, 0.98
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Two sources and a placed offset between them. ``box`` (2, d) low and high corner of the first in the chart."""
+    """Two sources and a placed offset between them.
+
+    flat (n, d) : the first source's positions in the residual's unit, and ``box`` (2, d) the corners of where it looks.
+    cells : the first source as it is laid out to be searched. periods (d,) of the residual's axes.
+    """
 
     first: Records
     second: Records
@@ -40,13 +45,19 @@ class Scene:
     covariance_1: FloatArray
     covariance_2: FloatArray
     sigma: float
+    flat: FloatArray
     box: FloatArray
+    cells: offsets.Cells
+    periods: FloatArray
 
     @classmethod
     def of(cls, first: Records, second: Records, model: Offset) -> Scene:
         sigma = typical_sigma(first, second)
-        box = boxed(flattened(first.features, model, first), sigma)
-        return cls(first, second, model, first.full_covariance(), second.full_covariance(), sigma, box)
+        flat = np.ascontiguousarray(flattened(first.features, model, first))
+        periods = np.array(first.space.period_list(first.d) if isinstance(first.space, Plane) else [np.inf] * first.d)
+        errors = first.full_covariance(), second.full_covariance()
+        cells = _in_cells(first.features, errors[0], CELL_SIGMAS * sigma, periods)
+        return cls(first, second, model, *errors, sigma, flat, boxed(flat, sigma), cells, periods)
 
     def of_patch(self, rows: NDArray[np.int64]) -> Scene:
         """The same with these records of the second source only."""
@@ -83,66 +94,111 @@ class Weighed:
     in_common: FloatArray
 
 
+@dataclass(frozen=True)
+class Meeting:
+    """Which records can meet under s offsets: pairs, and where both sources look.
+
+    start (s + 1,), i, j (m,), residual (m, d), precision (m, d, d), log_normal (m,) ln density of a true pair.
+    volume (s,) where both look, expected (s, 2) records of each there on average, in_common (s, 2) those there are.
+    """
+
+    start: NDArray[np.int64]
+    i: NDArray[np.int64]
+    j: NDArray[np.int64]
+    residual: FloatArray
+    precision: FloatArray
+    log_normal: FloatArray
+    volume: FloatArray
+    expected: FloatArray
+    in_common: FloatArray
+
+    def as_overlapping_at(self, s: int) -> Meeting:
+        """The same pairs, with the overlap that offset s has: no record at the edge comes in or goes."""
+        same = np.full(len(self.volume), s)
+        return replace(self, volume=self.volume[same], expected=self.expected[same], in_common=self.in_common[same])
+
+
+def meet(scene: Scene, theta: FloatArray, widening: float) -> Meeting:
+    """The pairs under the offsets theta (s, p), of errors that are so many times larger than quoted."""
+    features = scene.second.features
+    shape = (len(theta), *features.shape)
+    moved = np.ascontiguousarray(np.broadcast_to(scene.model.moved(features, theta[:, None, :]), shape))
+    carried = np.broadcast_to(scene.model.carried(features, theta[:, None, :]), (*shape, scene.first.d))
+    spread = offsets.carried_errors(np.ascontiguousarray(carried), scene.covariance_2)
+    flat = np.ascontiguousarray(flattened(moved, scene.model, scene.second))
+    volume, whole, inside = offsets.both_look(scene.box, scene.flat, flat, scene.sigma, scene.periods)
+    expected = np.array([len(scene.first), len(scene.second)]) / whole * volume[:, None]
+    return Meeting(*_candidates(scene, moved, spread, widening), volume, expected, inside)
+
+
 def weigh(scene: Scene, theta: FloatArray, common: FloatArray, widening: float) -> Weighed:
     """Weights of all pairs under the offsets theta (s, p), for so many expected common objects (s,).
 
     widening : the factor by which errors are taken larger than quoted, for the search.
     """
-    moved = scene.model.moved(scene.second.features, theta[:, None, :])
-    carried = scene.model.carried(scene.second.features, theta[:, None, :])
-    spread = carried @ scene.covariance_2 @ np.swapaxes(carried, -1, -2)
-    s, i, j, residual, covariance = _candidates(scene, moved, spread, widening)
-    precision = np.linalg.inv(covariance)
-    distance = np.einsum("mv,mvw,mw->m", residual, precision, residual)
-    log_normal = -0.5 * (distance + np.log(np.linalg.det(covariance)) + residual.shape[1] * LOG_2PI)
-    volume, whole, inside = _overlap(scene, moved)
-    density = np.stack([len(scene.first) / whole[:, 0], len(scene.second) / whole[:, 1]], axis=1)
-    expected = density * volume[:, None]
+    return weighed(scene, meet(scene, theta, widening), common, ROUGHLY if widening > 1.0 else CLOSELY)
+
+
+def weighed(scene: Scene, met: Meeting, common: FloatArray, settled: float) -> Weighed:
+    """Weights of the pairs that meet, by messages that settle to so small a share of them."""
+    volume, expected, sets = met.volume, met.expected, len(met.volume)
     shared = np.clip(common, LEAST_COMMON, MOST_SHARE * np.maximum(expected.min(axis=1), 2 * LEAST_COMMON))
     rest = np.maximum(expected - shared[:, None], 0.5)
-    log_odds = np.log(shared) + np.log(np.maximum(volume, 1e-300)) - np.log(rest).sum(axis=1)
-    share, log_sum = _messages(
-        s,
-        i,
-        j,
-        log_odds[s] + log_normal,
-        (len(theta), len(scene.first), len(scene.second)),
-        ROUGHLY if widening > 1.0 else CLOSELY,
-    )
-    alone = inside * (np.log(rest) - np.log(np.maximum(expected, 0.5)))
+    # One more than are left: the mean of its inverse is that of the number that is due (Poisson), few or many.
+    due = np.maximum(expected - shared[:, None], 0.0) + 1.0
+    log_odds = np.log(shared) + np.log(np.maximum(volume, 1e-300)) - np.log(due).sum(axis=1)
+    s = np.repeat(np.arange(sets), np.diff(met.start))
+    records = len(scene.first), len(scene.second)
+    log_weight = log_odds[s] + met.log_normal
+    share, log_sum, total = offsets.messages(met.start, met.i, met.j, log_weight, records, SWEEPS, settled)
+    # The likelihood is that of what is left, so it has to be said for the shared what they are weighed less.
+    alone = met.in_common * (np.log(rest) - np.log(np.maximum(expected, 0.5))) + shared[:, None] * np.log(due / rest)
     gain = np.where(volume > 0.0, shared + alone.sum(axis=1) + log_sum, 0.0)
-    total = np.bincount(s, share, len(theta)).astype(np.float64)
-    return Weighed(s, i, j, residual, np.asarray(precision, np.float64), share, total, gain, inside)
+    return Weighed(s, met.i, met.j, met.residual, met.precision, share, total, gain, met.in_common)
 
 
-def _candidates(
-    scene: Scene, moved: FloatArray, spread: FloatArray, widening: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], FloatArray, FloatArray]:
-    first, second = scene.first, scene.second
-    if not isinstance(first.space, Plane) or len(moved) * len(first) * len(second) > DENSE:
+#: start (s + 1,), i, j (m,), residual (m, d), precision (m, d, d), log density of a true pair (m,).
+Candidates = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], FloatArray, FloatArray, FloatArray]
+
+
+def _candidates(scene: Scene, moved: FloatArray, spread: FloatArray, widening: float) -> Candidates:
+    if not isinstance(scene.first.space, Plane):
         return _gated(scene, moved, spread, widening)
-    periods = np.array(first.space.period_list(first.d))
-    difference = wrapped(first.features[None, :, None, :] - moved[:, None, :, :], periods)
-    reach_1 = np.einsum("nvv->n", scene.covariance_1)
-    reach_2 = np.einsum("snvv->sn", spread)
-    reach = (GATE_SIGMAS * widening) ** 2 * (reach_1[None, :, None] + reach_2[:, None, :])
-    s, i, j = np.nonzero(np.einsum("sijv,sijv->sij", difference, difference) <= reach)
-    return s, i, j, difference[s, i, j], (scene.covariance_1[i] + spread[s, j]) * widening**2
+    found: Candidates = offsets.near_pairs(scene.cells, moved, spread, scene.periods, GATE_SIGMAS, widening)
+    return found
 
 
-def _gated(
-    scene: Scene, moved: FloatArray, spread: FloatArray, widening: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], FloatArray, FloatArray]:
-    """The same for many records, or on the sphere, by the gate."""
+def _gated(scene: Scene, moved: FloatArray, spread: FloatArray, widening: float) -> Candidates:
+    """The same on the sphere, by the gate."""
     gate = Radius(GATE_SIGMAS * widening)
     found = [gate(scene.first, arrived(scene.second, moved[s], spread[s])) for s in range(len(moved))]
-    number = np.repeat(np.arange(len(found)), [len(pairs) for pairs in found])
+    residual = np.concatenate([pairs.residual for pairs in found])
+    covariance = np.concatenate([pairs.covariance for pairs in found]) * widening**2
+    precision = np.asarray(np.linalg.inv(covariance), np.float64)
+    distance = np.einsum("mv,mvw,mw->m", residual, precision, residual)
+    log_normal = -0.5 * (distance + np.log(np.linalg.det(covariance)) + residual.shape[1] * LOG_2PI)
     return (
-        number, np.concatenate([pairs.i for pairs in found]).astype(np.int64),
-        np.concatenate([pairs.j for pairs in found]).astype(np.int64),
-        np.concatenate([pairs.residual for pairs in found]),
-        np.concatenate([pairs.covariance for pairs in found]) * widening**2,
+        np.concatenate([[0], np.cumsum([len(pairs) for pairs in found])]).astype(np.int64),
+        np.concatenate([pairs.i for pairs in found]).astype(np.int64),
+        np.concatenate([pairs.j for pairs in found]).astype(np.int64), residual, precision, log_normal,
     )  # fmt: skip
+
+
+def _in_cells(features: FloatArray, covariance: FloatArray, size: float, periods: FloatArray) -> offsets.Cells:
+    """Records laid out in cells of their first and last feature; one cell all along an axis with a period."""
+    axes = [0, features.shape[1] - 1]
+    at = features[:, axes]
+    low, span = at.min(axis=0), np.ptp(at, axis=0)
+    size = max(size, float(np.sqrt(np.prod(np.maximum(span, size)) / (CELLS_OF_A_RECORD * len(at)))))
+    # The only feature is the last as well.
+    whole = np.isfinite(periods[axes]) | [False, features.shape[1] == 1]
+    sizes = np.where(whole, np.inf, size)
+    shape = (span / sizes).astype(np.int64) + 1
+    column, line = np.minimum(((at - low) / sizes).astype(np.int64), shape - 1).T
+    cell = line * shape[0] + column
+    rows = np.argsort(cell, kind="stable")
+    start = np.searchsorted(cell[rows], np.arange(shape.prod() + 1))
+    return offsets.Cells(features[rows], covariance[rows], rows, start, low, sizes, shape)
 
 
 def arrived(second: Records, moved: FloatArray, covariance: FloatArray) -> Records:
@@ -163,55 +219,3 @@ def boxed(flat: FloatArray, sigma: float) -> FloatArray:
     low, high = flat.min(axis=-2), flat.max(axis=-2)
     more = (high - low) / max(n - 1, 1) + sigma
     return np.stack([low - more, high + more])
-
-
-def _overlap(scene: Scene, moved: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(s,) volume where both look, (s, 2) volume where each looks, (s, 2) records of each in the overlap."""
-    flat = flattened(moved, scene.model, scene.second)
-    box_1, box_2 = scene.box[:, None, :], boxed(flat, scene.sigma)
-    one = flattened(scene.first.features, scene.model, scene.first)
-    if isinstance(scene.first.space, Plane):
-        # An axis that wraps is looked at all around.
-        period = np.array(scene.first.space.period_list(scene.first.d))
-        around = np.where(np.isfinite(period), 1.0, 0.0)
-        ring = np.where(np.isfinite(period), period, 0.0)
-        box_1, box_2 = (np.where(around > 0, np.stack([0 * b[0], 0 * b[1] + ring]), b) for b in (box_1, box_2))
-        one, flat = (np.where(around > 0, np.mod(x, np.where(around > 0, period, 1.0)), x) for x in (one, flat))
-    low, high = np.maximum(box_1[0], box_2[0]), np.minimum(box_1[1], box_2[1])
-    volume = np.prod(np.maximum(high - low, 0.0), axis=-1)
-    whole = np.stack([np.broadcast_to(np.prod(b[1] - b[0], axis=-1), volume.shape) for b in (box_1, box_2)], axis=1)
-    inside = [
-        np.count_nonzero(((x >= low[:, None, :]) & (x <= high[:, None, :])).all(axis=-1), axis=-1)
-        for x in (np.broadcast_to(one, (len(low), *one.shape)), flat)
-    ]
-    return volume, whole, np.stack(inside, axis=1).astype(np.float64)
-
-
-def _messages(
-    s: NDArray[np.int64],
-    i: NDArray[np.int64],
-    j: NDArray[np.int64],
-    log_weight: FloatArray,
-    shape: tuple[int, int, int],
-    settled: float,
-) -> tuple[FloatArray, FloatArray]:
-    """(m,) probabilities of the pairs and (s,) log of the sum over all hypotheses (Bethe), by sum-product messages."""
-    sets, n1, n2 = shape
-    row, column = s * n1 + i, s * n2 + j
-    weight = np.exp(np.minimum(log_weight, 600.0))
-    to_row = np.ones(len(weight))
-    to_column = weight
-    for _ in range(SWEEPS):
-        before = to_column
-        heard = weight * to_row
-        to_column = weight / (1.0 + np.maximum(np.bincount(row, heard, sets * n1)[row] - heard, 0.0))
-        total = np.bincount(column, to_column, sets * n2)[column]
-        to_row = 1.0 / (1.0 + np.maximum(total - to_column, 0.0))
-        if not len(weight) or np.all(np.abs(to_column - before) <= 1e-9 + settled * to_column):
-            break
-    heard = weight * to_row
-    by_row = 1.0 + np.bincount(row, heard, sets * n1)
-    by_column = 1.0 + np.bincount(column, to_column, sets * n2)
-    log_sum = np.log(by_row).reshape(sets, n1).sum(axis=1) + np.log(by_column).reshape(sets, n2).sum(axis=1)
-    log_sum -= np.bincount(s, np.log1p(to_column * to_row), sets)
-    return heard / by_row[row], log_sum

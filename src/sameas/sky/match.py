@@ -179,8 +179,10 @@ def brought_together(
     one, two = threads.each(works, len(first) + len(second))
     for catalogue, records in ((first, one), (second, two)):
         if not len(records):
-            reasons = ", ".join(f"{reason} ({n})" for reason, n in records.set_aside.counts().items())
-            raise InputError(f"{catalogue.name}: none of its {len(catalogue)} rows can be used: {reasons}")
+            counts = records.set_aside.counts()
+            reasons = ", ".join(f"{reason} ({n})" for reason, n in counts.items())
+            remedy = "; an error of 0 counts as none: say --sigma ARCSEC" if "no error" in counts else ""
+            raise InputError(f"{catalogue.name}: none of its {len(catalogue)} rows can be used: {reasons}{remedy}")
     return epoch, words, one, two
 
 

@@ -110,9 +110,14 @@ def _correlation(normal: FloatArray) -> FloatArray:
     part = normal[rows, columns]
     from scipy.ndimage import maximum_filter, uniform_filter
 
+    usable = np.isfinite(part)
+    if not usable.any():
+        rho[_LAGS, _LAGS] = 1
+        return rho
     smooth = uniform_filter(np.nan_to_num(part), 3)
-    bright = maximum_filter(np.abs(smooth) > 3.5 * 1.4826 * np.median(np.abs(smooth)), 9)
-    sky = np.isfinite(part) & ~bright
+    # What is masked is as quiet as nothing else, and must not tell how loud the sky is.
+    bright = maximum_filter(np.abs(smooth) > 3.5 * 1.4826 * np.median(np.abs(smooth[usable])), 9)
+    sky = usable & ~bright
     if sky.sum() < 1000:
         rho[_LAGS, _LAGS] = 1
         return rho

@@ -9,6 +9,7 @@ their noise. ``sep`` is much the fastest, but LGPL; photutils' deblending takes 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -316,7 +317,18 @@ def _table(
         psf_fwhm_px=spread.fwhm_px,
         name=frame.name,
         notes=_notes(frame, background, spread),
+        blind=_blind(frame, spread),
     )
+
+
+def _blind(frame: Frame, spread: Spread) -> NDArray[np.bool_] | None:
+    """(rows, columns) where most of a star's pixels are masked; None without a mask."""
+    if not frame.masked.any():
+        return None
+    from scipy.ndimage import uniform_filter
+
+    size = 2 * math.ceil(spread.fwhm_px) + 1
+    return np.asarray(uniform_filter(frame.masked.astype(np.float32), size, mode="nearest") > 0.5)
 
 
 def _notes(frame: Frame, background: Background, spread: Spread) -> tuple[str, ...]:

@@ -94,8 +94,8 @@ class FrameIdentification:
 
     @cached_property
     def inside(self) -> NDArray[np.bool_]:
-        """(m,) whether each star is predicted within the frame."""
-        return _within(self.predicted_px, self.measured.shape, 0.0)
+        """(m,) whether each star is predicted within the frame, where one can be measured."""
+        return _seeable(self.predicted_px, self.measured, 0.0)
 
     @cached_property
     def p_detect(self) -> FloatArray:
@@ -156,11 +156,11 @@ def identify_frame(
     plate = _first_plate(measured, stars, placement, how)
     px, covariance = _predicted(plate, stars)
     for rounds in range(1, how.rounds + 1):
-        candidate = _candidates(px, stars, measured.shape, faintest)
+        candidate = _candidates(px, stars, measured, faintest)
         # Brightness would hold wrong pairs of the first plate as fast as right ones.
         bright = None if rounds == 1 or how.magnitudes == "off" else _brightness(measured, stars)
         result, estimate = match(first, _records(px, covariance, candidate, stars), brightness=bright)
-        completeness = _completeness(px, stars, result, measured.shape)
+        completeness = _completeness(px, stars, result, measured)
         if completeness is not None:
             faintest = completeness.faintest(UNSEEN)
         plate = fit_plate(_matched(measured, stars, result), placement.pointing, measured.shape, order=how.order)
@@ -217,9 +217,19 @@ def _within(px: FloatArray, shape: tuple[int, int], margin_px: float) -> NDArray
         return np.asarray((x >= low) & (x <= columns) & (y >= low) & (y <= rows))
 
 
-def _candidates(px: FloatArray, stars: StarField, shape: tuple[int, int], faintest: float | None) -> NDArray[np.bool_]:
+def _seeable(px: FloatArray, measured: Measurements, margin_px: float) -> NDArray[np.bool_]:
+    """(m,) whether pixels lie on the frame, or not farther outside than a margin, and not where it is blind."""
+    seen = _within(px, measured.shape, margin_px)
+    if measured.blind is not None:
+        rows, columns = measured.shape
+        x, y = np.rint(np.nan_to_num(px)).astype(np.int64).T
+        seen &= ~measured.blind[np.clip(y, 0, rows - 1), np.clip(x, 0, columns - 1)]
+    return seen
+
+
+def _candidates(px: FloatArray, stars: StarField, measured: Measurements, faintest: float | None) -> NDArray[np.bool_]:
     """(m,) stars on the frame that are not too faint to be seen."""
-    candidate = _within(px, shape, MARGIN_PX)
+    candidate = _seeable(px, measured, MARGIN_PX)
     if faintest is not None:
         candidate &= ~(stars.magnitude > faintest)
     if not candidate.any():
@@ -247,12 +257,12 @@ def _brightness(measured: Measurements, stars: StarField) -> tuple[Magnitudes, M
 
 
 def _completeness(
-    px: FloatArray, stars: StarField, result: Identification, shape: tuple[int, int]
+    px: FloatArray, stars: StarField, result: Identification, measured: Measurements
 ) -> Completeness | None:
     """The share of the stars on the frame that is found, by magnitude."""
     p_found = np.zeros(len(stars))
     np.add.at(p_found, result.rows_2, result.p_pair)
-    inside = _within(px, shape, -MARGIN_PX)
+    inside = _seeable(px, measured, -MARGIN_PX)
     return Completeness.of(stars.magnitude[inside], p_found[inside]) if inside.any() else None
 
 

@@ -6,7 +6,7 @@ from −0.5 to 0.5. FITS headers, DS9 and SExtractor count from 1; :meth:`Measur
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntFlag
 from typing import TYPE_CHECKING, Any
 
@@ -62,6 +62,8 @@ class Measurements:
     psf_fwhm_px : full width at half maximum of the frame's stars.
     name : of the frame.
     notes : what was assumed or is doubtful, in words.
+    blind : (rows, columns) where a star could not be measured because most pixels around are not usable; None where the
+        whole frame can be.
     """
 
     x_px: FloatArray
@@ -81,13 +83,15 @@ class Measurements:
     psf_fwhm_px: float
     name: str = "frame"
     notes: tuple[str, ...] = ()
+    blind: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
         return len(self.x_px)
 
     def __getitem__(self, rows: slice | NDArray[np.int64] | NDArray[np.bool_]) -> Measurements:
         """Some of the measurements."""
-        return Measurements(**{key: value[rows] if _per_row(value) else value for key, value in vars(self).items()})
+        columns = {key: value[rows] for key, value in vars(self).items() if _per_row(key, value)}
+        return replace(self, **columns)
 
     def clean(self, but: Flag = Flag.BLENDED | Flag.TRAILED | Flag.SATURATED) -> NDArray[np.bool_]:
         """(n,) mask of those that carry no flag, those in ``but`` excepted."""
@@ -113,7 +117,7 @@ class Measurements:
         from astropy.table import QTable
 
         units = {"x_px": "pix", "y_px": "pix", "a_px": "pix", "b_px": "pix", "fwhm_px": "pix", "theta_deg": "deg"}
-        columns: dict[str, Any] = {key: value for key, value in vars(self).items() if _per_row(value)}
+        columns: dict[str, Any] = {key: value for key, value in vars(self).items() if _per_row(key, value)}
         xx, cross, yy = columns.pop("covariance").T
         table = QTable(columns, units={key: unit for key, unit in units.items() if key in columns})
         table.add_columns([xx, cross, yy], indexes=[2, 2, 2], names=["cov_xx_px2", "cov_xy_px2", "cov_yy_px2"])
@@ -136,5 +140,5 @@ class Measurements:
         return self
 
 
-def _per_row(value: object) -> bool:
-    return isinstance(value, np.ndarray)
+def _per_row(key: str, value: object) -> bool:
+    return isinstance(value, np.ndarray) and key != "blind"

@@ -1,0 +1,337 @@
+"""Compiled search for the offset between two sources: pairs under many offsets, their messages, what they pull at.
+
+Arrays of pairs run over the pairs of all offsets, offset by offset: those of offset s are ``start[s]`` to
+``start[s + 1]``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import namedtuple
+
+import numpy as np
+
+from sameas.kernels.compiled import inlined, kernel, part
+from sameas.kernels.components import join, root
+from sameas.kernels.linear import solve
+from sameas.kernels.plane import whitened
+from sameas.kernels.spans import folded
+
+LOG_2PI = math.log(2.0 * math.pi)
+
+#: A source laid out in cells of its first and last axis, row by row: positions (n, d), errors (n, d, d), rows (n,); the
+#: first record of every cell, start (cells + 1,); of either axis the edge of the first cell, low (2,), a cell's size,
+#: size (2,), infinite where there is one cell, and how many there are, shape (2,).
+Cells = namedtuple("Cells", "position error rows start low size shape")
+
+
+@part
+def longer(array, length):
+    """The same with room for more along its first axis."""
+    grown = np.empty((length, *array.shape[1:]), array.dtype)
+    grown[: len(array)] = array
+    return grown
+
+
+@kernel
+def near_pairs(one, two, covariance_2, periods, sigmas, widening):
+    """Pairs within ``sigmas`` standard deviations, of errors that are taken ``widening`` times as large.
+
+    one : the first source. two, covariance_2 : (s, k, d) and (s, k, d, d) of the second, under every offset. periods
+    (d,) of the axes, infinite for most.
+    Returns start (s + 1,), i, j (m,), residual (m, d), precision (m, d, d), log density (m,) of a true pair.
+    """
+    sets, many, d = two.shape
+    start = np.zeros(sets + 1, np.int64)
+    room = max(4 * sets * many, 64)
+    i, j, log_normal = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room)
+    residual, precision = np.empty((room, d)), np.empty((room, d, d))
+    matrix, delta, count = np.empty((3, d, d)), np.empty((2, d)), 0
+    farthest = np.array([sigmas * widening * math.sqrt(one.error[:, v, v].max()) for v in (0, d - 1)])
+    for s in range(sets):
+        for b in range(many):
+            error = covariance_2[s, b]
+            # At most the sum of both, which is quick.
+            reach_x = farthest[0] + sigmas * widening * math.sqrt(error[0, 0])
+            reach_y = farthest[1] + sigmas * widening * math.sqrt(error[d - 1, d - 1])
+            left, right = span_of_cells(one, 0, two[s, b, 0], reach_x)
+            bottom, top = span_of_cells(one, 1, two[s, b, d - 1], reach_y)
+            for strip in range(bottom * one.shape[0], top * one.shape[0], one.shape[0]):
+                for k in range(one.start[strip + left], one.start[strip + right]):
+                    distance, determinant = np.inf, 1.0
+                    if stands_near(one, k, two[s, b], error, periods, sigmas, widening, matrix, delta):
+                        distance, determinant = measured(delta, matrix)
+                    if distance > sigmas * sigmas:
+                        continue
+                    if count == room:
+                        room *= 2
+                        i, j, log_normal = longer(i, room), longer(j, room), longer(log_normal, room)
+                        residual, precision = longer(residual, room), longer(precision, room)
+                    i[count], j[count] = one.rows[k], b
+                    log_normal[count] = -0.5 * (distance + math.log(determinant) + d * LOG_2PI)
+                    keep(delta, matrix, residual, precision, count)
+                    count += 1
+        start[s + 1] = count
+    return start, i[:count], j[:count], residual[:count], precision[:count], log_normal[:count]
+
+
+@inlined
+def span_of_cells(one, axis, at, reach):
+    """First cell along an axis that a reach touches, and the one after the last; at least an empty span of them."""
+    last = one.shape[axis] - 1
+    from_cell = (at - reach - one.low[axis]) / one.size[axis]
+    to_cell = (at + reach - one.low[axis]) / one.size[axis]
+    if to_cell < 0.0 or from_cell >= last + 1.0:
+        return 0, 0
+    return int(max(from_cell, 0.0)), int(min(to_cell, float(last))) + 1
+
+
+@inlined
+def stands_near(one, k, two, error, periods, sigmas, widening, matrix, delta):
+    """Whether a pair lies within its box, with its residual in ``delta[0]`` and its covariance in ``matrix[1]``."""
+    d, square = len(two), widening * widening
+    for v in range(d):
+        delta[0, v] = folded(one.position[k, v] - two[v], periods[v])
+        # No ellipse reaches further along an axis than its box.
+        if delta[0, v] * delta[0, v] > sigmas * sigmas * square * (one.error[k, v, v] + error[v, v]):
+            return False
+    for v in range(d):
+        for w in range(d):
+            matrix[1, v, w] = square * (one.error[k, v, w] + error[v, w])
+    return True
+
+
+@inlined
+def keep(delta, matrix, residual, precision, count):
+    """Write a pair's residual and the inverse of its covariance in their places."""
+    for v in range(delta.shape[1]):
+        residual[count, v] = delta[0, v]
+        for w in range(delta.shape[1]):
+            precision[count, v, w] = matrix[0, v, w]
+
+
+@inlined
+def measured(delta, matrix):
+    """(Mahalanobis distance squared, determinant) of ``delta[0]`` with covariance ``matrix[1]``; its inverse in [0]."""
+    d = delta.shape[1]
+    if d == 2:
+        x, y = delta[0, 0], delta[0, 1]
+        xx, xy, yy = matrix[1, 0, 0], matrix[1, 0, 1], matrix[1, 1, 1]
+        area = xx * yy - xy * xy
+        matrix[0, 0, 0], matrix[0, 1, 1] = yy / area, xx / area
+        matrix[0, 0, 1] = matrix[0, 1, 0] = -xy / area
+        return (x * x * yy - 2.0 * x * y * xy + y * y * xx) / area, area
+    for v in range(d):
+        for w in range(d):
+            matrix[0, v, w] = 1.0 if v == w else 0.0
+            matrix[2, v, w] = matrix[1, v, w]
+    solve(matrix[2], matrix[0])
+    return whitened(matrix[1], delta[0], delta[1])
+
+
+@kernel
+def both_look(box, one, two, margin, periods):
+    """Where both sources look under every offset.
+
+    box : (2, d) corners of where the first looks. one (n, d), two (s, k, d) : positions. margin : how much further than
+    its records the second looks, beside the mean gap between two of them. All of an axis with a period is looked at.
+    Returns the volume (s,) where both look, (s, 2) where each looks, and (s, 2) records of each where both look.
+    """
+    sets, many, d = two.shape
+    volume, whole, inside = np.ones(sets), np.ones((sets, 2)), np.zeros((sets, 2))
+    low, high = np.empty(d), np.empty(d)
+    for s in range(sets):
+        for v in range(d):
+            low[v], high[v] = 0.0, periods[v]
+            widths = (periods[v], periods[v])
+            if periods[v] == np.inf:
+                least, most = two[s, :, v].min(), two[s, :, v].max()
+                more = (most - least) / max(many - 1, 1) + margin
+                low[v], high[v] = max(least - more, box[0, v]), min(most + more, box[1, v])
+                widths = (box[1, v] - box[0, v], most - least + 2.0 * more)
+            whole[s, 0] *= widths[0]
+            whole[s, 1] *= widths[1]
+            volume[s] *= max(high[v] - low[v], 0.0)
+        inside[s, 0], inside[s, 1] = number_within(one, low, high, periods), number_within(two[s], low, high, periods)
+    return volume, whole, inside
+
+
+@part
+def number_within(points, low, high, periods):
+    """How many of the points (n, d) lie in a box, whatever their place on axes with a period."""
+    number = 0.0
+    for k in range(len(points)):
+        within = True
+        for v in range(points.shape[1]):
+            if periods[v] == np.inf:
+                within = within and low[v] <= points[k, v] <= high[v]
+        number += within
+    return number
+
+
+@kernel
+def messages(start, i, j, log_weight, records, sweeps, settled):
+    """Sum-product messages under every offset: how probable each pair is, and how much all hypotheses weigh together.
+
+    records : of either source. At most ``sweeps`` sweeps; fewer when no message changes by more than its share
+    ``settled``. Returns the probabilities (m,), the log of the sum over all hypotheses (s,) after Bethe, and the
+    expected number of common objects (s,).
+    """
+    sets, m = len(start) - 1, len(i)
+    share, log_sum, common = np.empty(m), np.zeros(sets), np.zeros(sets)
+    weight, to_row, to_column = np.empty(m), np.ones(m), np.empty(m)
+    by_row, by_column = np.empty(records[0]), np.empty(records[1])
+    for e in range(m):
+        weight[e] = math.exp(min(log_weight[e], 600.0))
+        to_column[e] = weight[e]
+    for s in range(sets):
+        by_row[:], by_column[:] = 1.0, 1.0
+        order, ends = by_component(i[start[s] : start[s + 1]], j[start[s] : start[s + 1]], records)
+        for g in range(len(ends) - 1):
+            pairs = start[s] + order[ends[g] : ends[g + 1]]
+            exchange(pairs, i, j, weight, to_row, to_column, by_row, by_column, sweeps, settled)
+        for a in range(records[0]):
+            log_sum[s] += math.log(by_row[a])
+        for b in range(records[1]):
+            log_sum[s] += math.log(by_column[b])
+        for e in range(start[s], start[s + 1]):
+            log_sum[s] -= math.log1p(to_column[e] * to_row[e])
+            share[e] = weight[e] * to_row[e] / by_row[i[e]]
+            common[s] += share[e]
+    return share, log_sum, common
+
+
+@part
+def by_component(i, j, records):
+    """The pairs in the order of their connected components, and where each component ends."""
+    parent = np.empty(records[0] + records[1], np.int64)
+    join(j, i, parent, records[1])
+    number, count = np.full(len(parent), -1), 0
+    sizes, order = np.zeros(len(j) + 1, np.int64), np.empty(len(j), np.int64)
+    for e in range(len(j)):
+        top = root(parent, j[e])
+        if number[top] < 0:
+            number[top] = count
+            count += 1
+        sizes[number[top] + 1] += 1
+    ends = np.cumsum(sizes[: count + 1])
+    to = ends.copy()
+    for e in range(len(j)):
+        g = number[root(parent, j[e])]
+        order[to[g]] = e
+        to[g] += 1
+    return order, ends
+
+
+@inlined
+def exchange(pairs, i, j, weight, to_row, to_column, by_row, by_column, sweeps, settled):
+    """Send messages along the pairs of one component until they settle; leave what every record hears in its place."""
+    for _ in range(sweeps):
+        moving = False
+        heard(pairs, i, weight, to_row, by_row)
+        for e in pairs:
+            new = weight[e] / (1.0 + max(by_row[i[e]] - 1.0 - weight[e] * to_row[e], 0.0))
+            moving = moving or abs(new - to_column[e]) > 1e-9 + settled * new
+            to_column[e] = new
+        told(pairs, j, to_column, by_column)
+        for e in pairs:
+            to_row[e] = 1.0 / (1.0 + max(by_column[j[e]] - 1.0 - to_column[e], 0.0))
+        if not moving:
+            break
+    heard(pairs, i, weight, to_row, by_row)
+    told(pairs, j, to_column, by_column)
+
+
+@inlined
+def heard(pairs, i, weight, to_row, by_row):
+    """1 for having no partner, and what the records of the first source hear of these pairs."""
+    for e in pairs:
+        by_row[i[e]] = 1.0
+    for e in pairs:
+        by_row[i[e]] += weight[e] * to_row[e]
+
+
+@inlined
+def told(pairs, j, to_column, by_column):
+    """1 for having no partner, and what the records of the second source hear of these pairs."""
+    for e in pairs:
+        by_column[j[e]] = 1.0
+    for e in pairs:
+        by_column[j[e]] += to_column[e]
+
+
+@kernel
+def pulls(s, j, residual, precision, weight, jacobian, faint):
+    """What the pairs pull at every offset: Σ w Jᵀ Σ⁻¹ Δ (s, p), and their information Σ w Jᵀ Σ⁻¹ J (s, p, p).
+
+    s, j : (m,) offset and record of the second source of every pair. jacobian : (s, k, d, p). Pairs of less weight than
+    ``faint`` are left out.
+    """
+    sets, _, d, p = jacobian.shape
+    score, information = np.zeros((sets, p)), np.zeros((sets, p, p))
+    pull = np.empty((d, p))
+    for e in range(len(s)):
+        if weight[e] <= faint:
+            continue
+        here = jacobian[s[e], j[e]]
+        for v in range(d):
+            for q in range(p):
+                pull[v, q] = 0.0
+                for w in range(d):
+                    pull[v, q] += weight[e] * precision[e, v, w] * here[w, q]
+        for q in range(p):
+            for v in range(d):
+                score[s[e], q] += pull[v, q] * residual[e, v]
+                for r in range(p):
+                    information[s[e], q, r] += pull[v, q] * here[v, r]
+    return score, information
+
+
+@kernel
+def carried_errors(carried, covariance):
+    """(s, k, d, d) A Σ Aᵀ, the errors Σ (k, d, d) of records once moved, with A (s, k, d, d)."""
+    sets, many, d, _ = carried.shape
+    out = np.zeros((sets, many, d, d))
+    half = np.empty((d, d))
+    for s in range(sets):
+        for k in range(many):
+            for v in range(d):
+                for w in range(d):
+                    half[v, w] = 0.0
+                    for t in range(d):
+                        half[v, w] += carried[s, k, v, t] * covariance[k, t, w]
+            for v in range(d):
+                for w in range(d):
+                    for t in range(d):
+                        out[s, k, v, w] += half[v, t] * carried[s, k, w, t]
+    return out
+
+
+@kernel
+def tally(one, two, periods, low, size, cells):
+    """How many of the differences of one (n, d) and two (k, d) fall into each cell of a picture, flat.
+
+    periods (d,) of the axes. low (d,) : corner of the first cell. size, cells (d,) : of a cell, and how many there are.
+    The outermost cells are left empty, so that every cell with votes has neighbours.
+    """
+    votes = np.zeros(np.prod(cells))
+    for b in range(len(two)):
+        for a in range(len(one)):
+            flat, inside = 0, True
+            for v in range(len(periods)):
+                at = math.floor((folded(one[a, v] - two[b, v], periods[v]) - low[v]) / size[v])
+                inside = inside and 0 < at < cells[v] - 1
+                flat = flat * cells[v] + at
+            if inside:
+                votes[flat] += 1.0
+    return votes
+
+
+@kernel
+def blocks(votes, place, around):
+    """(k,) votes of the cells around each ``place`` (k,): in the flat picture ``votes``, ``around`` (b,) steps away."""
+    out = np.zeros(len(place))
+    for k in range(len(place)):
+        for b in range(len(around)):
+            out[k] += votes[place[k] + around[b]]
+    return out
