@@ -18,24 +18,37 @@ from sameas.records import FloatArray
 
 
 @dataclass(frozen=True)
+class Graded:
+    """Pairs, (m,) both their grades as of :func:`both_grades`, and (m,) by how much each made these too good."""
+
+    pairs: Pairs
+    both: NDArray[np.integer]
+    own: FloatArray
+
+
+@dataclass(frozen=True)
 class Precision(Rule):
     """ln p(g₁, g₂ | one object) − ln p(g₁, g₂ | two objects), with the grades g of how well both records are measured.
 
     Parameters
     ----------
     grades : (n₁,), (n₂,) of every record, from 0. log_ratio : (k₁, k₂) of every two grades.
-    own : the pairs that this was learned from, and by how much each made its own two grades too good, (m,).
+    lesson : the pairs that this was learned from, None where others have taken their place since.
     """
 
     grades: tuple[NDArray[np.integer], NDArray[np.integer]] = field(repr=False)
     log_ratio: FloatArray = field(repr=False)
-    own: tuple[Pairs, FloatArray] | None = field(repr=False, default=None)
+    lesson: Graded | None = field(repr=False, default=None)
 
     def __call__(self, pairs: Pairs) -> Evidence:
-        said = self.log_ratio.ravel()[both_grades(self.grades, self.log_ratio.shape[1], pairs)]
-        if self.own is not None and self.own[0] is pairs:
-            said -= self.own[1]
-        return Evidence({"precision": said})
+        table = self.log_ratio.ravel()
+        if self.says_of(pairs) and self.lesson is not None:
+            return Evidence({"precision": table[self.lesson.both] - self.lesson.own})
+        return Evidence({"precision": table[both_grades(self.grades, self.log_ratio.shape[1], pairs)]})
+
+    def says_of(self, pairs: Pairs) -> bool:
+        """Whether it was these pairs that this was learned from."""
+        return self.lesson is not None and self.lesson.pairs is pairs
 
 
 def both_grades(
