@@ -8,6 +8,7 @@ catalogue this is P_d(m) of METHOD 3.4, and the share of source 1 without a part
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,9 +112,8 @@ class ShareCurve:
         from sameas.kernels.curve import climb
 
         values, k = start.values.copy(), len(start.knots)
-        penalty = roughness(k, BEND) + np.eye(k) / FAR**2
         steps = STEPS if values.any() else FIRST_STEPS
-        climb(magnitude, logit(share), p_partner, start.knots, penalty, values, steps, LONGEST, SETTLED)
+        climb(magnitude, logit(share), p_partner, start.knots, _penalty(k), values, steps, LONGEST, SETTLED)
         return cls(start.knots, values)
 
     def terms(self, magnitude: FloatArray, share: FloatArray, wanted: NDArray[np.integer] | None = None) -> FloatArray:
@@ -128,6 +128,12 @@ class ShareCurve:
         wanted = np.arange(len(magnitude)) if wanted is None else wanted
         weigh(magnitude, share, wanted, LEAST_SHARE, self.knots, self.values, terms)
         return terms
+
+
+@cache
+def _penalty(k: int) -> FloatArray:
+    """(k, k) how a curve's values are drawn to a straight line, and to none at all."""
+    return np.asarray(roughness(k, BEND) + np.eye(k) / FAR**2)
 
 
 def logit(share: FloatArray) -> FloatArray:

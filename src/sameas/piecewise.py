@@ -15,7 +15,7 @@ SORTED = 500
 
 def knots_of(x: FloatArray, weights: FloatArray, per_knot: float, most: int) -> FloatArray:
     """(k,) increasing knots at quantiles of ``x``: one in about ``per_knot`` of the weight, at most ``most``."""
-    count = int(np.clip(round(float(weights.sum()) / per_knot), 1, most - 1)) + 1
+    count = min(max(round(float(weights.sum()) / per_knot), 1), most - 1) + 1
     every = max(1, len(x) // SORTED)
     x, weights = x[::every], weights[::every]
     order = np.argsort(x, kind="stable")
@@ -23,7 +23,9 @@ def knots_of(x: FloatArray, weights: FloatArray, per_knot: float, most: int) -> 
     levels = cumulated[-1] * np.linspace(0.01, 0.99, count)
     knots = x[order][np.minimum(np.searchsorted(cumulated, levels), len(x) - 1)]
     apart = 1e-3 * max(float(knots[-1] - knots[0]), 1e-9)
-    return knots[np.concatenate([[True], np.diff(knots) > apart])]
+    kept = np.ones(count, np.bool_)
+    np.greater(knots[1:] - knots[:-1], apart, out=kept[1:])
+    return knots[kept]
 
 
 @dataclass(frozen=True)
