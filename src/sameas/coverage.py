@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas import threads
+from sameas.holes import within_holes
 from sameas.levels import Level, levels_of
 from sameas.records import FloatArray, Records
 
@@ -66,10 +67,20 @@ class Coverage:
     @cached_property
     def covered(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Whether source 2 looks where each record of source 1 lies, (n₁,), and the reverse, (n₂,)."""
-        one, two = threads.each([partial(self._seen, 1, 2), partial(self._seen, 2, 1)], len(self.first))
-        return one, two
+        rough = threads.each([partial(self._seen, 1, 2), partial(self._seen, 2, 1)], len(self.first))
+        shown = [max(int(np.count_nonzero(seen)), 1) for seen, _ in rough]
+        (seen_1, density_2), (seen_2, density_1) = rough
+        holes = threads.each(
+            [
+                partial(within_holes, self.first, self.second, density_2, shown[1] / shown[0]),
+                partial(within_holes, self.second, self.first, density_1, shown[0] / shown[1]),
+            ],
+            len(self.first),
+        )
+        return seen_1 & ~holes[0], seen_2 & ~holes[1]
 
-    def _seen(self, query: int, source: int) -> NDArray[np.bool_]:
+    def _seen(self, query: int, source: int) -> tuple[NDArray[np.bool_], FloatArray]:
+        """Whether ``source`` looks at the records of ``query`` as far as cells tell, and how dense it is there if so."""
         from sameas.kernels.density import look
 
         n = len(self.first if query == 1 else self.second)
@@ -78,7 +89,7 @@ class Coverage:
         for level in self.levels:
             own, other = level.facing(source)
             look(own, other, level.volume, np.empty(len(level.volume)), PSEUDO_COUNT, HOLE, seen, density, highest)
-        return seen
+        return seen, highest
 
     def common_volume(self) -> float:
         """Volume where both sources look, (residual unit)^d: the cells that hold a covered record of either.

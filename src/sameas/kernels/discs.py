@@ -1,0 +1,142 @@
+"""Compiled discs (intervals, balls) over sorted points: which are empty, and what lies in those that are.
+
+Points are (n, 3), unused axes zero, wrapped into their period where an axis has one. They are sorted into the buckets of
+a grid: a cell's number modulo the size of the table, so that a grid needs no more room than its points, however wide it
+is. Buckets may hold points of several cells; every point is asked for its own.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sameas.kernels.compiled import kernel, part
+
+
+@part
+def cell_of(x, low, side, number, period):
+    """The cell along one axis; the last of a period takes what rounding puts beyond it."""
+    cell = int(math.floor((x - low) / side))
+    return min(cell, number - 1) if period < np.inf else cell
+
+
+@part
+def bucket_of(i, j, k, number, mask):
+    """Where the points of a cell are kept."""
+    return ((i * number[1] + j) * number[2] + k) & mask
+
+
+@part
+def reach_of(x, low, side, number, period, radius):
+    """(first, last) cell along one axis that a disc around ``x`` reaches; in a period they may lie outside it."""
+    if period < np.inf and 2.0 * radius + 2.0 * side >= period:
+        return 0, number - 1
+    return int(math.floor((x - radius - low) / side)), int(math.floor((x + radius - low) / side))
+
+
+@part
+def turned(cell, number, period):
+    """A cell brought into its period."""
+    return cell % number if period < np.inf else cell
+
+
+@part
+def apart_sq(points, p, centre, period):
+    """Squared distance of a point from a centre, the shorter way round."""
+    total = 0.0
+    for v in range(3):
+        away = points[p, v] - centre[v]
+        if period[v] < np.inf:
+            away -= period[v] * np.round(away / period[v])
+        total += away * away
+    return total
+
+
+@kernel
+def into_buckets(points, low, side, number, period, mask):
+    """(start, rows): the rows of the points of bucket b are ``rows[start[b]:start[b + 1]]``, rising."""
+    bucket = np.empty(len(points), np.int32)
+    start, rows = np.zeros(mask + 2, np.int32), np.empty(len(points), np.int32)
+    for p in range(len(points)):
+        i = cell_of(points[p, 0], low[0], side[0], number[0], period[0])
+        j = cell_of(points[p, 1], low[1], side[1], number[1], period[1])
+        k = cell_of(points[p, 2], low[2], side[2], number[2], period[2])
+        bucket[p] = bucket_of(i, j, k, number, mask)
+        start[bucket[p] + 1] += 1
+    for b in range(mask + 1):
+        start[b + 1] += start[b]
+    for p in range(len(points)):
+        rows[start[bucket[p]]] = p
+        start[bucket[p]] += 1
+    for b in range(mask + 1, 0, -1):
+        start[b] = start[b - 1]
+    start[0] = 0
+    return start, rows
+
+
+@part
+def is_empty(centre, radius, points, low, side, number, period, mask, start, rows):
+    """Whether no point lies closer to the centre than the radius."""
+    own = bucket_of(
+        cell_of(centre[0], low[0], side[0], number[0], period[0]),
+        cell_of(centre[1], low[1], side[1], number[1], period[1]),
+        cell_of(centre[2], low[2], side[2], number[2], period[2]), number, mask,
+    )  # fmt: skip
+    for at in range(start[own], start[own + 1]):  # most centres have company in their own cell
+        if apart_sq(points, rows[at], centre, period) < radius * radius:
+            return False
+    west, east = reach_of(centre[0], low[0], side[0], number[0], period[0], radius)
+    south, north = reach_of(centre[1], low[1], side[1], number[1], period[1], radius)
+    below, above = reach_of(centre[2], low[2], side[2], number[2], period[2], radius)
+    for i in range(west, east + 1):
+        for j in range(south, north + 1):
+            for k in range(below, above + 1):
+                at_i = turned(i, number[0], period[0])
+                at_j = turned(j, number[1], period[1])
+                b = bucket_of(at_i, at_j, turned(k, number[2], period[2]), number, mask)
+                for at in range(start[b], start[b + 1]):
+                    if apart_sq(points, rows[at], centre, period) < radius * radius:
+                        return False
+    return True
+
+
+@kernel
+def empty_discs(centres, radius, points, low, side, number, period, mask, start, rows, empty):
+    """Fill ``empty`` (n,): whether no point lies closer to centre k than ``radius[k]``."""
+    for c in range(len(centres)):
+        empty[c] = is_empty(centres[c], radius[c], points, low, side, number, period, mask, start, rows)
+
+
+@kernel
+def clear(centres, radius, inner, least, points, low, side, number, period, mask, start, rows, seen):
+    """Clear ``seen`` (n,) at the points closer than ``inner[c]`` to a centre that has ``least`` others within its
+    radius; it is one of the points itself."""
+    for c in range(len(centres)):
+        centre, count = centres[c], 0
+        west, east = reach_of(centre[0], low[0], side[0], number[0], period[0], radius[c])
+        south, north = reach_of(centre[1], low[1], side[1], number[1], period[1], radius[c])
+        below, above = reach_of(centre[2], low[2], side[2], number[2], period[2], radius[c])
+        for turn in range(2):
+            limit = radius[c] if turn == 0 else inner[c]
+            for i in range(west, east + 1):
+                for j in range(south, north + 1):
+                    for k in range(below, above + 1):
+                        at_i, at_j = turned(i, number[0], period[0]), turned(j, number[1], period[1])
+                        at_k = turned(k, number[2], period[2])
+                        b = bucket_of(at_i, at_j, at_k, number, mask)
+                        for at in range(start[b], start[b + 1]):
+                            p = rows[at]
+                            if (
+                                cell_of(points[p, 0], low[0], side[0], number[0], period[0]) != at_i
+                                or cell_of(points[p, 1], low[1], side[1], number[1], period[1]) != at_j
+                                or cell_of(points[p, 2], low[2], side[2], number[2], period[2]) != at_k
+                                or apart_sq(points, p, centre, period) >= limit * limit
+                            ):
+                                continue
+                            if turn == 0:
+                                count += 1
+                            else:
+                                seen[p] = False
+            if count - 1 < least:
+                break
