@@ -26,6 +26,12 @@ SMOOTH = 20.0
 SHARED_PSEUDO_COUNT = 200.0
 #: Expected records in an empty cell that make it a hole: e⁻⁷ is the chance of it by accident.
 HOLE = 7.0
+#: Holes are sought again with the densities outside those found, at most so many times in all.
+ROUNDS = 2
+#: Least part of the region that is believed to be common.
+LEAST_VOLUME = 1e-3
+
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -65,21 +71,36 @@ class Coverage:
         return one, two
 
     @cached_property
-    def covered(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    def covered(self) -> tuple[Mask, Mask]:
         """Whether source 2 looks where each record of source 1 lies, (n₁,), and the reverse, (n₂,)."""
         rough = threads.each([partial(self._seen, 1, 2), partial(self._seen, 2, 1)], len(self.first))
-        shown = [max(int(np.count_nonzero(seen)), 1) for seen, _ in rough]
         (seen_1, density_2), (seen_2, density_1) = rough
-        holes = threads.each(
+        for _ in range(ROUNDS):
+            before = int(np.count_nonzero(seen_1)), int(np.count_nonzero(seen_2))
+            seen_1, seen_2 = self._opened((seen_1, seen_2), (density_1, density_2))
+            if before == (int(np.count_nonzero(seen_1)), int(np.count_nonzero(seen_2))):
+                break
+        return seen_1, seen_2
+
+    def _opened(self, seen: tuple[Mask, Mask], highest: tuple[FloatArray, FloatArray]) -> tuple[Mask, Mask]:
+        """``seen`` without what empty discs say too.
+
+        highest : local densities of source 1 at the records of source 2, and of source 2 at those of source 1. At
+        least as much is to be expected as on average where both look.
+        """
+        number_1, number_2 = (max(int(np.count_nonzero(one)), 1) for one in seen)
+        volume = max(self._volume(*seen), LEAST_VOLUME * self.volume)
+        of_first, of_second = np.maximum(highest[0], number_1 / volume), np.maximum(highest[1], number_2 / volume)
+        one, two = threads.each(
             [
-                partial(within_holes, self.first, self.second, density_2, shown[1] / shown[0]),
-                partial(within_holes, self.second, self.first, density_1, shown[0] / shown[1]),
+                partial(within_holes, self.first, seen[0], self.second, of_second, number_2 / number_1),
+                partial(within_holes, self.second, seen[1], self.first, of_first, number_1 / number_2),
             ],
             len(self.first),
         )
-        return seen_1 & ~holes[0], seen_2 & ~holes[1]
+        return ~one, ~two
 
-    def _seen(self, query: int, source: int) -> tuple[NDArray[np.bool_], FloatArray]:
+    def _seen(self, query: int, source: int) -> tuple[Mask, FloatArray]:
         """Whether ``source`` looks at the records of ``query`` as far as cells tell, and how dense it is there if so."""
         from sameas.kernels.density import look
 
@@ -92,16 +113,19 @@ class Coverage:
         return seen, highest
 
     def common_volume(self) -> float:
-        """Volume where both sources look, (residual unit)^d: the cells that hold a covered record of either.
+        """Volume where both sources look, (residual unit)^d: of every cell the part that its covered records tell.
 
-        Taken of the finest cells that hold so many records that an empty one is hardly ever an accident.
+        Cells are the finest that hold so many records that an empty one is hardly ever an accident.
         """
+        return self._volume(*self.covered)
+
+    def _volume(self, seen_1: Mask, seen_2: Mask) -> float:
+        from sameas.kernels.density import shared_part
+
         richer = max(len(self.first), len(self.second))
         fine = next((level for level in self.levels[::-1] if richer >= HOLE * len(level.volume)), self.levels[0])
-        held = np.zeros(len(fine.volume), np.bool_)
-        held[fine.of_first[self.covered[0]]] = True
-        held[fine.of_second[self.covered[1]]] = True
-        return float(fine.volume[held].sum())
+        count = np.zeros((len(fine.volume), 4))
+        return float(shared_part(fine.of_first, seen_1, fine.of_second, seen_2, count) @ fine.volume)
 
 
 def local_share(

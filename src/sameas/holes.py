@@ -24,6 +24,8 @@ DISC = 12.0
 #: Records to be expected in it by those of the asking source that it holds, so that a place that is poor in objects is
 #: not taken for a hole.
 COMPANY = 7.0
+#: The same along the border of a hole that has been found.
+STEP = 5.0
 #: An empty disc reaches beyond the border it lies at, up to the first records, by about this part of their spacing.
 OVERREACH = 0.3
 #: Dimensions that discs are made for; in more of them neighbours are too many.
@@ -61,11 +63,11 @@ class Ground:
             points[:, v] = np.mod(points[:, v], period[v])
         return cls(points, period, records.d)
 
-    def near(self, other: Ground, distance: float) -> IntArray:
-        """Rows of the points no farther than ``distance`` from the box around another's, axis by axis."""
+    def near(self, other: Ground, distance: float) -> Mask:
+        """Which points are no farther than ``distance`` from the box around another's, axis by axis."""
         low, high = other.points.min(axis=0) - distance, other.points.max(axis=0) + distance
         outside = ((self.points < low) | (self.points > high)) & np.isinf(self.period)
-        return np.flatnonzero(~outside.any(axis=1))
+        return np.asarray(~outside.any(axis=1))
 
 
 @dataclass(frozen=True)
@@ -101,36 +103,48 @@ class _Grid:
         return self.points, self.low, self.side, self.number, self.period, self.mask, self.start, self.rows
 
 
-def volume_of_disc(d: int) -> float:
-    """Volume of the disc of radius 1 in d dimensions."""
-    return math.pi ** (0.5 * d) / math.gamma(0.5 * d + 1.0)
-
-
-def within_holes(asking: Records, source: Records, density: FloatArray, share: float) -> Mask:
+def within_holes(asking: Records, seen: Mask, source: Records, density: FloatArray, share: float) -> Mask:
     """Which of the ``asking`` records (n,) lie in holes of ``source``.
 
+    seen : (n,) whether they may be covered at all, as far as is known.
     density : (n,) of the records of ``source`` to be expected at them, per (unit of the residuals)^d.
     share : records of ``source`` per record of ``asking`` where both look.
 
-    The disc of a record has the volume in which :data:`DISC` records of ``source`` are to be expected.
+    The disc of a record has the volume in which :data:`DISC` records of ``source`` are to be expected. What is so found
+    is then carried on to the border by smaller discs around records that lie in it.
     """
-    found = np.zeros(len(asking), np.bool_)
-    if asking.d > MOST_DIMENSIONS or len(source) < COMPANY:
+    found = ~seen
+    if asking.d > MOST_DIMENSIONS or len(source) < COMPANY or not seen.any():
         return found
     here, there = Ground.of(asking), Ground.of(source)
     spacing = density ** (-1.0 / here.d)
-    radius = (DISC / volume_of_disc(here.d)) ** (1.0 / here.d) * spacing
-    rows = here.near(there, 2.0 * float(radius.max()))
+    reach = 2.0 * float(spacing[seen].max()) * _radius(DISC, here.d)
+    rows = np.flatnonzero(seen | here.near(there, reach))
+    beyond = OVERREACH * max(0.0, 1.0 - share) * spacing
+    found |= _opened(here, there, rows, spacing, DISC, beyond, max(2.0, COMPANY / share))
+    rows = rows[found[rows]]
+    return found | _opened(here, there, rows, spacing, STEP, beyond, 1.0)
+
+
+def _radius(expected: float, d: int) -> float:
+    """Of the disc that holds so many records on average, in units of their spacing, density^(−1/d)."""
+    return float((expected * math.gamma(0.5 * d + 1.0)) ** (1.0 / d) / math.sqrt(math.pi))
+
+
+def _opened(
+    here: Ground, there: Ground, rows: IntArray, spacing: FloatArray, expected: float, beyond: FloatArray, least: float
+) -> Mask:
+    """Which points lie inside empty discs around the points ``rows`` that hold at least so many of them."""
+    found = np.zeros(len(here.points), np.bool_)
+    radius = _radius(expected, here.d) * spacing
     while len(rows):
         # Discs up to twice as large share one grid.
         small = float(radius[rows].min())
         now = rows[radius[rows] < 2.0 * small]
         rows = rows[radius[rows] >= 2.0 * small]
-        middles = _middles(here.points[now], radius[now], there, small)
-        at = now[middles]
+        at = now[_middles(here.points[now], radius[now], there, small)]
         if len(at):
-            inner = radius[at] - OVERREACH * spacing[at]
-            found |= _inside(here, at, radius[at], inner, share)
+            found |= _inside(here, at, radius[at], radius[at] - beyond[at], least)
     return found
 
 
@@ -143,11 +157,11 @@ def _middles(centres: FloatArray, radius: FloatArray, there: Ground, small: floa
     return empty
 
 
-def _inside(here: Ground, at: IntArray, radius: FloatArray, inner: FloatArray, share: float) -> Mask:
+def _inside(here: Ground, at: IntArray, radius: FloatArray, inner: FloatArray, least: float) -> Mask:
     """Which points lie inside discs around points ``at`` that hold enough of them."""
     from sameas.kernels.discs import clear
 
-    small, least = float(radius.min()), COMPANY / share
+    small = float(radius.min())
     if least > MANY:
         chosen = _apart(here.points[at], APART * small)
         at, radius, inner = at[chosen], radius[chosen], inner[chosen]

@@ -110,8 +110,8 @@ def empty_discs(centres, radius, points, low, side, number, period, mask, start,
 
 @kernel
 def clear(centres, radius, inner, least, points, low, side, number, period, mask, start, rows, seen):
-    """Clear ``seen`` (n,) at the points closer than ``inner[c]`` to a centre that has ``least`` others within its
-    radius; it is one of the points itself."""
+    """Clear ``seen`` (n,) at the points closer than ``inner[c]`` to a centre that has ``least`` of them within its
+    radius."""
     for c in range(len(centres)):
         centre, count = centres[c], 0
         west, east = reach_of(centre[0], low[0], side[0], number[0], period[0], radius[c])
@@ -138,5 +138,5 @@ def clear(centres, radius, inner, least, points, low, side, number, period, mask
                                 count += 1
                             else:
                                 seen[p] = False
-            if count - 1 < least:
+            if count < least:
                 break
