@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +18,12 @@ from sameas.records import FloatArray, IntArray, Records
 from sameas.space import ARCSEC_PER_RADIAN, Sphere
 
 Mask = NDArray[np.bool_]
+Floats = TypeVar("Floats", float, FloatArray)
 
 #: Records to be expected in an empty disc by the density where its source looks. More than in a cell (``coverage.py``):
 #: cells are few and lie where they lie, a disc is tried around every record.
 DISC = 12.0
-#: Records to be expected in it by those of the asking source that it holds, so that a place that is poor in objects is
+#: Records to be expected in it by those of the asking source that it holds, its middle among them, so that a place that is poor in objects is
 #: not taken for a hole.
 COMPANY = 7.0
 #: The same along the border of a hole that has been found.
@@ -36,11 +38,11 @@ MANY = 64.0
 
 
 @dataclass(frozen=True)
-class Ground:
-    """The points of a source in up to three dimensions, in the unit of the residuals.
+class _Ground:
+    """The points of a source, in the unit of the residuals.
 
-    points : (n, 3), unused axes zero; of directions on the sphere the chords. period : (3,), infinite where there is
-    none. d : of the space, by which a disc's volume goes.
+    points : (n, axes); of directions on the sphere the chords. period : (axes,), infinite where there is none.
+    d : of the space, by which a disc's volume goes.
     """
 
     points: FloatArray
@@ -48,59 +50,80 @@ class Ground:
     d: int
 
     @classmethod
-    def of(cls, records: Records) -> Ground:
+    def of(cls, records: Records) -> _Ground:
         """That of the records of one source."""
-        period = np.full(3, np.inf)
         if isinstance(records.space, Sphere):
             lon, lat = np.radians(records.features.T)
             flat = np.cos(lat)
-            across = np.stack([flat * np.cos(lon), flat * np.sin(lon), np.sin(lat)], axis=1)
-            return cls(ARCSEC_PER_RADIAN * across, period, 2)
-        period[: records.d] = records.space.period_list(records.d)
-        points = np.zeros((len(records), 3))
-        points[:, : records.d] = records.features
-        for v in np.flatnonzero(np.isfinite(period)):
-            points[:, v] = np.mod(points[:, v], period[v])
+            chords = np.stack([flat * np.cos(lon), flat * np.sin(lon), np.sin(lat)], axis=1)
+            return cls(ARCSEC_PER_RADIAN * chords, np.full(3, np.inf), 2)
+        period = np.array(records.space.period_list(records.d))
+        wraps = np.isfinite(period)
+        if not wraps.any():
+            return cls(records.features, period, records.d)
+        points = records.features.copy()
+        points[:, wraps] = np.mod(points[:, wraps], period[wraps])
         return cls(points, period, records.d)
 
-    def near(self, other: Ground, distance: float) -> Mask:
+    def near(self, other: _Ground, distance: float) -> Mask:
         """Which points are no farther than ``distance`` from the box around another's, axis by axis."""
         low, high = other.points.min(axis=0) - distance, other.points.max(axis=0) + distance
         outside = ((self.points < low) | (self.points > high)) & np.isinf(self.period)
         return np.asarray(~outside.any(axis=1))
 
+    def at(self, rows: IntArray) -> FloatArray:
+        """(r, 3) points of some rows, unused axes zero."""
+        points = np.zeros((len(rows), 3))
+        points[:, : self.points.shape[1]] = self.points[rows]
+        return points
+
+    def lonely(self, wanted: Mask, density: FloatArray, within: tuple[float, float], volume: float, other: _Ground) -> IntArray:
+        """Rows of those ``wanted`` with a density within limits in whose discs no point of the other is at hand."""
+        from sameas.kernels.discs import lonely
+
+        rows = np.empty(len(self.points), np.int32)
+        cells = _Cells.over(other, (volume / within[1]) ** (1.0 / self.d) / math.sqrt(self.d), len(other.points))
+        found = lonely(
+            self.points, wanted, density, *within, volume, self.d, other.points, *cells.axes(self.points.shape[1]), rows
+        )
+        return rows[:found].astype(np.int64)
+
+    def beside(self, centres: FloatArray, radius: FloatArray, side: float) -> IntArray:
+        """Rows of all points inside discs around some centres, with others around them."""
+        from sameas.kernels.discs import beside
+
+        rows = np.empty(len(self.points), np.int32)
+        cells = _Cells.over(self, side, len(self.points))
+        found = beside(self.points, *cells.axes(3), centres, radius, rows)
+        return rows[:found].astype(np.int64)
+
 
 @dataclass(frozen=True)
-class _Grid:
-    """Points sorted into cells; see ``kernels/discs.py``."""
+class _Cells:
+    """Cells over points and the table their numbers are taken into; see ``kernels/discs.py``. All (3,)."""
 
-    points: FloatArray
     low: FloatArray
     side: FloatArray
     number: IntArray
     period: FloatArray
     mask: int
-    start: NDArray[np.int32]
-    rows: NDArray[np.int32]
 
     @classmethod
-    def of(cls, points: FloatArray, period: FloatArray, side: float) -> _Grid:
-        from sameas.kernels.discs import into_buckets
+    def over(cls, ground: _Ground, side: float, n: int) -> _Cells:
+        """Cells of about one side over a ground, in a table for n points."""
+        low, sides, number, period = np.zeros(3), np.full(3, side), np.ones(3, np.int64), np.full(3, np.inf)
+        for v, wraps in enumerate(ground.period):
+            if math.isfinite(wraps):
+                number[v], period[v] = max(1, int(wraps / side)), wraps
+                sides[v] = wraps / number[v]
+            else:
+                low[v] = float(ground.points[:, v].min())
+                number[v] = int((float(ground.points[:, v].max()) - low[v]) / side) | 1
+        return cls(low, sides, number, period, (1 << max(4, math.ceil(math.log2(2 * n)))) - 1)
 
-        low, high = points.min(axis=0), points.max(axis=0)
-        number = np.floor((high - low) / side).astype(np.int64) | 1
-        sides = np.full(3, side)
-        for v in np.flatnonzero(np.isfinite(period)):
-            number[v] = max(1, int(period[v] / side))
-            low[v], sides[v] = 0.0, period[v] / number[v]
-        mask = (1 << max(4, math.ceil(math.log2(2 * len(points))))) - 1
-        return cls(
-            points, low, sides, number, period, mask, *into_buckets(points, low, sides, number, period, mask)
-        )
-
-    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray, int, IntArray, IntArray]:
-        """What the kernels take."""
-        return self.points, self.low, self.side, self.number, self.period, self.mask, self.start, self.rows
+    def axes(self, k: int) -> tuple[FloatArray, FloatArray, IntArray, FloatArray, int]:
+        """What the kernels take, of the first k axes."""
+        return self.low[:k], self.side[:k], self.number[:k], self.period[:k], self.mask
 
 
 def within_holes(asking: Records, seen: Mask, source: Records, density: FloatArray, share: float) -> Mask:
@@ -116,59 +139,74 @@ def within_holes(asking: Records, seen: Mask, source: Records, density: FloatArr
     found = ~seen
     if asking.d > MOST_DIMENSIONS or len(source) < COMPANY or not seen.any():
         return found
-    here, there = Ground.of(asking), Ground.of(source)
-    spacing = density ** (-1.0 / here.d)
-    reach = 2.0 * float(spacing[seen].max()) * _radius(DISC, here.d)
-    rows = np.flatnonzero(seen | here.near(there, reach))
-    beyond = OVERREACH * max(0.0, 1.0 - share) * spacing
-    found |= _opened(here, there, rows, spacing, DISC, beyond, max(2.0, COMPANY / share))
-    rows = rows[found[rows]]
-    return found | _opened(here, there, rows, spacing, STEP, beyond, 1.0)
+    here, there = _Ground.of(asking), _Ground.of(source)
+    wanted, beyond = seen, OVERREACH * max(0.0, 1.0 - share)
+    if not seen.all():
+        widest = _radius(DISC, float(density[seen].min()), here.d)
+        wanted = seen | here.near(there, 2.0 * widest)
+    found |= _opened(here, there, wanted, density, DISC, beyond, max(2.0, COMPANY / share))
+    if not found.any():
+        return found
+    return found | _opened(here, there, wanted & found, density, STEP, beyond, 1.0)
 
 
-def _radius(expected: float, d: int) -> float:
-    """Of the disc that holds so many records on average, in units of their spacing, density^(−1/d)."""
-    return float((expected * math.gamma(0.5 * d + 1.0)) ** (1.0 / d) / math.sqrt(math.pi))
+def _volume_of_disc(d: int) -> float:
+    """Volume of the disc of radius 1 in d dimensions."""
+    return math.pi ** (0.5 * d) / math.gamma(0.5 * d + 1.0)
+
+
+def _radius(expected: float, density: Floats, d: int) -> Floats:
+    """Of the disc that holds so many records on average."""
+    return (expected / _volume_of_disc(d) / density) ** (1.0 / d)
 
 
 def _opened(
-    here: Ground, there: Ground, rows: IntArray, spacing: FloatArray, expected: float, beyond: FloatArray, least: float
+    here: _Ground, there: _Ground, wanted: Mask, density: FloatArray, expected: float, beyond: float, least: float
 ) -> Mask:
-    """Which points lie inside empty discs around the points ``rows`` that hold at least so many of them."""
+    """Which points lie inside empty discs around the points ``wanted`` that hold at least so many of them."""
     found = np.zeros(len(here.points), np.bool_)
-    radius = _radius(expected, here.d) * spacing
-    while len(rows):
-        # Discs up to twice as large share one grid.
-        small = float(radius[rows].min())
-        now = rows[radius[rows] < 2.0 * small]
-        rows = rows[radius[rows] >= 2.0 * small]
-        at = now[_middles(here.points[now], radius[now], there, small)]
-        if len(at):
-            found |= _inside(here, at, radius[at], radius[at] - beyond[at], least)
+    lowest, high = float(density.min()), float(density.max())
+    while high >= lowest:
+        low = high / 2.0**here.d  # discs up to twice as large share their cells
+        rows = here.lonely(wanted, density, (low, high), expected / _volume_of_disc(here.d), there)
+        if len(rows):
+            radius = _radius(expected, density[rows], here.d)
+            inside = _inside(here, there, rows, radius, beyond * density[rows] ** (-1.0 / here.d), least)
+            found[inside] = True
+        high = low
     return found
 
 
-def _middles(centres: FloatArray, radius: FloatArray, there: Ground, small: float) -> Mask:
-    """Which centres have a disc without points of the other source."""
-    from sameas.kernels.discs import empty_discs
+def _inside(
+    here: _Ground, there: _Ground, rows: IntArray, radius: FloatArray, beyond: FloatArray, least: float
+) -> IntArray:
+    """Rows of the points inside discs around those ``rows`` whose discs are empty, and hold enough points."""
+    from sameas.kernels.discs import clear, empty_discs
 
-    empty = np.empty(len(centres), np.bool_)
-    empty_discs(centres, radius, *_Grid.of(there.points, there.period, small / math.sqrt(there.d)).arrays(), empty)
-    return empty
+    side, centres, empty = float(radius.min()) / math.sqrt(here.d), here.at(rows), np.empty(len(rows), np.bool_)
+    empty_discs(centres, radius, *_sorted(there, there.beside(centres, radius, side), side), empty)
+    centres, radius, beyond = centres[empty], radius[empty], beyond[empty]
+    if len(centres) and least > MANY:
+        chosen = _apart(centres, APART * float(radius.min()))
+        centres, radius, beyond = centres[chosen], radius[chosen], beyond[chosen]
+    if not len(centres):
+        return np.empty(0, np.int64)
+    asked = here.beside(centres, radius, side)
+    seen = np.ones(len(asked), np.bool_)
+    clear(centres, radius, radius - beyond, least, *_sorted(here, asked, side), seen)
+    return asked[~seen]
 
 
-def _inside(here: Ground, at: IntArray, radius: FloatArray, inner: FloatArray, least: float) -> Mask:
-    """Which points lie inside discs around points ``at`` that hold enough of them."""
-    from sameas.kernels.discs import clear
+#: Points (n, 3), their cells, and the lists of each bucket.
+Sorted = tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray, int, NDArray[np.int32], NDArray[np.int32]]
 
-    small = float(radius.min())
-    if least > MANY:
-        chosen = _apart(here.points[at], APART * small)
-        at, radius, inner = at[chosen], radius[chosen], inner[chosen]
-    seen = np.ones(len(here.points), np.bool_)
-    grid = _Grid.of(here.points, here.period, small / math.sqrt(here.d))
-    clear(here.points[at], radius, inner, least, *grid.arrays(), seen)
-    return ~seen
+
+def _sorted(ground: _Ground, rows: IntArray, side: float) -> Sorted:
+    """Some points of a ground in lists of cells."""
+    from sameas.kernels.discs import into_buckets
+
+    points, cells = ground.at(rows), _Cells.over(ground, side, max(len(rows), 1)).axes(3)
+    return points, *cells, *into_buckets(points, *cells)
 
 
 def _apart(points: FloatArray, side: float) -> IntArray:

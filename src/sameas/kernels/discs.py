@@ -1,6 +1,7 @@
 """Compiled discs (intervals, balls) over sorted points: which are empty, and what lies in those that are.
 
-Points are (n, 3), unused axes zero, wrapped into their period where an axis has one. They are sorted into the buckets of
+Points are (n, axes), in lists of cells (n, 3) with unused axes zero, wrapped into their period where an axis has one.
+They are sorted into the buckets of
 a grid: a cell's number modulo the size of the table, so that a grid needs no more room than its points, however wide it
 is. Buckets may hold points of several cells; every point is asked for its own.
 """
@@ -45,12 +46,86 @@ def turned(cell, number, period):
 def apart_sq(points, p, centre, period):
     """Squared distance of a point from a centre, the shorter way round."""
     total = 0.0
-    for v in range(3):
+    for v in range(points.shape[1]):
         away = points[p, v] - centre[v]
         if period[v] < np.inf:
             away -= period[v] * np.round(away / period[v])
         total += away * away
     return total
+
+
+@part
+def bucket_at(point, low, side, number, period, mask):
+    """The bucket of a point of any dimension."""
+    cell = 0
+    for v in range(len(point)):
+        cell = cell * number[v] + cell_of(point[v], low[v], side[v], number[v], period[v])
+    return cell & mask
+
+
+@part
+def bucket_beside(point, direction, low, side, number, period, mask):
+    """The bucket beside that of a point in one of 3^axes directions, whose digits are −1, 0, 1 along each axis."""
+    cell = 0
+    for v in range(len(point)):
+        own = cell_of(point[v], low[v], side[v], number[v], period[v]) + direction % 3 - 1
+        cell, direction = cell * number[v] + turned(own, number[v], period[v]), direction // 3
+    return cell & mask
+
+
+@kernel
+def lonely(points, wanted, density, least, most, expected, d, source, low, side, number, period, mask, out):
+    """Write the rows of the points whose disc may be empty of ``source`` into ``out`` (n,); returns how many.
+
+    Of those ``wanted`` with least < density ≤ most; a disc has the volume in which so many are ``expected``. One point
+    of each cell of ``source`` is asked, in the point's own cell and in those around it: whoever stays is a suspect.
+    """
+    some, found = np.full(mask + 1, -1, np.int32), 0
+    for q in range(len(source)):
+        some[bucket_at(source[q], low, side, number, period, mask)] = q
+    for p in range(len(points)):
+        if not wanted[p] or density[p] <= least or density[p] > most:
+            continue
+        limit, alone = (expected / density[p]) ** (2.0 / d) if d != 2 else expected / density[p], True
+        q = some[bucket_at(points[p], low, side, number, period, mask)]
+        if q >= 0 and apart_sq(source, q, points[p], period) < limit:
+            continue
+        for direction in range(3 ** points.shape[1]):
+            q = some[bucket_beside(points[p], direction, low, side, number, period, mask)]
+            if q >= 0 and apart_sq(source, q, points[p], period) < limit:
+                alone = False
+                break
+        if alone:
+            out[found] = p
+            found += 1
+    return found
+
+
+@kernel
+def beside(points, low, side, number, period, mask, centres, radius, out):
+    """Write the rows of the points in buckets that discs around centres (c, 3) reach into ``out``; returns how many."""
+    marked, found = np.zeros(mask + 1, np.bool_), 0
+    for c in range(len(centres)):
+        west, east = reach_of(centres[c, 0], low[0], side[0], number[0], period[0], radius[c])
+        south, north = reach_of(centres[c, 1], low[1], side[1], number[1], period[1], radius[c])
+        below, above = reach_of(centres[c, 2], low[2], side[2], number[2], period[2], radius[c])
+        for i in range(west, east + 1):
+            for j in range(south, north + 1):
+                for k in range(below, above + 1):
+                    at_i = turned(i, number[0], period[0])
+                    at_j = turned(j, number[1], period[1])
+                    marked[bucket_of(at_i, at_j, turned(k, number[2], period[2]), number, mask)] = True
+    for p in range(len(points)):
+        cell = 0
+        for v in range(3):
+            along = 0  # an unused axis
+            if v < points.shape[1]:
+                along = cell_of(points[p, v], low[v], side[v], number[v], period[v])
+            cell = cell * number[v] + along
+        if marked[cell & mask]:
+            out[found] = p
+            found += 1
+    return found
 
 
 @kernel
