@@ -29,7 +29,7 @@ COMPANY = 7.0
 #: The same along the border of a hole that has been found.
 STEP = 5.0
 #: An empty disc reaches beyond the border it lies at, up to the first records, by about this part of their spacing.
-OVERREACH = 0.3
+OVERREACH = 0.6
 #: Dimensions that discs are made for; in more of them neighbours are too many.
 MOST_DIMENSIONS = 3
 #: Middles nearer to each other than this part of the radius are as good as one, where so many lie in a disc.
@@ -84,7 +84,7 @@ class _Ground:
         rows = np.empty(len(self.points), np.int32)
         cells = _Cells.over(other, (volume / within[1]) ** (1.0 / self.d) / math.sqrt(self.d), len(other.points))
         found = lonely(
-            self.points, wanted, density, *within, volume, self.d, other.points, *cells.axes(self.points.shape[1]), rows
+            self.points, wanted, density, *within, volume, self.d, other.points, *cells.arrays(), rows
         )
         return rows[:found].astype(np.int64)
 
@@ -94,7 +94,7 @@ class _Ground:
 
         rows = np.empty(len(self.points), np.int32)
         cells = _Cells.over(self, side, len(self.points))
-        found = beside(self.points, *cells.axes(3), centres, radius, rows)
+        found = beside(self.points, *cells.arrays(), centres, radius, rows)
         return rows[:found].astype(np.int64)
 
 
@@ -114,16 +114,16 @@ class _Cells:
         low, sides, number, period = np.zeros(3), np.full(3, side), np.ones(3, np.int64), np.full(3, np.inf)
         for v, wraps in enumerate(ground.period):
             if math.isfinite(wraps):
-                number[v], period[v] = max(1, int(wraps / side)), wraps
+                number[v], period[v] = math.ceil(wraps / side), wraps
                 sides[v] = wraps / number[v]
             else:
                 low[v] = float(ground.points[:, v].min())
-                number[v] = int((float(ground.points[:, v].max()) - low[v]) / side) | 1
+                number[v] = int((float(ground.points[:, v].max()) - low[v]) / side) + 1 | 1
         return cls(low, sides, number, period, (1 << max(4, math.ceil(math.log2(2 * n)))) - 1)
 
-    def axes(self, k: int) -> tuple[FloatArray, FloatArray, IntArray, FloatArray, int]:
-        """What the kernels take, of the first k axes."""
-        return self.low[:k], self.side[:k], self.number[:k], self.period[:k], self.mask
+    def arrays(self) -> tuple[FloatArray, FloatArray, IntArray, FloatArray, int]:
+        """What the kernels take."""
+        return self.low, self.side, self.number, self.period, self.mask
 
 
 def within_holes(asking: Records, seen: Mask, source: Records, density: FloatArray, share: float) -> Mask:
@@ -165,15 +165,16 @@ def _opened(
 ) -> Mask:
     """Which points lie inside empty discs around the points ``wanted`` that hold at least so many of them."""
     found = np.zeros(len(here.points), np.bool_)
-    lowest, high = float(density.min()), float(density.max())
-    while high >= lowest:
+    left = density[wanted]
+    while len(left):
+        high = float(left.max())
         low = high / 2.0**here.d  # discs up to twice as large share their cells
+        left = left[left <= low]
         rows = here.lonely(wanted, density, (low, high), expected / _volume_of_disc(here.d), there)
         if len(rows):
             radius = _radius(expected, density[rows], here.d)
             inside = _inside(here, there, rows, radius, beyond * density[rows] ** (-1.0 / here.d), least)
             found[inside] = True
-        high = low
     return found
 
 
@@ -205,7 +206,7 @@ def _sorted(ground: _Ground, rows: IntArray, side: float) -> Sorted:
     """Some points of a ground in lists of cells."""
     from sameas.kernels.discs import into_buckets
 
-    points, cells = ground.at(rows), _Cells.over(ground, side, max(len(rows), 1)).axes(3)
+    points, cells = ground.at(rows), _Cells.over(ground, side, max(len(rows), 1)).arrays()
     return points, *cells, *into_buckets(points, *cells)
 
 

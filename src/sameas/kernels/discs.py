@@ -43,11 +43,11 @@ def turned(cell, number, period):
 
 
 @part
-def apart_sq(points, p, centre, period):
+def apart_sq(points, p, centres, c, period):
     """Squared distance of a point from a centre, the shorter way round."""
     total = 0.0
     for v in range(points.shape[1]):
-        away = points[p, v] - centre[v]
+        away = points[p, v] - centres[c, v]
         if period[v] < np.inf:
             away -= period[v] * np.round(away / period[v])
         total += away * away
@@ -55,22 +55,34 @@ def apart_sq(points, p, centre, period):
 
 
 @part
-def bucket_at(point, low, side, number, period, mask):
-    """The bucket of a point of any dimension."""
-    cell = 0
-    for v in range(len(point)):
-        cell = cell * number[v] + cell_of(point[v], low[v], side[v], number[v], period[v])
-    return cell & mask
+def at(points, p, v):
+    """A coordinate of a point, zero along an axis that it has not."""
+    return points[p, v] if v < points.shape[1] else 0.0
 
 
 @part
-def bucket_beside(point, direction, low, side, number, period, mask):
-    """The bucket beside that of a point in one of 3^axes directions, whose digits are −1, 0, 1 along each axis."""
-    cell = 0
-    for v in range(len(point)):
-        own = cell_of(point[v], low[v], side[v], number[v], period[v]) + direction % 3 - 1
-        cell, direction = cell * number[v] + turned(own, number[v], period[v]), direction // 3
-    return cell & mask
+def cells_at(points, p, low, side, number, period):
+    """The cell of a point along three axes."""
+    return (
+        cell_of(at(points, p, 0), low[0], side[0], number[0], period[0]),
+        cell_of(at(points, p, 1), low[1], side[1], number[1], period[1]),
+        cell_of(at(points, p, 2), low[2], side[2], number[2], period[2]),
+    )
+
+
+@part
+def company_beside(points, p, limit, source, some, low, side, number, period, mask):
+    """Whether one of the points asked in the cells around that of a point is closer to it, squared, than a limit."""
+    i, j, k = cells_at(points, p, low, side, number, period)
+    wide, deep = min(points.shape[1] - 1, 1), max(points.shape[1] - 2, 0)
+    for at_i in range(i - 1, i + 2):
+        for at_j in range(j - wide, j + wide + 1):
+            for at_k in range(k - deep, k + deep + 1):
+                where = turned(at_i, number[0], period[0]), turned(at_j, number[1], period[1])
+                q = some[bucket_of(where[0], where[1], turned(at_k, number[2], period[2]), number, mask)]
+                if q >= 0 and apart_sq(source, q, points, p, period) < limit:
+                    return True
+    return False
 
 
 @kernel
@@ -81,23 +93,25 @@ def lonely(points, wanted, density, least, most, expected, d, source, low, side,
     of each cell of ``source`` is asked, in the point's own cell and in those around it: whoever stays is a suspect.
     """
     some, found = np.full(mask + 1, -1, np.int32), 0
+    # Where every cell has a bucket of its own, nobody in the same cell is farther away than its diagonal.
+    diagonal_sq = 0.0 if number[0] * number[1] * number[2] <= mask + 1 else np.inf
+    for v in range(source.shape[1]):
+        diagonal_sq += side[v] * side[v]
     for q in range(len(source)):
-        some[bucket_at(source[q], low, side, number, period, mask)] = q
+        i, j, k = cells_at(source, q, low, side, number, period)
+        some[bucket_of(i, j, k, number, mask)] = q
     for p in range(len(points)):
-        if not wanted[p] or density[p] <= least or density[p] > most:
-            continue
-        limit, alone = (expected / density[p]) ** (2.0 / d) if d != 2 else expected / density[p], True
-        q = some[bucket_at(points[p], low, side, number, period, mask)]
-        if q >= 0 and apart_sq(source, q, points[p], period) < limit:
-            continue
-        for direction in range(3 ** points.shape[1]):
-            q = some[bucket_beside(points[p], direction, low, side, number, period, mask)]
-            if q >= 0 and apart_sq(source, q, points[p], period) < limit:
-                alone = False
-                break
-        if alone:
-            out[found] = p
-            found += 1
+        if wanted[p] and least < density[p] <= most:
+            part = expected / density[p]
+            limit = part if d == 2 else part ** (2.0 / d)
+            i, j, k = cells_at(points, p, low, side, number, period)
+            inside = 0 <= i < number[0] and 0 <= j < number[1] and 0 <= k < number[2]
+            q = some[bucket_of(i, j, k, number, mask)]
+            if q >= 0 and inside and (diagonal_sq <= limit or apart_sq(source, q, points, p, period) < limit):
+                continue
+            if not company_beside(points, p, limit, source, some, low, side, number, period, mask):
+                out[found] = p
+                found += 1
     return found
 
 
@@ -116,13 +130,8 @@ def beside(points, low, side, number, period, mask, centres, radius, out):
                     at_j = turned(j, number[1], period[1])
                     marked[bucket_of(at_i, at_j, turned(k, number[2], period[2]), number, mask)] = True
     for p in range(len(points)):
-        cell = 0
-        for v in range(3):
-            along = 0  # an unused axis
-            if v < points.shape[1]:
-                along = cell_of(points[p, v], low[v], side[v], number[v], period[v])
-            cell = cell * number[v] + along
-        if marked[cell & mask]:
+        i, j, k = cells_at(points, p, low, side, number, period)
+        if marked[bucket_of(i, j, k, number, mask)]:
             out[found] = p
             found += 1
     return found
@@ -134,9 +143,7 @@ def into_buckets(points, low, side, number, period, mask):
     bucket = np.empty(len(points), np.int32)
     start, rows = np.zeros(mask + 2, np.int32), np.empty(len(points), np.int32)
     for p in range(len(points)):
-        i = cell_of(points[p, 0], low[0], side[0], number[0], period[0])
-        j = cell_of(points[p, 1], low[1], side[1], number[1], period[1])
-        k = cell_of(points[p, 2], low[2], side[2], number[2], period[2])
+        i, j, k = cells_at(points, p, low, side, number, period)
         bucket[p] = bucket_of(i, j, k, number, mask)
         start[bucket[p] + 1] += 1
     for b in range(mask + 1):
@@ -151,27 +158,27 @@ def into_buckets(points, low, side, number, period, mask):
 
 
 @part
-def is_empty(centre, radius, points, low, side, number, period, mask, start, rows):
+def is_empty(centres, c, radius, points, low, side, number, period, mask, start, rows):
     """Whether no point lies closer to the centre than the radius."""
     own = bucket_of(
-        cell_of(centre[0], low[0], side[0], number[0], period[0]),
-        cell_of(centre[1], low[1], side[1], number[1], period[1]),
-        cell_of(centre[2], low[2], side[2], number[2], period[2]), number, mask,
+        cell_of(centres[c, 0], low[0], side[0], number[0], period[0]),
+        cell_of(centres[c, 1], low[1], side[1], number[1], period[1]),
+        cell_of(centres[c, 2], low[2], side[2], number[2], period[2]), number, mask,
     )  # fmt: skip
-    for at in range(start[own], start[own + 1]):  # most centres have company in their own cell
-        if apart_sq(points, rows[at], centre, period) < radius * radius:
+    for place in range(start[own], start[own + 1]):  # most centres have company in their own cell
+        if apart_sq(points, rows[place], centres, c, period) < radius * radius:
             return False
-    west, east = reach_of(centre[0], low[0], side[0], number[0], period[0], radius)
-    south, north = reach_of(centre[1], low[1], side[1], number[1], period[1], radius)
-    below, above = reach_of(centre[2], low[2], side[2], number[2], period[2], radius)
+    west, east = reach_of(centres[c, 0], low[0], side[0], number[0], period[0], radius)
+    south, north = reach_of(centres[c, 1], low[1], side[1], number[1], period[1], radius)
+    below, above = reach_of(centres[c, 2], low[2], side[2], number[2], period[2], radius)
     for i in range(west, east + 1):
         for j in range(south, north + 1):
             for k in range(below, above + 1):
                 at_i = turned(i, number[0], period[0])
                 at_j = turned(j, number[1], period[1])
                 b = bucket_of(at_i, at_j, turned(k, number[2], period[2]), number, mask)
-                for at in range(start[b], start[b + 1]):
-                    if apart_sq(points, rows[at], centre, period) < radius * radius:
+                for place in range(start[b], start[b + 1]):
+                    if apart_sq(points, rows[place], centres, c, period) < radius * radius:
                         return False
     return True
 
@@ -180,7 +187,7 @@ def is_empty(centre, radius, points, low, side, number, period, mask, start, row
 def empty_discs(centres, radius, points, low, side, number, period, mask, start, rows, empty):
     """Fill ``empty`` (n,): whether no point lies closer to centre k than ``radius[k]``."""
     for c in range(len(centres)):
-        empty[c] = is_empty(centres[c], radius[c], points, low, side, number, period, mask, start, rows)
+        empty[c] = is_empty(centres, c, radius[c], points, low, side, number, period, mask, start, rows)
 
 
 @kernel
@@ -188,10 +195,10 @@ def clear(centres, radius, inner, least, points, low, side, number, period, mask
     """Clear ``seen`` (n,) at the points closer than ``inner[c]`` to a centre that has ``least`` of them within its
     radius."""
     for c in range(len(centres)):
-        centre, count = centres[c], 0
-        west, east = reach_of(centre[0], low[0], side[0], number[0], period[0], radius[c])
-        south, north = reach_of(centre[1], low[1], side[1], number[1], period[1], radius[c])
-        below, above = reach_of(centre[2], low[2], side[2], number[2], period[2], radius[c])
+        count = 0
+        west, east = reach_of(centres[c, 0], low[0], side[0], number[0], period[0], radius[c])
+        south, north = reach_of(centres[c, 1], low[1], side[1], number[1], period[1], radius[c])
+        below, above = reach_of(centres[c, 2], low[2], side[2], number[2], period[2], radius[c])
         for turn in range(2):
             limit = radius[c] if turn == 0 else inner[c]
             for i in range(west, east + 1):
@@ -200,13 +207,13 @@ def clear(centres, radius, inner, least, points, low, side, number, period, mask
                         at_i, at_j = turned(i, number[0], period[0]), turned(j, number[1], period[1])
                         at_k = turned(k, number[2], period[2])
                         b = bucket_of(at_i, at_j, at_k, number, mask)
-                        for at in range(start[b], start[b + 1]):
-                            p = rows[at]
+                        for place in range(start[b], start[b + 1]):
+                            p = rows[place]
                             if (
                                 cell_of(points[p, 0], low[0], side[0], number[0], period[0]) != at_i
                                 or cell_of(points[p, 1], low[1], side[1], number[1], period[1]) != at_j
                                 or cell_of(points[p, 2], low[2], side[2], number[2], period[2]) != at_k
-                                or apart_sq(points, p, centre, period) >= limit * limit
+                                or apart_sq(points, p, centres, c, period) >= limit * limit
                             ):
                                 continue
                             if turn == 0:
