@@ -26,8 +26,10 @@ SMOOTH = 20.0
 SHARED_PSEUDO_COUNT = 200.0
 #: Expected records in an empty cell that make it a hole: e⁻⁷ is the chance of it by accident.
 HOLE = 7.0
-#: Holes are sought again with the densities outside those found, at most so many times in all.
+#: Holes are sought again with the densities outside those found, at most so many times in all, and only where a source
+#: proves to be so much denser there.
 ROUNDS = 2
+DENSER = 1.05
 #: Least part of the region that is believed to be common.
 LEAST_VOLUME = 1e-3
 
@@ -74,27 +76,33 @@ class Coverage:
     def covered(self) -> tuple[Mask, Mask]:
         """Whether source 2 looks where each record of source 1 lies, (n₁,), and the reverse, (n₂,)."""
         rough = threads.each([partial(self._seen, 1, 2), partial(self._seen, 2, 1)], len(self.first))
-        (seen_1, density_2), (seen_2, density_1) = rough
+        (seen_1, highest_2), (seen_2, highest_1) = rough
+        seen, mean = (seen_1, seen_2), self._mean(seen_1, seen_2)
         for _ in range(ROUNDS):
-            before = int(np.count_nonzero(seen_1)), int(np.count_nonzero(seen_2))
-            seen_1, seen_2 = self._opened((seen_1, seen_2), (density_1, density_2))
-            if before == (int(np.count_nonzero(seen_1)), int(np.count_nonzero(seen_2))):
+            seen = self._opened(seen, (highest_1, highest_2), mean)
+            before, mean = mean, self._mean(*seen)
+            if max(mean[0] / before[0], mean[1] / before[1]) < DENSER:
                 break
-        return seen_1, seen_2
+        return seen
 
-    def _opened(self, seen: tuple[Mask, Mask], highest: tuple[FloatArray, FloatArray]) -> tuple[Mask, Mask]:
+    def _mean(self, seen_1: Mask, seen_2: Mask) -> tuple[float, float]:
+        """Mean densities of both sources where both look, if they look at these records."""
+        volume = max(self._volume(seen_1, seen_2), LEAST_VOLUME * self.volume)
+        return max(np.count_nonzero(seen_1), 1) / volume, max(np.count_nonzero(seen_2), 1) / volume
+
+    def _opened(
+        self, seen: tuple[Mask, Mask], highest: tuple[FloatArray, FloatArray], mean: tuple[float, float]
+    ) -> tuple[Mask, Mask]:
         """``seen`` without what empty discs say too.
 
-        highest : local densities of source 1 at the records of source 2, and of source 2 at those of source 1. At
-        least as much is to be expected as on average where both look.
+        highest : local densities of source 1 at the records of source 2, and of source 2 at those of source 1.
+        mean : of both sources; at least as much is to be expected.
         """
-        number_1, number_2 = (max(int(np.count_nonzero(one)), 1) for one in seen)
-        volume = max(self._volume(*seen), LEAST_VOLUME * self.volume)
-        of_first, of_second = np.maximum(highest[0], number_1 / volume), np.maximum(highest[1], number_2 / volume)
+        of_first, of_second = (np.maximum(local, least) for local, least in zip(highest, mean, strict=True))
         one, two = threads.each(
             [
-                partial(within_holes, self.first, seen[0], self.second, of_second, number_2 / number_1),
-                partial(within_holes, self.second, seen[1], self.first, of_first, number_1 / number_2),
+                partial(within_holes, self.first, seen[0], self.second, of_second, mean[1] / mean[0]),
+                partial(within_holes, self.second, seen[1], self.first, of_first, mean[0] / mean[1]),
             ],
             len(self.first),
         )
