@@ -2,8 +2,9 @@
 
 The space is cut into cells of equal size, coarse to fine. A local density is the count of a cell, drawn towards the
 density of the coarser cell by pseudo-counts, level after level: coarse where there is little to count, fine where there
-is much. A record is *not covered* by the other source where that source is empty although seven or more of its
-records were to be expected.
+is much. A record is *not covered* by the other source where that source is empty although many of its records were
+to be expected: seven or more in a cell, or twelve in a disc around a record (``holes.py``), by which borders are drawn
+as fine as records lie.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas import threads
-from sameas.holes import within_holes
+from sameas.holes import Ground, within_holes
 from sameas.levels import Level, levels_of
 from sameas.records import FloatArray, Records
 
@@ -85,10 +86,16 @@ class Coverage:
                 break
         return seen
 
+    @cached_property
+    def _grounds(self) -> tuple[Ground, Ground]:
+        one, two = threads.each([partial(Ground.of, self.first), partial(Ground.of, self.second)], len(self.first))
+        return one, two
+
     def _mean(self, seen_1: Mask, seen_2: Mask) -> tuple[float, float]:
         """Mean densities of both sources where both look, if they look at these records."""
         volume = max(self._volume(seen_1, seen_2), LEAST_VOLUME * self.volume)
-        return max(np.count_nonzero(seen_1), 1) / volume, max(np.count_nonzero(seen_2), 1) / volume
+        number_1, number_2 = (max(int(np.count_nonzero(seen)), 1) for seen in (seen_1, seen_2))
+        return number_1 / volume, number_2 / volume
 
     def _opened(
         self, seen: tuple[Mask, Mask], highest: tuple[FloatArray, FloatArray], mean: tuple[float, float]
@@ -98,18 +105,19 @@ class Coverage:
         highest : local densities of source 1 at the records of source 2, and of source 2 at those of source 1.
         mean : of both sources; at least as much is to be expected.
         """
+        first, second = self._grounds
         of_first, of_second = (np.maximum(local, least) for local, least in zip(highest, mean, strict=True))
         one, two = threads.each(
             [
-                partial(within_holes, self.first, seen[0], self.second, of_second, mean[1] / mean[0]),
-                partial(within_holes, self.second, seen[1], self.first, of_first, mean[0] / mean[1]),
+                partial(within_holes, first, seen[0], second, of_second, mean[1] / mean[0]),
+                partial(within_holes, second, seen[1], first, of_first, mean[0] / mean[1]),
             ],
             len(self.first),
         )
         return ~one, ~two
 
     def _seen(self, query: int, source: int) -> tuple[Mask, FloatArray]:
-        """Whether ``source`` looks at the records of ``query`` as far as cells tell, and how dense it is there if so."""
+        """Whether ``source`` looks at the records of ``query`` as far as cells tell, and how dense it is if it does."""
         from sameas.kernels.density import look
 
         n = len(self.first if query == 1 else self.second)

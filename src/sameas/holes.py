@@ -23,12 +23,14 @@ Floats = TypeVar("Floats", float, FloatArray)
 #: Records to be expected in an empty disc by the density where its source looks. More than in a cell (``coverage.py``):
 #: cells are few and lie where they lie, a disc is tried around every record.
 DISC = 12.0
-#: Records to be expected in it by those of the asking source that it holds, its middle among them, so that a place that is poor in objects is
-#: not taken for a hole.
+#: Records to be expected in it by those of the asking source that it holds, its middle among them, so that a place that
+#: is poor in objects is not taken for a hole.
 COMPANY = 7.0
 #: The same along the border of a hole that has been found.
 STEP = 5.0
 #: An empty disc reaches beyond the border it lies at, up to the first records, by about this part of their spacing.
+#: What is found lies that much deeper inside the disc, times 1 − share: discs are tried around records only, and the
+#: fewer these are the less often one is found that reaches so far.
 OVERREACH = 0.6
 #: Dimensions that discs are made for; in more of them neighbours are too many.
 MOST_DIMENSIONS = 3
@@ -38,8 +40,8 @@ MANY = 64.0
 
 
 @dataclass(frozen=True)
-class _Ground:
-    """The points of a source, in the unit of the residuals.
+class Ground:
+    """The points of a source among which empty discs are sought, in the unit of the residuals.
 
     points : (n, axes); of directions on the sphere the chords. period : (axes,), infinite where there is none.
     d : of the space, by which a disc's volume goes.
@@ -50,7 +52,7 @@ class _Ground:
     d: int
 
     @classmethod
-    def of(cls, records: Records) -> _Ground:
+    def of(cls, records: Records) -> Ground:
         """That of the records of one source."""
         if isinstance(records.space, Sphere):
             lon, lat = np.radians(records.features.T)
@@ -65,7 +67,7 @@ class _Ground:
         points[:, wraps] = np.mod(points[:, wraps], period[wraps])
         return cls(points, period, records.d)
 
-    def near(self, other: _Ground, distance: float) -> Mask:
+    def near(self, other: Ground, distance: float) -> Mask:
         """Which points are no farther than ``distance`` from the box around another's, axis by axis."""
         low, high = other.points.min(axis=0) - distance, other.points.max(axis=0) + distance
         outside = ((self.points < low) | (self.points > high)) & np.isinf(self.period)
@@ -77,15 +79,18 @@ class _Ground:
         points[:, : self.points.shape[1]] = self.points[rows]
         return points
 
-    def lonely(self, wanted: Mask, density: FloatArray, within: tuple[float, float], volume: float, other: _Ground) -> IntArray:
-        """Rows of those ``wanted`` with a density within limits in whose discs no point of the other is at hand."""
+    def lonely(
+        self, wanted: Mask, density: FloatArray, limits: tuple[float, float], volume: float, other: Ground
+    ) -> IntArray:
+        """Rows of those ``wanted`` with a density within limits in whose discs no point of the other is at hand.
+
+        volume : of the discs, times the density.
+        """
         from sameas.kernels.discs import lonely
 
         rows = np.empty(len(self.points), np.int32)
-        cells = _Cells.over(other, (volume / within[1]) ** (1.0 / self.d) / math.sqrt(self.d), len(other.points))
-        found = lonely(
-            self.points, wanted, density, *within, volume, self.d, other.points, *cells.arrays(), rows
-        )
+        cells = _Cells.over(other, (volume / limits[1]) ** (1.0 / self.d) / math.sqrt(self.d), len(other.points))
+        found = lonely(self.points, wanted, density, *limits, volume, self.d, other.points, *cells.arrays(), rows)
         return rows[:found].astype(np.int64)
 
     def beside(self, centres: FloatArray, radius: FloatArray, side: float) -> IntArray:
@@ -109,7 +114,7 @@ class _Cells:
     mask: int
 
     @classmethod
-    def over(cls, ground: _Ground, side: float, n: int) -> _Cells:
+    def over(cls, ground: Ground, side: float, n: int) -> _Cells:
         """Cells of about one side over a ground, in a table for n points."""
         low, sides, number, period = np.zeros(3), np.full(3, side), np.ones(3, np.int64), np.full(3, np.inf)
         for v, wraps in enumerate(ground.period):
@@ -126,28 +131,27 @@ class _Cells:
         return self.low, self.side, self.number, self.period, self.mask
 
 
-def within_holes(asking: Records, seen: Mask, source: Records, density: FloatArray, share: float) -> Mask:
-    """Which of the ``asking`` records (n,) lie in holes of ``source``.
+def within_holes(here: Ground, seen: Mask, there: Ground, density: FloatArray, share: float) -> Mask:
+    """Which records of one source, ``here`` (n,), lie in holes of the other, ``there``.
 
     seen : (n,) whether they may be covered at all, as far as is known.
-    density : (n,) of the records of ``source`` to be expected at them, per (unit of the residuals)^d.
-    share : records of ``source`` per record of ``asking`` where both look.
+    density : (n,) of the other's records to be expected at them, per (unit of the residuals)^d.
+    share : records of the other per record of this one where both look.
 
-    The disc of a record has the volume in which :data:`DISC` records of ``source`` are to be expected. What is so found
-    is then carried on to the border by smaller discs around records that lie in it.
+    The disc of a record has the volume in which :data:`DISC` records of the other source are to be expected.
+    What is so found is then carried on to the border by smaller discs around records that lie in it.
     """
     found = ~seen
-    if asking.d > MOST_DIMENSIONS or len(source) < COMPANY or not seen.any():
+    if here.d > MOST_DIMENSIONS or len(there.points) < COMPANY or not seen.any():
         return found
-    here, there = _Ground.of(asking), _Ground.of(source)
     wanted, beyond = seen, OVERREACH * max(0.0, 1.0 - share)
     if not seen.all():
         widest = _radius(DISC, float(density[seen].min()), here.d)
         wanted = seen | here.near(there, 2.0 * widest)
-    found |= _opened(here, there, wanted, density, DISC, beyond, max(2.0, COMPANY / share))
+    found |= opened(here, there, wanted, density, DISC, beyond, max(2.0, COMPANY / share))
     if not found.any():
         return found
-    return found | _opened(here, there, wanted & found, density, STEP, beyond, 1.0)
+    return found | opened(here, there, wanted & found, density, STEP, beyond, 1.0)
 
 
 def _volume_of_disc(d: int) -> float:
@@ -160,8 +164,8 @@ def _radius(expected: float, density: Floats, d: int) -> Floats:
     return (expected / _volume_of_disc(d) / density) ** (1.0 / d)
 
 
-def _opened(
-    here: _Ground, there: _Ground, wanted: Mask, density: FloatArray, expected: float, beyond: float, least: float
+def opened(
+    here: Ground, there: Ground, wanted: Mask, density: FloatArray, expected: float, beyond: float, least: float
 ) -> Mask:
     """Which points lie inside empty discs around the points ``wanted`` that hold at least so many of them."""
     found = np.zeros(len(here.points), np.bool_)
@@ -179,7 +183,7 @@ def _opened(
 
 
 def _inside(
-    here: _Ground, there: _Ground, rows: IntArray, radius: FloatArray, beyond: FloatArray, least: float
+    here: Ground, there: Ground, rows: IntArray, radius: FloatArray, beyond: FloatArray, least: float
 ) -> IntArray:
     """Rows of the points inside discs around those ``rows`` whose discs are empty, and hold enough points."""
     from sameas.kernels.discs import clear, empty_discs
@@ -202,7 +206,7 @@ def _inside(
 Sorted = tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray, int, NDArray[np.int32], NDArray[np.int32]]
 
 
-def _sorted(ground: _Ground, rows: IntArray, side: float) -> Sorted:
+def _sorted(ground: Ground, rows: IntArray, side: float) -> Sorted:
     """Some points of a ground in lists of cells."""
     from sameas.kernels.discs import into_buckets
 

@@ -18,7 +18,7 @@ from sameas.kernels.compiled import kernel, part
 @part
 def cell_of(x, low, side, number, period):
     """The cell along one axis; the last of a period takes what rounding puts beyond it."""
-    cell = int(math.floor((x - low) / side))
+    cell = math.floor((x - low) / side)
     return min(cell, number - 1) if period < np.inf else cell
 
 
@@ -33,7 +33,7 @@ def reach_of(x, low, side, number, period, radius):
     """(first, last) cell along one axis that a disc around ``x`` reaches; in a period they may lie outside it."""
     if period < np.inf and 2.0 * radius + 2.0 * side >= period:
         return 0, number - 1
-    return int(math.floor((x - radius - low) / side)), int(math.floor((x + radius - low) / side))
+    return math.floor((x - radius - low) / side), math.floor((x + radius - low) / side)
 
 
 @part
