@@ -148,10 +148,10 @@ def within_holes(here: Ground, seen: Mask, there: Ground, density: FloatArray, s
     if not seen.all():
         widest = _radius(DISC, float(density[seen].min()), here.d)
         wanted = seen | here.near(there, 2.0 * widest)
-    found |= opened(here, there, wanted, density, DISC, beyond, max(2.0, COMPANY / share))
-    if not found.any():
-        return found
-    return found | opened(here, there, wanted & found, density, STEP, beyond, 1.0)
+    discs = opened(here, there, wanted, density, DISC, beyond, max(2.0, COMPANY / share))
+    if discs.any():
+        discs |= opened(here, there, wanted & discs, density, STEP, beyond, 1.0)
+    return found | discs
 
 
 def _volume_of_disc(d: int) -> float:
