@@ -116,7 +116,8 @@ class _Cells:
     @classmethod
     def over(cls, ground: Ground, side: float, n: int) -> _Cells:
         """Cells of about one side over a ground, in a table for n points."""
-        low, sides, number, period = np.zeros(3), np.full(3, side), np.ones(3, np.int64), np.full(3, np.inf)
+        low, number, period = np.zeros(3), np.ones(3, np.int64), np.full(3, np.inf)
+        sides = np.where(np.arange(3) < len(ground.period), side, np.inf)  # an unused axis is one cell
         for v, wraps in enumerate(ground.period):
             if math.isfinite(wraps):
                 number[v], period[v] = math.ceil(wraps / side), wraps

@@ -190,35 +190,59 @@ def empty_discs(centres, radius, points, low, side, number, period, mask, start,
         empty[c] = is_empty(centres, c, radius[c], points, low, side, number, period, mask, start, rows)
 
 
+@part
+def is_within(p, i, j, k, limit, points, centres, c, low, side, number, period):
+    """Whether a point lies in a cell, and closer to a centre than the limit."""
+    if apart_sq(points, p, centres, c, period) >= limit * limit:
+        return False
+    own_i, own_j, own_k = cells_at(points, p, low, side, number, period)
+    return own_i == i and own_j == j and own_k == k
+
+
+@part
+def holds(centres, c, radius, least, points, low, side, number, period, mask, start, rows):
+    """Whether at least so many points are closer to a centre, itself a point, than the radius."""
+    if least <= 1.0:
+        return True
+    count = 0
+    west, east = reach_of(centres[c, 0], low[0], side[0], number[0], period[0], radius)
+    south, north = reach_of(centres[c, 1], low[1], side[1], number[1], period[1], radius)
+    below, above = reach_of(centres[c, 2], low[2], side[2], number[2], period[2], radius)
+    for i in range(west, east + 1):
+        for j in range(south, north + 1):
+            for k in range(below, above + 1):
+                at_i, at_j = turned(i, number[0], period[0]), turned(j, number[1], period[1])
+                at_k = turned(k, number[2], period[2])
+                b = bucket_of(at_i, at_j, at_k, number, mask)
+                for place in range(start[b], start[b + 1]):
+                    p = rows[place]
+                    if is_within(p, at_i, at_j, at_k, radius, points, centres, c, low, side, number, period):
+                        count += 1
+                        if count >= least:
+                            return True
+    return False
+
+
 @kernel
 def clear(centres, radius, inner, least, points, low, side, number, period, mask, start, rows, seen):
     """Clear ``seen`` (n,) at the points closer than ``inner[c]`` to a centre that has ``least`` of them within its
     radius."""
+    left = start[1:] - start[:-1]  # points of each bucket that are still seen
     for c in range(len(centres)):
-        count = 0
-        west, east = reach_of(centres[c, 0], low[0], side[0], number[0], period[0], radius[c])
-        south, north = reach_of(centres[c, 1], low[1], side[1], number[1], period[1], radius[c])
-        below, above = reach_of(centres[c, 2], low[2], side[2], number[2], period[2], radius[c])
-        for turn in range(2):
-            limit = radius[c] if turn == 0 else inner[c]
-            for i in range(west, east + 1):
-                for j in range(south, north + 1):
-                    for k in range(below, above + 1):
-                        at_i, at_j = turned(i, number[0], period[0]), turned(j, number[1], period[1])
-                        at_k = turned(k, number[2], period[2])
-                        b = bucket_of(at_i, at_j, at_k, number, mask)
-                        for place in range(start[b], start[b + 1]):
-                            p = rows[place]
-                            if (
-                                cell_of(points[p, 0], low[0], side[0], number[0], period[0]) != at_i
-                                or cell_of(points[p, 1], low[1], side[1], number[1], period[1]) != at_j
-                                or cell_of(points[p, 2], low[2], side[2], number[2], period[2]) != at_k
-                                or apart_sq(points, p, centres, c, period) >= limit * limit
-                            ):
-                                continue
-                            if turn == 0:
-                                count += 1
-                            else:
-                                seen[p] = False
-            if count < least:
-                break
+        if not holds(centres, c, radius[c], least, points, low, side, number, period, mask, start, rows):
+            continue
+        west, east = reach_of(centres[c, 0], low[0], side[0], number[0], period[0], inner[c])
+        south, north = reach_of(centres[c, 1], low[1], side[1], number[1], period[1], inner[c])
+        below, above = reach_of(centres[c, 2], low[2], side[2], number[2], period[2], inner[c])
+        for i in range(west, east + 1):
+            for j in range(south, north + 1):
+                for k in range(below, above + 1):
+                    at_i, at_j = turned(i, number[0], period[0]), turned(j, number[1], period[1])
+                    b = bucket_of(at_i, at_j, turned(k, number[2], period[2]), number, mask)
+                    if not left[b]:
+                        continue
+                    for place in range(start[b], start[b + 1]):
+                        p = rows[place]
+                        if seen[p] and apart_sq(points, p, centres, c, period) < inner[c] * inner[c]:
+                            seen[p] = False
+                            left[b] -= 1
