@@ -27,6 +27,8 @@ SMOOTH = 20.0
 SHARED_PSEUDO_COUNT = 200.0
 #: Expected records in an empty cell that make it a hole: e⁻⁷ is the chance of it by accident.
 HOLE = 7.0
+#: As many at least by the records of the other source in it.
+COMPANY = 3.5
 #: Holes are sought again with the densities outside those found, at most so many times in all, and only where a source
 #: proves to be so much denser there.
 ROUNDS = 2
@@ -76,7 +78,11 @@ class Coverage:
     @cached_property
     def covered(self) -> tuple[Mask, Mask]:
         """Whether source 2 looks where each record of source 1 lies, (n₁,), and the reverse, (n₂,)."""
-        rough = threads.each([partial(self._seen, 1, 2), partial(self._seen, 2, 1)], len(self.first))
+        rough = self._by_cells((0.0, 0.0))
+        shown = [max(int(np.count_nonzero(seen)), 1) for seen, _ in rough]
+        if shown != [len(self.first), len(self.second)]:
+            # By the other records of its own source too, so that a place poor in objects is not taken for a hole.
+            rough = self._by_cells((COMPANY * shown[0] / shown[1], COMPANY * shown[1] / shown[0]))
         (seen_1, highest_2), (seen_2, highest_1) = rough
         seen, mean = (seen_1, seen_2), self._mean(seen_1, seen_2)
         for _ in range(ROUNDS):
@@ -116,8 +122,14 @@ class Coverage:
         )
         return ~one, ~two
 
-    def _seen(self, query: int, source: int) -> tuple[Mask, FloatArray]:
-        """Whether ``source`` looks at the records of ``query`` as far as cells tell, and how dense it is if it does."""
+    def _by_cells(self, least: tuple[float, float]) -> list[tuple[Mask, FloatArray]]:
+        return threads.each([partial(self._seen, 1, 2, least[0]), partial(self._seen, 2, 1, least[1])], len(self.first))
+
+    def _seen(self, query: int, source: int, least: float) -> tuple[Mask, FloatArray]:
+        """Whether ``source`` looks at the records of ``query`` as far as cells tell, and how dense it is if it does.
+
+        least : of the records of ``query`` in an empty cell that is a hole.
+        """
         from sameas.kernels.density import look
 
         n = len(self.first if query == 1 else self.second)
@@ -125,7 +137,8 @@ class Coverage:
         seen, highest = np.ones(n, np.bool_), np.zeros(n)
         for level in self.levels:
             own, other = level.facing(source)
-            look(own, other, level.volume, np.empty(len(level.volume)), PSEUDO_COUNT, HOLE, seen, density, highest)
+            room = np.empty(len(level.volume)), np.empty(len(level.volume))
+            look(own, other, level.volume, *room, least, PSEUDO_COUNT, HOLE, seen, density, highest)
         return seen, highest
 
     def common_volume(self) -> float:

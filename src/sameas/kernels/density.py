@@ -8,20 +8,25 @@ from sameas.kernels.compiled import kernel
 
 
 @kernel
-def look(of_source, cell, volume, count, pseudo_count, hole, seen, density, highest):
-    """Clear ``seen`` (n,) where a record's cell is empty although more than ``hole`` were to be expected; refine the
-    ``density`` (n,) by its count, in place.
+def look(of_source, cell, volume, count, company, least, pseudo_count, hole, seen, density, highest):
+    """Clear ``seen`` (n,) where a record's cell is empty although more than ``hole`` were to be expected, and ``least``
+    of those that are asked for lie in it; refine the ``density`` (n,) by its count, in place.
 
     of_source : (n',) cells of the records that are counted. cell : (n,) of those that are asked for. volume : of the
-    cells. count : room for their counts. highest : (n,) of the densities so far, which is what is expected at least
-    half of: just outside a border coarse cells are empty for the most part, and their own density says too little.
+    cells. count, company : room for the counts of either. highest : (n,) of the densities so far, which is what is
+    expected at least half of: just outside a border coarse cells are empty for the most part, and their own density
+    says too little.
     """
     count[:] = 0.0
     for c in of_source:
         count[c] += 1.0
+    company[:] = 0.0
+    if least > 0.0:
+        for c in cell:
+            company[c] += 1.0
     for k in range(len(cell)):
         c = cell[k]
-        if count[c] == 0.0 and max(density[k], 0.5 * highest[k]) * volume[c] >= hole:
+        if count[c] == 0.0 and company[c] >= least and max(density[k], 0.5 * highest[k]) * volume[c] >= hole:
             seen[k] = False
         highest[k] = max(highest[k], density[k])
         density[k] = (count[c] + pseudo_count) / (volume[c] + pseudo_count / density[k])
