@@ -27,8 +27,8 @@ SMOOTH = 20.0
 SHARED_PSEUDO_COUNT = 200.0
 #: Expected records in an empty cell that make it a hole: e⁻⁷ is the chance of it by accident.
 HOLE = 7.0
-#: As many at least by the records of the other source in it.
-COMPANY = 3.5
+#: Records to be expected in it at least by those of the asking source that it holds (see ``holes.COMPANY``).
+IN_CELL = 3.5
 #: Holes are sought again with the densities outside those found, at most so many times in all, and only where a source
 #: proves to be so much denser there.
 ROUNDS = 2
@@ -82,7 +82,7 @@ class Coverage:
         shown = [max(int(np.count_nonzero(seen)), 1) for seen, _ in rough]
         if shown != [len(self.first), len(self.second)]:
             # By the other records of its own source too, so that a place poor in objects is not taken for a hole.
-            rough = self._by_cells((COMPANY * shown[0] / shown[1], COMPANY * shown[1] / shown[0]))
+            rough = self._by_cells((IN_CELL * shown[0] / shown[1], IN_CELL * shown[1] / shown[0]))
         (seen_1, highest_2), (seen_2, highest_1) = rough
         seen, mean = (seen_1, seen_2), self._mean(seen_1, seen_2)
         for _ in range(ROUNDS):

@@ -26,7 +26,7 @@ DISC = 12.0
 #: Records to be expected in it by those of the asking source that it holds, its middle among them, so that a place that
 #: is poor in objects is not taken for a hole.
 COMPANY = 7.0
-#: The same along the border of a hole that has been found.
+#: Records to be expected in an empty disc that carries a hole on to its border.
 STEP = 5.0
 #: An empty disc reaches beyond the border it lies at, up to the first records, by about this part of their spacing.
 #: What is found lies that much deeper inside the disc, times 1 − share: discs are tried around records only, and the
@@ -37,6 +37,8 @@ MOST_DIMENSIONS = 3
 #: Middles nearer to each other than this part of the radius are as good as one, where so many lie in a disc.
 APART = 0.125
 MANY = 64.0
+#: Cells along an axis that numbers are kept for; farther ones share them.
+MOST_CELLS = 2.0**40
 
 
 @dataclass(frozen=True)
@@ -124,7 +126,7 @@ class _Cells:
                 sides[v] = wraps / number[v]
             else:
                 low[v] = float(ground.points[:, v].min())
-                number[v] = int((float(ground.points[:, v].max()) - low[v]) / side) + 1 | 1
+                number[v] = int(min((float(ground.points[:, v].max()) - low[v]) / side, MOST_CELLS)) + 1 | 1
         return cls(low, sides, number, period, (1 << max(4, math.ceil(math.log2(2 * n)))) - 1)
 
     def arrays(self) -> tuple[FloatArray, FloatArray, IntArray, FloatArray, int]:

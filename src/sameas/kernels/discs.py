@@ -94,7 +94,7 @@ def lonely(points, wanted, density, least, most, expected, d, source, low, side,
     """
     some, found = np.full(mask + 1, -1, np.int32), 0
     # Where every cell has a bucket of its own, nobody in the same cell is farther away than its diagonal.
-    diagonal_sq = 0.0 if number[0] * number[1] * number[2] <= mask + 1 else np.inf
+    diagonal_sq = 0.0 if float(number[0]) * number[1] * number[2] <= mask + 1 else np.inf
     for v in range(source.shape[1]):
         diagonal_sq += side[v] * side[v]
     for q in range(len(source)):
