@@ -563,3 +563,20 @@ def tally(one: np.ndarray, two: np.ndarray, periods: np.ndarray, low: np.ndarray
             if (at > 0).all() and (at < cells - 1).all():
                 votes[tuple(at)] += 1
     return votes
+
+
+# ---- METHOD 6: holes of a source ----
+
+
+def inside_empty_discs(
+    here: np.ndarray, there: np.ndarray, wanted: np.ndarray, radius: np.ndarray, inner: np.ndarray, least: float,
+    periods: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """Which points ``here`` are closer than ``inner`` to one of those wanted whose disc is empty and holds enough."""
+    found = np.zeros(len(here), bool)
+    for c in np.flatnonzero(wanted):
+        away = np.array([np.linalg.norm(folded(point - here[c], periods)) for point in there])
+        own = np.array([np.linalg.norm(folded(point - here[c], periods)) for point in here])
+        if (away >= radius[c]).all() and (own < radius[c]).sum() >= least:
+            found |= own < inner[c]
+    return found

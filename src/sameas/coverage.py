@@ -2,8 +2,9 @@
 
 The space is cut into cells of equal size, coarse to fine. A local density is the count of a cell, drawn towards the
 density of the coarser cell by pseudo-counts, level after level: coarse where there is little to count, fine where there
-is much. A record is *not covered* by the other source where that source is empty although seven or more of its
-records were to be expected.
+is much. A record is *not covered* by the other source where that source is empty although many of its records were
+to be expected: seven or more in a cell, or twelve in a disc around a record (``holes.py``), by which borders are drawn
+as fine as records lie.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas import threads
+from sameas.holes import Ground, within_holes
 from sameas.levels import Level, levels_of
 from sameas.records import FloatArray, Records
 
@@ -25,6 +27,16 @@ SMOOTH = 20.0
 SHARED_PSEUDO_COUNT = 200.0
 #: Expected records in an empty cell that make it a hole: e⁻⁷ is the chance of it by accident.
 HOLE = 7.0
+#: Records to be expected in it at least by those of the asking source that it holds (see ``holes.COMPANY``).
+IN_CELL = 3.5
+#: Holes are sought again with the densities outside those found, at most so many times in all, and only where a source
+#: proves to be so much denser there.
+ROUNDS = 2
+DENSER = 1.05
+#: Least part of the region that is believed to be common.
+LEAST_VOLUME = 1e-3
+
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -64,12 +76,60 @@ class Coverage:
         return one, two
 
     @cached_property
-    def covered(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    def covered(self) -> tuple[Mask, Mask]:
         """Whether source 2 looks where each record of source 1 lies, (n₁,), and the reverse, (n₂,)."""
-        one, two = threads.each([partial(self._seen, 1, 2), partial(self._seen, 2, 1)], len(self.first))
+        rough = self._by_cells((0.0, 0.0))
+        shown = [max(int(np.count_nonzero(seen)), 1) for seen, _ in rough]
+        if shown != [len(self.first), len(self.second)]:
+            # By the other records of its own source too, so that a place poor in objects is not taken for a hole.
+            rough = self._by_cells((IN_CELL * shown[0] / shown[1], IN_CELL * shown[1] / shown[0]))
+        (seen_1, highest_2), (seen_2, highest_1) = rough
+        seen, mean = (seen_1, seen_2), self._mean(seen_1, seen_2)
+        for _ in range(ROUNDS):
+            seen = self._opened(seen, (highest_1, highest_2), mean)
+            before, mean = mean, self._mean(*seen)
+            if max(mean[0] / before[0], mean[1] / before[1]) < DENSER:
+                break
+        return seen
+
+    @cached_property
+    def _grounds(self) -> tuple[Ground, Ground]:
+        one, two = threads.each([partial(Ground.of, self.first), partial(Ground.of, self.second)], len(self.first))
         return one, two
 
-    def _seen(self, query: int, source: int) -> NDArray[np.bool_]:
+    def _mean(self, seen_1: Mask, seen_2: Mask) -> tuple[float, float]:
+        """Mean densities of both sources where both look, if they look at these records."""
+        volume = max(self._volume(seen_1, seen_2), LEAST_VOLUME * self.volume)
+        number_1, number_2 = (max(int(np.count_nonzero(seen)), 1) for seen in (seen_1, seen_2))
+        return number_1 / volume, number_2 / volume
+
+    def _opened(
+        self, seen: tuple[Mask, Mask], highest: tuple[FloatArray, FloatArray], mean: tuple[float, float]
+    ) -> tuple[Mask, Mask]:
+        """``seen`` without what empty discs say too.
+
+        highest : local densities of source 1 at the records of source 2, and of source 2 at those of source 1.
+        mean : of both sources; at least as much is to be expected.
+        """
+        first, second = self._grounds
+        of_first, of_second = (np.maximum(local, least) for local, least in zip(highest, mean, strict=True))
+        one, two = threads.each(
+            [
+                partial(within_holes, first, seen[0], second, of_second, mean[1] / mean[0]),
+                partial(within_holes, second, seen[1], first, of_first, mean[0] / mean[1]),
+            ],
+            len(self.first),
+        )
+        return ~one, ~two
+
+    def _by_cells(self, least: tuple[float, float]) -> list[tuple[Mask, FloatArray]]:
+        return threads.each([partial(self._seen, 1, 2, least[0]), partial(self._seen, 2, 1, least[1])], len(self.first))
+
+    def _seen(self, query: int, source: int, least: float) -> tuple[Mask, FloatArray]:
+        """Whether ``source`` looks at the records of ``query`` as far as cells tell, and how dense it is if it does.
+
+        least : of the records of ``query`` in an empty cell that is a hole.
+        """
         from sameas.kernels.density import look
 
         n = len(self.first if query == 1 else self.second)
@@ -77,20 +137,24 @@ class Coverage:
         seen, highest = np.ones(n, np.bool_), np.zeros(n)
         for level in self.levels:
             own, other = level.facing(source)
-            look(own, other, level.volume, np.empty(len(level.volume)), PSEUDO_COUNT, HOLE, seen, density, highest)
-        return seen
+            room = np.empty(len(level.volume)), np.empty(len(level.volume))
+            look(own, other, level.volume, *room, least, PSEUDO_COUNT, HOLE, seen, density, highest)
+        return seen, highest
 
     def common_volume(self) -> float:
-        """Volume where both sources look, (residual unit)^d: the cells that hold a covered record of either.
+        """Volume where both sources look, (residual unit)^d: of every cell the part that its covered records tell.
 
-        Taken of the finest cells that hold so many records that an empty one is hardly ever an accident.
+        Cells are the finest that hold so many records that an empty one is hardly ever an accident.
         """
+        return self._volume(*self.covered)
+
+    def _volume(self, seen_1: Mask, seen_2: Mask) -> float:
+        from sameas.kernels.density import shared_part
+
         richer = max(len(self.first), len(self.second))
         fine = next((level for level in self.levels[::-1] if richer >= HOLE * len(level.volume)), self.levels[0])
-        held = np.zeros(len(fine.volume), np.bool_)
-        held[fine.of_first[self.covered[0]]] = True
-        held[fine.of_second[self.covered[1]]] = True
-        return float(fine.volume[held].sum())
+        count = np.zeros((len(fine.volume), 4))
+        return float(shared_part(fine.of_first, seen_1, fine.of_second, seen_2, count) @ fine.volume)
 
 
 def local_share(

@@ -2,27 +2,56 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from sameas.kernels.compiled import kernel
 
 
 @kernel
-def look(of_source, cell, volume, count, pseudo_count, hole, seen, density, highest):
-    """Clear ``seen`` (n,) where a record's cell is empty although more than ``hole`` were to be expected; refine the
-    ``density`` (n,) by its count, in place.
+def look(of_source, cell, volume, count, company, least, pseudo_count, hole, seen, density, highest):
+    """Clear ``seen`` (n,) where a record's cell is empty although more than ``hole`` were to be expected, and ``least``
+    of those that are asked for lie in it; refine the ``density`` (n,) by its count, in place.
 
     of_source : (n',) cells of the records that are counted. cell : (n,) of those that are asked for. volume : of the
-    cells. count : room for their counts. highest : (n,) of the densities so far, which is what is expected at least
-    half of: just outside a border coarse cells are empty for the most part, and their own density says too little.
+    cells. count, company : room for the counts of either. highest : (n,) of the densities so far, which is what is
+    expected at least half of: just outside a border coarse cells are empty for the most part, and their own density
+    says too little.
     """
     count[:] = 0.0
     for c in of_source:
         count[c] += 1.0
+    company[:] = 0.0
+    if least > 0.0:
+        for c in cell:
+            company[c] += 1.0
     for k in range(len(cell)):
         c = cell[k]
-        if count[c] == 0.0 and max(density[k], 0.5 * highest[k]) * volume[c] >= hole:
+        if count[c] == 0.0 and company[c] >= least and max(density[k], 0.5 * highest[k]) * volume[c] >= hole:
             seen[k] = False
         highest[k] = max(highest[k], density[k])
         density[k] = (count[c] + pseudo_count) / (volume[c] + pseudo_count / density[k])
+
+
+@kernel
+def shared_part(of_first, seen_1, of_second, seen_2, count):
+    """(c,) part of each cell where both sources look.
+
+    Of a cell, a part a is seen by both, b by the first alone, c by the second alone, a + b + c = 1; so the covered part
+    of the first's records is f = a/(a + b), of the second's g = a/(a + c), and a = 1/(1/f + 1/g − 1). A source
+    without records in a cell says nothing. count : (c, 4) zeros, room for the counts.
+    """
+    for k in range(len(of_first)):
+        count[of_first[k], 0] += 1.0
+        count[of_first[k], 1] += seen_1[k]
+    for k in range(len(of_second)):
+        count[of_second[k], 2] += 1.0
+        count[of_second[k], 3] += seen_2[k]
+    share = np.empty(len(count))
+    for c in range(len(count)):
+        one = count[c, 0] / count[c, 1] if count[c, 0] > 0.0 else 1.0
+        two = count[c, 2] / count[c, 3] if count[c, 2] > 0.0 else 1.0
+        share[c] = 1.0 / (one + two - 1.0)
+    return share
 
 
 @kernel
