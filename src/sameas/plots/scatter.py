@@ -70,7 +70,8 @@ def _scaled(set_scale: Callable[[str], None], values: FloatArray) -> bool:
 
 
 def _told(match: SkyMatch) -> str:
-    words = by_source(match)
+    # The line is short: why something could not be told is left to the report.
+    words = by_source(match).partition(";")[0]
     return words[:1].upper() + words[1:] if words else "The errors were taken as they were given, not estimated"
 
 
