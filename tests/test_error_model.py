@@ -3,24 +3,34 @@
 import numpy as np
 import pytest
 
-from sameas import PoissonField, Radius, Records, identify
-from sameas.chisquare import quantile, share_within
-from sameas.error_model import CORE, _widened, error_model
+from sameas import Records, match
+from sameas.error_model import ErrorModel, error_model
+from sameas.quantity import Quantity
 
 
-def answer(seed, *, factors=(1.0, 1.0), floor=0.0, alike=False, n=1500, outliers=0.0):
-    """Pairs in a wide field, with errors that are what is said of them times the factors, and a floor."""
+def answer(seed, *, factors=(1.0, 1.0), floor=0.0, alike=(False, False), size_2=1.0, n=1500, displaced=0.0):
+    """Pairs in a wide field, with errors that are what is said of them times the factors, and a floor.
+
+    alike : whether a source quotes one error for all. size_2 : of the second's quoted errors, against the first's.
+    displaced : share of the first source's records that lie 10 of their errors off.
+    """
     rng = np.random.default_rng(seed)
     place = rng.uniform(0.0, 2000.0, (n, 2))
-    quoted = [np.full(n, 0.1) if alike else 0.03 * 10 ** rng.uniform(0.0, 1.0, n) for _ in range(2)]
-    sides = []
-    for factor, sigma in zip(factors, quoted, strict=True):
-        seen = place + factor * sigma[:, None] * rng.standard_normal((n, 2))
-        sides.append(Records.of(seen, sigma=sigma[:, None]))
-    moved = sides[0].features + floor * rng.standard_normal((n, 2))
-    moved[: int(outliers * n)] += 1.0
-    first = Records.of(moved, sigma=quoted[0][:, None])
-    return identify(first, sides[1], rule=PoissonField(4e-4, 1e-6, 1e-6), gate=Radius(40.0))
+    quoted = [np.full(n, 0.1) if same else 0.03 * 10 ** rng.uniform(0.0, 1.0, n) for same in alike]
+    quoted[1] *= size_2
+    seen = [
+        place + factor * sigma[:, None] * rng.standard_normal((n, 2))
+        for factor, sigma in zip(factors, quoted, strict=True)
+    ]
+    seen[0] += floor * rng.standard_normal((n, 2))
+    angle = rng.uniform(0.0, 2.0 * np.pi, n)
+    far = 10.0 * quoted[0] * (rng.uniform(size=n) < displaced)
+    seen[0] += far[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    sides = [
+        Records.of(x, sigma=sigma[:, None], source=name)
+        for x, sigma, name in zip(seen, quoted, ("plate", "gaia"), strict=True)
+    ]
+    return match(*sides)[0]
 
 
 @pytest.mark.parametrize("factors, floor", [((1.0, 1.0), 0.0), ((1.7, 1.0), 0.0), ((1.0, 1.5), 0.1), ((0.7, 2.0), 0.0)])
@@ -44,38 +54,76 @@ def test_a_floor_that_is_not_there_is_within_its_error_of_none():
     assert beyond <= 0.15 and all(floor.standard_error > 0.0 for floor in floors)
 
 
-@pytest.mark.parametrize("d", [1, 2, 3])
-def test_leaving_the_tail_out_costs_as_much_as_in_simulation(d):
-    limit, n, rng = quantile(CORE, d), 1000, np.random.default_rng(1)
-    kept = share_within(limit, d + 2) / CORE
-    found = []
-    for _ in range(1000):
-        squares, factor = rng.chisquare(d, n), 1.0
-        for _ in range(40):
-            factor = squares[squares <= factor * limit].mean() / (d * kept)
-        found.append(factor)
-    assert _widened(d, limit, kept) == pytest.approx(np.var(found) * 0.5 * d * CORE * n, rel=0.12)
+def test_displaced_records_are_no_floor_and_no_factor():
+    found = [error_model(answer([2, k], factors=(1.7, 1.0), displaced=0.02)) for k in range(12)]
+    for name, true in (("factor_1", 1.7), ("factor_2", 1.0)):
+        deviation = [(getattr(m, name).value - true) / getattr(m, name).standard_error for m in found]
+        assert abs(np.mean(deviation)) < 1.0, name
+    assert sum(m.floor.value > 3.0 * m.floor.standard_error for m in found) <= 1
 
 
-def test_a_few_outliers_do_not_move_the_factors():
-    found = error_model(answer(2, factors=(1.3, 1.0), outliers=0.02))
-    assert found.factor_1.value == pytest.approx(1.3, abs=0.1) and found.factor_2.value == pytest.approx(1.0, abs=0.1)
+@pytest.mark.parametrize("size_2", [1.0, 0.01])
+def test_a_floor_is_found_beside_one_error_for_all(size_2):
+    found = [
+        error_model(answer([3, k], factors=(1.4, 1.0), floor=0.1, alike=(False, True), size_2=size_2)) for k in range(8)
+    ]
+    for m in found:
+        assert m.factor_2 is None and m.both is None and "those of gaia taken as quoted" in m.note
+        assert m.factor_1.value == pytest.approx(1.4, abs=3.5 * m.factor_1.standard_error)
+        assert m.floor.value == pytest.approx(0.1, abs=3.5 * m.floor.standard_error)
+    assert np.mean([m.floor.value for m in found]) == pytest.approx(0.1, rel=0.05)
 
 
-def test_errors_that_are_all_alike_cannot_be_told_apart():
-    found = error_model(answer(3, alike=True))
+def test_errors_that_are_all_alike_tell_one_number_that_may_be_either():
+    found = error_model(answer(3, alike=(True, True), factors=(1.7, 1.7)))
     assert found.factor_1 is found.factor_2 is found.floor is None and "vary too little" in found.note
+    assert found.both.value == pytest.approx(1.7, abs=3.5 * found.both.standard_error)
+    due = np.sqrt((1.7**2 - 1.0) * 0.02)
+    assert found.floor_instead.value == pytest.approx(due, abs=3.5 * found.floor_instead.standard_error)
+
+
+def test_errors_that_go_together_tell_one_factor_of_both():
+    rng = np.random.default_rng(8)
+    place, sigma = rng.uniform(0.0, 2000.0, (1500, 2)), 0.03 * 10 ** rng.uniform(0.0, 1.0, (1500, 1))
+    sides = [
+        Records.of(place + 1.4 * size * sigma * rng.standard_normal(place.shape), sigma=size * sigma)
+        for size in (1.0, 1.2)
+    ]
+    found = error_model(match(*sides)[0])
+    assert found.factor_1 is found.factor_2 is None and "whose are too small cannot be told" in found.note
+    assert found.both.value == pytest.approx(1.4, abs=3.5 * found.both.standard_error)
+    assert found.floor.value <= 3.0 * found.floor.standard_error
+
+
+def test_a_floor_that_errors_too_small_to_matter_cannot_be_is_named_alone():
+    found = error_model(answer(9, floor=0.1, alike=(True, True), size_2=0.3))
+    assert found.floor_instead is not None and found.both is not None
+    rng = np.random.default_rng(9)
+    place = rng.uniform(0.0, 2000.0, (1500, 2))
+    tiny = 1e-3 * 10 ** rng.uniform(0.0, 1.0, (1500, 1))
+    found = error_model(
+        match(
+            Records.of(place + 0.02 * rng.standard_normal(place.shape), sigma=tiny), Records.of(place, sigma=tiny[::-1])
+        )[0]
+    )
+    assert found.both is found.factor_1 is found.factor_2 is None
+    assert found.floor.value == pytest.approx(0.02, rel=0.1) and "their own sizes" in found.note
 
 
 def test_few_pairs_do_not_judge_the_sources_apart():
     found = error_model(answer(4, n=50))
-    assert found.factor_1 is None and "fewer than 200 pairs" in found.note
+    assert not found.is_told and "fewer than 200 pairs" in found.note
 
 
-def test_one_source_that_is_far_better_is_not_judged():
-    rng = np.random.default_rng(5)
-    place = rng.uniform(0.0, 2000.0, (1000, 2))
-    first = Records.of(place + 0.1 * rng.standard_normal((1000, 2)), sigma=0.05 * 2 ** rng.uniform(0, 2, 1000)[:, None])
-    second = Records.of(place, sigma=1e-4 * 2 ** rng.uniform(0, 2, 1000)[:, None])
-    found = error_model(identify(first, second, rule=PoissonField(4e-4, 1e-6, 1e-6), gate=Radius(40.0)))
-    assert found.factor_1 is not None and found.factor_2 is None and "judge the sources apart" in found.note
+def test_the_modelled_variance_takes_as_quoted_what_was_not_told():
+    quoted = np.array([1.0, 2.0]), np.array([3.0, 3.0])
+    two, three = Quantity(2.0, 0.1), Quantity(3.0, 0.1)
+    assert ErrorModel(factor_1=two, floor=three).variance(*quoted).tolist() == [16.0, 20.0]
+    assert ErrorModel(both=two).variance(*quoted).tolist() == [16.0, 20.0]
+    assert ErrorModel(floor_instead=three).variance(*quoted).tolist() == [4.0, 5.0]
+
+
+def test_one_source_that_is_far_better_is_taken_as_quoted():
+    found = error_model(answer(5, factors=(2.0, 1.0), size_2=1e-3))
+    assert found.factor_1.value == pytest.approx(2.0, abs=0.1) and found.factor_2 is None
+    assert "those of gaia taken as quoted" in found.note

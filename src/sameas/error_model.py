@@ -4,43 +4,83 @@ With the covariance of a pair modelled as
 
     S = a₁² Σ₁ + a₂² Σ₂ + f² 1
 
-the factors a₁, a₂ and the floor f are found by maximum likelihood (Fisher scoring) over the pairs, weighted by their
-posterior. What lies beyond the 99 % radius of the model is a tail and left out, its absence accounted for. Only the
-variation of Σ₁, Σ₂ from pair to pair tells the terms apart: where it does not, that is said. Two floors, one of each
-source, look the same as one of both.
+the factors a₁, a₂ and the floor f are found by maximum likelihood over the pairs, weighted by their posterior. Some
+pairs may be of a tail: normals several times wider than S, whose shares are found with them. What is beyond the model
+is then told by the model itself, not by the quoted errors, of which a floor makes any multiple.
+
+Only the variation of Σ₁, Σ₂ from pair to pair tells the terms apart. Where the information says that it does not, the
+direction in which it is weakest says which terms look alike: a factor that looks like the floor, or that hardly
+matters, is held at 1; two factors that look alike become one of both sources; and where one number is all that can be
+told, either of the two that it may be is given. Two floors, one of each source, look the same as one of both.
 """
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from sameas.chisquare import quantile, share_within
 from sameas.quantity import Quantity
 from sameas.records import FloatArray, unpack
 from sameas.result import Identification
 
 #: Pairs learned from: at least, in expectation, and at most.
 FEWEST, ENOUGH = 200.0, 5_000
-CORE = 0.99
-STEPS, SETTLED = 60, 1e-6
+#: The core and the normals of the tail, in units of the modelled error; shares that the search begins with.
+SCALES, FIRST_SHARES = np.array([1.0, 3.0, 6.0, 12.0]), np.array([0.97, 0.01, 0.01, 0.01])
+#: A normal that has fewer pairs than this tells nothing of the errors, and takes nothing from what is known of them.
+NO_PAIRS = 0.5
+STEPS, SETTLED = 300, 1e-5
+#: Standard errors to either side of an estimate, with 95 % between.
+INTERVAL = 1.96
 #: A factor whose standard error is larger than this share of it is not told from the others.
 TELLING = 0.25
+#: Least eigenvalue of the information beside its greatest: less is none.
+NONE = 1e-10
+#: Two factors are exchanged for each other, not one of them for the floor, from this ratio of their changes on.
+EXCHANGED = 0.5
+#: ln of the likelihood by which a floor must be better or worse than a common factor (three standard errors).
+BETTER = 4.5
 
 
 @dataclass(frozen=True)
 class ErrorModel:
     """Factors on the quoted errors of either source and a floor of both together, in the unit of the residuals.
 
-    factor_1, factor_2, floor : None where the data cannot tell them apart; ``note`` then says why.
+    factor_1, factor_2 : None where the data cannot tell them; 1 is then taken for them, unless there is ``both``.
+    both : one factor on the errors of both, where the two cannot be told apart.
+    floor : None where it cannot be told from a factor.
+    floor_instead : the floor that explains the residuals as well as ``both`` does.
+    note : what could not be told and why, "" where all could.
     """
 
-    factor_1: Quantity | None
-    factor_2: Quantity | None
-    floor: Quantity | None
+    factor_1: Quantity | None = None
+    factor_2: Quantity | None = None
+    both: Quantity | None = None
+    floor: Quantity | None = None
+    floor_instead: Quantity | None = None
     note: str = ""
+
+    @property
+    def is_told(self) -> bool:
+        """Whether anything was."""
+        return any(q is not None for q in (self.factor_1, self.factor_2, self.both, self.floor))
+
+    def variance(self, quoted_1: FloatArray, quoted_2: FloatArray) -> FloatArray:
+        """Variances (n,) of pairs, on an axis, from the quoted ones of both sides.
+
+        >>> ErrorModel(factor_1=Quantity(2.0, 0.1), floor=Quantity(3.0, 0.1)).variance(np.ones(1), np.ones(1))
+        array([14.])
+        """
+        one, two, floor = (
+            0.0 if q is None else q.value
+            for q in (self.factor_1 or self.both or AS_QUOTED, self.factor_2 or self.both or AS_QUOTED, self.floor)
+        )
+        return np.asarray(one**2 * quoted_1 + two**2 * quoted_2 + floor**2)
+
+
+AS_QUOTED = Quantity(1.0, 0.0)
 
 
 def error_model(answer: Identification) -> ErrorModel:
@@ -56,84 +96,187 @@ def error_model(answer: Identification) -> ErrorModel:
     told = told[:: max(1, -(-len(told) // ENOUGH))]
     weight = answer.p_pair[told]
     if weight.sum() < FEWEST:
-        return ErrorModel(
-            None, None, None, f"fewer than {FEWEST:.0f} pairs: too few to judge the sources' errors apart"
-        )
+        return ErrorModel(note=f"fewer than {FEWEST:.0f} pairs: too few to judge the sources' errors apart")
     one = unpack(pairs.first.covariance[pairs.i[told]], pairs.d)
     two = unpack(pairs.second.covariance[pairs.j[told]], pairs.d)
-    # The floor is counted in a typical variance of the pairs.
-    unit = float(np.median(np.einsum("mvv->m", one + two)) / pairs.d)
-    parts = np.stack([one, two, np.broadcast_to(unit * np.eye(pairs.d), one.shape)])
-    return _told(*_fit(pairs.residual[told], parts, weight), unit)
+    names = pairs.first.source, pairs.second.source
+    return _Judgement(pairs.residual[told], weight, one, two, names).model()
 
 
-def _fit(residual: FloatArray, parts: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray | None]:
-    """(3,) variances' factors, and their covariance; None where the information has no inverse.
+@dataclass(frozen=True)
+class _Judgement:
+    """Residuals (m, d) of pairs, their weights (m,), the quoted covariances (m, d, d) of both sides, their names."""
 
-    residual (m, d), parts (3, m, d, d).
+    residual: FloatArray
+    weight: FloatArray
+    one: FloatArray
+    two: FloatArray
+    names: tuple[str, str]
+
+    @property
+    def unit(self) -> float:
+        """A typical variance of the pairs, which the floor is counted in."""
+        return float(np.median(np.einsum("mvv->m", self.one + self.two)) / self.residual.shape[1])
+
+    @property
+    def level(self) -> FloatArray:
+        """(m, d, d) the covariance of a floor of that variance."""
+        return np.broadcast_to(self.unit * np.eye(self.residual.shape[1]), self.one.shape)
+
+    def model(self) -> ErrorModel:
+        """All three terms where they can be told apart, else the two or the one that can."""
+        fit = self._fit((self.one, self.two, self.level))
+        if all(fit.tells(k) for k in (0, 1)):
+            return ErrorModel(fit.root(0), fit.root(1), floor=self._floor(fit, 2))
+        change = np.abs(fit.weakest)
+        more = int(change[1] > change[0])
+        if change[1 - more] > max(EXCHANGED * change[more], change[2]):
+            return self._common()
+        return self._held(more)
+
+    def _held(self, source: int) -> ErrorModel:
+        """With the errors of this source as quoted."""
+        held, free = (self.one, self.two) if source == 0 else (self.two, self.one)
+        fit = self._fit((free, self.level), held)
+        if not fit.tells(0):
+            return self._one_number()
+        name = self.names[source]
+        note = f"those of {name} taken as quoted, for they vary too little, or are too small, to be told from a floor"
+        factor, floor = fit.root(0), self._floor(fit, 1)
+        first, second = (None, factor) if source == 0 else (factor, None)
+        return ErrorModel(first, second, floor=floor, note=note)
+
+    def _common(self) -> ErrorModel:
+        """With one factor on the errors of both."""
+        fit = self._fit((self.one + self.two, self.level))
+        if not fit.tells(0):
+            return self._one_number()
+        note = "the quoted errors of the two go together from pair to pair: whose are too small cannot be told"
+        return ErrorModel(both=fit.root(0), floor=self._floor(fit, 1), note=note)
+
+    def _one_number(self) -> ErrorModel:
+        """A factor on both, or a floor, or either where both explain the residuals."""
+        both = self._fit((self.one + self.two,))
+        raised = self._fit((self.level,), self.one + self.two)
+        gain = raised.log_likelihood - both.log_likelihood
+        alike = "the quoted errors vary too little from pair to pair to tell"
+        if gain > BETTER:
+            return ErrorModel(floor=self._floor(raised, 0), note=f"{alike} whether their own sizes are right too")
+        if gain < -BETTER:
+            return ErrorModel(both=both.root(0), note=f"{alike} whose are to blame, or whether there is a floor")
+        note = f"{alike} a factor from a floor, or whose errors are to blame"
+        return ErrorModel(both=both.root(0), floor_instead=self._floor(raised, 0), note=note)
+
+    def _fit(self, parts: Sequence[FloatArray], held: FloatArray | None = None) -> _Fit:
+        return _fit(self.residual, self.weight, np.stack(parts), np.zeros_like(self.one) if held is None else held)
+
+    def _floor(self, fit: _Fit, k: int) -> Quantity:
+        """The root of term k, in the unit of the residuals."""
+        root, sigma = fit.root(k), float(np.sqrt(self.unit))
+        return Quantity(sigma * root.value, sigma * root.standard_error)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Factors (k,) of variances, their covariance (k, k), the direction (k,) that is known least, the likelihood."""
+
+    theta: FloatArray
+    covariance: FloatArray
+    weakest: FloatArray
+    log_likelihood: float
+
+    def root(self, k: int) -> Quantity:
+        """√θ and its standard error, from that of θ ≥ 0: how far the root moves when θ moves across its 95 % interval.
+
+        Where θ is zero within its error its root is not normal, and to first order its error would be nearly none. So
+        the root is within 1.96 errors of zero where θ is within 1.96 of its own.
+        """
+        theta, error = float(self.theta[k]), INTERVAL * float(np.sqrt(self.covariance[k, k]))
+        value = float(np.sqrt(theta))
+        ends = np.sqrt(np.maximum([theta - error, theta + error], 0.0))
+        return Quantity(value, float(np.abs(ends - value).max()) / INTERVAL)
+
+    def tells(self, k: int) -> bool:
+        """Whether a factor is known well enough to speak of it."""
+        root = self.root(k)
+        return root.standard_error < TELLING * max(root.value, 1.0)
+
+
+def _fit(residual: FloatArray, weight: FloatArray, parts: FloatArray, held: FloatArray) -> _Fit:
+    """S = ``held`` + Σ θ_k parts_k of greatest likelihood, by EM over core and tail.
+
+    residual (m, d), weight (m,), parts (k, m, d, d), held (m, d, d).
     """
-    d = residual.shape[1]
-    limit = quantile(CORE, d)
-    # What the mean square of a normal loses where its tail is cut off.
-    kept = share_within(limit, d + 2) / CORE
-    theta, damping = np.array([1.0, 1.0, 0.05]), 0.5
+    theta, shares, damping = np.full(len(parts), 0.5), FIRST_SHARES, 0.5
     for _ in range(STEPS):
-        inverse = np.linalg.inv(np.einsum("k,kmvw->mvw", theta, parts))
-        scaled = np.einsum("mvw,mw->mv", inverse, residual)
-        core = weight * ((scaled * residual).sum(axis=1) <= limit)
-        square = np.einsum("mv,kmvw,mw->km", scaled, parts, scaled) / kept
-        along = np.einsum("mvw,kmwx->kmvx", inverse, parts)
-        score = 0.5 * ((square - np.einsum("kmvv->km", along)) * core).sum(axis=1)
-        information = 0.5 * np.einsum("m,kmvw,lmwv->kl", core, along, along)
+        state = _State.of(residual, parts, held, theta, shares)
+        core = weight * state.member[:, 0]
+        score = state.slope @ core
+        information = 0.5 * np.einsum("m,kmvw,lmwv->kl", core, state.along, state.along)
         free = (theta > 1e-9) | (score > 0.0)
-        step = np.zeros(3)
+        step = np.zeros(len(theta))
         step[free] = np.linalg.lstsq(information[np.ix_(free, free)], score[free], rcond=1e-9)[0]
-        before, theta = theta, np.maximum(theta + damping * step, 1e-9 * (theta + damping * step > -1.0))
-        damping = 1.0
+        before, theta = theta, np.maximum(theta + damping * step, 1e-9)
+        shares, damping = weight @ state.member / weight.sum(), 1.0
         if np.abs(theta - before).max() < SETTLED * max(1.0, float(theta.max())):
             break
-    scale = np.sqrt(np.diag(information))
-    normal = information / np.outer(scale, scale)
-    if np.linalg.eigvalsh(normal)[0] < 1e-6:
-        return theta, None
-    covariance = np.linalg.inv(normal) / np.outer(scale, scale)
-    # A term that is held at zero takes nothing from what is known of the others.
-    free = theta > 1e-6
-    held = np.diag(np.diag(covariance))
-    held[np.ix_(free, free)] = np.linalg.inv(information[np.ix_(free, free)])
-    return theta, held * _widened(d, limit, kept)
+    return _judged(_State.of(residual, parts, held, theta, shares), weight, theta, shares)
 
 
-def _widened(d: int, limit: float, kept: float) -> float:
-    """How much larger the variance of a common factor of all variances is because of the core, against 1/information.
+@dataclass(frozen=True)
+class _State:
+    """What a model says of every pair.
 
-    With the squares x ~ χ²_d and the core x ≤ θL the factor θ solves Σ_core (x/(θ kept) − d) = 0; its variance is
-    V / J², V that of a pair's part in the sum and J the slope of its mean, in which the border of the core takes part.
+    along : (k, m, d, d) S⁻¹ parts. slope : (k, m) of ln N(residual; 0, S) with θ. member : (m, n) the probabilities of
+    core and tail. log_density : (m,) of the residual.
     """
-    variance = d * (d + 2) * share_within(limit, d + 4) / kept**2 - CORE * d**2
-    log_density = (0.5 * d - 1.0) * math.log(limit) - 0.5 * limit - 0.5 * d * math.log(2.0) - math.lgamma(0.5 * d)
-    slope = CORE * d - limit * math.exp(log_density) * (limit / kept - d)
-    return variance / slope**2 * 0.5 * d * CORE
+
+    along: FloatArray
+    slope: FloatArray
+    member: FloatArray
+    log_density: FloatArray
+
+    @classmethod
+    def of(
+        cls, residual: FloatArray, parts: FloatArray, held: FloatArray, theta: FloatArray, shares: FloatArray
+    ) -> _State:
+        covariance, d = held + np.einsum("k,kmvw->mvw", theta, parts), residual.shape[1]
+        inverse = np.linalg.inv(covariance)
+        scaled = np.einsum("mvw,mw->mv", inverse, residual)
+        along = np.einsum("mvw,kmwx->kmvx", inverse, parts)
+        slope = 0.5 * (np.einsum("mv,kmvw,mw->km", scaled, parts, scaled) - np.einsum("kmvv->km", along))
+        square = (scaled * residual).sum(axis=1)
+        with np.errstate(divide="ignore"):
+            log_member = np.log(shares) - d * np.log(SCALES) - 0.5 * square[:, None] / SCALES**2
+        greatest = log_member.max(axis=1)
+        member = np.exp(log_member - greatest[:, None])
+        total = member.sum(axis=1)
+        log_density = greatest + np.log(total) - 0.5 * np.linalg.slogdet(covariance)[1]
+        return cls(along, slope, member / total[:, None], log_density)
 
 
-def _told(theta: FloatArray, covariance: FloatArray | None, unit: float) -> ErrorModel:
-    """Factors and floor, where they can be told apart."""
-    apart = "the quoted errors vary too little, or too much alike, from pair to pair to judge the sources apart"
-    if covariance is None:
-        return ErrorModel(None, None, None, apart)
-    roots, spread = np.sqrt(theta), _root_errors(theta, np.sqrt(np.diag(covariance)))
-    factors = [Quantity(float(roots[k]), float(spread[k])) for k in range(2)]
-    known = [q if q.standard_error < TELLING * max(q.value, 1.0) else None for q in factors]
-    floor = Quantity(float(roots[2]) * math.sqrt(unit), float(spread[2]) * math.sqrt(unit))
-    if known == [None, None]:
-        return ErrorModel(None, None, None, apart)
-    return ErrorModel(known[0], known[1], floor, "" if all(known) else apart)
+def _judged(state: _State, weight: FloatArray, theta: FloatArray, shares: FloatArray) -> _Fit:
+    """What was found, with the covariance from the squares of the pairs' scores; the shares of the tail take part.
 
-
-def _root_errors(theta: FloatArray, errors: FloatArray) -> FloatArray:
-    """Standard errors of √θ, from those of θ ≥ 0: how far the root moves at most when θ does by its own.
-
-    Where θ is zero within its error its root is not normal, and to first order its error would be nearly none.
+    A term that is held at zero takes nothing from what is known of the others.
     """
-    ends = (np.sqrt(np.maximum(theta + side * errors, 0.0)) for side in (-1.0, 1.0))
-    return np.asarray(np.max([np.abs(end - np.sqrt(theta)) for end in ends], axis=0))
+    core = state.member[:, 0]
+    tail = np.flatnonzero(shares[1:] * weight.sum() > NO_PAIRS) + 1
+    scores = np.vstack([state.slope * core, (state.member[:, tail] / shares[tail]).T - core / shares[0]])
+    information = np.einsum("m,am,bm->ab", weight, scores, scores)
+    k = len(theta)
+    open_ = np.concatenate([theta > 1e-6, np.ones(len(tail), np.bool_)])
+    covariance = np.diag(np.diag(_inverse(information)))[:k, :k]
+    held = _inverse(information[np.ix_(open_, open_)])
+    inside = np.flatnonzero(open_[:k])
+    covariance[np.ix_(inside, inside)] = held[: len(inside), : len(inside)]
+    weakest = np.linalg.eigh(_inverse(information)[:k, :k])[1][:, -1]
+    return _Fit(theta, covariance, weakest, float(weight @ state.log_density))
+
+
+def _inverse(information: FloatArray) -> FloatArray:
+    """Its inverse; where there is no information, a variance that is larger than any."""
+    size = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(information / np.outer(size, size))
+    inverse = (vectors / np.maximum(values, NONE * values[-1])) @ vectors.T
+    return np.asarray(inverse / np.outer(size, size))

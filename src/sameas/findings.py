@@ -69,8 +69,12 @@ def by_source(match: SkyMatch) -> str:
     names = match.first.name, match.second.name
     factors = zip(names, (model.factor_1, model.factor_2), strict=True)
     words = [f"those of {name} × {q}" for name, q in factors if q is not None]
+    if model.both is not None:
+        words.append(f"those of both × {model.both}")
     if model.floor is not None:
         words.append(floor_in_words(model.floor))
+    if model.floor_instead is not None:
+        words.append(f"or, with both as quoted, {floor_in_words(model.floor_instead)}")
     return ", ".join(words) + ("; " if words and model.note else "") + model.note
 
 

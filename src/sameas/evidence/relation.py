@@ -37,6 +37,8 @@ class Relation:
     ----------
     knots, offset, scatter : (k,) magnitudes, and there the mean difference and the scatter beyond quoted errors, mag.
     slopes, centres : (c,) mag per mag of colour, about these colours: the other magnitudes minus the first of them.
+        The mean is that given measured magnitudes, as is due for what predicts measured pairs: the errors of the
+        colours make its slopes smaller than those on true colours (regression dilution).
     scales, shares : of the mixture's normals, in units of error and scatter together.
     unrelated : the share that follows ``background``.
     covariance : (k + c, k + c) of offset and slopes, from the pairs that they were learned from.

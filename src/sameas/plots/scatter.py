@@ -70,7 +70,8 @@ def _scaled(set_scale: Callable[[str], None], values: FloatArray) -> bool:
 
 
 def _told(match: SkyMatch) -> str:
-    words = by_source(match)
+    # The line is short: why something could not be told is left to the report.
+    words = by_source(match).partition(";")[0]
     return words[:1].upper() + words[1:] if words else "The errors were taken as they were given, not estimated"
 
 
@@ -83,10 +84,10 @@ def _sigmas(match: SkyMatch) -> tuple[FloatArray, FloatArray]:
     of_1, of_2 = (0.5 * np.einsum("mvv->m", covariance) for covariance in (one, two))
     quoted = np.sqrt(of_1 + of_2)
     model = e.error_model
-    if model is None or model.factor_1 is None or model.factor_2 is None or model.floor is None:
+    if model is None or not model.is_told:
         scale = e.quantities["error_scale"].value if "error_scale" in e.quantities else e.typical_scale
         return quoted, scale * quoted
-    return quoted, np.sqrt(model.factor_1.value**2 * of_1 + model.factor_2.value**2 * of_2 + model.floor.value**2)
+    return quoted, np.sqrt(model.variance(of_1, of_2))
 
 
 def _magnitude(match: SkyMatch) -> tuple[FloatArray | None, str]:
