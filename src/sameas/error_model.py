@@ -16,7 +16,7 @@ told, either of the two that it may be is given. Two floors, one of each source,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,9 +63,18 @@ class ErrorModel:
     note: str = ""
 
     @property
+    def told(self) -> Mapping[str, Quantity]:
+        """What could be told, by its name here.
+
+        >>> list(ErrorModel(both=Quantity(1.7, 0.1), floor_instead=Quantity(0.2, 0.1)).told)
+        ['both', 'floor_instead']
+        """
+        return {name: value for name, value in vars(self).items() if isinstance(value, Quantity)}
+
+    @property
     def is_told(self) -> bool:
         """Whether anything was."""
-        return any(q is not None for q in (self.factor_1, self.factor_2, self.both, self.floor))
+        return bool(self.told)
 
     def variance(self, quoted_1: FloatArray, quoted_2: FloatArray) -> FloatArray:
         """Variances (n,) of pairs, on an axis, from the quoted ones of both sides.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sameas.detection import DetectionCurve
+from sameas.error_model import ErrorModel
 from sameas.prose import count, entry, percent
 from sameas.quantity import Quantity
 from sameas.sky.match import ARCSEC2_PER_DEG2, SkyMatch
@@ -64,9 +65,15 @@ def _unmatched(match: SkyMatch) -> list[str]:
 def by_source(match: SkyMatch) -> str:
     """Which catalogue's errors are too small, where the data can tell; "" where errors were not judged."""
     model = match.estimate.error_model
-    if model is None:
-        return ""
-    names = match.first.name, match.second.name
+    return "" if model is None else error_model_in_words(model, (match.first.name, match.second.name))
+
+
+def error_model_in_words(model: ErrorModel, names: tuple[str, str]) -> str:
+    """Factors on the errors of sources of these names, and a floor in arcsec; after a semicolon what cannot be told.
+
+    >>> error_model_in_words(ErrorModel(both=Quantity(1.71, 0.04), note="whose cannot be told"), ("plate", "gaia"))
+    'those of both × 1.710 ± 0.040; whose cannot be told'
+    """
     factors = zip(names, (model.factor_1, model.factor_2), strict=True)
     words = [f"those of {name} × {q}" for name, q in factors if q is not None]
     if model.both is not None:

@@ -18,6 +18,7 @@ from astropy.table import Table
 from astropy.wcs import WCS
 
 from browser import CHROMIUM, Browser
+from sameas.cli.frame_lines import frame_lines
 from sameas.errors import InputError
 from sameas.io import read_provenance, read_table, write_table
 from sameas.io.archive import COLUMNS, GaiaArchive, rounded
@@ -111,6 +112,20 @@ def test_what_was_estimated_is_printed_with_its_standard_error(done):
     assert all(error > 0.0 for _, error in told.values())
     assert re.search(r"of those in one only [\d.]+ ± [\d.]+ of the frame and [\d.]+ ± [\d.]+ of the catalogue", words)
     assert re.search(r"errors (as quoted|quoted) ", words) and {"error_scale"} <= set(told)
+
+
+def test_errors_of_frame_and_catalogue_are_told_in_the_words_of_a_match(done):
+    out, text = done
+    told = json.loads((out / "night.json").read_text())
+    assert "fewer than 200 pairs" in told["error_note"] and "by source fewer than 200 pairs" in " ".join(text.split())
+    alike = {"error_factor_both": [1.71, 0.04], "error_floor_instead_arcsec": [0.31, 0.02]}
+    words = frame_lines(told | {"estimated": alike, "error_note": "whose cannot be told"})
+    assert (
+        "by source those of both × 1.710 ± 0.040, or, with both as quoted, floor in quadrature on each axis: "
+        "0.310 ± 0.020 arcsec; whose cannot be told"
+    ) in " ".join(" ".join(words).split())
+    apart = frame_lines(told | {"estimated": {"error_factor_frame": [1.4, 0.1]}, "error_note": ""})
+    assert "by source those of night.fits × 1.40 ± 0.10 " in " ".join(" ".join(apart).split())
 
 
 def test_doubts_of_the_catalogue_are_told_of_the_frame(files, sameas, tmp_path):

@@ -5,9 +5,11 @@ import re
 
 import numpy as np
 import pytest
+from astropy.table import Table
 from fields import field, save
 
 from sameas.io import read_provenance, read_table
+from sameas.quantity import Quantity
 
 
 def pairs(path):
@@ -65,6 +67,27 @@ def test_provenance_keeps_every_estimate_with_its_standard_error(tmp_path, samea
         bins = len(told[f"completeness_{side}_edges_mag"]) - 1
         for name in (f"completeness_{side}", f"density_only_{side}_per_deg2_mag"):
             assert len(told[name]) == len(told[f"{name}_error"]) == bins > 0
+
+
+def test_provenance_keeps_what_could_not_be_told_of_the_errors_and_why(tmp_path, sameas, field_files):
+    sameas("match", *field_files, "-o", tmp_path / "few.fits", "-q")
+    assert "fewer than 200 pairs" in read_provenance(tmp_path / "few.fits")["error_note"]
+    rng, names = np.random.default_rng(4), ("first.fits", "second.fits")
+    ra, dec = rng.uniform(10.0, 10.6, 400), rng.uniform(-0.3, 0.3, 400)
+    for name in names:
+        off = 0.17 / 3600.0 * rng.standard_normal((2, 400))
+        table = Table(
+            {"ra": ra + off[0], "dec": dec + off[1], "sigma": np.full(400, 0.1)}, units=("deg", "deg", "arcsec")
+        )
+        save(table, tmp_path / name)
+    text = sameas("match", *(tmp_path / name for name in names), "-o", tmp_path / "alike.fits").stdout
+    told = read_provenance(tmp_path / "alike.fits")
+    both, error = told["estimated_error_factor_both"], told["estimated_error_factor_both_error"]
+    assert both == pytest.approx(1.7, abs=4.0 * error) and told["estimated_error_floor_instead"] > 0.1
+    assert "estimated_error_factor_1" not in told and "vary too little" in told["error_note"]
+    assert f"by catalogue those of both × {Quantity(both, error)}, or, with both as quoted, floor" in " ".join(
+        text.split()
+    )
 
 
 def test_pictures_are_drawn_of_all_that_there_is(tmp_path, sameas, field_files):

@@ -23,7 +23,7 @@ from sameas.sky.frame.measurements import Measurements
 from sameas.sky.frame.photometry import Completeness, ZeroPoint
 from sameas.sky.frame.place import Aim, Header
 from sameas.sky.frame.solve import footprint, searched, solve
-from sameas.sky.frame.summary import summary
+from sameas.sky.frame.summary import ERROR_NAMES, summary
 from sameas.sky.frame.tangent import Pointing, directions_deg, unit_vectors
 from sameas.space import ARCSEC_PER_RADIAN
 
@@ -218,6 +218,13 @@ def test_the_summary_is_json_without_surprises(found: FrameIdentification) -> No
     told = json.loads(json.dumps(summary(found), allow_nan=False))
     assert told["found"]["identified"] == len(found.pairs[0])
     assert told["place"]["scale_arcsec_per_px"] == pytest.approx(1.0, abs=0.02)
+    model, scale = found.estimate.error_model, told["place"]["scale_arcsec_per_px"]
+    assert model is not None and told["error_note"] == model.note
+    for term, name in ERROR_NAMES.items():
+        quantity, unit = model.told.get(term), scale if "floor" in term else 1.0
+        assert told["estimated"].get(name) == (
+            None if quantity is None else pytest.approx([unit * quantity.value, unit * quantity.standard_error])
+        )
     assert told["brightness"]["completeness"]["words"].endswith(f"{found.completeness.limit:.2f}")  # type: ignore[union-attr]
 
 

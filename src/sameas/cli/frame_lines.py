@@ -6,9 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sameas.cli.frames import Outcome
-from sameas.findings import floor_in_words, judged
+from sameas.error_model import ErrorModel
+from sameas.findings import error_model_in_words, judged
 from sameas.prose import DOUBT, count, entry
 from sameas.quantity import Quantity
+from sameas.sky.frame.summary import ERROR_NAMES
 
 #: With fewer pairs the rms is told instead of the robust scatter.
 FEW = 20
@@ -39,7 +41,7 @@ def frame_lines(told: Mapping[str, Any]) -> list[str]:
         *entry("missing stars", f"{count(found['missing'])} of {count(found['stars_on_frame'])} on the frame"),
         *entry("expected wrong", f"{found['expected_wrong']:.1f}; {count(found['ambiguous'])} less sure than 0.9"),
         *entry("scatter", _scatter(told)),
-        *_estimated(told.get("estimated", {})),
+        *_estimated(told),
     ]
     brightness = told["brightness"]
     for label, what in (("magnitudes", "zero_point"), ("completeness", "completeness")):
@@ -84,25 +86,24 @@ def _scatter(told: Mapping[str, Any]) -> str:
     return "not known" if east is None else f"{east:.2g}″ × {north:.2g}″{' rms' if few else ''}"
 
 
-def _estimated(told: Mapping[str, Sequence[float]]) -> list[str]:
+def _estimated(told: Mapping[str, Any]) -> list[str]:
     """Densities of what one of both shows only, and the errors."""
-    known = {name: Quantity(value, error) for name, (value, error) in told.items()}
+    # Summaries of earlier versions may lack them.
+    known = {name: Quantity(value, error) for name, (value, error) in told.get("estimated", {}).items()}
     lines = []
     if "only_on_frame_per_arcmin2" in known:
         alone = f"{known['only_on_frame_per_arcmin2']} of the frame and {known['only_in_catalogue_per_arcmin2']}"
         lines += entry("of those in one only", f"{alone} of the catalogue per square arcminute")
     words = [judged(known["error_scale"])] if "error_scale" in known else []
-    words += [
-        f"those of the {side} × {known[f'error_factor_{side}']}"
-        for side in ("frame", "catalogue")
-        if f"error_factor_{side}" in known
-    ]
-    if "error_floor_arcsec" in known:
-        words.append(floor_in_words(known["error_floor_arcsec"]))
     if "error_tail_share" in known:
-        share, error = told["error_tail_share"]
-        words.append(f"a tail: {Quantity(100.0 * share, 100.0 * error, '%')} of the pairs lie far beyond")
-    return lines + (entry("errors", "; ".join(words)) if words else [])
+        share = known["error_tail_share"]
+        percent = Quantity(100.0 * share.value, 100.0 * share.standard_error, "%")
+        words.append(f"a tail: {percent} of the pairs lie far beyond")
+    lines += entry("errors", "; ".join(words)) if words else []
+    terms = {term: known.get(name) for term, name in ERROR_NAMES.items()}
+    model = ErrorModel(**terms, note=told.get("error_note", ""))
+    apart = error_model_in_words(model, (told["frame"], told["catalogue"]))
+    return lines + (entry("  by source", apart) if apart else [])
 
 
 def _angle(deg: float) -> str:

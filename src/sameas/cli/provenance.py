@@ -16,6 +16,15 @@ from sameas.cli.request import Request
 from sameas.sky.match import ARCSEC2_PER_DEG2, SkyMatch
 from sameas.tails import tail
 
+#: What the terms of the error model are called in an output.
+ERROR_NAMES = {
+    "factor_1": "error_factor_1",
+    "factor_2": "error_factor_2",
+    "both": "error_factor_both",
+    "floor": "error_floor",
+    "floor_instead": "error_floor_instead",
+}
+
 
 def provenance(request: Request, match: SkyMatch, command: str) -> dict[str, Any]:
     """A flat mapping of plain values; the same for the same inputs and options, but for date and paths."""
@@ -54,6 +63,7 @@ def provenance(request: Request, match: SkyMatch, command: str) -> dict[str, Any
         "rounds": estimate.rounds,
         "settled": estimate.settled,
         **_quantities(match),
+        "error_note": (estimate.error_model.note or None) if estimate.error_model is not None else None,
         **_completeness(match),
         "candidates": len(result.pairs),
         "pairs": len(result.matches),
@@ -82,9 +92,7 @@ def _quantities(match: SkyMatch) -> dict[str, float]:
     if beyond is not None:
         found["error_tail_share"] = beyond.share
     if estimate.error_model is not None:
-        model = estimate.error_model
-        apart = {"error_factor_1": model.factor_1, "error_factor_2": model.factor_2, "error_floor": model.floor}
-        found |= {name: quantity for name, quantity in apart.items() if quantity is not None}
+        found |= {ERROR_NAMES[name]: quantity for name, quantity in estimate.error_model.told.items()}
     facts = {}
     for name, quantity in found.items():
         if math.isfinite(quantity.standard_error):

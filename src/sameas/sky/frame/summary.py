@@ -15,6 +15,14 @@ from sameas.tails import tail
 
 #: Identified pairs less probable than this are called ambiguous.
 AMBIGUOUS = 0.9
+#: What the terms of the error model are called in a summary.
+ERROR_NAMES = {
+    "factor_1": "error_factor_frame",
+    "factor_2": "error_factor_catalogue",
+    "both": "error_factor_both",
+    "floor": "error_floor_arcsec",
+    "floor_instead": "error_floor_instead_arcsec",
+}
 
 
 def summary(found: FrameIdentification, frame: Frame | None = None) -> dict[str, Any]:
@@ -31,6 +39,7 @@ def summary(found: FrameIdentification, frame: Frame | None = None) -> dict[str,
         "plate": _plate(found),
         "found": _counts(found),
         "estimated": _estimated(found),
+        "error_note": "" if found.estimate.error_model is None else found.estimate.error_model.note,
         "residuals": _residuals(found),
         "brightness": _brightness(found),
         "notes": [*found.measured.notes, *found.notes],
@@ -124,7 +133,7 @@ def _estimated(found: FrameIdentification) -> dict[str, list[float]]:
     """What was estimated with the identification, each with its standard error.
 
     Densities per square arcminute of what only the frame and only the catalogue shows, of the stars that could be seen;
-    the error scale; factors on the errors of the frame and of the catalogue, and a floor in arcsec, where told apart.
+    the error scale; factors on the errors of the frame and of the catalogue or of both, and floors in arcsec, as told.
     """
     estimate, scale = found.estimate, orientation(found)[0]
     per_arcmin2 = (60.0 / scale) ** 2
@@ -135,11 +144,7 @@ def _estimated(found: FrameIdentification) -> dict[str, list[float]]:
     }
     model = estimate.error_model
     if model is not None:
-        known |= {
-            ("error_factor_frame", 1.0): model.factor_1,
-            ("error_factor_catalogue", 1.0): model.factor_2,
-            ("error_floor_arcsec", scale): model.floor,
-        }
+        known |= {(ERROR_NAMES[name], scale if name.startswith("floor") else 1.0): q for name, q in model.told.items()}
     told = {name: (unit * q.value, unit * q.standard_error) for (name, unit), q in known.items() if q is not None}
     beyond = tail(found.result, estimate.errors)
     if beyond is not None:
