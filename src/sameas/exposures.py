@@ -65,7 +65,8 @@ class Exposure:
     """A frame (source 1) and the catalogue of its field (source 2), at the frame's epoch.
 
     scene : records and truth. brightness : magnitudes of either, the catalogue's in two bands. sky : what made them.
-    area_arcsec2 : of the frame. magnitude : (n_objects,) true magnitudes in the catalogue's first band.
+    area_arcsec2 : of the frame. magnitude, colour : (n_objects,) true magnitudes in the catalogue's first band, and
+    those minus the ones in its second.
     """
 
     scene: Scene
@@ -73,6 +74,7 @@ class Exposure:
     sky: Sky
     area_arcsec2: float
     magnitude: FloatArray
+    colour: FloatArray
 
 
 def exposure(
@@ -98,7 +100,7 @@ def exposure(
     catalogue, magnitudes, truth_2 = everything.catalogued(rng, sky, rng.permutation(listed), missing)
     scene = Scene(frame, catalogue, truth_1, truth_2, truth_1 >= len(stars.magnitude), np.zeros(len(truth_2), np.bool_))
     area = (side_deg * 3600.0) ** 2
-    return Exposure(scene, (frame_magnitudes, magnitudes), sky, area, everything.magnitude)
+    return Exposure(scene, (frame_magnitudes, magnitudes), sky, area, everything.magnitude, everything.colour)
 
 
 @dataclass(frozen=True)
