@@ -278,5 +278,5 @@ def _inverse(information: FloatArray) -> FloatArray:
     """Its inverse; where there is no information, a variance that is larger than any."""
     size = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(information / np.outer(size, size))
-    inverse = (vectors / np.maximum(values, NONE * values[-1])) @ vectors.T
+    inverse = (vectors / np.maximum(values, NONE * values.max(initial=0.0))) @ vectors.T
     return np.asarray(inverse / np.outer(size, size))
