@@ -140,7 +140,9 @@ class _Judgement:
         fit = self._fit((free, self.level), held)
         if not fit.tells(0):
             return self._one_number()
-        name = self.names[source]
+        name, bare = self.names[source], self._fit((self.one, self.two))
+        if bare.log_likelihood - fit.log_likelihood > BETTER and all(bare.tells(k) for k in (0, 1)):
+            return ErrorModel(bare.root(0), bare.root(1), note=f"a floor cannot be told from the errors of {name}")
         note = f"those of {name} taken as quoted, for they vary too little, or are too small, to be told from a floor"
         factor, floor = fit.root(0), self._floor(fit, 1)
         first, second = (None, factor) if source == 0 else (factor, None)
