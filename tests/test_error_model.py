@@ -127,3 +127,14 @@ def test_one_source_that_is_far_better_is_taken_as_quoted():
     found = error_model(answer(5, factors=(2.0, 1.0), size_2=1e-3))
     assert found.factor_1.value == pytest.approx(2.0, abs=0.1) and found.factor_2 is None
     assert "those of gaia taken as quoted" in found.note
+
+
+@pytest.mark.parametrize("alike", [(True, True), (False, True), (False, False)])
+@pytest.mark.parametrize("factors", [(0.6, 0.6), (0.3, 0.3)])
+def test_errors_quoted_too_large_leave_no_floor(factors, alike):
+    """Where nothing but a floor of none is fitted there is no information left to invert."""
+    found = error_model(answer(4, factors=factors, alike=alike))
+    factor = found.both or found.factor_1
+    assert factor.value == pytest.approx(factors[0], abs=4.0 * factor.standard_error)
+    for floor in (found.floor, found.floor_instead):
+        assert floor is None or floor.value <= 3.0 * floor.standard_error

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import naive
-from sameas import Plane, Records, Sphere
+from sameas import Plane, Records, Sphere, coverage
 from sameas.coverage import Coverage
 from sameas.holes import Ground, opened
 from sameas.simulate import Box
@@ -172,3 +172,20 @@ def test_discs_are_those_of_the_definition(seed, periods):
     slow = naive.inside_empty_discs(one, two, wanted, radius, inner, least, wraps)
     assert (opened(here, there, wanted, density, expected, beyond, least) == slow).all()
     assert slow.any() and not slow.all()
+
+
+# ---- what it costs where there are none ----
+
+
+def test_an_even_field_is_not_searched_and_one_with_a_mask_is(monkeypatch):
+    searched = []
+    monkeypatch.setattr(coverage, "within_holes", lambda here, seen, *about: searched.append(1) or ~seen)
+    rng = np.random.default_rng(12)
+    place = rng.uniform(0.0, 1000.0, (4000, 2))
+    shown = rng.uniform(size=4000) < 0.8
+    masked = shown & (np.hypot(*(place - [410.0, 530.0]).T) > 100.0)
+    for kept, expected in ((shown, False), (masked, True)):
+        searched.clear()
+        first, second = Records.of(place[kept], sigma=0.5), Records.of(place, sigma=0.5)
+        assert len(Coverage.of(first, second).covered[1]) == 4000
+        assert bool(searched) == expected

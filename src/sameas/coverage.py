@@ -33,6 +33,9 @@ IN_CELL = 3.5
 #: proves to be so much denser there.
 ROUNDS = 2
 DENSER = 1.05
+#: Holes smaller than all cells are sought where by so many standard deviations more records lie in empty cells than
+#: chance puts there: an even field is done with at once.
+UNEVEN = 2.0
 #: Least part of the region that is believed to be common.
 LEAST_VOLUME = 1e-3
 
@@ -79,11 +82,13 @@ class Coverage:
     def covered(self) -> tuple[Mask, Mask]:
         """Whether source 2 looks where each record of source 1 lies, (n₁,), and the reverse, (n₂,)."""
         rough = self._by_cells((0.0, 0.0))
-        shown = [max(int(np.count_nonzero(seen)), 1) for seen, _ in rough]
+        shown = [max(int(np.count_nonzero(seen)), 1) for seen, _, _ in rough]
         if shown != [len(self.first), len(self.second)]:
             # By the other records of its own source too, so that a place poor in objects is not taken for a hole.
             rough = self._by_cells((IN_CELL * shown[0] / shown[1], IN_CELL * shown[1] / shown[0]))
-        (seen_1, highest_2), (seen_2, highest_1) = rough
+        elif max(excess for _, _, excess in rough) < UNEVEN:
+            return rough[0][0], rough[1][0]
+        (seen_1, highest_2, _), (seen_2, highest_1, _) = rough
         seen, mean = (seen_1, seen_2), self._mean(seen_1, seen_2)
         for _ in range(ROUNDS):
             seen = self._opened(seen, (highest_1, highest_2), mean)
@@ -122,11 +127,12 @@ class Coverage:
         )
         return ~one, ~two
 
-    def _by_cells(self, least: tuple[float, float]) -> list[tuple[Mask, FloatArray]]:
+    def _by_cells(self, least: tuple[float, float]) -> list[tuple[Mask, FloatArray, float]]:
         return threads.each([partial(self._seen, 1, 2, least[0]), partial(self._seen, 2, 1, least[1])], len(self.first))
 
-    def _seen(self, query: int, source: int, least: float) -> tuple[Mask, FloatArray]:
-        """Whether ``source`` looks at the records of ``query`` as far as cells tell, and how dense it is if it does.
+    def _seen(self, query: int, source: int, least: float) -> tuple[Mask, FloatArray, float]:
+        """Whether ``source`` looks at the records of ``query`` as far as cells tell, how dense it is if it does, and by
+        how many standard deviations more records than chance puts there lie in empty cells.
 
         least : of the records of ``query`` in an empty cell that is a hole.
         """
@@ -134,12 +140,13 @@ class Coverage:
 
         n = len(self.first if query == 1 else self.second)
         density = np.full(n, len(self.first if source == 1 else self.second) / self.volume)
-        seen, highest = np.ones(n, np.bool_), np.zeros(n)
+        seen, highest, excess = np.ones(n, np.bool_), np.zeros(n), 0.0
         for level in self.levels:
             own, other = level.facing(source)
             room = np.empty(len(level.volume)), np.empty(len(level.volume))
-            look(own, other, level.volume, *room, least, PSEUDO_COUNT, HOLE, seen, density, highest)
-        return seen, highest
+            more = look(own, other, level.volume, *room, least, PSEUDO_COUNT, HOLE, seen, density, highest)
+            excess = max(excess, more)
+        return seen, highest, excess
 
     def common_volume(self) -> float:
         """Volume where both sources look, (residual unit)^d: of every cell the part that its covered records tell.

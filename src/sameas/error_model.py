@@ -149,7 +149,9 @@ class _Judgement:
         fit = self._fit((free, self.level), held)
         if not fit.tells(0):
             return self._one_number()
-        name = self.names[source]
+        name, bare = self.names[source], self._fit((self.one, self.two))
+        if bare.log_likelihood - fit.log_likelihood > BETTER and all(bare.tells(k) for k in (0, 1)):
+            return ErrorModel(bare.root(0), bare.root(1), note=f"a floor cannot be told from the errors of {name}")
         note = f"those of {name} taken as quoted, for they vary too little, or are too small, to be told from a floor"
         factor, floor = fit.root(0), self._floor(fit, 1)
         first, second = (None, factor) if source == 0 else (factor, None)
@@ -287,5 +289,5 @@ def _inverse(information: FloatArray) -> FloatArray:
     """Its inverse; where there is no information, a variance that is larger than any."""
     size = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(information / np.outer(size, size))
-    inverse = (vectors / np.maximum(values, NONE * values[-1])) @ vectors.T
+    inverse = (vectors / np.maximum(values, NONE * values.max(initial=0.0))) @ vectors.T
     return np.asarray(inverse / np.outer(size, size))

@@ -16,20 +16,27 @@ def look(of_source, cell, volume, count, company, least, pseudo_count, hole, see
     cells. count, company : room for the counts of either. highest : (n,) of the densities so far, which is what is
     expected at least half of: just outside a border coarse cells are empty for the most part, and their own density
     says too little.
+
+    Returns by how many standard deviations more records lie in empty cells than chance puts there.
     """
     count[:] = 0.0
     for c in of_source:
         count[c] += 1.0
     company[:] = 0.0
-    if least > 0.0:
-        for c in cell:
-            company[c] += 1.0
+    for c in cell:
+        company[c] += 1.0
+    empty, due, variance = 0.0, 0.0, 1.0
     for k in range(len(cell)):
         c = cell[k]
+        chance = np.exp(-density[k] * volume[c])
+        empty += count[c] == 0.0
+        due += chance
+        variance += chance * (1.0 - chance) * company[c]  # all of a cell together
         if count[c] == 0.0 and company[c] >= least and max(density[k], 0.5 * highest[k]) * volume[c] >= hole:
             seen[k] = False
         highest[k] = max(highest[k], density[k])
         density[k] = (count[c] + pseudo_count) / (volume[c] + pseudo_count / density[k])
+    return (empty - due) / np.sqrt(variance)
 
 
 @kernel
