@@ -70,7 +70,8 @@ class Scale:
         apart = len(measured) > 0 and len(some) - len(measured) >= UNMEASURED
         scale = cls(number, edges, np.empty(0), apart)
         within = scale._range(seen, len(some))
-        line, count = some[np.lexsort((some, within))], np.bincount(within, minlength=ranges + 1)
+        line = np.sort(some) if seen is None else some[np.lexsort((some, within))]
+        count = np.bincount(within, minlength=ranges + 1)
         at = (np.cumsum(count) - count)[:, None] + count[:, None] * parts // number
         # The limits of a range without records are never asked for.
         return replace(scale, limits=line[np.minimum(at, len(line) - 1)].ravel())

@@ -25,10 +25,11 @@ def look(of_source, cell, volume, count, company, least, pseudo_count, hole, see
     company[:] = 0.0
     for c in cell:
         company[c] += 1.0
-    empty, due, variance = 0.0, 0.0, 1.0
+    empty, due, variance, never = 0.0, 0.0, 1.0, 20.0
     for k in range(len(cell)):
         c = cell[k]
-        chance = np.exp(-density[k] * volume[c])
+        expected = density[k] * volume[c]
+        chance = np.exp(-expected) if expected < never else 0.0
         empty += count[c] == 0.0
         due += chance
         variance += chance * (1.0 - chance) * company[c]  # all of a cell together
