@@ -35,6 +35,7 @@ from sameas.records import FloatArray, Records
 from sameas.result import Identification
 from sameas.rounds import FEWEST, Known
 from sameas.sample import Setting
+from sameas.tails import Tail, tail
 
 #: The gate opens when this share of the expected true pairs lies beyond 0.7 of its radius (honest errors: 4e-5).
 OPENING = 6e-5
@@ -125,6 +126,11 @@ class Estimate:
     def changed_by_precision(self) -> int:
         """How many records of source 1 would be identified otherwise without the sizes of the quoted errors."""
         return changed_without(self.answer, PRECISION_TERMS)
+
+    @cached_property
+    def tail(self) -> Tail | None:
+        """The share of the pairs whose errors are far larger than the typical ones; None where there is none."""
+        return tail(self.answer, self.errors)
 
     @cached_property
     def error_model(self) -> ErrorModel | None:

@@ -9,7 +9,6 @@ from sameas.error_model import ErrorModel
 from sameas.prose import count, entry, percent
 from sameas.quantity import Quantity
 from sameas.sky.match import ARCSEC2_PER_DEG2, SkyMatch
-from sameas.tails import tail
 
 #: Quoted errors are right where the residuals differ from them by no more than this, or so many standard errors.
 AS_QUOTED, SIGNIFICANT = 0.03, 3.0
@@ -147,10 +146,9 @@ def _errors_in_words(match: SkyMatch) -> str:
     if scale is None and len(scales) == 1:
         return "taken as quoted" if scales[0] == 1.0 else f"{scales[0]:g} times the quoted ones"
     words = f"typically {e.typical_scale:.2f} times the quoted ones" if scale is None else judged(scale)
-    beyond = tail(match.result, e.errors)
-    if beyond is None:
+    if e.tail is None:
         return words
-    far = f"{_share(beyond.share)} of the pairs have errors about {beyond.factor:.1f} times the quoted ones"
+    far = f"{_share(e.tail.share)} of the pairs have errors about {e.tail.factor:.1f} times the quoted ones"
     return f"{words}; a tail: {far}"
 
 

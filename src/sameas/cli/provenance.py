@@ -14,7 +14,6 @@ import numpy
 import sameas
 from sameas.cli.request import Request
 from sameas.sky.match import ARCSEC2_PER_DEG2, SkyMatch
-from sameas.tails import tail
 
 #: What the terms of the error model are called in an output.
 ERROR_NAMES = {
@@ -87,10 +86,10 @@ def _offset(match: SkyMatch) -> dict[str, Any]:
 
 def _quantities(match: SkyMatch) -> dict[str, float]:
     """Everything estimated with its standard error, where it has one."""
-    estimate, beyond = match.estimate, tail(match.result, match.estimate.errors)
+    estimate = match.estimate
     found = dict(estimate.quantities)
-    if beyond is not None:
-        found["error_tail_share"] = beyond.share
+    if estimate.tail is not None:
+        found["error_tail_share"] = estimate.tail.share
     if estimate.error_model is not None:
         found |= {ERROR_NAMES[name]: quantity for name, quantity in estimate.error_model.told.items()}
     facts = {}

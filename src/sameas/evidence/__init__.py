@@ -38,7 +38,7 @@ from sameas.evidence.close import CloseObjects
 from sameas.evidence.densities import Displacement, Flat, GaussianMixture, Samples
 from sameas.evidence.fields import ConstantCost, DetectionField, Field, PoissonField
 from sameas.evidence.identity import MODELS, Alarm, Category, Code, Identity, Model, Size, alarms
-from sameas.evidence.precision import Graded, Precision, both_grades
+from sameas.evidence.precision import Graded, Precision
 from sameas.evidence.relation import MagnitudeDensity, Relation
 from sameas.evidence.rule import Evidence, Rule, Sum
 from sameas.evidence.spread import LOG_2PI, Errors
@@ -49,6 +49,6 @@ __all__ = [
     "Comparison",
     "ConstantCost", "DetectionField", "Displacement", "Errors", "Evidence", "Field", "Flat", "GaussianMixture",
     "Graded", "Identity", "MagnitudeDensity", "Magnitudes", "Measured", "Model", "Pattern", "PoissonField", "Precision",
-    "Regressors", "Relation", "Rule", "Samples", "Side", "Size", "Sum", "Universal", "alarms", "both_grades",
+    "Regressors", "Relation", "Rule", "Samples", "Side", "Size", "Sum", "Universal", "alarms",
     "compared", "log_neighbour_density", "log_surface_density",
 ]  # fmt: skip

@@ -19,7 +19,7 @@ from sameas.records import FloatArray
 
 @dataclass(frozen=True)
 class Graded:
-    """Pairs, (m,) both their grades as of :func:`both_grades`, and (m,) by how much each made these too good."""
+    """Pairs, (m,) where both grades stand in the table, row by row, and (m,) by how much each made these too good."""
 
     pairs: Pairs
     both: NDArray[np.integer]
@@ -41,19 +41,11 @@ class Precision(Rule):
     lesson: Graded | None = field(repr=False, default=None)
 
     def __call__(self, pairs: Pairs) -> Evidence:
-        table = self.log_ratio.ravel()
         if self.says_of(pairs) and self.lesson is not None:
-            return Evidence({"precision": table[self.lesson.both] - self.lesson.own})
-        return Evidence({"precision": table[both_grades(self.grades, self.log_ratio.shape[1], pairs)]})
+            return Evidence({"precision": self.log_ratio.ravel()[self.lesson.both] - self.lesson.own})
+        one, two = self.grades
+        return Evidence({"precision": self.log_ratio[one[pairs.i], two[pairs.j]]})
 
     def says_of(self, pairs: Pairs) -> bool:
         """Whether it was these pairs that this was learned from."""
         return self.lesson is not None and self.lesson.pairs is pairs
-
-
-def both_grades(
-    grades: tuple[NDArray[np.integer], NDArray[np.integer]], number_2: int, pairs: Pairs
-) -> NDArray[np.integer]:
-    """(m,) g₁ · number_2 + g₂ of the pairs."""
-    one, two = grades
-    return one[pairs.i] * number_2 + two[pairs.j]

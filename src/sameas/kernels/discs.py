@@ -1,9 +1,8 @@
 """Compiled discs (intervals, balls) over sorted points: which are empty, and what lies in those that are.
 
 Points are (n, axes), in lists of cells (n, 3) with unused axes zero, wrapped into their period where an axis has one.
-They are sorted into the buckets of
-a grid: a cell's number modulo the size of the table, so that a grid needs no more room than its points, however wide it
-is. Buckets may hold points of several cells; every point is asked for its own.
+They are sorted into the buckets of a grid: a cell's number modulo the size of the table, so that a grid needs no more
+room than its points, however wide it is. Buckets may hold points of several cells; every point is asked for its own.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ def bucket_of(i, j, k, number, mask):
 
 
 @part
-def reach_of(x, low, side, number, period, radius):
+def along(x, low, side, number, period, radius):
     """(first, last) cell along one axis that a disc around ``x`` reaches; in a period they may lie outside it."""
     if period < np.inf and 2.0 * radius + 2.0 * side >= period:
         return 0, number - 1
@@ -37,9 +36,25 @@ def reach_of(x, low, side, number, period, radius):
 
 
 @part
+def reach_of(centres, c, radius, low, side, number, period):
+    """The same along three axes of a disc around a centre."""
+    return (
+        along(centres[c, 0], low[0], side[0], number[0], period[0], radius),
+        along(centres[c, 1], low[1], side[1], number[1], period[1], radius),
+        along(centres[c, 2], low[2], side[2], number[2], period[2], radius),
+    )
+
+
+@part
 def turned(cell, number, period):
     """A cell brought into its period."""
     return cell % number if period < np.inf else cell
+
+
+@part
+def turned_round(i, j, k, number, period):
+    """The same along three axes."""
+    return turned(i, number[0], period[0]), turned(j, number[1], period[1]), turned(k, number[2], period[2])
 
 
 @part
@@ -78,8 +93,8 @@ def company_beside(points, p, limit, source, some, low, side, number, period, ma
     for at_i in range(i - 1, i + 2):
         for at_j in range(j - wide, j + wide + 1):
             for at_k in range(k - deep, k + deep + 1):
-                where = turned(at_i, number[0], period[0]), turned(at_j, number[1], period[1])
-                q = some[bucket_of(where[0], where[1], turned(at_k, number[2], period[2]), number, mask)]
+                cell_i, cell_j, cell_k = turned_round(at_i, at_j, at_k, number, period)
+                q = some[bucket_of(cell_i, cell_j, cell_k, number, mask)]
                 if q >= 0 and apart_sq(source, q, points, p, period) < limit:
                     return True
     return False
@@ -120,15 +135,12 @@ def beside(points, low, side, number, period, mask, centres, radius, out):
     """Write the rows of the points in buckets that discs around centres (c, 3) reach into ``out``; returns how many."""
     marked, found = np.zeros(mask + 1, np.bool_), 0
     for c in range(len(centres)):
-        west, east = reach_of(centres[c, 0], low[0], side[0], number[0], period[0], radius[c])
-        south, north = reach_of(centres[c, 1], low[1], side[1], number[1], period[1], radius[c])
-        below, above = reach_of(centres[c, 2], low[2], side[2], number[2], period[2], radius[c])
+        (west, east), (south, north), (below, above) = reach_of(centres, c, radius[c], low, side, number, period)
         for i in range(west, east + 1):
             for j in range(south, north + 1):
                 for k in range(below, above + 1):
-                    at_i = turned(i, number[0], period[0])
-                    at_j = turned(j, number[1], period[1])
-                    marked[bucket_of(at_i, at_j, turned(k, number[2], period[2]), number, mask)] = True
+                    at_i, at_j, at_k = turned_round(i, j, k, number, period)
+                    marked[bucket_of(at_i, at_j, at_k, number, mask)] = True
     for p in range(len(points)):
         i, j, k = cells_at(points, p, low, side, number, period)
         if marked[bucket_of(i, j, k, number, mask)]:
@@ -160,23 +172,17 @@ def into_buckets(points, low, side, number, period, mask):
 @part
 def is_empty(centres, c, radius, points, low, side, number, period, mask, start, rows):
     """Whether no point lies closer to the centre than the radius."""
-    own = bucket_of(
-        cell_of(centres[c, 0], low[0], side[0], number[0], period[0]),
-        cell_of(centres[c, 1], low[1], side[1], number[1], period[1]),
-        cell_of(centres[c, 2], low[2], side[2], number[2], period[2]), number, mask,
-    )  # fmt: skip
+    i, j, k = cells_at(centres, c, low, side, number, period)
+    own = bucket_of(i, j, k, number, mask)
     for place in range(start[own], start[own + 1]):  # most centres have company in their own cell
         if apart_sq(points, rows[place], centres, c, period) < radius * radius:
             return False
-    west, east = reach_of(centres[c, 0], low[0], side[0], number[0], period[0], radius)
-    south, north = reach_of(centres[c, 1], low[1], side[1], number[1], period[1], radius)
-    below, above = reach_of(centres[c, 2], low[2], side[2], number[2], period[2], radius)
+    (west, east), (south, north), (below, above) = reach_of(centres, c, radius, low, side, number, period)
     for i in range(west, east + 1):
         for j in range(south, north + 1):
             for k in range(below, above + 1):
-                at_i = turned(i, number[0], period[0])
-                at_j = turned(j, number[1], period[1])
-                b = bucket_of(at_i, at_j, turned(k, number[2], period[2]), number, mask)
+                at_i, at_j, at_k = turned_round(i, j, k, number, period)
+                b = bucket_of(at_i, at_j, at_k, number, mask)
                 for place in range(start[b], start[b + 1]):
                     if apart_sq(points, rows[place], centres, c, period) < radius * radius:
                         return False
@@ -205,14 +211,11 @@ def holds(centres, c, radius, least, points, low, side, number, period, mask, st
     if least <= 1.0:
         return True
     count = 0
-    west, east = reach_of(centres[c, 0], low[0], side[0], number[0], period[0], radius)
-    south, north = reach_of(centres[c, 1], low[1], side[1], number[1], period[1], radius)
-    below, above = reach_of(centres[c, 2], low[2], side[2], number[2], period[2], radius)
+    (west, east), (south, north), (below, above) = reach_of(centres, c, radius, low, side, number, period)
     for i in range(west, east + 1):
         for j in range(south, north + 1):
             for k in range(below, above + 1):
-                at_i, at_j = turned(i, number[0], period[0]), turned(j, number[1], period[1])
-                at_k = turned(k, number[2], period[2])
+                at_i, at_j, at_k = turned_round(i, j, k, number, period)
                 b = bucket_of(at_i, at_j, at_k, number, mask)
                 for place in range(start[b], start[b + 1]):
                     p = rows[place]
@@ -231,14 +234,12 @@ def clear(centres, radius, inner, least, points, low, side, number, period, mask
     for c in range(len(centres)):
         if not holds(centres, c, radius[c], least, points, low, side, number, period, mask, start, rows):
             continue
-        west, east = reach_of(centres[c, 0], low[0], side[0], number[0], period[0], inner[c])
-        south, north = reach_of(centres[c, 1], low[1], side[1], number[1], period[1], inner[c])
-        below, above = reach_of(centres[c, 2], low[2], side[2], number[2], period[2], inner[c])
+        (west, east), (south, north), (below, above) = reach_of(centres, c, inner[c], low, side, number, period)
         for i in range(west, east + 1):
             for j in range(south, north + 1):
                 for k in range(below, above + 1):
-                    at_i, at_j = turned(i, number[0], period[0]), turned(j, number[1], period[1])
-                    b = bucket_of(at_i, at_j, turned(k, number[2], period[2]), number, mask)
+                    at_i, at_j, at_k = turned_round(i, j, k, number, period)
+                    b = bucket_of(at_i, at_j, at_k, number, mask)
                     if not left[b]:
                         continue
                     for place in range(start[b], start[b + 1]):

@@ -29,9 +29,9 @@ from sameas.picture.following import Follower, Following
 from sameas.picture.moment import NOTHING, Moment
 from sameas.picture.numbering import COASTING, CONFIRMED, ENDED, TENTATIVE, Numbered
 from sameas.picture.remembered import LEAST
-from sameas.picture.roll import BoolArray, Roll
+from sameas.picture.roll import Roll
 from sameas.picture.shown import ShownAgain, says_velocity
-from sameas.records import FloatArray, IntArray
+from sameas.records import IntArray
 from sameas.tracks.alignment import States, moved
 from sameas.tracks.feed import Feed, walk_of
 from sameas.tracks.scene import POSITION_AND_VELOCITY, Instant, Scene
@@ -74,21 +74,7 @@ def _period_s(feed: Feed) -> float:
 
 @dataclass(frozen=True)
 class Followed(Numbered):
-    """The objects of the picture at an instant, (k,) each, by ascending number; those that end are in it once more.
-
-    number, stage, state, covariance, placed, moving, seen : as of :class:`sameas.picture.numbering.Known`.
-    """
-
-    number: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    stage: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    state: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
-    covariance: FloatArray = field(default_factory=lambda: np.empty((0, 4, 4)))
-    placed: BoolArray = field(default_factory=lambda: np.empty(0, bool))
-    moving: BoolArray = field(default_factory=lambda: np.empty(0, bool))
-    seen: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-
-    def __len__(self) -> int:
-        return len(self.number)
+    """Objects that a look shows, and those that are sure without."""
 
     @classmethod
     def of(cls, shown: ShownAgain, sure: frozenset[int]) -> Followed:

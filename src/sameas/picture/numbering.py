@@ -90,11 +90,28 @@ class Seen:
         return len(self.looked)
 
 
+@dataclass(frozen=True)
 class Numbered(Rows):
-    """Objects of the picture with the ``number`` of each (k,), and which object of the instant it is: ``seen`` (k,)."""
+    """The objects of the picture at an instant, (k,) each, by ascending number; those that end are in it once more.
 
-    number: IntArray
-    seen: IntArray
+    Attributes
+    ----------
+    number : from 1. stage : place in :data:`STAGES`.
+    state, covariance : (k, 4), (k, 4, 4) of position and velocity. placed : whether the position is known.
+    moving : whether the velocity is known, said by a record or from the object's own positions.
+    seen : (k,) which object of the instant it is, −1 where nobody shows it.
+    """
+
+    number: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    stage: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    state: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
+    covariance: FloatArray = field(default_factory=lambda: np.empty((0, 4, 4)))
+    placed: BoolArray = field(default_factory=lambda: np.empty(0, bool))
+    moving: BoolArray = field(default_factory=lambda: np.empty(0, bool))
+    seen: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+
+    def __len__(self) -> int:
+        return len(self.number)
 
     def numbers(self, n_seen: int) -> IntArray:
         """(n,) the number of each object of the instant."""
@@ -106,15 +123,11 @@ class Numbered(Rows):
 
 @dataclass(frozen=True)
 class Known(Numbered):
-    """The objects of the picture at an instant, (k,) each, by ascending number; those that end are in it once more.
+    """Objects that records name, (k,) each, with what is known of them besides.
 
     Attributes
     ----------
     instant_s : the instant. given : numbers given so far.
-    number : from 1. stage : place in :data:`STAGES`.
-    state, covariance : (k, 4), (k, 4, 4) of position and velocity. placed : whether the position is known.
-    moving : whether the velocity is known, said by a record or from the object's own positions.
-    seen : (k,) which object of the instant it is, −1 where nobody shows it.
     looks, plots : instants with a new look at it, and with one of a source that names no tracks.
     longest, lived, earlier : its track that has lived longest, what that life says for its being real, and what the
         lives of those before say: ln of odds.
@@ -127,13 +140,6 @@ class Known(Numbered):
     WHOLE = frozenset({"instant_s", "given", "belonging"})
     instant_s: float = -np.inf
     given: int = 0
-    number: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    stage: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    state: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
-    covariance: FloatArray = field(default_factory=lambda: np.empty((0, 4, 4)))
-    placed: BoolArray = field(default_factory=lambda: np.empty(0, bool))
-    moving: BoolArray = field(default_factory=lambda: np.empty(0, bool))
-    seen: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     looks: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     plots: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     longest: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
@@ -144,9 +150,6 @@ class Known(Numbered):
     walk_m2_per_s3: FloatArray = field(default_factory=lambda: np.empty(0))
     speed_m_per_s: FloatArray = field(default_factory=lambda: np.empty(0))
     belonging: Belonging = field(default_factory=Belonging)
-
-    def __len__(self) -> int:
-        return len(self.number)
 
     def on(self, instant_s: float, seen: Seen, density_per_m2: float, stages: Stages) -> Known:
         """The objects at a later instant; ``density_per_m2``: of objects."""

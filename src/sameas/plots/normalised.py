@@ -11,7 +11,6 @@ from sameas.plots.sheet import FAINT, FILL, FOUND, INK, SECOND, sheet, tidy
 from sameas.prose import count, percent
 from sameas.records import FloatArray
 from sameas.sky.match import SkyMatch
-from sameas.tails import tail
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -110,7 +109,7 @@ def finding(match: SkyMatch) -> str:
 
 def _detail(match: SkyMatch) -> str:
     words = f"{count(len(match.result.matches))} identified pairs of {match.first.name} and {match.second.name}."
-    beyond = tail(match.result, match.estimate.errors)
+    beyond = match.estimate.tail
     if beyond is not None:
         share = f"{percent(beyond.share.value)} of them have errors about {beyond.factor:.1f} times the quoted ones"
         words += f" A tail: {share}."

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.kernels import offsets
 from sameas.records import FloatArray
 from sameas.registration.votes import Votes
 from sameas.registration.weights import CLOSELY, ROUGHLY, Scene, Weighed, boxed, flattened, meet, weigh, weighed
@@ -200,10 +199,12 @@ def _anneal(scene: Scene, belief: Belief, trials: Trials, keep: int, widenings: 
 
 def _normal_equations(scene: Scene, belief: Belief, theta: FloatArray, found: Weighed) -> tuple[FloatArray, FloatArray]:
     """Score (s, p) of the log posterior of θ, and its information (s, p, p) if the weights were the truth."""
+    from sameas.kernels.offsets import pulls
+
     d, p = scene.second.d, theta.shape[1]
     jacobian = scene.model.jacobian(scene.second.features, theta[:, None, :])
     jacobian = np.ascontiguousarray(np.broadcast_to(jacobian, (len(theta), len(scene.second), d, p)))
-    score, information = offsets.pulls(found.s, found.j, found.residual, found.precision, found.weight, jacobian, WEAK)
+    score, information = pulls(found.s, found.j, found.residual, found.precision, found.weight, jacobian, WEAK)
     return score - belief.precision * theta, information + np.diag(belief.precision)
 
 

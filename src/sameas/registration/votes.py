@@ -17,7 +17,6 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sameas.kernels import offsets
 from sameas.records import FloatArray, Records
 from sameas.registration.offsets import Offset
 from sameas.space import Sphere
@@ -207,12 +206,14 @@ def _peaks(
 
     box : its low and high corner. density : of the votes that chance brings; what is seen around if not given.
     """
+    from sameas.kernels.offsets import tally
+
     low, high = box
     most = min(max(64 * len(records[0]) * len(records[1]), 4096), MOST_CELLS)
     size = sigma * _coarser((high - low) / sigma, most)
     # A cell more at every end, which is left empty.
     cells, start = np.maximum(np.ceil((high - low) / size).astype(np.int64), 1) + 2, low - size
-    votes = offsets.tally(*records, periods, start, size, cells).reshape(tuple(cells))
+    votes = tally(*records, periods, start, size, cells).reshape(tuple(cells))
     chance = None if density is None else density * float(size.prod())
     if np.all(size <= FINE * sigma):
         return [(score, start + (place + 0.5) * size) for score, place, _ in _crowded(votes, count, chance, *FINELY)]
@@ -239,11 +240,13 @@ def _crowded(
     score, which a block must have. beside : cells so near to a better one are of the same peak.
     The score is the log likelihood ratio of a Poisson count. The outermost cells have no votes.
     """
+    from sameas.kernels.offsets import blocks
+
     flat = votes.ravel()
     block, filled = 3.0**votes.ndim, np.flatnonzero(flat > 0.5)
     stride = [math.prod(votes.shape[axis + 1 :]) for axis in range(votes.ndim)]
     near = np.array([np.dot(step, stride) for step in product((-1, 0, 1), repeat=votes.ndim)], np.int64)
-    here = offsets.blocks(flat, filled, near)
+    here = blocks(flat, filled, near)
     most = min(12 * count, len(here))
     top = np.argpartition(here, len(here) - most)[len(here) - most :] if most else filled
     place = np.stack(np.unravel_index(filled[top], votes.shape), axis=1)

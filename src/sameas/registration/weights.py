@@ -10,17 +10,20 @@ offset, and every array of pairs runs over the pairs of all of them.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sameas.evidence import LOG_2PI
 from sameas.gate import Radius
-from sameas.kernels import offsets
 from sameas.records import FloatArray, Records
 from sameas.registration.offsets import Offset
 from sameas.registration.votes import typical_sigma
 from sameas.space import Plane
+
+if TYPE_CHECKING:
+    from sameas.kernels.offsets import Cells
 
 #: Pairs beyond so many (widened) standard deviations are not weighed.
 GATE_SIGMAS = 5.5
@@ -47,7 +50,7 @@ class Scene:
     sigma: float
     flat: FloatArray
     box: FloatArray
-    cells: offsets.Cells
+    cells: Cells
     periods: FloatArray
 
     @classmethod
@@ -120,13 +123,15 @@ class Meeting:
 
 def meet(scene: Scene, theta: FloatArray, widening: float) -> Meeting:
     """The pairs under the offsets theta (s, p), of errors that are so many times larger than quoted."""
+    from sameas.kernels.offsets import both_look, carried_errors
+
     features = scene.second.features
     shape = (len(theta), *features.shape)
     moved = np.ascontiguousarray(np.broadcast_to(scene.model.moved(features, theta[:, None, :]), shape))
     carried = np.broadcast_to(scene.model.carried(features, theta[:, None, :]), (*shape, scene.first.d))
-    spread = offsets.carried_errors(np.ascontiguousarray(carried), scene.covariance_2)
+    spread = carried_errors(np.ascontiguousarray(carried), scene.covariance_2)
     flat = np.ascontiguousarray(flattened(moved, scene.model, scene.second))
-    volume, whole, inside = offsets.both_look(scene.box, scene.flat, flat, scene.sigma, scene.periods)
+    volume, whole, inside = both_look(scene.box, scene.flat, flat, scene.sigma, scene.periods)
     expected = np.array([len(scene.first), len(scene.second)]) / whole * volume[:, None]
     return Meeting(*_candidates(scene, moved, spread, widening), volume, expected, inside)
 
@@ -141,6 +146,8 @@ def weigh(scene: Scene, theta: FloatArray, common: FloatArray, widening: float) 
 
 def weighed(scene: Scene, met: Meeting, common: FloatArray, settled: float) -> Weighed:
     """Weights of the pairs that meet, by messages that settle to so small a share of them."""
+    from sameas.kernels.offsets import messages
+
     volume, expected, sets = met.volume, met.expected, len(met.volume)
     shared = np.clip(common, LEAST_COMMON, MOST_SHARE * np.maximum(expected.min(axis=1), 2 * LEAST_COMMON))
     rest = np.maximum(expected - shared[:, None], 0.5)
@@ -150,7 +157,7 @@ def weighed(scene: Scene, met: Meeting, common: FloatArray, settled: float) -> W
     s = np.repeat(np.arange(sets), np.diff(met.start))
     records = len(scene.first), len(scene.second)
     log_weight = log_odds[s] + met.log_normal
-    share, log_sum, total = offsets.messages(met.start, met.i, met.j, log_weight, records, SWEEPS, settled)
+    share, log_sum, total = messages(met.start, met.i, met.j, log_weight, records, SWEEPS, settled)
     # The likelihood is that of what is left, so it has to be said for the shared what they are weighed less.
     alone = met.in_common * (np.log(rest) - np.log(np.maximum(expected, 0.5))) + shared[:, None] * np.log(due / rest)
     gain = np.where(volume > 0.0, shared + alone.sum(axis=1) + log_sum, 0.0)
@@ -164,7 +171,9 @@ Candidates = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], Floa
 def _candidates(scene: Scene, moved: FloatArray, spread: FloatArray, widening: float) -> Candidates:
     if not isinstance(scene.first.space, Plane):
         return _gated(scene, moved, spread, widening)
-    found: Candidates = offsets.near_pairs(scene.cells, moved, spread, scene.periods, GATE_SIGMAS, widening)
+    from sameas.kernels.offsets import near_pairs
+
+    found: Candidates = near_pairs(scene.cells, moved, spread, scene.periods, GATE_SIGMAS, widening)
     return found
 
 
@@ -184,8 +193,10 @@ def _gated(scene: Scene, moved: FloatArray, spread: FloatArray, widening: float)
     )  # fmt: skip
 
 
-def _in_cells(features: FloatArray, covariance: FloatArray, size: float, periods: FloatArray) -> offsets.Cells:
+def _in_cells(features: FloatArray, covariance: FloatArray, size: float, periods: FloatArray) -> Cells:
     """Records laid out in cells of their first and last feature; one cell all along an axis with a period."""
+    from sameas.kernels.offsets import Cells
+
     axes = [0, features.shape[1] - 1]
     at = features[:, axes]
     low, span = at.min(axis=0), np.ptp(at, axis=0)
@@ -198,7 +209,7 @@ def _in_cells(features: FloatArray, covariance: FloatArray, size: float, periods
     cell = line * shape[0] + column
     rows = np.argsort(cell, kind="stable")
     start = np.searchsorted(cell[rows], np.arange(shape.prod() + 1))
-    return offsets.Cells(features[rows], covariance[rows], rows, start, low, sizes, shape)
+    return Cells(features[rows], covariance[rows], rows, start, low, sizes, shape)
 
 
 def arrived(second: Records, moved: FloatArray, covariance: FloatArray) -> Records:

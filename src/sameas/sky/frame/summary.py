@@ -11,7 +11,6 @@ from sameas.sky.frame.identified import FrameIdentification
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.place import odds_in_words
 from sameas.sky.frame.tangent import directions_deg
-from sameas.tails import tail
 
 #: Identified pairs less probable than this are called ambiguous.
 AMBIGUOUS = 0.9
@@ -146,9 +145,8 @@ def _estimated(found: FrameIdentification) -> dict[str, list[float]]:
     if model is not None:
         known |= {(ERROR_NAMES[name], scale if name.startswith("floor") else 1.0): q for name, q in model.told.items()}
     told = {name: (unit * q.value, unit * q.standard_error) for (name, unit), q in known.items() if q is not None}
-    beyond = tail(found.result, estimate.errors)
-    if beyond is not None:
-        told["error_tail_share"] = beyond.share.value, beyond.share.standard_error
+    if estimate.tail is not None:
+        told["error_tail_share"] = estimate.tail.share.value, estimate.tail.share.standard_error
     return {name: list(values) for name, values in told.items() if all(map(math.isfinite, values))}
 
 
