@@ -14,8 +14,8 @@ import numpy as np
 from benchmarks import peers, workload
 from benchmarks.tables import Table, report
 from sameas import Identification, Radius, identify
-from sameas.estimate import match
-from sameas.score import is_true_pair
+from sameas.estimate.match import match
+from sameas.score.pairs import is_true_pair
 
 COLUMNS = ("λ", "errors", "by", "claimed", "correct % of claimed", "found %", "wrong", "expected wrong")
 GATE_SIGMAS = 3.0
@@ -38,7 +38,7 @@ def mutual(scene: Any) -> Pairs:
 
 
 def _nearest(one: Any, two: Any) -> tuple[np.ndarray, np.ndarray]:
-    from sameas.sky.nearest import nearest as neighbour
+    from sameas.sky.crossmatch import nearest as neighbour
 
     found = neighbour(one, two)
     variance = [_mean_variance(records) for records in (one, two)]

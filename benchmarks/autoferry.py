@@ -6,7 +6,7 @@ is learned from the truth of the two scenarios that are not judged; the lengths 
 they move, and how many, are told. Two ways are judged:
 
 - alone: every instant for itself, the last look of every sensor;
-- with memory: :class:`sameas.picture.following.Follower`, every look used once.
+- with memory: :class:`sameas.picture.plot_tracker.PlotTracker`, every look used once.
 
 Counted are instants at which two sensors or more show each of the vessels. One is right where both are found as two
 objects, each with a detection of it from every sensor that shows it, and with nothing that is not on its hull. Cameras
@@ -29,9 +29,9 @@ import numpy as np
 from benchmarks.autoferry_models import Learned, describe_all, learned_elsewhere
 from benchmarks.autoferry_scenes import FOLDER, SCENARIOS, Truth, off_hulls, off_sights, scene_of, truth_of, turned
 from benchmarks.tables import Table, report
-from sameas.many import identify_many
-from sameas.observations import Region, records_of
-from sameas.picture.following import Follower, Following
+from sameas.many.identify import identify_many
+from sameas.many.observations import Region, records_of
+from sameas.picture.plot_tracker import PlotTracker, TrackedPlots
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions
 from sameas.tracks.scene import POSITION_AND_VELOCITY, Instant
@@ -200,7 +200,7 @@ def run(scenario: str, models: dict[int, Learned], step_s: float) -> dict[str, T
     scene, truth = scene_of(scenario, describe_all(models, scenario)), truth_of(scenario)
     start, end = scene.span_s
     tallies = {way: Tally() for way in WAYS}
-    follower, following = Follower(), None
+    follower, following = PlotTracker(), None
     for instant_s in np.arange(start + step_s, end, step_s):
         now = among_few(scene.at(instant_s, features=POSITION_AND_VELOCITY))
         following = follower.advance(now, following)
@@ -220,7 +220,7 @@ def alone(heard: Instant) -> Found:
     return Found(np.ma.filled(found.members, -1), found.fused.state[:, :2], found.fused.covariance[:, :2, :2])
 
 
-def followed(following: Following) -> Found:
+def followed(following: TrackedPlots) -> Found:
     """What was followed, of the sources that say something."""
     heard = [s for s, source in enumerate(following.now.sources) if len(records_of(source))]
     state, covariance = following.state[:, :2], following.covariance[:, :2, :2]

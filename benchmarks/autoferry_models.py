@@ -36,7 +36,16 @@ from benchmarks.autoferry_scenes import (
     truth_of,
     turned,
 )
-from sameas.tracks.source import Clutter, Coverage, Description, ErrorModel, Misses, Motion, Resolution, Timing
+from sameas.tracks.source import (
+    Clutter,
+    Description,
+    MissRate,
+    Motion,
+    Resolution,
+    SensorCoverage,
+    SensorErrors,
+    Timing,
+)
 
 KIND = {LIDAR: "lidar", RADAR: "marine radar", INFRARED: "camera", OPTICAL: "camera"}
 NAME = {LIDAR: "lidar", RADAR: "radar", INFRARED: "infrared", OPTICAL: "electro-optical"}
@@ -83,13 +92,14 @@ class Learned:
     def describe(self, sensor: int, half_hull_m: Sequence[float]) -> Description:
         """The sensor among vessels of these half lengths."""
         own, extent = self.errors, float(np.sqrt(np.mean(np.square(half_hull_m)) / 6.0))
-        polar = ErrorModel(bearing_deg=own.bearing_deg, extent_m=extent)
-        plane = ErrorModel(own.range_m, 0.0, own.bearing_deg, extent_m=extent)
+        polar = SensorErrors(bearing_deg=own.bearing_deg, extent_m=extent)
+        plane = SensorErrors(own.range_m, 0.0, own.bearing_deg, extent_m=extent)
         camera = sensor in CAMERAS
         late = Timing(period_s=1.7, latency_s=self.latency_s, latency_sigma_s=0.5)
         return Description(
-            NAME[sensor], KIND[sensor], coverage=Coverage(range_m=REACH_M), misses=Misses(self.q, self.q_range_m),
-            errors=polar if camera else plane, motion=MOTION, timing=late if sensor == RADAR else Timing(),
+            NAME[sensor], KIND[sensor], coverage=SensorCoverage(range_m=REACH_M),
+            misses=MissRate(self.q, self.q_range_m), errors=polar if camera else plane, motion=MOTION,
+            timing=late if sensor == RADAR else Timing(),
             clutter=Clutter(per_deg=self.clutter) if camera else Clutter(1e6 * self.clutter),
             resolution=Resolution(5.0, 2.0, self.split) if sensor == RADAR else Resolution(split=self.split),
         )  # fmt: skip

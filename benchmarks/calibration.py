@@ -12,9 +12,9 @@ import numpy as np
 from benchmarks import workload
 from benchmarks.tables import OUTPUT, Table, report
 from sameas import CommonObjects, Field, Identification, Plane, Radius, identify
-from sameas.estimate import match
-from sameas.score import is_true_pair, reliability, score_probabilities
-from sameas.simulate import poisson_field
+from sameas.estimate.match import match
+from sameas.score.pairs import is_true_pair, reliability, score_probabilities
+from sameas.simulate.scenes import poisson_field
 
 COLUMNS = (
     "scene", "model", "candidates", "ECE, candidates", "ECE, p > 1 %", "ECE, claimed", "ECE, no partner",

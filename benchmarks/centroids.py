@@ -15,8 +15,8 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks.tables import Table, report
+from sameas.simulate.frames import Camera, Gaussian, Moffat, SimulatedFrame, Trail, frame_of
 from sameas.sky.frame.detect import Detection, detect
-from sameas.sky.frame.simulate import Camera, Gaussian, Moffat, SimulatedFrame, Trail, frame_of
 
 Found = tuple[np.ndarray, np.ndarray | None]
 BINS = ((5, 15), (15, 100), (100, 1e6))

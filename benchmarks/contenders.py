@@ -16,9 +16,9 @@ from scipy.spatial import cKDTree
 
 from sameas.gate import ChiSquare
 from sameas.groups import groups
-from sameas.observations import records_of
-from sameas.older import most_pairs, nearest
+from sameas.many.observations import records_of
 from sameas.records import Records
+from sameas.score.baselines import most_pairs, nearest
 from sameas.tracks.scene import Instant
 
 #: Three sigma in the plane.

@@ -16,10 +16,10 @@ from benchmarks.frames import one_band, true_rule
 from benchmarks.registration import drawn, put
 from benchmarks.tables import Table, report
 from sameas import Errors, Identification, Records, identify
-from sameas.estimate import Estimate, match
+from sameas.estimate.match import Estimate, match
 from sameas.evidence import Magnitudes, Rule
-from sameas.exposures import Sky, exposure
 from sameas.registration import Shift, register
+from sameas.simulate.exposures import Sky, exposure
 
 ASKED = 5.0
 #: Calls of one line are begun for no longer than this.

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sameas.estimate import match
+from sameas.estimate.match import match
 from sameas.sky.frame.detect import Detection, detect
 from sameas.sky.frame.image import read
 from sameas.sky.frame.measurements import Measurements

@@ -17,14 +17,14 @@ from benchmarks import accuracy, peers, workload
 from benchmarks.recovered import recovered, true_rule
 from benchmarks.tables import Table, report
 from sameas import Identification, identify
-from sameas.estimate import Estimate, match
+from sameas.estimate.match import Estimate, match
 from sameas.evidence import Magnitudes
-from sameas.exposures import Exposure, Sky, exposure, misquoted, with_outliers
-from sameas.score import is_true_pair, score_probabilities
-from sameas.simulate import Scene
+from sameas.score.pairs import is_true_pair, score_probabilities
+from sameas.simulate.exposures import Exposure, Sky, exposure, misquoted, with_outliers
+from sameas.simulate.scenes import SimulatedScene
 
 Pairs = tuple[np.ndarray, np.ndarray]
-Change = Callable[[np.random.Generator, Scene], Scene]
+Change = Callable[[np.random.Generator, SimulatedScene], SimulatedScene]
 HOME = Path(__file__).parent.parent
 TRUE, ESTIMATED, ONE_BAND, TWO_BANDS = (
     "sameas, true parameters", "sameas, positions alone", "sameas, with one band", "sameas, with two bands",
@@ -40,14 +40,14 @@ class Tally:
     happened: list[np.ndarray] = field(default_factory=list)
     expected: float = 0.0
 
-    def add(self, claimed: Pairs, scene: Scene) -> None:
+    def add(self, claimed: Pairs, scene: SimulatedScene) -> None:
         """Claimed pairs, wrong ones, records of the frame decided wrongly, catalogue stars claimed twice."""
         true = scene.true_pairs()
         wrong = int((~is_true_pair(claimed, true)).sum())
         twice = len(claimed[1]) - len(np.unique(claimed[1]))
         self.frames.append((len(claimed[0]), wrong, decided_wrongly(claimed, true, scene), twice))
 
-    def add_answer(self, answer: Identification, scene: Scene) -> None:
+    def add_answer(self, answer: Identification, scene: SimulatedScene) -> None:
         """The same of an answer with probabilities."""
         self.add((answer.matches.rows_1, answer.matches.rows_2), scene)
         self.stated.append(answer.p_pair)
@@ -69,7 +69,7 @@ class Tally:
         return [*cells, self.expected, score.expected_calibration_error, score.brier]
 
 
-def decided_wrongly(claimed: Pairs, true: Pairs, scene: Scene) -> int:
+def decided_wrongly(claimed: Pairs, true: Pairs, scene: SimulatedScene) -> int:
     """Records of the frame that are given a wrong partner, one where they have none, or none where they have one."""
     partner, truth = (np.full(len(scene.first), -1) for _ in range(2))
     partner[claimed[0]], truth[true[0]] = claimed[1], true[1]
@@ -231,7 +231,7 @@ def hipparcos_gaia() -> Any:
     """The two catalogues of the demonstration."""
     from sameas.io import read_table
     from sameas.sky.catalogue import Catalogue, CatalogueOptions
-    from sameas.sky.match import match as sky_match
+    from sameas.sky.crossmatch import match as sky_match
 
     with tempfile.TemporaryDirectory(prefix="sameas-bench-") as name:
         command = [sys.executable, "examples/hipparcos_gaia.py", "tables", name]

@@ -18,7 +18,7 @@ from benchmarks.tables import Table, report
 from sameas import CloseObjects, CommonObjects, Field, Identification, PerPair, Radius, identify
 from sameas.gate import ChiSquare
 from sameas.posterior import APPROXIMATE
-from sameas.simulate import grid, line, poisson_field
+from sameas.simulate.scenes import grid, line, poisson_field
 
 WIDEST = 10.0
 COLUMNS = ("gate", "candidates", "largest |Δp|", "99.9 % |Δp|", "mean |Δp|", "% local", "time, ms")

@@ -18,13 +18,14 @@ from typing import TypeVar
 import numpy as np
 
 from benchmarks.tables import Table, report
-from sameas.many import identify_many
-from sameas.picture.columns import Columns, object_columns, record_columns
-from sameas.picture.moment import Moment, Watch
-from sameas.records import FloatArray
+from sameas.arrays import FloatArray
+from sameas.many.identify import identify_many
+from sameas.picture.picture import Columns, object_columns, record_columns
+from sameas.picture.picture_state import PictureState
+from sameas.picture.watch import Watch
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Instant, Scene
-from sameas.tracks.source import Description, ErrorModel, Misses, Motion, Timing
+from sameas.tracks.source import Description, MissRate, Motion, SensorErrors, Timing
 
 SIGMA_M, SPEED_M_PER_S, MISSES, PERIOD_S, EVERY_S = 25.0, 5.0, 0.1, 3.0, 10.0
 #: Standard deviation of the difference of two records.
@@ -81,8 +82,8 @@ def scene(case: Case, crowd: float, seed: int, span_s: float) -> Scene:
             "vy_m_per_s": told[:, 1], "track_id": np.array([f"{k}" for k in who], object),
         }  # fmt: skip
         said = Description(
-            f"source {number}", "tracks", errors=ErrorModel(position_m=SIGMA_M, speed_m_per_s=0.3, course_deg=3.0),
-            misses=Misses(MISSES), motion=Motion(0.01, SPEED_M_PER_S), timing=Timing(PERIOD_S, 0.0, 0.0),
+            f"source {number}", "tracks", errors=SensorErrors(position_m=SIGMA_M, speed_m_per_s=0.3, course_deg=3.0),
+            misses=MissRate(MISSES), motion=Motion(0.01, SPEED_M_PER_S), timing=Timing(PERIOD_S, 0.0, 0.0),
         )  # fmt: skip
         sources.append((said, Reports.of(said.name, "table", columns)))
     return Scene.of(sources)
@@ -104,7 +105,7 @@ def timed(case: Case, crowd: float, seed: int, instants: int) -> Stopwatch:
     return clock
 
 
-def tables_of(moment: Moment) -> tuple[Columns, Columns]:
+def tables_of(moment: PictureState) -> tuple[Columns, Columns]:
     """The rows of both tables."""
     return object_columns(moment), record_columns(moment)
 

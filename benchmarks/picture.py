@@ -2,8 +2,8 @@
 
 Real motion, modelled sensors: vessels in the Solent (AIS) and aircraft about Paris (ADS-B) are where their reports say;
 radars about them miss some, add false echoes, break tracks, read range and azimuth wrongly and stamp late, with every
-number drawn by ``sameas.tracks.modelled``. The log itself is the first source. Nobody uses identities: the radars know
-none. Judged are pairs of records at every instant (``sameas.picture.metrics``): ours by one instant alone, biases as
+number drawn by ``sameas.simulate.sensors``. The log itself is the first source. Nobody uses identities: the radars know
+none. Judged are pairs of records at every instant (``sameas.score.picture``): ours by one instant alone, biases as
 they are, known and found, and with memory (``sameas.picture``); beside it other ways, given our states moved to the
 instant, without our registration and with it.
 """
@@ -20,15 +20,14 @@ import numpy as np
 
 from benchmarks import contenders, motion
 from benchmarks.tables import Table, report
-from sameas.many import identify_many
-from sameas.observations import records_of
-from sameas.picture.metrics import Identities, Nees, PictureScore, Siap, mean_gospa, nees, pair_score, siap, standing
+from sameas.many.identify import identify_many
+from sameas.many.observations import records_of
 from sameas.picture.picture import Picture
+from sameas.score.picture import Identities, Nees, PictureScore, Siap, mean_gospa, nees, pair_score, siap, standing
+from sameas.simulate.sensors import Bias, Sensor, Tracker, TrueMotion
 from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.fixes import fresh
-from sameas.tracks.modelled import Bias, Sensor
-from sameas.tracks.modelled_tracks import Tracker
+from sameas.tracks.feed import fresh
 from sameas.tracks.placement import placed
 from sameas.tracks.registration import SourceBiases
 from sameas.tracks.reports import Reports
@@ -36,23 +35,22 @@ from sameas.tracks.scene import Instant, Scene
 from sameas.tracks.source import (
     BiasPrior,
     Clutter,
-    Coverage,
     Description,
-    ErrorModel,
-    Misses,
+    MissRate,
     Resolution,
+    SensorCoverage,
+    SensorErrors,
     Site,
     Timing,
 )
-from sameas.tracks.true_motion import TrueMotion
 
 CACHE = Path(__file__).resolve().parents[1] / "cache"
 #: What the radars read wrong and nobody is told.
 BIASES = (Bias(50.0, 1.0, time_s=0.5), Bias(-30.0, -0.8, time_s=-0.3), Bias(40.0, 0.6, time_s=0.4))
 #: Radars are shown the antennas of the log's paths, not hulls about them.
-AIS_ERRORS = ErrorModel(position_m=5.0, extent_m=0.0)
+AIS_ERRORS = SensorErrors(position_m=5.0, extent_m=0.0)
 #: Positions of a receiver network are late by up to a second and seldom stamped better.
-ADSB_ERRORS = ErrorModel(position_m=60.0)
+ADSB_ERRORS = SensorErrors(position_m=60.0)
 SPAN_S, WARM_S = 1500.0, 300.0
 #: Of GOSPA: an object farther off is not found.
 CUTOFF_M = 200.0
@@ -73,7 +71,7 @@ class World:
         """One of the radars."""
         lat, lon, height = self.sites[number]
         described = replace(
-            self.radar, name=f"radar {number + 1}", site=Site(lat, lon, height), misses=Misses(misses),
+            self.radar, name=f"radar {number + 1}", site=Site(lat, lon, height), misses=MissRate(misses),
             errors=replace(self.radar.errors, position_m=noise_m), assumed=(),
         )  # fmt: skip
         return Sensor(described, BIASES[number], Tracker())
@@ -87,8 +85,8 @@ def solent() -> World | None:
     start = float(log.time_s.min()) + 120.0
     log = motion.between(log, start - 120.0, start + SPAN_S + 200.0)
     radar = Description(
-        "radar", "marine radar", coverage=Coverage(range_m=20e3), clutter=Clutter(0.01),
-        resolution=Resolution(30.0, 0.5), errors=ErrorModel(extent_m=0.0), bias=BiasPrior(time_s=1.0),
+        "radar", "marine radar", coverage=SensorCoverage(range_m=20e3), clutter=Clutter(0.01),
+        resolution=Resolution(30.0, 0.5), errors=SensorErrors(extent_m=0.0), bias=BiasPrior(time_s=1.0),
         timing=Timing(period_s=3.0, latency_s=1.0, latency_sigma_s=0.1),
     )  # fmt: skip
     sites = ((50.7905, -1.1030, 20.0), (50.7735, -1.1395, 15.0), (50.7300, -1.1600, 30.0))
@@ -102,9 +100,9 @@ def paris(cache: Path) -> World:
     start = float(whole.time_s.min()) + 24 * 300.0
     log = motion.between(whole, start, start + SPAN_S + 200.0)
     radar = Description(
-        "radar", "air radar", coverage=Coverage(range_m=150e3), clutter=Clutter(1e-4),
+        "radar", "air radar", coverage=SensorCoverage(range_m=150e3), clutter=Clutter(1e-4),
         resolution=Resolution(200.0, 1.0),
-        errors=ErrorModel(extent_m=0.0, height_m=15.0), bias=BiasPrior(azimuth_deg=1.0, time_s=1.0),
+        errors=SensorErrors(extent_m=0.0, height_m=15.0), bias=BiasPrior(azimuth_deg=1.0, time_s=1.0),
         timing=Timing(period_s=4.0, latency_s=1.0, latency_sigma_s=0.05),
     )  # fmt: skip
     sites = ((48.72, 2.38, 90.0), (49.01, 2.55, 120.0), (48.61, 2.68, 90.0))

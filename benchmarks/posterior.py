@@ -17,7 +17,7 @@ from sameas import CloseObjects, CommonObjects, PerPair, Radius, identify
 from sameas import posterior as stage
 from sameas.gate import ChiSquare
 from sameas.groups import Groups
-from sameas.simulate import grid
+from sameas.simulate.scenes import grid
 
 SIZES = ((3, 4), (5, 8), (9, 16), (17, 32), (33, 10**9))
 EXACT = stage.METHODS.index("exact elimination")

@@ -40,7 +40,7 @@ def identified() -> tuple[Any, Any, Any]:
     """The match, and both catalogues' records at the epoch of 2MASS."""
     from sameas.io import read_table
     from sameas.sky.catalogue import Catalogue, CatalogueOptions
-    from sameas.sky.match import match
+    from sameas.sky.crossmatch import match
 
     gaia = CatalogueOptions(sigma=GAIA_ARCSEC, epoch=GAIA_EPOCH)
     twomass = CatalogueOptions(sigma=TWOMASS_ARCSEC)

@@ -10,11 +10,11 @@ import numpy as np
 
 from benchmarks.tables import Table
 from sameas import PoissonField, match
-from sameas.areas import displaced
-from sameas.estimate import Estimate
+from sameas.estimate.match import Estimate
+from sameas.estimate.quantity import Quantity
 from sameas.evidence import Magnitudes
-from sameas.exposures import Exposure, Sky, exposure, misquoted, with_outliers
-from sameas.quantity import Quantity
+from sameas.simulate.exposures import Exposure, Sky, exposure, misquoted, with_outliers
+from sameas.space import displaced
 
 Change = Callable[[np.random.Generator, Exposure], Exposure]
 SPARSE = Sky(stars_per_deg2=5_000.0)

@@ -12,11 +12,11 @@ import numpy as np
 
 from benchmarks.tables import Table, report
 from sameas import Errors, Records, identify
-from sameas.estimate import match
+from sameas.estimate.match import match
 from sameas.evidence import PoissonField
 from sameas.registration import Offset, SensorBias, Shift, Similarity, register
-from sameas.score import score_pairs
-from sameas.simulate import Scene, poisson_field
+from sameas.score.pairs import score_pairs
+from sameas.simulate.scenes import SimulatedScene, poisson_field
 
 TARGETS = 40
 DENSITIES, MISSES, SHIFTS = (0.01, 0.03), (0.1, 0.3), (0.0, 2.0, 4.0, 8.0, 30.0)
@@ -24,7 +24,7 @@ DENSITIES, MISSES, SHIFTS = (0.01, 0.03), (0.1, 0.3), (0.0, 2.0, 4.0, 8.0, 30.0)
 CHASES, REACH_SIGMAS = 30, 3.0
 
 
-def drawn(seed: int, q: float, density: float, n: int = TARGETS) -> Scene:
+def drawn(seed: int, q: float, density: float, n: int = TARGETS) -> SimulatedScene:
     """Targets scattered at ``density`` per σ², σ = 1 the error of one axis of a residual."""
     side = math.sqrt(n / density)
     half = math.sqrt(0.5)
@@ -47,7 +47,7 @@ def undone(model: Offset, theta: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     return at
 
 
-def f1(made: Scene, pairs: tuple[np.ndarray, np.ndarray]) -> float:
+def f1(made: SimulatedScene, pairs: tuple[np.ndarray, np.ndarray]) -> float:
     """F1 of the claimed pairs; NaN where there is nothing to find."""
     return score_pairs(pairs, made.true_pairs()).f1
 
@@ -90,7 +90,7 @@ class Tally:
         return float(np.nanstd(self.values) / math.sqrt(len(self.values)))
 
 
-def known(made: Scene, q: float, density: float) -> float:
+def known(made: SimulatedScene, q: float, density: float) -> float:
     """F1 without an offset, with the true densities and misses told."""
     one = density * q * (1 - q)
     return f1(made, pairs_of(identify(made.first, made.second, rule=PoissonField(density * (1 - q) ** 2, one, one))))
@@ -133,11 +133,11 @@ class Trial:
     """An offset to find: its name, its model for a scene, the truth."""
 
     name: str
-    model: Callable[[Scene, float], Offset]
+    model: Callable[[SimulatedScene, float], Offset]
     theta: tuple[float, ...]
 
 
-def _velocity(made: Scene) -> np.ndarray:
+def _velocity(made: SimulatedScene) -> np.ndarray:
     return np.random.default_rng(len(made.second)).normal(0.0, 2.0, (len(made.second), 2))
 
 

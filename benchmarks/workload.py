@@ -36,7 +36,7 @@ class Densities:
 
 def sky_densities(scene: Any, lam: float) -> Densities:
     """The densities of a ``crowded_sky`` scene, per arcsec²."""
-    from sameas.simulate import chance_area_steradians
+    from sameas.simulate.scenes import chance_area_steradians
     from sameas.space import ARCSEC_PER_RADIAN
 
     n1, n2, common = len(scene.first), len(scene.second), len(scene.true_pairs()[0])
@@ -46,7 +46,7 @@ def sky_densities(scene: Any, lam: float) -> Densities:
 
 def crowded(seed: int, n: int, lam: float, elliptical: bool = False) -> tuple[Any, Densities]:
     """A scene of the workload and its true densities."""
-    from sameas.simulate import crowded_sky
+    from sameas.simulate.scenes import crowded_sky
 
     scene = crowded_sky(np.random.default_rng(seed), n, lam, elliptical=elliptical)
     return scene, sky_densities(scene, lam)
@@ -54,7 +54,7 @@ def crowded(seed: int, n: int, lam: float, elliptical: bool = False) -> tuple[An
 
 def frame(seed: int, n_1: int = 2000, n_2: int = 5000, lam: float = 0.5) -> tuple[Any, Densities]:
     """One frame of n₁ detections, of which 90 % are among the n₂ stars of a catalogue."""
-    from sameas.simulate import Cap, chance_area_steradians, sky_field
+    from sameas.simulate.scenes import Cap, chance_area_steradians, sky_field
     from sameas.space import ARCSEC_PER_RADIAN
 
     steradians = chance_area_steradians(n_2, lam, SIGMA_ARCSEC)
@@ -70,7 +70,7 @@ def frame(seed: int, n_1: int = 2000, n_2: int = 5000, lam: float = 0.5) -> tupl
 
 def targets(seed: int, n: int, d: int, lam: float = 0.5) -> tuple[Any, Densities]:
     """Two pictures of about n targets in d features, σ 1 each, a tenth missed by either source."""
-    from sameas.simulate import poisson_field
+    from sameas.simulate.scenes import poisson_field
 
     # A ball of 3 σ of the residual holds λ records of the other source.
     ball = math.pi ** (d / 2) / math.gamma(d / 2 + 1) * (3.0 * math.sqrt(2.0)) ** d
@@ -94,7 +94,7 @@ def widened(seed: int, scene: Any, share: float = 1e-3, factor: float = 40.0) ->
     from dataclasses import replace
 
     from sameas import Records
-    from sameas.simulate import displaced
+    from sameas.simulate.scenes import displaced
 
     rng = np.random.default_rng(seed)
     sources = []

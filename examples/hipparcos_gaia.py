@@ -25,9 +25,9 @@ from sameas import plots
 from sameas.evidence import Errors
 from sameas.io import read_table, write_table
 from sameas.plots.normalised import containment
-from sameas.report import count
+from sameas.report.match import count
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
-from sameas.sky.match import MatchOptions, SkyMatch, match
+from sameas.sky.crossmatch import MatchOptions, SkyMatch, match
 from sameas.space import sphere_offset
 
 HIP2 = ["HIP", "Sn", "So", "Nc", "RArad", "DErad", "Plx", "pmRA", "pmDE"]

@@ -28,12 +28,10 @@ import numpy as np
 
 from sameas.io import read_table, replacing
 from sameas.io.sensors import read_reports
-from sameas.picture.metrics import Identities, pair_score, siap
-from sameas.tracks.modelled import Bias, Sensor
-from sameas.tracks.modelled_tracks import Tracker
+from sameas.score.picture import Identities, pair_score, siap
+from sameas.simulate.sensors import Bias, Sensor, Tracker, TrueMotion
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import read_descriptions
-from sameas.tracks.true_motion import TrueMotion
 
 DATA = Path(__file__).parent / "data"
 SEED = 20200630

@@ -27,7 +27,7 @@ from astropy.table import Table
 from numpy.typing import NDArray
 
 from sameas.io import read_table, write_table
-from sameas.report import count
+from sameas.report.match import count
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.many import ManyMatch, match_many
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from sameas.maps import MapAlarm, MapSensor, MapSheet
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.source import Coverage, Description, Site
+from sameas.tracks.source import Description, SensorCoverage, Site
 
 SOLENT = LocalPlane(50.77, -1.25)
 START_S = 1_700_000_000.0
@@ -22,8 +22,8 @@ def sensors(plane: LocalPlane | None) -> tuple[MapSensor, ...]:
     else:
         (lat, pier_lat), (lon, pier_lon) = plane.to_geodetic([[-3500.0, -900.0], [3500.0, 3300.0]])
         site, pier = Site(lat, lon), Site(pier_lat, pier_lon)
-    radar = Coverage(range_m=14_000.0, sector_deg=(300.0, 200.0), shadows_deg=((70.0, 82.0),))
-    eye = Coverage(range_m=6_000.0, sector_deg=(150.0, 260.0))
+    radar = SensorCoverage(range_m=14_000.0, sector_deg=(300.0, 200.0), shadows_deg=((70.0, 82.0),))
+    eye = SensorCoverage(range_m=6_000.0, sector_deg=(150.0, 260.0))
     told = [
         Description("harbour radar", "marine radar", site, radar),
         Description("ais", "ais"),

@@ -14,8 +14,9 @@ from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 
 import naive
 from problems import DRAWS, chosen_edges, components_of, laid_out, many_blocks, random_ratios, solved
-from sameas import CommonObjects, PerPair, threads
+from sameas import CommonObjects, PerPair
 from sameas.assignment import Certificate, assign
+from sameas.kernels import threads
 from sameas.prior import LogPrior
 
 PRIORS = {

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from sameas import InputError, PoissonField, Records, identify
-from sameas.detection import DetectionCurve, ShareCurve, logit, share_error
-from sameas.estimate import match
-from sameas.evidence import Brightness, Chain, Magnitudes, Side
-from sameas.exposures import Sky, exposure, misquoted, with_outliers
-from sameas.photometry import Photometry
-from sameas.piecewise import Hats, knots_of
-from sameas.regression import Sample, density_of, fit_relation, weighted_median
-from sameas.score import is_true_pair, score_probabilities
+from sameas.estimate.match import match
+from sameas.estimate.photometry import Photometry
+from sameas.estimate.regression import Sample, density_of, fit_relation, weighted_median
+from sameas.evidence import Brightness, Chain, Magnitudes, SourceMagnitudes
+from sameas.evidence.detection import DetectionCurve, ShareCurve, logit, share_error
+from sameas.evidence.piecewise import Hats, knots_of
+from sameas.score.pairs import is_true_pair, score_probabilities
+from sameas.simulate.exposures import Sky, exposure, misquoted, with_outliers
 
 
 def calibration(answer, scene):
@@ -301,7 +301,7 @@ def test_rows_that_are_set_aside_keep_the_others_magnitudes():
 def test_a_chain_without_relations_says_nothing():
     records = Records.of(np.zeros(3), sigma=1.0)
     measured = Magnitudes([10.0, 11.0, 12.0]).of(records)
-    side = Side(measured, (density_of(np.linspace(10.0, 12.0, 60)),), ({},))
+    side = SourceMagnitudes(measured, (density_of(np.linspace(10.0, 12.0, 60)),), ({},))
     assert np.all(Chain(({},)).log_ratio(side.compared(np.arange(3), measured)) == 0.0)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from sameas.chisquare import quantile, share_within, upper_quantile
+from sameas.gate.chisquare import quantile, share_within, upper_quantile
 
 
 @pytest.mark.parametrize("d", [1, 2, 3, 4, 6])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sameas import Plane, Records, Sphere
-from sameas.coverage import SMOOTH, Coverage
-from sameas.simulate import Box, WholeSky
+from sameas.estimate.coverage import SMOOTH, Coverage
+from sameas.simulate.scenes import Box, WholeSky
 from sameas.space import ARCSEC_PER_RADIAN
 
 

@@ -207,7 +207,7 @@ def test_every_option_is_documented():
 
 
 def test_every_result_column_is_documented():
-    from sameas.sky.joined import _WORDS
+    from sameas.sky.joins import _WORDS
 
     page = (HOME / "docs/files-and-command.md").read_text(encoding="utf-8")
     for name in _WORDS:

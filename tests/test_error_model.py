@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sameas import Records, match
-from sameas.error_model import ErrorModel, error_model
-from sameas.quantity import Quantity
+from sameas.estimate.error_model import ErrorModel, error_model
+from sameas.estimate.quantity import Quantity
 
 
 def answer(seed, *, factors=(1.0, 1.0), floor=0.0, alike=(False, False), size_2=1.0, n=1500, displaced=0.0):

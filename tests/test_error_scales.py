@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-import sameas.error_scales as error_scales
-from sameas.error_scales import STANDING_OUT, fit_errors
+import sameas.estimate.error_scales as error_scales
+from sameas.estimate.error_scales import STANDING_OUT, fit_errors
 from sameas.evidence import Errors
 
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from sameas import InputError, Radius, Records
-from sameas.error_scales import fit_errors
-from sameas.estimate import match
+from sameas.estimate.error_scales import fit_errors
+from sameas.estimate.match import match
+from sameas.estimate.quantity import Quantity
 from sameas.evidence import Errors
-from sameas.quantity import Quantity
-from sameas.score import is_true_pair, score_probabilities
-from sameas.simulate import Cap, poisson_field, sky_field
+from sameas.score.pairs import is_true_pair, score_probabilities
+from sameas.simulate.scenes import Cap, poisson_field, sky_field
 
 
 def scene(seed, *, sigma=0.1, quoted=1.0, q1=0.2, q2=0.3, extent=40.0, d=2):

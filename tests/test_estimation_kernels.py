@@ -5,7 +5,7 @@ import pytest
 from numba import njit
 
 import naive
-from sameas.kernels import curve, mixture, relation
+from sameas.kernels import mixture, relation
 from sameas.kernels.linear import solve
 
 SEEDS = range(6)
@@ -222,7 +222,7 @@ def test_a_curve_of_shares_is_climbed(seed, k):
     magnitude, log_odds, shown = rng.uniform(150.0, 450.0, n), rng.normal(0.0, 1.0, n), rng.uniform(size=n)
     penalty, expected = 0.3 * np.eye(k) + 0.01, rng.normal(0.0, 0.5, k)
     found = expected.copy()
-    curve.climb(magnitude, log_odds, shown, knots, penalty, found, 3, 0.4, 0.0)
+    relation.climb(magnitude, log_odds, shown, knots, penalty, found, 3, 0.4, 0.0)
     for _ in range(3):
         expected = naive.climbed(magnitude, log_odds, shown, knots, penalty, expected, 0.4)
     assert found == pytest.approx(expected, **exactly)
@@ -236,7 +236,7 @@ def test_what_a_magnitude_says_of_being_shown(seed, k):
     magnitude, share = rng.uniform(13.0, 21.0, n), rng.uniform(size=n)
     magnitude[:5], share[5:7], magnitude[7 : 7 + k] = np.nan, [0.0, 1.0], knots
     wanted, found = np.delete(np.arange(n), 50), np.zeros(n)
-    curve.weigh(magnitude, share, wanted, 1e-6, knots, values, found)
+    relation.weigh(magnitude, share, wanted, 1e-6, knots, values, found)
     expected = [naive.weighed(magnitude[e], share[e], 1e-6, knots, values) for e in range(n)]
     expected[50] = 0.0
     assert found == pytest.approx(np.array(expected), **exactly)

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from sameas.errors import InputError
-from sameas.fusion import bar_shalom_campo, covariance_intersection, independent
+from sameas.many.fusion import bar_shalom_campo, covariance_intersection, independent
 
 
 def covariances(rng, *shape, d=3):

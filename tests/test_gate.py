@@ -8,11 +8,12 @@ import pytest
 
 import naive
 from problems import KINDS, by_id, plane_records, shuffled, sky_records
-from sameas import Box, ChiSquare, InputError, Radius, Records, Sphere, threads
+from sameas import ChiSquare, InputError, LonLatBox, Radius, Records, Sphere
+from sameas.kernels import threads
 from sameas.space import Plane, sphere_offset
 
 GATES = {
-    "box": (Box(3.0), {"sigmas": 3.0}),
+    "box": (LonLatBox(3.0), {"sigmas": 3.0}),
     "chi square": (ChiSquare(0.99), {"completeness": 0.99}),
     "radius": (Radius(2.5), None),
     "wide": (ChiSquare(), {"completeness": 1 - 1e-9}),
@@ -21,7 +22,7 @@ GATES = {
 
 def laid_out(first, second, gate):
     """The candidates as the search of many records finds them, which lays both sources out first."""
-    with mock.patch("sameas.search.FEW_RECORDS", 0):
+    with mock.patch("sameas.gate.search.FEW_RECORDS", 0):
         return gate(first, second)
 
 
@@ -193,7 +194,7 @@ def test_outliers_a_billion_away_are_found_too(d):
     two[3] -= 1e9
     first = Records(one, first.covariance, first.rows, first.ids, first.space)
     second = Records(two, second.covariance, second.rows, second.ids, second.space)
-    pairs = Box(3.0)(first, second)
+    pairs = LonLatBox(3.0)(first, second)
     found = set(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True))
     assert found == naive.candidates(first, second, sigmas=3.0)
     assert {(0, 0), (1, 1), (2, 2)} <= found
@@ -279,7 +280,7 @@ def test_many_records_at_one_place_are_all_candidates_of_each_other(space):
     for n in (1, 2, 300):
         first = Records.of(np.full((n, 2), 0.25), sigma=0.1, space=space)
         second = Records.of(np.full((3, 2), 0.25), sigma=0.1, space=space)
-        assert len(Box(3.0)(first, second)) == 3 * n
+        assert len(LonLatBox(3.0)(first, second)) == 3 * n
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -373,15 +374,17 @@ def test_listing_on_the_sky_does_not_depend_on_the_row_order():
     [
         (lambda: ChiSquare(1.0), "completeness is 1.0; give a probability between 0 and 1"),
         (lambda: Radius(0.0), "sigmas is 0.0; give a positive number"),
-        (lambda: Box(math.nan), "sigmas is nan; give a positive number"),
+        (lambda: LonLatBox(math.nan), "sigmas is nan; give a positive number"),
         (
-            lambda: Box()(
+            lambda: LonLatBox()(
                 Records.of([1.0], sigma=1.0, source="radar"), Records.of([[1.0, 2.0]], sigma=1.0, source="ais")
             ),
             "radar has 1 features .* ais 2 .* bring both to one feature space",
         ),
         (
-            lambda: Box()(Records.of([[1.0, 2.0]], sigma=1.0), Records.of([[1.0, 2.0]], sigma=1.0, space=Sphere())),
+            lambda: LonLatBox()(
+                Records.of([[1.0, 2.0]], sigma=1.0), Records.of([[1.0, 2.0]], sigma=1.0, space=Sphere())
+            ),
             "bring both to one feature space",
         ),
         (lambda: Plane((0.0,)), "period of axis 0 is 0.0; give a positive number or None"),
@@ -395,7 +398,7 @@ def test_what_cannot_be_gated_is_refused_in_words(make, words):
 
 def test_the_gate_says_what_it_is():
     first = Records.of([1.0], sigma=1.0)
-    assert Box()(first, first).gate == "each feature within 3 σ"
+    assert LonLatBox()(first, first).gate == "each feature within 3 σ"
     assert Radius(2.5)(first, first).gate == "distance ≤ 2.5 σ"
     assert "loses 1.0e-09 of the true" in ChiSquare()(first, first).gate
     # The default keeps 1 − 1e-9: √(−2 ln 1e-9) = 6.438 standard deviations in two features.
@@ -404,6 +407,6 @@ def test_the_gate_says_what_it_is():
 
 def test_a_source_that_is_no_records_says_how_to_make_them():
     records = Records.of([[0.0, 0.0]], sigma=1.0)
-    for gate in (ChiSquare(), Radius(3.0), Box()):
+    for gate in (ChiSquare(), Radius(3.0), LonLatBox()):
         with pytest.raises(InputError, match=r"a source is a list; make it with Records\.of\(features, sigma=…\)"):
             gate([[0.0, 0.0]], records)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from sameas import match
+from sameas.estimate.grades import PSEUDO_COUNT, Grades, Scale
 from sameas.evidence import Magnitudes
-from sameas.exposures import Sky, exposure
-from sameas.grades import PSEUDO_COUNT, Grades, Scale
-from sameas.score import is_true_pair, score_probabilities
+from sameas.score.pairs import is_true_pair, score_probabilities
+from sameas.simulate.exposures import Sky, exposure
 
 FLAT = Sky(
     catalogue_sigma_arcsec=(0.15, 0.15), motion_sigma_mas_per_yr=(5.0, 5.0), unknown_motion=0.0,

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import naive
-from sameas import Plane, Records, Sphere, coverage
-from sameas.coverage import Coverage
-from sameas.holes import Ground, opened
-from sameas.simulate import Box
+from sameas import Plane, Records, Sphere
+from sameas.estimate import coverage
+from sameas.estimate.coverage import Coverage, Points, opened
+from sameas.simulate.scenes import Box
 from sameas.space import sphere_offset
 
 SEEDS = range(5)
@@ -162,7 +162,7 @@ def test_the_order_of_the_rows_does_not_matter():
 def test_discs_are_those_of_the_definition(seed, periods):
     rng, d = np.random.default_rng(seed), len(periods)
     one, two = rng.uniform(0.0, 24.0, (150, d)), rng.uniform(0.0, 24.0, (20, d))
-    here, there = (Ground.of(Records.of(x, sigma=1.0, space=Plane(periods))) for x in (one, two))
+    here, there = (Points.of(Records.of(x, sigma=1.0, space=Plane(periods))) for x in (one, two))
     density, wanted = rng.uniform(0.5, 20.0, 150) / 24.0**d, rng.uniform(size=150) < 0.8
     expected, beyond, least = 1.2, 0.1, 2.0
     unit = math.pi ** (d / 2) / math.gamma(d / 2 + 1)

@@ -8,8 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sameas import CommonObjects, Field, InputError, Plane, Records, Sphere, identify
-from sameas.evidence.identity import MODELS, Category, Code, Identity, Size, alarms
-from sameas.evidence.texts import differ_by_one_bit, differ_by_one_typing, plain
+from sameas.evidence.identity import (
+    MODELS,
+    Category,
+    Code,
+    Identity,
+    Size,
+    alarms,
+    differ_by_one_bit,
+    differ_by_one_typing,
+    plain,
+)
 from sameas.gate import Radius
 
 

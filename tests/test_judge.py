@@ -17,8 +17,8 @@ from sameas import (
     identify,
 )
 from sameas.evidence import DetectionField, Errors
-from sameas.score import is_true_pair, reliability, score_probabilities
-from sameas.simulate import Cap, poisson_field, sky_field
+from sameas.score.pairs import is_true_pair, reliability, score_probabilities
+from sameas.simulate.scenes import Cap, poisson_field, sky_field
 from sameas.space import Plane
 
 EVENTS = 20_000

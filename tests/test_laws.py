@@ -20,7 +20,7 @@ from sameas import (
     Records,
     identify,
 )
-from sameas.simulate import crowded_sky, poisson_field
+from sameas.simulate.scenes import crowded_sky, poisson_field
 
 quickly = settings(max_examples=25, deadline=None, derandomize=True)
 seeds = st.integers(0, 10**6)

@@ -1,4 +1,4 @@
-"""Data walks one way: a stage imports no later one, the core imports no room, and starting up imports little."""
+"""Data walks one way: every room has its floor, no room imports one above it, and starting up imports little."""
 
 import ast
 import subprocess
@@ -10,79 +10,127 @@ import pytest
 import sameas
 
 HOME = Path(sameas.__file__).parent
-STAGES = ["records", "gate", "groups", "evidence", "prior", "assignment", "posterior", "result", "identify", "estimate"]
-# Companions walk with their stage.
-WITH = {"errors": "records", "space": "records", "threads": "records", "search": "gate", "zones": "gate",
-        "coverage": "estimate", "grades": "estimate", "detection": "estimate", "photometry": "estimate",
-        "piecewise": "records", "quantity": "estimate", "regression": "estimate", "error_model": "estimate",
-        "decision": "result", "older": "result", "spacing": "evidence"}  # fmt: skip
-ROOMS = {"sky", "tracks", "picture", "maps", "io", "adapters", "plots", "report", "findings", "prose", "cli", "study",
-         "pages", "__main__"}  # fmt: skip
-FOR_PEOPLE = {"io", "maps", "adapters", "plots", "report", "findings", "cli", "study", "pages", "__main__"}
+#: The rooms (modules and packages of ``sameas``) from the ground up; those of one line do not import each other.
+FLOORS = """
+arrays errors kernels
+space
+records
+gate
+groups
+evidence
+prior
+assignment
+posterior
+result
+_identify
+estimate
+many
+registration
+score
+sky tracks
+picture simulate
+report
+maps
+io
+plots
+pages
+cli
+__main__
+"""
+FLOOR = {room: floor for floor, line in enumerate(FLOORS.strip().splitlines()) for room in line.split()}
+#: Rooms that know no sky, no ships and no command line.
+CORE = [room for room in FLOOR if FLOOR[room] <= FLOOR["score"]]
+#: The way of many sources: its own stages, each from earlier ones only.
+MANY = ["observations", "joint", "pooled", "terms", "rules", "sets", "partition", "marginals", "explanation", "objects",
+        "identify", "sequential"]  # fmt: skip
 
 
-def imported(path, *, always=False):
-    """Modules of sameas that a file imports, as dotted names; with ``always`` not those for type checkers only."""
-    tree = ast.parse(path.read_text())
-    skipped = set()
-    if always:
-        for node in ast.walk(tree):
-            if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test):
-                skipped |= {id(inner) for inner in ast.walk(node)}
+def room_of(path):
+    return path.relative_to(HOME).with_suffix("").parts[0]
+
+
+def name_of(path):
+    return ".".join(path.relative_to(HOME).with_suffix("").parts).removesuffix(".__init__")
+
+
+def is_module(name):
+    place = HOME.parent.joinpath(*name.split("."))
+    return place.with_suffix(".py").exists() or (place / "__init__.py").exists()
+
+
+def imported(path):
+    """Modules of sameas that a file imports, wherever in it, as dotted names without ``sameas.``."""
     names = set()
-    for node in ast.walk(tree):
-        if id(node) in skipped:
-            continue
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
-            names.add(node.module)
-            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+            for alias in node.names:
+                inner = f"{node.module}.{alias.name}"
+                names.add(inner if is_module(inner) else node.module)
     return {name.removeprefix("sameas.") for name in names if name.startswith("sameas.")}
 
 
-def tops(names):
-    return {name.split(".")[0] for name in names}
+def rooms(names):
+    return {name.split(".")[0] for name in names} & set(FLOOR)
 
 
-def files_of(stage):
-    """The file of a stage, or the files of the package that it is."""
-    return list((HOME / stage).glob("*.py")) or [HOME / f"{stage}.py"]
+MODULES = [path for path in sorted(HOME.rglob("*.py")) if path != HOME / "__init__.py"]
 
 
-def core_files():
-    files = [path for path in HOME.glob("*.py") if path.stem not in ROOMS | {"__init__"}]
-    return files + [path for package in ("kernels", "evidence") for path in (HOME / package).glob("*.py")]
+def test_every_room_has_its_floor_and_every_floor_its_room():
+    there = {path.stem for path in HOME.glob("*.py") if path.stem != "__init__"}
+    there |= {path.name for path in HOME.iterdir() if path.is_dir() and any(path.rglob("*.py"))}
+    assert there == set(FLOOR)
 
 
-@pytest.mark.parametrize("stage", STAGES + list(WITH))
-def test_a_stage_never_imports_a_later_one(stage):
-    place = STAGES.index(WITH.get(stage, stage))
-    for path in files_of(stage):
-        for name in tops(imported(path, always=True)) & (set(STAGES) | set(WITH)):
-            assert STAGES.index(WITH.get(name, name)) <= place, f"{path.relative_to(HOME)} imports {name}"
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_no_room_imports_one_above_it_or_beside_it(path):
+    room = room_of(path)
+    for other in rooms(imported(path)) - {room}:
+        beside = FLOOR[other] == FLOOR[room] and room != "kernels" and FLOOR[room] > 0
+        assert FLOOR[other] <= FLOOR[room] and not beside, f"{path.relative_to(HOME)} imports {other}"
 
 
-def test_stages_are_all_there():
-    assert all(path.exists() for name in [*STAGES, *WITH] for path in files_of(name))
+def test_kernels_import_kernels_only():
+    for path in (HOME / "kernels").glob("*.py"):
+        assert rooms(imported(path)) <= {"kernels"}, path
 
 
-@pytest.mark.parametrize("path", core_files(), ids=lambda path: path.stem)
-def test_the_core_imports_no_room(path):
-    assert not tops(imported(path)) & ROOMS
+def test_no_module_imports_itself_by_way_of_others():
+    """No circles, also not those that type checkers alone would see."""
+    modules = {name_of(path): path for path in MODULES}
+    wanted = {name: imported(path) & set(modules) - {name} for name, path in modules.items()}
+    done = set()
+    while left := {name: others - done for name, others in wanted.items() if name not in done}:
+        free = {name for name, others in left.items() if not others}
+        assert free, f"circle among {sorted(left)}"
+        done |= free
 
 
-@pytest.mark.parametrize("path", list((HOME / "kernels").glob("*.py")), ids=lambda path: path.stem)
-def test_kernels_import_kernels_only(path):
-    assert tops(imported(path)) <= {"kernels"}
+@pytest.mark.parametrize("stage", MANY)
+def test_a_stage_of_many_sources_never_imports_a_later_one(stage):
+    later = {f"many.{name}" for name in MANY[MANY.index(stage) + 1 :]}
+    assert not imported(HOME / "many" / f"{stage}.py") & later
 
 
-def test_nobody_imports_what_is_for_people():
-    for path in HOME.rglob("*.py"):
-        room = path.relative_to(HOME).with_suffix("").parts[0]
-        if room not in FOR_PEOPLE:
-            assert not tops(imported(path)) & FOR_PEOPLE, path
+def test_the_core_knows_no_sky_no_ships_and_no_command_line():
+    assert {"identify", "sky", "tracks", "cli"}.isdisjoint(CORE) and {"records", "estimate", "many"} <= set(CORE)
+    for room in CORE:
+        files = list((HOME / room).rglob("*.py")) or [HOME / f"{room}.py"]
+        for path in files:
+            assert rooms(imported(path)) <= set(CORE), path
+
+
+@pytest.mark.parametrize("package", ["", "sky", "tracks", "picture", "simulate", "score"])
+def test_every_public_name_is_there(package):
+    """``__init__.pyi`` is the one list; a name of it that does not exist fails here."""
+    program = f"import sameas.{package or 'errors'} as p, sameas; p = sameas{'.' + package if package else ''}; "
+    program += "print(*(type(getattr(p, name)).__name__ for name in p.__all__))"
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    stub = (HOME / package / "__init__.pyi").read_text(encoding="utf-8")
+    assert len(run.stdout.split()) == stub.count("import ") > 5
 
 
 @pytest.mark.parametrize("used", ["sameas", "sameas.identify, sameas.Records, sameas.PoissonField, sameas.Sphere"])
@@ -92,20 +140,3 @@ def test_starting_up_imports_nothing_heavy(used):
     loaded = set(run.stdout.split())
     assert "sameas" in loaded and ("numpy" in loaded or used == "sameas")
     assert not loaded & {"astropy", "scipy", "numba", "pyarrow", "matplotlib", "pandas", "typer", "rich", "llvmlite"}
-
-
-# The way of many sources: its own stages, each from earlier ones only.
-MANY = ["observations", "joint", "union", "terms", "belief", "sets", "partition", "membership", "reasons", "objects",
-        "many", "sequence"]  # fmt: skip
-
-
-@pytest.mark.parametrize("stage", MANY)
-def test_a_stage_of_many_sources_never_imports_a_later_one(stage):
-    later = set(MANY[MANY.index(stage) + 1 :])
-    assert not tops(imported(HOME / f"{stage}.py", always=True)) & later
-
-
-def test_no_stage_of_two_sources_needs_many():
-    for stage in STAGES + list(WITH):
-        for path in files_of(stage):
-            assert not tops(imported(path)) & {*MANY, "fusion"}, path

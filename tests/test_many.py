@@ -14,12 +14,12 @@ from scipy.special import gammaln, logsumexp
 
 import naive
 from sameas import CloseObjects, CommonObjects, Field, PerPair, Plane, PoissonField, Records, Sphere, identify
-from sameas.belief import MissedObjects, PoissonObjects
 from sameas.errors import InputError
 from sameas.gate import Radius
-from sameas.many import identify_many
-from sameas.observations import Bearing, LinearPart, Observations, Region
-from sameas.sequence import identify_sequentially
+from sameas.many.identify import identify_many
+from sameas.many.observations import Bearing, LinearPart, Observations, Region
+from sameas.many.rules import MissedObjects, PoissonObjects
+from sameas.many.sequential import identify_sequentially
 
 WIDE = Radius(1e4)
 
@@ -296,13 +296,13 @@ def test_large_groups_are_solved_and_probabilities_add_up():
 
 
 def test_a_count_prior_too_large_to_sum_is_solved_by_branch_and_bound(monkeypatch):
-    import sameas.membership
+    import sameas.many.marginals
 
     rng = np.random.default_rng(23)
     sources = field_scene(rng, 3, 6, extent=6.0)
     arguments = {"rule": CloseObjects(1.0, 6.0), "prior": MissedObjects(0.2)}
     whole = identify_many(sources, **arguments)
-    monkeypatch.setattr(sameas.membership, "MOST_STEPS", 256)
+    monkeypatch.setattr(sameas.many.marginals, "MOST_STEPS", 256)
     cramped = identify_many(sources, **arguments)
     assert not cramped.groups.exact.all() and whole.groups.exact.all()
     assert set(sets_of(cramped)) == set(sets_of(whole))
@@ -310,12 +310,12 @@ def test_a_count_prior_too_large_to_sum_is_solved_by_branch_and_bound(monkeypatc
 
 
 def test_sets_that_do_not_fit_are_reported_as_a_gap(monkeypatch):
-    import sameas.sets
+    import sameas.many.sets
 
     rng = np.random.default_rng(24)
     sources = field_scene(rng, 4, 8, extent=6.0)
     union_of_all = identify_many(sources, rule=PoissonObjects(0.2, 0.1))
-    monkeypatch.setitem(sameas.sets.candidate_sets.__kwdefaults__, "limit", 60)
+    monkeypatch.setitem(sameas.many.sets.candidate_sets.__kwdefaults__, "limit", 60)
     cut = identify_many(sources, rule=PoissonObjects(0.2, 0.1))
 
     def value(objects):
@@ -329,7 +329,7 @@ INTERPRETED = """
 import json
 import numpy as np
 from sameas import CloseObjects, Records
-from sameas.belief import MissedObjects, PoissonObjects
+from sameas.many.rules import MissedObjects, PoissonObjects
 from sameas.many import identify_many
 rng = np.random.default_rng(25)
 sources = [Records.of(rng.uniform(0, 4, (3, 2)), sigma=1.0) for _ in range(3)]
@@ -413,7 +413,7 @@ def test_the_joint_density_of_parts_is_the_marginal_of_the_stacked_observations(
     records = [Records.of(rng.normal(size=(1, len(h))), sigma=0.5 + k) for k, h in enumerate(parts)]
     region = Region(np.array([0.1, 0.2, 0.3]), np.diag([4.0, 9.0, 16.0]) + 0.5)
     sources = [Observations(r, LinearPart(h)) for r, h in zip(records, parts, strict=True)]
-    from sameas.joint import pooled
+    from sameas.many.joint import pooled
 
     joint = pooled(sources, np.zeros((1, 3), int), region)
     h, z = np.vstack(parts), np.concatenate([r.features[0] for r in records])

@@ -22,15 +22,15 @@ from sameas import (
     Universal,
     identify,
 )
-from sameas.belief import Belief, MissedObjects, PoissonObjects, parts_of, terms_of
 from sameas.evidence import Displacement, Evidence, Flat, Identity, Rule
 from sameas.gate import Radius
-from sameas.many import identify_many
-from sameas.observations import Bearing, Observations
-from sameas.sequence import identify_sequentially
-from sameas.sets import candidate_sets
-from sameas.terms import best_word
-from sameas.union import union
+from sameas.many.identify import identify_many
+from sameas.many.observations import Bearing, Observations
+from sameas.many.pooled import union
+from sameas.many.rules import MissedObjects, PoissonObjects, SetRules, parts_of, terms_of
+from sameas.many.sequential import identify_sequentially
+from sameas.many.sets import candidate_sets
+from sameas.many.terms import best_word
 from test_many import WIDE, field_scene, oracle, probabilities, same_as_identify, sets_of, small_scene
 
 
@@ -124,7 +124,7 @@ def test_no_set_that_outweighs_its_records_is_left_out(believed, monkeypatch):
         everything = candidate_sets(together, terms)
         heavy = {tuple(m): w for m, w in zip(everything.members.tolist(), everything.log_weight, strict=True)}
         for floor in (0.0, 3.0, 8.0):
-            monkeypatch.setattr("sameas.sets.FLOORS", (floor,))
+            monkeypatch.setattr("sameas.many.sets.FLOORS", (floor,))
             kept = candidate_sets(together, terms)
             several = kept.members[kept.size > 1].tolist()
             assert set(map(tuple, several)) == {m for m, w in heavy.items() if w > floor and sum(np.array(m) >= 0) > 1}
@@ -277,7 +277,7 @@ def test_identities_are_heard_with_bearings():
 def test_rules_are_parted_into_positions_and_beside():
     identity, objects = Identity({}), PoissonObjects(1.0, 0.1)
     for rule in (objects + identity + Told({}), identity + objects + Told({}), objects + (identity + Told({}))):
-        assert isinstance(rule, Belief) and parts_of(rule) == (objects, (identity, Told({})))
+        assert isinstance(rule, SetRules) and parts_of(rule) == (objects, (identity, Told({})))
     assert [type(part) for part in parts_of(identity + Field(1.0))[1]] == [Identity]
     with pytest.raises(TypeError):
         objects + 1.0

@@ -21,13 +21,12 @@ from browser import CHROMIUM, Browser
 from charted import SOLENT, START_S, charted
 from sameas.errors import InputError
 from sameas.maps import MapSensor, MapSheet, outline
-from sameas.maps.graticule import graticule
 from sameas.maps.outline import Outline
 from sameas.maps.sheet import members_of
-from sameas.pages.map import map_page, write_map_page
-from sameas.pages.packing import packed
+from sameas.pages.map import map_page, packed, write_map_page
+from sameas.plots.map import graticule
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.source import Coverage, Description, Site
+from sameas.tracks.source import Description, SensorCoverage, Site
 
 pytest.importorskip("pymap3d", reason="maps of the earth need the extra sameas[targets]")
 
@@ -153,7 +152,7 @@ def test_an_instant_without_anything_is_shown_too() -> None:
 def test_a_sensor_sees_its_sector_less_its_shadows(whole: tuple[int, int], dark: list[tuple[int, int]]) -> None:
     sector = (float(whole[0]), float(sum(whole) % 360))
     shadows = tuple((float(a), float((a + w) % 360)) for a, w in dark)
-    coverage = Coverage(range_m=1000.0, sector_deg=sector, shadows_deg=shadows)
+    coverage = SensorCoverage(range_m=1000.0, sector_deg=sector, shadows_deg=shadows)
     sensor = MapSensor.of(Description("radar", "other", Site(east_m=0.0, north_m=0.0), coverage), None)
     bearing = np.arange(360) + 0.5
     seen = np.zeros(360, np.bool_)

@@ -16,8 +16,8 @@ from scipy.stats import gennorm, multivariate_normal, norm
 
 import naive
 from sameas.records import Records
-from sameas.score import reliability
-from sameas.simulate import line, poisson_field
+from sameas.score.pairs import reliability
+from sameas.simulate.scenes import line, poisson_field
 from sameas.space import ARCSEC_PER_RADIAN, Plane, Sphere
 
 quickly = settings(max_examples=60, deadline=None, derandomize=True)

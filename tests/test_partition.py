@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
-from sameas.belief import PoissonObjects
-from sameas.many import identify_many
-from sameas.membership import CUTS, MOST_RECORDS
-from sameas.partition import best_partition, incidence_of
+from sameas.many.identify import identify_many
+from sameas.many.marginals import CUTS, MOST_RECORDS
+from sameas.many.partition import best_partition, incidence_of
+from sameas.many.rules import PoissonObjects
+from sameas.many.sets import Sets
 from sameas.records import Records
-from sameas.sets import Sets
 
 
 def entangled(rng, per_source=9, triples=50):

@@ -12,14 +12,14 @@ from astropy.table import Table
 from sameas.errors import InputError
 from sameas.evidence import Errors
 from sameas.sky.catalogue import Catalogue, CatalogueOptions, ellipse_covariance
-from sameas.sky.match import SkyMatch, match
+from sameas.sky.crossmatch import SkyMatch, match
 from sameas.space import sphere_offset
 
 pytest.importorskip("matplotlib", reason="pictures need the extra sameas[plots]")
 
 from sameas import plots
 from sameas.plots.normalised import containment, rayleigh_mixture
-from sameas.plots.scene import Frame, ellipse, nice_length
+from sameas.plots.sheet import TangentAxes, ellipse, nice_length
 
 DEC = 40.0
 
@@ -158,13 +158,13 @@ def test_densities_and_radii_are_those_of_the_mixture() -> None:
 def test_a_frame_lays_the_sky_flat_at_the_pole_and_across_the_meridian() -> None:
     for position in ([[10.0, 89.9999], [130.0, 89.9998]], [[359.9999, -30.0], [0.0002, -30.0001]]):
         at = np.array(position)
-        place, axes = Frame.about(at)(at)
+        place, axes = TangentAxes.about(at)(at)
         offset = sphere_offset(*at[:1].T, *at[1:].T)[0]
         assert np.hypot(*(place[0] - place[1])) == pytest.approx(np.hypot(*offset), rel=1e-6)
         assert np.allclose(axes @ axes.transpose(0, 2, 1), np.eye(2), atol=1e-5)
         # A small step north of a record is where its turned axes say.
         step = at - np.array([0.0, 1e-5])
-        moved = Frame.about(at)(step)[0] - place
+        moved = TangentAxes.about(at)(step)[0] - place
         assert np.allclose(moved, axes @ np.array([0.0, -0.036]), atol=1e-5)
 
 

@@ -10,7 +10,7 @@ import naive
 from problems import DRAWS, components_of, laid_out, many_blocks, random_ratios, solved
 from sameas import CommonObjects, PerPair
 from sameas.assignment import assign
-from sameas.kernels.bounds import bounds
+from sameas.kernels.messages import bounds
 from sameas.posterior import APPROXIMATE, EVERY, METHODS, THINNED, posterior
 from test_assignment import PRIORS
 

@@ -7,18 +7,19 @@ import pytest
 
 import naive
 from sameas import Errors, InputError, Plane, Records, Sphere
-from sameas.areas import Cap, displaced
-from sameas.estimate import match
+from sameas.estimate.match import match
 from sameas.evidence import Field
 from sameas.kernels import offsets
 from sameas.prior import CommonObjects
 from sameas.registration import Affine, SensorBias, Shift, Similarity, register
+from sameas.registration.hough import vote
 from sameas.registration.offsets import Offset
-from sameas.registration.solution import Belief, Trials, _missing, _normal_equations
-from sameas.registration.votes import vote
-from sameas.registration.weights import Scene, weigh
-from sameas.score import score_pairs
-from sameas.simulate import grid, poisson_field, sky_field
+from sameas.registration.solution import OffsetPrior, Trials, _missing, _normal_equations
+from sameas.registration.weights import PlacedSources, weigh
+from sameas.score.pairs import score_pairs
+from sameas.simulate.areas import Cap
+from sameas.simulate.scenes import grid, poisson_field, sky_field
+from sameas.space import displaced
 
 
 def field(seed, *, q=0.2, density=0.02, n=40):
@@ -118,8 +119,8 @@ def test_the_score_is_the_slope_of_the_likelihood_and_the_covariance_its_curvatu
     # The second lies within the first, so that no edge moves with the offset.
     second = Records.of(made.second.features[inner], sigma=0.8)
     model = Shift().placed(made.first, second)
-    scene = Scene.of(made.first, second, model)
-    belief = replace(Belief.of(scene), precision=np.zeros(2))
+    scene = PlacedSources.of(made.first, second, model)
+    belief = replace(OffsetPrior.of(scene), precision=np.zeros(2))
     theta, common = np.array([[0.2, -0.1]]), np.array([12.0])
 
     def slope(at):

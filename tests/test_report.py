@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
-from sameas import prose, report
 from sameas.errors import InputError
+from sameas.report import match as report
+from sameas.report import prose
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
-from sameas.sky.match import MatchOptions, match
+from sameas.sky.crossmatch import MatchOptions, match
 
 
 def catalogue(name, ra, dec, *, sigma=0.1, seed=0, **columns):

@@ -6,20 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import sameas.estimate
-import sameas.sample
+import sameas.estimate.match
+import sameas.estimate.sample
 from sameas import Radius, Records
-from sameas.coverage import Coverage
-from sameas.estimate import match
-from sameas.sample import Setting
-from sameas.simulate import Cap, poisson_field, sky_field
+from sameas.estimate.coverage import Coverage
+from sameas.estimate.match import match
+from sameas.estimate.sample import Setting
+from sameas.simulate.scenes import Cap, poisson_field, sky_field
 
 
 @pytest.fixture
 def few(monkeypatch):
     """Enough is little, so that scenes of a test are large."""
-    monkeypatch.setattr(sameas.sample, "ENOUGH", 700)
-    monkeypatch.setattr(sameas.sample, "CELL", 100)
+    monkeypatch.setattr(sameas.estimate.sample, "ENOUGH", 700)
+    monkeypatch.setattr(sameas.estimate.sample, "CELL", 100)
 
 
 def field(seed, extent=90.0):
@@ -70,7 +70,7 @@ def test_a_sample_estimates_what_all_would(few, monkeypatch):
     made = field(2)
     _, by_sample = match(made.first, made.second)
     assert max(by_sample.learned_from) < 0.3 * len(made.first)
-    monkeypatch.setattr(sameas.sample, "ENOUGH", 10**9)
+    monkeypatch.setattr(sameas.estimate.sample, "ENOUGH", 10**9)
     _, by_all = match(made.first, made.second)
     assert by_all.learned_from == (len(made.first), len(made.second))
     for name in ("common", "share_1", "share_2", "error_scale"):
@@ -120,7 +120,7 @@ def test_a_sample_of_an_uneven_sky_does_not_mislead(few, monkeypatch):
         rows=made.second.rows[keep],
     )  # fmt: skip
     _, by_sample = match(made.first, second)
-    monkeypatch.setattr(sameas.sample, "ENOUGH", 10**9)
+    monkeypatch.setattr(sameas.estimate.sample, "ENOUGH", 10**9)
     _, by_all = match(made.first, second)
     assert max(by_sample.learned_from) < len(made.first)
     assert by_sample.common == pytest.approx(by_all.common, rel=0.015)

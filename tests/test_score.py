@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sameas import score, simulate
 from sameas.errors import InputError
-from sameas.score import is_true_pair, reliability, score_pairs, score_probabilities, score_records
+from sameas.score import pairs
+from sameas.score.pairs import is_true_pair, reliability, score_pairs, score_probabilities, score_records
+from sameas.simulate import scenes
 
 
 def some_pairs(rng, n1, n2):
@@ -139,7 +140,7 @@ def test_what_cannot_be_scored_is_refused_in_words(ask, words):
         ask()
 
 
-@pytest.mark.parametrize("module", [score, simulate])
+@pytest.mark.parametrize("module", [pairs, scenes])
 def test_examples_in_the_docstrings_run(module):
     result = doctest.testmod(module)
     assert result.attempted and not result.failed

@@ -11,10 +11,10 @@ from scipy.stats import chi2, kstest, spearmanr
 
 import naive
 from sameas.errors import InputError
-from sameas.simulate import (
+from sameas.simulate.scenes import (
     Box,
     Cap,
-    Scene,
+    SimulatedScene,
     WholeSky,
     chance_area_steradians,
     crowded_sky,
@@ -122,7 +122,7 @@ def test_empty_sides_are_scenes_too():
         sky_field(np.random.default_rng(0), n_common=0, n_only_1=3, n_only_2=0),
         sky_field(np.random.default_rng(0), n_common=0, n_only_1=0, n_only_2=3, elliptical=True),
     ):
-        assert isinstance(scene, Scene)
+        assert isinstance(scene, SimulatedScene)
         assert all(len(rows) == 0 for rows in scene.true_pairs())
 
 

@@ -5,18 +5,9 @@ import math
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
-
-from sameas import CommonObjects, identify
-from sameas.cli.app import app
-from sameas.errors import InputError
-from sameas.gospa import gospa
-from sameas.many import identify_many
-from sameas.score import is_true_pair, score_probabilities, score_records
-from sameas.simulate import grid
-from sameas.study import experiments, mori, priors, several, tally, trial
-from sameas.study.claims import Claim
-from sameas.study.contenders import (
+from benchmarks.study import experiments, mori, priors, several, tally, trial
+from benchmarks.study.claims import Claim
+from benchmarks.study.contenders import (
     PAPERS_GATE,
     Close,
     Constant,
@@ -28,10 +19,19 @@ from sameas.study.contenders import (
     Verdict,
     line_up,
 )
-from sameas.study.reach import EstimatedReach
-from sameas.study.scenes import EQUAL, FAR, UNEQUAL, Lattice, Scatter
-from sameas.study.study import studied
-from sameas.study.tally import Ratio, Tally, count, rightly
+from benchmarks.study.reach import EstimatedReach
+from benchmarks.study.scenes import EQUAL, FAR, UNEQUAL, Lattice, Scatter
+from benchmarks.study.study import studied
+from benchmarks.study.tally import Ratio, Tally, count, rightly
+from typer.testing import CliRunner
+
+from sameas import CommonObjects, identify
+from sameas.cli.app import app
+from sameas.errors import InputError
+from sameas.many.identify import identify_many
+from sameas.score.pairs import is_true_pair, score_probabilities, score_records
+from sameas.score.subpattern import gospa
+from sameas.simulate.scenes import grid
 
 FIVE = Lattice((5, 1), 1.9, (0.2, 0.3), UNEQUAL)
 FORMATIONS = {
@@ -222,7 +222,7 @@ def test_an_estimated_reach_is_that_of_each_scene():
     scenes = drawn(FIVE, 25)
     verdict = EstimatedReach()(scenes, FIVE)
     from sameas import CloseObjects
-    from sameas.spacing import estimate_reach
+    from sameas.evidence.spacing import estimate_reach
 
     claimed = []
     for scene in range(25):
@@ -237,9 +237,8 @@ def test_an_estimated_reach_is_that_of_each_scene():
 
 def test_stone_soup_assigns_the_least_distances_within_its_threshold():
     pytest.importorskip("stonesoup")
+    from benchmarks.study.stonesoup import StoneSoup
     from scipy.optimize import linear_sum_assignment
-
-    from sameas.study.stonesoup import StoneSoup
 
     scenes = drawn(FIVE, 12)
     expected = []
@@ -254,7 +253,7 @@ def test_stone_soup_assigns_the_least_distances_within_its_threshold():
 
 
 def test_without_stone_soup_its_column_is_left_out_and_said(monkeypatch):
-    from sameas.study import command, stonesoup
+    from benchmarks.study import command, stonesoup
 
     monkeypatch.setattr(stonesoup, "find_spec", lambda name: None)
     assert not any("Stone Soup" in c.name for point in experiments.spacing() for c in point.contenders)
@@ -338,8 +337,8 @@ def small(monkeypatch):
     monkeypatch.setattr(experiments, "crowd", lambda: experiments._scattered(16.0, 3, 20))
     for name, value in (("FIVE_Q", (0.1,)), ("TWO_Q", (0.02, 0.6)), ("SPACINGS", (1.9, 3.0))):
         monkeypatch.setattr(experiments, name, value)
-        monkeypatch.setattr("sameas.study.figures." + name, value)
-    monkeypatch.setattr("sameas.study.study.GROUPS", 30)
+        monkeypatch.setattr("benchmarks.study.figures." + name, value)
+    monkeypatch.setattr("benchmarks.study.study.GROUPS", 30)
     some = ("line of 5, d 1.9", "grid 5 × 5", "Poisson, density 0.1")
     monkeypatch.setattr(experiments, "FORMATIONS", {name: experiments.FORMATIONS[name] for name in some})
     few = [several.Several("3 sources, spacing 4", TRIPLE, 4, True),

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sameas import Records, match
-from sameas.simulate import poisson_field
-from sameas.tails import tail
+from sameas.estimate.error_model import tail
+from sameas.simulate.scenes import poisson_field
 
 
 def found(seed, *, share, times, quoted=1.0):

@@ -10,7 +10,7 @@ import naive
 from problems import plane_records, sky_records
 from sameas import CloseObjects, Field, InputError, Plane, Radius, Records
 from sameas.evidence import Displacement, Flat, GaussianMixture, Samples, Universal
-from sameas.evidence import expectation as expectation_module
+from sameas.evidence import universal as expectation_module
 
 SHELL_A, SHELL_B = 0.6, 2.0
 

@@ -11,12 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sameas import threads
+from sameas.arrays import BoolArray, FloatArray
 from sameas.groups import Groups
+from sameas.kernels import threads
 from sameas.prior import LogPrior
-from sameas.records import FloatArray
 
 
 @dataclass(frozen=True)
@@ -53,7 +52,7 @@ class Hypothesis:
     prior : the prior that was used.
     """
 
-    chosen: NDArray[np.bool_]
+    chosen: BoolArray
     weight: FloatArray
     dual_1: FloatArray
     dual_2: FloatArray

@@ -12,9 +12,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from sameas.arrays import IntArray
 from sameas.gate import Pairs
 
-IntArray = NDArray[np.int64]
 Places = NDArray[np.int32]
 
 

@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas import threads
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.assignment import Hypothesis
 from sameas.groups import Groups, laid_out
+from sameas.kernels import threads
 from sameas.prior import LogPrior
-from sameas.records import FloatArray
 
 #: Names of the methods, by the number in :attr:`Posterior.method`.
 METHODS = (
@@ -106,7 +106,7 @@ def posterior(groups: Groups, best: Hypothesis) -> Posterior:
 
 def _without_improbable(
     groups: Groups, best: Hypothesis, method: NDArray[np.int8], share: FloatArray, neglected: FloatArray
-) -> NDArray[np.int64]:
+) -> IntArray:
     """Fill ``share`` of what falls apart without the pairs that are proved improbable; the pairs that still do not."""
     wanted = method == APPROXIMATE
     _bounds(groups, best, wanted, share)
@@ -122,9 +122,9 @@ def _without_improbable(
     return kept[~solved]
 
 
-def _bounds(groups: Groups, best: Hypothesis, wanted: NDArray[np.bool_], bound: FloatArray) -> None:
+def _bounds(groups: Groups, best: Hypothesis, wanted: BoolArray, bound: FloatArray) -> None:
     """Fill ``bound`` (m,) with upper bounds of P of the pairs of the wanted groups (g,), under a linear prior."""
-    from sameas.kernels.bounds import bounds
+    from sameas.kernels.messages import bounds
 
     shape = (groups.start, groups.start_1, groups.start_2, groups.edges_1, groups.local_1, groups.local_2)
     state = (best.weight, best.chosen, wanted, bound)
@@ -229,7 +229,7 @@ def _exact(groups: Groups, best: Hypothesis, share: FloatArray, method: NDArray[
 def _local(
     groups: Groups,
     best: Hypothesis,
-    open_pairs: NDArray[np.int64],
+    open_pairs: IntArray,
     method: NDArray[np.int8],
     share: FloatArray,
     neglected: FloatArray,
@@ -259,7 +259,7 @@ def _local(
     return heard.change
 
 
-def _neighbourhoods(groups: Groups, best: Hypothesis, pairs: NDArray[np.int64], heard: _Messages) -> FloatArray:
+def _neighbourhoods(groups: Groups, best: Hypothesis, pairs: IntArray, heard: _Messages) -> FloatArray:
     """Probabilities of some pairs from the neighbourhoods of their records; the mean over both favours neither."""
     around_1 = _Thinned.of(groups, best, pairs, heard.weight[pairs]).by_neighbourhoods(heard.claims_1[pairs])
     turn = np.lexsort([place[pairs] for place in groups.places])
@@ -279,7 +279,7 @@ class _Thinned:
 
     @classmethod
     def of(
-        cls, groups: Groups, best: Hypothesis, kept: NDArray[np.int64], weight: FloatArray, *, turned: bool = False
+        cls, groups: Groups, best: Hypothesis, kept: IntArray, weight: FloatArray, *, turned: bool = False
     ) -> _Thinned:
         """The pairs ``kept``, listed by their record 1; ``turned`` exchanges the sources, the list is by record 2."""
         group = np.repeat(np.arange(len(groups), dtype=np.int32), groups.pair_counts)[kept]
@@ -294,7 +294,7 @@ class _Thinned:
         state = (chosen, weight, duals[0][thin.rows_1], duals[1][thin.rows_2], np.zeros(len(thin)), linear)
         return cls(thin, Hypothesis(*state))
 
-    def exact(self) -> tuple[FloatArray, NDArray[np.bool_]]:
+    def exact(self) -> tuple[FloatArray, BoolArray]:
         """Probability of every kept pair, and whether its part could be summed."""
         share = np.zeros(len(self.groups.order))
         method = np.zeros(len(self.groups), np.int8)

@@ -17,12 +17,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.records import FloatArray
-
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.space import Plane, Space, Sphere
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sameas.arrays import FloatArray
 from sameas.errors import InputError
 
 ARCSEC_PER_RADIAN = 206264.80624709636
@@ -62,7 +63,7 @@ class Sphere:
 Space = Plane | Sphere
 
 
-def sphere_offset(lon_1: ArrayLike, lat_1: ArrayLike, lon_2: ArrayLike, lat_2: ArrayLike) -> NDArray[np.float64]:
+def sphere_offset(lon_1: ArrayLike, lat_1: ArrayLike, lon_2: ArrayLike, lat_2: ArrayLike) -> FloatArray:
     """(n, 2) east and north offset of directions 1 from directions 2 in arcsec, on the axes of :class:`Sphere`.
 
     Longitudes and latitudes in degrees, (n,) each.
@@ -75,3 +76,20 @@ def sphere_offset(lon_1: ArrayLike, lat_1: ArrayLike, lon_2: ArrayLike, lat_2: A
     half_chord = np.minimum(np.hypot(u, v), 1.0)
     arc = np.where(half_chord > 1e-9, np.arcsin(half_chord) / np.maximum(half_chord, 1e-300), 1.0)
     return 2.0 * ARCSEC_PER_RADIAN * np.stack([u * arc, v * arc], axis=-1)
+
+
+def displaced(position_deg: FloatArray, offset_arcsec: FloatArray) -> FloatArray:
+    """(n, 2) directions reached from ``position_deg`` (n, 2) along great circles, offset (n, 2) east, north.
+
+    The unit vector is written with its longitude measured from the starting meridian, which keeps every digit
+    of a small offset, at the poles too.
+    """
+    lat = np.radians(position_deg[:, 1])
+    offset = offset_arcsec / ARCSEC_PER_RADIAN
+    distance = np.hypot(offset[:, 0], offset[:, 1])
+    along = np.cos(distance)
+    east, north = (offset * np.sinc(distance / np.pi)[:, None]).T
+    sine, cosine = np.sin(lat), np.cos(lat)
+    x, z = cosine * along - sine * north, sine * along + cosine * north
+    lon = position_deg[:, 0] + np.degrees(np.arctan2(east, x))
+    return np.stack([lon % 360, np.degrees(np.arctan2(z, np.hypot(x, east)))], axis=1)

@@ -18,14 +18,13 @@ from astropy.table import Table
 from astropy.wcs import WCS
 
 from browser import CHROMIUM, Browser
-from sameas.cli.frame_lines import frame_lines
 from sameas.errors import InputError
 from sameas.io import read_provenance, read_table, write_table
-from sameas.io.archive import COLUMNS, GaiaArchive, rounded
-from sameas.io.catalogues import catalogue
+from sameas.io.catalogues import COLUMNS, GaiaArchive, catalogue, rounded
+from sameas.report.frame import frame_lines
+from sameas.simulate.frames import Camera, Gaussian, Lens, frame_of_sky
 from sameas.sky.catalogue import CatalogueOptions
 from sameas.sky.frame.field import Cone
-from sameas.sky.frame.simulate import Camera, Gaussian, Lens, frame_of_sky
 from sameas.sky.frame.tangent import Pointing, unit_vectors
 from sameas.space import ARCSEC_PER_RADIAN
 

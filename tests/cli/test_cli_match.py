@@ -8,8 +8,8 @@ import pytest
 from astropy.table import Table
 from fields import field, save
 
+from sameas.estimate.quantity import Quantity
 from sameas.io import read_provenance, read_table
-from sameas.quantity import Quantity
 
 
 def pairs(path):

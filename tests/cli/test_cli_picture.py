@@ -8,10 +8,10 @@ import sys
 import numpy as np
 import pytest
 
-from sameas import threads
 from sameas.cli.picturing import Instants
 from sameas.io import read_table
 from sameas.io.sensors.sources import read_sources
+from sameas.kernels import threads
 
 START = 1714605000.0  # 2024-05-01 23:10 UTC
 LAT, LON = 50.6, -1.0

@@ -6,11 +6,11 @@ from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
 from sameas.tracks.source import (
     Clutter,
-    Coverage,
     Description,
-    ErrorModel,
-    Misses,
+    MissRate,
     Motion,
+    SensorCoverage,
+    SensorErrors,
     Site,
     Timing,
 )
@@ -20,9 +20,9 @@ WALK = Motion(0.01, 8.0)
 
 def describe(name, kind, sigma_m=20.0, period_s=10.0, clutter_per_km2=0.0, q=0.1):
     return Description(
-        name, kind, site=Site(east_m=0.0, north_m=0.0), coverage=Coverage(range_m=1e5), misses=Misses(q), motion=WALK,
-        clutter=Clutter(clutter_per_km2), timing=Timing(period_s, 0.0, 0.0),
-        errors=ErrorModel(position_m=sigma_m, speed_m_per_s=0.3, course_deg=3.0, extent_m=0.0),
+        name, kind, site=Site(east_m=0.0, north_m=0.0), coverage=SensorCoverage(range_m=1e5),
+        misses=MissRate(q), motion=WALK, clutter=Clutter(clutter_per_km2), timing=Timing(period_s, 0.0, 0.0),
+        errors=SensorErrors(position_m=sigma_m, speed_m_per_s=0.3, course_deg=3.0, extent_m=0.0),
     )  # fmt: skip
 
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from modelled_scenes import describe, straight, told
 
-from sameas.belief import PoissonObjects
 from sameas.errors import InputError
-from sameas.many import identify_many
+from sameas.many.identify import identify_many
+from sameas.many.rules import PoissonObjects
 from sameas.picture import Picture, Watch
-from sameas.picture.hysteresis import held
+from sameas.picture.watch import held
 from sameas.records import Records
 from sameas.tracks.scene import Scene
 

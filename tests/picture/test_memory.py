@@ -8,11 +8,11 @@ from modelled_scenes import describe, straight, told, two_meet
 
 from sameas.errors import InputError
 from sameas.gate import Radius
-from sameas.many import identify_many
+from sameas.many.identify import identify_many
 from sameas.picture import Past
-from sameas.picture.couples import Couples
 from sameas.picture.memory import Memory
-from sameas.picture.roll import Roll
+from sameas.picture.scan import Scan
+from sameas.picture.track_pairs import Couples
 from sameas.records import Records
 from sameas.tracks.scene import Scene
 
@@ -31,7 +31,7 @@ def couples_apart(seed, tau_s, n=300, box_m=600.0, looks=30):
                v[:, ::3], tau_s[1], names)]  # fmt: skip
     scene, past = Scene.of(sources), Past(correlation_s=dict(zip(("one", "two"), tau_s, strict=True)))
     for time_s in times:
-        roll = Roll.of(scene.at(time_s))
+        roll = Scan.of(scene.at(time_s))
         past = past.on(roll)
         if time_s == 0.0:
             past = replace(past, couples=_all_couples(roll, past.tracks.on_roll))
@@ -73,7 +73,7 @@ def test_memory_is_bounded_by_what_numbers_are_worth():
     past = Past(reassigned=0.01)
     for time_s in times:
         now = scene.at(time_s)
-        past = past.on(Roll.of(now))
+        past = past.on(Scan.of(now))
         found = identify_many(now.sources, rule=now.belief() + past.rule(), region=now.region)
         past = past.met(found.union)
         assert np.abs(past.rule().log_ratio).max(initial=0.0) <= np.log(0.99 / 0.01) + 1e-9
@@ -87,11 +87,11 @@ def test_what_is_said_twice_is_no_evidence():
     past = Past()
     for time_s in (0.0, 10.0, 20.0):
         now = scene.at(time_s)
-        past = past.on(Roll.of(now))
+        past = past.on(Scan.of(now))
         past = past.met(identify_many(now.sources, rule=now.belief() + past.rule(), region=now.region).union)
     said = past.rule().log_ratio + past.couples.now
     for time_s in (21.0, 24.0, 29.0):
-        past = past.on(Roll.of(scene.at(time_s)))
+        past = past.on(Scan.of(scene.at(time_s)))
         # Now and past together say what they did; the reports have only grown older.
         np.testing.assert_allclose(past.rule().log_ratio + past.couples.now, said, atol=1e-9)
 
@@ -107,7 +107,7 @@ def test_a_track_that_jumps_begins_anew():
     past = Past()
     for time_s in times:
         now = scene.at(time_s)
-        past = past.on(Roll.of(now))
+        past = past.on(Scan.of(now))
         if time_s == 40.0:
             assert not len(past.couples)
         past = past.met(identify_many(now.sources, rule=now.belief(), region=now.region).union)
@@ -122,7 +122,7 @@ def test_records_without_names_have_no_past():
     scene, past = Scene.of([told(rng, radar, times, x, v, 0.0), told(rng, ais, times, x, v, 600.0, ["a", "b"])]), Past()
     for time_s in times:
         now = scene.at(time_s)
-        past = past.on(Roll.of(now))
+        past = past.on(Scan.of(now))
         past = past.met(identify_many(now.sources, rule=now.belief(), region=now.region).union)
     assert not len(past.couples) and past.tracks.on_roll.tolist() == [-1, -1, 0, 1]
 
@@ -147,4 +147,4 @@ def test_what_cannot_be_is_refused():
         Past(reassigned=0.0)
     scene, _ = two_meet(1, 200.0)
     with pytest.raises(InputError, match="instants in the order of time"):
-        Past().on(Roll.of(scene.at(20.0))).on(Roll.of(scene.at(10.0)))
+        Past().on(Scan.of(scene.at(20.0))).on(Scan.of(scene.at(10.0)))

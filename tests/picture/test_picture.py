@@ -9,13 +9,13 @@ from modelled_scenes import WALK, describe, straight, told, two_meet
 
 from sameas.errors import InputError
 from sameas.io.sensors import read_reports
-from sameas.many import identify_many
-from sameas.observations import records_of
+from sameas.many.identify import identify_many
+from sameas.many.observations import records_of
 from sameas.picture import Picture, Watch, instants
-from sameas.picture.columns import object_columns, record_columns
+from sameas.picture.picture import object_columns, record_columns
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import POSITION_AND_VELOCITY, Scene
-from sameas.tracks.source import Coverage, Description, ErrorModel, Misses, Site
+from sameas.tracks.source import Description, MissRate, SensorCoverage, SensorErrors, Site
 
 OBJECTS = """time_s object stage x_m y_m var_x_m2 cov_xy_m2 var_y_m2 vx_m_per_s vy_m_per_s speed_m_per_s course_deg
     n_sources sources members runner_up probability p_runner_up label mmsi icao callsign name mode_a type ambiguous"""
@@ -142,8 +142,8 @@ def test_a_source_may_begin_late_and_fall_silent():
 
 def test_directions_take_part_and_are_no_position_alone():
     camera = Description(
-        "camera", "camera", site=Site(east_m=0.0, north_m=0.0), misses=Misses(0.2), motion=WALK,
-        coverage=Coverage(range_m=3000.0), errors=ErrorModel(bearing_deg=0.5, extent_m=3.0),
+        "camera", "camera", site=Site(east_m=0.0, north_m=0.0), misses=MissRate(0.2), motion=WALK,
+        coverage=SensorCoverage(range_m=3000.0), errors=SensorErrors(bearing_deg=0.5, extent_m=3.0),
     )  # fmt: skip
     said = {"time_s": [0.0] * 3 + [10.0] * 3, "bearing_deg": [45.2, 120.0, 359.5] * 2}
     rng = np.random.default_rng(7)

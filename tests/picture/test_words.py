@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from sameas.many.explanation import ObjectExplanation, Rival
 from sameas.picture.picture import Picture
 from sameas.picture.summary import share_error
-from sameas.reasons import Reasons, Rival
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
-from sameas.tracks.source import Description, ErrorModel, Misses, Site
+from sameas.tracks.source import Description, MissRate, SensorErrors, Site
 
 
 def test_the_share_of_misses_has_the_standard_error_that_trials_show():
@@ -43,7 +43,10 @@ def crossing(seed=4):
     camera = Reports.of("camera", "table", columns)
     at = Site(east_m=0.0, north_m=0.0)
     return [
-        (Description("radar", "marine radar", site=at, errors=ErrorModel(position_m=4.0), misses=Misses(0.05)), radar),
+        (
+            Description("radar", "marine radar", site=at, errors=SensorErrors(position_m=4.0), misses=MissRate(0.05)),
+            radar,
+        ),
         (Description("camera", "camera", site=at), camera),
     ]
 
@@ -67,8 +70,8 @@ def test_a_rival_that_is_more_probable_by_itself_is_said_to_be_so():
     rival = Rival((radar,), 0.51, 0.0, {}, (), chosen=False)
     chosen = Rival((camera, radar), 0.49, 3.0, {"position": 3.0}, (), chosen=True)
     said = "By itself radar 5 is more probable; the answer is the most probable for all records together."
-    assert said in str(Reasons(2, 0, 3, True, (rival, chosen))).splitlines()
-    assert "By itself" not in str(Reasons(2, 0, 3, True, (chosen, replace(rival, probability=0.48))))
+    assert said in str(ObjectExplanation(2, 0, 3, True, (rival, chosen))).splitlines()
+    assert "By itself" not in str(ObjectExplanation(2, 0, 3, True, (chosen, replace(rival, probability=0.48))))
 
 
 def test_a_plot_without_a_number_is_explained_anew_at_every_look():

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from sameas import InputError, plots, report
-from sameas.exposures import Sky, exposure
-from sameas.score import is_true_pair
+from sameas import InputError, plots
+from sameas.report import match as report
+from sameas.score.pairs import is_true_pair
+from sameas.simulate.exposures import Sky, exposure
 from sameas.sky.bands import magnitudes_of
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
-from sameas.sky.match import MatchOptions, match
+from sameas.sky.crossmatch import MatchOptions, match
 
 
 def catalogue(records, magnitudes, bands):

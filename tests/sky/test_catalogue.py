@@ -15,7 +15,7 @@ from astropy.table import MaskedColumn, QTable, Table
 from astropy.time import Time
 
 from sameas.errors import InputError
-from sameas.sky import hipparcos
+from sameas.sky import conventions
 from sameas.sky.catalogue import Catalogue, CatalogueOptions, ellipse_covariance
 
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
@@ -362,7 +362,7 @@ def test_the_weight_matrix_of_hip2_returns_the_quoted_errors() -> None:
     table = hip2()
     weights = np.column_stack([table[f"UW{k}"] for k in range(1, 16)])
     errors = np.column_stack([table[name] for name in HIP2[9:14]])
-    matrices = hipparcos.correlations(weights, errors, np.asarray(table["F2"]), np.asarray(table["Ntr"]))
+    matrices = conventions.correlations(weights, errors, np.asarray(table["F2"]), np.asarray(table["Ntr"]))
     told = np.abs(matrices - np.eye(5)).max(axis=(1, 2)) > 0
     five = np.asarray(table["Sn"]) == 5
     assert told[five].mean() > 0.999

@@ -8,9 +8,9 @@ from astropy import units as u
 from astropy.table import MaskedColumn, Table
 
 from sameas.errors import InputError
+from sameas.sky.column_choice import CatalogueOptions, ColumnChoice
 from sameas.sky.columns import choose
 from sameas.sky.conventions import CONVENTIONS
-from sameas.sky.understood import CatalogueOptions, ColumnChoice
 
 GAIA = ["source_id", "ra", "dec", "ra_error", "dec_error", "ra_dec_corr", "ref_epoch", "phot_g_mean_mag"]
 GAIA_MOTION = ["parallax", "parallax_error", "pmra", "pmra_error", "pmdec", "pmdec_error", "pmra_pmdec_corr"]

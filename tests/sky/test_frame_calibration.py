@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sameas.errors import InputError
-from sameas.sky.frame.calibration import Calibration
+from sameas.sky.frame.calibration import MasterFrames
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.keywords import Facts
 from sameas.sky.frame.measurements import Flag
@@ -29,7 +29,7 @@ BIASES = [exposed(0.0, 0.0) for _ in range(15)]
 
 
 def test_a_scaled_dark_and_a_flat_give_back_the_light():
-    calibration = Calibration.of(
+    calibration = MasterFrames.of(
         biases=BIASES,
         darks=[exposed(100.0, 0.0) for _ in range(15)],
         flats=[exposed(2.0, k * 5000.0) for k in (1, 2, 3)],
@@ -45,7 +45,7 @@ def test_a_scaled_dark_and_a_flat_give_back_the_light():
 
 
 def test_a_dark_without_bias_holds_it_and_says_where_it_does_not_fit():
-    calibration = Calibration.of(darks=[exposed(100.0, 0.0) for _ in range(5)])
+    calibration = MasterFrames.of(darks=[exposed(100.0, 0.0) for _ in range(5)])
     assert np.median(calibration(exposed(100.0, 200.0)).image / SENSITIVITY) == pytest.approx(200, abs=2)
     assert any("its dark is not scaled" in line for line in calibration(exposed(30.0, 200.0)).facts.lines)
 
@@ -55,30 +55,30 @@ def test_a_particle_in_one_dark_does_no_harm():
     struck = darks[0].image.copy()
     struck[20, 20] += 10_000
     darks[0] = replace(darks[0], image=struck)
-    assert abs(Calibration.of(darks=darks)(exposed(10.0, 100.0)).image[20, 20] - 100 * SENSITIVITY[20, 20]) < 20
+    assert abs(MasterFrames.of(darks=darks)(exposed(10.0, 100.0)).image[20, 20] - 100 * SENSITIVITY[20, 20]) < 20
 
 
 def test_the_level_of_saturation_moves_with_the_dark():
     frame = exposed(10.0, 100.0)
     frame = replace(frame, facts=replace(frame.facts, saturation_adu=10_000.0))
-    assert Calibration.of(biases=BIASES)(frame).facts.saturation_adu == pytest.approx(9500, abs=2)
+    assert MasterFrames.of(biases=BIASES)(frame).facts.saturation_adu == pytest.approx(9500, abs=2)
 
 
 def test_a_pedestal_is_taken_away_once():
     frame = exposed(10.0, 100.0)
     frame = replace(frame, facts=replace(frame.facts, pedestal_adu=100.0))
-    without = Calibration()(frame)
+    without = MasterFrames()(frame)
     assert np.median(frame.image - without.image) == pytest.approx(100)
-    np.testing.assert_array_equal(Calibration()(without).image, without.image)
+    np.testing.assert_array_equal(MasterFrames()(without).image, without.image)
 
 
 def test_masters_that_do_not_fit_are_refused():
     with pytest.raises(InputError, match="exposures from 10 to 30 s; give a bias"):
-        Calibration.of(darks=[exposed(10.0, 0.0), exposed(30.0, 0.0)])
+        MasterFrames.of(darks=[exposed(10.0, 0.0), exposed(30.0, 0.0)])
     small = Frame.of(RNG.normal(500, 2, (20, 20)), name="small")
     with pytest.raises(InputError, match=r"small: the frame has shape \(20, 20\), the calibration \(60, 80\)"):
-        Calibration.of(biases=BIASES)(small)
+        MasterFrames.of(biases=BIASES)(small)
     with pytest.raises(InputError, match=r"small: its shape \(20, 20\) is not that of"):
-        Calibration.of(biases=[BIASES[0], small])
+        MasterFrames.of(biases=[BIASES[0], small])
     with pytest.raises(InputError, match="the flat has no light"):
-        Calibration.of(biases=BIASES, flats=[exposed(0.0, -50.0)])
+        MasterFrames.of(biases=BIASES, flats=[exposed(0.0, -50.0)])

@@ -7,12 +7,12 @@ import pytest
 from scipy.spatial import cKDTree
 
 from sameas.errors import InputError
+from sameas.simulate.frames import Camera, Gaussian, Moffat, Trail, frame_of
 from sameas.sky.frame.background import Background
-from sameas.sky.frame.calibration import Calibration
+from sameas.sky.frame.calibration import MasterFrames
 from sameas.sky.frame.detect import Detection, detect
 from sameas.sky.frame.image import Frame, read
 from sameas.sky.frame.measurements import Flag
-from sameas.sky.frame.simulate import Camera, Gaussian, Moffat, Trail, frame_of
 
 pytest.importorskip("photutils")
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
@@ -207,7 +207,7 @@ def test_a_photographic_plate_gives_its_stars():
 @pytest.mark.skipif(not (DATA / "asteroid_2713").is_dir(), reason="the frames of asteroid 2713 are not here")
 def test_a_raw_frame_with_darks_gives_its_stars():
     folder = DATA / "asteroid_2713"
-    calibration = Calibration.of(darks=[read(path) for path in sorted(folder.glob("*Dark*"))])
+    calibration = MasterFrames.of(darks=[read(path) for path in sorted(folder.glob("*Dark*"))])
     raw = read(sorted(folder.glob("*Light*"))[-1])
     found = detect(calibration(raw))
     assert 300 < len(found) < 1500

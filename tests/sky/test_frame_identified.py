@@ -13,7 +13,7 @@ from astropy.table import Table
 
 from sameas.errors import InputError
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
-from sameas.sky.frame.calibration import Calibration
+from sameas.sky.frame.calibration import MasterFrames
 from sameas.sky.frame.detect import detect
 from sameas.sky.frame.field import Cone, StarField
 from sameas.sky.frame.identified import FrameIdentification, Refinement
@@ -21,7 +21,7 @@ from sameas.sky.frame.image import read
 from sameas.sky.frame.listing import listing
 from sameas.sky.frame.measurements import Measurements
 from sameas.sky.frame.photometry import Completeness, ZeroPoint
-from sameas.sky.frame.place import Aim, Header
+from sameas.sky.frame.pointing_hints import Aim, ApproximateWcs
 from sameas.sky.frame.solve import footprint, searched, solve
 from sameas.sky.frame.summary import ERROR_NAMES, summary
 from sameas.sky.frame.tangent import Pointing, directions_deg, unit_vectors
@@ -96,7 +96,7 @@ def seen() -> Scene:
 
 @pytest.fixture(scope="module")
 def found(seen: Scene) -> FrameIdentification:
-    return solve(seen.measured, seen.catalogue, Header(seen.pointing.to_wcs((SIDE, SIDE))), epoch_jyr=2020.0)
+    return solve(seen.measured, seen.catalogue, ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE))), epoch_jyr=2020.0)
 
 
 def wrong(found: FrameIdentification, truth: np.ndarray) -> int:
@@ -130,7 +130,7 @@ def test_normalised_residuals_have_unit_spread(found: FrameIdentification) -> No
 
 def test_brightness_tells_neighbours_apart_in_a_crowd() -> None:
     crowd = scene(3, stars=30_000, false=4_000)
-    header = Header(crowd.pointing.to_wcs((SIDE, SIDE)))
+    header = ApproximateWcs(crowd.pointing.to_wcs((SIDE, SIDE)))
     blind, seeing = (
         solve(crowd.measured, crowd.catalogue, header, epoch_jyr=2020.0, refinement=Refinement(magnitudes=how))
         for how in ("off", "auto")
@@ -140,7 +140,7 @@ def test_brightness_tells_neighbours_apart_in_a_crowd() -> None:
 
 
 def test_without_motion_stars_lie_apart_and_the_fast_ones_are_lost(seen: Scene, found: FrameIdentification) -> None:
-    header = Header(seen.pointing.to_wcs((SIDE, SIDE)))
+    header = ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE)))
     still = solve(seen.measured, seen.catalogue, header, epoch_jyr=2020.0, motion=False)
     assert (still.scatter_arcsec > 1.8 * found.scatter_arcsec).all()
     right = [len(each.pairs[0]) - wrong(each, seen.truth) for each in (found, still)]
@@ -195,7 +195,7 @@ def test_a_star_close_to_another_is_missing_because_of_it() -> None:
     table["source_id"][-1], table["phot_g_mean_mag"][-1] = 7, table["phot_g_mean_mag"][row] + 1.0
     table["dec"][-1] += 1.5 / 3600
     crowd = Catalogue.of(table, "crowd")
-    found = solve(seen.measured, crowd, Header(seen.pointing.to_wcs((SIDE, SIDE))), epoch_jyr=2020.0)
+    found = solve(seen.measured, crowd, ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE))), epoch_jyr=2020.0)
     rows = listing(found)
     companion = rows[np.ma.filled(rows["star"], 0) == 7]
     assert companion["fate"][0] == "missing"
@@ -203,13 +203,13 @@ def test_a_star_close_to_another_is_missing_because_of_it() -> None:
 
 
 def test_stars_fainter_than_said_are_not_used(seen: Scene) -> None:
-    header = Header(seen.pointing.to_wcs((SIDE, SIDE)))
+    header = ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE)))
     few = solve(seen.measured, seen.catalogue, header, epoch_jyr=2020.0, faintest=15.0)
     assert (few.stars.magnitude <= 15.0).all() and few.settled
 
 
 def test_a_given_order_is_kept(seen: Scene) -> None:
-    header = Header(seen.pointing.to_wcs((SIDE, SIDE)))
+    header = ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE)))
     linear = solve(seen.measured, seen.catalogue, header, epoch_jyr=2020.0, refinement=Refinement(order=1))
     assert linear.plate.order == 1 and linear.plate.error_scale > 2.0
 
@@ -229,27 +229,31 @@ def test_the_summary_is_json_without_surprises(found: FrameIdentification) -> No
 
 
 def test_a_catalogue_that_does_not_cover_the_field_is_refused(seen: Scene) -> None:
-    header = Header(Pointing(unit_vectors(10.0, 40.0), seen.pointing.cd, seen.pointing.origin_px).to_wcs((SIDE, SIDE)))
+    header = ApproximateWcs(
+        Pointing(unit_vectors(10.0, 40.0), seen.pointing.cd, seen.pointing.origin_px).to_wcs((SIDE, SIDE))
+    )
     with pytest.raises(InputError, match=r"old: 0 stars within 0\.\d+° of 10\.0000°, \+40\.0000°.*cover the field"):
         solve(seen.measured, seen.catalogue, header, epoch_jyr=2020.0)
 
 
 def test_a_moving_catalogue_needs_the_time_of_the_frame(seen: Scene) -> None:
     with pytest.raises(InputError, match="old: its stars move, but the time of the frame is not known; say --time"):
-        solve(seen.measured, seen.catalogue, Header(seen.pointing.to_wcs((SIDE, SIDE))), epoch_jyr=None)
+        solve(seen.measured, seen.catalogue, ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE))), epoch_jyr=None)
 
 
 def test_a_wrong_field_is_refused_with_the_odds(seen: Scene) -> None:
     rng = np.random.default_rng(4)
     lies = measurements(rng.uniform(0, SIDE, (300, 2)), np.full(300, 0.05), 10 ** rng.uniform(2, 5, 300))
     with pytest.raises(InputError, match=r"frame: no solution: by the header's plate solution the best has odds 1:"):
-        solve(lies, seen.catalogue, Header(seen.pointing.to_wcs((SIDE, SIDE))), epoch_jyr=2020.0)
+        solve(lies, seen.catalogue, ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE))), epoch_jyr=2020.0)
 
 
 def test_cones_hold_what_hints_allow(seen: Scene) -> None:
     frame = footprint(seen.pointing, (SIDE, SIDE))
     assert frame.radius_deg == pytest.approx(1.1 * np.hypot(500, 500) / 3600, rel=0.01)
-    about = searched([Header(seen.pointing.to_wcs((SIDE, SIDE))), Aim(150.5, 40.0, 0.2, (0.9, 1.1))], (SIDE, SIDE))
+    about = searched(
+        [ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE))), Aim(150.5, 40.0, 0.2, (0.9, 1.1))], (SIDE, SIDE)
+    )
     assert about is not None and about.holds(frame) and about.holds(Cone(150.5, 40.0, 0.2))
     assert not Cone(150.0, 40.0, 1.0).holds(Cone(152.0, 40.0, 1.0))
 
@@ -302,7 +306,7 @@ def test_a_plate_of_1951_is_identified_with_gaia() -> None:
     epoch = frame.facts.time().jyear
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        hint = Header(WCS(frame.header))
+        hint = ApproximateWcs(WCS(frame.header))
     found = solve(measured, gaia, hint, epoch_jyr=epoch, faintest=18.5)
     still = solve(measured, gaia, hint, epoch_jyr=epoch, faintest=18.5, motion=False)
     assert len(found.pairs[0]) >= 1160
@@ -324,7 +328,7 @@ def test_two_raw_frames_without_a_solution_agree_to_a_tenth_of_a_pixel() -> None
     from sameas.io import read_table
 
     folder = DATA / "asteroid_2713"
-    calibration = Calibration.of(darks=[read(path) for path in sorted(folder.glob("*Dark*"))])
+    calibration = MasterFrames.of(darks=[read(path) for path in sorted(folder.glob("*Dark*"))])
     options = CatalogueOptions(sigma=0.1, epoch="2000.0", magnitude="VT")
     tycho = Catalogue.of(read_table(folder / "tycho2_field_r0.3deg.csv"), "Tycho-2", options=options)
     found = []
@@ -351,7 +355,7 @@ def test_stars_behind_a_mask_are_not_missed(seen: Scene, found: FrameIdentificat
     blind = np.hypot(x - 350, y - 600) < 250
     clear = ~blind[np.rint(measured.y_px).astype(int), np.rint(measured.x_px).astype(int)]
     masked = replace(measured[np.flatnonzero(clear)], blind=blind)
-    again = solve(masked, seen.catalogue, Header(seen.pointing.to_wcs((SIDE, SIDE))), epoch_jyr=2020.0)
+    again = solve(masked, seen.catalogue, ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE))), epoch_jyr=2020.0)
     assert again.completeness is not None and found.completeness is not None
     assert abs(again.completeness.top - found.completeness.top) < 0.08
     assert abs(again.completeness.limit - found.completeness.limit) < 0.1

@@ -5,7 +5,7 @@ import pytest
 from astropy.wcs import WCS
 
 from sameas.errors import InputError
-from sameas.sky.frame.simulate import Camera, Gaussian, Lens, Moffat, Trail, frame_of, frame_of_sky
+from sameas.simulate.frames import Camera, Gaussian, Lens, Moffat, Trail, frame_of, frame_of_sky
 
 QUIET = Camera(shape=(101, 101), sky_e=0.0, read_noise_e=0.0, gain_e_per_adu=1.0, bias_adu=0.0, saturation_e=1e9)
 

@@ -13,17 +13,17 @@ from astropy.table import Table
 from numpy.typing import NDArray
 from typer.testing import CliRunner
 
-from sameas.areas import Cap, displaced
 from sameas.cli.app import app
 from sameas.errors import InputError
 from sameas.gate import Radius
 from sameas.io import read_provenance, read_table, write_table
+from sameas.simulate.areas import Cap
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
+from sameas.sky.crossmatch import brought_together, match
 from sameas.sky.many import ManyMatch, ManyOptions, joined_many, match_many
 from sameas.sky.many.population import freedom, pairs_within, patterns_of
 from sameas.sky.many.stars import Sightings, fitted
-from sameas.sky.match import brought_together, match
-from sameas.space import sphere_offset
+from sameas.space import displaced, sphere_offset
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 INDEX = Path("/usr/share/astrometry/index-tycho2-07.littleendian.fits")

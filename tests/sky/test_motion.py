@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 
 from sameas.errors import InputError
 from sameas.sky import motion
-from sameas.sky.motion import PARAMETERS, Astrometry, MissingMotion, position_at, propagate
-from sameas.sky.variances import Variances
+from sameas.sky.motion import PARAMETERS, Astrometry, MissingMotion, Variances, position_at, propagate
 
 MAS = np.radians(1 / 3.6e6)
 BARNARD = {"parallax_mas": [547.45], "pm_ra_mas_per_yr": [-801.551], "pm_dec_mas_per_yr": [10362.394]}

@@ -7,11 +7,11 @@ import numpy as np
 from sameas.tracks import (
     BiasPrior,
     Description,
-    ErrorModel,
-    Misses,
+    MissRate,
     Motion,
     Reports,
     Scene,
+    SensorErrors,
     Site,
     Timing,
 )
@@ -61,8 +61,8 @@ def _radar(rng, name, site, bias, start, velocity, sigma, q, until_s):
         turns.append(np.column_stack([np.full(len(arm), t + bias[2]), read, bearing + bias[1], owner]))
     time_s, distance, bearing, owner = np.concatenate(turns).T
     description = Description(
-        name, "marine radar", site=Site(east_m=site[0], north_m=site[1]), misses=Misses(q), motion=WALK,
-        errors=ErrorModel(sigma, 0.0, np.degrees(sigma / 12e3), extent_m=5.0), timing=Timing(3.0, None, 0.2),
+        name, "marine radar", site=Site(east_m=site[0], north_m=site[1]), misses=MissRate(q), motion=WALK,
+        errors=SensorErrors(sigma, 0.0, np.degrees(sigma / 12e3), extent_m=5.0), timing=Timing(3.0, None, 0.2),
         bias=BiasPrior(50.0, 1.0, 0.0, 3.0),
     )  # fmt: skip
     columns = {"time_s": time_s, "range_m": distance, "bearing_deg": bearing}
@@ -78,7 +78,7 @@ def _ais(rng, start, velocity, until_s):
                 rows.append([t, *at, *(velocity[k] + 0.2 * rng.standard_normal(2)), k])
     time_s, x, y, vx, vy, owner = np.array(rows).T
     description = Description(
-        "ais", "ais", motion=WALK, errors=ErrorModel(position_m=10.0, extent_m=5.0), timing=Timing(10.0, 0.0, 0.5)
+        "ais", "ais", motion=WALK, errors=SensorErrors(position_m=10.0, extent_m=5.0), timing=Timing(10.0, 0.0, 0.5)
     )
     columns = {"time_s": time_s, "x_m": x, "y_m": y, "vx_m_per_s": vx, "vy_m_per_s": vy}
     columns["mmsi"] = np.array([f"{int(k):09d}" for k in owner], object)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sameas.errors import InputError
-from sameas.observations import Bearing, LinearPart
+from sameas.many.observations import Bearing, LinearPart
 from sameas.tracks.alignment import (
     Earlier,
     States,

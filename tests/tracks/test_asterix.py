@@ -9,8 +9,7 @@ import pytest
 
 from sameas.errors import InputError
 from sameas.io.sensors.asterix import read
-from sameas.io.sensors.asterix.layout import CATEGORIES
-from sameas.io.sensors.asterix.records import DamagedRecord, letters, octal, records_of
+from sameas.io.sensors.asterix.records import CATEGORIES, DamagedRecord, letters, octal, records_of
 from sameas.tracks.accuracy import RADIUS_95
 
 ORACLE = json.loads((Path(__file__).parent / "data" / "asterix_oracle.json").read_text())

@@ -5,11 +5,10 @@ import pytest
 
 from sameas.errors import InputError
 from sameas.records import Records
-from sameas.tracks import Calibration, Description, ErrorModel, Feed, Motion, Reports, Scene, Site, Timing
+from sameas.tracks import Description, Feed, KnownBiases, Motion, Reports, Scene, SensorErrors, Site, Timing
 from sameas.tracks.alignment import States
-from sameas.tracks.biases import BIASES, Between, BiasModel
+from sameas.tracks.biases import BIASES, BiasModel, RelativeBias, corrected
 from sameas.tracks.coordinates import plane_polar
-from sameas.tracks.correction import corrected
 
 RNG = np.random.default_rng(1)
 PLACE, VELOCITY = RNG.uniform(-9e3, 9e3, (7, 2)), 6.0 * RNG.standard_normal((7, 2))
@@ -52,14 +51,14 @@ def test_an_offset_between_two_biased_sources_brings_their_records_together():
     other = np.array([-40.0, 0.8, 0.0, -1.0, 0.0, 0.0])
     first, second = MODELS["site"], BiasModel((4000.0, 3000.0))
     seen_1, seen_2 = (m.shown(PLACE, VELOCITY, t).place for m, t in ((first, THETA), (second, other)))
-    model = Between(first, second, VELOCITY, (1.0,) * 12)
+    model = RelativeBias(first, second, VELOCITY, (1.0,) * 12)
     theta = np.concatenate([THETA, other])
     np.testing.assert_allclose(model.moved(seen_2, theta), seen_1, atol=1e-6)
     many = model.moved(seen_2, np.stack([theta, 0.0 * theta])[:, None, :])
     np.testing.assert_allclose(many[1], seen_2, atol=1e-9)
     assert model.jacobian(seen_2, theta).shape == (7, 2, 12) and len(model.names) == 12
     # Only what may differ is looked for, and the chart is that of the sensor that may be turned farther.
-    radar = Between(first, second, VELOCITY, (0.0,) * 6 + (50.0, 1.0, 0.0, 2.0, 0.0, 0.0))
+    radar = RelativeBias(first, second, VELOCITY, (0.0,) * 6 + (50.0, 1.0, 0.0, 2.0, 0.0, 0.0))
     assert radar.names == ("second_range_m", "second_azimuth_deg", "second_time_s")
     assert radar.voted(2) == [(0, -1.0), (1, -1.0)] and len(radar.turns()) == 1
     records = Records.of(seen_2, sigma=1.0)
@@ -93,20 +92,20 @@ def test_a_radar_is_still_exact_in_range_when_its_azimuth_is_corrected():
 
 def test_a_calibration_that_is_known_is_taken_off_at_once():
     said = Reports.of("radar", "table", {"time_s": [0.0], "range_m": [1030.0], "bearing_deg": [91.0]})
-    errors = ErrorModel(5.0, 0.0, 0.1)
-    known = Calibration(range_m=30.0, azimuth_deg=1.0, north_m=7.0)
+    errors = SensorErrors(5.0, 0.0, 0.1)
+    known = KnownBiases(range_m=30.0, azimuth_deg=1.0, north_m=7.0)
     there = Site(east_m=0.0, north_m=0.0)
     feed = Feed.of(Description("radar", "marine radar", site=there, errors=errors, calibration=known), said)
     np.testing.assert_allclose(feed.reports.state[0, :2], [1000.0, -7.0], atol=0.3)
     with pytest.raises(InputError, match=r"radar: calibration of range or azimuth needs .* give site"):
         said = Reports.of("radar", "table", {"time_s": [0.0], "x_m": [1030.0], "y_m": [0.0]})
-        Feed.of(Description("radar", "tracks", errors=ErrorModel(position_m=5.0), calibration=known), said)
+        Feed.of(Description("radar", "tracks", errors=SensorErrors(position_m=5.0), calibration=known), said)
 
 
 def test_directions_are_turned_and_grow_by_what_is_not_known():
     camera = Description(
         "camera", "camera", site=Site(east_m=0.0, north_m=0.0), motion=Motion(0.01, 8.0), timing=Timing(1.0),
-        errors=ErrorModel(bearing_deg=0.3), calibration=Calibration(azimuth_deg=2.0),
+        errors=SensorErrors(bearing_deg=0.3), calibration=KnownBiases(azimuth_deg=2.0),
     )  # fmt: skip
     scene = Scene.of([(camera, Reports.of("camera", "table", {"time_s": [0.0], "bearing_deg": [1.0]}))])
     directions = scene.feeds[0].reports

@@ -9,7 +9,7 @@ import pytest
 from harbour import harbour
 
 from sameas.errors import InputError
-from sameas.tracks import Description, ErrorModel, LocalPlane, Misses, Reports, Scene, Site
+from sameas.tracks import Description, LocalPlane, MissRate, Reports, Scene, SensorErrors, Site
 
 pytest.importorskip("pymap3d")
 
@@ -127,7 +127,7 @@ def test_the_middle_of_a_plane_is_not_moved_by_what_is_absurd():
 
 
 def test_a_source_of_another_kind_of_coordinates_is_still_refused():
-    bare = Description("bare", "tracks", misses=Misses(0.1), errors=ErrorModel(position_m=5.0))
+    bare = Description("bare", "tracks", misses=MissRate(0.1), errors=SensorErrors(position_m=5.0))
     plots = Reports.of("bare", "table", {"time_s": [NOON], "x_m": [0.0], "y_m": [0.0]})
     with pytest.raises(
         InputError, match="bare: positions are metres in a plane of its own; give the origin of that plane, site"

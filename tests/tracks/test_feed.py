@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from sameas import identify_many
-from sameas.observations import records_of
+from sameas.many.observations import records_of
 from sameas.tracks.feed import Feed, need_filtering
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
-from sameas.tracks.source import Description, ErrorModel, Misses, Site
+from sameas.tracks.source import Description, MissRate, SensorErrors, Site
 
 PLOTS = {"time_s": [0.0, 3.0], "range_m": [900.0, 910.0], "bearing_deg": [10.0, 11.0]}
 PLACES = {"time_s": [0.0, 3.0], "lat_deg": [50.0, 50.1], "lon_deg": [1.0, 1.0]}
@@ -54,15 +54,15 @@ def vessels(rng, n=60, width_m=6e3):
 
 
 RADAR = Description(
-    "radar", "marine radar", errors=ErrorModel(position_m=40.0, extent_m=0.0), misses=Misses(0.1)
+    "radar", "marine radar", errors=SensorErrors(position_m=40.0, extent_m=0.0), misses=MissRate(0.1)
 )  # fmt: skip
-AIS = Description("ais", "ais", errors=ErrorModel(position_m=8.0, extent_m=0.0))
+AIS = Description("ais", "ais", errors=SensorErrors(position_m=8.0, extent_m=0.0))
 
 
 @pytest.mark.parametrize("said_m", [25.0, 40.0, 60.0])
 def test_whether_a_tracker_that_tells_velocities_tells_plots_or_smoothed_places_shows_in_their_scatter(said_m):
     radar, _ = vessels(np.random.default_rng(4))
-    about = Description("radar", "marine radar", errors=ErrorModel(position_m=said_m, extent_m=0.0))
+    about = Description("radar", "marine radar", errors=SensorErrors(position_m=said_m, extent_m=0.0))
     tracks = Feed.of(RADAR, radar, to_tracks=True).reports
     velocity = {"vx_m_per_s": tracks.state[:, 2], "vy_m_per_s": tracks.state[:, 3]}
     names = {"time_s": radar.time_s, "track_id": radar.track_id}

@@ -6,9 +6,9 @@ import pytest
 from sameas.errors import InputError
 from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.placement import Directions, Sight, placed, supposed
+from sameas.tracks.placement import Directions, SlowBearing, placed, supposed
 from sameas.tracks.reports import Reports
-from sameas.tracks.source import Description, ErrorModel, Motion, Site, Targets, Timing
+from sameas.tracks.source import Description, Motion, SensorErrors, Site, Targets, Timing
 
 pymap3d = pytest.importorskip("pymap3d")
 PLANE = LocalPlane(54.0, 10.0)
@@ -25,7 +25,7 @@ def test_geodetic_polar_and_local_positions_of_one_object_agree():
         ("tracks", {"x_m": own[:, 0], "y_m": own[:, 1]}),
     ]
     for kind, said in ways:
-        description = Description(kind, kind, site=SITE, errors=ErrorModel(position_m=10.0))
+        description = Description(kind, kind, site=SITE, errors=SensorErrors(position_m=10.0))
         there = placed(description, Reports.of(kind, "table", {"time_s": [0.0, 1.0], **said}), PLANE)
         assert isinstance(there, States)
         np.testing.assert_allclose(there.state[:, :2], PLANE.of_geodetic(LAT, LON), atol=0.05)
@@ -49,7 +49,7 @@ def test_an_aircraft_is_below_its_slant_range():
 
 
 def test_stated_errors_count_and_the_rest_is_the_descriptions():
-    ais = Description("ais", "ais", errors=ErrorModel(position_m=15.0, extent_m=20.0))
+    ais = Description("ais", "ais", errors=SensorErrors(position_m=15.0, extent_m=20.0))
     said = {"time_s": [0.0, 0.0], "lat_deg": LAT, "lon_deg": LON, "covariance_m2": [[9.0, 1.0, 4.0], [np.nan] * 3]}
     there = placed(ais, Reports.of("ais", "ais", said), PLANE)
     np.testing.assert_allclose(there.covariance[0, :2, :2], [[9, 1], [1, 4]], atol=0.1)
@@ -57,7 +57,9 @@ def test_stated_errors_count_and_the_rest_is_the_descriptions():
 
 
 def test_errors_of_a_radar_grow_across_with_the_range_and_turn_with_the_bearing():
-    radar = Description("radar", "marine radar", site=Site(54.0, 10.0), errors=ErrorModel(10.0, 0.0, 0.5, extent_m=0.0))
+    radar = Description(
+        "radar", "marine radar", site=Site(54.0, 10.0), errors=SensorErrors(10.0, 0.0, 0.5, extent_m=0.0)
+    )
     said = {"time_s": [0.0, 0.0], "range_m": [10e3, 10e3], "bearing_deg": [0.0, 90.0]}
     covariance = placed(radar, Reports.of("radar", "table", said), PLANE).covariance[:, :2, :2]
     across = (10e3 * np.radians(0.5)) ** 2
@@ -65,7 +67,7 @@ def test_errors_of_a_radar_grow_across_with_the_range_and_turn_with_the_bearing(
 
 
 def test_velocities_are_turned_to_the_plane_with_their_errors():
-    ais = Description("ais", "ais", errors=ErrorModel(speed_m_per_s=0.5, course_deg=10.0))
+    ais = Description("ais", "ais", errors=SensorErrors(speed_m_per_s=0.5, course_deg=10.0))
     said = {"time_s": [0.0, 0.0], "lat_deg": [54.0, 54.0], "lon_deg": [10.0, 14.0], "speed_m_per_s": [10.0, 10.0],
             "course_deg": [90.0, 90.0]}  # fmt: skip
     there = placed(ais, Reports.of("ais", "ais", said), PLANE)
@@ -83,7 +85,7 @@ def test_who_lies_still_has_a_velocity_and_who_says_nothing_has_none():
 
 
 def test_latency_is_taken_off_the_stamps():
-    radar = Description("radar", "tracks", errors=ErrorModel(position_m=1.0), timing=Timing(latency_s=2.5))
+    radar = Description("radar", "tracks", errors=SensorErrors(position_m=1.0), timing=Timing(latency_s=2.5))
     there = placed(radar, Reports.of("radar", "table", {"time_s": [10.0], "x_m": [0.0], "y_m": [0.0]}))
     assert there.time_s[0] == 7.5
 
@@ -99,7 +101,7 @@ def test_a_camera_on_a_moving_ship_gives_directions_from_where_it_was():
 
 def test_a_sight_is_a_bearing_that_has_a_slope_at_the_sensor_too():
     states = np.array([[1e-9, 0.0], [30.0, 40.0]])
-    sight = Sight((0.0, 0.0), nearest_m=10.0)
+    sight = SlowBearing((0.0, 0.0), nearest_m=10.0)
     assert np.isfinite(sight.jacobian(states)).all() and np.abs(sight.jacobian(states)[0]).max() < 1e-3
     np.testing.assert_allclose(sight.jacobian(states)[1, 0], np.degrees([40.0, -30.0]) / 2500.0)
 
@@ -126,7 +128,7 @@ def test_places_without_errors_are_as_good_as_the_radar_measures():
     here = {"time_s": [0.0], "x_m": [0.0], "y_m": [10e3]}
     spread = placed(flat, Reports.of("radar", "table", here)).covariance[0, :2, :2]
     np.testing.assert_allclose(np.sqrt(np.diag(spread)), [np.hypot(87.3, 15.0), np.hypot(52.2, 15.0)], rtol=0.01)
-    known = Description("radar", "marine radar", site=SITE, errors=ErrorModel(position_m=7.0, extent_m=0.0))
+    known = Description("radar", "marine radar", site=SITE, errors=SensorErrors(position_m=7.0, extent_m=0.0))
     assert supposed(known, said) == ()
     np.testing.assert_allclose(placed(known, said, PLANE).covariance[:, 0, 0], 49.0, rtol=1e-3)
 

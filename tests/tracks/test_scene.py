@@ -4,20 +4,20 @@ import numpy as np
 import pytest
 
 from sameas.errors import InputError
-from sameas.many import identify_many
-from sameas.observations import LinearPart, Observations, records_of
+from sameas.many.identify import identify_many
+from sameas.many.observations import LinearPart, Observations, records_of
 from sameas.records import Records
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import POSITION_AND_VELOCITY, Feed, Scene
-from sameas.tracks.source import Clutter, Coverage, Description, ErrorModel, Misses, Motion, Site, Timing
+from sameas.tracks.source import Clutter, Description, MissRate, Motion, SensorCoverage, SensorErrors, Site, Timing
 
 WALK = Motion(0.01, 8.0)
 RADAR = Description(
-    "radar", "marine radar", site=Site(east_m=0.0, north_m=0.0), misses=Misses(0.1), clutter=Clutter(0.0), motion=WALK,
-    errors=ErrorModel(20.0, 0.0, 0.3, extent_m=0.0), timing=Timing(3.0, 0.0, 0.0),
+    "radar", "marine radar", site=Site(east_m=0.0, north_m=0.0), misses=MissRate(0.1), clutter=Clutter(0.0),
+    motion=WALK, errors=SensorErrors(20.0, 0.0, 0.3, extent_m=0.0), timing=Timing(3.0, 0.0, 0.0),
 )  # fmt: skip
 AIS = Description(
-    "ais", "ais", misses=Misses(0.2), motion=WALK, errors=ErrorModel(position_m=15.0, extent_m=0.0),
+    "ais", "ais", misses=MissRate(0.2), motion=WALK, errors=SensorErrors(position_m=15.0, extent_m=0.0),
     timing=Timing(30.0, 0.0, 0.0),
 )  # fmt: skip
 
@@ -114,7 +114,7 @@ def test_velocities_tell_apart_what_positions_do_not():
     other = one | {"x_m": [8.0, 2.0]}
     feeds = [(AIS, Reports.of("ais", "ais", one | names))]
     twin = Description(
-        "radar", "tracks", errors=ErrorModel(position_m=15.0, speed_m_per_s=0.5, course_deg=3.0), motion=WALK
+        "radar", "tracks", errors=SensorErrors(position_m=15.0, speed_m_per_s=0.5, course_deg=3.0), motion=WALK
     )
     scene = Scene.of([*feeds, (twin, Reports.of("radar", "table", other))])
     blind, seeing = (scene.at(0.0, features=f) for f in (2, POSITION_AND_VELOCITY))
@@ -125,8 +125,8 @@ def test_velocities_tell_apart_what_positions_do_not():
 
 def test_a_camera_joins_the_boat_that_it_points_at():
     camera = Description(
-        "camera", "camera", site=Site(east_m=0.0, north_m=0.0), clutter=Clutter(per_deg=0.005), misses=Misses(0.2),
-        coverage=Coverage(range_m=2000.0), errors=ErrorModel(bearing_deg=0.5, extent_m=3.0), motion=WALK,
+        "camera", "camera", site=Site(east_m=0.0, north_m=0.0), clutter=Clutter(per_deg=0.005), misses=MissRate(0.2),
+        coverage=SensorCoverage(range_m=2000.0), errors=SensorErrors(bearing_deg=0.5, extent_m=3.0), motion=WALK,
     )  # fmt: skip
     said = {"time_s": [9.9, 9.9], "bearing_deg": [359.0, 45.3]}
     boats = {"time_s": [10.0, 10.0], "range_m": [900.0, 1000.0], "bearing_deg": [45.0, 358.7]}
@@ -142,7 +142,11 @@ def test_a_camera_joins_the_boat_that_it_points_at():
 
 def test_a_source_is_not_held_to_have_missed_what_it_does_not_cover():
     near = Description(
-        "near", "lidar", site=Site(east_m=0.0, north_m=0.0), coverage=Coverage(range_m=100.0), misses=Misses(0.2)
+        "near",
+        "lidar",
+        site=Site(east_m=0.0, north_m=0.0),
+        coverage=SensorCoverage(range_m=100.0),
+        misses=MissRate(0.2),
     )
     boats = {"time_s": [0.0] * 4, "range_m": [50.0, 800.0, 900.0, 1500.0], "bearing_deg": [0.0, 90.0, 180.0, 270.0]}
     lidar = {"time_s": [0.0], "range_m": [50.0], "bearing_deg": [0.5]}
@@ -170,7 +174,7 @@ def test_identities_come_with_the_instant_and_alarms_are_raised():
         "mmsi": ["235000001", "235000002", None],
     }
     two = {"time_s": [0.0], "x_m": [9e3], "y_m": [0.0], "mmsi": ["235000001"], "track_id": ["x"]}
-    twin = Description("coast", "tracks", errors=ErrorModel(position_m=15.0), motion=WALK)
+    twin = Description("coast", "tracks", errors=SensorErrors(position_m=15.0), motion=WALK)
     now = Scene.of([(AIS, Reports.of("ais", "ais", one)), (twin, Reports.of("coast", "table", two))]).at(2.0)
     assert list(now.identity().attributes["ais"]["mmsi"]) == ["235000001", "235000002", None]
     assert [(alarm.value, alarm.first, alarm.second) for alarm in now.alarms()] == [
@@ -193,6 +197,6 @@ def test_what_cannot_be_is_refused():
         Scene.of([(AIS, reports)]).at(0.0, features=3)
     with pytest.raises(InputError, match="no source of the scene has a report"):
         Scene(()).span_s  # noqa: B018
-    bare = Description("bare", errors=ErrorModel(position_m=1.0), motion=Motion(speed_m_per_s=1.0))
+    bare = Description("bare", errors=SensorErrors(position_m=1.0), motion=Motion(speed_m_per_s=1.0))
     with pytest.raises(InputError, match=r"bare: motion\.acceleration_m2_per_s3 is not known"):
         Scene.of([(bare, reports)]).at(0.0)

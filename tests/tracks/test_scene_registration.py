@@ -7,24 +7,24 @@ import pytest
 from harbour import harbour
 
 from sameas.errors import InputError
-from sameas.many import identify_many
-from sameas.observations import records_of
+from sameas.many.identify import identify_many
+from sameas.many.observations import records_of
 from sameas.tracks import (
     BiasPrior,
-    Calibration,
     Clutter,
-    Coverage,
     Description,
-    ErrorModel,
-    Misses,
+    KnownBiases,
+    MissRate,
     Motion,
     Reports,
     Scene,
+    SensorCoverage,
+    SensorErrors,
     Site,
     Timing,
 )
-from sameas.tracks.agreement import Pool
-from sameas.tracks.encounters import Side, encounters
+from sameas.tracks.bias_fit import Pool
+from sameas.tracks.common_scans import MeetingSource, encounters
 
 NAMES = ("range_m", "azimuth_deg", "time_s")
 
@@ -100,7 +100,7 @@ def test_a_reference_can_be_chosen_and_a_known_bias_be_fixed():
     made = harbour(50, 30, until_s=200.0)
     (about, said), ais = made.sources
     fixed = replace(
-        about, calibration=Calibration(50.0, 1.0), timing=Timing(3.0, 3.0, 0.2), bias=BiasPrior(0.0, 0.0, 0.0, 0.0)
+        about, calibration=KnownBiases(50.0, 1.0), timing=Timing(3.0, 3.0, 0.2), bias=BiasPrior(0.0, 0.0, 0.0, 0.0)
     )
     scene = Scene.of([(fixed, said), ais])
     registered, found = scene.registered()
@@ -121,7 +121,7 @@ def test_a_shifted_source_without_a_site_is_brought_back():
     rng = np.random.default_rng(1)
     moved = replace(said, x_m=said.x_m + 80.0 + 10 * rng.standard_normal(len(said)), y_m=said.y_m - 45.0, mmsi=None,
                     track_id=said.mmsi)  # fmt: skip
-    other = Description("other", "tracks", motion=about.motion, errors=ErrorModel(position_m=15.0, speed_m_per_s=0.3))
+    other = Description("other", "tracks", motion=about.motion, errors=SensorErrors(position_m=15.0, speed_m_per_s=0.3))
     _, (_, found) = Scene.of([made.sources[1], (other, moved)]).registered()
     assert np.abs(normalised(found, {"east_m": 80.0, "north_m": -45.0})).max() < 3.5
     assert 5 <= found.tracks <= 30 and "east" in str(found)
@@ -138,8 +138,8 @@ def test_a_camera_is_turned_back():
         rows += [[t, b + 1.7 + 0.3 * rng.standard_normal()] for b in bearing[seen]]
     time_s, bearing = np.array(rows).T
     camera = Description(
-        "camera", "camera", site=Site(east_m=0.0, north_m=0.0), coverage=Coverage(8000.0), misses=Misses(0.2),
-        clutter=Clutter(per_deg=0.001), errors=ErrorModel(bearing_deg=0.3, extent_m=5.0),
+        "camera", "camera", site=Site(east_m=0.0, north_m=0.0), coverage=SensorCoverage(8000.0), misses=MissRate(0.2),
+        clutter=Clutter(per_deg=0.001), errors=SensorErrors(bearing_deg=0.3, extent_m=5.0),
         timing=Timing(2.0, 0.0, 0.0), motion=Motion(0.01, 8.0),
     )  # fmt: skip
     columns = {"time_s": time_s, "bearing_deg": bearing}
@@ -149,7 +149,7 @@ def test_a_camera_is_turned_back():
     turned = (scene.feeds[1].reports.bearing_deg - registered.feeds[1].reports.bearing_deg) % 360.0
     np.testing.assert_allclose(turned, found.parameters["azimuth_deg"].value)
     # Hulls of 5 m stay 5 m wide, seen from some kilometres; ships go at some metres a second.
-    for met in encounters(Side(scene.feeds[0], None), Side(scene.feeds[1], 0)):
+    for met in encounters(MeetingSource(scene.feeds[0], None), MeetingSource(scene.feeds[1], 0)):
         assert 0.0 < met.lasting_m2 < 0.1
         assert 1.0 < met.speed_m_per_s < 20.0
 
@@ -170,10 +170,10 @@ def speeding_up(seed, every_s, sigma_m):
 def test_a_filter_that_lags_behind_what_speeds_up_is_not_taken_for_a_late_stamp():
     motion = Motion(acceleration_m2_per_s3=0.01, speed_m_per_s=8.0)
     radar = Description(
-        "radar", "marine radar", site=Site(east_m=0.0, north_m=-9e3), errors=ErrorModel(position_m=50.0), motion=motion,
-        bias=BiasPrior(range_m=50.0, azimuth_deg=1.0, time_s=2.0), misses=Misses(0.1),
+        "radar", "marine radar", site=Site(east_m=0.0, north_m=-9e3), errors=SensorErrors(position_m=50.0),
+        motion=motion, bias=BiasPrior(range_m=50.0, azimuth_deg=1.0, time_s=2.0), misses=MissRate(0.1),
     )  # fmt: skip
-    ais = Description("ais", "ais", errors=ErrorModel(position_m=5.0), motion=motion, misses=Misses(0.1))
+    ais = Description("ais", "ais", errors=SensorErrors(position_m=5.0), motion=motion, misses=MissRate(0.1))
     for seed in range(3):
         plots, _, ship = speeding_up(seed, 3.0, 50.0)
         told, velocity, name = speeding_up(seed, 10.0, 5.0)
@@ -210,7 +210,7 @@ def test_few_tracks_are_told():
 def test_the_score_is_the_slope_of_the_posterior_over_all_instants():
     made = harbour(100, 20, biases=((30.0, 0.5, 0.0), (-20.0, 0.3, 0.0)), until_s=60.0)
     radars = made.scene.feeds[:2]
-    met = encounters(Side(radars[0], 0), Side(radars[1], 6), 3)
+    met = encounters(MeetingSource(radars[0], 0), MeetingSource(radars[1], 6), 3)
     pool = Pool(met)
     assert pool.biases.tolist() == [0, 1, 6, 7] and len(met) == 3
     theta = np.array([[25.0, 0.45, -15.0, 0.25]])

@@ -9,12 +9,12 @@ from sameas.tracks.kinds import KINDS
 from sameas.tracks.source import (
     _PARTS,
     BiasPrior,
-    Calibration,
-    Coverage,
     Description,
-    ErrorModel,
-    Misses,
+    KnownBiases,
+    MissRate,
     Resolution,
+    SensorCoverage,
+    SensorErrors,
     Site,
     read_descriptions,
 )
@@ -37,14 +37,15 @@ def test_toml_says_what_python_says(tmp_path):
     path.write_text(TOML)
     harbour, ais = read_descriptions(path)
     assert harbour == Description(
-        "harbour", "marine radar", site=Site(50.77, -1.30, 25), coverage=Coverage(20000, 0.0, (300, 120), ((40, 55),)),
-        misses=Misses((0.05, 0.1, 0.5), (0, 10000, 20000)), errors=ErrorModel(bearing_deg=0.4),
+        "harbour", "marine radar", site=Site(50.77, -1.30, 25),
+        coverage=SensorCoverage(20000, 0.0, (300, 120), ((40, 55),)),
+        misses=MissRate((0.05, 0.1, 0.5), (0, 10000, 20000)), errors=SensorErrors(bearing_deg=0.4),
     )  # fmt: skip
     assert ais.name == "ais" and ais.errors.position_m == 15.0
 
 
 def test_every_number_that_nobody_gave_is_told_with_its_reason():
-    radar = Description("harbour", "marine radar", errors=ErrorModel(bearing_deg=0.4), misses=Misses(0.3))
+    radar = Description("harbour", "marine radar", errors=SensorErrors(bearing_deg=0.4), misses=MissRate(0.3))
     told = {line.name: line for line in radar.assumed}
     assert "errors.bearing_deg" not in told and "misses.q" not in told
     assert set(told) | {"errors.bearing_deg", "misses.q"} == set(KINDS["marine radar"].defaults)
@@ -73,7 +74,9 @@ def test_defaults_of_every_kind_are_numbers_of_known_parts_with_reasons(kind):
 
 def test_misses_follow_the_range_and_are_certain_outside_the_coverage():
     radar = Description(
-        "radar", coverage=Coverage(20e3, 100.0, (300.0, 120.0), ((40.0, 55.0),)), misses=Misses((0.1, 0.5), (0.0, 20e3))
+        "radar",
+        coverage=SensorCoverage(20e3, 100.0, (300.0, 120.0), ((40.0, 55.0),)),
+        misses=MissRate((0.1, 0.5), (0.0, 20e3)),
     )
     q = radar.q_at([10e3, 10e3, 10e3, 10e3, 30e3, 50.0], [0.0, 200.0, 50.0, 359.0, 0.0, 0.0])
     np.testing.assert_allclose(q, [0.3, 1.0, 1.0, 0.3, 1.0, 1.0])
@@ -85,12 +88,12 @@ def test_resolution_is_the_wider_of_cell_and_beam():
 
 
 def test_a_bias_that_is_known_is_not_looked_for_unless_its_doubt_is_told():
-    known = Description("radar", "marine radar", calibration=Calibration(range_m=-35.0))
+    known = Description("radar", "marine radar", calibration=KnownBiases(range_m=-35.0))
     assert known.bias.range_m is None and known.bias.azimuth_deg == 1.0
     assert "bias.range_m" not in {line.name for line in known.assumed}
-    nearly = Description("radar", "marine radar", calibration=Calibration(range_m=-35.0), bias=BiasPrior(range_m=5.0))
+    nearly = Description("radar", "marine radar", calibration=KnownBiases(range_m=-35.0), bias=BiasPrior(range_m=5.0))
     assert nearly.bias.range_m == 5.0
-    shifted = Description("other", "tracks", calibration=Calibration(east_m=3.0))
+    shifted = Description("other", "tracks", calibration=KnownBiases(east_m=3.0))
     assert shifted.bias.shift_m is None and Description("other", "tracks").bias.shift_m == 50.0
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -45,7 +44,6 @@ from sameas.cli.many import many
 from sameas.cli.options import ellipses_split, fields_of, with_columns
 from sameas.cli.outcome import answering
 from sameas.cli.picture import picture
-from sameas.cli.study import Folder, Only, Page, Quick, Scenes
 
 app = typer.Typer(
     name="sameas",
@@ -146,7 +144,7 @@ def explain(
     The match is repeated with what OUT says of it; the catalogues must still be where they were.
     """
     with answering(debug):
-        from sameas.cli.explaining import run
+        from sameas.cli.explain import run
 
         run(output, record, source, format)
 
@@ -155,25 +153,6 @@ app.command("many", cls=_Recorded, no_args_is_help=True)(many)
 app.command("frame", no_args_is_help=True)(frame)
 
 app.command("picture", cls=_Recorded, no_args_is_help=True)(picture)
-
-
-@app.command("study")
-def study(
-    scenes: Scenes = None,
-    quick: Quick = False,
-    output: Folder = Path("sameas-study"),
-    only: Only = None,
-    page: Page = None,
-    debug: Debug = False,
-) -> None:
-    """What the papers claim of their rules and what we measure: simulated scenes, tables, figures, a page.
-
-    Runs on all cores; some minutes. The same numbers come out whatever their number.
-    """
-    with answering(debug):
-        from sameas.cli.study import run
-
-        run(scenes, quick, output, only, page)
 
 
 @app.command("formats")

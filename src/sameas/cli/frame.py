@@ -83,9 +83,9 @@ def frame(
     """
     with answering(debug):
         from sameas.cli.framing import FrameRequest
-        from sameas.cli.hints import Said, aim_of, scale_of
+        from sameas.cli.pointing_hints import PointingOptions, aim_of, scale_of
 
-        said = Said(aim_of(aim), radius, scale_of(scale), header=not ignore_header)
+        said = PointingOptions(aim_of(aim), radius, scale_of(scale), header=not ignore_header)
         given = {"gain_e_per_adu": gain, "read_noise_e": read_noise, "saturation_adu": saturation}
         requests = [
             FrameRequest(
@@ -148,9 +148,9 @@ def _stem(path: str) -> str:
 
 def _run(requests: list[Any], processes: int, again: bool, quiet: bool) -> bool:
     """Does the frames, prints what is to be said; whether any failed."""
-    from sameas.cli.frame_lines import frame_lines, one_line, totals
     from sameas.cli.frames import Outcome, run_all
     from sameas.cli.terminal import Printer, notice, tell_compilation
+    from sameas.report.frame import frame_lines, one_line, totals
 
     printer = Printer(quiet)
     many = len(requests) > 1
@@ -161,14 +161,16 @@ def _run(requests: list[Any], processes: int, again: bool, quiet: bool) -> bool:
         if outcome.told is None:
             notice(f"{outcome.request.name}: {outcome.error}" if many else outcome.error)
         elif many:
-            printer([one_line(outcome)])
+            state = "done before" if outcome.skipped else f"{outcome.seconds:.1f} s"
+            printer([one_line(outcome.request.name, outcome.told, state)])
         else:
             printer(frame_lines(outcome.told))
             printer(["", *_written(outcome)])
 
     outcomes = run_all(requests, processes=processes, again=again, shown=not quiet, tell=tell)
     if many:
-        printer([totals(outcomes)])
+        failed, skipped = sum(o.told is None for o in outcomes), sum(o.skipped for o in outcomes)
+        printer([totals(len(outcomes) - failed - skipped, skipped, failed)])
     return any(outcome.told is None for outcome in outcomes)
 
 

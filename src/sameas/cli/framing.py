@@ -17,21 +17,21 @@ from pathlib import Path
 from typing import Any, Literal
 
 import sameas
-from sameas.cli.hints import Said, hints
+from sameas.cli.pointing_hints import PointingOptions, hints
 from sameas.errors import InputError
 from sameas.io import checksum, replacing, write_table
 from sameas.io.catalogues import BRIGHT, GAIA, catalogue
 from sameas.io.plate import write_copy, write_solution
 from sameas.io.regions import write_regions
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
-from sameas.sky.frame.calibration import Calibration
+from sameas.sky.frame.calibration import MasterFrames
 from sameas.sky.frame.detect import Detection, detect
 from sameas.sky.frame.field import Cone
 from sameas.sky.frame.identified import FrameIdentification, Refinement
 from sameas.sky.frame.image import Frame, read
 from sameas.sky.frame.keywords import Given
 from sameas.sky.frame.listing import listing
-from sameas.sky.frame.place import AllSky, SkyIndex, sky_index
+from sameas.sky.frame.pointing_hints import AllSky, SkyIndex, sky_index
 from sameas.sky.frame.solve import searched, solve
 from sameas.sky.frame.summary import summary
 
@@ -53,7 +53,7 @@ class FrameRequest:
     folder: str
     name: str
     catalogue: str
-    said: Said = field(default_factory=Said)
+    said: PointingOptions = field(default_factory=PointingOptions)
     columns: Mapping[str, Any] = field(default_factory=dict)
     given: Mapping[str, Any] = field(default_factory=dict)
     time: str | None = None
@@ -222,8 +222,8 @@ def _write(request: FrameRequest, frame: Frame, found: FrameIdentification, told
 
 
 @lru_cache(maxsize=4)
-def _calibration(biases: tuple[str, ...], darks: tuple[str, ...], flats: tuple[str, ...]) -> Calibration:
-    return Calibration.of(
+def _calibration(biases: tuple[str, ...], darks: tuple[str, ...], flats: tuple[str, ...]) -> MasterFrames:
+    return MasterFrames.of(
         biases=[read(path) for path in biases],
         darks=[read(path) for path in darks],
         flats=[read(path) for path in flats],

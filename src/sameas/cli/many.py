@@ -165,11 +165,11 @@ class ManyRequest:
 
 def run(request: ManyRequest, wanted: Wanted | None, quiet: bool) -> None:
     """Read, understand, identify, say, write; without ``wanted`` only the first two."""
-    from sameas import report
-    from sameas.cli import many_lines
     from sameas.cli.terminal import Pace, Printer, tell_compilation
     from sameas.io import write_table
-    from sameas.prose import DOUBT, count
+    from sameas.report.many import estimate_lines, summary_lines
+    from sameas.report.match import catalogue_lines
+    from sameas.report.prose import DOUBT, count
     from sameas.sky.many import joined_many, match_many
 
     began = time.perf_counter()
@@ -182,7 +182,7 @@ def run(request: ManyRequest, wanted: Wanted | None, quiet: bool) -> None:
             pace(f"reading {path}")
             catalogues.append(request.catalogue(side))
             pace.pause()
-            lines = report.catalogue_lines(catalogues[-1], side, path)
+            lines = catalogue_lines(catalogues[-1], side, path)
             printer(sided(line, side, request.columns) if line.startswith(DOUBT) else line for line in [*lines, ""])
         if wanted is None:
             pace.pause()
@@ -192,7 +192,7 @@ def run(request: ManyRequest, wanted: Wanted | None, quiet: bool) -> None:
             tell_compilation()
         match = match_many(catalogues, request.options, progress=pace)
         pace.pause()
-        printer([*many_lines.estimate_lines(match), "", *many_lines.summary_lines(match)])
+        printer([*estimate_lines(match), "", *summary_lines(match)])
         pace("joining the tables")
         table = joined_many(match, least=wanted.least)
         pace(f"writing {wanted.path}")

@@ -9,17 +9,17 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from sameas import report
 from sameas.cli.provenance import provenance
 from sameas.cli.request import Request
 from sameas.cli.terminal import Pace, Printer, tell_compilation
-from sameas.coverage import Coverage
 from sameas.errors import InputError
+from sameas.estimate.coverage import Coverage
 from sameas.io import known_formats, replacing, write_table
-from sameas.prose import DOUBT, count
+from sameas.report.match import catalogue_lines, coverage_lines, estimate_lines, nearest_lines, summary_lines
+from sameas.report.prose import DOUBT, count
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.joined import joined
-from sameas.sky.match import SkyMatch, brought_together, density_doubts
+from sameas.sky.crossmatch import SkyMatch, brought_together, density_doubts
+from sameas.sky.joins import joined
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,9 @@ class Wanted:
                 tell_compilation()
             match = request.match(first, second, pace)
             pace("report")
-            lines = [*report.estimate_lines(match), "", *report.summary_lines(match)]
+            lines = [*estimate_lines(match), "", *summary_lines(match)]
             if self.compare_nearest:
-                lines += ["", *report.nearest_lines(match)]
+                lines += ["", *nearest_lines(match)]
             if self.certify:
                 match.result.best.certify(match.result.groups)
                 lines += ["", f"Certificate: {match.result.best.certificate(match.result.groups)}"]
@@ -123,7 +123,7 @@ def look(request: Request, quiet: bool) -> None:
         _, moved, one, two = together
         pace("densities")
         coverage = Coverage.of(one, two)
-        lines = report.coverage_lines(moved, coverage, density_doubts(coverage, request.options))
+        lines = coverage_lines(moved, coverage, density_doubts(coverage, request.options))
     printer([*lines, "", "Nothing was identified or written (--dry-run)."])
 
 
@@ -134,7 +134,7 @@ def _understood(request: Request, printer: Printer, pace: Pace) -> tuple[Catalog
         path = request.paths[side - 1]
         pace(f"reading {path}")
         catalogue = request.catalogue(side)
-        lines = [*report.catalogue_lines(catalogue, side, path), ""]
+        lines = [*catalogue_lines(catalogue, side, path), ""]
         pace.pause()
         printer(request.sided(line, side) if line.startswith(DOUBT) else line for line in lines)
         read.append(catalogue)

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 import sameas
-from sameas.cli.picture_lines import listed
 from sameas.cli.terminal import notice
 from sameas.errors import InputError
 from sameas.io import checksum
 from sameas.io.sensors.sources import SensorSource
 from sameas.maps.sheet import MapAlarm, MapSensor, MapSheet
 from sameas.picture.picture import Picture
+from sameas.report.picture import listed
 from sameas.tracks.registration import SourceBiases
 
 #: Every file that may be written, without the extension of the tables.

@@ -11,20 +11,20 @@ from pathlib import Path
 
 import numpy as np
 
-from sameas.belief import SetRule
+from sameas.arrays import FloatArray
 from sameas.cli.picture_files import Made, Outputs, older, write
-from sameas.cli.picture_lines import assumed_lines, doubt_lines, found_lines, read_lines, scene_lines
 from sameas.cli.terminal import Pace, Printer, notice, tell_compilation
 from sameas.errors import InputError
 from sameas.io.atomic import filling
 from sameas.io.sensors.clock import DAY_S, instant
 from sameas.io.sensors.sources import SensorSource, read_sources, read_told
-from sameas.picture.lookout import Lookout, nameless
+from sameas.many.rules import SetRule
 from sameas.picture.memory import Past
-from sameas.picture.moment import Watch
 from sameas.picture.picture import MOST, Picture, instants
-from sameas.prose import count, counted, span
-from sameas.records import FloatArray
+from sameas.picture.plot_picture import PlotPicture, nameless
+from sameas.picture.watch import Watch
+from sameas.report.picture import assumed_lines, doubt_lines, found_lines, read_lines, scene_lines
+from sameas.report.prose import count, counted, span
 from sameas.tracks.registration import SourceBiases
 from sameas.tracks.scene import Instant, Scene
 
@@ -82,11 +82,11 @@ class Method:
 
         return rule
 
-    def watch(self, scene: Scene) -> Watch | Lookout:
+    def watch(self, scene: Scene) -> Watch | PlotPicture:
         """What the picture carries from instant to instant; without memory every instant is its own."""
         if not self.memory:
             return Watch(say=self.say(), bound=1.0)
-        return Lookout() if nameless(scene) else Watch(say=self.say())
+        return PlotPicture() if nameless(scene) else Watch(say=self.say())
 
 
 def run(
@@ -107,7 +107,7 @@ def run(
             with _remedies(sensors):
                 sources = read_sources(files, read_told(sensors) if sensors else None, start=start)
             pace.pause()
-            printer(read_lines(sources))
+            printer(read_lines((source.reports.source, source.lines()) for source in sources))
             if not quiet:
                 tell_compilation()
             made = _made(sources, sensors, when, method, pace, printer)

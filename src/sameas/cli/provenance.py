@@ -13,7 +13,7 @@ import numpy
 
 import sameas
 from sameas.cli.request import Request
-from sameas.sky.match import ARCSEC2_PER_DEG2, SkyMatch
+from sameas.sky.crossmatch import ARCSEC2_PER_DEG2, SkyMatch
 
 #: What the terms of the error model are called in an output.
 ERROR_NAMES = {

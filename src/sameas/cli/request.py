@@ -14,7 +14,7 @@ from sameas.errors import InputError
 from sameas.io import checksum, read_table
 from sameas.sky.bands import AUTO, OFF
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
-from sameas.sky.match import MatchOptions, SkyMatch, match
+from sameas.sky.crossmatch import MatchOptions, SkyMatch, match
 
 if TYPE_CHECKING:
     from astropy.table import Table

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from sameas.prose import ALARM, DOUBT, WIDTH
+from sameas.report.prose import ALARM, DOUBT, WIDTH
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -117,8 +117,8 @@ def notice(message: str) -> None:
 
 def tell_compilation() -> None:
     """Say that kernels are going to be compiled, where this machine has none, and begin with some of them."""
-    from sameas import compilation
+    from sameas.cli import warmup
 
-    if compilation.needed():
+    if warmup.needed():
         notice("compiling kernels for this machine, once; it takes some seconds")
-        compilation.beside()
+        warmup.beside()

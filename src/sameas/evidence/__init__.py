@@ -27,11 +27,13 @@ from sameas.evidence.brightness import (
     Chain,
     Compared,
     Comparison,
+    MagnitudeDensity,
     Magnitudes,
-    Measured,
+    MeasuredMagnitudes,
     Pattern,
     Regressors,
-    Side,
+    Relation,
+    SourceMagnitudes,
     compared,
 )  # fmt: skip
 from sameas.evidence.close import CloseObjects
@@ -39,7 +41,6 @@ from sameas.evidence.densities import Displacement, Flat, GaussianMixture, Sampl
 from sameas.evidence.fields import ConstantCost, DetectionField, Field, PoissonField
 from sameas.evidence.identity import MODELS, Alarm, Category, Code, Identity, Model, Size, alarms
 from sameas.evidence.precision import Graded, Precision
-from sameas.evidence.relation import MagnitudeDensity, Relation
 from sameas.evidence.rule import Evidence, Rule, Sum
 from sameas.evidence.spread import LOG_2PI, Errors
 from sameas.evidence.universal import Universal
@@ -48,7 +49,8 @@ __all__ = [
     "LOG_2PI", "MODELS", "Alarm", "Brightness", "Category", "Chain", "CloseObjects", "Code", "Compared",
     "Comparison",
     "ConstantCost", "DetectionField", "Displacement", "Errors", "Evidence", "Field", "Flat", "GaussianMixture",
-    "Graded", "Identity", "MagnitudeDensity", "Magnitudes", "Measured", "Model", "Pattern", "PoissonField", "Precision",
-    "Regressors", "Relation", "Rule", "Samples", "Side", "Size", "Sum", "Universal", "alarms",
+    "Graded", "Identity", "MagnitudeDensity", "Magnitudes", "MeasuredMagnitudes", "Model", "Pattern", "PoissonField",
+    "Precision",
+    "Regressors", "Relation", "Rule", "Samples", "Size", "SourceMagnitudes", "Sum", "Universal", "alarms",
     "compared", "log_neighbour_density", "log_surface_density",
 ]  # fmt: skip

@@ -5,23 +5,123 @@ Objects are a Poisson field with magnitudes (METHOD 3.4, 4.3). Beside its positi
     ln p(m₁, m₂ | one object) − ln p(m₁) − ln p(m₂)   and   what the magnitudes say of being shown by both sources.
 
 The first is the mean of both ways to take it apart, p(m₁ | m₂) / p(m₁) and p(m₂ | m₁) / p(m₂), each band after band
-(:class:`Chain`). The second comes from the share of common objects at each magnitude (``sameas.detection``).
-``sameas.photometry`` learns both; the user gives :class:`Magnitudes`.
+(:class:`Chain`). The second comes from the share of common objects at each magnitude (``sameas.evidence.detection``).
+``sameas.estimate.photometry`` learns both; the user gives :class:`Magnitudes`.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.evidence.relation import MagnitudeDensity, Relation
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
-from sameas.records import FloatArray, Records
+from sameas.records import Records
+
+# Densities of magnitudes: of all records of a source, and of one magnitude given others of the same object.
+
+
+@dataclass(frozen=True)
+class MagnitudeDensity:
+    """Density of the magnitudes of all records of a source in one band, 1/mag: a smoothed histogram.
+
+    grid : (g,) mag, evenly spaced. log_density : (g,).
+    """
+
+    grid: FloatArray
+    log_density: FloatArray
+
+    def __call__(self, magnitude: FloatArray) -> FloatArray:
+        """(n,) ln p at magnitudes (n,)."""
+        return np.interp(magnitude, self.grid, self.log_density)
+
+
+@dataclass(frozen=True)
+class Relation:
+    """Density of one magnitude, given one or more others of the same object.
+
+    The mean is the first of the others, plus a curve of it, plus linear terms in the colours; about it the magnitude
+    spreads as a mixture of normals, of the quoted errors and of a scatter that depends on the first of the others.
+    The share ``unrelated`` follows ``background`` instead: no magnitude weighs less than that, however far off.
+
+    Attributes
+    ----------
+    knots, offset, scatter : (k,) magnitudes, and there the mean difference and the scatter beyond quoted errors, mag.
+    slopes, centres : (c,) mag per mag of colour, about these colours: the other magnitudes minus the first of them.
+        The mean is that given measured magnitudes, as is due for what predicts measured pairs: the errors of the
+        colours make its slopes smaller than those on true colours (regression dilution).
+    scales, shares : of the mixture's normals, in units of error and scatter together.
+    unrelated : the share that follows ``background``.
+    covariance : (k + c, k + c) of offset and slopes, from the pairs that they were learned from.
+    mean_basis : (k + c,) basis averaged over these pairs.
+    scatter_error : standard error of the typical scatter, mag. weight : number of these pairs, as expected.
+    """
+
+    knots: FloatArray
+    offset: FloatArray
+    scatter: FloatArray
+    slopes: FloatArray
+    centres: FloatArray
+    scales: FloatArray
+    shares: FloatArray
+    unrelated: float
+    background: MagnitudeDensity
+    covariance: FloatArray
+    mean_basis: FloatArray
+    scatter_error: float
+    weight: float
+
+    @property
+    def zero_point(self) -> float:
+        """Mean difference of the pairs, mag: the magnitude minus the first of the others."""
+        return float(self.mean_basis @ np.concatenate([self.offset, self.slopes]))
+
+    @property
+    def zero_point_error(self) -> float:
+        """Its standard error, mag."""
+        return math.sqrt(max(float(self.mean_basis @ self.covariance @ self.mean_basis), 0.0))
+
+    @property
+    def slope_errors(self) -> FloatArray:
+        """(c,) standard errors of the slopes."""
+        k = len(self.knots)
+        return np.sqrt(np.diag(self.covariance)[k:])
+
+    @property
+    def typical_scatter(self) -> float:
+        """Scatter beyond the quoted errors, mag: root mean square over the pairs."""
+        share = self.mean_basis[: len(self.knots)]
+        return math.sqrt(float(share @ self.scatter**2) / max(float(share.sum()), 1e-300))
+
+    def log_density(
+        self,
+        y: FloatArray,
+        others: FloatArray,
+        variance: FloatArray,
+        other_variance: FloatArray,
+        background: FloatArray,
+    ) -> FloatArray:
+        """(m,) ln p of magnitudes y (m,), given others (m, 1 + c); variances of both, and (m,) the background at y."""
+        from sameas.kernels.relation import log_mixture
+
+        relation = (
+            self.offset,
+            self.scatter,
+            self.slopes,
+            self.centres,
+            self.scales,
+            np.append(self.shares, self.unrelated),
+        )
+        out = np.empty(len(y))
+        log_mixture(y, variance, others, other_variance, self.knots, relation, background, out)
+        return out
+
 
 #: Which of a magnitude's possible regressors are measured.
 Pattern = tuple[bool, ...]
@@ -67,7 +167,7 @@ class Magnitudes:
         """Number of bands."""
         return int(np.shape(self.values)[1])
 
-    def of(self, records: Records) -> Measured:
+    def of(self, records: Records) -> MeasuredMagnitudes:
         """The magnitudes at a source's usable records.
 
         Raises
@@ -80,7 +180,7 @@ class Magnitudes:
                 f"{records.source}: {len(values)} magnitudes for {records.n_table} rows; "
                 "give one for every row of its table"
             )
-        return Measured(values[records.rows], np.asarray(self.sigma)[records.rows] ** 2)
+        return MeasuredMagnitudes(values[records.rows], np.asarray(self.sigma)[records.rows] ** 2)
 
 
 def _numbers(values: ArrayLike) -> FloatArray:
@@ -113,15 +213,15 @@ def _sigmas(sigma: ArrayLike | None, values: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredMagnitudes:
     """Magnitudes (n, bands), NaN where not measured, and the variances of their quoted errors."""
 
     values: FloatArray
     variance: FloatArray
 
-    def take(self, rows: NDArray[np.integer]) -> Measured:
+    def take(self, rows: NDArray[np.integer]) -> MeasuredMagnitudes:
         """Some rows."""
-        return Measured(self.values[rows], self.variance[rows])
+        return MeasuredMagnitudes(self.values[rows], self.variance[rows])
 
 
 @dataclass(frozen=True)
@@ -133,14 +233,14 @@ class Regressors:
     """
 
     pattern: Pattern
-    rows: NDArray[np.int64]
+    rows: IntArray
     y: FloatArray
     variance: FloatArray
     others: FloatArray
     other_variance: FloatArray
 
     @classmethod
-    def split(cls, band: int, own: Measured, other: Measured | None) -> Iterator[Regressors]:
+    def split(cls, band: int, own: MeasuredMagnitudes, other: MeasuredMagnitudes | None) -> Iterator[Regressors]:
         """All rows where the band and a regressor of the other source are measured, or of its own without another."""
         values, variance = own.values[:, :band], own.variance[:, :band]
         if other is not None:
@@ -167,18 +267,18 @@ class Regressors:
 
 
 @dataclass(frozen=True)
-class Side:
+class SourceMagnitudes:
     """What is known of one source's magnitudes before the sources are compared.
 
     densities : of all its records, per band; None where too few are measured. alone : per band how it follows the
     earlier bands, by the pattern of those that are measured.
     """
 
-    measured: Measured
+    measured: MeasuredMagnitudes
     densities: tuple[MagnitudeDensity | None, ...]
     alone: tuple[Mapping[Pattern, Relation], ...]
 
-    def compared(self, rows: NDArray[np.integer], other: Measured) -> Compared:
+    def compared(self, rows: NDArray[np.integer], other: MeasuredMagnitudes) -> Compared:
         """Some of its records, (m,) ``rows``, beside the magnitudes ``other`` of those they are compared with."""
         own = self.measured.take(rows)
         bands: list[tuple[Comparison, ...]] = []
@@ -239,7 +339,7 @@ class Chain:
 
 @dataclass(frozen=True)
 class Brightness(Rule):
-    """What the magnitudes of a pair say, as learned by ``sameas.photometry``; add it to a rule of positions.
+    """What the magnitudes of a pair say, as learned by ``sameas.estimate.photometry``; add it to a rule of positions.
 
     Parameters
     ----------
@@ -250,7 +350,7 @@ class Brightness(Rule):
     known : pairs for which the comparisons are already there, and these.
     """
 
-    sides: tuple[Side, Side] = field(repr=False)
+    sides: tuple[SourceMagnitudes, SourceMagnitudes] = field(repr=False)
     chains: tuple[Chain, Chain] | None = field(repr=False)
     shown_1: FloatArray = field(repr=False)
     shown_2: FloatArray = field(repr=False)
@@ -265,7 +365,7 @@ class Brightness(Rule):
         return Evidence(terms)
 
 
-def compared(sides: tuple[Side, Side], pairs: Pairs) -> tuple[Compared, Compared]:
+def compared(sides: tuple[SourceMagnitudes, SourceMagnitudes], pairs: Pairs) -> tuple[Compared, Compared]:
     """The magnitudes of all pairs: of source 1 beside those of source 2, and the reverse."""
     one, two = sides
     return (

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.evidence.spread import LOG_2PI
-from sameas.records import FloatArray
 
 #: Takes positions (n, d), gives densities (n,).
 DensityFunction = Callable[[FloatArray], FloatArray]

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.evidence.rule import Evidence, Rule
 from sameas.evidence.spread import AS_QUOTED, Errors
 from sameas.gate import Pairs
-from sameas.records import FloatArray
 
 
 @dataclass(frozen=True)

@@ -25,12 +25,72 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.evidence.rule import Evidence, Rule
-from sameas.evidence.texts import differ_by_one_bit, differ_by_one_typing, plain
 from sameas.gate import DEFAULT_COMPLETENESS, ChiSquare, Pairs
-from sameas.records import FloatArray, IntArray, Records, unpack
+from sameas.records import Records, unpack
 from sameas.space import Plane
+
+# Texts that name things: their plain spelling, and whether two differ by one bit or one slip of typing.
+
+
+def plain(values: ArrayLike, unknown: Sequence[str] = ()) -> NDArray[Any]:
+    """(n,) numbers as they are; texts in capitals, without spaces around them, "" where missing or in ``unknown``.
+
+    Whole numbers count as texts: an MMSI is a name, not a size.
+    """
+    if isinstance(values, np.ma.MaskedArray):
+        hidden, values = np.ma.getmaskarray(values), values.data.astype(object)
+        values[hidden] = None
+    array = np.asarray(values)
+    if array.dtype.kind == "f":
+        return array.astype(np.float64)
+    cells = array.astype(object)
+    if all(cell is None or isinstance(cell, float | np.floating) for cell in cells):
+        return np.array([np.nan if cell is None else cell for cell in cells], dtype=np.float64)
+    nothing = {"", "NONE", "NAN", *(text.upper() for text in unknown)}
+    texts = (("" if cell is None else str(cell)).strip().upper() for cell in cells)
+    return np.array(["" if text in nothing else text for text in texts], dtype=np.str_)
+
+
+def differ_by_one_bit(first: NDArray[Any], second: NDArray[Any]) -> BoolArray:
+    """(m,) whether two hexadecimal addresses differ in one bit; False where either is none."""
+    a, b = _hexadecimal(first), _hexadecimal(second)
+    difference = a ^ b
+    return (a >= 0) & (b >= 0) & (difference != 0) & ((difference & (difference - 1)) == 0)
+
+
+def _hexadecimal(texts: NDArray[Any]) -> IntArray:
+    values, place = np.unique(texts, return_inverse=True)
+    numbers = np.full(len(values), -1, np.int64)
+    for k, text in enumerate(values):
+        if 0 < len(text) <= 15 and not set(text) - set("0123456789ABCDEF"):
+            numbers[k] = int(text, 16)
+    return numbers[place]
+
+
+def differ_by_one_typing(first: NDArray[Any], second: NDArray[Any]) -> BoolArray:
+    """(m,) whether one letter was changed, lost or added, or two neighbours swapped (Damerau 1964)."""
+    width = max(first.dtype.itemsize, second.dtype.itemsize, 4) // 4 + 1
+    a, b = (
+        np.ascontiguousarray(texts.astype(f"U{width}")).view(np.uint32).reshape(-1, width) for texts in (first, second)
+    )
+    long_a, long_b = np.count_nonzero(a, axis=1), np.count_nonzero(b, axis=1)
+    other = a != b
+    differing = other.sum(axis=1)
+    at = other.argmax(axis=1)
+    row, after = np.arange(len(a)), np.minimum(at + 1, width - 1)
+    swapped = (differing == 2) & (a[row, at] == b[row, after]) & (a[row, after] == b[row, at]) & other[row, after]
+    same_length = (long_a == long_b) & ((differing == 1) | swapped)
+    longer = np.where((long_a > long_b)[:, None], a, b)
+    shorter = np.where((long_a > long_b)[:, None], b, a)
+    # Without the letter at the first difference the longer text is the shorter one.
+    column = np.arange(width - 1)
+    without = np.where(column < at[:, None], longer[:, :-1], longer[:, 1:])
+    lost = (np.abs(long_a - long_b) == 1) & (without == shorter[:, :-1]).all(axis=1)
+    return np.asarray(same_length | lost)
+
 
 #: Per source the attributes of the rows of its table, by name; None, NaN or "" where a record does not say.
 Attributes = Mapping[str, Mapping[str, ArrayLike]]
@@ -263,7 +323,7 @@ def _spelled(values: ArrayLike, model: Model) -> NDArray[Any]:
     return column
 
 
-def _said(values: NDArray[Any]) -> NDArray[np.bool_]:
+def _said(values: NDArray[Any]) -> BoolArray:
     return np.isfinite(values) if values.dtype.kind == "f" else np.asarray(values != "")
 
 
@@ -311,7 +371,7 @@ def alarms(
     limit_of = gate or ChiSquare(DEFAULT_COMPLETENESS)
     found = []
     for name in unique:
-        shown = [_Shown.of(records, identity, name) for records in sources if isinstance(records.space, Plane)]
+        shown = [_SourceValues.of(records, identity, name) for records in sources if isinstance(records.space, Plane)]
         for s, first in enumerate(shown):
             for second in shown[s:]:
                 found += first.against(second, name, limit_of)
@@ -319,7 +379,7 @@ def alarms(
 
 
 @dataclass(frozen=True)
-class _Shown:
+class _SourceValues:
     """The usable records of one source that say an attribute: positions ``at`` in it, sorted by value."""
 
     records: Records
@@ -327,7 +387,7 @@ class _Shown:
     at: IntArray
 
     @classmethod
-    def of(cls, records: Records, identity: Identity, name: str) -> _Shown:
+    def of(cls, records: Records, identity: Identity, name: str) -> _SourceValues:
         if name not in identity.attributes.get(records.source, {}):
             return cls(records, np.empty(0, dtype="U1"), np.empty(0, np.int64))
         values = identity.column(records, name)[records.rows]
@@ -335,7 +395,7 @@ class _Shown:
         order = np.argsort(values[at], kind="stable")
         return cls(records, values[at][order], at[order])
 
-    def against(self, other: _Shown, name: str, gate: ChiSquare) -> list[Alarm]:
+    def against(self, other: _SourceValues, name: str, gate: ChiSquare) -> list[Alarm]:
         low, high = (np.searchsorted(other.values, self.values, side) for side in ("left", "right"))
         width = high - low
         i = np.repeat(np.arange(len(self.values)), width)

@@ -2,7 +2,7 @@
 
 Errors grow towards faint objects. So a record with large errors is less often shown by a source that sees less deep,
 and the errors of two records of one object go together: quoted errors stand for a magnitude where none is given.
-``sameas.grades`` learns how much they say.
+``sameas.estimate.grades`` learns how much they say.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from sameas.arrays import FloatArray
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
-from sameas.records import FloatArray
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sameas.arrays import BoolArray, FloatArray
 from sameas.gate import Pairs
-from sameas.records import FloatArray
 
 
 @dataclass(frozen=True)
@@ -35,7 +34,7 @@ class Evidence:
         return sum(parts[1:], parts[0])
 
     @cached_property
-    def spoken(self) -> NDArray[np.bool_]:
+    def spoken(self) -> BoolArray:
         """(m,) whether anything is said of a pair: a term that is not exactly 0.0."""
         parts = [np.asarray(values != 0.0) for values in self.terms.values()]
         return parts[0] if len(parts) == 1 else np.logical_or.reduce(parts)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.gate import Pairs
-from sameas.records import FloatArray
 
 LOG_2PI = math.log(2.0 * math.pi)
 #: Pairs worked on at a time.

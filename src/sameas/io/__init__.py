@@ -6,7 +6,6 @@ a page of HTML) whole or absent too. Nothing heavy is imported before a file is 
 """
 
 from sameas.io.atomic import replacing
-from sameas.io.content import checksum
-from sameas.io.tables import known_formats, read_provenance, read_table, write_table
+from sameas.io.tables import checksum, known_formats, read_provenance, read_table, write_table
 
 __all__ = ["checksum", "known_formats", "read_provenance", "read_table", "replacing", "write_table"]

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sameas.arrays import BoolArray, IntArray
 from sameas.errors import InputError
-from sameas.io.text import ascii_of, unicode_of
+from sameas.io.provenance import ascii_of, unicode_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -56,7 +57,7 @@ def array_of(column: Column) -> pa.Array:
     return array
 
 
-def _texts(values: NDArray[Any], mask: NDArray[np.bool_] | None) -> pa.Array:
+def _texts(values: NDArray[Any], mask: BoolArray | None) -> pa.Array:
     """Unicode cells as Arrow has them: all letters in one row, and where each cell begins."""
     import pyarrow as pa
 
@@ -101,7 +102,7 @@ def _simple(values: pa.ChunkedArray) -> pa.ChunkedArray:
     return values
 
 
-def _numpy_of(values: pa.ChunkedArray) -> tuple[NDArray[Any] | None, NDArray[np.bool_] | None]:
+def _numpy_of(values: pa.ChunkedArray) -> tuple[NDArray[Any] | None, BoolArray | None]:
     import pyarrow as pa
 
     kind = values.type
@@ -121,11 +122,11 @@ def _numpy_of(values: pa.ChunkedArray) -> tuple[NDArray[Any] | None, NDArray[np.
     return array if array.flags.writeable else array.copy(), mask
 
 
-def _missing(values: pa.ChunkedArray) -> NDArray[np.bool_] | None:
+def _missing(values: pa.ChunkedArray) -> BoolArray | None:
     return np.array(values.is_null().to_numpy()) if values.null_count else None
 
 
-def _cells(values: pa.ChunkedArray) -> tuple[NDArray[Any] | None, NDArray[np.bool_] | None]:
+def _cells(values: pa.ChunkedArray) -> tuple[NDArray[Any] | None, BoolArray | None]:
     """(n, size, …) from lists of one size."""
     import pyarrow as pa
 
@@ -144,7 +145,7 @@ def _cells(values: pa.ChunkedArray) -> tuple[NDArray[Any] | None, NDArray[np.boo
     return flat.reshape(shape), None if mask is None else mask.reshape(shape)
 
 
-def _or_last(chunk: pa.Array) -> NDArray[np.int64]:
+def _or_last(chunk: pa.Array) -> IntArray:
     """Row numbers of a chunk, the row after its last where it has a null."""
     return np.where(chunk.is_null().to_numpy(zero_copy_only=False), len(chunk), np.arange(len(chunk)))
 

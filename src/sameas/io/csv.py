@@ -32,7 +32,7 @@ _DELIMITERS = ",;\t|"
 
 
 @dataclass(frozen=True)
-class Header:
+class TableHead:
     """The names of the columns, what parts them, and the number of lines before the first row."""
 
     names: list[str]
@@ -139,7 +139,7 @@ def _bytes(path: Path) -> pa.Buffer:
         raise InputError(f"{path}: is cut off in the middle; copy it again") from error
 
 
-def _header(text: pa.Buffer, path: Path) -> Header:
+def _header(text: pa.Buffer, path: Path) -> TableHead:
     """The first line that is neither blank nor a comment; or the last comment, where that has the names."""
     lines, comment = 0, ""
     for raw in io.BytesIO(memoryview(text)[: 1 << 20]):
@@ -167,7 +167,7 @@ def _header(text: pa.Buffer, path: Path) -> Header:
     twice = [name for name in names if names.count(name) > 1]
     if twice:
         raise InputError(f"{path}: two columns are called {twice[0]}; rename one")
-    return Header(names, delimiter, lines)
+    return TableHead(names, delimiter, lines)
 
 
 def _split(line: str, delimiter: str) -> list[str]:
@@ -193,7 +193,7 @@ def _is_number(text: str) -> bool:
     return text.lower() not in ("nan", "inf", "infinity")
 
 
-def _parsed(text: pa.Buffer, header: Header, path: Path) -> pa.Table:
+def _parsed(text: pa.Buffer, header: TableHead, path: Path) -> pa.Table:
     """The rows, with identifiers beyond 63 bits and dates kept as they stand."""
     import pyarrow as pa
     from pyarrow import compute
@@ -211,7 +211,7 @@ def _parsed(text: pa.Buffer, header: Header, path: Path) -> pa.Table:
     return _arrow(text, header, path, again) if again else content
 
 
-def _all_whole(text: pa.Buffer, header: Header, path: Path, name: str) -> bool:
+def _all_whole(text: pa.Buffer, header: TableHead, path: Path, name: str) -> bool:
     import pyarrow as pa
     from pyarrow import compute
 
@@ -223,7 +223,7 @@ def _all_whole(text: pa.Buffer, header: Header, path: Path, name: str) -> bool:
     return True
 
 
-def _arrow(text: pa.Buffer, header: Header, path: Path, kinds: Mapping[str, Any]) -> pa.Table:
+def _arrow(text: pa.Buffer, header: TableHead, path: Path, kinds: Mapping[str, Any]) -> pa.Table:
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
@@ -260,7 +260,7 @@ def _arrow(text: pa.Buffer, header: Header, path: Path, kinds: Mapping[str, Any]
         ) from error
 
 
-def _has_rows(text: pa.Buffer, header: Header) -> bool:
+def _has_rows(text: pa.Buffer, header: TableHead) -> bool:
     lines = io.BytesIO(memoryview(text))
     for _ in range(header.lines):
         lines.readline()

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sameas.arrays import BoolArray
 from sameas.errors import InputError
-from sameas.io.provenance import to_json, to_text
-from sameas.io.text import ascii_of, unicode_of
+from sameas.io.provenance import ascii_of, to_json, to_text, unicode_of
 
 if TYPE_CHECKING:
     from astropy.table import Column, Table
@@ -182,7 +182,7 @@ def _column(hdu: Any, data: Any, number: int, field: Any) -> Column:
     return column
 
 
-def _made(name: str, values: NDArray[Any], mask: NDArray[np.bool_] | None) -> Column:
+def _made(name: str, values: NDArray[Any], mask: BoolArray | None) -> Column:
     from astropy.table import Column, MaskedColumn
 
     if mask is None or not mask.any():
@@ -190,7 +190,7 @@ def _made(name: str, values: NDArray[Any], mask: NDArray[np.bool_] | None) -> Co
     return MaskedColumn(values, name=name, mask=mask, copy=False)
 
 
-def _text(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+def _text(values: NDArray[Any]) -> tuple[NDArray[Any], BoolArray]:
     """Unicode without the spaces that fill a FITS cell up, and where nothing else was in it."""
     text = np.char.rstrip(unicode_of(values), " ")
     return text, text == ""
@@ -315,7 +315,7 @@ def _variable(name: str, values: NDArray[Any]) -> tuple[str, NDArray[Any]]:
     return f"P{_CODES[spelled]}()", made
 
 
-def _unused(values: NDArray[Any], mask: NDArray[np.bool_]) -> int:
+def _unused(values: NDArray[Any], mask: BoolArray) -> int:
     """A whole number that stands in no unmasked cell: the least of its kind, or the next one that is free."""
     limits = np.iinfo(values.dtype)
     present = values[~mask]

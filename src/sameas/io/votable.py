@@ -22,9 +22,9 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from sameas.arrays import BoolArray
 from sameas.errors import InputError
-from sameas.io.provenance import from_text, to_text
-from sameas.io.text import ascii_of, unicode_of
+from sameas.io.provenance import ascii_of, from_text, to_text, unicode_of
 
 if TYPE_CHECKING:
     from astropy.table import Column, Table
@@ -253,7 +253,7 @@ def _packed(columns: list[Column]) -> NDArray[Any]:
     return rows
 
 
-def _wholly_missing(name: str, mask: NDArray[np.bool_], values: NDArray[Any]) -> NDArray[np.bool_]:
+def _wholly_missing(name: str, mask: BoolArray, values: NDArray[Any]) -> BoolArray:
     if mask.ndim == 1:
         return mask
     flat = mask.reshape(len(mask), -1)

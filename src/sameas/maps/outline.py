@@ -11,10 +11,9 @@ from functools import cache
 from importlib.resources import files
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.records import FloatArray, IntArray
 from sameas.tracks.coordinates import EARTH_M, LocalPlane, geodesy
 
 #: The data's cells and steps, as scripts/make-outline has them.
@@ -39,7 +38,7 @@ class Outline:
 
 
 @dataclass(frozen=True)
-class Box:
+class MapExtent:
     """The part of a plane that is drawn, in metres."""
 
     west_m: float
@@ -49,7 +48,7 @@ class Box:
 
     def __post_init__(self) -> None:
         if not (self.west_m < self.east_m and self.south_m < self.north_m):
-            raise InputError(f"Box: {self} is empty; give west < east and south < north")
+            raise InputError(f"MapExtent: {self} is empty; give west < east and south < north")
 
     @property
     def farthest_m(self) -> float:
@@ -71,7 +70,7 @@ def outline(plane: LocalPlane, west_m: float, south_m: float, east_m: float, nor
     >>> len(around.land) > 0 and len(around.borders) == 0
     True
     """
-    box = Box(west_m, south_m, east_m, north_m)
+    box = MapExtent(west_m, south_m, east_m, north_m)
     land, coast = [], []
     for lines in _read("land").near(plane, box):
         ring = lines.in_plane(plane, closed=True)
@@ -101,7 +100,7 @@ class _Line:
         east, north, _ = geodesy().geodetic2enu(lat, lon, np.zeros_like(lat), plane.lat_deg, plane.lon_deg, 0.0)
         return np.column_stack([east, north])
 
-    def along_cells(self) -> NDArray[np.bool_]:
+    def along_cells(self) -> BoolArray:
         """(m − 1,) which sides of the closed ring only close its cell: they are no coast."""
         steps = np.concatenate([self.steps, self.steps[:1]])
         per_cell = round(CELL_DEG / STEP_DEG)
@@ -120,7 +119,7 @@ def _broken(steps: IntArray) -> tuple[IntArray, FloatArray]:
 
 
 @dataclass(frozen=True)
-class _Cells:
+class _PackedLines:
     """All lines of a kind, packed: of each its cell, first point and number of points; of all, their steps."""
 
     cell: IntArray
@@ -128,7 +127,7 @@ class _Cells:
     length: IntArray
     steps: IntArray
 
-    def near(self, plane: LocalPlane, box: Box) -> Iterator[_Line]:
+    def near(self, plane: LocalPlane, box: MapExtent) -> Iterator[_Line]:
         """The lines of all cells that may reach into the box."""
         reach = np.degrees(min(box.farthest_m, FARTHEST_M) / EARTH_M) * 1.1 + CELL_DEG
         row, column = np.divmod(self.cell, COLUMNS)
@@ -144,15 +143,15 @@ class _Cells:
 
 
 @cache
-def _read(kind: str) -> _Cells:
+def _read(kind: str) -> _PackedLines:
     """ "land" or "border" of the data file."""
     with (files("sameas.maps") / "outline.npz").open("rb") as file, np.load(file) as data:
         zigzag = (data[f"{kind}_low"].astype(np.int64) + (data[f"{kind}_high"].astype(np.int64) << 8)).T
         cell, first, length = (data[f"{kind}_{name}"].astype(np.int64) for name in ("cell", "first", "length"))
-    return _Cells(cell, first, length, (zigzag >> 1) ^ -(zigzag & 1))
+    return _PackedLines(cell, first, length, (zigzag >> 1) ^ -(zigzag & 1))
 
 
-def _clipped(ring: FloatArray, box: Box) -> FloatArray:
+def _clipped(ring: FloatArray, box: MapExtent) -> FloatArray:
     """(m, 2) the part of a closed ring in the box (Sutherland and Hodgman 1974): what is cut runs along its sides."""
     points = ring[:-1]
     for axis, sign, limit in ((0, -1, box.west_m), (0, 1, box.east_m), (1, -1, box.south_m), (1, 1, box.north_m)):
@@ -168,7 +167,7 @@ def _clipped(ring: FloatArray, box: Box) -> FloatArray:
     return points
 
 
-def _pieces(line: FloatArray, hidden: NDArray[np.bool_], box: Box) -> list[FloatArray]:
+def _pieces(line: FloatArray, hidden: BoolArray, box: MapExtent) -> list[FloatArray]:
     """The runs of a line's sides that reach into the box and are not hidden."""
     low, high = np.minimum(line[:-1], line[1:]), np.maximum(line[:-1], line[1:])
     inside = (high[:, 0] >= box.west_m) & (low[:, 0] <= box.east_m)

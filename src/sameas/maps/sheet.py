@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.maps.outline import Outline
-from sameas.prose import UTC_FROM_S
-from sameas.records import FloatArray, IntArray
+from sameas.report.prose import UTC_FROM_S
 from sameas.tracks.coordinates import LocalPlane, bearing_in_plane
 from sameas.tracks.source import Description
 

@@ -6,6 +6,8 @@ import base64
 import html
 import json
 import os
+import struct
+import zlib
 from importlib.resources import files
 from typing import Any
 
@@ -13,16 +15,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 import sameas
+from sameas.arrays import IntArray
 from sameas.io.atomic import replacing
-from sameas.pages.png import png
 from sameas.plots.stretch import binned, binning, stretched
-from sameas.records import IntArray
 from sameas.sky.frame.identified import EXPECTED, FrameIdentification
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.listing import why_missing
 from sameas.sky.frame.measurements import Flag
 from sameas.sky.frame.photometry import instrumental
 from sameas.sky.frame.summary import summary
+
+# Grey pictures as PNG (ISO/IEC 15948), of eight bits; all that a page needs.
+
+
+def png(grey: NDArray[np.uint8]) -> bytes:
+    """The file of a picture (rows, columns), first row on top."""
+    rows, columns = grey.shape
+    # Filter 1 (sub): each byte less the one to its left; smooth pictures pack the better for it.
+    less = grey.copy()
+    less[:, 1:] -= grey[:, :-1]
+    lines = np.concatenate([np.ones((rows, 1), np.uint8), less], axis=1)
+    head = struct.pack(">IIBBBBB", columns, rows, 8, 0, 0, 0, 0)
+    body = zlib.compress(lines.tobytes(), 6)
+    return b"\x89PNG\r\n\x1a\n" + _chunk(b"IHDR", head) + _chunk(b"IDAT", body) + _chunk(b"IEND", b"")
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
 
 #: So many competitors of a measurement are told, down to this probability.
 COMPETITORS, LEAST = 6, 1e-6

@@ -5,10 +5,12 @@ One file that needs no network: it opens from disk in Chromium, Firefox and Safa
 
 from __future__ import annotations
 
+import base64
+import gzip
 import html
 import json
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib.resources import files
 from typing import Any
 
@@ -16,11 +18,65 @@ import numpy as np
 from numpy.typing import NDArray
 
 import sameas
+from sameas.arrays import FloatArray, IntArray
+from sameas.errors import InputError
 from sameas.io.atomic import replacing
 from sameas.maps.outline import Outline, outline
 from sameas.maps.sheet import STAGES, Columns, MapSheet, members_of
-from sameas.pages.packing import packed, squeezed
-from sameas.records import FloatArray
+
+# Columns of numbers packed for a page: small in the file, and unpacked by a few lines of script (map-table.js).
+#
+# A column is rounded to a step; of each number the difference from the one before is kept, its sign in the lowest bit
+# (zigzag), in as few bytes as the largest needs. All lowest bytes come first, then the next ones: most bytes of slowly
+# changing columns are then 0, and DEFLATE packs them away. Browsers unpack gzip by themselves.
+
+
+def packed(columns: Mapping[str, tuple[NDArray[Any], float]]) -> tuple[list[dict[str, Any]], str]:
+    """What the columns are, in order, and all their numbers as text.
+
+    Parameters
+    ----------
+    columns : name to (values (n,), step). NaN says that there is no number.
+
+    Returns
+    -------
+    (heads, text) : per column its name, step, length, bytes per number, and whether a byte of presence follows for
+        each; base64 of gzip of the bytes.
+
+    Example
+    -------
+    >>> heads, text = packed({"x_m": (np.array([1.0, 2.5]), 0.5)})
+    >>> heads
+    [{'name': 'x_m', 'step': 0.5, 'n': 2, 'bytes': 1, 'holes': False}]
+    """
+    heads, parts = [], []
+    for name, (values, step) in columns.items():
+        head, body = _column(name, np.asarray(values, np.float64), step)
+        heads.append(head)
+        parts.append(body)
+    return heads, squeezed(b"".join(parts))
+
+
+def squeezed(data: bytes) -> str:
+    """base64 of gzip; the same bytes give the same text."""
+    return base64.b64encode(gzip.compress(data, 6, mtime=0)).decode("ascii")
+
+
+def _column(name: str, values: FloatArray, step: float) -> tuple[dict[str, Any], bytes]:
+    there = np.isfinite(values)
+    if np.any(np.abs(values[there]) / step >= 2**31):
+        raise InputError(f"map: column {name} holds {np.abs(values[there]).max():g}, too large to be shown")
+    counts = np.rint(np.where(there, values, 0.0) / step).astype(np.int64)
+    # Where there is none, the number before stands: no difference to keep.
+    last = np.maximum.accumulate(np.where(there, np.arange(len(values)), 0)) if len(values) else np.empty(0, np.int64)
+    difference = np.diff(counts[last], prepend=0)
+    zigzag = (difference << 1) ^ (difference >> 63)
+    width = next(w for w in (1, 2, 4, 8) if not len(zigzag) or int(zigzag.max()) < 1 << (8 * w))
+    planes = [((zigzag >> (8 * k)) & 255).astype(np.uint8).tobytes() for k in range(width)]
+    holes = not bool(there.all())
+    head = {"name": name, "step": step, "n": len(values), "bytes": width, "holes": holes}
+    return head, b"".join([*planes, there.astype(np.uint8).tobytes() if holes else b""])
+
 
 #: The scripts of the page, in the order in which they build on one another.
 SCRIPTS = ("table", "words", "earth", "marks", "labels", "chart", "ground", "panel", "listing", "hands")
@@ -185,7 +241,7 @@ def _counted(
     return numbers, said
 
 
-def _runners_up(sheet: MapSheet) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _runners_up(sheet: MapSheet) -> tuple[IntArray, IntArray]:
     """Per object row where its second best members begin in the second array, which counts rows of the records."""
     r = sheet.records
     keys = zip(sheet.instant_of(r).tolist(), r["source"].tolist(), r["row"].tolist(), strict=True)

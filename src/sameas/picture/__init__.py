@@ -4,23 +4,6 @@
 :class:`Lookout` from look to look where no source names what it shows.
 """
 
-from sameas.picture.lookout import Lookout
-from sameas.picture.memory import Memory, Past
-from sameas.picture.moment import Moment, Watch, all_that_is_said
-from sameas.picture.numbering import Stages
-from sameas.picture.picture import Picture, instants, moments
-from sameas.picture.summary import Summary
+import lazy_loader
 
-__all__ = [
-    "Lookout",
-    "Memory",
-    "Moment",
-    "Past",
-    "Picture",
-    "Stages",
-    "Summary",
-    "Watch",
-    "all_that_is_said",
-    "instants",
-    "moments",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.evidence import Evidence, Field, Rule
 from sameas.gate import ChiSquare, Pairs
-from sameas.picture.roll import BoolArray
-from sameas.picture.weighing import log_normal
-from sameas.records import FloatArray, IntArray, Records
+from sameas.picture.error_correlation import log_normal
+from sameas.records import Records
 
 #: A look of a track that is another object's: one in a thousand. So a track that has been a known object's for a share
 #: s of the last minutes says ln(1 + s/ε).

@@ -8,9 +8,9 @@ antenna. :class:`Past` goes from instant to instant; :meth:`Past.rule` is a rule
     found = identify_many(now.sources, rule=now.belief() + now.identity() + past.rule(), region=now.region)
     past = past.met(found.union)
 
-Its logarithm is that of all looks (:mod:`sameas.picture.couples`) less what ``now`` says of the two positions, so the
-sum of both is what all looks say, each once. It never gets beyond ±ln((1−ε)/ε), with ε the probability that a look is
-of another object than its name says: numbers are given again, and swapped where two targets cross. So a picture that
+Its logarithm is that of all looks (:mod:`sameas.picture.track_pairs`) less what ``now`` says of the two positions, so
+the sum of both is what all looks say, each once. It never gets beyond ±ln((1−ε)/ε), with ε the probability that a look
+is of another object than its name says: numbers are given again, and swapped where two targets cross. So a picture that
 was wrong mends. Records without a name have no past, and tracks that nobody hears any more are forgotten.
 """
 
@@ -22,16 +22,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
-from sameas.picture.couples import Couples, Rivals, keys
-from sameas.picture.lives import Lives
-from sameas.picture.manoeuvres import loosened
+from sameas.many.pooled import PooledRecords
 from sameas.picture.named import NamedTracks, found_in
-from sameas.picture.roll import Roll
-from sameas.records import FloatArray, IntArray
-from sameas.union import Union
+from sameas.picture.scan import Scan
+from sameas.picture.track_existence import TrackExistence
+from sameas.picture.track_pairs import Couples, Rivals, keys, loosened
 
 #: ε where nobody says. Taken: one look in ten thousand, for a radar of 20 turns a minute every eight hours.
 REASSIGNED = 1e-4
@@ -85,21 +84,21 @@ class Past:
     Parameters
     ----------
     reassigned : ε of the module. correlation_s : by name of source how long its errors last, where that is not to be
-        learned (:mod:`sameas.picture.lasting`); 0 where every look measures anew.
+        learned (:mod:`sameas.picture.error_correlation`); 0 where every look measures anew.
     tracks, lives, couples : filled in from instant to instant.
     """
 
     reassigned: float = REASSIGNED
     correlation_s: Mapping[str, float] = field(default_factory=dict)
     tracks: NamedTracks = field(default_factory=NamedTracks)
-    lives: Lives = field(default_factory=Lives)
+    lives: TrackExistence = field(default_factory=TrackExistence)
     couples: Couples = field(default_factory=Couples)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.reassigned < 0.5:
             raise InputError(f"memory: reassigned is {self.reassigned}; give a probability between 0 and 0.5")
 
-    def on(self, roll: Roll) -> Past:
+    def on(self, roll: Scan) -> Past:
         """The past as the looks of a later instant leave it.
 
         Raises
@@ -138,11 +137,11 @@ class Past:
         """The same, with tracks (any shape, −1 for none) that are real by what other sources show."""
         return replace(self, lives=self.lives.met(track[track >= 0]))
 
-    def loosened(self, roll: Roll, per_m2: float) -> Roll:
+    def loosened(self, roll: Scan, per_m2: float) -> Scan:
         """A later instant's roll with the covariances of reports that their objects have left behind."""
         return loosened(roll, self.tracks, self.couples, self._said(), per_m2)
 
-    def met(self, union: Union) -> Past:
+    def met(self, union: PooledRecords) -> Past:
         """The same with the couples that the gate let through for the first time: they have no past yet."""
         roll = self.tracks.roll
         if roll is None:

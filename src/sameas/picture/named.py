@@ -8,9 +8,10 @@ to the instant,
     until the next look     e′ = e + n,    n ~ N(0, P′ − P), what its own motion leaves open;
     at a new look           e′ = G e + n,  G = Cᵀ P⁻¹,  n ~ N(0, P′ − G C),  C = ρ L L′ᵀ,  ρ = exp(−Δt/τ),
 
-L and L′ being the roots of R at the two reports, and τ the source's correlation time (:mod:`sameas.picture.lasting`).
-Of e a look shows how far the report is from where the last one foretold it: ν = (G − 1) e + n. What all looks of the
-track say of e is kept as its mean and covariance, a Kalman filter; :func:`sameas.picture.weighing.looked` is one step.
+L and L′ being the roots of R at the two reports, and τ the source's correlation time
+(:mod:`sameas.picture.error_correlation`). Of e a look shows how far the report is from where the last one foretold it:
+ν = (G − 1) e + n. What all looks of the track say of e is kept as its mean and covariance, a Kalman filter;
+:func:`sameas.picture.error_correlation.looked` is one step.
 
 Where a look is farther from what its own track foretold than one honest look in 10⁹, the name has changed its owner, or
 the object moves as nobody expects: then the track begins anew, without a past.
@@ -25,12 +26,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gate import ChiSquare
-from sameas.picture.lasting import Lasting
-from sameas.picture.roll import BoolArray, Roll
-from sameas.picture.rows import Rows
-from sameas.picture.weighing import growth, looked
-from sameas.records import FloatArray, IntArray
+from sameas.picture.error_correlation import Lasting, growth, looked
+from sameas.picture.scan import ColumnTable, Scan
 from sameas.tracks.alignment import moved, stamped_late
 
 #: How long a name that nobody says keeps its number.
@@ -41,7 +40,7 @@ FORETOLD = ChiSquare(1.0 - 1e-9)
 
 
 @dataclass(frozen=True)
-class Step(Rows):
+class Step(ColumnTable):
     """What became of tracks that are there at the last instant and at this one, (m,) each, by ascending number.
 
     last : (m, 2) where a track was put at the last instant. moved : (m, 2) the same report, moved to this instant.
@@ -93,17 +92,17 @@ class NamedTracks:
     on_roll: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     mean: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     spread: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
-    roll: Roll | None = None
+    roll: Scan | None = None
     lasting: Lasting = field(default_factory=Lasting)
     source: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
 
-    def numbers_on(self, roll: Roll) -> IntArray:
+    def numbers_on(self, roll: Scan) -> IntArray:
         """(n,) the number that each record's track has so far; −1 for records without a name, and for new names."""
         sources = [description.name for description in roll.now.descriptions]
         pairs = zip(roll.source.tolist(), roll.track.tolist(), strict=True)
         return np.array([self.by_name.get((sources[s], name), _NEVER)[0] for s, name in pairs], dtype=np.int64)
 
-    def on(self, roll: Roll) -> tuple[NamedTracks, Step]:
+    def on(self, roll: Scan) -> tuple[NamedTracks, Step]:
         """The tracks of the next instant's roll, and the step to it.
 
         A track that is not on a roll keeps its number for :data:`KEPT_S`, but has no past when it comes back.
@@ -133,7 +132,7 @@ class NamedTracks:
         return tracks, step
 
     def _step(
-        self, roll: Roll, number: IntArray, place: IntArray, source: IntArray, lasting: Lasting
+        self, roll: Scan, number: IntArray, place: IntArray, source: IntArray, lasting: Lasting
     ) -> tuple[Step, Lasting]:
         """The step of known tracks, without those that begin anew, and what it tells of how long errors last."""
         before = self.roll if self.roll is not None else roll

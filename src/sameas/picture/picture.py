@@ -4,7 +4,7 @@
     picture = Picture.of(scene, instants(scene.span_s, every_s=10.0))
     picture.objects["object"], picture.records["object"], picture.summary
 
-``scene.registered()`` takes the sensors' offsets away first. For live use see :mod:`sameas.picture.moment`.
+``scene.registered()`` takes the sensors' offsets away first. For live use see :mod:`sameas.picture.picture_state`.
 """
 
 from __future__ import annotations
@@ -12,16 +12,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.picture.columns import Columns, gathered, joined, object_columns, record_columns, with_degrees
-from sameas.picture.lookout import Lookout, nameless
-from sameas.picture.moment import Moment, Watch
+from sameas.many.observations import Observations, records_of
+from sameas.picture.object_ids import STAGES
+from sameas.picture.picture_state import PictureState
+from sameas.picture.plot_picture import PlotPicture, nameless
 from sameas.picture.summary import Summary, Tally
-from sameas.records import FloatArray
+from sameas.picture.watch import TEXTS, Watch
 from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.placement import Directions
 from sameas.tracks.scene import POSITION, Scene
 
 #: More instants than this are refused: a slip of the unit, most likely.
@@ -51,21 +56,22 @@ def instants(span_s: tuple[float, float], every_s: float) -> FloatArray:
     return every_s * np.arange(low, high + 1, dtype=np.float64) if high >= low else np.array([last])
 
 
-def watch_of(scene: Scene) -> Watch | Lookout:
-    """What a picture of a scene begins with: a :class:`Lookout` where no source names what it shows."""
-    return Lookout() if nameless(scene) else Watch()
+def watch_of(scene: Scene) -> Watch | PlotPicture:
+    """What a picture of a scene begins with: a :class:`PlotPicture` where no source names what it shows."""
+    return PlotPicture() if nameless(scene) else Watch()
 
 
 def moments(
-    scene: Scene, instants_s: Iterable[float], watch: Watch | Lookout | None = None, *, features: int = POSITION
-) -> Iterator[Moment]:
+    scene: Scene, instants_s: Iterable[float], watch: Watch | PlotPicture | None = None, *, features: int = POSITION
+) -> Iterator[PictureState[Watch] | PictureState[PlotPicture]]:
     """The moments of a scene one after another; ``watch``: what to begin with.
 
-    features : as of ``Scene.at``; a :class:`Lookout` follows velocities in any case.
+    features : as of ``Scene.at``; a :class:`PlotPicture` follows velocities in any case.
     """
     carried = watch_of(scene) if watch is None else watch
     for instant_s in map(float, instants_s):
-        if isinstance(carried, Lookout):
+        moment: PictureState[Watch] | PictureState[PlotPicture]
+        if isinstance(carried, PlotPicture):
             moment = carried.at(scene, instant_s)
         else:
             moment = carried.advance(scene.at(instant_s, features=features))
@@ -81,7 +87,7 @@ class Picture:
     ----------
     instants_s : (k,) its instants.
     objects : columns, one row per object and instant; records : one row per record that took part and instant. See
-        :mod:`sameas.picture.columns`.
+        :mod:`sameas.picture.picture`.
     summary : what there is to know of the whole.
     texts : why, by place in ``instants_s`` and number of the object: where its records or their rivals changed.
     plane : of x_m and y_m; None for the user's own.
@@ -94,7 +100,7 @@ class Picture:
     summary: Summary
     texts: Mapping[tuple[int, int], str] = field(repr=False)
     plane: LocalPlane | None
-    watch: Watch | Lookout = field(repr=False)
+    watch: Watch | PlotPicture = field(repr=False)
 
     @classmethod
     def of(
@@ -102,7 +108,7 @@ class Picture:
         scene: Scene,
         instants_s: Sequence[float] | FloatArray,
         *,
-        watch: Watch | Lookout | None = None,
+        watch: Watch | PlotPicture | None = None,
         features: int = POSITION,
         biases: Sequence[str] = (),
         progress: Callable[[str], object] | None = None,
@@ -113,8 +119,8 @@ class Picture:
         ----------
         instants_s : ascending; see :func:`instants`.
         watch : what counts as evidence, what is remembered, when objects are confirmed; or where an earlier picture
-            ended. Without it scenes in which no source names anything are followed by a :class:`Lookout`.
-        features : POSITION, or POSITION_AND_VELOCITY, which a :class:`Lookout` follows in any case.
+            ended. Without it scenes in which no source names anything are followed by a :class:`PlotPicture`.
+        features : POSITION, or POSITION_AND_VELOCITY, which a :class:`PlotPicture` follows in any case.
         biases : printable lines on the sensors' offsets, for the summary.
         progress : called with what is being done, at every instant.
 
@@ -157,7 +163,7 @@ class Picture:
         )  # fmt: skip
 
 
-def _changed(moment: Moment, shown: dict[int, tuple[str, str]]) -> list[int]:
+def _changed(moment: PictureState, shown: dict[int, tuple[str, str]]) -> list[int]:
     """Objects of two records or with a likely rival, whose tracks, or the rival's, are not what was explained last.
 
     A plot without a track is another at every look.
@@ -174,3 +180,168 @@ def _changed(moment: Moment, shown: dict[int, tuple[str, str]]) -> list[int]:
             shown[number] = members, rival
             out.append(number)
     return out
+
+
+# Columns: a moment of the picture as tables, one row per object and one row per record.
+#
+# Numbers are plain arrays, masked arrays where some cells are absent; texts are arrays of str, "" where nothing is
+# said. Latitudes and longitudes are there where the picture has a plane on the earth.
+
+Columns = dict[str, NDArray[Any]]
+
+
+def object_columns(moment: PictureState) -> Columns:
+    """One row per object of the picture.
+
+    time_s, object, stage; x_m, y_m, var_x_m2, cov_xy_m2, var_y_m2, masked where directions do not cross; vx_m_per_s,
+    vy_m_per_s, speed_m_per_s, course_deg, masked where nobody knows; n_sources, sources, members ("radar:12 ais:3": the
+    rows of the sources' reports), probability, runner_up, p_runner_up, masked while it coasts; label, mmsi, icao,
+    callsign, name, mode_a, type; ambiguous: less than 95 % probable.
+    """
+    known, seen = moment.known, moment.known.seen
+    here = seen >= 0
+    # The last row of what was found stands for what is not seen, and is masked.
+    at = np.where(here, seen, -1)
+    velocity = known.state[:, 2:]
+    still = ~known.moving
+    p_rival = np.append(moment.p_runner_up, 0.0)[at]
+    columns: Columns = {
+        "time_s": np.full(len(known), moment.now.instant_s),
+        "object": known.number,
+        "stage": np.array(STAGES, dtype=np.str_)[known.stage] if len(known) else np.empty(0, "U9"),
+        **_ellipse(known.state, known.covariance, ~known.placed),
+        "vx_m_per_s": _masked(velocity[:, 0], still),
+        "vy_m_per_s": _masked(velocity[:, 1], still),
+        "speed_m_per_s": _masked(np.hypot(*velocity.T), still),
+        "course_deg": _masked(np.degrees(np.arctan2(velocity[:, 0], velocity[:, 1])) % 360.0, still),
+        "n_sources": np.append((moment.members >= 0).sum(axis=1), 0)[at],
+        **_memberships(moment, at),
+        "probability": _masked(np.append(moment.probability, 0.0)[at], ~here),
+        "p_runner_up": _masked(p_rival, p_rival <= 0.0),
+        **_texts(moment),
+        "ambiguous": np.append(moment.ambiguous, False)[at],
+    }
+    return columns
+
+
+def record_columns(moment: PictureState) -> Columns:
+    """One row per record that took part.
+
+    time_s, source, row (of the source's reports), line (of its file), track_id, object; p_object, p_alone, age_s; x_m,
+    y_m, var_x_m2, cov_xy_m2, var_y_m2, moved to the instant, masked for directions; bearing_deg, sigma_bearing_deg,
+    sensor_x_m, sensor_y_m, masked for positions.
+    """
+    roll = moment.roll
+    sources = np.array([description.name for description in roll.now.descriptions] or [""], dtype=np.str_)
+    return {
+        "time_s": np.full(len(roll), moment.now.instant_s),
+        "source": sources[roll.source] if len(roll) else sources[:0],
+        "row": roll.row,
+        "line": _lines(moment),
+        "track_id": roll.track.astype(np.str_),
+        "object": moment.number[moment.object_of_record],
+        "p_object": moment.probability[moment.object_of_record],
+        "p_alone": moment.p_alone,
+        "age_s": moment.now.instant_s - roll.time_s,
+        **_ellipse(roll.state, roll.covariance, ~roll.placed),
+        **_sights(moment),
+    }
+
+
+def gathered(parts: Sequence[Mapping[str, NDArray[Any]]]) -> Columns:
+    """The rows of several moments one after another."""
+    if not parts:
+        return {}
+    return {name: np.ma.concatenate(columns) if any(isinstance(c, np.ma.MaskedArray) for c in columns)
+            else np.concatenate(columns)
+            for name in parts[0] for columns in [[part[name] for part in parts]]}  # fmt: skip
+
+
+def with_degrees(columns: Columns, plane: LocalPlane | None) -> Columns:
+    """The same with lat_deg and lon_deg before x_m and y_m, where there is a plane on the earth."""
+    if plane is None or not columns:
+        return columns
+    hidden = np.ma.getmaskarray(columns["x_m"])
+    place = np.column_stack([np.ma.filled(columns[name], 0.0) for name in ("x_m", "y_m")])
+    lat, lon = plane.to_geodetic(place)
+    out: Columns = {}
+    for name, column in columns.items():
+        if name == "x_m":
+            out |= {"lat_deg": _masked(lat, hidden), "lon_deg": _masked(lon, hidden)}
+        out[name] = column
+    return out
+
+
+def _masked(values: ArrayLike, hidden: BoolArray) -> np.ma.MaskedArray:
+    return np.ma.MaskedArray(values, hidden)
+
+
+def _ellipse(state: NDArray[Any], covariance: NDArray[Any], hidden: BoolArray) -> Columns:
+    return {
+        "x_m": _masked(state[:, 0], hidden),
+        "y_m": _masked(state[:, 1], hidden),
+        "var_x_m2": _masked(covariance[:, 0, 0], hidden),
+        "cov_xy_m2": _masked(covariance[:, 0, 1], hidden),
+        "var_y_m2": _masked(covariance[:, 1, 1], hidden),
+    }
+
+
+def _memberships(moment: PictureState, at: IntArray) -> Columns:
+    """Whose records an object has, and which; and those of its runner-up."""
+    roll = moment.roll
+    names = [description.name for description in roll.now.descriptions]
+    record = [f"{names[s]}:{row}" for s, row in zip(roll.source.tolist(), roll.row.tolist(), strict=True)]
+    source = [names[s] for s in roll.source.tolist()]
+    columns = {
+        "sources": joined(moment.members, source),
+        "members": joined(moment.members, record),
+        "runner_up": joined(moment.runner_up, record),
+    }
+    return {name: np.append(texts, "")[at] for name, texts in columns.items()}
+
+
+def joined(members: IntArray, words: Sequence[str]) -> NDArray[np.str_]:
+    """(n,) the words of the members of each set, with spaces between them."""
+    out: list[list[str]] = [[] for _ in range(len(members))]
+    at, source = np.nonzero(members >= 0)
+    for k, record in zip(at.tolist(), members[at, source].tolist(), strict=True):
+        out[k].append(words[record])
+    return np.array([" ".join(each) for each in out], dtype=np.str_)
+
+
+def _texts(moment: PictureState) -> Columns:
+    rows = [moment.watch.called[number] for number in moment.known.number.tolist()]
+    table = np.array(rows, dtype=object).reshape(len(rows), len(TEXTS))
+    columns = {name: table[:, k].astype(np.str_) for k, name in enumerate(TEXTS)}
+    label = np.full(len(rows), "", dtype=object)
+    for name in ("icao", "mmsi", "callsign", "name"):
+        label = np.where(columns[name] != "", columns[name], label)
+    return {"label": label.astype(np.str_), **columns}
+
+
+def _lines(moment: PictureState) -> np.ma.MaskedArray:
+    """(records,) line of each record in its file."""
+    roll = moment.roll
+    line, hidden = np.zeros(len(roll), np.int64), np.ones(len(roll), bool)
+    for s, feed in enumerate(roll.now.feeds):
+        here = slice(roll.start[s], roll.start[s + 1])
+        if feed.given is not None:
+            line[here], hidden[here] = feed.given.line[roll.row[here]], False
+    return _masked(line, hidden)
+
+
+def _sights(moment: PictureState) -> Columns:
+    """Directions of the records that are none but that, and where they are seen from."""
+    roll, n = moment.roll, len(moment.roll)
+    bearing, sigma, sensor, hidden = np.zeros(n), np.zeros(n), np.zeros((n, 2)), np.ones(n, bool)
+    for s, (feed, source) in enumerate(zip(roll.now.feeds, roll.now.sources, strict=True)):
+        if isinstance(source, Observations) and isinstance(feed.reports, Directions):
+            here, records = slice(roll.start[s], roll.start[s + 1]), records_of(source)
+            bearing[here], sigma[here] = records.features[:, 0], np.sqrt(records.covariance[:, 0])
+            sensor[here], hidden[here] = feed.reports.sensor_m[roll.row[here]], False
+    return {
+        "bearing_deg": _masked(bearing, hidden),
+        "sigma_bearing_deg": _masked(sigma, hidden),
+        "sensor_x_m": _masked(sensor[:, 0], hidden),
+        "sensor_y_m": _masked(sensor[:, 1], hidden),
+    }

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.evidence.identity import Alarm
-from sameas.picture.lookout import Followed
-from sameas.picture.moment import Moment
-from sameas.picture.numbering import CONFIRMED
-from sameas.picture.roll import BoolArray
-from sameas.records import FloatArray, IntArray
+from sameas.picture.object_ids import CONFIRMED
+from sameas.picture.picture_state import PictureState
+from sameas.picture.plot_picture import PlotObjects
 from sameas.tracks.feed import Feed
 from sameas.tracks.scene import Scene
 
@@ -47,7 +46,7 @@ class Tally:
     alarms: tuple[Alarm, ...]
 
     @classmethod
-    def of(cls, moment: Moment) -> Tally:
+    def of(cls, moment: PictureState) -> Tally:
         """Of a moment; sources are those of its scene."""
         feeds, now = moment.now.feeds, moment.now
         names = [description.name for description in moment.roll.now.descriptions]
@@ -65,14 +64,14 @@ class Tally:
         )  # fmt: skip
 
 
-def _due(moment: Moment, there: BoolArray, s: int) -> FloatArray:
+def _due(moment: PictureState, there: BoolArray, s: int) -> FloatArray:
     """(n,) 1 where source s should show an object: others do, beyond doubt, and it lies where s sees."""
     others = np.delete(there, s, axis=1)
     honest = np.delete(np.array([feed.clutter(2) == 0.0 for feed in moment.now.feeds], dtype=bool), s)
     beyond_doubt = (others & honest).any(axis=1) | (others.sum(axis=1) > 1)
     if len(honest) == 1:
         beyond_doubt = others[:, 0]
-    if isinstance(moment.known, Followed):
+    if isinstance(moment.known, PlotObjects):
         # A plot may be false, and two of them be so together; what was found again and again is there.
         known = moment.known
         beyond_doubt = others.any(axis=1) & np.isin(moment.number, known.number[known.stage == CONFIRMED])
@@ -87,7 +86,7 @@ def _due(moment: Moment, there: BoolArray, s: int) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Misses:
+class MissCount:
     """Of the objects that others show within a source's coverage, ``due``, the share of which it has no record.
 
     One object counts at every instant; a named track has one as long as its last report stands. error : standard error
@@ -185,7 +184,7 @@ class Summary:
     expected_wrong: float
     ambiguous_groups: float
     places: Places
-    misses: tuple[Misses, ...]
+    misses: tuple[MissCount, ...]
     biases: tuple[str, ...]
     alarms: tuple[Alarmed, ...]
     assumed: tuple[str, ...]
@@ -254,7 +253,7 @@ def _by_sources(objects: Mapping[str, NDArray], n_sources: int) -> tuple[tuple[i
     return tuple(np.bincount(most[confirmed], minlength=n_sources + 1).tolist()), int(np.sum(~confirmed))
 
 
-def _misses(feeds: Sequence[Feed], tallies: Sequence[Tally]) -> Iterable[Misses]:
+def _misses(feeds: Sequence[Feed], tallies: Sequence[Tally]) -> Iterable[MissCount]:
     due, missed = (np.array([getattr(tally, name) for tally in tallies]) for name in ("due", "missed"))
     for s, feed in enumerate(feeds):
         whole = float(due[:, s].sum())
@@ -262,7 +261,7 @@ def _misses(feeds: Sequence[Feed], tallies: Sequence[Tally]) -> Iterable[Misses]
             told = feed.description.misses.q
             described = None if told is None else float(np.mean(told))
             share = float(missed[:, s].sum() / whole)
-            yield Misses(feed.description.name, whole, share, share_error(due[:, s], missed[:, s]), described)
+            yield MissCount(feed.description.name, whole, share, share_error(due[:, s], missed[:, s]), described)
 
 
 def share_error(due: FloatArray, missed: FloatArray) -> float | None:

@@ -28,7 +28,7 @@ from sameas.plots.normalised import normalised
 from sameas.plots.residuals import residuals
 from sameas.plots.scatter import scatter
 from sameas.plots.sheet import required, save
-from sameas.sky.match import SkyMatch
+from sameas.sky.crossmatch import SkyMatch
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

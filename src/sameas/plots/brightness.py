@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sameas.detection import DetectionCurve
 from sameas.errors import InputError
+from sameas.evidence.detection import DetectionCurve
 from sameas.plots.sheet import FAINT, FIRST, FOUND, INK, SECOND, sheet, tidy
-from sameas.prose import percent
-from sameas.sky.match import ARCSEC2_PER_DEG2, SkyMatch
+from sameas.report.prose import percent
+from sameas.sky.crossmatch import ARCSEC2_PER_DEG2, SkyMatch
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

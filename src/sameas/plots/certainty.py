@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sameas.plots.sheet import FIRST, FOUND, SECOND, sheet, tidy
-from sameas.prose import count
-from sameas.sky.match import SkyMatch
+from sameas.report.prose import count
+from sameas.sky.crossmatch import SkyMatch
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.plots.scene import nice_length
-from sameas.plots.sheet import DOTS_PER_INCH, FAINT, FILL, FIRST, FOUND, INK, SECOND, sheet, tidy
+from sameas.plots.sheet import DOTS_PER_INCH, FAINT, FILL, FIRST, FOUND, INK, SECOND, nice_length, sheet, tidy
 from sameas.plots.stretch import binned, binning, stretched
-from sameas.prose import count
-from sameas.records import FloatArray, IntArray
+from sameas.report.prose import count
 from sameas.sky.frame.identified import FrameIdentification
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.photometry import instrumental

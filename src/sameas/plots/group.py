@@ -6,16 +6,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.plots.normalised import containment
-from sameas.plots.scene import Frame, ellipse, nice_length
-from sameas.plots.sheet import FAINT, FIRST, FOUND, INK, SECOND, sheet, tidy
-from sameas.records import FloatArray, Records
+from sameas.plots.sheet import FAINT, FIRST, FOUND, INK, SECOND, TangentAxes, ellipse, nice_length, sheet, tidy
+from sameas.records import Records
 from sameas.result import Identification
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.match import SkyMatch
+from sameas.sky.crossmatch import SkyMatch
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,7 +32,7 @@ DASHES = (0, (5, 4))
 
 
 @dataclass(frozen=True)
-class _Side:
+class _CatalogueSide:
     """The records of one catalogue in the group.
 
     position : (n,) in the result's records. place : (n, 2) arcsec east and north of the middle.
@@ -41,7 +40,7 @@ class _Side:
     """
 
     catalogue: Catalogue
-    position: NDArray[np.int64]
+    position: IntArray
     place: FloatArray
     covariance: FloatArray
     names: list[str]
@@ -117,18 +116,18 @@ def group(match: SkyMatch, *, record: Any = None, source: int = 1) -> Figure:
     return figure
 
 
-def _sides(match: SkyMatch, number: int) -> tuple[_Side, _Side]:
+def _sides(match: SkyMatch, number: int) -> tuple[_CatalogueSide, _CatalogueSide]:
     groups, result = match.result.groups, match.result
     chosen = (
         groups.rows_1[groups.start_1[number] : groups.start_1[number + 1]].astype(np.int64),
         groups.rows_2[groups.start_2[number] : groups.start_2[number + 1]].astype(np.int64),
     )
-    frame = Frame.about(np.concatenate([result.first.features[chosen[0]], result.second.features[chosen[1]]]))
+    frame = TangentAxes.about(np.concatenate([result.first.features[chosen[0]], result.second.features[chosen[1]]]))
 
-    def side(catalogue: Catalogue, records: Records, at: NDArray[np.int64], sign: tuple[str, str]) -> _Side:
+    def side(catalogue: Catalogue, records: Records, at: IntArray, sign: tuple[str, str]) -> _CatalogueSide:
         place, axes = frame(records.features[at])
         covariance = axes @ records.full_covariance()[at] @ axes.transpose(0, 2, 1)
-        return _Side(catalogue, at, place, covariance, _names(catalogue, records.rows[at]), *sign)
+        return _CatalogueSide(catalogue, at, place, covariance, _names(catalogue, records.rows[at]), *sign)
 
     return (
         side(match.first, result.first, chosen[0], (FIRST, "o")),
@@ -136,7 +135,7 @@ def _sides(match: SkyMatch, number: int) -> tuple[_Side, _Side]:
     )
 
 
-def _names(catalogue: Catalogue, rows: NDArray[np.int64]) -> list[str]:
+def _names(catalogue: Catalogue, rows: IntArray) -> list[str]:
     label = f"{catalogue.choice.id} " if catalogue.choice.id and catalogue.choice.id.isupper() else ""
     names = [f"{label}{catalogue.ids[row]}" for row in rows]
     if catalogue.magnitude is None:
@@ -147,7 +146,7 @@ def _names(catalogue: Catalogue, rows: NDArray[np.int64]) -> list[str]:
     ]
 
 
-def _draw(axes: Axes, match: SkyMatch, sides: tuple[_Side, _Side], pairs: NDArray[np.int64]) -> None:
+def _draw(axes: Axes, match: SkyMatch, sides: tuple[_CatalogueSide, _CatalogueSide], pairs: IntArray) -> None:
     _lines(axes, match.result, sides, pairs)
     reach = containment(match.estimate.errors, INSIDE)
     outlines = [_ellipses(axes, side, reach if side is _wider(sides) else 3.0) for side in sides]
@@ -162,7 +161,7 @@ def _draw(axes: Axes, match: SkyMatch, sides: tuple[_Side, _Side], pairs: NDArra
     _compass(axes, 0.5 * float(high[0] - low[0]))
 
 
-def _wider(sides: tuple[_Side, _Side]) -> _Side:
+def _wider(sides: tuple[_CatalogueSide, _CatalogueSide]) -> _CatalogueSide:
     return max(sides, key=lambda side: side.size)
 
 
@@ -180,7 +179,7 @@ def _view(places: FloatArray, outlines: FloatArray) -> tuple[FloatArray, FloatAr
     return middle - half, middle + half
 
 
-def _lines(axes: Axes, result: Identification, sides: tuple[_Side, _Side], pairs: NDArray[np.int64]) -> None:
+def _lines(axes: Axes, result: Identification, sides: tuple[_CatalogueSide, _CatalogueSide], pairs: IntArray) -> None:
     order = pairs[np.argsort(result.chosen[pairs], kind="stable")]
     for pair in order:
         ends = _ends(result, sides, pair)
@@ -194,13 +193,13 @@ def _lines(axes: Axes, result: Identification, sides: tuple[_Side, _Side], pairs
         )  # fmt: skip
 
 
-def _ends(result: Identification, sides: tuple[_Side, _Side], pair: int) -> FloatArray:
+def _ends(result: Identification, sides: tuple[_CatalogueSide, _CatalogueSide], pair: int) -> FloatArray:
     one = np.flatnonzero(sides[0].position == result.pairs.i[pair])[0]
     two = np.flatnonzero(sides[1].position == result.pairs.j[pair])[0]
     return np.stack([sides[0].place[one], sides[1].place[two]])
 
 
-def _ellipses(axes: Axes, side: _Side, reach: float) -> FloatArray:
+def _ellipses(axes: Axes, side: _CatalogueSide, reach: float) -> FloatArray:
     """Draws 1, 2, 3 quoted σ, and dashed ``reach`` σ where that is more; the points of the outermost."""
     outermost = []
     for place, covariance in zip(side.place, side.covariance, strict=True):
@@ -215,7 +214,7 @@ def _ellipses(axes: Axes, side: _Side, reach: float) -> FloatArray:
     return np.concatenate(outermost)
 
 
-def _labels(axes: Axes, side: _Side, places: FloatArray) -> None:
+def _labels(axes: Axes, side: _CatalogueSide, places: FloatArray) -> None:
     """Names beside their ellipses, on the side where the other records are not."""
     for place, covariance, name in zip(side.place, side.covariance, side.names, strict=True):
         away = place - places.mean(axis=0)
@@ -244,7 +243,7 @@ def _compass(axes: Axes, half: float) -> None:
         axes.text(*end, name, ha=ha, va=va, transform=axes.transAxes, fontsize=10, color=INK)
 
 
-def _list(axes: Axes, result: Identification, sides: tuple[_Side, _Side], pairs: NDArray[np.int64]) -> None:
+def _list(axes: Axes, result: Identification, sides: tuple[_CatalogueSide, _CatalogueSide], pairs: IntArray) -> None:
     """Every record of the first catalogue with its candidates, in words."""
     lines: list[tuple[str, str, str]] = []
     for at, name in zip(sides[0].position, sides[0].names, strict=True):
@@ -269,7 +268,7 @@ def _list(axes: Axes, result: Identification, sides: tuple[_Side, _Side], pairs:
         )  # fmt: skip
 
 
-def _key(axes: Axes, match: SkyMatch, sides: tuple[_Side, _Side]) -> None:
+def _key(axes: Axes, match: SkyMatch, sides: tuple[_CatalogueSide, _CatalogueSide]) -> None:
     """What the signs mean."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -298,7 +297,7 @@ def percent(p: float) -> str:
     return f"{100 * p:.1f} %" if p < 0.095 or p > 0.905 else f"{100 * p:.0f} %"
 
 
-def _finding(result: Identification, sides: tuple[_Side, _Side], pairs: NDArray[np.int64]) -> str:
+def _finding(result: Identification, sides: tuple[_CatalogueSide, _CatalogueSide], pairs: IntArray) -> str:
     one, two = (len(side.position) for side in sides)
     names = sides[0].catalogue.name, sides[1].catalogue.name
     if one == 1:

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sameas.arrays import FloatArray
 from sameas.evidence import Errors
 from sameas.plots.sheet import FAINT, FILL, FOUND, INK, SECOND, sheet, tidy
-from sameas.prose import count, percent
-from sameas.records import FloatArray
-from sameas.sky.match import SkyMatch
+from sameas.report.prose import count, percent
+from sameas.sky.crossmatch import SkyMatch
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sameas.arrays import FloatArray
 from sameas.plots.sheet import DENSITY, FAINT, INK, sheet, tidy
-from sameas.prose import count
-from sameas.records import FloatArray
-from sameas.sky.match import SkyMatch
+from sameas.report.prose import count
+from sameas.sky.crossmatch import SkyMatch
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.findings import by_source
+from sameas.arrays import FloatArray
 from sameas.plots.normalised import finding
 from sameas.plots.sheet import FOUND, INK, SECOND, sheet, tidy
-from sameas.records import FloatArray, unpack
-from sameas.sky.match import SkyMatch
+from sameas.records import unpack
+from sameas.report.findings import by_source
+from sameas.sky.crossmatch import SkyMatch
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sameas.arrays import BoolArray
+
 #: Standard deviations of the sky: shown black, and where the stretch turns from linear to logarithmic.
 BLACK, SOFT = 0.7, 3.5
 #: Share of the pixels that may be fully white.
@@ -13,7 +15,7 @@ WHITE = 0.0008
 LARGEST = 2400
 
 
-def stretched(image: NDArray[np.float32], masked: NDArray[np.bool_] | None = None) -> NDArray[np.uint8]:
+def stretched(image: NDArray[np.float32], masked: BoolArray | None = None) -> NDArray[np.uint8]:
     """(rows, columns) 0 … 255: asinh of the light above the sky.
 
     image : (rows, columns). masked : where there is no number, shown as sky.

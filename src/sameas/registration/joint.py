@@ -9,16 +9,17 @@ from functools import cached_property
 
 import numpy as np
 
+from sameas._identify import EVIDENCE_ALONE, identify
+from sameas.arrays import FloatArray
 from sameas.errors import InputError
-from sameas.estimate import match
+from sameas.estimate.match import match
 from sameas.evidence import Errors, Rule
-from sameas.identify import EVIDENCE_ALONE, identify
 from sameas.prior import Prior
-from sameas.records import FloatArray, Records
+from sameas.records import Records
+from sameas.registration.hough import Votes, vote
 from sameas.registration.offsets import Offset
 from sameas.registration.solution import REPEATING, Solution, refine
-from sameas.registration.votes import Votes, vote
-from sameas.registration.weights import Scene, arrived
+from sameas.registration.weights import PlacedSources, arrived
 from sameas.result import Identification
 
 #: Beginnings that are refined, in all and per record of large sources.
@@ -138,7 +139,7 @@ def register(
         if not len(records):
             raise InputError(f"{records.source} has no usable records; no offset can be found")
     placed = model.placed(first, second)
-    scene = Scene.of(first, second, placed)
+    scene = PlacedSources.of(first, second, placed)
     solutions = refine(scene, _beginnings(first, second, placed), rounds)
     best = solutions[0]
     registered = _registered(scene, best)
@@ -172,7 +173,7 @@ def _serious(rival: Solution, log_evidence: float) -> bool:
     return rival.log_evidence > min(log_evidence - DECISIVE, max(REPEATING * log_evidence, DECISIVE))
 
 
-def _registered(scene: Scene, solution: Solution) -> Records:
+def _registered(scene: PlacedSources, solution: Solution) -> Records:
     """The second source in the first's space: Σ carried along, plus J C Jᵀ for the offset's own uncertainty."""
     features = scene.second.features
     carried = scene.model.carried(features, solution.theta)
@@ -182,7 +183,7 @@ def _registered(scene: Scene, solution: Solution) -> Records:
     return arrived(scene.second, scene.model.moved(features, solution.theta), covariance)
 
 
-def _notes(scene: Scene, solutions: list[Solution]) -> tuple[str, ...]:
+def _notes(scene: PlacedSources, solutions: list[Solution]) -> tuple[str, ...]:
     """What a user should know of the best solution."""
     best, names = solutions[0], (scene.first.source, scene.second.source)
     notes = []

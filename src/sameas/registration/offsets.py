@@ -19,10 +19,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sameas.areas import displaced
+from sameas.arrays import FloatArray
 from sameas.errors import InputError
-from sameas.records import FloatArray, Records
-from sameas.space import Plane, Sphere, sphere_offset
+from sameas.records import Records
+from sameas.space import Plane, Sphere, displaced, sphere_offset
 
 RADIAN = math.pi / 180.0
 #: A field on the sphere may reach so far from its centre for one shift to be the same everywhere.

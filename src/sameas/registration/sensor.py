@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sameas.arrays import FloatArray
 from sameas.errors import InputError
-from sameas.records import FloatArray, Records
+from sameas.records import Records
 from sameas.registration.offsets import RADIAN, Offset, require_plane, require_widths
 
 

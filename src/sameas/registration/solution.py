@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.records import FloatArray
-from sameas.registration.votes import Votes
-from sameas.registration.weights import CLOSELY, ROUGHLY, Scene, Weighed, boxed, flattened, meet, weigh, weighed
+from sameas.arrays import FloatArray, IntArray
+from sameas.registration.hough import Votes
+from sameas.registration.weights import CLOSELY, ROUGHLY, PlacedSources, Weighed, boxed, flattened, meet, weigh, weighed
 
 #: Factors by which errors are taken wider than quoted, round by round, and how many beginnings go on after each.
 WIDENINGS = (2.0, 1.5, 1.2, 1.0, 1.0)
@@ -65,7 +65,7 @@ class Solution:
 
 
 @dataclass(frozen=True)
-class Belief:
+class OffsetPrior:
     """What is believed of θ beforehand: normal around zero, or flat over all shifts that the records can have.
 
     precision : (p,). log_density : (p,) ln of the prior density at zero.
@@ -75,7 +75,7 @@ class Belief:
     log_density: FloatArray
 
     @classmethod
-    def of(cls, scene: Scene) -> Belief:
+    def of(cls, scene: PlacedSources) -> OffsetPrior:
         widths = np.array(scene.model.widths)
         p = len(widths)
         flat = ~np.isfinite(widths)
@@ -100,7 +100,7 @@ class Trials:
     gain: FloatArray
 
     @classmethod
-    def fresh(cls, scene: Scene, theta: FloatArray) -> Trials:
+    def fresh(cls, scene: PlacedSources, theta: FloatArray) -> Trials:
         """Offsets of which nothing is known yet."""
         return cls(theta, np.full(len(theta), 0.5 * min(len(scene.first), len(scene.second))), np.zeros(len(theta)))
 
@@ -113,9 +113,9 @@ class Trials:
         return Trials(self.theta, self.common * factor, self.gain)
 
 
-def refine(scene: Scene, votes: Votes, rounds: int) -> list[Solution]:
+def refine(scene: PlacedSources, votes: Votes, rounds: int) -> list[Solution]:
     """The solutions that the votes lead to, most probable first; at most ``rounds`` rounds each after the search."""
-    belief = Belief.of(scene)
+    belief = OffsetPrior.of(scene)
     sample = scene.of_patch(_sampled(len(scene.second), _searched_records(scene, votes)))
     trials, spent = _searched(scene, sample, belief, votes)
     found = []
@@ -129,17 +129,17 @@ def refine(scene: Scene, votes: Votes, rounds: int) -> list[Solution]:
     return _without_doubles(scene, found)
 
 
-def _sampled(n: int, size: int) -> NDArray[np.int64]:
+def _sampled(n: int, size: int) -> IntArray:
     """Rows of so many of n records, in even steps."""
     return np.linspace(0, n - 1, min(n, size)).astype(np.int64)
 
 
-def _searched_records(scene: Scene, votes: Votes) -> int:
+def _searched_records(scene: PlacedSources, votes: Votes) -> int:
     """How many records the search takes: fewer where the votes of a few have decided."""
     return SAMPLE if scene.model.turns() else min(SAMPLE, OF_ASKED * len(votes.patches[0]))
 
 
-def _searched(scene: Scene, sample: Scene, belief: Belief, votes: Votes) -> tuple[Trials, int]:
+def _searched(scene: PlacedSources, sample: PlacedSources, belief: OffsetPrior, votes: Votes) -> tuple[Trials, int]:
     """What the votes lead to on their patches and then on the sample of all; and in how many rounds."""
     ends = []
     for number, rows in enumerate(votes.patches):
@@ -167,7 +167,7 @@ def _hopeful(trials: Trials) -> Trials:
     return trials.chosen(trials.gain > min(trials.gain[0] - HOPELESS, REPEATING * trials.gain[0]))
 
 
-def _nested(scene: Scene, rows: NDArray[np.int64]) -> list[tuple[NDArray[np.int64] | None, int]]:
+def _nested(scene: PlacedSources, rows: IntArray) -> list[tuple[IntArray | None, int]]:
     """The patch, then larger and larger ones around it, or None for a sample of all; and how many each keeps."""
     n = len(scene.second)
     if len(rows) == n:
@@ -177,7 +177,7 @@ def _nested(scene: Scene, rows: NDArray[np.int64]) -> list[tuple[NDArray[np.int6
     features = scene.second.features
     distance = np.sum((features - features[rows].mean(axis=0)) ** 2, axis=1)
     order = np.argsort(distance, kind="stable")
-    parts: list[tuple[NDArray[np.int64] | None, int]] = [(rows, 4)]
+    parts: list[tuple[IntArray | None, int]] = [(rows, 4)]
     size = len(rows) * GROWTH
     while size < min(n, SAMPLE):
         parts.append((np.sort(order[:size]), 2))
@@ -185,7 +185,7 @@ def _nested(scene: Scene, rows: NDArray[np.int64]) -> list[tuple[NDArray[np.int6
     return parts
 
 
-def _anneal(scene: Scene, belief: Belief, trials: Trials, keep: int, widenings: Sequence[float]) -> Trials:
+def _anneal(scene: PlacedSources, belief: OffsetPrior, trials: Trials, keep: int, widenings: Sequence[float]) -> Trials:
     """All offsets refined together, errors from wide to quoted: the best ``keep`` of them."""
     for number, widening in enumerate(widenings):
         found = weigh(scene, trials.theta, trials.common, widening)
@@ -197,7 +197,9 @@ def _anneal(scene: Scene, belief: Belief, trials: Trials, keep: int, widenings: 
     return trials.chosen(range(min(keep, len(trials.gain))))
 
 
-def _normal_equations(scene: Scene, belief: Belief, theta: FloatArray, found: Weighed) -> tuple[FloatArray, FloatArray]:
+def _normal_equations(
+    scene: PlacedSources, belief: OffsetPrior, theta: FloatArray, found: Weighed
+) -> tuple[FloatArray, FloatArray]:
     """Score (s, p) of the log posterior of θ, and its information (s, p, p) if the weights were the truth."""
     from sameas.kernels.offsets import pulls
 
@@ -208,7 +210,9 @@ def _normal_equations(scene: Scene, belief: Belief, theta: FloatArray, found: We
     return score - belief.precision * theta, information + np.diag(belief.precision)
 
 
-def _settled(scene: Scene, belief: Belief, one: Trials, rounds: int) -> tuple[Trials, FloatArray, int, bool]:
+def _settled(
+    scene: PlacedSources, belief: OffsetPrior, one: Trials, rounds: int
+) -> tuple[Trials, FloatArray, int, bool]:
     """One offset near its maximum, (p, p) its information if the weights were true, rounds, whether they settled."""
     at, common, number, settled = one.theta, one.common, 0, False
     while True:
@@ -224,7 +228,9 @@ def _settled(scene: Scene, belief: Belief, one: Trials, rounds: int) -> tuple[Tr
             return Trials(at, common, found.gain), information[0], number, settled
 
 
-def _finished(scene: Scene, sample: Scene, belief: Belief, one: Trials, rounds: int, spent: int) -> Solution:
+def _finished(
+    scene: PlacedSources, sample: PlacedSources, belief: OffsetPrior, one: Trials, rounds: int, spent: int
+) -> Solution:
     """One offset brought to its maximum, with its covariance and evidence."""
     one, complete, number, settled = _settled(scene, belief, one, rounds)
     share = len(sample.second) / len(scene.second)
@@ -248,7 +254,9 @@ def _finished(scene: Scene, sample: Scene, belief: Belief, one: Trials, rounds: 
     )  # fmt: skip
 
 
-def _missing(scene: Scene, belief: Belief, one: Trials, complete: FloatArray) -> tuple[FloatArray, FloatArray, Weighed]:
+def _missing(
+    scene: PlacedSources, belief: OffsetPrior, one: Trials, complete: FloatArray
+) -> tuple[FloatArray, FloatArray, Weighed]:
     """By how much longer the axes (p, p) of the covariance are than if it were known which pairs are true.
 
     The observed information is taken by central differences of the score over a fifth of a standard error: its
@@ -266,7 +274,9 @@ def _missing(scene: Scene, belief: Belief, one: Trials, complete: FloatArray) ->
     return axes / np.sqrt(np.clip(shares, 0.02, None)), score, found
 
 
-def _stretched(scene: Scene, belief: Belief, theta: FloatArray, common: FloatArray, root: FloatArray) -> FloatArray:
+def _stretched(
+    scene: PlacedSources, belief: OffsetPrior, theta: FloatArray, common: FloatArray, root: FloatArray
+) -> FloatArray:
     """The axes ``root`` (p, p) of the covariance, as long as the posterior of θ reaches along each of them.
 
     The likelihood of a few pairs is wider than its curvature at the maximum says: other pairs take over further out,
@@ -280,14 +290,14 @@ def _stretched(scene: Scene, belief: Belief, theta: FloatArray, common: FloatArr
     return np.asarray(root * np.sqrt((AWAY**2 @ density) / (1.0 + density.sum(axis=0))))
 
 
-def displacement_sigmas(scene: Scene, one: FloatArray, other: FloatArray) -> float:
+def displacement_sigmas(scene: PlacedSources, one: FloatArray, other: FloatArray) -> float:
     """By how many standard deviations the records stand apart under two offsets, at most (but for one in ten)."""
     jacobian = scene.model.jacobian(scene.second.features, one)
     move = np.einsum("nvp,p->nv", jacobian, other - one)
     return float(np.quantile(np.sqrt(np.sum(move**2, axis=1)), 0.9)) / scene.sigma
 
 
-def _distinct(scene: Scene, trials: Trials) -> Trials:
+def _distinct(scene: PlacedSources, trials: Trials) -> Trials:
     """The same offsets, each only once, in their order."""
     kept: list[int] = []
     for k, one in enumerate(trials.theta):
@@ -296,14 +306,14 @@ def _distinct(scene: Scene, trials: Trials) -> Trials:
     return trials.chosen(kept)
 
 
-def _same(scene: Scene, one: Solution, other: Solution) -> bool:
+def _same(scene: PlacedSources, one: Solution, other: Solution) -> bool:
     """Whether two solutions are one: by where they put the records, or by how well either is known."""
     apart = other.theta - one.theta
     by_errors = float(apart @ np.linalg.solve(one.covariance, apart))
     return by_errors <= SAME_ERRORS**2 or displacement_sigmas(scene, one.theta, other.theta) <= SAME_SIGMAS
 
 
-def _without_doubles(scene: Scene, found: list[Solution]) -> list[Solution]:
+def _without_doubles(scene: PlacedSources, found: list[Solution]) -> list[Solution]:
     kept: list[Solution] = []
     for one in found:
         if not any(_same(scene, other, one) for other in kept):

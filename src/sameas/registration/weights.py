@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sameas.arrays import FloatArray, IntArray
 from sameas.evidence import LOG_2PI
 from sameas.gate import Radius
-from sameas.records import FloatArray, Records
+from sameas.records import Records
+from sameas.registration.hough import typical_sigma
 from sameas.registration.offsets import Offset
-from sameas.registration.votes import typical_sigma
 from sameas.space import Plane
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ LEAST_COMMON, MOST_SHARE = 0.05, 0.98
 
 
 @dataclass(frozen=True)
-class Scene:
+class PlacedSources:
     """Two sources and a placed offset between them.
 
     flat (n, d) : the first source's positions in the residual's unit, and ``box`` (2, d) the corners of where it looks.
@@ -54,7 +54,7 @@ class Scene:
     periods: FloatArray
 
     @classmethod
-    def of(cls, first: Records, second: Records, model: Offset) -> Scene:
+    def of(cls, first: Records, second: Records, model: Offset) -> PlacedSources:
         sigma = typical_sigma(first, second)
         flat = np.ascontiguousarray(flattened(first.features, model, first))
         periods = np.array(first.space.period_list(first.d) if isinstance(first.space, Plane) else [np.inf] * first.d)
@@ -62,7 +62,7 @@ class Scene:
         cells = _in_cells(first.features, errors[0], CELL_SIGMAS * sigma, periods)
         return cls(first, second, model, *errors, sigma, flat, boxed(flat, sigma), cells, periods)
 
-    def of_patch(self, rows: NDArray[np.int64]) -> Scene:
+    def of_patch(self, rows: IntArray) -> PlacedSources:
         """The same with these records of the second source only."""
         if len(rows) == len(self.second):
             return self
@@ -86,9 +86,9 @@ class Weighed:
     in_common : (s, 2) records of either source where both look.
     """
 
-    s: NDArray[np.int64]
-    i: NDArray[np.int64]
-    j: NDArray[np.int64]
+    s: IntArray
+    i: IntArray
+    j: IntArray
     residual: FloatArray
     precision: FloatArray
     weight: FloatArray
@@ -105,9 +105,9 @@ class Meeting:
     volume (s,) where both look, expected (s, 2) records of each there on average, in_common (s, 2) those there are.
     """
 
-    start: NDArray[np.int64]
-    i: NDArray[np.int64]
-    j: NDArray[np.int64]
+    start: IntArray
+    i: IntArray
+    j: IntArray
     residual: FloatArray
     precision: FloatArray
     log_normal: FloatArray
@@ -121,7 +121,7 @@ class Meeting:
         return replace(self, volume=self.volume[same], expected=self.expected[same], in_common=self.in_common[same])
 
 
-def meet(scene: Scene, theta: FloatArray, widening: float) -> Meeting:
+def meet(scene: PlacedSources, theta: FloatArray, widening: float) -> Meeting:
     """The pairs under the offsets theta (s, p), of errors that are so many times larger than quoted."""
     from sameas.kernels.offsets import both_look, carried_errors
 
@@ -136,7 +136,7 @@ def meet(scene: Scene, theta: FloatArray, widening: float) -> Meeting:
     return Meeting(*_candidates(scene, moved, spread, widening), volume, expected, inside)
 
 
-def weigh(scene: Scene, theta: FloatArray, common: FloatArray, widening: float) -> Weighed:
+def weigh(scene: PlacedSources, theta: FloatArray, common: FloatArray, widening: float) -> Weighed:
     """Weights of all pairs under the offsets theta (s, p), for so many expected common objects (s,).
 
     widening : the factor by which errors are taken larger than quoted, for the search.
@@ -144,7 +144,7 @@ def weigh(scene: Scene, theta: FloatArray, common: FloatArray, widening: float) 
     return weighed(scene, meet(scene, theta, widening), common, ROUGHLY if widening > 1.0 else CLOSELY)
 
 
-def weighed(scene: Scene, met: Meeting, common: FloatArray, settled: float) -> Weighed:
+def weighed(scene: PlacedSources, met: Meeting, common: FloatArray, settled: float) -> Weighed:
     """Weights of the pairs that meet, by messages that settle to so small a share of them."""
     from sameas.kernels.offsets import messages
 
@@ -165,10 +165,10 @@ def weighed(scene: Scene, met: Meeting, common: FloatArray, settled: float) -> W
 
 
 #: start (s + 1,), i, j (m,), residual (m, d), precision (m, d, d), log density of a true pair (m,).
-Candidates = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], FloatArray, FloatArray, FloatArray]
+Candidates = tuple[IntArray, IntArray, IntArray, FloatArray, FloatArray, FloatArray]
 
 
-def _candidates(scene: Scene, moved: FloatArray, spread: FloatArray, widening: float) -> Candidates:
+def _candidates(scene: PlacedSources, moved: FloatArray, spread: FloatArray, widening: float) -> Candidates:
     if not isinstance(scene.first.space, Plane):
         return _gated(scene, moved, spread, widening)
     from sameas.kernels.offsets import near_pairs
@@ -177,7 +177,7 @@ def _candidates(scene: Scene, moved: FloatArray, spread: FloatArray, widening: f
     return found
 
 
-def _gated(scene: Scene, moved: FloatArray, spread: FloatArray, widening: float) -> Candidates:
+def _gated(scene: PlacedSources, moved: FloatArray, spread: FloatArray, widening: float) -> Candidates:
     """The same on the sphere, by the gate."""
     gate = Radius(GATE_SIGMAS * widening)
     found = [gate(scene.first, arrived(scene.second, moved[s], spread[s])) for s in range(len(moved))]

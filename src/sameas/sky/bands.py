@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from astropy.table import Table
 
+from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.evidence import Magnitudes
-from sameas.records import FloatArray
-from sameas.sky import cells
+from sameas.sky import column_values
 from sameas.sky.catalogue import Catalogue
 
 AUTO, OFF = "auto", "off"
@@ -68,5 +68,5 @@ def _columns(catalogue: Catalogue, names: tuple[str, ...]) -> Magnitudes:
 
 def _measured(table: Table, name: str, source: str) -> FloatArray:
     """(n,) numbers; 99 and −99.99, which surveys write for no measurement, are none."""
-    values = cells.numbers(table, name, source)
+    values = column_values.numbers(table, name, source)
     return np.where(np.abs(values) < 90.0, values, np.nan)

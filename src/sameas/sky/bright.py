@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sameas.errors import InputError
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
-from sameas.sky.match import match
+from sameas.sky.crossmatch import match
 from sameas.space import sphere_offset
 
 if TYPE_CHECKING:

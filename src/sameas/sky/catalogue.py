@@ -15,14 +15,104 @@ from numpy.typing import NDArray
 
 from sameas.errors import InputError
 from sameas.records import Records
-from sameas.sky import cells, hipparcos
-from sameas.sky.cells import FloatArray
+from sameas.sky import column_values, conventions
+from sameas.sky.column_choice import CatalogueOptions, Column, ColumnChoice, PositionError, in_years
+from sameas.sky.column_values import FloatArray
 from sameas.sky.columns import choose
-from sameas.sky.doubts import doubts_of
-from sameas.sky.motion import Astrometry, MissingMotion, position_at
-from sameas.sky.understood import CatalogueOptions, Column, ColumnChoice, PositionError, in_years
-from sameas.sky.variances import Variances
+from sameas.sky.motion import Astrometry, MissingMotion, Variances, position_at
 from sameas.space import Sphere
+
+# Doubts: what is legal in a catalogue, but looks like a wrong unit, a wrong column or a wrong year.
+
+_LARGEST_SIGMA_ARCSEC, _LEAST_SIGMA_ARCSEC = 60.0, 1e-6
+_FASTEST_MAS_PER_YR = 20_000.0  # Barnard's star moves 10.4 arcsec a year
+
+
+def doubts_of(astrometry: Astrometry, choice: ColumnChoice, options: CatalogueOptions) -> tuple[str, ...]:
+    """Lines that question a catalogue; none if nothing looks wrong."""
+    lines = [
+        _doubts_errors(astrometry, choice),
+        _radians(astrometry, choice),
+        _hours(astrometry, choice),
+        _doubts_epochs(astrometry, choice),
+        _motions(astrometry, choice),
+        _motion_errors(choice, options),
+    ]
+    return tuple(line for line in lines if line)
+
+
+def _doubts_errors(astrometry: Astrometry, choice: ColumnChoice) -> str:
+    sigma = 1e-3 * np.sqrt(0.5 * (astrometry.variance(0) + astrometry.variance(1)))
+    known = sigma[np.isfinite(sigma) & np.isfinite(astrometry.ra_deg) & np.isfinite(astrometry.dec_deg)]
+    if not len(known):
+        return "no row has both a position and a positive error: nothing can be matched"
+    median = float(np.median(known))
+    names = ", ".join(column.name for column in choice.error.columns) or "sigma"
+    if median > _LARGEST_SIGMA_ARCSEC:
+        return f"the position errors ({names}) have a median of {median:g} arcsec: are they rather in mas?"
+    if median < _LEAST_SIGMA_ARCSEC:
+        return f"the position errors ({names}) have a median of {median:g} arcsec: are they rather in degrees?"
+    lost = len(sigma) - len(known)
+    if lost:
+        return f"{lost} of {len(sigma)} rows lack a position or a positive error and are set aside"
+    return ""
+
+
+def _radians(astrometry: Astrometry, choice: ColumnChoice) -> str:
+    if choice.ra.unit != "deg" or choice.ra.reason != "by convention":
+        return ""
+    ra, dec = astrometry.ra_deg, astrometry.dec_deg
+    known = np.isfinite(ra) & np.isfinite(dec)
+    if known.any() and (np.abs(dec[known]) <= np.pi / 2).all() and (ra[known] <= 2 * np.pi).all():
+        return f"{choice.ra.name}, {choice.dec.name} say no unit and stay below 2π and π/2: are they in radians?"
+    return ""
+
+
+def _hours(astrometry: Astrometry, choice: ColumnChoice) -> str:
+    if choice.ra.unit != "deg" or choice.ra.reason != "by convention":
+        return ""
+    ra, dec = astrometry.ra_deg, astrometry.dec_deg
+    known = np.isfinite(ra) & np.isfinite(dec)
+    # Right ascensions of a whole sky that end at 24
+    if known.any() and ra[known].max() <= 24.0 and np.ptp(ra[known]) > 12.0 and np.ptp(dec[known]) > 60.0:
+        return f"{choice.ra.name} says no unit and stays below 24: is it in hours?"
+    return ""
+
+
+def _doubts_epochs(astrometry: Astrometry, choice: ColumnChoice) -> str:
+    epochs = astrometry.epoch_jyr
+    known = epochs[np.isfinite(epochs)]
+    odd = known[(known < 1850) | (known > 2100)]
+    if len(odd):
+        return f"the epoch {odd[0]:g} ({choice.epoch.reason}) lies outside 1850 to 2100"
+    lost = len(epochs) - len(known)
+    if lost and len(known):
+        return f"{lost} rows have no epoch ({choice.epoch.reason}) and are set aside when moved"
+    return ""
+
+
+def _motions(astrometry: Astrometry, choice: ColumnChoice) -> str:
+    if choice.motion[1] is None:
+        return ""
+    speed = np.hypot(astrometry.pm_ra_mas_per_yr, astrometry.pm_dec_mas_per_yr)
+    with np.errstate(invalid="ignore"):
+        fast = np.flatnonzero(speed > _FASTEST_MAS_PER_YR)
+    if not len(fast):
+        return ""
+    return (
+        f"{len(fast)} proper motions exceed 20 arcsec/yr "
+        f"(first: row {fast[0]}, {1e-3 * speed[fast[0]]:g} arcsec/yr): is {choice.motion[1].name} in mas/yr?"
+    )
+
+
+def _motion_errors(choice: ColumnChoice, options: CatalogueOptions) -> str:
+    if choice.motion[1] is None or choice.motion_errors[1] is not None or options.pm_sigma_mas_per_yr is not None:
+        return ""
+    return (
+        f"{choice.motion[1].name} has no column of errors, so its error is taken to be that of an "
+        "unknown motion; say --pm-sigma MAS_PER_YR"
+    )
+
 
 __all__ = ["Catalogue", "CatalogueOptions", "ellipse_covariance"]
 
@@ -90,13 +180,13 @@ class Catalogue:
         array([[0.01]])
         """
         options = CatalogueOptions() if options is None else options
-        rows = cells.as_table(table, name)
+        rows = column_values.as_table(table, name)
         if len(rows) == 0:
             raise InputError(f"{name}: the table has no rows")
         choice = choose(rows, options, name)
         astrometry = _astrometry(rows, choice, options, name)
         pm = choice.motion[1]
-        has_motion = pm is not None and bool(np.isfinite(cells.numbers(rows, pm.name, name)).any())
+        has_motion = pm is not None and bool(np.isfinite(column_values.numbers(rows, pm.name, name)).any())
         if has_motion and not np.isfinite(astrometry.epoch_jyr).any():
             raise InputError(_no_epoch(choice, name))
         ids, id_note = _ids(rows, choice, options, name)
@@ -234,9 +324,9 @@ def _errors(
 
 def _degrees(table: Table, column: Column, source: str) -> FloatArray:
     if column.unit.startswith("sexagesimal"):
-        values = cells.sexagesimal(table, column.name, source)
+        values = column_values.sexagesimal(table, column.name, source)
     else:
-        values = cells.numbers(table, column.name, source)
+        values = column_values.numbers(table, column.name, source)
     turn = _FULL_TURN.get(column.unit, np.inf)
     with np.errstate(invalid="ignore"):
         beyond = np.flatnonzero(np.abs(values) > turn * 1.0001)
@@ -247,7 +337,7 @@ def _degrees(table: Table, column: Column, source: str) -> FloatArray:
         )
     if column.unit == "sexagesimal degrees":
         return values
-    return values * (15.0 if column.unit == "sexagesimal hours" else cells.factor(column.unit, "deg"))
+    return values * (15.0 if column.unit == "sexagesimal hours" else column_values.factor(column.unit, "deg"))
 
 
 def _position_sigmas(
@@ -258,7 +348,7 @@ def _position_sigmas(
         sigma = np.full(len(table), error.sigma_arcsec)
         return sigma, sigma, None
     columns = [
-        cells.numbers(table, c.name, source) * cells.factor(c.unit, "deg" if k == 2 else "arcsec")
+        column_values.numbers(table, c.name, source) * column_values.factor(c.unit, "deg" if k == 2 else "arcsec")
         for k, c in enumerate(error.columns)
     ]
     with np.errstate(invalid="ignore"):
@@ -271,12 +361,12 @@ def _position_sigmas(
         return np.sqrt(xx), np.sqrt(yy), xy / np.sqrt(xx * yy)
     east, north = columns
     if error.correlation:
-        return east, north, np.nan_to_num(cells.numbers(table, error.correlation, source))
+        return east, north, np.nan_to_num(column_values.numbers(table, error.correlation, source))
     if error.covariance:
-        unit = cells.unit_of(table, error.covariance)
-        native = cells.factor(error.columns[0].unit, "arcsec") ** 2
-        square = cells.factor(unit.to_string(), "arcsec2") if unit else native
-        covariance = cells.numbers(table, error.covariance, source) * square
+        unit = column_values.unit_of(table, error.covariance)
+        native = column_values.factor(error.columns[0].unit, "arcsec") ** 2
+        square = column_values.factor(unit.to_string(), "arcsec2") if unit else native
+        covariance = column_values.numbers(table, error.covariance, source) * square
         with np.errstate(divide="ignore", invalid="ignore"):
             return east, north, np.nan_to_num(covariance / (east * north), posinf=0.0, neginf=0.0)
     return east, north, None
@@ -285,24 +375,24 @@ def _position_sigmas(
 def _motion_numbers(table: Table, column: Column | None, unit: str, source: str) -> FloatArray | None:
     if column is None:
         return None
-    return cells.numbers(table, column.name, source) * cells.factor(column.unit, unit)
+    return column_values.numbers(table, column.name, source) * column_values.factor(column.unit, unit)
 
 
 def _correlations(table: Table, choice: ColumnChoice, sigma: FloatArray, source: str) -> FloatArray:
-    """(n, 6, 6) correlations; see :mod:`sameas.sky.hipparcos` for those hidden in weights."""
+    """(n, 6, 6) correlations; see :mod:`sameas.sky.conventions` for those hidden in weights."""
     matrices = np.zeros((len(table), 6, 6))
     if choice.weights:
-        *weights, f2, transits = (cells.numbers(table, name, source) for name in choice.weights)
-        matrices[:, :5, :5] = hipparcos.correlations(np.column_stack(weights), sigma[:, :5], f2, transits)
+        *weights, f2, transits = (column_values.numbers(table, name, source) for name in choice.weights)
+        matrices[:, :5, :5] = conventions.correlations(np.column_stack(weights), sigma[:, :5], f2, transits)
     for i, j, name in () if choice.weights else choice.correlations:
-        matrices[:, i, j] = matrices[:, j, i] = np.nan_to_num(cells.numbers(table, name, source))
+        matrices[:, i, j] = matrices[:, j, i] = np.nan_to_num(column_values.numbers(table, name, source))
     return matrices
 
 
 def _epochs(table: Table, choice: ColumnChoice, source: str) -> FloatArray:
     """(n,) Julian years, NaN where not known."""
     if choice.epoch.column:
-        return cells.years(table, choice.epoch.column, source)
+        return column_values.years(table, choice.epoch.column, source)
     return np.broadcast_to(np.nan if choice.epoch.jyr is None else choice.epoch.jyr, len(table))
 
 
@@ -338,7 +428,7 @@ def _brightness(table: Table, name: str | None, source: str) -> FloatArray | Non
     """(n,) magnitudes; 99 and -99.99, which surveys write for no measurement, are none."""
     if name is None:
         return None
-    values = cells.numbers(table, name, source)
+    values = column_values.numbers(table, name, source)
     with np.errstate(invalid="ignore"):
         return np.where(np.abs(values) < 90.0, values, np.nan)
 

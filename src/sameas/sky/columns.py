@@ -8,18 +8,111 @@ choices.
 
 from __future__ import annotations
 
+import difflib
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+import numpy as np
 from astropy import units as u
 from astropy.table import Table
 
 from sameas.errors import InputError
-from sameas.sky import cells, conventions
+from sameas.sky import column_values, conventions
+from sameas.sky.column_choice import CatalogueOptions, Column, ColumnChoice, Epoch, PositionError
 from sameas.sky.conventions import Convention, ErrorNames
-from sameas.sky.names import Search
-from sameas.sky.understood import CatalogueOptions, Column, ColumnChoice, Epoch, PositionError
+
+# Names: the columns of one table, found by name, with their units, and what is wrong in the user's words.
+
+_SUFFIXES = {"_arcsec": "arcsec", "_mas": "mas", "_deg": "deg"}
+
+
+@dataclass(frozen=True)
+class ColumnSearch:
+    """One table being read: finds columns by name and says what is wrong in the user's words."""
+
+    table: Table
+    options: CatalogueOptions
+    source: str
+
+    def find(self, wanted: str) -> str | None:
+        """The column of that name: exactly, or the only one in any case."""
+        names = self.table.colnames
+        if wanted in names:
+            return wanted
+        alike = [name for name in names if name.lower() == wanted.lower()] if wanted else []
+        return alike[0] if len(alike) == 1 else None
+
+    def find_all(self, wanted: tuple[str, ...]) -> tuple[str, ...] | None:
+        """All of the columns, or None."""
+        found = [self.find(name) for name in wanted]
+        return None if None in found else tuple(name for name in found if name)
+
+    def first(self, wanted: tuple[str, ...]) -> str | None:
+        """The first of the columns that is there."""
+        return next((found for name in wanted if (found := self.find(name))), None)
+
+    def required(self, wanted: str, option: str) -> str:
+        """The column that an option names."""
+        found = self.find(wanted.strip())
+        if found:
+            return found
+        lower = {name.lower(): name for name in self.table.colnames}
+        close = [lower[name] for name in difflib.get_close_matches(wanted.strip().lower(), lower, n=3)]
+        hint = f"did you mean {' or '.join(map(repr, close))}?" if close else f"it has: {self.listing()}"
+        raise InputError(f"{self.source}: no column {wanted.strip()!r} for --{option}; {hint}")
+
+    def listing(self) -> str:
+        names = self.table.colnames
+        return ", ".join(names[:20]) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
+
+    def several(self, text: str, count: int, option: str) -> tuple[str, ...]:
+        """The columns that an option names, separated by commas."""
+        parts = [part for part in text.split(",") if part.strip()]
+        if len(parts) != count:
+            raise InputError(f"{self.source}: --{option} {text} names {len(parts)} columns; give {count} with commas")
+        return tuple(self.required(part, option) for part in parts)
+
+    def column(self, name: str, unit: str, option: str = "") -> Column:
+        """A column with its unit: its own, else that of its name's ending, else ``unit`` by convention."""
+        own = column_values.unit_of(self.table, name)
+        if option:
+            return Column(name, option, "option")
+        if own is not None:
+            return Column(name, own.to_string(), "unit of the column")
+        return Column(name, _suffix_unit(name) or unit, "by its name" if _suffix_unit(name) else "by convention")
+
+    def angle(self, name: str, unit: str) -> Column:
+        """A column of small angles, such as errors."""
+        column = self.column(name, unit, self.options.sigma_unit or "")
+        if not column.unit:
+            values = column_values.numbers(self.table, name, self.source)
+            known = values[np.isfinite(values)]
+            middle = f" (median {np.median(known):g})" if len(known) else ""
+            raise InputError(
+                f"{self.source}: the unit of {name!r}{middle} is not said; say --sigma-unit arcsec, mas or deg"
+            )
+        return self.checked(column, "arcsec", "an angle")
+
+    def checked(self, column: Column, target: str, words: str) -> Column:
+        try:
+            column_values.factor(column.unit, target)
+        except (ValueError, TypeError):  # UnitConversionError, unknown unit
+            raise InputError(f"{self.source}: {column.name!r} is in {column.unit}, which is not {words}") from None
+        return column
+
+    def motion_column(self, name: str, unit: str) -> Column:
+        """A column of parallax, proper motion or radial velocity."""
+        return self.checked(self.column(name, unit), unit, f"convertible to {unit}")
+
+    def ucd(self, name: str) -> str:
+        """The column's UCD, lower case."""
+        return str(self.table[name].info.meta.get("ucd", "") if self.table[name].info.meta else "").lower()
+
+
+def _suffix_unit(name: str) -> str:
+    return next((unit for suffix, unit in _SUFFIXES.items() if name.lower().endswith(suffix)), "")
+
 
 _DESCRIBED_EPOCH = re.compile(r"\bEp(?:och)?\s*[=:]?\s*J?\s*((?:18|19|20)\d\d(?:\.\d+)?)", re.IGNORECASE)
 
@@ -34,7 +127,7 @@ def choose(table: Table, options: CatalogueOptions, source: str) -> ColumnChoice
     ------
     InputError : no position, two equally good ones, no or ambiguous errors, unknown columns, unfit units.
     """
-    search = Search(table, options, source)
+    search = ColumnSearch(table, options, source)
     convention, not_used = _convention(search)
     ra, dec = (search.find(name) for name in convention.position)
     if ra is None or dec is None:
@@ -63,7 +156,7 @@ def choose(table: Table, options: CatalogueOptions, source: str) -> ColumnChoice
     return choice
 
 
-def _convention(search: Search) -> tuple[Convention, tuple[str, ...]]:
+def _convention(search: ColumnSearch) -> tuple[Convention, tuple[str, ...]]:
     """The convention of the position, and the right ascensions that were passed over."""
     if search.options.ra or search.options.dec:
         return _said_position(search), ()
@@ -89,12 +182,12 @@ def _convention(search: Search) -> tuple[Convention, tuple[str, ...]]:
     return chosen[0], tuple(sorted(name for name in every if name and name != taken))
 
 
-def _applies(search: Search, convention: Convention) -> bool:
+def _applies(search: ColumnSearch, convention: Convention) -> bool:
     marked = not convention.marks or search.first(convention.marks) is not None
     return marked and search.find_all(convention.position) is not None
 
 
-def _refuse_equals(search: Search, chosen: list[Convention]) -> None:
+def _refuse_equals(search: ColumnSearch, chosen: list[Convention]) -> None:
     positions = sorted({search.find(c.position[0]) or "" for c in chosen})
     if len(positions) == 1 and all(_own_error(search, c) is None for c in chosen):
         positions = sorted(n for n in search.table.colnames if n.lower() == positions[0].lower())
@@ -114,7 +207,7 @@ def _refuse_equals(search: Search, chosen: list[Convention]) -> None:
     chosen.sort(key=lambda c: _own_error(search, c) is None)
 
 
-def _said_position(search: Search) -> Convention:
+def _said_position(search: ColumnSearch) -> Convention:
     """The convention of the columns that the options name."""
     options = search.options
     said = search.required(options.ra or options.dec or "", "ra" if options.ra else "dec")
@@ -134,7 +227,7 @@ def _said_position(search: Search) -> Convention:
     return conventions.plain((said, other), title="options")
 
 
-def _position_by_ucd(search: Search) -> Convention:
+def _position_by_ucd(search: ColumnSearch) -> Convention:
     def marked(*patterns: str) -> list[str]:
         ucds = {name: search.ucd(name) for name in search.table.colnames}
         found = [n for n, ucd in ucds.items() if ucd.startswith(patterns)]
@@ -149,13 +242,13 @@ def _position_by_ucd(search: Search) -> Convention:
     )
 
 
-def _own_error(search: Search, convention: Convention) -> ErrorNames | None:
+def _own_error(search: ColumnSearch, convention: Convention) -> ErrorNames | None:
     return next((e for e in convention.errors if search.find_all(e.names)), None)
 
 
-def _direction(search: Search, name: str, unit: str, right_ascension: bool) -> Column:
-    if cells.is_sexagesimal(search.table, name):
-        own = cells.unit_of(search.table, name)
+def _direction(search: ColumnSearch, name: str, unit: str, right_ascension: bool) -> Column:
+    if column_values.is_sexagesimal(search.table, name):
+        own = column_values.unit_of(search.table, name)
         hours = right_ascension and own != u.deg
         return Column(name, "sexagesimal hours" if hours else "sexagesimal degrees", "by its notation")
     column = search.column(name, unit)
@@ -164,7 +257,7 @@ def _direction(search: Search, name: str, unit: str, right_ascension: bool) -> C
     return search.checked(column, "deg", "an angle")
 
 
-def _position_error(search: Search, convention: Convention) -> PositionError:
+def _position_error(search: ColumnSearch, convention: Convention) -> PositionError:
     options = search.options
     if options.sigma is not None and options.ellipse:
         raise InputError(f"{search.source}: give --sigma or --ellipse, not both")
@@ -190,12 +283,12 @@ def _position_error(search: Search, convention: Convention) -> PositionError:
     )
 
 
-def _may_be_angle(search: Search, names: tuple[str, ...]) -> bool:
-    units = [cells.unit_of(search.table, name) for name in names]
+def _may_be_angle(search: ColumnSearch, names: tuple[str, ...]) -> bool:
+    units = [column_values.unit_of(search.table, name) for name in names]
     return all(unit is None or unit.is_equivalent(u.deg) for unit in units)
 
 
-def _said_error(search: Search, sigma: float | str, convention: Convention) -> PositionError:
+def _said_error(search: ColumnSearch, sigma: float | str, convention: Convention) -> PositionError:
     try:
         number = float(sigma)
     except ValueError:
@@ -210,11 +303,11 @@ def _said_error(search: Search, sigma: float | str, convention: Convention) -> P
     search.checked(Column("--sigma", unit, "option"), "arcsec", "an angle; give arcsec, mas, deg")
     if not number > 0:
         raise InputError(f"{search.source}: --sigma {sigma} is not positive; give a standard deviation per axis")
-    return PositionError("number", sigma_arcsec=number * cells.factor(unit, "arcsec"))
+    return PositionError("number", sigma_arcsec=number * column_values.factor(unit, "arcsec"))
 
 
 def _error_columns(
-    search: Search,
+    search: ColumnSearch,
     kind: Literal["circle", "axes", "ellipse"],
     names: tuple[str, ...],
     unit: str,
@@ -232,7 +325,7 @@ def _error_columns(
     return PositionError(kind, columns, correlation=correlation, covariance=found)
 
 
-def _motion(search: Search, convention: Convention) -> tuple[tuple[Any, ...], tuple[Any, ...], tuple[str, ...]]:
+def _motion(search: ColumnSearch, convention: Convention) -> tuple[tuple[Any, ...], tuple[Any, ...], tuple[str, ...]]:
     """Columns of parallax, proper motion and radial velocity, those of their errors, and notes."""
     options, units = search.options, ("mas", "mas / yr", "mas / yr", "km / s")
     names: list[str | None] = [None] * 4
@@ -270,16 +363,16 @@ def _motion(search: Search, convention: Convention) -> tuple[tuple[Any, ...], tu
     )
 
 
-def _error_of(search: Search, name: str | None) -> str | None:
+def _error_of(search: ColumnSearch, name: str | None) -> str | None:
     ways = ("{}_error", "e_{}", "{}_err", "{}err", "{}Err", "sigma_{}")
     return search.first(tuple(way.format(name) for way in ways)) if name else None
 
 
-def _epoch(search: Search, convention: Convention, ra: str) -> Epoch:
+def _epoch(search: ColumnSearch, convention: Convention, ra: str) -> Epoch:
     said, table = search.options.epoch, search.table
     if said is not None:
         try:
-            return Epoch(jyr=cells.year_of(str(said)), reason="option")
+            return Epoch(jyr=column_values.year_of(str(said)), reason="option")
         except ValueError:
             column = search.required(str(said), "epoch")
             return Epoch(column=column, reason=f"column {column}, option")
@@ -295,11 +388,11 @@ def _epoch(search: Search, convention: Convention, ra: str) -> Epoch:
     return released if released else _header_epoch(table)
 
 
-def _released_epoch(search: Search, convention: Convention) -> Epoch | None:
+def _released_epoch(search: ColumnSearch, convention: Convention) -> Epoch | None:
     """The epoch of the data release that the table's words or columns tell, if they tell one."""
     texts = [f"{key} {value}" for key, value in search.table.meta.items()]
     name = search.find("designation")
-    if name and cells.is_text(search.table, name):
+    if name and column_values.is_text(search.table, name):
         texts += [str(text) for text in search.table[name][:100]]
     found = {
         epoch: f"the table says {match[0]}"
@@ -323,33 +416,33 @@ def _header_epoch(table: Table) -> Epoch:
     for key in conventions.HEADER_EPOCHS:
         if key.upper() in header:
             try:
-                return Epoch(jyr=cells.year_of(str(header[key.upper()])), reason=f"header {key}")
+                return Epoch(jyr=column_values.year_of(str(header[key.upper()])), reason=f"header {key}")
             except ValueError:
                 continue
     return Epoch()
 
 
-def _id(search: Search, convention: Convention) -> str | None:
+def _id(search: ColumnSearch, convention: Convention) -> str | None:
     if search.options.id:
         return search.required(search.options.id, "id")
     return search.first(convention.ids + conventions.PLAIN_IDS)
 
 
-def _weights(search: Search, convention: Convention) -> tuple[str, ...]:
+def _weights(search: ColumnSearch, convention: Convention) -> tuple[str, ...]:
     if not convention.weights:
         return ()
     names = tuple(f"{convention.weights}{k}" for k in range(1, 16))
     return search.find_all((*names, "F2", "Ntr")) or ()
 
 
-def _magnitude(search: Search, convention: Convention) -> tuple[str | None, str | None]:
+def _magnitude(search: ColumnSearch, convention: Convention) -> tuple[str | None, str | None]:
     said = search.options.magnitude
     if said:
         name = None if said.lower() == "none" else search.required(said, "magnitude")
         return name, _error_of(search, name)
     for wanted, error in convention.magnitudes + conventions.PLAIN_MAGNITUDES:
         name = search.find(wanted)
-        if name and getattr(search.table[name], "ndim", 1) == 1 and not cells.is_text(search.table, name):
+        if name and getattr(search.table[name], "ndim", 1) == 1 and not column_values.is_text(search.table, name):
             same = tuple(e for w, e in convention.magnitudes + conventions.PLAIN_MAGNITUDES if w == wanted)
             return name, search.find(error) or search.first(same)
     return next((n for n in search.table.colnames if search.ucd(n).startswith(("phot.mag;", "phot_mag"))), None), None

@@ -19,13 +19,92 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.sky.unmeasured import MissingMotion
-from sameas.sky.variances import Variances
+from sameas.records import unpack
 from sameas.space import ARCSEC_PER_RADIAN
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+# Variances: errors of several parameters that are not correlated; what is the same for all rows takes no room.
+
+
+@dataclass(frozen=True)
+class Variances:
+    """(n,) variances of each parameter.
+
+    >>> Variances((np.array([1.0, 4.0]), np.broadcast_to(9.0, 2))).matrices(2)[1]
+    array([[4., 0.],
+           [0., 9.]])
+    """
+
+    columns: tuple[FloatArray, ...]
+
+    @classmethod
+    def of(cls, sigmas: tuple[FloatArray, ...]) -> Variances:
+        """The squares of standard deviations (n,); one number that stands for all rows stays one."""
+        return cls(tuple(_squared(sigma) for sigma in sigmas))
+
+    def __getitem__(self, rows: Any) -> Variances:
+        """Those of some rows."""
+        return Variances(tuple(column[rows] for column in self.columns))
+
+    def stacked(self, k: int) -> FloatArray:
+        """(n, k) of the first k parameters."""
+        return np.column_stack(self.columns[:k])
+
+    def matrices(self, k: int) -> FloatArray:
+        """(n, k, k) covariances of the first k parameters."""
+        return unpack(self.stacked(k), k)
+
+
+def _squared(sigma: FloatArray) -> FloatArray:
+    if sigma.strides == (0,) and len(sigma):
+        return np.broadcast_to(np.square(sigma[0]), sigma.shape)
+    return np.square(sigma)
+
+
+# Unmeasured motion: what is believed of the motion of an object that no catalogue gives.
+
+
+@dataclass(frozen=True)
+class MissingMotion:
+    """What is believed of a motion that was not measured: mean zero, these standard deviations, uncorrelated.
+
+    The defaults are those of a faint field star. Michalik et al. 2015 (A&A 583, A68) give the prior that Gaia
+    uses for its two-parameter solutions: at G = 20 a parallax scatter of 0.4 mas (galactic plane) to 1.1 mas
+    (poles), and 10 /yr times that in proper motion. Radial velocities near the Sun scatter by some 50 km/s
+    (both discs, and the Sun's own motion). A brighter or nearer sample deserves larger values.
+    """
+
+    pm_sigma_mas_per_yr: float = 10.0
+    parallax_sigma_mas: float = 1.0
+    radial_velocity_sigma_km_per_s: float = 50.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not 0.0 <= value < np.inf:
+                raise InputError(f"MissingMotion: {name} is {value}; give a standard deviation, zero or more")
+
+    def __call__(
+        self, parameter: int, value: FloatArray | None, error: FloatArray | None, n: int
+    ) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """(n,) values and errors of a parameter with NaN where unknown, or None, filled; and where they were filled.
+
+        Positions are left alone. A value without an error is kept, and gets the error of a missing one.
+        An error without a value is of no use and gives way.
+        """
+        pm = self.pm_sigma_mas_per_yr
+        prior = (np.nan, np.nan, self.parallax_sigma_mas, pm, pm, self.radial_velocity_sigma_km_per_s)[parameter]
+        if value is None:
+            # One number stands for all rows; it takes no room.
+            return np.broadcast_to(0.0, n), np.broadcast_to(prior, n), np.broadcast_to(True, n)
+        error = np.broadcast_to(np.nan, n) if error is None else error
+        if parameter < 2:
+            return value, error, np.broadcast_to(False, n)
+        no_value = np.isnan(value)
+        filled = no_value | np.isnan(error)
+        return np.where(no_value, 0.0, value), np.where(filled, prior, error), filled
+
+
 FloatTriple = tuple[FloatArray, FloatArray, FloatArray]
 
 AU_KM_PER_S_YR = 149597870.7 / (365.25 * 86400.0)  # one astronomical unit per Julian year, in km/s
@@ -61,7 +140,7 @@ class Astrometry:
     def __len__(self) -> int:
         return len(self.ra_deg)
 
-    def __getitem__(self, rows: slice | NDArray[np.int64] | BoolArray) -> Astrometry:
+    def __getitem__(self, rows: slice | IntArray | BoolArray) -> Astrometry:
         """The astrometry of some rows."""
         return Astrometry(**{name: array[rows] for name, array in vars(self).items()})
 
@@ -196,7 +275,7 @@ def propagate(astrometry: Astrometry, epoch_jyr: ArrayLike) -> Astrometry:
     return Astrometry(**columns, packed=covariance, epoch_jyr=epochs)
 
 
-class _Path(NamedTuple):
+class _GreatCircle(NamedTuple):
     """The great circle from one epoch to the other: what the derivatives are made of, each (n,) or (n, 2).
 
     With the radial and transverse motion ζ = v π / A and μ, the distance grows by 1/f while the direction
@@ -215,7 +294,7 @@ class _Path(NamedTuple):
     end: FloatArray  # the same at the new place
 
 
-def _path(part: Astrometry, epochs: FloatArray) -> _Path:
+def _path(part: Astrometry, epochs: FloatArray) -> _GreatCircle:
     span = epochs - part.epoch_jyr
     transverse = np.hypot(part.pm_ra_mas_per_yr, part.pm_dec_mas_per_yr)
     resting = transverse == 0.0
@@ -227,7 +306,7 @@ def _path(part: Astrometry, epochs: FloatArray) -> _Path:
     cos, sin = nearer * onward, nearer * aside
     turn, dec, end = _arc(np.radians(part.dec_deg), cos, sin, start)
     ra_deg = np.mod(part.ra_deg + np.degrees(turn), 360.0)
-    return _Path(ra_deg, np.degrees(dec), span, transverse, radial, nearer, cos, sin, start, end)
+    return _GreatCircle(ra_deg, np.degrees(dec), span, transverse, radial, nearer, cos, sin, start, end)
 
 
 def _arc(dec: FloatArray, cos: FloatArray, sin: FloatArray, start: FloatArray) -> FloatTriple:
@@ -247,7 +326,7 @@ def _arc(dec: FloatArray, cos: FloatArray, sin: FloatArray, start: FloatArray) -
     return np.arctan2(y, x), np.arctan2(z, off_axis), np.stack([end_east, end_north], axis=1)
 
 
-def _end_values(part: Astrometry, path: _Path) -> FloatArray:
+def _end_values(part: Astrometry, path: _GreatCircle) -> FloatArray:
     """(6, n) the parameters at the new epoch."""
     f, parallax, velocity = path.nearer, part.parallax_mas, part.radial_velocity_km_per_s
     motion = f * f * path.transverse
@@ -259,7 +338,7 @@ def _end_values(part: Astrometry, path: _Path) -> FloatArray:
     return np.stack([path.ra_deg, path.dec_deg, f * parallax, motion * east, motion * north, velocity])
 
 
-def _position_derivatives(path: _Path) -> FloatArray:
+def _position_derivatives(path: _GreatCircle) -> FloatArray:
     """(n, 2, 7) ∂(east, north at the new place) by the six old parameters and, apart, by ζ.
 
     Along the motion  a₁ = a + f t (cos θ μ_a - sin θ ζ),  across it  b₁ = cos θ b + f t μ_b.
@@ -272,7 +351,7 @@ def _position_derivatives(path: _Path) -> FloatArray:
     return derivatives
 
 
-def _derivatives(part: Astrometry, path: _Path, velocity: FloatArray) -> FloatArray:
+def _derivatives(part: Astrometry, path: _GreatCircle, velocity: FloatArray) -> FloatArray:
     """(n, 6, 7) ∂(new parameters) by the six old parameters and, apart, by ζ; ``velocity`` is the new one.
 
     π₁ = f π;  along the motion  f² (cos 2θ μ_a - sin 2θ ζ),  across it  f² (cos θ μ_b - μ sin θ b),
@@ -315,7 +394,7 @@ def _carried(part: Astrometry, derivatives: FloatArray) -> FloatArray:
     return 0.5 * (new + new.swapaxes(1, 2))
 
 
-def _turned(path: _Path, along: FloatArray | float, across: FloatArray) -> FloatArray:
+def _turned(path: _GreatCircle, along: FloatArray | float, across: FloatArray) -> FloatArray:
     """(n, 2, 2) what scales along and across the motion, from the old place's axes to the new."""
     (east, north), (end_east, end_north) = path.start.T, path.end.T
     matrices = np.empty((len(east), 2, 2))

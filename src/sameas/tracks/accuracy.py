@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sameas.records import FloatArray
+from sameas.arrays import FloatArray
 
 #: Radius of 95 % over the standard deviation of one axis: sqrt(−2 ln 0.05).
 RADIUS_95 = float(np.sqrt(-2.0 * np.log(0.05)))

@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.observations import Part
-from sameas.records import FloatArray, IntArray
+from sameas.many.observations import Part
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class States:
         return len(self.time_s)
 
     @cached_property
-    def usable(self) -> NDArray[np.bool_]:
+    def usable(self) -> BoolArray:
         """(n,) whether a report has a position with its error."""
         sound = np.isfinite(self.covariance).all(axis=(1, 2)) & np.isfinite(self.state).all(axis=1)
         return np.asarray(sound)
@@ -107,7 +107,7 @@ class States:
 class Earlier:
     """What ``part`` saw of a state (east, north, velocity) ``age_s`` seconds ago, as a part of the state now.
 
-    >>> from sameas.observations import Bearing
+    >>> from sameas.many.observations import Bearing
     >>> Earlier(Bearing((0.0, 0.0), dimension=4), 2.0)(np.array([[10.0, 30.0, 5.0, 0.0]])).tolist()
     [[0.0]]
     """
@@ -178,7 +178,7 @@ class Succession:
 
     rows: IntArray
     time_s: FloatArray
-    final: NDArray[np.bool_]
+    final: BoolArray
 
     @classmethod
     def of(cls, time_s: FloatArray, track: NDArray[Any]) -> Succession:
@@ -204,7 +204,7 @@ class Succession:
         return np.sort(self.rows[past & ~overtaken])
 
 
-def aged(covariance: FloatArray, density_per_m2: float) -> NDArray[np.bool_]:
+def aged(covariance: FloatArray, density_per_m2: float) -> BoolArray:
     """(n,) whether more than one other object is expected within a state's own 1σ ellipse: π √|P| ρ > 1.
 
     Such a record does not tell objects apart any more. Whether that is after seconds or hours is a matter of how it

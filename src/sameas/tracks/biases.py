@@ -4,7 +4,7 @@ Six numbers say it, in the order of :data:`BIASES`. A sensor with a site reads r
 source may be shifted as a whole, and its stamps may be late.
 
 - :class:`BiasModel`: from where an object is to where the source shows it, and back, with derivatives.
-- :class:`Between`: the offset between two such sources, for :mod:`sameas.registration`.
+- :class:`RelativeBias`: the offset between two such sources, for :mod:`sameas.registration`.
 - :class:`Turned`: the same for directions.
 
 A bias in range is one along the ground: for targets at a steep elevation it is not quite that of the slant range.
@@ -18,8 +18,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sameas.records import FloatArray, Records
+from sameas.arrays import FloatArray
+from sameas.records import Records
 from sameas.registration.offsets import RADIAN, Offset
+from sameas.tracks.alignment import States
+from sameas.tracks.placement import Directions
 
 #: Range read too long; azimuth read too far clockwise; 0.01 reads 1 % too far; stamps too late; shown too far east,
 #: north.
@@ -105,7 +108,7 @@ def _outer(one: FloatArray, other: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Between(Offset):
+class RelativeBias(Offset):
     """The offset between two sources: the second's records are moved to where the first would show them.
 
     first, second : their models. velocity : (n, 2) of the second source's records, 0 where not known.
@@ -134,7 +137,7 @@ class Between(Offset):
     def widths(self) -> tuple[float, ...]:  # type: ignore[override]
         return tuple(self.prior[k] for k in self.which)
 
-    def placed(self, first: Records, second: Records) -> Between:
+    def placed(self, first: Records, second: Records) -> RelativeBias:
         return self
 
     def moved(self, features: FloatArray, theta: FloatArray) -> FloatArray:
@@ -202,7 +205,7 @@ class Turned(Offset):
 
     @property
     def which(self) -> tuple[int, ...]:
-        """As :attr:`Between.which`."""
+        """As :attr:`RelativeBias.which`."""
         return (AZIMUTH + 6,)
 
     @property
@@ -223,3 +226,44 @@ class Turned(Offset):
 
     def voted(self, d: int) -> list[tuple[int | None, float]]:
         return [(0, -1.0)]
+
+
+# Correction: reports without the biases of their source, and with the uncertainty of what was taken off.
+
+#: Of biases that are known.
+CERTAIN = np.zeros((len(BIASES), len(BIASES)))
+
+
+def corrected(
+    reports: States | Directions, sensor_m: FloatArray | None, biases: FloatArray, covariance: FloatArray = CERTAIN
+) -> States | Directions:
+    """What the source would have reported without its biases.
+
+    Covariances go along: what was certain along the line of sight is certain along the true one. The uncertainty of the
+    biases is added to each report's; that it is the same for all reports of the source is not kept.
+
+    Parameters
+    ----------
+    sensor_m : (n, 2) where the sensor was at each report; None for a source without a site, which has no range and
+        azimuth biases.
+    biases, covariance : (6,) and (6, 6), in the order of :data:`sameas.tracks.biases.BIASES`.
+    """
+    time_s = reports.time_s - biases[TIME]
+    if isinstance(reports, Directions):
+        sigma = np.hypot(reports.sigma_deg, np.sqrt(covariance[AZIMUTH, AZIMUTH]))
+        bearing = (reports.bearing_deg - biases[AZIMUTH]) % 360.0
+        return replace(reports, time_s=time_s, bearing_deg=bearing, sigma_deg=sigma)
+    known = reports.usable
+    state, spread = reports.state.copy(), reports.covariance.copy()
+    model = BiasModel(None if sensor_m is None else sensor_m[known])
+    # The stamps were put right: nothing is left for them to move.
+    untimed = np.where(np.arange(len(BIASES)) == TIME, 0.0, biases)
+    true = model.undone(state[known, :2], state[known, 2:], untimed)
+    turn = np.zeros((len(true.place), 4, 4))
+    turn[:, :2, :2] = turn[:, 2:, 2:] = true.by_place
+    state[known] = np.einsum("nvw,nw->nv", turn, state[known])
+    state[known, :2] = true.place
+    grown = turn @ spread[known] @ turn.transpose(0, 2, 1)
+    grown[:, :2, :2] += true.by_bias @ covariance @ true.by_bias.transpose(0, 2, 1)
+    spread[known] = 0.5 * (grown + grown.transpose(0, 2, 1))
+    return replace(reports, time_s=time_s, state=state, covariance=spread)

@@ -19,10 +19,10 @@ from dataclasses import dataclass
 from types import ModuleType
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sameas.arrays import FloatArray
 from sameas.errors import InputError
-from sameas.records import FloatArray
 
 #: Beyond this distance from the origin the plane shortens distances by more than 1 %.
 FARTHEST_M = 900e3
@@ -161,7 +161,7 @@ def turned(covariance: FloatArray, matrix: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Ground:
+class GroundPositions:
     """Positions on the ground (n,), and their covariances (n, 2, 2) in metres east and north at these places."""
 
     lat_deg: FloatArray
@@ -181,7 +181,7 @@ def polar_to_geodetic(
     sigma_range_m: ArrayLike,
     sigma_bearing_deg: ArrayLike,
     sigma_height_m: ArrayLike = 0.0,
-) -> Ground:
+) -> GroundPositions:
     """Where the targets of a radar are, from slant range, bearing and height.
 
     The elevation that puts a target at its height is found on the ellipsoid. The covariance on the ground is
@@ -201,7 +201,7 @@ def polar_to_geodetic(
         *(np.atleast_1d(np.asarray(v, dtype=np.float64)) for v in
           (range_m, bearing_deg, sensor_lat_deg, sensor_lon_deg, sensor_height_m, height_m))
     )  # fmt: skip
-    sight = _Sight(r, bearing, lat0, lon0, h0)
+    sight = _LinesOfSight(r, bearing, lat0, lon0, h0)
     elevation = sight.elevation_of(h)
     lat, lon, height = sight.geodetic(elevation)
     lean = np.radians(np.clip(np.abs(elevation), 0.0, STEEPEST_DEG))
@@ -211,7 +211,9 @@ def polar_to_geodetic(
     across = (ground * sigma_b) ** 2
     # Far away the line of sight arrives with another bearing than it left; its azimuth back is that at the target.
     back, _, _ = geodesy().geodetic2aer(lat0, lon0, h0, lat, lon, height)
-    return Ground(lat, lon, height, along_and_across(along, across, np.where(r > 0, np.asarray(back) + 180.0, bearing)))
+    return GroundPositions(
+        lat, lon, height, along_and_across(along, across, np.where(r > 0, np.asarray(back) + 180.0, bearing))
+    )
 
 
 def along_and_across(along: ArrayLike, across: ArrayLike, bearing_deg: ArrayLike) -> FloatArray:
@@ -264,7 +266,7 @@ def velocity_of(speed_m_per_s: ArrayLike, course_deg: ArrayLike) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class _Sight:
+class _LinesOfSight:
     """Lines of sight (n,) from sensors; ``geodetic`` says where they end."""
 
     range_m: FloatArray
@@ -290,7 +292,7 @@ class _Sight:
         return np.asarray(np.degrees(np.arcsin(sine)))
 
 
-def _axes(lat_deg: FloatArray, lon_deg: FloatArray) -> NDArray[np.float64]:
+def _axes(lat_deg: FloatArray, lon_deg: FloatArray) -> FloatArray:
     """(n, 3, 3) the unit vectors east, north, up at places, in earth-centred coordinates."""
     phi, lam = np.radians(lat_deg), np.radians(lon_deg)
     sp, cp, sl, cl = np.sin(phi), np.cos(phi), np.sin(lam), np.cos(lam)

@@ -10,22 +10,149 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import expit
 
+from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.evidence.identity import MODELS
-from sameas.records import FloatArray, IntArray
+from sameas.gate import ChiSquare
 from sameas.tracks.alignment import States, Succession
+from sameas.tracks.biases import corrected
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.correction import corrected
+from sameas.tracks.duplicate_ids import parted
 from sameas.tracks.filter import follow, measures_anew
-from sameas.tracks.fixes import fresh
-from sameas.tracks.looks import Turn, looks_of, seen_from
-from sameas.tracks.namesakes import parted
 from sameas.tracks.placement import Directions, placed, sensor_places, set_aside, supposed
 from sameas.tracks.reports import Reports
-from sameas.tracks.silence import ending_silence_s
-from sameas.tracks.source import Description
-from sameas.tracks.standing import standing
+from sameas.tracks.scans import AntennaTurn, looks_of, seen_from
+from sameas.tracks.source import Description, Motion
+
+# Standing: vessels at anchor or alongside stay where they are, and say so with a velocity of about 0.
+#
+# The walk of velocities that is right for a vessel under way lets one at anchor, which reports every three minutes,
+# stray by 150 m between two reports; it swings by some 15. :func:`standing` takes every reported velocity v, of
+# covariance C, for that of one of two kinds of objects:
+#
+#     stands   v ~ N(0, C + s² 1), a share w of all,  s = motion.standing_m_per_s, w = motion.standing_share
+#     goes     v ~ N(0, C + V² 1), all others,        V = motion.speed_m_per_s
+#
+# Of one that stands the velocity is 0 ± s before it is told, and does not walk. The state is the mean of both by their
+# probabilities, its covariance that of the mixture; the walk is that of those that go times the probability to go
+# (Bar-Shalom, Li and Kirubarajan 2001, 1.4.16). There is no threshold: who makes 2 knots goes, who makes 0.2 stands,
+# and between the two a covariance holds both. Velocities that nobody told stay unknown.
+
+#: A variance of a velocity not below this share of that of all objects is that of a velocity not told.
+UNTOLD = 0.9
+
+
+def standing(reports: States, motion: Motion) -> tuple[States, FloatArray | None]:
+    """The reports with the velocities that standing objects have, and (n,) the probability that each stands.
+
+    None, and the reports as they are, where the motion says nothing of objects that stand.
+
+    >>> told = States.of([0.0, 0.0], [[0.0, 0.0]] * 2, np.eye(2), speed_m_per_s=8.0, velocity=[[0.1, 0.0], [4.0, 0.0]],
+    ...                  velocity_covariance=0.09 * np.eye(2))
+    >>> motion = Motion(speed_m_per_s=8.0, standing_m_per_s=0.1, standing_share=0.2)
+    >>> now, stands = standing(told, motion)
+    >>> stands.round(2).tolist(), now.state[:, 2].round(2).tolist()
+    ([0.99, 0.0], [0.01, 4.0])
+    """
+    slow, speed, share = motion.standing_m_per_s, motion.speed_m_per_s, motion.standing_share
+    if not slow or not speed or not share:
+        return reports, None
+    if share >= 1.0:
+        raise InputError(f"motion.standing_share is {share}; give the share of objects that stand, below 1")
+    stands, state, covariance = np.zeros(len(reports)), reports.state.copy(), reports.covariance.copy()
+    told = np.flatnonzero(reports.usable & (reports.covariance[:, 2, 2] < UNTOLD * speed**2))
+    x, p = state[told], covariance[told]
+    odds = math.log(share) - math.log1p(-share) + _log_density(x, p, slow) - _log_density(x, p, speed)
+    chance = np.asarray(expit(odds))
+    gain = p[:, :, 2:] @ np.linalg.inv(p[:, 2:, 2:] + slow**2 * np.eye(2))
+    step = -np.einsum("nvw,nw->nv", gain, x[:, 2:])
+    still = p - gain @ p[:, 2:, :]
+    weight = chance[:, None, None]
+    state[told] = x + chance[:, None] * step
+    mixed = weight * still + (1.0 - weight) * p + weight * (1.0 - weight) * step[:, :, None] * step[:, None, :]
+    covariance[told], stands[told] = 0.5 * (mixed + mixed.transpose(0, 2, 1)), chance
+    return States(reports.time_s, state, covariance, reports.track, reports.rows), stands
+
+
+def _log_density(state: FloatArray, covariance: FloatArray, spread: float) -> FloatArray:
+    """(n,) ln of the density of velocities, up to what is the same for any spread."""
+    total = covariance[:, 2:, 2:] + spread**2 * np.eye(2)
+    square = np.einsum("nv,nv->n", state[:, 2:], np.linalg.solve(total, state[:, 2:, None])[..., 0])
+    return np.asarray(-0.5 * square - 0.5 * np.log(np.linalg.det(total)))
+
+
+# Silence: after how long a named track that says nothing more has ended.
+#
+# A radar drops a track that it no longer sees, and says nothing about it; the last report would stand for an object
+# that has gone, or has another number by now. How long a source lets its tracks be silent is told by its own gaps: a
+# track that is silent for longer than all but one in a thousand of the gaps that did end is taken to have ended. So a
+# radar's tracks end after some turns, and vessels at anchor, which report every three minutes, after several of these.
+
+#: Share of the gaps within tracks that are shorter than the silence that ends one.
+SHORTER = 0.999
+
+
+def ending_silence_s(time_s: FloatArray, track: NDArray[Any] | None) -> float:
+    """Seconds of silence after which a track of the source has ended; infinite where no track has two reports.
+
+    >>> ending_silence_s(np.array([0.0, 3.0, 6.0, 12.0]), np.array(["7", "7", "7", "7"]))
+    6.0
+    """
+    if track is None or len(time_s) < 2:
+        return math.inf
+    _, number = np.unique(track.astype(str), return_inverse=True)
+    order = np.lexsort([time_s, number])
+    gaps = np.diff(time_s[order])[np.diff(number[order]) == 0]
+    return float(np.quantile(gaps, SHORTER, method="higher")) if len(gaps) else math.inf
+
+
+# Fixes: which reports of a track measured its position anew, and which repeat the last one.
+#
+# Receivers and data bases hand out the last position that they have again and again, each time with the time of the day
+# and perhaps a new velocity. Taken for measured ones such positions show a moving object standing still. :func:`fresh`
+# sets them aside; the old fix then stands for the object, as old as it is.
+
+#: An object moves whose velocity cannot be 0, but for one chance in so many.
+MOVES = ChiSquare(1.0 - 1e-6)
+
+
+def fresh(reports: States) -> tuple[States, tuple[str, ...]]:
+    """The reports without positions that are repeated to the last digit though their object moves, and notes.
+
+    An object that stands, or whose velocity is not told, may show one place twice. What is set aside has no position
+    any more, and is not used.
+
+    >>> track, v = ["a"] * 3, [[50.0, 0.0]] * 3
+    >>> said = States.of([0.0, 1.0, 2.0], [[0.0, 0.0], [0.0, 0.0], [99.0, 0.0]], np.eye(2), speed_m_per_s=150.0,
+    ...                  velocity=v, velocity_covariance=np.eye(2), track=track)
+    >>> fresh(said)[0].usable.tolist()
+    [True, False, True]
+    """
+    if reports.track is None or len(reports) < 2:
+        return reports, ()
+    usable = np.flatnonzero(reports.usable)
+    _, number = np.unique(reports.track[usable].astype(str), return_inverse=True)
+    rows = usable[np.lexsort([reports.time_s[usable], number])]
+    number = np.sort(number)
+    again = (number[1:] == number[:-1]) & (reports.state[rows[1:], :2] == reports.state[rows[:-1], :2]).all(axis=1)
+    repeated = rows[1:][again]
+    repeated = repeated[_moves(reports.state[repeated, 2:], reports.covariance[repeated, 2:, 2:])]
+    if not len(repeated):
+        return reports, ()
+    state = reports.state.copy()
+    state[repeated] = np.nan
+    told = "1 report repeats the position" if len(repeated) == 1 else f"{len(repeated)} reports repeat the positions"
+    note = f"{told} of before though the object moves: set aside, no position was measured"
+    return States(reports.time_s, state, reports.covariance, reports.track, reports.rows), (note,)
+
+
+def _moves(velocity: FloatArray, covariance: FloatArray) -> np.ndarray:
+    """(n,) whether velocities (n, 2) are surely not 0."""
+    square = np.einsum("nv,nv->n", velocity, np.linalg.solve(covariance, velocity[..., None])[..., 0])
+    return np.asarray(square > MOVES.limit(2))
+
 
 #: Kinds of sources whose errors of position last for minutes: no filter makes them smaller, they stay as they are said.
 LASTING = ("ais", "ads-b")
@@ -56,7 +183,7 @@ class Feed:
     given: Reports | None = None
     notes: tuple[str, ...] = ()
     measured: States | None = None
-    turn: Turn | None = None
+    turn: AntennaTurn | None = None
     stands: FloatArray | None = None
 
     @classmethod

@@ -15,11 +15,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.gate import ChiSquare
-from sameas.records import FloatArray, IntArray
 from sameas.tracks.alignment import States, moved
 
 #: Reports measure anew whose innovations are, in the median, at least this share of what independent errors make them;
@@ -32,7 +31,7 @@ ABSURD = ChiSquare(1.0 - 1e-9)
 
 
 @dataclass(frozen=True)
-class Followed:
+class FilteredTracks:
     """What the filter made of a source's reports.
 
     Attributes
@@ -45,10 +44,10 @@ class Followed:
 
     states: States
     nis: FloatArray
-    began: NDArray[np.bool_]
+    began: BoolArray
 
 
-def follow(reports: States, *, acceleration_m2_per_s3: float, features: int = 2) -> Followed:
+def follow(reports: States, *, acceleration_m2_per_s3: float, features: int = 2) -> FilteredTracks:
     """The track state after every report of a source that names its tracks.
 
     Parameters
@@ -88,7 +87,7 @@ def follow(reports: States, *, acceleration_m2_per_s3: float, features: int = 2)
         covariance[keep] = (0.5 * (after + after.transpose(0, 2, 1)))[~anew]
         nis[keep], began[now[anew]] = square[~anew], True
         before = now
-    return Followed(States(reports.time_s, state, covariance, reports.track, reports.rows), nis, began)
+    return FilteredTracks(States(reports.time_s, state, covariance, reports.track, reports.rows), nis, began)
 
 
 def measures_anew(reports: States, *, acceleration_m2_per_s3: float) -> bool:
@@ -103,7 +102,7 @@ def measures_anew(reports: States, *, acceleration_m2_per_s3: float) -> bool:
     return len(nis) >= FEWEST and float(np.median(nis)) > ANEW * MEDIAN
 
 
-def _rounds(reports: States, usable: NDArray[np.bool_]) -> list[IntArray]:
+def _rounds(reports: States, usable: BoolArray) -> list[IntArray]:
     """The first report of every track, then the second, …: tracks with more reports stand first in every round."""
     rows = np.flatnonzero(usable)
     assert reports.track is not None

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.observations import Bearing
-from sameas.records import FloatArray, IntArray, unpack
+from sameas.many.observations import Bearing
+from sameas.records import unpack
 from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import (
     LocalPlane,
@@ -51,15 +52,15 @@ class Directions:
         return len(self.time_s)
 
     @cached_property
-    def usable(self) -> NDArray[np.bool_]:
+    def usable(self) -> BoolArray:
         """(n,) whether a report has a direction with its error."""
         known = np.isfinite(self.bearing_deg) & np.isfinite(self.sigma_deg) & np.isfinite(self.sensor_m).all(axis=1)
         return np.asarray(known)
 
 
 @dataclass(frozen=True)
-class Sight(Bearing):
-    """A :class:`~sameas.observations.Bearing` that turns no faster than an object at ``nearest_m`` makes it turn.
+class SlowBearing(Bearing):
+    """A :class:`~sameas.many.observations.Bearing` that turns no faster than an object at ``nearest_m`` makes it turn.
 
     Where a lone direction is brought together with a broad region, the search for its most probable state may pass by
     the sensor itself, where directions have no slope that means anything.

@@ -12,14 +12,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.records import FloatArray, IntArray
 from sameas.registration import Parameter
 from sameas.registration.joint import DECISIVE
-from sameas.tracks.agreement import Agreement, agreement
-from sameas.tracks.biases import BIASES, TIME
-from sameas.tracks.correction import corrected
-from sameas.tracks.encounters import Side, encounters, looked_for
+from sameas.tracks.bias_fit import Agreement, agreement
+from sameas.tracks.biases import BIASES, TIME, corrected
+from sameas.tracks.common_scans import MeetingSource, encounters, looked_for
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions
 
@@ -123,7 +122,10 @@ def _parts(feeds: Sequence[Feed], references: Sequence[str] | None) -> tuple[lis
 def _richest(feed: Feed, settled: Sequence[Settled]) -> list[Feed]:
     """The source of positions that this one meets most records of."""
     known = [other for other, _ in settled if not isinstance(other.reports, Directions)]
-    met = [sum(len(e.weighing.first) for e in encounters(Side(other, None), Side(feed, None))) for other in known]
+    met = [
+        sum(len(e.weighing.first) for e in encounters(MeetingSource(other, None), MeetingSource(feed, None)))
+        for other in known
+    ]
     return [known[int(np.argmax(met))]] if known else []
 
 
@@ -134,7 +136,9 @@ def _against(feed: Feed, partners: Sequence[Feed]) -> Settled:
         return feed, SourceBiases(name, notes=(f"{name}: may have no bias that could be looked for",))
     if not partners:
         return feed, SourceBiases(name, notes=(f"{name}: there is no other source of positions to compare it with",))
-    met = [encounter for other in partners for encounter in encounters(Side(other, None), Side(feed, 0))]
+    met = [
+        encounter for other in partners for encounter in encounters(MeetingSource(other, None), MeetingSource(feed, 0))
+    ]
     if not met:
         return feed, SourceBiases(name, established=False, notes=(_unmet(name, partners),))
     found = agreement(met)
@@ -144,7 +148,7 @@ def _against(feed: Feed, partners: Sequence[Feed]) -> Settled:
 def _mutual(one: Feed, other: Feed) -> tuple[Settled, Settled]:
     """Two sources that both may be biased, against each other."""
     names = one.description.name, other.description.name
-    met = encounters(Side(one, 0), Side(other, 6))
+    met = encounters(MeetingSource(one, 0), MeetingSource(other, 6))
     if not met:
         notes = _unmet(names[0], [other]), _unmet(names[1], [one])
         unmet = [SourceBiases(name, established=False, notes=(note,)) for name, note in zip(names, notes, strict=True)]

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.records import FloatArray, IntArray
 
 TextArray = NDArray[np.object_]
 

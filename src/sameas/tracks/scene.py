@@ -26,18 +26,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.belief import PoissonObjects
+from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.evidence.identity import Alarm, Identity, alarms
-from sameas.observations import Region, Source, records_of
-from sameas.records import FloatArray, IntArray, Records
+from sameas.many.observations import Region, Source, records_of
+from sameas.many.rules import PoissonObjects
+from sameas.records import Records
 from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.doubts import apart, doubts
 from sameas.tracks.feed import Feed, need_filtering
 from sameas.tracks.registration import SourceBiases, registered
 from sameas.tracks.reports import Reports
-from sameas.tracks.said import POSITION, POSITION_AND_VELOCITY, Said
+from sameas.tracks.snapshot import POSITION, POSITION_AND_VELOCITY, Snapshot
 from sameas.tracks.source import Assumption, Description
 
 __all__ = ["POSITION", "POSITION_AND_VELOCITY", "Feed", "Instant", "Scene"]
@@ -111,7 +112,7 @@ class Scene:
         """
         if features not in (POSITION, POSITION_AND_VELOCITY):
             raise InputError(f"Scene: features is {features}; give 2 (positions) or 4 (positions and velocities)")
-        said = [Said.of(feed, instant_s) for feed in self.feeds]
+        said = [Snapshot.of(feed, instant_s) for feed in self.feeds]
         surroundings = _Surroundings.of(said, features)
         said = [one.without_aged(surroundings.per_m2) for one in said]
         places = np.concatenate([np.empty((0, 2)), *(one.state[:, :2] for one in said if one.state.ndim == 2)])
@@ -194,7 +195,7 @@ class _Surroundings:
     per_m2: float
 
     @classmethod
-    def of(cls, said: Sequence[Said], features: int) -> _Surroundings:
+    def of(cls, said: Sequence[Snapshot], features: int) -> _Surroundings:
         states = [one.state for one in said if isinstance(one.feed.reports, States) and len(one.rows)]
         reach = max((one.feed.description.coverage.range_m or 0.0 for one in said), default=0.0)
         if states:
@@ -215,7 +216,7 @@ class _Surroundings:
         return cls(Region(np.concatenate([centre, [0.0, 0.0]]), whole), density / (2.0 * math.pi * speed**2), density)
 
 
-def _objects(said: Sequence[Said], area_m2: float) -> float:
+def _objects(said: Sequence[Snapshot], area_m2: float) -> float:
     """How many objects there are, by the source that shows most: its records less its clutter, over 1 − q."""
     most = 1.0
     for one in said:

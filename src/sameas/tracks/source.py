@@ -25,10 +25,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sameas.arrays import BoolArray, FloatArray
 from sameas.errors import InputError
-from sameas.records import FloatArray
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.kinds import KINDS
 
@@ -61,7 +61,7 @@ class Site:
 
 
 @dataclass(frozen=True)
-class Coverage:
+class SensorCoverage:
     """Where a sensor sees at all. sector_deg : (from, to), clockwise. shadows_deg : sectors in which it is blind."""
 
     range_m: float | None = None
@@ -69,7 +69,7 @@ class Coverage:
     sector_deg: tuple[float, float] | None = None
     shadows_deg: tuple[tuple[float, float], ...] = ()
 
-    def covers(self, range_m: ArrayLike, bearing_deg: ArrayLike) -> NDArray[np.bool_]:
+    def covers(self, range_m: ArrayLike, bearing_deg: ArrayLike) -> BoolArray:
         """(n,) whether places at these ranges and bearings (clockwise from north) are seen."""
         distance, bearing = np.broadcast_arrays(np.asarray(range_m, float), np.asarray(bearing_deg, float))
         inside = (distance >= self.nearest_m) & (distance <= (math.inf if self.range_m is None else self.range_m))
@@ -80,14 +80,14 @@ class Coverage:
         return inside
 
 
-def _within(bearing: FloatArray, sector: tuple[float, float]) -> NDArray[np.bool_]:
+def _within(bearing: FloatArray, sector: tuple[float, float]) -> BoolArray:
     """Clockwise from the first bearing to the second, through north where need be."""
     width = (sector[1] - sector[0]) % 360.0
     return np.asarray((bearing - sector[0]) % 360.0 <= (width or 360.0))
 
 
 @dataclass(frozen=True)
-class Misses:
+class MissRate:
     """Probability that an object within the coverage is missed: one number, or a table over the range."""
 
     q: float | tuple[float, ...] | None = None
@@ -134,7 +134,7 @@ class Resolution:
 
 
 @dataclass(frozen=True)
-class ErrorModel:
+class SensorErrors:
     """1σ errors where a record does not state its own.
 
     range_share : part of the range that adds to range_m. position_m : per axis. extent_m : how far the point that is
@@ -199,7 +199,7 @@ class BiasPrior:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class KnownBiases:
     """Biases that are known: taken off every report, and not looked for unless ``bias`` says how wrong they may be.
 
     The like for stamps that are late is timing.latency_s.
@@ -258,16 +258,16 @@ class Description:
     name: str
     kind: str = "other"
     site: Site | None = None
-    coverage: Coverage = Coverage()
-    misses: Misses = Misses()
+    coverage: SensorCoverage = SensorCoverage()
+    misses: MissRate = MissRate()
     clutter: Clutter = Clutter()
     resolution: Resolution = Resolution()
-    errors: ErrorModel = ErrorModel()
+    errors: SensorErrors = SensorErrors()
     targets: Targets = Targets()
     timing: Timing = Timing()
     motion: Motion = Motion()
     bias: BiasPrior = BiasPrior()
-    calibration: Calibration = Calibration()
+    calibration: KnownBiases = KnownBiases()
     assumed: tuple[Assumption, ...] = ()
 
     def __post_init__(self) -> None:
@@ -323,9 +323,9 @@ class Description:
 
 #: The parts of a description: sections of a file.
 _PARTS: dict[str, Any] = {
-    "site": Site, "coverage": Coverage, "misses": Misses, "clutter": Clutter, "resolution": Resolution,
-    "errors": ErrorModel, "targets": Targets, "timing": Timing, "motion": Motion, "bias": BiasPrior,
-    "calibration": Calibration,
+    "site": Site, "coverage": SensorCoverage, "misses": MissRate, "clutter": Clutter, "resolution": Resolution,
+    "errors": SensorErrors, "targets": Targets, "timing": Timing, "motion": Motion, "bias": BiasPrior,
+    "calibration": KnownBiases,
 }  # fmt: skip
 
 

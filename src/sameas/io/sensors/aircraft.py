@@ -14,10 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from sameas.arrays import FloatArray
 from sameas.errors import InputError
-from sameas.io.sensors.clock import seconds
-from sameas.io.sensors.units import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S
-from sameas.records import FloatArray
+from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S, seconds
 from sameas.tracks.accuracy import (
     round_covariance,
     sigma_of_containment,

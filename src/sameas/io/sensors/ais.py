@@ -2,8 +2,8 @@
 
 Position reports 1, 2, 3, 9, 18, 19 and 27 become reports; 5, 19 and 24 tell name, call sign, kind and hull; 4 and 11
 serve as a clock where the log has none. Values that mean "not available" are absent. Positions are those of the hull's
-middle where hull and heading are known (:mod:`sameas.tracks.hull`), those of the antenna stay in ``extra``. Decoding is
-done by pyais (MIT).
+middle where hull and heading are known (:mod:`sameas.io.sensors.ais`), those of the antenna stay in ``extra``. Decoding
+is done by pyais (MIT).
 """
 
 from __future__ import annotations
@@ -17,14 +17,81 @@ from typing import Any
 
 import numpy as np
 
+from sameas.arrays import FloatArray
 from sameas.errors import InputError
-from sameas.io.sensors.clock import at_second, counted_on, held
+from sameas.io.sensors.clock import KNOT_M_PER_S, MILE_M, at_second, counted_on, held
 from sameas.io.sensors.nmea import Log, Sentence
-from sameas.io.sensors.units import KNOT_M_PER_S, MILE_M
-from sameas.records import FloatArray
 from sameas.tracks.accuracy import AIS_RECKONED_SIGMA_M, AIS_SIGMA_M, round_covariance
-from sameas.tracks.hull import Hull
+from sameas.tracks.coordinates import along_and_across, geodesy
 from sameas.tracks.reports import Damaged, Reports, of_rows
+
+# Hull: from the antenna that a ship reports to the middle of the ship that a radar sees.
+#
+# A ship of 300 m with its antenna over the bridge reports a position 80 m from its middle: more than the errors of
+# either sensor. The position is moved along the heading; the hull's extent goes into the covariance, since nobody knows
+# from which part of it an echo comes.
+
+
+@dataclass(frozen=True)
+class Hull:
+    """Distances (n,) in metres from the antenna to bow, stern, port and starboard; NaN or all 0 where not known.
+
+    Bow and port 0 with stern and starboard above 0 tell the size of a ship, but not where its antenna is (ITU-R
+    M.1371).
+    """
+
+    to_bow_m: FloatArray
+    to_stern_m: FloatArray
+    to_port_m: FloatArray
+    to_starboard_m: FloatArray
+
+    @property
+    def length_m(self) -> FloatArray:
+        """(n,) NaN where not known."""
+        return _known(self.to_bow_m + self.to_stern_m)
+
+    @property
+    def width_m(self) -> FloatArray:
+        """(n,) NaN where not known."""
+        return _known(self.to_port_m + self.to_starboard_m)
+
+    @property
+    def antenna_known(self) -> np.ndarray:
+        """(n,) whether the antenna's place on the hull is told."""
+        nowhere = (self.to_bow_m == 0.0) & (self.to_port_m == 0.0)
+        return ~np.isnan(self.length_m) & ~(nowhere & (self.to_stern_m > 0.0) & (self.to_starboard_m > 0.0))
+
+    def centre(
+        self, lat_deg: FloatArray, lon_deg: FloatArray, heading_deg: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Latitude and longitude (n,) of the middle, and what the hull adds to the covariance (n, 3), m² east, north.
+
+        heading_deg : (n,) from true north; NaN where not known: there nothing is moved, and the covariance holds the
+            offset turned in all directions.
+
+        The extent counts as if echoes came evenly from all over the hull: L²/12 along it and B²/12 across.
+        """
+        length, width = np.nan_to_num(self.length_m), np.nan_to_num(self.width_m)
+        ahead = np.where(self.antenna_known, (self.to_bow_m - self.to_stern_m) / 2.0, 0.0)
+        starboard = np.where(self.antenna_known, (self.to_starboard_m - self.to_port_m) / 2.0, 0.0)
+        # Somewhere on the hull: as far from the middle as an echo is.
+        often = np.where(self.antenna_known, 1.0, 2.0)
+        along, across = often * length**2 / 12.0, often * width**2 / 12.0
+        turned = np.isfinite(heading_deg)
+        heading = np.where(turned, heading_deg, 0.0)
+        everywhere = (along + across + ahead**2 + starboard**2) / 2.0
+        extent = along_and_across(np.where(turned, along, everywhere), np.where(turned, across, everywhere), heading)
+        angle = np.radians(heading)
+        east = np.where(turned, ahead * np.sin(angle) + starboard * np.cos(angle), 0.0)
+        north = np.where(turned, ahead * np.cos(angle) - starboard * np.sin(angle), 0.0)
+        lat, lon, _ = geodesy().enu2geodetic(east, north, np.zeros_like(east), lat_deg, lon_deg, np.zeros_like(east))
+        return np.atleast_1d(lat), np.atleast_1d(lon), np.stack([extent[:, 0, 0], extent[:, 0, 1], extent[:, 1, 1]], -1)
+
+
+def _known(size: FloatArray) -> FloatArray:
+    with np.errstate(invalid="ignore"):
+        return np.where(size > 0.0, size, np.nan)
+
 
 #: The sentences that this module reads; VDO is own ship's own report.
 SENTENCES = ("VDM", "VDO")

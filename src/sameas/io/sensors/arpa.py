@@ -14,12 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.io.sensors.ais import own_ship
-from sameas.io.sensors.clock import held
+from sameas.io.sensors.clock import KNOT_M_PER_S, MILE_M, held
 from sameas.io.sensors.nmea import Log, Sentence, dated, latitude, longitude, time_of_day
-from sameas.io.sensors.units import KNOT_M_PER_S, MILE_M
-from sameas.records import FloatArray
 from sameas.tracks.reports import Damaged, Reports, of_rows
 
 #: The sentences of targets.

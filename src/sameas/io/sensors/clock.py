@@ -7,8 +7,16 @@ from datetime import UTC, datetime
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sameas.arrays import FloatArray
 from sameas.errors import InputError
-from sameas.records import FloatArray
+
+# Units: those of ships and aircraft in metres and seconds.
+
+MILE_M = 1852.0
+FOOT_M = 0.3048
+KNOT_M_PER_S = MILE_M / 3600.0
+FEET_PER_MINUTE_M_PER_S = FOOT_M / 60.0
+
 
 DAY_S = 86400.0
 #: Numbers above these are milliseconds, microseconds, nanoseconds since 1970: as seconds they lie beyond the year 5138.

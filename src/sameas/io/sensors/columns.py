@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from sameas.errors import InputError
-from sameas.io.sensors.units import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S, MILE_M
+from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S, MILE_M
 
 #: Units by kind of quantity: what people write at the end of a name, and how many of ours it is.
 UNITS: Mapping[str, Mapping[str, float]] = {
@@ -31,7 +31,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
 
 
 @dataclass(frozen=True)
-class Quantity:
+class SensorQuantity:
     """One quantity: the column of Reports it becomes, its kind, and the names under which it goes, the best first."""
 
     column: str
@@ -39,8 +39,8 @@ class Quantity:
     names: tuple[str, ...]
 
 
-def _quantity(column: str, kind: str, names: str) -> Quantity:
-    return Quantity(column, kind, tuple(names.split()))
+def _quantity(column: str, kind: str, names: str) -> SensorQuantity:
+    return SensorQuantity(column, kind, tuple(names.split()))
 
 
 QUANTITIES = (
@@ -112,7 +112,7 @@ class Choice:
     """One column that was understood: its name in the table, its quantity, and how many of our units its own is."""
 
     name: str
-    quantity: Quantity
+    quantity: SensorQuantity
     factor: float
     why: str
 
@@ -180,7 +180,7 @@ def _stem(name: str) -> tuple[str, str]:
     return "".join(words), ""
 
 
-def _rank(name: str, quantity: Quantity, stems: Mapping[str, tuple[str, str]]) -> int | None:
+def _rank(name: str, quantity: SensorQuantity, stems: Mapping[str, tuple[str, str]]) -> int | None:
     """How well a name fits; None where it does not."""
     whole = "".join(stems[name])
     for rank, known in enumerate(quantity.names):
@@ -191,7 +191,7 @@ def _rank(name: str, quantity: Quantity, stems: Mapping[str, tuple[str, str]]) -
 
 
 def _choice(
-    name: str, quantity: Quantity, stems: Mapping[str, tuple[str, str]], units: Mapping[str, str], source: str
+    name: str, quantity: SensorQuantity, stems: Mapping[str, tuple[str, str]], units: Mapping[str, str], source: str
 ) -> Choice:
     known = UNITS[quantity.kind]
     if name in units:

@@ -17,8 +17,7 @@ import numpy as np
 
 from sameas.errors import InputError
 from sameas.io.sensors.aircraft import errors_of, identity_of, notes
-from sameas.io.sensors.clock import counted_on, instant
-from sameas.io.sensors.units import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S
+from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S, counted_on, instant
 from sameas.tracks.accuracy import round_covariance, sigma_of_nucp
 from sameas.tracks.reports import Damaged, Reports, of_rows
 

@@ -15,8 +15,8 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from sameas.arrays import FloatArray
 from sameas.io.sensors.clock import DAY_S, counted_on, held, instant, seconds
-from sameas.records import FloatArray
 
 _SENTENCE = re.compile(r"([!$])([A-Z]{1,5}[A-Z0-9]{0,4})((?:,[^*]*)?)(?:\*([0-9A-Fa-f]{2}))?")
 _TAG_BLOCK = re.compile(r"\\([^\\]*)\\")

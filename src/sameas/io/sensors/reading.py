@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gzip
 import os
 import re
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,8 +14,40 @@ from sameas.errors import InputError
 from sameas.io.sensors import aircraft, ais, arpa, asterix, mode_s, nmea, sbs, tables
 from sameas.io.sensors.asterix.blocks import PCAPNG, looks_like
 from sameas.io.sensors.clock import started
-from sameas.io.sensors.content import content, lines_of
 from sameas.tracks.reports import Reports
+
+# Content: the bytes and lines of a file, whatever is wrong with single ones.
+
+
+def content(path: str | os.PathLike[str]) -> bytes:
+    """All bytes of a file, unpacked where it is gzipped.
+
+    Raises
+    ------
+    InputError : no such file, a directory, empty, a packed file cut off.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise InputError(f"{path}: is a directory; give a file")
+    if not path.exists():
+        raise InputError(f"{path}: no such file")
+    found = path.read_bytes()
+    if found[:2] == b"\x1f\x8b":
+        try:
+            found = gzip.decompress(found)
+        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+            raise InputError(f"{path}: is cut off in the middle; copy it again") from error
+    if not found:
+        raise InputError(f"{path}: is empty")
+    return found
+
+
+def lines_of(found: bytes) -> list[str]:
+    """Its lines; line 1 is the first. Bytes that are no UTF-8 become replacement characters."""
+    return (
+        found.decode("utf-8-sig", errors="replace").replace("\r\n", "\n").replace("\r", "\n").rstrip("\n").split("\n")
+    )
+
 
 #: The formats, and what they are.
 REPORT_FORMATS: Mapping[str, str] = {
@@ -123,7 +157,7 @@ def _share(lines: Sequence[str], pattern: str) -> float:
     return sum(re.fullmatch(pattern, line) is not None for line in lines) / max(len(lines), 1)
 
 
-def _cells(path: Path, found: bytes, source: str) -> tables.Cells:
+def _cells(path: Path, found: bytes, source: str) -> tables.TableText:
     if found[:4] == b"PAR1":
         return tables.cells_of_parquet(path)
     lines = lines_of(found)

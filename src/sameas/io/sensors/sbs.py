@@ -13,8 +13,7 @@ from typing import Any
 
 from sameas.errors import InputError
 from sameas.io.sensors.aircraft import identity_of
-from sameas.io.sensors.clock import instant
-from sameas.io.sensors.units import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S
+from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S, instant
 from sameas.tracks.reports import Damaged, Reports, of_rows
 
 #: Words older than this are not taken along with a position, in seconds.

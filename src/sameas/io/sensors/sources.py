@@ -43,7 +43,7 @@ _COLUMNS = {"mmsi": "ais", "icao": "ads-b", "range_m": "marine radar", "covarian
 
 
 @dataclass(frozen=True)
-class Told:
+class SourceOptions:
     """What the user says of one source: its description, how to read it, and its file where that is said here.
 
     has_kind : whether the user says of what kind it is.
@@ -73,7 +73,7 @@ class SensorSource:
         return [f"{first}, taken for {self.description.kind}: {self.why_kind}", *rest]
 
 
-def read_told(path: str | Path) -> dict[str, Told]:
+def read_told(path: str | Path) -> dict[str, SourceOptions]:
     """What a TOML file says of every source, by name.
 
     Raises
@@ -83,7 +83,7 @@ def read_told(path: str | Path) -> dict[str, Told]:
     return {name: _told(name, said, Path(path)) for name, said in source_tables(path).items()}
 
 
-def _told(name: str, said: Mapping[str, Any], toml: Path) -> Told:
+def _told(name: str, said: Mapping[str, Any], toml: Path) -> SourceOptions:
     rest = {key: value for key, value in said.items() if key != "file"}
     file = said.get("file", {})
     file = {"path": file} if isinstance(file, str) else file
@@ -98,7 +98,7 @@ def _told(name: str, said: Mapping[str, Any], toml: Path) -> Told:
             raise InputError(f"{where}.{key} is {value!r}; give {example}")
     options = ReadOptions(name, **{key: _plain(value) for key, value in file.items() if key != "path"})
     path = toml.parent / file["path"] if "path" in file else None
-    return Told(Description.from_mapping(name, rest), options, path, "kind" in said)
+    return SourceOptions(Description.from_mapping(name, rest), options, path, "kind" in said)
 
 
 def _plain(value: Any) -> Any:
@@ -107,7 +107,7 @@ def _plain(value: Any) -> Any:
 
 
 def read_sources(
-    files: Sequence[str | Path], told: Mapping[str, Told] | None = None, *, start: str | None = None
+    files: Sequence[str | Path], told: Mapping[str, SourceOptions] | None = None, *, start: str | None = None
 ) -> list[SensorSource]:
     """Every source of the files, and of those that the descriptions name, with its description.
 
@@ -150,7 +150,7 @@ def _named(given: str) -> tuple[str, Path]:
     return (path.rpartition(".")[0] or path), Path(given)
 
 
-def _source(reports: Reports, told: Told | None, path: Path) -> SensorSource:
+def _source(reports: Reports, told: SourceOptions | None, path: Path) -> SensorSource:
     if told is not None and told.has_kind:
         return SensorSource(told.description, reports, path, None)
     kind, why = _kind(reports)
@@ -186,7 +186,7 @@ def toml_table(name: str) -> str:
     return f"[sources.{name}]" if re.fullmatch(r"[A-Za-z0-9_-]+", name) else f'[sources."{name}"]'
 
 
-def _all_used(sources: Sequence[SensorSource], told: Mapping[str, Told]) -> None:
+def _all_used(sources: Sequence[SensorSource], told: Mapping[str, SourceOptions]) -> None:
     names = [source.description.name for source in sources]
     for name in told:
         if name not in names:

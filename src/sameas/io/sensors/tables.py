@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.io.sensors.clock import DAY_S, counted_on, instant, seconds
 from sameas.io.sensors.columns import Choice, choose
-from sameas.records import FloatArray
 from sameas.tracks.accuracy import round_covariance
 from sameas.tracks.reports import Damaged, Reports
 
@@ -34,15 +34,15 @@ _OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:\.\d+)?)")
 
 
 @dataclass(frozen=True)
-class Cells:
+class TableText:
     """A table as it stands: cells (text, numbers or None) by name of the column, and the line of each row."""
 
     columns: Mapping[str, Sequence[Any]]
-    lines: NDArray[np.int64]
+    lines: IntArray
     damaged: tuple[tuple[int, str], ...] = ()
 
 
-def cells_of_csv(lines: Sequence[str], source: str) -> Cells:
+def cells_of_csv(lines: Sequence[str], source: str) -> TableText:
     """The cells of lines parted by commas, semicolons, tabs or bars; lines that begin with # are comments."""
     # A comment that is parted like the rows may be the line of names, as Danish AIS has it.
     number = next((k for k, line in enumerate(lines, start=1) if line.strip() and (line[0] != "#" or _splits(line))), 1)
@@ -70,10 +70,10 @@ def cells_of_csv(lines: Sequence[str], source: str) -> Cells:
     columns: dict[str, Sequence[Any]] = dict(
         zip(names, zip(*rows, strict=True) if rows else [()] * len(names), strict=True)
     )
-    return Cells(columns, np.array(places, np.int64), tuple(damaged))
+    return TableText(columns, np.array(places, np.int64), tuple(damaged))
 
 
-def cells_of_json(lines: Sequence[str], source: str) -> Cells:
+def cells_of_json(lines: Sequence[str], source: str) -> TableText:
     """The cells of JSON objects, one a line or all in one list; an object within is opened by the names in it."""
     rows: list[dict[str, Any]] = []
     places: list[int] = []
@@ -98,10 +98,12 @@ def cells_of_json(lines: Sequence[str], source: str) -> Cells:
     names = list(dict.fromkeys(name for row in rows for name in row))
     if not names:
         raise InputError(f"{source}: no JSON object with columns")
-    return Cells({name: [row.get(name) for row in rows] for name in names}, np.array(places, np.int64), tuple(damaged))
+    return TableText(
+        {name: [row.get(name) for row in rows] for name in names}, np.array(places, np.int64), tuple(damaged)
+    )
 
 
-def cells_of_parquet(path: str | os.PathLike[str]) -> Cells:
+def cells_of_parquet(path: str | os.PathLike[str]) -> TableText:
     """The cells of a Parquet file."""
     import pyarrow as pa
     from pyarrow import parquet
@@ -114,11 +116,11 @@ def cells_of_parquet(path: str | os.PathLike[str]) -> Cells:
             columns[name] = [None if t is None else t / 1e6 for t in whole.to_pylist()]
         else:
             columns[name] = column.to_pylist()
-    return Cells(columns, np.arange(1, table.num_rows + 1))
+    return TableText(columns, np.arange(1, table.num_rows + 1))
 
 
 def read(
-    cells: Cells,
+    cells: TableText,
     source: str,
     start_s: float | None = None,
     columns: Mapping[str, str] | None = None,
@@ -195,7 +197,7 @@ def _check_chosen(chosen: Mapping[str, Choice], names: Sequence[str], source: st
         )
 
 
-def _values(cells: Cells, choice: Choice, damaged: dict[int, str]) -> NDArray[Any]:
+def _values(cells: TableText, choice: Choice, damaged: dict[int, str]) -> NDArray[Any]:
     """A column in our units; cells that are no numbers damage their lines."""
     column = cells.columns[choice.name]
     if choice.quantity.kind == "text":
@@ -236,7 +238,7 @@ def _texts(column: Sequence[Any], quantity: str) -> NDArray[np.object_]:
 
 
 def _times(
-    cells: Cells, chosen: Mapping[str, Choice], source: str, start_s: float | None, damaged: dict[int, str]
+    cells: TableText, chosen: Mapping[str, Choice], source: str, start_s: float | None, damaged: dict[int, str]
 ) -> tuple[FloatArray, str]:
     """UTC of the rows, and how it was read."""
     choice = chosen.get("time_s") or chosen["day_s"]
@@ -310,12 +312,12 @@ def _of_day(cell: Any) -> float:
         return np.nan
 
 
-def _mark(rows: NDArray[np.bool_], lines: NDArray[np.int64], damaged: dict[int, str], reason: str) -> None:
+def _mark(rows: BoolArray, lines: IntArray, damaged: dict[int, str], reason: str) -> None:
     for line in lines[rows]:
         damaged.setdefault(int(line), reason)
 
 
-def _mark_unusable(values: Mapping[str, Any], lines: NDArray[np.int64], damaged: dict[int, str]) -> None:
+def _mark_unusable(values: Mapping[str, Any], lines: IntArray, damaged: dict[int, str]) -> None:
     """Rows without a position, or with one outside the earth."""
     pairs = [pair for pair in (("lat_deg", "lon_deg"), ("x_m", "y_m"), ("bearing_deg",)) if pair[0] in values]
     missing = np.logical_and.reduce([np.isnan(sum(values[name] for name in pair)) for pair in pairs])

@@ -11,10 +11,9 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sameas.arrays import FloatArray
 from sameas.errors import InputError
-from sameas.records import FloatArray
 from sameas.sky.frame.image import Frame, Image
 
 _LAGS = 4
@@ -76,7 +75,7 @@ class Background:
         return np.maximum(near.sum((1, 2)), 1.0), np.maximum((near * mean_axis).sum((1, 2)), 1.0)
 
 
-def _meshes(frame: Frame, box_px: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _meshes(frame: Frame, box_px: int) -> tuple[FloatArray, FloatArray]:
     """Level and standard deviation of the sky."""
     try:
         from photutils.background import Background2D, SExtractorBackground, StdBackgroundRMS

@@ -12,10 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sameas.arrays import BoolArray, FloatArray
 from sameas.errors import InputError
-from sameas.records import FloatArray
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Flag
 
@@ -26,8 +25,8 @@ _SAME_EXPOSURE = 0.02
 
 
 @dataclass(frozen=True)
-class Calibration:
-    """Master frames; make it with :meth:`Calibration.of`, use it as ``calibration(frame)``.
+class MasterFrames:
+    """Master frames; make it with :meth:`MasterFrames.of`, use it as ``calibration(frame)``.
 
     Attributes
     ----------
@@ -43,12 +42,12 @@ class Calibration:
     dark_exposure_s: float = math.nan
     flat: FloatArray | None = None
     excess: FloatArray | None = None
-    dead: NDArray[np.bool_] | None = None
+    dead: BoolArray | None = None
 
     @classmethod
     def of(
         cls, *, biases: Sequence[Frame] = (), darks: Sequence[Frame] = (), flats: Sequence[Frame] = ()
-    ) -> Calibration:
+    ) -> MasterFrames:
         """Masters from frames of each kind; any may be missing.
 
         Raises
@@ -144,7 +143,7 @@ def _dark(darks: Sequence[Frame], bias: FloatArray | None) -> tuple[FloatArray, 
 
 def _flat(flats: Sequence[Frame], bias: FloatArray | None, dark: FloatArray | None, dark_s: float) -> FloatArray:
     """Sensitivity: each flat brought to the middle value 1 before they are combined, for the light changes."""
-    dim = Calibration(bias=bias, dark=dark, dark_exposure_s=dark_s)
+    dim = MasterFrames(bias=bias, dark=dark, dark_exposure_s=dark_s)
     normal = []
     for frame in flats:
         light, _ = dim._taken(frame)
@@ -165,7 +164,7 @@ def _excess(dark: FloatArray) -> FloatArray:
     return np.where(excess > max(_HOT_SIGMAS * scatter, 1e-9), excess, 0.0)
 
 
-def _harmful(excess: FloatArray, frame: Frame) -> NDArray[np.bool_]:
+def _harmful(excess: FloatArray, frame: Frame) -> BoolArray:
     """Hot pixels whose own noise, left when the dark is taken away, is half of that of the frame or more."""
     gain = frame.facts.gain_e_per_adu if math.isfinite(frame.facts.gain_e_per_adu) else 1.0
     step = np.diff(frame.image[:, ::2], axis=1)

@@ -19,11 +19,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sameas.records import FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.sky.frame.background import Background
-from sameas.sky.frame.spread import Spread
+from sameas.sky.frame.psf import PSF
 
 _ROUNDS = 25
 _SETTLED_PX = 2e-4
@@ -41,7 +40,7 @@ class Stamps(NamedTuple):
     usable: FloatArray
     x: FloatArray
     y: FloatArray
-    at_edge: NDArray[np.bool_]
+    at_edge: BoolArray
 
 
 @dataclass(frozen=True)
@@ -61,8 +60,8 @@ class Centroids:
     moments: FloatArray
     wide: FloatArray
     usable: FloatArray
-    at_edge: NDArray[np.bool_]
-    settled: NDArray[np.bool_]
+    at_edge: BoolArray
+    settled: BoolArray
 
     def covariance(self, jacobian: FloatArray) -> FloatArray:
         """(n, 2, 2) of the positions in px²; ``jacobian`` (n, 2, 2) or (2, 2), J over Σ w I."""
@@ -77,7 +76,7 @@ class Own:
 
     xy: FloatArray
     flux: FloatArray
-    spread: Spread
+    spread: PSF
 
     def back(self, stamps: Stamps, rows: IntArray) -> Stamps:
         """The stamps of some stars with their own light put back: what is left out is that of all others."""
@@ -169,7 +168,7 @@ def _measured(
     xy: FloatArray,
     windows: FloatArray,
     inverse: FloatArray,
-    settled: NDArray[np.bool_],
+    settled: BoolArray,
     background: Background,
 ) -> Centroids:
     dx, dy, w = _window(stamps, xy, inverse)

@@ -15,15 +15,180 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.records import FloatArray, IntArray
 from sameas.sky.frame.background import Background
 from sameas.sky.frame.centroid import Centroids, Own, adaptive, centroids, cut
-from sameas.sky.frame.defects import marked
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Flag, Measurements
-from sameas.sky.frame.peaks import peaks, photon_noise, significance
-from sameas.sky.frame.spread import FWHM_PER_SIGMA, Spread
+from sameas.sky.frame.psf import FWHM_PER_SIGMA, PSF
+
+# Defects: what is bright, or dead, without a star: hot pixels, hits of particles, bad columns and rows.
+#
+# Found on a single frame by sharpness: no star can stand out from its neighbours more than one that is centred on a
+# pixel. Single pixels are called hot, several that hang together the hit of a particle; one frame cannot tell a short
+# hit from a hot pixel, darks can (:mod:`sameas.sky.frame.calibration`). Chosen over astroscrappy (van Dokkum 2001,
+# PASP 113, 1420), whose sharpness is not compared with the frame's own star: it takes the cores of stars 1.5 px wide.
+
+_SIGMAS = 6.0
+_LINE_SIGMAS = 8.0
+_LEAST_LINE = 0.7  # in standard deviations of a pixel: weaker columns do no harm
+_MARGIN = 1.4  # stars differ in sharpness by less
+_AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], bool)
+
+
+def marked(frame: Frame, background: Background, spread: PSF) -> Frame:
+    """The frame with its defects flagged: HOT, COSMIC, and MASKED for bad columns and rows."""
+    lines = _lines(frame, background)
+    sharp = _sharp(frame, background, spread) & ~lines
+    from scipy.ndimage import label
+
+    parts, _ = label(sharp, np.ones((3, 3)))
+    size = np.bincount(parts.ravel())
+    single = sharp & (size[parts] == 1)
+    return frame.marked(lines, Flag.MASKED).marked(single, Flag.HOT).marked(sharp & ~single, Flag.COSMIC)
+
+
+def _sharp(frame: Frame, background: Background, spread: PSF, rounds: int = 3) -> BoolArray:
+    """Pixels that no star explains."""
+    from scipy.ndimage import binary_dilation
+
+    around = np.array([spread.light(float(x), float(y)) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y])
+    contrast = _MARGIN * float(spread.light(0.0, 0.0)) / float(np.median(around))
+    light = frame.image - background.level
+    usable = np.isfinite(background.variance)
+    variance = np.where(usable, background.variance, 0.0)
+    found = np.zeros(frame.shape, bool)
+    saturated = (frame.flags & Flag.SATURATED) != 0
+    # Bleeding and the diffraction of a saturated star are as sharp as they like.
+    saturated &= binary_dilation(saturated, np.ones((3, 3))) & ~_alone(saturated)
+    near_saturated = binary_dilation(saturated, np.ones((3, 3)), iterations=2)
+    rows, columns = np.nonzero((light > _SIGMAS * np.sqrt(variance)) & usable & ~near_saturated)
+    work = np.pad(np.where(usable, light, 0.0), 1, mode="reflect")
+    own, sky2 = light[rows, columns], variance[rows, columns]
+    for _ in range(rounds):
+        shifted = [work[rows + 1 + y, columns + 1 + x] for y in (-1, 0, 1) for x in (-1, 0, 1) if x or y]
+        neighbours = np.maximum(np.median(shifted, axis=0), 0.0)
+        photons = neighbours * contrast * (1 + 0.2 * contrast)
+        noise = np.sqrt(sky2 * (1 + 0.2 * contrast**2) + background.inverse_gain * photons)
+        sharp = own - contrast * neighbours > _SIGMAS * noise
+        if not (sharp & ~found[rows, columns]).any():
+            break
+        found[rows[sharp], columns[sharp]] = True
+        work[rows[sharp] + 1, columns[sharp] + 1] = neighbours[sharp]
+    return found
+
+
+def _alone(mask: BoolArray) -> BoolArray:
+    from scipy.ndimage import convolve
+
+    return mask & (convolve(mask.astype(np.int8), _AROUND.astype(np.int8), mode="constant") == 0)
+
+
+def _lines(frame: Frame, background: Background) -> BoolArray:
+    """Columns and rows whose middle pixel is far from that of their neighbours."""
+    from scipy.ndimage import median_filter
+
+    bad = np.zeros(frame.shape, bool)
+    usable = np.isfinite(background.variance)
+    normal = np.where(usable, (frame.image - background.level) / np.sqrt(np.where(usable, background.variance, 1)), 0)
+    for axis in (0, 1):
+        # Half of the pixels tell it as well.
+        middle = np.median(normal[::2] if axis == 0 else normal[:, ::2], axis=axis)
+        off = np.abs(middle - median_filter(middle, 15, mode="reflect"))
+        limit = max(_LEAST_LINE, _LINE_SIGMAS * 1.4826 * float(np.median(off)))
+        line = off > limit
+        if line.mean() < 0.05:
+            bad |= line[None, :] if axis == 0 else line[:, None]
+    return bad
+
+
+# Peaks: where on a frame there is a star, by the matched filter.
+#
+# The signal to noise ratio of a star at every pixel is Σ k I/v over √(Σ k²/v), k the mean star, v the variance of the
+# sky, a missing pixel one of infinite variance. Its maxima are stars; two that no saddle divides are one.
+
+_LEAST_USABLE = 0.3
+_SADDLE_SIGMAS = 3.0
+_SADDLE_PHOTONS = 5.0  # the same of a star's own photons: the saddle is the lowest of many places along a trail
+_SADDLE_REACH = 8  # full widths of a star: longer trails than that come in parts
+_SADDLE_SHARE = 0.02
+_HALF_PX = 0.6
+
+
+def significance(light: FloatArray, background: Background, spread: PSF) -> FloatArray:
+    """(rows, columns) signal to noise ratio of a star in the middle of each pixel; 0 where most is masked."""
+    from scipy.signal import oaconvolve
+
+    half = int(np.ceil(3.5 * np.sqrt(np.linalg.eigvalsh(spread.matrix)[1])))
+    reach = np.arange(-half, half + 1)
+    inverse = np.linalg.inv(spread.matrix)
+    dx, dy = np.meshgrid(reach, reach)
+    kernel = np.exp(-0.5 * (inverse[0, 0] * dx**2 + 2 * inverse[0, 1] * dx * dy + inverse[1, 1] * dy**2))
+    kernel = kernel.astype(np.float32)
+    weight = np.where(np.isfinite(background.variance), 1 / background.variance, 0).astype(np.float32)
+    usual = float(np.median(weight[weight > 0]))
+    weight /= usual
+    signal = oaconvolve((light * weight).astype(np.float32), kernel, mode="same")
+    noise2 = oaconvolve(weight, kernel**2, mode="same")
+    factor = float(background.factor(np.array([spread.sigma_px]))[0][0])
+    usable = oaconvolve((weight > 0).astype(np.float32), kernel**2, mode="same")
+    enough = usable > _LEAST_USABLE * float((kernel**2).sum())
+    return np.where(enough, signal * np.sqrt(usual / factor) / np.sqrt(np.maximum(noise2, 1e-12)), 0.0)
+
+
+def photon_noise(light: FloatArray, background: Background) -> FloatArray:
+    """(rows, columns) noise of a pixel, the photons of the stars included, over that of the sky alone."""
+    return np.sqrt(1 + background.inverse_gain * np.maximum(light, 0) / background.variance)
+
+
+def peaks(snr: FloatArray, noise: FloatArray, spread: PSF, threshold_sigmas: float) -> tuple[FloatArray, FloatArray]:
+    """(n, 2) pixels (x, y) of the stars, the most significant first, and their (n,) significance.
+
+    noise : (rows, columns) of :func:`photon_noise`: a saddle must be deeper than the photons of a star make it.
+    """
+    try:
+        from photutils.detection import find_peaks
+    except ImportError as error:
+        raise InputError("finding stars on frames needs photutils: pip install 'sameas[frames]'") from error
+    import warnings
+
+    box = 2 * max(1, round(spread.sigma_px)) + 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # photutils warns when there is nothing; the caller says it better
+        found = find_peaks(snr, threshold_sigmas, box_size=box)
+    if found is None or not len(found):
+        return np.empty((0, 2)), np.empty(0)
+    names = ("x_peak", "y_peak", "peak_value")
+    x, y, value = (np.asarray(found[name], float) for name in names)
+    order = np.lexsort((x, y, -value))
+    xy, value = np.column_stack([x, y])[order], value[order]
+    keep = _divided(snr, noise, xy, value, _SADDLE_REACH * spread.fwhm_px)
+    return xy[keep], value[keep]
+
+
+def _divided(snr: FloatArray, noise: FloatArray, xy: FloatArray, value: FloatArray, reach_px: float) -> IntArray:
+    """Rows of the peaks that a saddle divides from every higher peak near them."""
+    from scipy.ndimage import map_coordinates
+    from scipy.spatial import cKDTree
+
+    pairs = cKDTree(xy).query_pairs(reach_px, output_type="ndarray")
+    if not len(pairs):
+        return np.arange(len(xy))
+    higher, lower = pairs.min(axis=1), pairs.max(axis=1)
+    along = np.linspace(0, 1, 2 + int(np.ceil(reach_px)))[1:-1]
+    way = xy[higher][:, None, :] + along[:, None] * (xy[lower] - xy[higher])[:, None, :]
+    # A ridge passes the pixels of its ends by up to their half: the best of three lines side by side.
+    towards = (xy[lower] - xy[higher]) / np.linalg.norm(xy[lower] - xy[higher], axis=1, keepdims=True)
+    aside = np.column_stack([-towards[:, 1], towards[:, 0]])[:, None, :]
+    lines = [way + offset * aside for offset in (-_HALF_PX, 0.0, _HALF_PX)]
+    along_lines = [map_coordinates(snr, [line[..., 1], line[..., 0]], order=1, mode="nearest") for line in lines]
+    saddle = np.max(along_lines, axis=0).min(axis=1)
+    x, y = xy[lower].astype(int).T
+    random = np.sqrt(_SADDLE_SIGMAS**2 + _SADDLE_PHOTONS**2 * (noise[y, x] ** 2 - 1))
+    depth = np.maximum(random, _SADDLE_SHARE * value[lower])
+    return np.setdiff1d(np.arange(len(xy)), lower[value[lower] - saddle < depth])
+
 
 _SHAPE_SNR = 15.0
 _WIDER = 1.3  # a star so much wider than the others gets a window of its own
@@ -32,8 +197,8 @@ _NEIGHBOUR_ROUNDS = 3
 _STARS_FOR_SPREAD = 200
 _PULL_KEPT = 0.25  # share of a neighbour's pull that taking it away leaves, as simulations of crowded fields show
 _PAIR_KEPT = 0.1  # share of the excess second moment of two stars in one that a position may be off by, squared
-_FIRST = Spread(1.3**2 * np.eye(2))
-_FIRST_SHARPEST = Spread(0.55**2 * np.eye(2))  # before the frame's own stars are known, none is narrower than 1.3 px
+_FIRST = PSF(1.3**2 * np.eye(2))
+_FIRST_SHARPEST = PSF(0.55**2 * np.eye(2))  # before the frame's own stars are known, none is narrower than 1.3 px
 
 
 @dataclass(frozen=True)
@@ -65,7 +230,7 @@ def detect(frame: Frame, detection: Detection | None = None) -> Measurements:
     InputError : photutils is missing; no star is found.
 
     >>> import numpy as np
-    >>> from sameas.sky.frame.simulate import Camera, frame_of
+    >>> from sameas.simulate.frames import Camera, frame_of
     >>> seen = frame_of(np.random.default_rng(1), x_px=[20.3, 44.0, 50.6], y_px=[31.5, 12.2, 47.7],
     ...                 flux_e=[2e4, 1e4, 4e4], camera=Camera(shape=(64, 64)))
     >>> detect(seen.frame).x_px.round(0).tolist()
@@ -88,13 +253,13 @@ def detect(frame: Frame, detection: Detection | None = None) -> Measurements:
     return _measurements(frame, background, spread, stars, detection)
 
 
-def _without_defects(frame: Frame, background: Background, spread: Spread) -> tuple[Frame, Background]:
+def _without_defects(frame: Frame, background: Background, spread: PSF) -> tuple[Frame, Background]:
     frame = marked(frame, background, spread)
     unusable = (frame.flags & (Flag.HOT | Flag.COSMIC | Flag.MASKED)) != 0
     return frame, replace(background, variance=np.where(unusable, np.inf, background.variance).astype(np.float32))
 
 
-def _spread(frame: Frame, background: Background, detection: Detection) -> Spread:
+def _spread(frame: Frame, background: Background, detection: Detection) -> PSF:
     """The mean star, from bright ones that are single and not saturated; of a first guess, then of the result."""
     light = np.where(np.isfinite(background.variance), frame.image - background.level, 0.0)
     spread = _FIRST
@@ -117,7 +282,7 @@ def _spread(frame: Frame, background: Background, detection: Detection) -> Sprea
         dx, dy = stamps.x - found.xy[good, 0, None, None], stamps.y - found.xy[good, 1, None, None]
         share = stamps.light / (2 * found.weight[good])[:, None, None]
         pixels = [tuple(np.broadcast_arrays(*each)) for each in zip(dx, dy, share, strict=True)]
-        spread = Spread.from_stars(windows[good], pixels)  # type: ignore[arg-type]
+        spread = PSF.from_stars(windows[good], pixels)  # type: ignore[arg-type]
     return spread
 
 
@@ -138,7 +303,7 @@ def _single(frame: Frame, xy: FloatArray, snr: FloatArray, reach_px: float) -> F
 
 
 @dataclass(frozen=True)
-class _Stars:
+class _Blended:
     """Centroids in the common window with the neighbours' light taken away. before : (n, 2) without that."""
 
     found: Centroids
@@ -150,8 +315,8 @@ class _Stars:
 
 
 def _neighbours_apart(
-    light: FloatArray, background: Background, spread: Spread, xy: FloatArray, snr: FloatArray, threshold: float
-) -> _Stars:
+    light: FloatArray, background: Background, spread: PSF, xy: FloatArray, snr: FloatArray, threshold: float
+) -> _Blended:
     """Measures, takes all stars off the frame, puts each one back alone, measures again."""
     window, collected = spread.window(), spread.collected()
     windows = np.broadcast_to(window, (len(xy), 2, 2))
@@ -168,10 +333,10 @@ def _neighbours_apart(
             snr, before, xy = snr[lasting], before[lasting], xy[lasting]
     flux = np.maximum(found.weight, 0) / collected
     own = Own(found.xy, flux, spread)
-    return _Stars(found, flux, snr, before, light - _model(own, light.shape), own)
+    return _Blended(found, flux, snr, before, light - _model(own, light.shape), own)
 
 
-def _lasting(found: Centroids, snr: FloatArray, threshold: float, spread: Spread) -> NDArray[np.bool_]:
+def _lasting(found: Centroids, snr: FloatArray, threshold: float, spread: PSF) -> BoolArray:
     """Not what vanishes with the light of a neighbour, nor what has slid onto one."""
     from scipy.spatial import cKDTree
 
@@ -208,7 +373,7 @@ class _Shapes:
     found: Centroids
 
     @classmethod
-    def of(cls, background: Background, spread: Spread, stars: _Stars) -> _Shapes:
+    def of(cls, background: Background, spread: PSF, stars: _Blended) -> _Shapes:
         told = np.minimum(stars.found.weight / np.sqrt(stars.found.weight_variance), stars.snr) > _SHAPE_SNR
         rows = np.flatnonzero(told)
         own = Own(stars.own.xy[rows], stars.own.flux[rows], spread)
@@ -216,24 +381,24 @@ class _Shapes:
         found, matrices = adaptive(stars.residual, background, stars.found.xy[rows], start, own)
         return cls(rows, matrices, found)
 
-    def wider(self, spread: Spread, snr: FloatArray) -> NDArray[np.bool_]:
+    def wider(self, spread: PSF, snr: FloatArray) -> BoolArray:
         """(k,) where the common window is too narrow by more than noise may do."""
         mean = np.sqrt(np.linalg.det(spread.matrix))
         area = np.sqrt(np.linalg.det(self.matrices))
         return self.found.settled & (area > mean * _WIDER**2 * (1 + 4 / snr[self.rows]))
 
-    def trailed(self, spread: Spread) -> NDArray[np.bool_]:
+    def trailed(self, spread: PSF) -> BoolArray:
         """(k,) longer than the mean star, and not as much wider."""
         values, mean = np.linalg.eigvalsh(self.matrices), np.linalg.eigvalsh(spread.matrix)
         return (values[:, 1] > _LONGER**2 * mean[1]) & (values[:, 1] / values[:, 0] > _LONGER**2 * mean[1] / mean[0])
 
-    def extended(self, spread: Spread) -> NDArray[np.bool_]:
+    def extended(self, spread: PSF) -> BoolArray:
         """(k,) wider along both axes."""
         return np.linalg.eigvalsh(self.matrices)[:, 0] > _WIDER**2 * np.linalg.eigvalsh(spread.matrix)[0]
 
 
 def _measurements(
-    frame: Frame, background: Background, spread: Spread, stars: _Stars, detection: Detection
+    frame: Frame, background: Background, spread: PSF, stars: _Blended, detection: Detection
 ) -> Measurements:
     """Positions and errors: in the common window, or in that of the star where it is of another shape."""
     found = stars.found
@@ -265,7 +430,7 @@ def _measurements(
 
 
 def _allowed(
-    covariance: FloatArray, stars: _Stars, spread: Spread, flags: NDArray[np.uint16], detection: Detection
+    covariance: FloatArray, stars: _Blended, spread: PSF, flags: NDArray[np.uint16], detection: Detection
 ) -> FloatArray:
     """Covariances with what noise does not tell: neighbours, pixels, saturation; sets the flags that go with it."""
     found = stars.found
@@ -289,7 +454,7 @@ def _allowed(
 def _table(
     frame: Frame,
     background: Background,
-    spread: Spread,
+    spread: PSF,
     xy: FloatArray,
     covariance: FloatArray,
     flux: FloatArray,
@@ -321,7 +486,7 @@ def _table(
     )
 
 
-def _blind(frame: Frame, spread: Spread) -> NDArray[np.bool_] | None:
+def _blind(frame: Frame, spread: PSF) -> BoolArray | None:
     """(rows, columns) where most of a star's pixels are masked; None without a mask."""
     if not frame.masked.any():
         return None
@@ -331,7 +496,7 @@ def _blind(frame: Frame, spread: Spread) -> NDArray[np.bool_] | None:
     return np.asarray(uniform_filter(frame.masked.astype(np.float32), size, mode="nearest") > 0.5)
 
 
-def _notes(frame: Frame, background: Background, spread: Spread) -> tuple[str, ...]:
+def _notes(frame: Frame, background: Background, spread: PSF) -> tuple[str, ...]:
     count = {flag: int(((frame.flags & flag) != 0).sum()) for flag in (Flag.HOT, Flag.COSMIC, Flag.MASKED)}
     notes = [f"stars {spread.fwhm_px:.2f} px wide at half maximum, Moffat β {spread.beta:.1f}"]
     notes += [f"{n} pixels {Flag.words(flag)}" for flag, n in count.items() if n]
@@ -346,7 +511,7 @@ def _notes(frame: Frame, background: Background, spread: Spread) -> tuple[str, .
     return tuple(notes)
 
 
-def _theory(spread: Spread) -> FloatArray:
+def _theory(spread: PSF) -> FloatArray:
     """J over Σ w I for a Gaussian star."""
     window = spread.window()
     return np.asarray(

@@ -8,13 +8,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.records import FloatArray, IntArray, unpack
+from sameas.records import unpack
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.cells import numbers
-from sameas.sky.frame.place import Stars
+from sameas.sky.column_values import numbers
+from sameas.sky.frame.stars import Stars
 from sameas.sky.frame.tangent import unit_vectors
 from sameas.space import sphere_offset
 
@@ -135,7 +135,7 @@ class StarField:
         """(n, 3) unit vectors."""
         return unit_vectors(self.ra_deg, self.dec_deg)
 
-    def within(self, cone: Cone) -> NDArray[np.bool_]:
+    def within(self, cone: Cone) -> BoolArray:
         """(n,) which stars lie in a cone."""
         return np.asarray(self.vectors @ cone.direction >= math.cos(math.radians(min(cone.radius_deg, 180.0))))
 

@@ -13,12 +13,12 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.estimate import Estimate, match
+from sameas.estimate.match import Estimate, match
 from sameas.evidence import Magnitudes
-from sameas.records import FloatArray, IntArray, Records
+from sameas.records import Records
 from sameas.result import Identification
 from sameas.sky.frame.field import StarField
 from sameas.sky.frame.measurements import Flag, Measurements
@@ -79,7 +79,7 @@ class FrameIdentification:
     estimate: Estimate = field(repr=False)
     predicted_px: FloatArray = field(repr=False)
     predicted_covariance: FloatArray = field(repr=False)
-    candidate: NDArray[np.bool_] = field(repr=False)
+    candidate: BoolArray = field(repr=False)
     zero_point: ZeroPoint | None
     completeness: Completeness | None
     rounds: int
@@ -93,7 +93,7 @@ class FrameIdentification:
         return found.rows_1, found.rows_2, found.p_match
 
     @cached_property
-    def inside(self) -> NDArray[np.bool_]:
+    def inside(self) -> BoolArray:
         """(m,) whether each star is predicted within the frame, where one can be measured."""
         return _seeable(self.predicted_px, self.measured, 0.0)
 
@@ -209,7 +209,7 @@ def _predicted(plate: PlateModel, stars: StarField) -> tuple[FloatArray, FloatAr
     return np.column_stack([x, y]), covariance
 
 
-def _within(px: FloatArray, shape: tuple[int, int], margin_px: float) -> NDArray[np.bool_]:
+def _within(px: FloatArray, shape: tuple[int, int], margin_px: float) -> BoolArray:
     """(m,) whether pixels lie on the frame, or not farther outside than a margin."""
     x, y = px.T
     low, rows, columns = -0.5 - margin_px, shape[0] - 0.5 + margin_px, shape[1] - 0.5 + margin_px
@@ -217,7 +217,7 @@ def _within(px: FloatArray, shape: tuple[int, int], margin_px: float) -> NDArray
         return np.asarray((x >= low) & (x <= columns) & (y >= low) & (y <= rows))
 
 
-def _seeable(px: FloatArray, measured: Measurements, margin_px: float) -> NDArray[np.bool_]:
+def _seeable(px: FloatArray, measured: Measurements, margin_px: float) -> BoolArray:
     """(m,) whether pixels lie on the frame, or not farther outside than a margin, and not where it is blind."""
     seen = _within(px, measured.shape, margin_px)
     if measured.blind is not None:
@@ -227,7 +227,7 @@ def _seeable(px: FloatArray, measured: Measurements, margin_px: float) -> NDArra
     return seen
 
 
-def _candidates(px: FloatArray, stars: StarField, measured: Measurements, faintest: float | None) -> NDArray[np.bool_]:
+def _candidates(px: FloatArray, stars: StarField, measured: Measurements, faintest: float | None) -> BoolArray:
     """(m,) stars on the frame that are not too faint to be seen."""
     candidate = _seeable(px, measured, MARGIN_PX)
     if faintest is not None:
@@ -237,7 +237,7 @@ def _candidates(px: FloatArray, stars: StarField, measured: Measurements, fainte
     return candidate
 
 
-def _records(px: FloatArray, covariance: FloatArray, candidate: NDArray[np.bool_], stars: StarField) -> Records:
+def _records(px: FloatArray, covariance: FloatArray, candidate: BoolArray, stars: StarField) -> Records:
     """The candidates in pixels; their rows are those of the stars."""
     rows = np.flatnonzero(candidate)
     return Records(px[rows], covariance[rows], rows, stars.ids, source=stars.name)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sameas.arrays import BoolArray
 from sameas.errors import InputError
 from sameas.sky.frame.keywords import Facts, Given
 from sameas.sky.frame.measurements import PIXEL_FLAGS, Flag
@@ -65,11 +66,11 @@ class Frame:
         return rows, columns
 
     @property
-    def masked(self) -> NDArray[np.bool_]:
+    def masked(self) -> BoolArray:
         """(rows, columns) where there is no usable number."""
         return (self.flags & Flag.MASKED) != 0
 
-    def marked(self, where: NDArray[np.bool_], flag: Flag) -> Frame:
+    def marked(self, where: BoolArray, flag: Flag) -> Frame:
         """The frame with ``flag`` set where the mask says."""
         return replace(self, flags=self.flags | np.where(where, flag, 0).astype(np.uint16))
 

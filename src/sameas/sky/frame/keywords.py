@@ -14,9 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.errors import InputError
-from sameas.sky.frame.cards import Cards
-from sameas.sky.frame.instant import middle
-from sameas.sky.frame.station import Station, aim, station
+from sameas.sky.frame.observation import Cards, Station, aim, middle, station
 
 if TYPE_CHECKING:
     from astropy.io.fits import Header

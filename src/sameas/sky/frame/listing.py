@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.records import FloatArray, IntArray
+from sameas.arrays import FloatArray, IntArray
 from sameas.sky.frame.identified import EXPECTED, FrameIdentification
 from sameas.sky.frame.measurements import Flag
 

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.records import FloatArray, Records
+from sameas.records import Records
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -83,17 +84,17 @@ class Measurements:
     psf_fwhm_px: float
     name: str = "frame"
     notes: tuple[str, ...] = ()
-    blind: NDArray[np.bool_] | None = None
+    blind: BoolArray | None = None
 
     def __len__(self) -> int:
         return len(self.x_px)
 
-    def __getitem__(self, rows: slice | NDArray[np.int64] | NDArray[np.bool_]) -> Measurements:
+    def __getitem__(self, rows: slice | IntArray | BoolArray) -> Measurements:
         """Some of the measurements."""
         columns = {key: value[rows] for key, value in vars(self).items() if _per_row(key, value)}
         return replace(self, **columns)
 
-    def clean(self, but: Flag = Flag.BLENDED | Flag.TRAILED | Flag.SATURATED) -> NDArray[np.bool_]:
+    def clean(self, but: Flag = Flag.BLENDED | Flag.TRAILED | Flag.SATURATED) -> BoolArray:
         """(n,) mask of those that carry no flag, those in ``but`` excepted."""
         return (self.flags & ~np.uint16(but)) == 0
 

@@ -21,12 +21,13 @@ from typing import Any
 
 import numpy as np
 
+from sameas.arrays import FloatArray, IntArray
 from sameas.assignment import assign
 from sameas.evidence import PoissonField
 from sameas.gate import Radius
 from sameas.groups import groups
 from sameas.prior import PerPair
-from sameas.records import FloatArray, IntArray, Records
+from sameas.records import Records
 from sameas.sky.frame.tangent import Pointing, design
 
 #: How far the axes of a frame differ in scale, or from a right angle (1σ): refraction, tilt, pixels not quite square.
@@ -56,7 +57,7 @@ class Searched:
 
 
 @dataclass(frozen=True)
-class Scene:
+class FrameAndSky:
     """A frame and a sky, both brightest first.
 
     Attributes
@@ -124,7 +125,7 @@ class Verdict:
     tolerance_px: float
 
 
-def verify(scene: Scene, pointing: Pointing, searched: Searched, tolerance_px: float) -> Verdict:
+def verify(scene: FrameAndSky, pointing: Pointing, searched: Searched, tolerance_px: float) -> Verdict:
     """The pointing refined to the measurements, with its odds.
 
     Identification and fit alternate; what the residuals show beyond the quoted errors replaces ``tolerance_px``
@@ -154,7 +155,7 @@ def verify(scene: Scene, pointing: Pointing, searched: Searched, tolerance_px: f
     return best
 
 
-def weigh(scene: Scene, rows: IntArray, pointing: Pointing, searched: Searched, tolerance_px: float) -> Verdict:
+def weigh(scene: FrameAndSky, rows: IntArray, pointing: Pointing, searched: Searched, tolerance_px: float) -> Verdict:
     """The odds of a pointing as it stands; ``rows`` are the stars about the frame, brightest first."""
     predicted = pointing.to_px(scene.vectors[rows])
     there = np.flatnonzero(scene.inside(predicted))[:DEEPEST]
@@ -180,7 +181,7 @@ def weigh(scene: Scene, rows: IntArray, pointing: Pointing, searched: Searched, 
 
 
 def _paired(
-    scene: Scene, rows: IntArray, predicted: FloatArray, pointing: Pointing, tolerance_px: float
+    scene: FrameAndSky, rows: IntArray, predicted: FloatArray, pointing: Pointing, tolerance_px: float
 ) -> tuple[IntArray, IntArray]:
     """Measurements and predicted stars that are one, both as positions in the order of brightness."""
     n, m = min(len(scene.px), DEEPEST), len(rows)
@@ -225,13 +226,15 @@ def _depths(n: int) -> IntArray:
     return np.unique(np.round(np.geomspace(min(4, n), n, DEPTHS)).astype(np.int64))
 
 
-def _total_covariance(scene: Scene, i: IntArray, rows: IntArray, pointing: Pointing, tolerance_px: float) -> FloatArray:
+def _total_covariance(
+    scene: FrameAndSky, i: IntArray, rows: IntArray, pointing: Pointing, tolerance_px: float
+) -> FloatArray:
     """(k, 2, 2) of the residuals of pairs: measurement, star and tolerance."""
     star = (scene.sigma_rad[rows] ** 2 / abs(np.linalg.det(pointing.cd)) + tolerance_px**2)[:, None, None]
     return np.asarray(scene.covariance[i] + star * np.eye(2))
 
 
-def _step(scene: Scene, found: Verdict) -> FloatArray:
+def _step(scene: FrameAndSky, found: Verdict) -> FloatArray:
     """(6,) the shift, growth, turn and shears that bring the predictions to the measurements; see ``design``."""
     columns = design(found.pointing.to_px(scene.vectors[found.stars]) - found.pointing.origin_px)
     total = _total_covariance(scene, found.measured, found.stars, found.pointing, found.tolerance_px)
@@ -248,11 +251,11 @@ def _step(scene: Scene, found: Verdict) -> FloatArray:
     return np.asarray(step)
 
 
-def _predicted_residual(scene: Scene, found: Verdict, pointing: Pointing) -> FloatArray:
+def _predicted_residual(scene: FrameAndSky, found: Verdict, pointing: Pointing) -> FloatArray:
     return np.asarray(scene.px[found.measured] - pointing.to_px(scene.vectors[found.stars]))
 
 
-def _excess(scene: Scene, found: Verdict, residual: FloatArray) -> float:
+def _excess(scene: FrameAndSky, found: Verdict, residual: FloatArray) -> float:
     """The error per axis beyond the quoted ones that the typical residual shows, px."""
     quoted = _total_covariance(scene, found.measured, found.stars, found.pointing, 0.0)
     # A fit of 4 to 6 numbers has taken its share of 2k; the median of r² is 2 ln 2 σ² in two dimensions.
@@ -262,7 +265,7 @@ def _excess(scene: Scene, found: Verdict, residual: FloatArray) -> float:
     return math.sqrt(max(square - typical, 0.05**2))
 
 
-def on_pixels(verdict: Verdict, scene: Scene, px: FloatArray) -> Verdict:
+def on_pixels(verdict: Verdict, scene: FrameAndSky, px: FloatArray) -> Verdict:
     """The verdict's pairs fitted once more, on other pixels (n, 2) of the same measurements."""
     own = replace(scene, px=px)
     pointing = verdict.pointing

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.records import FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.sky.frame.tangent import to_plane
 
 
@@ -149,7 +149,7 @@ class PatternIndex:
 
     def alike(
         self, seen: Patterns, tolerance: float, scale_rad: tuple[float, float]
-    ) -> tuple[IntArray, IntArray, NDArray[np.bool_]]:
+    ) -> tuple[IntArray, IntArray, BoolArray]:
         """Pairs of patterns that look alike: rows of ``seen`` (pixels), rows of the index, mirrored or not.
 
         ``tolerance`` is the distance of two codes; ``scale_rad`` the least and largest angle of a pixel.

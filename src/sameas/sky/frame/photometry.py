@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.records import FloatArray
+from sameas.arrays import FloatArray
 
 #: Pairs that a zero point needs, and that every further term needs.
 FEWEST, PER_TERM = 3, 12
@@ -127,14 +127,14 @@ def instrumental(flux: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class _Fit:
+class _MagnitudeFit:
     terms: NDArray[Any]
     sigma: NDArray[Any]
     scatter: float
     bic: float
 
 
-def _robust(columns: list[FloatArray], y: FloatArray, weight: FloatArray) -> _Fit:
+def _robust(columns: list[FloatArray], y: FloatArray, weight: FloatArray) -> _MagnitudeFit:
     """Weighted least squares; residuals beyond three robust standard deviations are weighed down."""
     a = np.column_stack([np.ones_like(y), *columns])
     down = np.ones_like(y)
@@ -152,7 +152,7 @@ def _robust(columns: list[FloatArray], y: FloatArray, weight: FloatArray) -> _Fi
     n = float(weight.sum())
     loss = np.where(down < 1.0, TAIL_SIGMAS**2 * (1.0 - np.log(down)), (left / scatter) ** 2)
     bic = 2 * n * math.log(scatter) + float(weight @ loss) + a.shape[1] * math.log(max(n, 2.0))
-    return _Fit(np.asarray(terms), scatter * np.sqrt(np.diag(np.linalg.inv(normal))), scatter, bic)
+    return _MagnitudeFit(np.asarray(terms), scatter * np.sqrt(np.diag(np.linalg.inv(normal))), scatter, bic)
 
 
 def _weighted_median(values: FloatArray, weight: FloatArray) -> float:

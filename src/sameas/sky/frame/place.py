@@ -3,8 +3,8 @@
 :func:`place` tries the hints in the order given and returns the first placement whose odds against all chance, and
 against the next best, are high enough; else it says how near it came.
 
-- :class:`Header`: a plate solution that is nearly right, with whatever distortion astropy reads (SIP, TPV, DSS).
-  Shift and turn are found by correlation.
+- :class:`ApproximateWcs`: a plate solution that is nearly right, with whatever distortion astropy reads (SIP, TPV,
+  DSS). Shift and turn are found by correlation.
 - :class:`Aim`: a direction, how far off it may be, and a range of scales. Any orientation, mirrored or not.
 - :class:`AllSky`: a range of scales only. For fields that hold a dozen of the catalogue's brighter stars; the index
   (:func:`sky_index`) takes seconds and serves every frame of the same camera.
@@ -18,16 +18,15 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.records import FloatArray, IntArray, unpack
-from sameas.sky.frame.aims import Aim, AllSky, Header, Hint, SkyIndex, candidates, sky_index
-from sameas.sky.frame.odds import Scene, Verdict, on_pixels, verify
+from sameas.records import unpack
+from sameas.sky.frame.odds import FrameAndSky, Verdict, on_pixels, verify
+from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex, candidates
+from sameas.sky.frame.stars import Stars
 from sameas.sky.frame.tangent import Pointing, sky_of, unit_vectors
 from sameas.space import ARCSEC_PER_RADIAN
-
-__all__ = ["Aim", "AllSky", "Header", "Placement", "SkyIndex", "Stars", "place", "sky_index"]
 
 #: A placement is believed from these odds on.
 DEFAULT_ODDS = 1e6
@@ -35,7 +34,7 @@ DEFAULT_ODDS = 1e6
 CLOSE_LOOKS = 20
 
 
-class Measured(Protocol):
+class MeasuredStars(Protocol):
     """What is needed of measurements: pixels (0-based), covariances (xx, xy, yy in px²), fluxes, the frame's shape."""
 
     @property
@@ -50,38 +49,6 @@ class Measured(Protocol):
     def shape(self) -> tuple[int, int]: ...
     @property
     def name(self) -> str: ...
-
-
-@dataclass(frozen=True)
-class Stars:
-    """Catalogue stars where they are at the frame's epoch.
-
-    Attributes
-    ----------
-    ra_deg, dec_deg : (m,) ICRS. sigma_arcsec : (m,) error per axis, or one number. magnitude : (m,) in any band near
-        the frame's; a star without one (NaN) counts as faintest.
-    """
-
-    ra_deg: FloatArray
-    dec_deg: FloatArray
-    sigma_arcsec: FloatArray | float
-    magnitude: FloatArray
-    name: str = "catalogue"
-
-    def __post_init__(self) -> None:
-        n = len(self.ra_deg)
-        for what in ("dec_deg", "sigma_arcsec", "magnitude"):
-            values = np.asarray(getattr(self, what), dtype=np.float64)
-            if values.shape != (n,) and not (what == "sigma_arcsec" and values.ndim == 0):
-                raise InputError(f"{self.name}: {what} has shape {values.shape}; give one number per star, ({n},)")
-        known = np.isfinite(self.ra_deg) & np.isfinite(self.dec_deg) & (np.asarray(self.sigma_arcsec) >= 0)
-        if not known.all():
-            row = int(np.flatnonzero(~known)[0])
-            raise InputError(f"{self.name}: row {row} has no position or no error; leave such stars out")
-
-    def order(self) -> IntArray:
-        """(m,) rows, brightest first."""
-        return np.argsort(np.where(np.isnan(self.magnitude), np.inf, self.magnitude), kind="stable")
 
 
 @dataclass(frozen=True)
@@ -140,7 +107,7 @@ class Placement:
 
 
 def place(
-    measured: Measured,
+    measured: MeasuredStars,
     stars: Stars,
     hints: Hint | Sequence[Hint],
     *,
@@ -153,7 +120,7 @@ def place(
     ----------
     measured : the frame's measurements; up to half of the brighter ones may be spurious.
     stars : the catalogue at the frame's epoch, of the field or (for :class:`AllSky`) of the whole sky.
-    hints : one or several of :class:`Header`, :class:`Aim`, :class:`AllSky`, tried in this order.
+    hints : one or several of :class:`ApproximateWcs`, :class:`Aim`, :class:`AllSky`, tried in this order.
     index : of :func:`sky_index` for an :class:`AllSky` hint, to be kept from frame to frame; else it is made here.
     odds : a placement is refused below these odds against all chance, and against the next best placement.
 
@@ -165,7 +132,7 @@ def place(
     -------
     >>> place(measurements, stars, Aim(62.5, 22.8, radius_deg=0.1, scale_arcsec=(0.9, 1.4)))  # doctest: +SKIP
     """
-    hints = [hints] if isinstance(hints, Header | Aim | AllSky) else list(hints)
+    hints = [hints] if isinstance(hints, ApproximateWcs | Aim | AllSky) else list(hints)
     if not hints or not odds > 1:
         raise InputError("place: give at least one hint, and odds above 1")
     scene, order_1, order_2 = scene_of(measured, stars)
@@ -178,7 +145,7 @@ def place(
     raise InputError(f"{measured.name}: no solution: {'; '.join(refused)}; {_advice(hints)}")
 
 
-def scene_of(measured: Measured, stars: Stars) -> tuple[Scene, IntArray, IntArray]:
+def scene_of(measured: MeasuredStars, stars: Stars) -> tuple[FrameAndSky, IntArray, IntArray]:
     """Both lists brightest first, and the rows that they had."""
     px = np.column_stack([measured.x_px, measured.y_px]).astype(np.float64)
     usable = np.isfinite(px).all(axis=1) & np.isfinite(measured.covariance).all(axis=1) & np.isfinite(measured.flux)
@@ -194,10 +161,10 @@ def scene_of(measured: Measured, stars: Stars) -> tuple[Scene, IntArray, IntArra
     vectors = unit_vectors(np.asarray(stars.ra_deg)[order_2], np.asarray(stars.dec_deg)[order_2])
     covariance = unpack(np.asarray(measured.covariance, dtype=np.float64)[order_1], 2)
     shape = (int(measured.shape[0]), int(measured.shape[1]))
-    return Scene(px[order_1], covariance, shape, vectors, sigma / ARCSEC_PER_RADIAN), order_1, order_2
+    return FrameAndSky(px[order_1], covariance, shape, vectors, sigma / ARCSEC_PER_RADIAN), order_1, order_2
 
 
-def _searched(scene: Scene, hint: Hint, index: SkyIndex | None, enough: float) -> tuple[Verdict | None, float]:
+def _searched(scene: FrameAndSky, hint: Hint, index: SkyIndex | None, enough: float) -> tuple[Verdict | None, float]:
     """The best verdict under one hint, and the log-odds of the next best that is a different one."""
     own = _straightened(scene, hint)
     searched, tolerance = hint.searched(own), 0.01 * own.half_diagonal_px
@@ -218,16 +185,16 @@ def _searched(scene: Scene, hint: Hint, index: SkyIndex | None, enough: float) -
     return best, second
 
 
-def _straightened(scene: Scene, hint: Hint) -> Scene:
+def _straightened(scene: FrameAndSky, hint: Hint) -> FrameAndSky:
     """The scene with the header's distortion taken out of its measurements."""
-    if not isinstance(hint, Header):
+    if not isinstance(hint, ApproximateWcs):
         return scene
     linear = Pointing.of_wcs(hint.wcs, scene.shape)
     px = linear.to_px(sky_of(hint.wcs, scene.px))
-    return Scene(px, scene.covariance, scene.shape, scene.vectors, scene.sigma_rad)
+    return FrameAndSky(px, scene.covariance, scene.shape, scene.vectors, scene.sigma_rad)
 
 
-def _different(pointings: Iterator[Pointing], scene: Scene) -> Iterator[Pointing]:
+def _different(pointings: Iterator[Pointing], scene: FrameAndSky) -> Iterator[Pointing]:
     """The first of every bunch of nearly equal pointings, not more than are looked at closely."""
     proposed = list(pointings)
     if not proposed:
@@ -244,13 +211,13 @@ def _different(pointings: Iterator[Pointing], scene: Scene) -> Iterator[Pointing
         yield proposed[first]
 
 
-def _corners(scene: Scene) -> FloatArray:
+def _corners(scene: FrameAndSky) -> FloatArray:
     """(3, 2) three corners of the frame, the last two opposite each other."""
     high, wide = scene.shape
     return np.array([[0.0, 0.0], [wide - 1.0, 0.0], [0.0, high - 1.0]])
 
 
-def _same(one: Pointing, other: Pointing, scene: Scene) -> bool:
+def _same(one: Pointing, other: Pointing, scene: FrameAndSky) -> bool:
     """Do two pointings put the corners of the frame in the same places, to a hundredth of its diagonal?"""
     apart = one.to_sky(_corners(scene)) - other.to_sky(_corners(scene))
     size = 2 * scene.half_diagonal_px * one.scale_arcsec / ARCSEC_PER_RADIAN
@@ -262,15 +229,15 @@ def _believed(best: Verdict | None, second: float, enough: float) -> bool:
 
 
 def _placement(
-    scene: Scene,
+    scene: FrameAndSky,
     best: Verdict,
     second: float,
     hint: Hint,
-    measured: Measured,
-    orders: tuple[NDArray[np.int64], NDArray[np.int64]],
+    measured: MeasuredStars,
+    orders: tuple[IntArray, IntArray],
 ) -> Placement:
     rms_px = math.sqrt(np.mean(best.residual_px**2))
-    if isinstance(hint, Header):
+    if isinstance(hint, ApproximateWcs):
         best = on_pixels(best, scene, scene.px)
     return Placement(
         wcs=best.pointing.to_wcs(scene.shape),

@@ -14,11 +14,11 @@ import numpy as np
 
 from sameas.errors import InputError
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.frame.aims import Hint
 from sameas.sky.frame.field import Cone, StarField
 from sameas.sky.frame.identified import FrameIdentification, Refinement, identify_frame
 from sameas.sky.frame.measurements import Measurements
-from sameas.sky.frame.place import Aim, AllSky, Header, SkyIndex, place
+from sameas.sky.frame.place import place
+from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex
 from sameas.sky.frame.tangent import Pointing, directions_deg
 
 #: The field is searched for stars so much farther than the frame's corner: it may be turned or scaled a little.
@@ -53,10 +53,10 @@ def solve(
 
     Example
     -------
-    >>> found = solve(detect(frame), catalogue, Header(wcs), epoch_jyr=2018.8)  # doctest: +SKIP
+    >>> found = solve(detect(frame), catalogue, ApproximateWcs(wcs), epoch_jyr=2018.8)  # doctest: +SKIP
     >>> found.plate.to_wcs()  # doctest: +SKIP
     """
-    hints = [hints] if isinstance(hints, Header | Aim | AllSky) else list(hints)
+    hints = [hints] if isinstance(hints, ApproximateWcs | Aim | AllSky) else list(hints)
     near = searched(hints, measured.shape)
     stars = StarField.of(catalogue, epoch_jyr, motion=motion, near=near)
     if faintest is not None:
@@ -92,7 +92,7 @@ def searched(hints: Sequence[Hint], shape: tuple[int, int]) -> Cone | None:
     for hint in hints:
         if isinstance(hint, AllSky):
             return None
-        if isinstance(hint, Header):
+        if isinstance(hint, ApproximateWcs):
             frame = footprint(Pointing.of_wcs(hint.wcs, shape), shape)
             off = hint.radius_deg if hint.radius_deg is not None else 0.5 * frame.radius_deg
             cones.append(replace(frame, radius_deg=frame.radius_deg + off))

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from sameas.records import FloatArray
+from sameas.arrays import BoolArray, FloatArray
 from sameas.space import ARCSEC_PER_RADIAN
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ def design(offset_px: FloatArray) -> FloatArray:
 
 
 def similarities(
-    px: FloatArray, vectors: FloatArray, mirrored: NDArray[np.bool_], origin_px: FloatArray
+    px: FloatArray, vectors: FloatArray, mirrored: BoolArray, origin_px: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """The least-squares shift, turn and scale of c sets of k pixels (c, k, 2) on k directions (c, k, 3).
 

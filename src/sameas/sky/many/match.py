@@ -8,30 +8,188 @@ catalogues.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.joint import Joint
-from sameas.membership import Answer, answer
-from sameas.objects import Objects
-from sameas.records import FloatArray, IntArray, Records
-from sameas.sets import Sets, candidate_sets
+from sameas.gate import Pairs
+from sameas.many.joint import Joint, Observers
+from sameas.many.marginals import Answer, answer
+from sameas.many.objects import Objects
+from sameas.many.pooled import PooledRecords, union
+from sameas.many.sets import Sets, candidate_sets
+from sameas.many.terms import Linear, Terms
+from sameas.records import Records
 from sameas.sky.bands import OFF
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.many.candidates import Candidates, Matches
-from sameas.sky.many.observers import StarObservers
+from sameas.sky.crossmatch import MatchOptions, SkyMatch
+from sameas.sky.crossmatch import match as match_two
 from sameas.sky.many.population import Coverages, Population, first_guess, patterns_of
 from sameas.sky.many.stars import Sightings, fitted, moving_rows
-from sameas.sky.match import MatchOptions, SkyMatch
-from sameas.sky.match import match as match_two
-from sameas.terms import Terms
-from sameas.union import Union, union
+from sameas.space import sphere_offset
+
+# Catalogues as observers of stars: what :mod:`sameas.many` asks of several sources, answered for stars that move.
+
+#: A bound that leaves out no set: a motion makes places far apart more probable than any peak of a density.
+UNBOUNDED = 1e4
+
+
+@dataclass(frozen=True)
+class StarObservers(Observers):
+    """Catalogues as observers of stars, ``sources`` their records in the order of the union.
+
+    The state of a set: right ascension and declination in degrees at the reference epoch, proper motion east and north
+    in arcsec per year, (k, 4); its covariance in arcsec and arcsec per year, as the residuals of its pattern spread
+    where they tell of errors.
+
+    sightings, population : in the order of the catalogues and of their tables. catalogue : (S,) which one each source
+    is. position : per source where its records stand there.
+    """
+
+    sightings: tuple[Sightings, ...] = field(kw_only=True)
+    population: Population = field(kw_only=True)
+    catalogue: tuple[int, ...] = field(kw_only=True)
+    position: tuple[IntArray, ...] = field(kw_only=True)
+
+    @classmethod
+    def of(
+        cls, union: PooledRecords, records: Sequence[Records], sightings: tuple[Sightings, ...], population: Population
+    ) -> StarObservers:
+        """Those of a union of the catalogues' ``records``."""
+        names = [one.source for one in records]
+        sources = tuple(source for source in union.sources if isinstance(source, Records))
+        catalogue = tuple(names.index(source.source) for source in sources)
+        position = tuple(place(source, records[c]) for source, c in zip(sources, catalogue, strict=True))
+        return cls(sources, None, sightings=sightings, population=population, catalogue=catalogue, position=position)
+
+    def placed(self, sets: NDArray[np.integer]) -> IntArray:
+        """Sets (k, sources) of positions in the sources, as (k, catalogues) of positions in the catalogues' records."""
+        out = np.full(sets.shape, -1, np.int64)
+        for s, c in enumerate(self.catalogue):
+            k = np.flatnonzero(sets[:, s] >= 0)
+            out[k, c] = self.position[s][sets[k, s]]
+        return out
+
+    def joint(self, sets: NDArray[np.integer]) -> Joint:
+        """Density and state of ``sets`` (k, sources): density of objects of their pattern times that of the places."""
+        placed = self.placed(sets)
+        fit, patterns = fitted(self.sightings, placed), patterns_of(placed)
+        log_density = fit.log_peak + self.population.log_spread(patterns, fit.chi_sq)
+        several = patterns & (patterns - 1) > 0
+        log_density += np.where(several, self.population.log_together(placed, patterns), 0.0)
+        scale_sq = np.where(fit.judged, self.population.scale_sq(patterns, fit.chi_sq), 1.0)
+        state = np.column_stack([fit.direction, fit.motion])
+        return Joint(log_density, fit.chi_sq, state, scale_sq[:, None, None] * fit.covariance)
+
+    def terms(self, union: PooledRecords) -> Terms:
+        """What the records weigh as objects of their own."""
+        alone = [self.population.log_alone(c)[p] for c, p in zip(self.catalogue, self.position, strict=True)]
+        return Terms({"density of lone records": Linear(0.0, -np.concatenate(alone))})
+
+    def log_peak(self, s: int) -> FloatArray:
+        """(n,) no set gains more by a record of source s."""
+        return np.full(len(self.position[s]), UNBOUNDED)
+
+
+# Candidates: which records of every two catalogues can be one star, found two by two and through a third.
+#
+# Every two catalogues are identified with each other first (:func:`sameas.sky.crossmatch.match`): that chooses how wide
+# their gate must be, which their residuals alone can tell. Two catalogues without motions miss each other's fast stars,
+# whose records lie beyond any gate; where a third catalogue knows the motion, records that both are candidates of one
+# of its moving records are candidates of each other.
+
+#: Candidates less probable than this, two by two, lead to no others.
+PLAUSIBLE = 1e-6
+
+Matches = Mapping[tuple[int, int], SkyMatch]
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Candidate pairs of every two catalogues; a gate for :func:`sameas.many.pooled.union`, called by their records'
+    names.
+
+    records : of every catalogue. found : per two of them (a < b) the positions i (m,) and j (m,) in their records.
+    """
+
+    records: tuple[Records, ...]
+    found: Mapping[tuple[int, int], tuple[IntArray, IntArray]]
+
+    @classmethod
+    def of(cls, matches: Matches, records: Sequence[Records], sightings: Sequence[Sightings]) -> Candidates:
+        """Those of the ``matches`` of every two catalogues, and those that moving stars lead to."""
+        links = {}
+        for (a, b), match in matches.items():
+            i, j, p = positions(match, records[a], records[b])
+            links[a, b] = csr_array((p + 1.0, (i, j)), shape=(len(records[a]), len(records[b])))
+        found = {}
+        for a, b in combinations(range(len(records)), 2):
+            link = links[a, b]
+            for c in range(len(records)):
+                if c in (a, b) or not sightings[c].moving.any():
+                    continue
+                to, off = _through(links, a, c), _through(links, c, b)
+                link = link + (to * sightings[c].moving.astype(np.float64)) @ off
+            pairs = csr_array(link).tocoo()
+            found[a, b] = pairs.row.astype(np.int64), pairs.col.astype(np.int64)
+        return cls(tuple(records), found)
+
+    def __call__(self, first: Records, second: Records) -> Pairs:
+        """The candidates of two of the catalogues, whatever the order of their records."""
+        names = [records.source for records in self.records]
+        a, b = names.index(first.source), names.index(second.source)
+        i, j = self.found[min(a, b), max(a, b)]
+        if a > b:
+            i, j = j, i
+        return measured(first, second, place(self.records[a], first)[i], place(self.records[b], second)[j])
+
+
+def positions(match: SkyMatch, first: Records, second: Records) -> tuple[IntArray, IntArray, FloatArray]:
+    """A match's candidates as positions in two sets of records of its catalogues, and their probabilities."""
+    result = match.result
+    i, known_1 = _known(first, result.rows_1)
+    j, known_2 = _known(second, result.rows_2)
+    known = known_1 & known_2
+    return i[known], j[known], result.p_pair[known]
+
+
+def measured(first: Records, second: Records, rows_1: IntArray, rows_2: IntArray) -> Pairs:
+    """Pairs of records on the sphere, named by position, with residuals, squared distances and determinants."""
+    i, j = rows_1.astype(np.int32), rows_2.astype(np.int32)
+    offset = sphere_offset(*first.features[i].T, *second.features[j].T)
+    nothing = np.zeros(len(i))
+    pairs = Pairs(first, second, i, j, i, j, offset, nothing, nothing, "candidates of the catalogues two by two")
+    sigma = pairs.covariance
+    distance = np.einsum("kv,kvw,kw->k", offset, np.linalg.inv(sigma), offset)
+    return replace(pairs, mahalanobis_sq=distance, determinant=np.linalg.det(sigma))
+
+
+def place(records: Records, among: Records) -> IntArray:
+    """(n,) where each of the ``records`` stands among the same records in another order."""
+    order = np.argsort(among.rows)
+    return order[np.searchsorted(among.rows, records.rows, sorter=order)]
+
+
+def _through(links: Mapping[tuple[int, int], csr_array], a: int, b: int) -> csr_array:
+    """Plausible candidates of catalogues a and b, in either order, as a matrix of ones."""
+    kept = csr_array(links[a, b] if a < b else links[b, a].T)
+    kept.data = np.where(kept.data > 1.0 + PLAUSIBLE, 1.0, 0.0)
+    kept.eliminate_zeros()
+    return kept
+
+
+def _known(records: Records, rows: IntArray) -> tuple[IntArray, np.ndarray]:
+    """Positions of table rows among the records, and whether they are there."""
+    at = np.minimum(np.searchsorted(records.rows, rows), max(len(records) - 1, 0))
+    return at, records.rows[at] == rows
+
 
 #: More catalogues have more patterns than data can tell apart.
 MOST_CATALOGUES = 8
@@ -47,7 +205,7 @@ class ManyOptions:
     """What the user says beforehand; everything not said is estimated or decided by the catalogues.
 
     epoch_jyr : of the objects' places in the answer; the mean of the catalogues' epochs if not said.
-    gate_sigmas, error_scale : as in :class:`~sameas.sky.match.MatchOptions`, of every two catalogues.
+    gate_sigmas, error_scale : as in :class:`~sameas.sky.crossmatch.MatchOptions`, of every two catalogues.
     time_limit_s : of branch and bound in one group; where it is reached the answer states its gap.
     """
 
@@ -86,7 +244,7 @@ class ManyMatch:
         return self.objects.fused
 
     @cached_property
-    def motion_told(self) -> NDArray[np.bool_]:
+    def motion_told(self) -> BoolArray:
         """(n,) whether an object's records tell its motion: one has it, or two are of different epochs."""
         members = np.ma.filled(self.objects.members, -1)
         told = np.zeros(len(members), bool)
@@ -177,10 +335,10 @@ def _stage(progress: Callable[[str], None], names: str, stage: str) -> None:
 
 
 @dataclass(frozen=True)
-class _Found:
+class _Converged:
     """The answer with the population that it was found with; ``expected`` (2^S,) objects of every pattern."""
 
-    union: Union
+    union: PooledRecords
     sets: Sets
     terms: Terms
     answer: Answer
@@ -189,7 +347,9 @@ class _Found:
     settled: bool
 
 
-def _settled(together: Union, coverages: Coverages, options: ManyOptions, progress: Callable[[str], None]) -> _Found:
+def _settled(
+    together: PooledRecords, coverages: Coverages, options: ManyOptions, progress: Callable[[str], None]
+) -> _Converged:
     """Population and probabilities estimated in turn, until they settle."""
     observers = together.observers
     assert isinstance(observers, StarObservers)
@@ -211,7 +371,7 @@ def _settled(together: Union, coverages: Coverages, options: ManyOptions, progre
         population = population.learned(placed, weighing.chi_sq, best.probability, coverages)
     observers = replace(observers, population=population)
     together = replace(together, observers=observers)
-    return _Found(together, weighed, observers.terms(together), best, expected, number, settled)
+    return _Converged(together, weighed, observers.terms(together), best, expected, number, settled)
 
 
 @dataclass(frozen=True)

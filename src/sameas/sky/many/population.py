@@ -17,13 +17,12 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sameas.coverage import Coverage, local_share
-from sameas.error_scales import fit_errors
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.estimate.coverage import Coverage, local_share
+from sameas.estimate.em import FEWEST, LEAST_SHARE, THINKABLE
+from sameas.estimate.error_scales import fit_errors
 from sameas.evidence import Errors
-from sameas.records import FloatArray, IntArray
-from sameas.rounds import FEWEST, LEAST_SHARE, THINKABLE
 
 Coverages = Mapping[tuple[int, int], Coverage]
 #: Sets less probable than this say nothing of the errors; none is taken to be more probable than the other number.
@@ -176,7 +175,7 @@ def _patterns_with(s: int, n_sources: int) -> list[int]:
     return [pattern for pattern in range(1, 1 << n_sources) if pattern >> s & 1]
 
 
-def _seen(coverages: Coverages, s: int, shares: Sequence[FloatArray]) -> NDArray[np.bool_]:
+def _seen(coverages: Coverages, s: int, shares: Sequence[FloatArray]) -> BoolArray:
     """(n, 2^S) whether all catalogues of a pattern look at the records of s."""
     n_sources = len(shares)
     looks = np.ones((len(shares[s]), n_sources), bool)

@@ -2,15 +2,15 @@
 
 A star is at x at a reference epoch T and moves by v. A record seen at epoch t without a motion says z = x + (t − T) v;
 one with a motion says both, x and v, carried to T. With Λ, η and χ² summed over the records of a set as in
-:mod:`sameas.joint`, on the tangent plane at the set's first record, the density of their places is
+:mod:`sameas.many.joint`, on the tangent plane at the set's first record, the density of their places is
 
     ln J = Σ ln norm + 2 ln 2π − ½ ln|Λ| − ½ χ²,
 
 less the same of the motions alone where two records or more have one: the places are judged, given that their motions
-are one motion, as :func:`sameas.sky.match.match` judges them. Where no record of a set has a motion, v is normal about
-0 with the standard deviation that the catalogues were given for motions that are not known. So a star of large motion
-is found in catalogues without motions wherever one catalogue has it, in both directions of time; a common epoch cannot
-do that. For two catalogues J is the density of the residual at the common epoch.
+are one motion, as :func:`sameas.sky.crossmatch.match` judges them. Where no record of a set has a motion, v is normal
+about 0 with the standard deviation that the catalogues were given for motions that are not known. So a star of large
+motion is found in catalogues without motions wherever one catalogue has it, in both directions of time; a common epoch
+cannot do that. For two catalogues J is the density of the residual at the common epoch.
 """
 
 from __future__ import annotations
@@ -21,15 +21,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.areas import displaced
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.evidence.spread import LOG_2PI
-from sameas.records import FloatArray, IntArray, Records
-from sameas.sky import cells
+from sameas.records import Records
+from sameas.sky import column_values
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.motion import propagate
-from sameas.space import sphere_offset
+from sameas.space import displaced, sphere_offset
 
-BoolArray = NDArray[np.bool_]
 #: Rows worked on at a time.
 CHUNK = 100_000
 #: Standard deviation of a place that no time separates from the reference epoch is not touched by the motion's.
@@ -99,7 +98,7 @@ class Sightings:
         return cls(direction, motion, precision, log_norm, moving, motion_precision, motion_log_norm, unknown)
 
 
-class Fit(NamedTuple):
+class AstrometricFit(NamedTuple):
     """Per set (k,): ``log_peak`` ln J without its −½ χ², ``chi_sq`` χ² of 2 (size − 1) degrees of freedom.
 
     direction, motion : (k, 2) of the star at the reference epoch. covariance : (k, 4, 4) of both.
@@ -115,15 +114,19 @@ class Fit(NamedTuple):
     judged: BoolArray
 
 
-def fitted(sightings: tuple[Sightings, ...], sets: NDArray[np.integer]) -> Fit:
+def fitted(sightings: tuple[Sightings, ...], sets: NDArray[np.integer]) -> AstrometricFit:
     """The star of each of the ``sets`` (k, catalogues) of records, named by position, −1 for none; none is empty."""
     parts = [_fitted(sightings, sets[low : low + CHUNK]) for low in range(0, max(len(sets), 1), CHUNK)]
-    return parts[0] if len(parts) == 1 else Fit(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    return (
+        parts[0]
+        if len(parts) == 1
+        else AstrometricFit(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    )
 
 
-def _fitted(sightings: tuple[Sightings, ...], sets: NDArray[np.integer]) -> Fit:
+def _fitted(sightings: tuple[Sightings, ...], sets: NDArray[np.integer]) -> AstrometricFit:
     anchor = _anchors(sightings, sets)
-    whole, motions = _Sum.of(len(sets), 4), _Sum.of(len(sets), 2)
+    whole, motions = _NormalSum.of(len(sets), 4), _NormalSum.of(len(sets), 2)
     moving, spread = np.zeros(len(sets), np.int64), np.zeros(len(sets))
     for s, catalogue in enumerate(sightings):
         k = np.flatnonzero(sets[:, s] >= 0)
@@ -147,11 +150,13 @@ def _fitted(sightings: tuple[Sightings, ...], sets: NDArray[np.integer]) -> Fit:
         peak, own, _, _ = motions.at(several).solved()
         log_peak[several] -= peak
         chi_sq[several] -= own
-    return Fit(log_peak, np.maximum(chi_sq, 0.0), displaced(anchor, state[:, :2]), state[:, 2:], covariance, judged)
+    return AstrometricFit(
+        log_peak, np.maximum(chi_sq, 0.0), displaced(anchor, state[:, :2]), state[:, 2:], covariance, judged
+    )
 
 
 @dataclass(frozen=True)
-class _Sum:
+class _NormalSum:
     """Information, vector, square and ln of the factors of many normals, set by set."""
 
     information: FloatArray
@@ -160,11 +165,11 @@ class _Sum:
     log_norm: FloatArray
 
     @classmethod
-    def of(cls, k: int, d: int) -> _Sum:
+    def of(cls, k: int, d: int) -> _NormalSum:
         return cls(np.zeros((k, d, d)), np.zeros((k, d)), np.zeros(k), np.zeros(k))
 
-    def at(self, k: IntArray) -> _Sum:
-        return _Sum(self.information[k], self.vector[k], self.square[k], self.log_norm[k])
+    def at(self, k: IntArray) -> _NormalSum:
+        return _NormalSum(self.information[k], self.vector[k], self.square[k], self.log_norm[k])
 
     def add(self, k: IntArray, value: FloatArray, precision: FloatArray, log_norm: FloatArray) -> None:
         """A normal about ``value`` more for each of the sets k."""
@@ -224,5 +229,5 @@ def moving_rows(catalogue: Catalogue) -> BoolArray:
     for column in catalogue.choice.motion[1:3]:
         if column is None:
             return np.zeros(len(catalogue), bool)
-        known &= np.isfinite(cells.numbers(catalogue.table, column.name, catalogue.name))
+        known &= np.isfinite(column_values.numbers(catalogue.table, column.name, catalogue.name))
     return known

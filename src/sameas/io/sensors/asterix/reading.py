@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.io.sensors.asterix import cat021, cat048, cat062
 from sameas.io.sensors.asterix.blocks import PCAPNG, Block, blocks_of
-from sameas.io.sensors.asterix.layout import CATEGORIES
-from sameas.io.sensors.asterix.records import DamagedRecord, records_of, unsigned
+from sameas.io.sensors.asterix.records import CATEGORIES, DamagedRecord, records_of, unsigned
 from sameas.io.sensors.clock import DAY_S, counted_on
-from sameas.records import FloatArray
 from sameas.tracks.reports import Damaged, Reports, of_rows
 
 _MEANINGS: dict[int, ModuleType] = {21: cat021, 48: cat048, 62: cat062}

@@ -3,8 +3,94 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
-from sameas.io.sensors.asterix.layout import Category, Field, Length
+# Layout: which items a record of each category may have, in the order of its field specification, and their lengths.
+#
+# A length is written as
+#
+# - ``3`` — so many bytes;
+# - ``"1+"`` — parts of so many bytes, the lowest bit of each says whether another follows;
+# - ``"n8"`` — a count in one byte, then so many parts of 8 bytes;
+# - ``"len"`` — the first byte is the length of the item, itself included;
+# - a tuple of (name, length) — a compound: a field specification of its own, then the subfields that it names.
+#
+# Sources: EUROCONTROL-SPEC-0149-12 (category 021, editions 2.1 to 2.7), -4 (048, 1.27 to 1.32), -9 (062, 1.16 to 1.21).
+
+Length = int | str | tuple["Field | None", ...]
+#: Name and length of an item; None where the field specification has a spare bit.
+Field = tuple[str, Length]
+
+
+def _layout_compound(text: str) -> tuple[Field | None, ...]:
+    """Subfields from ``"ADR:3 TID:n15 -"``; a dash is a spare bit."""
+    return tuple(None if part == "-" else _field(part) for part in text.split())
+
+
+def _field(part: str) -> Field:
+    name, length = part.split(":")
+    return name, int(length) if length.isdigit() else length
+
+
+@dataclass(frozen=True)
+class AsterixCategory:
+    """One category: ``items`` in the order of the bits of the field specification."""
+
+    number: int
+    items: tuple[Field | None, ...]
+
+
+def _category(number: int, items: str, compounds: Mapping[str, str]) -> AsterixCategory:
+    fields: list[Field | None] = []
+    for part in items.split():
+        name = part.split(":")[0]
+        if name in compounds:
+            fields.append((name, _layout_compound(compounds[name])))
+        else:
+            fields.append(None if part == "-" else _field(part))
+    return AsterixCategory(number, tuple(fields))
+
+
+_INTENT = "TIS:1+ TID:n15"
+
+CATEGORIES = {
+    21: _category(
+        21,
+        "010:2 040:1+ 161:2 015:1 071:3 130:6 131:8 072:3 150:2 151:2 080:3 073:3 074:4 075:3 076:4 140:2 090:1+ 210:1 "
+        "070:2 230:2 145:2 152:2 200:1 155:2 157:2 160:4 165:2 077:3 170:6 020:1 220 146:2 148:2 110 016:1 008:1 "
+        "271:1+ 132:1 250:n8 260:7 400:1 295 - - - - - RE:len SP:len",
+        {
+            "220": "WS:2 WD:2 TMP:2 TRB:1",
+            "110": _INTENT,
+            "295": "AOS:1 TRD:1 M3A:1 QI:1 TI1:1 MAM:1 GH:1 FL:1 SAL:1 FSA:1 AS:1 TAS:1 MH:1 BVR:1 GVR:1 GV:1 TAR:1 "
+            "TI2:1 TS:1 MET:1 ROA:1 ARA:1 SCC:1",
+        },
+    ),
+    48: _category(
+        48,
+        "010:2 140:3 020:1+ 040:4 070:2 090:2 130 220:3 240:6 250:n8 161:2 042:4 200:4 170:1+ 210:4 030:1+ 080:2 100:4 "
+        "110:2 120 230:2 260:7 055:1 050:2 065:1 060:2 SP:len RE:len",
+        {"130": "SRL:1 SRR:1 SAM:1 PRL:1 PAM:1 RPD:1 APD:1", "120": "CAL:2 RDS:n6"},
+    ),
+    62: _category(
+        62,
+        "010:2 - 015:1 070:3 105:8 100:6 185:4 210:2 060:2 245:7 380 040:2 080:1+ 290 200:1 295 136:2 130:2 135:2 "
+        "220:2 390 270:1+ 300:1 110 120:2 510:3+ 500 340 - - - - - RE:len SP:len",
+        {
+            "380": "ADR:3 ID:6 MHG:2 IAS:2 TAS:2 SAL:2 FSS:2 TIS:1+ TID:n15 COM:2 SAB:2 ACS:7 BVR:2 GVR:2 RAN:2 TAR:2 "
+            "TAN:2 GSP:2 VUN:1 MET:8 EMC:1 POS:6 GAL:2 PUN:1 MB:n8 IAR:2 MAC:2 BPS:2",
+            "290": "TRK:1 PSR:1 SSR:1 MDS:1 ADS:2 ES:1 VDL:1 UAT:1 LOP:1 MLT:1",
+            "295": "MFL:1 MD1:1 MD2:1 MDA:1 MD4:1 MD5:1 MHG:1 IAS:1 TAS:1 SAL:1 FSS:1 TID:1 COM:1 SAB:1 ACS:1 BVR:1 "
+            "GVR:1 RAN:1 TAR:1 TAN:1 GSP:1 VUN:1 MET:1 EMC:1 POS:1 GAL:1 PUN:1 MB:1 IAR:1 MAC:1 BPS:1",
+            "390": "TAG:2 CS:7 IFI:4 FCT:1 TAC:4 WTC:1 DEP:4 DST:4 RDS:3 CFL:2 CTL:2 TOD:n4 AST:6 STS:1 STD:7 STA:7 "
+            "PEM:2 PEC:7",
+            "110": "SUM:1 PMN:4 POS:6 GA:2 EM1:2 TOS:1 XP:1",
+            "500": "APC:4 COV:2 APW:4 AGA:1 ABA:1 ATV:2 AA:2 ARC:1",
+            "340": "SID:2 POS:4 HEIGHT:2 MDC:2 MDA:2 TYP:1",
+        },
+    ),
+}
+
 
 Item = bytes | Mapping[str, bytes]
 
@@ -13,7 +99,7 @@ class DamagedRecord(ValueError):
     """A record that ends in the middle of an item, or names an item that its category does not have."""
 
 
-def records_of(category: Category, data: bytes) -> Iterator[dict[str, Item]]:
+def records_of(category: AsterixCategory, data: bytes) -> Iterator[dict[str, Item]]:
     """The records in the data of a block, the items of each by name; compounds by the names of their subfields.
 
     Raises
@@ -22,7 +108,7 @@ def records_of(category: Category, data: bytes) -> Iterator[dict[str, Item]]:
 
     Example
     -------
-    >>> from sameas.io.sensors.asterix.layout import CATEGORIES
+    >>> from sameas.io.sensors.asterix.records import CATEGORIES
     >>> [record] = records_of(CATEGORIES[48], bytes.fromhex("D0 0102 054600 0A002000"))
     >>> {name: value.hex() for name, value in record.items()}
     {'010': '0102', '140': '054600', '040': '0a002000'}

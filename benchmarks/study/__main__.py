@@ -1,0 +1,37 @@
+"""The study of the papers' claims: every rule, many sources, with tables, figures and the page of the documentation."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from benchmarks.study.command import QUICK, SCENES, study
+from benchmarks.study.experiments import NAMES
+from benchmarks.tables import OUTPUT
+from sameas import InputError
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def main() -> None:
+    """The command line: everything on all cores; ``docs/study.md`` where every experiment ran at full length."""
+    parser = argparse.ArgumentParser(prog="scripts/bench study", description=__doc__)
+    parser.add_argument("--scenes", type=int, default=None, help=f"scenes a point (default {SCENES})")
+    parser.add_argument("--quick", action="store_true", help=f"{QUICK} scenes a point, and no page")
+    parser.add_argument("--only", action="append", default=[], choices=NAMES, help="one experiment, and no page")
+    parser.add_argument("-o", "--output", type=Path, default=OUTPUT / "study", help="gets tables and figures")
+    parser.add_argument("--page", type=Path, default=None, help="another place for the page")
+    options = parser.parse_args()
+    if options.scenes is not None and options.quick:
+        parser.error("say --quick or --scenes, not both")
+    whole = not (options.quick or options.only)
+    page = options.page or (DOCS / "study.md" if whole and options.output == OUTPUT / "study" else None)
+    try:
+        study(options.scenes or (QUICK if options.quick else SCENES), options.output, options.only, page)
+    except InputError as error:
+        sys.exit(f"scripts/bench study: {error}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,56 @@
+"""The public names, and the modules that they come from."""
+
+from . import evidence as evidence
+from . import io as io
+from . import picture as picture
+from . import plots as plots
+from . import score as score
+from . import simulate as simulate
+from . import sky as sky
+from . import tracks as tracks
+from ._identify import identify as identify
+from .errors import InputError as InputError
+from .estimate.match import Estimate as Estimate
+from .estimate.match import match as match
+from .evidence import CloseObjects as CloseObjects
+from .evidence import ConstantCost as ConstantCost
+from .evidence import Displacement as Displacement
+from .evidence import Errors as Errors
+from .evidence import Field as Field
+from .evidence import Flat as Flat
+from .evidence import GaussianMixture as GaussianMixture
+from .evidence import PoissonField as PoissonField
+from .evidence import Samples as Samples
+from .evidence import Universal as Universal
+from .evidence.spacing import estimate_reach as estimate_reach
+from .gate import Box as Box
+from .gate import ChiSquare as ChiSquare
+from .gate import Radius as Radius
+from .io import read_table as read_table
+from .io import write_table as write_table
+from .many.identify import identify_many as identify_many
+from .many.objects import Objects as Objects
+from .many.observations import Bearing as Bearing
+from .many.observations import LinearPart as LinearPart
+from .many.observations import Observations as Observations
+from .many.observations import Region as Region
+from .many.rules import MissedObjects as MissedObjects
+from .many.rules import PoissonObjects as PoissonObjects
+from .many.sequential import identify_sequentially as identify_sequentially
+from .prior import CommonObjects as CommonObjects
+from .prior import PerPair as PerPair
+from .records import Records as Records
+from .registration import Affine as Affine
+from .registration import Registration as Registration
+from .registration import SensorBias as SensorBias
+from .registration import Shift as Shift
+from .registration import Similarity as Similarity
+from .registration import register as register
+from .result import Identification as Identification
+from .result import Loss as Loss
+from .result import least_loss as least_loss
+from .result import most_right as most_right
+from .space import Plane as Plane
+from .space import Sphere as Sphere
+
+__version__: str

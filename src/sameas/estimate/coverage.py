@@ -1,0 +1,399 @@
+"""Where two sources look, and how densely their records lie there, from the records alone.
+
+The space is cut into cells of equal size, coarse to fine. A local density is the count of a cell, drawn towards the
+density of the coarser cell by pseudo-counts, level after level: coarse where there is little to count, fine where there
+is much. A record is *not covered* by the other source where that source is empty although many of its records were
+to be expected: seven or more in a cell, or twelve in a disc around a record (``holes.py``), by which borders are drawn
+as fine as records lie.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.estimate.cells import GridLevel, levels_of
+from sameas.kernels import threads
+from sameas.records import Records
+from sameas.space import ARCSEC_PER_RADIAN, Sphere
+
+# Holes and edges of a source, as fine as its records lie: discs that are empty although many were to be expected.
+#
+# ``coverage.py`` finds by cells where a source does not look at all; this finds what is left at the borders of that,
+# and holes that no cell fits into. A record lies in a hole where it is inside an empty disc around a record of its own
+# source (in one dimension an interval, in three a ball): the space without records is opened by that disc.
+
+Floats = TypeVar("Floats", float, FloatArray)
+
+#: Records to be expected in an empty disc by the density where its source looks. More than in a cell (``coverage.py``):
+#: cells are few and lie where they lie, a disc is tried around every record.
+DISC = 12.0
+#: Records to be expected in it by those of the asking source that it holds, its middle among them, so that a place that
+#: is poor in objects is not taken for a hole.
+COMPANY = 7.0
+#: Records to be expected in an empty disc that carries a hole on to its border.
+STEP = 5.0
+#: An empty disc reaches beyond the border it lies at, up to the first records, by about this part of their spacing.
+#: What is found lies that much deeper inside the disc, times 1 − share: discs are tried around records only, and the
+#: fewer these are the less often one is found that reaches so far.
+OVERREACH = 0.6
+#: Dimensions that discs are made for; in more of them neighbours are too many.
+MOST_DIMENSIONS = 3
+#: Middles nearer to each other than this part of the radius are as good as one, where so many lie in a disc.
+APART = 0.125
+MANY = 64.0
+#: Cells along an axis that numbers are kept for; farther ones share them.
+MOST_CELLS = 2.0**40
+
+
+@dataclass(frozen=True)
+class Points:
+    """The points of a source among which empty discs are sought, in the unit of the residuals.
+
+    points : (n, axes); of directions on the sphere the chords. period : (axes,), infinite where there is none.
+    d : of the space, by which a disc's volume goes.
+    """
+
+    points: FloatArray
+    period: FloatArray
+    d: int
+
+    @classmethod
+    def of(cls, records: Records) -> Points:
+        """That of the records of one source."""
+        if isinstance(records.space, Sphere):
+            lon, lat = np.radians(records.features.T)
+            flat = np.cos(lat)
+            chords = np.stack([flat * np.cos(lon), flat * np.sin(lon), np.sin(lat)], axis=1)
+            return cls(ARCSEC_PER_RADIAN * chords, np.full(3, np.inf), 2)
+        period = np.array(records.space.period_list(records.d))
+        wraps = np.isfinite(period)
+        if not wraps.any():
+            return cls(records.features, period, records.d)
+        points = records.features.copy()
+        points[:, wraps] = np.mod(points[:, wraps], period[wraps])
+        return cls(points, period, records.d)
+
+    def near(self, other: Points, distance: float) -> BoolArray:
+        """Which points are no farther than ``distance`` from the box around another's, axis by axis."""
+        low, high = other.points.min(axis=0) - distance, other.points.max(axis=0) + distance
+        outside = ((self.points < low) | (self.points > high)) & np.isinf(self.period)
+        return np.asarray(~outside.any(axis=1))
+
+    def at(self, rows: IntArray) -> FloatArray:
+        """(r, 3) points of some rows, unused axes zero."""
+        points = np.zeros((len(rows), 3))
+        points[:, : self.points.shape[1]] = self.points[rows]
+        return points
+
+    def lonely(
+        self, wanted: BoolArray, density: FloatArray, limits: tuple[float, float], volume: float, other: Points
+    ) -> IntArray:
+        """Rows of those ``wanted`` with a density within limits in whose discs no point of the other is at hand.
+
+        volume : of the discs, times the density.
+        """
+        from sameas.kernels.coverage import lonely
+
+        rows = np.empty(len(self.points), np.int32)
+        cells = _PointCells.over(other, (volume / limits[1]) ** (1.0 / self.d) / math.sqrt(self.d), len(other.points))
+        found = lonely(self.points, wanted, density, *limits, volume, self.d, other.points, *cells.arrays(), rows)
+        return rows[:found].astype(np.int64)
+
+    def beside(self, centres: FloatArray, radius: FloatArray, side: float) -> IntArray:
+        """Rows of all points inside discs around some centres, with others around them."""
+        from sameas.kernels.coverage import beside
+
+        rows = np.empty(len(self.points), np.int32)
+        cells = _PointCells.over(self, side, len(self.points))
+        found = beside(self.points, *cells.arrays(), centres, radius, rows)
+        return rows[:found].astype(np.int64)
+
+
+@dataclass(frozen=True)
+class _PointCells:
+    """Cells over points and the table their numbers are taken into; see ``kernels/discs.py``. All (3,)."""
+
+    low: FloatArray
+    side: FloatArray
+    number: IntArray
+    period: FloatArray
+    mask: int
+
+    @classmethod
+    def over(cls, ground: Points, side: float, n: int) -> _PointCells:
+        """Cells of about one side over a ground, in a table for n points."""
+        low, number, period = np.zeros(3), np.ones(3, np.int64), np.full(3, np.inf)
+        sides = np.where(np.arange(3) < len(ground.period), side, np.inf)  # an unused axis is one cell
+        for v, wraps in enumerate(ground.period):
+            if math.isfinite(wraps):
+                number[v], period[v] = math.ceil(wraps / side), wraps
+                sides[v] = wraps / number[v]
+            else:
+                low[v] = float(ground.points[:, v].min())
+                number[v] = int(min((float(ground.points[:, v].max()) - low[v]) / side, MOST_CELLS)) + 1 | 1
+        return cls(low, sides, number, period, (1 << max(4, math.ceil(math.log2(2 * n)))) - 1)
+
+    def arrays(self) -> tuple[FloatArray, FloatArray, IntArray, FloatArray, int]:
+        """What the kernels take."""
+        return self.low, self.side, self.number, self.period, self.mask
+
+
+def within_holes(here: Points, seen: BoolArray, there: Points, density: FloatArray, share: float) -> BoolArray:
+    """Which records of one source, ``here`` (n,), lie in holes of the other, ``there``.
+
+    seen : (n,) whether they may be covered at all, as far as is known.
+    density : (n,) of the other's records to be expected at them, per (unit of the residuals)^d.
+    share : records of the other per record of this one where both look.
+
+    The disc of a record has the volume in which :data:`DISC` records of the other source are to be expected.
+    What is so found is then carried on to the border by smaller discs around records that lie in it.
+    """
+    found = ~seen
+    if here.d > MOST_DIMENSIONS or len(there.points) < COMPANY or not seen.any():
+        return found
+    wanted, beyond = seen, OVERREACH * max(0.0, 1.0 - share)
+    if not seen.all():
+        widest = _radius(DISC, float(density[seen].min()), here.d)
+        wanted = seen | here.near(there, 2.0 * widest)
+    discs = opened(here, there, wanted, density, DISC, beyond, max(2.0, COMPANY / share))
+    if discs.any():
+        discs |= opened(here, there, wanted & discs, density, STEP, beyond, 1.0)
+    return found | discs
+
+
+def _volume_of_disc(d: int) -> float:
+    """Volume of the disc of radius 1 in d dimensions."""
+    return math.pi ** (0.5 * d) / math.gamma(0.5 * d + 1.0)
+
+
+def _radius(expected: float, density: Floats, d: int) -> Floats:
+    """Of the disc that holds so many records on average."""
+    return (expected / _volume_of_disc(d) / density) ** (1.0 / d)
+
+
+def opened(
+    here: Points, there: Points, wanted: BoolArray, density: FloatArray, expected: float, beyond: float, least: float
+) -> BoolArray:
+    """Which points lie inside empty discs around the points ``wanted`` that hold at least so many of them."""
+    found = np.zeros(len(here.points), np.bool_)
+    left = density[wanted]
+    while len(left):
+        high = float(left.max())
+        low = high / 2.0**here.d  # discs up to twice as large share their cells
+        left = left[left <= low]
+        rows = here.lonely(wanted, density, (low, high), expected / _volume_of_disc(here.d), there)
+        if len(rows):
+            radius = _radius(expected, density[rows], here.d)
+            inside = _inside(here, there, rows, radius, beyond * density[rows] ** (-1.0 / here.d), least)
+            found[inside] = True
+    return found
+
+
+def _inside(
+    here: Points, there: Points, rows: IntArray, radius: FloatArray, beyond: FloatArray, least: float
+) -> IntArray:
+    """Rows of the points inside discs around those ``rows`` whose discs are empty, and hold enough points."""
+    from sameas.kernels.coverage import clear, empty_discs
+
+    side, centres, empty = float(radius.min()) / math.sqrt(here.d), here.at(rows), np.empty(len(rows), np.bool_)
+    empty_discs(centres, radius, *_sorted(there, there.beside(centres, radius, side), side), empty)
+    centres, radius, beyond = centres[empty], radius[empty], beyond[empty]
+    if len(centres) and least > MANY:
+        chosen = _apart(centres, APART * float(radius.min()))
+        centres, radius, beyond = centres[chosen], radius[chosen], beyond[chosen]
+    if not len(centres):
+        return np.empty(0, np.int64)
+    asked = here.beside(centres, radius, side)
+    seen = np.ones(len(asked), np.bool_)
+    clear(centres, radius, radius - beyond, least, *_sorted(here, asked, side), seen)
+    return asked[~seen]
+
+
+#: Points (n, 3), their cells, and the lists of each bucket.
+Sorted = tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray, int, NDArray[np.int32], NDArray[np.int32]]
+
+
+def _sorted(ground: Points, rows: IntArray, side: float) -> Sorted:
+    """Some points of a ground in lists of cells."""
+    from sameas.kernels.coverage import into_buckets
+
+    points, cells = ground.at(rows), _PointCells.over(ground, side, max(len(rows), 1)).arrays()
+    return points, *cells, *into_buckets(points, *cells)
+
+
+def _apart(points: FloatArray, side: float) -> IntArray:
+    """Of the points in each cell of that side the one nearest its middle, whatever their order."""
+    cell = np.floor(points / side)
+    away = ((points - (cell + 0.5) * side) ** 2).sum(axis=1)
+    order = np.lexsort((*points.T, away, *cell.T))
+    first = np.ones(len(order), np.bool_)
+    first[1:] = (cell[order[1:]] != cell[order[:-1]]).any(axis=1)
+    return np.sort(order[first])
+
+
+PSEUDO_COUNT = 2.0
+#: The same for densities: their noise would make the odds of chance pairs too good.
+SMOOTH = 20.0
+SHARED_PSEUDO_COUNT = 200.0
+#: Expected records in an empty cell that make it a hole: e⁻⁷ is the chance of it by accident.
+HOLE = 7.0
+#: Records to be expected in it at least by those of the asking source that it holds (see ``holes.COMPANY``).
+IN_CELL = 3.5
+#: Holes are sought again with the densities outside those found, at most so many times in all, and only where a source
+#: proves to be so much denser there.
+ROUNDS = 2
+DENSER = 1.05
+#: Holes smaller than all cells are sought where by so many standard deviations more records lie in empty cells than
+#: chance puts there: an even field is done with at once.
+UNEVEN = 2.0
+#: Least part of the region that is believed to be common.
+LEAST_VOLUME = 1e-3
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Cells of falling size over two sources. Make it with :meth:`Coverage.of`."""
+
+    first: Records
+    second: Records
+    volume: float
+    levels: tuple[GridLevel, ...]
+
+    @classmethod
+    def of(cls, first: Records, second: Records) -> Coverage:
+        """Cells over the stretch that both sources span together; both must have records."""
+        return cls(first, second, *levels_of(first, second))
+
+    def density(self, source: int, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Local density of the records of ``source`` (1 or 2) counted with ``weights``, at the records of both.
+
+        Unit 1 / (residual unit)^d. A record does not count where it stands itself.
+        """
+        from sameas.kernels.coverage import refine
+
+        start = (float(weights.sum()) + 0.5) / self.volume
+        at_first, at_second = np.full(len(self.first), start), np.full(len(self.second), start)
+        at = (at_first, at_second) if source == 1 else (at_second, at_first)
+        for level in self.levels:
+            count = np.empty(len(level.volume))
+            refine(*level.facing(source), weights, level.volume, count, SMOOTH, *at)
+        return at_first, at_second
+
+    @cached_property
+    def covered_densities(self) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
+        """Local densities of the covered records of source 1 and of source 2, each at the records of both."""
+        seen_1, seen_2 = (seen.astype(np.float64) for seen in self.covered)
+        one, two = threads.each([partial(self.density, 1, seen_1), partial(self.density, 2, seen_2)], len(seen_1))
+        return one, two
+
+    @cached_property
+    def covered(self) -> tuple[BoolArray, BoolArray]:
+        """Whether source 2 looks where each record of source 1 lies, (n₁,), and the reverse, (n₂,)."""
+        rough = self._by_cells((0.0, 0.0))
+        shown = [max(int(np.count_nonzero(seen)), 1) for seen, _, _ in rough]
+        if shown != [len(self.first), len(self.second)]:
+            # By the other records of its own source too, so that a place poor in objects is not taken for a hole.
+            rough = self._by_cells((IN_CELL * shown[0] / shown[1], IN_CELL * shown[1] / shown[0]))
+        elif max(excess for _, _, excess in rough) < UNEVEN:
+            return rough[0][0], rough[1][0]
+        (seen_1, highest_2, _), (seen_2, highest_1, _) = rough
+        seen, mean = (seen_1, seen_2), self._mean(seen_1, seen_2)
+        for _ in range(ROUNDS):
+            seen = self._opened(seen, (highest_1, highest_2), mean)
+            before, mean = mean, self._mean(*seen)
+            if max(mean[0] / before[0], mean[1] / before[1]) < DENSER:
+                break
+        return seen
+
+    @cached_property
+    def _grounds(self) -> tuple[Points, Points]:
+        one, two = threads.each([partial(Points.of, self.first), partial(Points.of, self.second)], len(self.first))
+        return one, two
+
+    def _mean(self, seen_1: BoolArray, seen_2: BoolArray) -> tuple[float, float]:
+        """Mean densities of both sources where both look, if they look at these records."""
+        volume = max(self._volume(seen_1, seen_2), LEAST_VOLUME * self.volume)
+        number_1, number_2 = (max(int(np.count_nonzero(seen)), 1) for seen in (seen_1, seen_2))
+        return number_1 / volume, number_2 / volume
+
+    def _opened(
+        self, seen: tuple[BoolArray, BoolArray], highest: tuple[FloatArray, FloatArray], mean: tuple[float, float]
+    ) -> tuple[BoolArray, BoolArray]:
+        """``seen`` without what empty discs say too.
+
+        highest : local densities of source 1 at the records of source 2, and of source 2 at those of source 1.
+        mean : of both sources; at least as much is to be expected.
+        """
+        first, second = self._grounds
+        of_first, of_second = (np.maximum(local, least) for local, least in zip(highest, mean, strict=True))
+        one, two = threads.each(
+            [
+                partial(within_holes, first, seen[0], second, of_second, mean[1] / mean[0]),
+                partial(within_holes, second, seen[1], first, of_first, mean[0] / mean[1]),
+            ],
+            len(self.first),
+        )
+        return ~one, ~two
+
+    def _by_cells(self, least: tuple[float, float]) -> list[tuple[BoolArray, FloatArray, float]]:
+        return threads.each([partial(self._seen, 1, 2, least[0]), partial(self._seen, 2, 1, least[1])], len(self.first))
+
+    def _seen(self, query: int, source: int, least: float) -> tuple[BoolArray, FloatArray, float]:
+        """Whether ``source`` looks at the records of ``query`` as far as cells tell, how dense it is if it does, and by
+        how many standard deviations more records than chance puts there lie in empty cells.
+
+        least : of the records of ``query`` in an empty cell that is a hole.
+        """
+        from sameas.kernels.coverage import look
+
+        n = len(self.first if query == 1 else self.second)
+        density = np.full(n, len(self.first if source == 1 else self.second) / self.volume)
+        seen, highest, excess = np.ones(n, np.bool_), np.zeros(n), 0.0
+        for level in self.levels:
+            own, other = level.facing(source)
+            room = np.empty(len(level.volume)), np.empty(len(level.volume))
+            more = look(own, other, level.volume, *room, least, PSEUDO_COUNT, HOLE, seen, density, highest)
+            excess = max(excess, more)
+        return seen, highest, excess
+
+    def common_volume(self) -> float:
+        """Volume where both sources look, (residual unit)^d: of every cell the part that its covered records tell.
+
+        Cells are the finest that hold so many records that an empty one is hardly ever an accident.
+        """
+        return self._volume(*self.covered)
+
+    def _volume(self, seen_1: BoolArray, seen_2: BoolArray) -> float:
+        from sameas.kernels.coverage import shared_part
+
+        richer = max(len(self.first), len(self.second))
+        fine = next((level for level in self.levels[::-1] if richer >= HOLE * len(level.volume)), self.levels[0])
+        count = np.zeros((len(fine.volume), 4))
+        return float(shared_part(fine.of_first, seen_1, fine.of_second, seen_2, count) @ fine.volume)
+
+
+def local_share(
+    levels: Sequence[GridLevel], source: int, part: FloatArray, weights: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Local share Σ part / Σ weights of the records of ``source`` (1 or 2), at the records of both.
+
+    Drawn towards that of the coarser cell by many pseudo-counts: a share that is itself being estimated must not
+    gather where a few chance pairs happen to lie.
+    """
+    from sameas.kernels.coverage import refine_share
+
+    start = (float(part.sum()) + 0.5) / (float(weights.sum()) + 1.0)
+    at_first, at_second = np.full(len(levels[0].of_first), start), np.full(len(levels[0].of_second), start)
+    at = (at_first, at_second) if source == 1 else (at_second, at_first)
+    for level in levels:
+        sums = np.empty(len(level.volume)), np.empty(len(level.volume))
+        refine_share(*level.facing(source), part, weights, *sums, SHARED_PSEUDO_COUNT, *at)
+    return at_first, at_second

@@ -1,0 +1,326 @@
+"""Rounds: identification and maximum likelihood in turn, over one list of candidates, until the estimates settle.
+
+In every round each pair has its probability by the estimates of the round before, and what is estimated is learned from
+the pairs with these weights (METHOD 6): the shares in common, the spread of the errors, how magnitudes are related.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from sameas.arrays import BoolArray, FloatArray
+from sameas.assignment import assign
+from sameas.errors import InputError
+from sameas.estimate.coverage import local_share
+from sameas.estimate.error_scales import fit_errors
+from sameas.estimate.grades import Grades
+from sameas.estimate.photometry import Lesson, Photometry
+from sameas.estimate.quantity import MOST_MISSING
+from sameas.estimate.sample import Setting
+from sameas.evidence import Brightness, Errors, PoissonField, Rule
+from sameas.gate import Pairs
+from sameas.groups import laid_out
+from sameas.kernels import threads
+from sameas.posterior import by_messages
+from sameas.prior import PerPair
+
+#: Pairs less probable than this, and more, are not taken at their word when errors are judged.
+FAINT, SUREST = 1e-3, 1.0 - 1e-12
+#: Pairs of smaller ln of the odds, before one-to-one, are less probable than 1e-5, and count for nothing in sums.
+LEAST_LOG_RATIO = math.log(1e-5)
+#: The first guess of the share of the poorer source that is common lies between these.
+LEAST_GUESS, MOST_GUESS = 0.1, 0.95
+#: Errors this many times too small are always thought of.
+THINKABLE = 3.4
+#: Least share of records that only one source shows.
+LEAST_SHARE = 1e-6
+#: Chance candidates within √2 of its scale that a component of the errors may hold, times two.
+FILLED = 0.15
+#: Fewer expected pairs than this say too little of the errors; the quoted ones are then believed.
+FEWEST = 50.0
+#: Quoted errors are not asked where magnitudes tell and hardly more than this share of the records lacks them.
+LACKING = 0.05
+#: Rounds with magnitudes at least.
+WITH_BRIGHTNESS = 1
+#: The number of common objects has settled when all changes to come are no more than this share of its standard error,
+#: or, of very few, when it changes by no more than this number.
+SETTLED, SETTLED_NUMBER = 0.2, 0.01
+#: At least so much of each change is taken to follow in the next round.
+LEAST_FOLLOWING = 0.25
+
+Both = tuple[FloatArray, FloatArray]
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """What is known between two rounds.
+
+    Attributes
+    ----------
+    setting : candidates and records, which stay the same.
+    partner : (n₁,), (n₂,) probability of having a partner; ``counted`` for which records it is known.
+    local : local share of the records of source 1, and of source 2, that have a partner, each at the records of both.
+    errors : the spread of the residuals; learned from the pairs where ``learns_errors``.
+    photometry : how the magnitudes are related, None where they are not asked for. lessons : how often it was learned.
+    common : expected number of common objects among the counted, a guess before the first round. change : by how much
+        the last round changed it, NaN before the first; 0 after it, which changed a guess, and where other candidates
+        take part since.
+    tail : by how much a tail of the errors, believed or not, betters ln of the likelihood.
+    precision : whether the sizes of the quoted errors are asked. grades : what they say, None as long as they were not.
+    density : (ρ₁, ρ₂) of all records of each source where the user gave them, else None.
+    """
+
+    setting: Setting
+    partner: Both
+    counted: tuple[BoolArray, BoolArray]
+    local: tuple[Both, Both]
+    errors: Errors
+    learns_errors: bool
+    photometry: Photometry | None
+    density: tuple[float, float] | None = None
+    lessons: int = 0
+    common: float = math.nan
+    change: float = math.nan
+    tail: float = 0.0
+    precision: bool = True
+    grades: Grades | None = None
+
+    @classmethod
+    def nothing(
+        cls,
+        setting: Setting,
+        errors: Errors | None,
+        photometry: Photometry | None,
+        density: tuple[float, float] | None,
+        share: float,
+        precision: bool,
+    ) -> Estimates:
+        """Before the first round, when this ``share`` of the poorer source is taken to be common."""
+        n1, n2 = (len(rows) for rows in setting.rows)
+        guess = min(max(share, LEAST_GUESS), MOST_GUESS) * min(n1, n2)
+        partner = np.full(n1, guess / n1), np.full(n2, guess / n2)
+        of_1, of_2 = ((np.full(n1, guess / n), np.full(n2, guess / n)) for n in (n1, n2))
+        known = cls(
+            setting, partner, setting.counted, (of_1, of_2), errors or Errors(), errors is None, photometry, density,
+            precision=precision,
+        )  # fmt: skip
+        return replace(known, common=float(partner[0][setting.counted[0]].sum()))
+
+    def at(self, setting: Setting, photometry: Photometry | None) -> Estimates:
+        """The same where other candidates and records take part, with the magnitudes of these."""
+        partner, counted = [], []
+        for old, new, p, known in zip(self.setting.rows, setting.rows, self.partner, self.counted, strict=True):
+            whole = np.full(max(old[-1], new[-1]) + 1, np.nan)
+            whole[old[known]] = p[known]
+            partner.append(np.nan_to_num(whole[new]))
+            counted.append(np.isfinite(whole[new]))
+        if photometry is not None and self.photometry is not None:
+            photometry = replace(photometry, chains=self.photometry.chains, curves=self.photometry.curves)
+        grades = self.grades and self.grades.at(setting, photometry)
+        known_there = replace(self, setting=setting, photometry=photometry, change=0.0, grades=grades)
+        return known_there._with_partners((partner[0], partner[1]), (counted[0], counted[1]))
+
+    def _with_partners(self, partner: Both, counted: tuple[BoolArray, BoolArray]) -> Estimates:
+        return replace(self, partner=partner, counted=counted, local=_local(self.setting, partner, counted))
+
+    @property
+    def means(self) -> tuple[float, float]:
+        """Mean share of either source's records that have a partner."""
+        one, two = (float(p[known].mean()) for p, known in zip(self.partner, self.counted, strict=True))
+        return one, two
+
+    @property
+    def covered(self) -> tuple[BoolArray, BoolArray]:
+        """Which records tell of shares: the other source looks there, and they count."""
+        (seen_1, seen_2), (counted_1, counted_2) = self.setting.seen, self.counted
+        return seen_1 & counted_1, seen_2 & counted_2
+
+    def shares(self) -> Both:
+        """Share of the records of either source that have a partner, at the positions of its own."""
+        if self.density is not None:
+            one, two = self.means
+            return np.full(len(self.partner[0]), one), np.full(len(self.partner[1]), two)
+        (at_1, _), (_, at_2) = self.local
+        return at_1, at_2
+
+    def brightness(self) -> Brightness | None:
+        """What magnitudes say; None as long as nothing is known of that."""
+        return None if self.photometry is None else self.photometry.rule(self.shares(), self.setting.pairs)
+
+    def rule(self) -> Rule:
+        """The rule with all that is known."""
+        rule: Rule = self._positions()
+        graded = None if self.grades is None else self.grades.rule
+        for more in (self.brightness(), graded):
+            rule = rule if more is None else rule + more
+        return rule
+
+    def _positions(self) -> PoissonField:
+        if self.density is not None:
+            (mean_1, mean_2), (all_1, all_2) = self.means, self.density
+            alone_1, alone_2 = max(1.0 - mean_1, LEAST_SHARE), max(1.0 - mean_2, LEAST_SHARE)
+            both = math.sqrt(all_1 * mean_1 * all_2 * mean_2)
+            return PoissonField(both, all_1 * alone_1, all_2 * alone_2, self.errors)
+        of_1, of_2 = self.setting.densities
+        share_1, share_2 = self.local
+        # Both sources count the same common objects: the mean of the logarithms favours neither.
+        common = tuple(np.sqrt(of_1[k] * share_1[k] * of_2[k] * share_2[k]) for k in range(2))
+        only_1 = of_1[0] * np.maximum(1.0 - share_1[0], LEAST_SHARE)
+        only_2 = of_2[1] * np.maximum(1.0 - share_2[1], LEAST_SHARE)
+        return PoissonField(common, only_1, only_2, self.errors)  # type: ignore[arg-type]
+
+    def expected(self) -> float:
+        """Number of common objects that the shares let expect."""
+        return min(float((share * seen).sum()) for share, seen in zip(self.shares(), self.setting.seen, strict=True))
+
+    def settled(self, before: Estimates) -> bool:
+        """Whether all that later rounds may change the number of common objects by, but for the next, is small.
+
+        A part r of each change follows in the next round: at least the share of the information that is missing
+        because the pairs are not sure, and as much as followed in this. The standard error is that of Σ p(1 − p) of
+        what is not sure, 1/(1 − r) times as large because the shares are estimated.
+        """
+        if math.isnan(before.change):
+            return False
+        followed = abs(self.change / before.change) if before.change else 0.0
+        to_come = []
+        for partner, known in zip(self.partner, self.counted, strict=True):
+            p = partner[known]
+            unsure, mean = float((p * (1.0 - p)).sum()), float(p.mean())
+            missing = min(unsure / max(len(p) * mean * (1.0 - mean), 1e-300), MOST_MISSING)
+            r = min(max(missing, followed, LEAST_FOLLOWING), MOST_MISSING)
+            error = math.sqrt(unsure / (1.0 - missing))
+            to_come.append(abs(self.change) * r**2 / (1.0 - r) <= SETTLED * error)
+        return all(to_come) or abs(self.change) <= SETTLED_NUMBER
+
+    def has_heard(self, before: Estimates) -> bool:
+        """Whether what is learned from pairs, magnitudes and grades, has had its say in the last round."""
+        magnitudes = self.photometry is None or self.common < FEWEST or self.lessons >= WITH_BRIGHTNESS
+        graded = None if before.grades is None else before.grades.rule
+        silent = self.grades is None or self.grades.rule is None
+        return magnitudes and (silent or (graded is not None and graded.says_of(self.setting.pairs)))
+
+    def learned(self, p_pair: FloatArray, log_ratio: FloatArray) -> Estimates:
+        """What a round says of shares and errors; what it says of magnitudes is ``with_lesson``.
+
+        p_pair, log_ratio : (m,) probabilities of the pairs, and ln of their odds before one-to-one.
+        """
+        pairs = self.setting.pairs
+        partner = (
+            np.minimum(np.bincount(pairs.i, p_pair, len(self.partner[0])), 1.0),
+            np.minimum(np.bincount(pairs.j, p_pair, len(self.partner[1])), 1.0),
+        )
+        told = self.setting.told(p_pair)
+        common = float(told.sum())
+        known = replace(self, common=common, change=0.0 if math.isnan(self.change) else common - self.common)
+        known = known._with_partners(partner, self.setting.counted)
+        if common < FEWEST:
+            return known
+        grades = self.grades or (Grades.of(self.setting, self.photometry) if self._asks_errors() else None)
+        if grades is not None:
+            known = replace(known, grades=grades.learned(pairs, told, partner, known.covered))
+        if self.learns_errors:
+            # A component so wide that chance fills it cannot be told from chance.
+            radius = math.sqrt(float(pairs.mahalanobis_sq.max(initial=1.0)))
+            widest = radius * (FILLED / max(self.setting.by_chance(told), 1e-12)) ** (1.0 / pairs.d)
+            log_odds = known.log_odds_but_errors(p_pair, log_ratio)
+            fit = fit_errors(pairs.mahalanobis_sq, log_odds, pairs.d, self.errors, widest=max(widest, THINKABLE))
+            known = replace(known, errors=fit.errors, tail=fit.tail)
+        return known
+
+    def _asks_errors(self) -> bool:
+        """Whether the sizes of the quoted errors may say what nothing else does: of faint objects they are larger."""
+        magnitudes = self.photometry
+        if not self.precision or magnitudes is None or magnitudes.lacking > LACKING:
+            return self.precision
+        return self.lessons > 0 and not magnitudes.telling
+
+    def log_odds_but_errors(self, p_pair: FloatArray, log_ratio: FloatArray) -> FloatArray:
+        """(m,) ln of the odds of the pairs but for what the errors say, given how sure their records are of others.
+
+        −∞ for those whose record 1 is not counted.
+        """
+        from sameas.kernels.mixture import log_odds
+
+        pairs, out = (
+            self.setting.pairs,
+            self.errors.log_profile(self.setting.pairs.mahalanobis_sq, self.setting.pairs.d),
+        )
+        log_odds(pairs.i, pairs.j, p_pair, log_ratio, *self.partner, self.setting.counted[0], FAINT, SUREST, out)
+        return out
+
+    def with_lesson(self, told: FloatArray, *, last: bool = False) -> Estimates:
+        """The magnitudes learned from, where there are any, with pairs of these probabilities (m,)."""
+        if self.photometry is None or self.common < FEWEST:
+            return self
+        lesson: Lesson = (self.setting.pairs, told, self.partner, self.shares(), self.covered)
+        return replace(self, photometry=self.photometry.learned(*lesson, last=last), lessons=self.lessons + 1)
+
+
+def _local(setting: Setting, partner: Both, counted: tuple[BoolArray, BoolArray]) -> tuple[Both, Both]:
+    """Local shares, of the records that tell of them."""
+    # One cell says no more than the mean of all, and the finest say next to nothing.
+    levels = setting.levels[1:-1] or setting.levels
+    weights = [(seen & known).astype(np.float64) for seen, known in zip(setting.seen, counted, strict=True)]
+    works = [partial(local_share, levels, k + 1, partner[k] * weights[k], weights[k]) for k in (0, 1)]
+    one, two = threads.each(works, len(weights[0]))
+    return one, two
+
+
+def settled(
+    known: Estimates,
+    rounds: int,
+    progress: Callable[[str], None],
+    useless: Callable[[Estimates, FloatArray], bool] = lambda known, told: False,
+) -> tuple[Estimates, FloatArray, int, bool]:
+    """Rounds over one list of candidates: what is known then, the probabilities (m,) of the pairs that count, how many
+    rounds it took, and whether the estimates settled.
+
+    Within the rounds only sums over many pairs are needed; messages are near enough for those.
+
+    useless : whether more rounds would be, by what is known after the first and the probabilities in it.
+    """
+    setting = known.setting
+    if known.photometry is not None:
+        known = replace(known, photometry=known.photometry.facing(setting.pairs))
+    done, number = False, 0
+    told = np.empty(0)
+    while not done and number < max(rounds, 1):
+        if number:
+            known = known.with_lesson(told)
+        number += 1
+        progress(f"estimation, round {number}")
+        log_ratio = known.rule()(setting.pairs).log_ratio
+        p_pair = _probabilities(setting.pairs, log_ratio)
+        told = setting.told(p_pair)
+        before, common = known, float(told.sum())
+        if not math.isfinite(common):
+            raise InputError(
+                f"{setting.pairs.first.source} and {setting.pairs.second.source}: probabilities are beyond computing, "
+                "the errors are far larger than the spacing of the records; are the errors in the unit that was "
+                "understood?"
+            )
+        known = known.learned(p_pair, log_ratio)
+        done = known.settled(before) and known.has_heard(before)
+        if number == 1 and not done and useless(known, told):
+            break
+    return known, told, number, done
+
+
+def _probabilities(pairs: Pairs, log_ratio: FloatArray) -> FloatArray:
+    """(m,) probabilities of the pairs, near enough for sums over many of them.
+
+    No pair is more probable than its odds before one-to-one say: those of next to none are left out, and at zero.
+    """
+    kept = np.flatnonzero(log_ratio > LEAST_LOG_RATIO)
+    places = pairs.place_1[kept], pairs.place_2[kept], pairs.i[kept], pairs.j[kept]
+    grouped = laid_out(*places, len(pairs.first), len(pairs.second))
+    best = assign(grouped, log_ratio[kept], PerPair()(grouped.sizes_1, grouped.sizes_2))
+    p_pair = np.zeros(len(pairs))
+    p_pair[kept] = by_messages(grouped, best).p_pair
+    return p_pair

@@ -1,0 +1,344 @@
+"""Error model: which source's quoted errors are too small, and by how much; a diagnostic, from identified pairs.
+
+With the covariance of a pair modelled as
+
+    S = a₁² Σ₁ + a₂² Σ₂ + f² 1
+
+the factors a₁, a₂ and the floor f are found by maximum likelihood over the pairs, weighted by their posterior. Some
+pairs may be of a tail: normals several times wider than S, whose shares are found with them. What is beyond the model
+is then told by the model itself, not by the quoted errors, of which a floor makes any multiple.
+
+Only the variation of Σ₁, Σ₂ from pair to pair tells the terms apart. Where the information says that it does not, the
+direction in which it is weakest says which terms look alike: a factor that looks like the floor, or that hardly
+matters, is held at 1; two factors that look alike become one of both sources; and where one number is all that can be
+told, either of the two that it may be is given. Two floors, one of each source, look the same as one of both.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sameas.arrays import FloatArray
+from sameas.estimate.quantity import Quantity
+from sameas.evidence import Errors
+from sameas.records import unpack
+from sameas.result import Identification
+
+#: Pairs learned from: at least, in expectation, and at most.
+FEWEST, ENOUGH = 200.0, 5_000
+#: The core and the normals of the tail, in units of the modelled error; shares that the search begins with.
+SCALES, FIRST_SHARES = np.array([1.0, 3.0, 6.0, 12.0]), np.array([0.97, 0.01, 0.01, 0.01])
+#: A normal that has fewer pairs than this tells nothing of the errors, and takes nothing from what is known of them.
+NO_PAIRS = 0.5
+STEPS, SETTLED = 300, 1e-5
+#: Standard errors to either side of an estimate, with 95 % between.
+INTERVAL = 1.96
+#: A factor whose standard error is larger than this share of it is not told from the others.
+TELLING = 0.25
+#: Least eigenvalue of the information beside its greatest: less is none.
+NONE = 1e-10
+#: Two factors are exchanged for each other, not one of them for the floor, from this ratio of their changes on.
+EXCHANGED = 0.5
+#: ln of the likelihood by which a floor must be better or worse than a common factor (three standard errors).
+BETTER = 4.5
+
+
+@dataclass(frozen=True)
+class ErrorModel:
+    """Factors on the quoted errors of either source and a floor of both together, in the unit of the residuals.
+
+    factor_1, factor_2 : None where the data cannot tell them; 1 is then taken for them, unless there is ``both``.
+    both : one factor on the errors of both, where the two cannot be told apart.
+    floor : None where it cannot be told from a factor.
+    floor_instead : the floor that explains the residuals as well as ``both`` does.
+    note : what could not be told and why, "" where all could.
+    """
+
+    factor_1: Quantity | None = None
+    factor_2: Quantity | None = None
+    both: Quantity | None = None
+    floor: Quantity | None = None
+    floor_instead: Quantity | None = None
+    note: str = ""
+
+    @property
+    def told(self) -> Mapping[str, Quantity]:
+        """What could be told, by its name here.
+
+        >>> list(ErrorModel(both=Quantity(1.7, 0.1), floor_instead=Quantity(0.2, 0.1)).told)
+        ['both', 'floor_instead']
+        """
+        return {name: value for name, value in vars(self).items() if isinstance(value, Quantity)}
+
+    @property
+    def is_told(self) -> bool:
+        """Whether anything was."""
+        return bool(self.told)
+
+    def variance(self, quoted_1: FloatArray, quoted_2: FloatArray) -> FloatArray:
+        """Variances (n,) of pairs, on an axis, from the quoted ones of both sides.
+
+        >>> ErrorModel(factor_1=Quantity(2.0, 0.1), floor=Quantity(3.0, 0.1)).variance(np.ones(1), np.ones(1))
+        array([14.])
+        """
+        one, two, floor = (
+            0.0 if q is None else q.value
+            for q in (self.factor_1 or self.both or AS_QUOTED, self.factor_2 or self.both or AS_QUOTED, self.floor)
+        )
+        return np.asarray(one**2 * quoted_1 + two**2 * quoted_2 + floor**2)
+
+
+AS_QUOTED = Quantity(1.0, 0.0)
+
+
+def error_model(answer: Identification) -> ErrorModel:
+    """The error model of the pairs of an answer.
+
+    Example
+    -------
+    >>> error_model(match(plate, gaia)[0]).factor_1  # doctest: +SKIP
+    Quantity(value=1.68, standard_error=0.04, unit='')
+    """
+    pairs = answer.pairs
+    told = np.flatnonzero(answer.p_pair > 0.5)
+    told = told[:: max(1, -(-len(told) // ENOUGH))]
+    weight = answer.p_pair[told]
+    if weight.sum() < FEWEST:
+        return ErrorModel(note=f"fewer than {FEWEST:.0f} pairs: too few to judge the sources' errors apart")
+    one = unpack(pairs.first.covariance[pairs.i[told]], pairs.d)
+    two = unpack(pairs.second.covariance[pairs.j[told]], pairs.d)
+    names = pairs.first.source, pairs.second.source
+    return _Judgement(pairs.residual[told], weight, one, two, names).model()
+
+
+@dataclass(frozen=True)
+class _Judgement:
+    """Residuals (m, d) of pairs, their weights (m,), the quoted covariances (m, d, d) of both sides, their names."""
+
+    residual: FloatArray
+    weight: FloatArray
+    one: FloatArray
+    two: FloatArray
+    names: tuple[str, str]
+
+    @property
+    def unit(self) -> float:
+        """A typical variance of the pairs, which the floor is counted in."""
+        return float(np.median(np.einsum("mvv->m", self.one + self.two)) / self.residual.shape[1])
+
+    @property
+    def level(self) -> FloatArray:
+        """(m, d, d) the covariance of a floor of that variance."""
+        return np.broadcast_to(self.unit * np.eye(self.residual.shape[1]), self.one.shape)
+
+    def model(self) -> ErrorModel:
+        """All three terms where they can be told apart, else the two or the one that can."""
+        fit = self._fit((self.one, self.two, self.level))
+        if all(fit.tells(k) for k in (0, 1)):
+            return ErrorModel(fit.root(0), fit.root(1), floor=self._floor(fit, 2))
+        change = np.abs(fit.weakest)
+        more = int(change[1] > change[0])
+        if change[1 - more] > max(EXCHANGED * change[more], change[2]):
+            return self._common()
+        return self._held(more)
+
+    def _held(self, source: int) -> ErrorModel:
+        """With the errors of this source as quoted."""
+        held, free = (self.one, self.two) if source == 0 else (self.two, self.one)
+        fit = self._fit((free, self.level), held)
+        if not fit.tells(0):
+            return self._one_number()
+        name, bare = self.names[source], self._fit((self.one, self.two))
+        if bare.log_likelihood - fit.log_likelihood > BETTER and all(bare.tells(k) for k in (0, 1)):
+            return ErrorModel(bare.root(0), bare.root(1), note=f"a floor cannot be told from the errors of {name}")
+        note = f"those of {name} taken as quoted, for they vary too little, or are too small, to be told from a floor"
+        factor, floor = fit.root(0), self._floor(fit, 1)
+        first, second = (None, factor) if source == 0 else (factor, None)
+        return ErrorModel(first, second, floor=floor, note=note)
+
+    def _common(self) -> ErrorModel:
+        """With one factor on the errors of both."""
+        fit = self._fit((self.one + self.two, self.level))
+        if not fit.tells(0):
+            return self._one_number()
+        note = "the quoted errors of the two go together from pair to pair: whose are too small cannot be told"
+        return ErrorModel(both=fit.root(0), floor=self._floor(fit, 1), note=note)
+
+    def _one_number(self) -> ErrorModel:
+        """A factor on both, or a floor, or either where both explain the residuals."""
+        both = self._fit((self.one + self.two,))
+        raised = self._fit((self.level,), self.one + self.two)
+        gain = raised.log_likelihood - both.log_likelihood
+        alike = "the quoted errors vary too little from pair to pair to tell"
+        if gain > BETTER:
+            return ErrorModel(floor=self._floor(raised, 0), note=f"{alike} whether their own sizes are right too")
+        if gain < -BETTER:
+            return ErrorModel(both=both.root(0), note=f"{alike} whose are to blame, or whether there is a floor")
+        note = f"{alike} a factor from a floor, or whose errors are to blame"
+        return ErrorModel(both=both.root(0), floor_instead=self._floor(raised, 0), note=note)
+
+    def _fit(self, parts: Sequence[FloatArray], held: FloatArray | None = None) -> _VarianceFit:
+        return _fit(self.residual, self.weight, np.stack(parts), np.zeros_like(self.one) if held is None else held)
+
+    def _floor(self, fit: _VarianceFit, k: int) -> Quantity:
+        """The root of term k, in the unit of the residuals."""
+        root, sigma = fit.root(k), float(np.sqrt(self.unit))
+        return Quantity(sigma * root.value, sigma * root.standard_error)
+
+
+@dataclass(frozen=True)
+class _VarianceFit:
+    """Factors (k,) of variances, their covariance (k, k), the direction (k,) that is known least, the likelihood."""
+
+    theta: FloatArray
+    covariance: FloatArray
+    weakest: FloatArray
+    log_likelihood: float
+
+    def root(self, k: int) -> Quantity:
+        """√θ and its standard error, from that of θ ≥ 0: how far the root moves when θ moves across its 95 % interval.
+
+        Where θ is zero within its error its root is not normal, and to first order its error would be nearly none. So
+        the root is within 1.96 errors of zero where θ is within 1.96 of its own.
+        """
+        theta, error = float(self.theta[k]), INTERVAL * float(np.sqrt(self.covariance[k, k]))
+        value = float(np.sqrt(theta))
+        ends = np.sqrt(np.maximum([theta - error, theta + error], 0.0))
+        return Quantity(value, float(np.abs(ends - value).max()) / INTERVAL)
+
+    def tells(self, k: int) -> bool:
+        """Whether a factor is known well enough to speak of it."""
+        root = self.root(k)
+        return root.standard_error < TELLING * max(root.value, 1.0)
+
+
+def _fit(residual: FloatArray, weight: FloatArray, parts: FloatArray, held: FloatArray) -> _VarianceFit:
+    """S = ``held`` + Σ θ_k parts_k of greatest likelihood, by EM over core and tail.
+
+    residual (m, d), weight (m,), parts (k, m, d, d), held (m, d, d).
+    """
+    theta, shares, damping = np.full(len(parts), 0.5), FIRST_SHARES, 0.5
+    for _ in range(STEPS):
+        state = _State.of(residual, parts, held, theta, shares)
+        core = weight * state.member[:, 0]
+        score = state.slope @ core
+        information = 0.5 * np.einsum("m,kmvw,lmwv->kl", core, state.along, state.along)
+        free = (theta > 1e-9) | (score > 0.0)
+        step = np.zeros(len(theta))
+        step[free] = np.linalg.lstsq(information[np.ix_(free, free)], score[free], rcond=1e-9)[0]
+        before, theta = theta, np.maximum(theta + damping * step, 1e-9)
+        shares, damping = weight @ state.member / weight.sum(), 1.0
+        if np.abs(theta - before).max() < SETTLED * max(1.0, float(theta.max())):
+            break
+    return _judged(_State.of(residual, parts, held, theta, shares), weight, theta, shares)
+
+
+@dataclass(frozen=True)
+class _State:
+    """What a model says of every pair.
+
+    along : (k, m, d, d) S⁻¹ parts. slope : (k, m) of ln N(residual; 0, S) with θ. member : (m, n) the probabilities of
+    core and tail. log_density : (m,) of the residual.
+    """
+
+    along: FloatArray
+    slope: FloatArray
+    member: FloatArray
+    log_density: FloatArray
+
+    @classmethod
+    def of(
+        cls, residual: FloatArray, parts: FloatArray, held: FloatArray, theta: FloatArray, shares: FloatArray
+    ) -> _State:
+        covariance, d = held + np.einsum("k,kmvw->mvw", theta, parts), residual.shape[1]
+        inverse = np.linalg.inv(covariance)
+        scaled = np.einsum("mvw,mw->mv", inverse, residual)
+        along = np.einsum("mvw,kmwx->kmvx", inverse, parts)
+        slope = 0.5 * (np.einsum("mv,kmvw,mw->km", scaled, parts, scaled) - np.einsum("kmvv->km", along))
+        square = (scaled * residual).sum(axis=1)
+        with np.errstate(divide="ignore"):
+            log_member = np.log(shares) - d * np.log(SCALES) - 0.5 * square[:, None] / SCALES**2
+        greatest = log_member.max(axis=1)
+        member = np.exp(log_member - greatest[:, None])
+        total = member.sum(axis=1)
+        log_density = greatest + np.log(total) - 0.5 * np.linalg.slogdet(covariance)[1]
+        return cls(along, slope, member / total[:, None], log_density)
+
+
+def _judged(state: _State, weight: FloatArray, theta: FloatArray, shares: FloatArray) -> _VarianceFit:
+    """What was found, with the covariance from the squares of the pairs' scores; the shares of the tail take part.
+
+    A term that is held at zero takes nothing from what is known of the others.
+    """
+    core = state.member[:, 0]
+    tail = np.flatnonzero(shares[1:] * weight.sum() > NO_PAIRS) + 1
+    scores = np.vstack([state.slope * core, (state.member[:, tail] / shares[tail]).T - core / shares[0]])
+    information = np.einsum("m,am,bm->ab", weight, scores, scores)
+    k = len(theta)
+    open_ = np.concatenate([theta > 1e-6, np.ones(len(tail), np.bool_)])
+    covariance = np.diag(np.diag(_inverse(information)))[:k, :k]
+    held = _inverse(information[np.ix_(open_, open_)])
+    inside = np.flatnonzero(open_[:k])
+    covariance[np.ix_(inside, inside)] = held[: len(inside), : len(inside)]
+    weakest = np.linalg.eigh(_inverse(information)[:k, :k])[1][:, -1]
+    return _VarianceFit(theta, covariance, weakest, float(weight @ state.log_density))
+
+
+def _inverse(information: FloatArray) -> FloatArray:
+    """Its inverse; where there is no information, a variance that is larger than any."""
+    size = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(information / np.outer(size, size))
+    inverse = (vectors / np.maximum(values, NONE * values.max(initial=0.0))) @ vectors.T
+    return np.asarray(inverse / np.outer(size, size))
+
+
+# Tails: the small share of the pairs that lie much farther apart than the typical one, and how sure that share is.
+#
+# The spread of the errors is a mixture of normals (:class:`sameas.evidence.Errors`); its components far wider than the
+# typical error are the tail: outliers, binaries, blends. That the quoted errors are too small for all makes no tail.
+
+#: A component is of the tail when it is so many times wider than the typical error.
+FAR = 2.5
+#: Pairs less probable than this do not tell of it. A smaller share than the second is none.
+TAILS_TELLING, LEAST_SHARE = 1e-3, 1e-4
+
+
+@dataclass(frozen=True)
+class Tail:
+    """``share`` of the pairs in the tail, and the ``factor`` (geometric mean) of their errors over those quoted."""
+
+    share: Quantity
+    factor: float
+
+
+def tail(answer: Identification, errors: Errors) -> Tail | None:
+    """The tail of the errors of the pairs of an answer; None where there is none.
+
+    The standard error is that of the share in a mixture of tail and core of known forms: its information is
+    Σ p [(f_tail − f_core) / f]².
+
+    Example
+    -------
+    >>> found, told = match(plate, gaia)  # doctest: +SKIP
+    >>> tail(found, told.errors).share  # doctest: +SKIP
+    Quantity(value=0.021, standard_error=0.0018, unit='')
+    """
+    scales, shares = np.asarray(errors.scales), np.asarray(errors.shares)
+    far = scales > FAR * errors.typical_scale
+    share = float(shares[far].sum())
+    if not LEAST_SHARE < share < 1.0:
+        return None
+    d, weight = answer.pairs.d, answer.p_pair
+    told = weight > TAILS_TELLING
+    # Densities but for what all components have in common.
+    square = answer.pairs.mahalanobis_sq[told][:, None]
+    density = shares * np.exp(-0.5 * square / scales**2) / scales**d
+    outer, core = density[:, far].sum(axis=1) / share, density[:, ~far].sum(axis=1) / (1.0 - share)
+    slope = (outer - core) / np.maximum(share * outer + (1.0 - share) * core, np.finfo(float).tiny)
+    information = float(np.sum(weight[told] * slope**2))
+    factor = math.exp(float(shares[far] @ np.log(scales[far])) / share)
+    return Tail(Quantity(share, 1.0 / math.sqrt(max(information, np.finfo(float).tiny))), factor)

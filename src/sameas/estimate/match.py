@@ -1,0 +1,360 @@
+"""What is not known in advance, estimated from the data: densities, shares in common, the spread of the errors.
+
+Identification and maximum likelihood take turns, with every pair weighted by its posterior (METHOD 6), until the
+expected number of common objects settles:
+
+- the local densities of common objects and of records that only one source shows (``coverage.py``);
+- how residuals spread about the quoted errors: a mixture of normals over a ladder of error scales, whose shares have
+  one maximum of the likelihood, so that errors quoted too small and heavy tails come out of the same estimate;
+- where magnitudes are given, how those of one source follow the other's, and how the shares in common depend on them
+  (``photometry.py``);
+- how wide the gate must be: it opens while its outermost part still holds true pairs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from sameas._identify import identify
+from sameas.arrays import FloatArray
+from sameas.errors import InputError
+from sameas.estimate import em as going
+from sameas.estimate.coverage import Coverage
+from sameas.estimate.em import FEWEST, Estimates
+from sameas.estimate.error_model import ErrorModel, Tail, error_model, tail
+from sameas.estimate.error_scales import STANDING_OUT
+from sameas.estimate.photometry import Photometry
+from sameas.estimate.quantity import Quantity, changed_without, decisive, quantities
+from sameas.estimate.sample import Setting
+from sameas.evidence import Errors, Magnitudes, Precision
+from sameas.evidence.detection import DetectionCurve
+from sameas.gate import ChiSquare, Pairs, Radius
+from sameas.records import Records
+from sameas.result import Identification
+
+#: The gate opens when this share of the expected true pairs lies beyond 0.7 of its radius (honest errors: 4e-5).
+OPENING = 6e-5
+WIDEST_SIGMAS = 400.0
+#: So far the typical errors may exceed the quoted ones before the gate opens for it; it then still loses only 2e-6.
+EXCEEDED = 1.25
+#: The gate does not open for a tail when a record would have more candidates by chance than this, on average,
+CROWDED = 0.5
+#: nor for errors that are quoted too small when it would have more than this.
+MOST_CROWDED = 8.0
+#: A tail of the errors that betters ln of the likelihood by so much, but does not stand out, is looked for farther out.
+#: Then, and where one stands out, a record may have this many candidates by chance.
+SUSPECTED, SUSPECTED_CROWDED = 1.0, 2.0
+#: Standard deviations by which close candidates must exceed what chance gives, for their errors to be judged.
+SIGNIFICANT = 4.0
+#: A sample has misled where it lets expect another number of common objects, by more than this share beyond chance.
+MISLED = 0.02
+BRIGHTNESS_TERMS, PRECISION_TERMS = ("completeness", "brightness"), ("precision",)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What was found, and how.
+
+    Attributes
+    ----------
+    common, share_1, share_2 : expected number of common objects, and what share of the covered records they are.
+    errors : the spread of the residuals about their quoted covariances.
+    gate_sigmas : radius of the gate, in quoted standard deviations.
+    coverage : where both look.
+    rounds, settled : rounds of identification, and whether they settled.
+    learned_from : records of either source that the rounds went over: all of them, or a sample that stands for them.
+    notes : what a user should know.
+    photometry : how the magnitudes of both sources are related, None where they were not given or told nothing.
+    precision : what the sizes of the quoted errors say, None where they were not asked or told nothing.
+    answer : the identification. judged : whether the spread of the errors was learned from its pairs.
+
+    What follows from these is computed when it is asked for.
+    """
+
+    common: float
+    share_1: float
+    share_2: float
+    errors: Errors
+    gate_sigmas: float
+    coverage: Coverage
+    rounds: int
+    settled: bool
+    learned_from: tuple[int, int]
+    notes: tuple[str, ...]
+    photometry: Photometry | None
+    precision: Precision | None
+    answer: Identification = field(repr=False)
+    judged: bool
+
+    @cached_property
+    def quantities(self) -> Mapping[str, Quantity]:
+        """All that is a number, by name, with its standard error; see ``sameas.estimate.quantity.quantities``."""
+        return quantities(
+            self.answer, self.coverage, self.photometry, errors=self.judged, learned_from=self.learned_from
+        )
+
+    @property
+    def detection_1(self) -> DetectionCurve | None:
+        """Share of source 1's records that source 2 shows, by magnitude; None without magnitudes."""
+        return self._detection[0]
+
+    @property
+    def detection_2(self) -> DetectionCurve | None:
+        """Share of source 2's records that source 1 shows, by magnitude; None without magnitudes."""
+        return self._detection[1]
+
+    @cached_property
+    def _detection(self) -> tuple[DetectionCurve | None, DetectionCurve | None]:
+        return (None, None) if self.photometry is None else self.photometry.detection(self.answer, self.coverage)
+
+    @cached_property
+    def decisive(self) -> Mapping[str, float]:
+        """Median absolute value of each term of the evidence over the identified pairs."""
+        return decisive(self.answer)
+
+    @cached_property
+    def changed_by_brightness(self) -> int:
+        """How many records of source 1 positions alone would identify otherwise."""
+        return changed_without(self.answer, BRIGHTNESS_TERMS)
+
+    @cached_property
+    def changed_by_precision(self) -> int:
+        """How many records of source 1 would be identified otherwise without the sizes of the quoted errors."""
+        return changed_without(self.answer, PRECISION_TERMS)
+
+    @cached_property
+    def tail(self) -> Tail | None:
+        """The share of the pairs whose errors are far larger than the typical ones; None where there is none."""
+        return tail(self.answer, self.errors)
+
+    @cached_property
+    def error_model(self) -> ErrorModel | None:
+        """Which source's errors are too small, where that can be told; None where errors were not judged."""
+        return error_model(self.answer) if self.judged else None
+
+    @property
+    def typical_scale(self) -> float:
+        """The factor by which the quoted errors must be multiplied for the typical pair."""
+        return self.errors.typical_scale
+
+
+def match(
+    first: Records,
+    second: Records,
+    *,
+    errors: Errors | None = None,
+    gate: ChiSquare | Radius | None = None,
+    density: tuple[float, float] | None = None,
+    brightness: tuple[Magnitudes, Magnitudes] | None = None,
+    precision: bool = True,
+    rounds: int = 30,
+    progress: Callable[[str], None] = lambda stage: None,
+) -> tuple[Identification, Estimate]:
+    """Identify two sources of which nothing is known but their records, and say what was estimated.
+
+    Parameters
+    ----------
+    errors : the spread of the residuals; estimated if not given. ``Errors()`` believes the quoted errors.
+    gate : the gate; if not given, as wide as the errors turn out to need.
+    density : (ρ₁, ρ₂) of all records of each source per (residual unit)^d, instead of local ones from the data.
+    brightness : magnitudes of every row of both tables, which are then evidence too; None leaves it to the positions.
+    precision : whether the sizes of the quoted errors are evidence too: of faint objects they are larger.
+    rounds : at most so many rounds of identification.
+    progress : called with the name of what is being done.
+    """
+    for records in (first, second):
+        if not len(records):
+            raise InputError(f"{records.source} has no usable records; nothing can be identified")
+    progress("densities")
+    seen = _photometry(first, second, brightness)
+    search = _GateSearch(Coverage.of(first, second), seen, precision, density, gate, progress)
+    found, remarks = search.settled(errors, rounds), []
+    if found.has_learned and not _stands_out(found.whole.pairs, found.gate_sigmas):
+        search = replace(search, photometry=None, precision=False)
+        again = search.settled(errors or Errors(), max(rounds - found.rounds, 5))
+        found = replace(again, rounds=found.rounds + again.rounds)
+        believed = "the quoted errors" if brightness is None else "positions and quoted errors alone"
+        remarks.append(f"close candidates do not exceed what chance gives; {believed} are believed")
+    answer, found = search.identified(found, rounds)
+    return answer, _told(answer, search.coverage, found, remarks)
+
+
+def _photometry(first: Records, second: Records, brightness: tuple[Magnitudes, Magnitudes] | None) -> Photometry | None:
+    if brightness is None:
+        return None
+    one, two = brightness
+    return Photometry.of((one.of(first), two.of(second)), (one.names, two.names))
+
+
+@dataclass(frozen=True)
+class _Converged:
+    """Where the rounds ended, for one gate.
+
+    whole : all candidates. known : what is known, of all or of a sample. told : (m,) probabilities of its pairs.
+    """
+
+    whole: Setting
+    known: Estimates
+    told: FloatArray
+    gate_sigmas: float
+    rounds: int
+    settled: bool
+    learned_from: tuple[int, int]
+
+    @property
+    def sampled(self) -> bool:
+        """Whether a sample stood for all."""
+        return self.known.setting is not self.whole
+
+    @property
+    def has_learned(self) -> bool:
+        """Whether errors, their sizes or magnitudes have been learned from the pairs."""
+        graded = self.known.grades is not None and self.known.grades.rule is not None
+        return (self.known.learns_errors and self.known.errors != Errors()) or self.known.lessons > 0 or graded
+
+    def must_open(self) -> bool:
+        """Whether the outermost part of the gate still holds true pairs, and opening it is affordable."""
+        pairs, limit, common = self.known.setting.pairs, self.gate_sigmas, float(self.told.sum())
+        if limit >= WIDEST_SIGMAS or not self.known.learns_errors:
+            return False
+        if _is_narrow(self.known, self.told, limit):
+            return True
+        chance = _chance(self.known, self.told)
+        if SUSPECTED < self.known.tail < STANDING_OUT and chance < SUSPECTED_CROWDED:
+            return True  # what lies farther out decides whether it is one
+        if chance > (SUSPECTED_CROWDED if self.known.tail >= STANDING_OUT else CROWDED):
+            return False
+        beyond = float(self.told[pairs.mahalanobis_sq > (0.7 * limit) ** 2].sum())
+        return beyond > 1.0 + OPENING * common
+
+
+def _chance(known: Estimates, told: FloatArray) -> float:
+    """Candidates of a record that are there by chance, if the gate were twice as wide."""
+    return known.setting.by_chance(told) * 2.0**known.setting.pairs.d
+
+
+def _is_narrow(known: Estimates, told: FloatArray, limit: float) -> bool:
+    """Whether a gate of so many sigmas is too narrow for the typical errors, and opening it is affordable."""
+    if limit >= WIDEST_SIGMAS or not known.learns_errors:
+        return False
+    needed = _radius(None, known.setting.pairs.d) * known.errors.typical_scale
+    return EXCEEDED * limit < needed and _chance(known, told) < MOST_CROWDED
+
+
+@dataclass(frozen=True)
+class _GateSearch:
+    """Rounds with one gate after another, each twice as wide as the one before, until it is wide enough."""
+
+    coverage: Coverage
+    photometry: Photometry | None
+    precision: bool
+    density: tuple[float, float] | None
+    gate: ChiSquare | Radius | None
+    progress: Callable[[str], None]
+
+    def settled(self, errors: Errors | None, most: int) -> _Converged:
+        """The end of at most so many rounds; ``errors`` are estimated if not given."""
+        first, second = self.coverage.first, self.coverage.second
+        limit, total, known, whole = _radius(self.gate, first.d), 0, None, None
+        while True:
+            self.progress("gate")
+            pairs = (self.gate or Radius(limit))(first, second)
+            whole = Setting.whole(pairs, self.coverage) if whole is None else replace(whole, pairs=pairs)
+            part = whole.sample()
+            seen = self.photometry if part is whole or self.photometry is None else self.photometry.part(*part.rows)
+            if known is None:
+                # More close candidates than chance gives are common objects.
+                inner, by_chance = _halves(pairs, limit)
+                excess = (inner - by_chance) / min(len(first), len(second))
+                known = Estimates.nothing(part, errors, seen, self.density, excess, self.precision)
+            else:
+                known = known.at(part, seen)
+            found = self._in_gate(known, whole, limit, most - total)
+            found = replace(found, rounds=total + found.rounds)
+            known, told, total = found.known, found.told, found.rounds
+            if self.gate is not None or total >= most or not found.must_open():
+                return replace(found, known=known.with_lesson(told, last=True))
+            known = known.with_lesson(told)
+            limit = min(2.0 * limit, WIDEST_SIGMAS)
+
+    def _in_gate(self, known: Estimates, whole: Setting, limit: float, most: int) -> _Converged:
+        """The end of at most so many rounds with one gate; of the first where it shows that the gate is too narrow."""
+
+        def narrow(known: Estimates, told: FloatArray) -> bool:
+            return self.gate is None and _is_narrow(known, told, limit)
+
+        known, told, number, settled = going.settled(known, most, self.progress, narrow)
+        return _Converged(whole, known, told, limit, number, settled, known.setting.numbers)
+
+    def identified(self, found: _Converged, most: int) -> tuple[Identification, _Converged]:
+        """All records identified with what is known; with rounds over all of them, where a sample misled."""
+        known = found.known.at(found.whole, self.photometry) if found.sampled else found.known
+        answer = self._identified(known)
+        if not found.sampled or _as_expected(float(answer.p_pair.sum()), known.expected(), float(found.told.sum())):
+            return answer, replace(found, known=known)
+        known = known.learned(answer.p_pair, answer.evidence.log_ratio)
+        known, told, done, settled = going.settled(known, max(most - found.rounds, 5), self.progress)
+        total, known = found.rounds + done, known.with_lesson(told, last=True)
+        found = _Converged(found.whole, known, told, found.gate_sigmas, total, settled, found.whole.numbers)
+        return self._identified(known), found
+
+    def _identified(self, known: Estimates) -> Identification:
+        self.progress("identification")
+        pairs = known.setting.pairs
+        return identify(pairs.first, pairs.second, rule=known.rule(), gate=lambda first, second: pairs)
+
+
+def _as_expected(common: float, expected: float, sampled: float) -> bool:
+    """Whether as many are common as a sample with so many common objects lets expect."""
+    return abs(common - expected) <= (MISLED + SIGNIFICANT / math.sqrt(max(sampled, 1.0))) * expected
+
+
+def _told(answer: Identification, coverage: Coverage, found: _Converged, remarks: list[str]) -> Estimate:
+    """What was found, as it stands in the last identification."""
+    known, common = found.known, float(answer.p_pair.sum())
+    seen_1, seen_2 = (max(int(np.count_nonzero(seen)), 1) for seen in coverage.covered)
+    photometry = known.photometry if known.photometry is not None and known.photometry.tells else None
+    precision = None if known.grades is None else known.grades.rule
+    return Estimate(
+        common, min(1.0, common / seen_1), min(1.0, common / seen_2), known.errors, found.gate_sigmas, coverage,
+        found.rounds, found.settled, found.learned_from, tuple(remarks) + _notes(found, common), photometry, precision,
+        answer,
+        known.learns_errors and common >= FEWEST,
+    )  # fmt: skip
+
+
+def _notes(found: _Converged, common: float) -> tuple[str, ...]:
+    """What a user should know."""
+    notes, known = [], found.known
+    if not found.settled:
+        notes.append("the estimates had not settled when the rounds ran out")
+    if common < 0.5:
+        notes.append("no common object is expected: the sources seem to have nothing in common")
+    if known.learns_errors and common < FEWEST:
+        notes.append(f"too few pairs ({common:.1f}) to judge the errors; the quoted ones are believed")
+    if known.photometry is not None and known.photometry.chains is None:
+        few = f"too few pairs with magnitudes of both (of {common:.1f})"
+        notes.append(f"{few} to learn from the magnitudes; they are not used")
+    return tuple(notes)
+
+
+def _radius(gate: ChiSquare | Radius | None, d: int) -> float:
+    """Radius of a gate, or of the default one, in d features, in standard deviations."""
+    return gate.sigmas if isinstance(gate, Radius) else math.sqrt((gate or ChiSquare()).limit(d))
+
+
+def _halves(pairs: Pairs, limit: float) -> tuple[float, float]:
+    """Candidates in the inner half of the gate, and as many as the density of its outer part lets expect there."""
+    inner = int(np.count_nonzero(pairs.mahalanobis_sq < (0.5 * limit) ** 2))
+    return float(inner), (len(pairs) - inner) / (2.0**pairs.d - 1.0)
+
+
+def _stands_out(pairs: Pairs, limit: float) -> bool:
+    """Whether the inner half of the gate holds more candidates than its outer part, at chance, lets expect."""
+    inner, by_chance = _halves(pairs, limit)
+    return inner - by_chance > SIGNIFICANT * math.sqrt(inner + by_chance / (2.0**pairs.d - 1.0))

@@ -1,0 +1,249 @@
+"""What two sources' magnitudes have to do with each other, learned along with the identification.
+
+:class:`Photometry` is what a round of estimation knows: relations between the bands of both sources, and curves of
+the shares of common objects. It becomes a rule (``evidence.Brightness``) for the next round and is told in the end.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.estimate.coverage import Coverage
+from sameas.estimate.regression import Sample, density_of, fit_relation
+from sameas.evidence import (
+    Brightness,
+    Chain,
+    Compared,
+    Comparison,
+    MagnitudeDensity,
+    MeasuredMagnitudes,
+    Pattern,
+    Regressors,
+    Relation,
+    SourceMagnitudes,
+    compared,
+)  # fmt: skip
+from sameas.evidence.detection import DetectionCurve, ShareCurve
+from sameas.gate import Pairs
+from sameas.result import Identification
+
+#: Expected pairs of a pattern of measured bands, and records of a source, from which anything is learned at all.
+FEWEST = 50.0
+#: Pairs that a relation is learned from, at most, in the end and in rounds: more would not better it noticeably.
+ENOUGH, ENOUGH_IN_ROUNDS = 10_000, 1_000
+#: Records that a curve of the shares is learned from, in the end and in rounds, and how the bands of a source follow
+#: each other.
+CURVED, CURVED_IN_ROUNDS, ALONE = 2_000, 1_000, 1_000
+#: The golden ratio of 2³²: multiples of it are strewn evenly.
+SCATTERING = 2_654_435_769
+
+#: The pairs and their probabilities (m,), those of having a partner (n₁,), (n₂,), the shares at the records' positions
+#: (n₁,), (n₂,), and whether each is covered.
+Lesson = tuple[
+    Pairs,
+    FloatArray,
+    tuple[FloatArray, FloatArray],
+    tuple[FloatArray, FloatArray],
+    tuple[BoolArray, BoolArray],
+]
+
+
+@dataclass(frozen=True)
+class Photometry:
+    """The magnitudes of two sources, and what has been learned of them.
+
+    sides : the magnitudes of either source. names : of their bands.
+    chains : p(m₁ | m₂) and p(m₂ | m₁); None as long as nothing was learned. curves : of the shares, per source.
+    known : the magnitudes of the candidates side by side.
+    """
+
+    sides: tuple[SourceMagnitudes, SourceMagnitudes] = field(repr=False)
+    names: tuple[tuple[str, ...], tuple[str, ...]]
+    chains: tuple[Chain, Chain] | None = None
+    curves: tuple[ShareCurve | None, ShareCurve | None] = (None, None)
+    known: tuple[Pairs, tuple[Compared, Compared]] | None = field(repr=False, default=None)
+
+    @classmethod
+    def of(
+        cls, measured: tuple[MeasuredMagnitudes, MeasuredMagnitudes], names: tuple[tuple[str, ...], tuple[str, ...]]
+    ) -> Photometry:
+        """Nothing learned yet."""
+        return cls((_side(measured[0]), _side(measured[1])), names)
+
+    def part(self, rows_1: IntArray, rows_2: IntArray) -> Photometry:
+        """The magnitudes of some of the records only."""
+        one, two = (
+            replace(side, measured=side.measured.take(rows))
+            for side, rows in zip(self.sides, (rows_1, rows_2), strict=True)
+        )
+        return replace(self, sides=(one, two), known=None)
+
+    def facing(self, pairs: Pairs) -> Photometry:
+        """The same, with the magnitudes of these pairs side by side: they are asked for round after round."""
+        there = self.known is not None and self.known[0] is pairs
+        return self if there else replace(self, known=(pairs, compared(self.sides, pairs)))
+
+    def learned(
+        self,
+        pairs: Pairs,
+        p_pair: FloatArray,
+        p_partner: tuple[FloatArray, FloatArray],
+        shares: tuple[FloatArray, FloatArray],
+        covered: tuple[BoolArray, BoolArray],
+        *,
+        last: bool = False,
+    ) -> Photometry:
+        """After a round: probabilities of pairs (m,) and of having a partner (n₁,), (n₂,), shares at the positions.
+
+        Rounds learn from some pairs in a few steps; the ``last`` words, with their standard errors, are from many.
+        """
+        enough = CURVED if last else CURVED_IN_ROUNDS
+        one, two = map(partial(_curve, enough), self.sides, p_partner, shares, covered, self.curves)
+        curves = one, two
+        telling = np.zeros(len(p_pair), np.bool_)
+        telling[_some(np.flatnonzero(p_pair > 1e-3), ENOUGH if last else ENOUGH_IN_ROUNDS)] = True
+        there = self.known is not None and self.known[0] is pairs
+        sides = self.known[1] if there and self.known else compared(self.sides, pairs)
+        before = self.chains or (None, None)
+        forth, back = (
+            _chain(side, these, np.where(telling, p_pair, 0.0), start, last=last)
+            for side, these, start in zip(self.sides, sides, before, strict=True)
+        )
+        chains = (forth, back) if any(forth.related) and any(back.related) else None
+        return replace(self, chains=chains, curves=curves)
+
+    @property
+    def lacking(self) -> float:
+        """Share of the records without a magnitude in the first band, of the source with more of them."""
+        return max(float(np.isnan(side.measured.values[:, 0]).mean()) for side in self.sides)
+
+    @property
+    def telling(self) -> bool:
+        """Whether the first bands of most pairs are related: far closer to each other than those of any two records."""
+        relation, magnitude = self.first_relation, self.sides[0].measured.values[:, 0]
+        if relation is None or relation.unrelated > 0.5:
+            return False
+        return relation.typical_scatter < 0.5 * float(np.nanstd(magnitude))
+
+    @property
+    def tells(self) -> bool:
+        """Whether anything has been learned."""
+        return self.chains is not None or self.curves != (None, None)
+
+    @property
+    def first_relation(self) -> Relation | None:
+        """How the first band of source 1 follows all bands of source 2 that most pairs have; None where unknown."""
+        known = self.chains[0].related[0] if self.chains else {}
+        whole = {pattern: relation for pattern, relation in known.items() if pattern[0]}
+        return max(whole.values(), key=lambda relation: relation.weight, default=None)
+
+    def rule(self, shares: tuple[FloatArray, FloatArray], pairs: Pairs | None = None) -> Brightness | None:
+        """As evidence, with the shares at the records' positions; None as long as nothing was learned.
+
+        pairs : those that it will be asked of, if no others.
+        """
+        if not self.tells:
+            return None
+        rows = (None, None) if pairs is None else (pairs.i, pairs.j)
+        shown = [
+            np.zeros(len(share)) if curve is None else curve.terms(side.measured.values[:, 0], share, wanted)
+            for side, share, curve, wanted in zip(self.sides, shares, self.curves, rows, strict=True)
+        ]
+        return Brightness(self.sides, self.chains, shown[0], shown[1], self.known)
+
+    def detection(
+        self, answer: Identification, coverage: Coverage
+    ) -> tuple[DetectionCurve | None, DetectionCurve | None]:
+        """The share of either source's covered records that the other shows, by magnitude in the first band."""
+        volume, at, curves = coverage.common_volume(), (answer.pairs.i, answer.pairs.j), []
+        for side, rows, names, seen in zip(self.sides, at, self.names, coverage.covered, strict=True):
+            magnitude = side.measured.values[:, 0]
+            partner = np.minimum(np.bincount(rows, answer.p_pair, len(magnitude)), 1.0)
+            these = np.isfinite(magnitude) & seen
+            enough = np.count_nonzero(these) >= FEWEST
+            curves.append(DetectionCurve.of(names[0], magnitude[these], partner[these], volume) if enough else None)
+        return curves[0], curves[1]
+
+
+def _some(telling: IntArray, enough: int) -> IntArray:
+    """Half of enough pairs or more, strewn over all, and from round to round the same as far as these still tell."""
+    if len(telling) <= enough:
+        return telling
+    halvings = math.ceil(math.log2(len(telling) / enough))
+    strewn = (telling.astype(np.uint64) * np.uint64(SCATTERING)) & np.uint64(2**32 - 1)
+    return telling[strewn < np.uint64(2 ** (32 - halvings))]
+
+
+def _chain(side: SourceMagnitudes, these: Compared, weight: FloatArray, before: Chain | None, *, last: bool) -> Chain:
+    """How the bands of one source follow those of the other, in pairs of these weights (m,).
+
+    Those of the first time, without a chain ``before``, are by positions alone.
+    """
+    related: list[Mapping[Pattern, Relation]] = []
+    for band, (density, comparisons) in enumerate(zip(side.densities, these.bands, strict=True)):
+        start = before.related[band] if before else {}
+        found = {
+            x.regressors.pattern: _relation(
+                x, weight, density, start.get(x.regressors.pattern), last=last, weighed=before is not None
+            )
+            for x in comparisons
+        }
+        related.append({pattern: relation for pattern, relation in found.items() if relation is not None})
+    return Chain(tuple(related))
+
+
+def _side(measured: MeasuredMagnitudes) -> SourceMagnitudes:
+    """The densities of a source's bands, and how they follow each other in its records."""
+    densities = tuple(map(_density, measured.values.T))
+    some = measured.take(np.arange(0, len(measured.values), max(1, -(-len(measured.values) // ALONE))))
+    alone: list[Mapping[Pattern, Relation]] = []
+    for band, density in enumerate(densities):
+        these = Regressors.split(band, some, None) if band and density is not None else ()
+        weight = np.ones(len(some.values))
+        seen = [Comparison(x, np.exp(density(x.y)), np.empty(0)) for x in these if density is not None]
+        alone.append({x.regressors.pattern: r for x in seen if (r := _relation(x, weight, density, None))})
+    return SourceMagnitudes(measured, densities, tuple(alone))
+
+
+def _density(magnitude: FloatArray) -> MagnitudeDensity | None:
+    known = magnitude[np.isfinite(magnitude)]
+    return density_of(known) if len(known) >= FEWEST else None
+
+
+def _relation(
+    these: Comparison,
+    weight: FloatArray,
+    density: MagnitudeDensity | None,
+    start: Relation | None,
+    *,
+    last: bool = False,
+    weighed: bool = True,
+) -> Relation | None:
+    x = these.regressors
+    weight = weight[x.rows]
+    if density is None or weight.sum() < FEWEST:
+        return None
+    sample = Sample.of(x.y, x.others, x.variance, x.other_variance, these.background, weight, weighed=weighed)
+    return fit_relation(sample, density, start, last=last)
+
+
+def _curve(
+    enough: int,
+    side: SourceMagnitudes,
+    p_partner: FloatArray,
+    share: FloatArray,
+    covered: BoolArray,
+    before: ShareCurve | None,
+) -> ShareCurve | None:
+    magnitude = side.measured.values[:, 0]
+    these = np.flatnonzero(np.isfinite(magnitude) & covered)
+    these = these[:: max(1, -(-len(these) // enough))]
+    if len(these) < FEWEST:
+        return None
+    return ShareCurve.fit(magnitude[these], share[these], p_partner[these], before)

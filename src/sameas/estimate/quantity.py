@@ -1,0 +1,190 @@
+"""Quantities: what was estimated, each with its standard error."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from sameas.arrays import BoolArray, FloatArray
+from sameas.estimate.coverage import Coverage
+from sameas.estimate.photometry import Photometry
+from sameas.estimate.regression import weighted_median
+from sameas.gate.chisquare import quantile
+from sameas.kernels import threads
+from sameas.result import Identification
+from sameas.space import Sphere
+
+#: Most of the information on a share may be missing, but not all of it.
+MOST_MISSING = 0.95
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """An estimated value and its standard error, in ``unit``.
+
+    >>> print(Quantity(0.3512, 0.0042, "mag"))
+    0.3512 ± 0.0042 mag
+    """
+
+    value: float
+    standard_error: float
+    unit: str = ""
+
+    def __str__(self) -> str:
+        if not 0.0 < self.standard_error < math.inf:
+            return f"{self.value:.4g} {self.unit}".strip()
+        digits = max(0, 1 - math.floor(math.log10(self.standard_error)))
+        return f"{self.value:.{digits}f} ± {self.standard_error:.{digits}f} {self.unit}".strip()
+
+
+def quantities(
+    answer: Identification,
+    coverage: Coverage,
+    photometry: Photometry | None,
+    *,
+    errors: bool,
+    learned_from: tuple[int, int],
+) -> Mapping[str, Quantity]:
+    """All that was estimated; ``errors`` tells whether their scale was, ``learned_from`` of how many records.
+
+    common : number of common objects. share_1, share_2 : probability that a covered record of the source is shown by
+    the other too. density_common, density_only_1, density_only_2 : per (unit of the residuals)^d where both look.
+    error_scale : factor by which the quoted errors are to be multiplied. zero_point, scatter, colour_BAND,
+    brightness_unrelated : of the magnitudes, see :func:`_of_relation`.
+    """
+    works = [partial(_Share.of, answer, coverage, source, learned_from[source - 1]) for source in (1, 2)]
+    shares = threads.each(works, len(answer.pairs))
+    surest = min(shares, key=lambda share: share.count_error)
+    common = Quantity(surest.found, surest.count_error)
+    found = {"common": common, "share_1": shares[0].quantity(), "share_2": shares[1].quantity()}
+    volume = coverage.common_volume()
+    if volume > 0.0:
+        unit = "per arcsec²" if isinstance(coverage.first.space, Sphere) else ""
+        alone = [share.number - share.found for share in shares]
+        counts = {"density_common": common.value, "density_only_1": alone[0], "density_only_2": alone[1]}
+        for name, number in counts.items():
+            error = math.sqrt(max(number, 0.5) + common.standard_error**2)
+            found[name] = Quantity(number / volume, error / volume, unit)
+    if errors:
+        found["error_scale"] = _error_scale(answer)
+    if photometry is not None:
+        found |= _of_relation(photometry)
+    return found
+
+
+@dataclass(frozen=True)
+class _Share:
+    """Of ``number`` covered records ``found`` are expected to have a partner; ``unsure`` is Σ p(1 − p).
+
+    left_out : records per record that the estimate was learned from which it was not, 0 where it was all.
+    """
+
+    number: int
+    found: float
+    unsure: float
+    left_out: float
+
+    @classmethod
+    def of(cls, answer: Identification, coverage: Coverage, source: int, learned_from: int) -> _Share:
+        records, at = (answer.first, answer.pairs.i) if source == 1 else (answer.second, answer.pairs.j)
+        partner = np.clip(np.bincount(at, answer.p_pair, len(records)), 0.0, 1.0)
+        seen = coverage.covered[source - 1]
+        partner = partner[seen]
+        unsure = float((partner * (1.0 - partner)).sum())
+        return cls(len(partner), float(partner.sum()), unsure, len(records) / max(learned_from, 1) - 1.0)
+
+    @property
+    def share(self) -> float:
+        return (self.found + 0.5) / (self.number + 1.0)
+
+    @property
+    def missing(self) -> float:
+        """The share of the information that is missing because the pairs are not sure."""
+        whole = self.number * self.share * (1.0 - self.share)
+        return min(self.unsure / max(whole, 1e-300), MOST_MISSING)
+
+    @property
+    def count_error(self) -> float:
+        """Standard error of ``found`` as the number of pairs that there are, their share being estimated too.
+
+        Of the error of a share that was learned from a sample, as much comes into the number as information is missing.
+        """
+        return math.sqrt(self.unsure / (1.0 - self.missing) * (1.0 + self.missing**2 * self.left_out))
+
+    def quantity(self) -> Quantity:
+        """The share as a probability."""
+        binomial = self.share * (1.0 - self.share) / (self.number + 1.0)
+        sampling = self.unsure * self.missing**2 * self.left_out / max(self.number, 1) ** 2
+        error = math.sqrt((binomial + sampling) / (1.0 - self.missing))
+        return Quantity(self.found / max(self.number, 1), error)
+
+
+def _error_scale(answer: Identification) -> Quantity:
+    """The median normalised distance of the pairs, over its due: what a heavy tail does not move.
+
+    Pairs of probability p count as p; the standard error is that of a median of χ_d.
+    """
+    d, weight = answer.pairs.d, answer.p_pair
+    told = weight > 1e-3
+    median = weighted_median(np.sqrt(answer.pairs.mahalanobis_sq[told]), weight[told])
+    due = math.sqrt(quantile(0.5, d))
+    log_density = (d - 1) * math.log(due) - 0.5 * due**2 - (0.5 * d - 1) * math.log(2.0) - math.lgamma(0.5 * d)
+    enough = float(weight.sum() - (weight * (1.0 - weight)).sum())
+    error = 0.5 / (due * math.exp(log_density) * math.sqrt(max(enough, 1.0)))
+    return Quantity(median / due, median / due * error)
+
+
+def _of_relation(photometry: Photometry) -> dict[str, Quantity]:
+    """The first band of source 1 against that of source 2: zero point, scatter, colour terms, share unrelated.
+
+    zero_point : mean difference of the common objects, first minus second. scatter : beyond the quoted errors.
+    colour_BAND : mag per mag of BAND minus the second source's first band.
+    """
+    relation = photometry.first_relation
+    if relation is None:
+        return {}
+    found = {
+        "zero_point": Quantity(relation.zero_point, relation.zero_point_error, "mag"),
+        "scatter": Quantity(relation.typical_scatter, relation.scatter_error, "mag"),
+    }
+    for name, slope, error in zip(photometry.names[1][1:], relation.slopes, relation.slope_errors, strict=False):
+        found[f"colour_{name}"] = Quantity(float(slope), float(error), "mag/mag")
+    share = relation.unrelated
+    found["brightness_unrelated"] = Quantity(share, math.sqrt(share * (1.0 - share) / max(relation.weight, 1.0)))
+    return found
+
+
+def decisive(answer: Identification) -> Mapping[str, float]:
+    """How much each term of the evidence decides: the median of its absolute value over the identified pairs."""
+    chosen = answer.chosen
+    if not chosen.any():
+        return {}
+    terms = answer.evidence.terms
+    medians = threads.each([partial(_typical, values, chosen) for values in terms.values()], len(chosen))
+    return dict(zip(terms, medians, strict=True))
+
+
+def _typical(values: FloatArray, chosen: BoolArray) -> float:
+    """The median absolute value of those that are chosen."""
+    some = values[chosen]
+    return float(np.median(np.abs(some, out=some), overwrite_input=True))
+
+
+def changed_without(answer: Identification, names: tuple[str, ...]) -> int:
+    """How many records of source 1 would be identified otherwise if these terms of the evidence were left out."""
+    from sameas.assignment import assign
+    from sameas.prior import PerPair
+
+    terms: list[FloatArray] = [values for name, values in answer.evidence.terms.items() if name in names]
+    if not terms:
+        return 0
+    grouped = answer.groups
+    linear = PerPair()(grouped.sizes_1, grouped.sizes_2)
+    other = assign(grouped, answer.evidence.log_ratio - np.sum(terms, axis=0), linear)
+    chosen = np.empty(len(answer.pairs), np.bool_)
+    chosen[grouped.order] = other.chosen
+    return len(np.unique(answer.pairs.i[chosen != answer.chosen]))

@@ -1,0 +1,142 @@
+"""Sample: a part of two large sources that stands for all of them while what is not known is estimated.
+
+Cells of the sky (or of any space) are drawn until enough records of both sources lie in them. All candidates of their
+records take part, and the candidates that compete with these; what is counted is the records of the cells alone. So
+nothing is lost at the borders of cells, and the draw depends on where records lie, not on their rows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.estimate.cells import GridLevel
+from sameas.estimate.coverage import Coverage
+from sameas.gate import Pairs
+from sameas.records import Records
+
+#: Records of each source that estimation needs; it takes all of them unless there are so many times more.
+ENOUGH, WORTHWHILE = 30_000, 4
+#: Records of both sources in a cell that is drawn, on average, at least.
+CELL = 1_000
+SEED = 20_041
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What stays the same from round to round of an estimation.
+
+    Attributes
+    ----------
+    pairs : the candidates, of the records below.
+    rows : which of all records take part, (n₁,), (n₂,).
+    levels : their cells, coarse to fine.
+    seen : whether the other source looks there, (n₁,), (n₂,).
+    counted : whether a record counts; others only compete, (n₁,), (n₂,).
+    densities : local densities of the covered records of source 1 and of source 2, each at the records of both.
+    """
+
+    pairs: Pairs
+    rows: tuple[IntArray, IntArray]
+    levels: tuple[GridLevel, ...]
+    seen: tuple[BoolArray, BoolArray]
+    counted: tuple[BoolArray, BoolArray]
+    densities: tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+
+    @classmethod
+    def whole(cls, pairs: Pairs, coverage: Coverage) -> Setting:
+        """All candidates and records."""
+        n1, n2 = len(pairs.first), len(pairs.second)
+        every = np.ones(n1, np.bool_), np.ones(n2, np.bool_)
+        rows, densities = (np.arange(n1), np.arange(n2)), coverage.covered_densities
+        return cls(pairs, rows, coverage.levels, coverage.covered, every, densities)
+
+    @property
+    def numbers(self) -> tuple[int, int]:
+        """How many records of either source are counted."""
+        one, two = (int(np.count_nonzero(counted)) for counted in self.counted)
+        return one, two
+
+    def told(self, p_pair: FloatArray) -> FloatArray:
+        """(m,) probabilities of the pairs whose record 1 is counted, 0 of the others."""
+        return p_pair if self.counted[0].all() else p_pair * self.counted[0][self.pairs.i]
+
+    def by_chance(self, told: FloatArray) -> float:
+        """Mean number of candidates of a record that are there by chance, with these probabilities (m,)."""
+        candidates = np.count_nonzero(self.counted[0][self.pairs.i])
+        return max(int(candidates) - float(told.sum()), 0.0) / min(self.numbers)
+
+    def sample(self) -> Setting:
+        """Enough of it: itself where it is not large."""
+        chosen = self._drawn()
+        if chosen is None:
+            return self
+        level, cells = chosen
+        counted = cells[level.of_first], cells[level.of_second]
+        kept, used_1, used_2 = _competing(self.pairs, *counted)
+        rows_1, rows_2 = np.flatnonzero(used_1), np.flatnonzero(used_2)
+        pairs, (of_1, of_2) = _part(self.pairs, kept, rows_1, rows_2), self.densities
+        return Setting(
+            pairs, (rows_1, rows_2), tuple(level.part(rows_1, rows_2) for level in self.levels),
+            (self.seen[0][rows_1], self.seen[1][rows_2]), (counted[0][rows_1], counted[1][rows_2]),
+            ((of_1[0][rows_1], of_1[1][rows_2]), (of_2[0][rows_1], of_2[1][rows_2])),
+        )  # fmt: skip
+
+    def _drawn(self) -> tuple[GridLevel, BoolArray] | None:
+        """Cells that hold enough records of both sources; None where these would be most of all."""
+        n = len(self.pairs.first), len(self.pairs.second)
+        if min(n) <= WORTHWHILE * ENOUGH:
+            return None
+        level = next((x for x in self.levels[::-1] if len(x.volume) * CELL <= sum(n)), self.levels[0])
+        counts = [np.bincount(of, minlength=len(level.volume)) for of in (level.of_first, level.of_second)]
+        order = np.random.default_rng(SEED).permutation(len(level.volume))
+        needed = max(int(np.searchsorted(np.cumsum(count[order]), ENOUGH)) for count in counts) + 1
+        drawn = np.zeros(len(level.volume), np.bool_)
+        drawn[order[:needed]] = True
+        share = max(count[drawn].sum() / count.sum() for count in counts)
+        return (level, drawn) if share * WORTHWHILE < 1.0 else None
+
+
+def _competing(pairs: Pairs, counted_1: BoolArray, counted_2: BoolArray) -> tuple[IntArray, BoolArray, BoolArray]:
+    """Pairs of the counted records and of those that they could have, and which records these and the counted are."""
+    touched_1, touched_2 = counted_1.copy(), counted_2.copy()
+    one, two = counted_1[pairs.i], counted_2[pairs.j]
+    touched_2[pairs.j[one]] = True
+    touched_1[pairs.i[two]] = True
+    kept = np.flatnonzero(touched_1[pairs.i] | touched_2[pairs.j])
+    touched_1[pairs.i[kept]] = True
+    touched_2[pairs.j[kept]] = True
+    return kept, touched_1, touched_2
+
+
+def _part(pairs: Pairs, kept: IntArray, rows_1: IntArray, rows_2: IntArray) -> Pairs:
+    """The pairs ``kept``, of the records ``rows_1`` and ``rows_2`` alone."""
+    i, j = (_renumbered(at[kept], rows) for at, rows in ((pairs.i, rows_1), (pairs.j, rows_2)))
+    place_1, place_2 = (_renumbered(place[kept], _places(place[kept])) for place in (pairs.place_1, pairs.place_2))
+    return Pairs(
+        _some(pairs.first, rows_1), _some(pairs.second, rows_2), place_1, place_2, i, j, pairs.residual[kept],
+        pairs.mahalanobis_sq[kept], pairs.determinant[kept], pairs.gate,
+    )  # fmt: skip
+
+
+def _places(place: NDArray[np.int32]) -> IntArray:
+    """The places that occur, rising."""
+    held = np.zeros(int(place.max(initial=-1)) + 1, np.bool_)
+    held[place] = True
+    return np.flatnonzero(held)
+
+
+def _renumbered(at: NDArray[np.int32], known: IntArray) -> NDArray[np.int32]:
+    """Positions among the rising numbers ``known`` of numbers that are all among them."""
+    number = np.zeros(int(known.max(initial=-1)) + 1, np.int32)
+    number[known] = np.arange(len(known), dtype=np.int32)
+    return number[at]
+
+
+def _some(records: Records, rows: IntArray) -> Records:
+    return replace(
+        records, features=records.features[rows], covariance=records.covariance[rows], rows=records.rows[rows]
+    )

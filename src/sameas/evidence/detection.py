@@ -1,0 +1,142 @@
+"""Detection: what share of a source's records the other source shows too, against their magnitude.
+
+The logit of the share is that at the record's position (``coverage.py``) plus a curve of its magnitude, learned by
+penalised likelihood with the probability of every record's having a partner. For source 2 of a frame and a
+catalogue this is P_d(m) of METHOD 3.4, and the share of source 1 without a partner gives β(m).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.arrays import FloatArray
+from sameas.evidence.piecewise import knots_of, roughness
+
+#: Records per knot of the curve and most knots; how much its logit bends from knot to knot, and how far it strays.
+PER_KNOT, MOST_KNOTS = 100.0, 24
+BEND, FAR = 1.0, 6.0
+#: Newton steps of the first fit, and of each later one at most, how far one leads at most, and what is next to nothing.
+FIRST_STEPS, STEPS, LONGEST, SETTLED = 8, 2, 2.0, 0.05
+#: Shares are kept so far away from 0 and 1.
+LEAST_SHARE = 1e-6
+#: Records in a bin of the reported curve, at least; widths of the bins, mag, and how many there are at most.
+LEAST_IN_BIN, WIDTHS, MOST_BINS = 30, (0.1, 0.2, 0.25, 0.5, 1.0, 2.0), 24
+
+
+@dataclass(frozen=True)
+class DetectionCurve:
+    """The share of a source's covered records that the other source shows, in bins of magnitude.
+
+    Attributes
+    ----------
+    band : its name. edges : (b + 1,) mag. number : (b,) records.
+    probability, standard_error : (b,) of the share, from its smallness of number and from not being sure of the pairs.
+    density : (b,) of records without a partner, per (residual unit)^d and mag; density_error : of it.
+    """
+
+    band: str
+    edges: FloatArray
+    number: FloatArray
+    probability: FloatArray
+    standard_error: FloatArray
+    density: FloatArray
+    density_error: FloatArray
+
+    @classmethod
+    def of(cls, band: str, magnitude: FloatArray, p_partner: FloatArray, volume: float) -> DetectionCurve:
+        """Counted from magnitudes (n,), finite, with the probability of a partner, in a volume of feature space."""
+        edges = _edges(magnitude)
+        bins = len(edges) - 1
+        at = np.clip(np.searchsorted(edges, magnitude, side="right") - 1, 0, bins - 1)
+        number = np.bincount(at, minlength=bins).astype(np.float64)
+        found, unsure = (
+            np.bincount(at, p, bins).astype(np.float64) for p in (p_partner, p_partner * (1.0 - p_partner))
+        )
+        share = found / np.maximum(number, 1.0)
+        error = share_error(number, found, unsure)
+        alone, size = np.maximum(number - found, 0.0), max(volume, 1e-300) * np.diff(edges)
+        # A count of Poisson's, and the number of pairs in it that is not sure.
+        spread = np.sqrt(np.maximum(alone, 0.5) + unsure)
+        return cls(band, edges, number, share, error, alone / size, spread / size)
+
+    @property
+    def middle(self) -> FloatArray:
+        """(b,) middles of the bins, mag."""
+        return 0.5 * (self.edges[1:] + self.edges[:-1])
+
+
+def share_error(number: FloatArray, found: FloatArray, unsure: FloatArray) -> FloatArray:
+    """Standard error of shares found / number, of which ``unsure`` = Σ p(1 − p) of the found is not known.
+
+    Binomial, widened by the information that is missing: 1 / (1 − r) with r = Σ p(1 − p) / [n s (1 − s)]. An empty
+    or full bin is taken as half a record from the end.
+    """
+    share = (found + 0.5) / (number + 1.0)
+    binomial = share * (1.0 - share) / (number + 1.0)
+    missing = np.clip(unsure / np.maximum(number * share * (1.0 - share), 1e-300), 0.0, 0.95)
+    return np.sqrt(binomial / (1.0 - missing))
+
+
+def _edges(magnitude: FloatArray) -> FloatArray:
+    """Edges of equal bins of a round width; sparse ends are taken together."""
+    low, high = float(magnitude.min()), float(magnitude.max())
+    width = next((w for w in WIDTHS if (high - low) / w <= MOST_BINS), (high - low) / MOST_BINS)
+    edges = width * np.arange(np.floor(low / width), np.floor(high / width) + 2)
+    count = np.bincount(((magnitude - edges[0]) / width).astype(np.int64), minlength=len(edges) - 1)[: len(edges) - 1]
+    below, above = np.cumsum(count), np.cumsum(count[::-1])
+    begin = int(np.searchsorted(below, LEAST_IN_BIN))
+    end = len(count) - int(np.searchsorted(above, LEAST_IN_BIN))
+    return edges[[0, -1]] if end <= begin + 1 else np.concatenate([edges[:1], edges[begin + 1 : end], edges[-1:]])
+
+
+@dataclass(frozen=True)
+class ShareCurve:
+    """What is added to the logit of a record's share for its magnitude: (k,) values at (k,) knots, mag."""
+
+    knots: FloatArray
+    values: FloatArray
+
+    @classmethod
+    def fit(
+        cls, magnitude: FloatArray, share: FloatArray, p_partner: FloatArray, start: ShareCurve | None = None
+    ) -> ShareCurve:
+        """Of greatest penalised likelihood, for magnitudes (n,), the shares at the records' positions, and how
+        probably each has a partner; a few steps on from ``start`` where there is one."""
+        if start is None:
+            knots = knots_of(magnitude, np.ones(len(magnitude)), PER_KNOT, MOST_KNOTS)
+            start = cls(knots, np.zeros(len(knots)))
+        from sameas.kernels.relation import climb
+
+        values, k = start.values.copy(), len(start.knots)
+        steps = STEPS if values.any() else FIRST_STEPS
+        climb(magnitude, logit(share), p_partner, start.knots, _penalty(k), values, steps, LONGEST, SETTLED)
+        return cls(start.knots, values)
+
+    def terms(self, magnitude: FloatArray, share: FloatArray, wanted: NDArray[np.integer] | None = None) -> FloatArray:
+        """(n,) what a pair's log-odds gain when the share s of its record becomes s(m); 0 where m is not known.
+
+        Half of ln s, because both sources' records tell of the density of common objects, less ln (1 − s) of those
+        that only one source shows. wanted : records that it is asked of, the others get 0; all if not given.
+        """
+        from sameas.kernels.relation import weigh
+
+        terms = np.zeros(len(magnitude))
+        wanted = np.arange(len(magnitude)) if wanted is None else wanted
+        weigh(magnitude, share, wanted, LEAST_SHARE, self.knots, self.values, terms)
+        return terms
+
+
+@cache
+def _penalty(k: int) -> FloatArray:
+    """(k, k) how a curve's values are drawn to a straight line, and to none at all."""
+    return np.asarray(roughness(k, BEND) + np.eye(k) / FAR**2)
+
+
+def logit(share: FloatArray) -> FloatArray:
+    """ln s / (1 − s), for shares kept a millionth away from 0 and 1."""
+    share = np.clip(share, LEAST_SHARE, 1.0 - LEAST_SHARE)
+    return np.log(share) - np.log1p(-share)

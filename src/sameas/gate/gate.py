@@ -1,0 +1,167 @@
+"""The gate: which pairs of records could be one object at all.
+
+A pair is a *candidate* when its residual Δ is small for its own covariance Σ = Σ₁ + Σ₂ (METHOD 2). Every σ counts
+pair by pair: a record with a large error neither widens the gate of others nor is missed.
+
+- :class:`ChiSquare` (default): Δᵀ Σ⁻¹ Δ within the χ² quantile of a stated completeness, the probability that the gate
+  keeps a true pair.
+- :class:`Radius`: Δᵀ Σ⁻¹ Δ ≤ k², for those who think in sigmas of the distance.
+- :class:`Box`: |Δ_v| ≤ k σ_v in every feature, the papers' "three sigma" gate.
+
+The gate is part of the model: what it leaves out has probability zero. The default is so wide that opening it further
+changes nothing one can see: with a per-pair prior no probability by more than 1e-5 where groups are summed exactly
+(``benchmarks/gate.py`` measures it; 3σ moves them by up to 0.99). Under a prior of the number of pairs the gate decides
+who is counted, and no gate is wide enough. 3σ is kept to reproduce the papers.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.arrays import FloatArray, IntArray
+from sameas.errors import InputError
+from sameas.gate.chisquare import upper_quantile
+from sameas.gate.search import search
+from sameas.records import Records
+from sameas.space import Sphere
+
+#: Share of true pairs that the default gate keeps: 6.4σ in two dimensions.
+DEFAULT_COMPLETENESS = 1.0 - 1e-9
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """The candidates, listed in an order that depends on the records' content only, not on their rows.
+
+    Attributes
+    ----------
+    place_1, place_2 : (m,) places of the two records in an order of their content, near in it what is near in space.
+    i, j : (m,) positions of the two records in ``first`` and ``second``.
+    residual : (m, d) Δ = X₁ − X₂ in the space's residual unit.
+    mahalanobis_sq : (m,) Δᵀ Σ⁻¹ Δ.
+    determinant : (m,) |Σ|.
+    gate : the gate's description, for the result.
+    """
+
+    first: Records
+    second: Records
+    place_1: NDArray[np.int32]
+    place_2: NDArray[np.int32]
+    i: NDArray[np.int32]
+    j: NDArray[np.int32]
+    residual: FloatArray
+    mahalanobis_sq: FloatArray
+    determinant: FloatArray
+    gate: str
+
+    def __post_init__(self) -> None:
+        columns = (self.place_1, self.place_2, self.i, self.j, self.residual, self.mahalanobis_sq, self.determinant)
+        if len({len(column) for column in columns}) != 1:
+            raise InputError(f"pairs: columns of {', '.join(str(len(c)) for c in columns)} rows; cut all of them alike")
+
+    def __len__(self) -> int:
+        return len(self.i)
+
+    @property
+    def d(self) -> int:
+        """Number of features of a residual."""
+        return int(self.residual.shape[1])
+
+    @cached_property
+    def log_peak(self) -> FloatArray:
+        """(m,) ln of the density of no residual at all, −½ ln |2πΣ|."""
+        return np.asarray(-0.5 * (np.log(self.determinant) + self.d * math.log(2.0 * math.pi)))
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """(m, d, d) Σ of each residual, on the residual's axes."""
+        return self._covariance(self.i, self.j)
+
+    def covariance_of(self, some: IntArray) -> FloatArray:
+        """(k, d, d) Σ of the residuals of some pairs (k,), without those of all others."""
+        return self._covariance(self.i[some], self.j[some])
+
+    def _covariance(self, i: NDArray[np.int32], j: NDArray[np.int32]) -> FloatArray:
+        out = np.empty((len(i), self.d, self.d))
+        a, b = self.first, self.second
+        if isinstance(a.space, Sphere):
+            from sameas.kernels.sphere import sphere_covariances
+
+            sphere_covariances(a.features, a.covariance, b.features, b.covariance, i, j, out)
+        else:
+            from sameas.kernels.plane import plane_covariances
+
+            plane_covariances(a.covariance, b.covariance, i, j, out)
+        return out
+
+
+@dataclass(frozen=True)
+class ChiSquare:
+    """Δᵀ Σ⁻¹ Δ within the χ² quantile of ``completeness``, the probability of keeping a true pair."""
+
+    completeness: float = DEFAULT_COMPLETENESS
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.completeness < 1.0:
+            raise InputError(f"gate: completeness is {self.completeness}; give a probability between 0 and 1")
+
+    def limit(self, d: int) -> float:
+        """The χ² quantile for d features."""
+        return upper_quantile(1.0 - self.completeness, d)
+
+    def __call__(self, first: Records, second: Records) -> Pairs:
+        limit = self.limit(_features(first, second))
+        return _candidates(
+            first, second, limit, False, f"χ² ≤ {limit:.2f} (loses {1 - self.completeness:.1e} of the true)"
+        )
+
+
+@dataclass(frozen=True)
+class Radius:
+    """Mahalanobis distance within ``sigmas``: Δᵀ Σ⁻¹ Δ ≤ sigmas²."""
+
+    sigmas: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.sigmas < math.inf:
+            raise InputError(f"gate: sigmas is {self.sigmas}; give a positive number")
+
+    def __call__(self, first: Records, second: Records) -> Pairs:
+        return _candidates(first, second, self.sigmas**2, False, f"distance ≤ {self.sigmas:g} σ")
+
+
+@dataclass(frozen=True)
+class Box:
+    """|Δ_v| ≤ ``sigmas``·σ_v in every feature v, the gate of both papers (3σ)."""
+
+    sigmas: float = 3.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.sigmas < math.inf:
+            raise InputError(f"gate: sigmas is {self.sigmas}; give a positive number")
+
+    def __call__(self, first: Records, second: Records) -> Pairs:
+        return _candidates(first, second, self.sigmas**2, True, f"each feature within {self.sigmas:g} σ")
+
+
+def _features(first: Records, second: Records) -> int:
+    """The number of features of two sources, which must be records of one space."""
+    for source in (first, second):
+        if not isinstance(source, Records):
+            raise InputError(f"a source is a {type(source).__name__}; make it with Records.of(features, sigma=…)")
+    if first.d != second.d or first.space != second.space:
+        raise InputError(
+            f"{first.source} has {first.d} features in {first.space}, {second.source} {second.d} in {second.space}; "
+            "bring both to one feature space"
+        )
+    return first.d
+
+
+def _candidates(first: Records, second: Records, limit: float, box: bool, description: str) -> Pairs:
+    _features(first, second)
+    return Pairs(first, second, *search(first, second, limit, box), gate=description)

@@ -1,0 +1,325 @@
+"""Zones: how the search lays two sources out, so that what is near in space is near in memory.
+
+Records are sorted into zones of one coordinate and along the other within each; the few of very different errors are
+laid out apart, class by class. The order depends on what the records say, not on the rows they stand in.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.arrays import FloatArray, IntArray
+from sameas.records import Records
+from sameas.space import Plane, Sphere
+
+if TYPE_CHECKING:
+    from sameas.kernels import spans
+
+Rows = NDArray[np.int32]
+
+#: Fewer tests than this for each record are not worth another layout.
+FEW_TESTS = 4.0
+#: So few records are laid out in one zone: to lay out more costs as much as to test them all.
+FEW_RECORDS = 512
+#: A zone is as high as a square that holds so many records: to look a stretch up costs as much as some tests.
+SQUARE = 8.0
+#: Squares along either axis of the grid that tells where records lie.
+SQUARES = 32
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """The feature space as the kernels want it: which coordinate makes the zones (y), which is swept (x).
+
+    opening : by how much a variance of one opens the gate, squared, in the unit of the features.
+    bare : whether x, y and one variance are all that there is to know of a record.
+    """
+
+    sphere: bool
+    box: bool
+    bare: bool
+    limit: float
+    opening: float
+    periods: FloatArray
+    x: int
+    y: int
+
+    @classmethod
+    def of(cls, first: Records, second: Records, limit: float, box: bool) -> Geometry:
+        if isinstance(first.space, Sphere):
+            # Box edges reach √2 further than the ellipse that they enclose.
+            opening = limit * (2.0 if box else 1.0) / 3600.0**2
+            bare = first.covariance.shape[1] == second.covariance.shape[1] == 1
+            return cls(True, box, bare, limit, opening, np.array([360.0, np.inf]), 0, 1)
+        assert isinstance(first.space, Plane)
+        periods = np.array(first.space.period_list(first.d))
+        if first.d == 1 or len(first) + len(second) <= FEW_RECORDS:
+            return cls(False, box, False, limit, limit, periods, 0, 0)
+        # Sweep along the feature that separates best for its errors; zones of the second best.
+        sharpness = np.minimum(_sharpness(first), _sharpness(second))
+        best = np.argsort(-sharpness, kind="stable")
+        return cls(False, box, False, limit, limit, periods, int(best[0]), int(best[1]))
+
+    @property
+    def folds(self) -> tuple[float, float] | None:
+        """The periods of x and y on a plane; None on the sphere."""
+        return None if self.sphere else (float(self.periods[self.x]), float(self.periods[self.y]))
+
+
+@dataclass(frozen=True)
+class Source:
+    """Records of one source as the search sees them.
+
+    features are folded into one period; variance (n, 1) or (n, d) opens the gate along the axes; ends (2, d) are the
+    least and greatest features.
+    """
+
+    features: FloatArray
+    covariance: FloatArray
+    variance: FloatArray
+    records: Records
+    ends: FloatArray
+
+    @classmethod
+    def of(cls, records: Records, geometry: Geometry) -> Source:
+        from sameas.kernels.order import extent
+
+        features = records.features
+        ends = extent(features)
+        for axis in np.flatnonzero(np.isfinite(geometry.periods)):
+            period = geometry.periods[axis]
+            if ends[0, axis] < 0 or ends[1, axis] >= period:
+                folded = np.mod(features[:, axis], period)
+                folded[folded >= period] = 0.0
+                features = features.copy()
+                features[:, axis] = folded
+                ends[:, axis] = folded.min(), folded.max()
+        variance = _widest(records) if geometry.sphere else records.variances
+        return cls(features, records.covariance, variance, records, ends)
+
+    def classes(self, others: float) -> list[Rows]:
+        """The rows split by the size of their errors, narrowest first: the few widest apart, as long as it saves work.
+
+        others : how many records of the other source lie in the area that a variance of one opens.
+        """
+        remaining = np.arange(len(self.features), dtype=np.int32)
+        if len(remaining) < 64:
+            return [remaining]
+        size = self.variance[:, 0] if self.variance.shape[1] == 1 else self.variance.max(axis=1)
+        parts: list[Rows] = []
+        widest = 0.0
+        while len(parts) < 8:
+            top = size.max()
+            wide = size > top / 16.0
+            # A record is tested against zones and a window of about twice its own reach and √top each.
+            if len(size) < 64 or np.count_nonzero(wide) > 0.2 * len(size) or 6.0 * top * others < FEW_TESTS:
+                break
+            part = remaining[wide]
+            if parts and 6.0 * widest * others * len(part) < FEW_TESTS * len(self.features):
+                # So few that another layout would cost more than to test them as widely as those before.
+                parts[-1] = np.concatenate([parts[-1], part])
+            else:
+                parts.append(part)
+                widest = top
+            remaining, size = remaining[~wide], size[~wide]
+        return [remaining, *parts[::-1]]
+
+    def widest(self, rows: Rows, geometry: Geometry) -> tuple[float, float]:
+        """The largest variances in x and in y of some of the rows, or of all."""
+        from sameas.kernels.order import extent
+
+        largest = extent(self.variance if len(rows) == len(self.variance) else self.variance[rows])[1].tolist()
+        return (largest[0], largest[0]) if len(largest) == 1 else (largest[geometry.x], largest[geometry.y])
+
+    def rank(self) -> IntArray:
+        """The place of each record's id among the ids: what orders records that are equal in all else."""
+        ids = self.records.ids[self.records.rows]
+        rank = np.empty(len(ids), np.int64)
+        # Ids of several kinds have no order among themselves, but their texts have.
+        rank[np.argsort(ids.astype(str) if ids.dtype.kind == "O" else ids, kind="stable")] = np.arange(len(ids))
+        return rank
+
+
+@dataclass(frozen=True)
+class Extent:
+    """Where the records of two sources lie: (low, high) of x and of y without outliers, and the area in them.
+
+    The area counts the squares of a grid that hold records; it is 0 where there is no y.
+    """
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+    area: float
+
+    @classmethod
+    def of(cls, sources: tuple[Source, Source], geometry: Geometry) -> Extent:
+        from sameas.kernels.order import tally
+
+        axes = [geometry.x, geometry.y]
+        low = np.minimum(sources[0].ends[0], sources[1].ends[0])[axes]
+        high = np.maximum(sources[0].ends[1], sources[1].ends[1])[axes]
+        x, y = ((float(a), float(b)) for a, b in zip(low, high, strict=True))
+        if len(sources[0].features) + len(sources[1].features) <= FEW_RECORDS:
+            return cls(x, y, 0.0)
+        counts = np.zeros((SQUARES, SQUARES), np.int64)
+        size = np.maximum((high - low) / SQUARES, 1e-300)
+        for source in sources:
+            tally(source.features, geometry.x, geometry.y, *low, *(1.0 / size), counts)
+        shrink = np.ones(SQUARES)
+        if geometry.sphere:
+            shrink = np.maximum(np.cos(np.radians(low[1] + size[1] * (np.arange(SQUARES) + 0.5))), 1e-6)
+        area = float(((counts > 0) * shrink).sum() * size[0] * size[1]) if geometry.x != geometry.y else 0.0
+        x = _bulk(x, counts.sum(axis=1), [source.features[:, geometry.x] for source in sources])
+        if not geometry.sphere:
+            y = _bulk(y, counts.sum(axis=0), [source.features[:, geometry.y] for source in sources])
+        return cls(x, y, area)
+
+
+@dataclass(frozen=True)
+class Zones:
+    """Zones of equal height in y; whether they close to a ring."""
+
+    low: float
+    height: float
+    count: int
+    wraps: bool
+
+    @classmethod
+    def of(cls, n: int, reach: float, extent: Extent, geometry: Geometry) -> Zones:
+        """Zones for n records whose own errors reach so far in y."""
+        if geometry.x == geometry.y:
+            return cls(0.0, math.inf, 1, False)
+        height = max(math.sqrt(SQUARE * extent.area / n), 0.25 * reach)
+        period = float(geometry.periods[geometry.y])
+        low, high = (0.0, period) if math.isfinite(period) else extent.y
+        count = max(1, int(min((high - low) / height, float(n))))
+        return cls(low, max((high - low) / count, 1e-290), count, math.isfinite(period) and count > 1)
+
+    def stretch(self, reach: float, geometry: Geometry) -> FloatArray:
+        """(zones,) by how much what lies within reach stretches in x, per unit of it, up to so great a reach."""
+        if not geometry.sphere:
+            return np.ones(self.count)
+        return _longitudes(self.low, self.height, self.count, reach)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A source laid out, class by class of errors, narrowest first.
+
+    Attributes
+    ----------
+    side : all records, class after class. starts : the first place of each class, and the end.
+    zones, grids : of every class. widest : their largest variances in x and in y.
+    """
+
+    side: spans.Side
+    starts: list[int]
+    zones: list[Zones]
+    grids: list[spans.Grid]
+    widest: list[tuple[float, float]]
+
+    @classmethod
+    def of(cls, source: Source, classes: list[Rows], extent: Extent, geometry: Geometry) -> Layout:
+        """Every class in zones of its own, its records by zone, then x, then the rest of the content, then id."""
+        from sameas.kernels.spans import Side
+
+        n, width = len(source.features), source.covariance.shape[1]
+        width += 0 if geometry.sphere else source.features.shape[1]
+        side = Side(np.empty((0 if geometry.bare else n, width)), np.empty((n, 4)), np.empty(n, np.int32))
+        starts = list(accumulate(map(len, classes), initial=0))
+        widest = [source.widest(rows, geometry) for rows in classes]
+        zones = [
+            Zones.of(len(rows), math.sqrt(geometry.opening * 2.0 * y), extent, geometry)
+            for rows, (_, y) in zip(classes, widest, strict=True)
+        ]
+        grids = [
+            _laid_out(source, rows, cut, extent, geometry, side, base)
+            for rows, cut, base in zip(classes, zones, starts[:-1], strict=True)
+        ]
+        return cls(side, starts, zones, grids, widest)
+
+    def reach(self, which: int, visitors: tuple[float, float], end: int, geometry: Geometry) -> spans.Reach:
+        """How far records of variances up to those of ``visitors``, at places before ``end``, reach into a class."""
+        from sameas.kernels.spans import Reach
+
+        opening = geometry.opening * (1.0 + 1e-6)
+        x, y = self.widest[which]
+        stretch = self.zones[which].stretch(math.sqrt(opening * (y + visitors[1])), geometry)
+        return Reach(opening, x, y, stretch, end)
+
+
+def _laid_out(
+    source: Source, rows: Rows, zones: Zones, extent: Extent, geometry: Geometry, side: spans.Side, base: int
+) -> spans.Grid:
+    """Write one class into ``side`` from place ``base`` on."""
+    from sameas.kernels.order import CELLS, into_cells, into_zones, take_rows, zones_of
+    from sameas.kernels.spans import Grid, Side
+
+    n, content = len(rows), (source.features, source.covariance)
+    zone, ends = np.empty(n, np.int32), np.empty(zones.count + 1, np.int64)
+    zones_of(source.features, rows, geometry.y, zones.low, 1.0 / zones.height, zone, ends)
+    part = Side(*(column[base : base + n] for column in side))
+    into_zones(source.features, source.variance, rows, geometry.x, geometry.y, zone, ends[:-1].copy(), part)
+    first, scale = np.empty(zones.count + 1, np.int64), np.empty(zones.count)
+    starts = np.empty(CELLS * n + zones.count + 1, np.int32)
+    frame = extent.x[0], max(extent.x[1] - extent.x[0], 1e-290)
+    for rank in (lambda: np.empty(0, np.int64), source.rank):
+        if into_cells(*content, geometry.sphere, ends, frame, rank(), base, (first, starts, scale), part):
+            break
+    take_rows(*content, part.rows, part.content)
+    return Grid(first, starts, scale, extent.x[0], zones.low, 1.0 / zones.height, zones.wraps)
+
+
+def _bulk(ends: tuple[float, float], counts: IntArray, values: list[FloatArray]) -> tuple[float, float]:
+    """The ends of what holds the bulk of some values, where a few outliers leave most of the whole empty."""
+    share = np.cumsum(counts)
+    middle = np.searchsorted(share, share[-1] * np.array([0.005, 0.995]))
+    if middle[1] - middle[0] >= SQUARES // 8:
+        return ends
+    inner = np.percentile(np.concatenate(values), (0.5, 99.5))
+    margin = 0.05 * (inner[1] - inner[0])
+    return float(max(ends[0], inner[0] - margin)), float(min(ends[1], inner[1] + margin))
+
+
+def _longitudes(low: float, height: float, count: int, reach_deg: float) -> FloatArray:
+    """(zones,) half width in longitude of what lies within reach of any point of each zone, per unit of that reach.
+
+    From sin²(s/2) ≥ cos δ₁ cos δ₂ sin²(Δα/2), with the least cosines that the zone and its reach contain. The width
+    grows faster than the reach, but for that of sin(s/2): the quotient for the greatest is enough for all.
+    """
+    bottom = low + height * np.arange(count)
+    farthest = np.minimum(np.maximum(np.abs(bottom), np.abs(bottom + height)), 90.0)
+    beyond = np.minimum(farthest + reach_deg, 90.0)
+    cosines = np.cos(np.radians(farthest)) * np.cos(np.radians(beyond))
+    half = math.radians(min(reach_deg, 180.0)) / 2.0
+    sine = math.sin(half)
+    stretch = np.full(count, np.inf)
+    narrow = cosines > sine**2
+    width = 2.0 * np.degrees(np.arcsin(sine / np.sqrt(cosines[narrow]))) * (1.0 + 1e-9)
+    stretch[narrow] = width / reach_deg * (half / sine)
+    return stretch
+
+
+def _sharpness(records: Records) -> FloatArray:
+    """Per feature, how many standard deviations wide the bulk of the records lies."""
+    middle = np.percentile(records.features, (5, 95), axis=0)
+    return (middle[1] - middle[0]) / np.sqrt(records.variances.mean(axis=0))
+
+
+def _widest(records: Records) -> FloatArray:
+    """(n, 1) the largest variance in any direction of directions on the sphere: their axes turn from pair to pair."""
+    if records.covariance.shape[1] == 1:
+        return records.covariance
+    if records.covariance.shape[1] == 2:
+        return records.covariance.max(axis=1, keepdims=True)
+    from sameas.kernels.order import widest
+
+    variance = np.empty((len(records), 1))
+    widest(records.covariance, variance)
+    return variance

@@ -1,0 +1,428 @@
+"""Compiled cells, densities and discs: where sources look, and how densely."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sameas.kernels.compiled import kernel, part
+from sameas.kernels.sphere import ARCSEC
+
+# Compiled cells of a space: in which of them records lie, and how large they are.
+
+
+@kernel
+def rings(low, high, arc, size):
+    """Rings of equal height in latitude from ``low`` to ``high``, degrees, cut into nearly square cells of ``size``,
+    arcsec², along an ``arc`` of longitude.
+
+    Returns (r + 1,) numbers of the first cell of each ring, and in the end of all; (r,) the size of a ring's cells.
+    """
+    number = max(1, int(np.ceil((high - low) * 3600.0 / np.sqrt(size))))
+    begin, volume = np.zeros(number + 1, np.int64), np.empty(number)
+    height, below = (high - low) / number, np.sin(np.radians(low))
+    for r in range(number):
+        above = np.sin(np.radians(low + height * (r + 1)))
+        area = np.radians(arc) * (above - below) * ARCSEC**2
+        pieces = max(1, int(np.round(area / size)))
+        begin[r + 1], volume[r], below = begin[r] + pieces, area / pieces, above
+    return begin, volume
+
+
+@kernel
+def sphere_cells(features, low, high, west, arc, begin, cell):
+    """Fill ``cell`` (n,) with the cells of directions (n, 2), degrees, in ``rings`` that begin at ``west``."""
+    number = len(begin) - 1
+    height = (high - low) / number
+    for k in range(len(cell)):
+        ring = min(max(int((features[k, 1] - low) / height), 0), number - 1)
+        turn, pieces = features[k, 0] - west, begin[ring + 1] - begin[ring]
+        along = (turn - 360.0 * np.floor(turn / 360.0)) / arc
+        cell[k] = begin[ring] + min(int(along * pieces), pieces - 1)
+
+
+@kernel
+def box_cells(features, low, extent, cuts, cell):
+    """Fill ``cell`` (n,) with the cells of points (n, d) in a box that is cut ``cuts`` times along every feature."""
+    for k in range(len(cell)):
+        number = 0
+        for v in range(features.shape[1]):
+            along = int((features[k, v] - low[v]) / extent[v] * cuts)
+            number = number * cuts + min(max(along, 0), cuts - 1)
+        cell[k] = number
+
+
+@kernel
+def renumber(one, two, total, of_first, of_second):
+    """Fill ``of_first`` and ``of_second`` with the cells ``one`` and ``two``, of ``total``, numbered as they occur.
+
+    Returns the cells that occur, rising.
+    """
+    number, found = np.zeros(total, np.int32), 0
+    for cells in (one, two):
+        for c in cells:
+            number[c] = 1
+    for c in range(total):
+        if number[c]:
+            number[c] = found
+            found += 1
+    for cells, out in ((one, of_first), (two, of_second)):
+        for k in range(len(cells)):
+            out[k] = number[cells[k]]
+    known = np.empty(found, np.int64)
+    for cells, out in ((one, of_first), (two, of_second)):
+        for k in range(len(cells)):
+            known[out[k]] = cells[k]
+    return known
+
+
+@kernel
+def sizes(known, begin, volume):
+    """(c,) sizes of the cells ``known``, rising, of rings whose cells begin at ``begin`` and are of size ``volume``."""
+    out, ring = np.empty(len(known)), 0
+    for k in range(len(known)):
+        while begin[ring + 1] <= known[k]:
+            ring += 1
+        out[k] = volume[ring]
+    return out
+
+
+# Compiled counts of cells, and what they say: local densities and shares, refined from cell to finer cell.
+
+
+@kernel
+def look(of_source, cell, volume, count, company, least, pseudo_count, hole, seen, density, highest):
+    """Clear ``seen`` (n,) where a record's cell is empty although more than ``hole`` were to be expected, and ``least``
+    of those that are asked for lie in it; refine the ``density`` (n,) by its count, in place.
+
+    of_source : (n',) cells of the records that are counted. cell : (n,) of those that are asked for. volume : of the
+    cells. count, company : room for the counts of either. highest : (n,) of the densities so far, which is what is
+    expected at least half of: just outside a border coarse cells are empty for the most part, and their own density
+    says too little.
+
+    Returns by how many standard deviations more records lie in empty cells than chance puts there.
+    """
+    count[:] = 0.0
+    for c in of_source:
+        count[c] += 1.0
+    company[:] = 0.0
+    for c in cell:
+        company[c] += 1.0
+    empty, due, variance, never = 0.0, 0.0, 1.0, 20.0
+    for k in range(len(cell)):
+        c = cell[k]
+        expected = density[k] * volume[c]
+        chance = np.exp(-expected) if expected < never else 0.0
+        empty += count[c] == 0.0
+        due += chance
+        variance += chance * (1.0 - chance) * company[c]  # all of a cell together
+        if count[c] == 0.0 and company[c] >= least and max(density[k], 0.5 * highest[k]) * volume[c] >= hole:
+            seen[k] = False
+        highest[k] = max(highest[k], density[k])
+        density[k] = (count[c] + pseudo_count) / (volume[c] + pseudo_count / density[k])
+    return (empty - due) / np.sqrt(variance)
+
+
+@kernel
+def shared_part(of_first, seen_1, of_second, seen_2, count):
+    """(c,) part of each cell where both sources look.
+
+    Of a cell, a part a is seen by both, b by the first alone, c by the second alone, a + b + c = 1; so the covered part
+    of the first's records is f = a/(a + b), of the second's g = a/(a + c), and a = 1/(1/f + 1/g − 1). A source
+    without records in a cell says nothing. count : (c, 4) zeros, room for the counts.
+    """
+    for k in range(len(of_first)):
+        count[of_first[k], 0] += 1.0
+        count[of_first[k], 1] += seen_1[k]
+    for k in range(len(of_second)):
+        count[of_second[k], 2] += 1.0
+        count[of_second[k], 3] += seen_2[k]
+    share = np.empty(len(count))
+    for c in range(len(count)):
+        one = count[c, 0] / count[c, 1] if count[c, 0] > 0.0 else 1.0
+        two = count[c, 2] / count[c, 3] if count[c, 2] > 0.0 else 1.0
+        share[c] = 1.0 / (one + two - 1.0)
+    return share
+
+
+@kernel
+def refine(own, other, weight, volume, count, pseudo_count, at_own, at_other):
+    """Draw densities, in place, towards the counts of each record's cell: ``at_own`` (n,) and ``at_other`` (n',).
+
+    own, weight : (n,) cells of the records that are counted, and as how many each; it is left out at itself. other :
+    (n',) cells of the other records. volume : of the cells. count : room for their counts.
+    """
+    count[:] = 0.0
+    for k in range(len(own)):
+        count[own[k]] += weight[k]
+    for k in range(len(own)):
+        c = own[k]
+        others = max(count[c] - weight[k], 0.0)
+        at_own[k] = (others + pseudo_count) / (volume[c] + pseudo_count / at_own[k])
+    for k in range(len(other)):
+        c = other[k]
+        at_other[k] = (count[c] + pseudo_count) / (volume[c] + pseudo_count / at_other[k])
+
+
+@kernel
+def refine_share(own, other, part, weight, parts, weights, pseudo_count, at_own, at_other):
+    """Draw shares, in place, towards part/weight of each record's cell: ``at_own`` (n,) and ``at_other`` (n',).
+
+    own, part, weight : (n,) cells of the records that are counted, and what of each counts; its own is left out at
+    itself. other : (n',) cells of the other records. parts, weights : room for the sums of the cells.
+    """
+    parts[:] = 0.0
+    weights[:] = 0.0
+    for k in range(len(own)):
+        parts[own[k]] += part[k]
+        weights[own[k]] += weight[k]
+    for k in range(len(own)):
+        c = own[k]
+        others_part, others = max(parts[c] - part[k], 0.0), max(weights[c] - weight[k], 0.0)
+        at_own[k] = (others_part + pseudo_count * at_own[k]) / (others + pseudo_count)
+    for k in range(len(other)):
+        c = other[k]
+        at_other[k] = (parts[c] + pseudo_count * at_other[k]) / (weights[c] + pseudo_count)
+
+
+# Compiled discs (intervals, balls) over sorted points: which are empty, and what lies in those that are.
+#
+# Points are (n, axes), in lists of cells (n, 3) with unused axes zero, wrapped into their period where an axis has one.
+# They are sorted into the buckets of a grid: a cell's number modulo the size of the table, so that a grid needs no more
+# room than its points, however wide it is. Buckets may hold points of several cells; every point is asked for its own.
+
+
+@part
+def cell_of(x, low, side, number, period):
+    """The cell along one axis; the last of a period takes what rounding puts beyond it."""
+    cell = math.floor((x - low) / side)
+    return min(cell, number - 1) if period < np.inf else cell
+
+
+@part
+def bucket_of(i, j, k, number, mask):
+    """Where the points of a cell are kept."""
+    return ((i * number[1] + j) * number[2] + k) & mask
+
+
+@part
+def along(x, low, side, number, period, radius):
+    """(first, last) cell along one axis that a disc around ``x`` reaches; in a period they may lie outside it."""
+    if period < np.inf and 2.0 * radius + 2.0 * side >= period:
+        return 0, number - 1
+    return math.floor((x - radius - low) / side), math.floor((x + radius - low) / side)
+
+
+@part
+def reach_of(centres, c, radius, low, side, number, period):
+    """The same along three axes of a disc around a centre."""
+    return (
+        along(centres[c, 0], low[0], side[0], number[0], period[0], radius),
+        along(centres[c, 1], low[1], side[1], number[1], period[1], radius),
+        along(centres[c, 2], low[2], side[2], number[2], period[2], radius),
+    )
+
+
+@part
+def turned(cell, number, period):
+    """A cell brought into its period."""
+    return cell % number if period < np.inf else cell
+
+
+@part
+def turned_round(i, j, k, number, period):
+    """The same along three axes."""
+    return turned(i, number[0], period[0]), turned(j, number[1], period[1]), turned(k, number[2], period[2])
+
+
+@part
+def apart_sq(points, p, centres, c, period):
+    """Squared distance of a point from a centre, the shorter way round."""
+    total = 0.0
+    for v in range(points.shape[1]):
+        away = points[p, v] - centres[c, v]
+        if period[v] < np.inf:
+            away -= period[v] * np.round(away / period[v])
+        total += away * away
+    return total
+
+
+@part
+def at(points, p, v):
+    """A coordinate of a point, zero along an axis that it has not."""
+    return points[p, v] if v < points.shape[1] else 0.0
+
+
+@part
+def cells_at(points, p, low, side, number, period):
+    """The cell of a point along three axes."""
+    return (
+        cell_of(at(points, p, 0), low[0], side[0], number[0], period[0]),
+        cell_of(at(points, p, 1), low[1], side[1], number[1], period[1]),
+        cell_of(at(points, p, 2), low[2], side[2], number[2], period[2]),
+    )
+
+
+@part
+def company_beside(points, p, limit, source, some, low, side, number, period, mask):
+    """Whether one of the points asked in the cells around that of a point is closer to it, squared, than a limit."""
+    i, j, k = cells_at(points, p, low, side, number, period)
+    wide, deep = min(points.shape[1] - 1, 1), max(points.shape[1] - 2, 0)
+    for at_i in range(i - 1, i + 2):
+        for at_j in range(j - wide, j + wide + 1):
+            for at_k in range(k - deep, k + deep + 1):
+                cell_i, cell_j, cell_k = turned_round(at_i, at_j, at_k, number, period)
+                q = some[bucket_of(cell_i, cell_j, cell_k, number, mask)]
+                if q >= 0 and apart_sq(source, q, points, p, period) < limit:
+                    return True
+    return False
+
+
+@kernel
+def lonely(points, wanted, density, least, most, expected, d, source, low, side, number, period, mask, out):
+    """Write the rows of the points whose disc may be empty of ``source`` into ``out`` (n,); returns how many.
+
+    Of those ``wanted`` with least < density ≤ most; a disc has the volume in which so many are ``expected``. One point
+    of each cell of ``source`` is asked, in the point's own cell and in those around it: whoever stays is a suspect.
+    """
+    some, found = np.full(mask + 1, -1, np.int32), 0
+    # Where every cell has a bucket of its own, nobody in the same cell is farther away than its diagonal.
+    diagonal_sq = 0.0 if float(number[0]) * number[1] * number[2] <= mask + 1 else np.inf
+    for v in range(source.shape[1]):
+        diagonal_sq += side[v] * side[v]
+    for q in range(len(source)):
+        i, j, k = cells_at(source, q, low, side, number, period)
+        some[bucket_of(i, j, k, number, mask)] = q
+    for p in range(len(points)):
+        if wanted[p] and least < density[p] <= most:
+            part = expected / density[p]
+            limit = part if d == 2 else part ** (2.0 / d)
+            i, j, k = cells_at(points, p, low, side, number, period)
+            inside = 0 <= i < number[0] and 0 <= j < number[1] and 0 <= k < number[2]
+            q = some[bucket_of(i, j, k, number, mask)]
+            if q >= 0 and inside and (diagonal_sq <= limit or apart_sq(source, q, points, p, period) < limit):
+                continue
+            if not company_beside(points, p, limit, source, some, low, side, number, period, mask):
+                out[found] = p
+                found += 1
+    return found
+
+
+@kernel
+def beside(points, low, side, number, period, mask, centres, radius, out):
+    """Write the rows of the points in buckets that discs around centres (c, 3) reach into ``out``; returns how many."""
+    marked, found = np.zeros(mask + 1, np.bool_), 0
+    for c in range(len(centres)):
+        (west, east), (south, north), (below, above) = reach_of(centres, c, radius[c], low, side, number, period)
+        for i in range(west, east + 1):
+            for j in range(south, north + 1):
+                for k in range(below, above + 1):
+                    at_i, at_j, at_k = turned_round(i, j, k, number, period)
+                    marked[bucket_of(at_i, at_j, at_k, number, mask)] = True
+    for p in range(len(points)):
+        i, j, k = cells_at(points, p, low, side, number, period)
+        if marked[bucket_of(i, j, k, number, mask)]:
+            out[found] = p
+            found += 1
+    return found
+
+
+@kernel
+def into_buckets(points, low, side, number, period, mask):
+    """(start, rows): the rows of the points of bucket b are ``rows[start[b]:start[b + 1]]``, rising."""
+    bucket = np.empty(len(points), np.int32)
+    start, rows = np.zeros(mask + 2, np.int32), np.empty(len(points), np.int32)
+    for p in range(len(points)):
+        i, j, k = cells_at(points, p, low, side, number, period)
+        bucket[p] = bucket_of(i, j, k, number, mask)
+        start[bucket[p] + 1] += 1
+    for b in range(mask + 1):
+        start[b + 1] += start[b]
+    for p in range(len(points)):
+        rows[start[bucket[p]]] = p
+        start[bucket[p]] += 1
+    for b in range(mask + 1, 0, -1):
+        start[b] = start[b - 1]
+    start[0] = 0
+    return start, rows
+
+
+@part
+def is_empty(centres, c, radius, points, low, side, number, period, mask, start, rows):
+    """Whether no point lies closer to the centre than the radius."""
+    i, j, k = cells_at(centres, c, low, side, number, period)
+    own = bucket_of(i, j, k, number, mask)
+    for place in range(start[own], start[own + 1]):  # most centres have company in their own cell
+        if apart_sq(points, rows[place], centres, c, period) < radius * radius:
+            return False
+    (west, east), (south, north), (below, above) = reach_of(centres, c, radius, low, side, number, period)
+    for i in range(west, east + 1):
+        for j in range(south, north + 1):
+            for k in range(below, above + 1):
+                at_i, at_j, at_k = turned_round(i, j, k, number, period)
+                b = bucket_of(at_i, at_j, at_k, number, mask)
+                for place in range(start[b], start[b + 1]):
+                    if apart_sq(points, rows[place], centres, c, period) < radius * radius:
+                        return False
+    return True
+
+
+@kernel
+def empty_discs(centres, radius, points, low, side, number, period, mask, start, rows, empty):
+    """Fill ``empty`` (n,): whether no point lies closer to centre k than ``radius[k]``."""
+    for c in range(len(centres)):
+        empty[c] = is_empty(centres, c, radius[c], points, low, side, number, period, mask, start, rows)
+
+
+@part
+def is_within(p, i, j, k, limit, points, centres, c, low, side, number, period):
+    """Whether a point lies in a cell, and closer to a centre than the limit."""
+    if apart_sq(points, p, centres, c, period) >= limit * limit:
+        return False
+    own_i, own_j, own_k = cells_at(points, p, low, side, number, period)
+    return own_i == i and own_j == j and own_k == k
+
+
+@part
+def holds(centres, c, radius, least, points, low, side, number, period, mask, start, rows):
+    """Whether at least so many points are closer to a centre, itself a point, than the radius."""
+    if least <= 1.0:
+        return True
+    count = 0
+    (west, east), (south, north), (below, above) = reach_of(centres, c, radius, low, side, number, period)
+    for i in range(west, east + 1):
+        for j in range(south, north + 1):
+            for k in range(below, above + 1):
+                at_i, at_j, at_k = turned_round(i, j, k, number, period)
+                b = bucket_of(at_i, at_j, at_k, number, mask)
+                for place in range(start[b], start[b + 1]):
+                    p = rows[place]
+                    if is_within(p, at_i, at_j, at_k, radius, points, centres, c, low, side, number, period):
+                        count += 1
+                        if count >= least:
+                            return True
+    return False
+
+
+@kernel
+def clear(centres, radius, inner, least, points, low, side, number, period, mask, start, rows, seen):
+    """Clear ``seen`` (n,) at the points closer than ``inner[c]`` to a centre that has ``least`` of them within its
+    radius."""
+    left = start[1:] - start[:-1]  # points of each bucket that are still seen
+    for c in range(len(centres)):
+        if not holds(centres, c, radius[c], least, points, low, side, number, period, mask, start, rows):
+            continue
+        (west, east), (south, north), (below, above) = reach_of(centres, c, inner[c], low, side, number, period)
+        for i in range(west, east + 1):
+            for j in range(south, north + 1):
+                for k in range(below, above + 1):
+                    at_i, at_j, at_k = turned_round(i, j, k, number, period)
+                    b = bucket_of(at_i, at_j, at_k, number, mask)
+                    if not left[b]:
+                        continue
+                    for place in range(start[b], start[b + 1]):
+                        p = rows[place]
+                        if seen[p] and apart_sq(points, p, centres, c, period) < inner[c] * inner[c]:
+                            seen[p] = False
+                            left[b] -= 1

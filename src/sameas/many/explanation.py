@@ -1,0 +1,232 @@
+"""Reasons: why certain records are one object, against every other set that one of them could be in.
+
+:meth:`sameas.many.objects.Objects.explain` makes them, for a person who points at an object and asks. For two sources
+:mod:`sameas.result.explanation` says more: what any other answer would cost the whole group.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from sameas.arrays import FloatArray, IntArray
+from sameas.errors import InputError
+from sameas.many.marginals import EXACT, Answer
+from sameas.many.observations import records_of
+from sameas.many.pooled import PooledRecords
+from sameas.many.sets import Sets
+from sameas.many.terms import Terms, pairs_of
+from sameas.result.explanation import probability_text
+
+#: Sets less probable than this are no rivals.
+LEAST = 1e-9
+#: Rivals that the text shows.
+SHOWN = 8
+
+#: A record: the name of its source and its id there.
+Name = tuple[str, Any]
+
+
+class Identified(Protocol):
+    """What of :class:`~sameas.many.objects.Objects` their explanation is made from."""
+
+    @property
+    def union(self) -> PooledRecords: ...
+    @property
+    def sets(self) -> Sets: ...
+    @property
+    def answer(self) -> Answer: ...
+    @property
+    def terms(self) -> Terms | None: ...
+    @property
+    def set_of_object(self) -> IntArray: ...
+    @property
+    def object_of_record(self) -> IntArray: ...
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A set of records that could be one object; the object itself is the one that is ``chosen``.
+
+    Attributes
+    ----------
+    members : the records, in the order in which the sources were given.
+    probability : that exactly these records are one object.
+    log_odds : ln of how much more they weigh as one object than as that many; 0 for one record.
+    terms : the parts of ``log_odds`` by name; none for one record.
+    taken : (record, number of the object that it is in) of those that the answer gives to another object.
+    """
+
+    members: tuple[Name, ...]
+    probability: float
+    log_odds: float
+    terms: Mapping[str, float]
+    taken: tuple[tuple[Name, int], ...]
+    chosen: bool
+
+    def __str__(self) -> str:
+        return " = ".join(f"{source} {record}" for source, record in self.members)
+
+
+@dataclass(frozen=True)
+class ObjectExplanation:
+    """What :meth:`sameas.many.objects.Objects.explain` gives; ``str()`` of it is a text for people.
+
+    Attributes
+    ----------
+    number : of the object. group, records : the number of its group, and how many records that has.
+    exact : whether the probabilities are sums over all partitions of the group.
+    rivals : every set that has one of the object's records, itself among them, the most probable first.
+    stays : why it is shown though another answer is more probable; "" where none is.
+    """
+
+    number: int
+    group: int
+    records: int
+    exact: bool
+    rivals: tuple[Rival, ...]
+    stays: str = ""
+
+    @property
+    def chosen(self) -> Rival:
+        """The object."""
+        return next(rival for rival in self.rivals if rival.chosen)
+
+    @property
+    def runner_up(self) -> Rival | None:
+        """The most probable other set, if any is possible."""
+        return next((rival for rival in self.rivals if not rival.chosen), None)
+
+    @property
+    def against_runner_up(self) -> dict[str, float]:
+        """By name, how much more each term says for the object than for its runner-up; their sum is that of ln w."""
+        other = self.runner_up
+        if other is None:
+            return {}
+        mine, its = self.chosen.terms, other.terms
+        return {name: mine.get(name, 0.0) - its.get(name, 0.0) for name in {**mine, **its}}
+
+    def __str__(self) -> str:
+        return "\n".join(_lines(self))
+
+
+@dataclass(frozen=True)
+class Weights:
+    """What every possible set of an answer weighs, term by term.
+
+    kept : (r,) the sets that are no less probable than :data:`LEAST`, or chosen. terms : (r,) by name. sets_of : which
+    records (n) are in which of them (r). names : (n) of all records.
+    """
+
+    objects: Identified
+    kept: IntArray
+    terms: Mapping[str, FloatArray]
+    sets_of: csr_array
+    names: Sequence[Name]
+
+    @classmethod
+    def of(cls, objects: Identified) -> Weights:
+        """Of the answer of ``identify_many``."""
+        if objects.terms is None:
+            raise InputError("only the objects of identify_many are explained: the sets of others were not weighed")
+        kept = np.flatnonzero((objects.answer.probability >= LEAST) | objects.answer.chosen)
+        members = objects.sets.members[kept]
+        at, source = np.nonzero(members >= 0)
+        shape = (len(objects.union), len(kept))
+        sets_of = csr_array((np.ones(len(at), bool), (members[at, source], at)), shape=shape)
+        sources = [records_of(source) for source in objects.union.sources]
+        names = [(source.source, name) for source in sources for name in source.ids[source.rows].tolist()]
+        return cls(objects, kept, _terms(objects, objects.terms, kept), sets_of, names)
+
+    def of_object(self, number: int) -> ObjectExplanation:
+        """Why the records of one object are it."""
+        objects = self.objects
+        own = int(objects.set_of_object[number])
+        records = objects.sets.members[own]
+        indptr, indices = self.sets_of.indptr, self.sets_of.indices
+        near = np.unique(np.concatenate([indices[indptr[r] : indptr[r + 1]] for r in records[records >= 0]]))
+        # Of equals the object itself comes first, then the first by content.
+        p, other = objects.answer.probability[self.kept[near]], self.kept[near] != own
+        rivals = tuple(self._rival(at, number) for at in near[np.lexsort([near, other, -p])].tolist())
+        group = int(objects.sets.group[own])
+        return ObjectExplanation(
+            number, group, int(objects.union.sizes[group]), bool(objects.answer.cut[group] >= EXACT), rivals
+        )
+
+    def _rival(self, at: int, number: int) -> Rival:
+        objects, which = self.objects, int(self.kept[at])
+        records = [r for r in objects.sets.members[which, self._columns].tolist() if r >= 0]
+        holders = objects.object_of_record[records].tolist()
+        pairs = zip(records, holders, strict=True)
+        return Rival(
+            tuple(self.names[r] for r in records),
+            float(objects.answer.probability[which]),
+            float(objects.sets.log_weight[which]),
+            {name: float(values[at]) for name, values in self.terms.items() if values[at] != 0.0},
+            tuple((self.names[r], holder) for r, holder in pairs if holder != number),
+            which == int(objects.set_of_object[number]),
+        )
+
+    @cached_property
+    def _columns(self) -> IntArray:
+        """Columns of the sets' members in the order in which the sources were given."""
+        return np.argsort(self.objects.union.given)
+
+
+def _terms(objects: Identified, terms: Terms, kept: IntArray) -> dict[str, FloatArray]:
+    """(r,) every term of the kept sets; what the others leave of ln w is what positions say."""
+    union, sets = objects.union, objects.sets
+    out: dict[str, FloatArray] = {"position": np.zeros(len(kept))}
+    for size in np.unique(sets.size[kept]).tolist():
+        if size == 1:
+            continue
+        at = np.flatnonzero(sets.size[kept] == size)
+        members = sets.members[kept[at]]
+        records = members[members >= 0].reshape(-1, size)
+        named = terms.by_name(records, pairs_of(union, records))
+        named["position"] = sets.log_weight[kept[at]] - np.sum(
+            [np.zeros(len(at)), *(values for name, values in named.items() if name != "position")], axis=0
+        )
+        for name, values in named.items():
+            out.setdefault(name, np.zeros(len(kept)))[at] = values
+    return out
+
+
+def _lines(x: ObjectExplanation) -> list[str]:
+    chosen, other = x.chosen, x.runner_up
+    summed = "summed over all partitions" if x.exact else "approximate, improbable sets left out"
+    lines = [
+        f"Object {x.number} is {chosen}, probability {probability_text(chosen.probability)}.",
+        f"Group {x.group}: {x.records} records; probabilities are {summed}.",
+        "",
+    ]
+    shown = x.rivals[:SHOWN] if chosen in x.rivals[:SHOWN] else (*x.rivals[: SHOWN - 1], chosen)
+    width = max(len(str(rival)) for rival in shown) + 2
+    lines.append(f"{'records':>{width}}  {'probability':>11}  {'log-odds':>8}  terms")
+    for rival in shown:
+        mark = "→ " if rival.chosen else "  "
+        line = f"{mark + str(rival):>{width}}  {probability_text(rival.probability):>11}"
+        lines.append(line + (f"  {rival.log_odds:+8.2f}  {_said(rival.terms)}" if rival.terms else ""))
+    if len(x.rivals) > len(shown):
+        lines.append(f"({len(x.rivals) - len(shown)} less probable not shown)")
+    if other is None:
+        return [*lines, "Nothing else is possible."]
+    if other.probability > chosen.probability:
+        why = x.stays or "the answer is the most probable for all records together"
+        lines += ["", f"By itself {other} is more probable; {why}."]
+    total = chosen.log_odds - other.log_odds
+    lines += ["", f"Against the runner-up, {other}: log-odds {total:+.2f}, of which {_said(x.against_runner_up)}."]
+    if other.taken:
+        taken = ", ".join(f"{source} {record} from object {holder}" for (source, record), holder in other.taken)
+        lines.append(f"It would take {taken}.")
+    return lines
+
+
+def _said(terms: Mapping[str, float]) -> str:
+    """Terms in words, without those too small to be seen."""
+    return ", ".join(f"{name} {value:+.2f}" for name, value in terms.items() if abs(value) >= 0.005) or "nothing"

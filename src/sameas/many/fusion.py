@@ -1,0 +1,152 @@
+"""Fusion: one state from several estimates of it, by what is known of how their errors go together.
+
+- :func:`independent`: errors are independent; weights are inverse covariances.
+- :func:`bar_shalom_campo`: two estimates whose cross-covariance is known (common process noise, a shared sensor).
+- :func:`covariance_intersection`: nothing is known of the correlation; the result is consistent whatever it is.
+
+The records of an object, each of which may see its own part of the state, are fused by ``Objects.fused``. Estimates
+here are points of one flat space: bring periodic features to one turn first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sameas.arrays import FloatArray
+from sameas.errors import InputError
+
+#: Steps of the weights at most, and how far the optimality condition may be missed, relative.
+STEPS = 5000
+OPTIMAL = 1e-7
+#: Halvings of a step of vertex exchange.
+BISECTIONS = 45
+CRITERIA = ("determinant", "trace")
+
+
+@dataclass(frozen=True)
+class Fused:
+    """``state`` (n, L) and ``covariance`` (n, L, L); ``weights`` (n, k) of covariance intersection, None elsewhere."""
+
+    state: FloatArray
+    covariance: FloatArray
+    weights: FloatArray | None = None
+
+
+def independent(states: ArrayLike, covariances: ArrayLike) -> Fused:
+    """The estimate of least variance from k estimates with independent errors.
+
+    states : (k, L), or (n, k, L) for n objects at once. covariances : (k, L, L) or (n, k, L, L).
+    """
+    x, p = _estimates(states, covariances)
+    return _weighted(x, np.linalg.inv(p), np.ones(x.shape[:2]))
+
+
+def bar_shalom_campo(
+    state_1: ArrayLike, covariance_1: ArrayLike, state_2: ArrayLike, covariance_2: ArrayLike, cross: ArrayLike
+) -> Fused:
+    """The estimate of least variance from two whose errors have the cross-covariance P₁₂ = E[e₁ e₂ᵀ].
+
+    x = x₁ + (P₁ − P₁₂) S⁻¹ (x₂ − x₁), P = P₁ − (P₁ − P₁₂) S⁻¹ (P₁ − P₂₁), S = P₁ + P₂ − P₁₂ − P₂₁
+    (Bar-Shalom and Campo 1986). states : (n, L) or (L,); covariances and cross : (n, L, L) or (L, L).
+    """
+    x, p = _estimates(
+        np.stack([np.asarray(state_1, float), np.asarray(state_2, float)], axis=-2),
+        np.stack([np.asarray(covariance_1, float), np.asarray(covariance_2, float)], axis=-3),
+    )
+    p12 = np.broadcast_to(np.asarray(cross, dtype=np.float64), p[:, 0].shape)
+    p21 = p12.transpose(0, 2, 1)
+    joint = np.block([[p[:, 0], p12], [p21, p[:, 1]]])
+    if np.any(np.linalg.eigvalsh(joint)[:, 0] < -1e-9 * np.abs(joint).max(axis=(1, 2))):
+        raise InputError(
+            "fusion: the cross-covariance is larger than the covariances allow; give P₁₂ = E[e₁ e₂ᵀ] in their unit"
+        )
+    spread = p[:, 0] + p[:, 1] - p12 - p21
+    gain = (p[:, 0] - p12) @ np.linalg.pinv(spread, hermitian=True)
+    state = x[:, 0] + np.einsum("nvw,nw->nv", gain, x[:, 1] - x[:, 0])
+    covariance = p[:, 0] - gain @ (p[:, 0] - p21)
+    return Fused(state, 0.5 * (covariance + covariance.transpose(0, 2, 1)))
+
+
+def covariance_intersection(states: ArrayLike, covariances: ArrayLike, *, criterion: str = "determinant") -> Fused:
+    """A consistent estimate from k estimates whose errors may be correlated in any way.
+
+    P⁻¹ = Σ wᵢ Pᵢ⁻¹, x = P Σ wᵢ Pᵢ⁻¹ xᵢ, wᵢ ≥ 0, Σ wᵢ = 1 (Julier and Uhlmann 1997), with the weights of all estimates
+    together that make the ``criterion`` of P least: "determinant" or "trace". Both are convex problems of optimal
+    design. For the determinant, weight goes from the estimate of least gradient to that of greatest, as far as it helps
+    (vertex exchange, Böhning 1986: one step for two estimates); for the trace, all weights are multiplied by their
+    gradients (Silvey, Titterington and Torsney 1978). Both end where the equivalence theorem of Kiefer and Wolfowitz
+    holds.
+
+    states : (k, L), or (n, k, L) for n objects at once. covariances : (k, L, L) or (n, k, L, L).
+    """
+    if criterion not in CRITERIA:
+        raise InputError(f'fusion: criterion is {criterion!r}; give "determinant" or "trace"')
+    x, p = _estimates(states, covariances)
+    information = np.linalg.inv(p)
+    weights = np.full(x.shape[:2], 1.0 / x.shape[1])
+    open_ = np.arange(len(x))
+    for _ in range(STEPS):
+        ours, w = information[open_], weights[open_]
+        covariance = np.linalg.inv(np.einsum("nk,nkvw->nvw", w, ours))
+        if criterion == "determinant":
+            slope = np.einsum("nkvw,nwv->nk", ours, covariance) / x.shape[2]
+        else:
+            slope = np.einsum("nuv,nkvw,nwu->nk", covariance, ours, covariance)
+            slope /= np.einsum("nvv->n", covariance)[:, None]
+        far = slope.max(axis=1, initial=0.0) > 1.0 + OPTIMAL
+        if not far.any():
+            break
+        open_, ours, w, slope, covariance = open_[far], ours[far], w[far], slope[far], covariance[far]
+        moved = _exchanged(ours, w, slope, covariance) if criterion == "determinant" else w * np.sqrt(slope)
+        weights[open_] = moved / moved.sum(axis=1, keepdims=True)
+    fused = _weighted(x, information, weights)
+    return Fused(fused.state, fused.covariance, weights)
+
+
+def _exchanged(information: FloatArray, weights: FloatArray, slope: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Weights (n, k) after the best exchange between the estimates of greatest slope and of least among those used."""
+    row = np.arange(len(weights))
+    to, off = slope.argmax(axis=1), np.where(weights > 0.0, slope, np.inf).argmin(axis=1)
+    root = np.linalg.cholesky(covariance)
+    change = root.transpose(0, 2, 1) @ (information[row, to] - information[row, off]) @ root
+    # ln|M + δ D| has the slope Σ μ/(1 + δ μ), falling in δ: its zero, or all the weight there is.
+    mu = np.linalg.eigvalsh(change)
+    low, high = np.zeros(len(row)), weights[row, off]
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        rising = np.sum(mu / (1.0 + middle[:, None] * mu), axis=1) > 0.0
+        low, high = np.where(rising, middle, low), np.where(rising, high, middle)
+    # All of it, where even that is not enough: an estimate that is not needed is out.
+    all_of_it = np.sum(mu / np.maximum(1.0 + weights[row, off][:, None] * mu, 1e-300), axis=1) >= 0.0
+    step = np.where(all_of_it, weights[row, off], 0.5 * (low + high))
+    out = weights.copy()
+    out[row, to] += step
+    out[row, off] -= step
+    return out
+
+
+def _weighted(x: FloatArray, information: NDArray, weights: FloatArray) -> Fused:
+    covariance = np.linalg.inv(np.einsum("nk,nkvw->nvw", weights, information))
+    # About the first estimate, so that large coordinates cost no digits.
+    pull = np.einsum("nk,nkvw,nkw->nv", weights, information, x - x[:, :1])
+    return Fused(x[:, 0] + np.einsum("nvw,nw->nv", covariance, pull), covariance)
+
+
+def _estimates(states: ArrayLike, covariances: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """(n, k, L) and (n, k, L, L), checked."""
+    x, p = np.asarray(states, dtype=np.float64), np.asarray(covariances, dtype=np.float64)
+    if x.ndim == 2:
+        x, p = x[None], p[None]
+    if x.ndim != 3 or p.shape != (*x.shape, x.shape[-1]):
+        raise InputError(f"fusion: states {x.shape}, covariances {p.shape}; give (n, k, L) and (n, k, L, L)")
+    if not (np.isfinite(x).all() and np.isfinite(p).all()):
+        raise InputError("fusion: a state or covariance is not finite; leave out estimates that are not known")
+    wrong = np.argwhere(np.linalg.eigvalsh(p)[..., 0] <= 0)
+    if len(wrong):
+        raise InputError(
+            f"fusion: the covariance of object {wrong[0][0]}, estimate {wrong[0][1]} is not positive definite"
+        )
+    return x, p

@@ -1,0 +1,262 @@
+"""How sure: the probability of every candidate set, summed over all partitions of its group.
+
+A group's records are eliminated one after another; what is carried along is which later records are taken, and the
+number of merges under a count prior. Sets that the duals of the best partition show to be next to impossible are left
+out first: a partition with a set of reduced cost c is at least eᶜ times less probable than the best. At c > 30 nothing
+is lost that a probability could show, and the sum counts as exact; groups too entangled for it are summed without sets
+of c > 20, 14, …, until it fits, and the result says so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.many.partition import best_counted, best_partition, incidence_of
+from sameas.many.pooled import PooledRecords
+from sameas.many.rules import MissedObjects
+from sameas.many.sets import Sets
+
+#: Reduced costs above which sets are left out, tried in this order.
+CUTS = (30.0, 20.0, 14.0, 10.0, 8.0, 6.0, 4.0, 2.0, 1.0)
+EXACT = 30.0
+#: Steps from state to state that the sum of one group may take.
+MOST_STEPS = 300_000
+#: Records of a block: bits of a state.
+MOST_RECORDS = 63
+#: Records of a group that is summed at once.
+SMALL = 8
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The best partition and how sure it is.
+
+    chosen : (k,) the sets that are objects. probability : (k,) of every set.
+    gap : (g,) ln of how much more probable a better partition could be at most.
+    cut : (g,) reduced cost above which sets were left out of the sum; :data:`EXACT` or more where that is exact,
+        0 where no sum was possible and the best partition stands for all.
+    """
+
+    chosen: BoolArray
+    probability: FloatArray
+    gap: FloatArray
+    cut: FloatArray
+
+
+def answer(sets: Sets, union: PooledRecords, counts: MissedObjects | None, *, time_limit_s: float) -> Answer:
+    """The best partition of every group and the probabilities of its sets; ``counts`` is the count prior, if any."""
+    if counts is None:
+        # Small groups need no programme: their sums are short, and give the best partition too.
+        sums = _Sums.additive(sets, len(union))
+        small = (union.sizes <= SMALL) & (sets.floor <= 0)
+        share, chosen, solved = sums.without(np.zeros(len(sets)), EXACT, small)
+        solved &= small
+        best = best_partition(sets, len(union), ~solved, time_limit_s=time_limit_s)
+        cost = _reduced_cost(sets, best.dual, best.slack, sets.log_weight)
+        part, _, cut = sums.all(cost, best.chosen, np.where(solved, EXACT, -1.0))
+        done = solved[sets.group]
+        return Answer(
+            np.where(done, chosen, best.chosen), np.where(done, share, part), np.where(solved, 0.0, best.gap), cut
+        )
+    sums = _Sums.counted(sets, union, counts)
+    nothing = np.zeros(len(sets))
+    share, chosen, solved = sums.without(nothing, EXACT, np.ones(len(union.sizes), bool))
+    cut = np.where(solved, np.inf, -1.0)
+    gap = np.where(sets.floor > 0, np.inf, 0.0)
+    if not solved.all():
+        weight = sets.log_weight.copy()
+        for g in np.flatnonzero(~solved).tolist():
+            gap[g] = max(gap[g], _solve_counted(sets, sums, g, weight, chosen, time_limit_s))
+        tilted = Sets(sets.members, sets.size, weight, sets.group, sets.start, sets.floor)
+        best = best_partition(tilted, len(union), time_limit_s=time_limit_s)
+        cost = _reduced_cost(sets, best.dual, best.slack, weight)
+        part, _, cut = sums.all(cost, chosen, cut)
+        share = np.where(solved[sets.group], share, part)
+    return Answer(chosen, share, gap, cut)
+
+
+def _reduced_cost(sets: Sets, dual: FloatArray, slack: FloatArray, weight: FloatArray) -> FloatArray:
+    """(k,) how much ln w a set falls short of its records' duals, less what the relaxation promised too much."""
+    total = np.where(sets.members >= 0, dual[sets.members], 0.0).sum(axis=1)
+    return total - weight - slack[sets.group]
+
+
+def _solve_counted(
+    sets: Sets, sums: _Sums, g: int, weight: FloatArray, chosen: BoolArray, time_limit_s: float
+) -> float:
+    """Choose one group's sets by branch and bound; tilt its weights by the slope of the prior there; its gap."""
+    here = np.arange(sets.start[g], sets.start[g + 1])
+    merges = sets.size[here] - 1
+    log_p = sums.table[sums.table_start[g] : sums.table_start[g + 1]]
+    several = here[merges > 0]
+    incidence = incidence_of(sets, sums.n_records)[:, several]
+    picked, gap = best_counted(weight[several], sets.size[several] - 1, incidence, log_p, time_limit_s)
+    chosen[here] = False
+    chosen[several[picked]] = True
+    taken = sets.members[several[picked]]
+    alone = here[merges == 0]
+    chosen[alone] = ~np.isin(sets.members[alone].max(axis=1), taken)
+    count = int((sets.size[several[picked]] - 1).sum())
+    low, high = max(count - 1, 0), min(count + 1, len(log_p) - 1)
+    weight[here] += merges * (log_p[high] - log_p[low]) / max(high - low, 1)
+    return gap
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """Sums over partitions; ``table`` holds ln P of 0, 1, … merges of group g from table_start[g] on."""
+
+    sets: Sets
+    n_records: int
+    table_start: IntArray
+    table: FloatArray
+    counts: bool
+
+    @classmethod
+    def additive(cls, sets: Sets, n_records: int) -> _Sums:
+        return cls(sets, n_records, np.zeros(len(sets.start), np.int64), np.zeros(1), False)
+
+    @classmethod
+    def counted(cls, sets: Sets, union: PooledRecords, counts: MissedObjects) -> _Sums:
+        tables = {int(n): counts.table(union, int(n)) for n in np.unique(union.sizes)}
+        table = np.concatenate([tables[int(n)] for n in union.sizes] or [np.zeros(1)])
+        return cls(sets, len(union), np.concatenate([[0], np.cumsum(union.sizes)]), table, True)
+
+    def all(self, cost: FloatArray, chosen: BoolArray, cut: FloatArray) -> tuple[FloatArray, BoolArray, FloatArray]:
+        """Probabilities with as small a cut as each group allows; groups whose ``cut`` is not negative are done."""
+        share, cut = np.zeros(len(self.sets)), cut.copy()
+        for value in CUTS:
+            wanted = cut < 0
+            if not wanted.any():
+                break
+            part, _, solved = self.without(np.where(chosen, 0.0, cost), value, wanted)
+            share += part
+            cut[solved] = value
+        rest = cut < 0
+        cut[rest] = 0.0
+        at = rest[self.sets.group]
+        return np.where(at, chosen, share), chosen, cut
+
+    def without(self, cost: FloatArray, cut: float, wanted: BoolArray) -> tuple[FloatArray, BoolArray, BoolArray]:
+        """Probabilities, best partition and whether it was solved, for the wanted groups and sets of cost ≤ cut."""
+        from sameas.kernels.partitions import eliminate
+
+        sets = self.sets
+        wanted = wanted & ~self._too_wide(np.flatnonzero((cost <= cut) & wanted[sets.group]))
+        kept = np.flatnonzero((cost <= cut) & wanted[sets.group])
+        blocks = _Blocks.of(sets, kept, self.n_records, self.counts)
+        share, chosen = np.zeros(len(sets)), np.zeros(len(sets), bool)
+        share[kept[blocks.sure]], chosen[kept[blocks.sure]] = 1.0, True
+        part, best = np.zeros(len(blocks.at)), np.zeros(len(blocks.at), bool)
+        solved = np.zeros(len(blocks.group), bool)
+        at = kept[blocks.at]
+        start, table = self._left_of_table(blocks, kept[blocks.sure])
+        eliminate(
+            np.flatnonzero(blocks.size <= MOST_RECORDS), blocks.start, blocks.first, blocks.mask, sets.log_weight[at],
+            sets.size[at] - 1, start, table, self.counts, MOST_STEPS, part, best, solved,
+        )  # fmt: skip
+        done = wanted
+        done[blocks.group[~solved]] = False
+        share[at], chosen[at] = part, best
+        return np.where(done[sets.group], share, 0.0), chosen & done[sets.group], done
+
+    def _too_wide(self, kept: IntArray) -> BoolArray:
+        """(g,) groups in which the kept sets entangle more records than a state can hold: not to be begun with."""
+        sets, wide = self.sets, np.zeros(len(self.sets.start) - 1, bool)
+        kept = kept[(self._sizes > MOST_RECORDS)[sets.group[kept]] & (sets.size[kept] > 1)]
+        if self.counts or not len(kept):
+            return wide
+        at, source = np.nonzero(sets.members[kept] >= 0)
+        edges = (sets.members[kept][at, source], self.n_records + at)
+        size = self.n_records + len(kept)
+        _, part = connected_components(
+            csr_array((np.ones(len(at), np.int8), edges), shape=(size, size)), directed=False
+        )
+        records = np.bincount(part[: self.n_records])
+        wide[sets.group[kept[records[part[self.n_records :]] > MOST_RECORDS]]] = True
+        return wide
+
+    @cached_property
+    def _sizes(self) -> IntArray:
+        """(g,) records of each group."""
+        return np.bincount(self.sets.group[self.sets.size == 1], minlength=len(self.sets.start) - 1)
+
+    def _left_of_table(self, blocks: _Blocks, sure: IntArray) -> tuple[IntArray, FloatArray]:
+        """Starts and ln P of the merges that are left to each block when those of the sure sets are made."""
+        if not self.counts:
+            return np.zeros(len(blocks.group) + 1, np.int64), np.zeros(1)
+        made = np.bincount(self.sets.group[sure], self.sets.size[sure] - 1, len(self.table_start)).astype(np.int64)
+        low, high = self.table_start[blocks.group] + made[blocks.group], self.table_start[blocks.group + 1]
+        lists = [self.table[a:b] for a, b in zip(low, high, strict=True)]
+        return np.concatenate([[0], np.cumsum(high - low)]), np.concatenate([*lists, np.zeros(1)])
+
+
+@dataclass(frozen=True)
+class _Blocks:
+    """Records that the kept sets entangle with each other, laid out for elimination.
+
+    sure : places among the kept of sets that share no record with another. at : of the others, block by block, by
+    their first record. start : (b+1,) of the blocks. first, mask : per set the number of its first record within the
+    block, and its records as bits. size : (b,) records. group : (b,) group of the block.
+    """
+
+    sure: IntArray
+    at: IntArray
+    start: IntArray
+    first: IntArray
+    mask: NDArray[np.uint64]
+    size: IntArray
+    group: IntArray
+
+    @classmethod
+    def of(cls, sets: Sets, kept: IntArray, n_records: int, whole_groups: bool) -> _Blocks:
+        members = sets.members[kept]
+        at, source = np.nonzero(members >= 0)
+        record = members[at, source]
+        incidence = csr_array((np.ones(len(at), np.int32), (record, at)), shape=(n_records, len(kept)))
+        touching = csr_array(incidence @ incidence.T)
+        _, part = connected_components(touching, directed=False)
+        of_set = part[members.max(axis=1)]
+        alone = np.bincount(of_set, minlength=part.max(initial=-1) + 1)[of_set] == 1
+        sure, rest = np.flatnonzero(alone), np.flatnonzero(~alone)
+        unit = sets.group[kept] if whole_groups else of_set
+        labels, block = np.unique(unit[rest], return_inverse=True)
+        # Records near each other one after another: few are taken and not yet passed.
+        rank = np.empty(n_records, np.int64)
+        if n_records:
+            rank[reverse_cuthill_mckee(touching, symmetric_mode=True)] = np.arange(n_records)
+        number, size = _numbers(block, rest, at, record, part, rank, len(labels), n_records)
+        bits = number[record]
+        low = np.full(len(kept), 1 << 30)
+        np.minimum.at(low, at, bits)
+        mask = np.zeros(len(kept), np.uint64)
+        np.bitwise_or.at(mask, at, np.uint64(1) << np.minimum(bits, 63).astype(np.uint64))
+        order = np.lexsort([rest, low[rest], block])
+        start = np.searchsorted(block[order], np.arange(len(labels) + 1))
+        there = rest[order]
+        group = sets.group[kept[there[start[:-1]]]] if len(labels) else np.empty(0, np.int64)
+        return cls(sure, there, start, low[there], mask[there], size, group)
+
+
+def _numbers(
+    block: IntArray, rest: IntArray, at: IntArray, record: IntArray, part: IntArray, rank: IntArray, n_blocks: int,
+    n_records: int,
+) -> tuple[IntArray, IntArray]:  # fmt: skip
+    """(n,) number of each record within its block (0 where it has none), and the sizes of the blocks."""
+    of_set = np.full(at.max(initial=-1) + 1, -1)
+    of_set[rest] = block
+    of_record = np.full(n_records, -1)
+    of_record[record] = of_set[at]
+    inside = np.flatnonzero(of_record >= 0)
+    inside = inside[np.lexsort([rank[inside], part[inside], of_record[inside]])]
+    size = np.bincount(of_record[inside], minlength=n_blocks)
+    number = np.zeros(n_records, np.int64)
+    number[inside] = np.arange(len(inside)) - np.repeat(np.cumsum(size) - size, size)
+    return number, size

@@ -1,0 +1,271 @@
+"""Objects: which records of many sources are one thing, how sure it is, and what its state is.
+
+Members are rows of the sources' own tables, sources in the order in which they were given; absence is a mask. Objects
+are numbered by what their records say, so the numbers too do not depend on the order of sources or rows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.errors import InputError
+from sameas.many.explanation import ObjectExplanation, Weights
+from sameas.many.joint import Joint
+from sameas.many.marginals import EXACT, Answer
+from sameas.many.observations import Source, records_of
+from sameas.many.pooled import PooledRecords
+from sameas.many.sets import Sets
+from sameas.many.terms import Terms
+
+
+@dataclass(frozen=True)
+class Memberships:
+    """What became of every row of one source's table (n_table,); masked where the row could not be used.
+
+    object : number of its object. p_object : probability of exactly that object. p_alone : of no partner anywhere.
+    partner : (n_table, S) per source the row of the most probable partner there, masked where there is no candidate.
+    p_partner : (n_table, S) its probability, 0 where there is no candidate; the column of the source itself is masked.
+    """
+
+    object: np.ma.MaskedArray
+    p_object: np.ma.MaskedArray
+    p_alone: np.ma.MaskedArray
+    partner: np.ma.MaskedArray
+    p_partner: np.ma.MaskedArray
+
+
+@dataclass(frozen=True)
+class GroupTable:
+    """How every group was solved (g,).
+
+    records, sets : their numbers. gap : ln of how much more probable a better partition could be at most, 0 where the
+    answer is the best. cut : the sum left out sets at least e^cut times less probable than the best; ``exact`` where
+    that changes no probability one can see; ``floor``: ln w below which sets were not considered.
+    """
+
+    records: IntArray
+    sets: IntArray
+    gap: FloatArray
+    exact: BoolArray
+    cut: FloatArray
+    floor: FloatArray
+
+
+@dataclass(frozen=True)
+class Objects:
+    """The answer of :func:`sameas.many.identify_many`.
+
+    given : the sources, in the order in which they were given. union, sets, answer, terms : the stages' values; terms
+        are None where the sets were not weighed.
+    """
+
+    given: tuple[Source, ...]
+    union: PooledRecords
+    sets: Sets
+    answer: Answer
+    terms: Terms | None = None
+
+    def __len__(self) -> int:
+        return len(self.set_of_object)
+
+    @cached_property
+    def set_of_object(self) -> IntArray:
+        """(n,) the set that each object is: a row of :attr:`sets`."""
+        chosen = np.flatnonzero(self.answer.chosen)
+        members = self.sets.members[chosen]
+        first = np.where(members >= 0, members, len(self.union)).min(axis=1)
+        return chosen[np.argsort(first)]
+
+    @cached_property
+    def _table(self) -> _Tables:
+        return _Tables(self.union)
+
+    @cached_property
+    def members(self) -> np.ma.MaskedArray:
+        """(n, S) row of each object's record in the table of each source, masked where the source has none."""
+        return self._table.rows_of(self.sets.members[self.set_of_object])
+
+    @property
+    def probability(self) -> FloatArray:
+        """(n,) probability that exactly these records are one object."""
+        return self.answer.probability[self.set_of_object]
+
+    @property
+    def n_members(self) -> IntArray:
+        """(n,) by how many sources each object is seen."""
+        return self.sets.size[self.set_of_object]
+
+    @property
+    def group(self) -> IntArray:
+        """(n,) number of the group that each object is in: a row of :attr:`groups`."""
+        return self.sets.group[self.set_of_object]
+
+    @cached_property
+    def _second(self) -> IntArray:
+        """(n,) the most probable other set that shares a record with each object, −1 where there is none."""
+        best = np.full(len(self), -1)
+        best_p = np.zeros(len(self))
+        of_record = self.object_of_record
+        other = np.setdiff1d(np.flatnonzero(self.answer.probability > 0), self.set_of_object)
+        # Ascending, so that the last to be written is the most probable; of equals the first by content.
+        other = other[np.lexsort([-other, self.answer.probability[other]])]
+        for column in self.sets.members[other].T:
+            here = np.flatnonzero(column >= 0)
+            rank = np.full(len(self), -1)
+            rank[of_record[column[here]]] = here
+            p = np.where(rank >= 0, self.answer.probability[other[np.maximum(rank, 0)]], -1.0) if len(other) else best_p
+            better = (rank >= 0) & (p > best_p)
+            best[better], best_p[better] = other[rank[better]], p[better]
+        return best
+
+    @cached_property
+    def runner_up(self) -> np.ma.MaskedArray:
+        """(n, S) rows of the most probable other set that has one of the object's records."""
+        members = self.sets.members[np.maximum(self._second, 0)].copy()
+        members[self._second < 0] = -1
+        return self._table.rows_of(members)
+
+    @cached_property
+    def p_runner_up(self) -> np.ma.MaskedArray:
+        """(n,) its probability, masked where nothing else is possible."""
+        return np.ma.MaskedArray(self.answer.probability[self._second], self._second < 0)
+
+    @cached_property
+    def fused(self) -> Joint:
+        """Per object its fused ``state`` (n, L) and ``covariance``, errors of the records taken as independent."""
+        return self.union.observers.joint(self.union.positions(self.sets.members[self.set_of_object]))
+
+    @cached_property
+    def expected_wrong(self) -> float:
+        """How many of the objects are expected not to be exactly right: Σ (1 − p)."""
+        return float(np.sum(1.0 - self.probability))
+
+    @cached_property
+    def groups(self) -> GroupTable:
+        """How every group was solved."""
+        counts = np.diff(self.sets.start)
+        a = self.answer
+        return GroupTable(self.union.sizes, counts, a.gap, a.cut >= EXACT, a.cut, self.sets.floor)
+
+    def of(self, source: int | str) -> Memberships:
+        """What became of every row of one source, named by its place in the list of sources or by its name."""
+        names = [records_of(s).source for s in self.given]
+        if isinstance(source, str):
+            if names.count(source) != 1:
+                raise InputError(f"no single source is named {source!r}; give one of {', '.join(names)} or its place")
+            source = names.index(source)
+        if not 0 <= source < len(names):
+            raise InputError(f"source is {source}; give 0 … {len(names) - 1}, its place in the list of sources")
+        s = self.union.given.index(source)
+        here = np.arange(self.union.start[s], self.union.start[s + 1])
+        of_record = self.object_of_record[here]
+        partner, p_partner = self._partners(s, here)
+        spread = self._table.spread(s)
+        away = np.arange(len(names)) == source
+        return Memberships(
+            object=spread(of_record),
+            p_object=spread(self.probability[of_record]),
+            p_alone=spread(np.clip(self._p_alone[here], 0.0, 1.0)),
+            partner=spread(partner.data, np.ma.getmaskarray(partner)),
+            p_partner=spread(np.clip(p_partner, 0.0, 1.0), np.broadcast_to(away, p_partner.shape)),
+        )
+
+    def explain(self, number: int) -> ObjectExplanation:
+        """Why these records are object ``number``: its rivals, what each weighs term by term; ``print`` it.
+
+        Raises
+        ------
+        InputError : there is no such object, or the sets were not weighed (``identify_sequentially``).
+        """
+        if not 0 <= number < len(self):
+            raise InputError(f"there is no object {number}; give 0 … {len(self) - 1}, a row of members")
+        return self._grounds.of_object(number)
+
+    @cached_property
+    def _grounds(self) -> Weights:
+        return Weights.of(self)
+
+    @cached_property
+    def object_of_record(self) -> IntArray:
+        """(records,) the object of every record, numbered as in the union."""
+        out = np.zeros(len(self.union), np.int64)
+        members = self.sets.members[self.set_of_object]
+        at, source = np.nonzero(members >= 0)
+        out[members[at, source]] = at
+        return out
+
+    @cached_property
+    def _p_alone(self) -> FloatArray:
+        lone = np.flatnonzero(self.sets.size == 1)
+        out = np.zeros(len(self.union))
+        out[self.sets.members[lone].max(axis=1)] = self.answer.probability[lone]
+        return out
+
+    @cached_property
+    def p_together(self) -> csr_array:
+        """(n, n) probability that two records, numbered as in the union, are one object; symmetric, sparse."""
+        p = self.answer.probability
+        kept = np.flatnonzero((self.sets.size > 1) & (p > 0))
+        members = self.sets.members[kept]
+        at, source = np.nonzero(members >= 0)
+        shape = (len(self.union), len(kept))
+        whole = csr_array((np.ones(len(at)), (members[at, source], at)), shape=shape)
+        together = csr_array((whole * p[kept][None, :]) @ whole.T)
+        together.setdiag(0.0)
+        together.eliminate_zeros()
+        together.sort_indices()
+        return together
+
+    def _partners(self, s: int, here: IntArray) -> tuple[np.ma.MaskedArray, FloatArray]:
+        """(k, S) the most probable partner of each record in every source, in the order given, and its probability."""
+        together = self.p_together[here].tocoo()
+        n_sources = len(self.union.sources)
+        number, p = np.full((len(here), n_sources), -1), np.zeros((len(here), n_sources))
+        row, record = together.row, together.col
+        source = self.union.source[record]
+        # Of equals the first by content is written last.
+        order = np.lexsort([-record, together.data])
+        number[row[order], source[order]], p[row[order], source[order]] = record[order], together.data[order]
+        order_given = np.argsort(self.union.given)
+        return self._table.rows_of(number), p[:, order_given]
+
+
+class _Tables:
+    """Record numbers of the union as rows of the sources' own tables, in the order given."""
+
+    def __init__(self, union: PooledRecords) -> None:
+        self.union = union
+        self.rows = [records_of(source).rows for source in union.sources]
+
+    def rows_of(self, members: IntArray) -> np.ma.MaskedArray:
+        """(k, S) table rows of sets of record numbers."""
+        at = self.union.positions(members)
+        out = np.zeros(at.shape, np.int64)
+        for s, rows in enumerate(self.rows):
+            here = at[:, s] >= 0
+            out[here, s] = rows[at[here, s]]
+        back = np.argsort(self.union.given)
+        return np.ma.MaskedArray(out[:, back], (at < 0)[:, back])
+
+    def spread(self, s: int) -> _OverTable:
+        """Values of the usable records of source s over the rows of its table."""
+        return _OverTable(self.rows[s], records_of(self.union.sources[s]).n_table)
+
+
+class _OverTable:
+    def __init__(self, rows: IntArray, n_table: int) -> None:
+        self.rows, self.n_table = rows, n_table
+
+    def __call__(self, values: NDArray[Any], mask: BoolArray | None = None) -> np.ma.MaskedArray:
+        column = np.zeros((self.n_table, *values.shape[1:]), values.dtype)
+        hidden = np.ones(column.shape, bool)
+        column[self.rows] = values
+        hidden[self.rows] = False if mask is None else mask
+        return np.ma.MaskedArray(column, hidden)

@@ -1,0 +1,193 @@
+"""The union: the records of all sources in one order of their content, the pairs between them, and their groups.
+
+Sources are ordered by what their records say and records by what they say, ids settling what is equal; every later
+stage works in that order, so the answer depends neither on the order of the sources nor on that of their rows. Two
+records are a pair where the gate lets them through. The gate compares features, so it is asked where both sources
+observe the whole state; where one observes a part, the two records pass if they can be one object of the region: their
+χ² (:mod:`sameas.many.joint`) lies within the quantile of the gate's completeness for as many degrees of freedom as they
+have features. A group is a connected component of all pairs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.errors import InputError
+from sameas.gate import DEFAULT_COMPLETENESS, ChiSquare, Pairs
+from sameas.many.joint import Observers
+from sameas.many.observations import Observations, Region, Source, records_of
+from sameas.records import Records
+
+Gate = Callable[[Records, Records], Pairs]
+#: Pairs of a partial source that are tested at a time.
+CHUNK = 200_000
+
+
+@dataclass(frozen=True)
+class PooledRecords:
+    """All records, source after source.
+
+    Attributes
+    ----------
+    observers : the sources, in the order of their content, their records too.
+    given : (S,) the position of each of them in the caller's list.
+    start : (S+1,) the records of source s are numbered start[s] … start[s+1] − 1.
+    i, j : (m,) the two records of each pair, i < j, sorted.
+    parts : per two sources their Pairs and where they stand among the m; pairs of which one record sees a part of the
+        state have no residual (m, 0) and no determinant, but the χ² of their being one object of the region.
+    group : (n,) the group of each record, numbered by first appearance.
+    gate : the gate's description.
+    """
+
+    observers: Observers
+    given: tuple[int, ...]
+    start: IntArray
+    i: IntArray
+    j: IntArray
+    parts: tuple[tuple[Pairs, IntArray], ...]
+    group: IntArray
+    gate: str
+
+    def __len__(self) -> int:
+        return int(self.start[-1])
+
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """The sources in the order of their content."""
+        return self.observers.sources
+
+    @cached_property
+    def source(self) -> IntArray:
+        """(n,) the source of each record."""
+        return np.repeat(np.arange(len(self.sources)), np.diff(self.start))
+
+    @cached_property
+    def sizes(self) -> IntArray:
+        """(g,) number of records of each group."""
+        return np.bincount(self.group, minlength=0)
+
+    @cached_property
+    def log_peak(self) -> FloatArray:
+        """(n,) −½ ln|2π R| of every record."""
+        return np.concatenate([self.observers.log_peak(s) for s in range(len(self.sources))])
+
+    def positions(self, sets: NDArray[np.integer]) -> IntArray:
+        """Sets (k, S) of record numbers as positions within each source; −1 stays −1."""
+        return np.where(sets >= 0, sets - self.start[:-1], -1)
+
+    def pair(self, i: IntArray, j: IntArray) -> tuple[BoolArray, IntArray]:
+        """Whether records i < j are a pair, and which (0 where they are none)."""
+        if not len(self._keys):
+            return np.zeros(i.shape, bool), np.zeros(i.shape, np.int64)
+        wanted = i * len(self) + j
+        place = np.minimum(np.searchsorted(self._keys, wanted), len(self._keys) - 1)
+        found = self._keys[place] == wanted
+        return found, np.where(found, place, 0)
+
+    @cached_property
+    def _keys(self) -> IntArray:
+        return self.i * len(self) + self.j
+
+
+def union(sources: Sequence[Source], gate: Gate, region: Region | None = None) -> PooledRecords:
+    """The records of two or more sources, their pairs and groups."""
+    if len(sources) < 2:
+        raise InputError(f"{len(sources)} source given; give two or more, as a list")
+    for number, source in enumerate(sources):
+        if not isinstance(source, Records | Observations):
+            kind = type(source).__name__
+            raise InputError(f"source {number} is a {kind}; make it with Records.of(features, sigma=…)")
+    # Asked of the sources as they were given, so that messages name them in the caller's order.
+    assert Observers(tuple(sources), region).dimension
+    ordered = [_in_order(source) for source in sources]
+    given = sorted(range(len(sources)), key=lambda s: _content(ordered[s]))
+    observers = Observers(tuple(ordered[s] for s in given), region)
+    start = np.concatenate([[0], np.cumsum([len(records_of(s)) for s in observers.sources])]).astype(np.int64)
+    i, j, parts, description = _pairs(observers, start, gate)
+    return PooledRecords(
+        observers, tuple(given), start, i, j, parts, numbered_groups(i, j, int(start[-1])), description
+    )
+
+
+def _in_order(source: Source) -> Source:
+    """A source with its records ordered by what they say, equal ones by their ids."""
+    records = records_of(source)
+    ids = records.ids[records.rows]
+    ids = ids if ids.dtype.kind in "iuf" else ids.astype(str)
+    order = np.lexsort([ids, *records.covariance.T[::-1], *records.features.T[::-1]])
+    records = replace(
+        records, features=records.features[order], covariance=records.covariance[order], rows=records.rows[order]
+    )
+    return replace(source, records=records) if isinstance(source, Observations) else records
+
+
+def _content(source: Source) -> tuple[object, ...]:
+    records = records_of(source)
+    part = repr(source.part) if isinstance(source, Observations) else ""
+    said = records.features.tobytes(), records.covariance.tobytes()
+    return len(records), part, *said, records.source, [str(x) for x in records.ids[records.rows]]
+
+
+def _pairs(
+    observers: Observers, start: IntArray, gate: Gate
+) -> tuple[IntArray, IntArray, tuple[tuple[Pairs, IntArray], ...], str]:
+    compared: list[Pairs] = []
+    found: list[tuple[IntArray, IntArray]] = []
+    description = ""
+    for s, first in enumerate(observers.sources):
+        for t in range(s + 1, len(observers.sources)):
+            second = observers.sources[t]
+            if isinstance(first, Records) and isinstance(second, Records):
+                pairs = gate(first, second)
+                description = pairs.gate
+            else:
+                pairs = _possible(observers, s, t, gate)
+            compared.append(pairs)
+            found.append((pairs.i.astype(np.int64) + start[s], pairs.j.astype(np.int64) + start[t]))
+    i, j = (np.concatenate(column) for column in zip(*found, strict=True))
+    order = np.lexsort([j, i])
+    place = np.empty_like(order)
+    place[order] = np.arange(len(order))
+    cuts = np.cumsum([0, *map(len, compared)])
+    parts = tuple((pairs, place[cuts[k] : cuts[k + 1]]) for k, pairs in enumerate(compared))
+    return i[order], j[order], parts, description
+
+
+def _possible(observers: Observers, s: int, t: int, gate: Gate) -> Pairs:
+    """Pairs of two sources, at least one of them partial, that one object of the region could have made."""
+    from scipy.special import gammainccinv
+
+    first, second = records_of(observers.sources[s]), records_of(observers.sources[t])
+    completeness = gate.completeness if isinstance(gate, ChiSquare) else DEFAULT_COMPLETENESS
+    limit = 2.0 * float(gammainccinv((first.d + second.d) / 2.0, 1.0 - completeness))
+    kept = [(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))]
+    total = len(first) * len(second)
+    for low in range(0, total, CHUNK):
+        a, b = np.divmod(np.arange(low, min(low + CHUNK, total)), len(second))
+        sets = np.full((len(a), len(observers.sources)), -1)
+        sets[:, s], sets[:, t] = a, b
+        chi_sq = observers.joint(sets).chi_sq
+        inside = chi_sq <= limit
+        kept.append((a[inside], b[inside], chi_sq[inside]))
+    i, j, chi_sq = (np.concatenate(column) for column in zip(*kept, strict=True))
+    i, j = i.astype(np.int32), j.astype(np.int32)
+    described = f"χ² ≤ {limit:.2f} of one object of the region"
+    return Pairs(first, second, i, j, i, j, np.empty((len(i), 0)), chi_sq, np.full(len(i), np.nan), described)
+
+
+def numbered_groups(i: IntArray, j: IntArray, n: int) -> IntArray:
+    """(n,) the connected component of each record, numbered by first appearance."""
+    graph = coo_array((np.ones(len(i), np.int8), (i, j)), shape=(n, n))
+    _, label = connected_components(graph, directed=False)
+    _, first, again = np.unique(label, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), np.int64)
+    rank[np.argsort(first)] = np.arange(len(first))
+    return rank[again]

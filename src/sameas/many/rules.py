@@ -1,0 +1,263 @@
+"""Belief: what a set of records weighs as one object against all of its records being objects of their own.
+
+Every belief of :func:`sameas.many.identify_many` is brought to the terms of :mod:`sameas.many.terms`. A hypothesis
+weighs Σ ln w of its sets, and under a count prior also ln P of its number of merges, Σ (k − 1).
+
+- :class:`PoissonObjects`: objects are a Poisson field, sources miss some and add false records (METHOD 4.3).
+- Pairwise rules, ``CloseObjects`` and ``Field``, for sets: see :class:`Pairwise`.
+- :class:`MissedObjects`: only the probabilities of a miss are known (METHOD 4.1 for any number of sources).
+- Rules of what records say beside their positions are added: ``PoissonObjects(…) + Identity(…)`` or
+  ``CloseObjects(…) + Identity(…)``. Such a rule is called once for every two sources, in an order of their content: it
+  knows sources by their names and records by the rows of their tables, says the same of (i, j) as of (j, i), and gives
+  exactly 0.0 where it says nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sameas.arrays import FloatArray
+from sameas.errors import InputError
+from sameas.evidence import (
+    Brightness,
+    CloseObjects,
+    ConstantCost,
+    DetectionField,
+    Evidence,
+    Field,
+    PoissonField,
+    Rule,
+    Universal,
+)
+from sameas.gate import Pairs
+from sameas.many.pooled import PooledRecords
+from sameas.many.terms import Linear, PairTerms, Terms, best_word, mean_of_pairs
+from sameas.prior import PerPair
+
+#: Rules that know two sources, in the order in which they were made for.
+OF_TWO_SOURCES = (Brightness, ConstantCost, DetectionField, PoissonField, Universal)
+
+
+class ObjectsRule:
+    """What every belief in objects at places is: terms of records and pairs; and a sum with rules beside positions."""
+
+    def terms(self, union: PooledRecords) -> Terms:
+        """The terms of the records and pairs of ``union``."""
+        raise TypeError(f"{type(self).__name__} is the interface of beliefs in objects; use one of them")
+
+    def __add__(self, other: Rule) -> SetRules:
+        return SetRules(self, ()) + other
+
+    __radd__ = __add__
+
+
+@dataclass(frozen=True)
+class PoissonObjects(ObjectsRule):
+    """Objects are a Poisson field of known density; a set's weight follows from it (METHOD 4.3, 7).
+
+    A set A of records that is an object weighs ρ ∏_{s∈A}(1−q_s) ∏_{s∉A} q_s J(A); a record alone is an object that the
+    others miss, or false: ρ(1−q_s) ∏_{t≠s} q_t J(i) + β_s. For two sources it is ``PoissonField`` with
+    ρ₁₂ = ρ(1−q₁)(1−q₂), ρ₁ = ρ(1−q₁)q₂ + β₁, ρ₂ = ρ(1−q₂)q₁ + β₂.
+
+    Parameters
+    ----------
+    density : ρ, objects per unit volume of the state (with a region: at its centre).
+    q : per source, in the order in which the sources are given, the probability that it misses an object; or one.
+    false : per source β, false records per unit volume of its features; or one.
+    """
+
+    density: float
+    q: float | Sequence[float]
+    false: float | Sequence[float] = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.density < math.inf:
+            raise InputError(f"PoissonObjects: density is {self.density}; give objects per unit volume, above 0")
+        _probabilities(self.q, "PoissonObjects")
+        false = np.asarray(self.false, dtype=np.float64)
+        if not np.all((false >= 0.0) & (false < np.inf)):
+            raise InputError(f"PoissonObjects: false is {self.false}; give densities of zero or more")
+
+    def terms(self, union: PooledRecords) -> Terms:
+        """The terms of the records and pairs of ``union``."""
+        q, false = _per_source(self.q, union, "q"), _per_source(self.false, union, "false")
+        log_missed, log_seen = np.log(q), np.log1p(-q)
+        alone_sets = np.full((len(union), len(q)), -1)
+        alone_sets[np.arange(len(union)), union.source] = np.arange(len(union))
+        log_j = union.observers.joint(union.positions(alone_sets)).log_density
+        odds = (log_seen - log_missed)[union.source]
+        base = math.log(self.density) + log_missed.sum()
+        with np.errstate(divide="ignore"):
+            alone = np.logaddexp(base + odds + log_j, np.log(false)[union.source])
+        # What a record's own place says is taken out of the densities: J of one record is 1 unless there is a region.
+        return Terms({"position": Linear(0.0, -log_j), "densities": Linear(base, odds - alone + log_j)})
+
+
+@dataclass(frozen=True)
+class SetRules:
+    """A belief in objects, and rules of what records say beside their positions: ``PoissonObjects(…) + Identity(…)``.
+
+    Example
+    -------
+    >>> from sameas.evidence import Identity
+    >>> said = {"radar": {"icao": ["4b1814", None]}, "adsb": {"icao": ["4b1814", "4b1815"]}}
+    >>> [type(rule).__name__ for rule in (PoissonObjects(density=1e-3, q=0.2) + Identity(said)).beside]
+    ['Identity']
+    """
+
+    objects: ObjectsRule
+    beside: tuple[Rule, ...]
+
+    def __add__(self, other: Rule) -> SetRules:
+        if not isinstance(other, Rule):
+            return NotImplemented
+        return SetRules(self.objects, (*self.beside, *other.parts()))
+
+    __radd__ = __add__
+
+
+@dataclass(frozen=True)
+class Pairwise(ObjectsRule):
+    """A rule of positions for pairs, λ = N(Δ; 0, Σ)/f(Δ), extended to sets: λ(T) = J(T) / f(T), whatever their order.
+
+    ln f(T) = (k − 1) · mean over the pairs of ln f(Δ_ij). It is the rule itself for two records, and exact for any
+    number where f is constant (``Field``); for ``CloseObjects`` and three records or more it is an extension, not a
+    theorem: k − 1 other objects, each as near as the records of the set are to each other on average.
+    """
+
+    rule: CloseObjects | Field
+
+    def __post_init__(self) -> None:
+        if isinstance(self.rule, Field) and any(np.ndim(getattr(self.rule, f.name)) for f in fields(self.rule)):
+            raise InputError(_two_sources(self.rule))
+
+    def terms(self, union: PooledRecords) -> Terms:
+        """The terms of the records and pairs of ``union``."""
+        if len(union.observers.whole) < len(union.sources):
+            raise InputError(
+                f"{type(self.rule).__name__} compares whole positions, but a source observes a part of the state; "
+                "give PoissonObjects(density, q) and a region"
+            )
+        return Terms({}, (PairTerms.of(self._strangers, union, mean_of_pairs),))
+
+    def _strangers(self, pairs: Pairs) -> Evidence:
+        """−ln f(Δ); J stands for the rule's N."""
+        return Evidence({name: values for name, values in self.rule(pairs).terms.items() if name != "position"})
+
+
+@dataclass(frozen=True)
+class MissedObjects:
+    """Sources miss objects with probabilities q; the number of objects is unknown, flat (METHOD 4.1 generalised).
+
+    In a group of N records a hypothesis of n objects has ln P = ln n! + Σ_objects Σ_{s missing} ln q_s
+    − (n + 1) ln(1 − ∏ q_s), up to what all share: the sum over the number of objects of the multinomial of the sets of
+    sources that show them. For two sources it is ``CommonObjects(q1, q2)``.
+
+    q : per source, in the order in which the sources are given; or one for all.
+    """
+
+    q: float | Sequence[float]
+
+    def __post_init__(self) -> None:
+        _probabilities(self.q, "MissedObjects")
+
+    def terms(self, union: PooledRecords) -> Terms:
+        """The part linear in the number of merges: every merge spares one object the misses of all sources."""
+        total = float(np.log(_per_source(self.q, union, "q")).sum())
+        return Terms({"linear prior": Linear(total, np.full(len(union), -total))})
+
+    def table(self, union: PooledRecords, records: int) -> FloatArray:
+        """(records,) ln P of 0, 1, … merges among so many records, less that of none and the linear part."""
+        from scipy.special import gammaln
+
+        n = records - np.arange(records, dtype=np.float64)
+        log_p = gammaln(n + 1) - (n + 1) * math.log1p(-float(np.prod(_per_source(self.q, union, "q"))))
+        return log_p - log_p[:1]
+
+
+SetRule = ObjectsRule | SetRules | Rule
+SetPrior = MissedObjects | PerPair
+
+
+def terms_of(rule: SetRule, prior: SetPrior, union: PooledRecords) -> Terms:
+    """The terms of a rule and of the linear part of a prior together."""
+    positions, beside = parts_of(rule)
+    said = tuple(_beside(part, union) for part in beside)
+    return positions.terms(union) + Terms({}, said) + _prior_terms(prior, union)
+
+
+def parts_of(rule: SetRule) -> tuple[ObjectsRule, tuple[Rule, ...]]:
+    """The rule of positions, and those beside it.
+
+    Raises
+    ------
+    InputError : none of the rules speaks of positions, or several do, or one knows two sources only.
+    """
+    objects: ObjectsRule | None = None
+    rules: tuple[Rule, ...] = ()
+    if isinstance(rule, SetRules):
+        objects, rules = rule.objects, rule.beside
+    elif isinstance(rule, Rule):
+        rules = rule.parts()
+    elif isinstance(rule, ObjectsRule):
+        objects = rule
+    else:
+        raise InputError(f"identify_many: rule is a {type(rule).__name__}; give PoissonObjects(…) or CloseObjects(…)")
+    for part in rules:
+        if isinstance(part, OF_TWO_SOURCES):
+            raise InputError(_two_sources(part))
+    pairwise = [part for part in rules if isinstance(part, CloseObjects | Field)]
+    if len(pairwise) + (objects is not None) > 1:
+        raise InputError("identify_many: both rules speak of position; give one of them")
+    if objects is None and not pairwise:
+        names = " + ".join(type(part).__name__ for part in rules)
+        raise InputError(f"identify_many: {names} says nothing of positions; add it to PoissonObjects(density, q)")
+    beside = tuple(part for part in rules if not isinstance(part, CloseObjects | Field))
+    return objects or Pairwise(pairwise[0]), beside
+
+
+def _beside(rule: Rule, union: PooledRecords) -> PairTerms:
+    """What a rule says beside the positions."""
+    said = PairTerms.of(rule, union, best_word)
+    if "position" in said.terms:
+        raise InputError(f"identify_many: both {type(rule).__name__} and the rule it is added to speak of position")
+    return said
+
+
+def _prior_terms(prior: SetPrior, union: PooledRecords) -> Terms:
+    if isinstance(prior, MissedObjects):
+        return prior.terms(union)
+    if not isinstance(prior, PerPair):
+        raise InputError(
+            f"identify_many: prior is a {type(prior).__name__}; give MissedObjects(q) or PerPair(log_odds)"
+        )
+    if prior.log_odds == 0.0:
+        return Terms({})
+    # Every merge, the second record of an object and each further one, has the pair's odds.
+    return Terms({"prior": Linear(-prior.log_odds, np.full(len(union), prior.log_odds))})
+
+
+def _two_sources(rule: Rule) -> str:
+    return (
+        f"identify_many: {type(rule).__name__} speaks of two sources; give PoissonObjects(density, q), "
+        "CloseObjects(a, b), or Field(density) with one number"
+    )
+
+
+def _probabilities(q: ArrayLike, name: str) -> None:
+    values = np.asarray(q, dtype=np.float64)
+    if values.ndim > 1 or not np.all((values > 0.0) & (values < 1.0)):
+        raise InputError(f"{name}: q is {q!r}; give per source the probability of a miss, strictly between 0 and 1")
+
+
+def _per_source(values: float | Sequence[float], union: PooledRecords, name: str) -> FloatArray:
+    """(S,) the values in the order of the union's sources."""
+    array = np.asarray(values, dtype=np.float64)
+    if array.ndim and len(array) != len(union.sources):
+        raise InputError(f"{name} has {len(array)} numbers for {len(union.sources)} sources; give one, or one a source")
+    return np.broadcast_to(array, len(union.sources))[list(union.given)]

@@ -1,0 +1,300 @@
+"""Foreknown: a belief in objects some of which are known beforehand, each with its own probability of existing.
+
+Objects nobody knew yet are a Poisson field, as for :class:`sameas.many.rules.PoissonObjects`; the known ones are the
+records of one more source, states foretold with their covariances. Unlike there a miss depends on where the object is,
+and for a known object on the object: a camera that has not seen this boat will not see it now. With r_i the probability
+that known object i exists, and A the records of it,
+
+    w({i} ∪ A) = r_i ∏_{s∈A} (1−q_is) ∏_{s∉A} q_is J(i, A)/J(i),    w({i}) = 1 − r_i + r_i ∏_s q_is,
+    w(A) = ρ ∏_{s∈A} (1−q_s) ∏_{s∉A} q_s J(A) for others,           w({z}) = ρ (1−q_s) ∏_{t≠s} q_t J(z) + β_s,
+
+the local hypotheses of Poisson multi-Bernoulli filters (Williams 2015, IEEE Trans. AES 51, 1664), with J of
+:mod:`sameas.many.joint`. ln q_s is that of the place of each record, in the mean over those of A.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.evidence import LOG_2PI
+from sameas.gate import ChiSquare
+from sameas.many.observations import records_of
+from sameas.many.pooled import PooledRecords
+from sameas.many.rules import ObjectsRule
+from sameas.many.terms import Linear, PairTerms, Terms, best_word, mean_of_pairs
+from sameas.picture.scan import ColumnTable
+from sameas.records import Records
+from sameas.tracks.alignment import moved
+
+#: Name of the source whose records are the known objects.
+KNOWN = "known objects"
+
+
+def log_odds(q: FloatArray) -> FloatArray:
+    """ln((1 − q)/q)."""
+    return np.asarray(np.log1p(-q) - np.log(q))
+
+
+@dataclass(frozen=True)
+class BernoulliObjects(ObjectsRule):
+    """See the module.
+
+    Parameters
+    ----------
+    density : ρ, unknown objects per unit volume of the state at the centre of the region.
+    sources : names of the sources that look, those that show nothing among them: the columns of the tables of q.
+    q : by source the table (rows of its records, sources) of probabilities that an object there is missed.
+    false : by source β, false records per unit volume of its features.
+    existence : (n,) r of each record of the source :data:`KNOWN`, 0 < r < 1. known_q : (n, sources).
+    """
+
+    density: float
+    sources: tuple[str, ...]
+    q: Mapping[str, FloatArray]
+    false: Mapping[str, float]
+    existence: FloatArray
+    known_q: FloatArray
+
+    def terms(self, union: PooledRecords) -> Terms:
+        """The terms of the records and pairs of ``union``."""
+        parts = self._parts(union)
+        gain = np.where(parts.known, np.log(self._existing_unseen(union)), parts.missed + parts.seen - parts.alone)
+        i, j = union.i, union.j
+        with_known = parts.known[i] | parts.known[j]
+        known, record = np.where(parts.known[i], i, j), np.where(parts.known[i], j, i)
+        # Of what every record says of all misses a set without a known object has the mean, with one nothing.
+        missed = np.where(with_known, -parts.missed[record], -0.5 * (parts.missed[i] + parts.missed[j]))
+        own = np.zeros(len(i))
+        at = np.flatnonzero(with_known)
+        if len(at):
+            q = self.known_q[parts.row[known[at]], parts.column[record[at]]]
+            own[at] = log_odds(q) - parts.seen[record[at]]
+        everywhere = np.ones(len(i), bool)
+        gain = np.where(parts.known, gain, gain + parts.log_j)
+        rules = (
+            PairTerms({"misses": missed}, everywhere, mean_of_pairs),
+            PairTerms({"seen before": own}, with_known, best_word),
+        )
+        return Terms({"position": Linear(0.0, -parts.log_j), "densities": Linear(0.0, gain)}, rules)
+
+    def exists(self, union: PooledRecords) -> FloatArray:
+        """(records,) the probability that there is an object, of each record of the union that has no partner."""
+        parts = self._parts(union)
+        share = np.exp(np.minimum(parts.missed + parts.seen + parts.log_j - parts.alone, 0.0))
+        return np.where(parts.known, self._existing_unseen(union), share)
+
+    def _existing_unseen(self, union: PooledRecords) -> FloatArray:
+        """(records,) r of known objects that every look has missed; 1 for other records."""
+        out = np.ones(len(union))
+        for s, source in enumerate(union.sources):
+            if records_of(source).source == KNOWN and len(records_of(source)):
+                rows = records_of(source).rows
+                r, missed = self.existence[rows], self.known_q[rows].prod(axis=1)
+                out[union.start[s] : union.start[s + 1]] = r * missed / (1.0 - r + r * missed)
+        return out
+
+    def _parts(self, union: PooledRecords) -> _Parts:
+        n = len(union)
+        sets = np.full((n, len(union.sources)), -1)
+        sets[np.arange(n), union.source] = np.arange(n)
+        log_j = union.observers.joint(union.positions(sets)).log_density
+        missed, seen, false = np.zeros(n), np.zeros(n), np.zeros(n)
+        known, row, column = np.zeros(n, bool), np.zeros(n, np.int64), np.full(n, -1)
+        for s, source in enumerate(union.sources):
+            here, records = slice(union.start[s], union.start[s + 1]), records_of(source)
+            row[here] = records.rows
+            if records.source == KNOWN:
+                known[here] = True
+                continue
+            column[here] = self.sources.index(records.source)
+            q = self.q[records.source][records.rows]
+            missed[here] = math.log(self.density) + np.log(q).sum(axis=1)
+            seen[here] = log_odds(q[:, self.sources.index(records.source)])
+            false[here] = self.false[records.source]
+        with np.errstate(divide="ignore"):
+            alone = np.logaddexp(missed + seen + log_j, np.log(false))
+        return _Parts(log_j, missed, seen, np.where(known, 0.0, alone), known, row, column)
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """Per record of a union (n,): ln J of it alone, ln ρ∏q where it is, ln((1−q)/q) of its own source there, ln w of it
+    alone; whether it is a known object, its row in its table, and its source's column (−1 for known objects)."""
+
+    log_j: FloatArray
+    missed: FloatArray
+    seen: FloatArray
+    alone: FloatArray
+    known: np.ndarray
+    row: IntArray
+    column: IntArray
+
+
+# Remembered: what is known of objects from looks that stand no more; every look is counted once.
+#
+# Beside its state an object has the probability that it exists, and what every source made of it so far: a source that
+# has missed it six times is not expected to show it now. Of every two objects it is remembered whether looks have shown
+# them apart: two that no source tells apart, at one place, are one that lives twice (:meth:`Remembered.merged`).
+
+#: Bounds of probabilities of existing: what is certain could never be unlearned.
+LEAST = 1e-6
+#: Bound of what looks say of two objects being two, ± ln odds.
+APART = 5.0
+#: Two objects are made one at these ln odds.
+SURE = 3.0
+#: Positions differ beyond this: that the two are two needs no looks. States agree within: they may be one.
+DIFFERENT, AGREEING = ChiSquare(1.0 - 1e-6), ChiSquare(0.99)
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """What the looks that stand no more made of the remembered objects.
+
+    seen : (m, S) probability that a record of each source that stands no more is of the object.
+    passed : (S,) how many looks of the source stand no more: 1 or 0, a part of a turn for one that turns.
+    q : (m, S) probability of a miss as it was believed.
+    """
+
+    seen: FloatArray
+    passed: FloatArray
+    q: FloatArray
+
+
+@dataclass(frozen=True)
+class Remembered(ColumnTable):
+    """Objects, (m,) each.
+
+    number : of the object. state, covariance : (m, 4), (m, 4, 4) in the plane. existence : probability that it exists.
+    hits, misses : (m, S) looks of each source that showed it, and that did not, older ones counting less.
+    apart : (m, m) ln odds by the looks that two objects are two and not one.
+    """
+
+    WHOLE = frozenset({"apart"})
+    number: IntArray
+    state: FloatArray
+    covariance: FloatArray
+    existence: FloatArray
+    hits: FloatArray
+    misses: FloatArray
+    apart: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.number)
+
+    @property
+    def records(self) -> Records:
+        """The objects as a source of their own, for ``identify_many``."""
+        if not len(self):
+            return Records.of(np.empty((0, 4)), sigma=1.0, source=KNOWN)
+        return Records.of(self.state, covariance=self.covariance, source=KNOWN)
+
+    @classmethod
+    def none(cls, sources: int) -> Remembered:
+        """No objects, of so many sources."""
+        looks = np.empty((0, sources))
+        nothing = np.empty(0, np.int64), np.empty((0, 4)), np.empty((0, 4, 4)), np.empty(0)
+        return cls(*nothing, looks, looks, np.empty((0, 0)))
+
+    @classmethod
+    def born(
+        cls, number: IntArray, state: FloatArray, covariance: FloatArray, existence: FloatArray, hits: FloatArray
+    ) -> Remembered:
+        """Objects that are remembered for the first time."""
+        apart = np.zeros((len(number), len(number)))
+        sure = np.clip(existence, LEAST, 1.0 - LEAST)
+        return cls(number, state, covariance, sure, hits, np.zeros_like(hits), apart)
+
+    def take(self, which: NDArray) -> Remembered:
+        """Some of the objects: a mask (m,) or places."""
+        return replace(super().take(which), apart=self.apart[which][:, which])
+
+    def with_(self, more: Remembered) -> Remembered:
+        """These and others."""
+        apart = np.zeros((len(self) + len(more),) * 2)
+        apart[: len(self), : len(self)], apart[len(self) :, len(self) :] = self.apart, more.apart
+        return replace(self.stacked(more), apart=apart)
+
+    def moved(self, dt_s: float, walk_m2_per_s3: float, lasting_s: float, memory_s: float) -> Remembered:
+        """The objects after dt: gone on, surer that they are gone, and with an older memory."""
+        state, covariance = moved(self.state, self.covariance, dt_s, walk_m2_per_s3)
+        older = math.exp(-dt_s / memory_s)
+        return replace(
+            self, state=state, covariance=covariance, existence=self.existence * math.exp(-dt_s / lasting_s),
+            hits=self.hits * older, misses=self.misses * older,
+        )  # fmt: skip
+
+    def expected_q(self, usual_q: FloatArray, looks: float, least: float) -> FloatArray:
+        """(m, S) probability of a miss: that of any object at its place, worth so many looks, and its own looks."""
+        q = (looks * usual_q + self.misses) / (looks + self.misses + self.hits)
+        return np.asarray(np.clip(q, least, 1.0 - least))
+
+    def after(self, sighting: Sighting) -> Remembered:
+        """The objects after looks that stand no more; their states are another matter."""
+        seen, r = sighting.seen, self.existence
+        missed = r * np.prod(sighting.q**sighting.passed, axis=1)
+        unseen = np.prod(1.0 - seen, axis=1)
+        r = 1.0 - unseen + unseen * missed / (1.0 - r + missed)
+        return replace(
+            self, existence=np.clip(r, LEAST, 1.0 - LEAST), hits=self.hits + seen,
+            misses=self.misses + np.maximum(sighting.passed - seen, 0.0),
+        )  # fmt: skip
+
+    def told_apart(self, seen: FloatArray, usual_q: FloatArray, split: FloatArray) -> Remembered:
+        """The objects with what looks that stand no more say of any two being two.
+
+        Where both are seen it is (1 − q)² if they are two, and (1 − q) and a split if they are one; where one of them
+        is, (1 − q) q against 1 − q.
+
+        seen : (m, S) as of :class:`Sighting`. usual_q : (m, S) probability that any object at the place is missed.
+        split : (S,) probability that a look of the source shows one object as two.
+        """
+        apart = self.apart.copy()
+        for s in range(len(split)):
+            log_q, log_both = np.log(usual_q[:, s]), np.log1p(-usual_q[:, s]) - math.log(split[s])
+            both, one = np.outer(seen[:, s], seen[:, s]), np.outer(seen[:, s], 1.0 - seen[:, s])
+            apart += 0.5 * both * (log_both[:, None] + log_both) + 0.5 * (one + one.T) * (log_q[:, None] + log_q)
+        return replace(self, apart=np.clip(apart, -APART, APART))
+
+    def merged(self, density_per_m2: float) -> Remembered:
+        """The objects without those that live twice; the lower number stays.
+
+        Two are one where the place says more for it, ln N(Δ; 0, P + P′)/ρ, than the looks against it, by :data:`SURE`.
+        The state of the one that was seen more often stays: the other may be the end of its hull.
+        """
+        objects = self
+        while len(objects) > 1:
+            for_one, agree, differ = objects._compared(density_per_m2)
+            objects = replace(objects, apart=np.where(differ, 0.0, objects.apart))
+            odds = np.where(agree, for_one - objects.apart, -np.inf)
+            np.fill_diagonal(odds, -np.inf)
+            i, j = sorted(np.unravel_index(int(odds.argmax()), odds.shape))
+            if not odds[i, j] > SURE:
+                break
+            objects = objects._joined(int(i), int(j))
+        return objects
+
+    def _compared(self, density_per_m2: float) -> tuple[FloatArray, BoolArray, BoolArray]:
+        """(m, m) ln N/ρ of positions, whether states agree, and whether positions differ."""
+        delta = self.state[:, None] - self.state
+        total = self.covariance[:, None] + self.covariance
+        chi_sq = np.einsum("ijv,ijvw,ijw->ij", delta, np.linalg.inv(total), delta)
+        place = np.einsum("ijv,ijvw,ijw->ij", delta[..., :2], np.linalg.inv(total[..., :2, :2]), delta[..., :2])
+        log_n = -LOG_2PI - 0.5 * np.linalg.slogdet(total[..., :2, :2])[1] - 0.5 * place
+        return log_n - math.log(density_per_m2), chi_sq < AGREEING.limit(4), place > DIFFERENT.limit(2)
+
+    def _joined(self, i: int, j: int) -> Remembered:
+        """Objects i and j as one, at i."""
+        columns = {f.name: getattr(self, f.name).copy() for f in fields(self)}
+        stays = max(i, j, key=lambda k: (self.existence[k] * self.hits[k].sum(), *self.state[k]))
+        columns["state"][i], columns["covariance"][i] = self.state[stays], self.covariance[stays]
+        columns["number"][i] = min(self.number[i], self.number[j])
+        columns["existence"][i] = 1.0 - (1.0 - self.existence[i]) * (1.0 - self.existence[j])
+        columns["hits"][i] = self.hits[i] + self.hits[j]
+        columns["misses"][i] = np.minimum(self.misses[i], self.misses[j])
+        return Remembered(**columns).take(np.arange(len(self)) != j)

@@ -1,0 +1,386 @@
+"""Numbers: every object of the picture keeps its own from instant to instant.
+
+The objects of an instant are identified with those known by :func:`sameas.identify`, one to one and all at once: by
+where the known ones should be now, and by the tracks that they have in common (:mod:`sameas.picture.continuity`). So a
+number never goes to another object while its own is there, and where two objects exchange a record, each keeps the
+number that most speaks for.
+
+An object is *tentative* when it appears, *confirmed* when it is there beyond doubt (:class:`Stages`), *coasting* while
+nobody shows it and its place is foretold, and *ended* when it could be anyone: more than one other object is expected
+within its own 1σ ellipse, or all its tracks are another's. Who comes back under a name that nobody else bears has the
+number again.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.special import logit
+
+from sameas._identify import identify
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.errors import InputError
+from sameas.picture.continuity import Continuity, InCommon, Motions, NearOrNamed
+from sameas.picture.named import found_in
+from sameas.picture.object_states import ObjectStates
+from sameas.picture.scan import ColumnTable
+from sameas.records import Records
+from sameas.tracks.alignment import aged, moved
+
+# Belonging: which objects of the picture a track has been of, and for what share of the last minutes.
+#
+# Where the records of one object part for an instant and come together again, its number comes back with the tracks
+# that were its own for long: what was wrong for an instant does not decide who is who. And a track that goes over to
+# another object for good takes it for its own after some minutes.
+#
+# Shares go by the instants that show the track: s ← s e^(−Δt/τ), and 1 − e^(−Δt/τ) more for the object that it is of.
+
+#: τ, seconds. Taken.
+LASTS_S = 300.0
+#: A smaller share is forgotten.
+LEAST = 1e-3
+
+
+@dataclass(frozen=True)
+class TrackHistory(ColumnTable):
+    """Tracks and objects that they have been of, (k,) each, by ascending track, then object.
+
+    track, number : of the track and the object. share : of the last minutes. last : whether it is the object that the
+    track was of when it was last shown. unique : whether nobody else bears the track's name. instant_s : the last one.
+    """
+
+    WHOLE = frozenset({"instant_s"})
+    instant_s: float = -math.inf
+    track: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    number: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    share: FloatArray = field(default_factory=lambda: np.empty(0))
+    last: BoolArray = field(default_factory=lambda: np.empty(0, bool))
+    unique: BoolArray = field(default_factory=lambda: np.empty(0, bool))
+
+    def __len__(self) -> int:
+        return len(self.track)
+
+    def on(
+        self, instant_s: float, track: IntArray, number: IntArray, unique: BoolArray, alive: IntArray
+    ) -> TrackHistory:
+        """After a later instant.
+
+        Parameters
+        ----------
+        track, number, unique : (m,) the tracks that it shows, the objects that they are of, whether nobody else bears
+            their names.
+        alive : ascending numbers of the objects that have not ended. Of those that have only names that nobody else
+            bears are kept.
+        """
+        fade = math.exp(-(instant_s - self.instant_s) / LASTS_S) if len(self) else 0.0
+        shown = np.isin(self.track, track)
+        keep = (found_in(alive, self.number) >= 0) | (self.unique & self.last & ~shown)
+        old = TrackHistory(
+            instant_s, self.track, self.number, np.where(shown, fade * self.share, self.share), self.last & ~shown,
+            self.unique,
+        ).take(np.flatnonzero(keep & (~shown | (fade * self.share >= LEAST))))  # fmt: skip
+        # Who was of nobody before is wholly of its first object.
+        known = np.isin(track, old.track)
+        more = TrackHistory(
+            instant_s, track, number, np.where(known, 1.0 - fade, 1.0), np.ones(len(track), bool), unique
+        )
+        return old._with(more)
+
+    def of(self, tracks: IntArray) -> tuple[IntArray, IntArray]:
+        """(m,) places in ``tracks`` (k,) and (m,) rows here of everything that these tracks have been of."""
+        low, high = (np.searchsorted(self.track, tracks, side) for side in ("left", "right"))
+        width = high - low
+        at = np.repeat(np.arange(len(tracks)), width)
+        return at, np.arange(len(at)) - np.repeat(np.cumsum(width) - width, width) + np.repeat(low, width)
+
+    def last_of(self, tracks: IntArray) -> IntArray:
+        """(k,) the object that each track was of when it was last shown, 0 for none."""
+        out = np.zeros(len(tracks), np.int64)
+        at, row = self.of(tracks)
+        out[at[self.last[row]]] = self.number[row[self.last[row]]]
+        return out
+
+    def _with(self, more: TrackHistory) -> TrackHistory:
+        """Rows of both, those of one track and object as one."""
+        whole = self.stacked(more)
+        key = np.column_stack([whole.track, whole.number])
+        rows, back = np.unique(key, axis=0, return_inverse=True)
+        back, n = back.reshape(-1), len(rows)
+        share = np.asarray(np.bincount(back, whole.share, n), np.float64)
+        last, unique = (np.bincount(back, column, n) > 0 for column in (whole.last, whole.unique))
+        return TrackHistory(self.instant_s, rows[:, 0], rows[:, 1], share, last, unique)
+
+
+TENTATIVE, CONFIRMED, COASTING, ENDED = range(4)
+#: What parted from an object is another once its tracks have been its own for this share of the last minutes. Taken.
+OWN = 0.8
+STAGES = ("tentative", "confirmed", "coasting", "ended")
+
+
+@dataclass(frozen=True)
+class Stages:
+    """When an object is confirmed: as soon as it is sure, or, where its records have no names, at ``looks`` looks among
+    the first ``of`` instants.
+
+    Sure is an object of two sources or more with at least the probability ``sure``; of a source without false records:
+    what speaks is there; and of a named track that has lived so long that it is real with the probability ``real``
+    (:mod:`sameas.picture.track_existence`): of those at most 1 − real are false. A tentative object that is missing at
+    more than of − looks instants is dropped.
+    """
+
+    looks: int = 3
+    of: int = 5
+    sure: float = 0.95
+    real: float = 0.99
+
+    def __post_init__(self) -> None:
+        if not (1 <= self.looks <= self.of and 0.0 < self.sure <= 1.0 and 0.0 < self.real < 1.0):
+            raise InputError("Stages: give 1 ≤ looks ≤ of, and sure and real as probabilities")
+
+
+@dataclass(frozen=True)
+class Life:
+    """Lives of tracks (n,): their numbers, −1 for none; ln of the odds that each was of something real when it began,
+    and what its life has added since (:mod:`sameas.picture.track_existence`)."""
+
+    track: IntArray
+    begun: FloatArray
+    lived: FloatArray
+
+
+@dataclass(frozen=True)
+class Detections:
+    """The objects of an instant, (n,) each, before they have numbers.
+
+    states : theirs. tracks : (n, S) numbers of their named tracks, −1 for none. unique : (n, S) whether nobody else
+    bears that track's name. looked : whether a source looked at it anew. plotted : whether one did that names no
+    tracks. sure : whether it is there beyond doubt. life : of that track of it which says most of that.
+    walk_m2_per_s3, speed_m_per_s : how they move.
+    """
+
+    states: ObjectStates
+    tracks: IntArray
+    unique: BoolArray
+    looked: BoolArray
+    plotted: BoolArray
+    sure: BoolArray
+    life: Life
+    walk_m2_per_s3: FloatArray
+    speed_m_per_s: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.looked)
+
+
+@dataclass(frozen=True)
+class Numbered(ColumnTable):
+    """The objects of the picture at an instant, (k,) each, by ascending number; those that end are in it once more.
+
+    Attributes
+    ----------
+    number : from 1. stage : place in :data:`STAGES`.
+    state, covariance : (k, 4), (k, 4, 4) of position and velocity. placed : whether the position is known.
+    moving : whether the velocity is known, said by a record or from the object's own positions.
+    seen : (k,) which object of the instant it is, −1 where nobody shows it.
+    """
+
+    number: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    stage: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    state: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
+    covariance: FloatArray = field(default_factory=lambda: np.empty((0, 4, 4)))
+    placed: BoolArray = field(default_factory=lambda: np.empty(0, bool))
+    moving: BoolArray = field(default_factory=lambda: np.empty(0, bool))
+    seen: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+
+    def __len__(self) -> int:
+        return len(self.number)
+
+    def numbers(self, n_seen: int) -> IntArray:
+        """(n,) the number of each object of the instant."""
+        out = np.zeros(n_seen, np.int64)
+        here = self.seen >= 0
+        out[self.seen[here]] = self.number[here]
+        return out
+
+
+@dataclass(frozen=True)
+class KnownObjects(Numbered):
+    """Objects that records name, (k,) each, with what is known of them besides.
+
+    Attributes
+    ----------
+    instant_s : the instant. given : numbers given so far.
+    looks, plots : instants with a new look at it, and with one of a source that names no tracks.
+    longest, lived, earlier : its track that has lived longest, what that life says for its being real, and what the
+        lives of those before say: ln of odds.
+    absent : instants without a record of it while it was tentative.
+    apart : whether it parted from an object that went on, and its tracks have not been its own for most of the time.
+    walk_m2_per_s3, speed_m_per_s : how it moves.
+    belonging : which of them tracks have been of.
+    """
+
+    WHOLE = frozenset({"instant_s", "given", "belonging"})
+    instant_s: float = -np.inf
+    given: int = 0
+    looks: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    plots: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    longest: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    lived: FloatArray = field(default_factory=lambda: np.empty(0))
+    earlier: FloatArray = field(default_factory=lambda: np.empty(0))
+    absent: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    apart: BoolArray = field(default_factory=lambda: np.empty(0, bool))
+    walk_m2_per_s3: FloatArray = field(default_factory=lambda: np.empty(0))
+    speed_m_per_s: FloatArray = field(default_factory=lambda: np.empty(0))
+    belonging: TrackHistory = field(default_factory=TrackHistory)
+
+    def on(self, instant_s: float, seen: Detections, density_per_m2: float, stages: Stages) -> KnownObjects:
+        """The objects at a later instant; ``density_per_m2``: of objects."""
+        alive = self.take(np.flatnonzero(self.stage != ENDED))._foretold(instant_s)
+        to = alive._same_as(seen, density_per_m2)
+        known, new = np.flatnonzero(to >= 0), np.flatnonzero(to < 0)
+        left = np.setdiff1d(np.arange(len(alive)), to[known])
+        number = alive._numbers_of(seen, new)
+        parts = [
+            alive.take(to[known])._shown(seen, known, stages),
+            KnownObjects._appeared(seen, new, number, alive._apart(seen, new), stages),
+            alive.take(left)._unseen(seen, density_per_m2, stages),
+        ]
+        return parts[0]._joined(parts[1:], instant_s, int(number.max(initial=self.given)))._owning(self, seen)
+
+    def _foretold(self, instant_s: float) -> KnownObjects:
+        """Where the objects should be at a later instant."""
+        if not len(self):
+            return self
+        state, covariance = moved(self.state, self.covariance, instant_s - self.instant_s, self.walk_m2_per_s3)
+        return replace(self, state=state, covariance=covariance)
+
+    def _same_as(self, seen: Detections, density_per_m2: float) -> IntArray:
+        """(n,) which of these each object of the instant is, −1 for none."""
+        out = np.full(len(seen), -1)
+        if not len(seen) or not len(self):
+            return out
+        common = self._in_common(seen)
+        before = Motions(self.state, self.covariance, self.speed_m_per_s)
+        after = Motions(seen.states.state, seen.states.covariance, seen.speed_m_per_s)
+        known, shown = (
+            Records.of(one.state[:, :2], covariance=one.covariance[:, :2, :2], source=name)
+            for one, name in ((before, "known"), (after, "seen"))
+        )
+        rule = Continuity(density_per_m2, common, before, after)
+        matches = identify(known, shown, rule=rule, gate=NearOrNamed(common)).matches
+        out[matches.rows_2] = matches.rows_1
+        return out
+
+    def _in_common(self, seen: Detections) -> InCommon:
+        """What tracks say of these objects and those of the instant."""
+        at, column = np.nonzero(seen.tracks >= 0)
+        shown, row = self.belonging.of(seen.tracks[at, column])
+        who = found_in(self.number, self.belonging.number[row])
+        mine = who >= 0
+        shown, row = shown[mine], row[mine]
+        return InCommon.of(who[mine], at[shown], self.belonging.share[row], seen.unique[at, column][shown])
+
+    def _numbers_of(self, seen: Detections, new: IntArray) -> IntArray:
+        """(k,) the numbers of objects that none of these is: of one that ended, by a unique name, or new ones."""
+        number = np.zeros(len(new), np.int64)
+        for column in range(seen.tracks.shape[1]):
+            before = np.where(seen.unique[new, column], self.belonging.last_of(seen.tracks[new, column]), 0)
+            free = (before > 0) & (number == 0) & ~np.isin(before, self.number) & ~np.isin(before, number)
+            _, first = np.unique(before, return_index=True)
+            once = np.isin(np.arange(len(new)), first)
+            number = np.where(free & once, before, number)
+        fresh = number == 0
+        number[fresh] = self.given + 1 + np.arange(np.count_nonzero(fresh))
+        return number
+
+    def _apart(self, seen: Detections, new: IntArray) -> BoolArray:
+        """(k,) whether a new object has a track of one of these: it parted from that, and has to earn its number."""
+        tracks = seen.tracks[new]
+        owner = found_in(self.number, self.belonging.last_of(tracks.ravel())).reshape(tracks.shape)
+        return np.asarray((owner >= 0).any(axis=1))
+
+    def _shown(self, seen: Detections, which: IntArray, stages: Stages) -> KnownObjects:
+        """These objects, as the objects ``which`` of the instant show them."""
+        states, looked = seen.states, seen.looked[which]
+        state, covariance = states.state[which], states.covariance[which]
+        own, spread = _followed(self, state, covariance, looked)
+        said = states.moving[which]
+        looks, plots = self.looks + looked, self.plots + seen.plotted[which]
+        # A track that went on under another name has said what it had to say; one that is still there says it itself.
+        over = (self.longest != seen.life.track[which]) & ~(self.longest[:, None] == seen.tracks[which]).any(axis=1)
+        earlier = self.earlier + np.where(over, self.lived, 0.0)
+        real = seen.life.begun[which] + earlier + seen.life.lived[which] >= logit(stages.real)
+        apart = self.apart & (self._own_share(seen.tracks[which]) < OWN)
+        sure = (self.stage != TENTATIVE) | ((seen.sure[which] | real) & ~apart) | (plots >= stages.looks)
+        return replace(
+            self, stage=np.where(sure, CONFIRMED, TENTATIVE), state=np.where(said[:, None], state, own),
+            covariance=np.where(said[:, None, None], covariance, spread), placed=states.placed[which],
+            moving=said | (self.placed & states.placed[which] & (looks > 1)), seen=which, looks=looks, plots=plots,
+            apart=apart, longest=seen.life.track[which], lived=seen.life.lived[which], earlier=earlier,
+            walk_m2_per_s3=seen.walk_m2_per_s3[which], speed_m_per_s=seen.speed_m_per_s[which],
+        )  # fmt: skip
+
+    def _own_share(self, tracks: IntArray) -> FloatArray:
+        """(k,) for what share of the last minutes any of its tracks (k, S) has been of each of these objects."""
+        out = np.zeros(len(self))
+        at, row = self.belonging.of(tracks.ravel())
+        at //= max(tracks.shape[1], 1)
+        mine = self.belonging.number[row] == self.number[at]
+        np.maximum.at(out, at[mine], self.belonging.share[row[mine]])
+        return out
+
+    @classmethod
+    def _appeared(
+        cls, seen: Detections, which: IntArray, number: IntArray, apart: BoolArray, stages: Stages
+    ) -> KnownObjects:
+        """Objects that nobody knew, or that have ended, and their numbers; ``apart``: from one that goes on."""
+        n, states = len(which), seen.states
+        real = seen.life.begun[which] + seen.life.lived[which] >= logit(stages.real)
+        sure = ((seen.sure[which] | real) & ~apart) | (stages.looks <= 1)
+        return cls(
+            number=number, stage=np.where(sure, CONFIRMED, TENTATIVE), state=states.state[which],
+            covariance=states.covariance[which], placed=states.placed[which], moving=states.moving[which], seen=which,
+            looks=np.ones(n, np.int64), plots=seen.plotted[which].astype(np.int64), absent=np.zeros(n, np.int64),
+            apart=apart, longest=seen.life.track[which], lived=seen.life.lived[which], earlier=np.zeros(n),
+            walk_m2_per_s3=seen.walk_m2_per_s3[which], speed_m_per_s=seen.speed_m_per_s[which],
+        )  # fmt: skip
+
+    def _unseen(self, seen: Detections, density_per_m2: float, stages: Stages) -> KnownObjects:
+        """These objects, which nobody shows."""
+        tentative = self.stage == TENTATIVE
+        absent = self.absent + (tentative & bool(seen.looked.any()))
+        old = aged(self.covariance, density_per_m2)
+        # Whose tracks are all another object's now was one with it.
+        own = self.belonging.take(np.flatnonzero(self.belonging.last))
+        there = np.isin(own.track, seen.tracks)
+        taken = np.isin(self.number, own.number[there]) & ~np.isin(self.number, own.number[~there])
+        over = old | taken | (tentative & (absent > stages.of - stages.looks))
+        stage = np.where(over, ENDED, np.where(tentative, TENTATIVE, COASTING))
+        return replace(self, stage=stage, absent=absent, seen=np.full(len(self), -1))
+
+    def _joined(self, others: list[KnownObjects], instant_s: float, given: int) -> KnownObjects:
+        whole = self.stacked(*others)
+        return replace(whole.take(np.argsort(whole.number)), instant_s=instant_s, given=given)
+
+    def _owning(self, before: KnownObjects, seen: Detections) -> KnownObjects:
+        """The same with whom the tracks of the instant are of."""
+        there = seen.tracks >= 0
+        number, alive = self.numbers(len(seen))[np.nonzero(there)[0]], self.number[self.stage != ENDED]
+        after = before.belonging.on(self.instant_s, seen.tracks[there], number, seen.unique[there], alive)
+        return replace(self, belonging=after)
+
+
+def _followed(
+    known: KnownObjects, state: FloatArray, covariance: FloatArray, looked: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """States of objects of which only positions are known: foretold, and corrected by a new look at them."""
+    innovation, r = state[:, :2] - known.state[:, :2], covariance[:, :2, :2]
+    total = known.covariance[:, :2, :2] + r
+    gain = known.covariance[:, :, :2] @ np.linalg.inv(total)
+    own = known.state + np.einsum("kvw,kw->kv", gain, innovation)
+    spread = known.covariance - gain @ known.covariance[:, :2, :]
+    own = np.where(looked[:, None], own, known.state)
+    spread = np.where(looked[:, None, None], spread, known.covariance)
+    return own, 0.5 * (spread + spread.transpose(0, 2, 1))

@@ -1,0 +1,156 @@
+"""A moment: the picture at one instant, and what it hands on to the next.
+
+:class:`sameas.picture.Picture` goes through a whole span. Nothing that was fused comes back as evidence: a moment
+without memory is what ``identify_many`` says of that instant, and memory counts every look once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Generic, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.errors import InputError
+from sameas.evidence.identity import Alarm
+from sameas.many.explanation import Name, ObjectExplanation
+from sameas.picture.instant_objects import InstantObjects
+from sameas.picture.object_ids import Numbered
+from sameas.picture.object_states import ObjectStates
+from sameas.picture.scan import Scan
+from sameas.tracks.scene import Instant
+
+#: An object is ambiguous where its records are less probable than this.
+CERTAIN = 0.95
+
+#: Why an object is shown that is not in the most probable answer.
+STAYS = "it stays what it was until something else is much more probable"
+
+
+class Carried(Protocol):
+    """What a picture carries on to its next instant: a ``Watch``, or a ``Lookout`` where no source names anything."""
+
+    @property
+    def known(self) -> Numbered: ...
+    @property
+    def called(self) -> Mapping[int, NDArray[Any]]: ...
+
+
+W = TypeVar("W", bound=Carried, covariant=True)
+
+
+@dataclass(frozen=True)
+class PictureState(Generic[W]):
+    """The picture at one instant; made by :meth:`Watch.advance`, or :meth:`sameas.picture.plot_picture.PlotPicture.at`.
+
+    Attributes
+    ----------
+    now : the instant. roll : the records of the sources that say anything.
+    shown : the objects that they show, (n,), and how sure they are. states : of these.
+    watch : what the picture carries on.
+    """
+
+    now: Instant
+    roll: Scan
+    shown: InstantObjects
+    states: ObjectStates
+    watch: W
+
+    @property
+    def known(self) -> Numbered:
+        """The objects of the picture."""
+        return self.watch.known
+
+    @property
+    def members(self) -> IntArray:
+        """(n, S) records on the roll of each object found, −1 for none."""
+        return self.shown.members
+
+    @cached_property
+    def number(self) -> IntArray:
+        """(n,) the number in the picture of each object found."""
+        return self.known.numbers(len(self.members))
+
+    @cached_property
+    def object_of_record(self) -> IntArray:
+        """(records,) which object found each record of the roll is in."""
+        out = np.zeros(len(self.roll), np.int64)
+        at, source = np.nonzero(self.members >= 0)
+        out[self.members[at, source]] = at
+        return out
+
+    @property
+    def runner_up(self) -> IntArray:
+        """(n, S) records on the roll of the most probable other set that has one of an object's records."""
+        return self.shown.runner_up
+
+    @property
+    def p_runner_up(self) -> FloatArray:
+        """(n,) its probability, 0 where nothing else is possible."""
+        return self.shown.p_runner_up
+
+    @property
+    def probability(self) -> FloatArray:
+        """(n,) that exactly its records are one object."""
+        return self.shown.probability
+
+    @property
+    def p_alone(self) -> FloatArray:
+        """(records,) that a record has no partner."""
+        return self.shown.p_alone
+
+    @cached_property
+    def ambiguous(self) -> BoolArray:
+        """(n,) whether it is not certain that exactly these records are the object."""
+        return np.asarray(self.probability < CERTAIN)
+
+    @cached_property
+    def alarms(self) -> tuple[Alarm, ...]:
+        """Identities shown at two places too far apart for one object; rows are those of the sources' reports."""
+        start = dict(zip((d.name for d in self.roll.now.descriptions), range(len(self.roll.start)), strict=False))
+
+        def reported(where: tuple[str, int]) -> tuple[str, int]:
+            return where[0], int(self.roll.row[self.roll.find(start[where[0]], np.array([where[1]]))[0]])
+
+        return tuple(
+            replace(alarm, first=reported(alarm.first), second=reported(alarm.second))
+            for alarm in self.roll.now.alarms()
+        )
+
+    def explain(self, number: int) -> ObjectExplanation:
+        """Why its records are object ``number`` of the picture; records are named as their sources name them: by their
+        tracks, else by the lines of their files.
+
+        Raises
+        ------
+        InputError : no record of the instant is in an object of that number.
+        """
+        at = np.flatnonzero(self.number == number)
+        if not len(at):
+            raise InputError(f"object {number} is not shown by any source at {self.now.instant_s:g} s")
+        reasons, names = self.shown.explain(int(at[0])), self._names
+        rivals = tuple(
+            replace(
+                rival, members=tuple(names[record] for record in rival.members),
+                taken=tuple((names[record], int(self.number[other])) for record, other in rival.taken),
+            )
+            for rival in reasons.rivals
+        )  # fmt: skip
+        stays = STAYS if self.shown.kept[at[0]] else ""
+        return replace(reasons, number=number, rivals=rivals, stays=stays)
+
+    @cached_property
+    def _names(self) -> Mapping[Name, Name]:
+        """By source and row of its reports, the source and what a user finds the record by."""
+        roll, feeds = self.roll, self.roll.now.feeds
+        sources = [description.name for description in roll.now.descriptions]
+        names: dict[Name, Name] = dict(self.shown.names)
+        for s, row, track in zip(roll.source.tolist(), roll.row.tolist(), roll.track.tolist(), strict=True):
+            given = feeds[s].given
+            said = track or (f"row {row}" if given is None else f"{given.damaged.unit} {given.line[row]}")
+            names[sources[s], row] = sources[s], said
+        return names

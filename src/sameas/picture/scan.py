@@ -1,0 +1,179 @@
+"""The roll: every record that takes part in an instant, source after source, in one table.
+
+What the later stages of the picture ask of a record: where its source says the object is, how fast it goes, which
+track of the source it belongs to, and when that was looked at last.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.many.observations import records_of
+from sameas.tracks.alignment import States, moved, stamped_late
+from sameas.tracks.feed import Feed
+from sameas.tracks.scene import Instant
+
+# Rows: frozen columns of equal length, of which what stands at one place belongs together.
+
+
+class ColumnTable:
+    """Base of dataclasses whose fields are columns (k, …), but for those named in ``WHOLE``, which no row has alone."""
+
+    WHOLE: ClassVar[frozenset[str]] = frozenset()
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """The columns by their names."""
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in self.WHOLE}  # type: ignore[arg-type]
+
+    def take(self, which: NDArray[Any]) -> Self:
+        """Some of the rows: places, in any order, or a mask."""
+        return replace(self, **{name: column[which] for name, column in self.columns().items()})  # type: ignore[type-var]
+
+    def stacked(self, *others: Self) -> Self:
+        """These rows and those of others below them; what is of all rows stays that of these."""
+        parts = [part.columns() for part in (self, *others)]
+        return replace(self, **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})  # type: ignore[type-var]
+
+
+#: A velocity whose variance is this share of what is believed of any object's is not said: nobody measured it. Taking
+#: a range bias off turns and shrinks what was not said by some percent, too.
+UNSAID = 0.9
+
+
+@dataclass(frozen=True)
+class Scan:
+    """The records of an instant, (n,) each.
+
+    Attributes
+    ----------
+    now : the instant.
+    start : (S+1,) records of source s are start[s] … start[s+1] − 1.
+    source : place of the record's source. row : of the source's own reports. table : row among the source's records.
+    track : name that the source gives the object, "" where it gives none.
+    time_s : when it was true. late_s : 1σ of that time. walk_m2_per_s3, speed_m_per_s : how its objects move.
+    said_state, said_covariance : (n, 4), (n, 4, 4) at that time; NaN for directions.
+    state, covariance : the same, moved to the instant.
+    placed : whether it is a position. moving : whether it says a velocity.
+    loose : (n, 4, 4) what of the covariance a manoeuvre left open (:mod:`sameas.picture.track_pairs`).
+    """
+
+    now: Instant
+    start: IntArray
+    source: IntArray
+    row: IntArray
+    table: IntArray
+    track: NDArray[Any]
+    time_s: FloatArray
+    late_s: FloatArray
+    walk_m2_per_s3: FloatArray
+    speed_m_per_s: FloatArray
+    said_state: FloatArray
+    said_covariance: FloatArray
+    state: FloatArray
+    covariance: FloatArray
+    placed: BoolArray
+    moving: BoolArray
+    loose: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    @classmethod
+    def of(cls, now: Instant) -> Scan:
+        """The roll of an instant."""
+        parts = [_part(feed, records_of(source).ids, records_of(source).rows, now.instant_s)
+                 for feed, source in zip(now.feeds, now.sources, strict=True)]  # fmt: skip
+        columns = {name: np.concatenate([_EMPTY[name], *(part[name] for part in parts)]) for name in _EMPTY}
+        sizes = [len(part["row"]) for part in parts]
+        start = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        source = np.repeat(np.arange(len(sizes)), sizes)
+        placed = np.isfinite(columns["state"]).all(axis=1)
+        with np.errstate(invalid="ignore"):
+            unknown = UNSAID * columns["speed_m_per_s"] ** 2
+            moving = placed & (columns["said_covariance"][:, 2, 2] < unknown)
+        loose = np.zeros((len(source), 4, 4))
+        return cls(now=now, start=start, source=source, placed=placed, moving=moving, loose=loose, **columns)
+
+    def texts(self, attribute: str) -> NDArray[Any]:
+        """(n,) what the records say of an attribute of identity, "" where they do not."""
+        out = np.full(len(self), "", dtype=object)
+        for s, feed in enumerate(self.now.feeds):
+            column = feed.attributes.get(attribute)
+            if column is not None:
+                here = slice(self.start[s], self.start[s + 1])
+                out[here] = ["" if value is None else str(value) for value in column[self.row[here]]]
+        return out
+
+    def new_since(self, before: Scan | None) -> BoolArray:
+        """(n,) whether a record was not yet on the roll of an instant before."""
+        new = np.ones(len(self), bool)
+        names = [] if before is None else [description.name for description in before.now.descriptions]
+        for s, description in enumerate(self.now.descriptions):
+            if before is not None and description.name in names:
+                t = names.index(description.name)
+                here = slice(self.start[s], self.start[s + 1])
+                new[here] = ~np.isin(self.row[here], before.row[before.start[t] : before.start[t + 1]])
+        return new
+
+    def places(self, members: np.ma.MaskedArray) -> IntArray:
+        """(n, S) numbers on the roll of members given as rows of the sources' records, −1 for none."""
+        rows, absent = np.ma.getdata(members), np.ma.getmaskarray(members)
+        out = np.full(rows.shape, -1)
+        for s in range(len(self.start) - 1):
+            here = np.flatnonzero(~absent[:, s])
+            out[here, s] = self.find(s, rows[here, s])
+        return out
+
+    def find(self, source: int, table: IntArray) -> IntArray:
+        """(k,) numbers on the roll of rows of a source's records."""
+        start, stop = self.start[source], self.start[source + 1]
+        return np.asarray(start + np.searchsorted(self.table[start:stop], table))
+
+
+_EMPTY: dict[str, NDArray[Any]] = {
+    "row": np.empty(0, np.int64),
+    "table": np.empty(0, np.int64),
+    "track": np.empty(0, object),
+    "time_s": np.empty(0),
+    "late_s": np.empty(0),
+    "walk_m2_per_s3": np.empty(0),
+    "speed_m_per_s": np.empty(0),
+    "said_state": np.empty((0, 4)),
+    "said_covariance": np.empty((0, 4, 4)),
+    "state": np.empty((0, 4)),
+    "covariance": np.empty((0, 4, 4)),
+}
+
+
+def _part(feed: Feed, ids: NDArray[Any], table: IntArray, instant_s: float) -> dict[str, NDArray[Any]]:
+    """The columns of one source."""
+    reports, description = feed.reports, feed.description
+    row = ids[table].astype(np.int64)
+    n, time_s = len(row), reports.time_s[row]
+    late = description.timing.latency_sigma_s or 0.0
+    said_state, said_covariance = np.full((n, 4), np.nan), np.full((n, 4, 4), np.nan)
+    state, covariance = said_state, said_covariance
+    if isinstance(reports, States):
+        said_state, said_covariance = reports.state[row], reports.covariance[row]
+        state, covariance = moved(said_state, said_covariance, instant_s - time_s, feed.walk_m2_per_s3[row])
+        covariance = stamped_late(covariance, state, late)
+    walk = feed.walk_m2_per_s3[row] if isinstance(reports, States) else description.motion.acceleration_m2_per_s3 or 0.0
+    return {
+        "row": row, "table": table, "track": _names(reports.track, row), "time_s": time_s, "late_s": np.full(n, late),
+        "walk_m2_per_s3": np.full(n, walk),
+        "speed_m_per_s": np.full(n, description.motion.speed_m_per_s or math.inf),
+        "said_state": said_state, "said_covariance": said_covariance, "state": state, "covariance": covariance,
+    }  # fmt: skip
+
+
+def _names(track: NDArray[Any] | None, row: IntArray) -> NDArray[Any]:
+    """Names of tracks; reports that the scene named by their number only have none."""
+    if track is None:
+        return np.full(len(row), "", dtype=object)
+    return np.array(["" if name.startswith("unnamed ") else name for name in map(str, track[row])], dtype=object)

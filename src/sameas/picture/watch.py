@@ -1,0 +1,264 @@
+"""The watch: what a picture carries along, which is what it remembers of tracks, the objects it knows, and their texts.
+
+:meth:`Watch.advance` takes it to an instant and gives the :class:`~sameas.picture.picture_state.PictureState`; for live
+use call it instant by instant,
+
+    moment = watch.advance(scene.at(t))
+    watch = moment.watch
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.errors import InputError
+from sameas.gate import ChiSquare
+from sameas.many.identify import identify_many
+from sameas.many.objects import Objects
+from sameas.many.observations import records_of
+from sameas.many.partition import best_partition
+from sameas.many.pooled import PooledRecords
+from sameas.many.rules import PoissonObjects, SetRule
+from sameas.many.sets import Sets
+from sameas.picture.instant_objects import IdentifiedObjects
+from sameas.picture.memory import Past
+from sameas.picture.named import found_in
+from sameas.picture.object_ids import Detections, KnownObjects, Life, Stages
+from sameas.picture.object_states import object_states
+from sameas.picture.picture_state import PictureState
+from sameas.picture.scan import Scan
+from sameas.records import Records
+from sameas.tracks.scene import POSITION, Instant
+
+# Hysteresis: who is with whom changes only where the change has been earned.
+#
+# Two vessels at one pier share an echo, and whose it is stays open for hours: 60 to 40, then 45 to 55. The most
+# probable answer of every instant would hand it to and fro. So the picture shows the partition that maximises
+#
+#     ln P(partition) − ln b · links,
+#
+# P being what all looks so far say, and ``links`` how many it breaks: one for every part but one into which it takes
+# the records that were one object at the last instant. Where two answers are even, or nearly, what was shown stays;
+# what is b times as probable per link is shown at once. To come together breaks nothing. Probabilities stay as they
+# are: an object that is kept against better ones says so by its own.
+#
+# Only tracks with names have been anywhere; a record that is new costs nothing wherever it goes. Source: the decision
+# of least expected loss where a change that comes to nothing costs, too (Berger 1985, section 2).
+
+#: b: how many times as probable per link. Taken.
+BOUND = 4.0
+#: Of the search for the best partition in one group.
+TIME_LIMIT_S = 10.0
+
+
+def held(found: Objects, before: IntArray, log_bound: float) -> tuple[Objects, BoolArray]:
+    """The objects of an instant, together as they were where nothing else is much more probable, and which (n,) of
+    them are shown for that reason alone.
+
+    Parameters
+    ----------
+    before : (records,) the object that each record's track was of at the last instant, in the order of the union's
+        records; −1 for records that were not there.
+    log_bound : ln b; 0 where the most probable answer is always shown.
+    """
+    sets, answer = found.sets, found.answer
+    links = _links(sets, before)
+    wanted = _changed(sets, before, answer.chosen) if log_bound > 0.0 else np.zeros(len(sets.start) - 1, bool)
+    if not wanted.any():
+        return found, np.zeros(len(found), bool)
+    tilted = replace(sets, log_weight=sets.log_weight + log_bound * links)
+    steady = best_partition(tilted, len(found.union), wanted, time_limit_s=TIME_LIMIT_S).chosen
+    chosen = np.where(wanted[sets.group], steady, answer.chosen)
+    lost = _value(sets, answer.chosen) - _value(sets, chosen)
+    shown = replace(found, answer=replace(answer, chosen=chosen, gap=answer.gap + np.maximum(lost, 0.0)))
+    return shown, ~answer.chosen[shown.set_of_object]
+
+
+def _links(sets: Sets, before: IntArray) -> IntArray:
+    """(k,) links that a set keeps: its records that were there, less the objects of the last instant that they were."""
+    was = np.sort(np.append(before, -1)[sets.members], axis=1)
+    there = was >= 0
+    objects = (there[:, :1] + np.cumsum((was[:, 1:] != was[:, :-1]) & there[:, 1:], axis=1))[:, -1:].sum(axis=1)
+    return np.asarray(there.sum(axis=1) - objects)
+
+
+def _changed(sets: Sets, before: IntArray, chosen: BoolArray) -> BoolArray:
+    """(g,) groups in which the chosen sets part what was together and could still be."""
+    which = np.flatnonzero(chosen)
+    at, source = np.nonzero(sets.members[which] >= 0)
+    was = before[sets.members[which][at, source]]
+    known = np.unique(np.column_stack([sets.group[which[at]], was, which[at]])[was >= 0], axis=0)
+    parted = (known[1:, :2] == known[:-1, :2]).all(axis=1)
+    out = np.zeros(len(sets.start) - 1, bool)
+    out[known[1:][parted, 0]] = True
+    return out
+
+
+def _value(sets: Sets, chosen: BoolArray) -> FloatArray:
+    """(g,) ln w of the partition of each group."""
+    return np.asarray(np.bincount(sets.group[chosen], sets.log_weight[chosen], len(sets.start) - 1), np.float64)
+
+
+#: What the picture says of an object's identity; and what of it names one object alone.
+TEXTS = ("mmsi", "icao", "callsign", "name", "mode_a", "type")
+
+
+NAMES_ONE = ("mmsi", "icao", "callsign")
+
+
+#: What is said of an object of which nobody says anything.
+NOTHING = np.full(len(TEXTS), "", dtype=object)
+
+
+#: What an instant and the past say of the records.
+Say = Callable[[Instant, Past], SetRule]
+
+
+def all_that_is_said(now: Instant, past: Past) -> SetRule:
+    """Positions, misses and clutter as described, what records say of their identities, and what tracks did before."""
+    return now.belief() + now.identity() + past.rule()
+
+
+@dataclass(frozen=True)
+class Watch:
+    """What a picture carries from instant to instant; start with ``Watch()``.
+
+    Parameters
+    ----------
+    say : what counts as evidence. ``lambda now, past: now.belief() + past.rule()`` leaves identities out,
+        ``lambda now, past: now.belief() + now.identity()`` judges every instant alone.
+    past : what is remembered of tracks; give one to change how long their errors last.
+    bound : of the odds at which records change their company (:mod:`sameas.picture.watch`); 1 for the most
+        probable answer of every instant, whatever was shown before.
+    stages : when objects are confirmed. gate : of ``identify_many``.
+    known, called : objects and their texts; filled in from instant to instant.
+    """
+
+    say: Say = all_that_is_said
+    past: Past = field(default_factory=Past)
+    bound: float = BOUND
+    stages: Stages = field(default_factory=Stages)
+    gate: ChiSquare = field(default_factory=ChiSquare)
+    known: KnownObjects = field(default_factory=KnownObjects)
+    called: Mapping[int, NDArray[Any]] = field(default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        if not 1.0 <= self.bound < math.inf:
+            raise InputError(f"Watch: bound is {self.bound}; give odds of 1 or more")
+
+    def advance(self, now: Instant) -> PictureState[Watch]:
+        """The picture at an instant not before the last.
+
+        Raises
+        ------
+        InputError : the instant is before the last; a source lacks what its evidence needs.
+        """
+        heard = now.heard()
+        roll = self.past.loosened(Scan.of(heard), _per_m2(now))
+        heard, past = roll.now, self.past.on(roll)
+        found = self._found(heard, past)
+        kept = np.zeros(0, bool)
+        if found is not None:
+            found, kept = held(found, self._was(found.union, roll, past), math.log(self.bound))
+            past = past.met(found.union)
+        shown = IdentifiedObjects(roll, found, kept)
+        members = shown.members
+        texts = {name: roll.texts(name) for name in TEXTS}
+        seen = self._seen(roll, members, found, past, texts)
+        past = past.proved(seen.tracks[_together(members, found, self.stages)])
+        known = self.known.on(now.instant_s, seen, _per_m2(now), self.stages)
+        called = self._called(roll, members, texts, known)
+        carried = replace(self, past=past, known=known, called=called)
+        return PictureState(now, roll, shown, seen.states, carried)
+
+    def _was(self, union: PooledRecords, roll: Scan, past: Past) -> IntArray:
+        """(records,) the object of the last instant that each record of the union belongs to by its track, −1 for
+        those whose track was not there."""
+        track = past.tracks.on_roll
+        was = np.where(found_in(self.past.tracks.number, track) >= 0, self.known.belonging.last_of(track), 0)
+        out = np.full(len(union), -1)
+        for s, (given, source) in enumerate(zip(union.given, union.sources, strict=True)):
+            if given + 1 < len(roll.start):
+                out[union.start[s] : union.start[s + 1]] = was[roll.find(given, records_of(source).rows)]
+        return np.where(out > 0, out, -1)
+
+    def _found(self, heard: Instant, past: Past) -> Objects | None:
+        """The objects of an instant; None where nobody says anything."""
+        if not heard.sources:
+            return None
+        if len(heard.sources) == 1:
+            # A source alone is identified with one that says nothing: each of its records is an object.
+            nobody = Records.of(np.empty((0, heard.features)), sigma=1.0, source="")
+            rule = PoissonObjects(heard.density, 0.5)
+            return identify_many((*heard.sources, nobody), rule=rule, region=heard.region)
+        return identify_many(heard.sources, rule=self.say(heard, past), gate=self.gate, region=heard.region)
+
+    def _seen(
+        self, roll: Scan, members: IntArray, found: Objects | None, past: Past, texts: Mapping[str, NDArray[Any]]
+    ) -> Detections:
+        """What the objects of an instant are to be recognised by."""
+        states = object_states(roll, members, found)
+        there = members >= 0
+        track = np.append(past.tracks.on_roll, -1)[members]
+        named = np.append(np.any([texts[name] != "" for name in NAMES_ONE], axis=0), False)[members]
+        # No clutter: what the source shows is there.
+        honest = np.array([feed.clutter(2) == 0.0 for feed in roll.now.feeds], dtype=bool)
+        sure = (there & honest).any(axis=1) | _together(members, found, self.stages)
+        new = np.append(roll.new_since(self.past.tracks.roll), False)
+        plotted = np.append(new[:-1] & (past.tracks.on_roll < 0), False)
+        looked, plotted = (np.asarray(column[members].any(axis=1)) for column in (new, plotted))
+        walk = np.append(roll.walk_m2_per_s3, 0.0)[members].max(axis=1, initial=0.0)
+        speed = np.append(roll.speed_m_per_s, 0.0)[members].max(axis=1, initial=0.0)
+        return Detections(states, track, named & there, looked, plotted, sure, _longest(track, past), walk, speed)
+
+    def _called(
+        self, roll: Scan, members: IntArray, texts: Mapping[str, NDArray[Any]], known: KnownObjects
+    ) -> Mapping[int, NDArray[Any]]:
+        """Per object of the picture its texts: what its newest record says, else what was said before."""
+        at, source = np.nonzero(members >= 0)
+        record = members[at, source]
+        said = np.full((len(members), len(TEXTS)), "", dtype=object)
+        for column, name in enumerate(TEXTS):
+            values = texts[name][record]
+            tells = np.flatnonzero(values != "")
+            # The newest is written last; of equally new ones the first by the alphabet.
+            order = tells[
+                np.lexsort([np.argsort(np.argsort(values[tells].astype(str)[::-1])), roll.time_s[record[tells]]])
+            ]
+            said[at[order], column] = values[order]
+        called = {}
+        for number, k in zip(known.number.tolist(), known.seen.tolist(), strict=True):
+            before = self.called.get(number, NOTHING)
+            called[number] = before if k < 0 else np.where(said[k] != "", said[k], before)
+        return called
+
+
+def _longest(track: IntArray, past: Past) -> Life:
+    """The life of that track of each object, of its tracks (n, S), that is most surely of something real."""
+    track = np.column_stack([track, np.full(len(track), -1)])
+    begun, lived = past.lives.log_odds(track)
+    most = np.argmax(begun + lived, axis=1)[:, None]
+    return Life(*(np.take_along_axis(column, most, 1)[:, 0] for column in (track, begun, lived)))  # type: ignore[arg-type]
+
+
+def _together(members: IntArray, found: Objects | None, stages: Stages) -> BoolArray:
+    """(n,) whether two sources or more show an object beyond doubt."""
+    if found is None:
+        return np.zeros(len(members), bool)
+    return np.asarray(((members >= 0).sum(axis=1) > 1) & (found.probability >= stages.sure))
+
+
+def _per_m2(now: Instant) -> float:
+    """Objects per m² of the plane at the middle of the region."""
+    if now.features == POSITION:
+        return now.density
+    # The density of velocities falls to 1/(2π σ²) at rest.
+    variance = np.linalg.det(now.region.covariance[2:, 2:]) ** 0.5
+    return float(now.density * 2.0 * np.pi * variance)

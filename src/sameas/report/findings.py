@@ -1,0 +1,162 @@
+"""Findings: what was estimated of two catalogues together, in words, with standard errors."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sameas.estimate.error_model import ErrorModel
+from sameas.estimate.quantity import Quantity
+from sameas.evidence.detection import DetectionCurve
+from sameas.report.prose import count, entry, percent
+from sameas.sky.crossmatch import ARCSEC2_PER_DEG2, SkyMatch
+
+#: Quoted errors are right where the residuals differ from them by no more than this, or so many standard errors.
+AS_QUOTED, SIGNIFICANT = 0.03, 3.0
+
+
+def common_objects(match: SkyMatch) -> list[str]:
+    """How many objects are common, and what share of either catalogue they are."""
+    e = match.estimate
+    shares = [_share(e.quantities[name]) for name in ("share_1", "share_2")]
+    words = f"{e.quantities['common']}: {shares[0]} of {match.first.name}, {shares[1]} of {match.second.name}"
+    return entry("common objects", words)
+
+
+def findings(match: SkyMatch) -> list[str]:
+    """Densities of unmatched records, errors, brightness, and how it was found."""
+    e = match.estimate
+    return [
+        *_unmatched(match),
+        *entry("errors", _errors_in_words(match)),
+        *(entry("  by catalogue", words) if (words := by_source(match)) else ()),
+        *_brightness(match),
+        *entry("gate", f"{e.gate_sigmas:.1f} quoted σ"),
+        *entry("rounds", f"{e.rounds}{_sampled(match)}, " + ("settled" if e.settled else "not settled")),
+    ]
+
+
+def _sampled(match: SkyMatch) -> str:
+    """Of how many records the rounds were, where these are not all."""
+    (one, two), result = match.estimate.learned_from, match.result
+    if (one, two) == (len(result.first), len(result.second)):
+        return ""
+    return f" of {count(one)} and {count(two)} records that stand for all"
+
+
+def _share(share: Quantity) -> str:
+    """A share with its standard error, in percent."""
+    return str(Quantity(100.0 * share.value, 100.0 * share.standard_error, "%"))
+
+
+def _unmatched(match: SkyMatch) -> list[str]:
+    """Densities of the records that only one catalogue shows."""
+    found = match.estimate.quantities
+    if "density_only_1" not in found:
+        return []
+    per_deg2 = [
+        Quantity(ARCSEC2_PER_DEG2 * q.value, ARCSEC2_PER_DEG2 * q.standard_error)
+        for q in (found["density_only_1"], found["density_only_2"])
+    ]
+    words = f"{per_deg2[0]} of {match.first.name} and {per_deg2[1]} of {match.second.name} per square degree"
+    return entry("of those in one only", words)
+
+
+def by_source(match: SkyMatch) -> str:
+    """Which catalogue's errors are too small, where the data can tell; "" where errors were not judged."""
+    model = match.estimate.error_model
+    return "" if model is None else error_model_in_words(model, (match.first.name, match.second.name))
+
+
+def error_model_in_words(model: ErrorModel, names: tuple[str, str]) -> str:
+    """Factors on the errors of sources of these names, and a floor in arcsec; after a semicolon what cannot be told.
+
+    >>> error_model_in_words(ErrorModel(both=Quantity(1.71, 0.04), note="whose cannot be told"), ("plate", "gaia"))
+    'those of both × 1.710 ± 0.040; whose cannot be told'
+    """
+    factors = zip(names, (model.factor_1, model.factor_2), strict=True)
+    words = [f"those of {name} × {q}" for name, q in factors if q is not None]
+    if model.both is not None:
+        words.append(f"those of both × {model.both}")
+    if model.floor is not None:
+        words.append(floor_in_words(model.floor))
+    if model.floor_instead is not None:
+        words.append(f"or, with both as quoted, {floor_in_words(model.floor_instead)}")
+    return ", ".join(words) + ("; " if words and model.note else "") + model.note
+
+
+def floor_in_words(floor_arcsec: Quantity) -> str:
+    """What the errors have beyond the quoted ones, or how small it is."""
+    seen = floor_arcsec.value > SIGNIFICANT * floor_arcsec.standard_error
+    most = floor_arcsec.value + 2.0 * floor_arcsec.standard_error
+    floor = f"{floor_arcsec} arcsec" if seen else f"none seen, less than {most:.2g} arcsec"
+    return f"floor in quadrature on each axis: {floor}"
+
+
+def _brightness(match: SkyMatch) -> list[str]:
+    """How the magnitudes are related, up to where each catalogue reaches, and how much every term decides."""
+    e, lines = match.estimate, []
+    relation = None if e.photometry is None else e.photometry.first_relation
+    if e.photometry is not None and relation is not None:
+        (one, *_), (two, *_) = e.photometry.names
+        of_one, of_two = (one, two) if one != two else (f"{one} of {match.first.name}", f"{two} of {match.second.name}")
+        colours = [
+            f", {q} per mag of {name.removeprefix('colour_')} − {two}"
+            for name, q in e.quantities.items()
+            if name.startswith("colour_")
+        ]
+        ends = ", ".join(f"{relation.offset[k]:+.2f} at {two} {relation.knots[k]:.1f}" for k in (0, -1))
+        lines += entry(
+            "brightness",
+            f"{of_one} − {of_two} is {e.quantities['zero_point']} ({ends}){''.join(colours)}; scatter "
+            f"{e.quantities['scatter']}; {percent(relation.unrelated)} of the pairs follow no relation",
+        )
+    for curve, (mine, other) in zip(
+        (e.detection_1, e.detection_2),
+        ((match.first, match.second), (match.second, match.first)),
+        strict=True,
+    ):
+        if curve is not None:
+            lines += entry("completeness", f"of {mine.name} {other.name} shows {_completeness(curve)}")
+    weights = ", ".join(f"{name} {value:.1f}" for name, value in e.decisive.items())
+    if weights:
+        changed = [f"; brightness changes {count(e.changed_by_brightness)} answers"] if e.photometry is not None else []
+        if "precision" in e.decisive:
+            changed.append(f"; precision, the sizes of the quoted errors, changes {count(e.changed_by_precision)}")
+        lines += entry("what decides", f"median |ln odds| over the identified: {weights}{''.join(changed)}")
+    return lines
+
+
+def _completeness(curve: DetectionCurve) -> str:
+    """The greatest share, and at which magnitude it falls to half."""
+    best = int(np.argmax(curve.probability - curve.standard_error))
+    words = f"{percent(curve.probability[best])} at {curve.band} {curve.edges[best]:g}–{curve.edges[best + 1]:g}"
+    fainter = np.flatnonzero(curve.probability[best:] < 0.5 * curve.probability[best]) + best
+    if len(fainter):
+        k = int(fainter[0])
+        low, high, half = curve.probability[k], curve.probability[k - 1], 0.5 * curve.probability[best]
+        at = curve.middle[k] + (half - low) / (high - low) * (curve.middle[k - 1] - curve.middle[k])
+        return f"{words}, half as many at {at:.1f}"
+    return f"{words}, {percent(curve.probability[-1])} of the faintest"
+
+
+def _errors_in_words(match: SkyMatch) -> str:
+    """Whether the quoted errors are too small, by how much, and which share of the pairs lies far beyond."""
+    e = match.estimate
+    scales, scale = e.errors.scales, e.quantities.get("error_scale")
+    if scale is None and len(scales) == 1:
+        return "taken as quoted" if scales[0] == 1.0 else f"{scales[0]:g} times the quoted ones"
+    words = f"typically {e.typical_scale:.2f} times the quoted ones" if scale is None else judged(scale)
+    if e.tail is None:
+        return words
+    far = f"{_share(e.tail.share)} of the pairs have errors about {e.tail.factor:.1f} times the quoted ones"
+    return f"{words}; a tail: {far}"
+
+
+def judged(scale: Quantity) -> str:
+    """The verdict on the quoted errors, from the median residual over its due."""
+    off = scale.value - 1.0
+    if abs(off) <= max(AS_QUOTED, SIGNIFICANT * scale.standard_error):
+        return f"as quoted (the median residual is {scale} times its due)"
+    if off > 0.0:
+        return f"quoted {scale} times too small (the median residual over its due)"
+    return f"quoted too large (the median residual is {scale} times its due)"

@@ -1,0 +1,110 @@
+"""What is printed of an identified frame, from its summary."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from sameas.estimate.error_model import ErrorModel
+from sameas.estimate.quantity import Quantity
+from sameas.report.findings import error_model_in_words, judged
+from sameas.report.prose import DOUBT, count, entry
+from sameas.sky.frame.summary import ERROR_NAMES
+
+#: With fewer pairs the rms is told instead of the robust scatter.
+FEW = 20
+
+
+def frame_lines(told: Mapping[str, Any]) -> list[str]:
+    """All that is to be said of one frame."""
+    place, plate, found = told["place"], told["plate"], told["found"]
+    size = f"{place['columns']} × {place['rows']} px, {_angle(place['width_deg'])} × {_angle(place['height_deg'])}"
+    middle = f"RA {place['middle_ra_deg']:.5f}° Dec {place['middle_dec_deg']:+.5f}°"
+    hand = "mirrored" if place["mirrored"] else "not mirrored"
+    order = f"order {plate['order']} on {plate['effective_pairs']:.1f} pairs, errors {plate['error_scale']:.2f} times"
+    lines = [
+        f"Frame: {told['frame']}",
+        *(line for words in told.get("exposure", {}).get("read", ()) for line in _noted(words)),
+        "",
+        "Placed",
+        *entry("by", f"{place['found_by']}, odds {place['odds']}; next best {place['next_best_odds']}"),
+        *entry("middle", f"{middle}; {size}"),
+        *entry(
+            "scale", f"{place['scale_arcsec_per_px']:.4f}″ per pixel; y axis at {place['rotation_deg']:.2f}°, {hand}"
+        ),
+        *entry("plate model", f"{order} those quoted"),
+        "",
+        f"Found in {told['catalogue']}",
+        *entry("measurements", f"{count(found['measurements'])}, of which {count(found['identified'])} identified"),
+        *entry("not in the catalogue", count(found["unidentified"])),
+        *entry("missing stars", f"{count(found['missing'])} of {count(found['stars_on_frame'])} on the frame"),
+        *entry("expected wrong", f"{found['expected_wrong']:.1f}; {count(found['ambiguous'])} less sure than 0.9"),
+        *entry("scatter", _scatter(told)),
+        *_estimated(told),
+    ]
+    brightness = told["brightness"]
+    for label, what in (("magnitudes", "zero_point"), ("completeness", "completeness")):
+        if brightness[what]:
+            lines += entry(label, brightness[what]["words"])
+    return [*lines, *(line for words in told["notes"] for line in _noted(words))]
+
+
+def one_line(name: str, told: Mapping[str, Any], state: str) -> str:
+    """A frame among many, from its summary; ``state``: when it was done, or in what time."""
+    found, place = told["found"], told["place"]
+    words = (
+        f"{count(found['identified'])} of {count(found['measurements'])} identified, {count(found['missing'])} missing"
+    )
+    return (
+        f"{name}: {words}, scatter {_scatter(told)}, {place['scale_arcsec_per_px']:.4f}″/px, "
+        f"odds {place['odds']}; {state}"
+    )
+
+
+def totals(done: int, skipped: int, failed: int) -> str:
+    """How many frames were done now, had been done before, and failed."""
+    parts = [
+        f"{done} done",
+        *([f"{skipped} done before"] if skipped else []),
+        *([f"{failed} failed"] if failed else []),
+    ]
+    return f"Frames: {done + skipped + failed}; " + ", ".join(parts)
+
+
+def _scatter(told: Mapping[str, Any]) -> str:
+    # A median of few residuals says little.
+    few = told["found"]["identified"] < FEW
+    east, north = told["residuals"]["rms_arcsec" if few else "scatter_arcsec"]
+    return "not known" if east is None else f"{east:.2g}″ × {north:.2g}″{' rms' if few else ''}"
+
+
+def _estimated(told: Mapping[str, Any]) -> list[str]:
+    """Densities of what one of both shows only, and the errors."""
+    # Summaries of earlier versions may lack them.
+    known = {name: Quantity(value, error) for name, (value, error) in told.get("estimated", {}).items()}
+    lines = []
+    if "only_on_frame_per_arcmin2" in known:
+        alone = f"{known['only_on_frame_per_arcmin2']} of the frame and {known['only_in_catalogue_per_arcmin2']}"
+        lines += entry("of those in one only", f"{alone} of the catalogue per square arcminute")
+    words = [judged(known["error_scale"])] if "error_scale" in known else []
+    if "error_tail_share" in known:
+        share = known["error_tail_share"]
+        percent = Quantity(100.0 * share.value, 100.0 * share.standard_error, "%")
+        words.append(f"a tail: {percent} of the pairs lie far beyond")
+    lines += entry("errors", "; ".join(words)) if words else []
+    terms = {term: known.get(name) for term, name in ERROR_NAMES.items()}
+    model = ErrorModel(**terms, note=told.get("error_note", ""))
+    apart = error_model_in_words(model, (told["frame"], told["catalogue"]))
+    return lines + (entry("  by source", apart) if apart else [])
+
+
+def _angle(deg: float) -> str:
+    return f"{deg:.2f}°" if deg >= 1 else f"{60 * deg:.1f}′"
+
+
+def _noted(words: str) -> list[str]:
+    for mark in ("doubt", "assumed"):
+        if words.startswith(f"{mark}: "):
+            text = words.removeprefix(f"{mark}: ")
+            return [DOUBT + text] if mark == "doubt" else entry("assumed", text)
+    return entry("note", words)

@@ -1,0 +1,84 @@
+"""Lines that ``sameas many`` prints of several catalogues identified at once."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sameas.records import Records
+from sameas.report.prose import DOUBT, count, entry, figures
+from sameas.sky.column_choice import in_years
+from sameas.sky.many import ManyMatch
+
+#: Objects less probable than this are called ambiguous.
+AMBIGUOUS = 0.9
+
+
+def estimate_lines(match: ManyMatch) -> list[str]:
+    """What was estimated of the catalogues together."""
+    lines = ["Estimated"]
+    if match.epoch_jyr is None:
+        lines += entry("epoch", "not all epochs are known: nothing is moved")
+    else:
+        told = [f"{c.name} {in_years(c.epoch_jyr)}" for c in match.catalogues if c.epoch_jyr is not None]
+        lines += entry("epoch", f"places of the objects are of {in_years(match.epoch_jyr)} ({', '.join(told)})")
+    for (first, second), pair in match.two_by_two.items():
+        found = pair.estimate
+        words = f"{figures(found.common)} common, gate {found.gate_sigmas:.1f} σ, residuals {found.typical_scale:.2f} σ"
+        lines += entry("two by two", f"{first} and {second}: {words}")
+    rounds = f"{match.rounds} round{'s' * (match.rounds > 1)}" + ("" if match.settled else ", not settled")
+    return [*lines, *entry("all together", f"estimated in {rounds}"), *(DOUBT + words for words in match.doubts)]
+
+
+def summary_lines(match: ManyMatch) -> list[str]:
+    """What was found: rows, objects by the catalogues that show them, how sure."""
+    return [*_rows(match), "", *_objects(match), "", *_sure(match)]
+
+
+def _rows(match: ManyMatch) -> list[str]:
+    wide = max(len("Rows"), *(len(c.name) for c in match.catalogues)) + 2
+    lines = [f"{'Rows':{wide}}{'rows':>12}{'set aside':>12}{'alone':>12}{'with others':>13}"]
+    members = np.ma.getmaskarray(match.objects.members)
+    for k, (catalogue, records) in enumerate(zip(match.catalogues, match.objects.given, strict=True)):
+        assert isinstance(records, Records)
+        alone = int(np.count_nonzero(~members[:, k] & (match.objects.n_members == 1)))
+        numbers = len(catalogue), len(catalogue) - len(records), alone, len(records) - alone
+        lines.append(
+            f"  {catalogue.name:{wide - 2}}"
+            + "".join(f"{count(n):>{w}}" for n, w in zip(numbers, _WIDTHS, strict=True))
+        )
+        lines += [f"    set aside: {why} ({count(n)})" for why, n in records.set_aside.counts().items()]
+    return lines
+
+
+_WIDTHS = (12, 12, 12, 13)
+
+
+def _objects(match: ManyMatch) -> list[str]:
+    found = ~np.ma.getmaskarray(match.objects.members)
+    names = [catalogue.name for catalogue in match.catalogues]
+    rows = []
+    for shown, expected in match.expected.items():
+        inside = np.array([name in shown for name in names])
+        number = int((found == inside).all(axis=1).sum())
+        if number or expected >= 0.5:
+            rows.append((len(shown), " = ".join(name for name in names if name in shown), number, expected))
+    rows.sort(key=lambda row: (-row[0], -row[2]))
+    wide = max(len("Objects shown by"), *(len(words) + 2 for _, words, _, _ in rows)) + 2
+    lines = [f"{'Objects shown by':{wide}}{'found':>12}{'expected':>12}"]
+    lines += [f"  {words:{wide - 2}}{count(n):>12}{count(round(e)):>12}" for _, words, n, e in rows]
+    return [*lines, f"{'  all':{wide}}{count(len(match.objects)):>12}"]
+
+
+def _sure(match: ManyMatch) -> list[str]:
+    several = match.objects.n_members > 1
+    p = match.objects.probability
+    groups = match.objects.groups
+    return [
+        "How sure",
+        *entry(
+            "expected wrong", f"{figures(float(np.sum(1.0 - p[several])))} of {count(several.sum())} of several records"
+        ),
+        *entry("ambiguous", f"{count(np.count_nonzero(several & (p < AMBIGUOUS)))} less probable than {AMBIGUOUS:g}"),
+        *entry("two by two", f"{count(match.broken)} pairs of two catalogues are not kept by all together"),
+        *entry("largest group", f"{count(groups.records.max(initial=0))} records"),
+    ]

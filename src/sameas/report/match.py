@@ -1,0 +1,292 @@
+"""Reports: what was understood, estimated and found, as lines of plain text for people and their logs.
+
+:func:`report` gives everything of a :class:`~sameas.sky.crossmatch.SkyMatch`, the other functions its parts. A
+heading starts at the margin, what belongs to it is indented, a doubt starts with :data:`sameas.report.prose.DOUBT`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.arrays import BoolArray, FloatArray
+from sameas.estimate.coverage import Coverage
+from sameas.gate.chisquare import quantile
+from sameas.kernels import threads
+from sameas.records import Records
+from sameas.report.findings import common_objects, findings
+from sameas.report.prose import DOUBT, LABEL, count, entry, figures, percent
+from sameas.result import Answers
+from sameas.sky.catalogue import Catalogue
+from sameas.sky.crossmatch import SkyMatch, area_and_densities
+
+#: Identified pairs less probable than this are called ambiguous.
+AMBIGUOUS = 0.9
+ORDINALS = ("First", "Second", "Third", "Fourth", "Fifth", "Sixth", "Seventh", "Eighth")
+#: A radius within which nearest neighbours are often believed.
+USUAL_RADIUS_ARCSEC = 5.0
+
+
+def report(match: SkyMatch) -> str:
+    """All that is to be said of a match.
+
+    Example
+    -------
+    >>> print(report(match))  # doctest: +SKIP
+    """
+    parts = [
+        catalogue_lines(match.first, 1),
+        catalogue_lines(match.second, 2),
+        estimate_lines(match),
+        summary_lines(match),
+    ]
+    return "\n\n".join("\n".join(lines) for lines in parts)
+
+
+def catalogue_lines(catalogue: Catalogue, side: int, path: str = "") -> list[str]:
+    """What was understood of catalogue 1, 2, …, and what looks wrong with it; ``path`` of its file."""
+    where = f" ({path})" if path else ""
+    lines = [f"{ORDINALS[side - 1]} catalogue: {catalogue.name}, {count(len(catalogue))} rows{where}"]
+    told = [line.partition(": ") for line in catalogue.understood]
+    last = {label: k for k, (label, _, _) in enumerate(told)}
+    for k, (label, colon, words) in enumerate(told):
+        if not colon or len(label) > LABEL:
+            lines += entry("note", label + colon + words)
+        elif last[label] == k:  # what is said of the same thing later corrects what was said before
+            lines += entry(label, words)
+    for words in catalogue.table.meta.get("sameas_notes", ()):  # what reading the file left to be said
+        lines += entry("file", words)
+    return lines + _doubt_lines(catalogue.doubts)
+
+
+def coverage_lines(moved: str, coverage: Coverage, doubts: Sequence[str] = ()) -> list[str]:
+    """The common epoch, and where both catalogues look."""
+    return ["Both catalogues", *entry("epoch", moved), *_area(coverage), *_doubt_lines(doubts)]
+
+
+def estimate_lines(match: SkyMatch) -> list[str]:
+    """What was estimated of the two catalogues together."""
+    return [
+        "Estimated",
+        *entry("epoch", match.moved),
+        *(entry("offset", f"added to {match.second.name}: {match.turn}") if match.turn else ()),
+        *common_objects(match),
+        *_area(match.estimate.coverage),
+        *findings(match),
+        *_doubt_lines(match.doubts),
+    ]
+
+
+def summary_lines(match: SkyMatch) -> list[str]:
+    """What was found: rows, groups, pairs, residuals before and after motion, shares by magnitude."""
+    return [
+        *_rows(match),
+        *_pairs(match),
+        "",
+        *_residuals(match),
+        *_magnitudes(match),
+    ]
+
+
+def nearest_lines(match: SkyMatch) -> list[str]:
+    """The nearest neighbour's numbers, without and with motion, beside ours."""
+    result = match.result
+    ours = np.full(result.first.n_table, -1)
+    ours[result.matches.rows_1] = result.matches.rows_2
+    ours = ours[result.first.rows]
+    known = ours >= 0
+    numbers = []
+    for moved in (False, True):
+        near = match.nearest(moved)
+        within = near.separation_arcsec <= USUAL_RADIUS_ARCSEC
+        claims = np.bincount(near.rows[within], minlength=len(match.second))
+        found = claims > 1, known & (near.rows != ours), known & ~within, ~known & within
+        numbers.append([count(np.count_nonzero(which)) for which in found])
+    twice = np.bincount(result.matches.rows_2, minlength=len(match.second)) > 1
+    radius = f"{USUAL_RADIUS_ARCSEC:g} arcsec"
+    labels = (
+        f"{match.second.name}: claimed more than once (within {radius})",
+        f"{match.first.name}: the nearest is not the one identified",
+        f"{match.first.name}: identified, but the nearest is beyond {radius}",
+        f"{match.first.name}: not identified, but one is within {radius}",
+    )
+    wide = max(map(len, labels))
+    lines = [f"{'Nearest neighbour':{wide + 2}}{'without motion':>17}{'with motion':>14}{'sameas':>9}"]
+    for label, still, moving, our in zip(
+        labels, *numbers, (count(np.count_nonzero(twice)), "–", "–", "–"), strict=True
+    ):
+        lines.append(f"  {label:{wide}}{still:>17}{moving:>14}{our:>9}")
+    return lines
+
+
+def _doubt_lines(doubts: Sequence[str]) -> list[str]:
+    """One line each, however long: a doubt may be printed alone."""
+    return [DOUBT + words for words in doubts]
+
+
+def _area(coverage: Coverage) -> list[str]:
+    area, density_1, density_2 = area_and_densities(coverage)
+    names = coverage.first.source, coverage.second.source
+    return [
+        *entry("area where both look", f"{figures(area)} square degrees"),
+        *entry(
+            "mean density there",
+            f"{figures(density_1)} of {names[0]} and {figures(density_2)} of {names[1]} per square degree",
+        ),
+    ]
+
+
+def _rows(match: SkyMatch) -> list[str]:
+    """The table of what became of the rows of both catalogues."""
+    result = match.result
+    reasons = sorted({reason for records in (result.first, result.second) for reason in records.set_aside.counts()})
+    lines: list[tuple[str, list[str]]] = [("rows", [count(len(match.first)), count(len(match.second))])]
+    claims = threads.each(
+        [
+            partial(_claims, result.pairs.j, result.pairs.i, result.log_odds),
+            partial(_claims, result.pairs.i, result.pairs.j, result.log_odds),
+        ],
+        len(result.pairs),
+    )
+    per_side = [
+        _fates(result.first, match.covered_1, result.answers_1, claims[0], reasons),
+        _fates(result.second, match.covered_2, result.answers_2, claims[1], reasons),
+    ]
+    lines += [(label, [side[label] for side in per_side]) for label in per_side[0]]
+    wide = [max(len(name) + 3, 14) for name in (match.first.name, match.second.name)]
+    head = f"{'Found':{2 + LABEL}}" + "".join(
+        f"{name:>{w}}" for name, w in zip((match.first.name, match.second.name), wide, strict=True)
+    )
+    return [head] + [
+        f"  {label:{LABEL}}" + "".join(f"{value:>{w}}" for value, w in zip(values, wide, strict=True))
+        for label, values in lines
+    ]
+
+
+def _fates(
+    records: Records, covered: BoolArray, answers: Answers, claims: int, reasons: Sequence[str]
+) -> dict[str, str]:
+    """What became of the rows of one catalogue, in words and numbers."""
+    alone = np.ma.getmaskarray(answers.partner)[records.rows]
+    apart = int(np.count_nonzero(~covered[records.rows] & alone))
+    identified = len(records) - int(np.count_nonzero(alone))
+    aside = records.set_aside.counts()
+    return {
+        **{f"set aside: {reason}": count(aside.get(reason, 0)) for reason in reasons},
+        "used": count(len(records)),
+        "not covered": count(apart),
+        "without a partner": count(len(records) - identified - apart),
+        "identified": count(identified),
+        "  of those covered": percent(identified / max(len(records) - apart, 1)),
+        "several candidates": count(np.count_nonzero(answers.candidates.filled(0) > 1)),
+        "claimed by several": count(claims),
+    }
+
+
+def _claims(claimant: NDArray[np.int32], claimed: NDArray[np.int32], log_odds: FloatArray) -> int:
+    """How many records are the likeliest candidate, each alone, of several records of the other side."""
+    from sameas.kernels.summary import foremost
+
+    best = foremost(claimant, int(claimant.max(initial=-1)) + 1, log_odds)
+    return int(np.count_nonzero(np.bincount(claimed[best[best >= 0]]) > 1))
+
+
+def _pairs(match: SkyMatch) -> list[str]:
+    result = match.result
+    statistics = result.groups.statistics()
+    largest = statistics.pop("records in the largest")
+    sizes = ", ".join(f"{count(n)} {words}" for words, n in statistics.items() if n)
+    groups = count(len(result.groups)) + (f": {sizes}; the largest has {count(largest)} records" if sizes else "")
+    k = len(result.matches)
+    ambiguous = int(np.count_nonzero(result.matches.p_match < AMBIGUOUS))
+    ways = [(n, words) for words, n in result.posterior.counts().items() if n]
+    methods = ", ".join(f"{count(n)} group{'s' if n > 1 else ''} by {words}" for n, words in ways)
+    wrong, missed = result.expected_wrong, result.expected_missed
+    return [
+        *entry("groups", groups),
+        *entry("pairs", f"{count(k)} identified among {count(len(result.pairs))} candidates"),
+        *entry(
+            "expected wrong",
+            f"{wrong:.1f} of the identified ({percent(wrong / max(k, 1))}); missed: {missed:.1f}",
+        ),
+        *entry("ambiguous", f"{count(ambiguous)} identified with a probability below {AMBIGUOUS:g}"),
+        *entry("probabilities", methods or "none"),
+    ]
+
+
+def _residuals(match: SkyMatch) -> list[str]:
+    """Residuals at the catalogues' own epochs and at the common one."""
+    if not len(match.result.matches):
+        return ["Residuals: no pair was identified"]
+    after = match.result.matches.residual
+    due = math.sqrt(quantile(0.5, match.result.pairs.d))
+    rows = [("at the common epoch", after, match.result.matches.mahalanobis)]
+    if match.epoch_jyr is not None:
+        before = match.still_offsets
+        rows.insert(0, ("at their own epochs", before, _still_distance(match, before)))
+    mean_and_rms = f"{'mean':>9}{'rms':>10}"
+    lines = [
+        f"{'Residuals, arcsec':{2 + LABEL}}{'east':>19}{'north':>19}{'distance':>12}{'in quoted σ':>14}",
+        f"  {'(first minus second)':{LABEL}}{2 * mean_and_rms}{'median':>12}{'median':>14}",
+    ]
+    for label, offset, distance in rows:
+        mean, rms = offset.mean(axis=0), np.sqrt(np.mean(offset**2, axis=0))
+        cells = f"{mean[0]:+9.4f}{rms[0]:10.4f}{mean[1]:+9.4f}{rms[1]:10.4f}"
+        middle = f"{np.median(np.hypot(*offset.T)):12.4f}{np.nanmedian(distance):14.2f}"
+        lines.append(f"  {label:{LABEL}}{cells}{middle}")
+    return [*lines, f"  {'due if errors are true':{LABEL}}{'':50}{due:14.2f}"]
+
+
+def _still_distance(match: SkyMatch, offset: FloatArray) -> FloatArray:
+    """(k,) distance of the identified pairs where they were observed, over the errors quoted there."""
+    i, j = match.result.matches.rows_1, match.result.matches.rows_2
+    covariance = 1e-6 * (match.first.astrometry[i].position_covariance + match.second.astrometry[j].position_covariance)
+    xx, yy, xy = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]
+    x, y = offset.T
+    return np.sqrt((yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy))
+
+
+def _magnitudes(match: SkyMatch) -> list[str]:
+    """The identified share of the covered rows per bin of magnitude, for each catalogue that has one."""
+    result = match.result
+    lines: list[str] = []
+    for catalogue, records, covered, found in (
+        (match.first, result.first, match.covered_1, result.matches.rows_1),
+        (match.second, result.second, match.covered_2, result.matches.rows_2),
+    ):
+        if catalogue.magnitude is None:
+            continue
+        identified = np.zeros(len(catalogue), np.bool_)
+        identified[found] = True
+        rows = records.rows[(covered | identified)[records.rows]]
+        lines += _bins(f"{catalogue.name}, {catalogue.magnitude_name}", catalogue.magnitude[rows], identified[rows])
+    return ["", "Identified by magnitude, of the rows covered", *lines] if lines else []
+
+
+def _bins(title: str, magnitude: FloatArray, identified: BoolArray) -> list[str]:
+    """Three lines: bins, rows, percent; at most ten bins, sparse ends taken together."""
+    known = np.isfinite(magnitude)
+    if not known.any():
+        return []
+    magnitude, identified = magnitude[known], identified[known]
+    low, high = np.quantile(magnitude, (0.005, 0.995))
+    step = max(1, int(np.ceil((high - low) / 9.0)))
+    inner = np.arange(np.floor(low) + step, max(np.ceil(high), np.floor(low) + step + 1), step)
+    at = np.searchsorted(inner, magnitude, side="right")
+    number = np.bincount(at, minlength=len(inner) + 1)
+    share = np.bincount(at, identified, len(inner) + 1) / np.maximum(number, 1)
+    names = [
+        f"<{inner[0]:g}",
+        *(f"{a:g}–{b:g}" for a, b in pairwise(inner)),
+        f"≥{inner[-1]:g}",
+    ]
+    shares = [f"{100 * s:.1f}" if n else "–" for s, n in zip(share, number, strict=True)]
+    table = (("magnitude", names), ("rows", [count(n) for n in number]), ("identified, %", shares))
+    return [f"  {title}"] + [
+        f"    {label:{LABEL - 6}}" + "".join(f"{cell:>8}" for cell in cells) for label, cells in table
+    ]

@@ -1,0 +1,71 @@
+"""What ``sameas picture`` prints: what was read, what is in doubt, what was found, and what was assumed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+from sameas.picture.plot_picture import PlotPicture
+from sameas.picture.summary import Summary
+from sameas.picture.watch import Watch
+from sameas.report.prose import ALARM, DOUBT, counted, entry, moment, span
+from sameas.tracks.scene import Scene
+
+
+def read_lines(sources: Iterable[tuple[str, Sequence[str]]]) -> Iterator[str]:
+    """Every source by its name, with the lines on what was read of it and what was guessed."""
+    yield "Sources"
+    for name, (first, *rest) in sources:
+        yield f"  {first}"
+        yield from (f"    {line.removeprefix(f'{name}: ')}" for line in rest)
+
+
+def scene_lines(scene: Scene, watch: Watch | PlotPicture) -> Iterator[str]:
+    """What was done to the reports to make a scene of them, and what becomes of plots without names."""
+    for feed in scene.feeds:
+        if feed.filtered:
+            yield f"  {feed.description.name}: plots under numbers or names, made tracks with velocities by a filter"
+        elif feed.reports.track is None and not isinstance(watch, PlotPicture):
+            yield f"  {feed.description.name}: plots without names, every instant judged alone"
+    if isinstance(watch, PlotPicture):
+        yield "  no source names what it shows: objects are followed from look to look"
+
+
+def doubt_lines(doubts: Sequence[str]) -> Iterator[str]:
+    """What looks wrong with a source as a whole."""
+    yield from (f"{DOUBT}{doubt}" for doubt in doubts)
+
+
+def found_lines(said: Summary) -> Iterator[str]:
+    """The summary: what was found, what is to be looked at, offsets and misses."""
+    yield ""
+    times = f"{counted(said.instants, 'instant')}, " if said.instants > 1 else ""
+    yield f"Picture: {times}{span(said.first_s, said.last_s)}"
+    yield from (f"{ALARM}{alarm}, from {moment(alarm.first_s)}" for alarm in said.alarms)
+    for label, words in said.entries():
+        yield from [f"{DOUBT}{words}"] if label == "doubt" else entry(label, words)
+
+
+def assumed_lines(scene: Scene) -> Iterator[str]:
+    """Every number that nobody gave, those of one kind of source together; summary.json says why each was taken."""
+    said: dict[tuple[str, str], list[str]] = {}
+    for feed in scene.feeds:
+        described = feed.description
+        if described.assumed:
+            numbers = ", ".join(f"{line.name} {_number(line.value)}" for line in described.assumed)
+            said.setdefault((described.kind, numbers), []).append(described.name)
+    for (kind, numbers), names in said.items():
+        yield from entry("assumed", f"{listed(names)} ({kind}): {numbers}")
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names in a sentence.
+
+    >>> listed(["ais"]), listed(["ais", "radar", "mlat"])
+    ('ais', 'ais, radar and mlat')
+    """
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _number(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,278 @@
+"""Why a record was identified as it was: competitors, terms, and what any other answer would cost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.assignment import Hypothesis, assign
+from sameas.errors import InputError
+from sameas.evidence import Evidence
+from sameas.gate import Pairs
+from sameas.groups import Groups
+from sameas.posterior import METHODS
+from sameas.prior import LogPrior
+from sameas.records import Records
+
+#: Far beyond any log-odds, and small enough to keep 1e-9 of them: forces a pair into a hypothesis, or out of it.
+FORCE = 1e6
+#: Groups with more pairs in their hypothesis than this are not searched for their next best hypothesis.
+SEARCHED = 200
+
+
+class Identified(Protocol):
+    """What of an :class:`~sameas.result.Identification` its explanation is made from."""
+
+    @property
+    def pairs(self) -> Pairs: ...
+    @property
+    def groups(self) -> Groups: ...
+    @property
+    def evidence(self) -> Evidence: ...
+    @property
+    def best(self) -> Hypothesis: ...
+    @property
+    def first(self) -> Records: ...
+    @property
+    def second(self) -> Records: ...
+    @property
+    def rows_1(self) -> IntArray: ...
+    @property
+    def rows_2(self) -> IntArray: ...
+    @property
+    def chosen(self) -> BoolArray: ...
+    @property
+    def log_odds(self) -> FloatArray: ...
+    @property
+    def p_pair(self) -> FloatArray: ...
+    def method(self, group: int) -> str: ...
+
+
+@dataclass(frozen=True)
+class Competitor:
+    """One answer for the record: a candidate, or nobody (``id`` None).
+
+    cost : natural logarithm by which the best hypothesis of the group that gives this answer is less probable than
+        the best of all; 0 for the answer given. terms : the parts of ``log_odds``.
+    """
+
+    id: Any
+    probability: float
+    cost: float
+    log_odds: float | None
+    terms: dict[str, float]
+    residual: FloatArray | None
+    mahalanobis: float | None
+    chosen: bool
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What :meth:`Identification.explain` gives; ``str()`` of it is a text for people.
+
+    prior : a sentence on what the prior of the number of pairs adds, empty where it is part of the log-odds.
+    next_best_cost : natural logarithm by which the group's next best hypothesis is less probable than its best, None
+        where there is no other or the group is too large to search; next_best : the pairs of ids that differ, as
+        (added, removed).
+    """
+
+    id: Any
+    source: str
+    other: str
+    row: int
+    usable: str
+    group: int | None
+    records: tuple[int, int]
+    method: str
+    competitors: tuple[Competitor, ...]
+    prior: str
+    next_best_cost: float | None
+    next_best: tuple[list[tuple[Any, Any]], list[tuple[Any, Any]]]
+
+    def __str__(self) -> str:
+        return "\n".join(_lines(self))
+
+
+def explain(result: Identified, record: Any, source: int) -> Explanation:
+    """See :meth:`sameas.result.Identification.explain`."""
+    mine, other = (result.first, result.second) if source == 1 else (result.second, result.first)
+    row = _row_of(mine.ids, record, mine.source)
+    at = np.searchsorted(mine.rows, row)
+    if at == len(mine.rows) or mine.rows[at] != row:
+        reason = str(mine.set_aside.reasons[mine.set_aside.rows == row][0])
+        return Explanation(
+            mine.ids[row], mine.source, other.source, row, reason, None, (0, 0), "", (), "", None, ([], [])
+        )
+    position = result.pairs.i if source == 1 else result.pairs.j
+    own = np.flatnonzero(position == at)
+    if not len(own):
+        alone = Competitor(None, 1.0, 0.0, None, {}, None, None, True)
+        return Explanation(
+            mine.ids[row], mine.source, other.source, row, "", None, (1, 0), METHODS[0], (alone,), "", None, ([], [])
+        )
+    group = int(result.groups.of_pairs()[own[0]])
+    scene = _GroupProblem(result, group)
+    competitors = [scene.candidate(int(e), own, source) for e in own]
+    competitors.append(scene.nobody(own, competitors))
+    competitors.sort(key=lambda c: (-c.probability, c.cost))
+    cost, difference = scene.next_best()
+    sizes = (int(result.groups.sizes_1[group]), int(result.groups.sizes_2[group]))
+    return Explanation(
+        mine.ids[row], mine.source, other.source, row, "", group, sizes, result.method(group), tuple(competitors),
+        scene.prior_in_words(), cost, difference,
+    )  # fmt: skip
+
+
+def _row_of(ids: NDArray[Any], record: Any, source: str) -> int:
+    """The table row of an id, which may come as text from a command line."""
+    found = np.flatnonzero(ids == record) if not isinstance(record, str) else np.empty(0, np.int64)
+    if not len(found):
+        found = np.flatnonzero(np.char.strip(ids.astype(str)) == str(record).strip())
+    if not len(found):
+        raise InputError(
+            f"{source} has no record with the id {record}; its first ids are {', '.join(map(str, ids[:3]))}"
+        )
+    return int(found[0])
+
+
+class _GroupProblem:
+    """One group cut out of a result, to be solved again with pairs forced in or out."""
+
+    def __init__(self, result: Identified, group: int) -> None:
+        self.result = result
+        g = result.groups
+        part = slice(g.start[group], g.start[group + 1])
+        rows1 = slice(g.start_1[group], g.start_1[group + 1])
+        rows2 = slice(g.start_2[group], g.start_2[group + 1])
+        self.pairs = g.order[part]
+        n = len(self.pairs)
+        self.groups = Groups(
+            np.arange(n), np.array([0, n]), g.rows_1[rows1], np.array([0, rows1.stop - rows1.start]),
+            g.edges_1[rows1.start : rows1.stop + 1] - part.start, g.rows_2[rows2],
+            np.array([0, rows2.stop - rows2.start]), g.local_1[part], g.local_2[part],
+        )  # fmt: skip
+        prior = result.best.prior
+        if prior.slope is not None:
+            # The slope is already part of the weights.
+            self.prior = LogPrior(np.zeros(1), np.zeros(2, np.int64), np.empty(0))
+        else:
+            table = prior.table[prior.start[group] : prior.start[group + 1]]
+            self.prior = LogPrior(None, np.array([0, len(table)]), table)
+        self.weight = result.best.weight[part]
+        self.chosen = result.best.chosen[part]
+        self.score = self._score(self.chosen)
+
+    def _score(self, chosen: BoolArray) -> float:
+        count = int(chosen.sum())
+        known = self.prior.table[count] if self.prior.slope is None else 0.0
+        return float(self.weight[chosen].sum() + known)
+
+    def prior_in_words(self) -> str:
+        """What a prior of the count adds to the terms of the pairs: ln P(k) around the best hypothesis' k."""
+        if self.prior.slope is not None:
+            return ""
+        best, table = int(self.chosen.sum()), self.prior.table
+        steps = [f"{k} {table[k] - table[best]:+.2f}" for k in range(max(0, best - 2), min(len(table), best + 3))]
+        return f"(the prior of the number of pairs comes on top; ln P, relative to {best}: {', '.join(steps)})"
+
+    def solve(self, required: BoolArray, forbidden: BoolArray) -> tuple[float, BoolArray]:
+        """(cost against the best, pairs) of the best hypothesis with some pairs required and others forbidden."""
+        weight = np.where(forbidden, -FORCE * 10, self.weight + FORCE * required)
+        best: Hypothesis = assign(self.groups, weight, self.prior)
+        return self.score - self._score(best.chosen), best.chosen
+
+    def candidate(self, e: int, own: IntArray, source: int) -> Competitor:
+        result = self.result
+        at = np.flatnonzero(self.pairs == e)[0]
+        forbidden = np.isin(self.pairs, own)
+        forbidden[at] = False
+        required = np.zeros(len(self.pairs), np.bool_)
+        required[at] = True
+        cost, _ = self.solve(required, forbidden)
+        ids = result.second.ids[result.rows_2] if source == 1 else result.first.ids[result.rows_1]
+        terms = {name: float(values[e]) for name, values in result.evidence.terms.items()}
+        prior = float(result.log_odds[e]) - sum(terms.values())
+        if result.best.prior.slope is not None and abs(prior) > 1e-12:
+            terms["prior"] = prior
+        return Competitor(
+            ids[e], float(result.p_pair[e]), max(0.0, cost), float(result.log_odds[e]), terms,
+            result.pairs.residual[e] * (1 if source == 1 else -1), float(np.sqrt(result.pairs.mahalanobis_sq[e])),
+            bool(result.chosen[e]),
+        )  # fmt: skip
+
+    def nobody(self, own: IntArray, candidates: list[Competitor]) -> Competitor:
+        cost, _ = self.solve(np.zeros(len(self.pairs), np.bool_), np.isin(self.pairs, own))
+        alone = not any(c.chosen for c in candidates)
+        probability = max(0.0, 1.0 - sum(c.probability for c in candidates))
+        return Competitor(None, probability, max(0.0, cost), None, {}, None, None, alone)
+
+    def next_best(self) -> tuple[float | None, tuple[list[tuple[Any, Any]], list[tuple[Any, Any]]]]:
+        """Every other hypothesis lacks a chosen pair or adds one: the best over each chosen pair forbidden, and over
+        each pair of two lonely records required."""
+        if len(self.pairs) > SEARCHED * 20 or int(self.chosen.sum()) > SEARCHED:
+            return None, ([], [])
+        none = np.zeros(len(self.pairs), np.bool_)
+        tries = []
+        for at in np.flatnonzero(self.chosen):
+            forbidden = none.copy()
+            forbidden[at] = True
+            tries.append(self.solve(none, forbidden))
+        busy_1 = np.isin(self.groups.local_1, self.groups.local_1[self.chosen])
+        busy_2 = np.isin(self.groups.local_2, self.groups.local_2[self.chosen])
+        for at in np.flatnonzero(~busy_1 & ~busy_2):
+            required = self.chosen.copy()
+            required[at] = True
+            tries.append(self.solve(required, none))
+        if not tries:
+            return None, ([], [])
+        cost, pairs = min(tries, key=lambda t: t[0])
+        added, removed = self.pairs[pairs & ~self.chosen], self.pairs[self.chosen & ~pairs]
+        return max(0.0, cost), (self._ids(added), self._ids(removed))
+
+    def _ids(self, pairs: IntArray) -> list[tuple[Any, Any]]:
+        result = self.result
+        ids = result.first.ids[result.rows_1[pairs]].tolist(), result.second.ids[result.rows_2[pairs]].tolist()
+        return list(zip(*ids, strict=True))
+
+
+def _lines(x: Explanation) -> list[str]:
+    if x.usable:
+        return [f"{x.source} {x.id} (row {x.row}) could not be used: {x.usable}."]
+    if x.group is None:
+        return [f"{x.source} {x.id} (row {x.row}): no record of {x.other} passes the gate; it has no partner."]
+    chosen = next(c for c in x.competitors if c.chosen)
+    who = "has no partner" if chosen.id is None else f"is {x.other} {chosen.id}"
+    lines = [
+        f"{x.source} {x.id} (row {x.row}) {who}, probability {probability_text(chosen.probability)}.",
+        f"Group {x.group}: {x.records[0]} + {x.records[1]} records; posterior by {x.method}.",
+        "",
+        f"{'answer':>22}  {'probability':>11}  {'costs':>8}  {'distance':>8}  {'log-odds':>8}  terms",
+    ]
+    for c in x.competitors:
+        name = "no partner" if c.id is None else str(c.id)
+        mark = "→ " if c.chosen else "  "
+        distance = "" if c.mahalanobis is None else f"{c.mahalanobis:.2f} σ"
+        odds = "" if c.log_odds is None else f"{c.log_odds:+.2f}"
+        terms = ", ".join(f"{key} {value:+.2f}" for key, value in c.terms.items())
+        p = probability_text(c.probability)
+        lines.append(f"{mark + name:>22}  {p:>11}  {c.cost:8.2f}  {distance:>8}  {odds:>8}  {terms}")
+    lines.append("(costs: ln by which the best identification of the whole group with that answer is less probable)")
+    if x.prior:
+        lines.append(x.prior)
+    if x.next_best_cost is not None:
+        added = ", ".join(f"{a} = {b}" for a, b in x.next_best[0]) or "nothing"
+        removed = ", ".join(f"{a} = {b}" for a, b in x.next_best[1]) or "nothing"
+        lines += ["", f"The next best identification of the group is {x.next_best_cost:.2f} less probable (ln): "
+                      f"it has {added} instead of {removed}."]  # fmt: skip
+    return lines
+
+
+def probability_text(p: float) -> str:
+    """A probability in figures that tell it from 0 and 1."""
+    if p > 0.9999:
+        return f"1 − {1 - p:.0e}" if p < 1 else "1"
+    return f"{p:.4f}" if p > 1e-3 else f"{p:.1e}"

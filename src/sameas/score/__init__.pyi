@@ -1,0 +1,30 @@
+"""The public names of scores."""
+
+from .baselines import classified as classified
+from .baselines import enumerated as enumerated
+from .baselines import most_pairs as most_pairs
+from .baselines import mutual_nearest as mutual_nearest
+from .baselines import nearest as nearest
+from .baselines import number_of_hypotheses as number_of_hypotheses
+from .pairs import PairScore as PairScore
+from .pairs import ProbabilityScore as ProbabilityScore
+from .pairs import RecordScore as RecordScore
+from .pairs import Reliability as Reliability
+from .pairs import is_true_pair as is_true_pair
+from .pairs import reliability as reliability
+from .pairs import score_pairs as score_pairs
+from .pairs import score_probabilities as score_probabilities
+from .pairs import score_records as score_records
+from .picture import Identities as Identities
+from .picture import Nees as Nees
+from .picture import PictureScore as PictureScore
+from .picture import Siap as Siap
+from .picture import Standing as Standing
+from .picture import mean_gospa as mean_gospa
+from .picture import nees as nees
+from .picture import pair_score as pair_score
+from .picture import siap as siap
+from .picture import standing as standing
+from .subpattern import Gospa as Gospa
+from .subpattern import gospa as gospa
+from .subpattern import nearest_match as nearest_match

@@ -1,0 +1,339 @@
+"""A picture against the truth: are the right records one object, do objects keep their numbers, are states honest?
+
+For trials whose truth is known: simulated ones, or real motion with modelled sensors. Identity metrics take a table of
+identities, one row per record and instant, from whatever program: when, of which source, which number the program gave
+its object, and which object it truly is (−1: false). So other programs are judged by the same code.
+
+- :func:`pair_score` : precision, recall and F1 of the pairs of records, and the share of instants wholly right.
+- :func:`siap` : completeness, ambiguity, spuriousness, continuity, switches of identity. :func:`standing` : which true
+  object an object of the picture stands for.
+- :func:`nees` : whether fused states are as near to the truth as their covariances say. :func:`mean_gospa` : how far
+  the picture as a whole is from the truth.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.errors import InputError
+from sameas.score.pairs import PairScore
+from sameas.score.subpattern import Gospa, gospa
+
+FALSE = -1
+
+
+@dataclass(frozen=True)
+class Identities:
+    """Which object every record was said to be, and which it is. Make it with :meth:`of`.
+
+    Attributes
+    ----------
+    time_s : (n,) the instant. source : (n,) number of the source. told : (n,) number of the object in the picture.
+    true : (n,) number of the true object, −1 for a false record. Rows are in the order of instants.
+    """
+
+    time_s: FloatArray
+    source: IntArray
+    told: IntArray
+    true: IntArray
+
+    @classmethod
+    def of(cls, records: Mapping[str, ArrayLike], true: ArrayLike) -> Identities:
+        """From the columns time_s, source and object of a picture's records, and the truth of each row.
+
+        A record without an object (masked, or a negative number) is an object of its own.
+
+        Raises
+        ------
+        InputError : a column is missing or of another length.
+        """
+        missing = [name for name in ("time_s", "source", "object") if name not in records]
+        if missing:
+            raise InputError(f"identities: no column {missing[0]}; give time_s, source and object")
+        time_s, truth = np.asarray(records["time_s"], np.float64), np.asarray(true, np.int64)
+        told = np.ma.filled(np.ma.asarray(records["object"]), -1).astype(np.int64)
+        _, source = np.unique(np.asarray(records["source"]).astype(str), return_inverse=True)
+        if not len(time_s) == len(truth) == len(told) == len(source):
+            raise InputError(f"identities: {len(time_s)} times for {len(told)} objects and {len(truth)} truths")
+        told = np.where(told < 0, told.max(initial=0) + 1 + np.arange(len(told)), told)
+        order = np.lexsort([source, told, time_s])
+        return cls(time_s[order], source[order].astype(np.int64), told[order], truth[order])
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    @property
+    def instants(self) -> tuple[FloatArray, IntArray]:
+        """The distinct times (k,), and which of them every row is of (n,)."""
+        times, which = np.unique(self.time_s, return_inverse=True)
+        return times, which.astype(np.int64)
+
+
+@dataclass(frozen=True)
+class PictureScore:
+    """Pairs of records of two sources, over all instants. right : (k,) whether each instant is wholly right."""
+
+    pairs: PairScore
+    right: BoolArray
+
+    @property
+    def share_right(self) -> float:
+        """Share of the instants at which every record is with exactly those that are the same object; NaN without."""
+        return float(self.right.mean()) if len(self.right) else math.nan
+
+
+def pair_score(identities: Identities) -> PictureScore:
+    """Precision, recall and F1 of pairs, and instants wholly right.
+
+    A pair is two records of different sources at one instant; it is told where both are in one object, true where both
+    are of one true object. Where a source shows an object twice (a track that broke, and its successor), it has as many
+    true pairs with another source as can be made one to one.
+
+    Example
+    -------
+    >>> records = {"time_s": [0, 0, 0, 0], "source": ["a", "b", "a", "b"], "object": [1, 1, 2, 3]}
+    >>> score = pair_score(Identities.of(records, [5, 5, 6, 6]))
+    >>> score.pairs.precision, score.pairs.recall, score.share_right
+    (1.0, 0.5, 0.0)
+    """
+    times, instant = identities.instants
+    single = len(identities) + np.arange(len(identities))
+    true = np.where(identities.true == FALSE, single, identities.true)
+    told_of = _Sightings.of(instant, identities.told, identities.source).pairs(len(times))
+    true_of = _Sightings.of(instant, true, identities.source).pairs_one_to_one(len(times))
+    both = np.unique(np.column_stack([identities.told, true]), axis=0, return_inverse=True)[1].reshape(-1)
+    right_of = _Sightings.of(instant, both, identities.source).pairs_one_to_one(len(times))
+    score = PairScore(int(told_of.sum()), int(true_of.sum()), int(right_of.sum()))
+    return PictureScore(score, (told_of == right_of) & (true_of == right_of))
+
+
+@dataclass(frozen=True)
+class _Sightings:
+    """How often each source shows each object at each instant (c,), sources that show it least first."""
+
+    instant: IntArray
+    begins: BoolArray
+    times: IntArray
+
+    @classmethod
+    def of(cls, instant: IntArray, object: IntArray, source: IntArray) -> _Sightings:
+        cells, times = np.unique(np.column_stack([instant, object, source]), axis=0, return_counts=True)
+        order = np.lexsort([times, cells[:, 1], cells[:, 0]])
+        cells, begins = cells[order], np.ones(len(cells), bool)
+        begins[1:] = np.any(cells[1:, :2] != cells[:-1, :2], axis=1)
+        return cls(cells[:, 0], begins, times[order])
+
+    def pairs(self, count: int) -> IntArray:
+        """(count,) pairs of records of different sources in one object, per instant."""
+        first = np.flatnonzero(self.begins)
+        whole, own = (np.add.reduceat(x, first) if len(first) else x for x in (self.times, self.times**2))
+        return np.bincount(self.instant[first], (whole**2 - own) // 2, count).astype(np.int64)
+
+    def pairs_one_to_one(self, count: int) -> IntArray:
+        """(count,) the most pairs with no record twice between two sources: Σ_{a<b} min(c_a, c_b), per instant."""
+        n = len(self.instant)
+        ends = np.append(np.flatnonzero(self.begins)[1:], n)
+        after = (ends[np.cumsum(self.begins) - 1] if n else ends[:0]) - 1 - np.arange(n)
+        return np.bincount(self.instant, self.times * after, count).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class Siap:
+    """Metrics of the Single Integrated Air Picture, and switches.
+
+    Attributes
+    ----------
+    completeness : share of the true objects, over instants, that an object of the picture stands for; 1 is best.
+    ambiguity : objects of the picture that stand for a true object, per true object that has one; 1 is best.
+    spuriousness : share of the picture's objects that stand for no true object; 0 is best.
+    continuity : share of the true objects' time for which the one that stands for them longest does; 1 is best.
+    number_changes_per_hour : the least number of changes of number with which the picture can be followed, per hour of
+        objects followed.
+    switches : how often a true object's number changes from the one it had last (identity switches of CLEAR MOT).
+    """
+
+    completeness: float
+    ambiguity: float
+    spuriousness: float
+    continuity: float
+    number_changes_per_hour: float
+    switches: int
+
+
+def siap(identities: Identities) -> Siap:
+    """How completely, unambiguously and lastingly the objects of a picture stand for the true ones.
+
+    An object of the picture stands for the true object that most of its records are of at the instant; where the vote
+    is even, or the most are false, for none. An object that a source shows exists; one that no source shows is not
+    asked for. Times are counted in instants.
+
+    Source: Votruba, Nisley, Rothrock and Zombro, "Single Integrated Air Picture (SIAP) Metrics Implementation", SIAP SE
+    TF Technical Report 2001-001 (2001): completeness, ambiguity, spurious tracks, longest track segment, rate of track
+    number change. Switches: Bernardin and Stiefelhagen, EURASIP J. Image Video Process. 2008, 246309.
+
+    Example
+    -------
+    >>> records = {"time_s": [0, 1, 2, 3], "source": ["a"] * 4, "object": [1, 1, 2, 2]}
+    >>> found = siap(Identities.of(records, [0, 0, 0, 0]))
+    >>> found.completeness, found.continuity, found.switches
+    (1.0, 0.5, 1)
+    """
+    stands = standing(identities)
+    held_by = stands.where(stands.true != FALSE)
+    times, instant = identities.instants
+    shown = len(np.unique(np.column_stack([instant, identities.true])[identities.true != FALSE], axis=0))
+    held = len(np.unique(np.column_stack([held_by.instant, held_by.true]), axis=0))
+    single = [held_by.where(held_by.true == one) for one in np.unique(held_by.true)]
+    hours = held * _step(times) / 3600.0
+    return Siap(
+        completeness=_ratio(held, shown),
+        ambiguity=_ratio(len(held_by), held),
+        spuriousness=_ratio(len(stands) - len(held_by), len(stands)),
+        continuity=_ratio(sum(_longest(one) for one in single), shown),
+        number_changes_per_hour=_ratio(sum(_fewest_changes(one) for one in single), hours),
+        switches=sum(_switches(one) for one in single),
+    )
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Per object of the picture and instant (k,), in the order of time: which true object it stands for.
+
+    instant : which of the distinct times. told : the object's number in the picture. true : of the true object that
+    most of its records are of; −1 where the vote is even or the most are false. votes : the number of those records.
+    """
+
+    time_s: FloatArray
+    instant: IntArray
+    told: IntArray
+    true: IntArray
+    votes: IntArray
+
+    def __len__(self) -> int:
+        return len(self.told)
+
+    def where(self, which: BoolArray) -> Standing:
+        """Some of the rows."""
+        return Standing(*(column[which] for column in vars(self).values()))
+
+
+def standing(identities: Identities) -> Standing:
+    """Which true object every object of the picture stands for at every instant."""
+    times, instant = identities.instants
+    cells, votes = np.unique(np.column_stack([instant, identities.told, identities.true]), axis=0, return_counts=True)
+    # The most votes stand last of each object.
+    order = np.lexsort([votes, cells[:, 1], cells[:, 0]])
+    cells, votes = cells[order], votes[order]
+    last = np.ones(len(cells), bool)
+    last[:-1] = np.any(cells[1:, :2] != cells[:-1, :2], axis=1)
+    even = np.zeros(len(cells), bool)
+    even[1:] = ~last[:-1] & (votes[1:] == votes[:-1])
+    true = np.where(even, FALSE, cells[:, 2])
+    return Standing(times[cells[last, 0]], cells[last, 0], cells[last, 1], true[last], votes[last])
+
+
+def _longest(one: Standing) -> int:
+    """Instants for which the object that stands longest for a true one does."""
+    return int(np.unique(one.told, return_counts=True)[1].max())
+
+
+def _fewest_changes(one: Standing) -> int:
+    """Changes of number when every instant keeps the number that lasts longest without a gap."""
+    held = [set(one.told[one.instant == step].tolist()) for step in np.unique(one.instant)]
+    changes, going = 0, held[0]
+    for now in held[1:]:
+        going = going & now
+        if not going:
+            changes, going = changes + 1, now
+    return changes
+
+
+def _switches(one: Standing) -> int:
+    """Changes of the number that was last, which is kept for as long as it stands for the object."""
+    last, switches = -1, 0
+    for step in np.unique(one.instant):
+        here = np.flatnonzero(one.instant == step)
+        if last in one.told[here]:
+            continue
+        best = int(one.told[here[np.lexsort([one.told[here], -one.votes[here]])[0]]])
+        switches += last >= 0
+        last = best
+    return switches
+
+
+def _step(times: FloatArray) -> float:
+    return float(np.median(np.diff(times))) if len(times) > 1 else math.nan
+
+
+def _ratio(part: float, whole: float) -> float:
+    return part / whole if whole else math.nan
+
+
+@dataclass(frozen=True)
+class Nees:
+    """Normalised estimation error squared of n states of d components: on average d where covariances are honest.
+
+    low, high : between which the mean lies with 95 % if they are and the states are independent.
+    median, median_due : what a few wild states do not change, and what it is of honest covariances.
+    """
+
+    mean: float
+    median: float
+    median_due: float
+    low: float
+    high: float
+    n: int
+    d: int
+
+
+def nees(found: ArrayLike, covariance: ArrayLike, true: ArrayLike) -> Nees:
+    """Whether errors of fused states are what their covariances say: (x̂ − x)ᵀ P⁻¹ (x̂ − x).
+
+    Parameters
+    ----------
+    found, true : (n, d) states of the picture's objects and of the objects they stand for; rows with NaN are left out.
+    covariance : (n, d, d).
+
+    Source: Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), 5.4.2.
+
+    Example
+    -------
+    >>> nees([[3.0, 4.0]], [[[25.0, 0.0], [0.0, 25.0]]], [[0.0, 0.0]]).mean
+    1.0
+    """
+    from scipy.stats import chi2
+
+    off = np.asarray(found, np.float64) - np.asarray(true, np.float64)
+    spread = np.asarray(covariance, np.float64)
+    if off.ndim != 2 or spread.shape != (*off.shape, off.shape[-1]):
+        raise InputError(f"nees: states {off.shape}, covariances {spread.shape}; give (n, d) and (n, d, d)")
+    known = np.isfinite(off).all(axis=1)
+    off, spread = off[known], spread[known]
+    n, d = off.shape
+    due = float(chi2.median(d))
+    if not n:
+        return Nees(math.nan, math.nan, due, math.nan, math.nan, 0, d)
+    square = np.einsum("nv,nv->n", off, np.linalg.solve(spread, off[..., None])[..., 0])
+    low, high = (float(chi2.ppf(p, n * d)) / n for p in (0.025, 0.975))
+    return Nees(float(square.mean()), float(np.median(square)), due, low, high, n, d)
+
+
+def mean_gospa(
+    pictures: Iterable[tuple[ArrayLike, ArrayLike]], *, cutoff: float, order: float = 2.0
+) -> tuple[float, list[Gospa]]:
+    """The mean over instants of :func:`sameas.score.subpattern`, and its parts at every instant.
+
+    pictures : per instant the positions found (n, d) and the true ones (m, d).
+
+    >>> mean, _ = mean_gospa([([[0.0, 0.0]], [[0.0, 3.0]]), ([[0.0, 0.0]], [[0.0, 5.0]])], cutoff=50.0)
+    >>> round(mean, 6)
+    4.0
+    """
+    parts = [gospa(found, true, cutoff=cutoff, order=order) for found, true in pictures]
+    return (float(np.mean([part.distance for part in parts])) if parts else math.nan), parts

@@ -1,0 +1,13 @@
+"""Scenes whose truth is known, to try a method on before it sees the real thing.
+
+What to use when:
+
+- records of two sources: :func:`poisson_field`, :func:`line`, :func:`grid`, :func:`sky_field`, :func:`crowded_sky`;
+- catalogues with magnitudes, as repeated exposures of one field: :func:`exposure` of a :class:`Sky`;
+- a CCD frame, pixel by pixel: :func:`frame_of_sky` of a :class:`Camera`;
+- radars and transponders that watch moving targets: :class:`Sensor`, :class:`Tracker` on :class:`TrueMotion`.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

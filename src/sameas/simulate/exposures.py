@@ -1,0 +1,203 @@
+"""Exposures: a frame and the catalogue of its field, with magnitudes and known truth.
+
+The frame sees stars down to its limit, with errors that grow towards it; some of what it sees is in no catalogue and
+some is not real. The catalogue is deeper and was made years before: its stars have moved, by what it says of their
+motions and by what it does not know of them, and its errors are as much wider.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sameas.arrays import FloatArray, IntArray
+from sameas.evidence import Magnitudes
+from sameas.records import Records
+from sameas.simulate.areas import LonLatBox
+from sameas.simulate.scenes import SimulatedScene
+from sameas.space import Sphere, displaced
+
+
+@dataclass(frozen=True)
+class Sky:
+    """The stars, the catalogue of them, and the frame.
+
+    stars_per_deg2 : stars down to ``faintest``, whose number grows as 10^(``steepness`` · m) from ``brightest`` on.
+    catalogue_sigma_arcsec, motion_sigma_mas_per_yr : errors of the catalogue at its epoch, bright and faint ends.
+    unknown_motion : share of its stars without a motion, which are drawn from N(0, ``motion_mas_per_yr``²) per axis.
+    gap_yr : between catalogue and frame. uncatalogued : share of the stars that the catalogue lacks.
+    frame_sigma_arcsec : errors of the frame's positions, bright end and limit. shown : greatest probability that the
+    frame shows a star; it falls to half of it at ``limit`` over ``softness`` mag.
+    false_share : of the frame's measurements that are no stars; faint ones, as it likes them near its limit.
+    zero_point, colour_term, scatter : of the frame's magnitude against the catalogue's first and second band, mag.
+    """
+
+    stars_per_deg2: float = 240_000.0
+    brightest: float = 12.0
+    faintest: float = 20.5
+    steepness: float = 0.25
+    catalogue_sigma_arcsec: tuple[float, float] = (0.05, 0.2)
+    motion_sigma_mas_per_yr: tuple[float, float] = (1.0, 6.0)
+    motion_mas_per_yr: float = 12.0
+    unknown_motion: float = 0.2
+    gap_yr: float = 15.0
+    uncatalogued: float = 0.08
+    frame_sigma_arcsec: tuple[float, float] = (0.05, 0.26)
+    shown: float = 0.98
+    limit: float = 19.0
+    softness: float = 0.3
+    false_share: float = 0.08
+    zero_point: float = 0.35
+    colour_term: float = 0.08
+    scatter: float = 0.06
+
+    def completeness(self, magnitude: FloatArray) -> FloatArray:
+        """P_d(m): (n,) the probability that the frame shows a star."""
+        return self.shown / (1.0 + np.exp((magnitude - self.limit) / self.softness))
+
+    def depth(self, magnitude: FloatArray, faint: float) -> FloatArray:
+        """(n,) where errors stand between their bright and faint ends, 0 … 1."""
+        return np.clip((magnitude - self.brightest) / (faint - self.brightest), 0.0, 1.0) ** 2
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """A frame (source 1) and the catalogue of its field (source 2), at the frame's epoch.
+
+    scene : records and truth. brightness : magnitudes of either, the catalogue's in two bands. sky : what made them.
+    area_arcsec2 : of the frame. magnitude, colour : (n_objects,) true magnitudes in the catalogue's first band, and
+    those minus the ones in its second.
+    """
+
+    scene: SimulatedScene
+    brightness: tuple[Magnitudes, Magnitudes]
+    sky: Sky
+    area_arcsec2: float
+    magnitude: FloatArray
+    colour: FloatArray
+
+
+def exposure(
+    rng: np.random.Generator, sky: Sky | None = None, *, side_deg: float = 0.1, missing: float = 0.0
+) -> Exposure:
+    """A square frame of ``side_deg``; a share of the magnitudes ``missing`` in each band.
+
+    Example
+    -------
+    >>> made = exposure(np.random.default_rng(1), side_deg=0.05)
+    >>> len(made.scene.first) < len(made.scene.second)
+    True
+    """
+    sky = Sky() if sky is None else sky
+    field = LonLatBox((150.0, 150.0 + side_deg), (-0.5 * side_deg, 0.5 * side_deg))
+    stars = _TrueStars.drawn(rng, sky, field, rng.poisson(sky.stars_per_deg2 * side_deg**2))
+    shown = np.flatnonzero(rng.uniform(size=len(stars.magnitude)) < sky.completeness(stars.magnitude))
+    listed = np.flatnonzero(rng.uniform(size=len(stars.magnitude)) >= sky.uncatalogued)
+    false = rng.poisson(sky.false_share / (1.0 - sky.false_share) * len(shown))
+    everything = stars.with_false(rng, sky, field, false)
+    numbers = np.concatenate([shown, np.arange(len(stars.magnitude), len(everything.magnitude))])
+    frame, frame_magnitudes, truth_1 = everything.framed(rng, sky, rng.permutation(numbers), missing)
+    catalogue, magnitudes, truth_2 = everything.catalogued(rng, sky, rng.permutation(listed), missing)
+    scene = SimulatedScene(
+        frame, catalogue, truth_1, truth_2, truth_1 >= len(stars.magnitude), np.zeros(len(truth_2), np.bool_)
+    )
+    area = (side_deg * 3600.0) ** 2
+    return Exposure(scene, (frame_magnitudes, magnitudes), sky, area, everything.magnitude, everything.colour)
+
+
+@dataclass(frozen=True)
+class _TrueStars:
+    """Directions (n, 2) at the frame's epoch, magnitudes in the catalogue's first band, and colours."""
+
+    position_deg: FloatArray
+    magnitude: FloatArray
+    colour: FloatArray
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator, sky: Sky, field: LonLatBox, n: int) -> _TrueStars:
+        # Inverse of the cumulated count, which grows as 10^(steepness · m).
+        low, high = 10 ** (sky.steepness * np.array([sky.brightest, sky.faintest]))
+        magnitude = np.log10(rng.uniform(low, high, n)) / sky.steepness
+        colour = 0.8 + 0.08 * (magnitude - 16.0) + 0.35 * rng.standard_normal(n)
+        return cls(field.draw(rng, n), magnitude, colour)
+
+    def with_false(self, rng: np.random.Generator, sky: Sky, field: LonLatBox, n: int) -> _TrueStars:
+        """These and n false detections, whose magnitudes crowd towards the limit."""
+        magnitude = np.maximum(sky.limit + 0.4 - rng.exponential(0.8, n), sky.brightest)
+        position = np.concatenate([self.position_deg, field.draw(rng, n)])
+        return _TrueStars(position, np.append(self.magnitude, magnitude), np.append(self.colour, np.full(n, 0.8)))
+
+    def framed(
+        self, rng: np.random.Generator, sky: Sky, numbers: IntArray, missing: float
+    ) -> tuple[Records, Magnitudes, IntArray]:
+        """The frame's measurements of these."""
+        magnitude, colour = self.magnitude[numbers], self.colour[numbers]
+        low, high = sky.frame_sigma_arcsec
+        spread = low + (high - low) * sky.depth(magnitude, sky.limit)
+        records = _measured(rng, self.position_deg[numbers], spread, "frame")
+        error = 0.01 + 0.12 * sky.depth(magnitude, sky.limit)
+        true = magnitude + sky.zero_point + sky.colour_term * (colour - 0.8)
+        seen = true + np.hypot(sky.scatter, error) * rng.standard_normal(len(numbers))
+        return records, _bands(rng, seen[:, None], error[:, None], missing, ("frame",)), numbers
+
+    def catalogued(
+        self, rng: np.random.Generator, sky: Sky, numbers: IntArray, missing: float
+    ) -> tuple[Records, Magnitudes, IntArray]:
+        """The catalogue's stars, moved to the frame's epoch with what it knows of their motions."""
+        magnitude = self.magnitude[numbers]
+        depth = sky.depth(magnitude, sky.faintest)
+        still, motion = ((low + (high - low) * depth) for low, high in (
+            sky.catalogue_sigma_arcsec, sky.motion_sigma_mas_per_yr,
+        ))  # fmt: skip
+        unknown = rng.uniform(size=len(numbers)) < sky.unknown_motion
+        motion = np.where(unknown, sky.motion_mas_per_yr, motion)
+        spread = np.hypot(still, 1e-3 * motion * sky.gap_yr)
+        records = _measured(rng, self.position_deg[numbers], spread, "catalogue")
+        true = np.column_stack([magnitude, magnitude - self.colour[numbers]])
+        error = np.broadcast_to((0.01 + 0.05 * depth)[:, None], true.shape)
+        seen = true + error * rng.standard_normal(true.shape)
+        return records, _bands(rng, seen, error, missing, ("V", "I")), numbers
+
+
+def _measured(rng: np.random.Generator, position_deg: FloatArray, spread: FloatArray, name: str) -> Records:
+    """Directions displaced as far as their ellipses say: axes of (1 ± e), e to 0.5, at any angle."""
+    n = len(spread)
+    stretch, angle = rng.uniform(0.0, 0.5, n), rng.uniform(0.0, np.pi, n)
+    major, minor = spread * np.sqrt(1.0 + stretch), spread * np.sqrt(1.0 - stretch)
+    sine, cosine = np.sin(angle), np.cos(angle)
+    along, across = major * rng.standard_normal(n), minor * rng.standard_normal(n)
+    offset = np.column_stack([along * sine - across * cosine, along * cosine + across * sine])
+    east, north = (major * sine) ** 2 + (minor * cosine) ** 2, (major * cosine) ** 2 + (minor * sine) ** 2
+    both = (major**2 - minor**2) * sine * cosine
+    covariance = np.stack([east, both, both, north], axis=1).reshape(-1, 2, 2)
+    return Records.of(displaced(position_deg, offset), covariance=covariance, space=Sphere(), source=name)
+
+
+def _bands(
+    rng: np.random.Generator, seen: FloatArray, error: FloatArray, missing: float, names: tuple[str, ...]
+) -> Magnitudes:
+    lost = rng.uniform(size=seen.shape) < missing
+    return Magnitudes(np.where(lost, np.nan, seen), np.where(lost, np.nan, error), names)
+
+
+def misquoted(scene: SimulatedScene, factor: float) -> SimulatedScene:
+    """The same records, with errors quoted ``factor`` times smaller than they are."""
+    first, second = (replace(r, covariance=r.covariance / factor**2) for r in (scene.first, scene.second))
+    return replace(scene, first=first, second=second)
+
+
+def with_outliers(
+    rng: np.random.Generator, scene: SimulatedScene, share: float, sigmas: float = 10.0
+) -> SimulatedScene:
+    """The same, with a share of either source's records displaced by so many of their σ, in any direction."""
+    moved = []
+    for records in (scene.first, scene.second):
+        n = len(records)
+        sigma = np.sqrt(0.5 * (records.covariance[:, 0] + records.covariance[:, -1]))
+        far = np.where(rng.uniform(size=n) < share, sigmas * sigma, 0.0)
+        angle = rng.uniform(0.0, 2.0 * np.pi, n)
+        offset = far[:, None] * np.column_stack([np.sin(angle), np.cos(angle)])
+        features = np.where(far[:, None] > 0.0, displaced(records.features, offset), records.features)
+        moved.append(replace(records, features=features))
+    return replace(scene, first=moved[0], second=moved[1])

@@ -1,0 +1,27 @@
+"""The public names of the sky."""
+
+from .catalogue import Catalogue as Catalogue
+from .catalogue import CatalogueOptions as CatalogueOptions
+from .crossmatch import MatchOptions as MatchOptions
+from .crossmatch import SkyMatch as SkyMatch
+from .crossmatch import match as match
+from .crossmatch import nearest as nearest
+from .frame.detect import detect as detect
+from .frame.field import Cone as Cone
+from .frame.field import StarField as StarField
+from .frame.identified import FrameIdentification as FrameIdentification
+from .frame.identified import identify_frame as identify_frame
+from .frame.image import Frame as Frame
+from .frame.listing import listing as listing
+from .frame.place import Placement as Placement
+from .frame.place import place as place
+from .frame.pointing_hints import Aim as Aim
+from .frame.pointing_hints import AllSky as AllSky
+from .frame.pointing_hints import ApproximateWcs as ApproximateWcs
+from .frame.solve import solve as solve
+from .frame.tangent import Pointing as Pointing
+from .joins import joined as joined
+from .many import ManyMatch as ManyMatch
+from .many import ManyOptions as ManyOptions
+from .many import joined_many as joined_many
+from .many import match_many as match_many

@@ -1,0 +1,167 @@
+"""Cells: numbers out of table columns, whatever their unit, notation or way of saying nothing.
+
+Every function takes a table and the name of a column and returns float64, NaN where the cell is empty.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from typing import Any
+
+import numpy as np
+from astropy import units as u
+from astropy.table import QTable, Table
+from numpy.typing import NDArray
+
+from sameas.arrays import FloatArray
+from sameas.errors import InputError
+
+_SEXAGESIMAL = re.compile(r"^\s*[+-−]?\s*\d+\s*[:hd°\s]\s*\d+", re.IGNORECASE)
+_SEPARATORS = re.compile(r"[:hdms°'\"′″\s]+", re.IGNORECASE)
+
+
+def as_table(data: Any, source: str) -> Table:
+    """An astropy Table of a Table, QTable, dict of arrays, pyarrow Table or pandas DataFrame; the
+    data are shared where that is possible."""
+    if isinstance(data, QTable):
+        return Table(data, copy=False)
+    if isinstance(data, Table):
+        return data
+    if isinstance(data, dict):
+        return Table(data, copy=False)
+    if hasattr(data, "column_names") and hasattr(data, "schema"):
+        return Table({name: _from_arrow(data.column(name)) for name in data.column_names}, copy=False)
+    if hasattr(data, "iloc") and hasattr(data, "columns"):
+        return Table.from_pandas(data)
+    raise InputError(
+        f"{source}: {type(data).__name__} is not a table; give an astropy Table, a dict of arrays, "
+        "a pyarrow Table or a pandas DataFrame"
+    )
+
+
+def _from_arrow(column: Any) -> NDArray[Any]:
+    if not column.null_count:
+        return np.asarray(column.to_numpy())
+    values = column.to_pylist()
+    empty = np.array([value is None for value in values])
+    filler = next((value for value in values if value is not None), np.nan)
+    return np.ma.MaskedArray(np.array([filler if value is None else value for value in values]), mask=empty)
+
+
+def unit_of(table: Table, name: str) -> u.UnitBase | None:
+    """The unit that the column says, None where it says none that we can read."""
+    unit = getattr(table[name], "unit", None)
+    if unit is None or isinstance(unit, u.UnrecognizedUnit) or unit == u.dimensionless_unscaled:
+        return None
+    return u.Unit(unit)
+
+
+def is_text(table: Table, name: str) -> bool:
+    """Does the column hold words?"""
+    return table[name].dtype.kind in "USO"
+
+
+def is_sexagesimal(table: Table, name: str) -> bool:
+    """Does the column hold angles written like 12 34 56.7 or 12:34:56.7?"""
+    if not is_text(table, name):
+        return False
+    return any(_SEXAGESIMAL.match(text) for text in _texts(table, name)[:1000])
+
+
+def _texts(table: Table, name: str) -> list[str]:
+    column = table[name]
+    empty = np.ma.getmaskarray(column) if hasattr(column, "mask") else np.zeros(len(column), bool)
+    return [
+        "" if gone or cell is None else cell.decode() if isinstance(cell, bytes) else str(cell)
+        for cell, gone in zip(np.ma.getdata(column).tolist(), np.broadcast_to(empty, len(column)), strict=True)
+    ]
+
+
+def numbers(table: Table, name: str, source: str) -> FloatArray:
+    """(n,) the column's numbers in its own unit."""
+    column = table[name]
+    if getattr(column, "ndim", 1) != 1:
+        raise InputError(f"{source}: column {name!r} has {column.ndim} dimensions; give one with a number per row")
+    if is_text(table, name):
+        return _parsed(_texts(table, name), float, name, source)
+    values = np.ma.asarray(column.value if isinstance(column, u.Quantity) else column)
+    return np.asarray(np.ma.filled(values.astype(np.float64), np.nan))
+
+
+def _parsed(texts: list[str], reader: Any, name: str, source: str) -> FloatArray:
+    values = np.full(len(texts), np.nan)
+    for row, text in enumerate(texts):
+        stripped = text.strip()
+        if stripped and stripped.lower() not in ("nan", "null", "none", "--"):
+            try:
+                values[row] = reader(stripped.replace("−", "-"))
+            except ValueError:
+                raise InputError(f"{source}: column {name!r}, row {row}: {text!r} is not a number") from None
+    return values
+
+
+def sexagesimal(table: Table, name: str, source: str) -> FloatArray:
+    """(n,) the column's angles in hours or degrees, as they are written."""
+    return _parsed(_texts(table, name), _from_sexagesimal, name, source)
+
+
+def _from_sexagesimal(text: str) -> float:
+    sign = -1.0 if text.startswith("-") else 1.0
+    parts = [float(part) for part in _SEPARATORS.split(text.lstrip("+-")) if part]
+    if not parts or len(parts) > 3:
+        raise ValueError(text)
+    return sign * sum(part / 60.0**k for k, part in enumerate(parts))
+
+
+def years(table: Table, name: str, source: str) -> FloatArray:
+    """(n,) Julian years of a column of Julian years, MJD, JD, ISO dates or astropy Times."""
+    column = table[name]
+    if hasattr(column, "jyear"):
+        return np.asarray(np.ma.filled(np.ma.asarray(column.jyear, dtype=np.float64), np.nan))
+    if is_text(table, name):
+        return _parsed(_texts(table, name), year_of, name, source)
+    if column.dtype.kind == "M":
+        return _years_of_dates(np.asarray(column, dtype="datetime64[us]"))
+    values = numbers(table, name, source)
+    known = values[np.isfinite(values)]
+    middle = float(np.median(known)) if len(known) else 2000.0
+    if 1700 < middle < 2300:
+        return values
+    if 15000 < middle < 100000:
+        return mjd_to_jyr(values)
+    if 2.3e6 < middle < 2.6e6:
+        return mjd_to_jyr(values - 2400000.5)
+    raise InputError(
+        f"{source}: column {name!r} (about {middle:g}) is no epoch; give a column of Julian years, MJD, JD "
+        "or dates, or --epoch YEAR"
+    )
+
+
+def year_of(text: str) -> float:
+    """The Julian year of a text: 2016.0, J2016.0, an MJD, a JD or an ISO date; ValueError if it is none."""
+    try:
+        value = float(text.lstrip("Jj"))
+    except ValueError:
+        # NumPy warns of a time zone and means UTC, as we do.
+        return float(_years_of_dates(np.array([text.strip().rstrip("Z")], dtype="datetime64[us]"))[0])
+    if 2.3e6 < value < 2.6e6:
+        return float(mjd_to_jyr(value - 2400000.5))
+    return float(mjd_to_jyr(value)) if 15000 < value < 100000 else value
+
+
+def mjd_to_jyr(mjd: Any) -> Any:
+    """Julian years of modified Julian dates: 2000 + (MJD − 51544.5) / 365.25."""
+    return 2000.0 + (mjd - 51544.5) / 365.25
+
+
+def _years_of_dates(dates: NDArray[Any]) -> FloatArray:
+    days = (dates - np.datetime64("2000-01-01T12:00:00")) / np.timedelta64(1, "D")
+    return np.asarray(2000.0 + days / 365.25, dtype=np.float64)
+
+
+def factor(unit: str, target: str) -> float:
+    """What a number in ``unit`` is multiplied by to be in ``target``."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", u.UnitsWarning)
+        return float(u.Unit(unit).to(u.Unit(target)))

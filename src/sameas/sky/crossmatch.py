@@ -1,0 +1,391 @@
+"""Two catalogues identified: brought to one epoch, everything unknown estimated, and what motion did to the residuals.
+
+Data passes: two :class:`Catalogue` → epoch → two ``Records`` on the sphere → ``estimate.match`` → :class:`SkyMatch`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
+
+import numpy as np
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.errors import InputError
+from sameas.estimate.coverage import Coverage
+from sameas.estimate.match import Estimate
+from sameas.estimate.match import match as estimated
+from sameas.evidence import Errors
+from sameas.gate import ChiSquare, Radius
+from sameas.kernels import threads
+from sameas.records import Records
+from sameas.result import Identification
+from sameas.sky.bands import AUTO, magnitudes_of
+from sameas.sky.catalogue import Catalogue
+from sameas.sky.rotation import Rotation, find_turn, left_over
+from sameas.space import ARCSEC_PER_RADIAN, sphere_offset
+
+# The nearest neighbour, one record at a time: what most programs give, kept to be compared with.
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """rows : (n,) table row of the nearest record; separation_arcsec : (n,) how far it is."""
+
+    rows: IntArray
+    separation_arcsec: FloatArray
+
+
+def nearest(first: Records, second: Records) -> Nearest:
+    """The nearest record of ``second`` to each record of ``first``, on the sphere, whatever their errors."""
+    from scipy.spatial import cKDTree
+
+    distance, at = cKDTree(_directions(second.features)).query(_directions(first.features), workers=-1)
+    return Nearest(second.rows[at], 2.0 * np.arcsin(np.minimum(distance / 2.0, 1.0)) * ARCSEC_PER_RADIAN)
+
+
+def _directions(position_deg: FloatArray) -> FloatArray:
+    lon, lat = np.radians(position_deg).T
+    return np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+
+
+ARCSEC2_PER_DEG2 = 3600.0**2
+#: More records of either catalogue than this within one typical error: nothing can be told apart.
+BLURRED = 20.0
+#: Rows from which only every so manieth ring of cells is looked at for that.
+FEW_ROWS, RINGS = 100_000, 16.0
+#: Sources have next to nothing in common where no more than this share of the poorer one, and no more than so many
+#: standard errors, is expected.
+SPARSE, TELLING = 0.05, 3.0
+
+
+@dataclass(frozen=True)
+class MatchOptions:
+    """What the user says of the match; everything not said is estimated or decided by the catalogues.
+
+    epoch_jyr : common epoch, Julian year. gate_sigmas : radius of the gate in quoted standard deviations.
+    error_scale : "auto" estimates how residuals spread about the quoted errors; a number takes that factor.
+    density_per_deg2 : (first, second) densities of all records, instead of local ones from the data.
+    magnitudes : "auto" takes those of both catalogues as evidence, "off" leaves it to the positions; columns by name
+        as "G,BP:J,H" (see ``sky.bands``).
+    precision : whether the sizes of the quoted errors are evidence too, where magnitudes tell too little.
+    offset : "none" believes that both are on one frame, and doubts it where the pairs say else; "find" looks for the
+        shift and turn of the second catalogue and takes it away (see ``sky.turn``).
+    """
+
+    epoch_jyr: float | None = None
+    gate_sigmas: float | None = None
+    error_scale: float | str = "auto"
+    density_per_deg2: tuple[float, float] | None = None
+    magnitudes: str = AUTO
+    offset: str = "none"
+    precision: bool = True
+
+    def errors(self) -> Errors | None:
+        """The spread of the residuals, None where it is to be estimated."""
+        if self.error_scale == "auto":
+            return None
+        scale = _number(self.error_scale)
+        if scale is None or not 0.0 < scale < math.inf:
+            raise InputError(f'error scale is {self.error_scale!r}; give "auto" or a positive factor')
+        return Errors((scale,), (1.0,))
+
+    def gate(self) -> ChiSquare | Radius | None:
+        """The gate, None where it is to be chosen."""
+        return None if self.gate_sigmas is None else Radius(self.gate_sigmas)
+
+    def density(self) -> tuple[float, float] | None:
+        """Densities per arcsec², None where they come from the data."""
+        if self.density_per_deg2 is None:
+            return None
+        if not all(0.0 < value < math.inf for value in self.density_per_deg2):
+            raise InputError("density: give two positive numbers, records per square degree of either catalogue")
+        return self.density_per_deg2[0] / ARCSEC2_PER_DEG2, self.density_per_deg2[1] / ARCSEC2_PER_DEG2
+
+
+@dataclass(frozen=True)
+class SkyMatch:
+    """Two catalogues identified.
+
+    epoch_jyr : the epoch both were brought to, None where each stayed where it was observed.
+    moved : one sentence on what was moved and why. doubts : what looks wrong with the result.
+    turn : of the second catalogue onto the first, None where none was looked for, or none found beside chance.
+    """
+
+    first: Catalogue
+    second: Catalogue
+    epoch_jyr: float | None
+    moved: str
+    result: Identification
+    estimate: Estimate
+    doubts: tuple[str, ...]
+    turn: Rotation | None = None
+
+    @cached_property
+    def covered_1(self) -> BoolArray:
+        """(n,) whether the second catalogue looks where each row of the first lies; True for unusable rows."""
+        return _by_row(self.result.first, self.estimate.coverage.covered[0])
+
+    @cached_property
+    def covered_2(self) -> BoolArray:
+        """(n,) whether the first catalogue looks where each row of the second lies; True for unusable rows."""
+        return _by_row(self.result.second, self.estimate.coverage.covered[1])
+
+    @cached_property
+    def still_offsets(self) -> FloatArray:
+        """(k, 2) east and north offsets of the identified pairs, arcsec, each at its own catalogue's epoch."""
+        a, b = self.first.astrometry, self.second.astrometry
+        i, j = self.result.matches.rows_1, self.result.matches.rows_2
+        return sphere_offset(a.ra_deg[i], a.dec_deg[i], b.ra_deg[j], b.dec_deg[j])
+
+    @cached_property
+    def area_and_densities(self) -> tuple[float, float, float]:
+        """Area where both catalogues look, deg², and mean densities there of all their records, per deg²."""
+        return area_and_densities(self.estimate.coverage)
+
+    def nearest(self, moved: bool) -> Nearest:
+        """The nearest record of the second catalogue to each of the first, with or without motion."""
+        if moved:
+            return nearest(self.result.first, self.result.second)
+        return nearest(_unmoved(self.result.first, self.first), _unmoved(self.result.second, self.second))
+
+
+def match(
+    first: Catalogue,
+    second: Catalogue,
+    options: MatchOptions | None = None,
+    *,
+    progress: Callable[[str], None] = lambda stage: None,
+) -> SkyMatch:
+    """Identify two catalogues.
+
+    Parameters
+    ----------
+    first, second : the catalogues, understood.
+    options : what is known beforehand.
+    progress : called with the name of what is being done.
+
+    Raises
+    ------
+    InputError : no usable rows; a common epoch is needed and not known.
+    """
+    options = MatchOptions() if options is None else options
+    progress("motion")
+    epoch, words, one, two = brought_together(first, second, options.epoch_jyr)
+    _refuse_blur(one, two)
+    sought = find_turn(one, two, progress) if options.offset == "find" else None
+    turn = None if sought is None or sought.by_chance else sought
+    if turn is not None:
+        two = turn.of(two)
+    result, estimate = estimated(
+        one, two, errors=options.errors(), gate=options.gate(), density=options.density(),
+        brightness=magnitudes_of(first, second, options.magnitudes), precision=options.precision, progress=progress,
+    )  # fmt: skip
+    doubts = density_doubts(estimate.coverage, options) + _doubts(result, estimate) + _missed(result, estimate)
+    doubts += _standing_off(result, estimate) if sought is None else _of_search(sought)
+    return SkyMatch(first, second, epoch, words, result, estimate, doubts, turn)
+
+
+def brought_together(
+    first: Catalogue, second: Catalogue, epoch_jyr: float | None = None
+) -> tuple[float | None, str, Records, Records]:
+    """The common epoch, the sentence that says so, and both catalogues' records at it.
+
+    Raises
+    ------
+    InputError : no usable rows; a common epoch is needed and not known.
+    """
+    epoch, words = common_epoch(first, second, epoch_jyr)
+    works = [partial(catalogue.records, epoch) for catalogue in (first, second)]
+    one, two = threads.each(works, len(first) + len(second))
+    for catalogue, records in ((first, one), (second, two)):
+        if not len(records):
+            counts = records.set_aside.counts()
+            reasons = ", ".join(f"{reason} ({n})" for reason, n in counts.items())
+            remedy = "; an error of 0 counts as none: say --sigma ARCSEC" if "no error" in counts else ""
+            raise InputError(f"{catalogue.name}: none of its {len(catalogue)} rows can be used: {reasons}{remedy}")
+    return epoch, words, one, two
+
+
+def _refuse_blur(one: Records, two: Records) -> None:
+    """Refuses errors so large that all records are candidates of all others: a wrong unit, no doubt."""
+    n = len(one) + len(two)
+    sigmas = threads.each([partial(_typical_sigma, records) for records in (one, two)], n)
+    sigma = math.hypot(*sigmas)
+    crowd = min(threads.each([partial(_records_per_cell, records.features, sigma) for records in (one, two)], n))
+    if crowd > BLURRED:
+        worst = (one, two)[int(sigmas[1] > sigmas[0])].source
+        raise InputError(
+            f"{worst}: its typical error, {max(sigmas):.3g} arcsec, is so large that about {crowd:.0f} records lie "
+            "within it in either catalogue; are the errors in another unit? say --sigma-unit UNIT"
+        )
+
+
+def _typical_sigma(records: Records) -> float:
+    """The median of the errors, each the root of the mean variance of both axes."""
+    return math.sqrt(float(np.median(0.5 * (records.covariance[:, 0] + records.covariance[:, -1]))))
+
+
+def _records_per_cell(position_deg: FloatArray, side_arcsec: float) -> float:
+    """Mean number of records in the occupied cells of this size."""
+    lon, lat = position_deg.T
+    side = side_arcsec / 3600.0
+    ring = np.floor(lat / side)
+    if len(ring) > FEW_ROWS:
+        # Some of the rings tell what all would.
+        some = np.flatnonzero(np.mod(ring - ring[np.argmin(lat)], RINGS) == 0.0)
+        lon, ring = lon[some], ring[some]
+    along = np.floor(lon * np.cos(np.radians(ring * side)) / side)
+    # Doubles hold whole numbers up to 2⁵³: rings of cells smaller than 5 mas would be taken together here and there.
+    cell = np.sort(ring * np.floor(360.0 / side + 2.0) + along)
+    return len(lon) / (int(np.count_nonzero(np.diff(cell))) + 1)
+
+
+def common_epoch(first: Catalogue, second: Catalogue, asked: float | None) -> tuple[float | None, str]:
+    """The epoch to bring both catalogues to, None for no motion at all, and a sentence that says so.
+
+    A catalogue without proper motions stays at its own epoch and the other one moves; where both can move, the
+    second one's epoch is taken.
+    """
+    if asked is not None:
+        return asked, f"both catalogues moved to {asked:g} (option)"
+    known = first.epoch_jyr, second.epoch_jyr
+    if known[0] is None or known[1] is None:
+        if not first.has_motion and not second.has_motion:
+            return None, "neither catalogue has proper motions, and not both epochs are known: nothing is moved"
+        still = first if known[0] is None else second
+        raise InputError(
+            f"{still.name}: its epoch is not known, so the other catalogue cannot be moved to it; "
+            f"say --epoch{1 if still is first else 2} YEAR"
+        )
+    mover, target = (second, first) if second.has_motion and not first.has_motion else (first, second)
+    epoch = target.epoch_jyr
+    assert epoch is not None
+    if abs(known[0] - known[1]) < 0.01:  # type: ignore[operator]
+        return epoch, f"both catalogues are of epoch {epoch:.2f}"
+    if mover.has_motion:
+        return epoch, f"{mover.name} moved from {mover.epoch_jyr:.2f} to {epoch:.2f}, the epoch of {target.name}"
+    return epoch, (
+        f"neither catalogue has proper motions: the unknown motion of {mover.name} over "
+        f"{abs(known[0] - known[1]):.1f} years widens its errors"  # type: ignore[operator]
+    )
+
+
+def area_and_densities(coverage: Coverage) -> tuple[float, float, float]:
+    """Area where both catalogues look, deg², and mean densities there of all their records, per deg²."""
+    area_deg2 = coverage.common_volume() / ARCSEC2_PER_DEG2
+    seen_1, seen_2 = (int(np.count_nonzero(covered)) for covered in coverage.covered)
+    if not area_deg2 > 0.0:
+        return 0.0, 0.0, 0.0
+    return area_deg2, seen_1 / area_deg2, seen_2 / area_deg2
+
+
+def density_doubts(coverage: Coverage, options: MatchOptions) -> tuple[str, ...]:
+    """Questions to densities that the user gave and the data do not know."""
+    if options.density_per_deg2 is None:
+        return ()
+    _, *seen_per_deg2 = area_and_densities(coverage)
+    lines = []
+    for records, seen, said in zip(
+        (coverage.first, coverage.second), seen_per_deg2, options.density_per_deg2, strict=True
+    ):
+        if seen and not 0.01 < said / seen < 100.0:
+            lines.append(
+                f"density: {said:g} per square degree was said of {records.source}, but where both look it has "
+                f"{seen:.3g}: is the density per square degree?"
+            )
+    return tuple(lines)
+
+
+def _doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]:
+    doubts = list(estimate.notes)
+    works = [partial(np.median, records.covariance[:, 0]) for records in (result.first, result.second)]
+    sigma = [math.sqrt(float(median)) for median in threads.each(works, len(result.first))]
+    spacing = 0.5 * math.sqrt(estimate.coverage.common_volume() / max(len(result.first), len(result.second)))
+    widest = max(range(2), key=lambda k: sigma[k])
+    if sigma[widest] > spacing > 0.0:
+        name = (result.first, result.second)[widest].source
+        doubts.append(
+            f"{name}: its typical error, {sigma[widest]:.3g} arcsec, is larger than half the spacing of the records, "
+            f"{spacing:.3g} arcsec: are the errors in the unit that was understood?"
+        )
+    scale = estimate.typical_scale
+    if scale > 5.0 or scale < 0.3:
+        doubts.append(f"the residuals are {scale:.2g} times what the quoted errors say: are their units right?")
+    if result.approximate_pairs:
+        count = result.approximate_pairs
+        doubts.append(f"{count} candidates lie in entangled groups; their probabilities are approximate")
+    return tuple(doubts)
+
+
+def _of_search(sought: Rotation) -> tuple[str, ...]:
+    """What is in doubt of a turn that was looked for."""
+    return (*sought.notes, "no offset was taken away") if sought.by_chance else sought.notes
+
+
+def _standing_off(result: Identification, estimate: Estimate) -> tuple[str, ...]:
+    """A question to the frames where the pairs lie off each other on the average, or there are none."""
+    if _next_to_nothing(result, estimate):
+        return (
+            f"{result.first.source} and {result.second.source} have next to nothing in common "
+            f"({estimate.quantities['common']} objects); one may stand off the other by more than their errors: "
+            "--offset find looks for that",
+        )
+    found = left_over(result, estimate.typical_scale)
+    if found is None:
+        return ()
+    turn, share = found
+    return (
+        f"{result.second.source} stands off {result.first.source} by up to {share:.1g} of a pair's error "
+        f"({turn}): say --offset find to take it away",
+    )
+
+
+def _next_to_nothing(result: Identification, estimate: Estimate) -> bool:
+    """Whether the common objects are few, and no more than their standard error lets chance give."""
+    if estimate.common > SPARSE * min(len(result.first), len(result.second)):
+        return False
+    return estimate.common <= max(0.5, TELLING * estimate.quantities["common"].standard_error)
+
+
+def _missed(result: Identification, estimate: Estimate) -> tuple[str, ...]:
+    """A question to the errors where the records coincide, but not within them."""
+    first, second = result.first, result.second
+    _, _, density_2 = area_and_densities(estimate.coverage)
+    if estimate.common > 0.05 * min(len(first), len(second)) or not density_2:
+        return ()
+    near = float(np.quantile(nearest(first, second).separation_arcsec, 0.25))
+    by_chance = math.sqrt(math.log(4.0 / 3.0) * ARCSEC2_PER_DEG2 / (math.pi * density_2))
+    if near > 0.2 * by_chance:
+        return ()
+    return (
+        f"a quarter of {first.source} lies within {near:.2g} arcsec of a record of {second.source}, by chance it would "
+        f"be {by_chance:.2g}, but hardly any within its errors: are the errors in the unit that was understood? "
+        "Or is one shifted (--offset find)?",
+    )
+
+
+def _by_row(records: Records, values: BoolArray) -> BoolArray:
+    column = np.ones(records.n_table, np.bool_)
+    column[records.rows] = values
+    return column
+
+
+def _unmoved(records: Records, catalogue: Catalogue) -> Records:
+    at = catalogue.astrometry
+    position = np.column_stack([at.ra_deg, at.dec_deg])[records.rows]
+    return Records(position, records.covariance, records.rows, records.ids, records.space, records.source)
+
+
+def _number(value: float | str) -> float | None:
+    try:
+        return float(value)
+    except ValueError:
+        return None
+
+
+__all__ = [
+    "MatchOptions", "SkyMatch", "area_and_densities", "brought_together", "common_epoch", "density_doubts", "match",
+]  # fmt: skip

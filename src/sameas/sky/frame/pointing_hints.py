@@ -1,0 +1,318 @@
+"""What is known of where a frame points before it is placed, and the pointings that are worth a closer look.
+
+Each hint says what it searches (:class:`~sameas.sky.frame.odds.Searched`, which the odds pay for), which placements it
+allows, and in which order pointings are proposed: rounds from the cheapest and likeliest to the most patient.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sameas.arrays import FloatArray, IntArray
+from sameas.errors import InputError
+from sameas.sky.frame.odds import FrameAndSky, Searched
+from sameas.sky.frame.pattern import PatternIndex, Patterns, brightest_per_cell, patterns
+from sameas.sky.frame.tangent import Pointing, from_plane, similarities, unit_vectors
+from sameas.space import ARCSEC_PER_RADIAN
+
+if TYPE_CHECKING:
+    from sameas.sky.frame.stars import Stars
+
+#: Distance of two codes that are taken to be alike: about 1.5 % of the longest side per coordinate at most.
+CODE_TOLERANCE = 0.02
+#: A pattern's longest side over the side of the field, least and most: for the whole sky, and about an aim.
+SIDES_ALL_SKY, SIDES_FEW, SIDES_MANY = (0.2, 0.6), (0.15, 1.3), (0.2, 0.7)
+#: Bright stars per field in the index of the whole sky, and the numbers of measurements tried with it.
+PER_FIELD, MEASURED = 14, (12, 20, 30)
+#: About an aim: points of a pattern, bright stars per field, brightest measurements.
+AIM_ROUNDS = ((4, 16, 16), (4, 16, 30), (3, 16, 25), (4, 32, 32), (3, 32, 36))
+#: Where a field holds more stars than this, the longest patterns are left out, and triangles of faint stars.
+MANY = 20
+#: Candidates are tested in portions, and so many of the best go on.
+PORTION, BEST = 20_000, 500
+
+
+@dataclass(frozen=True)
+class ApproximateWcs:
+    """A plate solution that is nearly right.
+
+    Parameters
+    ----------
+    wcs : any celestial astropy WCS, distorted or not.
+    radius_deg : how far off it may be; a quarter of the frame's shorter side if not given.
+    turn_deg : how much it may be turned, either way. scale_tolerance : by what share its scale may be wrong.
+    """
+
+    wcs: Any
+    radius_deg: float | None = None
+    turn_deg: float = 2.0
+    scale_tolerance: float = 0.02
+
+    words = "the header's plate solution"
+
+    def __post_init__(self) -> None:
+        if not getattr(self.wcs, "has_celestial", False):
+            raise InputError("ApproximateWcs: the WCS has no celestial axes; give an Aim instead")
+        if not (self.radius_deg is None or self.radius_deg > 0) or not 0 < self.turn_deg <= 180:
+            raise InputError("ApproximateWcs: radius_deg must be positive, and turn_deg within 0 … 180")
+        if not 0 < self.scale_tolerance < 0.5:
+            raise InputError(f"ApproximateWcs: scale_tolerance is {self.scale_tolerance}; give a share such as 0.02")
+
+    def radius_px(self, pointing: Pointing, scene: FrameAndSky) -> float:
+        """How far off, in pixels."""
+        if self.radius_deg is None:
+            return 0.25 * min(scene.shape)
+        return self.radius_deg * 3600.0 / pointing.scale_arcsec
+
+    def searched(self, scene: FrameAndSky) -> Searched:
+        """What is searched."""
+        pointing = Pointing.of_wcs(self.wcs, scene.shape)
+        side = 2 * self.radius_px(pointing, scene) * pointing.scale_arcsec / ARCSEC_PER_RADIAN
+        return Searched(side**2, 2 * math.radians(self.turn_deg), 2 * self.scale_tolerance, 1)
+
+    def allows(self, pointing: Pointing, scene: FrameAndSky) -> bool:
+        """Is a placement within what is said?"""
+        said = Pointing.of_wcs(self.wcs, scene.shape)
+        off = said.to_px(pointing.to_sky(scene.middle_px[None]))[0] - scene.middle_px
+        ratio = math.log(pointing.scale_arcsec / said.scale_arcsec)
+        near = bool(np.hypot(*off) <= 1.5 * self.radius_px(said, scene))
+        return near and abs(ratio) <= 1.5 * self.scale_tolerance and pointing.parity == said.parity
+
+
+@dataclass(frozen=True)
+class Aim:
+    """A direction, how far from it the frame's middle may be, and the least and largest scale in arcsec per pixel."""
+
+    ra_deg: float
+    dec_deg: float
+    radius_deg: float
+    scale_arcsec: tuple[float, float]
+
+    words = "the aim"
+
+    def __post_init__(self) -> None:
+        _check_scales("Aim", self.scale_arcsec)
+        if not (math.isfinite(self.ra_deg) and -90 <= self.dec_deg <= 90 and 0 < self.radius_deg <= 180):
+            raise InputError(
+                f"Aim: ({self.ra_deg}, {self.dec_deg}) within {self.radius_deg}; give degrees, and a radius above 0"
+            )
+
+    @property
+    def direction(self) -> FloatArray:
+        """(3,) unit vector."""
+        return unit_vectors(self.ra_deg, self.dec_deg)
+
+    def searched(self, scene: FrameAndSky) -> Searched:
+        """What is searched."""
+        area = 4 * math.pi * math.sin(math.radians(self.radius_deg) / 2) ** 2
+        return Searched(area, 2 * math.pi, _log_range(self.scale_arcsec), 2)
+
+    def allows(self, pointing: Pointing, scene: FrameAndSky) -> bool:
+        """Is a placement within what is said?"""
+        middle = pointing.to_sky(scene.middle_px[None])[0]
+        off = math.degrees(2 * math.asin(min(1.0, float(np.linalg.norm(middle - self.direction)) / 2)))
+        return off <= 1.05 * self.radius_deg and _within(self.scale_arcsec, pointing)
+
+
+@dataclass(frozen=True)
+class AllSky:
+    """Nothing but the least and largest scale in arcsec per pixel."""
+
+    scale_arcsec: tuple[float, float]
+
+    words = "a search of the whole sky"
+
+    def __post_init__(self) -> None:
+        _check_scales("AllSky", self.scale_arcsec)
+
+    def searched(self, scene: FrameAndSky) -> Searched:
+        """What is searched."""
+        return Searched(4 * math.pi, 2 * math.pi, _log_range(self.scale_arcsec), 2)
+
+    def allows(self, pointing: Pointing, scene: FrameAndSky) -> bool:
+        """Is a placement within what is said?"""
+        return _within(self.scale_arcsec, pointing)
+
+
+Hint = ApproximateWcs | Aim | AllSky
+
+
+def _check_scales(name: str, scales: tuple[float, float]) -> None:
+    if not (len(scales) == 2 and 0 < scales[0] <= scales[1] < 7200):
+        raise InputError(f"{name}: scale_arcsec is {scales}; give (least, largest) in arcsec per pixel")
+
+
+def _log_range(scales: tuple[float, float]) -> float:
+    # A scale said to be exact is still free by a percent.
+    return max(math.log(scales[1] / scales[0]), 0.01)
+
+
+def _within(scales: tuple[float, float], pointing: Pointing) -> bool:
+    return 0.99 * scales[0] <= pointing.scale_arcsec <= 1.01 * scales[1]
+
+
+@dataclass(frozen=True)
+class SkyIndex:
+    """Patterns of the whole sky's bright stars, one :class:`PatternIndex` for every size of field. Keep it."""
+
+    levels: tuple[PatternIndex, ...]
+
+
+def sky_index(stars: Stars, shape: tuple[int, int], hint: AllSky) -> SkyIndex:
+    """The index for frames of ``shape`` (rows, columns) and the scales of the hint, of a catalogue of the whole sky.
+
+    Raises
+    ------
+    InputError : the catalogue has too few stars for fields of that size.
+    """
+    order = stars.order()
+    vectors = unit_vectors(np.asarray(stars.ra_deg)[order], np.asarray(stars.dec_deg)[order])
+    return _index_of(vectors, shape, hint)
+
+
+def _index_of(vectors: FloatArray, shape: tuple[int, int], hint: AllSky) -> SkyIndex:
+    least, most = (side / ARCSEC_PER_RADIAN * math.sqrt(shape[0] * shape[1]) for side in hint.scale_arcsec)
+    held = len(vectors) * least**2 / (4 * math.pi)
+    if held < 4:
+        raise InputError(
+            f"a field of {math.degrees(least):.2g}° holds {held:.2g} stars of the catalogue; a search of the whole sky "
+            "needs a deeper catalogue or a wider field; give an aim"
+        )
+    if least > math.radians(60):
+        raise InputError(f"a field of {math.degrees(least):.0f}° is not flat; give an aim and a part of the frame")
+    steps = max(1, math.ceil(math.log(most / least) / math.log(math.sqrt(2.0)) - 0.3))
+    fields = least * math.sqrt(2.0) ** np.arange(steps)
+    return SkyIndex(tuple(_level(vectors, float(side), PER_FIELD, 4, SIDES_ALL_SKY) for side in fields))
+
+
+def _level(vectors: FloatArray, field: float, per_field: int, k: int, sides: tuple[float, float]) -> PatternIndex:
+    """The patterns of the stars that are bright for a field of a side (radians)."""
+    rank = np.arange(len(vectors))
+    rows = brightest_per_cell(vectors, rank, field / 2.0, max(1, round(per_field / 4)))
+    return PatternIndex.of(vectors, rows, k=k, shortest_rad=sides[0] * field, longest_rad=sides[1] * field)
+
+
+def candidates(scene: FrameAndSky, hint: Hint, index: SkyIndex | None) -> Iterator[Iterator[Pointing]]:
+    """Rounds of pointings, each in the order of promise."""
+    if isinstance(hint, ApproximateWcs):
+        yield _correlated(scene, hint)
+        return
+    scale = (hint.scale_arcsec[0] / ARCSEC_PER_RADIAN, hint.scale_arcsec[1] / ARCSEC_PER_RADIAN)
+    if isinstance(hint, AllSky):
+        index = index or _index_of(scene.vectors, scene.shape, hint)
+        for n in MEASURED:
+            if n == MEASURED[0] or n // 2 < len(scene.px):
+                yield _alike(scene, index.levels, n, 4, scale)
+        return
+    yield from _about_aim(scene, hint, scale)
+
+
+def _about_aim(scene: FrameAndSky, aim: Aim, scale: tuple[float, float]) -> Iterator[Iterator[Pointing]]:
+    reach = math.radians(aim.radius_deg) + scene.half_diagonal_px * scale[1]
+    cone = scene.vectors[scene.stars_near(aim.direction, reach)]
+    if len(cone) < 3:
+        raise InputError(
+            f"the catalogue has {len(cone)} stars within {math.degrees(reach):.2g}° of the aim; give one that covers it"
+        )
+    field = math.sqrt(scene.shape[0] * scene.shape[1] * scale[0] * scale[1])
+    many = len(cone) * field**2 / (4 * math.pi * math.sin(reach / 2) ** 2) > MANY
+    done: set[tuple[int, int, int]] = set()
+    for k, per_field, n in AIM_ROUNDS:
+        if many and k == 3 and per_field > AIM_ROUNDS[0][1]:
+            continue
+        level = _level(cone, field, per_field, k, SIDES_MANY if many else SIDES_FEW)
+        # Short lists are exhausted by the first rounds.
+        key = (k, len(level.vectors), min(n, len(scene.px)))
+        if key not in done and len(level.patterns):
+            done.add(key)
+            yield _alike(scene, (level,), n, k, scale)
+
+
+def _alike(
+    scene: FrameAndSky, levels: tuple[PatternIndex, ...], n: int, k: int, scale: tuple[float, float]
+) -> Iterator[Pointing]:
+    """Pointings at which a pattern of the n brightest measurements lies on one of the stars, by how many others do."""
+    # A pattern of neighbours tells neither the turn nor the scale of the frame.
+    seen = patterns(scene.px[:n], k, 0.1 * min(scene.shape))
+    hits, centres, matrices = [], [], []
+    for level in levels:
+        i, j, flipped = level.alike(seen, CODE_TOLERANCE * math.sqrt(k - 2) / math.sqrt(2.0), scale)
+        for start in range(0, len(i), PORTION):
+            part = slice(start, start + PORTION)
+            count, centre, cd = _counted(scene, level, seen, i[part], j[part], flipped[part], n)
+            top = np.argsort(-count, kind="stable")[:BEST]
+            top = top[count[top] >= k]
+            hits.append(count[top])
+            centres.append(centre[top])
+            matrices.append(cd[top])
+    if not hits:
+        return
+    count, centre, cd = np.concatenate(hits), np.concatenate(centres), np.concatenate(matrices)
+    for row in np.argsort(-count, kind="stable")[:BEST]:
+        yield Pointing(centre[row], cd[row], scene.middle_px)
+
+
+def _counted(
+    scene: FrameAndSky, level: PatternIndex, seen: Patterns, i: IntArray, j: IntArray, flipped: Any, n: int
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """For each pair of patterns how many of the n brightest measurements lie on a star, and the pointing."""
+    px = scene.px[seen.members[i]]
+    centre, cd = similarities(px, level.vectors[level.patterns.members[j]], flipped, scene.middle_px)
+    offset = scene.px[: max(n, 20)] - scene.middle_px
+    plane = np.einsum("nb,cab->cna", offset, cd)
+    directions = from_plane(plane, centre[:, None, :])
+    near = 0.01 * scene.half_diagonal_px * np.sqrt(np.abs(np.linalg.det(cd)))
+    distance, star = level.star_tree.query(directions, distance_upper_bound=float(near.max(initial=0.0)), workers=2)
+    hit = distance <= near[:, None]
+    # A star counts once, however many measurements crowd about it.
+    star = np.sort(np.where(hit, star, len(level.vectors)), axis=1)
+    fresh = (star < len(level.vectors)) & np.diff(star, axis=1, prepend=-1).astype(bool)
+    return fresh.sum(axis=1), centre, cd
+
+
+def _correlated(scene: FrameAndSky, header: ApproximateWcs) -> Iterator[Pointing]:
+    """Pointings near the header's, turned and shifted to where most measurements lie on stars."""
+    said = Pointing.of_wcs(header.wcs, scene.shape)
+    radius, middle = header.radius_px(said, scene), scene.middle_px
+    bin_px = max(4.0, 0.004 * scene.half_diagonal_px)
+    reach = (scene.half_diagonal_px + radius) * said.scale_arcsec / ARCSEC_PER_RADIAN
+    stars = scene.vectors[scene.stars_near(said.to_sky(middle[None])[0], reach)]
+    predicted = said.to_px(stars)
+    predicted = predicted[scene.inside(predicted, radius)] - said.origin_px
+    steps = math.ceil(math.radians(header.turn_deg) * scene.half_diagonal_px / bin_px)
+    proposals = []
+    for depth in (50, 200):
+        seen = scene.px[:depth] - said.origin_px
+        for turn in np.linspace(-1, 1, 2 * steps + 1) * math.radians(header.turn_deg):
+            turned = predicted[:depth] @ np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+            for excess, shift in _peaks(seen, turned, radius, bin_px):
+                proposals.append((excess, said.moved(np.array([*shift, 0.0, turn, 0.0, 0.0]))))
+    yield said
+    for _, pointing in sorted(proposals, key=lambda proposal: -proposal[0]):
+        yield pointing
+
+
+def _peaks(seen: FloatArray, predicted: FloatArray, radius: float, bin_px: float) -> list[tuple[float, FloatArray]]:
+    """The two shifts within ``radius`` that bring most points together, each with its count above chance in σ."""
+    from scipy.ndimage import uniform_filter
+
+    if not len(predicted) or not len(seen):
+        return []
+    apart = (seen[:, None, :] - predicted[None, :, :]).reshape(-1, 2)
+    bins = max(3, math.ceil(2 * radius / bin_px))
+    count = np.histogram2d(apart[:, 0], apart[:, 1], bins=bins, range=[[-radius, radius]] * 2)[0]
+    # Three by three bins, so that a peak on a border is not cut.
+    count = uniform_filter(count, 3, mode="constant") * 9.0
+    expected = max(float(count.mean()), 1e-3)
+    found = []
+    for flat in np.argsort(-count, axis=None, kind="stable")[:2]:
+        place = np.array(np.unravel_index(flat, count.shape))
+        found.append(
+            (float((count.flat[flat] - expected) / math.sqrt(expected)), (place + 0.5) * 2 * radius / bins - radius)
+        )
+    return found

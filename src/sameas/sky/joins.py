@@ -1,0 +1,273 @@
+"""The joined table: rows of both catalogues side by side, with what the identification says of each pair.
+
+Join types have the names that STILTS users know; "pairs" lists every candidate, and
+for every row of the first catalogue the answer "no partner" (its probability is p_none).
+
+Added columns (all lower case):
+
+sep_arcsec, dx_arcsec, dy_arcsec : separation, and its east and north parts, first minus second, at the common epoch.
+mahalanobis : separation over its quoted error. log_odds : natural logarithm of the pair's odds before one-to-one.
+p_match : probability of the pair. p_none : probability that the row has no partner. p_second, id_second : the most
+probable other candidate. match_flag : 1 the identified pair, 2 a candidate at least half as probable as the row's
+best, 0 others. group_id, group_size : the group of competing records. n_within : candidates of the row.
+covered : whether the other catalogue looks there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+from astropy.table import Column, MaskedColumn, Table
+from numpy.typing import NDArray
+
+from sameas.arrays import BoolArray, IntArray
+from sameas.errors import InputError
+from sameas.kernels import threads
+from sameas.result import Answers, Identification
+from sameas.sky.crossmatch import SkyMatch
+
+NOBODY = -1  # a row index within this module only; tables carry masks
+
+JOINS = ("1and2", "1or2", "all1", "all2", "1not2", "2not1", "1xor2", "pairs")
+
+_UNITS = {"sep_arcsec": "arcsec", "dx_arcsec": "arcsec", "dy_arcsec": "arcsec"}
+_WORDS = {
+    "sep_arcsec": "separation at the common epoch",
+    "dx_arcsec": "first minus second, east",
+    "dy_arcsec": "first minus second, north",
+    "mahalanobis": "separation over its quoted error",
+    "log_odds": "ln odds of the pair before one-to-one",
+    "p_match": "probability of the pair",
+    "p_none": "probability that the row has no partner",
+    "p_second": "probability of the most probable other candidate",
+    "id_second": "the most probable other candidate",
+    "match_flag": "1 identified, 2 at least half as probable as the best, 0 other",
+    "group_id": "group of competing records",
+    "group_size": "records in the group",
+    "n_within": "candidates of the row",
+    "covered": "whether the other catalogue looks there",
+    "p_any": "NWAY: probability that the row has a partner",
+    "p_i": "NWAY: probability of the pair if there is a partner",
+    "dist_bayesfactor": "log10 of the odds of the pair",
+}
+
+
+@dataclass(frozen=True)
+class _JoinedRows:
+    """The output's rows: row in the first and in the second table (−1 for none), and the candidate (−1 for none).
+
+    answers : whether each is a possible answer for its row of the first table, "no partner" among them.
+    """
+
+    one: IntArray
+    two: IntArray
+    pair: IntArray
+    answers: bool = False
+
+    @cached_property
+    def absent(self) -> BoolArray:
+        """Whether a row has no candidate."""
+        return self.pair < 0
+
+    @cached_property
+    def mine(self) -> BoolArray:
+        """Whether a row speaks for its record of the first catalogue; else, without one, for that of the second."""
+        return self.one >= 0
+
+
+def joined(match: SkyMatch, join: str = "all1", *, nway_columns: bool = False) -> Table:
+    """The joined table.
+
+    Parameters
+    ----------
+    join : one of :data:`JOINS`. nway_columns : add ``p_any``, ``p_i`` and ``dist_bayesfactor`` by NWAY's names.
+
+    Raises
+    ------
+    InputError : an unknown join.
+    """
+    if join not in JOINS:
+        raise InputError(f"join {join!r} is not known; choose one of {', '.join(JOINS)}")
+    rows = _rows(match, join)
+    table = Table()
+    names = _names(match.first.table, match.second.table)
+    for side, (source, at) in enumerate(((match.first.table, rows.one), (match.second.table, rows.two))):
+        works = [partial(_taken, column, at) for column in source.columns.values()]
+        for name, column in zip(names[side], threads.each(works, len(at)), strict=True):
+            table.add_column(column, name=name, copy=False)
+    for name, values in _JoinedColumns(match, rows).columns(nway_columns).items():
+        unique = name if name not in table.colnames else f"{name}_sameas"
+        told = MaskedColumn(values, unit=_UNITS.get(name), description=_WORDS[name])
+        table.add_column(told, name=unique, copy=False)
+    return table
+
+
+def _rows(match: SkyMatch, join: str) -> _JoinedRows:
+    result = match.result
+    if join == "pairs":
+        return _every_answer(result)
+    found = result.matches
+    both = _JoinedRows(found.rows_1, found.rows_2, found.pair)
+    alone_1 = _others(len(match.first), found.rows_1)
+    alone_2 = _others(len(match.second), found.rows_2)
+    only_1 = _JoinedRows(alone_1, np.full(len(alone_1), NOBODY), np.full(len(alone_1), NOBODY))
+    only_2 = _JoinedRows(np.full(len(alone_2), NOBODY), alone_2, np.full(len(alone_2), NOBODY))
+    parts = {
+        "1and2": (both,), "1or2": (both, only_1, only_2), "all1": (both, only_1), "all2": (both, only_2),
+        "1not2": (only_1,), "2not1": (only_2,), "1xor2": (only_1, only_2),
+    }[join]  # fmt: skip
+    one, two, pair = (np.concatenate([getattr(part, name) for part in parts]) for name in ("one", "two", "pair"))
+    # Rows without a partner come where their own table has them, and after all others where it is not the leading one.
+    # Each part is in its order already, which a stable sort makes use of; ties are among rows of one part.
+    leading = two if join == "all2" else one
+    order = np.argsort(np.where(leading >= 0, leading, np.iinfo(np.int64).max), kind="stable")
+    return _JoinedRows(one[order], two[order], pair[order])
+
+
+def _others(n: int, rows: IntArray) -> IntArray:
+    """The rows of a table of n that are not among ``rows``, rising."""
+    other = np.ones(n, np.bool_)
+    other[rows] = False
+    return np.flatnonzero(other)
+
+
+def _every_answer(result: Identification) -> _JoinedRows:
+    """Every candidate, the most probable first, and after those of a row of the first catalogue "no partner"."""
+    n = result.first.n_table
+    nobody = np.full(n, NOBODY)
+    one = np.concatenate([result.rows_1, np.arange(n)])
+    two = np.concatenate([result.rows_2, nobody])
+    pair = np.concatenate([np.arange(len(result.pairs)), nobody])
+    order = np.lexsort([np.concatenate([-result.p_pair, np.ones(n)]), one])
+    return _JoinedRows(one[order], two[order], pair[order], answers=True)
+
+
+def _names(first: Table, second: Table) -> tuple[list[str], list[str]]:
+    """Column names of both tables; those that stand in both get the suffixes _1 and _2, as STILTS does."""
+    taken = {name.lower() for name in first.colnames} & {name.lower() for name in second.colnames}
+    return (
+        [f"{name}_1" if name.lower() in taken else name for name in first.colnames],
+        [f"{name}_2" if name.lower() in taken else name for name in second.colnames],
+    )
+
+
+def _whole(at: IntArray, n: int) -> bool:
+    """Whether these rows are all of n, in order."""
+    return len(at) == n and bool(np.array_equal(at, np.arange(n)))
+
+
+def _taken(column: Any, at: IntArray) -> Column | MaskedColumn:
+    """The rows ``at`` of a column, masked where there is none."""
+    if _whole(at, len(column)):
+        return column
+    absent = at < 0
+    if not absent.any():
+        return column[at]
+    if not len(column):
+        values = np.zeros((len(at), *column.shape[1:]), column.dtype)
+        mask = np.zeros(values.shape, bool)
+    else:
+        picked = column[at]  # the last row where there is none
+        values, mask = np.ma.getdata(picked), np.ma.getmaskarray(picked)
+    mask = mask | absent.reshape(-1, *[1] * (values.ndim - 1))
+    return MaskedColumn(
+        values, name=column.name, mask=mask, unit=column.unit, description=column.description, meta=column.meta
+    )
+
+
+@dataclass(frozen=True)
+class _JoinedColumns:
+    """What the identification says at the output's rows."""
+
+    match: SkyMatch
+    rows: _JoinedRows
+
+    def columns(self, nway_columns: bool) -> dict[str, np.ma.MaskedArray]:
+        """The added columns, by name."""
+        result, n = self.match.result, len(self.rows.one)
+        # Asked for here, so that they are there when several columns are made side by side.
+        _ = result.answers_1, result.log_odds, self.rows.absent, self.rows.mine
+        works: dict[str, Callable[[], np.ma.MaskedArray]] = {
+            "mahalanobis": lambda: self._of_pair(result.pairs.mahalanobis_sq, np.sqrt),
+            "log_odds": lambda: self._of_pair(result.log_odds),
+            "p_match": lambda: self._of_pair(result.p_pair),
+            "p_none": lambda: self._of_row("p_none"),
+            "p_second": lambda: self._of_row("p_second"),
+            "id_second": self._id_second,
+            "match_flag": self._flags,
+            "group_id": lambda: self._of_row("group"),
+            "group_size": lambda: self._of_row("group_size"),
+            "n_within": lambda: self._of_row("candidates"),
+            "covered": self._covered,
+        }
+        columns = self._separations() | dict(zip(works, threads.each(list(works.values()), n), strict=True))
+        if nway_columns:
+            columns["p_any"] = 1.0 - columns["p_none"]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                columns["p_i"] = columns["p_match"] / np.ma.masked_less_equal(columns["p_any"], 0.0)
+            columns["dist_bayesfactor"] = columns["log_odds"] / np.log(10.0)
+        return columns
+
+    def _of_pair(self, values: NDArray[Any], change: Callable[..., NDArray[Any]] | None = None) -> np.ma.MaskedArray:
+        absent = self.rows.absent
+        if not len(values):
+            return np.ma.MaskedArray(np.zeros((len(absent), *values.shape[1:]), values.dtype), absent)
+        taken = values[self.rows.pair]  # the last pair where there is none
+        taken[absent] = 0
+        return np.ma.MaskedArray(taken if change is None else change(taken, out=taken), absent)
+
+    def _separations(self) -> dict[str, np.ma.MaskedArray]:
+        residual = self.match.result.pairs.residual[:, 0], self.match.result.pairs.residual[:, 1]
+        east, north = threads.each([partial(self._of_pair, part) for part in residual], len(self.rows.one))
+        far = np.ma.MaskedArray(np.hypot(east.data, north.data), self.rows.absent)
+        return {"sep_arcsec": far, "dx_arcsec": east, "dy_arcsec": north}
+
+    def _of_row(self, name: str) -> np.ma.MaskedArray:
+        one, two = self.match.result.answers_1, self.match.result.answers_2
+        return self._either(getattr(one, name), getattr(two, name))
+
+    def _id_second(self) -> np.ma.MaskedArray:
+        one, two = self.match.result.answers_1, self.match.result.answers_2
+        return self._either(_second_ids(self.match, one, 2), _second_ids(self.match, two, 1))
+
+    def _either(self, one: np.ma.MaskedArray, two: np.ma.MaskedArray) -> np.ma.MaskedArray:
+        """What is said of the records that the rows speak for: ``one`` of the first catalogue's, ``two`` of the
+        second's."""
+        rows, mine = self.rows, self.rows.mine
+        if mine.all():
+            return one if _whole(rows.one, len(one)) else one[rows.one]
+        if one.dtype.kind in "OSU" or one.dtype != two.dtype:
+            one, two = np.ma.asarray(one.astype(str)), np.ma.asarray(two.astype(str))
+        values = np.zeros(len(mine), np.promote_types(one.dtype, two.dtype))
+        mask = np.ones(len(mine), bool)
+        for at, source, here in ((rows.one, one, mine), (rows.two, two, ~mine)):
+            values[here] = np.ma.getdata(source)[at[here]]
+            mask[here] = np.ma.getmaskarray(source)[at[here]]
+        return np.ma.MaskedArray(values, mask)
+
+    def _covered(self) -> np.ma.MaskedArray:
+        rows = self.rows
+        covered = np.where(rows.mine, self.match.covered_1[rows.one], self.match.covered_2[rows.two])
+        return np.ma.MaskedArray(covered, np.ma.getmaskarray(self._of_row("p_none")))
+
+    def _flags(self) -> np.ma.MaskedArray:
+        result, rows, absent = self.match.result, self.rows, self.rows.absent
+        if not rows.answers:  # every candidate that is told of is an identified one
+            return np.ma.MaskedArray((~absent).astype(np.int16), np.zeros(len(absent), bool))
+        chosen = np.append(result.chosen, False)[rows.pair] & ~absent
+        best = np.zeros(len(self.match.first))
+        np.maximum.at(best, result.rows_1, result.p_pair)
+        p = np.append(result.p_pair, 0.0)[rows.pair]
+        chosen |= absent & result.answers_1.usable[rows.one] & ~np.isin(rows.one, result.matches.rows_1)
+        rival = ~absent & ~chosen & (p >= 0.5 * best[rows.one]) & (p > 0)
+        return np.ma.MaskedArray(np.where(chosen, 1, np.where(rival, 2, 0)).astype(np.int16), np.zeros(len(p), bool))
+
+
+def _second_ids(match: SkyMatch, answers: Answers, other: int) -> np.ma.MaskedArray:
+    ids = (match.first if other == 1 else match.second).ids
+    absent = np.ma.getmaskarray(answers.second)
+    return np.ma.MaskedArray(ids[np.where(absent, 0, np.ma.getdata(answers.second))], absent)

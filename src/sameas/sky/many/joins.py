@@ -1,0 +1,162 @@
+"""The joined table of several catalogues: one row per object, the columns of every catalogue side by side.
+
+Columns that stand in several tables get the number of their catalogue, ``_1``, ``_2`` …, as in the tables of two. Rows
+are in the order of the first catalogue, then of the second for objects that it has not, and so on. Added columns:
+
+n_catalogues : how many show the object. p_object : probability that exactly these records are it. runner_up : the
+records of the most probable other answer for one of them, "catalogue id = …", masked where it is less probable than
+0.001, and p_runner_up its probability. ra_object, dec_object, pmra_object, pmdec_object : place at ``epoch_object`` and
+proper motion from all its records, with ``…_error`` and ``ra_dec_object_corr``, as the residuals spread; the motion is
+masked where nothing tells it.
+chi_sq : of its records about it, 2 (n_catalogues − 1) degrees of freedom, by the quoted errors. group_id, group_size :
+the group of competing records.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+from astropy.table import MaskedColumn, Table
+from numpy.typing import NDArray
+
+from sameas.arrays import IntArray
+from sameas.errors import InputError
+from sameas.records import Records
+from sameas.sky.many.match import ManyMatch
+
+#: Other answers less probable than this are not named.
+WORTH_TELLING = 1e-3
+_WORDS = {
+    "n_catalogues": ("", "how many catalogues show the object"),
+    "p_object": ("", "probability that exactly these records are one object"),
+    "p_runner_up": ("", "probability of the most probable other answer"),
+    "runner_up": ("", "the most probable other answer for one of the records"),
+    "ra_object": ("deg", "right ascension from all records, at epoch_object"),
+    "dec_object": ("deg", "declination from all records, at epoch_object"),
+    "ra_object_error": ("mas", "its standard error, times cos(dec)"),
+    "dec_object_error": ("mas", "its standard error"),
+    "ra_dec_object_corr": ("", "correlation of both errors"),
+    "pmra_object": ("mas / yr", "proper motion east, times cos(dec), from all records"),
+    "pmdec_object": ("mas / yr", "proper motion north, from all records"),
+    "pmra_object_error": ("mas / yr", "its standard error"),
+    "pmdec_object_error": ("mas / yr", "its standard error"),
+    "epoch_object": ("yr", "Julian year of the place"),
+    "chi_sq": ("", "chi squared of the records about the object, by the quoted errors"),
+    "group_id": ("", "group of competing records"),
+    "group_size": ("", "records in the group"),
+}
+
+
+def joined_many(match: ManyMatch, *, least: int = 1) -> Table:
+    """One row per object that ``least`` catalogues or more show; with 1 also the rows that could not be used.
+
+    Raises
+    ------
+    InputError : ``least`` is not between 1 and the number of catalogues.
+    """
+    if not 1 <= least <= len(match.catalogues):
+        raise InputError(
+            f"least is {least}; give 1 to {len(match.catalogues)}, in how many catalogues an object must be"
+        )
+    members = np.ma.filled(match.objects.members, -1)
+    kept = np.flatnonzero(match.objects.n_members >= least)
+    rows = members[kept]
+    if least == 1:
+        unused = _unused(match)
+        rows, kept = np.concatenate([rows, unused]), np.concatenate([kept, np.full(len(unused), -1)])
+    order = np.lexsort(np.where(rows < 0, np.iinfo(np.int64).max, rows).T[::-1])
+    rows, kept = rows[order], kept[order]
+    table = Table()
+    for k, catalogue in enumerate(match.catalogues):
+        for name, column in zip(_names(match)[k], catalogue.table.columns.values(), strict=True):
+            table[name] = _taken(column, rows[:, k])
+    absent = kept < 0
+    for name, values in _answers(match, np.maximum(kept, 0)).items():
+        unique = name if name not in table.colnames else f"{name}_sameas"
+        unit, words = _WORDS[name]
+        mask = np.ma.getmaskarray(values) | absent
+        table[unique] = MaskedColumn(np.ma.getdata(values), mask=mask, unit=unit or None, description=words)
+    return table
+
+
+def _unused(match: ManyMatch) -> IntArray:
+    """(k, S) the rows that were set aside, each alone."""
+    parts = []
+    for k, records in enumerate(match.objects.given):
+        assert isinstance(records, Records)
+        aside = records.set_aside.rows
+        rows = np.full((len(aside), len(match.catalogues)), -1)
+        rows[:, k] = aside
+        parts.append(rows)
+    return np.concatenate(parts)
+
+
+def _names(match: ManyMatch) -> list[list[str]]:
+    """Column names of every table; those of several get the number of their catalogue."""
+    count = Counter(name.lower() for catalogue in match.catalogues for name in catalogue.table.colnames)
+    return [
+        [f"{name}_{k}" if count[name.lower()] > 1 else name for name in catalogue.table.colnames]
+        for k, catalogue in enumerate(match.catalogues, 1)
+    ]
+
+
+def _taken(column: Any, at: IntArray) -> MaskedColumn:
+    """The rows ``at`` of a column, masked where there is none."""
+    absent = at < 0
+    picked = column[np.where(absent, 0, at)]
+    mask = np.array(np.ma.getmaskarray(picked))
+    mask[absent] = True
+    return MaskedColumn(
+        np.ma.getdata(picked), mask=mask, unit=column.unit, description=column.description, meta=column.meta
+    )
+
+
+def _answers(match: ManyMatch, at: IntArray) -> dict[str, NDArray[Any] | np.ma.MaskedArray]:
+    """The added columns, for some of the objects."""
+    objects, state = match.objects, match.state
+    sigma = np.sqrt(np.diagonal(state.covariance, axis1=1, axis2=2))[at]
+    place, motion = 1e3 * sigma[:, :2], 1e3 * sigma[:, 2:]
+    values: dict[str, NDArray[Any] | np.ma.MaskedArray] = {
+        "n_catalogues": objects.n_members[at].astype(np.int16),
+        "p_object": objects.probability[at],
+        "p_runner_up": objects.p_runner_up[at],
+        "runner_up": _in_words(match, at),
+        "ra_object": state.state[at, 0],
+        "dec_object": state.state[at, 1],
+        "ra_object_error": place[:, 0],
+        "dec_object_error": place[:, 1],
+        "ra_dec_object_corr": 1e6 * state.covariance[at, 0, 1] / (place[:, 0] * place[:, 1]),
+    }
+    if match.epoch_jyr is not None:
+        untold = ~match.motion_told[at]
+        for k, name in enumerate(("pmra_object", "pmdec_object")):
+            values[name] = np.ma.MaskedArray(1e3 * state.state[at, 2 + k], untold)
+            values[f"{name}_error"] = np.ma.MaskedArray(motion[:, k], untold)
+        values["epoch_object"] = np.full(len(at), match.epoch_jyr)
+    group = objects.group[at]
+    return values | {
+        "chi_sq": np.ma.MaskedArray(state.chi_sq[at], objects.n_members[at] == 1),
+        "group_id": group,
+        "group_size": objects.groups.records[group],
+    }
+
+
+def _in_words(match: ManyMatch, at: IntArray) -> np.ma.MaskedArray:
+    """(k,) runners-up as "catalogue id = catalogue id", masked where there are none to speak of."""
+    rows = np.ma.filled(match.objects.runner_up, -1)[at]
+    some = np.flatnonzero(np.ma.filled(match.objects.p_runner_up, 0.0)[at] >= WORTH_TELLING)
+    words = [
+        " = ".join(
+            f"{catalogue.name} {catalogue.ids[row]}"
+            for catalogue, row in zip(match.catalogues, rows[k].tolist(), strict=True)
+            if row >= 0
+        )
+        for k in some.tolist()
+    ]
+    out = np.zeros(len(at), f"U{max(map(len, words), default=1)}")
+    out[some] = words
+    mask = np.ones(len(at), bool)
+    mask[some] = False
+    return np.ma.MaskedArray(out, mask)

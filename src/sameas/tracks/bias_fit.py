@@ -1,0 +1,310 @@
+"""Agreement: the biases under which two sources agree best, over all instants at which they were compared.
+
+The search looks at every offset that brings any two records of an instant together (:mod:`sameas.registration`); what
+it finds at a few instants is refined over all of them at once, every pair weighted by its posterior probability. Priors
+are normal about zero. Where neither source is without bias they are the gauge: of the biases that would displace both
+sources alike, the least likely to be large stay zero.
+
+The covariance is never less than the scatter from track to track shows: errors of one track are alike at all instants.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.arrays import FloatArray, IntArray
+from sameas.registration.hough import Votes, vote
+from sameas.registration.joint import DECISIVE
+from sameas.registration.solution import displacement_sigmas, refine
+from sameas.registration.weights import Weighed, weigh
+from sameas.tracks.biases import RelativeBias
+from sameas.tracks.common_scans import Encounter
+
+#: Instants that are searched, votes that are followed at each, rounds of their refinement.
+SEARCHED, BEGINNINGS, ROUNDS = 3, 32, 20
+#: Factors by which errors are taken wider, round by round, over all instants; how many candidates go on after each.
+WIDENINGS, KEPT = (2.0, 1.5, 1.2, 1.0, 1.0), (12, 8, 6, 4, 3)
+#: Steps below this share of a standard error end the refinement, or so many rounds.
+SETTLED, MOST_ROUNDS = 0.01, 40
+#: Two solutions are one when no record moves between them by more than so many standard deviations.
+SAME_SIGMAS = 0.7
+#: Of the information so much is left at least, however doubtful the pairs are.
+LEAST_SHARE = 0.02
+#: Instants are one look and the same until records have moved by so many standard deviations.
+MOVED_SIGMAS = 3.0
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Biases that explain the encounters.
+
+    Attributes
+    ----------
+    biases : (p,) which they are: see :class:`~sameas.tracks.common_scans.Encounter`. theta : (p,) their values.
+    covariance : (p, p) of theta, by data and prior.
+    relative : (p, p) the same without what displaces all sources alike: for comparing them with each other.
+    pairs : expected number of pairs, over all instants. tracks : of how many objects they are.
+    log_evidence : ln of the odds of these biases, with the pairs they make, against nothing in common.
+    rivals : other biases that were found, with their log evidence.
+    """
+
+    biases: IntArray
+    theta: FloatArray
+    covariance: FloatArray
+    relative: FloatArray
+    pairs: float
+    instants: int
+    tracks: float
+    log_evidence: float
+    rivals: tuple[tuple[FloatArray, float], ...]
+    settled: bool
+
+    @property
+    def near_rivals(self) -> tuple[tuple[FloatArray, float], ...]:
+        """Those that are not much less probable."""
+        return tuple(rival for rival in self.rivals if rival[1] > self.log_evidence - DECISIVE)
+
+    @property
+    def established(self) -> bool:
+        """Whether these biases, and no others nor nothing in common, explain the encounters."""
+        return self.log_evidence > DECISIVE and not self.near_rivals
+
+
+@dataclass(frozen=True)
+class Pool:
+    """Encounters with one set of biases; θ (…, p) runs over ``biases``."""
+
+    encounters: tuple[Encounter, ...]
+
+    @cached_property
+    def biases(self) -> IntArray:
+        """(p,) the biases that any encounter speaks of."""
+        return np.unique(np.concatenate([encounter.biases for encounter in self.encounters]))
+
+    @cached_property
+    def columns(self) -> list[IntArray]:
+        """Per encounter where its biases stand in θ."""
+        return [np.searchsorted(self.biases, encounter.biases) for encounter in self.encounters]
+
+    @cached_property
+    def precision(self) -> FloatArray:
+        """(p,) of the prior."""
+        width = np.zeros(len(self.biases))
+        for encounter, at in zip(self.encounters, self.columns, strict=True):
+            width[at] = encounter.weighing.model.widths
+        return width**-2.0
+
+    def weighed(self, theta: FloatArray, common: list[FloatArray], widening: float) -> list[Weighed]:
+        """Weights of all pairs of every encounter under s candidates θ (s, p)."""
+        return [
+            weigh(encounter.weighing, theta[:, at], here, widening)
+            for encounter, at, here in zip(self.encounters, self.columns, common, strict=True)
+        ]
+
+    def gain(self, theta: FloatArray, found: Sequence[Weighed]) -> FloatArray:
+        """(s,) log posterior, up to a constant."""
+        return np.asarray(sum(each.gain for each in found) - 0.5 * np.sum(self.precision * theta**2, axis=1))
+
+    def equations(self, theta: FloatArray, found: Sequence[Weighed]) -> tuple[FloatArray, FloatArray]:
+        """Score (s, p) of the log posterior, and its information (s, p, p) if the weights were the truth."""
+        score = -self.precision * theta
+        information = np.broadcast_to(np.diag(self.precision), (len(theta), *np.shape(self.precision) * 2)).copy()
+        for k, each in enumerate(found):
+            terms, squares, s = self.contributions(k, theta, each)
+            np.add.at(score, s, terms)
+            np.add.at(information, s, squares)
+        return score, information
+
+    def contributions(self, k: int, theta: FloatArray, found: Weighed) -> tuple[FloatArray, FloatArray, IntArray]:
+        """What each pair of an encounter adds to score (m, p) and information (m, p, p), and its candidate (m,)."""
+        encounter, at = self.encounters[k], self.columns[k]
+        model, features = encounter.weighing.model, encounter.weighing.second.features
+        jacobian = np.zeros((len(found.s), found.residual.shape[1], theta.shape[1]))
+        jacobian[:, :, at] = model.jacobian(features, theta[:, None, at])[found.s, found.j]
+        pull = np.einsum("mvw,mwp->mvp", found.precision, jacobian) * found.weight[:, None, None]
+        terms = np.einsum("mvp,mv->mp", pull, found.residual)
+        return terms, np.einsum("mvp,mvq->mpq", pull, jacobian), found.s
+
+    def fresh(self, count: int) -> list[FloatArray]:
+        """(count,) numbers of common objects to begin with, per encounter."""
+        sizes = [min(len(e.weighing.first), len(e.weighing.second)) for e in self.encounters]
+        return [np.full(count, 0.5 * size) for size in sizes]
+
+
+def agreement(encounters: Sequence[Encounter]) -> Agreement:
+    """The biases under which the sources of these encounters agree best; at least one encounter."""
+    pool = Pool(tuple(encounters))
+    theta = _annealed(pool, _beginnings(pool))
+    finished = [_finished(pool, one) for one in theta]
+    finished.sort(key=lambda one: -one.log_evidence)
+    best, biggest = finished[0], _biggest(pool)[0]
+    at = pool.columns[biggest]
+    apart = [
+        (one.theta, one.log_evidence)
+        for one in finished[1:]
+        if displacement_sigmas(pool.encounters[biggest].weighing, best.theta[at], one.theta[at]) > SAME_SIGMAS
+    ]
+    return replace(best, rivals=tuple(apart))
+
+
+def _biggest(pool: Pool) -> list[int]:
+    """Encounters in the order of how many records the poorer source shows."""
+    sizes = [min(len(e.weighing.first), len(e.weighing.second)) for e in pool.encounters]
+    return sorted(range(len(sizes)), key=lambda k: -sizes[k])
+
+
+def _beginnings(pool: Pool) -> FloatArray:
+    """(s, p) what the richest instants each find, and no bias at all."""
+    starts = [np.zeros(len(pool.biases))]
+    # One of the richer half at a time, far apart in time: the same chance does not come twice.
+    rich = sorted(_biggest(pool)[: max(len(pool.encounters) // 2, SEARCHED)])
+    for k in np.unique(np.linspace(0, len(rich) - 1, min(SEARCHED, len(rich))).round().astype(int)):
+        encounter, at = pool.encounters[rich[k]], pool.columns[rich[k]]
+        weighing = encounter.weighing
+        votes = vote(weighing.first, weighing.second, weighing.model, BEGINNINGS)
+        none = np.zeros((1, len(at)))
+        votes = Votes(
+            np.concatenate([votes.theta, none]), np.append(votes.score, 0.0), np.append(votes.patch, 0), votes.patches
+        )
+        for solution in refine(weighing, votes, ROUNDS):
+            theta = np.zeros(len(pool.biases))
+            theta[at] = solution.theta
+            starts.append(theta)
+    return np.array(starts)
+
+
+def _annealed(pool: Pool, theta: FloatArray) -> FloatArray:
+    """The best candidates, refined over all encounters together with errors from wide to quoted."""
+    common = pool.fresh(len(theta))
+    for widening, keep in zip(WIDENINGS, KEPT, strict=True):
+        found = pool.weighed(theta, common, widening)
+        score, information = pool.equations(theta, found)
+        gain = pool.gain(theta, found)
+        best = np.sort(np.argsort(-gain, kind="stable")[:keep])
+        theta = (theta + np.linalg.solve(information, score[..., None])[..., 0])[best]
+        common = [each.common[best] for each in found]
+    return theta
+
+
+def _finished(pool: Pool, theta: FloatArray) -> Agreement:
+    """One candidate brought to its maximum, with covariance and evidence."""
+    at, common, settled = theta[None, :], pool.fresh(1), False
+    for _ in range(MOST_ROUNDS):
+        found = pool.weighed(at, common, 1.0)
+        score, information = pool.equations(at, found)
+        step = np.linalg.solve(information, score[..., None])[..., 0]
+        at, common = at + step, [each.common for each in found]
+        settled = float(np.einsum("sp,spq,sq->", step, information, step)) <= SETTLED**2
+        if settled:
+            break
+    found = pool.weighed(at, common, 1.0)
+    _, complete = pool.equations(at, found)
+    by_model = _covariance(pool, at, common, complete[0])
+    covariance, tracks = _scattered(pool, at, found, complete[0], by_model)
+    filtered = _without_gauge(pool, at)
+    instants = len({encounter.instant_s for encounter in pool.encounters})
+    occam = 0.5 * (np.linalg.slogdet(covariance)[1] + np.sum(np.log(pool.precision)))
+    prior = -0.5 * float(np.sum(pool.precision * at[0] ** 2))
+    likelihood = float(sum(each.gain[0] for each in found)) * _independent(pool) / instants
+    return Agreement(
+        pool.biases, at[0], covariance, filtered @ covariance @ filtered.T, float(sum(e.common[0] for e in found)),
+        instants, tracks, likelihood + prior + min(float(occam), 0.0), (), settled,
+    )  # fmt: skip
+
+
+def _covariance(pool: Pool, theta: FloatArray, common: list[FloatArray], complete: FloatArray) -> FloatArray:
+    """(p, p) inverse of the observed information (Louis 1982), by central differences of the score."""
+    p = theta.shape[1]
+    step = 0.2 / np.sqrt(np.diag(complete))
+    nodes = np.concatenate([theta + np.diag(step), theta - np.diag(step)])
+    found = pool.weighed(nodes, [np.repeat(here, 2 * p) for here in common], 1.0)
+    score, _ = pool.equations(nodes, found)
+    observed = -(score[:p] - score[p:]) / (2.0 * step[:, None])
+    # In the units of the complete information: the shares of it that are not missing, at least a little.
+    scale = np.linalg.cholesky(np.linalg.inv(complete))
+    shares, axes = np.linalg.eigh(scale.T @ (0.5 * (observed + observed.T)) @ scale)
+    root = scale @ axes / np.sqrt(np.clip(shares, LEAST_SHARE, None))
+    return np.asarray(root @ root.T)
+
+
+def _scattered(
+    pool: Pool, theta: FloatArray, found: Sequence[Weighed], complete: FloatArray, by_model: FloatArray
+) -> tuple[FloatArray, float]:
+    """The covariance, nowhere less than tracks scatter (Liang and Zeger 1986), and how many tracks there are.
+
+    Pairs without any name are tracks of their own, so what stays with their objects is added as it is described.
+    """
+    parts = [pool.contributions(k, theta, each) for k, each in enumerate(found)]
+    names = [_owners(encounter, each) for encounter, each in zip(pool.encounters, found, strict=True)]
+    owner, count = _numbered(np.concatenate(names))
+    p, weight = len(by_model), np.concatenate([each.weight for each in found])
+    score, leverage = np.zeros((count, p)), np.zeros((count, p, p))
+    np.add.at(score, owner, np.concatenate([part[0] for part in parts]))
+    np.add.at(leverage, owner, np.concatenate([part[1] for part in parts]))
+    # Every track pulled the answer towards itself: what it would say of an answer found without it.
+    apart = np.einsum("pq,cq->cp", complete, np.linalg.solve(complete - leverage, score[..., None])[..., 0])
+    instants = len({encounter.instant_s for encounter in pool.encounters})
+    lasting = np.zeros((p, p))
+    for encounter, part, each, own in zip(pool.encounters, parts, found, names, strict=True):
+        nameless = own == ""
+        spread = np.einsum("mvv->m", each.precision[nameless]) / each.residual.shape[1] * encounter.lasting_m2
+        lasting += instants * np.einsum("mpq,m->pq", part[1][nameless], spread)
+    total = by_model + by_model @ lasting @ by_model
+    nameless = np.concatenate(names) == ""
+    named = np.sum(np.bincount(owner[~nameless], weight[~nameless], count) > 0.5)
+    return _at_least(total, by_model @ apart.T @ apart @ by_model), float(named + weight[nameless].sum() / instants)
+
+
+def _numbered(names: NDArray[np.str_]) -> tuple[IntArray, int]:
+    """(m,) a number for every name, and one for each of those that have none; and how many there are."""
+    own = np.where(names == "", [f"0 {m}" for m in range(len(names))], names)
+    number = np.unique(own, return_inverse=True)[1]
+    return number, int(number.max(initial=-1)) + 1
+
+
+def _owners(encounter: Encounter, found: Weighed) -> NDArray[np.str_]:
+    """(m,) whose track each pair is: the second's, else the first's, else nobody's, an empty name."""
+    names = [labels[rows] for labels, rows in zip(encounter.labels, (found.i, found.j), strict=True)]
+    chosen = [
+        f"2 {two}" if two is not None else (f"1 {one}" if one is not None else "")
+        for one, two in zip(*names, strict=True)
+    ]
+    return np.array(chosen, dtype=str)
+
+
+def _at_least(least: FloatArray, other: FloatArray) -> FloatArray:
+    """A covariance (p, p) that is nowhere smaller than either."""
+    root = np.linalg.cholesky(least)
+    inverse = np.linalg.inv(root)
+    ratio, axes = np.linalg.eigh(inverse @ other @ inverse.T)
+    grown = root @ axes * np.sqrt(np.maximum(ratio, 1.0))
+    return np.asarray(grown @ grown.T)
+
+
+def _without_gauge(pool: Pool, theta: FloatArray) -> FloatArray:
+    """(p, p) matrix that takes away what would displace all sources alike: what no pair anywhere could tell."""
+    every = np.zeros((len(pool.biases), len(pool.biases)))
+    for encounter, at in zip(pool.encounters, pool.columns, strict=True):
+        weighing = encounter.weighing
+        jacobian = weighing.model.jacobian(weighing.second.features, theta[0, at])
+        precision = np.linalg.inv(weighing.covariance_2 + np.median(weighing.covariance_1, axis=0))
+        every[np.ix_(at, at)] += np.einsum("nvp,nvw,nwq->pq", jacobian, precision, jacobian)
+    return np.asarray(np.linalg.solve(every + np.diag(pool.precision), every), np.float64)
+
+
+def _independent(pool: Pool) -> float:
+    """How many looks the instants are worth: what stands still repeats the same chance again and again."""
+    times = np.unique([encounter.instant_s for encounter in pool.encounters])
+    if len(times) < 2:
+        return 1.0
+    apart = [
+        encounter.speed_m_per_s * float(np.median(np.diff(times))) / (MOVED_SIGMAS * encounter.weighing.sigma)
+        for encounter in pool.encounters
+        if isinstance(encounter.weighing.model, RelativeBias)
+    ]
+    return 1.0 + (len(times) - 1) * min(1.0, float(np.median(apart)) if apart else 0.0)

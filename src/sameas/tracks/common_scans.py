@@ -1,0 +1,212 @@
+"""Encounters: what two sources show at one instant, as a scene for :mod:`sameas.registration`.
+
+The biases of a source show in the residuals of its records against those of another, and one instant has few pairs:
+:func:`encounters` looks at two sources at many instants, spread over the time that both speak.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.arrays import FloatArray, IntArray
+from sameas.records import Records
+from sameas.registration.weights import PlacedSources as Weighing
+from sameas.space import Plane
+from sameas.tracks.biases import AZIMUTH, BIASES, GAIN, RANGE, TIME, BiasModel, RelativeBias, Turned
+from sameas.tracks.feed import Feed
+from sameas.tracks.placement import Directions
+from sameas.tracks.snapshot import Snapshot
+
+#: At so many instants two sources are compared, fewer where they show more than so many records in all.
+INSTANTS, RECORDS = 16, 4000
+#: Fewest instants, and the part of the common time that is passed over first: not all have spoken then.
+FEWEST, EARLY = 4, 0.05
+NO_WIDTHS = np.zeros(6)
+
+
+@dataclass(frozen=True)
+class Encounter:
+    """Two sources at one instant.
+
+    weighing : their records, and the offset between them.
+    biases : (p,) which biases its parameters are: numbers into :data:`sameas.tracks.biases.BIASES`, those of the second
+        registered source from 6.
+    labels : (n₁,), (n₂,) names of tracks, None where a record has none.
+    speed_m_per_s : typical of the records.
+    lasting_m2 : variance per axis of errors that stay with an object, where no name tells whose they are: late stamps
+        that do not show, since no velocity is known, and the echo's place on the hull; deg² for directions.
+    """
+
+    instant_s: float
+    weighing: Weighing
+    biases: IntArray
+    labels: tuple[NDArray[Any], NDArray[Any]]
+    speed_m_per_s: float
+    lasting_m2: float = 0.0
+
+    @property
+    def sources(self) -> tuple[str, str]:
+        """Names of both."""
+        return self.weighing.first.source, self.weighing.second.source
+
+
+@dataclass(frozen=True)
+class MeetingSource:
+    """One of two sources that meet: ``start`` is 0 or 6, where its biases stand among all, or None: it has none."""
+
+    feed: Feed
+    start: int | None
+
+    def widths(self) -> FloatArray:
+        """(6,) prior standard deviations of its biases; 0 for what is not looked for."""
+        return NO_WIDTHS if self.start is None else looked_for(self.feed)
+
+
+def looked_for(feed: Feed) -> FloatArray:
+    """(6,) prior standard deviations of the biases that a source may have, in the order of BIASES; 0 where none."""
+    bias = feed.description.bias
+    given = (bias.range_m, bias.azimuth_deg, bias.range_gain, bias.time_s, bias.shift_m, bias.shift_m)
+    widths = np.array([width or 0.0 for width in given])
+    if feed.sensor_m is None:
+        widths[[RANGE, AZIMUTH, GAIN]] = 0.0
+    if isinstance(feed.reports, Directions):
+        widths[[k for k in range(len(BIASES)) if k != AZIMUTH]] = 0.0
+    return widths
+
+
+def encounters(one: MeetingSource, other: MeetingSource, most: int = INSTANTS) -> tuple[Encounter, ...]:
+    """Two sources at ``most`` instants spread over their common time; none where they have no time in common."""
+    sides = [one, other]
+    directions = [isinstance(side.feed.reports, Directions) for side in sides]
+    if all(directions):
+        return ()
+    # The second is what is moved: directions against positions, or what has velocities to be moved along.
+    if directions[0] or (one.feed.tells_velocities and not directions[1]):
+        sides = sides[::-1]
+    found = [_encounter(sides[0], sides[1], instant_s) for instant_s in common_instants(one.feed, other.feed, most)]
+    return tuple(encounter for encounter in found if encounter is not None)
+
+
+def common_instants(one: Feed, other: Feed, most: int = INSTANTS) -> FloatArray:
+    """(k,) instants at which both may speak: times at which the one of unknown velocities looked."""
+    times = [feed.reports.time_s[feed.reports.usable] for feed in (one, other)]
+    if not all(len(t) for t in times):
+        return np.empty(0)
+    plots = other if one.tells_velocities and not other.tells_velocities else one
+    looked = np.unique(plots.looked_s)
+    looked = looked[(looked >= max(t.min() for t in times)) & (looked <= max(times[0].max(), times[1].max()))]
+    # A source that ended stands for a while, no longer than it would take it to report a few times.
+    ends = [
+        t.max() + 3.0 * (feed.description.timing.period_s or 0.0) for t, feed in zip(times, (one, other), strict=True)
+    ]
+    looked = looked[looked <= min(ends)]
+    if not len(looked):
+        return looked
+    per_instant = _typical_count(one) + _typical_count(other)
+    count = int(np.clip(RECORDS / max(per_instant, 1.0), min(FEWEST, most), most))
+    chosen = np.linspace(EARLY * (len(looked) - 1), len(looked) - 1, min(count, len(looked)))
+    return np.asarray(looked[np.unique(np.round(chosen).astype(np.int64))])
+
+
+def _typical_count(feed: Feed) -> float:
+    """Records that the source shows at an instant, about: the tracks that are alive, or the plots of a look."""
+    reports = feed.reports
+    if reports.track is None:
+        return len(reports) / max(len(np.unique(feed.look_s)), 1)
+    _, number = np.unique(reports.track.astype(str), return_inverse=True)
+    first, last = np.full(number.max() + 1, np.inf), np.full(number.max() + 1, -np.inf)
+    np.minimum.at(first, number, reports.time_s)
+    np.maximum.at(last, number, reports.time_s)
+    span = float(reports.time_s.max() - reports.time_s.min())
+    return float(np.sum(last - first)) / span if span > 0.0 else float(len(first))
+
+
+def _encounter(first: MeetingSource, second: MeetingSource, instant_s: float) -> Encounter | None:
+    said = [Snapshot.of(side.feed.as_measured, instant_s) for side in (first, second)]
+    density = _density(said)
+    said = [each.without_aged(density) for each in said]
+    if not all(len(each.rows) for each in said):
+        return None
+    if isinstance(second.feed.reports, Directions):
+        return _of_directions(said[0], said[1], second, instant_s)
+    return _of_positions(said[0], said[1], (first, second), instant_s)
+
+
+def _density(said: Sequence[Snapshot]) -> float:
+    """Records per m² where the source that shows most shows them."""
+    most = max((each for each in said if each.state.ndim == 2), key=lambda each: len(each.rows))
+    if len(most.rows) < 3:
+        return 0.0
+    area = 2.0 * math.pi * math.sqrt(max(float(np.linalg.det(np.cov(most.state[:, :2].T))), 1e-300))
+    return len(most.rows) / area
+
+
+def _of_positions(
+    one: Snapshot, other: Snapshot, sides: tuple[MeetingSource, MeetingSource], instant_s: float
+) -> Encounter:
+    told = other.covariance[:, 2, 2] < 0.99 * (other.feed.description.motion.speed_m_per_s or math.inf) ** 2
+    timed = bool(told.mean() >= 0.5)
+    if timed:
+        other = Snapshot(
+            other.feed, other.rows[told], other.time_s[told], other.state[told], other.covariance[told], other.aged
+        )
+    velocity = other.state[:, 2:] if timed else np.zeros((len(other.rows), 2))
+    widths = [side.widths() * np.where(np.arange(6) == TIME, float(timed), 1.0) for side in sides]
+    models = [BiasModel(side.feed.sensor_at(instant_s)) for side in sides]
+    model = RelativeBias(models[0], models[1], velocity, tuple(np.concatenate(widths).tolist()))
+    biases = np.array([(sides[k // 6].start or 0) + k % 6 for k in model.which], np.int64)
+    weighing = Weighing.of(_positions(one), _positions(other), model)
+    speed = float(np.median(np.hypot(*velocity.T)))
+    lasting = 0.0 if timed else sum(_lasting_m2(side) for side in sides)
+    return Encounter(instant_s, weighing, biases, (_labels(one), _labels(other)), speed, lasting)
+
+
+def _lasting_m2(side: MeetingSource) -> float:
+    description = side.feed.description
+    late_m = (description.bias.time_s or 0.0) * (description.motion.speed_m_per_s or 0.0)
+    return (late_m * (side.start is not None)) ** 2 + (description.errors.extent_m or 0.0) ** 2
+
+
+def _positions(said: Snapshot) -> Records:
+    name = said.feed.description.name
+    return Records.of(said.state[:, :2], covariance=said.covariance[:, :2, :2], source=name)
+
+
+def _of_directions(
+    positions: Snapshot, directions: Snapshot, side: MeetingSource, instant_s: float
+) -> Encounter | None:
+    """Directions against those in which the sensor would see what the other source shows."""
+    description = directions.feed.description
+    arm = positions.state[:, :2] - np.asarray(directions.sensor())
+    away = np.maximum(np.hypot(*arm.T), 1.0)
+    across = np.column_stack([arm[:, 1], -arm[:, 0]]) / away[:, None]
+    variance = np.einsum("nv,nvw,nw->n", across, positions.covariance[:, :2, :2], across)
+    sigma = np.degrees(np.sqrt(variance + (description.errors.extent_m or 0.0) ** 2) / away)
+    # What stands beside the sensor has no direction, what is too far is not seen.
+    seen = (sigma < 30.0) & (away <= (description.coverage.range_m or math.inf))
+    if not seen.any():
+        return None
+    bearing, around = np.degrees(np.arctan2(arm[:, 0], arm[:, 1])) % 360.0, Plane(periods=(360.0,))
+    name = positions.feed.description.name
+    first = Records.of(bearing[seen, None], sigma=sigma[seen, None], space=around, source=name)
+    second = Records.of(
+        directions.state[:, None], variance=directions.covariance[:, None], space=around, source=description.name
+    )
+    model = Turned(float(side.widths()[AZIMUTH]))
+    biases = np.array([(side.start or 0) + AZIMUTH], np.int64)
+    speed = float(np.median(np.hypot(*positions.state[:, 2:].T)))
+    # The place on the hull that is seen stays with its object: here as the angle that it is.
+    lasting_deg2 = float(np.mean(np.degrees((description.errors.extent_m or 0.0) / away[seen]) ** 2))
+    labels = (_labels(positions)[seen], _labels(directions))
+    return Encounter(instant_s, Weighing.of(first, second, model), biases, labels, speed, lasting_deg2)
+
+
+def _labels(said: Snapshot) -> NDArray[Any]:
+    track = said.feed.reports.track
+    return np.full(len(said.rows), None, object) if track is None else track[said.rows].astype(object)

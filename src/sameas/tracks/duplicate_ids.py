@@ -1,0 +1,96 @@
+"""Namesakes: reports of one name that cannot be of one object, since nothing moves from one place to the other so fast.
+
+An MMSI typed into two ships' transponders, an address forged, a track number given away again: the source has one
+name, and there are two objects. :func:`parted` gives each a track of its own, so that both stay in the picture and the
+alarms can say that they show one identity. A lone report far from all others of its name is an error of the link, and
+is not used.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.tracks.alignment import States
+
+#: Nothing goes faster than so many times the speed that objects of the source usually make (1σ per axis).
+FASTEST = 5.0
+#: How often a name goes from one place to the other before it is taken for that of two objects: there, back, twice.
+#: Once is a position that stood still and caught up, or a number given away again.
+TURNS = 4
+#: Places are uncertain by so many σ.
+SIGMAS = 6.0
+
+
+def parted(reports: States, speed_m_per_s: float) -> tuple[States, tuple[str, ...]]:
+    """The reports with a track for every object that one name stands for, and printable notes.
+
+    Parameters
+    ----------
+    reports : of one source; without names of tracks they come back as they are.
+    speed_m_per_s : that objects usually make, motion.speed_m_per_s of the description.
+    """
+    if reports.track is None or not len(reports):
+        return reports, ()
+    limit = FASTEST * speed_m_per_s
+    usable = np.flatnonzero(reports.usable)
+    names, number = np.unique(reports.track[usable].astype(str), return_inverse=True)
+    order = np.lexsort([reports.time_s[usable], number])
+    rows, owner = usable[order], number[order]
+    radius = SIGMAS * np.sqrt(np.trace(reports.covariance[rows, :2, :2], axis1=1, axis2=2))
+    leaps = _too_far(reports, rows[:-1], rows[1:], radius[:-1] + radius[1:], limit) & (owner[1:] == owner[:-1])
+    track, state, notes = reports.track.astype(object), reports.state.copy(), []
+    for k in np.unique(owner[1:][leaps]):
+        own = np.flatnonzero(owner == k)
+        branch = _branches(reports, rows[own], radius[own], limit)
+        count = np.bincount(branch)
+        stray, true = count[branch] == 1, np.flatnonzero(count > 1)
+        if np.count_nonzero(np.diff(branch[~stray])) < TURNS:
+            true = true[:1]
+        for place, one in enumerate(true[1:], start=2):
+            track[rows[own[branch == one]]] = f"{names[k]} ({place})"
+        if len(true):
+            state[rows[own[stray]]] = np.nan
+        notes += _said(str(names[k]), len(true), int(stray.sum()))
+    return States(reports.time_s, state, reports.covariance, track, reports.rows), tuple(notes)
+
+
+def _too_far(reports: States, first: IntArray, second: IntArray, radius: FloatArray, limit: float) -> BoolArray:
+    """(k,) whether the second report of each two lies beyond the reach of the first."""
+    way = np.linalg.norm(reports.state[second, :2] - reports.state[first, :2], axis=1)
+    return np.asarray(way > radius + limit * np.abs(reports.time_s[second] - reports.time_s[first]))
+
+
+def _branches(reports: States, rows: IntArray, radius: FloatArray, limit: float) -> IntArray:
+    """(k,) number of the object of each report of one name: that which it is nearest to of those that can have come."""
+    ends: list[int] = []
+    branch = np.zeros(len(rows), np.int64)
+    for at, row in enumerate(rows):
+        known = np.array(ends, np.int64)
+        away = np.full(len(known), math.inf)
+        if len(known):
+            before = rows[known]
+            far = _too_far(reports, before, np.full(len(known), row), radius[known] + radius[at], limit)
+            ahead = reports.state[before, :2] + reports.state[before, 2:] * (
+                reports.time_s[row] - reports.time_s[before, None]
+            )
+            away = np.where(far, math.inf, np.linalg.norm(ahead - reports.state[row, :2], axis=1))
+        if len(known) and away.min() < math.inf:
+            branch[at] = int(away.argmin())
+            ends[branch[at]] = at
+        else:
+            branch[at] = len(ends)
+            ends.append(at)
+    return branch
+
+
+def _said(name: str, objects: int, strays: int) -> list[str]:
+    said = []
+    if objects > 1:
+        said.append(f"{name} is shown at {objects} places too far apart for one object: a track for each")
+    if strays and objects:
+        reports = "1 report" if strays == 1 else f"{strays} reports"
+        said.append(f"{reports} of {name} set aside: nothing goes there so fast")
+    return said

@@ -1,0 +1,168 @@
+"""Looks: which reports of a source of bare plots stand for what it sees at an instant, each object once.
+
+Reports without names of tracks cannot replace each other one by one; what the source saw last replaces all it saw
+before. Sources look in two ways, and :func:`looks_of` tells them apart by the reports:
+
+- an **exposure** shows everything at once: a camera, a laser scanner, a radar that gives all plots of a turn one stamp.
+  The last exposure stands.
+- an **antenna that turns** passes one bearing after another, and every plot has the stamp of its passing. At any
+  instant the plots of the last turn stand, (t − T, t], in which every bearing was passed once. T has to be right for
+  that: one that is 1 % too long shows one object in a hundred twice. It is measured by the plots, whose bearings run
+  with their stamps, and the period of the description only says where to look for it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sameas.arrays import FloatArray, IntArray
+
+#: The period of a turn is looked for within this share of the described one, in so many plots at most.
+WITHIN, MOST_PLOTS = 0.3, 3000
+#: Steps of the search per resolvable frequency, and ln of the odds against chance that are asked for.
+STEPS, DECISIVE = 6.0, 12.0
+#: An antenna turns where its turning leaves less than this share of the bearings' scatter unexplained.
+UNEXPLAINED = 0.5
+#: An antenna pauses for as long as the longest of this share of the gaps between its plots.
+USUAL = 0.99
+#: Reports of one exposure follow each other within this share of the period, and all within this.
+TOGETHER, BRIEF = 0.1, 0.5
+#: Exposures are so many in a period at most, and no more than this share follows the one before in half the usual time.
+MOST, HURRIED = 1.5, 0.1
+
+
+@dataclass(frozen=True)
+class AntennaTurn:
+    """Of an antenna whose plots bear their own stamps: its period, and for how long it may show nothing meanwhile."""
+
+    period_s: float
+    pause_s: float
+
+
+@dataclass(frozen=True)
+class Looks:
+    """look_s : (n,) the look to which each report belongs. turn : None for exposures."""
+
+    look_s: FloatArray
+    turn: AntennaTurn | None = None
+
+
+def looks_of(
+    time_s: FloatArray,
+    period_s: float | None,
+    bearing_deg: FloatArray | None = None,
+    looked_s: FloatArray | None = None,
+) -> Looks:
+    """The looks of bare plots.
+
+    Parameters
+    ----------
+    time_s : (n,) in any order. period_s : between looks, as described; without it every stamp is a look.
+    bearing_deg : (n,) of the plots from the sensor, NaN where not known; None where the sensor is in no one place.
+    looked_s : (l,) times of all looks, where they are known.
+
+    Example
+    -------
+    >>> looks_of(np.array([5.0, 0.0, 0.0, 5.0]), 5.0)
+    Looks(look_s=array([5., 0., 0., 5.]), turn=None)
+    """
+    known = looked_s is not None and bool(np.isin(time_s, looked_s).all())
+    if known or period_s is None or period_s <= 0.0 or not len(time_s):
+        return Looks(time_s.copy())
+    _, stamp, count = np.unique(time_s, return_inverse=True, return_counts=True)
+    shared = float(np.mean(count[stamp] > 1)) >= 0.5
+    exposures = _exposures(time_s, period_s, 0.0 if shared else TOGETHER * period_s)
+    if exposures is not None:
+        return Looks(exposures)
+    turning = None if bearing_deg is None else turning_s(time_s, bearing_deg, period_s)
+    if shared and turning is None:
+        return Looks(time_s.copy())
+    period = period_s if turning is None else turning
+    gaps, first = np.diff(np.sort(time_s)), float(time_s.min())
+    # The last plot itself must not fall out of the turn that it ends.
+    pause_s = min(float(np.quantile(gaps, USUAL)), 0.999 * period)
+    return Looks(first + period * np.floor((time_s - first) / period), AntennaTurn(period, pause_s))
+
+
+def turning_s(time_s: FloatArray, bearing_deg: FloatArray, near_s: float) -> float | None:
+    """The period with which bearings run clockwise with the stamps; None where they do not, or too few tell it.
+
+    The frequency f that maximises R = |Σ exp i(β − 2π f t)| / n. It counts where n R² is beyond what the search finds
+    by chance, and R well beyond |Σ exp iβ| / n, which is what a fixed look into a sector gives.
+    Source: Rayleigh's test, Mardia and Jupp, Directional Statistics (2000), 6.3.1.
+
+    >>> t = np.arange(0.0, 60.0, 0.37)
+    >>> round(turning_s(t, 360.0 * t / 2.5, 3.0), 3)
+    2.5
+    """
+    known = np.flatnonzero(np.isfinite(bearing_deg))
+    order = known[np.argsort(time_s[known], kind="stable")]
+    skipped = max(len(order) - MOST_PLOTS, 0) // 2
+    order = order[skipped : skipped + MOST_PLOTS]
+    time, sight = time_s[order], np.exp(1j * np.radians(bearing_deg[order]))
+    span = float(np.ptp(time)) if len(time) else 0.0
+    if span < 2.0 * near_s:
+        return None
+    time = time - time.mean()
+
+    def explained(frequency: FloatArray) -> FloatArray:
+        """(k,) R at these frequencies."""
+        parts = np.array_split(frequency, max(len(frequency) // 64, 1))
+        sums = [np.exp(-2j * math.pi * part[:, None] * time) @ sight for part in parts]
+        return np.abs(np.concatenate(sums)) / len(time)
+
+    low, high = 1.0 / ((1.0 + WITHIN) * near_s), 1.0 / ((1.0 - WITHIN) * near_s)
+    count = math.ceil((high - low) * span * STEPS)
+    tried = np.linspace(low, high, count + 1)
+    for step in (high - low) / count * np.array([1.0, 0.1, 0.01]):
+        best = float(tried[np.argmax(explained(tried))])
+        tried = best + 0.1 * step * np.arange(-10, 11)
+    strength, fixed = float(explained(np.array([best]))[0]), float(np.abs(sight.mean()))
+    chance = len(time) * strength**2 < DECISIVE + math.log(count)
+    return None if chance or 1.0 - strength > UNEXPLAINED * (1.0 - fixed) else 1.0 / best
+
+
+def _exposures(time_s: FloatArray, period_s: float, together_s: float) -> FloatArray | None:
+    """(n,) the beginning of the exposure of each report, if they come in short bursts, once a period; None if not."""
+    order = np.argsort(time_s, kind="stable")
+    stamps = time_s[order]
+    begins = np.concatenate([[True], np.diff(stamps) > together_s])
+    starts = stamps[begins]
+    out = np.empty_like(stamps)
+    out[order] = starts[np.cumsum(begins) - 1]
+    if np.any(time_s - out > BRIEF * period_s):
+        return None
+    gaps = np.diff(starts)
+    crowded = len(starts) > MOST * (np.ptp(starts) / period_s + 1.0)
+    hurried = len(gaps) > 0 and np.mean(gaps < 0.5 * np.median(gaps)) > HURRIED
+    return None if crowded or hurried else out
+
+
+def last_look(look_s: FloatArray, looked_s: FloatArray, instant_s: float) -> IntArray:
+    """Reports of the last exposure at or before an instant; none where that, one of ``looked_s``, showed nothing."""
+    past = looked_s[looked_s <= instant_s]
+    return np.flatnonzero(look_s == past.max()) if len(past) else np.empty(0, np.int64)
+
+
+def last_turn(time_s: FloatArray, turn: AntennaTurn, looked_s: FloatArray, instant_s: float) -> IntArray:
+    """Reports of the last turn of an antenna before an instant: those of (t − T, t].
+
+    Where it has shown nothing for longer than it usually does, it is not known whether it turned on, or its plots are
+    still on their way: the last turn of which anything is known stands. looked_s : times at which it is known to turn.
+    """
+    past, begun = time_s[time_s <= instant_s], looked_s[looked_s <= instant_s]
+    if not len(past):
+        return np.empty(0, np.int64)
+    end = min(instant_s, max(float(past.max()) + turn.pause_s, float(begun.max(initial=-math.inf))))
+    return np.flatnonzero((time_s > end - turn.period_s) & (time_s <= end))
+
+
+def seen_from(place: FloatArray, sensor_m: FloatArray | None) -> FloatArray | None:
+    """(n,) bearings of places (n, 2) from the sensor (n, 2), degrees; None where it is in no one place."""
+    if sensor_m is None:
+        return None
+    arm = place - sensor_m
+    return np.asarray(np.degrees(np.arctan2(arm[:, 0], arm[:, 1])))

@@ -1,0 +1,179 @@
+"""The lookout: pictures of bare plots go through every look, and say of objects what following says."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_plot_tracker import course, crossing, plots, sensor
+
+from sameas.errors import InputError
+from sameas.many.identify import identify_many
+from sameas.many.observations import records_of
+from sameas.picture import Picture, PlotPicture, Watch
+from sameas.picture.bernoulli import KNOWN
+from sameas.picture.plot_picture import looks_between, nameless
+from sameas.tracks.feed import Feed
+from sameas.tracks.reports import Reports
+from sameas.tracks.scene import POSITION_AND_VELOCITY, Scene
+
+
+def passing(seed, until_s=30.0, ends_s=np.inf):
+    """Two boats that pass each other before a lidar and a radar."""
+    rng = np.random.default_rng(seed)
+    tracks = course((-60.0, 8.0), (4.0, 0.0)), course((60.0, -8.0), (-4.0, 0.0), ends_s)
+    near, far = sensor("lidar", 2.0, 0.5, clutter_per_km2=11.0), sensor("radar", 4.0, 1.5, clutter_per_km2=11.0)
+    return Scene(tuple(plots(rng, description, tracks, until_s) for description in (near, far)))
+
+
+def columns(picture):
+    """What of the objects is the same however they were asked for."""
+    last = picture.objects["time_s"] == picture.objects["time_s"].max()
+    return {name: np.ma.filled(column[last], np.nan) if column.dtype.kind == "f" else column[last]
+            for name, column in picture.objects.items()}  # fmt: skip
+
+
+def test_looks_between_two_instants_are_not_passed_over():
+    """However seldom the picture is asked for, objects are followed as they are when it is asked for at every look."""
+    scene = passing(1)
+    looks = looks_between(scene.feeds, -1.0, 20.0)
+    often = Picture.of(scene, [*looks, 20.0])
+    seldom = Picture.of(scene, [0.0, 20.0])
+    one, other = columns(often), columns(seldom)
+    for name in ("object", "stage", "members", "runner_up"):
+        assert one[name].tolist() == other[name].tolist(), name
+    for name in ("x_m", "y_m", "vx_m_per_s", "var_x_m2", "probability"):
+        np.testing.assert_allclose(one[name], other[name], rtol=1e-9, atol=1e-12)
+    assert (one["stage"] == "confirmed").sum() == 2
+
+
+def test_looks_at_nearly_one_time_are_gone_through_together():
+    scene = passing(1, 6.0)
+    lidar, radar = scene.feeds
+    late = replace(radar, looked_s=radar.looked_s + 0.05)
+    assert looks_between((lidar, late), -1.0, 2.3) == [0.05, 0.5, 1.0, 1.55, 2.0]
+    assert looks_between((lidar, late), 1.0, 1.2) == [] and looks_between((), 0.0, 9.0) == []
+
+
+@pytest.mark.parametrize("seed", [0, 1, 5])
+def test_false_plots_that_fall_together_are_not_confirmed(seed):
+    """Among seven false plots a look some fall together every few seconds, and exist with 99 % for a moment."""
+    scene, tracks = crossing(seed, until_s=50.0)
+    o = Picture.of(scene, np.arange(1.0, 49.0)).objects
+    sure = o["stage"] == "confirmed"
+    place, times = np.column_stack([o["x_m"], o["y_m"]])[sure], o["time_s"][sure]
+    off = [np.linalg.norm(place - np.array([track(t) for t in times]), axis=1) for track in tracks]
+    assert np.min(off, axis=0).max() < 12.0 and len(np.unique(o["object"][sure])) == 2
+    assert sure.sum() > 80
+
+
+def test_the_share_of_objects_still_to_be_found_falls_look_by_look():
+    scene = Scene(passing(1, 12.0).feeds[:1])
+    carried, looks = PlotPicture(), looks_between(scene.feeds, -1.0, 10.0)
+    shares = []
+    for t in looks:
+        carried = carried.looked(scene.at(t, features=POSITION_AND_VELOCITY))
+        shares.append(carried.proof.unfound)
+    lasts, q = np.exp(-0.5 / 60.0), 0.2
+    assert shares[0] == 1.0 and shares[1] == pytest.approx(q * lasts + 1.0 - lasts)
+    assert shares[-1] == pytest.approx((1.0 - lasts) / (1.0 - q * lasts), rel=1e-3)
+    assert set(carried.proof.share) == set(carried.proof.plots) == set(carried.following.number.tolist())
+
+
+def test_an_object_that_nobody_shows_coasts_and_ends_once():
+    scene = passing(3, 60.0, ends_s=25.0)
+    picture = Picture.of(scene, np.arange(2.0, 58.0, 1.0))
+    o = picture.objects
+    went = [number for number in set(o["object"].tolist())
+            if "confirmed" in o["stage"][o["object"] == number].tolist()
+            and o["time_s"][(o["object"] == number)].max() < 50.0]  # fmt: skip
+    assert len(went) == 1
+    mine = o["object"] == went[0]
+    stages = o["stage"][mine].tolist()
+    assert stages[-1] == "ended" and stages.count("ended") == 1 and "coasting" in stages
+    unseen = mine & (o["n_sources"] == 0)
+    assert (o["members"][unseen] == "").all() and np.ma.getmaskarray(o["probability"])[unseen].all()
+    assert not np.ma.getmaskarray(o["x_m"])[unseen].any()
+    times = o["time_s"][mine]
+    assert 25.0 < times.max() < 45.0
+
+
+def test_probabilities_are_of_records_whatever_known_object_they_are():
+    """Sets of the answer that differ in what is remembered only count as one."""
+    moment = PlotPicture().at(passing(2), 16.1)
+    found, roll = moment.shown.following.found, moment.roll
+    names = [records_of(source).source for source in found.union.sources]
+    assert KNOWN in names and len(moment.members) > 3
+    start = dict(zip((d.name for d in roll.now.descriptions), range(len(roll.start) - 1), strict=True))
+    several = 0
+    for members, p, alone in zip(moment.members, moment.probability, _p_alone(moment), strict=True):
+        same = 0.0
+        for own, probability in zip(found.sets.members, found.answer.probability, strict=True):
+            there = set()
+            for k in own[own >= 0].tolist():
+                u = int(np.searchsorted(found.union.start, k, side="right")) - 1
+                if names[u] != KNOWN:
+                    row = records_of(found.union.sources[u]).rows[k - found.union.start[u]]
+                    there.add(int(roll.find(start[names[u]], np.array([row]))[0]))
+            same += probability * (there == set(members[members >= 0].tolist()))
+        assert p == pytest.approx(same, abs=1e-9)
+        assert (members >= 0).sum() > 1 or alone == pytest.approx(p, abs=1e-9)
+        several += (members >= 0).sum() > 1
+    assert several >= 1
+    rivals = moment.runner_up
+    for k, (rival, p) in enumerate(zip(rivals, moment.p_runner_up, strict=True)):
+        assert (p > 0.0) == (rival >= 0).any()
+        assert p == 0.0 or (set(rival[rival >= 0]) & set(moment.members[k]) and not (rival == moment.members[k]).all())
+
+
+def _p_alone(moment):
+    return moment.p_alone[[members[members >= 0][0] for members in moment.members]]
+
+
+def test_explanations_call_what_is_remembered_by_its_number():
+    moment = PlotPicture().at(passing(2), 15.0)
+    sure = moment.known.number[(moment.known.stage == 1) & (moment.known.seen >= 0)]
+    assert len(sure) == 2
+    for number in sure.tolist():
+        reasons = moment.explain(number)
+        text = str(reasons)
+        assert text.startswith(f"Object {number} is ") and KNOWN not in text
+        assert ("known object", number) in reasons.chosen.members
+    with pytest.raises(InputError, match="object 99999 is not shown"):
+        moment.explain(99999)
+
+
+def test_it_is_for_scenes_in_which_nobody_names_anything_and_somebody_tells_places():
+    scene = passing(1, 6.0)
+    assert nameless(scene) and isinstance(Picture.of(scene, [3.0]).watch, PlotPicture)
+    said = {"time_s": [0.0, 1.0], "x_m": [0.0, 1.0], "y_m": [0.0, 0.0]}
+    for more in ({"track_id": ["a", "a"]}, {"mode_a": ["1234", "1234"]}):
+        named = Feed.of(sensor("tracker", 2.0, 0.5), Reports.of("tracker", "table", said | more))
+        mixed = Scene((*scene.feeds, named))
+        assert not nameless(mixed) and isinstance(Picture.of(mixed, [1.0]).watch, Watch)
+    assert isinstance(Picture.of(scene, [3.0], watch=Watch()).watch, Watch)
+
+
+def test_a_moment_without_memory_is_what_identify_many_says():
+    scene = passing(4)
+    now = scene.at(0.0, features=POSITION_AND_VELOCITY)
+    moment = PlotPicture().advance(now)
+    rule = moment.shown.following.rule
+    found = identify_many(now.sources, rule=rule, region=now.region)
+    there = [tuple(sorted(m[m >= 0].tolist())) for m in moment.roll.places(found.members)]
+    mine = [tuple(sorted(m[m >= 0].tolist())) for m in moment.members]
+    assert sorted(there) == sorted(mine)
+    by_set = dict(zip(there, found.probability.tolist(), strict=True))
+    assert [by_set[m] for m in mine] == pytest.approx(moment.probability.tolist(), abs=1e-9)
+
+
+def test_it_goes_on_where_a_picture_ended_and_never_back():
+    scene = passing(1, 20.0)
+    whole = Picture.of(scene, [5.0, 10.0, 15.0])
+    first = Picture.of(scene, [5.0, 10.0])
+    rest = Picture.of(scene, [15.0], watch=first.watch)
+    assert columns(whole)["object"].tolist() == columns(rest)["object"].tolist()
+    np.testing.assert_array_equal(columns(whole)["x_m"], columns(rest)["x_m"])
+    with pytest.raises(InputError, match="in the order of time"):
+        Picture.of(scene, [9.0], watch=first.watch)
+    with pytest.raises(InputError, match="real is 1"):
+        PlotPicture(real=1.0)

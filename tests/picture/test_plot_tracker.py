@@ -1,0 +1,388 @@
+"""Following: objects found again from look to look, each look used once, where nothing has a name."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from sameas.errors import InputError
+from sameas.many.identify import identify_many
+from sameas.many.joint import pooled
+from sameas.many.observations import Region, records_of
+from sameas.many.rules import PoissonObjects
+from sameas.many.sequential import identify_sequentially
+from sameas.picture.bernoulli import KNOWN, BernoulliObjects, Remembered, Sighting
+from sameas.picture.plot_tracker import PlotTracker
+from sameas.records import Records
+from sameas.tracks.feed import Feed
+from sameas.tracks.reports import Reports
+from sameas.tracks.scene import POSITION, POSITION_AND_VELOCITY, Scene
+from sameas.tracks.source import Clutter, Description, MissRate, Motion, SensorCoverage, SensorErrors, Site, Timing
+
+WALK = Motion(0.02, 4.0)
+REGION = Region(np.zeros(4), (200.0, 200.0, 4.0, 4.0))
+
+
+def sensor(name, sigma_m, period_s, q=0.2, clutter_per_km2=20.0):
+    """A source of bare plots in a plane of its own."""
+    return Description(
+        name, "lidar", site=Site(east_m=0.0, north_m=0.0), coverage=SensorCoverage(range_m=1e4), misses=MissRate(q),
+        motion=WALK, clutter=Clutter(clutter_per_km2), timing=Timing(period_s, 0.0, 0.0),
+        errors=SensorErrors(position_m=sigma_m, extent_m=0.0),
+    )  # fmt: skip
+
+
+def plots(rng, description, tracks, until_s, reach_m=300.0):
+    """A feed of looks at tracks (functions of time), with the misses, errors and clutter of its description."""
+    times = np.arange(0.0, until_s, description.timing.period_s)
+    columns = {"time_s": [], "x_m": [], "y_m": []}
+    false = description.clutter.per_km2 * (2.0 * reach_m) ** 2 / 1e6
+    for t in times.tolist():
+        places = [track(t) for track in tracks if rng.random() >= description.misses.q and track(t) is not None]
+        seen = [np.asarray(x) + description.errors.position_m * rng.standard_normal(2) for x in places]
+        seen += list(rng.uniform(-reach_m, reach_m, (rng.poisson(false), 2)))
+        for x in seen:
+            for name, value in zip(columns, (t, *x), strict=True):
+                columns[name].append(value)
+    return Feed.of(description, Reports.of(description.name, "table", columns), looked_s=times)
+
+
+def course(start, velocity, until_s=np.inf):
+    return lambda t: np.asarray(start) + t * np.asarray(velocity) if t < until_s else None
+
+
+def crossing(seed, q=0.2, until_s=60.0):
+    """Two vessels that cross, 12 m apart when they are nearest, before a radar and a lidar."""
+    rng = np.random.default_rng(seed)
+    tracks = (course((-120.0, 6.0), (4.0, 0.0)), course((120.0, -6.0), (-4.0, 0.0)))
+    near, far = sensor("lidar", 2.0, 0.5, q), sensor("radar", 4.0, 1.5, q)
+    feeds = tuple(plots(rng, description, tracks, until_s) for description in (near, far))
+    return Scene(feeds), tracks
+
+
+def followed(scene, times, follower=None):
+    """What is found at each of the instants."""
+    follower, following, out = follower or PlotTracker(correlation_s=0.0), None, []
+    for t in times:
+        now = replace(scene.at(t, features=POSITION_AND_VELOCITY), region=REGION, density=3e-8)
+        following = follower.advance(now, following)
+        out.append(following)
+    return out
+
+
+def there(following, place, within_m=8.0):
+    """The surest of the objects that are near a place: its number and how far off it is; (0, inf) for none."""
+    off = np.linalg.norm(following.state[:, :2] - place, axis=1)
+    near = np.flatnonzero((off < within_m) & (following.known_of >= 0))
+    if not len(near):
+        return 0, np.inf
+    k = near[following.existence[near].argmax()]
+    return int(following.number[k]), float(off[k])
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_two_that_cross_keep_their_numbers_among_misses_and_clutter(seed):
+    scene, tracks = crossing(seed)
+    times = np.arange(6.0, 54.0, 1.0)
+    every = list(zip(times, followed(scene, times), strict=True))
+    found = [[there(f, track(t)) for track in tracks] for t, f in every if t >= 10.0]
+    numbers, off = np.array([[n for n, _ in row] for row in found]), np.array([[d for _, d in row] for row in found])
+    changes = np.count_nonzero(np.diff(numbers, axis=0))
+    assert changes == 0, numbers
+    assert len(np.unique(numbers)) == 2
+    assert np.quantile(off, 0.95) < 6.0
+
+
+def test_positions_are_better_than_those_of_the_best_sensor():
+    own, fused, square = [], [], []
+    for seed in range(2):
+        scene, tracks = crossing(seed)
+        times = np.arange(10.0, 59.0, 1.0)
+        for t, f in zip(times, followed(scene, times), strict=True):
+            for track in tracks:
+                off = np.linalg.norm(f.state[:, :2] - track(t), axis=1)
+                k = int(np.where(f.existence > 0.5, off, np.inf).argmin())
+                if f.members[k, 0] >= 0 and off[k] < 15.0:
+                    seen = records_of(f.now.sources[0]).features[f.members[k, 0]]
+                    age = f.now.age_s[0][f.members[k, 0]]
+                    own.append(np.linalg.norm(seen - track(t - age)))
+                    fused.append(off[k])
+                    delta = f.state[k, :2] - track(t)
+                    square.append(delta @ np.linalg.solve(f.covariance[k, :2, :2], delta) / 2.0)
+    assert np.sqrt(np.mean(np.square(fused))) < 0.8 * np.sqrt(np.mean(np.square(own)))
+    # Covariances are those of the errors, within what wrong members and a random walk that nobody made do to them.
+    assert 0.4 < np.mean(square) < 1.6
+
+
+def test_clutter_is_not_believed_and_objects_end_when_nobody_sees_them():
+    rng = np.random.default_rng(5)
+    track = course((0.0, 50.0), (1.0, 0.0), until_s=30.0)
+    both = sensor("lidar", 2.0, 0.5, clutter_per_km2=60.0), sensor("radar", 4.0, 1.5, clutter_per_km2=60.0)
+    feeds = [plots(rng, description, [track], 90.0) for description in both]
+    times = np.arange(1.0, 89.0, 1.0)
+    found = followed(Scene(tuple(feeds)), times)
+    believed = np.array([np.count_nonzero(f.existence > 0.9) for f in found])
+    assert np.mean(believed[(times > 5.0) & (times < 29.0)] == 1) > 0.9
+    assert np.mean(believed[times > 45.0] == 0) > 0.9
+    assert there(found[int(np.searchsorted(times, 29.0))], track(29.0))[0] > 0
+    assert there(found[-1], (60.0, 50.0), within_m=30.0)[0] == 0
+
+
+def test_a_look_is_used_once_however_often_it_is_asked_for():
+    """Lidar and radar look at 4.0 and 3.0, and again at 4.5: between these nothing is new."""
+    scene, _ = crossing(1)
+    seldom, often = followed(scene, [4.2, 4.45, 4.95]), followed(scene, [4.2, *np.arange(4.21, 4.45, 0.01), 4.45, 4.95])
+    assert len(seldom[-1].known) > 3
+    np.testing.assert_array_equal(seldom[-1].known.number, often[-1].known.number)
+    for column in ("state", "covariance", "existence"):
+        np.testing.assert_allclose(
+            getattr(often[-1].known, column), getattr(seldom[-1].known, column), rtol=1e-6, atol=1e-9
+        )
+    # Sightings are as many, whose memory fades as the time goes.
+    np.testing.assert_allclose(often[-1].known.hits, seldom[-1].known.hits, rtol=1e-6)
+
+
+def test_what_was_known_comes_from_looks_that_stand_no_more():
+    """Nothing fused comes back: what the lidar shows at an instant has no part in what was known there."""
+    scene, _ = crossing(1, until_s=12.0)
+    times = np.arange(1.0, 10.0, 0.5)
+    lidar, radar = scene.feeds
+    one, other = (followed(Scene((feed, radar)), times)[-1] for feed in (lidar, moved_look(lidar, 9.5, (40.0, 0.0))))
+    for column in ("number", "state", "covariance", "existence", "hits", "misses", "apart"):
+        np.testing.assert_array_equal(getattr(one.known, column), getattr(other.known, column))
+    assert len(one.known) > 3 and not np.array_equal(np.sort(one.state[:, 0]), np.sort(other.state[:, 0]))
+
+
+def moved_look(feed, look_s, step_m):
+    """A feed with all plots of one look moved."""
+    given = feed.reports
+    place = given.state[:, :2] + np.where(given.time_s[:, None] == look_s, step_m, 0.0)
+    columns = {"time_s": given.time_s, "x_m": place[:, 0], "y_m": place[:, 1]}
+    return Feed.of(feed.description, Reports.of(feed.description.name, "table", columns), looked_s=feed.looked_s)
+
+
+def test_doubt_about_one_source_does_not_slow_another():
+    """Four directions fall on a boat that turns: which is its own stays open; the lidar is followed."""
+    rng = np.random.default_rng(2)
+    times = np.arange(0.0, 30.0, 0.5)
+
+    def boat(t):
+        return np.array([6.0 * min(t, 15.0) - 60.0, 100.0 + 6.0 * max(t - 15.0, 0.0)])
+
+    lidar = plots(rng, sensor("lidar", 1.0, 0.5, q=0.02, clutter_per_km2=1.0), [boat], 30.0)
+    sight = np.array([np.degrees(np.arctan2(*boat(t))) for t in times]).repeat(4) + 0.7 * rng.standard_normal(240)
+    camera = Description(
+        "camera", "camera", site=Site(east_m=0.0, north_m=0.0), coverage=SensorCoverage(range_m=500.0),
+        misses=MissRate(0.1), motion=WALK, clutter=Clutter(per_deg=0.05),
+        errors=SensorErrors(bearing_deg=1.0, extent_m=1.0),
+        timing=Timing(0.5, 0.0, 0.0),
+    )  # fmt: skip
+    seen = {"time_s": times.repeat(4), "bearing_deg": sight % 360.0}
+    scene = Scene((lidar, Feed.of(camera, Reports.of("camera", "table", seen))))
+    asked = np.arange(5.0, 29.0, 0.5)
+    off, open_ = [], []
+    for t, f in zip(asked, followed(scene, asked), strict=True):
+        k = int(np.linalg.norm(f.state[:, :2] - boat(t), axis=1).argmin())
+        if f.known_of[k] >= 0 and f.members[k, 0] >= 0:
+            off.append(np.linalg.norm(f.known.state[f.known_of[k], :2] - boat(t)))
+            open_.append(f.probability[k])
+            assert f.sure[0][f.members[k, 0]] > 0.9
+    assert len(off) > 40 and np.median(open_) < 0.6
+    assert np.sqrt(np.mean(np.square(off))) < 3.0
+
+
+def test_the_order_of_sources_changes_nothing():
+    scene, _ = crossing(2, until_s=12.0)
+    times = np.arange(1.0, 11.0, 0.5)
+    one, other = followed(scene, times), followed(Scene(scene.feeds[::-1]), times)
+    for a, b in zip(one, other, strict=True):
+        first, second = np.lexsort(a.state.T), np.lexsort(b.state.T)
+        np.testing.assert_allclose(a.state[first], b.state[second], atol=1e-6)
+        np.testing.assert_allclose(a.existence[first], b.existence[second], atol=1e-9)
+        np.testing.assert_array_equal(a.members[first], b.members[second][:, ::-1])
+
+
+def test_what_a_source_has_missed_it_is_expected_to_miss():
+    """A boat that the camera never sees passes under a spot on its lens, which is less believed to be the boat."""
+    rng = np.random.default_rng(7)
+    boat = course((-60.0, 100.0), (2.0, 0.0))
+    lidar = plots(rng, sensor("lidar", 2.0, 0.5, clutter_per_km2=1.0), [boat], 60.0)
+    times = np.arange(0.0, 60.0, 0.5)
+    camera = Description(
+        "camera", "camera", site=Site(east_m=0.0, north_m=0.0),
+        coverage=SensorCoverage(range_m=500.0),
+        misses=MissRate(0.3), motion=WALK, clutter=Clutter(per_deg=0.03),
+        errors=SensorErrors(bearing_deg=1.5, extent_m=2.0),
+        timing=Timing(0.5, 0.0, 0.0),
+    )  # fmt: skip
+    spot = (2.0 + 0.2 * rng.standard_normal(len(times))) % 360.0
+    scene = Scene((lidar, Feed.of(camera, Reports.of("camera", "table", {"time_s": times, "bearing_deg": spot}))))
+    asked = np.arange(15.0, 27.0, 0.5)
+    found = followed(scene, asked, PlotTracker())
+    number = there(found[-1], boat(asked[-1]))[0]
+    own = found[-1].rule.known_q[found[-1].known.number == number][0]
+    assert own[0] < 0.25 and own[1] > 0.6
+    later = np.arange(27.0, 37.0, 0.5)
+    remembering = [taken_in(f, boat(t)) for t, f in zip(later, followed(scene, [*asked, *later])[-20:], strict=True)]
+    alone = [taken_in(followed(scene, [t])[0], boat(t)) for t in later]
+    assert sum(remembering) <= sum(alone) and sum(alone) > 5
+
+
+def taken_in(following, place):
+    """Whether both sources show the object that is there."""
+    off = np.linalg.norm(following.state[:, :2] - place, axis=1)
+    return bool(((off < 15.0) & (following.members >= 0).all(axis=1)).any())
+
+
+def test_nothing_to_be_seen_is_no_error():
+    # Its first plot comes when all is over.
+    plot = {"time_s": [90.0], "x_m": [0.0], "y_m": [0.0]}
+    late = Feed.of(sensor("lidar", 2.0, 0.5), Reports.of("lidar", "table", plot))
+    scene, _ = crossing(3, until_s=5.0)
+    found = followed(Scene((late, scene.feeds[1])), [0.0, 1.0, 2.0])
+    assert all(f.members.shape[1] == 2 and (f.members[:, 0] < 0).all() for f in found)
+    none = followed(Scene((late,)), [0.0, 1.0])[-1]
+    assert len(none) == 0 and none.found is None
+
+
+def test_what_it_does_not_follow_is_refused_in_words():
+    scene, _ = crossing(1, until_s=5.0)
+    now = scene.at(2.0, features=POSITION_AND_VELOCITY)
+    follower = PlotTracker()
+    with pytest.raises(InputError, match="positions only; give"):
+        follower.advance(scene.at(2.0, features=POSITION))
+    with pytest.raises(InputError, match="in the order of time"):
+        follower.advance(scene.at(1.0, features=POSITION_AND_VELOCITY), follower.advance(now))
+    with pytest.raises(InputError, match="all of them at every instant"):
+        follower.advance(Scene(scene.feeds[:1]).at(3.0, features=POSITION_AND_VELOCITY), follower.advance(now))
+    said = {"time_s": [0.0, 1.0], "x_m": [0.0, 1.0], "y_m": [0.0, 0.0], "track_id": ["a", "a"]}
+    named = Feed.of(sensor("tracker", 2.0, 0.5), Reports.of("tracker", "table", said))
+    with pytest.raises(InputError, match="tracker names its objects"):
+        follower.advance(Scene((named,)).at(1.0, features=POSITION_AND_VELOCITY))
+    for wrong in ({"correlation_s": -1.0}, {"least_q": 0.5}, {"lasting_s": np.inf}):
+        with pytest.raises(InputError, match=f"PlotTracker: .*{next(iter(wrong)).split('_')[0]}"):
+            PlotTracker(**wrong)
+
+
+def three_sources(rng):
+    """Known objects, and two sources that look, near each other in a plane."""
+    known = Records.of(20.0 * rng.standard_normal((3, 2)), covariance=np.diag([9.0, 4.0]), source=KNOWN)
+    looks = [
+        Records.of(known.features[:2] + 3.0 * rng.standard_normal((2, 2)), sigma=2.0, source="lidar"),
+        Records.of(np.vstack([known.features[0] + rng.standard_normal(2), [40.0, 0.0]]), sigma=3.0, source="radar"),
+    ]
+    return known, looks
+
+
+def weight(rule, sources, row, region):
+    """w of a set by the formulas of the module, over that of its records alone being false or unknown objects."""
+    names, existence = ("lidar", "radar"), rule.existence
+    log_j = pooled(sources, np.array([row]), region).log_density[0]
+    alone = [pooled(sources, np.array([[k if t == s else -1 for t in range(3)]]), region).log_density[0]
+             for s, k in enumerate(row)]  # fmt: skip
+    out = np.exp(log_j)
+    seen = [s for s in (1, 2) if row[s] >= 0]
+    places = {s: rule.q[names[s - 1]][row[s]] for s in seen}
+    if row[0] >= 0:
+        q, r = rule.known_q[row[0]], existence[row[0]]
+        out *= np.prod([1.0 - q[s - 1] if s in seen else q[s - 1] for s in (1, 2)]) * r / np.exp(alone[0])
+        out /= 1.0 - r + r * q.prod()
+    else:
+        mean = np.exp(np.mean([np.log(q).sum() for q in places.values()]))
+        out *= rule.density * mean * np.prod([(1.0 - q[s - 1]) / q[s - 1] for s, q in places.items()])
+    for s, q in places.items():
+        own = rule.density * q.prod() * (1.0 - q[s - 1]) / q[s - 1] * np.exp(alone[s])
+        out /= own + rule.false[names[s - 1]]
+    return out
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_weights_of_sets_are_those_of_the_formulas(seed):
+    rng = np.random.default_rng(seed)
+    known, looks = three_sources(rng)
+    region = Region(np.zeros(2), (100.0, 100.0))
+    rule = BernoulliObjects(
+        1e-4, ("lidar", "radar"), {name: rng.uniform(0.1, 0.9, (2, 2)) for name in ("lidar", "radar")},
+        {"lidar": 1e-5, "radar": 3e-4}, rng.uniform(0.1, 0.9, 3), rng.uniform(0.1, 0.9, (3, 2)),
+    )  # fmt: skip
+    sources = [known, *looks]
+    found = identify_many(sources, rule=rule, region=region)
+    rows = np.full((len(found.sets), 3), -1)
+    position = found.union.positions(found.sets.members)
+    for u, given in enumerate(found.union.given):
+        held = position[:, u] >= 0
+        rows[held, given] = records_of(found.union.sources[u]).rows[position[held, u]]
+    several = (rows >= 0).sum(axis=1) > 1
+    assert several.sum() > 3
+    expected = [weight(rule, sources, row, region) for row in rows[several].tolist()]
+    np.testing.assert_allclose(found.sets.log_weight[several], np.log(expected), atol=1e-6)
+
+
+def test_it_is_no_rule_for_one_source_after_another():
+    _, looks = three_sources(np.random.default_rng(1))
+    rule = BernoulliObjects(1e-4, ("lidar", "radar"), {}, {}, np.empty(0), np.empty((0, 2)))
+    with pytest.raises(InputError, match="BernoulliObjects weighs whole sets of records; give it to identify_many"):
+        identify_sequentially(looks, rule=rule)
+
+
+def test_with_nothing_known_and_misses_alike_everywhere_it_is_the_poisson_field():
+    rng = np.random.default_rng(3)
+    _, looks = three_sources(rng)
+    nobody = Records.of(np.empty((0, 2)), sigma=1.0, source=KNOWN)
+    q = {name: np.tile([0.2, 0.4], (2, 1)) for name in ("lidar", "radar")}
+    rule = BernoulliObjects(1e-4, ("lidar", "radar"), q, {"lidar": 1e-5, "radar": 2e-5}, np.empty(0), np.empty((0, 2)))
+    ours = identify_many([nobody, *looks], rule=rule)
+    field = identify_many(looks, rule=PoissonObjects(1e-4, (0.2, 0.4), (1e-5, 2e-5)))
+    np.testing.assert_array_equal(ours.members.filled(-1)[:, 1:], field.members.filled(-1))
+    np.testing.assert_allclose(ours.probability, field.probability, rtol=1e-9)
+
+
+def objects(place, sigma_m=2.0, existence=0.9, hits=5.0):
+    """Remembered objects at places (m, 2), of two sources."""
+    n = len(place)
+    state = np.column_stack([place, np.zeros((n, 2))])
+    covariance = np.tile(np.diag([sigma_m**2, sigma_m**2, 0.25, 0.25]), (n, 1, 1))
+    return Remembered.born(np.arange(1, n + 1), state, covariance, np.full(n, existence), np.full((n, 2), hits))
+
+
+def looked(before, seen, q=0.3, split=0.02):
+    """Remembered objects after looks of two sources."""
+    seen = np.asarray(seen, float)
+    same = np.full(seen.shape, q)
+    return before.after(Sighting(seen, np.ones(2), same)).told_apart(seen, same, np.full(2, split))
+
+
+def test_existence_follows_bayes_and_misses_are_remembered():
+    before = objects([[0.0, 0.0]], existence=0.5)
+    missed = looked(before, [[0.0, 0.0]])
+    assert missed.existence[0] == pytest.approx(0.5 * 0.09 / (0.5 + 0.5 * 0.09))
+    assert looked(before, [[1.0, 0.0]]).existence[0] > 0.99
+    q = missed.expected_q(np.full((1, 2), 0.3), looks=6.0, least=0.1)
+    np.testing.assert_allclose(q, (6.0 * 0.3 + 1.0) / (6.0 + 1.0 + 5.0))
+    assert (missed.moved(10.0, 0.02, 60.0, 10.0).expected_q(np.full((1, 2), 0.3), 6.0, 0.1) != q).all()
+
+
+def test_two_at_one_place_that_no_look_tells_apart_become_one_and_two_that_a_look_shows_stay():
+    twins = objects([[0.0, 0.0], [3.0, 1.0], [80.0, 0.0]])
+    never, both = twins, twins
+    for _ in range(4):
+        never = looked(never, [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+        both = looked(both, [[1.0, 1.0], [1.0, 1.0], [1.0, 1.0]])
+    assert never.merged(1e-4).number.tolist() == [1, 3]
+    assert both.merged(1e-4).number.tolist() == [1, 2, 3]
+    # A source that splits hulls shows nothing by two detections.
+    hull = twins
+    for _ in range(4):
+        hull = looked(hull, [[1.0, 0.0], [1.0, 0.0], [1.0, 1.0]], split=0.7)
+    assert len(hull.merged(1e-4)) < len(both)
+
+
+def test_a_set_of_objects_can_be_parted_and_joined():
+    whole = objects(np.arange(10.0).reshape(5, 2))
+    apart = replace(whole, apart=np.arange(25.0).reshape(5, 5))
+    for a, b in combinations(range(5), 2):
+        pair = apart.take(np.array([a, b]))
+        assert pair.apart[0, 1] == apart.apart[a, b] and pair.number.tolist() == [a + 1, b + 1]
+    rejoined = apart.take(np.arange(2)).with_(apart.take(np.arange(2, 5)))
+    assert rejoined.number.tolist() == whole.number.tolist() and rejoined.apart[0, 4] == 0.0

@@ -1,0 +1,89 @@
+"""Lives of tracks: who lives long is real, at the rate that is stated; a track that breaks goes on under its number."""
+
+import numpy as np
+import pytest
+from modelled_scenes import describe, straight, told
+
+from sameas.errors import InputError
+from sameas.picture import Picture, Stages, Watch
+from sameas.picture.track_existence import Mixture
+from sameas.tracks.reports import Reports
+from sameas.tracks.scene import Scene
+
+RADAR = describe("radar", "marine radar", clutter_per_km2=0.01)
+
+
+def joined(parts):
+    """One source's reports from several tellings of it."""
+    names = ("time_s", "x_m", "y_m", "vx_m_per_s", "vy_m_per_s", "track_id")
+    columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return RADAR, Reports.of("radar", "table", columns)
+
+
+def radar_with_false_tracks(seed, real=12, false=160, looks=80, lasting=3.0):
+    """Real objects seen all the time, and false tracks that begin at any look and last for ``lasting`` looks."""
+    rng = np.random.default_rng(seed)
+    parts = []
+    for k in range(real + false):
+        begin = 0 if k < real else int(rng.integers(0, looks - 1))
+        end = looks if k < real else min(begin + int(rng.geometric(1.0 / lasting)), looks)
+        times = 10.0 * np.arange(begin, end)
+        x, v = straight(rng.uniform(-15e3, 15e3, (1, 2)), 4.0 * rng.standard_normal((1, 2)) * (k < real), times)
+        parts.append(told(rng, RADAR, times, x, v, 0.0, [f"{'real' if k < real else 'false'} {k}"])[1])
+    return Scene.of([joined(parts)]), 10.0 * np.arange(looks)
+
+
+def confirmed(picture):
+    """(real, false) : how many confirmed objects began with a track of either kind."""
+    o, r = picture.objects, picture.records
+    sure = np.unique(o["object"][o["stage"] == "confirmed"])
+    first = [str(r["track_id"][np.argmax(r["object"] == number)]) for number in sure]
+    return np.array([sum(name.startswith(kind) for name in first) for kind in ("real", "false")])
+
+
+def test_false_tracks_are_not_confirmed_and_real_ones_are():
+    counts = sum(confirmed(Picture.of(*radar_with_false_tracks(seed))) for seed in range(3))
+    assert counts[0] == 36
+    # At 99 % one in a hundred of the confirmed may be false: 0.4 are expected, and more than 3 have a chance of 1e-3.
+    assert counts[1] <= 3
+
+
+def test_a_mixture_of_lives_is_found():
+    rng = np.random.default_rng(1)
+    n, real = 1500, rng.random(1500) < 0.2
+    life = np.where(real, rng.exponential(900.0, n), rng.exponential(12.0, n))
+    limit = rng.uniform(0.0, 600.0, n)
+    ended, life = life < limit, np.minimum(life, limit)
+    mixture, source, later = Mixture().with_sources(np.array([3.0])), np.zeros(n, np.int64), np.ones(n, bool)
+    for _ in range(60):
+        mixture = mixture.fitted(source, later, life, ended, np.zeros(n, bool))
+    assert abs(mixture.false_s[0] - 12.0) < 2.0 and abs(mixture.share[0, 1] - 0.2) < 0.04
+    assert 600.0 < mixture.real_s[0] < 1400.0
+    # Of those that it gives a probability p, a share p is real.
+    p = 1.0 / (1.0 + np.exp(-mixture.log_odds(source, later, life, ended)))
+    for low, high in ((0.0, 0.1), (0.1, 0.9), (0.9, 1.0)):
+        some = (p >= low) & (p <= high)
+        error = np.sqrt(p[some].mean() * (1.0 - p[some].mean()) / some.sum())
+        assert abs(p[some].mean() - real[some].mean()) < 3.5 * error + 0.02
+
+
+def test_a_track_that_breaks_goes_on_under_the_number_of_its_object():
+    times = np.arange(0.0, 401.0, 10.0)
+    before, after = times <= 180.0, times >= 220.0
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        # They meet while nobody sees them: only their velocities tell who is who.
+        x, v = straight([[-800.0, 10.0], [800.0, -10.0]], [[4.0, 0.0], [-4.0, 0.0]], times)
+        parts = [told(rng, RADAR, times[part], x[:, part], v[:, part], 0.0, names)[1]
+                 for part, names in ((before, ["a 1", "b 1"]), (after, ["a 2", "b 2"]))]  # fmt: skip
+        picture = Picture.of(Scene.of([joined(parts)]), times)
+        r, o = picture.records, picture.objects
+        numbers = {name: set(r["object"][r["track_id"] == name].tolist()) for name in ("a 1", "a 2", "b 1", "b 2")}
+        assert numbers["a 1"] == numbers["a 2"] and numbers["b 1"] == numbers["b 2"]
+        # What the first tracks said for them is not lost: they are confirmed soon after at the latest.
+        assert set(o["stage"][o["time_s"] >= 300.0].tolist()) == {"confirmed"}
+
+
+def test_stages_refuse_a_certainty_that_cannot_be():
+    with pytest.raises(InputError, match="sure and real as probabilities"):
+        Watch(stages=Stages(real=1.0))

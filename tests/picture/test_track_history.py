@@ -1,0 +1,60 @@
+"""Belonging: shares of tracks go over in minutes; reports left behind by a manoeuvre stay with their tracks."""
+
+import numpy as np
+from modelled_scenes import describe, straight, told
+
+from sameas.picture import Picture
+from sameas.picture.object_ids import LASTS_S, TrackHistory
+from sameas.tracks.scene import Scene
+
+
+def shown(belonging, instant_s, number):
+    """One track, of an object."""
+    one = np.ones(1, np.int64)
+    return belonging.on(instant_s, 7 * one, number * one, np.zeros(1, bool), np.array([1, 2]))
+
+
+def test_shares_sum_to_one_and_go_over_in_minutes():
+    belonging = TrackHistory()
+    for t in range(0, 600, 10):
+        belonging = shown(belonging, float(t), 1)
+    wrong = shown(belonging, 600.0, 2)
+    assert abs(wrong.share.sum() - 1.0) < 1e-9 and wrong.share[wrong.number == 1] > 0.95
+    assert wrong.last_of(np.array([7, 8])).tolist() == [2, 0]
+    for t in range(610, 1600, 10):
+        wrong = shown(wrong, float(t), 2)
+    assert abs(wrong.share[wrong.number == 2] - (1.0 - np.exp(-1000.0 / LASTS_S))) < 0.01
+
+
+def test_a_number_comes_back_with_the_tracks_that_were_its_own_for_long():
+    belonging = TrackHistory()
+    for t in range(0, 300, 10):
+        belonging = shown(belonging, float(t), 1)
+    at, row = shown(belonging, 300.0, 2).of(np.array([7]))
+    assert at.tolist() == [0, 0] and belonging.number.tolist() == [1]
+    assert shown(belonging, 300.0, 2).number[row].tolist() == [1, 2]
+
+
+def ferry(seed, stops_s=200.0):
+    """A ferry that stops at a pier between two of its AIS reports; a radar goes on seeing it; others lie about."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(0.0, 301.0, 10.0)
+    x, v = (np.array(part) for part in straight([[0.0, 0.0]], [[9.0, 0.0]], times))
+    still = times > stops_s
+    x[:, still], v[:, still] = [9.0 * stops_s, 0.0], 0.0
+    ais, radar = describe("ais", "ais", period_s=90.0), describe("radar", "tracks")
+    heard = np.isin(times, [0.0, 90.0, 180.0, 290.0])
+    return Scene.of([
+        told(rng, ais, times[heard], x[:, heard], v[:, heard], 600.0, ["a"], {"mmsi": ["235000001"]}),
+        told(rng, radar, times, x, v, 0.0, ["1"]),
+    ]), times  # fmt: skip
+
+
+def test_a_report_left_behind_by_a_manoeuvre_stays_with_the_track_that_went_with_it():
+    together = 0
+    for seed in range(5):
+        scene, times = ferry(seed)
+        o = Picture.of(scene, times).objects
+        together += set(o["object"].tolist()) == {1} and bool((o["n_sources"][o["time_s"] > 0.0] == 2).all())
+    # By the motion that is described she is 13 σ from her report.
+    assert together >= 4

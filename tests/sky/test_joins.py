@@ -1,0 +1,88 @@
+"""The joined table: which rows each join has, and what stands in its added columns."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sameas.errors import InputError
+from sameas.sky.catalogue import Catalogue, CatalogueOptions
+from sameas.sky.crossmatch import MatchOptions, match
+from sameas.sky.joins import JOINS, joined
+
+ARCSEC = 1.0 / 3600.0
+
+
+@pytest.fixture(scope="module")
+def matched():
+    """Ten stars: 0–5 in both, 6–7 only in the first (one of them without a position), 8–9 only in the second;
+    star 0 of the first has a second candidate."""
+    rng = np.random.default_rng(3)
+    place = np.column_stack([10 + rng.uniform(0, 60, 10) * ARCSEC, 20 + np.arange(10) * 30 * ARCSEC])
+    place[8] = place[0] + [0.0, 0.35 * ARCSEC]
+    first = {"id": [f"a{k}" for k in range(8)], "ra": place[:8, 0].copy(), "dec": place[:8, 1], "note": np.arange(8)}
+    first["ra"][7] = np.nan
+    both = [0, 1, 2, 3, 4, 5, 8, 9]
+    second = {
+        "id": [f"b{k}" for k in both],
+        "ra": place[both, 0],
+        "dec": place[both, 1] + 0.02 * ARCSEC,
+        "mag": np.arange(8.0),
+    }
+    options = CatalogueOptions(sigma=0.1, epoch=2000.0)
+    catalogues = [Catalogue.of(t, n, options=options) for t, n in ((first, "one"), (second, "two"))]
+    return match(*catalogues, MatchOptions(error_scale=1.0))
+
+
+def test_each_join_has_the_rows_that_its_name_says(matched):
+    count = {name: len(joined(matched, name)) for name in JOINS}
+    assert count == {
+        "1and2": 6, "1or2": 10, "all1": 8, "all2": 8, "1not2": 2, "2not1": 2, "1xor2": 4,
+        "pairs": len(matched.result.pairs) + 8,
+    }  # fmt: skip
+
+
+def test_columns_that_stand_in_both_tables_get_suffixes_and_others_keep_their_names(matched):
+    names = joined(matched, "1and2").colnames
+    assert names[:7] == ["id_1", "ra_1", "dec_1", "note", "id_2", "ra_2", "dec_2"] and "mag" in names
+
+
+def test_who_is_whom_and_how_sure(matched):
+    table = joined(matched, "all1")
+    assert list(table["id_2"][:6]) == [f"b{k}" for k in range(6)]
+    assert np.all(table["match_flag"] == [1, 1, 1, 1, 1, 1, 0, 0])
+    np.testing.assert_allclose(table["sep_arcsec"][:6], 0.02, atol=1e-6)
+    np.testing.assert_allclose(table["dy_arcsec"][:6], -0.02, atol=1e-6)
+    assert table["id_second"][0] == "b8" and 0 < table["p_second"][0] < table["p_match"][0]
+    assert table["n_within"][0] == 2 and table["group_size"][0] == 3
+    whole = table["p_match"][0] + table["p_second"][0] + table["p_none"][0]
+    assert whole == pytest.approx(1.0, abs=1e-12)
+
+
+def test_a_row_without_a_position_is_neither_matched_nor_said_to_have_no_partner(matched):
+    row = joined(matched, "all1")[7]
+    assert all(np.ma.is_masked(row[name]) for name in ("id_2", "p_match", "p_none", "group_id", "covered"))
+    assert row["match_flag"] == 0
+
+
+def test_every_answer_is_listed_no_partner_among_them_and_one_is_flagged(matched):
+    table = joined(matched, "pairs")
+    for name in (f"a{k}" for k in range(7)):
+        mine = table[table["id_1"] == name]
+        alone = np.ma.getmaskarray(mine["id_2"])
+        assert alone.sum() == 1 and (mine["match_flag"] == 1).sum() == 1
+        p = np.ma.filled(mine["p_match"], 0.0).sum() + mine["p_none"][0]
+        assert p == pytest.approx(1.0, abs=1e-12)
+    assert table["match_flag"][table["id_1"] == "a6"][0] == 1
+
+
+def test_names_of_nway_on_request(matched):
+    table = joined(matched, "1and2", nway_columns=True)
+    np.testing.assert_allclose(table["p_any"], 1.0 - table["p_none"])
+    np.testing.assert_allclose(table["p_i"], table["p_match"] / table["p_any"])
+    np.testing.assert_allclose(table["dist_bayesfactor"], table["log_odds"] / np.log(10.0))
+
+
+def test_an_unknown_join_names_the_known_ones(matched):
+    with pytest.raises(InputError, match="join '1in2' is not known; choose one of 1and2, 1or2"):
+        joined(matched, "1in2")

@@ -1,0 +1,121 @@
+"""The turn between two catalogues is found and taken away, in small fields, at a pole and over the whole sky."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from astropy.table import Table
+
+from sameas import match
+from sameas.score.pairs import score_pairs
+from sameas.simulate.areas import Cap, WholeSky
+from sameas.simulate.scenes import sky_field
+from sameas.sky.catalogue import Catalogue
+from sameas.sky.crossmatch import MatchOptions
+from sameas.sky.crossmatch import match as match_catalogues
+from sameas.sky.rotation import Rotation, find_turn
+from sameas.space import sphere_offset
+
+
+def scene(area, n, seed=1):
+    return sky_field(
+        np.random.default_rng(seed), n_common=n, n_only_1=n // 4, n_only_2=n // 4, sigma_arcsec=(0.2, 0.5), area=area
+    )
+
+
+def turned(records, centre, vector):
+    """The records as another catalogue would have them, that ``vector`` brings back."""
+    away = Rotation(centre, -np.array(vector), np.zeros((3, 3)))
+    return replace(records, features=away.moved(records.features))
+
+
+def left(found, moved, truth):
+    """(n,) arcsec by which the records stand off where they were."""
+    at = found.moved(moved.features)
+    return np.hypot(*sphere_offset(at[:, 0], at[:, 1], truth.features[:, 0], truth.features[:, 1]).T)
+
+
+@pytest.mark.parametrize(
+    ("area", "n", "vector"),
+    [
+        (Cap(40.0, 60.0, 0.5), 1500, (8.0, -5.0, 60.0)),
+        (Cap(40.0, 89.9, 0.5), 1500, (8.0, -5.0, 60.0)),
+        (Cap(1.0, -30.0, 0.05), 60, (3.0, 2.0, 0.0)),
+        (WholeSky(), 20000, (2.0, 1.0, 3.0)),
+    ],
+    ids=["field", "pole", "small", "sky"],
+)
+def test_the_turn_is_found_to_its_errors(area, n, vector):
+    made = scene(area, n)
+    centre = (area.lon_deg, area.lat_deg) if isinstance(area, Cap) else (10.0, 20.0)
+    moved = turned(made.second, centre, vector)
+    found = find_turn(made.first, moved)
+    assert found.found and not found.notes
+    # What is left over is what the turn's own covariance says.
+    back = found.of(moved)
+    more = np.einsum("nvv->n", back.full_covariance() - made.second.full_covariance())
+    assert np.max(left(found, moved, made.second) / np.sqrt(more)) < 4.0
+    answer, _ = match(made.first, back)
+    unturned, _ = match(made.first, made.second)
+    f1 = [score_pairs((a.matches.rows_1, a.matches.rows_2), made.true_pairs()).f1 for a in (answer, unturned)]
+    assert f1[0] > f1[1] - 0.02
+
+
+def test_standard_errors_are_those_of_repeated_trials():
+    area, vector = Cap(200.0, 30.0, 0.3), np.array([4.0, -3.0, 0.0])
+    pulls = []
+    for seed in range(25):
+        made = scene(area, 200, seed)
+        found = find_turn(made.first, turned(made.second, (200.0, 30.0), vector))
+        there = Rotation((200.0, 30.0), vector, np.zeros((3, 3)))
+        at = np.array([[200.0, 30.0]])
+        gap = sphere_offset(*found.moved(at).T, *there.moved(at).T)[0]
+        pulls.append(gap / found.standard_errors[:2])
+    assert 0.75 < np.sqrt(np.mean(np.square(pulls))) < 1.35
+
+
+def test_nothing_in_common_is_said():
+    one, two = scene(Cap(10.0, 0.0, 0.3), 40, 1), scene(Cap(10.0, 0.0, 0.3), 40, 2)
+    found = find_turn(one.first, two.second)
+    assert not found.found
+    assert any("nothing in common" in note or "explain" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("n", [1, 40])
+def test_an_offset_that_is_no_better_than_chance_is_not_taken_away(n):
+    one, two = scene(Cap(10.0, 0.0, 0.3), n, 1), scene(Cap(10.0, 0.0, 0.3), n, 2)
+    found = match_catalogues(catalogue(one.first, "a"), catalogue(two.second, "b"), MatchOptions(offset="find"))
+    assert found.turn is None and "no offset was taken away" in found.doubts
+    assert not any("unit" in doubt or "--offset" in doubt for doubt in found.doubts)
+
+
+def test_catalogues_of_different_fields_are_said_to_lie_apart():
+    one, two = scene(Cap(10.0, 0.0, 0.3), 40, 1), scene(Cap(90.0, 0.0, 0.3), 40, 2)
+    found = match_catalogues(catalogue(one.first, "a"), catalogue(two.second, "b"), MatchOptions(offset="find"))
+    assert found.turn is None and len(found.result.matches) == 0
+    assert any("apart" in doubt for doubt in found.doubts)
+
+
+def test_no_turn_moves_nothing():
+    made = scene(Cap(10.0, -80.0, 0.3), 50)
+    still = Rotation((10.0, -80.0), np.zeros(3), np.zeros((3, 3)))
+    np.testing.assert_array_equal(still.moved(made.second.features), made.second.features)
+
+
+def catalogue(records, name):
+    ra, dec = records.features.T
+    return Catalogue.of(Table({"ra": ra, "dec": dec, "sigma_arcsec": np.sqrt(records.covariance[:, 0])}), name)
+
+
+@pytest.mark.parametrize("vector", [(0.15, -0.1, 0.0), (8.0, -5.0, 0.0)], ids=["part of an error", "many errors"])
+def test_catalogues_off_each_other_are_doubted_and_brought_together(vector):
+    made = scene(Cap(40.0, 60.0, 0.4), 1500)
+    first, second = catalogue(made.first, "a"), catalogue(turned(made.second, (40.0, 60.0), vector), "b")
+    believed = match_catalogues(first, second)
+    assert any("--offset find" in doubt for doubt in believed.doubts) and believed.turn is None
+    found = match_catalogues(first, second, MatchOptions(offset="find"))
+    assert found.turn is not None and not any("--offset" in doubt for doubt in found.doubts)
+    assert np.abs(found.turn.vector[:2] - vector[:2]).max() < 0.1
+    assert len(found.result.matches) > 0.98 * 1500
+    still = match_catalogues(first, catalogue(made.second, "b"))
+    assert not any("--offset" in doubt for doubt in still.doubts)

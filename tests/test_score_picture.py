@@ -1,0 +1,200 @@
+"""Metrics of a picture: against their definitions by enumeration, against Stone Soup's, and on cases one can count."""
+
+from __future__ import annotations
+
+import datetime
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from sameas.errors import InputError
+from sameas.score.picture import FALSE, Identities, mean_gospa, nees, pair_score, siap, standing
+from sameas.score.subpattern import gospa
+
+
+def table(seed: int, instants: int = 6, objects: int = 5, sources: int = 3) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """A random picture: every source shows most objects, one in five is told to be another, some records are false."""
+    rng = np.random.default_rng(seed)
+    rows, true = [], []
+    for t, s in itertools.product(range(instants), range(sources)):
+        shown = np.flatnonzero(rng.random(objects) < 0.8)
+        told = np.where(rng.random(len(shown)) < 0.2, shown + 1, shown) % objects
+        _, first = np.unique(told, return_index=True)
+        rows += [(t, f"s{s}", int(k)) for k in told[first]]
+        true += [FALSE if rng.random() < 0.1 else int(k) for k in shown[first]]
+    time_s, source, number = zip(*rows, strict=True)
+    return {"time_s": np.array(time_s, float), "source": np.array(source), "object": np.array(number)}, np.array(true)
+
+
+def counted(records: dict[str, np.ndarray], true: np.ndarray) -> tuple[int, int, int]:
+    """Pairs told, true and right, one after another."""
+    told_pairs = true_pairs = right = 0
+    for a, b in itertools.combinations(range(len(true)), 2):
+        if records["time_s"][a] != records["time_s"][b] or records["source"][a] == records["source"][b]:
+            continue
+        told, same = records["object"][a] == records["object"][b], true[a] == true[b] != FALSE
+        told_pairs, true_pairs, right = told_pairs + told, true_pairs + same, right + (told and same)
+    return told_pairs, true_pairs, right
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_pairs_are_those_of_the_definition(seed: int) -> None:
+    records, true = table(seed)
+    found = pair_score(Identities.of(records, true)).pairs
+    assert (found.n_claimed, found.n_true, found.n_right) == counted(records, true)
+
+
+def test_the_order_of_rows_and_the_names_of_sources_change_nothing() -> None:
+    records, true = table(3)
+    shuffled = np.random.default_rng(1).permutation(len(true))
+    other = {name: column[shuffled] for name, column in records.items()} | {"source": records["source"][shuffled]}
+    one, two = Identities.of(records, true), Identities.of(other, true[shuffled])
+    assert pair_score(one).pairs == pair_score(two).pairs and siap(one) == siap(two)
+
+
+def test_a_perfect_picture() -> None:
+    records, true = table(4)
+    honest = true != FALSE
+    identities = Identities.of({k: v[honest] for k, v in records.items()} | {"object": true[honest] + 7}, true[honest])
+    score, found = pair_score(identities), siap(identities)
+    assert score.pairs.f1 == 1.0 and score.share_right == 1.0
+    assert (found.completeness, found.ambiguity, found.spuriousness, found.switches) == (1.0, 1.0, 0.0, 0)
+    assert found.continuity == 1.0 and found.number_changes_per_hour == 0.0
+
+
+def test_an_instant_is_right_only_with_every_record() -> None:
+    records = {"time_s": [0, 0, 1, 1], "source": ["a", "b", "a", "b"], "object": [1, 1, 1, 2]}
+    assert pair_score(Identities.of(records, [5, 5, 5, 5])).right.tolist() == [True, False]
+    assert pair_score(Identities.of(records, [5, 5, 5, FALSE])).right.tolist() == [True, True]
+
+
+def test_who_claims_a_record_twice_claims_a_pair_too_many() -> None:
+    records = {"time_s": [0, 0, 0], "source": ["a", "b", "b"], "object": [1, 1, 1]}
+    found = pair_score(Identities.of(records, [5, 5, 6])).pairs
+    assert (found.n_claimed, found.n_true, found.n_right) == (2, 1, 1)
+
+
+def test_a_track_and_its_successor_make_one_true_pair() -> None:
+    records = {"time_s": [0, 0, 0], "source": ["a", "b", "b"], "object": [1, 1, 2]}
+    found = pair_score(Identities.of(records, [5, 5, 5])).pairs
+    assert (found.n_claimed, found.n_true, found.n_right) == (1, 1, 1)
+
+
+def test_records_without_an_object_are_alone() -> None:
+    numbers = np.ma.MaskedArray([1, 1, 3, 3], [False, False, True, True])
+    records = {"time_s": [0, 0, 1, 1], "source": ["a", "b", "a", "b"], "object": numbers}
+    found = pair_score(Identities.of(records, [0, 0, 0, 0])).pairs
+    assert (found.n_claimed, found.n_true, found.n_right) == (1, 2, 1)
+
+
+def test_false_records_are_never_a_true_pair() -> None:
+    records = {"time_s": [0, 0], "source": ["a", "b"], "object": [1, 1]}
+    found = pair_score(Identities.of(records, [FALSE, FALSE])).pairs
+    assert (found.n_claimed, found.n_true, found.n_right) == (1, 0, 0)
+
+
+def test_an_object_stands_for_what_most_of_its_records_are() -> None:
+    records = {"time_s": [0] * 7, "source": list("abcabab"), "object": [1, 1, 1, 2, 2, 3, 3]}
+    found = standing(Identities.of(records, [4, 4, 9, 4, 9, FALSE, FALSE]))
+    assert dict(zip(found.told.tolist(), found.true.tolist(), strict=True)) == {1: 4, 2: FALSE, 3: FALSE}
+
+
+def test_switches_count_only_what_had_to_change() -> None:
+    # Number 2 joins while 1 still stands: no switch until 1 is gone.
+    records = {"time_s": [0, 1, 1, 2, 3], "source": list("aabaa"), "object": [1, 1, 2, 2, 1]}
+    found = siap(Identities.of(records, [0, 0, 0, 0, 0]))
+    assert found.switches == 2 and found.ambiguity == 5 / 4 and found.continuity == 3 / 4
+    assert found.number_changes_per_hour == pytest.approx(2 / (4 / 3600.0))
+
+
+def test_continuity_counts_the_time_in_which_nothing_stands() -> None:
+    records = {"time_s": [0, 1, 1, 2], "source": list("aaba"), "object": [1, 1, 1, 1]}
+    # At instant 1 the object's two records are of two objects: it stands for none.
+    found = siap(Identities.of(records, [0, 0, 3, 0]))
+    assert found.completeness == 2 / 4 and found.continuity == 2 / 4 and found.spuriousness == 1 / 3
+
+
+def test_completeness_ambiguity_and_spuriousness_are_those_of_stone_soup() -> None:
+    pytest.importorskip("stonesoup", reason="the extra sameas[study] is not installed")
+    from stonesoup.measures import Euclidean
+    from stonesoup.metricgenerator.manager import MultiManager
+    from stonesoup.metricgenerator.tracktotruthmetrics import SIAPMetrics
+    from stonesoup.types.association import AssociationSet, TimeRangeAssociation
+    from stonesoup.types.groundtruth import GroundTruthPath, GroundTruthState
+    from stonesoup.types.state import GaussianState
+    from stonesoup.types.time import TimeRange
+    from stonesoup.types.track import Track
+
+    records, true = table(11)
+    identities = Identities.of(records, true)
+    begin = datetime.datetime(2026, 1, 1)
+
+    def when(t: float) -> datetime.datetime:
+        return begin + datetime.timedelta(seconds=float(t))
+
+    stands = standing(identities)
+    shown = {(t, k) for t, k in zip(identities.time_s, identities.true, strict=True) if k != FALSE}
+    truths = {
+        k: GroundTruthPath([GroundTruthState([0.0, 0.0], timestamp=when(t)) for t, j in sorted(shown) if j == k])
+        for k in {k for _, k in shown}
+    }
+    tracks = {
+        k: Track([GaussianState([[0.0], [0.0]], np.eye(2), timestamp=when(t)) for t in stands.time_s[stands.told == k]])
+        for k in np.unique(stands.told).tolist()
+    }
+    associations = AssociationSet({
+        TimeRangeAssociation({tracks[told], truths[k]}, TimeRange(when(t - 0.2), when(t + 0.2)))
+        for t, told, k in zip(stands.time_s, stands.told.tolist(), stands.true.tolist(), strict=True) if k != FALSE
+    })  # fmt: skip
+    manager = MultiManager([])
+    manager.association_set = associations
+    manager.states_sets = {"groundtruth_paths": set(truths.values()), "tracks": set(tracks.values())}
+    theirs = {
+        metric.title: metric.value
+        for metric in SIAPMetrics(Euclidean((0, 1)), Euclidean((0, 1))).compute_metric(manager)
+    }
+    ours = siap(identities)
+    assert ours.completeness == pytest.approx(theirs["SIAP Completeness"])
+    assert ours.ambiguity == pytest.approx(theirs["SIAP Ambiguity"])
+    assert ours.spuriousness == pytest.approx(theirs["SIAP Spuriousness"])
+
+
+def test_nees_is_the_number_of_components_where_covariances_are_honest() -> None:
+    rng = np.random.default_rng(5)
+    root = rng.normal(size=(4000, 2, 2)) + 2.0 * np.eye(2)
+    spread = root @ root.transpose(0, 2, 1)
+    off = np.einsum("nvw,nw->nv", root, rng.normal(size=(4000, 2)))
+    honest = nees(off, spread, np.zeros((4000, 2)))
+    assert honest.low < honest.mean < honest.high and honest.low < 2.0 < honest.high
+    assert abs(honest.median / honest.median_due - 1.0) < 0.1
+    assert nees(off, spread / 4.0, np.zeros((4000, 2))).mean == pytest.approx(4.0 * honest.mean)
+
+
+def test_states_that_are_not_known_are_left_out() -> None:
+    found = nees([[1.0, 0.0], [np.nan, 0.0]], [np.eye(2)] * 2, np.zeros((2, 2)))
+    assert (found.n, found.mean) == (1, 1.0)
+    assert math.isnan(nees(np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2))).mean)
+
+
+def test_mean_gospa_is_the_mean_of_its_instants() -> None:
+    pictures = [(np.array([[0.0, 0.0]]), np.array([[3.0, 4.0], [90.0, 0.0]])), (np.empty((0, 2)), np.empty((0, 2)))]
+    mean, parts = mean_gospa(pictures, cutoff=20.0)
+    assert mean == pytest.approx(0.5 * gospa(*pictures[0], cutoff=20.0).distance) and parts[0].missed == 1
+
+
+def test_refusals_say_what_to_give() -> None:
+    with pytest.raises(InputError, match="no column object; give time_s, source and object"):
+        Identities.of({"time_s": [0.0], "source": ["a"]}, [0])
+    with pytest.raises(InputError, match="2 times for 2 objects and 1 truths"):
+        Identities.of({"time_s": [0.0, 1.0], "source": ["a", "b"], "object": [1, 2]}, [0])
+    with pytest.raises(InputError, match=r"give \(n, d\) and \(n, d, d\)"):
+        nees([[0.0, 1.0]], [1.0], [[0.0, 0.0]])
+
+
+def test_nothing_gives_no_numbers() -> None:
+    empty = Identities.of({"time_s": [], "source": [], "object": []}, [])
+    found = siap(empty)
+    assert math.isnan(pair_score(empty).pairs.f1) and math.isnan(pair_score(empty).share_right)
+    assert found.switches == 0 and math.isnan(found.completeness)

@@ -1,0 +1,93 @@
+"""Two objects under one name get a track each, and tracks that say nothing more end."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from sameas.tracks.alignment import States
+from sameas.tracks.duplicate_ids import parted
+from sameas.tracks.feed import ending_silence_s
+from sameas.tracks.reports import Reports
+from sameas.tracks.scene import Scene
+from sameas.tracks.source import Description, SensorErrors
+
+SPEED = 8.0
+
+
+def states(places: list[list[tuple[float, float, float]]], names: list[str]) -> States:
+    """One list of (time, east, north) an object."""
+    rows = [(t, x, y, name) for way, name in zip(places, names, strict=True) for t, x, y in way]
+    rows.sort()
+    time_s, x, y, track = (list(column) for column in zip(*rows, strict=True))
+    return States.of(
+        time_s, np.column_stack([x, y]), 100.0 * np.eye(2), speed_m_per_s=SPEED, track=np.array(track, object)
+    )
+
+
+def way(start_s: float, east_m: float, count: int = 10, speed: float = 5.0) -> list[tuple[float, float, float]]:
+    return [(start_s + 10.0 * k, east_m + speed * 10.0 * k, 0.0) for k in range(count)]
+
+
+def test_one_name_at_two_places_becomes_two_tracks() -> None:
+    reports = states([way(0.0, 0.0), way(5.0, 9000.0), way(2.0, -3000.0)], ["7", "7", "8"])
+    found, notes = parted(reports, SPEED)
+    owner = np.select([reports.state[:, 0] > 5000.0, reports.state[:, 0] < -1000.0], ["far", "other"], "near")
+    assert {name: set(found.track[owner == name]) for name in ("near", "far", "other")} == {
+        "near": {"7"}, "far": {"7 (2)"}, "other": {"8"},
+    }  # fmt: skip
+    assert notes == ("7 is shown at 2 places too far apart for one object: a track for each",)
+    assert found.usable.all()
+
+
+def test_a_lone_report_far_away_is_not_used() -> None:
+    reports = states([way(0.0, 0.0), [(43.0, 50e3, 0.0)]], ["7", "7"])
+    found, notes = parted(reports, SPEED)
+    assert (
+        set(found.track) == {"7"} and (~found.usable).sum() == 1 and not found.usable[reports.state[:, 0] > 4e4].any()
+    )
+    assert notes == ("1 report of 7 set aside: nothing goes there so fast",)
+
+
+def test_a_number_given_away_again_is_not_two_objects_at_once() -> None:
+    found, notes = parted(states([way(0.0, 0.0), way(150.0, 20e3)], ["7", "7"]), SPEED)
+    assert set(found.track) == {"7"} and notes == () and found.usable.all()
+
+
+@pytest.mark.parametrize("speed", [0.0, 8.0, 20.0])
+def test_one_object_is_left_as_it_is(speed: float) -> None:
+    reports = states([way(0.0, 0.0, 40, speed)], ["7"])
+    found, notes = parted(reports, SPEED)
+    assert notes == () and set(found.track) == {"7"}
+    np.testing.assert_array_equal(found.state, reports.state)
+
+
+def test_an_identity_at_two_places_of_one_source_raises_the_alarm() -> None:
+    rows = sorted([(t, x, y, "235070762") for one in (way(0.0, 0.0), way(5.0, 9000.0)) for t, x, y in one])
+    columns = dict(zip(("time_s", "x_m", "y_m", "mmsi"), zip(*rows, strict=True), strict=True))
+    scene = Scene.of([(Description("ais", "ais"), Reports.of("ais", "ais", columns))])
+    [alarm] = scene.at(95.0).alarms()
+    assert alarm.value == "235070762" and alarm.distance == pytest.approx(9000.0, abs=50.0)
+    assert any("a track for each" in note for note in scene.notes)
+
+
+def test_a_track_ends_after_a_silence_longer_than_its_sources_gaps() -> None:
+    steady = [(t, 0.0, 0.0) for t in np.arange(0.0, 300.0, 3.0)]
+    lost = [(t, 900.0, 0.0) for t in np.arange(0.0, 60.0, 3.0)]
+    rows = sorted([(*r, "1") for r in steady] + [(*r, "2") for r in lost])
+    columns = dict(zip(("time_s", "x_m", "y_m", "track_id"), zip(*rows, strict=True), strict=True))
+    scene = Scene.of(
+        [(Description("radar", "tracks", errors=SensorErrors(position_m=10.0)), Reports.of("radar", "table", columns))]
+    )
+    assert [len(scene.at(t).sources[0]) for t in (50.0, 59.9, 61.0)] == [2, 2, 1]  # type: ignore[arg-type]
+
+
+def test_the_longest_gaps_but_one_in_a_thousand_count() -> None:
+    rng = np.random.default_rng(1)
+    times = np.cumsum(np.where(rng.random(20_000) < 0.05, 180.0, 10.0))
+    times[10_000:] += 5000.0
+    assert ending_silence_s(times, np.full(20_000, "7")) == pytest.approx(180.0)
+    assert ending_silence_s(times, None) == math.inf
+    assert ending_silence_s(times[:3], np.array(["1", "2", "3"])) == math.inf

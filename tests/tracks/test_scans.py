@@ -1,0 +1,141 @@
+"""Looks: exposures and turning antennas are told apart, and every object stands once at every instant."""
+
+import numpy as np
+import pytest
+
+from sameas.simulate.sensors import Sensor, TrueMotion
+from sameas.tracks.reports import Reports
+from sameas.tracks.scans import AntennaTurn, last_look, last_turn, looks_of, turning_s
+from sameas.tracks.scene import Scene
+from sameas.tracks.snapshot import Snapshot
+from sameas.tracks.source import Clutter, Description, MissRate, Resolution, SensorCoverage, SensorErrors, Site, Timing
+
+TURN_S = 2.9
+
+
+def fleet(n=40, seconds=240.0):
+    """Vessels about a radar at 50.8 N 1.3 W, on straight courses."""
+    rng = np.random.default_rng(1)
+    lat, lon = 50.8 + rng.uniform(-0.08, 0.08, n), -1.3 + rng.uniform(-0.12, 0.12, n)
+    step = rng.normal(0.0, 3e-3, (n, 2))
+    said = {
+        "time_s": np.tile([0.0, seconds], n),
+        "lat_deg": np.column_stack([lat, lat + step[:, 0]]).ravel(),
+        "lon_deg": np.column_stack([lon, lon + step[:, 1]]).ravel(),
+        "mmsi": np.repeat([f"2350000{k:02d}" for k in range(n)], 2),
+    }
+    return TrueMotion.of(Reports.of("ais", "table", said), gap_s=1e9)
+
+
+def radar(period_s, q=1e-9, **other):
+    """A radar that misses one in 1/q, turning once a period."""
+    return Description(
+        "radar", "marine radar", site=Site(50.8, -1.3), misses=MissRate(q), clutter=Clutter(0.0),
+        coverage=SensorCoverage(range_m=5e4), resolution=Resolution(0.0, 0.0), timing=Timing(period_s, 0.0, 0.0),
+        errors=SensorErrors(position_m=20.0), **other,
+    )  # fmt: skip
+
+
+def plots_at_instants(told_period_s, stamp=lambda t: t):
+    """Per instant how many plots stand, and how many objects, of a radar told to turn in so many seconds."""
+    motion = fleet()
+    heard = Sensor(radar(TURN_S))(motion, (0.0, 230.0), np.random.default_rng(2))
+    columns = {name: getattr(heard.reports, name) for name in ("range_m", "bearing_deg")}
+    reports = Reports.of("radar", "table", columns | {"time_s": stamp(heard.reports.time_s)})
+    scene = Scene.of([(radar(told_period_s), reports)], motion.plane)
+    rows = [Snapshot.of(scene.feeds[0], t).rows for t in np.arange(20.0, 220.0, 1.7)]
+    return np.array([len(row) for row in rows]), np.array([len(np.unique(heard.truth[row])) for row in rows])
+
+
+@pytest.mark.parametrize("told_period_s", [TURN_S, 1.01 * TURN_S, 0.99 * TURN_S, 3.5, 2.4])
+def test_every_object_stands_once_however_wrong_the_period_that_was_told(told_period_s):
+    plots, objects = plots_at_instants(told_period_s)
+    # Antenna and object may meet a little earlier or later than a turn ago.
+    assert objects.mean() > 39.8
+    assert plots.mean() < 40.2
+    assert plots.min() >= 38
+    assert plots.max() <= 42
+
+
+def test_stamps_in_whole_seconds_are_no_exposures():
+    plots, objects = plots_at_instants(TURN_S, np.round)
+    # A turn is 2.9 whole seconds: a third of the objects comes twice or not at all at worst.
+    assert objects.mean() > 34.0
+    assert plots.mean() < 44.0
+
+
+def test_the_period_is_measured_by_the_bearings():
+    rng = np.random.default_rng(3)
+    bearing = rng.uniform(0.0, 360.0, 25)
+    turns = np.arange(60)[:, None]
+    time_s = ((turns + bearing / 360.0) * TURN_S).ravel()
+    seen = np.broadcast_to(bearing, (60, 25)).ravel() + rng.normal(0.0, 1.0, 1500)
+    assert turning_s(time_s, seen, 3.3) == pytest.approx(TURN_S, rel=1e-4)
+    keep = rng.random(1500) < 0.3
+    assert turning_s(time_s[keep], seen[keep], 2.5) == pytest.approx(TURN_S, rel=3e-4)
+    # Bearings that do not run with the stamps, and too few.
+    assert turning_s(time_s, rng.uniform(0.0, 360.0, 1500), 3.0) is None
+    assert turning_s(time_s[:6], seen[:6], 3.0) is None
+
+
+def test_what_shows_all_at_once_does_not_turn():
+    rng = np.random.default_rng(4)
+    frames = np.repeat(0.5 * np.arange(100), 6)
+    sector = rng.uniform(20.0, 60.0, 600)
+    assert looks_of(frames, 0.5, sector).turn is None
+    assert looks_of(frames, 3.0, sector).turn is None
+    np.testing.assert_array_equal(looks_of(frames, 3.0, sector).look_s, frames)
+    # Stamps that differ a little within an exposure.
+    jittered = frames + rng.uniform(0.0, 0.05, 600)
+    looks = looks_of(jittered, 0.5, sector)
+    assert looks.turn is None
+    assert len(np.unique(looks.look_s)) == 100
+    assert np.abs(looks.look_s - frames).max() < 0.05
+
+
+def test_exposures_of_an_object_that_goes_round_do_not_turn():
+    # Bearings that drift by a turn over the whole time fold at a period a little beside that of the exposures.
+    frames = 0.5 * np.arange(400) + 0.02 * np.sin(np.arange(400.0) ** 2)
+    drift = 360.0 * frames / 200.0 + np.random.default_rng(6).normal(0.0, 5.0, 400)
+    assert turning_s(frames, drift, 0.5) is not None
+    assert looks_of(frames, 0.5, drift).turn is None
+    # Irregular ones, where all looks are known.
+    frames = np.sort(np.random.default_rng(7).uniform(0.0, 200.0, 400))
+    assert looks_of(frames, 0.5, drift, np.append(frames, 7.77)).turn is None
+
+
+def test_one_object_under_a_turning_antenna_is_one():
+    time_s = TURN_S * np.arange(40) + 0.001 * np.sin(np.arange(40))
+    looks = looks_of(time_s, 1.01 * TURN_S, np.full(40, 77.0))
+    assert looks.turn is None
+    assert len(np.unique(looks.look_s)) == 40
+    assert list(last_look(looks.look_s, np.unique(looks.look_s), 2.5 * TURN_S)) == [2]
+
+
+def test_stamps_are_looks_without_a_period_and_where_reports_share_them():
+    np.testing.assert_allclose(looks_of(np.array([5.0, 0.0, 0.0, 5.0]), 99.0).look_s, [5.0, 0.0, 0.0, 5.0])
+    turning = np.array([0.0, 0.5, 2.5, 3.0, 3.6, 5.9, 6.0])
+    np.testing.assert_allclose(looks_of(turning, None).look_s, turning)
+    # A few coincidences of stamps make no exposures of plots that have their own.
+    many = np.random.default_rng(5).uniform(0.0, 60.0, 300)
+    looks = looks_of(np.append(many, many[:5]), 3.0)
+    assert looks.turn is not None
+    assert looks.turn.period_s == 3.0
+    assert np.ptp(np.append(many, many[:5])[looks.look_s == looks.look_s[0]]) < 3.0
+
+
+def test_a_look_that_showed_nothing_hides_the_one_before_it():
+    look_s = np.array([1.0, 1.0, 2.0])
+    assert list(last_look(look_s, np.array([1.0, 2.0]), 1.9)) == [0, 1]
+    assert list(last_look(look_s, np.array([1.0, 2.0, 3.0]), 3.5)) == []
+    assert list(last_look(look_s, np.array([1.0, 2.0]), 0.5)) == []
+
+
+def test_the_last_turn_stands_while_nothing_more_is_heard():
+    time_s, turn, looked = np.arange(0.0, 9.0, 0.5), AntennaTurn(3.0, 0.5), np.array([0.0, 3.0, 6.0])
+    assert list(time_s[last_turn(time_s, turn, looked, 7.2)]) == [4.5, 5.0, 5.5, 6.0, 6.5, 7.0]
+    # Plots are late, or none come any more.
+    assert list(time_s[last_turn(time_s, turn, looked, 60.0)]) == [6.5, 7.0, 7.5, 8.0, 8.5]
+    assert list(last_turn(time_s, turn, looked, -1.0)) == []
+    # It is known to have turned on, and to have seen nothing.
+    assert list(last_turn(time_s, turn, np.append(looked, 60.0), 60.0)) == []
