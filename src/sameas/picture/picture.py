@@ -131,12 +131,12 @@ class Picture:
         Example
         -------
         >>> from sameas.tracks.reports import Reports
-        >>> from sameas.tracks.source import Description, ErrorModel
+        >>> from sameas.tracks.source import Description, SensorErrors
         >>> said = {"time_s": [0.0, 10.0], "x_m": [0.0, 50.0], "y_m": [0.0, 0.0], "track_id": ["7", "7"]}
         >>> radar = Reports.of("radar", "table", said)
         >>> said = {"time_s": [0.0, 10.0], "x_m": [3.0, 54.0], "y_m": [1.0, 2.0], "mmsi": ["235000001"] * 2}
         >>> ais = Reports.of("ais", "ais", said)
-        >>> tracker = Description("radar", "tracks", errors=ErrorModel(position_m=5.0))
+        >>> tracker = Description("radar", "tracks", errors=SensorErrors(position_m=5.0))
         >>> picture = Picture.of(Scene.of([(tracker, radar), (Description("ais", "ais"), ais)]), [0.0, 10.0])
         >>> print(picture.objects["object"], picture.objects["members"], picture.objects["label"])
         [1 1] ['radar:0 ais:0' 'radar:1 ais:1'] ['235000001' '235000001']

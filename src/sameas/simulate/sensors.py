@@ -346,10 +346,10 @@ class Sensor:
 
     Example
     -------
-    >>> from sameas.tracks.source import Misses, Site
+    >>> from sameas.tracks.source import MissRate, Site
     >>> said = {"time_s": [0.0, 60.0], "lat_deg": [50.8, 50.8], "lon_deg": [-1.30, -1.29], "mmsi": ["235070762"] * 2}
     >>> motion = TrueMotion.of(Reports.of("ais", "table", said))
-    >>> radar = Description("radar", "marine radar", site=Site(50.75, -1.3), misses=Misses(0.01))
+    >>> radar = Description("radar", "marine radar", site=Site(50.75, -1.3), misses=MissRate(0.01))
     >>> heard = Sensor(radar)(motion, (0.0, 60.0), np.random.default_rng(1))
     >>> heard.reports.position, len(heard.looked_s), int(np.sum(heard.truth == 0)) in (18, 19, 20)
     ('polar', 20, True)

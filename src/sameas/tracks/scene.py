@@ -1,13 +1,13 @@
 """The scene: all sources of a picture in one plane, and what they say at one instant, ready to be identified.
 
->>> from sameas.many import identify_many
+>>> from sameas import identify_many
 >>> from sameas.tracks.reports import Reports
->>> from sameas.tracks.source import Description, ErrorModel, Motion
+>>> from sameas.tracks.source import Description, Motion, SensorErrors
 >>> said = {"time_s": [0.0, 0.0], "x_m": [0.0, 400.0], "y_m": [0.0, 0.0]}
 >>> radar = Reports.of("radar", "table", said | {"vx_m_per_s": [5.0, 0.0], "vy_m_per_s": [0.0, 0.0]})
 >>> ais = Reports.of("ais", "table", {"time_s": [10.0], "x_m": [47.0], "y_m": [3.0]})
 >>> scene = Scene.of([
-...     (Description("radar", "tracks", errors=ErrorModel(position_m=5.0)), radar), (Description("ais", "ais"), ais)])
+...     (Description("radar", "tracks", errors=SensorErrors(position_m=5.0)), radar), (Description("ais", "ais"), ais)])
 >>> now = scene.at(10.0)
 >>> now.sources[0].features.round(1).tolist()
 [[50.0, 0.0], [400.0, 0.0]]

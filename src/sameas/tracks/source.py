@@ -248,7 +248,7 @@ class Description:
 
     Example
     -------
-    >>> radar = Description("harbour", "marine radar", errors=ErrorModel(bearing_deg=0.4))
+    >>> radar = Description("harbour", "marine radar", errors=SensorErrors(bearing_deg=0.4))
     >>> radar.errors.bearing_deg, radar.errors.range_m
     (0.4, 15.0)
     >>> print([line for line in radar.assumed if line.name == "errors.range_m"][0])
