@@ -26,8 +26,7 @@ from sameas.evidence import Errors
 from sameas.io import read_table, write_table
 from sameas.plots.normalised import containment
 from sameas.report.match import count
-from sameas.sky.catalogue import Catalogue, CatalogueOptions
-from sameas.sky.crossmatch import MatchOptions, SkyMatch, match
+from sameas.sky import Catalogue, CatalogueOptions, MatchOptions, SkyMatch, match
 from sameas.space import sphere_offset
 
 HIP2 = ["HIP", "Sn", "So", "Nc", "RArad", "DErad", "Plx", "pmRA", "pmDE"]

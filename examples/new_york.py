@@ -28,10 +28,9 @@ import numpy as np
 
 from sameas.io import read_table, replacing
 from sameas.io.sensors import read_reports
-from sameas.score.picture import Identities, pair_score, siap
-from sameas.simulate.sensors import Bias, Sensor, Tracker, TrueMotion
-from sameas.tracks.reports import Reports
-from sameas.tracks.source import read_descriptions
+from sameas.score import Identities, pair_score, siap
+from sameas.simulate import Bias, Sensor, Tracker, TrueMotion
+from sameas.tracks import Reports, read_descriptions
 
 DATA = Path(__file__).parent / "data"
 SEED = 20200630

@@ -28,8 +28,7 @@ from numpy.typing import NDArray
 
 from sameas.io import read_table, write_table
 from sameas.report.match import count
-from sameas.sky.catalogue import Catalogue, CatalogueOptions
-from sameas.sky.many import ManyMatch, match_many
+from sameas.sky import Catalogue, CatalogueOptions, ManyMatch, match_many
 
 INDEX = Path("/usr/share/astrometry/index-tycho2-07.littleendian.fits")
 #: Systematic errors of bright Gaia stars, and how fast a star of unknown motion may move.

@@ -25,9 +25,9 @@ from astropy.time import Time
 
 from sameas.io import read_table, replacing, write_table
 from sameas.io.catalogues import bright
-from sameas.simulate.frames import Camera, Gaussian, Lens, SimulatedFrame, frame_of_sky
-from sameas.sky.frame.field import Cone, StarField
-from sameas.sky.frame.tangent import Pointing, unit_vectors
+from sameas.simulate import Camera, Gaussian, Lens, SimulatedFrame, frame_of_sky
+from sameas.sky import Cone, Pointing, StarField
+from sameas.sky.frame.tangent import unit_vectors
 from sameas.space import ARCSEC_PER_RADIAN
 
 SEED = 20260614

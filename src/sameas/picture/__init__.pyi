@@ -2,7 +2,7 @@
 
 from .memory import Memory as Memory
 from .memory import Past as Past
-from .moment import Moment as Moment
+from .picture_state import PictureState as PictureState
 from .object_ids import Stages as Stages
 from .picture import Picture as Picture
 from .picture import instants as instants
