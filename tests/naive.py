@@ -580,3 +580,11 @@ def inside_empty_discs(
         if (away >= radius[c]).all() and (own < radius[c]).sum() >= least:
             found |= own < inner[c]
     return found
+
+
+# ---- Layouts ----
+
+
+def ragged_ranges(first: list[int], size: list[int]) -> list[tuple[int, int, int]]:
+    """(range, number within it, value) of each whole number of several ranges, one range after the other."""
+    return [(k, t, first[k] + t) for k in range(len(size)) for t in range(size[k])]

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 import naive
 from problems import laid_out, plane_records, shuffled
-from sameas import LonLatBox
+from sameas import Box
 from sameas.groups import groups
 
 graphs = st.tuples(st.integers(1, 12), st.integers(1, 12)).flatmap(
@@ -52,7 +52,7 @@ def test_layout_does_not_depend_on_the_row_order(d):
     first, second = (plane_records(rng, 200, d, scale=2e-4 * 20.0 ** (d - 1)) for _ in range(2))
 
     def in_ids(one, two):
-        found = groups(LonLatBox()(one, two))
+        found = groups(Box()(one, two))
         return one.ids[found.rows_1].tolist(), two.ids[found.rows_2].tolist(), found.start.tolist()
 
     expected = in_ids(first, second)

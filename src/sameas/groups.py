@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import IntArray
 from sameas.gate import Pairs
+from sameas.ragged import Ragged
 
 Places = NDArray[np.int32]
 
@@ -62,7 +63,7 @@ class Groups:
     @cached_property
     def group(self) -> IntArray:
         """(m,) group of each pair of the layout."""
-        return np.repeat(np.arange(len(self)), self.pair_counts)
+        return Ragged(self.start).row
 
     @cached_property
     def places(self) -> tuple[IntArray, IntArray]:

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
+from sameas.ragged import Ragged
 
 
 @dataclass(frozen=True)
@@ -83,15 +84,14 @@ class CommonObjects:
     def __call__(self, n1: IntArray, n2: IntArray) -> LogPrior:
         """ln P for groups with n1 and n2 records, (g,) each."""
         sizes = np.minimum(n1, n2) + 1
-        start = np.concatenate([[0], np.cumsum(sizes)])
-        group = np.repeat(np.arange(len(n1)), sizes)
-        k = np.arange(start[-1]) - start[group]
+        tables = Ragged.of_sizes(sizes)
+        group, k = tables.row, tables.index
         table = self.log_probability(k, n1[group], n2[group])
         if not self.linear:
-            return LogPrior(None, start, table)
+            return LogPrior(None, tables.start, table)
         most = (sizes - 1).astype(np.float64)
         centred = np.bincount(group, (2.0 * k - most[group]) * table, len(n1))
-        return LogPrior(6.0 * centred / (most**3 + 3.0 * most**2 + 2.0 * most), start, table)
+        return LogPrior(6.0 * centred / (most**3 + 3.0 * most**2 + 2.0 * most), tables.start, table)
 
 
 Prior = PerPair | CommonObjects

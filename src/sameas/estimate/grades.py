@@ -22,6 +22,7 @@ from sameas.estimate.photometry import Photometry
 from sameas.estimate.sample import Setting
 from sameas.evidence import Graded, Precision
 from sameas.gate import Pairs
+from sameas.ragged import Ragged
 from sameas.records import Records
 
 #: Records of the poorer source for each two grades, and most grades.
@@ -73,7 +74,7 @@ class Scale:
         within = scale._range(seen, len(some))
         line = np.sort(some) if seen is None else some[np.lexsort((some, within))]
         count = np.bincount(within, minlength=ranges + 1)
-        at = (np.cumsum(count) - count)[:, None] + count[:, None] * parts // number
+        at = Ragged.of_sizes(count).start[:-1, None] + count[:, None] * parts // number
         # The limits of a range without records are never asked for.
         return replace(scale, limits=line[np.minimum(at, len(line) - 1)].ravel())
 

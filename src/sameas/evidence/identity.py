@@ -29,6 +29,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import DEFAULT_COMPLETENESS, ChiSquare, Pairs
+from sameas.ragged import ranges
 from sameas.records import Records, unpack
 from sameas.space import Plane
 
@@ -397,9 +398,7 @@ class _SourceValues:
 
     def against(self, other: _SourceValues, name: str, gate: ChiSquare) -> list[Alarm]:
         low, high = (np.searchsorted(other.values, self.values, side) for side in ("left", "right"))
-        width = high - low
-        i = np.repeat(np.arange(len(self.values)), width)
-        j = np.arange(len(i)) - np.repeat(np.cumsum(width) - width, width) + np.repeat(low, width)
+        i, j = ranges(low, high - low)
         a, b = self.at[i], other.at[j]
         if other is self:
             once = a < b

@@ -22,6 +22,7 @@ from sameas.many.partition import best_counted, best_partition, incidence_of
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import MissedObjects
 from sameas.many.sets import Sets
+from sameas.ragged import Ragged
 
 #: Reduced costs above which sets are left out, tried in this order.
 CUTS = (30.0, 20.0, 14.0, 10.0, 8.0, 6.0, 4.0, 2.0, 1.0)
@@ -127,7 +128,7 @@ class _Sums:
     def counted(cls, sets: Sets, union: PooledRecords, counts: MissedObjects) -> _Sums:
         tables = {int(n): counts.table(union, int(n)) for n in np.unique(union.sizes)}
         table = np.concatenate([tables[int(n)] for n in union.sizes] or [np.zeros(1)])
-        return cls(sets, len(union), np.concatenate([[0], np.cumsum(union.sizes)]), table, True)
+        return cls(sets, len(union), Ragged.of_sizes(union.sizes).start, table, True)
 
     def all(self, cost: FloatArray, chosen: BoolArray, cut: FloatArray) -> tuple[FloatArray, BoolArray, FloatArray]:
         """Probabilities with as small a cut as each group allows; groups whose ``cut`` is not negative are done."""
@@ -195,7 +196,7 @@ class _Sums:
         made = np.bincount(self.sets.group[sure], self.sets.size[sure] - 1, len(self.table_start)).astype(np.int64)
         low, high = self.table_start[blocks.group] + made[blocks.group], self.table_start[blocks.group + 1]
         lists = [self.table[a:b] for a, b in zip(low, high, strict=True)]
-        return np.concatenate([[0], np.cumsum(high - low)]), np.concatenate([*lists, np.zeros(1)])
+        return Ragged.of_sizes(high - low).start, np.concatenate([*lists, np.zeros(1)])
 
 
 @dataclass(frozen=True)
@@ -239,7 +240,7 @@ class _Blocks:
         mask = np.zeros(len(kept), np.uint64)
         np.bitwise_or.at(mask, at, np.uint64(1) << np.minimum(bits, 63).astype(np.uint64))
         order = np.lexsort([rest, low[rest], block])
-        start = np.searchsorted(block[order], np.arange(len(labels) + 1))
+        start = Ragged.of_sorted(block[order], len(labels)).start
         there = rest[order]
         group = sets.group[kept[there[start[:-1]]]] if len(labels) else np.empty(0, np.int64)
         return cls(sure, there, start, low[there], mask[there], size, group)
@@ -258,5 +259,5 @@ def _numbers(
     inside = inside[np.lexsort([rank[inside], part[inside], of_record[inside]])]
     size = np.bincount(of_record[inside], minlength=n_blocks)
     number = np.zeros(n_records, np.int64)
-    number[inside] = np.arange(len(inside)) - np.repeat(np.cumsum(size) - size, size)
+    number[inside] = Ragged.of_sizes(size).index
     return number, size

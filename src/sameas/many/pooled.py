@@ -24,6 +24,7 @@ from sameas.errors import InputError
 from sameas.gate import DEFAULT_COMPLETENESS, ChiSquare, Pairs
 from sameas.many.joint import Observers
 from sameas.many.observations import Observations, Region, Source, records_of
+from sameas.ragged import Ragged
 from sameas.records import Records
 
 Gate = Callable[[Records, Records], Pairs]
@@ -67,7 +68,7 @@ class PooledRecords:
     @cached_property
     def source(self) -> IntArray:
         """(n,) the source of each record."""
-        return np.repeat(np.arange(len(self.sources)), np.diff(self.start))
+        return Ragged(self.start).row
 
     @cached_property
     def sizes(self) -> IntArray:
@@ -110,7 +111,7 @@ def union(sources: Sequence[Source], gate: Gate, region: Region | None = None) -
     ordered = [_in_order(source) for source in sources]
     given = sorted(range(len(sources)), key=lambda s: _content(ordered[s]))
     observers = Observers(tuple(ordered[s] for s in given), region)
-    start = np.concatenate([[0], np.cumsum([len(records_of(s)) for s in observers.sources])]).astype(np.int64)
+    start = Ragged.of_sizes([len(records_of(s)) for s in observers.sources]).start
     i, j, parts, description = _pairs(observers, start, gate)
     return PooledRecords(
         observers, tuple(given), start, i, j, parts, numbered_groups(i, j, int(start[-1])), description

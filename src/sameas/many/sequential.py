@@ -23,6 +23,7 @@ from sameas.many.pooled import PooledRecords, numbered_groups, union
 from sameas.many.rules import MissedObjects, Pairwise, PoissonObjects, SetPrior, SetRule, parts_of
 from sameas.many.sets import Sets
 from sameas.prior import CommonObjects, PerPair, Prior
+from sameas.ragged import Ragged
 from sameas.records import Records
 
 EVIDENCE_ALONE = PerPair(0.0)
@@ -138,7 +139,7 @@ def _result(
     group = together.group[members.max(axis=1)]
     size = (members >= 0).sum(axis=1)
     order = np.lexsort([*members.T[::-1], size, group])
-    start = np.searchsorted(group[order], np.arange(len(together.sizes) + 1))
+    start = Ragged.of_sorted(group[order], len(together.sizes)).start
     several = together.sizes > 1
     sets = Sets(members[order], size[order], np.zeros(len(order)), group[order], start, np.where(several, np.inf, 0.0))
     unknown = np.where(several, np.inf, 0.0)

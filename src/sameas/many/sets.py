@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.many.pooled import PooledRecords
 from sameas.many.terms import Terms
+from sameas.ragged import Ragged, ranges
 
 #: ln w below which sets are left out, tried in this order.
 FLOORS = (-np.inf, 0.0, 6.0, 15.0, 30.0, 80.0, np.inf)
@@ -112,7 +113,7 @@ class _Growth:
         best = np.maximum(best + highest[:, None], 0.0)
         # What the sources after s can add at most.
         most = np.cumsum(best[:, ::-1], axis=1)[:, ::-1] - best
-        return cls(union, terms, np.searchsorted(union.i, np.arange(n + 1)), most, highest)
+        return cls(union, terms, Ragged.of_sorted(union.i, n).start, most, highest)
 
     def all(self, wanted: BoolArray, floor: float, limit: int) -> tuple[list[_SetsOfSize], BoolArray]:
         """Levels of two records and more of the wanted groups, and which groups have more than ``limit`` sets."""
@@ -136,9 +137,7 @@ class _Growth:
         asked = np.bincount(group, width, len(count))
         too_many |= asked > 8 * limit
         width = np.where(too_many[group], 0, width)
-        parent = np.repeat(np.arange(len(last)), width)
-        step = np.arange(len(parent)) - np.repeat(np.cumsum(width) - width, width)
-        pair = self.start[last][parent] + step
+        parent, pair = ranges(self.start[last], width)
         added = union.j[pair]
         keep = np.ones(len(parent), bool)
         pairs = []
@@ -188,5 +187,5 @@ def _gathered(union: PooledRecords, levels: list[_SetsOfSize], floor: FloatArray
     order = np.argsort(group, kind="stable")
     order = order[np.lexsort([*members[order].T[::-1], size[order], group[order]])]
     group = group[order]
-    start = np.searchsorted(group, np.arange(len(union.sizes) + 1))
+    start = Ragged.of_sorted(group, len(union.sizes)).start
     return Sets(members[order], size[order], weight[order], group, start, floor)

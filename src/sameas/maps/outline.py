@@ -14,6 +14,7 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
+from sameas.ragged import Ragged
 from sameas.tracks.coordinates import EARTH_M, LocalPlane, geodesy
 
 #: The data's cells and steps, as scripts/make-outline has them.
@@ -113,9 +114,8 @@ def _broken(steps: IntArray) -> tuple[IntArray, FloatArray]:
     """(m,) side and share of it at which each point of the broken up line lies, its end included."""
     longest = np.abs(np.diff(steps, axis=0)).max(axis=1) * STEP_DEG
     pieces = np.maximum(1, np.ceil(longest / LONGEST_DEG - 1e-9)).astype(np.int64)
-    number = np.repeat(np.arange(len(pieces)), pieces)
-    within = np.arange(len(number)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-    return np.append(number, len(steps) - 1), np.append(within / pieces[number], 0.0)
+    points = Ragged.of_sizes(pieces)
+    return np.append(points.row, len(steps) - 1), np.append(points.index / pieces[points.row], 0.0)
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ from sameas.picture.continuity import Continuity, InCommon, Motions, NearOrNamed
 from sameas.picture.named import found_in
 from sameas.picture.object_states import ObjectStates
 from sameas.picture.scan import ColumnTable
+from sameas.ragged import ranges
 from sameas.records import Records
 from sameas.tracks.alignment import aged, moved
 
@@ -91,9 +92,7 @@ class TrackHistory(ColumnTable):
     def of(self, tracks: IntArray) -> tuple[IntArray, IntArray]:
         """(m,) places in ``tracks`` (k,) and (m,) rows here of everything that these tracks have been of."""
         low, high = (np.searchsorted(self.track, tracks, side) for side in ("left", "right"))
-        width = high - low
-        at = np.repeat(np.arange(len(tracks)), width)
-        return at, np.arange(len(at)) - np.repeat(np.cumsum(width) - width, width) + np.repeat(low, width)
+        return ranges(low, high - low)
 
     def last_of(self, tracks: IntArray) -> IntArray:
         """(k,) the object that each track was of when it was last shown, 0 for none."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.many.observations import records_of
+from sameas.ragged import Ragged
 from sameas.tracks.alignment import States, moved, stamped_late
 from sameas.tracks.feed import Feed
 from sameas.tracks.scene import Instant
@@ -90,15 +91,13 @@ class Scan:
         parts = [_part(feed, records_of(source).ids, records_of(source).rows, now.instant_s)
                  for feed, source in zip(now.feeds, now.sources, strict=True)]  # fmt: skip
         columns = {name: np.concatenate([_EMPTY[name], *(part[name] for part in parts)]) for name in _EMPTY}
-        sizes = [len(part["row"]) for part in parts]
-        start = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-        source = np.repeat(np.arange(len(sizes)), sizes)
+        rows = Ragged.of_sizes([len(part["row"]) for part in parts])
         placed = np.isfinite(columns["state"]).all(axis=1)
         with np.errstate(invalid="ignore"):
             unknown = UNSAID * columns["speed_m_per_s"] ** 2
             moving = placed & (columns["said_covariance"][:, 2, 2] < unknown)
-        loose = np.zeros((len(source), 4, 4))
-        return cls(now=now, start=start, source=source, placed=placed, moving=moving, loose=loose, **columns)
+        loose = np.zeros((len(rows.row), 4, 4))
+        return cls(now=now, start=rows.start, source=rows.row, placed=placed, moving=moving, loose=loose, **columns)
 
     def texts(self, attribute: str) -> NDArray[Any]:
         """(n,) what the records say of an attribute of identity, "" where they do not."""

@@ -17,6 +17,7 @@ import numpy as np
 from sameas.arrays import FloatArray, IntArray
 from sameas.evidence import LOG_2PI
 from sameas.gate import Radius
+from sameas.ragged import Ragged
 from sameas.records import Records
 from sameas.registration.hough import typical_sigma
 from sameas.registration.offsets import Offset
@@ -148,13 +149,13 @@ def weighed(scene: PlacedSources, met: Meeting, common: FloatArray, settled: flo
     """Weights of the pairs that meet, by messages that settle to so small a share of them."""
     from sameas.kernels.offsets import messages
 
-    volume, expected, sets = met.volume, met.expected, len(met.volume)
+    volume, expected = met.volume, met.expected
     shared = np.clip(common, LEAST_COMMON, MOST_SHARE * np.maximum(expected.min(axis=1), 2 * LEAST_COMMON))
     rest = np.maximum(expected - shared[:, None], 0.5)
     # One more than are left: the mean of its inverse is that of the number that is due (Poisson), few or many.
     due = np.maximum(expected - shared[:, None], 0.0) + 1.0
     log_odds = np.log(shared) + np.log(np.maximum(volume, 1e-300)) - np.log(due).sum(axis=1)
-    s = np.repeat(np.arange(sets), np.diff(met.start))
+    s = Ragged(met.start).row
     records = len(scene.first), len(scene.second)
     log_weight = log_odds[s] + met.log_normal
     share, log_sum, total = messages(met.start, met.i, met.j, log_weight, records, SWEEPS, settled)
@@ -187,7 +188,7 @@ def _gated(scene: PlacedSources, moved: FloatArray, spread: FloatArray, widening
     distance = np.einsum("mv,mvw,mw->m", residual, precision, residual)
     log_normal = -0.5 * (distance + np.log(np.linalg.det(covariance)) + residual.shape[1] * LOG_2PI)
     return (
-        np.concatenate([[0], np.cumsum([len(pairs) for pairs in found])]).astype(np.int64),
+        Ragged.of_sizes([len(pairs) for pairs in found]).start,
         np.concatenate([pairs.i for pairs in found]).astype(np.int64),
         np.concatenate([pairs.j for pairs in found]).astype(np.int64), residual, precision, log_normal,
     )  # fmt: skip
@@ -208,7 +209,7 @@ def _in_cells(features: FloatArray, covariance: FloatArray, size: float, periods
     column, line = np.minimum(((at - low) / sizes).astype(np.int64), shape - 1).T
     cell = line * shape[0] + column
     rows = np.argsort(cell, kind="stable")
-    start = np.searchsorted(cell[rows], np.arange(shape.prod() + 1))
+    start = Ragged.of_sorted(cell[rows], shape.prod()).start
     return Cells(features[rows], covariance[rows], rows, start, low, sizes, shape)
 
 

@@ -23,6 +23,7 @@ from scipy.interpolate import PchipInterpolator, make_smoothing_spline
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
+from sameas.ragged import Ragged, ranges
 from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane, geodesy, turned
 from sameas.tracks.feed import walk_of
@@ -424,7 +425,7 @@ class Sensor:
             return echoes
         keep = np.ones(len(echoes), bool)
         # Echoes stand look by look, objects in the order of their numbers.
-        starts = np.searchsorted(echoes.look, np.arange(echoes.look.max(initial=-1) + 2))
+        starts = Ragged.of_sorted(echoes.look, echoes.look.max(initial=-1) + 1).start
         for low, high in pairwise(starts):
             apart = np.abs(echoes.sight[low:high, None] - echoes.sight[None, low:high])
             turn = np.minimum(apart[..., 1], 360.0 - apart[..., 1])
@@ -444,8 +445,7 @@ class Sensor:
         end = begin + rng.geometric(1.0 / lasting, count)
         sight = np.column_stack([reach * np.sqrt(rng.random(count)), rng.uniform(0.0, 360.0, count)])
         covered = self.description.coverage.covers(*sight.T)
-        owner = np.repeat(np.arange(count), np.where(covered, end - begin, 0))
-        look = begin[owner] + np.arange(len(owner)) - np.searchsorted(owner, owner)
+        owner, look = ranges(begin, np.where(covered, end - begin, 0))
         inside = (look >= 0) & (look < len(looks))
         owner, look = owner[inside], look[inside]
         centre = motion.plane.of_geodetic(site.lat_deg, site.lon_deg)[0]  # type: ignore[arg-type]

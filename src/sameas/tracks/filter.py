@@ -19,6 +19,7 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.gate import ChiSquare
+from sameas.ragged import Ragged
 from sameas.tracks.alignment import States, moved
 
 #: Reports measure anew whose innovations are, in the median, at least this share of what independent errors make them;
@@ -113,7 +114,7 @@ def _rounds(reports: States, usable: BoolArray) -> list[IntArray]:
     rank[np.argsort(-count, kind="stable")] = np.arange(len(count))
     order = np.lexsort([reports.time_s[rows], rank[number]])
     rows, owner = rows[order], rank[number][order]
-    turn = np.arange(len(rows)) - np.searchsorted(owner, owner)
+    turn = Ragged.of_sorted(owner, len(count)).index
     by_turn = np.lexsort([owner, turn])
-    cuts = np.searchsorted(turn[by_turn], np.arange(int(count.max(initial=0)) + 1))
+    cuts = Ragged.of_sorted(turn[by_turn], int(count.max(initial=0))).start
     return [rows[by_turn[a:b]] for a, b in pairwise(cuts)]

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.ragged import Ragged, ranges
 from sameas.sky.frame.tangent import to_plane
 
 
@@ -83,7 +84,7 @@ def sets_of_points(points: FloatArray, k: int, shortest: float, longest: float) 
     keep = apart >= shortest
     pairs, apart = pairs[keep], apart[keep]
     a, b = pairs.T
-    pair, at = _joined(start[a], start[a + 1] - start[a])
+    pair, at = ranges(start[a], start[a + 1] - start[a])
     third = neighbour[at]
     # Ties between equal sides go to no pattern: on a perfect grid nothing would be told apart anyway.
     inside = (_distance(points, a[pair], third) < apart[pair]) & (_distance(points, b[pair], third) < apart[pair])
@@ -92,7 +93,7 @@ def sets_of_points(points: FloatArray, k: int, shortest: float, longest: float) 
         return np.column_stack([a[pair], b[pair], third])
     stop = np.searchsorted(pair, pair, side="right")
     own = np.arange(len(pair))
-    one, other = _joined(own + 1, stop - own - 1)
+    one, other = ranges(own + 1, stop - own - 1)
     near = _distance(points, third[one], third[other]) < apart[pair[one]]
     one, other = one[near], other[near]
     return np.column_stack([a[pair[one]], b[pair[one]], third[one], third[other]])
@@ -102,13 +103,7 @@ def _neighbours(pairs: IntArray, n: int) -> tuple[IntArray, IntArray]:
     """Both directions of the pairs as CSR: the neighbours of point i are ``neighbour[start[i]:start[i + 1]]``."""
     here, there = np.concatenate([pairs, pairs[:, ::-1]]).T
     order = np.lexsort((there, here))
-    return np.searchsorted(here[order], np.arange(n + 1)), there[order]
-
-
-def _joined(start: IntArray, count: IntArray) -> tuple[IntArray, IntArray]:
-    """Which range, and which of its indices, for all ranges start … start + count one after the other."""
-    which = np.repeat(np.arange(len(start)), count)
-    return which, np.arange(len(which)) - np.repeat(np.cumsum(count) - count - start, count)
+    return Ragged.of_sorted(here[order], n).start, there[order]
 
 
 def _distance(points: FloatArray, i: NDArray[Any], j: NDArray[Any]) -> FloatArray:
@@ -185,7 +180,7 @@ def brightest_per_cell(vectors: FloatArray, rank: IntArray, side_rad: float, n: 
     edges = np.sin((np.arange(bands + 1) / bands - 0.5) * np.pi)
     per_band = np.maximum(1, np.round(2 * np.pi * np.diff(edges) / side_rad**2)).astype(np.int64)
     around = (np.arctan2(vectors[:, 1], vectors[:, 0]) / (2 * np.pi)) % 1.0
-    cell = (np.cumsum(per_band) - per_band)[band] + np.minimum(
+    cell = Ragged.of_sizes(per_band).start[band] + np.minimum(
         (around * per_band[band]).astype(np.int64), per_band[band] - 1
     )
     order = np.lexsort((rank, cell))

@@ -1,0 +1,32 @@
+"""Ragged ranges are the loops that they stand for."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import naive
+from sameas.ragged import Ragged, ranges
+
+quickly = settings(max_examples=100, deadline=None, derandomize=True)
+rows = st.lists(st.tuples(st.integers(-9, 9), st.integers(0, 4)), max_size=9)
+
+
+@quickly
+@given(rows)
+def test_rows_indices_and_values_are_those_of_nested_loops(rows):
+    first, size = ([row[k] for row in rows] for k in (0, 1))
+    expected = np.array(naive.ragged_ranges(first, size), np.int64).reshape(-1, 3).T
+    ragged = Ragged.of_sizes(size)
+    one, value = ranges(np.array(first, np.int64), np.array(size, np.int64))
+    for column, due in zip((ragged.row, ragged.index, one, value), expected[[0, 1, 0, 2]], strict=True):
+        np.testing.assert_array_equal(column, due)
+        assert column.dtype == np.int64
+    assert len(ragged) == len(size) and ragged.start[0] == 0 and ragged.start.dtype == np.int64
+    np.testing.assert_array_equal(ragged.sizes, np.array(size, np.int64))
+
+
+@quickly
+@given(rows)
+def test_sorted_rows_have_the_layout_of_their_sizes(rows):
+    ragged = Ragged.of_sizes([size for _, size in rows])
+    np.testing.assert_array_equal(Ragged.of_sorted(ragged.row, len(rows)).start, ragged.start)
