@@ -1,4 +1,4 @@
-"""GeoJSON and tables of a picture: what is written comes back, and a map program understands it."""
+"""GeoJSON of a picture: a map program understands it."""
 
 import json
 
@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from sameas.errors import InputError
-from sameas.io.columns import write_columns
 from sameas.io.geojson import write_geojson
-from sameas.io.tables import read_provenance, read_table
 
 NOON_S = 1_700_000_000.25
 
@@ -78,18 +76,3 @@ def test_a_picture_in_metres_of_its_own_is_refused_and_nothing_is_left(tmp_path)
     with pytest.raises(InputError, match="exists already"):
         write_geojson(objects(), tmp_path / "o.geojson", overwrite=False)
     assert [path.name for path in tmp_path.iterdir()] == ["o.geojson"]
-
-
-@pytest.mark.parametrize("name", ["o.parquet", "o.csv"])
-def test_columns_come_back_from_tables_with_units(tmp_path, name):
-    given = objects()
-    write_columns(given, tmp_path / name, provenance={"command": "sameas picture"})
-    table = read_table(tmp_path / name)
-    assert read_provenance(tmp_path / name)["command"] == "sameas picture"
-    assert table.colnames == list(given)
-    for column in ("time_s", "object", "probability"):
-        np.testing.assert_allclose(np.ma.filled(table[column], np.nan), given[column])
-    assert np.ma.getmaskarray(table["x_m"]).tolist() == [False, False, True]
-    assert str(table["label"][0]) == 'Ålesund "7"'
-    if name.endswith("parquet"):
-        assert str(table["x_m"].unit) == "m" and str(table["lat_deg"].unit) == "deg"

@@ -13,7 +13,7 @@ from sameas.simulate.scenes import sky_field
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.crossmatch import MatchOptions
 from sameas.sky.crossmatch import match as match_catalogues
-from sameas.sky.rotation import Rotation, find_turn
+from sameas.sky.rotation import Rotation, find_rotation
 from sameas.space import sphere_offset
 
 
@@ -49,7 +49,7 @@ def test_the_turn_is_found_to_its_errors(area, n, vector):
     made = scene(area, n)
     centre = (area.lon_deg, area.lat_deg) if isinstance(area, Cap) else (10.0, 20.0)
     moved = turned(made.second, centre, vector)
-    found = find_turn(made.first, moved)
+    found = find_rotation(made.first, moved)
     assert found.found and not found.notes
     # What is left over is what the turn's own covariance says.
     back = found.of(moved)
@@ -66,7 +66,7 @@ def test_standard_errors_are_those_of_repeated_trials():
     pulls = []
     for seed in range(25):
         made = scene(area, 200, seed)
-        found = find_turn(made.first, turned(made.second, (200.0, 30.0), vector))
+        found = find_rotation(made.first, turned(made.second, (200.0, 30.0), vector))
         there = Rotation((200.0, 30.0), vector, np.zeros((3, 3)))
         at = np.array([[200.0, 30.0]])
         gap = sphere_offset(*found.moved(at).T, *there.moved(at).T)[0]
@@ -76,7 +76,7 @@ def test_standard_errors_are_those_of_repeated_trials():
 
 def test_nothing_in_common_is_said():
     one, two = scene(Cap(10.0, 0.0, 0.3), 40, 1), scene(Cap(10.0, 0.0, 0.3), 40, 2)
-    found = find_turn(one.first, two.second)
+    found = find_rotation(one.first, two.second)
     assert not found.found
     assert any("nothing in common" in note or "explain" in note for note in found.notes)
 

@@ -13,7 +13,6 @@ from sameas.tracks.coordinates import (
     plane_polar,
     polar_to_geodetic,
     turned,
-    velocity_of,
 )
 
 pymap3d = pytest.importorskip("pymap3d")
@@ -124,10 +123,6 @@ def test_bearings_are_turned_by_the_convergence_of_the_meridians_and_wrap():
     far = plane.of_geodetic([60.0, 60.01], [24.0, 24.0])
     east, north = far[1] - far[0]
     assert turned_by == pytest.approx(np.degrees(np.arctan2(east, north)), abs=1e-3)
-
-
-def test_speed_and_course_are_a_velocity():
-    np.testing.assert_allclose(velocity_of([2.0, 2.0], [90.0, 180.0]), [[2, 0], [0, -2]], atol=1e-12)
 
 
 def test_what_cannot_be_is_refused_in_words():

@@ -12,7 +12,6 @@ from sameas.tracks.source import (
     Description,
     KnownBiases,
     MissRate,
-    Resolution,
     SensorCoverage,
     SensorErrors,
     Site,
@@ -80,11 +79,6 @@ def test_misses_follow_the_range_and_are_certain_outside_the_coverage():
     )
     q = radar.q_at([10e3, 10e3, 10e3, 10e3, 30e3, 50.0], [0.0, 200.0, 50.0, 359.0, 0.0, 0.0])
     np.testing.assert_allclose(q, [0.3, 1.0, 1.0, 0.3, 1.0, 1.0])
-
-
-def test_resolution_is_the_wider_of_cell_and_beam():
-    radar = Description("radar", resolution=Resolution(40.0, 2.5))
-    np.testing.assert_allclose(radar.resolved_m([100.0, 10e3]), [40.0, 10e3 * np.radians(2.5)])
 
 
 def test_a_bias_that_is_known_is_not_looked_for_unless_its_doubt_is_told():

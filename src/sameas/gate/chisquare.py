@@ -28,17 +28,3 @@ def upper_quantile(share: float, d: int) -> float:
     from scipy.special import gammainccinv
 
     return 2.0 * float(gammainccinv(0.5 * d, share))
-
-
-def share_within(square: float, d: int) -> float:
-    """The share of normal vectors in d dimensions whose squared length does not exceed ``square``.
-
-    >>> round(share_within(9.2103, 2), 4)
-    0.99
-    """
-    half = 0.5 * square
-    if d in (2, 4):
-        return -math.expm1(-half) - (half * math.exp(-half) if d == 4 else 0.0)
-    from scipy.special import gammainc
-
-    return float(gammainc(0.5 * d, half))

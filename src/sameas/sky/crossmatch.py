@@ -24,7 +24,7 @@ from sameas.records import Records
 from sameas.result import Identification
 from sameas.sky.bands import AUTO, magnitudes_of
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.rotation import Rotation, find_turn, left_over
+from sameas.sky.rotation import Rotation, find_rotation, left_over
 from sameas.space import ARCSEC_PER_RADIAN, sphere_offset
 
 # The nearest neighbour, one record at a time: what most programs give, kept to be compared with.
@@ -175,7 +175,7 @@ def match(
     progress("motion")
     epoch, words, one, two = brought_together(first, second, options.epoch_jyr)
     _refuse_blur(one, two)
-    sought = find_turn(one, two, progress) if options.offset == "find" else None
+    sought = find_rotation(one, two, progress) if options.offset == "find" else None
     turn = None if sought is None or sought.by_chance else sought
     if turn is not None:
         two = turn.of(two)

@@ -122,7 +122,7 @@ class Rotation:
         return turned, share
 
 
-def find_turn(first: Records, second: Records, progress: Callable[[str], None] = lambda stage: None) -> Rotation:
+def find_rotation(first: Records, second: Records, progress: Callable[[str], None] = lambda stage: None) -> Rotation:
     """The turn that brings the second catalogue's records onto the first's.
 
     Parameters
@@ -152,7 +152,7 @@ def left_over(answer: Identification, scale: float) -> tuple[Rotation, float] | 
     """The turn that the pairs of an identification show beside their errors, and by how many of a pair's errors it
     moves one at most; None where it does not matter.
 
-    A turn of many errors hides its own pairs: what is left of it is seen, and :func:`find_turn` finds the rest.
+    A turn of many errors hides its own pairs: what is left of it is seen, and :func:`find_rotation` finds the rest.
     """
     if not len(answer.p_pair):
         return None

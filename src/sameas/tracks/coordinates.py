@@ -259,12 +259,6 @@ def bearing_in_plane(
     return np.asarray(np.degrees(np.arctan2(direction[:, 0], direction[:, 1])) % 360.0)
 
 
-def velocity_of(speed_m_per_s: ArrayLike, course_deg: ArrayLike) -> FloatArray:
-    """(n, 2) metres per second east and north, of speed and course (clockwise from north)."""
-    speed, course = _numbers(speed_m_per_s, course_deg)
-    return speed[:, None] * np.column_stack([np.sin(np.radians(course)), np.cos(np.radians(course))])
-
-
 @dataclass(frozen=True)
 class _LinesOfSight:
     """Lines of sight (n,) from sensors; ``geodetic`` says where they end."""

@@ -312,14 +312,6 @@ class Description:
         """(n,) probability that an object at this range and bearing is missed: 1 outside the coverage."""
         return np.where(self.coverage.covers(range_m, bearing_deg), self.misses.at(range_m), 1.0)
 
-    def resolved_m(self, range_m: ArrayLike) -> FloatArray:
-        """(n,) how near two objects at this range may be to be shown as two: a of the close-objects rule.
-
-        The wider of the range cell and the beam's width there; 0 where the source says nothing of either.
-        """
-        beam = np.radians(self.resolution.bearing_deg or 0.0) * np.asarray(range_m, dtype=np.float64)
-        return np.maximum(self.resolution.range_m or 0.0, beam)
-
 
 #: The parts of a description: sections of a file.
 _PARTS: dict[str, Any] = {

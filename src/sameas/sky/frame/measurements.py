@@ -1,7 +1,7 @@
 """Measurements: what a frame shows, star by star, with the error of every number.
 
 Pixels are counted from 0 and a whole number is the middle of a pixel, as in NumPy: the lower left pixel reaches
-from −0.5 to 0.5. FITS headers, DS9 and SExtractor count from 1; :meth:`Measurements.fits_xy` gives theirs.
+from −0.5 to 0.5. FITS headers, DS9 and SExtractor count from 1.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.errors import InputError
 from sameas.records import Records
 
 if TYPE_CHECKING:
@@ -102,10 +101,6 @@ class Measurements:
         """(n, 2) standard deviations along x and y."""
         return np.sqrt(self.covariance[:, [0, 2]])
 
-    def fits_xy(self) -> FloatArray:
-        """(n, 2) positions as FITS headers, DS9 and SExtractor count them: the first pixel is 1."""
-        return np.column_stack([self.x_px, self.y_px]) + 1.0
-
     def records(self) -> Records:
         """The positions in pixels, ready to be identified in the plane of the frame."""
         xy = np.column_stack([self.x_px, self.y_px])
@@ -125,20 +120,6 @@ class Measurements:
         table["remarks"] = np.array([Flag.words(bits) for bits in self.flags], dtype=str)
         table.meta.update(name=self.name, psf_fwhm_px=self.psf_fwhm_px, notes=list(self.notes))
         return table
-
-    def require(self, at_least: int, purpose: str) -> Measurements:
-        """Itself, if it has so many rows.
-
-        Raises
-        ------
-        InputError : there are fewer.
-        """
-        if len(self) < at_least:
-            raise InputError(
-                f"{self.name}: {len(self)} stars found, {purpose} needs {at_least}; "
-                "lower threshold_sigmas, or give darks and flats if the frame is raw"
-            )
-        return self
 
 
 def _per_row(key: str, value: object) -> bool:
