@@ -328,9 +328,8 @@ def test_sets_that_do_not_fit_are_reported_as_a_gap(monkeypatch):
 INTERPRETED = """
 import json
 import numpy as np
-from sameas import CloseObjects, Records
+from sameas import CloseObjects, Records, identify_many
 from sameas.many.rules import MissedObjects, PoissonObjects
-from sameas.many import identify_many
 rng = np.random.default_rng(25)
 sources = [Records.of(rng.uniform(0, 4, (3, 2)), sigma=1.0) for _ in range(3)]
 answers = [identify_many(sources, rule=PoissonObjects(0.1, 0.2)),

@@ -25,6 +25,7 @@ import numpy as np
 from sameas.arrays import FloatArray
 from sameas.estimate.quantity import Quantity
 from sameas.evidence import Errors
+from sameas.gaussian import inverse, log_determinant
 from sameas.records import unpack
 from sameas.result import Identification
 
@@ -255,9 +256,9 @@ class _State:
         cls, residual: FloatArray, parts: FloatArray, held: FloatArray, theta: FloatArray, shares: FloatArray
     ) -> _State:
         covariance, d = held + np.einsum("k,kmvw->mvw", theta, parts), residual.shape[1]
-        inverse = np.linalg.inv(covariance)
-        scaled = np.einsum("mvw,mw->mv", inverse, residual)
-        along = np.einsum("mvw,kmwx->kmvx", inverse, parts)
+        precision = inverse(covariance)
+        scaled = np.einsum("mvw,mw->mv", precision, residual)
+        along = np.einsum("mvw,kmwx->kmvx", precision, parts)
         slope = 0.5 * (np.einsum("mv,kmvw,mw->km", scaled, parts, scaled) - np.einsum("kmvv->km", along))
         square = (scaled * residual).sum(axis=1)
         with np.errstate(divide="ignore"):
@@ -265,7 +266,7 @@ class _State:
         greatest = log_member.max(axis=1)
         member = np.exp(log_member - greatest[:, None])
         total = member.sum(axis=1)
-        log_density = greatest + np.log(total) - 0.5 * np.linalg.slogdet(covariance)[1]
+        log_density = greatest + np.log(total) - 0.5 * log_determinant(covariance)
         return cls(along, slope, member / total[:, None], log_density)
 
 
@@ -280,20 +281,20 @@ def _judged(state: _State, weight: FloatArray, theta: FloatArray, shares: FloatA
     information = np.einsum("m,am,bm->ab", weight, scores, scores)
     k = len(theta)
     open_ = np.concatenate([theta > 1e-6, np.ones(len(tail), np.bool_)])
-    covariance = np.diag(np.diag(_inverse(information)))[:k, :k]
-    held = _inverse(information[np.ix_(open_, open_)])
+    covariance = np.diag(np.diag(_bounded_inverse(information)))[:k, :k]
+    held = _bounded_inverse(information[np.ix_(open_, open_)])
     inside = np.flatnonzero(open_[:k])
     covariance[np.ix_(inside, inside)] = held[: len(inside), : len(inside)]
-    weakest = np.linalg.eigh(_inverse(information)[:k, :k])[1][:, -1]
+    weakest = np.linalg.eigh(_bounded_inverse(information)[:k, :k])[1][:, -1]
     return _VarianceFit(theta, covariance, weakest, float(weight @ state.log_density))
 
 
-def _inverse(information: FloatArray) -> FloatArray:
+def _bounded_inverse(information: FloatArray) -> FloatArray:
     """Its inverse; where there is no information, a variance that is larger than any."""
     size = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(information / np.outer(size, size))
-    inverse = (vectors / np.maximum(values, NONE * values.max(initial=0.0))) @ vectors.T
-    return np.asarray(inverse / np.outer(size, size))
+    scaled = (vectors / np.maximum(values, NONE * values.max(initial=0.0))) @ vectors.T
+    return np.asarray(scaled / np.outer(size, size))
 
 
 # Tails: the small share of the pairs that lie much farther apart than the typical one, and how sure that share is.

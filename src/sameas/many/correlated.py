@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
+from sameas.gaussian import inverse
 from sameas.records import Records
 from sameas.space import Plane
 
@@ -97,7 +98,7 @@ def _settled(f: FloatArray, q: FloatArray, one: Filter) -> tuple[FloatArray, Flo
         raise InputError(
             f"Filter: it never settles ({error}); does it measure what the target's state needs?"
         ) from None
-    gain = predicted @ h.T @ np.linalg.inv(h @ predicted @ h.T + r)
+    gain = predicted @ h.T @ inverse(h @ predicted @ h.T + r)
     kept = np.eye(len(f)) - gain @ h
     return kept @ predicted @ kept.T + gain @ r @ gain.T, gain
 

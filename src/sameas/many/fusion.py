@@ -13,10 +13,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
+from sameas.gaussian import Gaussian, inverse, symmetric
 
 #: Steps of the weights at most, and how far the optimality condition may be missed, relative.
 STEPS = 5000
@@ -41,7 +42,8 @@ def independent(states: ArrayLike, covariances: ArrayLike) -> Fused:
     states : (k, L), or (n, k, L) for n objects at once. covariances : (k, L, L) or (n, k, L, L).
     """
     x, p = _estimates(states, covariances)
-    return _weighted(x, np.linalg.inv(p), np.ones(x.shape[:2]))
+    fused = Gaussian(x, p).product()
+    return Fused(fused.mean, fused.covariance)
 
 
 def bar_shalom_campo(
@@ -67,7 +69,7 @@ def bar_shalom_campo(
     gain = (p[:, 0] - p12) @ np.linalg.pinv(spread, hermitian=True)
     state = x[:, 0] + np.einsum("nvw,nw->nv", gain, x[:, 1] - x[:, 0])
     covariance = p[:, 0] - gain @ (p[:, 0] - p21)
-    return Fused(state, 0.5 * (covariance + covariance.transpose(0, 2, 1)))
+    return Fused(state, symmetric(covariance))
 
 
 def covariance_intersection(states: ArrayLike, covariances: ArrayLike, *, criterion: str = "determinant") -> Fused:
@@ -85,12 +87,12 @@ def covariance_intersection(states: ArrayLike, covariances: ArrayLike, *, criter
     if criterion not in CRITERIA:
         raise InputError(f'fusion: criterion is {criterion!r}; give "determinant" or "trace"')
     x, p = _estimates(states, covariances)
-    information = np.linalg.inv(p)
+    information = inverse(p)
     weights = np.full(x.shape[:2], 1.0 / x.shape[1])
     open_ = np.arange(len(x))
     for _ in range(STEPS):
         ours, w = information[open_], weights[open_]
-        covariance = np.linalg.inv(np.einsum("nk,nkvw->nvw", w, ours))
+        covariance = inverse(np.einsum("nk,nkvw->nvw", w, ours))
         if criterion == "determinant":
             slope = np.einsum("nkvw,nwv->nk", ours, covariance) / x.shape[2]
         else:
@@ -102,8 +104,8 @@ def covariance_intersection(states: ArrayLike, covariances: ArrayLike, *, criter
         open_, ours, w, slope, covariance = open_[far], ours[far], w[far], slope[far], covariance[far]
         moved = _exchanged(ours, w, slope, covariance) if criterion == "determinant" else w * np.sqrt(slope)
         weights[open_] = moved / moved.sum(axis=1, keepdims=True)
-    fused = _weighted(x, information, weights)
-    return Fused(fused.state, fused.covariance, weights)
+    fused = Gaussian(x, p).product(weights)
+    return Fused(fused.mean, fused.covariance, weights)
 
 
 def _exchanged(information: FloatArray, weights: FloatArray, slope: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -126,13 +128,6 @@ def _exchanged(information: FloatArray, weights: FloatArray, slope: FloatArray, 
     out[row, to] += step
     out[row, off] -= step
     return out
-
-
-def _weighted(x: FloatArray, information: NDArray, weights: FloatArray) -> Fused:
-    covariance = np.linalg.inv(np.einsum("nk,nkvw->nvw", weights, information))
-    # About the first estimate, so that large coordinates cost no digits.
-    pull = np.einsum("nk,nkvw,nkw->nv", weights, information, x - x[:, :1])
-    return Fused(x[:, 0] + np.einsum("nvw,nw->nv", covariance, pull), covariance)
 
 
 def _estimates(states: ArrayLike, covariances: ArrayLike) -> tuple[FloatArray, FloatArray]:

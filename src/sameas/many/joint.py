@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
-from sameas.evidence import LOG_2PI
+from sameas.gaussian import InformationSum, inverse, log_density, propagated
 from sameas.many.observations import LinearPart, Observations, Region, Source, records_of
 from sameas.records import Records
 from sameas.space import Plane, Sphere, displaced, sphere_offset
@@ -80,7 +80,7 @@ class Observers:
         for source in self.sources:
             records = records_of(source)
             full = records.full_covariance()
-            out.append((np.linalg.inv(full), -0.5 * (records.d * LOG_2PI + np.linalg.slogdet(full)[1])))
+            out.append((inverse(full), log_density(np.zeros(records.d), full)))
         return out
 
     def log_peak(self, s: int) -> FloatArray:
@@ -92,16 +92,11 @@ class Observers:
         at = self._anchors(sets)
         linear = all(isinstance(s, Records) or isinstance(s.part, LinearPart) for s in self.sources)
         for _ in range(0 if linear else STEPS):
-            information, vector, _, _ = self._summed(sets, at)
-            at = at + np.linalg.solve(information, vector[..., None])[..., 0]
-        information, vector, square, log_norm = self._summed(sets, at)
-        covariance = np.linalg.inv(information)
-        covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
-        step = np.einsum("kvw,kw->kv", covariance, vector)
-        chi_sq = np.maximum(square - np.einsum("kv,kv->k", vector, step), 0.0)
-        log_det = np.linalg.slogdet(information)[1]
-        log_density = log_norm + 0.5 * (self.dimension * LOG_2PI - log_det - chi_sq)
-        return Joint(log_density, chi_sq, self._moved(at, step), covariance)
+            at = at + self._summed(sets, at).gaussian().mean
+        summed = self._summed(sets, at)
+        step = summed.gaussian()
+        chi_sq = summed.chi_sq(step)
+        return Joint(summed.log_peak() - 0.5 * chi_sq, chi_sq, self._moved(at, step.mean), step.covariance)
 
     def _anchors(self, sets: NDArray[np.integer]) -> FloatArray:
         """(k, L) the point about which each set is summed: its first record of the whole state, else the region's."""
@@ -115,33 +110,18 @@ class Observers:
             open_ &= ~here
         return at
 
-    def _summed(
-        self, sets: NDArray[np.integer], at: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Information (k, L, L), vector (k, L), square (k,) and ln norm (k,) of the sets about the points ``at``."""
-        size = self.dimension
-        information, vector = np.zeros((len(sets), size, size)), np.zeros((len(sets), size))
-        square, log_norm = np.zeros(len(sets)), np.zeros(len(sets))
+    def _summed(self, sets: NDArray[np.integer], at: FloatArray) -> InformationSum:
+        """What the records of the sets and the region say of the states, about the points ``at`` (k, L)."""
+        total = InformationSum.of(len(sets), self.dimension)
         if self.region is not None:
-            prior = np.linalg.inv(self.region.covariance)
-            away = np.asarray(self.region.centre) - at
-            information += prior
-            vector += away @ prior
-            square += np.einsum("kv,vw,kw->k", away, prior, away)
+            prior = np.broadcast_to(inverse(np.asarray(self.region.covariance)), total.information.shape)
+            total.add(np.arange(len(sets)), np.asarray(self.region.centre) - at, prior, np.zeros(len(sets)))
         for s in range(len(self.sources)):
             k = np.flatnonzero(sets[:, s] >= 0)
             rows = sets[k, s]
             residual, precision, slope = self._seen(s, rows, at[k])
-            weighted = np.einsum("kvw,kw->kv", precision, residual)
-            square[k] += np.einsum("kv,kv->k", residual, weighted)
-            log_norm[k] += self._precision[s][1][rows]
-            if slope is None:
-                information[k] += precision
-                vector[k] += weighted
-            else:
-                information[k] += np.einsum("kmv,kmn,knw->kvw", slope, precision, slope)
-                vector[k] += np.einsum("kmv,km->kv", slope, weighted)
-        return information, vector, square, log_norm
+            total.add(k, residual, precision, self._precision[s][1][rows], slope)
+        return total
 
     def _seen(
         self, s: int, rows: NDArray[np.integer], at: FloatArray
@@ -197,7 +177,7 @@ def _on_axes_of(at: FloatArray, direction: FloatArray, precision: FloatArray) ->
     # θ/2 of :class:`Sphere`: the offset lies on axes halfway, the precision on those of the record.
     half = np.arctan2(np.sin(half_lon) * np.sin(middle), np.cos(half_lon) * np.cos(half_lat))
     full = _turn(-2.0 * half)
-    return np.einsum("kvw,kw->kv", _turn(-half), offset), full @ precision @ full.transpose(0, 2, 1)
+    return np.einsum("kvw,kw->kv", _turn(-half), offset), propagated(full, precision)
 
 
 def _turn(angle: FloatArray) -> FloatArray:

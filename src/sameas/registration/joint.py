@@ -14,6 +14,7 @@ from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.estimate.match import match
 from sameas.evidence import Errors, Rule
+from sameas.gaussian import propagated
 from sameas.prior import Prior
 from sameas.records import Records
 from sameas.registration.hough import Votes, vote
@@ -178,8 +179,7 @@ def _registered(scene: PlacedSources, solution: Solution) -> Records:
     features = scene.second.features
     carried = scene.model.carried(features, solution.theta)
     jacobian = scene.model.jacobian(features, solution.theta)
-    covariance = carried @ scene.covariance_2 @ np.swapaxes(carried, -1, -2)
-    covariance = covariance + jacobian @ solution.covariance @ np.swapaxes(jacobian, -1, -2)
+    covariance = propagated(carried, scene.covariance_2) + propagated(jacobian, solution.covariance)
     return arrived(scene.second, scene.model.moved(features, solution.theta), covariance)
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray, IntArray
+from sameas.gaussian import LOG_2PI, inverse, log_determinant, mahalanobis_sq, symmetric
 from sameas.registration.hough import Votes
 from sameas.registration.weights import CLOSELY, ROUGHLY, PlacedSources, Weighed, boxed, flattened, meet, weigh, weighed
 
@@ -87,7 +88,7 @@ class OffsetPrior:
         width = np.where(flat, span / moves, widths)
         fixed = 1e12 * (moves / scene.sigma) ** 2
         precision = np.where(width > 0.0, 1.0 / np.maximum(width, 1e-300) ** 2, fixed)
-        log_normal = 0.5 * np.log(precision) - 0.5 * math.log(2.0 * math.pi)
+        log_normal = 0.5 * np.log(precision) - 0.5 * LOG_2PI
         return cls(precision, np.where(flat, 0.5 * np.log(precision), log_normal))
 
 
@@ -238,16 +239,16 @@ def _finished(
     if sample is not scene:
         found = weigh(scene, one.theta, one.common, 1.0)
         score, _ = _normal_equations(scene, belief, one.theta, found)
-    root = np.linalg.cholesky(np.linalg.inv(complete)) @ axes
+    root = np.linalg.cholesky(inverse(complete)) @ axes
     theta = one.theta[0] + root @ root.T @ score[0]
     if found.common[0] < MANY:
         root = _stretched(scene, belief, theta, found.common[:1], root)
     covariance = root @ root.T
     log_prior = float(np.sum(belief.log_density - 0.5 * belief.precision * theta**2))
-    occam = 0.5 * (np.linalg.slogdet(covariance)[1] + len(theta) * math.log(2.0 * math.pi))
+    occam = 0.5 * (float(log_determinant(covariance)) + len(theta) * LOG_2PI)
     likelihood = float(found.gain[0])
     # No mean is larger than the maximum, however little the data say of an offset.
-    evidence = likelihood + min(log_prior + float(occam), 0.0)
+    evidence = likelihood + min(log_prior + occam, 0.0)
     shared = (int(found.in_common[0, 0]), int(found.in_common[0, 1]))
     return Solution(
         theta, covariance, float(found.common[0]), likelihood, evidence, shared, spent + number, settled,
@@ -269,8 +270,8 @@ def _missing(
     found = weigh(scene, nodes, np.repeat(one.common, 2 * p + 1), 1.0)
     score, information = _normal_equations(scene, belief, nodes, found)
     observed = -(score[1 : p + 1] - score[p + 1 :]) / (2.0 * step[:, None])
-    scale = np.linalg.cholesky(np.linalg.inv(information[0]))
-    shares, axes = np.linalg.eigh(scale.T @ (0.5 * (observed + observed.T)) @ scale)
+    scale = np.linalg.cholesky(inverse(information[0]))
+    shares, axes = np.linalg.eigh(scale.T @ symmetric(observed) @ scale)
     return axes / np.sqrt(np.clip(shares, 0.02, None)), score, found
 
 
@@ -309,7 +310,7 @@ def _distinct(scene: PlacedSources, trials: Trials) -> Trials:
 def _same(scene: PlacedSources, one: Solution, other: Solution) -> bool:
     """Whether two solutions are one: by where they put the records, or by how well either is known."""
     apart = other.theta - one.theta
-    by_errors = float(apart @ np.linalg.solve(one.covariance, apart))
+    by_errors = float(mahalanobis_sq(apart, one.covariance))
     return by_errors <= SAME_ERRORS**2 or displacement_sigmas(scene, one.theta, other.theta) <= SAME_SIGMAS
 
 

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
-from sameas.evidence import LOG_2PI
 from sameas.gate import Radius
+from sameas.gaussian import inverse, log_density
 from sameas.ragged import Ragged
 from sameas.records import Records
 from sameas.registration.hough import typical_sigma
@@ -184,13 +184,11 @@ def _gated(scene: PlacedSources, moved: FloatArray, spread: FloatArray, widening
     found = [gate(scene.first, arrived(scene.second, moved[s], spread[s])) for s in range(len(moved))]
     residual = np.concatenate([pairs.residual for pairs in found])
     covariance = np.concatenate([pairs.covariance for pairs in found]) * widening**2
-    precision = np.asarray(np.linalg.inv(covariance), np.float64)
-    distance = np.einsum("mv,mvw,mw->m", residual, precision, residual)
-    log_normal = -0.5 * (distance + np.log(np.linalg.det(covariance)) + residual.shape[1] * LOG_2PI)
     return (
         Ragged.of_sizes([len(pairs) for pairs in found]).start,
         np.concatenate([pairs.i for pairs in found]).astype(np.int64),
-        np.concatenate([pairs.j for pairs in found]).astype(np.int64), residual, precision, log_normal,
+        np.concatenate([pairs.j for pairs in found]).astype(np.int64), residual, inverse(covariance),
+        log_density(residual, covariance),
     )  # fmt: skip
 
 

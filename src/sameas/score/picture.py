@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
+from sameas.gaussian import mahalanobis_sq
 from sameas.score.pairs import PairScore
 from sameas.score.subpattern import Gospa, gospa
 
@@ -319,7 +320,7 @@ def nees(found: ArrayLike, covariance: ArrayLike, true: ArrayLike) -> Nees:
     due = float(chi2.median(d))
     if not n:
         return Nees(math.nan, math.nan, due, math.nan, math.nan, 0, d)
-    square = np.einsum("nv,nv->n", off, np.linalg.solve(spread, off[..., None])[..., 0])
+    square = mahalanobis_sq(off, spread)
     low, high = (float(chi2.ppf(p, n * d)) / n for p in (0.025, 0.975))
     return Nees(float(square.mean()), float(np.median(square)), due, low, high, n, d)
 
