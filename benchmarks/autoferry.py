@@ -204,7 +204,7 @@ def run(scenario: str, models: dict[int, Learned], step_s: float) -> dict[str, T
     for instant_s in np.arange(start + step_s, end, step_s):
         now = among_few(scene.at(instant_s, features=POSITION_AND_VELOCITY))
         following = follower.advance(now, following)
-        heard = now.heard()
+        heard = now.with_records()
         if len(heard.sources) < 2:
             continue
         due = Due.of(heard, truth)
@@ -216,7 +216,7 @@ def run(scenario: str, models: dict[int, Learned], step_s: float) -> dict[str, T
 
 def alone(heard: Instant) -> Found:
     """An instant for itself."""
-    found = identify_many(heard.sources, rule=heard.belief(), region=heard.region)
+    found = identify_many(heard.sources, rule=heard.rule(), region=heard.region)
     return Found(np.ma.filled(found.members, -1), found.fused.state[:, :2], found.fused.covariance[:, :2, :2])
 
 

@@ -30,9 +30,9 @@ from benchmarks.autoferry_scenes import (
     OPTICAL,
     RADAR,
     SENSORS,
-    looks_of,
     off_hulls,
     off_sights,
+    scans_of,
     truth_of,
     turned,
 )
@@ -156,7 +156,7 @@ def _shown(scenario: str, sensor: int, latency_s: float) -> _Shown:
     own: list[tuple[float, ...]] = []
     sights: list[tuple[float, bool]] = []
     splits = clutter = 0
-    truth, looks = truth_of(scenario), looks_of(scenario, sensor)
+    truth, looks = truth_of(scenario), scans_of(scenario, sensor)
     for look in looks:
         arm = truth.at(look.time_s - latency_s) - look.own_m
         away = np.hypot(*arm.T).tolist()
@@ -189,7 +189,7 @@ def _compared(
 def _learned(scenarios: Sequence[str], sensor: int, latency_s: float) -> Learned:
     shown = _Shown.of(scenarios, sensor, latency_s)
     # Two looks' worth of not knowing: half of them miss.
-    period_s = float(np.median(np.diff([look.time_s for look in looks_of(scenarios[0], sensor)])))
+    period_s = float(np.median(np.diff([look.time_s for look in scans_of(scenarios[0], sensor)])))
     weight = min(period_s / REPEATED_S, 1.0)
     q, middle = [], []
     for low, high in pairwise(RANGES_M):

@@ -50,7 +50,7 @@ class Look:
 
 
 @cache
-def looks_of(scenario: str, sensor: int) -> tuple[Look, ...]:
+def scans_of(scenario: str, sensor: int) -> tuple[Look, ...]:
     """All looks of one sensor; a measurement is norths, then easts (radar, lidar), or bearings in radians (cameras)."""
     looks = []
     for look in _loaded(scenario, "detections"):
@@ -80,7 +80,7 @@ def _loaded(scenario: str, what: str) -> list[Any]:
 
 def scene_of(scenario: str, describe: dict[int, Description]) -> Scene:
     """The scene as these descriptions of the sensors have it."""
-    return Scene(tuple(_feed(describe[sensor], looks_of(scenario, sensor), sensor) for sensor in SENSORS))
+    return Scene(tuple(_feed(describe[sensor], scans_of(scenario, sensor), sensor) for sensor in SENSORS))
 
 
 def _feed(description: Description, looks: tuple[Look, ...], sensor: int) -> Feed:
@@ -96,7 +96,7 @@ def _feed(description: Description, looks: tuple[Look, ...], sensor: int) -> Fee
             columns[name] += [value] * len(bearing)
     said = columns if sensor in CAMERAS else columns | {"range_m": distance}
     looked = [look.time_s - (description.timing.latency_s or 0.0) for look in looks]
-    return Feed.of(description, Reports.of(description.name, "table", said), looked_s=looked)
+    return Feed.of(description, Reports.of(description.name, "table", said), scan_times_s=looked)
 
 
 def off_hulls(delta_m: np.ndarray, half_m: np.ndarray) -> np.ndarray:

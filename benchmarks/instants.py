@@ -112,7 +112,7 @@ def tables_of(moment: PictureState) -> tuple[Columns, Columns]:
 
 def alone(now: Instant) -> FloatArray:
     """How sure the objects of one instant are, by nothing but their places."""
-    return identify_many(now.sources, rule=now.belief(), region=now.region).probability
+    return identify_many(now.sources, rule=now.rule(), region=now.region).probability
 
 
 def lines(case: Case, seeds: int, instants: int) -> Iterator[list[object]]:

@@ -173,7 +173,7 @@ Way = Callable[[Instant], list[np.ndarray]]
 
 def alone(now: Instant) -> list[np.ndarray]:
     """Object numbers of the records of every source, by one instant and nothing else."""
-    found = identify_many(now.sources, rule=now.belief(), region=now.region)
+    found = identify_many(now.sources, rule=now.rule(), region=now.region)
     return [np.ma.filled(found.of(k).object, -1) for k in range(len(now.sources))]
 
 
@@ -181,7 +181,7 @@ def judged(trial: Trial, scene: Scene, instants: np.ndarray, way: Way) -> Pictur
     """The score of a way to identify, instant by instant."""
     columns: dict[str, list[np.ndarray]] = {"time_s": [], "source": [], "object": [], "row": []}
     for instant_s in instants:
-        now = scene.at(float(instant_s)).heard()
+        now = scene.at(float(instant_s)).with_records()
         for feed, source, numbers in zip(now.feeds, now.sources, way(now), strict=True):
             rows = records_of(source).ids
             columns["time_s"].append(np.full(len(rows), instant_s))

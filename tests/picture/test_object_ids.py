@@ -11,7 +11,7 @@ from sameas.picture import Picture, Stages, Watch, instants, moments
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Feed, Scene
 
-ALONE = Watch(say=lambda now, past: now.belief() + now.identity(), bound=1.0)
+ALONE = Watch(say=lambda now, past: now.rule() + now.identity(), bound=1.0)
 
 
 def memberships(picture):
@@ -80,7 +80,7 @@ def plots(looks):
     columns["range_m"] = None
     columns = {name: column for name, column in columns.items() if column is not None}
     reports = Reports.of("radar", "table", columns)
-    return Scene((Feed.of(radar, reports, looked_s=sorted(looks)),))
+    return Scene((Feed.of(radar, reports, scan_times_s=sorted(looks)),))
 
 
 def test_an_object_appears_is_confirmed_coasts_and_ends():

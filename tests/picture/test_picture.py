@@ -42,7 +42,7 @@ def test_one_instant_is_what_identify_many_says():
     sources, times = ships()
     scene = Scene.of(sources)
     now = scene.at(times[3])
-    found = identify_many(now.sources, rule=now.belief() + now.identity(), region=now.region)
+    found = identify_many(now.sources, rule=now.rule() + now.identity(), region=now.region)
     moment = Watch().advance(now)
     o, r = object_columns(moment), record_columns(moment)
     assert " ".join(OBJECTS.split()) == " ".join(o) and " ".join(RECORDS.split()) == " ".join(r)

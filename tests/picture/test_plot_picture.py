@@ -49,7 +49,7 @@ def test_looks_between_two_instants_are_not_passed_over():
 def test_looks_at_nearly_one_time_are_gone_through_together():
     scene = passing(1, 6.0)
     lidar, radar = scene.feeds
-    late = replace(radar, looked_s=radar.looked_s + 0.05)
+    late = replace(radar, scan_times_s=radar.scan_times_s + 0.05)
     assert looks_between((lidar, late), -1.0, 2.3) == [0.05, 0.5, 1.0, 1.55, 2.0]
     assert looks_between((lidar, late), 1.0, 1.2) == [] and looks_between((), 0.0, 9.0) == []
 

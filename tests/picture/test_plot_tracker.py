@@ -45,7 +45,7 @@ def plots(rng, description, tracks, until_s, reach_m=300.0):
         for x in seen:
             for name, value in zip(columns, (t, *x), strict=True):
                 columns[name].append(value)
-    return Feed.of(description, Reports.of(description.name, "table", columns), looked_s=times)
+    return Feed.of(description, Reports.of(description.name, "table", columns), scan_times_s=times)
 
 
 def course(start, velocity, until_s=np.inf):
@@ -159,7 +159,9 @@ def moved_look(feed, look_s, step_m):
     given = feed.reports
     place = given.state[:, :2] + np.where(given.time_s[:, None] == look_s, step_m, 0.0)
     columns = {"time_s": given.time_s, "x_m": place[:, 0], "y_m": place[:, 1]}
-    return Feed.of(feed.description, Reports.of(feed.description.name, "table", columns), looked_s=feed.looked_s)
+    return Feed.of(
+        feed.description, Reports.of(feed.description.name, "table", columns), scan_times_s=feed.scan_times_s
+    )
 
 
 def test_doubt_about_one_source_does_not_slow_another():

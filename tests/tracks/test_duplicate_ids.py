@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from sameas.tracks.alignment import States
-from sameas.tracks.duplicate_ids import parted
-from sameas.tracks.feed import ending_silence_s
+from sameas.tracks.duplicate_ids import split_duplicate_ids
+from sameas.tracks.feed import track_timeout_s
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
 from sameas.tracks.source import Description, SensorErrors
@@ -33,7 +33,7 @@ def way(start_s: float, east_m: float, count: int = 10, speed: float = 5.0) -> l
 
 def test_one_name_at_two_places_becomes_two_tracks() -> None:
     reports = states([way(0.0, 0.0), way(5.0, 9000.0), way(2.0, -3000.0)], ["7", "7", "8"])
-    found, notes = parted(reports, SPEED)
+    found, notes = split_duplicate_ids(reports, SPEED)
     owner = np.select([reports.state[:, 0] > 5000.0, reports.state[:, 0] < -1000.0], ["far", "other"], "near")
     assert {name: set(found.track[owner == name]) for name in ("near", "far", "other")} == {
         "near": {"7"}, "far": {"7 (2)"}, "other": {"8"},
@@ -44,7 +44,7 @@ def test_one_name_at_two_places_becomes_two_tracks() -> None:
 
 def test_a_lone_report_far_away_is_not_used() -> None:
     reports = states([way(0.0, 0.0), [(43.0, 50e3, 0.0)]], ["7", "7"])
-    found, notes = parted(reports, SPEED)
+    found, notes = split_duplicate_ids(reports, SPEED)
     assert (
         set(found.track) == {"7"} and (~found.usable).sum() == 1 and not found.usable[reports.state[:, 0] > 4e4].any()
     )
@@ -52,14 +52,14 @@ def test_a_lone_report_far_away_is_not_used() -> None:
 
 
 def test_a_number_given_away_again_is_not_two_objects_at_once() -> None:
-    found, notes = parted(states([way(0.0, 0.0), way(150.0, 20e3)], ["7", "7"]), SPEED)
+    found, notes = split_duplicate_ids(states([way(0.0, 0.0), way(150.0, 20e3)], ["7", "7"]), SPEED)
     assert set(found.track) == {"7"} and notes == () and found.usable.all()
 
 
 @pytest.mark.parametrize("speed", [0.0, 8.0, 20.0])
 def test_one_object_is_left_as_it_is(speed: float) -> None:
     reports = states([way(0.0, 0.0, 40, speed)], ["7"])
-    found, notes = parted(reports, SPEED)
+    found, notes = split_duplicate_ids(reports, SPEED)
     assert notes == () and set(found.track) == {"7"}
     np.testing.assert_array_equal(found.state, reports.state)
 
@@ -88,6 +88,6 @@ def test_the_longest_gaps_but_one_in_a_thousand_count() -> None:
     rng = np.random.default_rng(1)
     times = np.cumsum(np.where(rng.random(20_000) < 0.05, 180.0, 10.0))
     times[10_000:] += 5000.0
-    assert ending_silence_s(times, np.full(20_000, "7")) == pytest.approx(180.0)
-    assert ending_silence_s(times, None) == math.inf
-    assert ending_silence_s(times[:3], np.array(["1", "2", "3"])) == math.inf
+    assert track_timeout_s(times, np.full(20_000, "7")) == pytest.approx(180.0)
+    assert track_timeout_s(times, None) == math.inf
+    assert track_timeout_s(times[:3], np.array(["1", "2", "3"])) == math.inf

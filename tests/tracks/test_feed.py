@@ -81,7 +81,7 @@ def f1_of_pairs(scene, instants_s):
     right = wrong = missed = 0
     for instant_s in instants_s:
         now = scene.at(instant_s)
-        members = identify_many(now.sources, rule=now.belief(), region=now.region).members
+        members = identify_many(now.sources, rule=now.rule(), region=now.region).members
         both = members[~np.ma.getmaskarray(members).any(axis=1)].data
         who = [np.asarray(getattr(feed.given, name))[records_of(source).ids].astype(int)
                for feed, source, name in zip(now.feeds, now.sources, ("track_id", "mmsi"), strict=True)]  # fmt: skip

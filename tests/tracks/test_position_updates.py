@@ -3,7 +3,7 @@
 import numpy as np
 
 from sameas.tracks.alignment import States
-from sameas.tracks.feed import Feed, fresh
+from sameas.tracks.feed import Feed, position_updates
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description
 
@@ -21,23 +21,23 @@ def test_a_position_is_set_aside_where_it_is_repeated_while_the_object_moves():
     place, v = [[0.0, 0.0], [60.0, 0.0], [60.0, 0.0], [60.0, 0.0], [240.0, 0.0]], np.full((5, 2), [60.0, 0.0])
     order = rng.permutation(10)
     both = said([*place, *np.add(place, 9e3)], np.vstack([v, v]), ["a"] * 5 + ["b"] * 5, np.tile(np.arange(5.0), 2))
-    now, notes = fresh(both.take(order))
+    now, notes = position_updates(both.take(order))
     assert sorted(order[~now.usable]) == [2, 3, 7, 8]
     assert notes == ("4 reports repeat the positions of before though the object moves: set aside, no position was "
                      "measured",)  # fmt: skip
     # Coming back to a place is no repetition.
-    assert fresh(said([[0.0, 0.0], [9.0, 0.0], [0.0, 0.0]], v[:3], ["a"] * 3))[0].usable.all()
+    assert position_updates(said([[0.0, 0.0], [9.0, 0.0], [0.0, 0.0]], v[:3], ["a"] * 3))[0].usable.all()
 
 
 def test_who_may_stand_may_be_twice_in_one_place():
     place = np.zeros((4, 2))
     for velocity in (np.zeros((4, 2)), np.full((4, 2), 0.9), np.full((4, 2), np.nan)):
-        states, notes = fresh(said(place, velocity, ["a"] * 4, sigma=0.3))
+        states, notes = position_updates(said(place, velocity, ["a"] * 4, sigma=0.3))
         assert states.usable.all()
         assert notes == ()
     moving = np.full((4, 2), 50.0)
-    assert fresh(said(place, moving, list("abcd")))[0].usable.all()
-    assert fresh(said(place, moving, None))[0].usable.all()
+    assert position_updates(said(place, moving, list("abcd")))[0].usable.all()
+    assert position_updates(said(place, moving, None))[0].usable.all()
 
 
 def test_a_feed_says_what_it_set_aside():

@@ -1,11 +1,11 @@
-"""Looks: exposures and turning antennas are told apart, and every object stands once at every instant."""
+"""Scans: exposures and turning antennas are told apart, and every object stands once at every instant."""
 
 import numpy as np
 import pytest
 
 from sameas.simulate.sensors import Sensor, TrueMotion
 from sameas.tracks.reports import Reports
-from sameas.tracks.scans import AntennaTurn, last_look, last_turn, looks_of, turning_s
+from sameas.tracks.scans import AntennaRotation, last_exposure, last_rotation, rotation_period_s, scans_of
 from sameas.tracks.scene import Scene
 from sameas.tracks.snapshot import Snapshot
 from sameas.tracks.source import Clutter, Description, MissRate, Resolution, SensorCoverage, SensorErrors, Site, Timing
@@ -70,72 +70,72 @@ def test_the_period_is_measured_by_the_bearings():
     turns = np.arange(60)[:, None]
     time_s = ((turns + bearing / 360.0) * TURN_S).ravel()
     seen = np.broadcast_to(bearing, (60, 25)).ravel() + rng.normal(0.0, 1.0, 1500)
-    assert turning_s(time_s, seen, 3.3) == pytest.approx(TURN_S, rel=1e-4)
+    assert rotation_period_s(time_s, seen, 3.3) == pytest.approx(TURN_S, rel=1e-4)
     keep = rng.random(1500) < 0.3
-    assert turning_s(time_s[keep], seen[keep], 2.5) == pytest.approx(TURN_S, rel=3e-4)
+    assert rotation_period_s(time_s[keep], seen[keep], 2.5) == pytest.approx(TURN_S, rel=3e-4)
     # Bearings that do not run with the stamps, and too few.
-    assert turning_s(time_s, rng.uniform(0.0, 360.0, 1500), 3.0) is None
-    assert turning_s(time_s[:6], seen[:6], 3.0) is None
+    assert rotation_period_s(time_s, rng.uniform(0.0, 360.0, 1500), 3.0) is None
+    assert rotation_period_s(time_s[:6], seen[:6], 3.0) is None
 
 
 def test_what_shows_all_at_once_does_not_turn():
     rng = np.random.default_rng(4)
     frames = np.repeat(0.5 * np.arange(100), 6)
     sector = rng.uniform(20.0, 60.0, 600)
-    assert looks_of(frames, 0.5, sector).turn is None
-    assert looks_of(frames, 3.0, sector).turn is None
-    np.testing.assert_array_equal(looks_of(frames, 3.0, sector).look_s, frames)
+    assert scans_of(frames, 0.5, sector).rotation is None
+    assert scans_of(frames, 3.0, sector).rotation is None
+    np.testing.assert_array_equal(scans_of(frames, 3.0, sector).scan_s, frames)
     # Stamps that differ a little within an exposure.
     jittered = frames + rng.uniform(0.0, 0.05, 600)
-    looks = looks_of(jittered, 0.5, sector)
-    assert looks.turn is None
-    assert len(np.unique(looks.look_s)) == 100
-    assert np.abs(looks.look_s - frames).max() < 0.05
+    looks = scans_of(jittered, 0.5, sector)
+    assert looks.rotation is None
+    assert len(np.unique(looks.scan_s)) == 100
+    assert np.abs(looks.scan_s - frames).max() < 0.05
 
 
 def test_exposures_of_an_object_that_goes_round_do_not_turn():
     # Bearings that drift by a turn over the whole time fold at a period a little beside that of the exposures.
     frames = 0.5 * np.arange(400) + 0.02 * np.sin(np.arange(400.0) ** 2)
     drift = 360.0 * frames / 200.0 + np.random.default_rng(6).normal(0.0, 5.0, 400)
-    assert turning_s(frames, drift, 0.5) is not None
-    assert looks_of(frames, 0.5, drift).turn is None
+    assert rotation_period_s(frames, drift, 0.5) is not None
+    assert scans_of(frames, 0.5, drift).rotation is None
     # Irregular ones, where all looks are known.
     frames = np.sort(np.random.default_rng(7).uniform(0.0, 200.0, 400))
-    assert looks_of(frames, 0.5, drift, np.append(frames, 7.77)).turn is None
+    assert scans_of(frames, 0.5, drift, np.append(frames, 7.77)).rotation is None
 
 
 def test_one_object_under_a_turning_antenna_is_one():
     time_s = TURN_S * np.arange(40) + 0.001 * np.sin(np.arange(40))
-    looks = looks_of(time_s, 1.01 * TURN_S, np.full(40, 77.0))
-    assert looks.turn is None
-    assert len(np.unique(looks.look_s)) == 40
-    assert list(last_look(looks.look_s, np.unique(looks.look_s), 2.5 * TURN_S)) == [2]
+    looks = scans_of(time_s, 1.01 * TURN_S, np.full(40, 77.0))
+    assert looks.rotation is None
+    assert len(np.unique(looks.scan_s)) == 40
+    assert list(last_exposure(looks.scan_s, np.unique(looks.scan_s), 2.5 * TURN_S)) == [2]
 
 
 def test_stamps_are_looks_without_a_period_and_where_reports_share_them():
-    np.testing.assert_allclose(looks_of(np.array([5.0, 0.0, 0.0, 5.0]), 99.0).look_s, [5.0, 0.0, 0.0, 5.0])
+    np.testing.assert_allclose(scans_of(np.array([5.0, 0.0, 0.0, 5.0]), 99.0).scan_s, [5.0, 0.0, 0.0, 5.0])
     turning = np.array([0.0, 0.5, 2.5, 3.0, 3.6, 5.9, 6.0])
-    np.testing.assert_allclose(looks_of(turning, None).look_s, turning)
+    np.testing.assert_allclose(scans_of(turning, None).scan_s, turning)
     # A few coincidences of stamps make no exposures of plots that have their own.
     many = np.random.default_rng(5).uniform(0.0, 60.0, 300)
-    looks = looks_of(np.append(many, many[:5]), 3.0)
-    assert looks.turn is not None
-    assert looks.turn.period_s == 3.0
-    assert np.ptp(np.append(many, many[:5])[looks.look_s == looks.look_s[0]]) < 3.0
+    looks = scans_of(np.append(many, many[:5]), 3.0)
+    assert looks.rotation is not None
+    assert looks.rotation.period_s == 3.0
+    assert np.ptp(np.append(many, many[:5])[looks.scan_s == looks.scan_s[0]]) < 3.0
 
 
 def test_a_look_that_showed_nothing_hides_the_one_before_it():
-    look_s = np.array([1.0, 1.0, 2.0])
-    assert list(last_look(look_s, np.array([1.0, 2.0]), 1.9)) == [0, 1]
-    assert list(last_look(look_s, np.array([1.0, 2.0, 3.0]), 3.5)) == []
-    assert list(last_look(look_s, np.array([1.0, 2.0]), 0.5)) == []
+    scan_s = np.array([1.0, 1.0, 2.0])
+    assert list(last_exposure(scan_s, np.array([1.0, 2.0]), 1.9)) == [0, 1]
+    assert list(last_exposure(scan_s, np.array([1.0, 2.0, 3.0]), 3.5)) == []
+    assert list(last_exposure(scan_s, np.array([1.0, 2.0]), 0.5)) == []
 
 
 def test_the_last_turn_stands_while_nothing_more_is_heard():
-    time_s, turn, looked = np.arange(0.0, 9.0, 0.5), AntennaTurn(3.0, 0.5), np.array([0.0, 3.0, 6.0])
-    assert list(time_s[last_turn(time_s, turn, looked, 7.2)]) == [4.5, 5.0, 5.5, 6.0, 6.5, 7.0]
+    time_s, rotation, looked = np.arange(0.0, 9.0, 0.5), AntennaRotation(3.0, 0.5), np.array([0.0, 3.0, 6.0])
+    assert list(time_s[last_rotation(time_s, rotation, looked, 7.2)]) == [4.5, 5.0, 5.5, 6.0, 6.5, 7.0]
     # Plots are late, or none come any more.
-    assert list(time_s[last_turn(time_s, turn, looked, 60.0)]) == [6.5, 7.0, 7.5, 8.0, 8.5]
-    assert list(last_turn(time_s, turn, looked, -1.0)) == []
+    assert list(time_s[last_rotation(time_s, rotation, looked, 60.0)]) == [6.5, 7.0, 7.5, 8.0, 8.5]
+    assert list(last_rotation(time_s, rotation, looked, -1.0)) == []
     # It is known to have turned on, and to have seen nothing.
-    assert list(last_turn(time_s, turn, np.append(looked, 60.0), 60.0)) == []
+    assert list(last_rotation(time_s, rotation, np.append(looked, 60.0), 60.0)) == []

@@ -51,7 +51,7 @@ def test_ships_are_found_again_in_both_sources_at_any_instant(features):
     good = claimed = possible = 0
     for instant_s in (130.0, 161.5):
         now = scene.at(instant_s, features=features)
-        found = identify_many(now.sources, rule=now.belief(), region=now.region)
+        found = identify_many(now.sources, rule=now.rule(), region=now.region)
         truth = start + instant_s * velocity
         owners = []
         for feed, source in zip(now.feeds, now.sources, strict=True):
@@ -118,7 +118,7 @@ def test_velocities_tell_apart_what_positions_do_not():
     )
     scene = Scene.of([*feeds, (twin, Reports.of("radar", "table", other))])
     blind, seeing = (scene.at(0.0, features=f) for f in (2, POSITION_AND_VELOCITY))
-    pairs = [identify_many(now.sources, rule=now.belief(), region=now.region) for now in (blind, seeing)]
+    pairs = [identify_many(now.sources, rule=now.rule(), region=now.region) for now in (blind, seeing)]
     assert pairs[1].members.tolist() in ([[0, 0], [1, 1]], [[1, 1], [0, 0]])
     assert pairs[1].probability.min() > 0.95 > pairs[0].probability.max()
 
@@ -133,7 +133,7 @@ def test_a_camera_joins_the_boat_that_it_points_at():
     scene = Scene.of([(RADAR, Reports.of("radar", "table", boats)), (camera, Reports.of("camera", "table", said))])
     for features in (2, POSITION_AND_VELOCITY):
         now = scene.at(10.0, features=features)
-        found = identify_many(now.sources, rule=now.belief(), region=now.region)
+        found = identify_many(now.sources, rule=now.rule(), region=now.region)
         assert sorted(found.members.tolist()) == [[0, 1], [1, 0]]
         assert found.probability.min() > 0.9
     # 3 m of hull are 0.17° at 1000 m, not more.
@@ -151,19 +151,19 @@ def test_a_source_is_not_held_to_have_missed_what_it_does_not_cover():
     boats = {"time_s": [0.0] * 4, "range_m": [50.0, 800.0, 900.0, 1500.0], "bearing_deg": [0.0, 90.0, 180.0, 270.0]}
     lidar = {"time_s": [0.0], "range_m": [50.0], "bearing_deg": [0.5]}
     now = Scene.of([(RADAR, Reports.of("radar", "table", boats)), (near, Reports.of("near", "table", lidar))]).at(0.0)
-    assert now.belief().q == pytest.approx((0.1, 0.2 * 2 / 5 + 3 / 5))
+    assert now.rule().q == pytest.approx((0.1, 0.2 * 2 / 5 + 3 / 5))
 
 
 def test_silent_sources_are_left_out_and_looks_that_showed_nothing_count():
     plots = {"time_s": [0.0, 0.0], "range_m": [50.0, 80.0], "bearing_deg": [0.0, 90.0]}
     reports = Reports.of("radar", "table", plots)
     feeds = (
-        Feed.of(RADAR, reports, looked_s=[0.0, 3.0]),
+        Feed.of(RADAR, reports, scan_times_s=[0.0, 3.0]),
         Feed.of(AIS, Reports.of("ais", "ais", {"time_s": [0.0], "x_m": [0.0], "y_m": [50.0]})),
     )
     scene = Scene(feeds)
-    assert len(scene.at(2.9).heard().sources) == 2
-    assert [s.source for s in scene.at(3.1).heard().sources] == ["ais"]
+    assert len(scene.at(2.9).with_records().sources) == 2
+    assert [s.source for s in scene.at(3.1).with_records().sources] == ["ais"]
 
 
 def test_identities_come_with_the_instant_and_alarms_are_raised():

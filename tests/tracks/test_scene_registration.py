@@ -24,7 +24,7 @@ from sameas.tracks import (
     Timing,
 )
 from sameas.tracks.bias_fit import Pool
-from sameas.tracks.common_scans import MeetingSource, encounters
+from sameas.tracks.common_scans import ComparedSource, common_scans
 
 NAMES = ("range_m", "azimuth_deg", "time_s")
 
@@ -39,7 +39,7 @@ def normalised(found, truth):
 def pair_f1(made, scene, instant_s):
     """F1 of the pairs of the first two sources at an instant."""
     now = scene.at(instant_s)
-    answer = identify_many(now.sources, rule=now.belief(), region=now.region)
+    answer = identify_many(now.sources, rule=now.rule(), region=now.region)
     owners = [own[records_of(source).ids] for own, source in zip(made.owners, now.sources, strict=True)]
     both = ~np.ma.getmaskarray(answer.members)[:, :2].any(axis=1)
     i, j = answer.members[both][:, :2].T
@@ -149,7 +149,7 @@ def test_a_camera_is_turned_back():
     turned = (scene.feeds[1].reports.bearing_deg - registered.feeds[1].reports.bearing_deg) % 360.0
     np.testing.assert_allclose(turned, found.parameters["azimuth_deg"].value)
     # Hulls of 5 m stay 5 m wide, seen from some kilometres; ships go at some metres a second.
-    for met in encounters(MeetingSource(scene.feeds[0], None), MeetingSource(scene.feeds[1], 0)):
+    for met in common_scans(ComparedSource(scene.feeds[0], None), ComparedSource(scene.feeds[1], 0)):
         assert 0.0 < met.lasting_m2 < 0.1
         assert 1.0 < met.speed_m_per_s < 20.0
 
@@ -210,7 +210,7 @@ def test_few_tracks_are_told():
 def test_the_score_is_the_slope_of_the_posterior_over_all_instants():
     made = harbour(100, 20, biases=((30.0, 0.5, 0.0), (-20.0, 0.3, 0.0)), until_s=60.0)
     radars = made.scene.feeds[:2]
-    met = encounters(MeetingSource(radars[0], 0), MeetingSource(radars[1], 6), 3)
+    met = common_scans(ComparedSource(radars[0], 0), ComparedSource(radars[1], 6), 3)
     pool = Pool(met)
     assert pool.biases.tolist() == [0, 1, 6, 7] and len(met) == 3
     theta = np.array([[25.0, 0.45, -15.0, 0.25]])

@@ -126,7 +126,7 @@ def test_biases_are_read_too_much() -> None:
 def test_stamps_are_late_by_the_latency_and_the_bias() -> None:
     early, late = (heard(Sensor(RADAR, Bias(time_s=t))) for t in (0.0, 1.5))
     np.testing.assert_allclose(late.reports.time_s - early.reports.time_s, 1.5)
-    np.testing.assert_allclose(early.looked_s, np.arange(0.0, 600.0, 3.0) + 2.0)
+    np.testing.assert_allclose(early.scan_times_s, np.arange(0.0, 600.0, 3.0) + 2.0)
 
 
 def test_misses_and_clutter_are_as_often_as_described() -> None:

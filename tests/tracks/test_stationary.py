@@ -7,7 +7,7 @@ from scipy.stats import multivariate_normal
 from sameas.errors import InputError
 from sameas.tracks.alignment import States, moved
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.feed import Feed, standing
+from sameas.tracks.feed import Feed, stationary
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description, Motion
 
@@ -25,7 +25,7 @@ def told(velocity, sigma_m_per_s=0.3, sigma_m=5.0):
 def test_the_chance_to_stand_is_that_of_bayes():
     rng = np.random.default_rng(1)
     velocity = rng.normal(0.0, 0.8, (30, 2))
-    _, stands = standing(told(velocity), VESSELS)
+    _, stands = stationary(told(velocity), VESSELS)
     near, far = (multivariate_normal.pdf(velocity, cov=(0.09 + s**2) * np.eye(2)) for s in (0.1, 8.0))
     np.testing.assert_allclose(stands, 0.3 * near / (0.3 * near + 0.7 * far), rtol=1e-9)
 
@@ -35,7 +35,7 @@ def test_mean_and_covariance_are_those_of_the_mixture():
     root = rng.normal(size=(4, 4)) * np.array([5.0, 5.0, 0.4, 0.4])[:, None]
     state, covariance = np.array([[3.0, -7.0, 1.3, 0.5]]), (root @ root.T)[None]
     made = States(np.zeros(1), state, covariance, None, np.arange(1))
-    now, stands = standing(made, VESSELS)
+    now, stands = stationary(made, VESSELS)
     assert 0.05 < stands[0] < 0.95
     gain = covariance[0][:, 2:] @ np.linalg.inv(covariance[0][2:, 2:] + 0.01 * np.eye(2))
     lies = state[0] - gain @ state[0, 2:], covariance[0] - gain @ covariance[0][2:]
@@ -54,7 +54,7 @@ def test_simulated_vessels_are_where_they_are_said_to_be():
     walk = np.where(lies, 0.0, 0.01)
     there[:, :2] += np.sqrt(walk * age_s**3 / 3.0)[:, None] * rng.standard_normal((n, 2))
     made = told(velocity + 0.3 * rng.standard_normal((n, 2)))
-    now, stands = standing(made, VESSELS)
+    now, stands = stationary(made, VESSELS)
     error, spread = _off(now, there, age_s, 0.01 * (1.0 - stands))
     before, wide = _off(made, there, age_s, 0.01)
     slow = stands > 0.5
@@ -73,14 +73,14 @@ def _off(states, there, age_s, walk):
 
 def test_velocities_that_nobody_told_and_kinds_without_standing_objects_are_left_alone():
     bare = States.of(np.zeros(2), np.zeros((2, 2)), np.eye(2), speed_m_per_s=8.0)
-    now, stands = standing(bare, VESSELS)
+    now, stands = stationary(bare, VESSELS)
     np.testing.assert_array_equal(now.covariance, bare.covariance)
     np.testing.assert_array_equal(stands, [0.0, 0.0])
     made = told(np.zeros((2, 2)))
-    assert standing(made, Description("adsb", "ads-b").motion) == (made, None)
-    assert standing(made, Motion(0.01, 8.0, standing_m_per_s=0.1, standing_share=0.0)) == (made, None)
+    assert stationary(made, Description("adsb", "ads-b").motion) == (made, None)
+    assert stationary(made, Motion(0.01, 8.0, standing_m_per_s=0.1, standing_share=0.0)) == (made, None)
     with pytest.raises(InputError, match="give the share of objects that stand, below 1"):
-        standing(made, Motion(0.01, 8.0, standing_m_per_s=0.1, standing_share=1.0))
+        stationary(made, Motion(0.01, 8.0, standing_m_per_s=0.1, standing_share=1.0))
 
 
 def test_a_vessel_at_anchor_stays_where_it_is_and_one_under_way_does_not():

@@ -75,7 +75,7 @@ class Method:
         """What counts as evidence at an instant."""
 
         def rule(now: Instant, past: Past) -> SetRule:
-            said: SetRule = now.belief()
+            said: SetRule = now.rule()
             if self.identity:
                 said = said + now.identity()
             return said + past.rule() if self.memory else said

@@ -5,7 +5,7 @@ antenna. :class:`Past` goes from instant to instant; :meth:`Past.rule` is a rule
 :func:`sameas.many.identify_many`, to be added to those of the instant:
 
     past = past.on(roll)
-    found = identify_many(now.sources, rule=now.belief() + now.identity() + past.rule(), region=now.region)
+    found = identify_many(now.sources, rule=now.rule() + now.identity() + past.rule(), region=now.region)
     past = past.met(found.union)
 
 Its logarithm is that of all looks (:mod:`sameas.picture.track_pairs`) less what ``now`` says of the two positions, so

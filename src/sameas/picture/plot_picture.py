@@ -54,7 +54,7 @@ def looks_between(feeds: Sequence[Feed], after_s: float, until_s: float) -> list
 
     Of looks within :data:`TOGETHER` of the shortest period the last: no source looks twice in that.
     """
-    looked = np.unique(np.concatenate([np.empty(0), *(feed.looked_s for feed in feeds)]))
+    looked = np.unique(np.concatenate([np.empty(0), *(feed.scan_times_s for feed in feeds)]))
     apart_s = TOGETHER * min((_period_s(feed) for feed in feeds), default=math.inf)
     out: list[float] = []
     first = -math.inf
@@ -68,9 +68,9 @@ def looks_between(feeds: Sequence[Feed], after_s: float, until_s: float) -> list
 
 
 def _period_s(feed: Feed) -> float:
-    if feed.turn is not None:
-        return feed.turn.period_s
-    return float(np.median(np.diff(feed.looked_s))) if len(feed.looked_s) > 1 else math.inf
+    if feed.rotation is not None:
+        return feed.rotation.period_s
+    return float(np.median(np.diff(feed.scan_times_s))) if len(feed.scan_times_s) > 1 else math.inf
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ class PlotPicture:
         """The picture at an instant with velocities, where no look lies between it and the last."""
         after = self.looked(now)
         assert after.following is not None
-        roll = Scan.of(now.heard())
+        roll = Scan.of(now.with_records())
         shown = TrackedObjects(roll, after.following)
         known = PlotObjects.of(shown, after.proof.sure)
         if len(self.known):

@@ -238,7 +238,7 @@ class TrackedPlots:
     def passed(self, now: Instant) -> FloatArray:
         """(S,) how many looks of each source stand no more at a later instant."""
         dt = now.instant_s - self.now.instant_s
-        share = [math.inf if feed.turn is None else dt / feed.turn.period_s for feed in now.feeds]
+        share = [math.inf if feed.rotation is None else dt / feed.rotation.period_s for feed in now.feeds]
         looked = np.isfinite(self.look_s) & (_looks(now, self)[0] > self.look_s)
         return np.asarray(np.where(looked, np.minimum(share, 1.0), 0.0))
 
@@ -334,7 +334,9 @@ def _require_plots(now: Instant, before: TrackedPlots | None) -> None:
 
 def _looks(now: Instant, before: TrackedPlots | None) -> tuple[FloatArray, FloatArray]:
     """(S,) when each source looked last, −inf for never, and (S,) how long after the look that stood before."""
-    look = np.array([feed.looked_s[feed.looked_s <= now.instant_s].max(initial=-math.inf) for feed in now.feeds])
+    look = np.array(
+        [feed.scan_times_s[feed.scan_times_s <= now.instant_s].max(initial=-math.inf) for feed in now.feeds]
+    )
     if before is None:
         return look, np.full(len(look), math.inf)
     first = ~np.isfinite(before.look_s)

@@ -168,5 +168,5 @@ class TrackExistence(ColumnTable):
 def _silences(tracks: NamedTracks) -> FloatArray:
     """(s,) after how long a track of each source has ended; ∞ for sources that are not heard now."""
     assert tracks.roll is not None
-    silence = {feed.description.name: feed.ending_silence_s for feed in tracks.roll.now.feeds}
+    silence = {feed.description.name: feed.track_timeout_s for feed in tracks.roll.now.feeds}
     return np.array([silence.get(name, math.inf) for name in tracks.lasting.names])

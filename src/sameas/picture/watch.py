@@ -123,7 +123,7 @@ Say = Callable[[Instant, Past], SetRule]
 
 def all_that_is_said(now: Instant, past: Past) -> SetRule:
     """Positions, misses and clutter as described, what records say of their identities, and what tracks did before."""
-    return now.belief() + now.identity() + past.rule()
+    return now.rule() + now.identity() + past.rule()
 
 
 @dataclass(frozen=True)
@@ -132,8 +132,8 @@ class Watch:
 
     Parameters
     ----------
-    say : what counts as evidence. ``lambda now, past: now.belief() + past.rule()`` leaves identities out,
-        ``lambda now, past: now.belief() + now.identity()`` judges every instant alone.
+    say : what counts as evidence. ``lambda now, past: now.rule() + past.rule()`` leaves identities out,
+        ``lambda now, past: now.rule() + now.identity()`` judges every instant alone.
     past : what is remembered of tracks; give one to change how long their errors last.
     bound : of the odds at which records change their company (:mod:`sameas.picture.watch`); 1 for the most
         probable answer of every instant, whatever was shown before.
@@ -160,7 +160,7 @@ class Watch:
         ------
         InputError : the instant is before the last; a source lacks what its evidence needs.
         """
-        heard = now.heard()
+        heard = now.with_records()
         roll = self.past.loosened(Scan.of(heard), _per_m2(now))
         heard, past = roll.now, self.past.on(roll)
         found = self._found(heard, past)

@@ -293,12 +293,12 @@ class SensorOutput:
     """What a modelled sensor reports.
 
     reports : in the order of their stamps. truth : (n,) number of the object of the true motion, −1 for false reports.
-    looked_s : (l,) stamps of all looks, those that showed nothing among them.
+    scan_times_s : (l,) stamps of all looks, those that showed nothing among them.
     """
 
     reports: Reports
     truth: IntArray
-    looked_s: FloatArray
+    scan_times_s: FloatArray
 
 
 @dataclass(frozen=True)
@@ -352,7 +352,7 @@ class Sensor:
     >>> motion = TrueMotion.of(Reports.of("ais", "table", said))
     >>> radar = Description("radar", "marine radar", site=Site(50.75, -1.3), misses=MissRate(0.01))
     >>> heard = Sensor(radar)(motion, (0.0, 60.0), np.random.default_rng(1))
-    >>> heard.reports.position, len(heard.looked_s), int(np.sum(heard.truth == 0)) in (18, 19, 20)
+    >>> heard.reports.position, len(heard.scan_times_s), int(np.sum(heard.truth == 0)) in (18, 19, 20)
     ('polar', 20, True)
     """
 

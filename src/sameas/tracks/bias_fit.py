@@ -1,4 +1,4 @@
-"""Agreement: the biases under which two sources agree best, over all instants at which they were compared.
+"""BiasFit: the biases under which two sources agree best, over all instants at which they were compared.
 
 The search looks at every offset that brings any two records of an instant together (:mod:`sameas.registration`); what
 it finds at a few instants is refined over all of them at once, every pair weighted by its posterior probability. Priors
@@ -23,7 +23,7 @@ from sameas.registration.joint import DECISIVE
 from sameas.registration.solution import displacement_sigmas, refine
 from sameas.registration.weights import Weighed, weigh
 from sameas.tracks.biases import RelativeBias
-from sameas.tracks.common_scans import Encounter
+from sameas.tracks.common_scans import CommonScan
 
 #: Instants that are searched, votes that are followed at each, rounds of their refinement.
 SEARCHED, BEGINNINGS, ROUNDS = 3, 32, 20
@@ -40,12 +40,12 @@ MOVED_SIGMAS = 3.0
 
 
 @dataclass(frozen=True)
-class Agreement:
-    """Biases that explain the encounters.
+class BiasFit:
+    """Biases that explain the scans.
 
     Attributes
     ----------
-    biases : (p,) which they are: see :class:`~sameas.tracks.common_scans.Encounter`. theta : (p,) their values.
+    biases : (p,) which they are: see :class:`~sameas.tracks.common_scans.CommonScan`. theta : (p,) their values.
     covariance : (p, p) of theta, by data and prior.
     relative : (p, p) the same without what displaces all sources alike: for comparing them with each other.
     pairs : expected number of pairs, over all instants. tracks : of how many objects they are.
@@ -71,39 +71,39 @@ class Agreement:
 
     @property
     def established(self) -> bool:
-        """Whether these biases, and no others nor nothing in common, explain the encounters."""
+        """Whether these biases, and no others nor nothing in common, explain the scans."""
         return self.log_evidence > DECISIVE and not self.near_rivals
 
 
 @dataclass(frozen=True)
 class Pool:
-    """Encounters with one set of biases; θ (…, p) runs over ``biases``."""
+    """Scans with one set of biases; θ (…, p) runs over ``biases``."""
 
-    encounters: tuple[Encounter, ...]
+    scans: tuple[CommonScan, ...]
 
     @cached_property
     def biases(self) -> IntArray:
-        """(p,) the biases that any encounter speaks of."""
-        return np.unique(np.concatenate([encounter.biases for encounter in self.encounters]))
+        """(p,) the biases that any scan speaks of."""
+        return np.unique(np.concatenate([scan.biases for scan in self.scans]))
 
     @cached_property
     def columns(self) -> list[IntArray]:
-        """Per encounter where its biases stand in θ."""
-        return [np.searchsorted(self.biases, encounter.biases) for encounter in self.encounters]
+        """Per scan where its biases stand in θ."""
+        return [np.searchsorted(self.biases, scan.biases) for scan in self.scans]
 
     @cached_property
     def precision(self) -> FloatArray:
         """(p,) of the prior."""
         width = np.zeros(len(self.biases))
-        for encounter, at in zip(self.encounters, self.columns, strict=True):
-            width[at] = encounter.weighing.model.widths
+        for scan, at in zip(self.scans, self.columns, strict=True):
+            width[at] = scan.weighing.model.widths
         return width**-2.0
 
     def weighed(self, theta: FloatArray, common: list[FloatArray], widening: float) -> list[Weighed]:
-        """Weights of all pairs of every encounter under s candidates θ (s, p)."""
+        """Weights of all pairs of every scan under s candidates θ (s, p)."""
         return [
-            weigh(encounter.weighing, theta[:, at], here, widening)
-            for encounter, at, here in zip(self.encounters, self.columns, common, strict=True)
+            weigh(scan.weighing, theta[:, at], here, widening)
+            for scan, at, here in zip(self.scans, self.columns, common, strict=True)
         ]
 
     def gain(self, theta: FloatArray, found: Sequence[Weighed]) -> FloatArray:
@@ -121,9 +121,9 @@ class Pool:
         return score, information
 
     def contributions(self, k: int, theta: FloatArray, found: Weighed) -> tuple[FloatArray, FloatArray, IntArray]:
-        """What each pair of an encounter adds to score (m, p) and information (m, p, p), and its candidate (m,)."""
-        encounter, at = self.encounters[k], self.columns[k]
-        model, features = encounter.weighing.model, encounter.weighing.second.features
+        """What each pair of an scan adds to score (m, p) and information (m, p, p), and its candidate (m,)."""
+        scan, at = self.scans[k], self.columns[k]
+        model, features = scan.weighing.model, scan.weighing.second.features
         jacobian = np.zeros((len(found.s), found.residual.shape[1], theta.shape[1]))
         jacobian[:, :, at] = model.jacobian(features, theta[:, None, at])[found.s, found.j]
         pull = np.einsum("mvw,mwp->mvp", found.precision, jacobian) * found.weight[:, None, None]
@@ -131,14 +131,14 @@ class Pool:
         return terms, np.einsum("mvp,mvq->mpq", pull, jacobian), found.s
 
     def fresh(self, count: int) -> list[FloatArray]:
-        """(count,) numbers of common objects to begin with, per encounter."""
-        sizes = [min(len(e.weighing.first), len(e.weighing.second)) for e in self.encounters]
+        """(count,) numbers of common objects to begin with, per scan."""
+        sizes = [min(len(e.weighing.first), len(e.weighing.second)) for e in self.scans]
         return [np.full(count, 0.5 * size) for size in sizes]
 
 
-def agreement(encounters: Sequence[Encounter]) -> Agreement:
-    """The biases under which the sources of these encounters agree best; at least one encounter."""
-    pool = Pool(tuple(encounters))
+def fit_biases(scans: Sequence[CommonScan]) -> BiasFit:
+    """The biases under which the sources of these scans agree best; at least one scan."""
+    pool = Pool(tuple(scans))
     theta = _annealed(pool, _beginnings(pool))
     finished = [_finished(pool, one) for one in theta]
     finished.sort(key=lambda one: -one.log_evidence)
@@ -147,14 +147,14 @@ def agreement(encounters: Sequence[Encounter]) -> Agreement:
     apart = [
         (one.theta, one.log_evidence)
         for one in finished[1:]
-        if displacement_sigmas(pool.encounters[biggest].weighing, best.theta[at], one.theta[at]) > SAME_SIGMAS
+        if displacement_sigmas(pool.scans[biggest].weighing, best.theta[at], one.theta[at]) > SAME_SIGMAS
     ]
     return replace(best, rivals=tuple(apart))
 
 
 def _biggest(pool: Pool) -> list[int]:
-    """Encounters in the order of how many records the poorer source shows."""
-    sizes = [min(len(e.weighing.first), len(e.weighing.second)) for e in pool.encounters]
+    """Scans in the order of how many records the poorer source shows."""
+    sizes = [min(len(e.weighing.first), len(e.weighing.second)) for e in pool.scans]
     return sorted(range(len(sizes)), key=lambda k: -sizes[k])
 
 
@@ -162,10 +162,10 @@ def _beginnings(pool: Pool) -> FloatArray:
     """(s, p) what the richest instants each find, and no bias at all."""
     starts = [np.zeros(len(pool.biases))]
     # One of the richer half at a time, far apart in time: the same chance does not come twice.
-    rich = sorted(_biggest(pool)[: max(len(pool.encounters) // 2, SEARCHED)])
+    rich = sorted(_biggest(pool)[: max(len(pool.scans) // 2, SEARCHED)])
     for k in np.unique(np.linspace(0, len(rich) - 1, min(SEARCHED, len(rich))).round().astype(int)):
-        encounter, at = pool.encounters[rich[k]], pool.columns[rich[k]]
-        weighing = encounter.weighing
+        scan, at = pool.scans[rich[k]], pool.columns[rich[k]]
+        weighing = scan.weighing
         votes = vote(weighing.first, weighing.second, weighing.model, BEGINNINGS)
         none = np.zeros((1, len(at)))
         votes = Votes(
@@ -179,7 +179,7 @@ def _beginnings(pool: Pool) -> FloatArray:
 
 
 def _annealed(pool: Pool, theta: FloatArray) -> FloatArray:
-    """The best candidates, refined over all encounters together with errors from wide to quoted."""
+    """The best candidates, refined over all scans together with errors from wide to quoted."""
     common = pool.fresh(len(theta))
     for widening, keep in zip(WIDENINGS, KEPT, strict=True):
         found = pool.weighed(theta, common, widening)
@@ -191,7 +191,7 @@ def _annealed(pool: Pool, theta: FloatArray) -> FloatArray:
     return theta
 
 
-def _finished(pool: Pool, theta: FloatArray) -> Agreement:
+def _finished(pool: Pool, theta: FloatArray) -> BiasFit:
     """One candidate brought to its maximum, with covariance and evidence."""
     at, common, settled = theta[None, :], pool.fresh(1), False
     for _ in range(MOST_ROUNDS):
@@ -207,11 +207,11 @@ def _finished(pool: Pool, theta: FloatArray) -> Agreement:
     by_model = _covariance(pool, at, common, complete[0])
     covariance, tracks = _scattered(pool, at, found, complete[0], by_model)
     filtered = _without_gauge(pool, at)
-    instants = len({encounter.instant_s for encounter in pool.encounters})
+    instants = len({scan.instant_s for scan in pool.scans})
     occam = 0.5 * (np.linalg.slogdet(covariance)[1] + np.sum(np.log(pool.precision)))
     prior = -0.5 * float(np.sum(pool.precision * at[0] ** 2))
     likelihood = float(sum(each.gain[0] for each in found)) * _independent(pool) / instants
-    return Agreement(
+    return BiasFit(
         pool.biases, at[0], covariance, filtered @ covariance @ filtered.T, float(sum(e.common[0] for e in found)),
         instants, tracks, likelihood + prior + min(float(occam), 0.0), (), settled,
     )  # fmt: skip
@@ -240,7 +240,7 @@ def _scattered(
     Pairs without any name are tracks of their own, so what stays with their objects is added as it is described.
     """
     parts = [pool.contributions(k, theta, each) for k, each in enumerate(found)]
-    names = [_owners(encounter, each) for encounter, each in zip(pool.encounters, found, strict=True)]
+    names = [_owners(scan, each) for scan, each in zip(pool.scans, found, strict=True)]
     owner, count = _numbered(np.concatenate(names))
     p, weight = len(by_model), np.concatenate([each.weight for each in found])
     score, leverage = np.zeros((count, p)), np.zeros((count, p, p))
@@ -248,11 +248,11 @@ def _scattered(
     np.add.at(leverage, owner, np.concatenate([part[1] for part in parts]))
     # Every track pulled the answer towards itself: what it would say of an answer found without it.
     apart = np.einsum("pq,cq->cp", complete, np.linalg.solve(complete - leverage, score[..., None])[..., 0])
-    instants = len({encounter.instant_s for encounter in pool.encounters})
+    instants = len({scan.instant_s for scan in pool.scans})
     lasting = np.zeros((p, p))
-    for encounter, part, each, own in zip(pool.encounters, parts, found, names, strict=True):
+    for scan, part, each, own in zip(pool.scans, parts, found, names, strict=True):
         nameless = own == ""
-        spread = np.einsum("mvv->m", each.precision[nameless]) / each.residual.shape[1] * encounter.lasting_m2
+        spread = np.einsum("mvv->m", each.precision[nameless]) / each.residual.shape[1] * scan.lasting_m2
         lasting += instants * np.einsum("mpq,m->pq", part[1][nameless], spread)
     total = by_model + by_model @ lasting @ by_model
     nameless = np.concatenate(names) == ""
@@ -267,9 +267,9 @@ def _numbered(names: NDArray[np.str_]) -> tuple[IntArray, int]:
     return number, int(number.max(initial=-1)) + 1
 
 
-def _owners(encounter: Encounter, found: Weighed) -> NDArray[np.str_]:
+def _owners(scan: CommonScan, found: Weighed) -> NDArray[np.str_]:
     """(m,) whose track each pair is: the second's, else the first's, else nobody's, an empty name."""
-    names = [labels[rows] for labels, rows in zip(encounter.labels, (found.i, found.j), strict=True)]
+    names = [labels[rows] for labels, rows in zip(scan.labels, (found.i, found.j), strict=True)]
     chosen = [
         f"2 {two}" if two is not None else (f"1 {one}" if one is not None else "")
         for one, two in zip(*names, strict=True)
@@ -289,8 +289,8 @@ def _at_least(least: FloatArray, other: FloatArray) -> FloatArray:
 def _without_gauge(pool: Pool, theta: FloatArray) -> FloatArray:
     """(p, p) matrix that takes away what would displace all sources alike: what no pair anywhere could tell."""
     every = np.zeros((len(pool.biases), len(pool.biases)))
-    for encounter, at in zip(pool.encounters, pool.columns, strict=True):
-        weighing = encounter.weighing
+    for scan, at in zip(pool.scans, pool.columns, strict=True):
+        weighing = scan.weighing
         jacobian = weighing.model.jacobian(weighing.second.features, theta[0, at])
         precision = np.linalg.inv(weighing.covariance_2 + np.median(weighing.covariance_1, axis=0))
         every[np.ix_(at, at)] += np.einsum("nvp,nvw,nwq->pq", jacobian, precision, jacobian)
@@ -299,12 +299,12 @@ def _without_gauge(pool: Pool, theta: FloatArray) -> FloatArray:
 
 def _independent(pool: Pool) -> float:
     """How many looks the instants are worth: what stands still repeats the same chance again and again."""
-    times = np.unique([encounter.instant_s for encounter in pool.encounters])
+    times = np.unique([scan.instant_s for scan in pool.scans])
     if len(times) < 2:
         return 1.0
     apart = [
-        encounter.speed_m_per_s * float(np.median(np.diff(times))) / (MOVED_SIGMAS * encounter.weighing.sigma)
-        for encounter in pool.encounters
-        if isinstance(encounter.weighing.model, RelativeBias)
+        scan.speed_m_per_s * float(np.median(np.diff(times))) / (MOVED_SIGMAS * scan.weighing.sigma)
+        for scan in pool.scans
+        if isinstance(scan.weighing.model, RelativeBias)
     ]
     return 1.0 + (len(times) - 1) * min(1.0, float(np.median(apart)) if apart else 0.0)

@@ -1,7 +1,7 @@
-"""Encounters: what two sources show at one instant, as a scene for :mod:`sameas.registration`.
+"""Common scans: what two sources show at one instant, as a scene for :mod:`sameas.registration`.
 
 The biases of a source show in the residuals of its records against those of another, and one instant has few pairs:
-:func:`encounters` looks at two sources at many instants, spread over the time that both speak.
+:func:`common_scans` looks at two sources at many instants, spread over the time that both speak.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ NO_WIDTHS = np.zeros(6)
 
 
 @dataclass(frozen=True)
-class Encounter:
+class CommonScan:
     """Two sources at one instant.
 
     weighing : their records, and the offset between them.
@@ -57,7 +57,7 @@ class Encounter:
 
 
 @dataclass(frozen=True)
-class MeetingSource:
+class ComparedSource:
     """One of two sources that meet: ``start`` is 0 or 6, where its biases stand among all, or None: it has none."""
 
     feed: Feed
@@ -65,10 +65,10 @@ class MeetingSource:
 
     def widths(self) -> FloatArray:
         """(6,) prior standard deviations of its biases; 0 for what is not looked for."""
-        return NO_WIDTHS if self.start is None else looked_for(self.feed)
+        return NO_WIDTHS if self.start is None else bias_widths(self.feed)
 
 
-def looked_for(feed: Feed) -> FloatArray:
+def bias_widths(feed: Feed) -> FloatArray:
     """(6,) prior standard deviations of the biases that a source may have, in the order of BIASES; 0 where none."""
     bias = feed.description.bias
     given = (bias.range_m, bias.azimuth_deg, bias.range_gain, bias.time_s, bias.shift_m, bias.shift_m)
@@ -80,7 +80,7 @@ def looked_for(feed: Feed) -> FloatArray:
     return widths
 
 
-def encounters(one: MeetingSource, other: MeetingSource, most: int = INSTANTS) -> tuple[Encounter, ...]:
+def common_scans(one: ComparedSource, other: ComparedSource, most: int = INSTANTS) -> tuple[CommonScan, ...]:
     """Two sources at ``most`` instants spread over their common time; none where they have no time in common."""
     sides = [one, other]
     directions = [isinstance(side.feed.reports, Directions) for side in sides]
@@ -89,8 +89,8 @@ def encounters(one: MeetingSource, other: MeetingSource, most: int = INSTANTS) -
     # The second is what is moved: directions against positions, or what has velocities to be moved along.
     if directions[0] or (one.feed.tells_velocities and not directions[1]):
         sides = sides[::-1]
-    found = [_encounter(sides[0], sides[1], instant_s) for instant_s in common_instants(one.feed, other.feed, most)]
-    return tuple(encounter for encounter in found if encounter is not None)
+    found = [_common_scan(sides[0], sides[1], instant_s) for instant_s in common_instants(one.feed, other.feed, most)]
+    return tuple(scan for scan in found if scan is not None)
 
 
 def common_instants(one: Feed, other: Feed, most: int = INSTANTS) -> FloatArray:
@@ -99,7 +99,7 @@ def common_instants(one: Feed, other: Feed, most: int = INSTANTS) -> FloatArray:
     if not all(len(t) for t in times):
         return np.empty(0)
     plots = other if one.tells_velocities and not other.tells_velocities else one
-    looked = np.unique(plots.looked_s)
+    looked = np.unique(plots.scan_times_s)
     looked = looked[(looked >= max(t.min() for t in times)) & (looked <= max(times[0].max(), times[1].max()))]
     # A source that ended stands for a while, no longer than it would take it to report a few times.
     ends = [
@@ -118,7 +118,7 @@ def _typical_count(feed: Feed) -> float:
     """Records that the source shows at an instant, about: the tracks that are alive, or the plots of a look."""
     reports = feed.reports
     if reports.track is None:
-        return len(reports) / max(len(np.unique(feed.look_s)), 1)
+        return len(reports) / max(len(np.unique(feed.scan_s)), 1)
     _, number = np.unique(reports.track.astype(str), return_inverse=True)
     first, last = np.full(number.max() + 1, np.inf), np.full(number.max() + 1, -np.inf)
     np.minimum.at(first, number, reports.time_s)
@@ -127,7 +127,7 @@ def _typical_count(feed: Feed) -> float:
     return float(np.sum(last - first)) / span if span > 0.0 else float(len(first))
 
 
-def _encounter(first: MeetingSource, second: MeetingSource, instant_s: float) -> Encounter | None:
+def _common_scan(first: ComparedSource, second: ComparedSource, instant_s: float) -> CommonScan | None:
     said = [Snapshot.of(side.feed.as_measured, instant_s) for side in (first, second)]
     density = _density(said)
     said = [each.without_aged(density) for each in said]
@@ -148,8 +148,8 @@ def _density(said: Sequence[Snapshot]) -> float:
 
 
 def _of_positions(
-    one: Snapshot, other: Snapshot, sides: tuple[MeetingSource, MeetingSource], instant_s: float
-) -> Encounter:
+    one: Snapshot, other: Snapshot, sides: tuple[ComparedSource, ComparedSource], instant_s: float
+) -> CommonScan:
     told = other.covariance[:, 2, 2] < 0.99 * (other.feed.description.motion.speed_m_per_s or math.inf) ** 2
     timed = bool(told.mean() >= 0.5)
     if timed:
@@ -164,10 +164,10 @@ def _of_positions(
     weighing = Weighing.of(_positions(one), _positions(other), model)
     speed = float(np.median(np.hypot(*velocity.T)))
     lasting = 0.0 if timed else sum(_lasting_m2(side) for side in sides)
-    return Encounter(instant_s, weighing, biases, (_labels(one), _labels(other)), speed, lasting)
+    return CommonScan(instant_s, weighing, biases, (_labels(one), _labels(other)), speed, lasting)
 
 
-def _lasting_m2(side: MeetingSource) -> float:
+def _lasting_m2(side: ComparedSource) -> float:
     description = side.feed.description
     late_m = (description.bias.time_s or 0.0) * (description.motion.speed_m_per_s or 0.0)
     return (late_m * (side.start is not None)) ** 2 + (description.errors.extent_m or 0.0) ** 2
@@ -179,8 +179,8 @@ def _positions(said: Snapshot) -> Records:
 
 
 def _of_directions(
-    positions: Snapshot, directions: Snapshot, side: MeetingSource, instant_s: float
-) -> Encounter | None:
+    positions: Snapshot, directions: Snapshot, side: ComparedSource, instant_s: float
+) -> CommonScan | None:
     """Directions against those in which the sensor would see what the other source shows."""
     description = directions.feed.description
     arm = positions.state[:, :2] - np.asarray(directions.sensor())
@@ -204,7 +204,7 @@ def _of_directions(
     # The place on the hull that is seen stays with its object: here as the angle that it is.
     lasting_deg2 = float(np.mean(np.degrees((description.errors.extent_m or 0.0) / away[seen]) ** 2))
     labels = (_labels(positions)[seen], _labels(directions))
-    return Encounter(instant_s, Weighing.of(first, second, model), biases, labels, speed, lasting_deg2)
+    return CommonScan(instant_s, Weighing.of(first, second, model), biases, labels, speed, lasting_deg2)
 
 
 def _labels(said: Snapshot) -> NDArray[Any]:

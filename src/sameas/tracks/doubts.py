@@ -21,7 +21,7 @@ from sameas.errors import InputError
 from sameas.registration.weights import weigh
 from sameas.tracks.alignment import States
 from sameas.tracks.biases import TIME
-from sameas.tracks.common_scans import MeetingSource, encounters, looked_for
+from sameas.tracks.common_scans import ComparedSource, bias_widths, common_scans
 from sameas.tracks.coordinates import EARTH_M, FARTHEST_M, LocalPlane
 from sameas.tracks.feed import Feed
 from sameas.tracks.registration import unbiased
@@ -286,7 +286,7 @@ def _typical_m(middle: LocalPlane, place: tuple[FloatArray, FloatArray]) -> floa
 
 def _tolerant(feed: Feed) -> Feed:
     """The feed with covariances that allow for the biases that it may have."""
-    widths = looked_for(feed)
+    widths = bias_widths(feed)
     return unbiased(feed, np.zeros(len(widths)), np.diag(widths**2)) if widths.any() else feed
 
 
@@ -297,13 +297,13 @@ def _best(feed: Feed, others: Sequence[Feed]) -> Shared | None:
 
 
 def _shared(feed: Feed, other: Feed) -> Shared | None:
-    met = encounters(MeetingSource(other, None), MeetingSource(feed, None), INSTANTS)
+    met = common_scans(ComparedSource(other, None), ComparedSource(feed, None), INSTANTS)
     if not met:
         return None
     pairs = records = gain = 0.0
-    for encounter in met:
-        weighing = encounter.weighing
-        none = np.zeros((1, len(encounter.biases)))
+    for scan in met:
+        weighing = scan.weighing
+        none = np.zeros((1, len(scan.biases)))
         common = np.array([0.5 * min(len(weighing.first), len(weighing.second))])
         for _ in range(ROUNDS):
             found = weigh(weighing, none, common, 1.0)

@@ -1,8 +1,8 @@
-"""Namesakes: reports of one name that cannot be of one object, since nothing moves from one place to the other so fast.
+"""Duplicate ids: reports of one id that cannot be of one object, since nothing moves between the places so fast.
 
-An MMSI typed into two ships' transponders, an address forged, a track number given away again: the source has one
-name, and there are two objects. :func:`parted` gives each a track of its own, so that both stay in the picture and the
-alarms can say that they show one identity. A lone report far from all others of its name is an error of the link, and
+An MMSI typed into two ships' transponders, a forged address, a track number used again: the source has one id for two
+objects. :func:`split_duplicate_ids` gives each object a track of its own, so that both stay in the picture and the
+alarms can say that they show one identity. A single report far from all others of its id is an error of the link and
 is not used.
 """
 
@@ -24,7 +24,7 @@ TURNS = 4
 SIGMAS = 6.0
 
 
-def parted(reports: States, speed_m_per_s: float) -> tuple[States, tuple[str, ...]]:
+def split_duplicate_ids(reports: States, speed_m_per_s: float) -> tuple[States, tuple[str, ...]]:
     """The reports with a track for every object that one name stands for, and printable notes.
 
     Parameters

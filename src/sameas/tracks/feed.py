@@ -19,17 +19,17 @@ from sameas.gate import ChiSquare
 from sameas.tracks.alignment import States, Succession
 from sameas.tracks.biases import corrected
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.duplicate_ids import parted
+from sameas.tracks.duplicate_ids import split_duplicate_ids
 from sameas.tracks.filter import follow, measures_anew
 from sameas.tracks.placement import Directions, placed, sensor_places, set_aside, supposed
 from sameas.tracks.reports import Reports
-from sameas.tracks.scans import AntennaTurn, looks_of, seen_from
+from sameas.tracks.scans import AntennaRotation, scans_of, seen_from
 from sameas.tracks.source import Description, Motion
 
 # Standing: vessels at anchor or alongside stay where they are, and say so with a velocity of about 0.
 #
 # The walk of velocities that is right for a vessel under way lets one at anchor, which reports every three minutes,
-# stray by 150 m between two reports; it swings by some 15. :func:`standing` takes every reported velocity v, of
+# stray by 150 m between two reports; it swings by some 15. :func:`stationary` takes every reported velocity v, of
 # covariance C, for that of one of two kinds of objects:
 #
 #     stands   v ~ N(0, C + s² 1), a share w of all,  s = motion.standing_m_per_s, w = motion.standing_share
@@ -44,7 +44,7 @@ from sameas.tracks.source import Description, Motion
 UNTOLD = 0.9
 
 
-def standing(reports: States, motion: Motion) -> tuple[States, FloatArray | None]:
+def stationary(reports: States, motion: Motion) -> tuple[States, FloatArray | None]:
     """The reports with the velocities that standing objects have, and (n,) the probability that each stands.
 
     None, and the reports as they are, where the motion says nothing of objects that stand.
@@ -52,7 +52,7 @@ def standing(reports: States, motion: Motion) -> tuple[States, FloatArray | None
     >>> told = States.of([0.0, 0.0], [[0.0, 0.0]] * 2, np.eye(2), speed_m_per_s=8.0, velocity=[[0.1, 0.0], [4.0, 0.0]],
     ...                  velocity_covariance=0.09 * np.eye(2))
     >>> motion = Motion(speed_m_per_s=8.0, standing_m_per_s=0.1, standing_share=0.2)
-    >>> now, stands = standing(told, motion)
+    >>> now, stands = stationary(told, motion)
     >>> stands.round(2).tolist(), now.state[:, 2].round(2).tolist()
     ([0.99, 0.0], [0.01, 4.0])
     """
@@ -94,10 +94,10 @@ def _log_density(state: FloatArray, covariance: FloatArray, spread: float) -> Fl
 SHORTER = 0.999
 
 
-def ending_silence_s(time_s: FloatArray, track: NDArray[Any] | None) -> float:
+def track_timeout_s(time_s: FloatArray, track: NDArray[Any] | None) -> float:
     """Seconds of silence after which a track of the source has ended; infinite where no track has two reports.
 
-    >>> ending_silence_s(np.array([0.0, 3.0, 6.0, 12.0]), np.array(["7", "7", "7", "7"]))
+    >>> track_timeout_s(np.array([0.0, 3.0, 6.0, 12.0]), np.array(["7", "7", "7", "7"]))
     6.0
     """
     if track is None or len(time_s) < 2:
@@ -110,15 +110,15 @@ def ending_silence_s(time_s: FloatArray, track: NDArray[Any] | None) -> float:
 
 # Fixes: which reports of a track measured its position anew, and which repeat the last one.
 #
-# Receivers and data bases hand out the last position that they have again and again, each time with the time of the day
-# and perhaps a new velocity. Taken for measured ones such positions show a moving object standing still. :func:`fresh`
-# sets them aside; the old fix then stands for the object, as old as it is.
+# Receivers and databases send the last position that they have again and again, each time with the current time and
+# perhaps a new velocity. Taken as measured, such positions show a moving object at rest. :func:`position_updates` sets
+# them aside; the last measured position then stands for the object, as old as it is.
 
 #: An object moves whose velocity cannot be 0, but for one chance in so many.
 MOVES = ChiSquare(1.0 - 1e-6)
 
 
-def fresh(reports: States) -> tuple[States, tuple[str, ...]]:
+def position_updates(reports: States) -> tuple[States, tuple[str, ...]]:
     """The reports without positions that are repeated to the last digit though their object moves, and notes.
 
     An object that stands, or whose velocity is not told, may show one place twice. What is set aside has no position
@@ -127,7 +127,7 @@ def fresh(reports: States) -> tuple[States, tuple[str, ...]]:
     >>> track, v = ["a"] * 3, [[50.0, 0.0]] * 3
     >>> said = States.of([0.0, 1.0, 2.0], [[0.0, 0.0], [0.0, 0.0], [99.0, 0.0]], np.eye(2), speed_m_per_s=150.0,
     ...                  velocity=v, velocity_covariance=np.eye(2), track=track)
-    >>> fresh(said)[0].usable.tolist()
+    >>> position_updates(said)[0].usable.tolist()
     [True, False, True]
     """
     if reports.track is None or len(reports) < 2:
@@ -165,25 +165,25 @@ class Feed:
     Attributes
     ----------
     description, reports : what is known of it, and what it says, in the plane.
-    looked_s : (l,) the times at which it looked. look_s : (n,) the look to which each report belongs.
+    scan_times_s : (l,) the times at which it looked. scan_s : (n,) the look to which each report belongs.
     sensor_m : (n, 2) where its sensor was, None for a source that is in no one place.
     attributes : what the reports say of the objects' identity, (n,) each: mmsi, icao, name, …
     given : the reports as a reader gave them. notes : what was set aside, printable sentences.
     measured : where a filter made tracks of them, what was measured at each report, with the velocity of its track.
-    turn : of an antenna whose bare plots bear their own stamps; None where looks are exposures.
+    rotation : of an antenna whose bare plots bear their own stamps; None where looks are exposures.
     stands : (n,) probability that a report is of an object that stands; None where nothing is known of such.
     """
 
     description: Description
     reports: States | Directions
-    looked_s: FloatArray
-    look_s: FloatArray
+    scan_times_s: FloatArray
+    scan_s: FloatArray
     sensor_m: FloatArray | None
     attributes: Mapping[str, NDArray[Any]]
     given: Reports | None = None
     notes: tuple[str, ...] = ()
     measured: States | None = None
-    turn: AntennaTurn | None = None
+    rotation: AntennaRotation | None = None
     stands: FloatArray | None = None
 
     @classmethod
@@ -193,14 +193,14 @@ class Feed:
         reports: Reports,
         plane: LocalPlane | None = None,
         *,
-        looked_s: ArrayLike | None = None,
+        scan_times_s: ArrayLike | None = None,
         to_tracks: bool = False,
     ) -> Feed:
         """A feed of what a reader gave.
 
         Parameters
         ----------
-        looked_s : times of all looks of a source of bare plots, those that showed nothing among them. Without it a
+        scan_times_s : times of all looks of a source of bare plots, those that showed nothing among them. Without it a
             look that showed nothing is not known of, and the one before it stands until it is too old to tell.
         to_tracks : whether reports with names are to be filtered to tracks first (:func:`need_filtering`).
         """
@@ -210,8 +210,8 @@ class Feed:
         biases = known_biases(description, sensor_m)
         there = corrected(there, sensor_m, biases) if biases.any() else there
         if isinstance(there, States):
-            there, repeated = fresh(there)
-            there, more = parted(there, description.motion.speed_m_per_s or math.inf)
+            there, repeated = position_updates(there)
+            there, more = split_duplicate_ids(there, description.motion.speed_m_per_s or math.inf)
             notes += tuple(f"{description.name}: {note}" for note in (*repeated, *more))
         stands, measured = None, None
         if to_tracks:
@@ -220,16 +220,16 @@ class Feed:
             tracks = follow(there, acceleration_m2_per_s3=walk_of(description)).states
             placed_anew = _in_place(there, tracks)
             there = placed_anew if description.kind in LASTING else tracks
-            measured, _ = standing(placed_anew, description.motion)
+            measured, _ = stationary(placed_anew, description.motion)
         if isinstance(there, States):
-            there, stands = standing(there, description.motion)
-        given = None if looked_s is None else np.asarray(looked_s, np.float64)
-        looks = looks_of(there.time_s, description.timing.period_s, _bearings(there, sensor_m), given)
-        looked = looks.look_s if given is None else np.concatenate([given, looks.look_s])
+            there, stands = stationary(there, description.motion)
+        given = None if scan_times_s is None else np.asarray(scan_times_s, np.float64)
+        looks = scans_of(there.time_s, description.timing.period_s, _bearings(there, sensor_m), given)
+        looked = looks.scan_s if given is None else np.concatenate([given, looks.scan_s])
         attributes = {name: said for name in MODELS if (said := getattr(reports, name, None)) is not None}
         return cls(
-            description, there, np.unique(looked), looks.look_s, sensor_m, attributes, reports, notes, measured,
-            looks.turn, stands,
+            description, there, np.unique(looked), looks.scan_s, sensor_m, attributes, reports, notes, measured,
+            looks.rotation, stands,
         )  # fmt: skip
 
     @property
@@ -249,9 +249,9 @@ class Feed:
         return walk_of(self.description) * going
 
     @cached_property
-    def ending_silence_s(self) -> float:
+    def track_timeout_s(self) -> float:
         """After how long a track of the source that says nothing has ended."""
-        return ending_silence_s(self.reports.time_s, self.reports.track)
+        return track_timeout_s(self.reports.time_s, self.reports.track)
 
     @cached_property
     def succession(self) -> Succession:

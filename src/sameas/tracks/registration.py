@@ -16,9 +16,9 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.registration import Parameter
 from sameas.registration.joint import DECISIVE
-from sameas.tracks.bias_fit import Agreement, agreement
+from sameas.tracks.bias_fit import BiasFit, fit_biases
 from sameas.tracks.biases import BIASES, TIME, corrected
-from sameas.tracks.common_scans import MeetingSource, encounters, looked_for
+from sameas.tracks.common_scans import ComparedSource, bias_widths, common_scans
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions
 
@@ -112,7 +112,7 @@ def _parts(feeds: Sequence[Feed], references: Sequence[str] | None) -> tuple[lis
             known = ", ".join(names[k] for k in placed)
             raise InputError(f"registered: {name!r} is no source of positions; give some of {known} as references")
     if references is None:
-        fixed = [k for k in placed if not looked_for(feeds[k]).any()]
+        fixed = [k for k in placed if not bias_widths(feeds[k]).any()]
     else:
         fixed = [k for k in placed if names[k] in references]
     free = sorted((k for k in placed if k not in fixed), key=lambda k: -len(feeds[k].reports))
@@ -123,7 +123,7 @@ def _richest(feed: Feed, settled: Sequence[Settled]) -> list[Feed]:
     """The source of positions that this one meets most records of."""
     known = [other for other, _ in settled if not isinstance(other.reports, Directions)]
     met = [
-        sum(len(e.weighing.first) for e in encounters(MeetingSource(other, None), MeetingSource(feed, None)))
+        sum(len(e.weighing.first) for e in common_scans(ComparedSource(other, None), ComparedSource(feed, None)))
         for other in known
     ]
     return [known[int(np.argmax(met))]] if known else []
@@ -132,28 +132,26 @@ def _richest(feed: Feed, settled: Sequence[Settled]) -> list[Feed]:
 def _against(feed: Feed, partners: Sequence[Feed]) -> Settled:
     """One source against others that are taken as they are."""
     name = feed.description.name
-    if not looked_for(feed).any():
+    if not bias_widths(feed).any():
         return feed, SourceBiases(name, notes=(f"{name}: may have no bias that could be looked for",))
     if not partners:
         return feed, SourceBiases(name, notes=(f"{name}: there is no other source of positions to compare it with",))
-    met = [
-        encounter for other in partners for encounter in encounters(MeetingSource(other, None), MeetingSource(feed, 0))
-    ]
+    met = [scan for other in partners for scan in common_scans(ComparedSource(other, None), ComparedSource(feed, 0))]
     if not met:
         return feed, SourceBiases(name, established=False, notes=(_unmet(name, partners),))
-    found = agreement(met)
+    found = fit_biases(met)
     return _settled(feed, 0, found, tuple(other.description.name for other in partners))
 
 
 def _mutual(one: Feed, other: Feed) -> tuple[Settled, Settled]:
     """Two sources that both may be biased, against each other."""
     names = one.description.name, other.description.name
-    met = encounters(MeetingSource(one, 0), MeetingSource(other, 6))
+    met = common_scans(ComparedSource(one, 0), ComparedSource(other, 6))
     if not met:
         notes = _unmet(names[0], [other]), _unmet(names[1], [one])
         unmet = [SourceBiases(name, established=False, notes=(note,)) for name, note in zip(names, notes, strict=True)]
         return (one, unmet[0]), (other, unmet[1])
-    found = agreement(met)
+    found = fit_biases(met)
     gauge = (
         f"{names[0]} and {names[1]} have no reference: a bias that displaces both alike cannot be seen, and is taken "
         "to be as small as their descriptions allow"
@@ -169,7 +167,7 @@ def _unmet(name: str, partners: Sequence[Feed]) -> str:
     return f"{name}: shows nothing at the times at which {others} does; its biases were not looked for"
 
 
-def _settled(feed: Feed, start: int, found: Agreement, against: tuple[str, ...]) -> Settled:
+def _settled(feed: Feed, start: int, found: BiasFit, against: tuple[str, ...]) -> Settled:
     """The feed without its biases, if they are established."""
     own = np.flatnonzero((found.biases >= start) & (found.biases < start + len(BIASES)))
     which = found.biases[own] - start
@@ -195,11 +193,11 @@ def unbiased(feed: Feed, biases: FloatArray, covariance: FloatArray) -> Feed:
     assert not isinstance(measured, Directions)
     return replace(
         feed, reports=corrected(feed.reports, feed.sensor_m, biases, covariance), measured=measured,
-        looked_s=feed.looked_s - biases[TIME], look_s=feed.look_s - biases[TIME],
+        scan_times_s=feed.scan_times_s - biases[TIME], scan_s=feed.scan_s - biases[TIME],
     )  # fmt: skip
 
 
-def _notes(feed: Feed, which: IntArray, own: IntArray, found: Agreement, against: tuple[str, ...]) -> tuple[str, ...]:
+def _notes(feed: Feed, which: IntArray, own: IntArray, found: BiasFit, against: tuple[str, ...]) -> tuple[str, ...]:
     """What a user should know of the biases of one source."""
     name, others = feed.description.name, " and ".join(against)
     notes = []
@@ -223,11 +221,11 @@ def _notes(feed: Feed, which: IntArray, own: IntArray, found: Agreement, against
             f"{name}: too few tracks: {found.tracks:.0f} for {len(which)} biases, {needed:.0f} are needed; its biases "
             "lean on what its description says of them"
         )
-    if looked_for(feed)[TIME] > 0.0 and TIME not in which:
+    if bias_widths(feed)[TIME] > 0.0 and TIME not in which:
         notes.append(f"{name}: late stamps were not looked for: neither it nor {others} tells velocities")
     if not found.settled:
         notes.append(f"{name}: its biases had not settled")
-    far = np.abs(found.theta[own]) > 3.0 * looked_for(feed)[which]
+    far = np.abs(found.theta[own]) > 3.0 * bias_widths(feed)[which]
     wide = [BIASES[k] for k in which[far]]
     if wide:
         notes.append(

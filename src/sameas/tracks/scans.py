@@ -1,7 +1,7 @@
-"""Looks: which reports of a source of bare plots stand for what it sees at an instant, each object once.
+"""Scans: which reports of a source of bare plots stand for what it sees at an instant, each object once.
 
 Reports without names of tracks cannot replace each other one by one; what the source saw last replaces all it saw
-before. Sources look in two ways, and :func:`looks_of` tells them apart by the reports:
+before. Sources look in two ways, and :func:`scans_of` tells them apart by the reports:
 
 - an **exposure** shows everything at once: a camera, a laser scanner, a radar that gives all plots of a turn one stamp.
   The last exposure stands.
@@ -35,7 +35,7 @@ MOST, HURRIED = 1.5, 0.1
 
 
 @dataclass(frozen=True)
-class AntennaTurn:
+class AntennaRotation:
     """Of an antenna whose plots bear their own stamps: its period, and for how long it may show nothing meanwhile."""
 
     period_s: float
@@ -43,51 +43,51 @@ class AntennaTurn:
 
 
 @dataclass(frozen=True)
-class Looks:
-    """look_s : (n,) the look to which each report belongs. turn : None for exposures."""
+class Scans:
+    """scan_s : (n,) the look to which each report belongs. rotation : None for exposures."""
 
-    look_s: FloatArray
-    turn: AntennaTurn | None = None
+    scan_s: FloatArray
+    rotation: AntennaRotation | None = None
 
 
-def looks_of(
+def scans_of(
     time_s: FloatArray,
     period_s: float | None,
     bearing_deg: FloatArray | None = None,
-    looked_s: FloatArray | None = None,
-) -> Looks:
+    scan_times_s: FloatArray | None = None,
+) -> Scans:
     """The looks of bare plots.
 
     Parameters
     ----------
     time_s : (n,) in any order. period_s : between looks, as described; without it every stamp is a look.
     bearing_deg : (n,) of the plots from the sensor, NaN where not known; None where the sensor is in no one place.
-    looked_s : (l,) times of all looks, where they are known.
+    scan_times_s : (l,) times of all looks, where they are known.
 
     Example
     -------
-    >>> looks_of(np.array([5.0, 0.0, 0.0, 5.0]), 5.0)
-    Looks(look_s=array([5., 0., 0., 5.]), turn=None)
+    >>> scans_of(np.array([5.0, 0.0, 0.0, 5.0]), 5.0)
+    Scans(scan_s=array([5., 0., 0., 5.]), rotation=None)
     """
-    known = looked_s is not None and bool(np.isin(time_s, looked_s).all())
+    known = scan_times_s is not None and bool(np.isin(time_s, scan_times_s).all())
     if known or period_s is None or period_s <= 0.0 or not len(time_s):
-        return Looks(time_s.copy())
+        return Scans(time_s.copy())
     _, stamp, count = np.unique(time_s, return_inverse=True, return_counts=True)
     shared = float(np.mean(count[stamp] > 1)) >= 0.5
     exposures = _exposures(time_s, period_s, 0.0 if shared else TOGETHER * period_s)
     if exposures is not None:
-        return Looks(exposures)
-    turning = None if bearing_deg is None else turning_s(time_s, bearing_deg, period_s)
+        return Scans(exposures)
+    turning = None if bearing_deg is None else rotation_period_s(time_s, bearing_deg, period_s)
     if shared and turning is None:
-        return Looks(time_s.copy())
+        return Scans(time_s.copy())
     period = period_s if turning is None else turning
     gaps, first = np.diff(np.sort(time_s)), float(time_s.min())
     # The last plot itself must not fall out of the turn that it ends.
     pause_s = min(float(np.quantile(gaps, USUAL)), 0.999 * period)
-    return Looks(first + period * np.floor((time_s - first) / period), AntennaTurn(period, pause_s))
+    return Scans(first + period * np.floor((time_s - first) / period), AntennaRotation(period, pause_s))
 
 
-def turning_s(time_s: FloatArray, bearing_deg: FloatArray, near_s: float) -> float | None:
+def rotation_period_s(time_s: FloatArray, bearing_deg: FloatArray, near_s: float) -> float | None:
     """The period with which bearings run clockwise with the stamps; None where they do not, or too few tell it.
 
     The frequency f that maximises R = |Σ exp i(β − 2π f t)| / n. It counts where n R² is beyond what the search finds
@@ -95,7 +95,7 @@ def turning_s(time_s: FloatArray, bearing_deg: FloatArray, near_s: float) -> flo
     Source: Rayleigh's test, Mardia and Jupp, Directional Statistics (2000), 6.3.1.
 
     >>> t = np.arange(0.0, 60.0, 0.37)
-    >>> round(turning_s(t, 360.0 * t / 2.5, 3.0), 3)
+    >>> round(rotation_period_s(t, 360.0 * t / 2.5, 3.0), 3)
     2.5
     """
     known = np.flatnonzero(np.isfinite(bearing_deg))
@@ -141,23 +141,25 @@ def _exposures(time_s: FloatArray, period_s: float, together_s: float) -> FloatA
     return None if crowded or hurried else out
 
 
-def last_look(look_s: FloatArray, looked_s: FloatArray, instant_s: float) -> IntArray:
-    """Reports of the last exposure at or before an instant; none where that, one of ``looked_s``, showed nothing."""
-    past = looked_s[looked_s <= instant_s]
-    return np.flatnonzero(look_s == past.max()) if len(past) else np.empty(0, np.int64)
+def last_exposure(scan_s: FloatArray, scan_times_s: FloatArray, instant_s: float) -> IntArray:
+    """Reports of the last exposure at or before an instant; none where that one of ``scan_times_s`` showed nothing."""
+    past = scan_times_s[scan_times_s <= instant_s]
+    return np.flatnonzero(scan_s == past.max()) if len(past) else np.empty(0, np.int64)
 
 
-def last_turn(time_s: FloatArray, turn: AntennaTurn, looked_s: FloatArray, instant_s: float) -> IntArray:
-    """Reports of the last turn of an antenna before an instant: those of (t − T, t].
+def last_rotation(
+    time_s: FloatArray, rotation: AntennaRotation, scan_times_s: FloatArray, instant_s: float
+) -> IntArray:
+    """Reports of the last rotation of an antenna before an instant: those of (t − T, t].
 
-    Where it has shown nothing for longer than it usually does, it is not known whether it turned on, or its plots are
-    still on their way: the last turn of which anything is known stands. looked_s : times at which it is known to turn.
+    Where the antenna has shown nothing for longer than it usually does, it has stopped or its plots are still on their
+    way: the last rotation of which anything is known stands. scan_times_s : times at which it is known to turn.
     """
-    past, begun = time_s[time_s <= instant_s], looked_s[looked_s <= instant_s]
+    past, begun = time_s[time_s <= instant_s], scan_times_s[scan_times_s <= instant_s]
     if not len(past):
         return np.empty(0, np.int64)
-    end = min(instant_s, max(float(past.max()) + turn.pause_s, float(begun.max(initial=-math.inf))))
-    return np.flatnonzero((time_s > end - turn.period_s) & (time_s <= end))
+    end = min(instant_s, max(float(past.max()) + rotation.pause_s, float(begun.max(initial=-math.inf))))
+    return np.flatnonzero((time_s > end - rotation.period_s) & (time_s <= end))
 
 
 def seen_from(place: FloatArray, sensor_m: FloatArray | None) -> FloatArray | None:

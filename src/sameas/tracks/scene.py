@@ -11,7 +11,7 @@
 >>> now = scene.at(10.0)
 >>> now.sources[0].features.round(1).tolist()
 [[50.0, 0.0], [400.0, 0.0]]
->>> print(identify_many(now.sources, rule=now.belief(), region=now.region).members)
+>>> print(identify_many(now.sources, rule=now.rule(), region=now.region).members)
 [[0 0]
  [1 --]]
 """
@@ -156,7 +156,7 @@ class Instant:
         """Every number that nobody gave."""
         return tuple(line for description in self.descriptions for line in description.assumed)
 
-    def heard(self) -> Instant:
+    def with_records(self) -> Instant:
         """The same without the sources that say nothing; ``identify_many`` needs two that do."""
         keep = [k for k, source in enumerate(self.sources) if len(records_of(source))]
         chosen = {name: tuple(getattr(self, name)[k] for k in keep) for name in ("feeds", "sources", "age_s", "aged")}
@@ -174,7 +174,7 @@ class Instant:
         """Identities that are shown at two places too far apart for one object: forged, duplicate or wrong."""
         return alarms([source for source in self.sources if isinstance(source, Records)], self.identity())
 
-    def belief(self) -> PoissonObjects:
+    def rule(self) -> PoissonObjects:
         """What the descriptions say of misses and clutter, for ``identify_many``: its ``rule``.
 
         The probability of a miss is the mean over the places where records of any source are: a source whose coverage

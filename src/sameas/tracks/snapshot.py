@@ -15,7 +15,7 @@ from sameas.space import Plane
 from sameas.tracks.alignment import Earlier, States, aged, moved, process_noise, stamped_late
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions, SlowBearing
-from sameas.tracks.scans import last_look, last_turn
+from sameas.tracks.scans import last_exposure, last_rotation
 
 # Pointing: at which of the places that others show a direction may point.
 #
@@ -74,13 +74,13 @@ class Snapshot:
     @classmethod
     def of(cls, feed: Feed, instant_s: float) -> Snapshot:
         reports, description = feed.reports, feed.description
-        if reports.track is None and feed.turn is not None:
-            rows = last_turn(reports.time_s, feed.turn, feed.looked_s, instant_s)
+        if reports.track is None and feed.rotation is not None:
+            rows = last_rotation(reports.time_s, feed.rotation, feed.scan_times_s, instant_s)
         elif reports.track is None:
-            rows = last_look(feed.look_s, feed.looked_s, instant_s)
+            rows = last_exposure(feed.scan_s, feed.scan_times_s, instant_s)
         else:
             rows = feed.succession.at(instant_s)
-            rows = rows[instant_s - reports.time_s[rows] <= feed.ending_silence_s]
+            rows = rows[instant_s - reports.time_s[rows] <= feed.track_timeout_s]
         rows = rows[reports.usable[rows]]
         time_s, none = reports.time_s[rows], np.empty(0, np.int64)
         if isinstance(reports, Directions):
