@@ -12,6 +12,7 @@ import pytest
 from sameas.errors import InputError
 from sameas.io.sensors import REPORT_FORMATS, ReadOptions, read_reports
 from sameas.io.sensors.clock import at_second, counted_on, held, instant
+from sameas.io.sensors.format import SensorFile
 from sameas.io.sensors.reading import format_of
 
 DATA = Path(__file__).parent / "data"
@@ -35,7 +36,8 @@ ORACLE = json.loads((DATA / "asterix_oracle.json").read_text())
     ],
 )
 def test_the_content_tells_the_format(found, name):
-    assert name in REPORT_FORMATS and format_of(found) == name
+    file = SensorFile(Path("file"), found, "file", ReadOptions())
+    assert name in REPORT_FORMATS and format_of(file).name == name
 
 
 def test_a_gzipped_file_is_the_file(tmp_path):

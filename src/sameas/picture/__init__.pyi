@@ -2,11 +2,11 @@
 
 from .memory import Memory as Memory
 from .memory import Past as Past
-from .picture_state import PictureState as PictureState
 from .object_ids import Stages as Stages
 from .picture import Picture as Picture
 from .picture import instants as instants
 from .picture import moments as moments
+from .picture_state import PictureState as PictureState
 from .plot_picture import PlotPicture as PlotPicture
 from .summary import Summary as Summary
 from .watch import Watch as Watch

@@ -8,6 +8,7 @@ positions by multilateration (mlat) and rebroadcast (tisb) state none and stay w
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -17,6 +18,7 @@ import numpy as np
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S, seconds
+from sameas.io.sensors.format import SensorFormat
 from sameas.tracks.accuracy import (
     round_covariance,
     sigma_of_containment,
@@ -173,3 +175,11 @@ def _is_same(before: Mapping[str, Any] | None, row: Mapping[str, Any]) -> bool:
         return False
     same_place = before["lat_deg"] == row["lat_deg"] and before["lon_deg"] == row["lon_deg"]
     return same_place and abs(before["time_s"] - row["time_s"]) <= _SAME_POSITION_S
+
+
+FORMAT = SensorFormat(
+    "aircraft",
+    "aircraft.json of dump1090, readsb or tar1090, one snapshot a line or a file",
+    lambda file: [read(file.lines, file.source)],
+    lambda file: re.search(rb'"aircraft"\s*:\s*\[', file.head) is not None,
+)

@@ -18,6 +18,7 @@ import numpy as np
 from sameas.errors import InputError
 from sameas.io.sensors.aircraft import errors_of, identity_of, notes
 from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S, counted_on, instant
+from sameas.io.sensors.format import SensorFormat
 from sameas.tracks.accuracy import round_covariance, sigma_of_nucp
 from sameas.tracks.reports import Damaged, Reports, of_rows
 
@@ -174,3 +175,11 @@ def _errors(columns: Mapping[str, Any]) -> dict[str, Any]:
     by_kind = round_covariance(sigma_of_nucp(columns.get("nuc_p", np.full(len(columns["time_s"]), np.nan))))
     missing = ~np.isfinite(found["covariance_m2"][:, 0])
     return found | {"covariance_m2": np.where(missing[:, None], by_kind, found["covariance_m2"])}
+
+
+FORMAT = SensorFormat(
+    "mode-s",
+    "raw Mode S messages in hexadecimal, with times",
+    lambda file: [read(file.lines, file.source, file.start_s)],
+    lambda file: file.share_of_lines(r"(?:[^,;*@]+[,;\s]+)?[*@]?[0-9A-Fa-f]{14,42};?") > 0.5,
+)

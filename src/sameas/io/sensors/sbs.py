@@ -7,6 +7,7 @@ programs and UTC in others; the lines do not say which.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any
@@ -14,6 +15,7 @@ from typing import Any
 from sameas.errors import InputError
 from sameas.io.sensors.aircraft import identity_of
 from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S, instant
+from sameas.io.sensors.format import SensorFormat
 from sameas.tracks.reports import Damaged, Reports, of_rows
 
 #: Words older than this are not taken along with a position, in seconds.
@@ -104,3 +106,11 @@ def _number(cells: Sequence[str], number: int) -> float | None:
         return float(text)
     except ValueError:
         raise ValueError(f"cell {number + 1} is no number") from None
+
+
+FORMAT = SensorFormat(
+    "sbs",
+    "BaseStation lines (MSG,…)",
+    lambda file: [read(file.lines, file.source)],
+    lambda file: any(re.match(r"MSG,\s*\d,", line) for line in file.head_lines),
+)

@@ -20,7 +20,8 @@ from pathlib import Path
 from typing import Any
 
 from sameas.errors import InputError
-from sameas.io.sensors.reading import ReadOptions, read_reports
+from sameas.io.sensors.format import ReadOptions
+from sameas.io.sensors.reading import read_reports
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description, source_tables

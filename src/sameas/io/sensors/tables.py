@@ -24,6 +24,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.io.sensors.clock import DAY_S, counted_on, instant, seconds
 from sameas.io.sensors.columns import Choice, choose
+from sameas.io.sensors.format import SensorFile, SensorFormat
 from sameas.tracks.accuracy import round_covariance
 from sameas.tracks.reports import Damaged, Reports
 
@@ -369,3 +370,23 @@ def _matrix(values: dict[str, Any], covariances: Sequence[str], sigmas: Sequence
     if sigma[0] is not None and sigma[1] is not None:
         return np.stack([sigma[0] ** 2, np.zeros(len(sigma[0])), sigma[1] ** 2], axis=-1)
     return None
+
+
+PARQUET = b"PAR1"
+
+
+def _cells_of(file: SensorFile) -> TableText:
+    if file.content.startswith(PARQUET):
+        return cells_of_parquet(file.path)
+    first = next((line.strip() for line in file.lines if line.strip()), "")
+    return cells_of_json(file.lines, file.source) if first[:1] in "{[" else cells_of_csv(file.lines, file.source)
+
+
+FORMAT = SensorFormat(
+    "table",
+    "CSV, Parquet or JSON lines with columns that are understood by their names",
+    lambda file: [read(_cells_of(file), file.source, file.start_s, file.options.columns, file.options.units)],
+    # A zero among sentences is a line that was damaged; no table has one.
+    lambda file: b"\0" not in file.head,
+    magic=(PARQUET,),
+)

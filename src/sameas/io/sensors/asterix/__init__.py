@@ -4,6 +4,6 @@
 a category is; ``records`` walks through them; ``cat021``, ``cat048`` and ``cat062`` say what the items mean.
 """
 
-from sameas.io.sensors.asterix.reading import read
+from sameas.io.sensors.asterix.reading import FORMAT, read
 
-__all__ = ["read"]
+__all__ = ["FORMAT", "read"]

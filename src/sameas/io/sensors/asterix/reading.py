@@ -12,9 +12,10 @@ import numpy as np
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.io.sensors.asterix import cat021, cat048, cat062
-from sameas.io.sensors.asterix.blocks import PCAPNG, Block, blocks_of
+from sameas.io.sensors.asterix.blocks import PCAPNG, Block, blocks_of, looks_like
 from sameas.io.sensors.asterix.records import CATEGORIES, DamagedRecord, records_of, unsigned
 from sameas.io.sensors.clock import DAY_S, counted_on
+from sameas.io.sensors.format import SensorFormat
 from sameas.tracks.reports import Damaged, Reports, of_rows
 
 _MEANINGS: dict[int, ModuleType] = {21: cat021, 48: cat048, 62: cat062}
@@ -133,3 +134,12 @@ def _times(day_s: FloatArray, received_s: FloatArray, name: str, start_s: float 
             f"{name}: no date: the records tell the time of day only; give start, the UTC date of the first"
         )
     return counted_on(day_s, DAY_S, start_s)
+
+
+FORMAT = SensorFormat(
+    "asterix",
+    "ASTERIX categories 021, 048 and 062, bare or in a pcap capture",
+    lambda file: read(file.content, file.source, file.start_s),
+    lambda file: looks_like(file.content),
+    magic=(PCAPNG,),
+)
