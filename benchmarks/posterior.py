@@ -25,7 +25,7 @@ EXACT = stage.METHODS.index("exact elimination")
 
 @dataclass(frozen=True)
 class Solved:
-    """Groups with their best hypotheses and what the posterior stage made of them."""
+    """Groups with their best hypotheses and posteriors."""
 
     groups: Groups
     best: Any
@@ -55,17 +55,18 @@ def approximations(solved: Solved) -> dict[str, np.ndarray]:
     g, best = solved.groups, solved.best
     method = np.where(solved.posterior.method == EXACT, stage.APPROXIMATE, 0).astype(np.int8)
     belief = np.zeros(len(g.order))
-    heard = stage._Messages.of(g, best, method, belief, stage.CLOSELY)
+    tuning = stage.Tuning()
+    messages = stage._Messages.of(g, best, method, belief, tuning.closely, tuning)
     inside = np.flatnonzero(np.repeat(method == stage.APPROXIMATE, g.pair_counts))
     around = belief.copy()
-    around[inside] = stage._neighbourhoods(g, best, inside, heard)
+    around[inside] = stage._neighbourhoods(g, best, inside, messages, tuning)
     ways = {"messages": belief, "neighbourhoods": around}
-    for threshold in stage.THRESHOLDS[:: len(stage.THRESHOLDS) - 1]:
-        basis = around if threshold >= stage.SURE else belief
-        kept = inside[(basis[inside] > threshold) | best.chosen[inside]]
-        part, summed = stage._Thinned.of(g, best, kept, heard.weight[kept]).exact()
+    for threshold in tuning.thresholds[:: len(tuning.thresholds) - 1]:
+        basis = around if threshold >= tuning.sure else belief
+        probable = inside[(basis[inside] > threshold) | best.chosen[inside]]
+        part, summed = stage._Thinned.of(g, best, probable, messages.weight[probable]).exact()
         thinned = basis.copy()
-        thinned[kept[summed]] = part[summed]
+        thinned[probable[summed]] = part[summed]
         ways[f"thinned below {threshold:g}"] = thinned
     return ways
 

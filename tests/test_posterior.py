@@ -11,7 +11,7 @@ from problems import DRAWS, components_of, laid_out, many_blocks, random_ratios,
 from sameas import CommonObjects, PerPair
 from sameas.assignment import assign
 from sameas.kernels.messages import bounds
-from sameas.posterior import APPROXIMATE, EVERY, METHODS, THINNED, posterior
+from sameas.posterior import APPROXIMATE, EVERY, METHODS, THINNED, Tuning, posterior
 from test_assignment import PRIORS
 
 
@@ -150,16 +150,13 @@ def test_no_pair_is_more_probable_than_its_bound(seed):
 
 
 @pytest.mark.parametrize("limit, error", [(1e-7, 2e-6), (1e-5, 2e-4)])
-def test_leaving_the_improbable_out_changes_as_little_as_is_said(monkeypatch, limit, error):
+def test_leaving_the_improbable_out_changes_as_little_as_is_said(limit, error):
     left_out = 0
     for seed in range(4):
         scene = entangled(np.random.default_rng([seed, 7]), 30, 8, 0.1, wide=3.0)
         _, grouped, best, _ = solved(*scene, PerPair(0.0))
-        monkeypatch.setattr("sameas.posterior.SMALL", EVERY)
-        every = posterior(grouped, best)
-        monkeypatch.setattr("sameas.posterior.SMALL", 0)
-        monkeypatch.setattr("sameas.posterior.IMPROBABLE", limit)
-        fewer = posterior(grouped, best)
+        every = posterior(grouped, best, Tuning(small=EVERY))
+        fewer = posterior(grouped, best, Tuning(small=0, improbable=limit))
         np.testing.assert_allclose(fewer.p_pair, every.p_pair, rtol=0, atol=error)
         assert set(fewer.neglected.tolist()) <= {0.0, limit}
         left_out += np.count_nonzero(fewer.neglected)

@@ -1,14 +1,17 @@
 """How sure: the probability of every pair, summed over all one-to-one hypotheses of its group (METHOD 5).
 
-Groups in which one record has all the pairs are a closed form. Under a linear prior others are summed exactly by
-folding records with one pair into their partners and eliminating what remains one by one; under a prior of the count it
-is carried along. That covers every group of up to about 16 records on its smaller side and larger ones that are thin,
-such as trees and chains. From large groups those pairs are left out first that are proved to be less probable than
-1e-6; most of them fall apart. What is too entangled is thinned further: sum-product messages tell which pairs are next
-to impossible; without those most groups fall apart and are summed as before. What is still entangled is approximated:
-every record is solved exactly together with the records that compete with it most, and the messages stand for what lies
-beyond; by these probabilities it is thinned further, and what falls apart then is summed. Which method a group got is
-part of the result.
+Which method a group gets is part of the result:
+
+1. *Closed form*: one record has all the pairs of the group.
+2. *Exact elimination*: records with one pair are folded into their partners, the others eliminated one by one; a prior
+   of the count is carried along. This covers every group of up to about 16 records on its smaller side, and larger
+   ones that are thin, such as trees and chains. Large groups first lose the pairs that are proved to be less probable
+   than 1e-6; most of them then fall apart.
+3. *Thinned*: sum-product messages show which pairs of an entangled group are next to impossible. Without these most
+   groups fall apart and are summed exactly.
+4. *Local*: in what is still entangled, every record is solved exactly together with the records that compete with it
+   most, with messages for what lies beyond. The group is thinned by these probabilities too, and summed where it
+   falls apart.
 """
 
 from __future__ import annotations
@@ -35,28 +38,46 @@ METHODS = (
 ELIMINATED, APPROXIMATE, THINNED = 1, 2, 3
 _NONE = np.empty(0, np.int64)
 
-#: Groups of no more records than this on one side are summed with every pair; from larger ones pairs are left out
-#: whose probability is proved to be below the other number, where the prior allows the proof.
-SMALL, IMPROBABLE = 16, 1e-6
+#: No limit on the records of a group.
 EVERY = 2**62
-#: Groups of no more records than this on one side are summed exactly even where sums over many pairs are wanted.
-FEW = 4
-#: Pairs that are proved to be less probable than this do not count where sums over many pairs are wanted.
-UNIMPORTANT = 1e-5
 
-#: Pairs of an entangled group that are less probable than this are left out, step by step until it falls apart:
-#: by what messages say at first, from SURE on by what neighbourhoods say.
-THRESHOLDS = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4)
-SURE = 1e-6
 
-#: Size of the exact neighbourhood around a record of an entangled group: rows, and log2 of the choices among them.
-NEIGHBOURHOOD_ROWS = 8
-NEIGHBOURHOOD_BITS = 16.0
-SWEEPS = 400
-#: Relative change of a message that counts as settled: where sums over many pairs are wanted, and where each counts.
-ROUGHLY, CLOSELY = 1e-4, 1e-8
-#: Times that a prior of the count is made linear anew around the expected number of pairs.
-LINEARISATIONS = 6
+@dataclass(frozen=True)
+class Tuning:
+    """Where the posterior goes over to approximations; the defaults are chosen with ``benchmarks/posterior.py``.
+
+    Attributes
+    ----------
+    small : groups of at most this many records on one side are summed with every pair.
+    improbable : pairs of larger groups that are proved to be less probable than this are left out first, where the
+        prior allows the proof.
+    thresholds : pairs of an entangled group that are less probable than this are left out, step by step until the
+        group falls apart.
+    sure : the threshold from which on probabilities come from neighbourhoods; below it messages are enough.
+    neighbourhood_rows, neighbourhood_bits : size of the exact neighbourhood around a record of an entangled group:
+        its rows, and log2 of the choices among them.
+    sweeps : most sweeps of sum-product messages.
+    closely, roughly : relative change of a message that counts as settled, where each probability counts and where
+        sums over many pairs are wanted.
+    linearisations : how many times a prior of the count is made linear about the expected number of pairs.
+    few, unimportant : the same as ``small`` and ``improbable`` where sums over many pairs are wanted.
+    """
+
+    small: int = 16
+    improbable: float = 1e-6
+    thresholds: tuple[float, ...] = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4)
+    sure: float = 1e-6
+    neighbourhood_rows: int = 8
+    neighbourhood_bits: float = 16.0
+    sweeps: int = 400
+    closely: float = 1e-8
+    roughly: float = 1e-4
+    linearisations: int = 6
+    few: int = 4
+    unimportant: float = 1e-5
+
+
+DEFAULT_TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -67,7 +88,7 @@ class Posterior:
     ----------
     p_pair : (m,) probability of each pair, in the order of the gate.
     method : (g,) number into :data:`METHODS`.
-    neglected : (g,) probability, as first estimated, below which pairs were left at that; 0 where every pair counted.
+    neglected : (g,) pairs of a lower probability, as first estimated, were not summed exactly; 0 where all were.
     unsettled : largest relative change of a message in the last sweep (0 where no messages were needed).
     """
 
@@ -81,23 +102,23 @@ class Posterior:
         return {name: int(np.count_nonzero(self.method == k)) for k, name in enumerate(METHODS)}
 
 
-def posterior(groups: Groups, best: Hypothesis) -> Posterior:
+def posterior(groups: Groups, best: Hypothesis, tuning: Tuning = DEFAULT_TUNING) -> Posterior:
     """Probabilities of all pairs, given the evidence and prior that made ``best``."""
     m = len(groups.order)
     share = np.zeros(m)
     method = np.zeros(len(groups), np.int8)
     linear = best.prior.slope is not None
-    _exact(groups, best, share, method, SMALL if linear else EVERY)
+    _exact(groups, best, share, method, tuning.small if linear else EVERY)
     neglected = np.zeros(len(groups))
     unsettled = 0.0
     open_pairs = _NONE
     if np.any(method == APPROXIMATE):
         if linear:
-            open_pairs = _without_improbable(groups, best, method, share, neglected)
+            open_pairs = _without_improbable(groups, best, method, share, neglected, tuning.improbable)
         else:
             open_pairs = np.flatnonzero(np.repeat(method == APPROXIMATE, groups.pair_counts))
     if len(open_pairs):
-        unsettled = _local(groups, best, open_pairs, method, share, neglected)
+        unsettled = _local(groups, best, open_pairs, method, share, neglected, tuning)
         share = _within_one(groups, share)
     p_pair = np.empty(m)
     p_pair[groups.order] = np.clip(share, 0.0, 1.0, out=share)
@@ -105,39 +126,44 @@ def posterior(groups: Groups, best: Hypothesis) -> Posterior:
 
 
 def _without_improbable(
-    groups: Groups, best: Hypothesis, method: NDArray[np.int8], share: FloatArray, neglected: FloatArray
+    groups: Groups,
+    best: Hypothesis,
+    method: NDArray[np.int8],
+    share: FloatArray,
+    neglected: FloatArray,
+    improbable: float,
 ) -> IntArray:
     """Fill ``share`` of what falls apart without the pairs that are proved improbable; the pairs that still do not."""
-    wanted = method == APPROXIMATE
-    _bounds(groups, best, wanted, share)
-    kept = np.flatnonzero(np.repeat(wanted, groups.pair_counts) & (share >= IMPROBABLE))
-    neglected[wanted & (np.minimum.reduceat(share, groups.start[:-1]) < IMPROBABLE)] = IMPROBABLE
-    part, solved = _Thinned.of(groups, best, kept, best.weight[kept]).exact()
-    method[wanted] = ELIMINATED
+    large = method == APPROXIMATE
+    _bounds(groups, best, large, share)
+    probable = np.flatnonzero(np.repeat(large, groups.pair_counts) & (share >= improbable))
+    neglected[large & (np.minimum.reduceat(share, groups.start[:-1]) < improbable)] = improbable
+    part, solved = _Thinned.of(groups, best, probable, best.weight[probable]).exact()
+    method[large] = ELIMINATED
     if solved.all():
-        share[kept] = part
+        share[probable] = part
         return _NONE
-    share[kept[solved]] = part[solved]
-    method[groups.group[kept[~solved]]] = APPROXIMATE
-    return kept[~solved]
+    share[probable[solved]] = part[solved]
+    method[groups.group[probable[~solved]]] = APPROXIMATE
+    return probable[~solved]
 
 
-def _bounds(groups: Groups, best: Hypothesis, wanted: BoolArray, bound: FloatArray) -> None:
-    """Fill ``bound`` (m,) with upper bounds of P of the pairs of the wanted groups (g,), under a linear prior."""
+def _bounds(groups: Groups, best: Hypothesis, large: BoolArray, bound: FloatArray) -> None:
+    """Fill ``bound`` (m,) with upper bounds of P of the pairs of some groups, ``large`` (g,), under a linear prior."""
     from sameas.kernels.messages import bounds
 
     shape = (groups.start, groups.start_1, groups.start_2, groups.edges_1, groups.local_1, groups.local_2)
-    state = (best.weight, best.chosen, wanted, bound)
+    state = (best.weight, best.chosen, large, bound)
     threads.over(lambda a, b: bounds(a, b, *shape, *state), groups.bounds(len(threads.even(len(bound))) - 1))
 
 
 def _within_one(groups: Groups, share: FloatArray) -> FloatArray:
-    """Approximate shares, such that no record of either source is given away more than once."""
+    """Approximate shares, scaled so that those of a record of either source sum to at most 1."""
     total_1, total_2 = (np.bincount(place, share)[place] for place in groups.places)
     return share / np.maximum(1.0, np.maximum(total_1, total_2))
 
 
-def by_messages(groups: Groups, best: Hypothesis) -> Posterior:
+def by_messages(groups: Groups, best: Hypothesis, tuning: Tuning = DEFAULT_TUNING) -> Posterior:
     """Probabilities of all pairs, exact in small groups, by sum-product messages alone in others: fast.
 
     On short cycles messages are over-confident; use them where sums over many pairs are wanted, as estimation does.
@@ -145,16 +171,16 @@ def by_messages(groups: Groups, best: Hypothesis) -> Posterior:
     """
     share = np.zeros(len(groups.order))
     method = np.zeros(len(groups), np.int8)
-    _exact(groups, best, share, method, FEW)
-    change, wanted = 0.0, method == APPROXIMATE
+    _exact(groups, best, share, method, tuning.few)
+    change, large = 0.0, method == APPROXIMATE
     if best.prior.slope is None:
-        change = _Messages.of(groups, best, method, share, ROUGHLY).change
-    elif wanted.any():
+        change = _Messages.of(groups, best, method, share, tuning.roughly, tuning).change
+    elif large.any():
         bound = share.copy()
-        _bounds(groups, best, wanted, bound)
-        kept = np.flatnonzero(np.repeat(wanted, groups.pair_counts) & (bound > UNIMPORTANT))
-        thin = _Thinned.of(groups, best, kept, best.weight[kept])
-        share[kept], change = thin.by_messages()
+        _bounds(groups, best, large, bound)
+        probable = np.flatnonzero(np.repeat(large, groups.pair_counts) & (bound > tuning.unimportant))
+        thin = _Thinned.of(groups, best, probable, best.weight[probable])
+        share[probable], change = thin.by_messages(tuning)
     p_pair = np.empty(len(share))
     p_pair[groups.order] = np.clip(share, 0.0, 1.0, out=share)
     return Posterior(p_pair, method, np.zeros(len(groups)), change)
@@ -162,7 +188,7 @@ def by_messages(groups: Groups, best: Hypothesis) -> Posterior:
 
 @dataclass(frozen=True)
 class _Messages:
-    """What messages say of the APPROXIMATE groups.
+    """Sum-product messages of the APPROXIMATE groups.
 
     weight (m,) with a linear prior; claims_1 (m,) odds with which record 1 claims record 2, claims_2 the reverse;
     change : largest relative change of a message in the last sweep.
@@ -175,19 +201,26 @@ class _Messages:
 
     @classmethod
     def of(
-        cls, groups: Groups, best: Hypothesis, method: NDArray[np.int8], share: FloatArray, settled: float
+        cls,
+        groups: Groups,
+        best: Hypothesis,
+        method: NDArray[np.int8],
+        share: FloatArray,
+        settled: float,
+        tuning: Tuning,
     ) -> _Messages:
         """Messages under the prior, made linear around the expected number of pairs; fills ``share``."""
+        limits = tuning.sweeps, settled
         if best.prior.slope is not None:
-            return cls._under(best.weight, groups, best, method, share, settled)
+            return cls._under(best.weight, groups, best, method, share, limits)
         size = np.add.reduceat(best.chosen.astype(np.float64), groups.start[:-1])
-        for _ in range(LINEARISATIONS):
+        for _ in range(tuning.linearisations):
             weight = best.weight + np.repeat(_slopes(groups, best, size), groups.pair_counts)
-            heard = cls._under(weight, groups, best, method, share, settled)
+            messages = cls._under(weight, groups, best, method, share, limits)
             before, size = size, np.add.reduceat(share, groups.start[:-1])
             if np.all((np.abs(size - before) < 0.5) | (method != APPROXIMATE)):
                 break
-        return heard
+        return messages
 
     @classmethod
     def _under(
@@ -197,13 +230,13 @@ class _Messages:
         best: Hypothesis,
         method: NDArray[np.int8],
         share: FloatArray,
-        settled: float,
+        limits: tuple[int, float],
     ) -> _Messages:
         from sameas.kernels.messages import messages
 
         claims = np.zeros(len(weight)), np.zeros(len(weight))
         shape = (groups.start, groups.start_1, groups.start_2, groups.edges_1, groups.local_2)
-        state = (weight, best.dual_1, best.dual_2, method, *claims, share, SWEEPS, settled)
+        state = (weight, best.dual_1, best.dual_2, method, *claims, share, *limits)
         bounds = groups.bounds(len(threads.even(len(weight))) - 1)
         changes = threads.over(lambda a, b: messages(a, b, *shape, *state), bounds)
         return cls(weight, *claims, float(max(changes, default=0.0)))
@@ -212,7 +245,7 @@ class _Messages:
 def _exact(groups: Groups, best: Hypothesis, share: FloatArray, method: NDArray[np.int8], most: int = EVERY) -> None:
     """Fill ``share`` and ``method`` of the groups that can be summed exactly; mark the others APPROXIMATE.
 
-    most : groups of more records than this on both sides are not tried.
+    most : groups of more records than this on both sides are skipped.
     """
     from sameas.kernels.posterior import exact, exact_counted
 
@@ -233,40 +266,44 @@ def _local(
     method: NDArray[np.int8],
     share: FloatArray,
     neglected: FloatArray,
+    tuning: Tuning,
 ) -> float:
     """Fill ``share`` of the pairs that elimination gave up; returns how far the messages were from settled.
 
     ``method`` becomes THINNED for groups that fall apart into parts that can be summed, and ``neglected`` the
-    probability, as first estimated, below which their pairs were left at that.
+    probability, as first estimated, below which their pairs keep that estimate.
     """
-    said = np.zeros(len(share))
-    heard = _Messages.of(groups, best, method, said, CLOSELY)
-    share[open_pairs] = said[open_pairs]
+    p_messages = np.zeros(len(share))
+    messages = _Messages.of(groups, best, method, p_messages, tuning.closely, tuning)
+    share[open_pairs] = p_messages[open_pairs]
     group = groups.group
     method[method == APPROXIMATE] = THINNED
-    for threshold in THRESHOLDS:
-        if threshold == SURE:
-            # From here on what is left out counts; messages alone are not to be trusted with it.
-            share[open_pairs] = _neighbourhoods(groups, best, open_pairs, heard)
+    for threshold in tuning.thresholds:
+        if threshold == tuning.sure:
+            # From here on what is left out counts, and messages alone are too over-confident to choose it.
+            share[open_pairs] = _neighbourhoods(groups, best, open_pairs, messages, tuning)
         neglected[group[open_pairs]] = threshold
-        kept = open_pairs[(share[open_pairs] > threshold) | best.chosen[open_pairs]]
-        part, solved = _Thinned.of(groups, best, kept, heard.weight[kept]).exact()
-        share[kept[solved]] = part[solved]
-        open_pairs = kept[~solved]
+        probable = open_pairs[(share[open_pairs] > threshold) | best.chosen[open_pairs]]
+        part, solved = _Thinned.of(groups, best, probable, messages.weight[probable]).exact()
+        share[probable[solved]] = part[solved]
+        open_pairs = probable[~solved]
         if not len(open_pairs):
             break
     method[group[open_pairs]] = APPROXIMATE
-    return heard.change
+    return messages.change
 
 
-def _neighbourhoods(groups: Groups, best: Hypothesis, pairs: IntArray, heard: _Messages) -> FloatArray:
+def _neighbourhoods(
+    groups: Groups, best: Hypothesis, pairs: IntArray, messages: _Messages, tuning: Tuning
+) -> FloatArray:
     """Probabilities of some pairs from the neighbourhoods of their records; the mean over both favours neither."""
-    around_1 = _Thinned.of(groups, best, pairs, heard.weight[pairs]).by_neighbourhoods(heard.claims_1[pairs])
-    turn = np.lexsort([place[pairs] for place in groups.places])
-    by_2 = pairs[turn]
-    turned = _Thinned.of(groups, best, by_2, heard.weight[by_2], turned=True)
+    one = _Thinned.of(groups, best, pairs, messages.weight[pairs])
+    around_1 = one.by_neighbourhoods(messages.claims_1[pairs], tuning)
+    order = np.lexsort([place[pairs] for place in groups.places])
+    by_2 = pairs[order]
+    two = _Thinned.of(groups, best, by_2, messages.weight[by_2], swapped=True)
     around_2 = np.empty_like(around_1)
-    around_2[turn] = turned.by_neighbourhoods(heard.claims_2[by_2])
+    around_2[order] = two.by_neighbourhoods(messages.claims_2[by_2], tuning)
     return 0.5 * (around_1 + around_2)
 
 
@@ -279,38 +316,38 @@ class _Thinned:
 
     @classmethod
     def of(
-        cls, groups: Groups, best: Hypothesis, kept: IntArray, weight: FloatArray, *, turned: bool = False
+        cls, groups: Groups, best: Hypothesis, pairs: IntArray, weight: FloatArray, *, swapped: bool = False
     ) -> _Thinned:
-        """The pairs ``kept``, listed by their record 1; ``turned`` exchanges the sources, the list is by record 2."""
-        group = np.repeat(np.arange(len(groups), dtype=np.int32), groups.pair_counts)[kept]
+        """Some ``pairs``, listed by their record 1; ``swapped`` exchanges the sources, the list is by record 2."""
+        group = np.repeat(np.arange(len(groups), dtype=np.int32), groups.pair_counts)[pairs]
         starts = groups.start_1.astype(np.int32), groups.start_2.astype(np.int32)
-        places = starts[0][group] + groups.local_1[kept], starts[1][group] + groups.local_2[kept]
+        places = starts[0][group] + groups.local_1[pairs], starts[1][group] + groups.local_2[pairs]
         duals = (best.dual_1, best.dual_2)
-        if turned:
+        if swapped:
             places, duals = places[::-1], duals[::-1]
         thin = laid_out(*places, *places, len(duals[0]), len(duals[1]))
         linear = LogPrior(np.zeros(len(thin)), np.zeros(len(thin) + 1, np.int64), np.empty(0))
-        chosen, weight = best.chosen[kept][thin.order], weight[thin.order]
+        chosen, weight = best.chosen[pairs][thin.order], weight[thin.order]
         state = (chosen, weight, duals[0][thin.rows_1], duals[1][thin.rows_2], np.zeros(len(thin)), linear)
         return cls(thin, Hypothesis(*state))
 
     def exact(self) -> tuple[FloatArray, BoolArray]:
-        """Probability of every kept pair, and whether its part could be summed."""
+        """Probability of every pair, and whether its part could be summed."""
         share = np.zeros(len(self.groups.order))
         method = np.zeros(len(self.groups), np.int8)
         _exact(self.groups, self.best, share, method)
         solved = np.repeat(method != APPROXIMATE, self.groups.pair_counts)
         return self._as_given(share), self._as_given(solved)
 
-    def by_messages(self) -> tuple[FloatArray, float]:
-        """Probability of every kept pair by messages alone, and their largest relative change in the last sweep."""
+    def by_messages(self, tuning: Tuning) -> tuple[FloatArray, float]:
+        """Probability of every pair by messages alone, and their largest relative change in the last sweep."""
         share = np.zeros(len(self.groups.order))
         method = np.full(len(self.groups), APPROXIMATE, np.int8)
-        change = _Messages.of(self.groups, self.best, method, share, ROUGHLY).change
+        change = _Messages.of(self.groups, self.best, method, share, tuning.roughly, tuning).change
         return self._as_given(share), change
 
-    def by_neighbourhoods(self, claims: FloatArray) -> FloatArray:
-        """Probability of every kept pair from the neighbourhood of its record; ``claims`` are the messages."""
+    def by_neighbourhoods(self, claims: FloatArray, tuning: Tuning) -> FloatArray:
+        """Probability of every pair from the neighbourhood of its record; ``claims`` are the messages."""
         from sameas.kernels.messages import balls, columns_of
 
         g, best = self.groups, self.best
@@ -320,7 +357,7 @@ class _Thinned:
         group1 = np.repeat(np.arange(len(g), dtype=np.int32), g.sizes_1)
         shape = (group1, g.start_1, g.start_2, g.edges_1, g.local_1, g.local_2, *columns)
         state = (best.weight, best.dual_1, best.dual_2, method, claims[g.order])
-        size = (NEIGHBOURHOOD_ROWS, NEIGHBOURHOOD_BITS)
+        size = (tuning.neighbourhood_rows, tuning.neighbourhood_bits)
         threads.over(lambda a, b: balls(a, b, *shape, *state, *size, share), threads.even(len(group1), least=256))
         return self._as_given(share)
 
