@@ -7,7 +7,7 @@ import pytest
 
 import naive
 from problems import DRAWS, components_of, laid_out, many_blocks, plane_records
-from sameas import CommonObjects, InputError, LonLatBox, PerPair, Radius, Records
+from sameas import Box, CommonObjects, InputError, PerPair, Radius, Records
 from sameas.assignment import assign
 from sameas.groups import groups
 from sameas.result import Loss
@@ -16,7 +16,7 @@ from sameas.score.baselines import classified, enumerated, most_pairs, mutual_ne
 
 def scene(seed, n1=12, n2=9, d=2, gate=3.0, scale=0.12):
     rng = np.random.default_rng(seed)
-    pairs = LonLatBox(gate)(*(plane_records(rng, n, d, scale=scale, kind="full") for n in (n1, n2)))
+    pairs = Box(gate)(*(plane_records(rng, n, d, scale=scale, kind="full") for n in (n1, n2)))
     return pairs, groups(pairs)
 
 

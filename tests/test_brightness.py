@@ -198,7 +198,7 @@ def test_the_rule_adds_to_the_rule_of_positions(frame, found):
     again = identify(frame.scene.first, frame.scene.second, rule=PoissonField(0.005, 0.001, 0.01) + brightness)
     assert set(again.evidence.terms) == {"position", "densities", "completeness", "brightness"}
     # Pairs that are not those it was learned with are compared anew, with the same result.
-    fresh = dataclasses.replace(brightness, known=None)(answer.pairs).terms["brightness"]
+    fresh = dataclasses.replace(brightness, comparisons=None)(answer.pairs).terms["brightness"]
     assert fresh == pytest.approx(brightness(answer.pairs).terms["brightness"], abs=1e-12)
 
 

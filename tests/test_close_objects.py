@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 
 import naive
 from problems import plane_records
-from sameas import CloseObjects, InputError, LonLatBox, Radius, Records
+from sameas import Box, CloseObjects, InputError, Radius, Records
 from sameas.evidence import log_neighbour_density, log_surface_density
 from sameas.evidence.boxes import log_correlated_density, log_correlated_surface, log_rectangle
 from sameas.evidence.close import log_generalized_density, log_generalized_gaussian
@@ -124,7 +124,7 @@ def test_boxes_may_be_closed_in_one_feature_or_have_no_inner_one(a, b):
 def test_the_rule_takes_the_whole_covariance_where_two_features_are_correlated():
     rng = np.random.default_rng(6)
     full, plain = (plane_records(rng, 7, 2, scale=0.2, kind=kind) for kind in ("full", "axis sigmas"))
-    pairs = LonLatBox(4.0)(full, plain)
+    pairs = Box(4.0)(full, plain)
     for a, b in ((0.2, 0.9), (0.0, 0.9)):
         expected = [
             naive.close_objects_correlated(*naive.residual(full, i, plain, j), np.full(2, a), np.full(2, b))
@@ -133,14 +133,14 @@ def test_the_rule_takes_the_whole_covariance_where_two_features_are_correlated()
         exact, diagonal = CloseObjects(a, b)(pairs), CloseObjects(a, b, correlation="diagonal")(pairs)
         np.testing.assert_allclose(exact.log_ratio, expected, rtol=1e-9, atol=1e-8)
         assert np.abs(exact.log_ratio - diagonal.log_ratio).max() > 0.01
-    uncorrelated = LonLatBox(4.0)(plain, plain)
+    uncorrelated = Box(4.0)(plain, plain)
     exact, diagonal = (CloseObjects(0.2, 0.9, how)(uncorrelated).log_ratio for how in ("exact", "diagonal"))
     np.testing.assert_array_equal(exact, diagonal)
 
 
 def test_in_three_features_the_boxes_take_the_diagonal():
     rng = np.random.default_rng(7)
-    pairs = LonLatBox(4.0)(*(plane_records(rng, 12, 3, scale=0.3, kind="full") for _ in range(2)))
+    pairs = Box(4.0)(*(plane_records(rng, 12, 3, scale=0.3, kind="full") for _ in range(2)))
     exact, diagonal = (CloseObjects(0.2, 0.9, how)(pairs).log_ratio for how in ("exact", "diagonal"))
     np.testing.assert_array_equal(exact, diagonal)
 

@@ -5,7 +5,7 @@ import pytest
 
 from sameas import Plane, Records, Sphere
 from sameas.estimate.coverage import SMOOTH, Coverage
-from sameas.simulate.scenes import Box, WholeSky
+from sameas.simulate.scenes import LonLatBox, WholeSky
 from sameas.space import ARCSEC_PER_RADIAN
 
 
@@ -72,7 +72,12 @@ def test_a_hole_is_where_many_were_to_be_expected():
     assert Coverage.of(first, second).common_volume() == pytest.approx(50.0, rel=0.2)
 
 
-@pytest.mark.parametrize("area", [WholeSky(), Box((350.0, 370.0), (-10.0, 10.0)), Box((0.0, 360.0), (85.0, 90.0))])
+AREAS = [WholeSky(), LonLatBox((350.0, 370.0), (-10.0, 10.0)), LonLatBox((0.0, 360.0), (85.0, 90.0))]
+
+
+@pytest.mark.parametrize("area", AREAS)
+    "area", [WholeSky(), LonLatBox((350.0, 370.0), (-10.0, 10.0)), LonLatBox((0.0, 360.0), (85.0, 90.0))]
+)
 def test_the_sky_has_its_area(area):
     rng = np.random.default_rng(3)
     cover = Coverage.of(sky(rng, 5000, area), sky(rng, 5000, area))

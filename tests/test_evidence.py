@@ -11,7 +11,7 @@ from scipy.stats import norm
 
 import naive
 from problems import KINDS, plane_records, sky_records
-from sameas import CloseObjects, ConstantCost, Field, InputError, LonLatBox, PoissonField, Radius, Records
+from sameas import Box, CloseObjects, ConstantCost, Field, InputError, PoissonField, Radius, Records
 from sameas.evidence import DetectionField, Errors, Evidence, Rule, log_neighbour_density, log_surface_density
 from sameas.evidence.close import DIAGONAL
 
@@ -22,7 +22,7 @@ SIGMA, A, B = np.array([1.0, 0.7]), np.array([1.1, 0.8]), np.array([4.0, 3.0])
 
 def plane_pairs(d, seed=0, kinds=("full", "axis sigmas"), gate=4.0):
     rng = np.random.default_rng([seed, d])
-    return LonLatBox(gate)(*(plane_records(rng, 20, d, scale=0.1 * d, kind=kind) for kind in kinds))
+    return Box(gate)(*(plane_records(rng, 20, d, scale=0.1 * d, kind=kind) for kind in kinds))
 
 
 def sky_pairs(seed=0):
@@ -228,7 +228,7 @@ def test_evidence_is_the_sum_of_its_terms():
 
 
 def test_rules_say_nothing_of_no_pairs():
-    nothing = LonLatBox()(Records.of([0.0], sigma=1.0), Records.of([100.0], sigma=1.0))
+    nothing = Box()(Records.of([0.0], sigma=1.0), Records.of([100.0], sigma=1.0))
     for make, _ in RULES.values():
         assert make(1, 1)(nothing).log_ratio.shape == (0,)
 

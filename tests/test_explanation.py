@@ -7,7 +7,7 @@ import pytest
 
 import naive
 from problems import plane_records
-from sameas import CloseObjects, CommonObjects, Field, InputError, LonLatBox, PerPair, Records, identify
+from sameas import Box, CloseObjects, CommonObjects, Field, InputError, PerPair, Records, identify
 
 PRIORS = {
     "per pair": (PerPair(-0.7), lambda n1, n2: lambda k: 0.0),
@@ -40,7 +40,7 @@ def test_costs_are_those_of_enumeration(name):
     for seed in range(12):
         rng = np.random.default_rng(seed)
         first, second = (plane_records(rng, 5, 2, scale=0.12, kind="full", source=s) for s in ("radar", "ais"))
-        answer = identify(first, second, rule=CloseObjects(0.05, 0.5), prior=prior, gate=LonLatBox(3.0))
+        answer = identify(first, second, rule=CloseObjects(0.05, 0.5), prior=prior, gate=Box(3.0))
         for source, rows, records in ((1, answer.rows_1, first), (2, answer.rows_2, second)):
             for row in sorted(set(rows.tolist())):
                 told = answer.explain(records.ids[row], source=source)
@@ -78,7 +78,7 @@ def simple():
         [[0.0, 0.0], [10.0, 0.0], [50.0, 0.0], [np.nan, 0.0]], sigma=1.0, ids=["A1", "A2", "A3", "A4"], source="radar"
     )
     second = Records.of([[0.5, 0.0], [2.5, 0.0], [10.2, 0.1]], sigma=1.0, ids=[7, 8, 9], source="ais")
-    return identify(first, second, rule=Field(1e-3), prior=PerPair(0.5), gate=LonLatBox(3.0))
+    return identify(first, second, rule=Field(1e-3), prior=PerPair(0.5), gate=Box(3.0))
 
 
 def test_the_text_can_be_read():
@@ -136,7 +136,7 @@ def test_a_group_of_hundreds_of_pairs_is_explained_without_its_next_best():
     n = 300
     first = Records.of(np.arange(n) * 1.0, sigma=0.2, source="radar")
     second = Records.of(np.arange(n) * 1.0 + 0.3, sigma=0.2, source="ais")
-    answer = identify(first, second, rule=Field(1e-2), gate=LonLatBox(3.0))
+    answer = identify(first, second, rule=Field(1e-2), gate=Box(3.0))
     told = answer.explain(150)
     assert told.records == (n, n) and told.next_best_cost is None
     assert "next best" not in str(told) and len(told.competitors) == 3

@@ -8,12 +8,12 @@ import pytest
 
 import naive
 from problems import KINDS, by_id, plane_records, shuffled, sky_records
-from sameas import ChiSquare, InputError, LonLatBox, Radius, Records, Sphere
+from sameas import Box, ChiSquare, InputError, Radius, Records, Sphere
 from sameas.kernels import threads
 from sameas.space import Plane, sphere_offset
 
 GATES = {
-    "box": (LonLatBox(3.0), {"sigmas": 3.0}),
+    "box": (Box(3.0), {"sigmas": 3.0}),
     "chi square": (ChiSquare(0.99), {"completeness": 0.99}),
     "radius": (Radius(2.5), None),
     "wide": (ChiSquare(), {"completeness": 1 - 1e-9}),
@@ -194,7 +194,7 @@ def test_outliers_a_billion_away_are_found_too(d):
     two[3] -= 1e9
     first = Records(one, first.covariance, first.rows, first.ids, first.space)
     second = Records(two, second.covariance, second.rows, second.ids, second.space)
-    pairs = LonLatBox(3.0)(first, second)
+    pairs = Box(3.0)(first, second)
     found = set(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True))
     assert found == naive.candidates(first, second, sigmas=3.0)
     assert {(0, 0), (1, 1), (2, 2)} <= found
@@ -280,7 +280,7 @@ def test_many_records_at_one_place_are_all_candidates_of_each_other(space):
     for n in (1, 2, 300):
         first = Records.of(np.full((n, 2), 0.25), sigma=0.1, space=space)
         second = Records.of(np.full((3, 2), 0.25), sigma=0.1, space=space)
-        assert len(LonLatBox(3.0)(first, second)) == 3 * n
+        assert len(Box(3.0)(first, second)) == 3 * n
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -374,17 +374,15 @@ def test_listing_on_the_sky_does_not_depend_on_the_row_order():
     [
         (lambda: ChiSquare(1.0), "completeness is 1.0; give a probability between 0 and 1"),
         (lambda: Radius(0.0), "sigmas is 0.0; give a positive number"),
-        (lambda: LonLatBox(math.nan), "sigmas is nan; give a positive number"),
+        (lambda: Box(math.nan), "sigmas is nan; give a positive number"),
         (
-            lambda: LonLatBox()(
+            lambda: Box()(
                 Records.of([1.0], sigma=1.0, source="radar"), Records.of([[1.0, 2.0]], sigma=1.0, source="ais")
             ),
             "radar has 1 features .* ais 2 .* bring both to one feature space",
         ),
         (
-            lambda: LonLatBox()(
-                Records.of([[1.0, 2.0]], sigma=1.0), Records.of([[1.0, 2.0]], sigma=1.0, space=Sphere())
-            ),
+            lambda: Box()(Records.of([[1.0, 2.0]], sigma=1.0), Records.of([[1.0, 2.0]], sigma=1.0, space=Sphere())),
             "bring both to one feature space",
         ),
         (lambda: Plane((0.0,)), "period of axis 0 is 0.0; give a positive number or None"),
@@ -398,7 +396,7 @@ def test_what_cannot_be_gated_is_refused_in_words(make, words):
 
 def test_the_gate_says_what_it_is():
     first = Records.of([1.0], sigma=1.0)
-    assert LonLatBox()(first, first).gate == "each feature within 3 σ"
+    assert Box()(first, first).gate == "each feature within 3 σ"
     assert Radius(2.5)(first, first).gate == "distance ≤ 2.5 σ"
     assert "loses 1.0e-09 of the true" in ChiSquare()(first, first).gate
     # The default keeps 1 − 1e-9: √(−2 ln 1e-9) = 6.438 standard deviations in two features.
@@ -407,6 +405,6 @@ def test_the_gate_says_what_it_is():
 
 def test_a_source_that_is_no_records_says_how_to_make_them():
     records = Records.of([[0.0, 0.0]], sigma=1.0)
-    for gate in (ChiSquare(), Radius(3.0), LonLatBox()):
+    for gate in (ChiSquare(), Radius(3.0), Box()):
         with pytest.raises(InputError, match=r"a source is a list; make it with Records\.of\(features, sigma=…\)"):
             gate([[0.0, 0.0]], records)

@@ -9,7 +9,7 @@ import naive
 from sameas import Plane, Records, Sphere
 from sameas.estimate import coverage
 from sameas.estimate.coverage import Coverage, Points, opened
-from sameas.simulate.scenes import Box
+from sameas.simulate.scenes import LonLatBox
 from sameas.space import sphere_offset
 
 SEEDS = range(5)
@@ -122,7 +122,7 @@ def test_a_hole_across_the_end_of_a_period():
 
 def test_a_hole_beside_the_pole():
     rng = np.random.default_rng(2)
-    points = Box((0.0, 360.0), (80.0, 90.0)).draw(rng, 8000)
+    points = LonLatBox((0.0, 360.0), (80.0, 90.0)).draw(rng, 8000)
 
     def masked(sky):
         return np.hypot(*sphere_offset(*sky.T, np.full(len(sky), 30.0), np.full(len(sky), 88.0)).T) < 3.0 * 3600.0
@@ -136,7 +136,7 @@ def test_a_hole_beside_the_pole():
 
 def test_a_frame_in_a_catalogue_of_the_sky():
     rng = np.random.default_rng(3)
-    sky = Box((0.0, 360.0), (-90.0, 90.0)).draw(rng, 100_000)
+    sky = LonLatBox((0.0, 360.0), (-90.0, 90.0)).draw(rng, 100_000)
     first, second, dark, there = shown(
         rng, sky, lambda x: (np.abs(x[:, 0] - 200.0) > 12.0) | (np.abs(x[:, 1] - 40.0) > 9.0), 0.8, Sphere()
     )

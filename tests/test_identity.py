@@ -74,7 +74,7 @@ def test_codes_that_a_table_holds_as_numbers_are_texts():
     texts = Identity({"radar": {"mmsi": ["235000001", None]}, "adsb": {"mmsi": ["235000001", "247000009"]}})
     np.testing.assert_array_equal(numbers(pairs).log_ratio, texts(pairs).log_ratio)
     nothing = Identity({"radar": {"mmsi": [None, None]}, "adsb": {"mmsi": second}})(pairs)
-    assert not nothing.log_ratio.any() and not nothing.spoken.any()
+    assert not nothing.log_ratio.any() and not nothing.informative.any()
 
 
 def test_a_code_weighs_most_when_equal_less_when_off_by_a_bit_and_against_when_different():
@@ -132,7 +132,7 @@ def scene(said, sigma=10.0, apart=4.0):
 def test_evidence_lies_between_what_is_borrowed_and_what_is_shown_twice():
     one, two, _ = scene((["A", "B"], ["A", "B"]))
     many = {name: ["1234", "5678"] for name in ("mmsi", "imo", "callsign", "name", "icao")}
-    rule = Identity({"radar": many, "adsb": many}, borrowed=0.02, shown_twice=1e-4)
+    rule = Identity({"radar": many, "adsb": many}, borrowed=0.02, duplicate=1e-4)
     pairs = Radius(9.0)(one, two)
     evidence = rule(pairs)
     same = pairs.i == pairs.j

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from problems import plane_records
-from sameas import ChiSquare, CommonObjects, Field, InputError, LonLatBox, PerPair, Records, Sphere, identify
+from sameas import Box, ChiSquare, CommonObjects, Field, InputError, PerPair, Records, Sphere, identify
 from sameas.posterior import METHODS
 
 
@@ -25,7 +25,7 @@ def with_unusable_rows():
         ids=list("abcde"), source="radar",
     )  # fmt: skip
     second = Records.of([[np.inf, 0.0], [5.1, 5.0], [0.1, 0.0], [40.0, 0.0]], sigma=1.0, ids=[9, 8, 7, 6], source="ais")
-    return identify(first, second, rule=Field(1e-3), gate=LonLatBox(3.0))
+    return identify(first, second, rule=Field(1e-3), gate=Box(3.0))
 
 
 def test_rows_are_rows_of_the_tables():
@@ -118,7 +118,7 @@ def test_residual_statistics_see_errors_that_are_too_small():
     for scale in (1.0, 2.0):
         noise = rng.normal(0, 0.1 * math.sqrt(2 * scale**2 - 1), place.shape)
         second = Records.of(place + noise, sigma=0.1)
-        seen = identify(first, second, rule=Field(1e-6), gate=LonLatBox(20.0)).residual_statistics()
+        seen = identify(first, second, rule=Field(1e-6), gate=Box(20.0)).residual_statistics()
         spread = math.sqrt(2 * scale**2 - 1) / math.sqrt(2)
         assert seen["median_due"] == pytest.approx(math.sqrt(2 * math.log(2)))
         assert seen["median"] / seen["median_due"] == pytest.approx(spread, rel=0.05)
@@ -142,7 +142,7 @@ def test_empty_sources_have_answers_too(n, prior):
 
 
 def test_the_method_of_every_group_is_named():
-    answer = answered(2, n=(40, 40), gate=LonLatBox(0.7))
+    answer = answered(2, n=(40, 40), gate=Box(0.7))
     names = {answer.method(g) for g in range(len(answer.groups))}
     assert names <= set(METHODS) and len(names) == 2
     assert sum(answer.posterior.counts().values()) == len(answer.groups)

@@ -12,8 +12,8 @@ from scipy.stats import chi2, kstest, spearmanr
 import naive
 from sameas.errors import InputError
 from sameas.simulate.scenes import (
-    Box,
     Cap,
+    LonLatBox,
     SimulatedScene,
     WholeSky,
     chance_area_steradians,
@@ -169,7 +169,7 @@ def test_displaced_moves_by_the_distance_and_starts_in_the_direction(lon, lat, d
         np.testing.assert_allclose(back, offset[0], rtol=0, atol=1e-7 * distance + 1e-8)
 
 
-@pytest.mark.parametrize("area", [WholeSky(), Cap(10, 80, 30), Cap(0, -90, 120), Box((350, 400), (-20, 70))])
+@pytest.mark.parametrize("area", [WholeSky(), Cap(10, 80, 30), Cap(0, -90, 120), LonLatBox((350, 400), (-20, 70))])
 def test_areas_are_filled_evenly(area):
     drawn = area.draw(np.random.default_rng(2), 4000)
     everywhere = WholeSky().draw(np.random.default_rng(3), 40_000)
@@ -178,7 +178,7 @@ def test_areas_are_filled_evenly(area):
         limit = math.cos(math.radians(area.radius_deg))
         assert (vectors(drawn) @ centre >= limit - 1e-12).all()
         inside = vectors(everywhere) @ centre >= limit
-    elif isinstance(area, Box):
+    elif isinstance(area, LonLatBox):
         inside = ((everywhere[:, 0] - 350) % 360 < 50) & (np.abs(everywhere[:, 1] - 25) < 45)
     else:
         inside = np.ones(len(everywhere), bool)
@@ -255,8 +255,8 @@ def test_a_million_rows_need_no_loop():
         (lambda: crowded_sky(np.random.default_rng(0), 10**6, 1e-7), "skies; give fewer rows"),
         (lambda: crowded_sky(np.random.default_rng(0), 0, 1.0), "give positive numbers"),
         (lambda: Cap(0, 0, 0), "radius_deg is 0"),
-        (lambda: Box((0, 370), (0, 1)), "span up to 360"),
-        (lambda: Box((0, 10), (5, 5)), "within ±90"),
+        (lambda: LonLatBox((0, 370), (0, 1)), "span up to 360"),
+        (lambda: LonLatBox((0, 10), (5, 5)), "within ±90"),
     ],
 )
 def test_what_cannot_be_simulated_is_refused_in_words(make, words):

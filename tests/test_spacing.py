@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from sameas import CloseObjects, CommonObjects, InputError, LonLatBox, Plane, Records, identify
+from sameas import Box, CloseObjects, CommonObjects, InputError, Plane, Records, identify
 from sameas.evidence.spacing import estimate_reach
 from sameas.score.pairs import score_records
 from sameas.simulate.areas import Cap
@@ -31,7 +31,7 @@ def share_right(scenes, reaches, q):
     right = total = 0
     for scene, b in zip(scenes, reaches, strict=True):
         rule = CloseObjects(1.1 * SIGMA, tuple(np.broadcast_to(b, 2)))
-        found = identify(scene.first, scene.second, rule=rule, prior=CommonObjects(q, q), gate=LonLatBox(8.0)).matches
+        found = identify(scene.first, scene.second, rule=rule, prior=CommonObjects(q, q), gate=Box(8.0)).matches
         score = score_records(
             (found.rows_1, found.rows_2), scene.true_pairs(), len(scene.first), len(scene.second)
         )  # fmt: skip

@@ -135,7 +135,7 @@ def test_memory_says_the_same_of_a_pair_either_way_round():
     said = {(int(i), int(j)): v for i, j, v in zip(pairs.i, pairs.j, memory(pairs).log_ratio, strict=True)}
     again = {(int(j), int(i)): v for i, j, v in zip(turned.i, turned.j, memory(turned).log_ratio, strict=True)}
     assert said == again == {(0, 0): 5.5, (1, 0): -2.0, (0, 1): 0.0, (1, 1): 0.0}
-    assert memory(pairs).spoken.sum() == 2
+    assert memory(pairs).informative.sum() == 2
 
 
 def test_what_cannot_be_is_refused():

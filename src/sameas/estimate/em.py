@@ -203,7 +203,7 @@ class Estimates:
         magnitudes = self.photometry is None or self.common < FEWEST or self.lessons >= WITH_BRIGHTNESS
         graded = None if before.grades is None else before.grades.rule
         silent = self.grades is None or self.grades.rule is None
-        return magnitudes and (silent or (graded is not None and graded.says_of(self.setting.pairs)))
+        return magnitudes and (silent or (graded is not None and graded.trained_on(self.setting.pairs)))
 
     def learned(self, p_pair: FloatArray, log_ratio: FloatArray) -> Estimates:
         """What a round says of shares and errors; what it says of magnitudes is ``with_lesson``.

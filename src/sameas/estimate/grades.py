@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.estimate.photometry import Photometry
 from sameas.estimate.sample import Setting
-from sameas.evidence import Graded, Precision
+from sameas.evidence import Precision, TrainingPairs
 from sameas.gate import Pairs
 from sameas.ragged import Ragged
 from sameas.records import Records
@@ -131,7 +131,7 @@ class Grades:
         volumes = [_volume(records) for records in (setting.pairs.first, setting.pairs.second)]
         grades, cells = _placed(self.scales, volumes, setting, photometry)
         return replace(
-            self, grades=grades, cells=cells, rule=self.rule and replace(self.rule, grades=grades, lesson=None)
+            self, grades=grades, cells=cells, rule=self.rule and replace(self.rule, grades=grades, training=None)
         )
 
     def learned(self, pairs: Pairs, told: FloatArray, partner: Both, covered: tuple[BoolArray, ...]) -> Grades:
@@ -152,7 +152,7 @@ class Grades:
         own = told / counted.ravel()[at]
         gained = 2.0 * float(told @ (log_ratio.ravel()[at] - own))
         tells = gained > TELLING * (k1 * k2 - 1)
-        return replace(self, rule=Precision(self.grades, log_ratio, Graded(pairs, at, own)) if tells else None)
+        return replace(self, rule=Precision(self.grades, log_ratio, TrainingPairs(pairs, at, own)) if tells else None)
 
     def _by_chance(self, partner: Both, covered: tuple[BoolArray, ...]) -> FloatArray:
         """(k₁, k₂) how probable each two grades are of two different objects, where common objects lie.

@@ -19,15 +19,15 @@ from sameas.estimate.regression import Sample, density_of, fit_relation
 from sameas.evidence import (
     Brightness,
     Chain,
-    Compared,
     Comparison,
+    Comparisons,
     MagnitudeDensity,
     MeasuredMagnitudes,
     Pattern,
     Regressors,
     Relation,
     SourceMagnitudes,
-    compared,
+    comparisons_of,
 )  # fmt: skip
 from sameas.evidence.detection import DetectionCurve, ShareCurve
 from sameas.gate import Pairs
@@ -67,7 +67,7 @@ class Photometry:
     names: tuple[tuple[str, ...], tuple[str, ...]]
     chains: tuple[Chain, Chain] | None = None
     curves: tuple[ShareCurve | None, ShareCurve | None] = (None, None)
-    known: tuple[Pairs, tuple[Compared, Compared]] | None = field(repr=False, default=None)
+    known: tuple[Pairs, tuple[Comparisons, Comparisons]] | None = field(repr=False, default=None)
 
     @classmethod
     def of(
@@ -87,7 +87,7 @@ class Photometry:
     def facing(self, pairs: Pairs) -> Photometry:
         """The same, with the magnitudes of these pairs side by side: they are asked for round after round."""
         there = self.known is not None and self.known[0] is pairs
-        return self if there else replace(self, known=(pairs, compared(self.sides, pairs)))
+        return self if there else replace(self, known=(pairs, comparisons_of(self.sides, pairs)))
 
     def learned(
         self,
@@ -109,7 +109,7 @@ class Photometry:
         telling = np.zeros(len(p_pair), np.bool_)
         telling[_some(np.flatnonzero(p_pair > 1e-3), ENOUGH if last else ENOUGH_IN_ROUNDS)] = True
         there = self.known is not None and self.known[0] is pairs
-        sides = self.known[1] if there and self.known else compared(self.sides, pairs)
+        sides = self.known[1] if there and self.known else comparisons_of(self.sides, pairs)
         before = self.chains or (None, None)
         forth, back = (
             _chain(side, these, np.where(telling, p_pair, 0.0), start, last=last)
@@ -180,7 +180,9 @@ def _some(telling: IntArray, enough: int) -> IntArray:
     return telling[strewn < np.uint64(2 ** (32 - halvings))]
 
 
-def _chain(side: SourceMagnitudes, these: Compared, weight: FloatArray, before: Chain | None, *, last: bool) -> Chain:
+def _chain(
+    side: SourceMagnitudes, these: Comparisons, weight: FloatArray, before: Chain | None, *, last: bool
+) -> Chain:
     """How the bands of one source follow those of the other, in pairs of these weights (m,).
 
     Those of the first time, without a chain ``before``, are by positions alone.

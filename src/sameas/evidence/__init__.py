@@ -25,8 +25,8 @@ from sameas.evidence.boxes import log_neighbour_density, log_surface_density
 from sameas.evidence.brightness import (
     Brightness,
     Chain,
-    Compared,
     Comparison,
+    Comparisons,
     MagnitudeDensity,
     Magnitudes,
     MeasuredMagnitudes,
@@ -34,23 +34,21 @@ from sameas.evidence.brightness import (
     Regressors,
     Relation,
     SourceMagnitudes,
-    compared,
+    comparisons_of,
 )  # fmt: skip
 from sameas.evidence.close import CloseObjects
 from sameas.evidence.densities import Displacement, Flat, GaussianMixture, Samples
 from sameas.evidence.fields import ConstantCost, DetectionField, Field, PoissonField
 from sameas.evidence.identity import MODELS, Alarm, Category, Code, Identity, Model, Size, alarms
-from sameas.evidence.precision import Graded, Precision
+from sameas.evidence.precision import Precision, TrainingPairs
+from sameas.evidence.residuals import LOG_2PI, Errors
 from sameas.evidence.rule import Evidence, Rule, Sum
-from sameas.evidence.spread import LOG_2PI, Errors
 from sameas.evidence.universal import Universal
 
 __all__ = [
-    "LOG_2PI", "MODELS", "Alarm", "Brightness", "Category", "Chain", "CloseObjects", "Code", "Compared",
-    "Comparison",
-    "ConstantCost", "DetectionField", "Displacement", "Errors", "Evidence", "Field", "Flat", "GaussianMixture",
-    "Graded", "Identity", "MagnitudeDensity", "Magnitudes", "MeasuredMagnitudes", "Model", "Pattern", "PoissonField",
-    "Precision",
-    "Regressors", "Relation", "Rule", "Samples", "Size", "SourceMagnitudes", "Sum", "Universal", "alarms",
-    "compared", "log_neighbour_density", "log_surface_density",
+    "LOG_2PI", "MODELS", "Alarm", "Brightness", "Category", "Chain", "CloseObjects", "Code", "Comparison",
+    "Comparisons", "ConstantCost", "DetectionField", "Displacement", "Errors", "Evidence", "Field", "Flat",
+    "GaussianMixture", "Identity", "MagnitudeDensity", "Magnitudes", "MeasuredMagnitudes", "Model", "Pattern",
+    "PoissonField", "Precision", "Regressors", "Relation", "Rule", "Samples", "Size", "SourceMagnitudes", "Sum",
+    "TrainingPairs", "Universal", "alarms", "comparisons_of", "log_neighbour_density", "log_surface_density",
 ]  # fmt: skip

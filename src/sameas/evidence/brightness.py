@@ -278,7 +278,7 @@ class SourceMagnitudes:
     densities: tuple[MagnitudeDensity | None, ...]
     alone: tuple[Mapping[Pattern, Relation], ...]
 
-    def compared(self, rows: NDArray[np.integer], other: MeasuredMagnitudes) -> Compared:
+    def compared(self, rows: NDArray[np.integer], other: MeasuredMagnitudes) -> Comparisons:
         """Some of its records, (m,) ``rows``, beside the magnitudes ``other`` of those they are compared with."""
         own = self.measured.take(rows)
         bands: list[tuple[Comparison, ...]] = []
@@ -296,7 +296,7 @@ class SourceMagnitudes:
                     without = these.of_own(band).log_density(alone[earlier], background)
                     comparisons.append(Comparison(these, background, without))
             bands.append(tuple(comparisons))
-        return Compared(len(rows), tuple(bands))
+        return Comparisons(len(rows), tuple(bands))
 
 
 @dataclass(frozen=True)
@@ -309,8 +309,8 @@ class Comparison:
 
 
 @dataclass(frozen=True)
-class Compared:
-    """All comparisons of m pairs, per band of one source."""
+class Comparisons:
+    """The comparisons of m pairs, per band of one source."""
 
     m: int
     bands: tuple[tuple[Comparison, ...], ...]
@@ -326,7 +326,7 @@ class Chain:
 
     related: tuple[Mapping[Pattern, Relation], ...]
 
-    def log_ratio(self, compared: Compared) -> FloatArray:
+    def log_ratio(self, compared: Comparisons) -> FloatArray:
         """(m,) for the magnitudes of both sides of the pairs."""
         total = np.zeros(compared.m)
         for related, comparisons in zip(self.related, compared.bands, strict=True):
@@ -345,27 +345,27 @@ class Brightness(Rule):
     ----------
     sides : what is known of either source's magnitudes.
     chains : of source 1 given source 2, and the reverse; None where nothing could be learned.
-    shown_1, shown_2 : (n₁,), (n₂,) what a record's magnitude says of its being shown by both sources: terms that
-        turn the shares at its position into those at its position and magnitude.
-    known : pairs for which the comparisons are already there, and these.
+    completeness_1, completeness_2 : (n₁,), (n₂,) by how much a record's magnitude changes its log-odds of being in
+        both sources: from the share at its position to that at its position and magnitude.
+    comparisons : pairs whose magnitudes are compared already, and the comparisons of both sources.
     """
 
     sides: tuple[SourceMagnitudes, SourceMagnitudes] = field(repr=False)
     chains: tuple[Chain, Chain] | None = field(repr=False)
-    shown_1: FloatArray = field(repr=False)
-    shown_2: FloatArray = field(repr=False)
-    known: tuple[Pairs, tuple[Compared, Compared]] | None = field(repr=False, default=None)
+    completeness_1: FloatArray = field(repr=False)
+    completeness_2: FloatArray = field(repr=False)
+    comparisons: tuple[Pairs, tuple[Comparisons, Comparisons]] | None = field(repr=False, default=None)
 
     def __call__(self, pairs: Pairs) -> Evidence:
-        terms = {"completeness": self.shown_1[pairs.i] + self.shown_2[pairs.j]}
+        terms = {"completeness": self.completeness_1[pairs.i] + self.completeness_2[pairs.j]}
         if self.chains is not None:
-            there = self.known is not None and self.known[0] is pairs
-            forth, back = self.known[1] if there and self.known else compared(self.sides, pairs)
+            ready = self.comparisons is not None and self.comparisons[0] is pairs
+            forth, back = self.comparisons[1] if ready and self.comparisons else comparisons_of(self.sides, pairs)
             terms["brightness"] = 0.5 * (self.chains[0].log_ratio(forth) + self.chains[1].log_ratio(back))
         return Evidence(terms)
 
 
-def compared(sides: tuple[SourceMagnitudes, SourceMagnitudes], pairs: Pairs) -> tuple[Compared, Compared]:
+def comparisons_of(sides: tuple[SourceMagnitudes, SourceMagnitudes], pairs: Pairs) -> tuple[Comparisons, Comparisons]:
     """The magnitudes of all pairs: of source 1 beside those of source 2, and the reverse."""
     one, two = sides
     return (

@@ -10,8 +10,8 @@ import numpy as np
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.evidence.boxes import log_interval, log_neighbour_density, log_surface_density, shell_volume
+from sameas.evidence.residuals import AS_QUOTED
 from sameas.evidence.rule import Evidence, Rule
-from sameas.evidence.spread import AS_QUOTED
 from sameas.gate import Pairs
 
 # The paper's stand-in for the convolution of a normal and a box: a generalized Gaussian [T21–T25].

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
-from sameas.evidence.spread import LOG_2PI
+from sameas.evidence.residuals import LOG_2PI
 
 #: Takes positions (n, d), gives densities (n,).
 DensityFunction = Callable[[FloatArray], FloatArray]

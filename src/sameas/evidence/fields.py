@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
+from sameas.evidence.residuals import AS_QUOTED, Errors
 from sameas.evidence.rule import Evidence, Rule
-from sameas.evidence.spread import AS_QUOTED, Errors
 from sameas.gate import Pairs
 
 

@@ -223,7 +223,7 @@ class Identity(Rule):
     attributes : per source, by its name, per attribute the values of all rows of its table (n_table,), one row an
         object: how often a source gives a value to several rows is how often objects share it.
     models : per attribute; an attribute without a model is refused.
-    borrowed : g, the probability that a record carries another object's identity. shown_twice : s, that another
+    borrowed : g, the probability that a record carries another object's identity. duplicate : s, that another
         object nearby shows the same: duplicates, forgeries, rebroadcasts.
 
     Example
@@ -241,11 +241,11 @@ class Identity(Rule):
     attributes: Attributes = field(repr=False)
     models: Mapping[str, Model] = field(default_factory=lambda: MODELS)
     borrowed: float = 0.01
-    shown_twice: float = 1e-3
+    duplicate: float = 1e-3
 
     def __post_init__(self) -> None:
-        if not (0.0 < self.borrowed < 1.0 and 0.0 < self.shown_twice < 1.0):
-            raise InputError("Identity: borrowed and shown_twice are probabilities, strictly between 0 and 1")
+        if not (0.0 < self.borrowed < 1.0 and 0.0 < self.duplicate < 1.0):
+            raise InputError("Identity: borrowed and duplicate are probabilities, strictly between 0 and 1")
         for source, columns in self.attributes.items():
             for name in columns:
                 if name not in self.models:
@@ -261,7 +261,7 @@ class Identity(Rule):
             return Evidence({"identity": np.zeros(len(pairs))})
         total = np.sum(list(terms.values()), axis=0)
         bounded = np.logaddexp(math.log1p(-self.borrowed) + total, math.log(self.borrowed))
-        bounded -= np.logaddexp(math.log1p(-self.shown_twice), math.log(self.shown_twice) + total)
+        bounded -= np.logaddexp(math.log1p(-self.duplicate), math.log(self.duplicate) + total)
         # Where nothing is said, nothing is added: no rounding of ln 1.
         bounded[total == 0.0] = 0.0
         return Evidence({**terms, "borrowed or shared": bounded - total})

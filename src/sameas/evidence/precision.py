@@ -18,11 +18,15 @@ from sameas.gate import Pairs
 
 
 @dataclass(frozen=True)
-class Graded:
-    """Pairs, (m,) where both grades stand in the table, row by row, and (m,) by how much each made these too good."""
+class TrainingPairs:
+    """The pairs from which a table of grades was learned.
+
+    cell : (m,) where each pair's two grades stand in the table, row by row. own : (m,) by how much the pair itself
+    raised the table's log ratio there.
+    """
 
     pairs: Pairs
-    both: NDArray[np.integer]
+    cell: NDArray[np.integer]
     own: FloatArray
 
 
@@ -33,19 +37,19 @@ class Precision(Rule):
     Parameters
     ----------
     grades : (n₁,), (n₂,) of every record, from 0. log_ratio : (k₁, k₂) of every two grades.
-    lesson : the pairs that this was learned from, None where others have taken their place since.
+    training : the pairs that this was learned from, None where others have taken their place since.
     """
 
     grades: tuple[NDArray[np.integer], NDArray[np.integer]] = field(repr=False)
     log_ratio: FloatArray = field(repr=False)
-    lesson: Graded | None = field(repr=False, default=None)
+    training: TrainingPairs | None = field(repr=False, default=None)
 
     def __call__(self, pairs: Pairs) -> Evidence:
-        if self.says_of(pairs) and self.lesson is not None:
-            return Evidence({"precision": self.log_ratio.ravel()[self.lesson.both] - self.lesson.own})
+        if self.training is not None and self.trained_on(pairs):
+            return Evidence({"precision": self.log_ratio.ravel()[self.training.cell] - self.training.own})
         one, two = self.grades
         return Evidence({"precision": self.log_ratio[one[pairs.i], two[pairs.j]]})
 
-    def says_of(self, pairs: Pairs) -> bool:
-        """Whether it was these pairs that this was learned from."""
-        return self.lesson is not None and self.lesson.pairs is pairs
+    def trained_on(self, pairs: Pairs) -> bool:
+        """Whether this was learned from these pairs."""
+        return self.training is not None and self.training.pairs is pairs

@@ -1,7 +1,7 @@
 """What every decision rule is: a call from pairs to evidence, and sums of rules.
 
-A rule that speaks of some pairs only, because one of the records says nothing of what it compares, gives exactly 0.0
-for the others: so :attr:`Evidence.spoken` knows of which pairs it speaks.
+A rule gives exactly 0.0 for pairs that it cannot compare, because one of the records lacks the value: so
+:attr:`Evidence.informative` knows which pairs it speaks of.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ class Evidence:
         return sum(parts[1:], parts[0])
 
     @cached_property
-    def spoken(self) -> BoolArray:
-        """(m,) whether anything is said of a pair: a term that is not exactly 0.0."""
+    def informative(self) -> BoolArray:
+        """(m,) whether the pair has a term that is not exactly 0.0."""
         parts = [np.asarray(values != 0.0) for values in self.terms.values()]
         return parts[0] if len(parts) == 1 else np.logical_or.reduce(parts)
 

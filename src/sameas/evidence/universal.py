@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.evidence.densities import DensityFunction, Displacement, Flat, GaussianMixture, Samples, log_normal
+from sameas.evidence.residuals import AS_QUOTED
 from sameas.evidence.rule import Evidence, Rule
-from sameas.evidence.spread import AS_QUOTED
 from sameas.gate import Pairs
 from sameas.space import Plane
 

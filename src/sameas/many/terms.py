@@ -95,7 +95,7 @@ class PairTerms:
                 if len(wrong):
                     raise InputError(_not_finite(name, pairs, int(wrong[0]), values))
                 terms.setdefault(name, np.zeros(m))[place] = values
-            spoken[place] = evidence.spoken
+            spoken[place] = evidence.informative
         return cls(terms, spoken, shares)
 
     @cached_property

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.evidence.spread import LOG_2PI
+from sameas.evidence import LOG_2PI
 from sameas.records import Records
 from sameas.sky import column_values
 from sameas.sky.catalogue import Catalogue
