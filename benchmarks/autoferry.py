@@ -200,15 +200,15 @@ def run(scenario: str, models: dict[int, Learned], step_s: float) -> dict[str, T
     scene, truth = scene_of(scenario, describe_all(models, scenario)), truth_of(scenario)
     start, end = scene.span_s
     tallies = {way: Tally() for way in WAYS}
-    follower, following = PlotTracker(), None
+    tracker, tracks = PlotTracker(), None
     for instant_s in np.arange(start + step_s, end, step_s):
         now = among_few(scene.at(instant_s, features=POSITION_AND_VELOCITY))
-        following = follower.advance(now, following)
+        tracks = tracker.advance(now, tracks)
         heard = now.with_records()
         if len(heard.sources) < 2:
             continue
         due = Due.of(heard, truth)
-        found = {"alone": alone(heard), "with memory": followed(following)}
+        found = {"alone": alone(heard), "with memory": followed(tracks)}
         for way, tally in tallies.items():
             tally.add(heard, due, found[way], truth)
     return tallies
@@ -220,11 +220,11 @@ def alone(heard: Instant) -> Found:
     return Found(np.ma.filled(found.members, -1), found.fused.state[:, :2], found.fused.covariance[:, :2, :2])
 
 
-def followed(following: TrackedPlots) -> Found:
+def followed(tracks: TrackedPlots) -> Found:
     """What was followed, of the sources that say something."""
-    heard = [s for s, source in enumerate(following.now.sources) if len(records_of(source))]
-    state, covariance = following.state[:, :2], following.covariance[:, :2, :2]
-    return Found(following.members[:, heard], state, covariance, following.number)
+    heard = [s for s, source in enumerate(tracks.now.sources) if len(records_of(source))]
+    state, covariance = tracks.state[:, :2], tracks.covariance[:, :2, :2]
+    return Found(tracks.members[:, heard], state, covariance, tracks.number)
 
 
 def tables(step_s: float) -> Iterator[Table]:

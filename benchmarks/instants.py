@@ -98,16 +98,16 @@ def timed(case: Case, crowd: float, seed: int, instants: int) -> Stopwatch:
 
     for k in range(instants):
         now = clock.of("said", partial(made.at, EVERY_S * (k + 1)))
-        moment = clock.of("picture", partial(watch.advance, now))
-        clock.of("columns", partial(tables_of, moment))
+        state = clock.of("picture", partial(watch.advance, now))
+        clock.of("columns", partial(tables_of, state))
         clock.of("alone", partial(alone, now))
-        watch = moment.watch
+        watch = state.watch
     return clock
 
 
-def tables_of(moment: PictureState) -> tuple[Columns, Columns]:
+def tables_of(state: PictureState) -> tuple[Columns, Columns]:
     """The rows of both tables."""
-    return object_columns(moment), record_columns(moment)
+    return object_columns(state), record_columns(state)
 
 
 def alone(now: Instant) -> FloatArray:

@@ -103,12 +103,12 @@ def test_who_is_kept_says_why_and_how_probable_it_is():
         watch = Watch()
         scene, times = moored(seed)
         for time_s in times:
-            moment = watch.advance(scene.at(time_s))
-            watch = moment.watch
-            for number in moment.number[moment.shown.kept].tolist():
+            state = watch.advance(scene.at(time_s))
+            watch = state.watch
+            for number in state.number[state.objects.kept].tolist():
                 kept += 1
-                assert "it stays what it was" in str(moment.explain(number))
-        assert not moment.shown.kept.all()
+                assert "it stays what it was" in str(state.explain(number))
+        assert not state.objects.kept.all()
     assert kept > 0
 
 

@@ -12,7 +12,7 @@ from sameas.many.identify import identify_many
 from sameas.picture import Past
 from sameas.picture.memory import Memory
 from sameas.picture.scan import Scan
-from sameas.picture.track_pairs import Couples
+from sameas.picture.track_pairs import TrackPairs
 from sameas.records import Records
 from sameas.tracks.scene import Scene
 
@@ -31,22 +31,22 @@ def couples_apart(seed, tau_s, n=300, box_m=600.0, looks=30):
                v[:, ::3], tau_s[1], names)]  # fmt: skip
     scene, past = Scene.of(sources), Past(correlation_s=dict(zip(("one", "two"), tau_s, strict=True)))
     for time_s in times:
-        roll = Scan.of(scene.at(time_s))
-        past = past.on(roll)
+        scan = Scan.of(scene.at(time_s))
+        past = past.on(scan)
         if time_s == 0.0:
-            past = replace(past, couples=_all_couples(roll, past.tracks.on_roll))
-            # Tracks are numbered in the order of the roll.
-            order = roll.track[:n].astype(int)
-    return same[order], past.rule().log_ratio, past.couples.now + 2.0 * np.log(box_m)
+            past = replace(past, track_pairs=_all_pairs(scan, past.tracks.track_of_record))
+            # Tracks are numbered in the order of the scan.
+            order = scan.track[:n].astype(int)
+    return same[order], past.rule().log_ratio, past.track_pairs.now + 2.0 * np.log(box_m)
 
 
-def _all_couples(roll, number):
-    """Couples of tracks of one name."""
-    n = len(roll) // 2
+def _all_pairs(scan, number):
+    """Pairs of tracks of one name."""
+    n = len(scan) // 2
     a = np.arange(n)
-    b = n + np.argsort(roll.track[n:].astype(int))[roll.track[:n].astype(int)]
-    delta, spread = roll.state[a, :2] - roll.state[b, :2], roll.covariance[:, :2, :2]
-    return Couples().with_(Couples.of(number[a], number[b], delta, spread[a], spread[b]))
+    b = n + np.argsort(scan.track[n:].astype(int))[scan.track[:n].astype(int)]
+    delta, spread = scan.state[a, :2] - scan.state[b, :2], scan.covariance[:, :2, :2]
+    return TrackPairs().with_(TrackPairs.of(number[a], number[b], delta, spread[a], spread[b]))
 
 
 def log_loss(log_odds, same):
@@ -89,11 +89,11 @@ def test_what_is_said_twice_is_no_evidence():
         now = scene.at(time_s)
         past = past.on(Scan.of(now))
         past = past.met(identify_many(now.sources, rule=now.rule() + past.rule(), region=now.region).union)
-    said = past.rule().log_ratio + past.couples.now
+    said = past.rule().log_ratio + past.track_pairs.now
     for time_s in (21.0, 24.0, 29.0):
         past = past.on(Scan.of(scene.at(time_s)))
         # Now and past together say what they did; the reports have only grown older.
-        np.testing.assert_allclose(past.rule().log_ratio + past.couples.now, said, atol=1e-9)
+        np.testing.assert_allclose(past.rule().log_ratio + past.track_pairs.now, said, atol=1e-9)
 
 
 def test_a_track_that_jumps_begins_anew():
@@ -109,9 +109,9 @@ def test_a_track_that_jumps_begins_anew():
         now = scene.at(time_s)
         past = past.on(Scan.of(now))
         if time_s == 40.0:
-            assert not len(past.couples)
+            assert not len(past.track_pairs)
         past = past.met(identify_many(now.sources, rule=now.rule(), region=now.region).union)
-        assert len(past.couples) == (time_s < 40.0)
+        assert len(past.track_pairs) == (time_s < 40.0)
 
 
 def test_records_without_names_have_no_past():
@@ -124,7 +124,7 @@ def test_records_without_names_have_no_past():
         now = scene.at(time_s)
         past = past.on(Scan.of(now))
         past = past.met(identify_many(now.sources, rule=now.rule(), region=now.region).union)
-    assert not len(past.couples) and past.tracks.on_roll.tolist() == [-1, -1, 0, 1]
+    assert not len(past.track_pairs) and past.tracks.track_of_record.tolist() == [-1, -1, 0, 1]
 
 
 def test_memory_says_the_same_of_a_pair_either_way_round():

@@ -7,11 +7,11 @@ import pytest
 from modelled_scenes import describe, straight, told, two_meet
 
 from sameas.errors import InputError
-from sameas.picture import Picture, Stages, Watch, instants, moments
+from sameas.picture import Picture, Stages, Watch, instants, picture_states
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Feed, Scene
 
-ALONE = Watch(say=lambda now, past: now.rule() + now.identity(), bound=1.0)
+ALONE = Watch(evidence=lambda now, past: now.rule() + now.identity(), bound=1.0)
 
 
 def memberships(picture):
@@ -107,7 +107,7 @@ def test_an_object_appears_is_confirmed_coasts_and_ends():
 def test_what_speaks_is_there_and_two_sources_are_believed_at_once():
     scene, times = two_meet(0, 500.0)
     assert set(Picture.of(scene, times[:1]).objects["stage"].tolist()) == {"confirmed"}
-    watch = Watch(stages=Stages(looks=1, of=1))
+    watch = Watch(stages=Stages(scans=1, of=1))
     looks = {0.0: [(0.0, 0.0)], 10.0: [(0.0, 0.0)]}
     assert Picture.of(plots(looks), [0.0], watch=watch).objects["stage"].tolist() == ["confirmed"]
     assert Picture.of(plots(looks), [0.0]).objects["stage"].tolist() == ["tentative"]
@@ -143,15 +143,15 @@ def test_live_and_batch_are_one():
     scene, times = two_meet(3, 80.0)
     watch, numbers = Watch(), []
     for time_s in times:
-        moment = watch.advance(scene.at(time_s))
-        watch = moment.watch
-        numbers += moment.known.number.tolist()
+        state = watch.advance(scene.at(time_s))
+        watch = state.watch
+        numbers += state.known.number.tolist()
     half = Picture.of(scene, times[:15])
     again = Picture.of(scene, times[15:], watch=half.watch)
     assert half.objects["object"].tolist() + again.objects["object"].tolist() == numbers
-    assert [m.now.instant_s for m in moments(scene, times[:2])] == times[:2].tolist()
+    assert [m.now.instant_s for m in picture_states(scene, times[:2])] == times[:2].tolist()
 
 
 def test_stages_that_cannot_be_are_refused():
-    with pytest.raises(InputError, match="1 ≤ looks ≤ of"):
-        Stages(looks=4, of=3)
+    with pytest.raises(InputError, match="1 ≤ scans ≤ of"):
+        Stages(scans=4, of=3)

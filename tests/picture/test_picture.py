@@ -43,8 +43,8 @@ def test_one_instant_is_what_identify_many_says():
     scene = Scene.of(sources)
     now = scene.at(times[3])
     found = identify_many(now.sources, rule=now.rule() + now.identity(), region=now.region)
-    moment = Watch().advance(now)
-    o, r = object_columns(moment), record_columns(moment)
+    state = Watch().advance(now)
+    o, r = object_columns(state), record_columns(state)
     assert " ".join(OBJECTS.split()) == " ".join(o) and " ".join(RECORDS.split()) == " ".join(r)
     names = [records_of(source).source for source in now.sources]
     said = {
@@ -194,10 +194,10 @@ def test_explanations_name_objects_by_their_numbers_and_come_where_records_chang
         assert text.startswith(f"Object {number} is ")
         assert number in picture.objects["object"][picture.objects["time_s"] == times[k]]
     assert {number for _, number in picture.texts} == {1, 2} and len(picture.texts) < 2 * len(times)
-    moment = Watch().advance(scene.at(0.0))
-    assert "probability" in str(moment.explain(1))
+    state = Watch().advance(scene.at(0.0))
+    assert "probability" in str(state.explain(1))
     with pytest.raises(InputError, match="object 9 is not shown"):
-        moment.explain(9)
+        state.explain(9)
 
 
 def test_the_summary_says_what_a_user_should_know():

@@ -1,4 +1,4 @@
-"""The lookout: pictures of bare plots go through every look, and say of objects what following says."""
+"""Pictures of bare plots go through every look, and say of objects what the tracker says."""
 
 from dataclasses import replace
 
@@ -76,7 +76,7 @@ def test_the_share_of_objects_still_to_be_found_falls_look_by_look():
     lasts, q = np.exp(-0.5 / 60.0), 0.2
     assert shares[0] == 1.0 and shares[1] == pytest.approx(q * lasts + 1.0 - lasts)
     assert shares[-1] == pytest.approx((1.0 - lasts) / (1.0 - q * lasts), rel=1e-3)
-    assert set(carried.proof.share) == set(carried.proof.plots) == set(carried.following.number.tolist())
+    assert set(carried.proof.share) == set(carried.proof.plots) == set(carried.tracks.number.tolist())
 
 
 def test_an_object_that_nobody_shows_coasts_and_ends_once():
@@ -99,13 +99,13 @@ def test_an_object_that_nobody_shows_coasts_and_ends_once():
 
 def test_probabilities_are_of_records_whatever_known_object_they_are():
     """Sets of the answer that differ in what is remembered only count as one."""
-    moment = PlotPicture().at(passing(2), 16.1)
-    found, roll = moment.shown.following.found, moment.roll
+    state = PlotPicture().at(passing(2), 16.1)
+    found, scan = state.objects.tracks.found, state.scan
     names = [records_of(source).source for source in found.union.sources]
-    assert KNOWN in names and len(moment.members) > 3
-    start = dict(zip((d.name for d in roll.now.descriptions), range(len(roll.start) - 1), strict=True))
+    assert KNOWN in names and len(state.members) > 3
+    start = dict(zip((d.name for d in scan.now.descriptions), range(len(scan.start) - 1), strict=True))
     several = 0
-    for members, p, alone in zip(moment.members, moment.probability, _p_alone(moment), strict=True):
+    for members, p, alone in zip(state.members, state.probability, _p_alone(state), strict=True):
         same = 0.0
         for own, probability in zip(found.sets.members, found.answer.probability, strict=True):
             there = set()
@@ -113,33 +113,33 @@ def test_probabilities_are_of_records_whatever_known_object_they_are():
                 u = int(np.searchsorted(found.union.start, k, side="right")) - 1
                 if names[u] != KNOWN:
                     row = records_of(found.union.sources[u]).rows[k - found.union.start[u]]
-                    there.add(int(roll.find(start[names[u]], np.array([row]))[0]))
+                    there.add(int(scan.find(start[names[u]], np.array([row]))[0]))
             same += probability * (there == set(members[members >= 0].tolist()))
         assert p == pytest.approx(same, abs=1e-9)
         assert (members >= 0).sum() > 1 or alone == pytest.approx(p, abs=1e-9)
         several += (members >= 0).sum() > 1
     assert several >= 1
-    rivals = moment.runner_up
-    for k, (rival, p) in enumerate(zip(rivals, moment.p_runner_up, strict=True)):
+    rivals = state.runner_up
+    for k, (rival, p) in enumerate(zip(rivals, state.p_runner_up, strict=True)):
         assert (p > 0.0) == (rival >= 0).any()
-        assert p == 0.0 or (set(rival[rival >= 0]) & set(moment.members[k]) and not (rival == moment.members[k]).all())
+        assert p == 0.0 or (set(rival[rival >= 0]) & set(state.members[k]) and not (rival == state.members[k]).all())
 
 
-def _p_alone(moment):
-    return moment.p_alone[[members[members >= 0][0] for members in moment.members]]
+def _p_alone(state):
+    return state.p_alone[[members[members >= 0][0] for members in state.members]]
 
 
 def test_explanations_call_what_is_remembered_by_its_number():
-    moment = PlotPicture().at(passing(2), 15.0)
-    sure = moment.known.number[(moment.known.stage == 1) & (moment.known.seen >= 0)]
+    state = PlotPicture().at(passing(2), 15.0)
+    sure = state.known.number[(state.known.stage == 1) & (state.known.seen >= 0)]
     assert len(sure) == 2
     for number in sure.tolist():
-        reasons = moment.explain(number)
+        reasons = state.explain(number)
         text = str(reasons)
         assert text.startswith(f"Object {number} is ") and KNOWN not in text
         assert ("known object", number) in reasons.chosen.members
     with pytest.raises(InputError, match="object 99999 is not shown"):
-        moment.explain(99999)
+        state.explain(99999)
 
 
 def test_it_is_for_scenes_in_which_nobody_names_anything_and_somebody_tells_places():
@@ -153,17 +153,17 @@ def test_it_is_for_scenes_in_which_nobody_names_anything_and_somebody_tells_plac
     assert isinstance(Picture.of(scene, [3.0], watch=Watch()).watch, Watch)
 
 
-def test_a_moment_without_memory_is_what_identify_many_says():
+def test_a_picture_without_memory_is_what_identify_many_says():
     scene = passing(4)
     now = scene.at(0.0, features=POSITION_AND_VELOCITY)
-    moment = PlotPicture().advance(now)
-    rule = moment.shown.following.rule
+    state = PlotPicture().advance(now)
+    rule = state.objects.tracks.rule
     found = identify_many(now.sources, rule=rule, region=now.region)
-    there = [tuple(sorted(m[m >= 0].tolist())) for m in moment.roll.places(found.members)]
-    mine = [tuple(sorted(m[m >= 0].tolist())) for m in moment.members]
+    there = [tuple(sorted(m[m >= 0].tolist())) for m in state.scan.places(found.members)]
+    mine = [tuple(sorted(m[m >= 0].tolist())) for m in state.members]
     assert sorted(there) == sorted(mine)
     by_set = dict(zip(there, found.probability.tolist(), strict=True))
-    assert [by_set[m] for m in mine] == pytest.approx(moment.probability.tolist(), abs=1e-9)
+    assert [by_set[m] for m in mine] == pytest.approx(state.probability.tolist(), abs=1e-9)
 
 
 def test_it_goes_on_where_a_picture_ended_and_never_back():

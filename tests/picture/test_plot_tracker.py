@@ -61,24 +61,24 @@ def crossing(seed, q=0.2, until_s=60.0):
     return Scene(feeds), tracks
 
 
-def followed(scene, times, follower=None):
+def followed(scene, times, tracker=None):
     """What is found at each of the instants."""
-    follower, following, out = follower or PlotTracker(correlation_s=0.0), None, []
+    tracker, tracks, out = tracker or PlotTracker(correlation_s=0.0), None, []
     for t in times:
         now = replace(scene.at(t, features=POSITION_AND_VELOCITY), region=REGION, density=3e-8)
-        following = follower.advance(now, following)
-        out.append(following)
+        tracks = tracker.advance(now, tracks)
+        out.append(tracks)
     return out
 
 
-def there(following, place, within_m=8.0):
+def there(tracks, place, within_m=8.0):
     """The surest of the objects that are near a place: its number and how far off it is; (0, inf) for none."""
-    off = np.linalg.norm(following.state[:, :2] - place, axis=1)
-    near = np.flatnonzero((off < within_m) & (following.known_of >= 0))
+    off = np.linalg.norm(tracks.state[:, :2] - place, axis=1)
+    near = np.flatnonzero((off < within_m) & (tracks.known_of >= 0))
     if not len(near):
         return 0, np.inf
-    k = near[following.existence[near].argmax()]
-    return int(following.number[k]), float(off[k])
+    k = near[tracks.existence[near].argmax()]
+    return int(tracks.number[k]), float(off[k])
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -231,10 +231,10 @@ def test_what_a_source_has_missed_it_is_expected_to_miss():
     assert sum(remembering) <= sum(alone) and sum(alone) > 5
 
 
-def taken_in(following, place):
+def taken_in(tracks, place):
     """Whether both sources show the object that is there."""
-    off = np.linalg.norm(following.state[:, :2] - place, axis=1)
-    return bool(((off < 15.0) & (following.members >= 0).all(axis=1)).any())
+    off = np.linalg.norm(tracks.state[:, :2] - place, axis=1)
+    return bool(((off < 15.0) & (tracks.members >= 0).all(axis=1)).any())
 
 
 def test_nothing_to_be_seen_is_no_error():
@@ -251,17 +251,17 @@ def test_nothing_to_be_seen_is_no_error():
 def test_what_it_does_not_follow_is_refused_in_words():
     scene, _ = crossing(1, until_s=5.0)
     now = scene.at(2.0, features=POSITION_AND_VELOCITY)
-    follower = PlotTracker()
+    tracker = PlotTracker()
     with pytest.raises(InputError, match="positions only; give"):
-        follower.advance(scene.at(2.0, features=POSITION))
+        tracker.advance(scene.at(2.0, features=POSITION))
     with pytest.raises(InputError, match="in the order of time"):
-        follower.advance(scene.at(1.0, features=POSITION_AND_VELOCITY), follower.advance(now))
+        tracker.advance(scene.at(1.0, features=POSITION_AND_VELOCITY), tracker.advance(now))
     with pytest.raises(InputError, match="all of them at every instant"):
-        follower.advance(Scene(scene.feeds[:1]).at(3.0, features=POSITION_AND_VELOCITY), follower.advance(now))
+        tracker.advance(Scene(scene.feeds[:1]).at(3.0, features=POSITION_AND_VELOCITY), tracker.advance(now))
     said = {"time_s": [0.0, 1.0], "x_m": [0.0, 1.0], "y_m": [0.0, 0.0], "track_id": ["a", "a"]}
     named = Feed.of(sensor("tracker", 2.0, 0.5), Reports.of("tracker", "table", said))
     with pytest.raises(InputError, match="tracker names its objects"):
-        follower.advance(Scene((named,)).at(1.0, features=POSITION_AND_VELOCITY))
+        tracker.advance(Scene((named,)).at(1.0, features=POSITION_AND_VELOCITY))
     for wrong in ({"correlation_s": -1.0}, {"least_q": 0.5}, {"lasting_s": np.inf}):
         with pytest.raises(InputError, match=f"PlotTracker: .*{next(iter(wrong)).split('_')[0]}"):
             PlotTracker(**wrong)

@@ -85,8 +85,8 @@ class Method:
     def watch(self, scene: Scene) -> Watch | PlotPicture:
         """What the picture carries from instant to instant; without memory every instant is its own."""
         if not self.memory:
-            return Watch(say=self.say(), bound=1.0)
-        return PlotPicture() if nameless(scene) else Watch(say=self.say())
+            return Watch(evidence=self.say(), bound=1.0)
+        return PlotPicture() if nameless(scene) else Watch(evidence=self.say())
 
 
 def run(

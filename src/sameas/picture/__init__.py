@@ -1,7 +1,7 @@
 """The picture: objects that persist, from what many sources say over time, and its metrics where the truth is known.
 
 :class:`Picture` is that of a whole span; :class:`Watch` goes from instant to instant, for live use, and
-:class:`Lookout` from look to look where no source names what it shows.
+:class:`PlotPicture` from scan to scan where no source names what it shows.
 """
 
 import lazy_loader

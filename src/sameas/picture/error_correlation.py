@@ -98,9 +98,9 @@ class Lasting:
     log_probable: FloatArray = field(default_factory=lambda: np.empty((0, len(TRIED_S))))
     told_s: Mapping[str, float] = field(default_factory=dict)
 
-    def of_sources(self, roll: Scan) -> Lasting:
-        """The same with the sources of a roll that were not heard before."""
-        new = [d for d in roll.now.descriptions if d.name not in self.names]
+    def of_sources(self, scan: Scan) -> Lasting:
+        """The same with the sources of a scan that were not heard before."""
+        new = [d for d in scan.now.descriptions if d.name not in self.names]
         if not new:
             return self
         kind_s = np.array([CORRELATION_S[description.kind] for description in new])
@@ -108,9 +108,9 @@ class Lasting:
         before = np.vstack([self.log_probable, -0.5 * (away / KNOWN_TO) ** 2])
         return Lasting((*self.names, *(description.name for description in new)), before, self.told_s)
 
-    def numbers(self, roll: Scan) -> IntArray:
-        """(S,) the place in ``names`` of each source of a roll."""
-        return np.array([self.names.index(d.name) for d in roll.now.descriptions], dtype=np.int64)
+    def numbers(self, scan: Scan) -> IntArray:
+        """(S,) the place in ``names`` of each source of a scan."""
+        return np.array([self.names.index(d.name) for d in scan.now.descriptions], dtype=np.int64)
 
     def rho(self, source: IntArray, elapsed_s: FloatArray) -> FloatArray:
         """(n,) mean ρ of two looks of tracks of the sources, so long apart."""

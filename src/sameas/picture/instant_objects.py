@@ -1,4 +1,4 @@
-"""Shown: the objects of an instant that sources show, by the records on its roll, however they were found.
+"""Shown: the objects of an instant that sources show, by the records of its scan, however they were found.
 
 :class:`IdentifiedObjects` where the instant is judged by ``identify_many`` alone, :class:`TrackedObjects` where objects
 were followed to it. What is remembered of an object is no record: sets that differ only in that count as one.
@@ -25,9 +25,9 @@ from sameas.tracks.alignment import States
 
 
 class InstantObjects(Protocol):
-    """What a moment asks of the objects that sources show at an instant, (n,) each.
+    """What the picture asks of the objects that sources show at an instant, (n,) each.
 
-    members : (n, S) records on the roll, −1 for none. probability : that exactly these records are one object.
+    members : (n, S) records of the scan, −1 for none. probability : that exactly these records are one object.
     runner_up : (n, S) the most probable other set that has one of them. p_runner_up : its probability, 0 for none.
     p_alone : (records,) that a record has no partner. group : the group that each object is in.
     names : what to call that which is no record, in explanations.
@@ -60,17 +60,17 @@ class InstantObjects(Protocol):
 class IdentifiedObjects:
     """Objects as ``identify_many`` found them; ``found`` is None where nobody says anything."""
 
-    roll: Scan
+    scan: Scan
     found: Objects | None
     kept: BoolArray
 
     @cached_property
     def members(self) -> IntArray:
-        """(n, S) records on the roll."""
-        n_sources = len(self.roll.now.sources)
+        """(n, S) records of the scan."""
+        n_sources = len(self.scan.now.sources)
         if self.found is None:
             return np.full((0, n_sources), -1)
-        return self.roll.places(self.found.members[:, :n_sources])
+        return self.scan.places(self.found.members[:, :n_sources])
 
     @property
     def probability(self) -> FloatArray:
@@ -79,10 +79,10 @@ class IdentifiedObjects:
 
     @cached_property
     def runner_up(self) -> IntArray:
-        """(n, S) records on the roll of the most probable other set that has one of an object's records."""
+        """(n, S) records of the scan of the most probable other set that has one of an object's records."""
         if self.found is None:
             return self.members
-        return self.roll.places(self.found.runner_up[:, : self.members.shape[1]])
+        return self.scan.places(self.found.runner_up[:, : self.members.shape[1]])
 
     @cached_property
     def p_runner_up(self) -> FloatArray:
@@ -92,7 +92,7 @@ class IdentifiedObjects:
     @cached_property
     def p_alone(self) -> FloatArray:
         """(records,) that a record has no partner."""
-        out = np.ones(len(self.roll))
+        out = np.ones(len(self.scan))
         if self.found is not None:
             union, sets = self.found.union, self.found.sets
             lone = np.flatnonzero(sets.size == 1)
@@ -101,7 +101,7 @@ class IdentifiedObjects:
             for s, source in zip(union.given, union.sources, strict=True):
                 rows, first = records_of(source).rows, union.start[union.given.index(s)]
                 if s < self.members.shape[1]:
-                    out[self.roll.find(s, rows)] = alone[first : first + len(rows)]
+                    out[self.scan.find(s, rows)] = alone[first : first + len(rows)]
         return np.clip(out, 0.0, 1.0)
 
     @property
@@ -122,31 +122,31 @@ class IdentifiedObjects:
 
 @dataclass(frozen=True)
 class TrackedObjects:
-    """Objects that were followed to the instant of the roll, of them those that a source shows now."""
+    """Objects that were followed to the instant of the scan, of them those that a source shows now."""
 
-    roll: Scan
-    following: TrackedPlots
+    scan: Scan
+    tracks: TrackedPlots
 
     @cached_property
     def which(self) -> IntArray:
         """(n,) which of the objects followed they are."""
-        return np.flatnonzero((self.following.members >= 0).any(axis=1))
+        return np.flatnonzero((self.tracks.members >= 0).any(axis=1))
 
     @cached_property
     def members(self) -> IntArray:
-        """(n, S) records on the roll."""
-        if self.following.found is None:
-            return np.full((0, len(self.roll.now.sources)), -1)
+        """(n, S) records of the scan."""
+        if self.tracks.found is None:
+            return np.full((0, len(self.scan.now.sources)), -1)
         return self._sets[0][self._own]
 
     @property
     def probability(self) -> FloatArray:
         """(n,) that exactly its records are one object, known or not."""
-        return np.empty(0) if self.following.found is None else self._sets[1][self._own]
+        return np.empty(0) if self.tracks.found is None else self._sets[1][self._own]
 
     @property
     def runner_up(self) -> IntArray:
-        """(n, S) records on the roll of the most probable other set that has one of an object's records."""
+        """(n, S) records of the scan of the most probable other set that has one of an object's records."""
         second = self._second
         return np.where((second >= 0)[:, None], self._sets[0][second], -1) if len(second) else self.members
 
@@ -159,8 +159,8 @@ class TrackedObjects:
     @cached_property
     def p_alone(self) -> FloatArray:
         """(records,) that no other source shows the object of a record."""
-        out = np.ones(len(self.roll))
-        if self.following.found is not None:
+        out = np.ones(len(self.scan))
+        if self.tracks.found is not None:
             sets, probability = self._sets
             lone = np.flatnonzero((sets >= 0).sum(axis=1) == 1)
             out[:] = 0.0
@@ -170,7 +170,7 @@ class TrackedObjects:
     @property
     def group(self) -> IntArray:
         """(n,) the group that each object is in."""
-        found = self.following.found
+        found = self.tracks.found
         return np.empty(0, np.int64) if found is None else found.group[self.which]
 
     @property
@@ -181,15 +181,15 @@ class TrackedObjects:
     @cached_property
     def names(self) -> Mapping[Name, Name]:
         """What is remembered of an object stands beside the records."""
-        known = self.following.known
+        known = self.tracks.known
         return {(KNOWN, k): ("known object", n) for k, n in zip(known.records.ids.tolist(), known.number.tolist(),
                                                                strict=True)}  # fmt: skip
 
     def explain(self, row: int) -> ObjectExplanation:
         """Why object ``row`` has its records; what is remembered of objects is among them."""
-        found = self.following.found
+        found = self.tracks.found
         assert found is not None
-        reasons, place = found.explain(int(self.which[row])), np.full(len(self.following), -1)
+        reasons, place = found.explain(int(self.which[row])), np.full(len(self.tracks), -1)
         place[self.which] = np.arange(len(self.which))
         rivals = tuple(
             replace(rival, taken=tuple((name, int(place[at])) for name, at in rival.taken if name[0] != KNOWN))
@@ -200,10 +200,10 @@ class TrackedObjects:
     @cached_property
     def states(self) -> ObjectStates:
         """States of the objects: what was remembered of each with its records."""
-        followed, roll, which = self.following, self.roll, self.which
+        followed, scan, which = self.tracks, self.scan, self.which
         state, covariance = followed.state[which], followed.covariance[which]
         region = followed.now.region.covariance
-        position = [isinstance(feed.reports, States) for feed in roll.now.feeds]
+        position = [isinstance(feed.reports, States) for feed in scan.now.feeds]
         placed = ((self.members >= 0) & np.array(position, dtype=bool)).any(axis=1) | (followed.known_of[which] >= 0)
         # Directions that do not cross leave the object anywhere along them.
         widest = np.linalg.eigvalsh(region[:2, :2])[-1]
@@ -212,8 +212,8 @@ class TrackedObjects:
 
     @cached_property
     def _sets(self) -> tuple[IntArray, FloatArray]:
-        """(k, S) every possible set of records on the roll, and (k,) its probability, whatever known object it is."""
-        found = self.following.found
+        """(k, S) every possible set of records of the scan, and (k,) its probability, whatever known object it is."""
+        found = self.tracks.found
         assert found is not None
         members = self._possible
         sets, of = np.unique(members, axis=0, return_inverse=True)
@@ -221,25 +221,25 @@ class TrackedObjects:
 
     @cached_property
     def _possible(self) -> IntArray:
-        """Every set that was weighed, (k, S) records on the roll; −1 for what is known."""
-        found = self.following.found
+        """Every set that was weighed, (k, S) records of the scan; −1 for what is known."""
+        found = self.tracks.found
         assert found is not None
         union = found.union
-        on_roll = np.full(len(union) + 1, -1)
+        scan_record = np.full(len(union) + 1, -1)
         for u, given in enumerate(union.given):
             if given > 0:
                 rows = records_of(union.sources[u]).rows
-                on_roll[union.start[u] : union.start[u + 1]] = self.roll.find(given - 1, rows)
-        records = on_roll[found.sets.members]
-        out = np.full((len(records), len(self.roll.now.sources)), -1)
+                scan_record[union.start[u] : union.start[u + 1]] = self.scan.find(given - 1, rows)
+        records = scan_record[found.sets.members]
+        out = np.full((len(records), len(self.scan.now.sources)), -1)
         at, column = np.nonzero(records >= 0)
-        out[at, self.roll.source[records[at, column]]] = records[at, column]
+        out[at, self.scan.source[records[at, column]]] = records[at, column]
         return out
 
     @cached_property
     def _own(self) -> IntArray:
         """(n,) which of the sets each object is."""
-        found = self.following.found
+        found = self.tracks.found
         assert found is not None
         _, of = np.unique(self._possible, axis=0, return_inverse=True)
         return np.asarray(of.ravel()[found.set_of_object[self.which]])
@@ -248,11 +248,11 @@ class TrackedObjects:
     def _second(self) -> IntArray:
         """(n,) the most probable other set that has one of an object's records, −1 where there is none."""
         best = np.full(len(self.which), -1)
-        if self.following.found is None:
+        if self.tracks.found is None:
             return best
         sets, probability = self._sets
         mine, column = np.nonzero(self.members >= 0)
-        of_record = np.zeros(len(self.roll), np.int64)
+        of_record = np.zeros(len(self.scan), np.int64)
         of_record[self.members[mine, column]] = mine
         other = np.setdiff1d(np.flatnonzero((probability > 0.0) & (sets >= 0).any(axis=1)), self._own)
         # Ascending, so that the last to be written is the most probable; of equals the first by content.

@@ -4,7 +4,7 @@ Two tracks that were together for ten minutes do not part because noise brings a
 antenna. :class:`Past` goes from instant to instant; :meth:`Past.rule` is a rule for
 :func:`sameas.many.identify_many`, to be added to those of the instant:
 
-    past = past.on(roll)
+    past = past.on(scan)
     found = identify_many(now.sources, rule=now.rule() + now.identity() + past.rule(), region=now.region)
     past = past.met(found.union)
 
@@ -30,7 +30,7 @@ from sameas.many.pooled import PooledRecords
 from sameas.picture.named import NamedTracks, found_in
 from sameas.picture.scan import Scan
 from sameas.picture.track_existence import TrackExistence
-from sameas.picture.track_pairs import Couples, Rivals, keys, loosened
+from sameas.picture.track_pairs import Rivals, TrackPairs, keys, loosened
 
 #: ε where nobody says. Taken: one look in ten thousand, for a radar of 20 turns a minute every eight hours.
 REASSIGNED = 1e-4
@@ -79,85 +79,87 @@ class Memory(Rule):
 
 @dataclass(frozen=True)
 class Past:
-    """What is remembered of named tracks, and of couples of them that the gate has let through.
+    """What is remembered of named tracks, and of pairs of them that the gate has let through.
 
     Parameters
     ----------
     reassigned : ε of the module. correlation_s : by name of source how long its errors last, where that is not to be
         learned (:mod:`sameas.picture.error_correlation`); 0 where every look measures anew.
-    tracks, lives, couples : filled in from instant to instant.
+    tracks, existence, track_pairs : filled in from instant to instant.
     """
 
     reassigned: float = REASSIGNED
     correlation_s: Mapping[str, float] = field(default_factory=dict)
     tracks: NamedTracks = field(default_factory=NamedTracks)
-    lives: TrackExistence = field(default_factory=TrackExistence)
-    couples: Couples = field(default_factory=Couples)
+    existence: TrackExistence = field(default_factory=TrackExistence)
+    track_pairs: TrackPairs = field(default_factory=TrackPairs)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.reassigned < 0.5:
             raise InputError(f"memory: reassigned is {self.reassigned}; give a probability between 0 and 0.5")
 
-    def on(self, roll: Scan) -> Past:
+    def on(self, scan: Scan) -> Past:
         """The past as the looks of a later instant leave it.
 
         Raises
         ------
-        InputError : the roll is of an earlier instant than the last.
+        InputError : the scan is of an earlier instant than the last.
         """
-        if roll.now.instant_s < self.tracks.instant_s:
+        if scan.now.instant_s < self.tracks.instant_s:
             raise InputError(
-                f"the picture is at {self.tracks.instant_s:g} s and was given {roll.now.instant_s:g} s; "
+                f"the picture is at {self.tracks.instant_s:g} s and was given {scan.now.instant_s:g} s; "
                 "give instants in the order of time"
             )
         lasting = replace(self.tracks.lasting, told_s=self.correlation_s)
-        tracks, step = replace(self.tracks, lasting=lasting).on(roll)
-        couples = self.couples.stepped(step, self.reassigned)
-        return replace(self, tracks=tracks, couples=couples, lives=self.lives.on(tracks))
+        tracks, step = replace(self.tracks, lasting=lasting).on(scan)
+        track_pairs = self.track_pairs.stepped(step, self.reassigned)
+        return replace(self, tracks=tracks, track_pairs=track_pairs, existence=self.existence.on(tracks))
 
     def rule(self) -> Memory:
         """What the past says at the instant."""
-        roll, couples, numbers = self.tracks.roll, self.couples, {}
-        for s, description in enumerate(() if roll is None else roll.now.descriptions):
-            assert roll is not None
-            here = slice(roll.start[s], roll.start[s + 1])
-            numbers[description.name] = np.full(int(roll.table[here].max(initial=-1)) + 1, -1)
-            numbers[description.name][roll.table[here]] = self.tracks.on_roll[here]
-        return Memory(numbers, couples.first, couples.second, self._said())
+        scan, track_pairs, numbers = self.tracks.scan, self.track_pairs, {}
+        for s, description in enumerate(() if scan is None else scan.now.descriptions):
+            assert scan is not None
+            here = slice(scan.start[s], scan.start[s + 1])
+            numbers[description.name] = np.full(int(scan.table[here].max(initial=-1)) + 1, -1)
+            numbers[description.name][scan.table[here]] = self.tracks.track_of_record[here]
+        return Memory(numbers, track_pairs.first, track_pairs.second, self._said())
 
     def _said(self) -> FloatArray:
-        """(k,) ln r of the couples by the past."""
-        couples, tracks = self.couples, self.tracks
-        one, other = (tracks.source[found_in(tracks.number, number)] for number in (couples.first, couples.second))
-        rivals = Rivals.of(couples.first, couples.second, one, other)
-        past = couples.log_ratio + couples.at_look - couples.now
-        return rivals.bounded(past, couples.chi_sq, self.reassigned)
+        """(k,) ln r of the pairs by the past."""
+        track_pairs, tracks = self.track_pairs, self.tracks
+        one, other = (
+            tracks.source[found_in(tracks.number, number)] for number in (track_pairs.first, track_pairs.second)
+        )
+        rivals = Rivals.of(track_pairs.first, track_pairs.second, one, other)
+        past = track_pairs.log_ratio + track_pairs.at_look - track_pairs.now
+        return rivals.bounded(past, track_pairs.chi_sq, self.reassigned)
 
     def proved(self, track: IntArray) -> Past:
         """The same, with tracks (any shape, −1 for none) that are real by what other sources show."""
-        return replace(self, lives=self.lives.met(track[track >= 0]))
+        return replace(self, existence=self.existence.met(track[track >= 0]))
 
-    def loosened(self, roll: Scan, per_m2: float) -> Scan:
-        """A later instant's roll with the covariances of reports that their objects have left behind."""
-        return loosened(roll, self.tracks, self.couples, self._said(), per_m2)
+    def loosened(self, scan: Scan, per_m2: float) -> Scan:
+        """A later instant's scan with the covariances of reports that their objects have left behind."""
+        return loosened(scan, self.tracks, self.track_pairs, self._said(), per_m2)
 
     def met(self, union: PooledRecords) -> Past:
-        """The same with the couples that the gate let through for the first time: they have no past yet."""
-        roll = self.tracks.roll
-        if roll is None:
+        """The same with the pairs that the gate let through for the first time: they have no past yet."""
+        scan = self.tracks.scan
+        if scan is None:
             return self
-        names = [description.name for description in roll.now.descriptions]
+        names = [description.name for description in scan.now.descriptions]
         found = [np.empty((0, 2), np.int64)]
         for pairs in (part for part, _ in union.parts if len(part)):
             one, two = names.index(pairs.first.source), names.index(pairs.second.source)
             i, j = pairs.first.rows[pairs.i], pairs.second.rows[pairs.j]
-            found.append(np.column_stack([roll.find(one, i), roll.find(two, j)]))
-        places = np.concatenate(found)
-        places = places[(self.tracks.on_roll[places] >= 0).all(axis=1) & roll.placed[places].all(axis=1)]
-        order = np.argsort(self.tracks.on_roll[places], axis=1)
+            found.append(np.column_stack([scan.find(one, i), scan.find(two, j)]))
+        places, track = np.concatenate(found), self.tracks.track_of_record
+        places = places[(track[places] >= 0).all(axis=1) & scan.placed[places].all(axis=1)]
+        order = np.argsort(track[places], axis=1)
         a, b = np.take_along_axis(places, order, axis=1).T
-        new = ~self.couples.has(self.tracks.on_roll[a], self.tracks.on_roll[b])
+        new = ~self.track_pairs.has(track[a], track[b])
         a, b = a[new], b[new]
-        delta, spread = roll.state[a, :2] - roll.state[b, :2], roll.covariance[:, :2, :2]
-        fresh = Couples.of(self.tracks.on_roll[a], self.tracks.on_roll[b], delta, spread[a], spread[b])
-        return replace(self, couples=self.couples.with_(fresh))
+        delta, covariance = scan.state[a, :2] - scan.state[b, :2], scan.covariance[:, :2, :2]
+        fresh = TrackPairs.of(track[a], track[b], delta, covariance[a], covariance[b])
+        return replace(self, track_pairs=self.track_pairs.with_(fresh))

@@ -77,9 +77,9 @@ class NamedTracks:
     Attributes
     ----------
     instant_s : the instant. given : numbers given so far.
-    by_name : number of a track, and when it was on a roll last, by source and name.
-    number : (m,) ascending. place : (m,) where its record stands on the roll of the instant.
-    on_roll : (n,) number of the track of every record of that roll, −1 for records without a name.
+    by_name : number of a track, and when it was in a scan last, by source and name.
+    number : (m,) ascending. place : (m,) where its record stands in the scan of the instant.
+    track_of_record : (n,) number of the track of every record of that scan, −1 for records without a name.
     mean, spread : (m, 2), (m, 2, 2) of e, by the track's own looks.
     lasting : for how long the errors of all sources so far last. source : (m,) which of them each track is of.
     """
@@ -89,64 +89,64 @@ class NamedTracks:
     by_name: Mapping[tuple[str, str], tuple[int, float]] = field(default_factory=dict, repr=False)
     number: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     place: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    on_roll: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    track_of_record: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     mean: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     spread: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
-    roll: Scan | None = None
+    scan: Scan | None = None
     lasting: Lasting = field(default_factory=Lasting)
     source: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
 
-    def numbers_on(self, roll: Scan) -> IntArray:
+    def numbers_on(self, scan: Scan) -> IntArray:
         """(n,) the number that each record's track has so far; −1 for records without a name, and for new names."""
-        sources = [description.name for description in roll.now.descriptions]
-        pairs = zip(roll.source.tolist(), roll.track.tolist(), strict=True)
+        sources = [description.name for description in scan.now.descriptions]
+        pairs = zip(scan.source.tolist(), scan.track.tolist(), strict=True)
         return np.array([self.by_name.get((sources[s], name), _NEVER)[0] for s, name in pairs], dtype=np.int64)
 
-    def on(self, roll: Scan) -> tuple[NamedTracks, Step]:
-        """The tracks of the next instant's roll, and the step to it.
+    def on(self, scan: Scan) -> tuple[NamedTracks, Step]:
+        """The tracks of the next instant's scan, and the step to it.
 
-        A track that is not on a roll keeps its number for :data:`KEPT_S`, but has no past when it comes back.
+        A track that is not in a scan keeps its number for :data:`KEPT_S`, but has no past when it comes back.
         """
-        lasting = self.lasting.of_sources(roll)
-        sources = [description.name for description in roll.now.descriptions]
-        on_roll = self.numbers_on(roll)
-        place = np.flatnonzero(roll.track != "")
-        names = [(sources[s], name) for s, name in zip(roll.source[place].tolist(), roll.track[place], strict=True)]
-        number, source = on_roll[place], lasting.numbers(roll)[roll.source[place]]
-        known = np.flatnonzero((found_in(self.number, number) >= 0) & roll.placed[place])
-        step, lasting = self._step(roll, number[known], place[known], source[known], lasting)
+        lasting = self.lasting.of_sources(scan)
+        sources = [description.name for description in scan.now.descriptions]
+        track_of_record = self.numbers_on(scan)
+        place = np.flatnonzero(scan.track != "")
+        names = [(sources[s], name) for s, name in zip(scan.source[place].tolist(), scan.track[place], strict=True)]
+        number, source = track_of_record[place], lasting.numbers(scan)[scan.source[place]]
+        known = np.flatnonzero((found_in(self.number, number) >= 0) & scan.placed[place])
+        step, lasting = self._step(scan, number[known], place[known], source[known], lasting)
         began = number < 0
         number[began] = self.given + np.arange(np.count_nonzero(began))
-        on_roll[place] = number
-        mean, spread = np.zeros((len(number), 2)), roll.covariance[place, :2, :2]
+        track_of_record[place] = number
+        mean, spread = np.zeros((len(number), 2)), scan.covariance[place, :2, :2]
         at = step.find(number)
         mean[at >= 0], spread[at >= 0] = step.mean[at[at >= 0]], step.spread[at[at >= 0]]
         order = np.argsort(number)
-        now_s = roll.now.instant_s
+        now_s = scan.now.instant_s
         kept = {name: said for name, said in self.by_name.items() if now_s - said[1] <= KEPT_S}
         by_name = kept | {name: (k, now_s) for name, k in zip(names, number.tolist(), strict=True)}
         tracks = NamedTracks(
-            now_s, self.given + int(np.count_nonzero(began)), by_name, number[order], place[order], on_roll,
-            mean[order], spread[order], roll, lasting, source[order],
+            now_s, self.given + int(np.count_nonzero(began)), by_name, number[order], place[order], track_of_record,
+            mean[order], spread[order], scan, lasting, source[order],
         )  # fmt: skip
         return tracks, step
 
     def _step(
-        self, roll: Scan, number: IntArray, place: IntArray, source: IntArray, lasting: Lasting
+        self, scan: Scan, number: IntArray, place: IntArray, source: IntArray, lasting: Lasting
     ) -> tuple[Step, Lasting]:
         """The step of known tracks, without those that begin anew, and what it tells of how long errors last."""
-        before = self.roll if self.roll is not None else roll
+        before = self.scan if self.scan is not None else scan
         at = found_in(self.number, number)
         was = self.place[at]
-        dt = roll.now.instant_s - before.time_s[was]
+        dt = scan.now.instant_s - before.time_s[was]
         state, spread = moved(before.said_state[was], before.said_covariance[was], dt, before.walk_m2_per_s3[was])
-        new, elapsed = roll.covariance[place, :2, :2], roll.time_s[place] - before.time_s[was]
+        new, elapsed = scan.covariance[place, :2, :2], scan.time_s[place] - before.time_s[was]
         # A report of an earlier time than one already heard is no new look.
         fresh_look = elapsed > 0.0
-        loose = np.where(fresh_look[:, None, None], before.loose[was], roll.loose[place])
+        loose = np.where(fresh_look[:, None, None], before.loose[was], scan.loose[place])
         old = (stamped_late(spread, state, before.late_s[was]) + loose)[:, :2, :2]
-        shift = roll.state[place, :2] - state[:, :2]
-        one, other = before.said_covariance[was, :2, :2], roll.said_covariance[place, :2, :2]
+        shift = scan.state[place, :2] - state[:, :2]
+        one, other = before.said_covariance[was, :2, :2], scan.said_covariance[place, :2, :2]
         alike, k = _alike(one, other), np.flatnonzero(fresh_look)
         lasting = lasting.looked(
             source[k], elapsed[k], shift[k], ((one + other)[k], alike[k]), growth(old + new - one - other)[k]

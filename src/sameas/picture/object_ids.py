@@ -120,23 +120,23 @@ STAGES = ("tentative", "confirmed", "coasting", "ended")
 
 @dataclass(frozen=True)
 class Stages:
-    """When an object is confirmed: as soon as it is sure, or, where its records have no names, at ``looks`` looks among
+    """When an object is confirmed: as soon as it is sure, or, where its records have no names, at ``scans`` scans among
     the first ``of`` instants.
 
     Sure is an object of two sources or more with at least the probability ``sure``; of a source without false records:
     what speaks is there; and of a named track that has lived so long that it is real with the probability ``real``
     (:mod:`sameas.picture.track_existence`): of those at most 1 − real are false. A tentative object that is missing at
-    more than of − looks instants is dropped.
+    more than of − scans instants is dropped.
     """
 
-    looks: int = 3
+    scans: int = 3
     of: int = 5
     sure: float = 0.95
     real: float = 0.99
 
     def __post_init__(self) -> None:
-        if not (1 <= self.looks <= self.of and 0.0 < self.sure <= 1.0 and 0.0 < self.real < 1.0):
-            raise InputError("Stages: give 1 ≤ looks ≤ of, and sure and real as probabilities")
+        if not (1 <= self.scans <= self.of and 0.0 < self.sure <= 1.0 and 0.0 < self.real < 1.0):
+            raise InputError("Stages: give 1 ≤ scans ≤ of, and sure and real as probabilities")
 
 
 @dataclass(frozen=True)
@@ -312,7 +312,7 @@ class KnownObjects(Numbered):
         earlier = self.earlier + np.where(over, self.lived, 0.0)
         real = seen.life.begun[which] + earlier + seen.life.lived[which] >= logit(stages.real)
         apart = self.apart & (self._own_share(seen.tracks[which]) < OWN)
-        sure = (self.stage != TENTATIVE) | ((seen.sure[which] | real) & ~apart) | (plots >= stages.looks)
+        sure = (self.stage != TENTATIVE) | ((seen.sure[which] | real) & ~apart) | (plots >= stages.scans)
         return replace(
             self, stage=np.where(sure, CONFIRMED, TENTATIVE), state=np.where(said[:, None], state, own),
             covariance=np.where(said[:, None, None], covariance, spread), placed=states.placed[which],
@@ -337,7 +337,7 @@ class KnownObjects(Numbered):
         """Objects that nobody knew, or that have ended, and their numbers; ``apart``: from one that goes on."""
         n, states = len(which), seen.states
         real = seen.life.begun[which] + seen.life.lived[which] >= logit(stages.real)
-        sure = ((seen.sure[which] | real) & ~apart) | (stages.looks <= 1)
+        sure = ((seen.sure[which] | real) & ~apart) | (stages.scans <= 1)
         return cls(
             number=number, stage=np.where(sure, CONFIRMED, TENTATIVE), state=states.state[which],
             covariance=states.covariance[which], placed=states.placed[which], moving=states.moving[which], seen=which,
@@ -355,7 +355,7 @@ class KnownObjects(Numbered):
         own = self.belonging.take(np.flatnonzero(self.belonging.last))
         there = np.isin(own.track, seen.tracks)
         taken = np.isin(self.number, own.number[there]) & ~np.isin(self.number, own.number[~there])
-        over = old | taken | (tentative & (absent > stages.of - stages.looks))
+        over = old | taken | (tentative & (absent > stages.of - stages.scans))
         stage = np.where(over, ENDED, np.where(tentative, TENTATIVE, COASTING))
         return replace(self, stage=stage, absent=absent, seen=np.full(len(self), -1))
 

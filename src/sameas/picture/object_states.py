@@ -37,15 +37,15 @@ class ObjectStates:
     moving: BoolArray
 
 
-def object_states(roll: Scan, members: IntArray, found: Objects | None) -> ObjectStates:
-    """States of the objects ``found`` on the roll, with these ``members`` (n, S), −1 for none."""
-    information, vector, placed, moving, origin = _summed(roll, members)
+def object_states(scan: Scan, members: IntArray, found: Objects | None) -> ObjectStates:
+    """States of the objects ``found`` of the scan, with these ``members`` (n, S), −1 for none."""
+    information, vector, placed, moving, origin = _summed(scan, members)
     covariance = np.linalg.inv(information)
     covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
     state = np.einsum("nvw,nw->nv", covariance, vector)
     state[:, :2] += origin
     seen = members >= 0
-    directed = np.flatnonzero((seen & ~roll.placed[members]).any(axis=1)) if len(roll) else np.empty(0, np.int64)
+    directed = np.flatnonzero((seen & ~scan.placed[members]).any(axis=1)) if len(scan) else np.empty(0, np.int64)
     if len(directed) and found is not None:
         # A direction bends what the others say; the joint density has done that sum already.
         fused = found.fused
@@ -53,30 +53,30 @@ def object_states(roll: Scan, members: IntArray, found: Objects | None) -> Objec
         covariance[directed, :2], covariance[directed, 2:, :2] = 0.0, 0.0
         covariance[directed, :2, :2] = fused.covariance[directed, :2, :2]
         # Directions that do not cross leave the object anywhere along them, as far as objects are at all.
-        widest = np.linalg.eigvalsh(roll.now.region.covariance[:2, :2])[-1]
+        widest = np.linalg.eigvalsh(scan.now.region.covariance[:2, :2])[-1]
         placed[directed] |= np.linalg.eigvalsh(covariance[directed, :2, :2])[:, -1] < CROSSED**2 * widest
     return ObjectStates(state, covariance, placed, moving)
 
 
-def _summed(roll: Scan, members: IntArray) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray, FloatArray]:
+def _summed(scan: Scan, members: IntArray) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray, FloatArray]:
     """Information (n, 4, 4) and vector (n, 4) about the origins (n, 2) of the objects; whether placed, and moving."""
     n = len(members)
     at, source = np.nonzero(members >= 0)
     record = members[at, source]
-    keep = roll.placed[record]
+    keep = scan.placed[record]
     at, record = at[keep], record[keep]
     origin = np.zeros((n, 2))
     # From the last to the first, so that the first member of each stays.
-    origin[at[::-1]] = roll.state[record[::-1], :2]
-    precision, pull = _precision(roll, record, roll.state[record] - _wide(origin[at]))
+    origin[at[::-1]] = scan.state[record[::-1], :2]
+    precision, pull = _precision(scan, record, scan.state[record] - _wide(origin[at]))
     placed, moving = np.zeros(n, bool), np.zeros(n, bool)
-    placed[at], moving[at[roll.moving[record]]] = True, True
-    _intersect(roll, at, record, precision, pull, origin)
+    placed[at], moving[at[scan.moving[record]]] = True, True
+    _intersect(scan, at, record, precision, pull, origin)
     information, vector = np.zeros((n, 4, 4)), np.zeros((n, 4))
     np.add.at(information, at, precision)
     np.add.at(vector, at, pull)
     slowest = np.zeros(n)
-    np.maximum.at(slowest, at, np.where(np.isfinite(roll.speed_m_per_s[record]), roll.speed_m_per_s[record], 1e3))
+    np.maximum.at(slowest, at, np.where(np.isfinite(scan.speed_m_per_s[record]), scan.speed_m_per_s[record], 1e3))
     rest = np.where(moving, 0.0, 1.0 / np.maximum(slowest, 1.0) ** 2)
     information[:, 2, 2] += rest
     information[:, 3, 3] += rest
@@ -85,27 +85,27 @@ def _summed(roll: Scan, members: IntArray) -> tuple[FloatArray, FloatArray, Bool
     return information, vector, placed, moving, origin
 
 
-def _precision(roll: Scan, record: IntArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _precision(scan: Scan, record: IntArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(m, 4, 4) information of records and (m, 4) its product with their offsets; none on velocities not said."""
     out = np.zeros((len(record), 4, 4))
-    moving = roll.moving[record]
-    out[moving] = np.linalg.inv(roll.covariance[record[moving]])
-    out[~moving, :2, :2] = np.linalg.inv(roll.covariance[record[~moving], :2, :2])
+    moving = scan.moving[record]
+    out[moving] = np.linalg.inv(scan.covariance[record[moving]])
+    out[~moving, :2, :2] = np.linalg.inv(scan.covariance[record[~moving], :2, :2])
     return out, np.einsum("mvw,mw->mv", out, offset)
 
 
 def _intersect(
-    roll: Scan, at: IntArray, record: IntArray, precision: FloatArray, pull: FloatArray, origin: FloatArray
+    scan: Scan, at: IntArray, record: IntArray, precision: FloatArray, pull: FloatArray, origin: FloatArray
 ) -> None:
     """Weigh the precisions of smoothed tracks of one object by covariance intersection, in place."""
-    kinds = np.array([description.kind in SMOOTHED for description in roll.now.descriptions], dtype=bool)
-    smoothed = kinds[roll.source[record]] & (roll.track[record] != "") & roll.moving[record]
+    kinds = np.array([description.kind in SMOOTHED for description in scan.now.descriptions], dtype=bool)
+    smoothed = kinds[scan.source[record]] & (scan.track[record] != "") & scan.moving[record]
     count = np.bincount(at[smoothed], minlength=len(origin))
     for k in np.unique(count[count > 1]).tolist():
         several = np.flatnonzero(smoothed & (count[at] == k))
         here = several[np.argsort(at[several], kind="stable")].reshape(-1, k)
-        states = roll.state[record[here]] - _wide(origin[at[here]])
-        weights = covariance_intersection(states, roll.covariance[record[here]]).weights
+        states = scan.state[record[here]] - _wide(origin[at[here]])
+        weights = covariance_intersection(states, scan.covariance[record[here]]).weights
         assert weights is not None
         precision[here] *= weights[..., None, None]
         pull[here] *= weights[..., None]

@@ -1,4 +1,4 @@
-"""A picture over time: the moments of a whole span, as tables and a summary.
+"""A picture over time: its states at the instants of a whole span, as tables and a summary.
 
     scene = Scene.of([(radar_description, radar), (ais_description, ais)])
     picture = Picture.of(scene, instants(scene.span_s, every_s=10.0))
@@ -61,22 +61,22 @@ def watch_of(scene: Scene) -> Watch | PlotPicture:
     return PlotPicture() if nameless(scene) else Watch()
 
 
-def moments(
+def picture_states(
     scene: Scene, instants_s: Iterable[float], watch: Watch | PlotPicture | None = None, *, features: int = POSITION
 ) -> Iterator[PictureState[Watch] | PictureState[PlotPicture]]:
-    """The moments of a scene one after another; ``watch``: what to begin with.
+    """The picture of a scene at one instant after another; ``watch``: what to begin with.
 
     features : as of ``Scene.at``; a :class:`PlotPicture` follows velocities in any case.
     """
     carried = watch_of(scene) if watch is None else watch
     for instant_s in map(float, instants_s):
-        moment: PictureState[Watch] | PictureState[PlotPicture]
+        state: PictureState[Watch] | PictureState[PlotPicture]
         if isinstance(carried, PlotPicture):
-            moment = carried.at(scene, instant_s)
+            state = carried.at(scene, instant_s)
         else:
-            moment = carried.advance(scene.at(instant_s, features=features))
-        carried = moment.watch
-        yield moment
+            state = carried.advance(scene.at(instant_s, features=features))
+        carried = state.watch
+        yield state
 
 
 @dataclass(frozen=True)
@@ -147,42 +147,42 @@ class Picture:
         objects, records, tallies = [], [], []
         texts: dict[tuple[int, int], str] = {}
         shown: dict[int, tuple[str, str]] = {}
-        moment = None
-        for k, moment in enumerate(moments(scene, times, watch, features=features)):
+        state = None
+        for k, state in enumerate(picture_states(scene, times, watch, features=features)):
             if progress is not None:
                 progress(f"instant {k + 1} of {len(times)}")
-            objects.append(object_columns(moment))
-            records.append(record_columns(moment))
-            tallies.append(Tally.of(moment))
-            texts |= {(k, number): str(moment.explain(number)) for number in _changed(moment, shown)}
-        assert moment is not None
+            objects.append(object_columns(state))
+            records.append(record_columns(state))
+            tallies.append(Tally.of(state))
+            texts |= {(k, number): str(state.explain(number)) for number in _changed(state, shown)}
+        assert state is not None
         table = with_degrees(gathered(objects), scene.plane)
         return cls(
             times, table, with_degrees(gathered(records), scene.plane), Summary.of(scene, table, tallies, biases),
-            texts, scene.plane, moment.watch,
+            texts, scene.plane, state.watch,
         )  # fmt: skip
 
 
-def _changed(moment: PictureState, shown: dict[int, tuple[str, str]]) -> list[int]:
+def _changed(state: PictureState, shown: dict[int, tuple[str, str]]) -> list[int]:
     """Objects of two records or with a likely rival, whose tracks, or the rival's, are not what was explained last.
 
     A plot without a track is another at every look.
     """
-    roll = moment.roll
-    names = [description.name for description in roll.now.descriptions]
-    columns = zip(roll.source.tolist(), roll.track.tolist(), roll.row.tolist(), strict=True)
+    scan = state.scan
+    names = [description.name for description in scan.now.descriptions]
+    columns = zip(scan.source.tolist(), scan.track.tolist(), scan.row.tolist(), strict=True)
     words = [f"{names[s]}:{track or row}" for s, track, row in columns]
-    several, out = (moment.members >= 0).sum(axis=1) > 1, []
-    rivals = np.where(moment.p_runner_up[:, None] > LIKELY, moment.runner_up, -1)
-    both = joined(moment.members, words).tolist(), joined(rivals, words).tolist()
-    for number, members, rival, told in zip(moment.number.tolist(), *both, several.tolist(), strict=True):
+    several, out = (state.members >= 0).sum(axis=1) > 1, []
+    rivals = np.where(state.p_runner_up[:, None] > LIKELY, state.runner_up, -1)
+    both = joined(state.members, words).tolist(), joined(rivals, words).tolist()
+    for number, members, rival, told in zip(state.number.tolist(), *both, several.tolist(), strict=True):
         if (told or rival) and shown.get(number) != (members, rival):
             shown[number] = members, rival
             out.append(number)
     return out
 
 
-# Columns: a moment of the picture as tables, one row per object and one row per record.
+# Columns: the picture at an instant as tables, one row per object and one row per record.
 #
 # Numbers are plain arrays, masked arrays where some cells are absent; texts are arrays of str, "" where nothing is
 # said. Latitudes and longitudes are there where the picture has a plane on the earth.
@@ -190,7 +190,7 @@ def _changed(moment: PictureState, shown: dict[int, tuple[str, str]]) -> list[in
 Columns = dict[str, NDArray[Any]]
 
 
-def object_columns(moment: PictureState) -> Columns:
+def object_columns(state: PictureState) -> Columns:
     """One row per object of the picture.
 
     time_s, object, stage; x_m, y_m, var_x_m2, cov_xy_m2, var_y_m2, masked where directions do not cross; vx_m_per_s,
@@ -198,15 +198,15 @@ def object_columns(moment: PictureState) -> Columns:
     rows of the sources' reports), probability, runner_up, p_runner_up, masked while it coasts; label, mmsi, icao,
     callsign, name, mode_a, type; ambiguous: less than 95 % probable.
     """
-    known, seen = moment.known, moment.known.seen
+    known, seen = state.known, state.known.seen
     here = seen >= 0
     # The last row of what was found stands for what is not seen, and is masked.
     at = np.where(here, seen, -1)
     velocity = known.state[:, 2:]
     still = ~known.moving
-    p_rival = np.append(moment.p_runner_up, 0.0)[at]
+    p_rival = np.append(state.p_runner_up, 0.0)[at]
     columns: Columns = {
-        "time_s": np.full(len(known), moment.now.instant_s),
+        "time_s": np.full(len(known), state.now.instant_s),
         "object": known.number,
         "stage": np.array(STAGES, dtype=np.str_)[known.stage] if len(known) else np.empty(0, "U9"),
         **_ellipse(known.state, known.covariance, ~known.placed),
@@ -214,42 +214,42 @@ def object_columns(moment: PictureState) -> Columns:
         "vy_m_per_s": _masked(velocity[:, 1], still),
         "speed_m_per_s": _masked(np.hypot(*velocity.T), still),
         "course_deg": _masked(np.degrees(np.arctan2(velocity[:, 0], velocity[:, 1])) % 360.0, still),
-        "n_sources": np.append((moment.members >= 0).sum(axis=1), 0)[at],
-        **_memberships(moment, at),
-        "probability": _masked(np.append(moment.probability, 0.0)[at], ~here),
+        "n_sources": np.append((state.members >= 0).sum(axis=1), 0)[at],
+        **_memberships(state, at),
+        "probability": _masked(np.append(state.probability, 0.0)[at], ~here),
         "p_runner_up": _masked(p_rival, p_rival <= 0.0),
-        **_texts(moment),
-        "ambiguous": np.append(moment.ambiguous, False)[at],
+        **_texts(state),
+        "ambiguous": np.append(state.ambiguous, False)[at],
     }
     return columns
 
 
-def record_columns(moment: PictureState) -> Columns:
+def record_columns(state: PictureState) -> Columns:
     """One row per record that took part.
 
     time_s, source, row (of the source's reports), line (of its file), track_id, object; p_object, p_alone, age_s; x_m,
     y_m, var_x_m2, cov_xy_m2, var_y_m2, moved to the instant, masked for directions; bearing_deg, sigma_bearing_deg,
     sensor_x_m, sensor_y_m, masked for positions.
     """
-    roll = moment.roll
-    sources = np.array([description.name for description in roll.now.descriptions] or [""], dtype=np.str_)
+    scan = state.scan
+    sources = np.array([description.name for description in scan.now.descriptions] or [""], dtype=np.str_)
     return {
-        "time_s": np.full(len(roll), moment.now.instant_s),
-        "source": sources[roll.source] if len(roll) else sources[:0],
-        "row": roll.row,
-        "line": _lines(moment),
-        "track_id": roll.track.astype(np.str_),
-        "object": moment.number[moment.object_of_record],
-        "p_object": moment.probability[moment.object_of_record],
-        "p_alone": moment.p_alone,
-        "age_s": moment.now.instant_s - roll.time_s,
-        **_ellipse(roll.state, roll.covariance, ~roll.placed),
-        **_sights(moment),
+        "time_s": np.full(len(scan), state.now.instant_s),
+        "source": sources[scan.source] if len(scan) else sources[:0],
+        "row": scan.row,
+        "line": _lines(state),
+        "track_id": scan.track.astype(np.str_),
+        "object": state.number[state.object_of_record],
+        "p_object": state.probability[state.object_of_record],
+        "p_alone": state.p_alone,
+        "age_s": state.now.instant_s - scan.time_s,
+        **_ellipse(scan.state, scan.covariance, ~scan.placed),
+        **_sights(state),
     }
 
 
 def gathered(parts: Sequence[Mapping[str, NDArray[Any]]]) -> Columns:
-    """The rows of several moments one after another."""
+    """The rows of several instants one after another."""
     if not parts:
         return {}
     return {name: np.ma.concatenate(columns) if any(isinstance(c, np.ma.MaskedArray) for c in columns)
@@ -286,16 +286,16 @@ def _ellipse(state: NDArray[Any], covariance: NDArray[Any], hidden: BoolArray) -
     }
 
 
-def _memberships(moment: PictureState, at: IntArray) -> Columns:
+def _memberships(state: PictureState, at: IntArray) -> Columns:
     """Whose records an object has, and which; and those of its runner-up."""
-    roll = moment.roll
-    names = [description.name for description in roll.now.descriptions]
-    record = [f"{names[s]}:{row}" for s, row in zip(roll.source.tolist(), roll.row.tolist(), strict=True)]
-    source = [names[s] for s in roll.source.tolist()]
+    scan = state.scan
+    names = [description.name for description in scan.now.descriptions]
+    record = [f"{names[s]}:{row}" for s, row in zip(scan.source.tolist(), scan.row.tolist(), strict=True)]
+    source = [names[s] for s in scan.source.tolist()]
     columns = {
-        "sources": joined(moment.members, source),
-        "members": joined(moment.members, record),
-        "runner_up": joined(moment.runner_up, record),
+        "sources": joined(state.members, source),
+        "members": joined(state.members, record),
+        "runner_up": joined(state.runner_up, record),
     }
     return {name: np.append(texts, "")[at] for name, texts in columns.items()}
 
@@ -309,8 +309,8 @@ def joined(members: IntArray, words: Sequence[str]) -> NDArray[np.str_]:
     return np.array([" ".join(each) for each in out], dtype=np.str_)
 
 
-def _texts(moment: PictureState) -> Columns:
-    rows = [moment.watch.called[number] for number in moment.known.number.tolist()]
+def _texts(state: PictureState) -> Columns:
+    rows = [state.watch.texts[number] for number in state.known.number.tolist()]
     table = np.array(rows, dtype=object).reshape(len(rows), len(TEXTS))
     columns = {name: table[:, k].astype(np.str_) for k, name in enumerate(TEXTS)}
     label = np.full(len(rows), "", dtype=object)
@@ -319,26 +319,26 @@ def _texts(moment: PictureState) -> Columns:
     return {"label": label.astype(np.str_), **columns}
 
 
-def _lines(moment: PictureState) -> np.ma.MaskedArray:
+def _lines(state: PictureState) -> np.ma.MaskedArray:
     """(records,) line of each record in its file."""
-    roll = moment.roll
-    line, hidden = np.zeros(len(roll), np.int64), np.ones(len(roll), bool)
-    for s, feed in enumerate(roll.now.feeds):
-        here = slice(roll.start[s], roll.start[s + 1])
+    scan = state.scan
+    line, hidden = np.zeros(len(scan), np.int64), np.ones(len(scan), bool)
+    for s, feed in enumerate(scan.now.feeds):
+        here = slice(scan.start[s], scan.start[s + 1])
         if feed.given is not None:
-            line[here], hidden[here] = feed.given.line[roll.row[here]], False
+            line[here], hidden[here] = feed.given.line[scan.row[here]], False
     return _masked(line, hidden)
 
 
-def _sights(moment: PictureState) -> Columns:
+def _sights(state: PictureState) -> Columns:
     """Directions of the records that are none but that, and where they are seen from."""
-    roll, n = moment.roll, len(moment.roll)
+    scan, n = state.scan, len(state.scan)
     bearing, sigma, sensor, hidden = np.zeros(n), np.zeros(n), np.zeros((n, 2)), np.ones(n, bool)
-    for s, (feed, source) in enumerate(zip(roll.now.feeds, roll.now.sources, strict=True)):
+    for s, (feed, source) in enumerate(zip(scan.now.feeds, scan.now.sources, strict=True)):
         if isinstance(source, Observations) and isinstance(feed.reports, Directions):
-            here, records = slice(roll.start[s], roll.start[s + 1]), records_of(source)
+            here, records = slice(scan.start[s], scan.start[s + 1]), records_of(source)
             bearing[here], sigma[here] = records.features[:, 0], np.sqrt(records.covariance[:, 0])
-            sensor[here], hidden[here] = feed.reports.sensor_m[roll.row[here]], False
+            sensor[here], hidden[here] = feed.reports.sensor_m[scan.row[here]], False
     return {
         "bearing_deg": _masked(bearing, hidden),
         "sigma_bearing_deg": _masked(sigma, hidden),

@@ -1,6 +1,6 @@
-"""A moment: the picture at one instant, and what it hands on to the next.
+"""A state: the picture at one instant, and what it hands on to the next.
 
-:class:`sameas.picture.Picture` goes through a whole span. Nothing that was fused comes back as evidence: a moment
+:class:`sameas.picture.Picture` goes through a whole span. Nothing that was fused comes back as evidence: a state
 without memory is what ``identify_many`` says of that instant, and memory counts every look once.
 """
 
@@ -32,12 +32,12 @@ STAYS = "it stays what it was until something else is much more probable"
 
 
 class Carried(Protocol):
-    """What a picture carries on to its next instant: a ``Watch``, or a ``Lookout`` where no source names anything."""
+    """What a picture carries on to its next instant: a ``Watch``, or a ``PlotPicture`` of bare plots."""
 
     @property
     def known(self) -> Numbered: ...
     @property
-    def called(self) -> Mapping[int, NDArray[Any]]: ...
+    def texts(self) -> Mapping[int, NDArray[Any]]: ...
 
 
 W = TypeVar("W", bound=Carried, covariant=True)
@@ -49,14 +49,14 @@ class PictureState(Generic[W]):
 
     Attributes
     ----------
-    now : the instant. roll : the records of the sources that say anything.
+    now : the instant. scan : the records of the sources that say anything.
     shown : the objects that they show, (n,), and how sure they are. states : of these.
     watch : what the picture carries on.
     """
 
     now: Instant
-    roll: Scan
-    shown: InstantObjects
+    scan: Scan
+    objects: InstantObjects
     states: ObjectStates
     watch: W
 
@@ -67,8 +67,8 @@ class PictureState(Generic[W]):
 
     @property
     def members(self) -> IntArray:
-        """(n, S) records on the roll of each object found, −1 for none."""
-        return self.shown.members
+        """(n, S) records of the scan of each object found, −1 for none."""
+        return self.objects.members
 
     @cached_property
     def number(self) -> IntArray:
@@ -77,31 +77,31 @@ class PictureState(Generic[W]):
 
     @cached_property
     def object_of_record(self) -> IntArray:
-        """(records,) which object found each record of the roll is in."""
-        out = np.zeros(len(self.roll), np.int64)
+        """(records,) which object found each record of the scan is in."""
+        out = np.zeros(len(self.scan), np.int64)
         at, source = np.nonzero(self.members >= 0)
         out[self.members[at, source]] = at
         return out
 
     @property
     def runner_up(self) -> IntArray:
-        """(n, S) records on the roll of the most probable other set that has one of an object's records."""
-        return self.shown.runner_up
+        """(n, S) records of the scan of the most probable other set that has one of an object's records."""
+        return self.objects.runner_up
 
     @property
     def p_runner_up(self) -> FloatArray:
         """(n,) its probability, 0 where nothing else is possible."""
-        return self.shown.p_runner_up
+        return self.objects.p_runner_up
 
     @property
     def probability(self) -> FloatArray:
         """(n,) that exactly its records are one object."""
-        return self.shown.probability
+        return self.objects.probability
 
     @property
     def p_alone(self) -> FloatArray:
         """(records,) that a record has no partner."""
-        return self.shown.p_alone
+        return self.objects.p_alone
 
     @cached_property
     def ambiguous(self) -> BoolArray:
@@ -111,14 +111,14 @@ class PictureState(Generic[W]):
     @cached_property
     def alarms(self) -> tuple[Alarm, ...]:
         """Identities shown at two places too far apart for one object; rows are those of the sources' reports."""
-        start = dict(zip((d.name for d in self.roll.now.descriptions), range(len(self.roll.start)), strict=False))
+        start = dict(zip((d.name for d in self.scan.now.descriptions), range(len(self.scan.start)), strict=False))
 
         def reported(where: tuple[str, int]) -> tuple[str, int]:
-            return where[0], int(self.roll.row[self.roll.find(start[where[0]], np.array([where[1]]))[0]])
+            return where[0], int(self.scan.row[self.scan.find(start[where[0]], np.array([where[1]]))[0]])
 
         return tuple(
             replace(alarm, first=reported(alarm.first), second=reported(alarm.second))
-            for alarm in self.roll.now.alarms()
+            for alarm in self.scan.now.alarms()
         )
 
     def explain(self, number: int) -> ObjectExplanation:
@@ -132,7 +132,7 @@ class PictureState(Generic[W]):
         at = np.flatnonzero(self.number == number)
         if not len(at):
             raise InputError(f"object {number} is not shown by any source at {self.now.instant_s:g} s")
-        reasons, names = self.shown.explain(int(at[0])), self._names
+        reasons, names = self.objects.explain(int(at[0])), self._names
         rivals = tuple(
             replace(
                 rival, members=tuple(names[record] for record in rival.members),
@@ -140,16 +140,16 @@ class PictureState(Generic[W]):
             )
             for rival in reasons.rivals
         )  # fmt: skip
-        stays = STAYS if self.shown.kept[at[0]] else ""
+        stays = STAYS if self.objects.kept[at[0]] else ""
         return replace(reasons, number=number, rivals=rivals, stays=stays)
 
     @cached_property
     def _names(self) -> Mapping[Name, Name]:
         """By source and row of its reports, the source and what a user finds the record by."""
-        roll, feeds = self.roll, self.roll.now.feeds
-        sources = [description.name for description in roll.now.descriptions]
-        names: dict[Name, Name] = dict(self.shown.names)
-        for s, row, track in zip(roll.source.tolist(), roll.row.tolist(), roll.track.tolist(), strict=True):
+        scan, feeds = self.scan, self.scan.now.feeds
+        sources = [description.name for description in scan.now.descriptions]
+        names: dict[Name, Name] = dict(self.objects.names)
+        for s, row, track in zip(scan.source.tolist(), scan.row.tolist(), scan.track.tolist(), strict=True):
             given = feeds[s].given
             said = track or (f"row {row}" if given is None else f"{given.damaged.unit} {given.line[row]}")
             names[sources[s], row] = sources[s], said

@@ -1,11 +1,11 @@
-"""The lookout: the picture where no source names what it shows, carried from look to look.
+"""The picture of plots: where no source names what it shows, carried from scan to scan.
 
 :class:`PlotPicture` is for scenes of bare plots and directions what :class:`sameas.picture.Watch` is for all others. It
 goes through every look between the instants that are asked for, since an object is found again from one look to the
 next (:mod:`sameas.picture.plot_tracker`), and gives the :class:`~sameas.picture.picture_state.PictureState` of each:
 
-    moment = lookout.at(scene, instant_s)
-    lookout = moment.watch
+    state = picture.at(scene, instant_s)
+    picture = state.watch
 
 An object is confirmed once it is real beyond doubt (:class:`Proof`), is coasting while no look shows it, and ends when
 it is forgotten or could be anyone. What has not been confirmed is in the picture while a look shows it.
@@ -80,7 +80,7 @@ class PlotObjects(Numbered):
     @classmethod
     def of(cls, shown: TrackedObjects, sure: frozenset[int]) -> PlotObjects:
         """Of objects that a look shows, and of those that are ``sure``."""
-        now = shown.following
+        now = shown.tracks
         seen = np.full(len(now), -1)
         seen[shown.which] = np.arange(len(shown.which))
         placed, moving = np.ones(len(now), bool), says_velocity(now.covariance, now.now.region.covariance)
@@ -108,7 +108,7 @@ class PlotObjects(Numbered):
 class Proof:
     """Which of the objects followed are real beyond doubt.
 
-    A follower believes at every look anew that there are as many objects as ever of which nobody knows. After some
+    The tracker believes at every look anew that there are as many objects as ever of which nobody knows. After some
     looks most have been found: of those that a look discovers then fewer are real, by the share u that is still to be
     found. With Q the probability that all looks that stand no more missed an object, and λ how long objects last,
 
@@ -146,19 +146,19 @@ class Proof:
 
 @dataclass(frozen=True)
 class PlotPicture:
-    """What a picture of bare plots carries from look to look; start with ``PlotPicture()``.
+    """What a picture of bare plots carries from scan to scan; start with ``PlotPicture()``.
 
     Parameters
     ----------
-    follower : how objects are followed.
+    tracker : how objects are followed.
     real : an object is confirmed once it exists with this probability: of those at most 1 − real are false.
-    following, proof, known, asked_s : what is followed, which of it is sure, the objects of the last instant that was
+    tracks, proof, known, asked_s : what is followed, which of it is sure, the objects of the last instant that was
         asked for, and when that was; filled in on the way.
     """
 
-    follower: PlotTracker = field(default_factory=PlotTracker)
+    tracker: PlotTracker = field(default_factory=PlotTracker)
     real: float = 0.99
-    following: TrackedPlots | None = None
+    tracks: TrackedPlots | None = None
     proof: Proof = field(default_factory=Proof)
     known: PlotObjects = field(default_factory=PlotObjects)
     asked_s: float = -math.inf
@@ -174,32 +174,32 @@ class PlotPicture:
         ------
         InputError : the instant is before the last; a source names its objects.
         """
-        carried, longest = self, self.follower.lasting_s
-        since = instant_s - longest if self.following is None else self.following.now.instant_s
+        carried, longest = self, self.tracker.lasting_s
+        since = instant_s - longest if self.tracks is None else self.tracks.now.instant_s
         for look_s in looks_between(scene.feeds, since, instant_s):
             carried = carried.looked(scene.at(look_s, features=POSITION_AND_VELOCITY))
         return carried.advance(scene.at(instant_s, features=POSITION_AND_VELOCITY))
 
     def looked(self, now: Instant) -> PlotPicture:
         """The same after the looks of a later instant, which nobody asks to see."""
-        following = self.follower.advance(now, self.following)
-        proof = self.proof.on(self.following, following, self.follower.lasting_s, self.real)
-        return replace(self, following=following, proof=proof)
+        tracks = self.tracker.advance(now, self.tracks)
+        proof = self.proof.on(self.tracks, tracks, self.tracker.lasting_s, self.real)
+        return replace(self, tracks=tracks, proof=proof)
 
     def advance(self, now: Instant) -> PictureState[PlotPicture]:
         """The picture at an instant with velocities, where no look lies between it and the last."""
         after = self.looked(now)
-        assert after.following is not None
-        roll = Scan.of(now.with_records())
-        shown = TrackedObjects(roll, after.following)
+        assert after.tracks is not None
+        scan = Scan.of(now.with_records())
+        shown = TrackedObjects(scan, after.tracks)
         known = PlotObjects.of(shown, after.proof.sure)
         if len(self.known):
             walk = max(walk_of(description) for description in now.descriptions)
-            known = known.with_ends(self.known, after.following.number, now.instant_s - self.asked_s, walk)
+            known = known.with_ends(self.known, after.tracks.number, now.instant_s - self.asked_s, walk)
         carried = replace(after, known=known, asked_s=now.instant_s)
-        return PictureState(now, roll, shown, shown.states, carried)
+        return PictureState(now, scan, shown, shown.states, carried)
 
     @cached_property
-    def called(self) -> Mapping[int, NDArray[Any]]:
+    def texts(self) -> Mapping[int, NDArray[Any]]:
         """Texts of the objects: nobody says any."""
         return dict.fromkeys(self.known.number.tolist(), NOTHING)

@@ -1,8 +1,8 @@
 """Following: objects found again from look to look, where sources show bare plots and directions without names.
 
-    follower, following = Follower(), None
+    tracker, tracks = PlotTracker(), None
     for t in instants:
-        following = follower.advance(scene.at(t, features=POSITION_AND_VELOCITY), following)
+        tracks = tracker.advance(scene.at(t, features=POSITION_AND_VELOCITY), tracks)
 
 At every instant the last look of every source stands, and all that stand are identified jointly, together with the
 objects remembered from looks before them (:mod:`sameas.picture.bernoulli`). Only when a look is replaced by the next
@@ -13,7 +13,7 @@ The errors of looks last: the same side of a hull, the same error of a compass. 
 it adds, Δt/τ, in the states. And sources miss the same objects again and again, which every object remembers.
 
 Use it where sources name nothing; tracks with names have :class:`sameas.picture.Watch`, and a whole picture of bare
-plots :class:`sameas.picture.Lookout`. Source: METHOD 7; Bernoulli
+plots :class:`sameas.picture.PlotPicture`. Source: METHOD 7; Bernoulli
 objects with a Poisson field of unknown ones as in Williams 2015, the most probable hypothesis kept.
 """
 
@@ -316,8 +316,8 @@ def _require_plots(now: Instant, before: TrackedPlots | None) -> None:
     for feed in now.feeds:
         if feed.reports.track is not None:
             raise InputError(
-                f"{feed.description.name} names its objects; Follower follows bare plots: give it to Watch, or leave "
-                "its names out"
+                f"{feed.description.name} names its objects; PlotTracker follows bare plots: give it to Watch, "
+                "or leave its names out"
             )
     if before is None:
         return

@@ -1,4 +1,4 @@
-"""The roll: every record that takes part in an instant, source after source, in one table.
+"""The scan: every record that takes part in an instant, source after source, in one table.
 
 What the later stages of the picture ask of a record: where its source says the object is, how fast it goes, which
 track of the source it belongs to, and when that was looked at last.
@@ -87,7 +87,7 @@ class Scan:
 
     @classmethod
     def of(cls, now: Instant) -> Scan:
-        """The roll of an instant."""
+        """The scan of an instant."""
         parts = [_part(feed, records_of(source).ids, records_of(source).rows, now.instant_s)
                  for feed, source in zip(now.feeds, now.sources, strict=True)]  # fmt: skip
         columns = {name: np.concatenate([_EMPTY[name], *(part[name] for part in parts)]) for name in _EMPTY}
@@ -110,7 +110,7 @@ class Scan:
         return out
 
     def new_since(self, before: Scan | None) -> BoolArray:
-        """(n,) whether a record was not yet on the roll of an instant before."""
+        """(n,) whether a record was not yet in the scan of an instant before."""
         new = np.ones(len(self), bool)
         names = [] if before is None else [description.name for description in before.now.descriptions]
         for s, description in enumerate(self.now.descriptions):
@@ -121,7 +121,7 @@ class Scan:
         return new
 
     def places(self, members: np.ma.MaskedArray) -> IntArray:
-        """(n, S) numbers on the roll of members given as rows of the sources' records, −1 for none."""
+        """(n, S) places in the scan of members given as rows of the sources' records, −1 for none."""
         rows, absent = np.ma.getdata(members), np.ma.getmaskarray(members)
         out = np.full(rows.shape, -1)
         for s in range(len(self.start) - 1):
@@ -130,7 +130,7 @@ class Scan:
         return out
 
     def find(self, source: int, table: IntArray) -> IntArray:
-        """(k,) numbers on the roll of rows of a source's records."""
+        """(k,) places in the scan of rows of a source's records."""
         start, stop = self.start[source], self.start[source + 1]
         return np.asarray(start + np.searchsorted(self.table[start:stop], table))
 

@@ -25,13 +25,13 @@ STRETCHES = 12
 
 @dataclass(frozen=True)
 class Tally:
-    """What one moment adds to the summary.
+    """What the picture at one instant adds to the summary.
 
     objects : that sources show. expected_wrong : of them expected not to be exactly right.
     ambiguous_groups : groups with an ambiguous object.
     records, shared : per source its records, and those in one object with another source's.
     due, missed : per source the objects within its coverage that others show, and how many of them it does not.
-    aged : per source rows of reports that had grown too uncertain. alarms : of the moment.
+    aged : per source rows of reports that had grown too uncertain. alarms : of the instant.
     """
 
     instant_s: float
@@ -46,41 +46,41 @@ class Tally:
     alarms: tuple[Alarm, ...]
 
     @classmethod
-    def of(cls, moment: PictureState) -> Tally:
-        """Of a moment; sources are those of its scene."""
-        feeds, now = moment.now.feeds, moment.now
-        names = [description.name for description in moment.roll.now.descriptions]
-        there = np.zeros((len(moment.members), len(feeds)), bool)
+    def of(cls, state: PictureState) -> Tally:
+        """Of the picture at an instant; sources are those of its scene."""
+        feeds, now = state.now.feeds, state.now
+        names = [description.name for description in state.scan.now.descriptions]
+        there = np.zeros((len(state.members), len(feeds)), bool)
         for s, feed in enumerate(feeds):
             if feed.description.name in names:
-                there[:, s] = moment.members[:, names.index(feed.description.name)] >= 0
-        due = np.array([_due(moment, there, s) for s in range(len(feeds))]).reshape(len(feeds), len(there))
-        ambiguous = len(np.unique(moment.shown.group[moment.ambiguous]))
+                there[:, s] = state.members[:, names.index(feed.description.name)] >= 0
+        due = np.array([_due(state, there, s) for s in range(len(feeds))]).reshape(len(feeds), len(there))
+        ambiguous = len(np.unique(state.objects.group[state.ambiguous]))
         several = there.sum(axis=1) > 1
         return cls(
-            now.instant_s, len(there), float(np.sum(1.0 - moment.probability)), ambiguous, there.sum(axis=0),
+            now.instant_s, len(there), float(np.sum(1.0 - state.probability)), ambiguous, there.sum(axis=0),
             (there & several[:, None]).sum(axis=0), due.sum(axis=1), (due * ~there.T).sum(axis=1), now.aged,
-            moment.alarms,
+            state.alarms,
         )  # fmt: skip
 
 
-def _due(moment: PictureState, there: BoolArray, s: int) -> FloatArray:
+def _due(state: PictureState, there: BoolArray, s: int) -> FloatArray:
     """(n,) 1 where source s should show an object: others do, beyond doubt, and it lies where s sees."""
     others = np.delete(there, s, axis=1)
-    honest = np.delete(np.array([feed.clutter(2) == 0.0 for feed in moment.now.feeds], dtype=bool), s)
+    honest = np.delete(np.array([feed.clutter(2) == 0.0 for feed in state.now.feeds], dtype=bool), s)
     beyond_doubt = (others & honest).any(axis=1) | (others.sum(axis=1) > 1)
     if len(honest) == 1:
         beyond_doubt = others[:, 0]
-    if isinstance(moment.known, PlotObjects):
+    if isinstance(state.known, PlotObjects):
         # A plot may be false, and two of them be so together; what was found again and again is there.
-        known = moment.known
-        beyond_doubt = others.any(axis=1) & np.isin(moment.number, known.number[known.stage == CONFIRMED])
-    feed = moment.now.feeds[s]
-    sensor = feed.sensor_at(moment.now.instant_s)
-    seen = moment.states.placed & beyond_doubt
+        known = state.known
+        beyond_doubt = others.any(axis=1) & np.isin(state.number, known.number[known.stage == CONFIRMED])
+    feed = state.now.feeds[s]
+    sensor = feed.sensor_at(state.now.instant_s)
+    seen = state.states.placed & beyond_doubt
     if sensor is None:
         return seen.astype(np.float64)
-    arm = moment.states.state[:, :2] - sensor
+    arm = state.states.state[:, :2] - sensor
     covers = feed.description.coverage.covers(np.hypot(*arm.T), np.degrees(np.arctan2(arm[:, 0], arm[:, 1])))
     return (seen & covers).astype(np.float64)
 
@@ -194,7 +194,7 @@ class Summary:
     def of(
         cls, scene: Scene, objects: Mapping[str, NDArray], tallies: Sequence[Tally], biases: Sequence[str] = ()
     ) -> Summary:
-        """Of the columns of a picture's objects and the tallies of its moments."""
+        """Of the columns of a picture's objects and the tallies of its instants."""
         by_sources, unconfirmed = _by_sources(objects, len(scene.feeds))
         assumed = tuple(str(line) for feed in scene.feeds for line in feed.description.assumed)
         return cls(

@@ -89,7 +89,7 @@ class TrackExistence(ColumnTable):
 
     number, source : of the track, and the place of its source in ``NamedTracks.lasting.names``.
     later : whether it began after its source was first heard.
-    first_s, last_s : times of its first and its last report. shown_s : when it was last on a roll.
+    first_s, last_s : times of its first and its last report. shown_s : when it was last in a scan.
     later_s : for how long after its last report it may have lived on, unheard, in the mean.
     known : whether another source has shown it to be real.
     """
@@ -110,9 +110,9 @@ class TrackExistence(ColumnTable):
 
     def on(self, tracks: NamedTracks) -> TrackExistence:
         """After the instant of these tracks."""
-        assert tracks.roll is not None
-        roll, now_s = tracks.roll, tracks.instant_s
-        time_s = roll.time_s[tracks.place]
+        assert tracks.scan is not None
+        scan, now_s = tracks.scan, tracks.instant_s
+        time_s = scan.time_s[tracks.place]
         at = found_in(self.number, tracks.number)
         old = at >= 0
         first_s, known, later = time_s.copy(), np.zeros(len(at), bool), tracks.source < len(self.mixture.share)
@@ -147,7 +147,7 @@ class TrackExistence(ColumnTable):
         return np.append(begun, -math.inf)[at], np.append(now - begun, 0.0)[at]
 
     def _gone(self, which: IntArray, tracks: NamedTracks, now_s: float) -> TrackExistence:
-        """The tracks that are not on the roll, but those that went long ago."""
+        """The tracks that are not in the scan, but those that went long ago."""
         which = which[now_s - self.shown_s[which] <= KEPT_S]
         just = np.flatnonzero(self.later_s[which] == 0.0)
         later_s = self.later_s[which].copy()
@@ -159,14 +159,14 @@ class TrackExistence(ColumnTable):
 
     def _mixture(self, tracks: NamedTracks) -> Mixture:
         """That of the last instant, with the sources that were not heard before."""
-        assert tracks.roll is not None
+        assert tracks.scan is not None
         new = tracks.lasting.names[len(self.mixture.share) :]
-        periods = {d.name: d.timing.period_s or PERIOD_S for d in tracks.roll.now.descriptions}
+        periods = {d.name: d.timing.period_s or PERIOD_S for d in tracks.scan.now.descriptions}
         return self.mixture.with_sources(np.array([periods[name] for name in new], np.float64))
 
 
 def _silences(tracks: NamedTracks) -> FloatArray:
     """(s,) after how long a track of each source has ended; ∞ for sources that are not heard now."""
-    assert tracks.roll is not None
-    silence = {feed.description.name: feed.track_timeout_s for feed in tracks.roll.now.feeds}
+    assert tracks.scan is not None
+    silence = {feed.description.name: feed.track_timeout_s for feed in tracks.scan.now.feeds}
     return np.array([silence.get(name, math.inf) for name in tracks.lasting.names])

@@ -1,4 +1,4 @@
-"""Couples: two named tracks, and what their looks weigh for their being one object against their being two.
+"""Track pairs: two named tracks, and what their looks weigh for their being one object against their being two.
 
 Every new look of track a or b weighs ln p(look | looks of both so far) − ln p(look | looks of its own track so far),
 the first if they are one object, the second if they are two. If they are one, their positions differ by their errors
@@ -26,13 +26,13 @@ from sameas.records import Records
 
 
 def keys(first: IntArray, second: IntArray) -> IntArray:
-    """(k,) one number a couple, ascending as their tracks are."""
+    """(k,) one number a pair, ascending as their tracks are."""
     return (first << 32) | second
 
 
 @dataclass(frozen=True)
-class Couples(ColumnTable):
-    """Couples of tracks at an instant, (k,) each, by ascending numbers of their tracks.
+class TrackPairs(ColumnTable):
+    """Pairs of tracks at an instant, (k,) each, by ascending numbers of their tracks.
 
     Attributes
     ----------
@@ -55,24 +55,24 @@ class Couples(ColumnTable):
         return len(self.first)
 
     @classmethod
-    def of(cls, first: IntArray, second: IntArray, delta: FloatArray, one: FloatArray, other: FloatArray) -> Couples:
-        """Couples that meet now: δ (k, 2) and covariances P_a, P_b (k, 2, 2). They have no past."""
+    def of(cls, first: IntArray, second: IntArray, delta: FloatArray, one: FloatArray, other: FloatArray) -> TrackPairs:
+        """Pairs that meet now: δ (k, 2) and covariances P_a, P_b (k, 2, 2). They have no past."""
         share = one @ np.linalg.inv(one + other)
         density, chi_sq = log_normal(delta, one + other)
         mean = np.einsum("kvw,kw->kv", share, delta)
         return cls(first, second, mean, one - share @ one, np.zeros(len(first)), density, density, chi_sq)
 
     def has(self, first: IntArray, second: IntArray) -> BoolArray:
-        """(k,) whether couples are among these."""
+        """(k,) whether pairs are among these."""
         return np.asarray(found_in(keys(self.first, self.second), keys(first, second)) >= 0)
 
-    def with_(self, more: Couples) -> Couples:
+    def with_(self, more: TrackPairs) -> TrackPairs:
         """These and others, in order."""
         both = self.stacked(more)
         return both.take(np.argsort(keys(both.first, both.second)))
 
-    def stepped(self, step: Step, reassigned: float) -> Couples:
-        """The couples whose tracks are both in the step, after it.
+    def stepped(self, step: Step, reassigned: float) -> TrackPairs:
+        """The pairs whose tracks are both in the step, after it.
 
         What ``now`` says is taken off what all looks say, so that both can be added. A look may be of another object
         than its name says, with probability ε = ``reassigned``: x ← ln[((1−ε) eˣ + ε)/((1−ε) + ε eˣ)] at every look.
@@ -81,16 +81,18 @@ class Couples(ColumnTable):
         both = (a >= 0) & (b >= 0)
         return self.take(both)._wandered(step, a[both], b[both])._looked(step, a[both], b[both], reassigned)
 
-    def _wandered(self, step: Step, a: IntArray, b: IntArray) -> Couples:
+    def _wandered(self, step: Step, a: IntArray, b: IntArray) -> TrackPairs:
         """Both tracks wander on, as far as their motion leaves open; a, b : where they stand in the step."""
         drift = step.drift[a]
         share = drift @ np.linalg.inv(drift + step.drift[b] + LEAST_M2 * np.eye(2))
         went = (step.moved[a] - step.moved[b]) - (step.last[a] - step.last[b])
         mean = self.mean + np.einsum("kvw,kw->kv", share, went)
         covariance = _symmetric(self.covariance + drift - share @ drift)
-        return Couples(self.first, self.second, mean, covariance, self.log_ratio, self.at_look, self.now, self.chi_sq)
+        return TrackPairs(
+            self.first, self.second, mean, covariance, self.log_ratio, self.at_look, self.now, self.chi_sq
+        )
 
-    def _looked(self, step: Step, a: IntArray, b: IntArray, reassigned: float) -> Couples:
+    def _looked(self, step: Step, a: IntArray, b: IntArray, reassigned: float) -> TrackPairs:
         """After the new looks of the step, where there are any: those of the first track, then of the second."""
         mean, spread, more = self.mean, self.covariance, np.zeros(len(self))
         delta = step.moved[a] - step.moved[b]
@@ -107,7 +109,7 @@ class Couples(ColumnTable):
         rivals = Rivals.of(self.first, self.second, step.source[a], step.source[b])
         ratio = rivals.leaky(self.log_ratio + self.at_look + more - now, chi_sq, reassigned)
         new = step.looked[a] | step.looked[b]
-        return Couples(
+        return TrackPairs(
             self.first, self.second, mean, spread, np.where(new, ratio, self.log_ratio),
             np.where(new, now, self.at_look), now, chi_sq,
         )  # fmt: skip
@@ -115,9 +117,9 @@ class Couples(ColumnTable):
 
 @dataclass(frozen=True)
 class Rivals:
-    """Couples of which one at most is one object: a track with each of the tracks of one other source.
+    """Pairs of which one at most is one object: a track with each of the tracks of one other source.
 
-    sides : (k,) numbers of the two crowds that each couple is of.
+    sides : (k,) numbers of the two crowds that each pair is of.
     """
 
     sides: tuple[IntArray, IntArray]
@@ -130,7 +132,7 @@ class Rivals:
         return cls(tuple(crowds))
 
     def most(self, values: FloatArray) -> FloatArray:
-        """(k,) the highest value of any rival of each couple, itself among them."""
+        """(k,) the highest value of any rival of each pair, itself among them."""
         out = values
         for crowd in self.sides:
             best = np.full(int(crowd.max(initial=-1)) + 1, -np.inf)
@@ -180,67 +182,67 @@ EVERY_S = 600.0
 TOGETHER = math.log(20.0)
 
 
-def loosened(roll: Scan, tracks: NamedTracks, couples: Couples, said: FloatArray, per_m2: float) -> Scan:
-    """The roll with the covariances of reports that their objects have left behind.
+def loosened(scan: Scan, tracks: NamedTracks, track_pairs: TrackPairs, said: FloatArray, per_m2: float) -> Scan:
+    """The scan with the covariances of reports that their objects have left behind.
 
-    tracks, couples : of the instant before. said : (k,) ln r of the couples then.
+    tracks, track_pairs : of the instant before. said : (k,) ln r of the pairs then.
     """
-    a, b = (_places(roll, tracks, number) for number in (couples.first, couples.second))
-    there = (a >= 0) & (b >= 0) & (said + couples.now >= math.log(per_m2) - TOGETHER)
+    a, b = (_places(scan, tracks, number) for number in (track_pairs.first, track_pairs.second))
+    there = (a >= 0) & (b >= 0) & (said + track_pairs.now >= math.log(per_m2) - TOGETHER)
     a, b, said = a[there], b[there], said[there]
     if not len(a):
-        return roll
-    open_ = left_open(roll)
-    delta, spread = roll.state[a, :2] - roll.state[b, :2], roll.covariance[a, :2, :2] + roll.covariance[b, :2, :2]
+        return scan
+    open_ = left_open(scan)
+    delta, spread = scan.state[a, :2] - scan.state[b, :2], scan.covariance[a, :2, :2] + scan.covariance[b, :2, :2]
     usual, _ = log_normal(delta, spread)
     with np.errstate(divide="ignore"):
         # ln of the odds that there was a manoeuvre since the report.
-        log_odds = np.log(np.expm1(np.maximum(roll.now.instant_s - roll.time_s, 0.0) / EVERY_S))
+        log_odds = np.log(np.expm1(np.maximum(scan.now.instant_s - scan.time_s, 0.0) / EVERY_S))
     foretold = said + usual
-    best = Rivals.of(a, b, roll.source[a], roll.source[b]).most(foretold)
+    best = Rivals.of(a, b, scan.source[a], scan.source[b]).most(foretold)
     # Either of the two may be the one that was left behind.
     own, other, k = np.append(a, b), np.append(b, a), np.tile(np.arange(len(a)), 2)
     moved, _ = log_normal(delta[k], spread[k] + open_[own, :2, :2])
     gone = log_odds[own] + said[k] + moved
     likely = np.maximum(foretold[k], gone)
-    partner = likely == _most(own * len(roll.start) + roll.source[other], likely)
-    told = np.bincount(own[partner], (moved - usual[k])[partner], len(roll)) + log_odds
-    left = np.zeros(len(roll), bool)
+    partner = likely == _most(own * len(scan.start) + scan.source[other], likely)
+    told = np.bincount(own[partner], (moved - usual[k])[partner], len(scan)) + log_odds
+    left = np.zeros(len(scan), bool)
     # No rival explains the other without a manoeuvre, and its partners in all sources together say that there was one.
     left[own[(gone > best[k]) & (told[own] > 0.0)]] = True
-    return _with(roll, np.where(left[:, None, None], open_, 0.0)) if left.any() else roll
+    return _with(scan, np.where(left[:, None, None], open_, 0.0)) if left.any() else scan
 
 
-def left_open(roll: Scan) -> FloatArray:
+def left_open(scan: Scan) -> FloatArray:
     """(n, 4, 4) D of every record; 0 where nothing is known of how fast its objects are."""
-    age = np.maximum(roll.now.instant_s - roll.time_s, 0.0)
-    speed = np.where(np.isfinite(roll.speed_m_per_s), roll.speed_m_per_s, 0.0)
-    v = np.where(roll.moving[:, None], roll.state[:, 2:], 0.0)
+    age = np.maximum(scan.now.instant_s - scan.time_s, 0.0)
+    speed = np.where(np.isfinite(scan.speed_m_per_s), scan.speed_m_per_s, 0.0)
+    v = np.where(scan.moving[:, None], scan.state[:, 2:], 0.0)
     change = np.einsum("nv,nw->nvw", v, v) + speed[:, None, None] ** 2 * np.eye(2)
     change[speed == 0.0] = 0.0
-    out = np.zeros((len(roll), 4, 4))
+    out = np.zeros((len(scan), 4, 4))
     out[:, :2, :2] = change * (age**2 / 3.0)[:, None, None]
     out[:, :2, 2:] = out[:, 2:, :2] = change * (age / 2.0)[:, None, None]
     out[:, 2:, 2:] = change
     return out
 
 
-def _places(roll: Scan, tracks: NamedTracks, number: IntArray) -> IntArray:
-    """(k,) where tracks stand on a new roll, −1 for those that do not."""
-    on = tracks.numbers_on(roll)
+def _places(scan: Scan, tracks: NamedTracks, number: IntArray) -> IntArray:
+    """(k,) where tracks stand on a new scan, −1 for those that do not."""
+    on = tracks.numbers_on(scan)
     order = np.argsort(on, kind="stable")
     at = found_in(on[order], number)
     return np.where(at >= 0, np.append(order, -1)[at], -1)
 
 
-def _with(roll: Scan, more: FloatArray) -> Scan:
-    """The roll with covariances that are larger by ``more`` (n, 4, 4)."""
-    sources = list(roll.now.sources)
+def _with(scan: Scan, more: FloatArray) -> Scan:
+    """The scan with covariances that are larger by ``more`` (n, 4, 4)."""
+    sources = list(scan.now.sources)
     for s, source in enumerate(sources):
-        here = slice(roll.start[s], roll.start[s + 1])
-        sources[s] = _grown(source, roll.table[here], more[here])
-    now = replace(roll.now, sources=tuple(sources))
-    return replace(roll, now=now, covariance=roll.covariance + more, loose=more)
+        here = slice(scan.start[s], scan.start[s + 1])
+        sources[s] = _grown(source, scan.table[here], more[here])
+    now = replace(scan.now, sources=tuple(sources))
+    return replace(scan, now=now, covariance=scan.covariance + more, loose=more)
 
 
 def _grown(source: Source, table: IntArray, more: FloatArray) -> Source:

@@ -3,8 +3,8 @@
 :meth:`Watch.advance` takes it to an instant and gives the :class:`~sameas.picture.picture_state.PictureState`; for live
 use call it instant by instant,
 
-    moment = watch.advance(scene.at(t))
-    watch = moment.watch
+    state = watch.advance(scene.at(t))
+    watch = state.watch
 """
 
 from __future__ import annotations
@@ -118,10 +118,10 @@ NOTHING = np.full(len(TEXTS), "", dtype=object)
 
 
 #: What an instant and the past say of the records.
-Say = Callable[[Instant, Past], SetRule]
+EvidenceOf = Callable[[Instant, Past], SetRule]
 
 
-def all_that_is_said(now: Instant, past: Past) -> SetRule:
+def all_evidence(now: Instant, past: Past) -> SetRule:
     """Positions, misses and clutter as described, what records say of their identities, and what tracks did before."""
     return now.rule() + now.identity() + past.rule()
 
@@ -132,22 +132,22 @@ class Watch:
 
     Parameters
     ----------
-    say : what counts as evidence. ``lambda now, past: now.rule() + past.rule()`` leaves identities out,
+    evidence : what counts as evidence. ``lambda now, past: now.rule() + past.rule()`` leaves identities out,
         ``lambda now, past: now.rule() + now.identity()`` judges every instant alone.
     past : what is remembered of tracks; give one to change how long their errors last.
     bound : of the odds at which records change their company (:mod:`sameas.picture.watch`); 1 for the most
         probable answer of every instant, whatever was shown before.
     stages : when objects are confirmed. gate : of ``identify_many``.
-    known, called : objects and their texts; filled in from instant to instant.
+    known, texts : objects and their texts; filled in from instant to instant.
     """
 
-    say: Say = all_that_is_said
+    evidence: EvidenceOf = all_evidence
     past: Past = field(default_factory=Past)
     bound: float = BOUND
     stages: Stages = field(default_factory=Stages)
     gate: ChiSquare = field(default_factory=ChiSquare)
     known: KnownObjects = field(default_factory=KnownObjects)
-    called: Mapping[int, NDArray[Any]] = field(default_factory=dict, repr=False)
+    texts: Mapping[int, NDArray[Any]] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         if not 1.0 <= self.bound < math.inf:
@@ -161,32 +161,32 @@ class Watch:
         InputError : the instant is before the last; a source lacks what its evidence needs.
         """
         heard = now.with_records()
-        roll = self.past.loosened(Scan.of(heard), _per_m2(now))
-        heard, past = roll.now, self.past.on(roll)
+        scan = self.past.loosened(Scan.of(heard), _per_m2(now))
+        heard, past = scan.now, self.past.on(scan)
         found = self._found(heard, past)
         kept = np.zeros(0, bool)
         if found is not None:
-            found, kept = held(found, self._was(found.union, roll, past), math.log(self.bound))
+            found, kept = held(found, self._was(found.union, scan, past), math.log(self.bound))
             past = past.met(found.union)
-        shown = IdentifiedObjects(roll, found, kept)
+        shown = IdentifiedObjects(scan, found, kept)
         members = shown.members
-        texts = {name: roll.texts(name) for name in TEXTS}
-        seen = self._seen(roll, members, found, past, texts)
+        texts = {name: scan.texts(name) for name in TEXTS}
+        seen = self._seen(scan, members, found, past, texts)
         past = past.proved(seen.tracks[_together(members, found, self.stages)])
         known = self.known.on(now.instant_s, seen, _per_m2(now), self.stages)
-        called = self._called(roll, members, texts, known)
-        carried = replace(self, past=past, known=known, called=called)
-        return PictureState(now, roll, shown, seen.states, carried)
+        called = self._called(scan, members, texts, known)
+        carried = replace(self, past=past, known=known, texts=called)
+        return PictureState(now, scan, shown, seen.states, carried)
 
-    def _was(self, union: PooledRecords, roll: Scan, past: Past) -> IntArray:
+    def _was(self, union: PooledRecords, scan: Scan, past: Past) -> IntArray:
         """(records,) the object of the last instant that each record of the union belongs to by its track, −1 for
         those whose track was not there."""
-        track = past.tracks.on_roll
+        track = past.tracks.track_of_record
         was = np.where(found_in(self.past.tracks.number, track) >= 0, self.known.belonging.last_of(track), 0)
         out = np.full(len(union), -1)
         for s, (given, source) in enumerate(zip(union.given, union.sources, strict=True)):
-            if given + 1 < len(roll.start):
-                out[union.start[s] : union.start[s + 1]] = was[roll.find(given, records_of(source).rows)]
+            if given + 1 < len(scan.start):
+                out[union.start[s] : union.start[s + 1]] = was[scan.find(given, records_of(source).rows)]
         return np.where(out > 0, out, -1)
 
     def _found(self, heard: Instant, past: Past) -> Objects | None:
@@ -198,28 +198,28 @@ class Watch:
             nobody = Records.of(np.empty((0, heard.features)), sigma=1.0, source="")
             rule = PoissonObjects(heard.density, 0.5)
             return identify_many((*heard.sources, nobody), rule=rule, region=heard.region)
-        return identify_many(heard.sources, rule=self.say(heard, past), gate=self.gate, region=heard.region)
+        return identify_many(heard.sources, rule=self.evidence(heard, past), gate=self.gate, region=heard.region)
 
     def _seen(
-        self, roll: Scan, members: IntArray, found: Objects | None, past: Past, texts: Mapping[str, NDArray[Any]]
+        self, scan: Scan, members: IntArray, found: Objects | None, past: Past, texts: Mapping[str, NDArray[Any]]
     ) -> Detections:
         """What the objects of an instant are to be recognised by."""
-        states = object_states(roll, members, found)
+        states = object_states(scan, members, found)
         there = members >= 0
-        track = np.append(past.tracks.on_roll, -1)[members]
+        track = np.append(past.tracks.track_of_record, -1)[members]
         named = np.append(np.any([texts[name] != "" for name in NAMES_ONE], axis=0), False)[members]
         # No clutter: what the source shows is there.
-        honest = np.array([feed.clutter(2) == 0.0 for feed in roll.now.feeds], dtype=bool)
+        honest = np.array([feed.clutter(2) == 0.0 for feed in scan.now.feeds], dtype=bool)
         sure = (there & honest).any(axis=1) | _together(members, found, self.stages)
-        new = np.append(roll.new_since(self.past.tracks.roll), False)
-        plotted = np.append(new[:-1] & (past.tracks.on_roll < 0), False)
+        new = np.append(scan.new_since(self.past.tracks.scan), False)
+        plotted = np.append(new[:-1] & (past.tracks.track_of_record < 0), False)
         looked, plotted = (np.asarray(column[members].any(axis=1)) for column in (new, plotted))
-        walk = np.append(roll.walk_m2_per_s3, 0.0)[members].max(axis=1, initial=0.0)
-        speed = np.append(roll.speed_m_per_s, 0.0)[members].max(axis=1, initial=0.0)
+        walk = np.append(scan.walk_m2_per_s3, 0.0)[members].max(axis=1, initial=0.0)
+        speed = np.append(scan.speed_m_per_s, 0.0)[members].max(axis=1, initial=0.0)
         return Detections(states, track, named & there, looked, plotted, sure, _longest(track, past), walk, speed)
 
     def _called(
-        self, roll: Scan, members: IntArray, texts: Mapping[str, NDArray[Any]], known: KnownObjects
+        self, scan: Scan, members: IntArray, texts: Mapping[str, NDArray[Any]], known: KnownObjects
     ) -> Mapping[int, NDArray[Any]]:
         """Per object of the picture its texts: what its newest record says, else what was said before."""
         at, source = np.nonzero(members >= 0)
@@ -230,12 +230,12 @@ class Watch:
             tells = np.flatnonzero(values != "")
             # The newest is written last; of equally new ones the first by the alphabet.
             order = tells[
-                np.lexsort([np.argsort(np.argsort(values[tells].astype(str)[::-1])), roll.time_s[record[tells]]])
+                np.lexsort([np.argsort(np.argsort(values[tells].astype(str)[::-1])), scan.time_s[record[tells]]])
             ]
             said[at[order], column] = values[order]
         called = {}
         for number, k in zip(known.number.tolist(), known.seen.tolist(), strict=True):
-            before = self.called.get(number, NOTHING)
+            before = self.texts.get(number, NOTHING)
             called[number] = before if k < 0 else np.where(said[k] != "", said[k], before)
         return called
 
@@ -243,7 +243,7 @@ class Watch:
 def _longest(track: IntArray, past: Past) -> Life:
     """The life of that track of each object, of its tracks (n, S), that is most surely of something real."""
     track = np.column_stack([track, np.full(len(track), -1)])
-    begun, lived = past.lives.log_odds(track)
+    begun, lived = past.existence.log_odds(track)
     most = np.argmax(begun + lived, axis=1)[:, None]
     return Life(*(np.take_along_axis(column, most, 1)[:, 0] for column in (track, begun, lived)))  # type: ignore[arg-type]
 
