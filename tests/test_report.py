@@ -151,10 +151,10 @@ def test_chance_pairs_alone_are_called_next_to_nothing():
 
 def test_one_record_in_each_is_no_reason_to_look_for_an_offset():
     found = match(catalogue("left", np.array([10.0]), np.zeros(1)), catalogue("right", np.array([10.0]), np.zeros(1)))
-    assert len(found.result.matches) == 1 and "--offset" not in report.report(found)
+    assert len(found.result.matches) == 1 and "offset=" not in report.report(found)
 
 
 def test_errors_of_nought_are_refused_with_the_remedy():
     table = Table({"ra": [10.0, 10.1], "dec": [0.0, 0.1], "sigma_arcsec": [0.0, 0.0]})
-    with pytest.raises(InputError, match=r"no error \(2\); an error of 0 counts as none: say --sigma ARCSEC"):
+    with pytest.raises(InputError, match=r"no error \(2\); an error of 0 counts as none: say sigma=ARCSEC"):
         match(Catalogue.of(table, "left"), Catalogue.of(table, "right"))

@@ -10,7 +10,8 @@ from sameas.cli import terminal
 
 LATER = """
 import numpy as np
-from sameas import Field, Records, warmup, identify
+from sameas import Field, Records, identify
+from sameas.cli import warmup
 from sameas.kernels import posterior
 
 assert not warmup.needed()

@@ -111,7 +111,7 @@ def test_what_is_not_moved_stays_where_it_is() -> None:
 def test_motion_without_an_epoch_is_refused() -> None:
     table = gaia()
     table.remove_column("ref_epoch")
-    with pytest.raises(InputError, match=r"cat: it has proper motions, but its epoch is not known; say --epoch YEAR"):
+    with pytest.raises(InputError, match=r"cat: it has proper motions, but its epoch is not known; say epoch=YEAR"):
         catalogue(table)
     assert catalogue(table, epoch="2016").epoch_jyr == 2016.0
     assert not catalogue(table, pm="none").has_motion
@@ -122,7 +122,7 @@ def test_without_motion_and_epoch_a_catalogue_is_used_where_it_is() -> None:
     assert "without epoch and motion: used where it is, and cannot be moved" in source.understood
     assert len(source.records()) == 2
     assert source.epoch_jyr is None
-    with pytest.raises(InputError, match=r"cat: its epoch is not known, so it cannot be moved to 2016; say --epoch"):
+    with pytest.raises(InputError, match=r"cat: its epoch is not known, so it cannot be moved to 2016; say epoch="):
         source.records(2016.0)
 
 
@@ -206,7 +206,7 @@ def test_every_form_of_error_is_read() -> None:
     np.testing.assert_allclose(sigma_arcsec(turned), [0.3, 0.1, 0], atol=1e-12)
     floored = catalogue(table, sigma="e,n", sigma_unit="arcsec", correlation="rho", sigma_floor_arcsec=0.4)
     np.testing.assert_allclose(sigma_arcsec(floored), [0.5, np.sqrt(0.17), 0.2 * 0.03 / (0.5 * np.sqrt(0.17))])
-    with pytest.raises(InputError, match="give --sigma or --ellipse, not both"):
+    with pytest.raises(InputError, match="give sigma or ellipse, not both"):
         catalogue(table, sigma=1, ellipse="a,b,pa")
 
 
@@ -271,7 +271,7 @@ def test_an_epoch_that_is_none_is_refused() -> None:
         catalogue(table, sigma=1, epoch="when")
     with pytest.raises(InputError, match="column 'word', row 0: 'soon' is not a number"):
         catalogue(table, sigma=1, epoch="word")
-    with pytest.raises(InputError, match="no column '2016,5' for --epoch"):
+    with pytest.raises(InputError, match="no column '2016,5' for epoch"):
         catalogue(table, sigma=1, epoch="2016,5")
 
 
@@ -408,7 +408,7 @@ def test_real_gaia_dr2_and_2mass_of_ngc188_meet_after_motion() -> None:
     table = real("ngc188_gaia_2mass", "gaia_results.fits")
     with pytest.raises(InputError, match="no column of position errors"):
         catalogue(table)
-    with pytest.raises(InputError, match="say --epoch YEAR"):
+    with pytest.raises(InputError, match="say epoch=YEAR"):
         catalogue(table, sigma=0.0002)
     stars = catalogue(table, sigma=0.0002, epoch=2015.5, pm_sigma_mas_per_yr=0.1)
     other = catalogue(real("ngc188_gaia_2mass", "2MASS_results.ecsv"), sigma=0.08)
@@ -435,7 +435,7 @@ def test_real_gaia_dr3_of_m67_brings_its_covariance() -> None:
 
 def test_real_gaia_edr3_without_errors_asks_for_them() -> None:
     table = real("m67_poss1951", "gaia_edr3_m67_r0.5deg.csv")
-    with pytest.raises(InputError, match="say --sigma ARCSEC"):
+    with pytest.raises(InputError, match="say sigma=ARCSEC"):
         catalogue(table)
     source = catalogue(table, sigma=0.3, sigma_unit="mas", pm_sigma_mas_per_yr=0.2)
     assert source.epoch_jyr == 2016.0

@@ -106,7 +106,7 @@ def test_edr3_is_known_by_the_velocities_of_dr2() -> None:
 
 
 def test_names_that_differ_in_case_only_are_two_candidates() -> None:
-    with pytest.raises(InputError, match="2 candidates for right ascension: 'RA', 'ra'; say --ra NAME"):
+    with pytest.raises(InputError, match="2 candidates for right ascension: 'RA', 'ra'; say ra=NAME"):
         chosen(made("ra", "dec", "RA", "DEC"), sigma=1)
     assert names_of(chosen(made("ra", "dec", "RA", "DEC"), ra="RA", dec="DEC", sigma=1)) == ["RA", "DEC"]
 
@@ -199,20 +199,20 @@ def test_plain_names_are_taken(position: tuple[str, str]) -> None:
 def test_stdpipe_needs_a_sigma_only() -> None:
     table = made("obj", "x", "y", "ra", "dec", "mag", "magerr", "fwhm", "flags")
     assert chosen(table, sigma=0.3).error.sigma_arcsec == 0.3
-    with pytest.raises(InputError, match=r"cat.fits: no column of position errors .*; say --sigma ARCSEC"):
+    with pytest.raises(InputError, match=r"cat.fits: no column of position errors .*; say sigma=ARCSEC"):
         chosen(table)
 
 
 def test_an_error_without_a_unit_is_refused_until_it_is_said() -> None:
     table = made("ra", "dec", "ra_err", "dec_err")
-    with pytest.raises(InputError, match=r"the unit of 'ra_err' \(median 1.5\) is not said; say --sigma-unit arcsec"):
+    with pytest.raises(InputError, match=r"the unit of 'ra_err' \(median 1.5\) is not said; say sigma_unit=arcsec"):
         chosen(table)
     assert [column.unit for column in chosen(table, sigma_unit="mas").error.columns] == ["mas", "mas"]
 
 
 def test_two_kinds_of_errors_are_refused() -> None:
     table = made("ra", "dec", "pos_err", "sigma", units={"pos_err": "arcsec", "sigma": "arcsec"})
-    with pytest.raises(InputError, match=r"2 candidates for the position error: sigma or pos_err; say --sigma NAME"):
+    with pytest.raises(InputError, match=r"2 candidates for the position error: sigma or pos_err; say sigma=NAME"):
         chosen(table)
     assert names_of(chosen(table, sigma="pos_err")) == ["ra", "dec", "pos_err"]
 
@@ -223,7 +223,7 @@ def test_errors_of_two_catalogues_of_one_position_are_refused() -> None:
 
 
 def test_two_positions_are_refused() -> None:
-    with pytest.raises(InputError, match=r"2 candidates for right ascension: 'RAJ2000', 'ra'; say --ra NAME"):
+    with pytest.raises(InputError, match=r"2 candidates for right ascension: 'RAJ2000', 'ra'; say ra=NAME"):
         chosen(made("ra", "dec", "RAJ2000", "DEJ2000"), sigma=1)
 
 
@@ -250,9 +250,9 @@ def test_unknown_names_are_found_by_their_ucds() -> None:
 
 
 def test_a_wrong_column_name_gets_a_suggestion() -> None:
-    with pytest.raises(InputError, match=r"no column 'RA_ICRSS' for --ra; did you mean 'RA_ICRS'"):
+    with pytest.raises(InputError, match=r"no column 'RA_ICRSS' for ra; did you mean 'RA_ICRS'"):
         chosen(made(*GAIA_VIZIER), ra="RA_ICRSS")
-    with pytest.raises(InputError, match=r"no column 'sgima' for --sigma; it has: ra, dec"):
+    with pytest.raises(InputError, match=r"no column 'sgima' for sigma; it has: ra, dec"):
         chosen(made("ra", "dec"), sigma="sgima")
 
 
@@ -261,7 +261,7 @@ def test_an_option_for_ra_alone_finds_its_partner() -> None:
     assert names_of(chosen(table, ra="RAJ2000", sigma=1)) == ["RAJ2000", "DEJ2000"]
     assert names_of(chosen(table, dec="dec", sigma=1)) == ["ra", "dec"]
     assert names_of(chosen(table, ra="x", dec="y", sigma=1)) == ["x", "y"]
-    with pytest.raises(InputError, match=r"'x' has no known partner; say --ra NAME and --dec NAME"):
+    with pytest.raises(InputError, match=r"'x' has no known partner; say ra=NAME and dec=NAME"):
         chosen(table, ra="x", sigma=1)
 
 
@@ -270,7 +270,7 @@ def test_motion_without_a_known_convention_is_not_taken() -> None:
     choice = chosen(table, sigma=1)
     assert choice.motion == (None,) * 4
     assert (
-        "pm_ra, pm_dec not used: with or without cos(dec) is not said; if with, say --pm pm_ra,pm_dec" in choice.notes
+        "pm_ra, pm_dec not used: with or without cos(dec) is not said; if with, say pm='pm_ra,pm_dec'" in choice.notes
     )
     assert chosen(table, sigma=1, pm="pm_ra,pm_dec").motion[1] is not None
 
@@ -287,7 +287,7 @@ def test_units_that_cannot_be_are_refused() -> None:
         chosen(made(*GAIA, units={"ra_error": "pix"}))
     with pytest.raises(InputError, match=r"'pmra' is in s / yr, which is not convertible to mas / yr"):
         chosen(made(*GAIA, *GAIA_MOTION, units={"pmra": "s / yr"}))
-    with pytest.raises(InputError, match=r"'--sigma' is in parsec, which is not an angle"):
+    with pytest.raises(InputError, match=r"'sigma' is in parsec, which is not an angle"):
         chosen(made("ra", "dec"), sigma=1, sigma_unit="parsec")
 
 

@@ -237,7 +237,9 @@ def test_a_catalogue_that_does_not_cover_the_field_is_refused(seen: Scene) -> No
 
 
 def test_a_moving_catalogue_needs_the_time_of_the_frame(seen: Scene) -> None:
-    with pytest.raises(InputError, match="old: its stars move, but the time of the frame is not known; say --time"):
+    with pytest.raises(
+        InputError, match="old: its stars move, but the time of the frame is not known; say epoch_jyr=YEAR"
+    ):
         solve(seen.measured, seen.catalogue, ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE))), epoch_jyr=None)
 
 

@@ -86,7 +86,7 @@ def test_an_offset_that_is_no_better_than_chance_is_not_taken_away(n):
     one, two = scene(Cap(10.0, 0.0, 0.3), n, 1), scene(Cap(10.0, 0.0, 0.3), n, 2)
     found = match_catalogues(catalogue(one.first, "a"), catalogue(two.second, "b"), MatchOptions(offset="find"))
     assert found.turn is None and "no offset was taken away" in found.doubts
-    assert not any("unit" in doubt or "--offset" in doubt for doubt in found.doubts)
+    assert not any("unit" in doubt or "offset=" in doubt for doubt in found.doubts)
 
 
 def test_catalogues_of_different_fields_are_said_to_lie_apart():
@@ -112,10 +112,10 @@ def test_catalogues_off_each_other_are_doubted_and_brought_together(vector):
     made = scene(Cap(40.0, 60.0, 0.4), 1500)
     first, second = catalogue(made.first, "a"), catalogue(turned(made.second, (40.0, 60.0), vector), "b")
     believed = match_catalogues(first, second)
-    assert any("--offset find" in doubt for doubt in believed.doubts) and believed.turn is None
+    assert any("offset='find'" in doubt for doubt in believed.doubts) and believed.turn is None
     found = match_catalogues(first, second, MatchOptions(offset="find"))
-    assert found.turn is not None and not any("--offset" in doubt for doubt in found.doubts)
+    assert found.turn is not None and not any("offset=" in doubt for doubt in found.doubts)
     assert np.abs(found.turn.vector[:2] - vector[:2]).max() < 0.1
     assert len(found.result.matches) > 0.98 * 1500
     still = match_catalogues(first, catalogue(made.second, "b"))
-    assert not any("--offset" in doubt for doubt in still.doubts)
+    assert not any("offset=" in doubt for doubt in still.doubts)

@@ -38,7 +38,7 @@ from sameas.cli.frame_arguments import (
     When,
     with_own_columns,
 )
-from sameas.cli.options import fields_of
+from sameas.cli.options import fields_of, frame_option
 from sameas.cli.outcome import INPUT_ERROR, answering
 
 
@@ -81,7 +81,7 @@ def frame(
     A frame is placed by its header, or an aim and a scale, or a range of scales alone. What is done already is not
     done again.
     """
-    with answering(debug):
+    with answering(debug, frame_option):
         from sameas.cli.framing import FrameRequest
         from sameas.cli.pointing_hints import PointingOptions, aim_of, scale_of
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sameas.cli.framing import FrameRequest, fulfil
+from sameas.cli.options import frame_option, in_options
 from sameas.errors import InputError
 
 #: Rows of progress that a terminal shows at once.
@@ -117,7 +118,7 @@ def _one(request: FrameRequest, again: bool, progress: Callable[[str], None]) ->
         told = fulfil(request, progress)
         return Outcome(request, told, seconds=time.perf_counter() - began)
     except InputError as error:
-        return Outcome(request, None, str(error), seconds=time.perf_counter() - began)
+        return Outcome(request, None, in_options(error.words, frame_option), seconds=time.perf_counter() - began)
     except MemoryError:
         return Outcome(request, None, f"{request.path}: not enough memory for this frame")
     except Exception as error:

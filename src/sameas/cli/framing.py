@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import sameas
+from sameas.cli.options import frame_option, in_options
 from sameas.cli.pointing_hints import PointingOptions, hints
 from sameas.errors import InputError
 from sameas.io import checksum, replacing, write_table
@@ -186,7 +187,9 @@ def _found(request: FrameRequest, frame: Frame, measured: Any, progress: Progres
         motion=request.motion,
         faintest=request.faintest,
     )
-    return replace(found, notes=(*found.notes, *(f"doubt: {words}" for words in stars.doubts)))
+    return replace(
+        found, notes=(*found.notes, *(f"doubt: {in_options(words, frame_option)}" for words in stars.doubts))
+    )
 
 
 def _write(request: FrameRequest, frame: Frame, found: FrameIdentification, told: dict[str, Any]) -> None:

@@ -10,21 +10,18 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from sameas.cli.arguments import FORMATS, Debug, DryRun, ErrorScale, GateSigmas, Output, Overwrite, Quiet
-from sameas.cli.options import COLUMN_OPTIONS, ColumnOption, fields_of, one_of, sided
+from sameas.cli.options import COLUMN_OPTIONS, FILE_OPTIONS, ColumnOption, fields_of, in_options, one_of, option_of
 from sameas.cli.outcome import answering
 
 #: Catalogues that options can speak of; ``sameas.sky.many`` takes no more.
 MOST = 8
-FILE_OPTIONS = (
-    ColumnOption("format", "format", "NAME", "Format of a file whose extension does not tell it."),
-    ColumnOption("hdu", "hdu", "HDU", "Number or name of the FITS extension."),
-)
 _PANEL = "Columns and files: of all catalogues, or with a number of one (--sigma2 0.1)"
 
 Files = Annotated[
@@ -151,7 +148,11 @@ class ManyRequest:
             options = CatalogueOptions(**fields_of(self.columns, side))
             return Catalogue.of(table, self.names[side - 1], options=options)
         except InputError as error:
-            raise InputError(sided(str(error), side, self.columns)) from error
+            raise InputError(self.in_options(error.words, side)) from error
+
+    def in_options(self, text: str, side: int) -> str:
+        """A text on one catalogue, with that catalogue's own options."""
+        return in_options(text, lambda argument: option_of(argument, side, self.columns))
 
     def said(self, name: str, side: int) -> str | None:
         """An option of one catalogue's file."""
@@ -169,7 +170,7 @@ def run(request: ManyRequest, wanted: Wanted | None, quiet: bool) -> None:
     from sameas.io import write_table
     from sameas.report.many import estimate_lines, summary_lines
     from sameas.report.match import catalogue_lines
-    from sameas.report.prose import DOUBT, count
+    from sameas.report.prose import count
     from sameas.sky.many import joined_many, match_many
 
     began = time.perf_counter()
@@ -182,8 +183,7 @@ def run(request: ManyRequest, wanted: Wanted | None, quiet: bool) -> None:
             pace(f"reading {path}")
             catalogues.append(request.catalogue(side))
             pace.pause()
-            lines = catalogue_lines(catalogues[-1], side, path)
-            printer(sided(line, side, request.columns) if line.startswith(DOUBT) else line for line in [*lines, ""])
+            printer([*catalogue_lines(catalogues[-1], side, path, partial(request.in_options, side=side)), ""])
         if wanted is None:
             pace.pause()
             printer(["Nothing was identified or written (--dry-run)."])
@@ -192,7 +192,7 @@ def run(request: ManyRequest, wanted: Wanted | None, quiet: bool) -> None:
             tell_compilation()
         match = match_many(catalogues, request.options, progress=pace)
         pace.pause()
-        printer([*estimate_lines(match), "", *summary_lines(match)])
+        printer([*estimate_lines(match, in_options), "", *summary_lines(match)])
         pace("joining the tables")
         table = joined_many(match, least=wanted.least)
         pace(f"writing {wanted.path}")
@@ -238,4 +238,8 @@ def provenance(request: ManyRequest, match: Any, command: str) -> dict[str, Any]
     facts |= {"options_match": json.dumps(asdict(request.options), sort_keys=True), "epoch_object": match.epoch_jyr}
     for names, expected in match.expected.items():
         facts[f"expected_{'_'.join(names)}"] = expected
-    return facts | {"objects": len(match.objects), "rounds": match.rounds, "doubts": list(match.doubts)}
+    return facts | {
+        "objects": len(match.objects),
+        "rounds": match.rounds,
+        "doubts": [in_options(doubt) for doubt in match.doubts],
+    }

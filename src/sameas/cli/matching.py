@@ -7,8 +7,10 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
+from sameas.cli.options import in_options
 from sameas.cli.provenance import provenance
 from sameas.cli.request import Request
 from sameas.cli.terminal import Pace, Printer, tell_compilation
@@ -46,7 +48,7 @@ class Wanted:
                 tell_compilation()
             match = request.match(first, second, pace)
             pace("report")
-            lines = [*estimate_lines(match), "", *summary_lines(match)]
+            lines = [*estimate_lines(match, in_options), "", *summary_lines(match)]
             if self.compare_nearest:
                 lines += ["", *nearest_lines(match)]
             if self.certify:
@@ -134,9 +136,8 @@ def _understood(request: Request, printer: Printer, pace: Pace) -> tuple[Catalog
         path = request.paths[side - 1]
         pace(f"reading {path}")
         catalogue = request.catalogue(side)
-        lines = [*catalogue_lines(catalogue, side, path), ""]
         pace.pause()
-        printer(request.sided(line, side) if line.startswith(DOUBT) else line for line in lines)
+        printer([*catalogue_lines(catalogue, side, path, partial(request.in_options, side=side)), ""])
         read.append(catalogue)
     printer(_same_file(request.paths))
     return read[0], read[1]

@@ -14,7 +14,10 @@ from typing import Annotated, Any
 
 import typer
 
+from sameas.errors import Argument, Message
+
 _THREE = tuple[str, str, str]
+_QUOTES = "'"
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,11 @@ COLUMN_OPTIONS = (
     ColumnOption("magnitude", "magnitude", "NAME|none", "Column of a magnitude."),
     ColumnOption("sigma-floor", "sigma_floor_arcsec", "ARCSEC", "Quadratically added to the errors.", float),
     ColumnOption("missing-pm", "missing_pm_mas_per_yr", "MAS/YR", "Spread of unknown proper motions, 1σ.", float),
+)
+
+FILE_OPTIONS = (
+    ColumnOption("format", "format", "NAME", "Format of a file whose extension does not tell it."),
+    ColumnOption("hdu", "hdu", "HDU", "Number or name of the FITS extension."),
 )
 
 PANELS = {"": "Columns of both catalogues", "1": "First catalogue alone", "2": "Second catalogue alone"}
@@ -92,15 +100,31 @@ def fields_of(columns: Mapping[str, Any], side: int) -> dict[str, Any]:
     return fields
 
 
-def sided(message: str, side: int, columns: Mapping[str, Any]) -> str:
-    """A message on one catalogue, its options named as those of that catalogue alone, unless said of both."""
+def option_of(argument: Argument, side: int = 0, columns: Mapping[str, Any] | None = None) -> str:
+    """The option of an argument, with what to give it: that of catalogue ``side``, unless it was said of all."""
+    known = next((option for option in (*COLUMN_OPTIONS, *FILE_OPTIONS) if option.field == argument.name), None)
+    name = argument.name.replace("_", "-") if known is None else known.name
+    of_one = side and known is not None and (columns or {}).get(known.parameter) is None
+    return f"--{name}{side if of_one else ''} {argument.value.strip(_QUOTES)}".rstrip()
 
-    def name(found: re.Match[str]) -> str:
-        option = next((o for o in COLUMN_OPTIONS if o.name == found[1]), None)
-        both = option is None or columns.get(option.parameter) is not None
-        return found[0] if both else f"--{found[1]}{side}"
 
-    return re.sub(r"--([a-z]+(?:-[a-z]+)*)(?![\w-])", name, message)
+#: What ``sameas frame`` has for arguments whose name is not that of its option.
+_OF_FRAME = {"epoch_jyr": "--time DATE", "cone": "--aim", "catalogue": "--catalog bright", "format": "its format"}
+
+
+def frame_option(argument: Argument) -> str:
+    """The option of ``sameas frame`` for an argument."""
+    return _OF_FRAME.get(argument.name) or option_of(argument)
+
+
+def sensor_option(argument: Argument) -> str:
+    """The option of ``sameas picture`` for an argument; most are names in the file of ``--sensors``."""
+    return "--sensors" if argument.name == "read_told" else str(argument)
+
+
+def in_options(text: str, option: Callable[[Argument], str] = option_of) -> str:
+    """A text of the library as the command line has it: arguments are options."""
+    return text.with_options(option) if isinstance(text, Message) else text
 
 
 def one_of(names: Sequence[str]) -> Callable[[str | None], str | None]:

@@ -6,19 +6,23 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import typer
 
-from sameas.errors import InputError
+from sameas.cli.options import in_options, option_of
+from sameas.errors import Argument, InputError
 
 INPUT_ERROR, INTERRUPTED = 1, 130
 
 
 @contextmanager
-def answering(debug: bool) -> Iterator[None]:
-    """Errors in the block become one line on stderr and an exit code; ``debug`` prints the traceback too."""
+def answering(debug: bool, option: Callable[[Argument], str] = option_of) -> Iterator[None]:
+    """Errors in the block become one line on stderr and an exit code.
+
+    debug : print the traceback too. option : what the command has instead of an argument of the library.
+    """
     try:
         yield
     except (typer.Exit, typer.Abort, typer.BadParameter):
@@ -26,7 +30,7 @@ def answering(debug: bool) -> Iterator[None]:
     except KeyboardInterrupt:
         _end("stopped; nothing was written", INTERRUPTED, debug)
     except InputError as error:
-        _end(str(error), INPUT_ERROR, debug)
+        _end(in_options(error.words, option), INPUT_ERROR, debug)
     except MemoryError:
         _end("not enough memory for these catalogues; nothing was written", INPUT_ERROR, debug)
     except Exception as error:

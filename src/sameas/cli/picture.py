@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from sameas.cli.arguments import Debug, Quiet
-from sameas.cli.options import one_of
+from sameas.cli.options import one_of, sensor_option
 from sameas.cli.outcome import answering
 
 _TIMES, _METHOD, _FILES = "The instants", "The method", "Outputs"
@@ -104,7 +104,7 @@ def picture(
         raise typer.BadParameter("say what to read: the sensors' files, or --sensors with a TOML that names them")
     if at is not None and (every or begin or end):
         raise typer.BadParameter("say --at, or --every with --from and --to, not both", param_hint="--at")
-    with answering(debug):
+    with answering(debug, sensor_option):
         from sameas.cli.picture_files import Outputs
         from sameas.cli.picturing import Instants, Method, run
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from sameas.arrays import FloatArray
+from sameas.cli.options import in_options, sensor_option
 from sameas.cli.picture_files import Made, Outputs, older, write
 from sameas.cli.terminal import Pace, Printer, notice, tell_compilation
 from sameas.errors import InputError
@@ -161,14 +162,13 @@ def _remedies(sensors: Path | None) -> Iterator[None]:
         yield
     except InputError as error:
         file = str(sensors) if sensors else "a TOML file given with --sensors"
-        said = str(error)
-        if said.endswith("in its description"):
-            said += f", its table in {file}"
-        elif "say columns=" in said:
-            said += f"; in {file}: file = {{ columns = {{ … }} }} in the table of the source"
-        elif "; give start" in said:
-            said += ": --start, or file = { start = … } in its description"
-        raise InputError(said) from error
+        options = {
+            "description": f", its table in {file}",
+            "columns": f"; in {file}: file = {{ columns = {{ … }} }} in the table of the source",
+            "start": ": --start, or file = { start = … } in its description",
+        }
+        more = next((options[argument.name] for argument in error.words.arguments if argument.name in options), "")
+        raise InputError(in_options(error.words, sensor_option) + more) from error
 
 
 def _time(text: str, option: str, span_s: tuple[float, float]) -> float:

@@ -12,6 +12,7 @@ import numba
 import numpy
 
 import sameas
+from sameas.cli.options import in_options
 from sameas.cli.request import Request
 from sameas.sky.crossmatch import ARCSEC2_PER_DEG2, SkyMatch
 
@@ -67,7 +68,7 @@ def provenance(request: Request, match: SkyMatch, command: str) -> dict[str, Any
         "candidates": len(result.pairs),
         "pairs": len(result.matches),
         "expected_wrong": result.expected_wrong,
-        "doubts": list(match.doubts),
+        "doubts": [in_options(doubt) for doubt in match.doubts],
     }
 
 

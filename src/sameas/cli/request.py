@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sameas.cli.options import sided
+from sameas.cli.options import in_options, option_of
 from sameas.errors import InputError
 from sameas.io import checksum, read_table
 from sameas.sky.bands import AUTO, OFF
@@ -51,7 +50,7 @@ class Request:
         try:
             return Catalogue.of(table, self.names[side - 1], options=with_options)
         except InputError as error:
-            raise InputError(self.sided(str(error), side)) from error
+            raise InputError(self.in_options(error.words, side)) from error
 
     def match(self, first: Catalogue, second: Catalogue, progress: Callable[[str], None]) -> SkyMatch:
         """Both catalogues identified."""
@@ -62,12 +61,12 @@ class Request:
         try:
             return work()
         except InputError as error:
-            side = next((k for k in (1, 2) if str(error).startswith(f"{self.names[k - 1]}:")), 0)
-            raise InputError(self.sided(str(error), side) if side else str(error)) from error
+            side = self.names.index(error.source) + 1 if error.source in self.names else 0
+            raise InputError(self.in_options(error.words, side)) from error
 
-    def sided(self, message: str, side: int) -> str:
-        """A message on one catalogue, with that catalogue's own options."""
-        return sided(message, side, self.said)
+    def in_options(self, text: str, side: int) -> str:
+        """A text on one catalogue, with that catalogue's own options."""
+        return in_options(text, lambda argument: option_of(argument, side, self.said))
 
     def _table(self, side: int) -> Table:
         hdu: str | int | None = self.hdus[side - 1]
@@ -76,10 +75,7 @@ class Request:
         try:
             return read_table(self.paths[side - 1], format=self.formats[side - 1], hdu=hdu)
         except InputError as error:
-            words = str(error).replace("or name the format", f"or say --format{side} NAME")
-            words = re.sub(r"give format='(\w+)'", rf"say --format{side} \1", words)
-            words = re.sub(r"hdu=('?[^' ,;]+'?)", rf"--hdu{side} \1", words)
-            raise InputError(words) from error
+            raise InputError(self.in_options(error.words, side)) from error
 
     def facts(self) -> dict[str, Any]:
         """The request as flat provenance: absolute paths with their checksums, options as JSON."""

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sameas.errors import InputError
+from sameas.errors import Argument, InputError, Message, naming
 from sameas.io.tables import read_table, write_table
 from sameas.sky.bright import bright_options, bright_table
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
@@ -93,16 +93,15 @@ class GaiaArchive:
         try:
             import pyvo
         except ImportError as error:
-            raise InputError(
-                f"asking the Gaia archive needs pyvo: pip install 'sameas[archive]'; {_offline()}"
-            ) from error
+            message = "asking the Gaia archive needs pyvo: pip install 'sameas[archive]'"
+            raise InputError(message, _offline()) from error
         try:
             answer = pyvo.dal.TAPService(self.url).run_async(self.query(cone, faintest), timeout=self.timeout_s)
             stars = answer.to_table()
         except pyvo.dal.DALQueryError as error:
             raise InputError(f"{self.url}: the archive refuses the question ({_short(error)})") from error
         except Exception as error:  # whatever the network, the server or its XML may do
-            raise InputError(f"{self.url}: the archive does not answer ({_short(error)}); {_offline()}") from error
+            raise InputError(f"{self.url}: the archive does not answer ({_short(error)})", _offline()) from error
         if not len(stars):
             raise InputError(f"{self.url}: the archive has no stars brighter than {faintest:g} in this field")
         stars.meta.clear()
@@ -147,8 +146,8 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "sameas"
 
 
-def _offline() -> str:
-    return "without it: --catalog bright (G < 10, whole sky), or a file or folder of your own"
+def _offline() -> Message:
+    return naming("without it: {catalogue:'bright'} (G < 10, whole sky), or a file or folder of your own")
 
 
 def _short(error: BaseException) -> str:
@@ -183,7 +182,9 @@ def catalogue(
         return bright(progress=progress)
     if name.lower() == GAIA:
         if cone is None:
-            raise InputError("gaia: the archive is asked a field at a time; give --aim, or --catalog bright")
+            raise InputError(
+                "gaia: the archive is asked a field at a time", naming("give {cone}, or {catalogue:'bright'}")
+            )
         stars = (archive or GaiaArchive())(cone, faintest=21.0 if faintest is None else faintest, progress=progress)
         return Catalogue.of(stars, "Gaia DR3", options=options)
     path = Path(name)
@@ -251,7 +252,8 @@ def _column(names: list[str], said: str | None, usual: tuple[str, ...], folder: 
     for name in (said,) if said else usual:
         if name and name.lower() in known:
             return known[name.lower()]
-    raise InputError(f"{folder}: no column {said or what!r} among {', '.join(names[:8])} …; say --{what} NAME")
+    message = f"{folder}: no column {said or what!r} among {', '.join(names[:8])} …"
+    raise InputError(message, Message("say ", Argument(what, "NAME")))
 
 
 def _box(cone: Cone, ra: str, dec: str):  # type: ignore[no-untyped-def]

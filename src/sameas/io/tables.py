@@ -14,7 +14,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from sameas.errors import InputError
+from sameas.errors import Argument, InputError, Message
 from sameas.io.atomic import replacing
 from sameas.io.provenance import plain
 
@@ -146,7 +146,8 @@ def read_table(path: str | os.PathLike[str], *, format: str | None = None, hdu: 
     known = _format_of(path, format)
     _check_source(path, known)
     if hdu is not None and known.name != "fits":
-        raise InputError(f"{path}: hdu={hdu!r} was given, but only FITS files have several tables to choose from")
+        given = Message(f"{path}: ", Argument("hdu", repr(hdu)), " was given")
+        raise InputError(Message(given, ", but only FITS files have several tables to choose from"))
     try:
         return known.module().read(path, hdu)
     except (InputError, MemoryError, ModuleNotFoundError):
@@ -226,7 +227,7 @@ def _format_of(path: Path, name: str | None) -> Format:
             return known
     every = " ".join(extension for known in FORMATS for extension in known.extensions if ".gz" not in extension)
     suffix = f"the extension {path.suffix!r} is not known" if path.suffix else "the name has no extension"
-    raise InputError(f"{path}: {suffix}; known are {every}, or name the format")
+    raise InputError(f"{path}: {suffix}", Message(f"known are {every}, or say ", Argument("format", "NAME")))
 
 
 def _check_source(path: Path, known: Format) -> None:
@@ -243,14 +244,14 @@ def _check_source(path: Path, known: Format) -> None:
         return
     if kind is None and known.name == "votable":
         return
-    remedy = ""
+    remedy: str = ""
     if kind in {other.label for other in FORMATS}:
-        remedy = f"; rename it, or give format={str(kind).lower()!r}"
+        remedy = Message("rename it, or say ", Argument("format", repr(str(kind).lower())))
         kind = f"a {kind} file"
     elif kind == "a web page (HTML)":
-        remedy = "; the download probably failed"
+        remedy = "the download probably failed"
     said = f"is {kind}, not {known.label}" if kind else f"is not a {known.label} file"
-    raise InputError(f"{path}: {said}{remedy}")
+    raise InputError(f"{path}: {said}", remedy)
 
 
 def _similar_names(path: Path) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from sameas.records import Records
@@ -13,8 +15,8 @@ from sameas.sky.many import ManyMatch
 AMBIGUOUS = 0.9
 
 
-def estimate_lines(match: ManyMatch) -> list[str]:
-    """What was estimated of the catalogues together."""
+def estimate_lines(match: ManyMatch, words: Callable[[str], str] = str) -> list[str]:
+    """What was estimated of the catalogues together. words : how a message that names arguments is put."""
     lines = ["Estimated"]
     if match.epoch_jyr is None:
         lines += entry("epoch", "not all epochs are known: nothing is moved")
@@ -23,10 +25,11 @@ def estimate_lines(match: ManyMatch) -> list[str]:
         lines += entry("epoch", f"places of the objects are of {in_years(match.epoch_jyr)} ({', '.join(told)})")
     for (first, second), pair in match.two_by_two.items():
         found = pair.estimate
-        words = f"{figures(found.common)} common, gate {found.gate_sigmas:.1f} σ, residuals {found.typical_scale:.2f} σ"
-        lines += entry("two by two", f"{first} and {second}: {words}")
+        numbers = f"{figures(found.common)} common, gate {found.gate_sigmas:.1f} σ"
+        lines += entry("two by two", f"{first} and {second}: {numbers}, residuals {found.typical_scale:.2f} σ")
     rounds = f"{match.rounds} round{'s' * (match.rounds > 1)}" + ("" if match.settled else ", not settled")
-    return [*lines, *entry("all together", f"estimated in {rounds}"), *(DOUBT + words for words in match.doubts)]
+    lines += entry("all together", f"estimated in {rounds}")
+    return [*lines, *(DOUBT + words(doubt) for doubt in match.doubts)]
 
 
 def summary_lines(match: ManyMatch) -> list[str]:

@@ -7,7 +7,7 @@ heading starts at the margin, what belongs to it is indented, a doubt starts wit
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise
 
@@ -48,20 +48,23 @@ def report(match: SkyMatch) -> str:
     return "\n\n".join("\n".join(lines) for lines in parts)
 
 
-def catalogue_lines(catalogue: Catalogue, side: int, path: str = "") -> list[str]:
-    """What was understood of catalogue 1, 2, …, and what looks wrong with it; ``path`` of its file."""
+def catalogue_lines(catalogue: Catalogue, side: int, path: str = "", words: Callable[[str], str] = str) -> list[str]:
+    """What was understood of catalogue 1, 2, …, and what looks wrong with it.
+
+    path : of its file. words : how a message that names arguments is put.
+    """
     where = f" ({path})" if path else ""
     lines = [f"{ORDINALS[side - 1]} catalogue: {catalogue.name}, {count(len(catalogue))} rows{where}"]
-    told = [line.partition(": ") for line in catalogue.understood]
+    told = [words(line).partition(": ") for line in catalogue.understood]
     last = {label: k for k, (label, _, _) in enumerate(told)}
-    for k, (label, colon, words) in enumerate(told):
+    for k, (label, colon, text) in enumerate(told):
         if not colon or len(label) > LABEL:
-            lines += entry("note", label + colon + words)
+            lines += entry("note", label + colon + text)
         elif last[label] == k:  # what is said of the same thing later corrects what was said before
-            lines += entry(label, words)
-    for words in catalogue.table.meta.get("sameas_notes", ()):  # what reading the file left to be said
-        lines += entry("file", words)
-    return lines + _doubt_lines(catalogue.doubts)
+            lines += entry(label, text)
+    for note in catalogue.table.meta.get("sameas_notes", ()):  # what reading the file left to be said
+        lines += entry("file", note)
+    return lines + _doubt_lines(catalogue.doubts, words)
 
 
 def coverage_lines(moved: str, coverage: Coverage, doubts: Sequence[str] = ()) -> list[str]:
@@ -69,8 +72,8 @@ def coverage_lines(moved: str, coverage: Coverage, doubts: Sequence[str] = ()) -
     return ["Both catalogues", *entry("epoch", moved), *_area(coverage), *_doubt_lines(doubts)]
 
 
-def estimate_lines(match: SkyMatch) -> list[str]:
-    """What was estimated of the two catalogues together."""
+def estimate_lines(match: SkyMatch, words: Callable[[str], str] = str) -> list[str]:
+    """What was estimated of the two catalogues together. words : how a message that names arguments is put."""
     return [
         "Estimated",
         *entry("epoch", match.moved),
@@ -78,7 +81,7 @@ def estimate_lines(match: SkyMatch) -> list[str]:
         *common_objects(match),
         *_area(match.estimate.coverage),
         *findings(match),
-        *_doubt_lines(match.doubts),
+        *_doubt_lines(match.doubts, words),
     ]
 
 
@@ -124,9 +127,9 @@ def nearest_lines(match: SkyMatch) -> list[str]:
     return lines
 
 
-def _doubt_lines(doubts: Sequence[str]) -> list[str]:
+def _doubt_lines(doubts: Sequence[str], words: Callable[[str], str] = str) -> list[str]:
     """One line each, however long: a doubt may be printed alone."""
-    return [DOUBT + words for words in doubts]
+    return [DOUBT + words(doubt) for doubt in doubts]
 
 
 def _area(coverage: Coverage) -> list[str]:

@@ -13,7 +13,7 @@ import numpy as np
 from astropy.table import Table
 from numpy.typing import NDArray
 
-from sameas.errors import InputError
+from sameas.errors import InputError, Message, naming
 from sameas.records import Records
 from sameas.sky import column_values, conventions
 from sameas.sky.column_choice import CatalogueOptions, Column, ColumnChoice, PositionError, in_years
@@ -108,9 +108,9 @@ def _motions(astrometry: Astrometry, choice: ColumnChoice) -> str:
 def _motion_errors(choice: ColumnChoice, options: CatalogueOptions) -> str:
     if choice.motion[1] is None or choice.motion_errors[1] is not None or options.pm_sigma_mas_per_yr is not None:
         return ""
-    return (
-        f"{choice.motion[1].name} has no column of errors, so its error is taken to be that of an "
-        "unknown motion; say --pm-sigma MAS_PER_YR"
+    return Message(
+        f"{choice.motion[1].name} has no column of errors, so its error is taken to be that of an unknown motion; ",
+        naming("say {pm_sigma_mas_per_yr:MAS_PER_YR}"),
     )
 
 
@@ -221,7 +221,9 @@ class Catalogue:
             return self._records(a.ra_deg, a.dec_deg, _position_spread(a))
         if self.epoch_jyr is None:
             raise InputError(
-                f"{self.name}: its epoch is not known, so it cannot be moved to {epoch_jyr:g}; say --epoch YEAR"
+                f"{self.name}: its epoch is not known, so it cannot be moved to {epoch_jyr:g}",
+                naming("say {epoch:YEAR}"),
+                source=self.name,
             )
         known = np.isfinite(a.epoch_jyr)
         still = a if known.all() else replace(a, epoch_jyr=np.where(known, a.epoch_jyr, epoch_jyr))
@@ -406,7 +408,10 @@ def _epochs_in_words(epochs: FloatArray) -> str:
 
 def _no_epoch(choice: ColumnChoice, source: str) -> str:
     hint = " (Gaia DR1 2015.0, DR2 2015.5, DR3 2016.0)" if choice.convention.startswith("Gaia") else ""
-    return f"{source}: it has proper motions, but its epoch is not known; say --epoch YEAR{hint}, or --pm none"
+    return Message(
+        f"{source}: it has proper motions, but its epoch is not known; ",
+        naming(f"say {{epoch:YEAR}}{hint}, or {{pm:'none'}}"),
+    )
 
 
 def _ids(

@@ -15,7 +15,7 @@ from astropy.table import QTable, Table
 from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray
-from sameas.errors import InputError
+from sameas.errors import InputError, naming
 
 _SEXAGESIMAL = re.compile(r"^\s*[+-−]?\s*\d+\s*[:hd°\s]\s*\d+", re.IGNORECASE)
 _SEPARATORS = re.compile(r"[:hdms°'\"′″\s]+", re.IGNORECASE)
@@ -133,8 +133,8 @@ def years(table: Table, name: str, source: str) -> FloatArray:
     if 2.3e6 < middle < 2.6e6:
         return mjd_to_jyr(values - 2400000.5)
     raise InputError(
-        f"{source}: column {name!r} (about {middle:g}) is no epoch; give a column of Julian years, MJD, JD "
-        "or dates, or --epoch YEAR"
+        f"{source}: column {name!r} (about {middle:g}) is no epoch",
+        naming("give a column of Julian years, MJD, JD or dates, or {epoch:YEAR}"),
     )
 
 

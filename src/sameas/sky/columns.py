@@ -17,7 +17,7 @@ import numpy as np
 from astropy import units as u
 from astropy.table import Table
 
-from sameas.errors import InputError
+from sameas.errors import Argument, InputError, Message, naming
 from sameas.sky import column_values, conventions
 from sameas.sky.column_choice import CatalogueOptions, Column, ColumnChoice, Epoch, PositionError
 from sameas.sky.conventions import Convention, ErrorNames
@@ -60,7 +60,7 @@ class ColumnSearch:
         lower = {name.lower(): name for name in self.table.colnames}
         close = [lower[name] for name in difflib.get_close_matches(wanted.strip().lower(), lower, n=3)]
         hint = f"did you mean {' or '.join(map(repr, close))}?" if close else f"it has: {self.listing()}"
-        raise InputError(f"{self.source}: no column {wanted.strip()!r} for --{option}; {hint}")
+        raise InputError(Message(f"{self.source}: no column {wanted.strip()!r} for ", Argument(option), f"; {hint}"))
 
     def listing(self) -> str:
         names = self.table.colnames
@@ -70,7 +70,8 @@ class ColumnSearch:
         """The columns that an option names, separated by commas."""
         parts = [part for part in text.split(",") if part.strip()]
         if len(parts) != count:
-            raise InputError(f"{self.source}: --{option} {text} names {len(parts)} columns; give {count} with commas")
+            message = Message(f"{self.source}: ", Argument(option, repr(text)), f" names {len(parts)} columns")
+            raise InputError(message, f"give {count} with commas")
         return tuple(self.required(part, option) for part in parts)
 
     def column(self, name: str, unit: str, option: str = "") -> Column:
@@ -90,15 +91,18 @@ class ColumnSearch:
             known = values[np.isfinite(values)]
             middle = f" (median {np.median(known):g})" if len(known) else ""
             raise InputError(
-                f"{self.source}: the unit of {name!r}{middle} is not said; say --sigma-unit arcsec, mas or deg"
+                f"{self.source}: the unit of {name!r}{middle} is not said",
+                naming("say {sigma_unit:arcsec}, mas or deg"),
             )
         return self.checked(column, "arcsec", "an angle")
 
-    def checked(self, column: Column, target: str, words: str) -> Column:
+    def checked(self, column: Column, target: str, words: str, name: str = "") -> Column:
+        """The column, whose unit is one of ``target``'s kind. name : of the column in messages."""
         try:
             column_values.factor(column.unit, target)
         except (ValueError, TypeError):  # UnitConversionError, unknown unit
-            raise InputError(f"{self.source}: {column.name!r} is in {column.unit}, which is not {words}") from None
+            unfit = f" is in {column.unit}, which is not {words}"
+            raise InputError(Message(f"{self.source}: ", name or repr(column.name), unfit)) from None
         return column
 
     def motion_column(self, name: str, unit: str) -> Column:
@@ -193,15 +197,15 @@ def _refuse_equals(search: ColumnSearch, chosen: list[Convention]) -> None:
         positions = sorted(n for n in search.table.colnames if n.lower() == positions[0].lower())
     if len(positions) > 1:
         raise InputError(
-            f"{search.source}: {len(positions)} candidates for right ascension: "
-            f"{', '.join(map(repr, positions))}; say --ra NAME"
+            f"{search.source}: {len(positions)} candidates for right ascension: {', '.join(map(repr, positions))}",
+            naming("say {ra:NAME}"),
         )
     errors = {names for c in chosen if (e := _own_error(search, c)) and (names := search.find_all(e.names))}
     if len(errors) > 1 and search.options.sigma is None and search.options.ellipse is None:
         raise InputError(
             f"{search.source}: {len(errors)} candidates for the position errors: "
-            f"{' or '.join(','.join(names) for names in sorted(errors))}; "
-            "say --sigma EAST,NORTH or --ellipse A,B,ANGLE"
+            f"{' or '.join(','.join(names) for names in sorted(errors))}",
+            naming("say {sigma:'EAST,NORTH'} or {ellipse:'A,B,ANGLE'}"),
         )
     # Of one position the convention that brings errors knows it best.
     chosen.sort(key=lambda c: _own_error(search, c) is None)
@@ -223,7 +227,7 @@ def _said_position(search: ColumnSearch) -> Convention:
     if known:
         return min(known, key=lambda c: _own_error(search, c) is None)
     if other is None:
-        raise InputError(f"{search.source}: {said!r} has no known partner; say --ra NAME and --dec NAME")
+        raise InputError(f"{search.source}: {said!r} has no known partner", naming("say {ra:NAME} and {dec:NAME}"))
     return conventions.plain((said, other), title="options")
 
 
@@ -237,8 +241,8 @@ def _position_by_ucd(search: ColumnSearch) -> Convention:
     if len(ra) == 1 and len(dec) == 1:
         return conventions.plain((ra[0], dec[0]), title="UCD pos.eq.ra, pos.eq.dec")
     raise InputError(
-        f"{search.source}: no columns of right ascension and declination found among: {search.listing()}; "
-        "say --ra NAME --dec NAME"
+        f"{search.source}: no columns of right ascension and declination found among: {search.listing()}",
+        naming("say {ra:NAME} {dec:NAME}"),
     )
 
 
@@ -260,7 +264,7 @@ def _direction(search: ColumnSearch, name: str, unit: str, right_ascension: bool
 def _position_error(search: ColumnSearch, convention: Convention) -> PositionError:
     options = search.options
     if options.sigma is not None and options.ellipse:
-        raise InputError(f"{search.source}: give --sigma or --ellipse, not both")
+        raise InputError(Message(f"{search.source}: ", naming("give {sigma} or {ellipse}, not both")))
     if options.ellipse:
         return _error_columns(search, "ellipse", search.several(options.ellipse, 3, "ellipse"), "", "")
     if options.sigma is not None:
@@ -273,13 +277,14 @@ def _position_error(search: ColumnSearch, convention: Convention) -> PositionErr
     if len(found) > 1:
         raise InputError(
             f"{search.source}: {len(found)} candidates for the position error: "
-            f"{' or '.join(','.join(names) for names in found)}; say --sigma NAME"
+            f"{' or '.join(','.join(names) for names in found)}",
+            naming("say {sigma:NAME}"),
         )
     for names, way in found.items():
         return _error_columns(search, way.kind, names, way.unit, way.covariance, convention)
     raise InputError(
-        f"{search.source}: no column of position errors ({convention.title}); "
-        "say --sigma ARCSEC, --sigma COLUMN or --ellipse A,B,ANGLE"
+        f"{search.source}: no column of position errors ({convention.title})",
+        naming("say {sigma:ARCSEC}, {sigma:COLUMN} or {ellipse:'A,B,ANGLE'}"),
     )
 
 
@@ -300,9 +305,11 @@ def _said_error(search: ColumnSearch, sigma: float | str, convention: Convention
             return _error_columns(search, own.kind, names, own.unit, own.covariance, convention)
         return _error_columns(search, "axes" if count > 1 else "circle", names, "", "")
     unit = search.options.sigma_unit or "arcsec"
-    search.checked(Column("--sigma", unit, "option"), "arcsec", "an angle; give arcsec, mas, deg")
+    unit_of = Column("sigma", unit, "option")
+    search.checked(unit_of, "arcsec", "an angle; give arcsec, mas, deg", naming("'{sigma}'"))
     if not number > 0:
-        raise InputError(f"{search.source}: --sigma {sigma} is not positive; give a standard deviation per axis")
+        message = Message(f"{search.source}: ", Argument("sigma", str(sigma)), " is not positive")
+        raise InputError(message, "give a standard deviation per axis")
     return PositionError("number", sigma_arcsec=number * column_values.factor(unit, "arcsec"))
 
 
@@ -346,16 +353,15 @@ def _motion(search: ColumnSearch, convention: Convention) -> tuple[tuple[Any, ..
         names[1:3] = said
     for k, text, option in (
         (0, options.parallax, "parallax"),
-        (3, options.radial_velocity, "radial-velocity"),
+        (3, options.radial_velocity, "radial_velocity"),
     ):
         if text:
             names[k] = None if text.lower() == "none" else search.required(text, option)
             errors[k] = _error_of(search, names[k])
     notes = []
     if names[1] is None and not options.pm and (other := search.find_all(("pm_ra", "pm_dec"))):
-        notes.append(
-            f"{', '.join(other)} not used: with or without cos(dec) is not said; if with, say --pm {','.join(other)}"
-        )
+        not_used = f"{', '.join(other)} not used: with or without cos(dec) is not said; if with, say "
+        notes.append(Message(not_used, Argument("pm", repr(",".join(other)))))
     return (
         tuple(search.motion_column(n, unit) if n else None for n, unit in zip(names, units, strict=True)),
         tuple(search.motion_column(n, unit) if n else None for n, unit in zip(errors, units, strict=True)),

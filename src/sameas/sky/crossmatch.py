@@ -13,7 +13,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.errors import InputError
+from sameas.errors import InputError, Message, naming
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.match import Estimate
 from sameas.estimate.match import match as estimated
@@ -204,8 +204,9 @@ def brought_together(
         if not len(records):
             counts = records.set_aside.counts()
             reasons = ", ".join(f"{reason} ({n})" for reason, n in counts.items())
-            remedy = "; an error of 0 counts as none: say --sigma ARCSEC" if "no error" in counts else ""
-            raise InputError(f"{catalogue.name}: none of its {len(catalogue)} rows can be used: {reasons}{remedy}")
+            remedy = naming("an error of 0 counts as none: say {sigma:ARCSEC}") if "no error" in counts else ""
+            message = f"{catalogue.name}: none of its {len(catalogue)} rows can be used: {reasons}"
+            raise InputError(message, remedy, source=catalogue.name)
     return epoch, words, one, two
 
 
@@ -219,7 +220,9 @@ def _refuse_blur(one: Records, two: Records) -> None:
         worst = (one, two)[int(sigmas[1] > sigmas[0])].source
         raise InputError(
             f"{worst}: its typical error, {max(sigmas):.3g} arcsec, is so large that about {crowd:.0f} records lie "
-            "within it in either catalogue; are the errors in another unit? say --sigma-unit UNIT"
+            "within it in either catalogue",
+            naming("are the errors in another unit? say {sigma_unit:UNIT}"),
+            source=worst,
         )
 
 
@@ -257,8 +260,9 @@ def common_epoch(first: Catalogue, second: Catalogue, asked: float | None) -> tu
             return None, "neither catalogue has proper motions, and not both epochs are known: nothing is moved"
         still = first if known[0] is None else second
         raise InputError(
-            f"{still.name}: its epoch is not known, so the other catalogue cannot be moved to it; "
-            f"say --epoch{1 if still is first else 2} YEAR"
+            f"{still.name}: its epoch is not known, so the other catalogue cannot be moved to it",
+            naming("say {epoch:YEAR}"),
+            source=still.name,
         )
     mover, target = (second, first) if second.has_motion and not first.has_motion else (first, second)
     epoch = target.epoch_jyr
@@ -328,19 +332,17 @@ def _of_search(sought: Rotation) -> tuple[str, ...]:
 def _standing_off(result: Identification, estimate: Estimate) -> tuple[str, ...]:
     """A question to the frames where the pairs lie off each other on the average, or there are none."""
     if _next_to_nothing(result, estimate):
-        return (
+        few = (
             f"{result.first.source} and {result.second.source} have next to nothing in common "
             f"({estimate.quantities['common']} objects); one may stand off the other by more than their errors: "
-            "--offset find looks for that",
         )
+        return (Message(few, naming("{offset:'find'} looks for that")),)
     found = left_over(result, estimate.typical_scale)
     if found is None:
         return ()
     turn, share = found
-    return (
-        f"{result.second.source} stands off {result.first.source} by up to {share:.1g} of a pair's error "
-        f"({turn}): say --offset find to take it away",
-    )
+    off = f"{result.second.source} stands off {result.first.source} by up to {share:.1g} of a pair's error ({turn}): "
+    return (Message(off, naming("say {offset:'find'} to take it away")),)
 
 
 def _next_to_nothing(result: Identification, estimate: Estimate) -> bool:
@@ -360,11 +362,11 @@ def _missed(result: Identification, estimate: Estimate) -> tuple[str, ...]:
     by_chance = math.sqrt(math.log(4.0 / 3.0) * ARCSEC2_PER_DEG2 / (math.pi * density_2))
     if near > 0.2 * by_chance:
         return ()
-    return (
+    missed = (
         f"a quarter of {first.source} lies within {near:.2g} arcsec of a record of {second.source}, by chance it would "
         f"be {by_chance:.2g}, but hardly any within its errors: are the errors in the unit that was understood? "
-        "Or is one shifted (--offset find)?",
     )
+    return (Message(missed, naming("Or is one shifted ({offset:'find'})?")),)
 
 
 def _by_row(records: Records, values: BoolArray) -> BoolArray:

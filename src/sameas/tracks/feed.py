@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 
 from sameas.arrays import FloatArray, IntArray
-from sameas.errors import InputError
+from sameas.errors import InputError, naming
 from sameas.evidence.identity import MODELS
 from sameas.gate import ChiSquare
 from sameas.tracks.alignment import States, Succession
@@ -300,7 +300,7 @@ class Feed:
     def _known(self, q: FloatArray) -> FloatArray:
         if not np.isfinite(q).all():
             name = self.description.name
-            raise InputError(f"{name}: misses.q is not known; give misses = {{ q = … }} in its description")
+            raise InputError(f"{name}: misses.q is not known", naming("give misses = {{ q = … }} in its {description}"))
         return q
 
     def clutter(self, features: int) -> float:
@@ -366,7 +366,7 @@ def walk_of(description: Description) -> float:
     walk = description.motion.acceleration_m2_per_s3
     if walk is None:
         raise InputError(
-            f"{description.name}: motion.acceleration_m2_per_s3 is not known and {description.kind!r} assumes none; "
-            "give motion = { acceleration_m2_per_s3 = … } in its description"
+            f"{description.name}: motion.acceleration_m2_per_s3 is not known and {description.kind!r} assumes none",
+            naming("give motion = {{ acceleration_m2_per_s3 = … }} in its {description}"),
         )
     return walk

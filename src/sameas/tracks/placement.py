@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.errors import InputError
+from sameas.errors import Argument, InputError, Message, naming
 from sameas.many.observations import Bearing
 from sameas.records import unpack
 from sameas.tracks.alignment import States
@@ -165,8 +165,8 @@ def _of_local(description: Description, reports: Reports, plane: LocalPlane | No
     site = description.site
     if site is None or site.lat_deg is None or site.lon_deg is None:
         raise InputError(
-            f"{description.name}: positions are metres in a plane of its own; give the origin of that plane, "
-            "site = { lat_deg = …, lon_deg = … }, in its description"
+            f"{description.name}: positions are metres in a plane of its own",
+            naming("give the origin of that plane, site = {{ lat_deg = …, lon_deg = … }}, in its {description}"),
         )
     lat, lon = LocalPlane(site.lat_deg, site.lon_deg).to_geodetic(xy)
     turn = plane.turn(np.full(n, site.lat_deg), np.full(n, site.lon_deg))
@@ -242,8 +242,8 @@ def _sensor_geodetic(description: Description, reports: Reports) -> tuple[FloatA
         return reports.station_lat_deg, reports.station_lon_deg, height
     if site is None or site.lat_deg is None or site.lon_deg is None:
         raise InputError(
-            f"{description.name}: nothing says where the sensor is; give site = {{ lat_deg = …, lon_deg = … }} "
-            "in its description"
+            f"{description.name}: nothing says where the sensor is",
+            naming("give site = {{ lat_deg = …, lon_deg = … }} in its {description}"),
         )
     return np.full(n, site.lat_deg), np.full(n, site.lon_deg), height
 
@@ -257,8 +257,8 @@ def _sensor_m(description: Description, reports: Reports, plane: LocalPlane | No
         return np.column_stack([reports.station_x_m, reports.station_y_m])
     if description.site is None:
         raise InputError(
-            f"{description.name}: nothing says where the sensor is; give site = {{ east_m = …, north_m = … }} "
-            "in its description"
+            f"{description.name}: nothing says where the sensor is",
+            naming("give site = {{ east_m = …, north_m = … }} in its {description}"),
         )
     return np.broadcast_to(description.site.in_plane(None), (len(reports), 2)).copy()
 
@@ -354,7 +354,7 @@ def _needed(description: Description, part: str, name: str) -> float:
     value = getattr(getattr(description, part), name)
     if value is None:
         raise InputError(
-            f"{description.name}: {part}.{name} is not known and {description.kind!r} assumes none; "
-            f"give {part} = {{ {name} = … }} in its description"
+            f"{description.name}: {part}.{name} is not known and {description.kind!r} assumes none",
+            Message(f"give {part} = {{ {name} = … }} in its ", Argument("description")),
         )
     return float(value)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from sameas.arrays import FloatArray
-from sameas.errors import InputError
+from sameas.errors import InputError, naming
 from sameas.io.sensors.clock import KNOT_M_PER_S, MILE_M, at_second, counted_on, held
 from sameas.io.sensors.nmea import Log, Sentence
 from sameas.tracks.accuracy import AIS_RECKONED_SIGMA_M, AIS_SIGMA_M, round_covariance
@@ -283,8 +283,8 @@ def _times(
         return at_second(clock_s[places], second), clock
     if start_s is None:
         raise InputError(
-            f"{source}: no time: the lines carry no time of receipt, and there is no ZDA, RMC or base station; "
-            "give start, the UTC of the first line"
+            f"{source}: no time: the lines carry no time of receipt, and there is no ZDA, RMC or base station",
+            naming("give {start}, the UTC of the first line"),
         )
     counted = held(counted_on(second, 60.0, start_s))
     return counted, "the seconds in the messages, counted on from the start that was given"

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from sameas.arrays import FloatArray
-from sameas.errors import InputError
+from sameas.errors import InputError, naming
 from sameas.io.sensors.ais import own_ship
 from sameas.io.sensors.clock import KNOT_M_PER_S, MILE_M, held
 from sameas.io.sensors.nmea import Log, Sentence, dated, latitude, longitude, time_of_day
@@ -201,8 +201,9 @@ def _times(log: Log, day_s: FloatArray, places: np.ndarray, source: str, start_s
     times = np.where(np.isfinite(own_time), own_time, clock_s)
     if not np.isfinite(times).all():
         some = "the sentences tell the time of day, but no date" if np.isfinite(day_s).any() else "no line tells a time"
-        remedy = "; give start, the UTC date of the first line" if np.isfinite(day_s).all() else ", no ZDA and no RMC"
-        raise InputError(f"{source}: no time: {some}{remedy}")
+        if np.isfinite(day_s).all():
+            raise InputError(f"{source}: no time: {some}", naming("give {start}, the UTC date of the first line"))
+        raise InputError(f"{source}: no time: {some}, no ZDA and no RMC")
     return np.asarray(times)
 
 

@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from sameas.errors import InputError
+from sameas.errors import Argument, InputError, Message
 from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S, MILE_M
 
 #: Units by kind of quantity: what people write at the end of a name, and how many of ours it is.
@@ -150,12 +150,18 @@ def choose(
             if len(equal) > 1:
                 listed = ", ".join(map(repr, equal))
                 raise InputError(
-                    f"{source}: {len(equal)} columns may be {quantity.column}: {listed}; "
-                    f"say columns={{{quantity.column!r}: NAME}}"
+                    f"{source}: {len(equal)} columns may be {quantity.column}: {listed}",
+                    naming_columns(quantity.column),
                 )
             chosen[quantity.column] = _choice(equal[0], quantity, stems, units, source)
             taken.add(equal[0])
     return _with_courses(chosen, stems)
+
+
+def naming_columns(*quantities: str) -> Message:
+    """The remedy that says which columns quantities are."""
+    pairs = ", ".join(f"{quantity!r}: NAME" for quantity in quantities)
+    return Message("say ", Argument("columns", f"{{{pairs}}}"))
 
 
 def _check_said(names: Sequence[str], source: str, said: Mapping[str, str], units: Mapping[str, str]) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from sameas.errors import InputError
+from sameas.errors import InputError, naming
 from sameas.io.sensors.aircraft import errors_of, identity_of, notes
 from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S, counted_on, instant
 from sameas.io.sensors.format import SensorFormat
@@ -103,8 +103,10 @@ def _times(times: Sequence[tuple[float, float]], source: str, start_s: float | N
     if np.isfinite(counter).all() and start_s is not None:
         counted = counted_on(counter, _COUNTER_S)
         return np.asarray(start_s + counted - counted[0])
-    remedy = "give start, the UTC of the first line" if np.isfinite(counter).all() else "write one before every message"
-    raise InputError(f"{source}: no time in {int((~np.isfinite(utc)).sum())} of {len(utc)} messages; {remedy}")
+    message = f"{source}: no time in {int((~np.isfinite(utc)).sum())} of {len(utc)} messages"
+    if np.isfinite(counter).all():
+        raise InputError(message, naming("give {start}, the UTC of the first line"))
+    raise InputError(message, "write one before every message")
 
 
 def _decoder() -> Callable[..., Any]:

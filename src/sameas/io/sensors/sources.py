@@ -19,7 +19,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from sameas.errors import InputError
+from sameas.errors import Argument, InputError, Message
 from sameas.io.sensors.format import ReadOptions
 from sameas.io.sensors.reading import read_reports
 from sameas.tracks.kinds import KINDS
@@ -173,8 +173,12 @@ def _kind(reports: Reports) -> tuple[str, str]:
     if reports.position == "bearing":
         return "camera", "it tells directions only"
     raise InputError(
-        f"{reports.source}: what kind of sensor is it? Neither its name nor its columns tell; describe it in a file "
-        f'for --sensors: {toml_table(reports.source)} kind = "…", one of {", ".join(KINDS)}'
+        f"{reports.source}: what kind of sensor is it? Neither its name nor its columns tell",
+        Message(
+            "describe it in a file for ",
+            Argument("read_told"),
+            f': {toml_table(reports.source)} kind = "…", one of {", ".join(KINDS)}',
+        ),
     )
 
 

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.errors import InputError
+from sameas.errors import InputError, Message, naming
 from sameas.io.sensors.clock import DAY_S, counted_on, instant, seconds
-from sameas.io.sensors.columns import Choice, choose
+from sameas.io.sensors.columns import Choice, choose, naming_columns
 from sameas.io.sensors.format import SensorFile, SensorFormat
 from sameas.tracks.accuracy import round_covariance
 from sameas.tracks.reports import Damaged, Reports
@@ -181,20 +181,20 @@ def _opened(told: Mapping[str, Any]) -> dict[str, Any]:
 def _check_chosen(chosen: Mapping[str, Choice], names: Sequence[str], source: str) -> None:
     listed = ", ".join(names)
     if "time_s" not in chosen and "day_s" not in chosen:
-        raise InputError(f"{source}: no column of time among: {listed}; say columns={{'time_s': NAME}}")
+        raise InputError(f"{source}: no column of time among: {listed}", naming_columns("time_s"))
     for pair in (("lat_deg", "lon_deg"), ("x_m", "y_m")):
         if (pair[0] in chosen) != (pair[1] in chosen):
             missing = pair[0] if pair[1] in chosen else pair[1]
-            raise InputError(f"{source}: no column of {missing} among: {listed}; say columns={{{missing!r}: NAME}}")
+            raise InputError(f"{source}: no column of {missing} among: {listed}", naming_columns(missing))
     if "range_m" in chosen and not {"lat_deg", "x_m", "bearing_deg"} & set(chosen):
         raise InputError(
-            f"{source}: ranges ({chosen['range_m'].name}), but no column of bearings among: {listed}; "
-            "say columns={'bearing_deg': NAME}"
+            f"{source}: ranges ({chosen['range_m'].name}), but no column of bearings among: {listed}",
+            naming_columns("bearing_deg"),
         )
     if not {"lat_deg", "x_m", "bearing_deg"} & set(chosen):
         raise InputError(
-            f"{source}: no columns of a position among: {listed}; "
-            "say columns={'lat_deg': NAME, 'lon_deg': NAME}, or those of x_m and y_m, range_m and bearing_deg"
+            f"{source}: no columns of a position among: {listed}",
+            Message(naming_columns("lat_deg", "lon_deg"), ", or those of x_m and y_m, range_m and bearing_deg"),
         )
 
 
@@ -264,7 +264,8 @@ def _times(
         )
     if start_s is None:
         raise InputError(
-            f"{source}: {choice.name!r} tells the time of day only; give start, the UTC date of the first row"
+            f"{source}: {choice.name!r} tells the time of day only",
+            naming("give {start}, the UTC date of the first row"),
         )
     return counted_on(
         times, DAY_S, start_s

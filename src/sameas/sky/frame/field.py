@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.errors import InputError
+from sameas.errors import InputError, naming
 from sameas.records import unpack
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_values import numbers
@@ -91,8 +91,8 @@ class StarField:
         known = catalogue.epoch_jyr is not None
         if epoch_jyr is None and known and catalogue.has_motion:
             raise InputError(
-                f"{catalogue.name}: its stars move, but the time of the frame is not known; say --time DATE, "
-                "or --pm none to leave them where they are"
+                f"{catalogue.name}: its stars move, but the time of the frame is not known",
+                naming("say {epoch_jyr:YEAR}, or {pm:'none'} to leave them where they are"),
             )
         used = np.arange(len(catalogue))
         if near is not None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.errors import InputError
+from sameas.errors import InputError, Message, naming
 from sameas.gate import Pairs
 from sameas.many.joint import Joint, Observers
 from sameas.many.marginals import Answer, answer
@@ -447,14 +447,15 @@ def _at_one_time(catalogues: list[Catalogue], asked: float | None) -> tuple[floa
         ), catalogues
     if asked is not None or any(catalogue.has_motion for catalogue in catalogues):
         raise InputError(
-            f"{unknown[0]}: its epoch is not known, so stars cannot be moved to or from it; say --epoch YEAR"
+            f"{unknown[0]}: its epoch is not known, so stars cannot be moved to or from it",
+            naming("say {epoch:YEAR}"),
         )
     still = [replace(c, astrometry=replace(c.astrometry, epoch_jyr=np.full(len(c), np.nan))) for c in catalogues]
     return None, still
 
 
 def _doubts(pairs: dict[tuple[str, str], SkyMatch], objects: Objects, settled: bool) -> tuple[str, ...]:
-    doubts = [f"{a} and {b}: {words}" for (a, b), match in pairs.items() for words in match.doubts]
+    doubts: list[str] = [Message(f"{a} and {b}: ", words) for (a, b), match in pairs.items() for words in match.doubts]
     if not settled:
         doubts.append("the estimates of all catalogues had not settled when the rounds ran out")
     groups = objects.groups

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sameas.arrays import FloatArray
-from sameas.errors import InputError
+from sameas.errors import InputError, naming
 from sameas.io.sensors.asterix import cat021, cat048, cat062
 from sameas.io.sensors.asterix.blocks import PCAPNG, Block, blocks_of, looks_like
 from sameas.io.sensors.asterix.records import CATEGORIES, DamagedRecord, records_of, unsigned
@@ -131,7 +131,7 @@ def _times(day_s: FloatArray, received_s: FloatArray, name: str, start_s: float 
         return np.asarray(day_s + DAY_S * np.round((received_s - day_s) / DAY_S))
     if start_s is None:
         raise InputError(
-            f"{name}: no date: the records tell the time of day only; give start, the UTC date of the first"
+            f"{name}: no date: the records tell the time of day only", naming("give {start}, the UTC date of the first")
         )
     return counted_on(day_s, DAY_S, start_s)
 
