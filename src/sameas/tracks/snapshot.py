@@ -57,7 +57,8 @@ def pointed_at(
 
 
 #: What an object's state is at an instant: a place, or a place and a velocity.
-POSITION, POSITION_AND_VELOCITY = 2, 4
+POSITION = 2
+POSITION_AND_VELOCITY = 4
 
 
 @dataclass(frozen=True)
