@@ -6,6 +6,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+import pyarrow
 import pytest
 from astropy import units as u
 from astropy.io import fits
@@ -20,6 +21,7 @@ from sameas.io import known_formats, read_table, write_table
 ENDINGS = [".fits", ".vot", ".ecsv", ".csv", ".parquet"]
 ZIPPED = [".fits.gz", ".vot.gz", ".ecsv.gz", ".csv.gz", ".tsv"]
 TYPED = [".fits", ".vot", ".ecsv", ".parquet"]
+NEW_PYARROW = int(pyarrow.__version__.partition(".")[0]) >= 26
 GAIA = np.array([5_853_498_713_190_525_696, 4_472_832_130_942_575_872, 9_007_199_254_740_993], np.int64)
 
 
@@ -190,7 +192,10 @@ def test_any_table_survives(ending, tmp_path, table):
 def test_astropy_reads_what_we_write(ending, tmp_path, monkeypatch):
     from astropy.io.misc import parquet
 
-    monkeypatch.setattr(parquet, "HAS_PANDAS", True)  # its reader asks for pandas and then does without
+    # Its reader asks for pandas and then does without, if pyarrow does.
+    monkeypatch.setattr(parquet, "HAS_PANDAS", True)
+    if ending == ".parquet" and not NEW_PYARROW:
+        pytest.importorskip("pandas")
     path = tmp_path / f"t{ending}"
     table = Table({"id": GAIA, "ra": Column([1.0, 2.5, 3.0], unit="deg"), "s": ["a", "Vega", "c d"], "b": [True] * 3})
     write_table(table, path, provenance={"software": "sameas"})
@@ -329,17 +334,18 @@ def test_parquet_of_another_make(tmp_path):
             "band": pa.array(["g", None, "g"]).dictionary_encode(),
             "when": pa.array([0, 1, None], pa.timestamp("s")),
             "cost": pa.array([1, 2, 3], pa.decimal128(5, 2)),
-            "pair": pa.array([[1, 2], None, [None, 4]], pa.list_(pa.int32(), 2)),
             "odd": pa.array([{"a": 1}] * 3),
         }
     )
+    if NEW_PYARROW:  # an older one cannot write or read it
+        content = content.append_column("pair", pa.array([[1, 2], None, [None, 4]], pa.list_(pa.int32(), 2)))
     parquet.write_table(content, tmp_path / "t.parquet")
     table = read_table(tmp_path / "t.parquet")
     assert table["id"][0] == 2**60 + 1 and table["id"].mask[1]
     assert table["band"].dtype.kind == "U" and table["band"].mask[1]
     assert table["when"][1].startswith("1970-01-01T00:00:01")
     assert table["cost"][2] == 3.0
-    assert table["pair"].mask.tolist() == [[False, False], [True, True], [True, False]]
+    assert not NEW_PYARROW or table["pair"].mask.tolist() == [[False, False], [True, True], [True, False]]
     assert "column odd" in table.meta["sameas_notes"][0]
 
 
