@@ -119,7 +119,7 @@ def test_motion_without_an_epoch_is_refused() -> None:
 
 def test_without_motion_and_epoch_a_catalogue_is_used_where_it_is() -> None:
     source = catalogue({"ra": [1.0, 359.0], "dec": [50.0, 60.0]}, sigma=0.5)
-    assert "without epoch and motion: used where it is, and cannot be moved" in source.understood
+    assert "without epoch and motion: used where it is, and cannot be moved" in source.interpretation
     assert len(source.records()) == 2
     assert source.epoch_jyr is None
     with pytest.raises(InputError, match=r"cat: its epoch is not known, so it cannot be moved to 2016; say epoch="):
@@ -262,7 +262,7 @@ def test_rows_without_a_position_or_an_error_are_set_aside() -> None:
 def test_epochs_are_read_in_every_notation(values: object) -> None:
     source = catalogue(Table({"ra": [1.0, 2.0], "dec": [50.0, 60.0], "when": values}), sigma=1, epoch="when")
     np.testing.assert_allclose(source.astrometry.epoch_jyr, [1999.797, 2000.5], atol=2e-3)
-    assert "epoch: 1999.80 to 2000.50 (column when, option)" in source.understood
+    assert "epoch: 1999.80 to 2000.50 (column when, option)" in source.interpretation
 
 
 def test_an_epoch_that_is_none_is_refused() -> None:
@@ -340,7 +340,7 @@ def test_ids_that_repeat_are_replaced_unless_they_were_asked_for() -> None:
     table = {"ra": [1.0, 2.0], "dec": [50.0, 60.0], "name": ["a", "a"]}
     source = catalogue(table, sigma=1)
     assert list(source.ids) == [0, 1]
-    assert "id: name is not unique, so rows are numbered" in source.understood
+    assert "id: name is not unique, so rows are numbered" in source.interpretation
     with pytest.raises(InputError, match="ids are not unique"):
         catalogue(table, sigma=1, id="name").records()
 
@@ -399,7 +399,7 @@ def test_hip2_is_understood_as_it_is() -> None:
     source = catalogue(hip2())
     assert source.epoch_jyr == 1991.25
     assert source.doubts == ()
-    assert any("correlations from the weight matrix UW" in line for line in source.understood)
+    assert any("correlations from the weight matrix UW" in line for line in source.interpretation)
     np.testing.assert_allclose(np.sqrt(source.astrometry.covariance[0].diagonal()[:5]), [1.29, 0.66, 1.33, 1.25, 0.75])
     assert len(source.records(2016.0)) == len(source)
 

@@ -287,7 +287,7 @@ def test_completeness_falls_where_stars_are_lost() -> None:
     assert curve is not None
     assert curve.limit == pytest.approx(16.5, abs=0.1) and curve.top == pytest.approx(0.95, abs=0.02)
     assert curve.faintest(0.01) == pytest.approx(16.5 + 0.3 * np.log(94), abs=0.5)
-    share = curve.found / np.maximum(curve.stars, 1)
+    share = curve.identified / np.maximum(curve.stars, 1)
     middle = 0.5 * (curve.edges[1:] + curve.edges[:-1])
     assert np.abs(share - curve(middle))[curve.stars > 30].max() < 0.15
     assert Completeness.of(np.full(3, np.nan), np.ones(3)) is None

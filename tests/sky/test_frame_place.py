@@ -13,7 +13,7 @@ from astropy.io import fits
 from astropy.wcs import WCS, Sip
 
 from sameas.errors import InputError
-from sameas.sky.frame.odds import FrameAndSky, Searched, verify
+from sameas.sky.frame.odds import PlateProblem, SearchVolume, verify
 from sameas.sky.frame.place import Placement, odds_in_words, place
 from sameas.sky.frame.plate import MatchedStars, fit_plate
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, sky_index
@@ -164,15 +164,15 @@ def test_another_field_is_refused_with_the_odds(n: int, brightest: int) -> None:
 
 def test_odds_against_chance_are_what_they_say() -> None:
     # In frames of pure chance odds of 1:1 and better may turn up in one half at most, of 20:1 in one of 20.
-    searched = Searched((0.2 / 57.3) ** 2, 2 * math.pi, 0.4, 2)
+    volume = SearchVolume((0.2 / 57.3) ** 2, 2 * math.pi, 0.4, 2)
     best = []
     for seed in range(40):
         rng = np.random.default_rng(seed)
         seen = rng.uniform(0, 1, (25, 2)) * SHAPE[::-1]
         where = pointing(120.0, 35.0, 1.2, 0.0)
         vectors = where.to_sky(rng.uniform(0, 1, (25, 2)) * SHAPE[::-1])
-        scene = FrameAndSky(seen, np.tile(0.02 * np.eye(2), (25, 1, 1)), SHAPE, vectors, np.full(25, 5e-7))
-        best.append(max(verify(scene, pointing(120.0, 35.0, 1.2, turn), searched, 7.0).log_odds for turn in range(10)))
+        problem = PlateProblem(seen, np.tile(0.02 * np.eye(2), (25, 1, 1)), SHAPE, vectors, np.full(25, 5e-7))
+        best.append(max(verify(problem, pointing(120.0, 35.0, 1.2, turn), volume, 7.0).log_odds for turn in range(10)))
     assert np.mean(np.array(best) > math.log(20.0)) <= 0.05
 
 
@@ -192,7 +192,7 @@ def test_a_header_that_is_nearly_right_is_corrected(shift: float, turn: float) -
     seen, _ = picture(rng, stars, where, spurious=0.5)
     header = where.moved(np.array([shift, -0.7 * shift, 0.004, math.radians(turn), 0, 0])).to_wcs()
     placed = place(seen, stars, ApproximateWcs(header))
-    assert off_px(placed, where) < 1.0 and placed.found_by == "the header's plate solution"
+    assert off_px(placed, where) < 1.0 and placed.hint == "the header's plate solution"
 
 
 def test_a_headers_distortion_is_taken_out_before_the_frame_is_placed() -> None:
@@ -221,7 +221,7 @@ def test_hints_are_tried_in_turn() -> None:
     seen, _ = picture(rng, stars, where)
     wrong = ApproximateWcs(pointing(120.0, 35.0, 1.2, 100.0).to_wcs())
     placed = place(seen, stars, [wrong, Aim(120.0, 35.0, 0.1, (1.0, 1.4))])
-    assert placed.found_by == "the aim" and off_px(placed, where) < 1.0
+    assert placed.hint == "the aim" and off_px(placed, where) < 1.0
     with pytest.raises(InputError, match=r"by the header's plate solution .*; give a larger radius"):
         place(seen, stars, wrong)
 

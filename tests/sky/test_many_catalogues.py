@@ -22,7 +22,7 @@ from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import brought_together, match
 from sameas.sky.many import ManyMatch, ManyOptions, joined_many, match_many
 from sameas.sky.many.population import freedom, pairs_within, patterns_of
-from sameas.sky.many.stars import Sightings, fitted
+from sameas.sky.many.stars import AstrometricRecords, fitted
 from sameas.space import displaced, sphere_offset
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -140,8 +140,8 @@ def test_place_and_motion_come_out_of_all_records_with_their_errors(scene: Sky, 
         chi_sq = np.einsum("kv,kvw,kw->k", residual, np.linalg.inv(covariance[k]), residual)
         assert len(k) > 250
         assert np.mean(chi_sq) == pytest.approx(4.0, abs=0.6)
-    assert found.motion_told[rows[:, 0] >= 0].all()
-    assert not found.motion_told[(found.objects.n_members == 1) & (rows[:, 0] < 0)].any()
+    assert found.has_motion[rows[:, 0] >= 0].all()
+    assert not found.has_motion[(found.objects.n_members == 1) & (rows[:, 0] < 0)].any()
 
 
 def test_the_order_of_the_catalogues_changes_nothing(scene: Sky, found: ManyMatch) -> None:
@@ -207,7 +207,7 @@ def test_the_density_of_a_pair_is_that_of_its_residual_at_the_common_epoch(dec: 
         for name, epoch in (("two", 2016.0), ("three", 2000.0))
     )
     catalogues = one, two, three
-    seen = tuple(Sightings.of(c, c.records(2003.0), 2003.0) for c in catalogues)
+    seen = tuple(AstrometricRecords.of(c, c.records(2003.0), 2003.0) for c in catalogues)
     for a, b in ((0, 1), (0, 2), (1, 2)):
         _, _, first_records, second_records = brought_together(catalogues[a], catalogues[b])
         pairs = Radius(1e5)(first_records, second_records)
@@ -228,7 +228,7 @@ def test_motions_that_contradict_each_other_are_not_judged_but_the_places_that_f
     table = {"ra": [10.0], "dec": [20.0], "pmra": [0.0], "pmdec": [0.0], "pmra_error": [1.0], "pmdec_error": [1.0]}
     one = Catalogue.of(table, "one", options=CatalogueOptions(sigma=0.1, epoch=2000.0))
     two = Catalogue.of(table | {"pmra": [5.0]}, "two", options=CatalogueOptions(sigma=0.1, epoch=2000.0))
-    seen = tuple(Sightings.of(c, c.records(2000.0), 2000.0) for c in (one, two))
+    seen = tuple(AstrometricRecords.of(c, c.records(2000.0), 2000.0) for c in (one, two))
     fit = fitted(seen, np.array([[0, 0]]))
     assert fit.chi_sq[0] == pytest.approx(0.0, abs=1e-9)
     assert fit.motion[0] == pytest.approx([2.5e-3, 0.0])

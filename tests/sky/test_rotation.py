@@ -1,4 +1,4 @@
-"""The turn between two catalogues is found and taken away, in small fields, at a pole and over the whole sky."""
+"""The rotation between two catalogues is found and taken away, in small fields, at a pole and over the whole sky."""
 
 from dataclasses import replace
 
@@ -45,12 +45,12 @@ def left(found, moved, truth):
     ],
     ids=["field", "pole", "small", "sky"],
 )
-def test_the_turn_is_found_to_its_errors(area, n, vector):
+def test_the_rotation_is_found_to_its_errors(area, n, vector):
     made = scene(area, n)
     centre = (area.lon_deg, area.lat_deg) if isinstance(area, Cap) else (10.0, 20.0)
     moved = turned(made.second, centre, vector)
     found = find_rotation(made.first, moved)
-    assert found.found and not found.notes
+    assert found.established and not found.notes
     # What is left over is what the turn's own covariance says.
     back = found.of(moved)
     more = np.einsum("nvv->n", back.full_covariance() - made.second.full_covariance())
@@ -77,7 +77,7 @@ def test_standard_errors_are_those_of_repeated_trials():
 def test_nothing_in_common_is_said():
     one, two = scene(Cap(10.0, 0.0, 0.3), 40, 1), scene(Cap(10.0, 0.0, 0.3), 40, 2)
     found = find_rotation(one.first, two.second)
-    assert not found.found
+    assert not found.established
     assert any("nothing in common" in note or "explain" in note for note in found.notes)
 
 
@@ -85,18 +85,18 @@ def test_nothing_in_common_is_said():
 def test_an_offset_that_is_no_better_than_chance_is_not_taken_away(n):
     one, two = scene(Cap(10.0, 0.0, 0.3), n, 1), scene(Cap(10.0, 0.0, 0.3), n, 2)
     found = match_catalogues(catalogue(one.first, "a"), catalogue(two.second, "b"), MatchOptions(offset="find"))
-    assert found.turn is None and "no offset was taken away" in found.doubts
+    assert found.rotation is None and "no offset was taken away" in found.doubts
     assert not any("unit" in doubt or "offset=" in doubt for doubt in found.doubts)
 
 
 def test_catalogues_of_different_fields_are_said_to_lie_apart():
     one, two = scene(Cap(10.0, 0.0, 0.3), 40, 1), scene(Cap(90.0, 0.0, 0.3), 40, 2)
     found = match_catalogues(catalogue(one.first, "a"), catalogue(two.second, "b"), MatchOptions(offset="find"))
-    assert found.turn is None and len(found.result.matches) == 0
+    assert found.rotation is None and len(found.result.matches) == 0
     assert any("apart" in doubt for doubt in found.doubts)
 
 
-def test_no_turn_moves_nothing():
+def test_no_rotation_moves_nothing():
     made = scene(Cap(10.0, -80.0, 0.3), 50)
     still = Rotation((10.0, -80.0), np.zeros(3), np.zeros((3, 3)))
     np.testing.assert_array_equal(still.moved(made.second.features), made.second.features)
@@ -112,10 +112,10 @@ def test_catalogues_off_each_other_are_doubted_and_brought_together(vector):
     made = scene(Cap(40.0, 60.0, 0.4), 1500)
     first, second = catalogue(made.first, "a"), catalogue(turned(made.second, (40.0, 60.0), vector), "b")
     believed = match_catalogues(first, second)
-    assert any("offset='find'" in doubt for doubt in believed.doubts) and believed.turn is None
+    assert any("offset='find'" in doubt for doubt in believed.doubts) and believed.rotation is None
     found = match_catalogues(first, second, MatchOptions(offset="find"))
-    assert found.turn is not None and not any("offset=" in doubt for doubt in found.doubts)
-    assert np.abs(found.turn.vector[:2] - vector[:2]).max() < 0.1
+    assert found.rotation is not None and not any("offset=" in doubt for doubt in found.doubts)
+    assert np.abs(found.rotation.vector[:2] - vector[:2]).max() < 0.1
     assert len(found.result.matches) > 0.98 * 1500
     still = match_catalogues(first, catalogue(made.second, "b"))
     assert not any("offset=" in doubt for doubt in still.doubts)

@@ -74,14 +74,14 @@ def provenance(request: Request, match: SkyMatch, command: str) -> dict[str, Any
 
 def _offset(match: SkyMatch) -> dict[str, Any]:
     """What was taken away from the second catalogue: in words, and east, north and turn with their errors, arcsec."""
-    turn = match.turn
-    if turn is None:
+    rotation = match.rotation
+    if rotation is None:
         return {"offset": None}
     return {
-        "offset": str(turn),
-        "offset_centre_deg": list(turn.centre_deg),
-        "offset_arcsec": turn.vector.tolist(),
-        "offset_arcsec_error": turn.standard_errors.tolist(),
+        "offset": str(rotation),
+        "offset_centre_deg": list(rotation.centre_deg),
+        "offset_arcsec": rotation.vector.tolist(),
+        "offset_arcsec_error": rotation.standard_errors.tolist(),
     }
 
 

@@ -302,14 +302,14 @@ def _complete(axes: Axes, found: FrameIdentification) -> None:
         tidy(axes, "", "", "completeness")
         return
     axes.stairs(curve.stars, curve.edges, fill=True, color=FILL, label="in the catalogue")
-    axes.stairs(curve.found, curve.edges, fill=True, color=FOUND, alpha=0.55, label="identified")
+    axes.stairs(curve.identified, curve.edges, fill=True, color=FOUND, alpha=0.55, label="identified")
     tidy(axes, f"magnitude, {found.stars.name}", "stars on the frame", curve.describe())
     axes.legend(frameon=False, fontsize=9.5, loc="center left")
     share = axes.twinx()
     middle, some = 0.5 * (curve.edges[1:] + curve.edges[:-1]), curve.stars > 0
     share.errorbar(
-        middle[some], (curve.found / np.maximum(curve.stars, 1))[some], curve.sigma[some], fmt="o", ms=4, color=SECOND,
-        elinewidth=1.0,
+        middle[some], (curve.identified / np.maximum(curve.stars, 1))[some], curve.sigma[some], fmt="o", ms=4,
+        color=SECOND, elinewidth=1.0,
     )  # fmt: skip
     grid = np.linspace(curve.edges[0], curve.edges[-1], 300)
     share.plot(grid, curve(grid), color=SECOND, lw=1.4)

@@ -55,7 +55,7 @@ def catalogue_lines(catalogue: Catalogue, side: int, path: str = "", words: Call
     """
     where = f" ({path})" if path else ""
     lines = [f"{ORDINALS[side - 1]} catalogue: {catalogue.name}, {count(len(catalogue))} rows{where}"]
-    told = [words(line).partition(": ") for line in catalogue.understood]
+    told = [words(line).partition(": ") for line in catalogue.interpretation]
     last = {label: k for k, (label, _, _) in enumerate(told)}
     for k, (label, colon, text) in enumerate(told):
         if not colon or len(label) > LABEL:
@@ -77,7 +77,7 @@ def estimate_lines(match: SkyMatch, words: Callable[[str], str] = str) -> list[s
     return [
         "Estimated",
         *entry("epoch", match.moved),
-        *(entry("offset", f"added to {match.second.name}: {match.turn}") if match.turn else ()),
+        *(entry("offset", f"added to {match.second.name}: {match.rotation}") if match.rotation else ()),
         *common_objects(match),
         *_area(match.estimate.coverage),
         *findings(match),

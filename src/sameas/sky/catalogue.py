@@ -1,7 +1,7 @@
 """Catalogue: one table of the sky, understood: positions, errors, motion, epoch, brightness in known units.
 
 :meth:`Catalogue.of` makes it of a table by itself, :class:`CatalogueOptions` says what it cannot know. Print
-``understood`` (what was taken for what) and ``doubts`` (what looks wrong) before believing a result.
+``interpretation`` (what was taken for what) and ``doubts`` (what looks wrong) before believing a result.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ class Catalogue:
     ids : (n,) identifiers, unique.
     astrometry : (n,) positions, motions and errors; NaN where there is no position or no error of it, and in
         ``epoch_jyr`` where the epoch is not known.
-    choice : which columns were taken. understood : the same as lines to print. doubts : what looks wrong.
+    choice : which columns were taken. interpretation : the same as lines to print. doubts : what looks wrong.
     has_motion : is there a proper motion in any row?
     magnitude, magnitude_error : (n,), NaN where not measured, or None. magnitude_name : the column.
     """
@@ -141,7 +141,7 @@ class Catalogue:
     ids: NDArray[Any]
     astrometry: Astrometry
     choice: ColumnChoice
-    understood: tuple[str, ...]
+    interpretation: tuple[str, ...]
     doubts: tuple[str, ...]
     has_motion: bool
     magnitude: FloatArray | None = None
@@ -190,16 +190,16 @@ class Catalogue:
         if has_motion and not np.isfinite(astrometry.epoch_jyr).any():
             raise InputError(_no_epoch(choice, name))
         ids, id_note = _ids(rows, choice, options, name)
-        understood = choice.describe(_epochs_in_words(astrometry.epoch_jyr))
+        interpretation = choice.describe(_epochs_in_words(astrometry.epoch_jyr))
         if not has_motion and not np.isfinite(astrometry.epoch_jyr).any():
-            understood = (*understood, "without epoch and motion: used where it is, and cannot be moved")
+            interpretation = (*interpretation, "without epoch and motion: used where it is, and cannot be moved")
         return cls(
             name=name,
             table=rows,
             ids=ids,
             astrometry=astrometry,
             choice=choice,
-            understood=understood + id_note,
+            interpretation=interpretation + id_note,
             doubts=doubts_of(astrometry, choice, options),
             has_motion=has_motion,
             magnitude=_brightness(rows, choice.magnitude, name),

@@ -24,15 +24,16 @@ from sameas.records import Records
 from sameas.result import Identification
 from sameas.sky.bands import AUTO, magnitudes_of
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.rotation import Rotation, find_rotation, left_over
+from sameas.sky.rotation import Rotation, find_rotation, residual_rotation
 from sameas.space import ARCSEC_PER_RADIAN, sphere_offset
-
-# The nearest neighbour, one record at a time: what most programs give, kept to be compared with.
 
 
 @dataclass(frozen=True)
 class Nearest:
-    """rows : (n,) table row of the nearest record; separation_arcsec : (n,) how far it is."""
+    """The nearest neighbour, one record at a time: what most programs give, here to be compared with.
+
+    rows : (n,) table row of the nearest record; separation_arcsec : (n,) its distance.
+    """
 
     rows: IntArray
     separation_arcsec: FloatArray
@@ -52,18 +53,41 @@ def _directions(position_deg: FloatArray) -> FloatArray:
 
 
 ARCSEC2_PER_DEG2 = 3600.0**2
-#: More records of either catalogue than this within one typical error: nothing can be told apart.
-BLURRED = 20.0
-#: Rows from which only every so manieth ring of cells is looked at for that.
-FEW_ROWS, RINGS = 100_000, 16.0
-#: Sources have next to nothing in common where no more than this share of the poorer one, and no more than so many
-#: standard errors, is expected.
-SPARSE, TELLING = 0.05, 3.0
+
+
+@dataclass(frozen=True)
+class CrossmatchTuning:
+    """From where a result is refused or doubted; all chosen.
+
+    Attributes
+    ----------
+    most_records_per_error : more records of either catalogue within one typical error are refused: positions cannot
+        tell them apart, and the unit of the errors is probably wrong.
+    sampled_from_rows, sampled_rings : from this number of rows on that is judged by one ring of cells in this number.
+    least_common_share, least_common_sigmas : catalogues have next to nothing in common where the expected number of
+        common objects is at most this share of the smaller catalogue and at most this many of its standard errors.
+    most_spacing_share : a quarter of the records nearer to another catalogue's than this share of what chance gives,
+        without common objects, makes the errors doubtful.
+    usual_scale : (least, largest) residuals over quoted errors that raise no doubt.
+    usual_density : (least, largest) density that the user gave over the one that the data show that raise no doubt.
+    """
+
+    most_records_per_error: float = 20.0
+    sampled_from_rows: int = 100_000
+    sampled_rings: float = 16.0
+    least_common_share: float = 0.05
+    least_common_sigmas: float = 3.0
+    most_spacing_share: float = 0.2
+    usual_scale: tuple[float, float] = (0.3, 5.0)
+    usual_density: tuple[float, float] = (0.01, 100.0)
+
+
+TUNING = CrossmatchTuning()
 
 
 @dataclass(frozen=True)
 class MatchOptions:
-    """What the user says of the match; everything not said is estimated or decided by the catalogues.
+    """Options of a match; what is left out is estimated from the catalogues.
 
     epoch_jyr : common epoch, Julian year. gate_sigmas : radius of the gate in quoted standard deviations.
     error_scale : "auto" estimates how residuals spread about the quoted errors; a number takes that factor.
@@ -71,8 +95,8 @@ class MatchOptions:
     magnitudes : "auto" takes those of both catalogues as evidence, "off" leaves it to the positions; columns by name
         as "G,BP:J,H" (see ``sky.bands``).
     precision : whether the sizes of the quoted errors are evidence too, where magnitudes tell too little.
-    offset : "none" believes that both are on one frame, and doubts it where the pairs say else; "find" looks for the
-        shift and turn of the second catalogue and takes it away (see ``sky.turn``).
+    offset : "none" takes both catalogues to be on one frame, and doubts it where the pairs show an offset; "find"
+        estimates the shift and rotation of the second catalogue and takes it away (see :mod:`sameas.sky.rotation`).
     """
 
     epoch_jyr: float | None = None
@@ -111,7 +135,7 @@ class SkyMatch:
 
     epoch_jyr : the epoch both were brought to, None where each stayed where it was observed.
     moved : one sentence on what was moved and why. doubts : what looks wrong with the result.
-    turn : of the second catalogue onto the first, None where none was looked for, or none found beside chance.
+    rotation : of the second catalogue onto the first; None where it was not looked for, or chance explains it as well.
     """
 
     first: Catalogue
@@ -121,7 +145,7 @@ class SkyMatch:
     result: Identification
     estimate: Estimate
     doubts: tuple[str, ...]
-    turn: Rotation | None = None
+    rotation: Rotation | None = None
 
     @cached_property
     def covered_1(self) -> BoolArray:
@@ -158,14 +182,15 @@ def match(
     options: MatchOptions | None = None,
     *,
     progress: Callable[[str], None] = lambda stage: None,
+    tuning: CrossmatchTuning = TUNING,
 ) -> SkyMatch:
     """Identify two catalogues.
 
     Parameters
     ----------
-    first, second : the catalogues, understood.
-    options : what is known beforehand.
-    progress : called with the name of what is being done.
+    first, second : the catalogues.
+    options : what is known beforehand. progress : called with the name of what is being done.
+    tuning : from where the result is refused or doubted.
 
     Raises
     ------
@@ -174,18 +199,19 @@ def match(
     options = MatchOptions() if options is None else options
     progress("motion")
     epoch, words, one, two = brought_together(first, second, options.epoch_jyr)
-    _refuse_blur(one, two)
-    sought = find_rotation(one, two, progress) if options.offset == "find" else None
-    turn = None if sought is None or sought.by_chance else sought
-    if turn is not None:
-        two = turn.of(two)
+    _refuse_blur(one, two, tuning)
+    search = find_rotation(one, two, progress) if options.offset == "find" else None
+    rotation = None if search is None or search.by_chance else search
+    if rotation is not None:
+        two = rotation.of(two)
     result, estimate = estimated(
         one, two, errors=options.errors(), gate=options.gate(), density=options.density(),
         brightness=magnitudes_of(first, second, options.magnitudes), precision=options.precision, progress=progress,
     )  # fmt: skip
-    doubts = density_doubts(estimate.coverage, options) + _doubts(result, estimate) + _missed(result, estimate)
-    doubts += _standing_off(result, estimate) if sought is None else _of_search(sought)
-    return SkyMatch(first, second, epoch, words, result, estimate, doubts, turn)
+    doubts = density_doubts(estimate.coverage, options, tuning)
+    doubts += _error_doubts(result, estimate, tuning) + _near_miss_doubts(result, estimate, tuning)
+    doubts += _offset_doubts(result, estimate, tuning) if search is None else _search_doubts(search)
+    return SkyMatch(first, second, epoch, words, result, estimate, doubts, rotation)
 
 
 def brought_together(
@@ -210,13 +236,14 @@ def brought_together(
     return epoch, words, one, two
 
 
-def _refuse_blur(one: Records, two: Records) -> None:
-    """Refuses errors so large that all records are candidates of all others: a wrong unit, no doubt."""
+def _refuse_blur(one: Records, two: Records, tuning: CrossmatchTuning) -> None:
+    """Refuses errors so large that all records are candidates of all others: their unit is wrong."""
     n = len(one) + len(two)
     sigmas = threads.each([partial(_typical_sigma, records) for records in (one, two)], n)
     sigma = math.hypot(*sigmas)
-    crowd = min(threads.each([partial(_records_per_cell, records.features, sigma) for records in (one, two)], n))
-    if crowd > BLURRED:
+    works = [partial(_records_per_cell, records.features, sigma, tuning) for records in (one, two)]
+    crowd = min(threads.each(works, n))
+    if crowd > tuning.most_records_per_error:
         worst = (one, two)[int(sigmas[1] > sigmas[0])].source
         raise InputError(
             f"{worst}: its typical error, {max(sigmas):.3g} arcsec, is so large that about {crowd:.0f} records lie "
@@ -231,14 +258,13 @@ def _typical_sigma(records: Records) -> float:
     return math.sqrt(float(np.median(0.5 * (records.covariance[:, 0] + records.covariance[:, -1]))))
 
 
-def _records_per_cell(position_deg: FloatArray, side_arcsec: float) -> float:
+def _records_per_cell(position_deg: FloatArray, side_arcsec: float, tuning: CrossmatchTuning) -> float:
     """Mean number of records in the occupied cells of this size."""
     lon, lat = position_deg.T
     side = side_arcsec / 3600.0
     ring = np.floor(lat / side)
-    if len(ring) > FEW_ROWS:
-        # Some of the rings tell what all would.
-        some = np.flatnonzero(np.mod(ring - ring[np.argmin(lat)], RINGS) == 0.0)
+    if len(ring) > tuning.sampled_from_rows:
+        some = np.flatnonzero(np.mod(ring - ring[np.argmin(lat)], tuning.sampled_rings) == 0.0)
         lon, ring = lon[some], ring[some]
     along = np.floor(lon * np.cos(np.radians(ring * side)) / side)
     # Doubles hold whole numbers up to 2⁵³: rings of cells smaller than 5 mas would be taken together here and there.
@@ -246,19 +272,19 @@ def _records_per_cell(position_deg: FloatArray, side_arcsec: float) -> float:
     return len(lon) / (int(np.count_nonzero(np.diff(cell))) + 1)
 
 
-def common_epoch(first: Catalogue, second: Catalogue, asked: float | None) -> tuple[float | None, str]:
+def common_epoch(first: Catalogue, second: Catalogue, epoch_jyr: float | None) -> tuple[float | None, str]:
     """The epoch to bring both catalogues to, None for no motion at all, and a sentence that says so.
 
     A catalogue without proper motions stays at its own epoch and the other one moves; where both can move, the
     second one's epoch is taken.
     """
-    if asked is not None:
-        return asked, f"both catalogues moved to {asked:g} (option)"
-    known = first.epoch_jyr, second.epoch_jyr
-    if known[0] is None or known[1] is None:
+    if epoch_jyr is not None:
+        return epoch_jyr, f"both catalogues moved to {epoch_jyr:g} (option)"
+    epoch_1, epoch_2 = first.epoch_jyr, second.epoch_jyr
+    if epoch_1 is None or epoch_2 is None:
         if not first.has_motion and not second.has_motion:
             return None, "neither catalogue has proper motions, and not both epochs are known: nothing is moved"
-        still = first if known[0] is None else second
+        still = first if epoch_1 is None else second
         raise InputError(
             f"{still.name}: its epoch is not known, so the other catalogue cannot be moved to it",
             naming("say {epoch:YEAR}"),
@@ -267,43 +293,45 @@ def common_epoch(first: Catalogue, second: Catalogue, asked: float | None) -> tu
     mover, target = (second, first) if second.has_motion and not first.has_motion else (first, second)
     epoch = target.epoch_jyr
     assert epoch is not None
-    if abs(known[0] - known[1]) < 0.01:  # type: ignore[operator]
+    if abs(epoch_1 - epoch_2) < 0.01:
         return epoch, f"both catalogues are of epoch {epoch:.2f}"
     if mover.has_motion:
         return epoch, f"{mover.name} moved from {mover.epoch_jyr:.2f} to {epoch:.2f}, the epoch of {target.name}"
     return epoch, (
         f"neither catalogue has proper motions: the unknown motion of {mover.name} over "
-        f"{abs(known[0] - known[1]):.1f} years widens its errors"  # type: ignore[operator]
+        f"{abs(epoch_1 - epoch_2):.1f} years widens its errors"
     )
 
 
 def area_and_densities(coverage: Coverage) -> tuple[float, float, float]:
     """Area where both catalogues look, deg², and mean densities there of all their records, per deg²."""
     area_deg2 = coverage.common_volume() / ARCSEC2_PER_DEG2
-    seen_1, seen_2 = (int(np.count_nonzero(covered)) for covered in coverage.covered)
+    count_1, count_2 = (int(np.count_nonzero(covered)) for covered in coverage.covered)
     if not area_deg2 > 0.0:
         return 0.0, 0.0, 0.0
-    return area_deg2, seen_1 / area_deg2, seen_2 / area_deg2
+    return area_deg2, count_1 / area_deg2, count_2 / area_deg2
 
 
-def density_doubts(coverage: Coverage, options: MatchOptions) -> tuple[str, ...]:
-    """Questions to densities that the user gave and the data do not know."""
+def density_doubts(coverage: Coverage, options: MatchOptions, tuning: CrossmatchTuning = TUNING) -> tuple[str, ...]:
+    """Doubts of densities that the user gave and the data contradict."""
     if options.density_per_deg2 is None:
         return ()
-    _, *seen_per_deg2 = area_and_densities(coverage)
+    _, *observed = area_and_densities(coverage)
+    least, largest = tuning.usual_density
     lines = []
-    for records, seen, said in zip(
-        (coverage.first, coverage.second), seen_per_deg2, options.density_per_deg2, strict=True
+    for records, per_deg2, option in zip(
+        (coverage.first, coverage.second), observed, options.density_per_deg2, strict=True
     ):
-        if seen and not 0.01 < said / seen < 100.0:
+        if per_deg2 and not least < option / per_deg2 < largest:
             lines.append(
-                f"density: {said:g} per square degree was said of {records.source}, but where both look it has "
-                f"{seen:.3g}: is the density per square degree?"
+                f"density: {option:g} per square degree was said of {records.source}, but where both look it has "
+                f"{per_deg2:.3g}: is the density per square degree?"
             )
     return tuple(lines)
 
 
-def _doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]:
+def _error_doubts(result: Identification, estimate: Estimate, tuning: CrossmatchTuning) -> tuple[str, ...]:
+    """Doubts of the errors' unit, and the notes of the estimate."""
     doubts = list(estimate.notes)
     works = [partial(np.median, records.covariance[:, 0]) for records in (result.first, result.second)]
     sigma = [math.sqrt(float(median)) for median in threads.each(works, len(result.first))]
@@ -316,7 +344,8 @@ def _doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]:
             f"{spacing:.3g} arcsec: are the errors in the unit that was understood?"
         )
     scale = estimate.typical_scale
-    if scale > 5.0 or scale < 0.3:
+    least, largest = tuning.usual_scale
+    if scale > largest or scale < least:
         doubts.append(f"the residuals are {scale:.2g} times what the quoted errors say: are their units right?")
     if result.approximate_pairs:
         count = result.approximate_pairs
@@ -324,43 +353,45 @@ def _doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]:
     return tuple(doubts)
 
 
-def _of_search(sought: Rotation) -> tuple[str, ...]:
-    """What is in doubt of a turn that was looked for."""
-    return (*sought.notes, "no offset was taken away") if sought.by_chance else sought.notes
+def _search_doubts(search: Rotation) -> tuple[str, ...]:
+    """Doubts of a rotation that was looked for."""
+    return (*search.notes, "no offset was taken away") if search.by_chance else search.notes
 
 
-def _standing_off(result: Identification, estimate: Estimate) -> tuple[str, ...]:
-    """A question to the frames where the pairs lie off each other on the average, or there are none."""
-    if _next_to_nothing(result, estimate):
+def _offset_doubts(result: Identification, estimate: Estimate, tuning: CrossmatchTuning) -> tuple[str, ...]:
+    """A doubt of the frames where the pairs are offset on the average, or there are no pairs."""
+    if _next_to_nothing(result, estimate, tuning):
         few = (
             f"{result.first.source} and {result.second.source} have next to nothing in common "
             f"({estimate.quantities['common']} objects); one may stand off the other by more than their errors: "
         )
         return (Message(few, naming("{offset:'find'} looks for that")),)
-    found = left_over(result, estimate.typical_scale)
-    if found is None:
+    offset = residual_rotation(result, estimate.typical_scale)
+    if offset is None:
         return ()
-    turn, share = found
-    off = f"{result.second.source} stands off {result.first.source} by up to {share:.1g} of a pair's error ({turn}): "
+    rotation, share = offset
+    off = (
+        f"{result.second.source} stands off {result.first.source} by up to {share:.1g} of a pair's error ({rotation}): "
+    )
     return (Message(off, naming("say {offset:'find'} to take it away")),)
 
 
-def _next_to_nothing(result: Identification, estimate: Estimate) -> bool:
+def _next_to_nothing(result: Identification, estimate: Estimate, tuning: CrossmatchTuning) -> bool:
     """Whether the common objects are few, and no more than their standard error lets chance give."""
-    if estimate.common > SPARSE * min(len(result.first), len(result.second)):
+    if estimate.common > tuning.least_common_share * min(len(result.first), len(result.second)):
         return False
-    return estimate.common <= max(0.5, TELLING * estimate.quantities["common"].standard_error)
+    return estimate.common <= max(0.5, tuning.least_common_sigmas * estimate.quantities["common"].standard_error)
 
 
-def _missed(result: Identification, estimate: Estimate) -> tuple[str, ...]:
-    """A question to the errors where the records coincide, but not within them."""
+def _near_miss_doubts(result: Identification, estimate: Estimate, tuning: CrossmatchTuning) -> tuple[str, ...]:
+    """A doubt of the errors where the records coincide, but not within their errors."""
     first, second = result.first, result.second
     _, _, density_2 = area_and_densities(estimate.coverage)
-    if estimate.common > 0.05 * min(len(first), len(second)) or not density_2:
+    if estimate.common > tuning.least_common_share * min(len(first), len(second)) or not density_2:
         return ()
     near = float(np.quantile(nearest(first, second).separation_arcsec, 0.25))
     by_chance = math.sqrt(math.log(4.0 / 3.0) * ARCSEC2_PER_DEG2 / (math.pi * density_2))
-    if near > 0.2 * by_chance:
+    if near > tuning.most_spacing_share * by_chance:
         return ()
     missed = (
         f"a quarter of {first.source} lies within {near:.2g} arcsec of a record of {second.source}, by chance it would "

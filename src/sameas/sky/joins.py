@@ -30,7 +30,8 @@ from sameas.kernels import threads
 from sameas.result import Answers, Identification
 from sameas.sky.crossmatch import SkyMatch
 
-NOBODY = -1  # a row index within this module only; tables carry masks
+#: Row of a partner that does not exist; within this module only, tables carry masks.
+NO_PARTNER = -1
 
 JOINS = ("1and2", "1or2", "all1", "all2", "1not2", "2not1", "1xor2", "pairs")
 
@@ -101,8 +102,8 @@ def joined(match: SkyMatch, join: str = "all1", *, nway_columns: bool = False) -
             table.add_column(column, name=name, copy=False)
     for name, values in _JoinedColumns(match, rows).columns(nway_columns).items():
         unique = name if name not in table.colnames else f"{name}_sameas"
-        told = MaskedColumn(values, unit=_UNITS.get(name), description=_WORDS[name])
-        table.add_column(told, name=unique, copy=False)
+        added = MaskedColumn(values, unit=_UNITS.get(name), description=_WORDS[name])
+        table.add_column(added, name=unique, copy=False)
     return table
 
 
@@ -114,8 +115,8 @@ def _rows(match: SkyMatch, join: str) -> _JoinedRows:
     both = _JoinedRows(found.rows_1, found.rows_2, found.pair)
     alone_1 = _others(len(match.first), found.rows_1)
     alone_2 = _others(len(match.second), found.rows_2)
-    only_1 = _JoinedRows(alone_1, np.full(len(alone_1), NOBODY), np.full(len(alone_1), NOBODY))
-    only_2 = _JoinedRows(np.full(len(alone_2), NOBODY), alone_2, np.full(len(alone_2), NOBODY))
+    only_1 = _JoinedRows(alone_1, np.full(len(alone_1), NO_PARTNER), np.full(len(alone_1), NO_PARTNER))
+    only_2 = _JoinedRows(np.full(len(alone_2), NO_PARTNER), alone_2, np.full(len(alone_2), NO_PARTNER))
     parts = {
         "1and2": (both,), "1or2": (both, only_1, only_2), "all1": (both, only_1), "all2": (both, only_2),
         "1not2": (only_1,), "2not1": (only_2,), "1xor2": (only_1, only_2),
@@ -138,10 +139,10 @@ def _others(n: int, rows: IntArray) -> IntArray:
 def _every_answer(result: Identification) -> _JoinedRows:
     """Every candidate, the most probable first, and after those of a row of the first catalogue "no partner"."""
     n = result.first.n_table
-    nobody = np.full(n, NOBODY)
+    none = np.full(n, NO_PARTNER)
     one = np.concatenate([result.rows_1, np.arange(n)])
-    two = np.concatenate([result.rows_2, nobody])
-    pair = np.concatenate([np.arange(len(result.pairs)), nobody])
+    two = np.concatenate([result.rows_2, none])
+    pair = np.concatenate([np.arange(len(result.pairs)), none])
     order = np.lexsort([np.concatenate([-result.p_pair, np.ones(n)]), one])
     return _JoinedRows(one[order], two[order], pair[order], answers=True)
 
@@ -256,7 +257,7 @@ class _JoinedColumns:
 
     def _flags(self) -> np.ma.MaskedArray:
         result, rows, absent = self.match.result, self.rows, self.rows.absent
-        if not rows.answers:  # every candidate that is told of is an identified one
+        if not rows.answers:  # every candidate listed is an identified one
             return np.ma.MaskedArray((~absent).astype(np.int16), np.zeros(len(absent), bool))
         chosen = np.append(result.chosen, False)[rows.pair] & ~absent
         best = np.zeros(len(self.match.first))

@@ -1,9 +1,9 @@
-"""The turn between the frames of two catalogues: found together with the identification, and taken away.
+"""The rotation between the frames of two catalogues: estimated together with the identification, and taken away.
 
-Small fields stand off each other by a shift, whole skies by a rotation about three axes; both are one rotation of the
-sphere, told here as what it does at a place: a shift to the east and north there, and a turn about it. A shift of many
-errors is searched for in a patch of the sky (:func:`sameas.registration.register`); the turn is then refined with all
-pairs, each weighed by its posterior, until it moves no record by a part of its error.
+Small fields are offset by a shift, whole skies by a rotation about three axes; both are one rotation of the sphere,
+stated here by what it does at a place: a shift to the east and north there, and a rotation about it. A shift of many
+errors is searched for in a patch of the sky (:func:`sameas.registration.register`); the rotation is then refined with
+all pairs, each weighted by its posterior, until a step moves no record by a given part of its error.
 """
 
 from __future__ import annotations
@@ -23,33 +23,51 @@ from sameas.registration.joint import DECISIVE
 from sameas.result import Identification
 from sameas.space import ARCSEC_PER_RADIAN, sphere_offset
 
-#: Records of either source in the patch that is searched, about, and its largest radius.
-PATCH_RECORDS, PATCH_DEG = 800, 3.0
-#: Places that are looked at for the patch.
-PLACES = 48
-#: Rounds at most, and the part of a typical error of its own that a last step may move the catalogue by.
-ROUNDS, SETTLED = 8, 0.05
-#: Pairs less probable than this do not speak; of many, so many do.
-UNLIKELY, MANY = 0.01, 30_000
-#: A turn that nobody asked for is told from so many of its errors on, and where it moves a pair by so much of its own.
-TOLD, MATTERS = 5.0, 0.3
+
+@dataclass(frozen=True)
+class RotationTuning:
+    """Numbers of the search for a rotation, all chosen.
+
+    Attributes
+    ----------
+    patch_records : either source has about this many records in the patch that is searched.
+    patch_deg : largest radius of the patch, degrees. patch_places : places that are tried as its centre.
+    iterations : at most. settled : the estimate has converged when a step moves no record by more than this part of its
+        error.
+    least_p_pair : pairs less probable than this are not used. most_pairs : of more pairs every so manieth is used.
+    significant_sigmas, significant_share : a rotation that was not asked for is reported when it is larger than this
+        many of its standard errors and moves a pair by more than this part of the pair's error.
+    """
+
+    patch_records: int = 800
+    patch_deg: float = 3.0
+    patch_places: int = 48
+    iterations: int = 8
+    settled: float = 0.05
+    least_p_pair: float = 0.01
+    most_pairs: int = 30_000
+    significant_sigmas: float = 5.0
+    significant_share: float = 0.3
+
+
+TUNING = RotationTuning()
 
 
 @dataclass(frozen=True)
 class Rotation:
     """A rotation of the sphere, small or not, that brings the second catalogue onto the first.
 
-    centre_deg : where it is told. vector : (3,) shift east and north there and turn about it, from north to east
-    seen from inside, arcsec. covariance : (3, 3) of it. found : whether nothing else explains the data as well.
-    rounds : how many it took. notes : what is in doubt. by_chance : whether chance explains it as well as a turn does;
-    it is then not refined, and nobody should take it away.
+    centre_deg : where the vector is given. vector : (3,) shift east and north there and rotation about it, from north
+    to east seen from inside, arcsec. covariance : (3, 3) of it. established : whether nothing else explains the data as
+    well. iterations : how many it took. notes : what is in doubt. by_chance : whether chance explains the data as well
+    as a rotation; it is then not refined, and must not be taken away.
     """
 
     centre_deg: tuple[float, float]
     vector: FloatArray
     covariance: FloatArray
-    found: bool = True
-    rounds: int = 0
+    established: bool = True
+    iterations: int = 0
     notes: tuple[str, ...] = ()
     by_chance: bool = False
 
@@ -59,13 +77,13 @@ class Rotation:
         return np.sqrt(np.diag(self.covariance))
 
     def __str__(self) -> str:
-        """What is added to the second catalogue, where it is told."""
-        east, north, turn = (f"{v:+.4g} ± {e:.2g}" for v, e in zip(self.vector, self.standard_errors, strict=True))
+        """What is added to the second catalogue, at the centre."""
+        east, north, about = (f"{v:+.4g} ± {e:.2g}" for v, e in zip(self.vector, self.standard_errors, strict=True))
         lon, lat = self.centre_deg
-        return f"{east} arcsec east, {north} north, turned by {turn} arcsec about RA {lon:.3f}°, Dec {lat:+.3f}°"
+        return f"{east} arcsec east, {north} north, turned by {about} arcsec about RA {lon:.3f}°, Dec {lat:+.3f}°"
 
     def of(self, records: Records) -> Records:
-        """The records turned; their covariances include what is not known of the turn."""
+        """The records rotated; their covariances include that of the rotation."""
         moved = self.moved(records.features)
         slope = self._slope(records.features)
         more = slope @ self.covariance @ np.swapaxes(slope, 1, 2)
@@ -74,10 +92,10 @@ class Rotation:
         return replace(records, features=moved, covariance=packed)
 
     def moved(self, position_deg: FloatArray) -> FloatArray:
-        """(n, 2) the directions turned (Rodrigues' formula)."""
+        """(n, 2) the directions rotated (Rodrigues' formula)."""
         axes = _axes(self.centre_deg)
-        shift_east, shift_north, turn = self.vector / ARCSEC_PER_RADIAN
-        omega = shift_east * axes[1] - shift_north * axes[0] + turn * axes[2]
+        shift_east, shift_north, about = self.vector / ARCSEC_PER_RADIAN
+        omega = shift_east * axes[1] - shift_north * axes[0] + about * axes[2]
         angle = float(np.linalg.norm(omega))
         if angle == 0.0:
             return position_deg
@@ -101,13 +119,13 @@ class Rotation:
         moves = [np.cross(omega, at) for omega in (axes[1], -axes[0], axes[2])]
         return np.stack([np.stack([np.einsum("nv,nv->n", m, a) for m in moves], axis=1) for a in local], axis=1)
 
-    def refined(self, answer: Identification, scale: float) -> tuple[Rotation, float]:
-        """The turn after one more step, by the pairs of ``answer``, and by how many typical errors the step moves.
+    def refined(self, answer: Identification, scale: float, tuning: RotationTuning = TUNING) -> tuple[Rotation, float]:
+        """The rotation after one more step, by the pairs of ``answer``, and by how many errors the step moves at most.
 
-        scale : by which residuals are larger than quoted.
+        scale : residuals over quoted errors.
         """
-        use = np.flatnonzero(answer.p_pair > UNLIKELY)
-        use = use[:: -(-len(use) // MANY) or 1]
+        use = np.flatnonzero(answer.p_pair > tuning.least_p_pair)
+        use = use[:: -(-len(use) // tuning.most_pairs) or 1]
         pairs, p = answer.pairs, answer.p_pair[use]
         slope = self._slope(answer.second.features[pairs.j[use]])
         covariance = pairs.covariance_of(use)
@@ -118,54 +136,65 @@ class Rotation:
         moved = np.linalg.norm(np.einsum("mvk,k->mv", slope, step), axis=1)
         sigma = scale * np.sqrt(0.5 * np.einsum("mvv->m", covariance))
         share = float(np.max(moved / sigma, initial=0.0))
-        turned = replace(self, vector=self.vector + step, covariance=np.linalg.inv(information), rounds=self.rounds + 1)
-        return turned, share
+        vector, covariance = self.vector + step, np.linalg.inv(information)
+        return replace(self, vector=vector, covariance=covariance, iterations=self.iterations + 1), share
 
 
-def find_rotation(first: Records, second: Records, progress: Callable[[str], None] = lambda stage: None) -> Rotation:
-    """The turn that brings the second catalogue's records onto the first's.
+def find_rotation(
+    first: Records,
+    second: Records,
+    progress: Callable[[str], None] = lambda stage: None,
+    *,
+    tuning: RotationTuning = TUNING,
+) -> Rotation:
+    """The rotation that brings the second catalogue's records onto the first's.
 
     Parameters
     ----------
-    first, second : records on the sphere, at one epoch.
+    first, second : records on the sphere, at one epoch. progress : called with the name of what is being done.
 
     Source: METHOD 6; the search as :func:`sameas.registration.register`.
     """
     progress("search for the offset")
-    centre, patch_1, patch_2 = _patch(first, second)
+    centre, patch_1, patch_2 = _patch(first, second, tuning)
     if not (len(patch_1) and len(patch_2)):
-        apart = f"{first.source} and {second.source} lie more than {PATCH_DEG:g}° apart; so far no offset is looked for"
+        apart = (
+            f"{first.source} and {second.source} lie more than {tuning.patch_deg:g}° apart; "
+            "so far no offset is looked for"
+        )
         return Rotation(centre, np.zeros(3), np.zeros((3, 3)), False, 0, (apart,), True)
-    turn = _begun(centre, register(patch_1, patch_2, Shift()))
+    rotation = _initial(centre, register(patch_1, patch_2, Shift()))
     before = math.inf
-    while turn.rounds < ROUNDS and not turn.by_chance:
+    while rotation.iterations < tuning.iterations and not rotation.by_chance:
         progress("offset")
-        answer, estimate = match(first, turn.of(second))
-        turn, share = turn.refined(answer, estimate.typical_scale)
-        if share < SETTLED or share > 0.9 * before:
+        answer, estimate = match(first, rotation.of(second))
+        rotation, share = rotation.refined(answer, estimate.typical_scale, tuning)
+        if share < tuning.settled or share > 0.9 * before:
             break
         before = share
-    return turn
+    return rotation
 
 
-def left_over(answer: Identification, scale: float) -> tuple[Rotation, float] | None:
-    """The turn that the pairs of an identification show beside their errors, and by how many of a pair's errors it
-    moves one at most; None where it does not matter.
+def residual_rotation(
+    answer: Identification, scale: float, tuning: RotationTuning = TUNING
+) -> tuple[Rotation, float] | None:
+    """The rotation that the pairs of an identification show beside their errors, and by how many of a pair's errors it
+    moves one at most; None where it is not significant.
 
-    A turn of many errors hides its own pairs: what is left of it is seen, and :func:`find_rotation` finds the rest.
+    A rotation of many errors hides its own pairs: only a part of it shows here, :func:`find_rotation` finds all of it.
     """
     if not len(answer.p_pair):
         return None
-    at = answer.second.features[:: -(-len(answer.second) // MANY)]
+    at = answer.second.features[:: -(-len(answer.second) // tuning.most_pairs)]
     x, y, z = _vectors(at).mean(axis=0)
     centre = (float(np.degrees(np.arctan2(y, x)) % 360.0), float(np.degrees(np.arctan2(z, np.hypot(x, y)))))
-    turn, share = Rotation(centre, np.zeros(3), np.zeros((3, 3))).refined(answer, scale)
-    sure = float(np.sqrt(turn.vector @ np.linalg.solve(turn.covariance, turn.vector)))
-    return (turn, share) if share > MATTERS and sure > TOLD else None
+    rotation, share = Rotation(centre, np.zeros(3), np.zeros((3, 3))).refined(answer, scale, tuning)
+    sigmas = float(np.sqrt(rotation.vector @ np.linalg.solve(rotation.covariance, rotation.vector)))
+    return (rotation, share) if share > tuning.significant_share and sigmas > tuning.significant_sigmas else None
 
 
-def _begun(centre: tuple[float, float], registration: Registration) -> Rotation:
-    """The shift of the patch, told at its centre; the turn about it is not known yet."""
+def _initial(centre: tuple[float, float], registration: Registration) -> Rotation:
+    """The shift of the patch, at its centre; the rotation about it is not known yet."""
     covariance = np.zeros((3, 3))
     covariance[:2, :2] = registration.covariance
     vector = np.array([*registration.theta, 0.0])
@@ -173,21 +202,23 @@ def _begun(centre: tuple[float, float], registration: Registration) -> Rotation:
     return Rotation(centre, vector, covariance, registration.established, 0, registration.notes, by_chance)
 
 
-def _patch(first: Records, second: Records) -> tuple[tuple[float, float], Records, Records]:
+def _patch(first: Records, second: Records, tuning: RotationTuning) -> tuple[tuple[float, float], Records, Records]:
     """Where both catalogues have enough records for the search: its centre, and the records there."""
     fewer = min(first, second, key=len)
     order = np.lexsort(fewer.features.T)
-    places = fewer.features[order[np.linspace(0, len(order) - 1, min(PLACES, len(order))).astype(np.int64)]]
+    places = fewer.features[
+        order[np.linspace(0, len(order) - 1, min(tuning.patch_places, len(order))).astype(np.int64)]
+    ]
     trees = [_tree(records) for records in (first, second)]
     best: tuple[int, float, FloatArray] | None = None
-    for radius_deg in PATCH_DEG / 2.0 ** np.arange(9.0, -1.0, -1.0):
+    for radius_deg in tuning.patch_deg / 2.0 ** np.arange(9.0, -1.0, -1.0):
         chord = 2.0 * math.sin(math.radians(radius_deg) / 2.0)
         counts = [tree.query_ball_point(_vectors(places), chord, return_length=True) for tree in trees]
         poorer = np.minimum(*counts)
         at = int(np.argmax(poorer))
         if best is None or poorer[at] > best[0]:
             best = int(poorer[at]), float(radius_deg), places[at]
-        if poorer[at] >= PATCH_RECORDS or max(c[at] for c in counts) > 8 * PATCH_RECORDS:
+        if poorer[at] >= tuning.patch_records or max(c[at] for c in counts) > 8 * tuning.patch_records:
             break
     assert best is not None
     _, radius_deg, place = best
@@ -196,16 +227,16 @@ def _patch(first: Records, second: Records) -> tuple[tuple[float, float], Record
 
 
 def _within(records: Records, place: FloatArray, radius_deg: float) -> Records:
-    """The records near a place, on a sphere that is turned to have it at its origin, far from the poles.
+    """The records near a place, on a sphere that is rotated to have it at its origin, far from the poles.
 
     Errors become circles of the same size: the search needs no more.
     """
     offset = sphere_offset(records.features[:, 0], records.features[:, 1], place[0], place[1])
     near = np.flatnonzero(np.hypot(*offset.T) <= radius_deg * 3600.0)
     x, y, z = (_vectors(records.features[near]) @ _axes((place[0], place[1])).T).T
-    turned = np.degrees(np.column_stack([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))]))
+    rotated = np.degrees(np.column_stack([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))]))
     variance = np.einsum("nvv->n", records.full_covariance()[near]) / 2.0
-    return Records.of(turned, variance=variance[:, None], space=records.space, source=records.source)
+    return Records.of(rotated, variance=variance[:, None], space=records.space, source=records.source)
 
 
 def _tree(records: Records) -> Any:

@@ -47,16 +47,17 @@ class Stamps(NamedTuple):
 class Centroids:
     """Positions and moments, one row a star.
 
-    xy : (n, 2) px. weight : (n,) Σ w I. weight_variance : (n,). jacobian : (n, 2, 2) J / Σ w I. spread : (n, 2, 2) N.
-    moments : (n, 2, 2) second moments in the window. wide : (n,) Σ w' I in a window of twice the matrix.
-    usable : (n,) share of the window that is usable. at_edge, settled : (n,) masks.
+    xy : (n, 2) px. weight : (n,) Σ w I. weight_variance : (n,). jacobian : (n, 2, 2) J / Σ w I.
+    moment_covariance : (n, 2, 2) N. moments : (n, 2, 2) second moments in the window.
+    wide : (n,) Σ w' I in a window of twice the matrix. usable : (n,) share of the window that is usable.
+    at_edge, settled : (n,) masks.
     """
 
     xy: FloatArray
     weight: FloatArray
     weight_variance: FloatArray
     jacobian: FloatArray
-    spread: FloatArray
+    moment_covariance: FloatArray
     moments: FloatArray
     wide: FloatArray
     usable: FloatArray
@@ -65,9 +66,9 @@ class Centroids:
 
     def covariance(self, jacobian: FloatArray) -> FloatArray:
         """(n, 2, 2) of the positions in px²; ``jacobian`` (n, 2, 2) or (2, 2), J over Σ w I."""
-        scaled = np.broadcast_to(jacobian, self.spread.shape) * self.weight[:, None, None]
+        scaled = np.broadcast_to(jacobian, self.moment_covariance.shape) * self.weight[:, None, None]
         inverse = np.linalg.inv(scaled)
-        return inverse @ self.spread @ inverse.transpose(0, 2, 1)
+        return inverse @ self.moment_covariance @ inverse.transpose(0, 2, 1)
 
 
 @dataclass(frozen=True)
@@ -76,12 +77,12 @@ class Own:
 
     xy: FloatArray
     flux: FloatArray
-    spread: PSF
+    psf: PSF
 
     def back(self, stamps: Stamps, rows: IntArray) -> Stamps:
         """The stamps of some stars with their own light put back: what is left out is that of all others."""
         dx, dy = stamps.x - self.xy[rows, 0, None, None], stamps.y - self.xy[rows, 1, None, None]
-        light = stamps.light + self.flux[rows, None, None] * self.spread.light(dx, dy) * stamps.usable
+        light = stamps.light + self.flux[rows, None, None] * self.psf.light(dx, dy) * stamps.usable
         return stamps._replace(light=light)
 
 
@@ -181,9 +182,9 @@ def _measured(
     flux_factor, centroid_factor = background.factor(np.linalg.det(windows) ** 0.25)
     sky = w**2 * stamps.variance
     own = w**2 * stamps.light * background.inverse_gain
-    spread = _matrix(sky, dx, dy) * centroid_factor[:, None, None]
+    noise = _matrix(sky, dx, dy) * centroid_factor[:, None, None]
     photons = _matrix(own, dx, dy)
-    spread = spread + np.where((np.linalg.eigvalsh(photons)[:, 0] > 0)[:, None, None], photons, 0.0)
+    noise = noise + np.where((np.linalg.eigvalsh(photons)[:, 0] > 0)[:, None, None], photons, 0.0)
     variance = sky.sum((1, 2)) * flux_factor + np.maximum(own.sum((1, 2)), 0.0)
     wide = np.sqrt(w)
     return Centroids(
@@ -191,7 +192,7 @@ def _measured(
         weight=total,
         weight_variance=variance,
         jacobian=jacobian,
-        spread=spread,
+        moment_covariance=noise,
         moments=moments,
         wide=(wide * stamps.light).sum((1, 2)),
         usable=(w**2 * stamps.usable).sum((1, 2)) / (w**2).sum((1, 2)),
@@ -207,7 +208,7 @@ def _matrix(weights: FloatArray, dx: FloatArray, dy: FloatArray) -> FloatArray:
 
 
 def _together(n: int, parts: list[tuple[IntArray, Centroids]]) -> Centroids:
-    shapes = {"xy": (n, 2), "jacobian": (n, 2, 2), "spread": (n, 2, 2), "moments": (n, 2, 2)}
+    shapes = {"xy": (n, 2), "jacobian": (n, 2, 2), "moment_covariance": (n, 2, 2), "moments": (n, 2, 2)}
     kinds = {"at_edge": bool, "settled": bool}
     names = Centroids.__dataclass_fields__
     whole = {name: np.zeros(shapes.get(name, (n,)), kinds.get(name, float)) for name in names}

@@ -37,10 +37,10 @@ _MARGIN = 1.4  # stars differ in sharpness by less
 _AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], bool)
 
 
-def marked(frame: Frame, background: Background, spread: PSF) -> Frame:
+def marked(frame: Frame, background: Background, psf: PSF) -> Frame:
     """The frame with its defects flagged: HOT, COSMIC, and MASKED for bad columns and rows."""
     lines = _lines(frame, background)
-    sharp = _sharp(frame, background, spread) & ~lines
+    sharp = _sharp(frame, background, psf) & ~lines
     from scipy.ndimage import label
 
     parts, _ = label(sharp, np.ones((3, 3)))
@@ -49,12 +49,12 @@ def marked(frame: Frame, background: Background, spread: PSF) -> Frame:
     return frame.marked(lines, Flag.MASKED).marked(single, Flag.HOT).marked(sharp & ~single, Flag.COSMIC)
 
 
-def _sharp(frame: Frame, background: Background, spread: PSF, rounds: int = 3) -> BoolArray:
+def _sharp(frame: Frame, background: Background, psf: PSF, rounds: int = 3) -> BoolArray:
     """Pixels that no star explains."""
     from scipy.ndimage import binary_dilation
 
-    around = np.array([spread.light(float(x), float(y)) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y])
-    contrast = _MARGIN * float(spread.light(0.0, 0.0)) / float(np.median(around))
+    around = np.array([psf.light(float(x), float(y)) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y])
+    contrast = _MARGIN * float(psf.light(0.0, 0.0)) / float(np.median(around))
     light = frame.image - background.level
     usable = np.isfinite(background.variance)
     variance = np.where(usable, background.variance, 0.0)
@@ -116,13 +116,13 @@ _SADDLE_SHARE = 0.02
 _HALF_PX = 0.6
 
 
-def significance(light: FloatArray, background: Background, spread: PSF) -> FloatArray:
+def significance(light: FloatArray, background: Background, psf: PSF) -> FloatArray:
     """(rows, columns) signal to noise ratio of a star in the middle of each pixel; 0 where most is masked."""
     from scipy.signal import oaconvolve
 
-    half = int(np.ceil(3.5 * np.sqrt(np.linalg.eigvalsh(spread.matrix)[1])))
+    half = int(np.ceil(3.5 * np.sqrt(np.linalg.eigvalsh(psf.matrix)[1])))
     reach = np.arange(-half, half + 1)
-    inverse = np.linalg.inv(spread.matrix)
+    inverse = np.linalg.inv(psf.matrix)
     dx, dy = np.meshgrid(reach, reach)
     kernel = np.exp(-0.5 * (inverse[0, 0] * dx**2 + 2 * inverse[0, 1] * dx * dy + inverse[1, 1] * dy**2))
     kernel = kernel.astype(np.float32)
@@ -131,7 +131,7 @@ def significance(light: FloatArray, background: Background, spread: PSF) -> Floa
     weight /= usual
     signal = oaconvolve((light * weight).astype(np.float32), kernel, mode="same")
     noise2 = oaconvolve(weight, kernel**2, mode="same")
-    factor = float(background.factor(np.array([spread.sigma_px]))[0][0])
+    factor = float(background.factor(np.array([psf.sigma_px]))[0][0])
     usable = oaconvolve((weight > 0).astype(np.float32), kernel**2, mode="same")
     enough = usable > _LEAST_USABLE * float((kernel**2).sum())
     return np.where(enough, signal * np.sqrt(usual / factor) / np.sqrt(np.maximum(noise2, 1e-12)), 0.0)
@@ -142,7 +142,7 @@ def photon_noise(light: FloatArray, background: Background) -> FloatArray:
     return np.sqrt(1 + background.inverse_gain * np.maximum(light, 0) / background.variance)
 
 
-def peaks(snr: FloatArray, noise: FloatArray, spread: PSF, threshold_sigmas: float) -> tuple[FloatArray, FloatArray]:
+def peaks(snr: FloatArray, noise: FloatArray, psf: PSF, threshold_sigmas: float) -> tuple[FloatArray, FloatArray]:
     """(n, 2) pixels (x, y) of the stars, the most significant first, and their (n,) significance.
 
     noise : (rows, columns) of :func:`photon_noise`: a saddle must be deeper than the photons of a star make it.
@@ -153,7 +153,7 @@ def peaks(snr: FloatArray, noise: FloatArray, spread: PSF, threshold_sigmas: flo
         raise InputError("finding stars on frames needs photutils: pip install 'sameas[frames]'") from error
     import warnings
 
-    box = 2 * max(1, round(spread.sigma_px)) + 1
+    box = 2 * max(1, round(psf.sigma_px)) + 1
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # photutils warns when there is nothing; the caller says it better
         found = find_peaks(snr, threshold_sigmas, box_size=box)
@@ -163,7 +163,7 @@ def peaks(snr: FloatArray, noise: FloatArray, spread: PSF, threshold_sigmas: flo
     x, y, value = (np.asarray(found[name], float) for name in names)
     order = np.lexsort((x, y, -value))
     xy, value = np.column_stack([x, y])[order], value[order]
-    keep = _divided(snr, noise, xy, value, _SADDLE_REACH * spread.fwhm_px)
+    keep = _divided(snr, noise, xy, value, _SADDLE_REACH * psf.fwhm_px)
     return xy[keep], value[keep]
 
 
@@ -240,50 +240,50 @@ def detect(frame: Frame, detection: Detection | None = None) -> Measurements:
     background = Background.of(frame, box_px=detection.box_px)
     if detection.defects:
         frame, background = _without_defects(frame, background, _FIRST_SHARPEST)
-    spread = _spread(frame, background, detection)
+    psf = _mean_psf(frame, background, detection)
     if detection.defects:
-        frame, background = _without_defects(frame, background, spread)
+        frame, background = _without_defects(frame, background, psf)
     light = np.where(np.isfinite(background.variance), frame.image - background.level, 0.0)
     xy, snr = peaks(
-        significance(light, background, spread), photon_noise(light, background), spread, detection.threshold_sigmas
+        significance(light, background, psf), photon_noise(light, background), psf, detection.threshold_sigmas
     )
     if not len(xy):
         raise InputError(f"{frame.name}: no star above {detection.threshold_sigmas:g}σ; lower threshold_sigmas")
-    stars = _neighbours_apart(light, background, spread, xy, snr, detection.threshold_sigmas)
-    return _measurements(frame, background, spread, stars, detection)
+    stars = _neighbours_apart(light, background, psf, xy, snr, detection.threshold_sigmas)
+    return _measurements(frame, background, psf, stars, detection)
 
 
-def _without_defects(frame: Frame, background: Background, spread: PSF) -> tuple[Frame, Background]:
-    frame = marked(frame, background, spread)
+def _without_defects(frame: Frame, background: Background, psf: PSF) -> tuple[Frame, Background]:
+    frame = marked(frame, background, psf)
     unusable = (frame.flags & (Flag.HOT | Flag.COSMIC | Flag.MASKED)) != 0
     return frame, replace(background, variance=np.where(unusable, np.inf, background.variance).astype(np.float32))
 
 
-def _spread(frame: Frame, background: Background, detection: Detection) -> PSF:
+def _mean_psf(frame: Frame, background: Background, detection: Detection) -> PSF:
     """The mean star, from bright ones that are single and not saturated; of a first guess, then of the result."""
     light = np.where(np.isfinite(background.variance), frame.image - background.level, 0.0)
-    spread = _FIRST
+    psf = _FIRST
     for _ in range(2):
         xy, snr = peaks(
-            significance(light, background, spread),
+            significance(light, background, psf),
             photon_noise(light, background),
-            spread,
+            psf,
             max(detection.threshold_sigmas, 8.0),
         )
-        xy = _single(frame, xy, snr, 4 * spread.fwhm_px)[:_STARS_FOR_SPREAD]
+        xy = _single(frame, xy, snr, 4 * psf.fwhm_px)[:_STARS_FOR_SPREAD]
         if len(xy) < 3:
-            return spread
-        found, windows = adaptive(light, background, xy, np.broadcast_to(spread.matrix, (len(xy), 2, 2)))
+            return psf
+        found, windows = adaptive(light, background, xy, np.broadcast_to(psf.matrix, (len(xy), 2, 2)))
         good = found.settled & ~found.at_edge & (found.usable > 0.9) & (found.weight > 0)
         if good.sum() < 3:
-            return spread
-        half = int(np.ceil(2.2 * spread.fwhm_px))
+            return psf
+        half = int(np.ceil(2.2 * psf.fwhm_px))
         stamps = cut(light, background, np.rint(found.xy[good]).astype(int), half)
         dx, dy = stamps.x - found.xy[good, 0, None, None], stamps.y - found.xy[good, 1, None, None]
         share = stamps.light / (2 * found.weight[good])[:, None, None]
         pixels = [tuple(np.broadcast_arrays(*each)) for each in zip(dx, dy, share, strict=True)]
-        spread = PSF.from_stars(windows[good], pixels)  # type: ignore[arg-type]
-    return spread
+        psf = PSF.from_stars(windows[good], pixels)  # type: ignore[arg-type]
+    return psf
 
 
 def _single(frame: Frame, xy: FloatArray, snr: FloatArray, reach_px: float) -> FloatArray:
@@ -315,33 +315,33 @@ class _Blended:
 
 
 def _neighbours_apart(
-    light: FloatArray, background: Background, spread: PSF, xy: FloatArray, snr: FloatArray, threshold: float
+    light: FloatArray, background: Background, psf: PSF, xy: FloatArray, snr: FloatArray, threshold: float
 ) -> _Blended:
     """Measures, takes all stars off the frame, puts each one back alone, measures again."""
-    window, collected = spread.window(), spread.collected()
+    window, collected = psf.window(), psf.collected()
     windows = np.broadcast_to(window, (len(xy), 2, 2))
     found = centroids(light, background, xy, windows)
     before, own, residual = found.xy, None, light
     for _ in range(_NEIGHBOUR_ROUNDS):
         flux = np.maximum(found.weight, 0) / collected
-        own = Own(found.xy, flux, spread)
+        own = Own(found.xy, flux, psf)
         residual = light - _model(own, light.shape)
         found = centroids(residual, background, xy, windows[: len(xy)], own)
-        lasting = _lasting(found, snr, threshold, spread)
+        lasting = _lasting(found, snr, threshold, psf)
         if not lasting.all():
             found = Centroids(**{name: value[lasting] for name, value in vars(found).items()})
             snr, before, xy = snr[lasting], before[lasting], xy[lasting]
     flux = np.maximum(found.weight, 0) / collected
-    own = Own(found.xy, flux, spread)
+    own = Own(found.xy, flux, psf)
     return _Blended(found, flux, snr, before, light - _model(own, light.shape), own)
 
 
-def _lasting(found: Centroids, snr: FloatArray, threshold: float, spread: PSF) -> BoolArray:
+def _lasting(found: Centroids, snr: FloatArray, threshold: float, psf: PSF) -> BoolArray:
     """Not what vanishes with the light of a neighbour, nor what has slid onto one."""
     from scipy.spatial import cKDTree
 
     lasting = found.weight > 0.75 * threshold * np.sqrt(found.weight_variance)
-    pairs = cKDTree(found.xy).query_pairs(0.6 * spread.fwhm_px, output_type="ndarray")
+    pairs = cKDTree(found.xy).query_pairs(0.6 * psf.fwhm_px, output_type="ndarray")
     if len(pairs):
         lasting[pairs.max(axis=1)] = False  # rows are ordered by significance
     return lasting | (np.arange(len(snr)) == 0)
@@ -350,14 +350,14 @@ def _lasting(found: Centroids, snr: FloatArray, threshold: float, spread: PSF) -
 def _model(own: Own, shape: tuple[int, ...]) -> FloatArray:
     """(rows, columns) light of all stars."""
     model = np.zeros(shape)
-    half = int(np.ceil(4 * own.spread.fwhm_px))
+    half = int(np.ceil(4 * own.psf.fwhm_px))
     reach = np.arange(-half, half + 1)
     step = max(1, 4_000_000 // len(reach) ** 2)
     for first in range(0, len(own.xy), step):
         xy, flux = own.xy[first : first + step], own.flux[first : first + step]
         centre = np.rint(xy).astype(int)
         x, y = centre[:, 0, None, None] + reach[None, None, :], centre[:, 1, None, None] + reach[None, :, None]
-        light = flux[:, None, None] * own.spread.light(x - xy[:, 0, None, None], y - xy[:, 1, None, None])
+        light = flux[:, None, None] * own.psf.light(x - xy[:, 0, None, None], y - xy[:, 1, None, None])
         inside = (x >= 0) & (x < shape[1]) & (y >= 0) & (y < shape[0])
         cell = (np.clip(y, 0, shape[0] - 1) * shape[1] + np.clip(x, 0, shape[1] - 1)).ravel()
         model += np.bincount(cell, np.where(inside, light, 0).ravel(), minlength=model.size).reshape(shape)
@@ -373,46 +373,46 @@ class _Shapes:
     found: Centroids
 
     @classmethod
-    def of(cls, background: Background, spread: PSF, stars: _Blended) -> _Shapes:
+    def of(cls, background: Background, psf: PSF, stars: _Blended) -> _Shapes:
         told = np.minimum(stars.found.weight / np.sqrt(stars.found.weight_variance), stars.snr) > _SHAPE_SNR
         rows = np.flatnonzero(told)
-        own = Own(stars.own.xy[rows], stars.own.flux[rows], spread)
-        start = np.broadcast_to(spread.matrix, (len(rows), 2, 2))
+        own = Own(stars.own.xy[rows], stars.own.flux[rows], psf)
+        start = np.broadcast_to(psf.matrix, (len(rows), 2, 2))
         found, matrices = adaptive(stars.residual, background, stars.found.xy[rows], start, own)
         return cls(rows, matrices, found)
 
-    def wider(self, spread: PSF, snr: FloatArray) -> BoolArray:
+    def wider(self, psf: PSF, snr: FloatArray) -> BoolArray:
         """(k,) where the common window is too narrow by more than noise may do."""
-        mean = np.sqrt(np.linalg.det(spread.matrix))
+        mean = np.sqrt(np.linalg.det(psf.matrix))
         area = np.sqrt(np.linalg.det(self.matrices))
         return self.found.settled & (area > mean * _WIDER**2 * (1 + 4 / snr[self.rows]))
 
-    def trailed(self, spread: PSF) -> BoolArray:
+    def trailed(self, psf: PSF) -> BoolArray:
         """(k,) longer than the mean star, and not as much wider."""
-        values, mean = np.linalg.eigvalsh(self.matrices), np.linalg.eigvalsh(spread.matrix)
+        values, mean = np.linalg.eigvalsh(self.matrices), np.linalg.eigvalsh(psf.matrix)
         return (values[:, 1] > _LONGER**2 * mean[1]) & (values[:, 1] / values[:, 0] > _LONGER**2 * mean[1] / mean[0])
 
-    def extended(self, spread: PSF) -> BoolArray:
+    def extended(self, psf: PSF) -> BoolArray:
         """(k,) wider along both axes."""
-        return np.linalg.eigvalsh(self.matrices)[:, 0] > _WIDER**2 * np.linalg.eigvalsh(spread.matrix)[0]
+        return np.linalg.eigvalsh(self.matrices)[:, 0] > _WIDER**2 * np.linalg.eigvalsh(psf.matrix)[0]
 
 
 def _measurements(
-    frame: Frame, background: Background, spread: PSF, stars: _Blended, detection: Detection
+    frame: Frame, background: Background, psf: PSF, stars: _Blended, detection: Detection
 ) -> Measurements:
     """Positions and errors: in the common window, or in that of the star where it is of another shape."""
     found = stars.found
     bright = (found.weight > 30 * np.sqrt(found.weight_variance)) & found.settled
-    usual = np.median(found.jacobian[bright], axis=0) if bright.sum() >= 5 else _theory(spread)
+    usual = np.median(found.jacobian[bright], axis=0) if bright.sum() >= 5 else _theory(psf)
     xy, covariance = found.xy.copy(), found.covariance(np.where(found.weight[:, None, None] > 0, usual, np.eye(2)))
-    flux, flux_err = stars.flux.copy(), np.sqrt(found.weight_variance) / spread.collected()
-    flags = _flags_near(frame, xy, spread.fwhm_px)
+    flux, flux_err = stars.flux.copy(), np.sqrt(found.weight_variance) / psf.collected()
+    flags = _flags_near(frame, xy, psf.fwhm_px)
     matrices = np.full((len(xy), 2, 2), np.nan)
-    shapes = _Shapes.of(background, spread, stars)
+    shapes = _Shapes.of(background, psf, stars)
     if len(shapes.rows):
         matrices[shapes.rows] = shapes.matrices
-        wider, trailed = shapes.wider(spread, stars.snr), shapes.trailed(spread)
-        other = wider & (trailed | shapes.extended(spread) | ((flags[shapes.rows] & Flag.SATURATED) != 0))
+        wider, trailed = shapes.wider(psf, stars.snr), shapes.trailed(psf)
+        other = wider & (trailed | shapes.extended(psf) | ((flags[shapes.rows] & Flag.SATURATED) != 0))
         rows = shapes.rows[other]
         xy[rows] = shapes.found.xy[other]
         covariance[rows] = shapes.found.covariance(_sane(shapes.found.jacobian))[other]
@@ -423,14 +423,14 @@ def _measurements(
         # Longer without being a trail: two stars too near to be told apart, of which neither may be in the middle.
         pairs = shapes.rows[wider & ~other]
         flags[pairs] |= np.uint16(Flag.BLENDED)
-        covariance[pairs] += _PAIR_KEPT * (shapes.matrices[wider & ~other] - spread.matrix)
-    covariance = _allowed(covariance, stars, spread, flags, detection)
+        covariance[pairs] += _PAIR_KEPT * (shapes.matrices[wider & ~other] - psf.matrix)
+    covariance = _allowed(covariance, stars, psf, flags, detection)
     order = np.argsort(-flux, kind="stable")
-    return _table(frame, background, spread, xy, covariance, flux, flux_err, matrices, stars.snr, flags, order)
+    return _table(frame, background, psf, xy, covariance, flux, flux_err, matrices, stars.snr, flags, order)
 
 
 def _allowed(
-    covariance: FloatArray, stars: _Blended, spread: PSF, flags: NDArray[np.uint16], detection: Detection
+    covariance: FloatArray, stars: _Blended, psf: PSF, flags: NDArray[np.uint16], detection: Detection
 ) -> FloatArray:
     """Covariances with what noise does not tell: neighbours, pixels, saturation; sets the flags that go with it."""
     found = stars.found
@@ -440,12 +440,10 @@ def _allowed(
     flags[found.at_edge] |= np.uint16(Flag.EDGE)
     flags[~found.settled] |= np.uint16(Flag.POOR)
     covariance = covariance + _PULL_KEPT**2 * pull[:, :, None] * pull[:, None, :]
-    floor = detection.floor_px**2 + spread.phase_error_px() ** 2
+    floor = detection.floor_px**2 + psf.phase_error_px() ** 2
     saturated = (flags & Flag.SATURATED) != 0
-    covariance = covariance + (floor + np.where(saturated, (0.03 * spread.fwhm_px) ** 2, 0.0))[:, None, None] * np.eye(
-        2
-    )
-    covariance[~found.settled] = spread.matrix
+    covariance = covariance + (floor + np.where(saturated, (0.03 * psf.fwhm_px) ** 2, 0.0))[:, None, None] * np.eye(2)
+    covariance[~found.settled] = psf.matrix
     # A pair of stars is wider along one axis only: the excess along the other may be negative.
     values, vectors = np.linalg.eigh((covariance + covariance.transpose(0, 2, 1)) / 2)
     return np.asarray((vectors * np.maximum(values, floor + 1e-12)[:, None, :]) @ vectors.transpose(0, 2, 1))
@@ -454,7 +452,7 @@ def _allowed(
 def _table(
     frame: Frame,
     background: Background,
-    spread: PSF,
+    psf: PSF,
     xy: FloatArray,
     covariance: FloatArray,
     flux: FloatArray,
@@ -479,31 +477,31 @@ def _table(
     return Measurements(
         **{name: np.ascontiguousarray(column[order]) for name, column in columns.items()},
         shape=frame.shape,
-        psf_fwhm_px=spread.fwhm_px,
+        psf_fwhm_px=psf.fwhm_px,
         name=frame.name,
-        notes=_notes(frame, background, spread),
-        blind=_blind(frame, spread),
+        notes=_notes(frame, background, psf),
+        blind=_blind(frame, psf),
     )
 
 
-def _blind(frame: Frame, spread: PSF) -> BoolArray | None:
+def _blind(frame: Frame, psf: PSF) -> BoolArray | None:
     """(rows, columns) where most of a star's pixels are masked; None without a mask."""
     if not frame.masked.any():
         return None
     from scipy.ndimage import uniform_filter
 
-    size = 2 * math.ceil(spread.fwhm_px) + 1
+    size = 2 * math.ceil(psf.fwhm_px) + 1
     return np.asarray(uniform_filter(frame.masked.astype(np.float32), size, mode="nearest") > 0.5)
 
 
-def _notes(frame: Frame, background: Background, spread: PSF) -> tuple[str, ...]:
+def _notes(frame: Frame, background: Background, psf: PSF) -> tuple[str, ...]:
     count = {flag: int(((frame.flags & flag) != 0).sum()) for flag in (Flag.HOT, Flag.COSMIC, Flag.MASKED)}
-    notes = [f"stars {spread.fwhm_px:.2f} px wide at half maximum, Moffat β {spread.beta:.1f}"]
+    notes = [f"stars {psf.fwhm_px:.2f} px wide at half maximum, Moffat β {psf.beta:.1f}"]
     notes += [f"{n} pixels {Flag.words(flag)}" for flag, n in count.items() if n]
-    axes = np.sqrt(np.linalg.eigvalsh(spread.matrix))
+    axes = np.sqrt(np.linalg.eigvalsh(psf.matrix))
     if axes[1] > _LONGER * axes[0]:
         notes.append(f"doubt: the stars are trailed, {axes[1] / axes[0]:.1f} times longer than wide")
-    shared = float(background.factor(np.array([spread.sigma_px]))[1][0])
+    shared = float(background.factor(np.array([psf.sigma_px]))[1][0])
     if shared > 1.2:
         notes.append(f"neighbouring pixels share their noise: variances of positions are {shared:.1f} times larger")
     if not background.inverse_gain and frame.sigma is None:
@@ -511,11 +509,11 @@ def _notes(frame: Frame, background: Background, spread: PSF) -> tuple[str, ...]
     return tuple(notes)
 
 
-def _theory(spread: PSF) -> FloatArray:
+def _theory(psf: PSF) -> FloatArray:
     """J over Σ w I for a Gaussian star."""
-    window = spread.window()
+    window = psf.window()
     return np.asarray(
-        np.eye(2) - np.linalg.inv(np.linalg.inv(spread.matrix) + np.linalg.inv(window)) @ np.linalg.inv(window)
+        np.eye(2) - np.linalg.inv(np.linalg.inv(psf.matrix) + np.linalg.inv(window)) @ np.linalg.inv(window)
     )
 
 

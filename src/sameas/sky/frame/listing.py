@@ -33,49 +33,54 @@ HIDDEN_WIDTHS = 4.0
 BRIGHTER = 0.5
 
 
-def listing(found: FrameIdentification, *, faint: bool = True) -> Table:
+def listing(identification: FrameIdentification, *, faint: bool = True) -> Table:
     """The table of a frame; absent values are masked.
 
     faint : whether the stars that the frame cannot show are listed too.
     """
     from astropy.table import MaskedColumn, Table
 
-    lost = _lost(found, faint)
+    lost = _lost(identification, faint)
     table = Table(masked=True)
-    for name, (measured, star, unit, words) in _columns(found, lost).items():
-        parts = [_masked(measured, len(found.measured)), _masked(star, len(lost))]
+    for name, (measured, star, unit, words) in _columns(identification, lost).items():
+        parts = [_masked(measured, len(identification.measured)), _masked(star, len(lost))]
         kinds = [part for part in parts if part.dtype != object]
         dtype = np.result_type(*(part.dtype for part in kinds)) if kinds else np.dtype("U1")
         values = np.ma.concatenate([_cast(part, dtype) for part in parts])
         table[name] = MaskedColumn(values, unit=unit or None, description=words)
-    table.meta.update(frame=found.measured.name, catalogue=found.stars.name)
+    table.meta.update(frame=identification.measured.name, catalogue=identification.stars.name)
     return table
 
 
-def _lost(found: FrameIdentification, faint: bool) -> IntArray:
+def _lost(identification: FrameIdentification, faint: bool) -> IntArray:
     """Rows of the stars on the frame that no measurement is, brightest first."""
-    alone = found.inside.copy()
-    alone[found.pairs[1]] = False
+    alone = identification.inside.copy()
+    alone[identification.pairs[1]] = False
     if not faint:
-        alone &= found.p_detect >= EXPECTED
+        alone &= identification.p_detect >= EXPECTED
     rows = np.flatnonzero(alone)
-    return rows[np.argsort(np.nan_to_num(found.stars.magnitude[rows], nan=99.0), kind="stable")]
+    return rows[np.argsort(np.nan_to_num(identification.stars.magnitude[rows], nan=99.0), kind="stable")]
 
 
 #: Values for the measurements, values for the stars (None: absent), unit, description.
 _Column = tuple[Any, Any, str, str]
 
 
-def _columns(found: FrameIdentification, lost: IntArray) -> dict[str, _Column]:
-    return {**_what(found, lost), **_where(found, lost), **_how_sure(found, lost), **_how_bright(found, lost)}
+def _columns(identification: FrameIdentification, lost: IntArray) -> dict[str, _Column]:
+    return {
+        **_what(identification, lost),
+        **_where(identification, lost),
+        **_how_sure(identification, lost),
+        **_how_bright(identification, lost),
+    }
 
 
-def _what(found: FrameIdentification, lost: IntArray) -> dict[str, _Column]:
-    m, stars = found.measured, found.stars
-    partner = found.result.answers_1.partner
+def _what(identification: FrameIdentification, lost: IntArray) -> dict[str, _Column]:
+    m, stars = identification.measured, identification.stars
+    partner = identification.result.answers_1.partner
     fate = np.where(np.ma.getmaskarray(partner), "unidentified", "identified")
     ids = _taken(stars.ids, partner)
-    expected = found.p_detect[lost] >= EXPECTED
+    expected = identification.p_detect[lost] >= EXPECTED
     return {
         "fate": (fate, np.where(expected, "missing", "too faint"), "", "what became of the row"),
         "measurement": (np.arange(len(m)), None, "", "number of the measurement, brightest first"),
@@ -83,7 +88,7 @@ def _what(found: FrameIdentification, lost: IntArray) -> dict[str, _Column]:
         "star_row": (_taken(stars.rows, partner), stars.rows[lost], "", f"row in {stars.name}"),
         "remark": (
             np.array([Flag.words(bits) for bits in m.flags], dtype=str),
-            np.array(why_missing(found, lost), dtype=str),
+            np.array(why_missing(identification, lost), dtype=str),
             "",
             "flags of a measurement; what stands in the place of a missing star",
         ),
@@ -91,12 +96,14 @@ def _what(found: FrameIdentification, lost: IntArray) -> dict[str, _Column]:
     }
 
 
-def _where(found: FrameIdentification, lost: IntArray) -> dict[str, _Column]:
-    m, stars, px = found.measured, found.stars, found.predicted_px
-    partner = found.result.answers_1.partner
-    ra, dec, sky = found.plate.to_sky(m.x_px, m.y_px, m.covariance)
-    star_px, star_cov = px[lost], found.predicted_covariance[lost]
-    left_px, left_sky = (_spread(found, values) for values in (found.residual_px, found.residual_arcsec))
+def _where(identification: FrameIdentification, lost: IntArray) -> dict[str, _Column]:
+    m, stars, px = identification.measured, identification.stars, identification.predicted_px
+    partner = identification.result.answers_1.partner
+    ra, dec, sky = identification.plate.to_sky(m.x_px, m.y_px, m.covariance)
+    star_px, star_cov = px[lost], identification.predicted_covariance[lost]
+    left_px, left_sky = (
+        _spread(identification, values) for values in (identification.residual_px, identification.residual_arcsec)
+    )
     measured, predicted = "measured, of a missing star predicted", "at the frame's epoch, from the catalogue"
     return {
         "x_px": (m.x_px, star_px[:, 0], "pix", f"{measured}; the first pixel is 0"),
@@ -115,8 +122,18 @@ def _where(found: FrameIdentification, lost: IntArray) -> dict[str, _Column]:
         "star_y_px": (_taken(px[:, 1], partner), star_px[:, 1], "pix", "where the plate model sees the star"),
         "star_ra_deg": (_taken(stars.ra_deg, partner), stars.ra_deg[lost], "deg", predicted),
         "star_dec_deg": (_taken(stars.dec_deg, partner), stars.dec_deg[lost], "deg", predicted),
-        "moved_east_arcsec": (_moved(found, partner, 0), stars.moved_arcsec[lost, 0], "arcsec", "since its own epoch"),
-        "moved_north_arcsec": (_moved(found, partner, 1), stars.moved_arcsec[lost, 1], "arcsec", "since its own epoch"),
+        "moved_east_arcsec": (
+            _moved(identification, partner, 0),
+            stars.moved_arcsec[lost, 0],
+            "arcsec",
+            "since its own epoch",
+        ),
+        "moved_north_arcsec": (
+            _moved(identification, partner, 1),
+            stars.moved_arcsec[lost, 1],
+            "arcsec",
+            "since its own epoch",
+        ),
         "residual_x_px": (left_px[:, 0], None, "pix", "measured minus predicted"),
         "residual_y_px": (left_px[:, 1], None, "pix", "measured minus predicted"),
         "residual_east_arcsec": (left_sky[:, 0], None, "arcsec", "measured minus catalogue"),
@@ -124,30 +141,35 @@ def _where(found: FrameIdentification, lost: IntArray) -> dict[str, _Column]:
     }
 
 
-def _how_sure(found: FrameIdentification, lost: IntArray) -> dict[str, _Column]:
-    one, two = found.result.answers_1, found.result.answers_2
-    distance = np.full(len(found.measured), np.nan)
-    distance[found.pairs[0]] = found.result.matches.mahalanobis
-    other = _taken(np.arange(len(found.measured)), two.second)[lost]
+def _how_sure(identification: FrameIdentification, lost: IntArray) -> dict[str, _Column]:
+    one, two = identification.result.answers_1, identification.result.answers_2
+    distance = np.full(len(identification.measured), np.nan)
+    distance[identification.pairs[0]] = identification.result.matches.mahalanobis
+    other = _taken(np.arange(len(identification.measured)), two.second)[lost]
     return {
         "p_match": (one.p_match, None, "", "probability that the measurement is this star"),
         "p_none": (one.p_none, two.p_none[lost], "", "probability of having no partner"),
         "p_second": (one.p_second, two.p_second[lost], "", "probability of the next best candidate"),
-        "second_star": (_taken(found.stars.ids, one.second), None, "", "the next best candidate of a measurement"),
+        "second_star": (
+            _taken(identification.stars.ids, one.second),
+            None,
+            "",
+            "the next best candidate of a measurement",
+        ),
         "second_measurement": (None, other, "", "the best candidate of a missing star"),
         "candidates": (one.candidates, two.candidates[lost], "", "how many were within the gate"),
         "distance_sigma": (distance, None, "", "residual over its quoted error"),
-        "p_detect": (None, found.p_detect[lost], "", "probability that the frame shows a star so bright"),
+        "p_detect": (None, identification.p_detect[lost], "", "probability that the frame shows a star so bright"),
     }
 
 
-def _how_bright(found: FrameIdentification, lost: IntArray) -> dict[str, _Column]:
-    m, stars = found.measured, found.stars
-    partner = found.result.answers_1.partner
+def _how_bright(identification: FrameIdentification, lost: IntArray) -> dict[str, _Column]:
+    m, stars = identification.measured, identification.stars
+    partner = identification.result.answers_1.partner
     colour = _taken(stars.colour, partner)
     with np.errstate(divide="ignore", invalid="ignore"):
         error = np.where(m.flux > 0, 1.0857 * m.flux_err / m.flux, np.nan)
-    seen = None if found.zero_point is None else found.zero_point(m.flux, colour.filled(np.nan))
+    seen = None if identification.zero_point is None else identification.zero_point(m.flux, colour.filled(np.nan))
     return {
         "flux": (m.flux, None, "", "light above the sky, in the unit of the frame"),
         "flux_err": (m.flux_err, None, "", "its standard deviation"),
@@ -160,27 +182,29 @@ def _how_bright(found: FrameIdentification, lost: IntArray) -> dict[str, _Column
     }
 
 
-def why_missing(found: FrameIdentification, lost: IntArray) -> list[str]:
+def why_missing(identification: FrameIdentification, lost: IntArray) -> list[str]:
     """What stands in the place of each of these stars, in words; (k,) rows of the stars."""
     from scipy.spatial import cKDTree
 
-    m, px = found.measured, found.predicted_px
+    m, px = identification.measured, identification.predicted_px
     width = m.psf_fwhm_px
-    owner = found.result.answers_1.partner
+    owner = identification.result.answers_1.partner
     tree = cKDTree(np.column_stack([m.x_px, m.y_px]))
     reach = [width * MERGED_WIDTHS, width * HIDDEN_WIDTHS]
     close, wide = (tree.query_ball_point(px[lost], radius, return_sorted=True) for radius in reach)
     edge = np.minimum(px[lost], np.array(m.shape[::-1]) - 1 - px[lost]).min(axis=1)
     words = []
     for k, row in enumerate(lost):
-        hidden = [i for i in wide[k] if m.flags[i] & Flag.SATURATED and _is_brighter(found, int(i), int(row), owner)]
+        hidden = [
+            i for i in wide[k] if m.flags[i] & Flag.SATURATED and _is_brighter(identification, int(i), int(row), owner)
+        ]
         if close[k]:
             i = min(close[k], key=lambda i: float(np.hypot(m.x_px[i] - px[row, 0], m.y_px[i] - px[row, 1])))
-            words.append(_in_its_place(found, int(i), int(row), owner))
+            words.append(_in_its_place(identification, int(i), int(row), owner))
         elif edge[k] < width:
             words.append("on the edge of the frame")
-        elif found.p_detect[row] < EXPECTED:
-            words.append(f"the frame shows {100 * found.p_detect[row]:.0f} % of stars so faint")
+        elif identification.p_detect[row] < EXPECTED:
+            words.append(f"the frame shows {100 * identification.p_detect[row]:.0f} % of stars so faint")
         elif hidden:
             words.append(f"in the light of measurement {hidden[0]}, which is saturated")
         else:
@@ -188,29 +212,29 @@ def why_missing(found: FrameIdentification, lost: IntArray) -> list[str]:
     return words
 
 
-def _is_brighter(found: FrameIdentification, i: int, row: int, owner: np.ma.MaskedArray) -> bool:
+def _is_brighter(identification: FrameIdentification, i: int, row: int, owner: np.ma.MaskedArray) -> bool:
     if np.ma.getmaskarray(owner)[i]:
         return True
-    return bool(found.stars.magnitude[owner[i]] < found.stars.magnitude[row] - BRIGHTER)
+    return bool(identification.stars.magnitude[owner[i]] < identification.stars.magnitude[row] - BRIGHTER)
 
 
-def _in_its_place(found: FrameIdentification, i: int, row: int, owner: np.ma.MaskedArray) -> str:
-    m, px = found.measured, found.predicted_px[row]
+def _in_its_place(identification: FrameIdentification, i: int, row: int, owner: np.ma.MaskedArray) -> str:
+    m, px = identification.measured, identification.predicted_px[row]
     off = float(np.hypot(m.x_px[i] - px[0], m.y_px[i] - px[1]))
     if np.ma.getmaskarray(owner)[i]:
         return f"measurement {i} is {off:.1f} px away, too far for their errors"
-    return f"measurement {i}, {off:.1f} px away, is {found.stars.ids[owner[i]]}; one mark for both"
+    return f"measurement {i}, {off:.1f} px away, is {identification.stars.ids[owner[i]]}; one mark for both"
 
 
-def _spread(found: FrameIdentification, values: FloatArray) -> FloatArray:
+def _spread(identification: FrameIdentification, values: FloatArray) -> FloatArray:
     """(n, d) per measurement; NaN where it is not identified."""
-    column = np.full((len(found.measured), values.shape[1]), np.nan)
-    column[found.pairs[0]] = values
+    column = np.full((len(identification.measured), values.shape[1]), np.nan)
+    column[identification.pairs[0]] = values
     return column
 
 
-def _moved(found: FrameIdentification, partner: np.ma.MaskedArray, axis: int) -> np.ma.MaskedArray:
-    return _taken(found.stars.moved_arcsec[:, axis], partner)
+def _moved(identification: FrameIdentification, partner: np.ma.MaskedArray, axis: int) -> np.ma.MaskedArray:
+    return _taken(identification.stars.moved_arcsec[:, axis], partner)
 
 
 def _taken(values: NDArray[Any], rows: np.ma.MaskedArray) -> np.ma.MaskedArray:

@@ -41,8 +41,8 @@ HOPELESS = -15.0
 
 
 @dataclass(frozen=True)
-class Searched:
-    """What was searched: ``area_sr`` of the sky for the frame's middle, ``turn_rad`` of orientation,
+class SearchVolume:
+    """The volume that was searched: ``area_sr`` of the sky for the frame's middle, ``turn_rad`` of orientation,
     ``log_scale`` the logarithm of the largest over the least scale, ``parities`` 1 or 2."""
 
     area_sr: float
@@ -57,7 +57,7 @@ class Searched:
 
 
 @dataclass(frozen=True)
-class FrameAndSky:
+class PlateProblem:
     """A frame and a sky, both brightest first.
 
     Attributes
@@ -111,7 +111,7 @@ class Verdict:
     Attributes
     ----------
     pointing : refined. log_odds : natural, against all chance; −inf where fewer than three stars fit.
-    measured, stars : (k,) the paired rows of the scene, in the order of the stars' brightness.
+    measured, stars : (k,) the paired rows of the problem, in the order of the stars' brightness.
     residual_px : (k, 2) measurement minus prediction. depth : how many measurements and predicted stars were weighed.
     tolerance_px : the error per axis beyond those quoted (distortion, old positions).
     """
@@ -125,7 +125,7 @@ class Verdict:
     tolerance_px: float
 
 
-def verify(scene: FrameAndSky, pointing: Pointing, searched: Searched, tolerance_px: float) -> Verdict:
+def verify(problem: PlateProblem, pointing: Pointing, volume: SearchVolume, tolerance_px: float) -> Verdict:
     """The pointing refined to the measurements, with its odds.
 
     Identification and fit alternate; what the residuals show beyond the quoted errors replaces ``tolerance_px``
@@ -133,46 +133,48 @@ def verify(scene: FrameAndSky, pointing: Pointing, searched: Searched, tolerance
     """
     nothing = np.empty(0, np.int64)
     best = Verdict(pointing, -math.inf, nothing, nothing, np.empty((0, 2)), (0, 0), tolerance_px)
-    radius = scene.half_diagonal_px * float(np.sqrt(abs(np.linalg.det(pointing.cd))))
-    rows = scene.stars_near(pointing.to_sky(scene.middle_px[None])[0], 1.2 * radius)
+    radius = problem.half_diagonal_px * float(np.sqrt(abs(np.linalg.det(pointing.cd))))
+    rows = problem.stars_near(pointing.to_sky(problem.middle_px[None])[0], 1.2 * radius)
     for _ in range(ROUNDS):
-        found = weigh(scene, rows, pointing, searched, tolerance_px)
+        found = weigh(problem, rows, pointing, volume, tolerance_px)
         if len(found.measured) < 3:
             break
         if found.log_odds > best.log_odds:
             best = found
         elif found.log_odds < HOPELESS:
             break
-        step = _step(scene, found)
+        step = _step(problem, found)
         pointing = found.pointing.moved(step)
         if not 0.5 < np.linalg.det(pointing.cd) / np.linalg.det(found.pointing.cd) < 2.0:
             break
-        residual = _predicted_residual(scene, found, pointing)
-        tighter = max(_excess(scene, found, residual), 0.25 * tolerance_px)
+        residual = _predicted_residual(problem, found, pointing)
+        tighter = max(_excess(problem, found, residual), 0.25 * tolerance_px)
         if tighter > 0.95 * tolerance_px and np.abs(step[:2]).max() < 0.01:
             break
         tolerance_px = min(tolerance_px, tighter)
     return best
 
 
-def weigh(scene: FrameAndSky, rows: IntArray, pointing: Pointing, searched: Searched, tolerance_px: float) -> Verdict:
+def weigh(
+    problem: PlateProblem, rows: IntArray, pointing: Pointing, volume: SearchVolume, tolerance_px: float
+) -> Verdict:
     """The odds of a pointing as it stands; ``rows`` are the stars about the frame, brightest first."""
-    predicted = pointing.to_px(scene.vectors[rows])
-    there = np.flatnonzero(scene.inside(predicted))[:DEEPEST]
+    predicted = pointing.to_px(problem.vectors[rows])
+    there = np.flatnonzero(problem.inside(predicted))[:DEEPEST]
     rows, predicted = rows[there], predicted[there]
-    i, j = _paired(scene, rows, predicted, pointing, tolerance_px)
-    residual = scene.px[i] - predicted[j]
-    total = _total_covariance(scene, i, rows[j], pointing, tolerance_px)
+    i, j = _paired(problem, rows, predicted, pointing, tolerance_px)
+    residual = problem.px[i] - predicted[j]
+    total = _total_covariance(problem, i, rows[j], pointing, tolerance_px)
     inverse = np.linalg.inv(total)
     chi_sq = np.einsum("ni,nij,nj->n", residual, inverse, residual)
-    gain = math.log(scene.area_px) - math.log(2 * math.pi) - 0.5 * np.log(np.linalg.det(total)) - 0.5 * chi_sq
-    score, depth = _deepest(gain, i, j, min(len(scene.px), DEEPEST), len(rows))
+    gain = math.log(problem.area_px) - math.log(2 * math.pi) - 0.5 * np.log(np.linalg.det(total)) - 0.5 * chi_sq
+    score, depth = _deepest(gain, i, j, min(len(problem.px), DEEPEST), len(rows))
     used = (i < depth[0]) & (j < depth[1])
     columns = design(predicted[j[used]] - pointing.origin_px)
     information = np.einsum("nai,nab,nbj->ij", columns, inverse[used], columns)
     information[4:, 4:] += np.eye(2) / SHEAR**2
     price = -0.5 * np.linalg.slogdet(information)[1] + 3.0 * math.log(2 * math.pi)
-    price -= searched.log_volume(math.sqrt(abs(np.linalg.det(pointing.cd))))
+    price -= volume.log_volume(math.sqrt(abs(np.linalg.det(pointing.cd))))
     singular = np.linalg.svd(pointing.cd, compute_uv=False)
     price -= 0.5 * (0.5 * math.log(singular[0] / singular[1]) / SHEAR) ** 2
     enough = used.sum() >= 3
@@ -181,18 +183,18 @@ def weigh(scene: FrameAndSky, rows: IntArray, pointing: Pointing, searched: Sear
 
 
 def _paired(
-    scene: FrameAndSky, rows: IntArray, predicted: FloatArray, pointing: Pointing, tolerance_px: float
+    problem: PlateProblem, rows: IntArray, predicted: FloatArray, pointing: Pointing, tolerance_px: float
 ) -> tuple[IntArray, IntArray]:
     """Measurements and predicted stars that are one, both as positions in the order of brightness."""
-    n, m = min(len(scene.px), DEEPEST), len(rows)
+    n, m = min(len(problem.px), DEEPEST), len(rows)
     if not m:
         return np.empty(0, np.int64), np.empty(0, np.int64)
-    wide = scene.covariance[:n] + tolerance_px**2 * np.eye(2)
-    sigma = np.maximum(scene.sigma_rad[rows] / math.sqrt(abs(np.linalg.det(pointing.cd))), 1e-6)
-    frame = Records.of(scene.px[:n], covariance=wide, source="frame")
+    wide = problem.covariance[:n] + tolerance_px**2 * np.eye(2)
+    sigma = np.maximum(problem.sigma_rad[rows] / math.sqrt(abs(np.linalg.det(pointing.cd))), 1e-6)
+    frame = Records.of(problem.px[:n], covariance=wide, source="frame")
     sky = Records.of(predicted, sigma=sigma, source="catalogue")
     # Half of the fainter list is taken to be common; the odds that follow do not depend on it.
-    common, area = 0.5 * min(n, m), scene.area_px
+    common, area = 0.5 * min(n, m), problem.area_px
     rule = PoissonField(common / area, (n - 0.9 * common) / area, (m - 0.9 * common) / area)
     # As in `identify`, without the probabilities: only the best hypothesis is weighed.
     pairs = Radius(4.0)(frame, sky)
@@ -227,17 +229,17 @@ def _depths(n: int) -> IntArray:
 
 
 def _total_covariance(
-    scene: FrameAndSky, i: IntArray, rows: IntArray, pointing: Pointing, tolerance_px: float
+    problem: PlateProblem, i: IntArray, rows: IntArray, pointing: Pointing, tolerance_px: float
 ) -> FloatArray:
     """(k, 2, 2) of the residuals of pairs: measurement, star and tolerance."""
-    star = (scene.sigma_rad[rows] ** 2 / abs(np.linalg.det(pointing.cd)) + tolerance_px**2)[:, None, None]
-    return np.asarray(scene.covariance[i] + star * np.eye(2))
+    star = (problem.sigma_rad[rows] ** 2 / abs(np.linalg.det(pointing.cd)) + tolerance_px**2)[:, None, None]
+    return np.asarray(problem.covariance[i] + star * np.eye(2))
 
 
-def _step(scene: FrameAndSky, found: Verdict) -> FloatArray:
+def _step(problem: PlateProblem, found: Verdict) -> FloatArray:
     """(6,) the shift, growth, turn and shears that bring the predictions to the measurements; see ``design``."""
-    columns = design(found.pointing.to_px(scene.vectors[found.stars]) - found.pointing.origin_px)
-    total = _total_covariance(scene, found.measured, found.stars, found.pointing, found.tolerance_px)
+    columns = design(found.pointing.to_px(problem.vectors[found.stars]) - found.pointing.origin_px)
+    total = _total_covariance(problem, found.measured, found.stars, found.pointing, found.tolerance_px)
     inverse = np.linalg.inv(total)
     step = np.zeros(6)
     weight = np.ones(len(total))
@@ -251,13 +253,13 @@ def _step(scene: FrameAndSky, found: Verdict) -> FloatArray:
     return np.asarray(step)
 
 
-def _predicted_residual(scene: FrameAndSky, found: Verdict, pointing: Pointing) -> FloatArray:
-    return np.asarray(scene.px[found.measured] - pointing.to_px(scene.vectors[found.stars]))
+def _predicted_residual(problem: PlateProblem, found: Verdict, pointing: Pointing) -> FloatArray:
+    return np.asarray(problem.px[found.measured] - pointing.to_px(problem.vectors[found.stars]))
 
 
-def _excess(scene: FrameAndSky, found: Verdict, residual: FloatArray) -> float:
+def _excess(problem: PlateProblem, found: Verdict, residual: FloatArray) -> float:
     """The error per axis beyond the quoted ones that the typical residual shows, px."""
-    quoted = _total_covariance(scene, found.measured, found.stars, found.pointing, 0.0)
+    quoted = _total_covariance(problem, found.measured, found.stars, found.pointing, 0.0)
     # A fit of 4 to 6 numbers has taken its share of 2k; the median of r² is 2 ln 2 σ² in two dimensions.
     share = max(2 * len(residual) - 5.0, 1.0) / (2 * len(residual))
     square = np.median(np.sum(residual**2, axis=1)) / (2 * math.log(2)) / share
@@ -265,9 +267,9 @@ def _excess(scene: FrameAndSky, found: Verdict, residual: FloatArray) -> float:
     return math.sqrt(max(square - typical, 0.05**2))
 
 
-def on_pixels(verdict: Verdict, scene: FrameAndSky, px: FloatArray) -> Verdict:
+def on_pixels(verdict: Verdict, problem: PlateProblem, px: FloatArray) -> Verdict:
     """The verdict's pairs fitted once more, on other pixels (n, 2) of the same measurements."""
-    own = replace(scene, px=px)
+    own = replace(problem, px=px)
     pointing = verdict.pointing
     for _ in range(3):
         fit = replace(verdict, pointing=pointing)

@@ -166,8 +166,8 @@ class Completeness:
     """How probably the frame shows a star of a magnitude. Make it with :meth:`Completeness.of`.
 
     top : of bright stars. limit : where half of that is left. width : how gradually it falls.
-    edges : (k + 1,) of bins of magnitude. stars, found : (k,) stars on the frame, and how many of them are identified,
-    as a sum of probabilities.
+    edges : (k + 1,) of bins of magnitude. stars : (k,) stars on the frame. identified : (k,) expected number of them
+    that are identified.
     """
 
     top: float
@@ -175,21 +175,21 @@ class Completeness:
     width: float
     edges: FloatArray
     stars: FloatArray
-    found: FloatArray
+    identified: FloatArray
 
     @classmethod
-    def of(cls, magnitude: FloatArray, p_found: FloatArray) -> Completeness | None:
+    def of(cls, magnitude: FloatArray, p_identified: FloatArray) -> Completeness | None:
         """The curve of stars with probabilities of being identified, (n,) each; None where no magnitude is known."""
         known = np.isfinite(magnitude)
         if not known.any():
             return None
-        m, p = magnitude[known], np.clip(p_found[known], 0.0, 1.0)
+        m, p = magnitude[known], np.clip(p_identified[known], 0.0, 1.0)
         top, limit, width = _falling(m, p)
         edges = _bins(m)
         at = np.clip(np.searchsorted(edges, m, side="right") - 1, 0, len(edges) - 2)
         count = np.bincount(at, minlength=len(edges) - 1).astype(np.float64)
-        found = np.bincount(at, p, len(edges) - 1).astype(np.float64)
-        return cls(top, limit, width, edges, count, found)
+        identified = np.bincount(at, p, len(edges) - 1).astype(np.float64)
+        return cls(top, limit, width, edges, count, identified)
 
     def __call__(self, magnitude: FloatArray) -> FloatArray:
         """(n,) the probability that a star is shown; that of a bright one where the magnitude is not known."""
@@ -202,8 +202,8 @@ class Completeness:
 
     @property
     def sigma(self) -> FloatArray:
-        """(k,) standard errors of ``found / stars``, binomial with one star's worth of caution."""
-        share = (self.found + 0.5) / (self.stars + 1.0)
+        """(k,) standard errors of ``identified / stars``, binomial with one star's worth of caution."""
+        share = (self.identified + 0.5) / (self.stars + 1.0)
         return np.asarray(np.sqrt(share * (1.0 - share) / (self.stars + 1.0)))
 
     def describe(self) -> str:
@@ -222,15 +222,15 @@ def _falling(m: FloatArray, p: FloatArray) -> tuple[float, float, float]:
     cell = np.minimum(((m - low) / max(high - low, 1e-9) * FINE).astype(np.int64), FINE - 1)
     number = np.bincount(cell, minlength=FINE)
     used = number > 0
-    found = np.bincount(cell, p, FINE)[used]
-    lost, middle = number[used] - found, (np.bincount(cell, m, FINE) / np.maximum(number, 1))[used]
+    identified = np.bincount(cell, p, FINE)[used]
+    lost, middle = number[used] - identified, (np.bincount(cell, m, FINE) / np.maximum(number, 1))[used]
 
     def cost(x: FloatArray) -> float:
         top = 1.0 / (1.0 + math.exp(-x[0]))
         width = math.exp(min(x[2], 3.0))
         curve = top / (1.0 + np.exp(np.clip((middle - x[1]) / width, -60.0, 60.0)))
         curve = np.clip(curve, 1e-9, 1.0 - 1e-9)
-        likelihood = float(found @ np.log(curve) + lost @ np.log1p(-curve))
+        likelihood = float(identified @ np.log(curve) + lost @ np.log1p(-curve))
         # As if two bright stars had been shown, and two beyond the faintest had not.
         belief = PRIOR_STARS * math.log(top) - PRIOR_STARS * ((x[2] + 1.2) / 2.0) ** 2
         beyond = max(low - x[1], x[1] - high - 3.0, 0.0)

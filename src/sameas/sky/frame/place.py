@@ -22,7 +22,7 @@ import numpy as np
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.records import unpack
-from sameas.sky.frame.odds import FrameAndSky, Verdict, on_pixels, verify
+from sameas.sky.frame.odds import PlateProblem, Verdict, on_pixels, verify
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex, candidates
 from sameas.sky.frame.stars import Stars
 from sameas.sky.frame.tangent import Pointing, sky_of, unit_vectors
@@ -62,7 +62,7 @@ class Placement:
     runner_up_log_odds : of the next best, different placement, −inf if there is none.
     rows_measured, rows_stars : (k,) the pairs it stands on, rows of the caller's tables.
     residual_px : (k, 2) measured minus predicted. rms_arcsec : root mean square of them per axis.
-    found_by : in words.
+    hint : the hint that led to it, in words.
     """
 
     wcs: Any
@@ -73,7 +73,7 @@ class Placement:
     rows_stars: IntArray
     residual_px: FloatArray = field(repr=False)
     rms_arcsec: float
-    found_by: str
+    hint: str
 
     @property
     def n_matched(self) -> int:
@@ -100,7 +100,7 @@ class Placement:
         ra, dec = self.wcs.wcs.crval
         hand = "mirrored" if self.parity > 0 else "not mirrored"
         return (
-            f"placed by {self.found_by}: RA {ra:.5f}° Dec {dec:+.5f}°, {self.scale_arcsec:.4f}″/px, y axis at "
+            f"placed by {self.hint}: RA {ra:.5f}° Dec {dec:+.5f}°, {self.scale_arcsec:.4f}″/px, y axis at "
             f"{self.rotation_deg:.2f}° (N through E), {hand}; {self.n_matched} stars, rms {self.rms_arcsec:.2f}″, "
             f"odds {odds_in_words(self.log_odds)}, next best {odds_in_words(self.runner_up_log_odds)}"
         )
@@ -135,17 +135,17 @@ def place(
     hints = [hints] if isinstance(hints, ApproximateWcs | Aim | AllSky) else list(hints)
     if not hints or not odds > 1:
         raise InputError("place: give at least one hint, and odds above 1")
-    scene, order_1, order_2 = scene_of(measured, stars)
+    problem, order_1, order_2 = problem_of(measured, stars)
     refused = []
     for hint in hints:
-        best, second = _searched(scene, hint, index, math.log(odds))
+        best, second = _best_verdict(problem, hint, index, math.log(odds))
         if best is not None and _believed(best, second, math.log(odds)):
-            return _placement(scene, best, second, hint, measured, (order_1, order_2))
+            return _placement(problem, best, second, hint, measured, (order_1, order_2))
         refused.append(_refusal(hint, best, second))
     raise InputError(f"{measured.name}: no solution: {'; '.join(refused)}; {_advice(hints)}")
 
 
-def scene_of(measured: MeasuredStars, stars: Stars) -> tuple[FrameAndSky, IntArray, IntArray]:
+def problem_of(measured: MeasuredStars, stars: Stars) -> tuple[PlateProblem, IntArray, IntArray]:
     """Both lists brightest first, and the rows that they had."""
     px = np.column_stack([measured.x_px, measured.y_px]).astype(np.float64)
     usable = np.isfinite(px).all(axis=1) & np.isfinite(measured.covariance).all(axis=1) & np.isfinite(measured.flux)
@@ -161,17 +161,19 @@ def scene_of(measured: MeasuredStars, stars: Stars) -> tuple[FrameAndSky, IntArr
     vectors = unit_vectors(np.asarray(stars.ra_deg)[order_2], np.asarray(stars.dec_deg)[order_2])
     covariance = unpack(np.asarray(measured.covariance, dtype=np.float64)[order_1], 2)
     shape = (int(measured.shape[0]), int(measured.shape[1]))
-    return FrameAndSky(px[order_1], covariance, shape, vectors, sigma / ARCSEC_PER_RADIAN), order_1, order_2
+    return PlateProblem(px[order_1], covariance, shape, vectors, sigma / ARCSEC_PER_RADIAN), order_1, order_2
 
 
-def _searched(scene: FrameAndSky, hint: Hint, index: SkyIndex | None, enough: float) -> tuple[Verdict | None, float]:
+def _best_verdict(
+    problem: PlateProblem, hint: Hint, index: SkyIndex | None, enough: float
+) -> tuple[Verdict | None, float]:
     """The best verdict under one hint, and the log-odds of the next best that is a different one."""
-    own = _straightened(scene, hint)
-    searched, tolerance = hint.searched(own), 0.01 * own.half_diagonal_px
+    own = _straightened(problem, hint)
+    volume, tolerance = hint.search_volume(own), 0.01 * own.half_diagonal_px
     best, second = None, -math.inf
     for round_ in candidates(own, hint, index):
         for pointing in _different(round_, own):
-            verdict = verify(own, pointing, searched, tolerance)
+            verdict = verify(own, pointing, volume, tolerance)
             if not math.isfinite(verdict.log_odds) or not hint.allows(verdict.pointing, own):
                 continue
             if best is None or verdict.log_odds > best.log_odds:
@@ -185,21 +187,21 @@ def _searched(scene: FrameAndSky, hint: Hint, index: SkyIndex | None, enough: fl
     return best, second
 
 
-def _straightened(scene: FrameAndSky, hint: Hint) -> FrameAndSky:
-    """The scene with the header's distortion taken out of its measurements."""
+def _straightened(problem: PlateProblem, hint: Hint) -> PlateProblem:
+    """The problem with the header's distortion taken out of its measurements."""
     if not isinstance(hint, ApproximateWcs):
-        return scene
-    linear = Pointing.of_wcs(hint.wcs, scene.shape)
-    px = linear.to_px(sky_of(hint.wcs, scene.px))
-    return FrameAndSky(px, scene.covariance, scene.shape, scene.vectors, scene.sigma_rad)
+        return problem
+    linear = Pointing.of_wcs(hint.wcs, problem.shape)
+    px = linear.to_px(sky_of(hint.wcs, problem.px))
+    return PlateProblem(px, problem.covariance, problem.shape, problem.vectors, problem.sigma_rad)
 
 
-def _different(pointings: Iterator[Pointing], scene: FrameAndSky) -> Iterator[Pointing]:
+def _different(pointings: Iterator[Pointing], problem: PlateProblem) -> Iterator[Pointing]:
     """The first of every bunch of nearly equal pointings, not more than are looked at closely."""
     proposed = list(pointings)
     if not proposed:
         return
-    corners = np.stack([pointing.to_sky(_corners(scene)) for pointing in proposed])
+    corners = np.stack([pointing.to_sky(_corners(problem)) for pointing in proposed])
     left = np.ones(len(proposed), bool)
     for _ in range(CLOSE_LOOKS):
         if not left.any():
@@ -211,16 +213,16 @@ def _different(pointings: Iterator[Pointing], scene: FrameAndSky) -> Iterator[Po
         yield proposed[first]
 
 
-def _corners(scene: FrameAndSky) -> FloatArray:
+def _corners(problem: PlateProblem) -> FloatArray:
     """(3, 2) three corners of the frame, the last two opposite each other."""
-    high, wide = scene.shape
+    high, wide = problem.shape
     return np.array([[0.0, 0.0], [wide - 1.0, 0.0], [0.0, high - 1.0]])
 
 
-def _same(one: Pointing, other: Pointing, scene: FrameAndSky) -> bool:
+def _same(one: Pointing, other: Pointing, problem: PlateProblem) -> bool:
     """Do two pointings put the corners of the frame in the same places, to a hundredth of its diagonal?"""
-    apart = one.to_sky(_corners(scene)) - other.to_sky(_corners(scene))
-    size = 2 * scene.half_diagonal_px * one.scale_arcsec / ARCSEC_PER_RADIAN
+    apart = one.to_sky(_corners(problem)) - other.to_sky(_corners(problem))
+    size = 2 * problem.half_diagonal_px * one.scale_arcsec / ARCSEC_PER_RADIAN
     return bool(np.linalg.norm(apart, axis=1).max() < 0.01 * size)
 
 
@@ -229,7 +231,7 @@ def _believed(best: Verdict | None, second: float, enough: float) -> bool:
 
 
 def _placement(
-    scene: FrameAndSky,
+    problem: PlateProblem,
     best: Verdict,
     second: float,
     hint: Hint,
@@ -238,9 +240,9 @@ def _placement(
 ) -> Placement:
     rms_px = math.sqrt(np.mean(best.residual_px**2))
     if isinstance(hint, ApproximateWcs):
-        best = on_pixels(best, scene, scene.px)
+        best = on_pixels(best, problem, problem.px)
     return Placement(
-        wcs=best.pointing.to_wcs(scene.shape),
+        wcs=best.pointing.to_wcs(problem.shape),
         pointing=best.pointing,
         log_odds=best.log_odds,
         runner_up_log_odds=second,
@@ -248,7 +250,7 @@ def _placement(
         rows_stars=orders[1][best.stars],
         residual_px=best.residual_px,
         rms_arcsec=rms_px * best.pointing.scale_arcsec,
-        found_by=hint.words,
+        hint=hint.words,
     )
 
 

@@ -1,7 +1,7 @@
-"""What is known of where a frame points before it is placed, and the pointings that are worth a closer look.
+"""Hints of where a frame points before it is placed, and the pointings that are tested under each.
 
-Each hint says what it searches (:class:`~sameas.sky.frame.odds.Searched`, which the odds pay for), which placements it
-allows, and in which order pointings are proposed: rounds from the cheapest and likeliest to the most patient.
+A hint states the volume that it searches (:class:`~sameas.sky.frame.odds.SearchVolume`, which lowers the odds), the
+placements that it allows, and the order in which pointings are proposed: rounds from the cheapest and likeliest on.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.sky.frame.odds import FrameAndSky, Searched
+from sameas.sky.frame.odds import PlateProblem, SearchVolume
 from sameas.sky.frame.pattern import PatternIndex, Patterns, brightest_per_cell, patterns
 from sameas.sky.frame.tangent import Pointing, from_plane, similarities, unit_vectors
 from sameas.space import ARCSEC_PER_RADIAN
@@ -63,24 +63,24 @@ class ApproximateWcs:
         if not 0 < self.scale_tolerance < 0.5:
             raise InputError(f"ApproximateWcs: scale_tolerance is {self.scale_tolerance}; give a share such as 0.02")
 
-    def radius_px(self, pointing: Pointing, scene: FrameAndSky) -> float:
+    def radius_px(self, pointing: Pointing, problem: PlateProblem) -> float:
         """How far off, in pixels."""
         if self.radius_deg is None:
-            return 0.25 * min(scene.shape)
+            return 0.25 * min(problem.shape)
         return self.radius_deg * 3600.0 / pointing.scale_arcsec
 
-    def searched(self, scene: FrameAndSky) -> Searched:
-        """What is searched."""
-        pointing = Pointing.of_wcs(self.wcs, scene.shape)
-        side = 2 * self.radius_px(pointing, scene) * pointing.scale_arcsec / ARCSEC_PER_RADIAN
-        return Searched(side**2, 2 * math.radians(self.turn_deg), 2 * self.scale_tolerance, 1)
+    def search_volume(self, problem: PlateProblem) -> SearchVolume:
+        """The volume that is searched."""
+        pointing = Pointing.of_wcs(self.wcs, problem.shape)
+        side = 2 * self.radius_px(pointing, problem) * pointing.scale_arcsec / ARCSEC_PER_RADIAN
+        return SearchVolume(side**2, 2 * math.radians(self.turn_deg), 2 * self.scale_tolerance, 1)
 
-    def allows(self, pointing: Pointing, scene: FrameAndSky) -> bool:
+    def allows(self, pointing: Pointing, problem: PlateProblem) -> bool:
         """Is a placement within what is said?"""
-        said = Pointing.of_wcs(self.wcs, scene.shape)
-        off = said.to_px(pointing.to_sky(scene.middle_px[None]))[0] - scene.middle_px
+        said = Pointing.of_wcs(self.wcs, problem.shape)
+        off = said.to_px(pointing.to_sky(problem.middle_px[None]))[0] - problem.middle_px
         ratio = math.log(pointing.scale_arcsec / said.scale_arcsec)
-        near = bool(np.hypot(*off) <= 1.5 * self.radius_px(said, scene))
+        near = bool(np.hypot(*off) <= 1.5 * self.radius_px(said, problem))
         return near and abs(ratio) <= 1.5 * self.scale_tolerance and pointing.parity == said.parity
 
 
@@ -107,14 +107,14 @@ class Aim:
         """(3,) unit vector."""
         return unit_vectors(self.ra_deg, self.dec_deg)
 
-    def searched(self, scene: FrameAndSky) -> Searched:
-        """What is searched."""
+    def search_volume(self, problem: PlateProblem) -> SearchVolume:
+        """The volume that is searched."""
         area = 4 * math.pi * math.sin(math.radians(self.radius_deg) / 2) ** 2
-        return Searched(area, 2 * math.pi, _log_range(self.scale_arcsec), 2)
+        return SearchVolume(area, 2 * math.pi, _log_range(self.scale_arcsec), 2)
 
-    def allows(self, pointing: Pointing, scene: FrameAndSky) -> bool:
+    def allows(self, pointing: Pointing, problem: PlateProblem) -> bool:
         """Is a placement within what is said?"""
-        middle = pointing.to_sky(scene.middle_px[None])[0]
+        middle = pointing.to_sky(problem.middle_px[None])[0]
         off = math.degrees(2 * math.asin(min(1.0, float(np.linalg.norm(middle - self.direction)) / 2)))
         return off <= 1.05 * self.radius_deg and _within(self.scale_arcsec, pointing)
 
@@ -130,11 +130,11 @@ class AllSky:
     def __post_init__(self) -> None:
         _check_scales("AllSky", self.scale_arcsec)
 
-    def searched(self, scene: FrameAndSky) -> Searched:
-        """What is searched."""
-        return Searched(4 * math.pi, 2 * math.pi, _log_range(self.scale_arcsec), 2)
+    def search_volume(self, problem: PlateProblem) -> SearchVolume:
+        """The volume that is searched."""
+        return SearchVolume(4 * math.pi, 2 * math.pi, _log_range(self.scale_arcsec), 2)
 
-    def allows(self, pointing: Pointing, scene: FrameAndSky) -> bool:
+    def allows(self, pointing: Pointing, problem: PlateProblem) -> bool:
         """Is a placement within what is said?"""
         return _within(self.scale_arcsec, pointing)
 
@@ -197,29 +197,29 @@ def _level(vectors: FloatArray, field: float, per_field: int, k: int, sides: tup
     return PatternIndex.of(vectors, rows, k=k, shortest_rad=sides[0] * field, longest_rad=sides[1] * field)
 
 
-def candidates(scene: FrameAndSky, hint: Hint, index: SkyIndex | None) -> Iterator[Iterator[Pointing]]:
+def candidates(problem: PlateProblem, hint: Hint, index: SkyIndex | None) -> Iterator[Iterator[Pointing]]:
     """Rounds of pointings, each in the order of promise."""
     if isinstance(hint, ApproximateWcs):
-        yield _correlated(scene, hint)
+        yield _correlated(problem, hint)
         return
     scale = (hint.scale_arcsec[0] / ARCSEC_PER_RADIAN, hint.scale_arcsec[1] / ARCSEC_PER_RADIAN)
     if isinstance(hint, AllSky):
-        index = index or _index_of(scene.vectors, scene.shape, hint)
+        index = index or _index_of(problem.vectors, problem.shape, hint)
         for n in MEASURED:
-            if n == MEASURED[0] or n // 2 < len(scene.px):
-                yield _alike(scene, index.levels, n, 4, scale)
+            if n == MEASURED[0] or n // 2 < len(problem.px):
+                yield _alike(problem, index.levels, n, 4, scale)
         return
-    yield from _about_aim(scene, hint, scale)
+    yield from _about_aim(problem, hint, scale)
 
 
-def _about_aim(scene: FrameAndSky, aim: Aim, scale: tuple[float, float]) -> Iterator[Iterator[Pointing]]:
-    reach = math.radians(aim.radius_deg) + scene.half_diagonal_px * scale[1]
-    cone = scene.vectors[scene.stars_near(aim.direction, reach)]
+def _about_aim(problem: PlateProblem, aim: Aim, scale: tuple[float, float]) -> Iterator[Iterator[Pointing]]:
+    reach = math.radians(aim.radius_deg) + problem.half_diagonal_px * scale[1]
+    cone = problem.vectors[problem.stars_near(aim.direction, reach)]
     if len(cone) < 3:
         raise InputError(
             f"the catalogue has {len(cone)} stars within {math.degrees(reach):.2g}° of the aim; give one that covers it"
         )
-    field = math.sqrt(scene.shape[0] * scene.shape[1] * scale[0] * scale[1])
+    field = math.sqrt(problem.shape[0] * problem.shape[1] * scale[0] * scale[1])
     many = len(cone) * field**2 / (4 * math.pi * math.sin(reach / 2) ** 2) > MANY
     done: set[tuple[int, int, int]] = set()
     for k, per_field, n in AIM_ROUNDS:
@@ -227,24 +227,24 @@ def _about_aim(scene: FrameAndSky, aim: Aim, scale: tuple[float, float]) -> Iter
             continue
         level = _level(cone, field, per_field, k, SIDES_MANY if many else SIDES_FEW)
         # Short lists are exhausted by the first rounds.
-        key = (k, len(level.vectors), min(n, len(scene.px)))
+        key = (k, len(level.vectors), min(n, len(problem.px)))
         if key not in done and len(level.patterns):
             done.add(key)
-            yield _alike(scene, (level,), n, k, scale)
+            yield _alike(problem, (level,), n, k, scale)
 
 
 def _alike(
-    scene: FrameAndSky, levels: tuple[PatternIndex, ...], n: int, k: int, scale: tuple[float, float]
+    problem: PlateProblem, levels: tuple[PatternIndex, ...], n: int, k: int, scale: tuple[float, float]
 ) -> Iterator[Pointing]:
     """Pointings at which a pattern of the n brightest measurements lies on one of the stars, by how many others do."""
     # A pattern of neighbours tells neither the turn nor the scale of the frame.
-    seen = patterns(scene.px[:n], k, 0.1 * min(scene.shape))
+    seen = patterns(problem.px[:n], k, 0.1 * min(problem.shape))
     hits, centres, matrices = [], [], []
     for level in levels:
         i, j, flipped = level.alike(seen, CODE_TOLERANCE * math.sqrt(k - 2) / math.sqrt(2.0), scale)
         for start in range(0, len(i), PORTION):
             part = slice(start, start + PORTION)
-            count, centre, cd = _counted(scene, level, seen, i[part], j[part], flipped[part], n)
+            count, centre, cd = _counted(problem, level, seen, i[part], j[part], flipped[part], n)
             top = np.argsort(-count, kind="stable")[:BEST]
             top = top[count[top] >= k]
             hits.append(count[top])
@@ -254,19 +254,19 @@ def _alike(
         return
     count, centre, cd = np.concatenate(hits), np.concatenate(centres), np.concatenate(matrices)
     for row in np.argsort(-count, kind="stable")[:BEST]:
-        yield Pointing(centre[row], cd[row], scene.middle_px)
+        yield Pointing(centre[row], cd[row], problem.middle_px)
 
 
 def _counted(
-    scene: FrameAndSky, level: PatternIndex, seen: Patterns, i: IntArray, j: IntArray, flipped: Any, n: int
+    problem: PlateProblem, level: PatternIndex, seen: Patterns, i: IntArray, j: IntArray, flipped: Any, n: int
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """For each pair of patterns how many of the n brightest measurements lie on a star, and the pointing."""
-    px = scene.px[seen.members[i]]
-    centre, cd = similarities(px, level.vectors[level.patterns.members[j]], flipped, scene.middle_px)
-    offset = scene.px[: max(n, 20)] - scene.middle_px
+    px = problem.px[seen.members[i]]
+    centre, cd = similarities(px, level.vectors[level.patterns.members[j]], flipped, problem.middle_px)
+    offset = problem.px[: max(n, 20)] - problem.middle_px
     plane = np.einsum("nb,cab->cna", offset, cd)
     directions = from_plane(plane, centre[:, None, :])
-    near = 0.01 * scene.half_diagonal_px * np.sqrt(np.abs(np.linalg.det(cd)))
+    near = 0.01 * problem.half_diagonal_px * np.sqrt(np.abs(np.linalg.det(cd)))
     distance, star = level.star_tree.query(directions, distance_upper_bound=float(near.max(initial=0.0)), workers=2)
     hit = distance <= near[:, None]
     # A star counts once, however many measurements crowd about it.
@@ -275,19 +275,19 @@ def _counted(
     return fresh.sum(axis=1), centre, cd
 
 
-def _correlated(scene: FrameAndSky, header: ApproximateWcs) -> Iterator[Pointing]:
+def _correlated(problem: PlateProblem, header: ApproximateWcs) -> Iterator[Pointing]:
     """Pointings near the header's, turned and shifted to where most measurements lie on stars."""
-    said = Pointing.of_wcs(header.wcs, scene.shape)
-    radius, middle = header.radius_px(said, scene), scene.middle_px
-    bin_px = max(4.0, 0.004 * scene.half_diagonal_px)
-    reach = (scene.half_diagonal_px + radius) * said.scale_arcsec / ARCSEC_PER_RADIAN
-    stars = scene.vectors[scene.stars_near(said.to_sky(middle[None])[0], reach)]
+    said = Pointing.of_wcs(header.wcs, problem.shape)
+    radius, middle = header.radius_px(said, problem), problem.middle_px
+    bin_px = max(4.0, 0.004 * problem.half_diagonal_px)
+    reach = (problem.half_diagonal_px + radius) * said.scale_arcsec / ARCSEC_PER_RADIAN
+    stars = problem.vectors[problem.stars_near(said.to_sky(middle[None])[0], reach)]
     predicted = said.to_px(stars)
-    predicted = predicted[scene.inside(predicted, radius)] - said.origin_px
-    steps = math.ceil(math.radians(header.turn_deg) * scene.half_diagonal_px / bin_px)
+    predicted = predicted[problem.inside(predicted, radius)] - said.origin_px
+    steps = math.ceil(math.radians(header.turn_deg) * problem.half_diagonal_px / bin_px)
     proposals = []
     for depth in (50, 200):
-        seen = scene.px[:depth] - said.origin_px
+        seen = problem.px[:depth] - said.origin_px
         for turn in np.linspace(-1, 1, 2 * steps + 1) * math.radians(header.turn_deg):
             turned = predicted[:depth] @ np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
             for excess, shift in _peaks(seen, turned, radius, bin_px):

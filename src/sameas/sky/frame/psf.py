@@ -1,4 +1,4 @@
-"""Spread: the mean profile of a frame's stars, measured on the frame itself.
+"""The point spread function (PSF): the mean profile of a frame's stars, measured on the frame itself.
 
 A matrix of second moments (the size, and where the frame is trailed its direction) sets the windows and the matched
 filter; a Moffat profile of that shape stands for the light of a neighbour that is to be taken away.
@@ -87,7 +87,7 @@ class PSF:
 
     @classmethod
     def from_stars(cls, matrices: FloatArray, pixels: list[tuple[FloatArray, FloatArray, FloatArray]]) -> PSF:
-        """The spread that most stars show.
+        """The profile that most stars show.
 
         matrices : (n, 2, 2) of the Gaussians that fit them. pixels : of each star (dx, dy, share of its light).
         """

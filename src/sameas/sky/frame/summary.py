@@ -24,24 +24,24 @@ ERROR_NAMES = {
 }
 
 
-def summary(found: FrameIdentification, frame: Frame | None = None) -> dict[str, Any]:
+def summary(identification: FrameIdentification, frame: Frame | None = None) -> dict[str, Any]:
     """Numbers, words, lists and nulls, ready for JSON; angles in degrees, units in the names.
 
     frame : adds what its header says.
     """
     return {
-        "frame": found.measured.name,
-        "catalogue": found.stars.name,
-        "epoch_jyr": found.stars.epoch_jyr,
+        "frame": identification.measured.name,
+        "catalogue": identification.stars.name,
+        "epoch_jyr": identification.stars.epoch_jyr,
         **({} if frame is None else {"exposure": _exposure(frame)}),
-        "place": _place(found),
-        "plate": _plate(found),
-        "found": _counts(found),
-        "estimated": _estimated(found),
-        "error_note": "" if found.estimate.error_model is None else found.estimate.error_model.note,
-        "residuals": _residuals(found),
-        "brightness": _brightness(found),
-        "notes": [*found.measured.notes, *found.notes],
+        "place": _place(identification),
+        "plate": _plate(identification),
+        "found": _counts(identification),
+        "estimated": _estimated(identification),
+        "error_note": "" if identification.estimate.error_model is None else identification.estimate.error_model.note,
+        "residuals": _residuals(identification),
+        "brightness": _brightness(identification),
+        "notes": [*identification.measured.notes, *identification.notes],
     }
 
 
@@ -57,14 +57,14 @@ def _exposure(frame: Frame) -> dict[str, Any]:
     }
 
 
-def _place(found: FrameIdentification) -> dict[str, Any]:
-    rows, columns = found.measured.shape
+def _place(identification: FrameIdentification) -> dict[str, Any]:
+    rows, columns = identification.measured.shape
     middle = (columns - 1) / 2.0, (rows - 1) / 2.0
-    ra, dec, _ = found.plate.to_sky(*middle)
-    scale, rotation, parity = orientation(found)
-    placement = found.placement
+    ra, dec, _ = identification.plate.to_sky(*middle)
+    scale, rotation, parity = orientation(identification)
+    placement = identification.placement
     return {
-        "found_by": placement.found_by,
+        "found_by": placement.hint,
         "odds": odds_in_words(placement.log_odds),
         "log_odds": _number(placement.log_odds),
         "next_best_odds": odds_in_words(placement.runner_up_log_odds),
@@ -81,17 +81,17 @@ def _place(found: FrameIdentification) -> dict[str, Any]:
     }
 
 
-def orientation(found: FrameIdentification) -> tuple[float, float, int]:
+def orientation(identification: FrameIdentification) -> tuple[float, float, int]:
     """Arcsec per pixel, direction of the y axis from north through east in degrees, and the parity, in the middle."""
-    plate, rows, columns = found.plate, *found.measured.shape
+    plate, rows, columns = identification.plate, *identification.measured.shape
     slope = plate.polynomial.slope(np.array([[(columns - 1) / 2.0, (rows - 1) / 2.0]]))[0]
     determinant = float(np.linalg.det(slope))
     rotation = math.degrees(math.atan2(slope[0, 1], slope[1, 1])) % 360.0
     return math.sqrt(abs(determinant)), rotation, 1 if determinant > 0 else -1
 
 
-def _plate(found: FrameIdentification) -> dict[str, Any]:
-    plate = found.plate
+def _plate(identification: FrameIdentification) -> dict[str, Any]:
+    plate = identification.plate
     ra, dec = directions_deg(plate.centre)
     spread = np.sqrt(np.diag(plate.covariance)).reshape(2, -1)
     return {
@@ -106,66 +106,74 @@ def _plate(found: FrameIdentification) -> dict[str, Any]:
         "coefficients_arcsec": plate.polynomial.coefficients.tolist(),
         "coefficients_sigma_arcsec": spread.tolist(),
         "rms_arcsec": plate.rms_arcsec.tolist(),
-        "rounds": found.rounds,
-        "settled": found.settled,
+        "rounds": identification.rounds,
+        "settled": identification.settled,
     }
 
 
-def _counts(found: FrameIdentification) -> dict[str, Any]:
-    result, (i, _, p) = found.result, found.pairs
+def _counts(identification: FrameIdentification) -> dict[str, Any]:
+    result, (i, _, p) = identification.result, identification.pairs
     return {
-        "measurements": len(found.measured),
-        "stars_on_frame": int(found.inside.sum()),
-        "candidate_stars": int(found.candidate.sum()),
+        "measurements": len(identification.measured),
+        "stars_on_frame": int(identification.inside.sum()),
+        "candidate_stars": int(identification.candidate.sum()),
         "identified": len(i),
-        "unidentified": len(found.measured) - len(i),
-        "missing": len(found.missing),
+        "unidentified": len(identification.measured) - len(i),
+        "missing": len(identification.missing),
         "ambiguous": int(np.count_nonzero(p < AMBIGUOUS)),
         "expected_wrong": result.expected_wrong,
         "expected_missed": result.expected_missed,
-        "gate_sigmas": found.estimate.gate_sigmas,
-        "typical_error_scale": found.estimate.typical_scale,
+        "gate_sigmas": identification.estimate.gate_sigmas,
+        "typical_error_scale": identification.estimate.typical_scale,
     }
 
 
-def _estimated(found: FrameIdentification) -> dict[str, list[float]]:
+def _estimated(identification: FrameIdentification) -> dict[str, list[float]]:
     """What was estimated with the identification, each with its standard error.
 
     Densities per square arcminute of what only the frame and only the catalogue shows, of the stars that could be seen;
-    the error scale; factors on the errors of the frame and of the catalogue or of both, and floors in arcsec, as told.
+    the error scale; factors on the errors of the frame and of the catalogue or of both, and floors in arcsec.
     """
-    estimate, scale = found.estimate, orientation(found)[0]
+    estimate, scale = identification.estimate, orientation(identification)[0]
     per_arcmin2 = (60.0 / scale) ** 2
-    known = {
+    quantities = {
         ("only_on_frame_per_arcmin2", per_arcmin2): estimate.quantities.get("density_only_1"),
         ("only_in_catalogue_per_arcmin2", per_arcmin2): estimate.quantities.get("density_only_2"),
         ("error_scale", 1.0): estimate.quantities.get("error_scale"),
     }
     model = estimate.error_model
     if model is not None:
-        known |= {(ERROR_NAMES[name], scale if name.startswith("floor") else 1.0): q for name, q in model.told.items()}
-    told = {name: (unit * q.value, unit * q.standard_error) for (name, unit), q in known.items() if q is not None}
+        quantities |= {
+            (ERROR_NAMES[name], scale if name.startswith("floor") else 1.0): q for name, q in model.told.items()
+        }
+    estimates = {
+        name: (unit * q.value, unit * q.standard_error) for (name, unit), q in quantities.items() if q is not None
+    }
     if estimate.tail is not None:
-        told["error_tail_share"] = estimate.tail.share.value, estimate.tail.share.standard_error
-    return {name: list(values) for name, values in told.items() if all(map(math.isfinite, values))}
+        estimates["error_tail_share"] = estimate.tail.share.value, estimate.tail.share.standard_error
+    return {name: list(values) for name, values in estimates.items() if all(map(math.isfinite, values))}
 
 
-def _residuals(found: FrameIdentification) -> dict[str, Any]:
-    left = found.residual_arcsec
-    if not len(left):
+def _residuals(identification: FrameIdentification) -> dict[str, Any]:
+    residual = identification.residual_arcsec
+    if not len(residual):
         return {"scatter_arcsec": [None, None], "rms_arcsec": [None, None], "median_arcsec": [None, None]}
     return {
-        "scatter_arcsec": found.scatter_arcsec.tolist(),
-        "rms_arcsec": np.sqrt(np.mean(left**2, axis=0)).tolist(),
-        "median_arcsec": np.median(left, axis=0).tolist(),
+        "scatter_arcsec": identification.scatter_arcsec.tolist(),
+        "rms_arcsec": np.sqrt(np.mean(residual**2, axis=0)).tolist(),
+        "median_arcsec": np.median(residual, axis=0).tolist(),
     }
 
 
-def _brightness(found: FrameIdentification) -> dict[str, Any]:
-    zero, curve = found.zero_point, found.completeness
-    told: dict[str, Any] = {"colour": found.stars.colour_name or None, "zero_point": None, "completeness": None}
+def _brightness(identification: FrameIdentification) -> dict[str, Any]:
+    zero, curve = identification.zero_point, identification.completeness
+    values: dict[str, Any] = {
+        "colour": identification.stars.colour_name or None,
+        "zero_point": None,
+        "completeness": None,
+    }
     if zero is not None:
-        told["zero_point"] = {
+        values["zero_point"] = {
             "zero_point_mag": zero.zero_point,
             "sigma_mag": zero.sigma,
             "colour_term": zero.colour_term,
@@ -175,17 +183,17 @@ def _brightness(found: FrameIdentification) -> dict[str, Any]:
             "words": zero.describe(),
         }
     if curve is not None:
-        told["completeness"] = {
+        values["completeness"] = {
             "top": curve.top,
             "limit_mag": curve.limit,
             "width_mag": curve.width,
             "edges_mag": curve.edges.tolist(),
             "stars": curve.stars.tolist(),
-            "found": curve.found.tolist(),
+            "found": curve.identified.tolist(),
             "sigma": curve.sigma.tolist(),
             "words": curve.describe(),
         }
-    return told
+    return values
 
 
 def _number(value: float) -> float | None:

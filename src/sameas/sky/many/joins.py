@@ -130,7 +130,7 @@ def _answers(match: ManyMatch, at: IntArray) -> dict[str, NDArray[Any] | np.ma.M
         "ra_dec_object_corr": 1e6 * state.covariance[at, 0, 1] / (place[:, 0] * place[:, 1]),
     }
     if match.epoch_jyr is not None:
-        untold = ~match.motion_told[at]
+        untold = ~match.has_motion[at]
         for k, name in enumerate(("pmra_object", "pmdec_object")):
             values[name] = np.ma.MaskedArray(1e3 * state.state[at, 2 + k], untold)
             values[f"{name}_error"] = np.ma.MaskedArray(motion[:, k], untold)

@@ -32,7 +32,7 @@ from sameas.sky.catalogue import Catalogue
 from sameas.sky.crossmatch import MatchOptions, SkyMatch
 from sameas.sky.crossmatch import match as match_two
 from sameas.sky.many.population import Coverages, Population, first_guess, patterns_of
-from sameas.sky.many.stars import Sightings, fitted, moving_rows
+from sameas.sky.many.stars import AstrometricRecords, fitted, moving_rows
 from sameas.space import sphere_offset
 
 # Catalogues as observers of stars: what :mod:`sameas.many` asks of several sources, answered for stars that move.
@@ -49,25 +49,31 @@ class StarObservers(Observers):
     in arcsec per year, (k, 4); its covariance in arcsec and arcsec per year, as the residuals of its pattern spread
     where they tell of errors.
 
-    sightings, population : in the order of the catalogues and of their tables. catalogue : (S,) which one each source
+    astrometric, population : in the order of the catalogues and of their tables. catalogue : (S,) which one each source
     is. position : per source where its records stand there.
     """
 
-    sightings: tuple[Sightings, ...] = field(kw_only=True)
+    astrometric: tuple[AstrometricRecords, ...] = field(kw_only=True)
     population: Population = field(kw_only=True)
     catalogue: tuple[int, ...] = field(kw_only=True)
     position: tuple[IntArray, ...] = field(kw_only=True)
 
     @classmethod
     def of(
-        cls, union: PooledRecords, records: Sequence[Records], sightings: tuple[Sightings, ...], population: Population
+        cls,
+        union: PooledRecords,
+        records: Sequence[Records],
+        astrometric: tuple[AstrometricRecords, ...],
+        population: Population,
     ) -> StarObservers:
         """Those of a union of the catalogues' ``records``."""
         names = [one.source for one in records]
         sources = tuple(source for source in union.sources if isinstance(source, Records))
         catalogue = tuple(names.index(source.source) for source in sources)
         position = tuple(place(source, records[c]) for source, c in zip(sources, catalogue, strict=True))
-        return cls(sources, None, sightings=sightings, population=population, catalogue=catalogue, position=position)
+        return cls(
+            sources, None, astrometric=astrometric, population=population, catalogue=catalogue, position=position
+        )
 
     def placed(self, sets: NDArray[np.integer]) -> IntArray:
         """Sets (k, sources) of positions in the sources, as (k, catalogues) of positions in the catalogues' records."""
@@ -80,7 +86,7 @@ class StarObservers(Observers):
     def joint(self, sets: NDArray[np.integer]) -> Joint:
         """Density and state of ``sets`` (k, sources): density of objects of their pattern times that of the places."""
         placed = self.placed(sets)
-        fit, patterns = fitted(self.sightings, placed), patterns_of(placed)
+        fit, patterns = fitted(self.astrometric, placed), patterns_of(placed)
         log_density = fit.log_peak + self.population.log_spread(patterns, fit.chi_sq)
         several = patterns & (patterns - 1) > 0
         log_density += np.where(several, self.population.log_together(placed, patterns), 0.0)
@@ -123,7 +129,7 @@ class Candidates:
     found: Mapping[tuple[int, int], tuple[IntArray, IntArray]]
 
     @classmethod
-    def of(cls, matches: Matches, records: Sequence[Records], sightings: Sequence[Sightings]) -> Candidates:
+    def of(cls, matches: Matches, records: Sequence[Records], astrometric: Sequence[AstrometricRecords]) -> Candidates:
         """Those of the ``matches`` of every two catalogues, and those that moving stars lead to."""
         links = {}
         for (a, b), match in matches.items():
@@ -133,10 +139,10 @@ class Candidates:
         for a, b in combinations(range(len(records)), 2):
             link = links[a, b]
             for c in range(len(records)):
-                if c in (a, b) or not sightings[c].moving.any():
+                if c in (a, b) or not astrometric[c].moving.any():
                     continue
                 to, off = _through(links, a, c), _through(links, c, b)
-                link = link + (to * sightings[c].moving.astype(np.float64)) @ off
+                link = link + (to * astrometric[c].moving.astype(np.float64)) @ off
             pairs = csr_array(link).tocoo()
             found[a, b] = pairs.row.astype(np.int64), pairs.col.astype(np.int64)
         return cls(tuple(records), found)
@@ -244,7 +250,7 @@ class ManyMatch:
         return self.objects.fused
 
     @cached_property
-    def motion_told(self) -> BoolArray:
+    def has_motion(self) -> BoolArray:
         """(n,) whether an object's records tell its motion: one has it, or two are of different epochs."""
         members = np.ma.filled(self.objects.members, -1)
         told = np.zeros(len(members), bool)
@@ -295,12 +301,12 @@ def match_many(
     matches = _two_by_two(ordered, options, progress)
     progress("candidates of all")
     records = [catalogue.records(epoch) for catalogue in ordered]
-    sightings = tuple(Sightings.of(c, r, epoch) for c, r in zip(ordered, records, strict=True))
-    candidates = Candidates.of(matches, records, sightings)
+    astrometric = tuple(AstrometricRecords.of(c, r, epoch) for c, r in zip(ordered, records, strict=True))
+    candidates = Candidates.of(matches, records, astrometric)
     given = [records[order.index(k)] for k in range(len(order))]
     together = union(given, candidates)
     coverages = {pair: match.estimate.coverage for pair, match in matches.items()}
-    observers = StarObservers.of(together, records, sightings, _first_guess(matches, records, coverages, options))
+    observers = StarObservers.of(together, records, astrometric, _first_guess(matches, records, coverages, options))
     found = _settled(replace(together, observers=observers), coverages, options, progress)
     objects = Objects(tuple(given), found.union, found.sets, found.answer, found.terms)
     expected = _by_names(found.expected, order, [catalogue.name for catalogue in catalogues])
@@ -388,7 +394,7 @@ class _Weighing:
     def of(cls, sets: IntArray, observers: StarObservers) -> _Weighing:
         patterns = patterns_of(sets)
         several = np.flatnonzero(patterns & (patterns - 1))
-        fit = fitted(observers.sightings, sets[several])
+        fit = fitted(observers.astrometric, sets[several])
         log_peak, chi_sq = np.zeros(len(sets)), np.zeros(len(sets))
         log_peak[several], chi_sq[several] = fit.log_peak, fit.chi_sq
         return cls(sets, patterns, several, log_peak, chi_sq)

@@ -38,7 +38,7 @@ _PLACE_AND_MOTION = np.array([0, 1, 3, 4])
 
 
 @dataclass(frozen=True)
-class Sightings:
+class AstrometricRecords:
     """What one catalogue's usable records say of place and motion; lengths in arcsec, times in years, axes east, north.
 
     Attributes
@@ -64,12 +64,12 @@ class Sightings:
     def __len__(self) -> int:
         return len(self.direction)
 
-    def at(self, rows: IntArray) -> Sightings:
+    def at(self, rows: IntArray) -> AstrometricRecords:
         """Those of some records."""
-        return Sightings(**{name: values[rows] for name, values in vars(self).items()})
+        return AstrometricRecords(**{name: values[rows] for name, values in vars(self).items()})
 
     @classmethod
-    def of(cls, catalogue: Catalogue, records: Records, epoch_jyr: float | None) -> Sightings:
+    def of(cls, catalogue: Catalogue, records: Records, epoch_jyr: float | None) -> AstrometricRecords:
         """Those of the ``records`` of a catalogue; ``epoch_jyr`` None where nothing moves."""
         part = catalogue.astrometry[records.rows]
         covariance = 1e-6 * part.covariance[:, :2, :2]
@@ -114,9 +114,9 @@ class AstrometricFit(NamedTuple):
     judged: BoolArray
 
 
-def fitted(sightings: tuple[Sightings, ...], sets: NDArray[np.integer]) -> AstrometricFit:
+def fitted(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.integer]) -> AstrometricFit:
     """The star of each of the ``sets`` (k, catalogues) of records, named by position, −1 for none; none is empty."""
-    parts = [_fitted(sightings, sets[low : low + CHUNK]) for low in range(0, max(len(sets), 1), CHUNK)]
+    parts = [_fitted(astrometric, sets[low : low + CHUNK]) for low in range(0, max(len(sets), 1), CHUNK)]
     return (
         parts[0]
         if len(parts) == 1
@@ -124,11 +124,11 @@ def fitted(sightings: tuple[Sightings, ...], sets: NDArray[np.integer]) -> Astro
     )
 
 
-def _fitted(sightings: tuple[Sightings, ...], sets: NDArray[np.integer]) -> AstrometricFit:
-    anchor = _anchors(sightings, sets)
+def _fitted(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.integer]) -> AstrometricFit:
+    anchor = _anchors(astrometric, sets)
     whole, motions = _NormalSum.of(len(sets), 4), _NormalSum.of(len(sets), 2)
     moving, spread = np.zeros(len(sets), np.int64), np.zeros(len(sets))
-    for s, catalogue in enumerate(sightings):
+    for s, catalogue in enumerate(astrometric):
         k = np.flatnonzero(sets[:, s] >= 0)
         seen = catalogue.at(sets[k, s])
         offset, turn = _on_axes_of(anchor[k], seen.direction)
@@ -189,12 +189,12 @@ class _NormalSum:
         return log_peak, chi_sq, mean, covariance
 
 
-def _anchors(sightings: tuple[Sightings, ...], sets: NDArray[np.integer]) -> FloatArray:
+def _anchors(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.integer]) -> FloatArray:
     """(k, 2) the direction of each set's first record."""
     at = np.full((len(sets), 2), np.nan)
-    for s in reversed(range(len(sightings))):
+    for s in reversed(range(len(astrometric))):
         here = sets[:, s] >= 0
-        at[here] = sightings[s].direction[sets[here, s]]
+        at[here] = astrometric[s].direction[sets[here, s]]
     return at
 
 
