@@ -131,7 +131,7 @@ def _p_alone(state):
 
 def test_explanations_call_what_is_remembered_by_its_number():
     state = PlotPicture().at(passing(2), 15.0)
-    sure = state.known.number[(state.known.stage == 1) & (state.known.seen >= 0)]
+    sure = state.known.number[(state.known.stage == 1) & (state.known.detected)]
     assert len(sure) == 2
     for number in sure.tolist():
         reasons = state.explain(number)

@@ -12,7 +12,7 @@ from sameas.many.joint import pooled
 from sameas.many.observations import Region, records_of
 from sameas.many.rules import PoissonObjects
 from sameas.many.sequential import identify_sequentially
-from sameas.picture.bernoulli import KNOWN, BernoulliObjects, Remembered, Sighting
+from sameas.picture.bernoulli import KNOWN, BernoulliObjects, BernoulliTable, Sighting
 from sameas.picture.plot_tracker import PlotTracker
 from sameas.records import Records
 from sameas.tracks.feed import Feed
@@ -262,7 +262,7 @@ def test_what_it_does_not_follow_is_refused_in_words():
     named = Feed.of(sensor("tracker", 2.0, 0.5), Reports.of("tracker", "table", said))
     with pytest.raises(InputError, match="tracker names its objects"):
         tracker.advance(Scene((named,)).at(1.0, features=POSITION_AND_VELOCITY))
-    for wrong in ({"correlation_s": -1.0}, {"least_q": 0.5}, {"lasting_s": np.inf}):
+    for wrong in ({"correlation_s": -1.0}, {"least_q": 0.5}, {"lifetime_s": np.inf}):
         with pytest.raises(InputError, match=f"PlotTracker: .*{next(iter(wrong)).split('_')[0]}"):
             PlotTracker(**wrong)
 
@@ -341,15 +341,15 @@ def test_with_nothing_known_and_misses_alike_everywhere_it_is_the_poisson_field(
 
 
 def objects(place, sigma_m=2.0, existence=0.9, hits=5.0):
-    """Remembered objects at places (m, 2), of two sources."""
+    """BernoulliTable objects at places (m, 2), of two sources."""
     n = len(place)
     state = np.column_stack([place, np.zeros((n, 2))])
     covariance = np.tile(np.diag([sigma_m**2, sigma_m**2, 0.25, 0.25]), (n, 1, 1))
-    return Remembered.born(np.arange(1, n + 1), state, covariance, np.full(n, existence), np.full((n, 2), hits))
+    return BernoulliTable.born(np.arange(1, n + 1), state, covariance, np.full(n, existence), np.full((n, 2), hits))
 
 
 def looked(before, seen, q=0.3, split=0.02):
-    """Remembered objects after looks of two sources."""
+    """BernoulliTable objects after looks of two sources."""
     seen = np.asarray(seen, float)
     same = np.full(seen.shape, q)
     return before.after(Sighting(seen, np.ones(2), same)).told_apart(seen, same, np.full(2, split))
@@ -360,9 +360,9 @@ def test_existence_follows_bayes_and_misses_are_remembered():
     missed = looked(before, [[0.0, 0.0]])
     assert missed.existence[0] == pytest.approx(0.5 * 0.09 / (0.5 + 0.5 * 0.09))
     assert looked(before, [[1.0, 0.0]]).existence[0] > 0.99
-    q = missed.expected_q(np.full((1, 2), 0.3), looks=6.0, least=0.1)
+    q = missed.expected_q(np.full((1, 2), 0.3), scans=6.0, least=0.1)
     np.testing.assert_allclose(q, (6.0 * 0.3 + 1.0) / (6.0 + 1.0 + 5.0))
-    assert (missed.moved(10.0, 0.02, 60.0, 10.0).expected_q(np.full((1, 2), 0.3), 6.0, 0.1) != q).all()
+    assert (missed.aged(10.0, 60.0, 10.0).expected_q(np.full((1, 2), 0.3), 6.0, 0.1) != q).all()
 
 
 def test_two_at_one_place_that_no_look_tells_apart_become_one_and_two_that_a_look_shows_stay():

@@ -1,7 +1,7 @@
-"""Foreknown: a belief in objects some of which are known beforehand, each with its own probability of existing.
+"""Bernoulli objects: a rule for objects some of which are known beforehand, each with its probability of existing.
 
-Objects nobody knew yet are a Poisson field, as for :class:`sameas.many.rules.PoissonObjects`; the known ones are the
-records of one more source, states foretold with their covariances. Unlike there a miss depends on where the object is,
+Unknown objects are a Poisson field, as for :class:`sameas.many.rules.PoissonObjects`; the known ones are the records of
+one more source, predicted states with their covariances. Unlike there a miss depends on where the object is,
 and for a known object on the object: a camera that has not seen this boat will not see it now. With r_i the probability
 that known object i exists, and A the records of it,
 
@@ -16,7 +16,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +29,8 @@ from sameas.many.observations import records_of
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import ObjectsRule
 from sameas.many.terms import Linear, PairTerms, Terms, best_word, mean_of_pairs
-from sameas.picture.scan import ColumnTable
+from sameas.picture.object_table import ObjectTable
 from sameas.records import Records
-from sameas.tracks.alignment import moved
 
 #: Name of the source whose records are the known objects.
 KNOWN = "known objects"
@@ -48,7 +48,7 @@ class BernoulliObjects(ObjectsRule):
     Parameters
     ----------
     density : ρ, unknown objects per unit volume of the state at the centre of the region.
-    sources : names of the sources that look, those that show nothing among them: the columns of the tables of q.
+    sources : names of the sources that scan, those that show nothing among them: the columns of the tables of q.
     q : by source the table (rows of its records, sources) of probabilities that an object there is missed.
     false : by source β, false records per unit volume of its features.
     existence : (n,) r of each record of the source :data:`KNOWN`, 0 < r < 1. known_q : (n, sources).
@@ -90,7 +90,7 @@ class BernoulliObjects(ObjectsRule):
         return np.where(parts.known, self._existing_unseen(union), share)
 
     def _existing_unseen(self, union: PooledRecords) -> FloatArray:
-        """(records,) r of known objects that every look has missed; 1 for other records."""
+        """(records,) r of known objects that every scan has missed; 1 for other records."""
         out = np.ones(len(union))
         for s, source in enumerate(union.sources):
             if records_of(source).source == KNOWN and len(records_of(source)):
@@ -131,61 +131,52 @@ class _Parts:
     missed: FloatArray
     seen: FloatArray
     alone: FloatArray
-    known: np.ndarray
+    known: BoolArray
     row: IntArray
     column: IntArray
 
 
-# Remembered: what is known of objects from looks that stand no more; every look is counted once.
-#
-# Beside its state an object has the probability that it exists, and what every source made of it so far: a source that
-# has missed it six times is not expected to show it now. Of every two objects it is remembered whether looks have shown
-# them apart: two that no source tells apart, at one place, are one that lives twice (:meth:`Remembered.merged`).
-
 #: Bounds of probabilities of existing: what is certain could never be unlearned.
 LEAST = 1e-6
-#: Bound of what looks say of two objects being two, ± ln odds.
+#: Bound of what scans say of two objects being two, ± ln odds.
 APART = 5.0
 #: Two objects are made one at these ln odds.
 SURE = 3.0
-#: Positions differ beyond this: that the two are two needs no looks. States agree within: they may be one.
+#: Positions differ beyond this: that the two are two needs no scans. States agree within: they may be one.
 DIFFERENT, AGREEING = ChiSquare(1.0 - 1e-6), ChiSquare(0.99)
 
 
 @dataclass(frozen=True)
 class Sighting:
-    """What the looks that stand no more made of the remembered objects.
+    """What the scans that are over made of the known objects.
 
-    seen : (m, S) probability that a record of each source that stands no more is of the object.
-    passed : (S,) how many looks of the source stand no more: 1 or 0, a part of a turn for one that turns.
-    q : (m, S) probability of a miss as it was believed.
+    p_detected : (m, S) probability that a record of the source, in a scan that is over, is of the object.
+    scans : (S,) how many scans of the source are over: 1 or 0, a part of a rotation for a source that turns.
+    q : (m, S) probability of a miss that was expected.
     """
 
-    seen: FloatArray
-    passed: FloatArray
+    p_detected: FloatArray
+    scans: FloatArray
     q: FloatArray
 
 
 @dataclass(frozen=True)
-class Remembered(ColumnTable):
-    """Objects, (m,) each.
+class BernoulliTable(ObjectTable):
+    """The known objects, (m,) each: what scans that are over say of them, every scan counted once.
 
-    number : of the object. state, covariance : (m, 4), (m, 4, 4) in the plane. existence : probability that it exists.
-    hits, misses : (m, S) looks of each source that showed it, and that did not, older ones counting less.
-    apart : (m, m) ln odds by the looks that two objects are two and not one.
+    A source that has missed an object six times is not expected to show it now, so every object has its own counts of
+    hits and misses. Two objects at one place that no scan has shown apart are one, listed twice (:meth:`merged`).
+
+    existence : probability that it exists.
+    hits, misses : (m, S) scans of each source that showed it, and that did not, older ones counting less.
+    apart : (m, m) ln odds by the scans that two objects are two and not one.
     """
 
     WHOLE = frozenset({"apart"})
-    number: IntArray
-    state: FloatArray
-    covariance: FloatArray
-    existence: FloatArray
-    hits: FloatArray
-    misses: FloatArray
-    apart: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.number)
+    existence: FloatArray = field(default_factory=lambda: np.empty(0))
+    hits: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    misses: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    apart: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
 
     @property
     def records(self) -> Records:
@@ -195,77 +186,74 @@ class Remembered(ColumnTable):
         return Records.of(self.state, covariance=self.covariance, source=KNOWN)
 
     @classmethod
-    def none(cls, sources: int) -> Remembered:
+    def none(cls, sources: int) -> BernoulliTable:
         """No objects, of so many sources."""
-        looks = np.empty((0, sources))
-        nothing = np.empty(0, np.int64), np.empty((0, 4)), np.empty((0, 4, 4)), np.empty(0)
-        return cls(*nothing, looks, looks, np.empty((0, 0)))
+        nothing = np.empty((0, sources))
+        return cls(hits=nothing, misses=nothing)
 
     @classmethod
     def born(
         cls, number: IntArray, state: FloatArray, covariance: FloatArray, existence: FloatArray, hits: FloatArray
-    ) -> Remembered:
-        """Objects that are remembered for the first time."""
+    ) -> BernoulliTable:
+        """Objects that are known for the first time."""
         apart = np.zeros((len(number), len(number)))
         sure = np.clip(existence, LEAST, 1.0 - LEAST)
         return cls(number, state, covariance, sure, hits, np.zeros_like(hits), apart)
 
-    def take(self, which: NDArray) -> Remembered:
+    def take(self, which: NDArray[Any]) -> BernoulliTable:
         """Some of the objects: a mask (m,) or places."""
         return replace(super().take(which), apart=self.apart[which][:, which])
 
-    def with_(self, more: Remembered) -> Remembered:
+    def with_(self, more: BernoulliTable) -> BernoulliTable:
         """These and others."""
         apart = np.zeros((len(self) + len(more),) * 2)
         apart[: len(self), : len(self)], apart[len(self) :, len(self) :] = self.apart, more.apart
         return replace(self.stacked(more), apart=apart)
 
-    def moved(self, dt_s: float, walk_m2_per_s3: float, lasting_s: float, memory_s: float) -> Remembered:
-        """The objects after dt: gone on, surer that they are gone, and with an older memory."""
-        state, covariance = moved(self.state, self.covariance, dt_s, walk_m2_per_s3)
+    def aged(self, dt_s: float, lifetime_s: float, memory_s: float) -> BernoulliTable:
+        """The objects after dt: less probable by their lifetime, with hits and misses that count less."""
         older = math.exp(-dt_s / memory_s)
-        return replace(
-            self, state=state, covariance=covariance, existence=self.existence * math.exp(-dt_s / lasting_s),
-            hits=self.hits * older, misses=self.misses * older,
-        )  # fmt: skip
+        existence = self.existence * math.exp(-dt_s / lifetime_s)
+        return replace(self, existence=existence, hits=self.hits * older, misses=self.misses * older)
 
-    def expected_q(self, usual_q: FloatArray, looks: float, least: float) -> FloatArray:
-        """(m, S) probability of a miss: that of any object at its place, worth so many looks, and its own looks."""
-        q = (looks * usual_q + self.misses) / (looks + self.misses + self.hits)
+    def expected_q(self, usual_q: FloatArray, scans: float, least: float) -> FloatArray:
+        """(m, S) probability of a miss: that of any object at its place, worth so many scans, and its own scans."""
+        q = (scans * usual_q + self.misses) / (scans + self.misses + self.hits)
         return np.asarray(np.clip(q, least, 1.0 - least))
 
-    def after(self, sighting: Sighting) -> Remembered:
-        """The objects after looks that stand no more; their states are another matter."""
-        seen, r = sighting.seen, self.existence
-        missed = r * np.prod(sighting.q**sighting.passed, axis=1)
-        unseen = np.prod(1.0 - seen, axis=1)
+    def after(self, sighting: Sighting) -> BernoulliTable:
+        """The existence, hits and misses of the objects after scans that are over; states stay."""
+        detected, r = sighting.p_detected, self.existence
+        missed = r * np.prod(sighting.q**sighting.scans, axis=1)
+        unseen = np.prod(1.0 - detected, axis=1)
         r = 1.0 - unseen + unseen * missed / (1.0 - r + missed)
         return replace(
-            self, existence=np.clip(r, LEAST, 1.0 - LEAST), hits=self.hits + seen,
-            misses=self.misses + np.maximum(sighting.passed - seen, 0.0),
+            self, existence=np.clip(r, LEAST, 1.0 - LEAST), hits=self.hits + detected,
+            misses=self.misses + np.maximum(sighting.scans - detected, 0.0),
         )  # fmt: skip
 
-    def told_apart(self, seen: FloatArray, usual_q: FloatArray, split: FloatArray) -> Remembered:
-        """The objects with what looks that stand no more say of any two being two.
+    def told_apart(self, p_detected: FloatArray, usual_q: FloatArray, split: FloatArray) -> BernoulliTable:
+        """The objects with what scans that are over say of any two being two.
 
         Where both are seen it is (1 − q)² if they are two, and (1 − q) and a split if they are one; where one of them
         is, (1 − q) q against 1 − q.
 
-        seen : (m, S) as of :class:`Sighting`. usual_q : (m, S) probability that any object at the place is missed.
-        split : (S,) probability that a look of the source shows one object as two.
+        p_detected : (m, S) as of :class:`Sighting`. usual_q : (m, S) probability that any object there is missed.
+        split : (S,) probability that a scan of the source shows one object as two.
         """
         apart = self.apart.copy()
         for s in range(len(split)):
             log_q, log_both = np.log(usual_q[:, s]), np.log1p(-usual_q[:, s]) - math.log(split[s])
-            both, one = np.outer(seen[:, s], seen[:, s]), np.outer(seen[:, s], 1.0 - seen[:, s])
+            p = p_detected[:, s]
+            both, one = np.outer(p, p), np.outer(p, 1.0 - p)
             apart += 0.5 * both * (log_both[:, None] + log_both) + 0.5 * (one + one.T) * (log_q[:, None] + log_q)
         return replace(self, apart=np.clip(apart, -APART, APART))
 
-    def merged(self, density_per_m2: float) -> Remembered:
-        """The objects without those that live twice; the lower number stays.
+    def merged(self, density_per_m2: float) -> BernoulliTable:
+        """The objects without those that are listed twice; the lower number stays.
 
-        Two are one where the place says more for it, ln N(Δ; 0, P + P′)/ρ, than the looks against it, by :data:`SURE`.
-        The state of the one that was seen more often stays: the other may be the end of its hull.
+        Two are one where the place says more for it, ln N(Δ; 0, P + P′)/ρ, than the scans against it, by :data:`SURE`.
+        The state of the one that was detected more often stays: the other may be the end of its hull.
         """
         objects = self
         while len(objects) > 1:
@@ -288,7 +276,7 @@ class Remembered(ColumnTable):
         log_n = -LOG_2PI - 0.5 * np.linalg.slogdet(total[..., :2, :2])[1] - 0.5 * place
         return log_n - math.log(density_per_m2), chi_sq < AGREEING.limit(4), place > DIFFERENT.limit(2)
 
-    def _joined(self, i: int, j: int) -> Remembered:
+    def _joined(self, i: int, j: int) -> BernoulliTable:
         """Objects i and j as one, at i."""
         columns = {f.name: getattr(self, f.name).copy() for f in fields(self)}
         stays = max(i, j, key=lambda k: (self.existence[k] * self.hits[k].sum(), *self.state[k]))
@@ -297,4 +285,4 @@ class Remembered(ColumnTable):
         columns["existence"][i] = 1.0 - (1.0 - self.existence[i]) * (1.0 - self.existence[j])
         columns["hits"][i] = self.hits[i] + self.hits[j]
         columns["misses"][i] = np.minimum(self.misses[i], self.misses[j])
-        return Remembered(**columns).take(np.arange(len(self)) != j)
+        return BernoulliTable(**columns).take(np.arange(len(self)) != j)

@@ -29,7 +29,8 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gate import ChiSquare
 from sameas.picture.error_correlation import Lasting, growth, looked
-from sameas.picture.scan import ColumnTable, Scan
+from sameas.picture.object_table import ColumnTable
+from sameas.picture.scan import Scan
 from sameas.tracks.alignment import moved, stamped_late
 
 #: How long a name that nobody says keeps its number.
@@ -139,14 +140,16 @@ class NamedTracks:
         at = found_in(self.number, number)
         was = self.place[at]
         dt = scan.now.instant_s - before.time_s[was]
-        state, spread = moved(before.said_state[was], before.said_covariance[was], dt, before.walk_m2_per_s3[was])
+        state, spread = moved(
+            before.reported_state[was], before.reported_covariance[was], dt, before.walk_m2_per_s3[was]
+        )
         new, elapsed = scan.covariance[place, :2, :2], scan.time_s[place] - before.time_s[was]
         # A report of an earlier time than one already heard is no new look.
         fresh_look = elapsed > 0.0
         loose = np.where(fresh_look[:, None, None], before.loose[was], scan.loose[place])
         old = (stamped_late(spread, state, before.late_s[was]) + loose)[:, :2, :2]
         shift = scan.state[place, :2] - state[:, :2]
-        one, other = before.said_covariance[was, :2, :2], scan.said_covariance[place, :2, :2]
+        one, other = before.reported_covariance[was, :2, :2], scan.reported_covariance[place, :2, :2]
         alike, k = _alike(one, other), np.flatnonzero(fresh_look)
         lasting = lasting.looked(
             source[k], elapsed[k], shift[k], ((one + other)[k], alike[k]), growth(old + new - one - other)[k]

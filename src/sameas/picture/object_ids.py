@@ -25,22 +25,14 @@ from sameas.errors import InputError
 from sameas.picture.continuity import Continuity, InCommon, Motions, NearOrNamed
 from sameas.picture.named import found_in
 from sameas.picture.object_states import ObjectStates
-from sameas.picture.scan import ColumnTable
+from sameas.picture.object_table import COASTING, CONFIRMED, ENDED, TENTATIVE, ColumnTable, PictureObjects
 from sameas.ragged import ranges
 from sameas.records import Records
-from sameas.tracks.alignment import aged, moved
+from sameas.tracks.alignment import aged
 
-# Belonging: which objects of the picture a track has been of, and for what share of the last minutes.
-#
-# Where the records of one object part for an instant and come together again, its number comes back with the tracks
-# that were its own for long: what was wrong for an instant does not decide who is who. And a track that goes over to
-# another object for good takes it for its own after some minutes.
-#
-# Shares go by the instants that show the track: s ← s e^(−Δt/τ), and 1 − e^(−Δt/τ) more for the object that it is of.
-
-#: τ, seconds. Taken.
+#: τ of the shares of a track's history, seconds (chosen).
 LASTS_S = 300.0
-#: A smaller share is forgotten.
+#: A smaller share is forgotten (chosen).
 LEAST = 1e-3
 
 
@@ -48,8 +40,13 @@ LEAST = 1e-3
 class TrackHistory(ColumnTable):
     """Tracks and objects that they have been of, (k,) each, by ascending track, then object.
 
+    Where the records of one object part for an instant and come together again, its number comes back with the tracks
+    that were its own for long: one wrong instant does not decide which object is which. A track that goes over to
+    another object for good is that object's after some minutes. Shares change at the instants that show the track:
+    s ← s e^(−Δt/τ), and 1 − e^(−Δt/τ) more for the object that it is of.
+
     track, number : of the track and the object. share : of the last minutes. last : whether it is the object that the
-    track was of when it was last shown. unique : whether nobody else bears the track's name. instant_s : the last one.
+    track was of when it was last shown. unique : whether no other track has the track's name. instant_s : the last one.
     """
 
     WHOLE = frozenset({"instant_s"})
@@ -112,10 +109,8 @@ class TrackHistory(ColumnTable):
         return TrackHistory(self.instant_s, rows[:, 0], rows[:, 1], share, last, unique)
 
 
-TENTATIVE, CONFIRMED, COASTING, ENDED = range(4)
 #: What parted from an object is another once its tracks have been its own for this share of the last minutes. Taken.
 OWN = 0.8
-STAGES = ("tentative", "confirmed", "coasting", "ended")
 
 
 @dataclass(frozen=True)
@@ -174,38 +169,7 @@ class Detections:
 
 
 @dataclass(frozen=True)
-class Numbered(ColumnTable):
-    """The objects of the picture at an instant, (k,) each, by ascending number; those that end are in it once more.
-
-    Attributes
-    ----------
-    number : from 1. stage : place in :data:`STAGES`.
-    state, covariance : (k, 4), (k, 4, 4) of position and velocity. placed : whether the position is known.
-    moving : whether the velocity is known, said by a record or from the object's own positions.
-    seen : (k,) which object of the instant it is, −1 where nobody shows it.
-    """
-
-    number: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    stage: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    state: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
-    covariance: FloatArray = field(default_factory=lambda: np.empty((0, 4, 4)))
-    placed: BoolArray = field(default_factory=lambda: np.empty(0, bool))
-    moving: BoolArray = field(default_factory=lambda: np.empty(0, bool))
-    seen: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-
-    def __len__(self) -> int:
-        return len(self.number)
-
-    def numbers(self, n_seen: int) -> IntArray:
-        """(n,) the number of each object of the instant."""
-        out = np.zeros(n_seen, np.int64)
-        here = self.seen >= 0
-        out[self.seen[here]] = self.number[here]
-        return out
-
-
-@dataclass(frozen=True)
-class KnownObjects(Numbered):
+class KnownObjects(PictureObjects):
     """Objects that records name, (k,) each, with what is known of them besides.
 
     Attributes
@@ -236,7 +200,8 @@ class KnownObjects(Numbered):
 
     def on(self, instant_s: float, seen: Detections, density_per_m2: float, stages: Stages) -> KnownObjects:
         """The objects at a later instant; ``density_per_m2``: of objects."""
-        alive = self.take(np.flatnonzero(self.stage != ENDED))._foretold(instant_s)
+        alive = self.take(np.flatnonzero(self.stage != ENDED))
+        alive = alive.predicted(instant_s - self.instant_s, alive.walk_m2_per_s3)
         to = alive._same_as(seen, density_per_m2)
         known, new = np.flatnonzero(to >= 0), np.flatnonzero(to < 0)
         left = np.setdiff1d(np.arange(len(alive)), to[known])
@@ -246,14 +211,8 @@ class KnownObjects(Numbered):
             KnownObjects._appeared(seen, new, number, alive._apart(seen, new), stages),
             alive.take(left)._unseen(seen, density_per_m2, stages),
         ]
-        return parts[0]._joined(parts[1:], instant_s, int(number.max(initial=self.given)))._owning(self, seen)
-
-    def _foretold(self, instant_s: float) -> KnownObjects:
-        """Where the objects should be at a later instant."""
-        if not len(self):
-            return self
-        state, covariance = moved(self.state, self.covariance, instant_s - self.instant_s, self.walk_m2_per_s3)
-        return replace(self, state=state, covariance=covariance)
+        given = int(number.max(initial=self.given))
+        return replace(parts[0].in_order(*parts[1:]), instant_s=instant_s, given=given)._owning(self, seen)
 
     def _same_as(self, seen: Detections, density_per_m2: float) -> IntArray:
         """(n,) which of these each object of the instant is, −1 for none."""
@@ -316,7 +275,7 @@ class KnownObjects(Numbered):
         return replace(
             self, stage=np.where(sure, CONFIRMED, TENTATIVE), state=np.where(said[:, None], state, own),
             covariance=np.where(said[:, None, None], covariance, spread), placed=states.placed[which],
-            moving=said | (self.placed & states.placed[which] & (looks > 1)), seen=which, looks=looks, plots=plots,
+            moving=said | (self.placed & states.placed[which] & (looks > 1)), detection=which, looks=looks, plots=plots,
             apart=apart, longest=seen.life.track[which], lived=seen.life.lived[which], earlier=earlier,
             walk_m2_per_s3=seen.walk_m2_per_s3[which], speed_m_per_s=seen.speed_m_per_s[which],
         )  # fmt: skip
@@ -340,9 +299,9 @@ class KnownObjects(Numbered):
         sure = ((seen.sure[which] | real) & ~apart) | (stages.scans <= 1)
         return cls(
             number=number, stage=np.where(sure, CONFIRMED, TENTATIVE), state=states.state[which],
-            covariance=states.covariance[which], placed=states.placed[which], moving=states.moving[which], seen=which,
-            looks=np.ones(n, np.int64), plots=seen.plotted[which].astype(np.int64), absent=np.zeros(n, np.int64),
-            apart=apart, longest=seen.life.track[which], lived=seen.life.lived[which], earlier=np.zeros(n),
+            covariance=states.covariance[which], placed=states.placed[which], moving=states.moving[which],
+            detection=which, looks=np.ones(n, np.int64), plots=seen.plotted[which].astype(np.int64),
+            absent=np.zeros(n, np.int64), apart=apart, longest=seen.life.track[which], lived=seen.life.lived[which], earlier=np.zeros(n),
             walk_m2_per_s3=seen.walk_m2_per_s3[which], speed_m_per_s=seen.speed_m_per_s[which],
         )  # fmt: skip
 
@@ -357,11 +316,7 @@ class KnownObjects(Numbered):
         taken = np.isin(self.number, own.number[there]) & ~np.isin(self.number, own.number[~there])
         over = old | taken | (tentative & (absent > stages.of - stages.scans))
         stage = np.where(over, ENDED, np.where(tentative, TENTATIVE, COASTING))
-        return replace(self, stage=stage, absent=absent, seen=np.full(len(self), -1))
-
-    def _joined(self, others: list[KnownObjects], instant_s: float, given: int) -> KnownObjects:
-        whole = self.stacked(*others)
-        return replace(whole.take(np.argsort(whole.number)), instant_s=instant_s, given=given)
+        return replace(self.undetected(stage), absent=absent)
 
     def _owning(self, before: KnownObjects, seen: Detections) -> KnownObjects:
         """The same with whom the tracks of the instant are of."""

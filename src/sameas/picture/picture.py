@@ -20,8 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.many.observations import Observations, records_of
-from sameas.picture.object_ids import STAGES
-from sameas.picture.picture_state import PictureState
+from sameas.picture.object_table import STAGES
+from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.plot_picture import PlotPicture, nameless
 from sameas.picture.summary import Summary, Tally
 from sameas.picture.watch import TEXTS, Watch
@@ -163,7 +163,7 @@ class Picture:
         )  # fmt: skip
 
 
-def _changed(state: PictureState, shown: dict[int, tuple[str, str]]) -> list[int]:
+def _changed(state: PictureState[Carried], shown: dict[int, tuple[str, str]]) -> list[int]:
     """Objects of two records or with a likely rival, whose tracks, or the rival's, are not what was explained last.
 
     A plot without a track is another at every look.
@@ -190,7 +190,7 @@ def _changed(state: PictureState, shown: dict[int, tuple[str, str]]) -> list[int
 Columns = dict[str, NDArray[Any]]
 
 
-def object_columns(state: PictureState) -> Columns:
+def object_columns(state: PictureState[Carried]) -> Columns:
     """One row per object of the picture.
 
     time_s, object, stage; x_m, y_m, var_x_m2, cov_xy_m2, var_y_m2, masked where directions do not cross; vx_m_per_s,
@@ -198,10 +198,9 @@ def object_columns(state: PictureState) -> Columns:
     rows of the sources' reports), probability, runner_up, p_runner_up, masked while it coasts; label, mmsi, icao,
     callsign, name, mode_a, type; ambiguous: less than 95 % probable.
     """
-    known, seen = state.known, state.known.seen
-    here = seen >= 0
-    # The last row of what was found stands for what is not seen, and is masked.
-    at = np.where(here, seen, -1)
+    known, here = state.known, state.known.detected
+    # The last row stands for objects that are not detected, and is masked.
+    at = np.where(here, known.detection, -1)
     velocity = known.state[:, 2:]
     still = ~known.moving
     p_rival = np.append(state.p_runner_up, 0.0)[at]
@@ -224,7 +223,7 @@ def object_columns(state: PictureState) -> Columns:
     return columns
 
 
-def record_columns(state: PictureState) -> Columns:
+def record_columns(state: PictureState[Carried]) -> Columns:
     """One row per record that took part.
 
     time_s, source, row (of the source's reports), line (of its file), track_id, object; p_object, p_alone, age_s; x_m,
@@ -252,9 +251,14 @@ def gathered(parts: Sequence[Mapping[str, NDArray[Any]]]) -> Columns:
     """The rows of several instants one after another."""
     if not parts:
         return {}
-    return {name: np.ma.concatenate(columns) if any(isinstance(c, np.ma.MaskedArray) for c in columns)
-            else np.concatenate(columns)
-            for name in parts[0] for columns in [[part[name] for part in parts]]}  # fmt: skip
+    return {name: _concatenated([part[name] for part in parts]) for name in parts[0]}
+
+
+def _concatenated(columns: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Columns one below the other, masked where any of them is."""
+    if any(isinstance(column, np.ma.MaskedArray) for column in columns):
+        return np.asanyarray(np.ma.concatenate(columns))  # type: ignore[no-untyped-call]
+    return np.concatenate(columns)
 
 
 def with_degrees(columns: Columns, plane: LocalPlane | None) -> Columns:
@@ -286,7 +290,7 @@ def _ellipse(state: NDArray[Any], covariance: NDArray[Any], hidden: BoolArray) -
     }
 
 
-def _memberships(state: PictureState, at: IntArray) -> Columns:
+def _memberships(state: PictureState[Carried], at: IntArray) -> Columns:
     """Whose records an object has, and which; and those of its runner-up."""
     scan = state.scan
     names = [description.name for description in scan.now.descriptions]
@@ -309,7 +313,7 @@ def joined(members: IntArray, words: Sequence[str]) -> NDArray[np.str_]:
     return np.array([" ".join(each) for each in out], dtype=np.str_)
 
 
-def _texts(state: PictureState) -> Columns:
+def _texts(state: PictureState[Carried]) -> Columns:
     rows = [state.watch.texts[number] for number in state.known.number.tolist()]
     table = np.array(rows, dtype=object).reshape(len(rows), len(TEXTS))
     columns = {name: table[:, k].astype(np.str_) for k, name in enumerate(TEXTS)}
@@ -319,7 +323,7 @@ def _texts(state: PictureState) -> Columns:
     return {"label": label.astype(np.str_), **columns}
 
 
-def _lines(state: PictureState) -> np.ma.MaskedArray:
+def _lines(state: PictureState[Carried]) -> np.ma.MaskedArray:
     """(records,) line of each record in its file."""
     scan = state.scan
     line, hidden = np.zeros(len(scan), np.int64), np.ones(len(scan), bool)
@@ -330,7 +334,7 @@ def _lines(state: PictureState) -> np.ma.MaskedArray:
     return _masked(line, hidden)
 
 
-def _sights(state: PictureState) -> Columns:
+def _sights(state: PictureState[Carried]) -> Columns:
     """Directions of the records that are none but that, and where they are seen from."""
     scan, n = state.scan, len(state.scan)
     bearing, sigma, sensor, hidden = np.zeros(n), np.zeros(n), np.zeros((n, 2)), np.ones(n, bool)

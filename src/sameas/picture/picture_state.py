@@ -19,8 +19,8 @@ from sameas.errors import InputError
 from sameas.evidence.identity import Alarm
 from sameas.many.explanation import Name, ObjectExplanation
 from sameas.picture.instant_objects import InstantObjects
-from sameas.picture.object_ids import Numbered
 from sameas.picture.object_states import ObjectStates
+from sameas.picture.object_table import PictureObjects
 from sameas.picture.scan import Scan
 from sameas.tracks.scene import Instant
 
@@ -35,7 +35,7 @@ class Carried(Protocol):
     """What a picture carries on to its next instant: a ``Watch``, or a ``PlotPicture`` of bare plots."""
 
     @property
-    def known(self) -> Numbered: ...
+    def known(self) -> PictureObjects: ...
     @property
     def texts(self) -> Mapping[int, NDArray[Any]]: ...
 
@@ -61,7 +61,7 @@ class PictureState(Generic[W]):
     watch: W
 
     @property
-    def known(self) -> Numbered:
+    def known(self) -> PictureObjects:
         """The objects of the picture."""
         return self.watch.known
 

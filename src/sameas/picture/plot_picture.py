@@ -28,12 +28,12 @@ from sameas.arrays import IntArray
 from sameas.errors import InputError
 from sameas.picture.bernoulli import LEAST
 from sameas.picture.instant_objects import TrackedObjects, says_velocity
-from sameas.picture.object_ids import COASTING, CONFIRMED, ENDED, TENTATIVE, Numbered
+from sameas.picture.object_table import COASTING, CONFIRMED, ENDED, TENTATIVE, PictureObjects
 from sameas.picture.picture_state import PictureState
 from sameas.picture.plot_tracker import PlotTracker, TrackedPlots
 from sameas.picture.scan import Scan
 from sameas.picture.watch import NOTHING
-from sameas.tracks.alignment import States, moved
+from sameas.tracks.alignment import States
 from sameas.tracks.feed import Feed, walk_of
 from sameas.tracks.scene import POSITION_AND_VELOCITY, Instant, Scene
 
@@ -74,8 +74,8 @@ def _period_s(feed: Feed) -> float:
 
 
 @dataclass(frozen=True)
-class PlotObjects(Numbered):
-    """Objects that a look shows, and those that are sure without."""
+class PlotObjects(PictureObjects):
+    """Objects that a scan shows, and those that are confirmed without."""
 
     @classmethod
     def of(cls, shown: TrackedObjects, sure: frozenset[int]) -> PlotObjects:
@@ -87,7 +87,7 @@ class PlotObjects(Numbered):
         placed[shown.which], moving[shown.which] = shown.states.placed, shown.states.moving
         real = np.isin(now.number, np.array(sorted(sure), np.int64))
         stage = np.where(real, np.where(seen >= 0, CONFIRMED, COASTING), TENTATIVE)
-        whole = cls(now.number, stage, now.state, now.covariance, placed, moving, seen)
+        whole = cls(now.number, now.state, now.covariance, stage, placed, moving, seen)
         kept = np.flatnonzero((seen >= 0) | real)
         return whole.take(kept[np.argsort(now.number[kept])])
 
@@ -96,12 +96,8 @@ class PlotObjects(Numbered):
         over = ((before.stage == CONFIRMED) | (before.stage == COASTING)) & ~np.isin(before.number, there)
         if not over.any():
             return self
-        gone = before.take(np.flatnonzero(over))
-        state, covariance = moved(gone.state, gone.covariance, dt_s, walk_m2_per_s3)
-        gone = replace(gone, state=state, covariance=covariance, stage=np.full(len(gone), ENDED),
-                       seen=np.full(len(gone), -1))  # fmt: skip
-        both = self.stacked(gone)
-        return both.take(np.argsort(both.number))
+        gone = before.take(np.flatnonzero(over)).predicted(dt_s, walk_m2_per_s3)
+        return self.in_order(gone.undetected(np.full(len(gone), ENDED)))
 
 
 @dataclass(frozen=True)
@@ -125,14 +121,14 @@ class Proof:
     plots: Mapping[int, int] = field(default_factory=dict)
     sure: frozenset[int] = frozenset()
 
-    def on(self, before: TrackedPlots | None, after: TrackedPlots, lasting_s: float, real: float) -> Proof:
+    def on(self, before: TrackedPlots | None, after: TrackedPlots, lifetime_s: float, real: float) -> Proof:
         """The proof after the looks of ``after``."""
         unfound, last = self.unfound, {} if before is None else before.last_number
         if before is not None:
             now = after.now
             nowhere = np.empty((0, 2))
             q = np.array([feed.mean_q(nowhere, now.instant_s) for feed in now.feeds])
-            lasts = math.exp(-(now.instant_s - before.now.instant_s) / lasting_s)
+            lasts = math.exp(-(now.instant_s - before.now.instant_s) / lifetime_s)
             unfound = unfound * float(np.prod(q ** before.passed(now))) * lasts + 1.0 - lasts
         fresh = Counter(number for plot, number in after.last_number.items() if plot not in last)
         numbers = after.number.tolist()
@@ -174,7 +170,7 @@ class PlotPicture:
         ------
         InputError : the instant is before the last; a source names its objects.
         """
-        carried, longest = self, self.tracker.lasting_s
+        carried, longest = self, self.tracker.lifetime_s
         since = instant_s - longest if self.tracks is None else self.tracks.now.instant_s
         for look_s in looks_between(scene.feeds, since, instant_s):
             carried = carried.looked(scene.at(look_s, features=POSITION_AND_VELOCITY))
@@ -183,7 +179,7 @@ class PlotPicture:
     def looked(self, now: Instant) -> PlotPicture:
         """The same after the looks of a later instant, which nobody asks to see."""
         tracks = self.tracker.advance(now, self.tracks)
-        proof = self.proof.on(self.tracks, tracks, self.tracker.lasting_s, self.real)
+        proof = self.proof.on(self.tracks, tracks, self.tracker.lifetime_s, self.real)
         return replace(self, tracks=tracks, proof=proof)
 
     def advance(self, now: Instant) -> PictureState[PlotPicture]:

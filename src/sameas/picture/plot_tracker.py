@@ -34,7 +34,8 @@ from sameas.many.identify import identify_many
 from sameas.many.joint import Joint, pooled
 from sameas.many.objects import Objects
 from sameas.many.observations import Observations, Region, Source, records_of
-from sameas.picture.bernoulli import KNOWN, LEAST, BernoulliObjects, Remembered, Sighting
+from sameas.picture.bernoulli import KNOWN, LEAST, BernoulliObjects, BernoulliTable, Sighting
+from sameas.picture.scan import objects_per_m2
 from sameas.tracks.alignment import aged
 from sameas.tracks.feed import Feed, walk_of
 from sameas.tracks.placement import Directions
@@ -55,20 +56,20 @@ class PlotTracker:
 
     Parameters
     ----------
-    correlation_s : τ, how long errors of looks last. Taken: 10 s.
-    lasting_s : how long objects last without being seen, 1/e. sighting_looks : how many looks the described probability
-        of a miss is worth against what an object's own looks say, which are remembered for sighting_s.
+    correlation_s : τ, correlation time of the errors of scans; 10 s (chosen).
+    lifetime_s : mean time that objects last undetected. sighting_scans : how many scans the described probability of a
+        miss is worth against the object's own hits and misses, which count for sighting_s.
     least_q : no probability of a miss is nearer to 0 or 1: misses of one object repeat themselves.
     """
 
     correlation_s: float = 10.0
-    lasting_s: float = 60.0
-    sighting_looks: float = 6.0
+    lifetime_s: float = 60.0
+    sighting_scans: float = 6.0
     sighting_s: float = 10.0
     least_q: float = 0.1
 
     def __post_init__(self) -> None:
-        for name in ("lasting_s", "sighting_looks", "sighting_s"):
+        for name in ("lifetime_s", "sighting_scans", "sighting_s"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise InputError(f"PlotTracker: {name} is {getattr(self, name)}; give a number above 0")
         if not 0.0 <= self.correlation_s < math.inf:
@@ -89,10 +90,10 @@ class PlotTracker:
             before.
         """
         _require_plots(now, before)
-        known = Remembered.none(len(now.feeds)) if before is None else self._carried(before, now)
+        known = BernoulliTable.none(len(now.feeds)) if before is None else self._carried(before, now)
         places = np.concatenate([known.state[:, :2], *(_places(source) for source in now.sources)])
         usual = np.column_stack([self._usual_q(feed, known.state[:, :2], now) for feed in now.feeds])
-        q = known.expected_q(usual, self.sighting_looks, self.least_q)
+        q = known.expected_q(usual, self.sighting_scans, self.least_q)
         q_of, false = {}, {}
         for feed, source in zip(now.feeds, now.sources, strict=True):
             q_of[feed.description.name] = self._q_of(feed, source, places, now)
@@ -100,7 +101,7 @@ class PlotTracker:
         rule = BernoulliObjects(now.density, tuple(q_of), q_of, false, known.existence, q)
         return TrackedPlots.of(now, before, known, rule, usual)
 
-    def _carried(self, before: TrackedPlots, now: Instant) -> Remembered:
+    def _carried(self, before: TrackedPlots, now: Instant) -> BernoulliTable:
         """What is remembered when the looks of ``now`` stand."""
         dt = now.instant_s - before.now.instant_s
         sets = before.retiring(now)
@@ -108,11 +109,11 @@ class PlotTracker:
         known = before.fused(sets, self.correlation_s).after(Sighting(seen, before.passed(now), before.rule.known_q))
         split = np.array([d.resolution.split or SPLIT for d in now.descriptions])
         known = known.with_(born).told_apart(np.vstack([seen, born.hits]), np.vstack([before.usual_q, born_q]), split)
-        density = _per_m2(now)
+        density = objects_per_m2(now)
         known = known.merged(density)
         known = known.take((known.existence > FORGOTTEN) & ~aged(known.covariance, density))
         walk = max(walk_of(description) for description in now.descriptions)
-        return known.moved(dt, walk, self.lasting_s, self.sighting_s)
+        return known.predicted(dt, walk).aged(dt, self.lifetime_s, self.sighting_s)
 
     def _usual_q(self, feed: Feed, places: FloatArray, now: Instant) -> FloatArray:
         """(n,) how probably any object at these places is missed."""
@@ -158,7 +159,7 @@ class TrackedPlots:
     members: IntArray
     probability: FloatArray
     existence: FloatArray
-    known: Remembered
+    known: BernoulliTable
     known_of: IntArray
     rule: BernoulliObjects
     usual_q: FloatArray
@@ -172,7 +173,12 @@ class TrackedPlots:
 
     @classmethod
     def of(
-        cls, now: Instant, before: TrackedPlots | None, known: Remembered, rule: BernoulliObjects, usual_q: FloatArray
+        cls,
+        now: Instant,
+        before: TrackedPlots | None,
+        known: BernoulliTable,
+        rule: BernoulliObjects,
+        usual_q: FloatArray,
     ) -> TrackedPlots:
         """The looks that stand identified with the objects remembered."""
         heard = [s for s, source in enumerate(now.sources) if len(records_of(source))]
@@ -263,7 +269,7 @@ class TrackedPlots:
     def seen(self, sets: IntArray) -> FloatArray:
         """(m, S) probability that each known object is one of the records ``sets``, source by source."""
         parts = [p[:, np.unique(rows[rows >= 0])].sum(axis=1) for p, rows in zip(self.p_known, sets.T, strict=True)]
-        return np.clip(np.column_stack(parts), 0.0, 1.0)
+        return np.asarray(np.clip(np.column_stack(parts), 0.0, 1.0))
 
     @cached_property
     def sure(self) -> tuple[FloatArray, ...]:
@@ -275,7 +281,7 @@ class TrackedPlots:
             out[source][row] = self.p_known[source][self.known_of[n], row]
         return out
 
-    def fused(self, sets: IntArray, correlation_s: float) -> Remembered:
+    def fused(self, sets: IntArray, correlation_s: float) -> BernoulliTable:
         """The known objects with the records ``sets`` that are theirs.
 
         A record counts as the share Δt/τ of one, times the probability that it is the object's.
@@ -289,7 +295,7 @@ class TrackedPlots:
         state[self.known_of[at]], covariance[self.known_of[at]] = there.state, there.covariance
         return replace(self.known, state=state, covariance=covariance)
 
-    def born(self, sets: IntArray) -> tuple[Remembered, FloatArray]:
+    def born(self, sets: IntArray) -> tuple[BernoulliTable, FloatArray]:
         """Objects that nobody knew, from those of the records ``sets`` that say where they are.
 
         And (b, S) how probably any object there is missed.
@@ -297,7 +303,7 @@ class TrackedPlots:
         placed = np.array([not isinstance(feed.reports, Directions) for feed in self.now.feeds], dtype=bool)
         at = np.flatnonzero((self.known_of < 0) & ((sets >= 0) & placed).any(axis=1))
         if not len(at):
-            return Remembered.none(sets.shape[1]), np.empty((0, sets.shape[1]))
+            return BernoulliTable.none(sets.shape[1]), np.empty((0, sets.shape[1]))
         open_ = _wide(self.now.region).covariance
         open_[2:, 2:] = self.now.region.covariance[2:, 2:]
         there = pooled(list(self.now.sources), sets[at], Region(self.now.region.centre, open_))
@@ -305,7 +311,7 @@ class TrackedPlots:
         tables = [self.rule.q[name] for name in self.rule.sources]
         own = [[tables[s][sets[n, s]] for s in np.flatnonzero((sets[n] >= 0) & placed)] for n in at]
         q = np.array([np.mean(each, axis=0) for each in own])
-        return Remembered.born(self.number[at], there.state, there.covariance, self.existence[at], hits), q
+        return BernoulliTable.born(self.number[at], there.state, there.covariance, self.existence[at], hits), q
 
 
 def _require_plots(now: Instant, before: TrackedPlots | None) -> None:
@@ -349,11 +355,6 @@ def _places(source: Source) -> FloatArray:
     return records.features[:, :2] if records.d > 1 else np.empty((0, 2))
 
 
-def _per_m2(now: Instant) -> float:
-    """Objects per m²: the density is per m² and (m/s)² at rest."""
-    return float(now.density * 2.0 * math.pi * math.sqrt(np.linalg.det(now.region.covariance[2:, 2:])))
-
-
 def _wide(region: Region) -> Region:
     return Region(region.centre, WIDE * region.covariance)
 
@@ -379,7 +380,7 @@ def _existence(found: Objects, rule: BernoulliObjects) -> FloatArray:
 
 
 def _numbered(
-    now: Instant, before: TrackedPlots | None, known: Remembered, known_of: IntArray, members: IntArray, given: int
+    now: Instant, before: TrackedPlots | None, known: BernoulliTable, known_of: IntArray, members: IntArray, given: int
 ) -> tuple[IntArray, int]:
     """(n,) numbers: of the known; of the records where they stood before; else new ones."""
     ids = [records_of(source).ids for source in now.sources]

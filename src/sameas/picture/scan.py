@@ -1,14 +1,14 @@
 """The scan: every record that takes part in an instant, source after source, in one table.
 
-What the later stages of the picture ask of a record: where its source says the object is, how fast it goes, which
-track of the source it belongs to, and when that was looked at last.
+It has what the later stages of the picture ask of a record: the reported position and velocity, how fast such objects
+go, the name of the track, and the time of the report.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
-from typing import Any, ClassVar, Self
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,32 +18,10 @@ from sameas.many.observations import records_of
 from sameas.ragged import Ragged
 from sameas.tracks.alignment import States, moved, stamped_late
 from sameas.tracks.feed import Feed
-from sameas.tracks.scene import Instant
+from sameas.tracks.scene import POSITION, Instant
 
-# Rows: frozen columns of equal length, of which what stands at one place belongs together.
-
-
-class ColumnTable:
-    """Base of dataclasses whose fields are columns (k, …), but for those named in ``WHOLE``, which no row has alone."""
-
-    WHOLE: ClassVar[frozenset[str]] = frozenset()
-
-    def columns(self) -> dict[str, NDArray[Any]]:
-        """The columns by their names."""
-        return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in self.WHOLE}  # type: ignore[arg-type]
-
-    def take(self, which: NDArray[Any]) -> Self:
-        """Some of the rows: places, in any order, or a mask."""
-        return replace(self, **{name: column[which] for name, column in self.columns().items()})  # type: ignore[type-var]
-
-    def stacked(self, *others: Self) -> Self:
-        """These rows and those of others below them; what is of all rows stays that of these."""
-        parts = [part.columns() for part in (self, *others)]
-        return replace(self, **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})  # type: ignore[type-var]
-
-
-#: A velocity whose variance is this share of what is believed of any object's is not said: nobody measured it. Taking
-#: a range bias off turns and shrinks what was not said by some percent, too.
+#: A velocity with this share of the variance of any object's velocity counts as not measured. Below 1, since taking a
+#: range bias off turns and shrinks a velocity that was not measured by some percent, too (chosen).
 UNSAID = 0.9
 
 
@@ -58,7 +36,7 @@ class Scan:
     source : place of the record's source. row : of the source's own reports. table : row among the source's records.
     track : name that the source gives the object, "" where it gives none.
     time_s : when it was true. late_s : 1σ of that time. walk_m2_per_s3, speed_m_per_s : how its objects move.
-    said_state, said_covariance : (n, 4), (n, 4, 4) at that time; NaN for directions.
+    reported_state, reported_covariance : (n, 4), (n, 4, 4) at that time; NaN for directions.
     state, covariance : the same, moved to the instant.
     placed : whether it is a position. moving : whether it says a velocity.
     loose : (n, 4, 4) what of the covariance a manoeuvre left open (:mod:`sameas.picture.track_pairs`).
@@ -74,8 +52,8 @@ class Scan:
     late_s: FloatArray
     walk_m2_per_s3: FloatArray
     speed_m_per_s: FloatArray
-    said_state: FloatArray
-    said_covariance: FloatArray
+    reported_state: FloatArray
+    reported_covariance: FloatArray
     state: FloatArray
     covariance: FloatArray
     placed: BoolArray
@@ -95,7 +73,7 @@ class Scan:
         placed = np.isfinite(columns["state"]).all(axis=1)
         with np.errstate(invalid="ignore"):
             unknown = UNSAID * columns["speed_m_per_s"] ** 2
-            moving = placed & (columns["said_covariance"][:, 2, 2] < unknown)
+            moving = placed & (columns["reported_covariance"][:, 2, 2] < unknown)
         loose = np.zeros((len(rows.row), 4, 4))
         return cls(now=now, start=rows.start, source=rows.row, placed=placed, moving=moving, loose=loose, **columns)
 
@@ -143,8 +121,8 @@ _EMPTY: dict[str, NDArray[Any]] = {
     "late_s": np.empty(0),
     "walk_m2_per_s3": np.empty(0),
     "speed_m_per_s": np.empty(0),
-    "said_state": np.empty((0, 4)),
-    "said_covariance": np.empty((0, 4, 4)),
+    "reported_state": np.empty((0, 4)),
+    "reported_covariance": np.empty((0, 4, 4)),
     "state": np.empty((0, 4)),
     "covariance": np.empty((0, 4, 4)),
 }
@@ -156,18 +134,19 @@ def _part(feed: Feed, ids: NDArray[Any], table: IntArray, instant_s: float) -> d
     row = ids[table].astype(np.int64)
     n, time_s = len(row), reports.time_s[row]
     late = description.timing.latency_sigma_s or 0.0
-    said_state, said_covariance = np.full((n, 4), np.nan), np.full((n, 4, 4), np.nan)
-    state, covariance = said_state, said_covariance
+    reported_state, reported_covariance = np.full((n, 4), np.nan), np.full((n, 4, 4), np.nan)
+    state, covariance = reported_state, reported_covariance
     if isinstance(reports, States):
-        said_state, said_covariance = reports.state[row], reports.covariance[row]
-        state, covariance = moved(said_state, said_covariance, instant_s - time_s, feed.walk_m2_per_s3[row])
+        reported_state, reported_covariance = reports.state[row], reports.covariance[row]
+        state, covariance = moved(reported_state, reported_covariance, instant_s - time_s, feed.walk_m2_per_s3[row])
         covariance = stamped_late(covariance, state, late)
     walk = feed.walk_m2_per_s3[row] if isinstance(reports, States) else description.motion.acceleration_m2_per_s3 or 0.0
     return {
         "row": row, "table": table, "track": _names(reports.track, row), "time_s": time_s, "late_s": np.full(n, late),
         "walk_m2_per_s3": np.full(n, walk),
         "speed_m_per_s": np.full(n, description.motion.speed_m_per_s or math.inf),
-        "said_state": said_state, "said_covariance": said_covariance, "state": state, "covariance": covariance,
+        "reported_state": reported_state, "reported_covariance": reported_covariance,
+        "state": state, "covariance": covariance,
     }  # fmt: skip
 
 
@@ -176,3 +155,12 @@ def _names(track: NDArray[Any] | None, row: IntArray) -> NDArray[Any]:
     if track is None:
         return np.full(len(row), "", dtype=object)
     return np.array(["" if name.startswith("unnamed ") else name for name in map(str, track[row])], dtype=object)
+
+
+def objects_per_m2(now: Instant) -> float:
+    """Objects per m² of the plane at the middle of the region."""
+    if now.features == POSITION:
+        return now.density
+    # The density of velocities falls to 1/(2π σ²) at rest.
+    variance = math.sqrt(np.linalg.det(now.region.covariance[2:, 2:]))
+    return float(now.density * 2.0 * math.pi * variance)

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.evidence.identity import Alarm
-from sameas.picture.object_ids import CONFIRMED
-from sameas.picture.picture_state import PictureState
+from sameas.picture.object_table import CONFIRMED
+from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.plot_picture import PlotObjects
 from sameas.tracks.feed import Feed
 from sameas.tracks.scene import Scene
@@ -46,7 +47,7 @@ class Tally:
     alarms: tuple[Alarm, ...]
 
     @classmethod
-    def of(cls, state: PictureState) -> Tally:
+    def of(cls, state: PictureState[Carried]) -> Tally:
         """Of the picture at an instant; sources are those of its scene."""
         feeds, now = state.now.feeds, state.now
         names = [description.name for description in state.scan.now.descriptions]
@@ -64,7 +65,7 @@ class Tally:
         )  # fmt: skip
 
 
-def _due(state: PictureState, there: BoolArray, s: int) -> FloatArray:
+def _due(state: PictureState[Carried], there: BoolArray, s: int) -> FloatArray:
     """(n,) 1 where source s should show an object: others do, beyond doubt, and it lies where s sees."""
     others = np.delete(there, s, axis=1)
     honest = np.delete(np.array([feed.clutter(2) == 0.0 for feed in state.now.feeds], dtype=bool), s)
@@ -79,10 +80,10 @@ def _due(state: PictureState, there: BoolArray, s: int) -> FloatArray:
     sensor = feed.sensor_at(state.now.instant_s)
     seen = state.states.placed & beyond_doubt
     if sensor is None:
-        return seen.astype(np.float64)
+        return np.asarray(seen, np.float64)
     arm = state.states.state[:, :2] - sensor
     covers = feed.description.coverage.covers(np.hypot(*arm.T), np.degrees(np.arctan2(arm[:, 0], arm[:, 1])))
-    return (seen & covers).astype(np.float64)
+    return np.asarray(seen & covers, np.float64)
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ class Places:
     coasting: float
 
     @classmethod
-    def of(cls, objects: Mapping[str, NDArray], instants: int) -> Places:
+    def of(cls, objects: Mapping[str, NDArray[Any]], instants: int) -> Places:
         """Of the columns of a picture's objects."""
         sigma = np.ma.sqrt(0.5 * (np.ma.asarray(objects["var_x_m2"]) + objects["var_y_m2"]))
         coasts = objects["stage"] == "coasting"
@@ -192,7 +193,7 @@ class Summary:
 
     @classmethod
     def of(
-        cls, scene: Scene, objects: Mapping[str, NDArray], tallies: Sequence[Tally], biases: Sequence[str] = ()
+        cls, scene: Scene, objects: Mapping[str, NDArray[Any]], tallies: Sequence[Tally], biases: Sequence[str] = ()
     ) -> Summary:
         """Of the columns of a picture's objects and the tallies of its instants."""
         by_sources, unconfirmed = _by_sources(objects, len(scene.feeds))
@@ -243,7 +244,7 @@ def _few(mean: float, none: str) -> str:
     return f"{mean:.2g}" if mean >= 1e-3 else "fewer than 0.001" if mean else none
 
 
-def _by_sources(objects: Mapping[str, NDArray], n_sources: int) -> tuple[tuple[int, ...], int]:
+def _by_sources(objects: Mapping[str, NDArray[Any]], n_sources: int) -> tuple[tuple[int, ...], int]:
     if not len(objects["object"]):
         return (0,) * (n_sources + 1), 0
     number, at = np.unique(objects["object"], return_inverse=True)

@@ -25,7 +25,7 @@ from scipy.special import expit
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.picture.named import KEPT_S, NamedTracks, found_in
-from sameas.picture.scan import ColumnTable
+from sameas.picture.object_table import ColumnTable
 
 #: T₀ before any track has died, in looks of the source; and how many tracks that is worth. Taken.
 FALSE_LOOKS, BEFOREHAND = 4.0, 4.0

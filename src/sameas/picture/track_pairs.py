@@ -21,7 +21,8 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.many.observations import Source
 from sameas.picture.error_correlation import LEAST_M2, log_normal, looked
 from sameas.picture.named import NamedTracks, Step, found_in
-from sameas.picture.scan import ColumnTable, Scan
+from sameas.picture.object_table import ColumnTable
+from sameas.picture.scan import Scan
 from sameas.records import Records
 
 

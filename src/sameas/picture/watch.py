@@ -33,9 +33,9 @@ from sameas.picture.named import found_in
 from sameas.picture.object_ids import Detections, KnownObjects, Life, Stages
 from sameas.picture.object_states import object_states
 from sameas.picture.picture_state import PictureState
-from sameas.picture.scan import Scan
+from sameas.picture.scan import Scan, objects_per_m2
 from sameas.records import Records
-from sameas.tracks.scene import POSITION, Instant
+from sameas.tracks.scene import Instant
 
 # Hysteresis: who is with whom changes only where the change has been earned.
 #
@@ -161,7 +161,7 @@ class Watch:
         InputError : the instant is before the last; a source lacks what its evidence needs.
         """
         heard = now.with_records()
-        scan = self.past.loosened(Scan.of(heard), _per_m2(now))
+        scan = self.past.loosened(Scan.of(heard), objects_per_m2(now))
         heard, past = scan.now, self.past.on(scan)
         found = self._found(heard, past)
         kept = np.zeros(0, bool)
@@ -173,7 +173,7 @@ class Watch:
         texts = {name: scan.texts(name) for name in TEXTS}
         seen = self._seen(scan, members, found, past, texts)
         past = past.proved(seen.tracks[_together(members, found, self.stages)])
-        known = self.known.on(now.instant_s, seen, _per_m2(now), self.stages)
+        known = self.known.on(now.instant_s, seen, objects_per_m2(now), self.stages)
         called = self._called(scan, members, texts, known)
         carried = replace(self, past=past, known=known, texts=called)
         return PictureState(now, scan, shown, seen.states, carried)
@@ -234,7 +234,7 @@ class Watch:
             ]
             said[at[order], column] = values[order]
         called = {}
-        for number, k in zip(known.number.tolist(), known.seen.tolist(), strict=True):
+        for number, k in zip(known.number.tolist(), known.detection.tolist(), strict=True):
             before = self.texts.get(number, NOTHING)
             called[number] = before if k < 0 else np.where(said[k] != "", said[k], before)
         return called
@@ -253,12 +253,3 @@ def _together(members: IntArray, found: Objects | None, stages: Stages) -> BoolA
     if found is None:
         return np.zeros(len(members), bool)
     return np.asarray(((members >= 0).sum(axis=1) > 1) & (found.probability >= stages.sure))
-
-
-def _per_m2(now: Instant) -> float:
-    """Objects per m² of the plane at the middle of the region."""
-    if now.features == POSITION:
-        return now.density
-    # The density of velocities falls to 1/(2π σ²) at rest.
-    variance = np.linalg.det(now.region.covariance[2:, 2:]) ** 0.5
-    return float(now.density * 2.0 * np.pi * variance)
