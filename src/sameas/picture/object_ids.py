@@ -301,7 +301,8 @@ class KnownObjects(PictureObjects):
             number=number, stage=np.where(sure, CONFIRMED, TENTATIVE), state=states.state[which],
             covariance=states.covariance[which], placed=states.placed[which], moving=states.moving[which],
             detection=which, looks=np.ones(n, np.int64), plots=seen.plotted[which].astype(np.int64),
-            absent=np.zeros(n, np.int64), apart=apart, longest=seen.life.track[which], lived=seen.life.lived[which], earlier=np.zeros(n),
+            absent=np.zeros(n, np.int64), apart=apart,
+            longest=seen.life.track[which], lived=seen.life.lived[which], earlier=np.zeros(n),
             walk_m2_per_s3=seen.walk_m2_per_s3[which], speed_m_per_s=seen.speed_m_per_s[which],
         )  # fmt: skip
 
