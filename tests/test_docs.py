@@ -193,7 +193,8 @@ def test_readme_shows_the_body_of_identify():
 def test_every_option_is_documented():
     import inspect
 
-    from sameas.cli.app import explain, match
+    from sameas.cli.explain import explain
+    from sameas.cli.match import match
 
     page = (HOME / "docs/files-and-command.md").read_text(encoding="utf-8")
     for command in (match, explain):

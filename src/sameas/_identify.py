@@ -6,15 +6,12 @@ from collections.abc import Callable
 
 from sameas.assignment import assign
 from sameas.evidence import Rule
-from sameas.gate import ChiSquare, Pairs
+from sameas.gate import DEFAULT_GATE, Pairs
 from sameas.groups import groups
 from sameas.posterior import posterior
-from sameas.prior import PerPair, Prior
+from sameas.prior import EVIDENCE_ALONE, Prior
 from sameas.records import Records
 from sameas.result import Identification
-
-EVIDENCE_ALONE = PerPair(0.0)
-DEFAULT_GATE = ChiSquare()
 
 
 def identify(

@@ -52,6 +52,10 @@ class PerPair:
         return LogPrior(np.full(len(n1), self.log_odds), np.zeros(len(n1) + 1, np.int64), np.empty(0))
 
 
+#: The default prior: nothing is believed beside the rule.
+EVIDENCE_ALONE = PerPair(0.0)
+
+
 @dataclass(frozen=True)
 class CommonObjects:
     """Source 1 misses an object with probability q1, source 2 with q2; the number of objects is unknown, flat.

@@ -1,5 +1,7 @@
 """The command as its own process: what depends on signals, devices and terminals."""
 
+import importlib
+import inspect
 import os
 import pty
 import resource
@@ -7,6 +9,8 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+
+from sameas.cli.app import COMMANDS
 
 COMMAND = [str(Path(sys.executable).with_name("sameas"))]
 
@@ -95,3 +99,23 @@ except SystemExit:
     done = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, timeout=60)
     assert done.stdout.splitlines()[-1] == "[]"
     assert "match" in done.stdout and "explain" in done.stdout
+
+
+def test_commands_are_listed_with_the_first_sentence_of_their_docstring():
+    for name, sentence in COMMANDS.items():
+        command = getattr(importlib.import_module(f"sameas.cli.{name}"), name)
+        assert inspect.getdoc(command).partition("\n\n")[0].replace("\n", " ") == sentence
+
+
+def test_a_command_makes_its_own_options_only():
+    probe = """
+import sys
+sys.argv = ["sameas", "match", "--help"]
+from sameas.cli import main
+try:
+    main()
+except SystemExit:
+    print([name for name in ("many", "frame", "picture", "explain", "request") if f"sameas.cli.{name}" in sys.modules])
+"""
+    done = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, timeout=60)
+    assert done.stdout.splitlines()[-1] == "[]" and "--nway-columns" in done.stdout

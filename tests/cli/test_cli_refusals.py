@@ -146,7 +146,7 @@ def test_an_interruption_within_the_work_writes_nothing(tmp_path, sameas, field_
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("sameas.cli.matching.joined", interrupted)
+    monkeypatch.setattr("sameas.sky.joins.joined", interrupted)
     result = sameas("match", *field_files, "-o", tmp_path / "o.fits", exit_code=130)
     assert result.stderr.splitlines()[-1] == "sameas: stopped; nothing was written"
     assert list(tmp_path.iterdir()) == []
@@ -161,6 +161,6 @@ def test_a_fault_of_ours_is_called_one(tmp_path, refusal, field_files, monkeypat
     def broken(*_, **__):
         raise ZeroDivisionError("division\nby zero")
 
-    monkeypatch.setattr("sameas.cli.matching.joined", broken)
+    monkeypatch.setattr("sameas.sky.joins.joined", broken)
     words = refusal("match", *field_files, "-o", tmp_path / "o.fits")
     assert words.startswith("unexpected ZeroDivisionError: division by zero; this is a fault of sameas")

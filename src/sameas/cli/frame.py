@@ -2,76 +2,119 @@
 
 from __future__ import annotations
 
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 
-from sameas.cli.arguments import Debug, Quiet
-from sameas.cli.frame_arguments import (
-    Again,
-    AimAt,
-    Biases,
-    Brightest,
-    Brightness,
-    Darks,
-    Faintest,
-    Flats,
+from sameas.cli.options import (
+    Debug,
     Folder,
-    Gain,
-    Hdu,
-    Images,
-    Mask,
-    NoHeader,
-    NoMotion,
-    NoPage,
-    NoPicture,
-    OffBy,
-    Order,
-    Processes,
-    ReadNoise,
-    Saturation,
-    Scale,
-    StarCatalogue,
-    TableFormat,
-    Threshold,
-    WcsCopy,
-    When,
-    with_own_columns,
+    Quiet,
+    fields_of,
+    frame_option,
+    known_format,
+    one_of,
+    option,
+    with_columns,
 )
-from sameas.cli.options import fields_of, frame_option
 from sameas.cli.outcome import INPUT_ERROR, answering
 
+_PLACE, _IMAGE, _FILES = "Where it points", "The image", "Outputs"
 
-@with_own_columns
+
+@with_columns({"": "The catalogue's columns"})
 def frame(
-    images: Images,
-    catalog: StarCatalogue,
-    output: Folder = "identified",  # type: ignore[assignment]
-    aim: AimAt = None,
-    radius: OffBy = None,
-    scale: Scale = None,
-    ignore_header: NoHeader = False,
-    time: When = None,
-    dark: Darks = None,
-    flat: Flats = None,
-    bias: Biases = None,
-    mask: Mask = None,
-    hdu: Hdu = None,
-    threshold: Threshold = 4.0,
-    gain: Gain = None,
-    read_noise: ReadNoise = None,
-    saturation: Saturation = None,
-    order: Order = None,
-    magnitudes: Brightness = "auto",
-    faintest: Faintest = None,
-    no_motion: NoMotion = False,
-    brightest: Brightest = 1000,
-    format: TableFormat = "fits",
-    wcs_copy: WcsCopy = False,
-    no_page: NoPage = False,
-    no_picture: NoPicture = False,
-    processes: Processes = 2,
-    again: Again = False,
+    images: Annotated[
+        list[Path],
+        typer.Argument(metavar="IMAGE...", help="Frames: FITS, plain or packed (.fz, .gz).", show_default=False),
+    ],
+    catalog: Annotated[
+        str,
+        option(
+            "--catalog",
+            "-c",
+            metavar="NAME",
+            help="A table, a folder of Parquet (HATS), 'bright' (whole sky, G < 10, no network) or 'gaia' (online).",
+        ),
+    ],
+    output: Folder = Path("identified"),
+    aim: Annotated[
+        str | None,
+        option("--aim", panel=_PLACE, metavar="RA,DEC", help="Middle of the frame, degrees or 04:10:09,+22:50:22."),
+    ] = None,
+    radius: Annotated[
+        float | None, option("--radius", panel=_PLACE, metavar="DEG", help="How far off the aim may be.")
+    ] = None,
+    scale: Annotated[
+        str | None, option("--scale", panel=_PLACE, metavar="LO,HI", help="Arcsec per pixel, least and largest.")
+    ] = None,
+    ignore_header: Annotated[
+        bool, option("--ignore-header", panel=_PLACE, help="Do not believe the header's plate solution.")
+    ] = False,
+    time: Annotated[
+        str | None, option("--time", panel=_IMAGE, metavar="DATE|YEAR", help="Middle of the exposure (UTC), or a year.")
+    ] = None,
+    dark: Annotated[
+        list[Path] | None, option("--dark", panel=_IMAGE, metavar="FILE", help="Dark frames; repeat it.")
+    ] = None,
+    flat: Annotated[
+        list[Path] | None, option("--flat", panel=_IMAGE, metavar="FILE", help="Flat fields; repeat it.")
+    ] = None,
+    bias: Annotated[
+        list[Path] | None, option("--bias", panel=_IMAGE, metavar="FILE", help="Biases; repeat it.")
+    ] = None,
+    mask: Annotated[
+        Path | None, option("--mask", panel=_IMAGE, metavar="FILE", help="Image, not 0 where not usable.")
+    ] = None,
+    hdu: Annotated[
+        str | None, option("--hdu", panel=_IMAGE, metavar="HDU", help="Number or name of the extension.")
+    ] = None,
+    threshold: Annotated[
+        float, option("--threshold", panel=_IMAGE, metavar="SIGMAS", show_default=True, help="Faintest detection.")
+    ] = 4.0,
+    gain: Annotated[float | None, option("--gain", panel=_IMAGE, metavar="E/ADU", help="Electrons per unit.")] = None,
+    read_noise: Annotated[float | None, option("--read-noise", panel=_IMAGE, metavar="E", help="Electrons.")] = None,
+    saturation: Annotated[
+        float | None, option("--saturation", panel=_IMAGE, metavar="ADU", help="Level of a full pixel.")
+    ] = None,
+    order: Annotated[
+        int | None,
+        option("--order", metavar="1…5", min=1, max=5, help="Of the plate model; else that of the least BIC."),
+    ] = None,
+    magnitudes: Annotated[
+        str,
+        option(
+            "--magnitudes", metavar="auto|off", callback=one_of(("auto", "off")), help="Brightness as evidence, or not."
+        ),
+    ] = "auto",
+    faintest: Annotated[
+        float | None,
+        option("--faintest", metavar="MAG", help="Use no fainter stars; else as faint as the frame shows."),
+    ] = None,
+    no_motion: Annotated[
+        bool, option("--no-motion", help="Leave the stars at their own epoch, to see what motion does.")
+    ] = False,
+    brightest: Annotated[
+        int,
+        option(
+            "--brightest", panel=_FILES, metavar="N", min=0, show_default=True, help="Stars marked in the pictures."
+        ),
+    ] = 1000,
+    format: Annotated[
+        str, option("--format", panel=_FILES, metavar="NAME", callback=known_format, help="Of the table of stars.")
+    ] = "fits",
+    wcs_copy: Annotated[
+        bool, option("--wcs-copy", panel=_FILES, help="Write a copy of the frame with the solution.")
+    ] = False,
+    no_page: Annotated[bool, option("--no-page", panel=_FILES, help="Write no page (.html).")] = False,
+    no_picture: Annotated[bool, option("--no-picture", panel=_FILES, help="Write no pictures (.png).")] = False,
+    processes: Annotated[
+        int, option("--processes", "-j", metavar="N", min=1, show_default=True, help="Frames at a time.")
+    ] = 2,
+    again: Annotated[
+        bool, option("--again", help="Do also what has been done with the same files and options.")
+    ] = False,
     quiet: Quiet = False,
     debug: Debug = False,
     **columns: Any,
@@ -122,8 +165,6 @@ def frame(
 
 def _names(paths: list[str]) -> list[str]:
     """Names of the outputs: the frames' names without their endings, with their folders' where two are the same."""
-    from pathlib import Path
-
     from sameas.errors import InputError
 
     stems = [_stem(path) for path in paths]
@@ -138,8 +179,6 @@ def _names(paths: list[str]) -> list[str]:
 
 
 def _stem(path: str) -> str:
-    from pathlib import Path
-
     name = Path(path).name
     for packed in (".gz", ".fz"):
         name = name.removesuffix(packed)

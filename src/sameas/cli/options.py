@@ -1,6 +1,7 @@
-"""Options of the columns: one small table, from which every catalogue gets the same options.
+"""Options: declared once for all commands, and how the arguments of the library are named by them.
 
-``--ra`` speaks of both catalogues, ``--ra1`` of the first and ``--ra2`` of the second; the last two win.
+``--ra`` speaks of all catalogues, ``--ra1`` of the first and ``--ra2`` of the second; those with a number win. Options
+that only one command has stand in its signature.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import inspect
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -35,6 +37,18 @@ class ColumnOption:
         """The name as a parameter of a function."""
         return self.name.replace("-", "_")
 
+    def spelled(self, side: str, panel: str, hidden: bool) -> inspect.Parameter:
+        """The parameter for typer to read: of the catalogue of a number, or of all where ``side`` is empty."""
+        declared = option(
+            f"--{self.name}{side}", panel=panel, metavar=self.metavar, help="" if side else self.help, hidden=hidden
+        )
+        return inspect.Parameter(
+            self.parameter + side,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=None,
+            annotation=Annotated[self.kind | None, declared],
+        )
+
 
 COLUMN_OPTIONS = (
     ColumnOption("ra", "ra", "NAME", "Column of right ascension."),
@@ -53,56 +67,59 @@ COLUMN_OPTIONS = (
     ColumnOption("sigma-floor", "sigma_floor_arcsec", "ARCSEC", "Quadratically added to the errors.", float),
     ColumnOption("missing-pm", "missing_pm_mas_per_yr", "MAS/YR", "Spread of unknown proper motions, 1σ.", float),
 )
-
 FILE_OPTIONS = (
     ColumnOption("format", "format", "NAME", "Format of a file whose extension does not tell it."),
     ColumnOption("hdu", "hdu", "HDU", "Number or name of the FITS extension."),
 )
 
-PANELS = {"": "Columns of both catalogues", "1": "First catalogue alone", "2": "Second catalogue alone"}
+
+def option(*names: str, panel: str | None = None, show_default: bool = False, **settings: Any) -> Any:
+    """An option for typer to read."""
+    return typer.Option(*names, rich_help_panel=panel, show_default=show_default, **settings)
 
 
-def with_columns(command: Callable[..., None]) -> Callable[..., None]:
-    """The command, its ``**columns`` spelled out as the options of the table, for typer to read."""
-    written = inspect.signature(command, eval_str=True)
-    kept = [p for p in written.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
-    spelled = [_parameter(option, side) for side in PANELS for option in COLUMN_OPTIONS]
-    command.__signature__ = written.replace(parameters=[*kept, *spelled])  # type: ignore[attr-defined]
-    command.__annotations__ = {p.name: p.annotation for p in (*kept, *spelled)}
-    return command
+def with_columns(
+    panels: Mapping[str, str], options: Sequence[ColumnOption] = COLUMN_OPTIONS, *, numbered_hidden: bool = False
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Makes a command's ``**columns`` the options of catalogues, for typer to read.
+
+    panels : by the number of a catalogue, "" for all, the title over its options.
+    """
+
+    def spelled(command: Callable[..., None]) -> Callable[..., None]:
+        written = inspect.signature(command, eval_str=True)
+        kept = [p for p in written.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
+        more = [
+            one.spelled(side, panel, numbered_hidden and side != "")
+            for side, panel in panels.items()
+            for one in options
+        ]
+        command.__signature__ = written.replace(parameters=[*kept, *more])  # type: ignore[attr-defined]
+        command.__annotations__ = {p.name: p.annotation for p in (*kept, *more)}
+        return command
+
+    return spelled
 
 
-def _parameter(option: ColumnOption, side: str) -> inspect.Parameter:
-    said = typer.Option(
-        f"--{option.name}{side}",
-        metavar=option.metavar,
-        help=option.help if not side else "",
-        rich_help_panel=PANELS[side],
-        show_default=False,
-    )
-    return inspect.Parameter(
-        option.parameter + side,
-        inspect.Parameter.KEYWORD_ONLY,
-        default=None,
-        annotation=Annotated[option.kind | None, said],
-    )
+def of_side(columns: Mapping[str, Any], parameter: str, side: int) -> Any:
+    """What was said of catalogue 1, 2, …: of it alone, else of all."""
+    own = columns.get(f"{parameter}{side}")
+    return columns.get(parameter) if own is None else own
 
 
 def fields_of(columns: Mapping[str, Any], side: int) -> dict[str, Any]:
-    """The fields of ``CatalogueOptions`` that the user said of catalogue 1 or 2."""
-    fields = {}
-    for option in COLUMN_OPTIONS:
-        said = columns.get(f"{option.parameter}{side}")
-        if said is None:
-            said = columns.get(option.parameter)
-        if said is not None:
-            fields[option.field] = ",".join(said) if isinstance(said, tuple) else said
-    return fields
+    """The fields of ``CatalogueOptions`` that the user said of catalogue 1, 2, …."""
+    values = {one.field: of_side(columns, one.parameter, side) for one in COLUMN_OPTIONS}
+    return {
+        field: ",".join(value) if isinstance(value, tuple) else value
+        for field, value in values.items()
+        if value is not None
+    }
 
 
 def option_of(argument: Argument, side: int = 0, columns: Mapping[str, Any] | None = None) -> str:
     """The option of an argument, with what to give it: that of catalogue ``side``, unless it was said of all."""
-    known = next((option for option in (*COLUMN_OPTIONS, *FILE_OPTIONS) if option.field == argument.name), None)
+    known = next((one for one in (*COLUMN_OPTIONS, *FILE_OPTIONS) if one.field == argument.name), None)
     name = argument.name.replace("_", "-") if known is None else known.name
     of_one = side and known is not None and (columns or {}).get(known.parameter) is None
     return f"--{name}{side if of_one else ''} {argument.value.strip(_QUOTES)}".rstrip()
@@ -127,17 +144,29 @@ def in_options(text: str, option: Callable[[Argument], str] = option_of) -> str:
     return text.with_options(option) if isinstance(text, Message) else text
 
 
-def one_of(names: Sequence[str]) -> Callable[[str | None], str | None]:
+def one_of(names: Sequence[str] | Callable[[], Sequence[str]]) -> Callable[[str | None], str | None]:
     """A check that an option has one of these values, which tells what was probably meant."""
 
     def check(value: str | None) -> str | None:
-        if value is None or value in names:
+        if value is None:
+            return None
+        known = names() if callable(names) else names
+        if value in known:
             return value
-        close = difflib.get_close_matches(value.lower(), names, n=2, cutoff=0.5)
+        close = difflib.get_close_matches(value.lower(), known, n=2, cutoff=0.5)
         hint = f"did you mean {' or '.join(close)}? " if close else ""
-        raise typer.BadParameter(f"{value!r} is not known; {hint}It is one of {', '.join(names)}.")
+        raise typer.BadParameter(f"{value!r} is not known; {hint}It is one of {', '.join(known)}.")
 
     return check
+
+
+def _format_names() -> Sequence[str]:
+    from sameas.io import known_formats
+
+    return tuple(known_formats())
+
+
+known_format = one_of(_format_names)
 
 
 def ellipses_split(arguments: Sequence[str]) -> list[str]:
@@ -152,3 +181,48 @@ def ellipses_split(arguments: Sequence[str]) -> list[str]:
         else:
             result.append(argument)
     return result
+
+
+# Options of several commands.
+
+THE_MATCH, FILES = "The match", "Files"
+Output = Annotated[
+    Path | None,
+    option("-o", "--output", metavar="OUT", help="The joined table; its format is that of the extension."),
+]
+ToEpoch = Annotated[
+    float | None,
+    option("--to-epoch", panel=THE_MATCH, metavar="YEAR", help="Common epoch that both catalogues are moved to."),
+]
+GateSigmas = Annotated[
+    float | None,
+    option(
+        "--gate-sigmas",
+        panel=THE_MATCH,
+        metavar="K",
+        help="Radius of the gate in quoted σ, instead of one as wide as the errors need.",
+    ),
+]
+ErrorScale = Annotated[
+    str,
+    option(
+        "--error-scale",
+        panel=THE_MATCH,
+        metavar="auto|FACTOR",
+        show_default=True,
+        help="Factor on the quoted errors: estimated with its spread, or given; 1 believes them.",
+    ),
+]
+Overwrite = Annotated[
+    bool,
+    option("--overwrite/--no-overwrite", panel=FILES, show_default=True, help="Whether OUT may exist already."),
+]
+DryRun = Annotated[
+    bool,
+    option(
+        "--dry-run", show_default=True, help="Print what is understood of the catalogues; identify and write nothing."
+    ),
+]
+Quiet = Annotated[bool, option("--quiet", "-q", show_default=True, help="Print doubts and errors only.")]
+Debug = Annotated[bool, option("--debug", show_default=True, help="Show the traceback of an error.")]
+Folder = Annotated[Path, option("-o", "--output", metavar="FOLDER", show_default=True, help="Where the outputs go.")]

@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from sameas.cli.arguments import Debug, Quiet
-from sameas.cli.options import one_of, sensor_option
+from sameas.cli.options import Debug, Folder, Quiet, one_of, option, sensor_option
 from sameas.cli.outcome import answering
 
 _TIMES, _METHOD, _FILES = "The instants", "The method", "Outputs"
 TABLES = ("parquet", "csv")
 _SECONDS = {"": 1.0, "s": 1.0, "sec": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0}
-
-
-def _option(*names: str, panel: str | None = None, **settings: Any) -> Any:
-    return typer.Option(*names, rich_help_panel=panel, show_default=settings.pop("show_default", False), **settings)
 
 
 def duration_s(text: str | None) -> float | None:
@@ -31,67 +26,52 @@ def duration_s(text: str | None) -> float | None:
     return float(found[1]) * _SECONDS[found[2]]
 
 
-Files = Annotated[
-    list[str] | None,
-    typer.Argument(
-        metavar="FILE...",
-        show_default=False,
-        help="What the sensors wrote: CSV, Parquet, JSON lines, AIS and ARPA NMEA, aircraft.json, SBS, Mode S, "
-        "ASTERIX. NAME=FILE names the source.",
-    ),
-]
-Sensors = Annotated[
-    Path | None,
-    _option(
-        "--sensors",
-        "-s",
-        metavar="TOML",
-        help="What is known of the sensors: place, coverage, errors, misses, biases; and their files.",
-    ),
-]
-Folder = Annotated[Path, _option("-o", "--output", metavar="FOLDER", show_default=True, help="Where the outputs go.")]
-Every = Annotated[
-    str | None, _option("--every", panel=_TIMES, metavar="10s", help="Time between instants; 10s, 2min, 1h.")
-]
-At = Annotated[str | None, _option("--at", panel=_TIMES, metavar="TIME", help="One instant only.")]
-Begin = Annotated[str | None, _option("--from", panel=_TIMES, metavar="TIME", help="The first instant.")]
-End = Annotated[str | None, _option("--to", panel=_TIMES, metavar="TIME", help="The last instant.")]
-Start = Annotated[
-    str | None,
-    _option("--start", panel=_TIMES, metavar="TIME", help="UTC of the first line of files that tell no date."),
-]
-NoRegistration = Annotated[
-    bool, _option("--no-registration", panel=_METHOD, help="Take the sensors' offsets as zero, or as described.")
-]
-NoIdentity = Annotated[
-    bool, _option("--no-identity", panel=_METHOD, help="Leave MMSI, ICAO address, callsign … out of the evidence.")
-]
-NoMemory = Annotated[
-    bool, _option("--no-memory", panel=_METHOD, help="Judge every instant alone, without what the tracks did before.")
-]
-TableFormat = Annotated[
-    str, _option("--format", panel=_FILES, metavar="parquet|csv", callback=one_of(TABLES), help="Of the tables.")
-]
-NoMap = Annotated[bool, _option("--no-map", panel=_FILES, help="No map.html.")]
-NoImage = Annotated[bool, _option("--no-image", panel=_FILES, help="No picture.png.")]
-
-
 def picture(
     ctx: typer.Context,
-    files: Files = None,
-    sensors: Sensors = None,
+    files: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="FILE...",
+            show_default=False,
+            help="What the sensors wrote: CSV, Parquet, JSON lines, AIS and ARPA NMEA, aircraft.json, SBS, Mode S, "
+            "ASTERIX. NAME=FILE names the source.",
+        ),
+    ] = None,
+    sensors: Annotated[
+        Path | None,
+        option(
+            "--sensors",
+            "-s",
+            metavar="TOML",
+            help="What is known of the sensors: place, coverage, errors, misses, biases; and their files.",
+        ),
+    ] = None,
     output: Folder = Path("picture"),
-    every: Every = None,
-    at: At = None,
-    begin: Begin = None,
-    end: End = None,
-    start: Start = None,
-    no_registration: NoRegistration = False,
-    no_identity: NoIdentity = False,
-    no_memory: NoMemory = False,
-    format: TableFormat = "parquet",
-    no_map: NoMap = False,
-    no_image: NoImage = False,
+    every: Annotated[
+        str | None, option("--every", panel=_TIMES, metavar="10s", help="Time between instants; 10s, 2min, 1h.")
+    ] = None,
+    at: Annotated[str | None, option("--at", panel=_TIMES, metavar="TIME", help="One instant only.")] = None,
+    begin: Annotated[str | None, option("--from", panel=_TIMES, metavar="TIME", help="The first instant.")] = None,
+    end: Annotated[str | None, option("--to", panel=_TIMES, metavar="TIME", help="The last instant.")] = None,
+    start: Annotated[
+        str | None,
+        option("--start", panel=_TIMES, metavar="TIME", help="UTC of the first line of files that tell no date."),
+    ] = None,
+    no_registration: Annotated[
+        bool, option("--no-registration", panel=_METHOD, help="Take the sensors' offsets as zero, or as described.")
+    ] = False,
+    no_identity: Annotated[
+        bool, option("--no-identity", panel=_METHOD, help="Leave MMSI, ICAO address, callsign … out of the evidence.")
+    ] = False,
+    no_memory: Annotated[
+        bool,
+        option("--no-memory", panel=_METHOD, help="Judge every instant alone, without what the tracks did before."),
+    ] = False,
+    format: Annotated[
+        str, option("--format", panel=_FILES, metavar="parquet|csv", callback=one_of(TABLES), help="Of the tables.")
+    ] = "parquet",
+    no_map: Annotated[bool, option("--no-map", panel=_FILES, help="No map.html.")] = False,
+    no_image: Annotated[bool, option("--no-image", panel=_FILES, help="No picture.png.")] = False,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-import sameas
+from sameas.cli.provenance import made_by
 from sameas.cli.terminal import notice
 from sameas.errors import InputError
 from sameas.io import checksum
@@ -49,8 +49,9 @@ class Made:
     def facts(self, command: str) -> dict[str, Any]:
         """How the outputs were made: the same for the same command on the same files."""
         files = list(dict.fromkeys(source.path for source in self.sources))
-        return {"program": "sameas", "version": sameas.__version__, "command": command,
-                "files": [str(path) for path in files], "sha256": [checksum(path) for path in files]}  # fmt: skip
+        return made_by(command) | {
+            "files": [str(path) for path in files], "sha256": [checksum(path) for path in files],
+        }  # fmt: skip
 
     def told(self) -> dict[str, Any]:
         """The summary as JSON has it."""

@@ -1,20 +1,22 @@
-"""Provenance: how an output was made, to be read by people and by ``sameas explain``."""
+"""Provenance: how an output was made, to be read by people and by ``sameas explain``.
+
+Flat mappings of plain values; the same for the same inputs and options, but for date and paths.
+"""
 
 from __future__ import annotations
 
 import math
 import platform
 from datetime import UTC, datetime
-from typing import Any
-
-import astropy
-import numba
-import numpy
+from typing import TYPE_CHECKING, Any
 
 import sameas
 from sameas.cli.options import in_options
-from sameas.cli.request import Request
-from sameas.sky.crossmatch import ARCSEC2_PER_DEG2, SkyMatch
+
+if TYPE_CHECKING:
+    from sameas.cli.request import Request
+    from sameas.sky.crossmatch import MatchOptions, SkyMatch
+    from sameas.sky.many import ManyMatch, ManyOptions
 
 #: What the terms of the error model are called in an output.
 ERROR_NAMES = {
@@ -26,16 +28,26 @@ ERROR_NAMES = {
 }
 
 
-def provenance(request: Request, match: SkyMatch, command: str) -> dict[str, Any]:
-    """A flat mapping of plain values; the same for the same inputs and options, but for date and paths."""
+def made_by(command: str) -> dict[str, Any]:
+    """Which program, and as what command."""
+    return {"program": "sameas", "version": sameas.__version__, "command": command}
+
+
+def _made_now(command: str) -> dict[str, Any]:
+    now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    return made_by(command) | {"date_utc": now, "python": platform.python_version()}
+
+
+def of_match(request: Request[MatchOptions], match: SkyMatch, command: str) -> dict[str, Any]:
+    """How the table of two catalogues was made."""
+    import astropy
+    import numba
+    import numpy
+
     result, estimate = match.result, match.estimate
     area, density_1, density_2 = match.area_and_densities
     return {
-        "program": "sameas",
-        "version": sameas.__version__,
-        "command": command,
-        "date_utc": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
-        "python": platform.python_version(),
+        **_made_now(command),
         "numpy": numpy.__version__,
         "numba": numba.__version__,
         "astropy": astropy.__version__,
@@ -101,8 +113,23 @@ def _quantities(match: SkyMatch) -> dict[str, float]:
     return facts
 
 
+def of_many(request: Request[ManyOptions], match: ManyMatch, command: str) -> dict[str, Any]:
+    """How the table of several catalogues was made."""
+    facts, given = _made_now(command), request.facts()
+    for k, catalogue in enumerate(match.catalogues, 1):
+        facts |= {name: given[name] for name in (f"input_{k}", f"sha256_{k}")}
+        facts |= {f"name_{k}": catalogue.name, f"rows_{k}": len(catalogue), f"epoch_{k}": catalogue.epoch_jyr}
+        facts[f"options_{k}"] = given[f"options_{k}"]
+    facts |= {"options_match": given["options_match"], "epoch_object": match.epoch_jyr}
+    facts |= {f"expected_{'_'.join(names)}": expected for names, expected in match.expected.items()}
+    doubts = [in_options(doubt) for doubt in match.doubts]
+    return facts | {"objects": len(match.objects), "rounds": match.rounds, "doubts": doubts}
+
+
 def _completeness(match: SkyMatch) -> dict[str, Any]:
     """By magnitude: the share of either catalogue that the other shows, and the density of those it does not show."""
+    from sameas.sky.crossmatch import ARCSEC2_PER_DEG2
+
     facts: dict[str, Any] = {}
     for side, curve in ((1, match.estimate.detection_1), (2, match.estimate.detection_2)):
         if curve is not None:

@@ -5,6 +5,6 @@
 - :class:`Box`: within so many standard deviations on every axis by itself, as the papers do it.
 """
 
-from sameas.gate.gate import DEFAULT_COMPLETENESS, Box, ChiSquare, Pairs, Radius
+from sameas.gate.gate import DEFAULT_COMPLETENESS, DEFAULT_GATE, Box, ChiSquare, Pairs, Radius
 
-__all__ = ["DEFAULT_COMPLETENESS", "Box", "ChiSquare", "Pairs", "Radius"]
+__all__ = ["DEFAULT_COMPLETENESS", "DEFAULT_GATE", "Box", "ChiSquare", "Pairs", "Radius"]

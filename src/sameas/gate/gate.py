@@ -121,6 +121,9 @@ class ChiSquare:
         )
 
 
+DEFAULT_GATE = ChiSquare()
+
+
 @dataclass(frozen=True)
 class Radius:
     """Mahalanobis distance within ``sigmas``: Δᵀ Σ⁻¹ Δ ≤ sigmas²."""

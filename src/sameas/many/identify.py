@@ -12,18 +12,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from sameas.gate import ChiSquare, Pairs
+from sameas.gate import DEFAULT_GATE, Pairs
 from sameas.many.marginals import answer
 from sameas.many.objects import Objects
 from sameas.many.observations import Region, Source
 from sameas.many.pooled import union
 from sameas.many.rules import MissedObjects, SetPrior, SetRule, terms_of
 from sameas.many.sets import candidate_sets
-from sameas.prior import PerPair
+from sameas.prior import EVIDENCE_ALONE
 from sameas.records import Records
-
-EVIDENCE_ALONE = PerPair(0.0)
-DEFAULT_GATE = ChiSquare()
 
 
 def identify_many(

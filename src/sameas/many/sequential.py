@@ -16,18 +16,15 @@ from sameas._identify import identify
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.evidence import PoissonField, Rule
-from sameas.gate import ChiSquare, Pairs
+from sameas.gate import DEFAULT_GATE, Pairs
 from sameas.many.marginals import EXACT, Answer
 from sameas.many.objects import Objects
 from sameas.many.pooled import PooledRecords, numbered_groups, union
 from sameas.many.rules import MissedObjects, Pairwise, PoissonObjects, SetPrior, SetRule, parts_of
 from sameas.many.sets import Sets
-from sameas.prior import CommonObjects, PerPair, Prior
+from sameas.prior import EVIDENCE_ALONE, CommonObjects, Prior
 from sameas.ragged import Ragged
 from sameas.records import Records
-
-EVIDENCE_ALONE = PerPair(0.0)
-DEFAULT_GATE = ChiSquare()
 
 
 def identify_sequentially(

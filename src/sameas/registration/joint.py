@@ -9,13 +9,13 @@ from functools import cached_property
 
 import numpy as np
 
-from sameas._identify import EVIDENCE_ALONE, identify
+from sameas._identify import identify
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.estimate.match import match
 from sameas.evidence import Errors, Rule
 from sameas.gaussian import propagated
-from sameas.prior import Prior
+from sameas.prior import EVIDENCE_ALONE, Prior
 from sameas.records import Records
 from sameas.registration.hough import Votes, vote
 from sameas.registration.offsets import Offset

@@ -8,11 +8,9 @@ import numpy as np
 
 from sameas.records import Records
 from sameas.report.prose import DOUBT, count, entry, figures
+from sameas.result.identification import AMBIGUOUS
 from sameas.sky.column_choice import in_years
 from sameas.sky.many import ManyMatch
-
-#: Objects less probable than this are called ambiguous.
-AMBIGUOUS = 0.9
 
 
 def estimate_lines(match: ManyMatch, words: Callable[[str], str] = str) -> list[str]:

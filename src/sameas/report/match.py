@@ -22,11 +22,10 @@ from sameas.records import Records
 from sameas.report.findings import common_objects, findings
 from sameas.report.prose import DOUBT, LABEL, count, entry, figures, percent
 from sameas.result import Answers
+from sameas.result.identification import AMBIGUOUS
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.crossmatch import SkyMatch, area_and_densities
 
-#: Identified pairs less probable than this are called ambiguous.
-AMBIGUOUS = 0.9
 ORDINALS = ("First", "Second", "Third", "Fourth", "Fifth", "Sixth", "Seventh", "Eighth")
 #: A radius within which nearest neighbours are often believed.
 USUAL_RADIUS_ARCSEC = 5.0

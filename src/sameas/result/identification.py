@@ -26,6 +26,9 @@ from sameas.posterior import APPROXIMATE, METHODS, Posterior
 from sameas.records import Records
 from sameas.result.explanation import Explanation, explain
 
+#: An answer less probable than this is called ambiguous.
+AMBIGUOUS = 0.9
+
 
 @dataclass(frozen=True)
 class Matches:

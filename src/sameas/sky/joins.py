@@ -29,11 +29,10 @@ from sameas.errors import InputError
 from sameas.kernels import threads
 from sameas.result import Answers, Identification
 from sameas.sky.crossmatch import SkyMatch
+from sameas.sky.join_types import JOINS
 
 #: Row of a partner that does not exist; within this module only, tables carry masks.
 NO_PARTNER = -1
-
-JOINS = ("1and2", "1or2", "all1", "all2", "1not2", "2not1", "1xor2", "pairs")
 
 _UNITS = {"sep_arcsec": "arcsec", "dx_arcsec": "arcsec", "dy_arcsec": "arcsec"}
 _WORDS = {
@@ -80,12 +79,13 @@ class _JoinedRows:
         return self.one >= 0
 
 
-def joined(match: SkyMatch, join: str = "all1", *, nway_columns: bool = False) -> Table:
+def joined(match: SkyMatch, join: str = JOINS[0], *, nway_columns: bool = False) -> Table:
     """The joined table.
 
     Parameters
     ----------
-    join : one of :data:`JOINS`. nway_columns : add ``p_any``, ``p_i`` and ``dist_bayesfactor`` by NWAY's names.
+    join : one of :data:`~sameas.sky.join_types.JOINS`.
+    nway_columns : add ``p_any``, ``p_i`` and ``dist_bayesfactor`` by NWAY's names.
 
     Raises
     ------

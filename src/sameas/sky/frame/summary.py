@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from sameas.result.identification import AMBIGUOUS
 from sameas.sky.frame.identified import FrameIdentification
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.place import odds_in_words
 from sameas.sky.frame.tangent import directions_deg
 
-#: Identified pairs less probable than this are called ambiguous.
-AMBIGUOUS = 0.9
 #: What the terms of the error model are called in a summary.
 ERROR_NAMES = {
     "factor_1": "error_factor_frame",

@@ -1,0 +1,290 @@
+"""``sameas match``: two catalogues read, understood, identified and joined."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sameas.cli.options import (
+    FILES,
+    THE_MATCH,
+    Debug,
+    DryRun,
+    ErrorScale,
+    GateSigmas,
+    Output,
+    Overwrite,
+    Quiet,
+    ToEpoch,
+    in_options,
+    known_format,
+    one_of,
+    option,
+    with_columns,
+)
+from sameas.cli.outcome import answering
+from sameas.errors import InputError
+from sameas.sky.join_types import JOINS
+
+if TYPE_CHECKING:
+    from sameas.cli.outputs import Outputs
+    from sameas.cli.request import Request
+    from sameas.cli.terminal import Pace, Printer
+    from sameas.sky.catalogue import Catalogue
+    from sameas.sky.crossmatch import MatchOptions, SkyMatch
+
+_PANELS = {"": "Columns of both catalogues", "1": "First catalogue alone", "2": "Second catalogue alone"}
+
+
+@with_columns(_PANELS)
+def match(
+    ctx: typer.Context,
+    first: Annotated[
+        Path,
+        typer.Argument(
+            metavar="A", help="First catalogue: FITS, VOTable, ECSV, CSV or Parquet.", show_default=False
+        ),
+    ],
+    second: Annotated[Path, typer.Argument(metavar="B", help="Second catalogue.", show_default=False)],
+    output: Output = None,
+    join: Annotated[
+        str,
+        option(
+            "--join", metavar="TYPE", callback=one_of(JOINS), show_default=True,
+            help=f"Rows of the output: {', '.join(JOINS)}.",
+        ),
+    ] = JOINS[0],
+    nway_columns: Annotated[
+        bool, option("--nway-columns", show_default=True, help="Add p_any, p_i and dist_bayesfactor of NWAY.")
+    ] = False,
+    compare_nearest: Annotated[
+        bool,
+        option(
+            "--compare-nearest", show_default=True, help="Print what the nearest neighbour would say beside it."
+        ),
+    ] = False,
+    certify: Annotated[
+        bool,
+        option(
+            "--certify", show_default=True,
+            help="Prove that no other one-to-one answer is more probable, and print the proof.",
+        ),
+    ] = False,
+    pictures: Annotated[
+        Path | None,
+        option(
+            "--pictures", metavar="FOLDER", help="Draw residuals, errors, certainty and brightness into a folder."
+        ),
+    ] = None,
+    dry_run: DryRun = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+    to_epoch: ToEpoch = None,
+    gate_sigmas: GateSigmas = None,
+    error_scale: ErrorScale = "auto",
+    density: Annotated[
+        str | None,
+        option(
+            "--density", panel=THE_MATCH, metavar="N1,N2",
+            help="Records per square degree of A and B, instead of local densities from the data.",
+        ),
+    ] = None,
+    magnitudes: Annotated[
+        str,
+        option(
+            "--magnitudes", panel=THE_MATCH, metavar="auto|off|A,…:B,…", show_default=True,
+            help="Magnitudes as evidence: those of both catalogues, none, or columns of A and of B.",
+        ),
+    ] = "auto",
+    precision: Annotated[
+        bool,
+        option(
+            "--precision/--no-precision", panel=THE_MATCH, show_default=True,
+            help="Whether the sizes of the quoted errors are evidence too, where magnitudes tell too little.",
+        ),
+    ] = True,
+    offset: Annotated[
+        str,
+        option(
+            "--offset", panel=THE_MATCH, metavar="none|find", callback=one_of(("none", "find")), show_default=True,
+            help="Find the shift and turn of B against A, and take it away.",
+        ),
+    ] = "none",
+    hdu1: Annotated[
+        str | None, option("--hdu1", panel=FILES, metavar="HDU", help="Number or name of the FITS extension of A.")
+    ] = None,
+    hdu2: Annotated[str | None, option("--hdu2", panel=FILES, metavar="HDU", help="The same of B.")] = None,
+    format1: Annotated[
+        str | None,
+        option(
+            "--format1", panel=FILES, metavar="NAME", callback=known_format,
+            help="Format of A where its extension does not tell it.",
+        ),
+    ] = None,
+    format2: Annotated[
+        str | None,
+        option("--format2", panel=FILES, metavar="NAME", callback=known_format, help="The same of B."),
+    ] = None,
+    out_format: Annotated[
+        str | None,
+        option("--out-format", panel=FILES, metavar="NAME", callback=known_format, help="The same of OUT."),
+    ] = None,
+    overwrite: Overwrite = True,
+    **columns: Any,
+) -> None:  # fmt: skip
+    """Identify the records of two catalogues and join their tables.
+
+    Columns, units, epochs and errors are recognised and printed; options say what cannot be known.
+    """
+    if output is None and not dry_run:
+        raise typer.BadParameter("say -o OUT, the table to write (or --dry-run)", param_hint="-o")
+    with answering(debug):
+        from sameas.cli.outputs import Outputs
+        from sameas.cli.request import Request
+
+        columns |= {"format1": format1, "format2": format2, "hdu1": hdu1, "hdu2": hdu2}
+        options = match_options(to_epoch, gate_sigmas, error_scale, density, magnitudes, offset, precision)
+        request = Request((str(first), str(second)), options, columns)
+        if output is None or dry_run:
+            look(request, quiet)
+        else:
+            joining = Joining(join, nway_columns, compare_nearest, certify, pictures)
+            run(request, joining, Outputs(output, out_format, overwrite, ctx.meta["typed"]), quiet)
+
+
+@dataclass(frozen=True)
+class Joining:
+    """What the joined table holds, and what is said and drawn beside it."""
+
+    join: str
+    nway_columns: bool
+    compare_nearest: bool
+    certify: bool
+    pictures: Path | None
+
+
+def match_options(
+    to_epoch: float | None,
+    gate_sigmas: float | None,
+    error_scale: str,
+    density: str | None,
+    magnitudes: str,
+    offset: str,
+    precision: bool,
+) -> MatchOptions:
+    """The options of the match, refused at once where they make no sense."""
+    from sameas.sky.bands import AUTO, OFF
+    from sameas.sky.crossmatch import MatchOptions
+
+    options = MatchOptions(
+        to_epoch, gate_sigmas, error_scale, magnitudes=magnitudes, offset=offset, precision=precision
+    )
+    if density is not None:
+        try:
+            one, two = (float(part) for part in density.split(","))
+        except ValueError:
+            raise InputError(
+                f"--density {density}: give two numbers N1,N2, records per square degree of either catalogue"
+            ) from None
+        options = replace(options, density_per_deg2=(one, two))
+    if magnitudes not in (AUTO, OFF) and magnitudes.count(":") != 1:
+        raise InputError(f"--magnitudes {magnitudes}: give auto, off, or columns of both catalogues, A,…:B,…")
+    for check in (options.errors, options.gate, options.density):
+        check()
+    return options
+
+
+def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quiet: bool) -> None:
+    """Match, print, write."""
+    from sameas.cli.provenance import of_match
+    from sameas.cli.terminal import Pace, Printer, tell_compilation
+    from sameas.report.match import estimate_lines, nearest_lines, summary_lines
+    from sameas.sky import crossmatch
+    from sameas.sky.joins import joined
+
+    if joining.pictures is not None:
+        from sameas.plots.sheet import required
+
+        required()
+    outputs.check(request.paths)
+    began = time.perf_counter()
+    printer = Printer(quiet)
+    with Pace(quiet) as pace:
+        first, second = _understood(request, printer, pace)
+        if not quiet:
+            tell_compilation()
+        match = request.naming_sides(lambda: crossmatch.match(first, second, request.options, progress=pace))
+        pace("report")
+        lines = [*estimate_lines(match, in_options), "", *summary_lines(match)]
+        if joining.compare_nearest:
+            lines += ["", *nearest_lines(match)]
+        if joining.certify:
+            match.result.best.certify(match.result.groups)
+            lines += ["", f"Certificate: {match.result.best.certificate(match.result.groups)}"]
+        pace.pause()
+        printer(lines)
+        pace("joining the tables")
+        table = joined(match, joining.join, nway_columns=joining.nway_columns)
+        pace(f"writing {outputs.path}")
+        written = outputs.write(table, of_match(request, match, outputs.command), joining.join)
+    printer(["", written])
+    if joining.pictures is not None:
+        printer([f"Pictures: {joining.pictures}/: {', '.join(drawn(match, joining.pictures))}"])
+    printer([f"Time: {time.perf_counter() - began:.1f} s; peak memory: {_peak_memory()}"])
+
+
+def look(request: Request[MatchOptions], quiet: bool) -> None:
+    """Print what is understood of both catalogues, where they look and how densely; write nothing."""
+    from sameas.cli.terminal import Pace, Printer
+    from sameas.estimate.coverage import Coverage
+    from sameas.report.match import coverage_lines
+    from sameas.sky.crossmatch import brought_together, density_doubts
+
+    printer = Printer(quiet)
+    with Pace(quiet) as pace:
+        first, second = _understood(request, printer, pace)
+        pace("motion")
+        together = request.naming_sides(lambda: brought_together(first, second, request.options.epoch_jyr))
+        _, moved, one, two = together
+        pace("densities")
+        coverage = Coverage.of(one, two)
+        lines = coverage_lines(moved, coverage, density_doubts(coverage, request.options))
+    printer([*lines, "", "Nothing was identified or written (--dry-run)."])
+
+
+def _understood(request: Request[MatchOptions], printer: Printer, pace: Pace) -> tuple[Catalogue, Catalogue]:
+    """Both catalogues, printed as soon as each is understood."""
+    from sameas.report.prose import DOUBT
+
+    first, second = request.catalogues(printer, pace)
+    if os.path.samefile(*request.paths):
+        printer([f"{DOUBT}{request.paths[0]} is given twice: every record will be found to be itself", ""])
+    return first, second
+
+
+def drawn(match: SkyMatch, folder: Path) -> list[str]:
+    """Draws every picture that there is something to draw for; the names of the files."""
+    from sameas import plots
+
+    folder.mkdir(parents=True, exist_ok=True)
+    names = []
+    for name, figure in plots.every(match):
+        plots.save(figure, folder / f"{name}.png")
+        names.append(f"{name}.png")
+    return names
+
+
+def _peak_memory() -> str:
+    try:
+        import resource
+    except ImportError:  # Windows
+        return "not known"
+    import sys
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    return f"{peak / 1e9:.2f} GB" if peak > 1e9 else f"{peak / 1e6:.0f} MB"
