@@ -6,6 +6,7 @@ import pytest
 from sameas import identify_many
 from sameas.many.observations import records_of
 from sameas.tracks.feed import Feed, need_filtering
+from sameas.tracks.placement import PlacedReports
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
 from sameas.tracks.source import Description, MissRate, SensorErrors, Site
@@ -32,7 +33,7 @@ SPEEDS = {"speed_m_per_s": [4.0, np.nan], "course_deg": [10.0, np.nan]}
 )
 def test_plots_with_names_and_without_velocities_are_to_be_filtered(kind, wrote, columns, needed):
     about = Description("one", kind, site=Site(east_m=0.0, north_m=0.0))
-    assert need_filtering(about, Reports.of("one", wrote, columns)) is needed
+    assert need_filtering(PlacedReports(about, Reports.of("one", wrote, columns))) is needed
 
 
 def vessels(rng, n=60, width_m=6e3):
@@ -70,11 +71,11 @@ def test_whether_a_tracker_that_tells_velocities_tells_plots_or_smoothed_places_
     smoothed = {"x_m": tracks.state[:, 0], "y_m": tracks.state[:, 1]}
     # A tracker's tracks are reported when they have settled.
     settled = Reports.of("radar", "table", names | velocity | smoothed).where(radar.time_s > 120.0)
-    assert need_filtering(about, plots)
-    assert not need_filtering(about, settled)
+    assert need_filtering(PlacedReports(about, plots))
+    assert not need_filtering(PlacedReports(about, settled))
     # Few reports tell nothing.
-    assert not need_filtering(about, plots.where(np.arange(40)))
-    assert not need_filtering(Description("radar", "tracks", errors=about.errors), plots)
+    assert not need_filtering(PlacedReports(about, plots.where(np.arange(40))))
+    assert not need_filtering(PlacedReports(Description("radar", "tracks", errors=about.errors), plots))
 
 
 def f1_of_pairs(scene, instants_s):

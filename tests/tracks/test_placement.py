@@ -6,7 +6,7 @@ import pytest
 from sameas.errors import InputError
 from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.placement import Directions, SlowBearing, placed, supposed
+from sameas.tracks.placement import Directions, PlacedReports, SlowBearing
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description, Motion, SensorErrors, Site, Targets, Timing
 
@@ -14,6 +14,10 @@ pymap3d = pytest.importorskip("pymap3d")
 PLANE = LocalPlane(54.0, 10.0)
 SITE = Site(54.1, 10.2, 40.0)
 LAT, LON = np.array([54.05, 54.2]), np.array([10.25, 9.9])
+
+
+def placed(description, reports, plane=None):
+    return PlacedReports(description, reports, plane).in_plane
 
 
 def test_geodetic_polar_and_local_positions_of_one_object_agree():
@@ -114,7 +118,7 @@ def test_places_without_errors_are_as_good_as_the_radar_measures():
     said = Reports.of("radar", "table", {"time_s": np.zeros(6), "lat_deg": lat, "lon_deg": lon})
     told = placed(radar, said, PLANE)
     np.testing.assert_allclose(told.covariance[:, :2, :2], measured.covariance[:, :2, :2], rtol=0.02, atol=10.0)
-    assert supposed(radar, said) == (
+    assert PlacedReports(radar, said).errors_note == (
         "radar: 6 positions state no errors; they are taken to be as good as a range ± 15 m ± 0.5 % and a bearing "
         "± 0.5°; errors.position_m says better",
     )
@@ -122,14 +126,14 @@ def test_places_without_errors_are_as_good_as_the_radar_measures():
     bare = Description("radar", "marine radar")
     sigma = np.hypot(0.25 * 44_448.0 * np.radians(0.5), 15.0)
     np.testing.assert_allclose(placed(bare, said, PLANE).covariance[:, 0, 0], sigma**2, rtol=0.02)
-    assert "a bearing ± 0.5° at 11.1 km, since nothing says where it stands" in supposed(bare, said)[0]
+    assert "a bearing ± 0.5° at 11.1 km, since nothing says where it stands" in PlacedReports(bare, said).errors_note[0]
     # In metres of the user's own, and where errors are described or stated.
     flat = Description("radar", "marine radar", site=Site(east_m=0.0, north_m=0.0))
     here = {"time_s": [0.0], "x_m": [0.0], "y_m": [10e3]}
     spread = placed(flat, Reports.of("radar", "table", here)).covariance[0, :2, :2]
     np.testing.assert_allclose(np.sqrt(np.diag(spread)), [np.hypot(87.3, 15.0), np.hypot(52.2, 15.0)], rtol=0.01)
     known = Description("radar", "marine radar", site=SITE, errors=SensorErrors(position_m=7.0, extent_m=0.0))
-    assert supposed(known, said) == ()
+    assert PlacedReports(known, said).errors_note == ()
     np.testing.assert_allclose(placed(known, said, PLANE).covariance[:, 0, 0], 49.0, rtol=1e-3)
 
 

@@ -28,7 +28,7 @@ from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane, geodesy, turned
 from sameas.tracks.feed import walk_of
 from sameas.tracks.filter import follow
-from sameas.tracks.placement import placed
+from sameas.tracks.placement import PlacedReports
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description
 
@@ -183,12 +183,12 @@ def _stiffness_s3(description: Description) -> float:
 
 
 def _names(reports: Reports) -> NDArray[np.str_]:
-    column = next((c for c in (reports.track_id, reports.mmsi, reports.icao) if c is not None), None)
-    if column is None:
+    ids = reports.object_ids
+    if ids is None:
         raise InputError(
             f"{reports.source}: reports do not name their objects; true motion needs track_id, mmsi or icao"
         )
-    return np.array(["" if name is None else str(name) for name in column], dtype=str)
+    return np.array(["" if name is None else str(name) for name in ids], dtype=str)
 
 
 # Numbers of tracks that a modelled sensor gives to its plots, and the velocities that come of following them.
@@ -261,9 +261,9 @@ def tracked(
 
 def _followed(description: Description, reports: Reports, plane: LocalPlane) -> tuple[FloatArray, FloatArray]:
     """(n, 2) velocities east and north that a filter over each track has come to, and (n, 3) their covariances."""
-    there = placed(description, reports, plane)
-    assert isinstance(there, States)
-    state = follow(there, acceleration_m2_per_s3=walk_of(description)).states
+    placed = PlacedReports(description, reports, plane).in_plane
+    assert isinstance(placed, States)
+    state = follow(placed, acceleration_m2_per_s3=walk_of(description)).states
     back = np.asarray(np.linalg.inv(plane.turn(*plane.to_geodetic(state.state[:, :2]))), np.float64)
     velocity = np.einsum("nvw,nw->nv", back, state.state[:, 2:])
     return velocity, turned(state.covariance[:, 2:, 2:], back)[:, [0, 0, 1], [0, 1, 1]]

@@ -21,7 +21,7 @@ from sameas.tracks.biases import corrected
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.duplicate_ids import split_duplicate_ids
 from sameas.tracks.filter import follow, measures_anew
-from sameas.tracks.placement import Directions, placed, sensor_places, set_aside, supposed
+from sameas.tracks.placement import Directions, PlacedReports
 from sameas.tracks.reports import Reports
 from sameas.tracks.scans import AntennaRotation, scans_of, seen_from
 from sameas.tracks.source import Description, Motion
@@ -196,17 +196,24 @@ class Feed:
         scan_times_s: ArrayLike | None = None,
         to_tracks: bool = False,
     ) -> Feed:
-        """A feed of what a reader gave.
+        """A feed of what a reader gave; see :meth:`of_placed`."""
+        placed = PlacedReports(description, reports, plane)
+        return cls.of_placed(placed, scan_times_s=scan_times_s, to_tracks=to_tracks)
+
+    @classmethod
+    def of_placed(
+        cls, placed: PlacedReports, *, scan_times_s: ArrayLike | None = None, to_tracks: bool = False
+    ) -> Feed:
+        """A feed of reports in their plane.
 
         Parameters
         ----------
-        scan_times_s : times of all looks of a source of bare plots, those that showed nothing among them. Without it a
-            look that showed nothing is not known of, and the one before it stands until it is too old to tell.
-        to_tracks : whether reports with names are to be filtered to tracks first (:func:`need_filtering`).
+        scan_times_s : times of all scans of a source of bare plots, empty scans included. Without it an empty scan is
+            not known of, and the scan before it stands until it is too old to tell objects apart.
+        to_tracks : whether reports with ids are to be filtered to tracks first (:func:`need_filtering`).
         """
-        there = placed(description, reports, plane)
-        notes = set_aside(reports, there) + supposed(description, reports)
-        sensor_m = sensor_places(description, reports, plane)
+        description, reports, there = placed.description, placed.reports, placed.in_plane
+        notes, sensor_m = placed.notes, placed.sensor_m
         biases = known_biases(description, sensor_m)
         there = corrected(there, sensor_m, biases) if biases.any() else there
         if isinstance(there, States):
@@ -331,25 +338,24 @@ def known_biases(description: Description, sensor_m: FloatArray | None) -> Float
     return np.array([value or 0.0 for value in (*polar, None, given.east_m, given.north_m)], dtype=np.float64)
 
 
-def need_filtering(description: Description, reports: Reports, plane: LocalPlane | None = None) -> bool:
-    """Whether reports are single measurements under names of their objects, which only a filter makes tracks.
+def need_filtering(placed: PlacedReports) -> bool:
+    """Whether reports are single measurements under ids of their objects, which only a filter makes tracks.
 
-    They are where none tells a velocity, and the plots of ASTERIX 048 are whatever a tracker says beside them. Others
-    that tell velocities are where they scatter as single measurements do (:func:`sameas.tracks.filter.measures_anew`).
-    Targets of an ARPA and tracks of another system are smoothed already, and satellite positions with velocities have
-    all that is needed.
+    Reports without velocities are, and the plots of ASTERIX 048 with or without velocities. Other reports with
+    velocities are where they scatter as single measurements do (:func:`sameas.tracks.filter.measures_anew`). Targets of
+    an ARPA and tracks of another system are smoothed already; satellite positions with velocities need no filter.
     """
-    names = (reports.track_id, reports.mmsi, reports.icao)
+    description, reports = placed.description, placed.reports
     smoothed = reports.kind == "arpa" or description.kind == "tracks"
-    if smoothed or reports.position == "bearing" or all(column is None for column in names):
+    if smoothed or reports.position == "bearing" or reports.object_ids is None:
         return False
     velocity = reports.velocity_m_per_s()
     if velocity is None or not np.isfinite(velocity).any() or reports.kind == "asterix 048":
         return True
     if description.kind in LASTING:
         return False
-    there = placed(description, reports, plane)
-    return isinstance(there, States) and measures_anew(there, acceleration_m2_per_s3=walk_of(description))
+    states = placed.in_plane
+    return isinstance(states, States) and measures_anew(states, acceleration_m2_per_s3=walk_of(description))
 
 
 def _in_place(reports: States, tracks: States) -> States:

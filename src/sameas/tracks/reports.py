@@ -192,6 +192,11 @@ class Reports:
             return "local"
         return "polar" if self.range_m is not None else "bearing"
 
+    @property
+    def object_ids(self) -> TextArray | None:
+        """(n,) the source's ids of its objects: track_id, MMSI or ICAO address, the first that is there; else None."""
+        return next((ids for ids in (self.track_id, self.mmsi, self.icao) if ids is not None), None)
+
     def columns(self) -> dict[str, NDArray[Any]]:
         """The columns that are there, by name; those of ``extra`` after the others."""
         own = {name: getattr(self, name) for name in _COLUMNS}

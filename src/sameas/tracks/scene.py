@@ -36,6 +36,7 @@ from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.doubts import apart, doubts
 from sameas.tracks.feed import Feed, need_filtering
+from sameas.tracks.placement import PlacedReports
 from sameas.tracks.registration import SourceBiases, registered
 from sameas.tracks.reports import Reports
 from sameas.tracks.snapshot import POSITION, POSITION_AND_VELOCITY, Snapshot
@@ -65,10 +66,8 @@ class Scene:
         names = [description.name for description, _ in sources]
         if len(set(names)) < len(names):
             raise InputError(f"two sources are called {max(names, key=names.count)}; give every source its own name")
-        feeds = (
-            Feed.of(said, reports, plane, to_tracks=need_filtering(said, reports, plane)) for said, reports in sources
-        )
-        return cls(tuple(feeds), plane)
+        every = (PlacedReports(description, reports, plane) for description, reports in sources)
+        return cls(tuple(Feed.of_placed(placed, to_tracks=need_filtering(placed)) for placed in every), plane)
 
     @property
     def span_s(self) -> tuple[float, float]:
