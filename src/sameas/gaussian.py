@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,9 +32,9 @@ def inverse(covariance: FloatArray) -> FloatArray:
     return symmetric(np.asarray(np.linalg.inv(covariance), np.float64))
 
 
-def propagated(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:
+def propagated(jacobian: NDArray[np.floating[Any]], covariance: FloatArray) -> FloatArray:
     """(…, m, m) J Σ Jᵀ, the covariance (…, d, d) after a linear map (…, m, d); symmetric to the last digit."""
-    return symmetric(jacobian @ covariance @ np.swapaxes(jacobian, -1, -2))
+    return symmetric(np.asarray(jacobian @ covariance @ np.swapaxes(jacobian, -1, -2), np.float64))
 
 
 def log_determinant(matrix: FloatArray) -> FloatArray:
@@ -84,7 +85,7 @@ class Gaussian:
 
         cross : C (…, d, m), the covariance of x with y. innovation : y − ȳ (…, m). total : S (…, m, m), that of y.
         """
-        gain = cross @ np.linalg.inv(total)
+        gain = cross @ inverse(total)
         mean = self.mean + np.einsum("...vw,...w->...v", gain, innovation)
         return Gaussian(mean, symmetric(self.covariance - gain @ np.swapaxes(cross, -1, -2)))
 
@@ -93,7 +94,12 @@ class Gaussian:
         m = measurement.mean.shape[-1]
         innovation = measurement.mean - self.mean[..., :m]
         total = self.covariance[..., :m, :m] + measurement.covariance
-        return self.conditional(self.covariance[..., :m], innovation, total)
+        if m < self.mean.shape[-1]:
+            return self.conditional(self.covariance[..., :m], innovation, total)
+        # P − K P loses digits where the measurement is much more precise; K R does not.
+        gain = self.covariance @ inverse(total)
+        mean = self.mean + np.einsum("...vw,...w->...v", gain, innovation)
+        return Gaussian(mean, symmetric(gain @ measurement.covariance))
 
     def product(self, weights: FloatArray | None = None) -> Gaussian:
         """The Gaussians (…, k, d) of each row as one (…, d): the product of their densities, normalised.

@@ -41,12 +41,12 @@ from sameas.evidence.densities import Displacement, Flat, GaussianMixture, Sampl
 from sameas.evidence.fields import ConstantCost, DetectionField, Field, PoissonField
 from sameas.evidence.identity import MODELS, Alarm, Category, Code, Identity, Model, Size, alarms
 from sameas.evidence.precision import Precision, TrainingPairs
-from sameas.evidence.residuals import LOG_2PI, Errors
+from sameas.evidence.residuals import Errors
 from sameas.evidence.rule import Evidence, Rule, Sum
 from sameas.evidence.universal import Universal
 
 __all__ = [
-    "LOG_2PI", "MODELS", "Alarm", "Brightness", "Category", "Chain", "CloseObjects", "Code", "Comparison",
+    "MODELS", "Alarm", "Brightness", "Category", "Chain", "CloseObjects", "Code", "Comparison",
     "Comparisons", "ConstantCost", "DetectionField", "Displacement", "Errors", "Evidence", "Field", "Flat",
     "GaussianMixture", "Identity", "MagnitudeDensity", "Magnitudes", "MeasuredMagnitudes", "Model", "Pattern",
     "PoissonField", "Precision", "Regressors", "Relation", "Rule", "Samples", "Size", "SourceMagnitudes", "Sum",

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
-from sameas.evidence.residuals import LOG_2PI
+from sameas.gaussian import LOG_2PI
 
 
 def log_neighbour_density(delta: FloatArray, sigma: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:

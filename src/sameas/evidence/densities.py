@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
-from sameas.evidence.residuals import LOG_2PI
+from sameas.gaussian import Gaussian, log_density
 
 #: Takes positions (n, d), gives densities (n,).
 DensityFunction = Callable[[FloatArray], FloatArray]
@@ -39,7 +39,7 @@ class Flat:
 
     def log_common(self, x1: FloatArray, s1: FloatArray, x2: FloatArray, s2: FloatArray) -> FloatArray:
         """(…, 1) ln ∫ p(M) N(x1; M, s1) N(x2; M, s2) dM."""
-        return (log_normal(x1 - x2, s1 + s2) + math.log(self.density))[..., None]
+        return (log_density(x1 - x2, s1 + s2) + math.log(self.density))[..., None]
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class GaussianMixture:
 
     def __call__(self, points: FloatArray) -> FloatArray:
         """(n,) the density at positions (n, d)."""
-        parts = log_normal(points[:, None] - np.asarray(self.means), np.asarray(self.covariances))
+        parts = log_density(points[:, None] - np.asarray(self.means), np.asarray(self.covariances))
         return np.asarray(np.exp(parts) @ np.asarray(self.weights))
 
     def log_common(self, x1: FloatArray, s1: FloatArray, x2: FloatArray, s2: FloatArray) -> FloatArray:
@@ -142,18 +142,8 @@ def log_parts(
 
     Two measurements of one object are one of their weighted mean, with the density of their difference.
     """
-    total = s1 + s2
-    gain = np.swapaxes(np.linalg.solve(total, s1), -1, -2)  # s1 (s1 + s2)⁻¹
-    fused = x1 - np.einsum("...vw,...w->...v", gain, x1 - x2)
-    left = gain @ s2
-    apart = fused[..., None, :] - means
-    return log_normal(x1 - x2, total)[..., None] + log_normal(apart, left[..., None, :, :] + covariances)
-
-
-def log_normal(delta: FloatArray, covariance: FloatArray) -> FloatArray:
-    """(…) ln N(Δ; 0, Σ) for Δ (…, d), Σ (…, d, d)."""
-    root = np.linalg.cholesky(covariance)
-    # One inverse serves many residuals; solving anew for each is ten times slower.
-    z = np.einsum("...vw,...w->...v", np.linalg.inv(root), delta)
-    log_determinant = 2.0 * np.log(np.einsum("...vv->...v", root)).sum(axis=-1)
-    return np.asarray(-0.5 * (np.sum(z**2, axis=-1) + log_determinant + delta.shape[-1] * LOG_2PI))
+    fused = Gaussian(x1, s1).updated(Gaussian(x2, s2))
+    apart = fused.mean[..., None, :] - means
+    return log_density(x1 - x2, s1 + s2)[..., None] + log_density(
+        apart, fused.covariance[..., None, :, :] + covariances
+    )

@@ -29,6 +29,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import DEFAULT_COMPLETENESS, ChiSquare, Pairs
+from sameas.gaussian import mahalanobis_sq
 from sameas.ragged import ranges
 from sameas.records import Records, unpack
 from sameas.space import Plane
@@ -408,7 +409,7 @@ class _SourceValues:
             return []
         delta = one.features[a] - two.features[b]
         total = unpack(one.covariance[a], one.d) + unpack(two.covariance[b], two.d)
-        chi_sq = np.einsum("mv,mv->m", delta, np.linalg.solve(total, delta[..., None])[..., 0])
+        chi_sq = mahalanobis_sq(delta, total)
         apart = np.linalg.norm(delta[:, :2], axis=1)
         return [
             Alarm(name, str(self.values[i[k]]), (one.source, int(one.rows[a[k]])), (two.source, int(two.rows[b[k]])),

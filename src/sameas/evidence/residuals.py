@@ -11,7 +11,6 @@ from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.gate import Pairs
 
-LOG_2PI = math.log(2.0 * math.pi)
 #: Pairs worked on at a time.
 STRETCH = 16_384
 

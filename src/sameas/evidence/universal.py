@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.evidence.densities import DensityFunction, Displacement, Flat, GaussianMixture, Samples, log_normal
+from sameas.evidence.densities import DensityFunction, Displacement, Flat, GaussianMixture, Samples
 from sameas.evidence.residuals import AS_QUOTED
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
+from sameas.gaussian import Gaussian, log_density
 from sameas.space import Plane
 
 # Expectations over normals, with a stated error: adaptive cubature up to two dimensions, quasi-Monte-Carlo above.
@@ -237,11 +238,10 @@ class _PairsOfRecords:
         p = self.rule.position
         if isinstance(p, Flat | GaussianMixture | Samples):
             log_value, error = self._closed(None)
-            return Expected(log_value - log_normal(self.x1 - self.x2, self.s1 + self.s2), error)
-        gain = np.swapaxes(np.linalg.solve(self.s1 + self.s2, self.s1), 1, 2)
-        fused = self.x1 - np.einsum("mvw,mw->mv", gain, self.x1 - self.x2)
-        root = np.linalg.cholesky(0.5 * (gain @ self.s2 + np.swapaxes(gain @ self.s2, 1, 2)))
-        return self._expected(lambda rows, z: _values(p, _around(fused, root, rows, z)), fused.shape[1], "position")
+            return Expected(log_value - log_density(self.x1 - self.x2, self.s1 + self.s2), error)
+        fused = Gaussian(self.x1, self.s1).updated(Gaussian(self.x2, self.s2))
+        root, d = np.linalg.cholesky(fused.covariance), self.x1.shape[1]
+        return self._expected(lambda rows, z: _values(p, _around(fused.mean, root, rows, z)), d, "position")
 
     def different(self) -> Expected:
         """The density of both records if they are two objects."""
@@ -284,7 +284,7 @@ class _PairsOfRecords:
             if isinstance(p, Flat):
                 return density * p.density
             one = self.x1[rows, None], self.s1[rows, None], self.x2[rows, None] - m, self.s2[rows, None]
-            common = np.logaddexp.reduce(p.log_common(*one), axis=-1) - log_normal(one[0] - one[2], total[rows, None])
+            common = np.logaddexp.reduce(p.log_common(*one), axis=-1) - log_density(one[0] - one[2], total[rows, None])
             return density * np.exp(common)
 
         return self._expected(integrand, delta.shape[1], "neighbour")

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.evidence import LOG_2PI
 from sameas.gate import ChiSquare
+from sameas.gaussian import log_density, mahalanobis_sq
 from sameas.many.observations import records_of
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import ObjectsRule
@@ -271,9 +271,8 @@ class BernoulliTable(ObjectTable):
         """(m, m) ln N/ρ of positions, whether states agree, and whether positions differ."""
         delta = self.state[:, None] - self.state
         total = self.covariance[:, None] + self.covariance
-        chi_sq = np.einsum("ijv,ijvw,ijw->ij", delta, np.linalg.inv(total), delta)
-        place = np.einsum("ijv,ijvw,ijw->ij", delta[..., :2], np.linalg.inv(total[..., :2, :2]), delta[..., :2])
-        log_n = -LOG_2PI - 0.5 * np.linalg.slogdet(total[..., :2, :2])[1] - 0.5 * place
+        chi_sq, place = mahalanobis_sq(delta, total), mahalanobis_sq(delta[..., :2], total[..., :2, :2])
+        log_n = log_density(delta[..., :2], total[..., :2, :2])
         return log_n - math.log(density_per_m2), chi_sq < AGREEING.limit(4), place > DIFFERENT.limit(2)
 
     def _joined(self, i: int, j: int) -> BernoulliTable:

@@ -17,7 +17,7 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.evidence import Evidence, Field, Rule
 from sameas.gate import ChiSquare, Pairs
-from sameas.picture.error_correlation import log_normal
+from sameas.gaussian import Gaussian, log_density, mahalanobis_sq
 from sameas.records import Records
 
 #: A look of a track that is another object's: one in a thousand. So a track that has been a known object's for a share
@@ -92,11 +92,11 @@ class Continuity(Rule):
         """(m,) ln of how probable the velocity of j is as that of i, given both places, against that of any object."""
         residual = self.known.state[i] - self.seen.state[j]
         total = self.known.covariance[i] + self.seen.covariance[j]
-        gain = total[:, 2:, :2] @ np.linalg.inv(total[:, :2, :2])
-        rest = residual[:, 2:] - np.einsum("nvw,nw->nv", gain, residual[:, :2])
-        same, _ = log_normal(rest, total[:, 2:, 2:] - gain @ total[:, :2, 2:])
+        velocity = Gaussian(residual[:, 2:], total[:, 2:, 2:])
+        rest = velocity.conditional(total[:, 2:, :2], -residual[:, :2], total[:, :2, :2])
+        same = log_density(rest.mean, rest.covariance)
         any_ = self.seen.covariance[j, 2:, 2:] + self.seen.speed_m_per_s[j, None, None] ** 2 * np.eye(2)
-        return np.asarray(same - log_normal(self.seen.state[j, 2:], any_)[0])
+        return np.asarray(same - log_density(self.seen.state[j, 2:], any_))
 
 
 @dataclass(frozen=True)
@@ -114,5 +114,5 @@ class NearOrNamed:
         i, j = (key >> 32).astype(np.int32), (key & 0xFFFFFFFF).astype(np.int32)
         residual = first.features[i] - second.features[j]
         total = first.full_covariance()[i] + second.full_covariance()[j]
-        chi_sq = np.einsum("mv,mv->m", residual, np.linalg.solve(total, residual[..., None])[..., 0])
+        chi_sq = mahalanobis_sq(residual, total)
         return Pairs(first, second, i, j, i, j, residual, chi_sq, np.linalg.det(total), f"{near.gate}, or one name")

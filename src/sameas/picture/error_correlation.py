@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
-from sameas.evidence import LOG_2PI
+from sameas.gaussian import Gaussian, log_density, mahalanobis_sq, propagated
 from sameas.picture.scan import Scan
 
 # Weighing: normal densities in the plane, and one step of the filter of a track's error.
@@ -39,22 +39,12 @@ def looked(
     mean, shift : (k, 2). spread, turn, fresh : (k, 2, 2) covariance of e before, G, and the covariance of n.
     """
     slope = turn - np.eye(2)
-    total = slope @ spread @ slope.transpose(0, 2, 1) + fresh + LEAST_M2 * np.eye(2)
+    total = propagated(slope, spread) + fresh + LEAST_M2 * np.eye(2)
     cross = turn @ spread @ slope.transpose(0, 2, 1) + fresh
-    gain = cross @ np.linalg.inv(total)
     surprise = shift - np.einsum("kvw,kw->kv", slope, mean)
-    after = np.einsum("kvw,kw->kv", turn, mean) + np.einsum("kvw,kw->kv", gain, surprise)
-    narrowed = turn @ spread @ turn.transpose(0, 2, 1) + fresh - gain @ cross.transpose(0, 2, 1)
-    log_p, chi_sq = log_normal(surprise, total)
-    return after, 0.5 * (narrowed + narrowed.transpose(0, 2, 1)), log_p, chi_sq
-
-
-def log_normal(x: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(k,) ln N(x; 0, covariance) in the plane, and (k,) χ²."""
-    a, b, c = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
-    determinant = a * c - b * b
-    chi_sq = (c * x[:, 0] ** 2 - 2.0 * b * x[:, 0] * x[:, 1] + a * x[:, 1] ** 2) / determinant
-    return -LOG_2PI - 0.5 * np.log(determinant) - 0.5 * chi_sq, chi_sq
+    before = Gaussian(np.einsum("kvw,kw->kv", turn, mean), propagated(turn, spread) + fresh)
+    after = before.conditional(cross, surprise, total)
+    return after.mean, after.covariance, log_density(surprise, total), mahalanobis_sq(surprise, total)
 
 
 def growth(change: FloatArray) -> FloatArray:
@@ -135,13 +125,13 @@ class Lasting:
         source, elapsed_s, shift : (n,), (n,), (n, 2) the source, Δt and ν of each look.
         errors : R + R′ and L L′ᵀ, (n, 2, 2) each. motion : (n, 2, 2) D.
         """
-        usual = log_normal(shift, errors[0] + motion)[1] <= MOVED_CHI_SQ
+        usual = mahalanobis_sq(shift, errors[0] + motion) <= MOVED_CHI_SQ
         source, elapsed_s, shift, motion = source[usual], elapsed_s[usual], shift[usual], motion[usual]
         both, alike = errors[0][usual], (errors[1] + errors[1].transpose(0, 2, 1))[usual]
         more = self.log_probable.copy()
         for k, rho in enumerate(_rho(elapsed_s, TRIED_S).T):
             still = both - rho[:, None, None] * alike + LEAST_M2 * np.eye(2)
-            log_p = np.logaddexp.reduce([log_normal(shift, still + share * motion)[0] for share in RESTLESS])
+            log_p = np.logaddexp.reduce([log_density(shift, still + share * motion) for share in RESTLESS])
             more[:, k] += np.bincount(source, log_p, len(self.names))
         return Lasting(self.names, more, self.told_s)
 

@@ -28,6 +28,7 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gate import ChiSquare
+from sameas.gaussian import inverse
 from sameas.picture.error_correlation import Lasting, growth, looked
 from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan
@@ -155,7 +156,7 @@ class NamedTracks:
             source[k], elapsed[k], shift[k], ((one + other)[k], alike[k]), growth(old + new - one - other)[k]
         )
         common = lasting.rho(source, elapsed)[:, None, None] * alike
-        turn = common.transpose(0, 2, 1) @ np.linalg.inv(old)
+        turn = common.transpose(0, 2, 1) @ inverse(old)
         fresh = new - turn @ common
         drift = growth(old - before.covariance[was, :2, :2])
         mean, open_ = self.mean[at], self.spread[at] + drift

@@ -22,6 +22,7 @@ from scipy.special import logit
 from sameas._identify import identify
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
+from sameas.gaussian import Gaussian, symmetric
 from sameas.picture.continuity import Continuity, InCommon, Motions, NearOrNamed
 from sameas.picture.named import found_in
 from sameas.picture.object_states import ObjectStates
@@ -331,11 +332,6 @@ def _followed(
     known: KnownObjects, state: FloatArray, covariance: FloatArray, looked: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
     """States of objects of which only positions are known: foretold, and corrected by a new look at them."""
-    innovation, r = state[:, :2] - known.state[:, :2], covariance[:, :2, :2]
-    total = known.covariance[:, :2, :2] + r
-    gain = known.covariance[:, :, :2] @ np.linalg.inv(total)
-    own = known.state + np.einsum("kvw,kw->kv", gain, innovation)
-    spread = known.covariance - gain @ known.covariance[:, :2, :]
-    own = np.where(looked[:, None], own, known.state)
-    spread = np.where(looked[:, None, None], spread, known.covariance)
-    return own, 0.5 * (spread + spread.transpose(0, 2, 1))
+    own = Gaussian(known.state, known.covariance).updated(Gaussian(state[:, :2], covariance[:, :2, :2]))
+    spread = np.where(looked[:, None, None], own.covariance, known.covariance)
+    return np.where(looked[:, None], own.mean, known.state), symmetric(spread)

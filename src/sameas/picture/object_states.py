@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.gaussian import inverse
 from sameas.many.fusion import covariance_intersection
 from sameas.many.objects import Objects
 from sameas.picture.scan import Scan
@@ -40,8 +41,7 @@ class ObjectStates:
 def object_states(scan: Scan, members: IntArray, found: Objects | None) -> ObjectStates:
     """States of the objects ``found`` of the scan, with these ``members`` (n, S), −1 for none."""
     information, vector, placed, moving, origin = _summed(scan, members)
-    covariance = np.linalg.inv(information)
-    covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
+    covariance = inverse(information)
     state = np.einsum("nvw,nw->nv", covariance, vector)
     state[:, :2] += origin
     seen = members >= 0
@@ -89,8 +89,8 @@ def _precision(scan: Scan, record: IntArray, offset: FloatArray) -> tuple[FloatA
     """(m, 4, 4) information of records and (m, 4) its product with their offsets; none on velocities not said."""
     out = np.zeros((len(record), 4, 4))
     moving = scan.moving[record]
-    out[moving] = np.linalg.inv(scan.covariance[record[moving]])
-    out[~moving, :2, :2] = np.linalg.inv(scan.covariance[record[~moving], :2, :2])
+    out[moving] = inverse(scan.covariance[record[moving]])
+    out[~moving, :2, :2] = inverse(scan.covariance[record[~moving], :2, :2])
     return out, np.einsum("mvw,mw->mv", out, offset)
 
 

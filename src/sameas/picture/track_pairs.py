@@ -18,8 +18,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.gaussian import Gaussian, log_density, mahalanobis_sq
 from sameas.many.observations import Source
-from sameas.picture.error_correlation import LEAST_M2, log_normal, looked
+from sameas.picture.error_correlation import LEAST_M2, looked
 from sameas.picture.named import NamedTracks, Step, found_in
 from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan
@@ -58,10 +59,9 @@ class TrackPairs(ColumnTable):
     @classmethod
     def of(cls, first: IntArray, second: IntArray, delta: FloatArray, one: FloatArray, other: FloatArray) -> TrackPairs:
         """Pairs that meet now: δ (k, 2) and covariances P_a, P_b (k, 2, 2). They have no past."""
-        share = one @ np.linalg.inv(one + other)
-        density, chi_sq = log_normal(delta, one + other)
-        mean = np.einsum("kvw,kw->kv", share, delta)
-        return cls(first, second, mean, one - share @ one, np.zeros(len(first)), density, density, chi_sq)
+        error = Gaussian(np.zeros_like(delta), one).updated(Gaussian(delta, other))
+        density, chi_sq = log_density(delta, one + other), mahalanobis_sq(delta, one + other)
+        return cls(first, second, error.mean, error.covariance, np.zeros(len(first)), density, density, chi_sq)
 
     def has(self, first: IntArray, second: IntArray) -> BoolArray:
         """(k,) whether pairs are among these."""
@@ -85,13 +85,10 @@ class TrackPairs(ColumnTable):
     def _wandered(self, step: Step, a: IntArray, b: IntArray) -> TrackPairs:
         """Both tracks wander on, as far as their motion leaves open; a, b : where they stand in the step."""
         drift = step.drift[a]
-        share = drift @ np.linalg.inv(drift + step.drift[b] + LEAST_M2 * np.eye(2))
         went = (step.moved[a] - step.moved[b]) - (step.last[a] - step.last[b])
-        mean = self.mean + np.einsum("kvw,kw->kv", share, went)
-        covariance = _symmetric(self.covariance + drift - share @ drift)
-        return TrackPairs(
-            self.first, self.second, mean, covariance, self.log_ratio, self.at_look, self.now, self.chi_sq
-        )
+        total = drift + step.drift[b] + LEAST_M2 * np.eye(2)
+        error = Gaussian(self.mean, self.covariance + drift).conditional(drift, went, total)
+        return replace(self, mean=error.mean, covariance=error.covariance)
 
     def _looked(self, step: Step, a: IntArray, b: IntArray, reassigned: float) -> TrackPairs:
         """After the new looks of the step, where there are any: those of the first track, then of the second."""
@@ -106,7 +103,8 @@ class TrackPairs(ColumnTable):
             mean = np.where(new[:, None], after if side > 0.0 else after + delta, mean)
             spread = np.where(new[:, None, None], narrowed, spread)
             more += np.where(new, log_p - step.log_own[track], 0.0)
-        now, chi_sq = log_normal(delta, step.covariance[a] + step.covariance[b])
+        total = step.covariance[a] + step.covariance[b]
+        now, chi_sq = log_density(delta, total), mahalanobis_sq(delta, total)
         rivals = Rivals.of(self.first, self.second, step.source[a], step.source[b])
         ratio = rivals.leaky(self.log_ratio + self.at_look + more - now, chi_sq, reassigned)
         new = step.looked[a] | step.looked[b]
@@ -157,10 +155,6 @@ class Rivals:
         return self.bounded(leaked, chi_sq, reassigned)
 
 
-def _symmetric(covariance: FloatArray) -> FloatArray:
-    return np.asarray(0.5 * (covariance + covariance.transpose(0, 2, 1)))
-
-
 # Manoeuvres: reports that their object has left behind by moving as its report did not foretell.
 #
 # A report is moved to the instant by a random walk of its velocity, which is how objects move nearly always. A ferry
@@ -195,7 +189,7 @@ def loosened(scan: Scan, tracks: NamedTracks, track_pairs: TrackPairs, said: Flo
         return scan
     open_ = left_open(scan)
     delta, spread = scan.state[a, :2] - scan.state[b, :2], scan.covariance[a, :2, :2] + scan.covariance[b, :2, :2]
-    usual, _ = log_normal(delta, spread)
+    usual = log_density(delta, spread)
     with np.errstate(divide="ignore"):
         # ln of the odds that there was a manoeuvre since the report.
         log_odds = np.log(np.expm1(np.maximum(scan.now.instant_s - scan.time_s, 0.0) / EVERY_S))
@@ -203,7 +197,7 @@ def loosened(scan: Scan, tracks: NamedTracks, track_pairs: TrackPairs, said: Flo
     best = Rivals.of(a, b, scan.source[a], scan.source[b]).most(foretold)
     # Either of the two may be the one that was left behind.
     own, other, k = np.append(a, b), np.append(b, a), np.tile(np.arange(len(a)), 2)
-    moved, _ = log_normal(delta[k], spread[k] + open_[own, :2, :2])
+    moved = log_density(delta[k], spread[k] + open_[own, :2, :2])
     gone = log_odds[own] + said[k] + moved
     likely = np.maximum(foretold[k], gone)
     partner = likely == _most(own * len(scan.start) + scan.source[other], likely)

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
+from sameas.gaussian import propagated
 from sameas.records import unpack
 from sameas.space import ARCSEC_PER_RADIAN
 
@@ -387,11 +388,11 @@ def _carried(part: Astrometry, derivatives: FloatArray) -> FloatArray:
     jacobian[:, :, 2] += radially * (part.radial_velocity_km_per_s / AU_KM_PER_S_YR)[:, None]
     jacobian[:, :, 5] += radially * (part.parallax_mas / AU_KM_PER_S_YR)[:, None]
     old = part.covariance
-    new = jacobian @ old @ jacobian.swapaxes(1, 2)
+    new = propagated(jacobian, old)
     # The variance of v π beyond the first order: Michalik et al. 2014 eq. 17, with v and π correlated.
     product = (old[:, 2, 2] * old[:, 5, 5] + old[:, 2, 5] ** 2) / AU_KM_PER_S_YR**2
     new += product[:, None, None] * (radially[:, :, None] * radially[:, None, :])
-    return 0.5 * (new + new.swapaxes(1, 2))
+    return new
 
 
 def _turned(path: _GreatCircle, along: FloatArray | float, across: FloatArray) -> FloatArray:

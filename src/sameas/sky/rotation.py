@@ -17,6 +17,7 @@ import numpy as np
 
 from sameas.arrays import FloatArray
 from sameas.estimate.match import match
+from sameas.gaussian import inverse, mahalanobis_sq, propagated
 from sameas.records import Records
 from sameas.registration import Registration, Shift, register
 from sameas.registration.joint import DECISIVE
@@ -86,7 +87,7 @@ class Rotation:
         """The records rotated; their covariances include that of the rotation."""
         moved = self.moved(records.features)
         slope = self._slope(records.features)
-        more = slope @ self.covariance @ np.swapaxes(slope, 1, 2)
+        more = propagated(slope, self.covariance)
         total = records.full_covariance() + more
         packed = np.ascontiguousarray(total[:, [0, 0, 1], [0, 1, 1]])
         return replace(records, features=moved, covariance=packed)
@@ -129,14 +130,14 @@ class Rotation:
         pairs, p = answer.pairs, answer.p_pair[use]
         slope = self._slope(answer.second.features[pairs.j[use]])
         covariance = pairs.covariance_of(use)
-        precision = np.linalg.inv(covariance) / scale**2
+        precision = inverse(covariance) / scale**2
         pull = np.einsum("mvw,mwk->mvk", precision, slope) * p[:, None, None]
         information = np.einsum("mvk,mvl->kl", pull, slope) + np.diag([1e-12, 1e-12, 1e-12])
         step = np.linalg.solve(information, np.einsum("mvk,mv->k", pull, pairs.residual[use]))
         moved = np.linalg.norm(np.einsum("mvk,k->mv", slope, step), axis=1)
         sigma = scale * np.sqrt(0.5 * np.einsum("mvv->m", covariance))
         share = float(np.max(moved / sigma, initial=0.0))
-        vector, covariance = self.vector + step, np.linalg.inv(information)
+        vector, covariance = self.vector + step, inverse(information)
         return replace(self, vector=vector, covariance=covariance, iterations=self.iterations + 1), share
 
 
@@ -189,7 +190,7 @@ def residual_rotation(
     x, y, z = _vectors(at).mean(axis=0)
     centre = (float(np.degrees(np.arctan2(y, x)) % 360.0), float(np.degrees(np.arctan2(z, np.hypot(x, y)))))
     rotation, share = Rotation(centre, np.zeros(3), np.zeros((3, 3))).refined(answer, scale, tuning)
-    sigmas = float(np.sqrt(rotation.vector @ np.linalg.solve(rotation.covariance, rotation.vector)))
+    sigmas = float(np.sqrt(mahalanobis_sq(rotation.vector, rotation.covariance)))
     return (rotation, share) if share > tuning.significant_share and sigmas > tuning.significant_sigmas else None
 
 

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
+from sameas.gaussian import propagated
 from sameas.many.observations import Part
 
 
@@ -153,9 +154,7 @@ def moved(
     dt = np.broadcast_to(np.asarray(dt_s, dtype=np.float64), (len(state),))
     f = transition(dt)
     there = np.einsum("nvw,nw->nv", f, state)
-    spread = f @ covariance @ f.transpose(0, 2, 1) + process_noise(dt, acceleration_m2_per_s3)
-    # Rounding in a chain of moves must not add up to a covariance that is not symmetric.
-    return there, 0.5 * (spread + spread.transpose(0, 2, 1))
+    return there, propagated(f, covariance) + process_noise(dt, acceleration_m2_per_s3)
 
 
 def stamped_late(covariance: FloatArray, state: FloatArray, sigma_s: float | FloatArray) -> FloatArray:

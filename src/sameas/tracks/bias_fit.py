@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray, IntArray
+from sameas.gaussian import inverse, log_determinant, propagated, symmetric
 from sameas.registration.hough import Votes, vote
 from sameas.registration.joint import DECISIVE
 from sameas.registration.solution import displacement_sigmas, refine
@@ -208,7 +209,7 @@ def _finished(pool: Pool, theta: FloatArray) -> BiasFit:
     covariance, tracks = _scattered(pool, at, found, complete[0], by_model)
     filtered = _without_gauge(pool, at)
     instants = len({scan.instant_s for scan in pool.scans})
-    occam = 0.5 * (np.linalg.slogdet(covariance)[1] + np.sum(np.log(pool.precision)))
+    occam = 0.5 * (float(log_determinant(covariance)) + np.sum(np.log(pool.precision)))
     prior = -0.5 * float(np.sum(pool.precision * at[0] ** 2))
     likelihood = float(sum(each.gain[0] for each in found)) * _independent(pool) / instants
     return BiasFit(
@@ -226,8 +227,8 @@ def _covariance(pool: Pool, theta: FloatArray, common: list[FloatArray], complet
     score, _ = pool.equations(nodes, found)
     observed = -(score[:p] - score[p:]) / (2.0 * step[:, None])
     # In the units of the complete information: the shares of it that are not missing, at least a little.
-    scale = np.linalg.cholesky(np.linalg.inv(complete))
-    shares, axes = np.linalg.eigh(scale.T @ (0.5 * (observed + observed.T)) @ scale)
+    scale = np.linalg.cholesky(inverse(complete))
+    shares, axes = np.linalg.eigh(scale.T @ symmetric(observed) @ scale)
     root = scale @ axes / np.sqrt(np.clip(shares, LEAST_SHARE, None))
     return np.asarray(root @ root.T)
 
@@ -280,8 +281,7 @@ def _owners(scan: CommonScan, found: Weighed) -> NDArray[np.str_]:
 def _at_least(least: FloatArray, other: FloatArray) -> FloatArray:
     """A covariance (p, p) that is nowhere smaller than either."""
     root = np.linalg.cholesky(least)
-    inverse = np.linalg.inv(root)
-    ratio, axes = np.linalg.eigh(inverse @ other @ inverse.T)
+    ratio, axes = np.linalg.eigh(propagated(np.linalg.inv(root), other))
     grown = root @ axes * np.sqrt(np.maximum(ratio, 1.0))
     return np.asarray(grown @ grown.T)
 
@@ -292,7 +292,7 @@ def _without_gauge(pool: Pool, theta: FloatArray) -> FloatArray:
     for scan, at in zip(pool.scans, pool.columns, strict=True):
         weighing = scan.weighing
         jacobian = weighing.model.jacobian(weighing.second.features, theta[0, at])
-        precision = np.linalg.inv(weighing.covariance_2 + np.median(weighing.covariance_1, axis=0))
+        precision = inverse(weighing.covariance_2 + np.median(weighing.covariance_1, axis=0))
         every[np.ix_(at, at)] += np.einsum("nvp,nvw,nwq->pq", jacobian, precision, jacobian)
     return np.asarray(np.linalg.solve(every + np.diag(pool.precision), every), np.float64)
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sameas.arrays import FloatArray
+from sameas.gaussian import propagated
 from sameas.records import Records
 from sameas.registration.offsets import RADIAN, Offset
 from sameas.tracks.alignment import States
@@ -263,7 +264,7 @@ def corrected(
     turn[:, :2, :2] = turn[:, 2:, 2:] = true.by_place
     state[known] = np.einsum("nvw,nw->nv", turn, state[known])
     state[known, :2] = true.place
-    grown = turn @ spread[known] @ turn.transpose(0, 2, 1)
-    grown[:, :2, :2] += true.by_bias @ covariance @ true.by_bias.transpose(0, 2, 1)
-    spread[known] = 0.5 * (grown + grown.transpose(0, 2, 1))
+    grown = propagated(turn, spread[known])
+    grown[:, :2, :2] += propagated(true.by_bias, covariance)
+    spread[known] = grown
     return replace(reports, time_s=time_s, state=state, covariance=spread)

@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
+from sameas.gaussian import propagated
 
 #: Beyond this distance from the origin the plane shortens distances by more than 1 %.
 FARTHEST_M = 900e3
@@ -157,7 +158,7 @@ class LocalPlane:
 
 def turned(covariance: FloatArray, matrix: FloatArray) -> FloatArray:
     """(n, d, d) J Σ Jᵀ."""
-    return np.asarray(matrix @ covariance @ matrix.swapaxes(-1, -2))
+    return propagated(matrix, covariance)
 
 
 @dataclass(frozen=True)

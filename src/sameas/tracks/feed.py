@@ -16,6 +16,7 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError, naming
 from sameas.evidence.identity import MODELS
 from sameas.gate import ChiSquare
+from sameas.gaussian import Gaussian, log_density, mahalanobis_sq, symmetric
 from sameas.tracks.alignment import States, Succession
 from sameas.tracks.biases import corrected
 from sameas.tracks.coordinates import LocalPlane
@@ -64,23 +65,19 @@ def stationary(reports: States, motion: Motion) -> tuple[States, FloatArray | No
     stands, state, covariance = np.zeros(len(reports)), reports.state.copy(), reports.covariance.copy()
     told = np.flatnonzero(reports.usable & (reports.covariance[:, 2, 2] < UNTOLD * speed**2))
     x, p = state[told], covariance[told]
-    odds = math.log(share) - math.log1p(-share) + _log_density(x, p, slow) - _log_density(x, p, speed)
+    slowly, quickly = (log_density(x[:, 2:], p[:, 2:, 2:] + sigma**2 * np.eye(2)) for sigma in (slow, speed))
+    odds = math.log(share) - math.log1p(-share) + slowly - quickly
     chance = np.asarray(expit(odds))
-    gain = p[:, :, 2:] @ np.linalg.inv(p[:, 2:, 2:] + slow**2 * np.eye(2))
-    step = -np.einsum("nvw,nw->nv", gain, x[:, 2:])
-    still = p - gain @ p[:, 2:, :]
+    # The change of the state by a velocity that is 0 ± slow.
+    still = Gaussian(np.zeros_like(x), p).conditional(p[:, :, 2:], -x[:, 2:], p[:, 2:, 2:] + slow**2 * np.eye(2))
+    step = still.mean
     weight = chance[:, None, None]
     state[told] = x + chance[:, None] * step
-    mixed = weight * still + (1.0 - weight) * p + weight * (1.0 - weight) * step[:, :, None] * step[:, None, :]
-    covariance[told], stands[told] = 0.5 * (mixed + mixed.transpose(0, 2, 1)), chance
+    mixed = (
+        weight * still.covariance + (1.0 - weight) * p + weight * (1.0 - weight) * step[:, :, None] * step[:, None, :]
+    )
+    covariance[told], stands[told] = symmetric(mixed), chance
     return States(reports.time_s, state, covariance, reports.track, reports.rows), stands
-
-
-def _log_density(state: FloatArray, covariance: FloatArray, spread: float) -> FloatArray:
-    """(n,) ln of the density of velocities, up to what is the same for any spread."""
-    total = covariance[:, 2:, 2:] + spread**2 * np.eye(2)
-    square = np.einsum("nv,nv->n", state[:, 2:], np.linalg.solve(total, state[:, 2:, None])[..., 0])
-    return np.asarray(-0.5 * square - 0.5 * np.log(np.linalg.det(total)))
 
 
 # Silence: after how long a named track that says nothing more has ended.
@@ -150,8 +147,7 @@ def position_updates(reports: States) -> tuple[States, tuple[str, ...]]:
 
 def _moves(velocity: FloatArray, covariance: FloatArray) -> np.ndarray:
     """(n,) whether velocities (n, 2) are surely not 0."""
-    square = np.einsum("nv,nv->n", velocity, np.linalg.solve(covariance, velocity[..., None])[..., 0])
-    return np.asarray(square > MOVES.limit(2))
+    return np.asarray(mahalanobis_sq(velocity, covariance) > MOVES.limit(2))
 
 
 #: Kinds of sources whose errors of position last for minutes: no filter makes them smaller, they stay as they are said.

@@ -19,6 +19,7 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.gate import ChiSquare
+from sameas.gaussian import Gaussian, mahalanobis_sq
 from sameas.ragged import Ragged
 from sameas.tracks.alignment import States, moved
 
@@ -79,13 +80,13 @@ def follow(reports: States, *, acceleration_m2_per_s3: float, features: int = 2)
         ahead, spread = moved(state[before], covariance[before], dt, acceleration_m2_per_s3)
         innovation = reports.state[now, :features] - ahead[:, :features]
         total = spread[:, :features, :features] + reports.covariance[now, :features, :features]
-        gain = spread[:, :, :features] @ np.linalg.inv(total)
-        square = np.einsum("nv,nvw,nw->n", innovation, np.linalg.inv(total), innovation)
+        after = Gaussian(ahead, spread).updated(
+            Gaussian(reports.state[now, :features], reports.covariance[now, :features, :features])
+        )
+        square = mahalanobis_sq(innovation, total)
         anew = square > limit
         keep = now[~anew]
-        state[keep] = (ahead + np.einsum("nvw,nw->nv", gain, innovation))[~anew]
-        after = spread - gain @ spread[:, :features, :]
-        covariance[keep] = (0.5 * (after + after.transpose(0, 2, 1)))[~anew]
+        state[keep], covariance[keep] = after.mean[~anew], after.covariance[~anew]
         nis[keep], began[now[anew]] = square[~anew], True
         before = now
     return FilteredTracks(States(reports.time_s, state, covariance, reports.track, reports.rows), nis, began)

@@ -25,6 +25,7 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.assignment import assign
 from sameas.evidence import PoissonField
 from sameas.gate import Radius
+from sameas.gaussian import LOG_2PI, inverse, log_density, log_determinant
 from sameas.groups import groups
 from sameas.prior import PerPair
 from sameas.records import Records
@@ -165,15 +166,13 @@ def weigh(
     i, j = _paired(problem, rows, predicted, pointing, tolerance_px)
     residual = problem.px[i] - predicted[j]
     total = _total_covariance(problem, i, rows[j], pointing, tolerance_px)
-    inverse = np.linalg.inv(total)
-    chi_sq = np.einsum("ni,nij,nj->n", residual, inverse, residual)
-    gain = math.log(problem.area_px) - math.log(2 * math.pi) - 0.5 * np.log(np.linalg.det(total)) - 0.5 * chi_sq
+    gain = math.log(problem.area_px) + log_density(residual, total)
     score, depth = _deepest(gain, i, j, min(len(problem.px), DEEPEST), len(rows))
     used = (i < depth[0]) & (j < depth[1])
     columns = design(predicted[j[used]] - pointing.origin_px)
-    information = np.einsum("nai,nab,nbj->ij", columns, inverse[used], columns)
+    information = np.einsum("nai,nab,nbj->ij", columns, inverse(total[used]), columns)
     information[4:, 4:] += np.eye(2) / SHEAR**2
-    price = -0.5 * np.linalg.slogdet(information)[1] + 3.0 * math.log(2 * math.pi)
+    price = -0.5 * float(log_determinant(information)) + 3.0 * LOG_2PI
     price -= volume.log_volume(math.sqrt(abs(np.linalg.det(pointing.cd))))
     singular = np.linalg.svd(pointing.cd, compute_uv=False)
     price -= 0.5 * (0.5 * math.log(singular[0] / singular[1]) / SHEAR) ** 2
@@ -240,16 +239,16 @@ def _step(problem: PlateProblem, found: Verdict) -> FloatArray:
     """(6,) the shift, growth, turn and shears that bring the predictions to the measurements; see ``design``."""
     columns = design(found.pointing.to_px(problem.vectors[found.stars]) - found.pointing.origin_px)
     total = _total_covariance(problem, found.measured, found.stars, found.pointing, found.tolerance_px)
-    inverse = np.linalg.inv(total)
+    precision = inverse(total)
     step = np.zeros(6)
     weight = np.ones(len(total))
     for _ in range(2):
-        weighted = np.einsum("nai,nab,n->nib", columns, inverse, weight)
+        weighted = np.einsum("nai,nab,n->nib", columns, precision, weight)
         information = np.einsum("nib,nbj->ij", weighted, columns) + np.diag([0, 0, 0, 0, *2 * [SHEAR**-2]])
         step = np.linalg.solve(information, np.einsum("nib,nb->i", weighted, found.residual_px))
         left = found.residual_px - columns @ step
         # Student's t with four degrees of freedom: a wrong pair or two do not pull.
-        weight = 6.0 / (4.0 + np.einsum("ni,nij,nj->n", left, inverse, left))
+        weight = 6.0 / (4.0 + np.einsum("ni,nij,nj->n", left, precision, left))
     return np.asarray(step)
 
 

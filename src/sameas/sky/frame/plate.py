@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
+from sameas.gaussian import inverse, propagated, symmetric
 from sameas.records import unpack
 from sameas.sky.frame.tangent import Pointing, axes, directions_deg, from_plane, to_plane, unit_vectors
 from sameas.space import ARCSEC_PER_RADIAN
@@ -249,10 +250,10 @@ class PlateModel:
         spread = self._spread(px)
         if covariance_px is not None:
             slope = self.polynomial.slope(px)
-            spread += slope @ unpack(np.asarray(covariance_px, dtype=np.float64), 2) @ slope.transpose(0, 2, 1)
+            spread += propagated(slope, unpack(np.asarray(covariance_px, dtype=np.float64), 2))
         vectors = from_plane(plane / ARCSEC_PER_RADIAN, self.centre)
         turn = sky_axes(vectors, self.centre)
-        return (*directions_deg(vectors), _packed(turn @ spread @ turn.transpose(0, 2, 1)))
+        return (*directions_deg(vectors), _packed(propagated(turn, spread)))
 
     def predict(
         self, ra_deg: ArrayLike, dec_deg: ArrayLike, covariance_arcsec: ArrayLike | None = None
@@ -268,11 +269,11 @@ class PlateModel:
         if covariance_arcsec is not None:
             to_local = np.linalg.inv(sky_axes(vectors, self.centre))
             star = unpack(np.asarray(covariance_arcsec, dtype=np.float64), 2)
-            spread += to_local @ star @ to_local.transpose(0, 2, 1)
+            spread += propagated(to_local, star)
         there = np.isfinite(px).all(axis=1)
         to_px = np.linalg.inv(self.polynomial.slope(px[there]))
         packed = np.full((len(px), 3), np.nan)
-        packed[there] = _packed(to_px @ spread[there] @ to_px.transpose(0, 2, 1))
+        packed[there] = _packed(propagated(to_px, spread[there]))
         return px[:, 0], px[:, 1], packed
 
     def to_wcs(self) -> WCS:
@@ -342,26 +343,26 @@ def _fitted(stars: MatchedStars, start: Pointing, shape: tuple[int, int], order:
     vectors = unit_vectors(stars.ra_deg, stars.dec_deg)
     plane = to_plane(vectors, start.centre) * ARCSEC_PER_RADIAN
     to_local = np.linalg.inv(sky_axes(vectors, start.centre))
-    star = to_local @ unpack(stars.covariance_arcsec, 2) @ to_local.transpose(0, 2, 1)
+    star = propagated(to_local, unpack(stars.covariance_arcsec, 2))
     basis, down = polynomial.basis(stars.px), np.ones(len(plane))
     q = basis.shape[1]
     for _ in range(ROUNDS):
         slope = polynomial.slope(stars.px)
-        total = star + slope @ unpack(stars.covariance_px, 2) @ slope.transpose(0, 2, 1)
-        inverse = np.asarray(np.linalg.inv(total + 1e-12 * np.eye(2)), dtype=np.float64)
-        information, right = _normal_equations(basis, inverse, plane, stars.p_match * down)
+        total = star + propagated(slope, unpack(stars.covariance_px, 2))
+        precision = inverse(total + 1e-12 * np.eye(2))
+        information, right = _normal_equations(basis, precision, plane, stars.p_match * down)
         solution = _solved(information, right)
         polynomial = polynomial.with_coefficients(solution.reshape(2, q))
         left = plane - basis @ polynomial.coefficients.T
-        square = np.einsum("ni,nij,nj->n", left, inverse, left)
+        square = np.einsum("ni,nij,nj->n", left, precision, left)
         scale_sq = _scale_squared(square, stars.p_match, down, 2 * q)
         down = np.minimum(1.0, TAIL_SIGMAS**2 * scale_sq / np.maximum(square, 1e-300))
     grown = max(1.0, scale_sq)
-    covariance = grown * _solved(_normal_equations(basis, inverse, plane, stars.p_match * down)[0], np.eye(2 * q))
+    covariance = grown * _solved(_normal_equations(basis, precision, plane, stars.p_match * down)[0], np.eye(2 * q))
     return PlateModel(
         centre=start.centre,
         polynomial=polynomial,
-        covariance=0.5 * (covariance + covariance.T),
+        covariance=symmetric(covariance),
         error_scale=math.sqrt(grown),
         shape=shape,
         effective_pairs=float(stars.p_match.sum()),
@@ -384,11 +385,11 @@ def _bic(square: FloatArray, scale_sq: float, down: FloatArray, p_match: FloatAr
 
 
 def _normal_equations(
-    basis: FloatArray, inverse: FloatArray, plane: FloatArray, weight: FloatArray
+    basis: FloatArray, precision: FloatArray, plane: FloatArray, weight: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Σ w Xᵀ Σ⁻¹ X (2q, 2q) and Σ w Xᵀ Σ⁻¹ y (2q,), X = diag(basis, basis)."""
     q = basis.shape[1]
-    scaled = inverse * weight[:, None, None]
+    scaled = precision * weight[:, None, None]
     # Products of matrices are many times faster here than a sum over five indices.
     across, cross, along = (basis.T @ (scaled[:, a, b, None] * basis) for a, b in ((0, 0), (0, 1), (1, 1)))
     information = np.block([[across, cross], [cross.T, along]])

@@ -20,6 +20,7 @@ from scipy.sparse import csr_array
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, Message, naming
 from sameas.gate import Pairs
+from sameas.gaussian import mahalanobis_sq
 from sameas.many.joint import Joint, Observers
 from sameas.many.marginals import Answer, answer
 from sameas.many.objects import Objects
@@ -173,7 +174,7 @@ def measured(first: Records, second: Records, rows_1: IntArray, rows_2: IntArray
     nothing = np.zeros(len(i))
     pairs = Pairs(first, second, i, j, i, j, offset, nothing, nothing, "candidates of the catalogues two by two")
     sigma = pairs.covariance
-    distance = np.einsum("kv,kvw,kw->k", offset, np.linalg.inv(sigma), offset)
+    distance = mahalanobis_sq(offset, sigma)
     return replace(pairs, mahalanobis_sq=distance, determinant=np.linalg.det(sigma))
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.evidence import LOG_2PI
+from sameas.gaussian import LOG_2PI, InformationSum, inverse, log_density, propagated
 from sameas.records import Records
 from sameas.sky import column_values
 from sameas.sky.catalogue import Catalogue
@@ -75,12 +75,12 @@ class AstrometricRecords:
         covariance = 1e-6 * part.covariance[:, :2, :2]
         direction, motion = np.column_stack([part.ra_deg, part.dec_deg]), np.zeros((len(records), 2))
         span = np.zeros(len(records)) if epoch_jyr is None else part.epoch_jyr - epoch_jyr
-        inverse = np.linalg.inv(covariance)
+        precision_2 = inverse(covariance)
         # z = (1, span) (x, v)
         precision = np.empty((len(records), 4, 4))
-        precision[:, :2, :2] = inverse
-        precision[:, :2, 2:] = precision[:, 2:, :2] = span[:, None, None] * inverse
-        precision[:, 2:, 2:] = span[:, None, None] ** 2 * inverse
+        precision[:, :2, :2] = precision_2
+        precision[:, :2, 2:] = precision[:, 2:, :2] = span[:, None, None] * precision_2
+        precision[:, 2:, 2:] = span[:, None, None] ** 2 * precision_2
         log_norm = _log_norm(covariance)
         moving = np.zeros(len(records), bool) if epoch_jyr is None else moving_rows(catalogue)[records.rows]
         motion_precision, motion_log_norm = np.zeros((len(records), 2, 2)), np.zeros(len(records))
@@ -90,9 +90,9 @@ class AstrometricRecords:
             both = 1e-6 * carried.covariance[:, _PLACE_AND_MOTION[:, None], _PLACE_AND_MOTION]
             direction[k] = np.column_stack([carried.ra_deg, carried.dec_deg])
             motion[k] = 1e-3 * np.column_stack([carried.pm_ra_mas_per_yr, carried.pm_dec_mas_per_yr])
-            precision[k], log_norm[k] = np.linalg.inv(both), _log_norm(both)
+            precision[k], log_norm[k] = inverse(both), _log_norm(both)
             alone = both[:, 2:, 2:]
-            motion_precision[k], motion_log_norm[k] = np.linalg.inv(alone), _log_norm(alone)
+            motion_precision[k], motion_log_norm[k] = inverse(alone), _log_norm(alone)
         unknown = 1e-3 * np.sqrt(part.covariance[:, 3, 3])
         unknown = np.where(moving | (unknown <= 0.0) | (epoch_jyr is None), _STILL_ARCSEC_PER_YR, unknown)
         return cls(direction, motion, precision, log_norm, moving, motion_precision, motion_log_norm, unknown)
@@ -126,7 +126,7 @@ def fitted(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.integer
 
 def _fitted(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.integer]) -> AstrometricFit:
     anchor = _anchors(astrometric, sets)
-    whole, motions = _NormalSum.of(len(sets), 4), _NormalSum.of(len(sets), 2)
+    whole, motions = InformationSum.of(len(sets), 4), InformationSum.of(len(sets), 2)
     moving, spread = np.zeros(len(sets), np.int64), np.zeros(len(sets))
     for s, catalogue in enumerate(astrometric):
         k = np.flatnonzero(sets[:, s] >= 0)
@@ -135,58 +135,30 @@ def _fitted(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.intege
         velocity = np.einsum("kvw,kw->kv", turn, seen.motion)
         axes = np.zeros((len(k), 4, 4))
         axes[:, :2, :2] = axes[:, 2:, 2:] = turn
-        whole.add(k, np.column_stack([offset, velocity]), _turned(seen.precision, axes), seen.log_norm)
-        motions.add(k, velocity, _turned(seen.motion_precision, turn), seen.motion_log_norm)
+        whole.add(k, np.column_stack([offset, velocity]), propagated(axes, seen.precision), seen.log_norm)
+        motions.add(k, velocity, propagated(turn, seen.motion_precision), seen.motion_log_norm)
         moving[k] += seen.moving
         spread[k] = np.maximum(spread[k], np.where(seen.moving, 0.0, seen.unknown_motion))
     still = np.flatnonzero(moving == 0)
     open_motion = np.zeros((len(still), 4, 4))
     open_motion[:, [2, 3], [2, 3]] = 1.0 / spread[still, None] ** 2
     whole.add(still, np.zeros((len(still), 4)), open_motion, -LOG_2PI - 2.0 * np.log(spread[still]))
-    log_peak, chi_sq, state, covariance = whole.solved()
+    log_peak, star = whole.log_peak(), whole.gaussian()
+    chi_sq = whole.chi_sq(star)
     judged = (moving > 0) | ~whole.information[:, :2, 2:].any(axis=(1, 2))
     several = np.flatnonzero(moving > 1)
     if len(several):
-        peak, own, _, _ = motions.at(several).solved()
-        log_peak[several] -= peak
-        chi_sq[several] -= own
+        known = motions.at(several)
+        log_peak[several] -= known.log_peak()
+        chi_sq[several] -= known.chi_sq(known.gaussian())
     return AstrometricFit(
-        log_peak, np.maximum(chi_sq, 0.0), displaced(anchor, state[:, :2]), state[:, 2:], covariance, judged
+        log_peak,
+        np.maximum(chi_sq, 0.0),
+        displaced(anchor, star.mean[:, :2]),
+        star.mean[:, 2:],
+        star.covariance,
+        judged,
     )
-
-
-@dataclass(frozen=True)
-class _NormalSum:
-    """Information, vector, square and ln of the factors of many normals, set by set."""
-
-    information: FloatArray
-    vector: FloatArray
-    square: FloatArray
-    log_norm: FloatArray
-
-    @classmethod
-    def of(cls, k: int, d: int) -> _NormalSum:
-        return cls(np.zeros((k, d, d)), np.zeros((k, d)), np.zeros(k), np.zeros(k))
-
-    def at(self, k: IntArray) -> _NormalSum:
-        return _NormalSum(self.information[k], self.vector[k], self.square[k], self.log_norm[k])
-
-    def add(self, k: IntArray, value: FloatArray, precision: FloatArray, log_norm: FloatArray) -> None:
-        """A normal about ``value`` more for each of the sets k."""
-        weighted = np.einsum("kvw,kw->kv", precision, value)
-        self.information[k] += precision
-        self.vector[k] += weighted
-        self.square[k] += np.einsum("kv,kv->k", value, weighted)
-        self.log_norm[k] += log_norm
-
-    def solved(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """ln of the integral's peak (k,), χ² (k,), the mean (k, d) and its covariance (k, d, d)."""
-        covariance = np.linalg.inv(self.information)
-        covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
-        mean = np.einsum("kvw,kw->kv", covariance, self.vector)
-        chi_sq = np.maximum(self.square - np.einsum("kv,kv->k", self.vector, mean), 0.0)
-        log_peak = self.log_norm + 0.5 * (self.vector.shape[1] * LOG_2PI - np.linalg.slogdet(self.information)[1])
-        return log_peak, chi_sq, mean, covariance
 
 
 def _anchors(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.integer]) -> FloatArray:
@@ -215,12 +187,8 @@ def _turn(angle: FloatArray) -> FloatArray:
     return np.stack([cosine, sine, -sine, cosine], axis=1).reshape(-1, 2, 2)
 
 
-def _turned(precision: FloatArray, turn: FloatArray) -> FloatArray:
-    return turn @ precision @ turn.transpose(0, 2, 1)
-
-
 def _log_norm(covariance: FloatArray) -> FloatArray:
-    return -0.5 * (covariance.shape[1] * LOG_2PI + np.linalg.slogdet(covariance)[1])
+    return log_density(np.zeros(covariance.shape[1]), covariance)
 
 
 def moving_rows(catalogue: Catalogue) -> BoolArray:
