@@ -28,7 +28,7 @@ def test_an_even_field_has_its_density_everywhere(d):
             assert np.median(density) == pytest.approx(n / 10.0**d, rel=0.15)
             assert np.percentile(density, 99) < 4 * n / 10.0**d
     assert cover.covered[0].mean() > 0.99 and cover.covered[1].mean() > 0.99
-    assert cover.common_volume() == pytest.approx(10.0**d, rel=0.15)
+    assert cover.common_volume == pytest.approx(10.0**d, rel=0.15)
 
 
 def test_weights_scale_the_density():
@@ -69,7 +69,7 @@ def test_a_hole_is_where_many_were_to_be_expected():
     right = first.features[:, 0] > 5.8
     assert seen_2.mean() > 0.99 and seen_1[left].mean() > 0.99
     assert seen_1[right].mean() < 0.05
-    assert Coverage.of(first, second).common_volume() == pytest.approx(50.0, rel=0.2)
+    assert Coverage.of(first, second).common_volume == pytest.approx(50.0, rel=0.2)
 
 
 @pytest.mark.parametrize(
@@ -79,7 +79,7 @@ def test_the_sky_has_its_area(area):
     rng = np.random.default_rng(3)
     cover = Coverage.of(sky(rng, 5000, area), sky(rng, 5000, area))
     arcsec_sq = area.steradians() * ARCSEC_PER_RADIAN**2
-    assert cover.common_volume() == pytest.approx(arcsec_sq, rel=0.25)
+    assert cover.common_volume == pytest.approx(arcsec_sq, rel=0.25)
     assert np.median(cover.density(1, np.ones(5000))[1]) == pytest.approx(5000 / arcsec_sq, rel=0.15)
     assert cover.covered[0].mean() > 0.98
 

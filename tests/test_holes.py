@@ -46,7 +46,7 @@ def test_a_mask_and_an_edge_are_found_to_a_part_of_the_spacing(seed, dark):
     assert seen_1.all()
     assert (seen_2 & dark).mean() < 0.005 and (~seen_2 & ~dark).mean() < 0.005
     assert there[seen_2].mean() == pytest.approx(there[~dark].mean(), abs=0.006)
-    assert cover.common_volume() == pytest.approx((1.0 - dark.mean()) * SIDE**2, rel=0.02)
+    assert cover.common_volume == pytest.approx((1.0 - dark.mean()) * SIDE**2, rel=0.02)
 
 
 def falsely(first, second):

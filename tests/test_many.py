@@ -412,9 +412,9 @@ def test_the_joint_density_of_parts_is_the_marginal_of_the_stacked_observations(
     records = [Records.of(rng.normal(size=(1, len(h))), sigma=0.5 + k) for k, h in enumerate(parts)]
     region = Region(np.array([0.1, 0.2, 0.3]), np.diag([4.0, 9.0, 16.0]) + 0.5)
     sources = [Observations(r, LinearPart(h)) for r, h in zip(records, parts, strict=True)]
-    from sameas.many.joint import pooled
+    from sameas.many.joint import joint_density
 
-    joint = pooled(sources, np.zeros((1, 3), int), region)
+    joint = joint_density(sources, np.zeros((1, 3), int), region)
     h, z = np.vstack(parts), np.concatenate([r.features[0] for r in records])
     spread = h @ region.covariance @ h.T + np.diag(np.repeat([0.25, 2.25, 6.25], [1, 2, 2]))
     log_marginal = naive.log_normal(z - h @ region.centre, spread)

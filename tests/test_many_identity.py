@@ -26,7 +26,7 @@ from sameas.evidence import Displacement, Evidence, Flat, Identity, Rule
 from sameas.gate import Radius
 from sameas.many.identify import identify_many
 from sameas.many.observations import Bearing, Observations
-from sameas.many.pooled import union
+from sameas.many.pooled import pooled
 from sameas.many.rules import MissedObjects, PoissonObjects, SetRules, parts_of, terms_of
 from sameas.many.sequential import identify_sequentially
 from sameas.many.sets import candidate_sets
@@ -119,7 +119,7 @@ def test_no_set_that_outweighs_its_records_is_left_out(believed, monkeypatch):
     for _ in range(6):
         sources = small_scene(rng, (3, 3, 2, 2), extent=5.0)
         rule = believed + told(rng, sources, rng.choice([0.3, 1.0])) + told(rng, sources, 0.5)
-        together = union(sources, Radius(4.0))
+        together = pooled(sources, Radius(4.0))
         terms = terms_of(rule, PerPair(-1.0), together)
         everything = candidate_sets(together, terms)
         heavy = {tuple(m): w for m, w in zip(everything.members.tolist(), everything.log_weight, strict=True)}
@@ -335,9 +335,9 @@ def test_reasons_say_what_every_term_weighs():
                 assert sum(rival.terms.values()) == pytest.approx(rival.log_odds, abs=1e-9)
                 numbers = [-1, -1, -1]
                 for source, row in rival.members:
-                    s = found.union.given.index(int(source[1:]))
-                    at = np.flatnonzero(found.union.sources[s].rows == row)[0]
-                    numbers[s] = int(found.union.start[s] + at)
+                    s = found.pooled.given.index(int(source[1:]))
+                    at = np.flatnonzero(found.pooled.sources[s].rows == row)[0]
+                    numbers[s] = int(found.pooled.start[s] + at)
                 assert weight[tuple(numbers)] == rival.log_odds
             if found.groups.exact[why.group]:
                 # With the sets that share one of its records, any record is somewhere.

@@ -62,10 +62,10 @@ def test_a_group_of_more_records_than_a_sum_can_hold_is_summed_without_improbabl
         for name in ("one", "two", "three")
     ]
     found = identify_many(sources, rule=PoissonObjects(0.1, 0.1))
-    widest = int(np.argmax(found.union.sizes))
-    assert found.union.sizes[widest] > MOST_RECORDS
+    widest = int(np.argmax(found.pooled.sizes))
+    assert found.pooled.sizes[widest] > MOST_RECORDS
     assert found.groups.cut[widest] in CUTS
-    total = np.zeros(len(found.union))
+    total = np.zeros(len(found.pooled))
     at, record = found.sets.entries()
     np.add.at(total, record, found.answer.probability[at])
     np.testing.assert_allclose(total, 1.0, atol=1e-9)

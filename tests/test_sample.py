@@ -103,7 +103,7 @@ def test_the_order_of_the_rows_does_not_matter_to_a_sample(few):
 def test_a_sample_that_misleads_is_followed_by_rounds_over_all(few, monkeypatch):
     made = field(5, extent=75.0)
     _, believed = match(made.first, made.second)
-    monkeypatch.setattr(sameas.estimate, "_as_expected", lambda *counts: False)
+    monkeypatch.setattr("sameas.estimate.match._as_expected", lambda *counts: False)
     _, found = match(made.first, made.second)
     assert max(believed.learned_from) < len(made.first)
     assert found.learned_from == (len(made.first), len(made.second)) and found.rounds > believed.rounds

@@ -18,7 +18,7 @@ RULE = PoissonObjects(density=1e-7, q=0.1)
 
 
 def alongside(echo_x_m):
-    """Two vessels 20 m apart that speak, and one echo at x; the records are those of the union."""
+    """Two vessels 20 m apart that speak, and one echo at x; the records are those of the pooled records."""
     ais = Records.of([[0.0, 0.0], [20.0, 0.0]], sigma=15.0, source="ais", ids=["left", "right"])
     radar = Records.of([[echo_x_m, 0.0]], sigma=10.0, source="radar", ids=["echo"])
     return identify_many([ais, radar], rule=RULE)
@@ -32,11 +32,11 @@ def company(found):
 
 def was(found, echo_with):
     """The objects of the last instant: 1 left, 2 right, and the echo with one of them."""
-    out = np.full(len(found.union), -1)
-    for s, source in enumerate(found.union.sources):
+    out = np.full(len(found.pooled), -1)
+    for s, source in enumerate(found.pooled.sources):
         ids = source.ids[source.rows]
         objects = {"left": 1, "right": 2, "echo": 1 if echo_with == "left" else 2}
-        out[found.union.start[s] : found.union.start[s + 1]] = [objects[name] for name in ids]
+        out[found.pooled.start[s] : found.pooled.start[s + 1]] = [objects[name] for name in ids]
     return out
 
 
@@ -59,7 +59,7 @@ def test_what_is_even_stays_and_what_is_much_more_probable_is_shown():
 def test_records_that_were_not_there_go_where_they_are_most_probable():
     found = alongside(14.0)
     before = was(found, "left")
-    before[[found.union.start[list(found.union.given).index(1)]]] = -1
+    before[[found.pooled.start[list(found.pooled.given).index(1)]]] = -1
     assert company(held(found, before, np.log(1e6))[0]) == company(found) == "right"
     assert company(held(found, was(found, "left"), 0.0)[0]) == "right"
 

@@ -75,7 +75,7 @@ def test_memory_is_bounded_by_what_numbers_are_worth():
         now = scene.at(time_s)
         past = past.on(Scan.of(now))
         found = identify_many(now.sources, rule=now.rule() + past.rule(), region=now.region)
-        past = past.met(found.union)
+        past = past.met(found.pooled)
         assert np.abs(past.rule().log_ratio).max(initial=0.0) <= np.log(0.99 / 0.01) + 1e-9
     # Who met and went on is another's: less so than who stays together by as much as a look's name is worth.
     said = past.rule().log_ratio
@@ -88,7 +88,7 @@ def test_what_is_said_twice_is_no_evidence():
     for time_s in (0.0, 10.0, 20.0):
         now = scene.at(time_s)
         past = past.on(Scan.of(now))
-        past = past.met(identify_many(now.sources, rule=now.rule() + past.rule(), region=now.region).union)
+        past = past.met(identify_many(now.sources, rule=now.rule() + past.rule(), region=now.region).pooled)
     said = past.rule().log_ratio + past.track_pairs.now
     for time_s in (21.0, 24.0, 29.0):
         past = past.on(Scan.of(scene.at(time_s)))
@@ -110,7 +110,7 @@ def test_a_track_that_jumps_begins_anew():
         past = past.on(Scan.of(now))
         if time_s == 40.0:
             assert not len(past.track_pairs)
-        past = past.met(identify_many(now.sources, rule=now.rule(), region=now.region).union)
+        past = past.met(identify_many(now.sources, rule=now.rule(), region=now.region).pooled)
         assert len(past.track_pairs) == (time_s < 40.0)
 
 
@@ -123,7 +123,7 @@ def test_records_without_names_have_no_past():
     for time_s in times:
         now = scene.at(time_s)
         past = past.on(Scan.of(now))
-        past = past.met(identify_many(now.sources, rule=now.rule(), region=now.region).union)
+        past = past.met(identify_many(now.sources, rule=now.rule(), region=now.region).pooled)
     assert not len(past.track_pairs) and past.tracks.track_of_record.tolist() == [-1, -1, 0, 1]
 
 

@@ -101,7 +101,7 @@ def test_probabilities_are_of_records_whatever_known_object_they_are():
     """Sets of the answer that differ in what is remembered only count as one."""
     state = PlotPicture().at(passing(2), 16.1)
     found, scan = state.objects.tracks.found, state.scan
-    names = [records_of(source).source for source in found.union.sources]
+    names = [records_of(source).source for source in found.pooled.sources]
     assert KNOWN in names and len(state.members) > 3
     start = dict(zip((d.name for d in scan.now.descriptions), range(len(scan.start) - 1), strict=True))
     several = 0
@@ -110,9 +110,9 @@ def test_probabilities_are_of_records_whatever_known_object_they_are():
         for own, probability in zip(found.sets.members, found.answer.probability, strict=True):
             there = set()
             for k in own[own >= 0].tolist():
-                u = int(np.searchsorted(found.union.start, k, side="right")) - 1
+                u = int(np.searchsorted(found.pooled.start, k, side="right")) - 1
                 if names[u] != KNOWN:
-                    row = records_of(found.union.sources[u]).rows[k - found.union.start[u]]
+                    row = records_of(found.pooled.sources[u]).rows[k - found.pooled.start[u]]
                     there.add(int(scan.find(start[names[u]], np.array([row]))[0]))
             same += probability * (there == set(members[members >= 0].tolist()))
         assert p == pytest.approx(same, abs=1e-9)

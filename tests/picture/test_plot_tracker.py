@@ -8,7 +8,7 @@ import pytest
 
 from sameas.errors import InputError
 from sameas.many.identify import identify_many
-from sameas.many.joint import pooled
+from sameas.many.joint import joint_density
 from sameas.many.observations import Region, records_of
 from sameas.many.rules import PoissonObjects
 from sameas.many.sequential import identify_sequentially
@@ -280,8 +280,8 @@ def three_sources(rng):
 def weight(rule, sources, row, region):
     """w of a set by the formulas of the module, over that of its records alone being false or unknown objects."""
     names, existence = ("lidar", "radar"), rule.existence
-    log_j = pooled(sources, np.array([row]), region).log_density[0]
-    alone = [pooled(sources, np.array([[k if t == s else -1 for t in range(3)]]), region).log_density[0]
+    log_j = joint_density(sources, np.array([row]), region).log_density[0]
+    alone = [joint_density(sources, np.array([[k if t == s else -1 for t in range(3)]]), region).log_density[0]
              for s, k in enumerate(row)]  # fmt: skip
     out = np.exp(log_j)
     seen = [s for s in (1, 2) if row[s] >= 0]
@@ -311,10 +311,10 @@ def test_weights_of_sets_are_those_of_the_formulas(seed):
     sources = [known, *looks]
     found = identify_many(sources, rule=rule, region=region)
     rows = np.full((len(found.sets), 3), -1)
-    position = found.union.positions(found.sets.members)
-    for u, given in enumerate(found.union.given):
+    position = found.pooled.positions(found.sets.members)
+    for u, given in enumerate(found.pooled.given):
         held = position[:, u] >= 0
-        rows[held, given] = records_of(found.union.sources[u]).rows[position[held, u]]
+        rows[held, given] = records_of(found.pooled.sources[u]).rows[position[held, u]]
     several = (rows >= 0).sum(axis=1) > 1
     assert several.sum() > 3
     expected = [weight(rule, sources, row, region) for row in rows[several].tolist()]

@@ -364,6 +364,7 @@ class Coverage:
             excess = max(excess, more)
         return seen, highest, excess
 
+    @cached_property
     def common_volume(self) -> float:
         """Volume where both sources look, (residual unit)^d: of every cell the part that its covered records tell.
 

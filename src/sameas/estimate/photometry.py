@@ -161,7 +161,7 @@ class Photometry:
         self, answer: Identification, coverage: Coverage
     ) -> tuple[DetectionCurve | None, DetectionCurve | None]:
         """The share of either source's covered records that the other shows, by magnitude in the first band."""
-        volume, at, curves = coverage.common_volume(), (answer.pairs.i, answer.pairs.j), []
+        volume, at, curves = coverage.common_volume, (answer.pairs.i, answer.pairs.j), []
         for side, rows, names, seen in zip(self.sides, at, self.names, coverage.covered, strict=True):
             magnitude = side.measured.values[:, 0]
             partner = np.minimum(np.bincount(rows, answer.p_pair, len(magnitude)), 1.0)

@@ -61,7 +61,7 @@ def quantities(
     surest = min(shares, key=lambda share: share.count_error)
     common = Quantity(surest.found, surest.count_error)
     found = {"common": common, "share_1": shares[0].quantity(), "share_2": shares[1].quantity()}
-    volume = coverage.common_volume()
+    volume = coverage.common_volume
     if volume > 0.0:
         unit = "per arcsec²" if isinstance(coverage.first.space, Sphere) else ""
         alone = [share.number - share.found for share in shares]

@@ -36,7 +36,7 @@ class Identified(Protocol):
     """What of :class:`~sameas.many.objects.Objects` their explanation is made from."""
 
     @property
-    def union(self) -> PooledRecords: ...
+    def pooled(self) -> PooledRecords: ...
     @property
     def sets(self) -> Sets: ...
     @property
@@ -137,9 +137,9 @@ class Weights:
         kept = np.flatnonzero((objects.answer.probability >= LEAST) | objects.answer.chosen)
         members = objects.sets.members[kept]
         at, source = np.nonzero(members >= 0)
-        shape = (len(objects.union), len(kept))
+        shape = (len(objects.pooled), len(kept))
         sets_of = csr_array((np.ones(len(at), bool), (members[at, source], at)), shape=shape)
-        sources = [records_of(source) for source in objects.union.sources]
+        sources = [records_of(source) for source in objects.pooled.sources]
         names = [(source.source, name) for source in sources for name in source.ids[source.rows].tolist()]
         return cls(objects, kept, _terms(objects, objects.terms, kept), sets_of, names)
 
@@ -155,7 +155,7 @@ class Weights:
         rivals = tuple(self._rival(at, number) for at in near[np.lexsort([near, other, -p])].tolist())
         group = int(objects.sets.group[own])
         return ObjectExplanation(
-            number, group, int(objects.union.sizes[group]), bool(objects.answer.cut[group] >= EXACT), rivals
+            number, group, int(objects.pooled.sizes[group]), bool(objects.answer.cut[group] >= EXACT), rivals
         )
 
     def _rival(self, at: int, number: int) -> Rival:
@@ -175,12 +175,12 @@ class Weights:
     @cached_property
     def _columns(self) -> IntArray:
         """Columns of the sets' members in the order in which the sources were given."""
-        return np.argsort(self.objects.union.given)
+        return np.argsort(self.objects.pooled.given)
 
 
 def _terms(objects: Identified, terms: Terms, kept: IntArray) -> dict[str, FloatArray]:
     """(r,) every term of the kept sets; what the others leave of ln w is what positions say."""
-    union, sets = objects.union, objects.sets
+    pooled, sets = objects.pooled, objects.sets
     out: dict[str, FloatArray] = {"position": np.zeros(len(kept))}
     for size in np.unique(sets.size[kept]).tolist():
         if size == 1:
@@ -188,7 +188,7 @@ def _terms(objects: Identified, terms: Terms, kept: IntArray) -> dict[str, Float
         at = np.flatnonzero(sets.size[kept] == size)
         members = sets.members[kept[at]]
         records = members[members >= 0].reshape(-1, size)
-        named = terms.by_name(records, pairs_of(union, records))
+        named = terms.by_name(records, pairs_of(pooled, records))
         named["position"] = sets.log_weight[kept[at]] - np.sum(
             [np.zeros(len(at)), *(values for name, values in named.items() if name != "position")], axis=0
         )

@@ -3,7 +3,7 @@
 Use :func:`identify_many` for two sources or more; the answer does not depend on their order. The papers' way, source
 after source against the fused picture, is :func:`sameas.many.sequential.identify_sequentially`.
 
-records → union → belief → sets → partition → membership → objects: the union of the records in an order of their
+records → pooled → rules → sets → partition → marginals → objects: the pooled records in an order of their
 content, what is believed of them, the sets that could be one object, the best partition into such sets, how sure each
 is.
 """
@@ -16,7 +16,7 @@ from sameas.gate import DEFAULT_GATE, Pairs
 from sameas.many.marginals import answer
 from sameas.many.objects import Objects
 from sameas.many.observations import Region, Source
-from sameas.many.pooled import union
+from sameas.many.pooled import pooled
 from sameas.many.rules import MissedObjects, SetPrior, SetRule, terms_of
 from sameas.many.sets import candidate_sets
 from sameas.prior import EVIDENCE_ALONE
@@ -60,7 +60,7 @@ def identify_many(
      [0 0 --]
      [-- 1 --]]
     """
-    together = union(sources, gate, region)
+    together = pooled(sources, gate, region)
     terms = terms_of(rule, prior, together)
     sets = candidate_sets(together, terms)
     counts = prior if isinstance(prior, MissedObjects) else None

@@ -154,7 +154,7 @@ class Observers:
         return moved
 
 
-def pooled(sources: Sequence[Source], sets: NDArray[np.integer], region: Region | None = None) -> Joint:
+def joint_density(sources: Sequence[Source], sets: NDArray[np.integer], region: Region | None = None) -> Joint:
     """Joint density and state of sets of records; see :class:`Observers`."""
     return Observers(tuple(sources), region).joint(sets)
 

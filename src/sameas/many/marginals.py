@@ -51,24 +51,24 @@ class Answer:
     cut: FloatArray
 
 
-def answer(sets: Sets, union: PooledRecords, counts: MissedObjects | None, *, time_limit_s: float) -> Answer:
+def answer(sets: Sets, pooled: PooledRecords, counts: MissedObjects | None, *, time_limit_s: float) -> Answer:
     """The best partition of every group and the probabilities of its sets; ``counts`` is the count prior, if any."""
     if counts is None:
         # Small groups need no programme: their sums are short, and give the best partition too.
-        sums = _Sums.additive(sets, len(union))
-        small = (union.sizes <= SMALL) & (sets.floor <= 0)
+        sums = _Sums.additive(sets, len(pooled))
+        small = (pooled.sizes <= SMALL) & (sets.floor <= 0)
         share, chosen, solved = sums.without(np.zeros(len(sets)), EXACT, small)
         solved &= small
-        best = best_partition(sets, len(union), ~solved, time_limit_s=time_limit_s)
+        best = best_partition(sets, len(pooled), ~solved, time_limit_s=time_limit_s)
         cost = _reduced_cost(sets, best.dual, best.slack, sets.log_weight)
         part, _, cut = sums.all(cost, best.chosen, np.where(solved, EXACT, -1.0))
         done = solved[sets.group]
         return Answer(
             np.where(done, chosen, best.chosen), np.where(done, share, part), np.where(solved, 0.0, best.gap), cut
         )
-    sums = _Sums.counted(sets, union, counts)
+    sums = _Sums.counted(sets, pooled, counts)
     nothing = np.zeros(len(sets))
-    share, chosen, solved = sums.without(nothing, EXACT, np.ones(len(union.sizes), bool))
+    share, chosen, solved = sums.without(nothing, EXACT, np.ones(len(pooled.sizes), bool))
     cut = np.where(solved, np.inf, -1.0)
     gap = np.where(sets.floor > 0, np.inf, 0.0)
     if not solved.all():
@@ -76,7 +76,7 @@ def answer(sets: Sets, union: PooledRecords, counts: MissedObjects | None, *, ti
         for g in np.flatnonzero(~solved).tolist():
             gap[g] = max(gap[g], _solve_counted(sets, sums, g, weight, chosen, time_limit_s))
         tilted = Sets(sets.members, sets.size, weight, sets.group, sets.start, sets.floor)
-        best = best_partition(tilted, len(union), time_limit_s=time_limit_s)
+        best = best_partition(tilted, len(pooled), time_limit_s=time_limit_s)
         cost = _reduced_cost(sets, best.dual, best.slack, weight)
         part, _, cut = sums.all(cost, chosen, cut)
         share = np.where(solved[sets.group], share, part)
@@ -125,10 +125,10 @@ class _Sums:
         return cls(sets, n_records, np.zeros(len(sets.start), np.int64), np.zeros(1), False)
 
     @classmethod
-    def counted(cls, sets: Sets, union: PooledRecords, counts: MissedObjects) -> _Sums:
-        tables = {int(n): counts.table(union, int(n)) for n in np.unique(union.sizes)}
-        table = np.concatenate([tables[int(n)] for n in union.sizes] or [np.zeros(1)])
-        return cls(sets, len(union), Ragged.of_sizes(union.sizes).start, table, True)
+    def counted(cls, sets: Sets, pooled: PooledRecords, counts: MissedObjects) -> _Sums:
+        tables = {int(n): counts.table(pooled, int(n)) for n in np.unique(pooled.sizes)}
+        table = np.concatenate([tables[int(n)] for n in pooled.sizes] or [np.zeros(1)])
+        return cls(sets, len(pooled), Ragged.of_sizes(pooled.sizes).start, table, True)
 
     def all(self, cost: FloatArray, chosen: BoolArray, cut: FloatArray) -> tuple[FloatArray, BoolArray, FloatArray]:
         """Probabilities with as small a cut as each group allows; groups whose ``cut`` is not negative are done."""

@@ -62,12 +62,12 @@ class GroupTable:
 class Objects:
     """The answer of :func:`sameas.many.identify_many`.
 
-    given : the sources, in the order in which they were given. union, sets, answer, terms : the stages' values; terms
+    given : the sources, in the order in which they were given. pooled, sets, answer, terms : the stages' values; terms
         are None where the sets were not weighed.
     """
 
     given: tuple[Source, ...]
-    union: PooledRecords
+    pooled: PooledRecords
     sets: Sets
     answer: Answer
     terms: Terms | None = None
@@ -80,12 +80,12 @@ class Objects:
         """(n,) the set that each object is: a row of :attr:`sets`."""
         chosen = np.flatnonzero(self.answer.chosen)
         members = self.sets.members[chosen]
-        first = np.where(members >= 0, members, len(self.union)).min(axis=1)
+        first = np.where(members >= 0, members, len(self.pooled)).min(axis=1)
         return chosen[np.argsort(first)]
 
     @cached_property
     def _table(self) -> _Tables:
-        return _Tables(self.union)
+        return _Tables(self.pooled)
 
     @cached_property
     def members(self) -> np.ma.MaskedArray:
@@ -140,7 +140,7 @@ class Objects:
     @cached_property
     def fused(self) -> Joint:
         """Per object its fused ``state`` (n, L) and ``covariance``, errors of the records taken as independent."""
-        return self.union.observers.joint(self.union.positions(self.sets.members[self.set_of_object]))
+        return self.pooled.observers.joint(self.pooled.positions(self.sets.members[self.set_of_object]))
 
     @cached_property
     def expected_wrong(self) -> float:
@@ -152,7 +152,7 @@ class Objects:
         """How every group was solved."""
         counts = np.diff(self.sets.start)
         a = self.answer
-        return GroupTable(self.union.sizes, counts, a.gap, a.cut >= EXACT, a.cut, self.sets.floor)
+        return GroupTable(self.pooled.sizes, counts, a.gap, a.cut >= EXACT, a.cut, self.sets.floor)
 
     def of(self, source: int | str) -> Memberships:
         """What became of every row of one source, named by its place in the list of sources or by its name."""
@@ -163,8 +163,8 @@ class Objects:
             source = names.index(source)
         if not 0 <= source < len(names):
             raise InputError(f"source is {source}; give 0 … {len(names) - 1}, its place in the list of sources")
-        s = self.union.given.index(source)
-        here = np.arange(self.union.start[s], self.union.start[s + 1])
+        s = self.pooled.given.index(source)
+        here = np.arange(self.pooled.start[s], self.pooled.start[s + 1])
         of_record = self.object_of_record[here]
         partner, p_partner = self._partners(s, here)
         spread = self._table.spread(s)
@@ -194,8 +194,8 @@ class Objects:
 
     @cached_property
     def object_of_record(self) -> IntArray:
-        """(records,) the object of every record, numbered as in the union."""
-        out = np.zeros(len(self.union), np.int64)
+        """(records,) the object of every record, numbered as in the pooled records."""
+        out = np.zeros(len(self.pooled), np.int64)
         members = self.sets.members[self.set_of_object]
         at, source = np.nonzero(members >= 0)
         out[members[at, source]] = at
@@ -204,18 +204,18 @@ class Objects:
     @cached_property
     def _p_alone(self) -> FloatArray:
         lone = np.flatnonzero(self.sets.size == 1)
-        out = np.zeros(len(self.union))
+        out = np.zeros(len(self.pooled))
         out[self.sets.members[lone].max(axis=1)] = self.answer.probability[lone]
         return out
 
     @cached_property
     def p_together(self) -> csr_array:
-        """(n, n) probability that two records, numbered as in the union, are one object; symmetric, sparse."""
+        """(n, n) probability that two records, numbered as in the pooled records, are one object; symmetric, sparse."""
         p = self.answer.probability
         kept = np.flatnonzero((self.sets.size > 1) & (p > 0))
         members = self.sets.members[kept]
         at, source = np.nonzero(members >= 0)
-        shape = (len(self.union), len(kept))
+        shape = (len(self.pooled), len(kept))
         whole = csr_array((np.ones(len(at)), (members[at, source], at)), shape=shape)
         together = csr_array((whole * p[kept][None, :]) @ whole.T)
         together.setdiag(0.0)
@@ -226,37 +226,37 @@ class Objects:
     def _partners(self, s: int, here: IntArray) -> tuple[np.ma.MaskedArray, FloatArray]:
         """(k, S) the most probable partner of each record in every source, in the order given, and its probability."""
         together = self.p_together[here].tocoo()
-        n_sources = len(self.union.sources)
+        n_sources = len(self.pooled.sources)
         number, p = np.full((len(here), n_sources), -1), np.zeros((len(here), n_sources))
         row, record = together.row, together.col
-        source = self.union.source[record]
+        source = self.pooled.source[record]
         # Of equals the first by content is written last.
         order = np.lexsort([-record, together.data])
         number[row[order], source[order]], p[row[order], source[order]] = record[order], together.data[order]
-        order_given = np.argsort(self.union.given)
+        order_given = np.argsort(self.pooled.given)
         return self._table.rows_of(number), p[:, order_given]
 
 
 class _Tables:
-    """Record numbers of the union as rows of the sources' own tables, in the order given."""
+    """Record numbers of the pooled records as rows of the sources' own tables, in the order given."""
 
-    def __init__(self, union: PooledRecords) -> None:
-        self.union = union
-        self.rows = [records_of(source).rows for source in union.sources]
+    def __init__(self, pooled: PooledRecords) -> None:
+        self.pooled = pooled
+        self.rows = [records_of(source).rows for source in pooled.sources]
 
     def rows_of(self, members: IntArray) -> np.ma.MaskedArray:
         """(k, S) table rows of sets of record numbers."""
-        at = self.union.positions(members)
+        at = self.pooled.positions(members)
         out = np.zeros(at.shape, np.int64)
         for s, rows in enumerate(self.rows):
             here = at[:, s] >= 0
             out[here, s] = rows[at[here, s]]
-        back = np.argsort(self.union.given)
+        back = np.argsort(self.pooled.given)
         return np.ma.MaskedArray(out[:, back], (at < 0)[:, back])
 
     def spread(self, s: int) -> _OverTable:
         """Values of the usable records of source s over the rows of its table."""
-        return _OverTable(self.rows[s], records_of(self.union.sources[s]).n_table)
+        return _OverTable(self.rows[s], records_of(self.pooled.sources[s]).n_table)
 
 
 class _OverTable:

@@ -1,4 +1,4 @@
-"""The union: the records of all sources in one order of their content, the pairs between them, and their groups.
+"""Pooled records: those of all sources in one order of their content, the pairs between them, and their groups.
 
 Sources are ordered by what their records say and records by what they say, ids settling what is equal; every later
 stage works in that order, so the answer depends neither on the order of the sources nor on that of their rows. Two
@@ -98,7 +98,7 @@ class PooledRecords:
         return self.i * len(self) + self.j
 
 
-def union(sources: Sequence[Source], gate: Gate, region: Region | None = None) -> PooledRecords:
+def pooled(sources: Sequence[Source], gate: Gate, region: Region | None = None) -> PooledRecords:
     """The records of two or more sources, their pairs and groups."""
     if len(sources) < 2:
         raise InputError(f"{len(sources)} source given; give two or more, as a list")

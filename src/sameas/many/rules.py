@@ -46,8 +46,8 @@ OF_TWO_SOURCES = (Brightness, ConstantCost, DetectionField, PoissonField, Univer
 class ObjectsRule:
     """What every belief in objects at places is: terms of records and pairs; and a sum with rules beside positions."""
 
-    def terms(self, union: PooledRecords) -> Terms:
-        """The terms of the records and pairs of ``union``."""
+    def terms(self, pooled: PooledRecords) -> Terms:
+        """The terms of the records and pairs of ``pooled``."""
         raise TypeError(f"{type(self).__name__} is the interface of beliefs in objects; use one of them")
 
     def __add__(self, other: Rule) -> SetRules:
@@ -83,17 +83,17 @@ class PoissonObjects(ObjectsRule):
         if not np.all((false >= 0.0) & (false < np.inf)):
             raise InputError(f"PoissonObjects: false is {self.false}; give densities of zero or more")
 
-    def terms(self, union: PooledRecords) -> Terms:
-        """The terms of the records and pairs of ``union``."""
-        q, false = _per_source(self.q, union, "q"), _per_source(self.false, union, "false")
+    def terms(self, pooled: PooledRecords) -> Terms:
+        """The terms of the records and pairs of ``pooled``."""
+        q, false = _per_source(self.q, pooled, "q"), _per_source(self.false, pooled, "false")
         log_missed, log_seen = np.log(q), np.log1p(-q)
-        alone_sets = np.full((len(union), len(q)), -1)
-        alone_sets[np.arange(len(union)), union.source] = np.arange(len(union))
-        log_j = union.observers.joint(union.positions(alone_sets)).log_density
-        odds = (log_seen - log_missed)[union.source]
+        alone_sets = np.full((len(pooled), len(q)), -1)
+        alone_sets[np.arange(len(pooled)), pooled.source] = np.arange(len(pooled))
+        log_j = pooled.observers.joint(pooled.positions(alone_sets)).log_density
+        odds = (log_seen - log_missed)[pooled.source]
         base = math.log(self.density) + log_missed.sum()
         with np.errstate(divide="ignore"):
-            alone = np.logaddexp(base + odds + log_j, np.log(false)[union.source])
+            alone = np.logaddexp(base + odds + log_j, np.log(false)[pooled.source])
         # What a record's own place says is taken out of the densities: J of one record is 1 unless there is a region.
         return Terms({"position": Linear(0.0, -log_j), "densities": Linear(base, odds - alone + log_j)})
 
@@ -136,14 +136,14 @@ class Pairwise(ObjectsRule):
         if isinstance(self.rule, Field) and any(np.ndim(getattr(self.rule, f.name)) for f in fields(self.rule)):
             raise InputError(_two_sources(self.rule))
 
-    def terms(self, union: PooledRecords) -> Terms:
-        """The terms of the records and pairs of ``union``."""
-        if len(union.observers.whole) < len(union.sources):
+    def terms(self, pooled: PooledRecords) -> Terms:
+        """The terms of the records and pairs of ``pooled``."""
+        if len(pooled.observers.whole) < len(pooled.sources):
             raise InputError(
                 f"{type(self.rule).__name__} compares whole positions, but a source observes a part of the state; "
                 "give PoissonObjects(density, q) and a region"
             )
-        return Terms({}, (PairTerms.of(self._strangers, union, mean_of_pairs),))
+        return Terms({}, (PairTerms.of(self._strangers, pooled, mean_of_pairs),))
 
     def _strangers(self, pairs: Pairs) -> Evidence:
         """−ln f(Δ); J stands for the rule's N."""
@@ -166,17 +166,17 @@ class MissedObjects:
     def __post_init__(self) -> None:
         _probabilities(self.q, "MissedObjects")
 
-    def terms(self, union: PooledRecords) -> Terms:
+    def terms(self, pooled: PooledRecords) -> Terms:
         """The part linear in the number of merges: every merge spares one object the misses of all sources."""
-        total = float(np.log(_per_source(self.q, union, "q")).sum())
-        return Terms({"linear prior": Linear(total, np.full(len(union), -total))})
+        total = float(np.log(_per_source(self.q, pooled, "q")).sum())
+        return Terms({"linear prior": Linear(total, np.full(len(pooled), -total))})
 
-    def table(self, union: PooledRecords, records: int) -> FloatArray:
+    def table(self, pooled: PooledRecords, records: int) -> FloatArray:
         """(records,) ln P of 0, 1, … merges among so many records, less that of none and the linear part."""
         from scipy.special import gammaln
 
         n = records - np.arange(records, dtype=np.float64)
-        log_p = gammaln(n + 1) - (n + 1) * math.log1p(-float(np.prod(_per_source(self.q, union, "q"))))
+        log_p = gammaln(n + 1) - (n + 1) * math.log1p(-float(np.prod(_per_source(self.q, pooled, "q"))))
         return log_p - log_p[:1]
 
 
@@ -184,11 +184,11 @@ SetRule = ObjectsRule | SetRules | Rule
 SetPrior = MissedObjects | PerPair
 
 
-def terms_of(rule: SetRule, prior: SetPrior, union: PooledRecords) -> Terms:
+def terms_of(rule: SetRule, prior: SetPrior, pooled: PooledRecords) -> Terms:
     """The terms of a rule and of the linear part of a prior together."""
     positions, beside = parts_of(rule)
-    said = tuple(_beside(part, union) for part in beside)
-    return positions.terms(union) + Terms({}, said) + _prior_terms(prior, union)
+    said = tuple(_beside(part, pooled) for part in beside)
+    return positions.terms(pooled) + Terms({}, said) + _prior_terms(prior, pooled)
 
 
 def parts_of(rule: SetRule) -> tuple[ObjectsRule, tuple[Rule, ...]]:
@@ -221,17 +221,17 @@ def parts_of(rule: SetRule) -> tuple[ObjectsRule, tuple[Rule, ...]]:
     return objects or Pairwise(pairwise[0]), beside
 
 
-def _beside(rule: Rule, union: PooledRecords) -> PairTerms:
+def _beside(rule: Rule, pooled: PooledRecords) -> PairTerms:
     """What a rule says beside the positions."""
-    said = PairTerms.of(rule, union, best_word)
+    said = PairTerms.of(rule, pooled, best_word)
     if "position" in said.terms:
         raise InputError(f"identify_many: both {type(rule).__name__} and the rule it is added to speak of position")
     return said
 
 
-def _prior_terms(prior: SetPrior, union: PooledRecords) -> Terms:
+def _prior_terms(prior: SetPrior, pooled: PooledRecords) -> Terms:
     if isinstance(prior, MissedObjects):
-        return prior.terms(union)
+        return prior.terms(pooled)
     if not isinstance(prior, PerPair):
         raise InputError(
             f"identify_many: prior is a {type(prior).__name__}; give MissedObjects(q) or PerPair(log_odds)"
@@ -239,7 +239,7 @@ def _prior_terms(prior: SetPrior, union: PooledRecords) -> Terms:
     if prior.log_odds == 0.0:
         return Terms({})
     # Every merge, the second record of an object and each further one, has the pair's odds.
-    return Terms({"prior": Linear(-prior.log_odds, np.full(len(union), prior.log_odds))})
+    return Terms({"prior": Linear(-prior.log_odds, np.full(len(pooled), prior.log_odds))})
 
 
 def _two_sources(rule: Rule) -> str:
@@ -255,9 +255,11 @@ def _probabilities(q: ArrayLike, name: str) -> None:
         raise InputError(f"{name}: q is {q!r}; give per source the probability of a miss, strictly between 0 and 1")
 
 
-def _per_source(values: float | Sequence[float], union: PooledRecords, name: str) -> FloatArray:
-    """(S,) the values in the order of the union's sources."""
+def _per_source(values: float | Sequence[float], pooled: PooledRecords, name: str) -> FloatArray:
+    """(S,) the values in the order of the pooled records' sources."""
     array = np.asarray(values, dtype=np.float64)
-    if array.ndim and len(array) != len(union.sources):
-        raise InputError(f"{name} has {len(array)} numbers for {len(union.sources)} sources; give one, or one a source")
-    return np.broadcast_to(array, len(union.sources))[list(union.given)]
+    if array.ndim and len(array) != len(pooled.sources):
+        raise InputError(
+            f"{name} has {len(array)} numbers for {len(pooled.sources)} sources; give one, or one a source"
+        )
+    return np.broadcast_to(array, len(pooled.sources))[list(pooled.given)]

@@ -19,7 +19,7 @@ from sameas.evidence import PoissonField, Rule
 from sameas.gate import DEFAULT_GATE, Pairs
 from sameas.many.marginals import EXACT, Answer
 from sameas.many.objects import Objects
-from sameas.many.pooled import PooledRecords, numbered_groups, union
+from sameas.many.pooled import PooledRecords, numbered_groups, pooled
 from sameas.many.rules import MissedObjects, Pairwise, PoissonObjects, SetPrior, SetRule, parts_of
 from sameas.many.sets import Sets
 from sameas.prior import EVIDENCE_ALONE, CommonObjects, Prior
@@ -54,7 +54,7 @@ def identify_sequentially(
         )
     if not isinstance(positions, PoissonObjects | Pairwise):
         raise InputError(f"{type(positions).__name__} weighs whole sets of records; give it to identify_many")
-    together = union(sources, gate)
+    together = pooled(sources, gate)
     if len(together.observers.whole) < len(sources):
         raise InputError("identify_sequentially needs sources of whole positions; give the parts to identify_many")
     picture = _Partial.of(together, together.given.index(0))
@@ -72,21 +72,21 @@ def identify_sequentially(
 class _Partial:
     """What is identified so far: ``members`` (k, S) record numbers, −1 for none, and probabilities ``p`` (k,)."""
 
-    union: PooledRecords
+    pooled: PooledRecords
     members: IntArray
     p: FloatArray
 
     @classmethod
-    def of(cls, union: PooledRecords, s: int) -> _Partial:
-        numbers = np.arange(union.start[s], union.start[s + 1])
-        members = np.full((len(numbers), len(union.sources)), -1)
+    def of(cls, pooled: PooledRecords, s: int) -> _Partial:
+        numbers = np.arange(pooled.start[s], pooled.start[s + 1])
+        members = np.full((len(numbers), len(pooled.sources)), -1)
         members[:, s] = numbers
-        return cls(union, members, np.ones(len(members)))
+        return cls(pooled, members, np.ones(len(members)))
 
     def joined(self, s: int, rule: Rule, prior: Prior, gate: Callable[[Records, Records], Pairs]) -> _Partial:
         """With the records of source s."""
-        fused = self.union.observers.joint(self.union.positions(self.members))
-        source = self.union.sources[s]
+        fused = self.pooled.observers.joint(self.pooled.positions(self.members))
+        source = self.pooled.sources[s]
         assert isinstance(source, Records)
         seen = Records.of(fused.state, covariance=fused.covariance, space=source.space, source="picture")
         found = identify(seen, source, rule=rule, prior=prior, gate=gate)
@@ -96,23 +96,23 @@ class _Partial:
         left_2 = np.clip(1.0 - np.bincount(j, p_pair, len(source)), 0.0, 1.0)
         left_1[i[chosen]] = p_pair[chosen]
         members = self.members.copy()
-        members[i[chosen], s] = j[chosen] + self.union.start[s]
-        new = _Partial.of(self.union, s)
+        members[i[chosen], s] = j[chosen] + self.pooled.start[s]
+        new = _Partial.of(self.pooled, s)
         alone = np.setdiff1d(np.arange(len(source)), j[chosen])
         return _Partial(
-            self.union,
+            self.pooled,
             np.concatenate([members, new.members[alone]]),
             np.concatenate([self.p * left_1, left_2[alone]]),
         )
 
     def objects(self, given: tuple[Records, ...]) -> Objects:
         """The picture as a result: its objects are the only sets, beside the records alone."""
-        n = len(self.union)
+        n = len(self.pooled)
         at, source = np.nonzero(self.members >= 0)
         held = coo_array((np.ones(len(at)), (self.members[at, source], at)), shape=(n, len(self.p))).tocsr()
         i, j = (held @ held.T).nonzero()
-        group = numbered_groups(np.append(self.union.i, i), np.append(self.union.j, j), n)
-        together = replace(self.union, group=group)
+        group = numbered_groups(np.append(self.pooled.i, i), np.append(self.pooled.j, j), n)
+        together = replace(self.pooled, group=group)
         singles = np.full((n, self.members.shape[1]), -1)
         singles[np.arange(n), together.source] = np.arange(n)
         size = (self.members >= 0).sum(axis=1)

@@ -70,7 +70,7 @@ def mean_of_pairs(log_ratio: FloatArray, spoken: BoolArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class PairTerms:
-    """What a rule says of every pair of the union: (m,) named terms of ln r, whether it speaks of it, and the shares
+    """What a rule says of every pooled pair: (m,) named terms of ln r, whether it speaks of it, and the shares
     that pairs of larger sets have."""
 
     terms: Mapping[str, FloatArray]
@@ -78,17 +78,17 @@ class PairTerms:
     shares: Shares
 
     @classmethod
-    def of(cls, rule: Callable[[Pairs], Evidence], union: PooledRecords, shares: Shares) -> PairTerms:
+    def of(cls, rule: Callable[[Pairs], Evidence], pooled: PooledRecords, shares: Shares) -> PairTerms:
         """What ``rule`` says of the pairs of every two sources.
 
         Raises
         ------
         InputError : a term is not finite.
         """
-        m = len(union.i)
+        m = len(pooled.i)
         terms: dict[str, FloatArray] = {}
         spoken = np.zeros(m, bool)
-        for pairs, place in union.parts:
+        for pairs, place in pooled.parts:
             evidence = rule(pairs)
             for name, values in evidence.terms.items():
                 wrong = np.flatnonzero(~np.isfinite(values))
@@ -122,9 +122,9 @@ class Terms:
     def __add__(self, other: Terms) -> Terms:
         return Terms({**self.linear, **other.linear}, self.between + other.between)
 
-    def gain(self, union: PooledRecords) -> FloatArray:
-        """(n,) what each record of the union adds by the linear terms."""
-        return np.sum([np.zeros(len(union)), *(part.gain for part in self.linear.values())], axis=0)
+    def gain(self, pooled: PooledRecords) -> FloatArray:
+        """(n,) what each record of the pooled records adds by the linear terms."""
+        return np.sum([np.zeros(len(pooled)), *(part.gain for part in self.linear.values())], axis=0)
 
     def linear_of(self, records: IntArray) -> FloatArray:
         """(k,) the linear terms of sets (k, size) of records."""
@@ -135,16 +135,16 @@ class Terms:
         """(k,) what the rules of pairs say of sets, given by their pairs in the order of :func:`pairs_of`."""
         return np.sum([np.zeros(len(pairs)), *(rule.of_sets(pairs) for rule in self.between)], axis=0)
 
-    def most_between(self, union: PooledRecords) -> FloatArray:
+    def most_between(self, pooled: PooledRecords) -> FloatArray:
         """(g,) more than which no record after a set's first adds by the rules of pairs, group by group; 0 or more.
 
         The shares of the pairs of k records that a rule speaks of add to k − 1 at most: it says (k − 1) max ln r_ij at
         most.
         """
-        most = np.zeros(len(union.sizes))
+        most = np.zeros(len(pooled.sizes))
         for rule in self.between:
             highest = np.zeros(len(most))
-            np.maximum.at(highest, union.group[union.i], rule.log_ratio)
+            np.maximum.at(highest, pooled.group[pooled.i], rule.log_ratio)
             most += highest
         return most
 
@@ -158,13 +158,13 @@ class Terms:
         return out
 
 
-def pairs_of(union: PooledRecords, records: IntArray) -> IntArray:
-    """(k, size (size − 1)/2) the pairs of sets (k, size) of records, ascending, all of which are pairs of the union.
+def pairs_of(pooled: PooledRecords, records: IntArray) -> IntArray:
+    """(k, size (size − 1)/2) the pairs of sets (k, size) of records, ascending, all of which are pooled pairs.
 
     A column's later record grows first: (0, 1), (0, 2), (1, 2), (0, 3), …; so a set that grows keeps its columns.
     """
     later, earlier = np.tril_indices(records.shape[1], -1)
-    return union.pair(records[:, earlier], records[:, later])[1]
+    return pooled.pair(records[:, earlier], records[:, later])[1]
 
 
 def _size(n_pairs: int) -> int:

@@ -61,11 +61,11 @@ class BernoulliObjects(ObjectsRule):
     existence: FloatArray
     known_q: FloatArray
 
-    def terms(self, union: PooledRecords) -> Terms:
-        """The terms of the records and pairs of ``union``."""
-        parts = self._parts(union)
-        gain = np.where(parts.known, np.log(self._existing_unseen(union)), parts.missed + parts.seen - parts.alone)
-        i, j = union.i, union.j
+    def terms(self, pooled: PooledRecords) -> Terms:
+        """The terms of the records and pairs of ``pooled``."""
+        parts = self._parts(pooled)
+        gain = np.where(parts.known, np.log(self._existing_unseen(pooled)), parts.missed + parts.seen - parts.alone)
+        i, j = pooled.i, pooled.j
         with_known = parts.known[i] | parts.known[j]
         known, record = np.where(parts.known[i], i, j), np.where(parts.known[i], j, i)
         # Of what every record says of all misses a set without a known object has the mean, with one nothing.
@@ -83,31 +83,31 @@ class BernoulliObjects(ObjectsRule):
         )
         return Terms({"position": Linear(0.0, -parts.log_j), "densities": Linear(0.0, gain)}, rules)
 
-    def exists(self, union: PooledRecords) -> FloatArray:
-        """(records,) the probability that there is an object, of each record of the union that has no partner."""
-        parts = self._parts(union)
+    def exists(self, pooled: PooledRecords) -> FloatArray:
+        """(records,) the probability that there is an object, of each pooled record that has no partner."""
+        parts = self._parts(pooled)
         share = np.exp(np.minimum(parts.missed + parts.seen + parts.log_j - parts.alone, 0.0))
-        return np.where(parts.known, self._existing_unseen(union), share)
+        return np.where(parts.known, self._existing_unseen(pooled), share)
 
-    def _existing_unseen(self, union: PooledRecords) -> FloatArray:
+    def _existing_unseen(self, pooled: PooledRecords) -> FloatArray:
         """(records,) r of known objects that every scan has missed; 1 for other records."""
-        out = np.ones(len(union))
-        for s, source in enumerate(union.sources):
+        out = np.ones(len(pooled))
+        for s, source in enumerate(pooled.sources):
             if records_of(source).source == KNOWN and len(records_of(source)):
                 rows = records_of(source).rows
                 r, missed = self.existence[rows], self.known_q[rows].prod(axis=1)
-                out[union.start[s] : union.start[s + 1]] = r * missed / (1.0 - r + r * missed)
+                out[pooled.start[s] : pooled.start[s + 1]] = r * missed / (1.0 - r + r * missed)
         return out
 
-    def _parts(self, union: PooledRecords) -> _Parts:
-        n = len(union)
-        sets = np.full((n, len(union.sources)), -1)
-        sets[np.arange(n), union.source] = np.arange(n)
-        log_j = union.observers.joint(union.positions(sets)).log_density
+    def _parts(self, pooled: PooledRecords) -> _Parts:
+        n = len(pooled)
+        sets = np.full((n, len(pooled.sources)), -1)
+        sets[np.arange(n), pooled.source] = np.arange(n)
+        log_j = pooled.observers.joint(pooled.positions(sets)).log_density
         missed, seen, false = np.zeros(n), np.zeros(n), np.zeros(n)
         known, row, column = np.zeros(n, bool), np.zeros(n, np.int64), np.full(n, -1)
-        for s, source in enumerate(union.sources):
-            here, records = slice(union.start[s], union.start[s + 1]), records_of(source)
+        for s, source in enumerate(pooled.sources):
+            here, records = slice(pooled.start[s], pooled.start[s + 1]), records_of(source)
             row[here] = records.rows
             if records.source == KNOWN:
                 known[here] = True
@@ -124,7 +124,7 @@ class BernoulliObjects(ObjectsRule):
 
 @dataclass(frozen=True)
 class _Parts:
-    """Per record of a union (n,): ln J of it alone, ln ρ∏q where it is, ln((1−q)/q) of its own source there, ln w of it
+    """Per pooled record (n,): ln J of it alone, ln ρ∏q where it is, ln((1−q)/q) of its own source there, ln w of it
     alone; whether it is a known object, its row in its table, and its source's column (−1 for known objects)."""
 
     log_j: FloatArray

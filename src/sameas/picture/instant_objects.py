@@ -94,12 +94,12 @@ class IdentifiedObjects:
         """(records,) that a record has no partner."""
         out = np.ones(len(self.scan))
         if self.found is not None:
-            union, sets = self.found.union, self.found.sets
+            pooled, sets = self.found.pooled, self.found.sets
             lone = np.flatnonzero(sets.size == 1)
-            alone = np.zeros(len(union))
+            alone = np.zeros(len(pooled))
             alone[sets.members[lone].max(axis=1)] = self.found.answer.probability[lone]
-            for s, source in zip(union.given, union.sources, strict=True):
-                rows, first = records_of(source).rows, union.start[union.given.index(s)]
+            for s, source in zip(pooled.given, pooled.sources, strict=True):
+                rows, first = records_of(source).rows, pooled.start[pooled.given.index(s)]
                 if s < self.members.shape[1]:
                     out[self.scan.find(s, rows)] = alone[first : first + len(rows)]
         return np.clip(out, 0.0, 1.0)
@@ -224,12 +224,12 @@ class TrackedObjects:
         """Every set that was weighed, (k, S) records of the scan; −1 for what is known."""
         found = self.tracks.found
         assert found is not None
-        union = found.union
-        scan_record = np.full(len(union) + 1, -1)
-        for u, given in enumerate(union.given):
+        pooled = found.pooled
+        scan_record = np.full(len(pooled) + 1, -1)
+        for u, given in enumerate(pooled.given):
             if given > 0:
-                rows = records_of(union.sources[u]).rows
-                scan_record[union.start[u] : union.start[u + 1]] = self.scan.find(given - 1, rows)
+                rows = records_of(pooled.sources[u]).rows
+                scan_record[pooled.start[u] : pooled.start[u + 1]] = self.scan.find(given - 1, rows)
         records = scan_record[found.sets.members]
         out = np.full((len(records), len(self.scan.now.sources)), -1)
         at, column = np.nonzero(records >= 0)

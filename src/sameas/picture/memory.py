@@ -6,7 +6,7 @@ antenna. :class:`Past` goes from instant to instant; :meth:`Past.rule` is a rule
 
     past = past.on(scan)
     found = identify_many(now.sources, rule=now.rule() + now.identity() + past.rule(), region=now.region)
-    past = past.met(found.union)
+    past = past.met(found.pooled)
 
 Its logarithm is that of all looks (:mod:`sameas.picture.track_pairs`) less what ``now`` says of the two positions, so
 the sum of both is what all looks say, each once. It never gets beyond ±ln((1−ε)/ε), with ε the probability that a look
@@ -143,14 +143,14 @@ class Past:
         """A later instant's scan with the covariances of reports that their objects have left behind."""
         return loosened(scan, self.tracks, self.track_pairs, self._said(), per_m2)
 
-    def met(self, union: PooledRecords) -> Past:
+    def met(self, pooled: PooledRecords) -> Past:
         """The same with the pairs that the gate let through for the first time: they have no past yet."""
         scan = self.tracks.scan
         if scan is None:
             return self
         names = [description.name for description in scan.now.descriptions]
         found = [np.empty((0, 2), np.int64)]
-        for pairs in (part for part, _ in union.parts if len(part)):
+        for pairs in (part for part, _ in pooled.parts if len(part)):
             one, two = names.index(pairs.first.source), names.index(pairs.second.source)
             i, j = pairs.first.rows[pairs.i], pairs.second.rows[pairs.j]
             found.append(np.column_stack([scan.find(one, i), scan.find(two, j)]))

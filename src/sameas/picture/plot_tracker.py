@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.many.identify import identify_many
-from sameas.many.joint import Joint, pooled
+from sameas.many.joint import Joint, joint_density
 from sameas.many.objects import Objects
 from sameas.many.observations import Observations, Region, Source, records_of
 from sameas.picture.bernoulli import KNOWN, LEAST, BernoulliObjects, BernoulliTable, Sighting
@@ -223,7 +223,7 @@ class TrackedPlots:
         """
         pairs = zip(self.now.sources, self.sure, count, strict=True)
         sources = [_counting(source, sure * share) for source, sure, share in pairs]
-        return pooled([self.known.records, *sources], np.column_stack([self.known_of[which], sets]), region)
+        return joint_density([self.known.records, *sources], np.column_stack([self.known_of[which], sets]), region)
 
     @cached_property
     def last_number(self) -> Mapping[tuple[int, int], int]:
@@ -254,16 +254,16 @@ class TrackedPlots:
         out = tuple(np.zeros((len(self.known), records_of(source).n_table)) for source in self.now.sources)
         if self.found is None or not len(self.known):
             return out
-        union = self.found.union
-        place = {records_of(source).source: u for u, source in enumerate(union.sources)}
+        pooled = self.found.pooled
+        place = {records_of(source).source: u for u, source in enumerate(pooled.sources)}
         k = place[KNOWN]
-        known = self.found.p_together[union.start[k] : union.start[k + 1]].toarray()
-        rows = records_of(union.sources[k]).rows
+        known = self.found.p_together[pooled.start[k] : pooled.start[k + 1]].toarray()
+        rows = records_of(pooled.sources[k]).rows
         for s, source in enumerate(self.now.sources):
             u = place.get(records_of(source).source)
             if u is not None:
-                columns = known[:, union.start[u] : union.start[u + 1]]
-                out[s][np.ix_(rows, records_of(union.sources[u]).rows)] = np.clip(columns, 0.0, 1.0)
+                columns = known[:, pooled.start[u] : pooled.start[u + 1]]
+                out[s][np.ix_(rows, records_of(pooled.sources[u]).rows)] = np.clip(columns, 0.0, 1.0)
         return out
 
     def seen(self, sets: IntArray) -> FloatArray:
@@ -306,7 +306,7 @@ class TrackedPlots:
             return BernoulliTable.none(sets.shape[1]), np.empty((0, sets.shape[1]))
         open_ = _wide(self.now.region).covariance
         open_[2:, 2:] = self.now.region.covariance[2:, 2:]
-        there = pooled(list(self.now.sources), sets[at], Region(self.now.region.centre, open_))
+        there = joint_density(list(self.now.sources), sets[at], Region(self.now.region.centre, open_))
         hits = (sets[at] >= 0).astype(np.float64)
         tables = [self.rule.q[name] for name in self.rule.sources]
         own = [[tables[s][sets[n, s]] for s in np.flatnonzero((sets[n] >= 0) & placed)] for n in at]
@@ -368,12 +368,12 @@ def _counting(source: Source, share: FloatArray) -> Source:
 
 def _existence(found: Objects, rule: BernoulliObjects) -> FloatArray:
     """(n,) probability that there is an object: less sure where a record stands alone, and where a known one does."""
-    union, exists = found.union, rule.exists(found.union)
+    pooled, exists = found.pooled, rule.exists(found.pooled)
     members = found.sets.members[found.set_of_object]
     out = np.where(found.n_members > 1, found.probability, exists[members.max(axis=1)])
-    own = members[:, union.given.index(0)]
+    own = members[:, pooled.given.index(0)]
     known = own >= 0
-    row = records_of(union.sources[union.given.index(0)]).rows[own[known] - union.start[union.given.index(0)]]
+    row = records_of(pooled.sources[pooled.given.index(0)]).rows[own[known] - pooled.start[pooled.given.index(0)]]
     alone = np.ma.filled(found.of(KNOWN).p_alone, 1.0)[row]
     out[known] = 1.0 - alone * (1.0 - exists[own[known]])
     return np.asarray(out)

@@ -64,7 +64,7 @@ def held(found: Objects, before: IntArray, log_bound: float) -> tuple[Objects, B
 
     Parameters
     ----------
-    before : (records,) the object that each record's track was of at the last instant, in the order of the union's
+    before : (records,) the object that each record's track was of at the last instant, in the order of the pooled
         records; −1 for records that were not there.
     log_bound : ln b; 0 where the most probable answer is always shown.
     """
@@ -74,7 +74,7 @@ def held(found: Objects, before: IntArray, log_bound: float) -> tuple[Objects, B
     if not wanted.any():
         return found, np.zeros(len(found), bool)
     tilted = replace(sets, log_weight=sets.log_weight + log_bound * links)
-    steady = best_partition(tilted, len(found.union), wanted, time_limit_s=TIME_LIMIT_S).chosen
+    steady = best_partition(tilted, len(found.pooled), wanted, time_limit_s=TIME_LIMIT_S).chosen
     chosen = np.where(wanted[sets.group], steady, answer.chosen)
     lost = _value(sets, answer.chosen) - _value(sets, chosen)
     shown = replace(found, answer=replace(answer, chosen=chosen, gap=answer.gap + np.maximum(lost, 0.0)))
@@ -166,8 +166,8 @@ class Watch:
         found = self._found(heard, past)
         kept = np.zeros(0, bool)
         if found is not None:
-            found, kept = held(found, self._was(found.union, scan, past), math.log(self.bound))
-            past = past.met(found.union)
+            found, kept = held(found, self._was(found.pooled, scan, past), math.log(self.bound))
+            past = past.met(found.pooled)
         shown = IdentifiedObjects(scan, found, kept)
         members = shown.members
         texts = {name: scan.texts(name) for name in TEXTS}
@@ -178,15 +178,15 @@ class Watch:
         carried = replace(self, past=past, known=known, texts=called)
         return PictureState(now, scan, shown, seen.states, carried)
 
-    def _was(self, union: PooledRecords, scan: Scan, past: Past) -> IntArray:
-        """(records,) the object of the last instant that each record of the union belongs to by its track, −1 for
+    def _was(self, pooled: PooledRecords, scan: Scan, past: Past) -> IntArray:
+        """(records,) the object of the last instant that each pooled record belongs to by its track, −1 for
         those whose track was not there."""
         track = past.tracks.track_of_record
         was = np.where(found_in(self.past.tracks.number, track) >= 0, self.known.belonging.last_of(track), 0)
-        out = np.full(len(union), -1)
-        for s, (given, source) in enumerate(zip(union.given, union.sources, strict=True)):
+        out = np.full(len(pooled), -1)
+        for s, (given, source) in enumerate(zip(pooled.given, pooled.sources, strict=True)):
             if given + 1 < len(scan.start):
-                out[union.start[s] : union.start[s + 1]] = was[scan.find(given, records_of(source).rows)]
+                out[pooled.start[s] : pooled.start[s + 1]] = was[scan.find(given, records_of(source).rows)]
         return np.where(out > 0, out, -1)
 
     def _found(self, heard: Instant, past: Past) -> Objects | None:

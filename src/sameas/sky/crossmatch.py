@@ -305,7 +305,7 @@ def common_epoch(first: Catalogue, second: Catalogue, epoch_jyr: float | None) -
 
 def area_and_densities(coverage: Coverage) -> tuple[float, float, float]:
     """Area where both catalogues look, deg², and mean densities there of all their records, per deg²."""
-    area_deg2 = coverage.common_volume() / ARCSEC2_PER_DEG2
+    area_deg2 = coverage.common_volume / ARCSEC2_PER_DEG2
     count_1, count_2 = (int(np.count_nonzero(covered)) for covered in coverage.covered)
     if not area_deg2 > 0.0:
         return 0.0, 0.0, 0.0
@@ -335,7 +335,7 @@ def _error_doubts(result: Identification, estimate: Estimate, tuning: Crossmatch
     doubts = list(estimate.notes)
     works = [partial(np.median, records.covariance[:, 0]) for records in (result.first, result.second)]
     sigma = [math.sqrt(float(median)) for median in threads.each(works, len(result.first))]
-    spacing = 0.5 * math.sqrt(estimate.coverage.common_volume() / max(len(result.first), len(result.second)))
+    spacing = 0.5 * math.sqrt(estimate.coverage.common_volume / max(len(result.first), len(result.second)))
     widest = max(range(2), key=lambda k: sigma[k])
     if sigma[widest] > spacing > 0.0:
         name = (result.first, result.second)[widest].source

@@ -24,7 +24,7 @@ from sameas.gaussian import mahalanobis_sq
 from sameas.many.joint import Joint, Observers
 from sameas.many.marginals import Answer, answer
 from sameas.many.objects import Objects
-from sameas.many.pooled import PooledRecords, union
+from sameas.many.pooled import PooledRecords, pooled
 from sameas.many.sets import Sets, candidate_sets
 from sameas.many.terms import Linear, Terms
 from sameas.records import Records
@@ -44,7 +44,7 @@ UNBOUNDED = 1e4
 
 @dataclass(frozen=True)
 class StarObservers(Observers):
-    """Catalogues as observers of stars, ``sources`` their records in the order of the union.
+    """Catalogues as observers of stars, ``sources`` their records in the order of the pooled records.
 
     The state of a set: right ascension and declination in degrees at the reference epoch, proper motion east and north
     in arcsec per year, (k, 4); its covariance in arcsec and arcsec per year, as the residuals of its pattern spread
@@ -62,14 +62,14 @@ class StarObservers(Observers):
     @classmethod
     def of(
         cls,
-        union: PooledRecords,
+        pooled: PooledRecords,
         records: Sequence[Records],
         astrometric: tuple[AstrometricRecords, ...],
         population: Population,
     ) -> StarObservers:
-        """Those of a union of the catalogues' ``records``."""
+        """Those of the pooled ``records`` of the catalogues."""
         names = [one.source for one in records]
-        sources = tuple(source for source in union.sources if isinstance(source, Records))
+        sources = tuple(source for source in pooled.sources if isinstance(source, Records))
         catalogue = tuple(names.index(source.source) for source in sources)
         position = tuple(place(source, records[c]) for source, c in zip(sources, catalogue, strict=True))
         return cls(
@@ -95,7 +95,7 @@ class StarObservers(Observers):
         state = np.column_stack([fit.direction, fit.motion])
         return Joint(log_density, fit.chi_sq, state, scale_sq[:, None, None] * fit.covariance)
 
-    def terms(self, union: PooledRecords) -> Terms:
+    def terms(self, pooled: PooledRecords) -> Terms:
         """What the records weigh as objects of their own."""
         alone = [self.population.log_alone(c)[p] for c, p in zip(self.catalogue, self.position, strict=True)]
         return Terms({"density of lone records": Linear(0.0, -np.concatenate(alone))})
@@ -120,7 +120,7 @@ Matches = Mapping[tuple[int, int], SkyMatch]
 
 @dataclass(frozen=True)
 class Candidates:
-    """Candidate pairs of every two catalogues; a gate for :func:`sameas.many.pooled.union`, called by their records'
+    """Candidate pairs of every two catalogues; a gate for :func:`sameas.many.pooled.pooled`, called by their records'
     names.
 
     records : of every catalogue. found : per two of them (a < b) the positions i (m,) and j (m,) in their records.
@@ -305,11 +305,11 @@ def match_many(
     astrometric = tuple(AstrometricRecords.of(c, r, epoch) for c, r in zip(ordered, records, strict=True))
     candidates = Candidates.of(matches, records, astrometric)
     given = [records[order.index(k)] for k in range(len(order))]
-    together = union(given, candidates)
+    together = pooled(given, candidates)
     coverages = {pair: match.estimate.coverage for pair, match in matches.items()}
     observers = StarObservers.of(together, records, astrometric, _first_guess(matches, records, coverages, options))
     found = _settled(replace(together, observers=observers), coverages, options, progress)
-    objects = Objects(tuple(given), found.union, found.sets, found.answer, found.terms)
+    objects = Objects(tuple(given), found.pooled, found.sets, found.answer, found.terms)
     expected = _by_names(found.expected, order, [catalogue.name for catalogue in catalogues])
     pairs = {(ordered[a].name, ordered[b].name): match for (a, b), match in matches.items()}
     doubts = _doubts(pairs, objects, found.settled)
@@ -345,7 +345,7 @@ def _stage(progress: Callable[[str], None], names: str, stage: str) -> None:
 class _Converged:
     """The answer with the population that it was found with; ``expected`` (2^S,) objects of every pattern."""
 
-    union: PooledRecords
+    pooled: PooledRecords
     sets: Sets
     terms: Terms
     answer: Answer
