@@ -1,7 +1,7 @@
 """The gate finds the pairs that brute force finds, with the same numbers, in an order that knows no rows."""
 
 import math
-from unittest import mock
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +9,7 @@ import pytest
 import naive
 from problems import KINDS, by_id, plane_records, shuffled, sky_records
 from sameas import Box, ChiSquare, InputError, Radius, Records, Sphere
+from sameas.gate import Tuning
 from sameas.kernels import threads
 from sameas.space import Plane, sphere_offset
 
@@ -22,8 +23,7 @@ GATES = {
 
 def laid_out(first, second, gate):
     """The candidates as the search of many records finds them, which lays both sources out first."""
-    with mock.patch("sameas.gate.search.FEW_RECORDS", 0):
-        return gate(first, second)
+    return replace(gate, tuning=Tuning(each_with_each=0))(first, second)
 
 
 def brute_force(first, second, gate, definition):

@@ -1,4 +1,4 @@
-"""Array types: (…) of doubles, of 64-bit integers, of truth values."""
+"""Types of arrays: doubles, 64-bit integers, truth values."""
 
 from __future__ import annotations
 
@@ -6,9 +6,5 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
-
-
 IntArray = NDArray[np.int64]
-
-
 BoolArray = NDArray[np.bool_]

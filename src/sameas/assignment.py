@@ -1,7 +1,7 @@
 """The most probable one-to-one hypothesis of every group.
 
 Under a prior linear in the number of pairs it is a maximum-weight matching in which any record may stay alone; under
-any other prior, the best matching of every size k is found on one way of shortest augmenting paths, and the k of
+any other prior, the best matching of every size k comes from one sequence of shortest augmenting paths, and the k of
 greatest ln P(k) + W_k is kept (METHOD 4.2). Either is exact, with dual variables as its certificate, at O(n³) at
 worst and in memory proportional to the candidates.
 """
@@ -60,7 +60,7 @@ class Hypothesis:
     prior: LogPrior
 
     def certificate(self, groups: Groups) -> Certificate:
-        """Whether this is the most probable hypothesis, told by its dual variables in O(candidates)."""
+        """Whether this is the most probable hypothesis, proved by its dual variables in O(candidates)."""
         total = self.weight + self.multiplier[groups.group]
         place_1, place_2 = groups.places
         u, v = self.dual_1[place_1], self.dual_2[place_2]

@@ -1,4 +1,4 @@
-"""What is raised when the input cannot be used, and messages that name the arguments of a remedy.
+"""The error of input that cannot be used, and messages that name the arguments of a remedy.
 
 The library knows arguments, only the command line knows options: a :class:`Message` keeps the arguments that it names,
 so that a command can name its options in their place.

@@ -80,8 +80,8 @@ class Groups:
         """Cuts between groups that share the pairs out evenly over ``parts`` ranges."""
         if parts == 1:
             return [0, len(self)]
-        wanted = np.linspace(0, len(self.order), parts + 1)[1:-1]
-        return [0, *np.searchsorted(self.start, wanted).tolist(), len(self)]
+        cuts = np.linspace(0, len(self.order), parts + 1)[1:-1]
+        return [0, *np.searchsorted(self.start, cuts).tolist(), len(self)]
 
     def statistics(self) -> dict[str, int]:
         """How many groups of one pair, of up to 4, 16 and 64 records, larger ones, and the largest."""
@@ -110,8 +110,8 @@ def laid_out(place_1: Places, place_2: Places, i: Places, j: Places, n_1: int, n
     group, number_2 = np.empty(m, np.int32), np.empty(n_2, np.int32)
     starts = [np.empty(min(n_1, n_2, m) + 1, np.int64) for _ in range(3)]
     scratch = np.empty(n_1 + n_2, np.int32), np.empty(n_1, np.int32)
-    found = label_pairs(place_1, place_2, *scratch, number_2, group, *starts)
-    start, start_1, start_2 = (column[: found + 1] for column in starts)
+    count = label_pairs(place_1, place_2, *scratch, number_2, group, *starts)
+    start, start_1, start_2 = (column[: count + 1] for column in starts)
     order, edges_1 = np.empty(m, np.int64), np.empty(start_1[-1] + 1, np.int64)
     local_1, local_2 = np.empty(m, np.int32), np.empty(m, np.int32)
     rows_1, rows_2 = np.empty(start_1[-1], np.int32), np.empty(start_2[-1], np.int32)

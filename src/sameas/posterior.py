@@ -17,7 +17,7 @@ Which method a group gets is part of the result:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,7 @@ METHODS = (
 )
 ELIMINATED, APPROXIMATE, THINNED = 1, 2, 3
 _NONE = np.empty(0, np.int64)
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 #: No limit on the records of a group.
 EVERY = 2**62
@@ -361,7 +362,7 @@ class _Thinned:
         threads.over(lambda a, b: balls(a, b, *shape, *state, *size, share), threads.even(len(group1), least=256))
         return self._as_given(share)
 
-    def _as_given(self, values: NDArray) -> NDArray:
+    def _as_given(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
         """Values per pair of the layout, in the order in which the pairs were given."""
         back = np.empty_like(values)
         back[self.groups.order] = values
@@ -374,4 +375,4 @@ def _slopes(groups: Groups, best: Hypothesis, size: FloatArray) -> FloatArray:
     most = np.diff(best.prior.start) - 1
     middle = np.clip(np.round(size).astype(np.int64), 0, most)
     low, high = np.maximum(middle - 1, 0), np.minimum(middle + 1, most)
-    return (best.prior.table[start + high] - best.prior.table[start + low]) / (high - low)
+    return np.asarray((best.prior.table[start + high] - best.prior.table[start + low]) / (high - low))

@@ -1,10 +1,10 @@
-"""Priors: what is believed of the number of common objects in a group, before the residuals are looked at.
+"""Priors: the probability of the number of common objects in a group, before the residuals count.
 
 - :class:`PerPair` adds a constant log-odds to every pair. It decomposes exactly over groups and does not depend on
-  the gate. Use it where densities are known or estimated (catalogues; with the rules ``PoissonField``, ``Uniform``
-  with a density, ``ConstantCost``): the rule then carries the densities and the prior is ``PerPair(0)``.
-- :class:`CommonObjects` knows only with what probability each source misses an object (METHOD 4.1), with a flat
-  prior on the number of objects. It counts the records of a *group*, so what the gate lets in changes the counts:
+  the gate. Use it where densities are known or estimated (catalogues; with the rules ``PoissonField``, ``Field``,
+  ``ConstantCost``): the rule then carries the densities and the prior is ``PerPair(0)``.
+- :class:`CommonObjects` takes only the probability with which each source misses an object (METHOD 4.1), with a flat
+  prior on the number of objects. It counts the records of a *group*, so the width of the gate changes the counts:
   use it for small scenes of targets where nothing but q₁, q₂ is known, and to reproduce the paper. A per-group count
   prior has no gate-free answer; a per-pair one has.
 - ``CommonObjects(q1, q2, linear=True)`` is the paper's least-squares line through ln P(k) (METHOD 4.2), kept to
@@ -83,7 +83,9 @@ class CommonObjects:
         k, n1, n2 = (np.asarray(x, dtype=np.float64) for x in (k, n1, n2))
         n = n1 + n2 - k
         both_missed = math.log1p(-self.q1 * self.q2)
-        return gammaln(n + 1) + (n1 - k) * math.log(self.q2) + (n2 - k) * math.log(self.q1) - (n + 1) * both_missed
+        return np.asarray(
+            gammaln(n + 1) + (n1 - k) * math.log(self.q2) + (n2 - k) * math.log(self.q1) - (n + 1) * both_missed
+        )
 
     def __call__(self, n1: IntArray, n2: IntArray) -> LogPrior:
         """ln P for groups with n1 and n2 records, (g,) each."""

@@ -66,7 +66,8 @@ class Ragged:
 
     def value(self, first: ArrayLike) -> IntArray:
         """(m,) whole numbers that count up from ``first``, (n,) or one for all, in each row."""
-        return np.arange(self.start[-1]) - np.repeat(self.start[:-1] - np.asarray(first), self.sizes)
+        shift: IntArray = np.repeat(self.start[:-1] - np.asarray(first), self.sizes)
+        return np.arange(self.start[-1]) - shift
 
 
 def ranges(first: IntArray, size: IntArray) -> tuple[IntArray, IntArray]:

@@ -1,4 +1,4 @@
-"""Records: what one source says of the objects it saw, checked here, once.
+"""Records: the positions and errors that one source gives, checked here, once.
 
 Every later stage trusts what it gets from here: positions are finite, covariances positive definite, ids unique.
 Rows that cannot be used (no position, no error) are set aside with the reason and come back in the result.
@@ -186,7 +186,7 @@ def _packed_covariance(
         raise InputError(
             f"{source}: {given[0]} has shape {values.shape}; give one number, ({n},), ({d},) or ({n}, {d})"
         )
-    # The sign survives the square, so that a negative sigma is still seen as wrong below.
+    # The sign survives the square, so that a negative sigma is still refused below.
     return spread * np.abs(spread) if sigma is not None else spread
 
 

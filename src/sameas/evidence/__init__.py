@@ -10,13 +10,11 @@ Every rule gives a natural logarithm per pair, term by term; rules add with ``+`
   other measurements.
 - :class:`CloseObjects`: a different object lies near, but not nearer than two objects can be
   (METHOD 3.2 [T14–T19, T26]). For pictures of a few targets.
-- :class:`Brightness`: what magnitudes and colours of a pair say beside its position; ``sameas.match`` learns it from
-  the :class:`Magnitudes` of both sources.
-- :class:`Precision`: what the sizes of both quoted errors say beside its position and magnitudes; ``sameas.match``
-  learns it.
-- :class:`Identity`: what the records say of themselves (addresses, callsigns, names, types, lengths) beside their
-  position, each attribute with a model of its errors: :class:`Code`, :class:`Category`, :class:`Size`. :func:`alarms`
-  are identities shown where they cannot be.
+- :class:`Brightness`: magnitudes and colours, beside positions; ``sameas.match`` learns it from the
+  :class:`Magnitudes` of both sources.
+- :class:`Precision`: the sizes of both quoted errors, beside positions and magnitudes; ``sameas.match`` learns it.
+- :class:`Identity`: addresses, callsigns, names, types, lengths, beside positions, each attribute with a model of its
+  errors: :class:`Code`, :class:`Category`, :class:`Size`. :func:`alarms` are one identity at two places.
 - :class:`Universal`: any density of objects and of their neighbours, as a mixture, samples or functions
   (METHOD 3.3 [T13]). Where the densities are known and are none of the above.
 """

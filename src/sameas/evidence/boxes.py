@@ -1,7 +1,14 @@
-"""Boxes under a normal whose features are independent: the density of a neighbour's residual, in logarithms.
+"""Boxes under a normal: the density of a neighbour's residual, in logarithms (METHOD 3.2).
 
-Everything is a sum of positive terms, and every difference of Φ is taken in the negative tail: nothing cancels for
-σ ≪ a, nothing underflows for |Δ| ≫ b.
+- Independent features: :func:`log_neighbour_density` and its limit :func:`log_surface_density`. Everything is a sum of
+  positive terms, and every difference of Φ is taken in the negative tail: nothing cancels for σ ≪ a, nothing underflows
+  for |Δ| ≫ b.
+- Two correlated features: :func:`log_correlated_density` and :func:`log_correlated_surface`. Where the shell between
+  the boxes holds a large enough share of the normal, it is the difference of two rectangles by the angle integral of
+  Drezner and Wesolowsky (J. Statist. Comput. Simul. 35, 1990; nodes as Genz, Statistics and Computing 14, 2004). In the
+  tails, and for correlations near ±1, the shell is four disjoint rectangles, each an integral
+  ∫ φ(t) [Φ(u₁(t)) − Φ(u₀(t))] dt of positive, log-concave values: Gauss–Legendre over the stretch around the peak that
+  holds all but e⁻³⁶ of it.
 """
 
 from __future__ import annotations
@@ -25,7 +32,7 @@ def log_neighbour_density(delta: FloatArray, sigma: FloatArray, a: FloatArray, b
     log_e = np.logaddexp(far, near)
     before = np.cumsum(np.pad(log_pa, ((0, 0), (1, 0)))[:, :-1], axis=1)
     after = np.cumsum(np.pad(log_pb, ((0, 0), (0, 1)))[:, :0:-1], axis=1)[:, ::-1]
-    return np.logaddexp.reduce(before + log_e + after, axis=1) - math.log(shell_volume(a, b))
+    return np.asarray(np.logaddexp.reduce(before + log_e + after, axis=1) - math.log(shell_volume(a, b)))
 
 
 def log_surface_density(delta: FloatArray, sigma: FloatArray, a: FloatArray) -> FloatArray:
@@ -36,7 +43,7 @@ def log_surface_density(delta: FloatArray, sigma: FloatArray, a: FloatArray) -> 
     far = -0.5 * ((x + a) / sigma) ** 2
     log_e = np.logaddexp(near, far) - 0.5 * LOG_2PI - np.log(sigma) + np.log(a)
     total = np.sum(log_pa, axis=1, keepdims=True) - log_pa + log_e
-    return np.logaddexp.reduce(total, axis=1) - math.log(len(a) * np.prod(2.0 * a))
+    return np.asarray(np.logaddexp.reduce(total, axis=1) - math.log(len(a) * np.prod(2.0 * a)))
 
 
 def shell_volume(a: FloatArray, b: FloatArray) -> float:
@@ -63,24 +70,20 @@ def log_interval(low: FloatArray, high: FloatArray, width: FloatArray) -> FloatA
     return np.where(width * (1.0 + np.abs(middle)) < 1e-3, narrow, wide)
 
 
-# Boxes under a correlated normal of two features: the density of a neighbour's residual, exact in logarithms.
-#
-# Where the shell between the boxes holds a share of the normal that can be told from a difference, it is the difference
-# of two rectangles by the angle integral of Drezner and Wesolowsky (J. Statist. Comput. Simul. 35, 1990; nodes as Genz,
-# Statistics and Computing 14, 2004). In the tails, and for correlations near ±1, the shell is four disjoint rectangles
-# instead, each an integral ∫ φ(t) [Φ(u₁(t)) − Φ(u₀(t))] dt of positive, log-concave values: Gauss–Legendre over the
-# stretch around the peak that holds all but e⁻³⁶ of it, in logarithms throughout.
+# ---- two correlated features ----
 
-#: Correlations up to here have smooth angle integrals, and shares from here on survive the difference of two boxes.
+#: Up to this correlation the angle integral is smooth enough for its 20 nodes (Genz 2004).
 SMOOTH_CORRELATION = 0.925
-TOLD_FROM_DIFFERENCE = 1e-5
-#: ln of what is left out beyond the stretch, and the reach of an edge of Φ in its own widths.
+#: The least share of the shell that is computed as a difference of two boxes, each good to about 1e-15.
+LEAST_DIFFERENCE = 1e-5
+#: The stretch ends where the value has fallen to e⁻³⁶ of its peak, below the rounding of a double.
 DROP = 36.0
+#: Borders of panels about an edge of Φ, in widths of the edge.
 EDGE = np.array([-9.0, -4.5, 0.0, 4.5, 9.0])
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 ANGLES, ANGLE_WEIGHTS = np.polynomial.legendre.leggauss(20)
-#: Pairs worked on at a time, which bounds the memory of the tails.
-AT_ONCE = 2048
+#: Pairs in one batch, which bounds the memory of the tails.
+BATCH = 2048
 
 
 def log_correlated_density(delta: FloatArray, covariance: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
@@ -91,10 +94,10 @@ def log_correlated_density(delta: FloatArray, covariance: FloatArray, a: FloatAr
     if len(smooth):
         outer, inner = (_box(delta[smooth], sigma[smooth], rho[smooth], c) for c in (b, a))
         share[smooth] = outer - inner
-    far = np.flatnonzero(share < TOLD_FROM_DIFFERENCE)
-    log_share = np.log(np.maximum(share, TOLD_FROM_DIFFERENCE))
-    for begin in range(0, len(far), AT_ONCE):
-        some = far[begin : begin + AT_ONCE]
+    far = np.flatnonzero(share < LEAST_DIFFERENCE)
+    log_share = np.log(np.maximum(share, LEAST_DIFFERENCE))
+    for begin in range(0, len(far), BATCH):
+        some = far[begin : begin + BATCH]
         log_share[some] = _log_shell(delta[some], sigma[some], rho[some], a, b)
     return log_share - math.log(shell_volume(a, b))
 
@@ -112,7 +115,7 @@ def log_correlated_surface(delta: FloatArray, covariance: FloatArray, a: FloatAr
             low, high = (-a[along] - centre) / spread, (a[along] - centre) / spread
             length = log_interval(low, high, 2.0 * a[along] / spread)
             edges.append(length - 0.5 * (LOG_2PI + z**2) - np.log(sigma[:, across]) + math.log(a[across]))
-    return np.logaddexp.reduce(edges) - math.log(2.0 * np.prod(2.0 * a))
+    return np.asarray(np.logaddexp.reduce(edges) - math.log(2.0 * np.prod(2.0 * a)))
 
 
 def _standardised(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -125,7 +128,7 @@ def _box(delta: FloatArray, sigma: FloatArray, rho: FloatArray, c: FloatArray) -
     from scipy.special import ndtr
 
     low, high = (-c - delta) / sigma, (c - delta) / sigma
-    share = np.prod(ndtr(high) - ndtr(low), axis=1)
+    share: FloatArray = np.prod(ndtr(high) - ndtr(low), axis=1)
     half = 0.5 * np.arcsin(rho)
     for angle, weight in zip(ANGLES, ANGLE_WEIGHTS, strict=True):
         sine = np.sin(half * (1.0 + angle))
@@ -202,7 +205,7 @@ class _Cut:
         with np.errstate(over="ignore", invalid="ignore"):
             across = np.exp(-0.5 * high**2 - inside) - np.exp(-0.5 * low**2 - inside)
         across = np.where(width * (1.0 + np.abs(middle)) < 1e-3, -middle, across)
-        return -t - self.rho / np.sqrt(1.0 - self.rho**2) * across
+        return np.asarray(-t - self.rho / np.sqrt(1.0 - self.rho**2) * across)
 
     def peak(self, room: FloatArray) -> FloatArray:
         """(m,) τ in 0 … room from which the value rises by no more than e^(1/8): the slope is below ½ there."""

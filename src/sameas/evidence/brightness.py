@@ -2,11 +2,12 @@
 
 Objects are a Poisson field with magnitudes (METHOD 3.4, 4.3). Beside its position a pair weighs
 
-    ln p(m₁, m₂ | one object) − ln p(m₁) − ln p(m₂)   and   what the magnitudes say of being shown by both sources.
+    ln p(m₁, m₂ | one object) − ln p(m₁) − ln p(m₂)   and   the log-odds that both sources show such magnitudes.
 
 The first is the mean of both ways to take it apart, p(m₁ | m₂) / p(m₁) and p(m₂ | m₁) / p(m₂), each band after band
 (:class:`Chain`). The second comes from the share of common objects at each magnitude (``sameas.evidence.detection``).
-``sameas.estimate.photometry`` learns both; the user gives :class:`Magnitudes`.
+``sameas.estimate.photometry`` learns both; the user gives :class:`Magnitudes`. The densities are those of all
+magnitudes of a source (:class:`MagnitudeDensity`), and of one given others of the same object (:class:`Relation`).
 """
 
 from __future__ import annotations
@@ -23,8 +24,6 @@ from sameas.errors import InputError
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
 from sameas.records import Records
-
-# Densities of magnitudes: of all records of a source, and of one magnitude given others of the same object.
 
 
 @dataclass(frozen=True)
@@ -261,14 +260,14 @@ class Regressors:
 
     def of_own(self, band: int) -> Regressors:
         """With the regressors of the band's own source only."""
-        kept = sum(self.pattern[:band])
-        others, variance = self.others[:, :kept], self.other_variance[:, :kept]
+        count = sum(self.pattern[:band])
+        others, variance = self.others[:, :count], self.other_variance[:, :count]
         return Regressors(self.pattern[:band], self.rows, self.y, self.variance, others, variance)
 
 
 @dataclass(frozen=True)
 class SourceMagnitudes:
-    """What is known of one source's magnitudes before the sources are compared.
+    """The magnitudes of one source and their densities, before the sources are compared.
 
     densities : of all its records, per band; None where too few are measured. alone : per band how it follows the
     earlier bands, by the pattern of those that are measured.
@@ -321,7 +320,7 @@ class Chain:
     """ln p(m of one source | m of the other) − ln p(m of one source), band after band.
 
     ``related[k]`` holds the density of band k given its source's earlier bands and the other source's, by pattern of
-    what is measured. What has no relation, because hardly any pair has such magnitudes, says nothing.
+    what is measured. A pattern without a relation, because hardly any pair has it, adds nothing.
     """
 
     related: tuple[Mapping[Pattern, Relation], ...]
@@ -339,11 +338,11 @@ class Chain:
 
 @dataclass(frozen=True)
 class Brightness(Rule):
-    """What the magnitudes of a pair say, as learned by ``sameas.estimate.photometry``; add it to a rule of positions.
+    """Evidence of a pair's magnitudes, learned by ``sameas.estimate.photometry``; add it to a rule of positions.
 
     Parameters
     ----------
-    sides : what is known of either source's magnitudes.
+    sides : the magnitudes of either source and their densities.
     chains : of source 1 given source 2, and the reverse; None where nothing could be learned.
     completeness_1, completeness_2 : (n₁,), (n₂,) by how much a record's magnitude changes its log-odds of being in
         both sources: from the share at its position to that at its position and magnitude.

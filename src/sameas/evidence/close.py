@@ -1,4 +1,9 @@
-"""The close-objects rule: a different object lies near, but not nearer than two objects can be."""
+"""The close-objects rule: a different object lies near, but not nearer than two objects can be (METHOD 3.2).
+
+:class:`CloseObjects` takes the exact convolution of the normal and the boxes (:mod:`sameas.evidence.boxes`). The
+paper's stand-in for it, :func:`log_generalized_density`, is there to reproduce the paper and to show its error; the
+exact form costs no more.
+"""
 
 from __future__ import annotations
 
@@ -9,26 +14,34 @@ import numpy as np
 
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
-from sameas.evidence.boxes import log_interval, log_neighbour_density, log_surface_density, shell_volume
+from sameas.evidence.boxes import (
+    log_correlated_density,
+    log_correlated_surface,
+    log_interval,
+    log_neighbour_density,
+    log_surface_density,
+    shell_volume,
+)
 from sameas.evidence.residuals import AS_QUOTED
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
 
-# The paper's stand-in for the convolution of a normal and a box: a generalized Gaussian [T21–T25].
-#
-# It has the same variance σ² + c²/3 and the same value at 0. Near the middle it is good to a few per cent; beyond the
-# outer box it falls faster than the truth, and the braces of METHOD 3.2 made of two of them may turn negative there.
-# Kept to reproduce the paper, and to show its error; the exact form costs no more.
+EXACT, DIAGONAL = "exact", "diagonal"
+GENERALIZED_GAUSSIAN = "generalized Gaussian"
 
-#: ln of the shapes between which ψ lies: the normal, and what cannot be told from the uniform.
+#: ln of the shapes between which the generalized Gaussian lies: that of the normal, and one as good as uniform.
 NORMAL, UNIFORM = math.log(2.0), math.log(1e7)
+#: Steps of bisection from the whole range of shapes to the rounding of a double.
 HALVINGS = 60
 
 
 def log_generalized_density(delta: FloatArray, sigma: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
     """(m,) ln of the paper's braces of METHOD 3.2, −∞ where they are not positive.
 
-    Δ and σ (m, d), boxes a and b (d,); see :func:`sameas.evidence.log_neighbour_density` for the exact form.
+    A generalized Gaussian stands for the convolution of a normal and a box, with the same variance σ² + c²/3 and the
+    same value at 0 [T21–T25]. It is good to a few per cent near the middle; beyond the outer box it falls faster than
+    the truth, and the difference of two may be negative there. Δ and σ (m, d), boxes a and b (d,); the exact form is
+    :func:`sameas.evidence.log_neighbour_density`.
     """
     outer = _log_box(delta, sigma, b)
     inner = np.full(len(delta), -np.inf) if np.any(a == 0.0) else _log_box(delta, sigma, a)
@@ -40,7 +53,9 @@ def log_generalized_density(delta: FloatArray, sigma: FloatArray, a: FloatArray,
 
 def _log_box(delta: FloatArray, sigma: FloatArray, c: FloatArray) -> FloatArray:
     """(m,) ln of V_c ∏ ψ(Δ_v; σ_v, c_v)."""
-    return np.sum(log_generalized_gaussian(delta, sigma, np.broadcast_to(c, delta.shape)) + np.log(2.0 * c), axis=1)
+    return np.asarray(
+        np.sum(log_generalized_gaussian(delta, sigma, np.broadcast_to(c, delta.shape)) + np.log(2.0 * c), axis=1)
+    )
 
 
 def log_generalized_gaussian(x: FloatArray, sigma: FloatArray, c: FloatArray) -> FloatArray:
@@ -67,18 +82,14 @@ def _log_shape(log_peak: FloatArray) -> FloatArray:
         middle = 0.5 * (low + high)
         above = _log_peak(middle) > log_peak
         low, high = np.where(above, middle, low), np.where(above, high, middle)
-    return 0.5 * (low + high)
+    return np.asarray(0.5 * (low + high))
 
 
 def _log_peak(log_shape: FloatArray) -> FloatArray:
     from scipy.special import gammaln
 
     inverse = np.exp(-log_shape)
-    return log_shape - math.log(2.0) - 1.5 * gammaln(inverse) + 0.5 * gammaln(3.0 * inverse)
-
-
-EXACT, DIAGONAL = "exact", "diagonal"
-GENERALIZED_GAUSSIAN = "generalized Gaussian"
+    return np.asarray(log_shape - math.log(2.0) - 1.5 * gammaln(inverse) + 0.5 * gammaln(3.0 * inverse))
 
 
 @dataclass(frozen=True)
@@ -162,8 +173,6 @@ def _diagonal_density(pairs: Pairs, a: FloatArray, b: FloatArray | None) -> Floa
 
 def _correlate(density: FloatArray, pairs: Pairs, a: FloatArray, b: FloatArray | None) -> None:
     """Put the exact ``density`` in the place of the diagonal one where two features are correlated."""
-    from sameas.evidence.boxes import log_correlated_density, log_correlated_surface
-
     rows = np.flatnonzero(pairs.covariance[:, 0, 1])
     if not len(rows):
         return
@@ -176,7 +185,6 @@ def _correlate(density: FloatArray, pairs: Pairs, a: FloatArray, b: FloatArray |
 
 def _approximate_density(pairs: Pairs, a: FloatArray, b: FloatArray, exact: FloatArray) -> FloatArray:
     """(m,) the paper's approximation, and ``exact`` where its braces are not positive."""
-
     sigma = np.sqrt(np.einsum("mvv->mv", pairs.covariance))
     approximate = log_generalized_density(pairs.residual, sigma, a, b)
     return np.where(np.isfinite(approximate), approximate, exact)

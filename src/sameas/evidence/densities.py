@@ -2,7 +2,7 @@
 
 - :class:`Flat`: an object lies anywhere with the same density.
 - :class:`GaussianMixture`: everything is a closed form.
-- :class:`Samples`: draws from a density that is not known otherwise; sums over them come with their standard error.
+- :class:`Samples`: draws from a density of no known form; sums over them come with their standard error.
 - :class:`Displacement`: a function of where the other object lies from the first.
 """
 
@@ -111,7 +111,7 @@ class Samples:
         return int(np.shape(self.points)[1])
 
     def smoothed(self) -> GaussianMixture:
-        """The same as a mixture of one normal per sample, as wide as Scott's rule says for one cluster."""
+        """The same as a mixture of one normal per sample, of the width of Scott's rule for one cluster."""
         points = np.asarray(self.points)
         n, d = points.shape
         spread = np.atleast_2d(np.cov(points.T)) * n ** (-2.0 / (d + 4))

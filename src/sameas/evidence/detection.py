@@ -16,14 +16,15 @@ from numpy.typing import NDArray
 from sameas.arrays import FloatArray
 from sameas.evidence.piecewise import knots_of, roughness
 
-#: Records per knot of the curve and most knots; how much its logit bends from knot to knot, and how far it strays.
+#: Records per knot of the curve, and most knots.
 PER_KNOT, MOST_KNOTS = 100.0, 24
+#: Prior standard deviations of the curve's logit: of its second difference from knot to knot, and of its value.
 BEND, FAR = 1.0, 6.0
-#: Newton steps of the first fit, and of each later one at most, how far one leads at most, and what is next to nothing.
+#: Newton steps: most of the first fit, most of a later one, the longest in logit, and the one that ends the fit.
 FIRST_STEPS, STEPS, LONGEST, SETTLED = 8, 2, 2.0, 0.05
-#: Shares are kept so far away from 0 and 1.
+#: Shares lie between 1e-6 and 1 − 1e-6.
 LEAST_SHARE = 1e-6
-#: Records in a bin of the reported curve, at least; widths of the bins, mag, and how many there are at most.
+#: The reported curve: fewest records in a bin, widths of the bins in mag, and most bins.
 LEAST_IN_BIN, WIDTHS, MOST_BINS = 30, (0.1, 0.2, 0.25, 0.5, 1.0, 2.0), 24
 
 
@@ -53,12 +54,12 @@ class DetectionCurve:
         bins = len(edges) - 1
         at = np.clip(np.searchsorted(edges, magnitude, side="right") - 1, 0, bins - 1)
         number = np.bincount(at, minlength=bins).astype(np.float64)
-        found, unsure = (
+        matched, unsure = (
             np.bincount(at, p, bins).astype(np.float64) for p in (p_partner, p_partner * (1.0 - p_partner))
         )
-        share = found / np.maximum(number, 1.0)
-        error = share_error(number, found, unsure)
-        alone, size = np.maximum(number - found, 0.0), max(volume, 1e-300) * np.diff(edges)
+        share = matched / np.maximum(number, 1.0)
+        error = share_error(number, matched, unsure)
+        alone, size = np.maximum(number - matched, 0.0), max(volume, 1e-300) * np.diff(edges)
         # A count of Poisson's, and the number of pairs in it that is not sure.
         spread = np.sqrt(np.maximum(alone, 0.5) + unsure)
         return cls(band, edges, number, share, error, alone / size, spread / size)
@@ -69,13 +70,13 @@ class DetectionCurve:
         return 0.5 * (self.edges[1:] + self.edges[:-1])
 
 
-def share_error(number: FloatArray, found: FloatArray, unsure: FloatArray) -> FloatArray:
-    """Standard error of shares found / number, of which ``unsure`` = Σ p(1 − p) of the found is not known.
+def share_error(number: FloatArray, matched: FloatArray, unsure: FloatArray) -> FloatArray:
+    """Standard error of shares matched / number, where the number matched has the variance ``unsure`` = Σ p(1 − p).
 
     Binomial, widened by the information that is missing: 1 / (1 − r) with r = Σ p(1 − p) / [n s (1 − s)]. An empty
     or full bin is taken as half a record from the end.
     """
-    share = (found + 0.5) / (number + 1.0)
+    share = (matched + 0.5) / (number + 1.0)
     binomial = share * (1.0 - share) / (number + 1.0)
     missing = np.clip(unsure / np.maximum(number * share * (1.0 - share), 1e-300), 0.0, 0.95)
     return np.sqrt(binomial / (1.0 - missing))
@@ -116,17 +117,17 @@ class ShareCurve:
         climb(magnitude, logit(share), p_partner, start.knots, _penalty(k), values, steps, LONGEST, SETTLED)
         return cls(start.knots, values)
 
-    def terms(self, magnitude: FloatArray, share: FloatArray, wanted: NDArray[np.integer] | None = None) -> FloatArray:
+    def terms(self, magnitude: FloatArray, share: FloatArray, rows: NDArray[np.integer] | None = None) -> FloatArray:
         """(n,) what a pair's log-odds gain when the share s of its record becomes s(m); 0 where m is not known.
 
-        Half of ln s, because both sources' records tell of the density of common objects, less ln (1 − s) of those
-        that only one source shows. wanted : records that it is asked of, the others get 0; all if not given.
+        Half of ln s, because the density of common objects comes from the records of both sources, less ln (1 − s) of
+        those that only one source shows. rows : of the records to compute, the others get 0; all if not given.
         """
         from sameas.kernels.relation import weigh
 
         terms = np.zeros(len(magnitude))
-        wanted = np.arange(len(magnitude)) if wanted is None else wanted
-        weigh(magnitude, share, wanted, LEAST_SHARE, self.knots, self.values, terms)
+        rows = np.arange(len(magnitude)) if rows is None else rows
+        weigh(magnitude, share, rows, LEAST_SHARE, self.knots, self.values, terms)
         return terms
 
 
@@ -137,6 +138,6 @@ def _penalty(k: int) -> FloatArray:
 
 
 def logit(share: FloatArray) -> FloatArray:
-    """ln s / (1 − s), for shares kept a millionth away from 0 and 1."""
+    """ln s / (1 − s), for shares limited to 1e-6 … 1 − 1e-6."""
     share = np.clip(share, LEAST_SHARE, 1.0 - LEAST_SHARE)
     return np.log(share) - np.log1p(-share)

@@ -101,11 +101,11 @@ class DetectionField(Rule):
     density: ArrayLike
 
     def __call__(self, pairs: Pairs) -> Evidence:
-        shown = _at(self.detection_probability, len(pairs.second), pairs.j, "detection_probability")
-        if np.any(shown >= 1.0):
+        p_d = _at(self.detection_probability, len(pairs.second), pairs.j, "detection_probability")
+        if np.any(p_d >= 1.0):
             raise InputError("detection_probability is 1 or more; give the probability of a detection, below 1")
         density = _at(self.density, len(pairs.first), pairs.i, "density")
-        odds = np.log(shown) - np.log1p(-shown) - np.log(density)
+        odds = np.log(p_d) - np.log1p(-p_d) - np.log(density)
         return Evidence({"position": AS_QUOTED.log_density(pairs), "detection": np.broadcast_to(odds, len(pairs))})
 
 
@@ -121,16 +121,16 @@ def _log_weight(common: ArrayLike, only: ArrayLike, n: int, names: tuple[str, st
         weight = np.asarray(np.log(np.sqrt(common) / np.asarray(only)))
     if weight.shape in ((), (n,)) and np.isfinite(weight).all():
         return weight
-    known, alone = (
+    both, alone = (
         _positive(value, n, f"PoissonField: {name}") for value, name in zip((common, only), names, strict=True)
     )
-    return np.asarray(0.5 * np.log(known) - np.log(alone))
+    return np.asarray(0.5 * np.log(both) - np.log(alone))
 
 
 def _positive(value: ArrayLike, n: int, name: str) -> FloatArray:
     """A number or values (n,), refused where they are not positive and finite."""
     if isinstance(value, float) and 0.0 < value < math.inf:
-        return np.float64(value)  # type: ignore[return-value]
+        return np.float64(value)
     values = np.asarray(value, dtype=np.float64)
     if not np.all((values > 0) & (values < np.inf)):
         raise InputError(f"{name} is zero, negative or not finite; give positive numbers in the unit of the residual")

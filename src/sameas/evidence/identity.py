@@ -1,17 +1,20 @@
 """Identity as evidence: MMSI, ICAO address, callsign, Mode A, name, type, length, each with a model of its errors.
 
-What two records say of themselves speaks for or against their being one object, and never decides alone: addresses
-are shared, mistyped, off by a bit, inherited from a neighbour, or forged. Each attribute that both records have gives a
+The identities of two records speak for or against their being one object, and never decide alone: addresses are
+shared, mistyped, off by a bit, inherited from a neighbour, or forged. Each attribute that both records have gives a
 ratio r_k = p(both values | one object) / p(both values | two objects); together they give
 
     λ = [(1 − g) R + g] / [(1 − s) + s R],   R = ∏ r_k,
 
 with g the probability that a record carries another object's identity altogether, and s that a second object nearby
-shows this one's. So ln λ stays between ln g and ln(1/s), whatever and however many the attributes are.
+has this one's. So ln λ stays between ln g and ln(1/s), whatever and however many the attributes are.
 
 - :class:`Identity`: the rule; add it to a rule of positions: ``CloseObjects(a, b) + Identity({...})``.
 - :class:`Code`, :class:`Category`, :class:`Size`: models of attributes; :data:`MODELS` for the usual ones.
-- :func:`alarms`: records whose identities agree while their positions contradict, and the reverse of unique names.
+- :func:`alarms`: records whose unique identities agree while their positions contradict.
+
+Texts are compared in their plain spelling (:func:`plain`). Two of them that differ by one bit or one slip of typing
+count as a small error of one value (:func:`differ_by_one_bit`, :func:`differ_by_one_typing`).
 """
 
 from __future__ import annotations
@@ -33,8 +36,6 @@ from sameas.gaussian import mahalanobis_sq
 from sameas.ragged import ranges
 from sameas.records import Records, unpack
 from sameas.space import Plane
-
-# Texts that name things: their plain spelling, and whether two differ by one bit or one slip of typing.
 
 
 def plain(values: ArrayLike, unknown: Sequence[str] = ()) -> NDArray[Any]:
@@ -60,7 +61,7 @@ def differ_by_one_bit(first: NDArray[Any], second: NDArray[Any]) -> BoolArray:
     """(m,) whether two hexadecimal addresses differ in one bit; False where either is none."""
     a, b = _hexadecimal(first), _hexadecimal(second)
     difference = a ^ b
-    return (a >= 0) & (b >= 0) & (difference != 0) & ((difference & (difference - 1)) == 0)
+    return np.asarray((a >= 0) & (b >= 0) & (difference != 0) & ((difference & (difference - 1)) == 0))
 
 
 def _hexadecimal(texts: NDArray[Any]) -> IntArray:
@@ -94,12 +95,12 @@ def differ_by_one_typing(first: NDArray[Any], second: NDArray[Any]) -> BoolArray
     return np.asarray(same_length | lost)
 
 
-#: Per source the attributes of the rows of its table, by name; None, NaN or "" where a record does not say.
+#: Per source the attributes of the rows of its table, by name; None, NaN or "" where a record has none.
 Attributes = Mapping[str, Mapping[str, ArrayLike]]
 
 
 class Model(Protocol):
-    """What an attribute's values say of two records."""
+    """The model of an attribute: its evidence for two records being one object."""
 
     def __call__(self, first: NDArray[Any], second: NDArray[Any], pool: NDArray[Any]) -> FloatArray:
         """(m,) ln r of pairs of known values; ``pool``: all known values of all sources, for their frequencies."""
@@ -138,8 +139,8 @@ class Code:
             raise InputError("Code: give values above 1, and shares of errors between 0 and 1 whose sum is below 1")
 
     def __call__(self, first: NDArray[Any], second: NDArray[Any], pool: NDArray[Any]) -> FloatArray:
-        known, chance_of = self._log_chances(pool)
-        chance = 0.5 * (chance_of[np.searchsorted(known, first)] + chance_of[np.searchsorted(known, second)])
+        values, chance_of = self._log_chances(pool)
+        chance = 0.5 * (chance_of[np.searchsorted(values, first)] + chance_of[np.searchsorted(values, second)])
         wrong = math.log(self.other)
         out = np.full(len(first), wrong)
         same = first == second
@@ -151,13 +152,13 @@ class Code:
 
     def _log_chances(self, pool: NDArray[Any]) -> tuple[NDArray[Any], FloatArray]:
         """The values of the pool, ascending, and ln p that an unrelated object has each."""
-        known, counts = np.unique(pool, return_counts=True)
-        # The pool holds each source's values once an object: what is there n times too often is shared by n more.
+        values, counts = np.unique(pool, return_counts=True)
+        # The pool holds each source's values once an object: a value that is there n times is shared by n objects.
         chance = np.maximum((counts - 1.0) / max(len(pool) - 1, 1), 1.0 / self.values)
         for value, share in self.shared.items():
-            at = np.flatnonzero(known == value)
+            at = np.flatnonzero(values == value)
             chance[at] = np.maximum(chance[at], share)
-        return known, np.log(chance)
+        return values, np.log(chance)
 
 
 @dataclass(frozen=True)
@@ -171,9 +172,9 @@ class Category:
     unknown: tuple[str, ...] = ("0", "unknown", "not available", "other")
 
     def __call__(self, first: NDArray[Any], second: NDArray[Any], pool: NDArray[Any]) -> FloatArray:
-        known, counts = np.unique(pool, return_counts=True)
-        share = (counts + 1.0) / (counts.sum() + len(known) + 1.0)
-        chance = np.sqrt(share[np.searchsorted(known, first)] * share[np.searchsorted(known, second)])
+        values, counts = np.unique(pool, return_counts=True)
+        share = (counts + 1.0) / (counts.sum() + len(values) + 1.0)
+        chance = np.sqrt(share[np.searchsorted(values, first)] * share[np.searchsorted(values, second)])
         return np.log(np.where(first == second, (1.0 - self.wrong) / chance, 0.0) + self.wrong)
 
 
@@ -217,7 +218,7 @@ MODELS: Mapping[str, Model] = {
 
 @dataclass(frozen=True)
 class Identity(Rule):
-    """What the records say of themselves, as evidence that is bounded on both sides (see the module).
+    """The identities of the records, as evidence that is bounded on both sides (see the module).
 
     Parameters
     ----------
@@ -232,10 +233,10 @@ class Identity(Rule):
     >>> from sameas import Radius, Records
     >>> radar = Records.of([[0.0, 0.0], [9.0, 0.0]], sigma=5.0, source="radar")
     >>> adsb = Records.of([[1.0, 1.0], [8.0, 0.0]], sigma=5.0, source="adsb")
-    >>> said = {"radar": {"icao": ["4b1814", None]}, "adsb": {"icao": ["4b1814", "4b1815"]}}
+    >>> attributes = {"radar": {"icao": ["4b1814", None]}, "adsb": {"icao": ["4b1814", "4b1815"]}}
     >>> pairs = Radius(5.0)(radar, adsb)
-    >>> found = Identity(said)(pairs)
-    >>> [(int(i), int(j), round(float(v), 1)) for i, j, v in zip(pairs.i, pairs.j, found.log_ratio)]
+    >>> evidence = Identity(attributes)(pairs)
+    >>> [(int(i), int(j), round(float(v), 1)) for i, j, v in zip(pairs.i, pairs.j, evidence.log_ratio)]
     [(0, 0, 6.9), (0, 1, 3.7), (1, 0, 0.0), (1, 1, 0.0)]
     """
 
@@ -263,7 +264,7 @@ class Identity(Rule):
         total = np.sum(list(terms.values()), axis=0)
         bounded = np.logaddexp(math.log1p(-self.borrowed) + total, math.log(self.borrowed))
         bounded -= np.logaddexp(math.log1p(-self.duplicate), math.log(self.duplicate) + total)
-        # Where nothing is said, nothing is added: no rounding of ln 1.
+        # Pairs without a common attribute get exactly 0, without the rounding of ln 1.
         bounded[total == 0.0] = 0.0
         return Evidence({**terms, "borrowed or shared": bounded - total})
 
@@ -272,7 +273,7 @@ class Identity(Rule):
         return [name for name in self.attributes.get(first, {}) if name in self.attributes.get(second, {})]
 
     def column(self, records: Records, name: str) -> NDArray[Any]:
-        """(n_table,) the values of a source, in plain spelling; "" or NaN where a record does not say."""
+        """(n_table,) the values of a source, in plain spelling; "" or NaN where a record has none."""
         values = self._plain[records.source][name]
         if len(values) != records.n_table:
             raise InputError(
@@ -282,11 +283,11 @@ class Identity(Rule):
         return values
 
     def _term(self, name: str, first: NDArray[Any], second: NDArray[Any]) -> FloatArray:
-        """(m,) ln r of one attribute, 0 where either does not say."""
+        """(m,) ln r of one attribute, 0 where either record has none."""
         out = np.zeros(len(first))
-        known = np.flatnonzero(_said(first) & _said(second))
-        if len(known):
-            out[known] = self.models[name](first[known], second[known], self._pools[name])
+        both = np.flatnonzero(_has_value(first) & _has_value(second))
+        if len(both):
+            out[both] = self.models[name](first[both], second[both], self._pools[name])
         return out
 
     @cached_property
@@ -306,7 +307,7 @@ class Identity(Rule):
     def _pool(self, name: str) -> NDArray[Any]:
         """Known values of all sources: of each value as often as the source that has it most."""
         columns = [column[name] for column in self._plain.values() if name in column]
-        columns = [column[_said(column)] for column in columns]
+        columns = [column[_has_value(column)] for column in columns]
         if any(column.dtype.kind == "f" for column in columns):
             return np.concatenate(columns)
         counted = [np.unique(column, return_counts=True) for column in columns]
@@ -325,7 +326,7 @@ def _spelled(values: ArrayLike, model: Model) -> NDArray[Any]:
     return column
 
 
-def _said(values: NDArray[Any]) -> BoolArray:
+def _has_value(values: NDArray[Any]) -> BoolArray:
     return np.isfinite(values) if values.dtype.kind == "f" else np.asarray(values != "")
 
 
@@ -362,27 +363,27 @@ def alarms(
 ) -> list[Alarm]:
     """Records of one instant that show the same identity where their positions contradict, in one source or in two.
 
-    However equal they are, the gate keeps them apart and :class:`Identity` never hears of them; here they are said.
+    The gate keeps such records apart, so that :class:`Identity` never compares them.
 
     Parameters
     ----------
-    sources : records of one plane at one instant. identity : what they say of themselves.
+    sources : records of one plane at one instant. identity : their attributes.
     unique : attributes that only one object should have.
     gate : beyond whose quantile positions contradict; that of the default gate.
     """
     limit_of = gate or ChiSquare(DEFAULT_COMPLETENESS)
-    found = []
+    every = []
     for name in unique:
-        shown = [_SourceValues.of(records, identity, name) for records in sources if isinstance(records.space, Plane)]
-        for s, first in enumerate(shown):
-            for second in shown[s:]:
-                found += first.against(second, name, limit_of)
-    return sorted(found, key=lambda alarm: (alarm.attribute, alarm.value, alarm.first, alarm.second))
+        values = [_SourceValues.of(records, identity, name) for records in sources if isinstance(records.space, Plane)]
+        for s, first in enumerate(values):
+            for second in values[s:]:
+                every += first.against(second, name, limit_of)
+    return sorted(every, key=lambda alarm: (alarm.attribute, alarm.value, alarm.first, alarm.second))
 
 
 @dataclass(frozen=True)
 class _SourceValues:
-    """The usable records of one source that say an attribute: positions ``at`` in it, sorted by value."""
+    """The usable records of one source that have an attribute: positions ``at`` in it, sorted by value."""
 
     records: Records
     values: NDArray[Any]
@@ -393,7 +394,7 @@ class _SourceValues:
         if name not in identity.attributes.get(records.source, {}):
             return cls(records, np.empty(0, dtype="U1"), np.empty(0, np.int64))
         values = identity.column(records, name)[records.rows]
-        at = np.flatnonzero(_said(values))
+        at = np.flatnonzero(_has_value(values))
         order = np.argsort(values[at], kind="stable")
         return cls(records, values[at][order], at[order])
 

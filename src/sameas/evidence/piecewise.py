@@ -8,7 +8,7 @@ import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
 
-#: Values that say well enough where the quantiles of more lie.
+#: Quantiles are taken of about this many values of a longer list (chosen: enough for knots).
 SORTED = 500
 
 
@@ -22,9 +22,9 @@ def knots_of(x: FloatArray, weights: FloatArray, per_knot: float, most: int) -> 
     levels = cumulated[-1] * np.linspace(0.01, 0.99, count)
     knots = x[order][np.minimum(np.searchsorted(cumulated, levels), len(x) - 1)]
     apart = 1e-3 * max(float(knots[-1] - knots[0]), 1e-9)
-    kept = np.ones(count, np.bool_)
-    np.greater(knots[1:] - knots[:-1], apart, out=kept[1:])
-    return knots[kept]
+    distinct = np.ones(count, np.bool_)
+    np.greater(knots[1:] - knots[:-1], apart, out=distinct[1:])
+    return np.asarray(knots[distinct])
 
 
 @dataclass(frozen=True)

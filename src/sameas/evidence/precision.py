@@ -1,8 +1,8 @@
-"""Precision as evidence: how well a record is measured tells what it may be a record of.
+"""Precision as evidence: the sizes of the quoted errors of two records of one object go together.
 
-Errors grow towards faint objects. So a record with large errors is less often shown by a source that sees less deep,
-and the errors of two records of one object go together: quoted errors stand for a magnitude where none is given.
-``sameas.estimate.grades`` learns how much they say.
+Errors grow towards faint objects. So a record with large errors is more often missed by a source that is less deep, and
+both records of an object have large errors or neither: quoted errors stand for a magnitude where none is given.
+``sameas.estimate.grades`` learns how much evidence that is.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Errors: how residuals spread about their quoted covariances."""
+"""The distribution of residuals about their quoted covariances."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.gate import Pairs
 
-#: Pairs worked on at a time.
-STRETCH = 16_384
+#: Pairs in one batch, which fits into the cache.
+BATCH = 16_384
 
 
 @dataclass(frozen=True)
@@ -50,16 +50,16 @@ class Errors:
 
     def log_profile(self, mahalanobis_sq: FloatArray, d: int) -> FloatArray:
         """(m,) ln Σ_k share_k scale_k^(−d) exp(−m²/(2 scale_k²)): what replaces exp(−m²/2) of one normal."""
-        known = [(scale, share) for scale, share in zip(self.scales, self.shares, strict=True) if share > 0.0]
-        widest = max(scale for scale, _ in known)
+        parts = [(scale, share) for scale, share in zip(self.scales, self.shares, strict=True) if share > 0.0]
+        widest = max(scale for scale, _ in parts)
         profile = np.empty(len(mahalanobis_sq))
-        # Beside the widest normal none is too great or too small for a double; a stretch at a time stays in the cache.
-        for begin in range(0, len(profile), STRETCH):
-            half = -0.5 * mahalanobis_sq[begin : begin + STRETCH]
+        # Relative to the widest normal no density overflows or underflows a double.
+        for begin in range(0, len(profile), BATCH):
+            half = -0.5 * mahalanobis_sq[begin : begin + BATCH]
             total = np.zeros(len(half))
-            for scale, share in known:
+            for scale, share in parts:
                 total += share * scale**-d * np.exp(half * (scale**-2 - widest**-2))
-            profile[begin : begin + STRETCH] = np.log(total) + half * widest**-2
+            profile[begin : begin + BATCH] = np.log(total) + half * widest**-2
         return profile
 
 

@@ -1,7 +1,7 @@
 """What every decision rule is: a call from pairs to evidence, and sums of rules.
 
 A rule gives exactly 0.0 for pairs that it cannot compare, because one of the records lacks the value: so
-:attr:`Evidence.informative` knows which pairs it speaks of.
+:attr:`Evidence.informative` is the mask of the pairs that it compares.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Evidence:
 
     @property
     def log_ratio(self) -> FloatArray:
-        """(m,) ln λ, summed when it is asked for: who needs it again keeps it."""
+        """(m,) ln λ, summed at every call: keep it where it is needed again."""
         parts = list(self.terms.values())
         return sum(parts[1:], parts[0])
 
@@ -58,7 +58,7 @@ class Rule:
 
 @dataclass(frozen=True)
 class Sum(Rule):
-    """Several rules that speak of independent features."""
+    """Several rules of independent features."""
 
     rules: tuple[Rule, ...]
 

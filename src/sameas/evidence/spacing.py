@@ -18,21 +18,21 @@ from sameas.errors import InputError
 from sameas.records import Records
 from sameas.space import Sphere, sphere_offset
 
-#: The papers' inner box, and the least outer one that is stated, in standard deviations of a residual's feature:
-#: few measured neighbours may look nearer than they are, and a reach within the errors' own is never too large.
+#: The inner box in standard deviations of a residual's feature, as in the papers [T].
 INNER_SIGMAS = 1.1
+#: The least outer box, in the same unit: a few neighbours may look nearer than they are, and 4 σ is never too large.
 LEAST_SIGMAS = 4.0
-#: How surely neighbours must lie outside a given box before it is doubted, in standard errors.
+#: A given box is doubted where neighbours lie outside by more than this number of standard errors (chosen).
 SURE = 2.0
 
 
 @dataclass(frozen=True)
 class Spacing:
-    """What the sources say of the distance of neighbours, per feature, in the unit of the residuals.
+    """The distance of neighbours in the sources, per feature, in the unit of the residuals.
 
     Attributes
     ----------
-    a : (d,) inner box: 1.1 σ of a typical residual [T], what the sources cannot tell apart.
+    a : (d,) inner box: 1.1 σ of a typical residual [T], below which two objects look like one.
     b : (d,) outer box: twice the distance of a typical neighbour, and not below 4 σ.
     neighbour : (d,) distance of a typical neighbour that can lie along any feature: √(d · mean square), 0 where the
         errors explain all of it.
@@ -51,9 +51,9 @@ class Spacing:
     def doubt(self, b: ArrayLike) -> str:
         """A sentence where the data contradict a given ``b`` (a number or (d,)): neighbours lie outside; else ''."""
         given = np.broadcast_to(np.asarray(b, np.float64), self.b.shape)
-        known = np.isfinite(self.error)
-        least = np.where(known, self.neighbour - SURE * np.where(known, self.error, 0.0), 0.0)
-        # Neighbours nearer than the errors lie in any box as far as the residuals can tell.
+        finite = np.isfinite(self.error)
+        least = np.where(finite, self.neighbour - SURE * np.where(finite, self.error, 0.0), 0.0)
+        # Residuals cannot show that neighbours nearer than the errors lie outside of any box.
         feature = int(np.argmax(least / np.maximum(given, self.sigma)))
         if least[feature] <= max(given[feature], self.sigma[feature]):
             return ""
@@ -85,13 +85,13 @@ def estimate_reach(first: Records, second: Records) -> Spacing:
     >>> spacing = estimate_reach(radar, ais)
     >>> rule = CloseObjects(tuple(spacing.a), tuple(spacing.b))
     """
-    known = [source for source in (first, second) if len(source) >= 2]
-    if not known:
+    sources = [source for source in (first, second) if len(source) >= 2]
+    if not sources:
         raise InputError(
             f"{first.source} has {len(first)} records, {second.source} {len(second)}: no neighbours to measure; "
             "give b, the reach of a neighbour"
         )
-    measured = [_excess(source) for source in known]
+    measured = [_excess(source) for source in sources]
     excess = np.concatenate([values for values, _ in measured])
     count = sum(pairs for _, pairs in measured)
     d = first.d
@@ -138,9 +138,9 @@ def _nearest(source: Records) -> IntArray:
         points[:, wraps] %= periods[wraps]
         tree = cKDTree(points, boxsize=np.where(wraps, periods, 0.0))
     place = np.arange(len(source))
-    found = tree.query(points, k=2)[1]
+    nearest = tree.query(points, k=2)[1]
     # Records on one spot may be listed in any order.
-    return np.where(found[:, 0] == place, found[:, 1], found[:, 0]).astype(np.int64)
+    return np.asarray(np.where(nearest[:, 0] == place, nearest[:, 1], nearest[:, 0]), np.int64)
 
 
 def _displacement(source: Records, other: IntArray) -> FloatArray:

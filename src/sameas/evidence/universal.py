@@ -1,4 +1,10 @@
-"""The universal rule: any density of objects, and any density of the neighbour of an object (METHOD 3.3 [T13])."""
+"""The universal rule: any density of objects, and any density of the neighbour of an object (METHOD 3.3 [T13]).
+
+:class:`Universal` takes sums where the densities are mixtures or samples, and expectations over normals where they are
+functions. :func:`expectation` states the error of these: adaptive cubature in one and two dimensions, scrambled Sobol
+points above. Cubature sees jumps of a density badly and may not notice; it is taken where it settles at once and agrees
+with Sobol points, which take its place elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -18,21 +24,21 @@ from sameas.gate import Pairs
 from sameas.gaussian import Gaussian, log_density
 from sameas.space import Plane
 
-# Expectations over normals, with a stated error: adaptive cubature up to two dimensions, quasi-Monte-Carlo above.
-#
-# Cubature sees jumps of a density badly, and may not see that it does: it is believed where it settles at once and
-# agrees with scrambled Sobol points, which take its place elsewhere.
-
 #: Takes pairs (r,) and standard normal points (n, k), gives the values (r, n) there.
 Integrand = Callable[[IntArray, FloatArray], FloatArray]
+#: Takes positions of the two objects (n, d) each, gives p(M₂ | M₁) (n,).
+ConditionalFunction = Callable[[FloatArray, FloatArray], FloatArray]
 
-#: Adaptive cubature looks this many standard deviations around; what lies beyond is a share of 2e-17.
+#: Adaptive cubature covers ±8.5 standard deviations; a share of 2e-17 of a normal lies beyond.
 REACH = 8.5
+#: Most subdivisions of cubature (chosen).
 SUBDIVISIONS = 40
-#: Quasi-Monte-Carlo: independent scrambles, points of each at first and at most, values held at a time.
+#: Independent scrambles of the Sobol points, whose scatter is the stated error (chosen).
 SCRAMBLES = 16
+#: Points of each scramble: of the first step, to check cubature, and at most (chosen).
 FIRST, CHECK, MOST = 2**8, 2**10, 2**13
-EXPECTATION_AT_ONCE = 2**18
+#: Values of a density in one batch, and components times features of closed forms in one batch.
+VALUES_IN_BATCH, COMPONENTS_IN_BATCH = 2**18, 2**20
 
 
 @dataclass(frozen=True)
@@ -43,53 +49,53 @@ class Expected:
     error: FloatArray
 
 
-def expectation(integrand: Integrand, pairs: int, k: int, wanted: float, seed: int, what: str) -> Expected:
-    """E f(z), z ~ N(0, 1)^k, for every pair, to a relative error of ``wanted`` where that can be had.
+def expectation(integrand: Integrand, pairs: int, k: int, relative_error: float, seed: int, density: str) -> Expected:
+    """E f(z), z ~ N(0, 1)^k, for every pair, to the ``relative_error`` where the steps allow it.
 
     Raises
     ------
     InputError : the values are negative or not finite, or zero around every pair.
     """
     _require_scipy()
-    f, rows = _Checked(integrand, what), np.arange(pairs)
+    f, rows = _Checked(integrand, density), np.arange(pairs)
     if k > 2:
-        value, error, bound = _scrambled(f, rows, k, wanted, seed, MOST)
+        value, error, bound = _scrambled(f, rows, k, relative_error, seed, MOST)
     else:
-        value, error, believed = _adaptive(f, pairs, k, wanted)
+        value, error, settled = _adaptive(f, pairs, k, relative_error)
         bound = k * math.erfc(REACH / math.sqrt(2.0))
-        seen, seen_error, unseen = _scrambled(f, rows, k, wanted, seed, CHECK)
-        hit = seen > 0.0
-        spread = np.multiply(seen, seen_error, out=np.zeros(pairs), where=hit)
-        allowed = 5.0 * spread + error * value + 10.0 * f.largest * unseen
-        rows = rows[hit & (~believed | (np.abs(value - seen) > allowed))]
+        check, check_error, gap = _scrambled(f, rows, k, relative_error, seed, CHECK)
+        positive = check > 0.0
+        spread = np.multiply(check, check_error, out=np.zeros(pairs), where=positive)
+        tolerance = 5.0 * spread + error * value + 10.0 * f.largest * gap
+        rows = rows[positive & (~settled | (np.abs(value - check) > tolerance))]
         if len(rows):
-            value[rows], error[rows], _ = _scrambled(f, rows, k, wanted, seed, MOST)
+            value[rows], error[rows], _ = _scrambled(f, rows, k, relative_error, seed, MOST)
     nothing = value <= 0.0
     if np.any(nothing):
         if f.largest <= 0.0:
-            raise InputError(f"Universal: {what} is zero around every pair; give a density that covers the records")
-        # All that is known is that it is less than the largest value met, times what was not looked at.
+            raise InputError(f"Universal: {density} is zero around every pair; give a density that covers the records")
+        # The value is bounded only: by the largest one at any point, times the share that no point stands for.
         value, error = np.where(nothing, f.largest * bound, value), np.where(nothing, np.inf, error)
     return Expected(np.log(value), error)
 
 
 @dataclass
 class _Checked:
-    """The integrand, refused where it gives no densities; remembers the largest value met."""
+    """The integrand, refused where it gives no densities; ``largest`` is its largest value at any point."""
 
     integrand: Integrand
-    what: str
+    density: str
     largest: float = 0.0
 
     def __call__(self, rows: IntArray, points: FloatArray) -> FloatArray:
         values = np.asarray(self.integrand(rows, points), np.float64)
         if not np.all((values >= 0.0) & (values < np.inf)):
-            raise InputError(f"Universal: {self.what} is negative or not finite; give densities of zero or more")
+            raise InputError(f"Universal: {self.density} is negative or not finite; give densities of zero or more")
         self.largest = max(self.largest, float(values.max(initial=0.0)))
         return values
 
 
-def _adaptive(f: _Checked, pairs: int, k: int, wanted: float) -> tuple[FloatArray, FloatArray, BoolArray]:
+def _adaptive(f: _Checked, pairs: int, k: int, relative_error: float) -> tuple[FloatArray, FloatArray, BoolArray]:
     """(m,) values, relative errors, and whether they settled: Gauss–Kronrod cubature pair by pair."""
     from scipy.integrate import cubature
 
@@ -101,17 +107,17 @@ def _adaptive(f: _Checked, pairs: int, k: int, wanted: float) -> tuple[FloatArra
             log_weight = -0.5 * (np.sum(z**2, axis=1) + k * math.log(2.0 * math.pi))
             return np.asarray(f(one, z)[0] * np.exp(log_weight))
 
-        found = cubature(
-            weighted, np.full(k, -REACH), np.full(k, REACH), rule="gk15", rtol=wanted, points=[np.zeros(k)],
+        integral = cubature(
+            weighted, np.full(k, -REACH), np.full(k, REACH), rule="gk15", rtol=relative_error, points=[np.zeros(k)],
             max_subdivisions=SUBDIVISIONS,
         )  # fmt: skip
-        value[row], settled[row] = found.estimate, found.status == "converged"
-        error[row] = found.error / found.estimate if found.estimate > 0.0 else 0.0
+        value[row], settled[row] = integral.estimate, integral.status == "converged"
+        error[row] = integral.error / integral.estimate if integral.estimate > 0.0 else 0.0
     return value, error, settled
 
 
 def _scrambled(
-    f: _Checked, rows: IntArray, k: int, wanted: float, seed: int, most: int
+    f: _Checked, rows: IntArray, k: int, relative_error: float, seed: int, most: int
 ) -> tuple[FloatArray, FloatArray, float]:
     """Values and relative errors of some pairs, and the share that no point stands for: scrambled Sobol points.
 
@@ -127,14 +133,14 @@ def _scrambled(
         for at, engine in enumerate(engines):
             # A scramble may round to 0, which no normal has.
             points = ndtri(np.clip(engine.random(n), 1e-16, 1.0 - 1e-16))
-            for begin in range(0, len(going), max(1, EXPECTATION_AT_ONCE // n)):
-                some = going[begin : begin + max(1, EXPECTATION_AT_ONCE // n)]
+            for begin in range(0, len(going), max(1, VALUES_IN_BATCH // n)):
+                some = going[begin : begin + max(1, VALUES_IN_BATCH // n)]
                 total[at, some] += f(rows[some], points).sum(axis=1)
         drawn[going] += n
         mean = total[:, going] / drawn[going]
         spread, middle = mean.std(axis=0, ddof=1) / math.sqrt(SCRAMBLES), mean.mean(axis=0)
         error[going] = np.divide(spread, middle, out=np.full(len(going), np.inf), where=middle > 0.0)
-        going, n = going[error[going] > wanted], int(drawn.max())
+        going, n = going[error[going] > relative_error], int(drawn.max())
     return total.mean(axis=0) / drawn, error, 1.0 / (SCRAMBLES * int(drawn.max(initial=1)))
 
 
@@ -143,12 +149,6 @@ def _require_scipy() -> None:
 
     if not hasattr(scipy.integrate, "cubature"):
         raise InputError("Universal: densities that are functions need SciPy 1.15 or later: pip install 'scipy>=1.15'")
-
-
-#: Takes positions of the two objects (n, d) each, gives p(M₂ | M₁) (n,).
-ConditionalFunction = Callable[[FloatArray, FloatArray], FloatArray]
-#: Components times features that closed forms hold at a time.
-AT_ONCE = 2**20
 
 
 @dataclass(frozen=True)
@@ -163,13 +163,13 @@ class Universal(Rule):
     neighbour : p(M₂|M₁): a :class:`GaussianMixture` or :class:`Samples` of the displacement M₂ − M₁, a
         :class:`Displacement`, or a function of M₁ and M₂, (n, d) each. Functions give densities (n,).
         Samples and functions of positions do not go together; ``Samples.smoothed()`` does.
-    relative_error : asked of integrals of functions: adaptive cubature up to two dimensions of the integral (features
+    relative_error : of integrals of functions: adaptive cubature up to two dimensions of the integral (features
         once for a Displacement whose ``position`` is no function, twice otherwise), scrambled Sobol points
         above and where cubature does not settle.
     seed : of the Sobol points; the same seed gives the same answer.
 
     The evidence states its error, ``Evidence.log_error``: that of the integrals and of the samples. It is infinite
-    where a density is zero wherever it was looked at: the ratio is then only bounded.
+    where a density is zero at every point: the ratio is then only bounded.
 
     Example
     -------
@@ -260,7 +260,7 @@ class _PairsOfRecords:
         means, covariances, log_weights = _components(q, self.x1.shape[1])
         count = len(means) * (1 if isinstance(p, Flat) else len(p))
         log_value, error = np.empty(len(self.x1)), np.empty(len(self.x1))
-        step = max(1, AT_ONCE // (count * self.x1.shape[1] ** 2))
+        step = max(1, COMPONENTS_IN_BATCH // (count * self.x1.shape[1] ** 2))
         for begin in range(0, len(self.x1), step):
             some = slice(begin, begin + step)
             x1, s1, s2 = self.x1[some, None], self.s1[some, None], self.s2[some, None] + covariances
@@ -274,7 +274,7 @@ class _PairsOfRecords:
         return log_value, error
 
     def _displaced(self, p: Flat | GaussianMixture | Samples, q: Displacement) -> Expected:
-        """The mean over displacements m ~ N(−Δ, Σ) of q(m) and of what p says of X₁ and X₂ − m as one object."""
+        """The mean over displacements m ~ N(−Δ, Σ) of q(m) times the density p of X₁ and X₂ − m as one object."""
         delta, total = self.x1 - self.x2, self.s1 + self.s2
         root = np.linalg.cholesky(total)
 
@@ -285,7 +285,7 @@ class _PairsOfRecords:
                 return density * p.density
             one = self.x1[rows, None], self.s1[rows, None], self.x2[rows, None] - m, self.s2[rows, None]
             common = np.logaddexp.reduce(p.log_common(*one), axis=-1) - log_density(one[0] - one[2], total[rows, None])
-            return density * np.exp(common)
+            return np.asarray(density * np.exp(common))
 
         return self._expected(integrand, delta.shape[1], "neighbour")
 
@@ -325,7 +325,7 @@ def _scatter(share: FloatArray) -> FloatArray:
 
 def _around(mean: FloatArray, root: NDArray[np.floating], rows: IntArray, z: FloatArray) -> FloatArray:
     """(r, n, d) the normal points z (n, d) brought to the means and covariances of some pairs."""
-    return mean[rows, None] + np.einsum("rvw,nw->rnv", root[rows], z)
+    return np.asarray(mean[rows, None] + np.einsum("rvw,nw->rnv", root[rows], z))
 
 
 def _values(density: DensityFunction | Samples, points: FloatArray) -> FloatArray:

@@ -1,10 +1,11 @@
 """The gate: which pairs of records could be one object, with the residual of each.
 
-- :class:`ChiSquare`: within so many standard deviations of both errors together. The default.
-- :class:`Radius`: within a distance, whatever the errors.
-- :class:`Box`: within so many standard deviations on every axis by itself, as the papers do it.
+- :class:`ChiSquare`: the gate keeps a stated share of the true pairs. The default.
+- :class:`Radius`: the Mahalanobis distance is within a number of standard deviations.
+- :class:`Box`: every feature by itself is within a number of standard deviations, as in the papers.
 """
 
 from sameas.gate.gate import DEFAULT_COMPLETENESS, DEFAULT_GATE, Box, ChiSquare, Pairs, Radius
+from sameas.gate.zones import Tuning
 
-__all__ = ["DEFAULT_COMPLETENESS", "DEFAULT_GATE", "Box", "ChiSquare", "Pairs", "Radius"]
+__all__ = ["DEFAULT_COMPLETENESS", "DEFAULT_GATE", "Box", "ChiSquare", "Pairs", "Radius", "Tuning"]

@@ -11,13 +11,13 @@ pair by pair: a record with a large error neither widens the gate of others nor 
 The gate is part of the model: what it leaves out has probability zero. The default is so wide that opening it further
 changes nothing one can see: with a per-pair prior no probability by more than 1e-5 where groups are summed exactly
 (``benchmarks/gate.py`` measures it; 3σ moves them by up to 0.99). Under a prior of the number of pairs the gate decides
-who is counted, and no gate is wide enough. 3σ is kept to reproduce the papers.
+who is counted, and no gate is wide enough. 3σ is there to reproduce the papers.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -27,6 +27,7 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.gate.chisquare import upper_quantile
 from sameas.gate.search import search
+from sameas.gate.zones import DEFAULT_TUNING, Tuning
 from sameas.records import Records
 from sameas.space import Sphere
 
@@ -105,6 +106,7 @@ class ChiSquare:
     """Δᵀ Σ⁻¹ Δ within the χ² quantile of ``completeness``, the probability of keeping a true pair."""
 
     completeness: float = DEFAULT_COMPLETENESS
+    tuning: Tuning = field(default=DEFAULT_TUNING, repr=False)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.completeness < 1.0:
@@ -116,9 +118,8 @@ class ChiSquare:
 
     def __call__(self, first: Records, second: Records) -> Pairs:
         limit = self.limit(_features(first, second))
-        return _candidates(
-            first, second, limit, False, f"χ² ≤ {limit:.2f} (loses {1 - self.completeness:.1e} of the true)"
-        )
+        description = f"χ² ≤ {limit:.2f} (loses {1 - self.completeness:.1e} of the true)"
+        return _candidates(first, second, limit, False, description, self.tuning)
 
 
 DEFAULT_GATE = ChiSquare()
@@ -129,13 +130,14 @@ class Radius:
     """Mahalanobis distance within ``sigmas``: Δᵀ Σ⁻¹ Δ ≤ sigmas²."""
 
     sigmas: float
+    tuning: Tuning = field(default=DEFAULT_TUNING, repr=False)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.sigmas < math.inf:
             raise InputError(f"gate: sigmas is {self.sigmas}; give a positive number")
 
     def __call__(self, first: Records, second: Records) -> Pairs:
-        return _candidates(first, second, self.sigmas**2, False, f"distance ≤ {self.sigmas:g} σ")
+        return _candidates(first, second, self.sigmas**2, False, f"distance ≤ {self.sigmas:g} σ", self.tuning)
 
 
 @dataclass(frozen=True)
@@ -143,13 +145,14 @@ class Box:
     """|Δ_v| ≤ ``sigmas``·σ_v in every feature v, the gate of both papers (3σ)."""
 
     sigmas: float = 3.0
+    tuning: Tuning = field(default=DEFAULT_TUNING, repr=False)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.sigmas < math.inf:
             raise InputError(f"gate: sigmas is {self.sigmas}; give a positive number")
 
     def __call__(self, first: Records, second: Records) -> Pairs:
-        return _candidates(first, second, self.sigmas**2, True, f"each feature within {self.sigmas:g} σ")
+        return _candidates(first, second, self.sigmas**2, True, f"each feature within {self.sigmas:g} σ", self.tuning)
 
 
 def _features(first: Records, second: Records) -> int:
@@ -165,6 +168,6 @@ def _features(first: Records, second: Records) -> int:
     return first.d
 
 
-def _candidates(first: Records, second: Records, limit: float, box: bool, description: str) -> Pairs:
+def _candidates(first: Records, second: Records, limit: float, box: bool, description: str, tuning: Tuning) -> Pairs:
     _features(first, second)
-    return Pairs(first, second, *search(first, second, limit, box), gate=description)
+    return Pairs(first, second, *search(first, second, limit, box, tuning), gate=description)

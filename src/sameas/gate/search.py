@@ -3,7 +3,7 @@
 Records are laid out in zones (``zones.py``, ``kernels/order.py``); what may lie within the gate of each is looked up
 (``kernels/spans.py``) and measured (``kernels/sphere.py``, ``plane.py``). Where a few records have far wider errors
 than the others, they do the looking up, whichever source they are of, so that they do not slow down the many. The
-order of the pairs depends on what the records say, not on their rows.
+order of the pairs depends on the records' content, not on their rows.
 """
 
 from __future__ import annotations
@@ -18,57 +18,52 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray, IntArray
-from sameas.gate.zones import FEW_RECORDS, Extent, Geometry, Layout, Source
+from sameas.gate.zones import Extent, Geometry, Layout, Source, Tuning
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.space import Plane
-
-#: Records in a row whose candidates are counted to know how much room all need.
-SAMPLE = 128
 
 #: Places, i, j, residual, squared Mahalanobis distance, determinant: the columns of :class:`sameas.gate.Pairs`.
 Columns = tuple[
     NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], FloatArray, FloatArray, FloatArray
 ]
 
-#: Writes what it finds for the records first ≤ k < last into columns; gives (found, next k), less than last when full.
+#: Writes the pairs of the records first ≤ k < last into columns; gives (pairs, next k), less than last when full.
 Sweep = Callable[[int, int, Any], tuple[int, int]]
 
 
-def search(first: Records, second: Records, limit: float, box: bool) -> Columns:
+def search(first: Records, second: Records, limit: float, box: bool, tuning: Tuning) -> Columns:
     """All pairs with Δᵀ Σ⁻¹ Δ ≤ limit (or, with ``box``, Δ_v² ≤ limit·Σ_vv in every feature v)."""
     if not len(first) or not len(second):
         return _room(first.d, 0)
-    found = _each_with_each(first, second, limit, box)
-    if found is not None:
-        return found
-    geometry = Geometry.of(first, second, limit, box)
+    if len(first) + len(second) <= tuning.each_with_each and isinstance(first.space, Plane):
+        columns = _each_with_each(first, second, limit, box, first.space)
+        if columns is not None:
+            return columns
+    geometry = Geometry.of(first, second, limit, box, tuning)
     sources = Source.of(first, geometry), Source.of(second, geometry)
     extent = Extent.of(sources, geometry)
     within = [geometry.opening * len(other) / max(extent.area, 1e-290) for other in (second, first)]
-    classes = [source.classes(others) for source, others in zip(sources, within, strict=True)]
+    classes = [source.classes(others, tuning.few_tests) for source, others in zip(sources, within, strict=True)]
     one, two = threads.each(
         [partial(Layout.of, source, rows, extent, geometry) for source, rows in zip(sources, classes, strict=True)],
         len(first) + len(second),
     )
-    return _candidates(one, two, _told(one, two, geometry), geometry)
+    return _candidates(one, two, _wide_pairs(one, two, geometry), geometry)
 
 
-def _each_with_each(first: Records, second: Records, limit: float, box: bool) -> Columns | None:
-    """All pairs of few records on a plane; None where there are many, or some say exactly the same."""
-    n = len(first) + len(second)
-    if n > FEW_RECORDS or not isinstance(first.space, Plane):
-        return None
+def _each_with_each(first: Records, second: Records, limit: float, box: bool, space: Plane) -> Columns | None:
+    """All pairs of few records on a plane; None where they are too many for the room, or records are equal."""
     from sameas.kernels.few import sweep_few
 
-    out = _room(first.d, 4 * n)
-    periods = np.array(first.space.period_list(first.d))
-    found = sweep_few(first.features, first.covariance, second.features, second.covariance, limit, box, periods, out)
-    return None if found < 0 else tuple(column[:found] for column in out)  # type: ignore[return-value]
+    out = _room(first.d, 4 * (len(first) + len(second)))
+    periods = np.array(space.period_list(first.d))
+    count = sweep_few(first.features, first.covariance, second.features, second.covariance, limit, box, periods, out)
+    return None if count < 0 else tuple(column[:count] for column in out)  # type: ignore[return-value]
 
 
-def _candidates(one: Layout, two: Layout, told: IntArray, geometry: Geometry) -> Columns:
-    """What the narrowest classes have with each other, and those of the pairs ``told`` that pass the gate."""
+def _candidates(one: Layout, two: Layout, wide: IntArray, geometry: Geometry) -> Columns:
+    """The candidates of the two narrowest classes, and those of the pairs ``wide`` of other classes."""
     about: tuple[Any, ...] = one.side, two.side, two.grids[0], two.reach(0, one.widest[0], one.starts[1], geometry)
     gate: tuple[Any, ...] = geometry.limit, geometry.box
     if geometry.sphere:
@@ -79,38 +74,38 @@ def _candidates(one: Layout, two: Layout, told: IntArray, geometry: Geometry) ->
         about, gate = (*about, geometry.folds), (*gate, geometry.periods)
 
     def sweep(first: int, last: int, out: Columns) -> tuple[int, int]:
-        further = told[np.searchsorted(told, first << 32) :] if len(told) else told
+        further = wide[np.searchsorted(wide, first << 32) :] if len(wide) else wide
         return kernel(*about, further, *gate, first, last, out)  # type: ignore[no-any-return]
 
     n, d = len(one.side.rows), len(geometry.periods)
-    each = _expected(partial(kernel, *about, told[:0], *gate), one.starts[1], d)
+    each = _expected(partial(kernel, *about, wide[:0], *gate), one.starts[1], d, geometry.tuning.sample)
     bounds = threads.even(n)
-    starts = [math.ceil(each * k) + (int(np.searchsorted(told, k << 32)) if len(told) else 0) for k in bounds]
-    return _gathered(sweep, bounds, starts, partial(_room, d), len(two.side.rows))  # type: ignore[return-value]
+    starts = [math.ceil(each * k) + (int(np.searchsorted(wide, k << 32)) if len(wide) else 0) for k in bounds]
+    return _gathered(sweep, bounds, starts, partial(_room, d), len(two.side.rows))
 
 
-def _told(one: Layout, two: Layout, geometry: Geometry) -> IntArray:
-    """Pairs of places k << 32 | q near enough to be measured, but for those of the two narrowest classes; sorted.
+def _wide_pairs(one: Layout, two: Layout, geometry: Geometry) -> IntArray:
+    """Pairs of places k << 32 | q near enough to be measured, without those of the two narrowest classes; sorted.
 
     Of two classes the wider one does the looking up.
     """
     from sameas.kernels.spans import turned_round
 
-    found = [np.empty(0, np.int64)]
+    parts = [np.empty(0, np.int64)]
     for a, b in product(range(len(one.grids)), range(len(two.grids))):
         if a == b == 0:
             continue
         if max(one.widest[a]) >= max(two.widest[b]):
-            found.append(_visited(one, a, two, b, geometry))
+            parts.append(_visits(one, a, two, b, geometry))
         else:
-            back = _visited(two, b, one, a, geometry)
-            found.append(np.empty_like(back))
-            turned_round(back, np.zeros(len(one.side.rows) + 1, np.int32), found[-1])
-    # What each visit found is in order already, which a stable sort makes use of.
-    return np.sort(np.concatenate(found), kind="stable") if len(found) > 1 else found[0]
+            back = _visits(two, b, one, a, geometry)
+            parts.append(np.empty_like(back))
+            turned_round(back, np.zeros(len(one.side.rows) + 1, np.int32), parts[-1])
+    # Each part is in order already, which a stable sort makes use of.
+    return np.sort(np.concatenate(parts), kind="stable") if len(parts) > 1 else parts[0]
 
 
-def _visited(visitors: Layout, a: int, hosts: Layout, b: int, geometry: Geometry) -> IntArray:
+def _visits(visitors: Layout, a: int, hosts: Layout, b: int, geometry: Geometry) -> IntArray:
     """Pairs visitor << 32 | host of a class of one source with one of the other, near enough to be measured."""
     from sameas.kernels.spans import ROOM, visit
 
@@ -125,7 +120,7 @@ def _visited(visitors: Layout, a: int, hosts: Layout, b: int, geometry: Geometry
 def _gathered(
     sweep: Sweep, bounds: list[int], starts: list[int], room: Callable[[int], tuple[Any, ...]], least: int
 ) -> tuple[Any, ...]:
-    """What a sweep finds over ranges of records, side by side, range t in the places from starts[t] on of one room.
+    """The pairs of a sweep over ranges of records, side by side; range t stands from starts[t] on in one room.
 
     What does not fit there gets a room of its own, no smaller than ``least``, which one record is sure to fit in.
     """
@@ -136,8 +131,8 @@ def _gathered(
         out = tuple(column[part[first]] for column in whole)
         chunks: list[tuple[Any, ...]] = []
         while first < last:
-            found, first = sweep(first, last, out)
-            chunks.append(tuple(column[:found] for column in out))
+            count, first = sweep(first, last, out)
+            chunks.append(tuple(column[:count] for column in out))
             out = room(max(len(out[0]), least)) if first < last else ()
         return chunks
 
@@ -156,18 +151,18 @@ def _gathered(
 
 
 def _room(d: int, capacity: int) -> Columns:
-    """Columns for so many pairs."""
+    """Columns for ``capacity`` pairs."""
     whole = [np.empty(capacity, np.int32) for _ in range(4)]
     return (*whole, np.empty((capacity, d)), np.empty(capacity), np.empty(capacity))  # type: ignore[return-value]
 
 
-def _expected(sweep: Sweep, n: int, d: int) -> float:
-    """Room to keep for the candidates of a record: what a sample of the records has, and some more."""
-    if n <= 32 * SAMPLE:
+def _expected(sweep: Sweep, n: int, d: int, sample: int) -> float:
+    """Room for the candidates of a record: the mean of 16 samples of ``sample`` records, and some more."""
+    if n <= 32 * sample:
         return 4.0
-    out = _room(d, 16 * SAMPLE)
-    found = done = 0
-    for first in range(0, n - SAMPLE, n // 16):
-        count, reached = sweep(first, first + SAMPLE, out)
-        found, done = found + count, done + max(reached - first, 1)
-    return 1.25 * found / done + 0.5
+    out = _room(d, 16 * sample)
+    pairs = records = 0
+    for first in range(0, n - sample, n // 16):
+        count, reached = sweep(first, first + sample, out)
+        pairs, records = pairs + count, records + max(reached - first, 1)
+    return 1.25 * pairs / records + 0.5

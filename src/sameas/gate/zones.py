@@ -1,7 +1,7 @@
 """Zones: how the search lays two sources out, so that what is near in space is near in memory.
 
 Records are sorted into zones of one coordinate and along the other within each; the few of very different errors are
-laid out apart, class by class. The order depends on what the records say, not on the rows they stand in.
+laid out apart, class by class. The order depends on the records' content, not on the rows they stand in.
 """
 
 from __future__ import annotations
@@ -23,19 +23,36 @@ if TYPE_CHECKING:
 
 Rows = NDArray[np.int32]
 
-#: Fewer tests than this for each record are not worth another layout.
-FEW_TESTS = 4.0
-#: So few records are laid out in one zone: to lay out more costs as much as to test them all.
-FEW_RECORDS = 512
-#: A zone is as high as a square that holds so many records: to look a stretch up costs as much as some tests.
-SQUARE = 8.0
-#: Squares along either axis of the grid that tells where records lie.
-SQUARES = 32
+
+@dataclass(frozen=True)
+class Tuning:
+    """How the search lays records out: the answer stays the same, the time does not (tuned by timing).
+
+    Attributes
+    ----------
+    each_with_each : up to this many records of both sources together on a plane are compared each with each.
+    one_zone : up to this many records are laid out in one zone: more zones cost as much as to test them all.
+    square : a zone is as high as a square that holds this many records: to look up a stretch costs as much as some
+        tests.
+    few_tests : a class of errors is laid out apart where that saves at least this many tests a record.
+    squares : squares along either axis of the grid that shows where records lie.
+    sample : records in a row whose candidates are counted to estimate the room for all.
+    """
+
+    each_with_each: int = 512
+    one_zone: int = 512
+    square: float = 8.0
+    few_tests: float = 4.0
+    squares: int = 32
+    sample: int = 128
+
+
+DEFAULT_TUNING = Tuning()
 
 
 @dataclass(frozen=True)
 class Geometry:
-    """The feature space as the kernels want it: which coordinate makes the zones (y), which is swept (x).
+    """The feature space as the kernels take it: which coordinate makes the zones (y), which is swept (x).
 
     opening : by how much a variance of one opens the gate, squared, in the unit of the features.
     bare : whether x, y and one variance are all that there is to know of a record.
@@ -49,22 +66,23 @@ class Geometry:
     periods: FloatArray
     x: int
     y: int
+    tuning: Tuning
 
     @classmethod
-    def of(cls, first: Records, second: Records, limit: float, box: bool) -> Geometry:
+    def of(cls, first: Records, second: Records, limit: float, box: bool, tuning: Tuning) -> Geometry:
         if isinstance(first.space, Sphere):
             # Box edges reach √2 further than the ellipse that they enclose.
             opening = limit * (2.0 if box else 1.0) / 3600.0**2
             bare = first.covariance.shape[1] == second.covariance.shape[1] == 1
-            return cls(True, box, bare, limit, opening, np.array([360.0, np.inf]), 0, 1)
+            return cls(True, box, bare, limit, opening, np.array([360.0, np.inf]), 0, 1, tuning)
         assert isinstance(first.space, Plane)
         periods = np.array(first.space.period_list(first.d))
-        if first.d == 1 or len(first) + len(second) <= FEW_RECORDS:
-            return cls(False, box, False, limit, limit, periods, 0, 0)
+        if first.d == 1 or len(first) + len(second) <= tuning.one_zone:
+            return cls(False, box, False, limit, limit, periods, 0, 0, tuning)
         # Sweep along the feature that separates best for its errors; zones of the second best.
         sharpness = np.minimum(_sharpness(first), _sharpness(second))
         best = np.argsort(-sharpness, kind="stable")
-        return cls(False, box, False, limit, limit, periods, int(best[0]), int(best[1]))
+        return cls(False, box, False, limit, limit, periods, int(best[0]), int(best[1]), tuning)
 
     @property
     def folds(self) -> tuple[float, float] | None:
@@ -103,10 +121,11 @@ class Source:
         variance = _widest(records) if geometry.sphere else records.variances
         return cls(features, records.covariance, variance, records, ends)
 
-    def classes(self, others: float) -> list[Rows]:
+    def classes(self, others: float, few_tests: float) -> list[Rows]:
         """The rows split by the size of their errors, narrowest first: the few widest apart, as long as it saves work.
 
-        others : how many records of the other source lie in the area that a variance of one opens.
+        others : how many records of the other source lie in the area that a variance of one opens. few_tests : see
+        :class:`Tuning`.
         """
         remaining = np.arange(len(self.features), dtype=np.int32)
         if len(remaining) < 64:
@@ -118,10 +137,10 @@ class Source:
             top = size.max()
             wide = size > top / 16.0
             # A record is tested against zones and a window of about twice its own reach and √top each.
-            if len(size) < 64 or np.count_nonzero(wide) > 0.2 * len(size) or 6.0 * top * others < FEW_TESTS:
+            if len(size) < 64 or np.count_nonzero(wide) > 0.2 * len(size) or 6.0 * top * others < few_tests:
                 break
             part = remaining[wide]
-            if parts and 6.0 * widest * others * len(part) < FEW_TESTS * len(self.features):
+            if parts and 6.0 * widest * others * len(part) < few_tests * len(self.features):
                 # So few that another layout would cost more than to test them as widely as those before.
                 parts[-1] = np.concatenate([parts[-1], part])
             else:
@@ -165,15 +184,16 @@ class Extent:
         low = np.minimum(sources[0].ends[0], sources[1].ends[0])[axes]
         high = np.maximum(sources[0].ends[1], sources[1].ends[1])[axes]
         x, y = ((float(a), float(b)) for a, b in zip(low, high, strict=True))
-        if len(sources[0].features) + len(sources[1].features) <= FEW_RECORDS:
+        if len(sources[0].features) + len(sources[1].features) <= geometry.tuning.one_zone:
             return cls(x, y, 0.0)
-        counts = np.zeros((SQUARES, SQUARES), np.int64)
-        size = np.maximum((high - low) / SQUARES, 1e-300)
+        squares = geometry.tuning.squares
+        counts = np.zeros((squares, squares), np.int64)
+        size = np.maximum((high - low) / squares, 1e-300)
         for source in sources:
             tally(source.features, geometry.x, geometry.y, *low, *(1.0 / size), counts)
-        shrink = np.ones(SQUARES)
+        shrink = np.ones(squares)
         if geometry.sphere:
-            shrink = np.maximum(np.cos(np.radians(low[1] + size[1] * (np.arange(SQUARES) + 0.5))), 1e-6)
+            shrink = np.maximum(np.cos(np.radians(low[1] + size[1] * (np.arange(squares) + 0.5))), 1e-6)
         area = float(((counts > 0) * shrink).sum() * size[0] * size[1]) if geometry.x != geometry.y else 0.0
         x = _bulk(x, counts.sum(axis=1), [source.features[:, geometry.x] for source in sources])
         if not geometry.sphere:
@@ -192,10 +212,10 @@ class Zones:
 
     @classmethod
     def of(cls, n: int, reach: float, extent: Extent, geometry: Geometry) -> Zones:
-        """Zones for n records whose own errors reach so far in y."""
+        """Zones for n records whose own errors reach as far as ``reach`` in y."""
         if geometry.x == geometry.y:
             return cls(0.0, math.inf, 1, False)
-        height = max(math.sqrt(SQUARE * extent.area / n), 0.25 * reach)
+        height = max(math.sqrt(geometry.tuning.square * extent.area / n), 0.25 * reach)
         period = float(geometry.periods[geometry.y])
         low, high = (0.0, period) if math.isfinite(period) else extent.y
         count = max(1, int(min((high - low) / height, float(n))))
@@ -280,7 +300,7 @@ def _bulk(ends: tuple[float, float], counts: IntArray, values: list[FloatArray])
     """The ends of what holds the bulk of some values, where a few outliers leave most of the whole empty."""
     share = np.cumsum(counts)
     middle = np.searchsorted(share, share[-1] * np.array([0.005, 0.995]))
-    if middle[1] - middle[0] >= SQUARES // 8:
+    if middle[1] - middle[0] >= len(counts) // 8:
         return ends
     inner = np.percentile(np.concatenate(values), (0.5, 99.5))
     margin = 0.05 * (inner[1] - inner[0])
@@ -309,7 +329,7 @@ def _longitudes(low: float, height: float, count: int, reach_deg: float) -> Floa
 def _sharpness(records: Records) -> FloatArray:
     """Per feature, how many standard deviations wide the bulk of the records lies."""
     middle = np.percentile(records.features, (5, 95), axis=0)
-    return (middle[1] - middle[0]) / np.sqrt(records.variances.mean(axis=0))
+    return np.asarray((middle[1] - middle[0]) / np.sqrt(records.variances.mean(axis=0)))
 
 
 def _widest(records: Records) -> FloatArray:
@@ -317,7 +337,7 @@ def _widest(records: Records) -> FloatArray:
     if records.covariance.shape[1] == 1:
         return records.covariance
     if records.covariance.shape[1] == 2:
-        return records.covariance.max(axis=1, keepdims=True)
+        return np.asarray(records.covariance.max(axis=1, keepdims=True))
     from sameas.kernels.order import widest
 
     variance = np.empty((len(records), 1))

@@ -1,4 +1,4 @@
-"""The result: who is whom, how sure it is, and why.
+"""The result: which records are the same object, how sure it is, and why.
 
 - :class:`Identification`: the answer of :func:`sameas.identify`, with every stage's value.
 - :class:`Explanation`: why one record was identified as it was.

@@ -26,14 +26,14 @@ from sameas.result.identification import Identification
 
 @dataclass(frozen=True)
 class Loss:
-    """The loss matrix Π of a record of source 1: what it costs to say one thing where another is true.
+    """The loss matrix Π of a record of source 1: the cost of one decision where another is true.
 
     Parameters
     ----------
     wrong : to name candidate e for a record that has no partner; a number, or (m,) at the candidates.
     missed : to leave a record alone whose partner is candidate e; a number, or (m,).
     swapped : to name candidate e for a record whose partner is another; a number, or (m,). None is the sum of both
-        mistakes, ``wrong`` of the named and ``missed`` of the true: the same whichever source is asked.
+        mistakes, ``wrong`` of the named and ``missed`` of the true: the same for either source.
     """
 
     wrong: ArrayLike = 1.0
@@ -45,17 +45,17 @@ class Loss:
         swapped = None if self.swapped is None else _at(self.swapped, m, "swapped")
         return _at(self.wrong, m, "wrong"), _at(self.missed, m, "missed"), swapped
 
-    def expected(self, p: FloatArray, record: NDArray[np.integer], nobody: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def expected(self, p: FloatArray, record: NDArray[np.integer], p_none: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Expected loss (m,) of naming each candidate for its record, and (n,) of leaving each record alone.
 
-        p (m,) and ``nobody`` (n,) are probabilities, of the candidates of ``record`` (m,) and of no partner.
+        p (m,) and ``p_none`` (n,) are probabilities, of the candidates of ``record`` (m,) and of no partner.
         """
         wrong, missed, swapped = self.at(len(p))
-        alone: FloatArray = np.bincount(record, missed * p, len(nobody)).astype(np.float64)
+        alone: FloatArray = np.bincount(record, missed * p, len(p_none)).astype(np.float64)
         if swapped is None:
             return wrong * (1.0 - p) + alone[record] - missed * p, alone
-        others = np.clip(1.0 - nobody[record] - p, 0.0, 1.0)
-        return wrong * nobody[record] + swapped * others, alone
+        others = np.clip(1.0 - p_none[record] - p, 0.0, 1.0)
+        return wrong * p_none[record] + swapped * others, alone
 
 
 @dataclass(frozen=True)
@@ -101,14 +101,14 @@ def most_right(result: Identification) -> Decision:
 
     Its ``expected_loss`` is that of :class:`Loss` with one for each mistake.
     """
-    none_1, none_2 = _nobody(result)
+    none_1, none_2 = _p_none(result)
     return _decided(result, 2.0 * result.p_pair - none_1[result.pairs.i] - none_2[result.pairs.j], ONE_EACH)
 
 
 def judged(result: Identification, chosen: BoolArray, loss: Loss = ONE_EACH) -> Decision:
-    """What any one-to-one decision of ``result``'s candidates is expected to lose, and to have right.
+    """Any one-to-one decision of ``result``'s candidates, with its expected loss and records decided rightly.
 
-    ``judged(result, result.chosen)`` says it of the most probable hypothesis.
+    ``judged(result, result.chosen)`` judges the most probable hypothesis.
     """
     pairs = result.pairs
     if chosen.shape != (len(pairs),):
@@ -119,7 +119,7 @@ def judged(result: Identification, chosen: BoolArray, loss: Loss = ONE_EACH) -> 
     naming, alone = _losses(result, loss)
     left_1 = np.setdiff1d(pairs.i, pairs.i[chosen])
     left_2 = np.setdiff1d(pairs.j, pairs.j[chosen])
-    none_1, none_2 = _nobody(result)
+    none_1, none_2 = _p_none(result)
     right = 2.0 * result.p_pair[chosen].sum() + none_1[left_1].sum() + none_2[left_2].sum()
     return Decision(chosen, float(naming[chosen].sum() + alone[left_1].sum()), float(right))
 
@@ -137,10 +137,10 @@ def _best(groups: Groups, gain: FloatArray) -> BoolArray:
 
 
 def _losses(result: Identification, loss: Loss) -> tuple[FloatArray, FloatArray]:
-    return loss.expected(result.p_pair, result.pairs.i, _nobody(result)[0])
+    return loss.expected(result.p_pair, result.pairs.i, _p_none(result)[0])
 
 
-def _nobody(result: Identification) -> tuple[FloatArray, FloatArray]:
+def _p_none(result: Identification) -> tuple[FloatArray, FloatArray]:
     """(n₁,), (n₂,) probability that a record has no partner."""
     p, pairs = result.p_pair, result.pairs
     totals = (np.bincount(pairs.i, p, len(pairs.first)), np.bincount(pairs.j, p, len(pairs.second)))

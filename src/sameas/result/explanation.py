@@ -1,4 +1,4 @@
-"""Why a record was identified as it was: competitors, terms, and what any other answer would cost."""
+"""Why a record was identified as it was: its competitors, their terms, and the cost of any other answer."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from sameas.posterior import METHODS
 from sameas.prior import LogPrior
 from sameas.records import Records
 
-#: Far beyond any log-odds, and small enough to keep 1e-9 of them: forces a pair into a hypothesis, or out of it.
+#: Log-odds that force a pair into a hypothesis, or out of it: beyond all others, and small enough to keep 1e-9 of them.
 FORCE = 1e6
-#: Groups with more pairs in their hypothesis than this are not searched for their next best hypothesis.
+#: The next best hypothesis is searched for in groups with at most this many pairs in the best one.
 SEARCHED = 200
 
 
@@ -54,7 +54,7 @@ class Identified(Protocol):
 
 @dataclass(frozen=True)
 class Competitor:
-    """One answer for the record: a candidate, or nobody (``id`` None).
+    """One answer for the record: a candidate, or no partner (``id`` None).
 
     cost : natural logarithm by which the best hypothesis of the group that gives this answer is less probable than
         the best of all; 0 for the answer given. terms : the parts of ``log_odds``.
@@ -117,7 +117,7 @@ def explain(result: Identified, record: Any, source: int) -> Explanation:
     group = int(result.groups.of_pairs()[own[0]])
     scene = _GroupProblem(result, group)
     competitors = [scene.candidate(int(e), own, source) for e in own]
-    competitors.append(scene.nobody(own, competitors))
+    competitors.append(scene.no_partner(own, competitors))
     competitors.sort(key=lambda c: (-c.probability, c.cost))
     cost, difference = scene.next_best()
     sizes = (int(result.groups.sizes_1[group]), int(result.groups.sizes_2[group]))
@@ -129,14 +129,14 @@ def explain(result: Identified, record: Any, source: int) -> Explanation:
 
 def _row_of(ids: NDArray[Any], record: Any, source: str) -> int:
     """The table row of an id, which may come as text from a command line."""
-    found = np.flatnonzero(ids == record) if not isinstance(record, str) else np.empty(0, np.int64)
-    if not len(found):
-        found = np.flatnonzero(np.char.strip(ids.astype(str)) == str(record).strip())
-    if not len(found):
+    rows = np.flatnonzero(ids == record) if not isinstance(record, str) else np.empty(0, np.int64)
+    if not len(rows):
+        rows = np.flatnonzero(np.char.strip(ids.astype(str)) == str(record).strip())
+    if not len(rows):
         raise InputError(
             f"{source} has no record with the id {record}; its first ids are {', '.join(map(str, ids[:3]))}"
         )
-    return int(found[0])
+    return int(rows[0])
 
 
 class _GroupProblem:
@@ -168,8 +168,8 @@ class _GroupProblem:
 
     def _score(self, chosen: BoolArray) -> float:
         count = int(chosen.sum())
-        known = self.prior.table[count] if self.prior.slope is None else 0.0
-        return float(self.weight[chosen].sum() + known)
+        log_prior = self.prior.table[count] if self.prior.slope is None else 0.0
+        return float(self.weight[chosen].sum() + log_prior)
 
     def prior_in_words(self) -> str:
         """What a prior of the count adds to the terms of the pairs: ln P(k) around the best hypothesis' k."""
@@ -204,7 +204,7 @@ class _GroupProblem:
             bool(result.chosen[e]),
         )  # fmt: skip
 
-    def nobody(self, own: IntArray, candidates: list[Competitor]) -> Competitor:
+    def no_partner(self, own: IntArray, candidates: list[Competitor]) -> Competitor:
         cost, _ = self.solve(np.zeros(len(self.pairs), np.bool_), np.isin(self.pairs, own))
         alone = not any(c.chosen for c in candidates)
         probability = max(0.0, 1.0 - sum(c.probability for c in candidates))
@@ -212,7 +212,7 @@ class _GroupProblem:
 
     def next_best(self) -> tuple[float | None, tuple[list[tuple[Any, Any]], list[tuple[Any, Any]]]]:
         """Every other hypothesis lacks a chosen pair or adds one: the best over each chosen pair forbidden, and over
-        each pair of two lonely records required."""
+        each pair of two records without a partner required."""
         if len(self.pairs) > SEARCHED * 20 or int(self.chosen.sum()) > SEARCHED:
             return None, ([], [])
         none = np.zeros(len(self.pairs), np.bool_)
@@ -272,7 +272,7 @@ def _lines(x: Explanation) -> list[str]:
 
 
 def probability_text(p: float) -> str:
-    """A probability in figures that tell it from 0 and 1."""
+    """A probability with enough figures to differ from 0 and 1."""
     if p > 0.9999:
         return f"1 − {1 - p:.0e}" if p < 1 else "1"
     return f"{p:.4f}" if p > 1e-3 else f"{p:.1e}"

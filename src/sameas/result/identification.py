@@ -1,4 +1,4 @@
-"""The result: who is whom, who is left over, how sure it is, and why.
+"""The result: which records are the same object, which have no partner, how sure it is, and why.
 
 Rows in a result are rows of the sources' own tables; absence is a mask. Everything is computed from the stages'
 values when it is asked for.
@@ -52,7 +52,7 @@ class Matches:
 
 @dataclass(frozen=True)
 class Answers:
-    """What became of every row of one source's table (n_table,); masked where there is nothing to say.
+    """The answer for every row of one source's table (n_table,); masked where there is none.
 
     partner : row in the other table. p_match : probability of that pair. p_none : probability of having no partner.
     second : row in the other table of the most probable other candidate, and p_second its probability.
@@ -138,12 +138,12 @@ class Identification:
 
     @property
     def answers_1(self) -> Answers:
-        """What became of every row of source 1."""
+        """The answer for every row of source 1."""
         return self._both_answers[0]
 
     @property
     def answers_2(self) -> Answers:
-        """What became of every row of source 2."""
+        """The answer for every row of source 2."""
         return self._both_answers[1]
 
     @cached_property
@@ -182,13 +182,13 @@ class Identification:
         observed median lies above it, too large where below.
         """
         d = self.pairs.d
-        found = self.matches
-        if not len(found):
+        matches = self.matches
+        if not len(matches):
             return {"mean": np.full(d, np.nan), "rms": np.full(d, np.nan), "median": np.nan, "median_due": np.nan}
         return {
-            "mean": found.residual.mean(axis=0),
-            "rms": np.sqrt(np.mean(found.residual**2, axis=0)),
-            "median": float(np.median(found.mahalanobis)),
+            "mean": matches.residual.mean(axis=0),
+            "rms": np.sqrt(np.mean(matches.residual**2, axis=0)),
+            "median": float(np.median(matches.mahalanobis)),
             "median_due": math.sqrt(quantile(0.5, d)),
         }
 
@@ -202,7 +202,7 @@ class Identification:
         return int(self.groups.pair_counts[self.posterior.method == APPROXIMATE].sum())
 
     def explain(self, record: Any, *, source: int = 1) -> Explanation:
-        """Why this record was identified as it was: its competitors, and what other answers would cost.
+        """Why this record was identified as it was: its competitors, and the cost of other answers.
 
         Parameters
         ----------
@@ -224,13 +224,13 @@ class Identification:
     ) -> Answers:  # fmt: skip
         from sameas.kernels.summary import by_row, per_record
 
-        told = per_record(position, len(records), chosen, self.p_pair)
+        summary = per_record(position, len(records), chosen, self.p_pair)
         n = records.n_table
         rows = tuple(np.zeros(n, np.int64) for _ in range(3))
         shares = tuple(np.zeros(n) for _ in range(3))
         counts = np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n, np.int64)
         alone, no_other, no_group, unusable = absent = tuple(np.ones(n, np.bool_) for _ in range(4))
-        by_row(records.rows, told, (self.p_pair, *other, group_of, size), rows, shares, counts, absent)
+        by_row(records.rows, summary, (self.p_pair, *other, group_of, size), rows, shares, counts, absent)
         partner, pair, second = rows
         p_match, p_none, p_second = shares
         candidates, group, group_size = counts
