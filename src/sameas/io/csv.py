@@ -22,10 +22,13 @@ import numpy as np
 from sameas.errors import InputError
 from sameas.io.arrow import array_of, column_of
 from sameas.io.atomic import replacing
+from sameas.io.format import Format
 
 if TYPE_CHECKING:
     import pyarrow as pa
     from astropy.table import Column, Table
+
+FORMAT = Format("csv", "CSV", (".csv", ".tsv", ".txt", ".csv.gz", ".tsv.gz", ".txt.gz"), unmarked=True, sidecar=True)
 
 _NULLS = ["null", "NULL", "NA", "N/A", "n/a", "--", *(" " * width for width in range(17))]
 _DELIMITERS = ",;\t|"

@@ -13,10 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 from sameas.io.arrow import array_of
 from sameas.io.csv import opened, write_rows
+from sameas.io.format import Format
 
 if TYPE_CHECKING:
     import pyarrow as pa
     from astropy.table import Column, Table
+
+FORMAT = Format("ecsv", "ECSV", (".ecsv", ".ecsv.gz"), signatures=(b"# %ECSV",))
 
 _KEY = "sameas"
 

@@ -19,10 +19,19 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray
 from sameas.errors import InputError
+from sameas.io.format import Format
 from sameas.io.provenance import ascii_of, to_json, to_text, unicode_of
 
 if TYPE_CHECKING:
     from astropy.table import Column, Table
+
+FORMAT = Format(
+    "fits",
+    "FITS",
+    (".fits", ".fit", ".fts", ".fits.gz", ".fit.gz", ".fts.gz"),
+    signatures=(b"SIMPLE  =",),
+    several_tables=True,
+)
 
 _CARD = "SAMEAS"
 _STRUCTURE = re.compile(

@@ -14,9 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 from sameas.errors import InputError
 from sameas.io.arrow import array_of, column_of
+from sameas.io.format import Format
 
 if TYPE_CHECKING:
     from astropy.table import Column, Table
+
+FORMAT = Format("parquet", "Parquet", (".parquet", ".pq", ".parq"), signatures=(b"PAR1",))
 
 _KEY = b"sameas"
 _ASTROPY = b"table_meta_yaml"

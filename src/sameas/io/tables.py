@@ -5,28 +5,26 @@ from __future__ import annotations
 import difflib
 import gzip
 import hashlib
-import importlib
 import os
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from sameas.errors import Argument, InputError, Message
+from sameas.io import csv, ecsv, fits, parquet, votable
 from sameas.io.atomic import replacing
+from sameas.io.format import Format
 from sameas.io.provenance import plain
 
 if TYPE_CHECKING:
     from astropy.table import Table
 
-# What a file holds, judged by its first bytes; used to say what is wrong before a library fails on it.
+#: The formats, in the order in which they are named to users.
+FORMATS: tuple[Format, ...] = (fits.FORMAT, votable.FORMAT, ecsv.FORMAT, csv.FORMAT, parquet.FORMAT)
 
-_SIGNATURES = (
-    (b"SIMPLE  =", "FITS"),
-    (b"PAR1", "Parquet"),
-    (b"# %ECSV", "ECSV"),
+#: The first bytes of files that are no tables of ours, and what they are.
+_OTHER_SIGNATURES = (
     (b"\x89PNG", "a PNG picture"),
     (b"\xff\xd8\xff", "a JPEG picture"),
     (b"GIF8", "a GIF picture"),
@@ -72,42 +70,25 @@ def first_bytes(path: Path, count: int = 4096) -> bytes:
 
 
 def kind_of(first: bytes) -> str | None:
-    """What its first bytes say that a file is: the label of a format, other words, or None."""
-    for signature, kind in _SIGNATURES:
+    """What a file is by its first bytes: the label of a format, other words, or None.
+
+    So a wrong file is refused in the user's words, before a library fails on it.
+    """
+    labels = ((signature, known.label) for known in FORMATS for signature in known.signatures)
+    for signature, kind in (*labels, *_OTHER_SIGNATURES):
         if first.startswith(signature):
             return kind
     text = first.removeprefix(b"\xef\xbb\xbf").lstrip().lower()
     if text.startswith((b"<!doctype html", b"<html")):
         return "a web page (HTML)"
-    if b"<votable" in text or b":votable" in text:
-        return "VOTable"
+    for known in FORMATS:
+        if any(marker in text for marker in known.markers):
+            return known.label
     if text.startswith(b"<?xml"):
         return "an XML file without a table"
     if text.startswith((b"{", b"[{")):
         return "a JSON file"
     return "a binary file" if b"\x00" in first else None
-
-
-@dataclass(frozen=True)
-class Format:
-    """One format: ``name`` is that of its module in ``sameas.io``, ``label`` how people call it."""
-
-    name: str
-    label: str
-    extensions: tuple[str, ...]
-
-    def module(self) -> ModuleType:
-        """``read(path, hdu)``, ``write(table, path, provenance)`` and ``provenance(path)``."""
-        return importlib.import_module(f"sameas.io.{self.name}")
-
-
-FORMATS = (
-    Format("fits", "FITS", (".fits", ".fit", ".fts", ".fits.gz", ".fit.gz", ".fts.gz")),
-    Format("votable", "VOTable", (".vot", ".votable", ".xml", ".vot.gz", ".votable.gz", ".xml.gz")),
-    Format("ecsv", "ECSV", (".ecsv", ".ecsv.gz")),
-    Format("csv", "CSV", (".csv", ".tsv", ".txt", ".csv.gz", ".tsv.gz", ".txt.gz")),
-    Format("parquet", "Parquet", (".parquet", ".pq", ".parq")),
-)
 
 
 def known_formats() -> dict[str, tuple[str, ...]]:
@@ -145,7 +126,7 @@ def read_table(path: str | os.PathLike[str], *, format: str | None = None, hdu: 
     path = Path(path)
     known = _format_of(path, format)
     _check_source(path, known)
-    if hdu is not None and known.name != "fits":
+    if hdu is not None and not known.several_tables:
         given = Message(f"{path}: ", Argument("hdu", repr(hdu)), " was given")
         raise InputError(Message(given, ", but only FITS files have several tables to choose from"))
     try:
@@ -186,7 +167,7 @@ def write_table(
     facts = plain(provenance)
     table = _with_plain_columns(table, path)
     try:
-        if known.name == "csv":
+        if known.sidecar:
             known.module().write_with_sidecar(table, path, facts, overwrite)
             return
         with replacing(path, overwrite=overwrite) as draft:
@@ -240,9 +221,7 @@ def _check_source(path: Path, known: Format) -> None:
     if not first:
         raise InputError(f"{path}: is empty")
     kind = kind_of(first)
-    if kind == known.label or (known.name == "csv" and kind is None):
-        return
-    if kind is None and known.name == "votable":
+    if kind == known.label or (kind is None and known.unmarked):
         return
     remedy: str = ""
     if kind in {other.label for other in FORMATS}:

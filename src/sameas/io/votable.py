@@ -24,10 +24,19 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray
 from sameas.errors import InputError
+from sameas.io.format import Format
 from sameas.io.provenance import ascii_of, from_text, to_text, unicode_of
 
 if TYPE_CHECKING:
     from astropy.table import Column, Table
+
+FORMAT = Format(
+    "votable",
+    "VOTable",
+    (".vot", ".votable", ".xml", ".vot.gz", ".votable.gz", ".xml.gz"),
+    markers=(b"<votable", b":votable"),
+    unmarked=True,
+)
 
 _INFO = "sameas:"
 _STREAM = re.compile(rb"<BINARY2>\s*<STREAM\s[^>]*encoding=[\"']base64[\"'][^>]*>")

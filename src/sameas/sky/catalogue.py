@@ -13,11 +13,11 @@ import numpy as np
 from astropy.table import Table
 from numpy.typing import NDArray
 
+from sameas.arrays import FloatArray
 from sameas.errors import InputError, Message, naming
 from sameas.records import Records
 from sameas.sky import column_values, conventions
 from sameas.sky.column_choice import CatalogueOptions, Column, ColumnChoice, PositionError, in_years
-from sameas.sky.column_values import FloatArray
 from sameas.sky.columns import choose
 from sameas.sky.motion import Astrometry, MissingMotion, Variances, position_at
 from sameas.space import Sphere

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from sameas.sky.column_values import FloatArray
+from sameas.arrays import FloatArray
 
 Correlations = tuple[tuple[int, int, str], ...]
 
