@@ -157,7 +157,7 @@ def _text(values: pa.ChunkedArray) -> NDArray[Any]:
     values = compute.fill_null(values, "")
     width = max(compute.max(compute.utf8_length(values)).as_py() or 1, 1)
     if width > _WIDEST_FIXED_TEXT:
-        return values.to_numpy()
+        return np.asarray(values.to_numpy())
     text = np.empty(len(values), dtype=f"U{width}")
     begin = 0
     for chunk in values.chunks:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from sameas.errors import InputError
 from sameas.io.atomic import replacing
-from sameas.maps.sheet import UTC_FROM_S
+from sameas.report.prose import UTC_FROM_S
 
 Columns = Mapping[str, NDArray[Any]]
 

@@ -129,9 +129,9 @@ def years(table: Table, name: str, source: str) -> FloatArray:
     if 1700 < middle < 2300:
         return values
     if 15000 < middle < 100000:
-        return mjd_to_jyr(values)
+        return np.asarray(mjd_to_jyr(values))
     if 2.3e6 < middle < 2.6e6:
-        return mjd_to_jyr(values - 2400000.5)
+        return np.asarray(mjd_to_jyr(values - 2400000.5))
     raise InputError(
         f"{source}: column {name!r} (about {middle:g}) is no epoch",
         naming("give a column of Julian years, MJD, JD or dates, or {epoch:YEAR}"),

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import difflib
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -169,12 +170,13 @@ def _convention(search: ColumnSearch) -> tuple[Convention, tuple[str, ...]]:
         return _position_by_ucd(search), ()
     superseded = {name.lower() for c in there for name in c.over if name != c.position[0]}
     computed = {name.lower() for name in conventions.VIZIER_COMPUTED}
-    for rule in (
+    rules: tuple[Callable[[Convention], bool], ...] = (
         lambda c: c.position[0].lower() not in computed,
         lambda c: c.position[0].lower() not in superseded,
         lambda c: _own_error(search, c) is not None,
         lambda c: "main" in search.ucd(search.find(c.position[0]) or ""),
-    ):
+    )
+    for rule in rules:
         there_by_rule = [c for c in there if rule(c)]
         chosen = there_by_rule or there
         if len({c.position[0].lower() for c in chosen}) == 1:

@@ -82,7 +82,7 @@ def _sharp(frame: Frame, background: Background, psf: PSF, rounds: int = 3) -> B
 def _alone(mask: BoolArray) -> BoolArray:
     from scipy.ndimage import convolve
 
-    return mask & (convolve(mask.astype(np.int8), _AROUND.astype(np.int8), mode="constant") == 0)
+    return np.asarray(mask & (convolve(mask.astype(np.int8), _AROUND.astype(np.int8), mode="constant") == 0))
 
 
 def _lines(frame: Frame, background: Background) -> BoolArray:
@@ -299,7 +299,7 @@ def _single(frame: Frame, xy: FloatArray, snr: FloatArray, reach_px: float) -> F
     disturbed[crowd.min(axis=1)[strong]] = True
     saturated = (_flags_near(frame, xy, reach_px / 4) & Flag.SATURATED) != 0
     single = xy[~disturbed & ~saturated]
-    return single if len(single) >= 10 else xy[~saturated]
+    return np.asarray(single if len(single) >= 10 else xy[~saturated])
 
 
 @dataclass(frozen=True)
@@ -344,7 +344,7 @@ def _lasting(found: Centroids, snr: FloatArray, threshold: float, psf: PSF) -> B
     pairs = cKDTree(found.xy).query_pairs(0.6 * psf.fwhm_px, output_type="ndarray")
     if len(pairs):
         lasting[pairs.max(axis=1)] = False  # rows are ordered by significance
-    return lasting | (np.arange(len(snr)) == 0)
+    return np.asarray(lasting | (np.arange(len(snr)) == 0))
 
 
 def _model(own: Own, shape: tuple[int, ...]) -> FloatArray:
@@ -385,16 +385,18 @@ class _Shapes:
         """(k,) where the common window is too narrow by more than noise may do."""
         mean = np.sqrt(np.linalg.det(psf.matrix))
         area = np.sqrt(np.linalg.det(self.matrices))
-        return self.found.settled & (area > mean * _WIDER**2 * (1 + 4 / snr[self.rows]))
+        return np.asarray(self.found.settled & (area > mean * _WIDER**2 * (1 + 4 / snr[self.rows])))
 
     def trailed(self, psf: PSF) -> BoolArray:
         """(k,) longer than the mean star, and not as much wider."""
         values, mean = np.linalg.eigvalsh(self.matrices), np.linalg.eigvalsh(psf.matrix)
-        return (values[:, 1] > _LONGER**2 * mean[1]) & (values[:, 1] / values[:, 0] > _LONGER**2 * mean[1] / mean[0])
+        return np.asarray(
+            (values[:, 1] > _LONGER**2 * mean[1]) & (values[:, 1] / values[:, 0] > _LONGER**2 * mean[1] / mean[0])
+        )
 
     def extended(self, psf: PSF) -> BoolArray:
         """(k,) wider along both axes."""
-        return np.linalg.eigvalsh(self.matrices)[:, 0] > _WIDER**2 * np.linalg.eigvalsh(psf.matrix)[0]
+        return np.asarray(np.linalg.eigvalsh(self.matrices)[:, 0] > _WIDER**2 * np.linalg.eigvalsh(psf.matrix)[0])
 
 
 def _measurements(
@@ -521,7 +523,7 @@ def _sane(jacobian: FloatArray) -> FloatArray:
     """Jacobians of single stars, kept from the singular ones of flat tops."""
     symmetric = (jacobian + jacobian.transpose(0, 2, 1)) / 2
     values, vectors = np.linalg.eigh(np.nan_to_num(symmetric))
-    return (vectors * np.clip(values, 0.15, 1.0)[:, None, :]) @ vectors.transpose(0, 2, 1)
+    return np.asarray((vectors * np.clip(values, 0.15, 1.0)[:, None, :]) @ vectors.transpose(0, 2, 1))
 
 
 def _flags_near(
@@ -542,4 +544,4 @@ def _flags_near(
     near = (a * dx**2 + 2 * b * dx * dy + c * dy**2 <= max(radius_px, 1.0) ** 2) & (x >= 0) & (y >= 0)
     near &= (x < frame.shape[1]) & (y < frame.shape[0])
     bits = frame.flags[np.clip(y, 0, frame.shape[0] - 1), np.clip(x, 0, frame.shape[1] - 1)]
-    return np.bitwise_or.reduce(np.where(near, bits, 0).reshape(len(xy), -1), axis=1).astype(np.uint16)
+    return np.asarray(np.bitwise_or.reduce(np.where(near, bits, 0).reshape(len(xy), -1), axis=1).astype(np.uint16))

@@ -68,7 +68,7 @@ class Frame:
     @property
     def masked(self) -> BoolArray:
         """(rows, columns) where there is no usable number."""
-        return (self.flags & Flag.MASKED) != 0
+        return np.asarray((self.flags & Flag.MASKED) != 0)
 
     def marked(self, where: BoolArray, flag: Flag) -> Frame:
         """The frame with ``flag`` set where the mask says."""

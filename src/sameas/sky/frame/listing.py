@@ -46,7 +46,7 @@ def listing(identification: FrameIdentification, *, faint: bool = True) -> Table
         parts = [_masked(measured, len(identification.measured)), _masked(star, len(lost))]
         kinds = [part for part in parts if part.dtype != object]
         dtype = np.result_type(*(part.dtype for part in kinds)) if kinds else np.dtype("U1")
-        values = np.ma.concatenate([_cast(part, dtype) for part in parts])
+        values = np.ma.concatenate([_cast(part, dtype) for part in parts])  # type: ignore[no-untyped-call]
         table[name] = MaskedColumn(values, unit=unit or None, description=words)
     table.meta.update(frame=identification.measured.name, catalogue=identification.stars.name)
     return table

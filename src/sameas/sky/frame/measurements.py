@@ -95,7 +95,7 @@ class Measurements:
 
     def clean(self, but: Flag = Flag.BLENDED | Flag.TRAILED | Flag.SATURATED) -> BoolArray:
         """(n,) mask of those that carry no flag, those in ``but`` excepted."""
-        return (self.flags & ~np.uint16(but)) == 0
+        return np.asarray((self.flags & ~np.uint16(but)) == 0)
 
     def sigma_px(self) -> FloatArray:
         """(n, 2) standard deviations along x and y."""

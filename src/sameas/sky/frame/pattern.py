@@ -67,7 +67,7 @@ def codes(corner: FloatArray) -> tuple[IntArray, FloatArray]:
 
 def mirrored(code: FloatArray) -> FloatArray:
     """The codes of the mirror images of patterns."""
-    return code * np.tile([1.0, -1.0], code.shape[1] // 2)
+    return np.asarray(code * np.tile([1.0, -1.0], code.shape[1] // 2))
 
 
 def sets_of_points(points: FloatArray, k: int, shortest: float, longest: float) -> IntArray:

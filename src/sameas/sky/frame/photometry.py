@@ -234,7 +234,7 @@ def _falling(m: FloatArray, p: FloatArray) -> tuple[float, float, float]:
         # As if two bright stars had been shown, and two beyond the faintest had not.
         belief = PRIOR_STARS * math.log(top) - PRIOR_STARS * ((x[2] + 1.2) / 2.0) ** 2
         beyond = max(low - x[1], x[1] - high - 3.0, 0.0)
-        return -likelihood - belief + beyond**2
+        return float(-likelihood - belief + beyond**2)
 
     starts = [float(np.quantile(m, q)) for q in (0.2, 0.5, 0.8)] + [high + 1.0]
     fits = [minimize(cost, [3.0, start, -1.2], method="Nelder-Mead", options={"maxiter": 300}) for start in starts]

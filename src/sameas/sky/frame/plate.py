@@ -422,7 +422,7 @@ def _scale_squared(square: FloatArray, p_match: FloatArray, down: FloatArray, pa
         # Where all is well the mean is the better of the two; a few wrong pairs make it many times the median.
         return mean if mean < 3.0 * max(median, 1e-300) else median
     freedom = max(2.0 * weight.sum() - parameters, 0.0)
-    return (float(weight @ square) + QUOTED_WORTH) / (freedom + QUOTED_WORTH)
+    return float((float(weight @ square) + QUOTED_WORTH) / (freedom + QUOTED_WORTH))
 
 
 def sky_axes(vectors: FloatArray, centre: FloatArray) -> FloatArray:

@@ -34,7 +34,7 @@ class PSF:
     @property
     def sigma_px(self) -> float:
         """Standard deviation of the circle of the same area."""
-        return float(np.linalg.det(self.matrix)) ** 0.25
+        return float(float(np.linalg.det(self.matrix)) ** 0.25)
 
     @property
     def fwhm_px(self) -> float:
@@ -112,7 +112,7 @@ def _profile(matrix: FloatArray, dx: FloatArray, dy: FloatArray, share: FloatArr
 
     def misfit(values: FloatArray) -> FloatArray:
         model = PSF(matrix * math.exp(values[0]), math.exp(values[1]) + 1.2).light(dx, dy)
-        return (math.exp(values[2]) * model - share) * math.sqrt(float(np.linalg.det(matrix)))
+        return np.asarray((math.exp(values[2]) * model - share) * math.sqrt(float(np.linalg.det(matrix))))
 
     fit = least_squares(misfit, [0.0, 1.0, 0.0], loss="soft_l1", f_scale=0.01, bounds=([-1.5, -1, -1], [0.5, 3, 1]))
     return math.exp(fit.x[0]), math.exp(fit.x[1]) + 1.2
@@ -120,7 +120,7 @@ def _profile(matrix: FloatArray, dx: FloatArray, dy: FloatArray, share: FloatArr
 
 def _at_least(matrix: FloatArray, variance: float) -> FloatArray:
     values, vectors = np.linalg.eigh(matrix)
-    return (vectors * np.maximum(values, variance)) @ vectors.T
+    return np.asarray((vectors * np.maximum(values, variance)) @ vectors.T)
 
 
 def _mode(values: FloatArray) -> float:

@@ -262,7 +262,7 @@ class ManyMatch:
             epoch = catalogue.astrometry.epoch_jyr[rows]
             told[here] |= moving_rows(catalogue)[rows]
             first[here], last[here] = np.fmin(first[here], epoch), np.fmax(last[here], epoch)
-        return told | (last - first > LEAST_SPAN_YR)
+        return np.asarray(told | (last - first > LEAST_SPAN_YR))
 
     @cached_property
     def broken(self) -> int:

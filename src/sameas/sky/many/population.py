@@ -69,7 +69,7 @@ class Population:
         for s, density in enumerate(self.log_density):
             k = np.flatnonzero(sets[:, s] >= 0)
             total[k] += density[sets[k, s], patterns[k]]
-        return total / np.count_nonzero(sets >= 0, axis=1)
+        return np.asarray(total / np.count_nonzero(sets >= 0, axis=1))
 
     def log_alone(self, s: int) -> FloatArray:
         """(n,) ln ρ of the records of catalogue s that no other shows."""
