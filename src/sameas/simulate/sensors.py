@@ -38,7 +38,7 @@ from sameas.tracks.source import Description
 # sensors are modelled on top of it (:mod:`sameas.simulate.sensors`). Smoothed, the path is what can have moved so, and
 # the log keeps errors of its own; through every report, the log's errors are part of the truth.
 
-#: A curve needs so many points to be smoothed.
+#: A curve is smoothed with 5 points or more (make_smoothing_spline needs 5).
 FEWEST = 5
 
 
@@ -269,7 +269,7 @@ def _followed(description: Description, reports: Reports, plane: LocalPlane) -> 
     return velocity, turned(state.covariance[:, 2:, 2:], back)[:, [0, 0, 1], [0, 1, 1]]
 
 
-#: Flight levels are told in steps of 100 feet.
+#: Flight levels are reported in steps of 100 feet.
 LEVEL_M = 30.48
 
 

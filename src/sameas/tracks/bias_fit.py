@@ -1,4 +1,4 @@
-"""BiasFit: the biases under which two sources agree best, over all instants at which they were compared.
+"""Bias fit: the biases under which two sources agree best, over all instants at which they are compared.
 
 The search looks at every offset that brings any two records of an instant together (:mod:`sameas.registration`); what
 it finds at a few instants is refined over all of them at once, every pair weighted by its posterior probability. Priors
@@ -26,17 +26,17 @@ from sameas.registration.weights import Weighed, weigh
 from sameas.tracks.biases import RelativeBias
 from sameas.tracks.common_scans import CommonScan
 
-#: Instants that are searched, votes that are followed at each, rounds of their refinement.
+#: 3 instants are searched, with 32 candidates each, refined in 20 iterations (chosen).
 SEARCHED, BEGINNINGS, ROUNDS = 3, 32, 20
-#: Factors by which errors are taken wider, round by round, over all instants; how many candidates go on after each.
+#: Errors are widened by these factors, iteration by iteration, over all instants; candidates kept after each (chosen).
 WIDENINGS, KEPT = (2.0, 1.5, 1.2, 1.0, 1.0), (12, 8, 6, 4, 3)
-#: Steps below this share of a standard error end the refinement, or so many rounds.
+#: The refinement ends at steps below 1 % of a standard error, or after 40 iterations (chosen).
 SETTLED, MOST_ROUNDS = 0.01, 40
-#: Two solutions are one when no record moves between them by more than so many standard deviations.
+#: Two solutions are one when no record moves between them by more than 0.7 standard deviations (chosen).
 SAME_SIGMAS = 0.7
-#: Of the information so much is left at least, however doubtful the pairs are.
+#: At least 2 % of the information is kept, however doubtful the pairs are (chosen).
 LEAST_SHARE = 0.02
-#: Instants are one look and the same until records have moved by so many standard deviations.
+#: Instants count as one until records have moved by 3 standard deviations (chosen).
 MOVED_SIGMAS = 3.0
 
 

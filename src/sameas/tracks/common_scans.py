@@ -23,9 +23,9 @@ from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions
 from sameas.tracks.snapshot import Snapshot
 
-#: At so many instants two sources are compared, fewer where they show more than so many records in all.
+#: Two sources are compared at 16 instants, at fewer where these hold more than 4000 records in all (chosen).
 INSTANTS, RECORDS = 16, 4000
-#: Fewest instants, and the part of the common time that is passed over first: not all have spoken then.
+#: At least 4 instants; the first 5 % of the common time is skipped, when not every object has reported yet (chosen).
 FEWEST, EARLY = 4, 0.05
 NO_WIDTHS = np.zeros(6)
 

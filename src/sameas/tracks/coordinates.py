@@ -27,7 +27,7 @@ from sameas.gaussian import propagated
 
 #: Beyond this distance from the origin the plane shortens distances by more than 1 %.
 FARTHEST_M = 900e3
-#: The middle of positions: of at most so many, evenly chosen, in so many steps (Weiszfeld).
+#: The geometric median uses 20 000 positions at most, evenly chosen, and 50 Weiszfeld iterations (chosen).
 MEDIAN_SAMPLE, MEDIAN_STEPS = 20_000, 50
 #: Mean radius of the earth, for what needs no ellipsoid.
 EARTH_M = 6_371_000.0

@@ -1,8 +1,8 @@
 """Doubts: in words, what looks wrong with a source as a whole.
 
 A longitude of the wrong sign, kilometres for metres, a clock in another zone: such a source shares nothing with the
-others as it stands, and much when it is read in another way. The other ways (:mod:`sameas.tracks.doubts`) are tried
-only where a source makes no sense, and only to say which of them would: data are never changed.
+others as it stands, and much in another unit, sign or order. These guesses (:class:`UnitGuess`) are tried only where a
+source makes no sense, and only to name the one that would help: data are never changed.
 
 - :func:`doubts`: of the sources of a scene. :func:`apart`: of sources that lie too far apart for any scene.
 """
@@ -28,13 +28,9 @@ from sameas.tracks.registration import unbiased
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description, Site
 
-# Readings: other ways in which what a source says may be meant, to be tried where it makes no sense as it stands.
-#
-# Each knows in words what is suspected and what to do. None is ever applied to the user's data.
-
-#: What a length may be meant in, the word for it, and metres.
+#: Units in which a length may be meant, and their metres.
 LENGTHS = (("kilometres", 1000.0), ("nautical miles", 1852.0), ("feet", 0.3048), ("millimetres", 0.001))
-#: Hours by which the clocks of zones differ, and seconds by which the time of satellites is ahead of UTC since 2017.
+#: Hours between time zones, and seconds by which GPS time is ahead of UTC since 2017.
 HOURS, LEAP_S = (*range(-12, 0), *range(1, 15)), 18.0
 DEGREE = 180.0 / math.pi
 
@@ -43,8 +39,8 @@ Read = Callable[[Description, Reports], Source | None]
 
 
 @dataclass(frozen=True)
-class Reading:
-    """One other way to read a source.
+class UnitGuess:
+    """One other way to read a source, in words: what is suspected and what to do. It is never applied to the data.
 
     suspicion : what it looks like, after "its ". changed : "with …", what was tried. remedy : what to do.
     read : the source as it would be, or None where it cannot be read so.
@@ -56,43 +52,43 @@ class Reading:
     read: Read
 
 
-def readings_of_place(reports: Reports) -> Iterator[Reading]:
+def place_guesses(reports: Reports) -> Iterator[UnitGuess]:
     """Ways to read coordinates on the earth: of positions, or of the sensor's site."""
     if reports.position == "geodetic":
-        yield Reading("longitudes look like they have the wrong sign", "the sign turned",
+        yield UnitGuess("longitudes look like they have the wrong sign", "the sign turned",
                       "turn the sign of its longitudes (west is negative)", _with_signs(1.0, -1.0))  # fmt: skip
-        yield Reading("latitudes look like they have the wrong sign", "the sign turned",
+        yield UnitGuess("latitudes look like they have the wrong sign", "the sign turned",
                       "turn the sign of its latitudes (south is negative)", _with_signs(-1.0, 1.0))  # fmt: skip
-        yield Reading("latitudes and longitudes look exchanged", "them exchanged",
+        yield UnitGuess("latitudes and longitudes look exchanged", "them exchanged",
                       "exchange the two columns, or name them", _with_exchange)  # fmt: skip
-        yield Reading("latitudes and longitudes look like radians", "them taken so",
+        yield UnitGuess("latitudes and longitudes look like radians", "them taken so",
                       "say that their unit is rad", _with_radians)  # fmt: skip
         return
-    yield Reading("site's longitude looks like it has the wrong sign", "the sign turned",
+    yield UnitGuess("site's longitude looks like it has the wrong sign", "the sign turned",
                   "turn the sign of lon_deg in its site (west is negative)",
                   _with_site(lambda lat, lon: (lat, -lon)))  # fmt: skip
-    yield Reading("site's latitude and longitude look exchanged", "them exchanged",
+    yield UnitGuess("site's latitude and longitude look exchanged", "them exchanged",
                   "exchange lat_deg and lon_deg in its site", _with_site(lambda lat, lon: (lon, lat)))  # fmt: skip
 
 
-def readings(reports: Reports) -> Iterator[Reading]:
+def unit_guesses(reports: Reports) -> Iterator[UnitGuess]:
     """All ways to read the positions of a source."""
-    yield from readings_of_place(reports)
+    yield from place_guesses(reports)
     if reports.position == "local":
-        yield Reading("x and y look exchanged", "them exchanged", "name the columns: x is east, y is north",
+        yield UnitGuess("x and y look exchanged", "them exchanged", "name the columns: x is east, y is north",
                       lambda about, said: (about, replace(said, x_m=said.y_m, y_m=said.x_m)))  # fmt: skip
         yield from (_in_length("coordinates", unit, m, _with_coordinates(m)) for unit, m in LENGTHS)
     if reports.position == "polar":
         yield from (_in_length("ranges", unit, m, _with_ranges(m)) for unit, m in LENGTHS)
     if reports.bearing_deg is not None:
-        yield Reading("bearings look like radians", "them taken so", "say that their unit is rad",
+        yield UnitGuess("bearings look like radians", "them taken so", "say that their unit is rad",
                       _with_bearings(lambda bearing: bearing * DEGREE, 2.0 * math.pi + 0.01))  # fmt: skip
-        yield Reading("bearings look like angles from the east, anticlockwise", "them taken so",
+        yield UnitGuess("bearings look like angles from the east, anticlockwise", "them taken so",
                       "give 90° less the angle: bearings run clockwise from north",
                       _with_bearings(lambda angle: 90.0 - angle, 360.0))  # fmt: skip
 
 
-def clock_readings() -> Iterator[tuple[str, str, float]]:
+def clock_guesses() -> Iterator[tuple[str, str, float]]:
     """Suspicion, remedy, and seconds by which stamps would be ahead."""
     for hours in sorted(HOURS, key=abs):
         ahead = "ahead" if hours > 0 else "behind"
@@ -131,8 +127,10 @@ def _with_site(changed: Callable[[float, float], tuple[float, float]]) -> Read:
     return read
 
 
-def _in_length(what: str, unit: str, metres: float, read: Read) -> Reading:
-    return Reading(f"{what} look like {unit}", "them taken so", f"say that their unit is {unit}, or give metres", read)
+def _in_length(what: str, unit: str, metres: float, read: Read) -> UnitGuess:
+    return UnitGuess(
+        f"{what} look like {unit}", "them taken so", f"say that their unit is {unit}, or give metres", read
+    )
 
 
 def _with_coordinates(metres: float) -> Read:
@@ -159,13 +157,13 @@ def _with_bearings(changed: Callable[[FloatArray], FloatArray], most: float) -> 
     return read
 
 
-#: Instants at which sources are compared, and rounds in which the number of common objects settles.
+#: Sources are compared at 5 instants; the number of common objects is iterated 8 times (chosen).
 INSTANTS, ROUNDS = 5, 8
-#: A source whose records have partners at most so often shares nothing; another reading must give so many.
+#: A source shares nothing when at most 10 % of its records have a partner; a guess must give 50 % or more (chosen).
 NOTHING, MUCH = 0.1, 0.5
-#: The other reading must explain the records better by this log likelihood at an instant: some thirty are tried.
+#: A guess must raise the log likelihood of an instant by 8 or more, since some thirty guesses are tried (chosen).
 CLEARLY = 8.0
-#: A reading of places brings a source to another where its middle comes so near, in the other's extents, and in metres.
+#: A guess of places brings a source to another within 3 of the other's extents, or 50 km (chosen).
 EXTENTS, NEAR_M = 3.0, 50e3
 
 
@@ -192,7 +190,7 @@ def doubts(feeds: Sequence[Feed], plane: LocalPlane | None) -> tuple[str, ...]:
     ]
     stands = [_best(feed, partners) for feed, partners in zip(tolerant, others, strict=True)]
     read = [
-        _other_reading(feed, partners, stood, plane) if partners and (stood is None or stood.share < MUCH) else None
+        _best_guess(feed, partners, stood, plane) if partners and (stood is None or stood.share < MUCH) else None
         for feed, partners, stood in zip(feeds, others, stands, strict=True)
     ]
     said: dict[str, str] = {}
@@ -206,7 +204,7 @@ def doubts(feeds: Sequence[Feed], plane: LocalPlane | None) -> tuple[str, ...]:
         shares = stood is not None and stood.share > NOTHING and stood.gain > 0.0
         accused = all(other.description.name in said for other in partners)
         if not (shares or name in said or name in named or accused):
-            said[name] = _nothing_shared(feed, partners, stood)
+            said[name] = _nothing_in_common(feed, partners, stood)
     return tuple(said[feed.description.name] for feed in feeds if feed.description.name in said)
 
 
@@ -245,7 +243,7 @@ def _far(source: Source, home: Source, reach_m: float) -> str:
     opening = f"{source[0].name}: lies {away / 1e3:.0f} km from {home[0].name}, too far for one plane"
     # Columns are mixed up more often than sites are.
     for one, other in sorted([(source, home), (home, source)], key=lambda pair: pair[0][1].lat_deg is None):
-        for reading in readings_of_place(one[1]):
+        for reading in place_guesses(one[1]):
             changed = reading.read(*one)
             moved, there = None if changed is None else _places(*changed), _places(*other)
             if moved is None or there is None:
@@ -315,21 +313,21 @@ def _shared(feed: Feed, other: Feed) -> Shared | None:
 
 
 @dataclass(frozen=True)
-class UnitGuess:
-    """A reading that makes much of a source: in words, what it shares then with which other, and how well."""
+class BestGuess:
+    """The guess under which a source shares most with another: the sentence, the other source, the log likelihood."""
 
     sentence: str
     other: str
     gain: float
 
 
-def _other_reading(
+def _best_guess(
     feed: Feed, others: Sequence[Feed], stands: Shared | None, plane: LocalPlane | None
-) -> UnitGuess | None:
+) -> BestGuess | None:
     """The reading that makes most of the source; None where none makes much of it."""
     stood = Shared("", 0.0, 0.0, 0.0) if stands is None else stands
-    best: UnitGuess | None = None
-    for suspicion, changed, remedy, read in _read_otherwise(feed, plane):
+    best: BestGuess | None = None
+    for suspicion, changed, remedy, read in _guessed_feeds(feed, plane):
         shared = _best(read, others)
         if shared is None or shared.share < max(MUCH, 2.0 * stood.share):
             continue
@@ -339,14 +337,14 @@ def _other_reading(
                 f"{feed.description.name}: its {suspicion}: with {changed}, {shared.pairs:.0f} of {shared.records:.0f} "
                 f"records of an instant are those of {shared.other}, as it stands {stood.pairs:.0f}; {remedy}{either}"
             )
-            best = UnitGuess(sentence, shared.other, shared.gain)
+            best = BestGuess(sentence, shared.other, shared.gain)
     return best
 
 
-def _read_otherwise(feed: Feed, plane: LocalPlane | None) -> Iterator[tuple[str, str, str, Feed]]:
+def _guessed_feeds(feed: Feed, plane: LocalPlane | None) -> Iterator[tuple[str, str, str, Feed]]:
     """Suspicion, change, remedy, and the feed that would result."""
     if feed.given is not None:
-        for reading in readings(feed.given):
+        for reading in unit_guesses(feed.given):
             source = reading.read(feed.description, feed.given)
             if source is None:
                 continue
@@ -356,13 +354,13 @@ def _read_otherwise(feed: Feed, plane: LocalPlane | None) -> Iterator[tuple[str,
                 continue
             yield reading.suspicion, reading.changed, reading.remedy, _tolerant(changed)
     tolerant = _tolerant(feed)
-    for suspicion, remedy, ahead_s in clock_readings():
+    for suspicion, remedy, ahead_s in clock_guesses():
         biases = np.zeros(6)
         biases[TIME] = ahead_s
         yield suspicion, "that taken off", remedy, unbiased(tolerant, biases, np.zeros((6, 6)))
 
 
-def _nothing_shared(feed: Feed, others: Sequence[Feed], best: Shared | None) -> str:
+def _nothing_in_common(feed: Feed, others: Sequence[Feed], best: Shared | None) -> str:
     name = feed.description.name
     if best is not None:
         return (

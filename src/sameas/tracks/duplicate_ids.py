@@ -15,12 +15,12 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.tracks.alignment import States
 
-#: Nothing goes faster than so many times the speed that objects of the source usually make (1σ per axis).
+#: Nothing moves faster than 5 times the usual speed of the source's objects (1σ per axis; chosen).
 FASTEST = 5.0
-#: How often a name goes from one place to the other before it is taken for that of two objects: there, back, twice.
-#: Once is a position that stood still and caught up, or a number given away again.
+#: An id belongs to two objects when its reports change between their places 4 times or more (chosen). One change is a
+#: position that was repeated and caught up, or a number used again.
 TURNS = 4
-#: Places are uncertain by so many σ.
+#: Positions may be off by 6σ (chosen).
 SIGMAS = 6.0
 
 

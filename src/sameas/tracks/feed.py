@@ -27,34 +27,34 @@ from sameas.tracks.reports import Reports
 from sameas.tracks.scans import AntennaRotation, scans_of, seen_from
 from sameas.tracks.source import Description, Motion
 
-# Standing: vessels at anchor or alongside stay where they are, and say so with a velocity of about 0.
+# Stationary: vessels at anchor or alongside stay where they are, and report a velocity of about 0.
 #
-# The walk of velocities that is right for a vessel under way lets one at anchor, which reports every three minutes,
-# stray by 150 m between two reports; it swings by some 15. :func:`stationary` takes every reported velocity v, of
-# covariance C, for that of one of two kinds of objects:
+# A velocity walk that fits a vessel under way lets one at anchor, which reports every three minutes, move by 150 m
+# between two reports; it swings by 15 m. :func:`stationary` takes every reported velocity v, of covariance C, as that
+# of one of two kinds of objects:
 #
-#     stands   v ~ N(0, C + s² 1), a share w of all,  s = motion.standing_m_per_s, w = motion.standing_share
-#     goes     v ~ N(0, C + V² 1), all others,        V = motion.speed_m_per_s
+#     stationary   v ~ N(0, C + s² 1), a share w of all,  s = motion.standing_m_per_s, w = motion.standing_share
+#     moving       v ~ N(0, C + V² 1), all others,        V = motion.speed_m_per_s
 #
-# Of one that stands the velocity is 0 ± s before it is told, and does not walk. The state is the mean of both by their
-# probabilities, its covariance that of the mixture; the walk is that of those that go times the probability to go
-# (Bar-Shalom, Li and Kirubarajan 2001, 1.4.16). There is no threshold: who makes 2 knots goes, who makes 0.2 stands,
-# and between the two a covariance holds both. Velocities that nobody told stay unknown.
+# The velocity of a stationary object is 0 ± s a priori and does not walk. The state is the mean of both kinds by their
+# probabilities, its covariance that of the mixture; the walk is that of moving objects times their probability
+# (Bar-Shalom, Li and Kirubarajan 2001, 1.4.16). There is no threshold: an object at 2 knots moves, one at 0.2 knots is
+# stationary, and between the two the covariance holds both. Velocities that are not reported stay unknown.
 
-#: A variance of a velocity not below this share of that of all objects is that of a velocity not told.
+#: A velocity is unknown when its variance is 90 % or more of that of all objects' velocities (chosen).
 UNTOLD = 0.9
 
 
 def stationary(reports: States, motion: Motion) -> tuple[States, FloatArray | None]:
-    """The reports with the velocities that standing objects have, and (n,) the probability that each stands.
+    """The reports with the velocities of stationary objects, and (n,) the probability that each is stationary.
 
-    None, and the reports as they are, where the motion says nothing of objects that stand.
+    None, and the reports as they are, where the motion has no share of stationary objects.
 
     >>> told = States.of([0.0, 0.0], [[0.0, 0.0]] * 2, np.eye(2), speed_m_per_s=8.0, velocity=[[0.1, 0.0], [4.0, 0.0]],
     ...                  velocity_covariance=0.09 * np.eye(2))
     >>> motion = Motion(speed_m_per_s=8.0, standing_m_per_s=0.1, standing_share=0.2)
-    >>> now, stands = stationary(told, motion)
-    >>> stands.round(2).tolist(), now.state[:, 2].round(2).tolist()
+    >>> now, p_stationary = stationary(told, motion)
+    >>> p_stationary.round(2).tolist(), now.state[:, 2].round(2).tolist()
     ([0.99, 0.0], [0.01, 4.0])
     """
     slow, speed, share = motion.standing_m_per_s, motion.speed_m_per_s, motion.standing_share
@@ -62,7 +62,7 @@ def stationary(reports: States, motion: Motion) -> tuple[States, FloatArray | No
         return reports, None
     if share >= 1.0:
         raise InputError(f"motion.standing_share is {share}; give the share of objects that stand, below 1")
-    stands, state, covariance = np.zeros(len(reports)), reports.state.copy(), reports.covariance.copy()
+    p_stationary, state, covariance = np.zeros(len(reports)), reports.state.copy(), reports.covariance.copy()
     told = np.flatnonzero(reports.usable & (reports.covariance[:, 2, 2] < UNTOLD * speed**2))
     x, p = state[told], covariance[told]
     slowly, quickly = (log_density(x[:, 2:], p[:, 2:, 2:] + sigma**2 * np.eye(2)) for sigma in (slow, speed))
@@ -76,23 +76,23 @@ def stationary(reports: States, motion: Motion) -> tuple[States, FloatArray | No
     mixed = (
         weight * still.covariance + (1.0 - weight) * p + weight * (1.0 - weight) * step[:, :, None] * step[:, None, :]
     )
-    covariance[told], stands[told] = symmetric(mixed), chance
-    return States(reports.time_s, state, covariance, reports.track, reports.rows), stands
+    covariance[told], p_stationary[told] = symmetric(mixed), chance
+    return States(reports.time_s, state, covariance, reports.track, reports.rows), p_stationary
 
 
-# Silence: after how long a named track that says nothing more has ended.
+# Track timeout: after how long without a report a track has ended.
 #
-# A radar drops a track that it no longer sees, and says nothing about it; the last report would stand for an object
-# that has gone, or has another number by now. How long a source lets its tracks be silent is told by its own gaps: a
-# track that is silent for longer than all but one in a thousand of the gaps that did end is taken to have ended. So a
-# radar's tracks end after some turns, and vessels at anchor, which report every three minutes, after several of these.
+# A radar drops a track that it no longer sees without saying so; the last report would stand for an object that has
+# gone, or has another number by now. The timeout comes from the source's own gaps: a track has ended when its gap is
+# longer than 99.9 % of the gaps within tracks. So a radar's tracks end after some rotations, and vessels at anchor,
+# which report every three minutes, after several of their reports.
 
-#: Share of the gaps within tracks that are shorter than the silence that ends one.
+#: The timeout is the 99.9 % quantile of the gaps within tracks (chosen).
 SHORTER = 0.999
 
 
 def track_timeout_s(time_s: FloatArray, track: NDArray[Any] | None) -> float:
-    """Seconds of silence after which a track of the source has ended; infinite where no track has two reports.
+    """Seconds without a report after which a track of the source has ended; infinite where no track has two reports.
 
     >>> track_timeout_s(np.array([0.0, 3.0, 6.0, 12.0]), np.array(["7", "7", "7", "7"]))
     6.0
@@ -105,21 +105,21 @@ def track_timeout_s(time_s: FloatArray, track: NDArray[Any] | None) -> float:
     return float(np.quantile(gaps, SHORTER, method="higher")) if len(gaps) else math.inf
 
 
-# Fixes: which reports of a track measured its position anew, and which repeat the last one.
+# Position updates: which reports of a track measured its position anew, and which repeat the last one.
 #
 # Receivers and databases send the last position that they have again and again, each time with the current time and
 # perhaps a new velocity. Taken as measured, such positions show a moving object at rest. :func:`position_updates` sets
 # them aside; the last measured position then stands for the object, as old as it is.
 
-#: An object moves whose velocity cannot be 0, but for one chance in so many.
+#: An object moves when the χ² of its velocity against 0 passes the limit of one in 10⁶ (chosen).
 MOVES = ChiSquare(1.0 - 1e-6)
 
 
 def position_updates(reports: States) -> tuple[States, tuple[str, ...]]:
     """The reports without positions that are repeated to the last digit though their object moves, and notes.
 
-    An object that stands, or whose velocity is not told, may show one place twice. What is set aside has no position
-    any more, and is not used.
+    A stationary object, or one of unknown velocity, may report one place twice. A report that is set aside has no
+    position any more and is not used.
 
     >>> track, v = ["a"] * 3, [[50.0, 0.0]] * 3
     >>> said = States.of([0.0, 1.0, 2.0], [[0.0, 0.0], [0.0, 0.0], [99.0, 0.0]], np.eye(2), speed_m_per_s=150.0,
@@ -150,7 +150,7 @@ def _moves(velocity: FloatArray, covariance: FloatArray) -> np.ndarray:
     return np.asarray(mahalanobis_sq(velocity, covariance) > MOVES.limit(2))
 
 
-#: Kinds of sources whose errors of position last for minutes: no filter makes them smaller, they stay as they are said.
+#: Kinds of sources whose position errors last for minutes: no filter makes them smaller, they stay as stated.
 LASTING = ("ais", "ads-b")
 
 
@@ -167,7 +167,7 @@ class Feed:
     given : the reports as a reader gave them. notes : what was set aside, printable sentences.
     measured : where a filter made tracks of them, what was measured at each report, with the velocity of its track.
     rotation : of an antenna whose bare plots bear their own stamps; None where looks are exposures.
-    stands : (n,) probability that a report is of an object that stands; None where nothing is known of such.
+    p_stationary : (n,) probability that a report is of a stationary object; None where the motion has no such objects.
     """
 
     description: Description
@@ -180,7 +180,7 @@ class Feed:
     notes: tuple[str, ...] = ()
     measured: States | None = None
     rotation: AntennaRotation | None = None
-    stands: FloatArray | None = None
+    p_stationary: FloatArray | None = None
 
     @classmethod
     def of(
@@ -216,7 +216,7 @@ class Feed:
             there, repeated = position_updates(there)
             there, more = split_duplicate_ids(there, description.motion.speed_m_per_s or math.inf)
             notes += tuple(f"{description.name}: {note}" for note in (*repeated, *more))
-        stands, measured = None, None
+        p_stationary, measured = None, None
         if to_tracks:
             if not isinstance(there, States):
                 raise InputError(f"{description.name}: directions are not filtered; give positions")
@@ -225,14 +225,14 @@ class Feed:
             there = placed_anew if description.kind in LASTING else tracks
             measured, _ = stationary(placed_anew, description.motion)
         if isinstance(there, States):
-            there, stands = stationary(there, description.motion)
+            there, p_stationary = stationary(there, description.motion)
         given = None if scan_times_s is None else np.asarray(scan_times_s, np.float64)
         looks = scans_of(there.time_s, description.timing.period_s, _bearings(there, sensor_m), given)
         looked = looks.scan_s if given is None else np.concatenate([given, looks.scan_s])
         attributes = {name: said for name in MODELS if (said := getattr(reports, name, None)) is not None}
         return cls(
             description, there, np.unique(looked), looks.scan_s, sensor_m, attributes, reports, notes, measured,
-            looks.rotation, stands,
+            looks.rotation, p_stationary,
         )  # fmt: skip
 
     @property
@@ -247,8 +247,8 @@ class Feed:
 
     @cached_property
     def walk_m2_per_s3(self) -> FloatArray:
-        """(n,) power density of the random walk of the velocity of each report's object: none while it stands."""
-        going = np.ones(len(self.reports)) if self.stands is None else 1.0 - self.stands
+        """(n,) power density of the random walk of the velocity of each report's object: 0 where stationary."""
+        going = np.ones(len(self.reports)) if self.p_stationary is None else 1.0 - self.p_stationary
         return walk_of(self.description) * going
 
     @cached_property

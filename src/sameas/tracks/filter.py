@@ -23,12 +23,12 @@ from sameas.gaussian import Gaussian, mahalanobis_sq
 from sameas.ragged import Ragged
 from sameas.tracks.alignment import States, moved
 
-#: Reports measure anew whose innovations are, in the median, at least this share of what independent errors make them;
-#: so many of them tell it.
+#: Reports are independent measurements when the median of their squared innovations is at least 1/3 of that of
+#: independent errors; 30 innovations or more are needed (chosen).
 ANEW, FEWEST = 1.0 / 3.0, 30
 #: Median of χ² of two degrees of freedom.
 MEDIAN = 2.0 * math.log(2.0)
-#: A report farther off than this share of honest ones begins its track anew.
+#: A report begins its track anew beyond the χ² limit that one in 10⁹ correct reports passes (chosen).
 ABSURD = ChiSquare(1.0 - 1e-9)
 
 

@@ -1,7 +1,7 @@
-"""Scans: which reports of a source of bare plots stand for what it sees at an instant, each object once.
+"""Scans: which reports of a source of bare plots are its picture of an instant, each object once.
 
-Reports without names of tracks cannot replace each other one by one; what the source saw last replaces all it saw
-before. Sources look in two ways, and :func:`scans_of` tells them apart by the reports:
+Reports without track ids cannot replace each other one by one; the last scan replaces all before it. There are two
+kinds of scans, and :func:`scans_of` tells them apart by the reports:
 
 - an **exposure** shows everything at once: a camera, a laser scanner, a radar that gives all plots of a turn one stamp.
   The last exposure stands.
@@ -20,17 +20,17 @@ import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
 
-#: The period of a turn is looked for within this share of the described one, in so many plots at most.
+#: The rotation period is searched within 30 % of the described one, in 3000 plots at most (chosen).
 WITHIN, MOST_PLOTS = 0.3, 3000
-#: Steps of the search per resolvable frequency, and ln of the odds against chance that are asked for.
+#: The search makes 6 steps per resolvable frequency; a period is accepted at log-odds of 12 against chance (chosen).
 STEPS, DECISIVE = 6.0, 12.0
-#: An antenna turns where its turning leaves less than this share of the bearings' scatter unexplained.
+#: An antenna rotates where the rotation leaves less than 50 % of the bearings' scatter unexplained (chosen).
 UNEXPLAINED = 0.5
-#: An antenna pauses for as long as the longest of this share of the gaps between its plots.
+#: The pause of an antenna is the 99 % quantile of the gaps between its plots (chosen).
 USUAL = 0.99
-#: Reports of one exposure follow each other within this share of the period, and all within this.
+#: Reports of one exposure follow each other within 10 % of the period, and all lie within 50 % of it (chosen).
 TOGETHER, BRIEF = 0.1, 0.5
-#: Exposures are so many in a period at most, and no more than this share follows the one before in half the usual time.
+#: A period has 1.5 exposures at most, and at most 10 % follow the one before in half the usual time (chosen).
 MOST, HURRIED = 1.5, 0.1
 
 

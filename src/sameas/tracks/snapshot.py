@@ -1,4 +1,4 @@
-"""What one source says at an instant: its last reports moved there, as records or observations for the core."""
+"""Snapshot: the last reports of one source moved to an instant, as records or observations for the core."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from sameas.tracks.scans import last_exposure, last_rotation
 # A direction knows no distance, but much depends on it: metres of hull or of motion are more degrees the nearer the
 # object, and a camera sees far boats less often than near ones. The places where other sources show something tell.
 
-#: A direction points at places within so many standard deviations.
+#: A direction points at places within 3 standard deviations (chosen).
 REACH_SIGMA = 3.0
 
 
