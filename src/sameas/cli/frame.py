@@ -125,8 +125,7 @@ def frame(
     done again.
     """
     with answering(debug, frame_option):
-        from sameas.cli.framing import FrameRequest
-        from sameas.cli.pointing_hints import PointingOptions, aim_of, scale_of
+        from sameas.cli.framing import FrameRequest, PointingOptions, aim_of, scale_of
 
         said = PointingOptions(aim_of(aim), radius, scale_of(scale), header=not ignore_header)
         given = {"gain_e_per_adu": gain, "read_noise_e": read_noise, "saturation_adu": saturation}

@@ -85,10 +85,9 @@ def picture(
     if at is not None and (every or begin or end):
         raise typer.BadParameter("say --at, or --every with --from and --to, not both", param_hint="--at")
     with answering(debug, sensor_option):
-        from sameas.cli.picture_files import Outputs
-        from sameas.cli.picturing import Instants, Method, run
+        from sameas.cli.picturing import Instants, Method, PictureOutputs, run
 
         instants = Instants(duration_s(every), at, begin, end)
         method = Method(registration=not no_registration, identity=not no_identity, memory=not no_memory)
-        outputs = Outputs(output, format, map=not no_map, image=not no_image, command=ctx.meta.get("typed", ""))
+        outputs = PictureOutputs(output, format, map=not no_map, image=not no_image, command=ctx.meta.get("typed", ""))
         run(files or [], sensors, start, instants, method, outputs, quiet)
