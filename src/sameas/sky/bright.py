@@ -28,7 +28,7 @@ _HIP2 = (
 )  # fmt: skip
 #: Formal errors of Gaia are smaller at these magnitudes, but systematic ones and the frames' link are not.
 GAIA_SIGMA_MAS = 1.0
-#: How fast a star brighter than G = 10 that Hipparcos did not see may move, one sigma per axis.
+#: Prior of the motion of a star brighter than G = 10 without a motion in Hipparcos, one sigma per axis (chosen).
 UNKNOWN_MOTION_MAS_PER_YR = 20.0
 #: The epoch of the one source that its package has left where Hipparcos saw it (Polaris).
 _NOT_MOVED = -11767

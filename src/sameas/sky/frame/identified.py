@@ -28,11 +28,11 @@ from sameas.sky.frame.plate import MatchedStars, PlateModel, fit_plate
 
 #: Magnitudes of a relative error of one.
 POGSON = 2.5 / math.log(10.0)
-#: Stars predicted so far outside the frame (px) may still be measured on its edge.
+#: Stars predicted outside the frame by less than this, px, may be measured on its edge (chosen).
 MARGIN_PX = 2.0
-#: Pairs less probable than this say nothing of the plate.
+#: Pairs less probable than this are not used for the plate (chosen).
 LEAST_WEIGHT = 0.02
-#: From so many pairs of the placement on, its plate may be curved.
+#: A first plate of more pairs than this may be of higher order than linear (chosen).
 SURE_OF_ORDER = 30
 #: Stars that the frame shows with less than this probability are no candidates.
 UNSEEN = 0.01

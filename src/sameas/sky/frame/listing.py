@@ -25,9 +25,9 @@ from sameas.sky.frame.measurements import Flag
 if TYPE_CHECKING:
     from astropy.table import Table
 
-#: Two stars nearer than so many widths of a star give one mark.
+#: Two stars nearer than this, in full widths of a star, give one mark (chosen).
 MERGED_WIDTHS = 1.5
-#: A saturated star hides what lies within so many of its widths.
+#: A saturated star hides what lies within this distance, in full widths of a star (chosen).
 HIDDEN_WIDTHS = 4.0
 #: Magnitudes by which a star must be brighter to hide another.
 BRIGHTER = 0.5

@@ -33,11 +33,11 @@ from sameas.sky.frame.tangent import Pointing, design
 
 #: How far the axes of a frame differ in scale, or from a right angle (1σ): refraction, tilt, pixels not quite square.
 SHEAR = 0.01
-#: No more of either list is looked at.
+#: The brightest of either list that are compared (chosen).
 DEEPEST = 2000
-#: Rounds of identification and fit, and over how many depths of each list the odds are taken.
+#: Rounds of identification and fit at most; depths of each list at which the odds are taken (chosen).
 ROUNDS, DEPTHS = 7, 7
-#: No round of fitting makes up for such log-odds, if it has not bettered them at once.
+#: A pointing whose log-odds are below this and did not rise in the last round is given up (chosen).
 HOPELESS = -15.0
 
 

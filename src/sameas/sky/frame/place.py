@@ -28,9 +28,9 @@ from sameas.sky.frame.stars import Stars
 from sameas.sky.frame.tangent import Pointing, sky_of, unit_vectors
 from sameas.space import ARCSEC_PER_RADIAN
 
-#: A placement is believed from these odds on.
+#: Least odds of a placement that is accepted (chosen).
 DEFAULT_ODDS = 1e6
-#: So many different pointings of a round are looked at closely.
+#: Different pointings of a round that are verified (chosen).
 CLOSE_LOOKS = 20
 
 

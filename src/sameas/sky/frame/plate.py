@@ -30,7 +30,8 @@ if TYPE_CHECKING:
 
 # Polynomials of two variables that carry pixels to the tangent plane, and their form in FITS headers (SIP).
 
-#: The reverse of a SIP polynomial is itself no polynomial: its order grows until it is so near over the frame, px.
+#: The reverse of a SIP polynomial is no polynomial: its order grows to the second number, or until the error over
+#: the frame is below the first, px (chosen).
 REVERSE_PX, REVERSE_HIGHEST = 0.002, 9
 
 
@@ -164,9 +165,9 @@ def _reverse(
 
 
 HIGHEST_ORDER = 5
-#: A residual of more than so many sigmas is weighed down as the square of it: a wrong pair does not pull.
+#: The weight of a residual beyond this, in sigmas, falls as its inverse square: a wrong pair does not pull (chosen).
 TAIL_SIGMAS = 3.5
-#: The quoted errors are worth so many residuals when their scale is estimated.
+#: Prior weight of a scale of 1 of the quoted errors, in residuals (chosen).
 QUOTED_WORTH = 4.0
 #: Rounds of fitting, weighing down and bringing the errors to the plane.
 ROUNDS = 8

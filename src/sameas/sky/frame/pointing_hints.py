@@ -31,9 +31,9 @@ SIDES_ALL_SKY, SIDES_FEW, SIDES_MANY = (0.2, 0.6), (0.15, 1.3), (0.2, 0.7)
 PER_FIELD, MEASURED = 14, (12, 20, 30)
 #: About an aim: points of a pattern, bright stars per field, brightest measurements.
 AIM_ROUNDS = ((4, 16, 16), (4, 16, 30), (3, 16, 25), (4, 32, 32), (3, 32, 36))
-#: Where a field holds more stars than this, the longest patterns are left out, and triangles of faint stars.
+#: A field with more stars than this is searched without the longest patterns and without triangles of faint stars.
 MANY = 20
-#: Candidates are tested in portions, and so many of the best go on.
+#: Candidates are counted in portions of the first number; the best ones, in the second number, are kept.
 PORTION, BEST = 20_000, 500
 
 

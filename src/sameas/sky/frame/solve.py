@@ -21,7 +21,7 @@ from sameas.sky.frame.place import place
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex
 from sameas.sky.frame.tangent import Pointing, directions_deg
 
-#: The field is searched for stars so much farther than the frame's corner: it may be turned or scaled a little.
+#: Stars are taken from a field this factor wider than the frame, which may be rotated or scaled a little (chosen).
 ROOM = 1.1
 
 

@@ -38,7 +38,7 @@ from sameas.space import sphere_offset
 
 # Catalogues as observers of stars: what :mod:`sameas.many` asks of several sources, answered for stars that move.
 
-#: A bound that leaves out no set: a motion makes places far apart more probable than any peak of a density.
+#: An upper bound of a log density that excludes no set: a motion allows places far apart.
 UNBOUNDED = 1e4
 
 
