@@ -6,20 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import sameas.estimate.match
-import sameas.estimate.sample
 from sameas import Radius, Records
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.match import match
-from sameas.estimate.sample import Setting
+from sameas.estimate.sample import Sampling, Setting
 from sameas.simulate.scenes import Cap, poisson_field, sky_field
 
-
-@pytest.fixture
-def few(monkeypatch):
-    """Enough is little, so that scenes of a test are large."""
-    monkeypatch.setattr(sameas.estimate.sample, "ENOUGH", 700)
-    monkeypatch.setattr(sameas.estimate.sample, "CELL", 100)
+#: Enough is little, so that scenes of a test are large.
+FEW = Sampling(enough=700, cell=100)
 
 
 def field(seed, extent=90.0):
@@ -39,10 +33,10 @@ def shuffled(records, order):
     )
 
 
-def test_a_sample_holds_every_candidate_of_its_records_and_what_competes_with_them(few):
+def test_a_sample_holds_every_candidate_of_its_records_and_what_competes_with_them():
     made = field(0)
     whole = setting(made.first, made.second)
-    part = whole.sample()
+    part = whole.sample(FEW)
     n1, n2 = part.numbers
     assert 700 <= n1 < 0.25 * len(made.first) and 700 <= n2 < 0.25 * len(made.second)
     inside = [np.zeros(len(records), np.bool_) for records in (made.first, made.second)]
@@ -58,19 +52,18 @@ def test_a_sample_holds_every_candidate_of_its_records_and_what_competes_with_th
     assert part.pairs.place_1.max() < len(part.rows[0]) and part.pairs.place_2.max() < len(part.rows[1])
 
 
-def test_small_sources_and_a_small_one_beside_a_large_are_taken_whole(few):
+def test_small_sources_and_a_small_one_beside_a_large_are_taken_whole():
     made = field(1)
     some = np.arange(1000)
     poor = replace(made.first, features=made.first.features[some], covariance=made.first.covariance[some], rows=some)
     whole = setting(poor, made.second)
-    assert whole.sample() is whole
+    assert whole.sample(FEW) is whole
 
 
-def test_a_sample_estimates_what_all_would(few, monkeypatch):
+def test_a_sample_estimates_what_all_would():
     made = field(2)
-    _, by_sample = match(made.first, made.second)
+    _, by_sample = match(made.first, made.second, sampling=FEW)
     assert max(by_sample.learned_from) < 0.3 * len(made.first)
-    monkeypatch.setattr(sameas.estimate.sample, "ENOUGH", 10**9)
     _, by_all = match(made.first, made.second)
     assert by_all.learned_from == (len(made.first), len(made.second))
     for name in ("common", "share_1", "share_2", "error_scale"):
@@ -81,16 +74,16 @@ def test_a_sample_estimates_what_all_would(few, monkeypatch):
     assert by_sample.typical_scale == pytest.approx(1.0, abs=0.1)
 
 
-def test_the_order_of_the_rows_does_not_matter_to_a_sample(few):
+def test_the_order_of_the_rows_does_not_matter_to_a_sample():
     made = sky_field(
         np.random.default_rng(3), n_common=5000, n_only_1=800, n_only_2=1500, sigma_arcsec=(0.2, 0.5),
         area=Cap(30.0, 80.0, 0.2),
     )  # fmt: skip
-    answer, found = match(made.first, made.second)
+    answer, found = match(made.first, made.second, sampling=FEW)
     assert max(found.learned_from) < 0.3 * len(made.second)
     rng = np.random.default_rng(4)
     turned = [shuffled(r, rng.permutation(len(r))) for r in (made.first, made.second)]
-    other, again = match(*turned)
+    other, again = match(*turned, sampling=FEW)
     assert again.learned_from == found.learned_from and again.common == pytest.approx(found.common, rel=1e-9)
     said, now = (
         {(a.first.ids[i], a.second.ids[j]): p for i, j, p in zip(a.rows_1, a.rows_2, a.p_pair, strict=True)}
@@ -100,18 +93,18 @@ def test_the_order_of_the_rows_does_not_matter_to_a_sample(few):
     assert max(abs(said[pair] - now[pair]) for pair in said) < 1e-8
 
 
-def test_a_sample_that_misleads_is_followed_by_rounds_over_all(few, monkeypatch):
+def test_a_sample_that_misleads_is_followed_by_rounds_over_all(monkeypatch):
     made = field(5, extent=75.0)
-    _, believed = match(made.first, made.second)
+    _, believed = match(made.first, made.second, sampling=FEW)
     monkeypatch.setattr("sameas.estimate.match._as_expected", lambda *counts: False)
-    _, found = match(made.first, made.second)
+    _, found = match(made.first, made.second, sampling=FEW)
     assert max(believed.learned_from) < len(made.first)
     assert found.learned_from == (len(made.first), len(made.second)) and found.rounds > believed.rounds
     true = len(made.true_pairs()[0])
     assert found.common == pytest.approx(true, abs=4 * math.sqrt(true) * 0.3)
 
 
-def test_a_sample_of_an_uneven_sky_does_not_mislead(few, monkeypatch):
+def test_a_sample_of_an_uneven_sky_does_not_mislead():
     """In one half of the field hardly anything is common, and cells of it may be drawn by chance."""
     made = field(6)
     keep = (made.second.features[:, 0] < 45.0) | (np.random.default_rng(7).uniform(size=len(made.second)) < 0.1)
@@ -119,8 +112,7 @@ def test_a_sample_of_an_uneven_sky_does_not_mislead(few, monkeypatch):
         made.second, features=made.second.features[keep], covariance=made.second.covariance[keep],
         rows=made.second.rows[keep],
     )  # fmt: skip
-    _, by_sample = match(made.first, second)
-    monkeypatch.setattr(sameas.estimate.sample, "ENOUGH", 10**9)
+    _, by_sample = match(made.first, second, sampling=FEW)
     _, by_all = match(made.first, second)
     assert max(by_sample.learned_from) < len(made.first)
     assert by_sample.common == pytest.approx(by_all.common, rel=0.015)

@@ -30,7 +30,7 @@ from sameas.estimate.error_model import ErrorModel, Tail, error_model, tail
 from sameas.estimate.error_scales import STANDING_OUT
 from sameas.estimate.photometry import Photometry
 from sameas.estimate.quantity import Quantity, changed_without, decisive, quantities
-from sameas.estimate.sample import Setting
+from sameas.estimate.sample import Sampling, Setting
 from sameas.evidence import Errors, Magnitudes, Precision
 from sameas.evidence.detection import DetectionCurve
 from sameas.gate import ChiSquare, Pairs, Radius
@@ -153,6 +153,7 @@ def match(
     brightness: tuple[Magnitudes, Magnitudes] | None = None,
     precision: bool = True,
     rounds: int = 30,
+    sampling: Sampling = Sampling(),  # noqa: B008
     progress: Callable[[str], None] = lambda stage: None,
 ) -> tuple[Identification, Estimate]:
     """Identify two sources of which nothing is known but their records, and say what was estimated.
@@ -165,6 +166,7 @@ def match(
     brightness : magnitudes of every row of both tables, which are then evidence too; None leaves it to the positions.
     precision : whether the sizes of the quoted errors are evidence too: of faint objects they are larger.
     rounds : at most so many rounds of identification.
+    sampling : how a part of large sources is drawn, from which is estimated.
     progress : called with the name of what is being done.
     """
     for records in (first, second):
@@ -172,7 +174,7 @@ def match(
             raise InputError(f"{records.source} has no usable records; nothing can be identified")
     progress("densities")
     seen = _photometry(first, second, brightness)
-    search = _GateSearch(Coverage.of(first, second), seen, precision, density, gate, progress)
+    search = _GateSearch(Coverage.of(first, second), seen, precision, density, gate, sampling, progress)
     found, remarks = search.settled(errors, rounds), []
     if found.has_learned and not _stands_out(found.whole.pairs, found.gate_sigmas):
         search = replace(search, photometry=None, precision=False)
@@ -255,6 +257,7 @@ class _GateSearch:
     precision: bool
     density: tuple[float, float] | None
     gate: ChiSquare | Radius | None
+    sampling: Sampling
     progress: Callable[[str], None]
 
     def settled(self, errors: Errors | None, most: int) -> _Converged:
@@ -265,7 +268,7 @@ class _GateSearch:
             self.progress("gate")
             pairs = (self.gate or Radius(limit))(first, second)
             whole = Setting.whole(pairs, self.coverage) if whole is None else replace(whole, pairs=pairs)
-            part = whole.sample()
+            part = whole.sample(self.sampling)
             seen = self.photometry if part is whole or self.photometry is None else self.photometry.part(*part.rows)
             if known is None:
                 # More close candidates than chance gives are common objects.

@@ -18,16 +18,28 @@ from sameas.estimate.coverage import Coverage
 from sameas.gate import Pairs
 from sameas.records import Records
 
-#: Records of each source that estimation needs; it takes all of them unless there are so many times more.
-ENOUGH, WORTHWHILE = 30_000, 4
-#: Records of both sources in a cell that is drawn, on average, at least.
-CELL = 1_000
-SEED = 20_041
+
+@dataclass(frozen=True)
+class Sampling:
+    """How a sample is drawn.
+
+    Attributes
+    ----------
+    enough : records of each source that estimation needs.
+    worthwhile : how many times more records there must be; below that all of them are taken.
+    cell : the least mean number of records of both sources in a cell that is drawn.
+    seed : of the generator that draws the cells.
+    """
+
+    enough: int = 30_000
+    worthwhile: int = 4
+    cell: int = 1_000
+    seed: int = 20_041
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What stays the same from round to round of an estimation.
+    """What stays the same in all EM iterations of an estimation.
 
     Attributes
     ----------
@@ -69,9 +81,9 @@ class Setting:
         candidates = np.count_nonzero(self.counted[0][self.pairs.i])
         return max(int(candidates) - float(told.sum()), 0.0) / min(self.numbers)
 
-    def sample(self) -> Setting:
+    def sample(self, sampling: Sampling) -> Setting:
         """Enough of it: itself where it is not large."""
-        chosen = self._drawn()
+        chosen = self._drawn(sampling)
         if chosen is None:
             return self
         level, cells = chosen
@@ -85,19 +97,19 @@ class Setting:
             ((of_1[0][rows_1], of_1[1][rows_2]), (of_2[0][rows_1], of_2[1][rows_2])),
         )  # fmt: skip
 
-    def _drawn(self) -> tuple[GridLevel, BoolArray] | None:
+    def _drawn(self, sampling: Sampling) -> tuple[GridLevel, BoolArray] | None:
         """Cells that hold enough records of both sources; None where these would be most of all."""
         n = len(self.pairs.first), len(self.pairs.second)
-        if min(n) <= WORTHWHILE * ENOUGH:
+        if min(n) <= sampling.worthwhile * sampling.enough:
             return None
-        level = next((x for x in self.levels[::-1] if len(x.volume) * CELL <= sum(n)), self.levels[0])
+        level = next((x for x in self.levels[::-1] if len(x.volume) * sampling.cell <= sum(n)), self.levels[0])
         counts = [np.bincount(of, minlength=len(level.volume)) for of in (level.of_first, level.of_second)]
-        order = np.random.default_rng(SEED).permutation(len(level.volume))
-        needed = max(int(np.searchsorted(np.cumsum(count[order]), ENOUGH)) for count in counts) + 1
+        order = np.random.default_rng(sampling.seed).permutation(len(level.volume))
+        needed = max(int(np.searchsorted(np.cumsum(count[order]), sampling.enough)) for count in counts) + 1
         drawn = np.zeros(len(level.volume), np.bool_)
         drawn[order[:needed]] = True
         share = max(count[drawn].sum() / count.sum() for count in counts)
-        return (level, drawn) if share * WORTHWHILE < 1.0 else None
+        return (level, drawn) if share * sampling.worthwhile < 1.0 else None
 
 
 def _competing(pairs: Pairs, counted_1: BoolArray, counted_2: BoolArray) -> tuple[IntArray, BoolArray, BoolArray]:
