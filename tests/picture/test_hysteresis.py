@@ -10,7 +10,7 @@ from sameas.errors import InputError
 from sameas.many.identify import identify_many
 from sameas.many.rules import PoissonObjects
 from sameas.picture import Picture, Watch
-from sameas.picture.watch import held
+from sameas.picture.watch import with_hysteresis
 from sameas.records import Records
 from sameas.tracks.scene import Scene
 
@@ -47,21 +47,21 @@ def test_what_is_even_stays_and_what_is_much_more_probable_is_shown():
         found = alongside(x)
         odds = (x**2 - (20.0 - x) ** 2) / (2.0 * 325.0)
         if abs(odds) > 1e-9 and abs(odds - bound) > 0.05:
-            shown, kept = held(found, was(found, "left"), bound)
+            shown, kept = with_hysteresis(found, was(found, "left"), bound)
             assert company(shown) == ("right" if odds > bound else "left")
             assert kept.any() == (0.0 < odds < bound)
             np.testing.assert_array_equal(shown.answer.probability, found.answer.probability)
             # How much more probable another partition would be is said.
             assert shown.groups.gap.max() == pytest.approx(odds if kept.any() else 0.0, abs=1e-6)
-    assert company(held(alongside(10.0), was(alongside(10.0), "right"), bound)[0]) == "right"
+    assert company(with_hysteresis(alongside(10.0), was(alongside(10.0), "right"), bound)[0]) == "right"
 
 
 def test_records_that_were_not_there_go_where_they_are_most_probable():
     found = alongside(14.0)
     before = was(found, "left")
     before[[found.pooled.start[list(found.pooled.given).index(1)]]] = -1
-    assert company(held(found, before, np.log(1e6))[0]) == company(found) == "right"
-    assert company(held(found, was(found, "left"), 0.0)[0]) == "right"
+    assert company(with_hysteresis(found, before, np.log(1e6))[0]) == company(found) == "right"
+    assert company(with_hysteresis(found, was(found, "left"), 0.0)[0]) == "right"
 
 
 def moored(seed, looks=60):

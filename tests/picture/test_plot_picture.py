@@ -100,7 +100,7 @@ def test_an_object_that_nobody_shows_coasts_and_ends_once():
 def test_probabilities_are_of_records_whatever_known_object_they_are():
     """Sets of the answer that differ in what is remembered only count as one."""
     state = PlotPicture().at(passing(2), 16.1)
-    found, scan = state.objects.tracks.found, state.scan
+    found, scan = state.objects.tracks.identification, state.scan
     names = [records_of(source).source for source in found.pooled.sources]
     assert KNOWN in names and len(state.members) > 3
     start = dict(zip((d.name for d in scan.now.descriptions), range(len(scan.start) - 1), strict=True))

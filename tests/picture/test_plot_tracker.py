@@ -245,7 +245,7 @@ def test_nothing_to_be_seen_is_no_error():
     found = followed(Scene((late, scene.feeds[1])), [0.0, 1.0, 2.0])
     assert all(f.members.shape[1] == 2 and (f.members[:, 0] < 0).all() for f in found)
     none = followed(Scene((late,)), [0.0, 1.0])[-1]
-    assert len(none) == 0 and none.found is None
+    assert len(none) == 0 and none.identification is None
 
 
 def test_what_it_does_not_follow_is_refused_in_words():

@@ -8,17 +8,17 @@ from sameas.picture.object_ids import LASTS_S, TrackHistory
 from sameas.tracks.scene import Scene
 
 
-def shown(belonging, instant_s, number):
+def shown(history, instant_s, number):
     """One track, of an object."""
     one = np.ones(1, np.int64)
-    return belonging.on(instant_s, 7 * one, number * one, np.zeros(1, bool), np.array([1, 2]))
+    return history.on(instant_s, 7 * one, number * one, np.zeros(1, bool), np.array([1, 2]))
 
 
 def test_shares_sum_to_one_and_go_over_in_minutes():
-    belonging = TrackHistory()
+    history = TrackHistory()
     for t in range(0, 600, 10):
-        belonging = shown(belonging, float(t), 1)
-    wrong = shown(belonging, 600.0, 2)
+        history = shown(history, float(t), 1)
+    wrong = shown(history, 600.0, 2)
     assert abs(wrong.share.sum() - 1.0) < 1e-9 and wrong.share[wrong.number == 1] > 0.95
     assert wrong.last_of(np.array([7, 8])).tolist() == [2, 0]
     for t in range(610, 1600, 10):
@@ -27,12 +27,12 @@ def test_shares_sum_to_one_and_go_over_in_minutes():
 
 
 def test_a_number_comes_back_with_the_tracks_that_were_its_own_for_long():
-    belonging = TrackHistory()
+    history = TrackHistory()
     for t in range(0, 300, 10):
-        belonging = shown(belonging, float(t), 1)
-    at, row = shown(belonging, 300.0, 2).of(np.array([7]))
-    assert at.tolist() == [0, 0] and belonging.number.tolist() == [1]
-    assert shown(belonging, 300.0, 2).number[row].tolist() == [1, 2]
+        history = shown(history, float(t), 1)
+    at, row = shown(history, 300.0, 2).of(np.array([7]))
+    assert at.tolist() == [0, 0] and history.number.tolist() == [1]
+    assert shown(history, 300.0, 2).number[row].tolist() == [1, 2]
 
 
 def ferry(seed, stops_s=200.0):

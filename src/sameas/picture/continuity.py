@@ -25,7 +25,7 @@ from sameas.records import Records
 REASSIGNED = 1e-3
 #: What a name adds that nobody else bears, so that the number goes where the name goes.
 UNIQUE = math.log(1e7)
-#: Share of the objects of an instant that may be new. Taken.
+#: Share of the objects of an instant that may be new (chosen).
 APPEARING = 0.05
 
 

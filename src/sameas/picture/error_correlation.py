@@ -1,4 +1,4 @@
-"""Lasting errors: for how long a source's errors of position last, learned from how its own tracks go on.
+"""Error correlation: for how long a source's errors of position last, learned from how its own tracks go on.
 
 A tracker's errors last for as long as it smooths, a receiver's for minutes, and a plot's are new at every turn. It
 decides what a look is worth: a second look with the same error says nothing new. Where the errors of two looks of a
@@ -25,13 +25,11 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.gaussian import Gaussian, log_density, mahalanobis_sq, propagated
 from sameas.picture.scan import Scan
 
-# Weighing: normal densities in the plane, and one step of the filter of a track's error.
-
 #: Least variance of a step, m²: keeps what is certain invertible.
 LEAST_M2 = 1e-6
 
 
-def looked(
+def error_update(
     mean: FloatArray, spread: FloatArray, turn: FloatArray, fresh: FloatArray, shift: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Mean and covariance of e′ after a look that shifted a track by ν, ln p(ν), and χ² of ν.
@@ -53,7 +51,7 @@ def growth(change: FloatArray) -> FloatArray:
     return np.asarray((axes * np.maximum(values, 0.0)[:, None, :]) @ axes.transpose(0, 2, 1))
 
 
-#: τ by kind of source: how long an error of position lasts, in seconds. Taken, not measured.
+#: τ by kind of source: how long an error of position lasts, in seconds. Chosen, not measured.
 CORRELATION_S: Mapping[str, float] = {
     "marine radar": 60.0,  # what such a radar names it has smoothed, for a minute or so
     "air radar": 5.0,  # every turn measures anew
@@ -77,18 +75,18 @@ MOVED_CHI_SQ = 13.8
 
 
 @dataclass(frozen=True)
-class Lasting:
+class ErrorCorrelation:
     """What is known of how long the errors of sources last.
 
     names : of the sources heard so far. log_probable : (s, τ) ln of how probable each τ is, up to a constant.
-    told_s : τ that the user gives, by name; these are not learned.
+    given_s : τ that the user gives, by name; these are not learned.
     """
 
     names: tuple[str, ...] = ()
     log_probable: FloatArray = field(default_factory=lambda: np.empty((0, len(TRIED_S))))
-    told_s: Mapping[str, float] = field(default_factory=dict)
+    given_s: Mapping[str, float] = field(default_factory=dict)
 
-    def of_sources(self, scan: Scan) -> Lasting:
+    def of_sources(self, scan: Scan) -> ErrorCorrelation:
         """The same with the sources of a scan that were not heard before."""
         new = [d for d in scan.now.descriptions if d.name not in self.names]
         if not new:
@@ -96,7 +94,7 @@ class Lasting:
         kind_s = np.array([CORRELATION_S[description.kind] for description in new])
         away = np.log(TRIED_S + 1.0) - np.log(kind_s[:, None] + 1.0)
         before = np.vstack([self.log_probable, -0.5 * (away / KNOWN_TO) ** 2])
-        return Lasting((*self.names, *(description.name for description in new)), before, self.told_s)
+        return ErrorCorrelation((*self.names, *(description.name for description in new)), before, self.given_s)
 
     def numbers(self, scan: Scan) -> IntArray:
         """(S,) the place in ``names`` of each source of a scan."""
@@ -106,7 +104,7 @@ class Lasting:
         """(n,) mean ρ of two looks of tracks of the sources, so long apart."""
         weight = np.exp(self.log_probable - self.log_probable.max(axis=1, initial=-np.inf, keepdims=True))
         mean = np.einsum("nt,nt->n", (weight / weight.sum(axis=1, keepdims=True))[source], _rho(elapsed_s, TRIED_S))
-        told = np.array([self.told_s.get(name, np.nan) for name in self.names])[source]
+        told = np.array([self.given_s.get(name, np.nan) for name in self.names])[source]
         given = _rho(elapsed_s, np.nan_to_num(told)[:, None])[:, 0]
         return np.where(np.isfinite(told), given, mean)
 
@@ -117,7 +115,7 @@ class Lasting:
         shift: FloatArray,
         errors: tuple[FloatArray, FloatArray],
         motion: FloatArray,
-    ) -> Lasting:
+    ) -> ErrorCorrelation:
         """After new looks at tracks.
 
         Parameters
@@ -133,7 +131,7 @@ class Lasting:
             still = both - rho[:, None, None] * alike + LEAST_M2 * np.eye(2)
             log_p = np.logaddexp.reduce([log_density(shift, still + share * motion) for share in RESTLESS])
             more[:, k] += np.bincount(source, log_p, len(self.names))
-        return Lasting(self.names, more, self.told_s)
+        return ErrorCorrelation(self.names, more, self.given_s)
 
 
 def _rho(elapsed_s: FloatArray, tau_s: FloatArray) -> FloatArray:

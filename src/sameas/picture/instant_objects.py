@@ -1,4 +1,4 @@
-"""Shown: the objects of an instant that sources show, by the records of its scan, however they were found.
+"""Objects of an instant: those that sources show, by the records of its scan, however they were found.
 
 :class:`IdentifiedObjects` where the instant is judged by ``identify_many`` alone, :class:`TrackedObjects` where objects
 were followed to it. What is remembered of an object is no record: sets that differ only in that count as one.
@@ -61,43 +61,45 @@ class IdentifiedObjects:
     """Objects as ``identify_many`` found them; ``found`` is None where nobody says anything."""
 
     scan: Scan
-    found: Objects | None
+    identification: Objects | None
     kept: BoolArray
 
     @cached_property
     def members(self) -> IntArray:
         """(n, S) records of the scan."""
         n_sources = len(self.scan.now.sources)
-        if self.found is None:
+        if self.identification is None:
             return np.full((0, n_sources), -1)
-        return self.scan.places(self.found.members[:, :n_sources])
+        return self.scan.places(self.identification.members[:, :n_sources])
 
     @property
     def probability(self) -> FloatArray:
         """(n,) that exactly its records are one object."""
-        return np.empty(0) if self.found is None else self.found.probability
+        return np.empty(0) if self.identification is None else self.identification.probability
 
     @cached_property
     def runner_up(self) -> IntArray:
         """(n, S) records of the scan of the most probable other set that has one of an object's records."""
-        if self.found is None:
+        if self.identification is None:
             return self.members
-        return self.scan.places(self.found.runner_up[:, : self.members.shape[1]])
+        return self.scan.places(self.identification.runner_up[:, : self.members.shape[1]])
 
     @cached_property
     def p_runner_up(self) -> FloatArray:
         """(n,) its probability, 0 where nothing else is possible."""
-        return np.empty(0) if self.found is None else np.asarray(np.ma.filled(self.found.p_runner_up, 0.0))
+        if self.identification is None:
+            return np.empty(0)
+        return np.asarray(np.ma.filled(self.identification.p_runner_up, 0.0))
 
     @cached_property
     def p_alone(self) -> FloatArray:
         """(records,) that a record has no partner."""
         out = np.ones(len(self.scan))
-        if self.found is not None:
-            pooled, sets = self.found.pooled, self.found.sets
+        if self.identification is not None:
+            pooled, sets = self.identification.pooled, self.identification.sets
             lone = np.flatnonzero(sets.size == 1)
             alone = np.zeros(len(pooled))
-            alone[sets.members[lone].max(axis=1)] = self.found.answer.probability[lone]
+            alone[sets.members[lone].max(axis=1)] = self.identification.answer.probability[lone]
             for s, source in zip(pooled.given, pooled.sources, strict=True):
                 rows, first = records_of(source).rows, pooled.start[pooled.given.index(s)]
                 if s < self.members.shape[1]:
@@ -107,7 +109,7 @@ class IdentifiedObjects:
     @property
     def group(self) -> IntArray:
         """(n,) the group that each object is in."""
-        return np.empty(0, np.int64) if self.found is None else self.found.group
+        return np.empty(0, np.int64) if self.identification is None else self.identification.group
 
     @property
     def names(self) -> Mapping[Name, Name]:
@@ -116,8 +118,8 @@ class IdentifiedObjects:
 
     def explain(self, row: int) -> ObjectExplanation:
         """Why object ``row`` has its records."""
-        assert self.found is not None
-        return self.found.explain(row)
+        assert self.identification is not None
+        return self.identification.explain(row)
 
 
 @dataclass(frozen=True)
@@ -135,14 +137,14 @@ class TrackedObjects:
     @cached_property
     def members(self) -> IntArray:
         """(n, S) records of the scan."""
-        if self.tracks.found is None:
+        if self.tracks.identification is None:
             return np.full((0, len(self.scan.now.sources)), -1)
         return self._sets[0][self._own]
 
     @property
     def probability(self) -> FloatArray:
         """(n,) that exactly its records are one object, known or not."""
-        return np.empty(0) if self.tracks.found is None else self._sets[1][self._own]
+        return np.empty(0) if self.tracks.identification is None else self._sets[1][self._own]
 
     @property
     def runner_up(self) -> IntArray:
@@ -160,7 +162,7 @@ class TrackedObjects:
     def p_alone(self) -> FloatArray:
         """(records,) that no other source shows the object of a record."""
         out = np.ones(len(self.scan))
-        if self.tracks.found is not None:
+        if self.tracks.identification is not None:
             sets, probability = self._sets
             lone = np.flatnonzero((sets >= 0).sum(axis=1) == 1)
             out[:] = 0.0
@@ -170,7 +172,7 @@ class TrackedObjects:
     @property
     def group(self) -> IntArray:
         """(n,) the group that each object is in."""
-        found = self.tracks.found
+        found = self.tracks.identification
         return np.empty(0, np.int64) if found is None else found.group[self.which]
 
     @property
@@ -187,7 +189,7 @@ class TrackedObjects:
 
     def explain(self, row: int) -> ObjectExplanation:
         """Why object ``row`` has its records; what is remembered of objects is among them."""
-        found = self.tracks.found
+        found = self.tracks.identification
         assert found is not None
         reasons, place = found.explain(int(self.which[row])), np.full(len(self.tracks), -1)
         place[self.which] = np.arange(len(self.which))
@@ -213,7 +215,7 @@ class TrackedObjects:
     @cached_property
     def _sets(self) -> tuple[IntArray, FloatArray]:
         """(k, S) every possible set of records of the scan, and (k,) its probability, whatever known object it is."""
-        found = self.tracks.found
+        found = self.tracks.identification
         assert found is not None
         members = self._possible
         sets, of = np.unique(members, axis=0, return_inverse=True)
@@ -222,7 +224,7 @@ class TrackedObjects:
     @cached_property
     def _possible(self) -> IntArray:
         """Every set that was weighed, (k, S) records of the scan; −1 for what is known."""
-        found = self.tracks.found
+        found = self.tracks.identification
         assert found is not None
         pooled = found.pooled
         scan_record = np.full(len(pooled) + 1, -1)
@@ -239,7 +241,7 @@ class TrackedObjects:
     @cached_property
     def _own(self) -> IntArray:
         """(n,) which of the sets each object is."""
-        found = self.tracks.found
+        found = self.tracks.identification
         assert found is not None
         _, of = np.unique(self._possible, axis=0, return_inverse=True)
         return np.asarray(of.ravel()[found.set_of_object[self.which]])
@@ -248,7 +250,7 @@ class TrackedObjects:
     def _second(self) -> IntArray:
         """(n,) the most probable other set that has one of an object's records, −1 where there is none."""
         best = np.full(len(self.which), -1)
-        if self.tracks.found is None:
+        if self.tracks.identification is None:
             return best
         sets, probability = self._sets
         mine, column = np.nonzero(self.members >= 0)

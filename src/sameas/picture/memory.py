@@ -32,7 +32,7 @@ from sameas.picture.scan import Scan
 from sameas.picture.track_existence import TrackExistence
 from sameas.picture.track_pairs import Rivals, TrackPairs, keys, loosened
 
-#: ε where nobody says. Taken: one look in ten thousand, for a radar of 20 turns a minute every eight hours.
+#: ε where nobody says. Chosen: one scan in ten thousand, for a radar of 20 turns a minute every eight hours.
 REASSIGNED = 1e-4
 
 
@@ -110,8 +110,8 @@ class Past:
                 f"the picture is at {self.tracks.instant_s:g} s and was given {scan.now.instant_s:g} s; "
                 "give instants in the order of time"
             )
-        lasting = replace(self.tracks.lasting, told_s=self.correlation_s)
-        tracks, step = replace(self.tracks, lasting=lasting).on(scan)
+        correlation = replace(self.tracks.error_correlation, given_s=self.correlation_s)
+        tracks, step = replace(self.tracks, error_correlation=correlation).on(scan)
         track_pairs = self.track_pairs.stepped(step, self.reassigned)
         return replace(self, tracks=tracks, track_pairs=track_pairs, existence=self.existence.on(tracks))
 

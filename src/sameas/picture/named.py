@@ -11,7 +11,7 @@ to the instant,
 L and L′ being the roots of R at the two reports, and τ the source's correlation time
 (:mod:`sameas.picture.error_correlation`). Of e a look shows how far the report is from where the last one foretold it:
 ν = (G − 1) e + n. What all looks of the track say of e is kept as its mean and covariance, a Kalman filter;
-:func:`sameas.picture.error_correlation.looked` is one step.
+:func:`sameas.picture.error_correlation.error_update` is one step.
 
 Where a look is farther from what its own track foretold than one honest look in 10⁹, the name has changed its owner, or
 the object moves as nobody expects: then the track begins anew, without a past.
@@ -29,7 +29,7 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gate import ChiSquare
 from sameas.gaussian import inverse
-from sameas.picture.error_correlation import Lasting, growth, looked
+from sameas.picture.error_correlation import ErrorCorrelation, error_update, growth
 from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan
 from sameas.tracks.alignment import moved, stamped_late
@@ -95,7 +95,7 @@ class NamedTracks:
     mean: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     spread: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
     scan: Scan | None = None
-    lasting: Lasting = field(default_factory=Lasting)
+    error_correlation: ErrorCorrelation = field(default_factory=ErrorCorrelation)
     source: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
 
     def numbers_on(self, scan: Scan) -> IntArray:
@@ -109,14 +109,14 @@ class NamedTracks:
 
         A track that is not in a scan keeps its number for :data:`KEPT_S`, but has no past when it comes back.
         """
-        lasting = self.lasting.of_sources(scan)
+        correlation = self.error_correlation.of_sources(scan)
         sources = [description.name for description in scan.now.descriptions]
         track_of_record = self.numbers_on(scan)
         place = np.flatnonzero(scan.track != "")
         names = [(sources[s], name) for s, name in zip(scan.source[place].tolist(), scan.track[place], strict=True)]
-        number, source = track_of_record[place], lasting.numbers(scan)[scan.source[place]]
+        number, source = track_of_record[place], correlation.numbers(scan)[scan.source[place]]
         known = np.flatnonzero((found_in(self.number, number) >= 0) & scan.placed[place])
-        step, lasting = self._step(scan, number[known], place[known], source[known], lasting)
+        step, correlation = self._step(scan, number[known], place[known], source[known], correlation)
         began = number < 0
         number[began] = self.given + np.arange(np.count_nonzero(began))
         track_of_record[place] = number
@@ -129,13 +129,13 @@ class NamedTracks:
         by_name = kept | {name: (k, now_s) for name, k in zip(names, number.tolist(), strict=True)}
         tracks = NamedTracks(
             now_s, self.given + int(np.count_nonzero(began)), by_name, number[order], place[order], track_of_record,
-            mean[order], spread[order], scan, lasting, source[order],
+            mean[order], spread[order], scan, correlation, source[order],
         )  # fmt: skip
         return tracks, step
 
     def _step(
-        self, scan: Scan, number: IntArray, place: IntArray, source: IntArray, lasting: Lasting
-    ) -> tuple[Step, Lasting]:
+        self, scan: Scan, number: IntArray, place: IntArray, source: IntArray, correlation: ErrorCorrelation
+    ) -> tuple[Step, ErrorCorrelation]:
         """The step of known tracks, without those that begin anew, and what it tells of how long errors last."""
         before = self.scan if self.scan is not None else scan
         at = found_in(self.number, number)
@@ -152,15 +152,15 @@ class NamedTracks:
         shift = scan.state[place, :2] - state[:, :2]
         one, other = before.reported_covariance[was, :2, :2], scan.reported_covariance[place, :2, :2]
         alike, k = _alike(one, other), np.flatnonzero(fresh_look)
-        lasting = lasting.looked(
+        correlation = correlation.looked(
             source[k], elapsed[k], shift[k], ((one + other)[k], alike[k]), growth(old + new - one - other)[k]
         )
-        common = lasting.rho(source, elapsed)[:, None, None] * alike
+        common = correlation.rho(source, elapsed)[:, None, None] * alike
         turn = common.transpose(0, 2, 1) @ inverse(old)
         fresh = new - turn @ common
         drift = growth(old - before.covariance[was, :2, :2])
         mean, open_ = self.mean[at], self.spread[at] + drift
-        after, narrowed, log_own, chi_sq = looked(mean, open_, turn, fresh, shift)
+        after, narrowed, log_own, chi_sq = error_update(mean, open_, turn, fresh, shift)
         still = ~fresh_look[:, None, None]
         step = Step(
             number, source, before.state[was, :2], state[:, :2],
@@ -170,7 +170,7 @@ class NamedTracks:
             np.where(still, open_, narrowed),
         )  # fmt: skip
         honest = ~fresh_look | (chi_sq <= FORETOLD.limit(2))
-        return step.take(np.flatnonzero(honest)[np.argsort(number[honest])]), lasting
+        return step.take(np.flatnonzero(honest)[np.argsort(number[honest])]), correlation
 
 
 def found_in(ascending: IntArray, wanted: IntArray) -> IntArray:

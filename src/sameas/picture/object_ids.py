@@ -110,7 +110,7 @@ class TrackHistory(ColumnTable):
         return TrackHistory(self.instant_s, rows[:, 0], rows[:, 1], share, last, unique)
 
 
-#: What parted from an object is another once its tracks have been its own for this share of the last minutes. Taken.
+#: What parted from an object is another once its tracks have been its own for this share of the last minutes (chosen).
 OWN = 0.8
 
 
@@ -182,10 +182,10 @@ class KnownObjects(PictureObjects):
     absent : instants without a record of it while it was tentative.
     apart : whether it parted from an object that went on, and its tracks have not been its own for most of the time.
     walk_m2_per_s3, speed_m_per_s : how it moves.
-    belonging : which of them tracks have been of.
+    history : which of them tracks have been of.
     """
 
-    WHOLE = frozenset({"instant_s", "given", "belonging"})
+    WHOLE = frozenset({"instant_s", "given", "history"})
     instant_s: float = -np.inf
     given: int = 0
     looks: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
@@ -197,32 +197,32 @@ class KnownObjects(PictureObjects):
     apart: BoolArray = field(default_factory=lambda: np.empty(0, bool))
     walk_m2_per_s3: FloatArray = field(default_factory=lambda: np.empty(0))
     speed_m_per_s: FloatArray = field(default_factory=lambda: np.empty(0))
-    belonging: TrackHistory = field(default_factory=TrackHistory)
+    history: TrackHistory = field(default_factory=TrackHistory)
 
-    def on(self, instant_s: float, seen: Detections, density_per_m2: float, stages: Stages) -> KnownObjects:
+    def on(self, instant_s: float, detections: Detections, density_per_m2: float, stages: Stages) -> KnownObjects:
         """The objects at a later instant; ``density_per_m2``: of objects."""
         alive = self.take(np.flatnonzero(self.stage != ENDED))
         alive = alive.predicted(instant_s - self.instant_s, alive.walk_m2_per_s3)
-        to = alive._same_as(seen, density_per_m2)
+        to = alive._same_as(detections, density_per_m2)
         known, new = np.flatnonzero(to >= 0), np.flatnonzero(to < 0)
         left = np.setdiff1d(np.arange(len(alive)), to[known])
-        number = alive._numbers_of(seen, new)
+        number = alive._numbers_of(detections, new)
         parts = [
-            alive.take(to[known])._shown(seen, known, stages),
-            KnownObjects._appeared(seen, new, number, alive._apart(seen, new), stages),
-            alive.take(left)._unseen(seen, density_per_m2, stages),
+            alive.take(to[known])._shown(detections, known, stages),
+            KnownObjects._appeared(detections, new, number, alive._apart(detections, new), stages),
+            alive.take(left)._unseen(detections, density_per_m2, stages),
         ]
         given = int(number.max(initial=self.given))
-        return replace(parts[0].in_order(*parts[1:]), instant_s=instant_s, given=given)._owning(self, seen)
+        return replace(parts[0].in_order(*parts[1:]), instant_s=instant_s, given=given)._owning(self, detections)
 
-    def _same_as(self, seen: Detections, density_per_m2: float) -> IntArray:
+    def _same_as(self, detections: Detections, density_per_m2: float) -> IntArray:
         """(n,) which of these each object of the instant is, −1 for none."""
-        out = np.full(len(seen), -1)
-        if not len(seen) or not len(self):
+        out = np.full(len(detections), -1)
+        if not len(detections) or not len(self):
             return out
-        common = self._in_common(seen)
+        common = self._in_common(detections)
         before = Motions(self.state, self.covariance, self.speed_m_per_s)
-        after = Motions(seen.states.state, seen.states.covariance, seen.speed_m_per_s)
+        after = Motions(detections.states.state, detections.states.covariance, detections.speed_m_per_s)
         known, shown = (
             Records.of(one.state[:, :2], covariance=one.covariance[:, :2, :2], source=name)
             for one, name in ((before, "known"), (after, "seen"))
@@ -232,20 +232,20 @@ class KnownObjects(PictureObjects):
         out[matches.rows_2] = matches.rows_1
         return out
 
-    def _in_common(self, seen: Detections) -> InCommon:
+    def _in_common(self, detections: Detections) -> InCommon:
         """What tracks say of these objects and those of the instant."""
-        at, column = np.nonzero(seen.tracks >= 0)
-        shown, row = self.belonging.of(seen.tracks[at, column])
-        who = found_in(self.number, self.belonging.number[row])
+        at, column = np.nonzero(detections.tracks >= 0)
+        shown, row = self.history.of(detections.tracks[at, column])
+        who = found_in(self.number, self.history.number[row])
         mine = who >= 0
         shown, row = shown[mine], row[mine]
-        return InCommon.of(who[mine], at[shown], self.belonging.share[row], seen.unique[at, column][shown])
+        return InCommon.of(who[mine], at[shown], self.history.share[row], detections.unique[at, column][shown])
 
-    def _numbers_of(self, seen: Detections, new: IntArray) -> IntArray:
+    def _numbers_of(self, detections: Detections, new: IntArray) -> IntArray:
         """(k,) the numbers of objects that none of these is: of one that ended, by a unique name, or new ones."""
         number = np.zeros(len(new), np.int64)
-        for column in range(seen.tracks.shape[1]):
-            before = np.where(seen.unique[new, column], self.belonging.last_of(seen.tracks[new, column]), 0)
+        for column in range(detections.tracks.shape[1]):
+            before = np.where(detections.unique[new, column], self.history.last_of(detections.tracks[new, column]), 0)
             free = (before > 0) & (number == 0) & ~np.isin(before, self.number) & ~np.isin(before, number)
             _, first = np.unique(before, return_index=True)
             once = np.isin(np.arange(len(new)), first)
@@ -254,78 +254,79 @@ class KnownObjects(PictureObjects):
         number[fresh] = self.given + 1 + np.arange(np.count_nonzero(fresh))
         return number
 
-    def _apart(self, seen: Detections, new: IntArray) -> BoolArray:
+    def _apart(self, detections: Detections, new: IntArray) -> BoolArray:
         """(k,) whether a new object has a track of one of these: it parted from that, and has to earn its number."""
-        tracks = seen.tracks[new]
-        owner = found_in(self.number, self.belonging.last_of(tracks.ravel())).reshape(tracks.shape)
+        tracks = detections.tracks[new]
+        owner = found_in(self.number, self.history.last_of(tracks.ravel())).reshape(tracks.shape)
         return np.asarray((owner >= 0).any(axis=1))
 
-    def _shown(self, seen: Detections, which: IntArray, stages: Stages) -> KnownObjects:
+    def _shown(self, detections: Detections, which: IntArray, stages: Stages) -> KnownObjects:
         """These objects, as the objects ``which`` of the instant show them."""
-        states, looked = seen.states, seen.looked[which]
+        states, looked = detections.states, detections.looked[which]
         state, covariance = states.state[which], states.covariance[which]
         own, spread = _followed(self, state, covariance, looked)
         said = states.moving[which]
-        looks, plots = self.looks + looked, self.plots + seen.plotted[which]
+        looks, plots = self.looks + looked, self.plots + detections.plotted[which]
         # A track that went on under another name has said what it had to say; one that is still there says it itself.
-        over = (self.longest != seen.life.track[which]) & ~(self.longest[:, None] == seen.tracks[which]).any(axis=1)
+        there = (self.longest[:, None] == detections.tracks[which]).any(axis=1)
+        over = (self.longest != detections.life.track[which]) & ~there
         earlier = self.earlier + np.where(over, self.lived, 0.0)
-        real = seen.life.begun[which] + earlier + seen.life.lived[which] >= logit(stages.real)
-        apart = self.apart & (self._own_share(seen.tracks[which]) < OWN)
-        sure = (self.stage != TENTATIVE) | ((seen.sure[which] | real) & ~apart) | (plots >= stages.scans)
+        real = detections.life.begun[which] + earlier + detections.life.lived[which] >= logit(stages.real)
+        apart = self.apart & (self._own_share(detections.tracks[which]) < OWN)
+        sure = (self.stage != TENTATIVE) | ((detections.sure[which] | real) & ~apart) | (plots >= stages.scans)
         return replace(
             self, stage=np.where(sure, CONFIRMED, TENTATIVE), state=np.where(said[:, None], state, own),
             covariance=np.where(said[:, None, None], covariance, spread), placed=states.placed[which],
             moving=said | (self.placed & states.placed[which] & (looks > 1)), detection=which, looks=looks, plots=plots,
-            apart=apart, longest=seen.life.track[which], lived=seen.life.lived[which], earlier=earlier,
-            walk_m2_per_s3=seen.walk_m2_per_s3[which], speed_m_per_s=seen.speed_m_per_s[which],
+            apart=apart, longest=detections.life.track[which], lived=detections.life.lived[which], earlier=earlier,
+            walk_m2_per_s3=detections.walk_m2_per_s3[which], speed_m_per_s=detections.speed_m_per_s[which],
         )  # fmt: skip
 
     def _own_share(self, tracks: IntArray) -> FloatArray:
         """(k,) for what share of the last minutes any of its tracks (k, S) has been of each of these objects."""
         out = np.zeros(len(self))
-        at, row = self.belonging.of(tracks.ravel())
+        at, row = self.history.of(tracks.ravel())
         at //= max(tracks.shape[1], 1)
-        mine = self.belonging.number[row] == self.number[at]
-        np.maximum.at(out, at[mine], self.belonging.share[row[mine]])
+        mine = self.history.number[row] == self.number[at]
+        np.maximum.at(out, at[mine], self.history.share[row[mine]])
         return out
 
     @classmethod
     def _appeared(
-        cls, seen: Detections, which: IntArray, number: IntArray, apart: BoolArray, stages: Stages
+        cls, detections: Detections, which: IntArray, number: IntArray, apart: BoolArray, stages: Stages
     ) -> KnownObjects:
         """Objects that nobody knew, or that have ended, and their numbers; ``apart``: from one that goes on."""
-        n, states = len(which), seen.states
-        real = seen.life.begun[which] + seen.life.lived[which] >= logit(stages.real)
-        sure = ((seen.sure[which] | real) & ~apart) | (stages.scans <= 1)
+        n, states = len(which), detections.states
+        real = detections.life.begun[which] + detections.life.lived[which] >= logit(stages.real)
+        sure = ((detections.sure[which] | real) & ~apart) | (stages.scans <= 1)
         return cls(
             number=number, stage=np.where(sure, CONFIRMED, TENTATIVE), state=states.state[which],
             covariance=states.covariance[which], placed=states.placed[which], moving=states.moving[which],
-            detection=which, looks=np.ones(n, np.int64), plots=seen.plotted[which].astype(np.int64),
+            detection=which, looks=np.ones(n, np.int64), plots=detections.plotted[which].astype(np.int64),
             absent=np.zeros(n, np.int64), apart=apart,
-            longest=seen.life.track[which], lived=seen.life.lived[which], earlier=np.zeros(n),
-            walk_m2_per_s3=seen.walk_m2_per_s3[which], speed_m_per_s=seen.speed_m_per_s[which],
+            longest=detections.life.track[which], lived=detections.life.lived[which], earlier=np.zeros(n),
+            walk_m2_per_s3=detections.walk_m2_per_s3[which], speed_m_per_s=detections.speed_m_per_s[which],
         )  # fmt: skip
 
-    def _unseen(self, seen: Detections, density_per_m2: float, stages: Stages) -> KnownObjects:
+    def _unseen(self, detections: Detections, density_per_m2: float, stages: Stages) -> KnownObjects:
         """These objects, which nobody shows."""
         tentative = self.stage == TENTATIVE
-        absent = self.absent + (tentative & bool(seen.looked.any()))
+        absent = self.absent + (tentative & bool(detections.looked.any()))
         old = aged(self.covariance, density_per_m2)
         # Whose tracks are all another object's now was one with it.
-        own = self.belonging.take(np.flatnonzero(self.belonging.last))
-        there = np.isin(own.track, seen.tracks)
+        own = self.history.take(np.flatnonzero(self.history.last))
+        there = np.isin(own.track, detections.tracks)
         taken = np.isin(self.number, own.number[there]) & ~np.isin(self.number, own.number[~there])
         over = old | taken | (tentative & (absent > stages.of - stages.scans))
         stage = np.where(over, ENDED, np.where(tentative, TENTATIVE, COASTING))
         return replace(self.undetected(stage), absent=absent)
 
-    def _owning(self, before: KnownObjects, seen: Detections) -> KnownObjects:
+    def _owning(self, before: KnownObjects, detections: Detections) -> KnownObjects:
         """The same with whom the tracks of the instant are of."""
-        there = seen.tracks >= 0
-        number, alive = self.numbers(len(seen))[np.nonzero(there)[0]], self.number[self.stage != ENDED]
-        after = before.belonging.on(self.instant_s, seen.tracks[there], number, seen.unique[there], alive)
-        return replace(self, belonging=after)
+        there = detections.tracks >= 0
+        number, alive = self.numbers(len(detections))[np.nonzero(there)[0]], self.number[self.stage != ENDED]
+        after = before.history.on(self.instant_s, detections.tracks[there], number, detections.unique[there], alive)
+        return replace(self, history=after)
 
 
 def _followed(

@@ -182,11 +182,8 @@ def _changed(state: PictureState[Carried], shown: dict[int, tuple[str, str]]) ->
     return out
 
 
-# Columns: the picture at an instant as tables, one row per object and one row per record.
-#
-# Numbers are plain arrays, masked arrays where some cells are absent; texts are arrays of str, "" where nothing is
-# said. Latitudes and longitudes are there where the picture has a plane on the earth.
-
+#: One row per object or record. Numbers are arrays, masked where some cells are absent; texts are arrays of str, "" for
+#: none. Latitudes and longitudes are there where the picture has a plane on the earth.
 Columns = dict[str, NDArray[Any]]
 
 

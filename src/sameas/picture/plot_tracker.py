@@ -1,4 +1,4 @@
-"""Following: objects found again from look to look, where sources show bare plots and directions without names.
+"""Plot tracker: objects followed from scan to scan, where sources show bare plots and directions without names.
 
     tracker, tracks = PlotTracker(), None
     for t in instants:
@@ -163,7 +163,7 @@ class TrackedPlots:
     known_of: IntArray
     rule: BernoulliObjects
     usual_q: FloatArray
-    found: Objects | None
+    identification: Objects | None
     look_s: FloatArray
     gap_s: FloatArray
     given: int
@@ -252,12 +252,12 @@ class TrackedPlots:
     def p_known(self) -> tuple[FloatArray, ...]:
         """Per source (m, rows): the probability that each known object is each row of its table."""
         out = tuple(np.zeros((len(self.known), records_of(source).n_table)) for source in self.now.sources)
-        if self.found is None or not len(self.known):
+        if self.identification is None or not len(self.known):
             return out
-        pooled = self.found.pooled
+        pooled = self.identification.pooled
         place = {records_of(source).source: u for u, source in enumerate(pooled.sources)}
         k = place[KNOWN]
-        known = self.found.p_together[pooled.start[k] : pooled.start[k + 1]].toarray()
+        known = self.identification.p_together[pooled.start[k] : pooled.start[k + 1]].toarray()
         rows = records_of(pooled.sources[k]).rows
         for s, source in enumerate(self.now.sources):
             u = place.get(records_of(source).source)

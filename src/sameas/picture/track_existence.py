@@ -1,4 +1,4 @@
-"""Lives: whether a named track is of something real, by how long it has lived.
+"""Track existence: whether a named track is of something real, by how long it has lived.
 
 False echoes make tracks, too: a tracker that has seen the same patch of sea four times running gives it a number. They
 die soon, and real objects' tracks go on until the object is lost. So a source's tracks live for exponential times of
@@ -10,7 +10,7 @@ those that were there when the source was first heard); and of one that has live
 That is Wald's sequential test, and what it confirms at a probability p is false in at most
 1 − p of all cases, where lives are such. These numbers are estimated source by source from all its tracks so far,
 those that live still as censored ones, those that another source has shown to be real as known ones, by EM; before
-there are any, T₀ is :data:`FALSE_LOOKS` looks and weighs as much as :data:`BEFOREHAND` tracks.
+there are any, T₀ is :data:`FALSE_SCANS` looks and weighs as much as :data:`BEFOREHAND` tracks.
 
 Source: Wald 1947, section 3; mixtures of lives with censoring as in McLachlan and Peel 2000, section 10.
 """
@@ -27,12 +27,12 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.picture.named import KEPT_S, NamedTracks, found_in
 from sameas.picture.object_table import ColumnTable
 
-#: T₀ before any track has died, in looks of the source; and how many tracks that is worth. Taken.
-FALSE_LOOKS, BEFOREHAND = 4.0, 4.0
-#: T₁ before any real track has died, and how many tracks that is worth. Taken.
+#: T₀ before any track has died, in looks of the source; and how many tracks that is worth (chosen).
+FALSE_SCANS, BEFOREHAND = 4.0, 4.0
+#: T₁ before any real track has died, and how many tracks that is worth (chosen).
 REAL_S, REAL_BEFOREHAND = 1800.0, 1.0
 #: Tracks as real (first row) and false ones, there first and begun later, that all sources are believed to have had
-#: before: what begins later is false more often than not. Taken.
+#: before: what begins later is false more often than not (chosen).
 ALIKE = np.array([[1.0, 1.0], [1.0, 3.0]])
 #: Between two looks where the description does not say.
 PERIOD_S = 10.0
@@ -52,7 +52,7 @@ class Mixture(ColumnTable):
 
     def with_sources(self, period_s: FloatArray) -> Mixture:
         """The same and new sources with these periods (k,)."""
-        before, n = FALSE_LOOKS * period_s, len(period_s)
+        before, n = FALSE_SCANS * period_s, len(period_s)
         share = np.tile(ALIKE[0] / ALIKE.sum(axis=0), (n, 1))
         return self.stacked(Mixture(before, np.maximum(REAL_S, 10.0 * before), share, before))
 
@@ -87,7 +87,7 @@ class Mixture(ColumnTable):
 class TrackExistence(ColumnTable):
     """The lives of named tracks, (k,) each, by ascending number.
 
-    number, source : of the track, and the place of its source in ``NamedTracks.lasting.names``.
+    number, source : of the track, and the place of its source in ``NamedTracks.error_correlation.names``.
     later : whether it began after its source was first heard.
     first_s, last_s : times of its first and its last report. shown_s : when it was last in a scan.
     later_s : for how long after its last report it may have lived on, unheard, in the mean.
@@ -153,14 +153,14 @@ class TrackExistence(ColumnTable):
         later_s = self.later_s[which].copy()
         # It was dropped some time between its last report and the next look, or now less the silence that may be.
         silence_s = _silences(tracks)[self.source[which[just]]]
-        period_s = self.mixture.before_s[self.source[which[just]]] / FALSE_LOOKS
+        period_s = self.mixture.before_s[self.source[which[just]]] / FALSE_SCANS
         later_s[just] = 0.5 * np.maximum(now_s - silence_s - self.last_s[which[just]], period_s)
         return replace(self.take(which), later_s=later_s)
 
     def _mixture(self, tracks: NamedTracks) -> Mixture:
         """That of the last instant, with the sources that were not heard before."""
         assert tracks.scan is not None
-        new = tracks.lasting.names[len(self.mixture.share) :]
+        new = tracks.error_correlation.names[len(self.mixture.share) :]
         periods = {d.name: d.timing.period_s or PERIOD_S for d in tracks.scan.now.descriptions}
         return self.mixture.with_sources(np.array([periods[name] for name in new], np.float64))
 
@@ -169,4 +169,4 @@ def _silences(tracks: NamedTracks) -> FloatArray:
     """(s,) after how long a track of each source has ended; ∞ for sources that are not heard now."""
     assert tracks.scan is not None
     silence = {feed.description.name: feed.track_timeout_s for feed in tracks.scan.now.feeds}
-    return np.array([silence.get(name, math.inf) for name in tracks.lasting.names])
+    return np.array([silence.get(name, math.inf) for name in tracks.error_correlation.names])

@@ -20,7 +20,7 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gaussian import Gaussian, log_density, mahalanobis_sq
 from sameas.many.observations import Source
-from sameas.picture.error_correlation import LEAST_M2, looked
+from sameas.picture.error_correlation import LEAST_M2, error_update
 from sameas.picture.named import NamedTracks, Step, found_in
 from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan
@@ -98,7 +98,7 @@ class TrackPairs(ColumnTable):
             shift, new = step.here[track] - step.moved[track], step.looked[track]
             # e of this track; with the other's position it is known as well as the other's.
             own = mean if side > 0.0 else mean - delta
-            after, narrowed, log_p, _ = looked(own, spread, step.turn[track], step.fresh[track], shift)
+            after, narrowed, log_p, _ = error_update(own, spread, step.turn[track], step.fresh[track], shift)
             delta = delta + side * shift
             mean = np.where(new[:, None], after if side > 0.0 else after + delta, mean)
             spread = np.where(new[:, None, None], narrowed, spread)
@@ -155,30 +155,28 @@ class Rivals:
         return self.bounded(leaked, chi_sq, reassigned)
 
 
-# Manoeuvres: reports that their object has left behind by moving as its report did not foretell.
-#
-# A report is moved to the instant by a random walk of its velocity, which is how objects move nearly always. A ferry
-# that stops at a pier leaves it by six of its σ within a minute, and her AIS of before the stop is of nobody, by the
-# normal law, however long the radar's track has gone with it. So each report of a named track may be followed by a
-# manoeuvre, :data:`EVERY_S` apart on average: at an unknown moment since, its velocity v became that of any object, 0 ±
-# s per axis, and leaves open
-#
-#     D = (s² I + v vᵀ) ⊗ [t²/3, t/2; t/2, 1],   t the report's age.
-#
-# Which report was followed by one is told by the tracks of other sources that have been with it so far, one of each
-# source: where they together are more probable with D than without, by more than the odds against a manoeuvre. A radar
-# that is too coarse to see it does not outvote one that does. Its position stays what its source said;
-# only its covariance grows, and evidence, memory and fused states find it as uncertain as it is.
-
-#: Between two manoeuvres of an object, on average. Taken.
+#: Mean time between two manoeuvres of an object, seconds (chosen).
 EVERY_S = 600.0
-#: A track may be another's although so much less probable, in ln r, than a stranger by their places alone: that sources
-#: would have missed both speaks for it, too.
+#: A pair of tracks counts as partners although it is less probable than strangers by so much in ln r of places: that
+#: sources would have missed both speaks for it, too.
 TOGETHER = math.log(20.0)
 
 
 def loosened(scan: Scan, tracks: NamedTracks, track_pairs: TrackPairs, said: FloatArray, per_m2: float) -> Scan:
-    """The scan with the covariances of reports that their objects have left behind.
+    """The scan with larger covariances of reports that their objects have left behind by a manoeuvre.
+
+    A report is moved to the instant by a random walk of its velocity, which is how objects move nearly always. A ferry
+    that stops at a pier leaves it by six of its σ within a minute; by the normal law her AIS of before the stop is then
+    of no object, however long the radar's track has gone with it. So each report of a named track may be followed by a
+    manoeuvre, :data:`EVERY_S` apart on average: at an unknown time since, its velocity v became that of any object,
+    0 ± s per axis, which leaves open
+
+        D = (s² I + v vᵀ) ⊗ [t²/3, t/2; t/2, 1],   t the report's age.
+
+    A manoeuvre is assumed where the report's partners so far, one track of each other source, are together more
+    probable with D than without, by more than the odds against a manoeuvre. A radar too coarse to see it does not
+    outvote one that does. The position stays what its source reported; only the covariance grows, for evidence, memory
+    and fused states alike.
 
     tracks, track_pairs : of the instant before. said : (k,) ln r of the pairs then.
     """

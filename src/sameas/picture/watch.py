@@ -37,30 +37,26 @@ from sameas.picture.scan import Scan, objects_per_m2
 from sameas.records import Records
 from sameas.tracks.scene import Instant
 
-# Hysteresis: who is with whom changes only where the change has been earned.
-#
-# Two vessels at one pier share an echo, and whose it is stays open for hours: 60 to 40, then 45 to 55. The most
-# probable answer of every instant would hand it to and fro. So the picture shows the partition that maximises
-#
-#     ln P(partition) − ln b · links,
-#
-# P being what all looks so far say, and ``links`` how many it breaks: one for every part but one into which it takes
-# the records that were one object at the last instant. Where two answers are even, or nearly, what was shown stays;
-# what is b times as probable per link is shown at once. To come together breaks nothing. Probabilities stay as they
-# are: an object that is kept against better ones says so by its own.
-#
-# Only tracks with names have been anywhere; a record that is new costs nothing wherever it goes. Source: the decision
-# of least expected loss where a change that comes to nothing costs, too (Berger 1985, section 2).
-
-#: b: how many times as probable per link. Taken.
+#: b of :func:`with_hysteresis`: how many times as probable per link (chosen).
 BOUND = 4.0
-#: Of the search for the best partition in one group.
+#: Longest search for the best partition of one group, seconds (chosen).
 TIME_LIMIT_S = 10.0
 
 
-def held(found: Objects, before: IntArray, log_bound: float) -> tuple[Objects, BoolArray]:
-    """The objects of an instant, together as they were where nothing else is much more probable, and which (n,) of
-    them are shown for that reason alone.
+def with_hysteresis(found: Objects, before: IntArray, log_bound: float) -> tuple[Objects, BoolArray]:
+    """The objects of an instant, as they were where nothing else is much more probable, and which (n,) of them are
+    shown for that reason alone.
+
+    Two vessels at one pier share an echo, and its owner stays open for hours: 60 to 40, then 45 to 55. The most
+    probable answer of every instant would hand it to and fro. So the picture shows the partition that maximises
+
+        ln P(partition) − ln b · links,
+
+    with P from all scans so far, and ``links`` the number of links that it breaks: one for every part but one into
+    which it takes the records that were one object at the last instant. An answer that is b times as probable per link
+    is shown at once; records that come together break nothing. Probabilities stay as they are. Only named tracks were
+    in an object before: a new record costs nothing. Source: the decision of least expected loss where a change that is
+    taken back costs, too (Berger 1985, section 2).
 
     Parameters
     ----------
@@ -106,18 +102,15 @@ def _value(sets: Sets, chosen: BoolArray) -> FloatArray:
     return np.asarray(np.bincount(sets.group[chosen], sets.log_weight[chosen], len(sets.start) - 1), np.float64)
 
 
-#: What the picture says of an object's identity; and what of it names one object alone.
+#: Attributes of identity that the picture states of an object.
 TEXTS = ("mmsi", "icao", "callsign", "name", "mode_a", "type")
-
-
+#: Those of them that one object alone has.
 NAMES_ONE = ("mmsi", "icao", "callsign")
-
-
-#: What is said of an object of which nobody says anything.
+#: The texts of an object without any.
 NOTHING = np.full(len(TEXTS), "", dtype=object)
 
 
-#: What an instant and the past say of the records.
+#: The rule of evidence at an instant, from the instant and the past.
 EvidenceOf = Callable[[Instant, Past], SetRule]
 
 
@@ -135,7 +128,7 @@ class Watch:
     evidence : what counts as evidence. ``lambda now, past: now.rule() + past.rule()`` leaves identities out,
         ``lambda now, past: now.rule() + now.identity()`` judges every instant alone.
     past : what is remembered of tracks; give one to change how long their errors last.
-    bound : of the odds at which records change their company (:mod:`sameas.picture.watch`); 1 for the most
+    bound : of the odds at which records change their object (:func:`with_hysteresis`); 1 for the most
         probable answer of every instant, whatever was shown before.
     stages : when objects are confirmed. gate : of ``identify_many``.
     known, texts : objects and their texts; filled in from instant to instant.
@@ -166,7 +159,7 @@ class Watch:
         found = self._found(heard, past)
         kept = np.zeros(0, bool)
         if found is not None:
-            found, kept = held(found, self._was(found.pooled, scan, past), math.log(self.bound))
+            found, kept = with_hysteresis(found, self._was(found.pooled, scan, past), math.log(self.bound))
             past = past.met(found.pooled)
         shown = IdentifiedObjects(scan, found, kept)
         members = shown.members
@@ -182,7 +175,7 @@ class Watch:
         """(records,) the object of the last instant that each pooled record belongs to by its track, −1 for
         those whose track was not there."""
         track = past.tracks.track_of_record
-        was = np.where(found_in(self.past.tracks.number, track) >= 0, self.known.belonging.last_of(track), 0)
+        was = np.where(found_in(self.past.tracks.number, track) >= 0, self.known.history.last_of(track), 0)
         out = np.full(len(pooled), -1)
         for s, (given, source) in enumerate(zip(pooled.given, pooled.sources, strict=True)):
             if given + 1 < len(scan.start):
