@@ -19,7 +19,7 @@ from sameas.records import Records
 from sameas.space import Plane, Sphere
 
 if TYPE_CHECKING:
-    from sameas.kernels import spans
+    from sameas.kernels import order, spans
 
 Rows = NDArray[np.int32]
 
@@ -238,7 +238,7 @@ class Layout:
     zones, grids : of every class. widest : their largest variances in x and in y.
     """
 
-    side: spans.Side
+    side: order.Side
     starts: list[int]
     zones: list[Zones]
     grids: list[spans.Grid]
@@ -247,7 +247,7 @@ class Layout:
     @classmethod
     def of(cls, source: Source, classes: list[Rows], extent: Extent, geometry: Geometry) -> Layout:
         """Every class in zones of its own, its records by zone, then x, then the rest of the content, then id."""
-        from sameas.kernels.spans import Side
+        from sameas.kernels.order import Side
 
         n, width = len(source.features), source.covariance.shape[1]
         width += 0 if geometry.sphere else source.features.shape[1]
@@ -275,11 +275,11 @@ class Layout:
 
 
 def _laid_out(
-    source: Source, rows: Rows, zones: Zones, extent: Extent, geometry: Geometry, side: spans.Side, base: int
+    source: Source, rows: Rows, zones: Zones, extent: Extent, geometry: Geometry, side: order.Side, base: int
 ) -> spans.Grid:
     """Write one class into ``side`` from place ``base`` on."""
-    from sameas.kernels.order import CELLS, into_cells, into_zones, take_rows, zones_of
-    from sameas.kernels.spans import Grid, Side
+    from sameas.kernels.order import CELLS, Side, into_cells, into_zones, take_rows, zones_of
+    from sameas.kernels.spans import Grid
 
     n, content = len(rows), (source.features, source.covariance)
     zone, ends = np.empty(n, np.int32), np.empty(zones.count + 1, np.int64)

@@ -9,11 +9,25 @@ from __future__ import annotations
 
 import numpy as np
 
+from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import kernel, part
 
 
 @kernel
-def assign_linear(first, last, start, start1, start2, edges1, local1, local2, weight, chosen, u, v):
+def assign_linear(
+    first: int,
+    last: int,
+    start: IntArray,
+    start1: IntArray,
+    start2: IntArray,
+    edges1: IntArray,
+    local1: Int32Array,
+    local2: Int32Array,
+    weight: FloatArray,
+    chosen: BoolArray,
+    u: FloatArray,
+    v: FloatArray,
+) -> None:
     """Maximum-weight matching of the groups first … last − 1; a record may stay alone at no cost.
 
     weight (m,) per pair of the layout; chosen (m,), u, v (records of the layout) are filled.
@@ -70,8 +84,23 @@ def assign_linear(first, last, start, start1, start2, edges1, local1, local2, we
 
 @part
 def augment(
-    s, base, edges1, local1, local2, weight, u, v, mate1, mate2, distance, through, reached, frontier, scanned, stamp
-):
+    s: int,
+    base: int,
+    edges1: IntArray,
+    local1: Int32Array,
+    local2: Int32Array,
+    weight: FloatArray,
+    u: FloatArray,
+    v: FloatArray,
+    mate1: IntArray,
+    mate2: Int32Array,
+    distance: FloatArray,
+    through: IntArray,
+    reached: IntArray,
+    frontier: Int32Array,
+    scanned: Int32Array,
+    stamp: int,
+) -> None:
     """Give row s its place: the cheapest path to a free column, or to a row that does best to stay alone.
 
     ``mate1`` holds the pair of each row; ``reached`` is stamp where a column waits, stamp + 1 where it is done.
@@ -147,7 +176,22 @@ def augment(
 
 
 @kernel
-def assign_counted(first, last, start, start1, start2, edges1, local2, weight, table_start, table, chosen, u, v, slope):
+def assign_counted(
+    first: int,
+    last: int,
+    start: IntArray,
+    start1: IntArray,
+    start2: IntArray,
+    edges1: IntArray,
+    local2: Int32Array,
+    weight: FloatArray,
+    table_start: IntArray,
+    table: FloatArray,
+    chosen: BoolArray,
+    u: FloatArray,
+    v: FloatArray,
+    slope: FloatArray,
+) -> None:
     """The best matching of each group under any prior of the number of pairs: best of every size, then the best size.
 
     table[table_start[g] + k] is ln P(k) of group g. Shortest augmenting paths from all free rows at once pass through
@@ -166,7 +210,7 @@ def assign_counted(first, last, start, start1, start2, edges1, local2, weight, t
 
 
 @part
-def by_column(n2, edges, local2):
+def by_column(n2: int, edges: IntArray, local2: Int32Array) -> tuple[IntArray, IntArray]:
     """The pairs of a group by column, as CSR: (starts (n2+1,), pairs)."""
     low = edges[0]
     high = edges[-1]
@@ -184,7 +228,9 @@ def by_column(n2, edges, local2):
 
 
 @part
-def heaviest_free(pairs, start, stop, row_of, low, mate1, weight):
+def heaviest_free(
+    pairs: IntArray, start: int, stop: int, row_of: Int32Array, low: int, mate1: IntArray, weight: FloatArray
+) -> int:
     """The heaviest of a column's pairs whose row is free, −1 for none."""
     head = -1
     for t in range(start, stop):
@@ -195,7 +241,17 @@ def heaviest_free(pairs, start, stop, row_of, low, mate1, weight):
 
 
 @part
-def every_size(n1, n2, edges, local2, weight, prior, chosen, u, v):
+def every_size(
+    n1: int,
+    n2: int,
+    edges: IntArray,
+    local2: Int32Array,
+    weight: FloatArray,
+    prior: FloatArray,
+    chosen: BoolArray,
+    u: FloatArray,
+    v: FloatArray,
+) -> float:
     """One group of :func:`assign_counted`; fills chosen, u, v and returns μ."""
     low = edges[0]
     row_of = np.empty(edges[-1] - low, np.int32)

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
+from sameas.arrays import FloatArray
 from sameas.kernels.compiled import kernel, part
 
 USABLE, NO_POSITION, NO_ERROR, NOT_POSITIVE, BEYOND_POLE = 0, 1, 2, 3, 4
 
 
 @kernel
-def check_rows(features, packed, directions, reasons):
+def check_rows(features: FloatArray, packed: FloatArray, directions: bool, reasons: NDArray[np.int8]) -> int:
     """Fill ``reasons`` (n,) with 0 where a row can be used, else the number of what is wrong; returns how many are.
 
     Where it returns 0, reasons are not filled. directions : features are longitude and latitude in degrees.
@@ -47,7 +49,7 @@ def check_rows(features, packed, directions, reasons):
 
 
 @part
-def all_usable(features, packed, directions):
+def all_usable(features: FloatArray, packed: FloatArray, directions: bool) -> bool:
     """Whether all rows can surely be used, without asking which: loops so plain that they work on many at once."""
     d = features.shape[1]
     p = packed.shape[1]
@@ -73,7 +75,7 @@ def all_usable(features, packed, directions):
 
 
 @kernel
-def pack(matrices, packed):
+def pack(matrices: FloatArray, packed: FloatArray) -> bool:
     """Fill ``packed`` (n, d(d+1)/2) with upper triangles, row by row; returns whether all matrices are symmetric."""
     d = matrices.shape[1]
     symmetric = True
@@ -93,7 +95,7 @@ def pack(matrices, packed):
 
 
 @part
-def definite(packed, k, d, factor):
+def definite(packed: FloatArray, k: int, d: int, factor: FloatArray) -> bool:
     """Whether a packed covariance is positive definite: correlations of ±1 leave rounding errors only, no inverse."""
     least = 1e-14 if d == 2 else 1e-12
     t = 0

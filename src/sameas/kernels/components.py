@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from sameas.arrays import AnyIntArray, Int32Array, IntArray
 from sameas.kernels.compiled import kernel, part
 
 
 @part
-def root(parent, k):
+def root(parent: AnyIntArray, k: int) -> int:
     """The representative of k, halving the path on the way."""
     while parent[k] != k:
         parent[k] = parent[parent[k]]
@@ -15,7 +16,17 @@ def root(parent, k):
 
 
 @kernel
-def label_pairs(place1, place2, parent, label, number2, group, start, start1, start2):
+def label_pairs(
+    place1: Int32Array,
+    place2: Int32Array,
+    parent: Int32Array,
+    label: Int32Array,
+    number2: Int32Array,
+    group: Int32Array,
+    start: IntArray,
+    start1: IntArray,
+    start2: IntArray,
+) -> int:
     """Number the components in the order in which the list first shows them; returns how many there are.
 
     place1, place2 number the records so that neighbours in the list are neighbours in memory; the pairs of a record of
@@ -51,7 +62,7 @@ def label_pairs(place1, place2, parent, label, number2, group, start, start1, st
 
 
 @part
-def join(place1, place2, parent, n1):
+def join(place1: AnyIntArray, place2: AnyIntArray, parent: AnyIntArray, n1: int) -> None:
     """Union of the two records of every pair; the representative is the first in place, one of source 1."""
     for k in range(len(parent)):
         parent[k] = k
@@ -69,8 +80,23 @@ def join(place1, place2, parent, n1):
 
 @kernel
 def lay_out(
-    place1, place2, i, j, group, number2, start, start1, start2, fill, fill1, order, edges1, local1, local2, rows
-):
+    place1: Int32Array,
+    place2: Int32Array,
+    i: Int32Array,
+    j: Int32Array,
+    group: Int32Array,
+    number2: Int32Array,
+    start: IntArray,
+    start1: IntArray,
+    start2: IntArray,
+    fill: IntArray,
+    fill1: IntArray,
+    order: IntArray,
+    edges1: IntArray,
+    local1: Int32Array,
+    local2: Int32Array,
+    rows: tuple[Int32Array, Int32Array],
+) -> None:
     """Lay the candidate pairs (i, j) out by component, in each as they are listed.
 
     group, number2, start, start1, start2 : see :func:`label_pairs`; fill, fill1 : copies of start, start1. Filled are

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import kernel, part
 from sameas.kernels.sphere import ARCSEC
 
@@ -13,7 +14,7 @@ from sameas.kernels.sphere import ARCSEC
 
 
 @kernel
-def rings(low, high, arc, size):
+def rings(low: float, high: float, arc: float, size: float) -> tuple[IntArray, FloatArray]:
     """Rings of equal height in latitude from ``low`` to ``high``, degrees, cut into nearly square cells of ``size``,
     arcsec², along an ``arc`` of longitude.
 
@@ -31,7 +32,9 @@ def rings(low, high, arc, size):
 
 
 @kernel
-def sphere_cells(features, low, high, west, arc, begin, cell):
+def sphere_cells(
+    features: FloatArray, low: float, high: float, west: float, arc: float, begin: IntArray, cell: IntArray
+) -> None:
     """Fill ``cell`` (n,) with the cells of directions (n, 2), degrees, in ``rings`` that begin at ``west``."""
     number = len(begin) - 1
     height = (high - low) / number
@@ -43,7 +46,7 @@ def sphere_cells(features, low, high, west, arc, begin, cell):
 
 
 @kernel
-def box_cells(features, low, extent, cuts, cell):
+def box_cells(features: FloatArray, low: FloatArray, extent: FloatArray, cuts: int, cell: IntArray) -> None:
     """Fill ``cell`` (n,) with the cells of points (n, d) in a box that is cut ``cuts`` times along every feature."""
     for k in range(len(cell)):
         number = 0
@@ -54,7 +57,7 @@ def box_cells(features, low, extent, cuts, cell):
 
 
 @kernel
-def renumber(one, two, total, of_first, of_second):
+def renumber(one: IntArray, two: IntArray, total: int, of_first: Int32Array, of_second: Int32Array) -> IntArray:
     """Fill ``of_first`` and ``of_second`` with the cells ``one`` and ``two``, of ``total``, numbered as they occur.
 
     Returns the cells that occur, rising.
@@ -78,7 +81,7 @@ def renumber(one, two, total, of_first, of_second):
 
 
 @kernel
-def sizes(known, begin, volume):
+def sizes(known: IntArray, begin: IntArray, volume: FloatArray) -> FloatArray:
     """(c,) sizes of the cells ``known``, rising, of rings whose cells begin at ``begin`` and are of size ``volume``."""
     out, ring = np.empty(len(known)), 0
     for k in range(len(known)):
@@ -92,7 +95,19 @@ def sizes(known, begin, volume):
 
 
 @kernel
-def look(of_source, cell, volume, count, company, least, pseudo_count, hole, seen, density, highest):
+def look(
+    of_source: Int32Array,
+    cell: Int32Array,
+    volume: FloatArray,
+    count: FloatArray,
+    company: FloatArray,
+    least: float,
+    pseudo_count: float,
+    hole: float,
+    seen: BoolArray,
+    density: FloatArray,
+    highest: FloatArray,
+) -> float:
     """Clear ``seen`` (n,) where a record's cell is empty although more than ``hole`` were to be expected, and ``least``
     of those that are asked for lie in it; refine the ``density`` (n,) by its count, in place.
 
@@ -125,7 +140,9 @@ def look(of_source, cell, volume, count, company, least, pseudo_count, hole, see
 
 
 @kernel
-def shared_part(of_first, seen_1, of_second, seen_2, count):
+def shared_part(
+    of_first: Int32Array, seen_1: BoolArray, of_second: Int32Array, seen_2: BoolArray, count: FloatArray
+) -> FloatArray:
     """(c,) part of each cell where both sources look.
 
     Of a cell, a part a is seen by both, b by the first alone, c by the second alone, a + b + c = 1; so the covered part
@@ -147,7 +164,16 @@ def shared_part(of_first, seen_1, of_second, seen_2, count):
 
 
 @kernel
-def refine(own, other, weight, volume, count, pseudo_count, at_own, at_other):
+def refine(
+    own: Int32Array,
+    other: Int32Array,
+    weight: FloatArray,
+    volume: FloatArray,
+    count: FloatArray,
+    pseudo_count: float,
+    at_own: FloatArray,
+    at_other: FloatArray,
+) -> None:
     """Draw densities, in place, towards the counts of each record's cell: ``at_own`` (n,) and ``at_other`` (n',).
 
     own, weight : (n,) cells of the records that are counted, and as how many each; it is left out at itself. other :
@@ -166,7 +192,17 @@ def refine(own, other, weight, volume, count, pseudo_count, at_own, at_other):
 
 
 @kernel
-def refine_share(own, other, part, weight, parts, weights, pseudo_count, at_own, at_other):
+def refine_share(
+    own: Int32Array,
+    other: Int32Array,
+    part: FloatArray,
+    weight: FloatArray,
+    parts: FloatArray,
+    weights: FloatArray,
+    pseudo_count: float,
+    at_own: FloatArray,
+    at_other: FloatArray,
+) -> None:
     """Draw shares, in place, towards part/weight of each record's cell: ``at_own`` (n,) and ``at_other`` (n',).
 
     own, part, weight : (n,) cells of the records that are counted, and what of each counts; its own is left out at
@@ -194,20 +230,20 @@ def refine_share(own, other, part, weight, parts, weights, pseudo_count, at_own,
 
 
 @part
-def cell_of(x, low, side, number, period):
+def cell_of(x: float, low: float, side: float, number: int, period: float) -> int:
     """The cell along one axis; the last of a period takes what rounding puts beyond it."""
     cell = math.floor((x - low) / side)
     return min(cell, number - 1) if period < np.inf else cell
 
 
 @part
-def bucket_of(i, j, k, number, mask):
+def bucket_of(i: int, j: int, k: int, number: IntArray, mask: int) -> int:
     """Where the points of a cell are kept."""
     return ((i * number[1] + j) * number[2] + k) & mask
 
 
 @part
-def along(x, low, side, number, period, radius):
+def along(x: float, low: float, side: float, number: int, period: float, radius: float) -> tuple[int, int]:
     """(first, last) cell along one axis that a disc around ``x`` reaches; in a period they may lie outside it."""
     if period < np.inf and 2.0 * radius + 2.0 * side >= period:
         return 0, number - 1
@@ -215,7 +251,9 @@ def along(x, low, side, number, period, radius):
 
 
 @part
-def reach_of(centres, c, radius, low, side, number, period):
+def reach_of(
+    centres: FloatArray, c: int, radius: float, low: FloatArray, side: FloatArray, number: IntArray, period: FloatArray
+) -> tuple[tuple[int, int], tuple[int, int], tuple[int, int]]:
     """The same along three axes of a disc around a centre."""
     return (
         along(centres[c, 0], low[0], side[0], number[0], period[0], radius),
@@ -225,19 +263,19 @@ def reach_of(centres, c, radius, low, side, number, period):
 
 
 @part
-def turned(cell, number, period):
+def turned(cell: int, number: int, period: float) -> int:
     """A cell brought into its period."""
     return cell % number if period < np.inf else cell
 
 
 @part
-def turned_round(i, j, k, number, period):
+def turned_round(i: int, j: int, k: int, number: IntArray, period: FloatArray) -> tuple[int, int, int]:
     """The same along three axes."""
     return turned(i, number[0], period[0]), turned(j, number[1], period[1]), turned(k, number[2], period[2])
 
 
 @part
-def apart_sq(points, p, centres, c, period):
+def apart_sq(points: FloatArray, p: int, centres: FloatArray, c: int, period: FloatArray) -> float:
     """Squared distance of a point from a centre, the shorter way round."""
     total = 0.0
     for v in range(points.shape[1]):
@@ -249,13 +287,15 @@ def apart_sq(points, p, centres, c, period):
 
 
 @part
-def at(points, p, v):
+def at(points: FloatArray, p: int, v: int) -> float:
     """A coordinate of a point, zero along an axis that it has not."""
     return points[p, v] if v < points.shape[1] else 0.0
 
 
 @part
-def cells_at(points, p, low, side, number, period):
+def cells_at(
+    points: FloatArray, p: int, low: FloatArray, side: FloatArray, number: IntArray, period: FloatArray
+) -> tuple[int, int, int]:
     """The cell of a point along three axes."""
     return (
         cell_of(at(points, p, 0), low[0], side[0], number[0], period[0]),
@@ -265,7 +305,18 @@ def cells_at(points, p, low, side, number, period):
 
 
 @part
-def company_beside(points, p, limit, source, some, low, side, number, period, mask):
+def company_beside(
+    points: FloatArray,
+    p: int,
+    limit: float,
+    source: FloatArray,
+    some: Int32Array,
+    low: FloatArray,
+    side: FloatArray,
+    number: IntArray,
+    period: FloatArray,
+    mask: int,
+) -> bool:
     """Whether one of the points asked in the cells around that of a point is closer to it, squared, than a limit."""
     i, j, k = cells_at(points, p, low, side, number, period)
     wide, deep = min(points.shape[1] - 1, 1), max(points.shape[1] - 2, 0)
@@ -280,7 +331,22 @@ def company_beside(points, p, limit, source, some, low, side, number, period, ma
 
 
 @kernel
-def lonely(points, wanted, density, least, most, expected, d, source, low, side, number, period, mask, out):
+def lonely(
+    points: FloatArray,
+    wanted: BoolArray,
+    density: FloatArray,
+    least: float,
+    most: float,
+    expected: float,
+    d: int,
+    source: FloatArray,
+    low: FloatArray,
+    side: FloatArray,
+    number: IntArray,
+    period: FloatArray,
+    mask: int,
+    out: Int32Array,
+) -> int:
     """Write the rows of the points whose disc may be empty of ``source`` into ``out`` (n,); returns how many.
 
     Of those ``wanted`` with least < density ≤ most; a disc has the volume in which so many are ``expected``. One point
@@ -310,7 +376,17 @@ def lonely(points, wanted, density, least, most, expected, d, source, low, side,
 
 
 @kernel
-def beside(points, low, side, number, period, mask, centres, radius, out):
+def beside(
+    points: FloatArray,
+    low: FloatArray,
+    side: FloatArray,
+    number: IntArray,
+    period: FloatArray,
+    mask: int,
+    centres: FloatArray,
+    radius: FloatArray,
+    out: Int32Array,
+) -> int:
     """Write the rows of the points in buckets that discs around centres (c, 3) reach into ``out``; returns how many."""
     marked, found = np.zeros(mask + 1, np.bool_), 0
     for c in range(len(centres)):
@@ -329,7 +405,9 @@ def beside(points, low, side, number, period, mask, centres, radius, out):
 
 
 @kernel
-def into_buckets(points, low, side, number, period, mask):
+def into_buckets(
+    points: FloatArray, low: FloatArray, side: FloatArray, number: IntArray, period: FloatArray, mask: int
+) -> tuple[Int32Array, Int32Array]:
     """(start, rows): the rows of the points of bucket b are ``rows[start[b]:start[b + 1]]``, rising."""
     bucket = np.empty(len(points), np.int32)
     start, rows = np.zeros(mask + 2, np.int32), np.empty(len(points), np.int32)
@@ -349,7 +427,19 @@ def into_buckets(points, low, side, number, period, mask):
 
 
 @part
-def is_empty(centres, c, radius, points, low, side, number, period, mask, start, rows):
+def is_empty(
+    centres: FloatArray,
+    c: int,
+    radius: float,
+    points: FloatArray,
+    low: FloatArray,
+    side: FloatArray,
+    number: IntArray,
+    period: FloatArray,
+    mask: int,
+    start: Int32Array,
+    rows: Int32Array,
+) -> bool:
     """Whether no point lies closer to the centre than the radius."""
     i, j, k = cells_at(centres, c, low, side, number, period)
     own = bucket_of(i, j, k, number, mask)
@@ -369,14 +459,39 @@ def is_empty(centres, c, radius, points, low, side, number, period, mask, start,
 
 
 @kernel
-def empty_discs(centres, radius, points, low, side, number, period, mask, start, rows, empty):
+def empty_discs(
+    centres: FloatArray,
+    radius: FloatArray,
+    points: FloatArray,
+    low: FloatArray,
+    side: FloatArray,
+    number: IntArray,
+    period: FloatArray,
+    mask: int,
+    start: Int32Array,
+    rows: Int32Array,
+    empty: BoolArray,
+) -> None:
     """Fill ``empty`` (n,): whether no point lies closer to centre k than ``radius[k]``."""
     for c in range(len(centres)):
         empty[c] = is_empty(centres, c, radius[c], points, low, side, number, period, mask, start, rows)
 
 
 @part
-def is_within(p, i, j, k, limit, points, centres, c, low, side, number, period):
+def is_within(
+    p: int,
+    i: int,
+    j: int,
+    k: int,
+    limit: float,
+    points: FloatArray,
+    centres: FloatArray,
+    c: int,
+    low: FloatArray,
+    side: FloatArray,
+    number: IntArray,
+    period: FloatArray,
+) -> bool:
     """Whether a point lies in a cell, and closer to a centre than the limit."""
     if apart_sq(points, p, centres, c, period) >= limit * limit:
         return False
@@ -385,7 +500,20 @@ def is_within(p, i, j, k, limit, points, centres, c, low, side, number, period):
 
 
 @part
-def holds(centres, c, radius, least, points, low, side, number, period, mask, start, rows):
+def holds(
+    centres: FloatArray,
+    c: int,
+    radius: float,
+    least: float,
+    points: FloatArray,
+    low: FloatArray,
+    side: FloatArray,
+    number: IntArray,
+    period: FloatArray,
+    mask: int,
+    start: Int32Array,
+    rows: Int32Array,
+) -> bool:
     """Whether at least so many points are closer to a centre, itself a point, than the radius."""
     if least <= 1.0:
         return True
@@ -406,7 +534,21 @@ def holds(centres, c, radius, least, points, low, side, number, period, mask, st
 
 
 @kernel
-def clear(centres, radius, inner, least, points, low, side, number, period, mask, start, rows, seen):
+def clear(
+    centres: FloatArray,
+    radius: FloatArray,
+    inner: FloatArray,
+    least: float,
+    points: FloatArray,
+    low: FloatArray,
+    side: FloatArray,
+    number: IntArray,
+    period: FloatArray,
+    mask: int,
+    start: Int32Array,
+    rows: Int32Array,
+    seen: BoolArray,
+) -> None:
     """Clear ``seen`` (n,) at the points closer than ``inner[c]`` to a centre that has ``least`` of them within its
     radius."""
     left = start[1:] - start[:-1]  # points of each bucket that are still seen

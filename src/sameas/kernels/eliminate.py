@@ -13,6 +13,7 @@ from collections import namedtuple
 
 import numpy as np
 
+from sameas.arrays import FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import inlined, part
 
 #: Most states, values, transitions and hash places that one problem may use; beyond, it is not solved exactly.
@@ -30,7 +31,7 @@ Scratch = namedtuple("Scratch", "key value back target place_key place_state pla
 
 
 @part
-def scratch(most_pairs, most_rows, most_columns):
+def scratch(most_pairs: int, most_rows: int, most_columns: int) -> Scratch:
     """Room for :func:`eliminate`, to be made once for many problems of at most so many pairs, rows and columns.
 
     A problem of c columns has at most 2^c states in a step: whether it fits does not depend on the others.
@@ -53,7 +54,7 @@ def scratch(most_pairs, most_rows, most_columns):
 
 
 @part
-def elimination_order(n, nc, start, column, order):
+def elimination_order(n: int, nc: int, start: IntArray, column: Int32Array, order: IntArray) -> int:
     """Fill ``order`` with the rows such that few columns stay open; returns the most columns open at once.
 
     Stops as soon as more than SLOTS are open.
@@ -130,7 +131,7 @@ def elimination_order(n, nc, start, column, order):
 
 
 @inlined
-def find_state(key, begin, count, stamp, work):
+def find_state(key: int, begin: int, count: int, stamp: int, work: Scratch) -> int:
     """The state of this key within the current step, made when new; −1 when there is no room."""
     last = np.int64(len(work.place_key) - 1)
     place = np.int64(key) & last
@@ -150,7 +151,9 @@ def find_state(key, begin, count, stamp, work):
 
 
 @inlined
-def left_unused(key, low, high, taken, column, unused, work):
+def left_unused(
+    key: int, low: int, high: int, taken: int, column: Int32Array, unused: FloatArray, work: Scratch
+) -> float:
     """Product of ``unused`` over the columns that close with this row, are free in the state and not taken now."""
     product = 1.0
     for e in range(low, high):
@@ -160,7 +163,9 @@ def left_unused(key, low, high, taken, column, unused, work):
 
 
 @inlined
-def left_beside(whole, key, low, high, taken, column, unused, work):
+def left_beside(
+    whole: float, key: int, low: int, high: int, taken: int, column: Int32Array, unused: FloatArray, work: Scratch
+) -> float:
     """The same with column ``taken``, from the product ``whole`` without: divided, where nothing is lost by that."""
     if not work.edge_dies[taken]:
         return whole
@@ -170,7 +175,20 @@ def left_beside(whole, key, low, high, taken, column, unused, work):
 
 
 @part
-def eliminate(n, nc, start, column, odds, none, unused, prior, share, alone, stamp, work):
+def eliminate(
+    n: int,
+    nc: int,
+    start: IntArray,
+    column: Int32Array,
+    odds: FloatArray,
+    none: FloatArray,
+    unused: FloatArray,
+    prior: FloatArray,
+    share: FloatArray,
+    alone: FloatArray,
+    stamp: int,
+    work: Scratch,
+) -> int:
     """Exact probabilities of a problem: ``share`` of every pair, ``alone`` of every row.
 
     Returns the next free stamp, or −1 when the problem needs more room than there is (nothing is filled then).
@@ -286,7 +304,18 @@ def eliminate(n, nc, start, column, odds, none, unused, prior, share, alone, sta
 
 
 @part
-def settle(v0, states, width, k_low, k_count, t, counted, ahead, log_scale, value):
+def settle(
+    v0: int,
+    states: int,
+    width: int,
+    k_low: IntArray,
+    k_count: IntArray,
+    t: int,
+    counted: bool,
+    ahead: FloatArray,
+    log_scale: float,
+    value: FloatArray,
+) -> float:
     """Scale the values of a step to at most 1 and drop what is negligible; returns ``log_scale`` with the new scale.
 
     Without a prior of the count a value is negligible beside a much greater one. With it, a small value may meet a
@@ -321,9 +350,24 @@ def settle(v0, states, width, k_low, k_count, t, counted, ahead, log_scale, valu
 
 @part
 def gather(
-    t, r, low, high, column, odds, none, unused, state_start, value_start, target_start, k_low, k_count, counted,
-    share, alone, work,
-):  # fmt: skip
+    t: int,
+    r: int,
+    low: int,
+    high: int,
+    column: Int32Array,
+    odds: FloatArray,
+    none: FloatArray,
+    unused: FloatArray,
+    state_start: IntArray,
+    value_start: IntArray,
+    target_start: IntArray,
+    k_low: IntArray,
+    k_count: IntArray,
+    counted: bool,
+    share: FloatArray,
+    alone: FloatArray,
+    work: Scratch,
+) -> None:
     """One step backwards: the values of the states seen from the end, and the probabilities of row r's options."""
     begin = state_start[t]
     end = state_start[t + 1]

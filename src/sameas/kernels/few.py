@@ -6,13 +6,24 @@ import math
 
 import numpy as np
 
+from sameas.arrays import FloatArray, Int32Array
 from sameas.kernels.compiled import kernel, part
+from sameas.kernels.order import Side
 from sameas.kernels.plane import add_spread, measured_on_plane
-from sameas.kernels.spans import Side, first_from
+from sameas.kernels.spans import first_from
 
 
 @kernel
-def sweep_few(features1, packed1, features2, packed2, limit, box, periods, out):
+def sweep_few(
+    features1: FloatArray,
+    packed1: FloatArray,
+    features2: FloatArray,
+    packed2: FloatArray,
+    limit: float,
+    box: bool,
+    periods: FloatArray,
+    out: tuple[FloatArray | Int32Array, ...],
+) -> int:
     """Candidates of two sources of few records on a plane, written into the columns ``out`` of ``gate.Pairs``.
 
     Returns their number; −1 where ``out`` is too small for them, or two records of a source say exactly the same.
@@ -43,7 +54,16 @@ def sweep_few(features1, packed1, features2, packed2, limit, box, periods, out):
 
 
 @part
-def _near(content1, variance1, k, content2, variance2, q, periods, enough):
+def _near(
+    content1: FloatArray,
+    variance1: FloatArray,
+    k: int,
+    content2: FloatArray,
+    variance2: FloatArray,
+    q: int,
+    periods: FloatArray,
+    enough: float,
+) -> bool:
     """Whether no axis tells two records apart."""
     for v in range(variance1.shape[1]):
         apart = abs(content1[k, v] - content2[q, v])
@@ -54,7 +74,7 @@ def _near(content1, variance1, k, content2, variance2, q, periods, enough):
 
 
 @part
-def _along_axes(content, d):
+def _along_axes(content: FloatArray, d: int) -> FloatArray:
     """(n, d) variances of the features, of records (n, d + p): first the features, then the packed covariance."""
     variance = np.zeros((len(content), d))
     matrix = np.zeros((d, d))
@@ -67,7 +87,7 @@ def _along_axes(content, d):
 
 
 @part
-def _in_order(features, packed, periods):
+def _in_order(features: FloatArray, packed: FloatArray, periods: FloatArray) -> tuple[Side, bool]:
     """A source by its features, one after another, then its errors; whether every record has a place of its own."""
     n, d = features.shape
     content = np.empty((n, d + packed.shape[1]))
@@ -97,7 +117,7 @@ def _in_order(features, packed, periods):
 
 
 @part
-def _precedes(content, a, b):
+def _precedes(content: FloatArray, a: int, b: int) -> bool:
     """Whether row a comes before row b: by the first column in which they differ."""
     for v in range(content.shape[1]):
         if content[a, v] != content[b, v]:

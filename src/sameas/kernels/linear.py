@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from sameas.arrays import FloatArray
 from sameas.kernels.compiled import part
 
 
 @part
-def solve(matrix, right):
+def solve(matrix: FloatArray, right: FloatArray) -> None:
     """Turn ``right`` (n, r) into the solutions of ``matrix`` (n, n) · x = right, by elimination; the matrix is lost."""
     n = len(matrix)
     for k in range(n):

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
+from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import kernel, part
 from sameas.kernels.eliminate import eliminate, scratch
 from sameas.kernels.posterior import LOCAL, bounded_exp
@@ -31,7 +33,20 @@ HIGHEST = 300.0
 
 
 @kernel
-def bounds(first, last, start, start1, start2, edges1, local1, local2, weight, chosen, wanted, bound):
+def bounds(
+    first: int,
+    last: int,
+    start: IntArray,
+    start1: IntArray,
+    start2: IntArray,
+    edges1: IntArray,
+    local1: Int32Array,
+    local2: Int32Array,
+    weight: FloatArray,
+    chosen: BoolArray,
+    wanted: BoolArray,
+    bound: FloatArray,
+) -> None:
     """Fill ``bound`` (m,) with upper bounds of P of the pairs of those groups first … last − 1 that are ``wanted``.
 
     weight : (m,) ln λ, with the prior, which is linear.
@@ -93,13 +108,13 @@ def bounds(first, last, start, start1, start2, edges1, local1, local2, weight, c
 
 
 @part
-def limited(log_odds):
+def limited(log_odds: float) -> float:
     """exp of log odds that are not higher than ``HIGHEST``."""
     return math.exp(min(log_odds, HIGHEST))
 
 
 @part
-def inverse(mate, weight):
+def inverse(mate: IntArray, weight: FloatArray) -> FloatArray:
     """(n,) 1 / odds of the chosen pair of each record, 0 where it has none."""
     without = np.zeros(len(mate))
     for r in range(len(mate)):
@@ -109,7 +124,7 @@ def inverse(mate, weight):
 
 
 @part
-def over(record, beside, partner, free, others):
+def over(record: Int32Array, beside: FloatArray, partner: Int32Array, free: FloatArray, others: FloatArray) -> None:
     """Fill ``others`` (n,): Σ λ f over the pairs of each record that are not chosen, in units of the chosen one."""
     others[:] = 0.0
     for e in range(len(beside)):
@@ -117,7 +132,7 @@ def over(record, beside, partner, free, others):
 
 
 @part
-def freed(mate, local, without, others, free):
+def freed(mate: IntArray, local: Int32Array, without: FloatArray, others: FloatArray, free: FloatArray) -> None:
     """Fill ``free`` (n,) with bounds of the probability of having no partner."""
     for r in range(len(mate)):
         e = mate[r]
@@ -127,23 +142,23 @@ def freed(mate, local, without, others, free):
 
 @kernel
 def messages(
-    first,
-    last,
-    start,
-    start1,
-    start2,
-    edges1,
-    local2,
-    weight,
-    u,
-    v,
-    method,
-    to_column,
-    to_row_claim,
-    belief,
-    sweeps,
-    settled,
-):
+    first: int,
+    last: int,
+    start: IntArray,
+    start1: IntArray,
+    start2: IntArray,
+    edges1: IntArray,
+    local2: Int32Array,
+    weight: FloatArray,
+    u: FloatArray,
+    v: FloatArray,
+    method: NDArray[np.int8],
+    to_column: FloatArray,
+    to_row_claim: FloatArray,
+    belief: FloatArray,
+    sweeps: int,
+    settled: float,
+) -> float:
     """Sum-product messages of the groups left LOCAL.
 
     to_column (m,) receives the odds with which a row claims a column, to_row_claim (m,) those with which the column
@@ -219,7 +234,15 @@ def messages(
 
 
 @kernel
-def columns_of(groups, start, start1, start2, edges1, local2, method):
+def columns_of(
+    groups: int,
+    start: IntArray,
+    start1: IntArray,
+    start2: IntArray,
+    edges1: IntArray,
+    local2: Int32Array,
+    method: NDArray[np.int8],
+) -> tuple[IntArray, IntArray]:
     """CSR of the pairs by record of source 2, for the groups left LOCAL: (starts by record of the layout, pairs)."""
     starts = np.zeros(start2[groups] + 1, np.int64)
     for g in range(groups):
@@ -240,9 +263,25 @@ def columns_of(groups, start, start1, start2, edges1, local2, method):
 
 @kernel
 def balls(
-    first, last, group1, start1, start2, edges1, local1, local2, column_start, column_pairs, weight, u, v, method,
-    to_column, most_rows, most_bits, share,
-):  # fmt: skip
+    first: int,
+    last: int,
+    group1: Int32Array,
+    start1: IntArray,
+    start2: IntArray,
+    edges1: IntArray,
+    local1: Int32Array,
+    local2: Int32Array,
+    column_start: IntArray,
+    column_pairs: IntArray,
+    weight: FloatArray,
+    u: FloatArray,
+    v: FloatArray,
+    method: NDArray[np.int8],
+    to_column: FloatArray,
+    most_rows: int,
+    most_bits: float,
+    share: FloatArray,
+) -> None:
     """Posterior of the pairs of rows first … last − 1 of the layout whose group was left LOCAL.
 
     Each row is solved exactly together with the rows that compete with it most, up to ``most_rows`` of them and
@@ -339,7 +378,20 @@ def balls(
 
 
 @part
-def lonely(center, base2, edges1, local1, local2, column_start, column_pairs, weight, u, v, to_column, share):
+def lonely(
+    center: int,
+    base2: int,
+    edges1: IntArray,
+    local1: Int32Array,
+    local2: Int32Array,
+    column_start: IntArray,
+    column_pairs: IntArray,
+    weight: FloatArray,
+    u: FloatArray,
+    v: FloatArray,
+    to_column: FloatArray,
+    share: FloatArray,
+) -> None:
     """The posterior of one row from its messages alone."""
     total = bounded_exp(-u[center])
     for e in range(edges1[center], edges1[center + 1]):

@@ -4,12 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 
+from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import kernel, part
 from sameas.kernels.linear import solve
 
 
 @kernel
-def log_odds(i, j, p_pair, log_ratio, partner_1, partner_2, counted, faint, surest, profile):
+def log_odds(
+    i: Int32Array,
+    j: Int32Array,
+    p_pair: FloatArray,
+    log_ratio: FloatArray,
+    partner_1: FloatArray,
+    partner_2: FloatArray,
+    counted: BoolArray,
+    faint: float,
+    surest: float,
+    profile: FloatArray,
+) -> None:
     """Turn ``profile`` (m,), what the errors say of pairs, into ln of their odds but for that; −∞ if i is not counted.
 
     i, j, p_pair, log_ratio : (m,) records of the pairs, their probabilities, and ln of their odds before one-to-one.
@@ -28,7 +40,15 @@ def log_odds(i, j, p_pair, log_ratio, partner_1, partner_2, counted, faint, sure
 
 
 @kernel
-def cells(square, log_odds, least, most, nearest, reach, shape):
+def cells(
+    square: FloatArray,
+    log_odds: FloatArray,
+    least: float,
+    most: float,
+    nearest: float,
+    reach: float,
+    shape: tuple[int, int],
+) -> tuple[FloatArray | IntArray, ...]:
     """Pairs of like distance and odds, counted together: what ``log_likelihood`` takes, and means of the squares.
 
     square, log_odds : (m,) squared distances and log odds; those of ``least`` odds or less are left out, and of
@@ -66,7 +86,9 @@ def cells(square, log_odds, least, most, nearest, reach, shape):
 
 
 @kernel
-def log_likelihood(start, count, odds, density, pseudo, shares):
+def log_likelihood(
+    start: IntArray, count: FloatArray, odds: FloatArray, density: FloatArray, pseudo: FloatArray, shares: FloatArray
+) -> float:
     """Σ count · ln(1 + odds · f) over the cells, f = density · shares at their distances, and Σ pseudo · ln shares.
 
     The cells start[b]:start[b + 1] lie at distance b; density : (b, k) of each component there.
@@ -85,7 +107,17 @@ def log_likelihood(start, count, odds, density, pseudo, shares):
 
 
 @part
-def _derivatives(start, count, odds, density, pseudo, shares, ridge, slope, bend):
+def _derivatives(
+    start: IntArray,
+    count: FloatArray,
+    odds: FloatArray,
+    density: FloatArray,
+    pseudo: FloatArray,
+    shares: FloatArray,
+    ridge: float,
+    slope: FloatArray,
+    bend: FloatArray,
+) -> None:
     """Fill ``slope`` (k,) and the negative curvature ``bend`` (k, k) of the logarithm of the likelihood."""
     size = len(shares)
     slope[:] = 0.0
@@ -115,7 +147,7 @@ def _derivatives(start, count, odds, density, pseudo, shares, ridge, slope, bend
 
 
 @part
-def _on_simplex(slope, bend, free, wanted):
+def _on_simplex(slope: FloatArray, bend: FloatArray, free: BoolArray, wanted: FloatArray) -> None:
     """Fill ``wanted`` with the y ≥ 0, Σ y = 1, of greatest slope·y − ½ y·bend·y; ``free``: which are not zero, a guess
     that is bettered."""
     size, steepest = len(slope), np.max(np.abs(slope))
@@ -150,7 +182,19 @@ def _on_simplex(slope, bend, free, wanted):
 
 
 @kernel
-def likeliest(start, count, odds, density, pseudo, shares, spread, steps, settled, shortest, ridge):
+def likeliest(
+    start: IntArray,
+    count: FloatArray,
+    odds: FloatArray,
+    density: FloatArray,
+    pseudo: FloatArray,
+    shares: FloatArray,
+    spread: float,
+    steps: int,
+    settled: float,
+    shortest: float,
+    ridge: float,
+) -> FloatArray:
     """The shares of greatest likelihood, from ``shares`` on: a step of EM, which always leads upwards, and one of
     Newton's among shares that are not negative, which leads there at once from near by, in turn.
 
@@ -193,7 +237,19 @@ def likeliest(start, count, odds, density, pseudo, shares, spread, steps, settle
 
 
 @kernel
-def fit(start, count, odds, squares, d, scales, core, pseudo, shares, standing_out, search):
+def fit(
+    start: IntArray,
+    count: FloatArray,
+    odds: FloatArray,
+    squares: FloatArray,
+    d: int,
+    scales: FloatArray,
+    core: int,
+    pseudo: FloatArray,
+    shares: FloatArray,
+    standing_out: float,
+    search: tuple[float | int, ...],
+) -> tuple[FloatArray, float, float]:
     """The shares (k,) of greatest likelihood of normals in d features, of these ``scales`` (k,), rising; and by how
     much a tail, all of them from ``core`` on, betters ln of the likelihood, which comes last. One that does not stand
     out is left out.
@@ -226,7 +282,7 @@ def fit(start, count, odds, squares, d, scales, core, pseudo, shares, standing_o
 
 
 @kernel
-def grade(place, within, limits, number, out):
+def grade(place: FloatArray, within: IntArray, limits: FloatArray, number: int, out: Int32Array) -> None:
     """Fill ``out`` (n,) with how many of the ``number`` − 1 limits of its own range lie at or below each place (n,).
 
     within : (n,) the ranges. limits : (ranges (number − 1),) rising in each range, range after range.
@@ -239,7 +295,9 @@ def grade(place, within, limits, number, out):
 
 
 @kernel
-def count_pairs(i, j, grades_1, grades_2, told, common):
+def count_pairs(
+    i: Int32Array, j: Int32Array, grades_1: Int32Array, grades_2: Int32Array, told: FloatArray, common: FloatArray
+) -> IntArray:
     """Add the probabilities ``told`` (m,) of pairs to ``common`` (k₁, k₂); returns (m,) where each was added, row by
     row."""
     at = np.empty(len(i), np.int64)
@@ -251,7 +309,9 @@ def count_pairs(i, j, grades_1, grades_2, told, common):
 
 
 @kernel
-def count_alone(cells, grades, partner, covered, count):
+def count_alone(
+    cells: Int32Array, grades: Int32Array, partner: FloatArray, covered: BoolArray, count: FloatArray
+) -> None:
     """Add to ``count`` (cells, k) how probably each covered record is without a partner."""
     for k in range(len(cells)):
         if covered[k]:

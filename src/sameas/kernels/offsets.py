@@ -11,6 +11,7 @@ from collections import namedtuple
 
 import numpy as np
 
+from sameas.arrays import FloatArray, IntArray
 from sameas.kernels.compiled import inlined, kernel, part
 from sameas.kernels.components import join, root
 from sameas.kernels.linear import solve
@@ -26,7 +27,7 @@ Cells = namedtuple("Cells", "position error rows start low size shape")
 
 
 @part
-def longer(array, length):
+def longer(array: FloatArray | IntArray, length: int) -> FloatArray | IntArray:
     """The same with room for more along its first axis."""
     grown = np.empty((length, *array.shape[1:]), array.dtype)
     grown[: len(array)] = array
@@ -34,7 +35,9 @@ def longer(array, length):
 
 
 @kernel
-def near_pairs(one, two, covariance_2, periods, sigmas, widening):
+def near_pairs(
+    one: Cells, two: FloatArray, covariance_2: FloatArray, periods: FloatArray, sigmas: float, widening: float
+) -> tuple[FloatArray | IntArray, ...]:
     """Pairs within ``sigmas`` standard deviations, of errors that are taken ``widening`` times as large.
 
     one : the first source. two, covariance_2 : (s, k, d) and (s, k, d, d) of the second, under every offset. periods
@@ -76,7 +79,7 @@ def near_pairs(one, two, covariance_2, periods, sigmas, widening):
 
 
 @inlined
-def span_of_cells(one, axis, at, reach):
+def span_of_cells(one: Cells, axis: int, at: float, reach: float) -> tuple[int, int]:
     """First cell along an axis that a reach touches, and the one after the last; at least an empty span of them."""
     last = one.shape[axis] - 1
     from_cell = (at - reach - one.low[axis]) / one.size[axis]
@@ -87,7 +90,10 @@ def span_of_cells(one, axis, at, reach):
 
 
 @inlined
-def stands_near(one, k, two, error, periods, sigmas, widening, matrix, delta):
+def stands_near(
+    one: Cells, k: int, two: FloatArray, error: FloatArray, periods: FloatArray, sigmas: float, widening: float,
+    matrix: FloatArray, delta: FloatArray,
+) -> bool:  # fmt: skip
     """Whether a pair lies within its box, with its residual in ``delta[0]`` and its covariance in ``matrix[1]``."""
     d, square = len(two), widening * widening
     for v in range(d):
@@ -102,7 +108,7 @@ def stands_near(one, k, two, error, periods, sigmas, widening, matrix, delta):
 
 
 @inlined
-def keep(delta, matrix, residual, precision, count):
+def keep(delta: FloatArray, matrix: FloatArray, residual: FloatArray, precision: FloatArray, count: int) -> None:
     """Write a pair's residual and the inverse of its covariance in their places."""
     for v in range(delta.shape[1]):
         residual[count, v] = delta[0, v]
@@ -111,7 +117,7 @@ def keep(delta, matrix, residual, precision, count):
 
 
 @inlined
-def measured(delta, matrix):
+def measured(delta: FloatArray, matrix: FloatArray) -> tuple[float, float]:
     """(Mahalanobis distance squared, determinant) of ``delta[0]`` with covariance ``matrix[1]``; its inverse in [0]."""
     d = delta.shape[1]
     if d == 2:
@@ -130,7 +136,9 @@ def measured(delta, matrix):
 
 
 @kernel
-def both_look(box, one, two, margin, periods):
+def both_look(
+    box: FloatArray, one: FloatArray, two: FloatArray, margin: float, periods: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Where both sources look under every offset.
 
     box : (2, d) corners of where the first looks. one (n, d), two (s, k, d) : positions. margin : how much further than
@@ -157,7 +165,7 @@ def both_look(box, one, two, margin, periods):
 
 
 @part
-def number_within(points, low, high, periods):
+def number_within(points: FloatArray, low: FloatArray, high: FloatArray, periods: FloatArray) -> float:
     """How many of the points (n, d) lie in a box, whatever their place on axes with a period."""
     number = 0.0
     for k in range(len(points)):
@@ -170,7 +178,15 @@ def number_within(points, low, high, periods):
 
 
 @kernel
-def messages(start, i, j, log_weight, records, sweeps, settled):
+def messages(
+    start: IntArray,
+    i: IntArray,
+    j: IntArray,
+    log_weight: FloatArray,
+    records: tuple[int, int],
+    sweeps: int,
+    settled: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Sum-product messages under every offset: how probable each pair is, and how much all hypotheses weigh together.
 
     records : of either source. At most ``sweeps`` sweeps; fewer when no message changes by more than its share
@@ -202,7 +218,7 @@ def messages(start, i, j, log_weight, records, sweeps, settled):
 
 
 @part
-def by_component(i, j, records):
+def by_component(i: IntArray, j: IntArray, records: tuple[int, int]) -> tuple[IntArray, IntArray]:
     """The pairs in the order of their connected components, and where each component ends."""
     parent = np.empty(records[0] + records[1], np.int64)
     join(j, i, parent, records[1])
@@ -224,7 +240,10 @@ def by_component(i, j, records):
 
 
 @inlined
-def exchange(pairs, i, j, weight, to_row, to_column, by_row, by_column, sweeps, settled):
+def exchange(
+    pairs: IntArray, i: IntArray, j: IntArray, weight: FloatArray, to_row: FloatArray, to_column: FloatArray,
+    by_row: FloatArray, by_column: FloatArray, sweeps: int, settled: float,
+) -> None:  # fmt: skip
     """Send messages along the pairs of one component until they settle; leave what every record hears in its place."""
     for _ in range(sweeps):
         moving = False
@@ -243,7 +262,7 @@ def exchange(pairs, i, j, weight, to_row, to_column, by_row, by_column, sweeps, 
 
 
 @inlined
-def heard(pairs, i, weight, to_row, by_row):
+def heard(pairs: IntArray, i: IntArray, weight: FloatArray, to_row: FloatArray, by_row: FloatArray) -> None:
     """1 for having no partner, and what the records of the first source hear of these pairs."""
     for e in pairs:
         by_row[i[e]] = 1.0
@@ -252,7 +271,7 @@ def heard(pairs, i, weight, to_row, by_row):
 
 
 @inlined
-def told(pairs, j, to_column, by_column):
+def told(pairs: IntArray, j: IntArray, to_column: FloatArray, by_column: FloatArray) -> None:
     """1 for having no partner, and what the records of the second source hear of these pairs."""
     for e in pairs:
         by_column[j[e]] = 1.0
@@ -261,7 +280,15 @@ def told(pairs, j, to_column, by_column):
 
 
 @kernel
-def pulls(s, j, residual, precision, weight, jacobian, faint):
+def pulls(
+    s: IntArray,
+    j: IntArray,
+    residual: FloatArray,
+    precision: FloatArray,
+    weight: FloatArray,
+    jacobian: FloatArray,
+    faint: float,
+) -> tuple[FloatArray, FloatArray]:
     """What the pairs pull at every offset: Σ w Jᵀ Σ⁻¹ Δ (s, p), and their information Σ w Jᵀ Σ⁻¹ J (s, p, p).
 
     s, j : (m,) offset and record of the second source of every pair. jacobian : (s, k, d, p). Pairs of less weight than
@@ -288,7 +315,7 @@ def pulls(s, j, residual, precision, weight, jacobian, faint):
 
 
 @kernel
-def carried_errors(carried, covariance):
+def carried_errors(carried: FloatArray, covariance: FloatArray) -> FloatArray:
     """(s, k, d, d) A Σ Aᵀ, the errors Σ (k, d, d) of records once moved, with A (s, k, d, d)."""
     sets, many, d, _ = carried.shape
     out = np.zeros((sets, many, d, d))
@@ -308,7 +335,9 @@ def carried_errors(carried, covariance):
 
 
 @kernel
-def tally(one, two, periods, low, size, cells):
+def tally(
+    one: FloatArray, two: FloatArray, periods: FloatArray, low: FloatArray, size: FloatArray, cells: IntArray
+) -> FloatArray:
     """How many of the differences of one (n, d) and two (k, d) fall into each cell of a picture, flat.
 
     periods (d,) of the axes. low (d,) : corner of the first cell. size, cells (d,) : of a cell, and how many there are.
@@ -328,7 +357,7 @@ def tally(one, two, periods, low, size, cells):
 
 
 @kernel
-def blocks(votes, place, around):
+def blocks(votes: FloatArray, place: IntArray, around: IntArray) -> FloatArray:
     """(k,) votes of the cells around each ``place`` (k,): in the flat picture ``votes``, ``around`` (b,) steps away."""
     out = np.zeros(len(place))
     for k in range(len(place)):

@@ -8,17 +8,23 @@ The same cells tell the search later where to look.
 from __future__ import annotations
 
 import math
+from collections import namedtuple
 
 import numpy as np
 
+from sameas.arrays import FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import kernel, part
+
+#: A source as it is laid out: guard (n, 4; see ``order.into_zones``); content, the covariance (n, p), on a plane after
+#: the features (n, d + p), without rows where the guard says it all; rows (n,).
+Side = namedtuple("Side", "content guard rows")
 
 #: Cells of a zone for each of its records: few enough to be looked up fast, enough that few records share one.
 CELLS = 2
 
 
 @kernel
-def extent(features):
+def extent(features: FloatArray) -> FloatArray:
     """(2, d) the least and the greatest value of every feature."""
     ends = np.empty((2, features.shape[1]))
     for v in range(features.shape[1]):
@@ -32,7 +38,16 @@ def extent(features):
 
 
 @kernel
-def tally(features, axis_x, axis_y, low_x, low_y, per_x, per_y, counts):
+def tally(
+    features: FloatArray,
+    axis_x: int,
+    axis_y: int,
+    low_x: float,
+    low_y: float,
+    per_x: float,
+    per_y: float,
+    counts: IntArray,
+) -> None:
     """Add to ``counts`` (c, c) how many records lie in each square of a grid of so many squares per unit."""
     last = len(counts) - 1.0
     for k in range(len(features)):
@@ -42,7 +57,9 @@ def tally(features, axis_x, axis_y, low_x, low_y, per_x, per_y, counts):
 
 
 @kernel
-def zones_of(features, rows, axis_y, low, per_y, zone, ends):
+def zones_of(
+    features: FloatArray, rows: Int32Array, axis_y: int, low: float, per_y: float, zone: Int32Array, ends: IntArray
+) -> None:
     """Fill ``zone`` (n,) with the zone of each of the ``rows``, ends (z+1,) with how many lie in those before each.
 
     per_y : zones per unit of y."""
@@ -56,8 +73,17 @@ def zones_of(features, rows, axis_y, low, per_y, zone, ends):
 
 
 @kernel
-def into_zones(features, variance, rows, axis_x, axis_y, zone, fill, side):
-    """Write the ``rows`` and their guards to ``side`` (``spans.Side``), zone by zone.
+def into_zones(
+    features: FloatArray,
+    variance: FloatArray,
+    rows: Int32Array,
+    axis_x: int,
+    axis_y: int,
+    zone: Int32Array,
+    fill: IntArray,
+    side: Side,
+) -> None:
+    """Write the ``rows`` and their guards to ``side`` (``order.Side``), zone by zone.
 
     The guard holds x, y and the variances in x and in y; on the sphere the third is to become the cosine of y.
     variance (n, d), or (n, 1) for all axes. fill (z,) : the first place of every zone.
@@ -76,7 +102,17 @@ def into_zones(features, variance, rows, axis_x, axis_y, zone, fill, side):
 
 
 @kernel
-def into_cells(features, covariance, turning, ends, frame, rank, base, grid, side):
+def into_cells(
+    features: FloatArray,
+    covariance: FloatArray,
+    turning: bool,
+    ends: IntArray,
+    frame: tuple[float, float],
+    rank: IntArray,
+    base: int,
+    grid: tuple[IntArray, Int32Array, FloatArray],
+    side: Side,
+) -> bool:
     """Put every zone in order by x, then content, then ``rank`` (one for each row of features), and note its cells.
 
     ends (z+1,), side : what :func:`zones_of` and :func:`into_zones` gave. frame : (low, extent) of x. grid : (first
@@ -116,7 +152,7 @@ def into_cells(features, covariance, turning, ends, frame, rank, base, grid, sid
 
 
 @part
-def cut(ends, x_extent, first, scale):
+def cut(ends: IntArray, x_extent: float, first: IntArray, scale: FloatArray) -> int:
     """Fill ``first`` (z+1,) with the first cell of every zone, ``scale`` with its cells per unit; returns the most."""
     first[0] = 0
     most = 0
@@ -129,7 +165,7 @@ def cut(ends, x_extent, first, scale):
 
 
 @part
-def cosines(guard, cosine):
+def cosines(guard: FloatArray, cosine: FloatArray) -> None:
     """Write the cosine of y to the third column of ``guard``; by way of ``cosine``, to work on many at once."""
     for t in range(len(guard)):
         cosine[t] = guard[t, 1]
@@ -140,7 +176,9 @@ def cosines(guard, cosine):
 
 
 @part
-def by_cell(guard, x_low, scale, cell, fill, order):
+def by_cell(
+    guard: FloatArray, x_low: float, scale: float, cell: Int32Array, fill: Int32Array, order: Int32Array
+) -> None:
     """Fill ``order`` with the numbers of a zone's records cell by cell, ``fill`` with where the cells end."""
     n = len(guard)
     fill[:] = 0
@@ -157,13 +195,21 @@ def by_cell(guard, x_low, scale, cell, fill, order):
 
 
 @part
-def cell_of(at, count):
+def cell_of(at: float, count: int) -> int:
     """The cell of a zone at so many cells from the first one's edge; beyond the first and the last, those."""
     return np.int64(min(max(at, 0.0), count - 1.0))
 
 
 @part
-def sort_cells(features, covariance, rank, rows, guard, ends, order):
+def sort_cells(
+    features: FloatArray,
+    covariance: FloatArray,
+    rank: IntArray,
+    rows: Int32Array,
+    guard: FloatArray,
+    ends: Int32Array,
+    order: Int32Array,
+) -> bool:
     """Put the records of a zone that share a cell in order; see :func:`into_cells`."""
     start = 0
     for c in range(len(ends) - 1):
@@ -175,7 +221,9 @@ def sort_cells(features, covariance, rank, rows, guard, ends, order):
 
 
 @part
-def sort_run(features, covariance, rank, rows, guard, order):
+def sort_run(
+    features: FloatArray, covariance: FloatArray, rank: IntArray, rows: Int32Array, guard: FloatArray, order: Int32Array
+) -> bool:
     """Sort the numbers of a few records, or of many, by x, content and rank: Shell's sort."""
     gap = np.int64(1)
     while 9 * gap < len(order):
@@ -203,7 +251,7 @@ def sort_run(features, covariance, rank, rows, guard, order):
 
 
 @part
-def precedes(features, covariance, rank, a, b):
+def precedes(features: FloatArray, covariance: FloatArray, rank: IntArray, a: int, b: int) -> int:
     """1 where row a comes before row b; −1 where after; 0 where both say the same and there is no rank."""
     for v in range(features.shape[1]):
         if features[a, v] != features[b, v]:
@@ -217,7 +265,7 @@ def precedes(features, covariance, rank, a, b):
 
 
 @kernel
-def take_rows(features, covariance, rows, content):
+def take_rows(features: FloatArray, covariance: FloatArray, rows: Int32Array, content: FloatArray) -> None:
     """Fill ``content`` with features, where there is room for them, and covariance of the rows."""
     p = covariance.shape[1]
     copied = content.shape[1] - p
@@ -235,7 +283,7 @@ def take_rows(features, covariance, rows, content):
 
 
 @part
-def sine(degrees):
+def sine(degrees: float) -> float:
     """The sine of 0 … 90°, by its series: the library's takes as long as the rest of the loop."""
     x = degrees * (math.pi / 180.0)
     z = x * x
@@ -253,7 +301,7 @@ def sine(degrees):
 
 
 @kernel
-def widest(covariance, out):
+def widest(covariance: FloatArray, out: FloatArray) -> None:
     """Fill ``out`` (n, 1) with the largest variance in any direction of packed covariances (n, 3)."""
     for k in range(len(covariance)):
         xx, xy, yy = covariance[k, 0], covariance[k, 1], covariance[k, 2]

@@ -8,14 +8,30 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
+from sameas.arrays import AnyIntArray, BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import kernel, part
 
 NONE = -1
 
 
 @kernel
-def eliminate(groups, start, first, mask, weight, merges, table_start, table, counted, cap, share, chosen, solved):
+def eliminate(
+    groups: IntArray,
+    start: IntArray,
+    first: IntArray,
+    mask: NDArray[np.uint64],
+    weight: FloatArray,
+    merges: IntArray,
+    table_start: IntArray,
+    table: FloatArray,
+    counted: bool,
+    cap: int,
+    share: FloatArray,
+    chosen: BoolArray,
+    solved: BoolArray,
+) -> None:
     """Fill ``share`` with every set's probability, ``chosen`` with the best partition, ``solved`` per group.
 
     groups : the groups to do. start : (g+1,) sets of each group, ascending in ``first``, the number of the set's first
@@ -37,7 +53,18 @@ def eliminate(groups, start, first, mask, weight, merges, table_start, table, co
 
 
 @part
-def _group(n, first, mask, weight, merges, log_p, counted, cap, share, chosen):
+def _group(
+    n: int,
+    first: IntArray,
+    mask: NDArray[np.uint64],
+    weight: FloatArray,
+    merges: IntArray,
+    log_p: FloatArray,
+    counted: bool,
+    cap: int,
+    share: FloatArray,
+    chosen: BoolArray,
+) -> bool:
     key, made, layer, origin, target, used = _steps(n, first, mask, merges, counted, cap)
     if len(layer) == 0:
         return False
@@ -63,7 +90,7 @@ def _group(n, first, mask, weight, merges, log_p, counted, cap, share, chosen):
 
 
 @part
-def _factors(n, mask, weight):
+def _factors(n: int, mask: NDArray[np.uint64], weight: FloatArray) -> FloatArray:
     """Per set its weight, no logarithm, by what its records could add elsewhere: at most 1, so that no sum overflows.
 
     Every partition has every record once, so that what is taken off for the records is the same for all of them.
@@ -85,7 +112,15 @@ def _factors(n, mask, weight):
 
 
 @part
-def _summed(layer, origin, target, used, factor, ends, share):
+def _summed(
+    layer: IntArray,
+    origin: Int32Array,
+    target: Int32Array,
+    used: Int32Array,
+    factor: FloatArray,
+    ends: FloatArray,
+    share: FloatArray,
+) -> bool:
     """Add to ``share`` of every set the part of all ways, from the first state to the last ones, that use it.
 
     Every layer's sums are divided by their largest. Every way takes one step from each layer to the next, so that the
@@ -118,7 +153,7 @@ def _summed(layer, origin, target, used, factor, ends, share):
 
 
 @part
-def _scaled(values):
+def _scaled(values: FloatArray) -> bool:
     """Divide by the largest; whether there is one above 0."""
     most = 0.0
     for value in values:
@@ -129,7 +164,9 @@ def _scaled(values):
 
 
 @part
-def _steps(n, first, mask, merges, counted, cap):
+def _steps(
+    n: int, first: IntArray, mask: NDArray[np.uint64], merges: IntArray, counted: bool, cap: int
+) -> tuple[Int32Array | IntArray | NDArray[np.uint64], ...]:
     """States (records taken, merges made), the layers' starts, and the steps between them; no layers beyond ``cap``."""
     one = np.uint64(1)
     key, made = np.zeros(64, np.uint64), np.zeros(64, np.int64)
@@ -172,7 +209,9 @@ def _steps(n, first, mask, merges, counted, cap):
 
 
 @part
-def _best(size, origin, target, used, weight):
+def _best(
+    size: int, origin: Int32Array, target: Int32Array, used: Int32Array, weight: FloatArray
+) -> tuple[FloatArray, IntArray]:
     """Per state the greatest weight of a way to it, and the last step of that."""
     best, step = np.full(size, -np.inf), np.full(size, NONE, np.int64)
     best[0] = 0.0
@@ -184,7 +223,7 @@ def _best(size, origin, target, used, weight):
 
 
 @part
-def _slot(slots, key, made, new, count):
+def _slot(slots: Int32Array, key: NDArray[np.uint64], made: IntArray, new: int, count: int) -> int:
     """Where the state stands among the slots, or the empty slot where it belongs."""
     last = np.uint64(len(slots) - 1)
     # Halves of 32 bits are multiplied, so that nothing overflows, interpreted neither.
@@ -198,7 +237,7 @@ def _slot(slots, key, made, new, count):
 
 
 @part
-def _rehashed(slots, key, made, low, high):
+def _rehashed(slots: Int32Array, key: NDArray[np.uint64], made: IntArray, low: int, high: int) -> Int32Array:
     wider = np.full(4 * len(slots), NONE, np.int32)
     for s in range(low, high):
         wider[_slot(wider, key, made, key[s], made[s])] = s
@@ -206,7 +245,7 @@ def _rehashed(slots, key, made, low, high):
 
 
 @part
-def _wider(values):
+def _wider(values: AnyIntArray) -> AnyIntArray:
     out = np.zeros(2 * len(values), values.dtype)
     out[: len(values)] = values
     return out

@@ -6,12 +6,14 @@ import math
 
 import numpy as np
 
+from sameas.arrays import FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import kernel, part
-from sameas.kernels.spans import ROOM, folded, near, taken_back
+from sameas.kernels.order import Side
+from sameas.kernels.spans import ROOM, Grid, Reach, folded, near, taken_back
 
 
 @part
-def add_spread(packed, k, at, d, out):
+def add_spread(packed: FloatArray, k: int, at: int, d: int, out: FloatArray) -> None:
     """Add row k of a packed covariance, which begins in column ``at``, to ``out`` (d, d), lower triangle only."""
     p = packed.shape[1] - at
     if p <= d:
@@ -25,7 +27,7 @@ def add_spread(packed, k, at, d, out):
 
 
 @part
-def whitened(matrix, residual, solved):
+def whitened(matrix: FloatArray, residual: FloatArray, solved: FloatArray) -> tuple[float, float]:
     """(Mahalanobis distance squared, determinant); the lower triangle of ``matrix`` becomes its Cholesky factor."""
     d = len(residual)
     distance = 0.0
@@ -50,10 +52,23 @@ def whitened(matrix, residual, solved):
 
 
 @kernel
-def sweep_plane(one, two, grid, reach, folds, told, limit, box, periods, first, last, out):
+def sweep_plane(
+    one: Side,
+    two: Side,
+    grid: Grid,
+    reach: Reach,
+    folds: tuple[float, float],
+    told: IntArray,
+    limit: float,
+    box: bool,
+    periods: FloatArray,
+    first: int,
+    last: int,
+    out: tuple[FloatArray | Int32Array, ...],
+) -> tuple[int, int]:
     """Candidates of the records at places ``first`` ≤ k < ``last`` of source 1, written into the arrays ``out``.
 
-    one, two : ``spans.Side``. grid, reach : of what lies in source 2. folds : periods of x and y. told : see
+    one, two : ``order.Side``. grid, reach : of what lies in source 2. folds : periods of x and y. told : see
     ``spans.near``, from ``first`` on. periods (d,). out : the columns of ``gate.Pairs``. Returns (candidates written,
     next k): next k < last when out is full.
     """
@@ -70,7 +85,18 @@ def sweep_plane(one, two, grid, reach, folds, told, limit, box, periods, first, 
 
 
 @part
-def measured_on_plane(one, two, limit, box, periods, of1, of2, found, count, out):
+def measured_on_plane(
+    one: Side,
+    two: Side,
+    limit: float,
+    box: bool,
+    periods: FloatArray,
+    of1: Int32Array,
+    of2: Int32Array,
+    found: int,
+    count: int,
+    out: tuple[FloatArray | Int32Array, ...],
+) -> tuple[int, int]:
     """Write those of the pairs that pass the gate; returns (candidates written, pairs done before out was full)."""
     place1, place2, i, j, residual, distance, determinant = out
     d = len(periods)
@@ -111,7 +137,7 @@ def measured_on_plane(one, two, limit, box, periods, of1, of2, found, count, out
 
 
 @kernel
-def plane_covariances(cov1, cov2, i, j, out):
+def plane_covariances(cov1: FloatArray, cov2: FloatArray, i: Int32Array, j: Int32Array, out: FloatArray) -> None:
     """Fill ``out`` (m, d, d) with the covariance of each pair's residual."""
     d = out.shape[1]
     out[:] = 0.0

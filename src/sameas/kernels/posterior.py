@@ -10,7 +10,9 @@ import math
 from collections import namedtuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import kernel, part
 from sameas.kernels.eliminate import eliminate, scratch
 
@@ -28,7 +30,7 @@ MOST_OPEN = 22
 #: Problems of more sums than this are laid out from as many records, spread over all, and the least is taken.
 MANY, TRIALS = 2048, 8
 #: After so many steps sums are divided by their largest where that is not within this factor of 1.
-EVERY, NARROW_GREAT = 4, 1e60
+EVERY, TREE_GREAT = 4, 1e60
 UNTOUCHED, BESIDE, OPEN, GONE = 0, 1, 2, 3
 
 #: The graph: CSR starts by record, of the neighbours and the pairs with them. The order: the records, their bits, the
@@ -41,7 +43,7 @@ Narrow = namedtuple(
 
 
 @part
-def narrow(records, pairs):
+def narrow(records: int, pairs: int) -> Narrow:
     """Room for groups of at most so many records and pairs; every problem that SUMS allows fits."""
     return Narrow(
         np.empty(records + 1, np.int64),
@@ -65,7 +67,7 @@ def narrow(records, pairs):
 
 
 @part
-def arranged(n, room):
+def arranged(n: int, room: Narrow) -> bool:
     """Find an order that needs few sums, and lay them out; False where there is no room for them."""
     most = len(room.sum)
     best = np.int64(0)  # not a literal: numba would compile for it apart
@@ -83,7 +85,7 @@ def arranged(n, room):
 
 
 @part
-def _laid_out_from(first, n, limit, room):
+def _laid_out_from(first: int, n: int, limit: int, room: Narrow) -> int:
     """Order the n records from ``first`` on and lay the sums out; returns their number, ``limit`` where not fewer."""
     for x in range(n):
         room.state[x] = UNTOUCHED
@@ -115,7 +117,7 @@ def _laid_out_from(first, n, limit, room):
 
 
 @part
-def _eliminated(x, actives, used, chosen, room):
+def _eliminated(x: int, actives: int, used: int, chosen: int, room: Narrow) -> tuple[int, int, int]:
     """Note the choices that record x has left, and open its neighbours; returns the three counters anew."""
     # It counted for its neighbours: as one to be opened, or as one that closes with the last of them.
     step = (1 if room.left[x] == 1 else 0) if room.state[x] == OPEN else -1
@@ -146,7 +148,7 @@ def _eliminated(x, actives, used, chosen, room):
 
 
 @part
-def _beside(y, actives, room):
+def _beside(y: int, actives: int, room: Narrow) -> int:
     """List the untouched neighbours of a record that opens as next to what is open, for which it opens no more."""
     for p in range(room.start[y], room.start[y + 1]):
         z = room.near[p]
@@ -159,7 +161,7 @@ def _beside(y, actives, room):
 
 
 @part
-def _next(actives, room):
+def _next(actives: int, room: Narrow) -> int:
     """Place of the listed record after which fewest are open; of those, with fewest choices, then the first."""
     best, least = np.int64(0), np.int64(1) << 60
     for k in range(actives):
@@ -171,7 +173,9 @@ def _next(actives, room):
 
 
 @part
-def sum_narrow(n, odds, loose, room, share, open_, taken):
+def sum_narrow(
+    n: int, odds: FloatArray, loose: FloatArray, room: Narrow, share: FloatArray, open_: FloatArray, taken: FloatArray
+) -> None:
     """Exact probabilities: ``share`` of every pair, of every record to be left ``open_`` or ``taken``; arranged before.
 
     odds of the pairs, ``loose`` of every record to be left alone.
@@ -191,7 +195,7 @@ def sum_narrow(n, odds, loose, room, share, open_, taken):
 
 
 @part
-def _forwards(t, alone, room):
+def _forwards(t: int, alone: float, room: Narrow) -> None:
     value, bit, odds = room.sum, room.bit, room.odds
     now, then, own = room.begin[t], room.begin[t + 1], room.own[t]
     low, high = room.first[t], room.first[t + 1]
@@ -211,7 +215,9 @@ def _forwards(t, alone, room):
 
 
 @part
-def _backwards(t, x, loose, room, share, open_, taken):
+def _backwards(
+    t: int, x: int, loose: FloatArray, room: Narrow, share: FloatArray, open_: FloatArray, taken: FloatArray
+) -> None:
     """The sums ahead in the place of those so far; probabilities of the record's pairs, and of being open or taken."""
     value, bit, odds = room.sum, room.bit, room.odds
     now, then, own = room.begin[t], room.begin[t + 1], room.own[t]
@@ -243,12 +249,12 @@ def _backwards(t, x, loose, room, share, open_, taken):
 
 
 @part
-def _settle(begin, size, room):
+def _settle(begin: int, size: int, room: Narrow) -> None:
     """Divide sums by the largest where that gets out of hand."""
     largest = 0.0
     for s in range(begin, begin + size):
         largest = max(largest, room.sum[s])
-    if largest > NARROW_GREAT or 0.0 < largest < 1.0 / NARROW_GREAT:
+    if largest > TREE_GREAT or 0.0 < largest < 1.0 / TREE_GREAT:
         for s in range(begin, begin + size):
             room.sum[s] /= largest
 
@@ -273,7 +279,7 @@ Forest = namedtuple("Forest", "degree pairs loose scale taken open leaf through 
 
 
 @part
-def forest(records):
+def forest(records: int) -> Forest:
     """Room for groups of at most so many records."""
     return Forest(
         np.empty(records, np.int64),
@@ -290,7 +296,7 @@ def forest(records):
 
 
 @part
-def fold(n1, n2, first, second, odds, room):
+def fold(n1: int, n2: int, first: Int32Array, second: Int32Array, odds: FloatArray, room: Forest) -> int:
     """Fold the leaves of n₁ + n₂ records whose ``loose`` is filled in; returns the number of leaves.
 
     first, second : (m,) numbers of the records of each pair in their sources. Records that remain have a ``degree``.
@@ -336,7 +342,7 @@ def fold(n1, n2, first, second, odds, room):
 
 
 @part
-def unfold(leaves, n1, first, second, room, share):
+def unfold(leaves: int, n1: int, first: Int32Array, second: Int32Array, room: Forest, share: FloatArray) -> None:
     """Fill ``share`` of the pairs by which leaves were folded, from ``open`` and ``taken`` of the core's records."""
     taken, open_ = room.taken, room.open
     for k in range(leaves - 1, -1, -1):
@@ -352,7 +358,17 @@ def unfold(leaves, n1, first, second, room, share):
 
 
 @part
-def core_of(n1, n2, first, second, odds, room, record, graph, core_odds):
+def core_of(
+    n1: int,
+    n2: int,
+    first: Int32Array,
+    second: Int32Array,
+    odds: FloatArray,
+    room: Forest,
+    record: IntArray,
+    graph: Narrow,
+    core_odds: FloatArray,
+) -> int:
     """Lay the records that remain out as a graph (``narrow``), with the ``odds`` of its pairs; returns their number.
 
     ``record`` is filled with the graph's records' numbers among the n₁ + n₂.
@@ -385,13 +401,30 @@ HIGHEST = 300.0
 
 
 @part
-def bounded_exp(x):
+def bounded_exp(x: float) -> float:
     """exp(x) for x ≤ 0, never quite zero."""
     return math.exp(max(x, -DEEPEST))
 
 
 @part
-def by_row(n1, n2, low, high, local1, local2, weight, u, v, flipped, start, column, pair, odds, none, unused):
+def by_row(
+    n1: int,
+    n2: int,
+    low: int,
+    high: int,
+    local1: Int32Array,
+    local2: Int32Array,
+    weight: FloatArray,
+    u: FloatArray,
+    v: FloatArray,
+    flipped: bool,
+    start: IntArray,
+    column: Int32Array,
+    pair: IntArray,
+    odds: FloatArray,
+    none: FloatArray,
+    unused: FloatArray,
+) -> tuple[int, int]:
     """The reduced problem of one group, its rows being source 1 or, ``flipped``, source 2."""
     n = n2 if flipped else n1
     nc = n1 if flipped else n2
@@ -420,7 +453,7 @@ def by_row(n1, n2, low, high, local1, local2, weight, u, v, flipped, start, colu
 
 
 @part
-def star(low, high, weight, share):
+def star(low: int, high: int, weight: FloatArray, share: FloatArray) -> None:
     """Closed form where one record has all the pairs of the group: a softmax with the null."""
     top = 0.0
     for e in range(low, high):
@@ -434,7 +467,7 @@ def star(low, high, weight, share):
 
 
 @part
-def count_factors(prior, slope, size):
+def count_factors(prior: FloatArray, slope: float, size: int) -> FloatArray:
     """exp(ln P(k) − μ (k − k₀)) relative to the best hypothesis' k₀ = ``size``; 0 where out of reach."""
     factors = np.zeros(len(prior))
     for k in range(len(prior)):
@@ -445,7 +478,21 @@ def count_factors(prior, slope, size):
 
 
 @kernel
-def exact(first, last, start, start1, start2, local1, local2, weight, u, v, most, share, method):
+def exact(
+    first: int,
+    last: int,
+    start: IntArray,
+    start1: IntArray,
+    start2: IntArray,
+    local1: Int32Array,
+    local2: Int32Array,
+    weight: FloatArray,
+    u: FloatArray,
+    v: FloatArray,
+    most: int,
+    share: FloatArray,
+    method: NDArray[np.int8],
+) -> None:
     """Posterior ``share`` (m,) of the pairs of the groups first … last − 1 under a linear prior, where it can be exact.
 
     method (g,) receives CLOSED, ELIMINATED or, with nothing filled in, LOCAL: where both sides have more than ``most``
@@ -494,9 +541,24 @@ def exact(first, last, start, start1, start2, local1, local2, weight, u, v, most
 
 @kernel
 def exact_counted(
-    first, last, start, start1, start2, local1, local2, weight, chosen, u, v, table_start, table, slope, most, share,
-    method,
-):  # fmt: skip
+    first: int,
+    last: int,
+    start: IntArray,
+    start1: IntArray,
+    start2: IntArray,
+    local1: Int32Array,
+    local2: Int32Array,
+    weight: FloatArray,
+    chosen: BoolArray,
+    u: FloatArray,
+    v: FloatArray,
+    table_start: IntArray,
+    table: FloatArray,
+    slope: FloatArray,
+    most: int,
+    share: FloatArray,
+    method: NDArray[np.int8],
+) -> None:
     """The same as :func:`exact` under any prior of the count: weight excludes it (see ``assign_counted``).
 
     table[table_start[g] + k] : ln P of k pairs.

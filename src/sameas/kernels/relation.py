@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from sameas.arrays import FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import kernel, part
 from sameas.kernels.linear import solve
 
@@ -11,7 +12,7 @@ from sameas.kernels.linear import solve
 
 
 @part
-def directory(knots):
+def directory(knots: FloatArray) -> IntArray:
     """For steps of a 128th from the first knot to the last, the knot at or before each: where a search begins."""
     found, at = np.zeros(128, np.int64), 0
     for step in range(len(found)):
@@ -23,7 +24,7 @@ def directory(knots):
 
 
 @part
-def interval(knots, found, x):
+def interval(knots: FloatArray, found: IntArray, x: float) -> tuple[int, int, float]:
     """The knot at or before x, that after it, and how far x is between them, 0 … 1; nothing changes beyond the ends.
 
     found : the ``directory`` of the knots.
@@ -40,7 +41,17 @@ def interval(knots, found, x):
 
 
 @kernel
-def climb(magnitude, log_odds, shown, knots, penalty, values, steps, longest, settled):
+def climb(
+    magnitude: FloatArray,
+    log_odds: FloatArray,
+    shown: FloatArray,
+    knots: FloatArray,
+    penalty: FloatArray,
+    values: FloatArray,
+    steps: int,
+    longest: float,
+    settled: float,
+) -> None:
     """Newton's steps towards the penalised maximum of the likelihood of ``values`` (k,) at ``knots``, in place.
 
     magnitude, log_odds, shown : (n,) of the records, what their log odds are without the curve, and the probability
@@ -78,7 +89,15 @@ def climb(magnitude, log_odds, shown, knots, penalty, values, steps, longest, se
 
 
 @kernel
-def weigh(magnitude, share, wanted, least, knots, values, out):
+def weigh(
+    magnitude: FloatArray,
+    share: FloatArray,
+    wanted: Int32Array,
+    least: float,
+    knots: FloatArray,
+    values: FloatArray,
+    out: FloatArray,
+) -> None:
     """Fill ``out`` (n,) at the records ``wanted`` with what ½ ln s − ln (1 − s) gains when shares s (n,) follow the
     curve: ½ [v + ln (1 − s + s eᵛ)] where its value is v; 0 of a NaN magnitude.
 
@@ -94,7 +113,16 @@ def weigh(magnitude, share, wanted, least, knots, values, out):
 
 
 @kernel
-def log_mixture(y, variance, others, other_variance, knots, relation, background, out):
+def log_mixture(
+    y: FloatArray,
+    variance: FloatArray,
+    others: FloatArray,
+    other_variance: FloatArray,
+    knots: FloatArray,
+    relation: tuple[FloatArray, ...],
+    background: FloatArray,
+    out: FloatArray,
+) -> None:
     """Fill ``out`` (n,) with ln of the density of magnitudes y (n,), given others (n, 1 + c), and variances of both.
 
     knots : (k,) rising, of the first of the others. relation : offset and scatter (k,), slopes and centres (c,), scales
@@ -122,7 +150,7 @@ def log_mixture(y, variance, others, other_variance, knots, relation, background
 
 
 @part
-def _ninth(x):
+def _ninth(x: float) -> float:
     """x⁹: what a normal's height at a place becomes when it is three times as narrow, but for its peak."""
     square = x * x
     fourth = square * square
@@ -130,7 +158,7 @@ def _ninth(x):
 
 
 @kernel
-def quartiles(order, values, weight, nearest, out):
+def quartiles(order: IntArray, values: FloatArray, weight: FloatArray, nearest: IntArray, out: FloatArray) -> None:
     """Fill ``out`` (3, k + 1) with the weighted quartiles of the values (n,) nearest to each of k knots, and of all.
 
     order : (n,) rising order of the values.
@@ -150,7 +178,18 @@ def quartiles(order, values, weight, nearest, out):
 
 
 @kernel
-def gather(at, weight, y, variance, others, other_variance, unrelated, weighed, sample, colours):
+def gather(
+    at: IntArray,
+    weight: FloatArray,
+    y: FloatArray,
+    variance: FloatArray,
+    others: FloatArray,
+    other_variance: FloatArray,
+    unrelated: FloatArray,
+    weighed: bool,
+    sample: FloatArray,
+    colours: FloatArray,
+) -> None:
     """Fill ``sample`` (n, 7) and ``colours`` (n, 2c), but for their centres, with what ``learn`` takes of the rows
     ``at`` (n,) of the others (r, ·), whose pairs have the probabilities ``weight`` (n,).
 
@@ -170,7 +209,15 @@ def gather(at, weight, y, variance, others, other_variance, unrelated, weighed, 
 
 
 @kernel
-def learn(sample, colours, knots, relation, penalty, priors, steps):
+def learn(
+    sample: FloatArray,
+    colours: FloatArray,
+    knots: FloatArray,
+    relation: tuple[FloatArray, ...],
+    penalty: FloatArray,
+    priors: FloatArray,
+    steps: int,
+) -> None:
     """Steps of EM, in place, until one changes nothing by more than a share of its standard error, or none are left.
 
     sample : (n, 7) difference of the magnitude and the first of the others, variances of both, weight, density of the
@@ -212,7 +259,13 @@ def learn(sample, colours, knots, relation, penalty, priors, steps):
 
 
 @part
-def _summed(sample, colours, hats, relation, told):
+def _summed(
+    sample: FloatArray,
+    colours: FloatArray,
+    hats: tuple[IntArray, FloatArray],
+    relation: tuple[FloatArray, ...],
+    told: FloatArray,
+) -> tuple[FloatArray | float, ...]:
     """What a step needs of the pairs.
 
     Normal equations (k + c, k + c) and (k + c,); Σ of what is owned · basis (k + c,); counts of the mixture's normals
@@ -276,7 +329,17 @@ def _summed(sample, colours, hats, relation, told):
 
 
 @part
-def _scatters(scatter, error, hats, told, excess, share, number, fitted, priors):
+def _scatters(
+    scatter: FloatArray,
+    error: FloatArray,
+    hats: tuple[IntArray, FloatArray],
+    told: FloatArray,
+    excess: FloatArray,
+    share: FloatArray,
+    number: float,
+    fitted: int,
+    priors: FloatArray,
+) -> float:
     """Fill the scatters (k,) beyond the quoted errors, and the ``error`` of the typical one, which is returned."""
     left, upper = hats
     drawing, least = priors[-3], priors[-2]
@@ -302,7 +365,7 @@ def _scatters(scatter, error, hats, told, excess, share, number, fitted, priors)
 
 
 @part
-def _shares(shares, counts, weight, number, priors):
+def _shares(shares: FloatArray, counts: FloatArray, weight: float, number: float, priors: FloatArray) -> None:
     """Fill the shares of the mixture's normals and, last, of what is unrelated."""
     total = weight - number + priors[-4]
     shares[-1] = total

@@ -14,12 +14,9 @@ from collections import namedtuple
 
 import numpy as np
 
+from sameas.arrays import ByteArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import kernel, part
-from sameas.kernels.order import cell_of
-
-#: A source as it is laid out: guard (n, 4; see ``order.into_zones``); content, the covariance (n, p), on a plane after
-#: the features (n, d + p), without rows where the guard says it all; rows (n,).
-Side = namedtuple("Side", "content guard rows")
+from sameas.kernels.order import Side, cell_of
 
 #: One class of a source, laid out: the first cell of every zone, the first record of every cell, cells per unit of x in
 #: every zone, x of the first cell's edge; y of the first zone's edge and zones per unit of y,
@@ -40,13 +37,13 @@ LONG = 24
 
 
 @part
-def folded(value, period):
+def folded(value: float, period: float) -> float:
     """A difference of two angles within half a period."""
     return value - period * math.floor(value / period + 0.5) if period < np.inf else value
 
 
 @part
-def first_from(guard, start, stop, x):
+def first_from(guard: FloatArray, start: int, stop: int, x: float) -> int:
     """The first of the records start … stop − 1 of a zone that does not lie before x, or stop."""
     while start < stop:
         middle = (start + stop) // 2
@@ -58,7 +55,7 @@ def first_from(guard, start, stop, x):
 
 
 @part
-def zones_within(grid, y, reach):
+def zones_within(grid: Grid, y: float, reach: float) -> tuple[int, int]:
     """(first, last) zone within reach of y; those of a ring are counted on beyond either end of it."""
     last = len(grid.scale) - 1.0
     if grid.wraps:
@@ -73,7 +70,7 @@ def zones_within(grid, y, reach):
 
 
 @part
-def inside(grid, guard, zone, x, window):
+def inside(grid: Grid, guard: FloatArray, zone: int, x: float, window: float) -> tuple[int, int]:
     """(low, high) of the stretch of a zone within a window of x, and perhaps some more."""
     first = np.uint64(grid.first[zone])
     number = grid.first[zone + 1] - grid.first[zone]
@@ -87,7 +84,9 @@ def inside(grid, guard, zone, x, window):
 
 
 @part
-def across(grid, guard, zone, x, window, folds):
+def across(
+    grid: Grid, guard: FloatArray, zone: int, x: float, window: float, folds: tuple[float, float] | None
+) -> tuple[int, ...]:
     """(low, high) twice of the stretches of a zone within a window that reaches over the period's end, or all round."""
     period = 360.0 if folds is None else folds[0]
     start, stop = np.int64(grid.starts[grid.first[zone]]), np.int64(grid.starts[grid.first[zone + 1]])
@@ -100,7 +99,9 @@ def across(grid, guard, zone, x, window, folds):
 
 
 @part
-def around(one, grid, reach, folds, k):
+def around(
+    one: Side, grid: Grid, reach: Reach, folds: tuple[float, float] | None, k: int
+) -> tuple[bool | float | int, ...]:
     """What record k reaches: (first and last zone, half width of the window, opening, whether it crosses a period)."""
     reach_y = math.sqrt(reach.opening * (one.guard[k, 3] + reach.widest_y))
     bottom, top = zones_within(grid, one.guard[k, 1], reach_y)
@@ -116,7 +117,17 @@ def around(one, grid, reach, folds, k):
 
 
 @part
-def near(one, two, grid, reach, folds, told, at, last, room):
+def near(
+    one: Side,
+    two: Side,
+    grid: Grid,
+    reach: Reach,
+    folds: tuple[float, float] | None,
+    told: IntArray,
+    at: tuple[int, ...],
+    last: int,
+    room: tuple[Int32Array, Int32Array, ByteArray],
+) -> tuple[int, tuple[int, ...]]:
     """Fill of1, of2 with pairs near enough to be measured, of the records from ``at`` on, as many as fit.
 
     at : (k, zones of k done, records of the next one done, pairs of ``told`` done). told : further pairs k << 32 | q,
@@ -158,7 +169,17 @@ def near(one, two, grid, reach, folds, told, at, last, room):
 
 
 @part
-def piecewise(guard1, guard2, folds, opening, k, ends, skip, room, count):
+def piecewise(
+    guard1: FloatArray,
+    guard2: FloatArray,
+    folds: tuple[float, float] | None,
+    opening: float,
+    k: int,
+    ends: tuple[int, ...],
+    skip: int,
+    room: tuple[Int32Array, Int32Array, ByteArray],
+    count: int,
+) -> tuple[int, int]:
     """Two stretches, one after the other, from record ``skip`` of them on; returns (pairs, 0), or, when of1 is full
     before their end, (pairs, 1 + records done).
 
@@ -175,7 +196,17 @@ def piecewise(guard1, guard2, folds, opening, k, ends, skip, room, count):
 
 
 @part
-def near_in(guard1, guard2, folds, opening, k, low, high, room, count):
+def near_in(
+    guard1: FloatArray,
+    guard2: FloatArray,
+    folds: tuple[float, float] | None,
+    opening: float,
+    k: int,
+    low: int,
+    high: int,
+    room: tuple[Int32Array, Int32Array, ByteArray],
+    count: int,
+) -> int:
     """Add to of1, of2 the records low ≤ c < high that lie near enough to k; returns the number of pairs."""
     of1, of2, passes = room
     x, y, a, b = guard1[k, 0], guard1[k, 1], guard1[k, 2], guard1[k, 3]
@@ -193,7 +224,9 @@ def near_in(guard1, guard2, folds, opening, k, low, high, room, count):
 
 
 @part
-def is_near(guard, c, x, y, a, b, opening, folds):
+def is_near(
+    guard: FloatArray, c: int, x: float, y: float, a: float, b: float, opening: float, folds: tuple[float, float] | None
+) -> bool:
     """Whether a record lies near (x, y), of which the guard says also (a, b): all that the gate lets pass do."""
     if folds is None:
         dlat = y - guard[c, 1]
@@ -205,7 +238,10 @@ def is_near(guard, c, x, y, a, b, opening, folds):
 
 
 @kernel
-def visit(one, two, grid, reach, folds, first, last, out):
+def visit(
+    one: Side, two: Side, grid: Grid, reach: Reach, folds: tuple[float, float] | None, first: int, last: int,
+    out: tuple[IntArray, ...],
+) -> tuple[int, int]:  # fmt: skip
     """Pairs near enough of the records ``first`` ≤ k < ``last`` of one with what lies in a grid of two, as k << 32 | q.
 
     Written into out[0]; returns (pairs written, next k): next k < last when it is full.
@@ -229,7 +265,7 @@ def visit(one, two, grid, reach, folds, first, last, out):
 
 
 @kernel
-def turned_round(pairs, starts, out):
+def turned_round(pairs: IntArray, starts: IntArray, out: IntArray) -> None:
     """Fill ``out`` with sorted pairs k << 32 | q as q << 32 | k, sorted. starts : zeros, one more than there are q."""
     for e in range(len(pairs)):
         starts[(pairs[e] & 0xFFFFFFFF) + 1] += 1
@@ -242,7 +278,7 @@ def turned_round(pairs, starts, out):
 
 
 @part
-def taken_back(place1, count, k):
+def taken_back(place1: Int32Array, count: int, k: int) -> int:
     """The number of candidates before those of record k, which are the last ones."""
     while count > 0 and place1[count - 1] == k:
         count -= 1

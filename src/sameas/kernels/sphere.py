@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 
+from sameas.arrays import FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import kernel, part
-from sameas.kernels.order import sine
-from sameas.kernels.spans import ROOM, near, taken_back
+from sameas.kernels.order import Side, sine
+from sameas.kernels.spans import ROOM, Grid, Reach, near, taken_back
 
 DEG = math.pi / 180.0
 ARCSEC = 206264.80624709636
@@ -17,7 +18,7 @@ CLOSE_DEG = 0.8
 
 
 @part
-def spread_2d(packed, k, at):
+def spread_2d(packed: FloatArray, k: int, at: int) -> tuple[float, float, float]:
     """(xx, xy, yy) of row k of a packed covariance of two features, which begins in column ``at``."""
     p = packed.shape[1] - at
     if p == 1:
@@ -28,7 +29,7 @@ def spread_2d(packed, k, at):
 
 
 @part
-def turned(xx, xy, yy, c, s):
+def turned(xx: float, xy: float, yy: float, c: float, s: float) -> tuple[float, float, float]:
     """A covariance turned counter-clockwise by the angle of cosine c and sine s."""
     return (
         c * c * xx - 2.0 * c * s * xy + s * s * yy,
@@ -38,7 +39,7 @@ def turned(xx, xy, yy, c, s):
 
 
 @part
-def close_series(dlon, dlat):
+def close_series(dlon: float, dlat: float) -> tuple[float, ...]:
     """Sine and cosine of half of two angles in degrees: (sin ½Δα, cos ½Δα, sin ½Δδ, cos ½Δδ).
 
     Series for about a degree: their remainders are below 1e-17 of the argument.
@@ -55,7 +56,7 @@ def close_series(dlon, dlat):
 
 
 @part
-def close_residual(dlon, dlat, cosines):
+def close_residual(dlon: float, dlat: float, cosines: float) -> tuple[float, float]:
     """(east, north) in arcsec of two directions less than CLOSE_DEG apart in either; cosines: cos δ₁ + cos δ₂."""
     sin_lon, cos_lon, sin_lat, cos_lat = close_series(dlon, dlat)
     # cos δ₁ + cos δ₂ = 2 cos of the middle · cos of half the difference.
@@ -67,7 +68,7 @@ def close_residual(dlon, dlat, cosines):
 
 
 @part
-def close_turn(dlon, dlat, latitudes):
+def close_turn(dlon: float, dlat: float, latitudes: float) -> float:
     """The tangent of half the turn between the axes of two directions as close; latitudes: δ₁ + δ₂."""
     sin_lon, cos_lon, _, cos_lat = close_series(dlon, dlat)
     middle = 0.5 * latitudes
@@ -75,7 +76,7 @@ def close_turn(dlon, dlat, latitudes):
 
 
 @part
-def wide_residual(dlon, dlat, latitudes):
+def wide_residual(dlon: float, dlat: float, latitudes: float) -> tuple[float, float]:
     """(east, north) in arcsec of any two directions; see space.Sphere."""
     half_lon = 0.5 * DEG * dlon
     half_lat = 0.5 * DEG * dlat
@@ -87,7 +88,7 @@ def wide_residual(dlon, dlat, latitudes):
 
 
 @part
-def wide_turn(dlon, dlat, latitudes):
+def wide_turn(dlon: float, dlat: float, latitudes: float) -> float:
     """The tangent of half the turn between the axes of any two directions."""
     across = math.sin(0.5 * DEG * dlon) * math.sin(0.5 * DEG * latitudes)
     along = math.cos(0.5 * DEG * dlon) * math.cos(0.5 * DEG * dlat)
@@ -95,13 +96,15 @@ def wide_turn(dlon, dlat, latitudes):
 
 
 @part
-def shorter_way(dlon):
+def shorter_way(dlon: float) -> float:
     """A difference of two longitudes of 0 … 360° as −180 … 180°."""
     return dlon - (360.0 if dlon > 180.0 else (-360.0 if dlon < -180.0 else 0.0))
 
 
 @part
-def sphere_spread(packed1, k1, packed2, k2, at, turn):
+def sphere_spread(
+    packed1: FloatArray, k1: int, packed2: FloatArray, k2: int, at: int, turn: float
+) -> tuple[float, float, float]:
     """(xx, xy, yy) of the sum of both covariances on the axes halfway; turn: the tangent of half their turn."""
     ax, axy, ay = spread_2d(packed1, k1, at)
     bx, bxy, by = spread_2d(packed2, k2, at)
@@ -113,10 +116,21 @@ def sphere_spread(packed1, k1, packed2, k2, at, turn):
 
 
 @kernel
-def sweep_sphere(one, two, grid, reach, told, limit, box, first, last, out):
+def sweep_sphere(
+    one: Side,
+    two: Side,
+    grid: Grid,
+    reach: Reach,
+    told: IntArray,
+    limit: float,
+    box: bool,
+    first: int,
+    last: int,
+    out: tuple[FloatArray | Int32Array, ...],
+) -> tuple[int, int]:
     """Candidates of the records at places ``first`` ≤ k < ``last`` of source 1, written into the arrays ``out``.
 
-    one, two : ``spans.Side``, guards (longitude, latitude, its cosine, variance). grid, reach : of what lies in source
+    one, two : ``order.Side``, guards (longitude, latitude, its cosine, variance). grid, reach : of what lies in source
     2. told : see ``spans.near``, from ``first`` on. out : the columns of ``gate.Pairs``. Returns (candidates written,
     next k): next k < last when out is full.
     """
@@ -134,7 +148,9 @@ def sweep_sphere(one, two, grid, reach, told, limit, box, first, last, out):
 
 
 @part
-def residuals(one, two, of1, of2, found, circles, terms):
+def residuals(
+    one: Side, two: Side, of1: Int32Array, of2: Int32Array, found: int, circles: bool, terms: FloatArray
+) -> None:
     """Fill terms[0], terms[1] with residuals east and north of so many pairs; terms[2] with turns, unless circles."""
     east, north, turn, dlon, dlat, cosines, latitudes = terms
     close = True
@@ -160,7 +176,18 @@ def residuals(one, two, of1, of2, found, circles, terms):
 
 
 @part
-def measured_on_sphere(one, two, limit, box, of1, of2, found, terms, count, out):
+def measured_on_sphere(
+    one: Side,
+    two: Side,
+    limit: float,
+    box: bool,
+    of1: Int32Array,
+    of2: Int32Array,
+    found: int,
+    terms: FloatArray,
+    count: int,
+    out: tuple[FloatArray | Int32Array, ...],
+) -> tuple[int, int]:
     """Write those of the pairs that pass the gate; returns (candidates written, pairs done before out was full)."""
     place1, place2, i, j, residual, distance, determinant = out
     circles = len(one.content) == 0
@@ -190,7 +217,15 @@ def measured_on_sphere(one, two, limit, box, of1, of2, found, terms, count, out)
 
 
 @kernel
-def sphere_covariances(features1, cov1, features2, cov2, i, j, out):
+def sphere_covariances(
+    features1: FloatArray,
+    cov1: FloatArray,
+    features2: FloatArray,
+    cov2: FloatArray,
+    i: Int32Array,
+    j: Int32Array,
+    out: FloatArray,
+) -> None:
     """Fill ``out`` (m, 2, 2) with the covariance of each pair's residual."""
     for k in range(len(i)):
         # Records keep the longitudes that they were given, any number of turns away; the search has folded its own.

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import kernel
 
 
 @kernel
-def per_record(record, n, chosen, p_pair):
+def per_record(
+    record: Int32Array, n: int, chosen: BoolArray, p_pair: FloatArray
+) -> tuple[FloatArray | Int32Array | IntArray, ...]:
     """For each of n records its chosen pair or −1, its most probable other pair or −1, candidates, Σ p of its pairs."""
     partner = np.full(n, -1, np.int64)
     second = np.full(n, -1, np.int64)
@@ -26,7 +29,7 @@ def per_record(record, n, chosen, p_pair):
 
 
 @kernel
-def foremost(position, n, value):
+def foremost(position: Int32Array, n: int, value: FloatArray) -> IntArray:
     """(n,) the pair of greatest value of each record, the first of equal ones; −1 without pairs.
 
     position : (m,) record of each pair. value : (m,).
@@ -40,7 +43,15 @@ def foremost(position, n, value):
 
 
 @kernel
-def by_row(at, told, pairs, rows, shares, counts, absent):
+def by_row(
+    at: IntArray,
+    told: tuple[FloatArray | Int32Array | IntArray, ...],
+    pairs: tuple[FloatArray | Int32Array | IntArray, ...],
+    rows: tuple[IntArray, IntArray, IntArray],
+    shares: tuple[FloatArray, FloatArray, FloatArray],
+    counts: tuple[Int32Array, Int32Array, IntArray],
+    absent: tuple[BoolArray, ...],
+) -> None:
     """Write what is told of each record to its row ``at[k]`` of the table.
 
     told : what :func:`per_record` gave. pairs : probability and position of the other record, (m,) each, the rows (n,)
