@@ -33,7 +33,7 @@ import sameas
 
 HOME = Path(__file__).parents[1]
 PAGES = [HOME / "README.md", *sorted((HOME / "docs").rglob("*.md"))]
-OTHERS = [HOME / name for name in ("VISION.md", "CHANGELOG.md", "CONTRIBUTING.md")]
+OTHERS = [HOME / name for name in ("VISION.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "CODE_OF_CONDUCT.md")]
 RUN = ("python", "console")
 
 FENCE = re.compile(r"(?P<says>(?:^<!--[^\n]*-->\n)*)^```(?P<kind>\w*)\n(?P<code>.*?)^```$", re.MULTILINE | re.DOTALL)
