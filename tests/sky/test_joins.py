@@ -84,5 +84,5 @@ def test_names_of_nway_on_request(matched):
 
 
 def test_an_unknown_join_names_the_known_ones(matched):
-    with pytest.raises(InputError, match="join '1in2' is not known; choose one of 1and2, 1or2"):
+    with pytest.raises(InputError, match="join '1in2' is not known; choose one of all1, 1and2"):
         joined(matched, "1in2")
