@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from benchmarks.study import experiments, mori, priors, several, tally, trial
+from benchmarks.study.__main__ import main
 from benchmarks.study.claims import Claim
 from benchmarks.study.contenders import (
     PAPERS_GATE,
@@ -23,10 +24,8 @@ from benchmarks.study.reach import EstimatedReach
 from benchmarks.study.scenes import EQUAL, FAR, UNEQUAL, Lattice, Scatter
 from benchmarks.study.study import studied
 from benchmarks.study.tally import Ratio, Tally, count, rightly
-from typer.testing import CliRunner
 
 from sameas import CommonObjects, identify
-from sameas.cli.app import app
 from sameas.errors import InputError
 from sameas.many.identify import identify_many
 from sameas.score.pairs import is_true_pair, score_probabilities, score_records
@@ -257,7 +256,7 @@ def test_without_stone_soup_its_column_is_left_out_and_said(monkeypatch):
 
     monkeypatch.setattr(stonesoup, "find_spec", lambda name: None)
     assert not any("Stone Soup" in c.name for point in experiments.spacing() for c in point.contenders)
-    with pytest.raises(InputError, match=r"Stone Soup is missing: pip install 'sameas\[study\]'"):
+    with pytest.raises(InputError, match=r"Stone Soup is missing: pip install 'sameas\[stonesoup\]'"):
         stonesoup.StoneSoup()(drawn(FIVE, 2), FIVE)
     said = command.summary(studied(2, ["priors"]))
     assert any("Stone Soup is missing" in line for line in said)
@@ -346,11 +345,11 @@ def small(monkeypatch):
     monkeypatch.setattr(experiments, "several", lambda scenes: few)
 
 
-def test_the_command_writes_tables_figures_and_the_page(small, tmp_path):
+def test_the_command_writes_tables_figures_and_the_page(small, tmp_path, capsys):
     pytest.importorskip("matplotlib")
-    done = CliRunner().invoke(app, ["study", "--scenes", "6", "-o", str(tmp_path / "out")], catch_exceptions=False)
-    assert done.exit_code == 0, done.output
-    assert "What was claimed" in done.output and "6 scenes a point" in done.output
+    main(["--scenes", "6", "-o", str(tmp_path / "out")])
+    printed = capsys.readouterr().out
+    assert "What was claimed" in printed and "6 scenes a point" in printed
     page = (tmp_path / "out/study.md").read_text()
     assert page.startswith("# What the papers claim and what we measure")
     figures = sorted(path.name for path in (tmp_path / "out/figures").iterdir())
@@ -366,18 +365,18 @@ def test_the_command_writes_tables_figures_and_the_page(small, tmp_path):
     assert (tmp_path / "out/tables/several.md").read_text().startswith("| scene | sources |")
 
 
-def test_one_experiment_alone_writes_its_tables_and_no_page(small, tmp_path):
-    run = CliRunner().invoke
-    done = run(app, ["study", "--quick", "--only", "priors", "-o", str(tmp_path)], catch_exceptions=False)
-    assert done.exit_code == 0 and "Linear prior" in done.output
+def test_one_experiment_alone_writes_its_tables_and_no_page(small, tmp_path, capsys):
+    main(["--quick", "--only", "priors", "-o", str(tmp_path)])
+    assert "Linear prior" in capsys.readouterr().out
     assert sorted(path.name for path in tmp_path.rglob("*") if path.is_file()) == ["priors.md", "priors.parquet"]
     for arguments, words in (
         (["--only", "prior"], "no experiment is called prior"),
         (["--only", "priors", "--page", "x.md"], "the page needs every experiment"),
     ):
-        refused = run(app, ["study", "-o", str(tmp_path), *arguments])
-        assert refused.exit_code == 1 and words in refused.stderr
-    assert run(app, ["study", "--quick", "--scenes", "9"]).exit_code == 2
+        with pytest.raises(SystemExit, match=words):
+            main(["-o", str(tmp_path), *arguments])
+    with pytest.raises(SystemExit, match="2"):
+        main(["--quick", "--scenes", "9"])
 
 
 def test_processes_change_nothing(monkeypatch):

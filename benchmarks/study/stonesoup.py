@@ -17,7 +17,7 @@ from benchmarks.study.scenes import Formation, Scenes
 from sameas.errors import InputError
 from sameas.records import Records
 
-INSTALL = "Stone Soup is missing: pip install 'sameas[plots,stonesoup]'"
+INSTALL = "Stone Soup is missing: pip install 'sameas[stonesoup]'"
 
 
 def is_installed() -> bool:
