@@ -1,0 +1,210 @@
+"""``sameas movers``: what moves among the detections of several exposures."""
+
+from __future__ import annotations
+
+import time as clock
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from sameas.cli.options import (
+    Debug,
+    Overwrite,
+    Quiet,
+    frame_option,
+    known_format,
+    option,
+    option_of,
+    with_columns,
+)
+from sameas.cli.outcome import answering
+from sameas.front.options import SIDE_OPTIONS
+
+_COLUMNS = "Columns of the tables"
+_FRAMES = "A series of frames"
+
+
+@with_columns({"": _COLUMNS}, SIDE_OPTIONS)
+def movers(
+    ctx: typer.Context,
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE…", help="Detections of one night, in tables, or the frames of a series.", show_default=False
+        ),
+    ],
+    output: Annotated[
+        Path | None,
+        option(
+            "-o",
+            "--output",
+            metavar="OUT",
+            help="Table of the detections of tracklets, one row each; of frames, a folder.",
+        ),
+    ] = None,
+    tracklets: Annotated[
+        Path | None, option("--tracklets", metavar="OUT", help="Table of the tracklets, one row each.")
+    ] = None,
+    least: Annotated[
+        int, option("--least", metavar="N", min=2, show_default=True, help="Detections of a tracklet, at least.")
+    ] = 2,
+    probability: Annotated[
+        float,
+        option("--probability", metavar="P", min=0, max=1, show_default=True, help="Of a tracklet, at least."),
+    ] = 0.5,
+    learn: Annotated[
+        list[Path] | None,
+        option("--learn", metavar="TABLE", help="Another night's detections to learn rates from; repeat it."),
+    ] = None,
+    time: Annotated[
+        str | None, option("--time", panel=_COLUMNS, metavar="NAME", help="Column: middle of the exposure, UTC.")
+    ] = None,
+    exposure: Annotated[
+        str | None, option("--exposure", panel=_COLUMNS, metavar="NAME|none", help="Column: which exposure.")
+    ] = None,
+    band: Annotated[
+        str | None, option("--band", panel=_COLUMNS, metavar="NAME|none", help="Column: band of the magnitude.")
+    ] = None,
+    catalog: Annotated[
+        str | None,
+        option(
+            "--catalog", "-c", panel=_FRAMES, metavar="NAME", help="Of stars, as of sameas frame: the files are frames."
+        ),
+    ] = None,
+    aim: Annotated[
+        str | None,
+        option("--aim", panel=_FRAMES, metavar="RA,DEC", help="Middle of the frames, if headers do not tell."),
+    ] = None,
+    scale: Annotated[str | None, option("--scale", panel=_FRAMES, metavar="LO,HI", help="Arcsec per pixel.")] = None,
+    dark: Annotated[
+        list[Path] | None, option("--dark", panel=_FRAMES, metavar="FILE", help="Dark frames; repeat it.")
+    ] = None,
+    flat: Annotated[
+        list[Path] | None, option("--flat", panel=_FRAMES, metavar="FILE", help="Flat fields; repeat it.")
+    ] = None,
+    bias: Annotated[
+        list[Path] | None, option("--bias", panel=_FRAMES, metavar="FILE", help="Biases; repeat it.")
+    ] = None,
+    elements: Annotated[
+        Path | None,
+        option("--elements", panel=_FRAMES, metavar="FILE", help="Of known objects: MPCORB.DAT or JPL's JSON."),
+    ] = None,
+    report: Annotated[
+        Path | None,
+        option("--report", panel=_FRAMES, metavar="TOML", help="Who observed, with what: writes ADES and 80 columns."),
+    ] = None,
+    processes: Annotated[
+        int, option("--processes", "-j", panel=_FRAMES, metavar="N", min=1, show_default=True, help="Frames at a time.")
+    ] = 2,
+    overwrite: Overwrite = True,
+    out_format: Annotated[
+        str | None,
+        option("--out-format", metavar="NAME", callback=known_format, help="Format of OUT, as --format."),
+    ] = None,
+    quiet: Quiet = False,
+    debug: Debug = False,
+    **columns: Any,
+) -> None:
+    """Find what moves: tracklets of detections, how sure each is, and each of its detections.
+
+    With --catalog the files are the frames of a series, and -o is a folder. Else give the detections of one night,
+    stars taken away; all that moves over two exposures or more is linked one to one.
+    """
+    if output is None and tracklets is None and catalog is None:
+        raise typer.BadParameter("say -o OUT, the table to write", param_hint="-o")
+    if catalog is not None:
+        with answering(debug, frame_option):
+            from sameas.cli import series
+            from sameas.cli.pointing import aim_of, scale_of
+            from sameas.front.framing import PointingOptions
+            from sameas.front.options import fields_of
+
+            darks, flats, biases = (tuple(map(str, kind or ())) for kind in (dark, flat, bias))
+            request = series.SeriesRequest(
+                paths=tuple(map(str, files)), catalogue=catalog, columns=fields_of(columns, 1),
+                folder=output or Path("movers"), pointing=PointingOptions(aim_of(aim), None, scale_of(scale)),
+                darks=darks, flats=flats, biases=biases, least=max(least, 3), probability=probability,
+                elements=None if elements is None else str(elements), header=None if report is None else str(report),
+                processes=processes,
+            )  # fmt: skip
+            series.run(request, quiet)
+        return
+    with answering(debug, option_of):
+        from sameas.cli.outputs import Outputs
+        from sameas.sky.movers.tables import DetectionColumns
+
+        wanted = DetectionColumns(time, exposure, band)
+        outputs = {
+            name: Outputs(path, out_format, overwrite, ctx.meta["typed"])
+            for name, path in (("detections", output), ("tracklets", tracklets))
+            if path is not None
+        }
+        run(tuple(map(str, files)), tuple(map(str, learn or ())), wanted, columns, outputs, least, probability, quiet)
+
+
+def run(
+    paths: tuple[str, ...],
+    others: tuple[str, ...],
+    wanted: Any,
+    columns: dict[str, Any],
+    outputs: dict[str, Any],
+    least: int,
+    probability: float,
+    quiet: bool,
+) -> None:
+    """Read, understand, search, say, write."""
+    from sameas.cli.terminal import Pace, Printer, share_compilation
+    from sameas.report.movers import model_lines, mover_lines, searched_lines
+    from sameas.sky.movers import find_movers
+    from sameas.sky.movers.tables import detections_of
+
+    began = clock.perf_counter()
+    printer = Printer(quiet)
+    for one in outputs.values():
+        one.check((*paths, *others))
+    every = (*paths, *others)
+    with Pace(quiet) as pace:
+        read = []
+        for path in every:
+            pace(f"reading {path}")
+            read.append(_catalogue(path, columns))
+        pace.pause()
+        seen, lines = detections_of(read[: len(paths)], wanted)
+        printer([*lines, *searched_lines(seen), ""])
+        nights = [detections_of([one], wanted)[0] for one in read[len(paths) :]]
+        share_compilation(quiet)
+        pace("searching")
+        found = find_movers(seen, others=nights, least=least, least_probability=probability)
+        pace.pause()
+        printer([*model_lines(found), "", *mover_lines(found), ""])
+        facts = _facts(every, found)
+        tables = {"detections": found.detection_table, "tracklets": found.table}
+        written = [one.write(tables[name](), {**facts, "command": one.command}, name) for name, one in outputs.items()]
+    printer([*written, f"Time: {clock.perf_counter() - began:.1f} s"])
+
+
+def _catalogue(path: str, columns: dict[str, Any]) -> Any:
+    """A table of detections, its positions, errors and magnitudes understood."""
+    from sameas.front.options import fields_of
+    from sameas.io import read_table
+    from sameas.sky.catalogue import Catalogue, CatalogueOptions
+
+    hdu = columns.get("hdu")
+    hdu = int(hdu) if hdu is not None and hdu.isdigit() else hdu
+    table = read_table(path, format=columns.get("format"), hdu=hdu)
+    name = Path(path).name.removesuffix(".gz").rsplit(".", 1)[0]
+    return Catalogue.of(table, name, options=CatalogueOptions(**fields_of(columns, 0)))
+
+
+def _facts(paths: tuple[str, ...], found: Any) -> dict[str, Any]:
+    """Provenance: inputs with their checksums, and what was believed of movers."""
+    import sameas
+    from sameas.io import checksum
+
+    facts: dict[str, Any] = {"program": "sameas", "version": sameas.__version__}
+    for k, path in enumerate(paths, 1):
+        facts[f"input_{k}"], facts[f"sha256_{k}"] = str(Path(path).resolve()), checksum(path)
+    model = found.model
+    facts |= {"p_detect": model.p_detect, "log_odds_next": model.log_odds, "gap": found.gap}
+    return facts

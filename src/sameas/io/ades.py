@@ -1,0 +1,254 @@
+"""Reports for the Minor Planet Center: ADES as PSV and XML (version 2022), and lines of 80 columns.
+
+An :class:`Observer` is what a small TOML file says of who observed, with what; :class:`Observation` one detection.
+Nothing is sent anywhere. Source: IAU ADES, github.com/IAU-ADES/ADES-Master; minorplanetcenter.net/iau/info/OpticalObs.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from sameas.errors import InputError
+from sameas.io.atomic import replacing
+
+#: Columns of a report in the order that ADES wants.
+COLUMNS = ("permID", "provID", "trkSub", "mode", "stn", "obsTime", "ra", "dec", "rmsRA", "rmsDec", "rmsCorr", "astCat",
+           "mag", "rmsMag", "band", "photCat", "logSNR", "notes", "remarks")  # fmt: skip
+#: One letter for each catalogue in lines of 80 columns.
+_CATALOGUE_CODES = {"Gaia3": "X", "Gaia3E": "W", "Gaia2": "V", "Gaia1": "U", "UCAC4": "q", "UCAC5": "Y", "Tyc2": "g"}
+_CATALOGUE_CODES |= {"PPMXL": "t", "2MASS": "L", "Hip2": "2", "Tyc1": "6", "USNOB1": "o", "UCAC3": "e"}
+_EXAMPLE = """[observatory]
+mpcCode = "810"
+[submitter]
+name = "J. Doe"
+[observers]
+name = ["J. Doe"]
+[measurers]
+name = ["J. Doe"]
+[telescope]
+design = "Schmidt-Cassegrain"
+aperture = "0.36"
+detector = "CCD"
+[report]
+astCat = "Gaia3"
+"""
+
+
+@dataclass(frozen=True)
+class Observer:
+    """What a report says of the observatory and the people.
+
+    code : of the observatory. submitter : name. observers, measurers : names. telescope : design, aperture (metres),
+    detector, and what else ADES knows of it. catalogue : that of the astrometry, by its name in ADES. mode : CCD, CMO.
+    band : of the magnitudes. comments : lines.
+    """
+
+    code: str
+    submitter: str
+    observers: tuple[str, ...]
+    measurers: tuple[str, ...]
+    telescope: tuple[tuple[str, str], ...]
+    catalogue: str
+    mode: str = "CCD"
+    band: str = ""
+    comments: tuple[str, ...] = field(default=())
+
+    @classmethod
+    def read(cls, path: str | Path) -> Observer:
+        """From a TOML file.
+
+        Raises
+        ------
+        InputError : not TOML, something needed is missing, names of a wrong form.
+        """
+        try:
+            told = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InputError(f"{path}: is not TOML ({error}); write it like\n{_EXAMPLE}") from None
+        code = str(_needed(told, path, "observatory", "mpcCode"))
+        if not re.fullmatch(r"[0-9A-Z][0-9A-Za-z]{2,3}", code):
+            raise InputError(f"{path}: mpcCode {code!r} is not a code of the Minor Planet Center, such as 810 or J95")
+        telescope = dict(_needed(told, path, "telescope"))
+        for key in ("design", "aperture", "detector"):
+            _needed(told, path, "telescope", key)
+        report = told.get("report", {})
+        submitter = str(_needed(told, path, "submitter", "name"))
+        return cls(
+            code,
+            submitter,
+            _names(told.get("observers", {}).get("name", submitter)),
+            _names(told.get("measurers", {}).get("name", submitter)),
+            tuple((k, str(telescope[k])) for k in ("name", "design", "aperture", "detector", "fRatio", "pixelScale")
+                  if k in telescope),
+            str(_needed(told, path, "report", "astCat")),
+            str(report.get("mode", "CCD")),
+            str(report.get("band", "")),
+            _names(told.get("comment", {}).get("line", ())),
+        )  # fmt: skip
+
+
+def _needed(told: Any, path: Any, *keys: str) -> Any:
+    value = told
+    for key in keys:
+        if not isinstance(value, dict) or key not in value:
+            raise InputError(f"{path}: says no {'.'.join(keys)}; write it like\n{_EXAMPLE}")
+        value = value[key]
+    return value
+
+
+def _names(value: Any) -> tuple[str, ...]:
+    return (value,) if isinstance(value, str) else tuple(map(str, value))
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One detection of a report.
+
+    name : trkSub, eight letters and digits at most. time : ISO, UTC. rms_east, rms_north : arcsec, 1σ.
+    permanent, provisional : numbers and designations where the object is known. magnitude, magnitude_error : NaN if
+    not measured. remarks : of this detection.
+    """
+
+    name: str
+    time: str
+    ra_deg: float
+    dec_deg: float
+    rms_east: float
+    rms_north: float
+    correlation: float
+    magnitude: float = math.nan
+    magnitude_error: float = math.nan
+    snr: float = math.nan
+    permanent: str = ""
+    provisional: str = ""
+    remarks: str = ""
+
+    def fields(self, observer: Observer) -> dict[str, str]:
+        """The values that ADES has columns for; those without a value are left out."""
+        out = {
+            "permID": self.permanent,
+            "provID": self.provisional,
+            "trkSub": self.name,
+            "mode": observer.mode,
+            "stn": observer.code,
+            "obsTime": self.time.rstrip("Z") + "Z",
+            "ra": f"{round(self.ra_deg, 6) % 360.0:.6f}",
+            "dec": f"{self.dec_deg:+.6f}",
+            "rmsRA": f"{self.rms_east:.3f}",
+            "rmsDec": f"{self.rms_north:.3f}",
+            "rmsCorr": f"{self.correlation:.3f}",
+            "astCat": observer.catalogue,
+        }
+        if math.isfinite(self.magnitude) and observer.band:
+            out |= {"mag": f"{self.magnitude:.2f}", "band": observer.band}
+            if math.isfinite(self.magnitude_error):
+                out["rmsMag"] = f"{self.magnitude_error:.3f}"
+            out["photCat"] = observer.catalogue
+        if self.snr > 0:
+            out["logSNR"] = f"{math.log10(self.snr):.2f}"
+        out["remarks"] = self.remarks.replace("|", "/")
+        return {key: out[key] for key in COLUMNS if out.get(key)}
+
+
+def _header(observer: Observer, software: str) -> list[tuple[str, list[tuple[str, str]]]]:
+    """The blocks of the header, in their order."""
+    return [
+        ("observatory", [("mpcCode", observer.code)]),
+        ("submitter", [("name", observer.submitter)]),
+        ("observers", [("name", name) for name in observer.observers]),
+        ("measurers", [("name", name) for name in observer.measurers]),
+        ("telescope", list(observer.telescope)),
+        ("software", [("astrometry", software), ("objectDetection", software)]),
+        *([("comment", [("line", line) for line in observer.comments])] if observer.comments else []),
+    ]
+
+
+def write_psv(observations: Sequence[Observation], observer: Observer, path: str | Path, *, software: str) -> None:
+    """An ADES report as text with bars between its columns."""
+    rows = [one.fields(observer) for one in observations]
+    used = [key for key in COLUMNS if key == "permID" or any(key in row for row in rows)]
+    lines = ["# version=2022"]
+    for block, entries in _header(observer, software):
+        lines += [f"# {block}", *(f"! {key} {value}" for key, value in entries)]
+    table = [used, *([row.get(key, "") for key in used] for row in rows)]
+    widths = [max(len(line[k]) for line in table) for k in range(len(used))]
+    lines += ["|".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in table]
+    with replacing(Path(path)) as draft:
+        draft.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def write_xml(observations: Sequence[Observation], observer: Observer, path: str | Path, *, software: str) -> None:
+    """An ADES report as XML."""
+    root = ElementTree.Element("ades", version="2022")
+    block = ElementTree.SubElement(root, "obsBlock")
+    context = ElementTree.SubElement(block, "obsContext")
+    for name, entries in _header(observer, software):
+        part = ElementTree.SubElement(context, name)
+        for key, value in entries:
+            ElementTree.SubElement(part, key).text = value
+    data = ElementTree.SubElement(block, "obsData")
+    for one in observations:
+        optical = ElementTree.SubElement(data, "optical")
+        for key, value in one.fields(observer).items():
+            ElementTree.SubElement(optical, key).text = value
+    ElementTree.indent(root, " ")
+    with replacing(Path(path)) as draft:
+        text = ElementTree.tostring(root, encoding="unicode")
+        draft.write_text(f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n', encoding="utf-8")
+
+
+def write_80_columns(
+    observations: Sequence[Observation], observer: Observer, path: str | Path, *, software: str
+) -> None:
+    """The older form, which the Minor Planet Center still accepts."""
+    lines = [f"COD {observer.code}", f"OBS {', '.join(observer.observers)}", f"MEA {', '.join(observer.measurers)}"]
+    lines += [f"TEL {' '.join(value for _, value in observer.telescope)}", f"COM measured with {software}"]
+    lines += [line_of(one, observer) for one in observations]
+    with replacing(Path(path)) as draft:
+        draft.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def line_of(one: Observation, observer: Observer) -> str:
+    """One line of 80 columns.
+
+    Example
+    -------
+    >>> who = Observer("810", "J. Doe", (), (), (), "Gaia3")
+    >>> line_of(Observation("sa00001", "2018-10-18T03:03:53.784", 62.5, 22.5, 0.1, 0.1, 0.0), who)
+    '     sa00001  C2018 10 18.12770604 10 00.000+22 30 00.00               X     810'
+    """
+    number = f"{int(one.permanent):05d}" if one.permanent.isdigit() and int(one.permanent) < 100000 else "     "
+    name = "       " if number.strip() else f"{one.name[:7]:7}"
+    date, clock = one.time.rstrip("Z").split("T")
+    hours, minutes, seconds = clock.split(":")
+    day = int(date[8:]) + (int(hours) * 3600 + int(minutes) * 60 + float(seconds)) / 86400.0
+    when = f"{date[:4]} {date[5:7]} {day:09.6f}"
+    mag = (
+        f"{one.magnitude:5.1f}{observer.band[:1] or ' '}" if math.isfinite(one.magnitude) and observer.band else " " * 6
+    )
+    code = _CATALOGUE_CODES.get(observer.catalogue, " ")
+    note = {"CCD": "C", "CMO": "B"}.get(observer.mode, "C")
+    place = f"{_hours(one.ra_deg)}{_degrees(one.dec_deg)}"
+    return f"{number}{name}  {note}{when}{place}{' ' * 9}{mag}{code}{' ' * 5}{observer.code:3}"
+
+
+def _hours(ra_deg: float) -> str:
+    thousandths = round(ra_deg / 15.0 * 3600_000.0) % 86_400_000
+    seconds, left = divmod(thousandths, 1000)
+    return f"{seconds // 3600:02d} {seconds // 60 % 60:02d} {seconds % 60:02d}.{left:03d}"
+
+
+def _degrees(dec_deg: float) -> str:
+    hundredths = round(abs(dec_deg) * 360_000.0)
+    seconds, left = divmod(hundredths, 100)
+    sign = "-" if dec_deg < 0 else "+"
+    return f"{sign}{seconds // 3600:02d} {seconds // 60 % 60:02d} {seconds % 60:02d}.{left:02d}"

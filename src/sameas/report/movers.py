@@ -1,0 +1,104 @@
+"""What ``sameas movers`` says: what was searched, what was believed, and the tracklets."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sameas.report.prose import DOUBT, count
+
+if TYPE_CHECKING:
+    from sameas.sky.movers import Detections, Movers
+    from sameas.sky.movers.known import KnownObjects
+    from sameas.sky.movers.series import Series
+
+#: Tracklets that are listed; all are in the output.
+MOST = 20
+#: Fewer exposures than this leave every tracklet to rate and brightness alone.
+FEW = 3
+
+
+def searched_lines(seen: Detections) -> list[str]:
+    """What was searched."""
+    time = seen.frame_mjd
+    lines = [
+        f"Detections: {count(len(seen))} of {count(len(seen.frame_names))} exposures over "
+        f"{1440.0 * float(np.ptp(time)):.1f} minutes"
+    ]
+    for reason, number in seen.set_aside.counts().items():
+        lines.append(f"{DOUBT}{count(number)} rows are set aside: {reason}")
+    if len(seen.frame_names) < FEW:
+        lines.append(f"{DOUBT}two exposures: nothing confirms that motion is straight; take three or more")
+    days = float(np.ptp(time))
+    if days > 1.0:
+        lines.append(
+            f"{DOUBT}the exposures span {days:.1f} days; tracklets are of one night, search each night by itself"
+        )
+    return lines
+
+
+def mover_lines(found: Movers) -> list[str]:
+    """The tracklets."""
+    if not len(found):
+        return ["Movers: none"]
+    expected = float(found.p_tracklet.sum())
+    lines = [
+        f"Movers: {count(len(found))}, of which {expected:.1f} are expected to be real",
+        "  name      n       p  expected by chance  rate ″/min   angle  scatter ″",
+    ]
+    rate = np.hypot(*found.rate_arcsec_per_min.T)
+    angle = np.degrees(np.arctan2(*found.rate_arcsec_per_min.T)) % 360.0
+    for k in range(min(len(found), MOST)):
+        scatter = found.scatter_arcsec[k]
+        shown = f"{scatter:9.3f}" if np.isfinite(scatter) else "        –"
+        lines.append(
+            f"  {found.names[k]:8} {found.size[k]:3d}  {found.p_tracklet[k]:.4f}  {found.expected_chance[k]:18.1e}"
+            f"  {rate[k]:10.3f}  {angle[k]:5.1f}°  {shown}"
+        )
+    if len(found) > MOST:
+        lines.append(f"  … and {count(len(found) - MOST)} more")
+    return lines
+
+
+def model_lines(found: Movers) -> list[str]:
+    """What was believed of movers."""
+    m = found.model
+    top = int(np.argmax(m.rates.share))
+    sigma = np.sqrt(np.diag(m.rates.covariance[top]))
+    return [
+        f"Model: an exposure shows {100 * m.p_detect:.0f} % of the movers in its field; rates within "
+        f"{sigma[0]:.2f} and {sigma[1]:.2f} ″/min (ecliptic longitude, latitude)",
+        "  of a main-belt orbit's",
+    ]
+
+
+def series_lines(series: Series) -> list[str]:
+    """What a series of frames shows beside what moves."""
+    n = len(series.frame)
+    minutes = 1440.0 * (series.exposures[-1].mjd_utc - series.exposures[0].mjd_utc)
+    lines = [
+        f"Series: {len(series.exposures)} frames over {minutes:.1f} minutes, {count(n)} measurements",
+        f"  of stars of the catalogue {count(int(series.star.sum()))}, standing still {count(int(series.still.sum()))},"
+        f" fixed on the chip {count(int(series.fixed.sum()))}, spoilt {count(int(series.spoilt.sum()))}; "
+        f"left to move {count(int(series.left.sum()))}",
+        f"  tied together by {count(int(series.ties.min()))} to {count(int(series.ties.max()))} sources a frame",
+    ]
+    return [*lines, *(f"{DOUBT}{note}" for note in series.notes)]
+
+
+def known_lines(found: Movers, known: KnownObjects, on_earth: bool) -> list[str]:
+    """The tracklets that are known objects, with O−C."""
+    lines = [f"Known objects: {count(len(known.elements))} predicted near the field"]
+    if not on_earth:
+        lines.append(f"{DOUBT}the header has no station; places are those seen from the middle of the Earth")
+    for k, owner in enumerate(known.object):
+        if owner < 0:
+            continue
+        east, north = known.mean_offset(found, k)
+        lines.append(
+            f"  {found.names[k]} is {known.name(k)}, p {known.p[k]:.4f}, O−C {east:+.2f}″ east, {north:+.2f}″ north, "
+            f"predicted V {known.magnitude[k]:.1f}"
+        )
+    unknown = int((known.object < 0).sum())
+    return [*lines, f"  {unknown} of {len(found)} tracklets are none of them"] if unknown else lines

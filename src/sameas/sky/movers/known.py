@@ -1,0 +1,149 @@
+"""Known objects among the tracklets: identified one to one with what their orbits predict, with probability.
+
+The records of one source are tracklets, those of the other ephemerides: place at the middle of the tracklet's time, and
+rate times its length, with the errors of both (METHOD 1's D_τ).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sameas._identify import identify
+from sameas.arrays import FloatArray, IntArray
+from sameas.evidence import Field
+from sameas.prior import PerPair
+from sameas.records import Records
+from sameas.sky.movers.orbits import Elements, ephemeris, geocentric_km, near
+from sameas.sky.movers.search import Movers
+
+#: Elements are wrong by more than their age says as often as this many times: predicted places are so much wider.
+_DOUBT = 2.0
+#: Odds that an object whose orbit is known, and that is predicted in the field, is one of the tracklets (chosen).
+_ODDS = 0.5
+
+
+@dataclass(frozen=True)
+class KnownObjects:
+    """Which tracklets are which known objects.
+
+    elements : those predicted near the field. object : (k,) row of the elements of each tracklet, −1 for none known.
+    p : (k,) probability of it. offset_arcsec : (n, 2) observed minus computed of every detection, east and north, NaN
+    where its tracklet is not known. magnitude : (k,) predicted V.
+    """
+
+    elements: Elements
+    object: IntArray
+    p: FloatArray
+    offset_arcsec: FloatArray
+    magnitude: FloatArray
+
+    def name(self, k: int) -> str:
+        """What tracklet k is called, '' where it is not known."""
+        return self.elements.name[self.object[k]] if self.object[k] >= 0 else ""
+
+    def number(self, k: int) -> str:
+        """The permanent number of tracklet k, '' where there is none."""
+        return self.elements.number[self.object[k]] if self.object[k] >= 0 else ""
+
+    def mean_offset(self, found: Movers, k: int) -> FloatArray:
+        """(2,) mean O−C of tracklet k, arcsec east and north."""
+        rows = found.members[k]
+        return np.asarray(np.mean(self.offset_arcsec[rows[rows >= 0]], axis=0))
+
+
+def name_movers(
+    found: Movers, elements: Elements, *, site: tuple[float, float, float] | None = None, least_probability: float = 0.5
+) -> KnownObjects:
+    """The tracklets that are known objects.
+
+    found : the tracklets. elements : of known objects. site : latitude, longitude (degrees, east positive) and height
+    (metres) of the observer; None for the middle of the Earth, which costs the main belt up to 8″.
+    least_probability : a name is given from this probability on.
+
+    Example
+    -------
+    >>> named = name_movers(found, Elements.read("MPCORB.DAT"), site=(42.61, -71.485, 100.0))  # doctest: +SKIP
+    """
+    k, seen = len(found), found.detections
+    owner, p = np.full(k, -1), np.zeros(k)
+    offset, magnitude = np.full((len(seen), 2), np.nan), np.full(k, np.nan)
+    if not k:
+        return KnownObjects(elements.some(np.empty(0, np.int64)), owner, p, offset, magnitude)
+    middle = float(np.median(seen.mjd_utc))
+    unit = seen.axes().unit.mean(axis=0)
+    unit /= np.linalg.norm(unit)
+    radius = float(np.degrees(np.arccos(np.clip(seen.axes().unit @ unit, -1, 1)).max()))
+    ra0, dec0 = math.degrees(math.atan2(unit[1], unit[0])) % 360.0, math.degrees(math.asin(unit[2]))
+    elements = elements.some(near(elements, middle, ra0, dec0, radius + 0.1))
+    if not len(elements):
+        return KnownObjects(elements, owner, p, offset, magnitude)
+    times = np.unique(seen.mjd_utc[found.members[found.members >= 0]])
+    place = None if site is None else geocentric_km(*site, times)
+    there = ephemeris(elements, times, place)
+    at = _plane(there.ra_deg, there.dec_deg, ra0, dec0)  # (objects, times, 2)
+    measured, spread = _records_of(found, ra0, dec0, times)
+    predicted = np.empty((k, len(elements), 4))
+    for row in range(k):
+        rows = found.members[row][found.members[row] >= 0]
+        which = np.searchsorted(times, seen.mjd_utc[rows])
+        predicted[row] = _mean_and_motion(at[:, which], times[which])
+    # All tracklets share the nights' times but for rounding where they are of one series; others compare at their own.
+    sigma = _DOUBT * np.hypot(there.sigma_arcsec.mean(axis=1), 0.05)
+    area = math.pi * (3600.0 * (radius + 0.1)) ** 2
+    span = float(np.ptp(times)) * 1440.0
+    density = 1.0 / (area * math.pi * max(span, 1.0) ** 2)
+    residual = measured[:, None] - predicted
+    first = Records.of(measured, covariance=spread, source="tracklets")
+    # The ephemeris of each object at the times of the tracklet that it is nearest to.
+    nearest = np.argmin((residual[..., :2] ** 2).sum(axis=-1), axis=0)
+    error = np.zeros((len(elements), 4, 4))
+    error[:, [0, 1], [0, 1]] = (sigma**2)[:, None]
+    error[:, [2, 3], [2, 3]] = (0.05 * sigma[:, None]) ** 2 + 0.02**2
+    second = Records.of(predicted[nearest, np.arange(len(elements))], covariance=error, source="ephemerides")
+    answer = identify(first, second, rule=Field(density), prior=PerPair(math.log(_ODDS)))
+    matches = answer.matches
+    for row, known, probability in zip(matches.rows_1, matches.rows_2, matches.p_match, strict=True):
+        if probability < least_probability:
+            continue
+        owner[row], p[row] = known, probability
+        rows = found.members[row][found.members[row] >= 0]
+        which = np.searchsorted(times, seen.mjd_utc[rows])
+        observed = _plane(seen.ra_deg[rows], seen.dec_deg[rows], ra0, dec0)
+        offset[rows] = observed - at[known, which]
+        magnitude[row] = float(there.magnitude[known, which].mean())
+    return KnownObjects(elements, owner, p, offset, magnitude)
+
+
+def _records_of(found: Movers, ra0: float, dec0: float, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(k, 4) mean place and motion over the tracklet, arcsec, and (k, 4, 4) their covariances."""
+    seen = found.detections
+    out, spread = np.empty((len(found), 4)), np.zeros((len(found), 4, 4))
+    for row, members in enumerate(found.members):
+        rows = members[members >= 0]
+        t = seen.mjd_utc[rows]
+        out[row] = _mean_and_motion(_plane(seen.ra_deg[rows], seen.dec_deg[rows], ra0, dec0)[None], t)[0]
+        variance = seen.covariance[rows][:, [0, 2]].mean(axis=0) + 0.05**2
+        around = t - t.mean()
+        spread[row, [0, 1], [0, 1]] = variance / len(rows) + 0.1**2
+        spread[row, [2, 3], [2, 3]] = variance * np.ptp(t) ** 2 / np.maximum((around**2).sum(), 1e-12)
+    return out, spread
+
+
+def _mean_and_motion(place: FloatArray, t: FloatArray) -> FloatArray:
+    """(n, 4) mean of places (n, t, 2), and the motion from the first time to the last of a straight line."""
+    around = t - t.mean()
+    slope = np.einsum("t,ntd->nd", around, place) / max(float((around**2).sum()), 1e-15)
+    return np.concatenate([place.mean(axis=1), slope * np.ptp(t)], axis=1)
+
+
+def _plane(ra_deg: FloatArray, dec_deg: FloatArray, ra0: float, dec0: float) -> FloatArray:
+    """(…, 2) arcsec east and north on the tangent plane at a direction."""
+    ra, dec, middle = np.radians(ra_deg) - math.radians(ra0), np.radians(dec_deg), math.radians(dec0)
+    depth = math.sin(middle) * np.sin(dec) + math.cos(middle) * np.cos(dec) * np.cos(ra)
+    east = np.cos(dec) * np.sin(ra)
+    north = math.cos(middle) * np.sin(dec) - math.sin(middle) * np.cos(dec) * np.cos(ra)
+    with np.errstate(divide="ignore"):
+        return 206264.80624709636 * np.stack([east, north], -1) / np.where(depth > 0.1, depth, np.nan)[..., None]

@@ -1,0 +1,212 @@
+"""Links: which detection is the next one of the same mover, one to one.
+
+Every detection has at most one predecessor and at most one successor, so that links are an assignment of the
+detections to themselves at a later time; the null is a false detection, or a mover that is lost. A link i → j over
+τ minutes weighs
+
+    ln λ = ln odds + ln f(Δ/τ)/τ² − ln β_j + ln g(m_j | m_i)/n(m_j) + (exposures between) · ln(1 − P_d),
+
+with f the rate density widened by both errors, β_j the density of detections around j, g the brightness that a mover
+of brightness m_i has and n that of any detection.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.assignment import assign
+from sameas.groups import laid_out
+from sameas.posterior import posterior
+from sameas.prior import EVIDENCE_ALONE
+from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning
+
+#: ln of the change of brightness that carries no limit where magnitudes are odd: spread evenly over 8 mag.
+_ODD = math.log(1.0 / 8.0)
+
+#: Share of the detections that have a next one, as believed beforehand (chosen; alerts have 0.3, frames less).
+PRIOR_SHARE = 0.02
+
+
+@dataclass(frozen=True)
+class Links:
+    """Links of detections i to later ones j, (m,) each.
+
+    minutes : between them. offset : (m, 2) arcsec on the ecliptic axes at i. log_ratio : ln λ. log_brightness : the
+    part of it that magnitudes say. misses : exposures between that saw the place.
+    """
+
+    i: IntArray
+    j: IntArray
+    minutes: FloatArray
+    offset: FloatArray
+    log_ratio: FloatArray
+    log_brightness: FloatArray
+    misses: IntArray
+
+    def __len__(self) -> int:
+        return len(self.i)
+
+    def only(self, keep: BoolArray | IntArray) -> Links:
+        """Some of the links."""
+        return Links(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
+
+
+def candidate_links(around: Surroundings, model: MotionModel, tuning: Tuning = DEFAULT_TUNING) -> Links:
+    """The links that could belong to a mover, by ascending exposure of j."""
+    seen, t = around.detections, around.minutes
+    tree = cKDTree(around.axes.unit)
+    pairs = tree.query_pairs(reach_arcsec(around, model, tuning) / 206264.80624709636, output_type="ndarray")
+    i, j = pairs.astype(np.int64).T
+    later = seen.frame[i] > seen.frame[j]
+    i, j = np.where(later, j, i), np.where(later, i, j)
+    minutes = t[j] - t[i]
+    offset = around.axes.offsets(i, j)
+    fast = np.hypot(*offset.T) > tuning.fastest_arcsec_per_min * minutes + 1.0
+    keep = (seen.frame[i] != seen.frame[j]) & (minutes > 0) & ~fast
+    i, j, minutes, offset = i[keep], j[keep], minutes[keep], offset[keep]
+    misses = around.misses(i, j)
+    keep = misses <= tuning.misses
+    i, j, minutes, offset, misses = i[keep], j[keep], minutes[keep], offset[keep], misses[keep]
+    rate, error = rates_of(around, i, j, minutes, offset)
+    bright = brightness_ratio(around, model, tuning, i, j)
+    log_ratio = (
+        model.log_odds + model.rates.log_density(rate, error) - 2.0 * np.log(minutes) - around.log_density[j]
+        + bright + misses * math.log(1.0 - model.p_detect)
+    )  # fmt: skip
+    links = Links(i, j, minutes, offset, log_ratio, bright, misses)
+    order = np.lexsort([-log_ratio, i])
+    place = np.arange(len(order)) - np.searchsorted(i[order], i[order])
+    kept = order[(place < tuning.links) & (log_ratio[order] > tuning.least_log_ratio)]
+    return links.only(kept[np.lexsort([i[kept], seen.frame[j[kept]]])])
+
+
+def rates_of(
+    around: Surroundings, i: IntArray, j: IntArray, minutes: FloatArray, offset: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(m, 2) rates against the reference, arcsec/min, and (m, 2, 2) their covariances."""
+    rate = offset / minutes[:, None]
+    rate[:, 0] -= around.reference[i]
+    return rate, (around.covariance[i] + around.covariance[j]) / minutes[:, None, None] ** 2
+
+
+def reach_arcsec(around: Surroundings, model: MotionModel, tuning: Tuning) -> float:
+    """How far the next detection of a mover may be before its ln λ falls below the least, for any time between."""
+    span = float(np.ptp(around.minutes))
+    minutes = np.geomspace(max(span * 1e-4, 1e-3), max(span, 1e-2), 200)
+    thin = float(np.percentile(around.log_density, 1.0))
+    spread = np.sqrt(np.linalg.eigvalsh(model.rates.covariance).max(axis=1))
+    off = np.abs(around.reference).max() + np.hypot(*model.rates.mean.T)
+    error = np.sqrt(np.percentile(around.covariance[:, [0, 1], [0, 1]].sum(axis=1), 99.0))
+    # Where more detections than a detection may have links lie by chance, none of them says anything.
+    crowded = math.sqrt(tuning.links / math.pi) * math.exp(-0.5 * float(np.median(around.log_density)))
+    # A gain of brightness evidence of some units is allowed for.
+    room = model.log_odds - thin - tuning.least_log_ratio + 3.0
+    best = 0.0
+    for share, width, mean in zip(model.rates.share, spread, off, strict=True):
+        sigma = np.hypot(width * minutes, error)
+        height = room + math.log(share) - np.log(2 * np.pi * sigma**2)
+        far = np.where(height > 0, mean * minutes + sigma * np.sqrt(2 * np.maximum(height, 0.0)), 0.0)
+        best = max(best, float(np.minimum(far, tuning.fastest_arcsec_per_min * minutes + 1.0).max()))
+    return min(best, max(crowded, 3.0 * error))
+
+
+def brightness_ratio(around: Surroundings, model: MotionModel, tuning: Tuning, i: IntArray, j: IntArray) -> FloatArray:
+    """(m,) ln of how much more probable the brightness of j is after that of i; 0 where one is not measured."""
+    seen = around.detections
+    difference = seen.magnitude[j] - seen.magnitude[i]
+    a, b = seen.band[i], seen.band[j]
+    error = np.nan_to_num(seen.magnitude_error[i]) ** 2 + np.nan_to_num(seen.magnitude_error[j]) ** 2
+    variance = error + model.colour_sigma[a, b] ** 2
+    off = difference - model.colour[a, b]
+    same = np.log1p(-tuning.odd_brightness) - 0.5 * (off**2 / variance + np.log(2 * np.pi * variance))
+    with np.errstate(invalid="ignore"):
+        out = np.logaddexp(same, math.log(tuning.odd_brightness) + _ODD) - around.log_brightness[j]
+    return np.where(np.isfinite(out), out, 0.0)
+
+
+def link_probabilities(links: Links, n: int) -> FloatArray:
+    """(m,) probability of every link, each detection having at most one predecessor and one successor."""
+    if not len(links):
+        return np.empty(0)
+    order = np.lexsort([links.j, links.i])
+    i, j = links.i[order].astype(np.int32), links.j[order].astype(np.int32)
+    grouped = laid_out(i, j, i, j, n, n)
+    best = assign(grouped, links.log_ratio[order], EVIDENCE_ALONE(grouped.sizes_1, grouped.sizes_2))
+    out = np.empty(len(links))
+    out[order] = posterior(grouped, best).p_pair
+    return out
+
+
+def learn(
+    around: Surroundings, model: MotionModel, tuning: Tuning = DEFAULT_TUNING, *, rounds: int = 8, counts: float = 30.0
+) -> MotionModel:
+    """The model that these detections teach, by expectation and maximisation; no identities are needed.
+
+    rounds : at most. counts : what is believed beforehand weighs as many links.
+    """
+    for _ in range(rounds):
+        links = candidate_links(around, model, tuning)
+        p = link_probabilities(links, len(around.detections))
+        model, before = _taught(around, links, p, model, tuning, counts), model
+        if abs(model.log_odds - before.log_odds) < 0.02 and abs(model.p_detect - before.p_detect) < 0.005:
+            break
+    return model
+
+
+def _taught(
+    around: Surroundings, links: Links, p: FloatArray, model: MotionModel, tuning: Tuning, counts: float
+) -> MotionModel:
+    if p.sum() < 1.0:
+        return model
+    telling = np.flatnonzero(p > 0.01)
+    links, p = links.only(telling), p[telling]
+    rate, error = rates_of(around, links.i, links.j, links.minutes, links.offset)
+    # A link over seconds says nothing of rates.
+    sharp = np.sqrt(np.trace(error, axis1=1, axis2=2)) < 1.0
+    rates = model.rates.refined(rate[sharp], error[sharp], p[sharp], counts=counts)
+    n, share = len(around.detections), float(p.sum())
+    follows = min((share + counts * PRIOR_SHARE) / (n + counts), 0.95)
+    missed = float((p * links.misses).sum())
+    p_detect = (share + 2.0) / (share + missed + 3.0)
+    colour, sigma = _colours(around, links, p, model, tuning, counts)
+    return replace(
+        model,
+        rates=rates,
+        # A next one counts against a detection that begins a track or is false: the share 1 − s of all.
+        log_odds=math.log(follows) - 2.0 * math.log1p(-follows),
+        p_detect=min(max(p_detect, 0.3), 0.97),
+        colour=colour,
+        colour_sigma=sigma,
+    )
+
+
+def _colours(
+    around: Surroundings, links: Links, p: FloatArray, model: MotionModel, tuning: Tuning, counts: float
+) -> tuple[FloatArray, FloatArray]:
+    seen = around.detections
+    difference = seen.magnitude[links.j] - seen.magnitude[links.i]
+    error = np.nan_to_num(seen.magnitude_error[links.i]) ** 2 + np.nan_to_num(seen.magnitude_error[links.j]) ** 2
+    colour, sigma = model.colour.copy(), model.colour_sigma.copy()
+    for a in range(len(seen.bands)):
+        for b in range(len(seen.bands)):
+            here = (seen.band[links.i] == a) & (seen.band[links.j] == b) & np.isfinite(difference)
+            if p[here].sum() < 5.0:
+                continue
+            d, e, w = difference[here], error[here], p[here]
+            mean, spread = colour[a, b], sigma[a, b]
+            for _ in range(5):
+                variance = e + spread**2
+                same = (1 - tuning.odd_brightness) * np.exp(-0.5 * (d - mean) ** 2 / variance)
+                same /= np.sqrt(2 * np.pi * variance)
+                r = w * same / (same + tuning.odd_brightness / 8.0)
+                mean = 0.0 if a == b else float((r * d).sum() / r.sum())
+                gain = spread**2 / variance
+                second = float((r * ((gain * (d - mean)) ** 2 + spread**2 * (1 - gain))).sum())
+                spread = math.sqrt((second + counts * tuning.variability_mag**2) / (r.sum() + counts))
+            colour[a, b], sigma[a, b] = mean, max(spread, 0.02)
+    return colour, sigma

@@ -1,0 +1,200 @@
+"""The model of what moves: rates, brightness, how often it is seen again; and the surroundings it is seen in."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from sameas.arrays import FloatArray, IntArray
+from sameas.representation import in_short
+from sameas.sky.movers.detections import Detections
+from sameas.sky.movers.rates import (
+    ECLIPTIC_POLE,
+    SOLAR_SYSTEM,
+    EclipticAxes,
+    RateDensity,
+    reference_rate,
+    sun_longitude_deg,
+)
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """How movers are searched.
+
+    Attributes
+    ----------
+    fastest_arcsec_per_min : nothing faster is searched.
+    least_log_ratio : two detections of less ln λ begin no track; links of more may join one.
+    links : most links that a detection has to later ones, the best of them.
+    tracks : most tracks that end at one detection and are grown further, the best of them.
+    misses : a track may pass over so many exposures in a row that saw its place, but not it.
+    neighbours : the density around a detection is that of so many others of its exposure.
+    bend_arcsec_per_min2, bend_rate : 1σ of the acceleration of a mover as slow as the second, arcsec/min; of faster,
+        nearer ones in proportion. From the diurnal parallax at 1 au: 8.8″ (2π/1436 min)².
+    outlier, outlier_scale : share of detections whose error is so many times the quoted one.
+    variability_mag : 1σ of the change of brightness between two exposures, beside the errors.
+    odd_brightness : share of detections whose brightness says nothing (blends, wrong bands).
+    sure : tracks of another by one detection less, whose last one adds more than this to ln w, do not compete.
+    """
+
+    fastest_arcsec_per_min: float = 60.0
+    least_log_ratio: float = -6.0
+    links: int = 12
+    tracks: int = 8
+    misses: int = 4
+    neighbours: int = 8
+    bend_arcsec_per_min2: float = 1.7e-4
+    bend_rate: float = 0.5
+    outlier: float = 0.02
+    outlier_scale: float = 4.0
+    variability_mag: float = 0.12
+    odd_brightness: float = 0.05
+    sure: float = 12.0
+
+
+DEFAULT_TUNING = Tuning()
+
+
+@in_short
+@dataclass(frozen=True)
+class MotionModel:
+    """What is believed of movers.
+
+    rates : their density. log_odds : ln of the odds with which a detection has a next one, before the evidence.
+    p_detect : probability that an exposure that saw the place of a mover shows it.
+    colour : (b, b) mean change of magnitude from a band to another; colour_sigma : (b, b) its spread beside the errors.
+    """
+
+    rates: RateDensity = SOLAR_SYSTEM
+    log_odds: float = -4.0
+    p_detect: float = 0.7
+    bands: tuple[str, ...] = ()
+    colour: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    colour_sigma: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def for_bands(self, bands: tuple[str, ...], tuning: Tuning = DEFAULT_TUNING) -> MotionModel:
+        """The model with the bands of some detections in their order; unknown ones may differ by a magnitude."""
+        if bands == self.bands:
+            return self
+        n = len(bands)
+        colour, sigma = np.zeros((n, n)), np.full((n, n), 1.0)
+        for a, one in enumerate(bands):
+            for b, other in enumerate(bands):
+                if one in self.bands and other in self.bands:
+                    at = self.bands.index(one), self.bands.index(other)
+                    colour[a, b], sigma[a, b] = self.colour[at], self.colour_sigma[at]
+                elif a == b:
+                    sigma[a, b] = tuning.variability_mag
+        return replace(self, bands=bands, colour=colour, colour_sigma=sigma)
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """Where the detections are, what is around them, and which exposures saw their places.
+
+    detections, axes : of all. minutes : (n,) since the first. covariance : (n, 2, 2) on the ecliptic axes.
+    log_density : (n,) ln of the detections per arcsec² of the same exposure around each.
+    reference : (n,) rate in longitude of a circular orbit there, arcsec/min.
+    log_brightness : (n,) ln of the density per magnitude of detections as bright in its band, NaN where not measured.
+    cell : (n,) of the sky. seen : (cells, frames+1) number of the exposures before each that saw the cell.
+    """
+
+    detections: Detections
+    axes: EclipticAxes
+    minutes: FloatArray
+    covariance: FloatArray
+    log_density: FloatArray
+    reference: FloatArray
+    log_brightness: FloatArray
+    cell: IntArray
+    seen: IntArray
+
+    @classmethod
+    def of(cls, detections: Detections, tuning: Tuning = DEFAULT_TUNING) -> Surroundings:
+        """Those of some detections."""
+        axes = detections.axes()
+        minutes = (detections.mjd_utc - detections.mjd_utc.min()) * 1440.0
+        elongation = axes.longitude_deg - sun_longitude_deg(detections.mjd_utc)
+        density = _density(detections, axes, tuning.neighbours)
+        cell, seen = _coverage(detections, axes, density)
+        return cls(
+            detections, axes, minutes, axes.rotated(detections.covariance), np.log(density),
+            reference_rate(elongation), _brightness(detections), cell, seen,
+        )  # fmt: skip
+
+    def misses(self, i: IntArray, j: IntArray) -> IntArray:
+        """(m,) how many exposures between those of i and j saw the place of i."""
+        frame = self.detections.frame
+        return np.maximum(self.seen[self.cell[i], frame[j]] - self.seen[self.cell[i], frame[i] + 1], 0)
+
+
+def _density(detections: Detections, axes: EclipticAxes, neighbours: int) -> FloatArray:
+    """(n,) detections per arcsec² of the same exposure around each, itself counted."""
+    order = np.argsort(detections.frame, kind="stable")
+    bounds = np.searchsorted(detections.frame[order], np.arange(len(detections.frame_names) + 1))
+    out = np.full(len(detections), np.nan)
+    for a, b in itertools.pairwise(bounds.tolist()):
+        if b - a > 2:
+            k = min(neighbours, b - a - 1)
+            at = axes.unit[order[a:b]]
+            reach = cKDTree(at).query(at, k + 1)[0][:, -1] * 206264.80624709636
+            # The k-th neighbour bounds an area in which k − 1 others lie, on average over places (Poisson).
+            out[order[a:b]] = k / (math.pi * np.maximum(reach, 1.0) ** 2)
+    rest = np.isnan(out)
+    if rest.any():
+        whole = axes.unit
+        spread = float(np.linalg.norm(whole - whole.mean(axis=0), axis=1).max()) * 206264.80624709636
+        size = np.bincount(detections.frame)[detections.frame[rest]]
+        out[rest] = size / (math.pi * max(spread, 60.0) ** 2)
+    return out
+
+
+def _brightness(detections: Detections) -> FloatArray:
+    """(n,) ln of the density per magnitude of detections as bright in the same band."""
+    out = np.full(len(detections), np.nan)
+    for band in range(len(detections.bands)):
+        here = np.flatnonzero((detections.band == band) & np.isfinite(detections.magnitude))
+        if len(here) < 2:
+            continue
+        values = detections.magnitude[here]
+        low, high = np.floor(values.min()) - 1.0, np.ceil(values.max()) + 1.0
+        counts, edges = np.histogram(values, np.linspace(low, high, int((high - low) * 10) + 1))
+        kernel = np.exp(-0.5 * (np.arange(-9, 10) / 3.0) ** 2)
+        smooth = np.convolve(counts + 0.05, kernel / kernel.sum(), mode="same")
+        middle = 0.5 * (edges[1:] + edges[:-1])
+        density = smooth / (smooth.sum() * (edges[1] - edges[0]))
+        out[here] = np.log(np.interp(values, middle, density))
+    return out
+
+
+def _coverage(detections: Detections, axes: EclipticAxes, density: FloatArray) -> tuple[IntArray, IntArray]:
+    """(n,) cell of each detection, and (cells, frames+1) running number of the exposures that saw each cell.
+
+    An exposure saw a cell if it has a detection there or in one of the eight cells around. The cells are so large that
+    three times three hold five detections of a typical exposure.
+    """
+    frames = len(detections.frame_names)
+    side_deg = math.sqrt(5.0 / 9.0 / float(np.median(density))) / 3600.0
+    latitude = np.degrees(np.arcsin(np.clip(axes.unit @ ECLIPTIC_POLE, -1, 1)))
+    row = np.floor((latitude + 90.0) / side_deg).astype(np.int64)
+    across = np.maximum(1, np.floor(360.0 * np.cos(np.radians((row + 0.5) * side_deg - 90.0)) / side_deg)).astype(int)
+    column = np.floor(axes.longitude_deg / 360.0 * across).astype(np.int64)
+    stride = int(across.max(initial=1)) + 3
+    cells, cell = np.unique((row + 1) * stride + column + 1, return_inverse=True)
+    frame_saw = np.zeros((len(cells), frames + 1), np.int64)
+    for drow in (-1, 0, 1):
+        # Rows of another latitude have another number of cells.
+        other = row + drow
+        wide = np.maximum(1, np.floor(360.0 * np.cos(np.radians((other + 0.5) * side_deg - 90.0)) / side_deg))
+        near = np.floor(axes.longitude_deg / 360.0 * wide).astype(np.int64)
+        for dcolumn in (-1, 0, 1):
+            key = (other + 1) * stride + near + dcolumn + 1
+            at = np.minimum(np.searchsorted(cells, key), len(cells) - 1)
+            same = cells[at] == key
+            frame_saw[at[same], detections.frame[same] + 1] = 1
+    return cell, np.cumsum(frame_saw, axis=1)

@@ -1,0 +1,443 @@
+"""Known objects: where asteroids and comets are at a time, from their orbital elements.
+
+Elements are turned to place and velocity at their epoch and integrated with the attraction of the Sun, the planets, the
+Moon and Pluto and the Sun's relativistic term (SciPy's DOP853; planets of the ephemeris DE421). Light time and the
+observer's place on the Earth are taken into account; the place is astrometric, ICRS. Objects of one epoch are
+integrated together.
+"""
+
+from __future__ import annotations
+
+import atexit
+import json
+import math
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from sameas.arrays import FloatArray, IntArray
+from sameas.errors import InputError
+
+#: Gauss's constant squared: GM of the Sun, au³/day².
+_GM_SUN = 0.01720209895**2
+#: Masses of Mercury, Venus, the Earth and the Moon together, Mars … Neptune, Pluto: the Sun's over theirs (DE421).
+_MASS_RATIO = (6023600.0, 408523.71, 328900.56, 3098708.0, 1047.3486, 3497.898, 22902.98, 19412.24, 135200000.0)
+_AU_KM = 149597870.7
+_LIGHT_AU_PER_DAY = 173.14463267424034
+_TILT = math.radians(84381.448 / 3600.0)
+#: Parts of the ecliptic of J2000 along the axes of the ICRS equator.
+_TO_EQUATOR = np.array(
+    [[1.0, 0.0, 0.0], [0.0, math.cos(_TILT), -math.sin(_TILT)], [0.0, math.sin(_TILT), math.cos(_TILT)]]
+)
+#: Of an error of place, relative to the distance, that the integrator may make in a step.
+_TOLERANCE = 1e-10
+#: Places of the planets are tabulated so finely, in tables of so many days.
+_GRID_DAYS, _BLOCK_DAYS = 2.0, 400.0
+
+
+@dataclass(frozen=True)
+class Elements:
+    """Orbital elements of objects, heliocentric, ecliptic and equinox of J2000; (n,) each.
+
+    name : as people call them. number : permanent number, '' without one. epoch_mjd : TDB. perihelion_au, eccentricity,
+    inclination_deg, node_deg, argument_deg : of the orbit. perihelion_mjd : time of perihelion, TDB. h, g : absolute
+    magnitude and slope, NaN where not known. uncertainty : MPC's U of 0 … 9, NaN where not known.
+    """
+
+    name: tuple[str, ...]
+    number: tuple[str, ...]
+    epoch_mjd: FloatArray
+    perihelion_au: FloatArray
+    eccentricity: FloatArray
+    inclination_deg: FloatArray
+    node_deg: FloatArray
+    argument_deg: FloatArray
+    perihelion_mjd: FloatArray
+    h: FloatArray
+    g: FloatArray
+    uncertainty: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.name)
+
+    def some(self, rows: IntArray) -> Elements:
+        """Some of the objects."""
+        parts: dict[str, Any] = {}
+        for key, value in vars(self).items():
+            parts[key] = tuple(value[k] for k in rows) if isinstance(value, tuple) else value[rows]
+        return Elements(**parts)
+
+    @classmethod
+    def read(cls, path: str | Path) -> Elements:
+        """From MPCORB.DAT, or JSON of JPL's small-body database (``fields`` and ``data``).
+
+        Raises
+        ------
+        InputError : neither of the two; a row without its elements.
+        """
+        try:
+            text = Path(path).read_text(encoding="utf-8", errors="replace")
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+        if text.lstrip().startswith("{"):
+            return _of_json(text, path)
+        return _of_mpcorb(text, path)
+
+
+def _of_json(text: str, path: Any) -> Elements:
+    try:
+        told = json.loads(text)
+        fields, data = list(told["fields"]), told["data"]
+        at = {name: fields.index(name) for name in ("full_name", "epoch_mjd", "e", "q", "i", "om", "w")}
+    except (ValueError, KeyError, TypeError):
+        raise InputError(
+            f"{path}: no elements as JPL's small-body database gives them (full_name, epoch_mjd, e, q, i, om, w, "
+            "and ma with a, or tp)"
+        ) from None
+    extra = {name: fields.index(name) for name in ("a", "ma", "tp", "H", "G", "condition_code") if name in fields}
+    rows = [row for row in data if all(row[at[key]] not in (None, "") for key in at)]
+
+    def column(key: str) -> FloatArray:
+        where = at.get(key, extra.get(key))
+        if where is None:
+            return np.full(len(rows), np.nan)
+        return np.array([_number(row[where]) for row in rows])
+
+    e, q, epoch = column("e"), column("q"), column("epoch_mjd")
+    with np.errstate(invalid="ignore", divide="ignore"):
+        a = q / (1.0 - e)
+        motion = np.degrees(math.sqrt(_GM_SUN) / np.abs(a) ** 1.5)
+        passage = np.where(np.isfinite(column("tp")), column("tp") - 2400000.5, np.nan)
+        passage = np.where(np.isfinite(passage), passage, epoch - column("ma") / motion)
+    names = [" ".join(str(row[at["full_name"]]).split()) for row in rows]
+    numbers = [name.split()[0] if name.split()[0].isdigit() else "" for name in names]
+    found = _elements(names, numbers, epoch, q, e, column("i"), column("om"), column("w"), passage, column("H"),
+                   column("G"), column("condition_code"))  # fmt: skip
+    return _usable(found, path)
+
+
+def _elements(names: Sequence[str], numbers: Sequence[str], *columns: FloatArray) -> Elements:
+    """Elements of names, numbers and columns in their order."""
+    return Elements(tuple(names), tuple(numbers), *columns)
+
+
+def _of_mpcorb(text: str, path: Any) -> Elements:
+    lines = text.splitlines()
+    rule = next((k for k, line in enumerate(lines) if line.startswith("-----")), -1)
+    rows = [line for line in lines[rule + 1 :] if len(line) >= 103 and line[20:25].strip()]
+    if not rows:
+        raise InputError(f"{path}: neither lines of MPCORB.DAT nor JSON of elements")
+
+    def column(first: int, last: int) -> FloatArray:
+        return np.array([_number(line[first - 1 : last]) for line in rows])
+
+    epoch = np.array([_packed_date(line[20:25]) for line in rows])
+    e, a, m = column(71, 79), column(93, 103), column(27, 35)
+    motion = np.degrees(math.sqrt(_GM_SUN) / np.abs(a) ** 1.5)
+    m = (m + 180.0) % 360.0 - 180.0
+    names = [(line[166:194].strip() or line[:7].strip()) for line in rows]
+    numbers = [_number_of(line[:7].strip()) for line in rows]
+    found = _elements(names, numbers, epoch, a * (1 - e), e, column(60, 68), column(49, 57), column(38, 46),
+                   epoch - m / motion, column(9, 13), column(15, 19), column(106, 106))  # fmt: skip
+    return _usable(found, path)
+
+
+def _number(value: Any) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return math.nan
+
+
+def _packed_date(text: str) -> float:
+    """MJD of a packed date such as K239D (2023-09-13)."""
+    from datetime import date
+
+    digits = "0123456789ABCDEFGHIJKLMNOPQRSTUV"
+    try:
+        year = 100 * (digits.index(text[0])) + int(text[1:3])
+        return float(date(year, digits.index(text[3]), digits.index(text[4])).toordinal() - 678576)
+    except (ValueError, IndexError):
+        return math.nan
+
+
+def _number_of(packed: str) -> str:
+    """A permanent number of MPC's packed form; '' for a provisional designation."""
+    letters = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz"
+    if len(packed) != 5:
+        return ""
+    if packed[0] == "~":
+        value = 0
+        for letter in packed[1:]:
+            value = value * 62 + letters.index(letter)
+        return str(620000 + value)
+    return str(letters.index(packed[0]) * 10000 + int(packed[1:])) if packed[1:].isdigit() else ""
+
+
+def _usable(found: Elements, path: Any) -> Elements:
+    columns = np.column_stack([
+        found.epoch_mjd, found.perihelion_au, found.eccentricity, found.inclination_deg, found.node_deg,
+        found.argument_deg, found.perihelion_mjd,
+    ])  # fmt: skip
+    good = np.flatnonzero(np.isfinite(columns).all(axis=1) & (found.perihelion_au > 0))
+    if not len(good):
+        raise InputError(f"{path}: no row has all its elements")
+    return found.some(good)
+
+
+@dataclass(frozen=True)
+class Ephemeris:
+    """Places of n objects at t times; (n, t).
+
+    ra_deg, dec_deg : astrometric, ICRS, from the observer's place. distance_au, sun_au : from the observer and the Sun.
+    magnitude : predicted in V, NaN where H is not known. sigma_arcsec : how far elements of this age may be wrong.
+    """
+
+    ra_deg: FloatArray
+    dec_deg: FloatArray
+    distance_au: FloatArray
+    sun_au: FloatArray
+    magnitude: FloatArray
+    sigma_arcsec: FloatArray
+
+
+def ephemeris(elements: Elements, mjd_utc: FloatArray, observer_km: FloatArray | None = None) -> Ephemeris:
+    """Where the objects are at some times.
+
+    elements : n objects. mjd_utc : (t,) times. observer_km : (t, 3) of the observer from the middle of the Earth on the
+    ICRS axes, as :func:`geocentric_km` gives it; None for the middle of the Earth.
+
+    The error of a place grows from 0.1″ by 0.05″ a year between the elements' epoch and the time (by MPC's U where it
+    is known, ten times that per two steps above 2); it is a scale for the gate, not a covariance.
+    """
+    from astropy.time import Time
+
+    planets = _planets()
+    planets.check(np.asarray(mjd_utc))
+    tdb = Time(np.asarray(mjd_utc), format="mjd", scale="utc").tdb.mjd
+    order = np.argsort(tdb)
+    earth = planets.earth(tdb)
+    observer = earth + (0.0 if observer_km is None else np.asarray(observer_km).T / _AU_KM)
+    shape = (len(elements), len(tdb))
+    middle = float(tdb[order[len(order) // 2]])
+    state = np.empty((2, 3, len(elements)))
+    for epoch in np.unique(elements.epoch_mjd):
+        rows = np.flatnonzero(elements.epoch_mjd == epoch)
+        state[:, :, rows] = _integrated(_state(elements.some(rows), epoch), epoch, np.array([middle]), planets)[..., 0]
+    there = np.empty((2, 3, *shape))
+    late = tdb >= middle
+    for side in (late, ~late):
+        at = np.flatnonzero(side)
+        at = at[np.argsort(np.abs(tdb[at] - middle))]
+        if len(at):
+            there[..., at] = _integrated(state, middle, tdb[at], planets)
+    place, velocity = there[0] + planets.sun(tdb)[:, None, :], there[1]
+    to = place - observer[:, None, :]
+    # The Sun's own motion, 0.01 km/s, moves nothing by a milliarcsecond in the light time.
+    for _ in range(2):
+        late = np.linalg.norm(to, axis=0) / _LIGHT_AU_PER_DAY
+        to = place - velocity * late - observer[:, None, :]
+    distance = np.linalg.norm(to, axis=0)
+    sun_at = planets.sun(tdb)
+    sun = np.linalg.norm(place - sun_at[:, None, :], axis=0)
+    ra = np.degrees(np.arctan2(to[1], to[0])) % 360.0
+    dec = np.degrees(np.arcsin(to[2] / distance))
+    age = np.abs(np.asarray(mjd_utc)[None] - elements.epoch_mjd[:, None]) / 365.25
+    worse = 10.0 ** (0.5 * np.maximum(np.nan_to_num(elements.uncertainty, nan=2.0) - 2.0, 0.0))[:, None]
+    sigma = np.hypot(0.1, 0.05 * age) * worse
+    between = np.linalg.norm(sun_at - observer, axis=0)
+    return Ephemeris(ra, dec, distance, sun, _magnitude(elements, distance, sun, between), sigma)
+
+
+def near(elements: Elements, mjd_utc: float, ra_deg: float, dec_deg: float, radius_deg: float) -> IntArray:
+    """Rows of the objects that two-body motion puts within a radius of a direction, as seen from the Earth's middle.
+
+    The radius is widened by what the planets do, some 0.3° a year of the elements' age for the main belt, more for
+    objects near the Earth.
+    """
+    planets = _planets()
+    time = np.array([mjd_utc])
+    earth = planets.earth(time) - planets.sun(time)
+    to = _state(elements, mjd_utc)[0] - earth
+    distance = np.linalg.norm(to, axis=0)
+    ra, dec = math.radians(ra_deg), math.radians(dec_deg)
+    unit = np.array([math.cos(dec) * math.cos(ra), math.cos(dec) * math.sin(ra), math.sin(dec)])
+    off = np.degrees(np.arccos(np.clip(unit @ to / distance, -1.0, 1.0)))
+    age = np.abs(mjd_utc - elements.epoch_mjd) / 365.25
+    return np.flatnonzero(off < radius_deg + (0.1 + 0.3 * age) * np.maximum(1.0, 1.7 / distance))
+
+
+def _magnitude(elements: Elements, distance: FloatArray, sun: FloatArray, between: FloatArray) -> FloatArray:
+    """V of the H, G system (Bowell et al. 1989)."""
+    cosine = (distance**2 + sun**2 - between**2) / (2 * distance * sun)
+    half = np.tan(0.5 * np.arccos(np.clip(cosine, -1, 1)))
+    g = np.nan_to_num(elements.g, nan=0.15)[:, None]
+    phase = (1 - g) * np.exp(-3.33 * half**0.63) + g * np.exp(-1.87 * half**1.22)
+    return np.asarray(elements.h[:, None] + 5 * np.log10(distance * sun) - 2.5 * np.log10(phase))
+
+
+def _state(elements: Elements, mjd: float) -> FloatArray:
+    """(2, 3, n) heliocentric place, au, and velocity, au/day, of the osculating orbits at a time, on ICRS axes."""
+    e, q = elements.eccentricity, elements.perihelion_au
+    days = mjd - elements.perihelion_mjd
+    radius, anomaly = _two_body(q, e, days)
+    node, argument, tilt = (np.radians(x) for x in (elements.node_deg, elements.argument_deg, elements.inclination_deg))
+    along = np.array([np.cos(argument) * np.cos(node) - np.sin(argument) * np.sin(node) * np.cos(tilt),
+                      np.cos(argument) * np.sin(node) + np.sin(argument) * np.cos(node) * np.cos(tilt),
+                      np.sin(argument) * np.sin(tilt)])  # fmt: skip
+    across = np.array([-np.sin(argument) * np.cos(node) - np.cos(argument) * np.sin(node) * np.cos(tilt),
+                       -np.sin(argument) * np.sin(node) + np.cos(argument) * np.cos(node) * np.cos(tilt),
+                       np.cos(argument) * np.sin(tilt)])  # fmt: skip
+    speed = np.sqrt(_GM_SUN / (q * (1 + e)))
+    place = radius * (np.cos(anomaly) * along + np.sin(anomaly) * across)
+    velocity = speed * (-np.sin(anomaly) * along + (e + np.cos(anomaly)) * across)
+    return np.stack([_TO_EQUATOR @ place, _TO_EQUATOR @ velocity])
+
+
+def _two_body(q: FloatArray, e: FloatArray, days: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Radius and true anomaly after perihelion, for every eccentricity."""
+    radius, anomaly = np.empty_like(q), np.empty_like(q)
+    closed, near, opened = e < 0.9999, np.abs(e - 1) <= 1e-4, e > 1.0001
+    if closed.any():
+        a, ec = q[closed] / (1 - e[closed]), e[closed]
+        mean = np.remainder(math.sqrt(_GM_SUN) / a**1.5 * days[closed] + np.pi, 2 * np.pi) - np.pi
+        angle = mean + ec * np.sin(mean)
+        for _ in range(50):
+            angle = angle - (angle - ec * np.sin(angle) - mean) / (1 - ec * np.cos(angle))
+        anomaly[closed] = 2 * np.arctan2(np.sqrt(1 + ec) * np.sin(angle / 2), np.sqrt(1 - ec) * np.cos(angle / 2))
+        radius[closed] = a * (1 - ec * np.cos(angle))
+    if opened.any():
+        a, ec = q[opened] / (e[opened] - 1), e[opened]
+        mean = math.sqrt(_GM_SUN) / a**1.5 * days[opened]
+        angle = np.arcsinh(mean / ec)
+        for _ in range(80):
+            angle = angle - (ec * np.sinh(angle) - angle - mean) / (ec * np.cosh(angle) - 1)
+        anomaly[opened] = 2 * np.arctan(np.sqrt((ec + 1) / (ec - 1)) * np.tanh(angle / 2))
+        radius[opened] = a * (ec * np.cosh(angle) - 1)
+    rest = ~(closed | opened) | (near & ~closed & ~opened)
+    if rest.any():
+        w = 3.0 * math.sqrt(_GM_SUN) / np.sqrt(2.0 * q[rest] ** 3) * days[rest]
+        y = np.cbrt(w / 2 + np.sqrt(w * w / 4 + 1))
+        s = y - 1 / y
+        anomaly[rest] = 2 * np.arctan(s)
+        radius[rest] = q[rest] * (1 + s * s)
+    return radius, anomaly
+
+
+def _integrated(state: FloatArray, begin: float, times: FloatArray, planets: _Planets) -> FloatArray:
+    """(2, 3, n, t) the heliocentric states (2, 3, n) of a time at others, all later or all earlier, nearest first."""
+    from scipy.integrate import solve_ivp
+
+    n = state.shape[2]
+    if (times == begin).all():
+        return np.repeat(state[..., None], len(times), axis=-1)
+
+    def derivative(t: float, y: FloatArray) -> FloatArray:
+        r, v = y.reshape(2, 3, n)
+        return np.stack([v, planets.acceleration(t, r, v)]).ravel()
+
+    steps, at = np.unique(times, return_inverse=True)
+    ascending = times[-1] >= begin
+    done = solve_ivp(
+        derivative, (begin, float(times[-1])), state.ravel(), method="DOP853", rtol=_TOLERANCE, atol=1e-13,
+        t_eval=steps if ascending else steps[::-1],
+    )  # fmt: skip
+    if not done.success:
+        raise InputError(f"the orbits could not be followed from MJD {begin:g} to {times[-1]:g} ({done.message})")
+    values = done.y if ascending else done.y[:, ::-1]
+    return np.asarray(values[:, at].reshape(2, 3, n, len(times)))
+
+
+class _Planets:
+    """Places of the planets, from a file of the Jet Propulsion Laboratory."""
+
+    def __init__(self, kernel: Any) -> None:
+        self.kernel = kernel
+        self.tables: dict[int, CubicSpline] = {}
+        self.first, self.last = kernel[0, 3].start_jd - 2400000.5, kernel[0, 3].end_jd - 2400000.5
+
+    def _of(self, body: int, mjd: Any) -> FloatArray:
+        """(3, t) au from the barycentre of the Solar System."""
+        return np.asarray(self.kernel[0, body].compute(2400000.5, mjd)[:3]) / _AU_KM
+
+    def sun(self, mjd: FloatArray) -> FloatArray:
+        """(3, t)."""
+        self.check(mjd)
+        return self._of(10, mjd)
+
+    def earth(self, mjd: FloatArray) -> FloatArray:
+        """(3, t) the middle of the Earth."""
+        self.check(mjd)
+        return self._of(3, mjd) + np.asarray(self.kernel[3, 399].compute(2400000.5, mjd)[:3]) / _AU_KM
+
+    def check(self, mjd: FloatArray) -> None:
+        """Refuses times that the file does not have."""
+        if np.min(mjd) < self.first or np.max(mjd) > self.last:
+            raise InputError(
+                f"the planets are known from MJD {self.first:.0f} to {self.last:.0f} only, not at {np.max(mjd):.1f}"
+            )
+
+    def _perturbers(self, mjd: float) -> FloatArray:
+        """(9, 3) heliocentric places of the planets, between those of every two days (Mercury to 100 km)."""
+        block = int(mjd // _BLOCK_DAYS)
+        if block not in self.tables:
+            grid = np.arange(block * _BLOCK_DAYS - _GRID_DAYS, (block + 1) * _BLOCK_DAYS + 2 * _GRID_DAYS, _GRID_DAYS)
+            self.check(grid)
+            sun = self._of(10, grid)
+            self.tables[block] = CubicSpline(
+                grid, np.array([(self._of(body, grid) - sun).T for body in range(1, 10)]), axis=1
+            )
+        return np.asarray(self.tables[block](mjd))
+
+    def acceleration(self, mjd: float, r: FloatArray, v: FloatArray) -> FloatArray:
+        """(3, n) au/day² of heliocentric places and velocities (3, n)."""
+        bodies = self._perturbers(mjd)
+        distance = np.sqrt((r * r).sum(axis=0))
+        # The Sun's field to the first order of general relativity (Schwarzschild, harmonic coordinates).
+        c2 = _LIGHT_AU_PER_DAY**2
+        speed2, radial = (v * v).sum(axis=0), (r * v).sum(axis=0)
+        out = -_GM_SUN * r / distance**3
+        out += _GM_SUN / (c2 * distance**3) * ((4 * _GM_SUN / distance - speed2) * r + 4 * radial * v)
+        for planet, ratio in zip(bodies[..., None], _MASS_RATIO, strict=True):
+            off = planet - r
+            gm = _GM_SUN / ratio
+            out += gm * (off / ((off * off).sum(axis=0)) ** 1.5 - planet / (planet * planet).sum() ** 1.5)
+        return np.asarray(out)
+
+
+@lru_cache(maxsize=1)
+def _planets() -> _Planets:
+    """Those of DE421, from the package ``skyfield-data``."""
+    try:
+        from jplephem.spk import SPK
+        from skyfield_data import get_skyfield_data_path
+    except ImportError:
+        raise InputError(
+            "known objects need the packages jplephem and skyfield-data; pip install 'sameas[movers]' installs them"
+        ) from None
+    with warnings.catch_warnings():
+        # It warns of its tables of the Earth's rotation, which are not used here.
+        warnings.simplefilter("ignore")
+        folder = get_skyfield_data_path()
+    kernel = SPK.open(str(Path(folder) / "de421.bsp"))
+    atexit.register(kernel.close)
+    return _Planets(kernel)
+
+
+def geocentric_km(lat_deg: float, lon_deg: float, height_m: float, mjd_utc: FloatArray) -> FloatArray:
+    """(t, 3) of a place on the Earth, on the ICRS axes, at some times. Degrees, east positive; metres."""
+    from astropy import units as u
+    from astropy.coordinates import EarthLocation
+    from astropy.time import Time
+
+    place = EarthLocation.from_geodetic(
+        lon_deg * u.deg, lat_deg * u.deg, (height_m if height_m == height_m else 0) * u.m
+    )
+    there = place.get_gcrs_posvel(Time(np.asarray(mjd_utc), format="mjd", scale="utc"))[0]
+    return np.asarray(there.xyz.to_value(u.km)).T

@@ -1,0 +1,276 @@
+"""The search: from detections to tracklets, one line a stage."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.errors import InputError, naming
+from sameas.representation import in_short
+from sameas.sky.movers.detections import Detections
+from sameas.sky.movers.links import candidate_links, learn
+from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning
+from sameas.sky.movers.rates import EclipticAxes
+from sameas.sky.movers.tracks import Competition, compete, grow
+
+if TYPE_CHECKING:
+    from astropy.table import Table
+
+
+@in_short
+@dataclass(frozen=True)
+class Movers:
+    """Tracklets, the most probable first; (k,) each.
+
+    Attributes
+    ----------
+    detections : what was searched. model : what was believed of movers, learned or given.
+    members : (k, S) detections of each in the order of time, −1 behind the last one.
+    p_tracklet : probability that there is a mover to which at least two of these detections belong.
+    p_exact : probability that these detections are one mover's, and no other is.
+    p_member : (k, S) probability of each detection to be of this mover.
+    log_weight : ln of the odds of the tracklet against its detections being of no common mover.
+    expected_chance : how many tracklets of as much evidence chance makes of all detections, at most (n e^−ln w: what
+        is e^x times more probable as a mover than by chance happens by chance e^−x times as often as movers do).
+    gap : ln of how much more probable another choice of tracklets could be at most.
+    """
+
+    detections: Detections
+    model: MotionModel
+    members: IntArray
+    p_tracklet: FloatArray
+    p_exact: FloatArray
+    p_member: FloatArray
+    log_weight: FloatArray
+    expected_chance: FloatArray
+    gap: float
+    state: FloatArray = field(repr=False)
+
+    def __len__(self) -> int:
+        return len(self.members)
+
+    @property
+    def size(self) -> IntArray:
+        """(k,) detections of each tracklet."""
+        return np.asarray((self.members >= 0).sum(axis=1))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(k,) a name of eight letters and digits at most, as reports want it."""
+        return tuple(f"sa{k + 1:05d}" for k in range(len(self)))
+
+    @property
+    def tracklet(self) -> IntArray:
+        """(n,) number of the tracklet that each detection belongs to, −1 for none."""
+        out = np.full(len(self.detections), -1)
+        k, column = np.nonzero(self.members >= 0)
+        out[self.members[k, column]] = k
+        return out
+
+    @cached_property
+    def _fits(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        return _linear_fits(self.detections, self.members)
+
+    @property
+    def rate_arcsec_per_min(self) -> FloatArray:
+        """(k, 2) of straight motion fitted to each, east and north of the equator."""
+        return self._fits[0]
+
+    @property
+    def residual_arcsec(self) -> FloatArray:
+        """(n, 2) of each detection from straight motion of its tracklet, east and north; NaN without one."""
+        return self._fits[1]
+
+    @property
+    def scatter_arcsec(self) -> FloatArray:
+        """(k,) root mean square of the residuals per axis, NaN for two detections."""
+        return self._fits[2]
+
+    def only(self, keep: BoolArray | IntArray) -> Movers:
+        """Some of the tracklets."""
+        names = ("members", "p_tracklet", "p_exact", "p_member", "log_weight", "expected_chance", "state")
+        return replace(self, **{name: getattr(self, name)[keep] for name in names})
+
+    def table(self) -> Table:
+        """One row a tracklet."""
+        from astropy.table import Table
+
+        seen, first = self.detections, self.members[:, 0]
+        last = self.members[np.arange(len(self)), self.size - 1]
+        east, north = self.rate_arcsec_per_min.T
+        table = Table(
+            {
+                "tracklet": np.array(self.names, dtype="U8"),
+                "n_detections": self.size,
+                "p_tracklet": self.p_tracklet,
+                "p_exact": self.p_exact,
+                "expected_chance": self.expected_chance,
+                "log_odds": self.log_weight,
+                "mjd_utc_first": seen.mjd_utc[first],
+                "ra_deg_first": seen.ra_deg[first],
+                "dec_deg_first": seen.dec_deg[first],
+                "mjd_utc_last": seen.mjd_utc[last],
+                "ra_deg_last": seen.ra_deg[last],
+                "dec_deg_last": seen.dec_deg[last],
+                "rate_arcsec_per_min": np.hypot(east, north),
+                "rate_east_arcsec_per_min": east,
+                "rate_north_arcsec_per_min": north,
+                "position_angle_deg": np.degrees(np.arctan2(east, north)) % 360.0,
+                "scatter_arcsec": np.ma.masked_invalid(self.scatter_arcsec),
+            }
+        )
+        units = {"_deg": "deg", "_arcsec": "arcsec", "per_min": "arcsec / min", "mjd": "d"}
+        for name in table.colnames:
+            unit = next((u for key, u in units.items() if name.endswith(key) or name.startswith(key)), None)
+            table[name].unit = "deg" if "_deg_" in name else unit
+        return table
+
+    def detection_table(self) -> Table:
+        """One row a detection of a tracklet, tracklet by tracklet in the order of time."""
+        from astropy.table import Table
+
+        seen = self.detections
+        k, column = np.nonzero(self.members >= 0)
+        rows = self.members[k, column]
+        table = Table(
+            {
+                "tracklet": np.array(self.names, dtype="U8")[k] if len(k) else np.empty(0, "U8"),
+                "id": seen.ids[rows],
+                "row": seen.rows[rows],
+                "exposure": np.array(seen.frame_names, dtype=str)[seen.frame[rows]],
+                "mjd_utc": seen.mjd_utc[rows],
+                "ra_deg": seen.ra_deg[rows],
+                "dec_deg": seen.dec_deg[rows],
+                "magnitude": np.ma.masked_invalid(seen.magnitude[rows]),
+                "p_member": self.p_member[k, column],
+                "residual_east_arcsec": self.residual_arcsec[rows, 0],
+                "residual_north_arcsec": self.residual_arcsec[rows, 1],
+            }
+        )
+        for name, unit in (("mjd_utc", "d"), ("ra_deg", "deg"), ("dec_deg", "deg"), ("magnitude", "mag"),
+                           ("residual_east_arcsec", "arcsec"), ("residual_north_arcsec", "arcsec")):  # fmt: skip
+            table[name].unit = unit
+        return table
+
+
+def find_movers(
+    detections: Detections,
+    *,
+    model: MotionModel | None = None,
+    others: Sequence[Detections] = (),
+    least: int = 2,
+    least_probability: float = 0.5,
+    tuning: Tuning = DEFAULT_TUNING,
+) -> Movers:
+    """What moves among detections of several exposures: tracklets, how sure each is and each of its detections.
+
+    Parameters
+    ----------
+    detections : of one night, or of a series of frames; stars are best taken away before.
+    model : of rates, brightness and misses, as :func:`learn_motion` makes it; None learns it from these detections.
+    others : detections of other nights to learn from, instead of these; for no ``model``.
+    least : a tracklet has so many detections or more. least_probability : and is so probable.
+    tuning : how the search goes.
+
+    Returns
+    -------
+    The tracklets, the most probable first; a detection belongs to one at most.
+
+    Example
+    -------
+    >>> t = [60000.0, 60000.01, 60000.02, 60000.03, 60000.04]
+    >>> ra, dec = [156.0, 155.998, 155.996, 155.994, 155.992], [10.0, 10.0008, 10.0016, 10.0024, 10.0032]
+    >>> found = find_movers(Detections.of(ra, dec, t, sigma_arcsec=0.2), least=3)
+    >>> found.members, found.rate_arcsec_per_min.round(2)
+    (array([[0, 1, 2, 3, 4]]), array([[-0.49,  0.2 ]]))
+    """
+    if least < 2:
+        raise InputError(f"least={least}: a tracklet has two detections or more", naming("say {least:N}"))
+    if not 0.0 <= least_probability <= 1.0:
+        raise InputError(f"least_probability={least_probability}: give a probability, 0 to 1")
+    around = Surroundings.of(detections, tuning)
+    if model is None:
+        model = learn_motion(*(others or (detections,)), tuning=tuning)
+    model = model.for_bands(detections.bands, tuning)
+    links = candidate_links(around, model, tuning)
+    tracks = grow(around, links, model, tuning)
+    competition = compete(tracks, len(detections), tuning)
+    return _movers(detections, model, competition, least, least_probability)
+
+
+def learn_motion(*nights: Detections, counts: float = 30.0, tuning: Tuning = DEFAULT_TUNING) -> MotionModel:
+    """What detections of one night or more teach of rates, brightness and misses; no identities are needed.
+
+    counts : what is believed beforehand weighs as many links.
+
+    A night of few movers leaves nearly all as it was believed before: the Solar System as ZTF sees it.
+
+    Example: ``find_movers(tonight, model=learn_motion(yesterday))``.
+    """
+    model = MotionModel()
+    for night in nights:
+        model = learn(Surroundings.of(night, tuning), model.for_bands(night.bands, tuning), tuning, counts=counts)
+    return model
+
+
+def _movers(detections: Detections, model: MotionModel, found: Competition, least: int, p_least: float) -> Movers:
+    p_tracklet, p_member = _shares(found, len(detections))
+    keep = np.flatnonzero(found.chosen)
+    keep = keep[(found.tracks.size[keep] >= least) & (p_tracklet[keep] >= p_least)]
+    keep = keep[np.lexsort([found.members[keep, 0], -found.tracks.log_weight[keep]])]
+    weight = found.tracks.log_weight[keep]
+    width = int(found.tracks.size[keep].max(initial=2))
+    chance = len(detections) * np.exp(-np.clip(weight, -50.0, 700.0))
+    return Movers(
+        detections, model, found.members[keep][:, :width], p_tracklet[keep], found.p_track[keep],
+        p_member[keep][:, :width], weight, chance, found.gap, found.tracks.state[keep],
+    )  # fmt: skip
+
+
+def _shares(found: Competition, n: int) -> tuple[FloatArray, FloatArray]:
+    """(k,) probability that a mover has two of the detections of each chosen track, and (k, S) that it has each."""
+    members, p = found.members, found.p_track
+    owner = np.full(n + 1, -1)
+    k, column = np.nonzero((members >= 0) & found.chosen[:, None])
+    owner[members[k, column]] = k
+    p_tracklet, p_member = np.zeros(len(members)), np.zeros(members.shape)
+    position = np.full(n + 1, -1)
+    position[members[k, column]] = column
+    of = owner[members]  # which chosen track each detection of each track belongs to; −1 reads the last, none
+    for track in np.flatnonzero(p > 1e-9):
+        mine = of[track][members[track] >= 0]
+        for chosen in np.unique(mine[mine >= 0]):
+            common = members[track][(of[track] == chosen) & (members[track] >= 0)]
+            if len(common) >= 2:
+                p_tracklet[chosen] += p[track]
+                p_member[chosen, position[common]] += p[track]
+    return np.minimum(p_tracklet, 1.0), np.minimum(p_member, 1.0)
+
+
+def _linear_fits(detections: Detections, members: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(k, 2) rates, (n, 2) residuals and (k,) scatter of straight motion fitted by weighted least squares."""
+    rate, left = np.full((len(members), 2), np.nan), np.full((len(detections), 2), np.nan)
+    scatter = np.full(len(members), np.nan)
+    axes: EclipticAxes = detections.axes()
+    for size in np.unique((members >= 0).sum(axis=1)):
+        these = np.flatnonzero((members >= 0).sum(axis=1) == size)
+        rows = members[these, :size]
+        first = np.repeat(rows[:, 0], size)
+        place = axes.to_equator(first, axes.offsets(first, rows.ravel())).reshape(len(these), size, 2)
+        t = (detections.mjd_utc[rows] - detections.mjd_utc[rows[:, :1]]) * 1440.0
+        weight = 1.0 / (0.5 * (detections.covariance[rows][..., 0] + detections.covariance[rows][..., 2]))
+        total = weight.sum(axis=1, keepdims=True)
+        middle = (weight * t).sum(axis=1, keepdims=True) / total
+        mean = np.einsum("ks,ksd->kd", weight, place) / total
+        around = t - middle
+        slope = np.einsum("ks,ksd->kd", weight * around, place) / (weight * around**2).sum(axis=1)[:, None]
+        off = place - mean[:, None] - around[..., None] * slope[:, None]
+        rate[these], left[rows] = slope, off
+        if size > 2:
+            scatter[these] = np.sqrt((off**2).sum(axis=(1, 2)) / (2 * (size - 2)))
+    return rate, left, scatter

@@ -1,0 +1,245 @@
+"""Tracks: sets of detections that one mover could be, grown along the links, and what each weighs.
+
+A track's motion is a place, a rate and a small acceleration on the tangent plane at its first detection, and its error
+(a Kalman filter without process noise: one least-squares fit, one detection after another). The acceleration has a
+prior that is small for slow movers, so that over a short time motion is linear, over a long one quadratic. The third
+detection and each later one weighs
+
+    ln odds + ln N(x; predicted) − ln β + ln g/n + (exposures passed over) · ln(1 − P_d).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.many.marginals import additive_answer
+from sameas.many.sets import Sets
+from sameas.ragged import Ragged, ranges
+from sameas.sky.movers.links import Links, rates_of
+from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning
+from sameas.sky.movers.rates import log_normal
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Tracks, (k,) each; made exposure by exposure.
+
+    last : the last detection. parent : the track without it, −1 where that is one detection alone. first : the first
+    detection. size : of how many detections. log_weight : ln w against all of them being of no mover, or each of
+    another. gain : what the last detection adds to it. state, covariance : (k, 6), (k, 6, 6) place, rate and
+    acceleration at the time of the first detection, in arcsec and minutes on its ecliptic axes.
+    """
+
+    first: IntArray
+    last: IntArray
+    parent: IntArray
+    size: IntArray
+    log_weight: FloatArray
+    gain: FloatArray
+    state: FloatArray
+    covariance: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.last)
+
+    def only(self, keep: BoolArray | IntArray) -> Tracks:
+        """Some of the tracks."""
+        return Tracks(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
+
+    @staticmethod
+    def together(parts: list[Tracks]) -> Tracks:
+        """All of several lists of tracks."""
+        return Tracks(*(np.concatenate([getattr(p, name) for p in parts]) for name in Tracks.__dataclass_fields__))
+
+    def members(self) -> IntArray:
+        """(k, longest) detections of each track in the order of time, −1 behind its last one."""
+        out = np.full((len(self), int(self.size.max(initial=1))), -1)
+        at, rows = np.arange(len(self)), np.arange(len(self))
+        while len(rows):
+            out[rows, self.size[at] - 1] = self.last[at]
+            above = self.parent[at] >= 0
+            out[rows[~above], 0] = self.first[at[~above]]
+            rows, at = rows[above], self.parent[at[above]]
+        return out
+
+
+def grow(around: Surroundings, links: Links, model: MotionModel, tuning: Tuning = DEFAULT_TUNING) -> Tracks:
+    """The tracks that the links make: at every detection the best of those that end there."""
+    seen = around.detections
+    order = np.argsort(seen.frame[links.j], kind="stable")
+    links = links.only(order)
+    bounds = np.searchsorted(seen.frame[links.j], np.arange(len(seen.frame_names) + 1))
+    kept: list[Tracks] = [_none()]
+    made = 0
+    # Where in ``kept`` the tracks that end at a detection are: those of one exposure follow each other by detection.
+    start, count = np.zeros(len(seen), np.int64), np.zeros(len(seen), np.int64)
+    pool = kept[0]
+    for frame in range(len(seen.frame_names)):
+        here = links.only(slice(bounds[frame], bounds[frame + 1]))  # type: ignore[arg-type]
+        if not len(here):
+            continue
+        grown = [_begun(around, here, model, tuning)]
+        row, parent = ranges(start[here.i], count[here.i])
+        if len(row):
+            grown.append(_extended(around, here.only(row), pool.only(parent), parent, model, tuning))
+        level = _best(Tracks.together(grown), tuning.tracks)
+        size = np.bincount(level.last, minlength=len(seen))
+        ended = np.flatnonzero(size)
+        count[ended] = size[ended]
+        start[ended] = made + np.searchsorted(level.last, ended)
+        kept.append(level)
+        made += len(level)
+        pool = Tracks.together([pool, level])
+    return pool
+
+
+def _none() -> Tracks:
+    no = np.empty(0, np.int64)
+    return Tracks(no, no, no, no, np.empty(0), np.empty(0), np.empty((0, 6)), np.empty((0, 6, 6)))
+
+
+def _best(tracks: Tracks, most: int) -> Tracks:
+    """The best tracks at every last detection, by detection."""
+    order = np.lexsort([-tracks.log_weight, tracks.last])
+    place = np.arange(len(order)) - np.searchsorted(tracks.last[order], tracks.last[order])
+    return tracks.only(order[place < most])
+
+
+def _begun(around: Surroundings, links: Links, model: MotionModel, tuning: Tuning) -> Tracks:
+    """Tracks of two detections."""
+    m = len(links)
+    rate, error = rates_of(around, links.i, links.j, links.minutes, links.offset)
+    mean, spread = model.rates.prior_at(rate, error)
+    state = np.zeros((m, 6))
+    state[:, 2:4] = mean
+    state[:, 2] += around.reference[links.i]
+    covariance = np.zeros((m, 6, 6))
+    covariance[:, :2, :2] = around.covariance[links.i]
+    covariance[:, 2:4, 2:4] = spread
+    speed = np.hypot(*(links.offset / links.minutes[:, None]).T)
+    bend = tuning.bend_arcsec_per_min2 * np.maximum(1.0, speed / tuning.bend_rate)
+    covariance[:, [4, 5], [4, 5]] = (bend**2)[:, None]
+    state, covariance, _, _ = _updated(state, covariance, links.minutes, links.offset, around.covariance[links.j])
+    return Tracks(links.i, links.j, np.full(m, -1), np.full(m, 2), links.log_ratio, links.log_ratio, state, covariance)
+
+
+def _extended(
+    around: Surroundings, links: Links, before: Tracks, parent: IntArray, model: MotionModel, tuning: Tuning
+) -> Tracks:
+    """Tracks with one detection more, that of the link beginning where each ends; (m,) of links and tracks."""
+    minutes = around.minutes[links.j] - around.minutes[before.first]
+    place = around.axes.offsets(before.first, links.j)
+    noise = around.covariance[links.j]
+    state, covariance, off, spread = _updated(before.state, before.covariance, minutes, place, noise)
+    wide = spread + (tuning.outlier_scale**2 - 1.0) * noise
+    fit = np.logaddexp(
+        math.log1p(-tuning.outlier) + log_normal(off, spread), math.log(tuning.outlier) + log_normal(off, wide)
+    )
+    gain = (
+        model.log_odds + fit - around.log_density[links.j] + links.log_brightness
+        + links.misses * math.log(1.0 - model.p_detect)
+    )  # fmt: skip
+    tracks = Tracks(before.first, links.j, parent, before.size + 1, before.log_weight + gain, gain, state, covariance)
+    return tracks.only(gain > tuning.least_log_ratio)
+
+
+def _updated(
+    state: FloatArray, covariance: FloatArray, minutes: FloatArray, place: FloatArray, noise: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """State and covariance after a detection, its residual from what was predicted, and the covariance of that."""
+    t = minutes[:, None, None]
+    one = np.eye(2)[None]
+    design = np.concatenate([np.broadcast_to(one, (len(minutes), 2, 2)), t * one, 0.5 * t * t * one], axis=2)
+    off = place - np.einsum("mij,mj->mi", design, state)
+    across = covariance @ design.transpose(0, 2, 1)
+    spread = design @ across + noise
+    gain = across @ np.linalg.inv(spread)
+    updated = covariance - gain @ across.transpose(0, 2, 1)
+    updated = 0.5 * (updated + updated.transpose(0, 2, 1))
+    return state + np.einsum("mij,mj->mi", gain, off), updated, off, spread
+
+
+@dataclass(frozen=True)
+class Competition:
+    """Tracks that compete for detections: none has a detection that another chosen one has.
+
+    tracks : those that compete. chosen : (k,) those of the best choice. p_track : (k,) probability of each exactly as
+    it is. gap : ln of how much more probable another choice could be at most; 0 where it is proved best.
+    """
+
+    tracks: Tracks
+    members: IntArray
+    chosen: BoolArray
+    p_track: FloatArray
+    gap: float
+
+
+def compete(tracks: Tracks, n: int, tuning: Tuning = DEFAULT_TUNING, *, time_limit_s: float = 20.0) -> Competition:
+    """The best choice of tracks that share no detection, and the probability of each, by set packing.
+
+    tracks : of n detections. Tracks that are another one without its last detections, where these are sure, do not
+    compete; nor do those that weigh nothing.
+    """
+    surpassed = np.zeros(len(tracks), bool)
+    sure = (tracks.parent >= 0) & (tracks.gain > tuning.sure)
+    surpassed[tracks.parent[sure]] = True
+    at = np.flatnonzero(~surpassed & (tracks.log_weight > tuning.least_log_ratio))
+    members = tracks.members()[at]
+    weight = tracks.log_weight[at]
+    use = np.bincount(members[members >= 0], minlength=n)
+    alone = np.where(members >= 0, use[members], 1).max(axis=1, initial=1) == 1
+    chosen, share = alone & (weight > 0), np.where(alone, 1.0 / (1.0 + np.exp(-np.clip(weight, -700, 700))), 0.0)
+    rest = np.flatnonzero(~alone)
+    gap = 0.0
+    if len(rest):
+        sets, sizes, of_track = _sets(_contracted(members[rest], n), weight[rest])
+        answer = additive_answer(sets, sizes, time_limit_s=time_limit_s)
+        chosen[rest], share[rest] = answer.chosen[of_track], answer.probability[of_track]
+        gap = float(answer.gap.max(initial=0.0))
+    return Competition(tracks.only(at), members, chosen, share, gap)
+
+
+def _contracted(members: IntArray, n: int) -> IntArray:
+    """The members (k, S) without detections that are in exactly the same tracks as two others.
+
+    What cannot be told apart by the tracks that it is in need not be carried along twice; two of each kind stay, so
+    that a track keeps two records or more.
+    """
+    k, column = np.nonzero(members >= 0)
+    record = members[k, column]
+    code = np.random.default_rng(0).integers(0, 1 << 62, len(members), dtype=np.uint64)
+    kind = np.zeros(n, np.uint64)
+    np.add.at(kind, record, code[k])
+    there = np.unique(record)
+    order = np.argsort(kind[there], kind="stable")
+    ordered = kind[there][order]
+    place = np.arange(len(order)) - np.searchsorted(ordered, ordered)
+    kept = np.zeros(n, bool)
+    kept[there[order[place < 2]]] = True
+    return np.where((members >= 0) & kept[members], members, -1)
+
+
+def _sets(members: IntArray, weight: FloatArray) -> tuple[Sets, IntArray, IntArray]:
+    """The tracks as candidate sets beside their records alone, the sizes of the groups, and the set of each track."""
+    k, column = np.nonzero(members >= 0)
+    records, number = np.unique(members[k, column], return_inverse=True)
+    n, m = len(records), len(members)
+    packed = np.full((n + m, int((members >= 0).sum(axis=1).max())), -1)
+    packed[:n, 0] = np.arange(n)
+    size = np.concatenate([np.ones(n, np.int64), np.bincount(k, minlength=m)])
+    packed[n + k, np.arange(len(k)) - Ragged.of_sizes(size[n:]).start[k]] = number
+    edges = coo_array((np.ones(len(k), np.int8), (number, n + k)), shape=(n + m, n + m))
+    count, part = connected_components(edges, directed=False)
+    order = np.lexsort([size, part])
+    place = np.empty(n + m, np.int64)
+    place[order] = np.arange(n + m)
+    log_weight = np.concatenate([np.zeros(n), weight])[order]
+    start = Ragged.of_sorted(part[order], count).start
+    sets = Sets(packed[order], size[order], log_weight, part[order], start, np.full(count, -np.inf))
+    return sets, np.bincount(part[:n], minlength=count), place[n:]

@@ -1,0 +1,90 @@
+"""Reports for the Minor Planet Center."""
+
+import math
+
+import pytest
+
+from sameas import InputError
+from sameas.io.ades import Observation, Observer, line_of, write_80_columns, write_psv, write_xml
+
+HEADER = """[observatory]
+mpcCode = "810"
+[submitter]
+name = "J. Doe"
+[telescope]
+design = "Schmidt-Cassegrain"
+aperture = "0.36"
+detector = "CCD"
+[report]
+astCat = "Gaia3"
+band = "G"
+"""
+
+
+@pytest.fixture
+def observer(tmp_path):
+    path = tmp_path / "who.toml"
+    path.write_text(HEADER)
+    return Observer.read(path)
+
+
+def rows():
+    first = Observation("sa00001", "2018-10-18T03:03:53.784", 62.5, -0.5, 0.1, 0.12, 0.03, 17.23, 0.05, 30.0, "2713")
+    other = Observation("sa00002", "2018-10-18T03:03:53.784", 359.9999999, 89.5, 0.1, 0.12, -0.5)
+    return [first, other]
+
+
+def test_reports_are_valid(observer, tmp_path, monkeypatch):
+    pytest.importorskip("ades", reason="iau-ades, which validates reports, is not installed")
+    from ades.psvtoxml import psvtoxml
+    from ades.valsubmit import valsubmit
+
+    monkeypatch.chdir(tmp_path)
+    write_psv(rows(), observer, "a.psv", software="sameas")
+    write_xml(rows(), observer, "b.xml", software="sameas")
+    psvtoxml("a.psv", "a.xml")
+    for name in ("a.xml", "b.xml"):
+        valsubmit(name)
+        assert "submit is OK" in (tmp_path / "valsubmit.file").read_text()
+
+
+def test_a_report_says_what_is_known_and_no_more(observer, tmp_path):
+    write_psv(rows(), observer, tmp_path / "a.psv", software="sameas")
+    lines = (tmp_path / "a.psv").read_text().splitlines()
+    assert lines[0] == "# version=2022" and "! mpcCode 810" in lines
+    head, one, two = ([cell.strip() for cell in line.split("|")] for line in lines[-3:])
+    first, second = dict(zip(head, one, strict=False)), dict(zip(head, two, strict=False))
+    assert head[0] == "permID" and first["permID"] == "2713" and second["permID"] == ""
+    assert first["mag"] == "17.23" and first["band"] == "G" and second.get("mag", "") == ""
+    assert first["obsTime"] == "2018-10-18T03:03:53.784Z" and first["rmsCorr"] == "0.030"
+
+
+def test_lines_have_80_columns_and_round_over(observer, tmp_path):
+    lines = [line_of(one, observer) for one in rows()]
+    assert [len(line) for line in lines] == [80, 80]
+    assert lines[0].startswith("02713") and "-00 30 00.00" in lines[0] and lines[0].endswith("810")
+    assert lines[1][5:12] == "sa00002" and lines[1][32:44] == "00 00 00.000"
+    write_80_columns(rows(), observer, tmp_path / "a.txt", software="sameas")
+    assert (tmp_path / "a.txt").read_text().startswith("COD 810\n")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (('mpcCode = "810"', 'mpcCode = "nowhere"'), "is not a code of the Minor Planet Center"),
+        (('detector = "CCD"', ""), "says no telescope.detector"),
+        (('astCat = "Gaia3"', ""), "says no report.astCat"),
+        (("[submitter]", "[submitter"), "is not TOML"),
+    ],
+)
+def test_a_header_that_lacks_something_is_refused(change, words, tmp_path):
+    path = tmp_path / "who.toml"
+    path.write_text(HEADER.replace(*change))
+    with pytest.raises(InputError, match=words):
+        Observer.read(path)
+
+
+def test_magnitudes_need_a_band(observer):
+    from dataclasses import replace
+
+    assert "mag" not in rows()[0].fields(replace(observer, band="")) and math.isnan(rows()[1].magnitude)

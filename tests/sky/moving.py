@@ -1,0 +1,35 @@
+"""Nights whose movers are known."""
+
+import numpy as np
+
+from sameas.sky import Detections
+
+
+def night(seed, *, movers=40, false=60, times_min=(0, 20, 45, 70), side_deg=1.0, sigma=0.2, p_detect=0.85, rate=None):
+    """Detections of a square field about the opposition point, and the number of the mover of each, −1 for false ones.
+
+    movers : of the main belt, or of given rates (n, 2) arcsec/min. false : on every exposure.
+    """
+    rng = np.random.default_rng(seed)
+    mjd0, ra0, dec0 = 59300.0, 190.0, -4.0
+    at = rng.uniform(-0.5, 0.5, (movers, 2)) * side_deg * 3600.0
+    if rate is None:
+        # Retrograde along the ecliptic, which falls to the east here.
+        rate = np.array([-0.5, 0.21]) + rng.normal(0.0, 0.08, (movers, 2))
+    magnitude = rng.uniform(17.0, 20.0, movers)
+    rows = []
+    for frame, minutes in enumerate(times_min):
+        seen = np.flatnonzero(rng.random(movers) < p_detect)
+        place = at[seen] + minutes * rate[seen] + sigma * rng.standard_normal((len(seen), 2))
+        rows += [(frame, *xy, minutes, m, k) for xy, m, k in zip(place, magnitude[seen], seen, strict=True)]
+        other = rng.uniform(-0.5, 0.5, (false, 2)) * side_deg * 3600.0
+        rows += [(frame, *xy, minutes, rng.uniform(17.0, 20.0), -1) for xy in other]
+    frame, x, y, minutes, bright, truth = (np.array(column) for column in zip(*rows, strict=True))
+    order = rng.permutation(len(frame))
+    dec = dec0 + y / 3600.0
+    detections = Detections.of(
+        (ra0 + x / 3600.0 / np.cos(np.radians(dec)))[order], dec[order], (mjd0 + minutes / 1440.0)[order],
+        sigma_arcsec=sigma, magnitude=(bright + 0.1 * rng.standard_normal(len(bright)))[order],
+        magnitude_error=np.full(len(bright), 0.1), frame=frame[order],
+    )  # fmt: skip
+    return detections, truth[order].astype(int)

@@ -1,0 +1,225 @@
+"""Movers: tracklets are right, whole, as sure as they say, and the same whatever the order of the rows."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from moving import night
+
+from sameas import InputError
+from sameas.sky import Detections, MotionModel, find_movers, learn_motion
+from sameas.sky.movers.links import candidate_links, link_probabilities
+from sameas.sky.movers.model import Surroundings, Tuning
+from sameas.sky.movers.rates import EclipticAxes, RateDensity, log_normal, reference_rate, sun_longitude_deg
+from sameas.sky.movers.tracks import Tracks, compete, grow
+
+
+def named(found, truth):
+    """Of each tracklet whether it is of one mover, and whether it has all its detections."""
+    pure, whole = [], []
+    for row in found.members:
+        names = truth[row[row >= 0]]
+        pure.append(bool((names == names[0]).all() and names[0] >= 0))
+        whole.append(pure[-1] and len(names) == int((truth == names[0]).sum()))
+    return np.array(pure), np.array(whole)
+
+
+def test_movers_of_a_crowded_night_are_found_whole():
+    detections, truth = night(1)
+    found = find_movers(detections, least=3)
+    pure, whole = named(found, truth)
+    there = sum((truth == k).sum() >= 3 for k in range(40))
+    assert pure.mean() > 0.97 and whole.sum() >= 0.93 * there
+
+
+def test_stated_probabilities_are_frequencies():
+    p, right = [], []
+    for seed in range(30, 44):
+        detections, truth = night(seed, times_min=(0, 30, 75), false=150, p_detect=0.7)
+        found = find_movers(detections, least_probability=0.0)
+        p.append(found.p_exact)
+        right.append(named(found, truth)[1])
+    p, right = np.concatenate(p), np.concatenate(right)
+    for low, high in ((0.3, 0.7), (0.7, 0.9), (0.9, 1.01)):
+        here = (p >= low) & (p < high)
+        spread = np.sqrt(max((p[here] * (1 - p[here])).sum(), 1.0))
+        assert abs(right[here].sum() - p[here].sum()) < 4.0 * spread + 0.05 * here.sum()
+
+
+def test_the_order_of_the_rows_changes_nothing():
+    detections, _ = night(2)
+    turned = np.random.default_rng(0).permutation(len(detections))
+    one, other = find_movers(detections, least=3), find_movers(detections.some(turned), least=3)
+    back = [sorted(turned[row[row >= 0]].tolist()) for row in other.members]
+    assert sorted(back) == sorted(sorted(row[row >= 0].tolist()) for row in one.members)
+
+
+def test_a_detection_belongs_to_one_tracklet_at_most():
+    found = find_movers(night(3, false=300)[0], least_probability=0.0)
+    rows = found.members[found.members >= 0]
+    assert len(rows) == len(np.unique(rows)) and len(found) > 5
+
+
+def test_false_detections_alone_make_hardly_a_tracklet():
+    detections, _ = night(4, movers=0, false=200)
+    found = find_movers(detections, least=3, model=MotionModel())
+    assert found.p_tracklet.sum() <= 3 and len(found) <= 3
+
+
+def test_fast_movers_are_found_by_their_straight_line():
+    rate = np.array([[20.0, -11.0], [-5.0, 6.0], [0.0, 3.0]])
+    detections, truth = night(5, movers=3, false=20, times_min=(0, 4, 8, 12, 16), rate=rate, p_detect=1.0)
+    pure, whole = named(found := find_movers(detections, least=4), truth)
+    assert pure.all() and whole.sum() == 3
+    speeds = sorted(np.hypot(*found.rate_arcsec_per_min.T))
+    np.testing.assert_allclose(speeds, sorted(np.hypot(*rate.T)), rtol=0.02)
+
+
+def test_rates_and_residuals_are_those_of_a_straight_line():
+    rate = np.array([[-0.6, 0.1]])
+    detections, _ = night(6, movers=1, false=0, rate=rate, p_detect=1.0, sigma=0.05)
+    found = find_movers(detections)
+    np.testing.assert_allclose(found.rate_arcsec_per_min, rate, atol=0.005)
+    assert found.size.tolist() == [4] and found.scatter_arcsec[0] < 0.15
+    assert np.nanmax(np.abs(found.residual_arcsec)) < 0.2
+    assert len(found.table()) == 1 and len(found.detection_table()) == 4
+    assert found.table()["tracklet"][0] == "sa00001"
+
+
+def test_learning_needs_no_names_and_finds_the_rates():
+    detections, _ = night(7, movers=300, side_deg=4.0)
+    model = learn_motion(detections)
+    top = model.rates.covariance[model.rates.share > 0.1]
+    assert 0.75 < model.p_detect < 0.95 and np.sqrt(top[:, 0, 0]).max() < 0.3
+
+
+def test_links_are_one_to_one():
+    detections, _ = night(8, false=200)
+    around = Surroundings.of(detections)
+    links = candidate_links(around, MotionModel().for_bands(detections.bands))
+    p = link_probabilities(links, len(detections))
+    assert np.bincount(links.i, p).max() <= 1 + 1e-9 and np.bincount(links.j, p).max() <= 1 + 1e-9
+    assert (detections.frame[links.i] < detections.frame[links.j]).all()
+
+
+def test_competing_tracks_are_summed_over_all_choices():
+    rng = np.random.default_rng(9)
+    members = [(0, 1), (1, 2), (0, 2), (0, 1, 2), (2, 3), (4, 5)]
+    weight = rng.normal(1.0, 2.0, len(members))
+    made = chain(members, weight)
+    found = compete(made, 6, Tuning(sure=np.inf, least_log_ratio=-np.inf))
+    total, share, best = 0.0, np.zeros(len(members)), (-np.inf, ())
+    for size in range(len(members) + 1):
+        for choice in combinations(range(len(members)), size):
+            used = [d for k in choice for d in members[k]]
+            if len(used) == len(set(used)):
+                w = float(weight[list(choice)].sum())
+                total += np.exp(w)
+                share[list(choice)] += np.exp(w)
+                best = max(best, (w, choice))
+    by = {tuple(row[row >= 0]): k for k, row in enumerate(found.members)}
+    at = [by[m] for m in members]
+    np.testing.assert_allclose(found.p_track[at], share / total, atol=1e-9)
+    assert tuple(np.flatnonzero(found.chosen[at])) == best[1]
+
+
+def chain(members, weight):
+    """Tracks with these detections; those of three have one of two as parent."""
+    n = len(members)
+    parent = np.array([members.index(m[:-1]) if len(m) > 2 else -1 for m in members])
+    first, last = np.array([m[0] for m in members]), np.array([m[-1] for m in members])
+    size = np.array([len(m) for m in members])
+    return Tracks(first, last, parent, size, weight, weight, np.zeros((n, 6)), np.zeros((n, 6, 6)))
+
+
+def test_long_tracks_stay_one():
+    detections, truth = night(
+        10, movers=2, false=30, times_min=tuple(range(0, 300, 5)), rate=np.array([[0.5, 0.3], [-0.6, 0.0]])
+    )
+    found = find_movers(detections, least=20)
+    pure, _ = named(found, truth)
+    assert len(found) == 2 and pure.all()
+    assert (found.size > 0.95 * np.bincount(truth[truth >= 0])).all()
+
+
+def test_a_track_is_the_least_squares_fit_of_its_detections():
+    detections, _ = night(11, movers=1, false=0, p_detect=1.0)
+    around, model = Surroundings.of(detections), MotionModel().for_bands(detections.bands)
+    tracks = grow(around, candidate_links(around, model), model)
+    whole = int(np.argmax(tracks.size))
+    rows = tracks.members()[whole]
+    t = (detections.mjd_utc[rows] - detections.mjd_utc[rows[0]]) * 1440.0
+    place = around.axes.offsets(np.full(len(rows), rows[0]), rows)
+    line = np.polyfit(t, place, 1)
+    np.testing.assert_allclose(tracks.state[whole, 2:4], line[0], atol=0.01)
+
+
+def test_rate_density_is_a_density_and_widens_with_errors():
+    mixture = RateDensity.of([0.7, 0.3], [(0.0, 0.0), (0.1, 0.0)], [(0.1, 0.2), (0.5, 0.5)])
+    grid = np.stack(np.meshgrid(*[np.linspace(-4, 4, 321)] * 2), -1).reshape(-1, 2)
+    for error in (0.0, 0.3):
+        spread = np.broadcast_to(error**2 * np.eye(2), (len(grid), 2, 2))
+        assert abs(np.exp(mixture.log_density(grid, spread)).sum() * (8 / 320) ** 2 - 1) < 1e-3
+
+
+def test_log_normal_is_that_of_scipy():
+    from scipy.stats import multivariate_normal
+
+    covariance = np.array([[2.0, 0.7], [0.7, 1.0]])
+    value = log_normal(np.array([[0.3, -1.2]]), covariance[None])
+    assert value[0] == pytest.approx(multivariate_normal([0, 0], covariance).logpdf([0.3, -1.2]))
+
+
+def test_the_reference_rate_is_retrograde_at_opposition_only():
+    assert reference_rate(np.array([180.0]))[0] == pytest.approx(-0.567, abs=0.01)
+    assert reference_rate(np.array([10.0]))[0] > 0.5
+
+
+def test_the_sun_is_where_astropy_has_it():
+    from astropy.coordinates import GeocentricMeanEcliptic, get_sun
+    from astropy.time import Time
+
+    when = Time([51600.0, 58409.1, 60000.0], format="mjd")
+    there = get_sun(when).transform_to(GeocentricMeanEcliptic(equinox="J2000"))
+    assert np.abs((sun_longitude_deg(when.mjd) - there.lon.deg + 180) % 360 - 180).max() < 0.4
+
+
+def test_ecliptic_axes_turn_covariances_and_back():
+    axes = EclipticAxes.of(np.array([100.0, 250.0]), np.array([40.0, -20.0]))
+    both = axes.rotated(np.array([[4.0, 0.5, 1.0], [1.0, 0.0, 1.0]]))
+    np.testing.assert_allclose(np.trace(both, axis1=1, axis2=2), [5.0, 2.0])
+    np.testing.assert_allclose(both[1], np.eye(2), atol=1e-12)
+    there = axes.to_equator(np.array([0]), np.array([[3.0, 4.0]]))
+    assert np.hypot(*there[0]) == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"sigma_arcsec": None}, "error of the positions is not known"),
+        ({"sigma_arcsec": 0.0}, "3 position errors are not positive"),
+        ({"mjd_utc": [2460000.5] * 3}, "no MJD between 1850 and 2150"),
+        ({"mjd_utc": [60000.0] * 3}, "all of one exposure"),
+        ({"dec_deg": [1.0, 2.0]}, "2 values of dec for 3 rows"),
+        ({"ra_deg": ["a", "b", "c"]}, "ra is not a column of numbers"),
+    ],
+)
+def test_what_cannot_be_searched_is_refused(change, words):
+    given = {"ra_deg": [1.0, 2.0, 3.0], "dec_deg": [1.0, 2.0, 3.0], "mjd_utc": [60000.0, 60000.1, 60000.2]}
+    with pytest.raises(InputError, match=words):
+        Detections.of(**{**given, "sigma_arcsec": 0.1, **change})
+
+
+def test_least_is_two_or_more():
+    with pytest.raises(InputError, match="two detections or more; say least=N"):
+        find_movers(night(1)[0], least=1)
+
+
+def test_doubtful_rows_are_set_aside_with_the_reason():
+    seen = Detections.of(
+        [1.0, 1.0, np.nan, 1.2, 1.3], [1.0, 1.0, 1.0, 1.0, 1.0], [6e4, 6e4, 6e4, 6e4 + 0.1, np.nan], sigma_arcsec=0.1
+    )
+    assert len(seen) == 2 and seen.rows.tolist() == [0, 3]
+    assert seen.set_aside.counts() == {
+        "no position": 1, "no time": 1, "the same place in the same exposure as another row": 1
+    }  # fmt: skip

@@ -1,0 +1,280 @@
+"""A series of frames: tied together, freed of what stands still, what moves is left; known objects have their name."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sameas import InputError
+from sameas.sky.movers.orbits import Elements, _packed_date, _two_body, ephemeris, near
+from sameas.sky.movers.series import Exposure, search, tie
+
+RA, DEC, SCALE = 62.5, 22.9, 1.2
+
+
+def frames(seed, *, count=6, stars=150, noise=40, rates=((-0.2, 0.05),), hot=0, dither_px=4.0, minutes=8.0):
+    """Exposures of a field of unknown stars, movers (px/min), noise, and hot pixels on a chip that wanders."""
+    rng = np.random.default_rng(seed)
+    star = rng.uniform(20, 1000, (stars, 2))
+    bright = 10 ** rng.uniform(2.5, 5.0, stars)
+    start = np.array([[500.0, 400.0 + 60 * k] for k in range(len(rates))]).reshape(-1, 2)
+    fixed = rng.uniform(20, 1000, (hot, 2))
+    out = []
+    for k in range(count):
+        wander = rng.normal(0.0, dither_px, 2)
+        sky = np.concatenate([star, start + k * minutes * np.array(rates).reshape(-1, 2)]) + wander
+        flux = np.concatenate([bright, np.full(len(rates), 8000.0)])
+        found = rng.random(len(sky)) < np.clip(flux / 600.0, 0.0, 1.0)
+        xy = np.concatenate([sky[found], fixed, rng.uniform(20, 1000, (noise, 2))])
+        flux = np.concatenate([flux[found], np.full(hot, 2000.0), np.full(noise, 300.0)])
+        sigma = np.clip(80.0 / flux, 0.02, 0.4)
+        xy = xy + sigma[:, None] * rng.standard_normal(xy.shape)
+        # The plate of each frame is off by a shift and a small turn.
+        turn, shift = 1e-4 * rng.standard_normal(), 0.3 * rng.standard_normal(2)
+        at = (xy - wander - 512.0) @ np.array([[1.0, turn], [-turn, 1.0]]) * SCALE + shift
+        dec = DEC + at[:, 1] / 3600.0
+        n = len(xy)
+        cov = np.column_stack([sigma**2, np.zeros(n), sigma**2])
+        out.append(
+            Exposure(
+                f"frame {k}", 58409.1 + k * minutes / 1440.0, xy[:, 0], xy[:, 1], cov,
+                RA + at[:, 0] / 3600.0 / np.cos(np.radians(dec)), dec, cov * SCALE**2 + [0.01, 0.0, 0.01],
+                flux, np.full(n, 60.0), flux / 60.0, np.zeros(n, np.int64), np.zeros(n), np.full(n, np.nan), SCALE,
+                (1024, 1024), 120.0,
+            )
+        )  # fmt: skip
+    return out
+
+
+def test_frames_are_tied_far_better_than_their_plates():
+    series = tie(frames(1))
+    assert series.ties.min() > 40
+    still = series.still & (series.sigma_arcsec < 0.1)
+    found, _ = search(series)
+    assert len(found) == 1 and found.size[0] == 6 and found.p_tracklet[0] > 0.99
+    # Plates are off by 0.3″.
+    assert found.scatter_arcsec[0] < 0.1 and still.sum() > 300
+
+
+def test_stars_that_no_catalogue_has_are_no_movers():
+    series = tie(frames(2, rates=()))
+    found, _ = search(series)
+    assert len(found) == 0
+
+
+def test_hot_pixels_stand_still_on_the_chip():
+    series = tie(frames(3, hot=60, dither_px=6.0))
+    found, _ = search(series)
+    assert series.fixed.sum() > 0.8 * 60 * 6 and len(found) == 1
+
+
+def test_slow_and_fast_movers_are_found():
+    found, _ = search(tie(frames(4, count=8, rates=((-0.06, 0.02), (3.0, -2.0), (0.3, 0.4)))))
+    speeds = np.sort(np.hypot(*found.rate_arcsec_per_min.T)) / SCALE
+    np.testing.assert_allclose(speeds, [np.hypot(0.06, 0.02), 0.5, np.hypot(3.0, 2.0)], rtol=0.05)
+
+
+def test_a_mover_passing_a_star_loses_a_frame_and_no_more():
+    made = frames(5, count=8)
+    hidden = made[3]
+    mover = int(np.argmin(np.abs(hidden.flux - 8000.0)))
+    keep = np.arange(len(hidden)) != mover
+    columns = {k: v[keep] for k, v in vars(hidden).items() if isinstance(v, np.ndarray)}
+    found, _ = search(tie([*made[:3], replace(hidden, **columns), *made[4:]]))
+    assert found.size.tolist() == [7]
+
+
+def test_frames_of_two_fields_or_one_time_are_refused():
+    made = frames(6)
+    with pytest.raises(InputError, match="search the frames of each field by themselves"):
+        tie([*made[:5], replace(made[5], ra_deg=made[5].ra_deg + 2.0)])
+    with pytest.raises(InputError, match="check DATE-OBS"):
+        tie([*made[:5], replace(made[5], mjd_utc=made[4].mjd_utc)])
+    with pytest.raises(InputError, match="take three"):
+        tie(made[:1])
+
+
+CERES = {
+    "fields": ["full_name", "H", "G", "epoch_mjd", "e", "a", "q", "i", "om", "w", "ma"],
+    "data": [
+        ["  1 Ceres-like", "3.3", "0.12", "59800", ".0786", "2.7666", "2.5490", "10.587", "80.27", "73.53", "334.33"]
+    ],
+}
+
+
+@pytest.fixture
+def elements(tmp_path):
+    path = tmp_path / "elements.json"
+    path.write_text(json.dumps(CERES))
+    return Elements.read(path)
+
+
+def test_elements_are_read_from_json_and_mpcorb(elements, tmp_path):
+    assert elements.number == ("1",) and elements.h[0] == 3.3
+    line = (
+        "00001    3.34  0.15 K239D  60.07881   73.42179   80.25496   10.58688  0.0789126  0.21411523   2.7672543"
+        "  0 E2023-F87  7283 122 1801-2023 0.65 M-v 30k MPCLINUX   4000      (1) Ceres              20230321"
+    )
+    path = tmp_path / "MPCORB.DAT"
+    path.write_text(f"header\n{'-' * 60}\n{line}\n")
+    read = Elements.read(path)
+    assert read.name == ("(1) Ceres",) and read.number == ("1",) and read.epoch_mjd[0] == 60200.0
+    assert read.perihelion_au[0] == pytest.approx(2.7672543 * (1 - 0.0789126)) and read.uncertainty[0] == 0.0
+
+
+def test_files_without_elements_are_refused(tmp_path):
+    path = tmp_path / "none.txt"
+    path.write_text("nothing here\n")
+    with pytest.raises(InputError, match="neither lines of MPCORB"):
+        Elements.read(path)
+    path.write_text('{"fields": ["name"], "data": []}')
+    with pytest.raises(InputError, match="no elements as JPL"):
+        Elements.read(path)
+
+
+def test_packed_dates_are_those_of_the_minor_planet_center():
+    dates = [_packed_date(text) for text in ("K239D", "J9611", "xxxxx")]
+    assert dates == pytest.approx([60200.0, 50083.0, np.nan], nan_ok=True)
+
+
+@pytest.mark.parametrize("e", [0.0, 0.4, 0.97, 1.0, 1.4])
+def test_two_body_motion_keeps_kepler_s_laws(e):
+    """The area that the radius sweeps grows evenly, at √(GM p)/2."""
+    days = np.linspace(-300.0, 300.0, 20001)
+    radius, anomaly = _two_body(np.full(len(days), 1.5), np.full(len(days), e), days)
+    swept = 0.5 * radius[1:] ** 2 * np.diff(np.unwrap(anomaly)) / np.diff(days)
+    expected = 0.5 * 0.01720209895 * np.sqrt(1.5 * (1 + e))
+    np.testing.assert_allclose(swept, expected, rtol=1e-3)
+
+
+def test_ephemerides_are_continuous_and_near_two_body_ones(elements):
+    pytest.importorskip("jplephem", reason="places of the planets need jplephem and skyfield-data")
+    pytest.importorskip("skyfield_data", reason="places of the planets need jplephem and skyfield-data")
+    times = np.array([59900.0, 59900.01, 59900.02])
+    there = ephemeris(elements, times)
+    step = np.diff(there.ra_deg[0])
+    assert step[0] == pytest.approx(step[1], rel=1e-3) and 1.5 < there.distance_au[0, 0] < 4.0
+    assert 6.0 < there.magnitude[0, 0] < 10.0
+    ra, dec = float(there.ra_deg[0, 0]), float(there.dec_deg[0, 0])
+    assert near(elements, 59900.0, ra, dec, 0.0).tolist() == [0]
+    assert near(elements, 59900.0, ra + 40.0, dec, 1.0).tolist() == []
+    with pytest.raises(InputError, match="the planets are known from"):
+        ephemeris(elements, np.array([100000.0]))
+
+
+DATA = Path(__file__).parents[2] / ".." / "shared" / "data" / "asteroid_2713"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not DATA.is_dir(), reason="the frames of asteroid 2713 are not on this machine")
+def test_the_asteroid_of_ten_real_frames_comes_first(tmp_path):
+    from typer.testing import CliRunner
+
+    from sameas.cli.app import app
+    from sameas.io import read_table
+
+    lights, darks = sorted(DATA.glob("*Light*.fit")), sorted(DATA.glob("*Dark*.fit"))
+    arguments = ["movers", *map(str, lights), "-c", str(DATA / "tycho2_field_r0.3deg.csv"), "--sigma", "0.1",
+                 "--epoch", "2000", "-o", str(tmp_path)]  # fmt: skip
+    for dark in darks:
+        arguments += ["--dark", str(dark)]
+    told = CliRunner().invoke(app, arguments)
+    assert told.exit_code == 0, told.output
+    tracklets = read_table(tmp_path / "tracklets.fits")
+    first = tracklets[0]
+    assert first["n_detections"] == 10 and first["p_tracklet"] > 0.999
+    assert first["scatter_arcsec"] < 0.1 * 1.176 and abs(first["rate_arcsec_per_min"] - 0.257) < 0.003
+    # Nothing else comes near its odds.
+    assert (tracklets["log_odds"][1:] < first["log_odds"] - 50).all()
+
+
+def test_two_frames_alone_are_searched_without_a_flood():
+    found, _ = search(tie(frames(7, count=2)), least=2)
+    assert len(found) <= 2
+
+
+def test_wrong_times_make_no_flood_of_candidates():
+    made = frames(8, count=8, rates=((-0.2, 0.05), (0.4, 0.1)))
+    order = np.random.default_rng(0).permutation(8)
+    shuffled = [replace(one, mjd_utc=made[int(k)].mjd_utc) for one, k in zip(made, order, strict=True)]
+    found, _ = search(tie(shuffled))
+    assert len(found) <= 3
+
+
+@pytest.mark.parametrize("dither_px", [0.1, 6.0])
+def test_a_chip_full_of_hot_pixels_makes_no_flood(dither_px):
+    found, _ = search(tie(frames(9, hot=600, rates=(), dither_px=dither_px)))
+    assert len(found) <= 2
+
+
+def test_the_trail_of_a_satellite_on_one_frame_is_no_mover():
+    made = frames(10, count=6, rates=())
+    trail = made[2]
+    along = np.linspace(0.0, 1.0, 60)
+    more = {
+        "x_px": 100 + 800 * along, "y_px": 200 + 600 * along, "covariance_px": np.tile([0.1, 0.0, 0.1], (60, 1)),
+        "ra_deg": RA + (along - 0.5) * 0.25, "dec_deg": DEC + (along - 0.5) * 0.2,
+        "covariance": np.tile([0.15, 0.0, 0.15], (60, 1)), "flux": np.full(60, 3000.0), "flux_err": np.full(60, 60.0),
+        "snr": np.full(60, 50.0), "flags": np.zeros(60, np.int64), "p_star": np.zeros(60),
+        "magnitude": np.full(60, np.nan),
+    }  # fmt: skip
+    made[2] = replace(trail, **{k: np.concatenate([getattr(trail, k), v]) for k, v in more.items()})
+    found, _ = search(tie(made))
+    assert len(found) <= 1
+
+
+def with_movers(seed, rates, fluxes, *, count=8):
+    """Exposures with movers of rates (n, 2) px/min, and the number of the mover of each measurement, −1 for none."""
+    rng = np.random.default_rng(seed)
+    start = rng.uniform(150.0, 870.0, (len(rates), 2))
+    made, truth = [], []
+    for k, one in enumerate(frames(seed + 1000, count=count, rates=(), noise=60)):
+        place = start + k * 8.0 * rates
+        seen = rng.random(len(rates)) < np.clip(fluxes / 600.0, 0.0, 1.0)
+        seen &= ((place > 5) & (place < 1019)).all(axis=1)
+        flux, n = fluxes[seen], int(seen.sum())
+        sigma = np.clip(80.0 / flux, 0.02, 0.4)
+        x, y = (place[seen] + sigma[:, None] * rng.standard_normal((n, 2))).T
+        dec = DEC + (y - 512.0) * SCALE / 3600.0
+        ra = RA + (x - 512.0) * SCALE / 3600.0 / np.cos(np.radians(dec))
+        cov = np.column_stack([sigma**2, np.zeros(n), sigma**2])
+        none = np.zeros(n)
+        more = {
+            "x_px": x, "y_px": y, "covariance_px": cov, "ra_deg": ra, "dec_deg": dec,
+            "covariance": cov * SCALE**2 + [0.01, 0.0, 0.01], "flux": flux, "flux_err": none + 60.0,
+            "snr": flux / 60.0, "flags": none.astype(np.int64), "p_star": none, "magnitude": none + np.nan,
+        }  # fmt: skip
+        made.append(replace(one, **{key: np.concatenate([getattr(one, key), v]) for key, v in more.items()}))
+        truth.append(np.concatenate([np.full(len(one), -1), np.flatnonzero(seen)]))
+    return made, truth
+
+
+@pytest.mark.slow
+def test_injected_movers_are_found_as_surely_as_is_said():
+    rng = np.random.default_rng(5)
+    p, right, seen, got, n = [], [], 0, 0, 12
+    for field in range(12):
+        speed, angle = 10 ** rng.uniform(-1.0, 0.5, n) / SCALE, rng.uniform(0.0, 2 * np.pi, n)
+        rates = np.column_stack([speed * np.cos(angle), speed * np.sin(angle)])
+        exposures, truth = with_movers(100 + field, rates, 10 ** rng.uniform(2.35, 3.5, n))
+        found, series = search(tie(exposures), least_probability=0.0)
+        whose = np.concatenate(truth)
+        known = set()
+        for members, sure in zip(found.members, found.p_tracklet, strict=True):
+            names = whose[found.detections.rows[members[members >= 0]]]
+            values, counts = np.unique(names[names >= 0], return_counts=True)
+            true = bool(len(counts)) and counts.max() >= max(3, 0.7 * len(names))
+            p.append(sure)
+            right.append(true)
+            if true and sure > 0.5:
+                known.add(int(values[np.argmax(counts)]))
+        often = [k for k in range(n) if (whose == k).sum() >= 5]
+        seen, got = seen + len(often), got + len(known.intersection(often))
+        assert len(series.exposures) == 8
+    p, right = np.array(p), np.array(right)
+    assert got > 0.9 * seen and seen > 60
+    # Of candidates stated 0.9 and more, nine in ten and more are real; in all as many as are expected.
+    assert right[p >= 0.9].mean() > 0.95
+    assert abs(right.sum() - p.sum()) < 4.0 * np.sqrt((p * (1 - p)).sum() + 1.0)
