@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.records import Records
+from sameas.representation import in_short
 from sameas.space import ARCSEC_PER_RADIAN, Sphere
 
 #: Cells get finer by this factor in volume, until most records of the richer source share theirs with hardly more than
@@ -24,6 +25,7 @@ CELLS_PER_RECORD = 4096.0
 Cut = tuple[IntArray, IntArray, int, Callable[[IntArray], FloatArray]]
 
 
+@in_short
 @dataclass(frozen=True)
 class GridLevel:
     """Cells of one size: the cell of every record of both sources, and the volume of each cell.
@@ -110,6 +112,7 @@ class _SphereCells:
         return one, two, int(begin[-1]), lambda known: sizes(known, begin, volume)
 
 
+@in_short
 @dataclass(frozen=True)
 class _BoxCells:
     """Boxes of equal size over a Euclidean space, cut along every feature that has an extent."""

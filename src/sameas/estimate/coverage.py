@@ -22,6 +22,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.estimate.cells import GridLevel, levels_of
 from sameas.kernels import threads
 from sameas.records import Records
+from sameas.representation import in_short
 from sameas.space import ARCSEC_PER_RADIAN, Sphere
 
 # Holes and edges of a source, as fine as its records lie: discs that are empty although many were to be expected.
@@ -53,6 +54,7 @@ MANY = 64.0
 MOST_CELLS = 2.0**40
 
 
+@in_short
 @dataclass(frozen=True)
 class Points:
     """The points of a source among which empty discs are sought, in the unit of the residuals.
@@ -117,6 +119,7 @@ class Points:
         return rows[:found].astype(np.int64)
 
 
+@in_short
 @dataclass(frozen=True)
 class _PointCells:
     """Cells over points and the table their numbers are taken into; see ``kernels/discs.py``. All (3,)."""
@@ -171,12 +174,13 @@ def within_holes(here: Points, seen: BoolArray, there: Points, density: FloatArr
 
 def _volume_of_disc(d: int) -> float:
     """Volume of the disc of radius 1 in d dimensions."""
-    return math.pi ** (0.5 * d) / math.gamma(0.5 * d + 1.0)
+    return float(math.pi ** (0.5 * d) / math.gamma(0.5 * d + 1.0))
 
 
 def _radius(expected: float, density: Floats, d: int) -> Floats:
     """Of the disc that holds so many records on average."""
-    return (expected / _volume_of_disc(d) / density) ** (1.0 / d)
+    radius: Floats = (expected / _volume_of_disc(d) / density) ** (1.0 / d)
+    return radius
 
 
 def opened(
@@ -258,6 +262,7 @@ UNEVEN = 2.0
 LEAST_VOLUME = 1e-3
 
 
+@in_short
 @dataclass(frozen=True)
 class Coverage:
     """Cells of falling size over two sources. Make it with :meth:`Coverage.of`."""

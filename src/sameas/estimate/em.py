@@ -1,7 +1,8 @@
-"""Rounds: identification and maximum likelihood in turn, over one list of candidates, until the estimates settle.
+"""EM iterations: identification and maximum likelihood in turn, over one list of candidates, until estimates settle.
 
-In every round each pair has its probability by the estimates of the round before, and what is estimated is learned from
-the pairs with these weights (METHOD 6): the shares in common, the spread of the errors, how magnitudes are related.
+In every iteration each pair has its probability by the estimates of the one before, and what is estimated is learned
+from the pairs with these weights (METHOD 6): the shares in common, the spread of the errors, how magnitudes are
+related.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray
 from sameas.assignment import assign
 from sameas.errors import InputError
+from sameas.estimate.averaging import Average, but_positions
 from sameas.estimate.coverage import local_share
-from sameas.estimate.error_scales import fit_errors
+from sameas.estimate.error_scales import DEFAULT_SCALES, ScalesTuning, fit_errors
 from sameas.estimate.grades import Grades
 from sameas.estimate.photometry import Lesson, Photometry
 from sameas.estimate.quantity import MOST_MISSING
@@ -28,34 +30,57 @@ from sameas.groups import laid_out
 from sameas.kernels import threads
 from sameas.posterior import by_messages
 from sameas.prior import PerPair
+from sameas.representation import in_short
 
-#: Pairs less probable than this, and more, are not taken at their word when errors are judged.
-FAINT, SUREST = 1e-3, 1.0 - 1e-12
-#: Pairs of smaller ln of the odds, before one-to-one, are less probable than 1e-5, and count for nothing in sums.
-LEAST_LOG_RATIO = math.log(1e-5)
-#: The first guess of the share of the poorer source that is common lies between these.
-LEAST_GUESS, MOST_GUESS = 0.1, 0.95
-#: Errors this many times too small are always thought of.
-THINKABLE = 3.4
-#: Least share of records that only one source shows.
-LEAST_SHARE = 1e-6
-#: Chance candidates within √2 of its scale that a component of the errors may hold, times two.
-FILLED = 0.15
-#: Fewer expected pairs than this say too little of the errors; the quoted ones are then believed.
-FEWEST = 50.0
-#: Quoted errors are not asked where magnitudes tell and hardly more than this share of the records lacks them.
-LACKING = 0.05
-#: Rounds with magnitudes at least.
-WITH_BRIGHTNESS = 1
-#: The number of common objects has settled when all changes to come are no more than this share of its standard error,
-#: or, of very few, when it changes by no more than this number.
-SETTLED, SETTLED_NUMBER = 0.2, 0.01
-#: At least so much of each change is taken to follow in the next round.
-LEAST_FOLLOWING = 0.25
+
+@dataclass(frozen=True)
+class EMTuning:
+    """When an EM iteration learns what, and when the iterations end.
+
+    Attributes
+    ----------
+    faint, surest : pairs less probable than this, and more, are not taken at their word when errors are judged.
+    least_log_ratio : pairs of smaller ln of the odds, before one-to-one, are less probable than 1e-5, and count for
+        nothing in sums.
+    least_guess, most_guess : the first guess of the share of the poorer source that is common lies between these.
+    thinkable : errors this many times too small are always thought of.
+    least_share : of records that only one source shows.
+    filled : chance candidates within √2 of its scale that a component of the errors may hold, times two.
+    fewest : fewer expected pairs than this say too little of errors and magnitudes.
+    lacking : quoted errors are not asked where magnitudes tell and hardly more than this share of the records lacks
+        them.
+    with_brightness : EM iterations with magnitudes at least.
+    settled, settled_number : the number of common objects has settled when all changes to come are no more than this
+        share of its standard error, or, of very few, when it changes by no more than this number.
+    settled_weight : the weights of errors that are averaged over have settled when none changes by more than this.
+    least_following : at least so much of each change is taken to follow in the next iteration.
+    scales : how the mixture of error scales is found.
+    """
+
+    faint: float = 1e-3
+    surest: float = 1.0 - 1e-12
+    least_log_ratio: float = math.log(1e-5)
+    least_guess: float = 0.1
+    most_guess: float = 0.95
+    thinkable: float = 3.4
+    least_share: float = 1e-6
+    filled: float = 0.15
+    fewest: float = 50.0
+    lacking: float = 0.05
+    with_brightness: int = 1
+    settled: float = 0.2
+    settled_number: float = 0.01
+    settled_weight: float = 0.01
+    least_following: float = 0.25
+    scales: ScalesTuning = DEFAULT_SCALES
+
+
+DEFAULT_EM = EMTuning()
 
 Both = tuple[FloatArray, FloatArray]
 
 
+@in_short
 @dataclass(frozen=True)
 class Estimates:
     """What is known between two rounds.
@@ -73,6 +98,7 @@ class Estimates:
     tail : by how much a tail of the errors, believed or not, betters ln of the likelihood.
     precision : whether the sizes of the quoted errors are asked. grades : what they say, None as long as they were not.
     density : (ρ₁, ρ₂) of all records of each source where the user gave them, else None.
+    average : errors that too few pairs leave open, over which probabilities are averaged; None where ``errors`` hold.
     """
 
     setting: Setting
@@ -89,6 +115,8 @@ class Estimates:
     tail: float = 0.0
     precision: bool = True
     grades: Grades | None = None
+    average: Average | None = None
+    tuning: EMTuning = DEFAULT_EM
 
     @classmethod
     def nothing(
@@ -99,15 +127,16 @@ class Estimates:
         density: tuple[float, float] | None,
         share: float,
         precision: bool,
+        tuning: EMTuning = DEFAULT_EM,
     ) -> Estimates:
         """Before the first round, when this ``share`` of the poorer source is taken to be common."""
         n1, n2 = (len(rows) for rows in setting.rows)
-        guess = min(max(share, LEAST_GUESS), MOST_GUESS) * min(n1, n2)
+        guess = min(max(share, tuning.least_guess), tuning.most_guess) * min(n1, n2)
         partner = np.full(n1, guess / n1), np.full(n2, guess / n2)
         of_1, of_2 = ((np.full(n1, guess / n), np.full(n2, guess / n)) for n in (n1, n2))
         known = cls(
             setting, partner, setting.counted, (of_1, of_2), errors or Errors(), errors is None, photometry, density,
-            precision=precision,
+            precision=precision, tuning=tuning,
         )  # fmt: skip
         return replace(known, common=float(partner[0][setting.counted[0]].sum()))
 
@@ -163,20 +192,35 @@ class Estimates:
     def _positions(self) -> PoissonField:
         if self.density is not None:
             (mean_1, mean_2), (all_1, all_2) = self.means, self.density
-            alone_1, alone_2 = max(1.0 - mean_1, LEAST_SHARE), max(1.0 - mean_2, LEAST_SHARE)
+            alone_1, alone_2 = max(1.0 - mean_1, self.tuning.least_share), max(1.0 - mean_2, self.tuning.least_share)
             both = math.sqrt(all_1 * mean_1 * all_2 * mean_2)
             return PoissonField(both, all_1 * alone_1, all_2 * alone_2, self.errors)
         of_1, of_2 = self.setting.densities
         share_1, share_2 = self.local
         # Both sources count the same common objects: the mean of the logarithms favours neither.
         common = tuple(np.sqrt(of_1[k] * share_1[k] * of_2[k] * share_2[k]) for k in range(2))
-        only_1 = of_1[0] * np.maximum(1.0 - share_1[0], LEAST_SHARE)
-        only_2 = of_2[1] * np.maximum(1.0 - share_2[1], LEAST_SHARE)
-        return PoissonField(common, only_1, only_2, self.errors)  # type: ignore[arg-type]
+        only_1 = of_1[0] * np.maximum(1.0 - share_1[0], self.tuning.least_share)
+        only_2 = of_2[1] * np.maximum(1.0 - share_2[1], self.tuning.least_share)
+        return PoissonField(common, only_1, only_2, self.errors)
 
     def expected(self) -> float:
         """Number of common objects that the shares let expect."""
         return min(float((share * seen).sum()) for share, seen in zip(self.shares(), self.setting.seen, strict=True))
+
+    def expectation(self) -> tuple[Estimates, FloatArray, FloatArray]:
+        """The E-step: (m,) probabilities of the pairs and ln of their odds before one-to-one, and what was learned on
+        the way of the errors that are left open."""
+        pairs, evidence = self.setting.pairs, self.rule()(self.setting.pairs)
+        if self.average is None:
+            log_ratio = evidence.log_ratio
+            return self, _probabilities(pairs, log_ratio, self.tuning.least_log_ratio), log_ratio
+        average, averaged = self.average.posterior(pairs, but_positions(evidence), *self.numbers())
+        return replace(self, average=average), averaged.p_pair, averaged.log_ratio
+
+    def numbers(self) -> tuple[float, tuple[int, int]]:
+        """Common objects that the shares let expect, and records of either source that may be."""
+        one, two = (max(int(np.count_nonzero(seen)), 1) for seen in self.setting.seen)
+        return self.expected(), (one, two)
 
     def settled(self, before: Estimates) -> bool:
         """Whether all that later rounds may change the number of common objects by, but for the next, is small.
@@ -187,20 +231,26 @@ class Estimates:
         """
         if math.isnan(before.change):
             return False
+        if self.average is not None and before.average is not None:
+            moved = np.abs(self.average.weight - before.average.weight).max()
+            if moved > self.tuning.settled_weight or np.isnan(moved):
+                return False
         followed = abs(self.change / before.change) if before.change else 0.0
         to_come = []
         for partner, known in zip(self.partner, self.counted, strict=True):
             p = partner[known]
             unsure, mean = float((p * (1.0 - p)).sum()), float(p.mean())
             missing = min(unsure / max(len(p) * mean * (1.0 - mean), 1e-300), MOST_MISSING)
-            r = min(max(missing, followed, LEAST_FOLLOWING), MOST_MISSING)
+            r = min(max(missing, followed, self.tuning.least_following), MOST_MISSING)
             error = math.sqrt(unsure / (1.0 - missing))
-            to_come.append(abs(self.change) * r**2 / (1.0 - r) <= SETTLED * error)
-        return all(to_come) or abs(self.change) <= SETTLED_NUMBER
+            to_come.append(abs(self.change) * r**2 / (1.0 - r) <= self.tuning.settled * error)
+        return all(to_come) or abs(self.change) <= self.tuning.settled_number
 
     def has_heard(self, before: Estimates) -> bool:
         """Whether what is learned from pairs, magnitudes and grades, has had its say in the last round."""
-        magnitudes = self.photometry is None or self.common < FEWEST or self.lessons >= WITH_BRIGHTNESS
+        magnitudes = (
+            self.photometry is None or self.common < self.tuning.fewest or self.lessons >= self.tuning.with_brightness
+        )
         graded = None if before.grades is None else before.grades.rule
         silent = self.grades is None or self.grades.rule is None
         return magnitudes and (silent or (graded is not None and graded.trained_on(self.setting.pairs)))
@@ -219,44 +269,56 @@ class Estimates:
         common = float(told.sum())
         known = replace(self, common=common, change=0.0 if math.isnan(self.change) else common - self.common)
         known = known._with_partners(partner, self.setting.counted)
-        if common < FEWEST:
+        if common < self.tuning.fewest:
             return known
         grades = self.grades or (Grades.of(self.setting, self.photometry) if self._asks_errors() else None)
         if grades is not None:
             known = replace(known, grades=grades.learned(pairs, told, partner, known.covered))
         if self.learns_errors:
             # A component so wide that chance fills it cannot be told from chance.
-            radius = math.sqrt(float(pairs.mahalanobis_sq.max(initial=1.0)))
-            widest = radius * (FILLED / max(self.setting.by_chance(told), 1e-12)) ** (1.0 / pairs.d)
-            log_odds = known.log_odds_but_errors(p_pair, log_ratio)
-            fit = fit_errors(pairs.mahalanobis_sq, log_odds, pairs.d, self.errors, widest=max(widest, THINKABLE))
-            known = replace(known, errors=fit.errors, tail=fit.tail)
+            square = self.errors.pairs(pairs).mahalanobis_sq
+            radius = math.sqrt(float(square.max(initial=1.0)))
+            widest = radius * (self.tuning.filled / max(self.setting.by_chance(told), 1e-12)) ** (1.0 / pairs.d)
+            log_odds = known.log_odds_but_errors(square, p_pair, log_ratio)
+            fit = fit_errors(
+                square, log_odds, pairs.d, self.errors, widest=max(widest, self.tuning.thinkable),
+                tuning=self.tuning.scales,
+            )  # fmt: skip
+            known = replace(known, errors=self.errors.with_mixture(fit.errors), tail=fit.tail)
         return known
 
     def _asks_errors(self) -> bool:
         """Whether the sizes of the quoted errors may say what nothing else does: of faint objects they are larger."""
         magnitudes = self.photometry
-        if not self.precision or magnitudes is None or magnitudes.lacking > LACKING:
+        if not self.precision or magnitudes is None or magnitudes.lacking > self.tuning.lacking:
             return self.precision
         return self.lessons > 0 and not magnitudes.telling
 
-    def log_odds_but_errors(self, p_pair: FloatArray, log_ratio: FloatArray) -> FloatArray:
+    def log_odds_but_errors(self, square: FloatArray, p_pair: FloatArray, log_ratio: FloatArray) -> FloatArray:
         """(m,) ln of the odds of the pairs but for what the errors say, given how sure their records are of others.
 
-        −∞ for those whose record 1 is not counted.
+        −∞ for those whose record 1 is not counted. square : (m,) normalised distances squared, by the error model.
         """
         from sameas.kernels.mixture import log_odds
 
-        pairs, out = (
-            self.setting.pairs,
-            self.errors.log_profile(self.setting.pairs.mahalanobis_sq, self.setting.pairs.d),
+        pairs = self.setting.pairs
+        out = self.errors.log_profile(square, pairs.d)
+        log_odds(
+            pairs.i,
+            pairs.j,
+            p_pair,
+            log_ratio,
+            *self.partner,
+            self.setting.counted[0],
+            self.tuning.faint,
+            self.tuning.surest,
+            out,
         )
-        log_odds(pairs.i, pairs.j, p_pair, log_ratio, *self.partner, self.setting.counted[0], FAINT, SUREST, out)
         return out
 
     def with_lesson(self, told: FloatArray, *, last: bool = False) -> Estimates:
         """The magnitudes learned from, where there are any, with pairs of these probabilities (m,)."""
-        if self.photometry is None or self.common < FEWEST:
+        if self.photometry is None or self.common < self.tuning.fewest:
             return self
         lesson: Lesson = (self.setting.pairs, told, self.partner, self.shares(), self.covered)
         return replace(self, photometry=self.photometry.learned(*lesson, last=last), lessons=self.lessons + 1)
@@ -295,10 +357,10 @@ def settled(
             known = known.with_lesson(told)
         number += 1
         progress(f"estimation, round {number}")
-        log_ratio = known.rule()(setting.pairs).log_ratio
-        p_pair = _probabilities(setting.pairs, log_ratio)
+        before = known
+        known, p_pair, log_ratio = known.expectation()
         told = setting.told(p_pair)
-        before, common = known, float(told.sum())
+        common = float(told.sum())
         if not math.isfinite(common):
             raise InputError(
                 f"{setting.pairs.first.source} and {setting.pairs.second.source}: probabilities are beyond computing, "
@@ -312,12 +374,12 @@ def settled(
     return known, told, number, done
 
 
-def _probabilities(pairs: Pairs, log_ratio: FloatArray) -> FloatArray:
+def _probabilities(pairs: Pairs, log_ratio: FloatArray, least: float) -> FloatArray:
     """(m,) probabilities of the pairs, near enough for sums over many of them.
 
     No pair is more probable than its odds before one-to-one say: those of next to none are left out, and at zero.
     """
-    kept = np.flatnonzero(log_ratio > LEAST_LOG_RATIO)
+    kept = np.flatnonzero(log_ratio > least)
     places = pairs.place_1[kept], pairs.place_2[kept], pairs.i[kept], pairs.j[kept]
     grouped = laid_out(*places, len(pairs.first), len(pairs.second))
     best = assign(grouped, log_ratio[kept], PerPair()(grouped.sizes_1, grouped.sizes_2))

@@ -22,11 +22,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sameas.arrays import FloatArray
+from sameas.arrays import FloatArray, IntArray
 from sameas.estimate.quantity import Quantity
 from sameas.evidence import Errors
+from sameas.gate import Pairs
 from sameas.gaussian import inverse, log_determinant
 from sameas.records import unpack
+from sameas.representation import in_short
 from sameas.result import Identification
 
 #: Pairs learned from: at least, in expectation, and at most.
@@ -92,6 +94,13 @@ class ErrorModel:
         )
         return np.asarray(one**2 * quoted_1 + two**2 * quoted_2 + floor**2)
 
+    @property
+    def errors(self) -> Errors:
+        """The same as evidence."""
+        one, two = (self.factor_1 or self.both or AS_QUOTED), (self.factor_2 or self.both or AS_QUOTED)
+        floor = 0.0 if self.floor is None else self.floor.value
+        return Errors(factor_1=max(one.value, 1e-3), factor_2=max(two.value, 1e-3), floor=floor)
+
 
 AS_QUOTED = Quantity(1.0, 0.0)
 
@@ -104,10 +113,13 @@ def error_model(answer: Identification) -> ErrorModel:
     >>> error_model(match(plate, gaia)[0]).factor_1  # doctest: +SKIP
     Quantity(value=1.68, standard_error=0.04, unit='')
     """
-    pairs = answer.pairs
-    told = np.flatnonzero(answer.p_pair > 0.5)
-    told = told[:: max(1, -(-len(told) // ENOUGH))]
-    weight = answer.p_pair[told]
+    return model_of(answer.pairs, answer.p_pair, ENOUGH)
+
+
+def model_of(pairs: Pairs, p_pair: FloatArray, most: int) -> ErrorModel:
+    """The error model of pairs with these probabilities (m,), learned from ``most`` of them."""
+    told = _probable(p_pair, most)
+    weight = p_pair[told]
     if weight.sum() < FEWEST:
         return ErrorModel(note=f"fewer than {FEWEST:.0f} pairs: too few to judge the sources' errors apart")
     one = unpack(pairs.first.covariance[pairs.i[told]], pairs.d)
@@ -116,6 +128,82 @@ def error_model(answer: Identification) -> ErrorModel:
     return _Judgement(pairs.residual[told], weight, one, two, names).model()
 
 
+def _probable(p_pair: FloatArray, most: int) -> IntArray:
+    """Pairs that are more probable than not; every second, third, … where there are more than ``most``."""
+    told = np.flatnonzero(p_pair > 0.5)
+    return told[:: max(1, -(-len(told) // most))]
+
+
+def bettered(errors: Errors, pairs: Pairs, p_pair: FloatArray, most: int) -> tuple[Errors, float]:
+    """Errors of the model that these pairs (m,) show, and by how much it betters ln of their likelihood.
+
+    errors : the model to be bettered. Either has the tail that suits it best.
+    """
+    told = _probable(p_pair, most)
+    model = model_of(pairs, p_pair, most)
+    if not model.is_told:
+        return errors, 0.0
+    some, weight = pairs.part(told), p_pair[told]
+    now, there = (_log_likelihood(each, some, weight) for each in (errors, model.errors))
+    if np.any(errors.floor) or errors.factor_1 != errors.factor_2:
+        factor = over_quoted(errors, pairs, p_pair) * errors.typical_scale
+        factor = factor if abs(math.log(factor)) > ABOUT_QUOTED else 1.0
+        plain = Errors(factor_1=factor, factor_2=factor)
+        if _log_likelihood(plain, some, weight) > max(now, there) - BETTER:
+            return plain, math.inf
+    return model.errors, there - now
+
+
+#: A factor on all errors that is no farther from 1 than this, in ln, is left to the mixture.
+ABOUT_QUOTED = 0.3
+#: Scales of the normals that a spread about a modelled error is mixed of, to compare models; steps of EM.
+LADDER, LADDER_STEPS = 1.5 ** np.arange(-5.0, 8.0), 30
+
+
+def _log_likelihood(errors: Errors, pairs: Pairs, weight: FloatArray) -> float:
+    """ln of the likelihood of pairs with these weights (m,), the mixture of scales being the likeliest."""
+    modelled = errors.pairs(pairs)
+    mixture = _mixture(modelled.mahalanobis_sq, pairs.d, weight, LADDER)
+    return float(weight @ (modelled.log_peak + mixture.log_profile(modelled.mahalanobis_sq, pairs.d)))
+
+
+def _mixture(mahalanobis_sq: FloatArray, d: int, weight: FloatArray, scales: FloatArray) -> Errors:
+    """The likeliest mixture of these scales for pairs (m,) with these weights, by EM."""
+    exponent = -0.5 * mahalanobis_sq[:, None] / scales**2
+    density = np.exp(exponent - exponent.max(axis=1, keepdims=True)) / scales**d
+    shares = np.full(len(scales), 1.0 / len(scales))
+    for _ in range(LADDER_STEPS):
+        member = density * shares
+        shares = (weight / member.sum(axis=1)) @ member / weight.sum()
+    shares = np.where(shares > 1e-6, shares, 0.0)
+    return Errors(tuple(scales.tolist()), tuple((shares / shares.sum()).tolist()))
+
+
+def over_quoted(errors: Errors, pairs: Pairs, p_pair: FloatArray) -> float:
+    """The modelled error of the typical probable pair over that quoted, the mixture left aside."""
+    if not errors.as_modelled or not len(pairs):
+        return 1.0
+    told = _probable(p_pair, ENOUGH)
+    some = pairs.part(told) if len(told) else pairs
+    ratio = errors.pairs(some).determinant / some.determinant
+    return float(np.median(ratio) ** (0.5 / pairs.d))
+
+
+def spread(pairs: Pairs, p_pair: FloatArray) -> Errors:
+    """How the residuals of pairs (m,) spread about their quoted covariances."""
+    told = _probable(p_pair, ENOUGH)
+    if not len(told):
+        return Errors()
+    square = pairs.mahalanobis_sq[told]
+    farthest = max(math.sqrt(float(square.max())), 2.0)
+    rungs = math.ceil(math.log(farthest) / math.log(1.5)) + 1
+    mixture = _mixture(square, pairs.d, p_pair[told], 1.5 ** np.arange(-5.0, rungs))
+    kept = [(scale, share) for scale, share in zip(mixture.scales, mixture.shares, strict=True) if share > 0.0]
+    scales, shares = zip(*kept, strict=True)
+    return Errors(scales, shares)
+
+
+@in_short
 @dataclass(frozen=True)
 class _Judgement:
     """Residuals (m, d) of pairs, their weights (m,), the quoted covariances (m, d, d) of both sides, their names."""
@@ -191,6 +279,7 @@ class _Judgement:
         return Quantity(sigma * root.value, sigma * root.standard_error)
 
 
+@in_short
 @dataclass(frozen=True)
 class _VarianceFit:
     """Factors (k,) of variances, their covariance (k, k), the direction (k,) that is known least, the likelihood."""
@@ -238,6 +327,7 @@ def _fit(residual: FloatArray, weight: FloatArray, parts: FloatArray, held: Floa
     return _judged(_State.of(residual, parts, held, theta, shares), weight, theta, shares)
 
 
+@in_short
 @dataclass(frozen=True)
 class _State:
     """What a model says of every pair.
@@ -336,10 +426,11 @@ def tail(answer: Identification, errors: Errors) -> Tail | None:
     d, weight = answer.pairs.d, answer.p_pair
     told = weight > TAILS_TELLING
     # Densities but for what all components have in common.
-    square = answer.pairs.mahalanobis_sq[told][:, None]
+    square = errors.pairs(answer.pairs.part(told)).mahalanobis_sq[:, None]
     density = shares * np.exp(-0.5 * square / scales**2) / scales**d
     outer, core = density[:, far].sum(axis=1) / share, density[:, ~far].sum(axis=1) / (1.0 - share)
     slope = (outer - core) / np.maximum(share * outer + (1.0 - share) * core, np.finfo(float).tiny)
     information = float(np.sum(weight[told] * slope**2))
     factor = math.exp(float(shares[far] @ np.log(scales[far])) / share)
+    factor *= over_quoted(errors, answer.pairs, answer.p_pair)
     return Tail(Quantity(share, 1.0 / math.sqrt(max(information, np.finfo(float).tiny))), factor)

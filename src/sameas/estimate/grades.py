@@ -24,6 +24,7 @@ from sameas.evidence import Precision, TrainingPairs
 from sameas.gate import Pairs
 from sameas.ragged import Ragged
 from sameas.records import Records
+from sameas.representation import in_short
 
 #: Records of the poorer source for each two grades, and most grades.
 PER_TWO_GRADES, MOST = 20.0, 16
@@ -47,6 +48,7 @@ Both = tuple[FloatArray, FloatArray]
 BothGrades = tuple[NDArray[np.int32], NDArray[np.int32]]
 
 
+@in_short
 @dataclass(frozen=True)
 class Scale:
     """How one source's records are graded: by the volume of their errors, among those of like magnitude.

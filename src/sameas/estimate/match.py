@@ -24,38 +24,72 @@ from sameas._identify import identify
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.estimate import em as going
+from sameas.estimate.averaging import Average
+from sameas.estimate.averaging import identified as averaged
 from sameas.estimate.coverage import Coverage
-from sameas.estimate.em import FEWEST, Estimates
-from sameas.estimate.error_model import ErrorModel, Tail, error_model, tail
-from sameas.estimate.error_scales import STANDING_OUT
+from sameas.estimate.em import DEFAULT_EM, EMTuning, Estimates
+from sameas.estimate.error_grid import DEFAULT_GRID, ErrorScan, GridTuning, LeftOpen, scanned
+from sameas.estimate.error_model import ErrorModel, Tail, bettered, error_model, over_quoted, spread, tail
 from sameas.estimate.photometry import Photometry
 from sameas.estimate.quantity import Quantity, changed_without, decisive, quantities
 from sameas.estimate.sample import Sampling, Setting
 from sameas.evidence import Errors, Magnitudes, Precision
 from sameas.evidence.detection import DetectionCurve
+from sameas.evidence.residuals import AS_QUOTED
 from sameas.gate import ChiSquare, Pairs, Radius
 from sameas.records import Records
+from sameas.representation import in_short
 from sameas.result import Identification
 
-#: The gate opens when this share of the expected true pairs lies beyond 0.7 of its radius (honest errors: 4e-5).
-OPENING = 6e-5
-WIDEST_SIGMAS = 400.0
-#: So far the typical errors may exceed the quoted ones before the gate opens for it; it then still loses only 2e-6.
-EXCEEDED = 1.25
-#: The gate does not open for a tail when a record would have more candidates by chance than this, on average,
-CROWDED = 0.5
-#: nor for errors that are quoted too small when it would have more than this.
-MOST_CROWDED = 8.0
-#: A tail of the errors that betters ln of the likelihood by so much, but does not stand out, is looked for farther out.
-#: Then, and where one stands out, a record may have this many candidates by chance.
-SUSPECTED, SUSPECTED_CROWDED = 1.0, 2.0
-#: Standard deviations by which close candidates must exceed what chance gives, for their errors to be judged.
-SIGNIFICANT = 4.0
-#: A sample has misled where it lets expect another number of common objects, by more than this share beyond chance.
-MISLED = 0.02
 BRIGHTNESS_TERMS, PRECISION_TERMS = ("completeness", "brightness"), ("precision",)
 
 
+@in_short
+@dataclass(frozen=True)
+class MatchTuning:
+    """When the gate opens, and when what was estimated is believed.
+
+    Attributes
+    ----------
+    opening : the gate opens when this share of the expected true pairs lies beyond 0.7 of its radius (honest errors:
+        4e-5).
+    widest_sigmas : so far.
+    exceeded : so far the typical errors may exceed the modelled ones before the gate opens for it; it then still loses
+        only 2e-6.
+    crowded : the gate does not open for a tail when a record would have more candidates by chance than this, on
+        average,
+    most_crowded : nor for errors that are too small when it would have more than this.
+    suspected, suspected_crowded : a tail of the errors that betters ln of the likelihood by so much, but does not stand
+        out, is looked for farther out. Then, and where one stands out, a record may have this many candidates by
+        chance.
+    modelled : pairs from which the error model of the evidence is learned. bettering : ln of the likelihood by which
+        another model must be better, or be better than the quoted errors, or common objects stand out from chance.
+    significant : standard deviations by which close candidates must exceed what chance gives, for their errors to be
+        judged.
+    misled : a sample has misled where it lets expect another number of common objects, by more than this share beyond
+        chance.
+    em : of the EM iterations. grid : of the errors that are thought of before any are believed.
+    """
+
+    opening: float = 6e-5
+    widest_sigmas: float = 400.0
+    exceeded: float = 1.25
+    crowded: float = 0.5
+    most_crowded: float = 8.0
+    suspected: float = 1.0
+    suspected_crowded: float = 2.0
+    modelled: int = 3_000
+    bettering: float = 8.0
+    significant: float = 4.0
+    misled: float = 0.02
+    em: EMTuning = DEFAULT_EM
+    grid: GridTuning = DEFAULT_GRID
+
+
+DEFAULT_MATCH = MatchTuning()
+
+
+@in_short
 @dataclass(frozen=True)
 class Estimate:
     """What was found, and how.
@@ -63,8 +97,8 @@ class Estimate:
     Attributes
     ----------
     common, share_1, share_2 : expected number of common objects, and what share of the covered records they are.
-    errors : the spread of the residuals about their quoted covariances.
-    gate_sigmas : radius of the gate, in quoted standard deviations.
+    errors : the errors of the evidence: the model S of the covariances, and the spread of the residuals about it.
+    gate_sigmas : radius of the gate, in quoted standard deviations of the typical pair.
     coverage : where both look.
     rounds, settled : rounds of identification, and whether they settled.
     learned_from : records of either source that the rounds went over: all of them, or a sample that stands for them.
@@ -72,6 +106,7 @@ class Estimate:
     photometry : how the magnitudes of both sources are related, None where they were not given or told nothing.
     precision : what the sizes of the quoted errors say, None where they were not asked or told nothing.
     answer : the identification. judged : whether the spread of the errors was learned from its pairs.
+    left_open : what few pairs leave open of the errors; probabilities are averages over it. None where they are many.
 
     What follows from these is computed when it is asked for.
     """
@@ -90,6 +125,7 @@ class Estimate:
     precision: Precision | None
     answer: Identification = field(repr=False)
     judged: bool
+    left_open: LeftOpen | None = None
 
     @cached_property
     def quantities(self) -> Mapping[str, Quantity]:
@@ -137,10 +173,20 @@ class Estimate:
         """Which source's errors are too small, where that can be told; None where errors were not judged."""
         return error_model(self.answer) if self.judged else None
 
+    @cached_property
+    def spread(self) -> Errors:
+        """How residuals spread about the quoted covariances alone, whatever the model of the errors."""
+        return spread(self.answer.pairs, self.answer.p_pair) if self.errors.as_modelled else self.errors
+
     @property
     def typical_scale(self) -> float:
         """The factor by which the quoted errors must be multiplied for the typical pair."""
-        return self.errors.typical_scale
+        return self.errors.typical_scale * self._modelled
+
+    @cached_property
+    def _modelled(self) -> float:
+        """The same of the error model without its mixture: the median over the probable pairs."""
+        return over_quoted(self.errors, self.answer.pairs, self.answer.p_pair)
 
 
 def match(
@@ -154,6 +200,7 @@ def match(
     precision: bool = True,
     rounds: int = 30,
     sampling: Sampling = Sampling(),  # noqa: B008
+    tuning: MatchTuning = DEFAULT_MATCH,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> tuple[Identification, Estimate]:
     """Identify two sources of which nothing is known but their records, and say what was estimated.
@@ -167,16 +214,30 @@ def match(
     precision : whether the sizes of the quoted errors are evidence too: of faint objects they are larger.
     rounds : at most so many rounds of identification.
     sampling : how a part of large sources is drawn, from which is estimated.
+    tuning : when what is believed, such as with how few pairs probabilities are averaged.
     progress : called with the name of what is being done.
     """
     for records in (first, second):
         if not len(records):
             raise InputError(f"{records.source} has no usable records; nothing can be identified")
     progress("densities")
-    seen = _photometry(first, second, brightness)
-    search = _GateSearch(Coverage.of(first, second), seen, precision, density, gate, sampling, progress)
+    seen, coverage = _photometry(first, second, brightness), Coverage.of(first, second)
+    search = _GateSearch(coverage, seen, precision, density, gate, sampling, progress, tuning=tuning)
+    scan = scanned(coverage, density, tuning.grid) if errors is None and gate is None else None
+    if scan is not None and scan.contrast > tuning.bettering:
+        if scan.common < tuning.grid.many:
+            return search.averaged(scan, rounds)
+        if scan.gain > tuning.bettering:
+            search = replace(search, start=scan.likeliest)
     found, remarks = search.settled(errors, rounds), []
-    if found.has_learned and not _stands_out(found.whole.pairs, found.gate_sigmas):
+    while errors is None and found.rounds < rounds:
+        model, gain = found.bettered()
+        if gain < tuning.bettering:
+            break
+        search = replace(search, start=model)
+        again = search.settled(None, max(rounds - found.rounds, 5))
+        found = replace(again, rounds=found.rounds + again.rounds)
+    if found.has_learned and not _stands_out(search.start.pairs(found.whole.pairs), found.gate_sigmas, tuning):
         search = replace(search, photometry=None, precision=False)
         again = search.settled(errors or Errors(), max(rounds - found.rounds, 5))
         found = replace(again, rounds=found.rounds + again.rounds)
@@ -193,6 +254,7 @@ def _photometry(first: Records, second: Records, brightness: tuple[Magnitudes, M
     return Photometry.of((one.of(first), two.of(second)), (one.names, two.names))
 
 
+@in_short
 @dataclass(frozen=True)
 class _Converged:
     """Where the rounds ended, for one gate.
@@ -207,6 +269,7 @@ class _Converged:
     rounds: int
     settled: bool
     learned_from: tuple[int, int]
+    tuning: MatchTuning
 
     @property
     def sampled(self) -> bool:
@@ -217,22 +280,32 @@ class _Converged:
     def has_learned(self) -> bool:
         """Whether errors, their sizes or magnitudes have been learned from the pairs."""
         graded = self.known.grades is not None and self.known.grades.rule is not None
-        return (self.known.learns_errors and self.known.errors != Errors()) or self.known.lessons > 0 or graded
+        learned = self.known.errors.scales != (1.0,) or self.known.errors.as_modelled
+        return (self.known.learns_errors and learned) or self.known.lessons > 0 or graded
+
+    def bettered(self) -> tuple[Errors, float]:
+        """The error model that the pairs show, and by how much it betters ln of their likelihood."""
+        known = self.known
+        if not known.learns_errors or known.common < self.tuning.em.fewest:
+            return known.errors, 0.0
+        return bettered(known.errors, known.setting.pairs, self.told, self.tuning.modelled)
 
     def must_open(self) -> bool:
         """Whether the outermost part of the gate still holds true pairs, and opening it is affordable."""
         pairs, limit, common = self.known.setting.pairs, self.gate_sigmas, float(self.told.sum())
-        if limit >= WIDEST_SIGMAS or not self.known.learns_errors:
+        tuning, standing_out = self.tuning, self.tuning.em.scales.standing_out
+        if limit >= tuning.widest_sigmas or not self.known.learns_errors:
             return False
-        if _is_narrow(self.known, self.told, limit):
+        if _is_narrow(self.known, self.told, limit, tuning):
             return True
         chance = _chance(self.known, self.told)
-        if SUSPECTED < self.known.tail < STANDING_OUT and chance < SUSPECTED_CROWDED:
+        if tuning.suspected < self.known.tail < standing_out and chance < tuning.suspected_crowded:
             return True  # what lies farther out decides whether it is one
-        if chance > (SUSPECTED_CROWDED if self.known.tail >= STANDING_OUT else CROWDED):
+        if chance > (tuning.suspected_crowded if self.known.tail >= standing_out else tuning.crowded):
             return False
-        beyond = float(self.told[pairs.mahalanobis_sq > (0.7 * limit) ** 2].sum())
-        return beyond > 1.0 + OPENING * common
+        square = self.known.errors.pairs(pairs).mahalanobis_sq
+        beyond = float(self.told[square > (0.7 * limit) ** 2].sum())
+        return beyond > 1.0 + tuning.opening * common
 
 
 def _chance(known: Estimates, told: FloatArray) -> float:
@@ -240,12 +313,12 @@ def _chance(known: Estimates, told: FloatArray) -> float:
     return known.setting.by_chance(told) * 2.0**known.setting.pairs.d
 
 
-def _is_narrow(known: Estimates, told: FloatArray, limit: float) -> bool:
+def _is_narrow(known: Estimates, told: FloatArray, limit: float, tuning: MatchTuning) -> bool:
     """Whether a gate of so many sigmas is too narrow for the typical errors, and opening it is affordable."""
-    if limit >= WIDEST_SIGMAS or not known.learns_errors:
+    if limit >= tuning.widest_sigmas or not known.learns_errors:
         return False
     needed = _radius(None, known.setting.pairs.d) * known.errors.typical_scale
-    return EXCEEDED * limit < needed and _chance(known, told) < MOST_CROWDED
+    return tuning.exceeded * limit < needed and _chance(known, told) < tuning.most_crowded
 
 
 @dataclass(frozen=True)
@@ -259,6 +332,8 @@ class _GateSearch:
     gate: ChiSquare | Radius | None
     sampling: Sampling
     progress: Callable[[str], None]
+    start: Errors = AS_QUOTED
+    tuning: MatchTuning = DEFAULT_MATCH
 
     def settled(self, errors: Errors | None, most: int) -> _Converged:
         """The end of at most so many rounds; ``errors`` are estimated if not given."""
@@ -266,15 +341,19 @@ class _GateSearch:
         limit, total, known, whole = _radius(self.gate, first.d), 0, None, None
         while True:
             self.progress("gate")
-            pairs = (self.gate or Radius(limit))(first, second)
+            pairs = (self.gate or Radius(limit))(*self.start.records(first, second))
+            near = pairs
+            if self.start.as_modelled:
+                pairs = pairs.of(first, second)
             whole = Setting.whole(pairs, self.coverage) if whole is None else replace(whole, pairs=pairs)
             part = whole.sample(self.sampling)
             seen = self.photometry if part is whole or self.photometry is None else self.photometry.part(*part.rows)
             if known is None:
                 # More close candidates than chance gives are common objects.
-                inner, by_chance = _halves(pairs, limit)
+                inner, by_chance = _halves(near, limit)
                 excess = (inner - by_chance) / min(len(first), len(second))
-                known = Estimates.nothing(part, errors, seen, self.density, excess, self.precision)
+                known = Estimates.nothing(part, errors, seen, self.density, excess, self.precision, self.tuning.em)
+                known = replace(known, errors=errors or self.start)
             else:
                 known = known.at(part, seen)
             found = self._in_gate(known, whole, limit, most - total)
@@ -283,27 +362,56 @@ class _GateSearch:
             if self.gate is not None or total >= most or not found.must_open():
                 return replace(found, known=known.with_lesson(told, last=True))
             known = known.with_lesson(told)
-            limit = min(2.0 * limit, WIDEST_SIGMAS)
+            limit = min(2.0 * limit, self.tuning.widest_sigmas)
 
     def _in_gate(self, known: Estimates, whole: Setting, limit: float, most: int) -> _Converged:
         """The end of at most so many rounds with one gate; of the first where it shows that the gate is too narrow."""
 
         def narrow(known: Estimates, told: FloatArray) -> bool:
-            return self.gate is None and _is_narrow(known, told, limit)
+            return self.gate is None and _is_narrow(known, told, limit, self.tuning)
 
         known, told, number, settled = going.settled(known, most, self.progress, narrow)
-        return _Converged(whole, known, told, limit, number, settled, known.setting.numbers)
+        return _Converged(whole, known, told, limit, number, settled, known.setting.numbers, self.tuning)
+
+    def averaged(self, scan: ErrorScan, most: int) -> tuple[Identification, Estimate]:
+        """All records identified, averaged over the errors that few pairs leave open."""
+        first, second = self.coverage.first, self.coverage.second
+        self.progress("gate")
+        left = scan.average(first.d)
+        pairs = left.candidates(first, second)
+        whole = Setting.whole(pairs, self.coverage)
+        share = scan.common / min(len(first), len(second))
+        known = Estimates.nothing(
+            whole, AS_QUOTED, self.photometry, self.density, share, self.precision, self.tuning.em
+        )
+        known = replace(known, average=Average.of(left, pairs, scan.weight, scan.common))
+        known, told, number, settled = going.settled(known, most, self.progress)
+        known = known.with_lesson(told, last=True)
+        self.progress("identification")
+        assert known.average is not None
+        answer = averaged(known.average, pairs, known.rule(), *known.numbers())
+        typical = known.average.typical
+        limit = math.sqrt(left.limit)
+        known = replace(known, errors=typical, learns_errors=True)
+        found = _Converged(whole, known, told, limit, number, settled, whole.numbers, self.tuning)
+        estimate = _told(answer, self.coverage, found, [])
+        assert known.average is not None
+        return answer, replace(estimate, left_open=left.left_open(known.average.weight))
 
     def identified(self, found: _Converged, most: int) -> tuple[Identification, _Converged]:
         """All records identified with what is known; with rounds over all of them, where a sample misled."""
         known = found.known.at(found.whole, self.photometry) if found.sampled else found.known
         answer = self._identified(known)
-        if not found.sampled or _as_expected(float(answer.p_pair.sum()), known.expected(), float(found.told.sum())):
+        if not found.sampled or _as_expected(
+            float(answer.p_pair.sum()), known.expected(), float(found.told.sum()), self.tuning
+        ):
             return answer, replace(found, known=known)
         known = known.learned(answer.p_pair, answer.evidence.log_ratio)
         known, told, done, settled = going.settled(known, max(most - found.rounds, 5), self.progress)
         total, known = found.rounds + done, known.with_lesson(told, last=True)
-        found = _Converged(found.whole, known, told, found.gate_sigmas, total, settled, found.whole.numbers)
+        found = _Converged(
+            found.whole, known, told, found.gate_sigmas, total, settled, found.whole.numbers, self.tuning
+        )
         return self._identified(known), found
 
     def _identified(self, known: Estimates) -> Identification:
@@ -312,9 +420,9 @@ class _GateSearch:
         return identify(pairs.first, pairs.second, rule=known.rule(), gate=lambda first, second: pairs)
 
 
-def _as_expected(common: float, expected: float, sampled: float) -> bool:
+def _as_expected(common: float, expected: float, sampled: float, tuning: MatchTuning) -> bool:
     """Whether as many are common as a sample with so many common objects lets expect."""
-    return abs(common - expected) <= (MISLED + SIGNIFICANT / math.sqrt(max(sampled, 1.0))) * expected
+    return abs(common - expected) <= (tuning.misled + tuning.significant / math.sqrt(max(sampled, 1.0))) * expected
 
 
 def _told(answer: Identification, coverage: Coverage, found: _Converged, remarks: list[str]) -> Estimate:
@@ -323,12 +431,15 @@ def _told(answer: Identification, coverage: Coverage, found: _Converged, remarks
     seen_1, seen_2 = (max(int(np.count_nonzero(seen)), 1) for seen in coverage.covered)
     photometry = known.photometry if known.photometry is not None and known.photometry.tells else None
     precision = None if known.grades is None else known.grades.rule
-    return Estimate(
+    estimate = Estimate(
         common, min(1.0, common / seen_1), min(1.0, common / seen_2), known.errors, found.gate_sigmas, coverage,
         found.rounds, found.settled, found.learned_from, tuple(remarks) + _notes(found, common), photometry, precision,
         answer,
-        known.learns_errors and common >= FEWEST,
+        known.learns_errors and common >= found.tuning.em.fewest,
     )  # fmt: skip
+    if not known.errors.as_modelled:
+        return estimate
+    return replace(estimate, gate_sigmas=found.gate_sigmas * estimate.typical_scale / known.errors.typical_scale)
 
 
 def _notes(found: _Converged, common: float) -> tuple[str, ...]:
@@ -338,8 +449,11 @@ def _notes(found: _Converged, common: float) -> tuple[str, ...]:
         notes.append("the estimates had not settled when the rounds ran out")
     if common < 0.5:
         notes.append("no common object is expected: the sources seem to have nothing in common")
-    if known.learns_errors and common < FEWEST:
-        notes.append(f"too few pairs ({common:.1f}) to judge the errors; the quoted ones are believed")
+    if known.learns_errors and common < found.tuning.em.fewest:
+        believed = (
+            "probabilities are averaged over what they leave open" if known.average else "the quoted ones are believed"
+        )
+        notes.append(f"too few pairs ({common:.1f}) to judge the errors; {believed}")
     if known.photometry is not None and known.photometry.chains is None:
         few = f"too few pairs with magnitudes of both (of {common:.1f})"
         notes.append(f"{few} to learn from the magnitudes; they are not used")
@@ -357,7 +471,7 @@ def _halves(pairs: Pairs, limit: float) -> tuple[float, float]:
     return float(inner), (len(pairs) - inner) / (2.0**pairs.d - 1.0)
 
 
-def _stands_out(pairs: Pairs, limit: float) -> bool:
+def _stands_out(pairs: Pairs, limit: float, tuning: MatchTuning) -> bool:
     """Whether the inner half of the gate holds more candidates than its outer part, at chance, lets expect."""
     inner, by_chance = _halves(pairs, limit)
-    return inner - by_chance > SIGNIFICANT * math.sqrt(inner + by_chance / (2.0**pairs.d - 1.0))
+    return inner - by_chance > tuning.significant * math.sqrt(inner + by_chance / (2.0**pairs.d - 1.0))

@@ -31,6 +31,7 @@ from sameas.evidence import (
 )  # fmt: skip
 from sameas.evidence.detection import DetectionCurve, ShareCurve
 from sameas.gate import Pairs
+from sameas.representation import in_short
 from sameas.result import Identification
 
 #: Expected pairs of a pattern of measured bands, and records of a source, from which anything is learned at all.
@@ -54,6 +55,7 @@ Lesson = tuple[
 ]
 
 
+@in_short
 @dataclass(frozen=True)
 class Photometry:
     """The magnitudes of two sources, and what has been learned of them.

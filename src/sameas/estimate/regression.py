@@ -16,6 +16,7 @@ import numpy as np
 from sameas.arrays import FloatArray
 from sameas.evidence import MagnitudeDensity, Relation
 from sameas.evidence.piecewise import knots_of, roughness
+from sameas.representation import in_short
 
 #: Scales of the mixture, in units of error and scatter; the kernels rely on their ratio.
 SCALES = np.array([1.0, 3.0, 9.0])
@@ -57,6 +58,7 @@ def density_of(magnitude: FloatArray) -> MagnitudeDensity:
     return MagnitudeDensity(grid, np.log(density))
 
 
+@in_short
 @dataclass(frozen=True)
 class Sample:
     """Pairs to learn from. Make it with :meth:`Sample.of`.

@@ -7,7 +7,7 @@ nothing is lost at the borders of cells, and the draw depends on where records l
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.estimate.cells import GridLevel
 from sameas.estimate.coverage import Coverage
 from sameas.gate import Pairs
-from sameas.records import Records
+from sameas.representation import in_short
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,7 @@ class Sampling:
     seed: int = 20_041
 
 
+@in_short
 @dataclass(frozen=True)
 class Setting:
     """What stays the same in all EM iterations of an estimation.
@@ -129,7 +130,7 @@ def _part(pairs: Pairs, kept: IntArray, rows_1: IntArray, rows_2: IntArray) -> P
     i, j = (_renumbered(at[kept], rows) for at, rows in ((pairs.i, rows_1), (pairs.j, rows_2)))
     place_1, place_2 = (_renumbered(place[kept], _places(place[kept])) for place in (pairs.place_1, pairs.place_2))
     return Pairs(
-        _some(pairs.first, rows_1), _some(pairs.second, rows_2), place_1, place_2, i, j, pairs.residual[kept],
+        pairs.first.part(rows_1), pairs.second.part(rows_2), place_1, place_2, i, j, pairs.residual[kept],
         pairs.mahalanobis_sq[kept], pairs.determinant[kept], pairs.gate,
     )  # fmt: skip
 
@@ -146,9 +147,3 @@ def _renumbered(at: NDArray[np.int32], known: IntArray) -> NDArray[np.int32]:
     number = np.zeros(int(known.max(initial=-1)) + 1, np.int32)
     number[known] = np.arange(len(known), dtype=np.int32)
     return number[at]
-
-
-def _some(records: Records, rows: IntArray) -> Records:
-    return replace(
-        records, features=records.features[rows], covariance=records.covariance[rows], rows=records.rows[rows]
-    )

@@ -20,6 +20,7 @@ import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.gaussian import LOG_2PI
+from sameas.representation import in_short
 
 
 def log_neighbour_density(delta: FloatArray, sigma: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
@@ -178,6 +179,7 @@ def log_rectangle(
     return top + np.log(np.bincount(row, value, len(rho)))
 
 
+@in_short
 @dataclass(frozen=True)
 class _Cut:
     """ln of φ(t) [Φ(u₁(t)) − Φ(u₀(t))], t = x_low + τ, u = (y − ρt) / √(1 − ρ²): concave, at least as −τ²/2."""

@@ -24,8 +24,10 @@ from sameas.errors import InputError
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
 from sameas.records import Records
+from sameas.representation import in_short
 
 
+@in_short
 @dataclass(frozen=True)
 class MagnitudeDensity:
     """Density of the magnitudes of all records of a source in one band, 1/mag: a smoothed histogram.
@@ -41,6 +43,7 @@ class MagnitudeDensity:
         return np.interp(magnitude, self.grid, self.log_density)
 
 
+@in_short
 @dataclass(frozen=True)
 class Relation:
     """Density of one magnitude, given one or more others of the same object.
@@ -126,6 +129,7 @@ class Relation:
 Pattern = tuple[bool, ...]
 
 
+@in_short
 @dataclass(frozen=True)
 class Magnitudes:
     """Magnitudes of every row of one source's table, in one or more bands.
@@ -211,6 +215,7 @@ def _sigmas(sigma: ArrayLike | None, values: FloatArray) -> FloatArray:
     return np.where(np.isfinite(given), given, 0.0)
 
 
+@in_short
 @dataclass(frozen=True)
 class MeasuredMagnitudes:
     """Magnitudes (n, bands), NaN where not measured, and the variances of their quoted errors."""
@@ -223,6 +228,7 @@ class MeasuredMagnitudes:
         return MeasuredMagnitudes(self.values[rows], self.variance[rows])
 
 
+@in_short
 @dataclass(frozen=True)
 class Regressors:
     """Rows whose band has the same ``pattern`` of regressors: earlier bands of its source, then the other source's.
@@ -265,6 +271,7 @@ class Regressors:
         return Regressors(self.pattern[:band], self.rows, self.y, self.variance, others, variance)
 
 
+@in_short
 @dataclass(frozen=True)
 class SourceMagnitudes:
     """The magnitudes of one source and their densities, before the sources are compared.
@@ -298,6 +305,7 @@ class SourceMagnitudes:
         return Comparisons(len(rows), tuple(bands))
 
 
+@in_short
 @dataclass(frozen=True)
 class Comparison:
     """A band with its regressors; (r,) p of it by its background, and ln p by the earlier bands of its own source."""
@@ -315,6 +323,7 @@ class Comparisons:
     bands: tuple[tuple[Comparison, ...], ...]
 
 
+@in_short
 @dataclass(frozen=True)
 class Chain:
     """ln p(m of one source | m of the other) − ln p(m of one source), band after band.
@@ -336,6 +345,7 @@ class Chain:
         return total
 
 
+@in_short
 @dataclass(frozen=True)
 class Brightness(Rule):
     """Evidence of a pair's magnitudes, learned by ``sameas.estimate.photometry``; add it to a rule of positions.

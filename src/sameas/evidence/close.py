@@ -25,6 +25,7 @@ from sameas.evidence.boxes import (
 from sameas.evidence.residuals import AS_QUOTED
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
+from sameas.representation import in_short
 
 EXACT, DIAGONAL = "exact", "diagonal"
 GENERALIZED_GAUSSIAN = "generalized Gaussian"
@@ -92,6 +93,7 @@ def _log_peak(log_shape: FloatArray) -> FloatArray:
     return np.asarray(log_shape - math.log(2.0) - 1.5 * gammaln(inverse) + 0.5 * gammaln(3.0 * inverse))
 
 
+@in_short
 @dataclass(frozen=True)
 class CloseObjects(Rule):
     """A different object is uniform in the box |m_v| ≤ b_v around the first without its inner box |m_v| < a_v.

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.gaussian import Gaussian, log_density
+from sameas.representation import in_short
 
 #: Takes positions (n, d), gives densities (n,).
 DensityFunction = Callable[[FloatArray], FloatArray]
@@ -42,6 +43,7 @@ class Flat:
         return (log_density(x1 - x2, s1 + s2) + math.log(self.density))[..., None]
 
 
+@in_short
 @dataclass(frozen=True)
 class GaussianMixture:
     """Σ w_k N(M; mean_k, covariance_k).
@@ -87,6 +89,7 @@ class GaussianMixture:
         return np.log(self.weights) + log_parts(np.asarray(self.means), np.asarray(self.covariances), x1, s1, x2, s2)
 
 
+@in_short
 @dataclass(frozen=True)
 class Samples:
     """Draws (n, d) from a density: of positions, or of displacements between neighbours.
@@ -124,6 +127,7 @@ class Samples:
         return log_parts(points, nothing, x1, s1, x2, s2) - math.log(len(points))
 
 
+@in_short
 @dataclass(frozen=True)
 class Displacement:
     """The density of where the other object lies from the first, a function of M₂ − M₁ (n, d) → (n,)."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray
 from sameas.evidence.piecewise import knots_of, roughness
+from sameas.representation import in_short
 
 #: Records per knot of the curve, and most knots.
 PER_KNOT, MOST_KNOTS = 100.0, 24
@@ -28,6 +29,7 @@ LEAST_SHARE = 1e-6
 LEAST_IN_BIN, WIDTHS, MOST_BINS = 30, (0.1, 0.2, 0.25, 0.5, 1.0, 2.0), 24
 
 
+@in_short
 @dataclass(frozen=True)
 class DetectionCurve:
     """The share of a source's covered records that the other source shows, in bins of magnitude.
@@ -94,6 +96,7 @@ def _edges(magnitude: FloatArray) -> FloatArray:
     return edges[[0, -1]] if end <= begin + 1 else np.concatenate([edges[:1], edges[begin + 1 : end], edges[-1:]])
 
 
+@in_short
 @dataclass(frozen=True)
 class ShareCurve:
     """What is added to the logit of a record's share for its magnitude: (k,) values at (k,) knots, mag."""

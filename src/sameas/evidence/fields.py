@@ -13,8 +13,10 @@ from sameas.errors import InputError
 from sameas.evidence.residuals import AS_QUOTED, Errors
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
+from sameas.representation import in_short
 
 
+@in_short
 @dataclass(frozen=True)
 class Field(Rule):
     """A second object lies anywhere with constant density: λ = N(Δ; 0, Σ) / p_M (METHOD 3.1 [T4]).
@@ -34,6 +36,7 @@ class Field(Rule):
         )
 
 
+@in_short
 @dataclass(frozen=True)
 class PoissonField(Rule):
     """Objects are a Poisson field: λ·odds = ρ₁₂ N(Δ; 0, Σ) / (ρ₁ ρ₂) with the densities below (METHOD 4.3).
@@ -87,6 +90,7 @@ class ConstantCost(Rule):
         )
 
 
+@in_short
 @dataclass(frozen=True)
 class DetectionField(Rule):
     """λ·odds = P_d N(Δ; 0, Σ) / [(1 − P_d) β]: measurements of source 1 against records of source 2 (METHOD 3.4).

@@ -35,6 +35,7 @@ from sameas.gate import DEFAULT_COMPLETENESS, ChiSquare, Pairs
 from sameas.gaussian import mahalanobis_sq
 from sameas.ragged import ranges
 from sameas.records import Records, unpack
+from sameas.representation import in_short
 from sameas.space import Plane
 
 
@@ -106,6 +107,7 @@ class Model(Protocol):
         """(m,) ln r of pairs of known values; ``pool``: all known values of all sources, for their frequencies."""
 
 
+@in_short
 @dataclass(frozen=True)
 class Code:
     """Values that should name one object: addresses, numbers, names.
@@ -216,6 +218,7 @@ MODELS: Mapping[str, Model] = {
 }  # fmt: skip
 
 
+@in_short
 @dataclass(frozen=True)
 class Identity(Rule):
     """The identities of the records, as evidence that is bounded on both sides (see the module).
@@ -381,6 +384,7 @@ def alarms(
     return sorted(every, key=lambda alarm: (alarm.attribute, alarm.value, alarm.first, alarm.second))
 
 
+@in_short
 @dataclass(frozen=True)
 class _SourceValues:
     """The usable records of one source that have an attribute: positions ``at`` in it, sorted by value."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
+from sameas.representation import in_short
 
 #: Quantiles are taken of about this many values of a longer list (chosen: enough for knots).
 SORTED = 500
@@ -27,6 +28,7 @@ def knots_of(x: FloatArray, weights: FloatArray, per_knot: float, most: int) -> 
     return np.asarray(knots[distinct])
 
 
+@in_short
 @dataclass(frozen=True)
 class Hats:
     """The basis of curves that are straight between knots and constant outside, at (n,) places.

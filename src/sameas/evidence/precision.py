@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 from sameas.arrays import FloatArray
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
+from sameas.representation import in_short
 
 
+@in_short
 @dataclass(frozen=True)
 class TrainingPairs:
     """The pairs from which a table of grades was learned.
@@ -30,6 +32,7 @@ class TrainingPairs:
     own: FloatArray
 
 
+@in_short
 @dataclass(frozen=True)
 class Precision(Rule):
     """ln p(g₁, g₂ | one object) − ln p(g₁, g₂ | two objects), with the grades g of how well both records are measured.

@@ -14,8 +14,10 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray
 from sameas.gate import Pairs
+from sameas.representation import in_short
 
 
+@in_short
 @dataclass(frozen=True)
 class Evidence:
     """Named terms, (m,) each; their sum is the log likelihood ratio of every pair.

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.records import Records
+from sameas.representation import in_short
 from sameas.space import Sphere, sphere_offset
 
 #: The inner box in standard deviations of a residual's feature, as in the papers [T].
@@ -26,6 +27,7 @@ LEAST_SIGMAS = 4.0
 SURE = 2.0
 
 
+@in_short
 @dataclass(frozen=True)
 class Spacing:
     """The distance of neighbours in the sources, per feature, in the unit of the residuals.

@@ -22,6 +22,7 @@ from sameas.evidence.residuals import AS_QUOTED
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
 from sameas.gaussian import Gaussian, log_density
+from sameas.representation import in_short
 from sameas.space import Plane
 
 #: Takes pairs (r,) and standard normal points (n, k), gives the values (r, n) there.
@@ -41,6 +42,7 @@ FIRST, CHECK, MOST = 2**8, 2**10, 2**13
 VALUES_IN_BATCH, COMPONENTS_IN_BATCH = 2**18, 2**20
 
 
+@in_short
 @dataclass(frozen=True)
 class Expected:
     """(m,) ln of the expectations, and (m,) their relative standard errors; infinite where ``log_value`` is a bound."""
@@ -151,6 +153,7 @@ def _require_scipy() -> None:
         raise InputError("Universal: densities that are functions need SciPy 1.15 or later: pip install 'scipy>=1.15'")
 
 
+@in_short
 @dataclass(frozen=True)
 class Universal(Rule):
     """λ = ∫ p(M) N(X₁;M,Σ₁) N(X₂;M,Σ₂) dM / ∬ p(M₁) p(M₂|M₁) N(X₁;M₁,Σ₁) N(X₂;M₂,Σ₂) dM₁ dM₂, for any densities.
@@ -211,6 +214,7 @@ class Universal(Rule):
         return Evidence(terms, np.hypot(same.error, different.error))
 
 
+@in_short
 @dataclass(frozen=True)
 class _PairsOfRecords:
     """The positions (m, d) and covariances (m, d, d) of the two records of every pair, and the rule."""

@@ -1,8 +1,8 @@
 """Exposures: a frame and the catalogue of its field, with magnitudes and known truth.
 
-The frame sees stars down to its limit, with errors that grow towards it; some of what it sees is in no catalogue and
-some is not real. The catalogue is deeper and was made years before: its stars have moved, by what it says of their
-motions and by what it does not know of them, and its errors are as much wider.
+The frame detects stars down to its limit, with errors that grow towards it; some detections are in no catalogue and
+some are false. The catalogue is deeper and years older: its stars have moved by their stated motions and by unknown
+ones, and its errors are wider by that.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from sameas.arrays import FloatArray, IntArray
 from sameas.evidence import Magnitudes
 from sameas.records import Records
+from sameas.representation import in_short
 from sameas.simulate.areas import LonLatBox
 from sameas.simulate.scenes import SimulatedScene
 from sameas.space import Sphere, displaced
@@ -28,7 +29,7 @@ class Sky:
     unknown_motion : share of its stars without a motion, which are drawn from N(0, ``motion_mas_per_yr``²) per axis.
     gap_yr : between catalogue and frame. uncatalogued : share of the stars that the catalogue lacks.
     frame_sigma_arcsec : errors of the frame's positions, bright end and limit. shown : greatest probability that the
-    frame shows a star; it falls to half of it at ``limit`` over ``softness`` mag.
+    frame detects a star; it falls to half of it at ``limit`` over ``softness`` mag.
     false_share : of the frame's measurements that are no stars; faint ones, as it likes them near its limit.
     zero_point, colour_term, scatter : of the frame's magnitude against the catalogue's first and second band, mag.
     """
@@ -53,7 +54,7 @@ class Sky:
     scatter: float = 0.06
 
     def completeness(self, magnitude: FloatArray) -> FloatArray:
-        """P_d(m): (n,) the probability that the frame shows a star."""
+        """P_d(m): (n,) the probability that the frame detects a star."""
         return self.shown / (1.0 + np.exp((magnitude - self.limit) / self.softness))
 
     def depth(self, magnitude: FloatArray, faint: float) -> FloatArray:
@@ -61,6 +62,7 @@ class Sky:
         return np.clip((magnitude - self.brightest) / (faint - self.brightest), 0.0, 1.0) ** 2
 
 
+@in_short
 @dataclass(frozen=True)
 class Exposure:
     """A frame (source 1) and the catalogue of its field (source 2), at the frame's epoch.
@@ -92,18 +94,18 @@ def exposure(
     sky = Sky() if sky is None else sky
     field = LonLatBox((150.0, 150.0 + side_deg), (-0.5 * side_deg, 0.5 * side_deg))
     stars = _TrueStars.drawn(rng, sky, field, rng.poisson(sky.stars_per_deg2 * side_deg**2))
-    shown = np.flatnonzero(rng.uniform(size=len(stars.magnitude)) < sky.completeness(stars.magnitude))
-    listed = np.flatnonzero(rng.uniform(size=len(stars.magnitude)) >= sky.uncatalogued)
-    false = rng.poisson(sky.false_share / (1.0 - sky.false_share) * len(shown))
-    everything = stars.with_false(rng, sky, field, false)
-    numbers = np.concatenate([shown, np.arange(len(stars.magnitude), len(everything.magnitude))])
-    frame, frame_magnitudes, truth_1 = everything.framed(rng, sky, rng.permutation(numbers), missing)
-    catalogue, magnitudes, truth_2 = everything.catalogued(rng, sky, rng.permutation(listed), missing)
+    detected = np.flatnonzero(rng.uniform(size=len(stars.magnitude)) < sky.completeness(stars.magnitude))
+    catalogued = np.flatnonzero(rng.uniform(size=len(stars.magnitude)) >= sky.uncatalogued)
+    false = rng.poisson(sky.false_share / (1.0 - sky.false_share) * len(detected))
+    all_objects = stars.with_false(rng, sky, field, false)
+    numbers = np.concatenate([detected, np.arange(len(stars.magnitude), len(all_objects.magnitude))])
+    frame, frame_magnitudes, truth_1 = all_objects.framed(rng, sky, rng.permutation(numbers), missing)
+    catalogue, magnitudes, truth_2 = all_objects.catalogued(rng, sky, rng.permutation(catalogued), missing)
     scene = SimulatedScene(
         frame, catalogue, truth_1, truth_2, truth_1 >= len(stars.magnitude), np.zeros(len(truth_2), np.bool_)
     )
     area = (side_deg * 3600.0) ** 2
-    return Exposure(scene, (frame_magnitudes, magnitudes), sky, area, everything.magnitude, everything.colour)
+    return Exposure(scene, (frame_magnitudes, magnitudes), sky, area, all_objects.magnitude, all_objects.colour)
 
 
 @dataclass(frozen=True)
@@ -138,13 +140,13 @@ class _TrueStars:
         records = _measured(rng, self.position_deg[numbers], spread, "frame")
         error = 0.01 + 0.12 * sky.depth(magnitude, sky.limit)
         true = magnitude + sky.zero_point + sky.colour_term * (colour - 0.8)
-        seen = true + np.hypot(sky.scatter, error) * rng.standard_normal(len(numbers))
-        return records, _bands(rng, seen[:, None], error[:, None], missing, ("frame",)), numbers
+        measured = true + np.hypot(sky.scatter, error) * rng.standard_normal(len(numbers))
+        return records, _bands(rng, measured[:, None], error[:, None], missing, ("frame",)), numbers
 
     def catalogued(
         self, rng: np.random.Generator, sky: Sky, numbers: IntArray, missing: float
     ) -> tuple[Records, Magnitudes, IntArray]:
-        """The catalogue's stars, moved to the frame's epoch with what it knows of their motions."""
+        """The catalogue's stars, moved to the frame's epoch by their stated motions."""
         magnitude = self.magnitude[numbers]
         depth = sky.depth(magnitude, sky.faintest)
         still, motion = ((low + (high - low) * depth) for low, high in (
@@ -156,8 +158,8 @@ class _TrueStars:
         records = _measured(rng, self.position_deg[numbers], spread, "catalogue")
         true = np.column_stack([magnitude, magnitude - self.colour[numbers]])
         error = np.broadcast_to((0.01 + 0.05 * depth)[:, None], true.shape)
-        seen = true + error * rng.standard_normal(true.shape)
-        return records, _bands(rng, seen, error, missing, ("V", "I")), numbers
+        measured = true + error * rng.standard_normal(true.shape)
+        return records, _bands(rng, measured, error, missing, ("V", "I")), numbers
 
 
 def _measured(rng: np.random.Generator, position_deg: FloatArray, spread: FloatArray, name: str) -> Records:
@@ -175,10 +177,10 @@ def _measured(rng: np.random.Generator, position_deg: FloatArray, spread: FloatA
 
 
 def _bands(
-    rng: np.random.Generator, seen: FloatArray, error: FloatArray, missing: float, names: tuple[str, ...]
+    rng: np.random.Generator, measured: FloatArray, error: FloatArray, missing: float, names: tuple[str, ...]
 ) -> Magnitudes:
-    lost = rng.uniform(size=seen.shape) < missing
-    return Magnitudes(np.where(lost, np.nan, seen), np.where(lost, np.nan, error), names)
+    lost = rng.uniform(size=measured.shape) < missing
+    return Magnitudes(np.where(lost, np.nan, measured), np.where(lost, np.nan, error), names)
 
 
 def misquoted(scene: SimulatedScene, factor: float) -> SimulatedScene:

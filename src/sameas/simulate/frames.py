@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
+from sameas.representation import in_short
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.keywords import Facts
 
@@ -31,7 +32,8 @@ if TYPE_CHECKING:
     from astropy.wcs import WCS
 
 _FWHM_PER_SIGMA = math.sqrt(8 * math.log(2))
-_FAINTEST = 0.02  # light below this share of the sky's noise per pixel is not drawn
+#: Light below this share of the sky's noise per pixel is not drawn (chosen).
+_FAINTEST = 0.02
 
 
 class Profile(Protocol):
@@ -118,7 +120,7 @@ class Lens:
         offset = xy_px - centre
         corner = float(np.hypot(*centre))
         r2 = (offset**2).sum(axis=1, keepdims=True) / corner**2
-        return xy_px + offset / corner * r2 * self.corner_px
+        return np.asarray(xy_px + offset / corner * r2 * self.corner_px, np.float64)
 
 
 @dataclass(frozen=True)
@@ -174,6 +176,7 @@ class Truth:
         return len(self.x_px)
 
 
+@in_short
 @dataclass(frozen=True)
 class SimulatedFrame:
     """A frame and the truth behind it."""
@@ -251,7 +254,7 @@ def frame_of_sky(
     xy = np.column_stack(wcs.all_world2pix(ra[ahead], dec[ahead], 0)) if len(ahead) else np.empty((0, 2))
     xy = (lens or Lens())(xy, camera.shape)
     finite = np.isfinite(xy).all(axis=1) & np.isfinite(mag[ahead])
-    seen = frame_of(
+    simulated = frame_of(
         rng,
         x_px=xy[finite, 0],
         y_px=xy[finite, 1],
@@ -263,9 +266,9 @@ def frame_of_sky(
         mid_time=mid_time,
         name=name,
     )
-    truth = seen.truth
+    truth = simulated.truth
     stars = ahead[finite][truth.star]
-    return SimulatedFrame(seen.frame, Truth(truth.x_px, truth.y_px, truth.flux_e, stars, truth.hot, truth.struck))
+    return SimulatedFrame(simulated.frame, Truth(truth.x_px, truth.y_px, truth.flux_e, stars, truth.hot, truth.struck))
 
 
 # ---- light ----
@@ -331,7 +334,7 @@ def _distance_deg(ra_deg: FloatArray, dec_deg: FloatArray, wcs: WCS) -> FloatArr
     ra_0, dec_0 = np.radians(wcs.wcs.crval)
     ra, dec = np.radians(ra_deg), np.radians(dec_deg)
     cosine = np.sin(dec) * math.sin(dec_0) + np.cos(dec) * math.cos(dec_0) * np.cos(ra - ra_0)
-    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1, 1))), np.float64)
 
 
 def _reach_deg(wcs: WCS, shape: tuple[int, int]) -> float:

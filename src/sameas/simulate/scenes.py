@@ -1,4 +1,4 @@
-"""Scenes with known truth: two sources that look at the same objects and err as they say.
+"""Scenes with known truth: two sources of the same objects, with errors as stated.
 
 Use :func:`poisson_field` for the assumptions of the method in any number of features, :func:`sky_field` and
 :func:`crowded_sky` for large catalogues on the sphere, :func:`line` and :func:`grid` for the papers' targets.
@@ -16,15 +16,17 @@ import numpy as np
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.records import Records
+from sameas.representation import in_short
 from sameas.simulate.areas import Cap, LonLatBox, WholeSky
 from sameas.space import ARCSEC_PER_RADIAN, Plane, Sphere, displaced
 
 Sigma = float | tuple[float, float]
 
 
+@in_short
 @dataclass(frozen=True)
 class SimulatedScene:
-    """Two sources and what they really saw.
+    """Two sources and the true objects of their records.
 
     Attributes
     ----------
@@ -46,9 +48,9 @@ class SimulatedScene:
         n_objects = 1 + max(self.truth_1.max(initial=-1), self.truth_2.max(initial=-1))
         row_of = np.empty(n_objects, np.int64)
         row_of[self.truth_2] = np.arange(len(self.truth_2))
-        seen = np.zeros(n_objects, bool)
-        seen[self.truth_2] = True
-        rows_1 = np.flatnonzero(seen[self.truth_1])
+        in_second = np.zeros(n_objects, bool)
+        in_second[self.truth_2] = True
+        rows_1 = np.flatnonzero(in_second[self.truth_1])
         return rows_1, row_of[self.truth_1[rows_1]]
 
 
@@ -100,9 +102,9 @@ def poisson_field(
         raise InputError(f"poisson_field: extent is {extent}; give one positive size per feature")
     count, *n_false = rng.poisson(size.prod() * np.array([density, false_1, false_2]))
     positions = rng.uniform(size=(count + sum(n_false), len(size))) * size
-    seen_1, seen_2 = _seen(rng, count, q1, q2)
+    detected_1, detected_2 = _detected(rng, count, q1, q2)
     numbers = np.split(np.arange(len(positions)), [count, count + n_false[0]])
-    objects = (np.concatenate([seen_1, numbers[1]]), np.concatenate([seen_2, numbers[2]]))
+    objects = (np.concatenate([detected_1, numbers[1]]), np.concatenate([detected_2, numbers[2]]))
     return _plane_scene(rng, positions, objects, count, (sigma_1, sigma_2), correlated, space or Plane(), names)
 
 
@@ -162,8 +164,8 @@ def grid(
         raise InputError(f"grid: spacing_sigmas is {spacing_sigmas}; give a number that is not negative")
     steps = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1)
     positions = steps.reshape(-1, len(shape)).astype(np.float64) * (spacing_sigmas * math.hypot(sigma_1, sigma_2))
-    seen = _seen(rng, len(positions), q1, q2)
-    return _plane_scene(rng, positions, seen, len(positions), (sigma_1, sigma_2), False, Plane(), names)
+    detected = _detected(rng, len(positions), q1, q2)
+    return _plane_scene(rng, positions, detected, len(positions), (sigma_1, sigma_2), False, Plane(), names)
 
 
 def _plane_scene(
@@ -176,7 +178,7 @@ def _plane_scene(
     space: Plane,
     names: tuple[str, str],
 ) -> SimulatedScene:
-    """The scene of sources that saw ``objects`` (numbers) at ``positions`` (n, d), false from n_real on."""
+    """The scene of sources that detected ``objects`` (numbers) at ``positions`` (n, d), false from n_real on."""
     d = positions.shape[1]
     period = np.array(space.period_list(d))
     wraps = np.isfinite(period)
@@ -236,12 +238,12 @@ def sky_field(
         raise InputError(f"sky_field: the numbers of objects are {counts}; give none below 0")
     positions = (area or WholeSky()).draw(rng, sum(counts))
     numbers = np.arange(sum(counts))
-    seen = (
+    detected = (
         numbers[: n_common + n_only_1],
         np.concatenate([numbers[:n_common], numbers[n_common + n_only_1 :]]),
     )
     sources, truths = [], []
-    for objects, name in zip(seen, names, strict=True):
+    for objects, name in zip(detected, names, strict=True):
         truth = rng.permutation(objects)
         spread = _log_uniform(rng, sigma_arcsec, len(truth), name)
         draw = _elliptical_sky if elliptical else _circular_sky
@@ -306,13 +308,13 @@ def chance_area_steradians(n: int, lam: float, sigma_arcsec: Sigma, gate_sigmas:
 
 
 def _circular_sky(rng: np.random.Generator, position_deg: FloatArray, spread: FloatArray, name: str) -> Records:
-    """Directions displaced by as much as they state, σ (n,) on both axes."""
+    """Directions displaced by their stated errors, σ (n,) on both axes."""
     offset = rng.standard_normal(position_deg.shape) * spread[:, None]
     return Records.of(displaced(position_deg, offset), variance=(spread**2)[:, None], space=Sphere(), source=name)
 
 
 def _elliptical_sky(rng: np.random.Generator, position_deg: FloatArray, spread: FloatArray, name: str) -> Records:
-    """Directions displaced by as much as they state, in covariances along their own east and north."""
+    """Directions displaced by their stated errors, in covariances along their own east and north."""
     stretch = rng.uniform(0, 0.8, len(spread))
     axes = _turn(rng.uniform(0, np.pi, len(spread)))
     axes *= (spread[:, None] * np.sqrt(np.stack([1 + stretch, 1 - stretch], axis=1)))[:, None, :]
@@ -330,7 +332,8 @@ def _turned_along(from_deg: FloatArray, to_deg: FloatArray) -> FloatArray:
         np.radians(to_deg[:, 1] - from_deg[:, 1]) / 2,
         np.radians(to_deg[:, 1] + from_deg[:, 1]) / 2,
     )
-    return 2 * np.arctan2(np.sin(half_lon) * np.sin(middle), np.cos(half_lon) * np.cos(half_lat))
+    angle = 2 * np.arctan2(np.sin(half_lon) * np.sin(middle), np.cos(half_lon) * np.cos(half_lat))
+    return np.asarray(angle, np.float64)
 
 
 def _turn(angle: FloatArray) -> FloatArray:
@@ -342,7 +345,7 @@ def _turn(angle: FloatArray) -> FloatArray:
 # ---- of both ----
 
 
-def _seen(rng: np.random.Generator, n: int, q1: float, q2: float) -> tuple[IntArray, IntArray]:
+def _detected(rng: np.random.Generator, n: int, q1: float, q2: float) -> tuple[IntArray, IntArray]:
     """Numbers of the objects, of n, that each source did not miss."""
     for name, q in (("q1", q1), ("q2", q2)):
         if not 0 <= q <= 1:

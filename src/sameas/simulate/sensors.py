@@ -1,9 +1,9 @@
-"""Modelled sensors: what a sensor would report of objects whose true motion is known, and which object each report is.
+"""Modelled sensors: reports of objects whose true motion is known, and the object of each report.
 
-For trials of the picture where no truth is at hand. The sensor is its :class:`~sameas.tracks.source.Description`:
-coverage, misses, errors, clutter, resolution, timing; a :class:`Bias` is what it reads wrong and its description does
-not say. The motion may be real (:class:`~sameas.simulate.sensors.TrueMotion`); what is quoted from such trials should
-say both: *real motion, modelled sensors*. Modelled are independent errors, misses and false reports; weather, sea
+For trials of the picture without a true one. The sensor is its :class:`~sameas.tracks.source.Description`: coverage,
+misses, errors, clutter, resolution, timing; a :class:`Bias` is an error that its description does not have. The motion
+may be real (:class:`~sameas.simulate.sensors.TrueMotion`); results of such trials should be quoted as *real motion,
+modelled sensors*. Modelled are independent errors, misses and false reports; weather, sea
 clutter, masts in the way and trackers that swap targets are not.
 
 - :class:`Sensor`: bare plots, or with a :class:`Tracker` numbered ones with velocities. ``Sensor(…)(motion, …)`` gives
@@ -24,6 +24,7 @@ from scipy.interpolate import PchipInterpolator, make_smoothing_spline
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.ragged import Ragged, ranges
+from sameas.representation import in_short
 from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane, geodesy, turned
 from sameas.tracks.feed import walk_of
@@ -31,12 +32,6 @@ from sameas.tracks.filter import follow
 from sameas.tracks.placement import PlacedReports
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description
-
-# True motion: where objects were at any time, between the reports that are taken as the truth.
-#
-# For trials of the picture: a log of AIS or ADS-B, in which every object names itself, is taken as the truth, and
-# sensors are modelled on top of it (:mod:`sameas.simulate.sensors`). Smoothed, the path is what can have moved so, and
-# the log keeps errors of its own; through every report, the log's errors are part of the truth.
 
 #: A curve is smoothed with 5 points or more (make_smoothing_spline needs 5).
 FEWEST = 5
@@ -46,7 +41,7 @@ FEWEST = 5
 class TruePath:
     """One object's reports: (k,) ascending times, (k, 3) east, north and height in metres.
 
-    gap_s : where two reports are farther apart in time nothing is known of what lies between.
+    gap_s : the path is unknown between two reports that are farther apart in time than this.
     stiffness_s3 : σ²/q of the smoothing, 0 for a path through every report; see :meth:`TrueMotion.of`.
     """
 
@@ -62,26 +57,31 @@ class TruePath:
         if len(self.time_s) < 2:
             return out
         after = np.searchsorted(self.time_s, times, side="right").clip(1, len(self.time_s) - 1)
-        known = (times >= self.time_s[0]) & (times <= self.time_s[-1])
-        known &= self.time_s[after] - self.time_s[after - 1] <= self.gap_s
-        out[known] = self._curve(times[known] - self.time_s[0])
+        in_path = (times >= self.time_s[0]) & (times <= self.time_s[-1])
+        in_path &= self.time_s[after] - self.time_s[after - 1] <= self.gap_s
+        out[in_path] = self._curve(times[in_path] - self.time_s[0])
         return out
 
     @cached_property
     def _curve(self) -> Callable[[FloatArray], FloatArray]:
         since = self.time_s - self.time_s[0]
         if self.stiffness_s3 == 0.0 or len(since) < FEWEST:
-            return PchipInterpolator(since, self.place)
+            through = PchipInterpolator(since, self.place)
+            return lambda times: np.asarray(through(times), np.float64)
         curves = [make_smoothing_spline(since, axis, lam=self.stiffness_s3) for axis in self.place.T]
         return lambda times: np.stack([curve(times) for curve in curves], axis=-1)
 
 
+@in_short
 @dataclass(frozen=True)
 class TrueMotion:
     """The paths of all objects in one plane. Make it with :meth:`of`; an object's number is its place in ``names``.
 
-    >>> said = {"time_s": [0.0, 60.0], "lat_deg": [50.8, 50.8], "lon_deg": [-1.30, -1.29], "mmsi": ["235070762"] * 2}
-    >>> motion = TrueMotion.of(Reports.of("ais", "table", said))
+    A log of AIS or ADS-B is taken as the truth, and sensors are modelled on it. A smoothed path can have been the true
+    motion, and the log has errors of its own; on a path through every report the log's errors are part of the truth.
+
+    >>> columns = {"time_s": [0.0, 60.0], "lat_deg": [50.8, 50.8], "lon_deg": [-1.30, -1.29], "mmsi": ["235070762"] * 2}
+    >>> motion = TrueMotion.of(Reports.of("ais", "table", columns))
     >>> motion.names, np.hypot(*motion.at(30.0)[0, :2]).round(1).item()
     (('235070762',), 0.0)
     """
@@ -120,11 +120,11 @@ class TrueMotion:
         if not gap_s > 0.0:
             raise InputError(f"TrueMotion: gap_s is {gap_s}; give seconds above 0")
         plane = plane or LocalPlane.about(reports.lat_deg, reports.lon_deg)
-        named, height = _names(reports), _heights(reports)
-        usable = np.flatnonzero(np.isfinite(reports.lat_deg) & np.isfinite(reports.lon_deg) & (named != ""))
+        ids, height = _names(reports), _heights(reports)
+        usable = np.flatnonzero(np.isfinite(reports.lat_deg) & np.isfinite(reports.lon_deg) & (ids != ""))
         lat, lon = reports.lat_deg[usable], reports.lon_deg[usable]
         place = np.column_stack([plane.of_geodetic(lat, lon, reports.source), height[usable]])
-        names, number = np.unique(named[usable], return_inverse=True)
+        names, number = np.unique(ids[usable], return_inverse=True)
         stiffness = 0.0 if description is None else _stiffness_s3(description)
         paths = []
         for k in range(len(names)):
@@ -165,7 +165,7 @@ class TrueMotion:
 
 
 def _heights(reports: Reports) -> FloatArray:
-    """(n,) as told, from the satellites where that is told too; 0 where nothing is."""
+    """(n,) reported heights, geometric ones where there are any; 0 without one."""
     height = np.zeros(len(reports))
     for column in (reports.pressure_alt_m, reports.alt_m):
         height = height if column is None else np.where(np.isfinite(column), column, height)
@@ -191,20 +191,17 @@ def _names(reports: Reports) -> NDArray[np.str_]:
     return np.array(["" if name is None else str(name) for name in ids], dtype=str)
 
 
-# Numbers of tracks that a modelled sensor gives to its plots, and the velocities that come of following them.
-#
-# The tracker knows which plots are of one object, so its tracks never swap targets; they begin late, break and are
-# numbered anew, and false ones live for some looks, as those of real trackers do.
-
-
 @dataclass(frozen=True)
 class Tracker:
-    """How a sensor numbers what it sees.
+    """The tracker of a modelled sensor, which numbers its plots and gives them velocities.
+
+    It knows which plots are of one object, so its tracks never swap targets; they begin late, break and are numbered
+    anew, and false ones last for some scans, as those of real trackers do.
 
     begins_after : plots that a track has before it is reported; its velocity is known from the second on.
-    breaks_after : looks without a plot after which a track ends; the object gets a new number when it is seen again.
-    breaks : probability per look that a track ends for no reason of that kind.
-    false_looks : looks for which a false echo stays on average.
+    breaks_after : scans without a plot after which a track ends; the object gets a new number at its next plot.
+    breaks : probability per scan that a track ends for another reason.
+    false_looks : mean number of scans of a false echo.
     """
 
     begins_after: int = 2
@@ -216,17 +213,17 @@ class Tracker:
         if self.begins_after < 0 or self.breaks_after < 1 or not 0.0 <= self.breaks < 1.0 or self.false_looks < 1.0:
             raise InputError(f"{self}: give begins_after ≥ 0, breaks_after ≥ 1, 0 ≤ breaks < 1, false_looks ≥ 1")
 
-    def numbers(self, look: IntArray, object: IntArray, rng: np.random.Generator) -> tuple[IntArray, IntArray]:
+    def numbers(self, scan: IntArray, object: IntArray, rng: np.random.Generator) -> tuple[IntArray, IntArray]:
         """(n,) number of the track of every plot, in the order in which tracks begin, and its place in its track."""
-        order = np.lexsort([look, object])
+        order = np.lexsort([scan, object])
         begins = np.ones(len(order), bool)
         same = object[order][1:] == object[order][:-1]
-        silent = np.diff(look[order]) > self.breaks_after
+        silent = np.diff(scan[order]) > self.breaks_after
         begins[1:] = ~same | silent | (rng.random(max(len(order) - 1, 0)) < self.breaks)
         track = np.cumsum(begins) - 1
         first = np.flatnonzero(begins)
         rank = np.empty(len(first), np.int64)
-        rank[np.lexsort([object[order][first], look[order][first]])] = np.arange(1, len(first) + 1)
+        rank[np.lexsort([object[order][first], scan[order][first]])] = np.arange(1, len(first) + 1)
         number, place = np.empty(len(order), np.int64), np.empty(len(order), np.int64)
         number[order], place[order] = rank[track], np.arange(len(order)) - first[track]
         return number, place
@@ -243,7 +240,7 @@ def tracked(
 ) -> tuple[Reports, IntArray]:
     """The plots that belong to reported tracks, with their numbers and velocities, and the truth of each.
 
-    plots : look and object of every report, false objects told apart by numbers below −1.
+    plots : scan and object of every report; false objects have numbers below −1.
     """
     number, place = tracker.numbers(*plots, rng)
     names = np.array([*(str(k) for k in number), None], object)[:-1]
@@ -260,7 +257,7 @@ def tracked(
 
 
 def _followed(description: Description, reports: Reports, plane: LocalPlane) -> tuple[FloatArray, FloatArray]:
-    """(n, 2) velocities east and north that a filter over each track has come to, and (n, 3) their covariances."""
+    """(n, 2) velocities east and north of a filter over each track, and (n, 3) their covariances."""
     placed = PlacedReports(description, reports, plane).in_plane
     assert isinstance(placed, States)
     state = follow(placed, acceleration_m2_per_s3=walk_of(description)).states
@@ -275,9 +272,9 @@ LEVEL_M = 30.48
 
 @dataclass(frozen=True)
 class Bias:
-    """What a sensor reads too much, and nobody is told: range and azimuth (clockwise), gain, stamps that are late.
+    """Undescribed biases of a sensor: range too long, azimuth too far clockwise, gain, stamps that are late.
 
-    east_m, north_m : by which the positions of a source without a site are shifted.
+    east_m, north_m : shift of the positions of a source without a site.
     """
 
     range_m: float = 0.0
@@ -290,10 +287,10 @@ class Bias:
 
 @dataclass(frozen=True)
 class SensorOutput:
-    """What a modelled sensor reports.
+    """The output of a modelled sensor.
 
     reports : in the order of their stamps. truth : (n,) number of the object of the true motion, −1 for false reports.
-    scan_times_s : (l,) stamps of all looks, those that showed nothing among them.
+    scan_times_s : (l,) stamps of all scans, empty ones included.
     """
 
     reports: Reports
@@ -303,32 +300,33 @@ class SensorOutput:
 
 @dataclass(frozen=True)
 class Echoes:
-    """What is there to be reported (n,): the look and the object (−1: false) of each, when it was measured, its place.
+    """Echoes (n,): the scan, the object (below 0: false), the time and the place of each.
 
-    place : (n, 3) east, north, height in the plane of the motion. sight : (n, 2) range and bearing from the sensor, as
-    they are.
+    place : (n, 3) east, north, height in the plane of the motion. sight : (n, 2) true range and bearing from the
+    sensor.
     """
 
-    look: IntArray
+    scan: IntArray
     object: IntArray
     time_s: FloatArray
     place: FloatArray
     sight: FloatArray
 
     def __len__(self) -> int:
-        return len(self.look)
+        return len(self.scan)
 
     def take(self, which: NDArray[np.generic]) -> Echoes:
         """Some of them."""
-        return Echoes(self.look[which], self.object[which], self.time_s[which], self.place[which], self.sight[which])
+        return Echoes(self.scan[which], self.object[which], self.time_s[which], self.place[which], self.sight[which])
 
     def and_those_of(self, other: Echoes) -> Echoes:
-        """Both, look by look in the order of time."""
+        """Both, in the order of time."""
         pairs = zip(vars(self).values(), vars(other).values(), strict=True)
         both = Echoes(*(np.concatenate(pair) for pair in pairs))
         return both.take(np.lexsort([both.object, both.time_s]))
 
 
+@in_short
 @dataclass(frozen=True)
 class Sensor:
     """One modelled sensor, called with a true motion, a span of time and a generator of random numbers.
@@ -341,18 +339,18 @@ class Sensor:
 
     Parameters
     ----------
-    description : of the sensor, as its user knows it; the latency is on its stamps.
-    bias : that its user does not know.
+    description : of the sensor; its latency is on the stamps.
+    bias : not in the description.
     tracker : numbers the plots; None: bare plots.
 
     Example
     -------
     >>> from sameas.tracks.source import MissRate, Site
-    >>> said = {"time_s": [0.0, 60.0], "lat_deg": [50.8, 50.8], "lon_deg": [-1.30, -1.29], "mmsi": ["235070762"] * 2}
-    >>> motion = TrueMotion.of(Reports.of("ais", "table", said))
+    >>> columns = {"time_s": [0.0, 60.0], "lat_deg": [50.8, 50.8], "lon_deg": [-1.30, -1.29], "mmsi": ["235070762"] * 2}
+    >>> motion = TrueMotion.of(Reports.of("ais", "table", columns))
     >>> radar = Description("radar", "marine radar", site=Site(50.75, -1.3), misses=MissRate(0.01))
-    >>> heard = Sensor(radar)(motion, (0.0, 60.0), np.random.default_rng(1))
-    >>> heard.reports.position, len(heard.scan_times_s), int(np.sum(heard.truth == 0)) in (18, 19, 20)
+    >>> output = Sensor(radar)(motion, (0.0, 60.0), np.random.default_rng(1))
+    >>> output.reports.position, len(output.scan_times_s), int(np.sum(output.truth == 0)) in (18, 19, 20)
     ('polar', 20, True)
     """
 
@@ -364,54 +362,54 @@ class Sensor:
         period = self.description.timing.period_s
         if period is None:
             raise InputError(f"{self.description.name}: timing.period_s is not known; give seconds between looks")
-        looks = np.arange(*span_s, period)
-        true = self._resolved(self._seen(self._passed(motion, looks, period), rng))
-        echoes = true.and_those_of(self._false(motion, looks, period, rng))
-        jitter = rng.normal(size=len(looks)) * (self.description.timing.latency_sigma_s or 0.0)
+        scan_times = np.arange(*span_s, period)
+        detected = self._resolved(self._detected(self._passed(motion, scan_times, period), rng))
+        echoes = detected.and_those_of(self._false(motion, scan_times, period, rng))
+        jitter = rng.normal(size=len(scan_times)) * (self.description.timing.latency_sigma_s or 0.0)
         late = (self.description.timing.latency_s or 0.0) + self.bias.time_s + jitter
-        columns = self._measured(motion, echoes, rng) | {"time_s": echoes.time_s + late[echoes.look]}
+        columns = self._measured(motion, echoes, rng) | {"time_s": echoes.time_s + late[echoes.scan]}
         truth = np.maximum(echoes.object, -1)
         reports = Reports.of(self.description.name, "table", columns)
         if self.tracker is not None:
-            sight = (echoes.look, echoes.object)
-            reports, truth = tracked(self.description, self.tracker, reports, sight, truth, motion.plane, rng)
+            scan_and_object = (echoes.scan, echoes.object)
+            reports, truth = tracked(self.description, self.tracker, reports, scan_and_object, truth, motion.plane, rng)
         order = np.argsort(reports.time_s, kind="stable")
         reports = replace(reports.where(order), line=np.arange(1, len(reports) + 1))
-        return SensorOutput(reports, truth[order], looks + late)
+        return SensorOutput(reports, truth[order], scan_times + late)
 
     @property
     def _turns(self) -> bool:
         return self.description.site is not None and self.description.kind not in ("camera", "esm")
 
-    def _passed(self, motion: TrueMotion, looks: FloatArray, period: float) -> Echoes:
-        """Every object at every look, where it was when the antenna passed it."""
-        times = np.broadcast_to(looks[:, None], (len(looks), len(motion))).copy()
+    def _passed(self, motion: TrueMotion, scan_times: FloatArray, period: float) -> Echoes:
+        """Every object at every scan, at its place when the antenna passed it."""
+        times = np.broadcast_to(scan_times[:, None], (len(scan_times), len(motion))).copy()
         place = motion.along(times)
         sight = self._sight(motion, place)
         if self._turns:
             times += np.nan_to_num(sight[..., 1]) / 360.0 * period
             place = motion.along(times)
             sight = self._sight(motion, place)
-        look, number = np.nonzero(np.isfinite(place).all(axis=-1))
-        there = (look, number)
-        return Echoes(look, number, times[there], place[there], sight[there])
+        scan, number = np.nonzero(np.isfinite(place).all(axis=-1))
+        there = (scan, number)
+        return Echoes(scan, number, times[there], place[there], sight[there])
 
     def _sight(self, motion: TrueMotion, place: FloatArray) -> FloatArray:
-        """(..., 2) slant range and bearing from the sensor; NaN where the sensor is in no one place."""
+        """(..., 2) slant range and bearing from the sensor; NaN where the sensor has no site."""
         out = np.full((*place.shape[:-1], 2), np.nan)
-        site, known = self.description.site, np.isfinite(place).all(axis=-1)
-        if site is None or not known.any():
+        site, in_path = self.description.site, np.isfinite(place).all(axis=-1)
+        if site is None or not in_path.any():
             return out
         if site.lat_deg is None or site.lon_deg is None:
             raise InputError(f"{self.description.name}: a modelled sensor needs site = {{ lat_deg, lon_deg }}")
-        lat, lon = motion.plane.to_geodetic(place[known][:, :2])
-        there = (lat, lon, place[known][:, 2], site.lat_deg, site.lon_deg, site.height_m)
+        lat, lon = motion.plane.to_geodetic(place[in_path][:, :2])
+        there = (lat, lon, place[in_path][:, 2], site.lat_deg, site.lon_deg, site.height_m)
         bearing, _, distance = geodesy().geodetic2aer(*there)
-        out[known] = np.column_stack([distance, bearing])
+        out[in_path] = np.column_stack([distance, bearing])
         return out
 
-    def _seen(self, echoes: Echoes, rng: np.random.Generator) -> Echoes:
-        """Those within the coverage that are not missed."""
+    def _detected(self, echoes: Echoes, rng: np.random.Generator) -> Echoes:
+        """The echoes within the coverage that are not missed."""
         if self.description.site is None:
             q = np.broadcast_to(self.description.misses.at(0.0), (len(echoes),))
         else:
@@ -419,41 +417,41 @@ class Sensor:
         return echoes.take(rng.random(len(echoes)) >= np.nan_to_num(q))
 
     def _resolved(self, echoes: Echoes) -> Echoes:
-        """Without those that another echo of the same look hides."""
+        """Without the echoes that another one of the same scan hides."""
         beam, cell = self.description.resolution.bearing_deg or 0.0, self.description.resolution.range_m or 0.0
         if self.description.site is None or not (beam and cell):
             return echoes
         keep = np.ones(len(echoes), bool)
-        # Echoes stand look by look, objects in the order of their numbers.
-        starts = Ragged.of_sorted(echoes.look, echoes.look.max(initial=-1) + 1).start
+        # Echoes are in the order of scans, in each in that of their objects.
+        starts = Ragged.of_sorted(echoes.scan, echoes.scan.max(initial=-1) + 1).start
         for low, high in pairwise(starts):
             apart = np.abs(echoes.sight[low:high, None] - echoes.sight[None, low:high])
             turn = np.minimum(apart[..., 1], 360.0 - apart[..., 1])
             keep[low:high] = ~np.tril((apart[..., 0] < cell) & (turn < beam), -1).any(axis=1)
         return echoes.take(keep)
 
-    def _false(self, motion: TrueMotion, looks: FloatArray, period: float, rng: np.random.Generator) -> Echoes:
-        """False echoes, evenly over the coverage; under a tracker each stays where it is for some looks."""
+    def _false(self, motion: TrueMotion, scan_times: FloatArray, period: float, rng: np.random.Generator) -> Echoes:
+        """False echoes, evenly over the coverage; with a tracker each stays at its place for some scans."""
         site, reach = self.description.site, self.description.coverage.range_m
         per_m2 = (self.description.clutter.per_km2 or 0.0) / 1e6
         if site is None or not self._turns or reach is None or not per_m2:
             none = np.empty(0, np.int64)
             return Echoes(none, none, np.empty(0), np.empty((0, 3)), np.empty((0, 2)))
         lasting = 1.0 if self.tracker is None else self.tracker.false_looks
-        count = rng.poisson(per_m2 * np.pi * reach**2 * (len(looks) + lasting - 1.0) / lasting)
-        begin = rng.integers(-int(lasting - 1), len(looks), count)
+        count = rng.poisson(per_m2 * np.pi * reach**2 * (len(scan_times) + lasting - 1.0) / lasting)
+        begin = rng.integers(-int(lasting - 1), len(scan_times), count)
         end = begin + rng.geometric(1.0 / lasting, count)
         sight = np.column_stack([reach * np.sqrt(rng.random(count)), rng.uniform(0.0, 360.0, count)])
         covered = self.description.coverage.covers(*sight.T)
-        owner, look = ranges(begin, np.where(covered, end - begin, 0))
-        inside = (look >= 0) & (look < len(looks))
-        owner, look = owner[inside], look[inside]
+        owner, scan = ranges(begin, np.where(covered, end - begin, 0))
+        inside = (scan >= 0) & (scan < len(scan_times))
+        owner, scan = owner[inside], scan[inside]
         centre = motion.plane.of_geodetic(site.lat_deg, site.lon_deg)[0]  # type: ignore[arg-type]
         angle = np.radians(sight[owner, 1])
         flat = centre + sight[owner, :1] * np.column_stack([np.sin(angle), np.cos(angle)])
         place = np.column_stack([flat, np.zeros(len(owner))])
-        # Numbers below −1 tell false objects apart until the truth is handed out.
-        return Echoes(look, -2 - owner, looks[look] + sight[owner, 1] / 360.0 * period, place, sight[owner])
+        # Numbers below −1 distinguish false objects.
+        return Echoes(scan, -2 - owner, scan_times[scan] + sight[owner, 1] / 360.0 * period, place, sight[owner])
 
     def _measured(self, motion: TrueMotion, echoes: Echoes, rng: np.random.Generator) -> dict[str, FloatArray]:
         """The columns of a position, with errors and bias."""
@@ -469,8 +467,8 @@ class Sensor:
         azimuth = (bearing + bias.azimuth_deg + sigma_bearing * rng.normal(size=n)) % 360.0
         if not self._turns:
             return {"bearing_deg": azimuth}
-        read = distance * (1.0 + bias.range_gain) + bias.range_m + sigma_range * rng.normal(size=n)
-        columns = {"range_m": np.maximum(read, 1.0), "bearing_deg": azimuth}
+        measured_m = distance * (1.0 + bias.range_gain) + bias.range_m + sigma_range * rng.normal(size=n)
+        columns = {"range_m": np.maximum(measured_m, 1.0), "bearing_deg": azimuth}
         if errors.position_m is not None:
             columns |= {"sigma_range_m": sigma_range, "sigma_bearing_deg": sigma_bearing}
         return columns | self._levels(echoes, rng)
@@ -483,10 +481,10 @@ class Sensor:
         return errors.sigma_range_m(distance), np.full(len(distance), errors.bearing_deg or 0.0)
 
     def _levels(self, echoes: Echoes, rng: np.random.Generator) -> dict[str, FloatArray]:
-        """Flight levels of what flies, as transponders tell them; false echoes tell none."""
+        """Flight levels of aircraft, as transponders report them; false echoes have none."""
         height = echoes.place[:, 2]
         if not height.any():
             return {}
-        told = height + (self.description.errors.height_m or 0.0) * rng.normal(size=len(echoes))
-        level = LEVEL_M * np.round(told / LEVEL_M)
+        reported = height + (self.description.errors.height_m or 0.0) * rng.normal(size=len(echoes))
+        level = LEVEL_M * np.round(reported / LEVEL_M)
         return {"pressure_alt_m": np.where(echoes.object < 0, np.nan, level)}

@@ -1,0 +1,282 @@
+"""Formal errors, few pairs, floors that nobody quotes: ours beside mutual nearest at the best radius."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import peers, workload
+from benchmarks.frames import Tally
+from benchmarks.recovered import true_rule
+from benchmarks.tables import Table, report
+from sameas import Identification, Sphere, identify
+from sameas.estimate.match import match
+from sameas.records import Records
+from sameas.score.pairs import is_true_pair, reliability
+from sameas.simulate.exposures import Exposure, Sky, exposure
+from sameas.simulate.formal import formal_field
+from sameas.simulate.scenes import SimulatedScene
+from sameas.sky.crossmatch import nearest
+from sameas.space import displaced
+
+Pairs = tuple[np.ndarray, np.ndarray]
+#: A true partner of a record that is told to have none with more than this is told so for certain.
+CERTAIN = 0.99
+#: Events in a bin of probability that is judged, and what it may be off.
+IN_BIN, OFF = 200, 0.03
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Fields of one kind: number of objects, floor in arcsec, errors over those quoted."""
+
+    objects: int
+    floor: float = 0.0
+    scale: float = 1.0
+
+    def fields(self, options: argparse.Namespace) -> Iterator[SimulatedScene]:
+        """As many as hold about the number of objects that is asked for; at least two."""
+        for number in range(max(2, options.objects // self.objects)):
+            rng = np.random.default_rng([162, self.objects, round(1000 * self.floor), round(1000 * self.scale), number])
+            yield formal_field(rng, self.objects, floor_arcsec=self.floor, scale=self.scale)
+
+
+#: What nobody quotes: floors under the errors, and errors that are all too small, or too large.
+FLOORS = [Kind(objects, floor) for objects in (20, 40, 100, 200, 1000) for floor in (0.0, 0.05, 0.15, 0.5)]
+SCALES = [Kind(objects, 0.0, scale) for objects in (20, 60, 200, 1000) for scale in (0.3, 2.0, 4.0, 16.0)]
+
+
+@dataclass
+class Judged:
+    """What was said of all fields of one kind, and what is true of them."""
+
+    true: int = 0
+    found: int = 0
+    wrong: int = 0
+    certain: int = 0
+    expected: float = 0.0
+    variance: float = 0.0
+    stated: list[np.ndarray] = field(default_factory=list)
+    happened: list[np.ndarray] = field(default_factory=list)
+
+    def add(self, answer: Identification, scene: SimulatedScene) -> None:
+        """One field."""
+        true, claimed = scene.true_pairs(), (answer.matches.rows_1, answer.matches.rows_2)
+        right = is_true_pair(claimed, true)
+        p = answer.matches.p_match
+        self.true += len(true[0])
+        self.found += int(right.sum())
+        self.wrong += int((~right).sum())
+        self.expected += answer.expected_wrong
+        self.variance += float((p * (1.0 - p)).sum())
+        for answers, rows in ((answer.answers_1, true[0]), (answer.answers_2, true[1])):
+            self.certain += int((answers.p_none[rows].filled(0.0) > CERTAIN).sum())
+        self.stated.append(answer.p_pair)
+        self.happened.append(is_true_pair((answer.rows_1, answer.rows_2), true))
+
+    @property
+    def missed(self) -> int:
+        """True pairs that were not found."""
+        return self.true - self.found
+
+    @property
+    def deviation(self) -> float:
+        """Wrong beyond those expected, in standard deviations of their number (of at least one pair)."""
+        return (self.wrong - self.expected) / np.sqrt(max(self.variance, 1.0))
+
+
+@dataclass
+class Nearest:
+    """Pairs that are each other's nearest, of all fields of one kind, within the radius that is best in truth."""
+
+    separation: list[np.ndarray] = field(default_factory=list)
+    right: list[np.ndarray] = field(default_factory=list)
+    true: int = 0
+
+    def add(self, scene: SimulatedScene) -> None:
+        """One field."""
+        there, back = nearest(scene.first, scene.second), nearest(scene.second, scene.first)
+        mutual = np.flatnonzero(back.rows[there.rows] == np.arange(len(there.rows)))
+        true = scene.true_pairs()
+        self.separation.append(there.separation_arcsec[mutual])
+        self.right.append(is_true_pair((mutual, there.rows[mutual]), true))
+        self.true += len(true[0])
+
+    def best(self) -> tuple[float, int, int]:
+        """The radius of fewest wrong and missed, and what is found and wrong within it."""
+        order = np.argsort(np.concatenate(self.separation))
+        separation, right = np.concatenate(self.separation)[order], np.concatenate(self.right)[order]
+        found = np.concatenate([[0], np.cumsum(right)])
+        wrong = np.arange(len(found)) - found
+        best = int(np.argmin(wrong - found))
+        return float(separation[best - 1]) if best else 0.0, int(found[best]), int(wrong[best])
+
+
+def formal(kinds: list[Kind], title: str, options: argparse.Namespace) -> Iterator[Table]:
+    """Every kind of field, then how often what was said happened."""
+    lines, all_of, worse = [], Judged(), []
+    for kind in kinds:
+        ours, theirs = Judged(), Nearest()
+        for scene in kind.fields(options):
+            ours.add(match(scene.first, scene.second)[0], scene)
+            theirs.add(scene)
+        radius, found, wrong = theirs.best()
+        loss, due = ours.wrong + ours.missed, wrong + ours.true - found
+        if loss > due:
+            worse.append(f"{kind.objects} objects, floor {kind.floor:g}″, scale {kind.scale:g}: {loss} for {due}")
+        lines.append([
+            kind.objects, kind.floor, kind.scale, ours.true, ours.found, ours.wrong, ours.missed, ours.certain,
+            ours.expected, ours.deviation, radius, found, wrong, ours.true - found,
+        ])  # fmt: skip
+        all_of.stated += ours.stated
+        all_of.happened += ours.happened
+    columns = (
+        "objects", "floor ″", "scale", "true pairs", "found", "wrong", "missed", "told none, p > .99", "expected wrong",
+        "off, σ", "mutual: best ″", "found", "wrong", "missed",
+    )  # fmt: skip
+    off = max(abs(float(line[9])) for line in lines)
+    yield Table(title, columns, lines, (
+        f"wrong and missed more than mutual nearest at its best radius: {'; '.join(worse) or 'nowhere'}",
+        f"wrong beyond expected: at most {off:.1f} σ",
+        "told none: records with a true partner that are said to have none; σ of at least one pair",
+    ))  # fmt: skip
+    yield calibrated(all_of, title)
+
+
+def calibrated(judged: Judged, title: str) -> Table:
+    """Stated probability beside observed frequency."""
+    told = reliability(np.concatenate(judged.stated), np.concatenate(judged.happened))
+    rows = [
+        [float(p), float(f), int(n), float(f - p)]
+        for p, f, n in zip(told.stated, told.observed, told.count, strict=True)
+    ]
+    worst = max((abs(row[3]) for row in rows if row[2] >= IN_BIN), default=0.0)
+    note = f"largest difference in a bin of {IN_BIN} or more: {worst:.3f} (asked: ≤ {OFF:g})"
+    return Table(f"{title}: what is said of candidates", ("stated", "observed", "candidates", "off"), rows, (note,))
+
+
+# ---- crowded frames whose floor nobody quotes ----
+
+FLOOR_ARCSEC = 0.1
+#: Errors of photon noise: those of bright stars next to nothing, in the frame and in a catalogue of a few years ago.
+PHOTON = Sky(
+    stars_per_deg2=1_200_000.0,
+    catalogue_sigma_arcsec=(0.002, 0.05), motion_sigma_mas_per_yr=(0.05, 1.0), unknown_motion=0.0, gap_yr=5.0,
+    frame_sigma_arcsec=(0.005, 0.2),
+)  # fmt: skip
+
+
+def with_floor(rng: np.random.Generator, made: Exposure) -> tuple[Exposure, Exposure]:
+    """The frame with a floor that is not quoted; the same where it is."""
+    first = made.scene.first
+    moved = replace(first, features=displaced(first.features, FLOOR_ARCSEC * rng.standard_normal((len(first), 2))))
+    full = moved.full_covariance() + FLOOR_ARCSEC**2 * np.eye(2)
+    honest = Records.of(moved.features, covariance=full, space=Sphere(), source=moved.source)
+    return (
+        replace(made, scene=replace(made.scene, first=moved)),
+        replace(made, scene=replace(made.scene, first=honest)),
+    )
+
+
+def crowded(options: argparse.Namespace) -> Iterator[Table]:
+    """Crowded frames: positions alone and magnitudes, the floor told or not."""
+    tallies: dict[tuple[str, str], Tally] = {}
+    floors: list[float] = []
+    for number in range(options.frames):
+        rng = np.random.default_rng([163, number])
+        made = exposure(rng, PHOTON, side_deg=options.side)
+        silent, honest = with_floor(rng, made)
+        for title, shown in (("as quoted", made), (f"floor of {FLOOR_ARCSEC:g}″, quoted", honest),
+                             (f"floor of {FLOOR_ARCSEC:g}″, not quoted", silent)):  # fmt: skip
+            first, second = shown.scene.first, shown.scene.second
+            if shown is not silent:
+                known = identify(first, second, rule=true_rule(shown))
+                tallies.setdefault((title, "true parameters"), Tally()).add_answer(known, shown.scene)
+            answer, estimate = match(first, second)
+            tallies.setdefault((title, "nothing told, positions"), Tally()).add_answer(answer, shown.scene)
+            if shown is silent:
+                floors.append(getattr(estimate.errors, "floor", float("nan")))
+            answer, _ = match(first, second, brightness=shown.brightness)
+            tallies.setdefault((title, "nothing told, two bands"), Tally()).add_answer(answer, shown.scene)
+    lines = [[*names, *tally.line()[:3], tally.line()[6], tally.line()[7]] for names, tally in tallies.items()]
+    columns = ("errors", "by", "claimed", "wrong", "±", "expected wrong", "ECE")
+    floor = f"floor that was estimated: {np.mean(floors):.4f} ± {np.std(floors):.4f}″"
+    yield Table(f"Crowded frames: {options.frames} of {options.side:g}°", columns, lines, (floor,))
+
+
+# ---- others ----
+
+
+def others(options: argparse.Namespace) -> Iterator[Table]:
+    """STILTS and NWAY on some of the same fields, with the errors as they are quoted."""
+    lines: list[list[object]] = []
+    missing: set[str] = set()
+    for kind in (Kind(200, 0.0), Kind(200, 0.15), Kind(200, 0.5), Kind(200, 0.0, 4.0)):
+        scene = next(kind.fields(options))
+        true = scene.true_pairs()
+        mine = match(scene.first, scene.second)[0]
+        claims: dict[str, Pairs] = {"sameas": (mine.matches.rows_1, mine.matches.rows_2)}
+        with tempfile.TemporaryDirectory(prefix="sameas-bench-") as name:
+            claims |= _theirs(scene, Path(name) / "scene", options, missing)
+        for by, claimed in claims.items():
+            right = int(is_true_pair(claimed, true).sum())
+            lines.append([kind.objects, kind.floor, kind.scale, by, len(true[0]), right, len(claimed[0]) - right])
+    columns = ("objects", "floor ″", "scale", "by", "true pairs", "found", "wrong")
+    notes = tuple(f"{name}: missing" for name in sorted(missing))
+    yield Table("Others, with the errors as quoted", columns, lines, notes)
+
+
+def _theirs(scene: SimulatedScene, folder: Path, options: argparse.Namespace, missing: set[str]) -> dict[str, Pairs]:
+    """What each of them claims, told the true densities."""
+    from benchmarks.frames import nway
+
+    area = (3600.0**2) * len(scene.first) / 2000.0
+    n, n1, n2 = len(scene.true_pairs()[0]), len(scene.first), len(scene.second)
+    densities = workload.Densities(n / area, (n1 - n) / area, (n2 - n) / area)
+    arrays = workload.Arrays.load(workload.save(folder, scene, densities))
+    claims: dict[str, Pairs] = {}
+    if peers.PEERS["stilts"].version("") is None:
+        missing.add("STILTS")
+    else:
+        claims["STILTS find=best, 3σ"] = peers.stilts_pairs(arrays)
+    pairs = nway(arrays, scene, area, options.interpreters)
+    if pairs is None:
+        missing.add("NWAY")
+    else:
+        claims["NWAY, p > ½"] = pairs
+    return claims
+
+
+def tables(options: argparse.Namespace) -> Iterator[Table]:
+    """The sections that are asked for."""
+    sections: dict[str, Callable[[], Iterator[Table]]] = {
+        "floors": lambda: formal(FLOORS, "Floors", options),
+        "scales": lambda: formal(SCALES, "Scales", options),
+        "crowded": lambda: crowded(options),
+        "others": lambda: others(options),
+    }
+    for name in options.only:
+        yield from sections[name]()
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(prog="scripts/bench field", description=__doc__)
+    parser.add_argument("--objects", type=int, default=400, help="objects of each kind of field (default 400)")
+    parser.add_argument("--frames", type=int, default=8, help="crowded frames (default 8)")
+    parser.add_argument("--side", type=float, default=0.05, help="side of a frame, degrees (default 0.05)")
+    parser.add_argument("--peer-python", action="append", default=[], help="NAME=PYTHON, where a peer is installed")
+    every = ["floors", "scales", "crowded", "others"]
+    parser.add_argument("--only", nargs="+", default=every, choices=every)
+    options = parser.parse_args()
+    options.interpreters = peers.Interpreters.of(options.peer_python)
+    report("field", tables(options))
+
+
+if __name__ == "__main__":
+    main()

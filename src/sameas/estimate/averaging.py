@@ -1,0 +1,165 @@
+"""Probabilities averaged over what few pairs cannot tell of the errors (METHOD 11.1).
+
+With errors θ_k that are not ruled out, and n_k objects in common by each,
+
+    P(pair) = Σ_k w_k P(pair | θ_k, n_k),   w_k ∝ prior(θ_k) L(θ_k, n_k),
+    ln L = ln Z + n + N₁ ln(1 − n/N₁) + N₂ ln(1 − n/N₂),
+
+where Z sums over all one-to-one hypotheses, and the rest is the probability of N₁ and N₂ records, of a Poisson field,
+up to a constant. So nothing is certain that only one of the errors says.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sameas.arrays import FloatArray
+from sameas.assignment import assign
+from sameas.estimate.error_grid import ErrorAverage
+from sameas.evidence import Errors, Evidence, Rule
+from sameas.gate import Pairs
+from sameas.groups import groups, laid_out
+from sameas.posterior import Posterior, by_messages, log_evidence, posterior
+from sameas.prior import PerPair
+from sameas.result import Identification
+
+#: Pairs of smaller ln of the odds, before one-to-one, are as good as impossible (chosen; less than rounding).
+IMPOSSIBLE = math.log(1e-12)
+#: From here on one minus a probability has lost its digits; what the odds say stands for it.
+SURE = 1e-9
+
+Solver = Callable[..., Posterior]
+
+
+@dataclass(frozen=True)
+class Average:
+    """Errors (k,) that are left open, for one list of candidates.
+
+    average : the errors and their prior. log_density : (k, m) ln of the density of the residuals. weight : (k,)
+    posterior. numbers : (k,) expected number of common objects by each.
+    """
+
+    average: ErrorAverage
+    log_density: FloatArray
+    weight: FloatArray
+    numbers: FloatArray
+
+    @classmethod
+    def of(cls, average: ErrorAverage, pairs: Pairs, weight: FloatArray, common: float) -> Average:
+        """Before the first EM iteration, with weights (k,) from elsewhere."""
+        return cls(average, average.log_densities(pairs), weight, np.full(len(weight), common))
+
+    @property
+    def typical(self) -> Errors:
+        """Errors of the mean variance."""
+        return self.average.typical(self.weight)
+
+    def posterior(
+        self, pairs: Pairs, others: FloatArray, expected: float, seen: tuple[int, int], *, exact: bool = False
+    ) -> tuple[Average, Averaged]:
+        """The weights, and the probabilities of the pairs, when all other evidence of these is ``others`` (m,).
+
+        expected : number of common objects that ``others`` let expect. seen : N₁, N₂, records that may be common.
+        exact : whether groups are summed exactly; else by messages.
+        """
+        solver: Solver = posterior if exact else by_messages
+        p_pairs, log_weight, numbers = [], [], []
+        shift = _shift(expected, seen)
+        for log_prior, log_density, number in zip(self.average.log_prior, self.log_density, self.numbers, strict=True):
+            here = _shift(number, seen)
+            p, log_z = _solved(pairs, others + log_density + (here.odds - shift.odds), solver)
+            p_pairs.append(p)
+            log_weight.append(log_prior + log_z + here.log_records)
+            # A share of which nothing is known before lies between none and all.
+            numbers.append((float(p.sum()) + 0.5) / (min(seen) + 1.0) * min(seen))
+        weight = np.exp(np.array(log_weight) - max(log_weight))
+        weight /= weight.sum()
+        odds = others + np.array([_shift(n, seen).odds - shift.odds for n in self.numbers])[:, None]
+        averaged = Averaged.of(pairs, np.array(p_pairs), odds + self.log_density, weight)
+        return replace(self, weight=weight, numbers=np.array(numbers)), averaged
+
+
+@dataclass(frozen=True)
+class _Shift:
+    """What a number of common objects adds to ln of the odds of a pair, and to ln of the probability of the records."""
+
+    odds: float
+    log_records: float
+
+
+def _shift(number: float, seen: tuple[int, int]) -> _Shift:
+    number = min(max(number, 1e-3), min(seen) * (1.0 - 1e-6))
+    alone = [math.log1p(-number / n) for n in seen]
+    records = number + sum(n * log for n, log in zip(seen, alone, strict=True))
+    return _Shift(math.log(number) - sum(alone), records)
+
+
+def _solved(pairs: Pairs, log_ratio: FloatArray, solver: Solver) -> tuple[FloatArray, float]:
+    """(m,) probabilities of the pairs, and ln of the sum over all hypotheses."""
+    kept = np.flatnonzero(log_ratio > IMPOSSIBLE)
+    p_pair = np.zeros(len(pairs))
+    if not len(kept):
+        return p_pair, 0.0
+    places = pairs.place_1[kept], pairs.place_2[kept], pairs.i[kept], pairs.j[kept]
+    grouped = laid_out(*places, len(pairs.first), len(pairs.second))
+    best = assign(grouped, log_ratio[kept], PerPair()(grouped.sizes_1, grouped.sizes_2))
+    p = solver(grouped, best).p_pair
+    p_pair[kept] = p
+    return p_pair, float(log_evidence(grouped, best, p).sum())
+
+
+@dataclass(frozen=True)
+class Averaged:
+    """p_pair : (m,) probabilities of the pairs, averaged. log_ratio : (m,) ln of the odds, before one-to-one, by which
+    the most probable hypothesis is chosen.
+
+    Weights of pairs that give a group without cycles its probabilities p, and p₀ to be alone, are p (1 − p) / (p₀ p₀').
+    """
+
+    p_pair: FloatArray
+    log_ratio: FloatArray
+
+    @classmethod
+    def of(cls, pairs: Pairs, p_pairs: FloatArray, log_ratios: FloatArray, weight: FloatArray) -> Averaged:
+        """p_pairs, log_ratios : (k, m) by every point. weight : (k,)."""
+        p = np.clip(weight @ p_pairs, 0.0, 1.0)
+        alone_1, alone_2 = (
+            np.maximum(1.0 - np.bincount(at, p, n), 0.0)[at]
+            for at, n in ((pairs.i, len(pairs.first)), (pairs.j, len(pairs.second)))
+        )
+        with np.errstate(divide="ignore"):
+            log_weight = np.log(weight)[:, None]
+            log_ratio = np.log(p) + np.log1p(-np.minimum(p, 1.0 - 1e-16)) - np.log(alone_1) - np.log(alone_2)
+        least = np.minimum(alone_1, alone_2)
+        few = np.logaddexp.reduce(log_weight + log_ratios, axis=0)
+        # Of what is as good as certain the odds that any of the points gives count, the least most.
+        bounded = np.maximum(log_ratios, IMPOSSIBLE)
+        many = -np.logaddexp.reduce(log_weight - bounded, axis=0)
+        log_ratio = np.where(p < SURE, few, np.where(least < SURE, many, log_ratio))
+        return cls(p, np.maximum(log_ratio, -1e4))
+
+
+def identified(average: Average, pairs: Pairs, rule: Rule, expected: float, seen: tuple[int, int]) -> Identification:
+    """The identification of these candidates, averaged; ``rule`` gives all evidence, its positions are replaced.
+
+    expected, seen : as in :meth:`Average.posterior`.
+    """
+    evidence = rule(pairs)
+    others = but_positions(evidence)
+    _, averaged = average.posterior(pairs, others, expected, seen, exact=True)
+    terms = {**evidence.terms, "position": averaged.log_ratio - others}
+    grouped = groups(pairs)
+    best = assign(grouped, averaged.log_ratio, PerPair()(grouped.sizes_1, grouped.sizes_2))
+    sure = posterior(grouped, best)
+    return Identification(
+        pairs, grouped, Evidence(terms, evidence.log_error), best, replace(sure, p_pair=averaged.p_pair)
+    )
+
+
+def but_positions(evidence: Evidence) -> FloatArray:
+    """(m,) the sum of all terms but that of the positions."""
+    return np.asarray(sum(values for name, values in evidence.terms.items() if name != "position"))

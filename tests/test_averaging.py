@@ -1,0 +1,191 @@
+"""What few pairs leave open of the errors is averaged over: by enumeration, and on fields of formal errors."""
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+
+import naive
+from problems import shuffled
+from sameas import InputError, Records, Sphere
+from sameas.estimate.averaging import Average
+from sameas.estimate.coverage import Coverage
+from sameas.estimate.error_grid import DEFAULT_GRID, ErrorAverage, GridTuning, scanned
+from sameas.estimate.match import match
+from sameas.evidence import Errors
+from sameas.gate import Radius
+from sameas.score.pairs import is_true_pair
+from sameas.simulate import formal_field, misquoted
+
+
+def judged(scene, **options):
+    """True pairs, found, wrong, and true partners that are told to have none for certain."""
+    answer, estimate = match(scene.first, scene.second, **options)
+    true = scene.true_pairs()
+    right = is_true_pair((answer.matches.rows_1, answer.matches.rows_2), true)
+    certain = (answer.answers_1.p_none[true[0]].filled(0.0) > 0.99).sum()
+    return len(true[0]), int(right.sum()), int((~right).sum()), int(certain), answer, estimate
+
+
+# ---- the average is that of all hypotheses under all errors ----
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_average_is_the_sum_over_hypotheses_and_errors(seed):
+    rng = np.random.default_rng(seed)
+    first, second = (Records.of(rng.uniform(0.0, 3.0, (n, 2)), sigma=rng.uniform(0.1, 0.5, n)) for n in (4, 5))
+    several = (Errors(), Errors(factor_1=2.0, factor_2=0.7), Errors((1.0, 3.0), (0.9, 0.1), floor=0.4))
+    log_prior, numbers, seen, expected = np.log([0.5, 0.3, 0.2]), np.array([1.5, 2.0, 3.0]), (4, 5), 2.2
+    pairs = Radius(200.0)(first, second)
+    average = ErrorAverage(several, log_prior, limit=1e6)
+    others = rng.normal(1.0, 1.0, len(pairs))
+    begun = Average(average, average.log_densities(pairs), np.full(3, 1 / 3), numbers)
+    after, found = begun.posterior(pairs, others, expected, seen, exact=True)
+
+    odds = [np.log(n) - np.log1p(-n / 4) - np.log1p(-n / 5) for n in (*numbers, expected)]
+    log_weight, shares = [], []
+    for k, errors in enumerate(several):
+        log_ratio = others + errors.log_density(pairs) + odds[k] - odds[3]
+        ratios = dict(zip(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True), log_ratio, strict=True))
+        log_z = logsumexp([score for score, _ in naive.scored(4, 5, ratios, lambda k: 0.0)])
+        n = numbers[k]
+        log_weight.append(log_prior[k] + log_z + n + 4 * np.log1p(-n / 4) + 5 * np.log1p(-n / 5))
+        p, _, _ = naive.posterior(4, 5, ratios, lambda k: 0.0)
+        shares.append([p[pair] for pair in ratios])
+    weight = np.exp(log_weight - logsumexp(log_weight))
+    np.testing.assert_allclose(after.weight, weight, rtol=1e-9)
+    np.testing.assert_allclose(found.p_pair, weight @ np.array(shares), rtol=0, atol=1e-9)
+
+
+def test_a_pair_alone_is_weighed_by_its_averaged_odds():
+    first, second = Records.of([[0.0, 0.0]], sigma=0.1), Records.of([[0.5, 0.0]], sigma=0.1)
+    pairs = Radius(50.0)(first, second)
+    average = ErrorAverage((Errors(), Errors(floor=0.5)), np.log([0.5, 0.5]), limit=1e4)
+    begun = Average.of(average, pairs, np.array([0.5, 0.5]), 0.5)
+    _, found = begun.posterior(pairs, np.array([2.0]), 0.5, (1, 1), exact=True)
+    assert 0.0 < found.p_pair[0] < 1.0
+    assert found.log_ratio[0] == pytest.approx(np.log(found.p_pair[0]) - np.log1p(-found.p_pair[0]), rel=1e-9)
+
+
+# ---- fields ----
+
+
+def test_a_floor_of_one_number_stands_for_every_axis_beside_one_per_axis():
+    first = Records.of([[0.0, 0.0]], sigma=0.1, source="first")
+    second = Records.of([[0.6, 0.2]], sigma=0.1, source="second")
+    prior = np.log([0.5, 0.5])
+    mixed = ErrorAverage((Errors(floor=0.3), Errors(floor=(0.5, 0.1))), prior, limit=50.0)
+    alike = ErrorAverage((Errors(floor=(0.3, 0.3)), Errors(floor=(0.5, 0.1))), prior, limit=50.0)
+    one, other = (average.candidates(first, second) for average in (mixed, alike))
+    assert len(one) == len(other) == 1
+    typical = mixed.typical(np.array([0.25, 0.75])).floor
+    np.testing.assert_allclose(typical, np.sqrt([0.25 * 0.09 + 0.75 * 0.25, 0.25 * 0.09 + 0.75 * 0.01]))
+
+
+@pytest.mark.parametrize("objects, floor, scale", [(20, 0.15, 1.0), (40, 0.5, 1.0), (100, 0.05, 1.0), (60, 0.0, 16.0)])
+def test_partners_that_stand_out_are_found_whatever_the_quoted_errors(objects, floor, scale):
+    for seed in range(3):
+        scene = formal_field(np.random.default_rng([7, objects, seed]), objects, floor_arcsec=floor, scale=scale)
+        true, found, wrong, certain, answer, estimate = judged(scene)
+        assert found >= true - 1 and wrong <= 1 and certain == 0
+        assert abs(answer.expected_wrong - wrong) < 1.5 and estimate.left_open is not None
+
+
+def test_many_pairs_tell_floor_and_factor_themselves():
+    scene = formal_field(np.random.default_rng(8), 1500, floor_arcsec=0.3)
+    true, found, wrong, certain, _, estimate = judged(scene)
+    assert found >= true - 1 and wrong <= 2 and certain == 0 and estimate.left_open is None
+    assert estimate.errors.floor * estimate.errors.typical_scale == pytest.approx(0.3, rel=0.05)
+    assert estimate.typical_scale == pytest.approx(0.3 / 0.07, rel=0.6) and estimate.gate_sigmas > 12.0
+
+
+def test_honest_errors_of_many_pairs_stay_as_quoted():
+    scene = formal_field(np.random.default_rng(9), 1500)
+    true, found, wrong, _, _, estimate = judged(scene)
+    assert found == true and wrong == 0 and not estimate.errors.as_modelled
+
+
+def test_errors_all_larger_by_a_factor_leave_the_answers_the_same():
+    scene = formal_field(np.random.default_rng(10), 60, floor_arcsec=0.0)
+    base, (true, *_) = judged(scene)[4], judged(scene)
+    for factor in (0.5, 2.0, 5.0):
+        other = judged(misquoted(scene, factor))[4]
+        assert other.matches.rows_1.tolist() == base.matches.rows_1.tolist()
+        assert other.matches.rows_2.tolist() == base.matches.rows_2.tolist()
+        assert other.matches.p_match == pytest.approx(base.matches.p_match, abs=0.01)
+    assert len(base.matches) == true
+
+
+def test_the_order_of_the_sources_and_of_their_rows_does_not_matter():
+    scene = formal_field(np.random.default_rng(11), 60, floor_arcsec=0.2)
+    answer, estimate = match(scene.first, scene.second)
+    back, swapped = match(scene.second, scene.first)
+    assert swapped.common == pytest.approx(estimate.common, rel=1e-6)
+    ours = sorted(zip(answer.rows_1.tolist(), answer.rows_2.tolist(), answer.p_pair, strict=True))
+    theirs = sorted(zip(back.rows_2.tolist(), back.rows_1.tolist(), back.p_pair, strict=True))
+    assert [x[:2] for x in ours] == [x[:2] for x in theirs]
+    assert [x[2] for x in ours] == pytest.approx([x[2] for x in theirs], abs=1e-6)
+    again, _ = match(shuffled(np.random.default_rng(1), scene.first), scene.second)
+    assert again.p_pair.sum() == pytest.approx(answer.p_pair.sum(), rel=1e-9)
+
+
+# ---- the grid ----
+
+
+def test_where_nothing_is_common_nothing_stands_out():
+    rng = np.random.default_rng(12)
+    first, second = (
+        Records.of(np.column_stack([rng.uniform(20, 20.3, 400), rng.uniform(0, 0.3, 400)]), sigma=0.2, space=Sphere())
+        for _ in range(2)
+    )
+    assert scanned(Coverage.of(first, second)).contrast < 6.0
+    answer, _ = match(first, second)
+    assert len(answer.matches) < 4
+
+
+def test_records_too_close_to_widen_their_errors_are_not_scanned():
+    rng = np.random.default_rng(13)
+    first, second = (Records.of(rng.uniform(0, 1, (300, 2)), sigma=0.05) for _ in range(2))
+    assert scanned(Coverage.of(first, second)) is None
+
+
+def test_the_grid_gets_finer_where_the_records_tell_more():
+    scenes = [formal_field(np.random.default_rng(14), n, floor_arcsec=0.15) for n in (20, 200)]
+    coarse, fine = (scanned(Coverage.of(s.first, s.second)) for s in scenes)
+    for scan in (coarse, fine):
+        assert DEFAULT_GRID.points <= len(scan.errors) <= DEFAULT_GRID.most_points
+        assert scan.weight.sum() == pytest.approx(1.0) and scan.gain > 0.0
+    spread = [np.std(np.log([e.factor_1 for e in scan.errors])) for scan in (coarse, fine)]
+    assert spread[1] < spread[0]
+    one = scanned(Coverage.of(scenes[0].first, scenes[0].second), tuning=GridTuning(most_points=5))
+    assert len(one.errors) <= 5
+
+
+# ---- the model of the errors ----
+
+
+def test_the_error_model_is_the_covariance_of_every_pair():
+    rng = np.random.default_rng(15)
+    first, second = (Records.of(rng.uniform(0, 2, (6, 2)), covariance=np.array([[0.3, 0.1], [0.1, 0.2]])) for _ in "ab")
+    errors = Errors((1.0, 3.0), (0.8, 0.2), factor_1=1.5, factor_2=0.5, floor=(0.2, 0.4))
+    pairs = Radius(50.0)(first, second)
+    covariance = (1.5**2 + 0.5**2) * np.array([[0.3, 0.1], [0.1, 0.2]]) + np.diag([0.04, 0.16])
+    due = [
+        logsumexp([np.log(w) + naive.log_normal(delta, s**2 * covariance) for s, w in ((1.0, 0.8), (3.0, 0.2))])
+        for delta in pairs.residual
+    ]
+    np.testing.assert_allclose(errors.log_density(pairs), due, rtol=1e-10)
+    # The gate by modelled records is that of the model.
+    near = Radius(3.0)(*errors.records(first, second))
+    assert len(near) == int((errors.pairs(pairs).mahalanobis_sq <= 9.0).sum())
+
+
+@pytest.mark.parametrize("wrong", [{"factor_1": 0.0}, {"factor_2": -1.0}, {"floor": -0.1}, {"floor": (0.1, np.inf)}])
+def test_impossible_error_models_are_refused(wrong):
+    with pytest.raises(InputError, match="floor of 0 or more"):
+        Errors(**wrong)
+
+
+@pytest.mark.parametrize("wrong", [{"per_deg2": 0.0}, {"scale": -1.0}, {"floor_arcsec": -0.1}, {"false_share": -1.0}])
+def test_impossible_fields_are_refused(wrong):
+    with pytest.raises(InputError, match="give positive numbers"):
+        formal_field(np.random.default_rng(0), 20, **wrong)
