@@ -126,7 +126,7 @@ def test_a_full_device_is_said_in_words(code, ending, tmp_path, monkeypatch):
     from sameas.io import tables
 
     out = tmp_path / f"t{ending}"
-    known = tables._format_of(out, None).module()
+    known = tables._format_for(out, None).module()
 
     def full(table, path, provenance):
         try:
@@ -154,6 +154,7 @@ def test_a_device_that_is_full_says_so_and_stays_a_device(format):
     assert is_device("/dev/full")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not os.path.exists("/dev/stdout"), reason="needs /dev/stdout")
 def test_a_pipe_is_written_to():
     code = (

@@ -76,3 +76,22 @@ def test_a_picture_in_metres_of_its_own_is_refused_and_nothing_is_left(tmp_path)
     with pytest.raises(InputError, match="exists already"):
         write_geojson(objects(), tmp_path / "o.geojson", overwrite=False)
     assert [path.name for path in tmp_path.iterdir()] == ["o.geojson"]
+
+
+def test_an_object_has_a_track_in_the_order_of_time_cut_at_the_antimeridian(tmp_path):
+    moving = {
+        "time_s": np.array([NOON_S + 20, NOON_S, NOON_S + 10, NOON_S]),
+        "object": np.array([4, 4, 4, 5]),
+        "lat_deg": np.array([-10.0, -10.0, -10.0, 1.0]),
+        "lon_deg": np.array([-179.5, 179.0, 179.5, 1.0]),
+        "label": np.array(["PIKA", "", "PIKA", "ALONE"]),
+    }
+    write_geojson(moving, tmp_path / "o.geojson")
+    *points, track = json.loads((tmp_path / "o.geojson").read_text())["features"]
+    assert len(points) == 4
+    assert track["properties"]["object"] == 4 and track["properties"]["label"] == "PIKA"
+    assert track["properties"]["times_s"] == [NOON_S, NOON_S + 10, NOON_S + 20]
+    west = [[179.0, -10.0], [179.5, -10.0], [180.0, -10.0]]
+    assert track["geometry"] == {
+        "type": "MultiLineString", "coordinates": [west, [[-180.0, -10.0], [-179.5, -10.0]]],
+    }  # fmt: skip

@@ -47,6 +47,7 @@ def test_provenance_survives_and_is_not_mixed_with_the_table(ending, tmp_path):
 plain = st.one_of(st.text(max_size=120), st.integers(), st.floats(allow_nan=False), st.booleans())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", [".fits", ".vot", ".ecsv", ".csv", ".parquet"])
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
@@ -112,6 +113,7 @@ def test_checksum_is_the_sha256(tmp_path):
         checksum(tmp_path / "y")
 
 
+@pytest.mark.slow
 def test_importing_io_imports_nothing_heavy():
     code = "import sys, sameas.io; print(*{'astropy', 'pyarrow', 'numba', 'scipy', 'pandas'} & set(sys.modules))"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "\n"

@@ -1,4 +1,8 @@
-"""Between Arrow's columns and astropy's: nulls are masks, whole numbers stay whole, text is Unicode."""
+"""Between Arrow's columns and astropy's: nulls are masks, whole numbers stay whole, text is Unicode.
+
+Numbers, and the text of small tables, go by way of Arrow's buffers: its own conversions import pandas where that is
+installed, and ``pyarrow.compute``, which takes longer than a small table.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +20,9 @@ if TYPE_CHECKING:
     from astropy.table import Column
 
 _WIDEST_FIXED_TEXT = 256
+#: Text of more rows is worth the import of ``pyarrow.compute``, which is faster with it.
+FEW_ROWS = 50_000
+_FLOATS = {"halffloat": "float16", "float": "float32", "double": "float64"}
 
 
 def column_of(name: str, values: pa.ChunkedArray) -> Column | None:
@@ -49,12 +56,31 @@ def array_of(column: Column) -> pa.Array:
     if flat.dtype.kind not in "OU":
         flat = np.ascontiguousarray(flat.astype(flat.dtype.newbyteorder("="), copy=False))
     try:
-        array = _texts(flat, flat_mask) if flat.dtype.kind == "U" else pa.array(flat, mask=flat_mask)
+        if flat.dtype.kind in "biuf" and flat.dtype.itemsize <= 8:
+            array = _numbers(flat, flat_mask)
+        else:
+            array = _texts(flat, flat_mask) if flat.dtype.kind == "U" else pa.array(flat, mask=flat_mask)
     except (pa.ArrowException, TypeError) as error:
         raise InputError(f"column {column.name} holds {_kinds(flat)}; give numbers, truth values or text") from error
     for size in reversed(values.shape[1:]):
         array = pa.FixedSizeListArray.from_arrays(array, int(size))
     return array
+
+
+def _numbers(values: NDArray[Any], mask: BoolArray | None) -> pa.Array:
+    """Numbers and truth values on the memory of the array."""
+    import pyarrow as pa
+
+    data = np.packbits(values, bitorder="little") if values.dtype.kind == "b" else values
+    buffers = [None if mask is None else _bits(~mask), pa.py_buffer(data)]
+    return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), buffers)
+
+
+def _bits(valid: BoolArray) -> pa.Buffer:
+    """One bit a cell, as Arrow says which are there."""
+    import pyarrow as pa
+
+    return pa.py_buffer(np.packbits(valid, bitorder="little"))
 
 
 def _texts(values: NDArray[Any], mask: BoolArray | None) -> pa.Array:
@@ -70,7 +96,7 @@ def _texts(values: NDArray[Any], mask: BoolArray | None) -> pa.Array:
         filled &= ~mask[:, None]
     begins = np.zeros(len(cells) + 1, np.int32)
     np.cumsum(filled.sum(axis=1), out=begins[1:])
-    valid = None if mask is None else pa.array(~mask).buffers()[1]
+    valid = None if mask is None else _bits(~mask)
     buffers = [valid, pa.py_buffer(begins), pa.py_buffer(letters[filled])]
     return pa.Array.from_buffers(pa.string(), len(cells), buffers)
 
@@ -115,15 +141,53 @@ def _numpy_of(values: pa.ChunkedArray) -> tuple[NDArray[Any] | None, BoolArray |
     if not (pa.types.is_boolean(kind) or pa.types.is_integer(kind) or pa.types.is_floating(kind)):
         return None, None
     mask = _missing(values)
+    # Arrow would turn whole numbers with nulls into floats, and long identifiers into other ones.
+    array = np.concatenate([np.empty(0, _dtype(kind)), *(numbers_in(chunk) for chunk in values.chunks)])
     if mask is not None:
-        # Arrow would turn whole numbers with nulls into floats, and long identifiers into other ones.
-        values = pa.compute.fill_null(values, pa.scalar(0, pa.int8()).cast(kind))
-    array = values.to_numpy()
-    return array if array.flags.writeable else array.copy(), mask
+        array[mask] = 0
+    return array, mask
+
+
+def _dtype(kind: pa.DataType) -> np.dtype[Any]:
+    return np.dtype(_FLOATS.get(str(kind), str(kind)))
+
+
+def numbers_in(chunk: pa.Array) -> NDArray[Any]:
+    """The numbers or truth values of an Arrow array, on its memory where that is possible; anything where it is null.
+
+    Examples
+    --------
+    >>> import pyarrow as pa
+    >>> numbers_in(pa.array([1.5, 2.5, 3.5])[1:])
+    array([2.5, 3.5])
+    """
+    kind = _dtype(chunk.type)
+    if not len(chunk):
+        return np.empty(0, kind)
+    data = chunk.buffers()[1]
+    if kind.kind == "b":
+        return _bits_in(data, chunk)
+    return np.frombuffer(data, kind, len(chunk), chunk.offset * kind.itemsize)
+
+
+def _bits_in(buffer: pa.Buffer, chunk: pa.Array) -> BoolArray:
+    """(n,) the bits of a buffer for the cells of an array."""
+    octets = np.frombuffer(buffer, np.uint8)[chunk.offset // 8 : (chunk.offset + len(chunk) + 7) // 8]
+    begin = chunk.offset % 8
+    return np.unpackbits(octets, bitorder="little")[begin : begin + len(chunk)].view(np.bool_)
 
 
 def _missing(values: pa.ChunkedArray) -> BoolArray | None:
-    return np.array(values.is_null().to_numpy()) if values.null_count else None
+    if not values.null_count:
+        return None
+    if str(values.type) == "null":
+        return np.ones(len(values), np.bool_)
+    return np.concatenate(
+        [
+            ~_bits_in(chunk.buffers()[0], chunk) if chunk.null_count else np.zeros(len(chunk), np.bool_)
+            for chunk in values.chunks
+        ]
+    )
 
 
 def _cells(values: pa.ChunkedArray) -> tuple[NDArray[Any] | None, BoolArray | None]:
@@ -152,6 +216,11 @@ def _or_last(chunk: pa.Array) -> IntArray:
 
 def _text(values: pa.ChunkedArray) -> NDArray[Any]:
     """Unicode of fixed width, which sorts fast; Python strings where the longest is very long."""
+    if len(values) <= FEW_ROWS:
+        text = np.array([cell or "" for chunk in values.chunks for cell in chunk.to_pylist()], dtype=object)
+        if max(map(len, text), default=0) > _WIDEST_FIXED_TEXT:
+            return text
+        return text.astype(np.str_) if len(text) else np.empty(0, "U1")
     from pyarrow import compute
 
     values = compute.fill_null(values, "")

@@ -52,10 +52,11 @@ def replacing(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iterat
         return
     target = Path(os.path.realpath(given))
     _check_target(given, target, overwrite)
-    with _clear_errors(given):
-        draft = _new_file_beside(target)
+    draft = _beside(target)
     try:
         with _clear_errors(given):
+            # Not tempfile.mkstemp: its files are readable by their owner only, whatever the umask says.
+            os.close(os.open(draft, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
             yield draft
             if target.exists():
                 shutil.copymode(target, draft)
@@ -84,12 +85,15 @@ def filling(folder: str | os.PathLike[str]) -> Iterator[Path]:
     """
     target = Path(folder)
     made = not target.exists()
+    draft = target / f".sameas-{secrets.token_hex(6)}"
     try:
-        target.mkdir(parents=True, exist_ok=True)
-        draft = Path(tempfile.mkdtemp(prefix=".sameas-", dir=target))
-    except OSError as error:
-        raise InputError(f"cannot write into {folder}: {str(error.strerror).lower()}; give another folder") from error
-    try:
+        try:
+            target.mkdir(parents=True, exist_ok=True)
+            draft.mkdir(mode=0o700)
+        except OSError as error:
+            raise InputError(
+                f"cannot write into {folder}: {str(error.strerror).lower()}; give another folder"
+            ) from error
         with _clear_errors(target):
             yield draft
             for file in sorted(draft.iterdir()):
@@ -124,12 +128,8 @@ def _check_target(given: Path, target: Path, overwrite: bool) -> None:
         raise InputError(f"cannot write {given}: it exists already; give another name or allow overwriting")
 
 
-def _new_file_beside(target: Path) -> Path:
-    suffix = "".join(target.suffixes[-2:])
-    draft = target.with_name(f".sameas-{secrets.token_hex(6)}{suffix}")
-    # Not tempfile.mkstemp: its files are readable by their owner only, whatever the umask says.
-    os.close(os.open(draft, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
-    return draft
+def _beside(target: Path) -> Path:
+    return target.with_name(f".sameas-{secrets.token_hex(6)}{''.join(target.suffixes[-2:])}")
 
 
 @contextmanager

@@ -11,6 +11,7 @@ import csv
 import gzip
 import io
 import json
+import re
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -20,17 +21,30 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sameas.errors import InputError
-from sameas.io.arrow import array_of, column_of
+from sameas.io.arrow import FEW_ROWS, array_of, column_of, numbers_in
 from sameas.io.atomic import replacing
-from sameas.io.format import Format
+from sameas.io.format import TEXT_EXTENSIONS, Format
 
 if TYPE_CHECKING:
     import pyarrow as pa
     from astropy.table import Column, Table
 
-FORMAT = Format("csv", "CSV", (".csv", ".tsv", ".txt", ".csv.gz", ".tsv.gz", ".txt.gz"), unmarked=True, sidecar=True)
 
-_NULLS = ["null", "NULL", "NA", "N/A", "n/a", "--", *(" " * width for width in range(17))]
+def is_any_text(path: Path, first: bytes) -> bool:
+    """Whether the file has the name of a text: what no other format is known by is CSV."""
+    return path.name.lower().endswith(TEXT_EXTENSIONS)
+
+
+FORMAT = Format(
+    "csv",
+    "CSV",
+    (".csv", ".tsv", ".txt", ".csv.gz", ".tsv.gz", ".txt.gz"),
+    unmarked=True,
+    sidecar=True,
+    recognised=is_any_text,
+)
+
+_NULLS = ["null", "NULL", "NA", "N/A", "n/a", "--", *(" " * width for width in range(33))]
 _DELIMITERS = ",;\t|"
 
 
@@ -45,12 +59,16 @@ class TableHead:
 
 def read(path: Path, hdu: None) -> Table:
     """The table of a CSV file; kinds of columns are found out from their cells."""
+    text = content_of(path)
+    return table_of(text, _header(text, path), path)
+
+
+def table_of(text: pa.Buffer, head: TableHead, path: Path) -> Table:
+    """The table of a text whose names, delimiter and first row are known; kinds of columns from their cells."""
     from astropy.table import Table
 
-    text = _bytes(path)
-    header = _header(text, path)
-    content = _parsed(text, header, path)
-    return Table([_column(name, content.column(i), path) for i, name in enumerate(header.names)], copy=False)
+    content = _parsed(text, head, path)
+    return Table([_column(name, content.column(i), path) for i, name in enumerate(head.names)], copy=False)
 
 
 def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
@@ -95,7 +113,6 @@ def sidecar(path: Path) -> Path:
 def write_rows(names: list[str], arrays: list[pa.Array], file: Any, delimiter: str) -> None:
     """Writes the names and the rows; text is quoted in files where some cell needs it."""
     import pyarrow as pa
-    from pyarrow import compute
     from pyarrow import csv as arrow_csv
 
     line = io.StringIO()
@@ -110,12 +127,22 @@ def write_rows(names: list[str], arrays: list[pa.Array], file: Any, delimiter: s
         return
     special = f'["\\r\\n{delimiter}]|^#|^ | $'
     texts = [array for array in arrays if pa.types.is_string(array.type)]
-    quoted = any(compute.any(compute.match_substring_regex(array, special)).as_py() for array in texts)
+    quoted = any(_has(array, special) for array in texts)
     options = arrow_csv.WriteOptions(
         include_header=False, delimiter=delimiter, quoting_style="needed" if quoted else "none"
     )
     keys = [str(number) for number in range(len(names))]
     arrow_csv.write_csv(pa.Table.from_arrays(arrays, names=keys), file, options)
+
+
+def _has(array: pa.Array, expression: str) -> bool:
+    """Whether some cell of text has a part of this form."""
+    if len(array) <= FEW_ROWS:
+        wanted = re.compile(expression)
+        return any(wanted.search(cell) for cell in array.to_pylist() if cell)
+    from pyarrow import compute
+
+    return bool(compute.any(compute.match_substring_regex(array, expression)).as_py())
 
 
 def _texts(array: pa.Array) -> list[str]:
@@ -129,7 +156,8 @@ def opened(path: Path) -> Any:
     return gzip.open(path, "wb", compresslevel=4) if path.suffix == ".gz" else path.open("wb")
 
 
-def _bytes(path: Path) -> pa.Buffer:
+def content_of(path: Path) -> pa.Buffer:
+    """The bytes of a file, unpacked when its name ends in .gz."""
     import pyarrow as pa
 
     if path.suffix.lower() != ".gz":
@@ -148,7 +176,9 @@ def _header(text: pa.Buffer, path: Path) -> TableHead:
     for raw in io.BytesIO(memoryview(text)[: 1 << 20]):
         lines += 1
         try:
-            line = raw.decode("utf-8-sig" if lines == 1 else "utf-8").strip("\r\n")
+            # A comment of another encoding does no harm.
+            line = raw.decode("utf-8-sig" if lines == 1 else "utf-8", "replace" if raw[:1] == b"#" else "strict")
+            line = line.strip("\r\n")
         except UnicodeDecodeError as error:
             raise InputError(f"{path}: is not UTF-8 text (line {lines}); save it as UTF-8") from error
         if line.startswith("#"):
@@ -161,16 +191,21 @@ def _header(text: pa.Buffer, path: Path) -> TableHead:
         line = comment
     delimiter = _delimiter(line, path)
     names = _split(line, delimiter)
-    if any(_is_number(name) for name in names):
+    if any(is_number(name) for name in names):
         above = _split(comment, delimiter)
-        if len(above) != len(names) or any(_is_number(name) for name in above):
+        if len(above) != len(names) or any(is_number(name) for name in above):
             raise InputError(f"{path}: line {lines} holds numbers; put the names of the columns above the first row")
         names, lines = above, lines - 1
+    return TableHead(distinct(names, path), delimiter, lines)
+
+
+def distinct(names: list[str], path: Path) -> list[str]:
+    """The names of columns, none of them empty; refused where one stands twice."""
     names = [name or f"column_{number}" for number, name in enumerate(names, start=1)]
     twice = [name for name in names if names.count(name) > 1]
     if twice:
         raise InputError(f"{path}: two columns are called {twice[0]}; rename one")
-    return TableHead(names, delimiter, lines)
+    return names
 
 
 def _split(line: str, delimiter: str) -> list[str]:
@@ -183,12 +218,11 @@ def _delimiter(line: str, path: Path) -> str:
     for delimiter in _DELIMITERS:
         if len(_split(line, delimiter)) > 1:
             return delimiter
-    if len(line.split()) > 1 and "(" not in line and "[" not in line and '"' not in line:
-        raise InputError(f"{path}: its columns are parted by blanks; part them by commas or tabs")
     return ","
 
 
-def _is_number(text: str) -> bool:
+def is_number(text: str) -> bool:
+    """Whether a cell holds a number, so that its line has no names of columns."""
     try:
         float(text)
     except ValueError:
@@ -199,7 +233,6 @@ def _is_number(text: str) -> bool:
 def _parsed(text: pa.Buffer, header: TableHead, path: Path) -> pa.Table:
     """The rows, with identifiers beyond 63 bits and dates kept as they stand."""
     import pyarrow as pa
-    from pyarrow import compute
 
     content = _arrow(text, header, path, {})
     again = {}
@@ -207,9 +240,9 @@ def _parsed(text: pa.Buffer, header: TableHead, path: Path) -> pa.Table:
         if pa.types.is_temporal(column.type):
             again[name] = pa.string()
         elif pa.types.is_floating(column.type) and len(column):
-            largest = compute.max(column).as_py()
+            largest = max(np.fmax.reduce(numbers_in(chunk), initial=-np.inf) for chunk in column.chunks)
             # A whole number beyond 63 bits was read as a float and lost its last digits.
-            if largest is not None and 2.0**63 <= largest < 2.0**65:
+            if 2.0**63 <= largest < 2.0**65:
                 again[name] = pa.uint64() if _all_whole(text, header, path, name) else pa.float64()
     return _arrow(text, header, path, again) if again else content
 

@@ -6,10 +6,12 @@ text the empty text. FITS holds ASCII only: other text is refused on writing.
 
 from __future__ import annotations
 
+import gzip
 import json
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,15 +27,24 @@ from sameas.io.provenance import ascii_of, to_json, to_text, unicode_of
 if TYPE_CHECKING:
     from astropy.table import Column, Table
 
+
+def is_ldac(path: Path, first: bytes) -> bool:
+    """Whether a file called .cat is a FITS file, as SExtractor's FITS_LDAC and FITS_1.0 are."""
+    return path.name.lower().endswith((".cat", ".cat.gz")) and first.startswith(b"SIMPLE  =")
+
+
 FORMAT = Format(
     "fits",
     "FITS",
-    (".fits", ".fit", ".fts", ".fits.gz", ".fit.gz", ".fts.gz"),
+    (".fits", ".fit", ".fts", ".ldac", ".fits.gz", ".fit.gz", ".fts.gz", ".ldac.gz"),
     signatures=(b"SIMPLE  =",),
     several_tables=True,
+    recognised=is_ldac,
 )
 
 _CARD = "SAMEAS"
+#: FITS_LDAC of SExtractor: before each table of objects stands one with the header of the image, one text in one cell.
+_LDAC_TABLE, _LDAC_HEADER = "LDAC_OBJECTS", "LDAC_IMHEAD"
 _STRUCTURE = re.compile(
     r"(XTENSION|BITPIX|NAXIS\d?|PCOUNT|GCOUNT|TFIELDS|THEAP|CHECKSUM|DATASUM|SAMEAS|"
     r"T(TYPE|FORM|UNIT|NULL|SCAL|ZERO|DISP|DIM|UCD|COMM|CTYP|CUNI|CRPX|CRVL|CDLT|RPOS|BCOL)\d+)$"
@@ -58,6 +69,8 @@ def read(path: Path, hdu: int | str | None) -> Table:
                 table = _astropys_table(chosen)
             else:
                 table = _table(chosen)
+            if chosen.name == _LDAC_TABLE:
+                table.meta = _image_facts(hdus, chosen) | table.meta
     if notes:
         table.meta["sameas_notes"] = notes
     return table
@@ -76,6 +89,9 @@ def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
             for key, value in provenance.items():
                 hdu.header.add_history(_ascii(f"sameas: {key} = {to_text(value)}"))
         hdu.writeto(path, overwrite=True)
+    unknown = {name: mask for name in table.colnames if (mask := _unknown(table[name])) is not None}
+    if unknown:
+        _write_unknown(path, [table.colnames.index(name) for name in unknown], list(unknown.values()))
 
 
 def provenance(path: Path) -> dict[str, Any]:
@@ -94,12 +110,8 @@ def _hdu(table: Table) -> Any:
 
     columns = [_fits_column(table[name]) for name in table.colnames]
     hdu = fits.BinTableHDU.from_columns(columns, character_as_bytes=True)
-    raw = hdu.data.view(np.ndarray) if columns else None
     for number, name in enumerate(table.colnames, start=1):
         column = table[name]
-        mask = getattr(column, "mask", None)
-        if column.dtype.kind == "b" and mask is not None and raw is not None:
-            raw[raw.dtype.names[number - 1]][np.asarray(mask)] = 0
         if column.meta.get("ucd"):
             hdu.header[f"TUCD{number}"] = str(column.meta["ucd"])
         if column.description:
@@ -108,11 +120,36 @@ def _hdu(table: Table) -> Any:
     return hdu
 
 
+def _unknown(column: Column) -> BoolArray | None:
+    """Where a truth value is not known, or None where all are."""
+    mask = getattr(column, "mask", None)
+    return np.asarray(mask) if column.dtype.kind == "b" and mask is not None and np.any(mask) else None
+
+
+def _write_unknown(path: Path, fields: Sequence[int], masks: Sequence[BoolArray]) -> None:
+    """Puts the byte 0 where a truth value is not known; astropy has written F."""
+    from astropy.io import fits
+
+    packed = path.suffix.lower() == ".gz"
+    with fits.open(path, memmap=False) as hdus:
+        begin, dtype, rows = hdus[1].fileinfo()["datLoc"], hdus[1].columns.dtype, hdus[1].header["NAXIS2"]
+    content = np.frombuffer(bytearray(gzip.decompress(path.read_bytes())), np.uint8) if packed else None
+    whole = np.memmap(path, np.uint8, "r+") if content is None else content
+    cells = np.ndarray(rows, dtype, whole, begin)
+    for field, mask in zip(fields, masks, strict=True):
+        cell = cells[dtype.names[field]]
+        cell.view(np.uint8).reshape(mask.shape)[mask] = 0
+    if isinstance(whole, np.memmap):
+        whole.flush()
+    else:
+        path.write_bytes(gzip.compress(whole.tobytes()))
+
+
 def _chosen(hdus: Any, hdu: int | str | None, path: Path) -> tuple[Any, list[str]]:
     from astropy.io import fits
 
     kinds = (fits.BinTableHDU, fits.TableHDU)
-    tables = [number for number, each in enumerate(hdus) if isinstance(each, kinds)]
+    tables = [number for number, each in enumerate(hdus) if isinstance(each, kinds) and each.name != _LDAC_HEADER]
     if not tables:
         raise InputError(f"{path}: holds images only, no table")
     listed = ", ".join(f"{number} ({hdus[number].name})" if hdus[number].name else str(number) for number in tables)
@@ -128,6 +165,22 @@ def _chosen(hdus: Any, hdu: int | str | None, path: Path) -> tuple[Any, list[str
     if not isinstance(chosen, kinds):
         raise InputError(f"{path}: extension {hdu} is not a table; its tables are {listed}")
     return chosen, []
+
+
+def _image_facts(hdus: Any, chosen: Any) -> dict[str, Any]:
+    """What the header of the image in front of a table of FITS_LDAC says: of the exposure, its instant above all."""
+    from astropy.io import fits
+
+    before = hdus[list(hdus).index(chosen) - 1]
+    if before.name != _LDAC_HEADER or not len(before.data):
+        return {}
+    lines = [line.decode("ascii", "replace").ljust(80) for line in np.ravel(before.data.field(0)[0]).tolist()]
+    facts = {}
+    for card in fits.Header.fromstring("".join(lines)).cards:
+        with suppress(fits.VerifyError):  # a card that is none tells nothing
+            if card.keyword and not _STRUCTURE.match(card.keyword) and card.keyword not in ("COMMENT", "HISTORY"):
+                facts[card.keyword] = card.value
+    return facts
 
 
 def _check_whole(hdu: Any, path: Path) -> None:
@@ -284,7 +337,7 @@ def _stored(column: Column) -> tuple[NDArray[Any], int | None]:
     if mask is None or values.dtype.kind == "O":
         return values, None
     if values.dtype.kind == "b":
-        # astropy writes the byte of every value that it finds changed; a null is False to it, and stays.
+        # A null is False to astropy; its byte is written afterwards.
         return values & ~mask, None
     if values.dtype.kind in "iu":
         null = _unused(values, mask)

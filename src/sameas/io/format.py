@@ -8,8 +8,14 @@ these functions, so that the list costs nothing.
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from types import ModuleType
+
+_PLAIN = (".csv", ".tsv", ".txt", ".dat", ".asc", ".ascii", ".cat", ".tbl", ".ipac", ".mrt")
+#: Endings of the names of text files, which do not tell how the text is laid out.
+TEXT_EXTENSIONS: tuple[str, ...] = (*_PLAIN, *(f"{extension}.gz" for extension in _PLAIN))
 
 
 @dataclass(frozen=True)
@@ -22,6 +28,8 @@ class Format:
     signatures : a file of the format begins with one of these; empty where it has none.
     markers : a file of the format has one of these, in lower case, among its first bytes.
     unmarked : whether a file of no known kind may be of this format.
+    recognised : whether a text file is of this format, by its path and its first bytes: any of ``TEXT_EXTENSIONS``
+        may hold it. read_only : whether it is read, never written.
     several_tables : whether a file may hold several tables, so that ``hdu`` chooses one.
     sidecar : whether the provenance goes to a file beside; the module then has
         ``write_with_sidecar(table, path, provenance, overwrite)``.
@@ -35,6 +43,8 @@ class Format:
     unmarked: bool = False
     several_tables: bool = False
     sidecar: bool = False
+    recognised: Callable[[Path, bytes], bool] | None = None
+    read_only: bool = False
 
     def module(self) -> ModuleType:
         """The module that reads and writes it."""

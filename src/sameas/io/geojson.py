@@ -1,8 +1,9 @@
 """GeoJSON: the objects of a picture for maps and geographic information systems (RFC 7946: WGS84, longitude first).
 
 One feature per object and instant: its position, or null where directions do not cross, and everything else that is
-known of it as properties; absent values are null. With the records, a second feature shows the lines from an object to
-the records that it is made of, cut where they cross the antimeridian.
+known of it as properties; absent values are null. One feature per object is its track: the line through its positions
+in the order of time. With the records, a further feature shows the lines from an object to the records that it is made
+of. Lines are cut where they cross the antimeridian.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
-from itertools import chain
+from itertools import chain, pairwise
 from typing import Any
 
 import numpy as np
@@ -51,7 +52,7 @@ def write_geojson(
     lines = iter(()) if records is None else _lines(objects, records)
     with replacing(path, overwrite=overwrite) as draft, draft.open("w", encoding="utf-8") as out:
         out.write('{"type": "FeatureCollection", "features": [')
-        for k, feature in enumerate(chain(_points(objects), lines)):
+        for k, feature in enumerate(chain(_points(objects), _tracks(objects), lines)):
             out.write((",\n" if k else "\n") + json.dumps(feature, ensure_ascii=False, allow_nan=False))
         out.write("\n]}\n")
 
@@ -68,6 +69,40 @@ def _points(objects: Columns) -> Iterator[dict[str, Any]]:
         geometry = None if place is None else {"type": "Point", "coordinates": place}
         properties = {**stamps.get(properties["time_s"], {}), **properties}
         yield {"type": "Feature", "geometry": geometry, "properties": properties}
+
+
+def _tracks(objects: Columns) -> Iterator[dict[str, Any]]:
+    """A feature for each object with two positions or more: the line through them, and when it was there."""
+    rows: dict[int, list[tuple[float, list[float]]]] = {}
+    for (time_s, number), place in zip(_keys(objects), _places(objects), strict=True):
+        if place is not None:
+            rows.setdefault(number, []).append((time_s, place))
+    labels = _values(objects["label"]) if "label" in objects else [None] * len(objects["object"])
+    numbers = np.asarray(objects["object"]).tolist()
+    names = {number: label for number, label in zip(numbers, labels, strict=True) if label}
+    for number, points in rows.items():
+        if len(points) < 2:
+            continue
+        points.sort(key=lambda point: point[0])
+        properties = {
+            "track": True, "object": number, "label": names.get(number),
+            "first_s": points[0][0], "last_s": points[-1][0], "times_s": [time_s for time_s, _ in points],
+        }  # fmt: skip
+        yield {
+            "type": "Feature",
+            "geometry": {"type": "MultiLineString", "coordinates": _unbroken([place for _, place in points])},
+            "properties": properties,
+        }
+
+
+def _unbroken(places: list[list[float]]) -> list[list[list[float]]]:
+    """The line through places in order, in one piece, or in several where it crosses the antimeridian."""
+    lines: list[list[list[float]]] = [[places[0]]]
+    for begin, end in pairwise(places):
+        first, *rest = _cut(begin, end)
+        lines[-1].append(first[1])
+        lines += rest
+    return lines
 
 
 def _lines(objects: Columns, records: Columns) -> Iterator[dict[str, Any]]:

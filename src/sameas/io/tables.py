@@ -12,16 +12,30 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sameas.errors import Argument, InputError, Message
-from sameas.io import csv, ecsv, fits, parquet, votable
+from sameas.io import ascii as text
+from sameas.io import csv, ecsv, fits, ipac, mrt, parquet, sextractor, vizier, votable
 from sameas.io.atomic import replacing
-from sameas.io.format import Format
+from sameas.io.format import TEXT_EXTENSIONS, Format
 from sameas.io.provenance import plain
 
 if TYPE_CHECKING:
     from astropy.table import Table
 
-#: The formats, in the order in which they are named to users.
-FORMATS: tuple[Format, ...] = (fits.FORMAT, votable.FORMAT, ecsv.FORMAT, csv.FORMAT, parquet.FORMAT)
+#: The formats, in the order in which they are named to users and in which texts are recognised.
+FORMATS: tuple[Format, ...] = (
+    fits.FORMAT,
+    votable.FORMAT,
+    ecsv.FORMAT,
+    parquet.FORMAT,
+    sextractor.FORMAT,
+    ipac.FORMAT,
+    mrt.FORMAT,
+    vizier.FORMAT,
+    text.FORMAT,
+    csv.FORMAT,
+)
+#: So much of a file tells what it is: the comments of VizieR are long.
+_HEAD_BYTES = 1 << 16
 
 #: The first bytes of files that are no tables of ours, and what they are.
 _OTHER_SIGNATURES = (
@@ -92,7 +106,9 @@ def kind_of(first: bytes) -> str | None:
 
 
 def known_formats() -> dict[str, tuple[str, ...]]:
-    """The formats we read and write, by name, with their extensions.
+    """The formats we read, by name, with their extensions.
+
+    Texts are told by what is in them: any of these extensions of text may hold any of the formats of text.
 
     Examples
     --------
@@ -100,6 +116,17 @@ def known_formats() -> dict[str, tuple[str, ...]]:
     ('.ecsv', '.ecsv.gz')
     """
     return {known.name: known.extensions for known in FORMATS}
+
+
+def written_formats() -> dict[str, tuple[str, ...]]:
+    """The formats we write, by name, with their extensions.
+
+    Examples
+    --------
+    >>> ", ".join(written_formats())
+    'fits, votable, ecsv, parquet, csv'
+    """
+    return {known.name: known.extensions for known in FORMATS if not known.read_only}
 
 
 def read_table(path: str | os.PathLike[str], *, format: str | None = None, hdu: int | str | None = None) -> Table:
@@ -124,8 +151,7 @@ def read_table(path: str | os.PathLike[str], *, format: str | None = None, hdu: 
     InputError : no such file, a directory, an empty file, an unknown extension, other content than it claims.
     """
     path = Path(path)
-    known = _format_of(path, format)
-    _check_source(path, known)
+    known = _format_in(path, format)
     if hdu is not None and not known.several_tables:
         given = Message(f"{path}: ", Argument("hdu", repr(hdu)), " was given")
         raise InputError(Message(given, ", but only FITS files have several tables to choose from"))
@@ -163,7 +189,7 @@ def write_table(
     InputError : the path or a column cannot be written; nothing is left behind, and an older file stays.
     """
     path = Path(path)
-    known = _format_of(path, format)
+    known = _format_for(path, format)
     facts = plain(provenance)
     table = _with_plain_columns(table, path)
     try:
@@ -186,8 +212,7 @@ def read_provenance(path: str | os.PathLike[str], *, format: str | None = None) 
     InputError : as :func:`read_table`.
     """
     path = Path(path)
-    known = _format_of(path, format)
-    _check_source(path, known)
+    known = _format_in(path, format)
     try:
         return dict(known.module().provenance(path))
     except (InputError, MemoryError, ModuleNotFoundError):
@@ -196,31 +221,68 @@ def read_provenance(path: str | os.PathLike[str], *, format: str | None = None) 
         raise InputError(f"{path}: its provenance cannot be read: {_first_line(error)}") from error
 
 
-def _format_of(path: Path, name: str | None) -> Format:
-    if name is not None:
-        for known in FORMATS:
-            if name.lower() in (known.name, known.label.lower()):
-                return known
-        raise InputError(f"{path}: unknown format {name!r}; give one of {', '.join(f.name for f in FORMATS)}")
-    lowered = path.name.lower()
+def _named(name: str, path: Path) -> Format:
+    """The format of a name."""
     for known in FORMATS:
-        if lowered.endswith(known.extensions):
+        if name.lower() in (known.name, known.label.lower()):
             return known
-    every = " ".join(extension for known in FORMATS for extension in known.extensions if ".gz" not in extension)
-    suffix = f"the extension {path.suffix!r} is not known" if path.suffix else "the name has no extension"
-    raise InputError(f"{path}: {suffix}", Message(f"known are {every}, or say ", Argument("format", "NAME")))
+    raise InputError(f"{path}: unknown format {name!r}; give one of {', '.join(f.name for f in FORMATS)}")
 
 
-def _check_source(path: Path, known: Format) -> None:
-    """Refuses what is not a file of this format, in the user's words, before a library meets it."""
+def _format_for(path: Path, name: str | None) -> Format:
+    """The format of a file to be written."""
+    if name is not None:
+        known = _named(name, path)
+        if known.read_only:
+            raise InputError(f"{path}: {known.label} is read, not written; give one of {', '.join(written_formats())}")
+        return known
+    for known in FORMATS:
+        if not known.read_only and path.name.lower().endswith(known.extensions):
+            return known
+    raise _unknown_extension(path, written_formats())
+
+
+def _format_in(path: Path, name: str | None) -> Format:
+    """The format of a file to be read; what is not of that format is refused before a library meets it."""
     if path.is_dir():
         raise InputError(f"{path}: is a directory; give a file")
     if not path.exists():
         raise InputError(f"{path}: no such file{_similar_names(path)}")
-    first = first_bytes(path)
+    first = first_bytes(path, _HEAD_BYTES)
     if not first:
         raise InputError(f"{path}: is empty")
-    kind = kind_of(first)
+    known = _recognised(path, first) if name is None else _named(name, path)
+    if known is None:
+        raise _unknown_extension(path, known_formats())
+    _check_kind(path, known, kind_of(first[:4096]))
+    return known
+
+
+def _recognised(path: Path, first: bytes) -> Format | None:
+    """The format of a file: of a text, or of a file whose extension says nothing, by its first bytes."""
+    lowered = path.name.lower()
+    by_extension = next((known for known in FORMATS if lowered.endswith(known.extensions)), None)
+    if by_extension is not None and not lowered.endswith(TEXT_EXTENSIONS):
+        return by_extension
+    kind = kind_of(first[:4096])
+    if kind is not None and kind not in [known.label for known in FORMATS]:
+        # A web page, a picture …: no table, whatever words are in it. CSV is the last whose extension it may have.
+        return next((known for known in reversed(FORMATS) if lowered.endswith(known.extensions)), None)
+    for known in FORMATS:
+        signed = bool(known.signatures) and by_extension is None and first.startswith(known.signatures)
+        if signed or (known.recognised is not None and known.recognised(path, first)):
+            return known
+    return by_extension
+
+
+def _unknown_extension(path: Path, formats: Mapping[str, tuple[str, ...]]) -> InputError:
+    every = " ".join(dict.fromkeys(e for extensions in formats.values() for e in extensions if ".gz" not in e))
+    suffix = f"the extension {path.suffix!r} is not known" if path.suffix else "the name has no extension"
+    return InputError(f"{path}: {suffix}", Message(f"known are {every}, or say ", Argument("format", "NAME")))
+
+
+def _check_kind(path: Path, known: Format, kind: str | None) -> None:
+    """Refuses what is not a file of this format, in the user's words, before a library meets it."""
     if kind == known.label or (kind is None and known.unmarked):
         return
     remedy: str = ""

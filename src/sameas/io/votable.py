@@ -86,11 +86,10 @@ def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
         if column.dtype.kind in "US" and len(column.shape) > 1:
             raise InputError(f"column {column.name} has arrays of text; VOTable has no room for them, write .fits")
     fixed = all(column.dtype.kind != "O" for column in columns)
-    whole = Table(columns, names=table.colnames, copy=False)
     packed = io.BytesIO()
     with _quiet():
         # Without a row astropy writes no place for rows; those of the file are put there below.
-        document = from_table(whole[:1] if fixed else whole)
+        document = from_table(Table([_blank(column) for column in columns]) if fixed else Table(columns, copy=False))
         for field in document.get_first_table().fields:
             if fixed and field.datatype == "bit":  # which TOPCAT shows as numbers, and which knows no null
                 field.datatype = "boolean"
@@ -203,6 +202,14 @@ def _params(document: Any, meta: Mapping[str, Any]) -> None:
         datatype, arraysize = kinds.get(type(value), ("unicodeChar", "*"))
         text = value if type(value) in kinds else str(value)
         element.params.append(Param(document, name=key, datatype=datatype, arraysize=arraysize, value=text))
+
+
+def _blank(column: Column) -> Column:
+    """One cell that is not masked, or none where the column has none: older astropy has no null among whole numbers."""
+    from astropy.table import Column
+
+    kept = {"name": column.name, "unit": column.unit, "description": column.description, "meta": column.meta}
+    return Column(np.zeros_like(np.asarray(column[:1])), **kept)
 
 
 def _portable(column: Column) -> Column:

@@ -1,6 +1,6 @@
 """aircraft.json: the aircraft that dump1090, readsb and tar1090 see, one snapshot a file or one a line.
 
-Each snapshot tells the whole picture, so most of it was in the one before: a position is a report only when it is new.
+Each snapshot has all aircraft, so most positions were in the one before: a position is a report only when it is new.
 Its time is that of the snapshot less ``seen_pos``. Accuracy is NACp, else half the containment radius (``rc`` or NIC);
 positions by multilateration (mlat) and rebroadcast (tisb) state none and stay without.
 """
@@ -28,7 +28,7 @@ from sameas.tracks.accuracy import (
 )
 from sameas.tracks.reports import Damaged, Reports, of_rows
 
-#: Snapshots round the age of a position to 0.1 s: two ages of one position differ by no more.
+#: Snapshots round the age of a position to 0.1 s: the times of one position differ by less than 0.25 s.
 _SAME_POSITION_S = 0.25
 _NO_POSITION = "aircraft without a position"
 #: Fields that are numbers, and the column and factor they become.
@@ -75,8 +75,8 @@ def read(lines: Sequence[str], source: str) -> Reports:
                 last[row["track_id"]] = row
                 rows.append(row)
     if not rows:
-        said = "; ".join(Damaged.of(damaged).sentences()) or "no aircraft has one"
-        raise InputError(f"{source}: no position of an aircraft: {said}")
+        reasons = "; ".join(Damaged.of(damaged).sentences()) or "no aircraft has one"
+        raise InputError(f"{source}: no position of an aircraft: {reasons}")
     columns = of_rows(rows)
     columns |= errors_of(columns)
     return Reports.of(
@@ -85,7 +85,7 @@ def read(lines: Sequence[str], source: str) -> Reports:
 
 
 def errors_of(columns: Mapping[str, Any]) -> dict[str, FloatArray]:
-    """Covariances of position and velocity, from what transponders state: ``nac_p``, ``rc_m``, ``nic``, ``nac_v``."""
+    """Covariances of position and velocity, from the transponders' ``nac_p``, ``rc_m``, ``nic``, ``nac_v``."""
     n = len(columns["time_s"])
     absent = np.full(n, np.nan)
     sigma = sigma_of_nacp(columns.get("nac_p", absent))
@@ -98,7 +98,7 @@ def errors_of(columns: Mapping[str, Any]) -> dict[str, FloatArray]:
 
 
 def notes(source: str) -> tuple[str, ...]:
-    """What is assumed of the accuracy that transponders state."""
+    """The assumptions on the accuracy that transponders state."""
     return (
         f"{source}: errors are the transponder's NACp (radius of 95 % over 2.45); without it, half of the containment "
         "radius is taken for the radius of 95 %; positions that state neither have no error of their own",
@@ -174,7 +174,7 @@ def _is_same(before: Mapping[str, Any] | None, row: Mapping[str, Any]) -> bool:
     if before is None:
         return False
     same_place = before["lat_deg"] == row["lat_deg"] and before["lon_deg"] == row["lon_deg"]
-    return same_place and abs(before["time_s"] - row["time_s"]) <= _SAME_POSITION_S
+    return bool(same_place and abs(before["time_s"] - row["time_s"]) <= _SAME_POSITION_S)
 
 
 FORMAT = SensorFormat(

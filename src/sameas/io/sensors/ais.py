@@ -1,8 +1,8 @@
-"""AIS: what ships say of themselves, from the !AIVDM sentences of a log.
+"""AIS: the reports of ships about themselves, from the !AIVDM sentences of a log.
 
-Position reports 1, 2, 3, 9, 18, 19 and 27 become reports; 5, 19 and 24 tell name, call sign, kind and hull; 4 and 11
+Position reports 1, 2, 3, 9, 18, 19 and 27 become reports; 5, 19 and 24 have name, call sign, kind and hull; 4 and 11
 serve as a clock where the log has none. Values that mean "not available" are absent. Positions are those of the hull's
-middle where hull and heading are known (:mod:`sameas.io.sensors.ais`), those of the antenna stay in ``extra``. Decoding
+centre where hull and heading are known (:mod:`sameas.io.sensors.ais`), those of the antenna stay in ``extra``. Decoding
 is done by pyais (MIT).
 """
 
@@ -17,27 +17,23 @@ from typing import Any
 
 import numpy as np
 
-from sameas.arrays import FloatArray
+from sameas.arrays import BoolArray, FloatArray
 from sameas.errors import InputError, naming
-from sameas.io.sensors.clock import KNOT_M_PER_S, MILE_M, at_second, counted_on, held
+from sameas.io.sensors.clock import KNOT_M_PER_S, MILE_M, at_second, forward_filled, unwrapped
 from sameas.io.sensors.nmea import Log, Sentence
 from sameas.tracks.accuracy import AIS_RECKONED_SIGMA_M, AIS_SIGMA_M, round_covariance
 from sameas.tracks.coordinates import along_and_across, geodesy
 from sameas.tracks.reports import Damaged, Reports, of_rows
-
-# Hull: from the antenna that a ship reports to the middle of the ship that a radar sees.
-#
-# A ship of 300 m with its antenna over the bridge reports a position 80 m from its middle: more than the errors of
-# either sensor. The position is moved along the heading; the hull's extent goes into the covariance, since nobody knows
-# from which part of it an echo comes.
 
 
 @dataclass(frozen=True)
 class Hull:
     """Distances (n,) in metres from the antenna to bow, stern, port and starboard; NaN or all 0 where not known.
 
-    Bow and port 0 with stern and starboard above 0 tell the size of a ship, but not where its antenna is (ITU-R
-    M.1371).
+    A ship of 300 m with its antenna over the bridge reports a position 80 m from its centre, more than the errors of
+    either sensor. :meth:`centre` moves the position along the heading; the hull's extent goes into the covariance,
+    since an echo comes from any part of it. Bow and port 0 with stern and starboard above 0 give the size of a ship,
+    but not the place of its antenna (ITU-R M.1371).
     """
 
     to_bow_m: FloatArray
@@ -48,33 +44,33 @@ class Hull:
     @property
     def length_m(self) -> FloatArray:
         """(n,) NaN where not known."""
-        return _known(self.to_bow_m + self.to_stern_m)
+        return _positive(self.to_bow_m + self.to_stern_m)
 
     @property
     def width_m(self) -> FloatArray:
         """(n,) NaN where not known."""
-        return _known(self.to_port_m + self.to_starboard_m)
+        return _positive(self.to_port_m + self.to_starboard_m)
 
     @property
-    def antenna_known(self) -> np.ndarray:
-        """(n,) whether the antenna's place on the hull is told."""
+    def antenna_known(self) -> BoolArray:
+        """(n,) whether the antenna's place on the hull is known."""
         nowhere = (self.to_bow_m == 0.0) & (self.to_port_m == 0.0)
         return ~np.isnan(self.length_m) & ~(nowhere & (self.to_stern_m > 0.0) & (self.to_starboard_m > 0.0))
 
     def centre(
         self, lat_deg: FloatArray, lon_deg: FloatArray, heading_deg: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Latitude and longitude (n,) of the middle, and what the hull adds to the covariance (n, 3), m² east, north.
+        """Latitude and longitude (n,) of the centre, and the hull's part of the covariance (n, 3), m² east, north.
 
-        heading_deg : (n,) from true north; NaN where not known: there nothing is moved, and the covariance holds the
-            offset turned in all directions.
+        heading_deg : (n,) from true north; where it is NaN the position is not moved, and the covariance holds the
+            offset in all directions.
 
         The extent counts as if echoes came evenly from all over the hull: L²/12 along it and B²/12 across.
         """
         length, width = np.nan_to_num(self.length_m), np.nan_to_num(self.width_m)
         ahead = np.where(self.antenna_known, (self.to_bow_m - self.to_stern_m) / 2.0, 0.0)
         starboard = np.where(self.antenna_known, (self.to_starboard_m - self.to_port_m) / 2.0, 0.0)
-        # Somewhere on the hull: as far from the middle as an echo is.
+        # An antenna of unknown place is as far from the centre as an echo.
         often = np.where(self.antenna_known, 1.0, 2.0)
         along, across = often * length**2 / 12.0, often * width**2 / 12.0
         turned = np.isfinite(heading_deg)
@@ -88,7 +84,7 @@ class Hull:
         return np.atleast_1d(lat), np.atleast_1d(lon), np.stack([extent[:, 0, 0], extent[:, 0, 1], extent[:, 1, 1]], -1)
 
 
-def _known(size: FloatArray) -> FloatArray:
+def _positive(size: FloatArray) -> FloatArray:
     with np.errstate(invalid="ignore"):
         return np.where(size > 0.0, size, np.nan)
 
@@ -100,7 +96,7 @@ _STATICS = (5, 19, 24)
 _CLOCKS = (4, 11)
 #: Metres of one step of latitude in reports 27 (0.1′); in all others it is 0.2 m, far below the errors.
 _LONG_RANGE_STEP_M = 0.1 * MILE_M
-#: Below this speed the course says nothing of where the bow points.
+#: Below this speed, in m/s, the course is not the heading.
 _STEERING_M_PER_S = 1.0
 _SIDES = ("bow", "stern", "port", "starboard")
 _KINDS = {20: "wing in ground", 30: "fishing", 31: "towing", 32: "towing", 33: "dredging", 34: "diving",
@@ -111,21 +107,21 @@ _KINDS = {20: "wing in ground", 30: "fishing", 31: "towing", 32: "towing", 33: "
 
 @dataclass(frozen=True)
 class Message:
-    """One message: the line of its last sentence and the place of that in the log, and what pyais decoded."""
+    """One message: the line of its last sentence, the place of that in the log, and the message decoded by pyais."""
 
     line: int
     place: int
     own_ship: bool
-    told: Any
+    decoded: Any
 
     @property
     def type(self) -> int:
-        return int(self.told.msg_type)
+        return int(self.decoded.msg_type)
 
 
 @dataclass(frozen=True)
 class Static:
-    """What a ship told of itself until some line: texts and numbers by the name of their column."""
+    """The static data of a ship up to a line: texts and numbers by the name of their column."""
 
     line: int
     values: Mapping[str, Any]
@@ -170,7 +166,7 @@ def read(log: Log, source: str, start_s: float | None = None) -> Reports:
 
 
 def own_ship(sentence: Sentence) -> dict[str, float | None]:
-    """Latitude, longitude and heading that own ship tells of herself in a sentence (VDO), as far as she does.
+    """Latitude, longitude and heading of own ship in a sentence (VDO), those that it has.
 
     Raises
     ------
@@ -179,19 +175,19 @@ def own_ship(sentence: Sentence) -> dict[str, float | None]:
     if sentence.field(1) != "1":
         return {}
     try:
-        told = _decoder()(sentence.text)
+        decoded = _decoder()(sentence.text)
     except Exception as error:
         raise ValueError(f"cannot be decoded ({type(error).__name__})") from error
-    message = Message(sentence.line, 0, True, told)
+    message = Message(sentence.line, 0, True, decoded)
     if message.type not in _POSITIONS or _unusable(message):
         return {}
-    where: dict[str, float | None] = {"lat": float(told.lat), "lon": float(told.lon)}
-    heading = _below(getattr(told, "heading", None), 360)
-    return where if heading is None else where | {"heading": heading}
+    fields: dict[str, float | None] = {"lat": float(decoded.lat), "lon": float(decoded.lon)}
+    heading = _below(getattr(decoded, "heading", None), 360)
+    return fields if heading is None else fields | {"heading": heading}
 
 
 def _messages(log: Log) -> tuple[list[Message], list[tuple[int, str]]]:
-    """The decoded messages, those of several sentences put together, and the lines that could not be decoded."""
+    """The decoded messages, those of several sentences joined, and the lines that could not be decoded."""
     decode = _decoder()
     messages: list[Message] = []
     damaged = list(log.damaged)
@@ -209,12 +205,12 @@ def _messages(log: Log) -> tuple[list[Message], list[tuple[int, str]]]:
         if not parts:
             continue
         try:
-            told = decode(*(log.sentences[k].text for k in parts))
+            decoded = decode(*(log.sentences[k].text for k in parts))
         except Exception as error:
-            # Whatever a decoder stumbles over is one damaged message, never the end of the file.
+            # An error of the decoder is one damaged message, never the end of the file.
             damaged += [(log.sentences[k].line, f"cannot be decoded ({type(error).__name__})") for k in parts]
             continue
-        messages.append(Message(sentence.line, place, sentence.kind == "VDO", told))
+        messages.append(Message(sentence.line, place, sentence.kind == "VDO", decoded))
     for parts in waiting.values():
         damaged += [(log.sentences[k].line, "part of a message without the others") for k in parts]
     return messages, damaged
@@ -253,32 +249,32 @@ def _decoder() -> Callable[..., Any]:
 
 def _unusable(message: Message) -> str:
     """Why a position report cannot be used; empty where it can. What begins with "AIS" is no damage."""
-    told = message.told
+    decoded = message.decoded
     if message.type not in _POSITIONS:
         return ""
-    lat, lon = getattr(told, "lat", None), getattr(told, "lon", None)
+    lat, lon = getattr(decoded, "lat", None), getattr(decoded, "lon", None)
     if lat is None or lon is None:
         return f"too short for a message of type {message.type}"
     if lat == 91.0 or lon == 181.0:
         return "AIS report without a position"
     if abs(lat) > 90.0 or abs(lon) > 180.0:
         return "position outside the earth"
-    return "AIS report, positioning inoperative" if getattr(told, "second", None) == 63 else ""
+    return "AIS report, positioning inoperative" if getattr(decoded, "second", None) == 63 else ""
 
 
 def _times(
     log: Log, messages: Sequence[Message], positions: Sequence[Message], source: str, start_s: float | None
 ) -> tuple[FloatArray, str]:
-    """When each position was true, and whose clock told it."""
-    second = np.array([_below(getattr(message.told, "second", None), 60) for message in positions], float)
+    """The time of each position, and whose clock gave it."""
+    second = np.array([_below(getattr(message.decoded, "second", None), 60) for message in positions], float)
     places = [message.place for message in positions]
     clock_s, clock = log.clock_s, log.clock
     if not clock and any(message.type in _CLOCKS for message in messages):
         clock_s = np.full(len(log.sentences), np.nan)
         for message in messages:
             if message.type in _CLOCKS:
-                clock_s[message.place] = _base_station(message.told)
-        clock_s, clock = held(clock_s), "base stations' reports"
+                clock_s[message.place] = _base_station(message.decoded)
+        clock_s, clock = forward_filled(clock_s), "base stations' reports"
     if np.isfinite(clock_s[places]).all():
         return at_second(clock_s[places], second), clock
     if start_s is None:
@@ -286,13 +282,15 @@ def _times(
             f"{source}: no time: the lines carry no time of receipt, and there is no ZDA, RMC or base station",
             naming("give {start}, the UTC of the first line"),
         )
-    counted = held(counted_on(second, 60.0, start_s))
+    counted = forward_filled(unwrapped(second, 60.0, start_s))
     return counted, "the seconds in the messages, counted on from the start that was given"
 
 
-def _base_station(told: Any) -> float:
+def _base_station(decoded: Any) -> float:
     try:
-        moment = datetime(told.year, told.month, told.day, told.hour, told.minute, told.second, tzinfo=UTC)
+        moment = datetime(
+            decoded.year, decoded.month, decoded.day, decoded.hour, decoded.minute, decoded.second, tzinfo=UTC
+        )
     except (TypeError, ValueError):
         return np.nan
     return moment.timestamp()
@@ -301,25 +299,25 @@ def _base_station(told: Any) -> float:
 def _rows(positions: Sequence[Message], statics: Mapping[str, list[Static]]) -> list[dict[str, Any]]:
     rows = []
     for message in positions:
-        told, kind = message.told, message.type
+        decoded, kind = message.decoded, message.type
         # Knots in tenths; report 27 has whole knots and 63 for none, 9 whole knots and 1023.
-        speed = _below(told.speed, {27: 63.0, 9: 1023.0}.get(kind, 102.25))
-        second = getattr(told, "second", None)
-        mmsi = f"{int(told.mmsi):09d}"
+        speed = _below(decoded.speed, {27: 63.0, 9: 1023.0}.get(kind, 102.25))
+        second = getattr(decoded, "second", None)
+        mmsi = f"{int(decoded.mmsi):09d}"
         rows.append(
             {
                 "line": message.line,
                 "mmsi": mmsi,
                 "track_id": mmsi,
-                "antenna_lat_deg": float(told.lat),
-                "antenna_lon_deg": float(told.lon),
-                "alt_m": _below(getattr(told, "alt", None), 4095),
+                "antenna_lat_deg": float(decoded.lat),
+                "antenna_lon_deg": float(decoded.lon),
+                "alt_m": _below(getattr(decoded, "alt", None), 4095),
                 "speed_m_per_s": None if speed is None else speed * KNOT_M_PER_S,
-                "course_deg": _below(told.course, 360.0),
-                "heading_deg": _below(getattr(told, "heading", None), 360),
+                "course_deg": _below(decoded.course, 360.0),
+                "heading_deg": _below(getattr(decoded, "heading", None), 360),
                 "message_type": kind,
-                "accuracy_flag": float(bool(told.accuracy)),
-                "raim_flag": float(bool(told.raim)),
+                "accuracy_flag": float(bool(decoded.accuracy)),
+                "raim_flag": float(bool(decoded.raim)),
                 "reckoned": float(second in (61, 62)),
                 **_static_at(statics.get(mmsi, []), message.line),
             }
@@ -333,45 +331,45 @@ def _below(value: Any, limit: float) -> float | None:
 
 
 def _statics(messages: Sequence[Message]) -> dict[str, list[Static]]:
-    """What each ship told of itself, in the order of the lines; later words replace earlier ones, silence does not."""
+    """The static data of each ship, in the order of the lines; later values replace earlier ones."""
     by_ship: dict[str, list[Static]] = {}
     for message in messages:
         if message.type not in _STATICS or message.own_ship:
             continue
-        mmsi = f"{int(message.told.mmsi):09d}"
+        mmsi = f"{int(message.decoded.mmsi):09d}"
         before = by_ship.setdefault(mmsi, [])
-        said = _static(message.told)
-        before.append(Static(message.line, {**(before[-1].values if before else {}), **said}))
+        fields = _static(message.decoded)
+        before.append(Static(message.line, {**(before[-1].values if before else {}), **fields}))
     return by_ship
 
 
-def _static_at(told: Sequence[Static], line: int) -> Mapping[str, Any]:
-    """What was known of a ship at a line; before its first word that first word, since hulls and names last."""
-    if not told:
+def _static_at(statics: Sequence[Static], line: int) -> Mapping[str, Any]:
+    """The static data of a ship at a line; before its first one that first one, since hulls and names last."""
+    if not statics:
         return {}
-    return told[max(bisect_right([static.line for static in told], line) - 1, 0)].values
+    return statics[max(bisect_right([static.line for static in statics], line) - 1, 0)].values
 
 
-def _static(told: Any) -> dict[str, Any]:
+def _static(decoded: Any) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for column, field in (("name", "shipname"), ("callsign", "callsign")):
-        text = str(getattr(told, field, None) or "").rstrip("@ ").strip()
+        text = str(getattr(decoded, field, None) or "").rstrip("@ ").strip()
         if text:
             values[column] = text
-    if getattr(told, "imo", None):
-        values["imo"] = str(told.imo)
-    code = int(getattr(told, "ship_type", None) or 0)
+    if getattr(decoded, "imo", None):
+        values["imo"] = str(decoded.imo)
+    code = int(getattr(decoded, "ship_type", None) or 0)
     if 20 <= code < 100:
         values["type"] = _KINDS.get(code, _KINDS.get(10 * (code // 10), "other"))
-    sides = {f"to_{side}_m": getattr(told, f"to_{side}", None) for side in _SIDES}
-    # An auxiliary craft (98…) tells its mother ship in the bits of its hull.
-    if None not in sides.values() and any(sides.values()) and not f"{int(told.mmsi):09d}".startswith("98"):
+    sides = {f"to_{side}_m": getattr(decoded, f"to_{side}", None) for side in _SIDES}
+    # An auxiliary craft (98…) has its mother ship in the bits of its hull.
+    if None not in sides.values() and any(sides.values()) and not f"{int(decoded.mmsi):09d}".startswith("98"):
         values |= {name: float(distance or 0.0) for name, distance in sides.items()}
     return values
 
 
 def _placed(columns: Mapping[str, Any], kinds: np.ndarray) -> dict[str, Any]:
-    """Positions of the middles of the hulls, and their covariances."""
+    """Positions of the centres of the hulls, and their covariances."""
     n = len(kinds)
     lat, lon = columns["antenna_lat_deg"], columns["antenna_lon_deg"]
     sigma = np.where(columns["accuracy_flag"] > 0.0, AIS_SIGMA_M[True], AIS_SIGMA_M[False])
@@ -392,8 +390,8 @@ def _placed(columns: Mapping[str, Any], kinds: np.ndarray) -> dict[str, Any]:
 
 
 def _what_else(damaged: Sequence[tuple[int, str]], passed_over: Mapping[str, int]) -> str:
-    found = Damaged.of(damaged).sentences() + [f"{count} passed over: {what}" for what, count in passed_over.items()]
-    return "; ".join(found) or "is it AIS?"
+    lines = Damaged.of(damaged).sentences() + [f"{count} passed over: {what}" for what, count in passed_over.items()]
+    return "; ".join(lines) or "is it AIS?"
 
 
 def _notes(source: str, clock: str) -> tuple[str, ...]:

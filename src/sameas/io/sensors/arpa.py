@@ -1,9 +1,9 @@
-"""ARPA: what a ship's radar tracks, from TTM and TLL sentences of its log.
+"""ARPA: the targets of a ship's radar, from TTM and TLL sentences of its log.
 
 TTM gives range and bearing, speed and course, each true or relative by its own flag; TLL the latitude and longitude
-that the radar worked out. Where a log has both, they are the same targets twice, and TTM is read: it is what was
-measured. OSD, HDT and THS tell where the bow points; RMC, GGA, GLL and own AIS (VDO) where the ship was. No sentence
-tells how good the radar is: errors are the source's to describe.
+that the radar computed. Where a log has both, they are the same targets twice, and TTM is read, which is the
+measurement. OSD, HDT and THS have the heading; RMC, GGA, GLL and own AIS (VDO) the position of the ship. No sentence
+has the accuracy of the radar: its errors are in the description of the source.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from sameas.arrays import FloatArray
 from sameas.errors import InputError, naming
 from sameas.io.sensors.ais import own_ship
-from sameas.io.sensors.clock import KNOT_M_PER_S, MILE_M, held
+from sameas.io.sensors.clock import KNOT_M_PER_S, MILE_M, forward_filled
 from sameas.io.sensors.nmea import Log, Sentence, dated, latitude, longitude, time_of_day
 from sameas.tracks.reports import Damaged, Reports, of_rows
 
@@ -35,7 +35,7 @@ def read(log: Log, source: str, start_s: float | None = None) -> Reports:
     ----------
     log : sentences with their clock; those of other kinds are left alone.
     source : its name in messages.
-    start_s : UTC of the first line, for logs that tell the time of day but no date.
+    start_s : UTC of the first line, for logs with the time of day but no date.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def read(log: Log, source: str, start_s: float | None = None) -> Reports:
         raise InputError(f"{source}: no radar target that can be used: {lost}")
     columns = of_rows(rows)
     if kind == "TLL" and not np.isfinite(columns["station_lat_deg"]).all():
-        # Places need no own ship; one that is known at times only would help at these only.
+        # Positions need no own ship; one that is known at some times only would help at these only.
         del columns["station_lat_deg"], columns["station_lon_deg"]
     columns["time_s"] = _times(log, columns.pop("day_s"), np.array(places), source, start_s)
     return Reports.of(
@@ -80,35 +80,35 @@ def read(log: Log, source: str, start_s: float | None = None) -> Reports:
 
 
 def _own_ship(log: Log) -> dict[str, FloatArray]:
-    """Heading and position of own ship at each sentence: what was said last, and before the first word nothing."""
-    found = {name: np.full(len(log.sentences), np.nan) for name in ("heading", "lat", "lon")}
+    """Heading and position of own ship at each sentence: the last ones, and none before the first."""
+    columns = {name: np.full(len(log.sentences), np.nan) for name in ("heading", "lat", "lon")}
     for place, sentence in enumerate(log.sentences):
         reader = _OWN_SHIP.get(sentence.kind)
         if reader:
             try:
-                told = reader(sentence)
+                position = reader(sentence)
             except (ValueError, IndexError):
                 continue
-            for name, value in told.items():
-                found[name][place] = np.nan if value is None else value
-    return {name: _until_now(values) for name, values in found.items()}
+            for name, value in position.items():
+                columns[name][place] = np.nan if value is None else value
+    return {name: _until_now(values) for name, values in columns.items()}
 
 
 def _until_now(values: FloatArray) -> FloatArray:
-    said = np.isfinite(values)
-    return np.where(np.cumsum(said) > 0, held(values), np.nan)
+    has_value = np.isfinite(values)
+    return np.where(np.cumsum(has_value) > 0, forward_filled(values), np.nan)
 
 
 def _position(lat: int) -> Callable[[Sentence], dict[str, float | None]]:
     """The reader of a position whose latitude is this field."""
 
-    def told(s: Sentence) -> dict[str, float | None]:
+    def position_of(s: Sentence) -> dict[str, float | None]:
         return {
             "lat": latitude(s.field(lat), s.field(lat + 1)),
             "lon": longitude(s.field(lat + 2), s.field(lat + 3)),
         }
 
-    return told
+    return position_of
 
 
 _OWN_SHIP: Mapping[str, Callable[[Sentence], dict[str, float | None]]] = {
@@ -123,7 +123,7 @@ _OWN_SHIP: Mapping[str, Callable[[Sentence], dict[str, float | None]]] = {
 
 
 def _target(s: Sentence, own: Mapping[str, float]) -> dict[str, Any] | None:
-    """One target; None where the radar has lost it. ValueError says what is wrong."""
+    """One target; None where the radar has lost it. ValueError has the problem."""
     ttm = s.kind == "TTM"
     status = s.field(12 if ttm else 8) or "T"
     if status not in _STATUS:
@@ -168,7 +168,7 @@ def _measured(s: Sentence, own: Mapping[str, float]) -> dict[str, Any]:
 
 
 def _station(own: Mapping[str, float]) -> dict[str, Any]:
-    """Where own ship was, and where her bow pointed."""
+    """Position and heading of own ship."""
     return {
         "station_lat_deg": own["lat"],
         "station_lon_deg": own["lon"],
@@ -177,7 +177,7 @@ def _station(own: Mapping[str, float]) -> dict[str, Any]:
 
 
 def _course(angle: float | None, flag: str, heading: float) -> float | None:
-    """The course from true north; None where it is not told, or from a bow whose heading nobody told."""
+    """The course from true north; None where it is missing, or relative to an unknown heading."""
     if angle is None or (flag == "R" and not np.isfinite(heading)):
         return None
     return _true(angle, flag, heading)
@@ -195,7 +195,7 @@ def _true(angle: float, flag: str, heading: float) -> float:
 
 
 def _times(log: Log, day_s: FloatArray, places: np.ndarray, source: str, start_s: float | None) -> FloatArray:
-    """When each target was where it is told."""
+    """The time of each target."""
     clock_s = log.clock_s[places]
     own_time = dated(day_s, clock_s, start_s)
     times = np.where(np.isfinite(own_time), own_time, clock_s)

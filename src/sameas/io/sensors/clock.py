@@ -1,4 +1,4 @@
-"""Clock: instants from the ways in which logs write time, and time that begins anew counted on."""
+"""Clock: instants from the ways in which logs write time, and times that wrap, unwrapped."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
 
-# Units: those of ships and aircraft in metres and seconds.
-
+#: Units of ships and aircraft in metres and seconds.
 MILE_M = 1852.0
 FOOT_M = 0.3048
 KNOT_M_PER_S = MILE_M / 3600.0
@@ -46,7 +45,7 @@ def instant(text: str) -> float | None:
 
 
 def seconds(number: float) -> float:
-    """Seconds, of a number that may count in thousandths, millionths or billionths of them."""
+    """Seconds, of a number that may be in milliseconds, microseconds or nanoseconds."""
     for above, unit in _FINER:
         if abs(number) > above:
             return number / unit
@@ -54,60 +53,59 @@ def seconds(number: float) -> float:
 
 
 def started(start: str | float | None, source: str) -> float | None:
-    """The instant at which a file begins, as the user gave it."""
+    """UTC of the first line of a file, as the user gave it."""
     if start is None or isinstance(start, (int, float)):
         return start if start is None else float(start)
-    found = instant(start)
-    if found is None:
+    start_s = instant(start)
+    if start_s is None:
         raise InputError(f"{source}: start={start!r} is no instant; give a date or a time like 2024-05-01T13:00:00Z")
-    return found
+    return start_s
 
 
-def counted_on(values: ArrayLike, period_s: float, start_s: float | None = None) -> FloatArray:
-    """Times (n,) that grow on where ``values`` begin anew after every period.
+def unwrapped(values: ArrayLike, period_s: float, start_s: float | None = None) -> FloatArray:
+    """Times (n,) that go on growing where ``values`` wrap after every period.
 
     values : (n,) seconds of the day, of the minute …; NaN stays NaN.
     start_s : the first value is taken on this day (or minute), the nearest to it; a start at midnight is only a date,
         and the first value is of that day. None: the first period counts from 0.
 
-    Each value is taken in the period in which it is nearest to the one before; those late by less than half a period
-    find their place.
+    Each value is in the period in which it is nearest to the one before; values late by less than half a period are
+    in the right one.
 
     Example
     -------
-    >>> counted_on([86399.0, 2.0, 86398.0, 5.0], 86400.0).tolist()
+    >>> unwrapped([86399.0, 2.0, 86398.0, 5.0], 86400.0).tolist()
     [86399.0, 86402.0, 86398.0, 86405.0]
     """
     values = np.asarray(values, dtype=np.float64)
-    known = np.flatnonzero(np.isfinite(values))
+    rows = np.flatnonzero(np.isfinite(values))
     out = np.full(len(values), np.nan)
-    if not len(known):
+    if not len(rows):
         return out
-    told = values[known]
-    steps = np.diff(told)
+    finite = values[rows]
+    steps = np.diff(finite)
     turns = np.concatenate([[0.0], np.cumsum(-np.round(steps / period_s))])
     begin = 0.0
     if start_s is not None:
         date_only = period_s == DAY_S and start_s % DAY_S == 0.0
-        begin = start_s if date_only else period_s * np.round((start_s - told[0]) / period_s)
-    out[known] = begin + told + period_s * turns
+        begin = start_s if date_only else period_s * np.round((start_s - finite[0]) / period_s)
+    out[rows] = begin + finite + period_s * turns
     return out
 
 
-def held(values: FloatArray) -> FloatArray:
-    """(n,) the last value said until then; before the first, the first. All NaN where none is."""
-    said = np.flatnonzero(np.isfinite(values))
-    if not len(said):
+def forward_filled(values: FloatArray) -> FloatArray:
+    """(n,) the last finite value until then; before the first, the first. All NaN where there is none."""
+    rows = np.flatnonzero(np.isfinite(values))
+    if not len(rows):
         return values
-    last = np.searchsorted(said, np.arange(len(values)), side="right") - 1
-    return np.asarray(values[said[np.maximum(last, 0)]])
+    last = np.searchsorted(rows, np.arange(len(values)), side="right") - 1
+    return np.asarray(values[rows[np.maximum(last, 0)]])
 
 
 def at_second(clock_s: FloatArray, second: FloatArray, tolerance_s: float = 5.0) -> FloatArray:
-    """When messages received at ``clock_s`` (n,) were true, of the UTC second (n,) in which their positions were fixed.
+    """The times of messages received at ``clock_s`` (n,), by the UTC second (n,) of their positions.
 
-    The latest such instant not later than the receipt, give or take the receiver's clock. Without a second it is the
-    receipt.
+    The latest such instant not later than the receipt, within ``tolerance_s``. Without a second it is the receipt.
     """
     age = np.mod(clock_s - second, 60.0)
     age = np.where(age > 60.0 - tolerance_s, age - 60.0, age)

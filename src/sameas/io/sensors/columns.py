@@ -1,7 +1,7 @@
-"""Columns: which column of a table is which quantity, in which unit, and why we think so.
+"""Columns: which column of a table is which quantity, in which unit, and why.
 
 Names are compared without case, blanks and signs, less a unit at their end: ``SOG_knots``, ``sog (kn)`` and ``SOG`` are
-the same column. What the user says wins. Two columns that are equally good are refused with the choices.
+the same column. The user's own choice wins. Two columns that are equally good are refused with the choices.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from sameas.errors import Argument, InputError, Message
 from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S, MILE_M
 
-#: Units by kind of quantity: what people write at the end of a name, and how many of ours it is.
+#: Units by kind of quantity: as written at the end of a name, and their factor to our unit.
 UNITS: Mapping[str, Mapping[str, float]] = {
     "length": {"m": 1.0, "metres": 1.0, "meters": 1.0, "metre": 1.0, "meter": 1.0, "km": 1000.0, "ft": FOOT_M,
                "feet": FOOT_M, "nm": MILE_M, "nmi": MILE_M, "cm": 0.01, "mm": 0.001},
@@ -96,7 +96,7 @@ QUANTITIES = (
     _quantity("length_m", "length", "length loa"),
     _quantity("width_m", "length", "width beam"),
 )
-#: Units without a word on them, by the columns that give a table's habit away, and the names that then have them.
+#: Unstated units: a sentence, columns that identify the habit, names with that unit, the unit.
 _HABITS = (
     ("ship speeds are knots", ("mmsi", "imo"), ("sog", "speed", "speedoverground"), "kn"),
     ("speeds over ground (sog) are knots", ("sog", "speedoverground"), ("sog", "speedoverground"), "kn"),
@@ -109,7 +109,7 @@ _HABITS = (
 
 @dataclass(frozen=True)
 class Choice:
-    """One column that was understood: its name in the table, its quantity, and how many of our units its own is."""
+    """One recognised column: its name in the table, its quantity, and the factor of its unit to ours."""
 
     name: str
     quantity: SensorQuantity
@@ -118,7 +118,7 @@ class Choice:
 
 
 def choose(
-    names: Sequence[str], source: str, said: Mapping[str, str] | None = None, units: Mapping[str, str] | None = None
+    names: Sequence[str], source: str, named: Mapping[str, str] | None = None, units: Mapping[str, str] | None = None
 ) -> dict[str, Choice]:
     """Which columns are which quantities, by the column of Reports that each becomes.
 
@@ -126,27 +126,27 @@ def choose(
     ----------
     names : of the table's columns.
     source : its name in messages.
-    said : by quantity (``lat_deg``, ``time_s`` …) the name of the column that it is; None as name: not there.
+    named : by quantity (``lat_deg``, ``time_s`` …) the name of the column that it is; None as name: not there.
     units : by name of a column of the table the unit that it is in.
 
     Raises
     ------
     InputError : two equally good columns, a name or a unit that does not exist.
     """
-    said, units = dict(said or {}), dict(units or {})
-    _check_said(names, source, said, units)
+    named, units = dict(named or {}), dict(units or {})
+    _check_named(names, source, named, units)
     stems = {name: _stem(name) for name in names}
-    taken = set(said.values())
+    taken = set(named.values())
     chosen: dict[str, Choice] = {}
     for quantity in QUANTITIES:
-        if quantity.column in said:
-            if said[quantity.column]:
-                chosen[quantity.column] = _choice(said[quantity.column], quantity, stems, units, source)
+        if quantity.column in named:
+            if named[quantity.column]:
+                chosen[quantity.column] = _choice(named[quantity.column], quantity, stems, units, source)
             continue
-        found = [name for name in names if name not in taken and _rank(name, quantity, stems) is not None]
-        if found:
-            best = min(_rank(name, quantity, stems) or 0 for name in found)
-            equal = [name for name in found if _rank(name, quantity, stems) == best]
+        candidates = [name for name in names if name not in taken and _rank(name, quantity, stems) is not None]
+        if candidates:
+            best = min(_rank(name, quantity, stems) or 0 for name in candidates)
+            equal = [name for name in candidates if _rank(name, quantity, stems) == best]
             if len(equal) > 1:
                 listed = ", ".join(map(repr, equal))
                 raise InputError(
@@ -159,18 +159,18 @@ def choose(
 
 
 def naming_columns(*quantities: str) -> Message:
-    """The remedy that says which columns quantities are."""
+    """The remedy that names the columns of quantities."""
     pairs = ", ".join(f"{quantity!r}: NAME" for quantity in quantities)
     return Message("say ", Argument("columns", f"{{{pairs}}}"))
 
 
-def _check_said(names: Sequence[str], source: str, said: Mapping[str, str], units: Mapping[str, str]) -> None:
-    known = {quantity.column for quantity in QUANTITIES}
-    for column in said:
-        if column not in known:
-            near = difflib.get_close_matches(column, sorted(known), n=3)
+def _check_named(names: Sequence[str], source: str, named: Mapping[str, str], units: Mapping[str, str]) -> None:
+    quantities = {quantity.column for quantity in QUANTITIES}
+    for column in named:
+        if column not in quantities:
+            near = difflib.get_close_matches(column, sorted(quantities), n=3)
             raise InputError(f"{source}: {column!r} is no quantity; did you mean {' or '.join(near) or 'lat_deg'}?")
-    for name in [*(name for name in said.values() if name), *units]:
+    for name in [*(name for name in named.values() if name), *units]:
         if name not in names:
             raise InputError(f"{source}: no column {name!r} among: {', '.join(names)}")
 
@@ -199,21 +199,21 @@ def _rank(name: str, quantity: SensorQuantity, stems: Mapping[str, tuple[str, st
 def _choice(
     name: str, quantity: SensorQuantity, stems: Mapping[str, tuple[str, str]], units: Mapping[str, str], source: str
 ) -> Choice:
-    known = UNITS[quantity.kind]
+    factors = UNITS[quantity.kind]
     if name in units:
         unit = re.sub(r"[^a-z0-9]", "", units[name].lower())
-        if unit not in known:
-            raise InputError(f"{source}: column {name!r}: unit {units[name]!r} is none of {', '.join(known)}")
-        return Choice(name, quantity, known[unit], f"{name} is in {units[name]}, as said")
+        if unit not in factors:
+            raise InputError(f"{source}: column {name!r}: unit {units[name]!r} is none of {', '.join(factors)}")
+        return Choice(name, quantity, factors[unit], f"{name} is in {units[name]}, as said")
     stem, unit = stems[name]
-    if unit in known and "".join(stems[name]) not in quantity.names:
-        return Choice(name, quantity, known[unit], "")
+    if unit in factors and "".join(stems[name]) not in quantity.names:
+        return Choice(name, quantity, factors[unit], "")
     for why, marks, applies, unit in _HABITS:
-        if stem in applies and unit in known and any(stems[other][0] in marks for other in stems):
-            return Choice(name, quantity, known[unit], f"{name} is taken in {unit}: {why}")
-    # Angles without a word are degrees everywhere.
-    said = {"length": "m", "speed": "m/s", "variance": "m²", "speed variance": "m²/s²"}.get(quantity.kind)
-    return Choice(name, quantity, 1.0, f"{name} is taken in {said}: its name says no unit" if said else "")
+        if stem in applies and unit in factors and any(stems[other][0] in marks for other in stems):
+            return Choice(name, quantity, factors[unit], f"{name} is taken in {unit}: {why}")
+    # Angles without a unit are degrees everywhere.
+    our_unit = {"length": "m", "speed": "m/s", "variance": "m²", "speed variance": "m²/s²"}.get(quantity.kind)
+    return Choice(name, quantity, 1.0, f"{name} is taken in {our_unit}: its name says no unit" if our_unit else "")
 
 
 def _with_courses(chosen: dict[str, Choice], stems: Mapping[str, tuple[str, str]]) -> dict[str, Choice]:

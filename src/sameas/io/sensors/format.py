@@ -1,4 +1,4 @@
-"""What a format of sensor files is: its name, how its files are recognised, and how they are read.
+"""A format of sensor files: its name, how its files are recognised, and how they are read.
 
 A format is a module of this package with a ``FORMAT``, listed in :data:`sameas.io.sensors.reading.FORMATS`.
 """
@@ -24,11 +24,11 @@ HEAD_BYTES, HEAD_LINES = 65536, 200
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What a file does not say of itself.
+    """Options of reading that a file does not have itself.
 
     source : the name of the source in messages; the name of the file if not given.
-    format : one of :data:`REPORT_FORMATS`, where the content does not tell it.
-    start : UTC of the first line as ISO text or seconds, for files that tell the time of day only, or count.
+    format : one of :data:`REPORT_FORMATS`, where the content does not show it.
+    start : UTC of the first line as ISO text or seconds, for files with the time of day only, or with counters.
     columns : tables only: by quantity (``lat_deg``, ``time_s`` …) the name of the column that it is.
     units : tables only: by name of a column its unit.
     """
@@ -42,9 +42,9 @@ class ReadOptions:
 
 @dataclass(frozen=True)
 class SensorFile:
-    """A file that is to be read: its bytes, unpacked, the name of its source, and what the user says of it.
+    """A file to read: its bytes, unpacked, the name of its source, and its options.
 
-    start_s : UTC of the first line, where the user says it.
+    start_s : UTC of the first line, where the user gives it.
     """
 
     path: Path
@@ -92,7 +92,7 @@ class SensorFormat:
 
     name : as ``ReadOptions.format`` names it. label : what it is, in words.
     read : the reports of a file, one for each sensor in it. recognises : whether a file has this format.
-    magic : first bytes that no other format has; they are looked at before any ``recognises``.
+    magic : first bytes that no other format has; they are checked before any ``recognises``.
     """
 
     name: str
@@ -114,19 +114,23 @@ def content(path: str | os.PathLike[str]) -> bytes:
         raise InputError(f"{path}: is a directory; give a file")
     if not path.exists():
         raise InputError(f"{path}: no such file")
-    found = path.read_bytes()
-    if found[:2] == b"\x1f\x8b":
+    content_bytes = path.read_bytes()
+    if content_bytes[:2] == b"\x1f\x8b":
         try:
-            found = gzip.decompress(found)
+            content_bytes = gzip.decompress(content_bytes)
         except (EOFError, zlib.error, gzip.BadGzipFile) as error:
             raise InputError(f"{path}: is cut off in the middle; copy it again") from error
-    if not found:
+    if not content_bytes:
         raise InputError(f"{path}: is empty")
-    return found
+    return content_bytes
 
 
-def lines_of(found: bytes) -> list[str]:
+def lines_of(content_bytes: bytes) -> list[str]:
     """Its lines; line 1 is the first. Bytes that are no UTF-8 become replacement characters."""
     return (
-        found.decode("utf-8-sig", errors="replace").replace("\r\n", "\n").replace("\r", "\n").rstrip("\n").split("\n")
+        content_bytes.decode("utf-8-sig", errors="replace")
+        .replace("\r\n", "\n")
+        .replace("\r", "\n")
+        .rstrip("\n")
+        .split("\n")
     )

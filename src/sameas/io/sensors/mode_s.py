@@ -17,7 +17,7 @@ import numpy as np
 
 from sameas.errors import InputError, naming
 from sameas.io.sensors.aircraft import errors_of, identity_of, notes
-from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S, counted_on, instant
+from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S, instant, unwrapped
 from sameas.io.sensors.format import SensorFormat
 from sameas.tracks.accuracy import round_covariance, sigma_of_nucp
 from sameas.tracks.reports import Damaged, Reports, of_rows
@@ -25,7 +25,7 @@ from sameas.tracks.reports import Damaged, Reports, of_rows
 _LINE = re.compile(r"(?:(?P<time>[^,;*@\s][^,;*@]*?)[,;\s]+)?[*@]?(?P<hex>[0-9A-Fa-f]{14,42});?")
 _COUNTER_HZ = 12e6
 _COUNTER_S = 2.0**48 / _COUNTER_HZ
-#: Words older than this are not taken along with a position: velocities, and what is told seldom.
+#: Fields older than this, in seconds, are not joined to a position: velocities, and what is sent seldom (chosen).
 _STALE_S, _SELDOM_S = 10.0, 120.0
 
 
@@ -47,21 +47,21 @@ def read(lines: Sequence[str], source: str, start_s: float | None = None) -> Rep
         raise InputError(f"{source}: no Mode S message: {'; '.join(Damaged.of(damaged).sentences())}")
     time_s = _times(times, source, start_s)
     passed_over: Counter[str] = Counter()
-    known: dict[str, dict[str, tuple[float, Any]]] = {}
+    by_aircraft: dict[str, dict[str, tuple[float, Any]]] = {}
     rows = []
-    for number, when, told in zip(numbers, time_s.tolist(), _decoded(messages, time_s.tolist()), strict=True):
-        if told is None:
+    for number, when, decoded in zip(numbers, time_s.tolist(), _decoded(messages, time_s.tolist()), strict=True):
+        if decoded is None:
             damaged.append((number, "not Mode S, or wrong parity"))
             continue
-        if told.get("df") not in ("17", "18"):
-            passed_over[f"downlink format {told.get('df')}"] += 1
+        if decoded.get("df") not in ("17", "18"):
+            passed_over[f"downlink format {decoded.get('df')}"] += 1
             continue
-        words = known.setdefault(told["icao24"], {})
-        words |= {name: (when, value) for name, value in _words(told).items()}
-        if told.get("latitude") is not None:
-            rows.append({"line": number, "time_s": when, **_report(told, words, when)})
+        fields = by_aircraft.setdefault(decoded["icao24"], {})
+        fields |= {name: (when, value) for name, value in _fields(decoded).items()}
+        if decoded.get("latitude") is not None:
+            rows.append({"line": number, "time_s": when, **_report(decoded, fields, when)})
         else:
-            passed_over["half a position" if "lat_cpr" in told else f"message of register {told.get('bds')}"] += 1
+            passed_over["half a position" if "lat_cpr" in decoded else f"message of register {decoded.get('bds')}"] += 1
     if not rows:
         raise InputError(f"{source}: no position in {len(messages)} messages; two halves within 10 s make one")
     columns = of_rows(rows)
@@ -78,13 +78,13 @@ def _messages(lines: Sequence[str]) -> tuple[list[int], list[str], list[tuple[fl
     for number, line in enumerate(lines, start=1):
         text = line.strip()
         if not text or text.startswith("#") or (number == 1 and text[0].isalpha() and "," in text):
-            # A first line of words names the columns.
+            # A first line of words has the names of the columns.
             continue
         match = _LINE.fullmatch(text)
         digits = match["hex"] if match else ""
         counted = "@" in text and len(digits) in (26, 40)
         message = digits[12:] if counted else digits
-        # Some programs write what a Beast receiver put before it: kind, counter and signal.
+        # Some programs keep the prefix of a Beast receiver: kind, counter and signal.
         message = message[18:] if len(message) in (32, 46) else message
         if len(message) not in (14, 28):
             damaged.append((number, "no message of 14 or 28 hexadecimal digits"))
@@ -101,7 +101,7 @@ def _times(times: Sequence[tuple[float, float]], source: str, start_s: float | N
     if np.isfinite(utc).all():
         return np.asarray(utc)
     if np.isfinite(counter).all() and start_s is not None:
-        counted = counted_on(counter, _COUNTER_S)
+        counted = unwrapped(counter, _COUNTER_S)
         return np.asarray(start_s + counted - counted[0])
     message = f"{source}: no time in {int((~np.isfinite(utc)).sum())} of {len(utc)} messages"
     if np.isfinite(counter).all():
@@ -118,52 +118,52 @@ def _decoder() -> Callable[..., Any]:
 
 
 def _decoded(messages: Sequence[str], times: Sequence[float]) -> list[Mapping[str, Any] | None]:
-    """What each message tells; None where its parity is wrong."""
+    """The decoded messages; None where the parity is wrong."""
     # All in one batch: the halves of a position are put together within one. Broken messages are left out of it.
-    found = [told for told in _decoder()(messages, times, batch=len(messages)) if told]
-    told_of: list[Mapping[str, Any] | None] = []
+    decoded = [one for one in _decoder()(messages, times, batch=len(messages)) if one]
+    by_message: list[Mapping[str, Any] | None] = []
     place = 0
     for message, when in zip(messages, times, strict=True):
-        is_it = place < len(found) and found[place]["frame"] == message and found[place]["timestamp"] == when
-        told_of.append(found[place] if is_it else None)
-        place += is_it
-    return told_of
+        matches = place < len(decoded) and decoded[place]["frame"] == message and decoded[place]["timestamp"] == when
+        by_message.append(decoded[place] if matches else None)
+        place += matches
+    return by_message
 
 
-def _words(told: Mapping[str, Any]) -> dict[str, Any]:
-    """What a message tells besides a position, by column."""
+def _fields(decoded: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of a message besides a position, by column."""
     values = {
-        "callsign": str(told.get("callsign") or "").strip() or None,
-        "mode_a": told.get("squawk"),
-        "version": told.get("version"),
-        "nac_p": told.get("NACp"),
-        "nac_v": told.get("NACv"),
-        "speed_m_per_s": _scaled(told.get("groundspeed"), KNOT_M_PER_S),
-        "course_deg": told.get("track"),
-        "climb_m_per_s": _scaled(told.get("vertical_rate"), FEET_PER_MINUTE_M_PER_S),
-        "above_pressure_m": _scaled(told.get("geo_minus_baro"), FOOT_M),
+        "callsign": str(decoded.get("callsign") or "").strip() or None,
+        "mode_a": decoded.get("squawk"),
+        "version": decoded.get("version"),
+        "nac_p": decoded.get("NACp"),
+        "nac_v": decoded.get("NACv"),
+        "speed_m_per_s": _scaled(decoded.get("groundspeed"), KNOT_M_PER_S),
+        "course_deg": decoded.get("track"),
+        "climb_m_per_s": _scaled(decoded.get("vertical_rate"), FEET_PER_MINUTE_M_PER_S),
+        "above_pressure_m": _scaled(decoded.get("geo_minus_baro"), FOOT_M),
     }
     return {name: value for name, value in values.items() if value is not None}
 
 
-def _report(told: Mapping[str, Any], words: Mapping[str, tuple[float, Any]], when: float) -> dict[str, Any]:
+def _report(decoded: Mapping[str, Any], fields: Mapping[str, tuple[float, Any]], when: float) -> dict[str, Any]:
     seldom = ("callsign", "mode_a", "version", "nac_p", "nac_v")
-    row = {n: v for n, (said, v) in words.items() if when - said <= (_SELDOM_S if n in seldom else _STALE_S)}
-    height = _scaled(told.get("altitude"), FOOT_M)
-    barometric = told.get("source") != "GNSS"
+    row = {n: v for n, (time_s, v) in fields.items() if when - time_s <= (_SELDOM_S if n in seldom else _STALE_S)}
+    height = _scaled(decoded.get("altitude"), FOOT_M)
+    barometric = decoded.get("source") != "GNSS"
     difference = row.get("above_pressure_m")
     geometric = height if not barometric else None
     if barometric and height is not None and difference is not None:
         geometric = height + difference
     return {
-        **identity_of(told["icao24"]),
+        **identity_of(decoded["icao24"]),
         **row,
-        "lat_deg": told["latitude"],
-        "lon_deg": told["longitude"],
+        "lat_deg": decoded["latitude"],
+        "lon_deg": decoded["longitude"],
         "pressure_alt_m": height if barometric else None,
         "alt_m": geometric,
-        "on_ground": float(told.get("bds") == "06"),
-        "nuc_p": told.get("NUCp"),
+        "on_ground": float(decoded.get("bds") == "06"),
+        "nuc_p": decoded.get("NUCp"),
     }
 
 
@@ -172,11 +172,11 @@ def _scaled(value: Any, unit: float) -> float | None:
 
 
 def _errors(columns: Mapping[str, Any]) -> dict[str, Any]:
-    """NACp where it was told; else NUCp, which the kind of the message itself tells."""
-    found = errors_of(columns)
+    """Covariances of NACp where it was sent; else of NUCp, by the kind of the message."""
+    errors = errors_of(columns)
     by_kind = round_covariance(sigma_of_nucp(columns.get("nuc_p", np.full(len(columns["time_s"]), np.nan))))
-    missing = ~np.isfinite(found["covariance_m2"][:, 0])
-    return found | {"covariance_m2": np.where(missing[:, None], by_kind, found["covariance_m2"])}
+    missing = ~np.isfinite(errors["covariance_m2"][:, 0])
+    return errors | {"covariance_m2": np.where(missing[:, None], by_kind, errors["covariance_m2"])}
 
 
 FORMAT = SensorFormat(

@@ -1,9 +1,9 @@
-"""NMEA 0183: the sentences of a log, their checksums, and the clock that the log itself gives.
+"""NMEA 0183: the sentences of a log, their checksums, and the log's own clock.
 
 ``$RATTM,…*hh`` of navigation equipment and ``!AIVDM,…*hh`` of AIS stand in the same files. Receivers write the time of
 receipt in many ways, all known here: a tag block (``\\c:1241544035*53\\!AIVDM…``), an instant before the sentence, an
 instant after its checksum (as coast guards do), a ``$PGHP`` sentence before it. Else own ship's ``ZDA`` and ``RMC``
-tell the time.
+give the time.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from sameas.arrays import FloatArray
-from sameas.io.sensors.clock import DAY_S, counted_on, held, instant, seconds
+from sameas.io.sensors.clock import DAY_S, forward_filled, instant, seconds, unwrapped
 
 _SENTENCE = re.compile(r"([!$])([A-Z]{1,5}[A-Z0-9]{0,4})((?:,[^*]*)?)(?:\*([0-9A-Fa-f]{2}))?")
 _TAG_BLOCK = re.compile(r"\\([^\\]*)\\")
@@ -28,7 +28,7 @@ class Sentence:
     """One sentence: the number of its line, ``text`` from its first character to the checksum, and its parts.
 
     ``kind`` is the sentence without its talker ("TTM" of "RATTM"), ``fields`` what follows, from the first comma.
-    ``time_s`` is when the line says it was received, NaN where it does not.
+    ``time_s`` is the time of receipt in the line, NaN where it has none.
     """
 
     line: int
@@ -59,9 +59,9 @@ class Sentence:
 
 @dataclass(frozen=True)
 class Log:
-    """The sentences of a file, and per sentence what its clock showed.
+    """The sentences of a file, and the time of each by the log's clock.
 
-    ``clock_s`` (n,) UTC; all NaN where the log tells no time. ``clock`` says in words whose clock it is.
+    ``clock_s`` (n,) UTC; all NaN where the log has no time. ``clock`` is a phrase on whose clock it is.
     ``damaged`` are numbers of lines with the reason, ``comments`` the number of lines that are none.
     """
 
@@ -77,11 +77,11 @@ def log_of(lines: Sequence[str]) -> Log:
     for number, raw in enumerate(lines, start=1):
         if not raw.strip() or raw.lstrip().startswith("#"):
             continue
-        found = _sentence(number, raw)
-        if isinstance(found, Sentence):
-            sentences.append(found)
+        sentence = _sentence(number, raw)
+        if isinstance(sentence, Sentence):
+            sentences.append(sentence)
         else:
-            damaged.append((number, found))
+            damaged.append((number, sentence))
     clock_s, clock = _clock(sentences)
     return Log(tuple(sentences), clock_s, clock, tuple(damaged))
 
@@ -130,12 +130,12 @@ def _sentence(number: int, raw: str) -> Sentence | str:
     match = _SENTENCE.search(line)
     if match is None:
         return "no NMEA sentence"
-    text, told = match[0].strip(), match[4]
+    text, given_checksum = match[0].strip(), match[4]
     body = text[1:].split("*")[0]
-    if told is None:
+    if given_checksum is None:
         if "*" in line[match.start() :]:
             return "checksum cut off"
-    elif int(told, 16) != checksum(body):
+    elif int(given_checksum, 16) != checksum(body):
         return "wrong checksum"
     address, *values = body.split(",")
     kind = address[1:] if address.startswith("P") else address[2:]
@@ -152,32 +152,32 @@ def checksum(body: str) -> int:
 
 
 def _receipt(tags: str, before: str, after: str) -> float:
-    """When the line says that it was received."""
+    """The time of receipt in the line; NaN where it has none."""
     tagged = _TAG_TIME.search(tags)
     if tagged:
         return seconds(float(tagged[1]))
     for text in (before.strip(" \t[]<>,;|"), *reversed(after.split(","))):
-        found = instant(text.strip(" \t[]<>,;|")) if text.strip() else None
+        time_s = instant(text.strip(" \t[]<>,;|")) if text.strip() else None
         # A small number is a counter or a signal strength.
-        if found is not None and found > 1e8:
-            return found
+        if time_s is not None and time_s > 1e8:
+            return time_s
     return np.nan
 
 
 def _clock(sentences: Sequence[Sentence]) -> tuple[FloatArray, str]:
     received = np.array([s.time_s for s in sentences])
     if np.isfinite(received).any():
-        return held(received), "times of receipt written in the log"
-    said = [(s, _said(s)) for s in sentences]
+        return forward_filled(received), "times of receipt written in the log"
+    times = [(s, _date_time(s)) for s in sentences]
     for kinds, words in (({"GHP"}, "$PGHP sentences"), ({"ZDA", "RMC"}, "own ship's ZDA and RMC sentences")):
-        told = np.array([time_s if s.kind in kinds else np.nan for s, time_s in said])
-        if np.isfinite(told).any():
-            return held(told), words
+        clock_s = np.array([time_s if s.kind in kinds else np.nan for s, time_s in times])
+        if np.isfinite(clock_s).any():
+            return forward_filled(clock_s), words
     return np.full(len(sentences), np.nan), ""
 
 
-def _said(sentence: Sentence) -> float:
-    """The instant that a sentence tells with its date, else NaN."""
+def _date_time(sentence: Sentence) -> float:
+    """The instant of a sentence with a date, else NaN."""
     s = sentence
     try:
         if s.kind == "ZDA":
@@ -199,7 +199,7 @@ def _date(year: int, month: int, day: int) -> float:
 
 
 def dated(day_s: FloatArray, clock_s: FloatArray, start_s: float | None) -> FloatArray:
-    """UTC (n,) of seconds of the day: on the day nearest to what the clock showed, else counted on from the start."""
+    """UTC (n,) of seconds of the day: on the day nearest to the clock, else counted from the start."""
     if np.isfinite(clock_s).any():
         return np.asarray(day_s + DAY_S * np.round((clock_s - day_s) / DAY_S))
-    return counted_on(day_s, DAY_S, start_s) if start_s is not None else np.full(len(day_s), np.nan)
+    return unwrapped(day_s, DAY_S, start_s) if start_s is not None else np.full(len(day_s), np.nan)

@@ -50,8 +50,8 @@ def read_reports(path: str | os.PathLike[str], options: ReadOptions | None = Non
     if options.format is not None and options.format not in REPORT_FORMATS:
         raise InputError(f"{source}: unknown format {options.format!r}; give one of {', '.join(REPORT_FORMATS)}")
     file = SensorFile.of(path, options)
-    wanted = next((known for known in FORMATS if known.name == options.format), None) or format_of(file)
-    return wanted.read(file)
+    chosen = next((known for known in FORMATS if known.name == options.format), None) or format_of(file)
+    return chosen.read(file)
 
 
 def format_of(file: SensorFile) -> SensorFormat:

@@ -1,7 +1,7 @@
 """SBS: the lines that dump1090 and its kin serve on port 30003 (``MSG,3,…``), as BaseStation wrote them first.
 
 Positions come in messages of type 2 and 3, velocities in 4 (2 on the ground), names in 1, codes in 6: every position
-takes the last words of its aircraft with it. Nothing states accuracy. The times are local time of the receiver in some
+gets the last fields of its aircraft. No message has accuracies. The times are local time of the receiver in some
 programs and UTC in others; the lines do not say which.
 """
 
@@ -18,7 +18,7 @@ from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_
 from sameas.io.sensors.format import SensorFormat
 from sameas.tracks.reports import Damaged, Reports, of_rows
 
-#: Words older than this are not taken along with a position, in seconds.
+#: Fields older than this, in seconds, are not joined to a position (chosen).
 _STALE_S = 30.0
 #: Number of the field (from 0), its column and its unit.
 _FIELDS = {
@@ -43,7 +43,7 @@ def read(lines: Sequence[str], source: str) -> Reports:
     """
     damaged: list[tuple[int, str]] = []
     passed_over: Counter[str] = Counter()
-    known: dict[str, dict[str, tuple[float, Any]]] = {}
+    by_aircraft: dict[str, dict[str, tuple[float, Any]]] = {}
     rows = []
     for number, line in enumerate(lines, start=1):
         if not line.strip():
@@ -53,17 +53,17 @@ def read(lines: Sequence[str], source: str) -> Reports:
             passed_over[f"{cells[0].strip()} line"] += 1
             continue
         try:
-            time_s, address, told = _message(cells)
+            time_s, address, fields = _message(cells)
         except ValueError as error:
             damaged.append((number, str(error)))
             continue
-        words = known.setdefault(address, {})
-        words |= {name: (time_s, value) for name, value in told.items() if value is not None}
-        if told.get("lat_deg") is None or told.get("lon_deg") is None:
+        latest = by_aircraft.setdefault(address, {})
+        latest |= {name: (time_s, value) for name, value in fields.items() if value is not None}
+        if fields.get("lat_deg") is None or fields.get("lon_deg") is None:
             passed_over["message without a position"] += 1
         else:
-            fresh = {name: value for name, (when, value) in words.items() if abs(time_s - when) <= _STALE_S}
-            rows.append({"line": number, "time_s": time_s, **identity_of(address), **fresh})
+            current = {name: value for name, (when, value) in latest.items() if abs(time_s - when) <= _STALE_S}
+            rows.append({"line": number, "time_s": time_s, **identity_of(address), **current})
     if not rows:
         raise InputError(f"{source}: no position: {'; '.join(Damaged.of(damaged).sentences()) or 'no MSG,2 or MSG,3'}")
     notes = (f"{source}: times are taken as UTC; SBS lines do not tell their zone", f"{source}: SBS states no errors")
@@ -71,7 +71,7 @@ def read(lines: Sequence[str], source: str) -> Reports:
 
 
 def _message(cells: Sequence[str]) -> tuple[float, str, dict[str, Any]]:
-    """Time, address and what is told; ValueError says what is wrong."""
+    """Time, address and fields; ValueError has the problem."""
     if cells[0].strip() != "MSG":
         raise ValueError("no SBS message")
     if len(cells) < 16:
@@ -82,20 +82,20 @@ def _message(cells: Sequence[str]) -> tuple[float, str, dict[str, Any]]:
     time_s = instant(f"{cells[6].strip().replace('/', '-')} {cells[7].strip()}")
     if time_s is None:
         raise ValueError("no time")
-    told: dict[str, Any] = {"callsign": cells[10].strip() or None}
+    fields: dict[str, Any] = {"callsign": cells[10].strip() or None}
     for number, (column, scale) in _FIELDS.items():
         value = _number(cells, number)
-        told[column] = None if value is None else scale * value
-    told["lat_deg"], told["lon_deg"] = _number(cells, 14), _number(cells, 15)
-    if (told["lat_deg"] is None) != (told["lon_deg"] is None):
+        fields[column] = None if value is None else scale * value
+    fields["lat_deg"], fields["lon_deg"] = _number(cells, 14), _number(cells, 15)
+    if (fields["lat_deg"] is None) != (fields["lon_deg"] is None):
         raise ValueError("half of a position")
-    if told["lat_deg"] is not None and not (abs(told["lat_deg"]) <= 90.0 and abs(told["lon_deg"]) <= 180.0):
+    if fields["lat_deg"] is not None and not (abs(fields["lat_deg"]) <= 90.0 and abs(fields["lon_deg"]) <= 180.0):
         raise ValueError("position outside the earth")
     squawk = cells[17].strip() if len(cells) > 17 else ""
-    told["mode_a"] = squawk or None
+    fields["mode_a"] = squawk or None
     if len(cells) > 21 and cells[21].strip():
-        told["on_ground"] = float(cells[21].strip() not in ("0", "false"))
-    return time_s, address, told
+        fields["on_ground"] = float(cells[21].strip() not in ("0", "false"))
+    return time_s, address, fields
 
 
 def _number(cells: Sequence[str], number: int) -> float | None:

@@ -16,15 +16,15 @@ def read(log: nmea.Log, source: str, start_s: float | None) -> list[Reports]:
     kinds = {sentence.kind for sentence in log.sentences}
     has = {"ais": "VDM" in kinds, "arpa": bool(kinds & set(arpa.SENTENCES))}
     if not any(has.values()):
-        said = ", ".join(sorted(kinds)) or "none"
-        raise InputError(f"{source}: no AIS (VDM) and no radar targets (TTM, TLL) among its sentences: {said}")
+        listed = ", ".join(sorted(kinds)) or "none"
+        raise InputError(f"{source}: no AIS (VDM) and no radar targets (TTM, TLL) among its sentences: {listed}")
     both = all(has.values())
-    read = [ais.read(log, f"{source}:ais" if both else source, start_s)] if has["ais"] else []
+    sources = [ais.read(log, f"{source}:ais" if both else source, start_s)] if has["ais"] else []
     if has["arpa"]:
         # Lines that are no sentences are counted once, with the first source.
         rest = replace(log, damaged=()) if both else log
-        read.append(arpa.read(rest, f"{source}:arpa" if both else source, start_s))
-    return read
+        sources.append(arpa.read(rest, f"{source}:arpa" if both else source, start_s))
+    return sources
 
 
 def _recognises(file: SensorFile) -> bool:

@@ -1,4 +1,4 @@
-"""Sources: files of sensors brought together with what is known of the sensors, ready for a scene.
+"""Sources: files of sensors with the descriptions of the sensors, ready for a scene.
 
 A source is named by its file (``radar.csv`` is radar), or by the user (``radar=plots.csv``). A TOML file describes
 sources by these names; beside what :class:`~sameas.tracks.source.Description` takes, a table may say how to read:
@@ -7,7 +7,7 @@ sources by these names; beside what :class:`~sameas.tracks.source.Description` t
     kind = "marine radar"
     file = { path = "plots.csv", start = "2024-05-01", columns = { range_m = "d" }, units = { d = "km" } }
 
-Sources whose kind nobody told get the one that their format, their name or their columns tell, and that is said.
+A source without a described kind gets that of its format, its name or its columns, which is printed.
 """
 
 from __future__ import annotations
@@ -31,23 +31,24 @@ KIND_OF_FORMAT: Mapping[str, str] = {
     "ais": "ais", "arpa": "marine radar", "adsb": "ads-b", "asterix 021": "ads-b", "asterix 048": "air radar",
     "asterix 062": "tracks",
 }  # fmt: skip
-#: Words in the name of a table and the kind that they mean; what carries such a column is of the kind beside it.
+#: Words in the name of a table, and the kinds that they mean.
 _WORDS = {
     "airradar": "air radar", "radar": "marine radar", "lidar": "lidar", "ais": "ais", "adsb": "ads-b", "mlat": "mlat",
     "esm": "esm", "camera": "camera", "tracks": "tracks",
 }  # fmt: skip
-#: What ``file`` of a description may hold.
+#: The keys of ``file`` in a description, and their types.
 _FILE: Mapping[str, type | tuple[type, ...]] = {
     "path": str, "format": str, "start": (str, int, float, date), "columns": Mapping, "units": Mapping,
 }  # fmt: skip
+#: Columns of a table, and the kind of source that has them.
 _COLUMNS = {"mmsi": "ais", "icao": "ads-b", "range_m": "marine radar", "covariance_m2": "tracks"}
 
 
 @dataclass(frozen=True)
 class SourceOptions:
-    """What the user says of one source: its description, how to read it, and its file where that is said here.
+    """The user's options of one source: its description, how to read it, and its file where it is given here.
 
-    has_kind : whether the user says of what kind it is.
+    has_kind : whether the user gives its kind.
     """
 
     description: Description
@@ -58,7 +59,7 @@ class SourceOptions:
 
 @dataclass(frozen=True)
 class SensorSource:
-    """One source that was read. why_kind : on what the kind was guessed; None where the user said it."""
+    """One source that was read. why_kind : on what the kind was guessed; None where the user gave it."""
 
     description: Description
     reports: Reports
@@ -66,7 +67,7 @@ class SensorSource:
     why_kind: str | None
 
     def lines(self) -> list[str]:
-        """Printable: what was read, and what was guessed."""
+        """Printable lines: the reports, and the guess of the kind."""
         first, *rest = self.reports.summary()
         first = first.replace(self.reports.source, f"{self.reports.source} ({self.path.name})", 1)
         if self.why_kind is None:
@@ -74,19 +75,19 @@ class SensorSource:
         return [f"{first}, taken for {self.description.kind}: {self.why_kind}", *rest]
 
 
-def read_told(path: str | Path) -> dict[str, SourceOptions]:
-    """What a TOML file says of every source, by name.
+def read_source_options(path: str | Path) -> dict[str, SourceOptions]:
+    """The options of every source in a TOML file, by name.
 
     Raises
     ------
     InputError : not TOML, no sources, a name that is not known.
     """
-    return {name: _told(name, said, Path(path)) for name, said in source_tables(path).items()}
+    return {name: _options(name, table, Path(path)) for name, table in source_tables(path).items()}
 
 
-def _told(name: str, said: Mapping[str, Any], toml: Path) -> SourceOptions:
-    rest = {key: value for key, value in said.items() if key != "file"}
-    file = said.get("file", {})
+def _options(name: str, table: Mapping[str, Any], toml: Path) -> SourceOptions:
+    description = {key: value for key, value in table.items() if key != "file"}
+    file = table.get("file", {})
     file = {"path": file} if isinstance(file, str) else file
     where = f"{toml}: sources.{name}.file"
     if not isinstance(file, Mapping):
@@ -99,42 +100,42 @@ def _told(name: str, said: Mapping[str, Any], toml: Path) -> SourceOptions:
             raise InputError(f"{where}.{key} is {value!r}; give {example}")
     options = ReadOptions(name, **{key: _plain(value) for key, value in file.items() if key != "path"})
     path = toml.parent / file["path"] if "path" in file else None
-    return SourceOptions(Description.from_mapping(name, rest), options, path, "kind" in said)
+    return SourceOptions(Description.from_mapping(name, description), options, path, "kind" in table)
 
 
 def _plain(value: Any) -> Any:
-    """Dates and times that TOML knows of itself, as text."""
+    """Dates and times of TOML as text."""
     return value.isoformat() if isinstance(value, date) else value
 
 
 def read_sources(
-    files: Sequence[str | Path], told: Mapping[str, SourceOptions] | None = None, *, start: str | None = None
+    files: Sequence[str | Path], options: Mapping[str, SourceOptions] | None = None, *, start: str | None = None
 ) -> list[SensorSource]:
     """Every source of the files, and of those that the descriptions name, with its description.
 
     Parameters
     ----------
     files : paths, or NAME=PATH. A file that holds several sensors (a log of AIS and radar) gives NAME:ais, NAME:arpa.
-    told : by name, from :func:`read_told`.
-    start : UTC of the first line of files that tell the time of day only.
+    options : by name, from :func:`read_source_options`.
+    start : UTC of the first line of files with the time of day only.
 
     Raises
     ------
-    InputError : a description without a file, two sources of one name, a kind that cannot be told, an unreadable file.
+    InputError : a description without a file, two sources of one name, an unknown kind, an unreadable file.
     """
-    told = dict(told or {})
+    described = dict(options or {})
     named = [_named(str(file)) for file in files]
-    named += [(name, one.path) for name, one in told.items() if one.path and name not in dict(named)]
+    named += [(name, one.path) for name, one in described.items() if one.path and name not in dict(named)]
     if not named:
         raise InputError("no files; give the sensors' files, or descriptions that name them")
     sources: list[SensorSource] = []
     for name, path in named:
-        options = told[name].options if name in told else ReadOptions(name)
-        if options.start is None:
-            options = replace(options, start=start)
-        for reports in read_reports(path, options):
-            sources.append(_source(reports, told.get(reports.source), path))
-    _all_used(sources, told)
+        reading = described[name].options if name in described else ReadOptions(name)
+        if reading.start is None:
+            reading = replace(reading, start=start)
+        for reports in read_reports(path, reading):
+            sources.append(_source(reports, described.get(reports.source), path))
+    _all_used(sources, described)
     names = [source.description.name for source in sources]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
@@ -142,25 +143,25 @@ def read_sources(
     return sources
 
 
-def _named(given: str) -> tuple[str, Path]:
+def _named(argument: str) -> tuple[str, Path]:
     """Name and path of NAME=PATH or PATH."""
-    name, equals, path = given.partition("=")
-    if equals and re.fullmatch(r"[\w:. -]+", name) and not Path(given).exists():
+    name, equals, path = argument.partition("=")
+    if equals and re.fullmatch(r"[\w:. -]+", name) and not Path(argument).exists():
         return name, Path(path)
-    path = Path(given).name.removesuffix(".gz")
-    return (path.rpartition(".")[0] or path), Path(given)
+    path = Path(argument).name.removesuffix(".gz")
+    return (path.rpartition(".")[0] or path), Path(argument)
 
 
-def _source(reports: Reports, told: SourceOptions | None, path: Path) -> SensorSource:
-    if told is not None and told.has_kind:
-        return SensorSource(told.description, reports, path, None)
+def _source(reports: Reports, options: SourceOptions | None, path: Path) -> SensorSource:
+    if options is not None and options.has_kind:
+        return SensorSource(options.description, reports, path, None)
     kind, why = _kind(reports)
-    described = Description(reports.source) if told is None else told.description
+    described = Description(reports.source) if options is None else options.description
     return SensorSource(replace(described, kind=kind), reports, path, why)
 
 
 def _kind(reports: Reports) -> tuple[str, str]:
-    """The kind of a source that nobody described, and what tells it."""
+    """The guessed kind of a source without a description, and the reason."""
     if reports.kind in KIND_OF_FORMAT:
         return KIND_OF_FORMAT[reports.kind], f"its format is {reports.kind}"
     plain = re.sub(r"[^a-z]", "", reports.source.lower())
@@ -176,7 +177,7 @@ def _kind(reports: Reports) -> tuple[str, str]:
         f"{reports.source}: what kind of sensor is it? Neither its name nor its columns tell",
         Message(
             "describe it in a file for ",
-            Argument("read_told"),
+            Argument("read_source_options"),
             f': {toml_table(reports.source)} kind = "…", one of {", ".join(KINDS)}',
         ),
     )
@@ -191,9 +192,9 @@ def toml_table(name: str) -> str:
     return f"[sources.{name}]" if re.fullmatch(r"[A-Za-z0-9_-]+", name) else f'[sources."{name}"]'
 
 
-def _all_used(sources: Sequence[SensorSource], told: Mapping[str, SourceOptions]) -> None:
+def _all_used(sources: Sequence[SensorSource], options: Mapping[str, SourceOptions]) -> None:
     names = [source.description.name for source in sources]
-    for name in told:
+    for name in options:
         if name not in names:
             raise InputError(
                 f"{name} is described, but none of the files is of it; there are {', '.join(names)}: give {name}=FILE, "

@@ -1,4 +1,4 @@
-"""Tables: reports in CSV, Parquet or JSON lines, with columns understood by their names.
+"""Tables: reports in CSV, Parquet or JSON lines, with columns recognised by their names.
 
 Any table of positions will do: latitude and longitude, x and y, range and bearing, or bearings alone; speeds, errors
 and identities where it has them. A line with too few cells, or with words where a number belongs, is damaged; the
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, Message, naming
-from sameas.io.sensors.clock import DAY_S, counted_on, instant, seconds
+from sameas.io.sensors.clock import DAY_S, instant, seconds, unwrapped
 from sameas.io.sensors.columns import Choice, choose, naming_columns
 from sameas.io.sensors.format import SensorFile, SensorFormat
 from sameas.tracks.accuracy import round_covariance
@@ -44,8 +44,8 @@ class TableText:
 
 
 def cells_of_csv(lines: Sequence[str], source: str) -> TableText:
-    """The cells of lines parted by commas, semicolons, tabs or bars; lines that begin with # are comments."""
-    # A comment that is parted like the rows may be the line of names, as Danish AIS has it.
+    """The cells of lines with commas, semicolons, tabs or bars between them; lines that begin with # are comments."""
+    # A comment with the delimiter of the rows may be the line of names, as in Danish AIS.
     number = next((k for k, line in enumerate(lines, start=1) if line.strip() and (line[0] != "#" or _splits(line))), 1)
     named = lines[number - 1].lstrip("# ")
     delimiter = _splits(named)
@@ -90,9 +90,9 @@ def cells_of_json(lines: Sequence[str], source: str) -> TableText:
                     objects.append((number, json.loads(line)))
                 except ValueError:
                     damaged.append((number, "no JSON"))
-    for number, told in objects:
-        if isinstance(told, dict):
-            rows.append(_opened(told))
+    for number, value in objects:
+        if isinstance(value, dict):
+            rows.append(_opened(value))
             places.append(number)
         else:
             damaged.append((number, "no JSON object"))
@@ -133,8 +133,8 @@ def read(
     ----------
     cells : of the table.
     source : its name in messages.
-    start_s : UTC date of the first row, for tables that tell the time of day only.
-    columns : by quantity (``lat_deg``, ``time_s`` …) the name of the column, where it is not understood.
+    start_s : UTC date of the first row, for tables with the time of day only.
+    columns : by quantity (``lat_deg``, ``time_s`` …) the name of the column, where it is not recognised.
     units : by name of a column its unit.
 
     Raises
@@ -166,13 +166,13 @@ def read(
 
 
 def _splits(line: str) -> str:
-    """The sign that parts the columns; empty where none does."""
+    """The delimiter of the columns; empty where there is none."""
     return next((sign for sign in _DELIMITERS if sign in line), "")
 
 
-def _opened(told: Mapping[str, Any]) -> dict[str, Any]:
+def _opened(nested: Mapping[str, Any]) -> dict[str, Any]:
     row: dict[str, Any] = {}
-    for name, value in told.items():
+    for name, value in nested.items():
         for inner, cell in value.items() if isinstance(value, dict) else [(name, value)]:
             row[inner if inner not in row else f"{name}_{inner}"] = cell
     return row
@@ -267,7 +267,7 @@ def _times(
             f"{source}: {choice.name!r} tells the time of day only",
             naming("give {start}, the UTC date of the first row"),
         )
-    return counted_on(
+    return unwrapped(
         times, DAY_S, start_s
     ), f"{source}: {choice.name} is read as UTC time of day, counted on from the start"
 
@@ -279,15 +279,15 @@ def _instants(column: Sequence[Any], choice: Choice, source: str) -> FloatArray:
     except (TypeError, ValueError):
         texts = ["" if cell is None else str(cell).strip() for cell in column]
         if any(_DAY_FIRST.fullmatch(text) for text in texts[:100]):
-            return _slashed(texts, source)
-        return np.array([np.nan if (found := instant(text)) is None else found for text in texts])
+            return _day_month_dates(texts, source)
+        return np.array([np.nan if (time_s := instant(text)) is None else time_s for text in texts])
     if choice.factor in (1.0, 0.0):
         return np.array([seconds(number) for number in numbers])
     return numbers * choice.factor
 
 
-def _slashed(texts: Sequence[str], source: str) -> FloatArray:
-    """Dates like 13/01/2024 12:00:00: which is the day is told by the first number beyond 12."""
+def _day_month_dates(texts: Sequence[str], source: str) -> FloatArray:
+    """Dates like 13/01/2024 12:00:00: the day is the one with a number above 12."""
     matches = [_DAY_FIRST.fullmatch(text) for text in texts]
     firsts = [(int(match[1]), int(match[2])) for match in matches if match]
     day_first, month_first = any(a > 12 for a, _ in firsts), any(b > 12 for _, b in firsts)
@@ -333,21 +333,21 @@ def _mark_unusable(values: Mapping[str, Any], lines: IntArray, damaged: dict[int
 
 
 def _with_track_id(values: dict[str, Any]) -> dict[str, Any]:
-    """The number of the track: where the table has none, the identity that every report carries."""
+    """The track id: where the table has none, the identity of the reports."""
     own = next((name for name in ("mmsi", "icao") if name in values), None)
     return values if "track_id" in values or own is None else values | {"track_id": values[own]}
 
 
 def _without_repeats(values: dict[str, Any]) -> tuple[dict[str, Any], int]:
-    """Without rows that say the same of the same object at the same time again, and how many they were."""
+    """Without repeated rows of the same object, time and place, and their number."""
     if "track_id" not in values:
         return values, 0
     place = next(pair for pair in (("lat_deg", "lon_deg"), ("x_m", "y_m"), ("bearing_deg",)) if pair[0] in values)
-    told: set[tuple[Any, ...]] = set()
+    rows_read: set[tuple[Any, ...]] = set()
     first = np.ones(len(values["time_s"]), bool)
     for k, key in enumerate(zip(*(values[name].tolist() for name in ("track_id", "time_s", *place)), strict=True)):
-        first[k] = key[0] is None or key not in told
-        told.add(key)
+        first[k] = key[0] is None or key not in rows_read
+        rows_read.add(key)
     return {name: column[first] for name, column in values.items()}, int((~first).sum())
 
 
@@ -358,16 +358,16 @@ def _with_covariances(values: dict[str, Any]) -> dict[str, Any]:
     if position is None and circle is not None:
         position = round_covariance(circle)
     velocity = _matrix(values, ("cov_vxvx", "cov_vxvy", "cov_vyvy"), ("sigma_vx", "sigma_vy"))
-    found = {"covariance_m2": position, "velocity_covariance_m2_per_s2": velocity}
-    return values | {name: matrix for name, matrix in found.items() if matrix is not None}
+    matrices = {"covariance_m2": position, "velocity_covariance_m2_per_s2": velocity}
+    return values | {name: matrix for name, matrix in matrices.items() if matrix is not None}
 
 
 def _matrix(values: dict[str, Any], covariances: Sequence[str], sigmas: Sequence[str]) -> FloatArray | None:
-    told = [values.pop(name, None) for name in covariances]
+    covariance = [values.pop(name, None) for name in covariances]
     sigma = [values.pop(name, None) for name in sigmas]
-    if told[0] is not None and told[2] is not None:
-        cross = np.zeros(len(told[0])) if told[1] is None else told[1]
-        return np.stack([told[0], cross, told[2]], axis=-1)
+    if covariance[0] is not None and covariance[2] is not None:
+        cross = np.zeros(len(covariance[0])) if covariance[1] is None else covariance[1]
+        return np.stack([covariance[0], cross, covariance[2]], axis=-1)
     if sigma[0] is not None and sigma[1] is not None:
         return np.stack([sigma[0] ** 2, np.zeros(len(sigma[0])), sigma[1] ** 2], axis=-1)
     return None

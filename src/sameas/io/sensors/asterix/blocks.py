@@ -1,7 +1,7 @@
 """Blocks: where ASTERIX begins and ends in a file of bare blocks or in a network capture.
 
-Known are files of blocks one after the other, and pcap captures of UDP (Ethernet, Linux cooked, bare IP); a capture
-also tells when each packet came, and with it the date that the records lack.
+It reads files of blocks one after the other, and pcap captures of UDP (Ethernet, Linux cooked, bare IP); a capture
+also has the time of each packet, and with it the date that the records lack.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ PCAPNG = b"\x0a\x0d\x0d\x0a"
 class Block:
     """One block: the number of its packet (1 in a bare file), its place there, its category, the data after the head.
 
-    ``received_s`` is when it came, NaN where the file does not tell. ``problem`` says in words why there is no data.
+    ``received_s`` is the time of its packet, NaN where the file has none. ``problem`` is why there is no data.
     """
 
     packet: int
@@ -34,23 +34,23 @@ class Block:
     problem: str = ""
 
 
-def blocks_of(found: bytes) -> Iterator[Block]:
-    """The blocks in a file. What cannot be one comes as a block with a problem."""
-    if found[:4] in _PCAP:
-        for number, (received_s, payload) in enumerate(_packets(found), start=1):
+def blocks_of(content: bytes) -> Iterator[Block]:
+    """The blocks in a file. Other bytes become a block with a problem."""
+    if content[:4] in _PCAP:
+        for number, (received_s, payload) in enumerate(_packets(content), start=1):
             yield from _cut(payload, number, received_s)
     else:
-        yield from _cut(found, 1, np.nan)
+        yield from _cut(content, 1, np.nan)
 
 
-def looks_like(found: bytes) -> bool:
+def looks_like(content: bytes) -> bool:
     """Whether these bytes are a capture, or begin with a block of a likely category and length."""
-    if found[:4] in _PCAP:
+    if content[:4] in _PCAP:
         return True
-    length = int.from_bytes(found[1:3], "big")
-    if len(found) < 6 or found[0] not in (1, 2, 4, 8, 9, 10, 11, 19, 20, 21, 23, 34, 48, 62, 63, 65, 247):
+    length = int.from_bytes(content[1:3], "big")
+    if len(content) < 6 or content[0] not in (1, 2, 4, 8, 9, 10, 11, 19, 20, 21, 23, 34, 48, 62, 63, 65, 247):
         return False
-    return 4 <= length <= len(found) and (length == len(found) or found[length] < 248)
+    return 4 <= length <= len(content) and (length == len(content) or content[length] < 248)
 
 
 def _cut(data: bytes, packet: int, received_s: float) -> Iterator[Block]:
@@ -58,29 +58,29 @@ def _cut(data: bytes, packet: int, received_s: float) -> Iterator[Block]:
     while at < len(data):
         length = int.from_bytes(data[at + 1 : at + 3], "big")
         if length < 4 or at + length > len(data):
-            said = f"length {length} of the block at byte {at} does not fit; nothing after it can be read"
-            yield Block(packet, at, data[at], b"", received_s, said)
+            problem = f"length {length} of the block at byte {at} does not fit; nothing after it can be read"
+            yield Block(packet, at, data[at], b"", received_s, problem)
             return
         yield Block(packet, at, data[at], data[at + 3 : at + length], received_s)
         at += length
 
 
-def _packets(found: bytes) -> Iterator[tuple[float, bytes]]:
+def _packets(content: bytes) -> Iterator[tuple[float, bytes]]:
     """Times and UDP payloads of a pcap file; other packets are left out, and fragments too."""
-    order, unit = _PCAP[found[:4]]
-    link = struct.unpack(order + "I", found[20:24])[0] & 0xFFFF
+    order, unit = _PCAP[content[:4]]
+    link = struct.unpack(order + "I", content[20:24])[0] & 0xFFFF
     skipped = _LINKS.get(link)
     at = 24
-    while skipped is not None and at + 16 <= len(found):
-        second, fraction, kept, _ = struct.unpack(order + "IIII", found[at : at + 16])
-        payload = _udp(found[at + 16 : at + 16 + kept], skipped)
+    while skipped is not None and at + 16 <= len(content):
+        second, fraction, length, _ = struct.unpack(order + "IIII", content[at : at + 16])
+        payload = _udp(content[at + 16 : at + 16 + length], skipped)
         if payload:
             yield second + fraction / unit, payload
-        at += 16 + kept
+        at += 16 + length
 
 
 def _udp(frame: bytes, skipped: int) -> bytes:
-    """What a frame carries by UDP over IPv4 or IPv6; empty where it does not."""
+    """The UDP payload of a frame over IPv4 or IPv6; empty where there is none."""
     if skipped == 14:
         while frame[skipped - 2 : skipped] in (b"\x81\x00", b"\x88\xa8"):
             skipped += 4

@@ -53,9 +53,9 @@ def errors(columns: Mapping[str, Any]) -> dict[str, Any]:
     absent = np.full(n, np.nan)
     first = columns.get("version", absent) == 0
     later = {name: np.where(first, np.nan, columns.get(name, absent)) for name in ("nac_p", "nac_v", "nic")}
-    found = errors_of({**columns, **later})
+    errors_newer = errors_of({**columns, **later})
     old = round_covariance(sigma_of_nucp(np.where(first, columns.get("nic", absent), np.nan)))
-    return found | {"covariance_m2": np.where(first[:, None], old, found["covariance_m2"])}
+    return errors_newer | {"covariance_m2": np.where(first[:, None], old, errors_newer["covariance_m2"])}
 
 
 def _height(item: bytes | None) -> float | None:
@@ -96,7 +96,7 @@ def _quality(items: Mapping[str, Any]) -> dict[str, float]:
 
 
 def notes(source: str) -> tuple[str, ...]:
-    """What is assumed of these records."""
+    """The assumptions on these records."""
     return (
         f"{source}: errors are NACp (radius of 95 % over 2.45), NUCp where the transponder is of version 0, else half "
         "of the containment radius of NIC as the radius of 95 %",

@@ -1,7 +1,7 @@
 """Category 048: target reports of one radar, editions 1.27 to 1.32.
 
 Distances are on the slope: the height (Mode C, or that of a 3D radar) stands beside them, and the description of the
-radar has its place and height, which the records do not tell.
+radar has its place and height, which are not in the records.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ def row(items: Mapping[str, Any]) -> dict[str, Any] | str:
 
 def errors(columns: Mapping[str, Any]) -> dict[str, Any]:
     """Covariances where the radar states the quality of its tracks (item 210)."""
-    found = {}
+    covariances = {}
     if "sigma_x_m" in columns:
         x, y = columns["sigma_x_m"] ** 2, columns["sigma_y_m"] ** 2
-        found["covariance_m2"] = np.stack([x, np.where(np.isnan(x), np.nan, 0.0), y], axis=-1)
-    return found
+        covariances["covariance_m2"] = np.stack([x, np.where(np.isnan(x), np.nan, 0.0), y], axis=-1)
+    return covariances
 
 
 def _pressure_altitude(item: bytes | None) -> float | None:
@@ -83,7 +83,7 @@ def _quality(item: bytes | None) -> dict[str, float]:
 
 
 def notes(source: str) -> tuple[str, ...]:
-    """What is assumed of these records."""
+    """The assumptions on these records."""
     return (
         f"{source}: ranges are slant ranges; the description of the radar must tell its place and height",
         f"{source}: bearings are taken from true north; errors are the radar's to describe, save where item 210 does",

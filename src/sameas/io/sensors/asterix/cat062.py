@@ -54,10 +54,10 @@ def errors(columns: Mapping[str, Any]) -> dict[str, Any]:
         sigma = [np.where(np.isnan(own), other, own) for own, other in zip(sigma, of_degrees, strict=True)]
     cross = columns.get("covariance_xy_m2", absent)
     cross = np.where(np.isnan(cross) & ~np.isnan(sigma[0]), 0.0, cross)
-    found = {"covariance_m2": np.stack([sigma[0] ** 2, cross, sigma[1] ** 2], axis=-1)}
+    covariances = {"covariance_m2": np.stack([sigma[0] ** 2, cross, sigma[1] ** 2], axis=-1)}
     vx, vy = (columns.get(name, absent) for name in ("sigma_vx_m_per_s", "sigma_vy_m_per_s"))
     cross = np.where(np.isnan(vx), np.nan, 0.0)
-    return found | {"velocity_covariance_m2_per_s2": np.stack([vx**2, cross, vy**2], axis=-1)}
+    return covariances | {"velocity_covariance_m2_per_s2": np.stack([vx**2, cross, vy**2], axis=-1)}
 
 
 def _position(items: Mapping[str, Any]) -> dict[str, float]:
@@ -123,7 +123,7 @@ def _metres_per_degree(lat_deg: Any) -> tuple[Any, Any]:
 
 
 def notes(source: str) -> tuple[str, ...]:
-    """What is assumed of these records."""
+    """The assumptions on these records."""
     return (
         f"{source}: accuracies are those of item 500; its x and y are taken for east and north of the track",
         f"{source}: tracks are the output of a tracker: their errors go together from one to the next",

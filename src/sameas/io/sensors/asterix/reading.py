@@ -14,7 +14,7 @@ from sameas.errors import InputError, naming
 from sameas.io.sensors.asterix import cat021, cat048, cat062
 from sameas.io.sensors.asterix.blocks import PCAPNG, Block, blocks_of, looks_like
 from sameas.io.sensors.asterix.records import CATEGORIES, DamagedRecord, records_of, unsigned
-from sameas.io.sensors.clock import DAY_S, counted_on
+from sameas.io.sensors.clock import DAY_S, unwrapped
 from sameas.io.sensors.format import SensorFormat
 from sameas.tracks.reports import Damaged, Reports, of_rows
 
@@ -23,29 +23,29 @@ _MEANINGS: dict[int, ModuleType] = {21: cat021, 48: cat048, 62: cat062}
 Sensor = tuple[int, int, int]
 
 
-def read(found: bytes, source: str, start_s: float | None = None) -> list[Reports]:
+def read(content: bytes, source: str, start_s: float | None = None) -> list[Reports]:
     """The reports in ASTERIX bytes, one :class:`Reports` for each category and sensor (SAC, SIC).
 
     Parameters
     ----------
-    found : blocks one after the other, or a pcap capture. A line number is the number of the record in the file.
+    content : blocks one after the other, or a pcap capture. A line number is the number of the record in the file.
     source : its name in messages; several sensors are called ``source:048 SAC/SIC``.
-    start_s : UTC date of the first record, for files that are no capture: records tell the time of day only.
+    start_s : UTC date of the first record, for files that are no capture: records have the time of day only.
 
     Raises
     ------
     InputError : nothing of categories 021, 048 or 062; no date.
     """
-    if found[:4] == PCAPNG:
+    if content[:4] == PCAPNG:
         raise InputError(f"{source}: is a pcapng capture; convert it: editcap -F pcap FILE FILE.pcap")
     rows: dict[Sensor, list[dict[str, Any]]] = {}
     damaged: list[tuple[int, str]] = []
     passed_over: Counter[str] = Counter()
     number = 0
-    known: set[tuple[int, bytes]] = set()
-    for block in blocks_of(found):
-        again = (block.category, block.data) in known
-        known.add((block.category, block.data))
+    blocks_read: set[tuple[int, bytes]] = set()
+    for block in blocks_of(content):
+        again = (block.category, block.data) in blocks_read
+        blocks_read.add((block.category, block.data))
         if again and not block.problem:
             # Sensors send over two networks; times of day make every other block new.
             passed_over["block that came before, from a second network"] += 1
@@ -56,12 +56,12 @@ def read(found: bytes, source: str, start_s: float | None = None) -> list[Report
         else:
             number = _add(block, number, rows, damaged, passed_over)
     if not rows:
-        said = [
+        problems = [
             *Damaged.of(damaged, "record").sentences(),
             *(f"{n} passed over: {what}" for what, n in passed_over.items()),
         ]
-        raise InputError(f"{source}: no target of category 021, 048 or 062; {'; '.join(said) or 'is it ASTERIX?'}")
-    # What was damaged or passed over belongs to the file; the first source carries it.
+        raise InputError(f"{source}: no target of category 021, 048 or 062; {'; '.join(problems) or 'is it ASTERIX?'}")
+    # Damaged and passed over records are of the file; the first source has them.
     about: list[tuple[Damaged, Mapping[str, int]]] = [(Damaged.of(damaged, "record"), passed_over)]
     about += [(Damaged(unit="record"), {})] * (len(rows) - 1)
     return [
@@ -94,7 +94,7 @@ def _add(
                 damaged.append((number, "latitude beyond ±90°"))
                 continue
             identity = items.get("010", b"\0\0")
-            sensor = (block.category, unsigned(identity[:1]), unsigned(identity[1:]))  # type: ignore[index, arg-type]
+            sensor = (block.category, unsigned(identity[:1]), unsigned(identity[1:]))  # type: ignore[index]
             rows.setdefault(sensor, []).append({"line": number, "received_s": block.received_s, **row})
     except DamagedRecord as error:
         number += 1
@@ -133,7 +133,7 @@ def _times(day_s: FloatArray, received_s: FloatArray, name: str, start_s: float 
         raise InputError(
             f"{name}: no date: the records tell the time of day only", naming("give {start}, the UTC date of the first")
         )
-    return counted_on(day_s, DAY_S, start_s)
+    return unwrapped(day_s, DAY_S, start_s)
 
 
 FORMAT = SensorFormat(

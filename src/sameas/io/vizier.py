@@ -1,0 +1,122 @@
+"""VizieR's text: names, units and dashes in three lines, then rows, parted by tabs, semicolons, bars or blanks.
+
+Comments above tell the catalogue (``#Name``, ``#Title``) and its columns (``#Column``) with descriptions and UCDs.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sameas.errors import InputError
+from sameas.io.csv import TableHead, content_of, distinct, table_of
+from sameas.io.format import TEXT_EXTENSIONS, Format
+
+if TYPE_CHECKING:
+    from astropy.table import Table
+
+#: Names, units and dashes; the dashes tell what parts the columns.
+_HEAD = re.compile(rb"(?m)^(?P<names>[^#\s-][^\n]*|_[^\n]*)\n(?P<units>[^\n]*)\n(?P<dashes>-+(?:[;\t|, ]+-+)*) *\r?\n")
+_NEXT = re.compile(rb"\n\s*\n#|\n#")
+_ABOUT = re.compile(r"#(Name|Title|Table):?\s+(.*\S)")
+_UCD = re.compile(r"\[ucd=([^\]]+)\]")
+
+
+def has_dashes(path: Path, first: bytes) -> bool:
+    """Whether a line of dashes stands under the names and units of the columns."""
+    return _HEAD.search(first) is not None
+
+
+FORMAT = Format("vizier", "VizieR table", TEXT_EXTENSIONS, unmarked=True, read_only=True, recognised=has_dashes)
+
+
+@dataclass(frozen=True)
+class _Comments:
+    """What stands above the rows: of the table, and (description, UCD) by column."""
+
+    meta: dict[str, str]
+    columns: dict[str, tuple[str, str]]
+
+
+def read(path: Path, hdu: None) -> Table:
+    """The first table of an answer of VizieR."""
+    import pyarrow as pa
+
+    text = memoryview(content_of(path)).tobytes().replace(b"\r\n", b"\n")
+    head = _HEAD.search(text)
+    if head is None:
+        raise InputError(f"{path}: has no lines of names, units and dashes, as VizieR writes them")
+    after = _NEXT.search(text, head.end() - 1)
+    body = text[head.end() : after.start() + 1 if after else len(text)]
+    dashes = head["dashes"].decode()
+    parted = sorted(set(dashes) - {"-"})
+    names, units = (head[line].decode("utf-8", "replace") for line in ("names", "units"))
+    if parted == [" "]:
+        widths = [(word.start(), word.end()) for word in re.finditer("-+", dashes)]
+        cells = [[line[start:end].strip() for start, end in widths] for line in (names, units)]
+        lines = (
+            b"\t".join(line[start:end].strip() for start, end in widths) for line in body.split(b"\n") if line.strip()
+        )
+        body, delimiter = b"\n".join(lines) + b"\n", "\t"
+    else:
+        delimiter = parted[0] if parted else "\t"
+        cells = [[cell.strip() for cell in line.split(delimiter)] for line in (names, units)]
+    table = table_of(pa.py_buffer(body), TableHead(distinct(cells[0], path), delimiter, 0), path)
+    comments = _comments(text[: head.start()].decode("utf-8", "replace"))
+    table = _described(_without_blanks(table), cells[1], comments)
+    if after and _HEAD.search(text, after.start()):
+        told = f" ({comments.meta['name'].rpartition('; ')[2]})" if "name" in comments.meta else ""
+        table.meta["sameas_notes"] = [f"{path} holds several tables of VizieR; took the first{told}"]
+    return table
+
+
+def provenance(path: Path) -> dict[str, Any]:
+    """What VizieR says of a table is in its metadata."""
+    return {}
+
+
+def _comments(text: str) -> _Comments:
+    meta: dict[str, str] = {}
+    columns: dict[str, tuple[str, str]] = {}
+    for line in text.splitlines():
+        parts = line.split("\t")
+        if parts[0] == "#Column" and len(parts) >= 4:
+            ucd = _UCD.search(line)
+            columns[parts[1].strip()] = parts[3].strip(), ucd[1] if ucd else ""
+        elif about := _ABOUT.match(line):
+            # The catalogue's first, then the table's.
+            key, words = about[1].lower(), about[2].rstrip(":")
+            meta[key] = f"{meta[key]}; {words}" if meta.get(key, words) != words else words
+    return _Comments(meta, columns)
+
+
+def _without_blanks(table: Table) -> Table:
+    """The table, its words without the blanks that fill cells up; an empty word is a missing one."""
+    import numpy as np
+    from astropy.table import Column, MaskedColumn
+
+    for name in table.colnames:
+        column = table[name]
+        if column.dtype.kind == "U":
+            values = np.char.strip(np.ma.getdata(column))
+            empty = np.ma.getmaskarray(column) | (values == "")
+            made = MaskedColumn(values, name=name, mask=empty) if empty.any() else Column(values, name=name)
+            table.replace_column(name, made)
+    return table
+
+
+def _described(table: Table, units: list[str], comments: _Comments) -> Table:
+    from astropy.units import Unit
+
+    for name, unit in zip(table.colnames, units, strict=False):
+        # Of '"h:m:s"' and '"Y:M:D"' the cells themselves tell.
+        if unit and not unit.startswith('"'):
+            table[name].unit = Unit(unit, parse_strict="silent")
+        description, ucd = comments.columns.get(name, ("", ""))
+        table[name].description = description or None
+        if ucd:
+            table[name].meta["ucd"] = ucd
+    table.meta.update(comments.meta)
+    return table

@@ -1,0 +1,197 @@
+"""The texts that astronomers have: known by what is in them, under whatever extension, gzipped or not."""
+
+import gzip
+
+import numpy as np
+import pytest
+from astropy.io import ascii as text_tables
+from astropy.io import fits
+from astropy.table import Table
+
+from sameas.errors import InputError
+from sameas.io import known_formats, read_table, write_table, written_formats
+
+SEXTRACTOR = """\
+#   1 NUMBER                 Running object number
+#   2 ALPHA_J2000            Right ascension of barycenter (J2000)                   [deg]
+#   3 DELTA_J2000            Declination of barycenter (J2000)                       [deg]
+#   4 MAG_APER               Fixed aperture magnitude vector                         [mag]
+#   6 FLAGS                  Extraction flags
+         1 150.0279671 +2.1574850 14.25 14.50 0
+         2 150.2373791 +2.1929207 99.0  99.0  3
+"""
+VIZIER = """\
+#
+#   VizieR Astronomical Server vizier.cds.unistra.fr
+#Name: II/246
+#Title: 2MASS All-Sky Catalog of Point Sources (Cutri+ 2003)
+#Table\tII_246_out:
+#Name: II/246/out
+#Column\tRAJ2000\t(F10.6)\t(ra) Right ascension (J2000)\t[ucd=pos.eq.ra;meta.main]
+#Column\tDate\t(A10)\tObservation date (Ep=1999)\t[ucd=time.epoch]
+
+_2MASS           ;RAJ2000;DEJ2000 ;errMaj;Jmag;Date
+ ;deg;deg;arcsec;mag;"Y:M:D"
+----------------;----------;----------;----;------;----------
+10000669+0209269;150.027870; +2.157520;0.08;13.079;2000-01-20
+                ;150.237325; +2.192905;    ;      ;2000-01-20
+
+"""
+IPAC = """\
+\\EPOCH_OF = 2010.5
+\\ a comment
+|         ra|       dec|sigra |  name|
+|     double|    double|double|  char|
+|        deg|       deg|arcsec|      |
+|       null|      null|  null|  null|
+ 150.0279671  2.1574850   0.08   one
+ 150.2373791  2.1929207   null  null
+"""
+MRT = """\
+Title: A table
+Authors: Somebody
+Table: 1
+================================================================================
+Byte-by-byte Description of file: table.dat
+--------------------------------------------------------------------------------
+ Bytes Format Units  Label     Explanations
+--------------------------------------------------------------------------------
+ 1- 4  A4     ---    Name      Name of the star
+ 6-15  F10.6  deg    RAdeg     Right ascension (Ep=2016.0)
+17-26  F10.6  deg    DEdeg     Declination
+28-32  F5.3  mag     Vmag      ? Brightness
+--------------------------------------------------------------------------------
+"""
+MRT_ROWS = "s001 150.027967   2.157485 14.25\ns002 150.237379   2.192920      \n"
+BLANKS = "# made by hand\n# id ra dec name\n4472832130942575872 150.0279671 2.1574850 one\n2 1.5e2 -2 'x\n"
+
+
+def read(path, text, encoding="utf-8"):
+    data = text.encode(encoding)
+    path.write_bytes(gzip.compress(data) if path.suffix == ".gz" else data)
+    return read_table(path)
+
+
+@pytest.mark.parametrize("ending", [".cat", ".txt", ".cat.gz", ".asc"])
+def test_a_sextractor_catalogue(ending, tmp_path):
+    table = read(tmp_path / f"s{ending}", SEXTRACTOR)
+    assert table.colnames == ["NUMBER", "ALPHA_J2000", "DELTA_J2000", "MAG_APER", "MAG_APER_1", "FLAGS"]
+    assert list(table["MAG_APER_1"]) == [14.5, 99.0] and table["FLAGS"].dtype.kind == "i"
+    assert table["ALPHA_J2000"].unit == "deg" and "barycenter" in table["ALPHA_J2000"].description
+    theirs = text_tables.read(SEXTRACTOR, format="sextractor")
+    assert theirs.colnames == table.colnames and (theirs["MAG_APER"] == table["MAG_APER"]).all()
+
+
+def test_a_sextractor_catalogue_whose_comments_do_not_fit(tmp_path):
+    short = SEXTRACTOR.replace(" 14.25 14.50 0", "").replace(" 99.0  99.0  3", "")
+    with pytest.raises(InputError, match=r"number 6 columns, but the first row has 3 cells"):
+        read(tmp_path / "s.cat", short)
+    with pytest.raises(InputError, match=r"line 7 has 5 cells, not 6"):
+        read(tmp_path / "s.cat", SEXTRACTOR.replace("99.0  99.0  3", "99.0  3"))
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t", "|"])
+@pytest.mark.parametrize("ending", [".tsv", ".csv", ".txt.gz", ".dat"])
+def test_an_answer_of_vizier(delimiter, ending, tmp_path):
+    table = read(tmp_path / f"v{ending}", VIZIER.replace(";", delimiter).replace("ra" + delimiter, "ra;"))
+    assert table.colnames == ["_2MASS", "RAJ2000", "DEJ2000", "errMaj", "Jmag", "Date"] and len(table) == 2
+    assert table["RAJ2000"].unit == "deg" and table["errMaj"].unit == "arcsec" and table["Date"].unit is None
+    assert table["RAJ2000"].meta["ucd"] == "pos.eq.ra;meta.main" and table["Date"].description.endswith("(Ep=1999)")
+    assert table["DEJ2000"][0] == 2.15752 and list(table["_2MASS"].mask) == [False, True]
+    assert list(table["errMaj"].mask) == list(table["Jmag"].mask) == [False, True]
+    assert table.meta["title"].startswith("2MASS All-Sky") and table.meta["name"] == "II/246; II/246/out"
+
+
+def test_an_answer_of_vizier_in_columns_of_fixed_width(tmp_path):
+    lines = ["A          RA      Name   ", "           deg            ", "---------- ------- -------"]
+    table = read(
+        tmp_path / "v.txt", "\n".join(["#Title: x", *lines, "       1.5   150.1 a b", "             150.2 c"]) + "\n"
+    )
+    assert table.colnames == ["A", "RA", "Name"] and list(table["Name"]) == ["a b", "c"]
+    assert table["RA"].unit == "deg" and list(table["A"].mask) == [False, True]
+
+
+def test_of_several_tables_of_vizier_the_first_is_taken_and_that_is_said(tmp_path):
+    table = read(tmp_path / "v.tsv", VIZIER + "#Name: II/999\n" + VIZIER.split("\n\n")[1])
+    assert len(table) == 2
+    assert table.meta["sameas_notes"] == [
+        f"{tmp_path / 'v.tsv'} holds several tables of VizieR; took the first (II/246/out)"
+    ]
+
+
+def test_comments_in_another_encoding_do_no_harm(tmp_path):
+    assert len(read(tmp_path / "v.tsv", VIZIER.replace("Cutri", "Åkesson"), "latin-1")) == 2
+    assert len(read(tmp_path / "c.csv", "# Åkesson\nra,dec\n1,2\n", "latin-1")) == 1
+
+
+@pytest.mark.parametrize("ending", [".tbl", ".ipac", ".txt", ".tbl.gz"])
+def test_an_ipac_table(ending, tmp_path):
+    table = read(tmp_path / f"i{ending}", IPAC)
+    assert table.colnames == ["ra", "dec", "sigra", "name"] and table["sigra"].unit == "arcsec"
+    assert list(table["sigra"].mask) == [False, True] and table.meta["EPOCH_OF"] == 2010.5
+
+
+@pytest.mark.parametrize("ending", [".mrt", ".txt", ".dat.gz"])
+def test_a_machine_readable_table(ending, tmp_path):
+    table = read(tmp_path / f"m{ending}", MRT + MRT_ROWS)
+    assert table.colnames == ["Name", "RAdeg", "DEdeg", "Vmag"] and table["RAdeg"].unit == "deg"
+    assert list(table["Vmag"].mask) == [False, True] and "Ep=2016.0" in table["RAdeg"].description
+
+
+@pytest.mark.parametrize("ending", ["", ".gz"])
+def test_a_table_of_the_cds_with_its_readme_beside(ending, tmp_path):
+    other = MRT.partition("Byte-by-byte")[2].replace("table.dat", "other.dat").replace("RAdeg", "RBdeg")
+    (tmp_path / "ReadMe").write_text(MRT + "Note\n\nByte-by-byte" + other)
+    table = read(tmp_path / f"table.dat{ending}", MRT_ROWS)
+    assert table.colnames == ["Name", "RAdeg", "DEdeg", "Vmag"] and table["DEdeg"][1] == 2.19292
+
+
+@pytest.mark.parametrize("ending", [".txt", ".dat", ".asc", ".txt.gz", ".csv"])
+def test_text_parted_by_blanks(ending, tmp_path):
+    table = read(tmp_path / f"b{ending}", BLANKS)
+    assert table.colnames == ["id", "ra", "dec", "name"] and list(table["id"]) == [4472832130942575872, 2]
+    assert list(table["ra"]) == [150.0279671, 150.0]
+    quoted = read(tmp_path / f"q{ending}", 'name  ra  dec\r\n"a star" 1 2 \r\n\r\n# remark\r\n  b  --   nan\r\n')
+    assert list(quoted["name"]) == ["a star", "b"] and quoted["ra"].mask[1] and np.isnan(quoted["dec"][1])
+
+
+def test_text_parted_by_blanks_that_cannot_be_understood(tmp_path):
+    with pytest.raises(InputError, match=r"line 1 holds numbers; put the names of the columns above"):
+        read(tmp_path / "b.txt", "1 2 3\n4 5 6\n")
+    with pytest.raises(InputError, match=r"line 4 has 2 cells, not 3"):
+        read(tmp_path / "b.txt", "a b c\n1 2 3\n4 5 6\n7 8\n")
+
+
+def test_a_column_whose_title_has_blanks_is_one_column(tmp_path):
+    assert read(tmp_path / "c.csv", "RA (deg)\n1.5\n2.5\n").colnames == ["RA (deg)"]
+
+
+@pytest.mark.parametrize("ending", [".cat", ".ldac", ".fits"])
+def test_fits_ldac_gives_its_objects_and_the_instant_of_its_image(ending, tmp_path):
+    image = fits.Header()
+    image["MJD-OBS"], image["EXPTIME"] = 58000.5, 30.0
+    text = np.array([[card.ljust(80) for card in repr(image).split("\n")]], dtype="S80")
+    form, dim = f"{80 * text.shape[1]}A", f"(80, {text.shape[1]})"
+    head = fits.BinTableHDU.from_columns([fits.Column("Field Header Card", form, dim=dim, array=text)])
+    head.name = "LDAC_IMHEAD"
+    objects = fits.BinTableHDU.from_columns([fits.Column("ALPHA_J2000", "D", array=[1.0, 2.0], unit="deg")])
+    objects.name = "LDAC_OBJECTS"
+    fits.HDUList([fits.PrimaryHDU(), head, objects]).writeto(tmp_path / f"l{ending}")
+    table = read_table(tmp_path / f"l{ending}")
+    assert table.colnames == ["ALPHA_J2000"] and table.meta["MJD-OBS"] == 58000.5 and "sameas_notes" not in table.meta
+
+
+def test_what_is_only_read_is_not_written(tmp_path):
+    assert set(known_formats()) - set(written_formats()) == {"sextractor", "ipac", "mrt", "vizier", "ascii"}
+    with pytest.raises(InputError, match=r"the extension '.tbl' is not known; known are .fits"):
+        write_table(Table({"x": [1]}), tmp_path / "t.tbl", provenance={})
+    with pytest.raises(InputError, match=r"IPAC table is read, not written; give one of fits, votable"):
+        write_table(Table({"x": [1]}), tmp_path / "t.tbl", provenance={}, format="ipac")
+
+
+def test_a_file_of_another_extension_is_known_by_its_first_bytes(tmp_path):
+    write_table(Table({"x": [1.0]}), tmp_path / "t.fits", provenance={})
+    (tmp_path / "t.fits").rename(tmp_path / "t.cat2")
+    assert read_table(tmp_path / "t.cat2").colnames == ["x"]
+    (tmp_path / "catalogue").write_text(SEXTRACTOR)
+    assert len(read_table(tmp_path / "catalogue")) == 2
