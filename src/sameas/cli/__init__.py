@@ -14,15 +14,19 @@ def main() -> None:
         # Imports make many objects to stay, and a compilation more: looking for garbage among them takes a tenth.
         gc.set_threshold(100_000, 50, 100)
         from sameas.cli.app import app
+        from sameas.cli.outcome import end_cleanly_when_asked
 
+        end_cleanly_when_asked()
         for stream in (sys.stdout, sys.stderr):
             stream.reconfigure(errors="replace")  # type: ignore[union-attr]  # σ where the terminal has none
         if "--debug" not in sys.argv:
             warnings.simplefilter("ignore")
         app()
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
+        from sameas.cli.outcome import exit_code
+
         sys.stderr.write("sameas: stopped; nothing was written\n")
-        sys.exit(130)
+        sys.exit(exit_code(error))
 
 
 __all__ = ["main"]

@@ -28,6 +28,7 @@ COMMANDS = {
     "explain": "Why a record was identified as it was: its competitors, and what other answers would cost.",
     "many": "Identify the records of several catalogues at once and join their tables, one row per object.",
     "frame": "Identify the stars on frames with a catalogue: table, plate solution, regions, pictures and a page each.",
+    "movers": "Find what moves: tracklets of detections, how sure each is, and each of its detections.",
     "picture": "One picture from many sensors: which record of each source is which ship or aircraft, "
     "and how sure that is.",
 }
@@ -82,7 +83,8 @@ for _name, _sentence in COMMANDS.items():
 @app.command("formats")
 def formats() -> None:
     """The file formats that are read and written, with their extensions."""
-    from sameas.io import known_formats
+    from sameas.io import known_formats, written_formats
 
+    written = written_formats()
     for name, extensions in known_formats().items():
-        typer.echo(f"{name:8}  {' '.join(extensions)}")
+        typer.echo(f"{name:10}  {' '.join(extensions)}{'' if name in written else '  (read only)'}")

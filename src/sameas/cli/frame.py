@@ -11,7 +11,6 @@ from sameas.cli.options import (
     Debug,
     Folder,
     Quiet,
-    fields_of,
     frame_option,
     known_format,
     one_of,
@@ -19,6 +18,7 @@ from sameas.cli.options import (
     with_columns,
 )
 from sameas.cli.outcome import INPUT_ERROR, answering
+from sameas.front.options import fields_of
 
 _PLACE, _IMAGE, _FILES = "Where it points", "The image", "Outputs"
 
@@ -125,7 +125,8 @@ def frame(
     done again.
     """
     with answering(debug, frame_option):
-        from sameas.cli.framing import FrameRequest, PointingOptions, aim_of, scale_of
+        from sameas.cli.pointing import aim_of, scale_of
+        from sameas.front.framing import FrameRequest, PointingOptions
 
         said = PointingOptions(aim_of(aim), radius, scale_of(scale), header=not ignore_header)
         given = {"gain_e_per_adu": gain, "read_noise_e": read_noise, "saturation_adu": saturation}
@@ -187,13 +188,12 @@ def _stem(path: str) -> str:
 def _run(requests: list[Any], processes: int, again: bool, quiet: bool) -> bool:
     """Does the frames, prints what is to be said; whether any failed."""
     from sameas.cli.frames import Outcome, run_all
-    from sameas.cli.terminal import Printer, notice, tell_compilation
+    from sameas.cli.terminal import Printer, notice, share_compilation
     from sameas.report.frame import frame_lines, one_line, totals
 
     printer = Printer(quiet)
     many = len(requests) > 1
-    if not quiet:
-        tell_compilation()
+    share_compilation(quiet)
 
     def tell(outcome: Outcome) -> None:
         if outcome.told is None:

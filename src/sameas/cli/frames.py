@@ -10,11 +10,13 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
-from sameas.cli.framing import FrameRequest, fulfil
 from sameas.cli.options import frame_option, in_options
+from sameas.cli.outcome import end_cleanly_when_asked, fault
 from sameas.errors import InputError
+from sameas.front.framing import FrameRequest, fulfil
 
 #: Rows of progress that a terminal shows at once.
 ROWS = 14
@@ -81,6 +83,8 @@ def _in_processes(
                 outcomes[number] = outcome
         except KeyboardInterrupt:
             pool.shutdown(wait=False, cancel_futures=True)
+            for process in multiprocessing.active_children():
+                process.terminate()
             raise
         finally:
             stages.put(None)
@@ -97,6 +101,7 @@ def _begin(stages: Any) -> None:
 
     global _stages
     _stages = stages
+    end_cleanly_when_asked()
     warnings.simplefilter("ignore")
 
 
@@ -115,18 +120,14 @@ def _one(request: FrameRequest, again: bool, progress: Callable[[str], None]) ->
         before = None if again else request.done()
         if before is not None:
             return Outcome(request, before, skipped=True)
-        told = fulfil(request, progress)
+        told = fulfil(request, progress, partial(in_options, option=frame_option))
         return Outcome(request, told, seconds=time.perf_counter() - began)
     except InputError as error:
         return Outcome(request, None, in_options(error.words, frame_option), seconds=time.perf_counter() - began)
     except MemoryError:
         return Outcome(request, None, f"{request.path}: not enough memory for this frame")
     except Exception as error:
-        words = " ".join(str(error).split())
-        told_fault = (
-            f"{request.path}: unexpected {type(error).__name__}: {words}; this is a fault of sameas, please report it"
-        )
-        return Outcome(request, None, told_fault, seconds=time.perf_counter() - began)
+        return Outcome(request, None, f"{request.path}: {fault(error)}", seconds=time.perf_counter() - began)
 
 
 def _in_a_word(outcome: Outcome) -> str:

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sameas.cli.options import (
-    COLUMN_OPTIONS,
-    FILE_OPTIONS,
+    THE_MATCH,
     Debug,
     DryRun,
     ErrorScale,
@@ -20,15 +19,17 @@ from sameas.cli.options import (
     Quiet,
     in_options,
     known_format,
+    one_of,
     option,
     with_columns,
 )
 from sameas.cli.outcome import answering
 from sameas.errors import InputError
+from sameas.front.options import SIDE_OPTIONS
 
 if TYPE_CHECKING:
     from sameas.cli.outputs import Outputs
-    from sameas.cli.request import Request
+    from sameas.front.request import Request
     from sameas.sky.many import ManyOptions
 
 #: Catalogues that options can speak of; ``sameas.sky.many`` takes no more.
@@ -37,7 +38,7 @@ _PANEL = "Columns and files: of all catalogues, or with a number of one (--sigma
 _PANELS = dict.fromkeys(["", *map(str, range(1, MOST + 1))], _PANEL)
 
 
-@with_columns(_PANELS, (*COLUMN_OPTIONS, *FILE_OPTIONS), numbered_hidden=True)
+@with_columns(_PANELS, SIDE_OPTIONS, numbered_hidden=True)
 def many(
     ctx: typer.Context,
     files: Annotated[
@@ -59,6 +60,13 @@ def many(
     ] = None,
     gate_sigmas: GateSigmas = None,
     error_scale: ErrorScale = "auto",
+    offset: Annotated[
+        str,
+        option(
+            "--offset", panel=THE_MATCH, metavar="none|find", callback=one_of(("none", "find")), show_default=True,
+            help="Find the shift and turn of each catalogue against the most precise one, and take it away.",
+        ),
+    ] = "none",
     out_format: Annotated[
         str | None,
         option("--out-format", metavar="NAME", callback=known_format, help="Format of OUT, as --format."),
@@ -75,10 +83,10 @@ def many(
         raise typer.BadParameter("say -o OUT, the table to write (or --dry-run)", param_hint="-o")
     with answering(debug):
         from sameas.cli.outputs import Outputs
-        from sameas.cli.request import Request
+        from sameas.front.request import Request
         from sameas.sky.many import ManyOptions
 
-        options = ManyOptions(to_epoch, gate_sigmas, error_scale)
+        options = ManyOptions(to_epoch, gate_sigmas, error_scale, offset=offset)
         for check in (options.of_two().errors, options.of_two().gate):
             check()
         request = Request(tuple(map(str, files)), options, columns)
@@ -102,28 +110,26 @@ def _check(request: Request[ManyOptions], least: int) -> None:
 
 def run(request: Request[ManyOptions], outputs: Outputs | None, least: int, quiet: bool) -> None:
     """Read, understand, identify, say, write; without ``outputs`` only the first two."""
-    from sameas.cli.provenance import of_many
-    from sameas.cli.terminal import Pace, Printer, tell_compilation
-    from sameas.report.many import estimate_lines, summary_lines
-    from sameas.sky.many import joined_many, match_many
+    from sameas.cli.reading import catalogues as read_catalogues
+    from sameas.cli.terminal import Pace, Printer, share_compilation
+    from sameas.front.many import MatchMany, identified
 
     began = time.perf_counter()
     printer = Printer(quiet)
     if outputs is not None:
         outputs.check(request.paths)
     with Pace(quiet) as pace:
-        catalogues = request.catalogues(printer, pace)
+        catalogues = read_catalogues(request, printer, pace)
         if outputs is None:
             printer(["Nothing was identified or written (--dry-run)."])
             return
-        if not quiet:
-            tell_compilation()
-        match = match_many(catalogues, request.options, progress=pace)
+        share_compilation(quiet)
+        match = MatchMany(identified(request, catalogues, progress=pace), request, least)
         pace.pause()
-        printer([*estimate_lines(match, in_options), "", *summary_lines(match)])
+        printer(match.result_lines(in_options))
         pace("joining the tables")
-        table = joined_many(match, least=least)
+        table = match.table
         pace(f"writing {outputs.path}")
         rows = f"objects of {least} or more catalogues"
-        written = outputs.write(table, of_many(request, match, outputs.command), rows)
+        written = outputs.write(table, match.facts(outputs.command, in_options), rows)
     printer(["", written, f"Time: {time.perf_counter() - began:.1f} s"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -33,8 +32,8 @@ from sameas.sky.join_types import JOINS
 
 if TYPE_CHECKING:
     from sameas.cli.outputs import Outputs
-    from sameas.cli.request import Request
     from sameas.cli.terminal import Pace, Printer
+    from sameas.front.request import Request
     from sameas.sky.catalogue import Catalogue
     from sameas.sky.crossmatch import MatchOptions, SkyMatch
 
@@ -145,7 +144,7 @@ def match(
         raise typer.BadParameter("say -o OUT, the table to write (or --dry-run)", param_hint="-o")
     with answering(debug):
         from sameas.cli.outputs import Outputs
-        from sameas.cli.request import Request
+        from sameas.front.request import Request
 
         columns |= {"format1": format1, "format2": format2, "hdu1": hdu1, "hdu2": hdu2}
         options = match_options(to_epoch, gate_sigmas, error_scale, density, magnitudes, offset, precision)
@@ -201,11 +200,9 @@ def match_options(
 
 def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quiet: bool) -> None:
     """Match, print, write."""
-    from sameas.cli.provenance import of_match
-    from sameas.cli.terminal import Pace, Printer, tell_compilation
-    from sameas.report.match import estimate_lines, nearest_lines, summary_lines
-    from sameas.sky import crossmatch
-    from sameas.sky.joins import joined
+    from sameas.cli.terminal import Pace, Printer, share_compilation
+    from sameas.front.match import identified
+    from sameas.report.match import nearest_lines
 
     if joining.pictures is not None:
         from sameas.plots.sheet import required
@@ -215,26 +212,27 @@ def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quie
     began = time.perf_counter()
     printer = Printer(quiet)
     with Pace(quiet) as pace:
-        first, second = _understood(request, printer, pace)
-        if not quiet:
-            tell_compilation()
-        match = request.naming_sides(lambda: crossmatch.match(first, second, request.options, progress=pace))
+        catalogues = _understood(request, printer, pace)
+        share_compilation(quiet)
+        match = identified(request, catalogues, progress=pace, join=joining.join, nway_columns=joining.nway_columns)
+        assert match.sky is not None
         pace("report")
-        lines = [*estimate_lines(match, in_options), "", *summary_lines(match)]
+        lines = match.result_lines(in_options)
         if joining.compare_nearest:
-            lines += ["", *nearest_lines(match)]
+            lines += ["", *nearest_lines(match.sky)]
         if joining.certify:
-            match.result.best.certify(match.result.groups)
-            lines += ["", f"Certificate: {match.result.best.certificate(match.result.groups)}"]
+            best, groups = match.identification.best, match.identification.groups
+            best.certify(groups)
+            lines += ["", f"Certificate: {best.certificate(groups)}"]
         pace.pause()
         printer(lines)
         pace("joining the tables")
-        table = joined(match, joining.join, nway_columns=joining.nway_columns)
+        table = match.table
         pace(f"writing {outputs.path}")
-        written = outputs.write(table, of_match(request, match, outputs.command), joining.join)
+        written = outputs.write(table, match.facts(outputs.command, in_options), joining.join)
     printer(["", written])
     if joining.pictures is not None:
-        printer([f"Pictures: {joining.pictures}/: {', '.join(drawn(match, joining.pictures))}"])
+        printer([f"Pictures: {joining.pictures}/: {', '.join(drawn(match.sky, joining.pictures))}"])
     printer([f"Time: {time.perf_counter() - began:.1f} s; peak memory: {_peak_memory()}"])
 
 
@@ -243,27 +241,30 @@ def look(request: Request[MatchOptions], quiet: bool) -> None:
     from sameas.cli.terminal import Pace, Printer
     from sameas.estimate.coverage import Coverage
     from sameas.report.match import coverage_lines
+    from sameas.sky.assumed import completed
     from sameas.sky.crossmatch import brought_together, density_doubts
 
     printer = Printer(quiet)
     with Pace(quiet) as pace:
         first, second = _understood(request, printer, pace)
         pace("motion")
+        (first, second), assumed = completed((first, second), request.options.epoch_jyr)
         together = request.naming_sides(lambda: brought_together(first, second, request.options.epoch_jyr))
         _, moved, one, two = together
         pace("densities")
         coverage = Coverage.of(one, two)
-        lines = coverage_lines(moved, coverage, density_doubts(coverage, request.options))
+        lines = coverage_lines(moved, coverage, assumed + density_doubts(coverage, request.options))
     printer([*lines, "", "Nothing was identified or written (--dry-run)."])
 
 
 def _understood(request: Request[MatchOptions], printer: Printer, pace: Pace) -> tuple[Catalogue, Catalogue]:
     """Both catalogues, printed as soon as each is understood."""
+    from sameas.cli.reading import catalogues
     from sameas.report.prose import DOUBT
 
-    first, second = request.catalogues(printer, pace)
-    if os.path.samefile(*request.paths):
-        printer([f"{DOUBT}{request.paths[0]} is given twice: every record will be found to be itself", ""])
+    first, second = catalogues(request, printer, pace)
+    if request.twice:
+        printer([f"{DOUBT}{request.twice}", ""])
     return first, second
 
 

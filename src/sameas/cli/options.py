@@ -1,7 +1,7 @@
-"""Options: declared once for all commands, and how the arguments of the library are named by them.
+"""Options: those of several commands, and how the arguments of the library are named by them.
 
-``--ra`` speaks of all catalogues, ``--ra1`` of the first and ``--ra2`` of the second; those with a number win. Options
-that only one command has stand in its signature.
+Those of catalogues are declared in :mod:`sameas.front.options`; those that only one command has stand in its
+signature.
 """
 
 from __future__ import annotations
@@ -10,67 +10,28 @@ import difflib
 import inspect
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from sameas.errors import Argument, Message
+from sameas.front.options import COLUMN_OPTIONS, SIDE_OPTIONS, ColumnOption
 
-_THREE = tuple[str, str, str]
 _QUOTES = "'"
 
 
-@dataclass(frozen=True)
-class ColumnOption:
-    """An option of a catalogue: its name without dashes, the field of ``CatalogueOptions``, what it takes."""
-
-    name: str
-    field: str
-    metavar: str
-    help: str
-    kind: Any = str
-
-    @property
-    def parameter(self) -> str:
-        """The name as a parameter of a function."""
-        return self.name.replace("-", "_")
-
-    def spelled(self, side: str, panel: str, hidden: bool) -> inspect.Parameter:
-        """The parameter for typer to read: of the catalogue of a number, or of all where ``side`` is empty."""
-        declared = option(
-            f"--{self.name}{side}", panel=panel, metavar=self.metavar, help="" if side else self.help, hidden=hidden
-        )
-        return inspect.Parameter(
-            self.parameter + side,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=None,
-            annotation=Annotated[self.kind | None, declared],
-        )
-
-
-COLUMN_OPTIONS = (
-    ColumnOption("ra", "ra", "NAME", "Column of right ascension."),
-    ColumnOption("dec", "dec", "NAME", "Column of declination."),
-    ColumnOption("id", "id", "NAME", "Column of identifiers; they must be unique."),
-    ColumnOption("sigma", "sigma", "NUMBER|NAME|E,N", "Position error, 1σ per axis: a number or columns."),
-    ColumnOption("sigma-unit", "sigma_unit", "UNIT", "Unit of the error: arcsec, mas, deg."),
-    ColumnOption("ellipse", "ellipse", "A B PA", "Columns: 1σ semi-axes, angle of A east of north.", _THREE),
-    ColumnOption("correlation", "correlation", "NAME", "Column: correlation of east and north errors."),
-    ColumnOption("epoch", "epoch", "YEAR|DATE|NAME", "Epoch of the positions, or the column of it."),
-    ColumnOption("pm", "pm", "E,N|none", "Columns of proper motion, east with cos(dec)."),
-    ColumnOption("pm-sigma", "pm_sigma_mas_per_yr", "MAS/YR", "Error of proper motions without one.", float),
-    ColumnOption("parallax", "parallax", "NAME|none", "Column of parallax."),
-    ColumnOption("radial-velocity", "radial_velocity", "NAME|none", "Column of radial velocity."),
-    ColumnOption("magnitude", "magnitude", "NAME|none", "Column of a magnitude."),
-    ColumnOption("sigma-floor", "sigma_floor_arcsec", "ARCSEC", "Quadratically added to the errors.", float),
-    ColumnOption("missing-pm", "missing_pm_mas_per_yr", "MAS/YR", "Spread of unknown proper motions, 1σ.", float),
-)
-FILE_OPTIONS = (
-    ColumnOption("format", "format", "NAME", "Format of a file whose extension does not tell it."),
-    ColumnOption("hdu", "hdu", "HDU", "Number or name of the FITS extension."),
-)
+def _spelled(one: ColumnOption, side: str, panel: str, hidden: bool) -> inspect.Parameter:
+    """The parameter for typer to read: of the catalogue of a number, or of all where ``side`` is empty."""
+    declared = option(
+        f"--{one.name}{side}", panel=panel, metavar=one.metavar or None, help="" if side else one.help, hidden=hidden
+    )
+    return inspect.Parameter(
+        one.parameter + side,
+        inspect.Parameter.KEYWORD_ONLY,
+        default=None,
+        annotation=Annotated[one.kind | None, declared],
+    )
 
 
 def option(*names: str, panel: str | None = None, show_default: bool = False, **settings: Any) -> Any:
@@ -90,7 +51,7 @@ def with_columns(
         written = inspect.signature(command, eval_str=True)
         kept = [p for p in written.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
         more = [
-            one.spelled(side, panel, numbered_hidden and side != "")
+            _spelled(one, side, panel, numbered_hidden and side != "")
             for side, panel in panels.items()
             for one in options
         ]
@@ -101,28 +62,11 @@ def with_columns(
     return spelled
 
 
-def of_side(columns: Mapping[str, Any], parameter: str, side: int) -> Any:
-    """What was said of catalogue 1, 2, …: of it alone, else of all."""
-    own = columns.get(f"{parameter}{side}")
-    return columns.get(parameter) if own is None else own
-
-
-def fields_of(columns: Mapping[str, Any], side: int) -> dict[str, Any]:
-    """The fields of ``CatalogueOptions`` that the user said of catalogue 1, 2, …."""
-    values = {one.field: of_side(columns, one.parameter, side) for one in COLUMN_OPTIONS}
-    return {
-        field: ",".join(value) if isinstance(value, tuple) else value
-        for field, value in values.items()
-        if value is not None
-    }
-
-
-def option_of(argument: Argument, side: int = 0, columns: Mapping[str, Any] | None = None) -> str:
-    """The option of an argument, with what to give it: that of catalogue ``side``, unless it was said of all."""
-    known = next((one for one in (*COLUMN_OPTIONS, *FILE_OPTIONS) if one.field == argument.name), None)
+def option_of(argument: Argument) -> str:
+    """The option of an argument, with what to give it."""
+    known = next((one for one in SIDE_OPTIONS if one.field == argument.name), None)
     name = argument.name.replace("_", "-") if known is None else known.name
-    of_one = side and known is not None and (columns or {}).get(known.parameter) is None
-    return f"--{name}{side if of_one else ''} {argument.value.strip(_QUOTES)}".rstrip()
+    return f"--{name} {argument.value.strip(_QUOTES)}".rstrip()
 
 
 #: What ``sameas frame`` has for arguments whose name is not that of its option.
@@ -136,7 +80,7 @@ def frame_option(argument: Argument) -> str:
 
 def sensor_option(argument: Argument) -> str:
     """The option of ``sameas picture`` for an argument; most are names in the file of ``--sensors``."""
-    return "--sensors" if argument.name == "read_told" else str(argument)
+    return "--sensors" if argument.name == "read_source_options" else str(argument)
 
 
 def in_options(text: str, option: Callable[[Argument], str] = option_of) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -10,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sameas.errors import InputError
-from sameas.io import known_formats, replacing, write_table
+from sameas.front.outputs import is_input
+from sameas.io import replacing, write_table, written_formats
 from sameas.report.prose import count
 
 if TYPE_CHECKING:
@@ -28,11 +28,9 @@ class Outputs:
 
     def check(self, inputs: Sequence[str]) -> None:
         """Refuses an output that could not be written or would destroy an input, before any work is done."""
-        for path in inputs:
-            same = Path(path).exists() and self.path.exists() and os.path.samefile(path, self.path)
-            if same or os.path.realpath(path) == os.path.realpath(self.path):
-                raise InputError(f"{self.path}: is also an input; it would be overwritten; give -o another name")
-        known = tuple(extension for extensions in known_formats().values() for extension in extensions)
+        if is_input(self.path, inputs):
+            raise InputError(f"{self.path}: is also an input; it would be overwritten; give -o another name")
+        known = tuple(extension for extensions in written_formats().values() for extension in extensions)
         if self.format is None and not self.path.name.lower().endswith(known):
             raise InputError(
                 f"{self.path}: its extension does not tell a format; see `sameas formats`, or say --out-format NAME"

@@ -57,6 +57,10 @@ def picture(
         str | None,
         option("--start", panel=_TIMES, metavar="TIME", help="UTC of the first line of files that tell no date."),
     ] = None,
+    without: Annotated[
+        list[str] | None,
+        option("--without", panel=_METHOD, metavar="SOURCE", help="What if: leave this source out; may be repeated."),
+    ] = None,
     no_registration: Annotated[
         bool, option("--no-registration", panel=_METHOD, help="Take the sensors' offsets as zero, or as described.")
     ] = False,
@@ -70,6 +74,10 @@ def picture(
     format: Annotated[
         str, option("--format", panel=_FILES, metavar="parquet|csv", callback=one_of(TABLES), help="Of the tables.")
     ] = "parquet",
+    coast: Annotated[
+        Path | None,
+        option("--coast", panel=_FILES, metavar="GEOJSON", help="Land and shores for the map, finer than the world's."),
+    ] = None,
     no_map: Annotated[bool, option("--no-map", panel=_FILES, help="No map.html.")] = False,
     no_image: Annotated[bool, option("--no-image", panel=_FILES, help="No picture.png.")] = False,
     quiet: Quiet = False,
@@ -86,8 +94,17 @@ def picture(
         raise typer.BadParameter("say --at, or --every with --from and --to, not both", param_hint="--at")
     with answering(debug, sensor_option):
         from sameas.cli.picturing import Instants, Method, PictureOutputs, run
+        from sameas.maps.coast import read_coast
 
         instants = Instants(duration_s(every), at, begin, end)
-        method = Method(registration=not no_registration, identity=not no_identity, memory=not no_memory)
-        outputs = PictureOutputs(output, format, map=not no_map, image=not no_image, command=ctx.meta.get("typed", ""))
+        method = Method(
+            registration=not no_registration,
+            identity=not no_identity,
+            memory=not no_memory,
+            without=tuple(without or ()),
+        )
+        outputs = PictureOutputs(
+            output, format, map=not no_map, image=not no_image, command=ctx.meta.get("typed", ""),
+            coast=None if coast is None else read_coast(coast),
+        )  # fmt: skip
         run(files or [], sensors, start, instants, method, outputs, quiet)

@@ -6,7 +6,7 @@ import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -15,17 +15,18 @@ import numpy as np
 
 from sameas.arrays import FloatArray
 from sameas.cli.options import in_options, sensor_option
-from sameas.cli.provenance import made_by
-from sameas.cli.terminal import Pace, Printer, notice, tell_compilation
+from sameas.cli.terminal import Pace, Printer, notice, share_compilation
 from sameas.errors import InputError
+from sameas.front.provenance import made_by
 from sameas.io import checksum
 from sameas.io.atomic import filling
 from sameas.io.sensors.clock import DAY_S, instant
-from sameas.io.sensors.sources import SensorSource, read_sources, read_told
+from sameas.io.sensors.sources import SensorSource, read_source_options, read_sources
 from sameas.many.rules import SetRule
+from sameas.maps.coast import Coast
 from sameas.maps.sheet import MapAlarm, MapSensor, MapSheet
 from sameas.picture.memory import Past
-from sameas.picture.picture import MOST, Picture, instants
+from sameas.picture.picture import MOST_INSTANTS, Picture, instants
 from sameas.picture.plot_picture import PlotPicture, nameless
 from sameas.picture.watch import Watch
 from sameas.report.picture import assumed_lines, doubt_lines, found_lines, listed, read_lines, scene_lines
@@ -55,7 +56,7 @@ class Instants:
         last = span_s[1] if self.end is None else _time(self.end, "--to", span_s)
         if first > last:
             raise InputError(f"the picture would be from {self._said(first, last)}: it ends before it begins")
-        if self.every_s is not None and (last - first) / self.every_s >= MOST:
+        if self.every_s is not None and (last - first) / self.every_s >= MOST_INSTANTS:
             raise InputError(
                 f"--every {self.every_s:g}s makes {count(round((last - first) / self.every_s))} instants from "
                 f"{span(first, last)}; give a longer time between instants"
@@ -70,11 +71,28 @@ class Instants:
 
 @dataclass(frozen=True)
 class Method:
-    """What is done beside the positions."""
+    """What is done beside the positions. without : names of sources that are left out."""
 
     registration: bool
     identity: bool
     memory: bool
+    without: tuple[str, ...] = ()
+
+    def taken(self, sources: Sequence[SensorSource]) -> list[SensorSource]:
+        """The sources that are not left out.
+
+        Raises
+        ------
+        InputError : a name that no source has; none is left.
+        """
+        names = [source.description.name for source in sources]
+        for name in self.without:
+            if name not in names:
+                raise InputError(f"--without {name}: there is no such source", f"give one of {', '.join(names)}")
+        left = [source for source in sources if source.description.name not in self.without]
+        if not left:
+            raise InputError(f"--without {', '.join(self.without)}: no source is left")
+        return left
 
     def say(self) -> Callable[[Instant, Past], SetRule]:
         """What counts as evidence at an instant."""
@@ -103,13 +121,14 @@ OTHERS = ("objects.geojson", "summary.json", "map.html", "picture.png")
 
 @dataclass(frozen=True)
 class PictureOutputs:
-    """What the user wants to have. format : of the tables. command : as it was typed."""
+    """What the user wants to have. format : of the tables. coast : of the map. command : as it was typed."""
 
     folder: Path
     format: str
     map: bool
     image: bool
     command: str
+    coast: Coast | None = None
 
 
 @dataclass(frozen=True)
@@ -135,7 +154,7 @@ class Made:
             "sources": [_source(source) for source in self.sources],
             "instants": said.instants, "first_s": said.first_s, "last_s": said.last_s,
             "confirmed_objects_by_number_of_sources": list(said.by_sources), "unconfirmed_objects": said.unconfirmed,
-            "objects_per_instant": said.shown, "expected_wrong_per_instant": said.expected_wrong,
+            "objects_per_instant": said.detected, "expected_wrong_per_instant": said.expected_wrong,
             "ambiguous_groups_per_instant": said.ambiguous_groups, "places": asdict(said.places),
             "alarms": [str(alarm) for alarm in said.alarms], "doubts": [*self.doubts, *said.notes],
             "offsets": [_offset(found) for found in self.biases], "misses": [asdict(misses) for misses in said.misses],
@@ -192,6 +211,8 @@ def fullest(picture: Picture) -> float:
 def _drawn(made: Made, draft: Path, outputs: PictureOutputs) -> Iterator[str]:
     """The map and the image; their names."""
     shown = made.sheet()
+    if outputs.coast is not None and shown.plane is not None:
+        shown = replace(shown, ground=outputs.coast.in_plane(shown.plane))
     if outputs.map:
         from sameas.pages.map import write_map_page
 
@@ -259,11 +280,11 @@ def run(
         with Pace(quiet) as pace:
             pace("reading")
             with _remedies(sensors):
-                sources = read_sources(files, read_told(sensors) if sensors else None, start=start)
+                sources = read_sources(files, read_source_options(sensors) if sensors else None, start=start)
+                sources = method.taken(sources)
             pace.pause()
             printer(read_lines((source.reports.source, source.lines()) for source in sources))
-            if not quiet:
-                tell_compilation()
+            share_compilation(quiet)
             made = _made(sources, sensors, when, method, pace, printer)
             pace("writing")
             written = write(made, draft, outputs)

@@ -1,4 +1,4 @@
-"""The terminal: text on stdout, notices and progress on stderr."""
+"""The terminal: text on stdout, notices and progress on stderr; nothing that a file holds can control it."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ import sys
 import textwrap
 import threading
 from collections.abc import Iterable
+from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
+from sameas.errors import printable
 from sameas.report.prose import ALARM, DOUBT, WIDTH
 
 if TYPE_CHECKING:
@@ -32,7 +34,7 @@ class Printer:
 
     def __call__(self, lines: Iterable[str]) -> None:
         """Print lines; when quiet only the doubts and alarms among them, on stderr."""
-        for line in lines:
+        for line in map(printable, lines):
             label = next((label for label in _STYLES if line.startswith(label)), None)
             if self.quiet:
                 if label is not None:
@@ -112,13 +114,16 @@ class Pace:
 
 def notice(message: str) -> None:
     """One line on stderr."""
-    sys.stderr.write(f"sameas: {message}\n")
+    sys.stderr.write(f"sameas: {printable(message)}\n")
 
 
-def tell_compilation() -> None:
-    """Say that kernels are going to be compiled, where this machine has none, and begin with some of them."""
-    from sameas.cli import warmup
+def share_compilation(quiet: bool) -> None:
+    """Where kernels have to be compiled, compile some of them in another process, and, if not quiet, say so."""
+    from sameas.kernels import compiled
 
-    if warmup.needed():
-        notice("compiling kernels for this machine, once; it takes some seconds")
-        warmup.beside()
+    def beside(cache: Path) -> None:
+        from sameas.cli import warmup
+
+        warmup.beside(cache)
+
+    compiled.beginnings[:] = [beside] if quiet else [compiled.say, beside]

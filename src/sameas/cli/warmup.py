@@ -1,8 +1,8 @@
 """The first compilation on a machine, shared out: what comes after the search is compiled beside it.
 
-The kernels are compiled when they are first called and kept for later runs. The search takes about as long to compile
-as the error scales and the sums over hypotheses; a program that is about to identify for the first time says
-``beside()``, and finds these in the cache when it gets there. Without it everything is the same, but later.
+Kernels that are given many items are compiled when they are first called, and kept for later runs. The search takes
+about as long to compile as the error scales and the sums over hypotheses; when the command begins with it, these are
+compiled ``beside`` it, and it finds them in the cache when it gets there. Without it everything is the same, but later.
 """
 
 from __future__ import annotations
@@ -18,34 +18,22 @@ import numpy as np
 
 from sameas.assignment import Hypothesis
 from sameas.groups import Groups
+from sameas.kernels import compiled
 from sameas.prior import PerPair
 
 #: A compilation that has not ended after so many seconds has been stopped.
 LONGEST_S = 120.0
 
 
-def _cache() -> Path | None:
-    """The folder in which compiled sums are kept; None where nothing is compiled."""
-    from sameas.kernels import posterior
+def beside(cache: Path) -> None:
+    """Start to compile scales and sums in a process of its own, unless one does already; nobody has to wait for it.
 
-    statistics = getattr(posterior.exact, "stats", None)  # a plain function where compilation is switched off
-    where = getattr(statistics, "cache_path", None)
-    return Path(str(where)) if where else None
-
-
-def needed() -> bool:
-    """Whether this machine has no compiled sums yet."""
-    cache = _cache()
-    return cache is not None and not any(cache.glob("posterior.exact-*.nbi"))
-
-
-def beside() -> None:
-    """Start to compile scales and sums in a process of its own, unless one does already; nobody has to wait for it."""
-    cache = _cache()
-    if cache is None or not _claimed(cache / "compiling"):
+    cache : the folder in which compiled kernels are kept.
+    """
+    if any(cache.glob("posterior.exact-*.nbi")) or not _claimed(cache / "compiling"):
         return
     quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    command = [sys.executable, "-m", "sameas.cli.warmup"]
+    command = [sys.executable, "-m", "sameas.cli.warmup", str(cache)]
     threading.Thread(target=subprocess.run, args=(command,), kwargs=quiet, daemon=True).start()
 
 
@@ -63,14 +51,14 @@ def _claimed(mark: Path) -> bool:
 
 def compile_sums() -> None:
     """Compile the kernels of the posterior, by summing over one small group: two records against two."""
-    from sameas.posterior import posterior
+    from sameas.posterior import log_evidence, posterior
 
     place = np.array([0, 0, 1, 1], np.int32), np.array([0, 1, 0, 1], np.int32)
     two, ends = np.arange(2, dtype=np.int32), np.array([0, 2])
     group = Groups(np.arange(4), np.array([0, 4]), two, ends, np.array([0, 2, 4]), two, ends, *place)
     weight, none = np.array([1.0, 0.0, 0.0, 1.0]), np.zeros(1)
     best = Hypothesis(weight > 0, weight, np.ones(2), np.zeros(2), none, PerPair(0.0)(group.sizes_1, group.sizes_2))
-    posterior(group, best)
+    log_evidence(group, best, posterior(group, best).p_pair)
 
 
 def compile_scales() -> None:
@@ -82,14 +70,14 @@ def compile_scales() -> None:
 
 
 def _main() -> None:
-    cache = _cache()
+    compiled.compile_all()
     gc.set_threshold(100_000, 50, 100)  # as in the command itself
     try:
         compile_sums()
         compile_scales()
     finally:
-        if cache is not None:
-            (cache / "compiling").unlink(missing_ok=True)
+        for cache in sys.argv[1:]:
+            (Path(cache) / "compiling").unlink(missing_ok=True)
 
 
 if __name__ == "__main__":

@@ -54,7 +54,7 @@ def _next_best(told: Explanation) -> list[str]:
 
 
 def _answers(competitors: Sequence[Competitor], other: Catalogue) -> list[str]:
-    ids = ["nobody" if c.id is None else str(c.id) for c in competitors]
+    ids = ["no partner" if c.id is None else str(c.id) for c in competitors]
     wide = max(map(len, ids))
     lines = [
         f"    {'answer':{wide}}{'probability':>13}{'times less':>12}{'arcsec':>9}{'east':>9}{'north':>9}"

@@ -29,6 +29,7 @@ def findings(match: SkyMatch) -> list[str]:
         *_unmatched(match),
         *entry("errors", _errors_in_words(match)),
         *(entry("  by catalogue", words) if (words := by_source(match)) else ()),
+        *(entry("  in the evidence", words) if (words := _evidence_errors(match)) else ()),
         *_brightness(match),
         *entry("gate", f"{e.gate_sigmas:.1f} quoted σ"),
         *entry("rounds", f"{e.rounds}{_sampled(match)}, " + ("settled" if e.settled else "not settled")),
@@ -143,13 +144,33 @@ def _errors_in_words(match: SkyMatch) -> str:
     """Whether the quoted errors are too small, by how much, and which share of the pairs lies far beyond."""
     e = match.estimate
     scales, scale = e.errors.scales, e.quantities.get("error_scale")
-    if scale is None and len(scales) == 1:
+    if scale is None and len(scales) == 1 and not e.errors.as_modelled:
         return "taken as quoted" if scales[0] == 1.0 else f"{scales[0]:g} times the quoted ones"
     words = f"typically {e.typical_scale:.2f} times the quoted ones" if scale is None else judged(scale)
     if e.tail is None:
         return words
     far = f"{_share(e.tail.share)} of the pairs have errors about {e.tail.factor:.1f} times the quoted ones"
     return f"{words}; a tail: {far}"
+
+
+def _evidence_errors(match: SkyMatch) -> str:
+    """The error model of the evidence, where it is not the quoted errors and their spread."""
+    errors, left = match.estimate.errors, match.estimate.left_open
+    if left is not None:
+        (low, high), (least, most) = left.factors, left.floors
+        return (
+            f"averaged over what few pairs leave open: {low:.2g} to {high:.2g} times those quoted, with a floor of "
+            f"{least:.2g} to {most:.2g} arcsec (95 %)"
+        )
+    if not errors.as_modelled:
+        return ""
+    factors = [errors.typical_scale * factor for factor in (errors.factor_1, errors.factor_2)]
+    both = (
+        f"{factors[0]:.2f} times those quoted"
+        if factors[0] == factors[1]
+        else (f"{factors[0]:.2f} and {factors[1]:.2f} times those quoted")
+    )
+    return f"{both}, with a floor of {errors.typical_scale * float(np.max(errors.floor)):.3g} arcsec for both together"
 
 
 def judged(scale: Quantity) -> str:

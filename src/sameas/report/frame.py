@@ -34,6 +34,7 @@ def frame_lines(told: Mapping[str, Any]) -> list[str]:
         ),
         *entry("plate model", f"{order} those quoted"),
         "",
+        *_understood(told),
         f"Found in {told['catalogue']}",
         *entry("measurements", f"{count(found['measurements'])}, of which {count(found['identified'])} identified"),
         *entry("not in the catalogue", count(found["unidentified"])),
@@ -47,6 +48,13 @@ def frame_lines(told: Mapping[str, Any]) -> list[str]:
         if brightness[what]:
             lines += entry(label, brightness[what]["words"])
     return [*lines, *(line for words in told["notes"] for line in _noted(words))]
+
+
+def _understood(told: Mapping[str, Any]) -> list[str]:
+    """What the catalogue was taken for; summaries of earlier versions lack it."""
+    parts = [line.partition(": ") for line in told.get("understood", ())]
+    lines = [entry(label, text) if text else entry("note", label) for label, _, text in parts]
+    return [f"Catalogue: {told['catalogue']}", *(line for part in lines for line in part), ""] if lines else []
 
 
 def one_line(name: str, told: Mapping[str, Any], state: str) -> str:

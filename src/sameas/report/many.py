@@ -21,11 +21,13 @@ def estimate_lines(match: ManyMatch, words: Callable[[str], str] = str) -> list[
     else:
         told = [f"{c.name} {in_years(c.epoch_jyr)}" for c in match.catalogues if c.epoch_jyr is not None]
         lines += entry("epoch", f"places of the objects are of {in_years(match.epoch_jyr)} ({', '.join(told)})")
+    for name, rotation in match.rotations.items():
+        lines += entry("offset", f"added to {name}: {rotation}")
     for (first, second), pair in match.two_by_two.items():
         found = pair.estimate
         numbers = f"{figures(found.common)} common, gate {found.gate_sigmas:.1f} σ"
         lines += entry("two by two", f"{first} and {second}: {numbers}, residuals {found.typical_scale:.2f} σ")
-    rounds = f"{match.rounds} round{'s' * (match.rounds > 1)}" + ("" if match.settled else ", not settled")
+    rounds = f"{match.iterations} round{'s' * (match.iterations > 1)}" + ("" if match.settled else ", not settled")
     lines += entry("all together", f"estimated in {rounds}")
     return [*lines, *(DOUBT + words(doubt) for doubt in match.doubts)]
 

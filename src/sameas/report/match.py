@@ -250,7 +250,7 @@ def _still_distance(match: SkyMatch, offset: FloatArray) -> FloatArray:
     covariance = 1e-6 * (match.first.astrometry[i].position_covariance + match.second.astrometry[j].position_covariance)
     xx, yy, xy = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]
     x, y = offset.T
-    return np.sqrt((yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy))
+    return np.asarray(np.sqrt((yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)))
 
 
 def _magnitudes(match: SkyMatch) -> list[str]:

@@ -7,16 +7,20 @@ from __future__ import annotations
 
 import math
 import platform
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 import sameas
-from sameas.cli.options import in_options
 
 if TYPE_CHECKING:
-    from sameas.cli.request import Request
+    from sameas.estimate.match import Estimate
+    from sameas.front.request import Request
+    from sameas.result import Identification
+    from sameas.sky.catalogue import Catalogue
     from sameas.sky.crossmatch import MatchOptions, SkyMatch
     from sameas.sky.many import ManyMatch, ManyOptions
+    from sameas.sky.rotation import Rotation
 
 #: What the terms of the error model are called in an output.
 ERROR_NAMES = {
@@ -38,22 +42,28 @@ def _made_now(command: str) -> dict[str, Any]:
     return made_by(command) | {"date_utc": now, "python": platform.python_version()}
 
 
-def of_match(request: Request[MatchOptions], match: SkyMatch, command: str) -> dict[str, Any]:
-    """How the table of two catalogues was made."""
+def of_match(
+    request: Request[MatchOptions], match: SkyMatch, command: str, words: Callable[[str], str] = str
+) -> dict[str, Any]:
+    """How the table of two catalogues was made. words : how a message that names arguments is put."""
+    from importlib.metadata import version
+
     import astropy
-    import numba
     import numpy
+
+    from sameas.sky.joins import joined_names
 
     result, estimate = match.result, match.estimate
     area, density_1, density_2 = match.area_and_densities
     return {
         **_made_now(command),
         "numpy": numpy.__version__,
-        "numba": numba.__version__,
+        "numba": version("numba"),  # it may not have been needed
         "astropy": astropy.__version__,
         **request.facts(),
         "name_1": match.first.name,
         "name_2": match.second.name,
+        **_roles((match.first, match.second), joined_names(match.first.table, match.second.table)),
         "rows_1": len(match.first),
         "rows_2": len(match.second),
         "used_1": len(result.first),
@@ -69,8 +79,11 @@ def of_match(request: Request[MatchOptions], match: SkyMatch, command: str) -> d
         "common_objects": estimate.common,
         "share_1": estimate.share_1,
         "share_2": estimate.share_2,
-        "error_scales": list(estimate.errors.scales),
-        "error_shares": list(estimate.errors.shares),
+        "error_scales": list(estimate.spread.scales),
+        "error_shares": list(estimate.spread.shares),
+        "evidence_error_factor_1": estimate.errors.factor_1,
+        "evidence_error_factor_2": estimate.errors.factor_2,
+        "evidence_error_floor_arcsec": estimate.errors.floor,
         "gate_sigmas": estimate.gate_sigmas,
         "rounds": estimate.rounds,
         "settled": estimate.settled,
@@ -80,20 +93,66 @@ def of_match(request: Request[MatchOptions], match: SkyMatch, command: str) -> d
         "candidates": len(result.pairs),
         "pairs": len(result.matches),
         "expected_wrong": result.expected_wrong,
-        "doubts": [in_options(doubt) for doubt in match.doubts],
+        "doubts": [words(doubt) for doubt in match.doubts],
+    }
+
+
+def _roles(catalogues: Sequence[Catalogue], names: Sequence[Sequence[str]]) -> dict[str, Any]:
+    """By which columns of the joined table a record is found again; None where its catalogue has none.
+
+    names : of the columns of every catalogue in the joined table.
+    """
+    facts: dict[str, Any] = {}
+    for k, (catalogue, joined) in enumerate(zip(catalogues, names, strict=True), 1):
+        called = dict(zip(catalogue.table.colnames, joined, strict=True))
+        choice = catalogue.choice
+        numbered = any("rows are numbered" in line for line in catalogue.interpretation)
+        roles = {"id": None if numbered else choice.id, "ra": choice.ra.name, "dec": choice.dec.name,
+                 "magnitude": choice.magnitude}  # fmt: skip
+        facts |= {f"{role}_column_{k}": None if name is None else called[name] for role, name in roles.items()}
+    return facts
+
+
+def of_records(result: Identification, estimate: Estimate, command: str) -> dict[str, Any]:
+    """How the table of two sources of records was made."""
+    return {
+        **_made_now(command),
+        "name_1": result.first.source,
+        "name_2": result.second.source,
+        "rows_1": result.first.n_table,
+        "rows_2": result.second.n_table,
+        "used_1": len(result.first),
+        "used_2": len(result.second),
+        "common_objects": estimate.common,
+        "share_1": estimate.share_1,
+        "share_2": estimate.share_2,
+        "error_scales": list(estimate.spread.scales),
+        "error_shares": list(estimate.spread.shares),
+        "evidence_error_factor_1": estimate.errors.factor_1,
+        "evidence_error_factor_2": estimate.errors.factor_2,
+        "evidence_error_floor": estimate.errors.floor,
+        "gate_sigmas": estimate.gate_sigmas,
+        "candidates": len(result.pairs),
+        "pairs": len(result.matches),
+        "expected_wrong": result.expected_wrong,
+        "doubts": list(estimate.notes),
     }
 
 
 def _offset(match: SkyMatch) -> dict[str, Any]:
     """What was taken away from the second catalogue: in words, and east, north and turn with their errors, arcsec."""
-    rotation = match.rotation
-    if rotation is None:
+    if match.rotation is None:
         return {"offset": None}
+    return {f"offset{name}": value for name, value in _taken_away(match.rotation).items()}
+
+
+def _taken_away(rotation: Rotation) -> dict[str, Any]:
+    """A rotation as plain values, by the ending of their names."""
     return {
-        "offset": str(rotation),
-        "offset_centre_deg": list(rotation.centre_deg),
-        "offset_arcsec": rotation.vector.tolist(),
-        "offset_arcsec_error": rotation.standard_errors.tolist(),
+        "": str(rotation),
+        "_centre_deg": list(rotation.centre_deg),
+        "_arcsec": rotation.vector.tolist(),
+        "_arcsec_error": rotation.standard_errors.tolist(),
     }
 
 
@@ -113,17 +172,26 @@ def _quantities(match: SkyMatch) -> dict[str, float]:
     return facts
 
 
-def of_many(request: Request[ManyOptions], match: ManyMatch, command: str) -> dict[str, Any]:
-    """How the table of several catalogues was made."""
+def of_many(
+    request: Request[ManyOptions], match: ManyMatch, command: str, words: Callable[[str], str] = str
+) -> dict[str, Any]:
+    """How the table of several catalogues was made. words : how a message that names arguments is put."""
+    from sameas.sky.many.joins import joined_names as joined_many_names
+
     facts, given = _made_now(command), request.facts()
     for k, catalogue in enumerate(match.catalogues, 1):
         facts |= {name: given[name] for name in (f"input_{k}", f"sha256_{k}")}
         facts |= {f"name_{k}": catalogue.name, f"rows_{k}": len(catalogue), f"epoch_{k}": catalogue.epoch_jyr}
         facts[f"options_{k}"] = given[f"options_{k}"]
+    facts |= _roles(match.catalogues, joined_many_names(match))
     facts |= {"options_match": given["options_match"], "epoch_object": match.epoch_jyr}
+    for k, catalogue in enumerate(match.catalogues, 1):
+        if catalogue.name in match.rotations:
+            taken = _taken_away(match.rotations[catalogue.name])
+            facts |= {f"offset{name}_{k}": value for name, value in taken.items()}
     facts |= {f"expected_{'_'.join(names)}": expected for names, expected in match.expected.items()}
-    doubts = [in_options(doubt) for doubt in match.doubts]
-    return facts | {"objects": len(match.objects), "rounds": match.rounds, "doubts": doubts}
+    doubts = [words(doubt) for doubt in match.doubts]
+    return facts | {"objects": len(match.objects), "rounds": match.iterations, "doubts": doubts}
 
 
 def _completeness(match: SkyMatch) -> dict[str, Any]:

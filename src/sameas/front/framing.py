@@ -11,34 +11,35 @@ import json
 import math
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
 import sameas
-from sameas.cli.options import frame_option, in_options
-from sameas.errors import InputError
+from sameas.errors import Argument, InputError, Message, naming
 from sameas.io import checksum, replacing, write_table
 from sameas.io.catalogues import BRIGHT, GAIA, catalogue
 from sameas.io.plate import write_copy, write_solution
 from sameas.io.regions import write_regions
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.frame.calibration import MasterFrames
-from sameas.sky.frame.detect import Detection, detect
+from sameas.sky.frame.detect import detect
+from sameas.sky.frame.detection import Detection
 from sameas.sky.frame.field import Cone
 from sameas.sky.frame.identified import FrameIdentification, Refinement
 from sameas.sky.frame.image import Frame, read
 from sameas.sky.frame.keywords import Given
 from sameas.sky.frame.listing import listing
+from sameas.sky.frame.measurements import Measurements
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex, sky_index
 from sameas.sky.frame.solve import searched, solve
 from sameas.sky.frame.summary import summary
 from sameas.sky.frame.tangent import Pointing
 
 Progress = Callable[[str], None]
-#: What is written beside the table; ``--no-page`` and ``--no-picture`` leave theirs out.
+#: What is written beside the table; pages and pictures are left out where they are not wanted.
 ENDINGS = {"solution": ".wcs", "regions": ".reg", "picture": ".png", "quality": "-fit.png", "page": ".html"}
 _TABLES = {"fits": ".stars.fits", "votable": ".stars.vot", "ecsv": ".stars.ecsv", "csv": ".stars.csv"}
 _TABLES["parquet"] = ".stars.parquet"
@@ -82,9 +83,9 @@ def hints(said: PointingOptions, frame: Frame, *, whole_sky: bool = True) -> lis
     if scale is None:
         if found:
             return found
-        where = "the aim is known, but not the scale; say" if aim else "no plate solution and no aim in the header; say"
-        more = "--scale LO,HI (arcsec per pixel)" if aim else "--aim RA,DEC and --scale LO,HI (arcsec per pixel)"
-        raise InputError(f"{frame.name}: {where} {more}")
+        where = "the aim is known, but not the scale" if aim else "no plate solution and no aim in the header"
+        more = "{scale:LO,HI} (arcsec per pixel)"
+        raise InputError(f"{frame.name}: {where}", naming(f"say {more}" if aim else f"say {{aim:RA,DEC}} and {more}"))
     if aim is not None:
         half_deg = 0.5 * math.hypot(*frame.shape) * scale[1] / 3600.0
         radius = said.radius_deg if said.radius_deg is not None else max(OFF_DEG, OFF_FRAMES * half_deg)
@@ -92,7 +93,8 @@ def hints(said: PointingOptions, frame: Frame, *, whole_sky: bool = True) -> lis
     elif not found:
         if not whole_sky:
             raise InputError(
-                f"{frame.name}: no aim in the header; say --aim RA,DEC, or --catalog bright for the whole sky"
+                f"{frame.name}: no aim in the header",
+                naming("say {aim:RA,DEC}, or {catalogue:'bright'} for the whole sky"),
             )
         found.append(AllSky(scale))
     return found
@@ -126,49 +128,6 @@ def _scale(frame: Frame, wcs: Any) -> tuple[float, float] | None:
         told = Pointing.of_wcs(wcs, frame.shape).scale_arcsec
         return told * (1 - CLOSE), told * (1 + CLOSE)
     return None
-
-
-def two_numbers(text: str, option: str, what: str) -> tuple[float, float]:
-    """``A,B`` as two numbers."""
-    try:
-        one, two = (float(part) for part in text.split(","))
-    except ValueError:
-        raise InputError(f"{option} {text}: give {what}") from None
-    return one, two
-
-
-def aim_of(text: str | None) -> tuple[float, float] | None:
-    """``RA,DEC`` in degrees, or sexagesimal with right ascension in hours."""
-    if text is None:
-        return None
-    what = "RA,DEC in degrees, or 04:10:09,+22:50:22"
-    if ":" not in text and "h" not in text:
-        ra, dec = two_numbers(text, "--aim", what)
-    else:
-        from astropy.coordinates import SkyCoord
-
-        try:
-            at = SkyCoord(*text.split(","), unit=("hourangle", "deg"))
-        except (ValueError, TypeError) as error:
-            raise InputError(f"--aim {text}: give {what}") from error
-        ra, dec = float(at.ra.deg), float(at.dec.deg)
-    if not (math.isfinite(ra) and -90 <= dec <= 90):
-        raise InputError(f"--aim {text}: give {what}")
-    return ra % 360.0, dec
-
-
-def scale_of(text: str | None) -> tuple[float, float] | None:
-    """``LO,HI``, or one number with five per cent either way."""
-    if text is None:
-        return None
-    if "," not in text:
-        one, _ = two_numbers(f"{text},0", "--scale", "LO,HI in arcsec per pixel")
-        low, high = one * (1 - CLOSE), one * (1 + CLOSE)
-    else:
-        low, high = two_numbers(text, "--scale", "LO,HI in arcsec per pixel")
-    if not 0 < low <= high < math.inf:
-        raise InputError(f"--scale {text}: give LO,HI in arcsec per pixel, both above zero, the smaller one first")
-    return low, high
 
 
 @dataclass(frozen=True)
@@ -234,38 +193,70 @@ class FrameRequest:
         return told if same and all(path.exists() for path in self.outputs().values()) else None
 
 
-def fulfil(request: FrameRequest, progress: Progress = lambda stage: None) -> dict[str, Any]:
+def fulfil(
+    request: FrameRequest, progress: Progress = lambda stage: None, words: Callable[[str], str] = str
+) -> dict[str, Any]:
     """Does all of it, and returns the summary that it has written too.
+
+    words : how a message that names arguments is put.
 
     Raises
     ------
     InputError : anything about the frame, the catalogue or the outputs that cannot be used.
     """
     began = time.perf_counter()
-    digest, frame = request.digest(), _frame(request, progress)
+    request.digest()  # refuses what is not there before anything is done
+    frame = frame_of(request, progress)
     progress("detecting")
     measured = detect(frame, Detection(threshold_sigmas=request.threshold_sigmas))
     detected = time.perf_counter()
-    found = _found(request, frame, measured, progress)
+    found, stars = found_on(request, frame, measured, progress)
     solved = time.perf_counter()
     progress("writing")
+    return write(request, frame, found, summary_of(found, frame, stars, words), [detected - began, solved - detected])
+
+
+def summary_of(
+    found: FrameIdentification, frame: Frame, stars: Catalogue, words: Callable[[str], str] = str
+) -> dict[str, Any]:
+    """The summary of a frame, with what its catalogue was taken for and what looks wrong with it.
+
+    words : how a message that names arguments is put.
+    """
+    told = summary(replace(found, notes=(*found.notes, *(f"doubt: {words(doubt)}" for doubt in stars.doubts))), frame)
+    return told | {"understood": [words(line) for line in stars.interpretation]}
+
+
+def write(
+    request: FrameRequest,
+    frame: Frame,
+    found: FrameIdentification,
+    facts: dict[str, Any],
+    seconds: Sequence[float] = (),
+    digest: str | None = None,
+) -> dict[str, Any]:
+    """Writes all outputs of a request, and returns the summary that it has written too.
+
+    facts : its summary. seconds : to the detections, and from there to the identification. digest : of what it was made
+    of, where that is not files.
+    """
+    began = time.perf_counter()
     told = {
-        "program": "sameas", "version": sameas.__version__, "digest": digest, "file": str(Path(request.path).resolve()),
-        **summary(found, frame),
+        "program": "sameas", "version": sameas.__version__, "digest": request.digest() if digest is None else digest,
+        "file": str(Path(request.path).resolve()), **facts,
     }  # fmt: skip
-    _write(request, frame, found, told)
-    told["seconds"] = {
-        "to_detections": round(detected - began, 2),
-        "to_identification": round(solved - detected, 2),
-        "to_outputs": round(time.perf_counter() - solved, 2),
-    }
+    _write(request, frame, found, told, facts)
+    steps = [*seconds, time.perf_counter() - began]
+    named = ("to_detections", "to_identification", "to_outputs")[-len(steps) :]
+    told["seconds"] = {name: round(step, 2) for name, step in zip(named, steps, strict=True)}
     told["outputs"] = {what: path.name for what, path in request.outputs().items()}
     with replacing(request.summary_path) as draft:
         draft.write_text(json.dumps(told, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     return told
 
 
-def _frame(request: FrameRequest, progress: Progress) -> Frame:
+def frame_of(request: FrameRequest, progress: Progress) -> Frame:
+    """The frame of a request, read and calibrated."""
     from astropy.time import Time
 
     progress("reading")
@@ -286,21 +277,24 @@ def _moment(said: str, kind: Any) -> Any:
     try:
         return kind(said, scale="utc") if year is None else kind(year, format="jyear", scale="tdb")
     except ValueError:
-        raise InputError(
-            f"--time {said}: give a date such as 2018-10-18T03:01:20, or a year such as 2018.795"
-        ) from None
+        given = Message(Argument("time", said), ": give a date such as 2018-10-18T03:01:20, or a year such as 2018.795")
+        raise InputError(given) from None
 
 
-def _found(request: FrameRequest, frame: Frame, measured: Any, progress: Progress) -> FrameIdentification:
+def found_on(
+    request: FrameRequest, frame: Frame, measured: Measurements, progress: Progress, given: Catalogue | None = None
+) -> tuple[FrameIdentification, Catalogue]:
+    """The frame identified, and the catalogue with which it was. given : the catalogue, where it is in memory."""
     own_hints = hints(request.said, frame, whole_sky=request.catalogue.lower() != GAIA)
     near = searched(own_hints, frame.shape)
     progress("reading the catalogue")
-    stars = _catalogue(request, near, progress)
+    stars = _catalogue(request, near, progress) if given is None else given
     moment = frame.facts.mid_time
     if moment is None and stars.epoch_jyr is not None:
         raise InputError(
             f"{frame.name}: the header has no time of the exposure (DATE-OBS, MJD-OBS, JD), so the stars cannot be "
-            "moved to it; say --time DATE"
+            "moved to it",
+            naming("say {time:DATE}"),
         )
     epoch = None if moment is None else float(moment.tdb.jyear)
     all_sky = next((hint for hint in own_hints if isinstance(hint, AllSky)), None)
@@ -311,16 +305,16 @@ def _found(request: FrameRequest, frame: Frame, measured: Any, progress: Progres
         own_hints,
         epoch_jyr=epoch,
         refinement=Refinement(order=request.order, magnitudes=request.magnitudes),
-        index=None if all_sky is None else _index(_key(request, near), epoch, frame.shape, all_sky),
+        index=None if all_sky is None or given else _index(_key(request, near), epoch, frame.shape, all_sky),
         motion=request.motion,
         faintest=request.faintest,
     )
-    return replace(
-        found, notes=(*found.notes, *(f"doubt: {in_options(words, frame_option)}" for words in stars.doubts))
-    )
+    return found, stars
 
 
-def _write(request: FrameRequest, frame: Frame, found: FrameIdentification, told: dict[str, Any]) -> None:
+def _write(
+    request: FrameRequest, frame: Frame, found: FrameIdentification, told: dict[str, Any], facts: dict[str, Any]
+) -> None:
     folder = Path(request.folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -328,8 +322,9 @@ def _write(request: FrameRequest, frame: Frame, found: FrameIdentification, told
         raise InputError(f"{folder}: cannot be made ({error.strerror}); say -o another folder") from error
     paths = request.outputs()
     rows = listing(found)
-    facts = {key: told[key] for key in ("program", "version", "digest", "file", "frame", "catalogue", "epoch_jyr")}
-    write_table(rows, paths["table"], provenance={**facts, "summary": json.dumps(told, ensure_ascii=True)})
+    if told["epoch_jyr"] is not None:
+        rows.meta["REFEPOCH"] = told["epoch_jyr"]
+    write_table(rows, paths["table"], provenance=_in_short(told))
     write_solution(found.plate, paths["solution"])
     radius = 2.0 * found.measured.psf_fwhm_px * told["place"]["scale_arcsec_per_px"]
     write_regions(rows, paths["regions"], radius_arcsec=radius)
@@ -338,7 +333,7 @@ def _write(request: FrameRequest, frame: Frame, found: FrameIdentification, told
     if "page" in paths:
         from sameas.pages import write_frame_page
 
-        write_frame_page(found, frame, paths["page"], brightest=request.brightest)
+        write_frame_page(found, frame, paths["page"], brightest=request.brightest, facts=facts)
     if "picture" in paths:
         from sameas.plots.frame import picture, quality
         from sameas.plots.sheet import save
@@ -347,6 +342,18 @@ def _write(request: FrameRequest, frame: Frame, found: FrameIdentification, told
             warnings.simplefilter("ignore")
             save(picture(found, frame, brightest=request.brightest), paths["picture"])
             save(quality(found), paths["quality"])
+
+
+def _in_short(told: Mapping[str, Any]) -> dict[str, Any]:
+    """How the table was made, from the summary."""
+    named = ("program", "version", "digest", "file", "frame", "catalogue", "epoch_jyr")
+    return {**{key: told[key] for key in named if key in told}, "summary": json.dumps(told, ensure_ascii=True)}
+
+
+def provenance_of(request: FrameRequest, facts: Mapping[str, Any]) -> dict[str, Any]:
+    """How a table that Python writes was made. facts : the summary."""
+    told = {"program": "sameas", "version": sameas.__version__, "file": request.path, **facts}
+    return _in_short(told)
 
 
 # ---- kept from frame to frame of one process ----

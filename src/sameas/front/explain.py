@@ -1,0 +1,224 @@
+"""Why a record was identified as it was, asked of an output: :func:`explain`.
+
+What the output itself holds is enough: its inputs may have moved, and nothing is matched again. Where the inputs of a
+match of two catalogues are still there and small, or where it is asked for, the match is repeated, which tells the
+terms of the odds and what other answers would cost.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sameas.errors import InputError
+
+if TYPE_CHECKING:
+    from astropy.table import Table
+
+    from sameas.sky.crossmatch import SkyMatch
+
+#: Rows of both catalogues up to which the match is repeated without being asked for: under a second (chosen).
+REPEATED = 100_000
+#: What a story lacks that is told by the table of two catalogues.
+ALONE = "Told by the table alone; matching again tells the terms of the odds and the cost of other answers."
+#: Tables of a picture's folder.
+_TABLES = ("objects", "identities")
+
+
+@dataclass(frozen=True, repr=False)
+class Told:
+    """A text for people; ``print`` it, or look at its ``lines``."""
+
+    lines: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines)
+
+    def __repr__(self) -> str:
+        from sameas.front.shown import in_first_lines
+
+        return in_first_lines(self.lines)
+
+
+def explain(
+    output: str | os.PathLike[str],
+    id: Any = None,
+    *,
+    row: int | None = None,
+    source: int | str = 1,
+    at: float | str | None = None,
+    again: bool = False,
+    format: str | None = None,
+    progress: Callable[[str], None] = lambda stage: None,
+) -> Told:
+    """Why a record was identified as it was, from a file that ``match``, ``many``, ``frame`` or ``picture`` wrote.
+
+    Parameters
+    ----------
+    output : the table; of a picture its folder.
+    id : of the record; of a frame the star, or the number of a measurement; of a picture the object's number or label,
+        or with ``source`` a track, line or row.
+    row : instead: of the catalogue, counted from 0; of a frame that of the table.
+    source : number of the catalogue, or its name; of a frame "star" or "measurement"; of a picture the record's source.
+    at : of a picture, the time: seconds, or a date. again : whether to match two catalogues again, for the terms of the
+        odds and the cost of other answers; they must still be where they were.
+    format : of the file where its extension does not tell it. progress : called with what is being done.
+
+    Raises
+    ------
+    InputError : the file does not say how it was made, or has no such record.
+
+    Example: ``print(sameas.explain("identified.fits", 17))``.
+    """
+    path = Path(output)
+    if (id is None) == (row is None):
+        raise InputError("explain: give the id of a record, or row=NUMBER")
+    record, by_row = str(row if id is None else id), id is None
+    progress(f"reading {path}")
+    if path.is_dir():
+        return Told(tuple(_of_picture(path, record, source, at)))
+    from sameas.io import read_provenance, read_table
+
+    facts = read_provenance(path, format=format)
+    kind = _kind(facts, path)
+    if kind == "match":
+        number = _number(facts, source, path)
+        if again or _is_small(facts):
+            told = _repeated(facts, path, record, number, by_row, again, progress)
+            if told is not None:
+                return told
+        from sameas.report.written import match_lines
+
+        progress(f"reading {path}")
+        lines = _either(match_lines, read_table(path, format=format), facts, record, number, by_row)
+        return Told((*lines, "", ALONE))
+    if again:
+        raise InputError(f"{path}: only a match of two catalogues is repeated; leave again out")
+    table = read_table(path, format=format)
+    if kind == "many":
+        from sameas.report.written import many_lines
+
+        return Told(tuple(many_lines(table, facts, record, _number(facts, source, path), by_row)))
+    from sameas.report.written import frame_lines
+
+    sides = {1: 1, "measurement": 1, "1": 1, 2: 2, "star": 2, "2": 2}
+    if source not in sides:
+        raise InputError(f"{path}: source is {source!r}; give measurement or star")
+    return Told(tuple(frame_lines(table, facts, record, sides[source], by_row)))
+
+
+def _kind(facts: Mapping[str, Any], path: Path) -> str:
+    """What an output is of."""
+    if "ra_column_1" in facts:
+        return "match" if "candidates" in facts else "many"
+    if "options_match" in facts and "candidates" in facts:
+        return "match"
+    if "digest" in facts and "frame" in facts:
+        return "frame"
+    raise InputError(f"{path}: does not say how it was made; give a table that `sameas match` wrote")
+
+
+def _number(facts: Mapping[str, Any], source: int | str, path: Path) -> int:
+    """A catalogue's number, from 1."""
+    names = {facts[name]: int(name.removeprefix("name_")) for name in facts if name.startswith("name_")}
+    number = names.get(str(source), int(source) if str(source).isdigit() else 0)
+    if number not in names.values():
+        raise InputError(f"{path}: it has no source {source}; give one of {', '.join(names)}, or its number")
+    return number
+
+
+def _is_small(facts: Mapping[str, Any]) -> bool:
+    return int(facts["rows_1"]) + int(facts["rows_2"]) <= REPEATED
+
+
+def _repeated(
+    facts: Mapping[str, Any],
+    path: Path,
+    record: str,
+    source: int,
+    by_row: bool,
+    again: bool,
+    progress: Callable[[str], None],
+) -> Told | None:
+    """What the match says when it is repeated; None where it cannot be, and was not asked for."""
+    from sameas.front.match import id_of
+    from sameas.front.request import Request
+    from sameas.report.explain import explanation_lines
+    from sameas.sky import crossmatch
+
+    try:
+        request = Request.of_facts(facts, str(path))
+    except InputError:
+        if again or "ra_column_1" not in facts:
+            raise
+        return None
+    first, second = request.catalogue(1), request.catalogue(2)
+    match = request.naming_sides(lambda: crossmatch.match(first, second, request.options, progress=progress))
+    if by_row:
+        record = id_of(match.result.first if source == 1 else match.result.second, None, int(record))
+    return Told(tuple(explanation_lines(match, _explained(match, record, source), source)))
+
+
+def _explained(match: SkyMatch, record: str, source: int) -> Any:
+    try:
+        return match.result.explain(record, source=source)
+    except InputError as error:
+        other = 3 - source
+        try:
+            match.result.explain(record, source=other)
+        except InputError:
+            raise error from None
+        raise _of_other(record, (match.first if other == 1 else match.second).name, other) from None
+
+
+def _either(
+    lines: Callable[..., list[str]], table: Table, facts: Mapping[str, Any], record: str, source: int, by_row: bool
+) -> list[str]:
+    """The lines of a record; where the other catalogue has it, that is said."""
+    try:
+        return lines(table, facts, record, source, by_row)
+    except InputError as error:
+        other = 3 - source
+        try:
+            lines(table, facts, record, other, by_row)
+        except InputError:
+            raise error from None
+        if by_row or facts.get(f"id_column_{other}") is None:
+            raise
+        raise _of_other(record, facts[f"name_{other}"], other) from None
+
+
+def _of_other(record: str, name: str, other: int) -> InputError:
+    from sameas.errors import naming
+
+    return InputError(f"{record} is a record of {name}", naming(f"say {{source:{other}}}"))
+
+
+def _of_picture(folder: Path, record: str, source: int | str, at: float | str | None) -> list[str]:
+    from sameas.io import read_table
+    from sameas.io.sensors.clock import instant
+    from sameas.report.written import picture_lines
+
+    tables = []
+    for name in _TABLES:
+        found = next(
+            (folder / f"{name}.{end}" for end in ("parquet", "csv") if (folder / f"{name}.{end}").exists()), None
+        )
+        if found is None:
+            raise InputError(f"{folder}: has no {name}.parquet or {name}.csv; give the folder of a picture")
+        tables.append(read_table(found))
+    when = None if at is None else float(at) if _is_number(at) else instant(str(at))
+    if at is not None and when is None:
+        raise InputError(f"at={at}: give a time such as 2024-05-01T13:00:00Z, or seconds")
+    return picture_lines(tables[0], tables[1], record, None if source in (1, "1") else str(source), when)
+
+
+def _is_number(text: float | str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,272 @@
+"""Several catalogues identified at once: :func:`match_many`, and the :class:`MatchMany` it gives."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any
+
+from sameas.errors import InputError
+from sameas.front.match import call_text, id_of
+from sameas.front.options import refuse_unknown, side_parameters, with_side_options
+
+if TYPE_CHECKING:
+    from astropy.table import Table
+    from matplotlib.figure import Figure
+
+    from sameas.evidence import Errors
+    from sameas.front.request import Request
+    from sameas.many.explanation import ObjectExplanation
+    from sameas.many.objects import Objects
+    from sameas.sky.catalogue import Catalogue
+    from sameas.sky.many import ManyMatch, ManyOptions
+
+#: Catalogues that options can speak of; ``sameas.sky.many`` takes no more.
+MOST = 8
+
+
+@dataclass(frozen=True, repr=False)
+class MatchMany:
+    """Several catalogues identified at once: what :func:`match_many` gives. ``len()`` of it is the number of objects.
+
+    Attributes
+    ----------
+    sky : the catalogues, the objects, the catalogues identified two by two.
+    request : what was asked for, which :meth:`write` puts into the file. least : how many catalogues an object of
+        :attr:`table` must be in. call : the call that made it.
+    """
+
+    sky: ManyMatch
+    request: Request[ManyOptions]
+    least: int = 1
+    call: str = ""
+
+    def __len__(self) -> int:
+        return len(self.objects)
+
+    @property
+    def objects(self) -> Objects:
+        """The core's result: members, probabilities and states of all objects."""
+        return self.sky.objects
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What looks wrong, of the input and of the result; a sentence each."""
+        return (*(doubt for catalogue in self.sky.catalogues for doubt in catalogue.doubts), *self.sky.doubts)
+
+    @cached_property
+    def table(self) -> Table:
+        """One row per object of ``least`` catalogues or more; see :meth:`joined`."""
+        return self.joined(self.least)
+
+    def joined(self, least: int = 1) -> Table:
+        """One row per object that so many catalogues show, the columns of all side by side.
+
+        Raises
+        ------
+        InputError : ``least`` is not between 1 and the number of catalogues.
+        """
+        from sameas.sky.many import joined_many
+
+        return joined_many(self.sky, least=least)
+
+    def report(self) -> str:
+        """All that is to be said, as the command prints it."""
+        return "\n".join(self.report_lines())
+
+    def report_lines(self, words: Callable[[str], str] = str) -> Iterator[str]:
+        """The lines of :meth:`report`. words : how a message that names arguments is put."""
+        from sameas.report.match import catalogue_lines
+
+        for side, catalogue in enumerate(self.sky.catalogues, 1):
+            path = self.request.sources[side - 1]
+            said = partial(self.request.said, words, side)
+            yield from (*catalogue_lines(catalogue, side, path if isinstance(path, str) else "", said), "")
+        yield from self.result_lines(words)
+
+    def result_lines(self, words: Callable[[str], str] = str) -> list[str]:
+        """What was estimated and found, without what was understood of the input."""
+        from sameas.report.many import estimate_lines, summary_lines
+
+        return [*estimate_lines(self.sky, words), "", *summary_lines(self.sky)]
+
+    def explain(self, id: Any = None, *, row: int | None = None, source: int | str = 1) -> ObjectExplanation:
+        """Why a record is in its object: the sets that it could be in, and what each weighs; ``print`` it.
+
+        Parameters
+        ----------
+        id : of the record. row : in its table, counted from 0, instead. source : number or name of its catalogue.
+
+        Raises
+        ------
+        InputError : no such record or catalogue; a row that could not be used; neither id nor row is given, or both.
+        """
+        import numpy as np
+
+        from sameas.records import Records
+        from sameas.result.explanation import row_of
+
+        names = [catalogue.name for catalogue in self.sky.catalogues]
+        number = names.index(source) if isinstance(source, str) and source in names else source
+        if isinstance(number, str) or (number != source and isinstance(source, int)):
+            raise InputError(f"no catalogue is named {source!r}; give one of {', '.join(names)}, or its number")
+        if isinstance(source, int):
+            if not 1 <= source <= len(names):
+                raise InputError(f"source is {source}; give 1 to {len(names)}, or a name")
+            number = source - 1
+        records = self.objects.given[number]
+        assert isinstance(records, Records)
+        at = row_of(records.ids, id_of(records, id, row), records.source)
+        which = self.objects.of(number).object
+        if np.ma.getmaskarray(which)[at]:
+            reason = records.set_aside.reasons[records.set_aside.rows == at][0]
+            raise InputError(f"{records.source} {records.ids[at]} (row {at}) could not be used: {reason}")
+        return self.objects.explain(int(which[at]))
+
+    def plot(self, first: str | None = None, second: str | None = None, name: str = "residuals") -> Figure:
+        """A picture of two of the catalogues identified with each other; notebooks show it.
+
+        Parameters
+        ----------
+        first, second : names of the catalogues; the first two if not given.
+        name : one of :data:`sameas.front.match.PLOTS`.
+
+        Raises
+        ------
+        InputError : no such catalogues; see :meth:`sameas.Match.plot`.
+        """
+        from sameas.front.match import draw
+
+        names = [catalogue.name for catalogue in self.sky.catalogues]
+        wanted = (first or names[0], second or next(n for n in names if n != (first or names[0])))
+        for pair, found in self.sky.two_by_two.items():
+            if set(pair) == set(wanted):
+                return draw(found, name)
+        raise InputError(f"no catalogues {wanted[0]} and {wanted[1]}; give two of {', '.join(names)}")
+
+    def write(
+        self,
+        path: str | os.PathLike[str],
+        least: int | None = None,
+        *,
+        format: str | None = None,
+        overwrite: bool = True,
+    ) -> None:
+        """Writes the joined table and how it was made; the file is whole or absent.
+
+        Parameters
+        ----------
+        path : the format is that of the extension. format : its name, where the extension does not tell it.
+        least : as of :meth:`joined`; that of :attr:`table` if not given. overwrite : False refuses a path that exists.
+
+        Raises
+        ------
+        InputError : the path cannot be written, or is one of the inputs.
+        """
+        from sameas.front.outputs import refuse_inputs
+        from sameas.io import write_table
+
+        refuse_inputs(path, self.request.paths)
+        table = self.table if least is None else self.joined(least)
+        write_table(table, path, provenance=self.facts(self.call), format=format, overwrite=overwrite)
+
+    def facts(self, command: str, words: Callable[[str], str] = str) -> dict[str, Any]:
+        """How the table was made. command : as it was typed. words : how a message that names arguments is put."""
+        from sameas.front.provenance import of_many
+
+        return of_many(self.request, self.sky, command, words)
+
+    @property
+    def headline(self) -> str:
+        """What it is, in one line."""
+        from sameas.report.prose import count
+
+        names = ", ".join(f"{catalogue.name} ({count(len(catalogue))} rows)" for catalogue in self.sky.catalogues)
+        several = int((self.objects.n_members > 1).sum())
+        return f"Match of {names}: {count(len(self))} objects, {count(several)} of them in several"
+
+    def __repr__(self) -> str:
+        from sameas.front.shown import in_lines
+
+        offers = ".table .joined(2) .objects .report() .explain(id, source=1) .plot() .write(path)"
+        return in_lines(self.headline, self.doubts, offers)
+
+    def _repr_html_(self) -> str:
+        from sameas.front.shown import in_html
+
+        return in_html(self.headline, self.report(), self.plot)
+
+
+@with_side_options(MOST)
+def match_many(
+    *sources: Any,
+    least: int = 1,
+    to_epoch: float | None = None,
+    gate_sigmas: float | None = None,
+    error_scale: float | str | Errors = "auto",
+    offset: str = "none",
+    names: Sequence[str] | None = None,
+    progress: Callable[[str], None] = lambda stage: None,
+    **columns: Any,
+) -> MatchMany:
+    """Which records of several catalogues are the same object, all at once; their order changes nothing.
+
+    Parameters
+    ----------
+    sources : two to eight, each anything that :func:`sameas.match` takes but ``Records``, or one list of them.
+    least : how many catalogues an object of ``.table`` must be in.
+    to_epoch : Julian year of the objects' places; the mean of the catalogues' epochs if not said.
+    gate_sigmas, error_scale : as of :func:`sameas.match`, of every two catalogues.
+    offset : "find" looks for a shift and turn of each catalogue, and takes it away.
+    names : of the catalogues in messages. progress : called with the name of what is being done.
+    columns : what is said of the columns: ``sigma=0.1`` of all, ``epoch3=2000`` of the third.
+
+    Raises
+    ------
+    InputError : fewer than two catalogues or too many; columns that are not understood; options that do not exist.
+
+    Example
+    -------
+    >>> import numpy as np
+    >>> import sameas
+    >>> ra = np.linspace(10.0, 11.0, 30)
+    >>> all_of_them, most = {"ra": ra, "dec": ra}, {"ra": ra[5:], "dec": ra[5:]}
+    >>> found = sameas.match_many(all_of_them, most, all_of_them, sigma=0.1)
+    >>> len(found), len(found.joined(3))
+    (30, 25)
+    """
+    from sameas.front.match import as_source
+    from sameas.front.request import Request
+    from sameas.sky.many import ManyOptions
+
+    if len(sources) == 1 and isinstance(sources[0], list | tuple):
+        sources = tuple(sources[0])
+    if not 2 <= len(sources) <= MOST:
+        raise InputError(f"match_many: {len(sources)} catalogues given; give two to {MOST}")
+    own = {
+        "least": least, "to_epoch": to_epoch, "gate_sigmas": gate_sigmas, "error_scale": error_scale,
+        "offset": offset, "names": names,
+    }  # fmt: skip
+    refuse_unknown(columns, (*own, "progress", *side_parameters(len(sources))), "match_many")
+    if not 1 <= least <= len(sources):
+        raise InputError(f"least is {least}; give 1 to {len(sources)}, in how many catalogues an object must be")
+    said = {name: value for name, value in columns.items() if value is not None}
+    options = ManyOptions(to_epoch, gate_sigmas, error_scale, offset=offset)
+    for check in (options.of_two().errors, options.of_two().gate):
+        check()
+    request = Request(tuple(map(as_source, sources)), options, said, tuple(names or ()))
+    catalogues = request.catalogues()
+    found = identified(request, catalogues, progress=progress)
+    return MatchMany(found, request, least, call_text(match_many, sources, own | said))
+
+
+def identified(
+    request: Request[ManyOptions], catalogues: Sequence[Catalogue], *, progress: Callable[[str], None]
+) -> ManyMatch:
+    """The catalogues of a request, read already, identified at once."""
+    from sameas.sky.many.match import match_many as identify
+
+    found: ManyMatch = request.naming_sides(lambda: identify(catalogues, request.options, progress=progress))
+    return found

@@ -1,0 +1,425 @@
+"""Two sources identified of which nothing is known but what they say: :func:`match`, and the :class:`Match` it gives.
+
+``match(a, b)`` reads, understands, identifies; everything else is asked of the result. The command ``sameas match`` is
+this with files, its report printed as it grows.
+"""
+
+from __future__ import annotations
+
+import inspect
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any
+
+from sameas.errors import InputError
+from sameas.evidence import Errors
+from sameas.front.options import refuse_unknown, side_parameters, with_side_options
+from sameas.front.tables import kind_of
+from sameas.records import Records
+
+if TYPE_CHECKING:
+    from astropy.table import Table
+    from matplotlib.figure import Figure
+
+    from sameas.estimate.match import Estimate
+    from sameas.evidence import Magnitudes
+    from sameas.front.request import Request
+    from sameas.result import Explanation, Identification
+    from sameas.sky.catalogue import Catalogue
+    from sameas.sky.crossmatch import MatchOptions, SkyMatch
+
+#: The pictures of a match of catalogues, the one drawn where none is named first.
+PLOTS = ("residuals", "normalised", "scatter", "certainty", "brightness", "ambiguous")
+
+
+@dataclass(frozen=True, repr=False)
+class Match:
+    """Two sources identified: what :func:`match` gives.
+
+    ``len()`` of it is the number of identified pairs.
+
+    Attributes
+    ----------
+    identification : the core's result: every candidate, probabilities of all, groups, the evidence term by term.
+    estimate : what was estimated: common objects, errors, densities, brightness.
+    sky : both catalogues with their motions; None where records were matched, which have no columns.
+    join, nway_columns : of :attr:`table`.
+    request : what was asked for, which :meth:`write` puts into the file.
+    notes : what looks wrong with what was given. call : the call that made it, for the output's provenance.
+    """
+
+    identification: Identification
+    estimate: Estimate
+    sky: SkyMatch | None = None
+    join: str = "all1"
+    nway_columns: bool = False
+    request: Request[MatchOptions] | None = None
+    notes: tuple[str, ...] = ()
+    call: str = ""
+
+    @classmethod
+    def of_sky(cls, found: SkyMatch, request: Request[MatchOptions], **table: Any) -> Match:
+        """The match of two catalogues that was asked for so."""
+        notes = (request.twice,) if request.twice else ()
+        return cls(found.result, found.estimate, found, request=request, notes=notes, **table)
+
+    def __len__(self) -> int:
+        return len(self.identification.matches)
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """The sources' names."""
+        return self.identification.first.source, self.identification.second.source
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What looks wrong, of the input and of the result; a sentence each."""
+        if self.sky is None:
+            return (*self.notes, *self.estimate.notes)
+        return (*self.notes, *self.sky.first.doubts, *self.sky.second.doubts, *self.sky.doubts)
+
+    @property
+    def expected_wrong(self) -> float:
+        """How many of the identified pairs are expected to be wrong."""
+        return self.identification.expected_wrong
+
+    @property
+    def expected_missed(self) -> float:
+        """How many true pairs among the candidates are expected to be missing from the identified ones."""
+        return self.identification.expected_missed
+
+    @cached_property
+    def pairs(self) -> Table:
+        """The identified pairs: ``row_1``, ``row_2``, ``id_1``, ``id_2`` in the two sources, ``p_match``, separation,
+        ``mahalanobis`` and ``log_odds``; sorted by the first source."""
+        from sameas.sky.joins import pair_table
+
+        return pair_table(self.identification)
+
+    @cached_property
+    def table(self) -> Table:
+        """The joined table, by :attr:`join`: all columns of both, and what is said of each row; see :meth:`joined`."""
+        return self.joined(self.join, nway_columns=self.nway_columns)
+
+    def joined(self, join: str = "all1", *, nway_columns: bool = False) -> Table:
+        """The joined table.
+
+        Parameters
+        ----------
+        join : by the names of STILTS: all1, 1and2, all2, 1or2, 1not2, 2not1, 1xor2; or pairs, every candidate.
+        nway_columns : add ``p_any``, ``p_i`` and ``dist_bayesfactor`` by NWAY's names.
+
+        Raises
+        ------
+        InputError : an unknown join.
+        """
+        from sameas.sky.joins import RecordsMatch, joined
+
+        found = RecordsMatch(self.identification, self.estimate.coverage) if self.sky is None else self.sky
+        return joined(found, join, nway_columns=nway_columns)
+
+    def report(self) -> str:
+        """All that is to be said of the match, as the command prints it."""
+        return "\n".join(self.report_lines())
+
+    def report_lines(self, words: Callable[[str], str] = str) -> Iterator[str]:
+        """The lines of :meth:`report`. words : how a message that names arguments is put."""
+        from sameas.report.match import catalogue_lines
+        from sameas.report.prose import DOUBT
+
+        yield from (f"{DOUBT}{note}" for note in self.notes)
+        if self.sky is not None:
+            for side, catalogue in enumerate((self.sky.first, self.sky.second), 1):
+                said = words if self.request is None else partial(self.request.said, words, side)
+                yield from (*catalogue_lines(catalogue, side, self._path(side), said), "")
+        yield from self.result_lines(words)
+
+    def result_lines(self, words: Callable[[str], str] = str) -> list[str]:
+        """What was estimated and found, without what was understood of the input."""
+        from sameas.report.match import estimate_lines, summary_lines
+        from sameas.report.records import records_lines
+
+        if self.sky is None:
+            return records_lines(self.identification, self.estimate)
+        return [*estimate_lines(self.sky, words), "", *summary_lines(self.sky)]
+
+    def _path(self, side: int) -> str:
+        source = "" if self.request is None else self.request.sources[side - 1]
+        return source if isinstance(source, str) else ""
+
+    def explain(self, id: Any = None, *, row: int | None = None, source: int = 1) -> RecordStory:
+        """Why a record was identified as it was: its competitors, and what other answers would cost; ``print`` it.
+
+        Parameters
+        ----------
+        id : of the record. row : in its table, counted from 0, instead.
+        source : 1 or 2, whose record it is.
+
+        Raises
+        ------
+        InputError : no such record; neither id nor row is given, or both.
+        """
+        from sameas.report.explain import explanation_lines
+
+        if source not in (1, 2):
+            raise InputError(f"source is {source}; give 1 or 2")
+        records = self.identification.first if source == 1 else self.identification.second
+        told = self.identification.explain(id_of(records, id, row), source=source)
+        lines = str(told).splitlines() if self.sky is None else explanation_lines(self.sky, told, source)
+        return RecordStory(tuple(lines), told)
+
+    def plot(self, name: str = PLOTS[0], *, record: Any = None) -> Figure:
+        """A picture of the match, as matplotlib has figures; notebooks show it.
+
+        name : residuals, before and after motion; normalised, in quoted σ; scatter, by error and magnitude; certainty;
+            brightness; ambiguous, the records that compete most. record : of the first source, by its id, whose
+            competitors are drawn instead of those.
+
+        Raises
+        ------
+        InputError : an unknown name; records have no pictures; matplotlib is missing, or there is nothing to draw.
+        """
+        if self.sky is None:
+            raise InputError("pictures are drawn of catalogues; these are records without columns")
+        return draw(self.sky, name, record)
+
+    def write(
+        self,
+        path: str | os.PathLike[str],
+        join: str | None = None,
+        *,
+        format: str | None = None,
+        overwrite: bool = True,
+    ) -> None:
+        """Writes the joined table and how it was made; the file is whole or absent.
+
+        Parameters
+        ----------
+        path : the format is that of the extension: FITS, VOTable, ECSV, CSV, Parquet. format : its name, where the
+            extension does not tell it. join : as of :meth:`joined`; that of :attr:`table` if not given.
+        overwrite : False refuses a path that exists.
+
+        Raises
+        ------
+        InputError : the path cannot be written, or is one of the inputs.
+        """
+        from sameas.front.outputs import refuse_inputs
+        from sameas.io import write_table
+
+        if self.request is not None:
+            refuse_inputs(path, self.request.paths)
+        table = self.table if join is None else self.joined(join, nway_columns=self.nway_columns)
+        write_table(table, path, provenance=self.facts(self.call, join=join), format=format, overwrite=overwrite)
+
+    def facts(self, command: str, words: Callable[[str], str] = str, join: str | None = None) -> dict[str, Any]:
+        """How the table was made. command : as it was typed. words : how a message that names arguments is put. join :
+        of the table, that of :attr:`table` if not given."""
+        from sameas.front.provenance import of_match, of_records
+
+        if self.sky is None or self.request is None:
+            return of_records(self.identification, self.estimate, command)
+        return of_match(self.request, self.sky, command, words) | {"join": join or self.join}
+
+    @property
+    def headline(self) -> str:
+        """What it is, in one line."""
+        from sameas.front.shown import expected
+        from sameas.report.prose import count
+
+        sizes = [f"{records.source} ({count(records.n_table)} rows)"
+                 for records in (self.identification.first, self.identification.second)]  # fmt: skip
+        return (
+            f"Match of {' and '.join(sizes)}: {count(len(self))} pairs, {expected(self.expected_wrong)} expected wrong"
+        )
+
+    def __repr__(self) -> str:
+        from sameas.front.shown import in_lines
+
+        offers = ".table .joined('1or2') .pairs .report() .explain(id) .plot() .write(path)"
+        return in_lines(self.headline, self.doubts, offers)
+
+    def _repr_html_(self) -> str:
+        from sameas.front.shown import in_html
+
+        return in_html(self.headline, self.report(), self.plot)
+
+
+def draw(found: SkyMatch, name: str, record: Any = None) -> Figure:
+    """The picture of a name of a match of two catalogues; see :meth:`Match.plot`."""
+    from sameas import plots
+
+    if name not in PLOTS:
+        raise InputError(f"there is no picture {name!r}; give one of {', '.join(PLOTS)}")
+    if name == PLOTS[-1]:
+        return plots.group(found, record=record)
+    figure: Figure = getattr(plots, name)(found)
+    return figure
+
+
+@dataclass(frozen=True, repr=False)
+class RecordStory:
+    """Why one record was identified as it was; ``print`` it.
+
+    lines : of the text. explanation : the same as values.
+    """
+
+    lines: tuple[str, ...]
+    explanation: Explanation
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines)
+
+    def __repr__(self) -> str:
+        from sameas.front.shown import in_first_lines
+
+        return in_first_lines(self.lines)
+
+
+def id_of(records: Records, id: Any, row: int | None) -> Any:
+    if (id is None) == (row is None):
+        raise InputError("explain: give the id of a record, or row=NUMBER")
+    if row is None:
+        return id
+    if not 0 <= row < records.n_table:
+        raise InputError(f"{records.source} has no row {row}; it has rows 0 to {records.n_table - 1}")
+    return records.ids[row]
+
+
+def call_text(function: Callable[..., Any], sources: Sequence[Any], said: Mapping[str, Any]) -> str:
+    """The call as text: paths, kinds of other sources, options that are not the default."""
+    paths = map(as_source, sources)
+    given = [repr(source) if isinstance(source, str) else kind_of(source) for source in paths]
+    defaults = {name: parameter.default for name, parameter in inspect.signature(function).parameters.items()}
+    options = [f"{name}={value!r}" for name, value in said.items() if value is not defaults.get(name)]
+    return f"sameas.{function.__name__}({', '.join([*given, *options])})"
+
+
+@with_side_options(2)
+def match(
+    first: Any,
+    second: Any,
+    *,
+    join: str = "all1",
+    nway_columns: bool = False,
+    to_epoch: float | None = None,
+    gate_sigmas: float | None = None,
+    error_scale: float | str | Errors = "auto",
+    density: tuple[float, float] | None = None,
+    magnitudes: str | tuple[Magnitudes, Magnitudes] = "auto",
+    precision: bool = True,
+    offset: str = "none",
+    names: tuple[str, str] | None = None,
+    progress: Callable[[str], None] = lambda stage: None,
+    **columns: Any,
+) -> Match:
+    """Which records of two sources are the same object, and how sure that is; what is not said is estimated.
+
+    Parameters
+    ----------
+    first, second : anything that holds positions: a path; astropy ``Table``, ``QTable`` or ``SkyCoord``; a pandas,
+        polars or Arrow table; a structured array; a dict of columns; a ``Catalogue``; or both ``Records``.
+    join : of ``.table``, by the names of STILTS; all1 keeps every row of the first. nway_columns : add those of NWAY.
+    to_epoch : Julian year to which both are moved; as the catalogues need it if not said.
+    gate_sigmas : radius of the gate in quoted σ; as wide as the errors need if not said.
+    error_scale : "auto" estimates how residuals spread about the quoted errors; a factor, or ``Errors``, is believed;
+        1 believes the quoted errors.
+    density : of all records of the first and the second per square degree; of ``Records`` per unit of residuals.
+    magnitudes : "auto", "off", or columns of both as "G,BP:J,H"; of ``Records`` two ``Magnitudes``.
+    precision : whether the sizes of the quoted errors are evidence too.
+    offset : "find" looks for a shift and turn of the second against the first, and takes it away.
+    names : of the two in messages. progress : called with the name of what is being done.
+    columns : what is said of the columns, as the command has it: ``ra1``, ``sigma2=0.1``, ``epoch2=2015.5``; without a
+        number of both. :class:`~sameas.sky.CatalogueOptions` explains them.
+
+    Raises
+    ------
+    InputError : what holds no positions; columns that are not understood; options that do not exist.
+
+    Example
+    -------
+    >>> import numpy as np
+    >>> import sameas
+    >>> rng = np.random.default_rng(1)
+    >>> ra, dec = 10.0 + rng.uniform(size=50), 20.0 + rng.uniform(size=50)
+    >>> near = {"ra": ra[:40], "dec": dec[:40] + 5e-5 * rng.standard_normal(40)}
+    >>> found = sameas.match({"ra": ra, "dec": dec}, near, sigma=0.2)
+    >>> len(found), found.table.colnames[:4]
+    (40, ['ra_1', 'dec_1', 'ra_2', 'dec_2'])
+    """
+    own = {
+        "join": join, "nway_columns": nway_columns, "to_epoch": to_epoch, "gate_sigmas": gate_sigmas,
+        "error_scale": error_scale, "density": density, "magnitudes": magnitudes, "precision": precision,
+        "offset": offset, "names": names,
+    }  # fmt: skip
+    refuse_unknown(columns, (*own, "progress", *side_parameters(2)), "match")
+    said = {name: value for name, value in columns.items() if value is not None}
+    call = call_text(match, (first, second), own | said)
+    given = isinstance(first, Records), isinstance(second, Records)
+    if any(given):
+        if not all(given):
+            other = kind_of(second if given[0] else first)
+            raise InputError(f"match: Records are matched with Records, not with a {other}", "make both of one kind")
+        if said:
+            raise InputError(f"match: Records have no columns, so {next(iter(said))} says nothing of them")
+        if offset != "none" or to_epoch is not None:
+            raise InputError("match: Records have no epochs or frames", "see register for offsets between them")
+        found = _match_records(first, second, error_scale, gate_sigmas, density, magnitudes, precision, progress)
+        return replace(found, join=join, nway_columns=nway_columns, call=call)
+    from sameas.front.request import Request
+    from sameas.sky import crossmatch
+    from sameas.sky.join_types import JOINS
+
+    if join not in JOINS:
+        raise InputError(f"join {join!r} is not known; choose one of {', '.join(JOINS)}")
+    if not isinstance(magnitudes, str):
+        raise InputError("match: Magnitudes are those of Records", 'name columns of both catalogues, "G,BP:J,H"')
+    options = crossmatch.MatchOptions(to_epoch, gate_sigmas, error_scale, density, magnitudes, offset, precision)
+    for check in (options.errors, options.gate, options.density):
+        check()
+    request = Request(tuple(map(as_source, (first, second))), options, said, tuple(names or ()))
+    first, second = request.catalogues()
+    return identified(request, (first, second), progress=progress, join=join, nway_columns=nway_columns, call=call)
+
+
+def identified(
+    request: Request[MatchOptions],
+    catalogues: tuple[Catalogue, Catalogue],
+    *,
+    progress: Callable[[str], None],
+    **table: Any,
+) -> Match:
+    """The match of a request whose catalogues are read already; ``table`` says what ``Match.table`` holds."""
+    from sameas.sky import crossmatch
+
+    found = request.naming_sides(lambda: crossmatch.match(*catalogues, request.options, progress=progress))
+    return Match.of_sky(found, request, **table)
+
+
+def as_source(source: Any) -> Any:
+    """A source, its path as text where it is one."""
+    return os.fspath(source) if isinstance(source, os.PathLike) else source
+
+
+def _match_records(
+    first: Records,
+    second: Records,
+    error_scale: float | str | Errors,
+    gate_sigmas: float | None,
+    density: tuple[float, float] | None,
+    magnitudes: Any,
+    precision: bool,
+    progress: Callable[[str], None],
+) -> Match:
+    from sameas.estimate.match import match as estimated
+    from sameas.sky.crossmatch import MatchOptions
+
+    if isinstance(magnitudes, str) and magnitudes not in ("auto", "off"):
+        raise InputError("match: Records have no columns", "give magnitudes=(Magnitudes, Magnitudes)")
+    options = MatchOptions(gate_sigmas=gate_sigmas, error_scale=error_scale)
+    identification, estimate = estimated(
+        first, second, errors=options.errors(), gate=options.gate(), density=density,
+        brightness=None if isinstance(magnitudes, str) else magnitudes, precision=precision, progress=progress,
+    )  # fmt: skip
+    return Match(identification, estimate)

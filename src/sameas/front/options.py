@@ -1,0 +1,131 @@
+"""Options of catalogues: declared once, for Python's keyword arguments and for the command.
+
+``sigma`` speaks of all catalogues, ``sigma1`` of the first and ``sigma2`` of the second; those with a number win. The
+command spells them ``--sigma1``, with dashes for underscores.
+"""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sameas.errors import Argument, InputError, Message
+
+_THREE = tuple[str, str, str]
+
+
+@dataclass(frozen=True)
+class ColumnOption:
+    """An option of a catalogue: its name without dashes, the field of ``CatalogueOptions``, what it takes.
+
+    unit : of a quantity that is given for it; empty where it takes none.
+    """
+
+    name: str
+    field: str
+    metavar: str
+    help: str
+    kind: Any = str
+    unit: str = ""
+
+    @property
+    def parameter(self) -> str:
+        """The name as a parameter of a function."""
+        return self.name.replace("-", "_")
+
+
+COLUMN_OPTIONS = (
+    ColumnOption("ra", "ra", "NAME", "Column of right ascension."),
+    ColumnOption("dec", "dec", "NAME", "Column of declination."),
+    ColumnOption("id", "id", "NAME", "Column of identifiers; they must be unique."),
+    ColumnOption(
+        "sigma", "sigma", "NUMBER|NAME|E,N", "Position error, 1σ per axis: a number or columns.", str, "arcsec"
+    ),
+    ColumnOption("sigma-unit", "sigma_unit", "UNIT", "Unit of the error: arcsec, mas, deg."),
+    ColumnOption("ellipse", "ellipse", "A B PA", "Columns: 1σ semi-axes, angle of A east of north.", _THREE),
+    ColumnOption("correlation", "correlation", "NAME", "Column: correlation of east and north errors."),
+    ColumnOption("epoch", "epoch", "YEAR|DATE|NAME", "Epoch of the positions, or the column of it.", str, "yr"),
+    ColumnOption("pm", "pm", "E,N|none", "Columns of proper motion, east with cos(dec)."),
+    ColumnOption(
+        "pm-sigma", "pm_sigma_mas_per_yr", "MAS/YR", "Error of proper motions without one.", float, "mas / yr"
+    ),
+    ColumnOption("parallax", "parallax", "NAME|none", "Column of parallax."),
+    ColumnOption("radial-velocity", "radial_velocity", "NAME|none", "Column of radial velocity."),
+    ColumnOption("magnitude", "magnitude", "NAME|none", "Column of a magnitude."),
+    ColumnOption("sigma-floor", "sigma_floor_arcsec", "ARCSEC", "Quadratically added to the errors.", float, "arcsec"),
+    ColumnOption("fill-errors", "fill_errors", "", "Give rows without an error that of their magnitude.", bool),
+    ColumnOption(
+        "missing-pm", "missing_pm_mas_per_yr", "MAS/YR", "Spread of unknown proper motions, 1σ.", float, "mas / yr"
+    ),
+)
+FILE_OPTIONS = (
+    ColumnOption("format", "format", "NAME", "Format of a file whose extension does not tell it."),
+    ColumnOption("hdu", "hdu", "HDU", "Number or name of the FITS extension."),
+)
+SIDE_OPTIONS = (*COLUMN_OPTIONS, *FILE_OPTIONS)
+
+
+def of_side(columns: Mapping[str, Any], parameter: str, side: int) -> Any:
+    """What was said of catalogue 1, 2, …: of it alone, else of all."""
+    own = columns.get(f"{parameter}{side}")
+    return columns.get(parameter) if own is None else own
+
+
+def fields_of(columns: Mapping[str, Any], side: int) -> dict[str, Any]:
+    """The fields of ``CatalogueOptions`` that the user said of catalogue 1, 2, …."""
+    values = {one: of_side(columns, one.parameter, side) for one in COLUMN_OPTIONS}
+    return {one.field: _plain(value, one) for one, value in values.items() if value is not None}
+
+
+def _plain(value: Any, option: ColumnOption) -> Any:
+    """A value that can be written down: names with commas between, quantities and times as numbers."""
+    if isinstance(value, tuple | list):
+        return ",".join(map(str, value))
+    if option.unit and hasattr(value, "to_value"):
+        return float(value.to_value("jyear" if hasattr(value, "jyear") else option.unit))
+    return value
+
+
+def renamed(text: str, side: int, columns: Mapping[str, Any]) -> str:
+    """A message of one catalogue, or of all where ``side`` is 0, that names the parameters in place of fields."""
+    if not isinstance(text, Message):
+        return text
+
+    def parameter(argument: Argument) -> Argument:
+        known = next((one for one in SIDE_OPTIONS if one.field == argument.name), None)
+        if known is None:
+            return argument
+        of_one = side and columns.get(known.parameter) is None
+        return Argument(f"{known.parameter}{side if of_one else ''}", argument.value)
+
+    return Message(*(parameter(part) if isinstance(part, Argument) else part for part in text.parts))
+
+
+def refuse_unknown(given: Iterable[str], known: Sequence[str], call: str) -> None:
+    """Refuses keyword arguments that do not exist, and names those that were probably meant."""
+    for name in given:
+        if name not in known:
+            close = difflib.get_close_matches(name.lower(), known, n=3, cutoff=0.6)
+            hint = f"did you mean {' or '.join(close)}?" if close else "see its documentation for those that it has"
+            raise InputError(f"{call} has no option {name!r}", hint)
+
+
+def side_parameters(sides: int) -> list[str]:
+    """The names of the options of so many catalogues: ``ra``, ``ra1``, ``ra2``, …."""
+    return [f"{one.parameter}{side or ''}" for side in range(sides + 1) for one in SIDE_OPTIONS]
+
+
+def with_side_options(sides: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Shows the options of so many catalogues in the signature of a function that takes them as ``**columns``."""
+
+    def shown(function: Callable[..., Any]) -> Callable[..., Any]:
+        written = inspect.signature(function)
+        kept = [p for p in written.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
+        more = [inspect.Parameter(n, inspect.Parameter.KEYWORD_ONLY, default=None) for n in side_parameters(sides)]
+        function.__signature__ = written.replace(parameters=[*kept, *more])  # type: ignore[attr-defined]
+        return function
+
+    return shown

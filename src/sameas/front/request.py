@@ -1,0 +1,202 @@
+"""Requests: sources and all that is said of them, enough to identify them again; kept in the output."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+from sameas.errors import InputError
+from sameas.evidence import Errors
+from sameas.front.options import COLUMN_OPTIONS, FILE_OPTIONS, SIDE_OPTIONS, fields_of, of_side, renamed
+from sameas.front.tables import kind_of, table_of
+from sameas.io import checksum
+from sameas.representation import in_short
+
+if TYPE_CHECKING:
+    from sameas.sky.catalogue import Catalogue
+    from sameas.sky.crossmatch import MatchOptions
+    from sameas.sky.many import ManyOptions
+
+ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth")
+Options = TypeVar("Options", bound="MatchOptions | ManyOptions")
+
+
+@in_short
+@dataclass(frozen=True)
+class Request(Generic[Options]):
+    """Which catalogues are identified, and how.
+
+    sources : two or more: paths, or whatever :func:`sameas.front.tables.table_of` takes, or catalogues. options : of
+    the match. columns : options of the catalogues as they were said, by parameter: ``sigma`` is that of all, ``sigma2``
+    that of the second. said_names : the catalogues' names in messages, where the user says them.
+    """
+
+    sources: tuple[Any, ...]
+    options: Options
+    columns: Mapping[str, Any] = field(default_factory=dict)
+    said_names: tuple[str, ...] = ()
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """The paths among the sources."""
+        return tuple(source for source in self.sources if isinstance(source, str))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The catalogues' names in messages: as said, else their files' stems, or more where these are not different;
+        of tables their numbers."""
+        if self.said_names:
+            return self.said_names
+        stems = self._named(lambda path: Path(path).name.removesuffix(".gz").rsplit(".", 1)[0])
+        for names in (stems, self._named(lambda path: Path(path).name), self._named(str)):
+            if len(set(names)) == len(names):
+                return names
+        return tuple(f"{stem} ({ordinal})" for stem, ordinal in zip(stems, ORDINALS, strict=False))
+
+    def _named(self, of_path: Callable[[str], str]) -> tuple[str, ...]:
+        def of(source: Any, ordinal: str) -> str:
+            if isinstance(source, str):
+                return of_path(source)
+            return str(source.name) if _is_catalogue(source) else ordinal
+
+        return tuple(map(of, self.sources, ORDINALS))
+
+    def catalogue(self, side: int) -> Catalogue:
+        """Catalogue 1, 2, …, read and understood.
+
+        Raises
+        ------
+        InputError : not a table; what :meth:`~sameas.sky.catalogue.Catalogue.of` refuses; options for a catalogue that
+            is understood already.
+        """
+        from sameas.sky.catalogue import Catalogue, CatalogueOptions
+
+        source, name = self.sources[side - 1], self.names[side - 1]
+        if isinstance(source, Catalogue):
+            self._refuse_options(side, name)
+            return source
+        hdu, format = of_side(self.columns, "hdu", side), of_side(self.columns, "format", side)
+        try:
+            table = table_of(source, name, format=format, hdu=int(hdu) if str(hdu).isdigit() else hdu)
+            return Catalogue.of(table, name, options=CatalogueOptions(**fields_of(self.columns, side)))
+        except InputError as error:
+            raise self.named(error, side) from error
+
+    def catalogues(self, read: Callable[[int, Catalogue], None] = lambda side, catalogue: None) -> list[Catalogue]:
+        """All catalogues. read : called with the number and the catalogue as soon as it is understood.
+
+        Raises
+        ------
+        InputError : as :meth:`catalogue`, of all catalogues at once.
+        """
+        understood, refused = [], []
+        for side in range(1, len(self.sources) + 1):
+            try:
+                understood.append(self.catalogue(side))
+            except InputError as error:
+                refused.append(error)
+                continue
+            if not refused:
+                read(side, understood[-1])
+        if refused:
+            raise InputError.together(refused)
+        return understood
+
+    def _refuse_options(self, side: int, name: str) -> None:
+        said = [one.parameter for one in SIDE_OPTIONS if self.columns.get(f"{one.parameter}{side}") is not None]
+        if said:
+            raise InputError(
+                f"{name}: it is a Catalogue, understood already, so {said[0]}{side} changes nothing",
+                "say it with CatalogueOptions, or give its table",
+            )
+
+    def naming_sides(self, work: Callable[[], Any]) -> Any:
+        """The result of ``work``; its refusals name the options of the catalogue that they are about."""
+        try:
+            return work()
+        except InputError as error:
+            side = self.names.index(error.source) + 1 if error.source in self.names else 0
+            raise self.named(error, side) from error
+
+    def named(self, error: InputError, side: int) -> InputError:
+        """A refusal of one catalogue that names that catalogue's own options."""
+        return InputError(self.words(error.words, side), source=error.source)
+
+    def words(self, text: str, side: int = 0) -> str:
+        """A text on one catalogue, or on all, that names the options as they are said here."""
+        return renamed(text, side, self.columns)
+
+    def said(self, words: Callable[[str], str], side: int, text: str) -> str:
+        """:meth:`words`, put by ``words``."""
+        return words(self.words(text, side))
+
+    @property
+    def twice(self) -> str:
+        """A sentence where the first two sources are one and the same; else empty."""
+        first, second = self.sources[:2]
+        if isinstance(first, str) and isinstance(second, str):
+            if os.path.exists(first) and os.path.exists(second) and os.path.samefile(first, second):
+                return f"{first} is given twice: every record will be found to be itself"
+        elif first is second:
+            return f"one {kind_of(first)} is given twice: every record will be found to be itself"
+        return ""
+
+    def facts(self) -> dict[str, Any]:
+        """The request as flat provenance: absolute paths with their checksums, options as JSON."""
+        facts: dict[str, Any] = {}
+        for k, source in enumerate(self.sources, 1):
+            is_path = isinstance(source, str)
+            facts[f"input_{k}"] = str(Path(source).resolve()) if is_path else f"{kind_of(source)} in memory"
+            facts[f"sha256_{k}"] = checksum(source) if is_path else None
+            for one in FILE_OPTIONS:
+                facts[f"{one.name}_{k}"] = of_side(self.columns, one.parameter, k)
+            facts[f"options_{k}"] = json.dumps(fields_of(self.columns, k), sort_keys=True)
+        facts["options_match"] = json.dumps(asdict(self.options), sort_keys=True)
+        return facts
+
+    @staticmethod
+    def of_facts(facts: Mapping[str, Any], output: str) -> Request[MatchOptions]:
+        """The request of two catalogues that provenance tells.
+
+        Raises
+        ------
+        InputError : the file does not say how it was made; an input is gone or was changed.
+        """
+        from sameas.sky.crossmatch import MatchOptions
+
+        columns: dict[str, Any] = {}
+        try:
+            options = json.loads(facts["options_match"])
+            if options["density_per_deg2"] is not None:
+                options["density_per_deg2"] = tuple(options["density_per_deg2"])
+            if isinstance(options["error_scale"], dict):
+                held: dict[str, Any] = options["error_scale"]
+                quoted: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in held.items()}
+                options["error_scale"] = Errors(**quoted)
+            for k in (1, 2):
+                columns |= {f"{name}{k}": facts[f"{name}_{k}"] for name in ("format", "hdu")}
+                fields = json.loads(facts[f"options_{k}"])
+                columns |= {f"{one.parameter}{k}": fields[one.field] for one in COLUMN_OPTIONS if one.field in fields}
+            request = Request((facts["input_1"], facts["input_2"]), MatchOptions(**options), columns)
+        except (KeyError, TypeError, ValueError):
+            raise InputError(
+                f"{output}: does not say how it was made; give a table that `sameas match` wrote"
+            ) from None
+        for k, path in enumerate(request.paths, 1):
+            if not Path(path).is_file():
+                raise InputError(f"{output}: was made from {path}, which is not there any more; put it back")
+            if checksum(path) != facts[f"sha256_{k}"]:
+                raise InputError(
+                    f"{output}: was made from {path}, which has changed since (another SHA-256); match again"
+                )
+        return request
+
+
+def _is_catalogue(source: Any) -> bool:
+    from sameas.sky.catalogue import Catalogue
+
+    return isinstance(source, Catalogue)

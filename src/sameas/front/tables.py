@@ -1,0 +1,154 @@
+"""Tables of anything that holds positions; what a library of data frames gives is known without importing it.
+
+- a path: a file of :func:`sameas.io.read_table`;
+- astropy's ``Table`` and ``QTable``; a column of ``SkyCoord`` becomes columns of right ascension, declination, motion;
+- astropy's ``SkyCoord``, whatever its frame, with its proper motions, distance, radial velocity and ``obstime``;
+- pandas and polars (lazy frames are collected), pyarrow, and whatever else speaks Arrow's interface;
+- NumPy's structured arrays, and mappings of names to columns.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sameas.errors import InputError
+
+if TYPE_CHECKING:
+    from astropy.coordinates import SkyCoord
+    from astropy.table import Table
+
+#: The columns that a ``SkyCoord`` becomes, by the names that :mod:`sameas.sky.conventions` knows; all are ICRS.
+_PLACE = ("ra", "dec")
+_MOTION = ("pm_ra_cosdec", "pm_dec")
+_EPOCH = "epoch"
+
+
+def table_of(data: Any, name: str, *, format: str | None = None, hdu: int | str | None = None) -> Table:
+    """The astropy table of anything that holds positions; the data are shared where that is possible.
+
+    name : of the source, for messages. format, hdu : of a file.
+
+    Raises
+    ------
+    InputError : not a table; a file that cannot be read; several columns of ``SkyCoord``.
+    """
+    if isinstance(data, str | os.PathLike):
+        from sameas.io import read_table
+
+        return read_table(data, format=format, hdu=hdu)
+    table = _as_table(data)
+    if table is None:
+        raise InputError(
+            f"{name}: {kind_of(data)} does not hold positions",
+            "give a path, a Table, SkyCoord, data frame, Arrow table, structured array, dict of columns, "
+            "Catalogue or Records",
+        )
+    return _with_plain_places(table, name)
+
+
+def kind_of(data: Any) -> str:
+    """What a thing is, in two words: ``pandas DataFrame``."""
+    kind = type(data)
+    home = kind.__module__.partition(".")[0]
+    return kind.__name__ if home in ("builtins", "sameas") else f"{home} {kind.__name__}"
+
+
+def _as_table(data: Any) -> Table | None:
+    from astropy.coordinates import SkyCoord
+    from astropy.table import QTable, Table
+
+    library = type(data).__module__.partition(".")[0]
+    if isinstance(data, Table):
+        return Table(data, copy=False) if isinstance(data, QTable) else data
+    if isinstance(data, SkyCoord):
+        return Table(_columns_of(data, ""), copy=False)
+    if library == "pandas" and hasattr(data, "iloc") and hasattr(data, "columns"):
+        return _of_pandas(data)
+    if library == "polars" and hasattr(data, "collect"):
+        data = data.collect()
+    if hasattr(data, "__arrow_c_stream__"):
+        return _of_arrow(data)
+    if isinstance(data, np.ndarray) and data.dtype.names:
+        return Table(data, copy=False)
+    if isinstance(data, Mapping):
+        return Table(dict(data), copy=False)
+    return None
+
+
+def _of_pandas(frame: Any) -> Table:
+    """The columns of a data frame; its index too, unless that only numbers the rows."""
+    from astropy.table import Table
+
+    counts = type(frame.index).__name__ == "RangeIndex" and frame.index.name is None
+    return Table.from_pandas(frame, index=not counts)
+
+
+def _of_arrow(data: Any) -> Table:
+    import pyarrow as pa
+    from astropy.table import Table
+
+    from sameas.io.arrow import column_of
+
+    arrow = data if isinstance(data, pa.Table) else pa.table(data)
+    columns = (column_of(name, arrow.column(name)) for name in arrow.column_names)
+    return Table([column for column in columns if column is not None], copy=False)
+
+
+def _with_plain_places(table: Table, name: str) -> Table:
+    """The table with plain columns in place of one of ``SkyCoord``, which neither joins nor files can hold."""
+    from astropy.coordinates import SkyCoord
+    from astropy.table import Table
+
+    places = [column for column, cells in table.columns.items() if isinstance(cells, SkyCoord)]
+    if not places:
+        return table
+    if len(places) > 1:
+        listed = ", ".join(map(repr, places))
+        raise InputError(f"{name}: {len(places)} columns of SkyCoord: {listed}", "give a table with the one to match")
+    columns: dict[str, Any] = {}
+    others = {column.lower() for column in table.colnames if column != places[0]}
+    for column, cells in table.columns.items():
+        if column != places[0]:
+            columns[column] = cells
+            continue
+        plain = _columns_of(cells, "")
+        if others & {part.lower() for part in plain}:
+            raise InputError(
+                f"{name}: it has a SkyCoord {column!r} and columns {', '.join(sorted(others & set(plain)))}",
+                "which of them are the positions? give a table with one of both",
+            )
+        columns |= plain
+    return Table(columns, copy=False, meta=table.meta)
+
+
+def _columns_of(place: SkyCoord, prefix: str) -> dict[str, Any]:
+    """Right ascension and declination in ICRS, with what is known of motion, distance and time."""
+    from astropy import units as u
+    from astropy.coordinates import SphericalRepresentation
+
+    icrs = place.reshape(1).icrs if place.isscalar else place.icrs
+    columns: dict[str, Any] = {f"{prefix}{_PLACE[0]}": icrs.ra.to(u.deg), f"{prefix}{_PLACE[1]}": icrs.dec.to(u.deg)}
+    if "s" in icrs.data.differentials:
+        velocity = icrs.data.differentials["s"]
+        if hasattr(velocity, "d_lon") or hasattr(velocity, "d_lon_coslat") or _has_distance(icrs):
+            columns[f"{prefix}{_MOTION[0]}"] = icrs.pm_ra_cosdec.to(u.mas / u.yr)
+            columns[f"{prefix}{_MOTION[1]}"] = icrs.pm_dec.to(u.mas / u.yr)
+        speed = icrs.radial_velocity if _has_distance(icrs) or hasattr(velocity, "d_distance") else None
+        if speed is not None and speed.unit.is_equivalent(u.km / u.s):
+            columns[f"{prefix}radial_velocity"] = speed.to(u.km / u.s)
+    if _has_distance(icrs) and isinstance(icrs.represent_as("spherical"), SphericalRepresentation):
+        columns[f"{prefix}parallax"] = icrs.distance.to(u.mas, u.parallax())
+    if place.obstime is not None:
+        years = np.broadcast_to(np.asarray(place.obstime.jyear, np.float64), icrs.shape)
+        columns[f"{prefix}{_EPOCH}"] = years * u.yr
+    return {name: u.Quantity(cells).reshape(-1) for name, cells in columns.items()}
+
+
+def _has_distance(place: SkyCoord) -> bool:
+    from astropy import units as u
+
+    return bool(place.distance.unit.is_equivalent(u.pc))

@@ -1,0 +1,318 @@
+"""Why a record was identified as it was, told from an output alone: what its table and its header hold.
+
+Of two catalogues and of several, of a frame, and of a picture: the answer, its probability, the most probable other
+one, and the records that compete. What each term of the odds says is not in the tables; repeating the match tells it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.arrays import BoolArray, IntArray
+from sameas.errors import InputError
+from sameas.report.explain import probability
+from sameas.report.prose import count, entry, moment
+
+if TYPE_CHECKING:
+    from astropy.table import Table
+
+#: Competing records that are listed (chosen).
+LISTED = 8
+
+
+def match_lines(table: Table, facts: Mapping[str, Any], record: str, source: int, by_row: bool = False) -> list[str]:
+    """One record of two catalogues. facts : of the file. record : its id, or its row. source : 1 or 2.
+
+    Raises
+    ------
+    InputError : no such record in the table.
+    """
+    rows = _found(table, facts, record, source, by_row)
+    names = [facts["name_1"], facts["name_2"]]
+    mine, other = names[source - 1], names[2 - source]
+    best = rows[_first_chosen(table, rows)]
+    words = _called(table, facts, best, source)
+    if _is_absent(table, "p_none", best) and _is_absent(table, "p_match", best):
+        return [f"{mine} {words} could not be used", *_where(table, facts, best, source)]
+    partner = None if _is_absent(table, "p_match", best) else _called(table, facts, best, 3 - source)
+    p = _value(table, "p_none" if partner is None else "p_match", best)
+    who = "has no partner" if partner is None else f"is {other} {partner}"
+    lines = [f"{mine} {words} {who}, probability {probability(float(p))}", *_where(table, facts, best, source)]
+    if partner is None and not _value(table, "n_within", best):
+        covered = bool(_value(table, "covered", best))
+        return [*lines, *entry("candidates", "none" if covered else f"none: {other} does not look there")]
+    lines += entry("candidates", f"{count(_value(table, 'n_within', best))} within the gate")
+    lines += ["", f"Answers ({other})"]
+    lines += _answers(table, facts, rows, best, source)
+    rivals = _group(table, best, "group_id")
+    told = [_pair(table, facts, int(row), names) for row in rivals if row not in rows]
+    return [*lines, *_competing(told)]
+
+
+def _answers(table: Table, facts: Mapping[str, Any], rows: IntArray, best: int, source: int) -> list[str]:
+    """The candidates that the table names, and "no partner"."""
+    answers: dict[str, tuple[float, str]] = {}
+    for row in rows.tolist():
+        if not _is_absent(table, "p_match", row):
+            east, north = (_value(table, name, row) for name in ("dx_arcsec", "dy_arcsec"))
+            told = f"{_value(table, 'sep_arcsec', row):.3f} arcsec ({east:+.3f} east, {north:+.3f} north), "
+            told += f"{_value(table, 'mahalanobis', row):.2f} σ, ln odds {_value(table, 'log_odds', row):+.2f}"
+            answers[_called(table, facts, row, 3 - source)] = float(_value(table, "p_match", row)), told
+    second = _value(table, "id_second", best)
+    mine = not _is_absent(table, facts.get(f"id_column_{source}") or f"ra_column_{source}", best)
+    if second is not None and mine and source == _speaks(table, facts, best):
+        answers.setdefault(str(second), (float(_value(table, "p_second", best)), "the most probable other candidate"))
+    if (alone := _value(table, "p_none", best)) is not None and source == _speaks(table, facts, best):
+        answers["no partner"] = float(alone), ""
+    wide = max(map(len, answers))
+    order = sorted(answers.items(), key=lambda answer: -answer[1][0])
+    return [f"    {name:{wide}}  {probability(p):>10}  {told}".rstrip() for name, (p, told) in order]
+
+
+def _speaks(table: Table, facts: Mapping[str, Any], row: int) -> int:
+    """The catalogue of whose record a row's p_none and id_second speak: the first, where it has one there."""
+    return 2 if _is_absent(table, facts.get("ra_column_1") or "", row) else 1
+
+
+def many_lines(table: Table, facts: Mapping[str, Any], record: str, source: int, by_row: bool = False) -> list[str]:
+    """One record of several catalogues, and its object. source : number of its catalogue, from 1."""
+    row = int(_found(table, facts, record, source, by_row)[0])
+    sources = [k for k in range(1, 100) if f"name_{k}" in facts]
+
+    def members(at: int) -> list[str]:
+        return [f"{facts[f'name_{k}']} {_called(table, facts, at, k)}" for k in sources
+                if not _is_absent(table, facts.get(f"ra_column_{k}") or "", at)]  # fmt: skip
+
+    mine = f"{facts[f'name_{source}']} {_called(table, facts, row, source)}"
+    if _is_absent(table, "p_object", row):
+        return [f"{mine} could not be used", *_where(table, facts, row, source)]
+    others = [name for name in members(row) if name != mine]
+    who = f"is {' = '.join(others)}" if others else "has no partner in any catalogue"
+    p = float(_value(table, "p_object", row))
+    lines = [f"{mine} {who}, probability {probability(p)}", *_where(table, facts, row, source)]
+    if (chi_sq := _value(table, "chi_sq", row)) is not None:
+        free = 2 * (len(members(row)) - 1)
+        lines += entry("residuals", f"χ² {chi_sq:.2f} of {free} degrees of freedom, by the quoted errors")
+    if (second := _value(table, "runner_up", row)) is not None:
+        lines += entry("next best", f"{second}, probability {probability(float(_value(table, 'p_runner_up', row)))}")
+    rivals = [int(other) for other in _group(table, row, "group_id") if other != row]
+    return lines + _competing(
+        [f"{' = '.join(members(other))}, probability {probability(float(_value(table, 'p_object', other)))}"
+         for other in rivals]
+    )  # fmt: skip
+
+
+def frame_lines(table: Table, facts: Mapping[str, Any], record: str, source: int, by_row: bool = False) -> list[str]:
+    """One measurement (source 1) or star (source 2) of a frame. facts : of the file."""
+    column = "measurement" if source == 1 else "star"
+    rows = np.array([int(record)]) if by_row else np.flatnonzero(_texts(table[column]) == record.strip())
+    if not len(rows) or not 0 <= rows[0] < len(table):
+        listed = ", ".join(_texts(table[column])[:3])
+        raise InputError(f"{facts['frame']} has no {column} {record}; its first are {listed}")
+    row = int(rows[0])
+    fate, star, number = (_value(table, name, row) for name in ("fate", "star", "measurement"))
+    mine = f"{facts['catalogue']} {star}" if number is None else f"measurement {number}"
+    lines = [f"{mine} is {'a star that is ' * (fate == 'missing')}{fate}"]
+    if fate == "identified":
+        lines = [f"measurement {number} is {facts['catalogue']} {star}, "
+                 f"probability {probability(float(_value(table, 'p_match', row)))}"]  # fmt: skip
+        off = f"{_value(table, 'residual_x_px', row):+.2f}, {_value(table, 'residual_y_px', row):+.2f} px"
+        east, north = (_value(table, f"residual_{axis}_arcsec", row) for axis in ("east", "north"))
+        far = f"{_value(table, 'distance_sigma', row):.2f} σ"
+        lines += entry("measured − predicted", f"{off}; {east:+.3f}″ east, {north:+.3f}″ north; {far}")
+    lines += entry("position", f"x {_value(table, 'x_px', row):.2f}, y {_value(table, 'y_px', row):.2f} px")
+    magnitudes = [f"{words} {_value(table, name, row):.2f}" for name, words in
+                  (("magnitude", "measured"), ("star_magnitude", "in the catalogue"))
+                  if _value(table, name, row) is not None]  # fmt: skip
+    lines += entry("magnitude", ", ".join(magnitudes)) if magnitudes else []
+    if (alone := _value(table, "p_none", row)) is not None:
+        lines += entry("no partner", f"probability {probability(float(alone))}")
+    second = _value(table, "second_star" if number is not None else "second_measurement", row)
+    if second is not None:
+        lines += entry("next best", f"{second}, probability {probability(float(_value(table, 'p_second', row)))}")
+    if (seen := _value(table, "p_detect", row)) is not None:
+        lines += entry("to be seen", f"the frame shows {100 * float(seen):.0f} % of stars so bright")
+    return lines + (entry("remark", str(_value(table, "remark", row))) if _value(table, "remark", row) else [])
+
+
+def picture_lines(objects: Table, records: Table, record: str, source: str | None, at_s: float | None) -> list[str]:
+    """One object of a picture by its number or label, or, where ``source`` is named, one of its records by track, line
+    or row.
+
+    at_s : the instant, the nearest one is taken; the last at which it is there if not given.
+    """
+    if source is not None:
+        at, mine, told = _record_of(records, record, source, at_s)
+        number = int(records["object"][at])
+        head = [f"{mine} is of object {number}, probability {probability(float(records['p_object'][at]))}; "
+                f"of no other record {probability(float(records['p_alone'][at]))}", *told, ""]  # fmt: skip
+        return head + _object(objects, records, number, float(records["time_s"][at]))
+    names = [name for name in ("label", "mmsi", "icao", "callsign", "name") if name in objects.colnames]
+    known = _texts(objects["object"]) == record.strip()
+    for name in names:
+        known = known if known.any() else np.char.lower(_texts(objects[name])) == record.strip().lower()
+    if not known.any():
+        raise InputError(f"the picture has no object {record}; give its number, label, MMSI or name")
+    when = _nearest(np.asarray(objects["time_s"])[known], at_s)
+    here = known & (np.asarray(objects["time_s"]) == when)
+    return _object(objects, records, int(objects["object"][np.flatnonzero(here)[0]]), when)
+
+
+def _record_of(records: Table, record: str, source: str, at_s: float | None) -> tuple[int, str, list[str]]:
+    """Row in the table of records, its name, and what is told of it."""
+    ours = _texts(records["source"]) == source
+    if not ours.any():
+        known = ", ".join(sorted(set(_texts(records["source"]).tolist())))
+        raise InputError(f"the picture has no source {source}; it has {known}")
+    for column in ("track_id", "line", "row"):
+        named = ours & (_texts(records[column]) == record.strip())
+        if named.any():
+            when = _nearest(np.asarray(records["time_s"])[named], at_s)
+            at = int(np.flatnonzero(named & (np.asarray(records["time_s"]) == when))[0])
+            words = {"track_id": "track", "line": "line", "row": "row"}[column]
+            age = float(records["age_s"][at])
+            return at, f"{source} {words} {record}", entry("time", f"{moment(when)}; reported {age:.0f} s before")
+    raise InputError(f"{source} has no track, line or row {record} in the picture")
+
+
+def _object(objects: Table, records: Table, number: int, when: float) -> list[str]:
+    here = (np.asarray(objects["object"]) == number) & (np.asarray(objects["time_s"]) == when)
+    row = int(np.flatnonzero(here)[0])
+    label = str(_value(objects, "label", row) or "")
+    lines = [f"Object {number}{f' ({label})' * bool(label)} at {moment(when)}: {_value(objects, 'stage', row)}"]
+    if _value(objects, "probability", row) is None:
+        return [*lines, *entry("records", "none now: its place is predicted from what was seen before")]
+    lines += entry("records", str(_value(objects, "members", row)))
+    lines += entry("probability", probability(float(_value(objects, "probability", row))))
+    if _value(objects, "p_runner_up", row) is not None and _value(objects, "runner_up", row):
+        p = probability(float(_value(objects, "p_runner_up", row)))
+        lines += entry("next best", f"{_value(objects, 'runner_up', row)}, probability {p}")
+    mine = (np.asarray(records["object"]) == number) & (np.asarray(records["time_s"]) == when)
+    for at in np.flatnonzero(mine).tolist():
+        track = str(_value(records, "track_id", at) or "")
+        age = f"{float(records['age_s'][at]):.0f} s old"
+        told = f"row {_value(records, 'row', at)}{f', track {track}' * bool(track)}, {age}"
+        alone = probability(float(records["p_alone"][at]))
+        lines += entry(f"  {_value(records, 'source', at)}", f"{told}; no partner anywhere {alone}")
+    return lines
+
+
+def _nearest(times: NDArray[Any], at_s: float | None) -> float:
+    return float(times.max() if at_s is None else times[np.argmin(np.abs(times - at_s))])
+
+
+def _found(table: Table, facts: Mapping[str, Any], record: str, source: int, by_row: bool) -> IntArray:
+    """Rows of the table that hold a record of a catalogue, by its id, or by its row."""
+    name, column = facts[f"name_{source}"], facts.get(f"id_column_{source}")
+    there = ~_absent(table[facts[f"ra_column_{source}"]])
+    if column is not None and not by_row:
+        rows = np.flatnonzero(there & (_texts(table[column]) == record.strip()))
+        if not len(rows):
+            listed = ", ".join(_texts(table[column])[np.flatnonzero(there)[:3]])
+            raise InputError(f"{name} has no record with the id {record} in the output; its first ids are {listed}")
+        return rows
+    number, position = _whole_number(record, name), _row_numbers(table, facts, source, there)
+    rows = np.flatnonzero(position == number)
+    if not len(rows):
+        raise InputError(f"{name} has no row {number} in the output; rows are counted from 0")
+    return rows
+
+
+def _row_numbers(table: Table, facts: Mapping[str, Any], source: int, there: BoolArray) -> IntArray:
+    """(n,) the row of its catalogue that each row of the table holds, −1 for none, where all of them are there."""
+    leading = {"all1": (1,), "1or2": (1,), "pairs": (1,), "all2": (2,)}.get(facts.get("join", ""), ())
+    ids = [_texts(table[facts[f"{role}_column_{source}"]]) for role in ("ra", "dec")]
+    held = np.flatnonzero(there)
+    same = np.ones(len(held), bool)
+    same[1:] = np.any([part[held][1:] != part[held][:-1] for part in ids], axis=0)
+    number = np.full(len(table), -1)
+    number[held] = np.cumsum(same) - 1
+    if ("join" in facts and source not in leading) or number.max(initial=-1) + 1 != facts[f"rows_{source}"]:
+        raise InputError(
+            f"{facts[f'name_{source}']}: it has no ids, and the output does not hold all its rows in their order",
+            f"write it with an id, or with the join {'all2' if source == 2 else 'all1'}",
+        )
+    return number
+
+
+def _whole_number(text: str, name: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise InputError(f"{name} has no ids, so {text!r} is none of its records", "give a row, from 0") from None
+
+
+def _first_chosen(table: Table, rows: IntArray) -> int:
+    """Which of some rows is the answer."""
+    if "match_flag" not in table.colnames:
+        return 0
+    return int(np.argmax(np.asarray(np.ma.filled(table["match_flag"][rows], 0)) == 1))
+
+
+def _called(table: Table, facts: Mapping[str, Any], row: int, source: int) -> str:
+    column = facts.get(f"id_column_{source}")
+    if column is not None:
+        return str(_value(table, column, row))
+    at = [float(_value(table, facts[f"{role}_column_{source}"], row)) for role in ("ra", "dec")]
+    return f"at {at[0]:.6f} {at[1]:+.6f}"
+
+
+def _where(table: Table, facts: Mapping[str, Any], row: int, source: int) -> list[str]:
+    at = [_value(table, facts[f"{role}_column_{source}"], row) for role in ("ra", "dec")]
+    words = [one if isinstance(one, str) else f"{one:{sign}.6f}" for one, sign in zip(at, ("", "+"), strict=True)]
+    lines = entry("position", ", ".join(words))
+    magnitude = facts.get(f"magnitude_column_{source}")
+    if magnitude is not None and (value := _value(table, magnitude, row)) is not None:
+        lines += entry("brightness", f"{magnitude} {float(value):.2f}")
+    return lines
+
+
+def _pair(table: Table, facts: Mapping[str, Any], row: int, names: Sequence[str]) -> str:
+    there = [k for k in (1, 2) if not _is_absent(table, facts[f"ra_column_{k}"], row)]
+    called = " = ".join(f"{names[k - 1]} {_called(table, facts, row, k)}" for k in there)
+    p = _value(table, "p_match" if len(there) == 2 else "p_none", row)
+    return f"{called}{' alone' * (len(there) == 1)}" + ("" if p is None else f", probability {probability(float(p))}")
+
+
+def _group(table: Table, row: int, column: str) -> IntArray:
+    """Rows of the same group, itself among them; none where it has none."""
+    if _is_absent(table, column, row):
+        return np.empty(0, np.int64)
+    same = np.asarray(np.ma.filled(table[column], -1)) == _value(table, column, row)
+    return np.flatnonzero(same & ~_absent(table[column]))
+
+
+def _competing(told: Sequence[str]) -> list[str]:
+    if not told:
+        return []
+    lines = ["", "Competing records", *(f"    {words}" for words in told[:LISTED])]
+    return lines + ([f"    and {count(len(told) - LISTED)} more"] if len(told) > LISTED else [])
+
+
+def _texts(column: Any) -> NDArray[np.str_]:
+    return np.char.strip(np.asarray(np.ma.filled(column, "" if column.dtype.kind in "USO" else 0)).astype(str))
+
+
+def _absent(column: Any) -> BoolArray:
+    absent = np.array(np.ma.getmaskarray(column), bool)
+    if column.dtype.kind == "f":  # what FITS has for an empty cell
+        absent |= np.isnan(np.ma.getdata(column))
+    return absent
+
+
+def _is_absent(table: Table, name: str, row: int) -> bool:
+    return _value(table, name, row) is None
+
+
+def _value(table: Table, name: str, row: int) -> Any:
+    """A cell, None where it is empty or its column is not there."""
+    if name not in table.colnames:
+        return None
+    cell = table[name][row]
+    if cell is np.ma.masked or (isinstance(cell, float | np.floating) and np.isnan(cell)):
+        return None
+    return cell.item() if hasattr(cell, "item") else cell

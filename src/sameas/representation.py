@@ -1,0 +1,76 @@
+"""How values print: a dataclass of arrays in a few lines, however many rows it has."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+
+#: Letters of a line, lines of a value, letters of one field, items of a collection that are shown (all chosen).
+WIDTH, LINES, LETTERS, ITEMS = 100, 9, 60, 4
+
+T = TypeVar("T")
+
+
+def in_short(cls: type[T]) -> type[T]:
+    """Makes a dataclass print in at most ten lines: of arrays their kind and shape, of long values their size.
+
+    >>> from dataclasses import dataclass
+    >>> @in_short
+    ... @dataclass(frozen=True)
+    ... class Points:
+    ...     name: str
+    ...     at: np.ndarray
+    >>> Points("all", np.zeros((1000, 2)))
+    Points(name='all', at=<float64 (1000, 2)>)
+    """
+    cls.__repr__ = _in_lines  # type: ignore[method-assign]
+    return cls
+
+
+def _in_lines(self: Any) -> str:
+    parts = [f"{field.name}={shown(getattr(self, field.name))}" for field in fields(self) if field.repr]
+    lines = textwrap.wrap(
+        f"{type(self).__qualname__}({', '.join(parts)})", WIDTH, subsequent_indent="    ", break_on_hyphens=False
+    )
+    return "\n".join(lines if len(lines) <= LINES else [*lines[:LINES], "    …)"])
+
+
+def shown(value: Any) -> str:
+    """A value in a few words."""
+    if isinstance(value, np.ndarray):
+        return _array(value)
+    if hasattr(value, "colnames"):
+        return f"<{type(value).__name__} of {len(value)} rows, {len(value.colnames)} columns>"
+    if is_dataclass(value) and not isinstance(value, type):
+        text = repr(value)
+        return text if len(text) <= LETTERS and "\n" not in text else f"{type(value).__qualname__}(…)"
+    if isinstance(value, str):
+        return repr(value if len(value) <= LETTERS else value[: LETTERS - 1] + "…")
+    if isinstance(value, Mapping | Sequence | set | frozenset):
+        return _collection(value)
+    text = " ".join(repr(value).split())
+    return text if len(text) <= LETTERS else f"<{type(value).__qualname__}>"
+
+
+def _array(values: np.ndarray) -> str:
+    if values.size <= ITEMS and values.dtype.kind != "O":
+        return " ".join(repr(values.tolist()).split())
+    masked = "masked " if isinstance(values, np.ma.MaskedArray) else ""
+    return f"<{masked}{values.dtype} {values.shape}>"
+
+
+def _collection(values: Any) -> str:
+    """A short collection in full, of another the kind and the number of its items."""
+    if len(values) <= ITEMS:
+        if isinstance(values, Mapping):
+            text = "{" + ", ".join(f"{shown(key)}: {shown(value)}" for key, value in values.items()) + "}"
+        else:
+            items = ", ".join(map(shown, values))
+            text = f"[{items}]" if isinstance(values, list) else f"({items}{',' * (len(values) == 1)})"
+        if len(text) <= 2 * LETTERS:
+            return text
+    return f"<{type(values).__name__} of {len(values)}>"

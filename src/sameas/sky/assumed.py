@@ -1,0 +1,195 @@
+"""What catalogues do not say and another tells: a common position error, the unit of the errors, an epoch.
+
+Nothing here is certain; each assumption is a doubt of the match, with its value and how to say it better.
+
+The common error s of a catalogue without errors follows from the distances r of nearest neighbours: where a share f of
+the records has its partner in the other catalogue, and other records lie about with the local density ρ,
+
+    p(r) = exp(−π ρ r²) { f exp(−r²/2σ²) [r/σ² + 2π ρ r] + (1 − f) 2π ρ r },   σ² = s² + the other's error².
+
+s and f are those of the largest posterior on a grid, with a wide prior of s. The estimate of the match scales it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sameas.arrays import FloatArray
+from sameas.errors import Message, naming
+from sameas.sky.catalogue import Catalogue
+from sameas.sky.column_choice import GUESSED, Column, PositionError
+from sameas.space import ARCSEC_PER_RADIAN
+
+
+@dataclass(frozen=True)
+class CommonErrorTuning:
+    """How a common position error is estimated; all chosen.
+
+    Attributes
+    ----------
+    usual_arcsec, spread_log : median and standard deviation of the logarithm of the prior of s.
+    least_arcsec, largest_arcsec : of the grid. steps, share_steps : of the grid of s and of f.
+    neighbours : the distance to this one, the nearest apart, tells the local density.
+    most_records : so many are looked at, drawn evenly.
+    """
+
+    usual_arcsec: float = 0.3
+    spread_log: float = 2.0
+    least_arcsec: float = 1e-3
+    largest_arcsec: float = 60.0
+    steps: int = 80
+    share_steps: int = 16
+    neighbours: int = 6
+    most_records: int = 4000
+
+
+TUNING = CommonErrorTuning()
+_UNITS = ("mas", "arcsec", "deg")
+
+
+def completed(
+    catalogues: Sequence[Catalogue], epoch_jyr: float | None = None, tuning: CommonErrorTuning = TUNING
+) -> tuple[list[Catalogue], tuple[str, ...]]:
+    """The catalogues with what they did not say, and the doubts that say what was assumed.
+
+    epoch_jyr : that all will be moved to, None where that is not said.
+    """
+    made = list(catalogues)
+    doubts: list[str] = []
+    for k, catalogue in enumerate(made):
+        epoch = _epoch_of_others(made, k, epoch_jyr)
+        if epoch is not None:
+            made[k] = catalogue.with_epoch(epoch, "assumed")
+            told = f"{catalogue.name}: its epoch is not known; {epoch:g} was assumed, so that nothing of it moves; "
+            doubts.append(Message(told, naming(f"say {{epoch{k + 1}:YEAR}}")))
+    before = tuple(made)
+    for k, catalogue in enumerate(before):
+        if catalogue.error_is_unknown:
+            sigma, source = _error_against_others(before, k, tuning)
+            told = f"{catalogue.name}: it has no position errors; {sigma:.2g} arcsec on each axis was taken, {source}; "
+            doubts.append(Message(told, naming(f"say {{sigma{k + 1}:ARCSEC}} or {{sigma{k + 1}:COLUMN}}")))
+            made[k] = catalogue.with_error(PositionError("number", sigma_arcsec=sigma, reason="assumed"))
+    for k, catalogue in enumerate(made):
+        if catalogue.choice.error.guessed_unit:
+            made[k], doubt = _with_likelier_unit(made, k, tuning)
+            doubts += [doubt] if doubt else []
+    return made, tuple(doubts)
+
+
+def _epoch_of_others(catalogues: Sequence[Catalogue], k: int, epoch_jyr: float | None) -> float | None:
+    """The epoch to assume for a catalogue without one, None where none is needed."""
+    others = [c for c in (*catalogues[:k], *catalogues[k + 1 :]) if c.epoch_jyr is not None]
+    if catalogues[k].epoch_jyr is not None:
+        return None
+    if epoch_jyr is not None:
+        return epoch_jyr
+    moving = [c.epoch_jyr for c in others if c.has_motion and c.epoch_jyr is not None]
+    return float(np.median(moving)) if moving else None
+
+
+def _error_against_others(catalogues: Sequence[Catalogue], k: int, tuning: CommonErrorTuning) -> tuple[float, str]:
+    """The common error of catalogue ``k`` in arcsec, and in words where it is from."""
+    found = []
+    for other, catalogue in enumerate(catalogues):
+        if other != k:
+            shared = catalogue.error_is_unknown
+            sigma, share = common_error(catalogues[k], catalogue, shared=shared, tuning=tuning)
+            found.append((share, sigma, catalogue.name))
+    share, sigma, name = max(found)
+    if share <= 0.0:
+        return sigma, f"a usual one, for its records do not lie near those of {name}"
+    return sigma, f"estimated from the distances to {name}"
+
+
+def _with_likelier_unit(catalogues: Sequence[Catalogue], k: int, tuning: CommonErrorTuning) -> tuple[Catalogue, str]:
+    """The catalogue with its errors in the unit that fits the distances best, and a doubt where that is another."""
+    catalogue, error = catalogues[k], catalogues[k].choice.error
+    others = [other for j, other in enumerate(catalogues) if j != k and other.choice.error.reason != "assumed"]
+    if not others:
+        return catalogue, ""
+    found = [common_error(catalogue, other, tuning=tuning) for other in others]
+    sigma, share = max(found, key=lambda one: one[1])
+    quoted = _median_sigma_arcsec(catalogue)
+    if share <= 0.0 or not quoted > 0.0:
+        return catalogue, ""
+    in_arcsec = {"mas": 1e-3, "arcsec": 1.0, "deg": 3600.0}
+    own = in_arcsec[error.columns[0].unit]
+    best = min(_UNITS, key=lambda unit: abs(np.log(quoted * in_arcsec[unit] / own / sigma)))
+    if best == error.columns[0].unit:
+        return catalogue, ""
+    angles = tuple(replace(column, unit=best) if _is_guessed(column) else column for column in error.columns)
+    names = ", ".join(column.name for column in angles if _is_guessed(column))
+    told = f"{catalogue.name}: the unit of {names} is not said; {best} fits the distances to the other catalogue best, "
+    doubt = Message(f"{told}so it was taken; ", naming(f"say {{sigma_unit{k + 1}:UNIT}}"))
+    return catalogue.with_error(replace(error, columns=angles, guessed_unit=False)), doubt
+
+
+def _is_guessed(column: Column) -> bool:
+    return column.reason == GUESSED
+
+
+def _median_sigma_arcsec(catalogue: Catalogue) -> float:
+    variance = 0.5 * (catalogue.astrometry.variance(0) + catalogue.astrometry.variance(1))
+    known = variance[np.isfinite(variance)]
+    return 1e-3 * float(np.sqrt(np.median(known))) if len(known) else np.nan
+
+
+def common_error(
+    catalogue: Catalogue, other: Catalogue, *, shared: bool = False, tuning: CommonErrorTuning = TUNING
+) -> tuple[float, float]:
+    """One position error an axis, arcsec, that explains the distances to another catalogue, and the share of partners.
+
+    shared : the other catalogue's errors are not known either, and taken to be the same.
+    """
+    position, other_variance = _positions(catalogue, other, shared)
+    if not len(position[0]) or not len(position[1]):
+        return tuning.usual_arcsec, 0.0
+    distance, density, partner = _neighbours(*position, tuning)
+    known = other_variance[partner] if len(other_variance) else np.zeros(len(distance))
+    s = np.geomspace(tuning.least_arcsec, tuning.largest_arcsec, tuning.steps)[:, None]
+    variance = s**2 * (2.0 if shared else 1.0) + known
+    chance = 2.0 * np.pi * density * distance
+    near = np.exp(-0.5 * distance**2 / variance) * (distance / variance + chance)
+    prior = -0.5 * (np.log(s[:, 0] / tuning.usual_arcsec) / tuning.spread_log) ** 2
+    shares = np.linspace(0.0, 1.0, tuning.share_steps + 1)[:-1]
+    log_chance = np.log(np.maximum(chance, 1e-300))
+    fit = [(np.log(np.maximum(f * near + (1.0 - f) * chance, 1e-300)) - log_chance).sum(axis=1) + prior for f in shares]
+    at_share, at_s = np.unravel_index(int(np.argmax(fit)), (len(shares), len(s)))
+    return float(s[at_s, 0]), float(shares[at_share])
+
+
+def _positions(
+    catalogue: Catalogue, other: Catalogue, shared: bool
+) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
+    """(n, 3) and (m, 3) directions at the other's epoch, and (m,) the other's variance an axis in arcsec²."""
+    placed = [c.with_error(PositionError("number", sigma_arcsec=1e-3)) for c in (catalogue, other)]
+    if not shared and not other.error_is_unknown:
+        placed[1] = other
+    epochs = [c.epoch_jyr for c in placed]
+    epoch = None if None in epochs else epochs[0] if placed[1].has_motion else epochs[1]
+    one, two = (c.records(epoch) for c in placed)
+    variance = 0.5 * (two.covariance[:, 0] + two.covariance[:, -1])
+    return (_directions(one.features), _directions(two.features)), variance
+
+
+def _directions(position_deg: FloatArray) -> FloatArray:
+    lon, lat = np.radians(position_deg).T
+    return np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+
+
+def _neighbours(
+    one: FloatArray, two: FloatArray, tuning: CommonErrorTuning
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(k,) distances to the nearest in arcsec, local densities per arcsec², and which the nearest is."""
+    from scipy.spatial import cKDTree
+
+    some = one[:: max(1, len(one) // tuning.most_records)]
+    count = min(tuning.neighbours, len(two))
+    chord, which = cKDTree(two).query(some, k=np.arange(1, count + 1))
+    apart = 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)) * ARCSEC_PER_RADIAN
+    # The nearest may be the partner; of those beyond it the density follows. A lone record's is that of its distance.
+    density = max(count - 1, 1) / (np.pi * np.maximum(apart[:, -1], 1e-3) ** 2)
+    return np.maximum(apart[:, 0], 1e-6), density, which[:, 0]

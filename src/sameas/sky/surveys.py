@@ -1,0 +1,112 @@
+"""The position errors of surveys by magnitude, for tables that have left the errors out.
+
+They are medians from the literature, 1σ an axis: right on the average of a magnitude, not star by star. Tables only.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from sameas.arrays import FloatArray
+
+
+@dataclass(frozen=True)
+class Survey:
+    """One survey and its errors.
+
+    title : as people call it. source : where the numbers are from. band : the magnitude that they go by.
+    mag_mas : (magnitude, error in mas an axis), ascending; between them the logarithm goes straight, beyond them it
+        stays. typical_mas : where no magnitude is known.
+    conventions : titles of conventions whose tables are of this survey. epochs_jyr : (least, largest) of them, where a
+        convention has several surveys. words : what texts of its tables say.
+    """
+
+    title: str
+    source: str
+    band: str
+    mag_mas: tuple[tuple[float, float], ...]
+    typical_mas: float
+    conventions: tuple[str, ...] = ()
+    epochs_jyr: tuple[float, float] = (-np.inf, np.inf)
+    words: str = ""
+
+    def sigma_mas(self, magnitude: FloatArray | None, n: int) -> FloatArray:
+        """(n,) standard deviation an axis, by magnitude where it is known.
+
+        >>> SURVEYS[0].title, SURVEYS[0].sigma_mas(np.array([12.0, 20.0, np.nan]), 3).round(3).tolist()
+        ('Gaia DR3', [0.015, 0.4, 0.1])
+        """
+        typical = np.full(n, self.typical_mas)
+        if magnitude is None:
+            return typical
+        mags, errors = np.array(self.mag_mas).T
+        return np.where(np.isfinite(magnitude), np.exp(np.interp(magnitude, mags, np.log(errors))), typical)
+
+
+_GAIA = ("Gaia archive", "Gaia at VizieR")
+#: The first one that fits is taken.
+SURVEYS = (
+    Survey(
+        "Gaia DR3", "Gaia Collaboration 2021, A&A 649, A1", "G",
+        ((15.0, 0.015), (17.0, 0.05), (20.0, 0.4), (21.0, 1.0)), 0.1,
+        _GAIA, (2015.9, 2016.1), r"gaia[ _-]?e?dr3|\bI[/_]35[05]\b",
+    ),
+    Survey(
+        "Gaia DR2", "Gaia Collaboration 2018, A&A 616, A1", "G",
+        ((15.0, 0.03), (17.0, 0.1), (20.0, 0.7), (21.0, 2.0)), 0.2,
+        _GAIA, (2015.4, 2015.6), r"gaia[ _-]?dr2|\bI[/_]345\b",
+    ),
+    Survey(
+        "Gaia DR1", "Gaia Collaboration 2016, A&A 595, A2", "G", ((21.0, 10.0),), 10.0,
+        _GAIA, (2014.9, 2015.1), r"gaia[ _-]?dr1|\bI[/_]337\b",
+    ),
+    Survey(
+        "Gaia DR3", "Gaia Collaboration 2021, A&A 649, A1", "G",
+        ((15.0, 0.015), (17.0, 0.05), (20.0, 0.4), (21.0, 1.0)), 0.1, _GAIA,
+    ),
+    Survey(
+        "Hipparcos", "ESA 1997, SP-1200", "Hp", ((9.0, 0.7), (12.0, 1.6)), 0.8,
+        ("Hipparcos (I/239)", "Hipparcos, the new reduction (I/311)"), words=r"\bI[/_](239|311)\b|hipparcos",
+    ),
+    Survey(
+        "Tycho-2", "Høg et al. 2000, A&A 355, L27", "VT", ((9.0, 7.0), (11.5, 60.0)), 60.0,
+        ("Tycho-2 (I/259)",), words=r"tycho[ _-]?2|\bI[/_]259\b",
+    ),
+    Survey(
+        "2MASS", "Skrutskie et al. 2006, AJ 131, 1163", "J",
+        ((9.0, 100.0), (10.0, 75.0), (15.0, 75.0), (16.5, 150.0)), 80.0,
+        ("2MASS", "2MASS at VizieR (II/246)"), words=r"2MASS|\bII[/_]246\b",
+    ),
+    Survey(
+        "SDSS", "Pier et al. 2003, AJ 125, 1559", "r", ((20.0, 45.0), (22.0, 100.0)), 60.0,
+        ("SDSS",), words=r"\bSDSS\b|\bV[/_]147\b",
+    ),
+    Survey(
+        "Pan-STARRS1", "Magnier et al. 2020, ApJS 251, 6", "r", ((19.0, 15.0), (21.5, 60.0)), 30.0,
+        ("Pan-STARRS1",), words=r"pan-?starrs|\bII[/_]349\b",
+    ),
+    Survey(
+        "AllWISE", "Cutri et al. 2013, AllWISE Explanatory Supplement", "W1",
+        ((13.0, 50.0), (17.0, 300.0)), 150.0,
+        ("AllWISE", "AllWISE at VizieR (II/328)"), words=r"allwise|\bII[/_]328\b",
+    ),
+    Survey(
+        "UCAC4", "Zacharias et al. 2013, AJ 145, 44", "f", ((14.0, 20.0), (16.0, 70.0)), 40.0,
+        words=r"\bUCAC4\b|\bI[/_]322",
+    ),
+    Survey("USNO-B1.0", "Monet et al. 2003, AJ 125, 984", "R", ((21.0, 200.0),), 200.0, words=r"USNO-?B1|\bI[/_]284\b"),
+)  # fmt: skip
+
+
+def survey_of(convention: str, epoch_jyr: float | None, texts: list[str]) -> Survey | None:
+    """The survey of a table, by the title of its convention and its epoch, or by its texts; None if not known."""
+    for survey in SURVEYS:
+        least, largest = survey.epochs_jyr
+        dated = survey.epochs_jyr[0] == -np.inf or (epoch_jyr is not None and least < epoch_jyr < largest)
+        if convention in survey.conventions and dated:
+            return survey
+    named = [s for s in SURVEYS if s.words and any(re.search(s.words, text, re.IGNORECASE) for text in texts)]
+    return named[0] if len({survey.title for survey in named}) == 1 else None

@@ -1,0 +1,104 @@
+"""`sameas.explain`: why, from what an output holds."""
+
+import numpy as np
+import pytest
+
+import sameas
+from sameas import InputError
+from sameas.io import read_provenance, write_table
+
+
+@pytest.fixture(scope="module")
+def crowded():
+    """Two surveys in which records compete, with names."""
+    rng = np.random.default_rng(8)
+    place = rng.uniform(0.0, 60.0 / 3600.0, (60, 2))
+    first = {"ra": 10.0 + place[:, 0], "dec": place[:, 1], "name": [f"a{k}" for k in range(60)]}
+    scatter = 1.0 / 3600.0 * rng.standard_normal((45, 2))
+    second = {"ra": 10.0 + place[:45, 0] + scatter[:, 0], "dec": place[:45, 1] + scatter[:, 1],
+              "name": [f"b{k}" for k in range(45)]}  # fmt: skip
+    return first, second
+
+
+@pytest.fixture(scope="module")
+def match(crowded):
+    return sameas.match(*crowded, sigma1=0.7, sigma2=0.7, id="name")
+
+
+@pytest.mark.parametrize("ending", ["fits", "vot", "ecsv", "csv", "parquet"])
+def test_a_match_in_memory_is_explained_from_its_file(match, tmp_path, ending):
+    path = tmp_path / f"out.{ending}"
+    match.write(path)
+    for row in range(60):
+        told, answers = str(sameas.explain(path, f"a{row}")), match.identification.answers_1
+        partner = answers.partner[row]
+        if partner is np.ma.masked:
+            assert told.startswith(f"first a{row} has no partner")
+        else:
+            assert told.startswith(f"first a{row} is second b{partner}, probability ")
+        if answers.second[row] is not np.ma.masked:
+            assert f"b{answers.second[row]}" in told
+    assert str(sameas.explain(path, row=5)) == str(sameas.explain(path, "a5"))
+
+
+def test_a_record_of_the_second(match, tmp_path):
+    path = tmp_path / "out.fits"
+    match.write(path, "1or2")
+    told = str(sameas.explain(path, "b3", source=2))
+    assert told.startswith("second b3 ") and told == str(sameas.explain(path, "b3", source="second"))
+    with pytest.raises(InputError, match="b3 is a record of second; say source=2"):
+        sameas.explain(path, "b3")
+    with pytest.raises(InputError, match="it has no source 3; give one of first, second"):
+        sameas.explain(path, "b3", source=3)
+
+
+def test_every_candidate_is_told_where_the_table_has_them(match, tmp_path):
+    path = tmp_path / "pairs.fits"
+    match.write(path, "pairs")
+    row = int(np.argmax(match.identification.answers_1.candidates.filled(0)))
+    told = str(sameas.explain(path, f"a{row}"))
+    names = {f"b{j}" for i, j in zip(match.identification.rows_1, match.identification.rows_2, strict=True) if i == row}
+    assert len(names) > 2 and all(name in told for name in names) and "no partner" in told
+
+
+def test_records_without_ids_are_named_by_row(crowded, tmp_path):
+    first, second = ({name: one[name] for name in ("ra", "dec")} for one in crowded)
+    found = sameas.match(first, second, sigma=0.7)
+    path = tmp_path / "out.fits"
+    found.write(path)
+    partner = found.identification.answers_1.partner
+    told = str(sameas.explain(path, 3))
+    assert ("has no partner" in told) == (partner[3] is np.ma.masked)
+    with pytest.raises(InputError, match="it has no ids, and the output does not hold all its rows in their order"):
+        sameas.explain(path, 3, source=2)
+
+
+def test_several_catalogues(crowded, tmp_path):
+    first, second = crowded
+    found = sameas.match_many(first, second, first | {"name": [f"c{k}" for k in range(60)]}, sigma=0.7, id="name")
+    path = tmp_path / "objects.fits"
+    found.write(path)
+    for row in (0, 7, 50):
+        told = str(sameas.explain(path, f"a{row}"))
+        number = int(found.objects.of("first").object[row])
+        members = found.objects.members[number]
+        for word, member in zip("abc", members, strict=True):
+            assert member is np.ma.masked or f"{word}{member}" in told
+    assert str(sameas.explain(path, "b3", source=2)) == str(sameas.explain(path, row=3, source="second"))
+    assert "offset_1" not in read_provenance(path)
+
+
+def test_refusals(crowded, match, tmp_path):
+    from astropy.table import Table
+
+    write_table(Table({"a": [1]}), tmp_path / "other.fits", provenance={})
+    match.write(tmp_path / "out.fits")
+    for words, arguments in (
+        ("does not say how it was made", ("other.fits", 1)),
+        ("give the id of a record, or row=", ("out.fits",)),
+        ("first has no record with the id zz in the output; its first ids are a0, a1, a2", ("out.fits", "zz")),
+    ):
+        with pytest.raises(InputError, match=words):
+            sameas.explain(tmp_path / arguments[0], *arguments[1:])
+    with pytest.raises(InputError, match=r"was made from .* in memory, which is not there any more"):
+        sameas.explain(tmp_path / "out.fits", "a1", again=True)

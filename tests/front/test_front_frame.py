@@ -1,0 +1,107 @@
+"""`sameas.match_frame`: a frame and whatever holds stars, and what the result offers."""
+
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.io import fits
+from astropy.table import Table
+
+import sameas
+from sameas import InputError
+from sameas.io import read_provenance, read_table
+from sameas.simulate.frames import Camera, Gaussian, Lens, frame_of_sky
+from sameas.sky.frame.tangent import Pointing, unit_vectors
+from sameas.space import ARCSEC_PER_RADIAN
+
+pytest.importorskip("photutils", reason="finding stars needs the extra sameas[frames]")
+
+SIDE, WHERE = 256, (150.0, 20.0)
+
+
+def stars_of(n):
+    rng = np.random.default_rng(2)
+    return Table({
+        "source_id": np.arange(n) + 1000, "ra": WHERE[0] + rng.uniform(-0.1, 0.1, n) / np.cos(np.radians(20.0)),
+        "dec": WHERE[1] + rng.uniform(-0.1, 0.1, n), "ra_error": np.full(n, 20.0), "dec_error": np.full(n, 20.0),
+        "ref_epoch": np.full(n, 2016.0), "phot_g_mean_mag": 10 + 8 * rng.random(n) ** 0.5,
+    })  # fmt: skip
+
+
+def pointing():
+    return Pointing(unit_vectors(*WHERE), np.diag([-2.0, 2.0]) / ARCSEC_PER_RADIAN, np.full(2, (SIDE - 1) / 2))
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """The path of a frame of 256 × 256 pixels of 2 arcsec without a solution, and its stars."""
+    stars = stars_of(300)
+    seen = frame_of_sky(
+        np.random.default_rng(3), ra_deg=stars["ra"], dec_deg=stars["dec"], magnitude=stars["phot_g_mean_mag"],
+        wcs=pointing().to_wcs((SIDE, SIDE)), zero_point=19.0, lens=Lens(0.3), psf=Gaussian(2.6),
+        camera=Camera(shape=(SIDE, SIDE)),
+    )  # fmt: skip
+    path = tmp_path_factory.mktemp("frame") / "m.fits"
+    header = fits.Header({"DATE-OBS": "2016-01-01T12:00:00", "EXPTIME": 60.0, "GAIN": 1.5, "RDNOISE": 6.0})
+    fits.PrimaryHDU(seen.frame.image.astype(np.uint16), header).writeto(path)
+    return path, stars
+
+
+@pytest.fixture(scope="module")
+def found(made):
+    path, stars = made
+    return sameas.match_frame(path, stars, aim=WHERE, scale=(1.9, 2.1))
+
+
+def test_a_frame_is_matched_with_a_table(made, found):
+    assert len(found) > 50 and len(found.pairs) == len(found)
+    assert found.pairs["id_2"].min() >= 1000 and (found.table["fate"] == "identified").sum() == len(found)
+    middle = found.wcs.pixel_to_world((SIDE - 1) / 2, (SIDE - 1) / 2)
+    assert middle.separation(SkyCoord(*WHERE, unit="deg")).arcsec < 1.0
+
+
+def test_the_report_says_what_the_catalogue_was_taken_for(found):
+    report = found.report()
+    for words in ("Frame: m.fits", "Catalogue: catalogue", "ra_error, dec_error [mas, by convention]",
+                  "names of: Gaia archive", "Found in catalogue"):  # fmt: skip
+        assert words in report
+
+
+def test_stars_and_measurements_are_explained(found):
+    pair = found.pairs[3]
+    star, measurement = found.explain(pair["id_2"]), found.explain(pair["id_1"], source="measurement")
+    assert f"is m.fits {pair['id_1']}" in str(star) and f"is catalogue {pair['id_2']}" in str(measurement)
+    assert str(found.explain(row=int(pair["row_2"]))) == str(star)
+    with pytest.raises(InputError, match="source is 'x'; give 'measurement' or 'star'"):
+        found.explain(1, source="x")
+
+
+def test_a_table_or_everything_is_written(found, tmp_path):
+    found.write(tmp_path / "stars.fits")
+    assert len(read_table(tmp_path / "stars.fits")) == len(found.table)
+    assert "sameas.match_frame(" in read_provenance(tmp_path / "stars.fits")["command"]
+    pytest.importorskip("matplotlib")
+    found.write(tmp_path / "all")
+    names = {path.name for path in (tmp_path / "all").iterdir()}
+    assert names >= {"m.stars.fits", "m.wcs", "m.reg", "m.json", "m.html", "m.png"}
+
+
+def test_pictures_and_notebooks(found):
+    pytest.importorskip("matplotlib")
+    assert found.plot().axes and found.plot("quality").axes
+    assert "data:image/png" in found._repr_html_() and len(repr(found).splitlines()) <= 10
+    with pytest.raises(InputError, match="there is no picture 'x'; give one of picture, quality"):
+        found.plot("x")
+
+
+def test_what_is_lacking_is_named_as_python_has_it(made):
+    path, stars = made
+    for words, options in {
+        "no plate solution and no aim in the header; say aim=RA,DEC and scale=LO,HI": {},
+        "the aim is known, but not the scale; say scale=LO,HI": {"aim": WHERE},
+        "match_frame has no option 'aimm'; did you mean aim": {"aimm": WHERE},
+        "scale=-1: give arcsec per pixel": {"scale": -1}, "aim='x': give": {"aim": "x"},
+        "time=soon: give a date": {"time": "soon", "aim": WHERE, "scale": 2.0},
+        "catalogue: no column 'x' for ra": {"ra": "x", "dec": "dec"},
+    }.items():  # fmt: skip
+        with pytest.raises(InputError, match=words):
+            sameas.match_frame(path, stars, **options)

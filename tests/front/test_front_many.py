@@ -1,0 +1,115 @@
+"""`sameas.match_many`: several sources at once, and what the result offers."""
+
+import numpy as np
+import pytest
+from guises import GUISES
+
+import sameas
+from sameas import InputError
+from sameas.io import read_provenance, read_table
+from sameas.space import sphere_offset
+
+
+def survey(rng, ra, dec, rows, sigma, east=0.0, north=0.0):
+    scatter = sigma * rng.standard_normal((2, len(rows)))
+    cos = np.cos(np.radians(dec[rows]))
+    place = {"ra": ra[rows] + (scatter[0] + east) / 3600.0 / cos, "dec": dec[rows] + (scatter[1] + north) / 3600.0}
+    return place | {"name": np.array([f"s{k}" for k in rows])}
+
+
+@pytest.fixture(scope="module")
+def three():
+    """Three surveys of 150 stars; the third is 8 arcsec off."""
+    rng = np.random.default_rng(3)
+    ra, dec = 150.0 + 0.3 * rng.uniform(size=150), 2.0 + 0.3 * rng.uniform(size=150)
+    return [survey(rng, ra, dec, np.arange(120), 0.05), survey(rng, ra, dec, np.arange(30, 150), 0.1),
+            survey(rng, ra, dec, rng.permutation(150), 0.2, east=8.0, north=-3.0)]  # fmt: skip
+
+
+def names(found):
+    """The objects of three catalogues, by the stars' names, which must agree."""
+    table = found.joined(3)
+    same = (table["name_1"] == table["name_2"]) & (table["name_2"] == table["name_3"])
+    return len(table), int(np.count_nonzero(same))
+
+
+@pytest.fixture(scope="module")
+def found(three):
+    return sameas.match_many(*three, sigma1=0.05, sigma2=0.1, sigma3=0.2, id="name", offset="find")
+
+
+def test_an_offset_of_one_catalogue_is_found_and_taken_away(three, found):
+    assert names(found) == (90, 90)
+    assert set(found.sky.rotations) == {"second", "third"}
+    rotation = found.sky.rotations["third"]
+    assert np.allclose(rotation.vector[:2], [-8.0, 3.0], atol=0.15)
+    assert "offset                added to third: " in found.report()
+    seen = found.joined(3)
+    off = sphere_offset(seen["ra_object"].data, seen["dec_object"].data, seen["ra_1"].data, seen["dec_1"].data)
+    assert np.abs(off).max() < 0.5  # places are on the frame of the most precise catalogue
+    without = sameas.match_many(*three, sigma1=0.05, sigma2=0.1, sigma3=0.2)
+    assert any("offset='find'" in doubt for doubt in without.doubts)
+
+
+def test_the_order_of_the_catalogues_changes_nothing(three, found):
+    again = sameas.match_many(three[::-1], sigma1=0.2, sigma2=0.1, sigma3=0.05, id="name", offset="find")
+    assert len(again) == len(found) and names(again) == names(found)
+
+
+def test_it_takes_what_match_takes(three):
+    columns = [{name: values for name, values in one.items() if name != "name"} for one in three[:2]]
+    plain = sameas.match_many(*columns, sigma=0.1)
+    for guise in ("pandas", "lazy polars", "table"):
+        assert len(sameas.match_many(*map(GUISES[guise], columns), sigma=0.1)) == len(plain)
+
+
+def test_records_are_explained_by_id_and_by_row(found):
+    by_id, by_row = found.explain("s40", source=2), found.explain(row=10, source="second")
+    assert str(by_id) == str(by_row) and "first s40" in str(by_id)
+    for words, options in {
+        "give the id of a record, or row=": {}, "no record with the id x9": {"id": "x9"},
+        "source is 4; give 1 to 3": {"id": "s1", "source": 4}, "no catalogue is named 'x'": {"id": "s1", "source": "x"},
+    }.items():  # fmt: skip
+        with pytest.raises(InputError, match=words):
+            found.explain(**options)
+
+
+def test_a_written_table_says_how_it_was_made(found, tmp_path):
+    found.write(tmp_path / "objects.fits", 2)
+    facts = read_provenance(tmp_path / "objects.fits")
+    assert facts["command"].startswith("sameas.match_many(dict, dict, dict, offset='find'")
+    assert facts["offset_3"].startswith("-") and len(read_table(tmp_path / "objects.fits")) == len(found.joined(2))
+
+
+def test_the_command_takes_the_option_that_its_doubt_names(three, tmp_path, monkeypatch):
+    from astropy.table import Table
+    from typer.testing import CliRunner
+
+    from sameas.cli.app import app
+
+    monkeypatch.chdir(tmp_path)
+    for k, one in enumerate(three, 1):
+        Table(one).write(f"s{k}.fits")
+    said = ["many", "s1.fits", "s2.fits", "s3.fits", "--sigma1", "0.05", "--sigma2", "0.1", "--sigma3", "0.2"]
+    without = CliRunner().invoke(app, [*said, "-o", "without.fits"])
+    assert "--offset find" in " ".join(without.stdout.split())
+    with_it = CliRunner().invoke(app, [*said, "--offset", "find", "-o", "with.fits"])
+    assert with_it.exit_code == 0 and "added to s3: -" in with_it.stdout
+
+
+def test_refusals(three):
+    for words, sources, options in (
+        ("1 catalogues given; give two to 8", three[:1], {}),
+        ("no option 'sigma4'; did you mean", three, {"sigma4": 1.0}),
+        ("least is 4; give 1 to 3", three, {"least": 4}),
+        ("second: no column 'err' for sigma; .* Also: third: no column 'err'", three, {"sigma1": 0.1, "sigma": "err"}),
+    ):
+        with pytest.raises(InputError, match=words):
+            sameas.match_many(*sources, **options)
+
+
+def test_a_picture_of_two_of_them(found):
+    pytest.importorskip("matplotlib")
+    assert found.plot("third", "first").axes
+    with pytest.raises(InputError, match="no catalogues first and x; give two of first, second, third"):
+        found.plot("first", "x")

@@ -1,0 +1,258 @@
+"""What a table does not say is found elsewhere, or assumed and doubted; never refused one thing at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from astropy import units as u
+from astropy.coordinates import SkyCoord
+from astropy.table import MaskedColumn, Table
+
+from sameas.errors import InputError
+from sameas.sky.assumed import common_error, completed
+from sameas.sky.catalogue import Catalogue, CatalogueOptions
+from sameas.sky.column_values import year_of
+from sameas.sky.surveys import SURVEYS
+from sameas.sky.typical import typical_errors
+
+
+def catalogue(table: Table | dict[str, object], name: str = "cat", **options: object) -> Catalogue:
+    return Catalogue.of(table, name, options=CatalogueOptions(**options))  # type: ignore[arg-type]
+
+
+def scattered(n: int, sigma_arcsec: float, seed: int, spread_deg: float = 0.2) -> tuple[np.ndarray, np.ndarray]:
+    """(n, 2) positions at declination 0, and the same measured again."""
+    rng = np.random.default_rng(seed)
+    place = np.column_stack([10.0 + spread_deg * rng.random(n), spread_deg * rng.random(n)])
+    return place, place + sigma_arcsec / 3600.0 * rng.standard_normal((n, 2))
+
+
+# Where: other frames, other spellings, an angle in several columns.
+
+
+@pytest.mark.parametrize(("lon", "lat", "frame"), [("l", "b", "galactic"), ("GLON", "GLAT", "galactic")])
+def test_galactic_positions_are_those_of_astropy(lon: str, lat: str, frame: str) -> None:
+    truth = SkyCoord([10.0, 200.0, 359.9] * u.deg, [-60.0, 5.0, 89.0] * u.deg)
+    there = catalogue({lon: truth.galactic.l.deg, lat: truth.galactic.b.deg}, sigma=0.1)
+    assert there.choice.frame == frame and "names of: galactic coordinates" in there.interpretation[0]
+    apart = truth.separation(SkyCoord(*there.records().features.T * u.deg))
+    # astropy goes by way of FK5, which is turned by 0.02 arcsec against ICRS; Hipparcos and Gaia do not.
+    assert apart.max().arcsec < 0.03
+
+
+def test_ecliptic_positions_are_those_of_astropy_to_the_choice_of_the_obliquity() -> None:
+    truth = SkyCoord([10.0, 200.0, 359.9] * u.deg, [-60.0, 5.0, 89.0] * u.deg)
+    ecliptic = truth.transform_to("barycentricmeanecliptic")
+    there = catalogue({"ecl_lon": ecliptic.lon.deg, "ecl_lat": ecliptic.lat.deg}, sigma=0.1)
+    assert truth.separation(SkyCoord(*there.records().features.T * u.deg)).max().arcsec < 0.06
+
+
+def test_a_right_ascension_goes_before_galactic_coordinates() -> None:
+    both = catalogue({"l": [1.0], "b": [2.0], "ra": [3.0], "dec": [4.0]}, sigma=0.1)
+    assert list(both.records().features[0]) == [3.0, 4.0]
+    chosen = catalogue({"l": [1.0], "b": [2.0], "ra": [3.0], "dec": [4.0]}, sigma=0.1, ra="l", dec="b")
+    assert chosen.choice.frame == "galactic"
+
+
+def test_errors_along_galactic_axes_are_turned_with_them() -> None:
+    truth = SkyCoord(40.0 * u.deg, 20.0 * u.deg)
+    table = Table({"l": [truth.galactic.l.deg], "b": [truth.galactic.b.deg], "l_error": [3.0], "b_error": [0.5]})
+    table["l_error"].unit = table["b_error"].unit = u.arcsec
+    xx, xy, yy = catalogue(table).records().covariance[0]
+    # The direction of growing longitude, by a small step of astropy's.
+    step = SkyCoord(truth.galactic.l + 0.001 * u.deg, truth.galactic.b, frame="galactic").icrs
+    angle = truth.position_angle(step).rad
+    axes = np.array([[np.sin(angle), np.cos(angle)], [-np.cos(angle), np.sin(angle)]])
+    due = axes.T @ np.diag([9.0, 0.25]) @ axes
+    np.testing.assert_allclose([xx, yy, xy], [due[0, 0], due[1, 1], due[0, 1]], atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("ra", "dec", "unit"),
+    [
+        ("RA (J2000)", "Dec (J2000)", "deg"), ("R.A.", "Dec.", "deg"), ("RA [deg]", "DEC [deg]", "deg"),
+        ("Right Ascension", "Declination", "deg"), ("RA (hours)", "Dec (deg)", "hourangle"),
+    ],
+)  # fmt: skip
+def test_names_as_people_write_them(ra: str, dec: str, unit: str) -> None:
+    choice = catalogue({ra: [12.0], dec: [4.0], "err (mas)": [80.0]}).choice
+    assert (choice.ra.name, choice.dec.name, choice.ra.unit) == (ra, dec, unit)
+    assert (choice.error.columns[0].name, choice.error.columns[0].unit) == ("err (mas)", "mas")
+
+
+def test_an_angle_in_several_columns() -> None:
+    table = Table({"RAh": [10, 0], "RAm": [0, 30], "RAs": [36.0, 0.0], "DE-": ["-", "+"], "DEd": [0, 20]})
+    table["DEm"], table["DEs"] = [30, 15], MaskedColumn([36.0, 0.0], mask=[False, True])
+    there = catalogue(table, sigma=0.1)
+    np.testing.assert_allclose(there.records().features, [[150.15, -0.51], [7.5, 20.25]])
+    assert "RAh [hours in RAh, RAm, RAs, by convention]" in there.interpretation[0]
+
+
+def test_sextractors_world_ellipse_is_counted_from_east() -> None:
+    table = Table({"X_WORLD": [10.0], "Y_WORLD": [0.0], "ERRA_WORLD": [2e-4], "ERRB_WORLD": [1e-4]})
+    table["ERRTHETA_WORLD"] = [0.0]
+    assert np.allclose(catalogue(table).records().covariance, [[0.72**2, 0.0, 0.36**2]])
+    table["ALPHA_J2000"], table["DELTA_J2000"] = [11.0], [0.0]
+    assert catalogue(table).records().features[0, 0] == 11.0
+
+
+def test_an_error_behind_the_name_of_a_survey() -> None:
+    assert catalogue({"ra": [1.0], "dec": [2.0], "xmm_poserr_arcsec": [1.5]}).records().covariance[0, 0] == 2.25
+
+
+# When.
+
+
+@pytest.mark.parametrize(
+    ("text", "same"),
+    [
+        ("2017-12-19T18:33:43.317-0700", "2017-12-20T01:33:43.317"),
+        ("2017-12-20T03:33:43+02:00", "2017-12-20T01:33:43"),
+        ("2017-12-20T01:33:43Z", "2017-12-20T01:33:43"), ("2017-12-20 01:33:43+00", "2017-12-20T01:33:43"),
+    ],
+)  # fmt: skip
+def test_a_date_with_a_time_zone_is_that_instant(text: str, same: str) -> None:
+    assert year_of(text) == pytest.approx(year_of(same), abs=1e-9)
+
+
+@pytest.mark.parametrize(("name", "value"), [("ref_epoch", 2016.0), ("obstime", 57388.5), ("mjd", 57388.5)])
+def test_a_column_of_epochs_counts_whatever_the_position_is_called(name: str, value: float) -> None:
+    table = {"ALPHA_J2000": [1.0], "DELTA_J2000": [2.0], name: [value]}
+    assert catalogue(table, sigma=0.1).epoch_jyr == pytest.approx(2016.0, abs=2e-3)
+    assert catalogue(table | {name: [3.0]}, sigma=0.1).epoch_jyr is None  # the third visit is no epoch
+
+
+def test_where_only_the_other_moves_the_epoch_is_assumed() -> None:
+    moving = catalogue({"ra": [1.0], "dec": [2.0], "pmra": [5.0], "pmdec": [5.0]}, "moving", sigma=0.1, epoch=2016)
+    still = catalogue({"ra": [1.0], "dec": [2.0]}, "still", sigma=0.1)
+    (first, second), doubts = completed((moving, still))
+    assert (first.epoch_jyr, second.epoch_jyr) == (2016.0, 2016.0)
+    assert doubts[0].startswith("still: its epoch is not known; 2016 was assumed") and "say epoch2=YEAR" in doubts[0]
+    assert completed((still, still))[1] == ()
+    assert completed((still, still), 2010.0)[0][0].epoch_jyr == 2010.0
+
+
+# How well.
+
+
+@pytest.mark.parametrize(("survey", "magnitude", "mas"), [("Gaia DR3", 17.0, 0.05), ("2MASS", 12.0, 75.0)])
+def test_the_errors_of_a_survey_are_those_of_its_magnitudes(survey: str, magnitude: float, mas: float) -> None:
+    known = next(one for one in SURVEYS if one.title == survey)
+    assert known.sigma_mas(np.array([magnitude]), 1)[0] == pytest.approx(mas)
+    assert known.sigma_mas(None, 2).tolist() == [known.typical_mas] * 2
+
+
+def test_a_table_of_gaia_without_errors_has_those_of_its_release() -> None:
+    table = {"source_id": [1, 2], "ra": [1.0, 2.0], "dec": [2.0, 3.0], "phot_g_mean_mag": [20.0, np.nan]}
+    for epoch, faint, typical in ((2016.0, 0.4, 0.1), (2015.5, 0.7, 0.2)):
+        source = catalogue(table | {"ref_epoch": [epoch] * 2})
+        np.testing.assert_allclose(source.records().covariance[:, 0], [(1e-3 * faint) ** 2, (1e-3 * typical) ** 2])
+    assert source.doubts[0].startswith(
+        "no column of position errors: those of Gaia DR2 at its phot_g_mean_mag are taken"
+    )
+    assert "say sigma=ARCSEC" in source.doubts[0]
+
+
+@pytest.mark.parametrize("sigma", [0.02, 0.3, 2.0])
+@pytest.mark.parametrize("unrelated", [0, 300])
+def test_a_common_error_is_found_from_the_distances(sigma: float, unrelated: int) -> None:
+    here, there = scattered(600, sigma, seed=3)
+    others, _ = scattered(unrelated, 1.0, seed=4)
+    one = catalogue({"ra": here[:, 0], "dec": here[:, 1]}, "one")
+    there = np.concatenate([there, others])
+    two = catalogue({"ra": there[:, 0], "dec": there[:, 1]}, "two", sigma=1e-3)
+    found, share = common_error(one, two)
+    assert found == pytest.approx(sigma, rel=0.2) and share > 0.8
+    both = catalogue({"ra": there[:, 0], "dec": there[:, 1]}, "both")
+    assert common_error(one, both, shared=True)[0] == pytest.approx(sigma / np.sqrt(2.0), rel=0.2)
+
+
+def test_a_common_error_is_said_with_its_value() -> None:
+    here, there = scattered(300, 0.3, seed=5)
+    one = catalogue({"ra": here[:, 0], "dec": here[:, 1]}, "one", sigma=0.01)
+    two = catalogue({"ra": there[:, 0], "dec": there[:, 1]}, "two")
+    with pytest.raises(InputError, match=r"two: no column of position errors \(plain names\); say sigma=ARCSEC"):
+        two.records()
+    (_, second), (doubt,) = completed((one, two))
+    sigma = second.choice.error.sigma_arcsec
+    assert sigma == pytest.approx(0.3, rel=0.2) and second.records().covariance[0, 0] == pytest.approx(sigma**2)
+    assert doubt.startswith(
+        f"two: it has no position errors; {sigma:.2g} arcsec on each axis was taken, estimated from "
+    )
+    assert doubt.endswith("the distances to one; say sigma2=ARCSEC or sigma2=COLUMN")
+
+
+def test_catalogues_of_other_parts_of_the_sky_get_a_usual_error() -> None:
+    one = catalogue({"ra": [10.0, 11.0], "dec": [0.0, 0.0]}, "one")
+    two = catalogue({"ra": [200.0], "dec": [50.0]}, "two", sigma=0.1)
+    (first, _), (doubt,) = completed((one, two))
+    assert 0.2 < first.choice.error.sigma_arcsec < 0.4 and "its records do not lie near those of two" in doubt
+
+
+def test_the_unit_of_errors_is_the_one_that_fits_the_distances() -> None:
+    here, there = scattered(300, 0.05, seed=6)
+    one = catalogue({"ra": here[:, 0], "dec": here[:, 1]}, "one", sigma=0.001)
+    two = catalogue(
+        {"ra": there[:, 0], "dec": there[:, 1], "err": np.full(300, 0.05 / 3600 * 1e3)}, "two", sigma_unit=None
+    )
+    assert two.choice.error.columns[0].unit == "arcsec"  # 0.014
+    assert completed((one, two))[1] == ()
+    mas = catalogue({"ra": there[:, 0], "dec": there[:, 1], "err": np.full(300, 4.0)}, "two")
+    tiny = catalogue({"ra": here[:, 0], "dec": here[:, 1]}, "one", sigma=0.0001)
+    near = catalogue({"ra": here[:, 0], "dec": here[:, 1], "err": np.full(300, 2.0)}, "two")
+    (_, second), (doubt,) = completed((tiny, near))
+    assert second.choice.error.columns[0].unit == "mas" and "mas fits the distances" in doubt
+    assert mas.choice.error.guessed_unit
+
+
+def test_empty_errors_are_filled_where_that_is_allowed() -> None:
+    rng = np.random.default_rng(7)
+    magnitude = rng.uniform(10.0, 20.0, 1000)
+    sigma = 0.01 * 10.0 ** (0.2 * (magnitude - 10.0))
+    empty = np.arange(1000) % 10 == 0
+    sigma[empty] = 0.0
+    table = Table({"ra": 10.0 + rng.random(1000), "dec": rng.random(1000), "mag": magnitude})
+    table["pos_err_arcsec"] = MaskedColumn(sigma, mask=np.arange(1000) % 20 == 0)
+    assert len(catalogue(table).records()) == 900
+    filled = catalogue(table, fill_errors=True)
+    found = np.sqrt(filled.records().covariance[empty, 0])
+    np.testing.assert_allclose(found, 0.01 * 10.0 ** (0.2 * (magnitude[empty] - 10.0)), rtol=0.15)
+    assert filled.doubts[0].startswith(
+        "100 rows have no position error and were given the typical one of their magnitude"
+    )
+    assert np.isnan(typical_errors(np.array([np.nan, 0.0]), None)).all()
+
+
+# Which rows.
+
+
+def test_rows_given_twice_are_said() -> None:
+    rng = np.random.default_rng(8)
+    table = Table({"ra": rng.random(100), "dec": rng.random(100), "name": [f"s{k}" for k in range(100)]})
+    table["flux"] = MaskedColumn(rng.random(100), mask=np.arange(100) == 3)
+    assert not any("twice" in doubt for doubt in catalogue(table, sigma=0.1).doubts)
+    twice = table[[*range(100), 3, 4, 5]]
+    told = "3 of 103 rows are given twice (first: rows"
+    assert any(doubt.startswith(told) for doubt in catalogue(twice, sigma=0.1).doubts)
+    twice["name"][100:] = ["a", "b", "c"]
+    told = "3 of 103 rows have exactly the position of another row"
+    assert any(doubt.startswith(told) for doubt in catalogue(twice, sigma=0.1).doubts)
+
+
+def test_our_own_table_of_a_frame_brings_errors_and_epoch_and_no_star_that_was_not_measured() -> None:
+    table = Table({"ra_deg": [10.0, 11.0, 12.0], "dec_deg": [1.0, 2.0, 3.0]}, meta={"REFEPOCH": 1951.9})
+    table["measurement"] = MaskedColumn([0, 1, 0], mask=[False, False, True])
+    for name, square in (("ee", 0.04), ("en", 0.01), ("nn", 0.09)):
+        table[f"cov_{name}_arcsec2"] = np.full(3, square)
+        table[f"cov_{name}_arcsec2"].unit = "arcsec2"
+    source = catalogue(table)
+    assert source.epoch_jyr == 1951.9 and list(source.records().rows) == [0, 1]
+    np.testing.assert_allclose(source.records().covariance, [[0.04, 0.01, 0.09]] * 2)
+    assert "1 rows are stars that were not measured, and are set aside" in source.doubts
+
+
+def test_all_that_is_wrong_is_said_at_once() -> None:
+    with pytest.raises(InputError) as refused:
+        catalogue({"ra": [1.0], "dec": [2.0]}, sigma="nosuch", id="nobody", magnitude="dark")
+    for words in ("'nosuch' for sigma", "'nobody' for id", "'dark' for magnitude"):
+        assert words in str(refused.value)
