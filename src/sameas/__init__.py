@@ -2,7 +2,7 @@
 
 What to use when:
 
-- two sources, and nothing known of them but positions and errors: :func:`match` estimates the rest;
+- two sources, and nothing known of them but what they say: :func:`match`, of files, tables, data frames, records;
 - two sources whose densities, miss rates or costs you know: :func:`identify` with a rule and a prior;
 - more than two sources: :func:`identify_many`; one after the other, as they come: :func:`identify_sequentially`;
 - one source shifted, turned or biased against the other: :func:`register`;

@@ -11,7 +11,6 @@ from . import tracks as tracks
 from ._identify import identify as identify
 from .errors import InputError as InputError
 from .estimate.match import Estimate as Estimate
-from .estimate.match import match as match
 from .evidence import CloseObjects as CloseObjects
 from .evidence import ConstantCost as ConstantCost
 from .evidence import Displacement as Displacement
@@ -23,6 +22,13 @@ from .evidence import PoissonField as PoissonField
 from .evidence import Samples as Samples
 from .evidence import Universal as Universal
 from .evidence.spacing import estimate_reach as estimate_reach
+from .front.explain import explain as explain
+from .front.frame import MatchFrame as MatchFrame
+from .front.frame import match_frame as match_frame
+from .front.many import MatchMany as MatchMany
+from .front.many import match_many as match_many
+from .front.match import Match as Match
+from .front.match import match as match
 from .gate import Box as Box
 from .gate import ChiSquare as ChiSquare
 from .gate import Radius as Radius

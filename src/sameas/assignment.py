@@ -16,6 +16,7 @@ from sameas.arrays import BoolArray, FloatArray
 from sameas.groups import Groups
 from sameas.kernels import threads
 from sameas.prior import LogPrior
+from sameas.representation import in_short
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,7 @@ class Certificate:
         return f"{word}: least reduced cost {self.least_reduced_cost:.1e}, duality gap {self.duality_gap:.1e}"
 
 
+@in_short
 @dataclass(frozen=True)
 class Hypothesis:
     """The most probable hypothesis, in the layout of the groups.

@@ -1,14 +1,51 @@
 """The error of input that cannot be used, and messages that name the arguments of a remedy.
 
 The library knows arguments, only the command line knows options: a :class:`Message` keeps the arguments that it names,
-so that a command can name its options in their place.
+so that a command can name its options in their place. What a message quotes from a file is printable and short.
 """
 
 from __future__ import annotations
 
+import re
 import string
-from collections.abc import Callable
+import unicodedata
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+
+#: Characters of a text from a file that a message repeats, and of a whole message: ten or so lines of a terminal.
+LONGEST_QUOTE, LONGEST_MESSAGE = 80, 1000
+# In quotes, or a word that is no path: names of files stay whole, and apostrophes are no quotes.
+_MORE = f"{{{LONGEST_QUOTE + 1},}}"
+_LONG = re.compile(rf"""(?<!\w)(['"])(?:(?!\1).){_MORE}\1(?!\w)|(?<!\S)(?!['"])[^\s/\\]{_MORE}(?!\S)""")
+
+
+def printable(text: str) -> str:
+    """A text that does nothing to a terminal: one line, characters that control or do not show are escaped.
+
+    >>> print(printable("red" + chr(27) + "[31m" + chr(10) + "next"))
+    red\\x1b[31m next
+    """
+    if text.isprintable():
+        return text
+    return "".join(map(_shown, text))
+
+
+def _shown(character: str) -> str:
+    if character in "\n\r\t\v\f":
+        return " "
+    controls = unicodedata.category(character)[0] == "C" or character in "\u2028\u2029"
+    return character.encode("unicode_escape").decode("ascii") if controls else character
+
+
+def _short(text: str) -> str:
+    """A printable text, what it quotes cut at ``LONGEST_QUOTE`` characters and the whole at ``LONGEST_MESSAGE``."""
+    text = _LONG.sub(_cut, printable(text[: 10 * LONGEST_MESSAGE]))
+    return text if len(text) <= LONGEST_MESSAGE else text[:LONGEST_MESSAGE] + " …"
+
+
+def _cut(found: re.Match[str]) -> str:
+    quote = found[1] or ""
+    return quote + found[0].removeprefix(quote)[:LONGEST_QUOTE] + "…" + quote
 
 
 @dataclass(frozen=True)
@@ -68,8 +105,14 @@ def naming(template: str) -> Message:
     return Message(*parts)
 
 
+def _repeatable(text: str) -> str:
+    if isinstance(text, Message):
+        return Message(*(part if isinstance(part, Argument) else _short(part) for part in text.parts))
+    return _short(text)
+
+
 class InputError(ValueError):
-    """Input that cannot be used.
+    """Input that cannot be used. Its words are printable and of bounded length, whatever the input holds.
 
     message : what is wrong and where: the source, the first offending row or column.
     remedy : what to do, as an argument; the command line names its option. source : the source that it is about.
@@ -80,11 +123,20 @@ class InputError(ValueError):
     """
 
     def __init__(self, message: str, remedy: str = "", *, source: str = "") -> None:
+        message, remedy = (_repeatable(text) for text in (message, remedy))
         super().__init__(message, remedy)
         self.message, self.remedy, self.source = message, remedy, source
 
     def __str__(self) -> str:
         return str(self.words)
+
+    @classmethod
+    def together(cls, errors: Sequence[InputError]) -> InputError:
+        """Several refusals in one: all that is missing is said at once."""
+        if len(errors) == 1:
+            return errors[0]
+        words = [part for error in errors for part in (error.words, ". Also: ")][:-1]
+        return cls(Message(*words), source=errors[0].source)
 
     @property
     def words(self) -> Message:

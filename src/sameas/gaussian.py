@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray
+from sameas.representation import in_short
 
 LOG_2PI = math.log(2.0 * math.pi)
 
@@ -44,17 +45,17 @@ def log_determinant(matrix: FloatArray) -> FloatArray:
 
 def mahalanobis_sq(delta: FloatArray, covariance: FloatArray) -> FloatArray:
     """(…) Δᵀ Σ⁻¹ Δ for Δ (…, d), Σ (…, d, d)."""
-    return _distance_and_log_determinant(delta, covariance)[0]
+    return distance_and_log_determinant(delta, covariance)[0]
 
 
 def log_density(delta: FloatArray, covariance: FloatArray) -> FloatArray:
     """(…) ln N(Δ; 0, Σ) for Δ (…, d), Σ (…, d, d)."""
-    distance_sq, log_det = _distance_and_log_determinant(delta, covariance)
+    distance_sq, log_det = distance_and_log_determinant(delta, covariance)
     return np.asarray(-0.5 * (distance_sq + log_det + delta.shape[-1] * LOG_2PI))
 
 
-def _distance_and_log_determinant(delta: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Δᵀ Σ⁻¹ Δ and ln|Σ|: written out in the plane, by Cholesky's root elsewhere."""
+def distance_and_log_determinant(delta: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(…) Δᵀ Σ⁻¹ Δ and ln|Σ| for Δ (…, d), Σ (…, d, d): written out in the plane, by Cholesky's root elsewhere."""
     if delta.shape[-1] == 2:
         x, y = delta[..., 0], delta[..., 1]
         a, b, c = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
@@ -67,6 +68,7 @@ def _distance_and_log_determinant(delta: FloatArray, covariance: FloatArray) -> 
     return np.sum(z**2, axis=-1), 2.0 * np.log(np.einsum("...vv->...v", root)).sum(axis=-1)
 
 
+@in_short
 @dataclass(frozen=True)
 class Gaussian:
     """Normal distributions: ``mean`` (…, d) and ``covariance`` (…, d, d).
@@ -167,8 +169,10 @@ class InformationSum:
 
     def chi_sq(self, solution: Gaussian) -> FloatArray:
         """(n,) how far the measurements lie from the :meth:`gaussian` that they make: Σ rᵀ R⁻¹ r − ηᵀ Λ⁻¹ η."""
-        return np.maximum(self.square - np.einsum("kv,kv->k", self.vector, solution.mean), 0.0)
+        residual: FloatArray = np.maximum(self.square - np.einsum("kv,kv->k", self.vector, solution.mean), 0.0)
+        return residual
 
     def log_peak(self) -> FloatArray:
         """(n,) ln of the integral over x of the product, where the measurements agree (χ² = 0)."""
-        return self.log_norm + 0.5 * (self.vector.shape[1] * LOG_2PI - log_determinant(self.information))
+        log_volume: FloatArray = 0.5 * (self.vector.shape[1] * LOG_2PI - log_determinant(self.information))
+        return self.log_norm + log_volume

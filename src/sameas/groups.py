@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 from sameas.arrays import IntArray
 from sameas.gate import Pairs
 from sameas.ragged import Ragged
+from sameas.representation import in_short
 
 Places = NDArray[np.int32]
 
 
+@in_short
 @dataclass(frozen=True)
 class Groups:
     """Candidates laid out group by group; g groups, m pairs.

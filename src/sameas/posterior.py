@@ -27,6 +27,7 @@ from sameas.assignment import Hypothesis
 from sameas.groups import Groups, laid_out
 from sameas.kernels import threads
 from sameas.prior import LogPrior
+from sameas.representation import in_short
 
 #: Names of the methods, by the number in :attr:`Posterior.method`.
 METHODS = (
@@ -81,6 +82,7 @@ class Tuning:
 DEFAULT_TUNING = Tuning()
 
 
+@in_short
 @dataclass(frozen=True)
 class Posterior:
     """Posterior probabilities.
@@ -187,6 +189,49 @@ def by_messages(groups: Groups, best: Hypothesis, tuning: Tuning = DEFAULT_TUNIN
     return Posterior(p_pair, method, np.zeros(len(groups)), change)
 
 
+def log_evidence(groups: Groups, best: Hypothesis, p_pair: FloatArray) -> FloatArray:
+    """(g,) ln Z: ln of the sum over all hypotheses of a group of exp(Σ weight), under a linear prior (METHOD 11.1).
+
+    Exact where elimination is; elsewhere Bethe's approximation, which is exact on trees,
+
+        ln Z = Σ p w − Σ p ln p + Σ (1 − p) ln(1 − p) − Σ p₀ ln p₀,
+
+    with p₀ the probabilities of the records to be alone.
+
+    Parameters
+    ----------
+    p_pair : (m,) probabilities of the pairs, in the order of the gate.
+    """
+    from sameas.kernels.posterior import log_sums
+
+    out = np.zeros(len(groups))
+    shape = (groups.start, groups.start_1, groups.start_2, groups.local_1, groups.local_2)
+    state = (best.weight, best.dual_1, best.dual_2)
+    bounds = groups.bounds(len(threads.even(len(groups.order))) - 1)
+    threads.over(lambda a, b: log_sums(a, b, *shape, *state, out), bounds)
+    rough = np.isnan(out)
+    if rough.any():
+        out[rough] = _bethe(groups, best.weight, p_pair[groups.order])[rough]
+    return out
+
+
+def _bethe(groups: Groups, weight: FloatArray, share: FloatArray) -> FloatArray:
+    """(g,) Bethe's ln Z, of pairs (m,) in the layout of the groups."""
+    of_pairs = share * weight - _entropic(share) + _entropic(1.0 - share)
+    total = np.add.reduceat(of_pairs, groups.start[:-1])
+    for place, rows, start in zip(groups.places, (groups.rows_1, groups.rows_2), (groups.start_1, groups.start_2),
+                                  strict=True):  # fmt: skip
+        alone = np.maximum(1.0 - np.bincount(place, share, len(rows)), 0.0)
+        total -= np.add.reduceat(_entropic(alone), start[:-1])
+    return np.asarray(total)
+
+
+def _entropic(p: FloatArray) -> FloatArray:
+    """p ln p, 0 at 0."""
+    return np.asarray(p * np.log(np.maximum(p, np.finfo(float).tiny)))
+
+
+@in_short
 @dataclass(frozen=True)
 class _Messages:
     """Sum-product messages of the APPROXIMATE groups.

@@ -22,8 +22,10 @@ from numpy.typing import ArrayLike
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.ragged import Ragged
+from sameas.representation import in_short
 
 
+@in_short
 @dataclass(frozen=True)
 class LogPrior:
     """ln P(k) of the number k of pairs in each group, up to a constant per group.

@@ -7,17 +7,19 @@ Rows that cannot be used (no position, no error) are set aside with the reason a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
+from sameas.representation import in_short
 from sameas.space import Plane, Space, Sphere
 
 
+@in_short
 @dataclass(frozen=True)
 class SetAside:
     """Rows that cannot be used: ``rows`` (k,) of the source's table, and per row the reason in words."""
@@ -31,6 +33,7 @@ class SetAside:
         return {str(reason): int(count) for reason, count in zip(reasons, counts, strict=True)}
 
 
+@in_short
 @dataclass(frozen=True)
 class Records:
     """The usable records of one source. Make them with :meth:`Records.of`.
@@ -64,6 +67,12 @@ class Records:
     def d(self) -> int:
         """Number of features."""
         return int(self.features.shape[1])
+
+    def over_table(self, values: BoolArray) -> BoolArray:
+        """(n_table,) truth values of the records at their rows, True where a row cannot be used."""
+        column = np.ones(self.n_table, np.bool_)
+        column[self.rows] = values
+        return column
 
     @property
     def n_table(self) -> int:
@@ -135,6 +144,19 @@ class Records:
     def full_covariance(self) -> FloatArray:
         """(n, d, d) covariances, unpacked."""
         return unpack(self.covariance, self.d)
+
+    def part(self, some: IntArray) -> Records:
+        """The records at these positions (k,); the table and its rows stay the same."""
+        return replace(self, features=self.features[some], covariance=self.covariance[some], rows=self.rows[some])
+
+    def with_errors(self, factor: float, variance: ArrayLike) -> Records:
+        """The same with errors ``factor`` times as large, and ``variance``, a number or (d,), more along the axes."""
+        d, p = self.d, self.covariance.shape[1]
+        packed = factor**2 * self.covariance
+        if p == 1 and np.size(variance) > 1:
+            packed = np.repeat(packed, d, axis=1)
+        packed[:, slice(None) if p <= d else np.cumsum([0, *range(d, 1, -1)])] += np.asarray(variance, np.float64)
+        return replace(self, covariance=packed)
 
 
 _REASONS = np.array(["", "no position", "no error", "error not positive", "latitude beyond ±90°"], dtype=object)

@@ -14,10 +14,12 @@ from numpy.typing import ArrayLike
 
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
+from sameas.representation import in_short
 
 ARCSEC_PER_RADIAN = 206264.80624709636
 
 
+@in_short
 @dataclass(frozen=True)
 class Plane:
     """A Euclidean space of any dimension, whose axes may be periodic.

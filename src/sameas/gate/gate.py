@@ -17,24 +17,27 @@ who is counted, and no gate is wide enough. 3σ is there to reproduce the papers
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.gate.chisquare import upper_quantile
 from sameas.gate.search import search
 from sameas.gate.zones import DEFAULT_TUNING, Tuning
+from sameas.gaussian import distance_and_log_determinant
 from sameas.records import Records
+from sameas.representation import in_short
 from sameas.space import Sphere
 
 #: Share of true pairs that the default gate keeps: 6.4σ in two dimensions.
 DEFAULT_COMPLETENESS = 1.0 - 1e-9
 
 
+@in_short
 @dataclass(frozen=True)
 class Pairs:
     """The candidates, listed in an order that depends on the records' content only, not on their rows.
@@ -87,6 +90,17 @@ class Pairs:
         """(k, d, d) Σ of the residuals of some pairs (k,), without those of all others."""
         return self._covariance(self.i[some], self.j[some])
 
+    def part(self, kept: BoolArray | IntArray) -> Pairs:
+        """Some of the candidates, of the same records."""
+        columns = ("place_1", "place_2", "i", "j", "residual", "mahalanobis_sq", "determinant")
+        return replace(self, **{name: getattr(self, name)[kept] for name in columns})
+
+    def of(self, first: Records, second: Records) -> Pairs:
+        """The same candidates with the errors of these records, which are otherwise the same."""
+        pairs = replace(self, first=first, second=second)
+        distance_sq, log_determinant = distance_and_log_determinant(self.residual, pairs.covariance)
+        return replace(pairs, mahalanobis_sq=distance_sq, determinant=np.exp(log_determinant))
+
     def _covariance(self, i: NDArray[np.int32], j: NDArray[np.int32]) -> FloatArray:
         out = np.empty((len(i), self.d, self.d))
         a, b = self.first, self.second
@@ -101,6 +115,7 @@ class Pairs:
         return out
 
 
+@in_short
 @dataclass(frozen=True)
 class ChiSquare:
     """Δᵀ Σ⁻¹ Δ within the χ² quantile of ``completeness``, the probability of keeping a true pair."""
@@ -125,6 +140,7 @@ class ChiSquare:
 DEFAULT_GATE = ChiSquare()
 
 
+@in_short
 @dataclass(frozen=True)
 class Radius:
     """Mahalanobis distance within ``sigmas``: Δᵀ Σ⁻¹ Δ ≤ sigmas²."""
@@ -140,6 +156,7 @@ class Radius:
         return _candidates(first, second, self.sigmas**2, False, f"distance ≤ {self.sigmas:g} σ", self.tuning)
 
 
+@in_short
 @dataclass(frozen=True)
 class Box:
     """|Δ_v| ≤ ``sigmas``·σ_v in every feature v, the gate of both papers (3σ)."""

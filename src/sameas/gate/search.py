@@ -28,6 +28,9 @@ Columns = tuple[
     NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], FloatArray, FloatArray, FloatArray
 ]
 
+#: Records for which an interpreted search takes some milliseconds.
+FEW_RECORDS = 64
+
 #: Writes the pairs of the records first ≤ k < last into columns; gives (pairs, next k), less than last when full.
 Sweep = Callable[[int, int, Any], tuple[int, int]]
 
@@ -74,8 +77,17 @@ def _candidates(one: Layout, two: Layout, wide: IntArray, geometry: Geometry) ->
         about, gate = (*about, geometry.folds), (*gate, geometry.periods)
 
     def sweep(first: int, last: int, out: Columns) -> tuple[int, int]:
-        further = wide[np.searchsorted(wide, first << 32) :] if len(wide) else wide
-        return kernel(*about, further, *gate, first, last, out)  # type: ignore[no-any-return]
+        count = 0
+        while first < last:
+            # As long as it is interpreted, a few records at a time: where they have many candidates it is compiled.
+            upto = min(first + FEW_RECORDS, last) if getattr(kernel, "interprets", False) else last
+            further = wide[np.searchsorted(wide, first << 32) :] if len(wide) else wide
+            room = tuple(column[count:] for column in out) if count else out
+            more, first = kernel(*about, further, *gate, first, upto, room)
+            count += more
+            if first < upto:
+                break
+        return count, first
 
     n, d = len(one.side.rows), len(geometry.periods)
     each = _expected(partial(kernel, *about, wide[:0], *gate), one.starts[1], d, geometry.tuning.sample)

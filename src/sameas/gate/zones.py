@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.records import Records
+from sameas.representation import in_short
 from sameas.space import Plane, Sphere
 
 if TYPE_CHECKING:
@@ -50,6 +51,7 @@ class Tuning:
 DEFAULT_TUNING = Tuning()
 
 
+@in_short
 @dataclass(frozen=True)
 class Geometry:
     """The feature space as the kernels take it: which coordinate makes the zones (y), which is swept (x).
@@ -90,6 +92,7 @@ class Geometry:
         return None if self.sphere else (float(self.periods[self.x]), float(self.periods[self.y]))
 
 
+@in_short
 @dataclass(frozen=True)
 class Source:
     """Records of one source as the search sees them.

@@ -7,13 +7,21 @@ the chosen pairs and zero on records left alone: the certificate that the hypoth
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
-from sameas.kernels.compiled import kernel, part
+from sameas.kernels.compiled import part, small_by
 
 
-@kernel
+def _steps(first: int, last: int, start: IntArray, start1: IntArray, start2: IntArray, *rest: Any) -> float:
+    """Every record of a group's smaller side may need a path, and a path may pass all pairs of the group."""
+    pairs, rows, columns = (np.diff(ends[first : last + 1]).astype(np.float64) for ends in (start, start1, start2))
+    return float(pairs @ np.minimum(rows, columns))
+
+
+@small_by(_steps)
 def assign_linear(
     first: int,
     last: int,
@@ -175,7 +183,7 @@ def augment(
         c = follow
 
 
-@kernel
+@small_by(_steps)
 def assign_counted(
     first: int,
     last: int,

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray
-from sameas.kernels.compiled import kernel, part
+from sameas.kernels.compiled import part, small
 
 USABLE, NO_POSITION, NO_ERROR, NOT_POSITIVE, BEYOND_POLE = 0, 1, 2, 3, 4
 
 
-@kernel
+@small
 def check_rows(features: FloatArray, packed: FloatArray, directions: bool, reasons: NDArray[np.int8]) -> int:
     """Fill ``reasons`` (n,) with 0 where a row can be used, else the number of what is wrong; returns how many are.
 
@@ -74,7 +74,7 @@ def all_usable(features: FloatArray, packed: FloatArray, directions: bool) -> bo
     return unsure == 0
 
 
-@kernel
+@small
 def pack(matrices: FloatArray, packed: FloatArray) -> bool:
     """Fill ``packed`` (n, d(d+1)/2) with upper triangles, row by row; returns whether all matrices are symmetric."""
     d = matrices.shape[1]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sameas.arrays import AnyIntArray, Int32Array, IntArray
-from sameas.kernels.compiled import kernel, part
+from sameas.kernels.compiled import part, small
 
 
 @part
@@ -15,7 +15,7 @@ def root(parent: AnyIntArray, k: int) -> int:
     return k
 
 
-@kernel
+@small
 def label_pairs(
     place1: Int32Array,
     place2: Int32Array,
@@ -78,7 +78,7 @@ def join(place1: AnyIntArray, place2: AnyIntArray, parent: AnyIntArray, n1: int)
             a = b
 
 
-@kernel
+@small
 def lay_out(
     place1: Int32Array,
     place2: Int32Array,

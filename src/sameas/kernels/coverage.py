@@ -7,13 +7,13 @@ import math
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
-from sameas.kernels.compiled import kernel, part
+from sameas.kernels.compiled import part, small
 from sameas.kernels.sphere import ARCSEC
 
 # Compiled cells of a space: in which of them records lie, and how large they are.
 
 
-@kernel
+@small
 def rings(low: float, high: float, arc: float, size: float) -> tuple[IntArray, FloatArray]:
     """Rings of equal height in latitude from ``low`` to ``high``, degrees, cut into nearly square cells of ``size``,
     arcsec², along an ``arc`` of longitude.
@@ -22,16 +22,16 @@ def rings(low: float, high: float, arc: float, size: float) -> tuple[IntArray, F
     """
     number = max(1, int(np.ceil((high - low) * 3600.0 / np.sqrt(size))))
     begin, volume = np.zeros(number + 1, np.int64), np.empty(number)
-    height, below = (high - low) / number, np.sin(np.radians(low))
+    height, below = (high - low) / number, math.sin(np.radians(low))
     for r in range(number):
-        above = np.sin(np.radians(low + height * (r + 1)))
-        area = np.radians(arc) * (above - below) * ARCSEC**2
+        above = math.sin(np.radians(low + height * (r + 1)))
+        area = np.radians(arc) * (above - below) * (ARCSEC * ARCSEC)
         pieces = max(1, int(np.round(area / size)))
         begin[r + 1], volume[r], below = begin[r] + pieces, area / pieces, above
     return begin, volume
 
 
-@kernel
+@small
 def sphere_cells(
     features: FloatArray, low: float, high: float, west: float, arc: float, begin: IntArray, cell: IntArray
 ) -> None:
@@ -45,7 +45,7 @@ def sphere_cells(
         cell[k] = begin[ring] + min(int(along * pieces), pieces - 1)
 
 
-@kernel
+@small
 def box_cells(features: FloatArray, low: FloatArray, extent: FloatArray, cuts: int, cell: IntArray) -> None:
     """Fill ``cell`` (n,) with the cells of points (n, d) in a box that is cut ``cuts`` times along every feature."""
     for k in range(len(cell)):
@@ -56,7 +56,7 @@ def box_cells(features: FloatArray, low: FloatArray, extent: FloatArray, cuts: i
         cell[k] = number
 
 
-@kernel
+@small
 def renumber(one: IntArray, two: IntArray, total: int, of_first: Int32Array, of_second: Int32Array) -> IntArray:
     """Fill ``of_first`` and ``of_second`` with the cells ``one`` and ``two``, of ``total``, numbered as they occur.
 
@@ -80,7 +80,7 @@ def renumber(one: IntArray, two: IntArray, total: int, of_first: Int32Array, of_
     return known
 
 
-@kernel
+@small
 def sizes(known: IntArray, begin: IntArray, volume: FloatArray) -> FloatArray:
     """(c,) sizes of the cells ``known``, rising, of rings whose cells begin at ``begin`` and are of size ``volume``."""
     out, ring = np.empty(len(known)), 0
@@ -94,7 +94,7 @@ def sizes(known: IntArray, begin: IntArray, volume: FloatArray) -> FloatArray:
 # Compiled counts of cells, and what they say: local densities and shares, refined from cell to finer cell.
 
 
-@kernel
+@small
 def look(
     of_source: Int32Array,
     cell: Int32Array,
@@ -128,7 +128,7 @@ def look(
     for k in range(len(cell)):
         c = cell[k]
         expected = density[k] * volume[c]
-        chance = np.exp(-expected) if expected < never else 0.0
+        chance = math.exp(-expected) if expected < never else 0.0
         empty += count[c] == 0.0
         due += chance
         variance += chance * (1.0 - chance) * company[c]  # all of a cell together
@@ -139,7 +139,7 @@ def look(
     return (empty - due) / np.sqrt(variance)
 
 
-@kernel
+@small
 def shared_part(
     of_first: Int32Array, seen_1: BoolArray, of_second: Int32Array, seen_2: BoolArray, count: FloatArray
 ) -> FloatArray:
@@ -163,7 +163,7 @@ def shared_part(
     return share
 
 
-@kernel
+@small
 def refine(
     own: Int32Array,
     other: Int32Array,
@@ -191,7 +191,7 @@ def refine(
         at_other[k] = (count[c] + pseudo_count) / (volume[c] + pseudo_count / at_other[k])
 
 
-@kernel
+@small
 def refine_share(
     own: Int32Array,
     other: Int32Array,
@@ -330,7 +330,7 @@ def company_beside(
     return False
 
 
-@kernel
+@small
 def lonely(
     points: FloatArray,
     wanted: BoolArray,
@@ -375,7 +375,7 @@ def lonely(
     return found
 
 
-@kernel
+@small
 def beside(
     points: FloatArray,
     low: FloatArray,
@@ -404,7 +404,7 @@ def beside(
     return found
 
 
-@kernel
+@small
 def into_buckets(
     points: FloatArray, low: FloatArray, side: FloatArray, number: IntArray, period: FloatArray, mask: int
 ) -> tuple[Int32Array, Int32Array]:
@@ -458,7 +458,7 @@ def is_empty(
     return True
 
 
-@kernel
+@small
 def empty_discs(
     centres: FloatArray,
     radius: FloatArray,
@@ -533,7 +533,7 @@ def holds(
     return False
 
 
-@kernel
+@small
 def clear(
     centres: FloatArray,
     radius: FloatArray,

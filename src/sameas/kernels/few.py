@@ -7,13 +7,13 @@ import math
 import numpy as np
 
 from sameas.arrays import FloatArray, Int32Array
-from sameas.kernels.compiled import kernel, part
+from sameas.kernels.compiled import part, small
 from sameas.kernels.order import Side
 from sameas.kernels.plane import add_spread, measured_on_plane
 from sameas.kernels.spans import first_from
 
 
-@kernel
+@small
 def sweep_few(
     features1: FloatArray,
     packed1: FloatArray,

@@ -1,9 +1,18 @@
-"""Compiled solution of a few linear equations."""
+"""Compiled sums and the solution of a few linear equations."""
 
 from __future__ import annotations
 
 from sameas.arrays import FloatArray
 from sameas.kernels.compiled import part
+
+
+@part
+def summed(values: FloatArray) -> float:
+    """Σ of some values (n,), one after another, as no library adds them."""
+    total = 0.0
+    for value in values:
+        total += value
+    return total
 
 
 @part

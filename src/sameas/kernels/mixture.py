@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
-from sameas.kernels.compiled import kernel, part
-from sameas.kernels.linear import solve
+from sameas.kernels.compiled import part, small, small_by
+from sameas.kernels.linear import solve, summed
 
 
-@kernel
+@small
 def log_odds(
     i: Int32Array,
     j: Int32Array,
@@ -33,13 +36,13 @@ def log_odds(
             profile[e] = -np.inf
         elif p_pair[e] > faint:
             p = min(p_pair[e], surest)
-            profile[e] = np.log(p / (1.0 - p)) - profile[e]
+            profile[e] = math.log(p / (1.0 - p)) - profile[e]
         else:
             free = max(1.0 - partner_1[i[e]], 1e-30) * max(1.0 - partner_2[j[e]], 1e-30)
-            profile[e] = log_ratio[e] + np.log(free) - profile[e]
+            profile[e] = log_ratio[e] + math.log(free) - profile[e]
 
 
-@kernel
+@small
 def cells(
     square: FloatArray,
     log_odds: FloatArray,
@@ -58,12 +61,12 @@ def cells(
     """
     number, told = np.zeros(shape), np.zeros(shape)
     squares, there = np.zeros(shape[0]), np.zeros(shape[0])
-    begin = np.log(nearest)
-    along, across = (shape[0] - 1) / (np.log(reach) - begin), (shape[1] - 1) / (most - least)
+    begin, closest = math.log(nearest), nearest * nearest
+    along, across = (shape[0] - 1) / (math.log(reach) - begin), (shape[1] - 1) / (most - least)
     for e in range(len(square)):
         if log_odds[e] > least:
             here = min(log_odds[e], most)
-            a = int((0.5 * np.log(max(square[e], nearest**2)) - begin) * along)
+            a = int((0.5 * math.log(max(square[e], closest)) - begin) * along)
             b = int((here - least) * across)
             number[a, b] += 1.0
             told[a, b] += here
@@ -77,7 +80,7 @@ def cells(
         if there[a] > 0.0:
             for b in range(shape[1]):
                 if number[a, b] > 0.0:
-                    count[full], odds[full] = number[a, b], np.exp(told[a, b] / number[a, b])
+                    count[full], odds[full] = number[a, b], math.exp(told[a, b] / number[a, b])
                     full += 1
             mean[distances] = squares[a] / there[a]
             distances += 1
@@ -85,7 +88,7 @@ def cells(
     return start[: distances + 1], count[:full], odds[:full], mean[:distances]
 
 
-@kernel
+@small
 def log_likelihood(
     start: IntArray, count: FloatArray, odds: FloatArray, density: FloatArray, pseudo: FloatArray, shares: FloatArray
 ) -> float:
@@ -96,14 +99,21 @@ def log_likelihood(
     total = 0.0
     for k in range(len(shares)):
         if pseudo[k] > 0.0:
-            total += pseudo[k] * np.log(max(shares[k], 1e-300))
+            total += pseudo[k] * math.log(max(shares[k], 1e-300))
+    f = _mixed(density, shares)
     for b in range(len(density)):
-        f = 0.0
-        for k in range(len(shares)):
-            f += density[b, k] * shares[k]
         for c in range(start[b], start[b + 1]):
-            total += count[c] * np.log1p(odds[c] * f)
+            total += count[c] * math.log1p(odds[c] * f[b])
     return total
+
+
+@part
+def _mixed(density: FloatArray, shares: FloatArray) -> FloatArray:
+    """(b,) Σ density (b, k) · shares (k,), added one after another."""
+    f = np.zeros(len(density))
+    for k in range(len(shares)):
+        f += density[:, k] * shares[k]
+    return f
 
 
 @part
@@ -122,18 +132,16 @@ def _derivatives(
     size = len(shares)
     slope[:] = 0.0
     bend[:] = 0.0
+    f = _mixed(density, shares)
     for b in range(len(density)):
-        f, once, twice = 0.0, 0.0, 0.0
-        for k in range(size):
-            f += density[b, k] * shares[k]
+        once, twice = 0.0, 0.0
         for c in range(start[b], start[b + 1]):
-            each = odds[c] / (1.0 + odds[c] * f)
+            each = odds[c] / (1.0 + odds[c] * f[b])
             once += count[c] * each
-            twice += count[c] * each**2
+            twice += count[c] * (each * each)
+        slope += once * density[b]
         for k in range(size):
-            slope[k] += once * density[b, k]
-            for h in range(k + 1):
-                bend[k, h] += twice * density[b, k] * density[b, h]
+            bend[k, : k + 1] += (twice * density[b, k]) * density[b, : k + 1]
     trace = 0.0
     for k in range(size):
         trace += bend[k, k]
@@ -142,8 +150,9 @@ def _derivatives(
     for k in range(size):
         bend[k, k] += ridge * trace
         if pseudo[k] > 0.0:
-            slope[k] += pseudo[k] / max(shares[k], 1e-100)
-            bend[k, k] += pseudo[k] / max(shares[k], 1e-100) ** 2
+            share = max(shares[k], 1e-100)
+            slope[k] += pseudo[k] / share
+            bend[k, k] += pseudo[k] / (share * share)
 
 
 @part
@@ -181,7 +190,12 @@ def _on_simplex(slope: FloatArray, bend: FloatArray, free: BoolArray, wanted: Fl
         free[best] = True
 
 
-@kernel
+def _steps(start: IntArray, count: FloatArray, odds: FloatArray, *rest: Any) -> float:
+    """Cells are visited a hundred times before the shares settle."""
+    return 100.0 * len(count)
+
+
+@small_by(_steps)
 def likeliest(
     start: IntArray,
     count: FloatArray,
@@ -204,13 +218,13 @@ def likeliest(
     """
     size = len(shares)
     free = (shares > 0.0) | (pseudo > 0.0)
-    shares = (shares + spread) / np.sum(shares + spread)
+    shares = (shares + spread) / summed(shares + spread)
     slope, bend, wanted, tried = np.empty(size), np.empty((size, size)), np.empty(size), np.empty(size)
     reached = -np.inf
     for _ in range(steps):
         _derivatives(start, count, odds, density, pseudo, shares, ridge, slope, bend)
         shares = np.maximum(shares * slope, 0.0)
-        shares /= np.sum(shares)
+        shares /= summed(shares)
         _derivatives(start, count, odds, density, pseudo, shares, ridge, slope, bend)
         for k in range(size):
             for h in range(size):
@@ -223,7 +237,7 @@ def likeliest(
                 # A share with pseudo-counts is never zero; a parabola does not know that.
                 least = 0.1 * shares[k] if pseudo[k] > 0.0 else 0.0
                 tried[k] = max(shares[k] + length * (wanted[k] - shares[k]), least)
-            tried /= np.sum(tried)
+            tried /= summed(tried)
             there = log_likelihood(start, count, odds, density, pseudo, tried)
             if there > now:
                 now = there
@@ -236,7 +250,7 @@ def likeliest(
     return shares
 
 
-@kernel
+@small_by(_steps)
 def fit(
     start: IntArray,
     count: FloatArray,
@@ -259,12 +273,15 @@ def fit(
     last five arguments.
     """
     density = np.empty((len(squares), len(scales)))
-    for b in range(len(squares)):
-        for k in range(len(scales)):
-            density[b, k] = np.exp(-0.5 * squares[b] / scales[k] ** 2) / scales[k] ** d
+    for k in range(len(scales)):
+        variance, volume = scales[k] * scales[k], 1.0
+        for _ in range(d):
+            volume *= scales[k]
+        for b in range(len(squares)):
+            density[b, k] = math.exp(-0.5 * squares[b] / variance) / volume
     best = likeliest(start, count, odds, density, pseudo, shares, *search)
-    reached, typical = log_likelihood(start, count, odds, density, pseudo, best), np.sum(best[:core])
-    if typical == np.sum(best):
+    reached, typical = log_likelihood(start, count, odds, density, pseudo, best), summed(best[:core])
+    if typical == summed(best):
         return best, 0.0, reached
     if typical == 0.0:
         return best, np.inf, reached
@@ -281,7 +298,7 @@ def fit(
 # Compiled grades of records, and counts of them: see ``sameas.estimate.grades``.
 
 
-@kernel
+@small
 def grade(place: FloatArray, within: IntArray, limits: FloatArray, number: int, out: Int32Array) -> None:
     """Fill ``out`` (n,) with how many of the ``number`` − 1 limits of its own range lie at or below each place (n,).
 
@@ -294,7 +311,7 @@ def grade(place: FloatArray, within: IntArray, limits: FloatArray, number: int, 
         out[k] = here
 
 
-@kernel
+@small
 def count_pairs(
     i: Int32Array, j: Int32Array, grades_1: Int32Array, grades_2: Int32Array, told: FloatArray, common: FloatArray
 ) -> IntArray:
@@ -308,7 +325,7 @@ def count_pairs(
     return at
 
 
-@kernel
+@small
 def count_alone(
     cells: Int32Array, grades: Int32Array, partner: FloatArray, covered: BoolArray, count: FloatArray
 ) -> None:

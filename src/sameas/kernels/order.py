@@ -13,7 +13,7 @@ from collections import namedtuple
 import numpy as np
 
 from sameas.arrays import FloatArray, Int32Array, IntArray
-from sameas.kernels.compiled import kernel, part
+from sameas.kernels.compiled import part, small
 
 #: A source as it is laid out: guard (n, 4; see ``order.into_zones``); content, the covariance (n, p), on a plane after
 #: the features (n, d + p), without rows where the guard says it all; rows (n,).
@@ -23,7 +23,7 @@ Side = namedtuple("Side", "content guard rows")
 CELLS = 2
 
 
-@kernel
+@small
 def extent(features: FloatArray) -> FloatArray:
     """(2, d) the least and the greatest value of every feature."""
     ends = np.empty((2, features.shape[1]))
@@ -37,7 +37,7 @@ def extent(features: FloatArray) -> FloatArray:
     return ends
 
 
-@kernel
+@small
 def tally(
     features: FloatArray,
     axis_x: int,
@@ -56,7 +56,7 @@ def tally(
         counts[np.int64(x), np.int64(y)] += 1
 
 
-@kernel
+@small
 def zones_of(
     features: FloatArray, rows: Int32Array, axis_y: int, low: float, per_y: float, zone: Int32Array, ends: IntArray
 ) -> None:
@@ -72,7 +72,7 @@ def zones_of(
         ends[z] += ends[z - 1]
 
 
-@kernel
+@small
 def into_zones(
     features: FloatArray,
     variance: FloatArray,
@@ -101,7 +101,7 @@ def into_zones(
         guard[place, 3] = variance[row, at_y]
 
 
-@kernel
+@small
 def into_cells(
     features: FloatArray,
     covariance: FloatArray,
@@ -264,7 +264,7 @@ def precedes(features: FloatArray, covariance: FloatArray, rank: IntArray, a: in
     return 1 if rank[a] < rank[b] else -1
 
 
-@kernel
+@small
 def take_rows(features: FloatArray, covariance: FloatArray, rows: Int32Array, content: FloatArray) -> None:
     """Fill ``content`` with features, where there is room for them, and covariance of the rows."""
     p = covariance.shape[1]
@@ -300,7 +300,7 @@ def sine(degrees: float) -> float:
     return x - x * z * total
 
 
-@kernel
+@small
 def widest(covariance: FloatArray, out: FloatArray) -> None:
     """Fill ``out`` (n, 1) with the largest variance in any direction of packed covariances (n, 3)."""
     for k in range(len(covariance)):

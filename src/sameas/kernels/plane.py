@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from sameas.arrays import FloatArray, Int32Array, IntArray
-from sameas.kernels.compiled import kernel, part
+from sameas.kernels.compiled import part, small
 from sameas.kernels.order import Side
 from sameas.kernels.spans import ROOM, Grid, Reach, folded, near, taken_back
 
@@ -51,7 +51,7 @@ def whitened(matrix: FloatArray, residual: FloatArray, solved: FloatArray) -> tu
     return distance, determinant
 
 
-@kernel
+@small
 def sweep_plane(
     one: Side,
     two: Side,
@@ -136,7 +136,7 @@ def measured_on_plane(
     return count, found
 
 
-@kernel
+@small
 def plane_covariances(cov1: FloatArray, cov2: FloatArray, i: Int32Array, j: Int32Array, out: FloatArray) -> None:
     """Fill ``out`` (m, d, d) with the covariance of each pair's residual."""
     d = out.shape[1]

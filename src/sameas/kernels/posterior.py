@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from collections import namedtuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
-from sameas.kernels.compiled import kernel, part
+from sameas.kernels.compiled import part, small_by
 from sameas.kernels.eliminate import eliminate, scratch
 
 # Compiled exact sums over a graph of which few records are open at a time: records are eliminated one by one.
@@ -249,14 +250,30 @@ def _backwards(
 
 
 @part
-def _settle(begin: int, size: int, room: Narrow) -> None:
-    """Divide sums by the largest where that gets out of hand."""
+def _settle(begin: int, size: int, room: Narrow) -> float:
+    """Divide sums by the largest where that gets out of hand; returns by what they were divided."""
     largest = 0.0
     for s in range(begin, begin + size):
         largest = max(largest, room.sum[s])
     if largest > TREE_GREAT or 0.0 < largest < 1.0 / TREE_GREAT:
         for s in range(begin, begin + size):
             room.sum[s] /= largest
+        return largest
+    return 1.0
+
+
+@part
+def log_sum_narrow(n: int, odds: FloatArray, loose: FloatArray, room: Narrow) -> float:
+    """ln of the sum over all hypotheses; ``odds`` and ``loose`` as in :func:`sum_narrow`, arranged before."""
+    for k in range(room.first[n]):
+        room.odds[k] = odds[room.choice[k]]
+    room.sum[0] = 1.0
+    divided = 0.0
+    for t in range(n):
+        _forwards(t, loose[room.order[t]], room)
+        if t % EVERY == 0:
+            divided += math.log(_settle(room.begin[t + 1], room.size[t + 1], room))
+    return divided + math.log(room.sum[room.begin[n]])
 
 
 # Compiled folding of leaves: a record with one pair left is summed over into its partner, until none is left.
@@ -275,7 +292,8 @@ GREAT = 1e15
 
 #: By record, source 1 first: pairs left, exclusive or of their numbers, loose, scale, and the probability of having
 #: a partner nearer to the core, or none. By folded leaf: record, pair, and how the partner's ``loose`` divides in two.
-Forest = namedtuple("Forest", "degree pairs loose scale taken open leaf through joint apart")
+#: (1,) ln of what all sums were divided by.
+Forest = namedtuple("Forest", "degree pairs loose scale taken open leaf through joint apart divided")
 
 
 @part
@@ -292,6 +310,7 @@ def forest(records: int) -> Forest:
         np.empty(records, np.int64),
         np.empty(records),
         np.empty(records),
+        np.zeros(1),
     )
 
 
@@ -302,6 +321,7 @@ def fold(n1: int, n2: int, first: Int32Array, second: Int32Array, odds: FloatArr
     first, second : (m,) numbers of the records of each pair in their sources. Records that remain have a ``degree``.
     """
     degree, pairs, loose, scale = room.degree, room.pairs, room.loose, room.scale
+    room.divided[0] = 0.0
     for x in range(n1 + n2):
         degree[x] = 0
         pairs[x] = 0
@@ -334,6 +354,7 @@ def fold(n1: int, n2: int, first: Int32Array, second: Int32Array, odds: FloatArr
             if greater > GREAT:
                 loose[other] /= greater
                 scale[other] /= greater
+                room.divided[0] += math.log(greater)
             degree[at] = 0
             degree[other] -= 1
             pairs[other] ^= e
@@ -477,7 +498,13 @@ def count_factors(prior: FloatArray, slope: float, size: int) -> FloatArray:
     return factors
 
 
-@kernel
+def _sums(first: int, last: int, start: IntArray, start1: IntArray, start2: IntArray, *rest: Any) -> float:
+    """Sums over a group double with each record that may be open at a time, and every pair counts in each."""
+    pairs, one, two = (np.diff(starts[first : last + 1]) for starts in (start, start1, start2))
+    return 10.0 * float(np.sum(pairs * 2.0 ** (np.minimum(np.minimum(one, two), 50) - 1)))
+
+
+@small_by(_sums)
 def exact(
     first: int,
     last: int,
@@ -539,7 +566,61 @@ def exact(
         method[g] = ELIMINATED
 
 
-@kernel
+@small_by(_sums)
+def log_sums(
+    first: int,
+    last: int,
+    start: IntArray,
+    start1: IntArray,
+    start2: IntArray,
+    local1: Int32Array,
+    local2: Int32Array,
+    weight: FloatArray,
+    u: FloatArray,
+    v: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Fill ``out`` (g,) with ln Σ over the hypotheses of exp(Σ weight) of the groups first … last − 1, the sum that
+    :func:`exact` divides by; NaN where too many records are open at a time."""
+    records, pairs = np.int64(2), np.int64(1)
+    for g in range(first, last):
+        records = max(records, start1[g + 1] - start1[g] + start2[g + 1] - start2[g])
+        pairs = max(pairs, start[g + 1] - start[g])
+    tree, graph = forest(records), narrow(records, pairs)
+    odds, core_odds = np.empty(pairs), np.empty(pairs)
+    record, loose = np.empty(records, np.int64), np.empty(records)
+    for g in range(first, last):
+        low, high = start[g], start[g + 1]
+        n1, n2 = start1[g + 1] - start1[g], start2[g + 1] - start2[g]
+        # Every hypothesis is reduced by the duals, which the best one weighs.
+        total = 0.0
+        for r in range(n1):
+            total += u[start1[g] + r]
+            tree.loose[r] = bounded_exp(-u[start1[g] + r])
+        for c in range(n2):
+            total += v[start2[g] + c]
+            tree.loose[n1 + c] = bounded_exp(-v[start2[g] + c])
+        one, two = local1[low:high], local2[low:high]
+        for e in range(low, high):
+            odds[e - low] = math.exp(max(weight[e] - u[start1[g] + local1[e]] - v[start2[g] + local2[e]], -700.0))
+        leaves = fold(n1, n2, one, two, odds[: high - low], tree)
+        total += tree.divided[0]
+        if leaves == n1 + n2 - 1:
+            # A tree: all of it is summed over into the partner of the last leaf.
+            x, e = tree.leaf[leaves - 1], tree.through[leaves - 1]
+            root = n1 + two[e] if x < n1 else np.int64(one[e])
+            out[g] = total + math.log(tree.loose[root])
+            continue
+        n = core_of(n1, n2, one, two, odds, tree, record, graph, core_odds)
+        if not arranged(n, graph):
+            out[g] = np.nan
+            continue
+        for x in range(n):
+            loose[x] = tree.loose[record[x]]
+        out[g] = total + log_sum_narrow(n, core_odds, loose, graph)
+
+
+@small_by(_sums)
 def exact_counted(
     first: int,
     last: int,

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from sameas.arrays import FloatArray, Int32Array, IntArray
-from sameas.kernels.compiled import kernel, part
-from sameas.kernels.linear import solve
+from sameas.kernels.compiled import part, small
+from sameas.kernels.linear import solve, summed
+
+#: Odds are as good as impossible beyond this many natural logarithms, of which exponentials can still be taken.
+DEEPEST = 700.0
 
 # Compiled curves of a share against magnitude, straight between knots.
 
@@ -40,7 +45,7 @@ def interval(knots: FloatArray, found: IntArray, x: float) -> tuple[int, int, fl
     return low, low + 1, (x - knots[low]) / (knots[low + 1] - knots[low])
 
 
-@kernel
+@small
 def climb(
     magnitude: FloatArray,
     log_odds: FloatArray,
@@ -70,13 +75,14 @@ def climb(
         for e in range(n):
             a, t = low[e], along[e]
             b = min(a + 1, k - 1)
-            expected = 1.0 / (1.0 + np.exp(-(log_odds[e] + values[a] + t * (values[b] - values[a]))))
+            against = -(log_odds[e] + values[a] + t * (values[b] - values[a]))
+            expected = 1.0 / (1.0 + math.exp(min(against, DEEPEST)))
             missing, weight = shown[e] - expected, expected * (1.0 - expected)
             step[a, 0] += missing * (1.0 - t)
-            gram[a, a] += weight * (1.0 - t) ** 2
+            gram[a, a] += weight * ((1.0 - t) * (1.0 - t))
             if b > a:
                 step[b, 0] += missing * t
-                gram[b, b] += weight * t**2
+                gram[b, b] += weight * (t * t)
                 gram[a, b] += weight * t * (1.0 - t)
                 gram[b, a] += weight * t * (1.0 - t)
         solve(gram, step)
@@ -88,7 +94,7 @@ def climb(
             break
 
 
-@kernel
+@small
 def weigh(
     magnitude: FloatArray,
     share: FloatArray,
@@ -109,10 +115,10 @@ def weigh(
         if not np.isnan(magnitude[e]):
             low, high, along = interval(knots, found, magnitude[e])
             s, v = min(max(share[e], least), 1.0 - least), values[low] + along * (values[high] - values[low])
-            out[e] = 0.5 * (v + np.log(1.0 + s * (np.exp(v) - 1.0)))
+            out[e] = 0.5 * (v + math.log(1.0 + s * (math.exp(min(v, DEEPEST)) - 1.0)))
 
 
-@kernel
+@small
 def log_mixture(
     y: FloatArray,
     variance: FloatArray,
@@ -130,23 +136,31 @@ def log_mixture(
     (n,) instead.
     """
     offset, scatter, slopes, centres, scales, shares = relation
-    peaks, widest = shares[:-1] / (scales * np.sqrt(2.0 * np.pi)), 1.0 / scales[-1] ** 2
-    rest, found = (1.0 - np.sum(slopes)) ** 2, directory(knots)
+    peaks, widest = shares[:-1] / (scales * np.sqrt(2.0 * np.pi)), 1.0 / (scales[-1] * scales[-1])
+    rest, found = _square(1.0 - summed(slopes)), directory(knots)
     for e in range(len(y)):
         x = others[e, 0]
         low, high, along = interval(knots, found, x)
         residual = y[e] - x - (offset[low] + along * (offset[high] - offset[low]))
         # An error of each of the others moves the mean as strongly as it is weighed in it.
-        total = (scatter[low] + along * (scatter[high] - scatter[low])) ** 2 + variance[e] + rest * other_variance[e, 0]
+        total = (
+            _square(scatter[low] + along * (scatter[high] - scatter[low])) + variance[e] + rest * other_variance[e, 0]
+        )
         for v in range(len(slopes)):
             residual -= slopes[v] * (others[e, v + 1] - x - centres[v])
-            total += slopes[v] ** 2 * other_variance[e, v + 1]
+            total += _square(slopes[v]) * other_variance[e, v + 1]
         precision, related = 1.0 / total, 0.0
-        height = np.exp(-0.5 * residual**2 * precision * widest)
+        height = math.exp(-0.5 * (residual * residual) * precision * widest)
         for s in range(len(scales) - 1, -1, -1):
             related += peaks[s] * height
             height = _ninth(height)
-        out[e] = np.log(related * np.sqrt(precision) + shares[-1] * background[e])
+        density = related * math.sqrt(precision) + shares[-1] * background[e]
+        out[e] = -np.inf if density == 0.0 else math.log(density)
+
+
+@part
+def _square(x: float) -> float:
+    return x * x
 
 
 @part
@@ -157,7 +171,7 @@ def _ninth(x: float) -> float:
     return fourth * fourth * x
 
 
-@kernel
+@small
 def quartiles(order: IntArray, values: FloatArray, weight: FloatArray, nearest: IntArray, out: FloatArray) -> None:
     """Fill ``out`` (3, k + 1) with the weighted quartiles of the values (n,) nearest to each of k knots, and of all.
 
@@ -177,7 +191,7 @@ def quartiles(order: IntArray, values: FloatArray, weight: FloatArray, nearest: 
                     out[quarter, at] = values[e]
 
 
-@kernel
+@small
 def gather(
     at: IntArray,
     weight: FloatArray,
@@ -208,7 +222,7 @@ def gather(
             colours[e, v], colours[e, c + v] = others[r, v + 1] - x, other_variance[r, v + 1]
 
 
-@kernel
+@small
 def learn(
     sample: FloatArray,
     colours: FloatArray,
@@ -231,18 +245,20 @@ def learn(
     """
     offset, scatter, slopes, _, shares, covariance, mean, error = relation
     k, c = len(offset), len(slopes)
-    share = np.sum(mean[:k])
-    typical = np.sqrt(np.sum(mean[:k] * scatter**2) / share) if share > 0.0 else np.inf
+    share = summed(mean[:k])
+    typical = np.sqrt(summed(mean[:k] * scatter**2) / share) if share > 0.0 else np.inf
     told, hats = np.empty((len(sample), 2)), (np.empty(len(sample), np.int64), np.empty(len(sample)))
     found = directory(knots)
     for e in range(len(sample)):
         hats[0][e], _, hats[1][e] = interval(knots, found, sample[e, 5])
     for _ in range(steps):
         system, right, owned, counts, excess, weight, wider = _summed(sample, colours, hats, relation, told)
-        number = np.sum(owned[:k])
+        number = summed(owned[:k])
         inverse = np.eye(k + c)
         solve(system + penalty, inverse)
-        solved = inverse @ right
+        solved = np.empty(k + c)
+        for a in range(k + c):
+            solved[a] = summed(inverse[a] * right)
         covariance[:] = inverse * wider
         mean[:] = owned / max(number, 1e-300)
         before, typical = typical, _scatters(scatter, error, hats, told, excess, mean[:k], number, k + c, priors)
@@ -278,19 +294,19 @@ def _summed(
     k, c, normals = len(offset), len(slopes), len(scales)
     gram, right, owned = np.zeros((k + c, k + c)), np.zeros(k + c), np.zeros(k + c)
     counts, excess, parts = np.zeros(normals), np.zeros((3, k)), np.empty(normals)
-    true, squared, simple, rest = 0.0, 0.0, 0.0, (1.0 - np.sum(slopes)) ** 2
+    true, squared, simple, rest = 0.0, 0.0, 0.0, _square(1.0 - summed(slopes))
     peaks, narrow = shares[:-1] / (scales * np.sqrt(2.0 * np.pi)), 1.0 / scales**2
     for e in range(len(sample)):
         low, along, weight = left[e], upper[e], sample[e, 3]
         high = min(low + 1, k - 1)
         width = scatter[low] + along * (scatter[high] - scatter[low])
-        total = width**2 + sample[e, 1] + rest * sample[e, 2]
+        total = width * width + sample[e, 1] + rest * sample[e, 2]
         residual = sample[e, 0] - (offset[low] + along * (offset[high] - offset[low]))
         for v in range(c):
             residual -= slopes[v] * colours[e, v]
-            total += slopes[v] ** 2 * colours[e, c + v]
+            total += _square(slopes[v]) * colours[e, c + v]
         inverse, unrelated, density = 1.0 / total, shares[-1] * sample[e, 4], 0.0
-        root, height = np.sqrt(inverse), np.exp(-0.5 * residual**2 * inverse * narrow[-1])
+        root, height = np.sqrt(inverse), math.exp(-0.5 * (residual * residual) * inverse * narrow[-1])
         for s in range(normals - 1, -1, -1):
             parts[s] = root * peaks[s] * height
             density += parts[s]
@@ -301,20 +317,20 @@ def _summed(
         for s in range(normals):
             counts[s] += parts[s] * each
             precise += parts[s] * each * narrow[s]
-        precision, leverage = precise * inverse, inverse**2
-        squared += precision**2 * residual**2
+        precision, leverage = precise * inverse, inverse * inverse
+        squared += (precision * precision) * (residual * residual)
         simple += precision
-        told[e, 0], told[e, 1] = leverage * precise * residual**2, own * inverse
+        told[e, 0], told[e, 1] = leverage * precise * (residual * residual), own * inverse
         for at, basis in ((low, 1.0 - along), (high, along)):
             right[at] += precision * basis * sample[e, 0]
             owned[at] += own * basis
             excess[0, at] += told[e, 0] * basis
-            excess[1, at] += leverage * own * (total - width**2) * basis
+            excess[1, at] += leverage * own * (total - width * width) * basis
             excess[2, at] += leverage * own * basis
             for v in range(c):
                 gram[at, k + v] += precision * basis * colours[e, v]
-        gram[low, low] += precision * (1.0 - along) ** 2
-        gram[high, high] += precision * along**2
+        gram[low, low] += precision * ((1.0 - along) * (1.0 - along))
+        gram[high, high] += precision * (along * along)
         if high != low:
             gram[low, high] += precision * along * (1.0 - along)
         for v in range(c):
@@ -346,20 +362,20 @@ def _scatters(
     # One step of scoring: what the squares leave beyond the quoted errors, each by what it can tell of the scatter.
     larger = number / max(number - fitted, 1.0)
     beyond, weight = larger * excess[0] - excess[1], excess[2]
-    overall, drawn = np.sum(beyond) / np.sum(weight), drawing * weight / max(number, 1e-300)
+    overall, drawn = summed(beyond) / summed(weight), drawing * weight / max(number, 1e-300)
     for a in range(len(scatter)):
         told_here = (beyond[a] + drawn[a] * overall) / (weight[a] + drawn[a]) if weight[a] > 0.0 else overall
-        scatter[a] = np.sqrt(max(told_here, least**2))
+        scatter[a] = np.sqrt(max(told_here, least * least))
     # The typical scatter weighs the knots by their pairs; its error comes from how the squares scatter.
     by_knot = np.where(weight > 0.0, share / np.maximum(weight + drawn, 1e-300), 0.0)
-    by_all = np.sum(by_knot * drawn) / np.sum(weight)
-    typical = np.sqrt(max(np.sum(share * scatter**2), least**2))
+    by_all = summed(by_knot * drawn) / summed(weight)
+    typical = np.sqrt(max(summed(share * scatter**2), least * least))
     total = 0.0
     for e in range(len(told)):
         low = left[e]
         high = min(low + 1, len(scatter) - 1)
         here = by_knot[low] + upper[e] * (by_knot[high] - by_knot[low]) + by_all
-        total += ((larger * told[e, 0] - told[e, 1]) * here) ** 2
+        total += _square((larger * told[e, 0] - told[e, 1]) * here)
     error[0] = np.sqrt(total) / (2.0 * typical)
     return typical
 

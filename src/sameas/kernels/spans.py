@@ -15,7 +15,7 @@ from collections import namedtuple
 import numpy as np
 
 from sameas.arrays import ByteArray, FloatArray, Int32Array, IntArray
-from sameas.kernels.compiled import kernel, part
+from sameas.kernels.compiled import part, small
 from sameas.kernels.order import Side, cell_of
 
 #: One class of a source, laid out: the first cell of every zone, the first record of every cell, cells per unit of x in
@@ -237,7 +237,7 @@ def is_near(
     return (dx * dx <= opening * (a + guard[c, 2])) & (dy * dy <= opening * (b + guard[c, 3]))
 
 
-@kernel
+@small
 def visit(
     one: Side, two: Side, grid: Grid, reach: Reach, folds: tuple[float, float] | None, first: int, last: int,
     out: tuple[IntArray, ...],
@@ -264,7 +264,7 @@ def visit(
         count += found
 
 
-@kernel
+@small
 def turned_round(pairs: IntArray, starts: IntArray, out: IntArray) -> None:
     """Fill ``out`` with sorted pairs k << 32 | q as q << 32 | k, sorted. starts : zeros, one more than there are q."""
     for e in range(len(pairs)):

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from sameas.arrays import FloatArray, Int32Array, IntArray
-from sameas.kernels.compiled import kernel, part
+from sameas.kernels.compiled import part, small
 from sameas.kernels.order import Side, sine
 from sameas.kernels.spans import ROOM, Grid, Reach, near, taken_back
 
@@ -115,7 +115,7 @@ def sphere_spread(
     return ax + bx, axy + bxy, ay + by
 
 
-@kernel
+@small
 def sweep_sphere(
     one: Side,
     two: Side,
@@ -216,7 +216,7 @@ def measured_on_sphere(
     return count, found
 
 
-@kernel
+@small
 def sphere_covariances(
     features1: FloatArray,
     cov1: FloatArray,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
-from sameas.kernels.compiled import kernel
+from sameas.kernels.compiled import small
 
 
-@kernel
+@small
 def per_record(
     record: Int32Array, n: int, chosen: BoolArray, p_pair: FloatArray
 ) -> tuple[FloatArray | Int32Array | IntArray, ...]:
@@ -28,7 +28,7 @@ def per_record(
     return partner, second, count, total
 
 
-@kernel
+@small
 def foremost(position: Int32Array, n: int, value: FloatArray) -> IntArray:
     """(n,) the pair of greatest value of each record, the first of equal ones; −1 without pairs.
 
@@ -42,7 +42,7 @@ def foremost(position: Int32Array, n: int, value: FloatArray) -> IntArray:
     return best
 
 
-@kernel
+@small
 def by_row(
     at: IntArray,
     told: tuple[FloatArray | Int32Array | IntArray, ...],

@@ -1,4 +1,4 @@
-"""Sources with errors in common: two filters that follow the same manoeuvre err the same way.
+"""Sources with common errors: two filters that follow the same manoeuvre have correlated errors.
 
 Two tracks of one target share its process noise, so their errors are correlated even where the sensors are independent:
 the residual's covariance is Σ₁ + Σ₂ − Σ₁₂ − Σ₁₂ᵀ (METHOD 1; Bar-Shalom 1981). Without the last two terms the gate of
@@ -18,9 +18,11 @@ from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.gaussian import inverse
 from sameas.records import Records
+from sameas.representation import in_short
 from sameas.space import Plane
 
 
+@in_short
 @dataclass(frozen=True)
 class Filter:
     """A source's Kalman filter: ``matrix`` H (m, L), what it measures, and ``covariance`` R (m, m) of its errors."""
@@ -29,6 +31,7 @@ class Filter:
     covariance: ArrayLike
 
 
+@in_short
 @dataclass(frozen=True)
 class SteadyTracks:
     """(L, L) covariances of two filtered tracks of one target, and ``cross``, E[error₁ error₂ᵀ]."""
@@ -55,14 +58,14 @@ def steady_tracks(transition: ArrayLike, process: ArrayLike, first: Filter, seco
     ----------
     transition : F (L, L) of the target's motion from one measurement to the next.
     process : Q (L, L) of its process noise, which both filters know.
-    first, second : what the sources measure.
+    first, second : the filters of the two sources.
 
     The filters settle by the algebraic Riccati equation; with gains K the cross-covariance solves the linear
     equation Σ₁₂ = (I − K₁H₁)(F Σ₁₂ Fᵀ + Q)(I − K₂H₂)ᵀ (Bar-Shalom 1981).
 
     Example
     -------
-    A target that accelerates at random, seen every second by two sensors of 30 m:
+    A target that accelerates at random, measured every second by two sensors of 30 m:
 
     >>> dt, q = 1.0, 25.0
     >>> motion = [[1.0, dt], [0.0, 1.0]]
@@ -74,18 +77,18 @@ def steady_tracks(transition: ArrayLike, process: ArrayLike, first: Filter, seco
     f, q = (np.asarray(x, dtype=np.float64) for x in (transition, process))
     if f.ndim != 2 or f.shape != q.shape or f.shape[0] != f.shape[1]:
         raise InputError(f"steady_tracks: transition {f.shape}, process {q.shape}; give (L, L) both")
-    settled = [_settled(f, q, one) for one in (first, second)]
+    steady = [_steady_state(f, q, one) for one in (first, second)]
     keep = [
-        np.eye(len(f)) - gain @ np.asarray(one.matrix) for (_, gain), one in zip(settled, (first, second), strict=True)
+        np.eye(len(f)) - gain @ np.asarray(one.matrix) for (_, gain), one in zip(steady, (first, second), strict=True)
     ]
     # vec(A X Bᵀ) = (A ⊗ B) vec X, row by row.
     step = np.kron(keep[0] @ f, keep[1] @ f)
     start = (keep[0] @ q @ keep[1].T).ravel()
     cross = np.linalg.solve(np.eye(len(start)) - step, start).reshape(f.shape)
-    return SteadyTracks(settled[0][0], settled[1][0], cross)
+    return SteadyTracks(steady[0][0], steady[1][0], cross)
 
 
-def _settled(f: FloatArray, q: FloatArray, one: Filter) -> tuple[FloatArray, FloatArray]:
+def _steady_state(f: FloatArray, q: FloatArray, one: Filter) -> tuple[FloatArray, FloatArray]:
     """(covariance after the update, gain) of a filter in its steady state."""
     from scipy.linalg import solve_discrete_are
 
@@ -99,8 +102,8 @@ def _settled(f: FloatArray, q: FloatArray, one: Filter) -> tuple[FloatArray, Flo
             f"Filter: it never settles ({error}); does it measure what the target's state needs?"
         ) from None
     gain = predicted @ h.T @ inverse(h @ predicted @ h.T + r)
-    kept = np.eye(len(f)) - gain @ h
-    return kept @ predicted @ kept.T + gain @ r @ gain.T, gain
+    keep = np.eye(len(f)) - gain @ h
+    return keep @ predicted @ keep.T + gain @ r @ gain.T, gain
 
 
 def without_common(first: Records, second: Records, cross: ArrayLike) -> tuple[Records, Records]:
@@ -132,7 +135,7 @@ def without_common(first: Records, second: Records, cross: ArrayLike) -> tuple[R
             f"cross is as large as the errors of {first.source} and {second.source} themselves; "
             "the covariance of a residual would not be positive definite"
         )
-    # Any split of the common part will do that leaves both positive definite: in proportion to what each can give.
+    # Any split that leaves both covariances positive definite is valid: here in proportion to what each can spare.
     shares = [one / sum(least) if np.isfinite(sum(least)) else 0.5 for one in least]
     return tuple(_less(r, share * whole) for r, share in zip((first, second), shares, strict=True))  # type: ignore[return-value]
 
@@ -144,7 +147,7 @@ def _least(records: Records, whole: FloatArray) -> float:
     return 1.0 / largest if largest > 0.0 else np.inf
 
 
-def _less(records: Records, taken: FloatArray) -> Records:
+def _less(records: Records, common: FloatArray) -> Records:
     upper = np.triu_indices(records.d)
-    packed = (records.full_covariance() - taken)[:, upper[0], upper[1]]
+    packed = (records.full_covariance() - common)[:, upper[0], upper[1]]
     return replace(records, covariance=np.ascontiguousarray(packed))

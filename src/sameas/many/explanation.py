@@ -1,7 +1,7 @@
-"""Reasons: why certain records are one object, against every other set that one of them could be in.
+"""Explanation: why certain records are one object, against every other set that one of them could be in.
 
-:meth:`sameas.many.objects.Objects.explain` makes them, for a person who points at an object and asks. For two sources
-:mod:`sameas.result.explanation` says more: what any other answer would cost the whole group.
+:meth:`sameas.many.objects.Objects.explain` makes it. For two sources :mod:`sameas.result.explanation` has more: the
+cost of every other answer for the whole group.
 """
 
 from __future__ import annotations
@@ -16,17 +16,19 @@ from scipy.sparse import csr_array
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
+from sameas.many.joint import NO_RECORD
 from sameas.many.marginals import EXACT, Answer
 from sameas.many.observations import records_of
 from sameas.many.pooled import PooledRecords
 from sameas.many.sets import Sets
 from sameas.many.terms import Terms, pairs_of
+from sameas.representation import in_short
 from sameas.result.explanation import probability_text
 
-#: Sets less probable than this are no rivals.
+#: Least probability of a rival (chosen).
 LEAST = 1e-9
-#: Rivals that the text shows.
-SHOWN = 8
+#: Most rivals in the text.
+MOST_RIVALS = 8
 
 #: A record: the name of its source and its id there.
 Name = tuple[str, Any]
@@ -49,6 +51,7 @@ class Identified(Protocol):
     def object_of_record(self) -> IntArray: ...
 
 
+@in_short
 @dataclass(frozen=True)
 class Rival:
     """A set of records that could be one object; the object itself is the one that is ``chosen``.
@@ -57,7 +60,7 @@ class Rival:
     ----------
     members : the records, in the order in which the sources were given.
     probability : that exactly these records are one object.
-    log_odds : ln of how much more they weigh as one object than as that many; 0 for one record.
+    log_odds : ln of their weight as one object over their weight as that many objects; 0 for one record.
     terms : the parts of ``log_odds`` by name; none for one record.
     taken : (record, number of the object that it is in) of those that the answer gives to another object.
     """
@@ -73,6 +76,7 @@ class Rival:
         return " = ".join(f"{source} {record}" for source, record in self.members)
 
 
+@in_short
 @dataclass(frozen=True)
 class ObjectExplanation:
     """What :meth:`sameas.many.objects.Objects.explain` gives; ``str()`` of it is a text for people.
@@ -82,7 +86,7 @@ class ObjectExplanation:
     number : of the object. group, records : the number of its group, and how many records that has.
     exact : whether the probabilities are sums over all partitions of the group.
     rivals : every set that has one of the object's records, itself among them, the most probable first.
-    stays : why it is shown though another answer is more probable; "" where none is.
+    stays : why it is the answer though another is more probable; "" where none is.
     """
 
     number: int
@@ -104,7 +108,7 @@ class ObjectExplanation:
 
     @property
     def against_runner_up(self) -> dict[str, float]:
-        """By name, how much more each term says for the object than for its runner-up; their sum is that of ln w."""
+        """By name, each term of the object less that of its runner-up; their sum is the difference of ln w."""
         other = self.runner_up
         if other is None:
             return {}
@@ -115,9 +119,10 @@ class ObjectExplanation:
         return "\n".join(_lines(self))
 
 
+@in_short
 @dataclass(frozen=True)
 class Weights:
-    """What every possible set of an answer weighs, term by term.
+    """The weight of every possible set of an answer, term by term.
 
     kept : (r,) the sets that are no less probable than :data:`LEAST`, or chosen. terms : (r,) by name. sets_of : which
     records (n) are in which of them (r). names : (n) of all records.
@@ -136,7 +141,7 @@ class Weights:
             raise InputError("only the objects of identify_many are explained: the sets of others were not weighed")
         kept = np.flatnonzero((objects.answer.probability >= LEAST) | objects.answer.chosen)
         members = objects.sets.members[kept]
-        at, source = np.nonzero(members >= 0)
+        at, source = np.nonzero(members != NO_RECORD)
         shape = (len(objects.pooled), len(kept))
         sets_of = csr_array((np.ones(len(at), bool), (members[at, source], at)), shape=shape)
         sources = [records_of(source) for source in objects.pooled.sources]
@@ -149,7 +154,7 @@ class Weights:
         own = int(objects.set_of_object[number])
         records = objects.sets.members[own]
         indptr, indices = self.sets_of.indptr, self.sets_of.indices
-        near = np.unique(np.concatenate([indices[indptr[r] : indptr[r + 1]] for r in records[records >= 0]]))
+        near = np.unique(np.concatenate([indices[indptr[r] : indptr[r + 1]] for r in records[records != NO_RECORD]]))
         # Of equals the object itself comes first, then the first by content.
         p, other = objects.answer.probability[self.kept[near]], self.kept[near] != own
         rivals = tuple(self._rival(at, number) for at in near[np.lexsort([near, other, -p])].tolist())
@@ -160,7 +165,7 @@ class Weights:
 
     def _rival(self, at: int, number: int) -> Rival:
         objects, which = self.objects, int(self.kept[at])
-        records = [r for r in objects.sets.members[which, self._columns].tolist() if r >= 0]
+        records = [r for r in objects.sets.members[which, self._columns].tolist() if r != NO_RECORD]
         holders = objects.object_of_record[records].tolist()
         pairs = zip(records, holders, strict=True)
         return Rival(
@@ -179,7 +184,7 @@ class Weights:
 
 
 def _terms(objects: Identified, terms: Terms, kept: IntArray) -> dict[str, FloatArray]:
-    """(r,) every term of the kept sets; what the others leave of ln w is what positions say."""
+    """(r,) every term of the kept sets; that of position is ln w less the others."""
     pooled, sets = objects.pooled, objects.sets
     out: dict[str, FloatArray] = {"position": np.zeros(len(kept))}
     for size in np.unique(sets.size[kept]).tolist():
@@ -187,7 +192,7 @@ def _terms(objects: Identified, terms: Terms, kept: IntArray) -> dict[str, Float
             continue
         at = np.flatnonzero(sets.size[kept] == size)
         members = sets.members[kept[at]]
-        records = members[members >= 0].reshape(-1, size)
+        records = members[members != NO_RECORD].reshape(-1, size)
         named = terms.by_name(records, pairs_of(pooled, records))
         named["position"] = sets.log_weight[kept[at]] - np.sum(
             [np.zeros(len(at)), *(values for name, values in named.items() if name != "position")], axis=0
@@ -205,28 +210,29 @@ def _lines(x: ObjectExplanation) -> list[str]:
         f"Group {x.group}: {x.records} records; probabilities are {summed}.",
         "",
     ]
-    shown = x.rivals[:SHOWN] if chosen in x.rivals[:SHOWN] else (*x.rivals[: SHOWN - 1], chosen)
-    width = max(len(str(rival)) for rival in shown) + 2
+    first = x.rivals[:MOST_RIVALS]
+    listed = first if chosen in first else (*first[:-1], chosen)
+    width = max(len(str(rival)) for rival in listed) + 2
     lines.append(f"{'records':>{width}}  {'probability':>11}  {'log-odds':>8}  terms")
-    for rival in shown:
+    for rival in listed:
         mark = "→ " if rival.chosen else "  "
         line = f"{mark + str(rival):>{width}}  {probability_text(rival.probability):>11}"
-        lines.append(line + (f"  {rival.log_odds:+8.2f}  {_said(rival.terms)}" if rival.terms else ""))
-    if len(x.rivals) > len(shown):
-        lines.append(f"({len(x.rivals) - len(shown)} less probable not shown)")
+        lines.append(line + (f"  {rival.log_odds:+8.2f}  {_in_words(rival.terms)}" if rival.terms else ""))
+    if len(x.rivals) > len(listed):
+        lines.append(f"({len(x.rivals) - len(listed)} less probable not shown)")
     if other is None:
         return [*lines, "Nothing else is possible."]
     if other.probability > chosen.probability:
         why = x.stays or "the answer is the most probable for all records together"
         lines += ["", f"By itself {other} is more probable; {why}."]
     total = chosen.log_odds - other.log_odds
-    lines += ["", f"Against the runner-up, {other}: log-odds {total:+.2f}, of which {_said(x.against_runner_up)}."]
+    lines += ["", f"Against the runner-up, {other}: log-odds {total:+.2f}, of which {_in_words(x.against_runner_up)}."]
     if other.taken:
         taken = ", ".join(f"{source} {record} from object {holder}" for (source, record), holder in other.taken)
         lines.append(f"It would take {taken}.")
     return lines
 
 
-def _said(terms: Mapping[str, float]) -> str:
-    """Terms in words, without those too small to be seen."""
+def _in_words(terms: Mapping[str, float]) -> str:
+    """Terms in words, without those that round to zero."""
     return ", ".join(f"{name} {value:+.2f}" for name, value in terms.items() if abs(value) >= 0.005) or "nothing"

@@ -1,11 +1,11 @@
-"""Fusion: one state from several estimates of it, by what is known of how their errors go together.
+"""Fusion: one state from several estimates of it, by how their errors are correlated.
 
 - :func:`independent`: errors are independent; weights are inverse covariances.
 - :func:`bar_shalom_campo`: two estimates whose cross-covariance is known (common process noise, a shared sensor).
-- :func:`covariance_intersection`: nothing is known of the correlation; the result is consistent whatever it is.
+- :func:`covariance_intersection`: the correlation is not known; the result is consistent for any.
 
-The records of an object, each of which may see its own part of the state, are fused by ``Objects.fused``. Estimates
-here are points of one flat space: bring periodic features to one turn first.
+The records of an object, each of which may be of its own part of the state, are fused by ``Objects.fused``. Estimates
+here are points of one flat space: bring periodic features within one period first.
 """
 
 from __future__ import annotations
@@ -18,15 +18,18 @@ from numpy.typing import ArrayLike
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.gaussian import Gaussian, inverse, symmetric
+from sameas.representation import in_short
 
-#: Steps of the weights at most, and how far the optimality condition may be missed, relative.
+#: Most steps of the weights.
 STEPS = 5000
+#: Relative error of the optimality condition at which the weights have converged.
 OPTIMAL = 1e-7
-#: Halvings of a step of vertex exchange.
+#: Halvings of a step of vertex exchange: to 2⁻⁴⁵ of it.
 BISECTIONS = 45
 CRITERIA = ("determinant", "trace")
 
 
+@in_short
 @dataclass(frozen=True)
 class Fused:
     """``state`` (n, L) and ``covariance`` (n, L, L); ``weights`` (n, k) of covariance intersection, None elsewhere."""
@@ -121,9 +124,9 @@ def _exchanged(information: FloatArray, weights: FloatArray, slope: FloatArray, 
         middle = 0.5 * (low + high)
         rising = np.sum(mu / (1.0 + middle[:, None] * mu), axis=1) > 0.0
         low, high = np.where(rising, middle, low), np.where(rising, high, middle)
-    # All of it, where even that is not enough: an estimate that is not needed is out.
-    all_of_it = np.sum(mu / np.maximum(1.0 + weights[row, off][:, None] * mu, 1e-300), axis=1) >= 0.0
-    step = np.where(all_of_it, weights[row, off], 0.5 * (low + high))
+    # An estimate that is not needed gives up all of its weight.
+    whole = np.sum(mu / np.maximum(1.0 + weights[row, off][:, None] * mu, 1e-300), axis=1) >= 0.0
+    step = np.where(whole, weights[row, off], 0.5 * (low + high))
     out = weights.copy()
     out[row, to] += step
     out[row, off] -= step

@@ -3,9 +3,8 @@
 Use :func:`identify_many` for two sources or more; the answer does not depend on their order. The papers' way, source
 after source against the fused picture, is :func:`sameas.many.sequential.identify_sequentially`.
 
-records → pooled → rules → sets → partition → marginals → objects: the pooled records in an order of their
-content, what is believed of them, the sets that could be one object, the best partition into such sets, how sure each
-is.
+records → pooled → rules → sets → partition → marginals → objects: the pooled records in an order of their content,
+their terms, the sets that could be one object, the best partition into such sets, the probability of each.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ from sameas.many.observations import Region, Source
 from sameas.many.pooled import pooled
 from sameas.many.rules import MissedObjects, SetPrior, SetRule, terms_of
 from sameas.many.sets import candidate_sets
+from sameas.many.tuning import TUNING, ManyTuning
 from sameas.prior import EVIDENCE_ALONE
 from sameas.records import Records
 
@@ -31,20 +31,21 @@ def identify_many(
     gate: Callable[[Records, Records], Pairs] = DEFAULT_GATE,
     region: Region | None = None,
     time_limit_s: float = 60.0,
+    tuning: ManyTuning = TUNING,
 ) -> Objects:
     """Which records of two sources or more are one object, at most one of each source, and how sure that is.
 
     Parameters
     ----------
     sources : Records in one feature space, or Observations of a part of the objects' state.
-    rule : what a set of records weighs: ``PoissonObjects(density, q, false)`` where densities are known,
-        ``CloseObjects(a, b)`` or ``Field(density)`` where they are not; and, added to it, rules of what records say
-        beside their positions, ``Identity(attributes)`` or your own (:mod:`sameas.many.rules` says how they are
-        called).
+    rule : the weight of a set of records: ``PoissonObjects(density, q, false)`` where densities are known,
+        ``CloseObjects(a, b)`` or ``Field(density)`` where they are not; and, added to it, rules on attributes,
+        ``Identity(attributes)`` or your own (:mod:`sameas.many.rules` says how they are called).
     prior : ``MissedObjects(q)`` beside the latter two; ``PerPair`` odds for every record beyond an object's first.
     gate : which two records may be one object; all records of an object are pairs of the gate.
-    region : where objects are at all; needed where a source observes a part of the state.
+    region : where objects are; needed where a source observes a part of the state.
     time_limit_s : of branch and bound in one group; where it is reached the answer states its gap.
+    tuning : numbers that bound the work of a group.
 
     Source: METHOD 7; for two sources it is :func:`sameas.identify` with ``PoissonField`` or ``CommonObjects``.
 
@@ -62,6 +63,7 @@ def identify_many(
     """
     together = pooled(sources, gate, region)
     terms = terms_of(rule, prior, together)
-    sets = candidate_sets(together, terms)
+    sets = candidate_sets(together, terms, tuning)
     counts = prior if isinstance(prior, MissedObjects) else None
-    return Objects(tuple(sources), together, sets, answer(sets, together, counts, time_limit_s=time_limit_s), terms)
+    best = answer(sets, together, counts, time_limit_s=time_limit_s, tuning=tuning)
+    return Objects(tuple(sources), together, sets, best, terms)

@@ -9,8 +9,8 @@ residuals r_i = z_i − h_i(x₀), H_i = ∂h_i/∂x, and the information P₀�
 
 J is ∫ exp(−½ (x−μ₀)ᵀ P₀⁻¹ (x−μ₀)) ∏ N(z_i; h_i(x), R_i) dx: exact where h_i is linear, Laplace's approximation at the
 best x̂ (Gauss and Newton's steps) where it is not. For records of the whole state and no region, ln J of a pair is
-ln N(Δ; 0, Σ₁ + Σ₂) and ln J of one record is 0. A part of the state that no record of the set sees keeps the region's
-spread: with P₀⁻¹ = 0 its Λ would be singular, which is why parts need a region.
+ln N(Δ; 0, Σ₁ + Σ₂) and ln J of one record is 0. A part of the state that no record of the set observes keeps the
+region's spread: with P₀⁻¹ = 0 its Λ would be singular, which is why parts need a region.
 """
 
 from __future__ import annotations
@@ -27,12 +27,16 @@ from sameas.errors import InputError
 from sameas.gaussian import InformationSum, inverse, log_density, propagated
 from sameas.many.observations import LinearPart, Observations, Region, Source, records_of
 from sameas.records import Records
+from sameas.representation import in_short
 from sameas.space import Plane, Sphere, displaced, sphere_offset
 
-#: Steps of Gauss and Newton where a source's part is not linear.
+#: Steps of Gauss and Newton where a source's part is not linear (chosen).
 STEPS = 4
+#: The number that sets of records hold for a source that has no record in them.
+NO_RECORD = -1
 
 
+@in_short
 @dataclass(frozen=True)
 class Joint:
     """Per set: ``log_density`` ln J (k,), ``chi_sq`` (k,), ``state`` (k, L) and its ``covariance`` (k, L, L)."""
@@ -40,12 +44,12 @@ class Joint:
     log_density: FloatArray
     chi_sq: FloatArray
     state: FloatArray
-    covariance: NDArray
+    covariance: FloatArray
 
 
 @dataclass(frozen=True)
 class Observers:
-    """Several sources as observers of one state; ``sets`` name their records by position, −1 for none."""
+    """Several sources as observers of one state; ``sets`` hold positions of records, :data:`NO_RECORD` for none."""
 
     sources: tuple[Source, ...]
     region: Region | None = None
@@ -56,9 +60,9 @@ class Observers:
         sizes = [source.dimension if isinstance(source, Observations) else source.d for source in self.sources]
         spaces = {source.space for source in self.sources if isinstance(source, Records)}
         if len(set(sizes)) > 1 or len(spaces) > 1:
-            said = ", ".join(f"{records_of(s).source}: {n}" for s, n in zip(self.sources, sizes, strict=True))
+            listed = ", ".join(f"{records_of(s).source}: {n}" for s, n in zip(self.sources, sizes, strict=True))
             raise InputError(
-                f"the sources observe states of different size or space ({said}); bring all to one feature space, "
+                f"the sources observe states of different size or space ({listed}); bring all to one feature space, "
                 "or say with Observations which part of the state a source sees"
             )
         if self.region is None and len(self.whole) < len(self.sources):
@@ -74,7 +78,7 @@ class Observers:
         return tuple(s for s, source in enumerate(self.sources) if isinstance(source, Records))
 
     @cached_property
-    def _precision(self) -> list[tuple[NDArray, NDArray]]:
+    def _precision(self) -> list[tuple[FloatArray, FloatArray]]:
         """Per source R⁻¹ (n, m, m) and −½ ln|2π R| (n,) of its records."""
         out = []
         for source in self.sources:
@@ -105,25 +109,25 @@ class Observers:
             at[:] = self.region.centre
         open_ = np.ones(len(sets), bool)
         for s in self.whole:
-            here = open_ & (sets[:, s] >= 0)
+            here = open_ & (sets[:, s] != NO_RECORD)
             at[here] = records_of(self.sources[s]).features[sets[here, s]]
             open_ &= ~here
         return at
 
     def _summed(self, sets: NDArray[np.integer], at: FloatArray) -> InformationSum:
-        """What the records of the sets and the region say of the states, about the points ``at`` (k, L)."""
+        """The information of the records and of the region on the states, about the points ``at`` (k, L)."""
         total = InformationSum.of(len(sets), self.dimension)
         if self.region is not None:
             prior = np.broadcast_to(inverse(np.asarray(self.region.covariance)), total.information.shape)
             total.add(np.arange(len(sets)), np.asarray(self.region.centre) - at, prior, np.zeros(len(sets)))
         for s in range(len(self.sources)):
-            k = np.flatnonzero(sets[:, s] >= 0)
+            k = np.flatnonzero(sets[:, s] != NO_RECORD)
             rows = sets[k, s]
-            residual, precision, slope = self._seen(s, rows, at[k])
+            residual, precision, slope = self._residuals(s, rows, at[k])
             total.add(k, residual, precision, self._precision[s][1][rows], slope)
         return total
 
-    def _seen(
+    def _residuals(
         self, s: int, rows: NDArray[np.integer], at: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
         """Residuals (k, m) of records against the states ``at``, their precisions, and the slopes H (None for 1)."""
@@ -171,16 +175,16 @@ def _wrapped(delta: FloatArray, space: Plane | Sphere) -> FloatArray:
 def _on_axes_of(at: FloatArray, direction: FloatArray, precision: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Offsets of directions from ``at`` (k, 2) in arcsec, and their precisions, on the axes of ``at``."""
     offset = sphere_offset(direction[:, 0], direction[:, 1], at[:, 0], at[:, 1])
-    turn = direction[:, 0] - at[:, 0]
-    half_lon = np.radians(turn - 360.0 * np.round(turn / 360.0)) / 2.0
+    step = direction[:, 0] - at[:, 0]
+    half_lon = np.radians(step - 360.0 * np.round(step / 360.0)) / 2.0
     half_lat, middle = np.radians(direction[:, 1] - at[:, 1]) / 2.0, np.radians(direction[:, 1] + at[:, 1]) / 2.0
     # θ/2 of :class:`Sphere`: the offset lies on axes halfway, the precision on those of the record.
     half = np.arctan2(np.sin(half_lon) * np.sin(middle), np.cos(half_lon) * np.cos(half_lat))
-    full = _turn(-2.0 * half)
-    return np.einsum("kvw,kw->kv", _turn(-half), offset), propagated(full, precision)
+    full = _rotations(-2.0 * half)
+    return np.einsum("kvw,kw->kv", _rotations(-half), offset), propagated(full, precision)
 
 
-def _turn(angle: FloatArray) -> FloatArray:
+def _rotations(angle: FloatArray) -> FloatArray:
     """(k, 2, 2) matrices that add ``angle`` to the position angle of (east, north)."""
     sine, cosine = np.sin(angle), np.cos(angle)
     return np.stack([cosine, sine, -sine, cosine], axis=1).reshape(-1, 2, 2)

@@ -1,10 +1,10 @@
-"""How sure: the probability of every candidate set, summed over all partitions of its group.
+"""Marginals: the probability of every candidate set, summed over all partitions of its group.
 
-A group's records are eliminated one after another; what is carried along is which later records are taken, and the
-number of merges under a count prior. Sets that the duals of the best partition show to be next to impossible are left
-out first: a partition with a set of reduced cost c is at least eᶜ times less probable than the best. At c > 30 nothing
-is lost that a probability could show, and the sum counts as exact; groups too entangled for it are summed without sets
-of c > 20, 14, …, until it fits, and the result says so.
+A group's records are eliminated one after another; the state is which later records are taken and, under a count prior,
+the number of merges. Sets that the duals of the best partition prove improbable are left out first: a partition with a
+set of reduced cost c is at least eᶜ times less probable than the best. Without sets of c > 30 the sum counts as exact;
+groups too entangled for it are summed without sets of c > 20, 14, …, until the sum is short enough, and the result
+states that.
 """
 
 from __future__ import annotations
@@ -18,26 +18,25 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.many.joint import NO_RECORD
 from sameas.many.partition import best_counted, best_partition, incidence_of
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import MissedObjects
 from sameas.many.sets import Sets
+from sameas.many.tuning import TUNING, ManyTuning
 from sameas.ragged import Ragged
+from sameas.representation import in_short
 
-#: Reduced costs above which sets are left out, tried in this order.
-CUTS = (30.0, 20.0, 14.0, 10.0, 8.0, 6.0, 4.0, 2.0, 1.0)
+#: A sum without sets of larger reduced cost is exact: e⁻³⁰ is below what a probability can show.
 EXACT = 30.0
-#: Steps from state to state that the sum of one group may take.
-MOST_STEPS = 300_000
-#: Records of a block: bits of a state.
+#: Most records of a block: the bits of a state.
 MOST_RECORDS = 63
-#: Records of a group that is summed at once.
-SMALL = 8
 
 
+@in_short
 @dataclass(frozen=True)
 class Answer:
-    """The best partition and how sure it is.
+    """The best partition and the probabilities of all sets.
 
     chosen : (k,) the sets that are objects. probability : (k,) of every set.
     gap : (g,) ln of how much more probable a better partition could be at most.
@@ -51,22 +50,18 @@ class Answer:
     cut: FloatArray
 
 
-def answer(sets: Sets, pooled: PooledRecords, counts: MissedObjects | None, *, time_limit_s: float) -> Answer:
+def answer(
+    sets: Sets,
+    pooled: PooledRecords,
+    counts: MissedObjects | None,
+    *,
+    time_limit_s: float,
+    tuning: ManyTuning = TUNING,
+) -> Answer:
     """The best partition of every group and the probabilities of its sets; ``counts`` is the count prior, if any."""
     if counts is None:
-        # Small groups need no programme: their sums are short, and give the best partition too.
-        sums = _Sums.additive(sets, len(pooled))
-        small = (pooled.sizes <= SMALL) & (sets.floor <= 0)
-        share, chosen, solved = sums.without(np.zeros(len(sets)), EXACT, small)
-        solved &= small
-        best = best_partition(sets, len(pooled), ~solved, time_limit_s=time_limit_s)
-        cost = _reduced_cost(sets, best.dual, best.slack, sets.log_weight)
-        part, _, cut = sums.all(cost, best.chosen, np.where(solved, EXACT, -1.0))
-        done = solved[sets.group]
-        return Answer(
-            np.where(done, chosen, best.chosen), np.where(done, share, part), np.where(solved, 0.0, best.gap), cut
-        )
-    sums = _Sums.counted(sets, pooled, counts)
+        return additive_answer(sets, pooled.sizes, time_limit_s=time_limit_s, tuning=tuning)
+    sums = _Sums.counted(sets, pooled, counts, tuning)
     nothing = np.zeros(len(sets))
     share, chosen, solved = sums.without(nothing, EXACT, np.ones(len(pooled.sizes), bool))
     cut = np.where(solved, np.inf, -1.0)
@@ -83,10 +78,27 @@ def answer(sets: Sets, pooled: PooledRecords, counts: MissedObjects | None, *, t
     return Answer(chosen, share, gap, cut)
 
 
+def additive_answer(sets: Sets, sizes: IntArray, *, time_limit_s: float, tuning: ManyTuning = TUNING) -> Answer:
+    """The same without a count prior; sizes : (g,) records of every group."""
+    # Small groups need no linear programme: their sums are short, and give the best partition too.
+    n = int(sizes.sum())
+    sums = _Sums.additive(sets, n, tuning)
+    small = (sizes <= tuning.small) & (sets.floor <= 0)
+    share, chosen, solved = sums.without(np.zeros(len(sets)), EXACT, small)
+    solved &= small
+    best = best_partition(sets, n, ~solved, time_limit_s=time_limit_s)
+    cost = _reduced_cost(sets, best.dual, best.slack, sets.log_weight)
+    part, _, cut = sums.all(cost, best.chosen, np.where(solved, EXACT, -1.0))
+    done = solved[sets.group]
+    return Answer(
+        np.where(done, chosen, best.chosen), np.where(done, share, part), np.where(solved, 0.0, best.gap), cut
+    )
+
+
 def _reduced_cost(sets: Sets, dual: FloatArray, slack: FloatArray, weight: FloatArray) -> FloatArray:
-    """(k,) how much ln w a set falls short of its records' duals, less what the relaxation promised too much."""
-    total = np.where(sets.members >= 0, dual[sets.members], 0.0).sum(axis=1)
-    return total - weight - slack[sets.group]
+    """(k,) the sum of the duals of a set's records less its ln w, less the slack of the relaxation."""
+    total = np.where(sets.members != NO_RECORD, dual[sets.members], 0.0).sum(axis=1)
+    return np.asarray(total - weight - slack[sets.group])
 
 
 def _solve_counted(
@@ -110,6 +122,7 @@ def _solve_counted(
     return gap
 
 
+@in_short
 @dataclass(frozen=True)
 class _Sums:
     """Sums over partitions; ``table`` holds ln P of 0, 1, … merges of group g from table_start[g] on."""
@@ -119,25 +132,26 @@ class _Sums:
     table_start: IntArray
     table: FloatArray
     counts: bool
+    tuning: ManyTuning
 
     @classmethod
-    def additive(cls, sets: Sets, n_records: int) -> _Sums:
-        return cls(sets, n_records, np.zeros(len(sets.start), np.int64), np.zeros(1), False)
+    def additive(cls, sets: Sets, n_records: int, tuning: ManyTuning) -> _Sums:
+        return cls(sets, n_records, np.zeros(len(sets.start), np.int64), np.zeros(1), False, tuning)
 
     @classmethod
-    def counted(cls, sets: Sets, pooled: PooledRecords, counts: MissedObjects) -> _Sums:
+    def counted(cls, sets: Sets, pooled: PooledRecords, counts: MissedObjects, tuning: ManyTuning) -> _Sums:
         tables = {int(n): counts.table(pooled, int(n)) for n in np.unique(pooled.sizes)}
         table = np.concatenate([tables[int(n)] for n in pooled.sizes] or [np.zeros(1)])
-        return cls(sets, len(pooled), Ragged.of_sizes(pooled.sizes).start, table, True)
+        return cls(sets, len(pooled), Ragged.of_sizes(pooled.sizes).start, table, True, tuning)
 
     def all(self, cost: FloatArray, chosen: BoolArray, cut: FloatArray) -> tuple[FloatArray, BoolArray, FloatArray]:
         """Probabilities with as small a cut as each group allows; groups whose ``cut`` is not negative are done."""
         share, cut = np.zeros(len(self.sets)), cut.copy()
-        for value in CUTS:
-            wanted = cut < 0
-            if not wanted.any():
+        for value in self.tuning.cuts:
+            unsolved = cut < 0
+            if not unsolved.any():
                 break
-            part, _, solved = self.without(np.where(chosen, 0.0, cost), value, wanted)
+            part, _, solved = self.without(np.where(chosen, 0.0, cost), value, unsolved)
             share += part
             cut[solved] = value
         rest = cut < 0
@@ -145,13 +159,13 @@ class _Sums:
         at = rest[self.sets.group]
         return np.where(at, chosen, share), chosen, cut
 
-    def without(self, cost: FloatArray, cut: float, wanted: BoolArray) -> tuple[FloatArray, BoolArray, BoolArray]:
-        """Probabilities, best partition and whether it was solved, for the wanted groups and sets of cost ≤ cut."""
+    def without(self, cost: FloatArray, cut: float, groups: BoolArray) -> tuple[FloatArray, BoolArray, BoolArray]:
+        """Probabilities, best partition and whether solved, for some groups (g,) and their sets of cost ≤ cut."""
         from sameas.kernels.partitions import eliminate
 
         sets = self.sets
-        wanted = wanted & ~self._too_wide(np.flatnonzero((cost <= cut) & wanted[sets.group]))
-        kept = np.flatnonzero((cost <= cut) & wanted[sets.group])
+        groups = groups & ~self._too_wide(np.flatnonzero((cost <= cut) & groups[sets.group]))
+        kept = np.flatnonzero((cost <= cut) & groups[sets.group])
         blocks = _Blocks.of(sets, kept, self.n_records, self.counts)
         share, chosen = np.zeros(len(sets)), np.zeros(len(sets), bool)
         share[kept[blocks.sure]], chosen[kept[blocks.sure]] = 1.0, True
@@ -161,20 +175,20 @@ class _Sums:
         start, table = self._left_of_table(blocks, kept[blocks.sure])
         eliminate(
             np.flatnonzero(blocks.size <= MOST_RECORDS), blocks.start, blocks.first, blocks.mask, sets.log_weight[at],
-            sets.size[at] - 1, start, table, self.counts, MOST_STEPS, part, best, solved,
+            sets.size[at] - 1, start, table, self.counts, self.tuning.most_steps, part, best, solved,
         )  # fmt: skip
-        done = wanted
+        done = groups
         done[blocks.group[~solved]] = False
         share[at], chosen[at] = part, best
         return np.where(done[sets.group], share, 0.0), chosen & done[sets.group], done
 
     def _too_wide(self, kept: IntArray) -> BoolArray:
-        """(g,) groups in which the kept sets entangle more records than a state can hold: not to be begun with."""
+        """(g,) groups in which the kept sets entangle more records than a state can hold; they are not tried."""
         sets, wide = self.sets, np.zeros(len(self.sets.start) - 1, bool)
         kept = kept[(self._sizes > MOST_RECORDS)[sets.group[kept]] & (sets.size[kept] > 1)]
         if self.counts or not len(kept):
             return wide
-        at, source = np.nonzero(sets.members[kept] >= 0)
+        at, source = np.nonzero(sets.members[kept] != NO_RECORD)
         edges = (sets.members[kept][at, source], self.n_records + at)
         size = self.n_records + len(kept)
         _, part = connected_components(
@@ -190,7 +204,7 @@ class _Sums:
         return np.bincount(self.sets.group[self.sets.size == 1], minlength=len(self.sets.start) - 1)
 
     def _left_of_table(self, blocks: _Blocks, sure: IntArray) -> tuple[IntArray, FloatArray]:
-        """Starts and ln P of the merges that are left to each block when those of the sure sets are made."""
+        """Starts and ln P of the merges that remain for each block after those of the sure sets."""
         if not self.counts:
             return np.zeros(len(blocks.group) + 1, np.int64), np.zeros(1)
         made = np.bincount(self.sets.group[sure], self.sets.size[sure] - 1, len(self.table_start)).astype(np.int64)
@@ -199,6 +213,7 @@ class _Sums:
         return Ragged.of_sizes(high - low).start, np.concatenate([*lists, np.zeros(1)])
 
 
+@in_short
 @dataclass(frozen=True)
 class _Blocks:
     """Records that the kept sets entangle with each other, laid out for elimination.
@@ -219,7 +234,7 @@ class _Blocks:
     @classmethod
     def of(cls, sets: Sets, kept: IntArray, n_records: int, whole_groups: bool) -> _Blocks:
         members = sets.members[kept]
-        at, source = np.nonzero(members >= 0)
+        at, source = np.nonzero(members != NO_RECORD)
         record = members[at, source]
         incidence = csr_array((np.ones(len(at), np.int32), (record, at)), shape=(n_records, len(kept)))
         touching = csr_array(incidence @ incidence.T)
@@ -229,7 +244,7 @@ class _Blocks:
         sure, rest = np.flatnonzero(alone), np.flatnonzero(~alone)
         unit = sets.group[kept] if whole_groups else of_set
         labels, block = np.unique(unit[rest], return_inverse=True)
-        # Records near each other one after another: few are taken and not yet passed.
+        # Records that share sets follow each other, so that states hold few records.
         rank = np.empty(n_records, np.int64)
         if n_records:
             rank[reverse_cuthill_mckee(touching, symmetric_mode=True)] = np.arange(n_records)

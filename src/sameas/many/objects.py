@@ -1,7 +1,7 @@
-"""Objects: which records of many sources are one thing, how sure it is, and what its state is.
+"""Objects: which records of many sources are one object, its probability and its state.
 
 Members are rows of the sources' own tables, sources in the order in which they were given; absence is a mask. Objects
-are numbered by what their records say, so the numbers too do not depend on the order of sources or rows.
+are numbered by the content of their records, so their numbers do not depend on the order of sources or rows.
 """
 
 from __future__ import annotations
@@ -17,19 +17,21 @@ from scipy.sparse import csr_array
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.many.explanation import ObjectExplanation, Weights
-from sameas.many.joint import Joint
+from sameas.many.joint import NO_RECORD, Joint
 from sameas.many.marginals import EXACT, Answer
 from sameas.many.observations import Source, records_of
 from sameas.many.pooled import PooledRecords
 from sameas.many.sets import Sets
 from sameas.many.terms import Terms
+from sameas.representation import in_short
 
 
+@in_short
 @dataclass(frozen=True)
 class Memberships:
-    """What became of every row of one source's table (n_table,); masked where the row could not be used.
+    """The result for every row of one source's table (n_table,); masked where the row could not be used.
 
-    object : number of its object. p_object : probability of exactly that object. p_alone : of no partner anywhere.
+    object : number of its object. p_object : probability of exactly that object. p_alone : of no partner in any source.
     partner : (n_table, S) per source the row of the most probable partner there, masked where there is no candidate.
     p_partner : (n_table, S) its probability, 0 where there is no candidate; the column of the source itself is masked.
     """
@@ -41,13 +43,14 @@ class Memberships:
     p_partner: np.ma.MaskedArray
 
 
+@in_short
 @dataclass(frozen=True)
 class GroupTable:
     """How every group was solved (g,).
 
-    records, sets : their numbers. gap : ln of how much more probable a better partition could be at most, 0 where the
-    answer is the best. cut : the sum left out sets at least e^cut times less probable than the best; ``exact`` where
-    that changes no probability one can see; ``floor``: ln w below which sets were not considered.
+    records, sets : their numbers. gap : upper bound of ln of the odds of a better partition against the answer, 0 where
+    the answer is the best. cut : the sum left out sets at least e^cut times less probable than the best; exact : cut is
+    large enough to change no probability; floor : ln w below which sets were not considered.
     """
 
     records: IntArray
@@ -58,6 +61,7 @@ class GroupTable:
     floor: FloatArray
 
 
+@in_short
 @dataclass(frozen=True)
 class Objects:
     """The answer of :func:`sameas.many.identify_many`.
@@ -80,7 +84,7 @@ class Objects:
         """(n,) the set that each object is: a row of :attr:`sets`."""
         chosen = np.flatnonzero(self.answer.chosen)
         members = self.sets.members[chosen]
-        first = np.where(members >= 0, members, len(self.pooled)).min(axis=1)
+        first = np.where(members != NO_RECORD, members, len(self.pooled)).min(axis=1)
         return chosen[np.argsort(first)]
 
     @cached_property
@@ -99,7 +103,7 @@ class Objects:
 
     @property
     def n_members(self) -> IntArray:
-        """(n,) by how many sources each object is seen."""
+        """(n,) number of sources with a record of each object."""
         return self.sets.size[self.set_of_object]
 
     @property
@@ -114,10 +118,10 @@ class Objects:
         best_p = np.zeros(len(self))
         of_record = self.object_of_record
         other = np.setdiff1d(np.flatnonzero(self.answer.probability > 0), self.set_of_object)
-        # Ascending, so that the last to be written is the most probable; of equals the first by content.
+        # In ascending order, so that the most probable is written last; of equals the first by content.
         other = other[np.lexsort([-other, self.answer.probability[other]])]
         for column in self.sets.members[other].T:
-            here = np.flatnonzero(column >= 0)
+            here = np.flatnonzero(column != NO_RECORD)
             rank = np.full(len(self), -1)
             rank[of_record[column[here]]] = here
             p = np.where(rank >= 0, self.answer.probability[other[np.maximum(rank, 0)]], -1.0) if len(other) else best_p
@@ -129,7 +133,7 @@ class Objects:
     def runner_up(self) -> np.ma.MaskedArray:
         """(n, S) rows of the most probable other set that has one of the object's records."""
         members = self.sets.members[np.maximum(self._second, 0)].copy()
-        members[self._second < 0] = -1
+        members[self._second < 0] = NO_RECORD
         return self._table.rows_of(members)
 
     @cached_property
@@ -144,7 +148,7 @@ class Objects:
 
     @cached_property
     def expected_wrong(self) -> float:
-        """How many of the objects are expected not to be exactly right: Σ (1 − p)."""
+        """Expected number of objects that are not exactly right: Σ (1 − p)."""
         return float(np.sum(1.0 - self.probability))
 
     @cached_property
@@ -155,7 +159,7 @@ class Objects:
         return GroupTable(self.pooled.sizes, counts, a.gap, a.cut >= EXACT, a.cut, self.sets.floor)
 
     def of(self, source: int | str) -> Memberships:
-        """What became of every row of one source, named by its place in the list of sources or by its name."""
+        """The result for every row of one source, given by its position in the list of sources or by its name."""
         names = [records_of(s).source for s in self.given]
         if isinstance(source, str):
             if names.count(source) != 1:
@@ -167,18 +171,18 @@ class Objects:
         here = np.arange(self.pooled.start[s], self.pooled.start[s + 1])
         of_record = self.object_of_record[here]
         partner, p_partner = self._partners(s, here)
-        spread = self._table.spread(s)
-        away = np.arange(len(names)) == source
+        over_table = self._table.over_table(s)
+        itself = np.arange(len(names)) == source
         return Memberships(
-            object=spread(of_record),
-            p_object=spread(self.probability[of_record]),
-            p_alone=spread(np.clip(self._p_alone[here], 0.0, 1.0)),
-            partner=spread(partner.data, np.ma.getmaskarray(partner)),
-            p_partner=spread(np.clip(p_partner, 0.0, 1.0), np.broadcast_to(away, p_partner.shape)),
+            object=over_table(of_record),
+            p_object=over_table(self.probability[of_record]),
+            p_alone=over_table(np.clip(self._p_alone[here], 0.0, 1.0)),
+            partner=over_table(partner.data, np.ma.getmaskarray(partner)),
+            p_partner=over_table(np.clip(p_partner, 0.0, 1.0), np.broadcast_to(itself, p_partner.shape)),
         )
 
     def explain(self, number: int) -> ObjectExplanation:
-        """Why these records are object ``number``: its rivals, what each weighs term by term; ``print`` it.
+        """Why these records are object ``number``: its rivals and the terms of each; ``print`` it.
 
         Raises
         ------
@@ -186,10 +190,10 @@ class Objects:
         """
         if not 0 <= number < len(self):
             raise InputError(f"there is no object {number}; give 0 … {len(self) - 1}, a row of members")
-        return self._grounds.of_object(number)
+        return self._weights.of_object(number)
 
     @cached_property
-    def _grounds(self) -> Weights:
+    def _weights(self) -> Weights:
         return Weights.of(self)
 
     @cached_property
@@ -197,7 +201,7 @@ class Objects:
         """(records,) the object of every record, numbered as in the pooled records."""
         out = np.zeros(len(self.pooled), np.int64)
         members = self.sets.members[self.set_of_object]
-        at, source = np.nonzero(members >= 0)
+        at, source = np.nonzero(members != NO_RECORD)
         out[members[at, source]] = at
         return out
 
@@ -214,7 +218,7 @@ class Objects:
         p = self.answer.probability
         kept = np.flatnonzero((self.sets.size > 1) & (p > 0))
         members = self.sets.members[kept]
-        at, source = np.nonzero(members >= 0)
+        at, source = np.nonzero(members != NO_RECORD)
         shape = (len(self.pooled), len(kept))
         whole = csr_array((np.ones(len(at)), (members[at, source], at)), shape=shape)
         together = csr_array((whole * p[kept][None, :]) @ whole.T)
@@ -227,7 +231,7 @@ class Objects:
         """(k, S) the most probable partner of each record in every source, in the order given, and its probability."""
         together = self.p_together[here].tocoo()
         n_sources = len(self.pooled.sources)
-        number, p = np.full((len(here), n_sources), -1), np.zeros((len(here), n_sources))
+        number, p = np.full((len(here), n_sources), NO_RECORD), np.zeros((len(here), n_sources))
         row, record = together.row, together.col
         source = self.pooled.source[record]
         # Of equals the first by content is written last.
@@ -249,13 +253,13 @@ class _Tables:
         at = self.pooled.positions(members)
         out = np.zeros(at.shape, np.int64)
         for s, rows in enumerate(self.rows):
-            here = at[:, s] >= 0
+            here = at[:, s] != NO_RECORD
             out[here, s] = rows[at[here, s]]
         back = np.argsort(self.pooled.given)
-        return np.ma.MaskedArray(out[:, back], (at < 0)[:, back])
+        return np.ma.MaskedArray(out[:, back], (at == NO_RECORD)[:, back])
 
-    def spread(self, s: int) -> _OverTable:
-        """Values of the usable records of source s over the rows of its table."""
+    def over_table(self, s: int) -> _OverTable:
+        """Carries values of the usable records of source s to the rows of its table."""
         return _OverTable(self.rows[s], records_of(self.pooled.sources[s]).n_table)
 
 

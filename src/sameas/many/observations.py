@@ -1,13 +1,13 @@
-"""Observations: what a source sees of an object's state, where that is not the whole of it.
+"""Observations: the part of an object's state that a source observes, where that is not the whole state.
 
-Plain :class:`~sameas.records.Records` say that a source observes the whole state, the features themselves. An
-:class:`Observations` says that it observes a part: a bearing and no distance, a position and no velocity. The part is a
+Plain :class:`~sameas.records.Records` are of the whole state, the features themselves. :class:`Observations` are of a
+part: a bearing and no distance, a position and no velocity. The part is a
 strategy: :class:`LinearPart` for z = H x + c, :class:`Bearing` for a direction seen from a known place; your own needs
 ``dimension``, a call from states (n, L) to observations (n, m), and ``jacobian`` from states to (n, m, L).
 
-One record that sees a part leaves the rest of the state open. A :class:`Region`, a broad normal about where objects
-are, closes it: with it every set of records has a finite density, and where a set sees everything the region drops
-out as it grows.
+A record of a part leaves the rest of the state undetermined. A :class:`Region`, a broad normal about where objects are,
+determines it: with it every set of records has a finite density; where a set observes the whole state the region drops
+out as it widens.
 """
 
 from __future__ import annotations
@@ -21,11 +21,12 @@ from numpy.typing import ArrayLike
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.records import Records
+from sameas.representation import in_short
 from sameas.space import Plane
 
 
 class Part(Protocol):
-    """What is seen of a state."""
+    """The part of a state that a source observes."""
 
     @property
     def dimension(self) -> int:
@@ -38,6 +39,7 @@ class Part(Protocol):
         """(n, m, L) their derivatives."""
 
 
+@in_short
 @dataclass(frozen=True)
 class LinearPart:
     """z = H x + c: ``matrix`` H (m, L) and ``offset`` c (m,) or a number."""
@@ -57,7 +59,7 @@ class LinearPart:
         return int(np.shape(self.matrix)[1])
 
     def __call__(self, states: FloatArray) -> FloatArray:
-        return states @ np.asarray(self.matrix).T + self.offset
+        return np.asarray(states @ np.asarray(self.matrix).T + self.offset)
 
     def jacobian(self, states: FloatArray) -> FloatArray:
         return np.broadcast_to(np.asarray(self.matrix), (len(states), *np.shape(self.matrix)))
@@ -80,7 +82,7 @@ class Bearing:
 
     def __call__(self, states: FloatArray) -> FloatArray:
         east, north = (states[:, :2] - np.asarray(self.sensor)).T
-        return np.degrees(np.arctan2(east, north))[:, None] % 360.0
+        return np.asarray(np.degrees(np.arctan2(east, north))[:, None] % 360.0)
 
     def jacobian(self, states: FloatArray) -> FloatArray:
         east, north = (states[:, :2] - np.asarray(self.sensor)).T
@@ -91,6 +93,7 @@ class Bearing:
         return slope
 
 
+@in_short
 @dataclass(frozen=True)
 class Observations:
     """The records of a source that observes ``part`` of the objects' state.
@@ -107,12 +110,13 @@ class Observations:
     def __post_init__(self) -> None:
         if not isinstance(self.records, Records):
             raise InputError(f"Observations: records are a {type(self.records).__name__}; make them with Records.of(…)")
-        seen = self.part.jacobian(np.ones((1, self.part.dimension)))
+        jacobian = self.part.jacobian(np.ones((1, self.part.dimension)))
         if not isinstance(self.records.space, Plane):
             raise InputError(f"{self.records.source}: parts of a state are seen in a Plane; bring the records to one")
-        if seen.shape != (1, self.records.d, self.part.dimension):
+        if jacobian.shape != (1, self.records.d, self.part.dimension):
+            _, features, components = jacobian.shape
             raise InputError(
-                f"{self.records.source}: its part gives {seen.shape[1]} features of {seen.shape[2]} components, "
+                f"{self.records.source}: its part gives {features} features of {components} components, "
                 f"its records have {self.records.d} features; give a matrix (features, state)"
             )
 
@@ -122,9 +126,10 @@ class Observations:
         return self.part.dimension
 
 
+@in_short
 @dataclass(frozen=True)
 class Region:
-    """Where objects are at all: a broad normal, density falling as exp(−½ (x−centre)ᵀ covariance⁻¹ (x−centre)).
+    """Where objects are: a broad normal, density falling as exp(−½ (x−centre)ᵀ covariance⁻¹ (x−centre)).
 
     centre : (L,). spread : (L,) standard deviations per component, or an (L, L) covariance.
     """
@@ -155,5 +160,5 @@ Source = Records | Observations
 
 
 def records_of(source: Source) -> Records:
-    """The records of a source, whatever it sees of the state."""
+    """The records of a source, of the whole state or a part."""
     return source.records if isinstance(source, Observations) else source

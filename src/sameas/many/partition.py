@@ -1,7 +1,7 @@
 """The best partition of every group's records into objects, exact or with its gap.
 
 Choosing sets that share no record is set packing. Under additive weights the linear relaxation of all groups is solved
-at once (SciPy's HiGHS). Where its answer is whole it is the best partition; other groups are solved by branch and
+at once (SciPy's HiGHS). Where its solution is integral it is the best partition; other groups are solved by branch and
 bound. The bound is the relaxation's dual value, so every group's gap is known. A count prior is carried through: exact
 elimination (:mod:`sameas.many.marginals`) where that is small, otherwise branch and bound with one binary for every
 number of merges.
@@ -16,9 +16,12 @@ from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 from scipy.sparse import csr_array, hstack, vstack
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.many.joint import NO_RECORD
 from sameas.many.sets import Sets
+from sameas.representation import in_short
 
 
+@in_short
 @dataclass(frozen=True)
 class Partition:
     """The best partition.
@@ -37,23 +40,23 @@ class Partition:
     slack: FloatArray
 
 
-def best_partition(sets: Sets, n_records: int, wanted: BoolArray | None = None, *, time_limit_s: float) -> Partition:
-    """The partition of greatest Σ ln w of every group, or of the ``wanted`` (g,); all records alone in the others."""
+def best_partition(sets: Sets, n_records: int, groups: BoolArray | None = None, *, time_limit_s: float) -> Partition:
+    """The partition of greatest Σ ln w of every group, or of the ``groups`` (g,); all records alone in the others."""
     incidence = incidence_of(sets, n_records)
-    active, x, dual = _relaxation(sets, incidence, np.ones(len(sets.start) - 1, bool) if wanted is None else wanted)
+    active, x, dual = _relaxation(sets, incidence, np.ones(len(sets.start) - 1, bool) if groups is None else groups)
     n_groups = len(sets.start) - 1
     chosen = np.zeros(len(sets), bool)
     chosen[active[x > 0.5]] = True
-    broken = np.zeros(n_groups, bool)
-    broken[sets.group[active[np.abs(x - np.round(x)) > 1e-6]]] = True
+    fractional = np.zeros(n_groups, bool)
+    fractional[sets.group[active[np.abs(x - np.round(x)) > 1e-6]]] = True
     _, group_of_record = _group_of(sets, n_records)
     bound = np.bincount(group_of_record, dual, n_groups)
-    for g in np.flatnonzero(broken):
-        there = slice(*np.searchsorted(active, sets.start[g : g + 2]))
-        chosen[active[there]] = False
-        picked, better = _packed(sets, active[there], x[there], dual, incidence, time_limit_s)
-        chosen[picked] = True
-        bound[g] = min(bound[g], better)
+    for g in np.flatnonzero(fractional):
+        own = slice(*np.searchsorted(active, sets.start[g : g + 2]))
+        chosen[active[own]] = False
+        packing, tighter = _best_packing(sets, active[own], x[own], dual, incidence, time_limit_s)
+        chosen[packing] = True
+        bound[g] = min(bound[g], tighter)
     chosen |= _left_alone(sets, chosen, incidence)
     value = np.bincount(sets.group[chosen], sets.log_weight[chosen], n_groups)
     scale = np.maximum(1.0, np.abs(value))
@@ -81,12 +84,12 @@ def best_counted(weight: FloatArray, merges: IntArray, incidence: csr_array, log
     return np.flatnonzero(x[:n] > 0.5), max(bound - value, 0.0)
 
 
-def _relaxation(sets: Sets, incidence: csr_array, wanted: BoolArray) -> tuple[IntArray, FloatArray, FloatArray]:
+def _relaxation(sets: Sets, incidence: csr_array, groups: BoolArray) -> tuple[IntArray, FloatArray, FloatArray]:
     """(sets in it, their shares, dual values of all records) of the linear relaxation of all groups."""
-    # A set that weighs no more than its records alone, or than the set without one of them, is never needed: whatever
-    # the duals of the others, theirs are not below it.
-    asked = (sets.log_weight > 0) & wanted[sets.group]
-    useful = np.flatnonzero(asked & ~_dominated(sets)) if asked.any() else np.empty(0, np.int64)
+    # A set that weighs no more than its records alone, or than the set without one of them, is never needed: the duals
+    # that cover the others cover it too.
+    heavy = (sets.log_weight > 0) & groups[sets.group]
+    useful = np.flatnonzero(heavy & ~_dominated(sets)) if heavy.any() else np.empty(0, np.int64)
     n_records = incidence.shape[0]
     if not len(useful):
         return useful, np.empty(0), np.zeros(n_records)
@@ -97,8 +100,8 @@ def _relaxation(sets: Sets, incidence: csr_array, wanted: BoolArray) -> tuple[In
 
 
 def _dominated(sets: Sets) -> BoolArray:
-    """Sets that weigh no more than what is left of them without one of their records."""
-    # Sets are looked up by a sum of random numbers of their records; what is found is compared record by record.
+    """(k,) the sets that weigh no more than the set without one of their records."""
+    # Sets are looked up by a sum of random numbers of their records, and then compared record by record.
     code = np.random.default_rng(0).integers(0, 1 << 62, sets.members.max(initial=0) + 2, dtype=np.uint64)
     code[-1] = 0
     total = code[sets.members].sum(axis=1, dtype=np.uint64)
@@ -106,35 +109,35 @@ def _dominated(sets: Sets) -> BoolArray:
     ordered = total[order]
     out = np.zeros(len(sets), bool)
     for s in range(sets.members.shape[1]):
-        k = np.flatnonzero((sets.members[:, s] >= 0) & (sets.size > 2))
-        wanted = total[k] - code[sets.members[k, s]]
-        found = order[np.minimum(np.searchsorted(ordered, wanted), len(order) - 1)]
+        k = np.flatnonzero((sets.members[:, s] != NO_RECORD) & (sets.size > 2))
+        sought = total[k] - code[sets.members[k, s]]
+        candidate = order[np.minimum(np.searchsorted(ordered, sought), len(order) - 1)]
         rest = sets.members[k]
-        rest[:, s] = -1
-        same = (sets.members[found] == rest).all(axis=1)
-        out[k] |= same & (sets.log_weight[k] <= sets.log_weight[found])
+        rest[:, s] = NO_RECORD
+        same = (sets.members[candidate] == rest).all(axis=1)
+        out[k] |= same & (sets.log_weight[k] <= sets.log_weight[candidate])
     return out
 
 
-def _packed(
+def _best_packing(
     sets: Sets, here: IntArray, share: FloatArray, dual: FloatArray, incidence: csr_array, time_limit_s: float
 ) -> tuple[IntArray, float]:
     """The best packing of one group's sets, and the bound, from their shares in the relaxation and its duals.
 
-    A good packing comes first: the sets whose share is whole, and the best of those that share no record with them. Of
-    a better one every set has a reduced cost of no more than the good one falls short of the relaxation.
+    A good packing comes first: the sets whose share is 1, and the best of those that share no record with them. In a
+    better one every set has a reduced cost of at most the good one's distance from the relaxation.
     """
     within, weight = incidence[:, here], sets.log_weight[here]
     whole = share > 1.0 - 1e-6
     apart = np.flatnonzero(within.T @ (within[:, whole].sum(axis=1) > 0) == 0)
     added, _ = _branched_packing(weight[apart], within[:, apart], 0.5 * time_limit_s)
-    begun = np.concatenate([np.flatnonzero(whole), apart[added]])
-    known, cost = float(weight[begun].sum()), within.T @ dual - weight
+    good = np.concatenate([np.flatnonzero(whole), apart[added]])
+    value, cost = float(weight[good].sum()), within.T @ dual - weight
     relaxed = float(dual[within.sum(axis=1) > 0].sum())
-    kept = np.flatnonzero(cost <= relaxed - known + 1e-6 * max(1.0, abs(relaxed)))
-    picked, bound = _branched_packing(weight[kept], within[:, kept], 0.5 * time_limit_s)
-    best = kept[picked]
-    return here[best if weight[best].sum() >= known else begun], max(bound, known)
+    cheap = np.flatnonzero(cost <= relaxed - value + 1e-6 * max(1.0, abs(relaxed)))
+    packing, bound = _branched_packing(weight[cheap], within[:, cheap], 0.5 * time_limit_s)
+    best = cheap[packing]
+    return here[best if weight[best].sum() >= value else good], max(bound, value)
 
 
 def _branched_packing(weight: FloatArray, incidence: csr_array, time_limit_s: float) -> tuple[IntArray, float]:
@@ -153,19 +156,19 @@ def _branched(
     used = np.diff(rows.tocsr().indptr) > 0
     constraint = LinearConstraint(rows.tocsr()[used], low[used], high[used])
     options = {"mip_rel_gap": 0.0, "time_limit": time_limit_s}
-    found = milp(-weight, constraints=constraint, integrality=np.ones(len(weight)), bounds=Bounds(0, 1),
-                 options=options)  # fmt: skip
-    bound = np.inf if found.mip_dual_bound is None else -float(found.mip_dual_bound)
-    if found.x is None:
+    solution = milp(-weight, constraints=constraint, integrality=np.ones(len(weight)), bounds=Bounds(0, 1),
+                    options=options)  # fmt: skip
+    bound = np.inf if solution.mip_dual_bound is None else -float(solution.mip_dual_bound)
+    if solution.x is None:
         return np.zeros(len(weight)), bound, 0.0
-    return np.round(found.x), bound, float(weight @ np.round(found.x))
+    return np.round(solution.x), bound, float(weight @ np.round(solution.x))
 
 
 def _left_alone(sets: Sets, chosen: BoolArray, incidence: csr_array) -> BoolArray:
-    """The sets of one record that no chosen set has."""
-    taken = incidence[:, chosen].sum(axis=1) > 0
+    """(k,) the sets of one record that is in no chosen set."""
+    in_chosen = np.asarray(incidence[:, chosen].sum(axis=1) > 0)
     lone = sets.size == 1
-    return lone & ~taken[sets.members.max(axis=1)] & ~chosen
+    return np.asarray(lone & ~in_chosen[sets.members.max(axis=1)] & ~chosen)
 
 
 def incidence_of(sets: Sets, n_records: int) -> csr_array:

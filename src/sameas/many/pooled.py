@@ -1,10 +1,10 @@
 """Pooled records: those of all sources in one order of their content, the pairs between them, and their groups.
 
-Sources are ordered by what their records say and records by what they say, ids settling what is equal; every later
+Sources are ordered by the content of their records and records by their content, equal ones by their ids; every later
 stage works in that order, so the answer depends neither on the order of the sources nor on that of their rows. Two
-records are a pair where the gate lets them through. The gate compares features, so it is asked where both sources
-observe the whole state; where one observes a part, the two records pass if they can be one object of the region: their
-χ² (:mod:`sameas.many.joint`) lies within the quantile of the gate's completeness for as many degrees of freedom as they
+records are a pair where they pass the gate. The gate compares features, so it is applied where both sources observe the
+whole state; where one observes a part, the two records pass if they can be one object of the region: their χ²
+(:mod:`sameas.many.joint`) lies within the quantile of the gate's completeness for as many degrees of freedom as they
 have features. A group is a connected component of all pairs.
 """
 
@@ -22,16 +22,18 @@ from scipy.sparse.csgraph import connected_components
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.gate import DEFAULT_COMPLETENESS, ChiSquare, Pairs
-from sameas.many.joint import Observers
+from sameas.many.joint import NO_RECORD, Observers
 from sameas.many.observations import Observations, Region, Source, records_of
 from sameas.ragged import Ragged
 from sameas.records import Records
+from sameas.representation import in_short
 
 Gate = Callable[[Records, Records], Pairs]
-#: Pairs of a partial source that are tested at a time.
+#: Pairs of a partial source that are tested at a time, which bounds the memory.
 CHUNK = 200_000
 
 
+@in_short
 @dataclass(frozen=True)
 class PooledRecords:
     """All records, source after source.
@@ -42,8 +44,8 @@ class PooledRecords:
     given : (S,) the position of each of them in the caller's list.
     start : (S+1,) the records of source s are numbered start[s] … start[s+1] − 1.
     i, j : (m,) the two records of each pair, i < j, sorted.
-    parts : per two sources their Pairs and where they stand among the m; pairs of which one record sees a part of the
-        state have no residual (m, 0) and no determinant, but the χ² of their being one object of the region.
+    parts : per two sources their Pairs and their positions among the m; pairs of which one record observes a part of
+        the state have no residual (m, 0) and no determinant, but the χ² of their being one object of the region.
     group : (n,) the group of each record, numbered by first appearance.
     gate : the gate's description.
     """
@@ -81,17 +83,17 @@ class PooledRecords:
         return np.concatenate([self.observers.log_peak(s) for s in range(len(self.sources))])
 
     def positions(self, sets: NDArray[np.integer]) -> IntArray:
-        """Sets (k, S) of record numbers as positions within each source; −1 stays −1."""
-        return np.where(sets >= 0, sets - self.start[:-1], -1)
+        """Sets (k, S) of record numbers as positions within each source; :data:`NO_RECORD` stays."""
+        return np.where(sets != NO_RECORD, sets - self.start[:-1], NO_RECORD)
 
     def pair(self, i: IntArray, j: IntArray) -> tuple[BoolArray, IntArray]:
         """Whether records i < j are a pair, and which (0 where they are none)."""
         if not len(self._keys):
             return np.zeros(i.shape, bool), np.zeros(i.shape, np.int64)
-        wanted = i * len(self) + j
-        place = np.minimum(np.searchsorted(self._keys, wanted), len(self._keys) - 1)
-        found = self._keys[place] == wanted
-        return found, np.where(found, place, 0)
+        key = i * len(self) + j
+        place = np.minimum(np.searchsorted(self._keys, key), len(self._keys) - 1)
+        is_pair = self._keys[place] == key
+        return is_pair, np.where(is_pair, place, 0)
 
     @cached_property
     def _keys(self) -> IntArray:
@@ -106,7 +108,7 @@ def pooled(sources: Sequence[Source], gate: Gate, region: Region | None = None) 
         if not isinstance(source, Records | Observations):
             kind = type(source).__name__
             raise InputError(f"source {number} is a {kind}; make it with Records.of(features, sigma=…)")
-    # Asked of the sources as they were given, so that messages name them in the caller's order.
+    # Checked in the caller's order, in which messages name the sources.
     assert Observers(tuple(sources), region).dimension
     ordered = [_in_order(source) for source in sources]
     given = sorted(range(len(sources)), key=lambda s: _content(ordered[s]))
@@ -119,7 +121,7 @@ def pooled(sources: Sequence[Source], gate: Gate, region: Region | None = None) 
 
 
 def _in_order(source: Source) -> Source:
-    """A source with its records ordered by what they say, equal ones by their ids."""
+    """A source with its records ordered by their content, equal ones by their ids."""
     records = records_of(source)
     ids = records.ids[records.rows]
     ids = ids if ids.dtype.kind in "iuf" else ids.astype(str)
@@ -133,15 +135,15 @@ def _in_order(source: Source) -> Source:
 def _content(source: Source) -> tuple[object, ...]:
     records = records_of(source)
     part = repr(source.part) if isinstance(source, Observations) else ""
-    said = records.features.tobytes(), records.covariance.tobytes()
-    return len(records), part, *said, records.source, [str(x) for x in records.ids[records.rows]]
+    content = records.features.tobytes(), records.covariance.tobytes()
+    return len(records), part, *content, records.source, [str(x) for x in records.ids[records.rows]]
 
 
 def _pairs(
     observers: Observers, start: IntArray, gate: Gate
 ) -> tuple[IntArray, IntArray, tuple[tuple[Pairs, IntArray], ...], str]:
     compared: list[Pairs] = []
-    found: list[tuple[IntArray, IntArray]] = []
+    numbers: list[tuple[IntArray, IntArray]] = []
     description = ""
     for s, first in enumerate(observers.sources):
         for t in range(s + 1, len(observers.sources)):
@@ -152,8 +154,8 @@ def _pairs(
             else:
                 pairs = _possible(observers, s, t, gate)
             compared.append(pairs)
-            found.append((pairs.i.astype(np.int64) + start[s], pairs.j.astype(np.int64) + start[t]))
-    i, j = (np.concatenate(column) for column in zip(*found, strict=True))
+            numbers.append((pairs.i.astype(np.int64) + start[s], pairs.j.astype(np.int64) + start[t]))
+    i, j = (np.concatenate(column) for column in zip(*numbers, strict=True))
     order = np.lexsort([j, i])
     place = np.empty_like(order)
     place[order] = np.arange(len(order))
@@ -169,16 +171,16 @@ def _possible(observers: Observers, s: int, t: int, gate: Gate) -> Pairs:
     first, second = records_of(observers.sources[s]), records_of(observers.sources[t])
     completeness = gate.completeness if isinstance(gate, ChiSquare) else DEFAULT_COMPLETENESS
     limit = 2.0 * float(gammainccinv((first.d + second.d) / 2.0, 1.0 - completeness))
-    kept = [(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))]
+    possible = [(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))]
     total = len(first) * len(second)
     for low in range(0, total, CHUNK):
         a, b = np.divmod(np.arange(low, min(low + CHUNK, total)), len(second))
-        sets = np.full((len(a), len(observers.sources)), -1)
+        sets = np.full((len(a), len(observers.sources)), NO_RECORD)
         sets[:, s], sets[:, t] = a, b
         chi_sq = observers.joint(sets).chi_sq
         inside = chi_sq <= limit
-        kept.append((a[inside], b[inside], chi_sq[inside]))
-    i, j, chi_sq = (np.concatenate(column) for column in zip(*kept, strict=True))
+        possible.append((a[inside], b[inside], chi_sq[inside]))
+    i, j, chi_sq = (np.concatenate(column) for column in zip(*possible, strict=True))
     i, j = i.astype(np.int32), j.astype(np.int32)
     described = f"χ² ≤ {limit:.2f} of one object of the region"
     return Pairs(first, second, i, j, i, j, np.empty((len(i), 0)), chi_sq, np.full(len(i), np.nan), described)

@@ -1,15 +1,15 @@
-"""Belief: what a set of records weighs as one object against all of its records being objects of their own.
+"""Set rules: the weight of a set of records as one object against all of its records being objects of their own.
 
-Every belief of :func:`sameas.many.identify_many` is brought to the terms of :mod:`sameas.many.terms`. A hypothesis
+Every rule of :func:`sameas.many.identify_many` is brought to the terms of :mod:`sameas.many.terms`. A hypothesis
 weighs Σ ln w of its sets, and under a count prior also ln P of its number of merges, Σ (k − 1).
 
 - :class:`PoissonObjects`: objects are a Poisson field, sources miss some and add false records (METHOD 4.3).
 - Pairwise rules, ``CloseObjects`` and ``Field``, for sets: see :class:`Pairwise`.
 - :class:`MissedObjects`: only the probabilities of a miss are known (METHOD 4.1 for any number of sources).
-- Rules of what records say beside their positions are added: ``PoissonObjects(…) + Identity(…)`` or
+- Rules on attributes beside positions are added: ``PoissonObjects(…) + Identity(…)`` or
   ``CloseObjects(…) + Identity(…)``. Such a rule is called once for every two sources, in an order of their content: it
-  knows sources by their names and records by the rows of their tables, says the same of (i, j) as of (j, i), and gives
-  exactly 0.0 where it says nothing.
+  knows sources by their names and records by the rows of their tables, gives the same for (i, j) as for (j, i), and
+  exactly 0.0 where it is not informative.
 """
 
 from __future__ import annotations
@@ -35,16 +35,18 @@ from sameas.evidence import (
     Universal,
 )
 from sameas.gate import Pairs
+from sameas.many.joint import NO_RECORD
 from sameas.many.pooled import PooledRecords
-from sameas.many.terms import Linear, PairTerms, Terms, best_word, mean_of_pairs
+from sameas.many.terms import Linear, PairTerms, Terms, best_reference, mean_of_pairs
 from sameas.prior import PerPair
+from sameas.representation import in_short
 
-#: Rules that know two sources, in the order in which they were made for.
+#: Rules that are made for two sources, in their order.
 OF_TWO_SOURCES = (Brightness, ConstantCost, DetectionField, PoissonField, Universal)
 
 
 class ObjectsRule:
-    """What every belief in objects at places is: terms of records and pairs; and a sum with rules beside positions."""
+    """A rule of positions: gives the terms of records and pairs, and adds to rules on attributes."""
 
     def terms(self, pooled: PooledRecords) -> Terms:
         """The terms of the records and pairs of ``pooled``."""
@@ -56,6 +58,7 @@ class ObjectsRule:
     __radd__ = __add__
 
 
+@in_short
 @dataclass(frozen=True)
 class PoissonObjects(ObjectsRule):
     """Objects are a Poisson field of known density; a set's weight follows from it (METHOD 4.3, 7).
@@ -86,27 +89,27 @@ class PoissonObjects(ObjectsRule):
     def terms(self, pooled: PooledRecords) -> Terms:
         """The terms of the records and pairs of ``pooled``."""
         q, false = _per_source(self.q, pooled, "q"), _per_source(self.false, pooled, "false")
-        log_missed, log_seen = np.log(q), np.log1p(-q)
-        alone_sets = np.full((len(pooled), len(q)), -1)
+        log_missed, log_detected = np.log(q), np.log1p(-q)
+        alone_sets = np.full((len(pooled), len(q)), NO_RECORD)
         alone_sets[np.arange(len(pooled)), pooled.source] = np.arange(len(pooled))
         log_j = pooled.observers.joint(pooled.positions(alone_sets)).log_density
-        odds = (log_seen - log_missed)[pooled.source]
+        odds = (log_detected - log_missed)[pooled.source]
         base = math.log(self.density) + log_missed.sum()
         with np.errstate(divide="ignore"):
             alone = np.logaddexp(base + odds + log_j, np.log(false)[pooled.source])
-        # What a record's own place says is taken out of the densities: J of one record is 1 unless there is a region.
+        # J of one record, 1 without a region, belongs to its position and not to the densities.
         return Terms({"position": Linear(0.0, -log_j), "densities": Linear(base, odds - alone + log_j)})
 
 
 @dataclass(frozen=True)
 class SetRules:
-    """A belief in objects, and rules of what records say beside their positions: ``PoissonObjects(…) + Identity(…)``.
+    """A rule of positions with rules on attributes: ``PoissonObjects(…) + Identity(…)``.
 
     Example
     -------
     >>> from sameas.evidence import Identity
-    >>> said = {"radar": {"icao": ["4b1814", None]}, "adsb": {"icao": ["4b1814", "4b1815"]}}
-    >>> [type(rule).__name__ for rule in (PoissonObjects(density=1e-3, q=0.2) + Identity(said)).beside]
+    >>> attributes = {"radar": {"icao": ["4b1814", None]}, "adsb": {"icao": ["4b1814", "4b1815"]}}
+    >>> [type(rule).__name__ for rule in (PoissonObjects(density=1e-3, q=0.2) + Identity(attributes)).beside]
     ['Identity']
     """
 
@@ -143,20 +146,21 @@ class Pairwise(ObjectsRule):
                 f"{type(self.rule).__name__} compares whole positions, but a source observes a part of the state; "
                 "give PoissonObjects(density, q) and a region"
             )
-        return Terms({}, (PairTerms.of(self._strangers, pooled, mean_of_pairs),))
+        return Terms({}, (PairTerms.of(self._unrelated, pooled, mean_of_pairs),))
 
-    def _strangers(self, pairs: Pairs) -> Evidence:
-        """−ln f(Δ); J stands for the rule's N."""
+    def _unrelated(self, pairs: Pairs) -> Evidence:
+        """−ln f(Δ); J takes the place of the rule's N."""
         return Evidence({name: values for name, values in self.rule(pairs).terms.items() if name != "position"})
 
 
+@in_short
 @dataclass(frozen=True)
 class MissedObjects:
     """Sources miss objects with probabilities q; the number of objects is unknown, flat (METHOD 4.1 generalised).
 
     In a group of N records a hypothesis of n objects has ln P = ln n! + Σ_objects Σ_{s missing} ln q_s
-    − (n + 1) ln(1 − ∏ q_s), up to what all share: the sum over the number of objects of the multinomial of the sets of
-    sources that show them. For two sources it is ``CommonObjects(q1, q2)``.
+    − (n + 1) ln(1 − ∏ q_s), up to a constant: the sum over the number of objects of the multinomial of the sets of
+    sources that detect them. For two sources it is ``CommonObjects(q1, q2)``.
 
     q : per source, in the order in which the sources are given; or one for all.
     """
@@ -177,7 +181,7 @@ class MissedObjects:
 
         n = records - np.arange(records, dtype=np.float64)
         log_p = gammaln(n + 1) - (n + 1) * math.log1p(-float(np.prod(_per_source(self.q, pooled, "q"))))
-        return log_p - log_p[:1]
+        return np.asarray(log_p - log_p[:1])
 
 
 SetRule = ObjectsRule | SetRules | Rule
@@ -187,16 +191,16 @@ SetPrior = MissedObjects | PerPair
 def terms_of(rule: SetRule, prior: SetPrior, pooled: PooledRecords) -> Terms:
     """The terms of a rule and of the linear part of a prior together."""
     positions, beside = parts_of(rule)
-    said = tuple(_beside(part, pooled) for part in beside)
-    return positions.terms(pooled) + Terms({}, said) + _prior_terms(prior, pooled)
+    attributes = tuple(_attribute_terms(part, pooled) for part in beside)
+    return positions.terms(pooled) + Terms({}, attributes) + _prior_terms(prior, pooled)
 
 
 def parts_of(rule: SetRule) -> tuple[ObjectsRule, tuple[Rule, ...]]:
-    """The rule of positions, and those beside it.
+    """The rule of positions, and the rules on attributes.
 
     Raises
     ------
-    InputError : none of the rules speaks of positions, or several do, or one knows two sources only.
+    InputError : none of the rules is on positions, or several are, or one is for two sources only.
     """
     objects: ObjectsRule | None = None
     rules: tuple[Rule, ...] = ()
@@ -221,12 +225,12 @@ def parts_of(rule: SetRule) -> tuple[ObjectsRule, tuple[Rule, ...]]:
     return objects or Pairwise(pairwise[0]), beside
 
 
-def _beside(rule: Rule, pooled: PooledRecords) -> PairTerms:
-    """What a rule says beside the positions."""
-    said = PairTerms.of(rule, pooled, best_word)
-    if "position" in said.terms:
+def _attribute_terms(rule: Rule, pooled: PooledRecords) -> PairTerms:
+    """The terms of a rule on attributes."""
+    terms = PairTerms.of(rule, pooled, best_reference)
+    if "position" in terms.terms:
         raise InputError(f"identify_many: both {type(rule).__name__} and the rule it is added to speak of position")
-    return said
+    return terms
 
 
 def _prior_terms(prior: SetPrior, pooled: PooledRecords) -> Terms:

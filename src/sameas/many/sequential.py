@@ -17,6 +17,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.evidence import PoissonField, Rule
 from sameas.gate import DEFAULT_GATE, Pairs
+from sameas.many.joint import NO_RECORD
 from sameas.many.marginals import EXACT, Answer
 from sameas.many.objects import Objects
 from sameas.many.pooled import PooledRecords, numbered_groups, pooled
@@ -25,6 +26,7 @@ from sameas.many.sets import Sets
 from sameas.prior import EVIDENCE_ALONE, CommonObjects, Prior
 from sameas.ragged import Ragged
 from sameas.records import Records
+from sameas.representation import in_short
 
 
 def identify_sequentially(
@@ -43,8 +45,7 @@ def identify_sequentially(
 
     Raises
     ------
-    InputError : a rule beside the positions is given: a fused picture is nobody's record and says nothing of itself;
-        or a rule that knows no pairs.
+    InputError : a rule on attributes is given, and a fused object has none; or a rule that is not made of pairs.
     """
     positions, beside = parts_of(rule)
     if beside:
@@ -68,9 +69,10 @@ def identify_sequentially(
     return picture.objects(tuple(sources))
 
 
+@in_short
 @dataclass(frozen=True)
 class _Partial:
-    """What is identified so far: ``members`` (k, S) record numbers, −1 for none, and probabilities ``p`` (k,)."""
+    """The objects of the first sources: ``members`` (k, S) record numbers or NO_RECORD, probabilities ``p`` (k,)."""
 
     pooled: PooledRecords
     members: IntArray
@@ -79,7 +81,7 @@ class _Partial:
     @classmethod
     def of(cls, pooled: PooledRecords, s: int) -> _Partial:
         numbers = np.arange(pooled.start[s], pooled.start[s + 1])
-        members = np.full((len(numbers), len(pooled.sources)), -1)
+        members = np.full((len(numbers), len(pooled.sources)), NO_RECORD)
         members[:, s] = numbers
         return cls(pooled, members, np.ones(len(members)))
 
@@ -88,11 +90,10 @@ class _Partial:
         fused = self.pooled.observers.joint(self.pooled.positions(self.members))
         source = self.pooled.sources[s]
         assert isinstance(source, Records)
-        seen = Records.of(fused.state, covariance=fused.covariance, space=source.space, source="picture")
-        found = identify(seen, source, rule=rule, prior=prior, gate=gate)
-        i, j, p_pair = found.pairs.i, found.pairs.j, found.p_pair
-        chosen = found.chosen
-        left_1 = np.clip(1.0 - np.bincount(i, p_pair, len(seen)), 0.0, 1.0)
+        picture = Records.of(fused.state, covariance=fused.covariance, space=source.space, source="picture")
+        result = identify(picture, source, rule=rule, prior=prior, gate=gate)
+        i, j, p_pair, chosen = result.pairs.i, result.pairs.j, result.p_pair, result.chosen
+        left_1 = np.clip(1.0 - np.bincount(i, p_pair, len(picture)), 0.0, 1.0)
         left_2 = np.clip(1.0 - np.bincount(j, p_pair, len(source)), 0.0, 1.0)
         left_1[i[chosen]] = p_pair[chosen]
         members = self.members.copy()
@@ -108,14 +109,14 @@ class _Partial:
     def objects(self, given: tuple[Records, ...]) -> Objects:
         """The picture as a result: its objects are the only sets, beside the records alone."""
         n = len(self.pooled)
-        at, source = np.nonzero(self.members >= 0)
-        held = coo_array((np.ones(len(at)), (self.members[at, source], at)), shape=(n, len(self.p))).tocsr()
-        i, j = (held @ held.T).nonzero()
+        at, source = np.nonzero(self.members != NO_RECORD)
+        membership = coo_array((np.ones(len(at)), (self.members[at, source], at)), shape=(n, len(self.p))).tocsr()
+        i, j = (membership @ membership.T).nonzero()
         group = numbered_groups(np.append(self.pooled.i, i), np.append(self.pooled.j, j), n)
         together = replace(self.pooled, group=group)
-        singles = np.full((n, self.members.shape[1]), -1)
+        singles = np.full((n, self.members.shape[1]), NO_RECORD)
         singles[np.arange(n), together.source] = np.arange(n)
-        size = (self.members >= 0).sum(axis=1)
+        size = (self.members != NO_RECORD).sum(axis=1)
         several = size > 1
         lone = ~several
         share, chosen = np.zeros(n), np.zeros(n, bool)
@@ -134,7 +135,7 @@ def _result(
     given: tuple[Records, ...], together: PooledRecords, members: IntArray, p: FloatArray, chosen: BoolArray
 ) -> Objects:
     group = together.group[members.max(axis=1)]
-    size = (members >= 0).sum(axis=1)
+    size = (members != NO_RECORD).sum(axis=1)
     order = np.lexsort([*members.T[::-1], size, group])
     start = Ragged.of_sorted(group[order], len(together.sizes)).start
     several = together.sizes > 1
@@ -151,9 +152,9 @@ def _pair_rule(rule: PoissonObjects | Pairwise, step: int, n_sources: int) -> Ru
     q = np.broadcast_to(np.asarray(rule.q, dtype=np.float64), n_sources)
     false = np.broadcast_to(np.asarray(rule.false, dtype=np.float64), n_sources)
     missed = float(np.prod(q[:step]))
-    shown = rule.density * (1.0 - missed)
+    detected = rule.density * (1.0 - missed)
     only_2 = rule.density * missed * (1.0 - q[step]) + false[step]
-    return PoissonField(shown * (1.0 - q[step]), shown * q[step] + float(false[:step].sum()), only_2)
+    return PoissonField(detected * (1.0 - q[step]), detected * q[step] + float(false[:step].sum()), only_2)
 
 
 def _prior(prior: SetPrior, step: int, n_sources: int) -> Prior:

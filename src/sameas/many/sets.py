@@ -1,11 +1,11 @@
-"""Candidate sets: which records could be one object, and what each such set weighs.
+"""Candidate sets: which records could be one object, and the weight of each such set.
 
 A set has at most one record of each source, and every two of its records are a pair of the gate. Sets grow record by
-record, in their pooled order. A set is left where neither it nor any that grows from it can weigh more than a
-``floor``: no record adds more to ln w than its gain, the most that any pair of its group says by each rule, and
+record, in their pooled order. A set is dropped where neither it nor any that grows from it can weigh more than a
+``floor``: no record adds more to ln w than its gain, the largest term of any pair of its group by each rule, and
 −½ ln|2π R|, the peak of its density. With floor 0 nothing that the best partition needs is lost: its sets outweigh
-their records alone, and a count prior only asks for more. Groups get the lowest floor of :data:`FLOORS` at which they
-have no more than ``LIMIT`` sets; what a floor above 0 may have cost is reported as a gap.
+their records alone, and a count prior only asks for more. Groups get the lowest of ``ManyTuning.floors`` at which they
+have no more than ``ManyTuning.most_sets`` sets; a floor above 0 is reported as a gap.
 """
 
 from __future__ import annotations
@@ -13,26 +13,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.many.joint import NO_RECORD
 from sameas.many.pooled import PooledRecords
 from sameas.many.terms import Terms
+from sameas.many.tuning import TUNING, ManyTuning
 from sameas.ragged import Ragged, ranges
-
-#: ln w below which sets are left out, tried in this order.
-FLOORS = (-np.inf, 0.0, 6.0, 15.0, 30.0, 80.0, np.inf)
-#: Most sets of a group.
-LIMIT = 400_000
+from sameas.representation import in_short
 
 
+@in_short
 @dataclass(frozen=True)
 class Sets:
     """Candidate sets, group by group, in the order of their records; the records alone among them.
 
     Attributes
     ----------
-    members : (k, S) record number per source, −1 for none.
+    members : (k, S) record number per source, :data:`~sameas.many.joint.NO_RECORD` for none.
     size : (k,) number of records.
     log_weight : (k,) ln w; 0 for one record.
     group : (k,) group of the set, ascending. start : (g+1,) of the groups.
@@ -51,20 +49,20 @@ class Sets:
 
     def entries(self) -> tuple[IntArray, IntArray]:
         """(set, record) of every membership, sets ascending."""
-        at, source = np.nonzero(self.members >= 0)
+        at, source = np.nonzero(self.members != NO_RECORD)
         return at, self.members[at, source]
 
 
-def candidate_sets(pooled: PooledRecords, terms: Terms, *, limit: int = LIMIT) -> Sets:
+def candidate_sets(pooled: PooledRecords, terms: Terms, tuning: ManyTuning = TUNING) -> Sets:
     """The candidate sets of every group, each with the lowest floor that its size allows."""
     n_groups = len(pooled.sizes)
-    floor = np.full(n_groups, FLOORS[0])
+    floor = np.full(n_groups, tuning.floors[0])
     open_ = np.ones(n_groups, bool)
     levels: list[_SetsOfSize] = []
     growth = _Growth.of(pooled, terms)
-    for value in FLOORS:
+    for value in tuning.floors:
         floor[open_] = value
-        grown, too_many = growth.all(open_, value, limit)
+        grown, too_many = growth.all(open_, value, tuning.most_sets)
         levels += [level.of_groups(pooled, ~too_many) for level in grown]
         open_ &= too_many
         if not open_.any():
@@ -72,10 +70,11 @@ def candidate_sets(pooled: PooledRecords, terms: Terms, *, limit: int = LIMIT) -
     return _gathered(pooled, levels, floor)
 
 
+@in_short
 @dataclass(frozen=True)
 class _SetsOfSize:
     """Sets of one size: ``records`` (k, size) ascending, their ``pairs`` as of :func:`sameas.many.terms.pairs_of`, ln
-    w, and the part of it that the rules of pairs say."""
+    w, and the part ``between`` of it by the rules of pairs."""
 
     records: IntArray
     pairs: IntArray
@@ -87,16 +86,20 @@ class _SetsOfSize:
         nothing = np.zeros(len(records))
         return cls(records[:, None], np.empty((len(records), 0), np.int64), nothing, nothing)
 
-    def only(self, keep: NDArray) -> _SetsOfSize:
+    def only(self, keep: BoolArray) -> _SetsOfSize:
         return _SetsOfSize(self.records[keep], self.pairs[keep], self.log_weight[keep], self.between[keep])
 
-    def of_groups(self, pooled: PooledRecords, wanted: BoolArray) -> _SetsOfSize:
-        return self.only(wanted[pooled.group[self.records[:, 0]]])
+    def of_groups(self, pooled: PooledRecords, groups: BoolArray) -> _SetsOfSize:
+        return self.only(groups[pooled.group[self.records[:, 0]]])
 
 
+@in_short
 @dataclass(frozen=True)
 class _Growth:
-    """How sets grow: later neighbours of every record as CSR, and the most that later sources can add."""
+    """The growth of sets: later neighbours of every record as CSR, and upper bounds of what later records add.
+
+    most : (g, S) by all sources after each. highest : (g,) by the rules of pairs, per record.
+    """
 
     pooled: PooledRecords
     terms: Terms
@@ -111,14 +114,13 @@ class _Growth:
         best = np.full((g, n_sources), -np.inf)
         np.maximum.at(best, (pooled.group, pooled.source), terms.gain(pooled) + pooled.log_peak)
         best = np.maximum(best + highest[:, None], 0.0)
-        # What the sources after s can add at most.
         most = np.cumsum(best[:, ::-1], axis=1)[:, ::-1] - best
         return cls(pooled, terms, Ragged.of_sorted(pooled.i, n).start, most, highest)
 
-    def all(self, wanted: BoolArray, floor: float, limit: int) -> tuple[list[_SetsOfSize], BoolArray]:
-        """Levels of two records and more of the wanted groups, and which groups have more than ``limit`` sets."""
+    def all(self, groups: BoolArray, floor: float, limit: int) -> tuple[list[_SetsOfSize], BoolArray]:
+        """Sets of two records and more of some groups (g,), by size, and which groups have more than ``limit`` sets."""
         pooled = self.pooled
-        lone = np.flatnonzero(wanted[pooled.group])
+        lone = np.flatnonzero(groups[pooled.group])
         level = _SetsOfSize.alone(lone)
         levels, count, too_many = [], np.zeros(len(pooled.sizes), np.int64), np.zeros(len(pooled.sizes), bool)
         if floor == np.inf:
@@ -129,21 +131,21 @@ class _Growth:
         return levels, too_many
 
     def _grown(self, level: _SetsOfSize, floor: float, limit: int, count: IntArray, too_many: BoolArray) -> _SetsOfSize:
-        """The sets of one record more; marks groups of which there are too many, and leaves them."""
+        """The sets of one record more; groups with too many are marked and dropped."""
         pooled, last = self.pooled, level.records[:, -1]
         width = self.start[last + 1] - self.start[last]
         group = pooled.group[last]
-        # Before the room for them is taken: each set times its neighbours.
-        asked = np.bincount(group, width, len(count))
-        too_many |= asked > 8 * limit
+        # An upper bound, each set times its neighbours, before memory is taken for them.
+        bound = np.bincount(group, width, len(count))
+        too_many |= bound > 8 * limit
         width = np.where(too_many[group], 0, width)
         parent, pair = ranges(self.start[last], width)
         added = pooled.j[pair]
         keep = np.ones(len(parent), bool)
         pairs = []
         for column in range(level.records.shape[1] - 1):
-            found, at = pooled.pair(level.records[parent, column], added)
-            keep &= found
+            is_pair, at = pooled.pair(level.records[parent, column], added)
+            keep &= is_pair
             pairs.append(at)
         parent, added = parent[keep], added[keep]
         new = [at[keep] for at in (*pairs, pair)]
@@ -162,23 +164,23 @@ class _Growth:
         return _SetsOfSize(records, pairs, self.terms.linear_of(records) + log_j + between, between)
 
     def _reach(self, level: _SetsOfSize, group: IntArray) -> FloatArray:
-        """(k,) more than which neither the sets nor any that grow from them can weigh."""
+        """(k,) upper bound of ln w of the sets and of all that grow from them."""
         slack = (level.records.shape[1] - 1) * self.highest[group] - level.between
         last = self.pooled.source[level.records[:, -1]]
-        return level.log_weight + slack + self.most[group, last]
+        return np.asarray(level.log_weight + slack + self.most[group, last])
 
 
 def _by_source(pooled: PooledRecords, records: IntArray) -> IntArray:
-    """(k, size) record numbers as (k, S), −1 where a source has none."""
-    members = np.full((len(records), len(pooled.sources)), -1)
+    """(k, size) record numbers as (k, S), :data:`NO_RECORD` where a source has none."""
+    members = np.full((len(records), len(pooled.sources)), NO_RECORD)
     np.put_along_axis(members, pooled.source[records], records, axis=1)
     return members
 
 
 def _gathered(pooled: PooledRecords, levels: list[_SetsOfSize], floor: FloatArray) -> Sets:
     """All levels in one table, the records alone first in each group."""
-    everyone = np.arange(len(pooled))
-    members = np.concatenate([_by_source(pooled, everyone[:, None]), *(_by_source(pooled, x.records) for x in levels)])
+    numbers = np.arange(len(pooled))
+    members = np.concatenate([_by_source(pooled, numbers[:, None]), *(_by_source(pooled, x.records) for x in levels)])
     weight = np.concatenate([np.zeros(len(pooled)), *(x.log_weight for x in levels)])
     size = np.concatenate(
         [np.ones(len(pooled), np.int64), *(np.full(len(x.records), x.records.shape[1]) for x in levels)]

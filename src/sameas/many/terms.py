@@ -1,16 +1,16 @@
-"""Terms: what sets of records weigh beside the joint density of their positions, each part by its name.
+"""Terms: the weight of sets of records beside the joint density of their positions, each part by its name.
 
 A set T of k ≥ 2 records weighs, against all of its records being objects of their own,
 
     ln w(T) = ln J(T) + Σ over the linear terms (constant + Σ_{i∈T} gain_i) + Σ over the rules of pairs Σ c_ij ln r_ij,
 
-with J of :mod:`sameas.many.joint`; one record alone weighs 0. A rule compares two records, so in a set of k its pairs
-repeat each other: k − 1 comparisons say all. The shares c_ij that it gets are
+with J of :mod:`sameas.many.joint`; one record alone weighs 0. A rule compares two records, so the pairs of a set of k
+are redundant: k − 1 comparisons are enough. The shares c_ij of its pairs are
 
-- :func:`best_word`, for what records say of themselves. If the object is what record h says, every other record is
-  compared with h alone: λ(T) = Σ_θ p(θ) ∏ p(v_i|θ)/p(v_i) ≈ max_h ∏_{i≠h} r_hi. A third record that says the same adds
-  once, and one that contradicts two others speaks against once.
-- :func:`mean_of_pairs`, for the density of strangers: (k − 1) times the mean over the pairs.
+- :func:`best_reference`, for attributes. If the object has the attributes of record h, every other record is compared
+  with h alone: λ(T) = Σ_θ p(θ) ∏ p(v_i|θ)/p(v_i) ≈ max_h ∏_{i≠h} r_hi. A third record with the same attribute adds
+  once, and one that contradicts two others counts against once.
+- :func:`mean_of_pairs`, for the density of unrelated records: (k − 1) times the mean over the pairs.
 
 Both are the rule itself for two records.
 """
@@ -18,7 +18,7 @@ Both are the rule itself for two records.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 
@@ -29,8 +29,10 @@ from sameas.errors import InputError
 from sameas.evidence import Evidence
 from sameas.gate import Pairs
 from sameas.many.pooled import PooledRecords
+from sameas.representation import in_short
 
 
+@in_short
 @dataclass(frozen=True)
 class Linear:
     """A constant of every set, and a gain (n,) of each of its records."""
@@ -39,47 +41,48 @@ class Linear:
     gain: FloatArray
 
 
-#: (k, pairs) shares of the pairs of k sets of one size, from ln r of the pairs and whether the rule speaks of them.
+#: (k, pairs) shares of the pairs of k sets of one size, from ln r of the pairs and whether the rule is informative.
 Shares = Callable[[FloatArray, BoolArray], FloatArray]
 
 
-def best_word(log_ratio: FloatArray, spoken: BoolArray) -> FloatArray:
-    """Every record that speaks compared with one that is compared with all of them, the one that says most.
+def best_reference(log_ratio: FloatArray, informative: BoolArray) -> FloatArray:
+    """Share 1 for the pairs of one reference: of the records compared with all others the one of largest Σ ln r.
 
-    Records may say different things of themselves, so that some speak with none and no pair of theirs is spoken of;
-    where none is compared with all the others (a chain), pairs have the share min(1, (k_s − 1)/n_s), k_s of the
-    records being in n_s pairs that the rule speaks of. log_ratio is 0 where it does not.
+    Records may lack attributes, so that the rule is informative for some pairs only. Where no record is compared with
+    all the others (a chain), pairs have the share min(1, (k_s − 1)/n_s), k_s of the records being in n_s informative
+    pairs. log_ratio is 0 where the rule is not informative.
     """
-    if spoken.shape[1] <= 1:
-        return np.ones(spoken.shape)
-    ends = _ends(spoken.shape[1])
-    compared = spoken.astype(np.float64) @ ends
-    voices, pairs = np.count_nonzero(compared, axis=1), np.count_nonzero(spoken, axis=1)
-    with_all = (compared > 0) & (compared == voices[:, None] - 1)
+    if informative.shape[1] <= 1:
+        return np.ones(informative.shape)
+    ends = _ends(informative.shape[1])
+    compared = informative.astype(np.float64) @ ends
+    records, pairs = np.count_nonzero(compared, axis=1), np.count_nonzero(informative, axis=1)
+    with_all = (compared > 0) & (compared == records[:, None] - 1)
     total = np.where(with_all, log_ratio @ ends, -np.inf)
-    shares = ends.T[total.argmax(axis=1)]
+    shares: FloatArray = ends.T[total.argmax(axis=1)]
     chain = ~with_all.any(axis=1)
-    shares[chain] = np.clip((voices - 1.0) / np.maximum(pairs, 1), 0.0, 1.0)[chain, None]
-    return shares
+    shares[chain] = np.clip((records - 1.0) / np.maximum(pairs, 1), 0.0, 1.0)[chain, None]
+    return np.asarray(shares)
 
 
-def mean_of_pairs(log_ratio: FloatArray, spoken: BoolArray) -> FloatArray:
+def mean_of_pairs(log_ratio: FloatArray, informative: BoolArray) -> FloatArray:
     """Every pair with the share (k − 1) / (k (k − 1)/2)."""
     return np.full(log_ratio.shape, 2.0 / _size(log_ratio.shape[1]))
 
 
+@in_short
 @dataclass(frozen=True)
 class PairTerms:
-    """What a rule says of every pooled pair: (m,) named terms of ln r, whether it speaks of it, and the shares
-    that pairs of larger sets have."""
+    """A rule for every pooled pair: (m,) named terms of ln r, whether it is informative, and the shares of the pairs in
+    larger sets."""
 
     terms: Mapping[str, FloatArray]
-    spoken: BoolArray
+    informative: BoolArray
     shares: Shares
 
     @classmethod
     def of(cls, rule: Callable[[Pairs], Evidence], pooled: PooledRecords, shares: Shares) -> PairTerms:
-        """What ``rule`` says of the pairs of every two sources.
+        """The terms of ``rule`` for the pairs of every two sources.
 
         Raises
         ------
@@ -87,7 +90,7 @@ class PairTerms:
         """
         m = len(pooled.i)
         terms: dict[str, FloatArray] = {}
-        spoken = np.zeros(m, bool)
+        informative = np.zeros(m, bool)
         for pairs, place in pooled.parts:
             evidence = rule(pairs)
             for name, values in evidence.terms.items():
@@ -95,23 +98,24 @@ class PairTerms:
                 if len(wrong):
                     raise InputError(_not_finite(name, pairs, int(wrong[0]), values))
                 terms.setdefault(name, np.zeros(m))[place] = values
-            spoken[place] = evidence.informative
-        return cls(terms, spoken, shares)
+            informative[place] = evidence.informative
+        return cls(terms, informative, shares)
 
     @cached_property
     def log_ratio(self) -> FloatArray:
         """(m,) ln r."""
-        return Evidence(self.terms).log_ratio if self.terms else np.zeros(len(self.spoken))
+        return Evidence(self.terms).log_ratio if self.terms else np.zeros(len(self.informative))
 
     def shares_of(self, pairs: IntArray) -> FloatArray:
         """(k, pairs) the shares c of the pairs of sets of one size, given in the order of :func:`pairs_of`."""
-        return self.shares(self.log_ratio[pairs], self.spoken[pairs])
+        return self.shares(self.log_ratio[pairs], self.informative[pairs])
 
     def of_sets(self, pairs: IntArray) -> FloatArray:
-        """(k,) what the rule says of the sets."""
+        """(k,) ln of the rule's factor of the sets."""
         return np.asarray((self.shares_of(pairs) * self.log_ratio[pairs]).sum(axis=1))
 
 
+@in_short
 @dataclass(frozen=True)
 class Terms:
     """Linear terms by name, and rules of pairs: see the module."""
@@ -123,23 +127,22 @@ class Terms:
         return Terms({**self.linear, **other.linear}, self.between + other.between)
 
     def gain(self, pooled: PooledRecords) -> FloatArray:
-        """(n,) what each record of the pooled records adds by the linear terms."""
-        return np.sum([np.zeros(len(pooled)), *(part.gain for part in self.linear.values())], axis=0)
+        """(n,) the gain of every pooled record by the linear terms."""
+        return _sum(len(pooled), (part.gain for part in self.linear.values()))
 
     def linear_of(self, records: IntArray) -> FloatArray:
         """(k,) the linear terms of sets (k, size) of records."""
-        parts = [part.constant + part.gain[records].sum(axis=1) for part in self.linear.values()]
-        return np.sum([np.zeros(len(records)), *parts], axis=0)
+        return _sum(len(records), (part.constant + part.gain[records].sum(axis=1) for part in self.linear.values()))
 
     def between_of(self, pairs: IntArray) -> FloatArray:
-        """(k,) what the rules of pairs say of sets, given by their pairs in the order of :func:`pairs_of`."""
-        return np.sum([np.zeros(len(pairs)), *(rule.of_sets(pairs) for rule in self.between)], axis=0)
+        """(k,) the terms of the rules of pairs, of sets given by their pairs in the order of :func:`pairs_of`."""
+        return _sum(len(pairs), (rule.of_sets(pairs) for rule in self.between))
 
     def most_between(self, pooled: PooledRecords) -> FloatArray:
-        """(g,) more than which no record after a set's first adds by the rules of pairs, group by group; 0 or more.
+        """(g,) upper bound of what a record after a set's first adds by the rules of pairs, group by group; 0 or more.
 
-        The shares of the pairs of k records that a rule speaks of add to k − 1 at most: it says (k − 1) max ln r_ij at
-        most.
+        The shares of the informative pairs of k records add to k − 1 at most, so a rule adds at most
+        (k − 1) max ln r_ij.
         """
         most = np.zeros(len(pooled.sizes))
         for rule in self.between:
@@ -165,6 +168,11 @@ def pairs_of(pooled: PooledRecords, records: IntArray) -> IntArray:
     """
     later, earlier = np.tril_indices(records.shape[1], -1)
     return pooled.pair(records[:, earlier], records[:, later])[1]
+
+
+def _sum(n: int, parts: Iterable[FloatArray]) -> FloatArray:
+    """(n,) the sum of any number of parts."""
+    return np.asarray(np.sum([np.zeros(n), *parts], axis=0))
 
 
 def _size(n_pairs: int) -> int:

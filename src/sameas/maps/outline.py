@@ -1,4 +1,4 @@
-"""Coasts, large lakes and borders around a place, in its local plane: what a map is drawn upon.
+"""Coasts, large lakes and borders around a place, in its local plane: the background of a map.
 
 Natural Earth 1:10 million, public domain (outline.txt), true to about a kilometre: for orientation, not navigation.
 """
@@ -17,11 +17,11 @@ from sameas.errors import InputError
 from sameas.ragged import Ragged
 from sameas.tracks.coordinates import EARTH_M, LocalPlane, geodesy
 
-#: The data's cells and steps, as scripts/make-outline has them.
+#: Cells and steps of the data in degrees, and cells in a row: as in scripts/make-outline.
 CELL_DEG, STEP_DEG, COLUMNS = 5.0, 0.0005, 72
-#: Outlines reach no farther from the middle of the plane: beyond, the earth turns away.
+#: Outlines end this far from the origin of the plane, in metres: beyond, the plane distorts too much.
 FARTHEST_M = 2500e3
-#: Longer lines are broken up: they follow a parallel, not a chord.
+#: Lines longer than this, in degrees, are split: they follow a parallel, not a chord.
 LONGEST_DEG = 0.25
 
 
@@ -36,6 +36,16 @@ class Outline:
     land: tuple[FloatArray, ...] = ()
     coast: tuple[FloatArray, ...] = ()
     borders: tuple[FloatArray, ...] = ()
+
+    def within(self, west_m: float, south_m: float, east_m: float, north_m: float) -> Outline:
+        """What of it lies in a box: land is cut, lines that reach into it are kept."""
+        box = MapExtent(west_m, south_m, east_m, north_m)
+        rings = (_clipped(np.vstack([ring, ring[:1]]), box) for ring in self.land)
+        coast, borders = (
+            [piece for line in lines for piece in _pieces(line, np.zeros(len(line) - 1, np.bool_), box)]
+            for lines in (self.coast, self.borders)
+        )
+        return Outline(tuple(ring for ring in rings if len(ring) >= 3), tuple(coast), tuple(borders))
 
 
 @dataclass(frozen=True)
@@ -58,7 +68,7 @@ class MapExtent:
 
 
 def outline(plane: LocalPlane, west_m: float, south_m: float, east_m: float, north_m: float) -> Outline:
-    """What lies in a box of a plane.
+    """The outlines in a box of a plane.
 
     Parameters
     ----------
@@ -107,7 +117,7 @@ class _Line:
         per_cell = round(CELL_DEG / STEP_DEG)
         here, there = steps[:-1], steps[1:]
         along = np.any((here == there) & (here % per_cell == 0), axis=1)
-        return along[_broken(steps)[0][:-1]]
+        return np.asarray(along[_broken(steps)[0][:-1]], np.bool_)
 
 
 def _broken(steps: IntArray) -> tuple[IntArray, FloatArray]:
@@ -138,8 +148,8 @@ class _PackedLines:
         start = np.cumsum(self.length - 1) - (self.length - 1)
         for k in np.flatnonzero(cosine > np.cos(np.radians(reach))):
             corner = np.array([column[k], row[k]]) * round(CELL_DEG / STEP_DEG)
-            moved = self.steps[start[k] : start[k] + self.length[k] - 1]
-            yield _Line(corner + self.first[k] + np.concatenate([np.zeros((1, 2), np.int64), np.cumsum(moved, axis=0)]))
+            steps = self.steps[start[k] : start[k] + self.length[k] - 1]
+            yield _Line(corner + self.first[k] + np.concatenate([np.zeros((1, 2), np.int64), np.cumsum(steps, axis=0)]))
 
 
 @cache

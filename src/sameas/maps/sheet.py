@@ -1,4 +1,4 @@
-"""The sheet: all that a map shows of a picture, as columns and words, whoever made the picture.
+"""The sheet: the content of a map of a picture, as columns and texts.
 
 >>> import numpy as np
 >>> objects = {"time_s": [0.0, 10.0], "object": [1, 1], "stage": ["tentative", "confirmed"],
@@ -22,6 +22,7 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.maps.outline import Outline
 from sameas.report.prose import UTC_FROM_S
+from sameas.representation import in_short
 from sameas.tracks.coordinates import LocalPlane, bearing_in_plane
 from sameas.tracks.source import Description
 
@@ -29,7 +30,7 @@ Columns = Mapping[str, NDArray[Any]]
 
 STAGES = ("tentative", "confirmed", "coasting", "ended")
 
-#: Columns of the objects: what stands where a column is absent; None: it must be there.
+#: Columns of the objects, and the value where a column is absent; None: it is required.
 OBJECTS: Mapping[str, Any] = {
     "time_s": None, "object": None, "stage": None, "x_m": None, "y_m": None,
     "lat_deg": np.nan, "lon_deg": np.nan, "vx_m_per_s": np.nan, "vy_m_per_s": np.nan, "speed_m_per_s": np.nan,
@@ -47,10 +48,10 @@ RECORDS: Mapping[str, Any] = {
 
 @dataclass(frozen=True)
 class MapSensor:
-    """A source on the map, and where it sees.
+    """A source on the map, and its coverage.
 
-    x_m, y_m : its site in the plane; None where it has none. visible_deg : bearings in the plane (from, to), clockwise,
-    that it sees; a whole turn is (0, 360). file : that its reports come from.
+    x_m, y_m : its site in the plane; None where it has none. visible_deg : visible bearings in the plane (from, to),
+    clockwise; a whole turn is (0, 360). file : of its reports.
     """
 
     name: str
@@ -65,16 +66,18 @@ class MapSensor:
     @classmethod
     def of(cls, description: Description, plane: LocalPlane | None, file: str = "") -> MapSensor:
         """From a source's description; ``plane`` None stands for the user's own plane."""
-        seen = description.coverage
-        visible = _visible(seen.sector_deg, seen.shadows_deg)
+        coverage = description.coverage
+        visible = _visible(coverage.sector_deg, coverage.shadows_deg)
         if description.site is None:
-            return cls(description.name, description.kind, file, None, None, seen.range_m, seen.nearest_m, visible)
+            return cls(
+                description.name, description.kind, file, None, None, coverage.range_m, coverage.nearest_m, visible
+            )
         site = description.site
         if plane is not None and site.lat_deg is not None and site.lon_deg is not None:
             turn = float(bearing_in_plane(plane, [0.0], [site.lat_deg], [site.lon_deg])[0])
             visible = tuple((start + turn, stop + turn) for start, stop in visible)
         x, y = site.in_plane(plane)
-        return cls(description.name, description.kind, file, x, y, seen.range_m, seen.nearest_m, visible)
+        return cls(description.name, description.kind, file, x, y, coverage.range_m, coverage.nearest_m, visible)
 
 
 def _visible(
@@ -83,41 +86,45 @@ def _visible(
     """A sector less its shadows: bearings (from, to), from 0 up, to at most a turn later."""
     start = 0.0 if sector is None else sector[0] % 360.0
     width = 360.0 if sector is None else (sector[1] - sector[0]) % 360.0 or 360.0
-    seen = [(start, start + width)]
+    visible = [(start, start + width)]
     for shadow in shadows:
         low = shadow[0] % 360.0
         long = (shadow[1] - shadow[0]) % 360.0 or 360.0
         for turn in (-360.0, 0.0, 360.0):
             dark = (low + turn, low + turn + long)
-            seen = [
-                part for a, b in seen for part in ((a, min(b, dark[0])), (max(a, dark[1]), b)) if part[1] - part[0] > 0
+            visible = [
+                part
+                for a, b in visible
+                for part in ((a, min(b, dark[0])), (max(a, dark[1]), b))
+                if part[1] - part[0] > 0
             ]
-    return tuple(seen)
+    return tuple(visible)
 
 
 @dataclass(frozen=True)
 class MapAlarm:
-    """Something to look at. time_s : when, None: always. objects : numbers of those that it is about."""
+    """An alarm. time_s : when, None: always. objects : numbers of its objects."""
 
     text: str
     time_s: float | None = None
     objects: tuple[int, ...] = ()
 
 
+@in_short
 @dataclass(frozen=True)
 class MapSheet:
-    """What a map shows. Make it with :meth:`MapSheet.of`, which checks it.
+    """The content of a map. Make it with :meth:`MapSheet.of`, which checks it.
 
     Attributes
     ----------
     title : of the map.
     objects : columns of :data:`OBJECTS`, one row per object and instant, in the order of objects and times.
     records : columns of :data:`RECORDS`, one row per record and instant, in the order of sources, rows and times.
-    instants_s : (k,) ascending times at which there is a picture, those included at which nothing was there.
+    instants_s : (k,) ascending times of the picture, empty ones included.
     sensors : all sources of the records, in the order of their colours.
     plane : in which x and y are; None for the user's own, then there is no coast.
     summary : lines to be printed beside the map.
-    texts : why, by place in ``instants_s`` and number of the object; each holds until the object's next one.
+    texts : explanations, by place in ``instants_s`` and number of the object; each holds until the object's next one.
     ground : coasts of one's own, in the plane; None stands for those of :func:`sameas.maps.outline`.
     """
 
@@ -162,20 +169,22 @@ class MapSheet:
             raise InputError(f"objects: stage is {wrong[0]!r}; give one of {', '.join(STAGES)}")
         times = np.unique(np.concatenate([rows["time_s"], marks["time_s"]]).astype(np.float64))
         if instants_s is not None:
-            own = np.unique(np.asarray(instants_s, dtype=np.float64))
-            strange = np.setdiff1d(times, own)
-            if len(strange):
-                raise InputError(f"map: {len(strange)} times are none of the instants (first: {strange[0]:g} s)")
-            times = own
+            given_times = np.unique(np.asarray(instants_s, dtype=np.float64))
+            unknown_times = np.setdiff1d(times, given_times)
+            if len(unknown_times):
+                raise InputError(
+                    f"map: {len(unknown_times)} times are none of the instants (first: {unknown_times[0]:g} s)"
+                )
+            times = given_times
         if not len(times):
             raise InputError("map: there is no instant to show; give objects, records or instants_s")
-        known = {sensor.name for sensor in sensors}
-        more = [MapSensor(str(name)) for name in dict.fromkeys(marks["source"].tolist()) if name not in known]
+        names = {sensor.name for sensor in sensors}
+        added = [MapSensor(str(name)) for name in dict.fromkeys(marks["source"].tolist()) if name not in names]
         by_object = np.lexsort((rows["time_s"], rows["object"]))
         by_source = np.lexsort((marks["time_s"], marks["row"], marks["source"].astype(str)))
         return cls(
             title, {name: column[by_object] for name, column in rows.items()},
-            {name: column[by_source] for name, column in marks.items()}, times, (*sensors, *more), plane,
+            {name: column[by_source] for name, column in marks.items()}, times, (*sensors, *added), plane,
             tuple(summary), tuple(alarms), dict(texts or {}), ground,
         )  # fmt: skip
 
@@ -193,16 +202,16 @@ class MapSheet:
         return np.searchsorted(self.instants_s, columns["time_s"].astype(np.float64))
 
     def extent(self) -> tuple[float, float, float, float]:
-        """West, south, east and north of all that is ever shown, in metres."""
+        """West, south, east and north of all objects and records, in metres."""
         places = [np.column_stack([c["x_m"], c["y_m"]]) for c in (self.objects, self.records)]
         return _around(np.concatenate([*places, self._sites()]))
 
     def home(self) -> tuple[float, float, float, float]:
-        """The same of what is looked at first: sites, and confirmed objects where there are any."""
-        sure = self.objects["stage"] == "confirmed"
-        if not sure.any():
+        """The same of the first view: sites, and confirmed objects where there are any."""
+        confirmed = self.objects["stage"] == "confirmed"
+        if not confirmed.any():
             return self.extent()
-        places = np.column_stack([self.objects["x_m"][sure], self.objects["y_m"][sure]])
+        places = np.column_stack([self.objects["x_m"][confirmed], self.objects["y_m"][confirmed]])
         return _around(np.concatenate([places, self._sites()]))
 
     def _sites(self) -> FloatArray:
@@ -212,37 +221,37 @@ class MapSheet:
 
 def _around(places: FloatArray) -> tuple[float, float, float, float]:
     """West, south, east and north of places, at least 100 m wide and high."""
-    known = places[np.isfinite(places).all(axis=1)]
-    if not len(known):
-        known = np.zeros((1, 2))
-    low, high = known.min(axis=0), known.max(axis=0)
+    finite = places[np.isfinite(places).all(axis=1)]
+    if not len(finite):
+        finite = np.zeros((1, 2))
+    low, high = finite.min(axis=0), finite.max(axis=0)
     pad = np.maximum(50.0 - (high - low) / 2.0, 0.0)
     west, south = low - pad
     east, north = high + pad
     return float(west), float(south), float(east), float(north)
 
 
-def _complete(what: str, given: Mapping[str, Any], wanted: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+def _complete(what: str, columns_in: Mapping[str, Any], required: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
     """All wanted columns: numbers with NaN where absent, texts with ""; an empty mapping is an empty table."""
-    lengths = {name: len(given[name]) for name in given if name in wanted}
+    lengths = {name: len(columns_in[name]) for name in columns_in if name in required}
     if len(set(lengths.values())) > 1:
         name = next(name for name in lengths if lengths[name] != next(iter(lengths.values())))
         first = next(iter(lengths))
         raise InputError(f"{what}: column {name} has {lengths[name]} rows, {first} has {lengths[first]}")
     n = next(iter(lengths.values()), 0)
-    missing = [name for name, default in wanted.items() if default is None and name not in given]
+    missing = [name for name, default in required.items() if default is None and name not in columns_in]
     if missing and lengths:
         raise InputError(f"{what}: there is no column {missing[0]}; give {', '.join(missing)}")
     columns = {}
-    for name, default in wanted.items():
-        if name not in given or not lengths:
+    for name, default in required.items():
+        if name not in columns_in or not lengths:
             columns[name] = np.full(n, "" if default is None else default, object if default == "" else None)
         elif isinstance(default, str) or name in ("stage", "source"):
-            columns[name] = _texts(given[name])
+            columns[name] = _texts(columns_in[name])
         else:
-            columns[name] = _numbers(f"{what}: column {name}", given[name], default)
+            columns[name] = _numbers(f"{what}: column {name}", columns_in[name], default)
     if n == 0:
-        columns |= {name: np.empty(0) for name, default in wanted.items() if default is None}
+        columns |= {name: np.empty(0) for name, default in required.items() if default is None}
     return columns
 
 
@@ -250,8 +259,8 @@ def _texts(column: Any) -> NDArray[Any]:
     """(n,) str, "" where there is none."""
     hidden = np.ma.getmaskarray(np.ma.asarray(column))
     values = np.ma.getdata(np.ma.asarray(column)).tolist()
-    said = ["" if off or v is None or v != v else str(v) for v, off in zip(values, hidden, strict=True)]
-    return np.array(said, dtype=object)
+    texts = ["" if off or v is None or v != v else str(v) for v, off in zip(values, hidden, strict=True)]
+    return np.array(texts, dtype=object)
 
 
 def _numbers(what: str, column: Any, default: Any) -> NDArray[Any]:

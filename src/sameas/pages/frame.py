@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import base64
 import html
-import json
 import os
 import struct
 import zlib
-from importlib.resources import files
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 import sameas
 from sameas.arrays import IntArray
 from sameas.io.atomic import replacing
+from sameas.pages.template import asset, page_of, script_safe
 from sameas.plots.stretch import binned, binning, stretched
 from sameas.sky.frame.identified import EXPECTED, FrameIdentification
 from sameas.sky.frame.image import Frame
@@ -25,13 +25,11 @@ from sameas.sky.frame.measurements import Flag
 from sameas.sky.frame.photometry import instrumental
 from sameas.sky.frame.summary import summary
 
-# Grey pictures as PNG (ISO/IEC 15948), of eight bits; all that a page needs.
-
 
 def png(grey: NDArray[np.uint8]) -> bytes:
-    """The file of a picture (rows, columns), first row on top."""
+    """A grey image (rows, columns) of eight bits as the bytes of a PNG file (ISO/IEC 15948), first row on top."""
     rows, columns = grey.shape
-    # Filter 1 (sub): each byte less the one to its left; smooth pictures pack the better for it.
+    # Filter 1 (sub) keeps each byte less the one to its left: smooth images compress better.
     less = grey.copy()
     less[:, 1:] -= grey[:, :-1]
     lines = np.concatenate([np.ones((rows, 1), np.uint8), less], axis=1)
@@ -44,51 +42,55 @@ def _chunk(kind: bytes, data: bytes) -> bytes:
     return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
 
-#: So many competitors of a measurement are told, down to this probability.
+#: Most candidates of a measurement on the page, and their least probability (chosen).
 COMPETITORS, LEAST = 6, 1e-6
 
 
 def write_frame_page(
-    found: FrameIdentification, frame: Frame, path: str | os.PathLike[str], *, brightest: int = 1000
+    found: FrameIdentification,
+    frame: Frame,
+    path: str | os.PathLike[str],
+    *,
+    brightest: int = 1000,
+    facts: Mapping[str, Any] | None = None,
 ) -> None:
     """Writes the page of an identified frame: one file, complete in itself.
 
-    brightest : so many of the brightest identified stars are marked at first; the page has a slider.
+    brightest : number of the brightest identified stars that are marked at first; the page has a slider.
+    facts : of :func:`sameas.sky.frame.summary.summary` for this frame, where it was made already.
 
     Raises
     ------
     InputError : the path cannot be written.
     """
     with replacing(path) as draft:
-        draft.write_text(frame_page(found, frame, brightest=brightest), encoding="utf-8")
+        draft.write_text(frame_page(found, frame, brightest=brightest, facts=facts), encoding="utf-8")
 
 
-def frame_page(found: FrameIdentification, frame: Frame, *, brightest: int = 1000) -> str:
-    """The same as text."""
+def frame_page(
+    found: FrameIdentification, frame: Frame, *, brightest: int = 1000, facts: Mapping[str, Any] | None = None
+) -> str:
+    """The page as text; arguments as for :func:`write_frame_page`."""
     factor = binning(frame.shape)
-    shown = stretched(binned(frame.image, factor))[::-1]
-    picture = base64.b64encode(png(np.ascontiguousarray(shown))).decode("ascii")
-    data = json.dumps(_data(found, frame, factor, brightest), ensure_ascii=False, separators=(",", ":"))
-    parts = {name: (files("sameas.pages") / f"frame.{name}").read_text(encoding="utf-8") for name in ("css", "js")}
-    page = (files("sameas.pages") / "frame.html").read_text(encoding="utf-8")
-    for mark, text in (
-        ("{{title}}", html.escape(found.measured.name)),
-        ("{{version}}", html.escape(sameas.__version__)),
-        ("{{css}}", parts["css"]),
-        ("{{js}}", parts["js"]),
-        ("{{picture}}", picture),
-        # A name of a star must not end the script.
-        ("{{data}}", data.replace("</", "<\\/")),
-    ):
-        page = page.replace(mark, text)
-    return page
+    grey = stretched(binned(frame.image, factor))[::-1]
+    picture = base64.b64encode(png(np.ascontiguousarray(grey))).decode("ascii")
+    facts = summary(found, frame) if facts is None else facts
+    marks = {
+        "title": html.escape(found.measured.name),
+        "version": html.escape(sameas.__version__),
+        "css": asset("frame.css"),
+        "js": asset("frame.js"),
+        "picture": picture,
+        "data": script_safe(_data(found, facts, factor, brightest)),
+    }
+    return page_of("frame.html", marks)
 
 
-def _data(found: FrameIdentification, frame: Frame, factor: int, brightest: int) -> dict[str, Any]:
+def _data(found: FrameIdentification, facts: Mapping[str, Any], factor: int, brightest: int) -> dict[str, Any]:
     rows, columns = found.measured.shape
-    told = _told_stars(found)
+    listed = _listed_stars(found)
     number = np.full(len(found.stars), -1)
-    number[told] = np.arange(len(told))
+    number[listed] = np.arange(len(listed))
     return {
         "name": found.measured.name,
         "catalogue": found.stars.name,
@@ -98,20 +100,20 @@ def _data(found: FrameIdentification, frame: Frame, factor: int, brightest: int)
         "width_px": _rounded(found.measured.psf_fwhm_px, 2),
         "brightest": brightest,
         "expected": EXPECTED,
-        "summary": summary(found, frame),
+        "summary": facts,
         "measured": _measured(found, number),
-        "stars": _stars(found, told),
+        "stars": _stars(found, listed),
         "relation": _relation(found),
     }
 
 
-def _told_stars(found: FrameIdentification) -> IntArray:
-    """Rows of the stars that the page tells of: identified, competing, or missing."""
-    told = np.zeros(len(found.stars), np.bool_)
-    told[found.missing] = True
-    told[found.result.rows_2[found.result.p_pair >= LEAST]] = True
-    told[found.pairs[1]] = True
-    return np.flatnonzero(told)
+def _listed_stars(found: FrameIdentification) -> IntArray:
+    """Rows of the stars on the page: identified, competing, or missing."""
+    listed = np.zeros(len(found.stars), np.bool_)
+    listed[found.missing] = True
+    listed[found.result.rows_2[found.result.p_pair >= LEAST]] = True
+    listed[found.pairs[1]] = True
+    return np.flatnonzero(listed)
 
 
 def _measured(found: FrameIdentification, number: IntArray) -> dict[str, Any]:
@@ -120,11 +122,11 @@ def _measured(found: FrameIdentification, number: IntArray) -> dict[str, Any]:
     partner = result.answers_1.partner
     sigma = m.sigma_px()
     flags = sorted({Flag.words(bits) for bits in m.flags})
-    seen = np.full(len(m), np.nan)
+    magnitude = np.full(len(m), np.nan)
     if found.zero_point is not None:
         rows = np.where(np.ma.getmaskarray(partner), 0, np.ma.getdata(partner))
         colour = np.where(np.ma.getmaskarray(partner), np.nan, found.stars.colour[rows])
-        seen = found.zero_point(m.flux, colour)
+        magnitude = found.zero_point(m.flux, colour)
     left, arc, chi = np.full((len(m), 2), np.nan), np.full((len(m), 2), np.nan), np.full(len(m), np.nan)
     i = found.pairs[0]
     left[i], arc[i], chi[i] = found.residual_px, found.residual_arcsec, result.matches.mahalanobis
@@ -132,7 +134,7 @@ def _measured(found: FrameIdentification, number: IntArray) -> dict[str, Any]:
         "x": _listed(m.x_px, 2), "y": _listed(m.y_px, 2), "sx": _listed(sigma[:, 0], 3), "sy": _listed(sigma[:, 1], 3),
         "ra": _listed(ra, 6), "dec": _listed(dec, 6), "flux": _listed(m.flux, 1),
         "inst": _listed(instrumental(m.flux), 3),
-        "mag": _listed(seen, 3), "snr": _listed(m.snr, 1), "fwhm": _listed(m.fwhm_px, 2),
+        "mag": _listed(magnitude, 3), "snr": _listed(m.snr, 1), "fwhm": _listed(m.fwhm_px, 2),
         "words": flags, "flags": [flags.index(Flag.words(bits)) for bits in m.flags],
         "star": [None if masked else int(number[row]) for row, masked in _masked(partner)],
         "none": _listed(result.answers_1.p_none.filled(np.nan), 6),
@@ -145,10 +147,10 @@ def _measured(found: FrameIdentification, number: IntArray) -> dict[str, Any]:
 def _rivals(found: FrameIdentification, number: IntArray) -> list[list[list[Any]]]:
     """Per measurement its candidates, likeliest first: star, probability, offset in px, distance in quoted errors."""
     result = found.result
-    told = np.flatnonzero((result.p_pair >= LEAST) | result.chosen)
-    told = told[np.argsort(-result.p_pair[told], kind="stable")]
+    candidates = np.flatnonzero((result.p_pair >= LEAST) | result.chosen)
+    candidates = candidates[np.argsort(-result.p_pair[candidates], kind="stable")]
     rivals: list[list[list[Any]]] = [[] for _ in range(len(found.measured))]
-    for e in told:
+    for e in candidates:
         own = rivals[int(result.rows_1[e])]
         if len(own) < COMPETITORS:
             dx, dy = result.pairs.residual[e]
@@ -160,23 +162,23 @@ def _rivals(found: FrameIdentification, number: IntArray) -> list[list[list[Any]
     return rivals
 
 
-def _stars(found: FrameIdentification, told: IntArray) -> dict[str, Any]:
-    stars, px = found.stars, found.predicted_px[told]
+def _stars(found: FrameIdentification, listed: IntArray) -> dict[str, Any]:
+    stars, px = found.stars, found.predicted_px[listed]
     owner = np.full(len(stars), -1)
     owner[found.pairs[1]] = found.pairs[0]
     missing = np.zeros(len(stars), np.bool_)
     missing[found.missing] = True
-    lost = np.flatnonzero(missing[told])
-    words = [""] * len(told)
-    for k, why in zip(lost, why_missing(found, told[lost]), strict=True):
+    lost = np.flatnonzero(missing[listed])
+    words = [""] * len(listed)
+    for k, why in zip(lost, why_missing(found, listed[lost]), strict=True):
         words[int(k)] = why
     return {
-        "id": [str(name) for name in stars.ids[told]], "x": _listed(px[:, 0], 2), "y": _listed(px[:, 1], 2),
-        "ra": _listed(stars.ra_deg[told], 6), "dec": _listed(stars.dec_deg[told], 6),
-        "mag": _listed(stars.magnitude[told], 3), "tint": _listed(stars.colour[told], 3),
-        "east": _listed(stars.moved_arcsec[told, 0], 3), "north": _listed(stars.moved_arcsec[told, 1], 3),
-        "shown": _listed(found.p_detect[told], 3), "missing": missing[told].astype(int).tolist(), "why": words,
-        "owner": [None if row < 0 else int(row) for row in owner[told]],
+        "id": [str(name) for name in stars.ids[listed]], "x": _listed(px[:, 0], 2), "y": _listed(px[:, 1], 2),
+        "ra": _listed(stars.ra_deg[listed], 6), "dec": _listed(stars.dec_deg[listed], 6),
+        "mag": _listed(stars.magnitude[listed], 3), "tint": _listed(stars.colour[listed], 3),
+        "east": _listed(stars.moved_arcsec[listed, 0], 3), "north": _listed(stars.moved_arcsec[listed, 1], 3),
+        "shown": _listed(found.p_detect[listed], 3), "missing": missing[listed].astype(int).tolist(), "why": words,
+        "owner": [None if row < 0 else int(row) for row in owner[listed]],
     }  # fmt: skip
 
 
@@ -184,8 +186,8 @@ def _relation(found: FrameIdentification) -> list[list[float | None]]:
     """The magnitudes that follow from instrumental ones, for a line in the diagram."""
     if found.zero_point is None or not len(found.pairs[0]):
         return []
-    seen = instrumental(found.measured.flux[found.pairs[0]])
-    grid = np.linspace(np.nanmin(seen), np.nanmax(seen), 60)
+    measured = instrumental(found.measured.flux[found.pairs[0]])
+    grid = np.linspace(np.nanmin(measured), np.nanmax(measured), 60)
     return [[_rounded(a, 3), _rounded(b, 3)] for a, b in zip(grid, found.zero_point(10 ** (-0.4 * grid)), strict=True)]
 
 

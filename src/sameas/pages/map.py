@@ -11,7 +11,6 @@ import html
 import json
 import os
 from collections.abc import Iterable, Mapping
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -23,6 +22,7 @@ from sameas.errors import InputError
 from sameas.io.atomic import replacing
 from sameas.maps.outline import Outline, outline
 from sameas.maps.sheet import STAGES, Columns, MapSheet, members_of
+from sameas.pages.template import asset, page_of, script_safe
 
 # Columns of numbers packed for a page: small in the file, and unpacked by a few lines of script (map-table.js).
 #
@@ -107,27 +107,13 @@ def map_page(sheet: MapSheet) -> str:
     marks = {
         "title": html.escape(sheet.title),
         "version": html.escape(sameas.__version__),
-        "css": _asset("map.css"),
-        "js": "\n".join(_asset(f"map-{name}.js") for name in SCRIPTS),
-        "data": _script_safe(told),
+        "css": asset("map.css"),
+        "js": "\n".join(asset(f"map-{name}.js") for name in SCRIPTS),
+        "data": script_safe(told),
         "columns": columns,
-        "texts": _script_safe(_texts(sheet)),
+        "texts": script_safe(_texts(sheet)),
     }
-    # In one pass: a title must not become a mark of the page.
-    pieces = _asset("map.html").split("{{")
-    return pieces[0] + "".join(
-        marks[name] + rest for name, _, rest in (piece.partition("}}") for piece in pieces[1:])
-    )  # fmt: skip
-
-
-def _asset(name: str) -> str:
-    return (files("sameas.pages") / name).read_text(encoding="utf-8")
-
-
-def _script_safe(value: Any) -> str:
-    """JSON in which nothing can end or open the element that holds it: names come from radio."""
-    text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
-    return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
+    return page_of("map.html", marks)
 
 
 def _told(sheet: MapSheet) -> dict[str, Any]:
@@ -160,7 +146,10 @@ def _ground(sheet: MapSheet) -> dict[str, Any]:
     half = max(ROOM * max(east - west, north - south) / 2.0, LEAST_M if sheet.plane is not None else 0.0)
     x, y = (west + east) / 2.0, (south + north) / 2.0
     box = (x - half, y - half, x + half, y + half)
-    lines = Outline() if sheet.plane is None else sheet.ground or outline(sheet.plane, *box)
+    if sheet.ground is not None:
+        lines = sheet.ground.within(*box)
+    else:
+        lines = Outline() if sheet.plane is None else outline(sheet.plane, *box)
     return {
         "box": [round(v) for v in box],
         "land": _points(lines.land),

@@ -9,5 +9,6 @@ from .picture import picture_states as picture_states
 from .picture_state import PictureState as PictureState
 from .plot_picture import PlotPicture as PlotPicture
 from .summary import Summary as Summary
+from .tuning import Tuning as Tuning
 from .watch import Watch as Watch
 from .watch import all_evidence as all_evidence

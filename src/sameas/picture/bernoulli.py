@@ -1,9 +1,9 @@
-"""Bernoulli objects: a rule for objects some of which are known beforehand, each with its probability of existing.
+"""Bernoulli objects: a rule with known objects, each with its probability of existence, beside unknown ones.
 
-Unknown objects are a Poisson field, as for :class:`sameas.many.rules.PoissonObjects`; the known ones are the records of
-one more source, predicted states with their covariances. Unlike there a miss depends on where the object is,
-and for a known object on the object: a camera that has not seen this boat will not see it now. With r_i the probability
-that known object i exists, and A the records of it,
+Unknown objects are a Poisson field, as for :class:`sameas.many.rules.PoissonObjects`; the known objects are the records
+of one more source, predicted states with their covariances. Unlike there the miss probability depends on the place, and
+for a known object on its own hits and misses: a camera that has missed this boat six times will miss it again. With r_i
+the probability that known object i exists, and A the records of it,
 
     w({i} ∪ A) = r_i ∏_{s∈A} (1−q_is) ∏_{s∉A} q_is J(i, A)/J(i),    w({i}) = 1 − r_i + r_i ∏_s q_is,
     w(A) = ρ ∏_{s∈A} (1−q_s) ∏_{s∉A} q_s J(A) for others,           w({z}) = ρ (1−q_s) ∏_{t≠s} q_t J(z) + β_s,
@@ -28,8 +28,9 @@ from sameas.gaussian import log_density, mahalanobis_sq
 from sameas.many.observations import records_of
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import ObjectsRule
-from sameas.many.terms import Linear, PairTerms, Terms, best_word, mean_of_pairs
+from sameas.many.terms import Linear, PairTerms, Terms, best_reference, mean_of_pairs
 from sameas.picture.object_table import ObjectTable
+from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.records import Records
 
 #: Name of the source whose records are the known objects.
@@ -48,8 +49,8 @@ class BernoulliObjects(ObjectsRule):
     Parameters
     ----------
     density : ρ, unknown objects per unit volume of the state at the centre of the region.
-    sources : names of the sources that scan, those that show nothing among them: the columns of the tables of q.
-    q : by source the table (rows of its records, sources) of probabilities that an object there is missed.
+    sources : names of all sources, also of those without records: the columns of the tables of q.
+    q : by source the table (rows of its records, sources) of miss probabilities at the place of the record.
     false : by source β, false records per unit volume of its features.
     existence : (n,) r of each record of the source :data:`KNOWN`, 0 < r < 1. known_q : (n, sources).
     """
@@ -64,39 +65,43 @@ class BernoulliObjects(ObjectsRule):
     def terms(self, pooled: PooledRecords) -> Terms:
         """The terms of the records and pairs of ``pooled``."""
         parts = self._parts(pooled)
-        gain = np.where(parts.known, np.log(self._existing_unseen(pooled)), parts.missed + parts.seen - parts.alone)
+        gain = np.where(
+            parts.is_known,
+            np.log(self._existing_unseen(pooled)),
+            parts.log_missed + parts.log_detected - parts.log_alone,
+        )
         i, j = pooled.i, pooled.j
-        with_known = parts.known[i] | parts.known[j]
-        known, record = np.where(parts.known[i], i, j), np.where(parts.known[i], j, i)
-        # Of what every record says of all misses a set without a known object has the mean, with one nothing.
-        missed = np.where(with_known, -parts.missed[record], -0.5 * (parts.missed[i] + parts.missed[j]))
-        own = np.zeros(len(i))
-        at = np.flatnonzero(with_known)
+        has_known = parts.is_known[i] | parts.is_known[j]
+        known_place, record = np.where(parts.is_known[i], i, j), np.where(parts.is_known[i], j, i)
+        # ln ∏q of a set is the mean over its records; with a known object it is in the object's own terms.
+        missed = np.where(has_known, -parts.log_missed[record], -0.5 * (parts.log_missed[i] + parts.log_missed[j]))
+        own_log_odds = np.zeros(len(i))
+        at = np.flatnonzero(has_known)
         if len(at):
-            q = self.known_q[parts.row[known[at]], parts.column[record[at]]]
-            own[at] = log_odds(q) - parts.seen[record[at]]
+            q = self.known_q[parts.row[known_place[at]], parts.column[record[at]]]
+            own_log_odds[at] = log_odds(q) - parts.log_detected[record[at]]
         everywhere = np.ones(len(i), bool)
-        gain = np.where(parts.known, gain, gain + parts.log_j)
+        gain = np.where(parts.is_known, gain, gain + parts.log_j)
         rules = (
             PairTerms({"misses": missed}, everywhere, mean_of_pairs),
-            PairTerms({"seen before": own}, with_known, best_word),
+            PairTerms({"seen before": own_log_odds}, has_known, best_reference),
         )
         return Terms({"position": Linear(0.0, -parts.log_j), "densities": Linear(0.0, gain)}, rules)
 
     def exists(self, pooled: PooledRecords) -> FloatArray:
-        """(records,) the probability that there is an object, of each pooled record that has no partner."""
+        """(records,) probability of existence of each pooled record that has no partner."""
         parts = self._parts(pooled)
-        share = np.exp(np.minimum(parts.missed + parts.seen + parts.log_j - parts.alone, 0.0))
-        return np.where(parts.known, self._existing_unseen(pooled), share)
+        p_exists = np.exp(np.minimum(parts.log_missed + parts.log_detected + parts.log_j - parts.log_alone, 0.0))
+        return np.where(parts.is_known, self._existing_unseen(pooled), p_exists)
 
     def _existing_unseen(self, pooled: PooledRecords) -> FloatArray:
-        """(records,) r of known objects that every scan has missed; 1 for other records."""
+        """(records,) r of known objects after a miss of every source; 1 for other records."""
         out = np.ones(len(pooled))
         for s, source in enumerate(pooled.sources):
             if records_of(source).source == KNOWN and len(records_of(source)):
                 rows = records_of(source).rows
-                r, missed = self.existence[rows], self.known_q[rows].prod(axis=1)
-                out[pooled.start[s] : pooled.start[s + 1]] = r * missed / (1.0 - r + r * missed)
+                r, p_missed = self.existence[rows], self.known_q[rows].prod(axis=1)
+                out[pooled.start[s] : pooled.start[s + 1]] = r * p_missed / (1.0 - r + r * p_missed)
         return out
 
     def _parts(self, pooled: PooledRecords) -> _Parts:
@@ -104,22 +109,22 @@ class BernoulliObjects(ObjectsRule):
         sets = np.full((n, len(pooled.sources)), -1)
         sets[np.arange(n), pooled.source] = np.arange(n)
         log_j = pooled.observers.joint(pooled.positions(sets)).log_density
-        missed, seen, false = np.zeros(n), np.zeros(n), np.zeros(n)
-        known, row, column = np.zeros(n, bool), np.zeros(n, np.int64), np.full(n, -1)
+        log_missed, log_detected, clutter = np.zeros(n), np.zeros(n), np.zeros(n)
+        is_known, row, column = np.zeros(n, bool), np.zeros(n, np.int64), np.full(n, -1)
         for s, source in enumerate(pooled.sources):
             here, records = slice(pooled.start[s], pooled.start[s + 1]), records_of(source)
             row[here] = records.rows
             if records.source == KNOWN:
-                known[here] = True
+                is_known[here] = True
                 continue
             column[here] = self.sources.index(records.source)
             q = self.q[records.source][records.rows]
-            missed[here] = math.log(self.density) + np.log(q).sum(axis=1)
-            seen[here] = log_odds(q[:, self.sources.index(records.source)])
-            false[here] = self.false[records.source]
+            log_missed[here] = math.log(self.density) + np.log(q).sum(axis=1)
+            log_detected[here] = log_odds(q[:, self.sources.index(records.source)])
+            clutter[here] = self.false[records.source]
         with np.errstate(divide="ignore"):
-            alone = np.logaddexp(missed + seen + log_j, np.log(false))
-        return _Parts(log_j, missed, seen, np.where(known, 0.0, alone), known, row, column)
+            log_alone = np.logaddexp(log_missed + log_detected + log_j, np.log(clutter))
+        return _Parts(log_j, log_missed, log_detected, np.where(is_known, 0.0, log_alone), is_known, row, column)
 
 
 @dataclass(frozen=True)
@@ -128,31 +133,21 @@ class _Parts:
     alone; whether it is a known object, its row in its table, and its source's column (−1 for known objects)."""
 
     log_j: FloatArray
-    missed: FloatArray
-    seen: FloatArray
-    alone: FloatArray
-    known: BoolArray
+    log_missed: FloatArray
+    log_detected: FloatArray
+    log_alone: FloatArray
+    is_known: BoolArray
     row: IntArray
     column: IntArray
 
 
-#: Bounds of probabilities of existing: what is certain could never be unlearned.
-LEAST = 1e-6
-#: Bound of what scans say of two objects being two, ± ln odds.
-APART = 5.0
-#: Two objects are made one at these ln odds.
-SURE = 3.0
-#: Positions differ beyond this: that the two are two needs no scans. States agree within: they may be one.
-DIFFERENT, AGREEING = ChiSquare(1.0 - 1e-6), ChiSquare(0.99)
-
-
 @dataclass(frozen=True)
 class Sighting:
-    """What the scans that are over made of the known objects.
+    """Detections of the known objects in the completed scans.
 
-    p_detected : (m, S) probability that a record of the source, in a scan that is over, is of the object.
-    scans : (S,) how many scans of the source are over: 1 or 0, a part of a rotation for a source that turns.
-    q : (m, S) probability of a miss that was expected.
+    p_detected : (m, S) probability that a record of the source, in a completed scan, is of the object.
+    scans : (S,) completed scans of the source: 1 or 0, a part of a rotation for an antenna that rotates.
+    q : (m, S) expected probability of a miss.
     """
 
     p_detected: FloatArray
@@ -162,21 +157,21 @@ class Sighting:
 
 @dataclass(frozen=True)
 class BernoulliTable(ObjectTable):
-    """The known objects, (m,) each: what scans that are over say of them, every scan counted once.
+    """The known objects, (m,) each, by the completed scans, every scan counted once.
 
     A source that has missed an object six times is not expected to show it now, so every object has its own counts of
-    hits and misses. Two objects at one place that no scan has shown apart are one, listed twice (:meth:`merged`).
+    hits and misses. Two objects at one place that no scan has shown as two are one, listed twice (:meth:`merged`).
 
     existence : probability that it exists.
-    hits, misses : (m, S) scans of each source that showed it, and that did not, older ones counting less.
-    apart : (m, m) ln odds by the scans that two objects are two and not one.
+    hits, misses : (m, S) scans of each source that showed it, and that did not; older ones count less.
+    separate_log_odds : (m, m) ln odds by the scans that two objects are two and not one.
     """
 
-    WHOLE = frozenset({"apart"})
+    WHOLE = frozenset({"separate_log_odds"})
     existence: FloatArray = field(default_factory=lambda: np.empty(0))
     hits: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     misses: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
-    apart: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    separate_log_odds: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
 
     @property
     def records(self) -> Records:
@@ -187,28 +182,37 @@ class BernoulliTable(ObjectTable):
 
     @classmethod
     def none(cls, sources: int) -> BernoulliTable:
-        """No objects, of so many sources."""
+        """No objects, for a number of sources."""
         nothing = np.empty((0, sources))
         return cls(hits=nothing, misses=nothing)
 
     @classmethod
     def born(
-        cls, number: IntArray, state: FloatArray, covariance: FloatArray, existence: FloatArray, hits: FloatArray
+        cls,
+        number: IntArray,
+        state: FloatArray,
+        covariance: FloatArray,
+        existence: FloatArray,
+        hits: FloatArray,
+        least: float = DEFAULT_TUNING.least_probability,
     ) -> BernoulliTable:
-        """Objects that are known for the first time."""
-        apart = np.zeros((len(number), len(number)))
-        sure = np.clip(existence, LEAST, 1.0 - LEAST)
-        return cls(number, state, covariance, sure, hits, np.zeros_like(hits), apart)
+        """New objects."""
+        separate_log_odds = np.zeros((len(number), len(number)))
+        bounded = np.clip(existence, least, 1.0 - least)
+        return cls(number, state, covariance, bounded, hits, np.zeros_like(hits), separate_log_odds)
 
     def take(self, which: NDArray[Any]) -> BernoulliTable:
         """Some of the objects: a mask (m,) or places."""
-        return replace(super().take(which), apart=self.apart[which][:, which])
+        return replace(super().take(which), separate_log_odds=self.separate_log_odds[which][:, which])
 
     def with_(self, more: BernoulliTable) -> BernoulliTable:
         """These and others."""
-        apart = np.zeros((len(self) + len(more),) * 2)
-        apart[: len(self), : len(self)], apart[len(self) :, len(self) :] = self.apart, more.apart
-        return replace(self.stacked(more), apart=apart)
+        separate_log_odds = np.zeros((len(self) + len(more),) * 2)
+        separate_log_odds[: len(self), : len(self)], separate_log_odds[len(self) :, len(self) :] = (
+            self.separate_log_odds,
+            more.separate_log_odds,
+        )
+        return replace(self.stacked(more), separate_log_odds=separate_log_odds)
 
     def aged(self, dt_s: float, lifetime_s: float, memory_s: float) -> BernoulliTable:
         """The objects after dt: less probable by their lifetime, with hits and misses that count less."""
@@ -217,69 +221,77 @@ class BernoulliTable(ObjectTable):
         return replace(self, existence=existence, hits=self.hits * older, misses=self.misses * older)
 
     def expected_q(self, usual_q: FloatArray, scans: float, least: float) -> FloatArray:
-        """(m, S) probability of a miss: that of any object at its place, worth so many scans, and its own scans."""
+        """(m, S) probability of a miss: that of any object at its place, with a weight of ``scans``, and its own."""
         q = (scans * usual_q + self.misses) / (scans + self.misses + self.hits)
         return np.asarray(np.clip(q, least, 1.0 - least))
 
-    def after(self, sighting: Sighting) -> BernoulliTable:
-        """The existence, hits and misses of the objects after scans that are over; states stay."""
-        detected, r = sighting.p_detected, self.existence
-        missed = r * np.prod(sighting.q**sighting.scans, axis=1)
-        unseen = np.prod(1.0 - detected, axis=1)
-        r = 1.0 - unseen + unseen * missed / (1.0 - r + missed)
+    def after(self, sighting: Sighting, least: float = DEFAULT_TUNING.least_probability) -> BernoulliTable:
+        """The existence, hits and misses of the objects after completed scans; states stay."""
+        p_detected, r = sighting.p_detected, self.existence
+        p_missed = r * np.prod(sighting.q**sighting.scans, axis=1)
+        p_undetected = np.prod(1.0 - p_detected, axis=1)
+        r = 1.0 - p_undetected + p_undetected * p_missed / (1.0 - r + p_missed)
         return replace(
-            self, existence=np.clip(r, LEAST, 1.0 - LEAST), hits=self.hits + detected,
-            misses=self.misses + np.maximum(sighting.scans - detected, 0.0),
+            self, existence=np.clip(r, least, 1.0 - least), hits=self.hits + p_detected,
+            misses=self.misses + np.maximum(sighting.scans - p_detected, 0.0),
         )  # fmt: skip
 
-    def told_apart(self, p_detected: FloatArray, usual_q: FloatArray, split: FloatArray) -> BernoulliTable:
-        """The objects with what scans that are over say of any two being two.
+    def with_separate_odds(
+        self, p_detected: FloatArray, usual_q: FloatArray, split: FloatArray, tuning: Tuning = DEFAULT_TUNING
+    ) -> BernoulliTable:
+        """The objects with the odds, after completed scans, that any two are two.
 
-        Where both are seen it is (1 − q)² if they are two, and (1 − q) and a split if they are one; where one of them
-        is, (1 − q) q against 1 − q.
+        A scan that shows both has the probability (1 − q)² if they are two, and (1 − q) times that of a split if they
+        are one; a scan that shows one of them (1 − q) q against 1 − q.
 
         p_detected : (m, S) as of :class:`Sighting`. usual_q : (m, S) probability that any object there is missed.
         split : (S,) probability that a scan of the source shows one object as two.
         """
-        apart = self.apart.copy()
+        separate_log_odds = self.separate_log_odds.copy()
         for s in range(len(split)):
             log_q, log_both = np.log(usual_q[:, s]), np.log1p(-usual_q[:, s]) - math.log(split[s])
             p = p_detected[:, s]
             both, one = np.outer(p, p), np.outer(p, 1.0 - p)
-            apart += 0.5 * both * (log_both[:, None] + log_both) + 0.5 * (one + one.T) * (log_q[:, None] + log_q)
-        return replace(self, apart=np.clip(apart, -APART, APART))
+            separate_log_odds += 0.5 * both * (log_both[:, None] + log_both) + 0.5 * (one + one.T) * (
+                log_q[:, None] + log_q
+            )
+        return replace(
+            self, separate_log_odds=np.clip(separate_log_odds, -tuning.separate_log_odds, tuning.separate_log_odds)
+        )
 
-    def merged(self, density_per_m2: float) -> BernoulliTable:
+    def merged(self, density_per_m2: float, tuning: Tuning = DEFAULT_TUNING) -> BernoulliTable:
         """The objects without those that are listed twice; the lower number stays.
 
-        Two are one where the place says more for it, ln N(Δ; 0, P + P′)/ρ, than the scans against it, by :data:`SURE`.
-        The state of the one that was detected more often stays: the other may be the end of its hull.
+        Two are one where the evidence of their positions for it, ln N(Δ; 0, P + P′)/ρ, exceeds that of the scans
+        against it by ``merging_log_odds``. The state of the one that was detected more often stays: the other may be
+        the end of its hull.
         """
         objects = self
         while len(objects) > 1:
-            for_one, agree, differ = objects._compared(density_per_m2)
-            objects = replace(objects, apart=np.where(differ, 0.0, objects.apart))
-            odds = np.where(agree, for_one - objects.apart, -np.inf)
+            for_one, agree, differ = objects._compared(density_per_m2, tuning)
+            objects = replace(objects, separate_log_odds=np.where(differ, 0.0, objects.separate_log_odds))
+            odds = np.where(agree, for_one - objects.separate_log_odds, -np.inf)
             np.fill_diagonal(odds, -np.inf)
             i, j = sorted(np.unravel_index(int(odds.argmax()), odds.shape))
-            if not odds[i, j] > SURE:
+            if not odds[i, j] > tuning.merging_log_odds:
                 break
             objects = objects._joined(int(i), int(j))
         return objects
 
-    def _compared(self, density_per_m2: float) -> tuple[FloatArray, BoolArray, BoolArray]:
+    def _compared(self, density_per_m2: float, tuning: Tuning) -> tuple[FloatArray, BoolArray, BoolArray]:
         """(m, m) ln N/ρ of positions, whether states agree, and whether positions differ."""
         delta = self.state[:, None] - self.state
         total = self.covariance[:, None] + self.covariance
         chi_sq, place = mahalanobis_sq(delta, total), mahalanobis_sq(delta[..., :2], total[..., :2, :2])
         log_n = log_density(delta[..., :2], total[..., :2, :2])
-        return log_n - math.log(density_per_m2), chi_sq < AGREEING.limit(4), place > DIFFERENT.limit(2)
+        agree, differ = ChiSquare(tuning.same_state).limit(4), ChiSquare(tuning.different).limit(2)
+        return log_n - math.log(density_per_m2), chi_sq < agree, place > differ
 
     def _joined(self, i: int, j: int) -> BernoulliTable:
         """Objects i and j as one, at i."""
         columns = {f.name: getattr(self, f.name).copy() for f in fields(self)}
-        stays = max(i, j, key=lambda k: (self.existence[k] * self.hits[k].sum(), *self.state[k]))
-        columns["state"][i], columns["covariance"][i] = self.state[stays], self.covariance[stays]
+        kept_place = max(i, j, key=lambda k: (self.existence[k] * self.hits[k].sum(), *self.state[k]))
+        columns["state"][i], columns["covariance"][i] = self.state[kept_place], self.covariance[kept_place]
         columns["number"][i] = min(self.number[i], self.number[j])
         columns["existence"][i] = 1.0 - (1.0 - self.existence[i]) * (1.0 - self.existence[j])
         columns["hits"][i] = self.hits[i] + self.hits[j]

@@ -1,15 +1,15 @@
-"""Error correlation: for how long a source's errors of position last, learned from how its own tracks go on.
+"""Error correlation: the correlation time of a source's position errors, estimated from its own tracks.
 
-A tracker's errors last for as long as it smooths, a receiver's for minutes, and a plot's are new at every turn. It
-decides what a look is worth: a second look with the same error says nothing new. Where the errors of two looks of a
-track go together by ρ = exp(−Δt/τ), the second lies from where the first foretold it by
+A tracker's errors last as long as it smooths, a receiver's for minutes, and a plot's are independent at every scan. A
+second report with the same error adds no information. Where the errors of two reports of a track are correlated by
+ρ = exp(−Δt/τ), the second differs from the prediction of the first by
 
     ν ~ N(0, R + R′ − C − Cᵀ + κ D),   C = ρ L L′ᵀ,
 
-with R = L Lᵀ and R′ = L′ L′ᵀ the covariances of the two reports, and D what the motion between them leaves open, at
-most: most objects are far quieter than the most restless of their kind, so κ is one of :data:`RESTLESS`, each as
-probable. So every look tells how probable each of some τ is (:data:`TRIED_S`). Beforehand ln(τ + 1 s) is that of the
-source's kind (:data:`CORRELATION_S`) to within :data:`KNOWN_TO`, 1σ; after some dozens of looks only they count.
+with R = L Lᵀ and R′ = L′ L′ᵀ the covariances of the two reports, and D the largest covariance of the motion between
+them. Most objects move far less, so κ is one of ``motion_shares``, each as probable. Every report so changes the
+probability of each τ (``correlation_s``). The prior of ln(τ + 1 s) is normal about that of the source's kind
+(:data:`CORRELATION_S`) with ``correlation_sigma``; after some dozens of reports the data dominate.
 
 Source: autocorrelated errors of tracks as in Bar-Shalom, Li and Kirubarajan 2001, section 8.
 """
@@ -24,29 +24,30 @@ import numpy as np
 from sameas.arrays import FloatArray, IntArray
 from sameas.gaussian import Gaussian, log_density, mahalanobis_sq, propagated
 from sameas.picture.scan import Scan
+from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 
-#: Least variance of a step, m²: keeps what is certain invertible.
+#: Least variance of a step, m²: it keeps the covariance of a certain step invertible.
 LEAST_M2 = 1e-6
 
 
 def error_update(
-    mean: FloatArray, spread: FloatArray, turn: FloatArray, fresh: FloatArray, shift: FloatArray
+    mean: FloatArray, covariance: FloatArray, transition: FloatArray, noise: FloatArray, shift: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Mean and covariance of e′ after a look that shifted a track by ν, ln p(ν), and χ² of ν.
+    """Mean and covariance of e′ after a report that moved a track by ν, ln p(ν), and χ² of ν.
 
-    mean, shift : (k, 2). spread, turn, fresh : (k, 2, 2) covariance of e before, G, and the covariance of n.
+    mean, shift : (k, 2). covariance, transition, noise : (k, 2, 2) covariance of e before, G, and the covariance of n.
     """
-    slope = turn - np.eye(2)
-    total = propagated(slope, spread) + fresh + LEAST_M2 * np.eye(2)
-    cross = turn @ spread @ slope.transpose(0, 2, 1) + fresh
+    slope = transition - np.eye(2)
+    total = propagated(slope, covariance) + noise + LEAST_M2 * np.eye(2)
+    cross = transition @ covariance @ slope.transpose(0, 2, 1) + noise
     surprise = shift - np.einsum("kvw,kw->kv", slope, mean)
-    before = Gaussian(np.einsum("kvw,kw->kv", turn, mean), propagated(turn, spread) + fresh)
+    before = Gaussian(np.einsum("kvw,kw->kv", transition, mean), propagated(transition, covariance) + noise)
     after = before.conditional(cross, surprise, total)
     return after.mean, after.covariance, log_density(surprise, total), mahalanobis_sq(surprise, total)
 
 
 def growth(change: FloatArray) -> FloatArray:
-    """(n, 2, 2) changes of covariances without what shrank."""
+    """(n, 2, 2) the positive part of changes of covariances."""
     values, axes = np.linalg.eigh(change)
     return np.asarray((axes * np.maximum(values, 0.0)[:, None, :]) @ axes.transpose(0, 2, 1))
 
@@ -54,7 +55,7 @@ def growth(change: FloatArray) -> FloatArray:
 #: τ by kind of source: how long an error of position lasts, in seconds. Chosen, not measured.
 CORRELATION_S: Mapping[str, float] = {
     "marine radar": 60.0,  # what such a radar names it has smoothed, for a minute or so
-    "air radar": 5.0,  # every turn measures anew
+    "air radar": 5.0,  # every turn is a new measurement
     "ais": 600.0,  # the antenna stays where it is on the hull, and a receiver's error drifts over minutes
     "ads-b": 600.0,  # a receiver's error drifts over minutes
     "mlat": 30.0,  # the same receivers for a while
@@ -64,78 +65,78 @@ CORRELATION_S: Mapping[str, float] = {
     "tracks": 60.0,  # smoothed
     "other": 60.0,
 }
-#: τ that are tried, seconds.
-TRIED_S = np.array([0.0, 2.0, 5.0, 12.0, 30.0, 75.0, 180.0, 450.0, 1100.0])
-#: 1σ of ln(τ + 1 s) about that of the kind.
-KNOWN_TO = 3.0
-#: κ that are tried.
-RESTLESS = (1.0, 0.1, 0.01)
-#: A look farther than this χ² from where it was foretold, whatever τ, is a manoeuvre's and tells nothing of errors.
-MOVED_CHI_SQ = 13.8
 
 
 @dataclass(frozen=True)
 class ErrorCorrelation:
-    """What is known of how long the errors of sources last.
+    """The correlation times of the errors of sources.
 
-    names : of the sources heard so far. log_probable : (s, τ) ln of how probable each τ is, up to a constant.
-    given_s : τ that the user gives, by name; these are not learned.
+    names : of the sources so far. log_probable : (s, τ) ln of the probability of each τ, up to a constant.
+    fixed_s : τ that the user gives, by name; these are not estimated.
     """
 
     names: tuple[str, ...] = ()
-    log_probable: FloatArray = field(default_factory=lambda: np.empty((0, len(TRIED_S))))
-    given_s: Mapping[str, float] = field(default_factory=dict)
+    log_probable: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    fixed_s: Mapping[str, float] = field(default_factory=dict)
 
     def of_sources(self, scan: Scan) -> ErrorCorrelation:
-        """The same with the sources of a scan that were not heard before."""
+        """The same with the new sources of a scan."""
         new = [d for d in scan.now.descriptions if d.name not in self.names]
-        if not new:
+        if self.names and not new:
             return self
-        kind_s = np.array([CORRELATION_S[description.kind] for description in new])
-        away = np.log(TRIED_S + 1.0) - np.log(kind_s[:, None] + 1.0)
-        before = np.vstack([self.log_probable, -0.5 * (away / KNOWN_TO) ** 2])
-        return ErrorCorrelation((*self.names, *(description.name for description in new)), before, self.given_s)
+        kind_s = np.array([CORRELATION_S[description.kind] for description in new], np.float64)
+        away = np.log(np.array(scan.tuning.correlation_s) + 1.0) - np.log(kind_s[:, None] + 1.0)
+        prior = -0.5 * (away / scan.tuning.correlation_sigma) ** 2
+        log_probable = np.vstack([self.log_probable, prior]) if self.names else prior
+        return ErrorCorrelation((*self.names, *(description.name for description in new)), log_probable, self.fixed_s)
 
     def numbers(self, scan: Scan) -> IntArray:
         """(S,) the place in ``names`` of each source of a scan."""
         return np.array([self.names.index(d.name) for d in scan.now.descriptions], dtype=np.int64)
 
-    def rho(self, source: IntArray, elapsed_s: FloatArray) -> FloatArray:
-        """(n,) mean ρ of two looks of tracks of the sources, so long apart."""
+    def rho(self, source: IntArray, elapsed_s: FloatArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
+        """(n,) mean ρ of two reports of tracks of the sources, ``elapsed_s`` apart."""
         weight = np.exp(self.log_probable - self.log_probable.max(axis=1, initial=-np.inf, keepdims=True))
-        mean = np.einsum("nt,nt->n", (weight / weight.sum(axis=1, keepdims=True))[source], _rho(elapsed_s, TRIED_S))
-        told = np.array([self.given_s.get(name, np.nan) for name in self.names])[source]
-        given = _rho(elapsed_s, np.nan_to_num(told)[:, None])[:, 0]
-        return np.where(np.isfinite(told), given, mean)
+        rho_mean = np.einsum(
+            "nt,nt->n",
+            (weight / weight.sum(axis=1, keepdims=True))[source],
+            _rho(elapsed_s, np.array(tuning.correlation_s)),
+        )
+        fixed_s = np.array([self.fixed_s.get(name, np.nan) for name in self.names])[source]
+        rho_fixed = _rho(elapsed_s, np.nan_to_num(fixed_s)[:, None])[:, 0]
+        return np.where(np.isfinite(fixed_s), rho_fixed, rho_mean)
 
-    def looked(
+    def updated(
         self,
         source: IntArray,
         elapsed_s: FloatArray,
         shift: FloatArray,
         errors: tuple[FloatArray, FloatArray],
         motion: FloatArray,
+        tuning: Tuning = DEFAULT_TUNING,
     ) -> ErrorCorrelation:
-        """After new looks at tracks.
+        """After new reports of tracks.
 
         Parameters
         ----------
-        source, elapsed_s, shift : (n,), (n,), (n, 2) the source, Δt and ν of each look.
+        source, elapsed_s, shift : (n,), (n,), (n, 2) the source, Δt and ν of each report.
         errors : R + R′ and L L′ᵀ, (n, 2, 2) each. motion : (n, 2, 2) D.
         """
-        usual = mahalanobis_sq(shift, errors[0] + motion) <= MOVED_CHI_SQ
-        source, elapsed_s, shift, motion = source[usual], elapsed_s[usual], shift[usual], motion[usual]
-        both, alike = errors[0][usual], (errors[1] + errors[1].transpose(0, 2, 1))[usual]
-        more = self.log_probable.copy()
-        for k, rho in enumerate(_rho(elapsed_s, TRIED_S).T):
-            still = both - rho[:, None, None] * alike + LEAST_M2 * np.eye(2)
-            log_p = np.logaddexp.reduce([log_density(shift, still + share * motion) for share in RESTLESS])
-            more[:, k] += np.bincount(source, log_p, len(self.names))
-        return ErrorCorrelation(self.names, more, self.given_s)
+        steady = mahalanobis_sq(shift, errors[0] + motion) <= tuning.manoeuvre_chi_sq
+        source, elapsed_s, shift, motion = source[steady], elapsed_s[steady], shift[steady], motion[steady]
+        both, shared = errors[0][steady], (errors[1] + errors[1].transpose(0, 2, 1))[steady]
+        log_probable = self.log_probable.copy()
+        for k, rho in enumerate(_rho(elapsed_s, np.array(tuning.correlation_s)).T):
+            covariance = both - rho[:, None, None] * shared + LEAST_M2 * np.eye(2)
+            log_p = np.logaddexp.reduce(
+                [log_density(shift, covariance + share * motion) for share in tuning.motion_shares]
+            )
+            log_probable[:, k] += np.bincount(source, log_p, len(self.names))
+        return ErrorCorrelation(self.names, log_probable, self.fixed_s)
 
 
 def _rho(elapsed_s: FloatArray, tau_s: FloatArray) -> FloatArray:
-    """(n, τ) ρ, for τ (τ,) or (n, τ)."""
+    """(n, τ) ρ, for τ (τ,) or (n, τ) in seconds."""
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         rho = np.exp(-np.maximum(elapsed_s, 0.0)[:, None] / tau_s)
     return np.where(tau_s > 0.0, rho, 0.0)

@@ -1,7 +1,7 @@
-"""Objects of an instant: those that sources show, by the records of its scan, however they were found.
+"""Objects of an instant: those that sources show, as sets of records of its scan.
 
-:class:`IdentifiedObjects` where the instant is judged by ``identify_many`` alone, :class:`TrackedObjects` where objects
-were followed to it. What is remembered of an object is no record: sets that differ only in that count as one.
+:class:`IdentifiedObjects` where ``identify_many`` identifies the instant alone, :class:`TrackedObjects` where objects
+were tracked to it. The prior of a tracked object is no record: sets that differ only in it count as one.
 """
 
 from __future__ import annotations
@@ -18,20 +18,21 @@ from sameas.many.explanation import Name, ObjectExplanation
 from sameas.many.objects import Objects
 from sameas.many.observations import records_of
 from sameas.picture.bernoulli import KNOWN
-from sameas.picture.object_states import CROSSED, ObjectStates
+from sameas.picture.object_states import ObjectStates
 from sameas.picture.plot_tracker import TrackedPlots
-from sameas.picture.scan import UNSAID, Scan
+from sameas.picture.scan import Scan
+from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.alignment import States
 
 
 class InstantObjects(Protocol):
-    """What the picture asks of the objects that sources show at an instant, (n,) each.
+    """The interface of the objects that sources show at an instant, (n,) each.
 
     members : (n, S) records of the scan, −1 for none. probability : that exactly these records are one object.
     runner_up : (n, S) the most probable other set that has one of them. p_runner_up : its probability, 0 for none.
     p_alone : (records,) that a record has no partner. group : the group that each object is in.
-    names : what to call that which is no record, in explanations.
-    kept : whether one is shown only since it was so at the last instant (:mod:`sameas.picture.watch`).
+    names : names in explanations of members that are no records.
+    by_hysteresis : whether an object is shown only because it was so at the last instant (:mod:`sameas.picture.watch`).
     """
 
     @property
@@ -49,7 +50,7 @@ class InstantObjects(Protocol):
     @property
     def names(self) -> Mapping[Name, Name]: ...
     @property
-    def kept(self) -> BoolArray: ...
+    def by_hysteresis(self) -> BoolArray: ...
 
     def explain(self, row: int) -> ObjectExplanation:
         """Why object ``row`` has its records; objects that other records are in are rows, too."""
@@ -58,11 +59,11 @@ class InstantObjects(Protocol):
 
 @dataclass(frozen=True)
 class IdentifiedObjects:
-    """Objects as ``identify_many`` found them; ``found`` is None where nobody says anything."""
+    """Objects of ``identify_many``; ``identification`` is None where no source has a record."""
 
     scan: Scan
     identification: Objects | None
-    kept: BoolArray
+    by_hysteresis: BoolArray
 
     @cached_property
     def members(self) -> IntArray:
@@ -113,7 +114,7 @@ class IdentifiedObjects:
 
     @property
     def names(self) -> Mapping[Name, Name]:
-        """Nothing but records is in a set."""
+        """None: all members are records."""
         return {}
 
     def explain(self, row: int) -> ObjectExplanation:
@@ -124,14 +125,14 @@ class IdentifiedObjects:
 
 @dataclass(frozen=True)
 class TrackedObjects:
-    """Objects that were followed to the instant of the scan, of them those that a source shows now."""
+    """Objects that were tracked to the instant of the scan, of them those that a source shows now."""
 
     scan: Scan
     tracks: TrackedPlots
 
     @cached_property
     def which(self) -> IntArray:
-        """(n,) which of the objects followed they are."""
+        """(n,) which of the tracked objects they are."""
         return np.flatnonzero((self.tracks.members >= 0).any(axis=1))
 
     @cached_property
@@ -143,7 +144,7 @@ class TrackedObjects:
 
     @property
     def probability(self) -> FloatArray:
-        """(n,) that exactly its records are one object, known or not."""
+        """(n,) that exactly its records are one object, new or not."""
         return np.empty(0) if self.tracks.identification is None else self._sets[1][self._own]
 
     @property
@@ -172,26 +173,26 @@ class TrackedObjects:
     @property
     def group(self) -> IntArray:
         """(n,) the group that each object is in."""
-        found = self.tracks.identification
-        return np.empty(0, np.int64) if found is None else found.group[self.which]
+        identification = self.tracks.identification
+        return np.empty(0, np.int64) if identification is None else identification.group[self.which]
 
     @property
-    def kept(self) -> BoolArray:
-        """(n,) none: what was before is among the evidence."""
+    def by_hysteresis(self) -> BoolArray:
+        """(n,) none: the past is among the evidence."""
         return np.zeros(len(self.which), bool)
 
     @cached_property
     def names(self) -> Mapping[Name, Name]:
-        """What is remembered of an object stands beside the records."""
-        known = self.tracks.known
-        return {(KNOWN, k): ("known object", n) for k, n in zip(known.records.ids.tolist(), known.number.tolist(),
+        """The priors of tracked objects stand beside the records."""
+        objects = self.tracks.prior_objects
+        return {(KNOWN, k): ("known object", n) for k, n in zip(objects.records.ids.tolist(), objects.number.tolist(),
                                                                strict=True)}  # fmt: skip
 
     def explain(self, row: int) -> ObjectExplanation:
-        """Why object ``row`` has its records; what is remembered of objects is among them."""
-        found = self.tracks.identification
-        assert found is not None
-        reasons, place = found.explain(int(self.which[row])), np.full(len(self.tracks), -1)
+        """Why object ``row`` has its records; priors of tracked objects are among them."""
+        identification = self.tracks.identification
+        assert identification is not None
+        reasons, place = identification.explain(int(self.which[row])), np.full(len(self.tracks), -1)
         place[self.which] = np.arange(len(self.which))
         rivals = tuple(
             replace(rival, taken=tuple((name, int(place[at])) for name, at in rival.taken if name[0] != KNOWN))
@@ -201,38 +202,40 @@ class TrackedObjects:
 
     @cached_property
     def states(self) -> ObjectStates:
-        """States of the objects: what was remembered of each with its records."""
-        followed, scan, which = self.tracks, self.scan, self.which
-        state, covariance = followed.state[which], followed.covariance[which]
-        region = followed.now.region.covariance
+        """States of the objects: their priors updated by their records."""
+        tracks, scan, which = self.tracks, self.scan, self.which
+        state, covariance = tracks.state[which], tracks.covariance[which]
+        region = tracks.now.region.covariance
         position = [isinstance(feed.reports, States) for feed in scan.now.feeds]
-        placed = ((self.members >= 0) & np.array(position, dtype=bool)).any(axis=1) | (followed.known_of[which] >= 0)
-        # Directions that do not cross leave the object anywhere along them.
+        placed = ((self.members >= 0) & np.array(position, dtype=bool)).any(axis=1) | (tracks.prior_of[which] >= 0)
+        # An object whose directions do not cross may be anywhere along them.
         widest = np.linalg.eigvalsh(region[:2, :2])[-1]
-        placed |= np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1] < CROSSED**2 * widest
-        return ObjectStates(state, covariance, placed, placed & says_velocity(covariance, region))
+        placed |= np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1] < scan.tuning.crossing_share**2 * widest
+        return ObjectStates(state, covariance, placed, placed & has_velocity(covariance, region, scan.tuning))
 
     @cached_property
     def _sets(self) -> tuple[IntArray, FloatArray]:
-        """(k, S) every possible set of records of the scan, and (k,) its probability, whatever known object it is."""
-        found = self.tracks.identification
-        assert found is not None
+        """(k, S) every possible set of records of the scan, and (k,) its probability, whatever its prior object."""
+        identification = self.tracks.identification
+        assert identification is not None
         members = self._possible
         sets, of = np.unique(members, axis=0, return_inverse=True)
-        return sets, np.clip(np.bincount(of.ravel(), weights=found.answer.probability, minlength=len(sets)), 0.0, 1.0)
+        return sets, np.clip(
+            np.bincount(of.ravel(), weights=identification.answer.probability, minlength=len(sets)), 0.0, 1.0
+        )
 
     @cached_property
     def _possible(self) -> IntArray:
-        """Every set that was weighed, (k, S) records of the scan; −1 for what is known."""
-        found = self.tracks.identification
-        assert found is not None
-        pooled = found.pooled
+        """Every set that was weighed, (k, S) records of the scan; −1 for none and for priors."""
+        identification = self.tracks.identification
+        assert identification is not None
+        pooled = identification.pooled
         scan_record = np.full(len(pooled) + 1, -1)
-        for u, given in enumerate(pooled.given):
-            if given > 0:
+        for u, source_number in enumerate(pooled.given):
+            if source_number > 0:
                 rows = records_of(pooled.sources[u]).rows
-                scan_record[pooled.start[u] : pooled.start[u + 1]] = self.scan.find(given - 1, rows)
-        records = scan_record[found.sets.members]
+                scan_record[pooled.start[u] : pooled.start[u + 1]] = self.scan.find(source_number - 1, rows)
+        records = scan_record[identification.sets.members]
         out = np.full((len(records), len(self.scan.now.sources)), -1)
         at, column = np.nonzero(records >= 0)
         out[at, self.scan.source[records[at, column]]] = records[at, column]
@@ -241,10 +244,10 @@ class TrackedObjects:
     @cached_property
     def _own(self) -> IntArray:
         """(n,) which of the sets each object is."""
-        found = self.tracks.identification
-        assert found is not None
+        identification = self.tracks.identification
+        assert identification is not None
         _, of = np.unique(self._possible, axis=0, return_inverse=True)
-        return np.asarray(of.ravel()[found.set_of_object[self.which]])
+        return np.asarray(of.ravel()[identification.set_of_object[self.which]])
 
     @cached_property
     def _second(self) -> IntArray:
@@ -253,9 +256,9 @@ class TrackedObjects:
         if self.tracks.identification is None:
             return best
         sets, probability = self._sets
-        mine, column = np.nonzero(self.members >= 0)
+        own_row, column = np.nonzero(self.members >= 0)
         of_record = np.zeros(len(self.scan), np.int64)
-        of_record[self.members[mine, column]] = mine
+        of_record[self.members[own_row, column]] = own_row
         other = np.setdiff1d(np.flatnonzero((probability > 0.0) & (sets >= 0).any(axis=1)), self._own)
         # Ascending, so that the last to be written is the most probable; of equals the first by content.
         other = other[np.lexsort([-other, probability[other]])]
@@ -264,6 +267,7 @@ class TrackedObjects:
         return best
 
 
-def says_velocity(covariance: FloatArray, region: FloatArray) -> BoolArray:
+def has_velocity(covariance: FloatArray, region: FloatArray, tuning: Tuning = DEFAULT_TUNING) -> BoolArray:
     """(n,) whether velocities are known better than those of any objects of the region."""
-    return np.asarray((covariance[:, 2, 2] < UNSAID * region[2, 2]) & (covariance[:, 3, 3] < UNSAID * region[3, 3]))
+    unknown = tuning.unknown_velocity_share * np.diagonal(region)[2:4]
+    return np.asarray((covariance[:, 2, 2] < unknown[0]) & (covariance[:, 3, 3] < unknown[1]))

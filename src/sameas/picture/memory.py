@@ -1,4 +1,4 @@
-"""Memory: what the past says of two named tracks being one object, beside what they say now.
+"""Memory: the evidence of past scans that two named tracks are one object, beside that of the instant.
 
 Two tracks that were together for ten minutes do not part because noise brings another nearer for one turn of the
 antenna. :class:`Past` goes from instant to instant; :meth:`Past.rule` is a rule for
@@ -6,12 +6,12 @@ antenna. :class:`Past` goes from instant to instant; :meth:`Past.rule` is a rule
 
     past = past.on(scan)
     found = identify_many(now.sources, rule=now.rule() + now.identity() + past.rule(), region=now.region)
-    past = past.met(found.pooled)
+    past = past.with_pairs(found.pooled)
 
-Its logarithm is that of all looks (:mod:`sameas.picture.track_pairs`) less what ``now`` says of the two positions, so
-the sum of both is what all looks say, each once. It never gets beyond ±ln((1−ε)/ε), with ε the probability that a look
-is of another object than its name says: numbers are given again, and swapped where two targets cross. So a picture that
-was wrong mends. Records without a name have no past, and tracks that nobody hears any more are forgotten.
+Its logarithm is that of all reports (:mod:`sameas.picture.track_pairs`) less that of the two positions of the instant,
+so the sum of both counts every report once. It stays within ±ln((1−ε)/ε), with ε the probability that a report is of
+another object than its id says: ids are reused, and swapped where two targets cross. So a wrong picture corrects
+itself. Records without an id have no past, and tracks that are not reported any more are forgotten.
 """
 
 from __future__ import annotations
@@ -27,22 +27,25 @@ from sameas.errors import InputError
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
 from sameas.many.pooled import PooledRecords
-from sameas.picture.named import NamedTracks, found_in
+from sameas.picture.named import NamedTracks, places_in
 from sameas.picture.scan import Scan
 from sameas.picture.track_existence import TrackExistence
-from sameas.picture.track_pairs import Rivals, TrackPairs, keys, loosened
+from sameas.picture.track_pairs import Rivals, TrackPairs, keys, with_manoeuvres
+from sameas.picture.tuning import DEFAULT_TUNING
+from sameas.representation import in_short
 
-#: ε where nobody says. Chosen: one scan in ten thousand, for a radar of 20 turns a minute every eight hours.
+#: Default ε: one scan in ten thousand, which a radar of 20 turns a minute has every eight hours (chosen).
 REASSIGNED = 1e-4
 
 
+@in_short
 @dataclass(frozen=True)
 class Memory(Rule):
-    """What the past says of pairs of named tracks; made by :meth:`Past.rule`.
+    """The evidence of the past on pairs of named tracks; made by :meth:`Past.rule`.
 
     Parameters
     ----------
-    numbers : per source, by its name, the number of the track of every row of its table, −1 for rows without a name.
+    numbers : per source, by its name, the number of the track of every row of its table, −1 for rows without an id.
     first, second : (k,) numbers of tracks, first < second, in ascending order. log_ratio : (k,) ln r of the past.
 
     Example
@@ -61,8 +64,8 @@ class Memory(Rule):
     log_ratio: ArrayLike
 
     def __post_init__(self) -> None:
-        first, second, said = np.asarray(self.first), np.asarray(self.second), np.asarray(self.log_ratio)
-        if not len(first) == len(second) == len(said) or np.any(first >= second):
+        first, second, log_ratio = np.asarray(self.first), np.asarray(self.second), np.asarray(self.log_ratio)
+        if not len(first) == len(second) == len(log_ratio) or np.any(first >= second):
             raise InputError("Memory: give first, second and log_ratio of every couple of tracks, first < second")
         if np.any(np.diff(keys(first, second)) <= 0):
             raise InputError("Memory: give every couple of tracks once, in ascending order")
@@ -72,19 +75,20 @@ class Memory(Rule):
             np.asarray(self.numbers.get(side.source, np.full(side.n_table, -1)))[side.rows[at]]
             for side, at in ((pairs.first, pairs.i), (pairs.second, pairs.j))
         )
-        wanted = np.where((one >= 0) & (two >= 0), keys(np.minimum(one, two), np.maximum(one, two)), -1)
-        at = found_in(keys(np.asarray(self.first), np.asarray(self.second)), wanted)
+        pair_key = np.where((one >= 0) & (two >= 0), keys(np.minimum(one, two), np.maximum(one, two)), -1)
+        at = places_in(keys(np.asarray(self.first), np.asarray(self.second)), pair_key)
         return Evidence({"memory": np.append(np.asarray(self.log_ratio, dtype=np.float64), 0.0)[at]})
 
 
+@in_short
 @dataclass(frozen=True)
 class Past:
-    """What is remembered of named tracks, and of pairs of them that the gate has let through.
+    """The memory of named tracks, and of pairs of them that the gate has let through.
 
     Parameters
     ----------
-    reassigned : ε of the module. correlation_s : by name of source how long its errors last, where that is not to be
-        learned (:mod:`sameas.picture.error_correlation`); 0 where every look measures anew.
+    reassigned : ε of the module. correlation_s : by name of source the correlation time of its errors, where it is not
+        to be estimated (:mod:`sameas.picture.error_correlation`); 0 where the errors of all reports are independent.
     tracks, existence, track_pairs : filled in from instant to instant.
     """
 
@@ -99,7 +103,7 @@ class Past:
             raise InputError(f"memory: reassigned is {self.reassigned}; give a probability between 0 and 0.5")
 
     def on(self, scan: Scan) -> Past:
-        """The past as the looks of a later instant leave it.
+        """The past after the scan of a later instant.
 
         Raises
         ------
@@ -110,51 +114,52 @@ class Past:
                 f"the picture is at {self.tracks.instant_s:g} s and was given {scan.now.instant_s:g} s; "
                 "give instants in the order of time"
             )
-        correlation = replace(self.tracks.error_correlation, given_s=self.correlation_s)
+        correlation = replace(self.tracks.error_correlation, fixed_s=self.correlation_s)
         tracks, step = replace(self.tracks, error_correlation=correlation).on(scan)
-        track_pairs = self.track_pairs.stepped(step, self.reassigned)
+        track_pairs = self.track_pairs.stepped(step, self.reassigned, scan.tuning)
         return replace(self, tracks=tracks, track_pairs=track_pairs, existence=self.existence.on(tracks))
 
     def rule(self) -> Memory:
-        """What the past says at the instant."""
+        """The rule of the past at the instant."""
         scan, track_pairs, numbers = self.tracks.scan, self.track_pairs, {}
         for s, description in enumerate(() if scan is None else scan.now.descriptions):
             assert scan is not None
             here = slice(scan.start[s], scan.start[s + 1])
             numbers[description.name] = np.full(int(scan.table[here].max(initial=-1)) + 1, -1)
             numbers[description.name][scan.table[here]] = self.tracks.track_of_record[here]
-        return Memory(numbers, track_pairs.first, track_pairs.second, self._said())
+        return Memory(numbers, track_pairs.first, track_pairs.second, self._log_ratio())
 
-    def _said(self) -> FloatArray:
+    def _log_ratio(self) -> FloatArray:
         """(k,) ln r of the pairs by the past."""
         track_pairs, tracks = self.track_pairs, self.tracks
         one, other = (
-            tracks.source[found_in(tracks.number, number)] for number in (track_pairs.first, track_pairs.second)
+            tracks.source[places_in(tracks.number, number)] for number in (track_pairs.first, track_pairs.second)
         )
         rivals = Rivals.of(track_pairs.first, track_pairs.second, one, other)
-        past = track_pairs.log_ratio + track_pairs.at_look - track_pairs.now
-        return rivals.bounded(past, track_pairs.chi_sq, self.reassigned)
+        past = track_pairs.log_ratio + track_pairs.at_scan - track_pairs.now
+        chi_sq = DEFAULT_TUNING.manoeuvre_chi_sq if tracks.scan is None else tracks.scan.tuning.manoeuvre_chi_sq
+        return rivals.bounded(past, track_pairs.chi_sq <= chi_sq, self.reassigned)
 
-    def proved(self, track: IntArray) -> Past:
-        """The same, with tracks (any shape, −1 for none) that are real by what other sources show."""
-        return replace(self, existence=self.existence.met(track[track >= 0]))
+    def with_real(self, track: IntArray) -> Past:
+        """The same, with tracks (any shape, −1 for none) that other sources show to be real."""
+        return replace(self, existence=self.existence.with_real(track[track >= 0]))
 
-    def loosened(self, scan: Scan, per_m2: float) -> Scan:
-        """A later instant's scan with the covariances of reports that their objects have left behind."""
-        return loosened(scan, self.tracks, self.track_pairs, self._said(), per_m2)
+    def with_manoeuvres(self, scan: Scan, per_m2: float) -> Scan:
+        """A later instant's scan with larger covariances of the reports that a manoeuvre has made obsolete."""
+        return with_manoeuvres(scan, self.tracks, self.track_pairs, self._log_ratio(), per_m2)
 
-    def met(self, pooled: PooledRecords) -> Past:
-        """The same with the pairs that the gate let through for the first time: they have no past yet."""
+    def with_pairs(self, pooled: PooledRecords) -> Past:
+        """The same with the pairs that the gate let through for the first time, which have no past yet."""
         scan = self.tracks.scan
         if scan is None:
             return self
         names = [description.name for description in scan.now.descriptions]
-        found = [np.empty((0, 2), np.int64)]
+        parts = [np.empty((0, 2), np.int64)]
         for pairs in (part for part, _ in pooled.parts if len(part)):
             one, two = names.index(pairs.first.source), names.index(pairs.second.source)
             i, j = pairs.first.rows[pairs.i], pairs.second.rows[pairs.j]
-            found.append(np.column_stack([scan.find(one, i), scan.find(two, j)]))
-        places, track = np.concatenate(found), self.tracks.track_of_record
+            parts.append(np.column_stack([scan.find(one, i), scan.find(two, j)]))
+        places, track = np.concatenate(parts), self.tracks.track_of_record
         places = places[(track[places] >= 0).all(axis=1) & scan.placed[places].all(axis=1)]
         order = np.argsort(track[places], axis=1)
         a, b = np.take_along_axis(places, order, axis=1).T

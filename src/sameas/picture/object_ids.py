@@ -1,14 +1,13 @@
-"""Numbers: every object of the picture keeps its own from instant to instant.
+"""Object ids: every object of the picture keeps its number from instant to instant.
 
-The objects of an instant are identified with those known by :func:`sameas.identify`, one to one and all at once: by
-where the known ones should be now, and by the tracks that they have in common (:mod:`sameas.picture.continuity`). So a
-number never goes to another object while its own is there, and where two objects exchange a record, each keeps the
-number that most speaks for.
+The objects of an instant are identified with those of the picture by :func:`sameas.identify`, one to one and all at
+once: by their predicted positions and by the tracks in common (:mod:`sameas.picture.continuity`). So a number never
+goes to another object while its own is there, and where two objects exchange a record, each keeps the number that is
+most probable for it.
 
-An object is *tentative* when it appears, *confirmed* when it is there beyond doubt (:class:`Stages`), *coasting* while
-nobody shows it and its place is foretold, and *ended* when it could be anyone: more than one other object is expected
-within its own 1σ ellipse, or all its tracks are another's. Who comes back under a name that nobody else bears has the
-number again.
+An object is *tentative* when it appears, *confirmed* when it is certain (:class:`Stages`), *coasting* while no source
+shows it and its position is predicted, and *ended* when more than one other object is expected within its own 1σ
+ellipse, or when all its tracks are another's. An object that returns with a unique id gets its number again.
 """
 
 from __future__ import annotations
@@ -23,31 +22,28 @@ from sameas._identify import identify
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.gaussian import Gaussian, symmetric
-from sameas.picture.continuity import Continuity, InCommon, Motions, NearOrNamed
-from sameas.picture.named import found_in
+from sameas.picture.continuity import CommonTracks, Continuity, Motions, NearOrNamed
+from sameas.picture.named import places_in
 from sameas.picture.object_states import ObjectStates
 from sameas.picture.object_table import COASTING, CONFIRMED, ENDED, TENTATIVE, ColumnTable, PictureObjects
+from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import ranges
 from sameas.records import Records
+from sameas.representation import in_short
 from sameas.tracks.alignment import aged
-
-#: τ of the shares of a track's history, seconds (chosen).
-LASTS_S = 300.0
-#: A smaller share is forgotten (chosen).
-LEAST = 1e-3
 
 
 @dataclass(frozen=True)
 class TrackHistory(ColumnTable):
-    """Tracks and objects that they have been of, (k,) each, by ascending track, then object.
+    """Which objects tracks were of, (k,) each, by ascending track, then object.
 
-    Where the records of one object part for an instant and come together again, its number comes back with the tracks
-    that were its own for long: one wrong instant does not decide which object is which. A track that goes over to
-    another object for good is that object's after some minutes. Shares change at the instants that show the track:
-    s ← s e^(−Δt/τ), and 1 − e^(−Δt/τ) more for the object that it is of.
+    Where the records of one object split for an instant and join again, its number returns with the tracks that were
+    its own for long: one wrong instant does not change numbers. A track that changes to another object for good counts
+    as that object's after some minutes. Shares change at the instants whose scan has the track: s ← s e^(−Δt/τ), plus
+    1 − e^(−Δt/τ) for the object that it is of; τ is ``history_s``.
 
     track, number : of the track and the object. share : of the last minutes. last : whether it is the object that the
-    track was of when it was last shown. unique : whether no other track has the track's name. instant_s : the last one.
+    track was of in its last scan. unique : whether the track's id is unique. instant_s : the last one.
     """
 
     WHOLE = frozenset({"instant_s"})
@@ -62,30 +58,34 @@ class TrackHistory(ColumnTable):
         return len(self.track)
 
     def on(
-        self, instant_s: float, track: IntArray, number: IntArray, unique: BoolArray, alive: IntArray
+        self,
+        instant_s: float,
+        track: IntArray,
+        number: IntArray,
+        unique: BoolArray,
+        alive: IntArray,
+        tuning: Tuning = DEFAULT_TUNING,
     ) -> TrackHistory:
         """After a later instant.
 
         Parameters
         ----------
-        track, number, unique : (m,) the tracks that it shows, the objects that they are of, whether nobody else bears
-            their names.
-        alive : ascending numbers of the objects that have not ended. Of those that have only names that nobody else
-            bears are kept.
+        track, number, unique : (m,) the tracks of its scan, the objects that they are of, whether their ids are unique.
+        alive : ascending numbers of the objects that have not ended. Of ended objects only unique ids are kept.
         """
-        fade = math.exp(-(instant_s - self.instant_s) / LASTS_S) if len(self) else 0.0
-        shown = np.isin(self.track, track)
-        keep = (found_in(alive, self.number) >= 0) | (self.unique & self.last & ~shown)
-        old = TrackHistory(
-            instant_s, self.track, self.number, np.where(shown, fade * self.share, self.share), self.last & ~shown,
+        fade = math.exp(-(instant_s - self.instant_s) / tuning.history_s) if len(self) else 0.0
+        in_scan = np.isin(self.track, track)
+        keep = (places_in(alive, self.number) >= 0) | (self.unique & self.last & ~in_scan)
+        earlier = TrackHistory(
+            instant_s, self.track, self.number, np.where(in_scan, fade * self.share, self.share), self.last & ~in_scan,
             self.unique,
-        ).take(np.flatnonzero(keep & (~shown | (fade * self.share >= LEAST))))  # fmt: skip
-        # Who was of nobody before is wholly of its first object.
-        known = np.isin(track, old.track)
-        more = TrackHistory(
-            instant_s, track, number, np.where(known, 1.0 - fade, 1.0), np.ones(len(track), bool), unique
+        ).take(np.flatnonzero(keep & (~in_scan | (fade * self.share >= tuning.least_share))))  # fmt: skip
+        # A track without a history is wholly of its first object.
+        has_history = np.isin(track, earlier.track)
+        latest = TrackHistory(
+            instant_s, track, number, np.where(has_history, 1.0 - fade, 1.0), np.ones(len(track), bool), unique
         )
-        return old._with(more)
+        return earlier._with(latest)
 
     def of(self, tracks: IntArray) -> tuple[IntArray, IntArray]:
         """(m,) places in ``tracks`` (k,) and (m,) rows here of everything that these tracks have been of."""
@@ -93,7 +93,7 @@ class TrackHistory(ColumnTable):
         return ranges(low, high - low)
 
     def last_of(self, tracks: IntArray) -> IntArray:
-        """(k,) the object that each track was of when it was last shown, 0 for none."""
+        """(k,) the object that each track was of in its last scan, 0 for none."""
         out = np.zeros(len(tracks), np.int64)
         at, row = self.of(tracks)
         out[at[self.last[row]]] = self.number[row[self.last[row]]]
@@ -101,27 +101,23 @@ class TrackHistory(ColumnTable):
 
     def _with(self, more: TrackHistory) -> TrackHistory:
         """Rows of both, those of one track and object as one."""
-        whole = self.stacked(more)
-        key = np.column_stack([whole.track, whole.number])
+        both = self.stacked(more)
+        key = np.column_stack([both.track, both.number])
         rows, back = np.unique(key, axis=0, return_inverse=True)
         back, n = back.reshape(-1), len(rows)
-        share = np.asarray(np.bincount(back, whole.share, n), np.float64)
-        last, unique = (np.bincount(back, column, n) > 0 for column in (whole.last, whole.unique))
+        share = np.asarray(np.bincount(back, both.share, n), np.float64)
+        last, unique = (np.bincount(back, column, n) > 0 for column in (both.last, both.unique))
         return TrackHistory(self.instant_s, rows[:, 0], rows[:, 1], share, last, unique)
-
-
-#: What parted from an object is another once its tracks have been its own for this share of the last minutes (chosen).
-OWN = 0.8
 
 
 @dataclass(frozen=True)
 class Stages:
-    """When an object is confirmed: as soon as it is sure, or, where its records have no names, at ``scans`` scans among
-    the first ``of`` instants.
+    """When an object is confirmed: as soon as it is certain, or, where its records have no ids, at ``scans`` scans
+    among the first ``of`` instants.
 
-    Sure is an object of two sources or more with at least the probability ``sure``; of a source without false records:
-    what speaks is there; and of a named track that has lived so long that it is real with the probability ``real``
-    (:mod:`sameas.picture.track_existence`): of those at most 1 − real are false. A tentative object that is missing at
+    Certain is an object of two sources or more with at least the probability ``sure``, an object of a source without
+    false records, and one with a named track that is real with the probability ``real`` by its duration
+    (:mod:`sameas.picture.track_existence`): at most 1 − real of those are false. A tentative object that is missing at
     more than of − scans instants is dropped.
     """
 
@@ -136,113 +132,123 @@ class Stages:
 
 
 @dataclass(frozen=True)
-class Life:
-    """Lives of tracks (n,): their numbers, −1 for none; ln of the odds that each was of something real when it began,
-    and what its life has added since (:mod:`sameas.picture.track_existence`)."""
+class ExistenceOdds:
+    """Existence of tracks (n,): their numbers, −1 for none; ln of the odds that each was real when it began, and the
+    gain by its duration since (:mod:`sameas.picture.track_existence`)."""
 
     track: IntArray
-    begun: FloatArray
-    lived: FloatArray
+    log_initial: FloatArray
+    log_gain: FloatArray
 
 
+@in_short
 @dataclass(frozen=True)
 class Detections:
     """The objects of an instant, (n,) each, before they have numbers.
 
-    states : theirs. tracks : (n, S) numbers of their named tracks, −1 for none. unique : (n, S) whether nobody else
-    bears that track's name. looked : whether a source looked at it anew. plotted : whether one did that names no
-    tracks. sure : whether it is there beyond doubt. life : of that track of it which says most of that.
+    states : theirs. tracks : (n, S) numbers of their named tracks, −1 for none. unique : (n, S) whether that track's id
+    is unique. new_report : whether it has a new report. new_plot : whether it has one of a source without track ids.
+    is_certain : whether it exists beyond doubt. existence : of its track with the highest odds.
     walk_m2_per_s3, speed_m_per_s : how they move.
     """
 
     states: ObjectStates
     tracks: IntArray
     unique: BoolArray
-    looked: BoolArray
-    plotted: BoolArray
-    sure: BoolArray
-    life: Life
+    new_report: BoolArray
+    new_plot: BoolArray
+    is_certain: BoolArray
+    existence: ExistenceOdds
     walk_m2_per_s3: FloatArray
     speed_m_per_s: FloatArray
 
     def __len__(self) -> int:
-        return len(self.looked)
+        return len(self.new_report)
 
 
 @dataclass(frozen=True)
-class KnownObjects(PictureObjects):
-    """Objects that records name, (k,) each, with what is known of them besides.
+class NamedObjects(PictureObjects):
+    """The objects of a picture whose sources have track ids, (k,) each.
 
     Attributes
     ----------
-    instant_s : the instant. given : numbers given so far.
-    looks, plots : instants with a new look at it, and with one of a source that names no tracks.
-    longest, lived, earlier : its track that has lived longest, what that life says for its being real, and what the
-        lives of those before say: ln of odds.
-    absent : instants without a record of it while it was tentative.
-    apart : whether it parted from an object that went on, and its tracks have not been its own for most of the time.
+    instant_s : the instant. n_numbers : the highest number in use.
+    n_updates, n_plots : instants with a new report of it, and with one of a source without track ids.
+    main_track, main_log_odds, earlier_log_odds : its longest track, the gain of log-odds by its duration, and the gain
+        by those of the tracks before it.
+    n_missing : instants without a record of it while it was tentative.
+    split_off : whether it split off an object that continues, and its tracks were not its own for most of the time.
     walk_m2_per_s3, speed_m_per_s : how it moves.
-    history : which of them tracks have been of.
+    history : which of them tracks were of.
     """
 
-    WHOLE = frozenset({"instant_s", "given", "history"})
+    WHOLE = frozenset({"instant_s", "n_numbers", "history"})
     instant_s: float = -np.inf
-    given: int = 0
-    looks: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    plots: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    longest: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    lived: FloatArray = field(default_factory=lambda: np.empty(0))
-    earlier: FloatArray = field(default_factory=lambda: np.empty(0))
-    absent: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    apart: BoolArray = field(default_factory=lambda: np.empty(0, bool))
+    n_numbers: int = 0
+    n_updates: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    n_plots: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    main_track: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    main_log_odds: FloatArray = field(default_factory=lambda: np.empty(0))
+    earlier_log_odds: FloatArray = field(default_factory=lambda: np.empty(0))
+    n_missing: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    split_off: BoolArray = field(default_factory=lambda: np.empty(0, bool))
     walk_m2_per_s3: FloatArray = field(default_factory=lambda: np.empty(0))
     speed_m_per_s: FloatArray = field(default_factory=lambda: np.empty(0))
     history: TrackHistory = field(default_factory=TrackHistory)
 
-    def on(self, instant_s: float, detections: Detections, density_per_m2: float, stages: Stages) -> KnownObjects:
+    def on(
+        self,
+        instant_s: float,
+        detections: Detections,
+        density_per_m2: float,
+        stages: Stages,
+        tuning: Tuning = DEFAULT_TUNING,
+    ) -> NamedObjects:
         """The objects at a later instant; ``density_per_m2``: of objects."""
         alive = self.take(np.flatnonzero(self.stage != ENDED))
         alive = alive.predicted(instant_s - self.instant_s, alive.walk_m2_per_s3)
-        to = alive._same_as(detections, density_per_m2)
-        known, new = np.flatnonzero(to >= 0), np.flatnonzero(to < 0)
-        left = np.setdiff1d(np.arange(len(alive)), to[known])
-        number = alive._numbers_of(detections, new)
+        match = alive._matches(detections, density_per_m2, tuning)
+        matched, new = np.flatnonzero(match >= 0), np.flatnonzero(match < 0)
+        unmatched = np.setdiff1d(np.arange(len(alive)), match[matched])
+        number = alive._new_numbers(detections, new)
         parts = [
-            alive.take(to[known])._shown(detections, known, stages),
-            KnownObjects._appeared(detections, new, number, alive._apart(detections, new), stages),
-            alive.take(left)._unseen(detections, density_per_m2, stages),
+            alive.take(match[matched])._detected(detections, matched, stages, tuning),
+            NamedObjects._new(detections, new, number, alive._split_off(detections, new), stages),
+            alive.take(unmatched)._undetected(detections, density_per_m2, stages),
         ]
-        given = int(number.max(initial=self.given))
-        return replace(parts[0].in_order(*parts[1:]), instant_s=instant_s, given=given)._owning(self, detections)
+        n_numbers = int(number.max(initial=self.n_numbers))
+        whole = replace(parts[0].in_order(*parts[1:]), instant_s=instant_s, n_numbers=n_numbers)
+        return whole._with_history(self, detections, tuning)
 
-    def _same_as(self, detections: Detections, density_per_m2: float) -> IntArray:
+    def _matches(self, detections: Detections, density_per_m2: float, tuning: Tuning) -> IntArray:
         """(n,) which of these each object of the instant is, −1 for none."""
         out = np.full(len(detections), -1)
         if not len(detections) or not len(self):
             return out
-        common = self._in_common(detections)
+        common = self._common_tracks(detections, tuning)
         before = Motions(self.state, self.covariance, self.speed_m_per_s)
         after = Motions(detections.states.state, detections.states.covariance, detections.speed_m_per_s)
-        known, shown = (
+        first, second = (
             Records.of(one.state[:, :2], covariance=one.covariance[:, :2, :2], source=name)
             for one, name in ((before, "known"), (after, "seen"))
         )
-        rule = Continuity(density_per_m2, common, before, after)
-        matches = identify(known, shown, rule=rule, gate=NearOrNamed(common)).matches
+        rule = Continuity(density_per_m2, common, before, after, tuning)
+        matches = identify(first, second, rule=rule, gate=NearOrNamed(common)).matches
         out[matches.rows_2] = matches.rows_1
         return out
 
-    def _in_common(self, detections: Detections) -> InCommon:
-        """What tracks say of these objects and those of the instant."""
+    def _common_tracks(self, detections: Detections, tuning: Tuning) -> CommonTracks:
+        """The tracks in common of these objects and those of the instant."""
         at, column = np.nonzero(detections.tracks >= 0)
-        shown, row = self.history.of(detections.tracks[at, column])
-        who = found_in(self.number, self.history.number[row])
-        mine = who >= 0
-        shown, row = shown[mine], row[mine]
-        return InCommon.of(who[mine], at[shown], self.history.share[row], detections.unique[at, column][shown])
+        track_place, row = self.history.of(detections.tracks[at, column])
+        object_place = places_in(self.number, self.history.number[row])
+        is_alive = object_place >= 0
+        track_place, row = track_place[is_alive], row[is_alive]
+        unique = detections.unique[at, column][track_place]
+        return CommonTracks.of(object_place[is_alive], at[track_place], self.history.share[row], unique, tuning)
 
-    def _numbers_of(self, detections: Detections, new: IntArray) -> IntArray:
-        """(k,) the numbers of objects that none of these is: of one that ended, by a unique name, or new ones."""
+    def _new_numbers(self, detections: Detections, new: IntArray) -> IntArray:
+        """(k,) the numbers of objects that match none of these: of one that ended, by a unique id, or new ones."""
         number = np.zeros(len(new), np.int64)
         for column in range(detections.tracks.shape[1]):
             before = np.where(detections.unique[new, column], self.history.last_of(detections.tracks[new, column]), 0)
@@ -251,39 +257,47 @@ class KnownObjects(PictureObjects):
             once = np.isin(np.arange(len(new)), first)
             number = np.where(free & once, before, number)
         fresh = number == 0
-        number[fresh] = self.given + 1 + np.arange(np.count_nonzero(fresh))
+        number[fresh] = self.n_numbers + 1 + np.arange(np.count_nonzero(fresh))
         return number
 
-    def _apart(self, detections: Detections, new: IntArray) -> BoolArray:
-        """(k,) whether a new object has a track of one of these: it parted from that, and has to earn its number."""
+    def _split_off(self, detections: Detections, new: IntArray) -> BoolArray:
+        """(k,) whether a new object has a track of one of these, so that it split off that one."""
         tracks = detections.tracks[new]
-        owner = found_in(self.number, self.history.last_of(tracks.ravel())).reshape(tracks.shape)
+        owner = places_in(self.number, self.history.last_of(tracks.ravel())).reshape(tracks.shape)
         return np.asarray((owner >= 0).any(axis=1))
 
-    def _shown(self, detections: Detections, which: IntArray, stages: Stages) -> KnownObjects:
-        """These objects, as the objects ``which`` of the instant show them."""
-        states, looked = detections.states, detections.looked[which]
+    def _detected(self, detections: Detections, which: IntArray, stages: Stages, tuning: Tuning) -> NamedObjects:
+        """These objects, updated by the objects ``which`` of the instant."""
+        states, new_report = detections.states, detections.new_report[which]
         state, covariance = states.state[which], states.covariance[which]
-        own, spread = _followed(self, state, covariance, looked)
-        said = states.moving[which]
-        looks, plots = self.looks + looked, self.plots + detections.plotted[which]
-        # A track that went on under another name has said what it had to say; one that is still there says it itself.
-        there = (self.longest[:, None] == detections.tracks[which]).any(axis=1)
-        over = (self.longest != detections.life.track[which]) & ~there
-        earlier = self.earlier + np.where(over, self.lived, 0.0)
-        real = detections.life.begun[which] + earlier + detections.life.lived[which] >= logit(stages.real)
-        apart = self.apart & (self._own_share(detections.tracks[which]) < OWN)
-        sure = (self.stage != TENTATIVE) | ((detections.sure[which] | real) & ~apart) | (plots >= stages.scans)
+        filtered, filtered_covariance = _updated_states(self, state, covariance, new_report)
+        velocity_known = states.moving[which]
+        n_updates, n_plots = self.n_updates + new_report, self.n_plots + detections.new_plot[which]
+        # The gain of a track that ended is kept; that of one that is still there is in its own duration.
+        still_there = (self.main_track[:, None] == detections.tracks[which]).any(axis=1)
+        replaced = (self.main_track != detections.existence.track[which]) & ~still_there
+        earlier_log_odds = self.earlier_log_odds + np.where(replaced, self.main_log_odds, 0.0)
+        log_initial, log_gain = detections.existence.log_initial[which], detections.existence.log_gain[which]
+        is_real = log_initial + earlier_log_odds + log_gain >= logit(stages.real)
+        split_off = self.split_off & (self._own_share(detections.tracks[which]) < tuning.own_share)
+        confirmed = (
+            (self.stage != TENTATIVE)
+            | ((detections.is_certain[which] | is_real) & ~split_off)
+            | (n_plots >= stages.scans)
+        )
         return replace(
-            self, stage=np.where(sure, CONFIRMED, TENTATIVE), state=np.where(said[:, None], state, own),
-            covariance=np.where(said[:, None, None], covariance, spread), placed=states.placed[which],
-            moving=said | (self.placed & states.placed[which] & (looks > 1)), detection=which, looks=looks, plots=plots,
-            apart=apart, longest=detections.life.track[which], lived=detections.life.lived[which], earlier=earlier,
+            self, stage=np.where(confirmed, CONFIRMED, TENTATIVE),
+            state=np.where(velocity_known[:, None], state, filtered),
+            covariance=np.where(velocity_known[:, None, None], covariance, filtered_covariance),
+            placed=states.placed[which],
+            moving=velocity_known | (self.placed & states.placed[which] & (n_updates > 1)), detection=which,
+            n_updates=n_updates, n_plots=n_plots, split_off=split_off,
+            main_track=detections.existence.track[which], main_log_odds=log_gain, earlier_log_odds=earlier_log_odds,
             walk_m2_per_s3=detections.walk_m2_per_s3[which], speed_m_per_s=detections.speed_m_per_s[which],
         )  # fmt: skip
 
     def _own_share(self, tracks: IntArray) -> FloatArray:
-        """(k,) for what share of the last minutes any of its tracks (k, S) has been of each of these objects."""
+        """(k,) the largest share of the last minutes that one of its tracks (k, S) was of each of these objects."""
         out = np.zeros(len(self))
         at, row = self.history.of(tracks.ravel())
         at //= max(tracks.shape[1], 1)
@@ -292,47 +306,50 @@ class KnownObjects(PictureObjects):
         return out
 
     @classmethod
-    def _appeared(
-        cls, detections: Detections, which: IntArray, number: IntArray, apart: BoolArray, stages: Stages
-    ) -> KnownObjects:
-        """Objects that nobody knew, or that have ended, and their numbers; ``apart``: from one that goes on."""
+    def _new(
+        cls, detections: Detections, which: IntArray, number: IntArray, split_off: BoolArray, stages: Stages
+    ) -> NamedObjects:
+        """New objects, or such that had ended, and their numbers; ``split_off``: from one that continues."""
         n, states = len(which), detections.states
-        real = detections.life.begun[which] + detections.life.lived[which] >= logit(stages.real)
-        sure = ((detections.sure[which] | real) & ~apart) | (stages.scans <= 1)
+        is_real = detections.existence.log_initial[which] + detections.existence.log_gain[which] >= logit(stages.real)
+        confirmed = ((detections.is_certain[which] | is_real) & ~split_off) | (stages.scans <= 1)
         return cls(
-            number=number, stage=np.where(sure, CONFIRMED, TENTATIVE), state=states.state[which],
+            number=number, stage=np.where(confirmed, CONFIRMED, TENTATIVE), state=states.state[which],
             covariance=states.covariance[which], placed=states.placed[which], moving=states.moving[which],
-            detection=which, looks=np.ones(n, np.int64), plots=detections.plotted[which].astype(np.int64),
-            absent=np.zeros(n, np.int64), apart=apart,
-            longest=detections.life.track[which], lived=detections.life.lived[which], earlier=np.zeros(n),
+            detection=which, n_updates=np.ones(n, np.int64), n_plots=detections.new_plot[which].astype(np.int64),
+            n_missing=np.zeros(n, np.int64), split_off=split_off,
+            main_track=detections.existence.track[which], main_log_odds=detections.existence.log_gain[which],
+            earlier_log_odds=np.zeros(n),
             walk_m2_per_s3=detections.walk_m2_per_s3[which], speed_m_per_s=detections.speed_m_per_s[which],
         )  # fmt: skip
 
-    def _unseen(self, detections: Detections, density_per_m2: float, stages: Stages) -> KnownObjects:
-        """These objects, which nobody shows."""
+    def _undetected(self, detections: Detections, density_per_m2: float, stages: Stages) -> NamedObjects:
+        """These objects where no source shows them."""
         tentative = self.stage == TENTATIVE
-        absent = self.absent + (tentative & bool(detections.looked.any()))
-        old = aged(self.covariance, density_per_m2)
-        # Whose tracks are all another object's now was one with it.
-        own = self.history.take(np.flatnonzero(self.history.last))
-        there = np.isin(own.track, detections.tracks)
-        taken = np.isin(self.number, own.number[there]) & ~np.isin(self.number, own.number[~there])
-        over = old | taken | (tentative & (absent > stages.of - stages.scans))
-        stage = np.where(over, ENDED, np.where(tentative, TENTATIVE, COASTING))
-        return replace(self.undetected(stage), absent=absent)
+        n_missing = self.n_missing + (tentative & bool(detections.new_report.any()))
+        too_uncertain = aged(self.covariance, density_per_m2)
+        # An object whose tracks are all another object's now was that object.
+        last = self.history.take(np.flatnonzero(self.history.last))
+        in_scan = np.isin(last.track, detections.tracks)
+        taken = np.isin(self.number, last.number[in_scan]) & ~np.isin(self.number, last.number[~in_scan])
+        ended = too_uncertain | taken | (tentative & (n_missing > stages.of - stages.scans))
+        stage = np.where(ended, ENDED, np.where(tentative, TENTATIVE, COASTING))
+        return replace(self.undetected(stage), n_missing=n_missing)
 
-    def _owning(self, before: KnownObjects, detections: Detections) -> KnownObjects:
-        """The same with whom the tracks of the instant are of."""
-        there = detections.tracks >= 0
-        number, alive = self.numbers(len(detections))[np.nonzero(there)[0]], self.number[self.stage != ENDED]
-        after = before.history.on(self.instant_s, detections.tracks[there], number, detections.unique[there], alive)
+    def _with_history(self, before: NamedObjects, detections: Detections, tuning: Tuning) -> NamedObjects:
+        """The same with the objects that the tracks of the instant are of."""
+        has_track = detections.tracks >= 0
+        number, alive = self.numbers(len(detections))[np.nonzero(has_track)[0]], self.number[self.stage != ENDED]
+        after = before.history.on(
+            self.instant_s, detections.tracks[has_track], number, detections.unique[has_track], alive
+        )
         return replace(self, history=after)
 
 
-def _followed(
-    known: KnownObjects, state: FloatArray, covariance: FloatArray, looked: BoolArray
+def _updated_states(
+    objects: NamedObjects, state: FloatArray, covariance: FloatArray, new_report: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """States of objects of which only positions are known: foretold, and corrected by a new look at them."""
-    own = Gaussian(known.state, known.covariance).updated(Gaussian(state[:, :2], covariance[:, :2, :2]))
-    spread = np.where(looked[:, None, None], own.covariance, known.covariance)
-    return np.where(looked[:, None], own.mean, known.state), symmetric(spread)
+    """States of objects of which only positions are reported: predicted, and updated by a new report."""
+    updated = Gaussian(objects.state, objects.covariance).updated(Gaussian(state[:, :2], covariance[:, :2, :2]))
+    updated_covariance = np.where(new_report[:, None, None], updated.covariance, objects.covariance)
+    return np.where(new_report[:, None], updated.mean, objects.state), symmetric(updated_covariance)

@@ -19,17 +19,15 @@ from sameas.picture.scan import Scan
 
 #: Kinds of sources whose named records are tracks, smoothed by a filter of their own.
 SMOOTHED = ("tracks", "marine radar")
-#: Directions cross where they leave less than this share of the region's width open.
-CROSSED = 0.2
 
 
 @dataclass(frozen=True)
 class ObjectStates:
     """Objects at one instant, (n,) each.
 
-    state, covariance : (n, 4), (n, 4, 4) in the plane; where nobody says a velocity it is 0 ± what objects make.
+    state, covariance : (n, 4), (n, 4, 4) in the plane; an unreported velocity is 0 ± the speed of its objects.
     placed : whether the position is known, from a position or from directions of two sensors.
-    moving : whether a record says a velocity.
+    moving : whether a record has a velocity.
     """
 
     state: FloatArray
@@ -38,23 +36,25 @@ class ObjectStates:
     moving: BoolArray
 
 
-def object_states(scan: Scan, members: IntArray, found: Objects | None) -> ObjectStates:
-    """States of the objects ``found`` of the scan, with these ``members`` (n, S), −1 for none."""
+def object_states(scan: Scan, members: IntArray, identification: Objects | None) -> ObjectStates:
+    """States of the objects ``identification`` of the scan, with these ``members`` (n, S), −1 for none."""
     information, vector, placed, moving, origin = _summed(scan, members)
     covariance = inverse(information)
     state = np.einsum("nvw,nw->nv", covariance, vector)
     state[:, :2] += origin
-    seen = members >= 0
-    directed = np.flatnonzero((seen & ~scan.placed[members]).any(axis=1)) if len(scan) else np.empty(0, np.int64)
-    if len(directed) and found is not None:
-        # A direction bends what the others say; the joint density has done that sum already.
-        fused = found.fused
+    is_member = members >= 0
+    directed = np.flatnonzero((is_member & ~scan.placed[members]).any(axis=1)) if len(scan) else np.empty(0, np.int64)
+    if len(directed) and identification is not None:
+        # A direction is no linear observation; the joint density of the identification has its update already.
+        fused = identification.fused
         state[directed, :2] = fused.state[directed, :2]
         covariance[directed, :2], covariance[directed, 2:, :2] = 0.0, 0.0
         covariance[directed, :2, :2] = fused.covariance[directed, :2, :2]
-        # Directions that do not cross leave the object anywhere along them, as far as objects are at all.
+        # An object whose directions do not cross may be anywhere along them within the region.
         widest = np.linalg.eigvalsh(scan.now.region.covariance[:2, :2])[-1]
-        placed[directed] |= np.linalg.eigvalsh(covariance[directed, :2, :2])[:, -1] < CROSSED**2 * widest
+        placed[directed] |= (
+            np.linalg.eigvalsh(covariance[directed, :2, :2])[:, -1] < scan.tuning.crossing_share**2 * widest
+        )
     return ObjectStates(state, covariance, placed, moving)
 
 
@@ -80,13 +80,13 @@ def _summed(scan: Scan, members: IntArray) -> tuple[FloatArray, FloatArray, Bool
     rest = np.where(moving, 0.0, 1.0 / np.maximum(slowest, 1.0) ** 2)
     information[:, 2, 2] += rest
     information[:, 3, 3] += rest
-    # Where no member is a position the state is nowhere: a plane's width.
+    # Where no member is a position the state has the variance of a plane's width.
     information[~placed, 0, 0] = information[~placed, 1, 1] = 1e-12
     return information, vector, placed, moving, origin
 
 
 def _precision(scan: Scan, record: IntArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(m, 4, 4) information of records and (m, 4) its product with their offsets; none on velocities not said."""
+    """(m, 4, 4) information of records and (m, 4) its product with their offsets; 0 on unreported velocities."""
     out = np.zeros((len(record), 4, 4))
     moving = scan.moving[record]
     out[moving] = inverse(scan.covariance[record[moving]])
@@ -103,12 +103,12 @@ def _intersect(
     count = np.bincount(at[smoothed], minlength=len(origin))
     for k in np.unique(count[count > 1]).tolist():
         several = np.flatnonzero(smoothed & (count[at] == k))
-        here = several[np.argsort(at[several], kind="stable")].reshape(-1, k)
-        states = scan.state[record[here]] - _wide(origin[at[here]])
-        weights = covariance_intersection(states, scan.covariance[record[here]]).weights
+        records = several[np.argsort(at[several], kind="stable")].reshape(-1, k)
+        states = scan.state[record[records]] - _wide(origin[at[records]])
+        weights = covariance_intersection(states, scan.covariance[record[records]]).weights
         assert weights is not None
-        precision[here] *= weights[..., None, None]
-        pull[here] *= weights[..., None]
+        precision[records] *= weights[..., None, None]
+        pull[records] *= weights[..., None]
 
 
 def _wide(position: FloatArray) -> FloatArray:

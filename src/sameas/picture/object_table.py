@@ -1,7 +1,7 @@
-"""Tables of objects: frozen columns of equal length; what stands at one place of all columns belongs together.
+"""Tables of objects: frozen columns of equal length; row k of all columns is one object.
 
 - :class:`ColumnTable`: the base of every such table, whatever its rows are.
-- :class:`ObjectTable`: a number, a state and its covariance for every object; what both ways to follow objects share.
+- :class:`ObjectTable`: a number, a state and its covariance for every object; the base of both kinds of pictures.
 - :class:`PictureObjects`: the objects of a picture at an instant, with their stages.
 """
 
@@ -18,7 +18,7 @@ from sameas.tracks.alignment import moved
 
 
 class ColumnTable:
-    """Base of dataclasses whose fields are columns (k, …), but for those named in ``WHOLE``, which no row has alone."""
+    """Base of dataclasses whose fields are columns (k, …), but for those named in ``WHOLE``, which are of all rows."""
 
     WHOLE: ClassVar[frozenset[str]] = frozenset()
 
@@ -31,7 +31,7 @@ class ColumnTable:
         return replace(self, **{name: column[which] for name, column in self.columns().items()})  # type: ignore[type-var]
 
     def stacked(self, *others: Self) -> Self:
-        """These rows and those of others below them; what is of all rows stays that of these."""
+        """These rows and those of others below them; the fields in ``WHOLE`` stay those of these."""
         parts = [part.columns() for part in (self, *others)]
         return replace(self, **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})  # type: ignore[type-var]
 
@@ -64,7 +64,7 @@ STAGES = ("tentative", "confirmed", "coasting", "ended")
 
 @dataclass(frozen=True)
 class PictureObjects(ObjectTable):
-    """The objects of the picture at an instant, (k,) each, by ascending number; those that end are in it once more.
+    """The objects of the picture at an instant, (k,) each, by ascending number; those that end then are among them.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""A picture over time: its states at the instants of a whole span, as tables and a summary.
+"""A picture over time: its states at the instants of a span, as tables and a summary.
 
     scene = Scene.of([(radar_description, radar), (ais_description, ais)])
     picture = Picture.of(scene, instants(scene.span_s, every_s=10.0))
@@ -25,18 +25,17 @@ from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.plot_picture import PlotPicture, nameless
 from sameas.picture.summary import Summary, Tally
 from sameas.picture.watch import TEXTS, Watch
+from sameas.representation import in_short
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.placement import Directions
 from sameas.tracks.scene import POSITION, Scene
 
-#: More instants than this are refused: a slip of the unit, most likely.
-MOST = 1_000_000
-#: A rival less probable than this is not worth a new explanation.
-LIKELY = 1e-3
+#: More instants than this are refused: the unit of the step is most likely wrong.
+MOST_INSTANTS = 1_000_000
 
 
 def instants(span_s: tuple[float, float], every_s: float) -> FloatArray:
-    """(k,) every so many seconds within a span, whole multiples of ``every_s``; its end where there are none.
+    """(k,) the multiples of ``every_s`` seconds within a span; its end where there are none.
 
     Example
     -------
@@ -51,22 +50,22 @@ def instants(span_s: tuple[float, float], every_s: float) -> FloatArray:
     if not 0.0 < every_s < math.inf:
         raise InputError(f"instants: every_s is {every_s}; give seconds above 0")
     low, high = math.ceil(first / every_s), math.floor(last / every_s)
-    if high - low >= MOST:
+    if high - low >= MOST_INSTANTS:
         raise InputError(f"instants: {high - low + 1} instants from {first:g} to {last:g} s; give a longer every_s")
     return every_s * np.arange(low, high + 1, dtype=np.float64) if high >= low else np.array([last])
 
 
 def watch_of(scene: Scene) -> Watch | PlotPicture:
-    """What a picture of a scene begins with: a :class:`PlotPicture` where no source names what it shows."""
+    """The start of a picture of a scene: a :class:`PlotPicture` where no source has ids, else a :class:`Watch`."""
     return PlotPicture() if nameless(scene) else Watch()
 
 
 def picture_states(
     scene: Scene, instants_s: Iterable[float], watch: Watch | PlotPicture | None = None, *, features: int = POSITION
 ) -> Iterator[PictureState[Watch] | PictureState[PlotPicture]]:
-    """The picture of a scene at one instant after another; ``watch``: what to begin with.
+    """The picture of a scene at one instant after another; ``watch``: its start.
 
-    features : as of ``Scene.at``; a :class:`PlotPicture` follows velocities in any case.
+    features : as of ``Scene.at``; a :class:`PlotPicture` tracks velocities in any case.
     """
     carried = watch_of(scene) if watch is None else watch
     for instant_s in map(float, instants_s):
@@ -79,6 +78,7 @@ def picture_states(
         yield state
 
 
+@in_short
 @dataclass(frozen=True)
 class Picture:
     """A picture over time. Make it with :meth:`Picture.of`.
@@ -88,10 +88,10 @@ class Picture:
     instants_s : (k,) its instants.
     objects : columns, one row per object and instant; records : one row per record that took part and instant. See
         :mod:`sameas.picture.picture`.
-    summary : what there is to know of the whole.
-    texts : why, by place in ``instants_s`` and number of the object: where its records or their rivals changed.
+    summary : of the whole.
+    texts : explanations, by place in ``instants_s`` and number of the object: where its records or rivals changed.
     plane : of x_m and y_m; None for the user's own.
-    watch : what it would carry on.
+    watch : the state for later instants.
     """
 
     instants_s: FloatArray
@@ -118,9 +118,9 @@ class Picture:
         Parameters
         ----------
         instants_s : ascending; see :func:`instants`.
-        watch : what counts as evidence, what is remembered, when objects are confirmed; or where an earlier picture
-            ended. Without it scenes in which no source names anything are followed by a :class:`PlotPicture`.
-        features : POSITION, or POSITION_AND_VELOCITY, which a :class:`PlotPicture` follows in any case.
+        watch : evidence, memory and stages; or the state in which an earlier picture ended. Without it scenes in which
+            no source has ids are tracked by a :class:`PlotPicture`.
+        features : POSITION, or POSITION_AND_VELOCITY, which a :class:`PlotPicture` tracks in any case.
         biases : printable lines on the sensors' offsets, for the summary.
         progress : called with what is being done, at every instant.
 
@@ -132,10 +132,10 @@ class Picture:
         -------
         >>> from sameas.tracks.reports import Reports
         >>> from sameas.tracks.source import Description, SensorErrors
-        >>> said = {"time_s": [0.0, 10.0], "x_m": [0.0, 50.0], "y_m": [0.0, 0.0], "track_id": ["7", "7"]}
-        >>> radar = Reports.of("radar", "table", said)
-        >>> said = {"time_s": [0.0, 10.0], "x_m": [3.0, 54.0], "y_m": [1.0, 2.0], "mmsi": ["235000001"] * 2}
-        >>> ais = Reports.of("ais", "ais", said)
+        >>> columns = {"time_s": [0.0, 10.0], "x_m": [0.0, 50.0], "y_m": [0.0, 0.0], "track_id": ["7", "7"]}
+        >>> radar = Reports.of("radar", "table", columns)
+        >>> columns = {"time_s": [0.0, 10.0], "x_m": [3.0, 54.0], "y_m": [1.0, 2.0], "mmsi": ["235000001"] * 2}
+        >>> ais = Reports.of("ais", "ais", columns)
         >>> tracker = Description("radar", "tracks", errors=SensorErrors(position_m=5.0))
         >>> picture = Picture.of(Scene.of([(tracker, radar), (Description("ais", "ais"), ais)]), [0.0, 10.0])
         >>> print(picture.objects["object"], picture.objects["members"], picture.objects["label"])
@@ -146,7 +146,7 @@ class Picture:
             raise InputError("picture: give one instant or more, in seconds, each later than the one before")
         objects, records, tallies = [], [], []
         texts: dict[tuple[int, int], str] = {}
-        shown: dict[int, tuple[str, str]] = {}
+        explained: dict[int, tuple[str, str]] = {}
         state = None
         for k, state in enumerate(picture_states(scene, times, watch, features=features)):
             if progress is not None:
@@ -154,30 +154,30 @@ class Picture:
             objects.append(object_columns(state))
             records.append(record_columns(state))
             tallies.append(Tally.of(state))
-            texts |= {(k, number): str(state.explain(number)) for number in _changed(state, shown)}
+            texts |= {(k, number): str(state.explain(number)) for number in _to_explain(state, explained)}
         assert state is not None
         table = with_degrees(gathered(objects), scene.plane)
         return cls(
-            times, table, with_degrees(gathered(records), scene.plane), Summary.of(scene, table, tallies, biases),
-            texts, scene.plane, state.watch,
+            times, table, with_degrees(gathered(records), scene.plane),
+            Summary.of(scene, table, tallies, biases, state.scan.tuning), texts, scene.plane, state.watch,
         )  # fmt: skip
 
 
-def _changed(state: PictureState[Carried], shown: dict[int, tuple[str, str]]) -> list[int]:
-    """Objects of two records or with a likely rival, whose tracks, or the rival's, are not what was explained last.
+def _to_explain(state: PictureState[Carried], explained: dict[int, tuple[str, str]]) -> list[int]:
+    """Objects of two records or with a likely rival, whose tracks, or the rival's, differ from the last explanation.
 
-    A plot without a track is another at every look.
+    A plot without a track is a new one at every scan.
     """
     scan = state.scan
     names = [description.name for description in scan.now.descriptions]
     columns = zip(scan.source.tolist(), scan.track.tolist(), scan.row.tolist(), strict=True)
     words = [f"{names[s]}:{track or row}" for s, track, row in columns]
     several, out = (state.members >= 0).sum(axis=1) > 1, []
-    rivals = np.where(state.p_runner_up[:, None] > LIKELY, state.runner_up, -1)
-    both = joined(state.members, words).tolist(), joined(rivals, words).tolist()
-    for number, members, rival, told in zip(state.number.tolist(), *both, several.tolist(), strict=True):
-        if (told or rival) and shown.get(number) != (members, rival):
-            shown[number] = members, rival
+    rivals = np.where(state.p_runner_up[:, None] > scan.tuning.explained_rival, state.runner_up, -1)
+    texts = joined(state.members, words).tolist(), joined(rivals, words).tolist()
+    for number, members, rival, is_joint in zip(state.number.tolist(), *texts, several.tolist(), strict=True):
+        if (is_joint or rival) and explained.get(number) != (members, rival):
+            explained[number] = members, rival
             out.append(number)
     return out
 
@@ -191,28 +191,28 @@ def object_columns(state: PictureState[Carried]) -> Columns:
     """One row per object of the picture.
 
     time_s, object, stage; x_m, y_m, var_x_m2, cov_xy_m2, var_y_m2, masked where directions do not cross; vx_m_per_s,
-    vy_m_per_s, speed_m_per_s, course_deg, masked where nobody knows; n_sources, sources, members ("radar:12 ais:3": the
+    vy_m_per_s, speed_m_per_s, course_deg, masked where unknown; n_sources, sources, members ("radar:12 ais:3": the
     rows of the sources' reports), probability, runner_up, p_runner_up, masked while it coasts; label, mmsi, icao,
     callsign, name, mode_a, type; ambiguous: less than 95 % probable.
     """
-    known, here = state.known, state.known.detected
+    objects, detected = state.objects, state.objects.detected
     # The last row stands for objects that are not detected, and is masked.
-    at = np.where(here, known.detection, -1)
-    velocity = known.state[:, 2:]
-    still = ~known.moving
+    at = np.where(detected, objects.detection, -1)
+    velocity = objects.state[:, 2:]
+    at_rest = ~objects.moving
     p_rival = np.append(state.p_runner_up, 0.0)[at]
     columns: Columns = {
-        "time_s": np.full(len(known), state.now.instant_s),
-        "object": known.number,
-        "stage": np.array(STAGES, dtype=np.str_)[known.stage] if len(known) else np.empty(0, "U9"),
-        **_ellipse(known.state, known.covariance, ~known.placed),
-        "vx_m_per_s": _masked(velocity[:, 0], still),
-        "vy_m_per_s": _masked(velocity[:, 1], still),
-        "speed_m_per_s": _masked(np.hypot(*velocity.T), still),
-        "course_deg": _masked(np.degrees(np.arctan2(velocity[:, 0], velocity[:, 1])) % 360.0, still),
+        "time_s": np.full(len(objects), state.now.instant_s),
+        "object": objects.number,
+        "stage": np.array(STAGES, dtype=np.str_)[objects.stage] if len(objects) else np.empty(0, "U9"),
+        **_ellipse(objects.state, objects.covariance, ~objects.placed),
+        "vx_m_per_s": _masked(velocity[:, 0], at_rest),
+        "vy_m_per_s": _masked(velocity[:, 1], at_rest),
+        "speed_m_per_s": _masked(np.hypot(*velocity.T), at_rest),
+        "course_deg": _masked(np.degrees(np.arctan2(velocity[:, 0], velocity[:, 1])) % 360.0, at_rest),
         "n_sources": np.append((state.members >= 0).sum(axis=1), 0)[at],
         **_memberships(state, at),
-        "probability": _masked(np.append(state.probability, 0.0)[at], ~here),
+        "probability": _masked(np.append(state.probability, 0.0)[at], ~detected),
         "p_runner_up": _masked(p_rival, p_rival <= 0.0),
         **_texts(state),
         "ambiguous": np.append(state.ambiguous, False)[at],
@@ -288,7 +288,7 @@ def _ellipse(state: NDArray[Any], covariance: NDArray[Any], hidden: BoolArray) -
 
 
 def _memberships(state: PictureState[Carried], at: IntArray) -> Columns:
-    """Whose records an object has, and which; and those of its runner-up."""
+    """The sources and records of an object, and the records of its runner-up."""
     scan = state.scan
     names = [description.name for description in scan.now.descriptions]
     record = [f"{names[s]}:{row}" for s, row in zip(scan.source.tolist(), scan.row.tolist(), strict=True)]
@@ -311,7 +311,7 @@ def joined(members: IntArray, words: Sequence[str]) -> NDArray[np.str_]:
 
 
 def _texts(state: PictureState[Carried]) -> Columns:
-    rows = [state.watch.texts[number] for number in state.known.number.tolist()]
+    rows = [state.watch.texts[number] for number in state.objects.number.tolist()]
     table = np.array(rows, dtype=object).reshape(len(rows), len(TEXTS))
     columns = {name: table[:, k].astype(np.str_) for k, name in enumerate(TEXTS)}
     label = np.full(len(rows), "", dtype=object)
@@ -326,13 +326,13 @@ def _lines(state: PictureState[Carried]) -> np.ma.MaskedArray:
     line, hidden = np.zeros(len(scan), np.int64), np.ones(len(scan), bool)
     for s, feed in enumerate(scan.now.feeds):
         here = slice(scan.start[s], scan.start[s + 1])
-        if feed.given is not None:
-            line[here], hidden[here] = feed.given.line[scan.row[here]], False
+        if feed.raw_reports is not None:
+            line[here], hidden[here] = feed.raw_reports.line[scan.row[here]], False
     return _masked(line, hidden)
 
 
 def _sights(state: PictureState[Carried]) -> Columns:
-    """Directions of the records that are none but that, and where they are seen from."""
+    """Directions of the records without positions, and the places of their sensors."""
     scan, n = state.scan, len(state.scan)
     bearing, sigma, sensor, hidden = np.zeros(n), np.zeros(n), np.zeros((n, 2)), np.ones(n, bool)
     for s, (feed, source) in enumerate(zip(scan.now.feeds, scan.now.sources, strict=True)):

@@ -1,7 +1,7 @@
-"""A state: the picture at one instant, and what it hands on to the next.
+"""A picture state: the picture at one instant, and the state that its next instant starts from.
 
-:class:`sameas.picture.Picture` goes through a whole span. Nothing that was fused comes back as evidence: a state
-without memory is what ``identify_many`` says of that instant, and memory counts every look once.
+:class:`sameas.picture.Picture` goes through a whole span. Nothing that was fused returns as evidence: a state without
+memory is the answer of ``identify_many`` for that instant, and memory counts every report once.
 """
 
 from __future__ import annotations
@@ -22,20 +22,18 @@ from sameas.picture.instant_objects import InstantObjects
 from sameas.picture.object_states import ObjectStates
 from sameas.picture.object_table import PictureObjects
 from sameas.picture.scan import Scan
+from sameas.representation import in_short
 from sameas.tracks.scene import Instant
 
-#: An object is ambiguous where its records are less probable than this.
-CERTAIN = 0.95
-
-#: Why an object is shown that is not in the most probable answer.
+#: The text on an object that is shown, though it is not in the most probable answer.
 STAYS = "it stays what it was until something else is much more probable"
 
 
 class Carried(Protocol):
-    """What a picture carries on to its next instant: a ``Watch``, or a ``PlotPicture`` of bare plots."""
+    """The state that a picture carries to its next instant: a ``Watch``, or a ``PlotPicture`` of bare plots."""
 
     @property
-    def known(self) -> PictureObjects: ...
+    def objects(self) -> PictureObjects: ...
     @property
     def texts(self) -> Mapping[int, NDArray[Any]]: ...
 
@@ -43,41 +41,42 @@ class Carried(Protocol):
 W = TypeVar("W", bound=Carried, covariant=True)
 
 
+@in_short
 @dataclass(frozen=True)
 class PictureState(Generic[W]):
     """The picture at one instant; made by :meth:`Watch.advance`, or :meth:`sameas.picture.plot_picture.PlotPicture.at`.
 
     Attributes
     ----------
-    now : the instant. scan : the records of the sources that say anything.
-    shown : the objects that they show, (n,), and how sure they are. states : of these.
-    watch : what the picture carries on.
+    now : the instant. scan : the records of the sources that have any.
+    detections : the objects that they show, (n,), and their probabilities. states : of these.
+    watch : the state for the next instant.
     """
 
     now: Instant
     scan: Scan
-    objects: InstantObjects
+    detections: InstantObjects
     states: ObjectStates
     watch: W
 
     @property
-    def known(self) -> PictureObjects:
+    def objects(self) -> PictureObjects:
         """The objects of the picture."""
-        return self.watch.known
+        return self.watch.objects
 
     @property
     def members(self) -> IntArray:
-        """(n, S) records of the scan of each object found, −1 for none."""
-        return self.objects.members
+        """(n, S) records of the scan of each detected object, −1 for none."""
+        return self.detections.members
 
     @cached_property
     def number(self) -> IntArray:
-        """(n,) the number in the picture of each object found."""
-        return self.known.numbers(len(self.members))
+        """(n,) the number in the picture of each detected object."""
+        return self.objects.numbers(len(self.members))
 
     @cached_property
     def object_of_record(self) -> IntArray:
-        """(records,) which object found each record of the scan is in."""
+        """(records,) the detected object of each record of the scan."""
         out = np.zeros(len(self.scan), np.int64)
         at, source = np.nonzero(self.members >= 0)
         out[self.members[at, source]] = at
@@ -86,27 +85,27 @@ class PictureState(Generic[W]):
     @property
     def runner_up(self) -> IntArray:
         """(n, S) records of the scan of the most probable other set that has one of an object's records."""
-        return self.objects.runner_up
+        return self.detections.runner_up
 
     @property
     def p_runner_up(self) -> FloatArray:
         """(n,) its probability, 0 where nothing else is possible."""
-        return self.objects.p_runner_up
+        return self.detections.p_runner_up
 
     @property
     def probability(self) -> FloatArray:
         """(n,) that exactly its records are one object."""
-        return self.objects.probability
+        return self.detections.probability
 
     @property
     def p_alone(self) -> FloatArray:
         """(records,) that a record has no partner."""
-        return self.objects.p_alone
+        return self.detections.p_alone
 
     @cached_property
     def ambiguous(self) -> BoolArray:
         """(n,) whether it is not certain that exactly these records are the object."""
-        return np.asarray(self.probability < CERTAIN)
+        return np.asarray(self.probability < self.scan.tuning.ambiguous_below)
 
     @cached_property
     def alarms(self) -> tuple[Alarm, ...]:
@@ -122,8 +121,8 @@ class PictureState(Generic[W]):
         )
 
     def explain(self, number: int) -> ObjectExplanation:
-        """Why its records are object ``number`` of the picture; records are named as their sources name them: by their
-        tracks, else by the lines of their files.
+        """Why its records are object ``number`` of the picture; records are named by their track ids, else by the lines
+        of their files.
 
         Raises
         ------
@@ -132,7 +131,7 @@ class PictureState(Generic[W]):
         at = np.flatnonzero(self.number == number)
         if not len(at):
             raise InputError(f"object {number} is not shown by any source at {self.now.instant_s:g} s")
-        reasons, names = self.objects.explain(int(at[0])), self._names
+        reasons, names = self.detections.explain(int(at[0])), self._names
         rivals = tuple(
             replace(
                 rival, members=tuple(names[record] for record in rival.members),
@@ -140,17 +139,17 @@ class PictureState(Generic[W]):
             )
             for rival in reasons.rivals
         )  # fmt: skip
-        stays = STAYS if self.objects.kept[at[0]] else ""
+        stays = STAYS if self.detections.by_hysteresis[at[0]] else ""
         return replace(reasons, number=number, rivals=rivals, stays=stays)
 
     @cached_property
     def _names(self) -> Mapping[Name, Name]:
-        """By source and row of its reports, the source and what a user finds the record by."""
+        """By source and row of its reports, the source and the label by which a user finds the record."""
         scan, feeds = self.scan, self.scan.now.feeds
         sources = [description.name for description in scan.now.descriptions]
-        names: dict[Name, Name] = dict(self.objects.names)
+        names: dict[Name, Name] = dict(self.detections.names)
         for s, row, track in zip(scan.source.tolist(), scan.row.tolist(), scan.track.tolist(), strict=True):
-            given = feeds[s].given
-            said = track or (f"row {row}" if given is None else f"{given.damaged.unit} {given.line[row]}")
-            names[sources[s], row] = sources[s], said
+            raw = feeds[s].raw_reports
+            label = track or (f"row {row}" if raw is None else f"{raw.damaged.unit} {raw.line[row]}")
+            names[sources[s], row] = sources[s], label
         return names

@@ -1,14 +1,14 @@
-"""The picture of plots: where no source names what it shows, carried from scan to scan.
+"""The picture of plots: for scenes in which no source has ids, tracked from scan to scan.
 
 :class:`PlotPicture` is for scenes of bare plots and directions what :class:`sameas.picture.Watch` is for all others. It
-goes through every look between the instants that are asked for, since an object is found again from one look to the
-next (:mod:`sameas.picture.plot_tracker`), and gives the :class:`~sameas.picture.picture_state.PictureState` of each:
+processes every scan between the instants of the picture, since objects are tracked from scan to scan
+(:mod:`sameas.picture.plot_tracker`), and gives the :class:`~sameas.picture.picture_state.PictureState` of each instant:
 
     state = picture.at(scene, instant_s)
     picture = state.watch
 
-An object is confirmed once it is real beyond doubt (:class:`Proof`), is coasting while no look shows it, and ends when
-it is forgotten or could be anyone. What has not been confirmed is in the picture while a look shows it.
+An object is confirmed once it is certainly real (:class:`Confirmation`), coasts while no scan shows it, and ends when
+it is too improbable or too uncertain. An unconfirmed object is in the picture while a scan shows it.
 """
 
 from __future__ import annotations
@@ -26,44 +26,42 @@ from scipy.special import logit
 
 from sameas.arrays import IntArray
 from sameas.errors import InputError
-from sameas.picture.bernoulli import LEAST
-from sameas.picture.instant_objects import TrackedObjects, says_velocity
+from sameas.picture.instant_objects import TrackedObjects, has_velocity
 from sameas.picture.object_table import COASTING, CONFIRMED, ENDED, TENTATIVE, PictureObjects
 from sameas.picture.picture_state import PictureState
 from sameas.picture.plot_tracker import PlotTracker, TrackedPlots
 from sameas.picture.scan import Scan
-from sameas.picture.watch import NOTHING
+from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.picture.watch import NO_TEXTS
 from sameas.tracks.alignment import States
 from sameas.tracks.feed import Feed, walk_of
 from sameas.tracks.scene import POSITION_AND_VELOCITY, Instant, Scene
 
-#: Looks that follow each other within this share of the shortest period are gone through at once.
-TOGETHER = 0.2
-#: What is remembered is confirmed at so many plots or more.
-PLOTS = 3
-
 
 def nameless(scene: Scene) -> bool:
-    """Whether no source of a scene says anything of who its objects are, and one at least says where they are."""
+    """Whether no source of a scene has ids or attributes of identity, and at least one has positions."""
     silent = all(feed.reports.track is None and not feed.attributes for feed in scene.feeds)
     return silent and any(isinstance(feed.reports, States) for feed in scene.feeds)
 
 
-def looks_between(feeds: Sequence[Feed], after_s: float, until_s: float) -> list[float]:
-    """When any source looked, after one time and before another, ascending; looks at nearly one time are one.
+def scan_times_between(
+    feeds: Sequence[Feed], after_s: float, until_s: float, tuning: Tuning = DEFAULT_TUNING
+) -> list[float]:
+    """Times of scans of any source, after one time and before another, ascending.
 
-    Of looks within :data:`TOGETHER` of the shortest period the last: no source looks twice in that.
+    Scans within ``joint_scan_share`` of the shortest period are one, at the time of the last: no source scans twice in
+    that.
     """
-    looked = np.unique(np.concatenate([np.empty(0), *(feed.scan_times_s for feed in feeds)]))
-    apart_s = TOGETHER * min((_period_s(feed) for feed in feeds), default=math.inf)
+    times_s = np.unique(np.concatenate([np.empty(0), *(feed.scan_times_s for feed in feeds)]))
+    gap_s = tuning.joint_scan_share * min((_period_s(feed) for feed in feeds), default=math.inf)
     out: list[float] = []
     first = -math.inf
-    for look_s in looked[(looked > after_s) & (looked < until_s)].tolist():
-        if look_s - first > apart_s:
-            out.append(look_s)
-            first = look_s
+    for time_s in times_s[(times_s > after_s) & (times_s < until_s)].tolist():
+        if time_s - first > gap_s:
+            out.append(time_s)
+            first = time_s
         else:
-            out[-1] = look_s
+            out[-1] = time_s
     return out
 
 
@@ -75,127 +73,142 @@ def _period_s(feed: Feed) -> float:
 
 @dataclass(frozen=True)
 class PlotObjects(PictureObjects):
-    """Objects that a scan shows, and those that are confirmed without."""
+    """Objects that a scan shows, and confirmed objects that none shows."""
 
     @classmethod
-    def of(cls, shown: TrackedObjects, sure: frozenset[int]) -> PlotObjects:
-        """Of objects that a look shows, and of those that are ``sure``."""
-        now = shown.tracks
-        seen = np.full(len(now), -1)
-        seen[shown.which] = np.arange(len(shown.which))
-        placed, moving = np.ones(len(now), bool), says_velocity(now.covariance, now.now.region.covariance)
-        placed[shown.which], moving[shown.which] = shown.states.placed, shown.states.moving
-        real = np.isin(now.number, np.array(sorted(sure), np.int64))
-        stage = np.where(real, np.where(seen >= 0, CONFIRMED, COASTING), TENTATIVE)
-        whole = cls(now.number, now.state, now.covariance, stage, placed, moving, seen)
-        kept = np.flatnonzero((seen >= 0) | real)
-        return whole.take(kept[np.argsort(now.number[kept])])
+    def of(cls, detections: TrackedObjects, confirmed: frozenset[int]) -> PlotObjects:
+        """Of objects that a look shows, and of those that are ``confirmed``."""
+        tracks = detections.tracks
+        detection = np.full(len(tracks), -1)
+        detection[detections.which] = np.arange(len(detections.which))
+        placed, moving = (
+            np.ones(len(tracks), bool),
+            has_velocity(tracks.covariance, tracks.now.region.covariance, tracks.tuning),
+        )
+        placed[detections.which], moving[detections.which] = detections.states.placed, detections.states.moving
+        is_confirmed = np.isin(tracks.number, np.array(sorted(confirmed), np.int64))
+        stage = np.where(is_confirmed, np.where(detection >= 0, CONFIRMED, COASTING), TENTATIVE)
+        every_object = cls(tracks.number, tracks.state, tracks.covariance, stage, placed, moving, detection)
+        in_picture = np.flatnonzero((detection >= 0) | is_confirmed)
+        return every_object.take(in_picture[np.argsort(tracks.number[in_picture])])
 
-    def with_ends(self, before: PlotObjects, there: IntArray, dt_s: float, walk_m2_per_s3: float) -> PlotObjects:
-        """The same with those that were sure ``dt_s`` before and whose numbers are not among ``there`` any more."""
-        over = ((before.stage == CONFIRMED) | (before.stage == COASTING)) & ~np.isin(before.number, there)
-        if not over.any():
+    def with_ends(self, before: PlotObjects, numbers: IntArray, dt_s: float, walk_m2_per_s3: float) -> PlotObjects:
+        """The same with those that were sure ``dt_s`` before and whose numbers are not among ``numbers`` any more."""
+        ended = ((before.stage == CONFIRMED) | (before.stage == COASTING)) & ~np.isin(before.number, numbers)
+        if not ended.any():
             return self
-        gone = before.take(np.flatnonzero(over)).predicted(dt_s, walk_m2_per_s3)
-        return self.in_order(gone.undetected(np.full(len(gone), ENDED)))
+        ends = before.take(np.flatnonzero(ended)).predicted(dt_s, walk_m2_per_s3)
+        return self.in_order(ends.undetected(np.full(len(ends), ENDED)))
 
 
 @dataclass(frozen=True)
-class Proof:
-    """Which of the objects followed are real beyond doubt.
+class Confirmation:
+    """Which of the tracked objects are certainly real.
 
-    The tracker believes at every look anew that there are as many objects as ever of which nobody knows. After some
-    looks most have been found: of those that a look discovers then fewer are real, by the share u that is still to be
-    found. With Q the probability that all looks that stand no more missed an object, and λ how long objects last,
+    The tracker assumes the same density of unknown objects at every scan. After some scans most objects are tracked:
+    fewer of the new ones are real then, by the share u of objects that is still unseen. With Q the probability that
+    all completed scans missed an object, and λ the mean time that objects exist,
 
         u ← u Q e^{−Δt/λ} + 1 − e^{−Δt/λ},    u = 1 at first,
 
-    and an object is sure once the odds of its existence, times the u of when it appeared, reach those of ``real``; one
-    that is remembered only at :data:`PLOTS` plots: while a look stands, a memory made of others has been judged by it.
+    and an object is confirmed once the odds of its existence, times the u of when it appeared, reach those of ``real``;
+    one that no current scan shows needs ``confirming_plots`` plots too.
 
-    unfound : u. share : by number u when it appeared. plots : by number how many have shown it. sure : numbers.
+    unseen_share : u. share : by number u when it appeared. plots : by number its plots. confirmed : numbers.
     """
 
-    unfound: float = 1.0
+    unseen_share: float = 1.0
     share: Mapping[int, float] = field(default_factory=dict)
     plots: Mapping[int, int] = field(default_factory=dict)
-    sure: frozenset[int] = frozenset()
+    confirmed: frozenset[int] = frozenset()
 
-    def on(self, before: TrackedPlots | None, after: TrackedPlots, lifetime_s: float, real: float) -> Proof:
-        """The proof after the looks of ``after``."""
-        unfound, last = self.unfound, {} if before is None else before.last_number
+    def on(
+        self,
+        before: TrackedPlots | None,
+        after: TrackedPlots,
+        lifetime_s: float,
+        real: float,
+        tuning: Tuning = DEFAULT_TUNING,
+    ) -> Confirmation:
+        """The confirmation after the scans of ``after``."""
+        unseen_share, last = self.unseen_share, {} if before is None else before.last_number
         if before is not None:
             now = after.now
             nowhere = np.empty((0, 2))
             q = np.array([feed.mean_q(nowhere, now.instant_s) for feed in now.feeds])
-            lasts = math.exp(-(now.instant_s - before.now.instant_s) / lifetime_s)
-            unfound = unfound * float(np.prod(q ** before.passed(now))) * lasts + 1.0 - lasts
-        fresh = Counter(number for plot, number in after.last_number.items() if plot not in last)
+            survival = math.exp(-(now.instant_s - before.now.instant_s) / lifetime_s)
+            unseen_share = unseen_share * float(np.prod(q ** before.scans_over(now))) * survival + 1.0 - survival
+        new_plots = Counter(number for plot, number in after.last_number.items() if plot not in last)
         numbers = after.number.tolist()
-        share = {number: self.share.get(number, unfound) for number in numbers}
-        plots = {number: self.plots.get(number, 0) + fresh[number] for number in numbers}
-        odds = logit(np.clip(after.existence, LEAST, 1.0 - LEAST)) + np.log([share[number] for number in numbers])
-        often = (after.known_of < 0) | (np.array([plots[number] for number in numbers], np.int64) >= PLOTS)
-        proved = after.number[(odds >= logit(real)) & often].tolist()
-        return Proof(unfound, share, plots, (self.sure | set(proved)) & set(numbers))
+        share = {number: self.share.get(number, unseen_share) for number in numbers}
+        plots = {number: self.plots.get(number, 0) + new_plots[number] for number in numbers}
+        least = tuning.least_probability
+        odds = logit(np.clip(after.existence, least, 1.0 - least)) + np.log([share[number] for number in numbers])
+        enough_plots = (after.prior_of < 0) | (
+            np.array([plots[number] for number in numbers], np.int64) >= tuning.confirming_plots
+        )
+        newly_confirmed = after.number[(odds >= logit(real)) & enough_plots].tolist()
+        return Confirmation(unseen_share, share, plots, (self.confirmed | set(newly_confirmed)) & set(numbers))
 
 
 @dataclass(frozen=True)
 class PlotPicture:
-    """What a picture of bare plots carries from scan to scan; start with ``PlotPicture()``.
+    """The state of a picture of bare plots from scan to scan; start with ``PlotPicture()``.
 
     Parameters
     ----------
-    tracker : how objects are followed.
+    tracker : of its objects.
     real : an object is confirmed once it exists with this probability: of those at most 1 − real are false.
-    tracks, proof, known, asked_s : what is followed, which of it is sure, the objects of the last instant that was
-        asked for, and when that was; filled in on the way.
+    tracks, confirmation, objects, last_s : the tracked objects, which of them are confirmed, and the objects and the
+        time of the last instant; filled in from instant to instant.
     """
 
     tracker: PlotTracker = field(default_factory=PlotTracker)
     real: float = 0.99
     tracks: TrackedPlots | None = None
-    proof: Proof = field(default_factory=Proof)
-    known: PlotObjects = field(default_factory=PlotObjects)
-    asked_s: float = -math.inf
+    confirmation: Confirmation = field(default_factory=Confirmation)
+    objects: PlotObjects = field(default_factory=PlotObjects)
+    last_s: float = -math.inf
 
     def __post_init__(self) -> None:
         if not 0.0 < self.real < 1.0:
             raise InputError(f"PlotPicture: real is {self.real}; give a probability between 0 and 1")
 
     def at(self, scene: Scene, instant_s: float) -> PictureState[PlotPicture]:
-        """The picture at an instant not before the last, through all looks since; the first after looks enough.
+        """The picture at an instant not before the last, by all scans since; the first by those of one lifetime.
 
         Raises
         ------
-        InputError : the instant is before the last; a source names its objects.
+        InputError : the instant is before the last; a source has ids of its objects.
         """
         carried, longest = self, self.tracker.lifetime_s
         since = instant_s - longest if self.tracks is None else self.tracks.now.instant_s
-        for look_s in looks_between(scene.feeds, since, instant_s):
-            carried = carried.looked(scene.at(look_s, features=POSITION_AND_VELOCITY))
+        for scan_s in scan_times_between(scene.feeds, since, instant_s, self.tracker.tuning):
+            carried = carried.updated(scene.at(scan_s, features=POSITION_AND_VELOCITY))
         return carried.advance(scene.at(instant_s, features=POSITION_AND_VELOCITY))
 
-    def looked(self, now: Instant) -> PlotPicture:
-        """The same after the looks of a later instant, which nobody asks to see."""
+    def updated(self, now: Instant) -> PlotPicture:
+        """The same after the scans of a later instant."""
         tracks = self.tracker.advance(now, self.tracks)
-        proof = self.proof.on(self.tracks, tracks, self.tracker.lifetime_s, self.real)
-        return replace(self, tracks=tracks, proof=proof)
+        confirmation = self.confirmation.on(
+            self.tracks, tracks, self.tracker.lifetime_s, self.real, self.tracker.tuning
+        )
+        return replace(self, tracks=tracks, confirmation=confirmation)
 
     def advance(self, now: Instant) -> PictureState[PlotPicture]:
-        """The picture at an instant with velocities, where no look lies between it and the last."""
-        after = self.looked(now)
-        assert after.tracks is not None
-        scan = Scan.of(now.with_records())
-        shown = TrackedObjects(scan, after.tracks)
-        known = PlotObjects.of(shown, after.proof.sure)
-        if len(self.known):
+        """The picture at an instant with velocities, where no scan lies between it and the last."""
+        followed = self.updated(now)
+        assert followed.tracks is not None
+        scan = Scan.of(now.with_records(), self.tracker.tuning)
+        detections = TrackedObjects(scan, followed.tracks)
+        objects = PlotObjects.of(detections, followed.confirmation.confirmed)
+        if len(self.objects):
             walk = max(walk_of(description) for description in now.descriptions)
-            known = known.with_ends(self.known, after.tracks.number, now.instant_s - self.asked_s, walk)
-        carried = replace(after, known=known, asked_s=now.instant_s)
-        return PictureState(now, scan, shown, shown.states, carried)
+            objects = objects.with_ends(self.objects, followed.tracks.number, now.instant_s - self.last_s, walk)
+        carried = replace(followed, objects=objects, last_s=now.instant_s)
+        return PictureState(now, scan, detections, detections.states, carried)
 
     @cached_property
     def texts(self) -> Mapping[int, NDArray[Any]]:
-        """Texts of the objects: nobody says any."""
-        return dict.fromkeys(self.known.number.tolist(), NOTHING)
+        """Texts of the objects: none."""
+        return dict.fromkeys(self.objects.number.tolist(), NO_TEXTS)

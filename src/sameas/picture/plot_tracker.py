@@ -1,20 +1,21 @@
-"""Plot tracker: objects followed from scan to scan, where sources show bare plots and directions without names.
+"""Plot tracker: objects tracked from scan to scan, where sources give bare plots and directions without ids.
 
     tracker, tracks = PlotTracker(), None
     for t in instants:
         tracks = tracker.advance(scene.at(t, features=POSITION_AND_VELOCITY), tracks)
 
-At every instant the last look of every source stands, and all that stand are identified jointly, together with the
-objects remembered from looks before them (:mod:`sameas.picture.bernoulli`). Only when a look is replaced by the next
-one of its source does it become memory, once, with the members that it had last: what a look is of stays open as long
-as it stands. So nothing fused comes back as evidence of itself.
+At every instant the current scan of each source is its last one. All current scans are identified jointly, together
+with the prior objects of the scans before them (:mod:`sameas.picture.bernoulli`). A scan updates the prior once, when
+the next scan of its source replaces it, with the members that it had last: until then they may still change. So
+nothing fused returns as evidence of itself.
 
-The errors of looks last: the same side of a hull, the same error of a compass. A look counts as the share of one that
-it adds, Δt/τ, in the states. And sources miss the same objects again and again, which every object remembers.
+The errors of successive scans are correlated: the same side of a hull, the same error of a compass. In the states a
+scan counts as the share Δt/τ of an independent one. Sources miss the same objects repeatedly, so every object has its
+own miss probabilities.
 
-Use it where sources name nothing; tracks with names have :class:`sameas.picture.Watch`, and a whole picture of bare
-plots :class:`sameas.picture.PlotPicture`. Source: METHOD 7; Bernoulli
-objects with a Poisson field of unknown ones as in Williams 2015, the most probable hypothesis kept.
+Use it where no source has ids; tracks with ids have :class:`sameas.picture.Watch`, and a whole picture of bare plots
+:class:`sameas.picture.PlotPicture`. Source: METHOD 7; Bernoulli objects with a Poisson field of unknown ones as in
+Williams 2015, of which the most probable hypothesis is kept.
 """
 
 from __future__ import annotations
@@ -34,32 +35,27 @@ from sameas.many.identify import identify_many
 from sameas.many.joint import Joint, joint_density
 from sameas.many.objects import Objects
 from sameas.many.observations import Observations, Region, Source, records_of
-from sameas.picture.bernoulli import KNOWN, LEAST, BernoulliObjects, BernoulliTable, Sighting
+from sameas.picture.bernoulli import KNOWN, BernoulliObjects, BernoulliTable, Sighting
 from sameas.picture.scan import objects_per_m2
+from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.alignment import aged
 from sameas.tracks.feed import Feed, walk_of
 from sameas.tracks.placement import Directions
 from sameas.tracks.scene import POSITION_AND_VELOCITY, Instant
 from sameas.tracks.snapshot import pointed_at
 
-#: Where neither the description nor the kind of a source says how often it shows one object as two.
-SPLIT = 0.02
-#: Less probable objects are forgotten.
-FORGOTTEN = 0.01
-#: The region does not say where known objects are: it is this much wider for them.
-WIDE = 1e4
-
 
 @dataclass(frozen=True)
 class PlotTracker:
-    """How objects are followed.
+    """The parameters by which objects are tracked.
 
     Parameters
     ----------
     correlation_s : τ, correlation time of the errors of scans; 10 s (chosen).
-    lifetime_s : mean time that objects last undetected. sighting_scans : how many scans the described probability of a
-        miss is worth against the object's own hits and misses, which count for sighting_s.
-    least_q : no probability of a miss is nearer to 0 or 1: misses of one object repeat themselves.
+    lifetime_s : mean time that undetected objects exist. sighting_scans : weight, in scans, of the described miss
+        probability against the object's own hits and misses, which count for sighting_s.
+    least_q : miss probabilities stay this far from 0 and 1: misses of one object repeat.
+    tuning : other chosen numbers.
     """
 
     correlation_s: float = 10.0
@@ -67,6 +63,7 @@ class PlotTracker:
     sighting_scans: float = 6.0
     sighting_s: float = 10.0
     least_q: float = 0.1
+    tuning: Tuning = DEFAULT_TUNING
 
     def __post_init__(self) -> None:
         for name in ("lifetime_s", "sighting_scans", "sighting_s"):
@@ -80,49 +77,53 @@ class PlotTracker:
             raise InputError(f"PlotTracker: least_q is {self.least_q}; give a probability between 0 and 0.5")
 
     def advance(self, now: Instant, before: TrackedPlots | None = None) -> TrackedPlots:
-        """The objects at an instant: those of ``before``, found again or not, and new ones.
+        """The objects at an instant: those of ``before``, detected again or not, and new ones.
 
         now : with velocities among its features, all sources of the scene at every instant.
 
         Raises
         ------
-        InputError : positions only, a source that names its objects, an instant before the last, other sources than
+        InputError : positions only, a source with ids of its objects, an instant before the last, other sources than
             before.
         """
         _require_plots(now, before)
-        known = BernoulliTable.none(len(now.feeds)) if before is None else self._carried(before, now)
-        places = np.concatenate([known.state[:, :2], *(_places(source) for source in now.sources)])
-        usual = np.column_stack([self._usual_q(feed, known.state[:, :2], now) for feed in now.feeds])
-        q = known.expected_q(usual, self.sighting_scans, self.least_q)
+        prior_objects = BernoulliTable.none(len(now.feeds)) if before is None else self._carried(before, now)
+        places = np.concatenate([prior_objects.state[:, :2], *(_places(source) for source in now.sources)])
+        usual_q = np.column_stack([self._usual_q(feed, prior_objects.state[:, :2], now) for feed in now.feeds])
+        q = prior_objects.expected_q(usual_q, self.sighting_scans, self.least_q)
         q_of, false = {}, {}
         for feed, source in zip(now.feeds, now.sources, strict=True):
             q_of[feed.description.name] = self._q_of(feed, source, places, now)
             false[feed.description.name] = feed.clutter(records_of(source).d)
-        rule = BernoulliObjects(now.density, tuple(q_of), q_of, false, known.existence, q)
-        return TrackedPlots.of(now, before, known, rule, usual)
+        rule = BernoulliObjects(now.density, tuple(q_of), q_of, false, prior_objects.existence, q)
+        return TrackedPlots.of(now, before, prior_objects, rule, usual_q, self.tuning)
 
     def _carried(self, before: TrackedPlots, now: Instant) -> BernoulliTable:
-        """What is remembered when the looks of ``now`` stand."""
+        """The prior objects when the scans of ``now`` are current."""
         dt = now.instant_s - before.now.instant_s
-        sets = before.retiring(now)
-        seen, (born, born_q) = before.seen(sets), before.born(sets)
-        known = before.fused(sets, self.correlation_s).after(Sighting(seen, before.passed(now), before.rule.known_q))
-        split = np.array([d.resolution.split or SPLIT for d in now.descriptions])
-        known = known.with_(born).told_apart(np.vstack([seen, born.hits]), np.vstack([before.usual_q, born_q]), split)
+        retired = before.retired_members(now)
+        p_detected, (new, new_q) = before.p_detected(retired), before.new_objects(retired)
+        objects = before.fused(retired, self.correlation_s).after(
+            Sighting(p_detected, before.scans_over(now), before.rule.known_q), self.tuning.least_probability
+        )
+        split = np.array([d.resolution.split or self.tuning.split for d in now.descriptions])
+        objects = objects.with_(new).with_separate_odds(
+            np.vstack([p_detected, new.hits]), np.vstack([before.usual_q, new_q]), split
+        )
         density = objects_per_m2(now)
-        known = known.merged(density)
-        known = known.take((known.existence > FORGOTTEN) & ~aged(known.covariance, density))
+        objects = objects.merged(density, self.tuning)
+        objects = objects.take((objects.existence > self.tuning.forgotten) & ~aged(objects.covariance, density))
         walk = max(walk_of(description) for description in now.descriptions)
-        return known.predicted(dt, walk).aged(dt, self.lifetime_s, self.sighting_s)
+        return objects.predicted(dt, walk).aged(dt, self.lifetime_s, self.sighting_s)
 
     def _usual_q(self, feed: Feed, places: FloatArray, now: Instant) -> FloatArray:
-        """(n,) how probably any object at these places is missed."""
+        """(n,) the probability that any object at these places is missed."""
         return np.clip(feed.q_at(places, now.instant_s), self.least_q, 1.0 - self.least_q)
 
     def _q_of(self, feed: Feed, source: Source, places: FloatArray, now: Instant) -> FloatArray:
-        """(rows, S) for every record of a source, how probably each source misses an object where it is.
+        """(rows, S) for every record of a source, the probability that each source misses an object at its place.
 
-        A direction is where others show something in it; where they do not, it is anywhere.
+        The places of a direction are the records of others in it; without any it is anywhere.
         """
         records = records_of(source)
         if not isinstance(feed.reports, Directions):
@@ -130,12 +131,12 @@ class PlotTracker:
         sensor = feed.sensor_at(now.instant_s)
         sigma, extent = feed.reports.sigma_deg[records.ids], feed.description.errors.extent_m or 0.0
         weight = pointed_at(records.features[:, 0], sigma, (0.0, 0.0) if sensor is None else sensor, places, extent)
-        nowhere = ~weight.any(axis=1)
+        points_nowhere = ~weight.any(axis=1)
         columns = []
         for other in now.feeds:
             q = self._usual_q(other, places, now) if len(places) else np.empty(0)
             mean = np.clip(other.mean_q(places, now.instant_s), self.least_q, 1.0 - self.least_q)
-            columns.append(np.where(nowhere, mean, weight @ q))
+            columns.append(np.where(points_nowhere, mean, weight @ q))
         return np.column_stack(columns)
 
 
@@ -145,13 +146,15 @@ class TrackedPlots:
 
     Attributes
     ----------
-    now : the instant. number : of every object, its own as long as it lasts.
-    members : (n, S) rows of the sources' records at the instant, −1 for none; all −1 where an object is only foretold.
-    probability : that exactly these records are that object. existence : that there is such an object.
-    known : the objects remembered, at the instant, before the looks that stand. known_of : which of them each object
-        is, −1 for new ones. rule, usual_q, found : how they were identified; found is None where no look stands.
-    look_s, gap_s : (S,) when each source looked last, and how long after the look before that.
-    given : numbers given so far.
+    now : the instant. number : of every object, its own as long as it exists.
+    members : (n, S) rows of the sources' records at the instant, −1 for none; all −1 where an object is only predicted.
+    probability : that exactly these records are that object. existence : probability that the object exists.
+    prior_objects : the objects predicted to the instant, without the current scans. prior_of : place of each object
+        among them, −1 for new ones.
+    rule, usual_q, identification : of the records; identification is None where no scan is current.
+    scan_s, gap_s : (S,) the time of each source's last scan, and the time since the scan before it.
+    n_numbers : the highest number in use.
+    tuning : of the tracker.
     """
 
     now: Instant
@@ -159,14 +162,15 @@ class TrackedPlots:
     members: IntArray
     probability: FloatArray
     existence: FloatArray
-    known: BernoulliTable
-    known_of: IntArray
+    prior_objects: BernoulliTable
+    prior_of: IntArray
     rule: BernoulliObjects
     usual_q: FloatArray
     identification: Objects | None
-    look_s: FloatArray
+    scan_s: FloatArray
     gap_s: FloatArray
-    given: int
+    n_numbers: int
+    tuning: Tuning = DEFAULT_TUNING
 
     def __len__(self) -> int:
         return len(self.number)
@@ -176,30 +180,35 @@ class TrackedPlots:
         cls,
         now: Instant,
         before: TrackedPlots | None,
-        known: BernoulliTable,
+        prior_objects: BernoulliTable,
         rule: BernoulliObjects,
         usual_q: FloatArray,
+        tuning: Tuning = DEFAULT_TUNING,
     ) -> TrackedPlots:
-        """The looks that stand identified with the objects remembered."""
-        heard = [s for s, source in enumerate(now.sources) if len(records_of(source))]
-        look_s, gap_s = _looks(now, before)
-        given = 0 if before is None else before.given
-        if not heard:
-            nothing = np.full((len(known), len(now.sources)), -1)
-            return cls(now, known.number, nothing, np.ones(len(known)), known.existence, known, np.arange(len(known)),
-                       rule, usual_q, None, look_s, gap_s, given)  # fmt: skip
-        found = identify_many([known.records, *(now.sources[s] for s in heard)], rule=rule, region=now.region)
-        rows = np.ma.filled(found.members, -1)
+        """The current scans identified with the prior objects."""
+        with_records = [s for s, source in enumerate(now.sources) if len(records_of(source))]
+        scan_s, gap_s = _scan_times(now, before)
+        n_numbers = 0 if before is None else before.n_numbers
+        if not with_records:
+            no_members = np.full((len(prior_objects), len(now.sources)), -1)
+            one, each = np.ones(len(prior_objects)), np.arange(len(prior_objects))
+            return cls(now, prior_objects.number, no_members, one, prior_objects.existence, prior_objects, each, rule,
+                       usual_q, None, scan_s, gap_s, n_numbers, tuning)  # fmt: skip
+        identification = identify_many(
+            [prior_objects.records, *(now.sources[s] for s in with_records)], rule=rule, region=now.region
+        )
+        rows = np.ma.filled(identification.members, -1)
         members = np.full((len(rows), len(now.sources)), -1)
-        members[:, heard] = rows[:, 1:]
-        known_of = rows[:, 0]
-        number, given = _numbered(now, before, known, known_of, members, given)
-        return cls(now, number, members, found.probability, _existence(found, rule), known, known_of, rule, usual_q,
-                   found, look_s, gap_s, given)  # fmt: skip
+        members[:, with_records] = rows[:, 1:]
+        prior_of = rows[:, 0]
+        number, n_numbers = _numbered(now, before, prior_objects, prior_of, members, n_numbers)
+        existence = _existence(identification, rule)
+        return cls(now, number, members, identification.probability, existence, prior_objects, prior_of, rule, usual_q,
+                   identification, scan_s, gap_s, n_numbers, tuning)  # fmt: skip
 
     @property
     def state(self) -> FloatArray:
-        """(n, 4) east, north and their velocities; each record counts as much as it is sure to be the object's."""
+        """(n, 4) east, north and their velocities; a record counts by the probability that it is the object's."""
         return self._joint[0]
 
     @property
@@ -209,109 +218,120 @@ class TrackedPlots:
 
     @cached_property
     def _joint(self) -> tuple[FloatArray, FloatArray]:
-        """States and covariances; where known objects are is known without the region."""
+        """States and covariances; those of prior objects do not depend on the region."""
         state, covariance = np.empty((len(self), 4)), np.empty((len(self), 4, 4))
-        for region, which in ((_wide(self.now.region), self.known_of >= 0), (self.now.region, self.known_of < 0)):
-            there = self._pooled(which, self.members[which], np.ones(len(self.look_s)), region)
-            state[which], covariance[which] = there.state, there.covariance
+        for region, which in ((self._wide_region, self.prior_of >= 0), (self.now.region, self.prior_of < 0)):
+            joint = self._pooled(which, self.members[which], np.ones(len(self.scan_s)), region)
+            state[which], covariance[which] = joint.state, joint.covariance
         return state, covariance
 
-    def _pooled(self, which: NDArray[Any], sets: IntArray, count: FloatArray, region: Region) -> Joint:
-        """States of some of the objects from what was known of them and the records ``sets``.
+    @property
+    def _wide_region(self) -> Region:
+        """A region so wide that it does not constrain prior objects."""
+        region = self.now.region
+        return Region(region.centre, self.tuning.region_factor * region.covariance)
 
-        count : (S,) how much a record counts that is the object's for sure.
+    def _pooled(self, which: NDArray[Any], sets: IntArray, count: FloatArray, region: Region) -> Joint:
+        """States of some of the objects from their priors and the records ``sets``.
+
+        count : (S,) the weight of a record that is certainly the object's.
         """
-        pairs = zip(self.now.sources, self.sure, count, strict=True)
-        sources = [_counting(source, sure * share) for source, sure, share in pairs]
-        return joint_density([self.known.records, *sources], np.column_stack([self.known_of[which], sets]), region)
+        pairs = zip(self.now.sources, self.p_own, count, strict=True)
+        sources = [_weighted(source, p_own * share, self.tuning.least_probability) for source, p_own, share in pairs]
+        return joint_density(
+            [self.prior_objects.records, *sources], np.column_stack([self.prior_of[which], sets]), region
+        )
 
     @cached_property
     def last_number(self) -> Mapping[tuple[int, int], int]:
-        """The number of the object of every record that stands, by source and row of its reports."""
+        """The number of the object of every current record, by source and row of its reports."""
         at, s = np.nonzero(self.members >= 0)
         ids = [records_of(source).ids for source in self.now.sources]
         rows = self.members[at, s].tolist()
         return {(k, int(ids[k][row])): n for k, row, n in zip(s.tolist(), rows, self.number[at].tolist(), strict=True)}
 
-    def retiring(self, now: Instant) -> IntArray:
-        """(n, S) the members that stand no more at a later instant, −1 for the others."""
+    def retired_members(self, now: Instant) -> IntArray:
+        """(n, S) the members that are not current any more at a later instant, −1 for the others."""
         out = self.members.copy()
-        for s, (old, new) in enumerate(zip(self.now.sources, now.sources, strict=True)):
-            stands = np.append(np.isin(records_of(old).ids, records_of(new).ids), True)
-            out[stands[self.members[:, s]], s] = -1
+        for s, (before, after) in enumerate(zip(self.now.sources, now.sources, strict=True)):
+            is_current = np.append(np.isin(records_of(before).ids, records_of(after).ids), True)
+            out[is_current[self.members[:, s]], s] = -1
         return out
 
-    def passed(self, now: Instant) -> FloatArray:
-        """(S,) how many looks of each source stand no more at a later instant."""
+    def scans_over(self, now: Instant) -> FloatArray:
+        """(S,) the completed scans of each source at a later instant."""
         dt = now.instant_s - self.now.instant_s
         share = [math.inf if feed.rotation is None else dt / feed.rotation.period_s for feed in now.feeds]
-        looked = np.isfinite(self.look_s) & (_looks(now, self)[0] > self.look_s)
-        return np.asarray(np.where(looked, np.minimum(share, 1.0), 0.0))
+        scanned = np.isfinite(self.scan_s) & (_scan_times(now, self)[0] > self.scan_s)
+        return np.asarray(np.where(scanned, np.minimum(share, 1.0), 0.0))
 
     @cached_property
-    def p_known(self) -> tuple[FloatArray, ...]:
-        """Per source (m, rows): the probability that each known object is each row of its table."""
-        out = tuple(np.zeros((len(self.known), records_of(source).n_table)) for source in self.now.sources)
-        if self.identification is None or not len(self.known):
+    def p_association(self) -> tuple[FloatArray, ...]:
+        """Per source (m, rows): the probability that each prior object is each row of its table."""
+        out = tuple(np.zeros((len(self.prior_objects), records_of(source).n_table)) for source in self.now.sources)
+        if self.identification is None or not len(self.prior_objects):
             return out
         pooled = self.identification.pooled
         place = {records_of(source).source: u for u, source in enumerate(pooled.sources)}
         k = place[KNOWN]
-        known = self.identification.p_together[pooled.start[k] : pooled.start[k + 1]].toarray()
+        prior_objects = self.identification.p_together[pooled.start[k] : pooled.start[k + 1]].toarray()
         rows = records_of(pooled.sources[k]).rows
         for s, source in enumerate(self.now.sources):
             u = place.get(records_of(source).source)
             if u is not None:
-                columns = known[:, pooled.start[u] : pooled.start[u + 1]]
+                columns = prior_objects[:, pooled.start[u] : pooled.start[u + 1]]
                 out[s][np.ix_(rows, records_of(pooled.sources[u]).rows)] = np.clip(columns, 0.0, 1.0)
         return out
 
-    def seen(self, sets: IntArray) -> FloatArray:
-        """(m, S) probability that each known object is one of the records ``sets``, source by source."""
-        parts = [p[:, np.unique(rows[rows >= 0])].sum(axis=1) for p, rows in zip(self.p_known, sets.T, strict=True)]
+    def p_detected(self, sets: IntArray) -> FloatArray:
+        """(m, S) probability that each prior object is one of the records ``sets``, source by source."""
+        parts = [
+            p[:, np.unique(rows[rows >= 0])].sum(axis=1) for p, rows in zip(self.p_association, sets.T, strict=True)
+        ]
         return np.asarray(np.clip(np.column_stack(parts), 0.0, 1.0))
 
     @cached_property
-    def sure(self) -> tuple[FloatArray, ...]:
-        """Per source (rows,) probability that a record is of the known object that it is taken for, 1 for new ones."""
-        out = tuple(np.ones(p.shape[1]) for p in self.p_known)
-        at, s = np.nonzero((self.members >= 0) & (self.known_of >= 0)[:, None])
+    def p_own(self) -> tuple[FloatArray, ...]:
+        """Per source (rows,) probability that a record is of its prior object, 1 for new ones."""
+        out = tuple(np.ones(p.shape[1]) for p in self.p_association)
+        at, s = np.nonzero((self.members >= 0) & (self.prior_of >= 0)[:, None])
         for n, source in zip(at.tolist(), s.tolist(), strict=True):
             row = self.members[n, source]
-            out[source][row] = self.p_known[source][self.known_of[n], row]
+            out[source][row] = self.p_association[source][self.prior_of[n], row]
         return out
 
     def fused(self, sets: IntArray, correlation_s: float) -> BernoulliTable:
-        """The known objects with the records ``sets`` that are theirs.
+        """The prior objects updated by their records ``sets``.
 
         A record counts as the share Δt/τ of one, times the probability that it is the object's.
         """
-        at = np.flatnonzero((self.known_of >= 0) & (sets >= 0).any(axis=1))
+        at = np.flatnonzero((self.prior_of >= 0) & (sets >= 0).any(axis=1))
         if not len(at):
-            return self.known
+            return self.prior_objects
         count = np.minimum(self.gap_s / correlation_s, 1.0) if correlation_s > 0.0 else np.ones(len(self.gap_s))
-        there = self._pooled(at, sets[at], count, _wide(self.now.region))
-        state, covariance = self.known.state.copy(), self.known.covariance.copy()
-        state[self.known_of[at]], covariance[self.known_of[at]] = there.state, there.covariance
-        return replace(self.known, state=state, covariance=covariance)
+        joint = self._pooled(at, sets[at], count, self._wide_region)
+        state, covariance = self.prior_objects.state.copy(), self.prior_objects.covariance.copy()
+        state[self.prior_of[at]], covariance[self.prior_of[at]] = joint.state, joint.covariance
+        return replace(self.prior_objects, state=state, covariance=covariance)
 
-    def born(self, sets: IntArray) -> tuple[BernoulliTable, FloatArray]:
-        """Objects that nobody knew, from those of the records ``sets`` that say where they are.
+    def new_objects(self, sets: IntArray) -> tuple[BernoulliTable, FloatArray]:
+        """New objects, from those of the records ``sets`` with positions.
 
-        And (b, S) how probably any object there is missed.
+        And (b, S) the probability that any object there is missed.
         """
         placed = np.array([not isinstance(feed.reports, Directions) for feed in self.now.feeds], dtype=bool)
-        at = np.flatnonzero((self.known_of < 0) & ((sets >= 0) & placed).any(axis=1))
+        at = np.flatnonzero((self.prior_of < 0) & ((sets >= 0) & placed).any(axis=1))
         if not len(at):
             return BernoulliTable.none(sets.shape[1]), np.empty((0, sets.shape[1]))
-        open_ = _wide(self.now.region).covariance
-        open_[2:, 2:] = self.now.region.covariance[2:, 2:]
-        there = joint_density(list(self.now.sources), sets[at], Region(self.now.region.centre, open_))
+        covariance = self._wide_region.covariance
+        covariance[2:, 2:] = self.now.region.covariance[2:, 2:]
+        joint = joint_density(list(self.now.sources), sets[at], Region(self.now.region.centre, covariance))
         hits = (sets[at] >= 0).astype(np.float64)
         tables = [self.rule.q[name] for name in self.rule.sources]
-        own = [[tables[s][sets[n, s]] for s in np.flatnonzero((sets[n] >= 0) & placed)] for n in at]
-        q = np.array([np.mean(each, axis=0) for each in own])
-        return BernoulliTable.born(self.number[at], there.state, there.covariance, self.existence[at], hits), q
+        own_q = [[tables[s][sets[n, s]] for s in np.flatnonzero((sets[n] >= 0) & placed)] for n in at]
+        q = np.array([np.mean(each, axis=0) for each in own_q])
+        least = self.tuning.least_probability
+        return BernoulliTable.born(self.number[at], joint.state, joint.covariance, self.existence[at], hits, least), q
 
 
 def _require_plots(now: Instant, before: TrackedPlots | None) -> None:
@@ -338,16 +358,16 @@ def _require_plots(now: Instant, before: TrackedPlots | None) -> None:
         )
 
 
-def _looks(now: Instant, before: TrackedPlots | None) -> tuple[FloatArray, FloatArray]:
-    """(S,) when each source looked last, −inf for never, and (S,) how long after the look that stood before."""
-    look = np.array(
+def _scan_times(now: Instant, before: TrackedPlots | None) -> tuple[FloatArray, FloatArray]:
+    """(S,) the time of each source's last scan, −inf for none, and (S,) the time since the scan before it."""
+    scan_s = np.array(
         [feed.scan_times_s[feed.scan_times_s <= now.instant_s].max(initial=-math.inf) for feed in now.feeds]
     )
     if before is None:
-        return look, np.full(len(look), math.inf)
-    first = ~np.isfinite(before.look_s)
-    gap = np.where(first, math.inf, look - np.where(first, 0.0, before.look_s))
-    return look, np.where(look > before.look_s, gap, before.gap_s)
+        return scan_s, np.full(len(scan_s), math.inf)
+    is_first = ~np.isfinite(before.scan_s)
+    gap = np.where(is_first, math.inf, scan_s - np.where(is_first, 0.0, before.scan_s))
+    return scan_s, np.where(scan_s > before.scan_s, gap, before.gap_s)
 
 
 def _places(source: Source) -> FloatArray:
@@ -355,47 +375,50 @@ def _places(source: Source) -> FloatArray:
     return records.features[:, :2] if records.d > 1 else np.empty((0, 2))
 
 
-def _wide(region: Region) -> Region:
-    return Region(region.centre, WIDE * region.covariance)
-
-
-def _counting(source: Source, share: FloatArray) -> Source:
-    """A source whose records count as shares (rows,) of one."""
+def _weighted(source: Source, share: FloatArray, least: float) -> Source:
+    """A source whose records have weights (rows,)."""
     records = records_of(source)
-    less = replace(records, covariance=records.covariance / np.maximum(share[records.rows], LEAST)[:, None])
-    return replace(source, records=less) if isinstance(source, Observations) else less
+    weighted = replace(records, covariance=records.covariance / np.maximum(share[records.rows], least)[:, None])
+    return replace(source, records=weighted) if isinstance(source, Observations) else weighted
 
 
-def _existence(found: Objects, rule: BernoulliObjects) -> FloatArray:
-    """(n,) probability that there is an object: less sure where a record stands alone, and where a known one does."""
-    pooled, exists = found.pooled, rule.exists(found.pooled)
-    members = found.sets.members[found.set_of_object]
-    out = np.where(found.n_members > 1, found.probability, exists[members.max(axis=1)])
-    own = members[:, pooled.given.index(0)]
-    known = own >= 0
-    row = records_of(pooled.sources[pooled.given.index(0)]).rows[own[known] - pooled.start[pooled.given.index(0)]]
-    alone = np.ma.filled(found.of(KNOWN).p_alone, 1.0)[row]
-    out[known] = 1.0 - alone * (1.0 - exists[own[known]])
+def _existence(identification: Objects, rule: BernoulliObjects) -> FloatArray:
+    """(n,) probability of existence: below 1 for lone records and for prior objects without one."""
+    pooled, exists = identification.pooled, rule.exists(identification.pooled)
+    members = identification.sets.members[identification.set_of_object]
+    out = np.where(identification.n_members > 1, identification.probability, exists[members.max(axis=1)])
+    prior_record = members[:, pooled.given.index(0)]
+    has_prior = prior_record >= 0
+    row = records_of(pooled.sources[pooled.given.index(0)]).rows[
+        prior_record[has_prior] - pooled.start[pooled.given.index(0)]
+    ]
+    p_alone = np.ma.filled(identification.of(KNOWN).p_alone, 1.0)[row]
+    out[has_prior] = 1.0 - p_alone * (1.0 - exists[prior_record[has_prior]])
     return np.asarray(out)
 
 
 def _numbered(
-    now: Instant, before: TrackedPlots | None, known: BernoulliTable, known_of: IntArray, members: IntArray, given: int
+    now: Instant,
+    before: TrackedPlots | None,
+    prior_objects: BernoulliTable,
+    prior_of: IntArray,
+    members: IntArray,
+    n_numbers: int,
 ) -> tuple[IntArray, int]:
-    """(n,) numbers: of the known; of the records where they stood before; else new ones."""
+    """(n,) numbers: those of the priors, those that their records had before, else new ones."""
     ids = [records_of(source).ids for source in now.sources]
-    stood = {} if before is None else before.last_number
-    taken = set(known.number.tolist())
+    earlier = {} if before is None else before.last_number
+    taken = set(prior_objects.number.tolist())
     number = np.empty(len(members), np.int64)
-    for n, (i, row) in enumerate(zip(known_of.tolist(), members.tolist(), strict=True)):
-        old = [stood.get((s, int(ids[s][k]))) for s, k in enumerate(row) if k >= 0]
-        free = [value for value in old if value is not None and value not in taken]
+    for n, (i, row) in enumerate(zip(prior_of.tolist(), members.tolist(), strict=True)):
+        candidates = [earlier.get((s, int(ids[s][k]))) for s, k in enumerate(row) if k >= 0]
+        available = [value for value in candidates if value is not None and value not in taken]
         if i >= 0:
-            number[n] = known.number[i]
-        elif free:
-            number[n] = free[0]
+            number[n] = prior_objects.number[i]
+        elif available:
+            number[n] = available[0]
         else:
-            given += 1
-            number[n] = given
+            n_numbers += 1
+            number[n] = n_numbers
         taken.add(int(number[n]))
-    return number, given
+    return number, n_numbers

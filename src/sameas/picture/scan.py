@@ -1,7 +1,7 @@
 """The scan: every record that takes part in an instant, source after source, in one table.
 
-It has what the later stages of the picture ask of a record: the reported position and velocity, how fast such objects
-go, the name of the track, and the time of the report.
+The later stages of the picture read from it: the reported position and velocity, how fast such objects move, the
+track id, and the time of the report.
 """
 
 from __future__ import annotations
@@ -15,14 +15,11 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.many.observations import records_of
+from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import Ragged
 from sameas.tracks.alignment import States, moved, stamped_late
 from sameas.tracks.feed import Feed
 from sameas.tracks.scene import POSITION, Instant
-
-#: A velocity with this share of the variance of any object's velocity counts as not measured. Below 1, since taking a
-#: range bias off turns and shrinks a velocity that was not measured by some percent, too (chosen).
-UNSAID = 0.9
 
 
 @dataclass(frozen=True)
@@ -34,12 +31,15 @@ class Scan:
     now : the instant.
     start : (S+1,) records of source s are start[s] … start[s+1] − 1.
     source : place of the record's source. row : of the source's own reports. table : row among the source's records.
-    track : name that the source gives the object, "" where it gives none.
-    time_s : when it was true. late_s : 1σ of that time. walk_m2_per_s3, speed_m_per_s : how its objects move.
+    track : the source's id of the object, "" where it has none.
+    time_s : time for which the report holds. late_s : 1σ of that time. walk_m2_per_s3, speed_m_per_s : how its objects
+        move.
     reported_state, reported_covariance : (n, 4), (n, 4, 4) at that time; NaN for directions.
     state, covariance : the same, moved to the instant.
-    placed : whether it is a position. moving : whether it says a velocity.
-    loose : (n, 4, 4) what of the covariance a manoeuvre left open (:mod:`sameas.picture.track_pairs`).
+    placed : whether it is a position. moving : whether it has a velocity.
+    manoeuvre_covariance : (n, 4, 4) part of the covariance that allows for a manoeuvre
+        (:mod:`sameas.picture.track_pairs`).
+    tuning : of the picture.
     """
 
     now: Instant
@@ -58,13 +58,14 @@ class Scan:
     covariance: FloatArray
     placed: BoolArray
     moving: BoolArray
-    loose: FloatArray
+    manoeuvre_covariance: FloatArray
+    tuning: Tuning = DEFAULT_TUNING
 
     def __len__(self) -> int:
         return len(self.row)
 
     @classmethod
-    def of(cls, now: Instant) -> Scan:
+    def of(cls, now: Instant, tuning: Tuning = DEFAULT_TUNING) -> Scan:
         """The scan of an instant."""
         parts = [_part(feed, records_of(source).ids, records_of(source).rows, now.instant_s)
                  for feed, source in zip(now.feeds, now.sources, strict=True)]  # fmt: skip
@@ -72,13 +73,22 @@ class Scan:
         rows = Ragged.of_sizes([len(part["row"]) for part in parts])
         placed = np.isfinite(columns["state"]).all(axis=1)
         with np.errstate(invalid="ignore"):
-            unknown = UNSAID * columns["speed_m_per_s"] ** 2
-            moving = placed & (columns["reported_covariance"][:, 2, 2] < unknown)
-        loose = np.zeros((len(rows.row), 4, 4))
-        return cls(now=now, start=rows.start, source=rows.row, placed=placed, moving=moving, loose=loose, **columns)
+            unknown_variance = tuning.unknown_velocity_share * columns["speed_m_per_s"] ** 2
+            moving = placed & (columns["reported_covariance"][:, 2, 2] < unknown_variance)
+        manoeuvre_covariance = np.zeros((len(rows.row), 4, 4))
+        return cls(
+            now=now,
+            start=rows.start,
+            source=rows.row,
+            placed=placed,
+            moving=moving,
+            manoeuvre_covariance=manoeuvre_covariance,
+            tuning=tuning,
+            **columns,
+        )
 
     def texts(self, attribute: str) -> NDArray[Any]:
-        """(n,) what the records say of an attribute of identity, "" where they do not."""
+        """(n,) an attribute of identity of the records, "" where they have none."""
         out = np.full(len(self), "", dtype=object)
         for s, feed in enumerate(self.now.feeds):
             column = feed.attributes.get(attribute)
@@ -151,14 +161,14 @@ def _part(feed: Feed, ids: NDArray[Any], table: IntArray, instant_s: float) -> d
 
 
 def _names(track: NDArray[Any] | None, row: IntArray) -> NDArray[Any]:
-    """Names of tracks; reports that the scene named by their number only have none."""
+    """Track ids; reports that the scene named by their row only have none."""
     if track is None:
         return np.full(len(row), "", dtype=object)
     return np.array(["" if name.startswith("unnamed ") else name for name in map(str, track[row])], dtype=object)
 
 
 def objects_per_m2(now: Instant) -> float:
-    """Objects per m² of the plane at the middle of the region."""
+    """Objects per m² of the plane at the centre of the region."""
     if now.features == POSITION:
         return now.density
     # The density of velocities falls to 1/(2π σ²) at rest.

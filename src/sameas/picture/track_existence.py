@@ -1,16 +1,16 @@
-"""Track existence: whether a named track is of something real, by how long it has lived.
+"""Track existence: the probability that a named track is of a real object, by its duration.
 
-False echoes make tracks, too: a tracker that has seen the same patch of sea four times running gives it a number. They
-die soon, and real objects' tracks go on until the object is lost. So a source's tracks live for exponential times of
-two means, T₀ for the false and T₁ for the real ones, which are a share w of those that begin (and another share of
-those that were there when the source was first heard); and of one that has lived for ℓ and still does
+False echoes make tracks too: a tracker that has seen the same patch of sea four times in a row gives it a number. They
+end soon, and tracks of real objects continue until the object is lost. The durations of a source's tracks are
+exponential with two means, T₀ of false and T₁ of real tracks; the real ones are a share w of those that begin (and
+another share of those that were there at the source's first scan). For a track that continues after a duration ℓ,
 
     ln P(real) / P(false) = ln w / (1 − w) + ℓ (1/T₀ − 1/T₁).
 
-That is Wald's sequential test, and what it confirms at a probability p is false in at most
-1 − p of all cases, where lives are such. These numbers are estimated source by source from all its tracks so far,
-those that live still as censored ones, those that another source has shown to be real as known ones, by EM; before
-there are any, T₀ is :data:`FALSE_SCANS` looks and weighs as much as :data:`BEFOREHAND` tracks.
+That is Wald's sequential test: if durations are such, at most 1 − p of the tracks that it confirms at a probability p
+are false. The numbers are estimated per source by EM from all its tracks so far: tracks that continue are censored,
+those that another source has shown to be real are labelled. Before there are any, T₀ is ``false_scans`` scans with a
+weight of ``false_weight`` tracks (:class:`sameas.picture.tuning.Tuning`).
 
 Source: Wald 1947, section 3; mixtures of lives with censoring as in McLachlan and Peel 2000, section 10.
 """
@@ -24,25 +24,14 @@ import numpy as np
 from scipy.special import expit
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.picture.named import KEPT_S, NamedTracks, found_in
+from sameas.picture.named import NamedTracks, places_in
 from sameas.picture.object_table import ColumnTable
-
-#: T₀ before any track has died, in looks of the source; and how many tracks that is worth (chosen).
-FALSE_SCANS, BEFOREHAND = 4.0, 4.0
-#: T₁ before any real track has died, and how many tracks that is worth (chosen).
-REAL_S, REAL_BEFOREHAND = 1800.0, 1.0
-#: Tracks as real (first row) and false ones, there first and begun later, that all sources are believed to have had
-#: before: what begins later is false more often than not (chosen).
-ALIKE = np.array([[1.0, 1.0], [1.0, 3.0]])
-#: Between two looks where the description does not say.
-PERIOD_S = 10.0
-#: Steps of EM at every instant; it goes on from where it was.
-STEPS = 4
+from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 
 
 @dataclass(frozen=True)
 class Mixture(ColumnTable):
-    """Of the sources heard so far (s,): T₀ and T₁ in seconds, and T₀ beforehand; share : (s, 2) of the real among the
+    """Per source (s,): T₀ and T₁ in seconds, and T₀ before any track ended; share : (s, 2) of the real among the
     tracks that were there first, and among those that began later."""
 
     false_s: FloatArray = field(default_factory=lambda: np.empty(0))
@@ -50,59 +39,67 @@ class Mixture(ColumnTable):
     share: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     before_s: FloatArray = field(default_factory=lambda: np.empty(0))
 
-    def with_sources(self, period_s: FloatArray) -> Mixture:
+    def with_sources(self, period_s: FloatArray, tuning: Tuning = DEFAULT_TUNING) -> Mixture:
         """The same and new sources with these periods (k,)."""
-        before, n = FALSE_SCANS * period_s, len(period_s)
-        share = np.tile(ALIKE[0] / ALIKE.sum(axis=0), (n, 1))
-        return self.stacked(Mixture(before, np.maximum(REAL_S, 10.0 * before), share, before))
+        before, n, prior = tuning.false_scans * period_s, len(period_s), np.array(tuning.prior_tracks)
+        share = np.tile(prior[0] / prior.sum(axis=0), (n, 1))
+        return self.stacked(Mixture(before, np.maximum(tuning.real_s, 10.0 * before), share, before))
 
-    def log_odds(self, source: IntArray, later: BoolArray, life_s: FloatArray, ended: BoolArray) -> FloatArray:
+    def log_odds(self, source: IntArray, began_later: BoolArray, life_s: FloatArray, ended: BoolArray) -> FloatArray:
         """(n,) ln of the odds that tracks are real."""
         rate_0, rate_1 = 1.0 / self.false_s[source], 1.0 / self.real_s[source]
-        share = self.share[source, later.astype(np.int64)]
+        share = self.share[source, began_later.astype(np.int64)]
         at_end = np.where(ended, np.log(rate_1 / rate_0), 0.0)
         return np.asarray(np.log(share) - np.log1p(-share) + at_end + life_s * (rate_0 - rate_1))
 
     def fitted(
-        self, source: IntArray, later: BoolArray, life_s: FloatArray, ended: BoolArray, known: BoolArray
+        self,
+        source: IntArray,
+        began_later: BoolArray,
+        life_s: FloatArray,
+        ended: BoolArray,
+        is_real: BoolArray,
+        tuning: Tuning = DEFAULT_TUNING,
     ) -> Mixture:
-        """One step of EM on tracks (n,); ``known``: to be real."""
-        real = np.where(known, 1.0, expit(self.log_odds(source, later, life_s, ended)))
+        """One step of EM on tracks (n,); ``is_real``: those that another source has shown to be real."""
+        p_real = np.where(is_real, 1.0, expit(self.log_odds(source, began_later, life_s, ended)))
 
         def sums(weight: FloatArray) -> FloatArray:
             return np.asarray(np.bincount(source, weight, len(self.false_s)), np.float64)
 
-        dead_0, dead_1 = sums((1.0 - real) * ended), sums(real * ended)
-        false_s = (sums((1.0 - real) * life_s) + BEFOREHAND * self.before_s) / (dead_0 + BEFOREHAND)
-        real_s = (sums(real * life_s) + REAL_BEFOREHAND * REAL_S) / (dead_1 + REAL_BEFOREHAND)
-        # Those that others have shown to be real are told from the rest, and say nothing of how many of these are.
-        unknown = [~known & (later == which) for which in (False, True)]
-        counts = ALIKE[:, :, None] + [[sums(weight * some) for some in unknown] for weight in (real, 1.0 - real)]
+        dead_0, dead_1 = sums((1.0 - p_real) * ended), sums(p_real * ended)
+        false_s = (sums((1.0 - p_real) * life_s) + tuning.false_weight * self.before_s) / (dead_0 + tuning.false_weight)
+        real_s = (sums(p_real * life_s) + tuning.real_weight * tuning.real_s) / (dead_1 + tuning.real_weight)
+        # The tracks that others have shown to be real do not count for the share of real ones among the rest.
+        undecided = [~is_real & (began_later == which) for which in (False, True)]
+        counts = np.array(tuning.prior_tracks)[:, :, None] + [
+            [sums(weight * some) for some in undecided] for weight in (p_real, 1.0 - p_real)
+        ]
         share = (counts[0] / counts.sum(axis=0)).T
-        # Real ones live longer: without that, either name could be the other's.
+        # Real tracks last longer: without that bound the two kinds could swap.
         return Mixture(false_s, np.maximum(real_s, 2.0 * false_s), share, self.before_s)
 
 
 @dataclass(frozen=True)
 class TrackExistence(ColumnTable):
-    """The lives of named tracks, (k,) each, by ascending number.
+    """The durations of named tracks, (k,) each, by ascending number.
 
     number, source : of the track, and the place of its source in ``NamedTracks.error_correlation.names``.
-    later : whether it began after its source was first heard.
-    first_s, last_s : times of its first and its last report. shown_s : when it was last in a scan.
-    later_s : for how long after its last report it may have lived on, unheard, in the mean.
-    known : whether another source has shown it to be real.
+    began_later : whether it began after the source's first scan.
+    first_s, last_s : times of its first and its last report. last_scan_s : when it was last in a scan.
+    life_after_s : mean time that it may have continued after its last report.
+    is_real : whether another source has shown it to be real.
     """
 
     WHOLE = frozenset({"mixture"})
     number: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     source: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    later: BoolArray = field(default_factory=lambda: np.empty(0, bool))
+    began_later: BoolArray = field(default_factory=lambda: np.empty(0, bool))
     first_s: FloatArray = field(default_factory=lambda: np.empty(0))
     last_s: FloatArray = field(default_factory=lambda: np.empty(0))
-    shown_s: FloatArray = field(default_factory=lambda: np.empty(0))
-    later_s: FloatArray = field(default_factory=lambda: np.empty(0))
-    known: BoolArray = field(default_factory=lambda: np.empty(0, bool))
+    last_scan_s: FloatArray = field(default_factory=lambda: np.empty(0))
+    life_after_s: FloatArray = field(default_factory=lambda: np.empty(0))
+    is_real: BoolArray = field(default_factory=lambda: np.empty(0, bool))
     mixture: Mixture = field(default_factory=Mixture)
 
     def __len__(self) -> int:
@@ -113,60 +110,68 @@ class TrackExistence(ColumnTable):
         assert tracks.scan is not None
         scan, now_s = tracks.scan, tracks.instant_s
         time_s = scan.time_s[tracks.place]
-        at = found_in(self.number, tracks.number)
-        old = at >= 0
-        first_s, known, later = time_s.copy(), np.zeros(len(at), bool), tracks.source < len(self.mixture.share)
-        first_s[old], known[old], later[old] = self.first_s[at[old]], self.known[at[old]], self.later[at[old]]
-        last_s = time_s.copy()
-        last_s[old] = np.maximum(last_s[old], self.last_s[at[old]])
-        n = len(at)
-        shown = TrackExistence(
-            tracks.number, tracks.source, later, first_s, last_s, np.full(n, now_s), np.zeros(n), known
+        at = places_in(self.number, tracks.number)
+        is_old = at >= 0
+        first_s, is_real, began_later = time_s.copy(), np.zeros(len(at), bool), tracks.source < len(self.mixture.share)
+        first_s[is_old], is_real[is_old], began_later[is_old] = (
+            self.first_s[at[is_old]],
+            self.is_real[at[is_old]],
+            self.began_later[at[is_old]],
         )
-        gone = self._gone(np.flatnonzero(found_in(tracks.number, self.number) < 0), tracks, now_s)
-        whole = gone.stacked(shown)
-        lives = replace(whole.take(np.argsort(whole.number)), mixture=self._mixture(tracks))
-        life_s, ended = lives.last_s - lives.first_s + lives.later_s, lives.shown_s < now_s
-        mixture = lives.mixture
-        for _ in range(STEPS):
-            mixture = mixture.fitted(lives.source, lives.later, life_s, ended, lives.known)
-        return replace(lives, mixture=mixture)
+        last_s = time_s.copy()
+        last_s[is_old] = np.maximum(last_s[is_old], self.last_s[at[is_old]])
+        n = len(at)
+        current = TrackExistence(
+            tracks.number, tracks.source, began_later, first_s, last_s, np.full(n, now_s), np.zeros(n), is_real
+        )
+        ended_tracks = self._ended(np.flatnonzero(places_in(tracks.number, self.number) < 0), tracks, now_s)
+        every_track = ended_tracks.stacked(current)
+        tracks_now = replace(every_track.take(np.argsort(every_track.number)), mixture=self._mixture(tracks))
+        life_s, ended = tracks_now.last_s - tracks_now.first_s + tracks_now.life_after_s, tracks_now.last_scan_s < now_s
+        mixture = tracks_now.mixture
+        for _ in range(scan.tuning.em_steps):
+            mixture = mixture.fitted(
+                tracks_now.source, tracks_now.began_later, life_s, ended, tracks_now.is_real, scan.tuning
+            )
+        return replace(tracks_now, mixture=mixture)
 
-    def met(self, number: IntArray) -> TrackExistence:
+    def with_real(self, number: IntArray) -> TrackExistence:
         """The same, with tracks that another source has shown to be real."""
-        return replace(self, known=self.known | np.isin(self.number, number))
+        return replace(self, is_real=self.is_real | np.isin(self.number, number))
 
     def log_odds(self, number: IntArray) -> tuple[FloatArray, FloatArray]:
-        """ln of the odds that tracks were of something real when they began, and what their lives have added since.
+        """ln of the odds that tracks are real when they began, and the gain by their duration since.
 
         number : of tracks, any shape. −∞ and 0 for −1.
         """
-        at, living = found_in(self.number, number.ravel()).reshape(number.shape), np.zeros(len(self), bool)
-        begun = self.mixture.log_odds(self.source, self.later, np.zeros(len(self)), living)
-        now = self.mixture.log_odds(self.source, self.later, self.last_s - self.first_s, living)
+        at, living = places_in(self.number, number.ravel()).reshape(number.shape), np.zeros(len(self), bool)
+        begun = self.mixture.log_odds(self.source, self.began_later, np.zeros(len(self)), living)
+        now = self.mixture.log_odds(self.source, self.began_later, self.last_s - self.first_s, living)
         return np.append(begun, -math.inf)[at], np.append(now - begun, 0.0)[at]
 
-    def _gone(self, which: IntArray, tracks: NamedTracks, now_s: float) -> TrackExistence:
-        """The tracks that are not in the scan, but those that went long ago."""
-        which = which[now_s - self.shown_s[which] <= KEPT_S]
-        just = np.flatnonzero(self.later_s[which] == 0.0)
-        later_s = self.later_s[which].copy()
-        # It was dropped some time between its last report and the next look, or now less the silence that may be.
-        silence_s = _silences(tracks)[self.source[which[just]]]
-        period_s = self.mixture.before_s[self.source[which[just]]] / FALSE_SCANS
-        later_s[just] = 0.5 * np.maximum(now_s - silence_s - self.last_s[which[just]], period_s)
-        return replace(self.take(which), later_s=later_s)
+    def _ended(self, which: IntArray, tracks: NamedTracks, now_s: float) -> TrackExistence:
+        """The tracks that are not in the scan, without those whose id has timed out."""
+        assert tracks.scan is not None
+        tuning = tracks.scan.tuning
+        which = which[now_s - self.last_scan_s[which] <= tuning.id_timeout_s]
+        just_ended = np.flatnonzero(self.life_after_s[which] == 0.0)
+        life_after_s = self.life_after_s[which].copy()
+        # It ended between its last report and the next scan, or now less the track timeout.
+        timeout_s = _timeouts(tracks)[self.source[which[just_ended]]]
+        period_s = self.mixture.before_s[self.source[which[just_ended]]] / tuning.false_scans
+        life_after_s[just_ended] = 0.5 * np.maximum(now_s - timeout_s - self.last_s[which[just_ended]], period_s)
+        return replace(self.take(which), life_after_s=life_after_s)
 
     def _mixture(self, tracks: NamedTracks) -> Mixture:
-        """That of the last instant, with the sources that were not heard before."""
+        """The mixture of the last instant, with the new sources."""
         assert tracks.scan is not None
         new = tracks.error_correlation.names[len(self.mixture.share) :]
-        periods = {d.name: d.timing.period_s or PERIOD_S for d in tracks.scan.now.descriptions}
-        return self.mixture.with_sources(np.array([periods[name] for name in new], np.float64))
+        periods = {d.name: d.timing.period_s or tracks.scan.tuning.period_s for d in tracks.scan.now.descriptions}
+        return self.mixture.with_sources(np.array([periods[name] for name in new], np.float64), tracks.scan.tuning)
 
 
-def _silences(tracks: NamedTracks) -> FloatArray:
-    """(s,) after how long a track of each source has ended; ∞ for sources that are not heard now."""
+def _timeouts(tracks: NamedTracks) -> FloatArray:
+    """(s,) the track timeout of each source; ∞ for sources that are not in the scan."""
     assert tracks.scan is not None
-    silence = {feed.description.name: feed.track_timeout_s for feed in tracks.scan.now.feeds}
-    return np.array([silence.get(name, math.inf) for name in tracks.error_correlation.names])
+    timeout_s = {feed.description.name: feed.track_timeout_s for feed in tracks.scan.now.feeds}
+    return np.array([timeout_s.get(name, math.inf) for name in tracks.error_correlation.names])

@@ -1,4 +1,4 @@
-"""The watch: what a picture carries along, which is what it remembers of tracks, the objects it knows, and their texts.
+"""The watch: the state of a picture over time, which is the memory of its tracks, its objects, and their texts.
 
 :meth:`Watch.advance` takes it to an instant and gives the :class:`~sameas.picture.picture_state.PictureState`; for live
 use call it instant by instant,
@@ -29,71 +29,78 @@ from sameas.many.rules import PoissonObjects, SetRule
 from sameas.many.sets import Sets
 from sameas.picture.instant_objects import IdentifiedObjects
 from sameas.picture.memory import Past
-from sameas.picture.named import found_in
-from sameas.picture.object_ids import Detections, KnownObjects, Life, Stages
+from sameas.picture.named import places_in
+from sameas.picture.object_ids import Detections, ExistenceOdds, NamedObjects, Stages
 from sameas.picture.object_states import object_states
 from sameas.picture.picture_state import PictureState
 from sameas.picture.scan import Scan, objects_per_m2
+from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.records import Records
+from sameas.representation import in_short
 from sameas.tracks.scene import Instant
 
-#: b of :func:`with_hysteresis`: how many times as probable per link (chosen).
+#: Default b of :func:`with_hysteresis`, odds per link (chosen).
 BOUND = 4.0
-#: Longest search for the best partition of one group, seconds (chosen).
-TIME_LIMIT_S = 10.0
 
 
-def with_hysteresis(found: Objects, before: IntArray, log_bound: float) -> tuple[Objects, BoolArray]:
-    """The objects of an instant, as they were where nothing else is much more probable, and which (n,) of them are
-    shown for that reason alone.
+def with_hysteresis(
+    identification: Objects, before: IntArray, log_bound: float, search_s: float = DEFAULT_TUNING.search_s
+) -> tuple[Objects, BoolArray]:
+    """The objects of an instant, unchanged where nothing else is much more probable, and which (n,) of them are shown
+    for that reason alone.
 
-    Two vessels at one pier share an echo, and its owner stays open for hours: 60 to 40, then 45 to 55. The most
-    probable answer of every instant would hand it to and fro. So the picture shows the partition that maximises
+    Two vessels at one pier share an echo, and its owner is uncertain for hours: 60 to 40, then 45 to 55. The most
+    probable answer of every instant would switch it to and fro. So the picture shows the partition that maximises
 
         ln P(partition) − ln b · links,
 
     with P from all scans so far, and ``links`` the number of links that it breaks: one for every part but one into
-    which it takes the records that were one object at the last instant. An answer that is b times as probable per link
-    is shown at once; records that come together break nothing. Probabilities stay as they are. Only named tracks were
-    in an object before: a new record costs nothing. Source: the decision of least expected loss where a change that is
-    taken back costs, too (Berger 1985, section 2).
+    which it splits the records that were one object at the last instant. An answer that is b times as probable per link
+    is shown at once; records that join break no link. Probabilities do not change. Only named tracks were in an object
+    before: a new record costs nothing. Source: the decision of least expected loss where a change that is reversed has
+    a cost too (Berger 1985, section 2).
 
     Parameters
     ----------
     before : (records,) the object that each record's track was of at the last instant, in the order of the pooled
         records; −1 for records that were not there.
     log_bound : ln b; 0 where the most probable answer is always shown.
+    search_s : longest search for the best partition of one group.
     """
-    sets, answer = found.sets, found.answer
+    sets, answer = identification.sets, identification.answer
     links = _links(sets, before)
-    wanted = _changed(sets, before, answer.chosen) if log_bound > 0.0 else np.zeros(len(sets.start) - 1, bool)
-    if not wanted.any():
-        return found, np.zeros(len(found), bool)
+    reopened = _parting(sets, before, answer.chosen) if log_bound > 0.0 else np.zeros(len(sets.start) - 1, bool)
+    if not reopened.any():
+        return identification, np.zeros(len(identification), bool)
     tilted = replace(sets, log_weight=sets.log_weight + log_bound * links)
-    steady = best_partition(tilted, len(found.pooled), wanted, time_limit_s=TIME_LIMIT_S).chosen
-    chosen = np.where(wanted[sets.group], steady, answer.chosen)
-    lost = _value(sets, answer.chosen) - _value(sets, chosen)
-    shown = replace(found, answer=replace(answer, chosen=chosen, gap=answer.gap + np.maximum(lost, 0.0)))
-    return shown, ~answer.chosen[shown.set_of_object]
+    steady = best_partition(tilted, len(identification.pooled), reopened, time_limit_s=search_s).chosen
+    chosen = np.where(reopened[sets.group], steady, answer.chosen)
+    log_loss = _value(sets, answer.chosen) - _value(sets, chosen)
+    steadied = replace(
+        identification, answer=replace(answer, chosen=chosen, gap=answer.gap + np.maximum(log_loss, 0.0))
+    )
+    return steadied, ~answer.chosen[steadied.set_of_object]
 
 
 def _links(sets: Sets, before: IntArray) -> IntArray:
-    """(k,) links that a set keeps: its records that were there, less the objects of the last instant that they were."""
-    was = np.sort(np.append(before, -1)[sets.members], axis=1)
-    there = was >= 0
-    objects = (there[:, :1] + np.cumsum((was[:, 1:] != was[:, :-1]) & there[:, 1:], axis=1))[:, -1:].sum(axis=1)
-    return np.asarray(there.sum(axis=1) - objects)
+    """(k,) links that a set keeps: its records of the last instant, less the number of objects that they were in."""
+    previous = np.sort(np.append(before, -1)[sets.members], axis=1)
+    has_previous = previous >= 0
+    objects = (has_previous[:, :1] + np.cumsum((previous[:, 1:] != previous[:, :-1]) & has_previous[:, 1:], axis=1))[
+        :, -1:
+    ].sum(axis=1)
+    return np.asarray(has_previous.sum(axis=1) - objects)
 
 
-def _changed(sets: Sets, before: IntArray, chosen: BoolArray) -> BoolArray:
-    """(g,) groups in which the chosen sets part what was together and could still be."""
+def _parting(sets: Sets, before: IntArray, chosen: BoolArray) -> BoolArray:
+    """(g,) groups in which the chosen sets split objects of the last instant."""
     which = np.flatnonzero(chosen)
     at, source = np.nonzero(sets.members[which] >= 0)
-    was = before[sets.members[which][at, source]]
-    known = np.unique(np.column_stack([sets.group[which[at]], was, which[at]])[was >= 0], axis=0)
-    parted = (known[1:, :2] == known[:-1, :2]).all(axis=1)
+    previous = before[sets.members[which][at, source]]
+    memberships = np.unique(np.column_stack([sets.group[which[at]], previous, which[at]])[previous >= 0], axis=0)
+    split = (memberships[1:, :2] == memberships[:-1, :2]).all(axis=1)
     out = np.zeros(len(sets.start) - 1, bool)
-    out[known[1:][parted, 0]] = True
+    out[memberships[1:][split, 0]] = True
     return out
 
 
@@ -102,36 +109,37 @@ def _value(sets: Sets, chosen: BoolArray) -> FloatArray:
     return np.asarray(np.bincount(sets.group[chosen], sets.log_weight[chosen], len(sets.start) - 1), np.float64)
 
 
-#: Attributes of identity that the picture states of an object.
+#: Attributes of identity in the tables of a picture.
 TEXTS = ("mmsi", "icao", "callsign", "name", "mode_a", "type")
-#: Those of them that one object alone has.
-NAMES_ONE = ("mmsi", "icao", "callsign")
+#: Those of them that are unique to an object.
+UNIQUE_IDS = ("mmsi", "icao", "callsign")
 #: The texts of an object without any.
-NOTHING = np.full(len(TEXTS), "", dtype=object)
+NO_TEXTS = np.full(len(TEXTS), "", dtype=object)
 
 
-#: The rule of evidence at an instant, from the instant and the past.
+#: The rule of an instant, from the instant and the past.
 EvidenceOf = Callable[[Instant, Past], SetRule]
 
 
 def all_evidence(now: Instant, past: Past) -> SetRule:
-    """Positions, misses and clutter as described, what records say of their identities, and what tracks did before."""
+    """The rule of positions, misses and clutter as described, of the records' identities, and of the tracks' past."""
     return now.rule() + now.identity() + past.rule()
 
 
+@in_short
 @dataclass(frozen=True)
 class Watch:
-    """What a picture carries from instant to instant; start with ``Watch()``.
+    """The state of a picture from instant to instant; start with ``Watch()``.
 
     Parameters
     ----------
-    evidence : what counts as evidence. ``lambda now, past: now.rule() + past.rule()`` leaves identities out,
-        ``lambda now, past: now.rule() + now.identity()`` judges every instant alone.
-    past : what is remembered of tracks; give one to change how long their errors last.
-    bound : of the odds at which records change their object (:func:`with_hysteresis`); 1 for the most
-        probable answer of every instant, whatever was shown before.
-    stages : when objects are confirmed. gate : of ``identify_many``.
-    known, texts : objects and their texts; filled in from instant to instant.
+    evidence : the rule of an instant. ``lambda now, past: now.rule() + past.rule()`` leaves identities out,
+        ``lambda now, past: now.rule() + now.identity()`` identifies every instant alone.
+    past : memory of tracks; give one to set the correlation times of their errors.
+    bound : odds at which records change their object (:func:`with_hysteresis`); 1 for the most probable answer of
+        every instant.
+    stages : when objects are confirmed. gate : of ``identify_many``. tuning : other chosen numbers.
+    objects, texts : objects and their texts; filled in from instant to instant.
     """
 
     evidence: EvidenceOf = all_evidence
@@ -139,7 +147,8 @@ class Watch:
     bound: float = BOUND
     stages: Stages = field(default_factory=Stages)
     gate: ChiSquare = field(default_factory=ChiSquare)
-    known: KnownObjects = field(default_factory=KnownObjects)
+    tuning: Tuning = DEFAULT_TUNING
+    objects: NamedObjects = field(default_factory=NamedObjects)
     texts: Mapping[int, NDArray[Any]] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
@@ -153,96 +162,114 @@ class Watch:
         ------
         InputError : the instant is before the last; a source lacks what its evidence needs.
         """
-        heard = now.with_records()
-        scan = self.past.loosened(Scan.of(heard), objects_per_m2(now))
-        heard, past = scan.now, self.past.on(scan)
-        found = self._found(heard, past)
-        kept = np.zeros(0, bool)
-        if found is not None:
-            found, kept = with_hysteresis(found, self._was(found.pooled, scan, past), math.log(self.bound))
-            past = past.met(found.pooled)
-        shown = IdentifiedObjects(scan, found, kept)
-        members = shown.members
+        with_records = now.with_records()
+        scan = self.past.with_manoeuvres(Scan.of(with_records, self.tuning), objects_per_m2(now))
+        with_records, past = scan.now, self.past.on(scan)
+        identification = self._identify(with_records, past)
+        by_hysteresis = np.zeros(0, bool)
+        if identification is not None:
+            identification, by_hysteresis = with_hysteresis(
+                identification, self._previous_objects(identification.pooled, scan, past), math.log(self.bound)
+            )
+            past = past.with_pairs(identification.pooled)
+        objects_now = IdentifiedObjects(scan, identification, by_hysteresis)
+        members = objects_now.members
         texts = {name: scan.texts(name) for name in TEXTS}
-        seen = self._seen(scan, members, found, past, texts)
-        past = past.proved(seen.tracks[_together(members, found, self.stages)])
-        known = self.known.on(now.instant_s, seen, objects_per_m2(now), self.stages)
-        called = self._called(scan, members, texts, known)
-        carried = replace(self, past=past, known=known, texts=called)
-        return PictureState(now, scan, shown, seen.states, carried)
+        detections = self._detections(scan, members, identification, past, texts)
+        past = past.with_real(detections.tracks[_certain_pairs(members, identification, self.stages)])
+        objects = self.objects.on(now.instant_s, detections, objects_per_m2(now), self.stages, self.tuning)
+        object_texts = self._texts(scan, members, texts, objects)
+        carried = replace(self, past=past, objects=objects, texts=object_texts)
+        return PictureState(now, scan, objects_now, detections.states, carried)
 
-    def _was(self, pooled: PooledRecords, scan: Scan, past: Past) -> IntArray:
-        """(records,) the object of the last instant that each pooled record belongs to by its track, −1 for
-        those whose track was not there."""
+    def _previous_objects(self, pooled: PooledRecords, scan: Scan, past: Past) -> IntArray:
+        """(records,) the object of the last instant that each pooled record is of by its track, −1 without one."""
         track = past.tracks.track_of_record
-        was = np.where(found_in(self.past.tracks.number, track) >= 0, self.known.history.last_of(track), 0)
+        previous = np.where(places_in(self.past.tracks.number, track) >= 0, self.objects.history.last_of(track), 0)
         out = np.full(len(pooled), -1)
-        for s, (given, source) in enumerate(zip(pooled.given, pooled.sources, strict=True)):
-            if given + 1 < len(scan.start):
-                out[pooled.start[s] : pooled.start[s + 1]] = was[scan.find(given, records_of(source).rows)]
+        for s, (source_number, source) in enumerate(zip(pooled.given, pooled.sources, strict=True)):
+            if source_number + 1 < len(scan.start):
+                out[pooled.start[s] : pooled.start[s + 1]] = previous[scan.find(source_number, records_of(source).rows)]
         return np.where(out > 0, out, -1)
 
-    def _found(self, heard: Instant, past: Past) -> Objects | None:
-        """The objects of an instant; None where nobody says anything."""
-        if not heard.sources:
+    def _identify(self, now: Instant, past: Past) -> Objects | None:
+        """The objects of an instant; None where no source has a record."""
+        if not now.sources:
             return None
-        if len(heard.sources) == 1:
-            # A source alone is identified with one that says nothing: each of its records is an object.
-            nobody = Records.of(np.empty((0, heard.features)), sigma=1.0, source="")
-            rule = PoissonObjects(heard.density, 0.5)
-            return identify_many((*heard.sources, nobody), rule=rule, region=heard.region)
-        return identify_many(heard.sources, rule=self.evidence(heard, past), gate=self.gate, region=heard.region)
+        if len(now.sources) == 1:
+            # A single source is identified with an empty one: each of its records is an object.
+            empty = Records.of(np.empty((0, now.features)), sigma=1.0, source="")
+            rule = PoissonObjects(now.density, 0.5)
+            return identify_many((*now.sources, empty), rule=rule, region=now.region)
+        return identify_many(now.sources, rule=self.evidence(now, past), gate=self.gate, region=now.region)
 
-    def _seen(
-        self, scan: Scan, members: IntArray, found: Objects | None, past: Past, texts: Mapping[str, NDArray[Any]]
+    def _detections(
+        self,
+        scan: Scan,
+        members: IntArray,
+        identification: Objects | None,
+        past: Past,
+        texts: Mapping[str, NDArray[Any]],
     ) -> Detections:
-        """What the objects of an instant are to be recognised by."""
-        states = object_states(scan, members, found)
-        there = members >= 0
+        """The objects of an instant with what identifies them over time."""
+        states = object_states(scan, members, identification)
+        is_member = members >= 0
         track = np.append(past.tracks.track_of_record, -1)[members]
-        named = np.append(np.any([texts[name] != "" for name in NAMES_ONE], axis=0), False)[members]
-        # No clutter: what the source shows is there.
-        honest = np.array([feed.clutter(2) == 0.0 for feed in scan.now.feeds], dtype=bool)
-        sure = (there & honest).any(axis=1) | _together(members, found, self.stages)
-        new = np.append(scan.new_since(self.past.tracks.scan), False)
-        plotted = np.append(new[:-1] & (past.tracks.track_of_record < 0), False)
-        looked, plotted = (np.asarray(column[members].any(axis=1)) for column in (new, plotted))
+        has_unique_id = np.append(np.any([texts[name] != "" for name in UNIQUE_IDS], axis=0), False)[members]
+        # Without clutter all records of the source are real.
+        clutter_free = np.array([feed.clutter(2) == 0.0 for feed in scan.now.feeds], dtype=bool)
+        is_certain = (is_member & clutter_free).any(axis=1) | _certain_pairs(members, identification, self.stages)
+        is_new = np.append(scan.new_since(self.past.tracks.scan), False)
+        new_plot = np.append(is_new[:-1] & (past.tracks.track_of_record < 0), False)
+        new_report, new_plot = (np.asarray(column[members].any(axis=1)) for column in (is_new, new_plot))
         walk = np.append(scan.walk_m2_per_s3, 0.0)[members].max(axis=1, initial=0.0)
         speed = np.append(scan.speed_m_per_s, 0.0)[members].max(axis=1, initial=0.0)
-        return Detections(states, track, named & there, looked, plotted, sure, _longest(track, past), walk, speed)
+        return Detections(
+            states,
+            track,
+            has_unique_id & is_member,
+            new_report,
+            new_plot,
+            is_certain,
+            _existence_odds(track, past),
+            walk,
+            speed,
+        )
 
-    def _called(
-        self, scan: Scan, members: IntArray, texts: Mapping[str, NDArray[Any]], known: KnownObjects
+    def _texts(
+        self, scan: Scan, members: IntArray, texts: Mapping[str, NDArray[Any]], objects: NamedObjects
     ) -> Mapping[int, NDArray[Any]]:
-        """Per object of the picture its texts: what its newest record says, else what was said before."""
+        """Per object of the picture its texts: those of its newest record, else the earlier ones."""
         at, source = np.nonzero(members >= 0)
         record = members[at, source]
-        said = np.full((len(members), len(TEXTS)), "", dtype=object)
+        newest = np.full((len(members), len(TEXTS)), "", dtype=object)
         for column, name in enumerate(TEXTS):
             values = texts[name][record]
-            tells = np.flatnonzero(values != "")
-            # The newest is written last; of equally new ones the first by the alphabet.
-            order = tells[
-                np.lexsort([np.argsort(np.argsort(values[tells].astype(str)[::-1])), scan.time_s[record[tells]]])
+            with_value = np.flatnonzero(values != "")
+            # The newest is written last; of equally new ones the first in the alphabet.
+            order = with_value[
+                np.lexsort(
+                    [np.argsort(np.argsort(values[with_value].astype(str)[::-1])), scan.time_s[record[with_value]]]
+                )
             ]
-            said[at[order], column] = values[order]
-        called = {}
-        for number, k in zip(known.number.tolist(), known.detection.tolist(), strict=True):
-            before = self.texts.get(number, NOTHING)
-            called[number] = before if k < 0 else np.where(said[k] != "", said[k], before)
-        return called
+            newest[at[order], column] = values[order]
+        object_texts = {}
+        for number, k in zip(objects.number.tolist(), objects.detection.tolist(), strict=True):
+            before = self.texts.get(number, NO_TEXTS)
+            object_texts[number] = before if k < 0 else np.where(newest[k] != "", newest[k], before)
+        return object_texts
 
 
-def _longest(track: IntArray, past: Past) -> Life:
-    """The life of that track of each object, of its tracks (n, S), that is most surely of something real."""
+def _existence_odds(track: IntArray, past: Past) -> ExistenceOdds:
+    """The existence of each object's track, of its tracks (n, S), with the highest odds."""
     track = np.column_stack([track, np.full(len(track), -1)])
-    begun, lived = past.existence.log_odds(track)
-    most = np.argmax(begun + lived, axis=1)[:, None]
-    return Life(*(np.take_along_axis(column, most, 1)[:, 0] for column in (track, begun, lived)))  # type: ignore[arg-type]
+    log_initial, log_gain = past.existence.log_odds(track)
+    best = np.argmax(log_initial + log_gain, axis=1)[:, None]
+    return ExistenceOdds(*(np.take_along_axis(column, best, 1)[:, 0] for column in (track, log_initial, log_gain)))  # type: ignore[arg-type]
 
 
-def _together(members: IntArray, found: Objects | None, stages: Stages) -> BoolArray:
-    """(n,) whether two sources or more show an object beyond doubt."""
-    if found is None:
+def _certain_pairs(members: IntArray, identification: Objects | None, stages: Stages) -> BoolArray:
+    """(n,) whether two sources or more certainly show an object."""
+    if identification is None:
         return np.zeros(len(members), bool)
-    return np.asarray(((members >= 0).sum(axis=1) > 1) & (found.probability >= stages.sure))
+    return np.asarray(((members >= 0).sum(axis=1) > 1) & (identification.probability >= stages.sure))

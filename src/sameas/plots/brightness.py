@@ -1,4 +1,4 @@
-"""What was learned of the magnitudes: the share of each catalogue that the other shows, the rest, their relation."""
+"""Magnitudes: completeness of either catalogue, density of its unmatched records, relation of the magnitudes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Dots drawn at most.
+#: Most dots.
 MOST_DOTS = 5000
 
 
@@ -33,8 +33,8 @@ def brightness(match: SkyMatch) -> Figure:
     relation = e.photometry.first_relation
     names = e.photometry.names[0][0], e.photometry.names[1][0]
     title = f"Brightness changes {e.changed_by_brightness} of the answers"
-    told = "" if relation is None else f"Zero point {e.quantities['zero_point']}, scatter {e.quantities['scatter']}"
-    figure = sheet(title, told, 15.0)
+    subtitle = "" if relation is None else f"Zero point {e.quantities['zero_point']}, scatter {e.quantities['scatter']}"
+    figure = sheet(title, subtitle, 15.0)
     left, middle, right = figure.subplots(1, 3)
     for curve, mine, other, colour in (
         (e.detection_1, match.first.name, match.second.name, FIRST),
@@ -69,7 +69,7 @@ def _completeness(axes: Axes, curve: DetectionCurve, label: str, colour: str) ->
 
 
 def _alone(axes: Axes, curve: DetectionCurve, label: str, colour: str) -> None:
-    """Density of the records that the other catalogue does not show; bins without any are left out."""
+    """Density of the records without a partner in the other catalogue; bins without any are left out."""
     some = curve.density > curve.density_error
     density, error = ARCSEC2_PER_DEG2 * curve.density[some], ARCSEC2_PER_DEG2 * curve.density_error[some]
     half = 0.5 * np.diff(curve.edges)[some]
@@ -81,11 +81,11 @@ def _alone(axes: Axes, curve: DetectionCurve, label: str, colour: str) -> None:
 
 def _relation(axes: Axes, match: SkyMatch, names: tuple[str, str]) -> None:
     """Magnitude differences of the identified pairs, with the curve of the mean and its scatter."""
-    photometry, found = match.estimate.photometry, match.result.matches
+    photometry, matches = match.estimate.photometry, match.result.matches
     assert photometry is not None
     first, second = match.result.first, match.result.second
-    i = match.result.pairs.i[found.pair]
-    j = match.result.pairs.j[found.pair]
+    i = match.result.pairs.i[matches.pair]
+    j = match.result.pairs.j[matches.pair]
     one = photometry.sides[0].measured.values[i, 0]
     two = photometry.sides[1].measured.values[j, 0]
     some = slice(None, None, max(1, -(-len(one) // MOST_DOTS)))

@@ -1,4 +1,4 @@
-"""How sure the identification is as a whole, and how much of the first catalogue it reaches."""
+"""Expected errors of the identification by a cut on probability, and the identified share of the first catalogue."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ if TYPE_CHECKING:
 
 
 def certainty(match: SkyMatch) -> Figure:
-    """What is lost and what is wrong when only pairs above a probability are kept, and the identified share.
+    """Expected numbers of wrong pairs and of lost true pairs against a cut on probability, and the identified share.
 
-    The share is that of the first catalogue against its magnitude, left out where it has none.
+    The share is of the first catalogue against its magnitude; the panel is left out where it has none.
     """
-    found = match.result.matches
-    title = f"Of {count(len(found))} identified pairs {match.result.expected_wrong:.1f} are expected to be wrong"
+    matches = match.result.matches
+    title = f"Of {count(len(matches))} identified pairs {match.result.expected_wrong:.1f} are expected to be wrong"
     rows = f"{count(len(match.result.first))} usable rows of {match.first.name}"
     figure = sheet(title, f"{rows}, {count(len(match.result.second))} of {match.second.name}.")
-    if not len(found):
+    if not len(matches):
         return figure
     has_magnitude = match.first.magnitude is not None and np.isfinite(match.first.magnitude).any()
     axes = figure.subplots(1, 2 if has_magnitude else 1, squeeze=False)[0]
@@ -58,11 +58,11 @@ def _reach(axes: Axes, match: SkyMatch) -> None:
     magnitude = match.first.magnitude
     assert magnitude is not None
     usable = match.result.answers_1.usable & np.isfinite(magnitude)
-    found = usable & ~np.ma.getmaskarray(match.result.answers_1.partner)
+    identified = usable & ~np.ma.getmaskarray(match.result.answers_1.partner)
     low, high = np.floor(magnitude[usable].min()), np.ceil(magnitude[usable].max())
     edges = np.arange(low, high + 0.5, 0.5)
     every = np.histogram(magnitude[usable], edges)[0]
-    counted = np.histogram(magnitude[found], edges)[0]
+    counted = np.histogram(magnitude[identified], edges)[0]
     with np.errstate(invalid="ignore"):
         share = np.where(every > 0, counted / np.maximum(every, 1), np.nan)
     middle = 0.5 * (edges[1:] + edges[:-1])

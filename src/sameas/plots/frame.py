@@ -1,4 +1,4 @@
-"""Pictures of an identified frame: the frame itself with its stars, and how well plate and magnitudes fit."""
+"""Pictures of an identified frame: the frame with its stars, and the residuals of plate and magnitudes."""
 
 from __future__ import annotations
 
@@ -24,13 +24,14 @@ if TYPE_CHECKING:
 #: On the dark sky: identified, not identified, missing.
 GREEN, YELLOW, RED = "#4be39a", "#ffc845", "#ff6b6b"
 NIGHT, PAPER = "#0b0d12", "#e8e6df"
-#: So many identified stars are marked.
+#: Number of the brightest identified stars that are marked.
 BRIGHTEST = 1000
+#: Number of the brightest identified stars whose residuals are arrows.
 ARROWS = 1500
 
 
 def picture(found: FrameIdentification, frame: Frame, *, brightest: int = BRIGHTEST) -> Figure:
-    """The frame with its brightest identified stars, what is not identified and what is missing, to be hung up."""
+    """The frame with marks on its brightest identified stars, unidentified measurements and missing stars."""
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
@@ -42,9 +43,9 @@ def picture(found: FrameIdentification, frame: Frame, *, brightest: int = BRIGHT
     figure = Figure(figsize=(wide + 0.5, high + 1.45), dpi=DOTS_PER_INCH, facecolor=NIGHT)
     total = high + 1.45
     axes = figure.add_axes((0.25 / (wide + 0.5), 0.62 / total, wide / (wide + 0.5), high / total))
-    shown = stretched(binned(frame.image, binning(frame.shape)))
+    grey = stretched(binned(frame.image, binning(frame.shape)))
     extent = (-0.5, columns - 0.5, -0.5, rows - 0.5)
-    axes.imshow(shown, cmap="gray", origin="lower", extent=extent, interpolation="antialiased", vmin=0, vmax=255)
+    axes.imshow(grey, cmap="gray", origin="lower", extent=extent, interpolation="antialiased", vmin=0, vmax=255)
     axes.set_axis_off()
     handles = _marks(axes, found, brightest)
     _compass(axes, found)
@@ -56,13 +57,13 @@ def picture(found: FrameIdentification, frame: Frame, *, brightest: int = BRIGHT
 
 
 def brightest_pairs(found: FrameIdentification, number: int) -> IntArray:
-    """Positions among the identified pairs of so many of the brightest, brightest first."""
+    """(number,) positions of the brightest among the identified pairs, brightest first."""
     order = np.argsort(-found.measured.flux[found.pairs[0]], kind="stable")
     return order[:number]
 
 
 def _marks(axes: Axes, found: FrameIdentification, brightest: int) -> list[Any]:
-    """Circles that grow with brightness, crosses and diamonds; returns what the legend shows."""
+    """Circles that grow with brightness, crosses and diamonds; returns the handles of the legend."""
     from matplotlib.collections import EllipseCollection
 
     m, (i, _, p) = found.measured, found.pairs
@@ -97,7 +98,7 @@ def _marks(axes: Axes, found: FrameIdentification, brightest: int) -> list[Any]:
 
 
 def _legend(marked: int, found: int, alone: int, lost: int) -> list[Any]:
-    """What the marks mean, and how many there are."""
+    """The handles of the legend: what the marks mean, and their numbers."""
     from matplotlib.lines import Line2D
 
     first = f"{count(marked)} brightest identified" + (f" of {count(found)}" if found > marked else "")
@@ -176,9 +177,9 @@ def quality(found: FrameIdentification) -> Figure:
     """Four panels: residuals over the frame, against brightness, the magnitudes, and how complete the frame is."""
     left, i = found.residual_arcsec, found.pairs[0]
     scatter = found.scatter_arcsec
-    told = f"{count(len(i))} identified stars of {found.stars.name} on {found.measured.name}; {_model(found)}"
+    subtitle = f"{count(len(i))} identified stars of {found.stars.name} on {found.measured.name}; {_model(found)}"
     title = "No star was identified" if not len(i) else f"Stars lie within {scatter[0]:.2g}″ × {scatter[1]:.2g}″ (1σ)"
-    figure = sheet(title, told, 12.0, 10.4)
+    figure = sheet(title, subtitle, 12.0, 10.4)
     if not len(i):
         return figure
     (a, b), (c, d) = figure.subplots(2, 2)
@@ -195,34 +196,34 @@ def _model(found: FrameIdentification) -> str:
 
 
 def _arrows(axes: Axes, found: FrameIdentification, left: FloatArray) -> None:
-    """Residuals as arrows, magnified to be seen."""
+    """Residuals as magnified arrows."""
     kept = brightest_pairs(found, ARROWS)
     i = found.pairs[0][kept]
     rows, columns = found.measured.shape
     px = found.residual_px[kept]
     length = np.hypot(*px.T)
     typical = max(float(np.quantile(length, 0.9)), 1e-6)
-    grown = 10.0 ** math.floor(math.log10(0.05 * max(rows, columns) / typical))
-    grown *= max((f for f in (1, 2, 5) if f * grown * typical <= 0.05 * max(rows, columns)), default=1)
-    shown = length <= 3 * typical
+    magnified = 10.0 ** math.floor(math.log10(0.05 * max(rows, columns) / typical))
+    magnified *= max((f for f in (1, 2, 5) if f * magnified * typical <= 0.05 * max(rows, columns)), default=1)
+    drawn = length <= 3 * typical
     axes.quiver(
-        found.measured.x_px[i][shown], found.measured.y_px[i][shown], *(grown * px[shown]).T,
+        found.measured.x_px[i][drawn], found.measured.y_px[i][drawn], *(magnified * px[drawn]).T,
         angles="xy", scale_units="xy", scale=1.0, width=0.0022, color=FIRST, alpha=0.75,
     )  # fmt: skip
-    bar = nice_length(0.12 * columns / grown * orientation(found)[0])
-    reach = bar / orientation(found)[0] * grown
+    bar = nice_length(0.12 * columns / magnified * orientation(found)[0])
+    reach = bar / orientation(found)[0] * magnified
     axes.plot([0.03 * columns, 0.03 * columns + reach], [1.03 * rows] * 2, color=INK, lw=2, clip_on=False)
     axes.text(0.03 * columns + reach * 1.15, 1.03 * rows, f"{bar:g}″", va="center", fontsize=9.5, color=INK)
     axes.set_aspect("equal")
     axes.set_xlim(0, columns)
     axes.set_ylim(0, 1.06 * rows)
-    far = int(np.count_nonzero(~shown))
-    words = f"residuals, {grown:g} × magnified" + (f"; {far} longer ones left out" if far else "")
+    far = int(np.count_nonzero(~drawn))
+    words = f"residuals, {magnified:g} × magnified" + (f"; {far} longer ones left out" if far else "")
     tidy(axes, "x [px]", "y [px]", words)
 
 
 def _brightness(found: FrameIdentification) -> tuple[FloatArray, str]:
-    """What the identified pairs are sorted by: the stars' magnitudes, or those of the frame."""
+    """Magnitudes of the identified pairs and their name: of the catalogue, else instrumental."""
     i, j, _ = found.pairs
     if np.isfinite(found.stars.magnitude[j]).sum() > 2:
         return found.stars.magnitude[j], f"magnitude, {found.stars.name}"
@@ -247,7 +248,7 @@ def _dot(points: FloatArray | IntArray) -> float:
 
 
 def _running(axes: Axes, magnitude: FloatArray, found: FrameIdentification) -> None:
-    """The robust standard deviation of either axis in bins of equal numbers, and what the errors of the pairs say."""
+    """The robust standard deviation of either axis in bins of equal numbers, and the quoted errors there."""
     known = np.flatnonzero(np.isfinite(magnitude))
     if len(known) < 60:
         return
@@ -256,9 +257,9 @@ def _running(axes: Axes, magnitude: FloatArray, found: FrameIdentification) -> N
     quoted = orientation(found)[0] * np.sqrt(0.5 * np.einsum("mvv->m", covariance))
     parts = np.array_split(known[np.argsort(magnitude[known])], min(12, len(known) // 30))
     x = [float(np.median(magnitude[part])) for part in parts]
-    said = np.array([float(np.median(quoted[part])) for part in parts])
+    sigma = np.array([float(np.median(quoted[part])) for part in parts])
     for sign, label in ((-1, None), (1, "1σ as quoted")):
-        axes.plot(x, sign * said, "--", color=INK, lw=1.4, label=label)
+        axes.plot(x, sign * sigma, "--", color=INK, lw=1.4, label=label)
     for axis, colour in ((0, FIRST), (1, SECOND)):
         s = [1.4826 * float(np.median(np.abs(left[part, axis]))) for part in parts]
         for sign in (-1, 1):
@@ -268,7 +269,7 @@ def _running(axes: Axes, magnitude: FloatArray, found: FrameIdentification) -> N
 def _magnitudes(axes: Axes, found: FrameIdentification) -> None:
     """The stars' magnitudes against those of the frame, with the fitted relation."""
     i, j, _ = found.pairs
-    seen, zero = instrumental(found.measured.flux[i]), found.zero_point
+    measured, zero = instrumental(found.measured.flux[i]), found.zero_point
     if zero is None or not np.isfinite(found.stars.magnitude[j]).any():
         axes.text(0.5, 0.5, "no magnitudes to compare", ha="center", transform=axes.transAxes, color=FAINT)
         tidy(axes, "", "", "magnitudes")
@@ -276,8 +277,8 @@ def _magnitudes(axes: Axes, found: FrameIdentification) -> None:
     corrected = found.stars.magnitude[j] - (
         zero(found.measured.flux[i], found.stars.colour[j]) - zero(found.measured.flux[i])
     )
-    axes.plot(seen, corrected, ".", ms=_dot(i), color=FIRST, alpha=0.5)
-    grid = np.linspace(np.nanmin(seen), np.nanmax(seen), 200)
+    axes.plot(measured, corrected, ".", ms=_dot(i), color=FIRST, alpha=0.5)
+    grid = np.linspace(np.nanmin(measured), np.nanmax(measured), 200)
     axes.plot(grid, zero(10 ** (-0.4 * grid)), color=FOUND, lw=1.8)
     axes.invert_xaxis()
     axes.invert_yaxis()
@@ -295,7 +296,7 @@ def _zero_words(found: FrameIdentification) -> str:
 
 
 def _complete(axes: Axes, found: FrameIdentification) -> None:
-    """Stars of the catalogue on the frame, those found, and their share with its standard error."""
+    """Stars of the catalogue on the frame, the identified ones, and their share with its standard error."""
     curve = found.completeness
     if curve is None:
         axes.text(0.5, 0.5, "the catalogue has no magnitudes", ha="center", transform=axes.transAxes, color=FAINT)

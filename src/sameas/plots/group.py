@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: A group of more records than this is not chosen by itself: nobody could read its picture.
+#: Most records of a group that is chosen automatically; larger pictures are not readable.
 READABLE = 12
-#: Records of a group that the user asks for: more than this are refused.
+#: Most records of a group that the user chooses.
 DRAWABLE = 60
 #: Share of the true partners inside the dashed contour.
 INSIDE = 0.99
-#: For normal errors its radius is 3.03 σ; it is drawn where the estimated spread reaches farther than this.
-WORTH_DRAWING = 3.2
+#: σ; the contour is drawn where its radius is larger. For normal errors it is 3.03 σ.
+LEAST_CONTOUR = 3.2
 DASHES = (0, (5, 4))
 
 
@@ -54,9 +54,9 @@ class _CatalogueSide:
 
 
 def most_ambiguous(match: SkyMatch) -> int:
-    """Number of the group of three records or more whose candidates leave most open.
+    """Number of the group of three records or more whose candidates are the most uncertain.
 
-    That is the largest Σ H(p) over its candidates, H the entropy of a pair's probability.
+    That is the one of largest Σ H(p) over its candidates, H the entropy of a pair's probability.
 
     Raises
     ------
@@ -96,18 +96,18 @@ def group(match: SkyMatch, *, record: Any = None, source: int = 1) -> Figure:
     if record is None:
         number = most_ambiguous(match)
     else:
-        found = result.explain(record, source=source).group
-        if found is None:
+        group_of_record = result.explain(record, source=source).group
+        if group_of_record is None:
             raise InputError(f"{record} has no candidates; there is nothing to draw")
-        number = found
+        number = group_of_record
     sides = _sides(match, number)
     count = sum(len(side.position) for side in sides)
     if count > DRAWABLE:
         raise InputError(f"the group has {count} records; pictures are drawn of up to {DRAWABLE}")
     pairs = np.flatnonzero(result.groups.of_pairs() == number)
     when = "as observed" if match.epoch_jyr is None else f"at epoch {match.epoch_jyr:.2f}"
-    told = f"Positions {when}; each probability is that of the two records being one object."
-    figure = sheet(_finding(result, sides, pairs), told, 13.0, 6.8)
+    subtitle = f"Positions {when}; each probability is that of the two records being one object."
+    figure = sheet(_finding(result, sides, pairs), subtitle, 13.0, 6.8)
     sky, words = figure.subplots(1, 2, width_ratios=(1.0, 1.05))
     _draw(sky, match, sides, pairs)
     words.set_axis_off()
@@ -148,7 +148,7 @@ def _names(catalogue: Catalogue, rows: IntArray) -> list[str]:
 
 def _draw(axes: Axes, match: SkyMatch, sides: tuple[_CatalogueSide, _CatalogueSide], pairs: IntArray) -> None:
     _lines(axes, match.result, sides, pairs)
-    reach = containment(match.estimate.errors, INSIDE)
+    reach = containment(match.estimate.spread, INSIDE)
     outlines = [_ellipses(axes, side, reach if side is _wider(sides) else 3.0) for side in sides]
     places = np.concatenate([side.place for side in sides])
     low, high = _view(places, np.concatenate(outlines))
@@ -200,7 +200,7 @@ def _ends(result: Identification, sides: tuple[_CatalogueSide, _CatalogueSide], 
 
 
 def _ellipses(axes: Axes, side: _CatalogueSide, reach: float) -> FloatArray:
-    """Draws 1, 2, 3 quoted σ, and dashed ``reach`` σ where that is more; the points of the outermost."""
+    """Draws 1, 2, 3 quoted σ, and dashed ``reach`` σ where that is larger; the points of the outermost."""
     outermost = []
     for place, covariance in zip(side.place, side.covariance, strict=True):
         for sigmas, alpha in ((3.0, 0.10), (2.0, 0.16), (1.0, 0.30)):
@@ -208,7 +208,7 @@ def _ellipses(axes: Axes, side: _CatalogueSide, reach: float) -> FloatArray:
             axes.fill(*outline.T, facecolor=side.colour, alpha=alpha, linewidth=0, zorder=2)
             axes.plot(*outline.T, color=side.colour, lw=0.8, zorder=2)
         outermost.append(ellipse(place, covariance, max(reach, 3.0)))
-        if reach > WORTH_DRAWING:
+        if reach > LEAST_CONTOUR:
             axes.plot(*outermost[-1].T, color=side.colour, lw=1.2, ls=DASHES, zorder=1)
         axes.plot(*place, marker=side.marker, ms=5, color=side.colour, zorder=5)
     return np.concatenate(outermost)
@@ -257,8 +257,8 @@ def _list(axes: Axes, result: Identification, sides: tuple[_CatalogueSide, _Cata
             words += f"   {separation:.2f}″, {sigmas:.1f} σ"
             chosen = bool(result.chosen[pair])
             lines.append((words, FOUND if chosen else INK, "bold" if chosen else "normal"))
-        nobody = max(0.0, 1.0 - float(result.p_pair[own].sum()))
-        lines.append((f"{percent(nobody):>7}  none of them", INK, "normal"))
+        no_partner = max(0.0, 1.0 - float(result.p_pair[own].sum()))
+        lines.append((f"{percent(no_partner):>7}  none of them", INK, "normal"))
         lines.append(("", INK, "normal"))
     step = min(0.044, 0.72 / len(lines))
     for k, (text, colour, weight) in enumerate(lines):
@@ -278,7 +278,7 @@ def _key(axes: Axes, match: SkyMatch, sides: tuple[_CatalogueSide, _CatalogueSid
         dot = Line2D([], [], color=side.colour, marker=side.marker, ls="", ms=6)
         signs.append((dot, f"{side.catalogue.name}: error here {_arcsec(side.size)} on each axis"))
     signs.append((Patch(facecolor=FIRST, alpha=0.3), "ellipses: 1, 2 and 3 σ of the quoted errors"))
-    if containment(match.estimate.errors, INSIDE) > WORTH_DRAWING:
+    if containment(match.estimate.spread, INSIDE) > LEAST_CONTOUR:
         wider = _wider(sides)
         line = Line2D([], [], color=wider.colour, ls=DASHES, lw=1.2)
         signs.append((line, f"{100 * INSIDE:.0f} % of true partners, by the spread that was estimated"))

@@ -241,7 +241,7 @@ def _ground(axes: Axes, shown: MapSheet, box: Box) -> None:
 
     lines = Outline()
     if shown.plane is not None:
-        lines = shown.ground or outline(shown.plane, *box)
+        lines = outline(shown.plane, *box) if shown.ground is None else shown.ground.within(*box)
         credit = "coast: Natural Earth, ± 1 km, not for navigation" if shown.ground is None else ""
         axes.text(0.006, 0.008, credit, transform=axes.transAxes, fontsize=7.5, color="#5c6b76", zorder=3)
     if lines.land:

@@ -1,4 +1,4 @@
-"""Offsets in units of their quoted errors, against what honest errors give and what was estimated."""
+"""Offsets in units of their quoted errors, against the distribution for correct errors and the estimated one."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def normalised(match: SkyMatch) -> Figure:
     With them the Rayleigh density that the quoted errors promise, and that of the errors that were estimated.
     """
     distance = match.result.matches.mahalanobis
-    errors = match.estimate.errors
+    errors = match.estimate.spread
     figure = sheet(finding(match), _detail(match))
     if not len(distance):
         return figure
@@ -83,7 +83,7 @@ def rayleigh_mixture(distance: FloatArray, errors: Errors) -> FloatArray:
     """(n,) density of the normalised separation in two dimensions: Σ_k share_k m/s_k² exp(−m²/2s_k²)."""
     scales, shares = np.array(errors.scales), np.array(errors.shares)
     m = np.asarray(distance)[:, None]
-    return np.sum(shares * m / scales**2 * np.exp(-0.5 * (m / scales) ** 2), axis=1)
+    return np.asarray(np.sum(shares * m / scales**2 * np.exp(-0.5 * (m / scales) ** 2), axis=1))
 
 
 def containment(errors: Errors, share: float) -> float:

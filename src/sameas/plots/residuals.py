@@ -16,9 +16,10 @@ if TYPE_CHECKING:
     from matplotlib.collections import QuadMesh
     from matplotlib.figure import Figure
 
-#: The share of offsets without motion that the panels show, and of those with motion that the inset shows.
-SHOWN = 0.95
-CLOSE_UP = 0.98
+#: Share of the offsets without motion within the panels, and of those with motion within the inset (chosen).
+IN_PANEL = 0.95
+IN_INSET = 0.98
+#: Cells along a side of a panel.
 BINS = 120
 
 
@@ -28,22 +29,22 @@ def residuals(match: SkyMatch) -> Figure:
     The scale is that of the first map; an inset magnifies the second.
     """
     still, moved = match.still_offsets, match.result.matches.residual
-    told = f"{count(len(moved))} identified pairs. {_sentence(match.moved)}"
-    figure = sheet(_finding(still, moved), told, 11.0, 6.25)
+    subtitle = f"{count(len(moved))} identified pairs. {_sentence(match.moved)}"
+    figure = sheet(_finding(still, moved), subtitle, 11.0, 6.25)
     figure.set_layout_engine("compressed")
     if not len(moved):
         return figure
     left, right = figure.subplots(1, 2, sharex=True, sharey=True)
     names = f"{match.first.name} minus {match.second.name}"
-    limit = _nice(np.quantile(np.abs(still).max(axis=1), SHOWN))
-    limit = max(limit, _nice(np.quantile(np.abs(moved).max(axis=1), CLOSE_UP)))
+    limit = _nice(np.quantile(np.abs(still).max(axis=1), IN_PANEL))
+    limit = max(limit, _nice(np.quantile(np.abs(moved).max(axis=1), IN_INSET)))
     fullest = max(_counted(offsets, limit)[1].max() for offsets in (still, moved))
     for axes, offsets, title in ((left, still, _epochs(match)), (right, moved, _common(match))):
         mesh = _map(axes, offsets, limit, fullest)
         tidy(axes, f"east offset, {names} [arcsec]", "north offset [arcsec]", title)
         _numbers(axes, offsets, limit)
     right.set_ylabel("")
-    close = _nice(np.quantile(np.abs(moved).max(axis=1), CLOSE_UP))
+    close = _nice(np.quantile(np.abs(moved).max(axis=1), IN_INSET))
     if close < 0.34 * limit:
         _magnified(right, moved, close, limit)
     bar = figure.colorbar(mesh, ax=(left, right), pad=0.01, aspect=35, format="%g")
@@ -64,8 +65,8 @@ def _map(axes: Axes, offsets: FloatArray, limit: float, fullest: float) -> QuadM
 
     edges, number = _counted(offsets, limit)
     norm = LogNorm(0.7, max(float(fullest), 10.0))
-    shown = np.ma.masked_equal(number, 0.0).T
-    mesh = axes.pcolormesh(edges, edges, shown, cmap=DENSITY, norm=norm, rasterized=True)
+    filled = np.ma.masked_equal(number, 0.0).T
+    mesh = axes.pcolormesh(edges, edges, filled, cmap=DENSITY, norm=norm, rasterized=True)
     axes.set_aspect("equal")
     axes.set_xlim(limit, -limit)
     axes.set_ylim(-limit, limit)

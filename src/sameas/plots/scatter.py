@@ -1,4 +1,4 @@
-"""How far the identified pairs really scatter, against the errors they were quoted with and against brightness."""
+"""Scatter of the identified pairs against their quoted errors and against brightness."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Pairs in a bin, at least, and bins at most.
+#: Fewest pairs of a bin, and most bins.
 LEAST, MOST_BINS = 40, 16
-#: Axes are logarithmic where errors differ by more than this.
+#: Axes are logarithmic where errors differ by more than this factor.
 FAR = 20.0
-#: Median of the separation of two-dimensional normal errors over their σ, and what its relative error is times √n.
+#: Median separation of two-dimensional normal errors over their σ, and √n times the relative error of that median.
 DUE = math.sqrt(2.0 * math.log(2.0))
 OF_MEDIAN = 1.0 / (DUE * DUE)
 
@@ -32,17 +32,17 @@ OF_MEDIAN = 1.0 / (DUE * DUE)
 def scatter(match: SkyMatch) -> Figure:
     """Scatter of the identified pairs, σ on each axis, in bins of quoted error and of magnitude.
 
-    With them what the quoted errors promise, and what was estimated: a factor, or factors and a floor.
+    With them the quoted errors, and the estimated ones: by a factor, or by factors and a floor.
     """
-    figure = sheet(finding(match), _told(match))
+    figure = sheet(finding(match), _subtitle(match))
     pairs = match.result.matches
     if not len(pairs):
         return figure
     quoted, estimated = _sigmas(match)
-    seen = np.hypot(*pairs.residual.T) / DUE
+    scattered = np.hypot(*pairs.residual.T) / DUE
     magnitude, words = _magnitude(match)
-    by_error, drawn = _bins(quoted), (seen, quoted, estimated)
-    # Errors that hardly differ tell nothing by themselves.
+    by_error, drawn = _bins(quoted), (scattered, quoted, estimated)
+    # No panel against quoted errors that hardly differ.
     panels = (len(by_error) > 1 or magnitude is None) + (magnitude is not None)
     axes = figure.subplots(1, panels, squeeze=False)[0]
     spread = "scatter, σ on each axis  [arcsec]"
@@ -70,8 +70,8 @@ def _scaled(set_scale: Callable[[str], None], values: FloatArray) -> bool:
     return far
 
 
-def _told(match: SkyMatch) -> str:
-    # The line is short: why something could not be told is left to the report.
+def _subtitle(match: SkyMatch) -> str:
+    # The line is short: the reasons after the semicolon are in the report.
     words = by_source(match).partition(";")[0]
     return words[:1].upper() + words[1:] if words else "The errors were taken as they were given, not estimated"
 
@@ -111,11 +111,11 @@ def _bins(values: FloatArray) -> list[NDArray[np.intp]]:
 def _against(
     axes: Axes, parts: Sequence[NDArray[np.intp]], along: FloatArray, sigmas: tuple[FloatArray, FloatArray, FloatArray]
 ) -> None:
-    """Medians in bins along some values: what is seen with its error, what was quoted, what is estimated."""
+    """Medians in bins along some values: the scatter with its error, the quoted σ, the estimated σ."""
     x = np.array([np.median(along[part]) for part in parts])
-    seen, quoted, estimated = (np.array([np.median(values[part]) for part in parts]) for values in sigmas)
-    error = OF_MEDIAN * seen / np.sqrt([len(part) for part in parts])
+    scattered, quoted, estimated = (np.array([np.median(values[part]) for part in parts]) for values in sigmas)
+    error = OF_MEDIAN * scattered / np.sqrt([len(part) for part in parts])
     mark = "" if len(parts) > 1 else "_"
     axes.plot(x, quoted, "--", marker=mark, ms=18, color=SECOND, lw=2.0, label="as quoted")
     axes.plot(x, estimated, marker=mark, ms=18, color=FOUND, lw=2.2, label="as estimated")
-    axes.errorbar(x, seen, error, fmt="o", ms=4.5, color=INK, elinewidth=1.0, label="identified pairs, ± 1 σ")
+    axes.errorbar(x, scattered, error, fmt="o", ms=4.5, color=INK, elinewidth=1.0, label="identified pairs, ± 1 σ")

@@ -1,9 +1,11 @@
-"""The sheet that every picture is drawn on: figure, axes, title, colours, and its way into a file."""
+"""The sheet that every picture is drawn on: figure, axes, title, colours; and how it is saved."""
 
 from __future__ import annotations
 
+import io
 import os
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,16 +19,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's colours, told apart by every kind of colour vision.
-FIRST = "#0072B2"  # what belongs to the first catalogue
-SECOND = "#D55E00"  # what belongs to the second
-FOUND = "#009E73"  # what was estimated from the data
+# Colours of Okabe and Ito, distinct for every colour vision: of the first catalogue, of the second, of estimates.
+FIRST = "#0072B2"
+SECOND = "#D55E00"
+FOUND = "#009E73"
 INK = "#222222"
 FAINT = "#8A8A8A"
 FILL = "#BFD3E0"
 DENSITY = "viridis"
 
-DOTS_PER_INCH = 150
+#: Dots per inch of a file, and of a notebook, which is about 900 pixels wide.
+DOTS_PER_INCH, NOTEBOOK_DPI = 150, 80
 
 
 def required() -> type[Figure]:
@@ -40,11 +43,26 @@ def required() -> type[Figure]:
         from matplotlib.figure import Figure
     except ImportError as error:
         raise InputError("pictures need matplotlib: pip install 'sameas[plots]'") from error
-    return Figure
+    return _shown(Figure)
+
+
+@cache
+def _shown(figure: type[Figure]) -> type[Figure]:
+    """Matplotlib's figure as notebooks show it, without pyplot and its ``%matplotlib``."""
+
+    class ShownFigure(figure):  # type: ignore[misc, valid-type]
+        """A figure that notebooks draw."""
+
+        def _repr_png_(self) -> bytes:
+            drawn = io.BytesIO()
+            self.savefig(drawn, format="png", dpi=NOTEBOOK_DPI)
+            return drawn.getvalue()
+
+    return ShownFigure
 
 
 def sheet(title: str, subtitle: str, width: float = 11.0, height: float = 5.4) -> Figure:
-    """An empty figure that says its finding on top; sizes in inches.
+    """An empty figure with its finding as the title; sizes in inches.
 
     Raises
     ------
@@ -59,7 +77,7 @@ def sheet(title: str, subtitle: str, width: float = 11.0, height: float = 5.4) -
 
 
 def tidy(axes: Axes, x: str, y: str, title: str = "") -> None:
-    """Labels with units, a title, and no more ink than needed."""
+    """Labels with units and a title; spines at the left and below only."""
     axes.set_xlabel(x, fontsize=10.5, color=INK)
     axes.set_ylabel(y, fontsize=10.5, color=INK)
     axes.tick_params(labelsize=9.5, color=FAINT, labelcolor=INK)
@@ -83,9 +101,6 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> None:
         raise InputError(f"{os.fspath(path)}: pictures are written as {', '.join(sorted(known))}")
     with replacing(path) as draft:
         figure.savefig(draft, format=kind)
-
-
-# A small piece of sky laid flat, and the outlines that are drawn on it.
 
 
 @dataclass(frozen=True)
@@ -130,7 +145,7 @@ def ellipse(place: FloatArray, covariance: FloatArray, sigmas: float, points: in
     angle = np.linspace(0.0, 2.0 * np.pi, points)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     values, vectors = np.linalg.eigh(covariance)
-    return place + sigmas * (circle * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    return np.asarray(place + sigmas * (circle * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
 
 
 def nice_length(most: float) -> float:

@@ -1,4 +1,4 @@
-"""How the light of a frame is shown: sky nearly black, faint stars seen, bright ones not all the same."""
+"""The stretch of a frame: the sky nearly black, faint stars visible, bright ones distinct."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray
 
-#: Standard deviations of the sky: shown black, and where the stretch turns from linear to logarithmic.
+#: Standard deviations of the sky: below the sky that is black, above black at which asinh becomes logarithmic (chosen).
 BLACK, SOFT = 0.7, 3.5
-#: Share of the pixels that may be fully white.
+#: Share of the pixels that are white (chosen).
 WHITE = 0.0008
-#: A frame is shown with so many pixels along a side at most; larger ones are averaged.
+#: Most pixels along a side of the picture; larger frames are averaged.
 LARGEST = 2400
 
 
 def stretched(image: NDArray[np.float32], masked: BoolArray | None = None) -> NDArray[np.uint8]:
     """(rows, columns) 0 … 255: asinh of the light above the sky.
 
-    image : (rows, columns). masked : where there is no number, shown as sky.
+    image : (rows, columns). masked : pixels without a number, which become sky.
     """
     values = np.asarray(image, np.float32)
     used = np.isfinite(values) if masked is None else np.isfinite(values) & ~masked
@@ -28,7 +28,7 @@ def stretched(image: NDArray[np.float32], masked: BoolArray | None = None) -> ND
         sample = sample[:: len(sample) // 1_000_000]
     level = float(np.median(sample))
     below = sample[sample <= level]
-    # The side below the sky has no stars in it.
+    # The noise is that of the pixels below the sky, where no stars are.
     noise = 1.4826 * float(np.median(level - below)) if len(below) else 1.0
     noise = noise if noise > 0 else max(float(sample.std()), 1e-6)
     low, high = level - BLACK * noise, max(float(np.quantile(sample, 1.0 - WHITE)), level + 10.0 * noise)
@@ -38,7 +38,7 @@ def stretched(image: NDArray[np.float32], masked: BoolArray | None = None) -> ND
 
 
 def _slow(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(rows, columns) the parabola that the sky follows: vignetting, moonlight; nebulae are left as they are."""
+    """(rows, columns) a parabola fitted to the sky: vignetting and moonlight, without nebulae."""
     rows, columns = values.shape
     size = max(8, min(rows, columns) // 16)
     tiles = [(y, x) for y in range(0, rows - size + 1, size) for x in range(0, columns - size + 1, size)]
@@ -63,7 +63,7 @@ def _slow(values: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def binning(shape: tuple[int, int]) -> int:
-    """How many pixels along a side are averaged to one that is shown."""
+    """Number of pixels along a side that are averaged to one of the picture."""
     return max(1, -(-max(shape) // LARGEST))
 
 

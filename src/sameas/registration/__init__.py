@@ -9,5 +9,17 @@ from sameas.registration.joint import Parameter, Registration, register
 from sameas.registration.offsets import Affine, Offset, Shift, Similarity
 from sameas.registration.sensor import SensorBias
 from sameas.registration.solution import Solution
+from sameas.registration.tuning import Tuning
 
-__all__ = ["Affine", "Offset", "Parameter", "Registration", "SensorBias", "Shift", "Similarity", "Solution", "register"]
+__all__ = [
+    "Affine",
+    "Offset",
+    "Parameter",
+    "Registration",
+    "SensorBias",
+    "Shift",
+    "Similarity",
+    "Solution",
+    "Tuning",
+    "register",
+]

@@ -1,10 +1,10 @@
-"""Where to begin: offsets for which more records of the two sources fall together than chance lets expect.
+"""Hough search: offsets at which more records of the two sources coincide than by chance.
 
 In an offset's chart its main parameters shift all records alike, so that every pair of records votes for the shift that
-would make it one object: true pairs vote alike, chance pairs anywhere. The votes are counted in cells, from cells as
-coarse as they must be down to the size of the errors; what the chart does not show (rotation, stretch, …) is tried
-on a grid, around a few small patches where the records are many: a small patch needs a coarse grid only. Where
-there are too many pairs to list, the counts are the correlation of two pictures of the records, by Fourier transform.
+would make it one object: true pairs vote alike, chance pairs anywhere. The votes are counted in cells, coarse ones
+first, down to the size of the errors. Parameters that the chart does not have (rotation, stretch, …) are searched on a
+grid, around a few small patches where the records are many: a small patch needs a coarse grid only. Where the pairs
+are too many to list, the counts are the correlation of the two densities of records, by Fourier transform.
 """
 
 from __future__ import annotations
@@ -20,26 +20,8 @@ from numpy.typing import ArrayLike
 from sameas.arrays import FloatArray, IntArray
 from sameas.records import Records
 from sameas.registration.offsets import Offset
+from sameas.registration.tuning import DEFAULT_TUNING, Tuning
 from sameas.space import Sphere
-
-#: Most pairs whose votes are listed one by one, and most cells to count them in.
-MOST_PAIRS, MOST_CELLS = 2_000_000, 1 << 19
-#: Cells no larger than so many standard deviations are fine; of coarser ones so many are looked into.
-FINE, COARSE_PEAKS = 2.0, 8
-#: So many records are asked first, then so many times more; votes of such a score that few come near it have decided.
-ASKED, MORE, DECIDED, FEW = 64, 8, 25.0, 4
-#: Records of a patch, where a grid must be tried, and its cells in standard deviations: a grid tears true votes apart.
-PATCH, PATCH_CELL = 40, 1.6
-#: Votes that a node of the grid hands on, of a patch.
-FROM_A_NODE = 5
-#: Steps of the grid move the records at the edge by so many standard deviations; the grid reaches so many widths.
-STEP_SIGMAS, REACH_WIDTHS, MOST_STEPS = 3.0, 2.5, 41
-#: Votes of less than this share of the best score are not looked at.
-HOPELESS = 0.3
-#: Which peaks count as ones of their own: the share of the best score, and the cells in between.
-FINELY, COARSELY = (HOPELESS, 2), (0.0, 1)
-#: Records that say where in a coarse cell the votes lie.
-SAMPLE = 20_000
 
 #: Score, and a shift in the chart.
 Peak = tuple[float, FloatArray]
@@ -47,8 +29,8 @@ Peak = tuple[float, FloatArray]
 
 @dataclass(frozen=True)
 class Votes:
-    """Offsets to begin with, best first: ``theta`` (s, p), their scores (s,), and the patch of records (of the second)
-    that each speaks of, (s,) into ``patches``."""
+    """Initial offsets, best first: ``theta`` (s, p), their scores (s,), and the patch of records (of the second)
+    that each is of, (s,) into ``patches``."""
 
     theta: FloatArray
     score: FloatArray
@@ -56,18 +38,18 @@ class Votes:
     patches: tuple[IntArray, ...]
 
 
-def vote(first: Records, second: Records, model: Offset, count: int) -> Votes:
+def vote(first: Records, second: Records, model: Offset, count: int, tuning: Tuning = DEFAULT_TUNING) -> Votes:
     """The ``count`` most voted offsets of a placed model."""
     if model.turns():
-        found, patches = _on_patches(first, second, model, count)
+        entries, patches = _on_patches(first, second, model, count, tuning)
     else:
-        found, patches = _by_sample(first, second, model, count)
-    found.sort(key=lambda entry: -entry[0])
-    found = [entry for entry in found if entry[0] >= HOPELESS * found[0][0]][:count]
+        entries, patches = _by_sample(first, second, model, count, tuning)
+    entries.sort(key=lambda entry: -entry[0])
+    entries = [entry for entry in entries if entry[0] >= tuning.peak_share * entries[0][0]][:count]
     p = len(model.names)
     return Votes(
-        np.array([theta for _, _, theta in found]).reshape(-1, p), np.array([score for score, _, _ in found]),
-        np.array([number for _, number, _ in found], np.int64), patches,
+        np.array([theta for _, _, theta in entries]).reshape(-1, p), np.array([score for score, _, _ in entries]),
+        np.array([number for _, number, _ in entries], np.int64), patches,
     )  # fmt: skip
 
 
@@ -75,36 +57,40 @@ def vote(first: Records, second: Records, model: Offset, count: int) -> Votes:
 Found = list[tuple[float, int, FloatArray]]
 
 
-def _by_sample(first: Records, second: Records, model: Offset, count: int) -> tuple[Found, tuple[IntArray, ...]]:
-    """The votes of a few records of the second source, or of more and more where those leave open what is true."""
-    n, size = len(second), ASKED
+def _by_sample(
+    first: Records, second: Records, model: Offset, count: int, tuning: Tuning
+) -> tuple[Found, tuple[IntArray, ...]]:
+    """The votes of a few records of the second source, and of more and more until one peak is clear."""
+    n, size = len(second), tuning.first_records
     while True:
         rows = np.linspace(0, n - 1, min(size, n)).astype(np.int64)
-        found = _shifts(first, second, model, rows, np.zeros(len(model.names)), 1.0, count)
-        best = max((score for score, _ in found), default=0.0)
-        near = sum(score >= HOPELESS * best for score, _ in found)
-        if len(rows) == n or (best >= DECIDED and near <= FEW):
-            return [(score, 0, theta) for score, theta in found], (rows,)
-        size *= MORE
+        peaks = _shifts(first, second, model, rows, np.zeros(len(model.names)), 1.0, count, tuning)
+        best = max((score for score, _ in peaks), default=0.0)
+        near = sum(score >= tuning.peak_share * best for score, _ in peaks)
+        if len(rows) == n or (best >= tuning.decided_score and near <= tuning.few_peaks):
+            return [(score, 0, theta) for score, theta in peaks], (rows,)
+        size *= tuning.more_records
 
 
-def _on_patches(first: Records, second: Records, model: Offset, count: int) -> tuple[Found, tuple[IntArray, ...]]:
+def _on_patches(
+    first: Records, second: Records, model: Offset, count: int, tuning: Tuning
+) -> tuple[Found, tuple[IntArray, ...]]:
     """The votes at every node of the grid, of all records or of small patches."""
-    found: Found = []
-    patches = _patches(model.chart(second.features))
-    # On small patches the true votes stand out; elsewhere chance may outvote them, and more must be looked at.
-    each, cell = (count, 1.0) if len(patches) == 1 else (FROM_A_NODE, PATCH_CELL)
+    entries: Found = []
+    patches = _patches(model.chart(second.features), tuning)
+    # On small patches the true votes stand out; elsewhere chance may outvote them, and more peaks are kept.
+    each, cell = (count, 1.0) if len(patches) == 1 else (tuning.node_peaks, tuning.patch_cell_sigmas)
     for number, rows in enumerate(patches):
-        for node in _grid(first, second, model, rows):
-            shifts = _shifts(first, second, model, rows, node, cell, each)
-            found += [(score, number, theta) for score, theta in shifts]
-    return found, patches
+        for node in _grid(first, second, model, rows, tuning):
+            shifts = _shifts(first, second, model, rows, node, cell, each, tuning)
+            entries += [(score, number, theta) for score, theta in shifts]
+    return entries, patches
 
 
-def _patches(chart: FloatArray) -> tuple[IntArray, ...]:
-    """Rows of all records, or of those nearest to the middle and to the middles of the quarters."""
+def _patches(chart: FloatArray, tuning: Tuning) -> tuple[IntArray, ...]:
+    """Rows of all records, or of those nearest to the centre and to the centres of the quarters."""
     n, d = chart.shape
-    if n <= 2 * PATCH:
+    if n <= 2 * tuning.patch_records:
         return (np.arange(n),)
     spread = np.maximum(chart.std(axis=0), 1e-300)
     signs = [np.zeros(d), *(np.array(s) for s in product((-0.8, 0.8), repeat=min(d, 2)))]
@@ -112,20 +98,20 @@ def _patches(chart: FloatArray) -> tuple[IntArray, ...]:
     for sign in signs:
         middle = chart.mean(axis=0) + spread * np.pad(sign, (0, d - len(sign)))
         distance = np.sum(((chart - middle) / spread) ** 2, axis=1)
-        patches.append(np.argpartition(distance, PATCH)[:PATCH])
+        patches.append(np.argpartition(distance, tuning.patch_records)[: tuning.patch_records])
     return tuple(patches)
 
 
-def _grid(first: Records, second: Records, model: Offset, rows: IntArray) -> Iterator[FloatArray]:
-    """θ of every node: what the chart does not show, in steps that hardly tear the patch."""
+def _grid(first: Records, second: Records, model: Offset, rows: IntArray, tuning: Tuning) -> Iterator[FloatArray]:
+    """θ of every node: the parameters that the chart does not have, in steps that hardly distort the patch."""
     p, sigma = len(model.names), typical_sigma(first, second)
     axes = []
     jacobian = model.jacobian(second.features, np.zeros(p))[rows]
     for direction, width in model.turns():
         move = jacobian @ direction
         tear = float(np.sqrt(np.sum((move - move.mean(axis=0)) ** 2, axis=1)).max(initial=0.0))
-        reach = REACH_WIDTHS * width
-        steps = min(math.ceil(reach * tear / (STEP_SIGMAS * sigma)), MOST_STEPS // 2)
+        reach = tuning.reach_widths * width
+        steps = min(math.ceil(reach * tear / (tuning.step_sigmas * sigma)), tuning.most_steps // 2)
         axes.append(
             [direction * at for at in np.linspace(-reach, reach, 2 * steps + 1)] if steps else [0.0 * direction]
         )
@@ -163,9 +149,16 @@ def wrapped(difference: FloatArray, periods: ArrayLike) -> FloatArray:
 
 
 def _shifts(
-    first: Records, second: Records, model: Offset, rows: IntArray, node: FloatArray, cell: float, count: int
+    first: Records,
+    second: Records,
+    model: Offset,
+    rows: IntArray,
+    node: FloatArray,
+    cell: float,
+    count: int,
+    tuning: Tuning,
 ) -> list[Peak]:
-    """The most voted shifts at one node of the grid, as (score, θ), in cells of so many standard deviations."""
+    """The most voted shifts at one node of the grid, as (score, θ), in cells of ``cell`` standard deviations."""
     d, periods = first.d, np.array(model.periods(first.d))
     moved = model.moved(second.features, node)
     sigma = np.hypot(_chart_sigma(model, first, first.features), _chart_sigma(model, second, moved))
@@ -174,13 +167,13 @@ def _shifts(
     for axis, (which, per) in enumerate(model.voted(d)):
         width = 0.0 if which is None else model.widths[which]
         limit[axis] = (3.5 * width / abs(per) if width < math.inf else math.inf) + 3.0 * sigma[axis]
-    if len(one) * len(two) <= MOST_PAIRS:
+    if len(one) * len(two) <= tuning.most_pairs:
         low = np.where(np.isfinite(periods), -0.5 * periods, one.min(axis=0) - two.max(axis=0)) - 3.0 * sigma
         high = np.where(np.isfinite(periods), 0.5 * periods, one.max(axis=0) - two.min(axis=0)) + 3.0 * sigma
         box = np.maximum(low, -limit), np.maximum(np.minimum(high, limit), np.maximum(low, -limit))
-        peaks = _peaks((one, two), periods, box, sigma * cell, count)
+        peaks = _peaks((one, two), periods, box, sigma * cell, count, tuning)
     else:
-        peaks = _peaks_of_pictures(one, two, periods, limit, sigma, count)
+        peaks = _correlated_peaks(one, two, periods, limit, sigma, count, tuning)
     result = []
     for score, shift in peaks:
         theta = node.copy()
@@ -197,44 +190,50 @@ def _peaks(
     box: tuple[FloatArray, FloatArray],
     sigma: FloatArray,
     count: int,
+    tuning: Tuning,
     density: float | None = None,
 ) -> list[Peak]:
-    """Where differences of records crowd within a box: coarse cells first where there must be, then finer in the best.
+    """Peaks of the differences of records within a box: in coarse cells first if needed, then in fine ones.
 
-    box : its low and high corner. density : of the votes that chance brings; what is seen around if not given.
+    box : its low and high corner. density : of votes by chance; estimated from the surroundings if not given.
     """
     from sameas.kernels.offsets import tally
 
     low, high = box
-    most = min(max(64 * len(records[0]) * len(records[1]), 4096), MOST_CELLS)
+    most = min(max(64 * len(records[0]) * len(records[1]), 4096), tuning.most_cells)
     size = sigma * _coarser((high - low) / sigma, most)
     # A cell more at every end, which is left empty.
     cells, start = np.maximum(np.ceil((high - low) / size).astype(np.int64), 1) + 2, low - size
     votes = tally(*records, periods, start, size, cells).reshape(tuple(cells))
     chance = None if density is None else density * float(size.prod())
-    if np.all(size <= FINE * sigma):
-        return [(score, start + (place + 0.5) * size) for score, place, _ in _crowded(votes, count, chance, *FINELY)]
+    if np.all(size <= tuning.fine_sigmas * sigma):
+        return [
+            (score, start + (place + 0.5) * size)
+            for score, place, _ in _crowded(votes, count, chance, tuning.peak_share, tuning.peak_cells)
+        ]
     result: list[Peak] = []
-    for _, place, around in _crowded(votes, min(count, COARSE_PEAKS), chance, *COARSELY):
+    for _, place, around in _crowded(votes, min(count, tuning.coarse_peaks), chance, 0.0, 1):
         block = start + (place - 1.0) * size, start + (place + 2.0) * size
-        result += _peaks(records, periods, block, sigma, max(1, count // COARSE_PEAKS), around / float(size.prod()))
+        result += _peaks(
+            records, periods, block, sigma, max(1, count // tuning.coarse_peaks), tuning, around / float(size.prod())
+        )
     result.sort(key=lambda entry: -entry[0])
     return result[:count]
 
 
 def _coarser(extent_sigmas: FloatArray, most: float) -> float:
-    """How many standard deviations a cell must have for at most so many cells."""
-    wanted = float(np.prod(np.maximum(extent_sigmas, 1.0)))
-    return max(1.0, (wanted / most) ** (1.0 / len(extent_sigmas)))
+    """Size of a cell in standard deviations, for at most ``most`` cells."""
+    cells_needed = float(np.prod(np.maximum(extent_sigmas, 1.0)))
+    return max(1.0, float((cells_needed / most) ** (1.0 / len(extent_sigmas))))
 
 
 def _crowded(
-    votes: FloatArray, count: int, chance: float | None, share: float, beside: int
+    votes: FloatArray, count: int, chance: float | None, share: float, apart_cells: int
 ) -> list[tuple[float, FloatArray, float]]:
-    """The blocks of 3 cells a side that hold most in excess of chance: score, middle cell, chance votes of a cell.
+    """The blocks of 3 cells a side with the largest excess over chance: score, middle cell, chance votes of a cell.
 
-    chance : votes that a cell gets by chance; what is seen in the wider surroundings if not given. share : of the best
-    score, which a block must have. beside : cells so near to a better one are of the same peak.
+    chance : votes of a cell by chance; estimated from the surroundings if not given. share : least share of the best
+    score of a block. apart_cells : blocks within this many cells of a better one are of the same peak.
     The score is the log likelihood ratio of a Poisson count. The outermost cells have no votes.
     """
     from sameas.kernels.offsets import blocks
@@ -248,14 +247,14 @@ def _crowded(
     top = np.argpartition(here, len(here) - most)[len(here) - most :] if most else filled
     place = np.stack(np.unravel_index(filled[top], votes.shape), axis=1)
     around = _surroundings(votes, place) if chance is None else np.full(len(top), chance)
-    due, seen = around * block, here[top]
-    score = np.where(seen > due, seen * np.log(seen / due) - (seen - due), 0.0)
+    due, counted = around * block, here[top]
+    score = np.where(counted > due, counted * np.log(counted / due) - (counted - due), 0.0)
     peaks: list[tuple[float, FloatArray, float]] = []
     taken = np.empty((0, votes.ndim))
     for k in np.lexsort((filled[top], -score)):
         if len(peaks) == count or score[k] <= 0.0 or (peaks and score[k] < share * peaks[0][0]):
             break
-        if not (np.abs(taken - place[k]) <= beside).all(axis=1).any():
+        if not (np.abs(taken - place[k]) <= apart_cells).all(axis=1).any():
             peaks.append((float(score[k]), place[k].astype(np.float64), float(around[k])))
             taken = np.vstack([taken, place[k]])
     return peaks
@@ -266,7 +265,7 @@ def _surroundings(votes: FloatArray, place: IntArray) -> FloatArray:
     from scipy import ndimage
 
     side = [max(1, -(-length // 10)) for length in votes.shape]
-    # Nothing around is no proof that chance could not bring a vote.
+    # Empty surroundings do not prove that chance votes are impossible.
     least = max(0.05 * votes.mean(), 1e-6)
     if np.prod([min(3 * s, length) for s, length in zip(side, votes.shape, strict=True)]) < 20.0 * 3.0**votes.ndim:
         return np.full(len(place), max(float(votes.mean()), least))
@@ -280,29 +279,38 @@ def _surroundings(votes: FloatArray, place: IntArray) -> FloatArray:
     return np.asarray(np.maximum(smooth[at], least))
 
 
-def _peaks_of_pictures(
-    one: FloatArray, two: FloatArray, periods: FloatArray, limit: FloatArray, sigma: FloatArray, count: int
+def _correlated_peaks(
+    one: FloatArray,
+    two: FloatArray,
+    periods: FloatArray,
+    limit: FloatArray,
+    sigma: FloatArray,
+    count: int,
+    tuning: Tuning,
 ) -> list[Peak]:
-    """The same where the pairs are too many to list: the pictures of both sources are correlated (FFT)."""
+    """The same where the pairs are too many to list: the densities of both sources are correlated (FFT)."""
     from scipy.signal import fftconvolve
     from scipy.spatial import cKDTree
 
     origin_1, origin_2, d = one.min(axis=0), two.min(axis=0), one.shape[1]
     span = np.maximum(np.maximum(one.max(axis=0) - origin_1, two.max(axis=0) - origin_2), sigma)
-    size = sigma * _coarser(span / sigma, MOST_CELLS / 2.0)
+    size = sigma * _coarser(span / sigma, tuning.most_cells / 2.0)
     cells = np.ceil(span / size).astype(int) + 1
-    pictures = [_picture((one - origin_1) / size, cells), _picture((two - origin_2) / size, cells)]
-    votes = np.pad(fftconvolve(pictures[0], pictures[1][(slice(None, None, -1),) * d]).clip(0.0), 1)
+    densities = [_density((one - origin_1) / size, cells), _density((two - origin_2) / size, cells)]
+    votes = np.pad(fftconvolve(densities[0], densities[1][(slice(None, None, -1),) * d]).clip(0.0), 1)
     start = origin_1 - origin_2 - cells * size
     for v in range(d):
         shift = wrapped(start[v] + np.arange(votes.shape[v]) * size[v], periods[v])
         votes *= np.expand_dims(np.abs(shift) <= limit[v] + size[v], tuple(u for u in range(d) if u != v))
-    if np.all(size <= FINE * sigma):
-        return [(score, start + place * size) for score, place, _ in _crowded(votes, count, None, *FINELY)]
+    if np.all(size <= tuning.fine_sigmas * sigma):
+        return [
+            (score, start + place * size)
+            for score, place, _ in _crowded(votes, count, None, tuning.peak_share, tuning.peak_cells)
+        ]
     tree = cKDTree(one / size)
-    sample = two[np.linspace(0, len(two) - 1, min(SAMPLE, len(two))).astype(np.int64)]
+    sample = two[np.linspace(0, len(two) - 1, min(tuning.vote_sample, len(two))).astype(np.int64)]
     result: list[Peak] = []
-    for _, place, around in _crowded(votes, COARSE_PEAKS, None, *COARSELY):
+    for _, place, around in _crowded(votes, tuning.coarse_peaks, None, 0.0, 1):
         centre = start + place * size
         near = tree.query_ball_point((sample + centre) / size, 1.5, p=np.inf, return_sorted=False)
         at = np.repeat(np.arange(len(sample)), [len(rows) for rows in near])
@@ -310,12 +318,14 @@ def _peaks_of_pictures(
         apart, box = one[rows] - sample[at], (centre - 1.5 * size, centre + 1.5 * size)
         density = around / float(size.prod()) * len(sample) / len(two)
         nowhere = np.zeros((1, d))
-        result += _peaks((apart, nowhere), np.full(d, np.inf), box, sigma, max(1, count // COARSE_PEAKS), density)
+        result += _peaks(
+            (apart, nowhere), np.full(d, np.inf), box, sigma, max(1, count // tuning.coarse_peaks), tuning, density
+        )
     result.sort(key=lambda entry: -entry[0])
     return result[:count]
 
 
-def _picture(at: FloatArray, cells: IntArray) -> FloatArray:
-    """How many records lie in each cell."""
+def _density(at: FloatArray, cells: IntArray) -> FloatArray:
+    """Number of records in each cell."""
     flat = np.ravel_multi_index(tuple(at.astype(np.int64).T), tuple(cells))
     return np.bincount(flat, minlength=int(cells.prod())).reshape(tuple(cells)).astype(np.float64)

@@ -19,17 +19,11 @@ from sameas.prior import EVIDENCE_ALONE, Prior
 from sameas.records import Records
 from sameas.registration.hough import Votes, vote
 from sameas.registration.offsets import Offset
-from sameas.registration.solution import REPEATING, Solution, refine
+from sameas.registration.solution import Solution, refine
+from sameas.registration.tuning import DEFAULT_TUNING, Tuning
 from sameas.registration.weights import PlacedSources, arrived
+from sameas.representation import in_short
 from sameas.result import Identification
-
-#: Beginnings that are refined, in all and per record of large sources.
-BEGINNINGS, FEWEST_BEGINNINGS, REFINED_RECORDS = 64, 6, 4000
-#: The best solution must have this share of the posterior, and nothing in common less than the rest.
-SURE = 0.95
-DECISIVE = math.log(SURE / (1.0 - SURE))
-#: An overlap of less than this share of the poorer source is small.
-SMALL_OVERLAP = 0.2
 
 
 @dataclass(frozen=True)
@@ -41,6 +35,7 @@ class Parameter:
     unit: str
 
 
+@in_short
 @dataclass(frozen=True)
 class Registration:
     """The offset between two sources, and who is whom once it is taken away.
@@ -55,8 +50,9 @@ class Registration:
     log_evidence : ln of the odds of this offset against nothing in common.
     rivals : other offsets that were found, most probable first.
     probability : of this offset among all that were found and nothing in common.
-    rounds, settled : rounds of the refinement, and whether they settled.
-    notes : what a user should know; empty where nothing is in doubt.
+    rounds, settled : steps of the refinement, and whether they converged.
+    notes : doubts; empty where there are none.
+    tuning : of the search and the verdict.
     """
 
     model: Offset
@@ -71,11 +67,14 @@ class Registration:
     rounds: int
     settled: bool
     notes: tuple[str, ...]
+    tuning: Tuning = DEFAULT_TUNING
 
     @property
     def established(self) -> bool:
         """Whether this offset, and no other, nor nothing in common, explains the data."""
-        return self.probability >= SURE and not any(_serious(rival, self.log_evidence) for rival in self.rivals)
+        return self.probability >= self.tuning.sure and not any(
+            _serious(rival, self.log_evidence, self.tuning) for rival in self.rivals
+        )
 
     @property
     def standard_errors(self) -> FloatArray:
@@ -99,11 +98,12 @@ def register(
     rule: Rule | None = None,
     prior: Prior = EVIDENCE_ALONE,
     rounds: int = 40,
+    tuning: Tuning = DEFAULT_TUNING,
 ) -> Registration:
     """The offset of the second source from the first, with its covariance, and the identification without it.
 
-    The search looks at every offset that would bring any pair of records together; the refinement weighs every pair by
-    its posterior; the solution with the most evidence is kept, and the others are told where they come near.
+    The search covers every offset that brings any pair of records together; the refinement weighs every pair by its
+    posterior; the solution with the most evidence is the answer, and others that come near are in the notes.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def register(
     density : (ρ₁, ρ₂) of all records of each source; estimated if not given.
     rule, prior : evidence and belief of the identification, such as ``Field`` and ``CommonObjects(q1, q2)``; if no rule
         is given, everything is estimated as by ``match``.
-    rounds : at most so many rounds of the last refinement.
+    rounds : most steps of the last refinement. tuning : chosen numbers of the search and the verdict.
 
     Raises
     ------
@@ -140,8 +140,8 @@ def register(
         if not len(records):
             raise InputError(f"{records.source} has no usable records; no offset can be found")
     placed = model.placed(first, second)
-    scene = PlacedSources.of(first, second, placed)
-    solutions = refine(scene, _beginnings(first, second, placed), rounds)
+    scene = PlacedSources.of(first, second, placed, tuning)
+    solutions = refine(scene, _beginnings(first, second, placed, tuning), rounds)
     best = solutions[0]
     registered = _registered(scene, best)
     if rule is None:
@@ -152,26 +152,28 @@ def register(
     probability = 1.0 / (1.0 + sum(math.exp(x) for x in ahead) + math.exp(min(-best.log_evidence, 700.0)))
     return Registration(
         placed, best.theta, best.covariance, registered, answer, best.common, best.log_evidence, tuple(solutions[1:]),
-        probability, best.rounds, best.settled, _notes(scene, solutions),
+        probability, best.rounds, best.settled, _notes(scene, solutions), tuning,
     )  # fmt: skip
 
 
-def _beginnings(first: Records, second: Records, model: Offset) -> Votes:
+def _beginnings(first: Records, second: Records, model: Offset, tuning: Tuning) -> Votes:
     """The most voted offsets, and none at all."""
     turning = bool(model.turns())
-    count = BEGINNINGS if turning else max(min(BEGINNINGS, REFINED_RECORDS * 16 // len(second)), FEWEST_BEGINNINGS)
-    votes = vote(first, second, model, count)
+    few = min(tuning.beginnings, tuning.refined_records * 16 // len(second))
+    count = tuning.beginnings if turning else max(few, tuning.fewest_beginnings)
+    votes = vote(first, second, model, count, tuning)
     theta = np.concatenate([votes.theta, np.zeros((1, len(model.names)))])
     return Votes(theta, np.append(votes.score, 0.0), np.append(votes.patch, 0), votes.patches)
 
 
-def _serious(rival: Solution, log_evidence: float) -> bool:
+def _serious(rival: Solution, log_evidence: float, tuning: Tuning) -> bool:
     """Whether a solution comes near the best one, or explains so much that the pattern must repeat.
 
-    Objects scattered at random never fit twice: where they do, as on a lattice, the assumptions behind the evidence do
-    not hold, and its differences mean little.
+    Objects scattered at random never fit twice. Where they do, as on a lattice, the assumptions of the evidence do not
+    hold, and its differences mean little.
     """
-    return rival.log_evidence > min(log_evidence - DECISIVE, max(REPEATING * log_evidence, DECISIVE))
+    decisive = tuning.decisive
+    return rival.log_evidence > min(log_evidence - decisive, max(tuning.repeating * log_evidence, decisive))
 
 
 def _registered(scene: PlacedSources, solution: Solution) -> Records:
@@ -184,15 +186,15 @@ def _registered(scene: PlacedSources, solution: Solution) -> Records:
 
 
 def _notes(scene: PlacedSources, solutions: list[Solution]) -> tuple[str, ...]:
-    """What a user should know of the best solution."""
+    """Doubts about the best solution."""
     best, names = solutions[0], (scene.first.source, scene.second.source)
     notes = []
-    if best.log_evidence < DECISIVE:
+    if best.log_evidence < scene.tuning.decisive:
         notes.append(
             f"{names[0]} and {names[1]} may have nothing in common: the offset is no better established than chance "
             f"(log evidence {best.log_evidence:.1f})"
         )
-    rivals = [one for one in solutions[1:] if _serious(one, best.log_evidence)]
+    rivals = [one for one in solutions[1:] if _serious(one, best.log_evidence, scene.tuning)]
     if rivals:
         columns = zip(scene.model.names, rivals[0].theta, strict=True)
         values = ", ".join(f"{name} {value:.4g}" for name, value in columns)
@@ -207,7 +209,7 @@ def _notes(scene: PlacedSources, solutions: list[Solution]) -> tuple[str, ...]:
         )
     fewest = min(best.in_common[0] / len(scene.first), best.in_common[1] / len(scene.second))
     most = max(best.in_common[0] / len(scene.first), best.in_common[1] / len(scene.second))
-    if most < SMALL_OVERLAP:
+    if most < scene.tuning.small_overlap:
         notes.append(
             f"small overlap: only {100 * fewest:.0f} % to {100 * most:.0f} % of the records lie where both look"
         )

@@ -8,7 +8,7 @@ Every offset moves the *second* source's records to where the first would show t
 - :class:`~sameas.registration.sensor.SensorBias`: the second source is a sensor that measures range and azimuth; both
   may be biased, its range scale and its clock may be wrong.
 
-A width is the prior standard deviation of a parameter around zero: 0 leaves the parameter out, infinity says nothing.
+A width is the prior standard deviation of a parameter around zero: 0 leaves the parameter out, infinity is no prior.
 A new offset is a frozen dataclass with the methods of :class:`Offset`.
 """
 
@@ -22,10 +22,11 @@ import numpy as np
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.records import Records
+from sameas.representation import in_short
 from sameas.space import Plane, Sphere, displaced, sphere_offset
 
 RADIAN = math.pi / 180.0
-#: A field on the sphere may reach so far from its centre for one shift to be the same everywhere.
+#: A field on the sphere within 5° of its centre has one shift everywhere (limit of the tangent plane).
 SMALL_FIELD_DEG = 5.0
 
 EVERYWHERE_FLAT = Plane()
@@ -58,7 +59,7 @@ class Offset:
         return TypeError(f"{name} is the interface of offsets; use Shift, Similarity, Affine, SensorBias")
 
     def carried(self, features: FloatArray, theta: FloatArray) -> FloatArray:
-        """(…, n, d, d) ∂ moved / ∂ features: what becomes of a small error of a record; identity if not told."""
+        """(…, n, d, d) ∂ moved / ∂ features: what becomes of a small error of a record; identity by default."""
         d, shape = features.shape[-1], np.broadcast_shapes(features.shape[:-1], theta.shape[:-1])
         return np.broadcast_to(np.eye(d), (*shape, d, d))
 
@@ -75,7 +76,7 @@ class Offset:
         return [(axis, 1.0) for axis in range(d)]
 
     def turns(self) -> list[tuple[FloatArray, float]]:
-        """Directions in θ that are tried on a grid, with their prior widths: what the chart does not show."""
+        """Directions in θ that are searched on a grid, with their prior widths: those that the chart does not have."""
         return []
 
 
@@ -100,13 +101,14 @@ def _axes(prefix: str, d: int) -> tuple[str, ...]:
     return tuple(f"{prefix}_{'xyz'[v]}" if d <= 3 else f"{prefix}_{v + 1}" for v in range(d))
 
 
+@in_short
 @dataclass(frozen=True)
 class Shift(Offset):
     """A constant shift, added to the second source's records to bring them onto the first's.
 
     Parameters
     ----------
-    width : prior standard deviation of every component in the residual's unit; infinity (default) says nothing.
+    width : prior standard deviation of every component in the residual's unit; infinity (default) is no prior.
 
     On a :class:`~sameas.space.Sphere` the shift is one of the tangent plane at the field's centre, east and north in
     arcsec, and the field must be small (within 5° of its centre).
@@ -198,6 +200,7 @@ def _middle(records: Records) -> tuple[float, ...]:
     return tuple(float(x) for x in records.features.mean(axis=0))
 
 
+@in_short
 @dataclass(frozen=True)
 class Similarity(Offset):
     """Shift, rotation and stretch of the second source's records about a centre, in two features.
@@ -252,6 +255,7 @@ class Similarity(Offset):
         return [(np.eye(4)[k], self.widths[k]) for k in (2, 3) if self.widths[k] > 0.0]
 
 
+@in_short
 @dataclass(frozen=True)
 class Affine(Offset):
     """Shift and any linear distortion of the second source's records about a centre: X + θ_shift + M (X − centre).

@@ -13,15 +13,17 @@ from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.records import Records
 from sameas.registration.offsets import RADIAN, Offset, require_plane, require_widths
+from sameas.representation import in_short
 
 
+@in_short
 @dataclass(frozen=True, eq=False)
 class SensorBias(Offset):
-    """What a sensor at a known position reads too much, in a plane of (east, north): range, azimuth, gain, time.
+    """The biases of a sensor at a known position, in a plane of (east, north): range, azimuth, gain, time.
 
     θ, each only if its width is not 0: range (in the features' unit), azimuth_deg (clockwise from the second axis,
     north), range_gain (0.01 reads 1 % too far), time_offset (stamps are so much too late, in the velocity's unit of
-    time). The second source's records are moved to where an unbiased sensor would have shown them.
+    time). The second source's records are moved to where an unbiased sensor would measure them.
 
     Parameters
     ----------
@@ -54,7 +56,7 @@ class SensorBias(Offset):
 
     @property
     def which(self) -> tuple[int, ...]:
-        """Numbers of the biases that are looked for: 0 range, 1 azimuth, 2 gain, 3 time."""
+        """Numbers of the biases that are fitted: 0 range, 1 azimuth, 2 gain, 3 time."""
         widths = (self.range_width, self.azimuth_width_deg, self.gain_width, self.time_width)
         return tuple(k for k in range(4) if widths[k] > 0.0)
 

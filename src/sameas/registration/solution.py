@@ -1,8 +1,8 @@
-"""Offsets refined: from rough beginnings to the offsets of greatest likelihood, their covariances and their evidence.
+"""Refinement: from initial offsets to those of greatest likelihood, with their covariances and evidence.
 
-Weights of the pairs and offsets take turns (EM), with errors taken wide at first and as quoted in the end. Of many
-beginnings the less likely ones are dropped on the way. The covariance is the inverse of the observed information: the
-information of the pairs less what is missing because nobody knows which pairs are true (Louis 1982). It is the
+EM iterates weights of the pairs and offsets, with errors wider than quoted at first. Less likely offsets are dropped
+on the way. The covariance is the inverse of the observed information: that of the pairs less the missing information,
+since it is not known which pairs are true (Louis 1982). It is the
 derivative of the score, in which the weights follow the offset.
 """
 
@@ -19,31 +19,8 @@ from numpy.typing import NDArray
 from sameas.arrays import FloatArray, IntArray
 from sameas.gaussian import LOG_2PI, inverse, log_determinant, mahalanobis_sq, symmetric
 from sameas.registration.hough import Votes
-from sameas.registration.weights import CLOSELY, ROUGHLY, PlacedSources, Weighed, boxed, flattened, meet, weigh, weighed
-
-#: Factors by which errors are taken wider than quoted, round by round, and how many beginnings go on after each.
-WIDENINGS = (2.0, 1.5, 1.2, 1.0, 1.0)
-KEPT = (64, 64, 48, 32, 16)
-#: Where the widenings begin again with all records, after patches and after a sample.
-FROM_PATCHES, FROM_SAMPLE = 2, 3
-#: A step below this share of a standard error is near enough: the last one knows the curvature, and needs no other.
-SETTLED = 0.01
-#: Two solutions are one when no record moves between them by more than so many standard deviations, or when they differ
-#: by no more than so many standard errors.
-SAME_SIGMAS, SAME_ERRORS = 0.7, 2.0
-#: Solutions that are less likely than the best by this factor (its logarithm) are not pursued.
-HOPELESS = 8.0
-#: A pattern repeats where another solution explains this share of what the best explains: chance never does.
-REPEATING = 0.4
-#: Many records are searched with so many of the second source; all of them speak in the last refinement.
-SAMPLE = 4000
-#: So many times more records than were asked for votes are searched where those votes decided.
-OF_ASKED = 16
-#: A patch grows by this factor from one refinement to the next.
-GROWTH = 8
-WEAK = 1e-6
-#: With fewer common objects than this the likelihood is looked at so many standard deviations away from its maximum.
-MANY, AWAY = 200.0, np.array([-3.0, -1.5, 1.5, 3.0])
+from sameas.registration.tuning import Tuning
+from sameas.registration.weights import PlacedSources, Weighed, boxed, flattened, meet, weigh, weighed
 
 
 @dataclass(frozen=True)
@@ -52,7 +29,7 @@ class Solution:
 
     theta (p,), covariance (p, p). common : expected number of common objects. log_likelihood : of the identification,
     less that of nothing in common. log_evidence : the same, averaged over all offsets near this one by their prior.
-    in_common : records of either source where both look. rounds, settled : of the refinement.
+    in_common : records of either source in the overlap. rounds, settled : of the refinement.
     """
 
     theta: FloatArray
@@ -67,7 +44,7 @@ class Solution:
 
 @dataclass(frozen=True)
 class OffsetPrior:
-    """What is believed of θ beforehand: normal around zero, or flat over all shifts that the records can have.
+    """The prior of θ: normal around zero, or flat over all shifts that the records can have.
 
     precision : (p,). log_density : (p,) ln of the prior density at zero.
     """
@@ -102,7 +79,7 @@ class Trials:
 
     @classmethod
     def fresh(cls, scene: PlacedSources, theta: FloatArray) -> Trials:
-        """Offsets of which nothing is known yet."""
+        """Offsets before any evaluation."""
         return cls(theta, np.full(len(theta), 0.5 * min(len(scene.first), len(scene.second))), np.zeros(len(theta)))
 
     def chosen(self, which: Sequence[int] | NDArray[Any]) -> Trials:
@@ -110,96 +87,97 @@ class Trials:
         return Trials(self.theta[which], self.common[which], self.gain[which])
 
     def shared_by(self, factor: float) -> Trials:
-        """The same of so many times as many records."""
+        """The same for ``factor`` times as many records."""
         return Trials(self.theta, self.common * factor, self.gain)
 
 
-def refine(scene: PlacedSources, votes: Votes, rounds: int) -> list[Solution]:
-    """The solutions that the votes lead to, most probable first; at most ``rounds`` rounds each after the search."""
-    belief = OffsetPrior.of(scene)
+def refine(scene: PlacedSources, votes: Votes, most_steps: int) -> list[Solution]:
+    """The refined votes, most probable first; at most ``most_steps`` steps each after the search."""
+    prior = OffsetPrior.of(scene)
     sample = scene.of_patch(_sampled(len(scene.second), _searched_records(scene, votes)))
-    trials, spent = _searched(scene, sample, belief, votes)
-    found = []
+    trials, search_steps = _searched(scene, sample, prior, votes)
+    solutions = []
     for k in range(len(trials.gain)):
-        one, more = trials.chosen([k]), spent
+        one, steps = trials.chosen([k]), search_steps
         if sample is not scene:
-            one, _, number, _ = _settled(sample, belief, one, rounds)
-            one, more = one.shared_by(len(scene.second) / len(sample.second)), more + number
-        found.append(_finished(scene, sample, belief, one, rounds, more))
-    found.sort(key=lambda solution: -solution.log_evidence)
-    return _without_doubles(scene, found)
+            one, _, number, _ = _settled(sample, prior, one, most_steps)
+            one, steps = one.shared_by(len(scene.second) / len(sample.second)), steps + number
+        solutions.append(_finished(scene, sample, prior, one, most_steps, steps))
+    solutions.sort(key=lambda solution: -solution.log_evidence)
+    return _without_doubles(scene, solutions)
 
 
 def _sampled(n: int, size: int) -> IntArray:
-    """Rows of so many of n records, in even steps."""
+    """Rows of ``size`` of n records, in even steps."""
     return np.linspace(0, n - 1, min(n, size)).astype(np.int64)
 
 
 def _searched_records(scene: PlacedSources, votes: Votes) -> int:
-    """How many records the search takes: fewer where the votes of a few have decided."""
-    return SAMPLE if scene.model.turns() else min(SAMPLE, OF_ASKED * len(votes.patches[0]))
+    """Number of records in the search: fewer where the votes of a few have decided."""
+    tuning = scene.tuning
+    return tuning.sample if scene.model.turns() else min(tuning.sample, tuning.sample_ratio * len(votes.patches[0]))
 
 
-def _searched(scene: PlacedSources, sample: PlacedSources, belief: OffsetPrior, votes: Votes) -> tuple[Trials, int]:
-    """What the votes lead to on their patches and then on the sample of all; and in how many rounds."""
+def _searched(scene: PlacedSources, sample: PlacedSources, prior: OffsetPrior, votes: Votes) -> tuple[Trials, int]:
+    """The offsets refined on their patches and then on the sample of all records; and the number of steps."""
     ends = []
     for number, rows in enumerate(votes.patches):
         trials = Trials.fresh(scene, votes.theta[votes.patch == number])
         for part, keep in _nested(scene, rows) if len(trials.theta) else []:
             here = sample if part is None else scene.of_patch(part)
-            trials = _anneal(here, belief, Trials.fresh(here, trials.theta), keep, WIDENINGS)
+            trials = _anneal(here, prior, Trials.fresh(here, trials.theta), keep, scene.tuning.widenings)
             trials = trials.shared_by(len(sample.second) / len(here.second))
         ends.append(trials)
     if len(ends) == 1:
-        trials, spent = _distinct(scene, _hopeful(ends[0])), len(WIDENINGS)
+        trials, steps = _distinct(scene, _hopeful(ends[0], scene.tuning)), len(scene.tuning.widenings)
         if len(votes.patches[0]) == len(sample.second) or len(trials.gain) == 1:
-            return trials, spent
-        closing = WIDENINGS[FROM_SAMPLE:]
+            return trials, steps
+        closing = scene.tuning.widenings[scene.tuning.from_sample :]
     else:
-        # What was found on a patch is only near for all records.
+        # The offsets of a patch are only approximate for all records.
         trials = _distinct(scene, Trials.fresh(sample, np.concatenate([trials.theta for trials in ends])))
-        spent, closing = len(WIDENINGS), WIDENINGS[FROM_PATCHES:]
-    trials = _anneal(sample, belief, Trials.fresh(sample, trials.theta), KEPT[-1], closing)
-    return _distinct(scene, _hopeful(trials)), spent + len(closing)
+        steps, closing = len(scene.tuning.widenings), scene.tuning.widenings[scene.tuning.from_patches :]
+    trials = _anneal(sample, prior, Trials.fresh(sample, trials.theta), scene.tuning.kept[-1], closing)
+    return _distinct(scene, _hopeful(trials, scene.tuning)), steps + len(closing)
 
 
-def _hopeful(trials: Trials) -> Trials:
-    """Those that may be the truth, or show that a pattern repeats."""
-    return trials.chosen(trials.gain > min(trials.gain[0] - HOPELESS, REPEATING * trials.gain[0]))
+def _hopeful(trials: Trials, tuning: Tuning) -> Trials:
+    """Those that may be true, or show that a pattern repeats."""
+    return trials.chosen(trials.gain > min(trials.gain[0] - tuning.hopeless, tuning.repeating * trials.gain[0]))
 
 
 def _nested(scene: PlacedSources, rows: IntArray) -> list[tuple[IntArray | None, int]]:
     """The patch, then larger and larger ones around it, or None for a sample of all; and how many each keeps."""
     n = len(scene.second)
     if len(rows) == n:
-        return [(None, KEPT[-1])]
+        return [(None, scene.tuning.kept[-1])]
     if not scene.model.turns():
-        return [(rows, KEPT[-1])]
+        return [(rows, scene.tuning.kept[-1])]
     features = scene.second.features
     distance = np.sum((features - features[rows].mean(axis=0)) ** 2, axis=1)
     order = np.argsort(distance, kind="stable")
     parts: list[tuple[IntArray | None, int]] = [(rows, 4)]
-    size = len(rows) * GROWTH
-    while size < min(n, SAMPLE):
+    size = len(rows) * scene.tuning.patch_growth
+    while size < min(n, scene.tuning.sample):
         parts.append((np.sort(order[:size]), 2))
-        size *= GROWTH
+        size *= scene.tuning.patch_growth
     return parts
 
 
-def _anneal(scene: PlacedSources, belief: OffsetPrior, trials: Trials, keep: int, widenings: Sequence[float]) -> Trials:
+def _anneal(scene: PlacedSources, prior: OffsetPrior, trials: Trials, keep: int, widenings: Sequence[float]) -> Trials:
     """All offsets refined together, errors from wide to quoted: the best ``keep`` of them."""
     for number, widening in enumerate(widenings):
-        found = weigh(scene, trials.theta, trials.common, widening)
-        score, information = _normal_equations(scene, belief, trials.theta, found)
+        weights = weigh(scene, trials.theta, trials.common, widening)
+        score, information = _normal_equations(scene, prior, trials.theta, weights)
         theta = trials.theta + np.linalg.solve(information, score[..., None])[..., 0]
-        gain = found.gain - 0.5 * np.sum(belief.precision * theta**2, axis=1)
-        best = np.argsort(-gain, kind="stable")[: max(KEPT[number], keep)]
-        trials = Trials(theta, found.common, gain).chosen(best)
+        gain = weights.gain - 0.5 * np.sum(prior.precision * theta**2, axis=1)
+        best = np.argsort(-gain, kind="stable")[: max(scene.tuning.kept[number], keep)]
+        trials = Trials(theta, weights.common, gain).chosen(best)
     return trials.chosen(range(min(keep, len(trials.gain))))
 
 
 def _normal_equations(
-    scene: PlacedSources, belief: OffsetPrior, theta: FloatArray, found: Weighed
+    scene: PlacedSources, prior: OffsetPrior, theta: FloatArray, weights: Weighed
 ) -> tuple[FloatArray, FloatArray]:
     """Score (s, p) of the log posterior of θ, and its information (s, p, p) if the weights were the truth."""
     from sameas.kernels.offsets import pulls
@@ -207,56 +185,60 @@ def _normal_equations(
     d, p = scene.second.d, theta.shape[1]
     jacobian = scene.model.jacobian(scene.second.features, theta[:, None, :])
     jacobian = np.ascontiguousarray(np.broadcast_to(jacobian, (len(theta), len(scene.second), d, p)))
-    score, information = pulls(found.s, found.j, found.residual, found.precision, found.weight, jacobian, WEAK)
-    return score - belief.precision * theta, information + np.diag(belief.precision)
+    score, information = pulls(
+        weights.s, weights.j, weights.residual, weights.precision, weights.weight, jacobian, scene.tuning.weak
+    )
+    return score - prior.precision * theta, information + np.diag(prior.precision)
 
 
 def _settled(
-    scene: PlacedSources, belief: OffsetPrior, one: Trials, rounds: int
+    scene: PlacedSources, prior: OffsetPrior, one: Trials, most_steps: int
 ) -> tuple[Trials, FloatArray, int, bool]:
     """One offset near its maximum, (p, p) its information if the weights were true, rounds, whether they settled."""
     at, common, number, settled = one.theta, one.common, 0, False
     while True:
         number += 1
-        found = weigh(scene, at, common, 1.0)
-        score, information = _normal_equations(scene, belief, at, found)
+        weights = weigh(scene, at, common, 1.0)
+        score, information = _normal_equations(scene, prior, at, weights)
         step = np.linalg.solve(information, score[..., None])[..., 0]
         at = at + step
         moved_by = math.sqrt(max(float(step[0] @ information[0] @ step[0]), 0.0))
-        settled = moved_by <= SETTLED and abs(float(found.common[0] - common[0])) <= 0.01 + 3e-3 * float(common[0])
-        common = found.common
-        if settled or number >= rounds:
-            return Trials(at, common, found.gain), information[0], number, settled
+        settled = moved_by <= scene.tuning.settled and abs(float(weights.common[0] - common[0])) <= 0.01 + 3e-3 * float(
+            common[0]
+        )
+        common = weights.common
+        if settled or number >= most_steps:
+            return Trials(at, common, weights.gain), information[0], number, settled
 
 
 def _finished(
-    scene: PlacedSources, sample: PlacedSources, belief: OffsetPrior, one: Trials, rounds: int, spent: int
+    scene: PlacedSources, sample: PlacedSources, prior: OffsetPrior, one: Trials, most_steps: int, search_steps: int
 ) -> Solution:
     """One offset brought to its maximum, with its covariance and evidence."""
-    one, complete, number, settled = _settled(scene, belief, one, rounds)
+    one, complete, number, settled = _settled(scene, prior, one, most_steps)
     share = len(sample.second) / len(scene.second)
-    axes, score, found = _missing(sample, belief, one.shared_by(share), share * complete)
+    axes, score, weights = _missing(sample, prior, one.shared_by(share), share * complete)
     if sample is not scene:
-        found = weigh(scene, one.theta, one.common, 1.0)
-        score, _ = _normal_equations(scene, belief, one.theta, found)
+        weights = weigh(scene, one.theta, one.common, 1.0)
+        score, _ = _normal_equations(scene, prior, one.theta, weights)
     root = np.linalg.cholesky(inverse(complete)) @ axes
     theta = one.theta[0] + root @ root.T @ score[0]
-    if found.common[0] < MANY:
-        root = _stretched(scene, belief, theta, found.common[:1], root)
+    if weights.common[0] < scene.tuning.many:
+        root = _stretched(scene, prior, theta, weights.common[:1], root)
     covariance = root @ root.T
-    log_prior = float(np.sum(belief.log_density - 0.5 * belief.precision * theta**2))
+    log_prior = float(np.sum(prior.log_density - 0.5 * prior.precision * theta**2))
     occam = 0.5 * (float(log_determinant(covariance)) + len(theta) * LOG_2PI)
-    likelihood = float(found.gain[0])
+    likelihood = float(weights.gain[0])
     # No mean is larger than the maximum, however little the data say of an offset.
     evidence = likelihood + min(log_prior + occam, 0.0)
-    shared = (int(found.in_common[0, 0]), int(found.in_common[0, 1]))
+    shared = (int(weights.in_common[0, 0]), int(weights.in_common[0, 1]))
     return Solution(
-        theta, covariance, float(found.common[0]), likelihood, evidence, shared, spent + number, settled,
+        theta, covariance, float(weights.common[0]), likelihood, evidence, shared, search_steps + number, settled,
     )  # fmt: skip
 
 
 def _missing(
-    scene: PlacedSources, belief: OffsetPrior, one: Trials, complete: FloatArray
+    scene: PlacedSources, prior: OffsetPrior, one: Trials, complete: FloatArray
 ) -> tuple[FloatArray, FloatArray, Weighed]:
     """By how much longer the axes (p, p) of the covariance are than if it were known which pairs are true.
 
@@ -267,28 +249,31 @@ def _missing(
     p = one.theta.shape[1]
     step = 0.2 / np.sqrt(np.diag(complete))
     nodes = np.concatenate([one.theta, one.theta + np.diag(step), one.theta - np.diag(step)])
-    found = weigh(scene, nodes, np.repeat(one.common, 2 * p + 1), 1.0)
-    score, information = _normal_equations(scene, belief, nodes, found)
+    weights = weigh(scene, nodes, np.repeat(one.common, 2 * p + 1), 1.0)
+    score, information = _normal_equations(scene, prior, nodes, weights)
     observed = -(score[1 : p + 1] - score[p + 1 :]) / (2.0 * step[:, None])
     scale = np.linalg.cholesky(inverse(information[0]))
     shares, axes = np.linalg.eigh(scale.T @ symmetric(observed) @ scale)
-    return axes / np.sqrt(np.clip(shares, 0.02, None)), score, found
+    return axes / np.sqrt(np.clip(shares, 0.02, None)), score, weights
 
 
 def _stretched(
-    scene: PlacedSources, belief: OffsetPrior, theta: FloatArray, common: FloatArray, root: FloatArray
+    scene: PlacedSources, prior: OffsetPrior, theta: FloatArray, common: FloatArray, root: FloatArray
 ) -> FloatArray:
     """The axes ``root`` (p, p) of the covariance, as long as the posterior of θ reaches along each of them.
 
-    The likelihood of a few pairs is wider than its curvature at the maximum says: other pairs take over further out,
+    The likelihood of a few pairs is wider than by its curvature at the maximum: other pairs take over further out,
     and the number of common objects follows. Second moments along the axes, by the trapezoidal rule.
     """
-    nodes = np.concatenate([theta[None, :], (theta + AWAY[:, None, None] * root.T).reshape(-1, len(theta))])
-    met = meet(scene, nodes, 1.0).as_overlapping_at(0)
-    shared = weighed(scene, met, np.repeat(common, len(nodes)), ROUGHLY).common
-    log_density = weighed(scene, met, shared, CLOSELY).gain - 0.5 * np.sum(belief.precision * nodes**2, axis=1)
-    density = np.exp(np.minimum(log_density[1:] - log_density[0], 0.0)).reshape(len(AWAY), -1)
-    return np.asarray(root * np.sqrt((AWAY**2 @ density) / (1.0 + density.sum(axis=0))))
+    away = np.array(scene.tuning.away)
+    nodes = np.concatenate([theta[None, :], (theta + away[:, None, None] * root.T).reshape(-1, len(theta))])
+    candidates = meet(scene, nodes, 1.0).as_overlapping_at(0)
+    common_at = weighed(scene, candidates, np.repeat(common, len(nodes)), scene.tuning.roughly).common
+    log_density = weighed(scene, candidates, common_at, scene.tuning.closely).gain - 0.5 * np.sum(
+        prior.precision * nodes**2, axis=1
+    )
+    density = np.exp(np.minimum(log_density[1:] - log_density[0], 0.0)).reshape(len(away), -1)
+    return np.asarray(root * np.sqrt((away**2 @ density) / (1.0 + density.sum(axis=0))))
 
 
 def displacement_sigmas(scene: PlacedSources, one: FloatArray, other: FloatArray) -> float:
@@ -311,12 +296,15 @@ def _same(scene: PlacedSources, one: Solution, other: Solution) -> bool:
     """Whether two solutions are one: by where they put the records, or by how well either is known."""
     apart = other.theta - one.theta
     by_errors = float(mahalanobis_sq(apart, one.covariance))
-    return by_errors <= SAME_ERRORS**2 or displacement_sigmas(scene, one.theta, other.theta) <= SAME_SIGMAS
+    return (
+        by_errors <= scene.tuning.same_errors**2
+        or displacement_sigmas(scene, one.theta, other.theta) <= scene.tuning.same_sigmas
+    )
 
 
-def _without_doubles(scene: PlacedSources, found: list[Solution]) -> list[Solution]:
-    kept: list[Solution] = []
-    for one in found:
-        if not any(_same(scene, other, one) for other in kept):
-            kept.append(one)
-    return kept
+def _without_doubles(scene: PlacedSources, solutions: list[Solution]) -> list[Solution]:
+    distinct: list[Solution] = []
+    for one in solutions:
+        if not any(_same(scene, other, one) for other in distinct):
+            distinct.append(one)
+    return distinct

@@ -1,9 +1,9 @@
-"""How well offsets explain two sources: the weight of every pair, and the log likelihood of the whole identification.
+"""Weights of all pairs of two sources under given offsets, and the log likelihood of the identification.
 
 Objects are a Poisson field (METHOD 4.3): under an offset θ a pair weighs w = ρ₁₂ N(Δ(θ); 0, Σ) / (ρ₁ ρ₂), and the
 likelihood is the sum over all one-to-one hypotheses of the product of their weights. Sums over hypotheses are taken by
 messages; the logarithm of the sum is Bethe's, and its derivative with respect to θ is that of the messages' weights, so
-that weights, likelihood and standard errors agree. Many offsets are looked at in one go: ``s`` is the number of the
+that weights, likelihood and standard errors agree. Many offsets are evaluated together: ``s`` is the number of the
 offset, and every array of pairs runs over the pairs of all of them.
 """
 
@@ -21,26 +21,19 @@ from sameas.ragged import Ragged
 from sameas.records import Records
 from sameas.registration.hough import typical_sigma
 from sameas.registration.offsets import Offset
+from sameas.registration.tuning import DEFAULT_TUNING, Tuning
 from sameas.space import Plane
 
 if TYPE_CHECKING:
     from sameas.kernels.offsets import Cells
-
-#: Pairs beyond so many (widened) standard deviations are not weighed.
-GATE_SIGMAS = 5.5
-#: Size in standard deviations of the cells in which the first source is searched, and most of them for a record.
-CELL_SIGMAS, CELLS_OF_A_RECORD = 6.0, 4.0
-#: Sweeps of the messages, and the relative change that counts as settled: in the search, and at the end.
-SWEEPS, ROUGHLY, CLOSELY = 100, 1e-2, 1e-5
-LEAST_COMMON, MOST_SHARE = 0.05, 0.98
 
 
 @dataclass(frozen=True)
 class PlacedSources:
     """Two sources and a placed offset between them.
 
-    flat (n, d) : the first source's positions in the residual's unit, and ``box`` (2, d) the corners of where it looks.
-    cells : the first source as it is laid out to be searched. periods (d,) of the residual's axes.
+    flat (n, d) : the first source's positions in the residual's unit, and ``box`` (2, d) the corners of its field.
+    cells : the first source in cells for the search. periods (d,) of the residual's axes. tuning : of the registration.
     """
 
     first: Records
@@ -53,15 +46,16 @@ class PlacedSources:
     box: FloatArray
     cells: Cells
     periods: FloatArray
+    tuning: Tuning = DEFAULT_TUNING
 
     @classmethod
-    def of(cls, first: Records, second: Records, model: Offset) -> PlacedSources:
+    def of(cls, first: Records, second: Records, model: Offset, tuning: Tuning = DEFAULT_TUNING) -> PlacedSources:
         sigma = typical_sigma(first, second)
         flat = np.ascontiguousarray(flattened(first.features, model, first))
         periods = np.array(first.space.period_list(first.d) if isinstance(first.space, Plane) else [np.inf] * first.d)
         errors = first.full_covariance(), second.full_covariance()
-        cells = _in_cells(first.features, errors[0], CELL_SIGMAS * sigma, periods)
-        return cls(first, second, model, *errors, sigma, flat, boxed(flat, sigma), cells, periods)
+        cells = _in_cells(first.features, errors[0], tuning.cell_sigmas * sigma, periods, tuning.cells_per_record)
+        return cls(first, second, model, *errors, sigma, flat, boxed(flat, sigma), cells, periods, tuning)
 
     def of_patch(self, rows: IntArray) -> PlacedSources:
         """The same with these records of the second source only."""
@@ -80,11 +74,11 @@ class PlacedSources:
 
 @dataclass(frozen=True)
 class Weighed:
-    """What s offsets make of the records.
+    """Weights of pairs under s offsets.
 
     s, i, j : (m,) offset and records of every pair. residual (m, d), precision (m, d, d) Σ⁻¹, weight (m,) posterior.
     common : (s,) expected number of common objects. gain : (s,) log likelihood less that of nothing in common.
-    in_common : (s, 2) records of either source where both look.
+    in_common : (s, 2) records of either source in the overlap.
     """
 
     s: IntArray
@@ -99,11 +93,11 @@ class Weighed:
 
 
 @dataclass(frozen=True)
-class Meeting:
-    """Which records can meet under s offsets: pairs, and where both sources look.
+class CandidatePairs:
+    """Candidate pairs under s offsets, and the overlap of the sources.
 
     start (s + 1,), i, j (m,), residual (m, d), precision (m, d, d), log_normal (m,) ln density of a true pair.
-    volume (s,) where both look, expected (s, 2) records of each there on average, in_common (s, 2) those there are.
+    volume (s,) of the overlap, expected (s, 2) mean number of records of each in it, in_common (s, 2) their number.
     """
 
     start: IntArray
@@ -116,14 +110,14 @@ class Meeting:
     expected: FloatArray
     in_common: FloatArray
 
-    def as_overlapping_at(self, s: int) -> Meeting:
-        """The same pairs, with the overlap that offset s has: no record at the edge comes in or goes."""
+    def as_overlapping_at(self, s: int) -> CandidatePairs:
+        """The same pairs, all with the overlap of offset s."""
         same = np.full(len(self.volume), s)
         return replace(self, volume=self.volume[same], expected=self.expected[same], in_common=self.in_common[same])
 
 
-def meet(scene: PlacedSources, theta: FloatArray, widening: float) -> Meeting:
-    """The pairs under the offsets theta (s, p), of errors that are so many times larger than quoted."""
+def meet(scene: PlacedSources, theta: FloatArray, widening: float) -> CandidatePairs:
+    """The pairs under the offsets theta (s, p), with errors ``widening`` times as large as quoted."""
     from sameas.kernels.offsets import both_look, carried_errors
 
     features = scene.second.features
@@ -132,37 +126,54 @@ def meet(scene: PlacedSources, theta: FloatArray, widening: float) -> Meeting:
     carried = np.broadcast_to(scene.model.carried(features, theta[:, None, :]), (*shape, scene.first.d))
     spread = carried_errors(np.ascontiguousarray(carried), scene.covariance_2)
     flat = np.ascontiguousarray(flattened(moved, scene.model, scene.second))
-    volume, whole, inside = both_look(scene.box, scene.flat, flat, scene.sigma, scene.periods)
-    expected = np.array([len(scene.first), len(scene.second)]) / whole * volume[:, None]
-    return Meeting(*_candidates(scene, moved, spread, widening), volume, expected, inside)
+    volume, volumes, inside = both_look(scene.box, scene.flat, flat, scene.sigma, scene.periods)
+    expected = np.array([len(scene.first), len(scene.second)]) / volumes * volume[:, None]
+    return CandidatePairs(*_candidates(scene, moved, spread, widening), volume, expected, inside)
 
 
 def weigh(scene: PlacedSources, theta: FloatArray, common: FloatArray, widening: float) -> Weighed:
-    """Weights of all pairs under the offsets theta (s, p), for so many expected common objects (s,).
+    """Weights of all pairs under the offsets theta (s, p), for expected numbers of common objects (s,).
 
     widening : the factor by which errors are taken larger than quoted, for the search.
     """
-    return weighed(scene, meet(scene, theta, widening), common, ROUGHLY if widening > 1.0 else CLOSELY)
+    return weighed(
+        scene, meet(scene, theta, widening), common, scene.tuning.roughly if widening > 1.0 else scene.tuning.closely
+    )
 
 
-def weighed(scene: PlacedSources, met: Meeting, common: FloatArray, settled: float) -> Weighed:
-    """Weights of the pairs that meet, by messages that settle to so small a share of them."""
+def weighed(scene: PlacedSources, candidates: CandidatePairs, common: FloatArray, settled: float) -> Weighed:
+    """Weights of candidate pairs, by messages until their relative change is below ``settled``."""
     from sameas.kernels.offsets import messages
 
-    volume, expected = met.volume, met.expected
-    shared = np.clip(common, LEAST_COMMON, MOST_SHARE * np.maximum(expected.min(axis=1), 2 * LEAST_COMMON))
-    rest = np.maximum(expected - shared[:, None], 0.5)
-    # One more than are left: the mean of its inverse is that of the number that is due (Poisson), few or many.
-    due = np.maximum(expected - shared[:, None], 0.0) + 1.0
-    log_odds = np.log(shared) + np.log(np.maximum(volume, 1e-300)) - np.log(due).sum(axis=1)
-    s = Ragged(met.start).row
+    volume, expected = candidates.volume, candidates.expected
+    least = scene.tuning.least_common
+    in_both = np.clip(common, least, scene.tuning.most_common_share * np.maximum(expected.min(axis=1), 2 * least))
+    rest = np.maximum(expected - in_both[:, None], 0.5)
+    # The remaining number plus one: the mean of its inverse is that of the expected number (Poisson).
+    due = np.maximum(expected - in_both[:, None], 0.0) + 1.0
+    log_odds = np.log(in_both) + np.log(np.maximum(volume, 1e-300)) - np.log(due).sum(axis=1)
+    s = Ragged(candidates.start).row
     records = len(scene.first), len(scene.second)
-    log_weight = log_odds[s] + met.log_normal
-    share, log_sum, total = messages(met.start, met.i, met.j, log_weight, records, SWEEPS, settled)
-    # The likelihood is that of what is left, so it has to be said for the shared what they are weighed less.
-    alone = met.in_common * (np.log(rest) - np.log(np.maximum(expected, 0.5))) + shared[:, None] * np.log(due / rest)
-    gain = np.where(volume > 0.0, shared + alone.sum(axis=1) + log_sum, 0.0)
-    return Weighed(s, met.i, met.j, met.residual, met.precision, share, total, gain, met.in_common)
+    log_weight = log_odds[s] + candidates.log_normal
+    share, log_sum, total = messages(
+        candidates.start, candidates.i, candidates.j, log_weight, records, scene.tuning.sweeps, settled
+    )
+    # The likelihood is that of the remaining number: the pairs are corrected by the difference.
+    alone = candidates.in_common * (np.log(rest) - np.log(np.maximum(expected, 0.5))) + in_both[:, None] * np.log(
+        due / rest
+    )
+    gain = np.where(volume > 0.0, in_both + alone.sum(axis=1) + log_sum, 0.0)
+    return Weighed(
+        s,
+        candidates.i,
+        candidates.j,
+        candidates.residual,
+        candidates.precision,
+        share,
+        total,
+        gain,
+        candidates.in_common,
+    )
 
 
 #: start (s + 1,), i, j (m,), residual (m, d), precision (m, d, d), log density of a true pair (m,).
@@ -174,35 +185,41 @@ def _candidates(scene: PlacedSources, moved: FloatArray, spread: FloatArray, wid
         return _gated(scene, moved, spread, widening)
     from sameas.kernels.offsets import near_pairs
 
-    found: Candidates = near_pairs(scene.cells, moved, spread, scene.periods, GATE_SIGMAS, widening)
-    return found
+    pairs: Candidates = near_pairs(scene.cells, moved, spread, scene.periods, scene.tuning.gate_sigmas, widening)
+    return pairs
 
 
 def _gated(scene: PlacedSources, moved: FloatArray, spread: FloatArray, widening: float) -> Candidates:
     """The same on the sphere, by the gate."""
-    gate = Radius(GATE_SIGMAS * widening)
-    found = [gate(scene.first, arrived(scene.second, moved[s], spread[s])) for s in range(len(moved))]
-    residual = np.concatenate([pairs.residual for pairs in found])
-    covariance = np.concatenate([pairs.covariance for pairs in found]) * widening**2
+    gate = Radius(scene.tuning.gate_sigmas * widening)
+    gated = [gate(scene.first, arrived(scene.second, moved[s], spread[s])) for s in range(len(moved))]
+    residual = np.concatenate([pairs.residual for pairs in gated])
+    covariance = np.concatenate([pairs.covariance for pairs in gated]) * widening**2
     return (
-        Ragged.of_sizes([len(pairs) for pairs in found]).start,
-        np.concatenate([pairs.i for pairs in found]).astype(np.int64),
-        np.concatenate([pairs.j for pairs in found]).astype(np.int64), residual, inverse(covariance),
+        Ragged.of_sizes([len(pairs) for pairs in gated]).start,
+        np.concatenate([pairs.i for pairs in gated]).astype(np.int64),
+        np.concatenate([pairs.j for pairs in gated]).astype(np.int64), residual, inverse(covariance),
         log_density(residual, covariance),
     )  # fmt: skip
 
 
-def _in_cells(features: FloatArray, covariance: FloatArray, size: float, periods: FloatArray) -> Cells:
+def _in_cells(
+    features: FloatArray,
+    covariance: FloatArray,
+    size: float,
+    periods: FloatArray,
+    per_record: float = DEFAULT_TUNING.cells_per_record,
+) -> Cells:
     """Records laid out in cells of their first and last feature; one cell all along an axis with a period."""
     from sameas.kernels.offsets import Cells
 
     axes = [0, features.shape[1] - 1]
     at = features[:, axes]
     low, span = at.min(axis=0), np.ptp(at, axis=0)
-    size = max(size, float(np.sqrt(np.prod(np.maximum(span, size)) / (CELLS_OF_A_RECORD * len(at)))))
+    size = max(size, float(np.sqrt(np.prod(np.maximum(span, size)) / (per_record * len(at)))))
     # The only feature is the last as well.
-    whole = np.isfinite(periods[axes]) | [False, features.shape[1] == 1]
-    sizes = np.where(whole, np.inf, size)
+    one_cell = np.isfinite(periods[axes]) | [False, features.shape[1] == 1]
+    sizes = np.where(one_cell, np.inf, size)
     shape = (span / sizes).astype(np.int64) + 1
     column, line = np.minimum(((at - low) / sizes).astype(np.int64), shape - 1).T
     cell = line * shape[0] + column

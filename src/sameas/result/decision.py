@@ -21,9 +21,11 @@ from sameas.assignment import assign
 from sameas.errors import InputError
 from sameas.groups import Groups
 from sameas.prior import PerPair
+from sameas.representation import in_short
 from sameas.result.identification import Identification
 
 
+@in_short
 @dataclass(frozen=True)
 class Loss:
     """The loss matrix Π of a record of source 1: the cost of one decision where another is true.
@@ -58,6 +60,7 @@ class Loss:
         return wrong * p_none[record] + swapped * others, alone
 
 
+@in_short
 @dataclass(frozen=True)
 class Decision:
     """A one-to-one decision.

@@ -17,6 +17,7 @@ from sameas.groups import Groups
 from sameas.posterior import METHODS
 from sameas.prior import LogPrior
 from sameas.records import Records
+from sameas.representation import in_short
 
 #: Log-odds that force a pair into a hypothesis, or out of it: beyond all others, and small enough to keep 1e-9 of them.
 FORCE = 1e6
@@ -52,6 +53,7 @@ class Identified(Protocol):
     def method(self, group: int) -> str: ...
 
 
+@in_short
 @dataclass(frozen=True)
 class Competitor:
     """One answer for the record: a candidate, or no partner (``id`` None).
@@ -70,6 +72,7 @@ class Competitor:
     chosen: bool
 
 
+@in_short
 @dataclass(frozen=True)
 class Explanation:
     """What :meth:`Identification.explain` gives; ``str()`` of it is a text for people.
@@ -100,7 +103,7 @@ class Explanation:
 def explain(result: Identified, record: Any, source: int) -> Explanation:
     """See :meth:`sameas.result.Identification.explain`."""
     mine, other = (result.first, result.second) if source == 1 else (result.second, result.first)
-    row = _row_of(mine.ids, record, mine.source)
+    row = row_of(mine.ids, record, mine.source)
     at = np.searchsorted(mine.rows, row)
     if at == len(mine.rows) or mine.rows[at] != row:
         reason = str(mine.set_aside.reasons[mine.set_aside.rows == row][0])
@@ -127,7 +130,7 @@ def explain(result: Identified, record: Any, source: int) -> Explanation:
     )  # fmt: skip
 
 
-def _row_of(ids: NDArray[Any], record: Any, source: str) -> int:
+def row_of(ids: NDArray[Any], record: Any, source: str) -> int:
     """The table row of an id, which may come as text from a command line."""
     rows = np.flatnonzero(ids == record) if not isinstance(record, str) else np.empty(0, np.int64)
     if not len(rows):

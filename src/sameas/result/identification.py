@@ -24,12 +24,14 @@ from sameas.groups import Groups
 from sameas.kernels import threads
 from sameas.posterior import APPROXIMATE, METHODS, Posterior
 from sameas.records import Records
+from sameas.representation import in_short
 from sameas.result.explanation import Explanation, explain
 
 #: An answer less probable than this is called ambiguous.
 AMBIGUOUS = 0.9
 
 
+@in_short
 @dataclass(frozen=True)
 class Matches:
     """The identified pairs, one row each, sorted by the row of the first source.
@@ -50,6 +52,7 @@ class Matches:
         return len(self.pair)
 
 
+@in_short
 @dataclass(frozen=True)
 class Answers:
     """The answer for every row of one source's table (n_table,); masked where there is none.
@@ -72,6 +75,7 @@ class Answers:
     usable: BoolArray
 
 
+@in_short
 @dataclass(frozen=True)
 class Identification:
     """The answer of :func:`sameas.identify`: every stage's value, and what users ask of them."""

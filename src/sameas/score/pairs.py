@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
+from sameas.representation import in_short
 
 Pairs = tuple[ArrayLike, ArrayLike]
 
@@ -82,6 +83,7 @@ class ProbabilityScore:
     expected_calibration_error: float
 
 
+@in_short
 @dataclass(frozen=True)
 class Reliability:
     """Stated probability against observed frequency, one row a bin, empty bins left out.
@@ -161,7 +163,8 @@ def is_true_pair(pairs: Pairs, true: Pairs) -> BoolArray:
     size = 1 + max(rows_1.max(initial=-1), true_1.max(initial=-1))
     partner, has_partner = np.empty(size, np.int64), np.zeros(size, bool)
     partner[true_1], has_partner[true_1] = true_2, True
-    return has_partner[rows_1] & (partner[rows_1] == rows_2)
+    right: BoolArray = has_partner[rows_1] & (partner[rows_1] == rows_2)
+    return right
 
 
 def score_probabilities(p: ArrayLike, happened: ArrayLike, *, bins: int = 10) -> ProbabilityScore:

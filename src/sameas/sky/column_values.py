@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -114,6 +115,21 @@ def _from_sexagesimal(text: str) -> float:
     return sign * sum(part / 60.0**k for k, part in enumerate(parts))
 
 
+def of_parts(table: Table, names: tuple[str, ...], source: str) -> FloatArray:
+    """(n,) angles that stand in columns of hours or degrees, minutes and seconds.
+
+    names : of the columns; a first one of words holds the signs.
+    """
+    sign = np.ones(len(table))
+    if is_text(table, names[0]):
+        sign = np.array([-1.0 if text.strip() in ("-", "−") else 1.0 for text in _texts(table, names[0])])
+        names = names[1:]
+    parts = [numbers(table, name, source) for name in names]
+    # What is not said of minutes and seconds, where the angle is quoted to the minute, is nothing.
+    whole = parts[0] + sum(np.nan_to_num(part) / 60.0**k for k, part in enumerate(parts[1:], 1))
+    return np.asarray(sign * whole)
+
+
 def years(table: Table, name: str, source: str) -> FloatArray:
     """(n,) Julian years of a column of Julian years, MJD, JD, ISO dates or astropy Times."""
     column = table[name]
@@ -138,16 +154,30 @@ def years(table: Table, name: str, source: str) -> FloatArray:
     )
 
 
+def are_years(table: Table, name: str) -> bool:
+    """Can the column be read as Julian years, dates, MJD or JD?"""
+    try:
+        return bool(np.isfinite(years(table, name, "")).any())
+    except InputError:
+        return False
+
+
 def year_of(text: str) -> float:
     """The Julian year of a text: 2016.0, J2016.0, an MJD, a JD or an ISO date; ValueError if it is none."""
     try:
         value = float(text.lstrip("Jj"))
     except ValueError:
-        # NumPy warns of a time zone and means UTC, as we do.
-        return float(_years_of_dates(np.array([text.strip().rstrip("Z")], dtype="datetime64[us]"))[0])
+        return float(_years_of_dates(np.array([_in_utc(text.strip())], dtype="datetime64[us]"))[0])
     if 2.3e6 < value < 2.6e6:
         return float(mjd_to_jyr(value - 2400000.5))
     return float(mjd_to_jyr(value)) if 15000 < value < 100000 else value
+
+
+def _in_utc(text: str) -> datetime | str:
+    """A date whose time has a zone, in UTC; of any other date the text, which NumPy reads as UTC."""
+    if not re.search(r"\d[T ]\d\d:?\d\d.*[+-]\d\d(?::?\d\d)?$", text):
+        return text.removesuffix("Z")
+    return datetime.fromisoformat(text).astimezone(UTC).replace(tzinfo=None)
 
 
 def mjd_to_jyr(mjd: Any) -> Any:

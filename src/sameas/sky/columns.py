@@ -12,7 +12,8 @@ import difflib
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from astropy import units as u
@@ -20,12 +21,24 @@ from astropy.table import Table
 
 from sameas.errors import Argument, InputError, Message, naming
 from sameas.sky import column_values, conventions
-from sameas.sky.column_choice import CatalogueOptions, Column, ColumnChoice, Epoch, PositionError
+from sameas.sky.column_choice import GUESSED, CatalogueOptions, Column, ColumnChoice, Epoch, PositionError
 from sameas.sky.conventions import Convention, ErrorNames
+from sameas.sky.surveys import survey_of
 
 # Names: the columns of one table, found by name, with their units, and what is wrong in the user's words.
 
-_SUFFIXES = {"_arcsec": "arcsec", "_mas": "mas", "_deg": "deg"}
+_SUFFIXES = {"_arcsec": "arcsec", "_mas": "mas", "_deg": "deg", "_hours": "hourangle", "_h": "hourangle"}
+#: Error columns without a unit: a smaller median is in degrees, a larger one in mas (chosen).
+_LEAST_IN_ARCSEC, _LARGEST_IN_ARCSEC = 0.002, 5.0
+#: Units that stand in brackets behind a name, as people write them.
+_BRACKETED = re.compile(r"[\s_]*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
+_UNIT_WORDS = {
+    "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "arcsec": "arcsec", "arcseconds": "arcsec",
+    "arcsecond": "arcsec", "as": "arcsec", "″": "arcsec", '"': "arcsec", "''": "arcsec", "mas": "mas",
+    "h": "hourangle", "hr": "hourangle", "hour": "hourangle", "hours": "hourangle", "hourangle": "hourangle",
+    "rad": "rad", "radian": "rad", "radians": "rad", "mag": "mag", "mas/yr": "mas / yr", "arcsec/yr": "arcsec / yr",
+    "yr": "yr", "d": "d", "mjd": "d",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -37,12 +50,32 @@ class ColumnSearch:
     source: str
 
     def find(self, wanted: str) -> str | None:
-        """The column of that name: exactly, or the only one in any case."""
-        names = self.table.colnames
-        if wanted in names:
+        """The column of that name: exactly, or the only one in any case, or but for blanks, brackets and dots."""
+        if wanted in self.table.colnames:
             return wanted
-        alike = [name for name in names if name.lower() == wanted.lower()] if wanted else []
+        alike = self._in_any_case.get(wanted.lower(), [])
+        if not alike and wanted:
+            alike = self._as_people_write.get(_squeezed(wanted), [])
         return alike[0] if len(alike) == 1 else None
+
+    @cached_property
+    def _in_any_case(self) -> dict[str, list[str]]:
+        """The columns by their names in lower case."""
+        names: dict[str, list[str]] = {}
+        for name in self.table.colnames:
+            names.setdefault(name.lower(), []).append(name)
+        return names
+
+    @cached_property
+    def _as_people_write(self) -> dict[str, list[str]]:
+        """The columns whose names have more than letters: ``RA (J2000)`` as raj2000, ``Dec. [deg]`` as dec."""
+        names: dict[str, list[str]] = {}
+        for name in self.table.colnames:
+            if re.fullmatch(r"\w*", name, re.ASCII):
+                continue
+            for spelled in {_squeezed(name), _squeezed(_BRACKETED.sub("", name) if _bracketed_unit(name) else name)}:
+                names.setdefault(spelled, []).append(name)
+        return names
 
     def find_all(self, wanted: tuple[str, ...]) -> tuple[str, ...] | None:
         """All of the columns, or None."""
@@ -88,14 +121,18 @@ class ColumnSearch:
         """A column of small angles, such as errors."""
         column = self.column(name, unit, self.options.sigma_unit or "")
         if not column.unit:
-            values = column_values.numbers(self.table, name, self.source)
-            known = values[np.isfinite(values)]
-            middle = f" (median {np.median(known):g})" if len(known) else ""
-            raise InputError(
-                f"{self.source}: the unit of {name!r}{middle} is not said",
-                naming("say {sigma_unit:arcsec}, mas or deg"),
-            )
+            column = replace(column, unit=self._guessed_unit(name), reason=GUESSED)
         return self.checked(column, "arcsec", "an angle")
+
+    def _guessed_unit(self, name: str) -> str:
+        """The unit of an error column that says none, by the size of its numbers."""
+        values = column_values.numbers(self.table, name, self.source)
+        known = values[values > 0]
+        middle = float(np.median(known)) if len(known) else 0.1
+        if 0.0 < middle < _LEAST_IN_ARCSEC:
+            return "deg"
+        moving = self.find_all(("pmra", "pmdec")) or self.find_all(("pmRA", "pmDE"))
+        return "mas" if moving or middle > _LARGEST_IN_ARCSEC else "arcsec"
 
     def checked(self, column: Column, target: str, words: str, name: str = "") -> Column:
         """The column, whose unit is one of ``target``'s kind. name : of the column in messages."""
@@ -116,9 +153,24 @@ class ColumnSearch:
 
 
 def _suffix_unit(name: str) -> str:
-    return next((unit for suffix, unit in _SUFFIXES.items() if name.lower().endswith(suffix)), "")
+    """The unit that a name ends in: ``err_mas``, ``RA [deg]``."""
+    suffix = next((unit for suffix, unit in _SUFFIXES.items() if name.lower().endswith(suffix)), "")
+    return suffix or _bracketed_unit(name)
 
 
+def _bracketed_unit(name: str) -> str:
+    found = _BRACKETED.search(name)
+    return _UNIT_WORDS.get(found[1].lower(), "") if found else ""
+
+
+def _squeezed(name: str) -> str:
+    """A name's letters and digits in lower case; an underscore in front, which VizieR's own columns have, stays."""
+    return ("_" if name.startswith("_") else "") + re.sub(r"[\W_]+", "", name.lower())
+
+
+_POSITION_ERROR = re.compile(
+    r"_(?:pos_?err(?:or)?|e_pos|pos_sigma|sigma_pos|radec_err)(?:_(?:arcsec|mas|deg))?$", re.IGNORECASE
+)
 _DESCRIBED_EPOCH = re.compile(r"\bEp(?:och)?\s*[=:]?\s*J?\s*((?:18|19|20)\d\d(?:\.\d+)?)", re.IGNORECASE)
 
 
@@ -130,26 +182,37 @@ def choose(table: Table, options: CatalogueOptions, source: str) -> ColumnChoice
 
     Raises
     ------
-    InputError : no position, two equally good ones, no or ambiguous errors, unknown columns, unfit units.
+    InputError : no position, two equally good ones, ambiguous errors, unknown columns, unfit units; all at once.
     """
     search = ColumnSearch(table, options, source)
     convention, not_used = _convention(search)
     ra, dec = (search.find(name) for name in convention.position)
     if ra is None or dec is None:
         raise InputError(f"{source}: no columns {' and '.join(map(repr, convention.position))}")
-    error = _position_error(search, convention)
-    motion, motion_errors, notes = _motion(search, convention)
+    asked: tuple[Callable[[], Any], ...] = (
+        lambda: (_direction(search, ra, convention, 0), _direction(search, dec, convention, 1)),
+        lambda: _motion(search, convention),
+        lambda: _epoch(search, convention, ra),
+        lambda: _id(search, convention),
+        lambda: _magnitude(search, convention),
+        lambda: _position_error(search, convention),
+    )
+    place, motions, epoch, id, magnitudes, error = _all_of(asked)
+    motion, motion_errors, notes = motions
     found = tuple((i, j, name) for i, j, wanted in convention.correlations if (name := search.find(wanted)))
     if not_used:
         notes = (*notes, f"not used: {', '.join(not_used)}")
-    magnitude, magnitude_error = _magnitude(search, convention)
+    magnitude, magnitude_error = magnitudes
+    if error.kind == "unknown":
+        known = survey_of(convention.title, _year(search, epoch), _texts(search))
+        error = error if known is None else PositionError("survey", survey=known)
     choice = ColumnChoice(
         convention=convention.title,
-        ra=_direction(search, ra, convention.unit, right_ascension=True),
-        dec=_direction(search, dec, convention.unit, right_ascension=False),
+        ra=place[0],
+        dec=place[1],
         error=error,
-        epoch=_epoch(search, convention, ra),
-        id=_id(search, convention),
+        epoch=epoch,
+        id=id,
         motion=motion,
         motion_errors=motion_errors,
         correlations=found if error.kind == "axes" else tuple(c for c in found if min(c[:2]) >= 2),
@@ -157,8 +220,24 @@ def choose(table: Table, options: CatalogueOptions, source: str) -> ColumnChoice
         magnitude=magnitude,
         magnitude_error=magnitude_error,
         notes=notes,
+        frame=convention.frame,
+        measured=search.find(convention.measured) or "",
     )
     return choice
+
+
+def _all_of(asked: tuple[Callable[[], Any], ...]) -> list[Any]:
+    """The answers to all questions; what is refused is refused at once, not one thing a run."""
+    answers: list[Any] = []
+    refused: list[InputError] = []
+    for question in asked:
+        try:
+            answers.append(question())
+        except InputError as error:
+            refused.append(error)
+    if refused:
+        raise InputError.together(refused)
+    return answers
 
 
 def _convention(search: ColumnSearch) -> tuple[Convention, tuple[str, ...]]:
@@ -167,7 +246,8 @@ def _convention(search: ColumnSearch) -> tuple[Convention, tuple[str, ...]]:
         return _said_position(search), ()
     there = [c for c in conventions.CONVENTIONS if _applies(search, c)]
     if not there:
-        return _position_by_ucd(search), ()
+        elsewhere = (c for c in conventions.OTHER_FRAMES if _applies(search, c))
+        return _position_by_ucd(search) or next(elsewhere, None) or _no_position(search), ()
     superseded = {name.lower() for c in there for name in c.over if name != c.position[0]}
     computed = {name.lower() for name in conventions.VIZIER_COMPUTED}
     rules: tuple[Callable[[Convention], bool], ...] = (
@@ -221,7 +301,7 @@ def _said_position(search: ColumnSearch) -> Convention:
     other = search.required(options.dec, "dec") if options.ra and options.dec else None
     known = [
         c
-        for c in conventions.CONVENTIONS
+        for c in (*conventions.CONVENTIONS, *conventions.OTHER_FRAMES)
         if _applies(search, c)
         and search.find(c.position[axis]) == said
         and other in (None, search.find(c.position[1 - axis]))
@@ -233,7 +313,7 @@ def _said_position(search: ColumnSearch) -> Convention:
     return conventions.plain((said, other), title="options")
 
 
-def _position_by_ucd(search: ColumnSearch) -> Convention:
+def _position_by_ucd(search: ColumnSearch) -> Convention | None:
     def marked(*patterns: str) -> list[str]:
         ucds = {name: search.ucd(name) for name in search.table.colnames}
         found = [n for n, ucd in ucds.items() if ucd.startswith(patterns)]
@@ -242,6 +322,13 @@ def _position_by_ucd(search: ColumnSearch) -> Convention:
     ra, dec = marked("pos.eq.ra", "pos_eq_ra"), marked("pos.eq.dec", "pos_eq_dec")
     if len(ra) == 1 and len(dec) == 1:
         return conventions.plain((ra[0], dec[0]), title="UCD pos.eq.ra, pos.eq.dec")
+    lon, lat = marked("pos.galactic.lon", "pos_gal_lon"), marked("pos.galactic.lat", "pos_gal_lat")
+    if len(lon) == 1 and len(lat) == 1 and not ra:
+        return conventions.plain((lon[0], lat[0]), "UCD pos.galactic.lon, pos.galactic.lat", "galactic")
+    return None
+
+
+def _no_position(search: ColumnSearch) -> Convention:
     raise InputError(
         f"{search.source}: no columns of right ascension and declination found among: {search.listing()}",
         naming("say {ra:NAME} {dec:NAME}"),
@@ -252,7 +339,13 @@ def _own_error(search: ColumnSearch, convention: Convention) -> ErrorNames | Non
     return next((e for e in convention.errors if search.find_all(e.names)), None)
 
 
-def _direction(search: ColumnSearch, name: str, unit: str, right_ascension: bool) -> Column:
+def _direction(search: ColumnSearch, name: str, convention: Convention, axis: int) -> Column:
+    """Right ascension or longitude (axis 0), declination or latitude (axis 1)."""
+    right_ascension, unit = axis == 0 and convention.frame == "icrs", convention.unit
+    if convention.parts:
+        parts = tuple(found for part in convention.parts[axis] if (found := search.find(part)))
+        in_words = f"{'hours' if right_ascension else 'degrees'} in {', '.join(parts)}"
+        return Column(name, in_words, "by convention", parts)
     if column_values.is_sexagesimal(search.table, name):
         own = column_values.unit_of(search.table, name)
         hours = right_ascension and own != u.deg
@@ -268,13 +361,13 @@ def _position_error(search: ColumnSearch, convention: Convention) -> PositionErr
     if options.sigma is not None and options.ellipse:
         raise InputError(Message(f"{search.source}: ", naming("give {sigma} or {ellipse}, not both")))
     if options.ellipse:
-        return _error_columns(search, "ellipse", search.several(options.ellipse, 3, "ellipse"), "", "")
+        return _error_columns(search, ErrorNames("ellipse", search.several(options.ellipse, 3, "ellipse")))
     if options.sigma is not None:
         return _said_error(search, options.sigma, convention)
     own = _own_error(search, convention)
     if own:
-        return _error_columns(search, own.kind, search.find_all(own.names) or (), own.unit, own.covariance, convention)
-    ways = (*conventions.plain(convention.position).errors, *conventions.PLAIN_CIRCLES)
+        return _error_columns(search, own, convention)
+    ways = (*conventions.plain(convention.position).errors, *conventions.PLAIN_CIRCLES, *_circles_by_ending(search))
     found = {names: e for e in ways if (names := search.find_all(e.names)) and _may_be_angle(search, names)}
     if len(found) > 1:
         raise InputError(
@@ -282,12 +375,9 @@ def _position_error(search: ColumnSearch, convention: Convention) -> PositionErr
             f"{' or '.join(','.join(names) for names in found)}",
             naming("say {sigma:NAME}"),
         )
-    for names, way in found.items():
-        return _error_columns(search, way.kind, names, way.unit, way.covariance, convention)
-    raise InputError(
-        f"{search.source}: no column of position errors ({convention.title})",
-        naming("say {sigma:ARCSEC}, {sigma:COLUMN} or {ellipse:'A,B,ANGLE'}"),
-    )
+    for way in found.values():
+        return _error_columns(search, way, convention)
+    return PositionError("unknown")
 
 
 def _may_be_angle(search: ColumnSearch, names: tuple[str, ...]) -> bool:
@@ -304,8 +394,8 @@ def _said_error(search: ColumnSearch, sigma: float | str, convention: Convention
         names = search.several(text, 2 if count > 1 else 1, "sigma")
         own = _own_error(search, convention)
         if own and search.find_all(own.names) == names:
-            return _error_columns(search, own.kind, names, own.unit, own.covariance, convention)
-        return _error_columns(search, "axes" if count > 1 else "circle", names, "", "")
+            return _error_columns(search, own, convention)
+        return _error_columns(search, ErrorNames("axes" if count > 1 else "circle", names))
     unit = search.options.sigma_unit or "arcsec"
     unit_of = Column("sigma", unit, "option")
     search.checked(unit_of, "arcsec", "an angle; give arcsec, mas, deg", naming("'{sigma}'"))
@@ -315,23 +405,30 @@ def _said_error(search: ColumnSearch, sigma: float | str, convention: Convention
     return PositionError("number", sigma_arcsec=number * column_values.factor(unit, "arcsec"))
 
 
-def _error_columns(
-    search: ColumnSearch,
-    kind: Literal["circle", "axes", "ellipse"],
-    names: tuple[str, ...],
-    unit: str,
-    covariance: str,
-    convention: Convention | None = None,
-) -> PositionError:
-    columns = tuple(search.angle(name, unit) for name in names[:2])
+def _circles_by_ending(search: ColumnSearch) -> tuple[ErrorNames, ...]:
+    """Position errors behind the name of a survey: ``xmm_poserr_arcsec``."""
+    found = [name for name in search.table.colnames if _POSITION_ERROR.search(name)]
+    return tuple(ErrorNames("circle", (name,)) for name in found)
+
+
+def _error_columns(search: ColumnSearch, way: ErrorNames, convention: Convention | None = None) -> PositionError:
+    """The columns of an error, of which all names are there, with their units."""
+    kind, names = way.kind, search.find_all(way.names) or ()
+    if kind == "variances":
+        squares = tuple(search.checked(search.column(n, way.unit), "arcsec2", "the square of an angle") for n in names)
+        return PositionError(kind, squares, covariance=search.find(way.covariance) or "")
+    columns = tuple(search.angle(name, way.unit) for name in names[:2])
     if kind == "ellipse":
         columns = (*columns, search.checked(search.column(names[2], "deg"), "deg", "an angle"))
     said = search.options.correlation
     correlation = search.required(said, "correlation") if said else ""
     if not said and kind == "axes" and convention:
         correlation = next((n for i, j, w in convention.correlations if (i, j) == (0, 1) and (n := search.find(w))), "")
-    found = "" if correlation or kind != "axes" else search.find(covariance) or ""
-    return PositionError(kind, columns, correlation=correlation, covariance=found)
+    found = "" if correlation or kind != "axes" else search.find(way.covariance) or ""
+    guessed = any(column.reason == GUESSED for column in columns)
+    return PositionError(
+        kind, columns, correlation=correlation, covariance=found, angle_from=way.angle_from, guessed_unit=guessed
+    )
 
 
 def _motion(search: ColumnSearch, convention: Convention) -> tuple[tuple[Any, ...], tuple[Any, ...], tuple[str, ...]]:
@@ -387,6 +484,10 @@ def _epoch(search: ColumnSearch, convention: Convention, ra: str) -> Epoch:
     name = search.first(convention.epochs)
     if name:
         return Epoch(column=name, reason=f"column {name}")
+    for wanted in conventions.PLAIN_EPOCHS:  # whatever the names of the position are
+        name = search.find(wanted)
+        if name and column_values.are_years(table, name):
+            return Epoch(column=name, reason=f"column {name}")
     described = _DESCRIBED_EPOCH.search(str(table[ra].info.description or ""))
     if described:
         return Epoch(jyr=float(described[1]), reason=f"description of {ra}")
@@ -396,12 +497,18 @@ def _epoch(search: ColumnSearch, convention: Convention, ra: str) -> Epoch:
     return released if released else _header_epoch(table)
 
 
+def _year(search: ColumnSearch, epoch: Epoch) -> float | None:
+    """The Julian year of all rows, or the median of theirs; None where it is not known."""
+    if not epoch.column:
+        return epoch.jyr
+    years = column_values.years(search.table, epoch.column, search.source)
+    known = years[np.isfinite(years)]
+    return float(np.median(known)) if len(known) else None
+
+
 def _released_epoch(search: ColumnSearch, convention: Convention) -> Epoch | None:
     """The epoch of the data release that the table's words or columns tell, if they tell one."""
-    texts = [f"{key} {value}" for key, value in search.table.meta.items()]
-    name = search.find("designation")
-    if name and column_values.is_text(search.table, name):
-        texts += [str(text) for text in search.table[name][:100]]
+    texts = _texts(search)
     found = {
         epoch: f"the table says {match[0]}"
         for pattern, epoch in convention.releases
@@ -417,6 +524,15 @@ def _released_epoch(search: ColumnSearch, convention: Convention) -> Epoch | Non
         return None
     (epoch, reason), *_ = found.items()
     return Epoch(jyr=epoch, reason=reason)
+
+
+def _texts(search: ColumnSearch) -> list[str]:
+    """What the table says of itself: its metadata, its first designations."""
+    texts = [f"{key} {value}" for key, value in search.table.meta.items()]
+    name = search.find("designation")
+    if name and column_values.is_text(search.table, name):
+        texts += [str(text) for text in search.table[name][:100]]
+    return texts
 
 
 def _header_epoch(table: Table) -> Epoch:

@@ -15,18 +15,23 @@ import numpy as np
 from sameas.arrays import FloatArray
 
 Correlations = tuple[tuple[int, int, str], ...]
+ErrorKind = Literal["circle", "axes", "ellipse", "variances"]
+#: What longitude and latitude are measured in.
+SkyFrame = Literal["icrs", "galactic", "ecliptic"]
 
 
 @dataclass(frozen=True)
 class ErrorNames:
     """Columns of one position error: "circle" (σ), "axes" (σ east, σ north),
-    "ellipse" (a, b, angle in degrees east of north). ``unit`` "" means that no unit goes without saying.
-    ``covariance`` names east times north."""
+    "ellipse" (a, b, angle in degrees), "variances" (of east and of north, squares). ``unit`` "" means that no unit
+    goes without saying. ``covariance`` names east times north. ``angle_from`` : where the angle of an ellipse is
+    counted from, towards the other one."""
 
-    kind: Literal["circle", "axes", "ellipse"]
+    kind: ErrorKind
     names: tuple[str, ...]
     unit: str = ""
     covariance: str = ""
+    angle_from: Literal["north", "east"] = "north"
 
 
 @dataclass(frozen=True)
@@ -47,6 +52,9 @@ class Convention:
     epoch_jyr : epoch of the whole catalogue. releases : (pattern in the table's texts, epoch).
     release_columns : (column of one release only, epoch).
     weights : prefix of the columns of the triangular weight matrix of hip2.
+    measured : a column that is empty in rows which are no measurements. frame : of the position, and of its errors.
+    parts : columns of hours, minutes and seconds, and of sign, degrees, minutes and seconds, where the position stands
+        in so many; the last ones may be absent.
     """
 
     title: str
@@ -64,6 +72,9 @@ class Convention:
     magnitudes: tuple[tuple[str, str], ...] = ()
     over: tuple[str, ...] = ()
     weights: str = ""
+    measured: str = ""
+    frame: SkyFrame = "icrs"
+    parts: tuple[tuple[str, ...], ...] = ()
 
 
 def _correlations(pattern: str, names: tuple[str, ...]) -> Correlations:
@@ -123,6 +134,9 @@ _GAIA_RELEASE_COLUMNS = (
     ("DR2Name", 2015.5),
     ("EDR3Name", 2016.0),
     ("DR3Name", 2016.0),
+    ("GaiaDR2", 2015.5),
+    ("GaiaEDR3", 2016.0),
+    ("GaiaDR3", 2016.0),
     ("dr2_radial_velocity", 2016.0),  # EDR3 repeats the velocities of DR2 under this name
     ("nu_eff_used_in_astrometry", 2016.0),
 )
@@ -207,21 +221,30 @@ def _sextractor(flavour: str) -> tuple[Convention, ...]:
     return tuple(
         Convention(
             title=f"SExtractor{' ' + flavour if flavour else ''}",
-            position=(f"ALPHA{flavour}_{frame}", f"DELTA{flavour}_{frame}"),
+            position=(f"X{flavour}_{frame}", f"Y{flavour}_{frame}")
+            if frame == "WORLD"
+            else (f"ALPHA{flavour}_{frame}", f"DELTA{flavour}_{frame}"),
             ids=("NUMBER",),
             # SExtractor manual, "Positions and shapes": _WORLD in degrees; _J2000, _SKY east of north.
-            errors=(
-                ErrorNames(
-                    "ellipse",
-                    (f"ERRA{flavour}_WORLD", f"ERRB{flavour}_WORLD", f"ERRTHETA{flavour}_{frame}"),
-                    "deg",
-                ),
-            ),
+            errors=(*_ellipses(flavour, frame),),
             magnitudes=_SEXTRACTOR_MAGNITUDES,
-            over=(f"ALPHA{flavour}_SKY",) if frame == "J2000" else (),
+            over={
+                "J2000": (f"ALPHA{flavour}_SKY", f"X{flavour}_WORLD"),
+                "SKY": (f"X{flavour}_WORLD",),
+                "WORLD": (),
+            }[frame],
         )
-        for frame in ("J2000", "SKY")
+        for frame in ("J2000", "SKY", "WORLD")
     )
+
+
+def _ellipses(flavour: str, frame: str) -> tuple[ErrorNames, ...]:
+    """The error ellipse: its angle counted from north, or by SExtractor's world axes from east; or its major axis."""
+    a, b = f"ERRA{flavour}_WORLD", f"ERRB{flavour}_WORLD"
+    from_north = ErrorNames("ellipse", (a, b, f"ERRTHETA{flavour}_{frame}"), "deg")
+    from_east = ErrorNames("ellipse", (a, b, f"ERRTHETA{flavour}_WORLD"), "deg", angle_from="east")
+    major = ErrorNames("circle", (a,), "deg")
+    return (from_east, major) if frame == "WORLD" else (from_north, from_east, major)
 
 
 _GAIA = Convention(
@@ -240,8 +263,8 @@ _GAIA = Convention(
 _GAIA_VIZIER = Convention(
     title="Gaia at VizieR",
     position=("RA_ICRS", "DE_ICRS"),
-    marks=("Source", "DR3Name", "EDR3Name", "DR2Name", "RPlx", "RUWE", "e_Gmag"),
-    ids=("Source", "DR3Name", "EDR3Name", "DR2Name"),
+    marks=("Source", "DR3Name", "EDR3Name", "DR2Name", "GaiaDR3", "GaiaEDR3", "GaiaDR2", "RPlx", "RUWE", "e_Gmag"),
+    ids=("Source", "DR3Name", "EDR3Name", "DR2Name", "GaiaDR3", "GaiaEDR3", "GaiaDR2"),
     errors=(ErrorNames("axes", ("e_RA_ICRS", "e_DE_ICRS"), "mas"),),
     motions=(_VIZIER_MOTION,),
     correlations=_VIZIER_CORRELATIONS,
@@ -320,6 +343,80 @@ _LSST = tuple(
     )
 )
 
+# Our own tables of frames: positions by the plate model, of stars that were not found those of the catalogue.
+_SAMEAS_FRAME = Convention(
+    title="frame of sameas",
+    position=("ra_deg", "dec_deg"),
+    marks=("cov_ee_arcsec2",),
+    measured="measurement",
+    errors=(ErrorNames("variances", ("cov_ee_arcsec2", "cov_nn_arcsec2"), "arcsec2", "cov_en_arcsec2"),),
+    magnitudes=(("magnitude", "magnitude_err"),),
+)
+_SDSS = Convention(
+    title="SDSS",
+    position=("ra", "dec"),
+    marks=("objID", "psfMag_r", "modelMag_r", "petroMag_r", "camcol", "rerun"),
+    ids=("objID",),
+    # SDSS schema, PhotoObjAll: raErr "error in RA (* cos(Dec), that is, proper units)", arcsec.
+    errors=(ErrorNames("axes", ("raErr", "decErr"), "arcsec"),),
+    epochs=("mjd", "mjd_r"),
+    magnitudes=(("psfMag_r", "psfMagErr_r"), ("modelMag_r", "modelMagErr_r"), ("r", "err_r")),
+)
+_PANSTARRS = Convention(
+    title="Pan-STARRS1",
+    position=("raMean", "decMean"),
+    ids=("objID", "objName"),
+    # Chambers et al. 2016, table ObjectThin: standard deviations, arcsec; epochMean is an MJD.
+    errors=(ErrorNames("axes", ("raMeanErr", "decMeanErr"), "arcsec"),),
+    epochs=("epochMean",),
+    magnitudes=(("rMeanPSFMag", "rMeanPSFMagErr"), ("iMeanPSFMag", "iMeanPSFMagErr")),
+    over=("raStack",),
+)
+_ALLWISE = (
+    Convention(
+        title="AllWISE",
+        position=("ra", "dec"),
+        marks=("w1mpro", "sigradec"),
+        ids=("designation", "source_id"),
+        errors=(ErrorNames("axes", ("sigra", "sigdec"), "arcsec"),),
+        epochs=("w1mjdmean",),
+        epoch_jyr=2010.5,
+        magnitudes=(("w1mpro", "w1sigmpro"),),
+    ),
+    Convention(
+        title="AllWISE at VizieR (II/328)",
+        position=("RAJ2000", "DEJ2000"),
+        marks=("AllWISE", "eeMaj"),
+        ids=("AllWISE",),
+        errors=(ErrorNames("ellipse", ("eeMaj", "eeMin", "eePA"), "arcsec"),),
+        epoch_jyr=2010.5,
+        magnitudes=(("W1mag", "e_W1mag"),),
+    ),
+)
+_TYCHO2 = Convention(
+    title="Tycho-2 (I/259)",
+    position=("RAmdeg", "DEmdeg"),
+    marks=("TYC1", "VTmag", "BTmag"),
+    ids=("TYC",),
+    # The errors are those of the mean epoch of the observations, near 1991.5, the position is that of 2000.0.
+    errors=(ErrorNames("axes", ("e_RAmdeg", "e_DEmdeg"), "mas"),),
+    motions=(_VIZIER_MOTION,),
+    epoch_jyr=2000.0,
+    magnitudes=(("VTmag", "e_VTmag"), ("BTmag", "e_BTmag")),
+    over=("RA(ICRS)", "RAdeg", "_RAJ2000", "RAJ2000"),
+)
+# Sexagesimal in columns of its own, as the CDS and journals have it.
+_IN_PARTS = Convention(
+    title="CDS, in parts",
+    position=("RAh", "DEd"),
+    ids=PLAIN_IDS,
+    motions=PLAIN_MOTIONS,
+    epochs=PLAIN_EPOCHS,
+    magnitudes=PLAIN_MAGNITUDES,
+    errors=_own_axes("RA", "DE"),
+    parts=(("RAh", "RAm", "RAs"), ("DE-", "DEd", "DEm", "DEs")),
+)
+
 _PLAIN_POSITIONS = (
     ("ra", "dec"),
     ("ra", "de"),
@@ -332,6 +429,8 @@ _PLAIN_POSITIONS = (
     ("ra2000", "dec2000"),
     ("ra_j2000", "dec_j2000"),
     ("RAhms", "DEdms"),
+    ("ra_h", "dec_deg"),
+    ("ra_hours", "dec_deg"),
     ("RightAscension", "Declination"),
     ("right_ascension", "declination"),
     ("lon", "lat"),
@@ -342,10 +441,20 @@ _PLAIN_POSITIONS = (
 )
 
 
-def plain(position: tuple[str, str], title: str = "plain names") -> Convention:
+_GALACTIC_POSITIONS = (
+    ("GLON", "GLAT"), ("l", "b"), ("l_deg", "b_deg"), ("gal_lon", "gal_lat"), ("gallon", "gallat"), ("lii", "bii"),
+    ("galactic_longitude", "galactic_latitude"), ("_Glon", "_Glat"),
+)  # fmt: skip
+_ECLIPTIC_POSITIONS = (
+    ("ELON", "ELAT"), ("ecl_lon", "ecl_lat"), ("ecliptic_longitude", "ecliptic_latitude"), ("_Elon", "_Elat"),
+)  # fmt: skip
+
+
+def plain(position: tuple[str, str], title: str = "plain names", frame: SkyFrame = "icrs") -> Convention:
     """The convention of a position of any other name: whatever of the usual names is there."""
     ra, dec = position
     return Convention(
+        frame=frame,
         title=title,
         position=position,
         ids=PLAIN_IDS,
@@ -363,13 +472,24 @@ CONVENTIONS: tuple[Convention, ...] = (
     _GAIA_VIZIER,
     _HIP2,
     *_HIPPARCOS,
+    _TYCHO2,
     *_TWOMASS,
+    *_ALLWISE,
+    _SDSS,
+    _PANSTARRS,
     *_LSST,
+    _SAMEAS_FRAME,
     *_sextractor("WIN"),
     *_sextractor("PSF"),
     *_sextractor("PEAK"),
     *_sextractor(""),
     *(plain(position) for position in _PLAIN_POSITIONS),
+    _IN_PARTS,
+)
+#: Looked for where there is no right ascension.
+OTHER_FRAMES: tuple[Convention, ...] = (
+    *(plain(position, "galactic coordinates", "galactic") for position in _GALACTIC_POSITIONS),
+    *(plain(position, "ecliptic coordinates", "ecliptic") for position in _ECLIPTIC_POSITIONS),
 )
 
 

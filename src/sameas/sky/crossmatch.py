@@ -21,13 +21,16 @@ from sameas.evidence import Errors
 from sameas.gate import ChiSquare, Radius
 from sameas.kernels import threads
 from sameas.records import Records
+from sameas.representation import in_short
 from sameas.result import Identification
+from sameas.sky.assumed import completed
 from sameas.sky.bands import AUTO, magnitudes_of
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.rotation import Rotation, find_rotation, residual_rotation
 from sameas.space import ARCSEC_PER_RADIAN, sphere_offset
 
 
+@in_short
 @dataclass(frozen=True)
 class Nearest:
     """The nearest neighbour, one record at a time: what most programs give, here to be compared with.
@@ -85,12 +88,14 @@ class CrossmatchTuning:
 TUNING = CrossmatchTuning()
 
 
+@in_short
 @dataclass(frozen=True)
 class MatchOptions:
     """Options of a match; what is left out is estimated from the catalogues.
 
     epoch_jyr : common epoch, Julian year. gate_sigmas : radius of the gate in quoted standard deviations.
-    error_scale : "auto" estimates how residuals spread about the quoted errors; a number takes that factor.
+    error_scale : "auto" estimates how residuals spread about the quoted errors; a number takes that factor, ``Errors``
+        that mixture of factors.
     density_per_deg2 : (first, second) densities of all records, instead of local ones from the data.
     magnitudes : "auto" takes those of both catalogues as evidence, "off" leaves it to the positions; columns by name
         as "G,BP:J,H" (see ``sky.bands``).
@@ -101,7 +106,7 @@ class MatchOptions:
 
     epoch_jyr: float | None = None
     gate_sigmas: float | None = None
-    error_scale: float | str = "auto"
+    error_scale: float | str | Errors = "auto"
     density_per_deg2: tuple[float, float] | None = None
     magnitudes: str = AUTO
     offset: str = "none"
@@ -111,6 +116,8 @@ class MatchOptions:
         """The spread of the residuals, None where it is to be estimated."""
         if self.error_scale == "auto":
             return None
+        if isinstance(self.error_scale, Errors):
+            return self.error_scale
         scale = _number(self.error_scale)
         if scale is None or not 0.0 < scale < math.inf:
             raise InputError(f'error scale is {self.error_scale!r}; give "auto" or a positive factor')
@@ -129,6 +136,7 @@ class MatchOptions:
         return self.density_per_deg2[0] / ARCSEC2_PER_DEG2, self.density_per_deg2[1] / ARCSEC2_PER_DEG2
 
 
+@in_short
 @dataclass(frozen=True)
 class SkyMatch:
     """Two catalogues identified.
@@ -150,12 +158,12 @@ class SkyMatch:
     @cached_property
     def covered_1(self) -> BoolArray:
         """(n,) whether the second catalogue looks where each row of the first lies; True for unusable rows."""
-        return _by_row(self.result.first, self.estimate.coverage.covered[0])
+        return self.result.first.over_table(self.estimate.coverage.covered[0])
 
     @cached_property
     def covered_2(self) -> BoolArray:
         """(n,) whether the first catalogue looks where each row of the second lies; True for unusable rows."""
-        return _by_row(self.result.second, self.estimate.coverage.covered[1])
+        return self.result.second.over_table(self.estimate.coverage.covered[1])
 
     @cached_property
     def still_offsets(self) -> FloatArray:
@@ -198,6 +206,7 @@ def match(
     """
     options = MatchOptions() if options is None else options
     progress("motion")
+    (first, second), assumed = completed((first, second), options.epoch_jyr)
     epoch, words, one, two = brought_together(first, second, options.epoch_jyr)
     _refuse_blur(one, two, tuning)
     search = find_rotation(one, two, progress) if options.offset == "find" else None
@@ -208,7 +217,7 @@ def match(
         one, two, errors=options.errors(), gate=options.gate(), density=options.density(),
         brightness=magnitudes_of(first, second, options.magnitudes), precision=options.precision, progress=progress,
     )  # fmt: skip
-    doubts = density_doubts(estimate.coverage, options, tuning)
+    doubts = assumed + density_doubts(estimate.coverage, options, tuning)
     doubts += _error_doubts(result, estimate, tuning) + _near_miss_doubts(result, estimate, tuning)
     doubts += _offset_doubts(result, estimate, tuning) if search is None else _search_doubts(search)
     return SkyMatch(first, second, epoch, words, result, estimate, doubts, rotation)
@@ -398,12 +407,6 @@ def _near_miss_doubts(result: Identification, estimate: Estimate, tuning: Crossm
         f"be {by_chance:.2g}, but hardly any within its errors: are the errors in the unit that was understood? "
     )
     return (Message(missed, naming("Or is one shifted ({offset:'find'})?")),)
-
-
-def _by_row(records: Records, values: BoolArray) -> BoolArray:
-    column = np.ones(records.n_table, np.bool_)
-    column[records.rows] = values
-    return column
 
 
 def _unmoved(records: Records, catalogue: Catalogue) -> Records:

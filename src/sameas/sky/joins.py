@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from astropy.table import Column, MaskedColumn, Table
@@ -26,10 +26,12 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, IntArray
 from sameas.errors import InputError
+from sameas.estimate.coverage import Coverage
 from sameas.kernels import threads
+from sameas.records import Records
 from sameas.result import Answers, Identification
-from sameas.sky.crossmatch import SkyMatch
 from sameas.sky.join_types import JOINS
+from sameas.space import Sphere
 
 #: Row of a partner that does not exist; within this module only, tables carry masks.
 NO_PARTNER = -1
@@ -54,6 +56,112 @@ _WORDS = {
     "p_i": "NWAY: probability of the pair if there is a partner",
     "dist_bayesfactor": "log10 of the odds of the pair",
 }
+_FEATURE_WORDS = {"separation": "length of the residual, in the unit of the features"}
+
+
+class JoinedSource(Protocol):
+    """A source with a table."""
+
+    @property
+    def table(self) -> Table: ...
+    @property
+    def ids(self) -> NDArray[Any]: ...
+    def __len__(self) -> int: ...
+
+
+class Joinable(Protocol):
+    """Two sources identified, whose tables can be joined: a ``SkyMatch``, or a :class:`RecordsMatch`."""
+
+    @property
+    def first(self) -> JoinedSource: ...
+    @property
+    def second(self) -> JoinedSource: ...
+    @property
+    def result(self) -> Identification: ...
+    @property
+    def covered_1(self) -> BoolArray: ...
+    @property
+    def covered_2(self) -> BoolArray: ...
+
+
+@dataclass(frozen=True)
+class RecordsTable:
+    """Records as a source with a table: their own where they carry one of astropy's, else rows and ids."""
+
+    records: Records
+
+    @property
+    def ids(self) -> NDArray[Any]:
+        """(n,) identifiers."""
+        return self.records.ids
+
+    @cached_property
+    def table(self) -> Table:
+        """(n,) rows."""
+        if isinstance(self.records.table, Table):
+            return self.records.table
+        return Table({"row": np.arange(len(self)), "id": self.records.ids})
+
+    def __len__(self) -> int:
+        return self.records.n_table
+
+
+@dataclass(frozen=True)
+class RecordsMatch:
+    """Two sources of records identified, with the tables to join. coverage : where both look."""
+
+    result: Identification
+    coverage: Coverage
+
+    @cached_property
+    def first(self) -> RecordsTable:
+        """The first source."""
+        return RecordsTable(self.result.first)
+
+    @cached_property
+    def second(self) -> RecordsTable:
+        """The second source."""
+        return RecordsTable(self.result.second)
+
+    @cached_property
+    def covered_1(self) -> BoolArray:
+        """(n,) whether the second source looks where each row of the first lies; True for unusable rows."""
+        return self.result.first.over_table(self.coverage.covered[0])
+
+    @cached_property
+    def covered_2(self) -> BoolArray:
+        """(n,) whether the first source looks where each row of the second lies; True for unusable rows."""
+        return self.result.second.over_table(self.coverage.covered[1])
+
+
+def pair_table(result: Identification) -> Table:
+    """The identified pairs: rows and ids of both, probability, separation, sorted by the first source."""
+    found = result.matches
+    columns: dict[str, NDArray[Any]] = {
+        "row_1": found.rows_1, "row_2": found.rows_2,
+        "id_1": result.first.ids[found.rows_1], "id_2": result.second.ids[found.rows_2], "p_match": found.p_match,
+    }  # fmt: skip
+    columns[_separation_names(result)[0]] = np.linalg.norm(found.residual, axis=1)
+    columns |= {"mahalanobis": found.mahalanobis, "log_odds": found.log_odds}
+    table = Table()
+    for name, values in columns.items():
+        table.add_column(Column(values, unit=_UNITS.get(name), description=_words(name)), name=name, copy=False)
+    return table
+
+
+def _separation_names(result: Identification) -> list[str]:
+    """What separation and residuals are called: in arcsec on the sphere, else in the unit of the features."""
+    if isinstance(result.first.space, Sphere):
+        return ["sep_arcsec", "dx_arcsec", "dy_arcsec"]
+    return ["separation", *(f"residual_{axis}" for axis in range(1, result.pairs.d + 1))]
+
+
+def _words(name: str) -> str:
+    if name.startswith("residual_"):
+        return f"first minus second, feature {name.removeprefix('residual_')}"
+    of_pairs = {f"{what}_{side}": f"{what} in the {one} source"
+                for what in ("row", "id") for side, one in ((1, "first"), (2, "second"))}  # fmt: skip
+    return (_WORDS | _FEATURE_WORDS | of_pairs)[name]
 
 
 @dataclass(frozen=True)
@@ -79,7 +187,7 @@ class _JoinedRows:
         return self.one >= 0
 
 
-def joined(match: SkyMatch, join: str = JOINS[0], *, nway_columns: bool = False) -> Table:
+def joined(match: Joinable, join: str = JOINS[0], *, nway_columns: bool = False) -> Table:
     """The joined table.
 
     Parameters
@@ -95,19 +203,19 @@ def joined(match: SkyMatch, join: str = JOINS[0], *, nway_columns: bool = False)
         raise InputError(f"join {join!r} is not known; choose one of {', '.join(JOINS)}")
     rows = _rows(match, join)
     table = Table()
-    names = _names(match.first.table, match.second.table)
+    names = joined_names(match.first.table, match.second.table)
     for side, (source, at) in enumerate(((match.first.table, rows.one), (match.second.table, rows.two))):
         works = [partial(_taken, column, at) for column in source.columns.values()]
         for name, column in zip(names[side], threads.each(works, len(at)), strict=True):
             table.add_column(column, name=name, copy=False)
     for name, values in _JoinedColumns(match, rows).columns(nway_columns).items():
         unique = name if name not in table.colnames else f"{name}_sameas"
-        added = MaskedColumn(values, unit=_UNITS.get(name), description=_WORDS[name])
+        added = MaskedColumn(values, unit=_UNITS.get(name), description=_words(name))
         table.add_column(added, name=unique, copy=False)
     return table
 
 
-def _rows(match: SkyMatch, join: str) -> _JoinedRows:
+def _rows(match: Joinable, join: str) -> _JoinedRows:
     result = match.result
     if join == "pairs":
         return _every_answer(result)
@@ -147,7 +255,7 @@ def _every_answer(result: Identification) -> _JoinedRows:
     return _JoinedRows(one[order], two[order], pair[order], answers=True)
 
 
-def _names(first: Table, second: Table) -> tuple[list[str], list[str]]:
+def joined_names(first: Table, second: Table) -> tuple[list[str], list[str]]:
     """Column names of both tables; those that stand in both get the suffixes _1 and _2, as STILTS does."""
     taken = {name.lower() for name in first.colnames} & {name.lower() for name in second.colnames}
     return (
@@ -161,13 +269,17 @@ def _whole(at: IntArray, n: int) -> bool:
     return len(at) == n and bool(np.array_equal(at, np.arange(n)))
 
 
-def _taken(column: Any, at: IntArray) -> Column | MaskedColumn:
+def _taken(column: Any, at: IntArray) -> Any:
     """The rows ``at`` of a column, masked where there is none."""
     if _whole(at, len(column)):
         return column
     absent = at < 0
     if not absent.any():
         return column[at]
+    if not isinstance(column, Column):  # times and the like mask their own cells
+        picked = column[at]
+        picked[absent] = np.ma.masked
+        return picked
     if not len(column):
         values = np.zeros((len(at), *column.shape[1:]), column.dtype)
         mask = np.zeros(values.shape, bool)
@@ -184,7 +296,7 @@ def _taken(column: Any, at: IntArray) -> Column | MaskedColumn:
 class _JoinedColumns:
     """What the identification says at the output's rows."""
 
-    match: SkyMatch
+    match: Joinable
     rows: _JoinedRows
 
     def columns(self, nway_columns: bool) -> dict[str, np.ma.MaskedArray]:
@@ -222,10 +334,14 @@ class _JoinedColumns:
         return np.ma.MaskedArray(taken if change is None else change(taken, out=taken), absent)
 
     def _separations(self) -> dict[str, np.ma.MaskedArray]:
-        residual = self.match.result.pairs.residual[:, 0], self.match.result.pairs.residual[:, 1]
-        east, north = threads.each([partial(self._of_pair, part) for part in residual], len(self.rows.one))
-        far = np.ma.MaskedArray(np.hypot(east.data, north.data), self.rows.absent)
-        return {"sep_arcsec": far, "dx_arcsec": east, "dy_arcsec": north}
+        result, n = self.match.result, len(self.rows.one)
+        parts = [result.pairs.residual[:, axis] for axis in range(result.pairs.d)]
+        along = threads.each([partial(self._of_pair, part) for part in parts], n)
+        far = np.abs(along[0].data) if len(along) == 1 else np.hypot(along[0].data, along[1].data)
+        for more in along[2:]:
+            far = np.hypot(far, more.data)
+        values = [np.ma.MaskedArray(far, self.rows.absent), *along]
+        return dict(zip(_separation_names(result), values, strict=True))
 
     def _of_row(self, name: str) -> np.ma.MaskedArray:
         one, two = self.match.result.answers_1, self.match.result.answers_2
@@ -268,7 +384,7 @@ class _JoinedColumns:
         return np.ma.MaskedArray(np.where(chosen, 1, np.where(rival, 2, 0)).astype(np.int16), np.zeros(len(p), bool))
 
 
-def _second_ids(match: SkyMatch, answers: Answers, other: int) -> np.ma.MaskedArray:
+def _second_ids(match: Joinable, answers: Answers, other: int) -> np.ma.MaskedArray:
     ids = (match.first if other == 1 else match.second).ids
     absent = np.ma.getmaskarray(answers.second)
     return np.ma.MaskedArray(ids[np.where(absent, 0, np.ma.getdata(answers.second))], absent)

@@ -1,4 +1,4 @@
-"""Motion: catalogue astrometry carried to another epoch, with everything that is not known of it.
+"""Motion: catalogue astrometry carried to another epoch, with its errors.
 
 Objects move uniformly in space: the standard model of stellar motion (The Hipparcos and Tycho Catalogues,
 ESA SP-1200, vol. 1, sect. 1.5.5; Butkevich & Lindegren 2014, A&A 570, A62), in which radial motion changes
@@ -6,8 +6,8 @@ the proper motion. Light-time is neglected, as in EPOCH_PROP of the Gaia archive
 after 50 years by 0.3 mas for Barnard's star, by less than 0.0001 mas for most. Directions are barycentric:
 the annual parallax of an observer on the Earth is not added.
 
-Make an :class:`Astrometry` with :meth:`Astrometry.of`, which fills what is missing. Use :func:`position_at`
-where only the position and its error at the new epoch matter (a match), :func:`propagate` for the rest.
+Make an :class:`Astrometry` with :meth:`Astrometry.of`, which fills in missing parameters. Use :func:`position_at` for
+the position and its error at the new epoch (a match), :func:`propagate` for all six parameters.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.gaussian import propagated
 from sameas.records import unpack
+from sameas.representation import in_short
 from sameas.space import ARCSEC_PER_RADIAN
 
-# Variances: errors of several parameters that are not correlated; what is the same for all rows takes no room.
 
-
+@in_short
 @dataclass(frozen=True)
 class Variances:
-    """(n,) variances of each parameter.
+    """(n,) variances of parameters that are not correlated; one number for all rows takes no memory.
 
     >>> Variances((np.array([1.0, 4.0]), np.broadcast_to(9.0, 2))).matrices(2)[1]
     array([[4., 0.],
@@ -41,11 +41,11 @@ class Variances:
 
     @classmethod
     def of(cls, sigmas: tuple[FloatArray, ...]) -> Variances:
-        """The squares of standard deviations (n,); one number that stands for all rows stays one."""
+        """The squares of standard deviations (n,); one number for all rows stays one."""
         return cls(tuple(_squared(sigma) for sigma in sigmas))
 
     def __getitem__(self, rows: Any) -> Variances:
-        """Those of some rows."""
+        """The variances of some rows."""
         return Variances(tuple(column[rows] for column in self.columns))
 
     def stacked(self, k: int) -> FloatArray:
@@ -63,14 +63,11 @@ def _squared(sigma: FloatArray) -> FloatArray:
     return np.square(sigma)
 
 
-# Unmeasured motion: what is believed of the motion of an object that no catalogue gives.
-
-
 @dataclass(frozen=True)
 class MissingMotion:
-    """What is believed of a motion that was not measured: mean zero, these standard deviations, uncorrelated.
+    """Prior of a motion that was not measured: normal with mean zero and these standard deviations, uncorrelated.
 
-    The defaults are those of a faint field star. Michalik et al. 2015 (A&A 583, A68) give the prior that Gaia
+    The defaults are for a faint field star. Michalik et al. 2015 (A&A 583, A68) give the prior that Gaia
     uses for its two-parameter solutions: at G = 20 a parallax scatter of 0.4 mas (galactic plane) to 1.1 mas
     (poles), and 10 /yr times that in proper motion. Radial velocities near the Sun scatter by some 50 km/s
     (both discs, and the Sun's own motion). A brighter or nearer sample deserves larger values.
@@ -90,13 +87,13 @@ class MissingMotion:
     ) -> tuple[FloatArray, FloatArray, BoolArray]:
         """(n,) values and errors of a parameter with NaN where unknown, or None, filled; and where they were filled.
 
-        Positions are left alone. A value without an error is kept, and gets the error of a missing one.
-        An error without a value is of no use and gives way.
+        Positions are not filled. A value without an error keeps its value and gets the error of a missing one.
+        An error without a value is replaced.
         """
         pm = self.pm_sigma_mas_per_yr
         prior = (np.nan, np.nan, self.parallax_sigma_mas, pm, pm, self.radial_velocity_sigma_km_per_s)[parameter]
         if value is None:
-            # One number stands for all rows; it takes no room.
+            # One number for all rows takes no memory.
             return np.broadcast_to(0.0, n), np.broadcast_to(prior, n), np.broadcast_to(True, n)
         error = np.broadcast_to(np.nan, n) if error is None else error
         if parameter < 2:
@@ -108,12 +105,16 @@ class MissingMotion:
 
 FloatTriple = tuple[FloatArray, FloatArray, FloatArray]
 
-AU_KM_PER_S_YR = 149597870.7 / (365.25 * 86400.0)  # one astronomical unit per Julian year, in km/s
+#: One astronomical unit per Julian year in km/s (IAU 2012 resolution B2).
+AU_KM_PER_S_YR = 149597870.7 / (365.25 * 86400.0)
 _RADIAN_PER_MAS = 1e-3 / ARCSEC_PER_RADIAN
-_FARTHEST_JYR = 10_000.0  # an MJD or JD given as an epoch lies beyond
-_CHUNK = 8192  # rows worked on at a time, so that intermediate arrays stay in the processor's cache
+#: Latest Julian year that is accepted; an MJD or JD given as an epoch lies beyond.
+_FARTHEST_JYR = 10_000.0
+#: Rows worked on at a time: intermediate arrays stay in the processor's cache (timed).
+_CHUNK = 8192
 
 
+@in_short
 @dataclass(frozen=True)
 class Astrometry:
     """Six parameters of each object at an epoch, and their errors. Make it with :meth:`Astrometry.of`.
@@ -188,8 +189,8 @@ class Astrometry:
         correlation : (n, k, k) coefficients; zero where not given, NaN, or of a parameter that was filled.
         parallax_mas, pm_ra_mas_per_yr, pm_dec_mas_per_yr, radial_velocity_km_per_s : (n,); NaN, masked or not
             given where not measured.
-        missing : what is believed of unmeasured motion, by default ``MissingMotion()``, which also tells what
-            becomes of a value without an error.
+        missing : prior of unmeasured motion, by default ``MissingMotion()``, which also says how a value without an
+            error is treated.
         source : name used in messages.
 
         Raises
@@ -199,7 +200,7 @@ class Astrometry:
 
         Example
         -------
-        A star seen to ±0.05" in 2000, of unknown proper motion, is known to ±0.17" in 2016:
+        A star measured to ±0.05" in 2000, of unknown proper motion, is known to ±0.17" in 2016:
 
         >>> star = Astrometry.of([10.0], [20.0], epoch_jyr=2000.0, sigma=[[50.0, 50.0]])
         >>> position_at(star, 2016.0).covariance_arcsec2.round(4)
@@ -224,7 +225,7 @@ PARAMETERS = tuple(field.name for field in fields(Astrometry))[:6]
 
 
 class Position(NamedTuple):
-    """Where objects are: ``ra_deg`` in 0..360 and ``dec_deg``, (n,); errors east and north, (n, 2, 2)."""
+    """Positions: ``ra_deg`` in 0..360 and ``dec_deg``, (n,); covariance of east and north, (n, 2, 2)."""
 
     ra_deg: FloatArray
     dec_deg: FloatArray
@@ -232,9 +233,9 @@ class Position(NamedTuple):
 
 
 def position_at(astrometry: Astrometry, epoch_jyr: ArrayLike) -> Position:
-    """Where the objects are at another epoch and how well that is known, east and north at the new place.
+    """Positions at another epoch, with their covariance east and north at the new place.
 
-    The same numbers as the first two parameters of :func:`propagate`, which does more work.
+    The same numbers as the first two parameters of :func:`propagate`, in less time.
     ``epoch_jyr`` is one Julian year for all, or (n,).
     """
     n = len(astrometry)
@@ -277,7 +278,7 @@ def propagate(astrometry: Astrometry, epoch_jyr: ArrayLike) -> Astrometry:
 
 
 class _GreatCircle(NamedTuple):
-    """The great circle from one epoch to the other: what the derivatives are made of, each (n,) or (n, 2).
+    """The great circle from one epoch to the other, each (n,) or (n, 2), from which the derivatives follow.
 
     With the radial and transverse motion ζ = v π / A and μ, the distance grows by 1/f while the direction
     turns by θ: (cos θ, sin θ) = f (1 + ζt, μt). So z = ζ + iμ becomes z / (1 + zt), derivative (f exp(-iθ))².
@@ -331,7 +332,7 @@ def _end_values(part: Astrometry, path: _GreatCircle) -> FloatArray:
     """(6, n) the parameters at the new epoch."""
     f, parallax, velocity = path.nearer, part.parallax_mas, part.radial_velocity_km_per_s
     motion = f * f * path.transverse
-    # v₁ = A ζ₁ / π₁, freed of the quotient ζ / π
+    # v₁ = A ζ₁ / π₁, without the quotient ζ / π
     gained = _RADIAN_PER_MAS * path.span_yr * (path.transverse**2 + path.radial**2)
     with_parallax = np.where(parallax == 0.0, np.inf, parallax)
     velocity = np.where(parallax == 0.0, velocity, f * (velocity + AU_KM_PER_S_YR * gained / with_parallax))
@@ -370,7 +371,7 @@ def _derivatives(part: Astrometry, path: _GreatCircle, velocity: FloatArray) -> 
     derivatives[:, 3:5, 3:5] = _turned(path, f2 * cos2, f2 * cos)
     derivatives[:, 3:5, 6] = -(f2 * sin2)[:, None] * path.end
 
-    # v₁ by its parameters directly, not by way of ζ, which says nothing of v where the parallax is small.
+    # v₁ by its parameters directly: through ζ the derivative is undefined where the parallax is zero.
     no_parallax = part.parallax_mas == 0.0
     parallax = np.where(no_parallax, np.inf, f * part.parallax_mas)
     by_transverse = (AU_KM_PER_S_YR * f2 * sin2 - velocity * shrink * sin) / parallax
@@ -396,7 +397,7 @@ def _carried(part: Astrometry, derivatives: FloatArray) -> FloatArray:
 
 
 def _turned(path: _GreatCircle, along: FloatArray | float, across: FloatArray) -> FloatArray:
-    """(n, 2, 2) what scales along and across the motion, from the old place's axes to the new."""
+    """(n, 2, 2) matrices that scale along and across the motion, from the old place's axes to the new."""
     (east, north), (end_east, end_north) = path.start.T, path.end.T
     matrices = np.empty((len(east), 2, 2))
     matrices[:, 0, 0] = along * end_east * east + across * end_north * north

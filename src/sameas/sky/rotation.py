@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,10 +19,11 @@ from sameas.arrays import FloatArray
 from sameas.estimate.match import match
 from sameas.gaussian import inverse, mahalanobis_sq, propagated
 from sameas.records import Records
-from sameas.registration import Registration, Shift, register
-from sameas.registration.joint import DECISIVE
 from sameas.result import Identification
 from sameas.space import ARCSEC_PER_RADIAN, sphere_offset
+
+if TYPE_CHECKING:
+    from sameas.registration import Registration
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class RotationTuning:
     patch_deg : largest radius of the patch, degrees. patch_places : places that are tried as its centre.
     iterations : at most. settled : the estimate has converged when a step moves no record by more than this part of its
         error.
-    least_p_pair : pairs less probable than this are not used. most_pairs : of more pairs every so manieth is used.
+    least_p_pair : pairs less probable than this are not used. most_pairs : of more pairs a regular sample is used.
     significant_sigmas, significant_share : a rotation that was not asked for is reported when it is larger than this
         many of its standard errors and moves a pair by more than this part of the pair's error.
     """
@@ -102,7 +103,7 @@ class Rotation:
             return position_deg
         at = _vectors(position_deg)
         k = omega / angle
-        # What is added is small and keeps its digits; the sum's direction is taken against the old meridian.
+        # The step is computed apart, which keeps its digits; the new longitude is relative to the old meridian.
         cross = np.cross(k, at)
         step = math.sin(angle) * cross + 2.0 * math.sin(angle / 2.0) ** 2 * np.cross(k, cross)
         east, north = _local(position_deg)
@@ -114,7 +115,7 @@ class Rotation:
         return np.stack([lon % 360.0, np.degrees(np.arctan2(z, np.hypot(outward, right)))], axis=1)
 
     def _slope(self, position_deg: FloatArray) -> FloatArray:
-        """(n, 2, 3) what a unit of each component moves a record to its east and north."""
+        """(n, 2, 3) derivatives of a record's east and north by each component."""
         axes = _axes(self.centre_deg)
         at, local = _vectors(position_deg), _local(position_deg)
         moves = [np.cross(omega, at) for omega in (axes[1], -axes[0], axes[2])]
@@ -156,6 +157,8 @@ def find_rotation(
 
     Source: METHOD 6; the search as :func:`sameas.registration.register`.
     """
+    from sameas.registration import Shift, register
+
     progress("search for the offset")
     centre, patch_1, patch_2 = _patch(first, second, tuning)
     if not (len(patch_1) and len(patch_2)):
@@ -196,10 +199,12 @@ def residual_rotation(
 
 def _initial(centre: tuple[float, float], registration: Registration) -> Rotation:
     """The shift of the patch, at its centre; the rotation about it is not known yet."""
+    from sameas.registration.tuning import DEFAULT_TUNING as REGISTRATION_TUNING
+
     covariance = np.zeros((3, 3))
     covariance[:2, :2] = registration.covariance
     vector = np.array([*registration.theta, 0.0])
-    by_chance = registration.log_evidence < DECISIVE
+    by_chance = registration.log_evidence < REGISTRATION_TUNING.decisive
     return Rotation(centre, vector, covariance, registration.established, 0, registration.notes, by_chance)
 
 

@@ -22,3 +22,4 @@ from .source import Site as Site
 from .source import Targets as Targets
 from .source import Timing as Timing
 from .source import read_descriptions as read_descriptions
+from .tuning import Tuning as Tuning

@@ -1,8 +1,8 @@
 """Accuracy: the standard deviations behind the classes in which transponders state how good their positions are.
 
 ADS-B states radii of 95 % (NACp), bounds that are exceeded almost never (NIC), or the older NUCp; AIS one bit. A radius
-r that holds 95 % of a round Gaussian is 2.45 σ: P(ρ < r) = 1 − exp(−r²/2σ²). All of it is what the transponder believes
-of its navigation, not of its clock or its transmission.
+r that holds 95 % of a round Gaussian is 2.45 σ: P(ρ < r) = 1 − exp(−r²/2σ²). All of it is the accuracy of the
+transponder's navigation, not of its clock or its transmission.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ _NIC_M = (np.nan, 37040.0, 14816.0, 7408.0, 3704.0, 1852.0, 1111.2, 370.4, 185.2
 _NUCP_M = (np.nan, 18520.0, 9260.0, 1852.0, 926.0, 463.0, 185.2, 92.6, 10.0, 3.0)
 #: Errors of 95 % of the horizontal velocity in m/s by NACv 0 to 4 (DO-260B).
 _NACV_M_PER_S = (np.nan, 10.0, 3.0, 1.0, 0.3)
-#: Metres, per axis, by the bit of AIS (ITU-R M.1371: within 10 m or not); taken, where it says no, from GNSS of ships.
+#: 1σ in metres per axis by the accuracy bit of AIS (ITU-R M.1371: within 10 m or not; without it that of ships' GNSS).
 AIS_SIGMA_M = {True: 5.0, False: 15.0}
-#: Metres, per axis, of AIS positions that are dead reckoned or put in by hand: nothing is said; taken.
+#: 1σ in metres per axis of AIS positions that are dead reckoned or entered by hand (chosen).
 AIS_RECKONED_SIGMA_M = 100.0
 
 

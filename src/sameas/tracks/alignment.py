@@ -2,12 +2,11 @@
 
 A state is (east, north, velocity east, velocity north) in a plane, metres and seconds. Its velocity is a random walk of
 known power density q (m²/s³), the standard model of nearly constant velocity. Moved by dt a state becomes F x, with
-covariance F P Fᵀ + Q(|dt|). The past is reached as the future is: a record that is later than the instant is moved
-back, and its uncertainty grows all the same.
+covariance F P Fᵀ + Q(|dt|). A record that is later than the instant is moved back, and its uncertainty grows too.
 
-- :class:`States`: the reports of one source as states, whatever they said of their velocity.
-- :func:`moved`: states at other times. :class:`Succession`: which report of each track stands for it at an instant.
-- :func:`aged`: which of them have grown so uncertain that they tell nothing any more. There is no limit of age.
+- :class:`States`: the reports of one source as states, with or without velocities.
+- :func:`moved`: states at other times. :class:`Succession`: which report of each track is current at an instant.
+- :func:`aged`: which of them are too uncertain to distinguish objects. There is no limit of age.
 """
 
 from __future__ import annotations
@@ -75,7 +74,7 @@ class States:
         """States from positions (n, 2) with covariances (n, 2, 2), and velocities (n, 2) where they are known.
 
         An unknown velocity, NaN or not given, is 0 ± ``speed_m_per_s`` per axis; a velocity without a covariance is
-        refused. Reports without a time are refused, those without a position are kept and never used.
+        refused. Reports without a time are refused, those without a position are kept, but not used.
         """
         t, x = np.asarray(time_s, dtype=np.float64), np.asarray(position, dtype=np.float64)
         n = len(t)
@@ -106,7 +105,7 @@ class States:
 
 @dataclass(frozen=True)
 class Earlier:
-    """What ``part`` saw of a state (east, north, velocity) ``age_s`` seconds ago, as a part of the state now.
+    """The observation by ``part`` of a state (east, north, velocity) ``age_s`` seconds ago, of the state now.
 
     >>> from sameas.many.observations import Bearing
     >>> Earlier(Bearing((0.0, 0.0), dimension=4), 2.0)(np.array([[10.0, 30.0, 5.0, 0.0]])).tolist()
@@ -193,12 +192,12 @@ class Succession:
         return cls(rows, time_s[rows], final)
 
     def at(self, instant_s: float) -> IntArray:
-        """Rows, ascending, of the reports that stand at an instant: of each track the last that is not later.
+        """Rows, ascending, of the current reports at an instant: of each track the last that is not later.
 
-        It is the time that a report holds for that counts, not when it came in: reports out of order do no harm.
+        The time for which a report holds counts, not its arrival: reports may be out of order.
         """
         past = self.time_s <= instant_s
-        # The reports of a track that are past stand before those that are not.
+        # The past reports of a track are before the others.
         overtaken = np.append(past[1:], False) & ~self.final
         return np.sort(self.rows[past & ~overtaken])
 
@@ -206,8 +205,8 @@ class Succession:
 def aged(covariance: FloatArray, density_per_m2: float) -> BoolArray:
     """(n,) whether more than one other object is expected within a state's own 1σ ellipse: π √|P| ρ > 1.
 
-    Such a record does not tell objects apart any more. Whether that is after seconds or hours is a matter of how it
-    moves and how crowded it is there, not of a limit.
+    Such a record does not distinguish objects any more. That may be after seconds or hours, by its motion and the
+    density of objects.
     """
     area = math.pi * np.sqrt(np.maximum(np.linalg.det(covariance[:, :2, :2]), 0.0))
     return np.asarray(area * density_per_m2 > 1.0)

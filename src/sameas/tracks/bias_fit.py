@@ -1,9 +1,9 @@
 """Bias fit: the biases under which two sources agree best, over all instants at which they are compared.
 
-The search looks at every offset that brings any two records of an instant together (:mod:`sameas.registration`); what
-it finds at a few instants is refined over all of them at once, every pair weighted by its posterior probability. Priors
-are normal about zero. Where neither source is without bias they are the gauge: of the biases that would displace both
-sources alike, the least likely to be large stay zero.
+The search covers every offset that brings any two records of an instant together (:mod:`sameas.registration`); its
+solutions at a few instants are refined over all of them at once, every pair weighted by its posterior probability.
+Priors are normal about zero. Where neither source is without bias they are the gauge: of the biases that would
+displace both sources alike, the least likely to be large stay zero.
 
 The covariance is never less than the scatter from track to track shows: errors of one track are alike at all instants.
 """
@@ -20,24 +20,11 @@ from numpy.typing import NDArray
 from sameas.arrays import FloatArray, IntArray
 from sameas.gaussian import inverse, log_determinant, propagated, symmetric
 from sameas.registration.hough import Votes, vote
-from sameas.registration.joint import DECISIVE
 from sameas.registration.solution import displacement_sigmas, refine
 from sameas.registration.weights import Weighed, weigh
 from sameas.tracks.biases import RelativeBias
 from sameas.tracks.common_scans import CommonScan
-
-#: 3 instants are searched, with 32 candidates each, refined in 20 iterations (chosen).
-SEARCHED, BEGINNINGS, ROUNDS = 3, 32, 20
-#: Errors are widened by these factors, iteration by iteration, over all instants; candidates kept after each (chosen).
-WIDENINGS, KEPT = (2.0, 1.5, 1.2, 1.0, 1.0), (12, 8, 6, 4, 3)
-#: The refinement ends at steps below 1 % of a standard error, or after 40 iterations (chosen).
-SETTLED, MOST_ROUNDS = 0.01, 40
-#: Two solutions are one when no record moves between them by more than 0.7 standard deviations (chosen).
-SAME_SIGMAS = 0.7
-#: At least 2 % of the information is kept, however doubtful the pairs are (chosen).
-LEAST_SHARE = 0.02
-#: Instants count as one until records have moved by 3 standard deviations (chosen).
-MOVED_SIGMAS = 3.0
+from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 
 @dataclass(frozen=True)
@@ -51,7 +38,7 @@ class BiasFit:
     relative : (p, p) the same without what displaces all sources alike: for comparing them with each other.
     pairs : expected number of pairs, over all instants. tracks : of how many objects they are.
     log_evidence : ln of the odds of these biases, with the pairs they make, against nothing in common.
-    rivals : other biases that were found, with their log evidence.
+    rivals : other solutions, with their log evidence. tuning : of tracks.
     """
 
     biases: IntArray
@@ -64,16 +51,17 @@ class BiasFit:
     log_evidence: float
     rivals: tuple[tuple[FloatArray, float], ...]
     settled: bool
+    tuning: Tuning = DEFAULT_TUNING
 
     @property
     def near_rivals(self) -> tuple[tuple[FloatArray, float], ...]:
-        """Those that are not much less probable."""
-        return tuple(rival for rival in self.rivals if rival[1] > self.log_evidence - DECISIVE)
+        """The rivals that are not much less probable."""
+        return tuple(rival for rival in self.rivals if rival[1] > self.log_evidence - self.tuning.registration.decisive)
 
     @property
     def established(self) -> bool:
         """Whether these biases, and no others nor nothing in common, explain the scans."""
-        return self.log_evidence > DECISIVE and not self.near_rivals
+        return self.log_evidence > self.tuning.registration.decisive and not self.near_rivals
 
 
 @dataclass(frozen=True)
@@ -81,6 +69,7 @@ class Pool:
     """Scans with one set of biases; θ (…, p) runs over ``biases``."""
 
     scans: tuple[CommonScan, ...]
+    tuning: Tuning = DEFAULT_TUNING
 
     @cached_property
     def biases(self) -> IntArray:
@@ -107,29 +96,29 @@ class Pool:
             for scan, at, here in zip(self.scans, self.columns, common, strict=True)
         ]
 
-    def gain(self, theta: FloatArray, found: Sequence[Weighed]) -> FloatArray:
+    def gain(self, theta: FloatArray, weights: Sequence[Weighed]) -> FloatArray:
         """(s,) log posterior, up to a constant."""
-        return np.asarray(sum(each.gain for each in found) - 0.5 * np.sum(self.precision * theta**2, axis=1))
+        return np.asarray(sum(each.gain for each in weights) - 0.5 * np.sum(self.precision * theta**2, axis=1))
 
-    def equations(self, theta: FloatArray, found: Sequence[Weighed]) -> tuple[FloatArray, FloatArray]:
+    def equations(self, theta: FloatArray, weights: Sequence[Weighed]) -> tuple[FloatArray, FloatArray]:
         """Score (s, p) of the log posterior, and its information (s, p, p) if the weights were the truth."""
         score = -self.precision * theta
         information = np.broadcast_to(np.diag(self.precision), (len(theta), *np.shape(self.precision) * 2)).copy()
-        for k, each in enumerate(found):
+        for k, each in enumerate(weights):
             terms, squares, s = self.contributions(k, theta, each)
             np.add.at(score, s, terms)
             np.add.at(information, s, squares)
         return score, information
 
-    def contributions(self, k: int, theta: FloatArray, found: Weighed) -> tuple[FloatArray, FloatArray, IntArray]:
-        """What each pair of an scan adds to score (m, p) and information (m, p, p), and its candidate (m,)."""
+    def contributions(self, k: int, theta: FloatArray, weights: Weighed) -> tuple[FloatArray, FloatArray, IntArray]:
+        """The contribution of each pair of a scan to score (m, p) and information (m, p, p), and its candidate (m,)."""
         scan, at = self.scans[k], self.columns[k]
         model, features = scan.weighing.model, scan.weighing.second.features
-        jacobian = np.zeros((len(found.s), found.residual.shape[1], theta.shape[1]))
-        jacobian[:, :, at] = model.jacobian(features, theta[:, None, at])[found.s, found.j]
-        pull = np.einsum("mvw,mwp->mvp", found.precision, jacobian) * found.weight[:, None, None]
-        terms = np.einsum("mvp,mv->mp", pull, found.residual)
-        return terms, np.einsum("mvp,mvq->mpq", pull, jacobian), found.s
+        jacobian = np.zeros((len(weights.s), weights.residual.shape[1], theta.shape[1]))
+        jacobian[:, :, at] = model.jacobian(features, theta[:, None, at])[weights.s, weights.j]
+        pull = np.einsum("mvw,mwp->mvp", weights.precision, jacobian) * weights.weight[:, None, None]
+        terms = np.einsum("mvp,mv->mp", pull, weights.residual)
+        return terms, np.einsum("mvp,mvq->mpq", pull, jacobian), weights.s
 
     def fresh(self, count: int) -> list[FloatArray]:
         """(count,) numbers of common objects to begin with, per scan."""
@@ -137,18 +126,18 @@ class Pool:
         return [np.full(count, 0.5 * size) for size in sizes]
 
 
-def fit_biases(scans: Sequence[CommonScan]) -> BiasFit:
+def fit_biases(scans: Sequence[CommonScan], tuning: Tuning = DEFAULT_TUNING) -> BiasFit:
     """The biases under which the sources of these scans agree best; at least one scan."""
-    pool = Pool(tuple(scans))
+    pool = Pool(tuple(scans), tuning)
     theta = _annealed(pool, _beginnings(pool))
-    finished = [_finished(pool, one) for one in theta]
-    finished.sort(key=lambda one: -one.log_evidence)
-    best, biggest = finished[0], _biggest(pool)[0]
+    fits = [_fitted(pool, one) for one in theta]
+    fits.sort(key=lambda one: -one.log_evidence)
+    best, biggest = fits[0], _biggest(pool)[0]
     at = pool.columns[biggest]
     apart = [
         (one.theta, one.log_evidence)
-        for one in finished[1:]
-        if displacement_sigmas(pool.scans[biggest].weighing, best.theta[at], one.theta[at]) > SAME_SIGMAS
+        for one in fits[1:]
+        if displacement_sigmas(pool.scans[biggest].weighing, best.theta[at], one.theta[at]) > tuning.same_sigmas
     ]
     return replace(best, rivals=tuple(apart))
 
@@ -160,19 +149,23 @@ def _biggest(pool: Pool) -> list[int]:
 
 
 def _beginnings(pool: Pool) -> FloatArray:
-    """(s, p) what the richest instants each find, and no bias at all."""
+    """(s, p) the solutions of the instants with most records, and no bias at all."""
     starts = [np.zeros(len(pool.biases))]
     # One of the richer half at a time, far apart in time: the same chance does not come twice.
-    rich = sorted(_biggest(pool)[: max(len(pool.scans) // 2, SEARCHED)])
-    for k in np.unique(np.linspace(0, len(rich) - 1, min(SEARCHED, len(rich))).round().astype(int)):
+    rich = sorted(_biggest(pool)[: max(len(pool.scans) // 2, pool.tuning.searched_instants)])
+    for k in np.unique(
+        np.linspace(0, len(rich) - 1, min(pool.tuning.searched_instants, len(rich))).round().astype(int)
+    ):
         scan, at = pool.scans[rich[k]], pool.columns[rich[k]]
         weighing = scan.weighing
-        votes = vote(weighing.first, weighing.second, weighing.model, BEGINNINGS)
+        votes = vote(
+            weighing.first, weighing.second, weighing.model, pool.tuning.search_offsets, pool.tuning.registration
+        )
         none = np.zeros((1, len(at)))
         votes = Votes(
             np.concatenate([votes.theta, none]), np.append(votes.score, 0.0), np.append(votes.patch, 0), votes.patches
         )
-        for solution in refine(weighing, votes, ROUNDS):
+        for solution in refine(weighing, votes, pool.tuning.search_steps):
             theta = np.zeros(len(pool.biases))
             theta[at] = solution.theta
             starts.append(theta)
@@ -182,39 +175,39 @@ def _beginnings(pool: Pool) -> FloatArray:
 def _annealed(pool: Pool, theta: FloatArray) -> FloatArray:
     """The best candidates, refined over all scans together with errors from wide to quoted."""
     common = pool.fresh(len(theta))
-    for widening, keep in zip(WIDENINGS, KEPT, strict=True):
-        found = pool.weighed(theta, common, widening)
-        score, information = pool.equations(theta, found)
-        gain = pool.gain(theta, found)
+    for widening, keep in zip(pool.tuning.widenings, pool.tuning.kept, strict=True):
+        weights = pool.weighed(theta, common, widening)
+        score, information = pool.equations(theta, weights)
+        gain = pool.gain(theta, weights)
         best = np.sort(np.argsort(-gain, kind="stable")[:keep])
         theta = (theta + np.linalg.solve(information, score[..., None])[..., 0])[best]
-        common = [each.common[best] for each in found]
+        common = [each.common[best] for each in weights]
     return theta
 
 
-def _finished(pool: Pool, theta: FloatArray) -> BiasFit:
+def _fitted(pool: Pool, theta: FloatArray) -> BiasFit:
     """One candidate brought to its maximum, with covariance and evidence."""
     at, common, settled = theta[None, :], pool.fresh(1), False
-    for _ in range(MOST_ROUNDS):
-        found = pool.weighed(at, common, 1.0)
-        score, information = pool.equations(at, found)
+    for _ in range(pool.tuning.most_steps):
+        weights = pool.weighed(at, common, 1.0)
+        score, information = pool.equations(at, weights)
         step = np.linalg.solve(information, score[..., None])[..., 0]
-        at, common = at + step, [each.common for each in found]
-        settled = float(np.einsum("sp,spq,sq->", step, information, step)) <= SETTLED**2
+        at, common = at + step, [each.common for each in weights]
+        settled = float(np.einsum("sp,spq,sq->", step, information, step)) <= pool.tuning.settled**2
         if settled:
             break
-    found = pool.weighed(at, common, 1.0)
-    _, complete = pool.equations(at, found)
+    weights = pool.weighed(at, common, 1.0)
+    _, complete = pool.equations(at, weights)
     by_model = _covariance(pool, at, common, complete[0])
-    covariance, tracks = _scattered(pool, at, found, complete[0], by_model)
+    covariance, tracks = _scattered(pool, at, weights, complete[0], by_model)
     filtered = _without_gauge(pool, at)
     instants = len({scan.instant_s for scan in pool.scans})
     occam = 0.5 * (float(log_determinant(covariance)) + np.sum(np.log(pool.precision)))
     prior = -0.5 * float(np.sum(pool.precision * at[0] ** 2))
-    likelihood = float(sum(each.gain[0] for each in found)) * _independent(pool) / instants
+    likelihood = float(sum(each.gain[0] for each in weights)) * _independent(pool) / instants
     return BiasFit(
-        pool.biases, at[0], covariance, filtered @ covariance @ filtered.T, float(sum(e.common[0] for e in found)),
-        instants, tracks, likelihood + prior + min(float(occam), 0.0), (), settled,
+        pool.biases, at[0], covariance, filtered @ covariance @ filtered.T, float(sum(e.common[0] for e in weights)),
+        instants, tracks, likelihood + prior + min(float(occam), 0.0), (), settled, pool.tuning,
     )  # fmt: skip
 
 
@@ -223,35 +216,35 @@ def _covariance(pool: Pool, theta: FloatArray, common: list[FloatArray], complet
     p = theta.shape[1]
     step = 0.2 / np.sqrt(np.diag(complete))
     nodes = np.concatenate([theta + np.diag(step), theta - np.diag(step)])
-    found = pool.weighed(nodes, [np.repeat(here, 2 * p) for here in common], 1.0)
-    score, _ = pool.equations(nodes, found)
+    weights = pool.weighed(nodes, [np.repeat(here, 2 * p) for here in common], 1.0)
+    score, _ = pool.equations(nodes, weights)
     observed = -(score[:p] - score[p:]) / (2.0 * step[:, None])
     # In the units of the complete information: the shares of it that are not missing, at least a little.
     scale = np.linalg.cholesky(inverse(complete))
     shares, axes = np.linalg.eigh(scale.T @ symmetric(observed) @ scale)
-    root = scale @ axes / np.sqrt(np.clip(shares, LEAST_SHARE, None))
+    root = scale @ axes / np.sqrt(np.clip(shares, pool.tuning.least_information, None))
     return np.asarray(root @ root.T)
 
 
 def _scattered(
-    pool: Pool, theta: FloatArray, found: Sequence[Weighed], complete: FloatArray, by_model: FloatArray
+    pool: Pool, theta: FloatArray, weights: Sequence[Weighed], complete: FloatArray, by_model: FloatArray
 ) -> tuple[FloatArray, float]:
     """The covariance, nowhere less than tracks scatter (Liang and Zeger 1986), and how many tracks there are.
 
     Pairs without any name are tracks of their own, so what stays with their objects is added as it is described.
     """
-    parts = [pool.contributions(k, theta, each) for k, each in enumerate(found)]
-    names = [_owners(scan, each) for scan, each in zip(pool.scans, found, strict=True)]
+    parts = [pool.contributions(k, theta, each) for k, each in enumerate(weights)]
+    names = [_owners(scan, each) for scan, each in zip(pool.scans, weights, strict=True)]
     owner, count = _numbered(np.concatenate(names))
-    p, weight = len(by_model), np.concatenate([each.weight for each in found])
+    p, weight = len(by_model), np.concatenate([each.weight for each in weights])
     score, leverage = np.zeros((count, p)), np.zeros((count, p, p))
     np.add.at(score, owner, np.concatenate([part[0] for part in parts]))
     np.add.at(leverage, owner, np.concatenate([part[1] for part in parts]))
-    # Every track pulled the answer towards itself: what it would say of an answer found without it.
+    # Every track pulled the answer towards itself: its score at the answer without it.
     apart = np.einsum("pq,cq->cp", complete, np.linalg.solve(complete - leverage, score[..., None])[..., 0])
     instants = len({scan.instant_s for scan in pool.scans})
     lasting = np.zeros((p, p))
-    for scan, part, each, own in zip(pool.scans, parts, found, names, strict=True):
+    for scan, part, each, own in zip(pool.scans, parts, weights, names, strict=True):
         nameless = own == ""
         spread = np.einsum("mvv->m", each.precision[nameless]) / each.residual.shape[1] * scan.lasting_m2
         lasting += instants * np.einsum("mpq,m->pq", part[1][nameless], spread)
@@ -268,9 +261,9 @@ def _numbered(names: NDArray[np.str_]) -> tuple[IntArray, int]:
     return number, int(number.max(initial=-1)) + 1
 
 
-def _owners(scan: CommonScan, found: Weighed) -> NDArray[np.str_]:
-    """(m,) whose track each pair is: the second's, else the first's, else nobody's, an empty name."""
-    names = [labels[rows] for labels, rows in zip(scan.labels, (found.i, found.j), strict=True)]
+def _owners(scan: CommonScan, weights: Weighed) -> NDArray[np.str_]:
+    """(m,) the track of each pair: the second's id, else the first's, else an empty one."""
+    names = [labels[rows] for labels, rows in zip(scan.track_ids, (weights.i, weights.j), strict=True)]
     chosen = [
         f"2 {two}" if two is not None else (f"1 {one}" if one is not None else "")
         for one, two in zip(*names, strict=True)
@@ -287,7 +280,7 @@ def _at_least(least: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def _without_gauge(pool: Pool, theta: FloatArray) -> FloatArray:
-    """(p, p) matrix that takes away what would displace all sources alike: what no pair anywhere could tell."""
+    """(p, p) matrix that removes what displaces all sources alike, which no pair can show."""
     every = np.zeros((len(pool.biases), len(pool.biases)))
     for scan, at in zip(pool.scans, pool.columns, strict=True):
         weighing = scan.weighing
@@ -298,12 +291,12 @@ def _without_gauge(pool: Pool, theta: FloatArray) -> FloatArray:
 
 
 def _independent(pool: Pool) -> float:
-    """How many looks the instants are worth: what stands still repeats the same chance again and again."""
+    """The number of independent instants: scenes at rest repeat the same coincidences."""
     times = np.unique([scan.instant_s for scan in pool.scans])
     if len(times) < 2:
         return 1.0
     apart = [
-        scan.speed_m_per_s * float(np.median(np.diff(times))) / (MOVED_SIGMAS * scan.weighing.sigma)
+        scan.speed_m_per_s * float(np.median(np.diff(times))) / (pool.tuning.moved_sigmas * scan.weighing.sigma)
         for scan in pool.scans
         if isinstance(scan.weighing.model, RelativeBias)
     ]

@@ -1,11 +1,11 @@
-"""Biases: how a source that is set up wrongly displaces what it shows, and what it would have shown without.
+"""Biases: how a wrongly set up source displaces its records, and its records without them.
 
 Six numbers say it, in the order of :data:`BIASES`. A sensor with a site reads ranges and azimuths too large; any
 source may be shifted as a whole, and its stamps may be late.
 
-- :class:`BiasModel`: from where an object is to where the source shows it, and back, with derivatives.
+- :class:`BiasModel`: from the place of an object to its measured place, and back, with derivatives.
 - :class:`RelativeBias`: the offset between two such sources, for :mod:`sameas.registration`.
-- :class:`Turned`: the same for directions.
+- :class:`AzimuthBias`: the same for directions.
 
 A bias in range is one along the ground: for targets at a steep elevation it is not quite that of the slant range.
 """
@@ -25,8 +25,8 @@ from sameas.registration.offsets import RADIAN, Offset
 from sameas.tracks.alignment import States
 from sameas.tracks.placement import Directions
 
-#: Range read too long; azimuth read too far clockwise; 0.01 reads 1 % too far; stamps too late; shown too far east,
-#: north.
+#: Range too long (m), azimuth too far clockwise (°), range gain (0.01 is 1 % too far), stamps too late (s), positions
+#: too far east and north (m).
 BIASES = ("range_m", "azimuth_deg", "range_gain", "time_s", "east_m", "north_m")
 RANGE, AZIMUTH, GAIN, TIME, EAST, NORTH = range(6)
 
@@ -42,43 +42,43 @@ class Displaced:
 
 @dataclass(frozen=True, eq=False)
 class BiasModel:
-    """What biases θ (…, 6), in the order of :data:`BIASES`, do to what one source shows.
+    """The effect of biases θ (…, 6), in the order of :data:`BIASES`, on the positions of one source.
 
     site_m : (2,), or (n, 2) where it moves, east and north of the sensor; None for a source that is in no one place.
     """
 
     site_m: ArrayLike | None = None
 
-    def shown(self, place: FloatArray, velocity: FloatArray, theta: FloatArray) -> Displaced:
-        """Where the source shows objects that are at ``place`` (…, n, 2) with ``velocity`` (n, 2)."""
+    def forward(self, place: FloatArray, velocity: FloatArray, theta: FloatArray) -> Displaced:
+        """The place at which the source measures objects that are at ``place`` (…, n, 2) with ``velocity`` (n, 2)."""
         before = place - velocity * theta[..., TIME, None]
         shift, eye = theta[..., EAST:], np.broadcast_to(np.eye(2), (*before.shape, 2))
         if self.site_m is None:
-            read, by_place, polar = before, eye, np.zeros((*before.shape, 3))
+            measured, by_place, polar = before, eye, np.zeros((*before.shape, 3))
         else:
             site = np.asarray(self.site_m, dtype=np.float64)
             true_m, along, across = _polar(before - site)
-            read_m = true_m * (1.0 + theta[..., GAIN]) + theta[..., RANGE]
-            along_read, across_read = _turned(along, across, theta[..., AZIMUTH])
-            read = site + read_m[..., None] * along_read
+            measured_m = true_m * (1.0 + theta[..., GAIN]) + theta[..., RANGE]
+            along_read, across_read = _rotated(along, across, theta[..., AZIMUTH])
+            measured = site + measured_m[..., None] * along_read
             stretched = (1.0 + theta[..., GAIN])[..., None, None] * _outer(along_read, along)
-            by_place = stretched + (read_m / true_m)[..., None, None] * _outer(across_read, across)
-            moves = along_read, RADIAN * read_m[..., None] * across_read, true_m[..., None] * along_read
+            by_place = stretched + (measured_m / true_m)[..., None, None] * _outer(across_read, across)
+            moves = along_read, RADIAN * measured_m[..., None] * across_read, true_m[..., None] * along_read
             polar = np.stack(np.broadcast_arrays(*moves), axis=-1)
         late = -np.einsum("...vw,...w->...v", by_place, np.broadcast_to(velocity, before.shape))
         by_bias = np.concatenate([polar, late[..., None], np.broadcast_to(eye, by_place.shape)], axis=-1)
-        return Displaced(read + shift, by_place, by_bias)
+        return Displaced(measured + shift, by_place, by_bias)
 
-    def undone(self, shown: FloatArray, velocity: FloatArray, theta: FloatArray) -> Displaced:
-        """Where objects are that the source shows at ``shown`` (…, n, 2): the inverse of :meth:`shown`."""
-        read = shown - theta[..., EAST:]
+    def inverse(self, measured_place: FloatArray, velocity: FloatArray, theta: FloatArray) -> Displaced:
+        """The place of objects whose measured place is ``measured_place`` (…, n, 2): the inverse of :meth:`forward`."""
+        measured = measured_place - theta[..., EAST:]
         if self.site_m is not None:
             site = np.asarray(self.site_m, dtype=np.float64)
-            read_m, along_read, across_read = _polar(read - site)
-            along, _ = _turned(along_read, across_read, -theta[..., AZIMUTH])
-            read = site + ((read_m - theta[..., RANGE]) / (1.0 + theta[..., GAIN]))[..., None] * along
-        place = read + velocity * theta[..., TIME, None]
-        forward = self.shown(place, velocity, theta)
+            measured_m, along_read, across_read = _polar(measured - site)
+            along, _ = _rotated(along_read, across_read, -theta[..., AZIMUTH])
+            measured = site + ((measured_m - theta[..., RANGE]) / (1.0 + theta[..., GAIN]))[..., None] * along
+        place = measured + velocity * theta[..., TIME, None]
+        forward = self.forward(place, velocity, theta)
         back = _inverse(forward.by_place)
         return Displaced(place, back, -back @ forward.by_bias)
 
@@ -91,7 +91,7 @@ def _polar(arm: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     return distance, np.stack([sine, cosine], axis=-1), np.stack([cosine, -sine], axis=-1)
 
 
-def _turned(along: FloatArray, across: FloatArray, azimuth_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _rotated(along: FloatArray, across: FloatArray, azimuth_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The same unit vectors, clockwise by an angle."""
     cosine, sine = np.cos(RADIAN * azimuth_deg)[..., None], np.sin(RADIAN * azimuth_deg)[..., None]
     return cosine * along + sine * across, cosine * across - sine * along
@@ -110,7 +110,7 @@ def _outer(one: FloatArray, other: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class RelativeBias(Offset):
-    """The offset between two sources: the second's records are moved to where the first would show them.
+    """The offset between two sources: the second's records are moved to where the first would measure them.
 
     first, second : their models. velocity : (n, 2) of the second source's records, 0 where not known.
     prior : (12,) prior standard deviations of the biases of the first and of the second; 0 leaves one out.
@@ -123,7 +123,7 @@ class RelativeBias(Offset):
 
     @property
     def which(self) -> tuple[int, ...]:
-        """Numbers of the biases that are looked for; those of the second source count from 6."""
+        """Numbers of the biases that are fitted; those of the second source count from 6."""
         return tuple(k for k, width in enumerate(self.prior) if width > 0.0)
 
     @property
@@ -154,15 +154,17 @@ class RelativeBias(Offset):
         every = np.zeros((*theta.shape[:-1], 12))
         every[..., list(self.which)] = theta
         if not any(self.prior[:6]):
-            true = self.second.undone(features, self.velocity, every[..., 6:])
+            true = self.second.inverse(features, self.velocity, every[..., 6:])
             return replace(true, by_bias=np.concatenate([np.zeros_like(true.by_bias), true.by_bias], axis=-1))
         if not any(self.prior[6:]):
-            there = self.first.shown(features, self.velocity, every[..., :6])
-            return replace(there, by_bias=np.concatenate([there.by_bias, np.zeros_like(there.by_bias)], axis=-1))
-        true = self.second.undone(features, self.velocity, every[..., 6:])
-        there = self.first.shown(true.place, self.velocity, every[..., :6])
-        by_bias = np.concatenate(np.broadcast_arrays(there.by_bias, there.by_place @ true.by_bias), axis=-1)
-        return Displaced(there.place, there.by_place @ true.by_place, by_bias)
+            measured = self.first.forward(features, self.velocity, every[..., :6])
+            return replace(
+                measured, by_bias=np.concatenate([measured.by_bias, np.zeros_like(measured.by_bias)], axis=-1)
+            )
+        true = self.second.inverse(features, self.velocity, every[..., 6:])
+        measured = self.first.forward(true.place, self.velocity, every[..., :6])
+        by_bias = np.concatenate(np.broadcast_arrays(measured.by_bias, measured.by_place @ true.by_bias), axis=-1)
+        return Displaced(measured.place, measured.by_place @ true.by_place, by_bias)
 
     def chart(self, features: FloatArray) -> FloatArray:
         site = self._charted()[1]
@@ -182,12 +184,12 @@ class RelativeBias(Offset):
         return [(self.which.index(k + start) if k + start in self.which else None, per) for k in pair]
 
     def turns(self) -> list[tuple[FloatArray, float]]:
-        shown = {at for at, _ in self.voted(2)}
+        charted = {at for at, _ in self.voted(2)}
         p = len(self.which)
-        return [(np.eye(p)[at], self.widths[at]) for at in range(p) if at not in shown]
+        return [(np.eye(p)[at], self.widths[at]) for at in range(p) if at not in charted]
 
     def _charted(self) -> tuple[int, ArrayLike | None]:
-        """Whose biases the chart shows (0 or 6), and from which site: the one that may be turned farther."""
+        """The source whose biases the chart has (0 or 6), and its site: the one with the wider azimuth prior."""
         polar = [side for side in (0, 6) if self.prior[side + RANGE] or self.prior[side + AZIMUTH]]
         if polar:
             start = max(polar, key=lambda side: self.prior[side + AZIMUTH])
@@ -196,7 +198,7 @@ class RelativeBias(Offset):
 
 
 @dataclass(frozen=True)
-class Turned(Offset):
+class AzimuthBias(Offset):
     """The azimuth bias of a source of directions, the second: features are degrees clockwise from north."""
 
     azimuth_deg: float
@@ -213,7 +215,7 @@ class Turned(Offset):
     def widths(self) -> tuple[float, ...]:  # type: ignore[override]
         return (self.azimuth_deg,)
 
-    def placed(self, first: Records, second: Records) -> Turned:
+    def placed(self, first: Records, second: Records) -> AzimuthBias:
         return self
 
     def moved(self, features: FloatArray, theta: FloatArray) -> FloatArray:
@@ -229,23 +231,21 @@ class Turned(Offset):
         return [(0, -1.0)]
 
 
-# Correction: reports without the biases of their source, and with the uncertainty of what was taken off.
-
-#: Of biases that are known.
+#: Covariance of known biases.
 CERTAIN = np.zeros((len(BIASES), len(BIASES)))
 
 
 def corrected(
     reports: States | Directions, sensor_m: FloatArray | None, biases: FloatArray, covariance: FloatArray = CERTAIN
 ) -> States | Directions:
-    """What the source would have reported without its biases.
+    """The reports of a source without its biases.
 
-    Covariances go along: what was certain along the line of sight is certain along the true one. The uncertainty of the
-    biases is added to each report's; that it is the same for all reports of the source is not kept.
+    Covariances are transformed too: an error along the line of sight stays along the true one. The uncertainty of the
+    biases is added to each report's; its correlation between reports is not kept.
 
     Parameters
     ----------
-    sensor_m : (n, 2) where the sensor was at each report; None for a source without a site, which has no range and
+    sensor_m : (n, 2) place of the sensor at each report; None for a source without a site, which has no range and
         azimuth biases.
     biases, covariance : (6,) and (6, 6), in the order of :data:`sameas.tracks.biases.BIASES`.
     """
@@ -259,7 +259,7 @@ def corrected(
     model = BiasModel(None if sensor_m is None else sensor_m[known])
     # The stamps were put right: nothing is left for them to move.
     untimed = np.where(np.arange(len(BIASES)) == TIME, 0.0, biases)
-    true = model.undone(state[known, :2], state[known, 2:], untimed)
+    true = model.inverse(state[known, :2], state[known, 2:], untimed)
     turn = np.zeros((len(true.place), 4, 4))
     turn[:, :2, :2] = turn[:, 2:, 2:] = true.by_place
     state[known] = np.einsum("nvw,nw->nv", turn, state[known])

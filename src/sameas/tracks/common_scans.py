@@ -1,7 +1,7 @@
-"""Common scans: what two sources show at one instant, as a scene for :mod:`sameas.registration`.
+"""Common scans: the records of two sources at one instant, for :mod:`sameas.registration`.
 
 The biases of a source show in the residuals of its records against those of another, and one instant has few pairs:
-:func:`common_scans` looks at two sources at many instants, spread over the time that both speak.
+:func:`common_scans` compares two sources at many instants, spread over their common time.
 """
 
 from __future__ import annotations
@@ -18,15 +18,11 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.records import Records
 from sameas.registration.weights import PlacedSources as Weighing
 from sameas.space import Plane
-from sameas.tracks.biases import AZIMUTH, BIASES, GAIN, RANGE, TIME, BiasModel, RelativeBias, Turned
+from sameas.tracks.biases import AZIMUTH, BIASES, GAIN, RANGE, TIME, AzimuthBias, BiasModel, RelativeBias
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions
 from sameas.tracks.snapshot import Snapshot
 
-#: Two sources are compared at 16 instants, at fewer where these hold more than 4000 records in all (chosen).
-INSTANTS, RECORDS = 16, 4000
-#: At least 4 instants; the first 5 % of the common time is skipped, when not every object has reported yet (chosen).
-FEWEST, EARLY = 4, 0.05
 NO_WIDTHS = np.zeros(6)
 
 
@@ -37,16 +33,16 @@ class CommonScan:
     weighing : their records, and the offset between them.
     biases : (p,) which biases its parameters are: numbers into :data:`sameas.tracks.biases.BIASES`, those of the second
         registered source from 6.
-    labels : (n₁,), (n₂,) names of tracks, None where a record has none.
+    track_ids : (n₁,), (n₂,) names of tracks, None where a record has none.
     speed_m_per_s : typical of the records.
-    lasting_m2 : variance per axis of errors that stay with an object, where no name tells whose they are: late stamps
-        that do not show, since no velocity is known, and the echo's place on the hull; deg² for directions.
+    lasting_m2 : variance per axis of errors that are constant for an object, where no id identifies it: late stamps
+        without known velocities, and the echo's place on the hull; deg² for directions.
     """
 
     instant_s: float
     weighing: Weighing
     biases: IntArray
-    labels: tuple[NDArray[Any], NDArray[Any]]
+    track_ids: tuple[NDArray[Any], NDArray[Any]]
     speed_m_per_s: float
     lasting_m2: float = 0.0
 
@@ -58,21 +54,21 @@ class CommonScan:
 
 @dataclass(frozen=True)
 class ComparedSource:
-    """One of two sources that meet: ``start`` is 0 or 6, where its biases stand among all, or None: it has none."""
+    """One of two compared sources: ``start`` is 0 or 6, the place of its biases among all, or None: it has none."""
 
     feed: Feed
     start: int | None
 
     def widths(self) -> FloatArray:
-        """(6,) prior standard deviations of its biases; 0 for what is not looked for."""
+        """(6,) prior standard deviations of its biases; 0 for biases that are not fitted."""
         return NO_WIDTHS if self.start is None else bias_widths(self.feed)
 
 
 def bias_widths(feed: Feed) -> FloatArray:
     """(6,) prior standard deviations of the biases that a source may have, in the order of BIASES; 0 where none."""
     bias = feed.description.bias
-    given = (bias.range_m, bias.azimuth_deg, bias.range_gain, bias.time_s, bias.shift_m, bias.shift_m)
-    widths = np.array([width or 0.0 for width in given])
+    prior = (bias.range_m, bias.azimuth_deg, bias.range_gain, bias.time_s, bias.shift_m, bias.shift_m)
+    widths = np.array([width or 0.0 for width in prior])
     if feed.sensor_m is None:
         widths[[RANGE, AZIMUTH, GAIN]] = 0.0
     if isinstance(feed.reports, Directions):
@@ -80,42 +76,49 @@ def bias_widths(feed: Feed) -> FloatArray:
     return widths
 
 
-def common_scans(one: ComparedSource, other: ComparedSource, most: int = INSTANTS) -> tuple[CommonScan, ...]:
-    """Two sources at ``most`` instants spread over their common time; none where they have no time in common."""
+def common_scans(one: ComparedSource, other: ComparedSource, most: int | None = None) -> tuple[CommonScan, ...]:
+    """Two sources at ``most`` instants spread over their common time; none where they have no time in common.
+
+    most : ``common_instants`` of the first feed's tuning where not given.
+    """
     sides = [one, other]
     directions = [isinstance(side.feed.reports, Directions) for side in sides]
     if all(directions):
         return ()
     # The second is what is moved: directions against positions, or what has velocities to be moved along.
-    if directions[0] or (one.feed.tells_velocities and not directions[1]):
+    if directions[0] or (one.feed.has_velocities and not directions[1]):
         sides = sides[::-1]
-    found = [_common_scan(sides[0], sides[1], instant_s) for instant_s in common_instants(one.feed, other.feed, most)]
-    return tuple(scan for scan in found if scan is not None)
+    scans = [_common_scan(sides[0], sides[1], instant_s) for instant_s in common_instants(one.feed, other.feed, most)]
+    return tuple(scan for scan in scans if scan is not None)
 
 
-def common_instants(one: Feed, other: Feed, most: int = INSTANTS) -> FloatArray:
-    """(k,) instants at which both may speak: times at which the one of unknown velocities looked."""
+def common_instants(one: Feed, other: Feed, most: int | None = None) -> FloatArray:
+    """(k,) instants at which both may have reports: times of scans of the one without velocities."""
+    tuning = one.tuning
+    most = tuning.common_instants if most is None else most
     times = [feed.reports.time_s[feed.reports.usable] for feed in (one, other)]
     if not all(len(t) for t in times):
         return np.empty(0)
-    plots = other if one.tells_velocities and not other.tells_velocities else one
-    looked = np.unique(plots.scan_times_s)
-    looked = looked[(looked >= max(t.min() for t in times)) & (looked <= max(times[0].max(), times[1].max()))]
-    # A source that ended stands for a while, no longer than it would take it to report a few times.
+    plots = other if one.has_velocities and not other.has_velocities else one
+    scan_times = np.unique(plots.scan_times_s)
+    scan_times = scan_times[
+        (scan_times >= max(t.min() for t in times)) & (scan_times <= max(times[0].max(), times[1].max()))
+    ]
+    # The last report of a source that ended is current for three periods.
     ends = [
         t.max() + 3.0 * (feed.description.timing.period_s or 0.0) for t, feed in zip(times, (one, other), strict=True)
     ]
-    looked = looked[looked <= min(ends)]
-    if not len(looked):
-        return looked
+    scan_times = scan_times[scan_times <= min(ends)]
+    if not len(scan_times):
+        return scan_times
     per_instant = _typical_count(one) + _typical_count(other)
-    count = int(np.clip(RECORDS / max(per_instant, 1.0), min(FEWEST, most), most))
-    chosen = np.linspace(EARLY * (len(looked) - 1), len(looked) - 1, min(count, len(looked)))
-    return np.asarray(looked[np.unique(np.round(chosen).astype(np.int64))])
+    count = int(np.clip(tuning.common_records / max(per_instant, 1.0), min(tuning.fewest_instants, most), most))
+    chosen = np.linspace(tuning.skipped_share * (len(scan_times) - 1), len(scan_times) - 1, min(count, len(scan_times)))
+    return np.asarray(scan_times[np.unique(np.round(chosen).astype(np.int64))])
 
 
 def _typical_count(feed: Feed) -> float:
-    """Records that the source shows at an instant, about: the tracks that are alive, or the plots of a look."""
+    """Typical number of records of the source at an instant: its current tracks, or the plots of a scan."""
     reports = feed.reports
     if reports.track is None:
         return len(reports) / max(len(np.unique(feed.scan_s)), 1)
@@ -128,33 +131,38 @@ def _typical_count(feed: Feed) -> float:
 
 
 def _common_scan(first: ComparedSource, second: ComparedSource, instant_s: float) -> CommonScan | None:
-    said = [Snapshot.of(side.feed.as_measured, instant_s) for side in (first, second)]
-    density = _density(said)
-    said = [each.without_aged(density) for each in said]
-    if not all(len(each.rows) for each in said):
+    snapshots = [Snapshot.of(side.feed.as_measured, instant_s) for side in (first, second)]
+    density = _density(snapshots)
+    snapshots = [each.without_aged(density) for each in snapshots]
+    if not all(len(each.rows) for each in snapshots):
         return None
     if isinstance(second.feed.reports, Directions):
-        return _of_directions(said[0], said[1], second, instant_s)
-    return _of_positions(said[0], said[1], (first, second), instant_s)
+        return _of_directions(snapshots[0], snapshots[1], second, instant_s)
+    return _of_positions(snapshots[0], snapshots[1], (first, second), instant_s)
 
 
-def _density(said: Sequence[Snapshot]) -> float:
-    """Records per m² where the source that shows most shows them."""
-    most = max((each for each in said if each.state.ndim == 2), key=lambda each: len(each.rows))
-    if len(most.rows) < 3:
+def _density(snapshots: Sequence[Snapshot]) -> float:
+    """Records per m² of the source with most of them."""
+    densest = max((each for each in snapshots if each.state.ndim == 2), key=lambda each: len(each.rows))
+    if len(densest.rows) < 3:
         return 0.0
-    area = 2.0 * math.pi * math.sqrt(max(float(np.linalg.det(np.cov(most.state[:, :2].T))), 1e-300))
-    return len(most.rows) / area
+    area = 2.0 * math.pi * math.sqrt(max(float(np.linalg.det(np.cov(densest.state[:, :2].T))), 1e-300))
+    return len(densest.rows) / area
 
 
 def _of_positions(
     one: Snapshot, other: Snapshot, sides: tuple[ComparedSource, ComparedSource], instant_s: float
 ) -> CommonScan:
-    told = other.covariance[:, 2, 2] < 0.99 * (other.feed.description.motion.speed_m_per_s or math.inf) ** 2
-    timed = bool(told.mean() >= 0.5)
+    has_velocity = other.covariance[:, 2, 2] < 0.99 * (other.feed.description.motion.speed_m_per_s or math.inf) ** 2
+    timed = bool(has_velocity.mean() >= 0.5)
     if timed:
         other = Snapshot(
-            other.feed, other.rows[told], other.time_s[told], other.state[told], other.covariance[told], other.aged
+            other.feed,
+            other.rows[has_velocity],
+            other.time_s[has_velocity],
+            other.state[has_velocity],
+            other.covariance[has_velocity],
+            other.aged,
         )
     velocity = other.state[:, 2:] if timed else np.zeros((len(other.rows), 2))
     widths = [side.widths() * np.where(np.arange(6) == TIME, float(timed), 1.0) for side in sides]
@@ -164,7 +172,7 @@ def _of_positions(
     weighing = Weighing.of(_positions(one), _positions(other), model)
     speed = float(np.median(np.hypot(*velocity.T)))
     lasting = 0.0 if timed else sum(_lasting_m2(side) for side in sides)
-    return CommonScan(instant_s, weighing, biases, (_labels(one), _labels(other)), speed, lasting)
+    return CommonScan(instant_s, weighing, biases, (_track_ids(one), _track_ids(other)), speed, lasting)
 
 
 def _lasting_m2(side: ComparedSource) -> float:
@@ -173,40 +181,40 @@ def _lasting_m2(side: ComparedSource) -> float:
     return (late_m * (side.start is not None)) ** 2 + (description.errors.extent_m or 0.0) ** 2
 
 
-def _positions(said: Snapshot) -> Records:
-    name = said.feed.description.name
-    return Records.of(said.state[:, :2], covariance=said.covariance[:, :2, :2], source=name)
+def _positions(snapshot: Snapshot) -> Records:
+    name = snapshot.feed.description.name
+    return Records.of(snapshot.state[:, :2], covariance=snapshot.covariance[:, :2, :2], source=name)
 
 
 def _of_directions(
     positions: Snapshot, directions: Snapshot, side: ComparedSource, instant_s: float
 ) -> CommonScan | None:
-    """Directions against those in which the sensor would see what the other source shows."""
+    """Directions against the directions from the sensor to the other source's records."""
     description = directions.feed.description
     arm = positions.state[:, :2] - np.asarray(directions.sensor())
     away = np.maximum(np.hypot(*arm.T), 1.0)
     across = np.column_stack([arm[:, 1], -arm[:, 0]]) / away[:, None]
     variance = np.einsum("nv,nvw,nw->n", across, positions.covariance[:, :2, :2], across)
     sigma = np.degrees(np.sqrt(variance + (description.errors.extent_m or 0.0) ** 2) / away)
-    # What stands beside the sensor has no direction, what is too far is not seen.
-    seen = (sigma < 30.0) & (away <= (description.coverage.range_m or math.inf))
-    if not seen.any():
+    # A record beside the sensor has no direction, and one that is too far is not visible.
+    visible = (sigma < 30.0) & (away <= (description.coverage.range_m or math.inf))
+    if not visible.any():
         return None
     bearing, around = np.degrees(np.arctan2(arm[:, 0], arm[:, 1])) % 360.0, Plane(periods=(360.0,))
     name = positions.feed.description.name
-    first = Records.of(bearing[seen, None], sigma=sigma[seen, None], space=around, source=name)
+    first = Records.of(bearing[visible, None], sigma=sigma[visible, None], space=around, source=name)
     second = Records.of(
         directions.state[:, None], variance=directions.covariance[:, None], space=around, source=description.name
     )
-    model = Turned(float(side.widths()[AZIMUTH]))
+    model = AzimuthBias(float(side.widths()[AZIMUTH]))
     biases = np.array([(side.start or 0) + AZIMUTH], np.int64)
     speed = float(np.median(np.hypot(*positions.state[:, 2:].T)))
-    # The place on the hull that is seen stays with its object: here as the angle that it is.
-    lasting_deg2 = float(np.mean(np.degrees((description.errors.extent_m or 0.0) / away[seen]) ** 2))
-    labels = (_labels(positions)[seen], _labels(directions))
+    # The visible place on the hull is constant: here as an angle.
+    lasting_deg2 = float(np.mean(np.degrees((description.errors.extent_m or 0.0) / away[visible]) ** 2))
+    labels = (_track_ids(positions)[visible], _track_ids(directions))
     return CommonScan(instant_s, Weighing.of(first, second, model), biases, labels, speed, lasting_deg2)
 
 
-def _labels(said: Snapshot) -> NDArray[Any]:
-    track = said.feed.reports.track
-    return np.full(len(said.rows), None, object) if track is None else track[said.rows].astype(object)
+def _track_ids(snapshot: Snapshot) -> NDArray[Any]:
+    track = snapshot.feed.reports.track
+    return np.full(len(snapshot.rows), None, object) if track is None else track[snapshot.rows].astype(object)

@@ -16,6 +16,7 @@ Geodesy is done by pymap3d (BSD-2-Clause).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib import import_module
 from types import ModuleType
 
 import numpy as np
@@ -36,9 +37,9 @@ STEEPEST_DEG = 80.0
 
 
 def geodesy() -> ModuleType:
-    """pymap3d, or a refusal that says how to get it."""
+    """pymap3d, or a refusal with the install line."""
     try:
-        import pymap3d
+        pymap3d = import_module("pymap3d")
     except ImportError as error:
         raise InputError("positions on the earth need pymap3d: pip install 'sameas[targets]'") from error
     return pymap3d
@@ -262,7 +263,7 @@ def bearing_in_plane(
 
 @dataclass(frozen=True)
 class _LinesOfSight:
-    """Lines of sight (n,) from sensors; ``geodetic`` says where they end."""
+    """Lines of sight (n,) from sensors; ``geodetic`` gives their ends."""
 
     range_m: FloatArray
     bearing_deg: FloatArray

@@ -1,4 +1,4 @@
-"""Doubts: in words, what looks wrong with a source as a whole.
+"""Doubts: sentences on what looks wrong with a source as a whole.
 
 A longitude of the wrong sign, kilometres for metres, a clock in another zone: such a source shares nothing with the
 others as it stands, and much in another unit, sign or order. These guesses (:class:`UnitGuess`) are tried only where a
@@ -27,8 +27,9 @@ from sameas.tracks.feed import Feed
 from sameas.tracks.registration import unbiased
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description, Site
+from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
-#: Units in which a length may be meant, and their metres.
+#: Units in which a length may be given, in metres.
 LENGTHS = (("kilometres", 1000.0), ("nautical miles", 1852.0), ("feet", 0.3048), ("millimetres", 0.001))
 #: Hours between time zones, and seconds by which GPS time is ahead of UTC since 2017.
 HOURS, LEAP_S = (*range(-12, 0), *range(1, 15)), 18.0
@@ -76,7 +77,7 @@ def unit_guesses(reports: Reports) -> Iterator[UnitGuess]:
     yield from place_guesses(reports)
     if reports.position == "local":
         yield UnitGuess("x and y look exchanged", "them exchanged", "name the columns: x is east, y is north",
-                      lambda about, said: (about, replace(said, x_m=said.y_m, y_m=said.x_m)))  # fmt: skip
+                      lambda about, reports: (about, replace(reports, x_m=reports.y_m, y_m=reports.x_m)))  # fmt: skip
         yield from (_in_length("coordinates", unit, m, _with_coordinates(m)) for unit, m in LENGTHS)
     if reports.position == "polar":
         yield from (_in_length("ranges", unit, m, _with_ranges(m)) for unit, m in LENGTHS)
@@ -97,32 +98,32 @@ def clock_guesses() -> Iterator[tuple[str, str, float]]:
 
 
 def _with_signs(of_lat: float, of_lon: float) -> Read:
-    def read(about: Description, said: Reports) -> Source | None:
-        lat, lon = np.asarray(said.lat_deg), np.asarray(said.lon_deg)
-        return about, replace(said, lat_deg=of_lat * lat, lon_deg=of_lon * lon)
+    def read(about: Description, reports: Reports) -> Source | None:
+        lat, lon = np.asarray(reports.lat_deg), np.asarray(reports.lon_deg)
+        return about, replace(reports, lat_deg=of_lat * lat, lon_deg=of_lon * lon)
 
     return read
 
 
-def _with_exchange(about: Description, said: Reports) -> Source | None:
-    lat, lon = np.asarray(said.lat_deg), np.asarray(said.lon_deg)
-    return None if np.nanmax(np.abs(lon)) > 90.0 else (about, replace(said, lat_deg=lon, lon_deg=lat))
+def _with_exchange(about: Description, reports: Reports) -> Source | None:
+    lat, lon = np.asarray(reports.lat_deg), np.asarray(reports.lon_deg)
+    return None if np.nanmax(np.abs(lon)) > 90.0 else (about, replace(reports, lat_deg=lon, lon_deg=lat))
 
 
-def _with_radians(about: Description, said: Reports) -> Source | None:
-    lat, lon = np.asarray(said.lat_deg), np.asarray(said.lon_deg)
+def _with_radians(about: Description, reports: Reports) -> Source | None:
+    lat, lon = np.asarray(reports.lat_deg), np.asarray(reports.lon_deg)
     if np.nanmax(np.abs(lat)) > math.pi / 2.0 or np.nanmax(np.abs(lon)) > math.pi:
         return None
-    return about, replace(said, lat_deg=DEGREE * lat, lon_deg=DEGREE * lon)
+    return about, replace(reports, lat_deg=DEGREE * lat, lon_deg=DEGREE * lon)
 
 
 def _with_site(changed: Callable[[float, float], tuple[float, float]]) -> Read:
-    def read(about: Description, said: Reports) -> Source | None:
+    def read(about: Description, reports: Reports) -> Source | None:
         if about.site is None or about.site.lat_deg is None or about.site.lon_deg is None:
             return None
         lat, lon = changed(about.site.lat_deg, about.site.lon_deg)
         site = Site(lat, lon, about.site.height_m)
-        return None if abs(lat) > 90.0 else (replace(about, site=site), said)
+        return None if abs(lat) > 90.0 else (replace(about, site=site), reports)
 
     return read
 
@@ -134,42 +135,32 @@ def _in_length(what: str, unit: str, metres: float, read: Read) -> UnitGuess:
 
 
 def _with_coordinates(metres: float) -> Read:
-    def read(about: Description, said: Reports) -> Source | None:
-        return about, replace(said, x_m=metres * np.asarray(said.x_m), y_m=metres * np.asarray(said.y_m))
+    def read(about: Description, reports: Reports) -> Source | None:
+        return about, replace(reports, x_m=metres * np.asarray(reports.x_m), y_m=metres * np.asarray(reports.y_m))
 
     return read
 
 
 def _with_ranges(metres: float) -> Read:
-    def read(about: Description, said: Reports) -> Source | None:
-        return about, replace(said, range_m=metres * np.asarray(said.range_m))
+    def read(about: Description, reports: Reports) -> Source | None:
+        return about, replace(reports, range_m=metres * np.asarray(reports.range_m))
 
     return read
 
 
 def _with_bearings(changed: Callable[[FloatArray], FloatArray], most: float) -> Read:
-    def read(about: Description, said: Reports) -> Source | None:
-        bearing = np.asarray(said.bearing_deg)
+    def read(about: Description, reports: Reports) -> Source | None:
+        bearing = np.asarray(reports.bearing_deg)
         if not np.nanmax(bearing) <= most:
             return None
-        return about, replace(said, bearing_deg=np.mod(changed(bearing), 360.0))
+        return about, replace(reports, bearing_deg=np.mod(changed(bearing), 360.0))
 
     return read
 
 
-#: Sources are compared at 5 instants; the number of common objects is iterated 8 times (chosen).
-INSTANTS, ROUNDS = 5, 8
-#: A source shares nothing when at most 10 % of its records have a partner; a guess must give 50 % or more (chosen).
-NOTHING, MUCH = 0.1, 0.5
-#: A guess must raise the log likelihood of an instant by 8 or more, since some thirty guesses are tried (chosen).
-CLEARLY = 8.0
-#: A guess of places brings a source to another within 3 of the other's extents, or 50 km (chosen).
-EXTENTS, NEAR_M = 3.0, 50e3
-
-
 @dataclass(frozen=True)
 class Shared:
-    """What two sources share at an instant, on average: pairs, of so many records of the first; the log likelihood."""
+    """The mean pairs of two sources at an instant, the records of the smaller source, and the log likelihood."""
 
     other: str
     pairs: float
@@ -182,30 +173,32 @@ class Shared:
         return self.pairs / max(self.records, 1e-9)
 
 
-def doubts(feeds: Sequence[Feed], plane: LocalPlane | None) -> tuple[str, ...]:
+def doubts(feeds: Sequence[Feed], plane: LocalPlane | None, tuning: Tuning = DEFAULT_TUNING) -> tuple[str, ...]:
     """One sentence for each source that looks wrong as a whole; see :meth:`sameas.tracks.scene.Scene.doubts`."""
     tolerant = [_tolerant(feed) for feed in feeds]
     others = [
         _comparable(feed, [other for other in tolerant if other.description != feed.description]) for feed in feeds
     ]
-    stands = [_best(feed, partners) for feed, partners in zip(tolerant, others, strict=True)]
-    read = [
-        _best_guess(feed, partners, stood, plane) if partners and (stood is None or stood.share < MUCH) else None
-        for feed, partners, stood in zip(feeds, others, stands, strict=True)
+    shared = [_best(feed, partners, tuning) for feed, partners in zip(tolerant, others, strict=True)]
+    guesses = [
+        _best_guess(feed, partners, in_common, plane, tuning)
+        if partners and (in_common is None or in_common.share < tuning.much)
+        else None
+        for feed, partners, in_common in zip(feeds, others, shared, strict=True)
     ]
-    said: dict[str, str] = {}
-    for feed, reading in zip(feeds, read, strict=True):
+    sentences: dict[str, str] = {}
+    for feed, guess in zip(feeds, guesses, strict=True):
         # Of two that contradict each other one sentence is enough.
-        if reading is not None and reading.other not in said:
-            said[feed.description.name] = reading.sentence
-    named = {reading.other for reading in read if reading is not None}
-    for feed, partners, stood in zip(feeds, others, stands, strict=True):
+        if guess is not None and guess.other not in sentences:
+            sentences[feed.description.name] = guess.sentence
+    named = {guess.other for guess in guesses if guess is not None}
+    for feed, partners, in_common in zip(feeds, others, shared, strict=True):
         name = feed.description.name
-        shares = stood is not None and stood.share > NOTHING and stood.gain > 0.0
-        accused = all(other.description.name in said for other in partners)
-        if not (shares or name in said or name in named or accused):
-            said[name] = _nothing_in_common(feed, partners, stood)
-    return tuple(said[feed.description.name] for feed in feeds if feed.description.name in said)
+        has_common = in_common is not None and in_common.share > tuning.nothing and in_common.gain > 0.0
+        accused = all(other.description.name in sentences for other in partners)
+        if not (has_common or name in sentences or name in named or accused):
+            sentences[name] = _nothing_in_common(feed, partners, in_common)
+    return tuple(sentences[feed.description.name] for feed in feeds if feed.description.name in sentences)
 
 
 def _comparable(feed: Feed, others: Sequence[Feed]) -> list[Feed]:
@@ -214,7 +207,7 @@ def _comparable(feed: Feed, others: Sequence[Feed]) -> list[Feed]:
     return [o for o in others if len(feed.reports) and len(o.reports) and (own or isinstance(o.reports, States))]
 
 
-def apart(sources: Sequence[Source]) -> tuple[str, ...]:
+def apart(sources: Sequence[Source], tuning: Tuning = DEFAULT_TUNING) -> tuple[str, ...]:
     """Sentences for sources too far from the one of most positions to be in one plane with it; none where all are near.
 
     Sensors without positions of their own stand for theirs.
@@ -227,24 +220,24 @@ def apart(sources: Sequence[Source]) -> tuple[str, ...]:
     home = places[most]
     assert home is not None
     middle = LocalPlane.about(*home)
-    reach = max(EXTENTS * float(np.quantile(_distance_m(middle, home), 0.9)), NEAR_M)
-    said = []
+    reach = max(tuning.near_extents * float(np.quantile(_distance_m(middle, home), 0.9)), tuning.near_m)
+    sentences = []
     for k, place in enumerate(places):
         if place is not None and k != most and _typical_m(middle, place) > FARTHEST_M:
-            said.append(_far(sources[k], sources[most], reach))
-    return tuple(said)
+            sentences.append(_far(sources[k], sources[most], reach))
+    return tuple(sentences)
 
 
 def _far(source: Source, home: Source, reach_m: float) -> str:
-    """What to say of a source that lies beyond the plane of another, ``home``, whose positions reach so far."""
+    """The sentence on a source beyond the plane of another, ``home``, whose positions reach ``reach_m``."""
     far, near = _places(*source), _places(*home)
     assert far is not None and near is not None
     away = _typical_m(LocalPlane.about(*near), far)
     opening = f"{source[0].name}: lies {away / 1e3:.0f} km from {home[0].name}, too far for one plane"
     # Columns are mixed up more often than sites are.
     for one, other in sorted([(source, home), (home, source)], key=lambda pair: pair[0][1].lat_deg is None):
-        for reading in place_guesses(one[1]):
-            changed = reading.read(*one)
+        for guess in place_guesses(one[1]):
+            changed = guess.read(*one)
             moved, there = None if changed is None else _places(*changed), _places(*other)
             if moved is None or there is None:
                 continue
@@ -252,8 +245,8 @@ def _far(source: Source, home: Source, reach_m: float) -> str:
             if 2 * inside > len(moved[0]):
                 what = "its site lies" if one[1].lat_deg is None else f"{inside} of {len(moved[0])} positions lie"
                 return (
-                    f"{opening}; {one[0].name}: its {reading.suspicion}: with {reading.changed}, {what} where "
-                    f"{other[0].name} is; {reading.remedy}, unless it is {other[0].name} that is wrong"
+                    f"{opening}; {one[0].name}: its {guess.suspicion}: with {guess.changed}, {what} where "
+                    f"{other[0].name} is; {guess.remedy}, unless it is {other[0].name} that is wrong"
                 )
     return f"{opening}; check the sign and the order of its coordinates, or make a picture of one of the two areas"
 
@@ -288,27 +281,27 @@ def _tolerant(feed: Feed) -> Feed:
     return unbiased(feed, np.zeros(len(widths)), np.diag(widths**2)) if widths.any() else feed
 
 
-def _best(feed: Feed, others: Sequence[Feed]) -> Shared | None:
+def _best(feed: Feed, others: Sequence[Feed], tuning: Tuning) -> Shared | None:
     """What the source shares with the one with which it shares most; None where it meets none."""
-    found = [shared for other in others if (shared := _shared(feed, other)) is not None]
-    return max(found, key=lambda shared: shared.gain) if found else None
+    candidates = [shared for other in others if (shared := _shared(feed, other, tuning)) is not None]
+    return max(candidates, key=lambda shared: shared.gain) if candidates else None
 
 
-def _shared(feed: Feed, other: Feed) -> Shared | None:
-    met = common_scans(ComparedSource(other, None), ComparedSource(feed, None), INSTANTS)
-    if not met:
+def _shared(feed: Feed, other: Feed, tuning: Tuning) -> Shared | None:
+    scans = common_scans(ComparedSource(other, None), ComparedSource(feed, None), tuning.doubt_instants)
+    if not scans:
         return None
     pairs = records = gain = 0.0
-    for scan in met:
+    for scan in scans:
         weighing = scan.weighing
         none = np.zeros((1, len(scan.biases)))
         common = np.array([0.5 * min(len(weighing.first), len(weighing.second))])
-        for _ in range(ROUNDS):
-            found = weigh(weighing, none, common, 1.0)
-            common = found.common
-        pairs, gain = pairs + float(common[0]), gain + float(found.gain[0])
+        for _ in range(tuning.doubt_steps):
+            weights = weigh(weighing, none, common, 1.0)
+            common = weights.common
+        pairs, gain = pairs + float(common[0]), gain + float(weights.gain[0])
         records += min(len(weighing.first), len(weighing.second))
-    count = len(met)
+    count = len(scans)
     return Shared(other.description.name, pairs / count, records / count, gain / count)
 
 
@@ -322,20 +315,21 @@ class BestGuess:
 
 
 def _best_guess(
-    feed: Feed, others: Sequence[Feed], stands: Shared | None, plane: LocalPlane | None
+    feed: Feed, others: Sequence[Feed], as_is: Shared | None, plane: LocalPlane | None, tuning: Tuning
 ) -> BestGuess | None:
-    """The reading that makes most of the source; None where none makes much of it."""
-    stood = Shared("", 0.0, 0.0, 0.0) if stands is None else stands
+    """The guess under which the source shares most; None where none shares much."""
+    unchanged = as_is or Shared("", 0.0, 0.0, 0.0)
     best: BestGuess | None = None
-    for suspicion, changed, remedy, read in _guessed_feeds(feed, plane):
-        shared = _best(read, others)
-        if shared is None or shared.share < max(MUCH, 2.0 * stood.share):
+    for suspicion, changed, remedy, guessed in _guessed_feeds(feed, plane):
+        shared = _best(guessed, others, tuning)
+        if shared is None or shared.share < max(tuning.much, 2.0 * unchanged.share):
             continue
-        if shared.gain > (max(stood.gain, 0.0) + CLEARLY if best is None else best.gain):
+        if shared.gain > (max(unchanged.gain, 0.0) + tuning.guess_gain if best is None else best.gain):
             either = f", unless it is {shared.other} that is wrong" if len(others) == 1 else ""
             sentence = (
                 f"{feed.description.name}: its {suspicion}: with {changed}, {shared.pairs:.0f} of {shared.records:.0f} "
-                f"records of an instant are those of {shared.other}, as it stands {stood.pairs:.0f}; {remedy}{either}"
+                f"records of an instant are those of {shared.other}, as it stands {unchanged.pairs:.0f}; "
+                f"{remedy}{either}"
             )
             best = BestGuess(sentence, shared.other, shared.gain)
     return best
@@ -343,16 +337,16 @@ def _best_guess(
 
 def _guessed_feeds(feed: Feed, plane: LocalPlane | None) -> Iterator[tuple[str, str, str, Feed]]:
     """Suspicion, change, remedy, and the feed that would result."""
-    if feed.given is not None:
-        for reading in unit_guesses(feed.given):
-            source = reading.read(feed.description, feed.given)
+    if feed.raw_reports is not None:
+        for guess in unit_guesses(feed.raw_reports):
+            source = guess.read(feed.description, feed.raw_reports)
             if source is None:
                 continue
             try:
-                changed = Feed.of(*source, plane)
+                changed = Feed.of(*source, plane, tuning=feed.tuning)
             except InputError:
                 continue
-            yield reading.suspicion, reading.changed, reading.remedy, _tolerant(changed)
+            yield guess.suspicion, guess.changed, guess.remedy, _tolerant(changed)
     tolerant = _tolerant(feed)
     for suspicion, remedy, ahead_s in clock_guesses():
         biases = np.zeros(6)

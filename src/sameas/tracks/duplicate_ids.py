@@ -14,32 +14,27 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.tracks.alignment import States
-
-#: Nothing moves faster than 5 times the usual speed of the source's objects (1σ per axis; chosen).
-FASTEST = 5.0
-#: An id belongs to two objects when its reports change between their places 4 times or more (chosen). One change is a
-#: position that was repeated and caught up, or a number used again.
-TURNS = 4
-#: Positions may be off by 6σ (chosen).
-SIGMAS = 6.0
+from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 
-def split_duplicate_ids(reports: States, speed_m_per_s: float) -> tuple[States, tuple[str, ...]]:
-    """The reports with a track for every object that one name stands for, and printable notes.
+def split_duplicate_ids(
+    reports: States, speed_m_per_s: float, tuning: Tuning = DEFAULT_TUNING
+) -> tuple[States, tuple[str, ...]]:
+    """The reports with a track for every object of a duplicate id, and printable notes.
 
     Parameters
     ----------
-    reports : of one source; without names of tracks they come back as they are.
-    speed_m_per_s : that objects usually make, motion.speed_m_per_s of the description.
+    reports : of one source; without track ids they are returned unchanged.
+    speed_m_per_s : usual speed of its objects, motion.speed_m_per_s of the description.
     """
     if reports.track is None or not len(reports):
         return reports, ()
-    limit = FASTEST * speed_m_per_s
+    limit = tuning.fastest * speed_m_per_s
     usable = np.flatnonzero(reports.usable)
     names, number = np.unique(reports.track[usable].astype(str), return_inverse=True)
     order = np.lexsort([reports.time_s[usable], number])
     rows, owner = usable[order], number[order]
-    radius = SIGMAS * np.sqrt(np.trace(reports.covariance[rows, :2, :2], axis1=1, axis2=2))
+    radius = tuning.place_sigmas * np.sqrt(np.trace(reports.covariance[rows, :2, :2], axis1=1, axis2=2))
     leaps = _too_far(reports, rows[:-1], rows[1:], radius[:-1] + radius[1:], limit) & (owner[1:] == owner[:-1])
     track, state, notes = reports.track.astype(object), reports.state.copy(), []
     for k in np.unique(owner[1:][leaps]):
@@ -47,13 +42,13 @@ def split_duplicate_ids(reports: States, speed_m_per_s: float) -> tuple[States, 
         branch = _branches(reports, rows[own], radius[own], limit)
         count = np.bincount(branch)
         stray, true = count[branch] == 1, np.flatnonzero(count > 1)
-        if np.count_nonzero(np.diff(branch[~stray])) < TURNS:
+        if np.count_nonzero(np.diff(branch[~stray])) < tuning.alternations:
             true = true[:1]
         for place, one in enumerate(true[1:], start=2):
             track[rows[own[branch == one]]] = f"{names[k]} ({place})"
         if len(true):
             state[rows[own[stray]]] = np.nan
-        notes += _said(str(names[k]), len(true), int(stray.sum()))
+        notes += _notes(str(names[k]), len(true), int(stray.sum()))
     return States(reports.time_s, state, reports.covariance, track, reports.rows), tuple(notes)
 
 
@@ -64,20 +59,20 @@ def _too_far(reports: States, first: IntArray, second: IntArray, radius: FloatAr
 
 
 def _branches(reports: States, rows: IntArray, radius: FloatArray, limit: float) -> IntArray:
-    """(k,) number of the object of each report of one name: that which it is nearest to of those that can have come."""
+    """(k,) number of the object of each report of one id: the nearest of those that can have moved there."""
     ends: list[int] = []
     branch = np.zeros(len(rows), np.int64)
     for at, row in enumerate(rows):
-        known = np.array(ends, np.int64)
-        away = np.full(len(known), math.inf)
-        if len(known):
-            before = rows[known]
-            far = _too_far(reports, before, np.full(len(known), row), radius[known] + radius[at], limit)
+        last_rows = np.array(ends, np.int64)
+        away = np.full(len(last_rows), math.inf)
+        if len(last_rows):
+            before = rows[last_rows]
+            far = _too_far(reports, before, np.full(len(last_rows), row), radius[last_rows] + radius[at], limit)
             ahead = reports.state[before, :2] + reports.state[before, 2:] * (
                 reports.time_s[row] - reports.time_s[before, None]
             )
             away = np.where(far, math.inf, np.linalg.norm(ahead - reports.state[row, :2], axis=1))
-        if len(known) and away.min() < math.inf:
+        if len(last_rows) and away.min() < math.inf:
             branch[at] = int(away.argmin())
             ends[branch[at]] = at
         else:
@@ -86,11 +81,11 @@ def _branches(reports: States, rows: IntArray, radius: FloatArray, limit: float)
     return branch
 
 
-def _said(name: str, objects: int, strays: int) -> list[str]:
-    said = []
+def _notes(name: str, objects: int, strays: int) -> list[str]:
+    notes = []
     if objects > 1:
-        said.append(f"{name} is shown at {objects} places too far apart for one object: a track for each")
+        notes.append(f"{name} is shown at {objects} places too far apart for one object: a track for each")
     if strays and objects:
         reports = "1 report" if strays == 1 else f"{strays} reports"
-        said.append(f"{reports} of {name} set aside: nothing goes there so fast")
-    return said
+        notes.append(f"{reports} of {name} set aside: nothing goes there so fast")
+    return notes

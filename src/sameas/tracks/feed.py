@@ -1,4 +1,4 @@
-"""A feed: one source of a scene, its reports in the plane, and what its description says of any place and instant."""
+"""A feed: one source of a scene, with its reports in the plane and its description for any place and instant."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, naming
 from sameas.evidence.identity import MODELS
 from sameas.gate import ChiSquare
 from sameas.gaussian import Gaussian, log_density, mahalanobis_sq, symmetric
+from sameas.representation import in_short
 from sameas.tracks.alignment import States, Succession
 from sameas.tracks.biases import corrected
 from sameas.tracks.coordinates import LocalPlane
@@ -26,34 +27,30 @@ from sameas.tracks.placement import Directions, PlacedReports
 from sameas.tracks.reports import Reports
 from sameas.tracks.scans import AntennaRotation, scans_of, seen_from
 from sameas.tracks.source import Description, Motion
-
-# Stationary: vessels at anchor or alongside stay where they are, and report a velocity of about 0.
-#
-# A velocity walk that fits a vessel under way lets one at anchor, which reports every three minutes, move by 150 m
-# between two reports; it swings by 15 m. :func:`stationary` takes every reported velocity v, of covariance C, as that
-# of one of two kinds of objects:
-#
-#     stationary   v ~ N(0, C + s² 1), a share w of all,  s = motion.standing_m_per_s, w = motion.standing_share
-#     moving       v ~ N(0, C + V² 1), all others,        V = motion.speed_m_per_s
-#
-# The velocity of a stationary object is 0 ± s a priori and does not walk. The state is the mean of both kinds by their
-# probabilities, its covariance that of the mixture; the walk is that of moving objects times their probability
-# (Bar-Shalom, Li and Kirubarajan 2001, 1.4.16). There is no threshold: an object at 2 knots moves, one at 0.2 knots is
-# stationary, and between the two the covariance holds both. Velocities that are not reported stay unknown.
-
-#: A velocity is unknown when its variance is 90 % or more of that of all objects' velocities (chosen).
-UNTOLD = 0.9
+from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 
-def stationary(reports: States, motion: Motion) -> tuple[States, FloatArray | None]:
+def stationary(reports: States, motion: Motion, tuning: Tuning = DEFAULT_TUNING) -> tuple[States, FloatArray | None]:
     """The reports with the velocities of stationary objects, and (n,) the probability that each is stationary.
 
-    None, and the reports as they are, where the motion has no share of stationary objects.
+    Vessels at anchor or alongside stay where they are and report a velocity of about 0. A velocity walk that fits a
+    vessel under way moves one at anchor by 150 m between two reports three minutes apart; it swings by 15 m. So every
+    reported velocity v, of covariance C, is that of one of two kinds of objects:
 
-    >>> told = States.of([0.0, 0.0], [[0.0, 0.0]] * 2, np.eye(2), speed_m_per_s=8.0, velocity=[[0.1, 0.0], [4.0, 0.0]],
-    ...                  velocity_covariance=0.09 * np.eye(2))
+        stationary   v ~ N(0, C + s² 1), a share w of all,  s = motion.standing_m_per_s, w = motion.standing_share
+        moving       v ~ N(0, C + V² 1), all others,        V = motion.speed_m_per_s
+
+    The velocity of a stationary object is 0 ± s a priori and does not walk. The state is the mean of both kinds by
+    their probabilities, its covariance that of the mixture; the walk is that of moving objects times their probability
+    (Bar-Shalom, Li and Kirubarajan 2001, 1.4.16). There is no threshold: an object at 2 knots moves, one at 0.2 knots
+    is stationary, and between the two the covariance holds both. Unreported velocities stay unknown.
+
+    None, and the reports unchanged, where the motion has no share of stationary objects.
+
+    >>> reports = States.of([0.0, 0.0], [[0.0, 0.0]] * 2, np.eye(2), speed_m_per_s=8.0,
+    ...                     velocity=[[0.1, 0.0], [4.0, 0.0]], velocity_covariance=0.09 * np.eye(2))
     >>> motion = Motion(speed_m_per_s=8.0, standing_m_per_s=0.1, standing_share=0.2)
-    >>> now, p_stationary = stationary(told, motion)
+    >>> now, p_stationary = stationary(reports, motion)
     >>> p_stationary.round(2).tolist(), now.state[:, 2].round(2).tolist()
     ([0.99, 0.0], [0.01, 4.0])
     """
@@ -63,8 +60,8 @@ def stationary(reports: States, motion: Motion) -> tuple[States, FloatArray | No
     if share >= 1.0:
         raise InputError(f"motion.standing_share is {share}; give the share of objects that stand, below 1")
     p_stationary, state, covariance = np.zeros(len(reports)), reports.state.copy(), reports.covariance.copy()
-    told = np.flatnonzero(reports.usable & (reports.covariance[:, 2, 2] < UNTOLD * speed**2))
-    x, p = state[told], covariance[told]
+    rows = np.flatnonzero(reports.usable & (reports.covariance[:, 2, 2] < tuning.unknown_velocity_share * speed**2))
+    x, p = state[rows], covariance[rows]
     slowly, quickly = (log_density(x[:, 2:], p[:, 2:, 2:] + sigma**2 * np.eye(2)) for sigma in (slow, speed))
     odds = math.log(share) - math.log1p(-share) + slowly - quickly
     chance = np.asarray(expit(odds))
@@ -72,27 +69,21 @@ def stationary(reports: States, motion: Motion) -> tuple[States, FloatArray | No
     still = Gaussian(np.zeros_like(x), p).conditional(p[:, :, 2:], -x[:, 2:], p[:, 2:, 2:] + slow**2 * np.eye(2))
     step = still.mean
     weight = chance[:, None, None]
-    state[told] = x + chance[:, None] * step
+    state[rows] = x + chance[:, None] * step
     mixed = (
         weight * still.covariance + (1.0 - weight) * p + weight * (1.0 - weight) * step[:, :, None] * step[:, None, :]
     )
-    covariance[told], p_stationary[told] = symmetric(mixed), chance
+    covariance[rows], p_stationary[rows] = symmetric(mixed), chance
     return States(reports.time_s, state, covariance, reports.track, reports.rows), p_stationary
 
 
-# Track timeout: after how long without a report a track has ended.
-#
-# A radar drops a track that it no longer sees without saying so; the last report would stand for an object that has
-# gone, or has another number by now. The timeout comes from the source's own gaps: a track has ended when its gap is
-# longer than 99.9 % of the gaps within tracks. So a radar's tracks end after some rotations, and vessels at anchor,
-# which report every three minutes, after several of their reports.
-
-#: The timeout is the 99.9 % quantile of the gaps within tracks (chosen).
-SHORTER = 0.999
-
-
-def track_timeout_s(time_s: FloatArray, track: NDArray[Any] | None) -> float:
+def track_timeout_s(time_s: FloatArray, track: NDArray[Any] | None, tuning: Tuning = DEFAULT_TUNING) -> float:
     """Seconds without a report after which a track of the source has ended; infinite where no track has two reports.
+
+    A radar drops a track that it no longer sees without a message; its last report would remain for an object that has
+    gone, or has another number by now. A track has ended when its gap is longer than 99.9 % of the gaps within tracks
+    of its source. So a radar's tracks end after some rotations, and those of vessels at anchor, which report every
+    three minutes, after several of their reports.
 
     >>> track_timeout_s(np.array([0.0, 3.0, 6.0, 12.0]), np.array(["7", "7", "7", "7"]))
     6.0
@@ -102,29 +93,20 @@ def track_timeout_s(time_s: FloatArray, track: NDArray[Any] | None) -> float:
     _, number = np.unique(track.astype(str), return_inverse=True)
     order = np.lexsort([time_s, number])
     gaps = np.diff(time_s[order])[np.diff(number[order]) == 0]
-    return float(np.quantile(gaps, SHORTER, method="higher")) if len(gaps) else math.inf
+    return float(np.quantile(gaps, tuning.timeout_quantile, method="higher")) if len(gaps) else math.inf
 
 
-# Position updates: which reports of a track measured its position anew, and which repeat the last one.
-#
-# Receivers and databases send the last position that they have again and again, each time with the current time and
-# perhaps a new velocity. Taken as measured, such positions show a moving object at rest. :func:`position_updates` sets
-# them aside; the last measured position then stands for the object, as old as it is.
-
-#: An object moves when the χ² of its velocity against 0 passes the limit of one in 10⁶ (chosen).
-MOVES = ChiSquare(1.0 - 1e-6)
-
-
-def position_updates(reports: States) -> tuple[States, tuple[str, ...]]:
+def position_updates(reports: States, tuning: Tuning = DEFAULT_TUNING) -> tuple[States, tuple[str, ...]]:
     """The reports without positions that are repeated to the last digit though their object moves, and notes.
 
-    A stationary object, or one of unknown velocity, may report one place twice. A report that is set aside has no
-    position any more and is not used.
+    Receivers and databases send their last position again and again, with the current time and perhaps a new velocity.
+    Such repetitions would show a moving object at rest, so they are set aside: they lose their position and are not
+    used. A stationary object, or one of unknown velocity, may report one place twice.
 
     >>> track, v = ["a"] * 3, [[50.0, 0.0]] * 3
-    >>> said = States.of([0.0, 1.0, 2.0], [[0.0, 0.0], [0.0, 0.0], [99.0, 0.0]], np.eye(2), speed_m_per_s=150.0,
-    ...                  velocity=v, velocity_covariance=np.eye(2), track=track)
-    >>> position_updates(said)[0].usable.tolist()
+    >>> reports = States.of([0.0, 1.0, 2.0], [[0.0, 0.0], [0.0, 0.0], [99.0, 0.0]], np.eye(2), speed_m_per_s=150.0,
+    ...                     velocity=v, velocity_covariance=np.eye(2), track=track)
+    >>> position_updates(reports)[0].usable.tolist()
     [True, False, True]
     """
     if reports.track is None or len(reports) < 2:
@@ -135,39 +117,43 @@ def position_updates(reports: States) -> tuple[States, tuple[str, ...]]:
     number = np.sort(number)
     again = (number[1:] == number[:-1]) & (reports.state[rows[1:], :2] == reports.state[rows[:-1], :2]).all(axis=1)
     repeated = rows[1:][again]
-    repeated = repeated[_moves(reports.state[repeated, 2:], reports.covariance[repeated, 2:, 2:])]
+    repeated = repeated[_moves(reports.state[repeated, 2:], reports.covariance[repeated, 2:, 2:], tuning)]
     if not len(repeated):
         return reports, ()
     state = reports.state.copy()
     state[repeated] = np.nan
-    told = "1 report repeats the position" if len(repeated) == 1 else f"{len(repeated)} reports repeat the positions"
-    note = f"{told} of before though the object moves: set aside, no position was measured"
+    repeated_positions = (
+        "1 report repeats the position" if len(repeated) == 1 else f"{len(repeated)} reports repeat the positions"
+    )
+    note = f"{repeated_positions} of before though the object moves: set aside, no position was measured"
     return States(reports.time_s, state, reports.covariance, reports.track, reports.rows), (note,)
 
 
-def _moves(velocity: FloatArray, covariance: FloatArray) -> np.ndarray:
-    """(n,) whether velocities (n, 2) are surely not 0."""
-    return np.asarray(mahalanobis_sq(velocity, covariance) > MOVES.limit(2))
+def _moves(velocity: FloatArray, covariance: FloatArray, tuning: Tuning) -> BoolArray:
+    """(n,) whether velocities (n, 2) are certainly not 0."""
+    return np.asarray(mahalanobis_sq(velocity, covariance) > ChiSquare(tuning.at_rest).limit(2))
 
 
-#: Kinds of sources whose position errors last for minutes: no filter makes them smaller, they stay as stated.
+#: Kinds of sources whose position errors last for minutes: no filter reduces them, they stay as stated.
 LASTING = ("ais", "ads-b")
 
 
+@in_short
 @dataclass(frozen=True)
 class Feed:
     """One source of a scene.
 
     Attributes
     ----------
-    description, reports : what is known of it, and what it says, in the plane.
-    scan_times_s : (l,) the times at which it looked. scan_s : (n,) the look to which each report belongs.
-    sensor_m : (n, 2) where its sensor was, None for a source that is in no one place.
-    attributes : what the reports say of the objects' identity, (n,) each: mmsi, icao, name, …
-    given : the reports as a reader gave them. notes : what was set aside, printable sentences.
+    description, reports : of the source, and its reports in the plane.
+    scan_times_s : (l,) times of its scans. scan_s : (n,) time of the scan of each report.
+    sensor_m : (n, 2) place of its sensor, None for a source without one.
+    attributes : attributes of identity of the reports, (n,) each: mmsi, icao, name, …
+    raw_reports : as a reader gave them. notes : what was set aside, printable sentences.
     measured : where a filter made tracks of them, what was measured at each report, with the velocity of its track.
     rotation : of an antenna whose bare plots bear their own stamps; None where looks are exposures.
     p_stationary : (n,) probability that a report is of a stationary object; None where the motion has no such objects.
+    tuning : of tracks.
     """
 
     description: Description
@@ -176,11 +162,12 @@ class Feed:
     scan_s: FloatArray
     sensor_m: FloatArray | None
     attributes: Mapping[str, NDArray[Any]]
-    given: Reports | None = None
+    raw_reports: Reports | None = None
     notes: tuple[str, ...] = ()
     measured: States | None = None
     rotation: AntennaRotation | None = None
     p_stationary: FloatArray | None = None
+    tuning: Tuning = DEFAULT_TUNING
 
     @classmethod
     def of(
@@ -191,9 +178,10 @@ class Feed:
         *,
         scan_times_s: ArrayLike | None = None,
         to_tracks: bool = False,
+        tuning: Tuning = DEFAULT_TUNING,
     ) -> Feed:
-        """A feed of what a reader gave; see :meth:`of_placed`."""
-        placed = PlacedReports(description, reports, plane)
+        """A feed of reports as a reader gave them; see :meth:`of_placed`."""
+        placed = PlacedReports(description, reports, plane, tuning)
         return cls.of_placed(placed, scan_times_s=scan_times_s, to_tracks=to_tracks)
 
     @classmethod
@@ -204,8 +192,8 @@ class Feed:
 
         Parameters
         ----------
-        scan_times_s : times of all scans of a source of bare plots, empty scans included. Without it an empty scan is
-            not known of, and the scan before it stands until it is too old to tell objects apart.
+        scan_times_s : times of all scans of a source of bare plots, empty scans included. Without it empty scans are
+            unknown, and the scan before them is current until it is too uncertain.
         to_tracks : whether reports with ids are to be filtered to tracks first (:func:`need_filtering`).
         """
         description, reports, there = placed.description, placed.reports, placed.in_plane
@@ -213,26 +201,28 @@ class Feed:
         biases = known_biases(description, sensor_m)
         there = corrected(there, sensor_m, biases) if biases.any() else there
         if isinstance(there, States):
-            there, repeated = position_updates(there)
-            there, more = split_duplicate_ids(there, description.motion.speed_m_per_s or math.inf)
-            notes += tuple(f"{description.name}: {note}" for note in (*repeated, *more))
+            there, repeated = position_updates(there, placed.tuning)
+            there, duplicates = split_duplicate_ids(there, description.motion.speed_m_per_s or math.inf, placed.tuning)
+            notes += tuple(f"{description.name}: {note}" for note in (*repeated, *duplicates))
         p_stationary, measured = None, None
         if to_tracks:
             if not isinstance(there, States):
                 raise InputError(f"{description.name}: directions are not filtered; give positions")
-            tracks = follow(there, acceleration_m2_per_s3=walk_of(description)).states
+            tracks = follow(there, acceleration_m2_per_s3=walk_of(description), tuning=placed.tuning).states
             placed_anew = _in_place(there, tracks)
             there = placed_anew if description.kind in LASTING else tracks
-            measured, _ = stationary(placed_anew, description.motion)
+            measured, _ = stationary(placed_anew, description.motion, placed.tuning)
         if isinstance(there, States):
-            there, p_stationary = stationary(there, description.motion)
-        given = None if scan_times_s is None else np.asarray(scan_times_s, np.float64)
-        looks = scans_of(there.time_s, description.timing.period_s, _bearings(there, sensor_m), given)
-        looked = looks.scan_s if given is None else np.concatenate([given, looks.scan_s])
-        attributes = {name: said for name in MODELS if (said := getattr(reports, name, None)) is not None}
+            there, p_stationary = stationary(there, description.motion, placed.tuning)
+        given_times = None if scan_times_s is None else np.asarray(scan_times_s, np.float64)
+        scans = scans_of(
+            there.time_s, description.timing.period_s, _bearings(there, sensor_m), given_times, placed.tuning
+        )
+        scan_times = scans.scan_s if given_times is None else np.concatenate([given_times, scans.scan_s])
+        attributes = {name: column for name in MODELS if (column := getattr(reports, name, None)) is not None}
         return cls(
-            description, there, np.unique(looked), looks.scan_s, sensor_m, attributes, reports, notes, measured,
-            looks.rotation, p_stationary,
+            description, there, np.unique(scan_times), scans.scan_s, sensor_m, attributes, reports, notes, measured,
+            scans.rotation, p_stationary, placed.tuning,
         )  # fmt: skip
 
     @property
@@ -253,26 +243,28 @@ class Feed:
 
     @cached_property
     def track_timeout_s(self) -> float:
-        """After how long a track of the source that says nothing has ended."""
-        return track_timeout_s(self.reports.time_s, self.reports.track)
+        """Seconds without a report after which a track of the source has ended."""
+        return track_timeout_s(self.reports.time_s, self.reports.track, self.tuning)
 
     @cached_property
     def succession(self) -> Succession:
-        """Which report of each track stands for it at an instant, of a source that names its tracks."""
+        """Which report of each track is current at an instant, of a source with track ids."""
         assert self.reports.track is not None
         usable = np.flatnonzero(self.reports.usable)
-        found = Succession.of(self.reports.time_s[usable], self.reports.track[usable])
-        return replace(found, rows=usable[found.rows])
+        succession = Succession.of(self.reports.time_s[usable], self.reports.track[usable])
+        return replace(succession, rows=usable[succession.rows])
 
     @cached_property
-    def tells_velocities(self) -> bool:
-        """Whether any report is surer of its velocity than that objects move somehow."""
+    def has_velocities(self) -> bool:
+        """Whether any report has a velocity."""
         speed = self.description.motion.speed_m_per_s or math.inf
         reports = self.reports
-        return isinstance(reports, States) and bool(np.any(reports.covariance[:, 2, 2] < 0.9 * speed**2))
+        return isinstance(reports, States) and bool(
+            np.any(reports.covariance[:, 2, 2] < self.tuning.unknown_velocity_share * speed**2)
+        )
 
     def sensor_at(self, instant_s: float) -> FloatArray | None:
-        """(2,) the sensor at its last report before the instant; None where nothing says where it is."""
+        """(2,) the sensor at its last report before the instant; None where its place is unknown."""
         if self.sensor_m is None or not len(self.reports):
             return None
         order, times = self._in_time
@@ -290,17 +282,17 @@ class Feed:
         """(n,) the probability that an object at each of the places (n, 2) is missed."""
         sensor = self.sensor_at(instant_s)
         if sensor is None:
-            return self._known(self.description.misses.at(np.zeros(len(places))))
+            return self._require_q(self.description.misses.at(np.zeros(len(places))))
         arm = places - sensor
-        return self._known(self.description.q_at(np.hypot(*arm.T), np.degrees(np.arctan2(arm[:, 0], arm[:, 1]))))
+        return self._require_q(self.description.q_at(np.hypot(*arm.T), np.degrees(np.arctan2(arm[:, 0], arm[:, 1]))))
 
     def mean_q(self, places: FloatArray, instant_s: float) -> float:
         """The mean probability that an object at one of the places (n, 2) is missed."""
         anywhere = self.description.misses.at(np.zeros(1))
-        q = self.q_at(places, instant_s) if len(places) else self._known(anywhere)
+        q = self.q_at(places, instant_s) if len(places) else self._require_q(anywhere)
         return float(np.clip(q.mean(), 1e-6, 1.0 - 1e-6))
 
-    def _known(self, q: FloatArray) -> FloatArray:
+    def _require_q(self, q: FloatArray) -> FloatArray:
         if not np.isfinite(q).all():
             name = self.description.name
             raise InputError(f"{name}: misses.q is not known", naming("give misses = {{ q = … }} in its {description}"))
@@ -325,13 +317,13 @@ def _bearings(there: States | Directions, sensor_m: FloatArray | None) -> FloatA
 
 def known_biases(description: Description, sensor_m: FloatArray | None) -> FloatArray:
     """(6,) the biases that the user knows, in the order of BIASES."""
-    given = description.calibration
-    polar = (given.range_m, given.azimuth_deg, given.range_gain)
+    known = description.calibration
+    polar = (known.range_m, known.azimuth_deg, known.range_gain)
     if sensor_m is None and any(polar):
         raise InputError(
             f"{description.name}: calibration of range or azimuth needs to know where the sensor is; give site"
         )
-    return np.array([value or 0.0 for value in (*polar, None, given.east_m, given.north_m)], dtype=np.float64)
+    return np.array([value or 0.0 for value in (*polar, None, known.east_m, known.north_m)], dtype=np.float64)
 
 
 def need_filtering(placed: PlacedReports) -> bool:
@@ -351,11 +343,13 @@ def need_filtering(placed: PlacedReports) -> bool:
     if description.kind in LASTING:
         return False
     states = placed.in_plane
-    return isinstance(states, States) and measures_anew(states, acceleration_m2_per_s3=walk_of(description))
+    return isinstance(states, States) and measures_anew(
+        states, acceleration_m2_per_s3=walk_of(description), tuning=placed.tuning
+    )
 
 
 def _in_place(reports: States, tracks: States) -> States:
-    """The velocities that all reports of a track so far make, at the positions that the reports say."""
+    """The filtered velocities of tracks at the reported positions."""
     state, covariance = tracks.state.copy(), tracks.covariance.copy()
     state[:, :2] = reports.state[:, :2]
     covariance[:, :2, :2] = reports.covariance[:, :2, :2]

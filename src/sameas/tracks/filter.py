@@ -1,9 +1,9 @@
 """Tracks from a source's plots: a Kalman filter of nearly constant velocity, over all of its tracks at once.
 
-For sources that name their objects but report bare positions, or positions better than their velocities: AIS, ADS-B,
-a radar's plots with track numbers. One pass in the order of time gives every report the state that all reports of its
-track so far say, with a covariance that is checked by NIS: the mean of the normalised innovations squared is their
-dimension where noise and motion are described rightly.
+For sources with track ids that report bare positions, or positions better than their velocities: AIS, ADS-B, a radar's
+plots with track numbers. One pass in the order of time gives every report the state by all reports of its track so
+far, with a covariance that is checked by NIS: the mean of the normalised innovations squared is their dimension where
+noise and motion are described rightly.
 
 - :func:`follow`: the tracks. :func:`measures_anew`: whether reports are plots, which it betters, or smoothed already.
 """
@@ -22,14 +22,10 @@ from sameas.gate import ChiSquare
 from sameas.gaussian import Gaussian, mahalanobis_sq
 from sameas.ragged import Ragged
 from sameas.tracks.alignment import States, moved
+from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
-#: Reports are independent measurements when the median of their squared innovations is at least 1/3 of that of
-#: independent errors; 30 innovations or more are needed (chosen).
-ANEW, FEWEST = 1.0 / 3.0, 30
 #: Median of χ² of two degrees of freedom.
 MEDIAN = 2.0 * math.log(2.0)
-#: A report begins its track anew beyond the χ² limit that one in 10⁹ correct reports passes (chosen).
-ABSURD = ChiSquare(1.0 - 1e-9)
 
 
 @dataclass(frozen=True)
@@ -39,9 +35,9 @@ class FilteredTracks:
     Attributes
     ----------
     states : the reports with the state of their track after each of them.
-    nis : (n,) normalised innovation squared of every report against what its track foretold; NaN where it began one.
-    began : (n,) whether the report began a track: its first, or one so far off that the name must have been given
-        to another object, or the object moved as its motion does not allow.
+    nis : (n,) normalised innovation squared of every report; NaN where it began a track.
+    began : (n,) whether the report began a track: its first, or one so far off that the id must have gone to another
+        object, or the object moved as its motion does not allow.
     """
 
     states: States
@@ -49,8 +45,10 @@ class FilteredTracks:
     began: BoolArray
 
 
-def follow(reports: States, *, acceleration_m2_per_s3: float, features: int = 2) -> FilteredTracks:
-    """The track state after every report of a source that names its tracks.
+def follow(
+    reports: States, *, acceleration_m2_per_s3: float, features: int = 2, tuning: Tuning = DEFAULT_TUNING
+) -> FilteredTracks:
+    """The track state after every report of a source with track ids.
 
     Parameters
     ----------
@@ -68,7 +66,7 @@ def follow(reports: States, *, acceleration_m2_per_s3: float, features: int = 2)
     usable = reports.usable
     state, covariance = reports.state.copy(), reports.covariance.copy()
     nis, began = np.full(len(reports), np.nan), np.zeros(len(reports), bool)
-    limit = ABSURD.limit(features)
+    limit = ChiSquare(1.0 - tuning.new_track_probability).limit(features)
     before = np.empty(0, np.int64)
     for now in _rounds(reports, usable):
         if not len(before):
@@ -92,16 +90,16 @@ def follow(reports: States, *, acceleration_m2_per_s3: float, features: int = 2)
     return FilteredTracks(States(reports.time_s, state, covariance, reports.track, reports.rows), nis, began)
 
 
-def measures_anew(reports: States, *, acceleration_m2_per_s3: float) -> bool:
-    """Whether every report of a source that names its tracks is a measurement of its own, or one smoothed by a tracker.
+def measures_anew(reports: States, *, acceleration_m2_per_s3: float, tuning: Tuning = DEFAULT_TUNING) -> bool:
+    """Whether every report of a source with track ids is an independent measurement, or smoothed by a tracker.
 
-    Measurements scatter about their tracks by as much as they say, and the innovations of a filter are χ² distributed
+    Measurements scatter about their tracks by as much as they state, and the innovations of a filter are χ² distributed
     with two degrees of freedom; the reports of a tracker follow each other more closely than their errors allow them.
-    The median tells, which a few breaks of tracks do not change. False where too few reports tell.
+    The median decides, which a few breaks of tracks do not change. False with too few reports.
     """
-    nis = follow(reports, acceleration_m2_per_s3=acceleration_m2_per_s3).nis
+    nis = follow(reports, acceleration_m2_per_s3=acceleration_m2_per_s3, tuning=tuning).nis
     nis = nis[np.isfinite(nis)]
-    return len(nis) >= FEWEST and float(np.median(nis)) > ANEW * MEDIAN
+    return len(nis) >= tuning.measured_fewest and float(np.median(nis)) > tuning.measured_ratio * MEDIAN
 
 
 def _rounds(reports: States, usable: BoolArray) -> list[IntArray]:

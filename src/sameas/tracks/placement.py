@@ -30,24 +30,7 @@ from sameas.tracks.coordinates import (
 )
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description
-
-
-@dataclass(frozen=True)
-class PlacementTuning:
-    """Limits of the placement, all chosen.
-
-    unknown_site_share : a radar without a site is taken to stand at this share of its range from its targets.
-    stray_count, stray_radii, stray_m : in a source of ``stray_count`` positions or more, a position is set aside that
-        lies farther from their median than ``stray_radii`` × the radius that holds nine of ten, and than ``stray_m``.
-    """
-
-    unknown_site_share: float = 0.25
-    stray_count: int = 20
-    stray_radii: float = 20.0
-    stray_m: float = 20e3
-
-
-TUNING = PlacementTuning()
+from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 
 @dataclass(frozen=True)
@@ -118,7 +101,7 @@ class PlacedReports:
     description: Description
     reports: Reports
     plane: LocalPlane | None = None
-    tuning: PlacementTuning = TUNING
+    tuning: Tuning = DEFAULT_TUNING
 
     @cached_property
     def in_plane(self) -> States | Directions:
@@ -126,7 +109,7 @@ class PlacedReports:
 
         Raises
         ------
-        InputError : a position, error or site that is needed is missing; the message says which and where to give it.
+        InputError : a position, error or site that is needed is missing.
         """
         if self.reports.position == "bearing":
             return self._directions()
@@ -142,7 +125,7 @@ class PlacedReports:
 
     @cached_property
     def sensor_m(self) -> FloatArray | None:
-        """(n, 2) where the sensor was at each report; None where nothing says so."""
+        """(n, 2) place of the sensor at each report; None where it is unknown."""
         stated = self.reports.station_lat_deg is not None or self.reports.station_x_m is not None
         return self._sensor_in_plane() if stated or self.description.site is not None else None
 
@@ -170,7 +153,7 @@ class PlacedReports:
 
     @property
     def errors_note(self) -> tuple[str, ...]:
-        """A sentence that says which errors are assumed for positions that state none; none where all state theirs."""
+        """A sentence on the errors that are assumed for positions without stated ones; none where all have them."""
         reports, errors = self.reports, self.description.errors
         covariance = reports.covariance_m2
         silent = len(reports) - (0 if covariance is None else int(np.isfinite(covariance).all(axis=-1).sum()))
@@ -292,7 +275,7 @@ class PlacedReports:
         return np.full(n, site.lat_deg), np.full(n, site.lon_deg), height
 
     def _sensor_in_plane(self) -> FloatArray:
-        """(n, 2) the sensor in the plane; refused where nothing says where it is."""
+        """(n, 2) the sensor in the plane; refused where its place is unknown."""
         reports, site = self.reports, self.description.site
         if self.plane is not None:
             lat, lon, _ = self._sensor_geodetic()
@@ -342,7 +325,7 @@ class PlacedReports:
 
     @property
     def _usual_range_m(self) -> float:
-        """The range that is assumed of targets where nothing says where the sensor stands."""
+        """The range that is assumed of targets where the place of the sensor is unknown."""
         return self.tuning.unknown_site_share * self._needed("coverage", "range_m")
 
     def _velocities(self) -> tuple[FloatArray | None, FloatArray | None]:
@@ -376,7 +359,7 @@ class PlacedReports:
         return float(value)
 
 
-def _without_strays(position: FloatArray, tuning: PlacementTuning) -> FloatArray:
+def _without_strays(position: FloatArray, tuning: Tuning) -> FloatArray:
     """The positions, NaN where one lies absurdly far from the others of its source."""
     known = np.isfinite(position).all(axis=1)
     if known.sum() < tuning.stray_count:

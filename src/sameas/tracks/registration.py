@@ -1,4 +1,4 @@
-"""Registration: the biases of every source against the others, found, told and taken away.
+"""Registration: the biases of every source against the others, estimated and removed.
 
 :func:`registered` does it for a scene. Sources whose descriptions allow them no bias, such as AIS and ADS-B, which
 report satellite positions, are the reference. Where every source may be biased, the two that show most are registered
@@ -15,7 +15,7 @@ import numpy as np
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.registration import Parameter
-from sameas.registration.joint import DECISIVE
+from sameas.representation import in_short
 from sameas.tracks.bias_fit import BiasFit, fit_biases
 from sameas.tracks.biases import BIASES, TIME, corrected
 from sameas.tracks.common_scans import ComparedSource, bias_widths, common_scans
@@ -23,27 +23,28 @@ from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions
 
 _UNITS = ("m", "deg", "", "s", "m", "m")
-_SAID = {
+_TEXTS = {
     "range_m": "range {:+.1f} ± {:.1f} m", "azimuth_deg": "azimuth {:+.3f} ± {:.3f}°",
     "range_gain": "range gain {:+.5f} ± {:.5f}", "time_s": "stamps {:+.2f} ± {:.2f} s late",
     "east_m": "east {:+.1f} ± {:.1f} m", "north_m": "north {:+.1f} ± {:.1f} m",
 }  # fmt: skip
 
 
+@in_short
 @dataclass(frozen=True)
 class SourceBiases:
-    """What is known of the biases of one source.
+    """The estimated biases of one source.
 
     Attributes
     ----------
     source : its name. against : the sources that it was compared with; none for a reference.
-    parameters : by name (``sameas.tracks.biases.BIASES``) value, standard error and unit: read too much, shown too far
-        clockwise, stamped too late, shown too far east, north.
+    parameters : by name (``sameas.tracks.biases.BIASES``) value, standard error and unit: range too long, azimuth too
+        far clockwise, stamps too late, positions too far east, north.
     pairs, tracks, instants : expected number of pairs over all instants, of how many tracks, at how many instants.
     log_evidence : ln of the odds of these biases against nothing in common.
     established : whether these biases, and no others nor nothing in common, explain the records. If not, the records
         are left as they are.
-    notes : what is in doubt, printable sentences.
+    notes : doubts, printable sentences.
     """
 
     source: str
@@ -59,25 +60,25 @@ class SourceBiases:
     def __str__(self) -> str:
         if not self.parameters:
             return f"{self.source}: taken as it is" + (", the reference for the others" if not self.notes else "")
-        values = ", ".join(_SAID[name].format(it.value, it.standard_error) for name, it in self.parameters.items())
+        values = ", ".join(_TEXTS[name].format(it.value, it.standard_error) for name, it in self.parameters.items())
         others = " and ".join(self.against)
         by = f"{self.pairs:.0f} pairs of {self.tracks:.0f} tracks at {self.instants} instants with {others}"
-        found = "" if self.established else "NOT ESTABLISHED, "
-        return f"{self.source}: {found}{values}; by {by} (log evidence {self.log_evidence:.0f})"
+        verdict = "" if self.established else "NOT ESTABLISHED, "
+        return f"{self.source}: {verdict}{values}; by {by} (log evidence {self.log_evidence:.0f})"
 
     def lines(self) -> tuple[str, ...]:
         """Printable: the biases, then the notes."""
         return (str(self), *self.notes)
 
 
-#: A source with what was found of it.
+#: A source with its biases.
 Settled = tuple[Feed, SourceBiases]
 
 
 def registered(
     feeds: Sequence[Feed], references: Sequence[str] | None = None
 ) -> tuple[tuple[Feed, ...], tuple[SourceBiases, ...]]:
-    """The feeds without their biases, and what was found of each, in their order.
+    """The feeds without their biases, and the biases of each, in their order.
 
     references : names of the sources whose positions are taken as they are; all that may have no bias if not given.
 
@@ -86,21 +87,21 @@ def registered(
     InputError : a reference that is no source of positions.
     """
     fixed, free, directions = _parts(feeds, references)
-    done: dict[int, Settled] = {k: (feeds[k], SourceBiases(feeds[k].description.name)) for k in fixed}
+    settled: dict[int, Settled] = {k: (feeds[k], SourceBiases(feeds[k].description.name)) for k in fixed}
     anchors = [feeds[k] for k in fixed]
     if not fixed and len(free) > 1:
-        done |= dict(zip(free[:2], _mutual(feeds[free[0]], feeds[free[1]]), strict=True))
+        settled |= dict(zip(free[:2], _mutual(feeds[free[0]], feeds[free[1]]), strict=True))
     for k in free:
-        if k not in done:
-            done[k] = _against(feeds[k], anchors or [feed for feed, _ in done.values()][:1])
-    # Who shares nothing with the references may share something with those that do; so may directions.
-    for k in [k for k in free if fixed and not done[k][1].established] + directions:
-        partner = _richest(feeds[k], [settled for at, settled in done.items() if at != k])
+        if k not in settled:
+            settled[k] = _against(feeds[k], anchors or [feed for feed, _ in settled.values()][:1])
+    # A source that shares nothing with the references may share something with those that do; so may directions.
+    for k in [k for k in free if fixed and not settled[k][1].established] + directions:
+        partner = _richest(feeds[k], [source for at, source in settled.items() if at != k])
         second = _against(feeds[k], partner)
-        if k not in done or second[1].established:
-            done[k] = second
-    settled = [done[k] for k in range(len(feeds))]
-    return tuple(feed for feed, _ in settled), tuple(found for _, found in settled)
+        if k not in settled or second[1].established:
+            settled[k] = second
+    in_order = [settled[k] for k in range(len(feeds))]
+    return tuple(feed for feed, _ in in_order), tuple(biases for _, biases in in_order)
 
 
 def _parts(feeds: Sequence[Feed], references: Sequence[str] | None) -> tuple[list[int], list[int], list[int]]:
@@ -120,13 +121,13 @@ def _parts(feeds: Sequence[Feed], references: Sequence[str] | None) -> tuple[lis
 
 
 def _richest(feed: Feed, settled: Sequence[Settled]) -> list[Feed]:
-    """The source of positions that this one meets most records of."""
+    """The source of positions with most records at common instants."""
     known = [other for other, _ in settled if not isinstance(other.reports, Directions)]
-    met = [
+    counts = [
         sum(len(e.weighing.first) for e in common_scans(ComparedSource(other, None), ComparedSource(feed, None)))
         for other in known
     ]
-    return [known[int(np.argmax(met))]] if known else []
+    return [known[int(np.argmax(counts))]] if known else []
 
 
 def _against(feed: Feed, partners: Sequence[Feed]) -> Settled:
@@ -136,28 +137,28 @@ def _against(feed: Feed, partners: Sequence[Feed]) -> Settled:
         return feed, SourceBiases(name, notes=(f"{name}: may have no bias that could be looked for",))
     if not partners:
         return feed, SourceBiases(name, notes=(f"{name}: there is no other source of positions to compare it with",))
-    met = [scan for other in partners for scan in common_scans(ComparedSource(other, None), ComparedSource(feed, 0))]
-    if not met:
+    scans = [scan for other in partners for scan in common_scans(ComparedSource(other, None), ComparedSource(feed, 0))]
+    if not scans:
         return feed, SourceBiases(name, established=False, notes=(_unmet(name, partners),))
-    found = fit_biases(met)
-    return _settled(feed, 0, found, tuple(other.description.name for other in partners))
+    fit = fit_biases(scans, feed.tuning)
+    return _settled(feed, 0, fit, tuple(other.description.name for other in partners))
 
 
 def _mutual(one: Feed, other: Feed) -> tuple[Settled, Settled]:
     """Two sources that both may be biased, against each other."""
     names = one.description.name, other.description.name
-    met = common_scans(ComparedSource(one, 0), ComparedSource(other, 6))
-    if not met:
+    scans = common_scans(ComparedSource(one, 0), ComparedSource(other, 6))
+    if not scans:
         notes = _unmet(names[0], [other]), _unmet(names[1], [one])
         unmet = [SourceBiases(name, established=False, notes=(note,)) for name, note in zip(names, notes, strict=True)]
         return (one, unmet[0]), (other, unmet[1])
-    found = fit_biases(met)
+    fit = fit_biases(scans, one.tuning)
     gauge = (
         f"{names[0]} and {names[1]} have no reference: a bias that displaces both alike cannot be seen, and is taken "
         "to be as small as their descriptions allow"
     )
-    first, second = (_settled(feed, 6 * k, found, (names[1 - k],)) for k, feed in enumerate((one, other)))
-    if found.established:
+    first, second = (_settled(feed, 6 * k, fit, (names[1 - k],)) for k, feed in enumerate((one, other)))
+    if fit.established:
         first = first[0], replace(first[1], notes=(gauge, *first[1].notes))
     return first, second
 
@@ -167,23 +168,23 @@ def _unmet(name: str, partners: Sequence[Feed]) -> str:
     return f"{name}: shows nothing at the times at which {others} does; its biases were not looked for"
 
 
-def _settled(feed: Feed, start: int, found: BiasFit, against: tuple[str, ...]) -> Settled:
+def _settled(feed: Feed, start: int, fit: BiasFit, against: tuple[str, ...]) -> Settled:
     """The feed without its biases, if they are established."""
-    own = np.flatnonzero((found.biases >= start) & (found.biases < start + len(BIASES)))
-    which = found.biases[own] - start
-    errors = np.sqrt(np.diag(found.covariance))[own]
+    own = np.flatnonzero((fit.biases >= start) & (fit.biases < start + len(BIASES)))
+    which = fit.biases[own] - start
+    errors = np.sqrt(np.diag(fit.covariance))[own]
     parameters = {
         BIASES[k]: Parameter(float(value), float(error), _UNITS[k])
-        for k, value, error in zip(which, found.theta[own], errors, strict=True)
+        for k, value, error in zip(which, fit.theta[own], errors, strict=True)
     }
     about = SourceBiases(
-        feed.description.name, against, parameters, found.pairs, found.tracks, found.instants, found.log_evidence,
-        found.established, _notes(feed, which, own, found, against),
+        feed.description.name, against, parameters, fit.pairs, fit.tracks, fit.instants, fit.log_evidence,
+        fit.established, _notes(feed, which, own, fit, against),
     )  # fmt: skip
-    if not found.established:
+    if not fit.established:
         return feed, about
     theta, covariance = np.zeros(len(BIASES)), np.zeros((len(BIASES), len(BIASES)))
-    theta[which], covariance[np.ix_(which, which)] = found.theta[own], found.relative[np.ix_(own, own)]
+    theta[which], covariance[np.ix_(which, which)] = fit.theta[own], fit.relative[np.ix_(own, own)]
     return unbiased(feed, theta, covariance), about
 
 
@@ -197,35 +198,35 @@ def unbiased(feed: Feed, biases: FloatArray, covariance: FloatArray) -> Feed:
     )  # fmt: skip
 
 
-def _notes(feed: Feed, which: IntArray, own: IntArray, found: BiasFit, against: tuple[str, ...]) -> tuple[str, ...]:
-    """What a user should know of the biases of one source."""
+def _notes(feed: Feed, which: IntArray, own: IntArray, fit: BiasFit, against: tuple[str, ...]) -> tuple[str, ...]:
+    """Doubts about the biases of one source."""
     name, others = feed.description.name, " and ".join(against)
     notes = []
-    if found.log_evidence < DECISIVE:
+    if fit.log_evidence < fit.tuning.registration.decisive:
         notes.append(
             f"{name}: may have nothing in common with {others}: its biases are no better established than chance "
-            f"(log evidence {found.log_evidence:.1f})"
+            f"(log evidence {fit.log_evidence:.1f})"
         )
-    if found.near_rivals:
-        theta, evidence = found.near_rivals[0]
+    if fit.near_rivals:
+        theta, evidence = fit.near_rivals[0]
         values = ", ".join(f"{BIASES[k]} {value:.4g}" for k, value in zip(which, theta[own], strict=True))
         notes.append(
             f"{name}: other biases explain its records nearly as well, with log evidence lower by "
-            f"{found.log_evidence - evidence:.1f}: {values}"
+            f"{fit.log_evidence - evidence:.1f}: {values}"
         )
-    if not found.established:
+    if not fit.established:
         notes.append(f"{name}: is left as it is, as if it had no bias")
     needed = len(which) / 2.0 + 2.0
-    if found.tracks < needed:
+    if fit.tracks < needed:
         notes.append(
-            f"{name}: too few tracks: {found.tracks:.0f} for {len(which)} biases, {needed:.0f} are needed; its biases "
+            f"{name}: too few tracks: {fit.tracks:.0f} for {len(which)} biases, {needed:.0f} are needed; its biases "
             "lean on what its description says of them"
         )
     if bias_widths(feed)[TIME] > 0.0 and TIME not in which:
         notes.append(f"{name}: late stamps were not looked for: neither it nor {others} tells velocities")
-    if not found.settled:
+    if not fit.settled:
         notes.append(f"{name}: its biases had not settled")
-    far = np.abs(found.theta[own]) > 3.0 * bias_widths(feed)[which]
+    far = np.abs(fit.theta[own]) > 3.0 * bias_widths(feed)[which]
     wide = [BIASES[k] for k in which[far]]
     if wide:
         notes.append(

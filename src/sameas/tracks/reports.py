@@ -1,9 +1,9 @@
-"""Reports: what one source says, as columns, before anything is believed of it.
+"""Reports: the reports of one source as columns, as read.
 
 A reader (:mod:`sameas.io.sensors`) turns a file into Reports: times in UTC, lengths in metres, angles in degrees,
-positions and errors *as the source gives them*. What the source does not say is absent: a whole column is None, a cell
-is NaN or None. The description of the source fills in later what it must. Lines that cannot be used are counted, with
-their numbers and the reason; lines that say something else (a weather message among ships) are counted by kind.
+positions and errors *as the source gives them*. Missing values are absent: a whole column is None, a cell is NaN or
+None; where needed, the description of the source replaces them later. Lines that cannot be used are counted, with
+their numbers and the reason; other lines (a weather message among ships) are counted by kind.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
+from sameas.representation import in_short
 
 TextArray = NDArray[np.object_]
 
@@ -36,9 +37,9 @@ class Damaged:
         return len(self.lines)
 
     @classmethod
-    def of(cls, found: Iterable[tuple[int, str]], unit: str = "line") -> Damaged:
+    def of(cls, lines: Iterable[tuple[int, str]], unit: str = "line") -> Damaged:
         """From pairs of number and reason, in the order of the numbers."""
-        pairs = sorted(found)
+        pairs = sorted(lines)
         return cls(np.array([n for n, _ in pairs], np.int64), np.array([r for _, r in pairs], object), unit)
 
     def counts(self) -> dict[str, int]:
@@ -55,15 +56,16 @@ class Damaged:
         >>> Damaged.of([(7, "wrong checksum"), (3, "wrong checksum")]).sentences()
         ['2 lines damaged: wrong checksum (lines 3, 7)']
         """
-        said = []
+        sentences = []
         for reason, count in self.counts().items():
             where = self.lines[self.reasons == reason]
             numbers = ", ".join(str(n) for n in where[:5]) + (", …" if count > 5 else "")
             unit = self.unit if count == 1 else f"{self.unit}s"
-            said.append(f"{count} {unit} damaged: {reason} ({unit} {numbers})")
-        return said
+            sentences.append(f"{count} {unit} damaged: {reason} ({unit} {numbers})")
+        return sentences
 
 
+@in_short
 @dataclass(frozen=True)
 class Reports:
     """The reports of one source, in the order of its file. Make them with :meth:`Reports.of`.
@@ -72,14 +74,14 @@ class Reports:
     ----------
     source : the name of the source, used in messages.
     kind : what wrote it: "ais", "arpa", "adsb", "asterix 021", "asterix 048", "asterix 062" or "table".
-    time_s : (n,) UTC, seconds since 1970: when the position was true, as far as the source tells.
+    time_s : (n,) UTC, seconds since 1970: time of the position, as far as the source gives it.
     line : (n,) number of the line (or record) in the file, counted from 1.
     lat_deg, lon_deg : (n,) WGS84, longitude from −180 to 180.
     alt_m : (n,) height above the ellipsoid. pressure_alt_m : (n,) height in the standard atmosphere (flight level).
     x_m, y_m, z_m : (n,) in a plane of the source's own, x to the east and y to the north where it does not say else.
     range_m : (n,) distance from the sensor; on the slope for air radars.
     bearing_deg : (n,) clockwise from true north, 0 to 360. elevation_deg : (n,) above the horizon.
-    station_lat_deg, station_lon_deg, station_x_m, station_y_m : (n,) where the sensor was, if its own file says so.
+    station_lat_deg, station_lon_deg, station_x_m, station_y_m : (n,) place of the sensor, if its file has it.
     speed_m_per_s, course_deg : (n,) over ground, course clockwise from true north.
     vx_m_per_s, vy_m_per_s : (n,) velocity east and north, or along x and y. climb_m_per_s : (n,) upwards.
     heading_deg : (n,) where the bow points, from true north.
@@ -87,12 +89,12 @@ class Reports:
     velocity_covariance_m2_per_s2 : (n, 3) the same of the velocity.
     sigma_alt_m, sigma_range_m, sigma_bearing_deg, sigma_elevation_deg : (n,) standard deviations.
     track_id : (n,) the source's own number of the object. mmsi, imo, icao, callsign, mode_a, name, type : (n,) texts as
-        people write them (nine digits, six lower hexadecimal digits, four octal digits); None where not said.
+        people write them (nine digits, six lower hexadecimal digits, four octal digits); None where absent.
     length_m, width_m : (n,) of the hull.
-    extra : further columns of the format by name, for those who know it.
+    extra : further columns of the format by name.
     damaged : lines that could not be used.
-    passed_over : what else the file held, by kind, and how often.
-    notes : what was assumed, one printable sentence each.
+    passed_over : number of other lines of the file, by kind.
+    notes : assumptions, one printable sentence each.
     """
 
     source: str
@@ -203,9 +205,9 @@ class Reports:
         return {name: column for name, column in own.items() if column is not None} | dict(self.extra)
 
     def velocity_m_per_s(self) -> FloatArray | None:
-        """(n, 2) velocity to the east and north (or along x and y); NaN where it is not said, None where never.
+        """(n, 2) velocity to the east and north (or along x and y); NaN where it is absent, None where it always is.
 
-        Who stands still has a velocity, even without a course.
+        A speed of 0 is a velocity, even without a course.
         """
         if self.vx_m_per_s is not None and self.vy_m_per_s is not None:
             return np.column_stack([self.vx_m_per_s, self.vy_m_per_s])
@@ -213,10 +215,10 @@ class Reports:
             return None
         course = np.full(len(self), np.nan) if self.course_deg is None else np.radians(self.course_deg)
         course = np.where(self.speed_m_per_s == 0.0, 0.0, course)
-        return self.speed_m_per_s[:, None] * np.column_stack([np.sin(course), np.cos(course)])
+        return np.asarray(self.speed_m_per_s[:, None] * np.column_stack([np.sin(course), np.cos(course)]), np.float64)
 
     def where(self, rows: ArrayLike) -> Reports:
-        """The reports of some rows only: a mask (n,) or row numbers. What is damaged stays said."""
+        """The reports of some rows only: a mask (n,) or row numbers. ``damaged`` stays."""
         chosen = np.asarray(rows)
         own = {name: column[chosen] for name in _COLUMNS if (column := getattr(self, name)) is not None}
         return replace(self, **own, extra={name: column[chosen] for name, column in self.extra.items()})
@@ -226,7 +228,7 @@ class Reports:
         return self.where(np.argsort(self.time_s, kind="stable"))
 
     def summary(self) -> list[str]:
-        """Printable lines: what there is, what was damaged or passed over, what was assumed."""
+        """Printable lines: the reports, damaged and passed over lines, assumptions."""
         lines = [f"{self.source}: {len(self)} report{'s' * (len(self) != 1)} ({self.kind}, {self.position} positions)"]
         lines += self.damaged.sentences()
         lines += [f"{count} passed over: {what}" for what, count in self.passed_over.items()]

@@ -1,14 +1,14 @@
-"""Scans: which reports of a source of bare plots are its picture of an instant, each object once.
+"""Scans: which reports of a source of bare plots are its current ones at an instant, each object once.
 
 Reports without track ids cannot replace each other one by one; the last scan replaces all before it. There are two
-kinds of scans, and :func:`scans_of` tells them apart by the reports:
+kinds of scans, which :func:`scans_of` distinguishes by the reports:
 
 - an **exposure** shows everything at once: a camera, a laser scanner, a radar that gives all plots of a turn one stamp.
-  The last exposure stands.
+  The last exposure is current.
 - an **antenna that turns** passes one bearing after another, and every plot has the stamp of its passing. At any
-  instant the plots of the last turn stand, (t − T, t], in which every bearing was passed once. T has to be right for
-  that: one that is 1 % too long shows one object in a hundred twice. It is measured by the plots, whose bearings run
-  with their stamps, and the period of the description only says where to look for it.
+  instant the plots of the last turn are current, (t − T, t], in which every bearing was passed once. T has to be
+  right for that: one that is 1 % too long shows one object in a hundred twice. It is measured by the plots, whose
+  bearings run with their stamps; the period of the description is where the search starts.
 """
 
 from __future__ import annotations
@@ -19,24 +19,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
-
-#: The rotation period is searched within 30 % of the described one, in 3000 plots at most (chosen).
-WITHIN, MOST_PLOTS = 0.3, 3000
-#: The search makes 6 steps per resolvable frequency; a period is accepted at log-odds of 12 against chance (chosen).
-STEPS, DECISIVE = 6.0, 12.0
-#: An antenna rotates where the rotation leaves less than 50 % of the bearings' scatter unexplained (chosen).
-UNEXPLAINED = 0.5
-#: The pause of an antenna is the 99 % quantile of the gaps between its plots (chosen).
-USUAL = 0.99
-#: Reports of one exposure follow each other within 10 % of the period, and all lie within 50 % of it (chosen).
-TOGETHER, BRIEF = 0.1, 0.5
-#: A period has 1.5 exposures at most, and at most 10 % follow the one before in half the usual time (chosen).
-MOST, HURRIED = 1.5, 0.1
+from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 
 @dataclass(frozen=True)
 class AntennaRotation:
-    """Of an antenna whose plots bear their own stamps: its period, and for how long it may show nothing meanwhile."""
+    """Of an antenna whose plots bear their own stamps: its period, and how long it may show nothing in between."""
 
     period_s: float
     pause_s: float
@@ -44,7 +32,7 @@ class AntennaRotation:
 
 @dataclass(frozen=True)
 class Scans:
-    """scan_s : (n,) the look to which each report belongs. rotation : None for exposures."""
+    """scan_s : (n,) the scan of each report. rotation : None for exposures."""
 
     scan_s: FloatArray
     rotation: AntennaRotation | None = None
@@ -55,43 +43,46 @@ def scans_of(
     period_s: float | None,
     bearing_deg: FloatArray | None = None,
     scan_times_s: FloatArray | None = None,
+    tuning: Tuning = DEFAULT_TUNING,
 ) -> Scans:
-    """The looks of bare plots.
+    """The scans of bare plots.
 
     Parameters
     ----------
-    time_s : (n,) in any order. period_s : between looks, as described; without it every stamp is a look.
+    time_s : (n,) in any order. period_s : between scans, as described; without it every stamp is a scan.
     bearing_deg : (n,) of the plots from the sensor, NaN where not known; None where the sensor is in no one place.
-    scan_times_s : (l,) times of all looks, where they are known.
+    scan_times_s : (l,) times of all scans, where they are known.
 
     Example
     -------
     >>> scans_of(np.array([5.0, 0.0, 0.0, 5.0]), 5.0)
     Scans(scan_s=array([5., 0., 0., 5.]), rotation=None)
     """
-    known = scan_times_s is not None and bool(np.isin(time_s, scan_times_s).all())
-    if known or period_s is None or period_s <= 0.0 or not len(time_s):
+    is_known = scan_times_s is not None and bool(np.isin(time_s, scan_times_s).all())
+    if is_known or period_s is None or period_s <= 0.0 or not len(time_s):
         return Scans(time_s.copy())
     _, stamp, count = np.unique(time_s, return_inverse=True, return_counts=True)
     shared = float(np.mean(count[stamp] > 1)) >= 0.5
-    exposures = _exposures(time_s, period_s, 0.0 if shared else TOGETHER * period_s)
+    exposures = _exposures(time_s, period_s, 0.0 if shared else tuning.exposure_gap * period_s, tuning)
     if exposures is not None:
         return Scans(exposures)
-    turning = None if bearing_deg is None else rotation_period_s(time_s, bearing_deg, period_s)
-    if shared and turning is None:
+    rotation_s = None if bearing_deg is None else rotation_period_s(time_s, bearing_deg, period_s, tuning)
+    if shared and rotation_s is None:
         return Scans(time_s.copy())
-    period = period_s if turning is None else turning
+    period = period_s if rotation_s is None else rotation_s
     gaps, first = np.diff(np.sort(time_s)), float(time_s.min())
     # The last plot itself must not fall out of the turn that it ends.
-    pause_s = min(float(np.quantile(gaps, USUAL)), 0.999 * period)
+    pause_s = min(float(np.quantile(gaps, tuning.pause_quantile)), 0.999 * period)
     return Scans(first + period * np.floor((time_s - first) / period), AntennaRotation(period, pause_s))
 
 
-def rotation_period_s(time_s: FloatArray, bearing_deg: FloatArray, near_s: float) -> float | None:
-    """The period with which bearings run clockwise with the stamps; None where they do not, or too few tell it.
+def rotation_period_s(
+    time_s: FloatArray, bearing_deg: FloatArray, near_s: float, tuning: Tuning = DEFAULT_TUNING
+) -> float | None:
+    """The period with which bearings run clockwise with the stamps; None where they do not, or are too few.
 
-    The frequency f that maximises R = |Σ exp i(β − 2π f t)| / n. It counts where n R² is beyond what the search finds
-    by chance, and R well beyond |Σ exp iβ| / n, which is what a fixed look into a sector gives.
+    The frequency f that maximises R = |Σ exp i(β − 2π f t)| / n. It counts where n R² exceeds what the search finds by
+    chance, and R clearly exceeds |Σ exp iβ| / n, which a fixed sector gives.
     Source: Rayleigh's test, Mardia and Jupp, Directional Statistics (2000), 6.3.1.
 
     >>> t = np.arange(0.0, 60.0, 0.37)
@@ -100,8 +91,8 @@ def rotation_period_s(time_s: FloatArray, bearing_deg: FloatArray, near_s: float
     """
     known = np.flatnonzero(np.isfinite(bearing_deg))
     order = known[np.argsort(time_s[known], kind="stable")]
-    skipped = max(len(order) - MOST_PLOTS, 0) // 2
-    order = order[skipped : skipped + MOST_PLOTS]
+    skipped = max(len(order) - tuning.rotation_plots, 0) // 2
+    order = order[skipped : skipped + tuning.rotation_plots]
     time, sight = time_s[order], np.exp(1j * np.radians(bearing_deg[order]))
     span = float(np.ptp(time)) if len(time) else 0.0
     if span < 2.0 * near_s:
@@ -112,32 +103,32 @@ def rotation_period_s(time_s: FloatArray, bearing_deg: FloatArray, near_s: float
         """(k,) R at these frequencies."""
         parts = np.array_split(frequency, max(len(frequency) // 64, 1))
         sums = [np.exp(-2j * math.pi * part[:, None] * time) @ sight for part in parts]
-        return np.abs(np.concatenate(sums)) / len(time)
+        return np.asarray(np.abs(np.concatenate(sums)) / len(time), np.float64)
 
-    low, high = 1.0 / ((1.0 + WITHIN) * near_s), 1.0 / ((1.0 - WITHIN) * near_s)
-    count = math.ceil((high - low) * span * STEPS)
+    low, high = 1.0 / ((1.0 + tuning.rotation_search) * near_s), 1.0 / ((1.0 - tuning.rotation_search) * near_s)
+    count = math.ceil((high - low) * span * tuning.rotation_steps)
     tried = np.linspace(low, high, count + 1)
     for step in (high - low) / count * np.array([1.0, 0.1, 0.01]):
         best = float(tried[np.argmax(explained(tried))])
         tried = best + 0.1 * step * np.arange(-10, 11)
     strength, fixed = float(explained(np.array([best]))[0]), float(np.abs(sight.mean()))
-    chance = len(time) * strength**2 < DECISIVE + math.log(count)
-    return None if chance or 1.0 - strength > UNEXPLAINED * (1.0 - fixed) else 1.0 / best
+    chance = len(time) * strength**2 < tuning.rotation_log_odds + math.log(count)
+    return None if chance or 1.0 - strength > tuning.rotation_unexplained * (1.0 - fixed) else 1.0 / best
 
 
-def _exposures(time_s: FloatArray, period_s: float, together_s: float) -> FloatArray | None:
+def _exposures(time_s: FloatArray, period_s: float, gap_s: float, tuning: Tuning) -> FloatArray | None:
     """(n,) the beginning of the exposure of each report, if they come in short bursts, once a period; None if not."""
     order = np.argsort(time_s, kind="stable")
     stamps = time_s[order]
-    begins = np.concatenate([[True], np.diff(stamps) > together_s])
+    begins = np.concatenate([[True], np.diff(stamps) > gap_s])
     starts = stamps[begins]
     out = np.empty_like(stamps)
     out[order] = starts[np.cumsum(begins) - 1]
-    if np.any(time_s - out > BRIEF * period_s):
+    if np.any(time_s - out > tuning.exposure_length * period_s):
         return None
     gaps = np.diff(starts)
-    crowded = len(starts) > MOST * (np.ptp(starts) / period_s + 1.0)
-    hurried = len(gaps) > 0 and np.mean(gaps < 0.5 * np.median(gaps)) > HURRIED
+    crowded = len(starts) > tuning.exposures_per_period * (np.ptp(starts) / period_s + 1.0)
+    hurried = len(gaps) > 0 and np.mean(gaps < 0.5 * np.median(gaps)) > tuning.hurried_share
     return None if crowded or hurried else out
 
 
@@ -152,8 +143,8 @@ def last_rotation(
 ) -> IntArray:
     """Reports of the last rotation of an antenna before an instant: those of (t − T, t].
 
-    Where the antenna has shown nothing for longer than it usually does, it has stopped or its plots are still on their
-    way: the last rotation of which anything is known stands. scan_times_s : times at which it is known to turn.
+    Where the antenna has shown nothing for longer than its pause, it has stopped or its plots are still on their way:
+    then the last rotation with plots is current. scan_times_s : times at which it is known to turn.
     """
     past, begun = time_s[time_s <= instant_s], scan_times_s[scan_times_s <= instant_s]
     if not len(past):

@@ -1,10 +1,10 @@
-"""The scene: all sources of a picture in one plane, and what they say at one instant, ready to be identified.
+"""The scene: all sources of a picture in one plane, and their records at one instant, ready to be identified.
 
 >>> from sameas import identify_many
 >>> from sameas.tracks.reports import Reports
 >>> from sameas.tracks.source import Description, Motion, SensorErrors
->>> said = {"time_s": [0.0, 0.0], "x_m": [0.0, 400.0], "y_m": [0.0, 0.0]}
->>> radar = Reports.of("radar", "table", said | {"vx_m_per_s": [5.0, 0.0], "vy_m_per_s": [0.0, 0.0]})
+>>> columns = {"time_s": [0.0, 0.0], "x_m": [0.0, 400.0], "y_m": [0.0, 0.0]}
+>>> radar = Reports.of("radar", "table", columns | {"vx_m_per_s": [5.0, 0.0], "vy_m_per_s": [0.0, 0.0]})
 >>> ais = Reports.of("ais", "table", {"time_s": [10.0], "x_m": [47.0], "y_m": [3.0]})
 >>> scene = Scene.of([
 ...     (Description("radar", "tracks", errors=SensorErrors(position_m=5.0)), radar), (Description("ais", "ais"), ais)])
@@ -32,6 +32,7 @@ from sameas.evidence.identity import Alarm, Identity, alarms
 from sameas.many.observations import Region, Source, records_of
 from sameas.many.rules import PoissonObjects
 from sameas.records import Records
+from sameas.representation import in_short
 from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.doubts import apart, doubts
@@ -41,33 +42,41 @@ from sameas.tracks.registration import SourceBiases, registered
 from sameas.tracks.reports import Reports
 from sameas.tracks.snapshot import POSITION, POSITION_AND_VELOCITY, Snapshot
 from sameas.tracks.source import Assumption, Description
+from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 __all__ = ["POSITION", "POSITION_AND_VELOCITY", "Feed", "Instant", "Scene"]
 
 
+@in_short
 @dataclass(frozen=True)
 class Scene:
     """Feeds of all sources in one plane. Make it with :meth:`Scene.of`; ask :meth:`at` for an instant."""
 
     feeds: tuple[Feed, ...]
     plane: LocalPlane | None = None
+    tuning: Tuning = DEFAULT_TUNING
 
     @classmethod
-    def of(cls, sources: Sequence[tuple[Description, Reports]], plane: LocalPlane | None = None) -> Scene:
+    def of(
+        cls,
+        sources: Sequence[tuple[Description, Reports]],
+        plane: LocalPlane | None = None,
+        tuning: Tuning = DEFAULT_TUNING,
+    ) -> Scene:
         """A scene of descriptions and their reports; the plane is laid in their middle where none is given.
 
-        Sources that give metres in one plane of the user's own need none: all of them must, then. Plots under numbers
-        or names are filtered to tracks first: where they tell no velocities, or scatter as single measurements do.
+        Sources that give metres in one plane of the user's own need none: all of them must, then. Plots with ids
+        are filtered to tracks first: where they have no velocities, or scatter as single measurements do.
         """
-        if far := apart(sources):
+        if far := apart(sources, tuning):
             raise InputError("; ".join(far))
         if plane is None and any(r.lat_deg is not None or r.station_lat_deg is not None for _, r in sources):
             plane = LocalPlane.about(*_middle(sources))
         names = [description.name for description, _ in sources]
         if len(set(names)) < len(names):
             raise InputError(f"two sources are called {max(names, key=names.count)}; give every source its own name")
-        every = (PlacedReports(description, reports, plane) for description, reports in sources)
-        return cls(tuple(Feed.of_placed(placed, to_tracks=need_filtering(placed)) for placed in every), plane)
+        every = (PlacedReports(description, reports, plane, tuning) for description, reports in sources)
+        return cls(tuple(Feed.of_placed(placed, to_tracks=need_filtering(placed)) for placed in every), plane, tuning)
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -78,12 +87,12 @@ class Scene:
         return float(min(t.min() for t in times)), float(max(t.max() for t in times))
 
     def registered(self, references: Sequence[str] | None = None) -> tuple[Scene, tuple[SourceBiases, ...]]:
-        """The scene without the biases of its sources, and what was found of each, in their order.
+        """The scene without the biases of its sources, and the biases of each, in their order.
 
         Every source is compared with those that may have no bias (satellite positions: AIS, ADS-B) at many instants of
-        the whole span; where there are none, the sources with each other. The uncertainty of what is taken away is in
-        the covariances. How large biases may be is ``bias`` in the descriptions; what is known of them beforehand,
-        ``calibration``, is gone already.
+        the whole span; where there are none, the sources with each other. The uncertainty of the removed
+        biases is in the covariances. ``bias`` in the descriptions is the prior of biases; known ones, ``calibration``,
+        are removed already.
 
         references : names of sources whose positions are taken as they are, if not by their descriptions.
         """
@@ -97,7 +106,7 @@ class Scene:
         in another zone, nothing in common with the others. Nothing is changed. It takes seconds where a source makes no
         sense.
         """
-        return doubts(self.feeds, self.plane)
+        return doubts(self.feeds, self.plane, self.tuning)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -105,23 +114,24 @@ class Scene:
         return tuple(note for feed in self.feeds for note in feed.notes)
 
     def at(self, instant_s: float, *, features: int = POSITION) -> Instant:
-        """What every source says at an instant: its last reports at or before it, moved there by their motion.
+        """The records of every source at an instant: its last reports at or before it, moved there by their motion.
 
         features : POSITION, or POSITION_AND_VELOCITY, in which sources without velocities observe a part.
         """
         if features not in (POSITION, POSITION_AND_VELOCITY):
             raise InputError(f"Scene: features is {features}; give 2 (positions) or 4 (positions and velocities)")
-        said = [Snapshot.of(feed, instant_s) for feed in self.feeds]
-        surroundings = _Surroundings.of(said, features)
-        said = [one.without_aged(surroundings.per_m2) for one in said]
-        places = np.concatenate([np.empty((0, 2)), *(one.state[:, :2] for one in said if one.state.ndim == 2)])
+        snapshots = [Snapshot.of(feed, instant_s) for feed in self.feeds]
+        surroundings = _Surroundings.of(snapshots, features)
+        snapshots = [one.without_aged(surroundings.per_m2) for one in snapshots]
+        places = np.concatenate([np.empty((0, 2)), *(one.state[:, :2] for one in snapshots if one.state.ndim == 2)])
         return Instant(
-            instant_s, features, tuple(self.feeds), tuple(one.source(instant_s, features, places) for one in said),
-            tuple(instant_s - one.time_s for one in said), tuple(one.aged for one in said), surroundings.region,
-            surroundings.density,
+            instant_s, features, tuple(self.feeds), tuple(one.source(instant_s, features, places) for one in snapshots),
+            tuple(instant_s - one.time_s for one in snapshots), tuple(one.aged for one in snapshots),
+            surroundings.region, surroundings.density,
         )  # fmt: skip
 
 
+@in_short
 @dataclass(frozen=True)
 class Instant:
     """All sources at one instant.
@@ -131,7 +141,7 @@ class Instant:
     sources : for :func:`sameas.many.identify_many`, in the scene's order; the ids of their records are rows of the
         source's own reports.
     age_s : per source (n,) how old each record's report is.
-    aged : per source the rows of reports that have grown too uncertain to tell objects apart.
+    aged : per source the rows of reports that have grown too uncertain to distinguish objects.
     region : where objects are; needed by ``identify_many`` where a source observes a part of the state.
     density : objects per m² at the middle of the region (per m² and (m/s)² where velocities are features).
     """
@@ -152,29 +162,29 @@ class Instant:
 
     @property
     def assumed(self) -> tuple[Assumption, ...]:
-        """Every number that nobody gave."""
+        """Every assumed number."""
         return tuple(line for description in self.descriptions for line in description.assumed)
 
     def with_records(self) -> Instant:
-        """The same without the sources that say nothing; ``identify_many`` needs two that do."""
+        """The same without the sources that have no records; ``identify_many`` needs two that have."""
         keep = [k for k, source in enumerate(self.sources) if len(records_of(source))]
         chosen = {name: tuple(getattr(self, name)[k] for k in keep) for name in ("feeds", "sources", "age_s", "aged")}
         return replace(self, **chosen)  # type: ignore[arg-type]
 
     def identity(self) -> Identity:
-        """What the records say of themselves, as evidence for two of the sources: add it to a rule of positions."""
-        said = {}
+        """The rule of the records' identities: add it to a rule of positions."""
+        columns = {}
         for feed, source in zip(self.feeds, self.sources, strict=True):
             rows = records_of(source).ids
-            said[feed.description.name] = {name: column[rows] for name, column in feed.attributes.items()}
-        return Identity(said)
+            columns[feed.description.name] = {name: column[rows] for name, column in feed.attributes.items()}
+        return Identity(columns)
 
     def alarms(self) -> list[Alarm]:
         """Identities that are shown at two places too far apart for one object: forged, duplicate or wrong."""
         return alarms([source for source in self.sources if isinstance(source, Records)], self.identity())
 
     def rule(self) -> PoissonObjects:
-        """What the descriptions say of misses and clutter, for ``identify_many``: its ``rule``.
+        """The rule of ``identify_many`` with the described misses and clutter.
 
         The probability of a miss is the mean over the places where records of any source are: a source whose coverage
         most of them lie outside is not held to have missed them.
@@ -194,31 +204,31 @@ class _Surroundings:
     per_m2: float
 
     @classmethod
-    def of(cls, said: Sequence[Snapshot], features: int) -> _Surroundings:
-        states = [one.state for one in said if isinstance(one.feed.reports, States) and len(one.rows)]
-        reach = max((one.feed.description.coverage.range_m or 0.0 for one in said), default=0.0)
+    def of(cls, snapshots: Sequence[Snapshot], features: int) -> _Surroundings:
+        states = [one.state for one in snapshots if isinstance(one.feed.reports, States) and len(one.rows)]
+        reach = max((one.feed.description.coverage.range_m or 0.0 for one in snapshots), default=0.0)
         if states:
             places = np.concatenate(states)[:, :2]
             centre, spread = places.mean(axis=0), np.cov(places.T) if len(places) > 2 else np.zeros((2, 2))
             narrow = max(float(np.trace(spread)) / 20.0, (min(reach, 1000.0) or 1000.0) ** 2 / 16.0)
             spread = spread + narrow * np.eye(2)
         else:
-            sensors = [one.sensor() for one in said]
+            sensors = [one.sensor() for one in snapshots]
             centre, spread = np.mean(sensors, axis=0), np.eye(2) * ((reach or 1000.0) / 2.0) ** 2
         area = 2.0 * math.pi * math.sqrt(float(np.linalg.det(spread)))
-        density = _objects(said, area) / area
+        density = _objects(snapshots, area) / area
         if features == POSITION:
             return cls(Region(centre, spread), density, density)
-        speed = max(one.feed.description.motion.speed_m_per_s or 1.0 for one in said)
+        speed = max(one.feed.description.motion.speed_m_per_s or 1.0 for one in snapshots)
         whole = np.diag(np.full(4, speed**2))
         whole[:2, :2] = spread
         return cls(Region(np.concatenate([centre, [0.0, 0.0]]), whole), density / (2.0 * math.pi * speed**2), density)
 
 
-def _objects(said: Sequence[Snapshot], area_m2: float) -> float:
+def _objects(snapshots: Sequence[Snapshot], area_m2: float) -> float:
     """How many objects there are, by the source that shows most: its records less its clutter, over 1 − q."""
     most = 1.0
-    for one in said:
+    for one in snapshots:
         description = one.feed.description
         if isinstance(one.feed.reports, States):
             clutter = (description.clutter.per_km2 or 0.0) * area_m2 / 1e6

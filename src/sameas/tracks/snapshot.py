@@ -16,26 +16,27 @@ from sameas.tracks.alignment import Earlier, States, aged, moved, process_noise,
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions, SlowBearing
 from sameas.tracks.scans import last_exposure, last_rotation
-
-# Pointing: at which of the places that others show a direction may point.
-#
-# A direction knows no distance, but much depends on it: metres of hull or of motion are more degrees the nearer the
-# object, and a camera sees far boats less often than near ones. The places where other sources show something tell.
-
-#: A direction points at places within 3 standard deviations (chosen).
-REACH_SIGMA = 3.0
+from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 
 def pointed_at(
-    bearing_deg: FloatArray, sigma_deg: ArrayLike, sensor_m: ArrayLike, places: FloatArray, extent_m: float
+    bearing_deg: FloatArray,
+    sigma_deg: ArrayLike,
+    sensor_m: ArrayLike,
+    places: FloatArray,
+    extent_m: float,
+    tuning: Tuning = DEFAULT_TUNING,
 ) -> FloatArray:
     """(n, p) probability that each direction points at each place, if at one of them; rows of 0 where at none.
+
+    A direction has no distance, but much depends on it: metres of hull or of motion are more degrees the nearer the
+    object, and a camera sees far boats less often than near ones. The places where other sources show objects give it.
 
     Parameters
     ----------
     bearing_deg, sigma_deg : (n,) directions, clockwise from the plane's north, and their 1σ.
-    sensor_m : (2,) from where. places : (p, 2) in the plane.
-    extent_m : by how much the point that is seen strays from the middle of the object, 1σ.
+    sensor_m : (2,) place of the sensor. places : (p, 2) in the plane.
+    extent_m : 1σ of the visible point about the centre of the object.
 
     Example
     -------
@@ -50,20 +51,20 @@ def pointed_at(
     away = np.maximum(np.hypot(*arm.T), 1.0)
     off = (np.asarray(bearing_deg)[:, None] - np.degrees(np.arctan2(arm[:, 0], arm[:, 1])) + 180.0) % 360.0 - 180.0
     sigma = np.hypot(np.broadcast_to(sigma_deg, len(bearing_deg))[:, None], np.degrees(np.arctan2(extent_m, away)))
-    inside = np.abs(off) < REACH_SIGMA * sigma
+    inside = np.abs(off) < tuning.pointing_sigmas * sigma
     weight[inside] = (np.exp(-0.5 * (off / sigma) ** 2) / sigma)[inside]
     total = weight.sum(axis=1, keepdims=True)
     return np.asarray(np.divide(weight, total, out=weight, where=total > 0.0))
 
 
-#: What an object's state is at an instant: a place, or a place and a velocity.
+#: Features of an object at an instant: its position, or its position and velocity.
 POSITION = 2
 POSITION_AND_VELOCITY = 4
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """What one source says at an instant: its reports, moved; ``rows`` of the feed's reports."""
+    """The reports of one source moved to an instant; ``rows`` of the feed's reports."""
 
     feed: Feed
     rows: IntArray
@@ -93,7 +94,7 @@ class Snapshot:
         return cls(feed, rows, time_s, state, stamped_late(covariance, state, late), none)
 
     def without_aged(self, density: float) -> Snapshot:
-        """The same without the reports that tell objects apart no more."""
+        """The same without the reports that are too uncertain to distinguish objects."""
         if isinstance(self.feed.reports, Directions) or not len(self.rows):
             return self
         old = aged(self.covariance, density)
@@ -107,13 +108,13 @@ class Snapshot:
         name, ids = self.feed.description.name, self.feed.reports.rows[self.rows]
         if isinstance(self.feed.reports, Directions):
             return self._bearings(instant_s, features, places)
-        if features == POSITION or self.feed.tells_velocities:
+        if features == POSITION or self.feed.has_velocities:
             cut = slice(None, features)
             return Records.of(self.state[:, cut], covariance=self.covariance[:, cut, cut], ids=ids, source=name)
         return self._plots(instant_s)
 
     def _plots(self, instant_s: float) -> Observations:
-        """Bare positions, as observations of where an object with a velocity was when the source looked."""
+        """Bare positions, as observations of the place of a moving object at the time of the scan."""
         description, reports = self.feed.description, self.feed.reports
         assert isinstance(reports, States)
         age = instant_s - float(self.time_s.mean()) if len(self.rows) else 0.0
@@ -127,30 +128,30 @@ class Snapshot:
         return Observations(records, LinearPart(np.hstack([np.eye(2), -age * np.eye(2)])))
 
     def _bearings(self, instant_s: float, features: int, places: FloatArray) -> Observations:
-        """Directions to where an object was when the source looked."""
+        """Directions to the place of an object at the time of the scan."""
         description, reports = self.feed.description, self.feed.reports
-        reach = description.coverage.range_m or math.inf
-        away = self._ranges(places, reach)
+        range_m = description.coverage.range_m or math.inf
+        away = self._ranges(places, range_m)
         age = instant_s - float(self.time_s.mean()) if len(self.rows) else 0.0
-        # Where the velocity is a feature the object is seen where it was; else it has gone on by so much.
+        # With velocities as features the observation is of the earlier place; else the motion since adds to its error.
         dt = instant_s - self.time_s - (age if features == POSITION_AND_VELOCITY else 0.0)
-        strayed = (description.motion.speed_m_per_s or 0.0) * np.hypot(dt, description.timing.latency_sigma_s or 0.0)
-        open_ = np.degrees(np.arctan2(np.hypot(strayed, description.errors.extent_m or 0.0), away))
+        moved_m = (description.motion.speed_m_per_s or 0.0) * np.hypot(dt, description.timing.latency_sigma_s or 0.0)
+        spread_deg = np.degrees(np.arctan2(np.hypot(moved_m, description.errors.extent_m or 0.0), away))
         records = Records.of(
-            self.state[:, None], variance=(self.covariance + open_**2)[:, None], ids=reports.rows[self.rows],
+            self.state[:, None], variance=(self.covariance + spread_deg**2)[:, None], ids=reports.rows[self.rows],
             source=description.name, space=Plane(periods=(360.0,)),
         )  # fmt: skip
-        bearing = SlowBearing(self.sensor(), features, max(description.coverage.nearest_m, 0.02 * min(reach, 1e6)))
+        bearing = SlowBearing(self.sensor(), features, max(description.coverage.nearest_m, 0.02 * min(range_m, 1e6)))
         return Observations(records, Earlier(bearing, age) if features == POSITION_AND_VELOCITY else bearing)
 
     def _ranges(self, places: FloatArray, reach_m: float) -> FloatArray:
-        """(n,) how far what each direction points at may be, by the places that others show where it points.
+        """(n,) the range of what each direction points at, by the places of other sources' records in it.
 
-        Metres are most degrees at the nearest: it is the distance at which they are as many degrees in the mean square.
-        Half the reach where no other source shows anything there.
+        It is the range at which a metre is as many degrees as in the mean square over those places; half the sensor's
+        range where no other source has a record there.
         """
         extent = self.feed.description.errors.extent_m or 0.0
-        weight = pointed_at(self.state, np.sqrt(self.covariance), self.sensor(), places, extent)
+        weight = pointed_at(self.state, np.sqrt(self.covariance), self.sensor(), places, extent, self.feed.tuning)
         out = np.full(len(self.rows), reach_m / 2.0)
         some = weight.any(axis=1)
         away = np.maximum(np.hypot(*(places - np.asarray(self.sensor())).T), 1.0)
@@ -158,7 +159,7 @@ class Snapshot:
         return out
 
     def sensor(self) -> tuple[float, float]:
-        """Where the sensor was: one place at an instant, that of its last report."""
+        """The place of the sensor at the instant, that of its last report."""
         at = self.feed.sensor_m
         if at is None or not len(at):
             return 0.0, 0.0

@@ -1,7 +1,7 @@
-"""What is known of a source before it is heard: place, coverage, misses, errors, timing, motion, biases.
+"""The description of a source: place, coverage, misses, errors, timing, motion, biases.
 
-A :class:`Description` is written in Python, or read from TOML with :func:`read_descriptions`. It says what the user
-knows; the rest comes from the source's kind (``sameas.tracks.kinds``), and every number that came from there stands in
+A :class:`Description` is written in Python, or read from TOML with :func:`read_descriptions`. It has the
+user's numbers; the rest is assumed for the source's kind (``sameas.tracks.kinds``), and every assumed number is in
 ``assumed``, with the reason, to be printed with the result.
 
     [sources.harbour]
@@ -29,6 +29,7 @@ from numpy.typing import ArrayLike
 
 from sameas.arrays import BoolArray, FloatArray
 from sameas.errors import InputError
+from sameas.representation import in_short
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.kinds import KINDS
 
@@ -60,9 +61,10 @@ class Site:
         return float(east), float(north)
 
 
+@in_short
 @dataclass(frozen=True)
 class SensorCoverage:
-    """Where a sensor sees at all. sector_deg : (from, to), clockwise. shadows_deg : sectors in which it is blind."""
+    """The coverage of a sensor. sector_deg : (from, to), clockwise. shadows_deg : sectors in which it is blind."""
 
     range_m: float | None = None
     nearest_m: float = 0.0
@@ -70,7 +72,7 @@ class SensorCoverage:
     shadows_deg: tuple[tuple[float, float], ...] = ()
 
     def covers(self, range_m: ArrayLike, bearing_deg: ArrayLike) -> BoolArray:
-        """(n,) whether places at these ranges and bearings (clockwise from north) are seen."""
+        """(n,) whether places at these ranges and bearings (clockwise from north) are covered."""
         distance, bearing = np.broadcast_arrays(np.asarray(range_m, float), np.asarray(bearing_deg, float))
         inside = (distance >= self.nearest_m) & (distance <= (math.inf if self.range_m is None else self.range_m))
         if self.sector_deg is not None:
@@ -86,6 +88,7 @@ def _within(bearing: FloatArray, sector: tuple[float, float]) -> BoolArray:
     return np.asarray((bearing - sector[0]) % 360.0 <= (width or 360.0))
 
 
+@in_short
 @dataclass(frozen=True)
 class MissRate:
     """Probability that an object within the coverage is missed: one number, or a table over the range."""
@@ -122,7 +125,7 @@ class Clutter:
 
 @dataclass(frozen=True)
 class Resolution:
-    """How near two objects may be for the source to show two. split : probability that a look shows one as two."""
+    """Least distance of two separate records. split : probability that a scan shows one object as two."""
 
     range_m: float | None = None
     bearing_deg: float | None = None
@@ -137,9 +140,9 @@ class Resolution:
 class SensorErrors:
     """1σ errors where a record does not state its own.
 
-    range_share : part of the range that adds to range_m. position_m : per axis. extent_m : how far the point that is
-    measured wanders from the object's middle, per axis; added wherever a record does not state a covariance, and to
-    directions as the angle that it is at the range of what other sources show there.
+    range_share : part of the range that adds to range_m. position_m : per axis. extent_m : of the measured point
+    about the object's centre, per axis; added wherever a record does not state a covariance, and to directions as an
+    angle at the range of other sources' records there.
     """
 
     range_m: float | None = None
@@ -158,7 +161,7 @@ class SensorErrors:
 
 @dataclass(frozen=True)
 class Targets:
-    """What stands for what a record does not say: the height of targets, and its spread."""
+    """The height of targets without a reported one, and its 1σ."""
 
     height_m: float | None = None
     height_sigma_m: float | None = None
@@ -166,7 +169,7 @@ class Targets:
 
 @dataclass(frozen=True)
 class Timing:
-    """period_s : between looks. latency_s : by which stamps are late, ± latency_sigma_s."""
+    """The timing: period_s between scans; latency_s by which stamps are late, ± latency_sigma_s."""
 
     period_s: float | None = None
     latency_s: float | None = None
@@ -175,7 +178,7 @@ class Timing:
 
 @dataclass(frozen=True)
 class Motion:
-    """How objects move: velocity walks with this density (m²/s³), is 0 ± speed at first; a share of them may stand."""
+    """The motion of objects: a random walk of velocity (m²/s³) from 0 ± speed; a share of them may be stationary."""
 
     acceleration_m2_per_s3: float | None = None
     speed_m_per_s: float | None = None
@@ -185,10 +188,10 @@ class Motion:
 
 @dataclass(frozen=True)
 class BiasPrior:
-    """How large biases that nobody knows may be, 1σ; 0 or nothing: there is none. ``Scene.registered`` looks for them.
+    """The prior of unknown biases, 1σ; 0 or None: there is none. ``Scene.registered`` estimates them.
 
-    range_m, azimuth_deg, range_gain : of a sensor with a site, read too much. time_s : by which stamps are late,
-    besides timing.latency_s. shift_m : of the whole source, to the east and to the north each.
+    range_m, azimuth_deg, range_gain : of a sensor with a site. time_s : by which stamps are late, besides
+    timing.latency_s. shift_m : of the whole source, to the east and to the north each.
     """
 
     range_m: float | None = None
@@ -200,12 +203,12 @@ class BiasPrior:
 
 @dataclass(frozen=True)
 class KnownBiases:
-    """Biases that are known: taken off every report, and not looked for unless ``bias`` says how wrong they may be.
+    """Known biases: subtracted from every report, and not estimated unless ``bias`` has a prior of their errors.
 
-    The like for stamps that are late is timing.latency_s.
+    That of late stamps is timing.latency_s.
 
-    range_m : by which ranges are read too long. azimuth_deg : too far clockwise. range_gain : 0.01 reads 1 % too far.
-    east_m, north_m : by which everything is shown too far there.
+    range_m : by which ranges are too long. azimuth_deg : too far clockwise. range_gain : 0.01 is 1 % too far.
+    east_m, north_m : by which positions are too far east and north.
     """
 
     range_m: float | None = None
@@ -215,14 +218,14 @@ class KnownBiases:
     north_m: float | None = None
 
     def known(self, bias: str) -> bool:
-        """Whether it says what a bias of :class:`BiasPrior` is."""
+        """Whether it has the value of a bias of :class:`BiasPrior`."""
         names = ("east_m", "north_m") if bias == "shift_m" else (bias,)
         return any(getattr(self, name, None) is not None for name in names)
 
 
 @dataclass(frozen=True)
 class Assumption:
-    """One number that nobody gave: ``name`` is part.field."""
+    """One assumed number: ``name`` is part.field."""
 
     source: str
     kind: str
@@ -235,15 +238,16 @@ class Assumption:
         return f"{self.source}: {self.name} = {value}, assumed for {self.kind}: {self.why}"
 
 
+@in_short
 @dataclass(frozen=True)
 class Description:
-    """One source: what the user says of it, completed from its kind.
+    """The description of one source by its user, completed from its kind.
 
     Parameters
     ----------
     name : of the source, used in messages and results.
     kind : marine radar, air radar, ais, ads-b, mlat, lidar, camera, esm, tracks or other (``sameas.tracks.kinds``).
-    site : where it stands; None for a source that is in no one place, or whose reports say where it was.
+    site : its place; None for a source without one, or whose reports have it.
     assumed : every number that came from the kind; filled in here.
 
     Example
@@ -278,14 +282,14 @@ class Description:
             _require_numbers(self.name, name, part)
             missing = {f.name for f in fields(part) if getattr(part, f.name) is None}
             if name == "bias":
-                # What the user knows is not looked for, unless the user also says how wrong it may be.
+                # A known bias is not estimated, unless the user also gives a prior of its error.
                 missing = {f for f in missing if not (self.calibration.known(f) or (f == "time_s" and timed))}
             defaults = {
-                key.partition(".")[2]: said
-                for key, said in KINDS[self.kind].defaults.items()
+                key.partition(".")[2]: default
+                for key, default in KINDS[self.kind].defaults.items()
                 if key.partition(".")[0] == name and key.partition(".")[2] in missing
             }
-            object.__setattr__(self, name, replace(part, **{field: said[0] for field, said in defaults.items()}))
+            object.__setattr__(self, name, replace(part, **{field: default[0] for field, default in defaults.items()}))
             for field, (value, why) in defaults.items():
                 assumptions.append(Assumption(self.name, self.kind, f"{name}.{field}", value, why))
         object.__setattr__(self, "assumed", tuple(assumptions))
@@ -328,20 +332,20 @@ def read_descriptions(path: str | Path) -> tuple[Description, ...]:
     ------
     InputError : not TOML, no sources, a name that is not known, a number out of its range.
     """
-    return tuple(Description.from_mapping(name, said) for name, said in source_tables(path).items())
+    return tuple(Description.from_mapping(name, table) for name, table in source_tables(path).items())
 
 
 def source_tables(path: str | Path) -> Mapping[str, Mapping[str, Any]]:
     """The tables ``[sources.NAME]`` of a TOML file as they stand, by name; refused as by :func:`read_descriptions`."""
     try:
-        given = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read as TOML ({getattr(error, 'strerror', None) or error})") from error
-    sources = given.get("sources")
+    sources = content.get("sources")
     if not isinstance(sources, Mapping) or not sources:
         raise InputError(f"{path}: describes no sources; give tables such as [sources.radar]")
-    for name, said in sources.items():
-        if not isinstance(said, Mapping):
+    for name, table in sources.items():
+        if not isinstance(table, Mapping):
             raise InputError(f"{path}: sources.{name} is no table; give [sources.{name}] with its kind")
     return sources
 
@@ -375,8 +379,8 @@ def _unknown(source: str, key: str, known: list[str], where: str = "") -> str:
 
 def _require_numbers(source: str, section: str, part: Any) -> None:
     """All numbers of a part are finite and none is negative."""
-    said = {f.name: value for f in fields(part) if (value := getattr(part, f.name)) is not None}
-    for field, value in said.items():
+    values = {f.name: value for f in fields(part) if (value := getattr(part, f.name)) is not None}
+    for field, value in values.items():
         try:
             numbers = np.asarray(value)
             signed = field in ("sector_deg", "shadows_deg", "height_m") or section == "calibration"
@@ -387,5 +391,5 @@ def _require_numbers(source: str, section: str, part: Any) -> None:
             raise InputError(f"{source}: {section}.{field} is {value!r}; give numbers of zero or more")
     shapes = {"sector_deg": (2,), "shadows_deg": (len(getattr(part, "shadows_deg", ())), 2)}
     for name, shape in shapes.items():
-        if said.get(name) and np.shape(said[name]) != shape:
-            raise InputError(f"{source}: {section}.{name} is {said[name]!r}; give (from, to) in degrees, clockwise")
+        if values.get(name) and np.shape(values[name]) != shape:
+            raise InputError(f"{source}: {section}.{name} is {values[name]!r}; give (from, to) in degrees, clockwise")

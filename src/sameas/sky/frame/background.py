@@ -14,10 +14,8 @@ import numpy as np
 
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
+from sameas.sky.frame.detection import TUNING, DetectionTuning
 from sameas.sky.frame.image import Frame, Image
-
-_LAGS = 4
-_UNCORRELATED = 0.02  # correlations below are noise of their estimate
 
 
 @dataclass(frozen=True)
@@ -30,7 +28,8 @@ class Background:
     variance : (rows, columns) of one pixel without a star; infinite where there is no usable pixel.
     inverse_gain : units of the frame per electron: variance that a unit of star light adds; 0 if not known, or if
         the frame brings its own plane of errors.
-    correlation : (2·4 + 1, 2·4 + 1) of the noise of pixels so far apart, 1 in the middle.
+    correlation : (2k + 1, 2k + 1) of the noise of two pixels by their offset, from −k to k along both axes; 1 in the
+        middle.
     """
 
     level: Image
@@ -39,8 +38,8 @@ class Background:
     correlation: FloatArray
 
     @classmethod
-    def of(cls, frame: Frame, *, box_px: int = 64) -> Background:
-        """The background of a frame; box_px should be some ten times the width of a star.
+    def of(cls, frame: Frame, *, box_px: int = 64, tuning: DetectionTuning = TUNING) -> Background:
+        """The background of a frame; ``box_px`` should be about ten times the width of a star.
 
         Raises
         ------
@@ -58,15 +57,15 @@ class Background:
             level.astype(np.float32),
             np.where(usable, variance, np.inf).astype(np.float32),
             1 / gain if known else 0.0,
-            _correlation(normal),
+            _correlation(normal, tuning),
         )
 
     def factor(self, sigma_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What correlation does to the variance of a flux and of a centroid in Gaussian windows of these widths.
+        """By how much correlation grows the variance of a flux and of a centroid in Gaussian windows of these widths.
 
         Σ ρ(Δ) A(Δ)/A(0), A the autocorrelation of the window w, and of w·x for the centroid.
         """
-        lags = np.arange(-_LAGS, _LAGS + 1)
+        lags = np.arange(len(self.correlation)) - len(self.correlation) // 2
         s2 = np.asarray(sigma_px, float)[:, None, None] ** 2
         x2 = (lags**2)[None, None, :]
         near = np.exp(-(x2 + (lags**2)[None, :, None]) / (4 * s2)) * self.correlation
@@ -100,32 +99,31 @@ def _meshes(frame: Frame, box_px: int) -> tuple[FloatArray, FloatArray]:
         raise InputError(f"{frame.name}: too few usable pixels for a background ({error})") from error
 
 
-def _correlation(normal: FloatArray) -> FloatArray:
-    """Correlation of the noise at small lags, from pixels that look like sky."""
-    side = 2 * _LAGS + 1
-    rho = np.zeros((side, side))
-    # Stars are left out with their surroundings; the middle 600 pixels are enough.
-    rows, columns = (slice(max(0, size // 2 - 300), size // 2 + 300) for size in normal.shape)
+def _correlation(normal: FloatArray, tuning: DetectionTuning) -> FloatArray:
+    """Correlation of the noise at small offsets, from pixels without stars."""
+    reach, half = tuning.noise_reach_px, tuning.noise_side_px // 2
+    independent = np.zeros((2 * reach + 1, 2 * reach + 1))
+    independent[reach, reach] = 1
+    rows, columns = (slice(max(0, size // 2 - half), size // 2 + half) for size in normal.shape)
     part = normal[rows, columns]
     from scipy.ndimage import maximum_filter, uniform_filter
 
     usable = np.isfinite(part)
     if not usable.any():
-        rho[_LAGS, _LAGS] = 1
-        return rho
+        return independent
     smooth = uniform_filter(np.nan_to_num(part), 3)
-    # What is masked is as quiet as nothing else, and must not tell how loud the sky is.
-    bright = maximum_filter(np.abs(smooth) > 3.5 * 1.4826 * np.median(np.abs(smooth[usable])), 9)
+    # Masked pixels have no noise and do not count in the scatter. Stars are left out with their surroundings.
+    limit = tuning.star_sigmas * 1.4826 * np.median(np.abs(smooth[usable]))
+    bright = maximum_filter(np.abs(smooth) > limit, 9)
     sky = usable & ~bright
-    if sky.sum() < 1000:
-        rho[_LAGS, _LAGS] = 1
-        return rho
+    if sky.sum() < tuning.fewest_noise_pixels:
+        return independent
     values = np.where(sky, part - np.median(part[sky]), 0.0)
     size = [2 * n for n in part.shape]
     power = np.abs(np.fft.rfft2(values, size)) ** 2
     pairs = np.abs(np.fft.rfft2(sky.astype(float), size)) ** 2
     product, count = np.fft.irfft2(power, size), np.fft.irfft2(pairs, size)
-    index = np.arange(-_LAGS, _LAGS + 1)
+    index = np.arange(-reach, reach + 1)
     covariance = product[np.ix_(index, index)] / np.maximum(count[np.ix_(index, index)], 1)
-    rho = covariance / covariance[_LAGS, _LAGS]
-    return np.where(np.abs(rho) < _UNCORRELATED, 0.0, rho)
+    rho = covariance / covariance[reach, reach]
+    return np.where(np.abs(rho) < tuning.least_correlation, 0.0, rho)

@@ -18,23 +18,27 @@ from sameas.errors import InputError
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Flag
 
+#: A pixel of the dark is hot beyond this many robust standard deviations from its surroundings (chosen).
 _HOT_SIGMAS = 8.0
-_UNSTEADY = 0.05  # hot pixels change from frame to frame by such a share
+#: Hot pixels change from frame to frame by about this share of their excess (chosen).
+_UNSTEADY = 0.05
+#: Pixels of a flat below this sensitivity, relative to the median, are blind (chosen).
 _DARKEST_FLAT = 0.2
+#: Exposures count as equal within this share (chosen).
 _SAME_EXPOSURE = 0.02
 
 
 @dataclass(frozen=True)
 class MasterFrames:
-    """Master frames; make it with :meth:`MasterFrames.of`, use it as ``calibration(frame)``.
+    """Master frames; make them with :meth:`MasterFrames.of`, call them with a frame: ``masters(frame)``.
 
     Attributes
     ----------
     bias, dark : (rows, columns) ADU or None; the dark holds the bias unless there is one.
     dark_exposure_s : exposure of the darks, NaN without them.
     flat : (rows, columns) sensitivity around 1, or None.
-    excess : (rows, columns) what hot pixels have above their surroundings in the dark, 0 for the others, or None.
-    dead : (rows, columns) mask of the pixels that the flats show to be blind, or None.
+    excess : (rows, columns) ADU of hot pixels above their surroundings in the dark, 0 for the others, or None.
+    dead : (rows, columns) mask of the pixels that are blind in the flats, or None.
     """
 
     bias: FloatArray | None = None
@@ -78,39 +82,39 @@ class MasterFrames:
                 raise InputError(
                     f"{frame.name}: the frame has shape {frame.shape}, the calibration {plane.shape}; use one binning"
                 )
-        taken, lines = self._taken(frame)
-        image = frame.image.astype(float) - taken
+        offset, lines = self._offset(frame)
+        image = frame.image.astype(float) - offset
         if self.flat is not None:
             image, lines = image / np.maximum(self.flat, _DARKEST_FLAT), (*lines, "flat divided out")
         sigma = frame.sigma
         if sigma is not None and self.flat is not None:
             sigma = (sigma / np.maximum(self.flat, _DARKEST_FLAT)).astype(np.float32)
-        # Saturation is marked already; the level moves with the sky that was taken away.
-        level = frame.facts.saturation_adu - float(np.median(taken))
+        # Saturated pixels are marked already; their level falls with what is subtracted.
+        level = frame.facts.saturation_adu - float(np.median(offset))
         facts = replace(frame.facts, saturation_adu=level, pedestal_adu=0.0, lines=(*frame.facts.lines, *lines))
         result = replace(frame, image=image.astype(np.float32), sigma=sigma, facts=facts)
         if self.excess is not None:
             result = result.marked(_harmful(self.excess, result), Flag.HOT)
         return result if self.dead is None else result.marked(self.dead, Flag.MASKED)
 
-    def _taken(self, frame: Frame) -> tuple[FloatArray, tuple[str, ...]]:
-        """(rows, columns) what is not light, and what was done."""
-        taken: FloatArray = np.zeros(frame.shape)
+    def _offset(self, frame: Frame) -> tuple[FloatArray, tuple[str, ...]]:
+        """(rows, columns) ADU of bias, pedestal and dark current, and a line for each."""
+        offset: FloatArray = np.zeros(frame.shape)
         lines: tuple[str, ...] = ()
         if self.bias is not None:
-            taken, lines = taken + self.bias, ("bias taken away",)
+            offset, lines = offset + self.bias, ("bias taken away",)
         if self.dark is None:
             if self.bias is None and frame.facts.pedestal_adu:
-                return taken + frame.facts.pedestal_adu, ("pedestal taken away",)
-            return taken, lines
+                return offset + frame.facts.pedestal_adu, ("pedestal taken away",)
+            return offset, lines
         ratio = frame.facts.exposure_s / self.dark_exposure_s
         if self.bias is not None and math.isfinite(ratio):
             done = (*lines, f"dark of {self.dark_exposure_s:g} s times {ratio:.3g} taken away")
-            return taken + self.dark * ratio, done
+            return offset + self.dark * ratio, done
         lines += (f"dark of {self.dark_exposure_s:g} s taken away",)
         if not abs(ratio - 1) < _SAME_EXPOSURE:
             lines += (f"doubt: the frame has {frame.facts.exposure_s:g} s; without a bias its dark is not scaled",)
-        return taken + self.dark, lines
+        return offset + self.dark, lines
 
 
 def _median(frames: Sequence[Frame]) -> FloatArray:
@@ -142,12 +146,12 @@ def _dark(darks: Sequence[Frame], bias: FloatArray | None) -> tuple[FloatArray, 
 
 
 def _flat(flats: Sequence[Frame], bias: FloatArray | None, dark: FloatArray | None, dark_s: float) -> FloatArray:
-    """Sensitivity: each flat brought to the middle value 1 before they are combined, for the light changes."""
+    """Sensitivity: each flat is divided by its median before they are combined, because the light changes."""
     dim = MasterFrames(bias=bias, dark=dark, dark_exposure_s=dark_s)
     normal = []
     for frame in flats:
-        light, _ = dim._taken(frame)
-        image = frame.image - light
+        offset, _ = dim._offset(frame)
+        image = frame.image - offset
         middle = float(np.median(image))
         if not middle > 0:
             raise InputError(f"{frame.name}: the flat has no light above bias and dark; leave it out")
@@ -156,7 +160,7 @@ def _flat(flats: Sequence[Frame], bias: FloatArray | None, dark: FloatArray | No
 
 
 def _excess(dark: FloatArray) -> FloatArray:
-    """What pixels have above their surroundings, 0 where it is noise; the glow of an amplifier is no part of it."""
+    """ADU of pixels above the median of their 5 × 5 surroundings, 0 where it is noise; amplifier glow drops out."""
     from scipy.ndimage import median_filter
 
     excess = dark - median_filter(dark, 5, mode="reflect")
@@ -165,7 +169,7 @@ def _excess(dark: FloatArray) -> FloatArray:
 
 
 def _harmful(excess: FloatArray, frame: Frame) -> BoolArray:
-    """Hot pixels whose own noise, left when the dark is taken away, is half of that of the frame or more."""
+    """Hot pixels whose own noise, which subtracting the dark leaves, is at least half of that of the frame."""
     gain = frame.facts.gain_e_per_adu if math.isfinite(frame.facts.gain_e_per_adu) else 1.0
     step = np.diff(frame.image[:, ::2], axis=1)
     variance = (1.4826 * float(np.median(np.abs(step - np.median(step))))) ** 2 / 2

@@ -22,13 +22,8 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.sky.frame.background import Background
+from sameas.sky.frame.detection import TUNING, DetectionTuning
 from sameas.sky.frame.psf import PSF
-
-_ROUNDS = 25
-_SETTLED_PX = 2e-4
-_WIDEST_PX = 48
-_PIXELS_AT_ONCE = 4_000_000
-_REACH = 3.5  # half-width of a stamp in standard deviations of its window
 
 
 class Stamps(NamedTuple):
@@ -87,7 +82,12 @@ class Own:
 
 
 def centroids(
-    light: FloatArray, background: Background, xy: FloatArray, windows: FloatArray, own: Own | None = None
+    light: FloatArray,
+    background: Background,
+    xy: FloatArray,
+    windows: FloatArray,
+    own: Own | None = None,
+    tuning: DetectionTuning = TUNING,
 ) -> Centroids:
     """Windowed centroids near ``xy`` (n, 2) in windows (n, 2, 2).
 
@@ -95,18 +95,18 @@ def centroids(
     """
     n = len(xy)
     largest = np.sqrt(np.linalg.eigvalsh(windows)[:, 1]) if n else np.empty(0)
-    half = np.clip(np.ceil(_REACH * largest).astype(int) + 1, 4, _WIDEST_PX)
-    # A few sizes of stamps: rounded up to the next of a geometric row.
-    half = np.minimum(np.ceil(4 * 1.3 ** np.ceil(np.log(half / 4) / np.log(1.3))).astype(int), _WIDEST_PX)
+    half = np.clip(np.ceil(tuning.stamp_sigmas * largest).astype(int) + 1, 4, tuning.widest_px)
+    # Stamps have a few sizes only: the half-width is rounded up to the next of a geometric series.
+    half = np.minimum(np.ceil(4 * 1.3 ** np.ceil(np.log(half / 4) / np.log(1.3))).astype(int), tuning.widest_px)
     parts: list[tuple[IntArray, Centroids]] = []
     for size in np.unique(half):
         members = np.flatnonzero(half == size)
-        step = max(1, _PIXELS_AT_ONCE // (2 * size + 1) ** 2)
+        step = max(1, tuning.pixels_at_once // (2 * size + 1) ** 2)
         for first in range(0, len(members), step):
             rows = members[first : first + step]
             stamps = cut(light, background, np.rint(xy[rows]).astype(int), int(size))
             stamps = stamps if own is None else own.back(stamps, rows)
-            parts.append((rows, settle(stamps, xy[rows], windows[rows], background)))
+            parts.append((rows, settle(stamps, xy[rows], windows[rows], background, tuning)))
     return _together(n, parts)
 
 
@@ -129,14 +129,16 @@ def cut(light: FloatArray, background: Background, centre: IntArray, half: int) 
     )
 
 
-def settle(stamps: Stamps, start: FloatArray, windows: FloatArray, background: Background) -> Centroids:
-    """The centroids of stamps, from a start (n, 2): x ← x + 2 Σ w I d / Σ w I until it rests."""
+def settle(
+    stamps: Stamps, start: FloatArray, windows: FloatArray, background: Background, tuning: DetectionTuning
+) -> Centroids:
+    """The centroids of stamps, from a start (n, 2): x ← x + 2 Σ w I d / Σ w I until a step is short enough."""
     inverse = np.asarray(np.linalg.inv(windows), float)
     limit = np.sqrt(np.trace(windows, axis1=1, axis2=2))[:, None]
-    reach = 0.5 + 0.8 * limit  # farther off it has slid onto another star
+    reach = 0.5 + 0.8 * limit  # a centroid farther off has slid onto another star
     xy, moving = start.copy(), np.arange(len(start))
     settled = np.zeros(len(start), bool)
-    for _ in range(_ROUNDS):
+    for _ in range(tuning.centroid_steps):
         part = Stamps(*(plane[moving] for plane in stamps))  # type: ignore[arg-type]
         dx, dy, w = _window(part, xy[moving], inverse[moving])
         wi = w * part.light
@@ -147,7 +149,7 @@ def settle(stamps: Stamps, start: FloatArray, windows: FloatArray, background: B
         good = np.isfinite(step).all(axis=1) & (total > 0)
         step = np.where(good[:, None], np.clip(step, -0.5 * limit[moving], 0.5 * limit[moving]), 0.0)
         xy[moving] += step
-        still = (np.abs(step) < _SETTLED_PX).all(axis=1)
+        still = (np.abs(step) < tuning.settled_px).all(axis=1)
         astray = (np.abs(xy[moving] - start[moving]) > reach[moving]).any(axis=1)
         settled[moving[still & good]] = True
         moving = moving[~still & ~astray]
@@ -224,7 +226,7 @@ def adaptive(
     xy: FloatArray,
     start: FloatArray,
     own: Own | None = None,
-    rounds: int = 8,
+    tuning: DetectionTuning = TUNING,
 ) -> tuple[Centroids, FloatArray]:
     """Centroids in windows that take the shape of each star, and these matrices (n, 2, 2).
 
@@ -232,17 +234,17 @@ def adaptive(
     (Bernstein & Jarvis 2002, AJ 123, 583, sect. 3.1).
     """
     windows = start.copy()
-    found = centroids(light, background, xy, windows, own)
-    for _ in range(rounds):
+    measured = centroids(light, background, xy, windows, own, tuning)
+    for _ in range(tuning.shape_steps):
         with np.errstate(all="ignore"):
-            values, vectors = np.linalg.eigh(np.nan_to_num(found.moments, posinf=1.0, neginf=1.0))
+            values, vectors = np.linalg.eigh(np.nan_to_num(measured.moments, posinf=1.0, neginf=1.0))
         values = np.clip(values, 0.05, None)
         moments = (vectors * values[:, None, :]) @ vectors.transpose(0, 2, 1)
         inverse = np.linalg.inv(moments) - np.linalg.inv(windows)
         values, vectors = np.linalg.eigh(inverse)
         old = np.linalg.eigvalsh(windows)
         low, high = 1 / (2.5 * old[:, 1:]), 1 / (0.4 * old[:, :1])
-        values = np.clip(values, np.maximum(low, 1 / (_WIDEST_PX / 3) ** 2), np.minimum(high, 1 / 0.2))
+        values = np.clip(values, np.maximum(low, 1 / (tuning.widest_px / 3) ** 2), np.minimum(high, 1 / 0.2))
         windows = (vectors / values[:, None, :]) @ vectors.transpose(0, 2, 1)
-        found = centroids(light, background, found.xy, windows, own)
-    return found, windows
+        measured = centroids(light, background, measured.xy, windows, own, tuning)
+    return measured, windows

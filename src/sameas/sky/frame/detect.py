@@ -10,6 +10,7 @@ their noise. ``sep`` is much the fastest, but LGPL; photutils' deblending takes 
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,28 +20,24 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.sky.frame.background import Background
 from sameas.sky.frame.centroid import Centroids, Own, adaptive, centroids, cut
+from sameas.sky.frame.detection import Detection, DetectionTuning
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Flag, Measurements
 from sameas.sky.frame.psf import FWHM_PER_SIGMA, PSF
 
-# Defects: what is bright, or dead, without a star: hot pixels, hits of particles, bad columns and rows.
-#
-# Found on a single frame by sharpness: no star can stand out from its neighbours more than one that is centred on a
-# pixel. Single pixels are called hot, several that hang together the hit of a particle; one frame cannot tell a short
-# hit from a hot pixel, darks can (:mod:`sameas.sky.frame.calibration`). Chosen over astroscrappy (van Dokkum 2001,
-# PASP 113, 1420), whose sharpness is not compared with the frame's own star: it takes the cores of stars 1.5 px wide.
-
-_SIGMAS = 6.0
-_LINE_SIGMAS = 8.0
-_LEAST_LINE = 0.7  # in standard deviations of a pixel: weaker columns do no harm
-_MARGIN = 1.4  # stars differ in sharpness by less
 _AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], bool)
 
 
-def marked(frame: Frame, background: Background, psf: PSF) -> Frame:
-    """The frame with its defects flagged: HOT, COSMIC, and MASKED for bad columns and rows."""
-    lines = _lines(frame, background)
-    sharp = _sharp(frame, background, psf) & ~lines
+def marked(frame: Frame, background: Background, psf: PSF, tuning: DetectionTuning) -> Frame:
+    """The frame with its defects flagged: HOT, COSMIC, and MASKED for bad columns and rows.
+
+    A defect is found by its sharpness: no star exceeds its neighbours more than one that is centred on a pixel. Single
+    pixels are HOT, several that touch are COSMIC; one frame cannot tell a short hit of a particle from a hot pixel,
+    darks can (:mod:`sameas.sky.frame.calibration`). astroscrappy (van Dokkum 2001, PASP 113, 1420) is not used because
+    its sharpness is not compared with the frame's own stars: it flags the cores of stars 1.5 px wide.
+    """
+    lines = _lines(frame, background, tuning)
+    sharp = _sharp(frame, background, psf, tuning) & ~lines
     from scipy.ndimage import label
 
     parts, _ = label(sharp, np.ones((3, 3)))
@@ -49,75 +46,66 @@ def marked(frame: Frame, background: Background, psf: PSF) -> Frame:
     return frame.marked(lines, Flag.MASKED).marked(single, Flag.HOT).marked(sharp & ~single, Flag.COSMIC)
 
 
-def _sharp(frame: Frame, background: Background, psf: PSF, rounds: int = 3) -> BoolArray:
-    """Pixels that no star explains."""
+def _sharp(frame: Frame, background: Background, psf: PSF, tuning: DetectionTuning) -> BoolArray:
+    """(rows, columns) pixels that are sharper than any star."""
     from scipy.ndimage import binary_dilation
 
     around = np.array([psf.light(float(x), float(y)) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y])
-    contrast = _MARGIN * float(psf.light(0.0, 0.0)) / float(np.median(around))
+    contrast = tuning.sharpness_margin * float(psf.light(0.0, 0.0)) / float(np.median(around))
     light = frame.image - background.level
     usable = np.isfinite(background.variance)
     variance = np.where(usable, background.variance, 0.0)
-    found = np.zeros(frame.shape, bool)
+    defect = np.zeros(frame.shape, bool)
     saturated = (frame.flags & Flag.SATURATED) != 0
-    # Bleeding and the diffraction of a saturated star are as sharp as they like.
+    # Bleeding and diffraction of a saturated star may be sharper than stars are.
     saturated &= binary_dilation(saturated, np.ones((3, 3))) & ~_alone(saturated)
     near_saturated = binary_dilation(saturated, np.ones((3, 3)), iterations=2)
-    rows, columns = np.nonzero((light > _SIGMAS * np.sqrt(variance)) & usable & ~near_saturated)
+    rows, columns = np.nonzero((light > tuning.defect_sigmas * np.sqrt(variance)) & usable & ~near_saturated)
     work = np.pad(np.where(usable, light, 0.0), 1, mode="reflect")
     own, sky2 = light[rows, columns], variance[rows, columns]
-    for _ in range(rounds):
+    for _ in range(tuning.defect_passes):
         shifted = [work[rows + 1 + y, columns + 1 + x] for y in (-1, 0, 1) for x in (-1, 0, 1) if x or y]
         neighbours = np.maximum(np.median(shifted, axis=0), 0.0)
         photons = neighbours * contrast * (1 + 0.2 * contrast)
         noise = np.sqrt(sky2 * (1 + 0.2 * contrast**2) + background.inverse_gain * photons)
-        sharp = own - contrast * neighbours > _SIGMAS * noise
-        if not (sharp & ~found[rows, columns]).any():
+        sharp = own - contrast * neighbours > tuning.defect_sigmas * noise
+        if not (sharp & ~defect[rows, columns]).any():
             break
-        found[rows[sharp], columns[sharp]] = True
+        defect[rows[sharp], columns[sharp]] = True
         work[rows[sharp] + 1, columns[sharp] + 1] = neighbours[sharp]
-    return found
+    return defect
 
 
 def _alone(mask: BoolArray) -> BoolArray:
+    """The pixels of a mask that touch no other."""
     from scipy.ndimage import convolve
 
     return np.asarray(mask & (convolve(mask.astype(np.int8), _AROUND.astype(np.int8), mode="constant") == 0))
 
 
-def _lines(frame: Frame, background: Background) -> BoolArray:
-    """Columns and rows whose middle pixel is far from that of their neighbours."""
+def _lines(frame: Frame, background: Background, tuning: DetectionTuning) -> BoolArray:
+    """(rows, columns) the columns and rows whose median is far from that of their neighbours."""
     from scipy.ndimage import median_filter
 
     bad = np.zeros(frame.shape, bool)
     usable = np.isfinite(background.variance)
     normal = np.where(usable, (frame.image - background.level) / np.sqrt(np.where(usable, background.variance, 1)), 0)
     for axis in (0, 1):
-        # Half of the pixels tell it as well.
+        # Half of the pixels are enough for a median.
         middle = np.median(normal[::2] if axis == 0 else normal[:, ::2], axis=axis)
         off = np.abs(middle - median_filter(middle, 15, mode="reflect"))
-        limit = max(_LEAST_LINE, _LINE_SIGMAS * 1.4826 * float(np.median(off)))
+        limit = max(tuning.least_line, tuning.line_sigmas * 1.4826 * float(np.median(off)))
         line = off > limit
         if line.mean() < 0.05:
             bad |= line[None, :] if axis == 0 else line[:, None]
     return bad
 
 
-# Peaks: where on a frame there is a star, by the matched filter.
-#
-# The signal to noise ratio of a star at every pixel is Σ k I/v over √(Σ k²/v), k the mean star, v the variance of the
-# sky, a missing pixel one of infinite variance. Its maxima are stars; two that no saddle divides are one.
+def significance(light: FloatArray, background: Background, psf: PSF, tuning: DetectionTuning) -> FloatArray:
+    """(rows, columns) signal to noise ratio of a star in the middle of each pixel; 0 where most is masked.
 
-_LEAST_USABLE = 0.3
-_SADDLE_SIGMAS = 3.0
-_SADDLE_PHOTONS = 5.0  # the same of a star's own photons: the saddle is the lowest of many places along a trail
-_SADDLE_REACH = 8  # full widths of a star: longer trails than that come in parts
-_SADDLE_SHARE = 0.02
-_HALF_PX = 0.6
-
-
-def significance(light: FloatArray, background: Background, psf: PSF) -> FloatArray:
-    """(rows, columns) signal to noise ratio of a star in the middle of each pixel; 0 where most is masked."""
+    Matched filter: Σ k I/v over √(Σ k²/v), k the PSF, v the variance of the sky; a missing pixel has infinite variance.
+    """
     from scipy.signal import oaconvolve
 
     half = int(np.ceil(3.5 * np.sqrt(np.linalg.eigvalsh(psf.matrix)[1])))
@@ -133,7 +121,7 @@ def significance(light: FloatArray, background: Background, psf: PSF) -> FloatAr
     noise2 = oaconvolve(weight, kernel**2, mode="same")
     factor = float(background.factor(np.array([psf.sigma_px]))[0][0])
     usable = oaconvolve((weight > 0).astype(np.float32), kernel**2, mode="same")
-    enough = usable > _LEAST_USABLE * float((kernel**2).sum())
+    enough = usable > tuning.least_usable * float((kernel**2).sum())
     return np.where(enough, signal * np.sqrt(usual / factor) / np.sqrt(np.maximum(noise2, 1e-12)), 0.0)
 
 
@@ -142,32 +130,35 @@ def photon_noise(light: FloatArray, background: Background) -> FloatArray:
     return np.sqrt(1 + background.inverse_gain * np.maximum(light, 0) / background.variance)
 
 
-def peaks(snr: FloatArray, noise: FloatArray, psf: PSF, threshold_sigmas: float) -> tuple[FloatArray, FloatArray]:
+def peaks(
+    snr: FloatArray, noise: FloatArray, psf: PSF, threshold_sigmas: float, tuning: DetectionTuning
+) -> tuple[FloatArray, FloatArray]:
     """(n, 2) pixels (x, y) of the stars, the most significant first, and their (n,) significance.
 
+    Stars are the maxima of the significance; two maxima that no saddle divides are one star.
     noise : (rows, columns) of :func:`photon_noise`: a saddle must be deeper than the photons of a star make it.
     """
     try:
         from photutils.detection import find_peaks
     except ImportError as error:
         raise InputError("finding stars on frames needs photutils: pip install 'sameas[frames]'") from error
-    import warnings
-
     box = 2 * max(1, round(psf.sigma_px)) + 1
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # photutils warns when there is nothing; the caller says it better
-        found = find_peaks(snr, threshold_sigmas, box_size=box)
-    if found is None or not len(found):
+        warnings.simplefilter("ignore")  # photutils warns of no peaks; the caller refuses them with a remedy
+        table = find_peaks(snr, threshold_sigmas, box_size=box)
+    if table is None or not len(table):
         return np.empty((0, 2)), np.empty(0)
     names = ("x_peak", "y_peak", "peak_value")
-    x, y, value = (np.asarray(found[name], float) for name in names)
+    x, y, value = (np.asarray(table[name], float) for name in names)
     order = np.lexsort((x, y, -value))
     xy, value = np.column_stack([x, y])[order], value[order]
-    keep = _divided(snr, noise, xy, value, _SADDLE_REACH * psf.fwhm_px)
+    keep = _divided(snr, noise, xy, value, tuning.saddle_widths * psf.fwhm_px, tuning)
     return xy[keep], value[keep]
 
 
-def _divided(snr: FloatArray, noise: FloatArray, xy: FloatArray, value: FloatArray, reach_px: float) -> IntArray:
+def _divided(
+    snr: FloatArray, noise: FloatArray, xy: FloatArray, value: FloatArray, reach_px: float, tuning: DetectionTuning
+) -> IntArray:
     """Rows of the peaks that a saddle divides from every higher peak near them."""
     from scipy.ndimage import map_coordinates
     from scipy.spatial import cKDTree
@@ -178,48 +169,16 @@ def _divided(snr: FloatArray, noise: FloatArray, xy: FloatArray, value: FloatArr
     higher, lower = pairs.min(axis=1), pairs.max(axis=1)
     along = np.linspace(0, 1, 2 + int(np.ceil(reach_px)))[1:-1]
     way = xy[higher][:, None, :] + along[:, None] * (xy[lower] - xy[higher])[:, None, :]
-    # A ridge passes the pixels of its ends by up to their half: the best of three lines side by side.
+    # A ridge may pass half a pixel beside the pixels of its ends: the best of three parallel lines counts.
     towards = (xy[lower] - xy[higher]) / np.linalg.norm(xy[lower] - xy[higher], axis=1, keepdims=True)
     aside = np.column_stack([-towards[:, 1], towards[:, 0]])[:, None, :]
-    lines = [way + offset * aside for offset in (-_HALF_PX, 0.0, _HALF_PX)]
+    lines = [way + offset * aside for offset in (-tuning.ridge_px, 0.0, tuning.ridge_px)]
     along_lines = [map_coordinates(snr, [line[..., 1], line[..., 0]], order=1, mode="nearest") for line in lines]
     saddle = np.max(along_lines, axis=0).min(axis=1)
     x, y = xy[lower].astype(int).T
-    random = np.sqrt(_SADDLE_SIGMAS**2 + _SADDLE_PHOTONS**2 * (noise[y, x] ** 2 - 1))
-    depth = np.maximum(random, _SADDLE_SHARE * value[lower])
+    random = np.sqrt(tuning.saddle_sigmas**2 + tuning.saddle_photons**2 * (noise[y, x] ** 2 - 1))
+    depth = np.maximum(random, tuning.saddle_share * value[lower])
     return np.setdiff1d(np.arange(len(xy)), lower[value[lower] - saddle < depth])
-
-
-_SHAPE_SNR = 15.0
-_WIDER = 1.3  # a star so much wider than the others gets a window of its own
-_LONGER = 2.0
-_NEIGHBOUR_ROUNDS = 3
-_STARS_FOR_SPREAD = 200
-_PULL_KEPT = 0.25  # share of a neighbour's pull that taking it away leaves, as simulations of crowded fields show
-_PAIR_KEPT = 0.1  # share of the excess second moment of two stars in one that a position may be off by, squared
-_FIRST = PSF(1.3**2 * np.eye(2))
-_FIRST_SHARPEST = PSF(0.55**2 * np.eye(2))  # before the frame's own stars are known, none is narrower than 1.3 px
-
-
-@dataclass(frozen=True)
-class Detection:
-    """How stars are looked for.
-
-    threshold_sigmas : lowest significance in the matched filter. box_px : mesh of the background. defects : look for
-    hot pixels, particles and bad columns on the frame itself. floor_px : error that no centroid is below.
-    """
-
-    threshold_sigmas: float = 4.0
-    box_px: int = 64
-    defects: bool = True
-    floor_px: float = 0.002
-
-    def __post_init__(self) -> None:
-        if not self.threshold_sigmas > 0 or self.box_px < 8 or not self.floor_px >= 0:
-            raise InputError(
-                f"Detection: threshold_sigmas {self.threshold_sigmas}, box_px {self.box_px}, floor_px {self.floor_px}; "
-                "give a threshold above 0, a mesh of 8 px or more, a floor of 0 or more"
-            )
 
 
 def detect(frame: Frame, detection: Detection | None = None) -> Measurements:
@@ -237,50 +196,61 @@ def detect(frame: Frame, detection: Detection | None = None) -> Measurements:
     [51.0, 20.0, 44.0]
     """
     detection = detection or Detection()
-    background = Background.of(frame, box_px=detection.box_px)
+    tuning = detection.tuning
+    background = Background.of(frame, box_px=detection.box_px, tuning=tuning)
     if detection.defects:
-        frame, background = _without_defects(frame, background, _FIRST_SHARPEST)
+        sharpest = PSF(tuning.sharpest_sigma_px**2 * np.eye(2))
+        frame, background = _without_defects(frame, background, sharpest, tuning)
     psf = _mean_psf(frame, background, detection)
     if detection.defects:
-        frame, background = _without_defects(frame, background, psf)
-    light = np.where(np.isfinite(background.variance), frame.image - background.level, 0.0)
-    xy, snr = peaks(
-        significance(light, background, psf), photon_noise(light, background), psf, detection.threshold_sigmas
-    )
+        frame, background = _without_defects(frame, background, psf, tuning)
+    light = _above_sky(frame, background)
+    xy, snr = _peaks_of(light, background, psf, detection.threshold_sigmas, tuning)
     if not len(xy):
         raise InputError(f"{frame.name}: no star above {detection.threshold_sigmas:g}σ; lower threshold_sigmas")
-    stars = _neighbours_apart(light, background, psf, xy, snr, detection.threshold_sigmas)
+    stars = _neighbours_apart(light, background, psf, xy, snr, detection)
     return _measurements(frame, background, psf, stars, detection)
 
 
-def _without_defects(frame: Frame, background: Background, psf: PSF) -> tuple[Frame, Background]:
-    frame = marked(frame, background, psf)
+def _above_sky(frame: Frame, background: Background) -> FloatArray:
+    """(rows, columns) light above the sky, 0 where no pixel is usable."""
+    return np.where(np.isfinite(background.variance), frame.image - background.level, 0.0)
+
+
+def _peaks_of(
+    light: FloatArray, background: Background, psf: PSF, threshold_sigmas: float, tuning: DetectionTuning
+) -> tuple[FloatArray, FloatArray]:
+    snr, noise = significance(light, background, psf, tuning), photon_noise(light, background)
+    return peaks(snr, noise, psf, threshold_sigmas, tuning)
+
+
+def _without_defects(
+    frame: Frame, background: Background, psf: PSF, tuning: DetectionTuning
+) -> tuple[Frame, Background]:
+    """The frame with its defects flagged, and the background with infinite variance there."""
+    frame = marked(frame, background, psf, tuning)
     unusable = (frame.flags & (Flag.HOT | Flag.COSMIC | Flag.MASKED)) != 0
     return frame, replace(background, variance=np.where(unusable, np.inf, background.variance).astype(np.float32))
 
 
 def _mean_psf(frame: Frame, background: Background, detection: Detection) -> PSF:
-    """The mean star, from bright ones that are single and not saturated; of a first guess, then of the result."""
-    light = np.where(np.isfinite(background.variance), frame.image - background.level, 0.0)
-    psf = _FIRST
+    """The PSF of bright stars that are single and not saturated, measured by a first guess, then by the result."""
+    tuning, light = detection.tuning, _above_sky(frame, background)
+    psf = PSF(tuning.first_sigma_px**2 * np.eye(2))
     for _ in range(2):
-        xy, snr = peaks(
-            significance(light, background, psf),
-            photon_noise(light, background),
-            psf,
-            max(detection.threshold_sigmas, 8.0),
-        )
-        xy = _single(frame, xy, snr, 4 * psf.fwhm_px)[:_STARS_FOR_SPREAD]
+        xy, snr = _peaks_of(light, background, psf, max(detection.threshold_sigmas, 8.0), tuning)
+        xy = _single(frame, xy, snr, 4 * psf.fwhm_px)[: tuning.psf_stars]
         if len(xy) < 3:
             return psf
-        found, windows = adaptive(light, background, xy, np.broadcast_to(psf.matrix, (len(xy), 2, 2)))
-        good = found.settled & ~found.at_edge & (found.usable > 0.9) & (found.weight > 0)
+        start = np.broadcast_to(psf.matrix, (len(xy), 2, 2))
+        stars, windows = adaptive(light, background, xy, start, tuning=tuning)
+        good = stars.settled & ~stars.at_edge & (stars.usable > 0.9) & (stars.weight > 0)
         if good.sum() < 3:
             return psf
         half = int(np.ceil(2.2 * psf.fwhm_px))
-        stamps = cut(light, background, np.rint(found.xy[good]).astype(int), half)
-        dx, dy = stamps.x - found.xy[good, 0, None, None], stamps.y - found.xy[good, 1, None, None]
-        share = stamps.light / (2 * found.weight[good])[:, None, None]
+        stamps = cut(light, background, np.rint(stars.xy[good]).astype(int), half)
+        dx, dy = stamps.x - stars.xy[good, 0, None, None], stamps.y - stars.xy[good, 1, None, None]
+        share = stamps.light / (2 * stars.weight[good])[:, None, None]
         pixels = [tuple(np.broadcast_arrays(*each)) for each in zip(dx, dy, share, strict=True)]
         psf = PSF.from_stars(windows[good], pixels)  # type: ignore[arg-type]
     return psf
@@ -304,9 +274,13 @@ def _single(frame: Frame, xy: FloatArray, snr: FloatArray, reach_px: float) -> F
 
 @dataclass(frozen=True)
 class _Blended:
-    """Centroids in the common window with the neighbours' light taken away. before : (n, 2) without that."""
+    """Centroids in the common window with the neighbours' light taken away.
 
-    found: Centroids
+    snr : (n,) significance of the peaks. before : (n, 2) centroids with the neighbours' light. residual : (rows,
+    columns) light without that of the stars, which is ``own``.
+    """
+
+    centroids: Centroids
     flux: FloatArray
     snr: FloatArray
     before: FloatArray
@@ -315,44 +289,43 @@ class _Blended:
 
 
 def _neighbours_apart(
-    light: FloatArray, background: Background, psf: PSF, xy: FloatArray, snr: FloatArray, threshold: float
+    light: FloatArray, background: Background, psf: PSF, xy: FloatArray, snr: FloatArray, detection: Detection
 ) -> _Blended:
     """Measures, takes all stars off the frame, puts each one back alone, measures again."""
-    window, collected = psf.window(), psf.collected()
-    windows = np.broadcast_to(window, (len(xy), 2, 2))
-    found = centroids(light, background, xy, windows)
-    before, own, residual = found.xy, None, light
-    for _ in range(_NEIGHBOUR_ROUNDS):
-        flux = np.maximum(found.weight, 0) / collected
-        own = Own(found.xy, flux, psf)
-        residual = light - _model(own, light.shape)
-        found = centroids(residual, background, xy, windows[: len(xy)], own)
-        lasting = _lasting(found, snr, threshold, psf)
-        if not lasting.all():
-            found = Centroids(**{name: value[lasting] for name, value in vars(found).items()})
-            snr, before, xy = snr[lasting], before[lasting], xy[lasting]
-    flux = np.maximum(found.weight, 0) / collected
-    own = Own(found.xy, flux, psf)
-    return _Blended(found, flux, snr, before, light - _model(own, light.shape), own)
+    tuning, collected = detection.tuning, psf.collected()
+    windows = np.broadcast_to(psf.window(), (len(xy), 2, 2))
+    stars = centroids(light, background, xy, windows, tuning=tuning)
+    before = stars.xy
+    for _ in range(tuning.neighbour_passes):
+        own = Own(stars.xy, np.maximum(stars.weight, 0) / collected, psf)
+        residual = light - _model(own, light.shape, tuning)
+        stars = centroids(residual, background, xy, windows[: len(xy)], own, tuning)
+        remains = _remains(stars, snr, detection.threshold_sigmas, psf)
+        if not remains.all():
+            stars = Centroids(**{name: value[remains] for name, value in vars(stars).items()})
+            snr, before, xy = snr[remains], before[remains], xy[remains]
+    flux = np.maximum(stars.weight, 0) / collected
+    own = Own(stars.xy, flux, psf)
+    return _Blended(stars, flux, snr, before, light - _model(own, light.shape, tuning), own)
 
 
-def _lasting(found: Centroids, snr: FloatArray, threshold: float, psf: PSF) -> BoolArray:
-    """Not what vanishes with the light of a neighbour, nor what has slid onto one."""
+def _remains(stars: Centroids, snr: FloatArray, threshold: float, psf: PSF) -> BoolArray:
+    """(n,) without the stars that vanish with the light of a neighbour, and those that have slid onto one."""
     from scipy.spatial import cKDTree
 
-    lasting = found.weight > 0.75 * threshold * np.sqrt(found.weight_variance)
-    pairs = cKDTree(found.xy).query_pairs(0.6 * psf.fwhm_px, output_type="ndarray")
+    remains = stars.weight > 0.75 * threshold * np.sqrt(stars.weight_variance)
+    pairs = cKDTree(stars.xy).query_pairs(0.6 * psf.fwhm_px, output_type="ndarray")
     if len(pairs):
-        lasting[pairs.max(axis=1)] = False  # rows are ordered by significance
-    return np.asarray(lasting | (np.arange(len(snr)) == 0))
+        remains[pairs.max(axis=1)] = False  # rows are ordered by significance
+    return np.asarray(remains | (np.arange(len(snr)) == 0))
 
 
-def _model(own: Own, shape: tuple[int, ...]) -> FloatArray:
+def _model(own: Own, shape: tuple[int, ...], tuning: DetectionTuning) -> FloatArray:
     """(rows, columns) light of all stars."""
     model = np.zeros(shape)
     half = int(np.ceil(4 * own.psf.fwhm_px))
     reach = np.arange(-half, half + 1)
-    step = max(1, 4_000_000 // len(reach) ** 2)
+    step = max(1, tuning.pixels_at_once // len(reach) ** 2)
     for first in range(0, len(own.xy), step):
         xy, flux = own.xy[first : first + step], own.flux[first : first + step]
         centre = np.rint(xy).astype(int)
@@ -366,86 +339,91 @@ def _model(own: Own, shape: tuple[int, ...]) -> FloatArray:
 
 @dataclass(frozen=True)
 class _Shapes:
-    """What bright stars look like: rows (k,), their matrices (k, 2, 2) and centroids in windows of that shape."""
+    """The shapes of bright stars: rows (k,), their matrices (k, 2, 2) and centroids in windows of that shape."""
 
     rows: IntArray
     matrices: FloatArray
-    found: Centroids
+    centroids: Centroids
+    tuning: DetectionTuning
 
     @classmethod
-    def of(cls, background: Background, psf: PSF, stars: _Blended) -> _Shapes:
-        told = np.minimum(stars.found.weight / np.sqrt(stars.found.weight_variance), stars.snr) > _SHAPE_SNR
-        rows = np.flatnonzero(told)
+    def of(cls, background: Background, psf: PSF, stars: _Blended, tuning: DetectionTuning) -> _Shapes:
+        common = stars.centroids
+        snr = np.minimum(common.weight / np.sqrt(common.weight_variance), stars.snr)
+        rows = np.flatnonzero(snr > tuning.shape_snr)
         own = Own(stars.own.xy[rows], stars.own.flux[rows], psf)
         start = np.broadcast_to(psf.matrix, (len(rows), 2, 2))
-        found, matrices = adaptive(stars.residual, background, stars.found.xy[rows], start, own)
-        return cls(rows, matrices, found)
+        own_windows, matrices = adaptive(stars.residual, background, common.xy[rows], start, own, tuning)
+        return cls(rows, matrices, own_windows, tuning)
 
     def wider(self, psf: PSF, snr: FloatArray) -> BoolArray:
         """(k,) where the common window is too narrow by more than noise may do."""
         mean = np.sqrt(np.linalg.det(psf.matrix))
         area = np.sqrt(np.linalg.det(self.matrices))
-        return np.asarray(self.found.settled & (area > mean * _WIDER**2 * (1 + 4 / snr[self.rows])))
+        return np.asarray(self.centroids.settled & (area > mean * self.tuning.wider**2 * (1 + 4 / snr[self.rows])))
 
     def trailed(self, psf: PSF) -> BoolArray:
         """(k,) longer than the mean star, and not as much wider."""
         values, mean = np.linalg.eigvalsh(self.matrices), np.linalg.eigvalsh(psf.matrix)
+        longer = self.tuning.longer
         return np.asarray(
-            (values[:, 1] > _LONGER**2 * mean[1]) & (values[:, 1] / values[:, 0] > _LONGER**2 * mean[1] / mean[0])
+            (values[:, 1] > longer**2 * mean[1]) & (values[:, 1] / values[:, 0] > longer**2 * mean[1] / mean[0])
         )
 
     def extended(self, psf: PSF) -> BoolArray:
         """(k,) wider along both axes."""
-        return np.asarray(np.linalg.eigvalsh(self.matrices)[:, 0] > _WIDER**2 * np.linalg.eigvalsh(psf.matrix)[0])
+        wider = self.tuning.wider
+        return np.asarray(np.linalg.eigvalsh(self.matrices)[:, 0] > wider**2 * np.linalg.eigvalsh(psf.matrix)[0])
 
 
 def _measurements(
     frame: Frame, background: Background, psf: PSF, stars: _Blended, detection: Detection
 ) -> Measurements:
     """Positions and errors: in the common window, or in that of the star where it is of another shape."""
-    found = stars.found
-    bright = (found.weight > 30 * np.sqrt(found.weight_variance)) & found.settled
-    usual = np.median(found.jacobian[bright], axis=0) if bright.sum() >= 5 else _theory(psf)
-    xy, covariance = found.xy.copy(), found.covariance(np.where(found.weight[:, None, None] > 0, usual, np.eye(2)))
-    flux, flux_err = stars.flux.copy(), np.sqrt(found.weight_variance) / psf.collected()
+    common, tuning = stars.centroids, detection.tuning
+    bright = (common.weight > 30 * np.sqrt(common.weight_variance)) & common.settled
+    usual = np.median(common.jacobian[bright], axis=0) if bright.sum() >= 5 else _theory(psf)
+    xy, covariance = common.xy.copy(), common.covariance(np.where(common.weight[:, None, None] > 0, usual, np.eye(2)))
+    flux, flux_err = stars.flux.copy(), np.sqrt(common.weight_variance) / psf.collected()
     flags = _flags_near(frame, xy, psf.fwhm_px)
     matrices = np.full((len(xy), 2, 2), np.nan)
-    shapes = _Shapes.of(background, psf, stars)
+    shapes = _Shapes.of(background, psf, stars, tuning)
     if len(shapes.rows):
         matrices[shapes.rows] = shapes.matrices
         wider, trailed = shapes.wider(psf, stars.snr), shapes.trailed(psf)
         other = wider & (trailed | shapes.extended(psf) | ((flags[shapes.rows] & Flag.SATURATED) != 0))
         rows = shapes.rows[other]
-        xy[rows] = shapes.found.xy[other]
-        covariance[rows] = shapes.found.covariance(_sane(shapes.found.jacobian))[other]
-        flux[rows] = 2 * shapes.found.weight[other]
-        flux_err[rows] = 2 * np.sqrt(shapes.found.weight_variance[other])
+        own = shapes.centroids
+        xy[rows] = own.xy[other]
+        covariance[rows] = own.covariance(_bounded(own.jacobian))[other]
+        flux[rows] = 2 * own.weight[other]
+        flux_err[rows] = 2 * np.sqrt(own.weight_variance[other])
         flags[rows] |= _flags_near(frame, xy[rows], 1.0, shapes.matrices[other])
         flags[shapes.rows[other & trailed]] |= np.uint16(Flag.TRAILED)
         # Longer without being a trail: two stars too near to be told apart, of which neither may be in the middle.
         pairs = shapes.rows[wider & ~other]
         flags[pairs] |= np.uint16(Flag.BLENDED)
-        covariance[pairs] += _PAIR_KEPT * (shapes.matrices[wider & ~other] - psf.matrix)
-    covariance = _allowed(covariance, stars, psf, flags, detection)
+        covariance[pairs] += tuning.pair_share * (shapes.matrices[wider & ~other] - psf.matrix)
+    covariance = _with_systematic_errors(covariance, stars, psf, flags, detection)
     order = np.argsort(-flux, kind="stable")
-    return _table(frame, background, psf, xy, covariance, flux, flux_err, matrices, stars.snr, flags, order)
+    return _table(frame, background, psf, xy, covariance, flux, flux_err, matrices, stars.snr, flags, order, tuning)
 
 
-def _allowed(
+def _with_systematic_errors(
     covariance: FloatArray, stars: _Blended, psf: PSF, flags: NDArray[np.uint16], detection: Detection
 ) -> FloatArray:
-    """Covariances with what noise does not tell: neighbours, pixels, saturation; sets the flags that go with it."""
-    found = stars.found
-    pull = found.xy - stars.before
+    """Covariances with the errors of neighbours, pixels and saturation; sets the flags that go with them."""
+    common = stars.centroids
+    pull = common.xy - stars.before
     sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2)
     flags[np.hypot(*pull.T) > 0.3 * sigma + 0.01] |= np.uint16(Flag.BLENDED)
-    flags[found.at_edge] |= np.uint16(Flag.EDGE)
-    flags[~found.settled] |= np.uint16(Flag.POOR)
-    covariance = covariance + _PULL_KEPT**2 * pull[:, :, None] * pull[:, None, :]
+    flags[common.at_edge] |= np.uint16(Flag.EDGE)
+    flags[~common.settled] |= np.uint16(Flag.POOR)
+    covariance = covariance + detection.tuning.pull_share**2 * pull[:, :, None] * pull[:, None, :]
     floor = detection.floor_px**2 + psf.phase_error_px() ** 2
     saturated = (flags & Flag.SATURATED) != 0
     covariance = covariance + (floor + np.where(saturated, (0.03 * psf.fwhm_px) ** 2, 0.0))[:, None, None] * np.eye(2)
-    covariance[~found.settled] = psf.matrix
+    covariance[~common.settled] = psf.matrix
     # A pair of stars is wider along one axis only: the excess along the other may be negative.
     values, vectors = np.linalg.eigh((covariance + covariance.transpose(0, 2, 1)) / 2)
     return np.asarray((vectors * np.maximum(values, floor + 1e-12)[:, None, :]) @ vectors.transpose(0, 2, 1))
@@ -463,11 +441,13 @@ def _table(
     snr: FloatArray,
     flags: NDArray[np.uint16],
     order: IntArray,
+    tuning: DetectionTuning,
 ) -> Measurements:
     values, vectors = np.linalg.eigh(np.where(np.isfinite(matrices), matrices, np.eye(2)))
-    told = np.isfinite(matrices).all(axis=(1, 2))
+    has_shape = np.isfinite(matrices).all(axis=(1, 2))
     theta = np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1])) % 180
-    a, b, theta = (np.where(told, column, np.nan) for column in (np.sqrt(values[:, 1]), np.sqrt(values[:, 0]), theta))
+    axes = np.sqrt(values[:, 1]), np.sqrt(values[:, 0]), theta
+    a, b, theta = (np.where(has_shape, column, np.nan) for column in axes)
     pixel = np.rint(xy).astype(int)
     x, y = np.clip(pixel[:, 0], 0, frame.shape[1] - 1), np.clip(pixel[:, 1], 0, frame.shape[0] - 1)
     columns = {
@@ -481,7 +461,7 @@ def _table(
         shape=frame.shape,
         psf_fwhm_px=psf.fwhm_px,
         name=frame.name,
-        notes=_notes(frame, background, psf),
+        notes=_notes(frame, background, psf, tuning),
         blind=_blind(frame, psf),
     )
 
@@ -496,12 +476,12 @@ def _blind(frame: Frame, psf: PSF) -> BoolArray | None:
     return np.asarray(uniform_filter(frame.masked.astype(np.float32), size, mode="nearest") > 0.5)
 
 
-def _notes(frame: Frame, background: Background, psf: PSF) -> tuple[str, ...]:
+def _notes(frame: Frame, background: Background, psf: PSF, tuning: DetectionTuning) -> tuple[str, ...]:
     count = {flag: int(((frame.flags & flag) != 0).sum()) for flag in (Flag.HOT, Flag.COSMIC, Flag.MASKED)}
     notes = [f"stars {psf.fwhm_px:.2f} px wide at half maximum, Moffat β {psf.beta:.1f}"]
     notes += [f"{n} pixels {Flag.words(flag)}" for flag, n in count.items() if n]
     axes = np.sqrt(np.linalg.eigvalsh(psf.matrix))
-    if axes[1] > _LONGER * axes[0]:
+    if axes[1] > tuning.longer * axes[0]:
         notes.append(f"doubt: the stars are trailed, {axes[1] / axes[0]:.1f} times longer than wide")
     shared = float(background.factor(np.array([psf.sigma_px]))[1][0])
     if shared > 1.2:
@@ -519,8 +499,8 @@ def _theory(psf: PSF) -> FloatArray:
     )
 
 
-def _sane(jacobian: FloatArray) -> FloatArray:
-    """Jacobians of single stars, kept from the singular ones of flat tops."""
+def _bounded(jacobian: FloatArray) -> FloatArray:
+    """Jacobians of single stars with eigenvalues of 0.15 … 1: flat tops have singular ones."""
     symmetric = (jacobian + jacobian.transpose(0, 2, 1)) / 2
     values, vectors = np.linalg.eigh(np.nan_to_num(symmetric))
     return np.asarray((vectors * np.clip(values, 0.15, 1.0)[:, None, :]) @ vectors.transpose(0, 2, 1))

@@ -1,4 +1,4 @@
-"""The field: a catalogue's stars where they are at the moment of a frame, with errors, brightness and colour."""
+"""The field: a catalogue's stars at the epoch of a frame, with errors, magnitudes and colours."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, naming
 from sameas.records import unpack
+from sameas.representation import in_short
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_values import numbers
 from sameas.sky.frame.stars import Stars
 from sameas.sky.frame.tangent import unit_vectors
 from sameas.space import sphere_offset
 
-#: Columns that are a colour, and pairs of magnitudes whose difference is one, in the order they are looked for.
+#: Columns that hold a colour, and pairs of magnitudes whose difference is one, in the order of the search.
 COLOURS = ("bp_rp", "BP-RP", "b_v", "B-V", "g_r", "J-K")
 DIFFERENCES = (
     ("phot_bp_mean_mag", "phot_rp_mean_mag"),
@@ -50,16 +51,17 @@ class Cone:
         return apart + other.radius_deg <= self.radius_deg + 1e-9
 
 
+@in_short
 @dataclass(frozen=True)
 class StarField:
     """Stars of a catalogue at one epoch. Make it with :meth:`StarField.of`.
 
     Attributes
     ----------
-    name : of the catalogue. epoch_jyr : where the stars are shown at, None where each stayed at its own epoch.
+    name : of the catalogue. epoch_jyr : of the positions, None where each is of the star's own epoch.
     rows : (n,) of the catalogue's table. ids : (n,) its identifiers.
     ra_deg, dec_deg : (n,) ICRS. covariance_arcsec : (n, 3) east-east, east-north, north-north in arcsec².
-    magnitude, colour : (n,), NaN where not known. colour_name : what the colour is, empty if there is none.
+    magnitude, colour : (n,), NaN where not known. colour_name : column or difference of columns, empty if none.
     moved_arcsec : (n, 2) east and north from the catalogue's own epoch to this one.
     """
 
@@ -81,8 +83,8 @@ class StarField:
     ) -> StarField:
         """The catalogue's usable stars at an epoch.
 
-        epoch_jyr : Julian year of the frame, None if it is not known. motion : False leaves every star where it was
-        observed, to see what motion does. near : only stars in this cone.
+        epoch_jyr : Julian year of the frame, None if it is not known. motion : False leaves every star at its own
+        epoch, for comparison. near : only stars in this cone.
 
         Raises
         ------
@@ -140,13 +142,13 @@ class StarField:
         return np.asarray(self.vectors @ cone.direction >= math.cos(math.radians(min(cone.radius_deg, 180.0))))
 
     def stars(self) -> Stars:
-        """The same as placing asks for them; the error is the mean of both axes."""
+        """The stars as :func:`sameas.sky.frame.place.place` takes them; the error is the mean of both axes."""
         sigma = np.sqrt(np.trace(unpack(self.covariance_arcsec, 2), axis1=1, axis2=2) / 2.0)
         return Stars(self.ra_deg, self.dec_deg, sigma, self.magnitude, self.name)
 
 
 def _near(catalogue: Catalogue, cone: Cone, epoch_jyr: float | None) -> IntArray:
-    """Rows of the catalogue that are in a cone, or may have come there by their motion."""
+    """Rows of the catalogue that are in a cone, or may have moved into it."""
     a = catalogue.astrometry
     chord = np.linalg.norm(unit_vectors(a.ra_deg, a.dec_deg) - cone.direction, axis=1)
     apart_deg = np.degrees(2 * np.arcsin(np.clip(chord / 2, 0.0, 1.0)))
@@ -186,6 +188,6 @@ def _colour(catalogue: Catalogue) -> tuple[FloatArray, str]:
 
 
 def _plausible(colour: FloatArray) -> FloatArray:
-    """Colours; numbers that surveys write for none are none."""
+    """Colours; NaN for the numbers that surveys write where there is none."""
     with np.errstate(invalid="ignore"):
         return np.where(np.abs(colour) < 20.0, colour, np.nan)

@@ -1,4 +1,4 @@
-"""Identify and refine: which star each measurement is, and the plate model, each from the other until both rest.
+"""Identify and refine: which star each measurement is, and the plate model, alternately until both have converged.
 
 Stars are predicted on the frame with their errors and those of the plate model; measurements and predictions are
 identified in pixels (:func:`sameas.estimate.match`); the plate is fitted again to all candidate pairs, each with
@@ -19,42 +19,62 @@ from sameas.errors import InputError
 from sameas.estimate.match import Estimate, match
 from sameas.evidence import Magnitudes
 from sameas.records import Records
+from sameas.representation import in_short
 from sameas.result import Identification
 from sameas.sky.frame.field import StarField
 from sameas.sky.frame.measurements import Flag, Measurements
-from sameas.sky.frame.photometry import Completeness, ZeroPoint
+from sameas.sky.frame.photometry import Completeness, PhotometryTuning, ZeroPoint
 from sameas.sky.frame.place import Placement
-from sameas.sky.frame.plate import MatchedStars, PlateModel, fit_plate
+from sameas.sky.frame.plate import MatchedStars, PlateModel, PlateTuning, fit_plate
 
 #: Magnitudes of a relative error of one.
 POGSON = 2.5 / math.log(10.0)
-#: Stars predicted outside the frame by less than this, px, may be measured on its edge (chosen).
-MARGIN_PX = 2.0
-#: Pairs less probable than this are not used for the plate (chosen).
-LEAST_WEIGHT = 0.02
-#: A first plate of more pairs than this may be of higher order than linear (chosen).
-SURE_OF_ORDER = 30
-#: Stars that the frame shows with less than this probability are no candidates.
-UNSEEN = 0.01
-#: Stars that the frame shows with at least this probability are missing when they are not found.
+#: Stars that the frame shows with at least this probability are missing when they are not identified.
 EXPECTED = 0.5
 
 
 @dataclass(frozen=True)
-class Refinement:
-    """How the loop goes.
+class RefinementTuning:
+    """Numbers of the refinement, all chosen.
 
-    order : of the plate's polynomial, 1 … 5, None for the one of least BIC. rounds : at most so many.
-    settled_px : the loop rests when no prediction moves farther.
-    magnitudes : "auto" takes brightness as evidence, once the places agree and where the catalogue knows it; "off".
+    Attributes
+    ----------
+    margin_px : stars predicted outside the frame by less than this may be measured on its edge.
+    least_p_pair : pairs less probable than this are not used for the plate.
+    pairs_beyond_linear : the first plate may be of higher order than linear with more pairs than this.
+    least_p_detect : stars that the frame shows with less than this probability are no candidates.
+    plate, photometry : numbers of the two fits.
+    """
+
+    margin_px: float = 2.0
+    least_p_pair: float = 0.02
+    pairs_beyond_linear: int = 30
+    least_p_detect: float = 0.01
+    plate: PlateTuning = field(default_factory=PlateTuning)
+    photometry: PhotometryTuning = field(default_factory=PhotometryTuning)
+
+
+TUNING = RefinementTuning()
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """How identification and plate are refined.
+
+    order : of the plate's polynomial, 1 … 5, None for the one of least BIC. iterations : at most.
+    settled_px : converged when no prediction moves farther.
+    magnitudes : "auto" takes brightness as evidence from the second iteration on, where the catalogue has magnitudes;
+        "off" never does.
     """
 
     order: int | None = None
-    rounds: int = 8
+    iterations: int = 8
     settled_px: float = 0.01
     magnitudes: Literal["auto", "off"] = "auto"
+    tuning: RefinementTuning = field(default=TUNING, repr=False)
 
 
+@in_short
 @dataclass(frozen=True)
 class FrameIdentification:
     """A frame identified with a catalogue. Rows of ``result`` are rows of ``measured`` and of ``stars``.
@@ -65,10 +85,10 @@ class FrameIdentification:
         those far too faint, were no candidates.
     placement : where the search started. plate : the refined plate model.
     result, estimate : the identification in pixels, measurements first.
-    predicted_px : (m, 2) where the plate sees each star; predicted_covariance : (m, 3) of it, px².
-    candidate : (m,) the stars that took part.
-    zero_point, completeness : of brightness, None where nothing is known of it.
-    rounds, settled : of the loop. notes : what a user should know.
+    predicted_px : (m, 2) pixel of each star by the plate model; predicted_covariance : (m, 3) of it, px².
+    candidate : (m,) the stars that could be identified.
+    zero_point, completeness : of brightness, None where no magnitudes are known.
+    iterations, settled : of the refinement, and whether it converged. notes : what a user should know.
     """
 
     measured: Measurements
@@ -82,20 +102,20 @@ class FrameIdentification:
     candidate: BoolArray = field(repr=False)
     zero_point: ZeroPoint | None
     completeness: Completeness | None
-    rounds: int
+    iterations: int
     settled: bool
     notes: tuple[str, ...] = ()
 
     @property
     def pairs(self) -> tuple[IntArray, IntArray, FloatArray]:
         """Rows of the measurements, rows of the stars, and probabilities of the identified pairs."""
-        found = self.result.matches
-        return found.rows_1, found.rows_2, found.p_match
+        matches = self.result.matches
+        return matches.rows_1, matches.rows_2, matches.p_match
 
     @cached_property
     def inside(self) -> BoolArray:
         """(m,) whether each star is predicted within the frame, where one can be measured."""
-        return _seeable(self.predicted_px, self.measured, 0.0)
+        return _measurable(self.predicted_px, self.measured, 0.0)
 
     @cached_property
     def p_detect(self) -> FloatArray:
@@ -107,9 +127,9 @@ class FrameIdentification:
     @cached_property
     def missing(self) -> IntArray:
         """Rows of the stars: stars that the frame should show and that no measurement is identified with."""
-        found = np.zeros(len(self.stars), np.bool_)
-        found[self.pairs[1]] = True
-        return np.flatnonzero(self.inside & ~found & (self.p_detect >= EXPECTED))
+        identified = np.zeros(len(self.stars), np.bool_)
+        identified[self.pairs[1]] = True
+        return np.flatnonzero(self.inside & ~identified & (self.p_detect >= EXPECTED))
 
     @cached_property
     def residual_px(self) -> FloatArray:
@@ -143,7 +163,7 @@ def identify_frame(
     Parameters
     ----------
     measured : the measurements. stars : the field, at the frame's epoch; the placement's star rows are its rows.
-    placement : where the frame points. refinement : how the loop goes.
+    placement : where the frame points. refinement : how identification and plate are refined.
 
     Raises
     ------
@@ -151,45 +171,49 @@ def identify_frame(
 
     Example: ``identify_frame(measurements, stars, placement).plate.describe()``.
     """
-    how = refinement or Refinement()
-    first, faintest = measured.records(), None
-    plate = _first_plate(measured, stars, placement, how)
+    refinement = refinement or Refinement()
+    tuning, records, faintest = refinement.tuning, measured.records(), None
+    plate = _first_plate(measured, stars, placement, tuning)
     px, covariance = _predicted(plate, stars)
-    for rounds in range(1, how.rounds + 1):
-        candidate = _candidates(px, stars, measured, faintest)
-        # Brightness would hold wrong pairs of the first plate as fast as right ones.
-        bright = None if rounds == 1 or how.magnitudes == "off" else _brightness(measured, stars)
-        result, estimate = match(first, _records(px, covariance, candidate, stars), brightness=bright)
-        completeness = _completeness(px, stars, result, measured)
+    for iteration in range(1, refinement.iterations + 1):
+        candidate = _candidates(px, stars, measured, faintest, tuning.margin_px)
+        # By the first plate brightness would confirm wrong pairs as well as right ones.
+        bright = None if iteration == 1 or refinement.magnitudes == "off" else _brightness(measured, stars)
+        result, estimate = match(records, _records(px, covariance, candidate, stars), brightness=bright)
+        completeness = _completeness(px, stars, result, measured, tuning)
         if completeness is not None:
-            faintest = completeness.faintest(UNSEEN)
-        plate = fit_plate(_matched(measured, stars, result), placement.pointing, measured.shape, order=how.order)
+            faintest = completeness.faintest(tuning.least_p_detect)
+        pairs = _matched(measured, stars, result, tuning.least_p_pair)
+        plate = fit_plate(pairs, placement.pointing, measured.shape, order=refinement.order, tuning=tuning.plate)
         before, inside = px, _within(px, measured.shape, 0.0)
         px, covariance = _predicted(plate, stars)
-        settled = bool(np.nanmax(np.abs(px - before)[inside], initial=0.0) < how.settled_px)
-        if settled and rounds > 1:
+        settled = bool(np.nanmax(np.abs(px - before)[inside], initial=0.0) < refinement.settled_px)
+        if settled and iteration > 1:
             break
-    i, j = result.matches.rows_1, result.matches.rows_2
-    zero = ZeroPoint.of(measured.flux[i], stars.magnitude[j], stars.colour[j], result.matches.p_match)
+    i, j, p = result.matches.rows_1, result.matches.rows_2, result.matches.p_match
+    zero = ZeroPoint.of(measured.flux[i], stars.magnitude[j], stars.colour[j], p, tuning.photometry)
     notes = _notes(result, estimate, plate, settled)
     return FrameIdentification(
-        measured, stars, placement, plate, result, estimate, px, covariance, candidate, zero, completeness, rounds,
+        measured, stars, placement, plate, result, estimate, px, covariance, candidate, zero, completeness, iteration,
         settled, notes,
     )  # fmt: skip
 
 
-def _first_plate(measured: Measurements, stars: StarField, placement: Placement, how: Refinement) -> PlateModel:
-    """The plate of the pairs that the placement stands on."""
+def _first_plate(
+    measured: Measurements, stars: StarField, placement: Placement, tuning: RefinementTuning
+) -> PlateModel:
+    """The plate of the pairs of the placement."""
     i, j = placement.rows_measured, placement.rows_stars
     pairs = _pairs(measured, stars, i, j, np.ones(len(i)))
-    return fit_plate(pairs, placement.pointing, measured.shape, order=None if len(i) > SURE_OF_ORDER else 1)
+    order = None if len(i) > tuning.pairs_beyond_linear else 1
+    return fit_plate(pairs, placement.pointing, measured.shape, order=order, tuning=tuning.plate)
 
 
-def _matched(measured: Measurements, stars: StarField, result: Identification) -> MatchedStars:
-    """All candidate pairs that say something of the plate, with their probabilities."""
-    telling = np.flatnonzero(result.p_pair >= LEAST_WEIGHT)
-    p = np.minimum(result.p_pair[telling], 1.0)
-    return _pairs(measured, stars, result.rows_1[telling], result.rows_2[telling], p)
+def _matched(measured: Measurements, stars: StarField, result: Identification, least_p_pair: float) -> MatchedStars:
+    """All candidate pairs that are probable enough to be used for the plate, with their probabilities."""
+    used = np.flatnonzero(result.p_pair >= least_p_pair)
+    p = np.minimum(result.p_pair[used], 1.0)
+    return _pairs(measured, stars, result.rows_1[used], result.rows_2[used], p)
 
 
 def _pairs(measured: Measurements, stars: StarField, i: IntArray, j: IntArray, p: FloatArray) -> MatchedStars:
@@ -217,19 +241,21 @@ def _within(px: FloatArray, shape: tuple[int, int], margin_px: float) -> BoolArr
         return np.asarray((x >= low) & (x <= columns) & (y >= low) & (y <= rows))
 
 
-def _seeable(px: FloatArray, measured: Measurements, margin_px: float) -> BoolArray:
+def _measurable(px: FloatArray, measured: Measurements, margin_px: float) -> BoolArray:
     """(m,) whether pixels lie on the frame, or not farther outside than a margin, and not where it is blind."""
-    seen = _within(px, measured.shape, margin_px)
+    measurable = _within(px, measured.shape, margin_px)
     if measured.blind is not None:
         rows, columns = measured.shape
         x, y = np.rint(np.nan_to_num(px)).astype(np.int64).T
-        seen &= ~measured.blind[np.clip(y, 0, rows - 1), np.clip(x, 0, columns - 1)]
-    return seen
+        measurable &= ~measured.blind[np.clip(y, 0, rows - 1), np.clip(x, 0, columns - 1)]
+    return measurable
 
 
-def _candidates(px: FloatArray, stars: StarField, measured: Measurements, faintest: float | None) -> BoolArray:
-    """(m,) stars on the frame that are not too faint to be seen."""
-    candidate = _seeable(px, measured, MARGIN_PX)
+def _candidates(
+    px: FloatArray, stars: StarField, measured: Measurements, faintest: float | None, margin_px: float
+) -> BoolArray:
+    """(m,) stars on the frame that are not too faint to be measured."""
+    candidate = _measurable(px, measured, margin_px)
     if faintest is not None:
         candidate &= ~(stars.magnitude > faintest)
     if not candidate.any():
@@ -246,24 +272,26 @@ def _records(px: FloatArray, covariance: FloatArray, candidate: BoolArray, stars
 def _brightness(measured: Measurements, stars: StarField) -> tuple[Magnitudes, Magnitudes] | None:
     """Instrumental magnitudes and those of the stars; None where the catalogue has none.
 
-    The light of what is saturated, cut or not of a star's form says nothing.
+    Saturated measurements, cut ones and those that have no star's shape get no magnitude.
     """
     if not np.isfinite(stars.magnitude).any():
         return None
     usable = measured.clean(Flag.BLENDED) & (measured.flux > 0.0)
     flux = np.where(usable, measured.flux, np.nan)
-    shown = Magnitudes(-2.5 * np.log10(flux), POGSON * measured.flux_err / flux, ("instrumental",))
-    return shown, Magnitudes(stars.magnitude, names=("catalogue",))
+    instrumental = Magnitudes(-2.5 * np.log10(flux), POGSON * measured.flux_err / flux, ("instrumental",))
+    return instrumental, Magnitudes(stars.magnitude, names=("catalogue",))
 
 
 def _completeness(
-    px: FloatArray, stars: StarField, result: Identification, measured: Measurements
+    px: FloatArray, stars: StarField, result: Identification, measured: Measurements, tuning: RefinementTuning
 ) -> Completeness | None:
-    """The share of the stars on the frame that is found, by magnitude."""
-    p_found = np.zeros(len(stars))
-    np.add.at(p_found, result.rows_2, result.p_pair)
-    inside = _seeable(px, measured, -MARGIN_PX)
-    return Completeness.of(stars.magnitude[inside], p_found[inside]) if inside.any() else None
+    """The share of the stars on the frame that are identified, by magnitude."""
+    p_identified = np.zeros(len(stars))
+    np.add.at(p_identified, result.rows_2, result.p_pair)
+    inside = _measurable(px, measured, -tuning.margin_px)
+    if not inside.any():
+        return None
+    return Completeness.of(stars.magnitude[inside], p_identified[inside], tuning.photometry)
 
 
 def _notes(result: Identification, estimate: Estimate, plate: PlateModel, settled: bool) -> tuple[str, ...]:

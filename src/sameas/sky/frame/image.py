@@ -1,8 +1,8 @@
-"""Images: one frame of a FITS file, with what is known of its pixels and of its exposure.
+"""Images: one frame of a FITS file, with the facts of its exposure and the flags of its pixels.
 
 :func:`read` takes plain and compressed files (``.gz``, tile-compressed ``.fz``), any of several extensions, whole
 numbers (scaled and unsigned) and floats, planes of errors and of data quality beside the image, and a mask of the
-user. Whatever was assumed is a line of ``frame.facts``.
+user. ``frame.facts`` has a line for every assumption.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray
 from sameas.errors import InputError
+from sameas.representation import in_short
 from sameas.sky.frame.keywords import Facts, Given
 from sameas.sky.frame.measurements import PIXEL_FLAGS, Flag
 
@@ -29,7 +30,7 @@ PixelFlags = NDArray[np.uint16]
 _QUALITY = ("DQ", "MASK", "BPM", "FLAGS", "QUALITY")
 _ERROR = ("ERR", "ERROR", "SIGMA", "UNCERT", "RMS")
 _VARIANCE = ("VAR", "VARIANCE")
-# Bits of the masks of the Rubin pipelines, which also mark what was detected: their names, and what they mean here.
+#: Flags of the bits in masks of the Rubin pipelines, by their keywords; other bits mark detections.
 _PLANES = {
     "MP_BAD": Flag.MASKED,
     "MP_NO_DATA": Flag.MASKED,
@@ -38,18 +39,19 @@ _PLANES = {
 }
 
 
+@in_short
 @dataclass(frozen=True)
 class Frame:
-    """One image and what is known of it.
+    """One image and the facts of its exposure.
 
     Attributes
     ----------
-    image : (rows, columns) pixel values in ADU, or what BUNIT says; ``image[y, x]``. Not usable pixels hold 0.
+    image : (rows, columns) pixel values in ADU, or the unit of BUNIT; ``image[y, x]``. Pixels without a number hold 0.
     flags : (rows, columns) bits of :class:`Flag`: saturated, hot, cosmic, masked.
     facts : gain, noise, exposure, time, station and aim, and every assumption.
-    header : that of the image, the primary header's cards added where it has none of that name.
+    header : of the image, with the cards of the primary header that it lacks.
     name : of the file, used in messages.
-    sigma : (rows, columns) standard deviation of every pixel, where the file has such a plane, or None.
+    sigma : (rows, columns) standard deviation of every pixel, or None where the file has no such plane.
     """
 
     image: Image
@@ -67,11 +69,11 @@ class Frame:
 
     @property
     def masked(self) -> BoolArray:
-        """(rows, columns) where there is no usable number."""
+        """(rows, columns) the pixels without a usable number."""
         return np.asarray((self.flags & Flag.MASKED) != 0)
 
     def marked(self, where: BoolArray, flag: Flag) -> Frame:
-        """The frame with ``flag`` set where the mask says."""
+        """The frame with ``flag`` set on the pixels of a mask."""
         return replace(self, flags=self.flags | np.where(where, flag, 0).astype(np.uint16))
 
     @classmethod
@@ -88,9 +90,8 @@ class Frame:
     ) -> Frame:
         """A frame from arrays, checked.
 
-        image : (rows, columns). Not finite pixels are masked. mask : (rows, columns), true or not zero where a pixel
-        is not usable. flags : (rows, columns) bits of :class:`Flag`, as of another frame. sigma : standard deviation
-        of every pixel.
+        image : (rows, columns). Pixels that are not finite are masked. mask : (rows, columns), true or not zero where
+        a pixel is not usable. flags : (rows, columns) bits of :class:`Flag`. sigma : standard deviation of every pixel.
 
         Raises
         ------
@@ -134,9 +135,9 @@ def read(
     Parameters
     ----------
     path : plain, ``.gz`` or tile-compressed ``.fz``.
-    hdu : number or EXTNAME of the image; the first image (the first SCI where there are such) if not given.
+    hdu : number or EXTNAME of the image; by default the first extension named SCI, else the first image.
     mask : a second FITS file, not zero where a pixel is not usable.
-    given : what the user knows better than the header.
+    given : facts that replace those of the header.
 
     Raises
     ------
@@ -168,7 +169,7 @@ def _load(path: Path, hdu: int | str | None) -> tuple[dict[str, Any], Header, tu
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AstropyWarning)
-            # astropy would only warn, and fail later or give zeros.
+            # Without this astropy warns only, and fails later or gives zeros.
             warnings.filterwarnings("error", message="File may have been truncated")
             with path.open("rb") as file, fits.open(file, memmap=False) as hdus:
                 chosen, notes = _chosen(hdus, hdu, path)
@@ -209,21 +210,21 @@ def _chosen(hdus: Any, hdu: int | str | None, path: Path) -> tuple[int, tuple[st
     science = [k for k in images if hdus[k].name.upper() not in _QUALITY + _ERROR + _VARIANCE]
     if hdu is not None:
         try:
-            found = int(hdu) if str(hdu).isdigit() else hdus.index_of(hdu)
+            number = int(hdu) if str(hdu).isdigit() else hdus.index_of(hdu)
         except KeyError:
-            found = -1
-        if found not in images:
+            number = None
+        if number not in images:
             have = ", ".join(f"{k} ({hdus[k].name or 'primary'})" for k in images) or "none"
             raise InputError(f"{path.name}: no image in extension {hdu}; images: {have}")
-        return found, ()
+        return number, ()
     if not science:
         raise InputError(f"{path.name}: the file has no image of two dimensions, only {_contents(hdus)}")
     named = [k for k in science if hdus[k].name.upper() == "SCI"]
-    taken = (named or science)[0]
+    first = (named or science)[0]
     if len(science) == 1:
-        return taken, ()
-    others = ", ".join(f"{k} ({hdus[k].name or 'primary'})" for k in science if k != taken)
-    return taken, (f"image: extension {taken} ({hdus[taken].name or 'primary'}) taken; also there: {others}",)
+        return first, ()
+    others = ", ".join(f"{k} ({hdus[k].name or 'primary'})" for k in science if k != first)
+    return first, (f"image: extension {first} ({hdus[first].name or 'primary'}) taken; also there: {others}",)
 
 
 def _contents(hdus: Any) -> str:

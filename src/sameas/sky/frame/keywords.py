@@ -1,7 +1,7 @@
-"""Keywords: the facts of an exposure as headers tell them, each with the line that says where it comes from.
+"""Keywords: the facts of an exposure from its header, each with the line that says where it comes from.
 
-``facts.lines`` is made to be printed: what was found, under which name, what was assumed ("assumed: …") and what is
-doubtful ("doubt: …").
+``facts.lines`` are printed: each fact with its keyword, what was assumed ("assumed: …") and what is doubtful
+("doubt: …").
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.errors import InputError
+from sameas.representation import in_short
 from sameas.sky.frame.observation import Cards, Station, aim, middle, station
 
 if TYPE_CHECKING:
@@ -34,8 +35,14 @@ _READ_NOISE = (
     "ESO DET OUT1 RON",
 )
 _SATURATION = ("SATURATE", "SATLEVEL", "SATURAT", "SATURATI", "MAXLIN", "WELLDEPT", "SATUR_LV")
+# Arcsec per pixel, as observatories call it.
+_SCALE_NAMES = (
+    "SECPIX", "PIXSCALE", "SECPIX1", "PIXSCAL1", "ARCSECPP", "IM_SCALE", "IMSCALE", "PIXELSCL", "PIXSCAL", "SECPPIX",
+    "CCDSCALE",
+)  # fmt: skip
 _CALLED = {"gain_e_per_adu": "gain", "read_noise_e": "read noise", "saturation_adu": "saturation"}
-_HIGHEST_GAIN = 30.0  # e⁻ per ADU; above it GAIN is the setting of a camera, not a conversion
+#: Highest gain, e⁻ per ADU; a larger value of GAIN is a setting of the camera (chosen).
+_HIGHEST_GAIN = 30.0
 _ARCSEC_PER_RADIAN = 206264.80624709636
 
 
@@ -58,6 +65,7 @@ class Given:
                 raise InputError(f"given {name} is {value}; give a number {lowest}")
 
 
+@in_short
 @dataclass(frozen=True)
 class Facts:
     """What is known of an exposure.
@@ -142,7 +150,7 @@ class Facts:
             return self
         level, line = plateau(values), "saturation at {:g}: the brightest pixels pile up there"
         if not math.isfinite(level) and kind.kind in "ui" and kind.itemsize <= 2:
-            # A converter of fewer bits than the file has shows itself by a plateau; this is the whole range.
+            # A converter of fewer bits than the file has makes a plateau; without one the whole range is used.
             level, line = float(np.iinfo(kind).max), "assumed: saturation at {:g}, the largest number of the file"
         if not math.isfinite(level):
             return self
@@ -152,8 +160,8 @@ class Facts:
 def plateau(values: NDArray[Any]) -> float:
     """Level where the brightest pixels pile up, infinite if they do not.
 
-    Above the sky there are the fewer pixels the brighter they are; a detector that has reached its limit, and a
-    blackened plate, turns this round. The level is where the pile has risen to half its height.
+    Above the sky the number of pixels falls with brightness. It rises again at the limit of a detector and on a
+    blackened plate. The level is where that peak has risen to half its height.
     """
     middle_value, highest = float(np.median(values)), float(values.max())
     if not highest > middle_value:
@@ -165,7 +173,7 @@ def plateau(values: NDArray[Any]) -> float:
         return math.inf
     half = 0.5 * (counts[top] + counts[lowest])
     first = lowest + int(np.argmax(counts[lowest : top + 1] >= half))
-    # A pile in the uppermost bin is a limit of the numbers themselves: all of it is at its top.
+    # A peak in the uppermost bin is the limit of the numbers: all its pixels have the highest value.
     return float(edges[first]) if first < len(counts) - 1 else highest
 
 
@@ -192,7 +200,7 @@ def _electronics(cards: Cards, given: Given) -> tuple[dict[str, float], tuple[st
             lines += (f"{_CALLED[key]} {card.number():g} {unit} ({card.name})",)
     pedestal = cards.number(["PEDESTAL"])
     if pedestal is not None and pedestal.number():
-        # "Add this to each pixel for a zero-based level": the number itself is what was added, with its sign turned.
+        # The keyword is defined as "add this to each pixel for a zero-based level": minus what was added.
         facts["pedestal_adu"] = -pedestal.number()
         lines += (f"pedestal {-pedestal.number():g} ADU, taken away in calibration (PEDESTAL)",)
     for key in ("gain_e_per_adu", "read_noise_e", "saturation_adu"):
@@ -220,7 +228,7 @@ def _gain(cards: Cards) -> tuple[float, tuple[str, ...]]:
 
 
 def _scale(cards: Cards) -> tuple[float, tuple[str, ...]]:
-    card = cards.number(("SECPIX", "PIXSCALE", "SECPIX1", "PIXSCAL1", "ARCSECPP"))
+    card = cards.number(_SCALE_NAMES)
     if card is not None and card.number() > 0:
         return card.number(), (f"scale {card.number():g}″ per pixel ({card.name})",)
     pixel, focus = cards.number(("XPIXSZ", "PIXSIZE1")), cards.number(("FOCALLEN", "FOCUSLEN"))

@@ -1,10 +1,10 @@
-"""The listing of an identified frame: one row per measurement, and one per star of the catalogue that was not found.
+"""The listing of an identified frame: one row per measurement, and one per star of the frame that was not identified.
 
-``fate`` says what became of a row:
+``fate`` is one of
 
-- ``identified``: a measurement and the star it is;
+- ``identified``: a measurement with its star;
 - ``unidentified``: a measurement that is no star of the catalogue;
-- ``missing``: a star that the frame should show and no measurement is; ``remark`` says what stands in its place;
+- ``missing``: a star that the frame should show and no measurement is; ``remark`` says what was measured there;
 - ``too faint``: a star of the catalogue that the frame shows with a probability below a half.
 
 Measurements come first, brightest first, then stars. Pixels are given twice: ``x_px`` counts from 0, ``x_image`` as in
@@ -25,11 +25,11 @@ from sameas.sky.frame.measurements import Flag
 if TYPE_CHECKING:
     from astropy.table import Table
 
-#: Two stars nearer than this, in full widths of a star, give one mark (chosen).
+#: Two stars nearer than this, in full widths of a star, are measured as one (chosen).
 MERGED_WIDTHS = 1.5
 #: A saturated star hides what lies within this distance, in full widths of a star (chosen).
 HIDDEN_WIDTHS = 4.0
-#: Magnitudes by which a star must be brighter to hide another.
+#: Magnitudes by which a saturated star must be brighter to hide another (chosen).
 BRIGHTER = 0.5
 
 
@@ -102,7 +102,8 @@ def _where(identification: FrameIdentification, lost: IntArray) -> dict[str, _Co
     ra, dec, sky = identification.plate.to_sky(m.x_px, m.y_px, m.covariance)
     star_px, star_cov = px[lost], identification.predicted_covariance[lost]
     left_px, left_sky = (
-        _spread(identification, values) for values in (identification.residual_px, identification.residual_arcsec)
+        _per_measurement(identification, values)
+        for values in (identification.residual_px, identification.residual_arcsec)
     )
     measured, predicted = "measured, of a missing star predicted", "at the frame's epoch, from the catalogue"
     return {
@@ -169,11 +170,12 @@ def _how_bright(identification: FrameIdentification, lost: IntArray) -> dict[str
     colour = _taken(stars.colour, partner)
     with np.errstate(divide="ignore", invalid="ignore"):
         error = np.where(m.flux > 0, 1.0857 * m.flux_err / m.flux, np.nan)
-    seen = None if identification.zero_point is None else identification.zero_point(m.flux, colour.filled(np.nan))
+    zero_point = identification.zero_point
+    magnitude = None if zero_point is None else zero_point(m.flux, colour.filled(np.nan))
     return {
         "flux": (m.flux, None, "", "light above the sky, in the unit of the frame"),
         "flux_err": (m.flux_err, None, "", "its standard deviation"),
-        "magnitude": (seen, None, "mag", f"from the flux, in the band of {stars.name}"),
+        "magnitude": (magnitude, None, "mag", f"from the flux, in the band of {stars.name}"),
         "magnitude_err": (error, None, "mag", "from the error of the flux alone"),
         "star_magnitude": (_taken(stars.magnitude, partner), stars.magnitude[lost], "mag", f"from {stars.name}"),
         "star_colour": (colour, stars.colour[lost], "mag", stars.colour_name or "not known"),
@@ -183,7 +185,7 @@ def _how_bright(identification: FrameIdentification, lost: IntArray) -> dict[str
 
 
 def why_missing(identification: FrameIdentification, lost: IntArray) -> list[str]:
-    """What stands in the place of each of these stars, in words; (k,) rows of the stars."""
+    """Why these stars, (k,) rows, were not identified: what was measured in the place of each, in words."""
     from scipy.spatial import cKDTree
 
     m, px = identification.measured, identification.predicted_px
@@ -226,8 +228,8 @@ def _in_its_place(identification: FrameIdentification, i: int, row: int, owner: 
     return f"measurement {i}, {off:.1f} px away, is {identification.stars.ids[owner[i]]}; one mark for both"
 
 
-def _spread(identification: FrameIdentification, values: FloatArray) -> FloatArray:
-    """(n, d) per measurement; NaN where it is not identified."""
+def _per_measurement(identification: FrameIdentification, values: FloatArray) -> FloatArray:
+    """(n, d) values of the identified pairs, per measurement; NaN where it is not identified."""
     column = np.full((len(identification.measured), values.shape[1]), np.nan)
     column[identification.pairs[0]] = values
     return column

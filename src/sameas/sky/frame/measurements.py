@@ -1,4 +1,4 @@
-"""Measurements: what a frame shows, star by star, with the error of every number.
+"""Measurements: position, light and shape of every star on a frame, each with its error.
 
 Pixels are counted from 0 and a whole number is the middle of a pixel, as in NumPy: the lower left pixel reaches
 from −0.5 to 0.5. FITS headers, DS9 and SExtractor count from 1.
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.records import Records
+from sameas.representation import in_short
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -25,7 +26,7 @@ class Flag(IntFlag):
 
     SATURATED = 1  # some of its pixels have reached the limit of the detector
     HOT = 2  # it is, or covers, a pixel that is bright without light
-    COSMIC = 4  # it is, or covers, the hit of a particle
+    COSMIC = 4  # it is, or covers, the hit of a cosmic ray
     MASKED = 8  # some of its pixels are not usable: no number, marked bad, a dead column
     EDGE = 16  # the frame ends within its window
     BLENDED = 32  # a neighbour's light was taken away before it was measured
@@ -41,6 +42,7 @@ class Flag(IntFlag):
 PIXEL_FLAGS = Flag.SATURATED | Flag.HOT | Flag.COSMIC | Flag.MASKED
 
 
+@in_short
 @dataclass(frozen=True)
 class Measurements:
     """The stars and other marks of one frame, brightest first.

@@ -1,8 +1,15 @@
-"""Station: where a frame was taken, and where the telescope was aimed, as headers tell it.
+"""An exposure as its header describes it: the station, the direction of the telescope, the middle of the exposure.
 
-The sign of a longitude is not agreed upon: TheSkyX and the national observatories of the United States count west as
-positive, most others east. It is told by a letter or a comment, else by the sidereal time of the header, else by the
-program that wrote it, else east is assumed and a line says so.
+A header is read through :class:`Cards`, because observatories write one fact under many names: each fact is looked up
+by a list of names, the more certain ones first, and comes with a line on its keyword and how it was read.
+
+- :func:`station`: the sign of a longitude differs. TheSkyX and the national observatories of the United States count
+  west as positive, most others east. A letter or a comment decides it, else the sidereal time of the header, else the
+  program that wrote the header; else east is assumed, and a line says so.
+- :func:`aim`: the direction, from the first pair of keywords that holds one.
+- :func:`middle`: in this order the middle of the exposure, its start and end, its start and duration. DATE-OBS with a
+  time of day is preferred to MJD-OBS and JD, which are often of another moment; where they differ by more than the
+  exposure, a line says so. The scale is that of TIMESYS, UTC without one.
 """
 
 from __future__ import annotations
@@ -18,11 +25,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from astropy.io.fits import Header
     from astropy.time import Time
-
-# Cards: what a header says under the many names that observatories use for one thing.
-#
-# A fact is looked up by a list of names, the more certain ones first, and comes with the line that says where it was
-# found and how it was read.
 
 _SEXAGESIMAL = re.compile(
     r"^\s*([+-]?)\s*(\d+)[\s:hHdD°]+(\d+)(?:[\s:mM']+(\d+(?:\.\d*)?))?\s*[sS\"]?\s*([NSEWnsew]?)\s*$"
@@ -74,24 +76,24 @@ class Cards:
     header: Header
 
     def all(self, names: Iterable[str]) -> list[Card]:
-        """Those of the names that are there and have a value, in the order of the names."""
-        found = []
+        """The cards of those names that the header has with a value, in the order of the names."""
+        cards = []
         for name in names:
             for key in (name, f"HIERARCH {name}"):
                 if key in self.header:
                     value = self.header[key]
                     text = "" if value is None or type(value).__name__ == "Undefined" else str(value).strip()
                     if text and text.lower() not in ("nan", "n/a", "none", "unknown", "null"):
-                        found.append(Card(name, value, str(self.header.comments[key])))
+                        cards.append(Card(name, value, str(self.header.comments[key])))
                     break
-        return found
+        return cards
 
     def first(self, names: Iterable[str]) -> Card | None:
-        """The first of the names that is there and has a value."""
+        """The card of the first of the names that the header has with a value."""
         return next(iter(self.all(names)), None)
 
     def number(self, names: Iterable[str]) -> Card | None:
-        """The first of the names whose value is a finite number."""
+        """The card of the first of the names whose value is a finite number."""
         return next((card for card in self.all(names) if math.isfinite(card.number())), None)
 
 
@@ -124,7 +126,8 @@ _AIMS += (
     ("OBJRA", "OBJDEC"),
     ("CRVAL1", "CRVAL2"),
 )
-_SIDEREAL_TOLERANCE_H = 0.3  # the sidereal time may be that of the start, the middle or the end
+#: Hours by which a sidereal time may differ: it may be that of the start, the middle or the end.
+_SIDEREAL_TOLERANCE_H = 0.3
 
 
 @dataclass(frozen=True)
@@ -138,7 +141,7 @@ class Station:
 
 
 def station(cards: Cards, time: Time | None) -> tuple[Station | None, tuple[str, ...]]:
-    """The station, None where the header does not tell, and the lines that say how it was read."""
+    """The station, None where the header has none, and the lines on how it was read."""
     lat, lon = cards.first(_LATITUDE), cards.first(_LONGITUDE)
     if lat is None or lon is None:
         return None, ()
@@ -155,7 +158,7 @@ def station(cards: Cards, time: Time | None) -> tuple[Station | None, tuple[str,
 
 
 def _east(cards: Cards, card: Card, lon_deg: float, time: Time | None) -> tuple[float, str]:
-    """The longitude counted to the east, and what told its sign."""
+    """The longitude counted to the east, and by what its sign was decided."""
     letter = re.search(r"[EWew]\s*$", card.text())
     if letter:
         return (lon_deg if letter[0].strip().upper() == "E" else -lon_deg), "its letter"
@@ -195,7 +198,7 @@ def _code(cards: Cards) -> str:
 
 
 def aim(cards: Cards) -> tuple[tuple[float, float] | None, tuple[str, ...]]:
-    """ICRS direction (ra_deg, dec_deg) that the telescope was aimed at, None if not told, and the line on it."""
+    """ICRS direction (ra_deg, dec_deg) of the telescope, None if the header has none, and the line on it."""
     for names in _AIMS:
         ra, dec = (cards.first([name]) for name in names)
         if ra is None or dec is None or (names[0] == "CRVAL1" and not _is_equatorial(cards)):
@@ -217,7 +220,7 @@ def _is_equatorial(cards: Cards) -> bool:
 
 
 def _to_icrs(cards: Cards, ra_deg: float, dec_deg: float) -> tuple[float, float, str]:
-    """A direction of the header's EQUINOX, in ICRS. EPOCH, often that of the exposure, is not believed."""
+    """A direction of the header's EQUINOX, in ICRS. EPOCH is not used: it is often that of the exposure."""
     card = cards.number(["EQUINOX"])
     year = 2000.0 if card is None else card.number()
     if abs(year - 2000) < 0.01 or not 1800 < year < 2200:
@@ -226,15 +229,9 @@ def _to_icrs(cards: Cards, ra_deg: float, dec_deg: float) -> tuple[float, float,
     from astropy.coordinates import FK4, FK5, SkyCoord
 
     frame = FK4(equinox=f"B{year}") if year == 1950 else FK5(equinox=f"J{year}")
-    there = SkyCoord(ra_deg * u.deg, dec_deg * u.deg, frame=frame).icrs
-    return float(there.ra.deg), float(there.dec.deg), f", precessed from {year:g}"
+    direction = SkyCoord(ra_deg * u.deg, dec_deg * u.deg, frame=frame).icrs
+    return float(direction.ra.deg), float(direction.dec.deg), f", precessed from {year:g}"
 
-
-# Instant: the middle of an exposure, from the keywords that observatories really write.
-#
-# In the order in which they are believed: the middle of the exposure; its start and its end; its start and its
-# duration. DATE-OBS with a time of day is believed before MJD-OBS and JD, which are often of another moment; where
-# they differ by more than the exposure, a line says so. The scale is that of TIMESYS, UTC without one.
 
 _MIDDLE = ("DATE-AVG", "DATE-MID", "DATE_MID", "MIDPOINT", "MJD-AVG", "MJD-MID", "MJD_MID", "JD-MID", "JD_MID", "JDMID")
 _START = ("DATE-OBS", "DATE_OBS", "DATE-BEG", "DATE-STA", "DATEOBS", "UTSTART")
@@ -246,7 +243,7 @@ _SCALES |= {"TCG": "tcg", "UT1": "ut1"}
 _ISO = re.compile(r"^(\d{4})[-/](\d{1,2})[-/](\d{1,2})(?:[T\s]+(\S.*?)Z?)?$")
 _OLD = re.compile(r"^(\d{1,2})[/-](\d{1,2})[/-](\d{2}|\d{4})$")
 _FIRST_UTC_YEAR = 1960
-# TT − UT in seconds before there was UTC (Espenak & Meeus 2006, NASA/TP-2006-214141, from Morrison & Stephenson 2004).
+#: TT − UT in seconds before there was UTC (Espenak & Meeus 2006, NASA/TP-2006-214141, from Morrison & Stephenson 2004).
 _DELTA_T = (
     (1880, -5.0),
     (1900, -2.7),
@@ -261,34 +258,35 @@ _S_PER_DAY = 86400.0
 
 
 def middle(cards: Cards, exposure_s: float) -> tuple[Time | None, tuple[str, ...]]:
-    """The middle of the exposure, None where the header does not tell, and the lines that say how it was read.
+    """The middle of the exposure, None where the header has no time, and the lines on how it was read.
 
-    exposure_s : NaN if it is not known; the start then stands for the middle, and a line says so.
+    exposure_s : NaN if it is not known; the start is then taken for the middle, and a line says so.
     """
     scale, lines = _scale(cards)
     for card in cards.all(_MIDDLE):
         day = _day(card, cards)
         if day is not None:
-            return _told(day, scale, f"middle of the exposure ({card.name})", lines)
+            return _time_of(day, scale, f"middle of the exposure ({card.name})", lines)
     start = _start(cards)
     if start is None:
         return None, ()
     card, day, remark = start
     if card.says(r"\bmid"):
-        return _told(day, scale, f"middle of the exposure ({card.name}, as its comment says)", lines)
+        return _time_of(day, scale, f"middle of the exposure ({card.name}, as its comment says)", lines)
     lines += remark + _disagreement(cards, card, day, exposure_s)
     for end in cards.all(_END):
         last = _day(end, cards)
         if last is not None and last > day:
-            return _told((day + last) / 2, scale, f"midway between {card.name} and {end.name}", lines)
+            return _time_of((day + last) / 2, scale, f"midway between {card.name} and {end.name}", lines)
     if not math.isfinite(exposure_s):
-        return _told(
+        return _time_of(
             day, scale, f"start ({card.name})", (*lines, "assumed: exposure unknown, its start is taken for its middle")
         )
-    return _told(day + exposure_s / 2 / _S_PER_DAY, scale, f"start ({card.name}) and half the exposure", lines)
+    return _time_of(day + exposure_s / 2 / _S_PER_DAY, scale, f"start ({card.name}) and half the exposure", lines)
 
 
-def _told(day: float, scale: str, how: str, lines: tuple[str, ...]) -> tuple[Time, tuple[str, ...]]:
+def _time_of(day: float, scale: str, how: str, lines: tuple[str, ...]) -> tuple[Time, tuple[str, ...]]:
+    """The time of an MJD on a scale, in TT before there was UTC, and the lines with the one on ``how`` it was read."""
     from astropy.time import Time
 
     year = 1858.8 + day / 365.25
@@ -354,7 +352,7 @@ def _day(card: Card, cards: Cards) -> float | None:
 
 
 def _date(text: str) -> tuple[float, float | None] | None:
-    """MJD of the day and share of the day, None where it is not told."""
+    """MJD of the day and fraction of the day, None where the text has no time of day."""
     iso, old = _ISO.match(text), _OLD.match(text)
     if iso:
         year, month, day, clock = int(iso[1]), int(iso[2]), int(iso[3]), iso[4]
@@ -367,7 +365,16 @@ def _date(text: str) -> tuple[float, float | None] | None:
         mjd = float((datetime(year, month, day) - datetime(1858, 11, 17)).days)
     except ValueError:
         return None
-    return mjd, None if clock is None else _time_of_day(clock)
+    share = None if clock is None else _time_of_day(clock)
+    return mjd, None if share is None else share - _zone_of(clock or "")
+
+
+def _zone_of(clock: str) -> float:
+    """By what share of a day a time is ahead of UTC: 0 unless a zone stands behind it, as in 18:33:43-0700."""
+    zone = re.search(r":\d{2}(?:\.\d*)?\s*([+-])(\d{2}):?(\d{2})?$", clock.strip())
+    if zone is None:
+        return 0.0
+    return (1.0 if zone[1] == "+" else -1.0) * (int(zone[2]) + int(zone[3] or 0) / 60.0) / 24.0
 
 
 def _time_of_day(text: str) -> float | None:

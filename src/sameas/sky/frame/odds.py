@@ -9,7 +9,7 @@ area of the frame and N the density of a pair's residual,
 The second term counts the ways of pairing k of both [T1], the third is the flat prior of k (what METHOD 4.1 is for
 targets), and the last two are the price of the pointing: the volume that the data leave to shift, turn, scale and shear
 over the volume that was searched. So odds of 1000:1 mean the same for seven stars of a small field and for
-a search of the whole sky. How deep the two lists are compared is chosen, and the number of choices is paid for too.
+a search of the whole sky. How deep the two lists are compared is chosen, and the number of choices lowers the odds too.
 """
 
 from __future__ import annotations
@@ -31,30 +31,45 @@ from sameas.prior import PerPair
 from sameas.records import Records
 from sameas.sky.frame.tangent import Pointing, design
 
-#: How far the axes of a frame differ in scale, or from a right angle (1σ): refraction, tilt, pixels not quite square.
-SHEAR = 0.01
-#: The brightest of either list that are compared (chosen).
-DEEPEST = 2000
-#: Rounds of identification and fit at most; depths of each list at which the odds are taken (chosen).
-ROUNDS, DEPTHS = 7, 7
-#: A pointing whose log-odds are below this and did not rise in the last round is given up (chosen).
-HOPELESS = -15.0
+
+@dataclass(frozen=True)
+class OddsTuning:
+    """Numbers of the odds of a pointing, all chosen.
+
+    Attributes
+    ----------
+    shear : 1σ by which the axes of a frame differ in scale, or from a right angle: refraction, tilt, pixels that are
+        not square.
+    deepest : at most this many of the brightest measurements and stars are compared.
+    iterations : most iterations of identification and fit.
+    depths : depths of each list at which the odds are taken.
+    hopeless : a pointing is given up when its log-odds are below this and did not rise in the last iteration.
+    """
+
+    shear: float = 0.01
+    deepest: int = 2000
+    iterations: int = 7
+    depths: int = 7
+    hopeless: float = -15.0
+
+
+TUNING = OddsTuning()
 
 
 @dataclass(frozen=True)
 class SearchVolume:
-    """The volume that was searched: ``area_sr`` of the sky for the frame's middle, ``turn_rad`` of orientation,
+    """The volume that was searched: ``area_sr`` of the sky for the frame's middle, ``rotation_rad`` of orientation,
     ``log_scale`` the logarithm of the largest over the least scale, ``parities`` 1 or 2."""
 
     area_sr: float
-    turn_rad: float
+    rotation_rad: float
     log_scale: float
     parities: int
 
-    def log_volume(self, scale_rad: float) -> float:
+    def log_volume(self, scale_rad: float, tuning: OddsTuning = TUNING) -> float:
         """ln of the volume in pixels² · radians · ln scale · parities · shears."""
-        sides = self.area_sr / scale_rad**2 * self.turn_rad * self.log_scale * self.parities
-        return math.log(sides) + math.log(2 * math.pi * SHEAR**2)
+        sides = self.area_sr / scale_rad**2 * self.rotation_rad * self.log_scale * self.parities
+        return math.log(sides) + math.log(2 * math.pi * tuning.shear**2)
 
 
 @dataclass(frozen=True)
@@ -107,7 +122,7 @@ class PlateProblem:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What verification says of a pointing.
+    """A pointing that was verified.
 
     Attributes
     ----------
@@ -126,30 +141,36 @@ class Verdict:
     tolerance_px: float
 
 
-def verify(problem: PlateProblem, pointing: Pointing, volume: SearchVolume, tolerance_px: float) -> Verdict:
+def verify(
+    problem: PlateProblem,
+    pointing: Pointing,
+    volume: SearchVolume,
+    tolerance_px: float,
+    tuning: OddsTuning = TUNING,
+) -> Verdict:
     """The pointing refined to the measurements, with its odds.
 
-    Identification and fit alternate; what the residuals show beyond the quoted errors replaces ``tolerance_px``
-    round by round. The round with the best odds is returned.
+    Identification and fit alternate; in each iteration the error that the residuals have beyond the quoted ones
+    replaces ``tolerance_px``. The iteration with the best odds is returned.
     """
     nothing = np.empty(0, np.int64)
     best = Verdict(pointing, -math.inf, nothing, nothing, np.empty((0, 2)), (0, 0), tolerance_px)
     radius = problem.half_diagonal_px * float(np.sqrt(abs(np.linalg.det(pointing.cd))))
     rows = problem.stars_near(pointing.to_sky(problem.middle_px[None])[0], 1.2 * radius)
-    for _ in range(ROUNDS):
-        found = weigh(problem, rows, pointing, volume, tolerance_px)
-        if len(found.measured) < 3:
+    for _ in range(tuning.iterations):
+        verdict = weigh(problem, rows, pointing, volume, tolerance_px, tuning)
+        if len(verdict.measured) < 3:
             break
-        if found.log_odds > best.log_odds:
-            best = found
-        elif found.log_odds < HOPELESS:
+        if verdict.log_odds > best.log_odds:
+            best = verdict
+        elif verdict.log_odds < tuning.hopeless:
             break
-        step = _step(problem, found)
-        pointing = found.pointing.moved(step)
-        if not 0.5 < np.linalg.det(pointing.cd) / np.linalg.det(found.pointing.cd) < 2.0:
+        step = _step(problem, verdict, tuning)
+        pointing = verdict.pointing.moved(step)
+        if not 0.5 < np.linalg.det(pointing.cd) / np.linalg.det(verdict.pointing.cd) < 2.0:
             break
-        residual = _predicted_residual(problem, found, pointing)
-        tighter = max(_excess(problem, found, residual), 0.25 * tolerance_px)
+        residual = _predicted_residual(problem, verdict, pointing)
+        tighter = max(_excess(problem, verdict, residual), 0.25 * tolerance_px)
         if tighter > 0.95 * tolerance_px and np.abs(step[:2]).max() < 0.01:
             break
         tolerance_px = min(tolerance_px, tighter)
@@ -157,35 +178,41 @@ def verify(problem: PlateProblem, pointing: Pointing, volume: SearchVolume, tole
 
 
 def weigh(
-    problem: PlateProblem, rows: IntArray, pointing: Pointing, volume: SearchVolume, tolerance_px: float
+    problem: PlateProblem,
+    rows: IntArray,
+    pointing: Pointing,
+    volume: SearchVolume,
+    tolerance_px: float,
+    tuning: OddsTuning = TUNING,
 ) -> Verdict:
-    """The odds of a pointing as it stands; ``rows`` are the stars about the frame, brightest first."""
+    """The odds of a pointing without refinement; ``rows`` are the stars about the frame, brightest first."""
     predicted = pointing.to_px(problem.vectors[rows])
-    there = np.flatnonzero(problem.inside(predicted))[:DEEPEST]
-    rows, predicted = rows[there], predicted[there]
-    i, j = _paired(problem, rows, predicted, pointing, tolerance_px)
+    inside = np.flatnonzero(problem.inside(predicted))[: tuning.deepest]
+    rows, predicted = rows[inside], predicted[inside]
+    n = min(len(problem.px), tuning.deepest)
+    i, j = _paired(problem, n, rows, predicted, pointing, tolerance_px)
     residual = problem.px[i] - predicted[j]
     total = _total_covariance(problem, i, rows[j], pointing, tolerance_px)
     gain = math.log(problem.area_px) + log_density(residual, total)
-    score, depth = _deepest(gain, i, j, min(len(problem.px), DEEPEST), len(rows))
+    score, depth = _best_depth(gain, i, j, n, len(rows), tuning)
     used = (i < depth[0]) & (j < depth[1])
     columns = design(predicted[j[used]] - pointing.origin_px)
     information = np.einsum("nai,nab,nbj->ij", columns, inverse(total[used]), columns)
-    information[4:, 4:] += np.eye(2) / SHEAR**2
+    information[4:, 4:] += np.eye(2) / tuning.shear**2
     price = -0.5 * float(log_determinant(information)) + 3.0 * LOG_2PI
-    price -= volume.log_volume(math.sqrt(abs(np.linalg.det(pointing.cd))))
+    price -= volume.log_volume(math.sqrt(abs(np.linalg.det(pointing.cd))), tuning)
     singular = np.linalg.svd(pointing.cd, compute_uv=False)
-    price -= 0.5 * (0.5 * math.log(singular[0] / singular[1]) / SHEAR) ** 2
+    price -= 0.5 * (0.5 * math.log(singular[0] / singular[1]) / tuning.shear) ** 2
     enough = used.sum() >= 3
     log_odds = score + min(price, 0.0) if enough else -math.inf
     return Verdict(pointing, log_odds, i[used], rows[j[used]], residual[used], depth, tolerance_px)
 
 
 def _paired(
-    problem: PlateProblem, rows: IntArray, predicted: FloatArray, pointing: Pointing, tolerance_px: float
+    problem: PlateProblem, n: int, rows: IntArray, predicted: FloatArray, pointing: Pointing, tolerance_px: float
 ) -> tuple[IntArray, IntArray]:
-    """Measurements and predicted stars that are one, both as positions in the order of brightness."""
-    n, m = min(len(problem.px), DEEPEST), len(rows)
+    """Pairs of the n brightest measurements and predicted stars, both as positions in the order of brightness."""
+    m = len(rows)
     if not m:
         return np.empty(0, np.int64), np.empty(0, np.int64)
     wide = problem.covariance[:n] + tolerance_px**2 * np.eye(2)
@@ -205,13 +232,15 @@ def _paired(
     return i[order], j[order]
 
 
-def _deepest(gain: FloatArray, i: IntArray, j: IntArray, n: int, m: int) -> tuple[float, tuple[int, int]]:
+def _best_depth(
+    gain: FloatArray, i: IntArray, j: IntArray, n: int, m: int, tuning: OddsTuning
+) -> tuple[float, tuple[int, int]]:
     """The best score over how deep the two lists are compared, and that depth."""
     from scipy.special import gammaln
 
     if not len(gain):
         return -math.inf, (n, m)
-    ns, ms = _depths(n), _depths(m)
+    ns, ms = _depths(n, tuning.depths), _depths(m, tuning.depths)
     inside = (i[None, None, :] < ns[:, None, None]) & (j[None, None, :] < ms[None, :, None])
     k, total = inside.sum(axis=2), inside @ gain
     n_, m_ = ns[:, None], ms[None, :]
@@ -222,9 +251,9 @@ def _deepest(gain: FloatArray, i: IntArray, j: IntArray, n: int, m: int) -> tupl
     return float(score[a, b]), (int(ns[a]), int(ms[b]))
 
 
-def _depths(n: int) -> IntArray:
-    """Prefixes of a list of n, from four on, each about as many times longer."""
-    return np.unique(np.round(np.geomspace(min(4, n), n, DEPTHS)).astype(np.int64))
+def _depths(n: int, number: int) -> IntArray:
+    """Lengths of about ``number`` prefixes of a list of n, in geometric progression from 4 to n."""
+    return np.unique(np.round(np.geomspace(min(4, n), n, number)).astype(np.int64))
 
 
 def _total_covariance(
@@ -235,31 +264,31 @@ def _total_covariance(
     return np.asarray(problem.covariance[i] + star * np.eye(2))
 
 
-def _step(problem: PlateProblem, found: Verdict) -> FloatArray:
-    """(6,) the shift, growth, turn and shears that bring the predictions to the measurements; see ``design``."""
-    columns = design(found.pointing.to_px(problem.vectors[found.stars]) - found.pointing.origin_px)
-    total = _total_covariance(problem, found.measured, found.stars, found.pointing, found.tolerance_px)
+def _step(problem: PlateProblem, verdict: Verdict, tuning: OddsTuning = TUNING) -> FloatArray:
+    """(6,) shift, growth, rotation and shears that bring the predictions to the measurements; see ``design``."""
+    columns = design(verdict.pointing.to_px(problem.vectors[verdict.stars]) - verdict.pointing.origin_px)
+    total = _total_covariance(problem, verdict.measured, verdict.stars, verdict.pointing, verdict.tolerance_px)
     precision = inverse(total)
     step = np.zeros(6)
     weight = np.ones(len(total))
     for _ in range(2):
         weighted = np.einsum("nai,nab,n->nib", columns, precision, weight)
-        information = np.einsum("nib,nbj->ij", weighted, columns) + np.diag([0, 0, 0, 0, *2 * [SHEAR**-2]])
-        step = np.linalg.solve(information, np.einsum("nib,nb->i", weighted, found.residual_px))
-        left = found.residual_px - columns @ step
-        # Student's t with four degrees of freedom: a wrong pair or two do not pull.
+        information = np.einsum("nib,nbj->ij", weighted, columns) + np.diag([0, 0, 0, 0, *2 * [tuning.shear**-2]])
+        step = np.linalg.solve(information, np.einsum("nib,nb->i", weighted, verdict.residual_px))
+        left = verdict.residual_px - columns @ step
+        # Weights of Student's t with four degrees of freedom: a few wrong pairs do not pull.
         weight = 6.0 / (4.0 + np.einsum("ni,nij,nj->n", left, precision, left))
     return np.asarray(step)
 
 
-def _predicted_residual(problem: PlateProblem, found: Verdict, pointing: Pointing) -> FloatArray:
-    return np.asarray(problem.px[found.measured] - pointing.to_px(problem.vectors[found.stars]))
+def _predicted_residual(problem: PlateProblem, verdict: Verdict, pointing: Pointing) -> FloatArray:
+    return np.asarray(problem.px[verdict.measured] - pointing.to_px(problem.vectors[verdict.stars]))
 
 
-def _excess(problem: PlateProblem, found: Verdict, residual: FloatArray) -> float:
-    """The error per axis beyond the quoted ones that the typical residual shows, px."""
-    quoted = _total_covariance(problem, found.measured, found.stars, found.pointing, 0.0)
-    # A fit of 4 to 6 numbers has taken its share of 2k; the median of r² is 2 ln 2 σ² in two dimensions.
+def _excess(problem: PlateProblem, verdict: Verdict, residual: FloatArray) -> float:
+    """The error per axis that the typical residual has beyond the quoted ones, px."""
+    quoted = _total_covariance(problem, verdict.measured, verdict.stars, verdict.pointing, 0.0)
+    # The fit takes about 5 of the 2k degrees of freedom; the median of r² is 2 ln 2 σ² in two dimensions.
     share = max(2 * len(residual) - 5.0, 1.0) / (2 * len(residual))
     square = np.median(np.sum(residual**2, axis=1)) / (2 * math.log(2)) / share
     typical = 0.5 * np.median(np.trace(quoted, axis1=1, axis2=2))

@@ -1,4 +1,4 @@
-"""Patterns of three or four points that look the same however a frame is shifted, turned, scaled or mirrored.
+"""Patterns of three or four points, described so that shift, rotation and scale do not matter.
 
 The two points A, B farthest apart are put at 0 and 1 of the complex plane; where the others then lie is the pattern's
 *code* (Lang et al. 2010, AJ 139, 1782, section 2.1; there the others lie within the circle on A, B, here anywhere
@@ -51,15 +51,15 @@ def patterns(points: FloatArray, k: int, shortest: float = 0.0, longest: float =
 def codes(corner: FloatArray) -> tuple[IntArray, FloatArray]:
     """The order of the k points of each pattern (p, k, 2) and its code (p, 2(k−2)), the first two being A and B.
 
-    Which of the two is A, and who comes first of the others, is settled by the code itself: the others lie nearer to
-    A on the whole, and in the order of their real parts.
+    The code itself decides which of the two is A, and the order of the others: the sum of their real parts is smaller
+    with this A, and they are in ascending order of their real parts.
     """
     points = corner[..., 0] + 1j * corner[..., 1]
     rest = (points[:, 2:] - points[:, :1]) / (points[:, 1:2] - points[:, :1])
     k = points.shape[1]
-    turned = rest.real.sum(axis=1) > 0.5 * (k - 2)
-    rest[turned] = 1.0 - rest[turned]
-    ends = np.where(turned[:, None], [1, 0], [0, 1])
+    swapped = rest.real.sum(axis=1) > 0.5 * (k - 2)
+    rest[swapped] = 1.0 - rest[swapped]
+    ends = np.where(swapped[:, None], [1, 0], [0, 1])
     sequence = np.argsort(rest.real, axis=1, kind="stable")
     rest = np.take_along_axis(rest, sequence, axis=1)
     return np.hstack([ends, sequence + 2]), rest.view(np.float64).reshape(len(rest), 2 * (k - 2))
@@ -86,7 +86,7 @@ def sets_of_points(points: FloatArray, k: int, shortest: float, longest: float) 
     a, b = pairs.T
     pair, at = ranges(start[a], start[a + 1] - start[a])
     third = neighbour[at]
-    # Ties between equal sides go to no pattern: on a perfect grid nothing would be told apart anyway.
+    # Points with equal longest sides make no pattern: those of a perfect grid could not be distinguished.
     inside = (_distance(points, a[pair], third) < apart[pair]) & (_distance(points, b[pair], third) < apart[pair])
     pair, third = pair[inside], third[inside]
     if k == 3:
@@ -132,7 +132,7 @@ class PatternIndex:
         """Every code, in a k-d tree."""
         from scipy.spatial import cKDTree
 
-        # Codes are spread evenly enough for sliding midpoints, which build three times as fast.
+        # Codes are distributed evenly enough for sliding midpoints, which build the tree three times as fast (timed).
         return cKDTree(self.patterns.code, compact_nodes=False, balanced_tree=False)
 
     @cached_property
@@ -143,28 +143,28 @@ class PatternIndex:
         return cKDTree(self.vectors)
 
     def alike(
-        self, seen: Patterns, tolerance: float, scale_rad: tuple[float, float]
+        self, measured: Patterns, tolerance: float, scale_rad: tuple[float, float]
     ) -> tuple[IntArray, IntArray, BoolArray]:
-        """Pairs of patterns that look alike: rows of ``seen`` (pixels), rows of the index, mirrored or not.
+        """Pairs of patterns that are alike: rows of ``measured`` (pixels), rows of the index, mirrored or not.
 
         ``tolerance`` is the distance of two codes; ``scale_rad`` the least and largest angle of a pixel.
         """
         from scipy.spatial import cKDTree
 
-        found = []
-        # On the sky as the eye sees it x runs west: a frame that is not mirrored shows the conjugate code.
+        parts = []
+        # Seen from inside the sphere x runs west: a frame that is not mirrored has the conjugate code.
         for flipped in (False, True):
-            code = seen.code if flipped else mirrored(seen.code)
+            code = measured.code if flipped else mirrored(measured.code)
             if not len(code) or not len(self.patterns):
                 continue
             near = cKDTree(code).sparse_distance_matrix(self.tree, tolerance, output_type="ndarray")
             i, j = near["i"].astype(np.int64), near["j"].astype(np.int64)
-            scale = self.patterns.size[j] / seen.size[i]
+            scale = self.patterns.size[j] / measured.size[i]
             fits = (scale >= 0.98 * scale_rad[0]) & (scale <= 1.02 * scale_rad[1])
-            found.append((i[fits], j[fits], np.full(int(fits.sum()), flipped)))
-        if not found:
+            parts.append((i[fits], j[fits], np.full(int(fits.sum()), flipped)))
+        if not parts:
             return np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0, bool)
-        i, j, flip = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        i, j, flip = (np.concatenate(column) for column in zip(*parts, strict=True))
         order = np.lexsort((flip, j, i))
         return i[order], j[order], flip[order]
 

@@ -3,13 +3,13 @@
     m = z + c (colour − mean) + Σ_k r_k sᵏ,   s = (instrumental − mean) / spread,
 
 instrumental = −2.5 log₁₀ flux. A linear detector needs z and c only; photographic plates bend (r₂, r₃). Which terms
-are real is decided by BIC on the identified pairs, each with its probability; stragglers are weighed down.
+are real is decided by BIC on the identified pairs, each with its probability; outliers are weighed down.
 
 The probability that the frame shows a star of magnitude m is a falling curve,
 
     P_d(m) = top / (1 + exp((m − limit)/width)),
 
-fitted to the probabilities of being identified. It tells which stars the frame should have shown.
+fitted to the probabilities of being identified. By it stars are missing that the frame should show.
 """
 
 from __future__ import annotations
@@ -23,16 +23,31 @@ from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray
 
-#: Pairs that a zero point needs, and that every further term needs.
-FEWEST, PER_TERM = 3, 12
-#: Pairs of weight 1 that say "the curve is smooth" when there are few stars.
-PRIOR_STARS = 2.0
-ROUNDS = 12
-TAIL_SIGMAS = 3.0
-#: Stars per bin of the printed completeness, at least.
-PER_BIN = 20
-#: Cells of magnitude in which stars are counted for the fit.
-FINE = 150
+
+@dataclass(frozen=True)
+class PhotometryTuning:
+    """Numbers of the fits of zero point and completeness, all chosen.
+
+    Attributes
+    ----------
+    fewest_pairs : a zero point needs this many pairs. pairs_per_term : every further term needs this many more.
+    iterations : of the fit and its weights.
+    tail_sigmas : the weight of a residual beyond this many robust standard deviations falls as its inverse square.
+    prior_stars : the prior of the completeness weighs as much as this many stars.
+    stars_per_bin : bins of half a magnitude need this many stars, wider ones are used otherwise.
+    cells : stars are counted in this many cells of magnitude for the fit of the completeness.
+    """
+
+    fewest_pairs: float = 3
+    pairs_per_term: float = 12
+    iterations: int = 12
+    tail_sigmas: float = 3.0
+    prior_stars: float = 2.0
+    stars_per_bin: int = 20
+    cells: int = 150
+
+
+TUNING = PhotometryTuning()
 
 
 @dataclass(frozen=True)
@@ -41,8 +56,8 @@ class ZeroPoint:
 
     Attributes
     ----------
-    zero_point : magnitude of a star of flux 1 and mean colour, if the detector is linear; of one of mean brightness
-        and colour minus its instrumental magnitude in any case. sigma : its standard error.
+    zero_point : magnitude minus instrumental magnitude of a star of mean brightness and colour; on a linear detector
+        also the magnitude of a star of flux 1. sigma : its standard error.
     colour_term, colour_sigma : magnitudes per magnitude of colour, 0 where not needed or not known.
     bend : coefficients of s, s², s³; empty for a linear detector. centre, spread : of instrumental magnitudes.
     reach : least and largest s of the pairs; beyond them a curve goes on straight.
@@ -62,25 +77,33 @@ class ZeroPoint:
     pairs: float
 
     @classmethod
-    def of(cls, flux: FloatArray, magnitude: FloatArray, colour: FloatArray, weight: FloatArray) -> ZeroPoint | None:
+    def of(
+        cls,
+        flux: FloatArray,
+        magnitude: FloatArray,
+        colour: FloatArray,
+        weight: FloatArray,
+        tuning: PhotometryTuning = TUNING,
+    ) -> ZeroPoint | None:
         """The zero point of pairs with weights, (n,) each; None where there are fewer than three."""
+        fewest = tuning.fewest_pairs
         known = (flux > 0) & np.isfinite(magnitude) & (weight > 0)
-        if weight[known].sum() < FEWEST:
+        if weight[known].sum() < fewest:
             return None
         m, w = magnitude[known], weight[known]
-        seen = instrumental(flux[known])
-        centre, spread = float(np.average(seen, weights=w)), max(float(np.std(seen)), 1e-6)
-        s = (seen - centre) / spread
-        tint = colour[known]
-        coloured = np.isfinite(tint)
-        mean = float(np.average(tint[coloured], weights=w[coloured])) if w[coloured].sum() >= FEWEST else math.nan
-        tint = np.where(coloured, tint - mean, 0.0) if math.isfinite(mean) else np.zeros_like(s)
-        columns = {"colour": tint, "1": s, "2": s**2, "3": s**3}
+        measured = instrumental(flux[known])
+        centre, spread = float(np.average(measured, weights=w)), max(float(np.std(measured)), 1e-6)
+        s = (measured - centre) / spread
+        of_pairs = colour[known]
+        coloured = np.isfinite(of_pairs)
+        mean = float(np.average(of_pairs[coloured], weights=w[coloured])) if w[coloured].sum() >= fewest else math.nan
+        excess = np.where(coloured, of_pairs - mean, 0.0) if math.isfinite(mean) else np.zeros_like(s)
+        columns = {"colour": excess, "1": s, "2": s**2, "3": s**3}
         tries: list[tuple[str, ...]] = [(), ("1", "2"), ("1", "2", "3")]
-        if math.isfinite(mean) and np.ptp(tint) > 0:
+        if math.isfinite(mean) and np.ptp(excess) > 0:
             tries += [("colour", *terms) for terms in tries]
-        tries = [terms for terms in tries if w.sum() >= FEWEST + PER_TERM * len(terms)] or [()]
-        fits = {terms: _robust([columns[name] for name in terms], m - seen, w) for terms in tries}
+        tries = [terms for terms in tries if w.sum() >= fewest + tuning.pairs_per_term * len(terms)] or [()]
+        fits = {terms: _robust([columns[name] for name in terms], m - measured, w, tuning) for terms in tries}
         best = min(fits, key=lambda terms: fits[terms].bic)
         fit = fits[best]
         value, error = dict(zip(best, fit.terms[1:], strict=True)), dict(zip(best, fit.sigma[1:], strict=True))
@@ -100,15 +123,15 @@ class ZeroPoint:
 
     def __call__(self, flux: FloatArray, colour: FloatArray | None = None) -> FloatArray:
         """(n,) magnitudes of fluxes, for stars of mean colour where the colour is not known; NaN where flux ≤ 0."""
-        seen = instrumental(flux)
-        # A cubic runs away where there was nothing to fit it to.
-        s = np.clip((seen - self.centre) / self.spread, *self.reach)
-        result = seen + self.zero_point
+        measured = instrumental(flux)
+        # A cubic diverges beyond the pairs that it was fitted to.
+        s = np.clip((measured - self.centre) / self.spread, *self.reach)
+        result = measured + self.zero_point
         for power, factor in enumerate(self.bend, 1):
             result = result + factor * s**power
         if colour is not None:
-            tint = np.where(np.isfinite(colour), colour - self.mean_colour, 0.0)
-            result = result + self.colour_term * tint
+            excess = np.where(np.isfinite(colour), colour - self.mean_colour, 0.0)
+            result = result + self.colour_term * excess
         return result
 
     def describe(self) -> str:
@@ -134,23 +157,24 @@ class _MagnitudeFit:
     bic: float
 
 
-def _robust(columns: list[FloatArray], y: FloatArray, weight: FloatArray) -> _MagnitudeFit:
-    """Weighted least squares; residuals beyond three robust standard deviations are weighed down."""
+def _robust(columns: list[FloatArray], y: FloatArray, weight: FloatArray, tuning: PhotometryTuning) -> _MagnitudeFit:
+    """Weighted least squares; residuals beyond ``tail_sigmas`` robust standard deviations are weighed down."""
     a = np.column_stack([np.ones_like(y), *columns])
     down = np.ones_like(y)
-    # Begun from the weighted median: one wrong pair of seven must not decide what is a straggler.
+    # The weighted median is the start: one wrong pair of seven must not decide which pairs are outliers.
     left = y - _weighted_median(y, weight)
     scatter = 1.0
-    for round_ in range(ROUNDS):
-        if round_:
+    tail = tuning.tail_sigmas
+    for iteration in range(tuning.iterations):
+        if iteration:
             w = weight * down
             normal = a.T @ (w[:, None] * a) + 1e-9 * np.eye(a.shape[1])
             terms = np.linalg.solve(normal, a.T @ (w * y))
             left = y - a @ terms
         scatter = max(1.4826 * _weighted_median(np.abs(left), weight), 1e-3)
-        down = np.minimum(1.0, (TAIL_SIGMAS * scatter / np.maximum(np.abs(left), 1e-12)) ** 2)
+        down = np.minimum(1.0, (tail * scatter / np.maximum(np.abs(left), 1e-12)) ** 2)
     n = float(weight.sum())
-    loss = np.where(down < 1.0, TAIL_SIGMAS**2 * (1.0 - np.log(down)), (left / scatter) ** 2)
+    loss = np.where(down < 1.0, tail**2 * (1.0 - np.log(down)), (left / scatter) ** 2)
     bic = 2 * n * math.log(scatter) + float(weight @ loss) + a.shape[1] * math.log(max(n, 2.0))
     return _MagnitudeFit(np.asarray(terms), scatter * np.sqrt(np.diag(np.linalg.inv(normal))), scatter, bic)
 
@@ -163,9 +187,9 @@ def _weighted_median(values: FloatArray, weight: FloatArray) -> float:
 
 @dataclass(frozen=True)
 class Completeness:
-    """How probably the frame shows a star of a magnitude. Make it with :meth:`Completeness.of`.
+    """The probability that the frame shows a star, by its magnitude. Make it with :meth:`Completeness.of`.
 
-    top : of bright stars. limit : where half of that is left. width : how gradually it falls.
+    top : of bright stars. limit : magnitude at which it has fallen to half of that. width : of the fall, mag.
     edges : (k + 1,) of bins of magnitude. stars : (k,) stars on the frame. identified : (k,) expected number of them
     that are identified.
     """
@@ -178,21 +202,23 @@ class Completeness:
     identified: FloatArray
 
     @classmethod
-    def of(cls, magnitude: FloatArray, p_identified: FloatArray) -> Completeness | None:
+    def of(
+        cls, magnitude: FloatArray, p_identified: FloatArray, tuning: PhotometryTuning = TUNING
+    ) -> Completeness | None:
         """The curve of stars with probabilities of being identified, (n,) each; None where no magnitude is known."""
         known = np.isfinite(magnitude)
         if not known.any():
             return None
         m, p = magnitude[known], np.clip(p_identified[known], 0.0, 1.0)
-        top, limit, width = _falling(m, p)
-        edges = _bins(m)
+        top, limit, width = _falling(m, p, tuning)
+        edges = _bins(m, tuning.stars_per_bin)
         at = np.clip(np.searchsorted(edges, m, side="right") - 1, 0, len(edges) - 2)
         count = np.bincount(at, minlength=len(edges) - 1).astype(np.float64)
         identified = np.bincount(at, p, len(edges) - 1).astype(np.float64)
         return cls(top, limit, width, edges, count, identified)
 
     def __call__(self, magnitude: FloatArray) -> FloatArray:
-        """(n,) the probability that a star is shown; that of a bright one where the magnitude is not known."""
+        """(n,) the probability that the frame shows a star; that of a bright one where no magnitude is known."""
         steps = np.clip((np.nan_to_num(magnitude, nan=-99.0) - self.limit) / self.width, -60.0, 60.0)
         return np.asarray(self.top / (1.0 + np.exp(steps)))
 
@@ -202,7 +228,7 @@ class Completeness:
 
     @property
     def sigma(self) -> FloatArray:
-        """(k,) standard errors of ``identified / stars``, binomial with one star's worth of caution."""
+        """(k,) standard errors of ``identified / stars``: binomial, with half a star added to either outcome."""
         share = (self.identified + 0.5) / (self.stars + 1.0)
         return np.asarray(np.sqrt(share * (1.0 - share) / (self.stars + 1.0)))
 
@@ -213,17 +239,16 @@ class Completeness:
         return f"{100 * self.top:.0f} % of the bright stars are shown, half as many at magnitude {self.limit:.2f}"
 
 
-def _falling(m: FloatArray, p: FloatArray) -> tuple[float, float, float]:
-    """(top, limit, width) of greatest likelihood, with a weak belief that bright stars are shown."""
+def _falling(m: FloatArray, p: FloatArray, tuning: PhotometryTuning) -> tuple[float, float, float]:
+    """(top, limit, width) of greatest likelihood, with a weak prior that the frame shows bright stars."""
     from scipy.optimize import minimize
 
-    low, high = float(m.min()), float(m.max())
-    # Stars of like magnitude are counted together.
-    cell = np.minimum(((m - low) / max(high - low, 1e-9) * FINE).astype(np.int64), FINE - 1)
-    number = np.bincount(cell, minlength=FINE)
+    low, high, cells, weight = float(m.min()), float(m.max()), tuning.cells, tuning.prior_stars
+    cell = np.minimum(((m - low) / max(high - low, 1e-9) * cells).astype(np.int64), cells - 1)
+    number = np.bincount(cell, minlength=cells)
     used = number > 0
-    identified = np.bincount(cell, p, FINE)[used]
-    lost, middle = number[used] - identified, (np.bincount(cell, m, FINE) / np.maximum(number, 1))[used]
+    identified = np.bincount(cell, p, cells)[used]
+    lost, middle = number[used] - identified, (np.bincount(cell, m, cells) / np.maximum(number, 1))[used]
 
     def cost(x: FloatArray) -> float:
         top = 1.0 / (1.0 + math.exp(-x[0]))
@@ -231,10 +256,10 @@ def _falling(m: FloatArray, p: FloatArray) -> tuple[float, float, float]:
         curve = top / (1.0 + np.exp(np.clip((middle - x[1]) / width, -60.0, 60.0)))
         curve = np.clip(curve, 1e-9, 1.0 - 1e-9)
         likelihood = float(identified @ np.log(curve) + lost @ np.log1p(-curve))
-        # As if two bright stars had been shown, and two beyond the faintest had not.
-        belief = PRIOR_STARS * math.log(top) - PRIOR_STARS * ((x[2] + 1.2) / 2.0) ** 2
+        # ln of the prior: as if bright stars were identified, and a width of e^−1.2 mag within a factor of e².
+        log_prior = weight * math.log(top) - weight * ((x[2] + 1.2) / 2.0) ** 2
         beyond = max(low - x[1], x[1] - high - 3.0, 0.0)
-        return float(-likelihood - belief + beyond**2)
+        return float(-likelihood - log_prior + beyond**2)
 
     starts = [float(np.quantile(m, q)) for q in (0.2, 0.5, 0.8)] + [high + 1.0]
     fits = [minimize(cost, [3.0, start, -1.2], method="Nelder-Mead", options={"maxiter": 300}) for start in starts]
@@ -242,9 +267,9 @@ def _falling(m: FloatArray, p: FloatArray) -> tuple[float, float, float]:
     return 1.0 / (1.0 + math.exp(-x[0])), float(x[1]), math.exp(min(x[2], 3.0))
 
 
-def _bins(m: FloatArray) -> FloatArray:
-    """Edges of bins of half a magnitude or wider, that hold some twenty stars in the middle."""
+def _bins(m: FloatArray, stars_per_bin: int) -> FloatArray:
+    """Edges of bins of half a magnitude, or of one magnitude where these would hold few stars."""
     low, high = float(np.quantile(m, 0.002)), float(m.max())
-    step = 0.5 if len(m) >= PER_BIN * 4 * max(high - low, 1.0) else 1.0
+    step = 0.5 if len(m) >= stars_per_bin * 4 * max(high - low, 1.0) else 1.0
     first = math.floor(low / step) * step
     return np.asarray(np.arange(first, max(high, first + 1e-6) + step, step))

@@ -1,10 +1,10 @@
 """Where a frame points: from its header, an aim, or nothing but a range of scales.
 
 :func:`place` tries the hints in the order given and returns the first placement whose odds against all chance, and
-against the next best, are high enough; else it says how near it came.
+against the next best, are high enough; else it refuses with the best odds of every hint.
 
-- :class:`ApproximateWcs`: a plate solution that is nearly right, with whatever distortion astropy reads (SIP, TPV,
-  DSS). Shift and turn are found by correlation.
+- :class:`ApproximateWcs`: a plate solution that is nearly right, with any distortion that astropy reads (SIP, TPV,
+  DSS). Shift and rotation are found by correlation.
 - :class:`Aim`: a direction, how far off it may be, and a range of scales. Any orientation, mirrored or not.
 - :class:`AllSky`: a range of scales only. For fields that hold a dozen of the catalogue's brighter stars; the index
   (:func:`sky_index`) takes seconds and serves every frame of the same camera.
@@ -22,20 +22,28 @@ import numpy as np
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.records import unpack
+from sameas.representation import in_short
 from sameas.sky.frame.odds import PlateProblem, Verdict, on_pixels, verify
-from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex, candidates
+from sameas.sky.frame.pointing_hints import (
+    TUNING,
+    Aim,
+    AllSky,
+    ApproximateWcs,
+    Hint,
+    SearchTuning,
+    SkyIndex,
+    candidates,
+)
 from sameas.sky.frame.stars import Stars
 from sameas.sky.frame.tangent import Pointing, sky_of, unit_vectors
 from sameas.space import ARCSEC_PER_RADIAN
 
 #: Least odds of a placement that is accepted (chosen).
 DEFAULT_ODDS = 1e6
-#: Different pointings of a round that are verified (chosen).
-CLOSE_LOOKS = 20
 
 
 class MeasuredStars(Protocol):
-    """What is needed of measurements: pixels (0-based), covariances (xx, xy, yy in px²), fluxes, the frame's shape."""
+    """Measurements as :func:`place` takes them: pixels from 0, covariances (xx, xy, yy in px²), fluxes, shape."""
 
     @property
     def x_px(self) -> FloatArray: ...
@@ -51,6 +59,7 @@ class MeasuredStars(Protocol):
     def name(self) -> str: ...
 
 
+@in_short
 @dataclass(frozen=True)
 class Placement:
     """Where a frame points.
@@ -60,9 +69,9 @@ class Placement:
     wcs : the linear plate solution (TAN, ICRS) as an astropy WCS.
     pointing : the same as plain numbers. log_odds : natural, that it is right against all chance.
     runner_up_log_odds : of the next best, different placement, −inf if there is none.
-    rows_measured, rows_stars : (k,) the pairs it stands on, rows of the caller's tables.
+    rows_measured, rows_stars : (k,) the pairs that it is fitted to, rows of the caller's tables.
     residual_px : (k, 2) measured minus predicted. rms_arcsec : root mean square of them per axis.
-    hint : the hint that led to it, in words.
+    hint : the hint that it was found by, in words.
     """
 
     wcs: Any
@@ -77,7 +86,7 @@ class Placement:
 
     @property
     def n_matched(self) -> int:
-        """How many stars it stands on."""
+        """Number of its pairs."""
         return len(self.rows_stars)
 
     @property
@@ -92,7 +101,7 @@ class Placement:
 
     @property
     def parity(self) -> int:
-        """−1 as the eye sees the sky, +1 mirrored."""
+        """−1 for the sky as seen from inside, +1 mirrored."""
         return self.pointing.parity
 
     def describe(self) -> str:
@@ -113,16 +122,18 @@ def place(
     *,
     index: SkyIndex | None = None,
     odds: float = DEFAULT_ODDS,
+    tuning: SearchTuning = TUNING,
 ) -> Placement:
-    """Where a frame points, by the first hint that leads to a placement that can be believed.
+    """Where a frame points, by the first hint whose best placement has high enough odds.
 
     Parameters
     ----------
     measured : the frame's measurements; up to half of the brighter ones may be spurious.
     stars : the catalogue at the frame's epoch, of the field or (for :class:`AllSky`) of the whole sky.
     hints : one or several of :class:`ApproximateWcs`, :class:`Aim`, :class:`AllSky`, tried in this order.
-    index : of :func:`sky_index` for an :class:`AllSky` hint, to be kept from frame to frame; else it is made here.
+    index : of :func:`sky_index` for an :class:`AllSky` hint, to be reused for every frame; else it is made here.
     odds : a placement is refused below these odds against all chance, and against the next best placement.
+    tuning : numbers of the search.
 
     Raises
     ------
@@ -138,8 +149,8 @@ def place(
     problem, order_1, order_2 = problem_of(measured, stars)
     refused = []
     for hint in hints:
-        best, second = _best_verdict(problem, hint, index, math.log(odds))
-        if best is not None and _believed(best, second, math.log(odds)):
+        best, second = _best_verdict(problem, hint, index, math.log(odds), tuning)
+        if best is not None and _is_established(best, second, math.log(odds)):
             return _placement(problem, best, second, hint, measured, (order_1, order_2))
         refused.append(_refusal(hint, best, second))
     raise InputError(f"{measured.name}: no solution: {'; '.join(refused)}; {_advice(hints)}")
@@ -165,15 +176,15 @@ def problem_of(measured: MeasuredStars, stars: Stars) -> tuple[PlateProblem, Int
 
 
 def _best_verdict(
-    problem: PlateProblem, hint: Hint, index: SkyIndex | None, enough: float
+    problem: PlateProblem, hint: Hint, index: SkyIndex | None, least_log_odds: float, tuning: SearchTuning
 ) -> tuple[Verdict | None, float]:
     """The best verdict under one hint, and the log-odds of the next best that is a different one."""
     own = _straightened(problem, hint)
     volume, tolerance = hint.search_volume(own), 0.01 * own.half_diagonal_px
     best, second = None, -math.inf
-    for round_ in candidates(own, hint, index):
-        for pointing in _different(round_, own):
-            verdict = verify(own, pointing, volume, tolerance)
+    for pointings in candidates(own, hint, index, tuning):
+        for pointing in _different(pointings, own, tuning.verified):
+            verdict = verify(own, pointing, volume, tolerance, tuning.odds)
             if not math.isfinite(verdict.log_odds) or not hint.allows(verdict.pointing, own):
                 continue
             if best is None or verdict.log_odds > best.log_odds:
@@ -182,7 +193,7 @@ def _best_verdict(
                 best = verdict
             elif not _same(best.pointing, verdict.pointing, own):
                 second = max(second, verdict.log_odds)
-        if _believed(best, second, enough):
+        if _is_established(best, second, least_log_odds):
             break
     return best, second
 
@@ -196,14 +207,14 @@ def _straightened(problem: PlateProblem, hint: Hint) -> PlateProblem:
     return PlateProblem(px, problem.covariance, problem.shape, problem.vectors, problem.sigma_rad)
 
 
-def _different(pointings: Iterator[Pointing], problem: PlateProblem) -> Iterator[Pointing]:
-    """The first of every bunch of nearly equal pointings, not more than are looked at closely."""
+def _different(pointings: Iterator[Pointing], problem: PlateProblem, most: int) -> Iterator[Pointing]:
+    """The first of every cluster of nearly equal pointings, at most ``most``."""
     proposed = list(pointings)
     if not proposed:
         return
     corners = np.stack([pointing.to_sky(_corners(problem)) for pointing in proposed])
     left = np.ones(len(proposed), bool)
-    for _ in range(CLOSE_LOOKS):
+    for _ in range(most):
         if not left.any():
             return
         first = int(np.argmax(left))
@@ -220,14 +231,14 @@ def _corners(problem: PlateProblem) -> FloatArray:
 
 
 def _same(one: Pointing, other: Pointing, problem: PlateProblem) -> bool:
-    """Do two pointings put the corners of the frame in the same places, to a hundredth of its diagonal?"""
+    """Whether two pointings put the corners of the frame in the same places, to a hundredth of its diagonal."""
     apart = one.to_sky(_corners(problem)) - other.to_sky(_corners(problem))
     size = 2 * problem.half_diagonal_px * one.scale_arcsec / ARCSEC_PER_RADIAN
     return bool(np.linalg.norm(apart, axis=1).max() < 0.01 * size)
 
 
-def _believed(best: Verdict | None, second: float, enough: float) -> bool:
-    return best is not None and best.log_odds - max(second, 0.0) >= enough
+def _is_established(best: Verdict | None, second: float, least_log_odds: float) -> bool:
+    return best is not None and best.log_odds - max(second, 0.0) >= least_log_odds
 
 
 def _placement(
@@ -266,10 +277,12 @@ def odds_in_words(log_odds: float) -> str:
 def _refusal(hint: Hint, best: Verdict | None, second: float) -> str:
     if best is None:
         return f"by {hint.words} nothing fits"
-    said = f"by {hint.words} the best has odds {odds_in_words(best.log_odds)} ({len(best.stars)} stars)"
-    return said + (f", another {odds_in_words(second)}" if second > 0 else "")
+    words = f"by {hint.words} the best has odds {odds_in_words(best.log_odds)} ({len(best.stars)} stars)"
+    return words + (f", another {odds_in_words(second)}" if second > 0 else "")
 
 
 def _advice(hints: Sequence[Hint]) -> str:
-    aimed = all(isinstance(hint, AllSky) for hint in hints)
-    return ("give an aim, " if aimed else "give a larger radius, ") + "a wider range of scales or a deeper catalogue"
+    without_aim = all(isinstance(hint, AllSky) for hint in hints)
+    return (
+        "give an aim, " if without_aim else "give a larger radius, "
+    ) + "a wider range of scales or a deeper catalogue"

@@ -4,7 +4,7 @@
 
 ξ east and η north on the tangent plane, arcsec. Every pair counts with its probability; its error is that of the
 measurement, brought to the plane, and that of the star. The order p is the one of least BIC, or given.
-:meth:`PlateModel.predict` says where a star is seen and how sure that is, :meth:`PlateModel.to_sky` the
+:meth:`PlateModel.predict` gives the pixel of a star with its covariance, :meth:`PlateModel.to_sky` the
 reverse, :meth:`PlateModel.to_wcs` gives an astropy WCS (TAN, or TAN-SIP: Shupe et al. 2005, ASP 347, 491).
 """
 
@@ -22,17 +22,38 @@ from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.gaussian import inverse, propagated, symmetric
 from sameas.records import unpack
+from sameas.representation import in_short
 from sameas.sky.frame.tangent import Pointing, axes, directions_deg, from_plane, to_plane, unit_vectors
 from sameas.space import ARCSEC_PER_RADIAN
 
 if TYPE_CHECKING:
     from astropy.wcs import WCS
 
-# Polynomials of two variables that carry pixels to the tangent plane, and their form in FITS headers (SIP).
+#: Highest order of a plate model (chosen).
+HIGHEST_ORDER = 5
 
-#: The reverse of a SIP polynomial is no polynomial: its order grows to the second number, or until the error over
-#: the frame is below the first, px (chosen).
-REVERSE_PX, REVERSE_HIGHEST = 0.002, 9
+
+@dataclass(frozen=True)
+class PlateTuning:
+    """Numbers of the fit of a plate, all chosen.
+
+    Attributes
+    ----------
+    iterations : of fitting, weighing down and bringing the errors to the plane.
+    tail_sigmas : the weight of a residual beyond this falls as its inverse square: a wrong pair does not pull.
+    quoted_weight : prior weight, in residuals, of a scale of 1 of the quoted errors.
+    reverse_px : the reverse of a SIP polynomial is approximated until its largest error over the frame is below this,
+        or by the order ``reverse_order`` at most.
+    """
+
+    iterations: int = 8
+    tail_sigmas: float = 3.5
+    quoted_weight: float = 4.0
+    reverse_px: float = 0.002
+    reverse_order: int = 9
+
+
+TUNING = PlateTuning()
 
 
 def terms(order: int) -> list[tuple[int, int]]:
@@ -84,7 +105,7 @@ class Polynomial:
         px = self.middle_px + (plane - self.coefficients[:, 0]) @ np.linalg.inv(linear).T
         if self.order == 1:
             return np.asarray(px)
-        # Far outside the frame a polynomial folds back: what lies two frames away has no place.
+        # Far outside the frame a polynomial folds back: points two frames away have no pixel.
         reached = np.flatnonzero(np.abs(px - self.middle_px).max(axis=1) < 4 * self.unit_px)
         at = px[reached]
         for _ in range(20):
@@ -92,13 +113,13 @@ class Polynomial:
             good = np.abs(slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]) > 1e-12
             reached, at = reached[good], at[good]
             step = np.linalg.solve(slope[good], (self(at) - plane[reached])[:, :, None])[:, :, 0]
-            # A step as long as the frame is lost on its way: it may not run off to infinity.
+            # Steps are not longer than half the frame, so that none diverges.
             at = at - np.clip(step, -self.unit_px, self.unit_px)
             if np.abs(step).max(initial=0.0) < 1e-9:
                 break
-        found = np.abs(self(at) - plane[reached]).max(axis=1) < 1e-4
+        converged = np.abs(self(at) - plane[reached]).max(axis=1) < 1e-4
         px = np.full_like(px, np.nan)
-        px[reached[found]] = at[found]
+        px[reached[converged]] = at[converged]
         return np.asarray(px)
 
     def about(self, origin_px: FloatArray) -> FloatArray:
@@ -114,7 +135,7 @@ class Polynomial:
         return moved
 
 
-def sip(polynomial: Polynomial, centre: FloatArray, shape: tuple[int, int]) -> WCS:
+def sip(polynomial: Polynomial, centre: FloatArray, shape: tuple[int, int], tuning: PlateTuning = TUNING) -> WCS:
     """An astropy WCS of a polynomial (arcsec) on the plane at ``centre``: TAN, or TAN-SIP with both directions."""
     from astropy.wcs import WCS, Sip
 
@@ -129,7 +150,7 @@ def sip(polynomial: Polynomial, centre: FloatArray, shape: tuple[int, int]) -> W
     if polynomial.order > 1:
         bent = np.linalg.solve(cd, coefficients)
         forward = [_table(bent[axis], polynomial.order) for axis in range(2)]
-        wcs.sip = Sip(*forward, *_reverse(polynomial, origin, cd, shape), origin + 1.0)
+        wcs.sip = Sip(*forward, *_reverse(polynomial, origin, cd, shape, tuning), origin + 1.0)
     wcs.wcs.set()
     wcs.array_shape = shape
     return wcs
@@ -145,32 +166,23 @@ def _table(row: FloatArray, order: int, least: int = 2) -> FloatArray:
 
 
 def _reverse(
-    polynomial: Polynomial, origin: FloatArray, cd: FloatArray, shape: tuple[int, int]
+    polynomial: Polynomial, origin: FloatArray, cd: FloatArray, shape: tuple[int, int], tuning: PlateTuning
 ) -> tuple[FloatArray, FloatArray]:
     """The tables AP and BP: from linear pixels back to those of the frame."""
-    n = 4 * REVERSE_HIGHEST
+    n = 4 * tuning.reverse_order
     x, y = np.meshgrid(np.linspace(-0.5, shape[1] - 0.5, n), np.linspace(-0.5, shape[0] - 0.5, n))
     px = np.column_stack([x.ravel(), y.ravel()])
     straight = polynomial(px) @ np.linalg.inv(cd).T
     unit = np.abs(straight).max()
-    for order in range(polynomial.order, REVERSE_HIGHEST + 1):
+    for order in range(polynomial.order, tuning.reverse_order + 1):
         powers = np.stack(
             [(straight[:, 0] / unit) ** a * (straight[:, 1] / unit) ** b for a, b in terms(order)], axis=1
         )
         fit = np.linalg.lstsq(powers, px - origin - straight, rcond=None)[0]
-        if np.abs(powers @ fit - (px - origin - straight)).max() < REVERSE_PX:
+        if np.abs(powers @ fit - (px - origin - straight)).max() < tuning.reverse_px:
             break
     fit = fit / unit ** np.array([a + b for a, b in terms(order)])[:, None]
     return _table(fit[:, 0], order, least=0), _table(fit[:, 1], order, least=0)
-
-
-HIGHEST_ORDER = 5
-#: The weight of a residual beyond this, in sigmas, falls as its inverse square: a wrong pair does not pull (chosen).
-TAIL_SIGMAS = 3.5
-#: Prior weight of a scale of 1 of the quoted errors, in residuals (chosen).
-QUOTED_WORTH = 4.0
-#: Rounds of fitting, weighing down and bringing the errors to the plane.
-ROUNDS = 8
 
 
 @dataclass(frozen=True)
@@ -205,6 +217,7 @@ class MatchedStars:
             raise InputError("plate: p_match must be within 0 … 1")
 
 
+@in_short
 @dataclass(frozen=True)
 class PlateModel:
     """A fitted plate model. Make it with :func:`fit_plate`.
@@ -213,10 +226,10 @@ class PlateModel:
     ----------
     centre : (3,) where the tangent plane touches the sphere. polynomial : pixels → ξ, η in arcsec.
     covariance : (2q, 2q) of the coefficients (those of ξ, then those of η), arcsec², grown by ``error_scale``².
-    error_scale : by how much residuals are larger than quoted errors say; never below 1.
+    error_scale : residuals over quoted errors; never below 1.
     shape : (rows, columns) of the frame.
     effective_pairs : the sum of the probabilities. bic : of every order that was tried.
-    residual_arcsec : (n, 2) star minus model. weight : (n,) what each pair counted for.
+    residual_arcsec : (n, 2) star minus model. weight : (n,) of each pair in the fit.
     """
 
     centre: FloatArray
@@ -253,13 +266,13 @@ class PlateModel:
             slope = self.polynomial.slope(px)
             spread += propagated(slope, unpack(np.asarray(covariance_px, dtype=np.float64), 2))
         vectors = from_plane(plane / ARCSEC_PER_RADIAN, self.centre)
-        turn = sky_axes(vectors, self.centre)
-        return (*directions_deg(vectors), _packed(propagated(turn, spread)))
+        to_sky = sky_axes(vectors, self.centre)
+        return (*directions_deg(vectors), _packed(propagated(to_sky, spread)))
 
     def predict(
         self, ra_deg: ArrayLike, dec_deg: ArrayLike, covariance_arcsec: ArrayLike | None = None
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Where stars are seen: x, y (pixels) and covariance (n, 3: xx, xy, yy in px²).
+        """Pixels of stars, x and y, and their covariance (n, 3: xx, xy, yy in px²).
 
         The covariance is the model's alone, or with ``covariance_arcsec`` (n, 3) the star's position error too.
         NaN for stars that the model cannot see (the other half of the sky, or far outside a strongly curved frame).
@@ -271,10 +284,10 @@ class PlateModel:
             to_local = np.linalg.inv(sky_axes(vectors, self.centre))
             star = unpack(np.asarray(covariance_arcsec, dtype=np.float64), 2)
             spread += propagated(to_local, star)
-        there = np.isfinite(px).all(axis=1)
-        to_px = np.linalg.inv(self.polynomial.slope(px[there]))
+        visible = np.isfinite(px).all(axis=1)
+        to_px = np.linalg.inv(self.polynomial.slope(px[visible]))
         packed = np.full((len(px), 3), np.nan)
-        packed[there] = _packed(propagated(to_px, spread[there]))
+        packed[visible] = _packed(propagated(to_px, spread[visible]))
         return px[:, 0], px[:, 1], packed
 
     def to_wcs(self) -> WCS:
@@ -299,7 +312,14 @@ class PlateModel:
         return np.asarray(np.einsum("nq,aqbr,nr->nab", basis, blocks, basis))
 
 
-def fit_plate(stars: MatchedStars, start: Pointing, shape: tuple[int, int], *, order: int | None = None) -> PlateModel:
+def fit_plate(
+    stars: MatchedStars,
+    start: Pointing,
+    shape: tuple[int, int],
+    *,
+    order: int | None = None,
+    tuning: PlateTuning = TUNING,
+) -> PlateModel:
     """The plate model of identified stars.
 
     Parameters
@@ -307,6 +327,7 @@ def fit_plate(stars: MatchedStars, start: Pointing, shape: tuple[int, int], *, o
     stars : the pairs with their errors and probabilities.
     start : a linear solution near enough to bring the stars' errors to pixels; its plane is kept.
     shape : (rows, columns) of the frame. order : 1 … 5, or None for the one of least BIC.
+    tuning : numbers of the fit.
 
     Raises
     ------
@@ -320,24 +341,26 @@ def fit_plate(stars: MatchedStars, start: Pointing, shape: tuple[int, int], *, o
     effective = float(np.sum(stars.p_match))
     if order is not None and not (isinstance(order, int) and 1 <= order <= HIGHEST_ORDER):
         raise InputError(f"plate: order is {order}; give 1 … {HIGHEST_ORDER}, or None")
-    wanted = [order] if order else list(range(1, HIGHEST_ORDER + 1))
-    # One pair more than terms: without a residual left nothing tells an order from another.
-    possible = [p for p in wanted if effective >= len(terms(p)) + (1 if p > 1 else 0) - 1e-9]
+    orders = [order] if order else list(range(1, HIGHEST_ORDER + 1))
+    # One pair more than terms: without a residual orders cannot be compared.
+    possible = [p for p in orders if effective >= len(terms(p)) + (1 if p > 1 else 0) - 1e-9]
     if not possible:
-        need = len(terms(wanted[0])) + (1 if wanted[0] > 1 else 0)
+        need = len(terms(orders[0])) + (1 if orders[0] > 1 else 0)
         raise InputError(
-            f"plate: {effective:.1f} identified stars are too few for order {wanted[0]}, which needs {need}; "
+            f"plate: {effective:.1f} identified stars are too few for order {orders[0]}, which needs {need}; "
             "give a lower order or a deeper catalogue"
         )
     behind = np.flatnonzero(unit_vectors(stars.ra_deg, stars.dec_deg) @ start.centre <= 0.0)
     if len(behind):
         raise InputError(f"plate: the star of pair {behind[0]} is 90° or more from the frame; check the pairs")
-    fits = {p: _fitted(stars, start, shape, p) for p in possible}
+    fits = {p: _fitted(stars, start, shape, p, tuning) for p in possible}
     bic = {p: model.bic[p] for p, model in fits.items()}
     return replace(fits[min(bic, key=lambda p: (bic[p], p))], bic=bic)
 
 
-def _fitted(stars: MatchedStars, start: Pointing, shape: tuple[int, int], order: int) -> PlateModel:
+def _fitted(
+    stars: MatchedStars, start: Pointing, shape: tuple[int, int], order: int, tuning: PlateTuning
+) -> PlateModel:
     """The model of one order."""
     middle = np.array([(shape[1] - 1) / 2.0, (shape[0] - 1) / 2.0])
     polynomial = Polynomial.linear(start, middle, 0.5 * math.hypot(*shape), order)
@@ -347,7 +370,7 @@ def _fitted(stars: MatchedStars, start: Pointing, shape: tuple[int, int], order:
     star = propagated(to_local, unpack(stars.covariance_arcsec, 2))
     basis, down = polynomial.basis(stars.px), np.ones(len(plane))
     q = basis.shape[1]
-    for _ in range(ROUNDS):
+    for _ in range(tuning.iterations):
         slope = polynomial.slope(stars.px)
         total = star + propagated(slope, unpack(stars.covariance_px, 2))
         precision = inverse(total + 1e-12 * np.eye(2))
@@ -356,8 +379,8 @@ def _fitted(stars: MatchedStars, start: Pointing, shape: tuple[int, int], order:
         polynomial = polynomial.with_coefficients(solution.reshape(2, q))
         left = plane - basis @ polynomial.coefficients.T
         square = np.einsum("ni,nij,nj->n", left, precision, left)
-        scale_sq = _scale_squared(square, stars.p_match, down, 2 * q)
-        down = np.minimum(1.0, TAIL_SIGMAS**2 * scale_sq / np.maximum(square, 1e-300))
+        scale_sq = _scale_squared(square, stars.p_match, down, 2 * q, tuning.quoted_weight)
+        down = np.minimum(1.0, tuning.tail_sigmas**2 * scale_sq / np.maximum(square, 1e-300))
     grown = max(1.0, scale_sq)
     covariance = grown * _solved(_normal_equations(basis, precision, plane, stars.p_match * down)[0], np.eye(2 * q))
     return PlateModel(
@@ -367,21 +390,28 @@ def _fitted(stars: MatchedStars, start: Pointing, shape: tuple[int, int], order:
         error_scale=math.sqrt(grown),
         shape=shape,
         effective_pairs=float(stars.p_match.sum()),
-        bic={order: _bic(square / scale_sq, scale_sq, down, stars.p_match, 2 * q)},
+        bic={order: _bic(square / scale_sq, scale_sq, down, stars.p_match, 2 * q, tuning)},
         residual_arcsec=left,
         weight=stars.p_match * down,
     )
 
 
-def _bic(square: FloatArray, scale_sq: float, down: FloatArray, p_match: FloatArray, parameters: int) -> float:
+def _bic(
+    square: FloatArray,
+    scale_sq: float,
+    down: FloatArray,
+    p_match: FloatArray,
+    parameters: int,
+    tuning: PlateTuning,
+) -> float:
     """−2 ln L + parameters · ln(effective pairs), the scale of the errors being unknown.
 
     ``square`` (n,) residuals squared in units of their scaled errors; beyond the tail a residual costs its logarithm.
     """
-    n = 2.0 * float(p_match.sum())
-    loss = np.where(down < 1.0, TAIL_SIGMAS**2 * (1.0 - np.log(down)), square)
-    # The likeliest scale knows nothing of the parameters that were spent.
-    share = max(n - parameters + QUOTED_WORTH, 1.0) / (n + QUOTED_WORTH)
+    n, prior = 2.0 * float(p_match.sum()), tuning.quoted_weight
+    loss = np.where(down < 1.0, tuning.tail_sigmas**2 * (1.0 - np.log(down)), square)
+    # From the scale with as many degrees of freedom as are left to that of greatest likelihood.
+    share = max(n - parameters + prior, 1.0) / (n + prior)
     return n * math.log(scale_sq * share) + float(p_match @ loss) / share + parameters * math.log(n / 2.0)
 
 
@@ -391,7 +421,7 @@ def _normal_equations(
     """Σ w Xᵀ Σ⁻¹ X (2q, 2q) and Σ w Xᵀ Σ⁻¹ y (2q,), X = diag(basis, basis)."""
     q = basis.shape[1]
     scaled = precision * weight[:, None, None]
-    # Products of matrices are many times faster here than a sum over five indices.
+    # Matrix products are many times faster here than einsum over five indices (timed).
     across, cross, along = (basis.T @ (scaled[:, a, b, None] * basis) for a, b in ((0, 0), (0, 1), (1, 1)))
     information = np.block([[across, cross], [cross.T, along]])
     right = basis.T @ np.einsum("nab,nb->na", scaled, plane)
@@ -399,7 +429,7 @@ def _normal_equations(
 
 
 def _solved(information: FloatArray, right: FloatArray) -> FloatArray:
-    """The solution of the normal equations; stars on a line or in a corner leave some of them open: refused."""
+    """The solution of the normal equations; refused where stars on a line or in a corner leave them singular."""
     unit = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     scaled = information * unit[:, None] * unit
     if np.linalg.cond(scaled) > 1e12:
@@ -407,23 +437,23 @@ def _solved(information: FloatArray, right: FloatArray) -> FloatArray:
             "plate: the identified stars do not determine the model (they lie on a line or in one place); "
             "give a lower order or a deeper catalogue"
         )
-    turned = np.linalg.solve(scaled, right * (unit if right.ndim == 1 else unit[:, None]))
-    return np.asarray(turned * (unit if right.ndim == 1 else unit[:, None]))
+    solution = np.linalg.solve(scaled, right * (unit if right.ndim == 1 else unit[:, None]))
+    return np.asarray(solution * (unit if right.ndim == 1 else unit[:, None]))
 
 
-def _scale_squared(square: FloatArray, p_match: FloatArray, down: FloatArray, parameters: int) -> float:
-    """By how much the squares of residuals exceed what the errors say; the first round's is robust against tails."""
+def _scale_squared(square: FloatArray, p_match: FloatArray, down: FloatArray, parameters: int, prior: float) -> float:
+    """Mean square of the residuals over their errors; that of the first iteration is robust against tails."""
     weight = p_match * down
     if np.all(down == 1.0):
         order = np.argsort(square)
         share = np.cumsum(p_match[order]) / p_match.sum()
         n = 2.0 * p_match.sum()
         median = float(square[order][np.searchsorted(share, 0.5)]) / (2 * math.log(2.0))
-        mean = (float(weight @ square) + QUOTED_WORTH) / (max(n - parameters, 0.0) + QUOTED_WORTH)
-        # Where all is well the mean is the better of the two; a few wrong pairs make it many times the median.
+        mean = (float(weight @ square) + prior) / (max(n - parameters, 0.0) + prior)
+        # Of right pairs the mean is the better estimate; a few wrong pairs make it many times the median.
         return mean if mean < 3.0 * max(median, 1e-300) else median
     freedom = max(2.0 * weight.sum() - parameters, 0.0)
-    return float((float(weight @ square) + QUOTED_WORTH) / (freedom + QUOTED_WORTH))
+    return float((float(weight @ square) + prior) / (freedom + prior))
 
 
 def sky_axes(vectors: FloatArray, centre: FloatArray) -> FloatArray:
@@ -431,7 +461,7 @@ def sky_axes(vectors: FloatArray, centre: FloatArray) -> FloatArray:
     east, north = axes(np.broadcast_to(centre, vectors.shape))
     depth = np.sum(vectors * centre, axis=1)
     own = np.stack(axes(vectors), axis=1)
-    # v = (c + ξe + ηn)/|…|, |…| = 1/depth; what the step has along v is lost, and own axes are at right angles to v.
+    # v = (c + ξe + ηn)/|…|, |…| = 1/depth; the part of the step along v drops out, as own axes are orthogonal to v.
     step = np.stack([east, north], axis=2) * depth[:, None, None]
     return np.asarray(own @ step)
 

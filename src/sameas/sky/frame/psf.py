@@ -15,8 +15,11 @@ import numpy as np
 from sameas.arrays import FloatArray
 
 FWHM_PER_SIGMA = math.sqrt(8 * math.log(2))
+#: Standard deviation of the narrowest PSF: a star within one pixel, averaged over it, is not narrower.
 _SMALLEST_SIGMA_PX = 0.5
+#: Standard deviation of the narrowest window: whole pixels do not sample a narrower Gaussian.
 _FINEST_WINDOW_PX = 1.2
+#: The Moffat profile is fitted to at most about this many pixels; more change nothing (timed).
 _PIXELS_FITTED = 12_000
 
 
@@ -24,8 +27,8 @@ _PIXELS_FITTED = 12_000
 class PSF:
     """The mean star.
 
-    matrix : (2, 2) of its Gaussian core in px², averaging over the pixel included. beta : of the Moffat profile of
-    the same full width at half maximum; infinite would be the Gaussian.
+    matrix : (2, 2) of its Gaussian core in px², averaging over the pixel included. beta : exponent of the Moffat
+    profile of the same full width at half maximum; it is infinite for a Gaussian.
     """
 
     matrix: FloatArray
@@ -50,10 +53,10 @@ class PSF:
         )
 
     def light(self, dx: Any, dy: Any) -> Any:
-        """Share of a star's light in pixels so far from its centre."""
+        """Share of a star's light in pixels at (dx, dy) px from its centre."""
         inverse = np.linalg.inv(self.matrix)
         r2 = inverse[0, 0] * dx**2 + 2 * inverse[0, 1] * dx * dy + inverse[1, 1] * dy**2
-        # Half the peak where exp(−r²/2) has it, r² = 2 ln 2.
+        # Both profiles fall to half their peak at r² = 2 ln 2.
         scale = (2 ** (1 / self.beta) - 1) / (2 * math.log(2))
         norm = (self.beta - 1) * scale / (math.pi * math.sqrt(float(np.linalg.det(self.matrix))))
         return norm * (1 + scale * r2) ** -self.beta
@@ -87,7 +90,7 @@ class PSF:
 
     @classmethod
     def from_stars(cls, matrices: FloatArray, pixels: list[tuple[FloatArray, FloatArray, FloatArray]]) -> PSF:
-        """The profile that most stars show.
+        """The profile of most of the stars.
 
         matrices : (n, 2, 2) of the Gaussians that fit them. pixels : of each star (dx, dy, share of its light).
         """

@@ -1,7 +1,7 @@
 """A frame solved: where it points, which star each measurement is, and the refined plate, one line a step.
 
-``solve`` is the whole way from measurements; :mod:`sameas.sky.frame.image` and :mod:`sameas.sky.frame.detect` lead
-from pixels to it, and :func:`sameas.sky.frame.listing.listing` from it to a table.
+``solve`` starts from measurements: :mod:`sameas.sky.frame.image` and :mod:`sameas.sky.frame.detect` make these from
+pixels, and :func:`sameas.sky.frame.listing.listing` makes a table of its result.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ def solve(
     Parameters
     ----------
     measured : the measurements of the frame. catalogue : of the field, or of the whole sky.
-    hints : what is known of where it points, tried in this order.
+    hints : on the direction of the frame, tried in this order.
     epoch_jyr : the middle of the exposure, Julian year; None if it is not known and the catalogue does not move.
-    refinement : how the loop goes. index : for an :class:`AllSky` hint, kept from frame to frame.
-    motion : False leaves the stars at their own epoch, to see what motion does.
+    refinement : how identification and plate are refined. index : for an :class:`AllSky` hint, reused for every frame.
+    motion : False leaves the stars at their own epoch, for comparison.
     faintest : magnitude of the faintest star that is used; None for as faint as the frame shows them.
 
     Raises
     ------
-    InputError : no solution that can be believed; the catalogue does not cover the field; times that are missing.
+    InputError : no placement has high enough odds; the catalogue does not cover the field; a time is missing.
 
     Example
     -------
@@ -67,16 +67,15 @@ def solve(
             f"{catalogue.name}: {len(stars)} stars{where}, a frame needs four; does the catalogue cover the field?"
         )
     placement = place(measured, stars.stars(), hints, index=index)
-    frame = footprint(placement.pointing, measured.shape)
-    kept = stars.within(frame)
-    kept[placement.rows_stars] = True
-    number = np.cumsum(kept) - 1
+    near_frame = stars.within(footprint(placement.pointing, measured.shape))
+    near_frame[placement.rows_stars] = True
+    number = np.cumsum(near_frame) - 1
     placement = replace(placement, rows_stars=number[placement.rows_stars])
-    return identify_frame(measured, stars[kept], placement, refinement)
+    return identify_frame(measured, stars[near_frame], placement, refinement)
 
 
 def footprint(pointing: Pointing, shape: tuple[int, int]) -> Cone:
-    """The cone about a frame, with some room."""
+    """The cone about a frame, its radius larger by the factor :data:`ROOM`."""
     rows, columns = shape
     corners = np.array([[0.0, 0.0], [columns - 1.0, 0.0], [0.0, rows - 1.0], [columns - 1.0, rows - 1.0]])
     middle = pointing.to_sky(np.array([[(columns - 1) / 2.0, (rows - 1) / 2.0]]))[0]
@@ -87,7 +86,7 @@ def footprint(pointing: Pointing, shape: tuple[int, int]) -> Cone:
 
 
 def searched(hints: Sequence[Hint], shape: tuple[int, int]) -> Cone | None:
-    """The smallest cone about everything that the hints allow; None for the whole sky."""
+    """A cone that holds all directions that the hints allow; None for the whole sky."""
     cones = []
     for hint in hints:
         if isinstance(hint, AllSky):

@@ -17,7 +17,7 @@ class Stars:
     Attributes
     ----------
     ra_deg, dec_deg : (m,) ICRS. sigma_arcsec : (m,) error per axis, or one number. magnitude : (m,) in any band near
-        the frame's; a star without one (NaN) counts as faintest.
+        that of the frame; a star without one (NaN) counts as faintest.
     """
 
     ra_deg: FloatArray

@@ -1,4 +1,4 @@
-"""The summary of an identified frame: what is worth keeping of it, as plain numbers and words."""
+"""The summary of an identified frame as plain numbers and texts, ready for JSON."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sameas.sky.frame.image import Frame
 from sameas.sky.frame.place import odds_in_words
 from sameas.sky.frame.tangent import directions_deg
 
-#: What the terms of the error model are called in a summary.
+#: The names of the terms of the error model in a summary.
 ERROR_NAMES = {
     "factor_1": "error_factor_frame",
     "factor_2": "error_factor_catalogue",
@@ -24,9 +24,9 @@ ERROR_NAMES = {
 
 
 def summary(identification: FrameIdentification, frame: Frame | None = None) -> dict[str, Any]:
-    """Numbers, words, lists and nulls, ready for JSON; angles in degrees, units in the names.
+    """Numbers, texts, lists and nulls, ready for JSON; angles in degrees, units in the names.
 
-    frame : adds what its header says.
+    frame : adds the facts of its header.
     """
     return {
         "frame": identification.measured.name,
@@ -105,7 +105,7 @@ def _plate(identification: FrameIdentification) -> dict[str, Any]:
         "coefficients_arcsec": plate.polynomial.coefficients.tolist(),
         "coefficients_sigma_arcsec": spread.tolist(),
         "rms_arcsec": plate.rms_arcsec.tolist(),
-        "rounds": identification.rounds,
+        "rounds": identification.iterations,
         "settled": identification.settled,
     }
 
@@ -128,10 +128,10 @@ def _counts(identification: FrameIdentification) -> dict[str, Any]:
 
 
 def _estimated(identification: FrameIdentification) -> dict[str, list[float]]:
-    """What was estimated with the identification, each with its standard error.
+    """The quantities that were estimated with the identification, each with its standard error.
 
-    Densities per square arcminute of what only the frame and only the catalogue shows, of the stars that could be seen;
-    the error scale; factors on the errors of the frame and of the catalogue or of both, and floors in arcsec.
+    Densities per square arcminute of measurements without a star and of candidate stars without a measurement; the
+    error scale; factors on the errors of the frame and of the catalogue or of both, and floors in arcsec.
     """
     estimate, scale = identification.estimate, orientation(identification)[0]
     per_arcmin2 = (60.0 / scale) ** 2
@@ -196,5 +196,5 @@ def _brightness(identification: FrameIdentification) -> dict[str, Any]:
 
 
 def _number(value: float) -> float | None:
-    """A number, null where it is not one."""
+    """A finite number, else None."""
     return float(value) if math.isfinite(value) else None

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sameas.arrays import BoolArray, FloatArray
+from sameas.representation import in_short
 from sameas.space import ARCSEC_PER_RADIAN
 
 if TYPE_CHECKING:
@@ -57,6 +58,7 @@ def from_plane(plane: FloatArray, centre: FloatArray) -> FloatArray:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
+@in_short
 @dataclass(frozen=True)
 class Pointing:
     """A linear map between pixels and a tangent plane: (ξ, η) = cd · (x − origin_px).
@@ -81,8 +83,8 @@ class Pointing:
 
     def moved(self, step: FloatArray) -> Pointing:
         """The pointing whose predictions are x′ = x + D(x) step, with the columns of :func:`design`."""
-        growth, turn, stretch, shear = step[2:]
-        linear = np.array([[1 + growth + stretch, shear - turn], [shear + turn, 1 + growth - stretch]])
+        growth, rotation, stretch, shear = step[2:]
+        linear = np.array([[1 + growth + stretch, shear - rotation], [shear + rotation, 1 + growth - stretch]])
         return replace(self, cd=self.cd @ np.linalg.inv(linear), origin_px=self.origin_px + step[:2])
 
     @property
@@ -97,7 +99,7 @@ class Pointing:
 
     @property
     def parity(self) -> int:
-        """−1 where the frame shows the sky as the eye sees it, +1 where it is mirrored: the sign of |cd|."""
+        """−1 where the frame shows the sky as seen from inside, +1 where it is mirrored: the sign of |cd|."""
         return 1 if np.linalg.det(self.cd) > 0 else -1
 
     def to_wcs(self, shape: tuple[int, int] | None = None) -> WCS:
@@ -136,7 +138,7 @@ def sky_of(wcs: Any, px: FloatArray) -> FloatArray:
 
 
 def design(offset_px: FloatArray) -> FloatArray:
-    """(n, 2, 6) what a shift in x and y, growth, a turn, a stretch and a shear do to points ``offset_px`` (n, 2)."""
+    """(n, 2, 6) derivatives of points ``offset_px`` (n, 2) by shift in x and y, growth, rotation, stretch and shear."""
     x, y = offset_px.T
     one, zero = np.ones_like(x), np.zeros_like(x)
     return np.stack([np.stack([one, zero, x, -y, x, y], axis=-1), np.stack([zero, one, y, x, -y, x], axis=-1)], axis=-2)
@@ -145,26 +147,27 @@ def design(offset_px: FloatArray) -> FloatArray:
 def similarities(
     px: FloatArray, vectors: FloatArray, mirrored: BoolArray, origin_px: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The least-squares shift, turn and scale of c sets of k pixels (c, k, 2) on k directions (c, k, 3).
+    """The least-squares shift, rotation and scale of c sets of k pixels (c, k, 2) on k directions (c, k, 3).
 
     Returns the directions of ``origin_px`` (c, 3) and the matrices cd (c, 2, 2) of the planes touching there.
-    ``mirrored`` (c,) says where x runs the same way as east when y runs north.
+    ``mirrored`` (c,) : x runs east when y runs north.
     """
-    # Seen on the sky x runs west: the offset is turned to (−x) + iy before it is compared with ξ + iη.
+    # Unless mirrored, x runs west: the offset becomes (−x) + iy before it is compared with ξ + iη.
     hand = np.where(mirrored, 1.0, -1.0)[:, None]
-    seen = hand * (px[..., 0] - origin_px[0]) + 1j * (px[..., 1] - origin_px[1])
+    offset = hand * (px[..., 0] - origin_px[0]) + 1j * (px[..., 1] - origin_px[1])
     centre = vectors.sum(axis=1)
     centre /= np.linalg.norm(centre, axis=1, keepdims=True)
-    # The second round fits on the plane that touches where the frame's middle is.
+    # Each iteration fits on the plane that touches the sphere at the middle of the frame found before.
     for _ in range(3):
         plane = to_plane(vectors, centre[:, None, :])
-        seen_mean, sky = seen.mean(axis=1, keepdims=True), plane[..., 0] + 1j * plane[..., 1]
-        sky_mean, spread = sky.mean(axis=1, keepdims=True), np.abs(seen - seen_mean) ** 2
-        turn = np.sum(np.conj(seen - seen_mean) * (sky - sky_mean), axis=1) / np.sum(spread, axis=1)
-        at = sky_mean[:, 0] - turn * seen_mean[:, 0]
+        offset_mean, sky = offset.mean(axis=1, keepdims=True), plane[..., 0] + 1j * plane[..., 1]
+        sky_mean, spread = sky.mean(axis=1, keepdims=True), np.abs(offset - offset_mean) ** 2
+        factor = np.sum(np.conj(offset - offset_mean) * (sky - sky_mean), axis=1) / np.sum(spread, axis=1)
+        at = sky_mean[:, 0] - factor * offset_mean[:, 0]
         centre = from_plane(np.stack([at.real, at.imag], axis=-1), centre)
     hand = hand[:, 0]
     cd = np.stack(
-        [np.stack([hand * turn.real, -turn.imag], axis=-1), np.stack([hand * turn.imag, turn.real], axis=-1)], axis=-2
+        [np.stack([hand * factor.real, -factor.imag], axis=-1), np.stack([hand * factor.imag, factor.real], axis=-1)],
+        axis=-2,
     )
     return centre, cd

@@ -1,13 +1,14 @@
 """The joined table of several catalogues: one row per object, the columns of every catalogue side by side.
 
 Columns that stand in several tables get the number of their catalogue, ``_1``, ``_2`` …, as in the tables of two. Rows
-are in the order of the first catalogue, then of the second for objects that it has not, and so on. Added columns:
+are in the order of the first catalogue, then of the second for objects that are not in the first, and so on. Added
+columns:
 
-n_catalogues : how many show the object. p_object : probability that exactly these records are it. runner_up : the
-records of the most probable other answer for one of them, "catalogue id = …", masked where it is less probable than
-0.001, and p_runner_up its probability. ra_object, dec_object, pmra_object, pmdec_object : place at ``epoch_object`` and
-proper motion from all its records, with ``…_error`` and ``ra_dec_object_corr``, as the residuals spread; the motion is
-masked where nothing tells it.
+n_catalogues : number of catalogues with the object. p_object : probability that exactly these records are it.
+runner_up : the records of the most probable other answer for one of them, "catalogue id = …", masked where it is less
+probable than 0.001, and p_runner_up its probability. ra_object, dec_object, pmra_object, pmdec_object : position at
+``epoch_object`` and proper motion from all its records, with ``…_error`` and ``ra_dec_object_corr`` by the scatter of
+the residuals; the motion is masked where the records do not determine it.
 chi_sq : of its records about it, 2 (n_catalogues − 1) degrees of freedom, by the quoted errors. group_id, group_size :
 the group of competing records.
 """
@@ -18,16 +19,19 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
-from astropy.table import MaskedColumn, Table
+from astropy.table import Column, MaskedColumn, Table
 from numpy.typing import NDArray
 
 from sameas.arrays import IntArray
 from sameas.errors import InputError
+from sameas.many.joint import NO_RECORD
 from sameas.records import Records
 from sameas.sky.many.match import ManyMatch
 
-#: Other answers less probable than this are not named.
-WORTH_TELLING = 1e-3
+#: Least probability of a runner-up that is named (chosen).
+LEAST_RUNNER_UP = 1e-3
+#: The number of the object of rows that could not be used.
+NO_OBJECT = -1
 _WORDS = {
     "n_catalogues": ("", "how many catalogues show the object"),
     "p_object": ("", "probability that exactly these records are one object"),
@@ -50,7 +54,7 @@ _WORDS = {
 
 
 def joined_many(match: ManyMatch, *, least: int = 1) -> Table:
-    """One row per object that ``least`` catalogues or more show; with 1 also the rows that could not be used.
+    """One row per object in ``least`` catalogues or more; with 1 also the rows that could not be used.
 
     Raises
     ------
@@ -60,20 +64,20 @@ def joined_many(match: ManyMatch, *, least: int = 1) -> Table:
         raise InputError(
             f"least is {least}; give 1 to {len(match.catalogues)}, in how many catalogues an object must be"
         )
-    members = np.ma.filled(match.objects.members, -1)
-    kept = np.flatnonzero(match.objects.n_members >= least)
-    rows = members[kept]
+    members = np.ma.filled(match.objects.members, NO_RECORD)
+    number = np.flatnonzero(match.objects.n_members >= least)
+    rows = members[number]
     if least == 1:
         unused = _unused(match)
-        rows, kept = np.concatenate([rows, unused]), np.concatenate([kept, np.full(len(unused), -1)])
-    order = np.lexsort(np.where(rows < 0, np.iinfo(np.int64).max, rows).T[::-1])
-    rows, kept = rows[order], kept[order]
+        rows, number = np.concatenate([rows, unused]), np.concatenate([number, np.full(len(unused), NO_OBJECT)])
+    order = np.lexsort(np.where(rows == NO_RECORD, np.iinfo(np.int64).max, rows).T[::-1])
+    rows, number = rows[order], number[order]
     table = Table()
     for k, catalogue in enumerate(match.catalogues):
-        for name, column in zip(_names(match)[k], catalogue.table.columns.values(), strict=True):
+        for name, column in zip(joined_names(match)[k], catalogue.table.columns.values(), strict=True):
             table[name] = _taken(column, rows[:, k])
-    absent = kept < 0
-    for name, values in _answers(match, np.maximum(kept, 0)).items():
+    absent = number == NO_OBJECT
+    for name, values in _answers(match, np.where(absent, 0, number)).items():
         unique = name if name not in table.colnames else f"{name}_sameas"
         unit, words = _WORDS[name]
         mask = np.ma.getmaskarray(values) | absent
@@ -87,13 +91,13 @@ def _unused(match: ManyMatch) -> IntArray:
     for k, records in enumerate(match.objects.given):
         assert isinstance(records, Records)
         aside = records.set_aside.rows
-        rows = np.full((len(aside), len(match.catalogues)), -1)
+        rows = np.full((len(aside), len(match.catalogues)), NO_RECORD)
         rows[:, k] = aside
         parts.append(rows)
     return np.concatenate(parts)
 
 
-def _names(match: ManyMatch) -> list[list[str]]:
+def joined_names(match: ManyMatch) -> list[list[str]]:
     """Column names of every table; those of several get the number of their catalogue."""
     count = Counter(name.lower() for catalogue in match.catalogues for name in catalogue.table.colnames)
     return [
@@ -102,14 +106,17 @@ def _names(match: ManyMatch) -> list[list[str]]:
     ]
 
 
-def _taken(column: Any, at: IntArray) -> MaskedColumn:
+def _taken(column: Any, at: IntArray) -> Any:
     """The rows ``at`` of a column, masked where there is none."""
-    absent = at < 0
-    picked = column[np.where(absent, 0, at)]
-    mask = np.array(np.ma.getmaskarray(picked))
+    absent = at == NO_RECORD
+    values = column[np.where(absent, 0, at)]
+    if not isinstance(column, Column):  # times and the like mask their own cells
+        values[absent] = np.ma.masked
+        return values
+    mask = np.array(np.ma.getmaskarray(values))
     mask[absent] = True
     return MaskedColumn(
-        np.ma.getdata(picked), mask=mask, unit=column.unit, description=column.description, meta=column.meta
+        np.ma.getdata(values), mask=mask, unit=column.unit, description=column.description, meta=column.meta
     )
 
 
@@ -130,10 +137,10 @@ def _answers(match: ManyMatch, at: IntArray) -> dict[str, NDArray[Any] | np.ma.M
         "ra_dec_object_corr": 1e6 * state.covariance[at, 0, 1] / (place[:, 0] * place[:, 1]),
     }
     if match.epoch_jyr is not None:
-        untold = ~match.has_motion[at]
+        no_motion = ~match.has_motion[at]
         for k, name in enumerate(("pmra_object", "pmdec_object")):
-            values[name] = np.ma.MaskedArray(1e3 * state.state[at, 2 + k], untold)
-            values[f"{name}_error"] = np.ma.MaskedArray(motion[:, k], untold)
+            values[name] = np.ma.MaskedArray(1e3 * state.state[at, 2 + k], no_motion)
+            values[f"{name}_error"] = np.ma.MaskedArray(motion[:, k], no_motion)
         values["epoch_object"] = np.full(len(at), match.epoch_jyr)
     group = objects.group[at]
     return values | {
@@ -144,14 +151,14 @@ def _answers(match: ManyMatch, at: IntArray) -> dict[str, NDArray[Any] | np.ma.M
 
 
 def _in_words(match: ManyMatch, at: IntArray) -> np.ma.MaskedArray:
-    """(k,) runners-up as "catalogue id = catalogue id", masked where there are none to speak of."""
-    rows = np.ma.filled(match.objects.runner_up, -1)[at]
-    some = np.flatnonzero(np.ma.filled(match.objects.p_runner_up, 0.0)[at] >= WORTH_TELLING)
+    """(k,) runners-up as "catalogue id = catalogue id", masked where none is probable enough."""
+    rows = np.ma.filled(match.objects.runner_up, NO_RECORD)[at]
+    some = np.flatnonzero(np.ma.filled(match.objects.p_runner_up, 0.0)[at] >= LEAST_RUNNER_UP)
     words = [
         " = ".join(
             f"{catalogue.name} {catalogue.ids[row]}"
             for catalogue, row in zip(match.catalogues, rows[k].tolist(), strict=True)
-            if row >= 0
+            if row != NO_RECORD
         )
         for k in some.tolist()
     ]

@@ -19,39 +19,48 @@ from scipy.sparse import csr_array
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, Message, naming
+from sameas.evidence import Errors
 from sameas.gate import Pairs
 from sameas.gaussian import mahalanobis_sq
-from sameas.many.joint import Joint, Observers
+from sameas.many.joint import NO_RECORD, Joint, Observers
 from sameas.many.marginals import Answer, answer
 from sameas.many.objects import Objects
 from sameas.many.pooled import PooledRecords, pooled
 from sameas.many.sets import Sets, candidate_sets
 from sameas.many.terms import Linear, Terms
 from sameas.records import Records
+from sameas.representation import in_short
+from sameas.sky.assumed import completed
 from sameas.sky.bands import OFF
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.crossmatch import MatchOptions, SkyMatch
+from sameas.sky.crossmatch import MatchOptions, SkyMatch, brought_together
 from sameas.sky.crossmatch import match as match_two
-from sameas.sky.many.population import Coverages, Population, first_guess, patterns_of
+from sameas.sky.many.population import TUNING, Coverages, Population, PopulationTuning, first_guess, patterns_of
 from sameas.sky.many.stars import AstrometricRecords, fitted, moving_rows
+from sameas.sky.rotation import Rotation, find_rotation
 from sameas.space import sphere_offset
 
-# Catalogues as observers of stars: what :mod:`sameas.many` asks of several sources, answered for stars that move.
-
-#: An upper bound of a log density that excludes no set: a motion allows places far apart.
+#: An upper bound of a log density that excludes no set: a motion allows positions far apart.
 UNBOUNDED = 1e4
+#: Candidates less probable than this, two by two, lead to no others (chosen).
+PLAUSIBLE = 1e-6
+#: Most catalogues: more have more patterns than data can distinguish (chosen).
+MOST_CATALOGUES = 8
+#: Years; records nearer in time do not determine a motion (chosen).
+LEAST_SPAN_YR = 0.1
 
 
+@in_short
 @dataclass(frozen=True)
 class StarObservers(Observers):
-    """Catalogues as observers of stars, ``sources`` their records in the order of the pooled records.
+    """Catalogues as observers of stars that move, for :mod:`sameas.many`; ``sources`` are their pooled records.
 
     The state of a set: right ascension and declination in degrees at the reference epoch, proper motion east and north
-    in arcsec per year, (k, 4); its covariance in arcsec and arcsec per year, as the residuals of its pattern spread
-    where they tell of errors.
+    in arcsec per year, (k, 4); its covariance in arcsec and arcsec per year, scaled by the residuals of its pattern
+    where these are errors.
 
-    astrometric, population : in the order of the catalogues and of their tables. catalogue : (S,) which one each source
-    is. position : per source where its records stand there.
+    astrometric, population : in the order of the catalogues and of their tables. catalogue : (S,) number of the
+    catalogue of each source. position : per source the positions of its records there.
     """
 
     astrometric: tuple[AstrometricRecords, ...] = field(kw_only=True)
@@ -67,7 +76,7 @@ class StarObservers(Observers):
         astrometric: tuple[AstrometricRecords, ...],
         population: Population,
     ) -> StarObservers:
-        """Those of the pooled ``records`` of the catalogues."""
+        """The observers of the pooled ``records`` of the catalogues."""
         names = [one.source for one in records]
         sources = tuple(source for source in pooled.sources if isinstance(source, Records))
         catalogue = tuple(names.index(source.source) for source in sources)
@@ -78,9 +87,9 @@ class StarObservers(Observers):
 
     def placed(self, sets: NDArray[np.integer]) -> IntArray:
         """Sets (k, sources) of positions in the sources, as (k, catalogues) of positions in the catalogues' records."""
-        out = np.full(sets.shape, -1, np.int64)
+        out = np.full(sets.shape, NO_RECORD, np.int64)
         for s, c in enumerate(self.catalogue):
-            k = np.flatnonzero(sets[:, s] >= 0)
+            k = np.flatnonzero(sets[:, s] != NO_RECORD)
             out[k, c] = self.position[s][sets[k, s]]
         return out
 
@@ -91,43 +100,37 @@ class StarObservers(Observers):
         log_density = fit.log_peak + self.population.log_spread(patterns, fit.chi_sq)
         several = patterns & (patterns - 1) > 0
         log_density += np.where(several, self.population.log_together(placed, patterns), 0.0)
-        scale_sq = np.where(fit.judged, self.population.scale_sq(patterns, fit.chi_sq), 1.0)
+        scale_sq = np.where(fit.has_residual, self.population.scale_sq(patterns, fit.chi_sq), 1.0)
         state = np.column_stack([fit.direction, fit.motion])
         return Joint(log_density, fit.chi_sq, state, scale_sq[:, None, None] * fit.covariance)
 
     def terms(self, pooled: PooledRecords) -> Terms:
-        """What the records weigh as objects of their own."""
+        """The weights of the records as objects of their own."""
         alone = [self.population.log_alone(c)[p] for c, p in zip(self.catalogue, self.position, strict=True)]
         return Terms({"density of lone records": Linear(0.0, -np.concatenate(alone))})
 
     def log_peak(self, s: int) -> FloatArray:
-        """(n,) no set gains more by a record of source s."""
+        """(n,) an upper bound of what a set gains by a record of source s."""
         return np.full(len(self.position[s]), UNBOUNDED)
 
-
-# Candidates: which records of every two catalogues can be one star, found two by two and through a third.
-#
-# Every two catalogues are identified with each other first (:func:`sameas.sky.crossmatch.match`): that chooses how wide
-# their gate must be, which their residuals alone can tell. Two catalogues without motions miss each other's fast stars,
-# whose records lie beyond any gate; where a third catalogue knows the motion, records that both are candidates of one
-# of its moving records are candidates of each other.
-
-#: Candidates less probable than this, two by two, lead to no others.
-PLAUSIBLE = 1e-6
 
 Matches = Mapping[tuple[int, int], SkyMatch]
 
 
+@in_short
 @dataclass(frozen=True)
 class Candidates:
-    """Candidate pairs of every two catalogues; a gate for :func:`sameas.many.pooled.pooled`, called by their records'
-    names.
+    """Candidate pairs of every two catalogues; a gate for :func:`sameas.many.pooled.pooled`, by the sources' names.
 
-    records : of every catalogue. found : per two of them (a < b) the positions i (m,) and j (m,) in their records.
+    Every two catalogues are matched first (:func:`sameas.sky.crossmatch.match`), because their residuals determine the
+    width of their gate. Fast stars of two catalogues without motions lie beyond any gate; where a third catalogue has
+    the motion, records that are both candidates of one of its moving records are candidates of each other.
+
+    records : of every catalogue. positions : per two of them (a < b) positions i (m,) and j (m,) in their records.
     """
 
     records: tuple[Records, ...]
-    found: Mapping[tuple[int, int], tuple[IntArray, IntArray]]
+    positions: Mapping[tuple[int, int], tuple[IntArray, IntArray]]
 
     @classmethod
     def of(cls, matches: Matches, records: Sequence[Records], astrometric: Sequence[AstrometricRecords]) -> Candidates:
@@ -136,7 +139,7 @@ class Candidates:
         for (a, b), match in matches.items():
             i, j, p = positions(match, records[a], records[b])
             links[a, b] = csr_array((p + 1.0, (i, j)), shape=(len(records[a]), len(records[b])))
-        found = {}
+        candidates = {}
         for a, b in combinations(range(len(records)), 2):
             link = links[a, b]
             for c in range(len(records)):
@@ -145,14 +148,14 @@ class Candidates:
                 to, off = _through(links, a, c), _through(links, c, b)
                 link = link + (to * astrometric[c].moving.astype(np.float64)) @ off
             pairs = csr_array(link).tocoo()
-            found[a, b] = pairs.row.astype(np.int64), pairs.col.astype(np.int64)
-        return cls(tuple(records), found)
+            candidates[a, b] = pairs.row.astype(np.int64), pairs.col.astype(np.int64)
+        return cls(tuple(records), candidates)
 
     def __call__(self, first: Records, second: Records) -> Pairs:
         """The candidates of two of the catalogues, whatever the order of their records."""
         names = [records.source for records in self.records]
         a, b = names.index(first.source), names.index(second.source)
-        i, j = self.found[min(a, b), max(a, b)]
+        i, j = self.positions[min(a, b), max(a, b)]
         if a > b:
             i, j = j, i
         return measured(first, second, place(self.records[a], first)[i], place(self.records[b], second)[j])
@@ -161,10 +164,10 @@ class Candidates:
 def positions(match: SkyMatch, first: Records, second: Records) -> tuple[IntArray, IntArray, FloatArray]:
     """A match's candidates as positions in two sets of records of its catalogues, and their probabilities."""
     result = match.result
-    i, known_1 = _known(first, result.rows_1)
-    j, known_2 = _known(second, result.rows_2)
-    known = known_1 & known_2
-    return i[known], j[known], result.p_pair[known]
+    i, used_1 = _positions_of(first, result.rows_1)
+    j, used_2 = _positions_of(second, result.rows_2)
+    used = used_1 & used_2
+    return i[used], j[used], result.p_pair[used]
 
 
 def measured(first: Records, second: Records, rows_1: IntArray, rows_2: IntArray) -> Pairs:
@@ -179,7 +182,7 @@ def measured(first: Records, second: Records, rows_1: IntArray, rows_2: IntArray
 
 
 def place(records: Records, among: Records) -> IntArray:
-    """(n,) where each of the ``records`` stands among the same records in another order."""
+    """(n,) position of each of the ``records`` among the same records in another order."""
     order = np.argsort(among.rows)
     return order[np.searchsorted(among.rows, records.rows, sorter=order)]
 
@@ -192,40 +195,35 @@ def _through(links: Mapping[tuple[int, int], csr_array], a: int, b: int) -> csr_
     return kept
 
 
-def _known(records: Records, rows: IntArray) -> tuple[IntArray, np.ndarray]:
-    """Positions of table rows among the records, and whether they are there."""
+def _positions_of(records: Records, rows: IntArray) -> tuple[IntArray, BoolArray]:
+    """Positions of table rows among the records, and whether they are among them."""
     at = np.minimum(np.searchsorted(records.rows, rows), max(len(records) - 1, 0))
     return at, records.rows[at] == rows
 
 
-#: More catalogues have more patterns than data can tell apart.
-MOST_CATALOGUES = 8
-ROUNDS = 8
-#: The population has settled when the expected number of objects of no pattern changes by more than this share of all.
-SETTLED = 3e-4
-#: Records nearer in time than this do not tell a motion.
-LEAST_SPAN_YR = 0.1
-
-
 @dataclass(frozen=True)
 class ManyOptions:
-    """What the user says beforehand; everything not said is estimated or decided by the catalogues.
+    """What the user gives; everything else is estimated or decided by the catalogues.
 
-    epoch_jyr : of the objects' places in the answer; the mean of the catalogues' epochs if not said.
+    epoch_jyr : of the objects' positions in the answer; the mean of the catalogues' epochs by default.
     gate_sigmas, error_scale : as in :class:`~sameas.sky.crossmatch.MatchOptions`, of every two catalogues.
     time_limit_s : of branch and bound in one group; where it is reached the answer states its gap.
+    offset : "none" takes all catalogues to be on one frame; "find" rotates each onto the most precise one, or onto one
+        that was rotated so before (see :mod:`sameas.sky.rotation`).
     """
 
     epoch_jyr: float | None = None
     gate_sigmas: float | None = None
-    error_scale: float | str = "auto"
+    error_scale: float | str | Errors = "auto"
     time_limit_s: float = 60.0
+    offset: str = "none"
 
     def of_two(self) -> MatchOptions:
         """The options of every two catalogues."""
         return MatchOptions(gate_sigmas=self.gate_sigmas, error_scale=self.error_scale, magnitudes=OFF)
 
 
+@in_short
 @dataclass(frozen=True)
 class ManyMatch:
     """Several catalogues identified.
@@ -233,7 +231,8 @@ class ManyMatch:
     catalogues : in the order given, as the sources of ``objects``. epoch_jyr : of the objects' states, None where
     nothing was moved. objects : the answer; its ``fused.state`` is (n, 4), see :class:`StarObservers`.
     two_by_two : the catalogues identified in pairs, by their names. expected : by names of catalogues, the expected
-    number of objects that exactly these show. rounds, settled : of the estimate. doubts : what looks wrong.
+    number of objects in exactly these. iterations, settled : of EM, and whether it converged. doubts : in words.
+    rotations : by the name of a catalogue, what was taken away from it.
     """
 
     catalogues: tuple[Catalogue, ...]
@@ -241,9 +240,10 @@ class ManyMatch:
     objects: Objects
     two_by_two: dict[tuple[str, str], SkyMatch]
     expected: dict[tuple[str, ...], float]
-    rounds: int
+    iterations: int
     settled: bool
     doubts: tuple[str, ...]
+    rotations: Mapping[str, Rotation] = field(default_factory=dict)
 
     @cached_property
     def state(self) -> Joint:
@@ -252,27 +252,27 @@ class ManyMatch:
 
     @cached_property
     def has_motion(self) -> BoolArray:
-        """(n,) whether an object's records tell its motion: one has it, or two are of different epochs."""
-        members = np.ma.filled(self.objects.members, -1)
-        told = np.zeros(len(members), bool)
+        """(n,) whether an object's records determine its motion: one has it, or two are of different epochs."""
+        members = np.ma.filled(self.objects.members, NO_RECORD)
+        measured = np.zeros(len(members), bool)
         first, last = np.full(len(members), np.inf), np.full(len(members), -np.inf)
         for k, catalogue in enumerate(self.catalogues):
-            here = np.flatnonzero(members[:, k] >= 0)
+            here = np.flatnonzero(members[:, k] != NO_RECORD)
             rows = members[here, k]
             epoch = catalogue.astrometry.epoch_jyr[rows]
-            told[here] |= moving_rows(catalogue)[rows]
+            measured[here] |= moving_rows(catalogue)[rows]
             first[here], last[here] = np.fmin(first[here], epoch), np.fmax(last[here], epoch)
-        return np.asarray(told | (last - first > LEAST_SPAN_YR))
+        return np.asarray(measured | (last - first > LEAST_SPAN_YR))
 
     @cached_property
     def broken(self) -> int:
-        """How many pairs that the catalogues two by two make are not kept by all together."""
+        """Number of pairs of the catalogues two by two that are not one object of all together."""
         names = [catalogue.name for catalogue in self.catalogues]
         number = [np.ma.filled(self.objects.of(name).object, -1) for name in names]
         total = 0
         for (a, b), match in self.two_by_two.items():
-            found = match.result.matches
-            one, two = number[names.index(a)][found.rows_1], number[names.index(b)][found.rows_2]
+            matches = match.result.matches
+            one, two = number[names.index(a)][matches.rows_1], number[names.index(b)][matches.rows_2]
             total += int(np.count_nonzero(one != two))
         return total
 
@@ -282,14 +282,15 @@ def match_many(
     options: ManyOptions | None = None,
     *,
     progress: Callable[[str], None] = lambda stage: None,
+    tuning: PopulationTuning = TUNING,
 ) -> ManyMatch:
     """Identify two catalogues or more, all at once.
 
     Parameters
     ----------
-    catalogues : understood, of different names; their order changes nothing.
-    options : what is known beforehand.
-    progress : called with the name of what is being done.
+    catalogues : of different names; their order changes nothing.
+    options : what the user gives.
+    progress : called with the name of each stage. tuning : numbers of the estimate of the population.
 
     Raises
     ------
@@ -297,8 +298,12 @@ def match_many(
     """
     options = ManyOptions() if options is None else options
     _refuse(catalogues)
+    catalogues, assumed = completed(catalogues, options.epoch_jyr)
     order = sorted(range(len(catalogues)), key=lambda k: _content(catalogues[k]))
     epoch, ordered = _at_one_time([catalogues[k] for k in order], options.epoch_jyr)
+    searches: dict[str, Rotation] = {}
+    if options.offset == "find":
+        ordered, searches = _on_one_frame(ordered, progress)
     matches = _two_by_two(ordered, options, progress)
     progress("candidates of all")
     records = [catalogue.records(epoch) for catalogue in ordered]
@@ -308,12 +313,59 @@ def match_many(
     together = pooled(given, candidates)
     coverages = {pair: match.estimate.coverage for pair, match in matches.items()}
     observers = StarObservers.of(together, records, astrometric, _first_guess(matches, records, coverages, options))
-    found = _settled(replace(together, observers=observers), coverages, options, progress)
-    objects = Objects(tuple(given), found.pooled, found.sets, found.answer, found.terms)
-    expected = _by_names(found.expected, order, [catalogue.name for catalogue in catalogues])
+    em = _estimated(replace(together, observers=observers), coverages, options, progress, tuning)
+    objects = Objects(tuple(given), em.pooled, em.sets, em.answer, em.terms)
+    expected = _by_names(em.expected, order, [catalogue.name for catalogue in catalogues])
     pairs = {(ordered[a].name, ordered[b].name): match for (a, b), match in matches.items()}
-    doubts = _doubts(pairs, objects, found.settled)
-    return ManyMatch(tuple(catalogues), epoch, objects, pairs, expected, found.rounds, found.settled, doubts)
+    doubts = assumed + _search_doubts(searches) + _doubts(pairs, objects, em.settled)
+    taken = {name: rotation for name, rotation in searches.items() if not rotation.by_chance}
+    return ManyMatch(tuple(catalogues), epoch, objects, pairs, expected, em.iterations, em.settled, doubts, taken)
+
+
+def _on_one_frame(
+    catalogues: Sequence[Catalogue], progress: Callable[[str], None]
+) -> tuple[list[Catalogue], dict[str, Rotation]]:
+    """The catalogues on the frame of the most precise one, and what was found of each other, by name.
+
+    A catalogue that has too little in common with that one is rotated onto one that was brought there before. Errors of
+    the rotations, which are those of many records together, are left out of the errors of the records.
+    """
+    precise = sorted(range(len(catalogues)), key=lambda k: _typical_sigma(catalogues[k]))
+    placed, found, waiting = {precise[0]: catalogues[precise[0]]}, {}, precise[1:]
+    while waiting:
+        tries = ((k, reference) for k in waiting for reference in placed.values())
+        for k, reference in tries:
+            _, _, one, two = brought_together(reference, catalogues[k])
+            rotation = find_rotation(one, two, partial(_stage, progress, f"{reference.name} and {catalogues[k].name}"))
+            found[catalogues[k].name] = rotation
+            if not rotation.by_chance:
+                placed[k] = _rotated(catalogues[k], rotation)
+                break
+        else:  # nothing of what is left can be brought there
+            break
+        waiting.remove(k)
+    return [placed.get(k, catalogue) for k, catalogue in enumerate(catalogues)], found
+
+
+def _typical_sigma(catalogue: Catalogue) -> float:
+    """Median error of the positions, mas."""
+    return float(np.nanmedian(np.sqrt(catalogue.astrometry.variance(0))))
+
+
+def _rotated(catalogue: Catalogue, rotation: Rotation) -> Catalogue:
+    at = catalogue.astrometry
+    ra, dec = rotation.moved(np.column_stack([at.ra_deg, at.dec_deg])).T
+    return replace(catalogue, astrometry=replace(at, ra_deg=ra, dec_deg=dec))
+
+
+def _search_doubts(searches: Mapping[str, Rotation]) -> tuple[str, ...]:
+    """Doubts of the rotations that were looked for."""
+    lines = []
+    for name, search in searches.items():
+        lines += [f"{name}: {note}" for note in search.notes]
+        if search.by_chance:
+            lines.append(f"{name}: no offset was taken away")
+    return tuple(lines)
 
 
 def _two_by_two(
@@ -329,12 +381,12 @@ def _two_by_two(
 
 def _by_names(expected: FloatArray, order: list[int], names: list[str]) -> dict[tuple[str, ...], float]:
     """Expected numbers of objects by names, as the catalogues were given; those of one catalogue first."""
-    shown = {}
+    numbers = {}
     for pattern, number in enumerate(expected.tolist()):
         within = tuple(sorted(order[s] for s in range(len(order)) if pattern >> s & 1))
         if within:
-            shown[within] = number
-    return {tuple(names[k] for k in within): shown[within] for within in sorted(shown, key=lambda w: (len(w), w))}
+            numbers[within] = number
+    return {tuple(names[k] for k in within): numbers[within] for within in sorted(numbers, key=lambda w: (len(w), w))}
 
 
 def _stage(progress: Callable[[str], None], names: str, stage: str) -> None:
@@ -342,22 +394,26 @@ def _stage(progress: Callable[[str], None], names: str, stage: str) -> None:
 
 
 @dataclass(frozen=True)
-class _Converged:
-    """The answer with the population that it was found with; ``expected`` (2^S,) objects of every pattern."""
+class _Estimate:
+    """The answer and its population; ``expected`` (2^S,) numbers of objects of every pattern."""
 
     pooled: PooledRecords
     sets: Sets
     terms: Terms
     answer: Answer
     expected: FloatArray
-    rounds: int
+    iterations: int
     settled: bool
 
 
-def _settled(
-    together: PooledRecords, coverages: Coverages, options: ManyOptions, progress: Callable[[str], None]
-) -> _Converged:
-    """Population and probabilities estimated in turn, until they settle."""
+def _estimated(
+    together: PooledRecords,
+    coverages: Coverages,
+    options: ManyOptions,
+    progress: Callable[[str], None],
+    tuning: PopulationTuning,
+) -> _Estimate:
+    """Population and probabilities estimated alternately until they converge (EM)."""
     observers = together.observers
     assert isinstance(observers, StarObservers)
     progress("sets of all")
@@ -366,19 +422,19 @@ def _settled(
     weighing = _Weighing.of(placed, observers)
     before = np.full(1 << len(observers.sources), -1.0)
     population = observers.population
-    for number in range(1, ROUNDS + 1):
+    for number in range(1, tuning.iterations + 1):
         progress(f"estimation of all, round {number}")
         weighed = replace(sets, log_weight=weighing(population))
         best = answer(weighed, together, None, time_limit_s=options.time_limit_s)
         expected = np.bincount(weighing.patterns, best.probability, len(before)).astype(np.float64)
-        settled = bool(np.abs(expected - before).max() <= SETTLED * expected.sum() + 0.01)
-        if settled or number == ROUNDS:
+        settled = bool(np.abs(expected - before).max() <= tuning.settled * expected.sum() + 0.01)
+        if settled or number == tuning.iterations:
             break
         before = expected
-        population = population.learned(placed, weighing.chi_sq, best.probability, coverages)
+        population = population.learned(placed, weighing.chi_sq, best.probability, coverages, tuning)
     observers = replace(observers, population=population)
     together = replace(together, observers=observers)
-    return _Converged(together, weighed, observers.terms(together), best, expected, number, settled)
+    return _Estimate(together, weighed, observers.terms(together), best, expected, number, settled)
 
 
 @dataclass(frozen=True)
@@ -406,7 +462,7 @@ class _Weighing:
         sets, patterns = self.sets[k], self.patterns[k]
         weight[k] += population.log_spread(patterns, self.chi_sq[k]) + population.log_together(sets, patterns)
         for s in range(sets.shape[1]):
-            here = np.flatnonzero(sets[:, s] >= 0)
+            here = np.flatnonzero(sets[:, s] != NO_RECORD)
             weight[k[here]] -= population.log_alone(s)[sets[here, s]]
         return weight
 
@@ -414,12 +470,12 @@ class _Weighing:
 def _first_guess(
     matches: Matches, records: Sequence[Records], coverages: Coverages, options: ManyOptions
 ) -> Population:
-    """The population that the catalogues two by two make one believe in."""
+    """The start of EM: the population by the catalogues two by two."""
     partnered: dict[tuple[int, int], FloatArray] = {}
     for (a, b), match in matches.items():
         for s, t, answers in ((a, b, match.result.answers_1), (b, a, match.result.answers_2)):
             partnered[s, t] = 1.0 - np.ma.filled(answers.p_none, 1.0)[records[s].rows]
-    spread = {1 << a | 1 << b: match.estimate.errors for (a, b), match in matches.items()}
+    spread = {1 << a | 1 << b: match.estimate.spread for (a, b), match in matches.items()}
     return first_guess(coverages, partnered, spread, options.error_scale == "auto")
 
 
@@ -433,13 +489,13 @@ def _refuse(catalogues: Sequence[Catalogue]) -> None:
 
 
 def _content(catalogue: Catalogue) -> tuple[object, ...]:
-    """What a catalogue is ordered by: what it says, however its rows are ordered."""
+    """The key by which catalogues are ordered: their content, whatever the order of their rows."""
     epoch = catalogue.epoch_jyr
-    place = np.sort(catalogue.astrometry.ra_deg).tobytes()
-    return len(catalogue), -np.inf if epoch is None else epoch, place, catalogue.name
+    positions = np.sort(catalogue.astrometry.ra_deg).tobytes()
+    return len(catalogue), -np.inf if epoch is None else epoch, positions, catalogue.name
 
 
-def _at_one_time(catalogues: list[Catalogue], asked: float | None) -> tuple[float | None, list[Catalogue]]:
+def _at_one_time(catalogues: list[Catalogue], given: float | None) -> tuple[float | None, list[Catalogue]]:
     """The reference epoch, and the catalogues; without their epochs where these are not known of all.
 
     Raises
@@ -450,9 +506,9 @@ def _at_one_time(catalogues: list[Catalogue], asked: float | None) -> tuple[floa
     unknown = [c.name for c, epoch in zip(catalogues, epochs, strict=True) if epoch is None]
     if not unknown:
         return (
-            float(np.mean([epoch for epoch in epochs if epoch is not None])) if asked is None else asked
+            float(np.mean([epoch for epoch in epochs if epoch is not None])) if given is None else given
         ), catalogues
-    if asked is not None or any(catalogue.has_motion for catalogue in catalogues):
+    if given is not None or any(catalogue.has_motion for catalogue in catalogues):
         raise InputError(
             f"{unknown[0]}: its epoch is not known, so stars cannot be moved to or from it",
             naming("say {epoch:YEAR}"),

@@ -1,13 +1,13 @@
-"""The population: how densely objects lie that exactly these catalogues show, and how their residuals spread.
+"""The population: the density of the objects in exactly certain catalogues, and the scatter of their residuals.
 
-A *pattern* is a set of catalogues, one bit for each. Of every pattern the data tell the local density of its objects
-and the spread of the residuals about the quoted errors; nothing is assumed of how catalogues miss objects, as they miss
-the faint ones together. A set of records of pattern A weighs
+A *pattern* is a set of catalogues, one bit for each. For every pattern the local density of its objects and the scatter
+of the residuals about the quoted errors are estimated; misses of the catalogues are not assumed to be independent, as
+all miss the faint objects. A set of records of pattern A weighs
 
     ln w = ln J + mean over its records of ln ρ_A − Σ over its records of ln ρ_alone,
 
-ρ at the records' places, J spread as ``Errors`` of A say about the quoted errors. For two catalogues that is
-``PoissonField``, its densities and errors estimated as :mod:`sameas.estimate` does, by the same cells and shares.
+ρ at the records' positions, J with the errors of pattern A. For two catalogues that is ``PoissonField``, with densities
+and errors estimated as in :mod:`sameas.estimate`, by the same cells and shares.
 """
 
 from __future__ import annotations
@@ -20,18 +20,39 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.estimate.coverage import Coverage, local_share
-from sameas.estimate.em import FEWEST, LEAST_SHARE, THINKABLE
+from sameas.estimate.em import DEFAULT_EM
 from sameas.estimate.error_scales import fit_errors
 from sameas.evidence import Errors
+from sameas.representation import in_short
 
 Coverages = Mapping[tuple[int, int], Coverage]
-#: Sets less probable than this say nothing of the errors; none is taken to be more probable than the other number.
-UNLIKELY, SUREST = 1e-3, 1.0 - 1e-9
 
 
 @dataclass(frozen=True)
+class PopulationTuning:
+    """Numbers of the estimate of the population (EM), all chosen.
+
+    Attributes
+    ----------
+    iterations : at most.
+    settled : converged when the expected number of objects of no pattern changes by more than this share of all.
+    least_p_set : sets less probable than this are not used for the errors.
+    largest_p_set : probabilities are bounded by this, so that their odds are finite.
+    """
+
+    iterations: int = 8
+    settled: float = 3e-4
+    least_p_set: float = 1e-3
+    largest_p_set: float = 1.0 - 1e-9
+
+
+TUNING = PopulationTuning()
+
+
+@in_short
+@dataclass(frozen=True)
 class Population:
-    """What is believed of the objects of every pattern.
+    """Densities and errors of the objects of every pattern.
 
     log_density : per catalogue (n, 2^S) ln of the density of objects of each pattern at its records, per arcsec²;
         −∞ for patterns without the catalogue. spread : by pattern. learns_errors : whether spreads are estimated.
@@ -42,7 +63,7 @@ class Population:
     learns_errors: bool = True
 
     def log_spread(self, patterns: IntArray, chi_sq: FloatArray) -> FloatArray:
-        """(k,) what replaces −½ χ² of one normal for sets of these patterns."""
+        """(k,) the term that replaces −½ χ² of one normal for sets of these patterns."""
         out = np.zeros(len(patterns))
         for pattern, here in self._several(patterns):
             out[here] = self.spread[pattern].log_profile(chi_sq[here], freedom(pattern))
@@ -75,7 +96,14 @@ class Population:
         """(n,) ln ρ of the records of catalogue s that no other shows."""
         return self.log_density[s][:, 1 << s]
 
-    def learned(self, sets: IntArray, chi_sq: FloatArray, probability: FloatArray, coverages: Coverages) -> Population:
+    def learned(
+        self,
+        sets: IntArray,
+        chi_sq: FloatArray,
+        probability: FloatArray,
+        coverages: Coverages,
+        tuning: PopulationTuning = TUNING,
+    ) -> Population:
         """The population of greatest likelihood for sets (k, S) of these probabilities (one step of EM)."""
         patterns = patterns_of(sets)
         shares = []
@@ -84,20 +112,22 @@ class Population:
             k = np.flatnonzero(sets[:, s] >= 0)
             np.add.at(share, (sets[k, s], patterns[k]), probability[k])
             shares.append(np.minimum(share, 1.0))
-        spread = self._spread(patterns, chi_sq, probability) if self.learns_errors else self.spread
+        spread = self._spread(patterns, chi_sq, probability, tuning) if self.learns_errors else self.spread
         return replace(self, log_density=log_densities(coverages, shares), spread=spread)
 
-    def _spread(self, patterns: IntArray, chi_sq: FloatArray, probability: FloatArray) -> dict[int, Errors]:
+    def _spread(
+        self, patterns: IntArray, chi_sq: FloatArray, probability: FloatArray, tuning: PopulationTuning
+    ) -> dict[int, Errors]:
         spread = dict(self.spread)
         for pattern, errors in self.spread.items():
-            here = np.flatnonzero((patterns == pattern) & (probability > UNLIKELY))
-            if probability[here].sum() < FEWEST:
+            here = np.flatnonzero((patterns == pattern) & (probability > tuning.least_p_set))
+            if probability[here].sum() < DEFAULT_EM.fewest:
                 continue
-            # What everything but the residuals says of these sets: their odds without the spread that was believed.
-            p, d = np.minimum(probability[here], SUREST), freedom(pattern)
+            # The odds of these sets by everything but their residuals.
+            p, d = np.minimum(probability[here], tuning.largest_p_set), freedom(pattern)
             log_odds = np.log(p / (1.0 - p)) - errors.log_profile(chi_sq[here], d)
-            # No wider than the catalogues two by two were found to spread: chance fills what lies beyond.
-            widest = max(THINKABLE, *(max(self.spread[pair].scales) for pair in pairs_within(pattern)))
+            # Not wider than of the catalogues two by two: chance pairs prevail beyond.
+            widest = max(DEFAULT_EM.thinkable, *(max(self.spread[pair].scales) for pair in pairs_within(pattern)))
             spread[pattern] = fit_errors(chi_sq[here], log_odds, d, errors, widest=widest).errors
         return spread
 
@@ -105,7 +135,7 @@ class Population:
 def first_guess(
     coverages: Coverages, partnered: Mapping[tuple[int, int], FloatArray], spread: Mapping[int, Errors], learns: bool
 ) -> Population:
-    """The population that the catalogues two by two make one believe in, as if they missed objects independently.
+    """The population by the catalogues two by two, as if they missed objects independently; the start of EM.
 
     partnered : (n_a,) per catalogues (a, b) the probability that a record of a has a partner in b.
     spread : the errors of every two catalogues, by pattern.
@@ -131,22 +161,22 @@ def log_densities(coverages: Coverages, shares: Sequence[FloatArray]) -> tuple[F
     """Per catalogue (n, 2^S) ln ρ of every pattern at its records, from every record's share in it.
 
     ρ_A of a catalogue is the density of its records times their share in A; all catalogues of A count the same objects,
-    and the mean of the logarithms favours none. A share is that among records where all of A look.
+    and the mean of the logarithms favours none. Shares are among the records in the footprint of all of A.
     """
     n_sources = len(shares)
     total = [np.zeros(share.shape) for share in shares]
-    seen = [_seen(coverages, s, shares) for s in range(n_sources)]
+    covered = [_covered(coverages, s, shares) for s in range(n_sources)]
     for (a, b), coverage in coverages.items():
         for side, s in ((1, a), (2, b)):
             all_at = coverage.density(side, np.ones(len(shares[s])))
             for pattern in _patterns_with(s, n_sources):
-                weights = seen[s][:, pattern].astype(np.float64)
+                weights = covered[s][:, pattern].astype(np.float64)
                 share_at = local_share(coverage.levels, side, shares[s][:, pattern] * weights, weights)
                 for t, density, share in zip((a, b), all_at, share_at, strict=True):
                     if pattern >> t & 1:
-                        # Two catalogues share one coverage; a catalogue's own place is in all of its coverages.
+                        # A catalogue's own records are in all of its coverages, those of another in one.
                         part = 1.0 / (n_sources - 1) if t == s else 1.0
-                        total[t][:, pattern] += part * np.log(density * np.maximum(share, LEAST_SHARE))
+                        total[t][:, pattern] += part * np.log(density * np.maximum(share, DEFAULT_EM.least_share))
     sizes = np.array([max(pattern.bit_count(), 1) for pattern in range(1 << n_sources)])
     out = []
     for s, column in enumerate(total):
@@ -161,7 +191,7 @@ def patterns_of(sets: IntArray) -> IntArray:
 
 
 def freedom(pattern: int) -> int:
-    """Degrees of freedom of the χ² of a star seen by the catalogues of a pattern."""
+    """Degrees of freedom of the χ² of a star in the catalogues of a pattern."""
     return 2 * (pattern.bit_count() - 1)
 
 
@@ -175,15 +205,15 @@ def _patterns_with(s: int, n_sources: int) -> list[int]:
     return [pattern for pattern in range(1, 1 << n_sources) if pattern >> s & 1]
 
 
-def _seen(coverages: Coverages, s: int, shares: Sequence[FloatArray]) -> BoolArray:
-    """(n, 2^S) whether all catalogues of a pattern look at the records of s."""
+def _covered(coverages: Coverages, s: int, shares: Sequence[FloatArray]) -> BoolArray:
+    """(n, 2^S) whether the records of s lie in the footprint of all catalogues of a pattern."""
     n_sources = len(shares)
-    looks = np.ones((len(shares[s]), n_sources), bool)
+    by_source = np.ones((len(shares[s]), n_sources), bool)
     for (a, b), coverage in coverages.items():
         if s in (a, b):
-            looks[:, b if s == a else a] = coverage.covered[0 if s == a else 1]
+            by_source[:, b if s == a else a] = coverage.covered[0 if s == a else 1]
     out = np.zeros(shares[s].shape, bool)
     for pattern in _patterns_with(s, n_sources):
         within = [t for t in range(n_sources) if pattern >> t & 1]
-        out[:, pattern] = looks[:, within].all(axis=1)
+        out[:, pattern] = by_source[:, within].all(axis=1)
     return out

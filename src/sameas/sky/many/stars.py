@@ -1,16 +1,16 @@
-"""Stars: what several catalogues, each at its own epoch, see of one star's place and motion.
+"""Stars: position and motion of one star from several catalogues, each at its own epoch.
 
-A star is at x at a reference epoch T and moves by v. A record seen at epoch t without a motion says z = x + (t − T) v;
-one with a motion says both, x and v, carried to T. With Λ, η and χ² summed over the records of a set as in
-:mod:`sameas.many.joint`, on the tangent plane at the set's first record, the density of their places is
+A star is at x at a reference epoch T and moves by v. A record of epoch t without a motion measures z = x + (t − T) v;
+one with a motion measures both, x and v, carried to T. With Λ, η and χ² summed over the records of a set as in
+:mod:`sameas.many.joint`, on the tangent plane at the set's first record, the density of their positions is
 
     ln J = Σ ln norm + 2 ln 2π − ½ ln|Λ| − ½ χ²,
 
-less the same of the motions alone where two records or more have one: the places are judged, given that their motions
-are one motion, as :func:`sameas.sky.crossmatch.match` judges them. Where no record of a set has a motion, v is normal
-about 0 with the standard deviation that the catalogues were given for motions that are not known. So a star of large
-motion is found in catalogues without motions wherever one catalogue has it, in both directions of time; a common epoch
-cannot do that. For two catalogues J is the density of the residual at the common epoch.
+less the same of the motions alone where two records or more have one: the density is that of the positions, given one
+motion, as in :func:`sameas.sky.crossmatch.match`. Where no record of a set has a motion, v is normal about 0 with the
+standard deviation that the catalogues were given for unknown motions. So a star of large motion is identified in
+catalogues without motions wherever one catalogue has it, in both directions of time; a common epoch cannot do that.
+For two catalogues J is the density of the residual at the common epoch.
 """
 
 from __future__ import annotations
@@ -23,30 +23,33 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gaussian import LOG_2PI, InformationSum, inverse, log_density, propagated
+from sameas.many.joint import NO_RECORD
 from sameas.records import Records
+from sameas.representation import in_short
 from sameas.sky import column_values
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.motion import propagate
 from sameas.space import displaced, sphere_offset
 
-#: Rows worked on at a time.
+#: Sets worked on at a time, which bounds the memory.
 CHUNK = 100_000
-#: Standard deviation of a place that no time separates from the reference epoch is not touched by the motion's.
+#: Stands for the unknown motion of records at the reference epoch, whose position it does not change.
 _STILL_ARCSEC_PER_YR = 1.0
-#: Of the six parameters of an :class:`~sameas.sky.motion.Astrometry`: place and proper motion.
+#: Position and proper motion among the six parameters of an :class:`~sameas.sky.motion.Astrometry`.
 _PLACE_AND_MOTION = np.array([0, 1, 3, 4])
 
 
+@in_short
 @dataclass(frozen=True)
 class AstrometricRecords:
-    """What one catalogue's usable records say of place and motion; lengths in arcsec, times in years, axes east, north.
+    """Position and motion of one catalogue's usable records; lengths in arcsec, times in years, axes east, north.
 
     Attributes
     ----------
     direction : (n, 2) right ascension and declination, degrees: at the reference epoch where the motion is known, at
         the record's own epoch where not.
     motion : (n, 2) proper motion, 0 where it is not known.
-    precision : (n, 4, 4) of (place, motion) at the reference epoch. log_norm : (n,) ln of their normal's factor.
+    precision : (n, 4, 4) of (position, motion) at the reference epoch. log_norm : (n,) ln of their normal's factor.
     moving : (n,) whether the motion is known.
     motion_precision : (n, 2, 2), 0 where it is not known. motion_log_norm : (n,) the same of the motion alone.
     unknown_motion : (n,) standard deviation of a motion that is not known.
@@ -65,12 +68,12 @@ class AstrometricRecords:
         return len(self.direction)
 
     def at(self, rows: IntArray) -> AstrometricRecords:
-        """Those of some records."""
+        """Some of the records."""
         return AstrometricRecords(**{name: values[rows] for name, values in vars(self).items()})
 
     @classmethod
     def of(cls, catalogue: Catalogue, records: Records, epoch_jyr: float | None) -> AstrometricRecords:
-        """Those of the ``records`` of a catalogue; ``epoch_jyr`` None where nothing moves."""
+        """The ``records`` of a catalogue; ``epoch_jyr`` is None where nothing moves."""
         part = catalogue.astrometry[records.rows]
         covariance = 1e-6 * part.covariance[:, :2, :2]
         direction, motion = np.column_stack([part.ra_deg, part.dec_deg]), np.zeros((len(records), 2))
@@ -102,8 +105,8 @@ class AstrometricFit(NamedTuple):
     """Per set (k,): ``log_peak`` ln J without its −½ χ², ``chi_sq`` χ² of 2 (size − 1) degrees of freedom.
 
     direction, motion : (k, 2) of the star at the reference epoch. covariance : (k, 4, 4) of both.
-    judged : whether χ² judges the records' errors; where no record has a motion and time has passed between them, it
-        tells of the motions.
+    has_residual : whether χ² is one of errors; where no record has a motion and their epochs differ, it is one of
+        motions.
     """
 
     log_peak: FloatArray
@@ -111,11 +114,11 @@ class AstrometricFit(NamedTuple):
     direction: FloatArray
     motion: FloatArray
     covariance: FloatArray
-    judged: BoolArray
+    has_residual: BoolArray
 
 
 def fitted(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.integer]) -> AstrometricFit:
-    """The star of each of the ``sets`` (k, catalogues) of records, named by position, −1 for none; none is empty."""
+    """The star of each of the ``sets`` (k, catalogues) of positions of records, NO_RECORD for none; none is empty."""
     parts = [_fitted(astrometric, sets[low : low + CHUNK]) for low in range(0, max(len(sets), 1), CHUNK)]
     return (
         parts[0]
@@ -129,23 +132,23 @@ def _fitted(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.intege
     whole, motions = InformationSum.of(len(sets), 4), InformationSum.of(len(sets), 2)
     moving, spread = np.zeros(len(sets), np.int64), np.zeros(len(sets))
     for s, catalogue in enumerate(astrometric):
-        k = np.flatnonzero(sets[:, s] >= 0)
-        seen = catalogue.at(sets[k, s])
-        offset, turn = _on_axes_of(anchor[k], seen.direction)
-        velocity = np.einsum("kvw,kw->kv", turn, seen.motion)
+        k = np.flatnonzero(sets[:, s] != NO_RECORD)
+        members = catalogue.at(sets[k, s])
+        offset, rotation = _on_axes_of(anchor[k], members.direction)
+        velocity = np.einsum("kvw,kw->kv", rotation, members.motion)
         axes = np.zeros((len(k), 4, 4))
-        axes[:, :2, :2] = axes[:, 2:, 2:] = turn
-        whole.add(k, np.column_stack([offset, velocity]), propagated(axes, seen.precision), seen.log_norm)
-        motions.add(k, velocity, propagated(turn, seen.motion_precision), seen.motion_log_norm)
-        moving[k] += seen.moving
-        spread[k] = np.maximum(spread[k], np.where(seen.moving, 0.0, seen.unknown_motion))
+        axes[:, :2, :2] = axes[:, 2:, 2:] = rotation
+        whole.add(k, np.column_stack([offset, velocity]), propagated(axes, members.precision), members.log_norm)
+        motions.add(k, velocity, propagated(rotation, members.motion_precision), members.motion_log_norm)
+        moving[k] += members.moving
+        spread[k] = np.maximum(spread[k], np.where(members.moving, 0.0, members.unknown_motion))
     still = np.flatnonzero(moving == 0)
     open_motion = np.zeros((len(still), 4, 4))
     open_motion[:, [2, 3], [2, 3]] = 1.0 / spread[still, None] ** 2
     whole.add(still, np.zeros((len(still), 4)), open_motion, -LOG_2PI - 2.0 * np.log(spread[still]))
     log_peak, star = whole.log_peak(), whole.gaussian()
     chi_sq = whole.chi_sq(star)
-    judged = (moving > 0) | ~whole.information[:, :2, 2:].any(axis=(1, 2))
+    has_residual = (moving > 0) | ~whole.information[:, :2, 2:].any(axis=(1, 2))
     several = np.flatnonzero(moving > 1)
     if len(several):
         known = motions.at(several)
@@ -157,7 +160,7 @@ def _fitted(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.intege
         displaced(anchor, star.mean[:, :2]),
         star.mean[:, 2:],
         star.covariance,
-        judged,
+        has_residual,
     )
 
 
@@ -165,23 +168,23 @@ def _anchors(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.integ
     """(k, 2) the direction of each set's first record."""
     at = np.full((len(sets), 2), np.nan)
     for s in reversed(range(len(astrometric))):
-        here = sets[:, s] >= 0
+        here = sets[:, s] != NO_RECORD
         at[here] = astrometric[s].direction[sets[here, s]]
     return at
 
 
 def _on_axes_of(at: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Offsets (k, 2) of directions from ``at``, arcsec, on the axes of ``at``, and the turn (k, 2, 2) to those axes."""
+    """Offsets (k, 2) of directions from ``at``, arcsec, on the axes of ``at``, and the rotation (k, 2, 2) to these."""
     offset = sphere_offset(direction[:, 0], direction[:, 1], at[:, 0], at[:, 1])
-    turn = direction[:, 0] - at[:, 0]
-    half_lon = np.radians(turn - 360.0 * np.round(turn / 360.0)) / 2.0
+    step = direction[:, 0] - at[:, 0]
+    half_lon = np.radians(step - 360.0 * np.round(step / 360.0)) / 2.0
     half_lat, middle = np.radians(direction[:, 1] - at[:, 1]) / 2.0, np.radians(direction[:, 1] + at[:, 1]) / 2.0
-    # θ/2 of :class:`sameas.space.Sphere`: the offset lies on axes halfway, what a record says on its own.
+    # θ/2 of :class:`sameas.space.Sphere`: offsets are on axes halfway, motions and errors on those of the record.
     half = np.arctan2(np.sin(half_lon) * np.sin(middle), np.cos(half_lon) * np.cos(half_lat))
-    return np.einsum("kvw,kw->kv", _turn(-half), offset), _turn(-2.0 * half)
+    return np.einsum("kvw,kw->kv", _rotations(-half), offset), _rotations(-2.0 * half)
 
 
-def _turn(angle: FloatArray) -> FloatArray:
+def _rotations(angle: FloatArray) -> FloatArray:
     """(k, 2, 2) matrices that add ``angle`` to the position angle of (east, north)."""
     sine, cosine = np.sin(angle), np.cos(angle)
     return np.stack([cosine, sine, -sine, cosine], axis=1).reshape(-1, 2, 2)

@@ -1,0 +1,43 @@
+"""Pages made of a template: its marks filled in, and a policy by which a browser runs only the page's own script."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+from collections.abc import Mapping
+from importlib.resources import files
+from typing import Any
+
+#: Content-Security-Policy: no network, no frame, no form; the one script whose digest is told.
+POLICY = (
+    "default-src 'none'; script-src '{}'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'"
+)
+_SCRIPT = re.compile(r"<script>(.*?)</script>", re.DOTALL)
+
+
+def asset(name: str) -> str:
+    """A file of the pages as text."""
+    return (files("sameas.pages") / name).read_text(encoding="utf-8")
+
+
+def page_of(template: str, marks: Mapping[str, str]) -> str:
+    """A template with its marks ``{{name}}`` filled in, ``{{policy}}`` with that of its script.
+
+    The marks of the script must be files of ours. All are filled in one pass: what stands for one is no mark itself.
+    """
+    text = asset(template)
+    script = _filled(_SCRIPT.findall(text)[0], marks)
+    digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
+    return _filled(text, {**marks, "policy": POLICY.format(f"sha256-{digest}")})
+
+
+def _filled(text: str, marks: Mapping[str, str]) -> str:
+    return re.sub(r"\{\{(\w+)\}\}", lambda found: marks[found[1]], text)
+
+
+def script_safe(value: Any) -> str:
+    """JSON in which nothing can end or open the element that holds it: names come from files and from radio."""
+    text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
