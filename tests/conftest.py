@@ -1,6 +1,9 @@
-"""Before all tests: compiled kernels of an older source are thrown away."""
+"""Before all tests: compiled kernels of an older source are thrown away; of many like cases only the first are fast."""
 
+from collections import Counter
 from pathlib import Path
+
+import pytest
 
 import sameas
 
@@ -15,3 +18,16 @@ def pytest_configure(config):
     for compiled in kernels.glob("__pycache__/*.nb[ci]"):
         if compiled.stat().st_mtime < newest:
             compiled.unlink(missing_ok=True)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """``slow_after(n)`` makes ``slow`` of all cases of a test but the first n; -m then sees it."""
+    cases = Counter()
+    for item in items:
+        marker = item.get_closest_marker("slow_after")
+        if marker is not None:
+            test = item.nodeid.partition("[")[0]
+            cases[test] += 1
+            if cases[test] > marker.args[0]:
+                item.add_marker("slow")

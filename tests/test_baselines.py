@@ -60,6 +60,7 @@ def test_most_pairs_is_the_largest_set_of_least_sum(seed):
     assert pairs.mahalanobis_sq[chosen].sum() == pytest.approx(least, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_most_pairs_pairs_all_of_the_smaller_side_where_it_can():
     pairs, grouped = scene(3, gate=30.0)
     assert len(grouped) == 1 and most_pairs(pairs, grouped).sum() == 9

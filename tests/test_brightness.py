@@ -44,6 +44,7 @@ def found(frame):
 # ---- what it is for ----
 
 
+@pytest.mark.slow
 def test_magnitudes_take_away_most_wrong_identifications(frame, alone, found):
     assert wrong(alone[0], frame.scene) > 20
     assert wrong(found[0], frame.scene) < 0.4 * wrong(alone[0], frame.scene)
@@ -168,6 +169,7 @@ def test_rounds_may_run_out_before_and_after_the_gate_opens(rounds):
     assert len(answer.matches) > 0 and np.isfinite(answer.p_pair).all()
 
 
+@pytest.mark.slow
 def test_sources_with_nothing_in_common_learn_nothing_from_magnitudes():
     rng = np.random.default_rng(6)
     first, second = (Records.of(rng.uniform(0.0, 40.0, (1000, 2)), sigma=0.3) for _ in range(2))

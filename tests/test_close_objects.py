@@ -38,6 +38,7 @@ def braces_by_the_oracle(delta, cov, a, b):
 # ---- the exact form ----
 
 
+@pytest.mark.slow
 def test_correlated_braces_are_the_oracles_from_the_middle_to_the_far_tails():
     rng = np.random.default_rng(0)
     n = 60
@@ -47,6 +48,7 @@ def test_correlated_braces_are_the_oracles_from_the_middle_to_the_far_tails():
     np.testing.assert_allclose(log_correlated_density(delta, cov, A, B), expected, rtol=1e-9, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_correlated_braces_are_a_plain_double_integral_in_ordinary_cases():
     rng = np.random.default_rng(1)
     for rho in (0.6, -0.9):
@@ -112,6 +114,7 @@ def test_correlated_surface_is_the_limit_of_ever_thinner_shells():
     np.testing.assert_allclose(surface, log_correlated_density(delta, cov, A, A * (1 + 1e-7)), rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("a, b", [((0.0, 0.0), (1.0, 2.0)), ((0.0, 0.5), (1.0, 2.0)), ((0.5, 1.0), (0.5, 2.0))])
 def test_boxes_may_be_closed_in_one_feature_or_have_no_inner_one(a, b):
     rng = np.random.default_rng(5)
@@ -121,6 +124,7 @@ def test_boxes_may_be_closed_in_one_feature_or_have_no_inner_one(a, b):
     np.testing.assert_allclose(log_correlated_density(delta, cov, a, b), expected, rtol=1e-9, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_the_rule_takes_the_whole_covariance_where_two_features_are_correlated():
     rng = np.random.default_rng(6)
     full, plain = (plane_records(rng, 7, 2, scale=0.2, kind=kind) for kind in ("full", "axis sigmas"))

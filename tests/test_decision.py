@@ -82,6 +82,7 @@ def losses(kind, m, rng):
 KINDS = ("numbers", "both mistakes", "one for all", "arrays", "arrays, both mistakes")
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 10_000), kind=st.sampled_from(KINDS))
 def test_no_one_to_one_decision_loses_less(seed, kind):
@@ -104,6 +105,7 @@ def test_no_one_to_one_decision_loses_less(seed, kind):
     assert decision.expected_right == pytest.approx(right, abs=1e-9)
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 10_000))
 def test_no_one_to_one_decision_has_more_records_right(seed):
@@ -129,6 +131,7 @@ def test_the_three_decisions_differ_and_each_is_best_in_its_own_sense():
     assert differ > 3
 
 
+@pytest.mark.slow
 def test_dear_mistakes_make_a_list_pure_and_dear_omissions_make_it_complete():
     answer = small_answer(1, 6, 6)
     counts = [least_loss(answer, Loss(wrong, 1.0)).chosen.sum() for wrong in (1e-6, 1.0, 1e9)]

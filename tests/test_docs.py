@@ -78,6 +78,7 @@ def named(page: Path) -> str:
     return page.stem
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES, ids=named)
 def test_a_page_runs_and_prints_what_it_shows(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -229,6 +230,7 @@ def modules() -> list[str]:
     return [module.name for module in pkgutil.walk_packages(sameas.__path__, "sameas.")]
 
 
+@pytest.mark.slow_after(41)
 @pytest.mark.parametrize("name", modules())
 def test_docstring_examples_run(name):
     module = importlib.import_module(name)

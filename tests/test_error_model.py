@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from sameas import Records, match
+from sameas import Records
 from sameas.estimate.error_model import ErrorModel, error_model
+from sameas.estimate.match import match
 from sameas.estimate.quantity import Quantity
 
 
@@ -33,6 +34,7 @@ def answer(seed, *, factors=(1.0, 1.0), floor=0.0, alike=(False, False), size_2=
     return match(*sides)[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factors, floor", [((1.0, 1.0), 0.0), ((1.7, 1.0), 0.0), ((1.0, 1.5), 0.1), ((0.7, 2.0), 0.0)])
 def test_factors_and_floor_are_recovered_with_their_errors(factors, floor):
     found = [error_model(answer([1, k], factors=factors, floor=floor)) for k in range(12)]
@@ -48,12 +50,14 @@ def test_factors_and_floor_are_recovered_with_their_errors(factors, floor):
     assert all(m.note == "" for m in found)
 
 
+@pytest.mark.slow
 def test_a_floor_that_is_not_there_is_within_its_error_of_none():
     floors = [error_model(answer([6, k])).floor for k in range(40)]
     beyond = np.mean([floor.value > 1.96 * floor.standard_error for floor in floors])
     assert beyond <= 0.15 and all(floor.standard_error > 0.0 for floor in floors)
 
 
+@pytest.mark.slow
 def test_displaced_records_are_no_floor_and_no_factor():
     found = [error_model(answer([2, k], factors=(1.7, 1.0), displaced=0.02)) for k in range(12)]
     for name, true in (("factor_1", 1.7), ("factor_2", 1.0)):
@@ -62,6 +66,7 @@ def test_displaced_records_are_no_floor_and_no_factor():
     assert sum(m.floor.value > 3.0 * m.floor.standard_error for m in found) <= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size_2", [1.0, 0.01])
 def test_a_floor_is_found_beside_one_error_for_all(size_2):
     found = [
@@ -74,6 +79,7 @@ def test_a_floor_is_found_beside_one_error_for_all(size_2):
     assert np.mean([m.floor.value for m in found]) == pytest.approx(0.1, rel=0.05)
 
 
+@pytest.mark.slow
 def test_errors_that_are_all_alike_tell_one_number_that_may_be_either():
     found = error_model(answer(3, alike=(True, True), factors=(1.7, 1.7)))
     assert found.factor_1 is found.factor_2 is found.floor is None and "vary too little" in found.note
@@ -82,6 +88,7 @@ def test_errors_that_are_all_alike_tell_one_number_that_may_be_either():
     assert found.floor_instead.value == pytest.approx(due, abs=3.5 * found.floor_instead.standard_error)
 
 
+@pytest.mark.slow
 def test_errors_that_go_together_tell_one_factor_of_both():
     rng = np.random.default_rng(8)
     place, sigma = rng.uniform(0.0, 2000.0, (1500, 2)), 0.03 * 10 ** rng.uniform(0.0, 1.0, (1500, 1))
@@ -95,6 +102,7 @@ def test_errors_that_go_together_tell_one_factor_of_both():
     assert found.floor.value <= 3.0 * found.floor.standard_error
 
 
+@pytest.mark.slow
 def test_a_floor_that_errors_too_small_to_matter_cannot_be_is_named_alone():
     found = error_model(answer(9, floor=0.1, alike=(True, True), size_2=0.3))
     assert found.floor_instead is not None and found.both is not None

@@ -2,19 +2,19 @@
 
 import numpy as np
 import pytest
-from numba import njit
 
 import naive
 from sameas.kernels import mixture, relation
+from sameas.kernels.compiled import kernel
 from sameas.kernels.linear import solve
 
 SEEDS = range(6)
 exactly = {"rel": 1e-9, "abs": 1e-9}
 
 
-@njit
+@kernel
 def solved(matrix, right):
-    """A part is called from compiled loops only."""
+    """A part is compiled where a kernel calls it."""
     solve(matrix, right)
 
 
@@ -69,6 +69,7 @@ def test_pairs_of_like_distance_and_odds_are_counted_together(seed):
     assert count.sum() == np.count_nonzero(log_odds > -12.0)
 
 
+@pytest.mark.slow_after(2)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_shares_of_error_scales_are_the_likeliest(seed):
     square, log_odds = pairs_to_judge(seed)

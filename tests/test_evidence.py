@@ -98,6 +98,7 @@ RULES = {
 }
 
 
+@pytest.mark.slow_after(6)
 @pytest.mark.parametrize("scene", SCENES)
 @pytest.mark.parametrize("name", RULES)
 def test_rules_are_their_formulas(name, scene):
@@ -108,6 +109,7 @@ def test_rules_are_their_formulas(name, scene):
     np.testing.assert_allclose(evidence.log_ratio, per_pair(pairs, formula), rtol=1e-9, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_features_may_have_boxes_of_their_own_and_one_of_them_closed():
     pairs = plane_pairs(2)
     for a, b in (((0.1, 0.3), (0.7, 0.5)), ((0.1, 0.3), (0.1, 0.5)), ((0.0, 0.3), (0.4, 0.3))):
@@ -172,6 +174,7 @@ def test_braces_of_errors_far_wider_than_the_boxes_are_the_normal_itself(sigma):
         assert ours == pytest.approx(2 * norm.logpdf(z) - 2 * math.log(sigma), abs=30 * (1 + z) / sigma**2 + 1e-9)
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(
     x=st.lists(st.floats(-50, 50), min_size=2, max_size=2),

@@ -31,6 +31,7 @@ def tables(demo: ModuleType) -> tuple[Table, Table]:
     return demo.hipparcos_table(), demo.gaia_table()
 
 
+@pytest.mark.slow
 def test_the_packages_hold_what_we_think(tables: tuple[Table, Table]) -> None:
     hipparcos, gaia = tables
     assert (len(hipparcos), len(gaia)) == (117_955, 482_176)
@@ -51,6 +52,7 @@ def test_stars_put_in_from_hipparcos_are_moved_to_2016_but_for_polaris(tables: t
     assert list(own["HIP"][years == 0.0]) == [11_767]
 
 
+@pytest.mark.slow
 def test_the_demo_runs_and_is_right_where_nearest_neighbour_is_not(
     demo: ModuleType,
     tables: tuple[Table, Table],
@@ -92,17 +94,18 @@ def test_the_log_of_new_york_is_what_its_readme_says(new_york: ModuleType) -> No
     assert {new_york.SILENT, new_york.FORGER, new_york.FERRY, *new_york.CLOSE} <= set(log.mmsi)
 
 
+@pytest.mark.slow
 def test_vessels_off_manhattan_are_told_from_each_other(
     new_york: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from sameas.io.sensors.sources import read_sources, read_told
+    from sameas.io.sensors.sources import read_source_options, read_sources
     from sameas.picture.picture import Picture
     from sameas.tracks import Scene
 
     new_york.sensors(tmp_path)
     assert "62 vessels" in capsys.readouterr().out
     files = [str(tmp_path / f"{name}.csv") for name in ("ais", "radar1", "radar2")]
-    sources = read_sources(files, read_told(tmp_path / "sensors.toml"))
+    sources = read_sources(files, read_source_options(tmp_path / "sensors.toml"))
     scene, biases = Scene.of([(source.description, source.reports) for source in sources]).registered()
     for found, true in zip(biases[1:], new_york.BIASES.values(), strict=True):
         assert abs(found.parameters["azimuth_deg"].value - true.azimuth_deg) < 0.15

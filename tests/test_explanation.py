@@ -33,6 +33,7 @@ def enumerated(answer, group, log_prior):
     return sorted(((score, {edges[pair] for pair in pairs}) for score, pairs in listed), key=lambda x: -x[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PRIORS)
 def test_costs_are_those_of_enumeration(name):
     prior, log_prior = PRIORS[name]

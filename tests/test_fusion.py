@@ -72,6 +72,7 @@ def test_intersection_of_two_has_the_weight_that_a_search_finds(criterion):
         )
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize("criterion", ["determinant", "trace"])
 def test_intersection_never_claims_more_than_any_correlation_allows(criterion):
     rng = np.random.default_rng(6)

@@ -63,6 +63,7 @@ def _judged(pairs, expected):
 # ---- in a plane ----
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", GATES)
 @pytest.mark.parametrize("d", [1, 2, 3, 4])
 def test_plane_candidates_are_those_of_the_definition(d, name):
@@ -83,6 +84,7 @@ PERIODS = {
 }
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize("periods", [p for several in PERIODS.values() for p in several])
 @pytest.mark.parametrize("scale", [0.01, 0.08, 0.4])
 def test_periodic_axes_wrap_for_gates_of_any_width(periods, scale):
@@ -126,6 +128,7 @@ SKIES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sky", SKIES)
 @pytest.mark.parametrize("name", ["box", "radius"])
 def test_sky_candidates_are_those_of_the_definition(sky, name):
@@ -137,6 +140,7 @@ def test_sky_candidates_are_those_of_the_definition(sky, name):
         judge(first, second, gate, definition)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale_deg", [1.0, 6.0, 25.0])
 @pytest.mark.parametrize("name", ["box", "radius"])
 def test_gates_of_degrees_over_the_whole_sky(scale_deg, name):
@@ -167,6 +171,7 @@ def test_turns_of_longitude_do_not_matter():
 # ---- errors and positions far from the bulk ----
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [40.0, 1000.0])
 @pytest.mark.parametrize("d", [1, 2, 3])
 def test_records_with_far_larger_errors_are_neither_missed_nor_widen_the_gate_of_others(factor, d):
@@ -177,6 +182,7 @@ def test_records_with_far_larger_errors_are_neither_missed_nor_widen_the_gate_of
     assert np.isin(pairs.i, np.flatnonzero(scales[0] > 1e-3)).any()
 
 
+@pytest.mark.slow
 def test_records_with_far_larger_errors_on_the_sky():
     rng = np.random.default_rng(5)
     scales = [np.where(rng.uniform(size=150) < 0.04, 200.0, 0.5) for _ in range(2)]
@@ -221,6 +227,7 @@ def some_wide(rng, n, sigma, share, factor):
     return np.where(rng.uniform(size=n) < share, factor * sigma, sigma * rng.uniform(0.3, 1.0, n))[:, None]
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize("sky", [sky for sky in SKIES if sky != "at the very pole"])
 @pytest.mark.parametrize("share", [(0.0, 0.0), (0.01, 0.0), (0.0, 0.01), (0.02, 0.01)])
 def test_skies_of_thousands_with_few_wide_errors_of_either_source(sky, share):
@@ -240,6 +247,7 @@ def test_skies_of_thousands_with_few_wide_errors_of_either_source(sky, share):
         assert len(set(zip(place.tolist(), record.tolist(), strict=True))) == len(set(place.tolist()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("periods", [(None, None), (1.0, None), (None, 1.0), (1.0, 1.0)])
 @pytest.mark.parametrize("wide_source", [0, 1])
 def test_one_record_may_have_more_candidates_than_are_looked_up_at_a_time(periods, wide_source):
@@ -259,6 +267,7 @@ def test_one_record_may_have_more_candidates_than_are_looked_up_at_a_time(period
     assert set(found) == by_matrix(*sources, 1.5)
 
 
+@pytest.mark.slow
 def test_fields_far_apart_and_clumps_are_searched_like_any_other():
     rng = np.random.default_rng(6)
     sources = []
@@ -283,6 +292,7 @@ def test_many_records_at_one_place_are_all_candidates_of_each_other(space):
         assert len(Box(3.0)(first, second)) == 3 * n
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", [0, 1])
 def test_records_on_a_line_along_an_axis(axis):
     rng = np.random.default_rng(axis)
@@ -360,6 +370,7 @@ def test_listing_of_equal_records_with_ids_of_mixed_kinds():
     listed_alike(np.random.default_rng(0), Records.of(first.features, sigma=1.0, ids=first.ids), second)
 
 
+@pytest.mark.slow
 def test_listing_on_the_sky_does_not_depend_on_the_row_order():
     rng = np.random.default_rng(2)
     for sky in SKIES.values():

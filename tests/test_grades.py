@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from sameas import match
 from sameas.estimate.grades import PSEUDO_COUNT, Grades, Scale
+from sameas.estimate.match import match
 from sameas.evidence import Magnitudes
 from sameas.score.pairs import is_true_pair, score_probabilities
 from sameas.simulate.exposures import Sky, exposure
@@ -50,6 +50,7 @@ def test_what_they_say_is_calibrated(frames, found):
     assert score_probabilities(np.concatenate(stated), np.concatenate(happened)).expected_calibration_error < 0.003
 
 
+@pytest.mark.slow
 def test_the_number_of_common_objects_is_not_biased(frames, found):
     more = [exposure(np.random.default_rng([12, k]), side_deg=0.12) for k in range(24)]
     estimates = [estimate for _, estimate in found] + [match(m.scene.first, m.scene.second)[1] for m in more]

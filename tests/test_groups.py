@@ -15,6 +15,7 @@ graphs = st.tuples(st.integers(1, 12), st.integers(1, 12)).flatmap(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(graphs)
 def test_groups_are_the_components_and_the_layout_is_consistent(graph):

@@ -157,6 +157,7 @@ def test_the_order_of_the_rows_does_not_matter():
         assert (seen[order] == again).all() and not (seen.all() and order is order_2)
 
 
+@pytest.mark.slow_after(2)
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("periods", [(None,), (30.0,), (None, None), (None, 25.0), (30.0, 25.0), (None, None, None)])
 def test_discs_are_those_of_the_definition(seed, periods):

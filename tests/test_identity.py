@@ -44,6 +44,7 @@ def damerau(a, b):
 TEXT = st.text("AB1", max_size=6)
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(TEXT, TEXT)
 def test_one_slip_of_typing_is_a_distance_of_one(a, b):
@@ -93,6 +94,7 @@ def test_shared_codes_say_little():
     assert ratio(MODELS["name"], "X", "X", crowd) == pytest.approx(math.log(1 / 0.25), abs=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slips", [0.02, 0.2])
 def test_stated_odds_of_a_code_are_observed_ones(slips):
     """Codes drawn as the model says: among pairs with a stated λ the odds of being one object are λ."""

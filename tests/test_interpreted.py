@@ -72,6 +72,7 @@ def answers(interpreted):
     return json.loads(run.stdout)
 
 
+@pytest.mark.slow
 def test_interpreted_kernels_give_the_compiled_answer():
     slow, fast = answers(True), answers(False)
     assert slow.keys() == fast.keys() and len(fast) == 12

@@ -62,6 +62,7 @@ def plane_scene(rng, sigma, d=2, **changes):
     return poisson_field(rng, extent=sides, sigma_1=sigma, sigma_2=sigma, space=Plane(sides), **given)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PLANE_RULES)
 def test_rules_of_known_densities_are_calibrated(name):
     rule, prior = PLANE_RULES[name]
@@ -106,6 +107,7 @@ def test_detection_probabilities_of_every_record_are_calibrated():
     judged(p, happened)
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize(
     "errors, scale_of",
     [
@@ -137,6 +139,7 @@ def test_errors_larger_than_quoted_are_calibrated_once_told(errors, scale_of):
     judged(p, happened)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("elliptical", [False, True])
 @pytest.mark.parametrize("lat", [30.0, 90.0])
 def test_the_sky_is_calibrated(elliptical, lat):
@@ -160,6 +163,7 @@ def test_the_sky_is_calibrated(elliptical, lat):
 # ---- nothing is known but how often the sources miss ----
 
 
+@pytest.mark.slow
 def test_common_objects_are_calibrated_where_their_number_is_flat():
     """Objects uniform in a box that wraps, their number flat, and the gate so wide that a scene is one group.
 

@@ -62,6 +62,7 @@ def same(one, two, tolerance=1e-9):
         assert one[key][1] == two[key][1]
 
 
+@pytest.mark.slow_after(3)
 @every_rule_and_prior
 @quickly
 @given(seed=seeds)
@@ -73,6 +74,7 @@ def test_swapping_the_sources_transposes_the_answer(rule, prior, seed):
     same(told(straight), told(swapped, turned=True))
 
 
+@pytest.mark.slow_after(3)
 @every_rule_and_prior
 @quickly
 @given(seed=seeds)
@@ -86,6 +88,7 @@ def test_shuffling_rows_changes_nothing(rule, prior, seed):
     same(told(straight), told(other), tolerance=0)
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize("prior", PRIORS)
 @quickly
 @given(seed=seeds)
@@ -100,6 +103,7 @@ def test_ties_are_broken_the_same_way_whatever_the_row_order(prior, seed):
         same(told(straight), told(identify(*(shuffled(rng, side) for side in sides), **method)), tolerance=0)
 
 
+@pytest.mark.slow_after(2)
 @every_rule_and_prior
 @quickly
 @given(seed=seeds, shift=st.floats(-5, 5), power=st.integers(-6, 6))
@@ -115,6 +119,7 @@ def test_shifting_and_rescaling_change_nothing(rule, prior, seed, shift, power):
     same(told(straight), told(other), tolerance=1e-7)
 
 
+@pytest.mark.slow_after(3)
 @every_rule_and_prior
 @quickly
 @given(seed=seeds)
@@ -126,6 +131,7 @@ def test_probabilities_of_a_record_sum_to_one(rule, prior, seed):
     assert np.all((answer.p_pair >= 0) & (answer.p_pair <= 1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lon_shift", [17.0, 180.0, 359.0])
 def test_turning_the_sky_about_its_axis_changes_nothing(lon_shift):
     rng = np.random.default_rng(int(lon_shift))

@@ -12,7 +12,7 @@ import sameas
 HOME = Path(sameas.__file__).parent
 #: The rooms (modules and packages of ``sameas``) from the ground up; those of one line do not import each other.
 FLOORS = """
-arrays errors kernels
+arrays errors kernels representation
 gaussian ragged
 space
 records
@@ -35,6 +35,8 @@ maps
 io
 plots
 pages
+front
+adapters
 cli
 __main__
 """
@@ -42,8 +44,8 @@ FLOOR = {room: floor for floor, line in enumerate(FLOORS.strip().splitlines()) f
 #: Rooms that know no sky, no ships and no command line.
 CORE = [room for room in FLOOR if FLOOR[room] <= FLOOR["score"]]
 #: The way of many sources: its own stages, each from earlier ones only.
-MANY = ["observations", "joint", "pooled", "terms", "rules", "sets", "partition", "marginals", "explanation", "objects",
-        "identify", "sequential"]  # fmt: skip
+MANY = ["tuning", "observations", "joint", "pooled", "terms", "rules", "sets", "partition", "marginals", "explanation",
+        "objects", "identify", "sequential"]  # fmt: skip
 
 
 def room_of(path):
@@ -86,6 +88,7 @@ def test_every_room_has_its_floor_and_every_floor_its_room():
     assert there == set(FLOOR)
 
 
+@pytest.mark.slow_after(56)
 @pytest.mark.parametrize("path", MODULES, ids=name_of)
 def test_no_room_imports_one_above_it_or_beside_it(path):
     room = room_of(path)
@@ -99,6 +102,7 @@ def test_kernels_import_kernels_only():
         assert rooms(imported(path)) <= {"kernels", "arrays"}, path
 
 
+@pytest.mark.slow
 def test_no_module_imports_itself_by_way_of_others():
     """No circles, also not those that type checkers alone would see."""
     modules = {name_of(path): path for path in MODULES}
@@ -116,6 +120,7 @@ def test_a_stage_of_many_sources_never_imports_a_later_one(stage):
     assert not imported(HOME / "many" / f"{stage}.py") & later
 
 
+@pytest.mark.slow
 def test_the_core_knows_no_sky_no_ships_and_no_command_line():
     assert {"identify", "sky", "tracks", "cli"}.isdisjoint(CORE) and {"records", "estimate", "many"} <= set(CORE)
     for room in CORE:
@@ -124,6 +129,7 @@ def test_the_core_knows_no_sky_no_ships_and_no_command_line():
             assert rooms(imported(path)) <= set(CORE), path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("package", ["", "sky", "tracks", "picture", "simulate", "score"])
 def test_every_public_name_is_there(package):
     """``__init__.pyi`` is the one list; a name of it that does not exist fails here."""

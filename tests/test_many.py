@@ -20,6 +20,7 @@ from sameas.many.identify import identify_many
 from sameas.many.observations import Bearing, LinearPart, Observations, Region
 from sameas.many.rules import MissedObjects, PoissonObjects
 from sameas.many.sequential import identify_sequentially
+from sameas.many.tuning import ManyTuning
 
 WIDE = Radius(1e4)
 
@@ -151,6 +152,7 @@ def test_poisson_objects_are_those_of_all_partitions(counts, full):
         assert got.groups.exact.all() and not got.groups.gap.any()
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize("counts", [(2, 2, 2), (3, 2, 1), (1, 1, 1, 2), (2, 2, 3)])
 def test_counted_close_objects_are_those_of_all_partitions(counts):
     rng = np.random.default_rng([*counts, 5])
@@ -252,6 +254,7 @@ def test_a_pole_is_nothing_special():
 # ---- laws ----
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grid", [None, 1.0, 3.0])
 def test_the_order_of_sources_and_rows_changes_nothing(grid):
     rng = np.random.default_rng(21)
@@ -295,28 +298,23 @@ def test_large_groups_are_solved_and_probabilities_add_up():
     assert sum(len(members) for members in sets_of(got)) == len(total)
 
 
-def test_a_count_prior_too_large_to_sum_is_solved_by_branch_and_bound(monkeypatch):
-    import sameas.many.marginals
-
+def test_a_count_prior_too_large_to_sum_is_solved_by_branch_and_bound():
     rng = np.random.default_rng(23)
     sources = field_scene(rng, 3, 6, extent=6.0)
     arguments = {"rule": CloseObjects(1.0, 6.0), "prior": MissedObjects(0.2)}
     whole = identify_many(sources, **arguments)
-    monkeypatch.setattr(sameas.many.marginals, "MOST_STEPS", 256)
-    cramped = identify_many(sources, **arguments)
+    cramped = identify_many(sources, **arguments, tuning=ManyTuning(most_steps=256))
     assert not cramped.groups.exact.all() and whole.groups.exact.all()
     assert set(sets_of(cramped)) == set(sets_of(whole))
     assert not cramped.groups.gap.any()
 
 
-def test_sets_that_do_not_fit_are_reported_as_a_gap(monkeypatch):
-    import sameas.many.sets
-
+@pytest.mark.slow
+def test_sets_that_do_not_fit_are_reported_as_a_gap():
     rng = np.random.default_rng(24)
     sources = field_scene(rng, 4, 8, extent=6.0)
     union_of_all = identify_many(sources, rule=PoissonObjects(0.2, 0.1))
-    monkeypatch.setitem(sameas.many.sets.candidate_sets.__kwdefaults__, "limit", 60)
-    cut = identify_many(sources, rule=PoissonObjects(0.2, 0.1))
+    cut = identify_many(sources, rule=PoissonObjects(0.2, 0.1), tuning=ManyTuning(most_sets=60))
 
     def value(objects):
         return float(objects.sets.log_weight[objects.answer.chosen].sum())
@@ -338,6 +336,7 @@ print(json.dumps([[x.members.filled(-1).tolist(), x.answer.probability.tolist()]
 """
 
 
+@pytest.mark.slow
 def test_the_kernel_gives_the_same_interpreted():
     run = {"args": [sys.executable, "-W", "error", "-c", INTERPRETED], "capture_output": True, "check": True}
     answers = [
@@ -361,6 +360,7 @@ def test_two_sources_in_sequence_are_identify():
     assert set(map(tuple, got.members[got.n_members == 2].data.tolist())) == want
 
 
+@pytest.mark.slow
 def test_joint_is_right_at_least_as_often_as_sequential_and_does_not_depend_on_the_order():
     rng = np.random.default_rng(32)
     right, differs = np.zeros(2), 0

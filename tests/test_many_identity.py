@@ -30,7 +30,8 @@ from sameas.many.pooled import pooled
 from sameas.many.rules import MissedObjects, PoissonObjects, SetRules, parts_of, terms_of
 from sameas.many.sequential import identify_sequentially
 from sameas.many.sets import candidate_sets
-from sameas.many.terms import best_word
+from sameas.many.terms import best_reference
+from sameas.many.tuning import ManyTuning
 from test_many import WIDE, field_scene, oracle, probabilities, same_as_identify, sets_of, small_scene
 
 
@@ -54,7 +55,7 @@ def told(rng, sources, share):
     return Told({frozenset(pair): rng.uniform(-5, 5) for pair in pairs if rng.random() < share})
 
 
-def naive_best_word(ln_r, members):
+def naive_best_reference(ln_r, members):
     """What a rule says of a set, record by record: ln_r is {two members: value} of those that it speaks of."""
     speak = [m for m in members if any(m in pair for pair in ln_r)]
     stars = []
@@ -76,13 +77,14 @@ def said_of(sources, rules, members):
             value = rule.values.get(frozenset({named[one], named[other]}), 0.0)
             if value != 0.0:
                 ln_r[frozenset({one, other})] = value
-        total += naive_best_word(ln_r, members)
+        total += naive_best_reference(ln_r, members)
     return total
 
 
 # ---- against the enumeration of every partition ----
 
 
+@pytest.mark.slow_after(3)
 @pytest.mark.parametrize("counts", [(2, 2), (2, 2, 2), (3, 2, 1), (1, 2, 1, 2), (2, 1, 1, 1, 1)])
 @pytest.mark.parametrize("share", [0.4, 1.0])
 def test_rules_beside_positions_are_those_of_all_partitions(counts, share):
@@ -113,7 +115,7 @@ def test_rules_are_added_to_pairwise_ones_under_a_count_prior():
 
 
 @pytest.mark.parametrize("believed", [PoissonObjects(0.3, 0.2), CloseObjects(1.0, 4.0)])
-def test_no_set_that_outweighs_its_records_is_left_out(believed, monkeypatch):
+def test_no_set_that_outweighs_its_records_is_left_out(believed):
     """The bounds hold with evidence beside positions: at every floor the sets above it are those of floor −∞."""
     rng = np.random.default_rng(4)
     for _ in range(6):
@@ -124,11 +126,9 @@ def test_no_set_that_outweighs_its_records_is_left_out(believed, monkeypatch):
         everything = candidate_sets(together, terms)
         heavy = {tuple(m): w for m, w in zip(everything.members.tolist(), everything.log_weight, strict=True)}
         for floor in (0.0, 3.0, 8.0):
-            monkeypatch.setattr("sameas.many.sets.FLOORS", (floor,))
-            kept = candidate_sets(together, terms)
+            kept = candidate_sets(together, terms, ManyTuning(floors=(floor,)))
             several = kept.members[kept.size > 1].tolist()
             assert set(map(tuple, several)) == {m for m, w in heavy.items() if w > floor and sum(np.array(m) >= 0) > 1}
-            monkeypatch.undo()
         assert max(heavy.values()) > 8.0
 
 
@@ -150,23 +150,26 @@ def test_sets_of_codes_weigh_what_their_model_says(values):
     n_values, wrong = 1e5, 0.01
     pairs = [(i, j) for j in range(len(values)) for i in range(j)]
     ln_r = np.array([[exact_code([values[i], values[j]], n_values, wrong) for i, j in pairs]])
-    found = float((best_word(ln_r, np.ones(ln_r.shape, bool)) * ln_r).sum())
+    found = float((best_reference(ln_r, np.ones(ln_r.shape, bool)) * ln_r).sum())
     assert found == pytest.approx(exact_code(values, n_values, wrong), abs=math.log(len(values)) + 0.05)
 
 
 def test_a_third_record_that_says_the_same_adds_once_and_one_that_contradicts_two_speaks_once():
     agree, against = 7.0, -5.0
-    spoken = np.ones((2, 3), bool)
+    informative = np.ones((2, 3), bool)
     ln_r = np.array([[agree] * 3, [agree, against, against]])  # pairs (0, 1), (0, 2), (1, 2)
-    np.testing.assert_allclose((best_word(ln_r, spoken) * ln_r).sum(axis=1), [2 * agree, agree + against])
+    np.testing.assert_allclose((best_reference(ln_r, informative) * ln_r).sum(axis=1), [2 * agree, agree + against])
 
 
 def test_records_that_say_nothing_neither_add_nor_share():
-    ln_r, spoken = np.array([[7.0, 0.0, 0.0], [7.0, 0.0, -5.0]]), np.array([[True, False, False], [True, False, True]])
-    np.testing.assert_allclose((best_word(ln_r, spoken) * ln_r).sum(axis=1), [7.0, 2.0])
+    ln_r, informative = (
+        np.array([[7.0, 0.0, 0.0], [7.0, 0.0, -5.0]]),
+        np.array([[True, False, False], [True, False, True]]),
+    )
+    np.testing.assert_allclose((best_reference(ln_r, informative) * ln_r).sum(axis=1), [7.0, 2.0])
     # A–B and C–D speak, of different things: both count, each once.
     apart = np.array([[3.0, 0.0, 0.0, 0.0, 0.0, 4.0]])
-    np.testing.assert_allclose((best_word(apart, apart != 0) * apart).sum(axis=1), [7.0])
+    np.testing.assert_allclose((best_reference(apart, apart != 0) * apart).sum(axis=1), [7.0])
 
 
 # ---- laws ----
@@ -236,6 +239,7 @@ def test_a_rule_that_says_nothing_changes_nothing():
     assert probabilities(alone) == probabilities(silent)
 
 
+@pytest.mark.slow
 def test_stated_probabilities_are_observed_frequencies_when_identities_are_sometimes_wrong():
     rng = np.random.default_rng(23)
     stated, right = [], []
@@ -316,6 +320,7 @@ def test_mistakes_are_refused_in_words():
 # ---- reasons ----
 
 
+@pytest.mark.slow
 def test_reasons_say_what_every_term_weighs():
     rng = np.random.default_rng(41)
     sources, _, identity = named_scene(rng, 3, 12, 14.0)

@@ -46,6 +46,7 @@ def winding(rings: tuple[NDArray[Any], ...], place: tuple[float, float]) -> int:
     return -round(total / (2.0 * np.pi))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("lat", "lon", "land"),
     [
@@ -187,6 +188,7 @@ def unpack(heads: list[dict[str, Any]], text: str) -> dict[str, NDArray[Any]]:
     return found
 
 
+@pytest.mark.slow
 @given(st.lists(st.one_of(st.just(np.nan), st.floats(-1e6, 1e6)), max_size=30), st.sampled_from([0.01, 0.5, 1.0]))
 def test_packed_columns_come_back_to_half_a_step(values: list[float], step: float) -> None:
     column = np.array(values, np.float64)
@@ -204,6 +206,7 @@ def test_numbers_too_large_to_be_shown_are_refused() -> None:
 # ---- the page ----
 
 
+@pytest.mark.slow
 def test_the_page_is_small_and_asks_for_nothing() -> None:
     sheet = charted(60, 60, reach_m=20e3)
     page = map_page(sheet)
@@ -261,6 +264,7 @@ def words(browser: Browser, name: str) -> str:
     return str(browser.js(f"document.getElementById('{name}').innerText"))
 
 
+@pytest.mark.slow
 @in_a_browser
 def test_the_page_holds_the_columns_of_the_sheet(shown: tuple[Browser, MapSheet]) -> None:
     browser, sheet = shown
@@ -285,6 +289,7 @@ def test_the_page_and_the_plane_agree_on_the_earth(shown: tuple[Browser, MapShee
     assert np.allclose(back, xy, atol=1e-3)
 
 
+@pytest.mark.slow
 @in_a_browser
 def test_the_slider_moves_what_is_drawn(shown: tuple[Browser, MapSheet]) -> None:
     browser, sheet = shown
@@ -353,6 +358,7 @@ def test_a_hostile_name_stays_text(shown: tuple[Browser, MapSheet]) -> None:
     assert browser.js("document.images.length") == 0
 
 
+@pytest.mark.slow
 @in_a_browser
 def test_list_search_alarms_and_layers(shown: tuple[Browser, MapSheet]) -> None:
     browser, _ = shown
@@ -411,6 +417,7 @@ def test_nothing_went_wrong_and_nothing_was_fetched(shown: tuple[Browser, MapShe
     assert not [url for url in browser.requests if not url.startswith(("file:", "data:", "blob:"))]
 
 
+@pytest.mark.slow
 @in_a_browser
 def test_metres_alone_make_a_map_on_a_phone(tmp_path: Path) -> None:
     write_map_page(charted(plane=None), tmp_path / "map.html")
@@ -431,6 +438,7 @@ def test_metres_alone_make_a_map_on_a_phone(tmp_path: Path) -> None:
 # ---- the picture ----
 
 
+@pytest.mark.slow
 def test_a_chart_of_many_objects_has_no_more_to_draw_than_one_of_few() -> None:
     pytest.importorskip("matplotlib", reason="charts need the extra sameas[plots]")
     from sameas.plots.map import chart
@@ -440,6 +448,7 @@ def test_a_chart_of_many_objects_has_no_more_to_draw_than_one_of_few() -> None:
     assert len(many.get_children()) - texts[1] <= len(few.get_children()) - texts[0] + 30
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plane", [SOLENT, None, LocalPlane(89.6, 40.0), LocalPlane(-17.5, 179.9)])
 def test_the_chart_is_drawn_anywhere(plane: LocalPlane | None, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="pictures need the extra sameas[plots]")

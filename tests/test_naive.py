@@ -43,6 +43,7 @@ def random_ratios(rng, n1, n2, share):
 # ---- residuals ----
 
 
+@pytest.mark.slow
 @quickly
 @given(
     lon_1=st.floats(0, 360),
@@ -124,6 +125,7 @@ def test_gates_grow_with_their_width_and_do_not_know_the_order_of_the_sources():
         naive.candidates(a, b)
 
 
+@pytest.mark.slow
 def test_mahalanobis_gate_keeps_the_stated_share_of_common_objects():
     rng = np.random.default_rng(6)
     cov, n, inside = random_covariance(rng, 3), 2000, 0
@@ -208,6 +210,7 @@ def test_close_objects_density_is_the_difference_of_the_boxes(seed, d):
     assert math.exp(naive.close_objects_log_density(delta, sigma, a, b)) == pytest.approx(expected, rel=1e-7)
 
 
+@pytest.mark.slow
 def test_close_objects_density_integrates_to_one():
     sigma, a, b = np.array([0.6]), np.array([1.1]), np.array([3.0])
     total = quad(lambda x: math.exp(naive.close_objects_log_density(np.array([x]), sigma, a, b)), -9, 9, limit=200)
@@ -224,6 +227,7 @@ def test_close_objects_limit_is_where_the_boxes_meet(seed):
     assert naive.close_objects_limit(delta, cov, a) == pytest.approx(near, abs=1e-5)
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 10_000))
 def test_correlated_close_objects_uses_the_boxes_of_the_correlated_normal(seed):
@@ -237,6 +241,7 @@ def test_correlated_close_objects_uses_the_boxes_of_the_correlated_normal(seed):
     assert math.exp(braces) == pytest.approx(expected, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_correlated_close_objects_without_correlation_is_the_plain_rule_far_out_too():
     for delta in ((0.0, 0.0), (3.0, -1.0), (30.0, 2.0), (4.0, 60.0)):
         for scale in (1.0, 0.01):
@@ -245,6 +250,7 @@ def test_correlated_close_objects_without_correlation_is_the_plain_rule_far_out_
             assert naive.close_objects_correlated(*args) == pytest.approx(naive.close_objects(*args), rel=1e-9)
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize("c", [0.01, 0.3, 1.0, 3.0, 20.0, 1e4])
 def test_generalized_gaussian_keeps_variance_and_peak(c):
     sigma = 0.7
@@ -283,6 +289,7 @@ def test_paper_form_is_near_the_exact_rule_in_the_middle_and_breaks_far_out():
     assert math.isnan(naive.close_objects_paper(np.array([30.0, 0.0]), cov, a, b))
 
 
+@pytest.mark.slow
 def test_universal_rule_contains_the_uniform_and_the_close_objects_rule():
     grid = np.linspace(-40, 40, 4001)
     inside = np.full_like(grid, -math.log(80))
@@ -405,6 +412,7 @@ def test_a_linear_prior_decomposes_over_groups():
         assert part == pytest.approx({pair: whole[pair] for pair in own})
 
 
+@pytest.mark.slow
 def test_stated_probability_is_the_observed_frequency_in_a_poisson_field_with_false_detections():
     rng = np.random.default_rng(11)
     density, q1, q2, false_1, false_2 = 1.0, 0.2, 0.3, 0.2, 0.1
@@ -437,6 +445,7 @@ def test_stated_probability_is_the_observed_frequency_in_a_poisson_field_with_fa
     assert table.expected_calibration_error < 0.02
 
 
+@pytest.mark.slow
 def test_close_objects_rule_beats_the_uniform_one_on_targets_in_a_line_as_the_paper_found():
     rng = np.random.default_rng(3)
     spacing, q, sigma = 3.0, 0.5, math.sqrt(2) * np.ones(2)

@@ -25,6 +25,7 @@ def periods_of(d, first, last):
     return periods
 
 
+@pytest.mark.slow_after(2)
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("space", SPACES)
 def test_pairs_near_each_other_under_every_offset(seed, space):
@@ -65,6 +66,7 @@ def test_where_both_sources_look(seed, space):
         assert (volume[s], *whole[s], *inside[s]) == pytest.approx((expected[0], *expected[1], *expected[2]))
 
 
+@pytest.mark.slow_after(2)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_messages_of_every_offset_settle_where_those_of_all_records_do(seed):
     rng = np.random.default_rng(seed)

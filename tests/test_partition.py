@@ -5,10 +5,11 @@ import pytest
 from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
 from sameas.many.identify import identify_many
-from sameas.many.marginals import CUTS, MOST_RECORDS
+from sameas.many.marginals import MOST_RECORDS
 from sameas.many.partition import best_partition, incidence_of
 from sameas.many.rules import PoissonObjects
 from sameas.many.sets import Sets
+from sameas.many.tuning import TUNING
 from sameas.records import Records
 
 
@@ -35,6 +36,7 @@ def direct(sets, n, whole):
     return -milp(-sets.log_weight, constraints=constraint, integrality=ones, bounds=Bounds(0, 1), options=options).fun
 
 
+@pytest.mark.slow
 def test_the_partition_is_the_best_where_the_relaxation_is_broken():
     broken = 0
     for seed in range(12):
@@ -64,7 +66,7 @@ def test_a_group_of_more_records_than_a_sum_can_hold_is_summed_without_improbabl
     found = identify_many(sources, rule=PoissonObjects(0.1, 0.1))
     widest = int(np.argmax(found.pooled.sizes))
     assert found.pooled.sizes[widest] > MOST_RECORDS
-    assert found.groups.cut[widest] in CUTS
+    assert found.groups.cut[widest] in TUNING.cuts
     total = np.zeros(len(found.pooled))
     at, record = found.sets.entries()
     np.add.at(total, record, found.answer.probability[at])

@@ -61,6 +61,7 @@ def strangers() -> SkyMatch:
     return match(Catalogue.of(one, "one", options=options), Catalogue.of(two, "two", options=options))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["residuals", "normalised", "group", "certainty"])
 def test_every_picture_is_drawn(stars: SkyMatch, tmp_path: Path, name: str) -> None:
     path = tmp_path / f"{name}.png"
@@ -124,6 +125,7 @@ def test_a_group_is_drawn_from_either_side(stars: SkyMatch) -> None:
     assert {text.split("\n")[0] for text in words} >= {"0", "1000", "1300"}
 
 
+@pytest.mark.slow
 def test_what_cannot_be_drawn_is_refused(stars: SkyMatch, strangers: SkyMatch, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="nothing ambiguous to draw"):
         plots.group(strangers)
@@ -172,6 +174,7 @@ def test_scale_bars_have_round_lengths() -> None:
     assert [nice_length(x) for x in (0.3, 1.0, 4.9, 73.0)] == pytest.approx([0.2, 1.0, 2.0, 50.0])
 
 
+@pytest.mark.slow
 def test_the_scatter_that_is_drawn_is_the_one_that_was_made() -> None:
     rng = np.random.default_rng(8)
     n, sigma = 3000, np.exp(rng.uniform(np.log(0.05), np.log(0.5), 3000))
@@ -188,6 +191,7 @@ def test_the_scatter_that_is_drawn_is_the_one_that_was_made() -> None:
     assert len(right.lines[2].get_xdata()) == len(quoted)
 
 
+@pytest.mark.slow
 def test_every_picture_that_can_be_drawn_is(stars: SkyMatch, strangers: SkyMatch) -> None:
     assert [name for name, _ in plots.every(stars)] == ["residuals", "normalised", "scatter", "certainty", "ambiguous"]
     assert "ambiguous" not in dict(plots.every(strangers)) and "scatter" in dict(plots.every(strangers))

@@ -11,7 +11,7 @@ from problems import DRAWS, components_of, laid_out, many_blocks, random_ratios,
 from sameas import CommonObjects, PerPair
 from sameas.assignment import assign
 from sameas.kernels.messages import bounds
-from sameas.posterior import APPROXIMATE, EVERY, METHODS, THINNED, Tuning, posterior
+from sameas.posterior import APPROXIMATE, EVERY, METHODS, THINNED, Tuning, _bethe, log_evidence, posterior
 from test_assignment import PRIORS
 
 
@@ -23,6 +23,7 @@ def sums(pairs, p_pair):
     return np.bincount(pairs.i, p_pair, len(pairs.first)), np.bincount(pairs.j, p_pair, len(pairs.second))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("draw", DRAWS)
 @pytest.mark.parametrize("name", PRIORS)
 def test_the_posterior_is_the_sum_over_all_hypotheses(name, draw):
@@ -43,6 +44,7 @@ def test_the_posterior_is_the_sum_over_all_hypotheses(name, draw):
         np.testing.assert_allclose(1.0 - sum_2[rows_2], none_2, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize("name", PRIORS)
 @pytest.mark.parametrize("n1, n2", [(6, 6), (4, 7), (7, 4)])
 def test_crowded_groups(name, n1, n2):
@@ -53,6 +55,31 @@ def test_crowded_groups(name, n1, n2):
     np.testing.assert_allclose(
         sure.p_pair, [expected[edge] for edge in as_table(pairs, sure.p_pair)], rtol=0, atol=1e-9
     )
+
+
+@pytest.mark.parametrize("draw", DRAWS)
+def test_the_evidence_of_a_group_is_the_sum_over_all_hypotheses(draw):
+    rng = np.random.default_rng([len(draw), 2])
+    n1, n2, ratios = many_blocks(rng, DRAWS[draw], blocks=18)
+    _, grouped, best, sure = solved(n1, n2, ratios, PerPair(-0.7))
+    ours = log_evidence(grouped, best, sure.p_pair)
+    total = 0.0
+    for rows_1, rows_2, local in components_of(n1, n2, ratios):
+        a, b = len(rows_1), len(rows_2)
+        total += logsumexp([score for score, _ in naive.scored(a, b, local, lambda k: -0.7 * k)])
+    assert len(ours) == len(grouped) and ours.sum() == pytest.approx(total, rel=1e-12, abs=1e-9)
+
+
+def test_the_evidence_of_a_group_too_large_to_be_summed_is_bethes():
+    n = 40
+    ratios = {(i, j): -0.2 * abs(i - j) for i in range(n) for j in range(n)}
+    _, grouped, best, sure = solved(n, n, ratios, PerPair(0.0))
+    assert np.isfinite(log_evidence(grouped, best, sure.p_pair)).all()
+    # On a chain Bethe's sum is exact: that of elimination.
+    chain = {(i, j): float(np.sin(3 * i + j)) for i in range(n) for j in (i, i + 1) if j < n}
+    _, grouped, best, sure = solved(n, n, chain, PerPair(0.0))
+    bethe = _bethe(grouped, best.weight, sure.p_pair[grouped.order])
+    assert log_evidence(grouped, best, sure.p_pair) == pytest.approx(bethe, rel=1e-9)
 
 
 def test_small_probabilities_keep_their_digits():
@@ -103,6 +130,7 @@ def by_transfer(n, ratios, log_prior):
     return p
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "prior, log_prior",
     [
@@ -280,6 +308,7 @@ def tree(rng, n, extra=0):
     return {edge: float(rng.normal(1.0, 4.0)) for edge in sorted(edges)}
 
 
+@pytest.mark.slow_after(21)
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("extra", [0, 1, 2, 5])
 def test_trees_and_cores_with_trees_on_them_are_exact(seed, extra):

@@ -118,6 +118,7 @@ def judged(rng, quoted, outliers=0.0):
     return report.report(match(first, second))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("quoted", "verdict"),
     [(1.0, "as quoted"), (1.7, r"quoted 1\.[67]\d+ ± 0\.0\d+ times too small"), (0.5, "quoted too large")],
@@ -127,6 +128,7 @@ def test_the_quoted_errors_are_judged_in_plain_words(quoted, verdict):
     assert re.search(rf"errors +{verdict}", text) and "a tail" not in text
 
 
+@pytest.mark.slow
 def test_outliers_are_a_tail_and_nothing_else():
     text = " ".join(judged(np.random.default_rng(7), 1.0, outliers=0.02).split())
     assert re.search(r"errors as quoted .* a tail: [12]\.\d+ ± 0\.\d+ % of the pairs have errors about [5-9]\.", text)

@@ -188,6 +188,7 @@ def test_areas_are_filled_evenly(area):
         assert kstest(vectors(drawn)[:, axis], vectors(everywhere[inside])[:, axis]).pvalue > 1e-3
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize("elliptical", [False, True])
 @pytest.mark.parametrize("area", [WholeSky(), Cap(0.0, 90.0, 0.0003)])
 def test_errors_on_the_sphere_are_as_stated_beside_the_pole_too(area, elliptical):
@@ -233,6 +234,7 @@ def test_chance_area_without_spread_of_sigma_is_the_circle_of_three_sigma():
     assert narrow == pytest.approx(chance_area_steradians(7, 0.3, 0.2), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_million_rows_need_no_loop():
     scene = crowded_sky(np.random.default_rng(0), 1_000_000, 0.5)
     assert len(scene.first) == 1_000_000

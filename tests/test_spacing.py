@@ -39,6 +39,7 @@ def share_right(scenes, reaches, q):
     return right / total
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_decisions_with_the_estimated_reach_are_as_right_as_with_the_true_one(name):
     make, spacing_sigmas, q = SCENES[name]

@@ -164,6 +164,7 @@ def test_a_tally_is_what_the_scores_say_scene_by_scene():
                                                           * len(verdict.i) / len(true[0]))  # fmt: skip
 
 
+@pytest.mark.slow
 def test_standard_errors_are_those_of_repetition():
     contender = Identified("close", Close())
     figures = [count(s, contender(s, FIVE)).figures() for s in (drawn(FIVE, 100, seed) for seed in range(120))]
@@ -206,6 +207,7 @@ def test_enumeration_decides_as_the_assignment_does():
         )
 
 
+@pytest.mark.slow
 def test_who_knows_the_formation_decides_best():
     formation = Lattice((5, 1), 1.9, (0.2, 0.2))
     scenes = drawn(formation, 1500)
@@ -251,6 +253,7 @@ def test_stone_soup_assigns_the_least_distances_within_its_threshold():
     assert pairs_of(StoneSoup()(scenes, FIVE)) == sorted(expected)
 
 
+@pytest.mark.slow
 def test_without_stone_soup_its_column_is_left_out_and_said(monkeypatch):
     from benchmarks.study import command, stonesoup
 
@@ -281,6 +284,7 @@ def test_the_oracle_of_three_sources_finds_what_the_joint_answer_is():
     assert 0 < whole.sum() < 25
 
 
+@pytest.mark.slow
 def test_the_joint_answer_does_not_mind_the_order_and_the_sequential_one_does():
     counts = several.counts(several.Several("order", dataclasses.replace(TRIPLE, density=0.15), 50), 0)
     assert counts.mean("joint order") == Ratio(0.0, 0.0)
@@ -345,6 +349,7 @@ def small(monkeypatch):
     monkeypatch.setattr(experiments, "several", lambda scenes: few)
 
 
+@pytest.mark.slow
 def test_the_command_writes_tables_figures_and_the_page(small, tmp_path, capsys):
     pytest.importorskip("matplotlib")
     main(["--scenes", "6", "-o", str(tmp_path / "out")])
@@ -379,6 +384,7 @@ def test_one_experiment_alone_writes_its_tables_and_no_page(small, tmp_path, cap
         main(["--quick", "--scenes", "9"])
 
 
+@pytest.mark.slow
 def test_processes_change_nothing(monkeypatch):
     point = trial.Point("x", "processes", FIVE, (Identified("close", Close()),))
     monkeypatch.setattr(trial, "PIECE", trial.BLOCK)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from sameas import Records, match
+from sameas import Records
 from sameas.estimate.error_model import tail
+from sameas.estimate.match import match
 from sameas.simulate.scenes import poisson_field
 
 
@@ -26,6 +27,7 @@ def test_errors_that_are_all_wrong_alike_make_no_tail(quoted):
     assert beyond is None or beyond.share.value < 0.002
 
 
+@pytest.mark.slow
 def test_the_share_of_the_tail_is_found_within_its_standard_error():
     tails = [found(seed, share=0.04, times=6.0) for seed in range(40)]
     pull = np.array([(one.share.value - 0.04) / one.share.standard_error for one in tails])

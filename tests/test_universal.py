@@ -66,6 +66,7 @@ def test_mixtures_are_normals_of_both_records_together(d):
     assert len(pairs) > 3 and np.all(evidence.log_error == 0.0)
 
 
+@pytest.mark.slow
 def test_the_rule_is_the_oracles_integral():
     pairs = some_pairs(1)
     p, q = GaussianMixture([1.0], [[1.0]], [[[2.0]]]), GaussianMixture([0.4, 0.6], [[-2.0], [2.0]], np.ones((2, 1, 1)))
@@ -95,6 +96,7 @@ def test_a_neighbour_anywhere_is_the_uniform_rule(d):
         np.testing.assert_allclose(evidence.log_ratio, Field(0.02)(pairs).log_ratio, atol=1e-10)
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize("d", [1, 2])
 def test_a_neighbour_in_the_shell_is_the_close_objects_rule(d):
     pairs = some_pairs(d)
@@ -104,6 +106,7 @@ def test_a_neighbour_in_the_shell_is_the_close_objects_rule(d):
     assert evidence.log_error.max() < 5e-3
 
 
+@pytest.mark.slow
 def test_functions_of_both_positions_in_two_features_are_summed_over_four_dimensions():
     pairs = some_pairs(2)
     rule = Universal(lambda m: np.full(len(m), 0.1), lambda m1, m2: shell(m2 - m1), relative_error=3e-3)
@@ -127,6 +130,7 @@ def test_samples_of_the_shell_are_the_close_objects_rule_to_their_stated_error()
 # ---- the same density in other forms ----
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize("d", [1, 2])
 def test_mixtures_given_as_functions_give_what_the_closed_form_gives(d):
     rng = np.random.default_rng(10 + d)
@@ -142,6 +146,7 @@ def test_mixtures_given_as_functions_give_what_the_closed_form_gives(d):
         assert evidence.log_error.max() < 0.02
 
 
+@pytest.mark.slow
 def test_samples_of_both_densities_come_to_the_closed_form_within_their_stated_error():
     rng = np.random.default_rng(20)
     p, q = GaussianMixture([1.0], [[1.0]], [[[1.0]]]), GaussianMixture([1.0], [[0.0]], [[[4.0]]])

@@ -1,4 +1,4 @@
-"""`sameas explain`: the match repeated from the output's provenance."""
+"""`sameas explain`: from what an output holds, or the match repeated from its provenance."""
 
 import shutil
 
@@ -14,10 +14,11 @@ def matched(tmp_path, sameas, field_files):
     return out
 
 
+@pytest.mark.slow
 def test_a_record_is_explained_in_words_of_the_sky(sameas, matched):
     text = sameas("explain", matched, "s7").stdout
     assert text.startswith("first s7 (row 7) is second s7, probability 1 − ")
-    assert "arcsec" in text and "mag" in text and "nobody" in text
+    assert "arcsec" in text and "mag" in text and "no partner" in text
     assert sameas("explain", matched, "s7", "--source", "2").stdout.startswith("second s7 (row 7) is first s7")
     assert "first s110 (row 110) has no partner" in sameas("explain", matched, "s110").stdout
 
@@ -26,10 +27,21 @@ def test_unknown_records_and_changed_or_missing_inputs_are_refused(tmp_path, ref
     assert "first has no record with the id x; its first ids are" in refusal("explain", matched, "x")
     assert "does not say how it was made" in refusal("explain", field_files[0], "s1")
     save(field(99, 3), tmp_path / "second.fits")
-    words = refusal("explain", matched, "s7")
+    words = refusal("explain", matched, "s7", "--again")
     assert "second.fits, which has changed since" in words
     (tmp_path / "second.fits").unlink()
-    assert "second.fits, which is not there any more" in refusal("explain", matched, "s7")
+    assert "second.fits, which is not there any more" in refusal("explain", matched, "s7", "--again")
+
+
+def test_a_record_is_explained_when_the_inputs_have_moved(tmp_path, sameas, refusal, matched):
+    for name in ("first.fits", "second.fits"):
+        (tmp_path / name).unlink()
+    text = sameas("explain", matched, "s7").stdout
+    assert text.startswith("first s7 is second s7, probability 1 − ") and "Told by the table alone" in text
+    assert "no partner" in text and "mag_1" in text
+    assert sameas("explain", matched, "7", "--row").stdout == text
+    assert "first has no record with the id x in the output" in refusal("explain", matched, "x")
+    assert "first s110 has no partner, probability" in sameas("explain", matched, "s110").stdout
 
 
 def test_an_id_of_the_other_catalogue_is_pointed_out(tmp_path, sameas, refusal, field_files):

@@ -79,6 +79,7 @@ def refused(refusal, coast, tmp_path):
     return run
 
 
+@pytest.mark.slow
 def test_files_become_objects_tables_a_map_and_a_summary(picture):
     shown, out = picture("--every", "10s")
     assert sorted(os.listdir(out)) == [
@@ -109,6 +110,7 @@ def test_files_become_objects_tables_a_map_and_a_summary(picture):
             assert number == number_of[str(235000001 + int(track) - 101)] and line > 1
 
 
+@pytest.mark.slow
 def test_the_summary_is_told_in_numbers_too(picture, coast):
     _, out = picture("--every", "30s", *QUICK)
     told = json.loads((out / "summary.json").read_text())
@@ -125,6 +127,7 @@ def test_the_summary_is_told_in_numbers_too(picture, coast):
     assert told["files"] == [str(coast / "ais.csv"), str(coast / "radar.csv")] and len(told["sha256"]) == 2
 
 
+@pytest.mark.slow
 def test_tables_may_be_csv_and_say_nothing_where_nothing_is_known(picture):
     _, out = picture("--every", "60s", "--format", "csv", *QUICK)
     with open(out / "identities.csv", newline="") as file:
@@ -136,6 +139,7 @@ def test_tables_may_be_csv_and_say_nothing_where_nothing_is_known(picture):
     assert silent and {row["mmsi"] for row in silent} == {""} and all(float(row["probability"]) > 0.9 for row in rows)
 
 
+@pytest.mark.slow
 def test_an_older_picture_in_the_folder_is_pointed_out(picture):
     picture("--every", "60s", *QUICK)
     shown, out = picture("--every", "60s", "--format", "csv", *QUICK)
@@ -153,6 +157,7 @@ def test_quiet_says_doubts_and_alarms_only(sameas, coast, tmp_path):
     assert all(line.startswith(("sameas: ALARM: ", "sameas: doubt: ")) for line in lines)
 
 
+@pytest.mark.slow
 def test_the_tables_are_the_same_for_any_number_of_threads(picture, monkeypatch):
     # Small pictures are not worth threads: here all that are allowed are used.
     monkeypatch.setattr(threads.even, "__defaults__", (1,))
@@ -164,6 +169,7 @@ def test_the_tables_are_the_same_for_any_number_of_threads(picture, monkeypatch)
     assert len(contents[0]) == 4 and contents[0] == contents[1] == contents[2]
 
 
+@pytest.mark.slow
 def test_the_order_of_the_files_changes_no_object(picture):
     tables = []
     for files in (("ais.csv", "radar.csv"), ("radar.csv", "ais.csv")):
@@ -184,6 +190,28 @@ def test_one_source_is_a_picture(sameas, coast, tmp_path):
     assert "Picture: 2024-05-01 23:11:00 UTC\n  objects               7 confirmed\n  assumed" in shown.stdout
 
 
+@pytest.mark.slow
+def test_a_source_left_out_leaves_the_picture_of_the_others(sameas, coast, tmp_path):
+    both = (coast / "ais.csv", coast / "radar.csv", "--at", "23:11", "--format", "csv", *QUICK)
+    sameas("picture", *both, "--without", "radar", "-o", tmp_path / "what-if")
+    sameas("picture", coast / "ais.csv", "--at", "23:11", "--format", "csv", *QUICK, "-o", tmp_path / "alone")
+    for name in ("objects.csv", "identities.csv"):
+        assert (tmp_path / "what-if" / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (("radra",), "--without radra: there is no such source; give one of ais, radar"),
+        (("ais", "radar"), "--without ais, radar: no source is left"),
+    ],
+)
+def test_a_source_that_is_not_there_is_not_left_out(names, words, refused, coast):
+    options = [part for name in names for part in ("--without", name)]
+    assert words in refused(coast / "ais.csv", coast / "radar.csv", "-s", coast / "sensors.toml", *options)
+
+
+@pytest.mark.slow
 def test_sources_in_metres_make_no_geojson(sameas, tmp_path):
     rows = [[t, 1 + k, 100.0 * k + 2.0 * t, 50.0] for t in range(0, 20, 2) for k in range(3)]
     write(tmp_path / "radar.csv", ["t", "track_id", "x_m", "y_m"], rows)
@@ -240,6 +268,7 @@ def test_descriptions_that_cannot_be_used_are_refused_with_what_to_do(toml, word
     assert words in refused(coast / "ais.csv", coast / "radar.csv", "-s", tmp_path / "s.toml")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("when", "words"),
     [
@@ -254,6 +283,7 @@ def test_times_that_make_no_picture_are_refused(when, words, refused, coast):
     assert words in refused(coast / "ais.csv", coast / "radar.csv", "-s", coast / "sensors.toml", *when)
 
 
+@pytest.mark.slow_after(2)
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -289,6 +319,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_work(refusal, coa
     assert said == f"cannot write into {tmp_path / 'file'}: file exists; give another folder"
 
 
+@pytest.mark.slow
 def test_stopped_while_it_writes_it_leaves_nothing(sameas, coast, tmp_path, monkeypatch):
     from sameas.io import geojson
 
@@ -330,6 +361,7 @@ def test_damaged_lines_are_named_and_the_rest_is_used(sameas, coast, tmp_path):
     assert sum(told["sources"][0]["damaged"].values()) == 2
 
 
+@pytest.mark.slow
 def test_a_zero_byte_in_a_log_is_one_damaged_line(tmp_path):
     (tmp_path / "log.nmea").write_bytes(
         b"\\c:1714605000*50\\!AIVDM,1,1,,B,15M67FC000G?ufbE`FepT@3n00Sa,0*5C\n\x00\x01\n"

@@ -71,6 +71,7 @@ def confirmed(objects):
     return objects[np.isin(objects["stage"], ["confirmed", "coasting"])]
 
 
+@pytest.mark.slow
 def test_two_that_pass_each_other_are_confirmed_keep_their_numbers_and_no_false_plot_is(made):
     _, out = made
     there = confirmed(read_table(out / "objects.parquet"))
@@ -93,6 +94,7 @@ def test_two_that_pass_each_other_are_confirmed_keep_their_numbers_and_no_false_
     assert told["misses"] and all(one["share"] < 0.5 for one in told["misses"])
 
 
+@pytest.mark.slow
 def test_members_are_plots_of_the_files_and_what_is_remembered_is_none(made, quay):
     _, out = made
     objects, records = read_table(out / "objects.parquet"), read_table(out / "identities.parquet")
@@ -122,6 +124,7 @@ def test_members_are_plots_of_the_files_and_what_is_remembered_is_none(made, qua
         assert float(lines[row["line"]][1]) == pytest.approx(row["x_m"], abs=2.5 * 4.0)
 
 
+@pytest.mark.slow
 def test_it_is_said_that_objects_are_followed_and_what_was_taken_for_how_long(made, sameas, quay, tmp_path):
     shown, _ = made
     text = " ".join(shown.split())
@@ -135,6 +138,7 @@ def test_it_is_said_that_objects_are_followed_and_what_was_taken_for_how_long(ma
     assert "resolution.split 0.1" in " ".join(assumed.split())
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
 def test_the_map_opens_and_tells_why(made, tmp_path):
     _, out = made

@@ -8,7 +8,11 @@ import resource
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
+
+import numpy as np
+import pytest
 
 from sameas.cli.app import COMMANDS
 
@@ -19,6 +23,7 @@ def run(*arguments, **settings):
     return subprocess.run([*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=120, **settings)
 
 
+@pytest.mark.slow
 def test_ctrl_c_says_so_in_one_line_and_leaves_nothing(tmp_path, field_files):
     pipe = tmp_path / "never.csv"
     os.mkfifo(pipe)
@@ -33,11 +38,72 @@ def test_ctrl_c_says_so_in_one_line_and_leaves_nothing(tmp_path, field_files):
     assert [entry.name for entry in tmp_path.iterdir()] == ["never.csv"]
 
 
+def test_a_process_that_is_asked_to_end_leaves_no_draft(tmp_path):
+    pipe, folder = tmp_path / "never.csv", tmp_path / "out"
+    os.mkfifo(pipe)
+    process = subprocess.Popen([*COMMAND, "picture", f"radar={pipe}", "-o", str(folder)],
+                               stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)  # fmt: skip
+    _until(lambda: folder.exists() and list(folder.glob(".sameas-*")))  # it now waits for the sensor
+    process.terminate()
+    _, said = process.communicate(timeout=60)
+    assert (process.returncode, said) == (143, "sameas: stopped; nothing was written\n")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["never.csv"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ending", [".fits", ".parquet", ".csv"])
+def test_whenever_it_is_asked_to_end_the_output_is_the_old_one_or_the_new_one(ending, tmp_path, field_files):
+    out = tmp_path / f"o{ending}"
+    began = time.monotonic()
+    run("match", *field_files, "-o", out)
+    whole, longest = out.read_bytes()[:2880], time.monotonic() - began
+    for moment in np.linspace(0.2, 1.1, 12) * longest:
+        out.write_bytes(b"old")
+        process = subprocess.Popen([*COMMAND, "match", *map(str, field_files), "-o", str(out), "-q"],
+                                   stderr=subprocess.PIPE, text=True)  # fmt: skip
+        time.sleep(moment)
+        process.terminate()
+        _, said = process.communicate(timeout=60)
+        assert process.returncode in (0, 143, -signal.SIGTERM) and "Traceback" not in said
+        assert not list(tmp_path.glob(".*"))
+        new = out.read_bytes()
+        assert new == b"old" or new[:80] == whole[:80]
+
+
+@pytest.mark.slow
+def test_two_processes_of_frames_end_when_asked_to(tmp_path):
+    frames = [tmp_path / f"{name}.fits" for name in "ab"]
+    for frame in frames:
+        os.mkfifo(frame)
+    process = subprocess.Popen([*COMMAND, "frame", *map(str, frames), "--catalog", "bright", "-o", str(tmp_path / "o")],
+                               stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)  # fmt: skip
+    _until(lambda: len(_children(process.pid)) >= 2)
+    children = _children(process.pid)
+    process.terminate()
+    process.communicate(timeout=60)
+    assert process.returncode == 143
+    _until(lambda: not any(Path(f"/proc/{child}").exists() for child in children))
+
+
+def _children(process):
+    """The processes that a process has started, on Linux."""
+    tasks = Path(f"/proc/{process}/task").glob("*/children")
+    return [int(child) for task in tasks for child in task.read_text().split()]
+
+
+def _until(true, patience_s=60.0):
+    end = time.monotonic() + patience_s
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
 def _interruptible():
     """Undo what a shell does to jobs in the background: they ignore Ctrl-C, and so would the command."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
+@pytest.mark.slow
 def test_a_full_disk_leaves_no_half_written_file(tmp_path, field_files):
     def small():
         resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))
@@ -52,6 +118,7 @@ def test_a_full_disk_leaves_no_half_written_file(tmp_path, field_files):
     assert "100 identified" in done.stdout  # the summary is not lost with the file
 
 
+@pytest.mark.slow
 def test_a_reader_that_leaves_does_not_stop_the_work(tmp_path, field_files):
     out = tmp_path / "o.fits"
     arguments = [*COMMAND, "match", *field_files, "-o", str(out)]
@@ -62,6 +129,7 @@ def test_a_reader_that_leaves_does_not_stop_the_work(tmp_path, field_files):
     assert out.exists()
 
 
+@pytest.mark.slow
 def test_colour_on_a_terminal_unless_no_color(field_files):
     for unwanted in (False, True):
         environment = {**os.environ, "TERM": "xterm"} | ({"NO_COLOR": "1"} if unwanted else {})
@@ -107,6 +175,7 @@ def test_commands_are_listed_with_the_first_sentence_of_their_docstring():
         assert inspect.getdoc(command).partition("\n\n")[0].replace("\n", " ") == sentence
 
 
+@pytest.mark.slow
 def test_a_command_makes_its_own_options_only():
     probe = """
 import sys

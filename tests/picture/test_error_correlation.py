@@ -5,8 +5,8 @@ import pytest
 from modelled_scenes import describe, straight, told
 
 from sameas.picture import Past
-from sameas.picture.error_correlation import TRIED_S
 from sameas.picture.scan import Scan
+from sameas.picture.tuning import Tuning
 from sameas.tracks.scene import Scene
 
 
@@ -22,6 +22,7 @@ def learned(tau_s, kind="tracks", seed=1, looks=25, every_s=10.0, given=None):
     return float(past.tracks.error_correlation.rho(np.zeros(1, np.int64), np.array([every_s]))[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["tracks", "ais"])
 @pytest.mark.parametrize("tau_s", [0.0, 12.0, 180.0])
 def test_it_is_found_whatever_the_kind_is_believed_to_do(kind, tau_s):
@@ -40,4 +41,4 @@ def test_before_any_look_the_kind_decides():
     scene = Scene.of([told(rng, describe(name, name), np.zeros(1), x, v, 0.0, ["7"]) for name in ("ais", "air radar")])
     lasting = Past().on(Scan.of(scene.at(0.0))).tracks.error_correlation
     ais, radar = (lasting.rho(np.array([lasting.names.index(n)]), np.array([10.0]))[0] for n in ("ais", "air radar"))
-    assert lasting.log_probable.shape == (2, len(TRIED_S)) and ais > 0.75 and radar < ais - 0.2
+    assert lasting.log_probable.shape == (2, len(Tuning().correlation_s)) and ais > 0.75 and radar < ais - 0.2

@@ -40,6 +40,7 @@ def was(found, echo_with):
     return out
 
 
+@pytest.mark.slow
 def test_what_is_even_stays_and_what_is_much_more_probable_is_shown():
     # ln of the odds of right against left is (x² − (20 − x)²) / 2 (15² + 10²); a move breaks one link.
     bound = np.log(3.0)
@@ -88,6 +89,7 @@ def changes(picture):
     return sum(a != b for a, b in pairwise(out))
 
 
+@pytest.mark.slow
 def test_an_echo_of_two_vessels_side_by_side_does_not_go_to_and_fro():
     steady = restless = 0
     for seed in range(6):
@@ -97,6 +99,7 @@ def test_an_echo_of_two_vessels_side_by_side_does_not_go_to_and_fro():
     assert restless >= 20 and steady <= 0.35 * restless
 
 
+@pytest.mark.slow
 def test_who_is_kept_says_why_and_how_probable_it_is():
     kept = 0
     for seed in range(3):
@@ -105,10 +108,10 @@ def test_who_is_kept_says_why_and_how_probable_it_is():
         for time_s in times:
             state = watch.advance(scene.at(time_s))
             watch = state.watch
-            for number in state.number[state.objects.kept].tolist():
+            for number in state.number[state.detections.by_hysteresis].tolist():
                 kept += 1
                 assert "it stays what it was" in str(state.explain(number))
-        assert not state.objects.kept.all()
+        assert not state.detections.by_hysteresis.all()
     assert kept > 0
 
 

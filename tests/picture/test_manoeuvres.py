@@ -1,6 +1,7 @@
 """Manoeuvres: a report that its ship has left behind stays hers, whatever a coarse radar cannot see."""
 
 import numpy as np
+import pytest
 from modelled_scenes import describe, told
 
 from sameas.picture import Picture
@@ -26,6 +27,7 @@ def departing(seed):
     ]), times  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_ferry_that_leaves_her_report_behind_is_not_two():
     apart = 0
     for seed in range(8):

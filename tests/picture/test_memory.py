@@ -53,6 +53,7 @@ def log_loss(log_odds, same):
     return float(np.mean(np.logaddexp(0.0, np.where(same, -log_odds, log_odds))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tau_s", [(60.0, 600.0), (0.0, 0.0), (0.0, 600.0)])
 def test_memory_is_calibrated_however_long_errors_last(tau_s):
     same, past, now = (
@@ -68,6 +69,7 @@ def test_memory_is_calibrated_however_long_errors_last(tau_s):
             assert p[some].mean() - same[some].mean() < 3.0 * error + 0.02 or p[some].mean() < 0.5
 
 
+@pytest.mark.slow
 def test_memory_is_bounded_by_what_numbers_are_worth():
     scene, times = two_meet(0, 200.0)
     past = Past(reassigned=0.01)
@@ -75,7 +77,7 @@ def test_memory_is_bounded_by_what_numbers_are_worth():
         now = scene.at(time_s)
         past = past.on(Scan.of(now))
         found = identify_many(now.sources, rule=now.rule() + past.rule(), region=now.region)
-        past = past.met(found.pooled)
+        past = past.with_pairs(found.pooled)
         assert np.abs(past.rule().log_ratio).max(initial=0.0) <= np.log(0.99 / 0.01) + 1e-9
     # Who met and went on is another's: less so than who stays together by as much as a look's name is worth.
     said = past.rule().log_ratio
@@ -88,7 +90,7 @@ def test_what_is_said_twice_is_no_evidence():
     for time_s in (0.0, 10.0, 20.0):
         now = scene.at(time_s)
         past = past.on(Scan.of(now))
-        past = past.met(identify_many(now.sources, rule=now.rule() + past.rule(), region=now.region).pooled)
+        past = past.with_pairs(identify_many(now.sources, rule=now.rule() + past.rule(), region=now.region).pooled)
     said = past.rule().log_ratio + past.track_pairs.now
     for time_s in (21.0, 24.0, 29.0):
         past = past.on(Scan.of(scene.at(time_s)))
@@ -110,7 +112,7 @@ def test_a_track_that_jumps_begins_anew():
         past = past.on(Scan.of(now))
         if time_s == 40.0:
             assert not len(past.track_pairs)
-        past = past.met(identify_many(now.sources, rule=now.rule(), region=now.region).pooled)
+        past = past.with_pairs(identify_many(now.sources, rule=now.rule(), region=now.region).pooled)
         assert len(past.track_pairs) == (time_s < 40.0)
 
 
@@ -123,7 +125,7 @@ def test_records_without_names_have_no_past():
     for time_s in times:
         now = scene.at(time_s)
         past = past.on(Scan.of(now))
-        past = past.met(identify_many(now.sources, rule=now.rule(), region=now.region).pooled)
+        past = past.with_pairs(identify_many(now.sources, rule=now.rule(), region=now.region).pooled)
     assert not len(past.track_pairs) and past.tracks.track_of_record.tolist() == [-1, -1, 0, 1]
 
 

@@ -33,6 +33,7 @@ def changes(picture):
 TWO_SIGMA_M = 2.0 * 20.0 * np.sqrt(2.0)
 
 
+@pytest.mark.slow
 def test_who_crosses_keeps_its_records():
     right = {frozenset({"radar 0", "ais 0"}), frozenset({"radar 1", "ais 1"})}
     for seed in range(20):
@@ -40,6 +41,7 @@ def test_who_crosses_keeps_its_records():
         assert all(set(each.values()) == right for each in memberships(Picture.of(scene, times[10:21])))
 
 
+@pytest.mark.slow
 def test_switching_has_to_be_earned_side_by_side():
     with_memory = without = 0
     for seed in range(8):
@@ -49,6 +51,7 @@ def test_switching_has_to_be_earned_side_by_side():
     assert with_memory <= 0.5 * without and without >= 5
 
 
+@pytest.mark.slow
 def test_numbers_stay_with_their_objects_where_they_cross():
     for seed in range(6):
         scene, times = two_meet(seed, 40.0)
@@ -58,6 +61,7 @@ def test_numbers_stay_with_their_objects_where_they_cross():
             assert len(set(o["mmsi"][o["object"] == number].tolist())) == 1
 
 
+@pytest.mark.slow
 def test_a_picture_mends_where_a_radar_swaps_its_numbers():
     mended = 0
     for seed in range(6):
@@ -83,6 +87,7 @@ def plots(looks):
     return Scene((Feed.of(radar, reports, scan_times_s=sorted(looks)),))
 
 
+@pytest.mark.slow
 def test_an_object_appears_is_confirmed_coasts_and_ends():
     there = [(1000.0 + 5.0 * t, 0.0) for t in range(0, 1400, 10)]
     looks = {10.0 * k: [there[k]] + [(float(5000 + 40 * j), 3e3) for j in range(3)] for k in range(6)}
@@ -113,6 +118,7 @@ def test_what_speaks_is_there_and_two_sources_are_believed_at_once():
     assert Picture.of(plots(looks), [0.0]).objects["stage"].tolist() == ["tentative"]
 
 
+@pytest.mark.slow
 def test_who_comes_back_under_a_name_of_its_own_has_its_number_again():
     rng = np.random.default_rng(5)
     early, late = np.arange(0.0, 100.0, 10.0), np.arange(2000.0, 2100.0, 20.0)
@@ -139,13 +145,14 @@ def test_a_ship_that_brakes_harder_than_ships_do_keeps_its_number():
     assert set(o["object"].tolist()) == {1} and set(o["stage"].tolist()) == {"confirmed"}
 
 
+@pytest.mark.slow
 def test_live_and_batch_are_one():
     scene, times = two_meet(3, 80.0)
     watch, numbers = Watch(), []
     for time_s in times:
         state = watch.advance(scene.at(time_s))
         watch = state.watch
-        numbers += state.known.number.tolist()
+        numbers += state.objects.number.tolist()
     half = Picture.of(scene, times[:15])
     again = Picture.of(scene, times[15:], watch=half.watch)
     assert half.objects["object"].tolist() + again.objects["object"].tolist() == numbers

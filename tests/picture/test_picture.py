@@ -187,6 +187,7 @@ def test_degrees_are_there_where_the_plane_is_on_the_earth():
     assert "lat_deg" in picture.records and picture.plane is not None
 
 
+@pytest.mark.slow
 def test_explanations_name_objects_by_their_numbers_and_come_where_records_change():
     scene, times = two_meet(1, 60.0)
     picture = Picture.of(scene, times)

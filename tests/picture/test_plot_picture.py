@@ -11,7 +11,7 @@ from sameas.many.identify import identify_many
 from sameas.many.observations import records_of
 from sameas.picture import Picture, PlotPicture, Watch
 from sameas.picture.bernoulli import KNOWN
-from sameas.picture.plot_picture import looks_between, nameless
+from sameas.picture.plot_picture import nameless, scan_times_between
 from sameas.tracks.feed import Feed
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import POSITION_AND_VELOCITY, Scene
@@ -32,10 +32,11 @@ def columns(picture):
             for name, column in picture.objects.items()}  # fmt: skip
 
 
-def test_looks_between_two_instants_are_not_passed_over():
+@pytest.mark.slow
+def test_scans_between_two_instants_are_not_passed_over():
     """However seldom the picture is asked for, objects are followed as they are when it is asked for at every look."""
     scene = passing(1)
-    looks = looks_between(scene.feeds, -1.0, 20.0)
+    looks = scan_times_between(scene.feeds, -1.0, 20.0)
     often = Picture.of(scene, [*looks, 20.0])
     seldom = Picture.of(scene, [0.0, 20.0])
     one, other = columns(often), columns(seldom)
@@ -50,10 +51,11 @@ def test_looks_at_nearly_one_time_are_gone_through_together():
     scene = passing(1, 6.0)
     lidar, radar = scene.feeds
     late = replace(radar, scan_times_s=radar.scan_times_s + 0.05)
-    assert looks_between((lidar, late), -1.0, 2.3) == [0.05, 0.5, 1.0, 1.55, 2.0]
-    assert looks_between((lidar, late), 1.0, 1.2) == [] and looks_between((), 0.0, 9.0) == []
+    assert scan_times_between((lidar, late), -1.0, 2.3) == [0.05, 0.5, 1.0, 1.55, 2.0]
+    assert scan_times_between((lidar, late), 1.0, 1.2) == [] and scan_times_between((), 0.0, 9.0) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, 5])
 def test_false_plots_that_fall_together_are_not_confirmed(seed):
     """Among seven false plots a look some fall together every few seconds, and exist with 99 % for a moment."""
@@ -68,17 +70,18 @@ def test_false_plots_that_fall_together_are_not_confirmed(seed):
 
 def test_the_share_of_objects_still_to_be_found_falls_look_by_look():
     scene = Scene(passing(1, 12.0).feeds[:1])
-    carried, looks = PlotPicture(), looks_between(scene.feeds, -1.0, 10.0)
+    carried, looks = PlotPicture(), scan_times_between(scene.feeds, -1.0, 10.0)
     shares = []
     for t in looks:
-        carried = carried.looked(scene.at(t, features=POSITION_AND_VELOCITY))
-        shares.append(carried.proof.unfound)
+        carried = carried.updated(scene.at(t, features=POSITION_AND_VELOCITY))
+        shares.append(carried.confirmation.unseen_share)
     lasts, q = np.exp(-0.5 / 60.0), 0.2
     assert shares[0] == 1.0 and shares[1] == pytest.approx(q * lasts + 1.0 - lasts)
     assert shares[-1] == pytest.approx((1.0 - lasts) / (1.0 - q * lasts), rel=1e-3)
-    assert set(carried.proof.share) == set(carried.proof.plots) == set(carried.tracks.number.tolist())
+    assert set(carried.confirmation.share) == set(carried.confirmation.plots) == set(carried.tracks.number.tolist())
 
 
+@pytest.mark.slow
 def test_an_object_that_nobody_shows_coasts_and_ends_once():
     scene = passing(3, 60.0, ends_s=25.0)
     picture = Picture.of(scene, np.arange(2.0, 58.0, 1.0))
@@ -97,10 +100,11 @@ def test_an_object_that_nobody_shows_coasts_and_ends_once():
     assert 25.0 < times.max() < 45.0
 
 
+@pytest.mark.slow
 def test_probabilities_are_of_records_whatever_known_object_they_are():
     """Sets of the answer that differ in what is remembered only count as one."""
     state = PlotPicture().at(passing(2), 16.1)
-    found, scan = state.objects.tracks.identification, state.scan
+    found, scan = state.detections.tracks.identification, state.scan
     names = [records_of(source).source for source in found.pooled.sources]
     assert KNOWN in names and len(state.members) > 3
     start = dict(zip((d.name for d in scan.now.descriptions), range(len(scan.start) - 1), strict=True))
@@ -129,9 +133,10 @@ def _p_alone(state):
     return state.p_alone[[members[members >= 0][0] for members in state.members]]
 
 
+@pytest.mark.slow
 def test_explanations_call_what_is_remembered_by_its_number():
     state = PlotPicture().at(passing(2), 15.0)
-    sure = state.known.number[(state.known.stage == 1) & (state.known.detected)]
+    sure = state.objects.number[(state.objects.stage == 1) & (state.objects.detected)]
     assert len(sure) == 2
     for number in sure.tolist():
         reasons = state.explain(number)
@@ -157,7 +162,7 @@ def test_a_picture_without_memory_is_what_identify_many_says():
     scene = passing(4)
     now = scene.at(0.0, features=POSITION_AND_VELOCITY)
     state = PlotPicture().advance(now)
-    rule = state.objects.tracks.rule
+    rule = state.detections.tracks.rule
     found = identify_many(now.sources, rule=rule, region=now.region)
     there = [tuple(sorted(m[m >= 0].tolist())) for m in state.scan.places(found.members)]
     mine = [tuple(sorted(m[m >= 0].tolist())) for m in state.members]
@@ -166,6 +171,7 @@ def test_a_picture_without_memory_is_what_identify_many_says():
     assert [by_set[m] for m in mine] == pytest.approx(state.probability.tolist(), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_it_goes_on_where_a_picture_ended_and_never_back():
     scene = passing(1, 20.0)
     whole = Picture.of(scene, [5.0, 10.0, 15.0])

@@ -74,13 +74,14 @@ def followed(scene, times, tracker=None):
 def there(tracks, place, within_m=8.0):
     """The surest of the objects that are near a place: its number and how far off it is; (0, inf) for none."""
     off = np.linalg.norm(tracks.state[:, :2] - place, axis=1)
-    near = np.flatnonzero((off < within_m) & (tracks.known_of >= 0))
+    near = np.flatnonzero((off < within_m) & (tracks.prior_of >= 0))
     if not len(near):
         return 0, np.inf
     k = near[tracks.existence[near].argmax()]
     return int(tracks.number[k]), float(off[k])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_two_that_cross_keep_their_numbers_among_misses_and_clutter(seed):
     scene, tracks = crossing(seed)
@@ -94,6 +95,7 @@ def test_two_that_cross_keep_their_numbers_among_misses_and_clutter(seed):
     assert np.quantile(off, 0.95) < 6.0
 
 
+@pytest.mark.slow
 def test_positions_are_better_than_those_of_the_best_sensor():
     own, fused, square = [], [], []
     for seed in range(2):
@@ -115,6 +117,7 @@ def test_positions_are_better_than_those_of_the_best_sensor():
     assert 0.4 < np.mean(square) < 1.6
 
 
+@pytest.mark.slow
 def test_clutter_is_not_believed_and_objects_end_when_nobody_sees_them():
     rng = np.random.default_rng(5)
     track = course((0.0, 50.0), (1.0, 0.0), until_s=30.0)
@@ -129,29 +132,31 @@ def test_clutter_is_not_believed_and_objects_end_when_nobody_sees_them():
     assert there(found[-1], (60.0, 50.0), within_m=30.0)[0] == 0
 
 
+@pytest.mark.slow
 def test_a_look_is_used_once_however_often_it_is_asked_for():
     """Lidar and radar look at 4.0 and 3.0, and again at 4.5: between these nothing is new."""
     scene, _ = crossing(1)
     seldom, often = followed(scene, [4.2, 4.45, 4.95]), followed(scene, [4.2, *np.arange(4.21, 4.45, 0.01), 4.45, 4.95])
-    assert len(seldom[-1].known) > 3
-    np.testing.assert_array_equal(seldom[-1].known.number, often[-1].known.number)
+    assert len(seldom[-1].prior_objects) > 3
+    np.testing.assert_array_equal(seldom[-1].prior_objects.number, often[-1].prior_objects.number)
     for column in ("state", "covariance", "existence"):
         np.testing.assert_allclose(
-            getattr(often[-1].known, column), getattr(seldom[-1].known, column), rtol=1e-6, atol=1e-9
+            getattr(often[-1].prior_objects, column), getattr(seldom[-1].prior_objects, column), rtol=1e-6, atol=1e-9
         )
     # Sightings are as many, whose memory fades as the time goes.
-    np.testing.assert_allclose(often[-1].known.hits, seldom[-1].known.hits, rtol=1e-6)
+    np.testing.assert_allclose(often[-1].prior_objects.hits, seldom[-1].prior_objects.hits, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_what_was_known_comes_from_looks_that_stand_no_more():
     """Nothing fused comes back: what the lidar shows at an instant has no part in what was known there."""
     scene, _ = crossing(1, until_s=12.0)
     times = np.arange(1.0, 10.0, 0.5)
     lidar, radar = scene.feeds
     one, other = (followed(Scene((feed, radar)), times)[-1] for feed in (lidar, moved_look(lidar, 9.5, (40.0, 0.0))))
-    for column in ("number", "state", "covariance", "existence", "hits", "misses", "apart"):
-        np.testing.assert_array_equal(getattr(one.known, column), getattr(other.known, column))
-    assert len(one.known) > 3 and not np.array_equal(np.sort(one.state[:, 0]), np.sort(other.state[:, 0]))
+    for column in ("number", "state", "covariance", "existence", "hits", "misses", "separate_log_odds"):
+        np.testing.assert_array_equal(getattr(one.prior_objects, column), getattr(other.prior_objects, column))
+    assert len(one.prior_objects) > 3 and not np.array_equal(np.sort(one.state[:, 0]), np.sort(other.state[:, 0]))
 
 
 def moved_look(feed, look_s, step_m):
@@ -164,6 +169,7 @@ def moved_look(feed, look_s, step_m):
     )
 
 
+@pytest.mark.slow
 def test_doubt_about_one_source_does_not_slow_another():
     """Four directions fall on a boat that turns: which is its own stays open; the lidar is followed."""
     rng = np.random.default_rng(2)
@@ -186,14 +192,15 @@ def test_doubt_about_one_source_does_not_slow_another():
     off, open_ = [], []
     for t, f in zip(asked, followed(scene, asked), strict=True):
         k = int(np.linalg.norm(f.state[:, :2] - boat(t), axis=1).argmin())
-        if f.known_of[k] >= 0 and f.members[k, 0] >= 0:
-            off.append(np.linalg.norm(f.known.state[f.known_of[k], :2] - boat(t)))
+        if f.prior_of[k] >= 0 and f.members[k, 0] >= 0:
+            off.append(np.linalg.norm(f.prior_objects.state[f.prior_of[k], :2] - boat(t)))
             open_.append(f.probability[k])
-            assert f.sure[0][f.members[k, 0]] > 0.9
+            assert f.p_own[0][f.members[k, 0]] > 0.9
     assert len(off) > 40 and np.median(open_) < 0.6
     assert np.sqrt(np.mean(np.square(off))) < 3.0
 
 
+@pytest.mark.slow
 def test_the_order_of_sources_changes_nothing():
     scene, _ = crossing(2, until_s=12.0)
     times = np.arange(1.0, 11.0, 0.5)
@@ -205,6 +212,7 @@ def test_the_order_of_sources_changes_nothing():
         np.testing.assert_array_equal(a.members[first], b.members[second][:, ::-1])
 
 
+@pytest.mark.slow
 def test_what_a_source_has_missed_it_is_expected_to_miss():
     """A boat that the camera never sees passes under a spot on its lens, which is less believed to be the boat."""
     rng = np.random.default_rng(7)
@@ -223,7 +231,7 @@ def test_what_a_source_has_missed_it_is_expected_to_miss():
     asked = np.arange(15.0, 27.0, 0.5)
     found = followed(scene, asked, PlotTracker())
     number = there(found[-1], boat(asked[-1]))[0]
-    own = found[-1].rule.known_q[found[-1].known.number == number][0]
+    own = found[-1].rule.known_q[found[-1].prior_objects.number == number][0]
     assert own[0] < 0.25 and own[1] > 0.6
     later = np.arange(27.0, 37.0, 0.5)
     remembering = [taken_in(f, boat(t)) for t, f in zip(later, followed(scene, [*asked, *later])[-20:], strict=True)]
@@ -352,7 +360,7 @@ def looked(before, seen, q=0.3, split=0.02):
     """BernoulliTable objects after looks of two sources."""
     seen = np.asarray(seen, float)
     same = np.full(seen.shape, q)
-    return before.after(Sighting(seen, np.ones(2), same)).told_apart(seen, same, np.full(2, split))
+    return before.after(Sighting(seen, np.ones(2), same)).with_separate_odds(seen, same, np.full(2, split))
 
 
 def test_existence_follows_bayes_and_misses_are_remembered():
@@ -382,9 +390,9 @@ def test_two_at_one_place_that_no_look_tells_apart_become_one_and_two_that_a_loo
 
 def test_a_set_of_objects_can_be_parted_and_joined():
     whole = objects(np.arange(10.0).reshape(5, 2))
-    apart = replace(whole, apart=np.arange(25.0).reshape(5, 5))
+    apart = replace(whole, separate_log_odds=np.arange(25.0).reshape(5, 5))
     for a, b in combinations(range(5), 2):
         pair = apart.take(np.array([a, b]))
-        assert pair.apart[0, 1] == apart.apart[a, b] and pair.number.tolist() == [a + 1, b + 1]
+        assert pair.separate_log_odds[0, 1] == apart.separate_log_odds[a, b] and pair.number.tolist() == [a + 1, b + 1]
     rejoined = apart.take(np.arange(2)).with_(apart.take(np.arange(2, 5)))
-    assert rejoined.number.tolist() == whole.number.tolist() and rejoined.apart[0, 4] == 0.0
+    assert rejoined.number.tolist() == whole.number.tolist() and rejoined.separate_log_odds[0, 4] == 0.0

@@ -41,6 +41,7 @@ def confirmed(picture):
     return np.array([sum(name.startswith(kind) for name in first) for kind in ("real", "false")])
 
 
+@pytest.mark.slow
 def test_false_tracks_are_not_confirmed_and_real_ones_are():
     counts = sum(confirmed(Picture.of(*radar_with_false_tracks(seed))) for seed in range(3))
     assert counts[0] == 36
@@ -67,6 +68,7 @@ def test_a_mixture_of_lives_is_found():
         assert abs(p[some].mean() - real[some].mean()) < 3.5 * error + 0.02
 
 
+@pytest.mark.slow
 def test_a_track_that_breaks_goes_on_under_the_number_of_its_object():
     times = np.arange(0.0, 401.0, 10.0)
     before, after = times <= 180.0, times >= 220.0

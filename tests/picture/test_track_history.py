@@ -1,10 +1,12 @@
 """Belonging: shares of tracks go over in minutes; reports left behind by a manoeuvre stay with their tracks."""
 
 import numpy as np
+import pytest
 from modelled_scenes import describe, straight, told
 
 from sameas.picture import Picture
-from sameas.picture.object_ids import LASTS_S, TrackHistory
+from sameas.picture.object_ids import TrackHistory
+from sameas.picture.tuning import Tuning
 from sameas.tracks.scene import Scene
 
 
@@ -23,7 +25,7 @@ def test_shares_sum_to_one_and_go_over_in_minutes():
     assert wrong.last_of(np.array([7, 8])).tolist() == [2, 0]
     for t in range(610, 1600, 10):
         wrong = shown(wrong, float(t), 2)
-    assert abs(wrong.share[wrong.number == 2] - (1.0 - np.exp(-1000.0 / LASTS_S))) < 0.01
+    assert abs(wrong.share[wrong.number == 2] - (1.0 - np.exp(-1000.0 / Tuning().history_s))) < 0.01
 
 
 def test_a_number_comes_back_with_the_tracks_that_were_its_own_for_long():
@@ -50,6 +52,7 @@ def ferry(seed, stops_s=200.0):
     ]), times  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_report_left_behind_by_a_manoeuvre_stays_with_the_track_that_went_with_it():
     together = 0
     for seed in range(5):

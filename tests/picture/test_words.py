@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from sameas.many.explanation import ObjectExplanation, Rival
 from sameas.picture.picture import Picture
@@ -51,6 +52,7 @@ def crossing(seed=4):
     ]
 
 
+@pytest.mark.slow
 def test_explanations_name_tracks_and_lines_as_the_identities_do():
     picture = Picture.of(Scene.of(crossing()), np.arange(1.0, 39.0, 2.0))
     r, o = picture.records, picture.objects
@@ -74,6 +76,7 @@ def test_a_rival_that_is_more_probable_by_itself_is_said_to_be_so():
     assert "By itself" not in str(ObjectExplanation(2, 0, 3, True, (chosen, replace(rival, probability=0.48))))
 
 
+@pytest.mark.slow
 def test_a_plot_without_a_number_is_explained_anew_at_every_look():
     times = np.arange(1.0, 39.0, 2.0)
     picture = Picture.of(Scene.of(crossing()), times)

@@ -27,6 +27,7 @@ def table():
     patch.undo()
 
 
+@pytest.mark.slow
 def test_the_fastest_star_has_its_motion(table):
     star = table[np.ma.filled(table["hip"], 0) == BARNARD][0]
     assert star["pmra"] == pytest.approx(-801.6, abs=3.0)

@@ -199,14 +199,19 @@ def test_plain_names_are_taken(position: tuple[str, str]) -> None:
 def test_stdpipe_needs_a_sigma_only() -> None:
     table = made("obj", "x", "y", "ra", "dec", "mag", "magerr", "fwhm", "flags")
     assert chosen(table, sigma=0.3).error.sigma_arcsec == 0.3
-    with pytest.raises(InputError, match=r"cat.fits: no column of position errors .*; say sigma=ARCSEC"):
-        chosen(table)
+    assert chosen(table).error.kind == "unknown"
 
 
-def test_an_error_without_a_unit_is_refused_until_it_is_said() -> None:
-    table = made("ra", "dec", "ra_err", "dec_err")
-    with pytest.raises(InputError, match=r"the unit of 'ra_err' \(median 1.5\) is not said; say sigma_unit=arcsec"):
-        chosen(table)
+@pytest.mark.parametrize(
+    ("size", "more", "unit"),
+    [(3e-5, (), "deg"), (0.1, (), "arcsec"), (0.1, ("pmra", "pmdec"), "mas"), (60.0, (), "mas")],
+)
+def test_an_error_without_a_unit_has_one_by_its_size(size: float, more: tuple[str, ...], unit: str) -> None:
+    table = made("ra", "dec", "ra_err", "dec_err", *more)
+    table["ra_err"] = table["dec_err"] = size
+    choice = chosen(table, epoch=2000)
+    assert [column.unit for column in choice.error.columns] == [unit, unit] and choice.error.guessed_unit
+    assert f"ra_err, dec_err [{unit}, guessed by its size]" in choice.describe()[1]
     assert [column.unit for column in chosen(table, sigma_unit="mas").error.columns] == ["mas", "mas"]
 
 

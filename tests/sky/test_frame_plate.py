@@ -76,6 +76,7 @@ def test_a_known_polynomial_is_recovered_exactly(order: int) -> None:
     assert np.abs(model.polynomial(grid()) - plate(grid())).max() < 1e-5
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_the_order_is_the_one_that_the_plate_has(order: int) -> None:
     chosen = []
@@ -85,6 +86,7 @@ def test_the_order_is_the_one_that_the_plate_has(order: int) -> None:
     assert sum(p == order for p in chosen) >= 7
 
 
+@pytest.mark.slow
 def test_the_quoted_errors_of_predictions_are_those_seen() -> None:
     start, plate = bent(2, 3.0)
     points = np.array([[1000.0, 700.0], [10.0, 10.0], [1990.0, 20.0], [300.0, 1490.0]])

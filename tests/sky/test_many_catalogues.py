@@ -93,6 +93,7 @@ def found(scene: Sky) -> ManyMatch:
     return match_many(scene.catalogues)
 
 
+@pytest.mark.slow
 def test_stars_are_found_as_surely_as_is_said(scene: Sky, found: ManyMatch) -> None:
     truth = scene.truth()
     rows = np.ma.filled(found.objects.members, -1)
@@ -298,8 +299,9 @@ def test_what_cannot_be_done_is_refused(scene: Sky) -> None:
     with pytest.raises(InputError, match="give 1 to 2"):
         joined_many(match_many(scene.catalogues[:2]), least=3)
     without = understood(scene.catalogues[2].table, "timeless", None, 0.1)
-    with pytest.raises(InputError, match="timeless: its epoch is not known, so stars cannot be moved"):
-        match_many([scene.catalogues[0], without])
+    assert any(
+        d.startswith("timeless: its epoch is not known;") for d in match_many([scene.catalogues[0], without]).doubts
+    )
     with pytest.raises(InputError, match="error scale"):
         match_many(scene.catalogues, ManyOptions(error_scale=-1.0))
 
@@ -320,6 +322,7 @@ OPTIONS = ["--epoch1", "1991.25", "--epoch2", "2016", "--epoch3", "2000", "--mis
 OPTIONS += ["--sigma1", "0.05", "--sigma2", "0.02", "--sigma3", "0.1"]
 
 
+@pytest.mark.slow
 def test_the_command_writes_one_row_per_object(files: list[str], found: ManyMatch, tmp_path: Path) -> None:
     out = tmp_path / "out.fits"
     ran = CliRunner().invoke(app, ["many", *files, *OPTIONS, "-o", str(out)])

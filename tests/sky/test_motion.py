@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.time import Time
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from sameas.errors import InputError
@@ -204,6 +204,7 @@ def difference(there, back, middle):
     return np.column_stack([place, rest[:, 0], pm, rest[:, 1]])
 
 
+@pytest.mark.slow
 def test_covariance_is_that_of_random_draws():
     rng = np.random.default_rng(2)
     star = random_stars(rng, 1, sigma_scale=5.0)
@@ -231,15 +232,17 @@ def test_no_time_changes_nothing():
 
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 10**6), years=st.floats(-150, 150))
+@example(seed=2538, years=115.0)
 def test_there_and_back_is_where_it_was(seed, years):
-    # The second-order term is added on both ways; with these errors it is not seen.
-    stars = random_stars(np.random.default_rng(seed), 20, sigma_scale=1e-3)
+    # The second-order term is added on both ways. Its share of a covariance goes with the square of the errors: over
+    # 150 years up to 1e-3 for errors of a thousandth of random_stars', 1e-7 for these.
+    stars = random_stars(np.random.default_rng(seed), 20, sigma_scale=1e-5)
     back = propagate(propagate(stars, 2016.0 + years), stars.epoch_jyr)
     assert np.abs(offset_mas(stars, back)).max() < 1e-6
     assert np.allclose(values_of(back)[:, 2:], values_of(stars)[:, 2:], rtol=1e-9, atol=1e-9)
     scale = np.sqrt(np.einsum("nii->ni", stars.covariance))
     change = np.abs(back.covariance - stars.covariance)
-    assert (change < 1e-4 * scale[:, :, None] * scale[:, None, :]).all()
+    assert (change < 1e-6 * scale[:, :, None] * scale[:, None, :]).all()
 
 
 @settings(max_examples=30, deadline=None)

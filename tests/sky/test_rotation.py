@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
-from sameas import match
+from sameas.estimate.match import match
 from sameas.score.pairs import score_pairs
 from sameas.simulate.areas import Cap, WholeSky
 from sameas.simulate.scenes import sky_field
@@ -35,6 +35,7 @@ def left(found, moved, truth):
     return np.hypot(*sphere_offset(at[:, 0], at[:, 1], truth.features[:, 0], truth.features[:, 1]).T)
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize(
     ("area", "n", "vector"),
     [
@@ -61,6 +62,7 @@ def test_the_rotation_is_found_to_its_errors(area, n, vector):
     assert f1[0] > f1[1] - 0.02
 
 
+@pytest.mark.slow
 def test_standard_errors_are_those_of_repeated_trials():
     area, vector = Cap(200.0, 30.0, 0.3), np.array([4.0, -3.0, 0.0])
     pulls = []
@@ -74,6 +76,7 @@ def test_standard_errors_are_those_of_repeated_trials():
     assert 0.75 < np.sqrt(np.mean(np.square(pulls))) < 1.35
 
 
+@pytest.mark.slow
 def test_nothing_in_common_is_said():
     one, two = scene(Cap(10.0, 0.0, 0.3), 40, 1), scene(Cap(10.0, 0.0, 0.3), 40, 2)
     found = find_rotation(one.first, two.second)

@@ -46,6 +46,7 @@ def test_the_extent_lies_along_the_heading():
     np.testing.assert_allclose(np.abs(vectors[:, 1]), [np.sin(np.pi / 6), np.cos(np.pi / 6)])
 
 
+@pytest.mark.slow
 def test_without_a_heading_nothing_is_moved_and_every_direction_counts():
     made = hull(200, 100, 10, 20)
     where, extent = centre(made, np.nan)

@@ -27,13 +27,13 @@ def without_site(name):
 @pytest.mark.parametrize("name", MODELS)
 def test_what_is_undone_is_where_it_was(name):
     model, theta = MODELS[name], without_site(name)
-    shown = model.shown(PLACE, VELOCITY, theta)
+    shown = model.forward(PLACE, VELOCITY, theta)
     assert np.hypot(*(shown.place - PLACE).T).min() > 20.0
-    np.testing.assert_allclose(model.undone(shown.place, VELOCITY, theta).place, PLACE, atol=1e-8)
+    np.testing.assert_allclose(model.inverse(shown.place, VELOCITY, theta).place, PLACE, atol=1e-8)
 
 
 @pytest.mark.parametrize("name", MODELS)
-@pytest.mark.parametrize("way", ["shown", "undone"])
+@pytest.mark.parametrize("way", ["forward", "inverse"])
 def test_derivatives_are_those_of_the_places(name, way):
     move, theta = getattr(MODELS[name], way), without_site(name)
     found = move(PLACE, VELOCITY, theta)
@@ -47,10 +47,11 @@ def test_derivatives_are_those_of_the_places(name, way):
         np.testing.assert_allclose(found.by_bias[..., k], slope, atol=2e-3, err_msg=BIASES[k])
 
 
+@pytest.mark.slow
 def test_an_offset_between_two_biased_sources_brings_their_records_together():
     other = np.array([-40.0, 0.8, 0.0, -1.0, 0.0, 0.0])
     first, second = MODELS["site"], BiasModel((4000.0, 3000.0))
-    seen_1, seen_2 = (m.shown(PLACE, VELOCITY, t).place for m, t in ((first, THETA), (second, other)))
+    seen_1, seen_2 = (m.forward(PLACE, VELOCITY, t).place for m, t in ((first, THETA), (second, other)))
     model = RelativeBias(first, second, VELOCITY, (1.0,) * 12)
     theta = np.concatenate([THETA, other])
     np.testing.assert_allclose(model.moved(seen_2, theta), seen_1, atol=1e-6)

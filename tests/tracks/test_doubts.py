@@ -38,6 +38,7 @@ def told(sources, changed, columns):
     return Scene.of(list((sources | {changed: (about, replace(said, **columns))}).values())).doubts()
 
 
+@pytest.mark.slow
 def test_sound_sources_raise_no_doubt():
     assert Scene.of(list(METRES.values())).doubts() == () == Scene.of(list(DEGREES.values())).doubts()
 
@@ -46,6 +47,7 @@ AIS, RADAR = DEGREES["ais"][1], METRES["radar"][1]
 PLAIN = METRES["ais"][1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sources", "changed", "columns", "words"),
     [
@@ -82,6 +84,7 @@ def test_what_is_too_far_for_one_plane_is_refused_with_the_reason(columns, words
         told(DEGREES, "ais", columns)
 
 
+@pytest.mark.slow
 def test_a_site_of_the_wrong_sign_is_named():
     about, said = DEGREES["radar"]
     site = replace(about.site, lon_deg=-about.site.lon_deg)
@@ -89,6 +92,7 @@ def test_a_site_of_the_wrong_sign_is_named():
     assert sentence.startswith("radar 1: its site's longitude looks like it has the wrong sign")
 
 
+@pytest.mark.slow
 def test_of_three_sources_the_wrong_one_is_named():
     made = harbour(6, 30, biases=((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), until_s=100.0)
     about, said = made.sources[1]
@@ -97,6 +101,7 @@ def test_of_three_sources_the_wrong_one_is_named():
     assert sentence.startswith("radar 2: its ranges look like kilometres") and "unless" not in sentence
 
 
+@pytest.mark.slow
 def test_a_source_that_shares_nothing_is_told():
     rng = np.random.default_rng(7)
     n = len(PLAIN)

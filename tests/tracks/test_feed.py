@@ -84,7 +84,7 @@ def f1_of_pairs(scene, instants_s):
         now = scene.at(instant_s)
         members = identify_many(now.sources, rule=now.rule(), region=now.region).members
         both = members[~np.ma.getmaskarray(members).any(axis=1)].data
-        who = [np.asarray(getattr(feed.given, name))[records_of(source).ids].astype(int)
+        who = [np.asarray(getattr(feed.raw_reports, name))[records_of(source).ids].astype(int)
                for feed, source, name in zip(now.feeds, now.sources, ("track_id", "mmsi"), strict=True)]  # fmt: skip
         alike = int(np.sum(who[0][both[:, 0]] == who[1][both[:, 1]]))
         right, wrong = right + alike, wrong + len(both) - alike
@@ -92,6 +92,7 @@ def f1_of_pairs(scene, instants_s):
     return 2.0 * right / (2.0 * right + wrong + missed)
 
 
+@pytest.mark.slow
 def test_filtering_makes_pairs_right_that_bare_positions_get_wrong():
     scores = {True: [], False: []}
     for seed in range(3):

@@ -47,6 +47,7 @@ def plots_at_instants(told_period_s, stamp=lambda t: t):
     return np.array([len(row) for row in rows]), np.array([len(np.unique(heard.truth[row])) for row in rows])
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize("told_period_s", [TURN_S, 1.01 * TURN_S, 0.99 * TURN_S, 3.5, 2.4])
 def test_every_object_stands_once_however_wrong_the_period_that_was_told(told_period_s):
     plots, objects = plots_at_instants(told_period_s)

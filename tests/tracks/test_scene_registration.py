@@ -48,6 +48,7 @@ def pair_f1(made, scene, instant_s):
     return 2.0 * right / (both.sum() + possible)
 
 
+@pytest.mark.slow
 def test_biases_of_a_radar_against_ais_are_found_within_their_errors():
     apart = []
     for seed in range(7):
@@ -61,6 +62,7 @@ def test_biases_of_a_radar_against_ais_are_found_within_their_errors():
     assert 0.4 < np.sqrt(np.mean(np.square(apart))) < 1.5
 
 
+@pytest.mark.slow
 def test_without_a_bias_none_is_found_and_nothing_is_lost():
     for seed in range(2):
         made = harbour(seed + 20, biases=((0.0, 0.0, 0.0),))
@@ -71,6 +73,7 @@ def test_without_a_bias_none_is_found_and_nothing_is_lost():
         assert 1.0 <= np.median(grown) < 1.3
 
 
+@pytest.mark.slow
 def test_a_bias_far_beyond_the_distance_of_neighbours_is_found():
     # 2.5° at 15 km are 650 m; ships are some 700 m apart.
     made = harbour(31, 60, biases=((-120.0, -2.5, 0.0),))
@@ -79,6 +82,7 @@ def test_a_bias_far_beyond_the_distance_of_neighbours_is_found():
     assert np.abs(normalised(radar, {"range_m": -120.0, "azimuth_deg": -2.5})).max() < 4.0
 
 
+@pytest.mark.slow
 def test_two_radars_without_a_reference_come_to_agree():
     apart = []
     for seed in range(2):
@@ -96,6 +100,7 @@ def test_two_radars_without_a_reference_come_to_agree():
     assert np.abs(apart).max() < 3.5
 
 
+@pytest.mark.slow
 def test_a_reference_can_be_chosen_and_a_known_bias_be_fixed():
     made = harbour(50, 30, until_s=200.0)
     (about, said), ais = made.sources
@@ -167,6 +172,7 @@ def speeding_up(seed, every_s, sigma_m):
     return {"time_s": time_s, "x_m": place[:, 0], "y_m": place[:, 1]}, way[ship] * (2.0 + 0.05 * time_s)[:, None], ship
 
 
+@pytest.mark.slow
 def test_a_filter_that_lags_behind_what_speeds_up_is_not_taken_for_a_late_stamp():
     motion = Motion(acceleration_m2_per_s3=0.01, speed_m_per_s=8.0)
     radar = Description(
@@ -186,6 +192,7 @@ def test_a_filter_that_lags_behind_what_speeds_up_is_not_taken_for_a_late_stamp(
         assert np.abs(normalised(found, dict.fromkeys(NAMES, 0.0))).max() < 4.0
 
 
+@pytest.mark.slow
 def test_what_has_nothing_in_common_is_left_where_it_is():
     made = harbour(80, 12, biases=((0.0, 0.0, 0.0),), until_s=100.0)
     radar, (about, said) = made.sources

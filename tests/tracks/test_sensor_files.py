@@ -11,7 +11,7 @@ import pytest
 
 from sameas.errors import InputError
 from sameas.io.sensors import REPORT_FORMATS, ReadOptions, read_reports
-from sameas.io.sensors.clock import at_second, counted_on, held, instant
+from sameas.io.sensors.clock import at_second, forward_filled, instant, unwrapped
 from sameas.io.sensors.format import SensorFile
 from sameas.io.sensors.reading import format_of
 
@@ -96,16 +96,16 @@ def test_a_summary_says_what_was_read_damaged_and_assumed():
 
 def test_periods_are_counted_on_and_gaps_keep_their_place():
     values = np.array([50.0, np.nan, 10.0, 55.0, 20.0])
-    np.testing.assert_array_equal(counted_on(values, 60.0), [50.0, np.nan, 70.0, 55.0, 80.0])
-    np.testing.assert_array_equal(counted_on([np.nan], 60.0), [np.nan])
+    np.testing.assert_array_equal(unwrapped(values, 60.0), [50.0, np.nan, 70.0, 55.0, 80.0])
+    np.testing.assert_array_equal(unwrapped([np.nan], 60.0), [np.nan])
     rng = np.random.default_rng(4)
     times = np.cumsum(rng.uniform(0.0, 29.0, 500))
-    np.testing.assert_allclose(counted_on(times % 60.0, 60.0), times - 60.0 * (times[0] // 60.0))
+    np.testing.assert_allclose(unwrapped(times % 60.0, 60.0), times - 60.0 * (times[0] // 60.0))
 
 
 def test_what_was_said_last_is_held():
-    assert held(np.array([np.nan, 2.0, np.nan, 5.0])).tolist() == [2.0, 2.0, 2.0, 5.0]
-    assert np.isnan(held(np.array([np.nan]))).all()
+    assert forward_filled(np.array([np.nan, 2.0, np.nan, 5.0])).tolist() == [2.0, 2.0, 2.0, 5.0]
+    assert np.isnan(forward_filled(np.array([np.nan]))).all()
     assert at_second(np.array([100.0]), np.array([np.nan]))[0] == 100.0
 
 
@@ -113,6 +113,7 @@ def test_what_is_no_instant_is_none():
     assert instant("radar") is None and instant("") is None and instant("2024-13-45") is None
 
 
+@pytest.mark.slow
 def test_no_decoder_is_loaded_before_a_file_needs_it():
     program = "import sys, sameas.io.sensors; print(*sorted({name.split('.')[0] for name in sys.modules}))"
     loaded = set(

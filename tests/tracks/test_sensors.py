@@ -95,6 +95,7 @@ def test_objects_of_reports_are_numbered_by_their_names() -> None:
     assert motion.only([1]).names == ("9",)
 
 
+@pytest.mark.slow
 def test_errors_are_those_of_the_description() -> None:
     motion, sensor = vessels(), Sensor(RADAR)
     got = heard(sensor, motion)
@@ -181,6 +182,7 @@ def test_a_camera_tells_directions_and_a_source_without_a_site_positions() -> No
     np.testing.assert_allclose((place - true).mean(axis=0), [300.0, 0.0], atol=2.0)
 
 
+@pytest.mark.slow
 def test_what_flies_tells_its_level_and_is_found_under_its_slant_range() -> None:
     motion = vessels(height_m=9000.0)
     radar = replace(

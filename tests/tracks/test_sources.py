@@ -3,7 +3,7 @@
 import pytest
 
 from sameas.errors import InputError
-from sameas.io.sensors.sources import read_sources, read_told
+from sameas.io.sensors.sources import read_source_options, read_sources
 
 PLOTS = "time,range_km,bearing\n2024-05-01T12:00:00Z,5.2,40\n2024-05-01T12:00:03Z,5.1,41\n"
 FIXES = "time,lat,lon,sog,mmsi\n2024-05-01T12:00:00Z,50.1,-1.2,10,235070762\n"
@@ -33,7 +33,7 @@ def test_a_description_names_its_file_and_how_to_read_it(folder):
         'file = { path = "odd.csv", start = "2024-05-01", columns = { time_s = "t", range_m = "d", '
         'bearing_deg = "theta" }, units = { d = "km" } }\n'
     )
-    [west] = read_sources([], read_told(folder / "sensors.toml"))
+    [west] = read_sources([], read_source_options(folder / "sensors.toml"))
     assert west.description.name == west.reports.source == "west" and west.why_kind is None
     assert west.reports.range_m.tolist() == [5200.0, 5100.0] and west.reports.time_s[0] == 1714521600.0
 
@@ -43,7 +43,7 @@ def test_a_description_may_leave_the_kind_to_the_file(folder):
         '[sources.plots]\nsite = { lat_deg = 50, lon_deg = -1 }\nfile = { path = "plots.csv", start = 2024-05-01 }\n'
         '[sources.coast]\nkind = "other"\nfile = "coast.csv"\n'
     )
-    plots, coast = read_sources([], read_told(folder / "s.toml"))
+    plots, coast = read_sources([], read_source_options(folder / "s.toml"))
     assert (plots.description.kind, plots.why_kind) == ("marine radar", "it has a column of range_m")
     assert plots.description.site.lat_deg == 50 and plots.description.errors.bearing_deg == 0.5
     assert (coast.description.kind, coast.why_kind) == ("other", None)
@@ -52,10 +52,10 @@ def test_a_description_may_leave_the_kind_to_the_file(folder):
 def test_names_are_given_with_the_file(folder):
     toml = folder / "s.toml"
     toml.write_text('[sources.west]\nkind = "marine radar"\n')
-    [west] = read_sources([f"west={folder / 'plots.csv'}"], read_told(toml))
+    [west] = read_sources([f"west={folder / 'plots.csv'}"], read_source_options(toml))
     assert west.description.name == "west" and not any(a.source != "west" for a in west.description.assumed)
     with pytest.raises(InputError, match="west is described, but none of the files is of it; there are plots: give"):
-        read_sources([folder / "plots.csv"], read_told(toml))
+        read_sources([folder / "plots.csv"], read_source_options(toml))
     with pytest.raises(InputError, match="two sources are called west; name them"):
         read_sources([f"west={folder / 'plots.csv'}", f"west={folder / 'coast.csv'}"])
     with pytest.raises(InputError, match="no files"):
@@ -74,7 +74,7 @@ def test_names_are_given_with_the_file(folder):
 def test_what_is_wrong_with_a_description_is_said(tmp_path, toml, message):
     (tmp_path / "s.toml").write_text(toml)
     with pytest.raises(InputError, match=message):
-        read_told(tmp_path / "s.toml")
+        read_source_options(tmp_path / "s.toml")
 
 
 def test_a_log_of_two_sensors_gives_two_sources():

@@ -45,6 +45,7 @@ def test_mean_and_covariance_are_those_of_the_mixture():
     np.testing.assert_allclose(now.covariance[0], np.cov(many.T), rtol=0.02, atol=0.02)
 
 
+@pytest.mark.slow
 def test_simulated_vessels_are_where_they_are_said_to_be():
     rng = np.random.default_rng(6)
     n, age_s = 100_000, 180.0

@@ -194,6 +194,7 @@ def test_rows_told_again_are_passed_over():
     assert made.line.tolist() == [2, 4, 5] and made.passed_over == {"position told before": 1}
 
 
+@pytest.mark.slow
 def test_json_lines_lists_and_parquet_say_the_same(tmp_path):
     rows = [{"time": "2016-01-12T13:02:11Z", "position": {"lat": 50.0, "lon": -1.0}, "mmsi": 235070762},
             {"time": "2016-01-12T13:02:21Z", "position": {"lat": 50.1, "lon": -1.1}, "mmsi": 235070762}]  # fmt: skip

@@ -1,0 +1,183 @@
+"""Kernels that are interpreted for few items give the compiled answer to the last bit; one line says that they are
+compiled."""
+
+import os
+import subprocess
+import sys
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from sameas import Plane, Records, identify
+from sameas.estimate.match import match
+from sameas.evidence import Field, Magnitudes
+from sameas.kernels import compiled
+from sameas.prior import CommonObjects
+from sameas.simulate import Cap, sky_field
+
+pytestmark = pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="compilation is switched off")
+
+
+def copied(value):
+    if isinstance(value, np.ndarray):
+        return value.copy()
+    if isinstance(value, tuple):
+        copies = [copied(each) for each in value]
+        return type(value)(*copies) if hasattr(value, "_fields") else tuple(copies)
+    return value
+
+
+def same(one, two):
+    if isinstance(one, np.ndarray):
+        return one.dtype == two.dtype and np.array_equal(one, two, equal_nan=one.dtype.kind == "f")
+    if isinstance(one, tuple):
+        return len(one) == len(two) and all(map(same, one, two))
+    return one == two or (one != one and two != two)
+
+
+@pytest.fixture
+def both(monkeypatch):
+    """Runs kernels both ways where they may be interpreted, each for its first calls; notes which, and those of
+    different answers or changes of their arguments."""
+    ran, different, calls = set(), set(), Counter()
+
+    def run(kernel, *arguments):
+        twice = kernel.few and kernel.work(*arguments) <= kernel.few and calls[kernel] < 6
+        again = copied(arguments) if twice else ()
+        answer = kernel.compiled(*arguments)
+        if twice:
+            calls[kernel] += 1
+            name = f"{kernel.__module__.rsplit('.', 1)[1]}.{kernel.__name__}"
+            ran.add(name)
+            if not same((answer, arguments), (kernel.interpreted(*again), again)):
+                different.add(name)
+        return answer
+
+    monkeypatch.setattr(compiled.Kernel, "__call__", run)
+    return ran, different
+
+
+def crowd(seed, elliptical, sigma=(0.5, 2.0), radius_deg=0.03):
+    scene = sky_field(
+        np.random.default_rng(seed), n_common=120, n_only_1=60, n_only_2=60, sigma_arcsec=sigma,
+        area=Cap(30.0, 80.0, radius_deg), elliptical=elliptical,
+    )  # fmt: skip
+    return scene.first, scene.second
+
+
+@pytest.mark.parametrize("elliptical", [False, True])
+def test_estimation_on_the_sky(both, elliptical):
+    first, second = crowd(1, elliptical)
+    match(first, second)
+    ran, different = both
+    assert not different and len(ran) > 15
+
+
+def test_estimation_with_magnitudes(both):
+    first, second = crowd(2, False)
+    rng = np.random.default_rng(3)
+    depth = rng.uniform(14.0, 20.0, 120)
+    magnitudes = [
+        Magnitudes(np.concatenate([depth + rng.normal(0.3, 0.1, 120), rng.uniform(14.0, 20.0, 60)]), np.full(180, 0.05))
+        for _ in range(2)
+    ]
+    match(first, second, brightness=tuple(magnitudes))
+    ran, different = both
+    assert not different and any(name.startswith("relation.") for name in ran)
+
+
+@pytest.mark.parametrize("space", [Plane(), Plane((10.0, None))])
+@pytest.mark.parametrize("prior", [None, CommonObjects(0.2, 0.3)])
+@pytest.mark.parametrize("n", [15, 150])
+def test_identification_on_a_plane(both, space, prior, n):
+    rng = np.random.default_rng(4)
+    one, two = (
+        Records.of(rng.uniform(0.0, 10.0, (n, 2)), sigma=rng.uniform(0.1, 0.4, (n, 2)), space=space) for _ in range(2)
+    )
+    extra = {} if prior is None else {"prior": prior}
+    identify(one, two, rule=Field(1.0), **extra)
+    ran, different = both
+    assert not different and len(ran) > 3
+
+
+def test_few_records_need_no_compiler_and_many_do():
+    """In a process of its own: numba is imported when a kernel has much to do, and not before."""
+    program = """
+import sys
+import numpy as np
+from sameas import Field, Records, identify
+
+def identified(n):
+    places = np.random.default_rng(1).uniform(0.0, n**0.5, (2, n, 2))
+    identify(*(Records.of(x, sigma=0.03) for x in places), rule=Field(1.0))
+    return "numba" in sys.modules
+
+print(identified(200), identified(20_000))
+"""
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert run.stdout.split() == ["False", "True"]
+
+
+def test_everything_is_compiled_where_that_is_wanted():
+    program = """
+import sys
+import numpy as np
+from sameas import Records
+
+Records.of(np.zeros((3, 2)), sigma=0.1)
+print("numba" in sys.modules)
+"""
+    for wanted in ("0", "1"):
+        environment = os.environ | {"SAMEAS_COMPILE": wanted}
+        run = subprocess.run(
+            [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
+        )
+        assert run.stdout.strip() == str(wanted == "1")
+
+
+def test_what_is_interpreted_is_soon_compiled(monkeypatch):
+    """When as much time has gone into interpreting as loading the compiler takes."""
+    loop = compiled.small(_doubled)
+    loop._seems_cached = False
+    monkeypatch.setattr(compiled, "_spent", 0.0)
+    assert loop(np.arange(3.0)) == 6.0 and loop._dispatcher is None
+    monkeypatch.setattr(compiled, "_spent", compiled.PATIENCE_S)
+    assert loop.interprets  # it would have to be compiled for the first time
+    loop._seems_cached = True
+    assert not loop.interprets and loop(np.arange(3.0)) == 6.0 and loop._dispatcher is not None
+
+
+def _doubled(values):
+    total = 0.0
+    for value in values:
+        total += 2.0 * value
+    return total
+
+
+def test_that_kernels_are_compiled_is_said_once(monkeypatch, capsys, tmp_path):
+    begun = []
+    monkeypatch.setattr(compiled, "_told", False)
+    monkeypatch.setattr(compiled, "beginnings", [compiled.say, begun.append])
+    monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path))
+    for _ in range(2):
+        _ = compiled.Kernel(_fresh(), 0, compiled.items).compiled
+    assert capsys.readouterr().err.count("compiling kernels") == len(begun) == 1
+
+
+def _fresh():
+    def nothing(values):
+        return 0.0
+
+    return nothing
+
+
+def test_a_large_entangled_group_is_compiled_however_few_its_records():
+    from sameas.kernels.assign import assign_counted, assign_linear
+
+    n = 2000  # a chain: every row has the columns i and i + 1
+    start, start_1 = np.array([0, 2 * n]), np.array([0, n])
+    alone = np.arange(0, 3 * n, 1)
+    for kernel in (assign_linear, assign_counted):
+        assert kernel.work(0, 1, start, start_1, start_1) > compiled.FEW
+        assert kernel.work(0, n, 2 * alone, alone, alone) < compiled.FEW
