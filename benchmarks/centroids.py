@@ -16,7 +16,8 @@ import numpy as np
 
 from benchmarks.tables import Table, report
 from sameas.simulate.frames import Camera, Gaussian, Moffat, SimulatedFrame, Trail, frame_of
-from sameas.sky.frame.detect import Detection, detect
+from sameas.sky.frame.detect import detect
+from sameas.sky.frame.detection import Detection
 
 Found = tuple[np.ndarray, np.ndarray | None]
 BINS = ((5, 15), (15, 100), (100, 1e6))

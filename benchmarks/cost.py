@@ -18,6 +18,7 @@ from benchmarks.tables import Table, report
 from sameas import Errors, Identification, Records, identify
 from sameas.estimate.match import Estimate, match
 from sameas.evidence import Magnitudes, Rule
+from sameas.kernels import compiled
 from sameas.registration import Shift, register
 from sameas.simulate.exposures import Sky, exposure
 
@@ -160,6 +161,7 @@ def main() -> None:
     options = parser.parse_args()
     # Loops on other threads would not be counted.
     os.environ["SAMEAS_THREADS"] = "1"
+    compiled.compile_all()
     report("cost", (make(options) for make in (estimation, registration)))
 
 

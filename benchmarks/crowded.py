@@ -18,7 +18,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from sameas.estimate.match import match
-from sameas.sky.frame.detect import Detection, detect
+from sameas.sky.frame.detect import detect
+from sameas.sky.frame.detection import Detection
 from sameas.sky.frame.image import read
 from sameas.sky.frame.measurements import Measurements
 

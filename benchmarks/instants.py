@@ -19,6 +19,7 @@ import numpy as np
 
 from benchmarks.tables import Table, report
 from sameas.arrays import FloatArray
+from sameas.kernels import compiled
 from sameas.many.identify import identify_many
 from sameas.picture.picture import Columns, object_columns, record_columns
 from sameas.picture.picture_state import PictureState
@@ -139,6 +140,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="one scene of four instants each")
     options = parser.parse_args()
+    compiled.compile_all()
     seeds, instants = (1, 4) if options.quick else (4, 8)
     rows = [line for case in CASES for line in lines(case, seeds, instants)]
     notes = (

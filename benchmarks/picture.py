@@ -27,8 +27,8 @@ from sameas.score.picture import Identities, Nees, PictureScore, Siap, mean_gosp
 from sameas.simulate.sensors import Bias, Sensor, Tracker, TrueMotion
 from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.feed import fresh
-from sameas.tracks.placement import placed
+from sameas.tracks.feed import position_updates
+from sameas.tracks.placement import PlacedReports
 from sameas.tracks.registration import SourceBiases
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Instant, Scene
@@ -108,9 +108,10 @@ def paris(cache: Path) -> World:
     sites = ((48.72, 2.38, 90.0), (49.01, 2.55, 120.0), (48.61, 2.68, 90.0))
     described = Description("adsb", "ads-b", errors=ADSB_ERRORS, timing=Timing(latency_s=0.0))
     # The log repeats the last position where none was received: such repetitions are no truth.
-    there = placed(described, log, LocalPlane.about(np.asarray(log.lat_deg), np.asarray(log.lon_deg)))
+    plane = LocalPlane.about(np.asarray(log.lat_deg), np.asarray(log.lon_deg))
+    there = PlacedReports(described, log, plane).in_plane
     assert isinstance(there, States)
-    measured = log.where(fresh(there)[0].usable)
+    measured = log.where(position_updates(there)[0].usable)
     return World("Paris, ADS-B", log, described, TrueMotion.of(measured, described, gap_s=30.0), sites, radar)
 
 

@@ -141,7 +141,7 @@ def tabled(index: Path, north_of_deg: float) -> list[Table]:
     apart = max(len(one ^ two) for one, two in combinations(orders, 2))
     notes = [
         f"Records: {', '.join(f'{len(c)} of {name}' for name, c in catalogues.items())}; all together took "
-        f"{seconds:.0f} s of processor time, {together.rounds} rounds.",
+        f"{seconds:.0f} s of processor time, {together.iterations} rounds.",
         f"Two orders of one after another differ by up to {apart} objects of several records.",
         f"All together expects {np.sum(1.0 - together.objects.probability[together.objects.n_members > 1]):.0f} wrong.",
     ]

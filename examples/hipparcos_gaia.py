@@ -21,12 +21,12 @@ import numpy as np
 from astropy.table import Table
 from numpy.typing import NDArray
 
-from sameas import plots
+from sameas import match, plots
 from sameas.evidence import Errors
 from sameas.io import read_table, write_table
 from sameas.plots.normalised import containment
 from sameas.report.match import count
-from sameas.sky import Catalogue, CatalogueOptions, MatchOptions, SkyMatch, match
+from sameas.sky import SkyMatch
 from sameas.space import sphere_offset
 
 HIP2 = ["HIP", "Sn", "So", "Nc", "RArad", "DErad", "Plx", "pmRA", "pmDE"]
@@ -88,9 +88,10 @@ def gaia_table() -> Table:
 
 def identified(hipparcos: Table, gaia: Table) -> SkyMatch:
     """What ``sameas match`` does, in Python; brightness is left to be the judge."""
-    first = Catalogue.of(hipparcos, "hipparcos")
-    second = Catalogue.of(gaia, "gaia", options=CatalogueOptions(sigma=GAIA_SIGMA_ARCSEC))
-    return match(first, second, MatchOptions(magnitudes="off"))
+    names = ("hipparcos", "gaia")
+    found = match(hipparcos, gaia, sigma2=GAIA_SIGMA_ARCSEC, magnitudes="off", names=names).sky
+    assert found is not None
+    return found
 
 
 def judged(found: SkyMatch) -> list[str]:

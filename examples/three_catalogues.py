@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 
 from sameas.io import read_table, write_table
 from sameas.report.match import count
-from sameas.sky import Catalogue, CatalogueOptions, ManyMatch, match_many
+from sameas.sky import Catalogue, CatalogueOptions, ManyMatch
+from sameas.sky.many import match_many
 
 INDEX = Path("/usr/share/astrometry/index-tycho2-07.littleendian.fits")
 #: Systematic errors of bright Gaia stars, and how fast a star of unknown motion may move.
