@@ -441,10 +441,13 @@ def test_real_gaia_dr3_of_m67_brings_its_covariance() -> None:
     assert len(source.records(1951.91)) == len(source)
 
 
-def test_real_gaia_edr3_without_errors_asks_for_them() -> None:
+def test_real_gaia_edr3_without_errors_has_those_of_its_release() -> None:
     table = real("m67_poss1951", "gaia_edr3_m67_r0.5deg.csv")
-    with pytest.raises(InputError, match="say sigma=ARCSEC"):
-        catalogue(table)
+    source = catalogue(table)
+    assert source.epoch_jyr == 2016.0
+    assert "say sigma=ARCSEC" in source.doubts[0] and "Gaia" in source.doubts[0]
+    sigma_mas = 1e3 * np.sqrt(source.records(2016.0).covariance[:, 0])
+    assert 0.01 < sigma_mas.min() < sigma_mas.max() < 5.0
     source = catalogue(table, sigma=0.3, sigma_unit="mas", pm_sigma_mas_per_yr=0.2)
     assert source.epoch_jyr == 2016.0
     assert len(source.records(1951.91)) == len(source)
