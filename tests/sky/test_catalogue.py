@@ -448,6 +448,9 @@ def test_real_gaia_edr3_without_errors_has_those_of_its_release() -> None:
     assert "say sigma=ARCSEC" in source.doubts[0] and "Gaia" in source.doubts[0]
     sigma_mas = 1e3 * np.sqrt(source.records(2016.0).covariance[:, 0])
     assert 0.01 < sigma_mas.min() < sigma_mas.max() < 5.0
+    # 64 years back: the motions' errors of the release, not those of an unknown motion (0.64 arcsec).
+    moved_mas = 1e3 * np.sqrt(source.records(1951.91).covariance[:, 0])
+    assert 5 < np.median(moved_mas) < 50 and "those of Gaia DR3 are taken" in source.doubts[1]
     source = catalogue(table, sigma=0.3, sigma_unit="mas", pm_sigma_mas_per_yr=0.2)
     assert source.epoch_jyr == 2016.0
     assert len(source.records(1951.91)) == len(source)

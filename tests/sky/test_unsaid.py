@@ -153,6 +153,21 @@ def test_a_table_of_gaia_without_errors_has_those_of_its_release() -> None:
     assert "say sigma=ARCSEC" in source.doubts[0]
 
 
+def test_the_motions_of_a_survey_without_errors_have_those_of_its_release() -> None:
+    table = {
+        "source_id": [1, 2, 3], "ra": [1.0, 2.0, 3.0], "dec": [2.0, 3.0, 4.0], "phot_g_mean_mag": [20.0, 15.0, 20.0],
+        "pmra": [3.0, 4.0, np.nan], "pmdec": [5.0, 6.0, np.nan], "ref_epoch": [2016.0] * 3,
+    }  # fmt: skip
+    source = catalogue(table)
+    due = [np.hypot(0.4, 10 * 0.5), np.hypot(0.015, 10 * 0.02)]
+    found = 1e3 * np.sqrt(source.records(2026.0).covariance[:2, 0])
+    # The proper motion's error is all but that of the parallax, which the table does not have.
+    np.testing.assert_allclose(found, due, rtol=0.02)
+    assert np.sqrt(source.records(2026.0).covariance[2, 0]) > 0.09
+    said = catalogue(table, pm_sigma_mas_per_yr=7.0).records(2026.0)
+    np.testing.assert_allclose(1e3 * np.sqrt(said.covariance[0, 0]), np.hypot(0.4, 70.0), rtol=0.02)
+
+
 @pytest.mark.parametrize("sigma", [0.02, 0.3, 2.0])
 @pytest.mark.parametrize("unrelated", [0, 300])
 def test_a_common_error_is_found_from_the_distances(sigma: float, unrelated: int) -> None:

@@ -131,6 +131,12 @@ def _motions(astrometry: Astrometry, choice: ColumnChoice) -> str:
 def _motion_errors(choice: ColumnChoice, options: CatalogueOptions) -> str:
     if choice.motion[1] is None or choice.motion_errors[1] is not None or options.pm_sigma_mas_per_yr is not None:
         return ""
+    survey = choice.error.survey
+    if survey is not None and survey.typical_mas_per_yr is not None:
+        return Message(
+            f"{choice.motion[1].name} has no column of errors: those of {survey.title} are taken ({survey.source}); ",
+            naming("say {pm_sigma_mas_per_yr:MAS_PER_YR}"),
+        )
     return Message(
         f"{choice.motion[1].name} has no column of errors, so its error is taken to be that of an unknown motion; ",
         naming("say {pm_sigma_mas_per_yr:MAS_PER_YR}"),
@@ -462,6 +468,9 @@ def _errors(
     if turn is not None and choice.error.kind not in ("circle", "number", "survey"):
         east, north, rho = turned_errors(east, north, rho, turn)
     motion = [_motion_numbers(table, c, u, source) for c, u in zip(choice.motion_errors, _MOTION_UNITS, strict=True)]
+    if choice.error.survey is not None and choice.motion[1] is not None and options.pm_sigma_mas_per_yr is None:
+        of_survey = choice.error.survey.pm_sigma_mas_per_yr(magnitude, len(table))
+        motion[1:3] = [of_survey if column is None else column for column in motion[1:3]]
     if options.pm_sigma_mas_per_yr is not None:
         for k in (1, 2):
             said = motion[k]

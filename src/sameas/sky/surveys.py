@@ -1,4 +1,4 @@
-"""The position errors of surveys by magnitude, for tables that have left the errors out.
+"""The errors of surveys by magnitude, of positions and proper motions, for tables that have left the errors out.
 
 They are medians from the literature, 1σ an axis: right on the average of a magnitude, not star by star. Tables only.
 """
@@ -19,7 +19,8 @@ class Survey:
 
     title : as people call it. source : where the numbers are from. band : the magnitude that they go by.
     mag_mas : (magnitude, error in mas an axis), ascending; between them the logarithm goes straight, beyond them it
-        stays. typical_mas : where no magnitude is known.
+        stays. typical_mas : where no magnitude is known. mag_mas_per_yr, typical_mas_per_yr : of proper motions, the
+        same; empty and None where the survey has none.
     conventions : titles of conventions whose tables are of this survey. epochs_jyr : (least, largest) of them, where a
         convention has several surveys. words : what texts of its tables say.
     """
@@ -32,6 +33,8 @@ class Survey:
     conventions: tuple[str, ...] = ()
     epochs_jyr: tuple[float, float] = (-np.inf, np.inf)
     words: str = ""
+    mag_mas_per_yr: tuple[tuple[float, float], ...] = ()
+    typical_mas_per_yr: float | None = None
 
     def sigma_mas(self, magnitude: FloatArray | None, n: int) -> FloatArray:
         """(n,) standard deviation an axis, by magnitude where it is known.
@@ -39,25 +42,42 @@ class Survey:
         >>> SURVEYS[0].title, SURVEYS[0].sigma_mas(np.array([12.0, 20.0, np.nan]), 3).round(3).tolist()
         ('Gaia DR3', [0.015, 0.4, 0.1])
         """
-        typical = np.full(n, self.typical_mas)
-        if magnitude is None:
-            return typical
-        mags, errors = np.array(self.mag_mas).T
-        return np.where(np.isfinite(magnitude), np.exp(np.interp(magnitude, mags, np.log(errors))), typical)
+        return _by_magnitude(self.mag_mas, self.typical_mas, magnitude, n)
+
+    def pm_sigma_mas_per_yr(self, magnitude: FloatArray | None, n: int) -> FloatArray | None:
+        """(n,) standard deviation of a proper motion along an axis, mas a year; None where the survey has no motions.
+
+        >>> SURVEYS[0].pm_sigma_mas_per_yr(np.array([12.0, 20.0, np.nan]), 3).round(3).tolist()
+        [0.02, 0.5, 0.12]
+        """
+        if self.typical_mas_per_yr is None:
+            return None
+        return _by_magnitude(self.mag_mas_per_yr, self.typical_mas_per_yr, magnitude, n)
+
+
+def _by_magnitude(
+    known: tuple[tuple[float, float], ...], typical: float, magnitude: FloatArray | None, n: int
+) -> FloatArray:
+    if magnitude is None or not known:
+        return np.full(n, typical)
+    mags, errors = np.array(known).T
+    return np.where(np.isfinite(magnitude), np.exp(np.interp(magnitude, mags, np.log(errors))), typical)
 
 
 _GAIA = ("Gaia archive", "Gaia at VizieR")
+_MOTIONS_DR3 = ((15.0, 0.02), (17.0, 0.07), (20.0, 0.5), (21.0, 1.4))
+_MOTIONS_DR2 = ((15.0, 0.06), (17.0, 0.2), (20.0, 1.2), (21.0, 3.0))
 #: The first one that fits is taken.
 SURVEYS = (
     Survey(
         "Gaia DR3", "Gaia Collaboration 2021, A&A 649, A1", "G",
         ((15.0, 0.015), (17.0, 0.05), (20.0, 0.4), (21.0, 1.0)), 0.1,
-        _GAIA, (2015.9, 2016.1), r"gaia[ _-]?e?dr3|\bI[/_]35[05]\b",
+        _GAIA, (2015.9, 2016.1), r"gaia[ _-]?e?dr3|\bI[/_]35[05]\b", _MOTIONS_DR3, 0.12,
     ),
     Survey(
         "Gaia DR2", "Gaia Collaboration 2018, A&A 616, A1", "G",
         ((15.0, 0.03), (17.0, 0.1), (20.0, 0.7), (21.0, 2.0)), 0.2,
-        _GAIA, (2015.4, 2015.6), r"gaia[ _-]?dr2|\bI[/_]345\b",
+        _GAIA, (2015.4, 2015.6), r"gaia[ _-]?dr2|\bI[/_]345\b", _MOTIONS_DR2, 0.3,
     ),
     Survey(
         "Gaia DR1", "Gaia Collaboration 2016, A&A 595, A2", "G", ((21.0, 10.0),), 10.0,
@@ -66,14 +86,16 @@ SURVEYS = (
     Survey(
         "Gaia DR3", "Gaia Collaboration 2021, A&A 649, A1", "G",
         ((15.0, 0.015), (17.0, 0.05), (20.0, 0.4), (21.0, 1.0)), 0.1, _GAIA,
+        mag_mas_per_yr=_MOTIONS_DR3, typical_mas_per_yr=0.12,
     ),
     Survey(
         "Hipparcos", "ESA 1997, SP-1200", "Hp", ((9.0, 0.7), (12.0, 1.6)), 0.8,
         ("Hipparcos (I/239)", "Hipparcos, the new reduction (I/311)"), words=r"\bI[/_](239|311)\b|hipparcos",
+        mag_mas_per_yr=((9.0, 0.8), (12.0, 1.8)), typical_mas_per_yr=0.9,
     ),
     Survey(
         "Tycho-2", "Høg et al. 2000, A&A 355, L27", "VT", ((9.0, 7.0), (11.5, 60.0)), 60.0,
-        ("Tycho-2 (I/259)",), words=r"tycho[ _-]?2|\bI[/_]259\b",
+        ("Tycho-2 (I/259)",), words=r"tycho[ _-]?2|\bI[/_]259\b", typical_mas_per_yr=2.5,
     ),
     Survey(
         "2MASS", "Skrutskie et al. 2006, AJ 131, 1163", "J",
@@ -95,7 +117,7 @@ SURVEYS = (
     ),
     Survey(
         "UCAC4", "Zacharias et al. 2013, AJ 145, 44", "f", ((14.0, 20.0), (16.0, 70.0)), 40.0,
-        words=r"\bUCAC4\b|\bI[/_]322",
+        words=r"\bUCAC4\b|\bI[/_]322", mag_mas_per_yr=((14.0, 2.0), (16.0, 8.0)), typical_mas_per_yr=4.0,
     ),
     Survey("USNO-B1.0", "Monet et al. 2003, AJ 125, 984", "R", ((21.0, 200.0),), 200.0, words=r"USNO-?B1|\bI[/_]284\b"),
 )  # fmt: skip
