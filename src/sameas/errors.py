@@ -9,7 +9,8 @@ from __future__ import annotations
 import re
 import string
 import unicodedata
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 #: Characters of a text from a file that a message repeats, and of a whole message: ten or so lines of a terminal.
@@ -142,3 +143,31 @@ class InputError(ValueError):
     def words(self) -> Message:
         """Message and remedy in one sentence."""
         return Message(self.message, "; ", self.remedy) if self.remedy else Message(self.message)
+
+
+@contextmanager
+def reading(where: str, failed: str = "cannot be read") -> Iterator[None]:
+    """What a reader did not foresee in the block becomes an ``InputError``; ``--debug`` shows where it came from.
+
+    where : the file, and the line or row where it is known. failed : what then failed, in words.
+
+    >>> with reading("cat.fits", "cannot be read as FITS"):
+    ...     int("x")
+    Traceback (most recent call last):
+    sameas.errors.InputError: cat.fits: cannot be read as FITS: invalid literal for int() with base 10: 'x'
+    """
+    try:
+        yield
+    except (InputError, MemoryError, ImportError):
+        raise
+    except Exception as error:
+        raise InputError(f"{where}: {failed}: {first_line(error)}") from error
+
+
+def first_line(error: BaseException) -> str:
+    """The first line of what a library says; the name of its error where it says nothing, or a mere key."""
+    lines = str(error).strip().splitlines()
+    kind = type(error).__name__
+    if not lines:
+        return kind
+    return f"{kind}: {lines[0]}" if isinstance(error, KeyError | IndexError) else lines[0].rstrip(".")

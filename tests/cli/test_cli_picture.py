@@ -232,13 +232,10 @@ def test_sources_in_metres_make_no_geojson(sameas, tmp_path):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("", "is empty"),
-        ("time,lat,lon,mmsi\n", "names columns, but has no row that can be used"),
         ("lat,lon,mmsi\n1,2,3\n", "no column of time among: lat, lon, mmsi; say columns={'time_s': NAME}; in a TOML "
                                   "file given with --sensors: file = { columns = { … } } in the table of the source"),
         ("time,lat,lon\n2024-05-01T12:00:00Z,50,1\n", "what kind of sensor is it? Neither its name nor its columns"),
         ("time,lat,lon,mmsi\n23:10:00,50,1,235000001\n", "give start, the UTC date of the first row: --start, or"),
-        ("hello\n", "no format of sensors fits; as a table, its line 1 does not name columns"),
         ("time,track_id,range_m,bearing_deg\n0,1,2,3\n",
          "nothing says where the sensor is; give site = { lat_deg = …, lon_deg = … } in its description, "
          "its table in a TOML file given with --sensors"),
@@ -247,6 +244,24 @@ def test_sources_in_metres_make_no_geojson(sameas, tmp_path):
 def test_files_that_cannot_be_used_are_refused_with_what_to_do(content, words, refused, coast, tmp_path):
     (tmp_path / "told.csv").write_text(content)
     assert words in refused(coast / "ais.csv", tmp_path / "told.csv")
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("", "is empty"),
+        ("time,lat,lon,mmsi\n", "names columns, but has no row that can be used"),
+        ("hello\n", "no format of sensors fits; as a table, its line 1 does not name columns"),
+    ],
+)
+def test_a_file_that_cannot_be_read_is_set_aside_and_said(content, words, sameas, refused, coast, tmp_path):
+    (tmp_path / "told.csv").write_text(content)
+    out = tmp_path / "picture"
+    result = sameas("picture", coast / "ais.csv", tmp_path / "told.csv", "-o", out, "--quiet", *QUICK, exit_code=1)
+    assert result.stderr.startswith("sameas: doubt: set aside: ") and words in result.stderr
+    told = json.loads((out / "summary.json").read_text())
+    assert [source["name"] for source in told["sources"]] == ["ais"] and words in told["doubts"][0]
+    assert words in refused(tmp_path / "told.csv")  # where there is no other
 
 
 @pytest.mark.parametrize(

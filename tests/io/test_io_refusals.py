@@ -141,3 +141,14 @@ def test_columns_that_have_no_cells_are_refused_and_nothing_is_written(ending, t
     with pytest.raises(InputError, match="provenance: rule is a dict"):
         write_table(Table({"x": [1]}), path, provenance={"rule": {}})
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_text_whose_last_line_was_cut_off_says_so(tmp_path):
+    assert "the last line is incomplete, the file was cut off" in refusal(tmp_path / "t.csv", b"a,b,c\n1,2,3\n4,5")
+    for name, head in (("t.csv", b"a,b\n"), ("t.ecsv", b"# %ECSV 1.0\n# ---\n# delimiter: ','\n# datatype:\n"
+                       b"# - {name: a, datatype: int64}\n# - {name: b, datatype: int64}\na,b\n")):  # fmt: skip
+        path = tmp_path / name
+        for rows, notes in ((b"1,2\n3,4\n", 0), (b"1,2\n3,4", 1)):
+            path.write_bytes(head + rows)
+            table = read_table(path)
+            assert len(table) == 2 and len(table.meta.get("sameas_notes", ())) == notes

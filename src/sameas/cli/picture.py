@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from sameas.cli.options import Debug, Folder, Quiet, one_of, option, sensor_option
-from sameas.cli.outcome import answering
+from sameas.cli.outcome import INPUT_ERROR, answering
 
 _TIMES, _METHOD, _FILES = "The instants", "The method", "Outputs"
 TABLES = ("parquet", "csv")
@@ -107,4 +107,6 @@ def picture(
             output, format, map=not no_map, image=not no_image, command=ctx.meta.get("typed", ""),
             coast=None if coast is None else read_coast(coast),
         )  # fmt: skip
-        run(files or [], sensors, start, instants, method, outputs, quiet)
+        all_read = run(files or [], sensors, start, instants, method, outputs, quiet)
+    if not all_read:
+        raise typer.Exit(INPUT_ERROR)

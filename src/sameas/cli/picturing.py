@@ -272,26 +272,32 @@ def run(
     method: Method,
     outputs: PictureOutputs,
     quiet: bool,
-) -> None:
-    """Make the picture, print what was found, write what is wanted."""
+) -> bool:
+    """Make the picture, print what was found, write what is wanted; whether every file could be read."""
     began = time.perf_counter()
     printer = Printer(quiet)
     with filling(outputs.folder) as draft:
         with Pace(quiet) as pace:
             pace("reading")
             with _remedies(sensors):
-                sources = read_sources(files, read_source_options(sensors) if sensors else None, start=start)
+                described = read_source_options(sensors) if sensors else None
+                unread: list[InputError] = []
+                sources = read_sources(files, described, start=start, set_aside=unread)
                 sources = method.taken(sources)
             pace.pause()
             printer(read_lines((source.reports.source, source.lines()) for source in sources))
+            left_out = [f"set aside: {in_options(error.words, sensor_option)}" for error in unread]
+            printer(doubt_lines(left_out))
             share_compilation(quiet)
             made = _made(sources, sensors, when, method, pace, printer)
+            made = replace(made, doubts=[*left_out, *made.doubts])
             pace("writing")
             written = write(made, draft, outputs)
         seconds = time.perf_counter() - began
     printer(["", f"Output: {outputs.folder}/: {', '.join(written)}", f"Time: {seconds:.1f} s"])
     if left := older(outputs.folder, written):
         notice(f"of an earlier picture, and not of this one: {', '.join(str(outputs.folder / name) for name in left)}")
+    return not unread
 
 
 def _made(

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sameas.bounds import unpacked
 from sameas.errors import InputError
 from sameas.io.arrow import FEW_ROWS, array_of, column_of, numbers_in
 from sameas.io.atomic import replacing
@@ -68,7 +69,20 @@ def table_of(text: pa.Buffer, head: TableHead, path: Path) -> Table:
     from astropy.table import Table
 
     content = _parsed(text, head, path)
-    return Table([_column(name, content.column(i), path) for i, name in enumerate(head.names)], copy=False)
+    table = Table([_column(name, content.column(i), path) for i, name in enumerate(head.names)], copy=False)
+    if unended(text):
+        table.meta["sameas_notes"] = [may_be_cut(path)]
+    return table
+
+
+def unended(text: pa.Buffer | bytes) -> bool:
+    """Whether the last line of a text has no end, as where a file was cut off."""
+    return bytes(memoryview(text)[-1:]) not in (b"\n", b"\r", b"")
+
+
+def may_be_cut(path: Path) -> str:
+    """What is said of a table whose last line has no end."""
+    return f"{path}: its last line has no line end: it may be incomplete"
 
 
 def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
@@ -163,11 +177,7 @@ def content_of(path: Path) -> pa.Buffer:
     if path.suffix.lower() != ".gz":
         with pa.memory_map(str(path)) as file:
             return file.read_buffer()
-    try:
-        with gzip.open(path) as file:
-            return pa.py_buffer(file.read())
-    except EOFError as error:
-        raise InputError(f"{path}: is cut off in the middle; copy it again") from error
+    return pa.py_buffer(unpacked(path))
 
 
 def _header(text: pa.Buffer, path: Path) -> TableHead:
@@ -289,6 +299,8 @@ def _arrow(text: pa.Buffer, header: TableHead, path: Path, kinds: Mapping[str, A
         with suppress(pa.ArrowInvalid):
             parse(False)
         row = wrong[0]
+        if unended(text) and bytes(memoryview(text)[-len(row.text.encode()) :]) == row.text.encode():
+            raise InputError(f"{path}: the last line is incomplete, the file was cut off; copy it again") from error
         line = f"line {row.number}" if row.number else f"the line {row.text[:60]!r}"
         raise InputError(
             f"{path}: {line} has {row.actual_columns} cells, not {row.expected_columns}; "

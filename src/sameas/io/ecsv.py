@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sameas.io.arrow import array_of
-from sameas.io.csv import opened, write_rows
+from sameas.io.csv import content_of, may_be_cut, opened, unended, write_rows
 from sameas.io.format import Format
 
 if TYPE_CHECKING:
@@ -32,6 +32,8 @@ def read(path: Path, hdu: None) -> Table:
     if table is None:
         table = Table.read(path, format="ascii.ecsv")
     table.meta.pop(_KEY, None)
+    if unended(content_of(path)):
+        table.meta["sameas_notes"] = [may_be_cut(path)]
     return table
 
 

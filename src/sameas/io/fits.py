@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray
+from sameas.bounds import check_headers
 from sameas.errors import InputError
 from sameas.io.format import Format
 from sameas.io.provenance import ascii_of, to_json, to_text, unicode_of
@@ -55,6 +56,7 @@ def read(path: Path, hdu: int | str | None) -> Table:
     """The first table of a FITS file, or that of extension ``hdu``."""
     from astropy.io import fits
 
+    check_headers(path)
     with warnings.catch_warnings():
         # Neither the remarks on the letter of the standard are for the user of a catalogue, nor is this:
         # a file cut short is refused below, with both sizes; astropy would only warn.

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sameas.errors import Argument, InputError, Message
+from sameas.errors import Argument, InputError, Message, first_line, reading
 from sameas.io import ascii as text
 from sameas.io import csv, ecsv, fits, ipac, mrt, parquet, sextractor, vizier, votable
 from sameas.io.atomic import replacing
@@ -155,12 +155,9 @@ def read_table(path: str | os.PathLike[str], *, format: str | None = None, hdu: 
     if hdu is not None and not known.several_tables:
         given = Message(f"{path}: ", Argument("hdu", repr(hdu)), " was given")
         raise InputError(Message(given, ", but only FITS files have several tables to choose from"))
-    try:
-        return known.module().read(path, hdu)
-    except (InputError, MemoryError, ModuleNotFoundError):
-        raise
-    except Exception as error:
-        raise InputError(f"{path}: cannot be read as {known.label}: {_first_line(error)}") from error
+    with reading(str(path), f"cannot be read as {known.label}"):
+        table: Table = known.module().read(path, hdu)
+    return table
 
 
 def write_table(
@@ -201,7 +198,7 @@ def write_table(
     except (InputError, MemoryError, ModuleNotFoundError) as error:
         raise _naming(error, path) from error.__cause__
     except Exception as error:
-        raise InputError(f"cannot write {path} as {known.label}: {_first_line(error)}") from error
+        raise InputError(f"cannot write {path} as {known.label}: {first_line(error)}") from error
 
 
 def read_provenance(path: str | os.PathLike[str], *, format: str | None = None) -> dict[str, Any]:
@@ -213,12 +210,8 @@ def read_provenance(path: str | os.PathLike[str], *, format: str | None = None) 
     """
     path = Path(path)
     known = _format_in(path, format)
-    try:
+    with reading(str(path), "its provenance cannot be read"):
         return dict(known.module().provenance(path))
-    except (InputError, MemoryError, ModuleNotFoundError):
-        raise
-    except Exception as error:
-        raise InputError(f"{path}: its provenance cannot be read: {_first_line(error)}") from error
 
 
 def _named(name: str, path: Path) -> Format:
@@ -327,8 +320,3 @@ def _naming(error: BaseException, path: Path) -> BaseException:
     if not isinstance(error, InputError) or str(path) in str(error):
         return error
     return InputError(f"cannot write {path}: {error}")
-
-
-def _first_line(error: BaseException) -> str:
-    text = str(error).strip().splitlines()
-    return text[0].rstrip(".") if text else type(error).__name__

@@ -20,6 +20,8 @@ from sameas.errors import InputError
 from sameas.representation import in_short
 
 TextArray = NDArray[np.object_]
+#: Seconds from 1970 to the end of the year 9999: later than that, and as long before, is no time.
+LAST_S = 253402300800.0
 
 
 @dataclass(frozen=True)
@@ -167,6 +169,8 @@ class Reports:
         Raises
         ------
         InputError : no time, no position, columns of different lengths, a latitude beyond ±90°.
+
+        Rows whose time or position is not finite are set aside as damaged; what else is infinite is absent.
         """
         if "time_s" not in columns:
             raise InputError(f"{source}: no time; give a column time_s (UTC, seconds since 1970)")
@@ -182,6 +186,7 @@ class Reports:
             elif name in ("time_s", "line") or not _is_empty(array):
                 own[name] = _typed(name, array)
         about = Damaged() if damaged is None else damaged
+        own, extra, about = _without_the_infinite(source, own, extra, about)
         made = cls(source, kind, **own, extra=extra, damaged=about, passed_over=passed_over or {}, notes=tuple(notes))
         return _with_plain_angles(_checked(made))
 
@@ -257,7 +262,39 @@ _MATRICES = ("covariance_m2", "velocity_covariance_m2_per_s2")
 _TEXTS = ("track_id", "mmsi", "imo", "icao", "callsign", "mode_a", "name", "type")
 _NO_COLUMNS = ("source", "kind", "extra", "damaged", "passed_over", "notes")
 _COLUMNS = tuple(f.name for f in fields(Reports) if f.name not in _NO_COLUMNS)
+_PLACES = ("lat_deg", "lon_deg", "x_m", "y_m", "range_m", "bearing_deg")
 _ANGLES = ("bearing_deg", "course_deg", "heading_deg")
+
+
+def _without_the_infinite(
+    source: str, own: dict[str, Any], extra: dict[str, NDArray[Any]], damaged: Damaged
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]], Damaged]:
+    """The columns without rows at no time or at no place, these among the damaged; other infinite cells are NaN."""
+    with np.errstate(invalid="ignore"):
+        no_time = ~(np.abs(own["time_s"]) <= LAST_S)
+    nowhere = np.zeros(len(no_time), bool)
+    for name, column in own.items():
+        infinite = np.isinf(column) if name not in _TEXTS else np.zeros(0, bool)
+        if not infinite.any():
+            continue
+        if name in _PLACES:
+            nowhere |= infinite
+        elif name != "time_s":
+            own[name] = np.where(infinite, np.nan, column)
+    reasons = np.where(no_time, "no time", "no position").astype(object)
+    left_out = np.flatnonzero(no_time | nowhere)
+    if not len(left_out):
+        return own, extra, damaged
+    if len(left_out) == len(no_time):
+        what = "time" if no_time.all() else "position"
+        raise InputError(f"{source}: no report has a {what} that is a finite number")
+    lines = [
+        *zip(damaged.lines, damaged.reasons, strict=True),
+        *zip(own["line"][left_out], reasons[left_out], strict=True),
+    ]
+    kept = ~(no_time | nowhere)
+    own, extra = ({name: column[kept] for name, column in columns.items()} for columns in (own, extra))
+    return own, extra, Damaged.of(lines, damaged.unit)
 
 
 def _typed(name: str, array: NDArray[Any]) -> NDArray[Any]:

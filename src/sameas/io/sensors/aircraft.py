@@ -26,7 +26,7 @@ from sameas.tracks.accuracy import (
     sigma_of_nacv,
     sigma_of_nic,
 )
-from sameas.tracks.reports import Damaged, Reports, of_rows
+from sameas.tracks.reports import LAST_S, Damaged, Reports, of_rows
 
 #: Snapshots round the age of a position to 0.1 s: the times of one position differ by less than 0.25 s.
 _SAME_POSITION_S = 0.25
@@ -128,8 +128,10 @@ def _snapshots(lines: Sequence[str], damaged: list[tuple[int, str]]) -> Iterator
             damaged.append((number, "no list of aircraft"))
         elif not isinstance(snapshot.get("now"), (int, float)):
             damaged.append((number, 'no time ("now")'))
+        elif not abs(seconds(snapshot["now"])) <= LAST_S:
+            damaged.append((number, "no time"))
         else:
-            yield number, snapshot | {"now": seconds(float(snapshot["now"]))}
+            yield number, snapshot | {"now": float(seconds(snapshot["now"]))}
 
 
 def _row(number: int, now: float, aircraft: Any) -> dict[str, Any] | str:
@@ -147,7 +149,7 @@ def _row(number: int, now: float, aircraft: Any) -> dict[str, Any] | str:
         on_ground = aircraft.get("alt_baro") == "ground"
         pressure = None if on_ground or "alt_baro" not in aircraft else FOOT_M * float(aircraft["alt_baro"])
         climb = next((float(aircraft[name]) for name in ("geom_rate", "baro_rate") if name in aircraft), None)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return "a position or another number is none"
     if not (abs(lat) <= 90.0 and abs(lon) <= 180.0):
         return "position outside the earth"

@@ -147,7 +147,9 @@ def read(log: Log, source: str, start_s: float | None = None) -> Reports:
         if message.own_ship:
             passed_over["own ship's own report (VDO)"] += 1
         elif message.type not in _POSITIONS:
-            if message.type not in _STATICS:
+            if reason:
+                damaged.append((message.line, reason))
+            elif message.type not in _STATICS:
                 passed_over[f"AIS message of type {message.type}"] += 1
         elif reason.startswith("AIS"):
             passed_over[reason] += 1
@@ -248,8 +250,10 @@ def _decoder() -> Callable[..., Any]:
 
 
 def _unusable(message: Message) -> str:
-    """Why a position report cannot be used; empty where it can. What begins with "AIS" is no damage."""
+    """Why a position report or static data cannot be used; empty where they can. "AIS" begins what is no damage."""
     decoded = message.decoded
+    if message.type in _STATICS + _POSITIONS and getattr(decoded, "mmsi", None) is None:
+        return f"too short for a message of type {message.type}"
     if message.type not in _POSITIONS:
         return ""
     lat, lon = getattr(decoded, "lat", None), getattr(decoded, "lon", None)
@@ -334,7 +338,7 @@ def _statics(messages: Sequence[Message]) -> dict[str, list[Static]]:
     """The static data of each ship, in the order of the lines; later values replace earlier ones."""
     by_ship: dict[str, list[Static]] = {}
     for message in messages:
-        if message.type not in _STATICS or message.own_ship:
+        if message.type not in _STATICS or message.own_ship or _unusable(message):
             continue
         mmsi = f"{int(message.decoded.mmsi):09d}"
         before = by_ship.setdefault(mmsi, [])

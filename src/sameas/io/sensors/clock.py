@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
+from sameas.tracks.reports import LAST_S
 
 #: Units of ships and aircraft in metres and seconds.
 MILE_M = 1852.0
@@ -34,14 +35,15 @@ def instant(text: str) -> float | None:
     """
     cell = text.strip()
     try:
-        return seconds(float(cell))
+        number = seconds(float(cell))
+        return number if abs(number) <= LAST_S else None
     except ValueError:
         pass
     try:
         moment = datetime.fromisoformat(cell)
-    except ValueError:
+        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+    except (ValueError, OverflowError):
         return None
-    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
 def seconds(number: float) -> float:

@@ -5,15 +5,14 @@ A format is a module of this package with a ``FORMAT``, listed in :data:`sameas.
 
 from __future__ import annotations
 
-import gzip
 import os
 import re
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from sameas.bounds import MAGIC, unpacked
 from sameas.errors import InputError
 from sameas.io.sensors.clock import started
 from sameas.tracks.reports import Reports
@@ -71,6 +70,11 @@ class SensorFile:
         """All lines; line 1 is the first."""
         return lines_of(self.content)
 
+    @property
+    def unended(self) -> bool:
+        """Whether its last line has no end, as where a file was cut off."""
+        return not self.content.rstrip(b"\0 \t").endswith((b"\n", b"\r"))
+
     @cached_property
     def head(self) -> bytes:
         """The first bytes."""
@@ -115,11 +119,8 @@ def content(path: str | os.PathLike[str]) -> bytes:
     if not path.exists():
         raise InputError(f"{path}: no such file")
     content_bytes = path.read_bytes()
-    if content_bytes[:2] == b"\x1f\x8b":
-        try:
-            content_bytes = gzip.decompress(content_bytes)
-        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-            raise InputError(f"{path}: is cut off in the middle; copy it again") from error
+    if content_bytes[:2] == MAGIC:
+        content_bytes = unpacked(path)
     if not content_bytes:
         raise InputError(f"{path}: is empty")
     return content_bytes

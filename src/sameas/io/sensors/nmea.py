@@ -71,13 +71,16 @@ class Log:
     damaged: tuple[tuple[int, str], ...]
 
 
-def log_of(lines: Sequence[str]) -> Log:
-    """The sentences of these lines. Lines that are no sentences, or have a wrong checksum, are damaged."""
+def log_of(lines: Sequence[str], unended: bool = False) -> Log:
+    """The sentences of these lines. Lines that are no sentences, or have a wrong checksum, are damaged.
+
+    unended : whether the last line has no end; then it must have its checksum.
+    """
     sentences, damaged = [], []
     for number, raw in enumerate(lines, start=1):
         if not raw.strip() or raw.lstrip().startswith("#"):
             continue
-        sentence = _sentence(number, raw)
+        sentence = _sentence(number, raw, whole=not unended or number < len(lines))
         if isinstance(sentence, Sentence):
             sentences.append(sentence)
         else:
@@ -123,8 +126,8 @@ def _degrees(text: str, side: str, digits: int, sides: str, limit: float) -> flo
     return value if side == sides[0] else -value
 
 
-def _sentence(number: int, raw: str) -> Sentence | str:
-    """The sentence in a line, or why there is none."""
+def _sentence(number: int, raw: str, whole: bool) -> Sentence | str:
+    """The sentence in a line, or why there is none. whole : whether the line has its end."""
     tags = "".join(block + "," for block in _TAG_BLOCK.findall(raw))
     line = _TAG_BLOCK.sub("", raw)
     match = _SENTENCE.search(line)
@@ -133,7 +136,7 @@ def _sentence(number: int, raw: str) -> Sentence | str:
     text, given_checksum = match[0].strip(), match[4]
     body = text[1:].split("*")[0]
     if given_checksum is None:
-        if "*" in line[match.start() :]:
+        if not whole or "*" in line[match.start() :]:
             return "checksum cut off"
     elif int(given_checksum, 16) != checksum(body):
         return "wrong checksum"
@@ -189,7 +192,7 @@ def _date_time(sentence: Sentence) -> float:
         if s.kind == "GHP":
             year, month, day, hour, minute, second, thousandth = (int(s.field(k)) for k in range(2, 9))
             return _date(year, month, day) + 3600.0 * hour + 60.0 * minute + second + thousandth / 1e3
-    except (ValueError, IndexError):
+    except (ValueError, IndexError, OverflowError):
         pass
     return np.nan
 

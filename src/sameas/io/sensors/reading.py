@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
-from sameas.errors import InputError
+import numpy as np
+
+from sameas.errors import InputError, reading
 from sameas.io.sensors import aircraft, asterix, mode_s, sbs, ship_log, tables
 from sameas.io.sensors.format import ReadOptions, SensorFile, SensorFormat
 from sameas.tracks.reports import Reports
@@ -51,7 +54,17 @@ def read_reports(path: str | os.PathLike[str], options: ReadOptions | None = Non
         raise InputError(f"{source}: unknown format {options.format!r}; give one of {', '.join(REPORT_FORMATS)}")
     file = SensorFile.of(path, options)
     chosen = next((known for known in FORMATS if known.name == options.format), None) or format_of(file)
-    return chosen.read(file)
+    with reading(str(path), f"cannot be read as {chosen.label}"):
+        return [_with_last_line(reports, file) for reports in chosen.read(file)]
+
+
+def _with_last_line(reports: Reports, file: SensorFile) -> Reports:
+    """The same reports; a damaged last line that has no end was cut off with the file."""
+    damaged, last = reports.damaged, len(file.lines) if file.unended else 0
+    if last not in damaged.lines or damaged.unit != "line":
+        return reports
+    reasons = np.where(damaged.lines == last, "the last line is incomplete", damaged.reasons)
+    return replace(reports, damaged=replace(damaged, reasons=reasons))
 
 
 def format_of(file: SensorFile) -> SensorFormat:

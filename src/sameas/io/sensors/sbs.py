@@ -20,6 +20,8 @@ from sameas.tracks.reports import Damaged, Reports, of_rows
 
 #: Fields older than this, in seconds, are not joined to a position (chosen).
 _STALE_S = 30.0
+#: Cells of a message.
+_CELLS = 22
 #: Number of the field (from 0), its column and its unit.
 _FIELDS = {
     11: ("pressure_alt_m", FOOT_M),
@@ -29,13 +31,14 @@ _FIELDS = {
 }
 
 
-def read(lines: Sequence[str], source: str) -> Reports:
+def read(lines: Sequence[str], source: str, unended: bool = False) -> Reports:
     """The positions of aircraft in SBS lines.
 
     Parameters
     ----------
     lines : those that are no MSG (SEL, ID, AIR, STA, CLK) are passed over.
     source : its name in messages.
+    unended : whether the last line has no end; then it must have all its cells.
 
     Raises
     ------
@@ -53,7 +56,7 @@ def read(lines: Sequence[str], source: str) -> Reports:
             passed_over[f"{cells[0].strip()} line"] += 1
             continue
         try:
-            time_s, address, fields = _message(cells)
+            time_s, address, fields = _message(cells, least=_CELLS if unended and number == len(lines) else 16)
         except ValueError as error:
             damaged.append((number, str(error)))
             continue
@@ -70,12 +73,12 @@ def read(lines: Sequence[str], source: str) -> Reports:
     return Reports.of(source, "adsb", of_rows(rows), damaged=Damaged.of(damaged), passed_over=passed_over, notes=notes)
 
 
-def _message(cells: Sequence[str]) -> tuple[float, str, dict[str, Any]]:
-    """Time, address and fields; ValueError has the problem."""
+def _message(cells: Sequence[str], least: int) -> tuple[float, str, dict[str, Any]]:
+    """Time, address and fields; ValueError has the problem. least : number of cells."""
     if cells[0].strip() != "MSG":
         raise ValueError("no SBS message")
-    if len(cells) < 16:
-        raise ValueError(f"{len(cells)} cells of a message that has 22")
+    if len(cells) < least:
+        raise ValueError(f"{len(cells)} cells of a message that has {_CELLS}")
     address = cells[4].strip()
     if not address or any(c not in "0123456789abcdefABCDEF~" for c in address):
         raise ValueError("no address of an aircraft")
@@ -111,6 +114,6 @@ def _number(cells: Sequence[str], number: int) -> float | None:
 FORMAT = SensorFormat(
     "sbs",
     "BaseStation lines (MSG,…)",
-    lambda file: [read(file.lines, file.source)],
+    lambda file: [read(file.lines, file.source, file.unended)],
     lambda file: any(re.match(r"MSG,\s*\d,", line) for line in file.head_lines),
 )

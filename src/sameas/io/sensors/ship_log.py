@@ -34,6 +34,6 @@ def _recognises(file: SensorFile) -> bool:
 FORMAT = SensorFormat(
     "nmea",
     "NMEA 0183: AIS (VDM) and tracked radar targets (TTM, TLL)",
-    lambda file: read(nmea.log_of(file.lines), file.source, file.start_s),
+    lambda file: read(nmea.log_of(file.lines, file.unended), file.source, file.start_s),
     _recognises,
 )

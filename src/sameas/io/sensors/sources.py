@@ -109,7 +109,11 @@ def _plain(value: Any) -> Any:
 
 
 def read_sources(
-    files: Sequence[str | Path], options: Mapping[str, SourceOptions] | None = None, *, start: str | None = None
+    files: Sequence[str | Path],
+    options: Mapping[str, SourceOptions] | None = None,
+    *,
+    start: str | None = None,
+    set_aside: list[InputError] | None = None,
 ) -> list[SensorSource]:
     """Every source of the files, and of those that the descriptions name, with its description.
 
@@ -118,6 +122,8 @@ def read_sources(
     files : paths, or NAME=PATH. A file that holds several sensors (a log of AIS and radar) gives NAME:ais, NAME:arpa.
     options : by name, from :func:`read_source_options`.
     start : UTC of the first line of files with the time of day only.
+    set_aside : takes what is wrong with files that are there but cannot be read, while others can; without it, and
+        where none can be read, the first of them is refused.
 
     Raises
     ------
@@ -129,13 +135,23 @@ def read_sources(
     if not named:
         raise InputError("no files; give the sensors' files, or descriptions that name them")
     sources: list[SensorSource] = []
+    unread: dict[str, InputError] = {}
     for name, path in named:
         reading = described[name].options if name in described else ReadOptions(name)
         if reading.start is None:
             reading = replace(reading, start=start)
-        for reports in read_reports(path, reading):
-            sources.append(_source(reports, described.get(reports.source), path))
-    _all_used(sources, described)
+        try:
+            for reports in read_reports(path, reading):
+                sources.append(_source(reports, described.get(reports.source), path))
+        except InputError as error:
+            if set_aside is None or not path.is_file() or error.words.arguments:
+                raise
+            unread[name] = error
+    if unread and not sources:
+        raise next(iter(unread.values()))
+    if set_aside is not None:
+        set_aside += unread.values()
+    _all_used(sources, {name: one for name, one in described.items() if name not in unread})
     names = [source.description.name for source in sources]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:

@@ -13,7 +13,7 @@ import json
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -36,11 +36,15 @@ _OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:\.\d+)?)")
 
 @dataclass(frozen=True)
 class TableText:
-    """A table as it stands: cells (text, numbers or None) by name of the column, and the line of each row."""
+    """A table as it stands: cells (text, numbers or None) by name of the column, and the line of each row.
+
+    unended : whether its last line has no end.
+    """
 
     columns: Mapping[str, Sequence[Any]]
     lines: IntArray
     damaged: tuple[tuple[int, str], ...] = ()
+    unended: bool = False
 
 
 def cells_of_csv(lines: Sequence[str], source: str) -> TableText:
@@ -109,14 +113,20 @@ def cells_of_parquet(path: str | os.PathLike[str]) -> TableText:
     import pyarrow as pa
     from pyarrow import parquet
 
-    table = parquet.read_table(path)
+    # Not parquet.read_table: it takes the folders of a path for columns, as data sets in parts have them.
+    with parquet.ParquetFile(path) as file:
+        table = file.read()
     columns: dict[str, Sequence[Any]] = {}
     for name, column in zip(table.column_names, table.columns, strict=True):
         if pa.types.is_timestamp(column.type):
             whole = column.cast(pa.timestamp("us"), safe=False).cast(pa.int64())
             columns[name] = [None if t is None else t / 1e6 for t in whole.to_pylist()]
-        else:
+        elif not pa.types.is_nested(column.type):
             columns[name] = column.to_pylist()
+    if len(set(table.column_names)) < len(table.column_names):
+        raise InputError(f"{path}: two columns have one name; rename one")
+    if not columns:
+        raise InputError(f"{path}: no column of numbers or text")
     return TableText(columns, np.arange(1, table.num_rows + 1))
 
 
@@ -158,7 +168,8 @@ def read(
     values = {name: column[good] for name, column in values.items()} | {"line": cells.lines[good]}
     values, repeated = _without_repeats(_with_track_id(values))
     passed_over = {"position told before": repeated} if repeated else {}
-    notes = [note, *(f"{source}: {choice.why}" for choice in chosen.values() if choice.why)]
+    cut = [f"{source}: its last line has no line end: it may be incomplete"] * cells.unended
+    notes = [note, *cut, *(f"{source}: {choice.why}" for choice in chosen.values() if choice.why)]
     return Reports.of(
         source, "table", _with_covariances(values), damaged=Damaged.of(damaged.items()),
         passed_over=passed_over, notes=notes,
@@ -205,7 +216,7 @@ def _values(cells: TableText, choice: Choice, damaged: dict[int, str]) -> NDArra
         return _texts(column, choice.quantity.column)
     try:
         return np.array(column, dtype=np.float64) * choice.factor
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         pass
     values = np.full(len(column), np.nan)
     for k, cell in enumerate(column):
@@ -213,7 +224,7 @@ def _values(cells: TableText, choice: Choice, damaged: dict[int, str]) -> NDArra
             continue
         try:
             values[k] = float(cell) * choice.factor
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             damaged.setdefault(int(cells.lines[k]), f"{choice.name} is no number")
     return values
 
@@ -276,7 +287,7 @@ def _instants(column: Sequence[Any], choice: Choice, source: str) -> FloatArray:
     """Instants of numbers, of ISO text, of days before months or months before days; NaN where none can be read."""
     try:
         numbers = np.array(column, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         texts = ["" if cell is None else str(cell).strip() for cell in column]
         if any(_DAY_FIRST.fullmatch(text) for text in texts[:100]):
             return _day_month_dates(texts, source)
@@ -310,7 +321,7 @@ def _of_day(cell: Any) -> float:
         return 3600.0 * int(match[1]) + 60.0 * int(match[2]) + float(match[3])
     try:
         return float(cell)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return np.nan
 
 
@@ -324,6 +335,8 @@ def _mark_unusable(values: Mapping[str, Any], lines: IntArray, damaged: dict[int
     pairs = [pair for pair in (("lat_deg", "lon_deg"), ("x_m", "y_m"), ("bearing_deg",)) if pair[0] in values]
     missing = np.logical_and.reduce([np.isnan(sum(values[name] for name in pair)) for pair in pairs])
     _mark(missing, lines, damaged, "no position")
+    if "range_m" in values:
+        _mark(values["range_m"] < 0.0, lines, damaged, "a distance below 0")
     if "lat_deg" not in values:
         return
     beyond = np.abs(values["lat_deg"]) > 90.0
@@ -380,7 +393,9 @@ def _cells_of(file: SensorFile) -> TableText:
     if file.content.startswith(PARQUET):
         return cells_of_parquet(file.path)
     first = next((line.strip() for line in file.lines if line.strip()), "")
-    return cells_of_json(file.lines, file.source) if first[:1] in "{[" else cells_of_csv(file.lines, file.source)
+    if first[:1] in "{[":
+        return cells_of_json(file.lines, file.source)
+    return replace(cells_of_csv(file.lines, file.source), unended=file.unended)
 
 
 FORMAT = SensorFormat(

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray
-from sameas.errors import InputError
+from sameas.bounds import check_headers
+from sameas.errors import InputError, first_line, reading
 from sameas.representation import in_short
 from sameas.sky.frame.keywords import Facts, Given
 from sameas.sky.frame.measurements import PIXEL_FLAGS, Flag
@@ -146,7 +147,8 @@ def read(
     path = Path(path)
     name = path.name
     planes, header, notes = _load(path, hdu)
-    facts = Facts.of(header, given or Given(), name=name, notes=notes)
+    with reading(name, "its header cannot be read"):
+        facts = Facts.of(header, given or Given(), name=name, notes=notes)
     bad = None if mask is None else _load(Path(mask), None)[0]["image"]
     return Frame.of(
         planes["image"],
@@ -167,6 +169,7 @@ def _load(path: Path, hdu: int | str | None) -> tuple[dict[str, Any], Header, tu
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     try:
+        check_headers(path)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AstropyWarning)
             # Without this astropy warns only, and fails later or gives zeros.
@@ -179,13 +182,13 @@ def _load(path: Path, hdu: int | str | None) -> tuple[dict[str, Any], Header, tu
                 for card in hdus[0].header.cards if chosen else ():
                     if card.keyword and card.keyword not in header and card.keyword not in ("COMMENT", "HISTORY"):
                         header.append(card, end=True)
-    except InputError:
+    except (InputError, MemoryError, ImportError):
         raise
     except Warning as warning:
         raise InputError(f"{path.name}: the file is cut short ({warning}); copy it again") from warning
-    except (OSError, EOFError, ValueError, TypeError, IndexError) as error:
+    except Exception as error:  # astropy fails in many ways on what it did not foresee
         cause = "is cut short" if _ends_early(path) else "cannot be read as FITS"
-        raise InputError(f"{path.name}: the file {cause} ({error}); copy it again or convert it") from error
+        raise InputError(f"{path.name}: the file {cause} ({first_line(error)}); copy it again or convert it") from error
     return planes, header, notes
 
 

@@ -68,7 +68,7 @@ def _cut(data: bytes, packet: int, received_s: float) -> Iterator[Block]:
 def _packets(content: bytes) -> Iterator[tuple[float, bytes]]:
     """Times and UDP payloads of a pcap file; other packets are left out, and fragments too."""
     order, unit = _PCAP[content[:4]]
-    link = struct.unpack(order + "I", content[20:24])[0] & 0xFFFF
+    link = struct.unpack(order + "I", content[20:24])[0] & 0xFFFF if len(content) >= 24 else -1
     skipped = _LINKS.get(link)
     at = 24
     while skipped is not None and at + 16 <= len(content):

@@ -1,0 +1,157 @@
+"""Bounds: how much a file may ask for, so that a small one fills neither the memory nor the day.
+
+:func:`unpacked` unpacks gzip within them; :func:`check_headers` looks at the headers of a FITS file before a library
+believes them.
+"""
+
+from __future__ import annotations
+
+import gzip
+import os
+import re
+import zlib
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from math import prod
+from pathlib import Path
+from typing import Any
+
+from sameas.errors import InputError
+
+MAGIC = b"\x1f\x8b"
+_PART = 1 << 22
+
+
+@dataclass(frozen=True)
+class Unpacking:
+    """How much may come out of a packed file: ``least`` bytes in any case, and ``ratio`` times its size.
+
+    Catalogues shrink three to twentyfold, blank images up to a thousandfold; zeros alone shrink further.
+    """
+
+    least: int = 1 << 28
+    ratio: int = 100
+
+    def of(self, size: int) -> int:
+        """The most bytes for a file of ``size`` bytes."""
+        return max(self.least, self.ratio * size)
+
+
+def unpacked(path: str | os.PathLike[str], bounds: Unpacking | None = None) -> bytes:
+    """All bytes of a gzipped file.
+
+    Raises
+    ------
+    InputError : it is cut off, damaged, or unpacks to more than its ``bounds``.
+    """
+    path = Path(path)
+    most = (bounds or Unpacking()).of(path.stat().st_size)
+    parts, total = [], 0
+    try:
+        with gzip.open(path) as file:
+            while part := file.read(_PART):
+                parts.append(part)
+                total += len(part)
+                if total > most:
+                    raise InputError(
+                        f"{path}: unpacks to more than {most >> 20} MB; unpack it yourself if that is right"
+                    )
+    except EOFError as error:
+        raise InputError(f"{path}: is cut off in the middle; copy it again") from error
+    except (zlib.error, gzip.BadGzipFile) as error:
+        raise InputError(f"{path}: is damaged, it cannot be unpacked ({error}); copy it again") from error
+    return b"".join(parts)
+
+
+@dataclass(frozen=True)
+class Headers:
+    """What headers may ask for. astropy believes them: it would look for a thousand million columns.
+
+    cards : of one header; the largest that are known, of mosaics with their histories, have 30 000.
+    axes, fields : those of the standard (FITS 4.0, sections 4.4.1 and 7.3.1).
+    shrunk : how many times a compressed image may have shrunk, beyond ``least`` bytes that it may have in any case.
+    looked_through : bytes of a packed file within which headers are looked at.
+    """
+
+    cards: int = 100_000
+    axes: int = 999
+    fields: int = 999
+    shrunk: int = 1000
+    least: int = 1 << 28
+    looked_through: int = 1 << 26
+
+
+_BLOCK, _CARD_BYTES = 2880, 80
+_WHOLE = re.compile(rb"([A-Z0-9_-]{1,8}) *= *([+-]?\d+) *(?:/|$)")
+
+
+def check_headers(path: Path, limits: Headers | None = None) -> None:
+    """Refuses headers that ask for more than the file can hold, before a library believes them.
+
+    Raises
+    ------
+    InputError : a header without an end; axes, columns, rows or sizes that no such file has.
+    """
+    limits = limits or Headers()
+    size = path.stat().st_size
+    with path.open("rb") as plain:
+        packed = plain.read(2) == MAGIC
+        plain.seek(0)
+        most = min(Unpacking().of(size), limits.looked_through) if packed else size
+        # A packed file that is cut off or damaged is its reader's to refuse.
+        with gzip.open(plain) if packed else plain as file, suppress(EOFError, zlib.error, gzip.BadGzipFile):
+            at, number = 0, 0
+            while at < most and (cards := _whole_numbers(file, path, number, limits)):
+                at = file.tell() + _data_bytes(cards, path, number, size, limits)
+                at += -at % _BLOCK
+                if at < most:
+                    file.seek(at)
+                number += 1
+
+
+def _whole_numbers(file: Any, path: Path, number: int, limits: Headers) -> dict[str, int]:
+    """The whole numbers of the next header by keyword, the first where one stands twice; empty behind the last."""
+    cards: dict[str, int] = {}
+    for _ in range(0, limits.cards, _BLOCK // _CARD_BYTES):
+        block = file.read(_BLOCK)
+        if not cards and not block.startswith((b"SIMPLE  =", b"XTENSION=")):
+            return {}
+        cards.setdefault("", 0)
+        for begin in range(0, len(block), _CARD_BYTES):
+            card = block[begin : begin + _CARD_BYTES]
+            if card.rstrip() == b"END":
+                return cards
+            if found := _WHOLE.match(card):
+                cards.setdefault(found[1].decode("ascii"), int(found[2]))
+        if len(block) < _BLOCK:
+            break
+    raise InputError(f"{path}: the header of extension {number} has no END; it is damaged or cut off, copy it again")
+
+
+def _data_bytes(cards: Mapping[str, int], path: Path, number: int, size: int, limits: Headers) -> int:
+    """How many bytes of data follow a header."""
+
+    def refuse(what: str) -> InputError:
+        return InputError(f"{path}: the header of extension {number} {what}; it is damaged, copy it again")
+
+    most = {"NAXIS": limits.axes, "TFIELDS": limits.fields, "ZNAXIS": limits.axes}
+    for name, highest in most.items():
+        if not 0 <= cards.get(name, 0) <= highest:
+            raise refuse(f"says {name} = {cards[name]}, not 0 to {highest}")
+    axes = [cards.get(f"NAXIS{k}", 0) for k in range(1, cards.get("NAXIS", 0) + 1)]
+    for name, value in [*((f"NAXIS{k}", axis) for k, axis in enumerate(axes, 1)), *_counts(cards)]:
+        if value < 0:
+            raise refuse(f"says {name} = {value}")
+    if "TFIELDS" in cards and len(axes) == 2 and axes[0] == 0 < axes[1]:
+        raise refuse(f"says {axes[1]} rows without a byte in them")
+    image = [cards.get(f"ZNAXIS{k}", 0) for k in range(1, cards.get("ZNAXIS", 0) + 1)]
+    if image and prod(image) * abs(cards.get("ZBITPIX", 8)) // 8 > max(limits.least, limits.shrunk * size):
+        raise refuse(f"says a compressed image of {' × '.join(map(str, image))} pixels, in a file of {size} bytes")
+    axes = axes[1:] if axes[:1] == [0] and "GROUPS" in cards else axes
+    values = prod(axes) if axes else 0
+    return abs(cards.get("BITPIX", 8)) // 8 * cards.get("GCOUNT", 1) * (cards.get("PCOUNT", 0) + values)
+
+
+def _counts(cards: Mapping[str, int]) -> list[tuple[str, int]]:
+    return [(name, cards[name]) for name in ("PCOUNT", "GCOUNT") if name in cards]

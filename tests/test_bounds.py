@@ -1,0 +1,96 @@
+"""A small file fills neither the memory nor the day: what it asks for is looked at first."""
+
+import gzip
+
+import numpy as np
+import pytest
+from astropy.io import fits
+from astropy.table import Table
+
+from sameas.bounds import Headers, Unpacking, check_headers, unpacked
+from sameas.errors import InputError
+from sameas.io import read_table, write_table
+from sameas.sky.frame.image import read as read_frame
+
+SKY = np.random.default_rng(5).poisson(500.0, (40, 50)).astype(np.int16)
+
+
+def table(folder, **said):
+    """The path of a table of three rows whose header says other numbers."""
+    path = folder / "t.fits"
+    write_table(Table({"x": [1.0, 2.0, 3.0]}), path, provenance={})
+    return edited(path, 1, **said)
+
+
+def edited(path, number, **said):
+    """The same file, cards of one header changed in their place."""
+    with fits.open(path) as hdus:
+        begin, end = hdus[number].fileinfo()["hdrLoc"], hdus[number].fileinfo()["datLoc"]
+    content = bytearray(path.read_bytes())
+    for name, value in said.items():
+        at = content.index(f"{name:8}=".encode(), begin, end)
+        content[at : at + 80] = f"{name:8}= {value:>20}".ljust(80).encode()
+    path.write_bytes(content)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        ({"TFIELDS": 999999999}, "says TFIELDS = 999999999, not 0 to 999"),
+        ({"NAXIS": 500000000}, "says NAXIS = 500000000, not 0 to 999"),
+        ({"NAXIS2": -3}, "says NAXIS2 = -3"),
+        ({"PCOUNT": -8}, "says PCOUNT = -8"),
+        ({"NAXIS1": 0, "NAXIS2": 2000000000}, "says 2000000000 rows without a byte"),
+    ],
+)
+def test_headers_that_no_file_has_are_refused_before_a_library_believes_them(said, words, tmp_path):
+    path = table(tmp_path, **said)
+    for read in (read_table, read_frame):
+        with pytest.raises(InputError, match=f"t.fits.* the header of extension 1 {words}.*; .*copy it again"):
+            read(path)
+    packed = tmp_path / "t.fits.gz"
+    packed.write_bytes(gzip.compress(path.read_bytes()))
+    with pytest.raises(InputError, match=words):
+        read_table(packed)
+
+
+def test_a_header_without_an_end_is_refused(tmp_path):
+    path = table(tmp_path)
+    path.write_bytes(path.read_bytes()[:2880] + b"XTENSION= 'BINTABLE'".ljust(80) + b"COMMENT ".ljust(80) * 200)
+    with pytest.raises(InputError, match="the header of extension 1 has no END; it is damaged or cut off"):
+        read_table(path)
+    path.write_bytes(b"SIMPLE  =                    T".ljust(80) + b"COMMENT ".ljust(80) * 2880)
+    with pytest.raises(InputError, match="extension 0 has no END"):
+        check_headers(path, Headers(cards=360))
+
+
+def test_a_compressed_image_larger_than_any_that_shrinks_so_far_is_refused(tmp_path):
+    path = tmp_path / "c.fits"
+    fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(SKY, compression_type="RICE_1")]).writeto(path)
+    assert read_frame(path).shape == SKY.shape
+    with pytest.raises(InputError, match="says a compressed image of 100000 × 900000 pixels, in a file of 8640 bytes"):
+        read_frame(edited(path, 1, ZNAXIS1=100000, ZNAXIS2=900000))
+
+
+def test_whole_files_pass(tmp_path):
+    path = tmp_path / "many.fits"
+    images = [fits.ImageHDU(SKY, name=f"I{k}") for k in range(3)]
+    groups = fits.GroupsHDU(fits.GroupData(np.ones((4, 3, 2)), bitpix=-32, parnames=["A"], pardata=[np.ones(4)]))
+    fits.HDUList([groups, *images]).writeto(path)
+    path.write_bytes(path.read_bytes() + b"what stands behind the last header is not looked at")
+    check_headers(path)
+
+
+def test_a_packed_file_that_grows_out_of_bounds_is_refused(tmp_path):
+    path = tmp_path / "zeros.gz"
+    path.write_bytes(gzip.compress(bytes(2_000_000)))
+    assert len(unpacked(path)) == 2_000_000
+    with pytest.raises(InputError, match=r"zeros\.gz: unpacks to more than 1 MB; unpack it yourself if that is right"):
+        unpacked(path, Unpacking(least=1 << 20, ratio=100))
+    path.write_bytes(path.read_bytes()[:-30])
+    with pytest.raises(InputError, match="is cut off in the middle"):
+        unpacked(path)
+    path.write_bytes(gzip.compress(b"1,2,3\n" * 99)[:20] + bytes(60))
+    with pytest.raises(InputError, match="is damaged, it cannot be unpacked"):
+        unpacked(path)

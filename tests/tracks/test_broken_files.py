@@ -1,0 +1,161 @@
+"""Files of sensors that no sensor wrote: one bad line is one damaged line, and no error is unforeseen."""
+
+import json
+import struct
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+from sameas.errors import InputError
+from sameas.io.sensors import ReadOptions, read_reports
+from sameas.io.sensors.nmea import checksum
+from sameas.io.sensors.sources import read_sources
+from sameas.tracks.reports import Reports
+
+STAMP = "\\c:1452603731*00\\"
+POSITION = "!AIVDM,1,1,,B,15M67FC000G?ufbE`FepT@3n00Sa,0*5C"
+SNAPSHOT = {"now": 1.7e9, "aircraft": [{"hex": "4ca7a8", "lat": 50.0, "lon": -1.0}]}
+SBS = "MSG,3,1,1,4CA7A8,1,2024/05/01,12:00:{:02d}.000,2024/05/01,12:00:00.000,,35000,,,50.1,-1.25,,,0,0,0,0"
+
+
+def sentence(body):
+    return f"{body[0]}{body[1:]}*{checksum(body[1:]):02X}"
+
+
+def read(folder, name, content, **options):
+    path = folder / name
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return read_reports(path, ReadOptions(**options))
+
+
+def damage(reports):
+    return dict(zip(reports.damaged.lines.tolist(), reports.damaged.reasons.tolist(), strict=True))
+
+
+def test_static_data_cut_short_is_one_damaged_line(tmp_path):
+    pytest.importorskip("pyais")
+    cut = sentence("!AIVDM,1,1,,A,5,0")
+    [found] = read(tmp_path, "a.nmea", "\n".join(STAMP + line for line in (POSITION, cut, POSITION)) + "\n")
+    assert len(found) == 2 and list(damage(found)) == [2]
+
+
+def test_a_date_beyond_every_calendar_is_no_clock(tmp_path):
+    zda = sentence("$GPZDA,120000,01,05,99999999999999999999,00,00")
+    ttm = sentence("$RATTM,01,2.5,13.6,T,7.0,20.0,T,,,N,,T,,120000,A")
+    with pytest.raises(InputError, match=r"no time: the sentences tell the time of day, but no date"):
+        read(tmp_path, "a.nmea", f"{zda}\n{ttm}\n")
+
+
+def test_a_packet_shorter_than_its_head_says_is_left_out(tmp_path):
+    head = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
+    for content in (head[:22], head + bytes(15), head + struct.pack("<IIII", 0, 0, 2000, 2000) + b"\x45" * 40):
+        with pytest.raises(InputError, match=r"a\.pcap: no target of category 021, 048 or 062"):
+            read(tmp_path, "a.pcap", content)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
+def test_a_broken_parquet_file_is_refused_by_name(share, tmp_path):
+    path = tmp_path / "a.parquet"
+    parquet.write_table(pa.table({"time": [1.7e9], "lat": [50.0], "lon": [-1.0]}), path)
+    content = path.read_bytes()
+    with pytest.raises(InputError, match=r"a\.parquet: cannot be read as .*Parquet"):
+        read(tmp_path, "a.parquet", content[: int(share * len(content))])
+
+
+@pytest.mark.parametrize(
+    "column",
+    [
+        pa.array([b"\xff\xfe", b"a"]),
+        pa.array([{"a": 1}, None]),
+        pa.array([[1.0], []]),
+        pa.array([1, 2], pa.duration("s")),
+    ],
+)
+def test_a_column_of_another_kind_is_a_column_without_numbers(column, tmp_path):
+    path = tmp_path / "a.parquet"
+    parquet.write_table(
+        pa.table({"time": [1.7e9, 1.7e9], "lat": [50.0, 51.0], "lon": [-1.0, -1.0], "sog": column}), path
+    )
+    try:
+        read_reports(path)
+    except InputError as error:
+        assert "a.parquet" in str(error)
+
+
+@pytest.mark.parametrize("now", [float("nan"), float("inf"), 1e300, -1e300])
+def test_a_snapshot_at_no_time_is_set_aside(now, tmp_path):
+    lines = [json.dumps(SNAPSHOT), json.dumps(SNAPSHOT | {"now": now})]
+    [found] = read(tmp_path, "a.json", "\n".join(lines) + "\n")
+    assert len(found) == 1 and damage(found) == {2: "no time"}
+
+
+def test_a_receipt_at_no_time_is_set_aside(tmp_path):
+    pytest.importorskip("pyais")
+    far = POSITION.join(["\\c:" + "9" * 400 + "*00\\", ""])
+    [found] = read(tmp_path, "a.nmea", f"{STAMP}{POSITION}\n{far}\n{STAMP}{POSITION}\n")
+    assert np.isfinite(found.time_s).all()
+
+
+def test_what_is_infinite_is_set_aside_or_absent():
+    columns = {"time_s": [1.0, 2.0, 3.0, np.nan], "lat_deg": [1.0, np.inf, 1.0, 1.0], "lon_deg": [2.0, 2.0, 2.0, 2.0],
+               "speed_m_per_s": [1.0, 1.0, np.inf, 1.0], "line": [5, 6, 7, 8]}  # fmt: skip
+    made = Reports.of("radar", "table", columns)
+    assert made.time_s.tolist() == [1.0, 3.0] and damage(made) == {6: "no position", 8: "no time"}
+    np.testing.assert_array_equal(made.speed_m_per_s, [1.0, np.nan])
+    with pytest.raises(InputError, match="radar: no report has a time"):
+        Reports.of("radar", "table", {"time_s": [np.nan], "lat_deg": [1.0], "lon_deg": [1.0]})
+
+
+def test_a_distance_below_zero_is_no_position(tmp_path):
+    text = "time,range_m,bearing_deg,kind\n1700000000,-5,10,a\n1700000001,5,10,a\n"
+    [found] = read(tmp_path, "radar.csv", text)
+    assert len(found) == 1 and damage(found) == {2: "a distance below 0"}
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "line"),
+    [
+        ("a.jsonl", '{"time": 1, "lat": 2, "lon": 3}\n{"time": 2, "lat": 2, "lon": 3}\n{"time": 3, "la', 3),
+        ("a.csv", "time,lat,lon\n1700000000,2,3\n1700000001,2,3\n1700000002,2", 4),
+        ("a.sbs", f"{SBS.format(1)}\n{SBS.format(2)[:83]}", 2),
+        ("a.json", f"{json.dumps(SNAPSHOT)}\n{json.dumps(SNAPSHOT)[:40]}", 2),
+        ("a.nmea", f"{STAMP}{POSITION}\n{STAMP}{POSITION[:30]}", 2),
+    ],
+)  # fmt: skip
+def test_a_last_line_that_is_cut_off_is_said(name, content, line, tmp_path):
+    if name == "a.nmea":
+        pytest.importorskip("pyais")
+    [found] = read(tmp_path, name, content)
+    assert damage(found) == {line: "the last line is incomplete"}, (found.damaged, len(found))
+
+
+def test_a_table_without_a_last_line_end_may_be_incomplete(tmp_path):
+    [found] = read(tmp_path, "a.csv", "time,lat,lon\n1700000000,2,3\n1700000001,2,3")
+    assert any("its last line has no line end" in note for note in found.notes) and len(found) == 2
+    [found] = read(tmp_path, "a.csv", "time,lat,lon\n1700000000,2,3\n1700000001,2,3\n")
+    assert not any("last line" in note for note in found.notes)
+
+
+def test_a_reader_that_fails_names_the_file_and_the_library_s_words(tmp_path, monkeypatch):
+    def broken(*_):
+        raise struct.error("unpack requires a buffer of 4 bytes")
+
+    monkeypatch.setattr("sameas.io.sensors.tables.cells_of_csv", broken)
+    with pytest.raises(InputError, match=r"a\.csv: cannot be read as .*: unpack requires a buffer of 4 bytes") as found:
+        read(tmp_path, "a.csv", "time,lat,lon\n1,2,3\n")
+    assert isinstance(found.value.__cause__, struct.error)
+
+
+def test_one_source_that_cannot_be_read_does_not_end_a_run_of_many(tmp_path):
+    (tmp_path / "coast.csv").write_text("time,lat,lon,mmsi\n1700000000,2,3,235070762\n")
+    (tmp_path / "radar.parquet").write_bytes(b"PAR1" + bytes(90) + b"PAR1")
+    files = [tmp_path / "coast.csv", tmp_path / "radar.parquet"]
+    set_aside: list[InputError] = []
+    [coast] = read_sources(files, set_aside=set_aside)
+    assert coast.description.name == "coast" and ["radar" in str(error) for error in set_aside] == [True]
+    with pytest.raises(InputError, match="radar"):
+        read_sources(files)
+    with pytest.raises(InputError, match="radar"):
+        read_sources(files[1:], set_aside=[])
