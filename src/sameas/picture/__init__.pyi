@@ -1,5 +1,6 @@
 """The public names of the picture."""
 
+from .live import LivePicture as LivePicture
 from .memory import Memory as Memory
 from .memory import Past as Past
 from .object_ids import Stages as Stages

@@ -2,6 +2,7 @@
 
 from .coordinates import LocalPlane as LocalPlane
 from .feed import Feed as Feed
+from .growing import GrowingFeed as GrowingFeed
 from .kinds import KINDS as KINDS
 from .registration import SourceBiases as SourceBiases
 from .reports import Reports as Reports

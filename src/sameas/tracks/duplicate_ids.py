@@ -9,6 +9,7 @@ is not used.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -89,3 +90,68 @@ def _notes(name: str, objects: int, strays: int) -> list[str]:
         reports = "1 report" if strays == 1 else f"{strays} reports"
         notes.append(f"{reports} of {name} set aside: nothing goes there so fast")
     return notes
+
+
+@dataclass
+class Branches:
+    """The objects of one id as its reports arrive: as :func:`split_duplicate_ids`, but not knowing what follows.
+
+    A report beyond the reach of all objects of the id is set aside until another one is there too. From then on the id
+    is at two places; each object has a track of its own once the reports have changed between them ``alternations``
+    times. Before that the id may have gone to another object, and its track goes with it.
+
+    ends : time, state and radius of the last report of each object. counts : its reports. last : the object of the last
+    report of those with two or more. changes : how often that one changed.
+    """
+
+    ends: list[tuple[float, FloatArray, float]] = field(default_factory=list)
+    counts: list[int] = field(default_factory=list)
+    last: int = 0
+    changes: int = 0
+
+    @classmethod
+    def of(cls, time_s: float, state: FloatArray, radius: float) -> Branches:
+        """Of one object with its last report."""
+        return cls([(time_s, state, radius)], [2])
+
+    def add(
+        self, time_s: float, state: FloatArray, radius: float, limit: float, tuning: Tuning = DEFAULT_TUNING
+    ) -> int | None:
+        """The object of a report, 0 for the first or while the id may just have moved; None where it is set aside."""
+        away = [self._away(end, time_s, state, radius, limit) for end in self.ends]
+        nearest = int(np.argmin(away))
+        if math.isinf(away[nearest]):
+            self.ends.append((time_s, state, radius))
+            self.counts.append(1)
+            return None
+        self.counts[nearest] += 1
+        if time_s >= self.ends[nearest][0]:
+            self.ends[nearest] = (time_s, state, radius)
+        self.changes += nearest != self.last
+        self.last = nearest
+        if self.changes < tuning.alternations:
+            return 0
+        return int(np.count_nonzero(np.array(self.counts[:nearest]) > 1))
+
+    def single(self, time_s: float, memory_s: float) -> bool:
+        """Whether only one object is left; those without a report for ``memory_s`` are forgotten."""
+        keep = [k for k, end in enumerate(self.ends) if time_s - end[0] <= memory_s]
+        if len(keep) == 1 and self.changes == 0:
+            return True
+        stray = [k for k in range(len(self.ends)) if k not in keep and self.counts[k] == 1]
+        for k in reversed(stray):
+            del self.ends[k], self.counts[k]
+            self.last -= k < self.last
+        return len(self.ends) == 1 and self.changes == 0
+
+    @staticmethod
+    def _away(
+        end: tuple[float, FloatArray, float], time_s: float, state: FloatArray, radius: float, limit: float
+    ) -> float:
+        """Metres from where that object would be now; infinite beyond its reach."""
+        then, before, reach = end
+        dt = time_s - then
+        way = float(np.hypot(*(state[:2] - before[:2])))
+        if way > reach + radius + limit * abs(dt):
+            return math.inf
+        return float(np.hypot(*(before[:2] + before[2:] * dt - state[:2])))

@@ -209,7 +209,7 @@ class Feed:
             if not isinstance(there, States):
                 raise InputError(f"{description.name}: directions are not filtered; give positions")
             tracks = follow(there, acceleration_m2_per_s3=walk_of(description), tuning=placed.tuning).states
-            placed_anew = _in_place(there, tracks)
+            placed_anew = in_place(there, tracks)
             there = placed_anew if description.kind in LASTING else tracks
             measured, _ = stationary(placed_anew, description.motion, placed.tuning)
         if isinstance(there, States):
@@ -253,6 +253,12 @@ class Feed:
         usable = np.flatnonzero(self.reports.usable)
         succession = Succession.of(self.reports.time_s[usable], self.reports.track[usable])
         return replace(succession, rows=usable[succession.rows])
+
+    def knowing(self, succession: Succession, track_timeout_s: float) -> Feed:
+        """The same, where its succession and its track timeout are known already."""
+        feed = replace(self)
+        feed.__dict__.update(succession=succession, track_timeout_s=track_timeout_s)
+        return feed
 
     @cached_property
     def has_velocities(self) -> bool:
@@ -348,7 +354,7 @@ def need_filtering(placed: PlacedReports) -> bool:
     )
 
 
-def _in_place(reports: States, tracks: States) -> States:
+def in_place(reports: States, tracks: States) -> States:
     """The filtered velocities of tracks at the reported positions."""
     state, covariance = tracks.state.copy(), tracks.covariance.copy()
     state[:, :2] = reports.state[:, :2]

@@ -45,6 +45,8 @@ class SourceBiases:
     established : whether these biases, and no others nor nothing in common, explain the records. If not, the records
         are left as they are.
     notes : doubts, printable sentences.
+    theta, covariance : (6,) and (6, 6) what is taken off, in the order of ``BIASES``, and how well it is known; None
+        where nothing is.
     """
 
     source: str
@@ -56,6 +58,8 @@ class SourceBiases:
     log_evidence: float = 0.0
     established: bool = True
     notes: tuple[str, ...] = ()
+    theta: FloatArray | None = field(default=None, repr=False, compare=False)
+    covariance: FloatArray | None = field(default=None, repr=False, compare=False)
 
     def __str__(self) -> str:
         if not self.parameters:
@@ -185,7 +189,7 @@ def _settled(feed: Feed, start: int, fit: BiasFit, against: tuple[str, ...]) -> 
         return feed, about
     theta, covariance = np.zeros(len(BIASES)), np.zeros((len(BIASES), len(BIASES)))
     theta[which], covariance[np.ix_(which, which)] = fit.theta[own], fit.relative[np.ix_(own, own)]
-    return unbiased(feed, theta, covariance), about
+    return unbiased(feed, theta, covariance), replace(about, theta=theta, covariance=covariance)
 
 
 def unbiased(feed: Feed, biases: FloatArray, covariance: FloatArray) -> Feed:

@@ -240,6 +240,42 @@ class Reports:
         return lines + list(self.notes)
 
 
+def joined(parts: Sequence[Reports]) -> Reports:
+    """The reports of several parts of one source, one after another; a column that a part lacks is absent there.
+
+    Example
+    -------
+    >>> one = Reports.of("a", "table", {"time_s": [0.0], "x_m": [1.0], "y_m": [2.0]})
+    >>> two = Reports.of("a", "table", {"time_s": [3.0], "x_m": [4.0], "y_m": [5.0], "track_id": ["7"]})
+    >>> both = joined([one, two])
+    >>> both.x_m.tolist(), both.track_id.tolist()
+    ([1.0, 4.0], [None, '7'])
+    """
+    if not parts:
+        raise InputError("joined: there are no reports; give one part or more")
+    if len(parts) == 1:
+        return parts[0]
+    first, given = parts[0], [part.columns() for part in parts]
+    columns: dict[str, NDArray[Any]] = {}
+    for name in dict.fromkeys(name for part in given for name in part):
+        like = next(part[name] for part in given if name in part)
+        cells = [
+            part[name] if name in part else _absent(like, len(reports))
+            for part, reports in zip(given, parts, strict=True)
+        ]
+        columns[name] = np.concatenate(cells)
+    own: dict[str, Any] = {name: column for name, column in columns.items() if name in _COLUMNS}
+    extra = {name: column for name, column in columns.items() if name not in _COLUMNS}
+    return Reports(first.source, first.kind, **own, extra=extra)
+
+
+def _absent(like: NDArray[Any], n: int) -> NDArray[Any]:
+    """n cells without a value, of the kind of a column."""
+    if like.dtype == object:
+        return np.full(n, None, object)
+    return np.full((n, *like.shape[1:]), np.nan if like.dtype.kind == "f" else -1, like.dtype)
+
+
 def of_rows(rows: Sequence[Mapping[str, Any]], names: Iterable[str] = ()) -> dict[str, Any]:
     """Columns for :meth:`Reports.of` from one mapping a report; what a row does not hold is absent.
 

@@ -1,0 +1,231 @@
+"""The live picture: fed with reports as they arrive, asked for instants as time goes on.
+
+    picture = LivePicture([radar_description, ais_description], plane=LocalPlane(50.7, -1.1))
+    picture.add("radar", reports)
+    state = picture.advance(now_s)
+
+It is what :class:`~sameas.picture.picture.Picture` makes of the whole files, as far as it can be known by then:
+on the same reports, none later than its lag, it decides the same. :meth:`LivePicture.register` estimates the biases of
+sources by the reports of the last minutes, and takes them off at all later instants.
+
+It can be pickled, and goes on where it was: so a program that is killed keeps the numbers of its objects.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sameas.errors import InputError
+from sameas.picture.picture_state import PictureState
+from sameas.picture.plot_picture import PlotPicture
+from sameas.picture.watch import Watch
+from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.feed import Feed
+from sameas.tracks.growing import Counts, GrowingFeed, unbiased_now
+from sameas.tracks.registration import SourceBiases
+from sameas.tracks.reports import Reports, joined
+from sameas.tracks.scene import POSITION, Scene
+from sameas.tracks.source import Description
+from sameas.tracks.tuning import DEFAULT_TUNING as DEFAULT_TRACKS
+from sameas.tracks.tuning import Tuning as TracksTuning
+
+LiveState = PictureState[Watch] | PictureState[PlotPicture]
+
+
+@dataclass(frozen=True)
+class Window:
+    """The reports by which biases are estimated: those of the last ``span_s`` seconds, at most ``reports`` a source."""
+
+    span_s: float = 600.0
+    reports: int = 50_000
+
+
+class LivePicture:
+    """A picture that is fed while it goes on.
+
+    Parameters
+    ----------
+    descriptions : of all sources, by which :meth:`add` knows them.
+    plane : of the picture. None: about the first site or position on the earth; the user's own metres where none is.
+    watch : the start: evidence, memory and stages. None: a :class:`PlotPicture` while no source has named anything,
+        else a :class:`Watch`.
+    lag_s : reports may be late by this and are filtered in their place.
+    features : as of ``Scene.at``.
+    window : for :meth:`register`.
+
+    Example
+    -------
+    >>> from sameas.tracks.source import SensorErrors
+    >>> tracker = Description("radar", "tracks", errors=SensorErrors(position_m=5.0))
+    >>> picture = LivePicture([tracker, Description("ais", "ais")])
+    >>> for t in (0.0, 10.0):
+    ...     place = {"time_s": [t], "x_m": [5.0 * t], "y_m": [0.0]}
+    ...     picture.add("radar", Reports.of("radar", "table", place | {"track_id": ["7"]}))
+    ...     picture.add("ais", Reports.of("ais", "ais", place | {"mmsi": ["235000001"]}))
+    ...     state = picture.advance(t)
+    >>> state.objects.number.tolist(), (state.members >= 0).sum(axis=1).tolist()
+    ([1], [2])
+    """
+
+    def __init__(
+        self,
+        descriptions: Sequence[Description],
+        *,
+        plane: LocalPlane | None = None,
+        watch: Watch | PlotPicture | None = None,
+        lag_s: float = 10.0,
+        features: int = POSITION,
+        window: Window | None = None,
+        tuning: TracksTuning = DEFAULT_TRACKS,
+    ) -> None:
+        names = [description.name for description in descriptions]
+        if not names or len(set(names)) < len(names):
+            raise InputError("live picture: give one description or more, each with its own name")
+        if not 0.0 <= lag_s < math.inf:
+            raise InputError(f"live picture: lag_s is {lag_s}; give seconds, 0 where no report is late")
+        self.plane = plane or next(
+            (_plane_of(description) for description in descriptions if _on_earth(description)), None
+        )
+        self.lag_s, self.features, self.tuning = lag_s, features, tuning
+        self.window = window or Window()
+        self._feeds = {d.name: GrowingFeed(d, self.plane, lag_s, tuning=tuning) for d in descriptions}
+        self._carried: Watch | PlotPicture | None = watch
+        self._biases: dict[str, SourceBiases] = {}
+        self._recent: dict[str, deque[Reports]] = {name: deque() for name in names}
+        self._last_s = -math.inf
+
+    @property
+    def descriptions(self) -> tuple[Description, ...]:
+        """Of the sources, in their order."""
+        return tuple(feed.description for feed in self._feeds.values())
+
+    @property
+    def instant_s(self) -> float:
+        """The last instant; −∞ before the first."""
+        return self._last_s
+
+    @property
+    def counts(self) -> Mapping[str, Counts]:
+        """By source what became of its reports."""
+        return {name: feed.counts for name, feed in self._feeds.items()}
+
+    @property
+    def biases(self) -> Mapping[str, SourceBiases]:
+        """By source the biases that are taken off."""
+        return dict(self._biases)
+
+    def add(self, source: str, reports: Reports) -> None:
+        """Takes in reports of a source; they may be of any time within the lag.
+
+        Raises
+        ------
+        InputError : an unknown source; a number is missing that the reports need. Nothing is taken in then.
+        """
+        if source not in self._feeds:
+            raise InputError(f"live picture: there is no source {source!r}", f"give one of {', '.join(self._feeds)}")
+        feed = self._feeds[source]
+        if self.plane is None and reports.lat_deg is not None and reports.lon_deg is not None and len(reports):
+            if any(other.heard for other in self._feeds.values()):
+                raise InputError(
+                    f"{source}: gives latitudes and longitudes, others metres of their own", "give the plane"
+                )
+            self.plane = LocalPlane.about(reports.lat_deg, reports.lon_deg)
+            for every in self._feeds.values():
+                every.plane = self.plane
+        feed.add(reports)
+        recent = self._recent[source]
+        recent.append(reports)
+        n = sum(len(one) for one in recent)
+        while len(recent) > 1 and (
+            n > self.window.reports or float(recent[0].time_s.max()) < feed.counts.newest_s - self.window.span_s
+        ):
+            n -= len(recent.popleft())
+
+    def advance(self, instant_s: float) -> LiveState:
+        """The picture at an instant not before the last.
+
+        Raises
+        ------
+        InputError : the instant is before the last.
+        """
+        if not instant_s >= self._last_s:
+            raise InputError(
+                f"the picture is at {self._last_s:g} s and was asked for {instant_s:g} s; give instants in the order "
+                "of time"
+            )
+        scene = Scene(tuple(self._feed(feed, instant_s) for feed in self._feeds.values()), self.plane, self.tuning)
+        carried = self._start() if self._carried is None else self._named(self._carried)
+        state: LiveState
+        if isinstance(carried, PlotPicture):
+            state = carried.at(scene, instant_s)
+        else:
+            state = carried.advance(scene.at(instant_s, features=self.features))
+        self._carried, self._last_s = state.watch, instant_s
+        for feed in self._feeds.values():
+            feed.release()
+        return state
+
+    def register(self) -> tuple[SourceBiases, ...]:
+        """Estimates the biases of the sources by the reports of the last minutes, and takes those off that are sure.
+
+        It takes as long as for a file of these minutes; :meth:`recent` and :meth:`take_off` are its halves, for those
+        who estimate elsewhere.
+        """
+        found = estimated(self.recent(), self.plane)
+        self.take_off(found)
+        return found
+
+    def recent(self) -> list[tuple[Description, Reports]]:
+        """The sources with their reports of the last minutes, of those that have any."""
+        return [
+            (self._feeds[name].description, joined(list(recent))) for name, recent in self._recent.items() if recent
+        ]
+
+    def take_off(self, found: Sequence[SourceBiases]) -> None:
+        """Takes these biases off the later instants; those that are not established leave what is taken off."""
+        for one in found:
+            if one.established and one.theta is not None:
+                self._biases[one.source] = one
+
+    def _feed(self, growing: GrowingFeed, instant_s: float) -> Feed:
+        feed, known = growing.feed(instant_s), self._biases.get(growing.description.name)
+        if known is None or known.theta is None or known.covariance is None:
+            return feed
+        return unbiased_now(feed, known.theta, known.covariance)
+
+    def _start(self) -> Watch | PlotPicture:
+        heard = [feed for feed in self._feeds.values() if feed.heard]
+        bare = heard and not any(feed.named for feed in heard) and not all(feed.directions for feed in heard)
+        return PlotPicture() if bare else Watch()
+
+    def _named(self, carried: Watch | PlotPicture) -> Watch | PlotPicture:
+        """What is carried; a picture of plots ends when a source begins to name what it shows, its numbers go on."""
+        if isinstance(carried, Watch) or not any(feed.named for feed in self._feeds.values()):
+            return carried
+        watch = Watch()
+        used = int(np.max(carried.objects.number, initial=0))
+        return replace(watch, objects=replace(watch.objects, n_numbers=used))
+
+
+def estimated(
+    sources: Sequence[tuple[Description, Reports]], plane: LocalPlane | None = None
+) -> tuple[SourceBiases, ...]:
+    """The biases of sources by some minutes of their reports; none where there is but one."""
+    if len(sources) < 2:
+        return ()
+    return Scene.of(sources, plane).registered()[1]
+
+
+def _on_earth(description: Description) -> bool:
+    return description.site is not None and description.site.lat_deg is not None
+
+
+def _plane_of(description: Description) -> LocalPlane:
+    site = description.site
+    assert site is not None and site.lat_deg is not None and site.lon_deg is not None
+    return LocalPlane(site.lat_deg, site.lon_deg)

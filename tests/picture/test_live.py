@@ -1,0 +1,233 @@
+"""The live picture: what the batch picture makes of a file, made of the same reports as they arrive."""
+
+import pickle
+
+import numpy as np
+import pytest
+from tests.picture.modelled_scenes import describe, straight, told
+
+from sameas.errors import InputError
+from sameas.picture import LivePicture, PlotPicture, picture_states
+from sameas.tracks import Clutter, Description, LocalPlane, MissRate, Motion, Scene, SensorErrors, Site, Timing
+from sameas.tracks.reports import Reports
+
+INSTANTS = np.arange(5.0, 300.0, 5.0)
+
+
+def sources(seed=1, ships=12, filtered=False, seen=0.9):
+    """Ships on straight courses, two radars that number them and AIS."""
+    rng = np.random.default_rng(seed)
+    start, velocity = rng.uniform(-400.0, 400.0, (ships, 2)), rng.normal(0.0, 4.0, (ships, 2))
+    made = []
+    for name, kind, every, tau in (
+        ("radar", "tracks", 3.0, 20.0),
+        ("coast", "tracks", 4.0, 20.0),
+        ("ais", "ais", 10.0, 600.0),
+    ):
+        times = np.arange(0.7, 300.0, every)
+        x, v = straight(start, velocity, times)
+        ids = {"mmsi": [f"23500{k:04d}" for k in range(ships)]} if kind == "ais" else None
+        description, reports = told(
+            rng, describe(name, kind, period_s=every), times, x, v, tau, [f"{name}{k}" for k in range(ships)], ids
+        )
+        heard = np.sort(rng.permutation(len(reports))[: int(seen * len(reports))])
+        reports = reports.where(heard[np.argsort(reports.time_s[heard], kind="stable")])
+        if filtered:
+            columns = {n: c for n, c in reports.columns().items() if not n.startswith("v")}
+            reports = Reports.of(name, reports.kind, columns)
+        made.append((description, reports))
+    return made
+
+
+def batches(made, late=None, every_s=1.0):
+    """(arrival, source, reports) in the order of arrival; ``late`` (n,) seconds of delay for each source's reports."""
+    out = []
+    for k, (description, reports) in enumerate(made):
+        arrival = reports.time_s if late is None else reports.time_s + late[k][: len(reports)]
+        for tick in np.unique(np.ceil(arrival / every_s)):
+            rows = np.flatnonzero(np.ceil(arrival / every_s) == tick)
+            out.append((tick * every_s, description.name, reports.where(rows[np.argsort(arrival[rows])])))
+    return sorted(out, key=lambda one: one[0])
+
+
+def live_states(made, instants_s, arrivals, picture=None, behind_s=0.0, **options):
+    picture = picture or LivePicture([d for d, _ in made], **options)
+    queue = list(arrivals)
+    for instant_s in instants_s:
+        while queue and queue[0][0] <= instant_s + behind_s:
+            _, name, reports = queue.pop(0)
+            picture.add(name, reports)
+        yield picture.advance(instant_s)
+
+
+def groups(state):
+    """Objects of a state by number: the tracks that they have, with stage, place and probability."""
+    scan = state.scan
+    names = [d.name for d in scan.now.descriptions]
+    label = [f"{names[s]}:{t}" for s, t in zip(scan.source, scan.track, strict=True)]
+    objects = {}
+    for number, stage, k, place in zip(
+        *(getattr(state.objects, n).tolist() for n in ("number", "stage", "detection")),
+        state.objects.state,
+        strict=True,
+    ):
+        members = frozenset(label[m] for m in state.members[k] if m >= 0) if k >= 0 else frozenset()
+        objects[number] = (stage, members, place, state.probability[k] if k >= 0 else np.nan)
+    return objects
+
+
+def assert_same(live, batch):
+    """The same objects at every instant, one number of the one for one number of the other throughout."""
+    numbers, instants = {}, 0
+    for one, other in zip(live, batch, strict=True):
+        one, other = groups(one), groups(other)
+        assert len(one) == len(other)
+        by_members = {members: number for number, (_, members, _, _) in other.items() if members}
+        for number, (_, members, _, _) in one.items():
+            numbers.setdefault(number, by_members.get(members))
+        for number, (stage, members, place, p) in one.items():
+            assert (stage, members) == other[numbers[number]][:2]
+            np.testing.assert_allclose(place, other[numbers[number]][2], rtol=1e-6, atol=1e-6)
+            np.testing.assert_allclose(p, other[numbers[number]][3], rtol=1e-6, atol=1e-9)
+        instants += 1
+    assert len(set(numbers.values())) == len(numbers) and instants > 20
+
+
+@pytest.mark.parametrize("filtered", [False, True])
+def test_fed_as_reports_arrive_it_decides_as_the_batch_picture(filtered):
+    # Nothing is missed: the batch picture knows how long tracks are silent before it begins, the live one learns it.
+    made = sources(filtered=filtered, seen=1.0)
+    batch = list(picture_states(Scene.of(made), INSTANTS))
+    live = list(live_states(made, INSTANTS, batches(made)))
+    assert sum(len(s.objects) for s in batch) > 300
+    assert_same(live, batch)
+
+
+@pytest.mark.parametrize("filtered", [False, True])
+def test_reports_that_come_late_and_out_of_order_within_the_lag_change_nothing(filtered):
+    made = sources(2, filtered=filtered)
+    rng = np.random.default_rng(0)
+    late = [rng.uniform(0.0, 6.0, len(reports)) for _, reports in made]
+    in_time = list(live_states(made, INSTANTS, batches(made), lag_s=16.0))
+    shuffled = list(live_states(made, INSTANTS, batches(made, late), behind_s=8.0, lag_s=16.0))
+    assert_same(shuffled, in_time)
+
+
+def test_what_is_later_than_the_lag_is_counted_and_left_out():
+    made = sources(3)
+    picture = LivePicture([d for d, _ in made], lag_s=5.0)
+    list(live_states(made, INSTANTS[:20], batches(made), picture))
+    name, reports = made[0][0].name, made[0][1]
+    picture.add(name, reports.where(np.flatnonzero(reports.time_s < 10.0)))
+    assert picture.counts[name].late == np.sum(reports.time_s < 10.0)
+
+
+def test_pickled_and_loaded_it_goes_on_with_the_same_numbers():
+    made = sources(4)
+    picture = LivePicture([d for d, _ in made])
+    arrivals = batches(made)
+    before = [a for a in arrivals if a[0] <= 150.0]
+    list(live_states(made, INSTANTS[INSTANTS <= 150.0], before, picture))
+    again = pickle.loads(pickle.dumps(picture))
+    after, rest = INSTANTS[INSTANTS > 150.0], [a for a in arrivals if a[0] > 150.0]
+    assert_same(live_states(made, after, rest, again), list(live_states(made, after, rest, picture)))
+
+
+def test_memory_stays_flat():
+    made = sources(5, ships=6)
+    picture = LivePicture([d for d, _ in made])
+    sizes = []
+    for state in live_states(made, INSTANTS, batches(made), picture):
+        sizes.append(sum(len(feed._rows) for feed in picture._feeds.values()))
+        assert len(state.objects) < 60
+    assert sizes[-1] == sizes[len(sizes) // 3]
+
+
+def bare(seed=0):
+    """Two boats that pass, seen by a lidar and a radar that name nothing, with clutter."""
+    rng = np.random.default_rng(seed)
+    made = []
+    for name, sigma_m, period_s in (("lidar", 2.0, 0.5), ("radar", 4.0, 1.5)):
+        columns = {"time_s": [], "x_m": [], "y_m": []}
+        for t in np.arange(0.0, 40.0, period_s):
+            place = np.array([[4.0 * t - 80.0, 6.0], [80.0 - 4.0 * t, -6.0]])[rng.random(2) < 0.8]
+            for x, y in np.vstack(
+                [place + sigma_m * rng.normal(size=place.shape), rng.uniform(-300, 300, (rng.poisson(2), 2))]
+            ):
+                for key, value in zip(columns, (t, x, y), strict=True):
+                    columns[key].append(value)
+        sensor = Description(
+            name, "lidar", site=Site(east_m=0.0, north_m=0.0), motion=Motion(0.02, 4.0), misses=MissRate(0.2),
+            clutter=Clutter(per_km2=6.0), errors=SensorErrors(position_m=sigma_m, extent_m=0.0),
+            timing=Timing(period_s=period_s),
+        )  # fmt: skip
+        made.append((sensor, Reports.of(name, "table", columns)))
+    return made
+
+
+def test_plots_without_names_keep_their_identity_though_rows_are_used_again():
+    made = bare()
+    times = np.arange(1.0, 40.0, 1.0)
+    picture = LivePicture([d for d, _ in made])
+    states = list(live_states(made, times, batches(made, every_s=0.25), picture))
+    assert all(isinstance(state.watch, PlotPicture) for state in states)
+    batch = list(picture_states(Scene.of(made), times))
+    for one, other in zip(states[20:], batch[20:], strict=True):
+        confirmed = [s.objects.stage == 1 for s in (one, other)]
+        np.testing.assert_allclose(one.objects.state[confirmed[0]], other.objects.state[confirmed[1]], atol=1.0)
+    numbers = [set(s.objects.number[s.objects.stage == 1].tolist()) for s in states[20:]]
+    assert set.intersection(*numbers) and max(map(len, numbers)) == 2
+
+
+def test_one_id_at_two_places_becomes_two_objects():
+    rng = np.random.default_rng(1)
+    picture = LivePicture([Description("ais", "ais")])
+    for t in np.arange(0.0, 120.0, 2.0):
+        x = [0.0, 30e3][int(t / 2) % 2] + rng.normal(0.0, 5.0)
+        picture.add(
+            "ais",
+            Reports.of(
+                "ais",
+                "ais",
+                {
+                    "time_s": [t],
+                    "x_m": [x],
+                    "y_m": [0.0],
+                    "mmsi": ["235000001"],
+                    "vx_m_per_s": [0.0],
+                    "vy_m_per_s": [0.0],
+                },
+            ),
+        )
+        state = picture.advance(t)
+    assert sorted(np.round(state.objects.state[state.objects.detected, 0] / 1e3).tolist()) == [0.0, 30.0]
+    assert state.alarms and state.alarms[0].value == "235000001"
+
+
+def test_biases_are_found_by_the_last_minutes_and_taken_off():
+    from tests.tracks.harbour import harbour
+
+    made = harbour(3, biases=((60.0, 1.0, 0.0),)).sources
+    picture = LivePicture([d for d, _ in made], lag_s=5.0)
+    arrivals = batches([(d, r.in_time_order()) for d, r in made])
+    states = list(live_states(made, np.arange(3.0, 300.0, 3.0), [a for a in arrivals if a[0] < 300.0], picture))
+    found = {one.source: one for one in picture.register()}
+    assert found["radar 1"].established
+    assert found["radar 1"].parameters["azimuth_deg"].value == pytest.approx(1.0, abs=0.2)
+    after = list(live_states(made, np.arange(303.0, 390.0, 3.0), [a for a in arrivals if a[0] >= 300.0], picture))
+    several = [np.mean((s.members >= 0).sum(axis=1) > 1) for s in (states[-1], after[-1])]
+    assert several[0] < 0.2 < 0.5 < several[1]
+
+
+def test_refusals_say_what_is_wrong():
+    picture = LivePicture([Description("ais", "ais")])
+    with pytest.raises(InputError, match="no source 'radar'"):
+        picture.add("radar", Reports.of("radar", "table", {"time_s": [0.0], "x_m": [0.0], "y_m": [0.0]}))
+    picture.advance(5.0)
+    with pytest.raises(InputError, match="order of time"):
+        picture.advance(4.0)
+    with pytest.raises(InputError, match="own name"):
+        LivePicture([Description("ais", "ais")] * 2)
+    assert LivePicture([Description("r", "marine radar", site=Site(lat_deg=50.0, lon_deg=1.0))]).plane == LocalPlane(
+        50.0, 1.0
+    )
