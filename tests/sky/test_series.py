@@ -9,7 +9,8 @@ import pytest
 
 from sameas import InputError
 from sameas.sky.movers.orbits import Elements, _packed_date, _two_body, ephemeris, near
-from sameas.sky.movers.series import Exposure, search, tie
+from sameas.sky.movers.series import search
+from sameas.sky.series.tied import Exposure, tie
 
 RA, DEC, SCALE = 62.5, 22.9, 1.2
 

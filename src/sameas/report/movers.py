@@ -11,7 +11,7 @@ from sameas.report.prose import DOUBT, count
 if TYPE_CHECKING:
     from sameas.sky.movers import Detections, Movers
     from sameas.sky.movers.known import KnownObjects
-    from sameas.sky.movers.series import Series
+    from sameas.sky.series.tied import Series
 
 #: Tracklets that are listed; all are in the output.
 MOST = 20

@@ -1,0 +1,481 @@
+"""A series of frames of one field, tied together: what is a star of the catalogue, what stands still, what is left.
+
+Stars are known from the catalogue, and from the series itself: what is measured at one place of the sky again and again
+(real stars that the catalogue lacks), or at one place of the chip (hot pixels). The same sources tie the frames to each
+other, far better than a catalogue of a few stars does: the plate of every frame is shifted, turned and scaled to the
+mean of all.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.errors import InputError
+from sameas.representation import in_short
+from sameas.sky.frame.measurements import PIXEL_FLAGS, Flag
+from sameas.sky.series.stars import Stars, gather
+
+if TYPE_CHECKING:
+    from astropy.table import Table
+
+#: Measurements whose place is that of no light, or of a part of it: never movers.
+_SPOILT = Flag.HOT | Flag.COSMIC | Flag.POOR | Flag.EDGE
+#: Measurements whose light is not all of it: they say nothing of zero points.
+_PARTIAL = PIXEL_FLAGS | Flag.EDGE | Flag.POOR
+
+
+@dataclass(frozen=True)
+class SeriesTuning:
+    """How a series is tied together.
+
+    Attributes
+    ----------
+    reach_px : measurements of two frames so near each other may be of one source, beside their errors.
+    tie_arcsec : frames are tied by sources that their plates see so near each other. tie_snr : brighter than this.
+    least_ties : a frame is tied by so many sources, or left as its plate has it.
+    still_sigmas : a source drifts when its drift is so many times its error.
+    still_px : and over the whole series is so far.
+    often : a source seen on this share of the other frames, and drifting less, stands still.
+    sure_star : a measurement is a star of the catalogue with at least this probability.
+    overlap : frames show one field when their middles are nearer than this share of their diagonal.
+    """
+
+    reach_px: float = 1.2
+    tie_arcsec: float = 4.0
+    tie_snr: float = 15.0
+    least_ties: int = 8
+    still_sigmas: float = 4.0
+    still_px: float = 0.6
+    often: float = 0.5
+    sure_star: float = 0.5
+    overlap: float = 0.7
+
+
+DEFAULT_TUNING = SeriesTuning()
+
+
+@in_short
+@dataclass(frozen=True)
+class Exposure:
+    """The measurements of one frame with their places on the sky; (n,) each.
+
+    name : of the frame. mjd_utc : middle of the exposure. x_px, y_px, covariance_px (n, 3) : on the chip.
+    ra_deg, dec_deg : by the frame's plate. covariance : (n, 3) arcsec² by the plate, its own error among them.
+    flux, flux_err, snr, flags : as measured. p_star : probability to be a star of the catalogue.
+    magnitude : NaN where there is no zero point. scale_arcsec_per_px. shape : (rows, columns). exposure_s.
+    star : identifier of the star of the catalogue, "" for none; None where none is known.
+    """
+
+    name: str
+    mjd_utc: float
+    x_px: FloatArray
+    y_px: FloatArray
+    covariance_px: FloatArray
+    ra_deg: FloatArray
+    dec_deg: FloatArray
+    covariance: FloatArray
+    flux: FloatArray
+    flux_err: FloatArray
+    snr: FloatArray
+    flags: IntArray
+    p_star: FloatArray
+    magnitude: FloatArray
+    scale_arcsec_per_px: float
+    shape: tuple[int, int]
+    exposure_s: float = math.nan
+    star: NDArray[Any] | None = None
+
+    def __len__(self) -> int:
+        return len(self.x_px)
+
+    @classmethod
+    def of_listing(cls, table: Any, name: str, mjd_utc: float, scale: float, shape: tuple[int, int], exposure_s: float
+                   ) -> Exposure:  # fmt: skip
+        """From the table of an identified frame, as :func:`sameas.sky.listing` makes it."""
+        rows = table[~np.ma.getmaskarray(np.ma.MaskedArray(table["measurement"]))]
+
+        def column(key: str) -> FloatArray:
+            values = rows[key]
+            if values.dtype.kind not in "fiu":  # nothing is known: a column of absent texts
+                return np.full(len(rows), np.nan)
+            out = np.asarray(values, dtype=np.float64).copy()
+            out[np.ma.getmaskarray(np.ma.MaskedArray(values))] = np.nan
+            return out
+
+        def matrix(*keys: str) -> FloatArray:
+            return np.column_stack([column(key) for key in keys])
+
+        return cls(
+            name, mjd_utc, column("x_px"), column("y_px"), matrix("cov_xx_px2", "cov_xy_px2", "cov_yy_px2"),
+            column("ra_deg"), column("dec_deg"), matrix("cov_ee_arcsec2", "cov_en_arcsec2", "cov_nn_arcsec2"),
+            column("flux"), column("flux_err"), column("snr"), column("flags").astype(np.int64),
+            np.nan_to_num(column("p_match")), column("magnitude"), scale, shape, exposure_s,
+            np.ma.filled(np.ma.MaskedArray(rows["star"]).astype(str), ""),
+        )  # fmt: skip
+
+    @property
+    def names(self) -> NDArray[Any]:
+        """(n,) identifiers of the stars of the catalogue, "" for none."""
+        return np.full(len(self), "") if self.star is None else self.star
+
+
+@dataclass(frozen=True)
+class Series:
+    """A series of frames tied together.
+
+    Attributes
+    ----------
+    exposures : in the order of time. frame, row : (n,) exposure of each measurement, and its row there.
+    place : (n, 2) arcsec east and north of ``middle_deg`` on the tangent plane, in the common system.
+    sigma_arcsec : (n,) error of the place beside the other frames, per axis.
+    star : (n,) a star of the catalogue. still : (n,) stands still on the sky. fixed : (n,) stands still on the chip.
+    spoilt : (n,) no light of the sky: a hot pixel, the hit of a particle.
+    magnitude : (n,) differential, on the scale of the catalogue where one of the frames knows it.
+    floor_arcsec : (f,) scatter of bright sources beside their errors. shift_arcsec : (f, 2) by which plates were moved.
+    ties : (f,) sources that tie each frame. stars : each once, with its measurements. notes : what a user should know.
+    """
+
+    exposures: tuple[Exposure, ...]
+    middle_deg: tuple[float, float]
+    frame: IntArray
+    row: IntArray
+    place: FloatArray
+    sigma_arcsec: FloatArray
+    star: BoolArray
+    still: BoolArray
+    fixed: BoolArray
+    spoilt: BoolArray
+    magnitude: FloatArray
+    floor_arcsec: FloatArray
+    shift_arcsec: FloatArray
+    ties: IntArray
+    stars: Stars
+    notes: tuple[str, ...] = ()
+
+    @property
+    def scale_arcsec_per_px(self) -> float:
+        """The median of the frames."""
+        return float(np.median([e.scale_arcsec_per_px for e in self.exposures]))
+
+    @property
+    def left(self) -> BoolArray:
+        """(n,) what is left to move."""
+        return ~(self.star | self.still | self.fixed | self.spoilt)
+
+    def sky(self, place: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(k,) ra_deg, dec_deg of places (k, 2) on the tangent plane."""
+        east, north, unit = _basis(*self.middle_deg)
+        direction = unit + (place[:, :1] * east + place[:, 1:] * north) / 206264.80624709636
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        ra = np.degrees(np.arctan2(direction[:, 1], direction[:, 0])) % 360.0
+        return ra, np.degrees(np.arcsin(np.clip(direction[:, 2], -1, 1)))
+
+    def star_table(self) -> Table:
+        """One row a star; what it was in every frame stands in columns of as many values as there are frames."""
+        from astropy.table import Table
+
+        stars = self.stars
+        ra, dec = self.sky(stars.place)
+        there = stars.measurement >= 0
+        number = np.where(there, self.row[np.maximum(stars.measurement, 0)], 0)
+        table = Table(
+            {
+                "star": np.arange(len(stars)),
+                "id": np.ma.MaskedArray(stars.name, stars.name == ""),
+                "ra_deg": ra,
+                "dec_deg": dec,
+                "sigma_arcsec": stars.sigma_arcsec,
+                "frames": there.sum(axis=1),
+                "magnitude": np.ma.masked_invalid(stars.mean),
+                "magnitude_err": np.ma.masked_invalid(stars.mean_error),
+                "scatter_mag": np.ma.masked_invalid(stars.scatter_mag),
+                "p_constant": np.ma.masked_invalid(stars.p_constant),
+                "measurement": np.ma.MaskedArray(number, ~there),
+                "frame_magnitude": np.ma.masked_invalid(stars.magnitude),
+                "frame_magnitude_err": np.ma.masked_invalid(stars.error),
+                "residual_east_arcsec": np.ma.masked_invalid(stars.residual_arcsec[..., 0]),
+                "residual_north_arcsec": np.ma.masked_invalid(stars.residual_arcsec[..., 1]),
+            }
+        )
+        for name in table.colnames:
+            unit = next((u for key, u in _UNITS.items() if name.endswith(key)), None)
+            table[name].unit = "mag" if "magnitude" in name else unit
+        table.meta["frames"] = " ".join(e.name for e in self.exposures)
+        table.meta["magnitudes"] = stars.scale
+        return table
+
+    def frame_table(self) -> Table:
+        """One row a frame: its time, its zero point against the others, how it was tied to them."""
+        from astropy.table import Table
+
+        each, stars = self.exposures, self.stars
+        table = Table(
+            {
+                "frame": np.array([e.name for e in each]),
+                "mjd_utc": np.array([e.mjd_utc for e in each]),
+                "exposure_s": np.ma.masked_invalid([e.exposure_s for e in each]),
+                "measurements": np.array([len(e) for e in each]),
+                "stars": (stars.measurement >= 0).sum(axis=0),
+                "zero_point_mag": np.ma.masked_invalid(stars.zero_point),
+                "zero_point_err_mag": np.ma.masked_invalid(stars.zero_error),
+                "zero_point_stars": stars.ensemble,
+                "ties": self.ties,
+                "shift_east_arcsec": self.shift_arcsec[:, 0],
+                "shift_north_arcsec": self.shift_arcsec[:, 1],
+                "scatter_arcsec": self.floor_arcsec,
+            }
+        )
+        for name, unit in (("mjd_utc", "d"), ("exposure_s", "s")):
+            table[name].unit = unit
+        for name in table.colnames:
+            if unit := next((u for key, u in _UNITS.items() if name.endswith(key)), None):
+                table[name].unit = unit
+        table.meta["magnitudes"] = stars.scale
+        return table
+
+
+_UNITS = {"_deg": "deg", "_arcsec": "arcsec", "_mag": "mag"}
+
+
+def tie(exposures: Sequence[Exposure], tuning: SeriesTuning = DEFAULT_TUNING) -> Series:
+    """A series of frames of one field, tied together, with what stands still marked.
+
+    Raises
+    ------
+    InputError : fewer than two frames; frames of different fields; frames of one and the same time.
+    """
+    ordered = tuple(sorted(exposures, key=lambda e: e.mjd_utc))
+    middle = _checked(ordered, tuning)
+    frame = np.concatenate([np.full(len(e), k) for k, e in enumerate(ordered)])
+    row = np.concatenate([np.arange(len(e)) for e in ordered])
+    everything = {
+        name: np.concatenate([getattr(e, name) for e in ordered])
+        for name in ("x_px", "y_px", "covariance_px", "snr", "flags", "p_star", "magnitude", "flux", "flux_err")
+    }
+    scale = np.array([e.scale_arcsec_per_px for e in ordered])
+    place = _projected(
+        np.concatenate([e.ra_deg for e in ordered]), np.concatenate([e.dec_deg for e in ordered]), middle
+    )
+    variance = 0.5 * (everything["covariance_px"][:, 0] + everything["covariance_px"][:, 2]) * scale[frame] ** 2
+    good = (everything["snr"] >= tuning.tie_snr) & ((everything["flags"] & ~int(Flag.BLENDED)) == 0)
+    tied, ties = _tied(place, frame, variance, good, len(ordered), tuning)
+    floor = _floors(tied, frame, variance, good, len(ordered), tuning)
+    sigma = np.sqrt(variance + floor[frame] ** 2)
+    reach = tuning.reach_px * float(np.median(scale))
+    days = np.array([e.mjd_utc for e in ordered])[frame] * 1440.0
+    still = _still(tied, frame, days, sigma, reach, tuning.still_px * float(np.median(scale)), len(ordered), tuning)
+    chip = np.column_stack([everything["x_px"], everything["y_px"]])
+    moved = _moved_px(tied, chip, frame, still, len(ordered))
+    fixed = np.zeros(len(frame), bool)
+    if moved > 2.0 * tuning.reach_px:
+        # Where the frames stand on each other to a pixel, the chip's faults stand still on the sky too.
+        fixed = _still(chip, frame, days, sigma / scale[frame], 0.5, 0.5, len(ordered), tuning)
+    names = np.concatenate([e.names for e in ordered])
+    names = np.where(everything["p_star"] >= tuning.sure_star, names, "")
+    stars = gather(
+        tied, frame, sigma, names, still & ~fixed, everything["flux"], everything["flux_err"],
+        (everything["flags"] & int(_PARTIAL)) == 0, everything["magnitude"], len(ordered),
+        0.25 * float(np.median(scale)),
+    )  # fmt: skip
+    magnitude = stars.magnitudes(everything["flux"], frame)
+    each = [(tied - place)[frame == k] for k in range(len(ordered))]
+    shift = np.array([np.median(off, axis=0) if len(off) else [0.0, 0.0] for off in each])
+    return Series(
+        ordered, middle, frame, row, tied, sigma, everything["p_star"] >= tuning.sure_star, still, fixed & ~still,
+        (everything["flags"] & int(_SPOILT)) != 0, magnitude, floor, shift, ties, stars,
+        _notes(ordered, ties, tuning),
+    )  # fmt: skip
+
+
+def _checked(exposures: tuple[Exposure, ...], tuning: SeriesTuning) -> tuple[float, float]:
+    """The middle of the field, degrees."""
+    if len(exposures) < 2:
+        raise InputError(f"{len(exposures)} frame could be used; what moves shows on two frames or more, take three")
+    for one, other in itertools.pairwise(exposures):
+        if abs(one.mjd_utc - other.mjd_utc) * 86400.0 < 1.0:
+            raise InputError(f"{other.name}: its time is that of {one.name}; check DATE-OBS, or give each frame once")
+    middles = np.array([_unit(np.median(e.ra_deg), np.median(e.dec_deg)) for e in exposures if len(e)])
+    centre = np.median(middles, axis=0)
+    centre /= np.linalg.norm(centre)
+    for e, unit in zip([e for e in exposures if len(e)], middles, strict=True):
+        off = math.degrees(math.acos(min(1.0, float(unit @ centre))))
+        diagonal = math.hypot(*e.shape) * e.scale_arcsec_per_px / 3600.0
+        if off > tuning.overlap * diagonal:
+            raise InputError(
+                f"{e.name}: points {off:.2f}° from the middle of the other frames, which are {diagonal:.2f}° across; "
+                "search the frames of each field by themselves"
+            )
+    ra = math.degrees(math.atan2(centre[1], centre[0])) % 360.0
+    return ra, math.degrees(math.asin(centre[2]))
+
+
+def _unit(ra_deg: float, dec_deg: float) -> FloatArray:
+    ra, dec = math.radians(ra_deg), math.radians(dec_deg)
+    return np.array([math.cos(dec) * math.cos(ra), math.cos(dec) * math.sin(ra), math.sin(dec)])
+
+
+def _basis(ra_deg: float, dec_deg: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    ra = math.radians(ra_deg)
+    unit, east = _unit(ra_deg, dec_deg), np.array([-math.sin(ra), math.cos(ra), 0.0])
+    return east, np.cross(unit, east), unit
+
+
+def _projected(ra_deg: FloatArray, dec_deg: FloatArray, middle: tuple[float, float]) -> FloatArray:
+    """(n, 2) arcsec on the tangent plane at the middle."""
+    east, north, unit = _basis(*middle)
+    ra, dec = np.radians(ra_deg), np.radians(dec_deg)
+    to = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+    return np.asarray(206264.80624709636 * np.column_stack([to @ east, to @ north]) / (to @ unit)[:, None])
+
+
+def _tied(
+    place: FloatArray, frame: IntArray, variance: FloatArray, good: BoolArray, frames: int, tuning: SeriesTuning
+) -> tuple[FloatArray, IntArray]:
+    """Places in the common system, and by how many sources each frame is tied to it."""
+    tied, ties = place.copy(), np.zeros(frames, np.int64)
+    reference = int(np.argmax(np.bincount(frame[good], minlength=frames)))
+    known = place[good & (frame == reference)]
+    for turn in range(3):
+        if len(known) < tuning.least_ties:
+            return place, ties
+        reach = tuning.tie_arcsec / (1.0 if turn == 0 else 2.0)
+        tree = cKDTree(known)
+        sums, counts = np.zeros_like(known), np.zeros(len(known))
+        for k in range(frames):
+            here = np.flatnonzero(good & (frame == k))
+            if not len(here):
+                continue
+            distance, at = tree.query(tied[here], distance_upper_bound=reach)
+            back = cKDTree(tied[here]).query(known, distance_upper_bound=reach)[1]
+            both = np.isfinite(distance)
+            both[both] = back[at[both]] == np.flatnonzero(both)
+            if both.sum() < tuning.least_ties:
+                continue
+            solution, used = _affine(place[here[both]], known[at[both]], variance[here[both]])
+            ties[k] = used
+            mine = frame == k
+            tied[mine] = np.column_stack([place[mine], np.ones(mine.sum())]) @ solution
+            np.add.at(sums, at[both], tied[here[both]])
+            np.add.at(counts, at[both], 1.0)
+        often = counts >= max(2, 0.5 * frames)
+        known = (sums / np.maximum(counts, 1.0)[:, None])[often]
+    return tied, ties
+
+
+def _affine(source: FloatArray, target: FloatArray, variance: FloatArray) -> tuple[FloatArray, int]:
+    """(3, 2) of the affine map from one to the other by robust weighted least squares, and the number of pairs used."""
+    design = np.column_stack([source, np.ones(len(source))])
+    keep = np.ones(len(source), bool)
+    for _ in range(5):
+        weight = np.sqrt(1.0 / (variance[keep] + 0.05**2))[:, None]
+        solution = np.linalg.lstsq(design[keep] * weight, target[keep] * weight, rcond=None)[0]
+        off = np.hypot(*(target - design @ solution).T)
+        limit = max(4.0 * 1.2 * float(np.median(off[keep])), 0.1)
+        new = off < limit
+        if new.sum() < 4 or (new == keep).all():
+            break
+        keep = new
+    return solution, int(keep.sum())
+
+
+def _floors(
+    place: FloatArray, frame: IntArray, variance: FloatArray, good: BoolArray, frames: int, tuning: SeriesTuning
+) -> FloatArray:
+    """(f,) robust scatter, arcsec per axis, of bright sources about their mean, beside their errors."""
+    out = np.full(frames, 0.05)
+    first = np.flatnonzero(good & (frame == int(np.argmax(np.bincount(frame[good], minlength=frames)))))
+    if len(first) < tuning.least_ties:
+        return out
+    tree = cKDTree(place[first])
+    offsets, variances = [], []
+    for k in range(frames):
+        here = np.flatnonzero(good & (frame == k))
+        distance, at = tree.query(place[here], distance_upper_bound=0.5 * tuning.tie_arcsec)
+        hit = np.isfinite(distance)
+        off = np.full((len(first), 2), np.nan)
+        off[at[hit]] = place[here[hit]]
+        var = np.full(len(first), np.nan)
+        var[at[hit]] = variance[here[hit]]
+        offsets.append(off)
+        variances.append(var)
+    stack = np.array(offsets)
+    with warnings.catch_warnings():
+        # Sources that no frame shows have no median.
+        warnings.simplefilter("ignore")
+        centre = np.nanmedian(stack, axis=0)
+        for k in range(frames):
+            off = (stack[k] - centre).ravel()
+            spread = 1.4826 * np.nanmedian(np.abs(off - np.nanmedian(off)))
+            if np.isfinite(spread):
+                out[k] = math.sqrt(max(spread**2 - np.nanmedian(variances[k]), 0.02**2))
+    return out
+
+
+def _still(
+    place: FloatArray, frame: IntArray, minutes: FloatArray, sigma: FloatArray, reach: float, far: float, frames: int,
+    tuning: SeriesTuning,
+) -> BoolArray:  # fmt: skip
+    """(n,) whether each measurement is of something that other frames show at the same place, without a drift."""
+    tree = cKDTree(place)
+    i, j = tree.query_pairs(reach + 3.0 * float(np.median(sigma)), output_type="ndarray").T
+    i, j = np.concatenate([i, j]), np.concatenate([j, i])
+    near = np.hypot(*(place[i] - place[j]).T) < np.maximum(reach, 3.0 * np.hypot(sigma[i], sigma[j]))
+    keep = (frame[i] != frame[j]) & near
+    i, j = i[keep], j[keep]
+    n = len(frame)
+    # A straight line through the neighbours, the measurement itself among them.
+    every, other = np.concatenate([i, np.arange(n)]), np.concatenate([j, np.arange(n)])
+    weight = 1.0 / sigma[other] ** 2
+    t = minutes[other] - minutes[every]
+    off = place[other] - place[every]
+    s0, s1, s2 = (np.bincount(every, weight * t**p, n) for p in (0, 1, 2))
+    determinant = s0 * s2 - s1**2
+    hits = np.zeros(n)
+    pairs = np.unique(np.column_stack([i, frame[j]]), axis=0)
+    np.add.at(hits, pairs[:, 0], 1.0)
+    span = float(np.ptp(minutes))
+    with np.errstate(all="ignore"):
+        drift = np.column_stack(
+            [
+                (s0 * np.bincount(every, weight * t * off[:, a], n) - s1 * np.bincount(every, weight * off[:, a], n))
+                / determinant
+                for a in (0, 1)
+            ]
+        )
+        error = np.sqrt(s0 / determinant)
+        speed = np.hypot(*drift.T)
+    drifting = np.nan_to_num(speed, nan=0.0) * span > far
+    significant = np.nan_to_num(speed / error, nan=0.0) > tuning.still_sigmas
+    often = hits >= max(2.0, tuning.often * (frames - 1))
+    few = hits >= (2.0 if frames > 3 else 1.0)
+    return (often & ~(drifting & significant)) | (few & ~significant)
+
+
+def _moved_px(place: FloatArray, chip: FloatArray, frame: IntArray, still: BoolArray, frames: int) -> float:
+    """How far, at most, the field moves over the chip in the series, px."""
+    middles = []
+    for k in range(frames):
+        here = still & (frame == k)
+        if here.sum() < 4:
+            continue
+        design = np.column_stack([place[here], np.ones(here.sum())])
+        solution = np.linalg.lstsq(design, chip[here], rcond=None)[0]
+        middles.append(solution[2])
+    return float(np.ptp(np.array(middles), axis=0).max()) if len(middles) > 1 else 0.0
+
+
+def _notes(exposures: tuple[Exposure, ...], ties: IntArray, tuning: SeriesTuning) -> tuple[str, ...]:
+    loose = [e.name for e, n in zip(exposures, ties, strict=True) if n < tuning.least_ties]
+    return tuple(
+        f"{name}: fewer than {tuning.least_ties} sources tie it to the others; its own plate is used" for name in loose
+    )
