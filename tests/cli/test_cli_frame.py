@@ -425,3 +425,42 @@ def test_the_page_shows_zooms_and_tells_a_stars_record_in_a_browser(done, tmp_pa
         assert not [url for url in browser.requests if not url.startswith(("file:", "data:", "blob:"))]
     finally:
         browser.close()
+
+
+@pytest.mark.slow
+def test_a_folder_of_frames_is_one_product(files, sameas, tmp_path):
+    night, out = tmp_path / "night", tmp_path / "out"
+    night.mkdir()
+    for k in range(3):
+        picture(night / f"n{k}.fits", sky(), seed=k, **{"DATE-OBS": f"2016-01-01T12:{10 * k:02d}:00", "FILTER": "V"})
+    picture(night / "red.fits", sky(), seed=4, **{"DATE-OBS": "2016-01-01T13:00:00", "FILTER": "R"})
+    picture(night / "dark.fits", sky(), seed=5, IMAGETYP="Dark Frame")
+    (night / "bad.fits").write_bytes((night / "n0.fits").read_bytes()[:30_000])
+    done = sameas("frame", night, "-c", files.stars, "-o", out, "--no-picture", "-j", 1, exit_code=1)
+    words = " ".join(done.stdout.split())
+    assert "Frames: 5; 4 done, 1 failed" in words and "dark" not in words
+    assert "Series: 3 frames in V over 20.0 minutes" in words and "on all frames" in words
+    assert "red.fits: the only frame of its field and filter; no series" in words
+    stars, frames = read_table(out / "series.stars.fits"), read_table(out / "series.frames.fits")
+    assert len(frames) == 3 and stars["frame_magnitude"].shape == (len(stars), 3) and len(stars) > 90
+    named = stars[~np.ma.getmaskarray(stars["id"])]
+    assert len(set(named["id"])) == len(named) > 90
+    truth = sky()
+    at = np.searchsorted(truth["source_id"], np.asarray(named["id"]).astype(np.int64))
+    off = named["magnitude"] - truth["phot_g_mean_mag"][at]
+    assert np.nanmedian(np.abs(np.ma.filled(off, np.nan))) < 0.05
+    page = (out / "index.html").read_text()
+    assert '"page":"n0.html"' in page and "bad" in page and "red.fits: the only frame" in page
+    if CHROMIUM is not None:
+        browser = Browser(tmp_path / "profile", out / "index.html")
+        try:
+            assert browser.js("document.querySelectorAll('#frames tr').length") == 5
+            assert browser.js("document.querySelector('#star h2').textContent.length") > 3
+            assert browser.errors == []
+        finally:
+            browser.close()
+
+
+def test_a_folder_without_frames_is_refused(files, sameas, tmp_path):
+    (tmp_path / "empty").mkdir()
+    assert "no frames in this folder" in sameas("frame", tmp_path / "empty", "-c", files.stars, exit_code=1).stderr

@@ -279,3 +279,68 @@ def test_injected_movers_are_found_as_surely_as_is_said():
     # Of candidates stated 0.9 and more, nine in ten and more are real; in all as many as are expected.
     assert right[p >= 0.9].mean() > 0.95
     assert abs(right.sum() - p.sum()) < 4.0 * np.sqrt((p * (1 - p)).sum() + 1.0)
+
+
+def test_each_star_stands_once_with_its_measurement_in_every_frame():
+    series = tie(frames(21, rates=(), hot=20))
+    stars, table = series.stars, series.star_table()
+    assert 120 < len(stars) < 170
+    used = stars.measurement[stars.measurement >= 0]
+    assert len(np.unique(used)) == len(used)
+    for k in range(6):
+        here = stars.measurement[:, k]
+        assert (series.frame[here[here >= 0]] == k).all()
+    bright = (stars.measurement >= 0).all(axis=1)
+    assert bright.sum() > 60 and np.nanstd(stars.residual_arcsec[bright]) < 0.15
+    row = table[int(np.flatnonzero(bright)[0])]
+    at = series.stars.measurement[int(np.flatnonzero(bright)[0])]
+    assert row["measurement"].tolist() == series.row[at].tolist() and row["frames"] == 6
+
+
+def test_zero_points_undo_clouds_and_the_varying_star_shows():
+    rng = np.random.default_rng(22)
+    made, cloud = frames(22, rates=(), noise=0), np.array([0.0, 0.1, 0.4, 0.05, 0.8, 0.2])
+    varying = int(np.argsort(made[0].flux)[-10])
+    place = made[0].ra_deg[varying], made[0].dec_deg[varying]
+    dimmed = []
+    for k, one in enumerate(made):
+        flux = one.flux * 10 ** (-0.4 * cloud[k]) * (1 + 0.003 * rng.standard_normal(len(one)))
+        near = np.argmin(np.hypot((one.ra_deg - place[0]) * np.cos(np.radians(DEC)), one.dec_deg - place[1]))
+        flux[near] *= 10 ** (-0.4 * 0.3 * (k % 2))
+        dimmed.append(replace(one, flux=flux, flux_err=np.full(len(one), 3.0)))
+    series = tie(dimmed)
+    stars = series.stars
+    np.testing.assert_allclose(stars.zero_point - stars.zero_point[0], -cloud, atol=0.004)
+    assert (stars.zero_error < 0.004).all() and stars.floor_mag < 0.006
+    assert "instrumental" in stars.scale
+    least = int(np.nanargmin(stars.p_constant))
+    ra, dec = series.sky(stars.place[least : least + 1])
+    assert abs(ra[0] - place[0]) * 3600 < 1.5 and abs(dec[0] - place[1]) * 3600 < 1.5
+    assert stars.scatter_mag[least] == pytest.approx(0.15 * np.sqrt(6 / 5), abs=0.02)
+    others = np.arange(len(stars)) != least
+    assert np.nanmean(stars.p_constant[others] < 0.01) < 0.06
+
+
+def test_stars_of_the_catalogue_keep_their_name_and_its_scale():
+    made = []
+    for one in frames(23, rates=(), noise=0):
+        bright = one.flux > 3000.0
+        name = np.array([f"C{v:.0f}" for v in np.round(one.flux, -1)])
+        made.append(
+            replace(
+                one, p_star=np.where(bright, 0.99, 0.0), star=np.where(bright, name, ""),
+                magnitude=np.where(bright, 20.0 - 2.5 * np.log10(one.flux), np.nan),
+            )
+        )  # fmt: skip
+    stars = tie(made).stars
+    assert len(set(stars.name[stars.name != ""])) == (stars.name != "").sum() > 40
+    assert stars.scale == "of the catalogue" and np.abs(stars.zero_point - 20.0).max() < 0.01
+    assert (stars.name == "").sum() > 30
+
+
+def test_measurements_that_are_cut_give_no_magnitude():
+    made = [replace(one, flags=np.where(one.flux > 2e4, 1, 0)) for one in frames(24, rates=())]
+    series = tie(made)
+    there = series.stars.measurement
+    saturated = (there >= 0) & (np.concatenate([e.flux for e in series.exposures])[there] > 2e4)
+    assert saturated.sum() > 20 and np.isnan(series.stars.magnitude[saturated]).all()

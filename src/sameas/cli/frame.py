@@ -27,7 +27,11 @@ _PLACE, _IMAGE, _FILES = "Where it points", "The image", "Outputs"
 def frame(
     images: Annotated[
         list[Path],
-        typer.Argument(metavar="IMAGE...", help="Frames: FITS, plain or packed (.fz, .gz).", show_default=False),
+        typer.Argument(
+            metavar="IMAGE...",
+            help="Frames: FITS, plain or packed (.fz, .gz); a folder is a series.",
+            show_default=False,
+        ),
     ],
     catalog: Annotated[
         str,
@@ -122,17 +126,21 @@ def frame(
     """Identify the stars on frames with a catalogue: table, plate solution, regions, pictures and a page each.
 
     A frame is placed by its header, or an aim and a scale, or a range of scales alone. What is done already is not
-    done again.
+    done again. Of a folder the frames of one field and filter are a series: one table of stars, zero points, a page.
     """
     with answering(debug, frame_option):
+        from sameas.cli.frames import expanded, names_of
         from sameas.cli.pointing import aim_of, scale_of
         from sameas.front.framing import FrameRequest, PointingOptions
 
+        paths = expanded(
+            [str(path) for path in images], [str(path) for path in (*(dark or ()), *(flat or ()), *(bias or ()))]
+        )
         said = PointingOptions(aim_of(aim), radius, scale_of(scale), header=not ignore_header)
         given = {"gain_e_per_adu": gain, "read_noise_e": read_noise, "saturation_adu": saturation}
         requests = [
             FrameRequest(
-                path=str(path),
+                path=path,
                 folder=str(output),
                 name=name,
                 catalogue=catalog,
@@ -156,37 +164,19 @@ def frame(
                 picture=not no_picture,
                 copy=wcs_copy,
             )
-            for path, name in zip(images, _names([str(path) for path in images]), strict=True)
+            for path, name in zip(paths, names_of(paths), strict=True)
         ]
-        failed = _run(requests, processes, again, quiet)
+        title = next((path.resolve().name for path in images if path.is_dir()), None)
+        failed = _run(requests, processes, again, quiet, title)
     if failed:
         raise typer.Exit(INPUT_ERROR)
 
 
-def _names(paths: list[str]) -> list[str]:
-    """Names of the outputs: the frames' names without their endings, with their folders' where two are the same."""
-    from sameas.errors import InputError
+def _run(requests: list[Any], processes: int, again: bool, quiet: bool, series: str | None) -> bool:
+    """Does the frames, prints what is to be said; whether any failed.
 
-    stems = [_stem(path) for path in paths]
-    names = [
-        stem if stems.count(stem) == 1 else f"{Path(path).resolve().parent.name}-{stem}"
-        for stem, path in zip(stems, paths, strict=True)
-    ]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise InputError(f"two frames would both be written as {twice}; give each once, or use a folder for each")
-    return names
-
-
-def _stem(path: str) -> str:
-    name = Path(path).name
-    for packed in (".gz", ".fz"):
-        name = name.removesuffix(packed)
-    return name.rpartition(".")[0] or name
-
-
-def _run(requests: list[Any], processes: int, again: bool, quiet: bool) -> bool:
-    """Does the frames, prints what is to be said; whether any failed."""
+    series : what the series of a folder is called, None where the frames are each by itself.
+    """
     from sameas.cli.frames import Outcome, run_all
     from sameas.cli.terminal import Printer, notice, share_compilation
     from sameas.report.frame import frame_lines, one_line, totals
@@ -209,6 +199,11 @@ def _run(requests: list[Any], processes: int, again: bool, quiet: bool) -> bool:
     if many:
         failed, skipped = sum(o.told is None for o in outcomes), sum(o.skipped for o in outcomes)
         printer([totals(len(outcomes) - failed - skipped, skipped, failed)])
+    if series is not None:
+        from sameas.cli.series import product
+
+        first = requests[0]
+        product(outcomes, Path(first.folder), series, {"catalogue": first.catalogue}, quiet)
     return any(outcome.told is None for outcome in outcomes)
 
 

@@ -11,6 +11,7 @@ from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from sameas.cli.options import frame_option, in_options
@@ -31,6 +32,38 @@ class Outcome:
     error: str = ""
     skipped: bool = False
     seconds: float = 0.0
+
+
+def expanded(paths: Sequence[str], others: Sequence[str] = ()) -> list[str]:
+    """The frames, folders replaced by those that they hold. others : files in those folders that are none."""
+    from sameas.front.series import frames_in
+
+    taken = {Path(other).resolve() for other in others}
+    found: list[str] = []
+    for path in paths:
+        inside = frames_in(path) if Path(path).is_dir() else [path]
+        found += [one for one in inside if not Path(path).is_dir() or Path(one).resolve() not in taken]
+    return found
+
+
+def names_of(paths: list[str]) -> list[str]:
+    """Names of the outputs: the frames' names without their endings, with their folders' where two are the same."""
+    stems = [_stem(path) for path in paths]
+    names = [
+        stem if stems.count(stem) == 1 else f"{Path(path).resolve().parent.name}-{stem}"
+        for stem, path in zip(stems, paths, strict=True)
+    ]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"two frames would both be written as {twice}; give each once, or use a folder for each")
+    return names
+
+
+def _stem(path: str) -> str:
+    name = Path(path).name
+    for packed in (".gz", ".fz"):
+        name = name.removesuffix(packed)
+    return name.rpartition(".")[0] or name
 
 
 def run_all(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,23 +39,25 @@ class SeriesRequest:
 
 def run(request: SeriesRequest, quiet: bool) -> None:
     """Identify the frames, tie them together, search, name, report, say."""
-    from sameas.cli.frame import _names
-    from sameas.cli.frames import run_all
+    from sameas.cli.frames import expanded, names_of, run_all
     from sameas.cli.terminal import Printer, notice, share_compilation
+    from sameas.front.series import Identified, series_of
     from sameas.io import write_table
     from sameas.io.ades import Observer, write_80_columns, write_psv, write_xml
     from sameas.report.frame import one_line
     from sameas.report.movers import known_lines, model_lines, mover_lines, series_lines
+    from sameas.report.prose import DOUBT
     from sameas.sky.movers.known import name_movers
     from sameas.sky.movers.orbits import Elements
-    from sameas.sky.movers.series import search, tie
+    from sameas.sky.movers.series import search
 
     began, printer = time.perf_counter(), Printer(quiet)
     observer = None if request.header is None else Observer.read(request.header)
     elements = None if request.elements is None else Elements.read(request.elements)
     share_compilation(quiet)
+    paths = expanded(request.paths, (*request.darks, *request.flats, *request.biases))
     requests = [_frame_request(request, path, name) for path, name in zip(
-        request.paths, _names(list(request.paths)), strict=True)]  # fmt: skip
+        paths, names_of(paths), strict=True)]  # fmt: skip
 
     def tell(outcome: Any) -> None:
         if outcome.told is None:
@@ -64,19 +67,27 @@ def run(request: SeriesRequest, quiet: bool) -> None:
             printer([one_line(outcome.request.name, outcome.told, state)])
 
     outcomes = run_all(requests, processes=request.processes, again=False, shown=not quiet, tell=tell)
-    done = [one for one in outcomes if one.told is not None]
+    done = [Identified(one.request, one.told) for one in outcomes if one.told is not None]
     if len(done) < 2:
         raise InputError(f"{len(done)} of {len(outcomes)} frames could be identified; what moves shows on two or more")
-    series = tie([_exposure(one) for one in done])
-    found, series = search(series, least=request.least, least_probability=request.probability)
+    each, reasons = series_of(done, by_filter=False)
+    printer([f"{DOUBT}{reason}" for reason in reasons])
+    if len(each) != 1:
+        fields = "; ".join(f"{len(one.members)} about {_about(one)}" for one in each) or "no two of one field"
+        raise InputError(
+            f"the frames show {len(each)} fields ({fields}); search the frames of each field by themselves"
+        )
+    found, series = search(each[0].series, least=request.least, least_probability=request.probability)
+    each = [replace(each[0], series=series)]
     printer(["", *series_lines(series), "", *model_lines(found), "", *mover_lines(found)])
-    site = _site(done)
+    site = _site(each[0].members)
     known = None
     if elements is not None:
         known = name_movers(found, elements, site=site)
         printer(["", *known_lines(found, known, site is not None)])
     facts = {"program": "sameas", "version": sameas.__version__, "catalogue": request.catalogue}
     written = ["movers.fits", "tracklets.fits"]
+    failed = [(one.request.name, one.error) for one in outcomes if one.told is None]
     write_table(found.detection_table(), request.folder / written[0], provenance=facts, overwrite=True)
     write_table(found.table(), request.folder / written[1], provenance=facts, overwrite=True)
     if observer is not None:
@@ -84,7 +95,54 @@ def run(request: SeriesRequest, quiet: bool) -> None:
         for name, write in (("report.psv", write_psv), ("report.xml", write_xml), ("report.txt", write_80_columns)):
             write(rows, observer, request.folder / name, software=software)
             written.append(name)
+    written += _product(each, request.folder, _title(request.paths), {"catalogue": request.catalogue}, failed, reasons)
     printer(["", f"Output: {request.folder}/: {', '.join(written)}", f"Time: {time.perf_counter() - began:.1f} s"])
+
+
+def product(outcomes: Sequence[Any], folder: Path, title: str, facts: dict[str, Any], quiet: bool) -> None:
+    """The tables and the page of a folder of frames: its series, and what is in none."""
+    from sameas.cli.terminal import Printer
+    from sameas.front.series import Identified, series_of
+    from sameas.report.movers import star_lines
+    from sameas.report.prose import DOUBT
+
+    printer = Printer(quiet)
+    each, reasons = series_of([Identified(one.request, one.told) for one in outcomes if one.told is not None])
+    for one in each:
+        printer(["", *star_lines(one.series, one.filter)])
+    printer([f"{DOUBT}{reason}" for reason in reasons])
+    failed = [(one.request.name, one.error) for one in outcomes if one.told is None]
+    written = _product(each, folder, title, facts, failed, reasons)
+    printer([f"Output: {folder}/: {', '.join(written)}"])
+
+
+def _product(
+    each: Sequence[Any], folder: Path, title: str, facts: dict[str, Any], failed: list[tuple[str, str]],
+    reasons: list[str], movers: tuple[str, str] | None = None,
+) -> list[str]:  # fmt: skip
+    from sameas.front.series import doubts_of, write_series
+    from sameas.pages.series import series_field, write_series_page
+
+    written = write_series(each, folder, facts)
+    fields = [
+        series_field(
+            one.name, one.series, [m.told for m in one.members], [doubts_of(m.told) for m in one.members], one.filter
+        )
+        for one in each
+    ]
+    write_series_page(folder / "index.html", title, fields, failed=failed, reasons=reasons, movers=movers)
+    return [*written, "index.html"]
+
+
+def _title(paths: Sequence[str]) -> str:
+    """What a series is called: the folder of its first frame."""
+    first = Path(paths[0]).resolve()
+    return (first if first.is_dir() else first.parent).name
+
+
+def _about(one: Any) -> str:
+    ra, dec = one.series.middle_deg
+    return f"{ra:.2f} {dec:+.2f}°"
 
 
 def _frame_request(request: SeriesRequest, path: str, name: str) -> FrameRequest:
@@ -95,25 +153,7 @@ def _frame_request(request: SeriesRequest, path: str, name: str) -> FrameRequest
     )  # fmt: skip
 
 
-def _exposure(outcome: Any) -> Any:
-    """The measurements of a frame that was identified, from its outputs."""
-    from astropy.time import Time
-
-    from sameas.io import read_table
-    from sameas.sky.movers.series import Exposure
-
-    told = outcome.told
-    if told["exposure"]["mid_time"] is None:
-        raise InputError(f"{told['frame']}: the header has no time of the exposure; what moves cannot be told without")
-    date, scale = told["exposure"]["mid_time"].split()
-    place = told["place"]
-    return Exposure.of_listing(
-        read_table(outcome.request.outputs()["table"]), told["frame"], float(Time(date, scale=scale.lower()).utc.mjd),
-        place["scale_arcsec_per_px"], (place["rows"], place["columns"]), float(told["exposure"]["exposure_s"] or "nan"),
-    )  # fmt: skip
-
-
-def _site(done: list[Any]) -> tuple[float, float, float] | None:
+def _site(done: tuple[Any, ...]) -> tuple[float, float, float] | None:
     """Latitude, longitude and height of the observatory as the first frame's header has them."""
     from sameas.sky.frame.image import read
 

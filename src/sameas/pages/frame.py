@@ -5,17 +5,15 @@ from __future__ import annotations
 import base64
 import html
 import os
-import struct
-import zlib
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import sameas
 from sameas.arrays import IntArray
 from sameas.io.atomic import replacing
+from sameas.pages.numbers import column, png, rounded
 from sameas.pages.template import asset, page_of, script_safe
 from sameas.plots.stretch import binned, binning, stretched
 from sameas.sky.frame.identified import EXPECTED, FrameIdentification
@@ -24,23 +22,6 @@ from sameas.sky.frame.listing import why_missing
 from sameas.sky.frame.measurements import Flag
 from sameas.sky.frame.photometry import instrumental
 from sameas.sky.frame.summary import summary
-
-
-def png(grey: NDArray[np.uint8]) -> bytes:
-    """A grey image (rows, columns) of eight bits as the bytes of a PNG file (ISO/IEC 15948), first row on top."""
-    rows, columns = grey.shape
-    # Filter 1 (sub) keeps each byte less the one to its left: smooth images compress better.
-    less = grey.copy()
-    less[:, 1:] -= grey[:, :-1]
-    lines = np.concatenate([np.ones((rows, 1), np.uint8), less], axis=1)
-    head = struct.pack(">IIBBBBB", columns, rows, 8, 0, 0, 0, 0)
-    body = zlib.compress(lines.tobytes(), 6)
-    return b"\x89PNG\r\n\x1a\n" + _chunk(b"IHDR", head) + _chunk(b"IDAT", body) + _chunk(b"IEND", b"")
-
-
-def _chunk(kind: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
 
 #: Most candidates of a measurement on the page, and their least probability (chosen).
 COMPETITORS, LEAST = 6, 1e-6
@@ -79,7 +60,7 @@ def frame_page(
         "title": html.escape(found.measured.name),
         "version": html.escape(sameas.__version__),
         "css": asset("frame.css"),
-        "js": asset("frame.js"),
+        "js": asset("chart.js") + asset("frame.js"),
         "picture": picture,
         "data": script_safe(_data(found, facts, factor, brightest)),
     }
@@ -97,7 +78,7 @@ def _data(found: FrameIdentification, facts: Mapping[str, Any], factor: int, bri
         "colour": found.stars.colour_name,
         "shape": [rows, columns],
         "bin": factor,
-        "width_px": _rounded(found.measured.psf_fwhm_px, 2),
+        "width_px": rounded(found.measured.psf_fwhm_px, 2),
         "brightest": brightest,
         "expected": EXPECTED,
         "summary": facts,
@@ -131,15 +112,15 @@ def _measured(found: FrameIdentification, number: IntArray) -> dict[str, Any]:
     i = found.pairs[0]
     left[i], arc[i], chi[i] = found.residual_px, found.residual_arcsec, result.matches.mahalanobis
     return {
-        "x": _listed(m.x_px, 2), "y": _listed(m.y_px, 2), "sx": _listed(sigma[:, 0], 3), "sy": _listed(sigma[:, 1], 3),
-        "ra": _listed(ra, 6), "dec": _listed(dec, 6), "flux": _listed(m.flux, 1),
-        "inst": _listed(instrumental(m.flux), 3),
-        "mag": _listed(magnitude, 3), "snr": _listed(m.snr, 1), "fwhm": _listed(m.fwhm_px, 2),
+        "x": column(m.x_px, 2), "y": column(m.y_px, 2), "sx": column(sigma[:, 0], 3), "sy": column(sigma[:, 1], 3),
+        "ra": column(ra, 6), "dec": column(dec, 6), "flux": column(m.flux, 1),
+        "inst": column(instrumental(m.flux), 3),
+        "mag": column(magnitude, 3), "snr": column(m.snr, 1), "fwhm": column(m.fwhm_px, 2),
         "words": flags, "flags": [flags.index(Flag.words(bits)) for bits in m.flags],
         "star": [None if masked else int(number[row]) for row, masked in _masked(partner)],
-        "none": _listed(result.answers_1.p_none.filled(np.nan), 6),
-        "dx": _listed(left[:, 0], 3), "dy": _listed(left[:, 1], 3), "de": _listed(arc[:, 0], 4),
-        "dn": _listed(arc[:, 1], 4), "chi": _listed(chi, 2),
+        "none": column(result.answers_1.p_none.filled(np.nan), 6),
+        "dx": column(left[:, 0], 3), "dy": column(left[:, 1], 3), "de": column(arc[:, 0], 4),
+        "dn": column(arc[:, 1], 4), "chi": column(chi, 2),
         "rivals": _rivals(found, number),
     }  # fmt: skip
 
@@ -156,8 +137,8 @@ def _rivals(found: FrameIdentification, number: IntArray) -> list[list[list[Any]
             dx, dy = result.pairs.residual[e]
             chi = float(np.sqrt(result.pairs.mahalanobis_sq[e]))
             own.append([
-                int(number[result.rows_2[e]]), _rounded(result.p_pair[e], 6), _rounded(dx, 2), _rounded(dy, 2),
-                _rounded(chi, 2), int(result.chosen[e]),
+                int(number[result.rows_2[e]]), rounded(result.p_pair[e], 6), rounded(dx, 2), rounded(dy, 2),
+                rounded(chi, 2), int(result.chosen[e]),
             ])  # fmt: skip
     return rivals
 
@@ -173,11 +154,11 @@ def _stars(found: FrameIdentification, listed: IntArray) -> dict[str, Any]:
     for k, why in zip(lost, why_missing(found, listed[lost]), strict=True):
         words[int(k)] = why
     return {
-        "id": [str(name) for name in stars.ids[listed]], "x": _listed(px[:, 0], 2), "y": _listed(px[:, 1], 2),
-        "ra": _listed(stars.ra_deg[listed], 6), "dec": _listed(stars.dec_deg[listed], 6),
-        "mag": _listed(stars.magnitude[listed], 3), "tint": _listed(stars.colour[listed], 3),
-        "east": _listed(stars.moved_arcsec[listed, 0], 3), "north": _listed(stars.moved_arcsec[listed, 1], 3),
-        "shown": _listed(found.p_detect[listed], 3), "missing": missing[listed].astype(int).tolist(), "why": words,
+        "id": [str(name) for name in stars.ids[listed]], "x": column(px[:, 0], 2), "y": column(px[:, 1], 2),
+        "ra": column(stars.ra_deg[listed], 6), "dec": column(stars.dec_deg[listed], 6),
+        "mag": column(stars.magnitude[listed], 3), "tint": column(stars.colour[listed], 3),
+        "east": column(stars.moved_arcsec[listed, 0], 3), "north": column(stars.moved_arcsec[listed, 1], 3),
+        "shown": column(found.p_detect[listed], 3), "missing": missing[listed].astype(int).tolist(), "why": words,
         "owner": [None if row < 0 else int(row) for row in owner[listed]],
     }  # fmt: skip
 
@@ -188,18 +169,8 @@ def _relation(found: FrameIdentification) -> list[list[float | None]]:
         return []
     measured = instrumental(found.measured.flux[found.pairs[0]])
     grid = np.linspace(np.nanmin(measured), np.nanmax(measured), 60)
-    return [[_rounded(a, 3), _rounded(b, 3)] for a, b in zip(grid, found.zero_point(10 ** (-0.4 * grid)), strict=True)]
+    return [[rounded(a, 3), rounded(b, 3)] for a, b in zip(grid, found.zero_point(10 ** (-0.4 * grid)), strict=True)]
 
 
 def _masked(column: np.ma.MaskedArray) -> zip[tuple[Any, Any]]:
     return zip(np.ma.getdata(column), np.ma.getmaskarray(column), strict=True)
-
-
-def _listed(values: NDArray[Any], digits: int) -> list[float | None]:
-    """Numbers rounded, null where they are none."""
-    column = np.round(np.asarray(values, np.float64), digits)
-    return [None if value != value or abs(value) == float("inf") else value for value in column.tolist()]
-
-
-def _rounded(value: float, digits: int) -> float | None:
-    return _listed(np.array([value]), digits)[0]

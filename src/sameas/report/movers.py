@@ -18,6 +18,9 @@ MOST = 20
 #: Fewer exposures than this leave every tracklet to rate and brightness alone.
 FEW = 3
 
+#: Stars whose scatter constant ones have less often than this are told as hardly constant.
+UNLIKELY = 0.001
+
 
 def searched_lines(seen: Detections) -> list[str]:
     """What was searched."""
@@ -84,6 +87,28 @@ def series_lines(series: Series) -> list[str]:
         f"left to move {count(int(series.left.sum()))}",
         f"  tied together by {count(int(series.ties.min()))} to {count(int(series.ties.max()))} sources a frame",
     ]
+    return [*lines, *(f"{DOUBT}{note}" for note in series.notes)]
+
+
+def star_lines(series: Series, filter: str = "") -> list[str]:
+    """A series as one product: its stars, zero points and what varies."""
+    stars = series.stars
+    minutes = 1440.0 * (series.exposures[-1].mjd_utc - series.exposures[0].mjd_utc)
+    zero, often = stars.zero_point, (stars.measurement >= 0).sum(axis=1)
+    lines = [
+        f"Series: {len(series.exposures)} frames{f' in {filter}' if filter else ''} over {minutes:.1f} minutes, "
+        f"{count(len(stars))} stars, {count(int((stars.name != '').sum()))} of them in the catalogue, "
+        f"{count(int((often == len(zero)).sum()))} on all frames",
+        f"  tied together by {count(int(series.ties.min()))} to {count(int(series.ties.max()))} sources a frame",
+    ]
+    if np.isfinite(zero).any():
+        odd, width = int((stars.p_constant < UNLIKELY).sum()), np.nanmax(zero) - np.nanmin(zero)
+        lines.append(
+            f"  zero points within {width:.3f} mag, ± {np.nanmedian(stars.zero_error):.4f}; bright stars "
+            f"scatter by {stars.floor_mag:.4f} mag beside their errors; {count(odd)} stars are hardly constant"
+        )
+    else:
+        lines.append(f"{DOUBT}too few stars in common for zero points; no light curves")
     return [*lines, *(f"{DOUBT}{note}" for note in series.notes)]
 
 

@@ -33,6 +33,7 @@ def summary(identification: FrameIdentification, frame: Frame | None = None) -> 
         "catalogue": identification.stars.name,
         "epoch_jyr": identification.stars.epoch_jyr,
         **({} if frame is None else {"exposure": _exposure(frame)}),
+        "psf_fwhm_px": _number(identification.measured.psf_fwhm_px),
         "place": _place(identification),
         "plate": _plate(identification),
         "found": _counts(identification),
@@ -50,6 +51,7 @@ def _exposure(frame: Frame) -> dict[str, Any]:
     return {
         "mid_time": None if time is None else f"{time.isot} {time.scale.upper()}",
         "exposure_s": _number(facts.exposure_s),
+        "filter": None if frame.header is None else str(frame.header.get("FILTER", "")).strip() or None,
         "gain_e_per_adu": _number(facts.gain_e_per_adu),
         "saturation_adu": _number(facts.saturation_adu),
         "read": list(facts.lines),

@@ -56,7 +56,8 @@ class Stars:
     sigma_arcsec : its error per axis.
     measurement : (s, f) row among the measurements of the series, −1 where it was not measured.
     residual_arcsec : (s, f, 2) measured minus mean place, east and north.
-    magnitude, error : (s, f) differential; error with the floor. mean, mean_error : (s,) over the frames.
+    magnitude, error : (s, f) differential, NaN where not all the light was measured (saturated, cut); error with the
+        floor. mean, mean_error : (s,) over the frames.
     scatter_mag : (s,) standard deviation. p_constant : (s,) probability of as much scatter, were the star constant.
     zero_point, zero_error : (f,) magnitude of one unit of flux. ensemble : (f,) stars that gave it.
     floor_mag : scatter of bright stars beside their errors. scale : what magnitudes are counted in.
@@ -112,8 +113,8 @@ def gather(
     zero, zero_error, ensemble, floor = _ensemble(raw, error, usable & often[:, None], tuning)
     off, scale = _catalogue_scale(magnitude, _instrumental(flux) + zero[frame])
     zero = zero + off
-    light = raw + zero
-    error = np.hypot(error, floor)
+    light = np.where(whole[at], raw + zero, np.nan)
+    error = np.where(np.isfinite(light), np.hypot(error, floor), np.nan)
     mean, mean_error, scatter, p = _constancy(light, error)
     return Stars(
         names, middle, 1.0 / np.sqrt(np.maximum(total, 1e-30)), rows, residual, light, error, mean, mean_error, scatter,

@@ -1,0 +1,169 @@
+"""A night's frames as series: those of one field and filter together, their tables and the page of the folder.
+
+The frames are identified first (:mod:`sameas.front.framing`); what is made here stands on their outputs.
+"""
+
+from __future__ import annotations
+
+import gzip
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import sameas
+from sameas.errors import InputError
+from sameas.front.framing import FrameRequest
+from sameas.io import read_table, write_table
+from sameas.sky.series.tied import DEFAULT_TUNING, Exposure, Series, tie
+
+#: What frames in a folder end with, packed or not.
+ENDINGS = (".fits", ".fit", ".fts")
+#: What IMAGETYP says of frames that show no sky.
+_NO_SKY = ("dark", "flat", "bias", "zero")
+
+
+def frames_in(folder: str | Path) -> list[str]:
+    """The frames of a folder, by name; calibration frames that say so (IMAGETYP) and tables are none.
+
+    Raises
+    ------
+    InputError : it holds none.
+    """
+    found = []
+    for path in sorted(Path(folder).iterdir()):
+        plain = path.name.lower().removesuffix(".gz").removesuffix(".fz")
+        if path.is_file() and plain.endswith(ENDINGS) and not plain.endswith(".stars.fits") and _shows_sky(path):
+            found.append(str(path))
+    if not found:
+        raise InputError(f"{folder}: no frames in this folder ({', '.join(ENDINGS)}, plain or packed .gz, .fz)")
+    return found
+
+
+def _shows_sky(path: Path) -> bool:
+    """Whether the first header of a file says neither that it is a calibration frame nor that it is a table."""
+    try:
+        with (gzip.open if path.name.endswith(".gz") else open)(path, "rb") as file:  # type: ignore[operator]
+            head = file.read(2880 * 4).decode("ascii", "replace")
+    except OSError:
+        return True  # what is wrong with it is told when it is read
+    cards = (head[k : k + 80] for k in range(0, len(head), 80))
+    kind = next((card[10:].split("/")[0].strip(" '").lower() for card in cards if card.startswith("IMAGETYP")), "")
+    return not any(word in kind for word in _NO_SKY)
+
+
+@dataclass(frozen=True)
+class Identified:
+    """A frame that was identified: what was asked for, and its summary."""
+
+    request: FrameRequest
+    told: Mapping[str, Any]
+
+    @property
+    def filter(self) -> str:
+        """Of the header, "" where it does not tell."""
+        return str(self.told["exposure"].get("filter") or "")
+
+    def exposure(self) -> Exposure:
+        """Its measurements, from its table.
+
+        Raises
+        ------
+        InputError : the header has no time of the exposure.
+        """
+        from astropy.time import Time
+
+        told = self.told
+        if told["exposure"]["mid_time"] is None:
+            raise InputError(f"{told['frame']}: the header has no time of the exposure; a series needs the order")
+        date, scale = told["exposure"]["mid_time"].split()
+        place = told["place"]
+        return Exposure.of_listing(
+            read_table(self.request.outputs()["table"]), told["frame"],
+            float(Time(date, scale=scale.lower()).utc.mjd), place["scale_arcsec_per_px"],
+            (place["rows"], place["columns"]), float(told["exposure"]["exposure_s"] or "nan"),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class FieldSeries:
+    """One series of a night. name : of its files. members : its frames in the order of time. filter : "" for any."""
+
+    name: str
+    series: Series
+    members: tuple[Identified, ...]
+    filter: str
+
+
+def series_of(done: Sequence[Identified], *, by_filter: bool = True) -> tuple[list[FieldSeries], list[str]]:
+    """The series among identified frames, the longest first, and why frames are in none.
+
+    by_filter : frames of several filters are several series; what moves is searched on all of a field.
+    """
+    kept, reasons = [], []
+    for one in done:
+        try:
+            kept.append((one, one.exposure()))
+        except InputError as error:
+            reasons.append(str(error))
+    found = []
+    for group in _fields(kept, by_filter):
+        if len(group) < 2:
+            reasons.append(f"{group[0][1].name}: the only frame of its field and filter; no series")
+            continue
+        group = sorted(group, key=lambda pair: pair[1].mjd_utc)
+        try:
+            series = tie([exposure for _, exposure in group])
+        except InputError as error:
+            reasons.append(str(error))
+            continue
+        found.append((series, tuple(one for one, _ in group)))
+    found.sort(key=lambda pair: -len(pair[1]))
+    names = ["series" if k == 0 else f"series-{k + 1}" for k in range(len(found))]
+    each = [FieldSeries(name, *pair, pair[1][0].filter) for name, pair in zip(names, found, strict=True)]
+    return each, reasons
+
+
+def _fields(frames: Sequence[tuple[Identified, Exposure]], by_filter: bool) -> list[list[tuple[Identified, Exposure]]]:
+    """Frames whose middles are near each other, of one filter if wanted."""
+
+    def together(one: Identified, other: Identified) -> bool:
+        return (not by_filter or one.filter == other.filter) and _near(one, other)
+
+    groups: list[list[tuple[Identified, Exposure]]] = []
+    for frame in frames:
+        group = next((g for g in groups if together(g[0][0], frame[0])), None)
+        if group is None:
+            groups.append([frame])
+        else:
+            group.append(frame)
+    return groups
+
+
+def _near(one: Identified, other: Identified) -> bool:
+    a, b = one.told["place"], other.told["place"]
+    north = b["middle_dec_deg"] - a["middle_dec_deg"]
+    east = ((b["middle_ra_deg"] - a["middle_ra_deg"] + 180.0) % 360.0 - 180.0) * math.cos(
+        math.radians(a["middle_dec_deg"])
+    )
+    return math.hypot(east, north) < DEFAULT_TUNING.overlap * math.hypot(a["width_deg"], a["height_deg"])
+
+
+def write_series(each: Sequence[FieldSeries], folder: str | Path, facts: Mapping[str, Any]) -> list[str]:
+    """Writes the tables of the stars and of the frames of every series; the names of the files."""
+    written = []
+    made = {"program": "sameas", "version": sameas.__version__, **facts}
+    for one in each:
+        tables = {"stars": one.series.star_table(), "frames": one.series.frame_table()}
+        for what, table in tables.items():
+            written.append(f"{one.name}.{what}.fits")
+            write_table(table, Path(folder) / written[-1], provenance=made, overwrite=True)
+    return written
+
+
+def doubts_of(told: Mapping[str, Any]) -> list[str]:
+    """What is doubtful about a frame."""
+    notes = itertools.chain(told["exposure"]["read"], told["notes"])
+    return [note for note in notes if note.startswith("doubt") or "not settled" in note]
