@@ -45,7 +45,7 @@ def frames_in(folder: str | Path) -> list[str]:
 def _shows_sky(path: Path) -> bool:
     """Whether the first header of a file says neither that it is a calibration frame nor that it is a table."""
     try:
-        with (gzip.open if path.name.endswith(".gz") else open)(path, "rb") as file:  # type: ignore[operator]
+        with (gzip.open if path.name.endswith(".gz") else open)(path, "rb") as file:
             head = file.read(2880 * 4).decode("ascii", "replace")
     except OSError:
         return True  # what is wrong with it is told when it is read

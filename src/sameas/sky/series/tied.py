@@ -238,8 +238,8 @@ class Series:
         for name, unit in (("mjd_utc", "d"), ("exposure_s", "s")):
             table[name].unit = unit
         for name in table.colnames:
-            if unit := next((u for key, u in _UNITS.items() if name.endswith(key)), None):
-                table[name].unit = unit
+            of_name = next((u for key, u in _UNITS.items() if name.endswith(key)), None)
+            table[name].unit = of_name or table[name].unit
         table.meta["magnitudes"] = stars.scale
         return table
 
