@@ -98,7 +98,7 @@ class Method:
         """What counts as evidence at an instant."""
 
         def rule(now: Instant, past: Past) -> SetRule:
-            said: SetRule = now.rule()
+            said: SetRule = now.rule() + now.height()
             if self.identity:
                 said = said + now.identity()
             return said + past.rule() if self.memory else said
@@ -324,6 +324,7 @@ def _made(
         scene, biases = scene.registered()
     pace(counted(len(times), "instant"))
     lines = [line for found in biases for line in found.lines()]
+    lines += dict.fromkeys(note for heights in scene.heights if heights is not None for note in heights.notes)
     picture = Picture.of(scene, times, watch=method.watch(scene), biases=lines, progress=pace)
     if not len(picture.records["row"]):
         raise InputError(

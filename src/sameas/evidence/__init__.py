@@ -15,6 +15,7 @@ Every rule gives a natural logarithm per pair, term by term; rules add with ``+`
 - :class:`Precision`: the sizes of both quoted errors, beside positions and magnitudes; ``sameas.match`` learns it.
 - :class:`Identity`: addresses, callsigns, names, types, lengths, beside positions, each attribute with a model of its
   errors: :class:`Code`, :class:`Category`, :class:`Size`. :func:`alarms` are one identity at two places.
+- :class:`Heights`: heights of aircraft, beside positions.
 - :class:`Universal`: any density of objects and of their neighbours, as a mixture, samples or functions
   (METHOD 3.3 [T13]). Where the densities are known and are none of the above.
 """
@@ -37,6 +38,7 @@ from sameas.evidence.brightness import (
 from sameas.evidence.close import CloseObjects
 from sameas.evidence.densities import Displacement, Flat, GaussianMixture, Samples
 from sameas.evidence.fields import ConstantCost, DetectionField, Field, PoissonField
+from sameas.evidence.heights import Heights
 from sameas.evidence.identity import MODELS, Alarm, Category, Code, Identity, Model, Size, alarms
 from sameas.evidence.precision import Precision, TrainingPairs
 from sameas.evidence.residuals import Errors
@@ -46,7 +48,7 @@ from sameas.evidence.universal import Universal
 __all__ = [
     "MODELS", "Alarm", "Brightness", "Category", "Chain", "CloseObjects", "Code", "Comparison",
     "Comparisons", "ConstantCost", "DetectionField", "Displacement", "Errors", "Evidence", "Field", "Flat",
-    "GaussianMixture", "Identity", "MagnitudeDensity", "Magnitudes", "MeasuredMagnitudes", "Model", "Pattern",
-    "PoissonField", "Precision", "Regressors", "Relation", "Rule", "Samples", "Size", "SourceMagnitudes", "Sum",
-    "TrainingPairs", "Universal", "alarms", "comparisons_of", "log_neighbour_density", "log_surface_density",
+    "GaussianMixture", "Heights", "Identity", "MagnitudeDensity", "Magnitudes", "MeasuredMagnitudes", "Model",
+    "Pattern", "PoissonField", "Precision", "Regressors", "Relation", "Rule", "Samples", "Size", "SourceMagnitudes",
+    "Sum", "TrainingPairs", "Universal", "alarms", "comparisons_of", "log_neighbour_density", "log_surface_density",
 ]  # fmt: skip

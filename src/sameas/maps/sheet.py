@@ -34,7 +34,8 @@ STAGES = ("tentative", "confirmed", "coasting", "ended")
 OBJECTS: Mapping[str, Any] = {
     "time_s": None, "object": None, "stage": None, "x_m": None, "y_m": None,
     "lat_deg": np.nan, "lon_deg": np.nan, "vx_m_per_s": np.nan, "vy_m_per_s": np.nan, "speed_m_per_s": np.nan,
-    "course_deg": np.nan, "var_x_m2": np.nan, "cov_xy_m2": np.nan, "var_y_m2": np.nan, "n_sources": 0,
+    "course_deg": np.nan, "height_m": np.nan, "sigma_height_m": np.nan, "climb_m_per_s": np.nan,
+    "var_x_m2": np.nan, "cov_xy_m2": np.nan, "var_y_m2": np.nan, "n_sources": 0,
     "probability": np.nan, "runner_up": "", "p_runner_up": np.nan, "label": "", "mmsi": "", "icao": "", "callsign": "",
     "name": "", "mode_a": "", "type": "", "ambiguous": False,
 }  # fmt: skip

@@ -82,7 +82,8 @@ function labels(c, w, h, drawn) {
   for (const d of named) {
     const name = nameOf(d.r).slice(0, 24);
     const full = Number.isFinite(objects.speed[d.r]) && (named.length < 60 || d.n === picked);
-    const moving = `${knots(objects.speed[d.r])} ${course(objects.course[d.r])}`;
+    const high = Number.isFinite(objects.height[d.r]) ? ` ${flightLevel(objects.height[d.r])}` : "";
+    const moving = `${knots(objects.speed[d.r])} ${course(objects.course[d.r])}${high}`;
     if (!full || !placed(c, room, d, [name, moving], w)) placed(c, room, d, [name], w);
   }
 }

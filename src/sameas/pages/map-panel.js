@@ -60,6 +60,13 @@ function tags(r) {
   if (now.alarmed.has(numberOf(r))) line.append(tag("alarm", "alarm"));
   return line;
 }
+function heightWords(r) {
+  const height = objects.height[r],
+    climb = objects.climb[r];
+  if (!Number.isFinite(height)) return "";
+  const going = Number.isFinite(climb) && Math.abs(climb) >= 0.5 ? `, ${climb > 0 ? "climbs" : "sinks"} ${fix(Math.abs(climb), 1)} m/s` : "";
+  return `${grouped(Math.round(height))} m ± ${grouped(Math.round(2 * objects.sh[r]))} m  (${flightLevel(height)})${going}`;
+}
 function state(r) {
   const speed = objects.speed[r],
     from = ringCentre(),
@@ -74,6 +81,7 @@ function state(r) {
     ],
     ["Speed", Number.isFinite(speed) ? `${knots(speed)}  (${fix(speed, 1)} m/s)` : ""],
     ["Course", Number.isFinite(objects.course[r]) ? course(objects.course[r]) : ""],
+    ["Height", heightWords(r)],
     [
       from && !own ? `From ${data.sensors[+el("ring").value].name}` : "",
       from && Number.isFinite(range) ? `${course(bearing)}  ${distance(range)}` : "",

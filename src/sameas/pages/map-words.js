@@ -24,6 +24,8 @@ const metres = m =>
         : `${fix(m, 1)} m`;
 const distance = m => (nautical && m >= 0.1 * MILE ? `${fix(m / MILE, m < 10 * MILE ? 2 : 1)} nm` : metres(m));
 const knots = speed => (Number.isFinite(speed) ? `${fix(speed / KNOT, 1)} kn` : "–");
+// Flight levels are hundreds of feet.
+const flightLevel = m => `FL${String(Math.max(Math.round(m / 30.48), 0)).padStart(3, "0")}`;
 const plural = (n, word) => `${grouped(n)} ${word}${n === 1 ? "" : "s"}`;
 const duration = s =>
   s < 60 ? `${+s.toFixed(1)} s` : s < 3600 ? `${+(s / 60).toFixed(1)} min` : `${+(s / 3600).toFixed(1)} h`;

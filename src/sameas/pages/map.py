@@ -181,6 +181,7 @@ def _objects(sheet: MapSheet) -> tuple[dict[str, tuple[NDArray[Any], float]], di
         "t": (sheet.instant_of(o), 1), "n": (o["object"], 1), "stage": (stage, 1),
         "x": (o["x_m"], step), "y": (o["y_m"], step), "vx": (o["vx_m_per_s"], 0.01), "vy": (o["vy_m_per_s"], 0.01),
         "speed": (o["speed_m_per_s"], 0.01), "course": (o["course_deg"], 0.1), **_ellipses(o, step),
+        "height": (o["height_m"], 1.0), "sh": (o["sigma_height_m"], 1.0), "climb": (o["climb_m_per_s"], 0.1),
         "sources": (o["n_sources"], 1), "p": (o["probability"], SHARE), "ambiguous": (o["ambiguous"], 1),
         "rival": (o["p_runner_up"], SHARE), "rivals": (first, 1), "rivalRows": (rows, 1), **numbers,
     }, said  # fmt: skip

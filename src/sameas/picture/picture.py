@@ -191,7 +191,8 @@ def object_columns(state: PictureState[Carried]) -> Columns:
     """One row per object of the picture.
 
     time_s, object, stage; x_m, y_m, var_x_m2, cov_xy_m2, var_y_m2, masked where directions do not cross; vx_m_per_s,
-    vy_m_per_s, speed_m_per_s, course_deg, masked where unknown; n_sources, sources, members ("radar:12 ais:3": the
+    vy_m_per_s, speed_m_per_s, course_deg, masked where unknown; height_m, sigma_height_m, climb_m_per_s where sources
+    report heights, of the kind that ``Scene.heights`` says; n_sources, sources, members ("radar:12 ais:3": the
     rows of the sources' reports), probability, runner_up, p_runner_up, masked while it coasts; label, mmsi, icao,
     callsign, name, mode_a, type; ambiguous: less than 95 % probable.
     """
@@ -210,6 +211,7 @@ def object_columns(state: PictureState[Carried]) -> Columns:
         "vy_m_per_s": _masked(velocity[:, 1], at_rest),
         "speed_m_per_s": _masked(np.hypot(*velocity.T), at_rest),
         "course_deg": _masked(np.degrees(np.arctan2(velocity[:, 0], velocity[:, 1])) % 360.0, at_rest),
+        **_fused_heights(state, at),
         "n_sources": np.append((state.members >= 0).sum(axis=1), 0)[at],
         **_memberships(state, at),
         "probability": _masked(np.append(state.probability, 0.0)[at], ~detected),
@@ -224,7 +226,8 @@ def record_columns(state: PictureState[Carried]) -> Columns:
     """One row per record that took part.
 
     time_s, source, row (of the source's reports), line (of its file), track_id, object; p_object, p_alone, age_s; x_m,
-    y_m, var_x_m2, cov_xy_m2, var_y_m2, moved to the instant, masked for directions; bearing_deg, sigma_bearing_deg,
+    y_m, var_x_m2, cov_xy_m2, var_y_m2, moved to the instant, masked for directions; height_m, sigma_height_m where
+    sources report heights; bearing_deg, sigma_bearing_deg,
     sensor_x_m, sensor_y_m, masked for positions.
     """
     scan = state.scan
@@ -240,6 +243,7 @@ def record_columns(state: PictureState[Carried]) -> Columns:
         "p_alone": state.p_alone,
         "age_s": state.now.instant_s - scan.time_s,
         **_ellipse(scan.state, scan.covariance, ~scan.placed),
+        **(_height_columns(scan.heights[:, 0], scan.heights[:, 1]) if _tells_heights(state) else {}),
         **_sights(state),
     }
 
@@ -285,6 +289,33 @@ def _ellipse(state: NDArray[Any], covariance: NDArray[Any], hidden: BoolArray) -
         "cov_xy_m2": _masked(covariance[:, 0, 1], hidden),
         "var_y_m2": _masked(covariance[:, 1, 1], hidden),
     }
+
+
+def _tells_heights(state: PictureState[Carried]) -> bool:
+    """Whether any source of the scene reports heights."""
+    return any(heights is not None for heights in state.now.heights)
+
+
+def _height_columns(height: FloatArray, sigma: FloatArray) -> Columns:
+    unknown = ~np.isfinite(height)
+    return {"height_m": _masked(height, unknown), "sigma_height_m": _masked(sigma, unknown)}
+
+
+def _fused_heights(state: PictureState[Carried], at: IntArray) -> Columns:
+    """The heights of the objects and their 1σ: those of their records, weighted by their precisions."""
+    if not _tells_heights(state):
+        return {}
+    # The last row is that of no record.
+    height, sigma, climb = np.vstack([state.scan.heights, np.full((1, 3), np.nan)]).T
+    members = np.vstack([state.members, np.full((1, state.members.shape[1]), -1)])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        weight = np.where(np.isfinite(height), 1.0 / sigma**2, 0.0)[members]
+        total = weight.sum(axis=1)
+        mean = (weight * np.nan_to_num(height)[members]).sum(axis=1) / total
+        reported = np.isfinite(climb)[members]
+        rate = np.where(reported, np.nan_to_num(climb)[members], 0.0).sum(axis=1) / reported.sum(axis=1)
+        deviation = 1.0 / np.sqrt(total)
+    return {**_height_columns(mean[at], deviation[at]), "climb_m_per_s": _masked(rate[at], ~np.isfinite(rate[at]))}
 
 
 def _memberships(state: PictureState[Carried], at: IntArray) -> Columns:

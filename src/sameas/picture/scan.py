@@ -39,6 +39,7 @@ class Scan:
     placed : whether it is a position. moving : whether it has a velocity.
     manoeuvre_covariance : (n, 4, 4) part of the covariance that allows for a manoeuvre
         (:mod:`sameas.picture.track_pairs`).
+    heights : (n, 3) height and its 1σ, metres, and vertical speed, m/s; NaN where a record has none.
     tuning : of the picture.
     """
 
@@ -59,6 +60,7 @@ class Scan:
     placed: BoolArray
     moving: BoolArray
     manoeuvre_covariance: FloatArray
+    heights: FloatArray
     tuning: Tuning = DEFAULT_TUNING
 
     def __len__(self) -> int:
@@ -67,8 +69,8 @@ class Scan:
     @classmethod
     def of(cls, now: Instant, tuning: Tuning = DEFAULT_TUNING) -> Scan:
         """The scan of an instant."""
-        parts = [_part(feed, records_of(source).ids, records_of(source).rows, now.instant_s)
-                 for feed, source in zip(now.feeds, now.sources, strict=True)]  # fmt: skip
+        parts = [_part(feed, records_of(source).ids, records_of(source).rows, now.instant_s, heights)
+                 for feed, source, heights in zip(now.feeds, now.sources, now.heights, strict=True)]  # fmt: skip
         columns = {name: np.concatenate([_EMPTY[name], *(part[name] for part in parts)]) for name in _EMPTY}
         rows = Ragged.of_sizes([len(part["row"]) for part in parts])
         placed = np.isfinite(columns["state"]).all(axis=1)
@@ -135,10 +137,13 @@ _EMPTY: dict[str, NDArray[Any]] = {
     "reported_covariance": np.empty((0, 4, 4)),
     "state": np.empty((0, 4)),
     "covariance": np.empty((0, 4, 4)),
+    "heights": np.empty((0, 3)),
 }
 
 
-def _part(feed: Feed, ids: NDArray[Any], table: IntArray, instant_s: float) -> dict[str, NDArray[Any]]:
+def _part(
+    feed: Feed, ids: NDArray[Any], table: IntArray, instant_s: float, heights: FloatArray | None
+) -> dict[str, NDArray[Any]]:
     """The columns of one source."""
     reports, description = feed.reports, feed.description
     row = ids[table].astype(np.int64)
@@ -157,6 +162,7 @@ def _part(feed: Feed, ids: NDArray[Any], table: IntArray, instant_s: float) -> d
         "speed_m_per_s": np.full(n, description.motion.speed_m_per_s or math.inf),
         "reported_state": reported_state, "reported_covariance": reported_covariance,
         "state": state, "covariance": covariance,
+        "heights": np.full((n, 3), np.nan) if heights is None else heights[table],
     }  # fmt: skip
 
 

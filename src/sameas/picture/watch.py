@@ -122,8 +122,8 @@ EvidenceOf = Callable[[Instant, Past], SetRule]
 
 
 def all_evidence(now: Instant, past: Past) -> SetRule:
-    """The rule of positions, misses and clutter as described, of the records' identities, and of the tracks' past."""
-    return now.rule() + now.identity() + past.rule()
+    """The rule of positions, misses and clutter as described, of heights and identities, and of the tracks' past."""
+    return now.rule() + now.height() + now.identity() + past.rule()
 
 
 @in_short
@@ -134,7 +134,7 @@ class Watch:
     Parameters
     ----------
     evidence : the rule of an instant. ``lambda now, past: now.rule() + past.rule()`` leaves identities out,
-        ``lambda now, past: now.rule() + now.identity()`` identifies every instant alone.
+        ``lambda now, past: now.rule() + now.height() + now.identity()`` identifies every instant alone.
     past : memory of tracks; give one to set the correlation times of their errors.
     bound : odds at which records change their object (:func:`with_hysteresis`); 1 for the most probable answer of
         every instant.

@@ -29,7 +29,7 @@ from sameas.tracks.coordinates import (
     turned,
 )
 from sameas.tracks.reports import Reports
-from sameas.tracks.source import Description
+from sameas.tracks.source import Description, SensorErrors
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 
@@ -247,13 +247,10 @@ class PlacedReports:
         """(n,) heights of the targets and 1σ: reported, from the elevation, from the flight level, or assumed."""
         reports, targets, errors, n = self.reports, self.description.targets, self.description.errors, len(self.reports)
         height, sigma = np.full(n, targets.height_m or 0.0), np.full(n, targets.height_sigma_m or 0.0)
-        if reports.elevation_deg is not None:
-            lean = np.radians(reports.elevation_deg)
-            ground_m = range_m * np.cos(lean)
-            from_angle = sensor_height_m + range_m * np.sin(lean) + ground_m**2 / (2 * EARTH_M)
-            error = np.radians(_filled(reports.sigma_elevation_deg, errors.bearing_deg or 0.0, n))
-            stated = np.isfinite(from_angle)
-            height[stated], sigma[stated] = from_angle[stated], (ground_m * error)[stated]
+        by_elevation = heights_by_elevation(reports, errors, sensor_height_m)
+        if by_elevation is not None:
+            stated = np.isfinite(by_elevation[0])
+            height[stated], sigma[stated] = (column[stated] for column in by_elevation)
         for column in (reports.pressure_alt_m, reports.alt_m):
             if column is not None:
                 stated = np.isfinite(column)
@@ -373,3 +370,16 @@ def _filled(column: FloatArray | None, default: FloatArray | float, n: int | Non
     """The column, with the default where it has no value."""
     values = np.broadcast_to(np.asarray(default, dtype=np.float64), (n,) if n is not None else np.shape(default))
     return values.copy() if column is None else np.where(np.isfinite(column), column, values)
+
+
+def heights_by_elevation(
+    reports: Reports, errors: SensorErrors, sensor_height_m: float
+) -> tuple[FloatArray, FloatArray] | None:
+    """(n,) heights and their 1σ by range and elevation, over a round earth; None where a source has no elevations."""
+    if reports.elevation_deg is None or reports.range_m is None:
+        return None
+    lean = np.radians(reports.elevation_deg)
+    ground_m = reports.range_m * np.cos(lean)
+    height = sensor_height_m + reports.range_m * np.sin(lean) + ground_m**2 / (2 * EARTH_M)
+    stated = _filled(reports.sigma_elevation_deg, errors.bearing_deg or 0.0, len(reports))
+    return height, np.asarray(ground_m * np.radians(stated))

@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
+from sameas.evidence.heights import Heights
 from sameas.evidence.identity import Alarm, Identity, alarms
 from sameas.many.observations import Region, Source, records_of
 from sameas.many.rules import PoissonObjects
@@ -37,6 +39,7 @@ from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.doubts import apart, doubts
 from sameas.tracks.feed import Feed, need_filtering
+from sameas.tracks.heights import HeightReports, heights_of
 from sameas.tracks.placement import PlacedReports
 from sameas.tracks.registration import SourceBiases, registered
 from sameas.tracks.reports import Reports
@@ -113,6 +116,11 @@ class Scene:
         """What was set aside when the scene was made, printable sentences."""
         return tuple(note for feed in self.feeds for note in feed.notes)
 
+    @cached_property
+    def heights(self) -> tuple[HeightReports | None, ...]:
+        """Per source the heights of its reports, all of one kind; None where a source has none."""
+        return heights_of(self.feeds)
+
     def at(self, instant_s: float, *, features: int = POSITION) -> Instant:
         """The records of every source at an instant: its last reports at or before it, moved there by their motion.
 
@@ -124,9 +132,13 @@ class Scene:
         surroundings = _Surroundings.of(snapshots, features)
         snapshots = [one.without_aged(surroundings.per_m2) for one in snapshots]
         places = np.concatenate([np.empty((0, 2)), *(one.state[:, :2] for one in snapshots if one.state.ndim == 2)])
+        heights = tuple(
+            None if known is None else known.at(one.feed.reports.rows[one.rows], instant_s - one.time_s)
+            for known, one in zip(self.heights, snapshots, strict=True)
+        )
         return Instant(
             instant_s, features, tuple(self.feeds), tuple(one.source(instant_s, features, places) for one in snapshots),
-            tuple(instant_s - one.time_s for one in snapshots), tuple(one.aged for one in snapshots),
+            tuple(instant_s - one.time_s for one in snapshots), tuple(one.aged for one in snapshots), heights,
             surroundings.region, surroundings.density,
         )  # fmt: skip
 
@@ -142,6 +154,8 @@ class Instant:
         source's own reports.
     age_s : per source (n,) how old each record's report is.
     aged : per source the rows of reports that have grown too uncertain to distinguish objects.
+    heights : per source (n, 3) heights of the records and their 1σ, metres, and vertical speeds, m/s, NaN where one has
+        none; None where no record of the source ever has one.
     region : where objects are; needed by ``identify_many`` where a source observes a part of the state.
     density : objects per m² at the middle of the region (per m² and (m/s)² where velocities are features).
     """
@@ -152,6 +166,7 @@ class Instant:
     sources: tuple[Source, ...]
     age_s: tuple[FloatArray, ...]
     aged: tuple[IntArray, ...]
+    heights: tuple[FloatArray | None, ...]
     region: Region
     density: float
 
@@ -168,7 +183,10 @@ class Instant:
     def with_records(self) -> Instant:
         """The same without the sources that have no records; ``identify_many`` needs two that have."""
         keep = [k for k, source in enumerate(self.sources) if len(records_of(source))]
-        chosen = {name: tuple(getattr(self, name)[k] for k in keep) for name in ("feeds", "sources", "age_s", "aged")}
+        chosen = {
+            name: tuple(getattr(self, name)[k] for k in keep)
+            for name in ("feeds", "sources", "age_s", "aged", "heights")
+        }
         return replace(self, **chosen)  # type: ignore[arg-type]
 
     def identity(self) -> Identity:
@@ -178,6 +196,11 @@ class Instant:
             rows = records_of(source).ids
             columns[feed.description.name] = {name: column[rows] for name, column in feed.attributes.items()}
         return Identity(columns)
+
+    def height(self) -> Heights:
+        """The rule of the records' heights: add it to a rule of positions."""
+        given = zip(self.feeds, self.heights, strict=True)
+        return Heights({feed.description.name: heights[:, :2] for feed, heights in given if heights is not None})
 
     def alarms(self) -> list[Alarm]:
         """Identities that are shown at two places too far apart for one object: forged, duplicate or wrong."""

@@ -1,0 +1,66 @@
+"""Heights as evidence, against the integral that they stand for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.stats import norm
+
+from sameas import Radius, Records
+from sameas.errors import InputError
+from sameas.evidence import Heights
+from sameas.evidence.heights import HeightTuning
+
+
+def pairs(n: int, m: int):
+    return Radius(1.0)(
+        Records.of(np.zeros((n, 2)), sigma=1.0, source="a"), Records.of(np.zeros((m, 2)), sigma=1.0, source="b")
+    )
+
+
+def test_two_heights_weigh_what_their_integral_says() -> None:
+    """One object of a height anywhere in 13 km, against two: the rule's normal law is the integral within 1 %."""
+    tuning = HeightTuning(wrong=1e-9)
+    for h, k, s, t in ((5000.0, 5030.0, 20.0, 40.0), (3000.0, 3200.0, 60.0, 60.0)):
+        found = Heights({"a": np.array([[h, s]]), "b": np.array([[k, t]])}, tuning)(pairs(1, 1)).log_ratio[0]
+
+        def weight(x: float, h: float = h, k: float = k, s: float = s, t: float = t) -> float:
+            return float(norm.pdf(h, x, s) * norm.pdf(k, x, t))
+
+        same = quad(weight, 0.0, 13_000.0, points=[h, k])[0] / 13_000.0
+        assert found == pytest.approx(np.log(same * 13_000.0**2), abs=0.01)
+
+
+def test_the_order_of_the_sources_does_not_matter_and_no_height_is_no_evidence() -> None:
+    rng = np.random.default_rng(3)
+    one = np.column_stack([rng.uniform(0, 12e3, 9), rng.uniform(10, 90, 9)])
+    two = np.column_stack([rng.uniform(0, 12e3, 7), rng.uniform(10, 90, 7)])
+    one[2], two[5] = np.nan, np.nan
+    rule = Heights({"a": one, "b": two})
+    here = pairs(9, 7)
+    there = Radius(1.0)(here.second, here.first)
+    forward, back = rule(here).log_ratio, rule(there).log_ratio
+    turned = {(j, i): v for i, j, v in zip(there.i.tolist(), there.j.tolist(), back.tolist(), strict=True)}
+    for i, j, value in zip(here.i.tolist(), here.j.tolist(), forward.tolist(), strict=True):
+        assert value == turned[i, j]
+        assert (value == 0.0) == (i == 2 or j == 5)
+    assert not Heights({"a": one})(here).informative.any()
+
+
+def test_a_height_that_many_have_tells_less_and_a_wrong_one_is_bounded() -> None:
+    alone = Heights({"a": np.array([[3000.0, 20.0]]), "b": np.array([[3000.0, 20.0]])})(pairs(1, 1)).log_ratio[0]
+    level = np.full((50, 2), [3000.0, 20.0])
+    shared = Heights({"a": level, "b": level})(pairs(50, 50)).log_ratio
+    assert shared.max() < alone - 1.5
+    far = Heights({"a": np.array([[3000.0, 20.0]]), "b": np.array([[9000.0, 20.0]])})(pairs(1, 1)).log_ratio[0]
+    assert far == pytest.approx(np.log(0.01))
+
+
+def test_what_is_wrong_with_heights_is_said() -> None:
+    with pytest.raises(InputError, match=r"a: row 1: the height's error is 0.0; give metres above 0"):
+        Heights({"a": np.array([[1.0, 1.0], [2.0, 0.0]])})
+    with pytest.raises(InputError, match=r"a: heights have the shape \(3,\)"):
+        Heights({"a": np.zeros(3)})
+    with pytest.raises(InputError, match="a: 1 heights for 2 rows"):
+        Heights({"a": np.ones((1, 2)), "b": np.ones((1, 2))})(pairs(2, 1))

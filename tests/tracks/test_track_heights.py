@@ -1,0 +1,115 @@
+"""Heights of reports: brought to one kind, offsets between sources, and a picture that believes them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sameas.picture import Picture
+from sameas.tracks import Description, Reports, Scene, SensorErrors, Site
+from sameas.tracks.heights import PRESSURE
+
+
+def source(name: str, columns: dict, sigma: float = 100.0, height_m: float = 20.0):
+    errors = SensorErrors(position_m=sigma, height_m=height_m)
+    return Description(name, "tracks", errors=errors), Reports.of(name, "table", columns)
+
+
+def crossing(rng, name: str, height: str, shift_m: float = 0.0, share: float = 1.0, with_heights: bool = True):
+    """Two aircraft, 7 000 m apart in height, on one course; seen from above they are within 100 m of each other."""
+    columns = {key: [] for key in ("time_s", "x_m", "y_m", "track_id", height)}
+    for k, side in enumerate((-1.0, 1.0)):
+        for t in np.arange(0.0, 200.0, 5.0):
+            columns["time_s"].append(t)
+            columns["x_m"].append(200.0 * (t - 100.0) + rng.normal(0.0, 100.0))
+            columns["y_m"].append(0.5 * side * (t - 100.0) + rng.normal(0.0, 100.0))
+            columns["track_id"].append(f"{name}{k}")
+            known = rng.random() < share
+            columns[height].append(3000.0 + 7000.0 * k + shift_m + rng.normal(0.0, 20.0) if known else np.nan)
+    if not with_heights:
+        del columns[height]
+    return source(name, columns)
+
+
+def judged(picture: Picture) -> tuple[int, int]:
+    """How many pairs are right and wrong: the last letters of the tracks of one object are the same."""
+    records, right, wrong = picture.records, 0, 0
+    for key in set(zip(records["time_s"].tolist(), records["object"].tolist(), strict=True)):
+        here = (records["time_s"] == key[0]) & (records["object"] == key[1])
+        ends = [name[-1] for name in records["track_id"][here]]
+        if len(ends) == 2:
+            right, wrong = right + (ends[0] == ends[1]), wrong + (ends[0] != ends[1])
+    return right, wrong
+
+
+@pytest.mark.parametrize(("other", "shift_m"), [("pressure_alt_m", 0.0), ("alt_m", 250.0), ("pressure_alt_m", 150.0)])
+def test_two_aircraft_over_one_place_are_told_apart_by_their_heights(other: str, shift_m: float) -> None:
+    rng = np.random.default_rng(1)
+    scene = Scene.of([crossing(rng, "a", "pressure_alt_m"), crossing(rng, "b", other, shift_m, share=0.8)])
+    times = np.arange(20.0, 200.0, 10.0)
+    picture = Picture.of(scene, times)
+    right, wrong = judged(picture)
+    assert wrong == 0 and right >= 20
+    heights = picture.objects["height_m"].compressed()
+    assert np.all(np.minimum(abs(heights - 3000.0), abs(heights - 10_000.0)) < 100.0)
+    assert picture.objects["sigma_height_m"].compressed().max() < 100.0
+    if shift_m:
+        assert any("taken away" in note for heights in scene.heights for note in heights.notes)
+
+
+def test_without_heights_the_same_aircraft_are_mistaken() -> None:
+    wrong, told = 0, []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        blind = Scene.of([crossing(rng, name, "pressure_alt_m", with_heights=False) for name in "ab"])
+        picture = Picture.of(blind, np.arange(20.0, 200.0, 30.0))
+        wrong += judged(picture)[1]
+        told.append("height_m" in picture.objects)
+    assert wrong >= 6 and not any(told)
+
+
+def test_the_difference_of_the_kinds_is_a_line_that_reports_with_both_show() -> None:
+    rng = np.random.default_rng(5)
+    level = rng.uniform(500.0, 12e3, 400)
+    both = {
+        "time_s": np.arange(400.0), "x_m": rng.uniform(-9e4, 9e4, 400), "y_m": rng.uniform(-9e4, 9e4, 400),
+        "track_id": [str(k) for k in range(400)], "pressure_alt_m": level,
+        "alt_m": 80.0 + 1.03 * level + rng.normal(0.0, 8.0, 400),
+    }  # fmt: skip
+    # One in fifty has another aircraft's geometric height.
+    both["alt_m"][::50] = rng.uniform(500.0, 12e3, 8)
+    only = {**{name: both[name][:40] for name in ("time_s", "track_id", "alt_m")},
+            "x_m": rng.uniform(-9e5, -8e5, 40), "y_m": rng.uniform(-9e5, -8e5, 40)}  # fmt: skip
+    heights = Scene.of([source("both", both), source("only", only)]).heights
+    assert all(one is not None and one.kind == PRESSURE for one in heights)
+    np.testing.assert_array_equal(heights[0].height_m, level)
+    right = np.arange(40) % 50 != 0
+    assert np.sqrt(np.mean((heights[1].height_m - level[:40])[right] ** 2)) < 12.0
+    assert np.all(heights[1].sigma_m < 30.0) and "by 392 reports with both" in heights[1].notes[0]
+
+
+def test_kinds_that_nothing_compares_are_not_believed_to_agree() -> None:
+    """Pressure heights alone against heights above the ellipsoid alone, far from each other: no line, wide errors."""
+    here = {"time_s": [0.0], "x_m": [0.0], "y_m": [0.0], "track_id": ["1"], "pressure_alt_m": [10e3]}
+    there = {"time_s": [0.0], "x_m": [9e4], "y_m": [0.0], "track_id": ["2"], "alt_m": [10e3]}
+    heights = Scene.of([source("here", here), source("there", there)]).heights
+    assert heights[0].sigma_m[0] == 20.0 and heights[1].sigma_m[0] > 400.0
+
+
+def test_an_elevation_is_a_height_and_a_vertical_speed_moves_it() -> None:
+    radar = {
+        "time_s": [0.0, 0.0],
+        "range_m": [50e3, 50e3],
+        "bearing_deg": [10.0, 20.0],
+        "elevation_deg": [10.0, np.nan],
+    }
+    errors = SensorErrors(range_m=50.0, bearing_deg=0.1)
+    description = Description("radar", "tracks", site=Site(lat_deg=50.0, lon_deg=8.0, height_m=100.0), errors=errors)
+    seen = {"time_s": [0.0], "lat_deg": [50.4], "lon_deg": [8.1], "alt_m": [8000.0], "climb_m_per_s": [10.0]}
+    scene = Scene.of([(description, Reports.of("radar", "table", radar)), source("ads-b", seen)])
+    measured, reported = scene.heights
+    # 50 km at 10°: 8 682 m above the sensor, and 190 m that the earth falls away.
+    assert measured.height_m[0] == pytest.approx(100.0 + 8682.0 + 190.0, abs=2.0)
+    assert measured.sigma_m[0] == pytest.approx(86.0, rel=0.02) and np.isnan(measured.height_m[1])
+    later = reported.at(np.array([0]), np.array([6.0]))
+    assert later[0].tolist() == [8060.0, pytest.approx(np.hypot(20.0, 9.0)), 10.0]
