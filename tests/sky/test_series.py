@@ -344,3 +344,11 @@ def test_measurements_that_are_cut_give_no_magnitude():
     there = series.stars.measurement
     saturated = (there >= 0) & (np.concatenate([e.flux for e in series.exposures])[there] > 2e4)
     assert saturated.sum() > 20 and np.isnan(series.stars.magnitude[saturated]).all()
+
+
+def test_where_nothing_is_left_nothing_moves():
+    found, series = search(tie(frames(25, noise=0, rates=(), stars=60)))
+    assert len(found) == 0 and len(found.table()) == 0 and len(found.detection_table()) == 0
+    made = [replace(one, p_star=np.ones(len(one))) for one in frames(26)]
+    found, series = search(tie(made))
+    assert not series.left.any() and len(found.table()) == len(found.detection_table()) == 0

@@ -12,6 +12,9 @@ import sameas
 from sameas.errors import InputError
 from sameas.front.framing import FrameRequest, PointingOptions
 
+#: Tracklets of at least this probability are measured in the pixels, which may raise it.
+FAINT = 0.02
+
 
 @dataclass(frozen=True)
 class SeriesRequest:
@@ -44,12 +47,14 @@ def run(request: SeriesRequest, quiet: bool) -> None:
     from sameas.front.series import Identified, series_of
     from sameas.io import write_table
     from sameas.io.ades import Observer, write_80_columns, write_psv, write_xml
+    from sameas.pages.movers import write_movers_page
     from sameas.report.frame import one_line
     from sameas.report.movers import known_lines, model_lines, mover_lines, series_lines
     from sameas.report.prose import DOUBT
     from sameas.sky.movers.known import name_movers
     from sameas.sky.movers.orbits import Elements
     from sameas.sky.movers.series import search
+    from sameas.sky.movers.stack import confirmed, stack
 
     began, printer = time.perf_counter(), Printer(quiet)
     observer = None if request.header is None else Observer.read(request.header)
@@ -77,8 +82,10 @@ def run(request: SeriesRequest, quiet: bool) -> None:
         raise InputError(
             f"the frames show {len(each)} fields ({fields}); search the frames of each field by themselves"
         )
-    found, series = search(each[0].series, least=request.least, least_probability=request.probability)
+    found, series = search(each[0].series, least=request.least, least_probability=min(request.probability, FAINT))
     each = [replace(each[0], series=series)]
+    pixels = stack(found, series, (one.frame() for one in each[0].members))
+    found, pixels = confirmed(found, pixels, request.probability)
     printer(["", *series_lines(series), "", *model_lines(found), "", *mover_lines(found)])
     site = _site(each[0].members)
     known = None
@@ -95,7 +102,13 @@ def run(request: SeriesRequest, quiet: bool) -> None:
         for name, write in (("report.psv", write_psv), ("report.xml", write_xml), ("report.txt", write_80_columns)):
             write(rows, observer, request.folder / name, software=software)
             written.append(name)
-    written += _product(each, request.folder, _title(request.paths), {"catalogue": request.catalogue}, failed, reasons)
+    title = _title(request.paths)
+    write_movers_page(request.folder / "movers.html", title, found, series, pixels, known)
+    link = "movers.html", _link_words(found, known)
+    written += [
+        "movers.html",
+        *_product(each, request.folder, title, {"catalogue": request.catalogue}, failed, reasons, link),
+    ]
     printer(["", f"Output: {request.folder}/: {', '.join(written)}", f"Time: {time.perf_counter() - began:.1f} s"])
 
 
@@ -151,6 +164,12 @@ def _frame_request(request: SeriesRequest, path: str, name: str) -> FrameRequest
         columns=request.columns, darks=request.darks, flats=request.flats, biases=request.biases, page=False,
         picture=False,
     )  # fmt: skip
+
+
+def _link_words(found: Any, known: Any) -> str:
+    names = [] if known is None else [known.name(k) for k in range(len(found)) if known.object[k] >= 0]
+    shown = ", ".join(names[:3]) + (" …" if len(names) > 3 else "")
+    return f"What moves: {len(found)} candidates{f', {shown} among them' if names else ''}"
 
 
 def _site(done: tuple[Any, ...]) -> tuple[float, float, float] | None:

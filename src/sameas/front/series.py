@@ -15,8 +15,9 @@ from typing import Any
 
 import sameas
 from sameas.errors import InputError
-from sameas.front.framing import FrameRequest
+from sameas.front.framing import FrameRequest, frame_of
 from sameas.io import read_table, write_table
+from sameas.sky.frame.image import Frame
 from sameas.sky.series.tied import DEFAULT_TUNING, Exposure, Series, tie
 
 #: What frames in a folder end with, packed or not.
@@ -66,6 +67,10 @@ class Identified:
         """Of the header, "" where it does not tell."""
         return str(self.told["exposure"].get("filter") or "")
 
+    def frame(self) -> Frame:
+        """Its pixels, calibrated."""
+        return frame_of(self.request, lambda stage: None)
+
     def exposure(self) -> Exposure:
         """Its measurements, from its table.
 
@@ -84,6 +89,7 @@ class Identified:
             read_table(self.request.outputs()["table"]), told["frame"],
             float(Time(date, scale=scale.lower()).utc.mjd), place["scale_arcsec_per_px"],
             (place["rows"], place["columns"]), float(told["exposure"]["exposure_s"] or "nan"),
+            float(told.get("psf_fwhm_px") or 3.0),
         )  # fmt: skip
 
 

@@ -11,6 +11,7 @@ from sameas.report.prose import DOUBT, count
 if TYPE_CHECKING:
     from sameas.sky.movers import Detections, Movers
     from sameas.sky.movers.known import KnownObjects
+    from sameas.sky.movers.stack import Stack
     from sameas.sky.series.tied import Series
 
 #: Tracklets that are listed; all are in the output.
@@ -127,3 +128,44 @@ def known_lines(found: Movers, known: KnownObjects, on_earth: bool) -> list[str]
         )
     unknown = int((known.object < 0).sum())
     return [*lines, f"  {unknown} of {len(found)} tracklets are none of them"] if unknown else lines
+
+
+def reasons(found: Movers, pixels: Stack, k: int) -> list[tuple[str, bool]]:
+    """Why tracklet k is believed, sentence by sentence, and whether each is rather a doubt."""
+    seen, rows = found.detections, found.members[k][found.members[k] >= 0]
+    frames = len(pixels.flux[k])
+    out = [(f"chance makes {_small(found.expected_chance[k])} tracklets of as much evidence among what is left over",
+            bool(found.expected_chance[k] > 0.1))]  # fmt: skip
+    scatter, quoted = found.scatter_arcsec[k], float(np.sqrt(seen.covariance[rows][:, [0, 2]].mean()))
+    if np.isfinite(scatter):
+        ratio = scatter / quoted
+        words = f"{len(rows)} detections lie {scatter:.2f}″ about straight motion, {ratio:.1f} times their quoted error"
+        out.append((words, bool(ratio > 2.5)))
+    light = seen.magnitude[rows]
+    if np.isfinite(light).sum() > 2:
+        spread = float(np.nanstd(light))
+        out.append((f"its brightness scatters by {spread:.2f} mag", spread > 0.7))
+    usable = np.isfinite(pixels.flux[k])
+    missed, hidden = usable & ~pixels.detected[k] & ~pixels.hidden[k], usable & ~pixels.detected[k] & pixels.hidden[k]
+    if missed.any():
+        ratio = pixels.log_ratio[k]
+        said = f"{abs(ratio) / np.log(10):.1f} powers of ten {'more' if ratio >= 0 else 'less'} probable"
+        out.append((
+            f"{int(missed.sum())} frames do not show it by themselves; the light at its place there makes it {said}",
+            bool(ratio < 0),
+        ))  # fmt: skip
+    if hidden.any():
+        out.append((f"on {int(hidden.sum())} frames a star hides it", False))
+    off = frames - int(usable.sum())
+    if off:
+        out.append((f"it is off {off} of {frames} frames, or where they are not usable", False))
+    out.append((f"the stack along its motion has a signal to noise of {pixels.snr[k]:.1f}", bool(pixels.snr[k] < 4.0)))
+    return out
+
+
+def _small(value: float) -> str:
+    """A number with its power of ten in words of print."""
+    if value >= 1e-3:
+        return f"{value:.2g}"
+    digit, power = f"{value:.0e}".split("e")
+    return f"{digit}·10" + str(int(power)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))

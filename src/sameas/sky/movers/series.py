@@ -9,7 +9,7 @@ import numpy as np
 from sameas.arrays import FloatArray
 from sameas.sky.movers.detections import Detections
 from sameas.sky.movers.model import DEFAULT_TUNING as MOTION_TUNING
-from sameas.sky.movers.model import Tuning
+from sameas.sky.movers.model import MotionModel, Tuning
 from sameas.sky.movers.search import Movers, find_movers, learn_motion
 from sameas.sky.series.tied import Series
 
@@ -65,6 +65,8 @@ def search(
     searched again, so that rates are not learned from them.
     """
     for _ in range(tuning.turns):
+        if len(np.unique(series.frame[series.left])) < 2:
+            return _nothing(series), series
         detections = left_over(series)
         model = learn_motion(detections, counts=tuning.counts, tuning=motion)
         found = find_movers(detections, model=model, least=2, least_probability=0.0, tuning=motion)
@@ -78,6 +80,17 @@ def search(
     wanted = (found.size >= least) & (found.p_tracklet >= least_probability)
     wanted &= _moved_arcsec(found) >= tuning.least_move_px * series.scale_arcsec_per_px
     return found.only(wanted), series
+
+
+def _nothing(series: Series) -> Movers:
+    """No tracklets, where no two frames have anything left."""
+    no, none = np.empty(0), np.empty(0, np.int64)
+    names = tuple(one.name for one in series.exposures)
+    seen = Detections(no, no, np.empty((0, 3)), no, none, no, no, none, ("",), none, none, names, name="series")
+    wide = np.empty((0, 2))
+    return Movers(
+        seen, MotionModel(), wide.astype(np.int64), no, no, wide, no, no, 0.0, np.empty((0, 6))
+    )  # fmt: skip
 
 
 def _moved_arcsec(found: Movers) -> FloatArray:

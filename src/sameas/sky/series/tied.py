@@ -73,7 +73,8 @@ class Exposure:
     ra_deg, dec_deg : by the frame's plate. covariance : (n, 3) arcsec² by the plate, its own error among them.
     flux, flux_err, snr, flags : as measured. p_star : probability to be a star of the catalogue.
     magnitude : NaN where there is no zero point. scale_arcsec_per_px. shape : (rows, columns). exposure_s.
-    star : identifier of the star of the catalogue, "" for none; None where none is known.
+    star : identifier of the star of the catalogue, "" for none; None where none is known. psf_fwhm_px : full width of
+    stars.
     """
 
     name: str
@@ -94,13 +95,16 @@ class Exposure:
     shape: tuple[int, int]
     exposure_s: float = math.nan
     star: NDArray[Any] | None = None
+    psf_fwhm_px: float = 3.0
 
     def __len__(self) -> int:
         return len(self.x_px)
 
     @classmethod
-    def of_listing(cls, table: Any, name: str, mjd_utc: float, scale: float, shape: tuple[int, int], exposure_s: float
-                   ) -> Exposure:  # fmt: skip
+    def of_listing(
+        cls, table: Any, name: str, mjd_utc: float, scale: float, shape: tuple[int, int], exposure_s: float,
+        psf_fwhm_px: float = 3.0,
+    ) -> Exposure:  # fmt: skip
         """From the table of an identified frame, as :func:`sameas.sky.listing` makes it."""
         rows = table[~np.ma.getmaskarray(np.ma.MaskedArray(table["measurement"]))]
 
@@ -120,7 +124,7 @@ class Exposure:
             column("ra_deg"), column("dec_deg"), matrix("cov_ee_arcsec2", "cov_en_arcsec2", "cov_nn_arcsec2"),
             column("flux"), column("flux_err"), column("snr"), column("flags").astype(np.int64),
             np.nan_to_num(column("p_match")), column("magnitude"), scale, shape, exposure_s,
-            np.ma.filled(np.ma.MaskedArray(rows["star"]).astype(str), ""),
+            np.ma.filled(np.ma.MaskedArray(rows["star"]).astype(str), ""), psf_fwhm_px,
         )  # fmt: skip
 
     @property

@@ -1,0 +1,133 @@
+"""The page of what moves: each candidate's blink and stack, its residuals and light, and why it is believed."""
+
+from __future__ import annotations
+
+import base64
+import html
+import os
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import sameas
+from sameas.io.atomic import replacing
+from sameas.pages.numbers import column, png, rounded
+from sameas.pages.template import asset, page_of, script_safe
+from sameas.report.movers import reasons
+from sameas.sky.movers.known import KnownObjects
+from sameas.sky.movers.search import Movers
+from sameas.sky.movers.stack import Stack
+from sameas.sky.series.tied import Series
+
+#: Most candidates and most frames of each on the page (chosen: some megabytes).
+MOST, MOST_FRAMES = 24, 40
+#: Noise of a pixel: below the sky that is black, and least brightness that is white.
+_BLACK, _WHITE, _SOFT = 2.0, 12.0, 4.0
+
+
+def write_movers_page(
+    path: str | os.PathLike[str], title: str, found: Movers, series: Series, pixels: Stack,
+    known: KnownObjects | None = None,
+) -> None:  # fmt: skip
+    """Writes the page of what moves on a series: one file, complete in itself.
+
+    found : the tracklets. pixels : of the first of them. known : which objects they are, where elements were given.
+
+    Raises
+    ------
+    InputError : the path cannot be written.
+    """
+    count = min(len(pixels), MOST)
+    more = f", the first {count} of them here" if count < len(found) else ""
+    about = (
+        f"{len(found)} candidates{more} on {len(series.exposures)} frames over "
+        f"{1440.0 * (series.exposures[-1].mjd_utc - series.exposures[0].mjd_utc):.0f} minutes; "
+        f"{found.p_tracklet.sum():.1f} are expected to be real"
+    )
+    data = {
+        "about": about if len(found) else "Nothing was found to move.", "asked": known is not None,
+        "scale": series.stars.scale,
+        "width": rounded(float(np.median([e.psf_fwhm_px for e in series.exposures])), 2),
+        "movers": [_mover(found, series, pixels, known, k) for k in range(count)],
+    }  # fmt: skip
+    marks = {
+        "title": html.escape(title),
+        "version": html.escape(sameas.__version__),
+        "css": asset("frame.css") + asset("series.css") + asset("movers.css"),
+        "js": asset("chart.js") + asset("movers.js"),
+        "data": script_safe(data),
+    }
+    with replacing(path) as draft:
+        draft.write_text(page_of("movers.html", marks), encoding="utf-8")
+
+
+def _mover(found: Movers, series: Series, pixels: Stack, known: KnownObjects | None, k: int) -> dict[str, Any]:
+    shown = _frames(pixels, k)
+    seen, rows = found.detections, found.members[k][found.members[k] >= 0]
+    east, north = found.rate_arcsec_per_min[k]
+    light = seen.magnitude[rows]
+    fixed = pixels.fixed[k]
+    usual = float(np.nanmedian(pixels.error[k])) if np.isfinite(pixels.error[k]).any() else 1.0
+    top = max(_WHITE, 0.8 * float(np.nanpercentile(pixels.along[k][shown], 99.7)))
+    at = np.zeros((len(series.exposures), 2))
+    if fixed is not None:
+        # East is to the left, north up.
+        off = (pixels.place[k] - pixels.place[k].mean(axis=0)) / pixels.scale_arcsec_per_px
+        at = (fixed.shape[1] - 1) / 2 + off * [-1.0, -1.0]
+    frames = [
+        {
+            "name": series.exposures[n].name, "mjd": series.exposures[n].mjd_utc, "at": column(at[n], 2),
+            "flux": rounded(pixels.flux[k, n] / usual, 3), "error": rounded(pixels.error[k, n] / usual, 3),
+            "detected": bool(pixels.detected[k, n]), "hidden": bool(pixels.hidden[k, n]),
+        }
+        for n in shown
+    ]  # fmt: skip
+    each = [
+        {
+            "frame": seen.frame_names[seen.frame[row]], "mjd": float(seen.mjd_utc[row]), "ra": float(seen.ra_deg[row]),
+            "dec": float(seen.dec_deg[row]), "magnitude": rounded(seen.magnitude[row], 3),
+            "p": rounded(found.p_member[k, n], 6), "east": rounded(found.residual_arcsec[row, 0], 4),
+            "north": rounded(found.residual_arcsec[row, 1], 4),
+            "sigma": rounded(float(np.sqrt(seen.covariance[row, 0])), 4),
+        }
+        for n, row in enumerate(rows.tolist())
+    ]  # fmt: skip
+    return {
+        "name": found.names[k], "p": float(found.p_tracklet[k]), "chance": float(found.expected_chance[k]),
+        "rate": float(np.hypot(east, north)), "angle": float(np.degrees(np.arctan2(east, north)) % 360.0),
+        "scatter": rounded(found.scatter_arcsec[k], 4),
+        "magnitude": rounded(float(np.nanmedian(light)), 3) if np.isfinite(light).any() else None,
+        "snr": rounded(pixels.snr[k], 2), "scale": pixels.scale_arcsec_per_px, "frames": frames, "rows": each,
+        "reasons": [list(one) for one in reasons(found, pixels, k)], "known": _known(found, known, k),
+        "along": _sheet(pixels.along[k][shown], top), "fixed": None if fixed is None else _sheet(fixed[shown], top),
+        "stack": _sheet(pixels.stacked[k][None], max(_WHITE, 0.8 * float(pixels.stacked[k].max()))),
+    }  # fmt: skip
+
+
+def _frames(pixels: Stack, k: int) -> NDArray[np.int64]:
+    """The frames that the page shows of a candidate: all, or evenly those that have it."""
+    there = np.flatnonzero(np.isfinite(pixels.flux[k]) | pixels.detected[k])
+    if len(there) <= MOST_FRAMES:
+        return there
+    detected = there[pixels.detected[k, there]]
+    some = detected if len(detected) >= MOST_FRAMES else there
+    return np.asarray(some[np.unique(np.linspace(0, len(some) - 1, MOST_FRAMES).astype(np.int64))])
+
+
+def _known(found: Movers, known: KnownObjects | None, k: int) -> dict[str, Any] | None:
+    if known is None or known.object[k] < 0:
+        return None
+    east, north = known.mean_offset(found, k)
+    return {
+        "name": known.name(k), "p": float(known.p[k]), "east": rounded(east, 3), "north": rounded(north, 3),
+        "v": rounded(known.magnitude[k], 2),
+    }  # fmt: skip
+
+
+def _sheet(cuts: NDArray[np.float32], top: float) -> dict[str, Any]:
+    """Cut-outs (f, s, s) in units of their noise side by side as one picture."""
+    light = np.arcsinh(np.maximum(np.nan_to_num(cuts) + _BLACK, 0.0) / _SOFT) / np.arcsinh((top + _BLACK) / _SOFT)
+    grey = (255.0 * np.clip(light, 0.0, 1.0)).astype(np.uint8)
+    wide = np.ascontiguousarray(grey.transpose(1, 0, 2).reshape(grey.shape[1], -1))
+    return {"size": int(cuts.shape[1]), "png": base64.b64encode(png(wide)).decode("ascii")}

@@ -1,0 +1,333 @@
+"""Tracklets in the pixels: cut-outs along the motion, what every frame shows at the predicted place, and the stack.
+
+A tracklet predicts where its mover is on every frame, those on which nothing was detected too. Light is measured there
+with the star's profile (forced photometry); on frames without a detection it is evidence of its own. With F the flux of
+the mover, f ± e what is measured, and a share ε of places where it does not show (a star, a cloud), a frame weighs
+
+    ln [(1 − ε) N(f; F, e² + (0.3 F)²) + ε N(f; 0, e²)] − ln N(f; 0, e²),
+
+instead of ln(1 − P_d), the miss of its detection. e is measured at places beside the track (Tuning: controls), so
+that crowding and noise that pixels share are in it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+from scipy.spatial import cKDTree
+
+from sameas.arrays import BoolArray, FloatArray
+from sameas.representation import in_short
+from sameas.sky.frame.image import Frame
+from sameas.sky.movers.search import Movers
+from sameas.sky.series.tied import Series
+
+
+@dataclass(frozen=True)
+class StackTuning:
+    """How tracklets are measured in the pixels; all chosen.
+
+    Attributes
+    ----------
+    half_px : of a cut-out along the motion. most_half_px : of one of the sky, in which the mover moves.
+    controls : places beside the track, on each frame, by which the noise is measured. far_widths : in full widths.
+    hidden_widths : a star nearer than this hides the mover. absent : share ε of the places where it does not show.
+    variable : relative 1σ of its flux. most : so many tracklets are measured, the first ones.
+    """
+
+    half_px: int = 24
+    most_half_px: int = 60
+    controls: int = 48
+    far_widths: float = 6.0
+    hidden_widths: float = 1.2
+    absent: float = 0.1
+    variable: float = 0.3
+    most: int = 200
+
+
+TUNING = StackTuning()
+
+
+@in_short
+@dataclass(frozen=True)
+class Stack:
+    """The first k tracklets in the pixels of f frames.
+
+    Attributes
+    ----------
+    place : (k, f, 2) predicted, arcsec in the system of the series. chip : (k, f, 2) the same in pixels of the frame.
+    flux, error : (k, f) measured there, on the scale of the mean frame; NaN off the frame or where it is not usable.
+    hidden : (k, f) by a star. detected : (k, f) the tracklet has a detection.
+    log_ratio : (k,) what the frames without a detection say, the misses of the search undone; natural logarithm.
+    p : (k,) probability of the tracklet with it.
+    along : (k, f, s, s) cut-outs about the predicted place, in units of the noise of a pixel of the frame.
+    fixed : (k,) cut-outs of the sky, (f, t, t) each, north up and east to the left, as those along; None where the
+        mover moves farther than they reach.
+    stacked : (k, s, s) the mean along the motion. snr : (k,) of the flux in all frames together.
+    scale_arcsec_per_px : of the cut-outs.
+    """
+
+    place: FloatArray
+    chip: FloatArray
+    flux: FloatArray
+    error: FloatArray
+    hidden: BoolArray
+    detected: BoolArray
+    log_ratio: FloatArray
+    p: FloatArray
+    along: NDArray[np.float32]
+    fixed: tuple[NDArray[np.float32] | None, ...]
+    stacked: NDArray[np.float32]
+    snr: FloatArray
+    scale_arcsec_per_px: float
+
+    def __len__(self) -> int:
+        return len(self.flux)
+
+
+def stack(found: Movers, series: Series, frames: Iterable[Frame], tuning: StackTuning = TUNING) -> Stack:
+    """The tracklets measured in the pixels of the frames.
+
+    found : tracklets of the series. frames : calibrated, in the order of ``series.exposures``; one is held at a time.
+    """
+    k, f = min(len(found), tuning.most), len(series.exposures)
+    scale = series.scale_arcsec_per_px
+    place = _predicted(found, series)[:k]
+    size, half = 2 * tuning.half_px + 1, _fixed_halves(place, scale, tuning)
+    chip, flux, error = np.full((k, f, 2), np.nan), np.full((k, f), np.nan), np.full((k, f), np.nan)
+    along = np.zeros((k, f, size, size), np.float32)
+    fixed = [None if h is None else np.zeros((f, 2 * h + 1, 2 * h + 1), np.float32) for h in half]
+    hidden = np.zeros((k, f), bool)
+    rng = np.random.default_rng(0)
+    for n, frame in enumerate(frames):
+        if not k:
+            break
+        to_chip = _chip_map(series, n)
+        chip[:, n] = to_chip(place[:, n])
+        width = max(_width(series, n), 1.5)
+        hidden[:, n] = _near_star(series, n, place[:, n], tuning.hidden_widths * width * scale)
+        measured = _Measuring(frame, width / 2.3548)
+        flux[:, n], error[:, n] = _forced(measured, chip[:, n], to_chip, place[:, n], width, scale, rng, tuning)
+        noise = measured.noise()
+        for i in range(k):
+            along[i, n] = measured.cut(to_chip(_grid(place[i, n], tuning.half_px, scale))) / noise
+            h, cut = half[i], fixed[i]
+            if h is not None and cut is not None:
+                cut[n] = measured.cut(to_chip(_grid(place[i].mean(axis=0), h, scale))) / noise
+    zero = series.stars.zero_point
+    factor = 10 ** (-0.4 * np.nan_to_num(np.where(np.isfinite(zero), np.nanmean(zero) - zero, 0.0)))
+    flux, error = flux / factor, error / factor
+    detected = _detected(found, series)[:k]
+    log_ratio = _evidence(found, flux, error, hidden, detected, tuning)
+    p = found.p_tracklet[:k]
+    with np.errstate(divide="ignore", over="ignore"):
+        odds = np.log(np.maximum(p, 1e-300)) - np.log(np.maximum(1 - p, 1e-16)) + log_ratio
+        p = 1.0 / (1.0 + np.exp(-np.clip(odds, -700, 700)))
+    stacked, snr = _stacked(along, flux, error, hidden)
+    return Stack(
+        place, chip, flux, error, hidden, detected, log_ratio, p, along, tuple(fixed), stacked, snr, scale
+    )  # fmt: skip
+
+
+def _predicted(found: Movers, series: Series) -> FloatArray:
+    """(k, f, 2) places of straight or, with enough detections over enough time, bent motion, arcsec."""
+    minutes = np.array([e.mjd_utc for e in series.exposures]) * 1440.0
+    minutes -= minutes.mean()
+    out = np.empty((len(found), len(minutes), 2))
+    for k, members in enumerate(found.members):
+        rows = found.detections.rows[members[members >= 0]]
+        t, at = minutes[series.frame[rows]], series.place[rows]
+        weight = 1.0 / series.sigma_arcsec[rows]
+        order = 2 if len(rows) >= 6 and np.ptp(t) > 0.7 * np.ptp(minutes) else 1
+        terms = np.vander(t, order + 1)
+        fit = np.linalg.lstsq(terms * weight[:, None], at * weight[:, None], rcond=None)[0]
+        out[k] = np.vander(minutes, order + 1) @ fit
+    return out
+
+
+def _fixed_halves(place: FloatArray, scale: float, tuning: StackTuning) -> list[int | None]:
+    """Half the side of the cut-out of the sky of each tracklet, px; None where its motion does not fit."""
+    far = np.abs(place - place.mean(axis=1, keepdims=True)).max(axis=(1, 2), initial=0.0) / scale
+    need = np.ceil(far + 0.6 * tuning.half_px).astype(int)
+    return [max(int(h), tuning.half_px) if h <= tuning.most_half_px else None for h in need]
+
+
+class _ChipMap:
+    """From places, arcsec, to pixels of one frame: a polynomial through its measurements."""
+
+    def __init__(self, place: FloatArray, chip: FloatArray) -> None:
+        self.middle, self.unit = place.mean(axis=0), max(float(np.abs(place - place.mean(axis=0)).max()), 1.0)
+        self.order = 3 if len(place) > 60 else 2 if len(place) > 20 else 1
+        self.fit = np.linalg.lstsq(self._terms(place), chip, rcond=None)[0]
+
+    def _terms(self, place: FloatArray) -> FloatArray:
+        u, v = ((place - self.middle) / self.unit).T
+        return np.column_stack(
+            [u**a * v**b for n in range(self.order + 1) for a, b in ((n - j, j) for j in range(n + 1))]
+        )
+
+    def __call__(self, place: FloatArray) -> FloatArray:
+        shape = place.shape
+        return np.asarray(self._terms(place.reshape(-1, 2)) @ self.fit).reshape(shape)
+
+
+def _chip_map(series: Series, n: int) -> _ChipMap:
+    here, exposure = series.frame == n, series.exposures[n]
+    return _ChipMap(series.place[here], np.column_stack([exposure.x_px, exposure.y_px])[series.row[here]])
+
+
+def _width(series: Series, n: int) -> float:
+    """Full width at half maximum of the stars of a frame, px."""
+    return float(series.exposures[n].psf_fwhm_px)
+
+
+def _near_star(series: Series, n: int, place: FloatArray, reach: float) -> BoolArray:
+    """(k,) whether something that stands still is nearer than so many arcsec."""
+    stars = series.stars.place
+    if not len(stars):
+        return np.zeros(len(place), bool)
+    return np.asarray(cKDTree(stars).query(place)[0] < reach)
+
+
+class _Measuring:
+    """The light of one frame: cut-outs, and matched filters at given pixels."""
+
+    def __init__(self, frame: Frame, sigma_px: float) -> None:
+        self.image, self.bad, self.sigma = frame.image, frame.flags != 0, sigma_px
+        self.reach = math.ceil(3.0 * sigma_px)
+        self.level = float(np.median(self.image[::7, ::7][~self.bad[::7, ::7]]))
+        # What differs over some pixels is noise, and no slope of the sky.
+        apart = max(3, math.ceil(2.0 * sigma_px))
+        good = ~(self.bad[:, apart:] | self.bad[:, :-apart])[::3, ::3]
+        rough = (self.image[:, apart:] - self.image[:, :-apart])[::3, ::3][good]
+        self._noise = max(1.4826 / math.sqrt(2.0) * float(np.median(np.abs(rough))), 1e-6)
+
+    def noise(self) -> float:
+        """Standard deviation of the sky of a pixel."""
+        return self._noise
+
+    def cut(self, chip: FloatArray) -> NDArray[np.float32]:
+        """(s, s) light above a plane of the sky at pixels (s, s, 2)."""
+        out = map_coordinates(self.image, [chip[..., 1], chip[..., 0]], order=1, mode="constant", cval=self.level)
+        v, u = np.mgrid[-1.0 : 1.0 : out.shape[0] * 1j, -1.0 : 1.0 : out.shape[1] * 1j]
+        terms = np.column_stack([np.ones(out.size), u.ravel(), v.ravel()])
+        low = out.ravel() <= np.percentile(out, 75.0)
+        sky = terms @ np.linalg.lstsq(terms[low], out.ravel()[low], rcond=None)[0]
+        left = out - sky.reshape(out.shape)
+        return np.asarray(left - np.median(left), np.float32)
+
+    def flux(self, chip: FloatArray) -> FloatArray:
+        """(m,) flux of a Gaussian star at pixels (m, 2), NaN where most of its pixels are not usable."""
+        out = np.full(len(chip), np.nan)
+        far = self.reach + math.ceil(4 * self.sigma)
+        rows, columns = self.image.shape
+        for i, (x, y) in enumerate(chip):
+            if not (far <= x < columns - far - 1 and far <= y < rows - far - 1):
+                continue
+            a, b = round(y) - far, round(x) - far
+            box = self.image[a : a + 2 * far + 1, b : b + 2 * far + 1]
+            good = ~self.bad[a : a + 2 * far + 1, b : b + 2 * far + 1]
+            v, u = np.mgrid[a : a + 2 * far + 1, b : b + 2 * far + 1]
+            r2 = (u - x) ** 2 + (v - y) ** 2
+            profile = np.exp(-0.5 * r2 / self.sigma**2) / (2 * math.pi * self.sigma**2)
+            core, ring = good & (r2 <= self.reach**2), good & (r2 > self.reach**2)
+            if profile[core].sum() > 0.7 and ring.sum() > 20:
+                out[i] = (profile[core] * (box[core] - np.median(box[ring]))).sum() / (profile[core] ** 2).sum()
+        return out
+
+
+def _forced(
+    measured: _Measuring, chip: FloatArray, to_chip: _ChipMap, place: FloatArray, width: float, scale: float,
+    rng: np.random.Generator, tuning: StackTuning,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """(k,) fluxes at the places, and their errors from places around each."""
+    flux, error = measured.flux(chip), np.full(len(chip), np.nan)
+    for i in np.flatnonzero(np.isfinite(flux)):
+        angle = rng.uniform(0, 2 * math.pi, tuning.controls)
+        radius = width * scale * (2.0 + (tuning.far_widths - 2.0) * np.sqrt(rng.uniform(0, 1, tuning.controls)))
+        beside = place[i] + radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+        other = measured.flux(to_chip(beside))
+        other = other[np.isfinite(other)]
+        least = measured.noise() * 2.0 * math.sqrt(math.pi) * measured.sigma
+        if len(other) >= tuning.controls // 3:
+            # Stars beside the track make the upper half of the controls wide: what is below tells the noise.
+            middle = float(np.percentile(other, 40.0))
+            low = float(np.percentile(other, 12.0))
+            error[i] = max((middle - low) / 0.9215, least)
+            flux[i] -= min(middle, 0.0)
+        else:
+            error[i] = least
+    return np.where(np.isfinite(error), flux, np.nan), error
+
+
+def _grid(place: FloatArray, half: int, scale: float) -> FloatArray:
+    """(s, s, 2) places around one, the first row northernmost, the first column easternmost."""
+    steps = np.arange(-half, half + 1) * scale
+    north, east = np.meshgrid(-steps, -steps, indexing="ij")
+    return np.asarray(place + np.stack([east, north], axis=-1))
+
+
+def _detected(found: Movers, series: Series) -> BoolArray:
+    """(k, f) whether each tracklet has a detection on each frame."""
+    out = np.zeros((len(found), len(series.exposures)), bool)
+    k, column = np.nonzero(found.members >= 0)
+    out[k, series.frame[found.detections.rows[found.members[k, column]]]] = True
+    return out
+
+
+def _evidence(
+    found: Movers, flux: FloatArray, error: FloatArray, hidden: BoolArray, detected: BoolArray, tuning: StackTuning
+) -> FloatArray:
+    """(k,) what the frames without a detection say."""
+    usable = np.isfinite(flux) & ~hidden
+    seen = usable & detected
+    weight = np.where(seen, 1.0 / np.where(seen, error, 1.0) ** 2, 0.0)
+    mean = (weight * np.where(seen, flux, 0.0)).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-30)
+    mean = np.where(mean > 0, mean, np.nan)[:, None]
+    blank = usable & ~detected & np.isfinite(mean)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        wide = error**2 + (tuning.variable * mean) ** 2
+        there = math.log1p(-tuning.absent) - 0.5 * ((flux - mean) ** 2 / wide + np.log(wide))
+        none = -0.5 * ((flux / error) ** 2 + np.log(error**2))
+        each = np.logaddexp(there, math.log(tuning.absent) + none) - none
+    # Where a star that no frame lists stands, the track has much light and is none: no frame says more than this.
+    gain = np.where(blank, np.minimum(each, 3.0), 0.0).sum(axis=1)
+    between = np.cumsum(detected, axis=1) > 0
+    between &= np.cumsum(detected[:, ::-1], axis=1)[:, ::-1] > 0
+    missed = (blank & between).sum(axis=1)
+    return np.asarray(gain - missed * math.log(1.0 - found.model.p_detect))
+
+
+def _stacked(
+    along: NDArray[np.float32], flux: FloatArray, error: FloatArray, hidden: BoolArray
+) -> tuple[NDArray[np.float32], FloatArray]:
+    """(k, s, s) mean along the motion, pixels far above the others left out, and (k,) signal to noise of the flux."""
+    usable = np.isfinite(flux) & ~hidden
+    weight = np.where(usable, 1.0 / np.where(usable, error, 1.0) ** 2, 0.0)
+    total = weight.sum(axis=1)
+    snr = (weight * np.where(usable, flux, 0.0)).sum(axis=1) / np.sqrt(np.maximum(total, 1e-30))
+    out = np.zeros((along.shape[0], *along.shape[2:]), np.float32)
+    for i, cuts in enumerate(along):
+        there = np.isfinite(flux[i])
+        if there.any():
+            some = cuts[there]
+            # The noise of the mean is that of a pixel again.
+            out[i] = np.clip(some, None, np.median(some, axis=0) + 5.0).mean(axis=0) * math.sqrt(there.sum())
+    return out, snr
+
+
+def confirmed(found: Movers, told: Stack, least_probability: float) -> tuple[Movers, Stack]:
+    """The tracklets with the probability that the pixels leave them, those below a least one left out."""
+    p = np.concatenate([told.p, found.p_tracklet[len(told) :]])
+    found = replace(found, p_tracklet=p)
+    keep = p >= least_probability
+    mine = keep[: len(told)]
+    names = ("place", "chip", "flux", "error", "hidden", "detected", "log_ratio", "p", "along", "stacked", "snr")
+    parts = {name: getattr(told, name)[mine] for name in names}
+    fixed = tuple(one for one, kept in zip(told.fixed, mine, strict=True) if kept)
+    return found.only(keep), replace(told, **parts, fixed=fixed)

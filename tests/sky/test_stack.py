@@ -1,0 +1,148 @@
+"""Tracklets in the pixels: light at the predicted place on every frame, the stack, and what it says of a candidate."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from browser import CHROMIUM, Browser
+from sameas.simulate.frames import Camera, Gaussian, frame_of
+from sameas.sky.movers.series import search
+from sameas.sky.movers.stack import confirmed, stack
+from sameas.sky.series.tied import Exposure, tie
+
+SIDE, SCALE, RA, DEC = 256, 1.0, 150.0, 20.0
+STARS = 70
+
+
+def series(seed, flux_e=4000.0, *, seen=None, count=6, rate=(0.5, -0.1), hidden_frame=None, start=100.3):
+    """Frames of a field, their exposures, and the mover's pixels. seen : frames on which it is listed, None for all."""
+    rng = np.random.default_rng(seed)
+    star, light = rng.uniform(12, SIDE - 12, (STARS, 2)), 10 ** rng.uniform(3.6, 4.8, STARS)
+    track = np.array([start, 120.6]) + np.arange(count)[:, None] * 5.0 * np.array(rate)
+    star = star[np.min(np.hypot(*(star[:, None] - track).transpose(2, 0, 1)), axis=1) > 9.0]
+    light = light[: len(star)]
+    if hidden_frame is not None:
+        star, light = np.vstack([star, track[hidden_frame] + 0.8]), np.append(light, 3e4)
+    frames, exposures = [], []
+    for k in range(count):
+        xy = np.vstack([star, track[k]])
+        made = frame_of(
+            rng, x_px=xy[:, 0], y_px=xy[:, 1], flux_e=np.append(light, flux_e), psf=Gaussian(3.0),
+            camera=Camera(shape=(SIDE, SIDE), sky_e=300.0, read_noise_e=5.0), name=f"f{k}",
+        )  # fmt: skip
+        frames.append(made.frame)
+        listed = xy if seen is None or k in seen else xy[:-1]
+        sigma = np.full(len(listed), 0.05)
+        at = listed + 0.05 * rng.standard_normal(listed.shape)
+        dec = DEC + (at[:, 1] - SIDE / 2) * SCALE / 3600.0
+        ra = RA - (at[:, 0] - SIDE / 2) * SCALE / 3600.0 / np.cos(np.radians(dec))
+        n, cov = len(listed), np.column_stack([sigma**2, np.zeros(len(listed)), sigma**2])
+        flux = np.append(light, flux_e)[:n] / 1.5
+        exposures.append(
+            Exposure(
+                f"f{k}", 59300.1 + k * 5.0 / 1440.0, at[:, 0], at[:, 1], cov, ra, dec, cov * SCALE**2, flux,
+                np.full(n, 40.0), flux / 40.0, np.zeros(n, np.int64), np.zeros(n), np.full(n, np.nan), SCALE,
+                (SIDE, SIDE), 60.0, None, 3.0,
+            )
+        )  # fmt: skip
+    return tie(exposures), frames, track
+
+
+def test_the_light_along_the_motion_is_measured_on_every_frame():
+    tied, frames, track = series(1)
+    found, tied = search(tied)
+    told = stack(found, tied, frames)
+    assert len(found) == 1 and told.detected.all()
+    np.testing.assert_allclose(told.chip[0], track, atol=0.3)
+    assert np.median(np.abs(told.flux[0] - 4000.0 / 1.5) / told.error[0]) < 2.0
+    np.testing.assert_allclose(told.flux[0], 4000.0 / 1.5, rtol=0.15)
+    middle = told.stacked[0].shape[0] // 2
+    top = np.unravel_index(np.argmax(told.stacked[0]), told.stacked[0].shape)
+    assert max(abs(np.array(top) - middle)) <= 1 and told.snr[0] > 0.6 * np.sqrt(6) * np.median(told.snr[0] / 6**0.5)
+
+
+def test_cut_outs_have_north_up_and_east_to_the_left():
+    # East is −x here: a mover of growing x goes west, to the right.
+    tied, frames, _ = series(2, 20000.0, rate=(1.0, 0.0))
+    found, tied = search(tied)
+    fixed = stack(found, tied, frames).fixed[0]
+    columns = [np.unravel_index(np.argmax(one[one.shape[0] // 2 - 3 : one.shape[0] // 2 + 4]), (7, one.shape[1]))[1]
+               for one in fixed]  # fmt: skip
+    np.testing.assert_allclose(np.diff(columns), 5, atol=1.5)
+
+
+def test_frames_that_do_not_list_it_confirm_a_mover_by_their_light():
+    tied, frames, _ = series(3, seen=(0, 2, 5))
+    found, tied = search(tied, least_probability=0.0)
+    told = stack(found, tied, frames)
+    assert found.size[0] == 3 and told.detected[0].sum() == 3
+    assert told.log_ratio[0] > 6.0 and told.p[0] >= found.p_tracklet[0]
+
+
+def test_frames_without_its_light_refute_a_tracklet():
+    # Three detections in a line, made of noise: their light is on no other frame.
+    tied, frames, _ = series(4, seen=(0, 2, 5))
+    _, empty, _ = series(4, 0.0, seen=(0, 2, 5))
+    found, tied = search(tied, least_probability=0.0)
+    frames = [one if k in (0, 2, 5) else blank for k, (one, blank) in enumerate(zip(frames, empty, strict=True))]
+    told = stack(found, tied, frames)
+    assert told.log_ratio[0] < -1.0 and told.p[0] <= found.p_tracklet[0]
+    doubtful = replace(found, p_tracklet=np.full(len(found), 0.6))
+    told = stack(doubtful, tied, frames)
+    kept, left = confirmed(doubtful, told, 0.5)
+    assert told.p[0] < 0.5 and len(kept) == len(left) == 0
+
+
+def test_a_star_over_the_track_says_nothing():
+    tied, frames, _ = series(5, seen=(0, 1, 2, 4, 5), hidden_frame=3)
+    found, tied = search(tied, least_probability=0.0)
+    told = stack(found, tied, frames)
+    assert told.hidden[0, 3] and not told.hidden[0, [0, 5]].any() and told.detected[0, [0, 1, 2, 4, 5]].all()
+    assert abs(told.log_ratio[0]) < 1e-9
+
+
+def test_motion_that_leaves_the_frame_is_measured_where_it_is_on():
+    tied, frames, track = series(6, count=8, rate=(1.0, 0.0), seen=(0, 1, 2, 3, 4), start=220.3)
+    found, tied = search(tied, least_probability=0.0)
+    told = stack(found, tied, frames)
+    inside = track[:, 0] < SIDE - 12
+    assert np.isfinite(told.flux[0])[inside].all() and np.isnan(told.flux[0])[track[:, 0] > SIDE - 8].all()
+
+
+def test_the_page_blinks_steps_and_says_why(tmp_path):
+    from sameas.pages.movers import write_movers_page
+
+    tied, frames, _ = series(7, seen=(0, 2, 3, 5))
+    found, tied = search(tied)
+    path = Path(tmp_path / "movers.html")
+    write_movers_page(path, "night <1>", found, tied, stack(found, tied, frames))
+    text = path.read_text()
+    assert "night &lt;1&gt;" in text and "2 frames do not show it by themselves" in text and "chance makes" in text
+    if CHROMIUM is None:
+        pytest.skip("no Chromium here")
+    browser = Browser(tmp_path / "profile", path)
+    try:
+        assert browser.js("document.getElementById('name').textContent") == "sa00001"
+        assert browser.js("document.querySelectorAll('#rows tr').length") == 5
+        browser.js("document.getElementById('play').click()")
+        assert browser.js("document.getElementById('play').textContent") == "play"
+        browser.js("(e => { e.value = 1; e.dispatchEvent(new Event('input')); })(document.getElementById('frame'))")
+        assert browser.js("document.getElementById('blink-words').textContent").startswith("f1: not detected")
+        lit = "(c => { const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data; let m = 0; "
+        lit += "for (let i = 0; i < d.length; i += 4) m = Math.max(m, d[i]); return m; })"
+        assert browser.js(f"{lit}(document.getElementById('stack'))") > 150
+        assert browser.errors == []
+    finally:
+        browser.close()
+
+
+def test_a_series_without_movers_has_a_page_that_says_so(tmp_path):
+    from sameas.pages.movers import write_movers_page
+
+    tied, frames, _ = series(8, seen=())
+    found, tied = search(tied)
+    assert len(found) == 0
+    write_movers_page(tmp_path / "movers.html", "night", found, tied, stack(found, tied, frames))
+    assert "Nothing was found to move." in (tmp_path / "movers.html").read_text()
