@@ -181,3 +181,14 @@ def test_a_large_entangled_group_is_compiled_however_few_its_records():
     for kernel in (assign_linear, assign_counted):
         assert kernel.work(0, 1, start, start_1, start_1) > compiled.FEW
         assert kernel.work(0, n, 2 * alone, alone, alone) < compiled.FEW
+
+
+def test_beside_a_loaded_compiler_what_is_cached_is_not_interpreted_at_length(monkeypatch):
+    some = compiled.small(lambda values: float(values.sum()))
+    monkeypatch.setattr(compiled, "_dispatchers", {})
+    some._seems_cached = True
+    assert some.most == compiled.FEW
+    monkeypatch.setattr(compiled, "_dispatchers", {some.function: None})
+    assert some.most == compiled.FEW_BESIDE
+    some._seems_cached = False
+    assert some.most == compiled.FEW

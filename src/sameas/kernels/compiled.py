@@ -26,6 +26,9 @@ import numpy as np
 #: Kernels that are given more items than this are compiled: interpreted, an item takes about a microsecond, so that
 #: loading the compiler costs less.
 FEW = 100_000
+#: The same where the compiler is loaded already and the machine has compiled the kernel before: reading it takes a
+#: millisecond or two.
+FEW_BESIDE = 2_000
 #: When so many seconds of the processor have gone into interpreting, the compiler would have been loaded, or would have
 #: compiled for the first time on this machine: all is compiled from then on.
 PATIENCE_S, PATIENCE_AT_FIRST_S = 2.0, 15.0
@@ -66,7 +69,7 @@ class Kernel:
     def __call__(self, *arguments: Any) -> Any:
         dispatcher = self._dispatcher
         if dispatcher is None:
-            if self.interprets and self.work(*arguments) <= self.few:
+            if self.interprets and self.work(*arguments) <= self.most:
                 return self.interpreted(*arguments)
             dispatcher = self.compiled
         return dispatcher(*arguments)
@@ -77,6 +80,11 @@ class Kernel:
         if self.few == 0 or self._dispatcher is not None:
             return False
         return _spent < PATIENCE_S or (_spent < PATIENCE_AT_FIRST_S and not self._seems_cached)
+
+    @property
+    def most(self) -> int:
+        """The most items for which it would be interpreted now."""
+        return min(self.few, FEW_BESIDE) if _dispatchers and self._seems_cached else self.few
 
     @cached_property
     def _seems_cached(self) -> bool:
