@@ -7,7 +7,7 @@ import pytest
 from astropy.io import fits
 from astropy.table import Table
 
-from sameas.bounds import Headers, Unpacking, check_headers, unpacked
+from sameas.bounds import Headers, Unpacking, checked_fits, unpacked
 from sameas.errors import InputError
 from sameas.io import read_table, write_table
 from sameas.sky.frame.image import read as read_frame
@@ -62,14 +62,14 @@ def test_a_header_without_an_end_is_refused(tmp_path):
         read_table(path)
     path.write_bytes(b"SIMPLE  =                    T".ljust(80) + b"COMMENT ".ljust(80) * 2880)
     with pytest.raises(InputError, match="extension 0 has no END"):
-        check_headers(path, Headers(cards=360))
+        checked_fits(path, Headers(cards=360))
 
 
 def test_a_compressed_image_larger_than_any_that_shrinks_so_far_is_refused(tmp_path):
     path = tmp_path / "c.fits"
     fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(SKY, compression_type="RICE_1")]).writeto(path)
     assert read_frame(path).shape == SKY.shape
-    with pytest.raises(InputError, match="says a compressed image of 100000 × 900000 pixels, in a file of 8640 bytes"):
+    with pytest.raises(InputError, match="says a compressed image of 100000 × 900000 pixels, in a file of"):
         read_frame(edited(path, 1, ZNAXIS1=100000, ZNAXIS2=900000))
 
 
@@ -79,7 +79,7 @@ def test_whole_files_pass(tmp_path):
     groups = fits.GroupsHDU(fits.GroupData(np.ones((4, 3, 2)), bitpix=-32, parnames=["A"], pardata=[np.ones(4)]))
     fits.HDUList([groups, *images]).writeto(path)
     path.write_bytes(path.read_bytes() + b"what stands behind the last header is not looked at")
-    check_headers(path)
+    checked_fits(path)
 
 
 def test_a_packed_file_that_grows_out_of_bounds_is_refused(tmp_path):

@@ -1,17 +1,17 @@
 """Bounds: how much a file may ask for, so that a small one fills neither the memory nor the day.
 
-:func:`unpacked` unpacks gzip within them; :func:`check_headers` looks at the headers of a FITS file before a library
+:func:`unpacked` unpacks gzip within them; :func:`checked_fits` looks at the headers of a FITS file before a library
 believes them.
 """
 
 from __future__ import annotations
 
 import gzip
+import io
 import os
 import re
 import zlib
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
@@ -70,54 +70,65 @@ class Headers:
 
     cards : of one header; the largest that are known, of mosaics with their histories, have 30 000.
     axes, fields : those of the standard (FITS 4.0, sections 4.4.1 and 7.3.1).
-    shrunk : how many times a compressed image may have shrunk, beyond ``least`` bytes that it may have in any case.
-    looked_through : bytes of a packed file within which headers are looked at.
+    shrunk : how many times a compressed image, of 8 bytes a pixel, may have shrunk, beyond ``least`` bytes in any case.
     """
 
     cards: int = 100_000
     axes: int = 999
     fields: int = 999
     shrunk: int = 1000
-    least: int = 1 << 28
-    looked_through: int = 1 << 26
+    least: int = 1 << 27
 
 
 _BLOCK, _CARD_BYTES = 2880, 80
+_BEGIN = re.compile(rb"SIMPLE  = +[TF] |XTENSION= *'[A-Z0-9 ]*' *(?:/| {20})")
 _WHOLE = re.compile(rb"([A-Z0-9_-]{1,8}) *= *([+-]?\d+) *(?:/|$)")
 
 
-def check_headers(path: Path, limits: Headers | None = None) -> None:
-    """Refuses headers that ask for more than the file can hold, before a library believes them.
+def checked_fits(path: Path, limits: Headers | None = None) -> Path | io.BytesIO:
+    """What astropy may open: the path, or all bytes of a packed file, in which it may look for ever for a next header.
+
+    Refused are headers that ask for more than the file can hold, before a library believes them.
 
     Raises
     ------
-    InputError : a header without an end; axes, columns, rows or sizes that no such file has.
+    InputError : a header without an end; axes, columns, rows or sizes that no such file has; see :func:`unpacked`.
     """
     limits = limits or Headers()
     size = path.stat().st_size
-    with path.open("rb") as plain:
-        packed = plain.read(2) == MAGIC
-        plain.seek(0)
-        most = min(Unpacking().of(size), limits.looked_through) if packed else size
-        # A packed file that is cut off or damaged is its reader's to refuse.
-        with gzip.open(plain) if packed else plain as file, suppress(EOFError, zlib.error, gzip.BadGzipFile):
-            at, number = 0, 0
-            while at < most and (cards := _whole_numbers(file, path, number, limits)):
-                at = file.tell() + _data_bytes(cards, path, number, size, limits)
-                at += -at % _BLOCK
-                if at < most:
-                    file.seek(at)
-                number += 1
+    with path.open("rb") as file:
+        if file.read(2) != MAGIC:
+            _check_headers(file, path, size, size, limits)
+            return path
+    content = unpacked(path)
+    _check_headers(io.BytesIO(content), path, len(content), size, limits)
+    return io.BytesIO(content)
+
+
+def _check_headers(file: Any, path: Path, length: int, size: int, limits: Headers) -> None:
+    """length : of what is read. size : of the file, which may be packed."""
+    at, number = 0, 0
+    while at < length:
+        file.seek(at)
+        cards = _whole_numbers(file, path, number, limits)
+        if not cards:
+            return
+        at = file.tell() + _data_bytes(cards, path, number, size, limits)
+        at += -at % _BLOCK
+        number += 1
 
 
 def _whole_numbers(file: Any, path: Path, number: int, limits: Headers) -> dict[str, int]:
     """The whole numbers of the next header by keyword, the first where one stands twice; empty behind the last."""
     cards: dict[str, int] = {}
+    known = True
     for _ in range(0, limits.cards, _BLOCK // _CARD_BYTES):
         block = file.read(_BLOCK)
-        if not cards and not block.startswith((b"SIMPLE  =", b"XTENSION=")):
-            return {}
-        cards.setdefault("", 0)
+        if not cards:
+            known = block.startswith((b"SIMPLE  =", b"XTENSION="))
+            if known and not _BEGIN.match(block):
+                raise InputError(f"{path}: extension {number} begins with {block[:30]!r}; it is damaged, copy it again")
+            cards[""] = 0
         for begin in range(0, len(block), _CARD_BYTES):
             card = block[begin : begin + _CARD_BYTES]
             if card.rstrip() == b"END":
@@ -126,6 +137,8 @@ def _whole_numbers(file: Any, path: Path, number: int, limits: Headers) -> dict[
                 cards.setdefault(found[1].decode("ascii"), int(found[2]))
         if len(block) < _BLOCK:
             break
+    if not known:  # what stands behind the last extension is nobody's
+        return {}
     raise InputError(f"{path}: the header of extension {number} has no END; it is damaged or cut off, copy it again")
 
 
@@ -146,7 +159,7 @@ def _data_bytes(cards: Mapping[str, int], path: Path, number: int, size: int, li
     if "TFIELDS" in cards and len(axes) == 2 and axes[0] == 0 < axes[1]:
         raise refuse(f"says {axes[1]} rows without a byte in them")
     image = [cards.get(f"ZNAXIS{k}", 0) for k in range(1, cards.get("ZNAXIS", 0) + 1)]
-    if image and prod(image) * abs(cards.get("ZBITPIX", 8)) // 8 > max(limits.least, limits.shrunk * size):
+    if image and 8 * prod(image) > max(limits.least, limits.shrunk * size):
         raise refuse(f"says a compressed image of {' × '.join(map(str, image))} pixels, in a file of {size} bytes")
     axes = axes[1:] if axes[:1] == [0] and "GROUPS" in cards else axes
     values = prod(axes) if axes else 0

@@ -72,7 +72,7 @@ class Observer:
             told = tomllib.loads(Path(path).read_text(encoding="utf-8"))
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
             raise InputError(f"{path}: is not TOML ({error}); write it like\n{_EXAMPLE}") from None
         code = str(_needed(told, path, "observatory", "mpcCode"))
         if not re.fullmatch(r"[0-9A-Z][0-9A-Za-z]{2,3}", code):

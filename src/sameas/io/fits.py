@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray
-from sameas.bounds import check_headers
+from sameas.bounds import checked_fits
 from sameas.errors import InputError
 from sameas.io.format import Format
 from sameas.io.provenance import ascii_of, to_json, to_text, unicode_of
@@ -56,13 +56,13 @@ def read(path: Path, hdu: int | str | None) -> Table:
     """The first table of a FITS file, or that of extension ``hdu``."""
     from astropy.io import fits
 
-    check_headers(path)
+    checked = checked_fits(path)
     with warnings.catch_warnings():
         # Neither the remarks on the letter of the standard are for the user of a catalogue, nor is this:
         # a file cut short is refused below, with both sizes; astropy would only warn.
         warnings.filterwarnings("ignore", message="File may have been truncated")
         warnings.simplefilter("ignore", fits.verify.VerifyWarning)
-        with fits.open(path, memmap=path.suffix.lower() != ".gz", character_as_bytes=True) as hdus:
+        with fits.open(checked, memmap=checked is path, character_as_bytes=True) as hdus:
             chosen, notes = _chosen(hdus, hdu, path)
             _check_whole(chosen, path)
             header = chosen.header
@@ -100,7 +100,7 @@ def provenance(path: Path) -> dict[str, Any]:
     """What the card SAMEAS of the first extension with one says."""
     from astropy.io import fits
 
-    with fits.open(path, memmap=False) as hdus:
+    with fits.open(checked_fits(path), memmap=False) as hdus:
         for hdu in hdus:
             if _CARD in hdu.header:
                 return dict(json.loads(hdu.header[_CARD]))

@@ -20,6 +20,8 @@ from sameas.io.format import Format
 if TYPE_CHECKING:
     from astropy.table import Table
 
+#: No row of a file has more columns (chosen); a number beyond is a damaged one.
+_MOST_COLUMNS = 100_000
 _LINE = re.compile(r"#\s*(\d+)\s+(\S+)\s*(.*?)\s*(?:\[([^\]]*)\])?\s*$")
 _FIRST = re.compile(rb"\A\s*#\s*1\s+[A-Z]\w+\b")
 
@@ -68,7 +70,7 @@ def _head(first: bytes, path: Path) -> tuple[list[_Named], int]:
             width = len(words(line))
             break
     numbers = [column.number for column in named]
-    if not named or numbers != sorted(set(numbers)) or numbers[0] != 1:
+    if not named or numbers != sorted(set(numbers)) or numbers[0] != 1 or numbers[-1] > _MOST_COLUMNS:
         raise InputError(f"{path}: its comments do not number the columns from 1 on, as SExtractor does")
     return named, width or numbers[-1]
 

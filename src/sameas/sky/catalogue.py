@@ -600,6 +600,12 @@ def _ids(
     if np.ma.getmaskarray(column).any() if hasattr(column, "mask") else False:
         return np.arange(len(table)), (f"id: {choice.id} has empty cells, so rows are numbered",)
     ids = np.asarray(column)
+    if ids.ndim > 1 or any(isinstance(one, np.ndarray | list) for one in (ids if ids.dtype.kind == "O" else ())):
+        if options.id:
+            raise InputError(
+                f"{source}: column {choice.id!r} has several values in a cell; give a column of single ids"
+            )
+        return np.arange(len(table)), (f"id: {choice.id} has several values in a cell, so rows are numbered",)
     if not options.id and _repeats(ids):
         return np.arange(len(table)), (f"id: {choice.id} is not unique, so rows are numbered",)
     return ids, ()

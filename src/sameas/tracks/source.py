@@ -339,7 +339,7 @@ def source_tables(path: str | Path) -> Mapping[str, Mapping[str, Any]]:
     """The tables ``[sources.NAME]`` of a TOML file as they stand, by name; refused as by :func:`read_descriptions`."""
     try:
         content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: cannot be read as TOML ({getattr(error, 'strerror', None) or error})") from error
     sources = content.get("sources")
     if not isinstance(sources, Mapping) or not sources:

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from sameas.arrays import FloatArray, IntArray
-from sameas.errors import InputError
+from sameas.errors import InputError, reading
 
 #: Gauss's constant squared: GM of the Sun, au³/day².
 _GM_SUN = 0.01720209895**2
@@ -85,9 +85,8 @@ class Elements:
             text = Path(path).read_text(encoding="utf-8", errors="replace")
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-        if text.lstrip().startswith("{"):
-            return _of_json(text, path)
-        return _of_mpcorb(text, path)
+        with reading(str(path), "is neither MPCORB nor JSON of the small-body database"):
+            return _of_json(text, path) if text.lstrip().startswith("{") else _of_mpcorb(text, path)
 
 
 def _of_json(text: str, path: Any) -> Elements:
@@ -169,6 +168,8 @@ def _packed_date(text: str) -> float:
 
 def _number_of(packed: str) -> str:
     """A permanent number of MPC's packed form; '' for a provisional designation."""
+    if not packed.removeprefix("~").isalnum() or not packed.isascii():
+        return ""
     letters = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz"
     if len(packed) != 5:
         return ""

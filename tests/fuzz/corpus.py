@@ -1,0 +1,369 @@
+"""What is fuzzed: a few small files of every format, made by the library's own writers, and how they are read."""
+
+from __future__ import annotations
+
+import ast
+import gzip
+import io
+import json
+import re
+import struct
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+TESTS = Path(__file__).parents[1]
+DATA = TESTS / "tracks" / "data"
+
+
+@dataclass(frozen=True)
+class Target:
+    """One format. ending : of its files. seeds : whole files. read : reads a path. inside : bytes to be changed, of a
+    file, and outside : the file of changed bytes, with sums that fit again."""
+
+    ending: str
+    seeds: Callable[[], list[bytes]]
+    read: Callable[[Path], object]
+    inside: Callable[[bytes], bytes] = bytes
+    outside: Callable[[bytes], bytes] = bytes
+
+
+# How they are read: as the commands do, up to where a file has become records.
+
+
+def table(path: Path) -> object:
+    from sameas.io import read_provenance, read_table
+    from sameas.sky.catalogue import Catalogue, CatalogueOptions
+
+    read_provenance(path)
+    return Catalogue.of(read_table(path), "t", options=CatalogueOptions(sigma=0.1))
+
+
+def frame(path: Path) -> object:
+    from sameas.sky.frame.image import read
+
+    return read(path)
+
+
+def sensor(path: Path) -> object:
+    from sameas.io.sensors import ReadOptions, read_reports
+
+    every = read_reports(path, ReadOptions(source="radar", start="2024-05-01"))
+    for reports in every:
+        assert np.isfinite(reports.time_s).all(), "a time that is not finite"
+        assert not any(np.isinf(column).any() for column in reports.columns().values() if column.dtype.kind == "f")
+        reports.summary(), reports.in_time_order().velocity_m_per_s()
+    return every
+
+
+def sensors_toml(path: Path) -> object:
+    from sameas.io.sensors.sources import read_source_options
+
+    return read_source_options(path)
+
+
+def report_toml(path: Path) -> object:
+    from sameas.io.ades import Observer
+
+    return Observer.read(path)
+
+
+def coast(path: Path) -> object:
+    from sameas.maps.coast import read_coast
+
+    return read_coast(path)
+
+
+def elements(path: Path) -> object:
+    from sameas.sky.movers.orbits import Elements
+
+    return Elements.read(path)
+
+
+# The files.
+
+
+@cache
+def stars() -> Any:
+    from astropy.table import MaskedColumn, Table
+
+    rng = np.random.default_rng(7)
+    made = Table({
+        "id": np.arange(12) + 4472832130942575872, "name": [f"s{k}" for k in range(12)],
+        "ra": rng.uniform(10.0, 10.2, 12), "dec": rng.uniform(-0.1, 0.1, 12),
+        "pmra": rng.normal(0.0, 9.0, 12), "pmdec": rng.normal(0.0, 9.0, 12), "sigma": np.full(12, 0.1),
+        "mag": MaskedColumn(rng.uniform(9.0, 18.0, 12), mask=np.arange(12) == 3), "known": np.arange(12) % 2 == 0,
+    })  # fmt: skip
+    for name, unit in {"ra": "deg", "dec": "deg", "sigma": "arcsec", "pmra": "mas/yr", "pmdec": "mas/yr"}.items():
+        made[name].unit = unit
+    made.meta["EPOCH"] = 2016.0
+    return made
+
+
+def written(ending: str) -> Callable[[], list[bytes]]:
+    """The stars as our writer of this ending has them."""
+
+    def seeds() -> list[bytes]:
+        from sameas.io import write_table
+
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / f"t{ending}"
+            write_table(stars(), path, provenance={"command": "sameas match a b"})
+            return [path.read_bytes()]
+
+    return seeds
+
+
+def votables() -> list[bytes]:
+    from astropy.io.votable import from_table
+
+    kinds = []
+    for kind in ("tabledata", "binary", "binary2"):
+        out = io.BytesIO()
+        from_table(stars()).to_xml(out, tabledata_format=kind)
+        kinds.append(out.getvalue())
+    return kinds
+
+
+def texts(*names: str, mark: str = ";", instead: str = ";") -> Callable[[], list[bytes]]:
+    """Texts that tests/io/test_io_text.py has. mark : what stands between columns; instead : what shall stand there."""
+
+    def seeds() -> list[bytes]:
+        source = (TESTS / "io" / "test_io_text.py").read_text(encoding="utf-8")
+        made = {node.targets[0].id: node.value for node in ast.parse(source).body if isinstance(node, ast.Assign)}
+        text = "".join(ast.literal_eval(made[name]) for name in names)
+        return [text.replace(mark, instead).replace(f"ra{instead}", f"ra{mark}").encode()]
+
+    return seeds
+
+
+def fits_bytes(*hdus: Any) -> bytes:
+    from astropy.io import fits
+
+    out = io.BytesIO()
+    fits.HDUList(list(hdus)).writeto(out)
+    return out.getvalue()
+
+
+def frames(compression: str = "") -> Callable[[], list[bytes]]:
+    def seeds() -> list[bytes]:
+        from astropy.io import fits
+
+        sky = np.random.default_rng(5).poisson(500.0, (40, 50)).astype(np.int16)
+        header = fits.Header({
+            "EXPTIME": 30.0, "DATE-OBS": "2019-03-04T05:06:07.8", "MJD-OBS": 58546.2, "GAIN": 1.5, "RDNOISE": 7.0,
+            "OBJCTRA": "05 35 17", "OBJCTDEC": "-05 23 28", "LST": "10:11:12", "SITELAT": "+40 10 11",
+            "SITELONG": "-70 01 02", "EQUINOX": 1950.0, "PEDESTAL": -100, "SATURATE": 60000.0, "BUNIT": "adu",
+        })  # fmt: skip
+        if compression:
+            return [fits_bytes(fits.PrimaryHDU(), fits.CompImageHDU(sky, header, compression_type=compression))]
+        quality = fits.ImageHDU((sky > 560).astype(np.int16), fits.Header({"MP_SAT": 1, "MP_CR": 3}), name="MASK")
+        planes = fits_bytes(fits.PrimaryHDU(), fits.ImageHDU(sky, header, name="SCI"), quality,
+                            fits.ImageHDU(np.sqrt(sky).astype("f4"), name="ERR"))  # fmt: skip
+        return [fits_bytes(fits.PrimaryHDU(sky, header)), fits_bytes(fits.PrimaryHDU(sky.astype("f4"), header)), planes]
+
+    return seeds
+
+
+SENSOR_ROWS = [
+    {"time": 1.7e9 + k, "mmsi": 235070762 + k % 3, "lat": 50.0 + 0.01 * k, "lon": -1.0, "sog": 5.0 + k, "cog": 9.0 * k,
+     "sigma": 15.0, "name": f"ship {k % 3}"} for k in range(9)
+]  # fmt: skip
+POLAR_ROWS = [
+    {"time": f"2024-05-01T12:00:0{k}Z", "track": k % 3, "range_nm": 2.5 + k, "bearing_deg": 33.0 * k, "alt_ft": 300}
+    for k in range(9)
+]
+
+
+def sensor_csv() -> list[bytes]:
+    every = []
+    for rows, mark in ((SENSOR_ROWS, ","), (POLAR_ROWS, ";")):
+        lines = [mark.join(rows[0]), *(mark.join(map(str, row.values())) for row in rows)]
+        every.append(("\n".join(lines) + "\n").encode())
+    day_first = b"# Timestamp,MMSI,Latitude,Longitude\n13/01/2024 12:00:00,1,50,1\n14/01/2024 12:00:09,2,50,1\n"
+    return [*every, day_first]
+
+
+def sensor_json() -> list[bytes]:
+    lines = "".join(json.dumps(row) + "\n" for row in SENSOR_ROWS)
+    return [lines.encode(), json.dumps([{"what": row} for row in SENSOR_ROWS]).encode()]
+
+
+def sensor_parquet() -> list[bytes]:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    every = []
+    for rows in (SENSOR_ROWS, POLAR_ROWS):
+        out = io.BytesIO()
+        made = pa.Table.from_pylist(rows)
+        if isinstance(rows[0]["time"], float):
+            made = made.set_column(0, "time", made["time"].cast(pa.int64()).cast(pa.timestamp("s")))
+        parquet.write_table(made, out)
+        every.append(out.getvalue())
+    return every
+
+
+def aircraft() -> list[bytes]:
+    planes = [
+        {"hex": "4ca7a8", "flight": "EIN1 ", "lat": 50.1, "lon": -1.2, "seen_pos": 1.5, "gs": 430.5, "track": 93.1,
+         "alt_baro": 35000, "alt_geom": 35525, "baro_rate": -64, "nac_p": 9, "nac_v": 2, "nic": 8, "rc": 186,
+         "t": "A320", "squawk": "1234", "type": "adsb_icao"},
+        {"hex": "~2a3b4c", "lat": 51.0, "lon": 1.0, "alt_baro": "ground"}, {"hex": "4ca7a9"},
+    ]  # fmt: skip
+    every = [{"now": 1.7e9 + k, "messages": 5, "aircraft": planes} for k in range(3)]
+    return ["".join(json.dumps(one) + "\n" for one in every).encode(), json.dumps(every[0], indent=1).encode()]
+
+
+def sbs() -> list[bytes]:
+    day = "2024/05/01,12:00:{:02d}.000,2024/05/01,12:00:{:02d}.000"
+    lines = []
+    for k in range(6):
+        begin = f"MSG,{{}},1,1,4CA7A{k % 2},1,{day.format(k, k)}"
+        lines += [begin.format(3) + f",,35000,,,5{k}.1,-1.25,,,0,0,0,0", begin.format(1) + ",EIN1,,,,,,,,,,,",
+                  begin.format(4) + ",,,430,93,,,-64,,,,,"]  # fmt: skip
+    return ["\r\n".join([*lines, "STA,,1,1,4CA7A0,1", ""]).encode()]
+
+
+def ships_log() -> list[bytes]:
+    ais = (DATA / "ais_sample.nmea").read_bytes()
+    bodies = ["GPZDA,120000,01,05,2024,00,00", "HEHDT,45.0,T", "GPRMC,120001,A,5000.0,N,00100.0,W,5,45,010524,,",
+              "RATTM,01,2.5,13.6,T,7.0,20.0,T,,,N,one,T,,120002,A", "RATTM,02,2.5,13.6,R,7.0,20.0,R,,,K,,Q,R,120002,M",
+              "RATLL,03,5000.0,N,00100.0,W,b,120003,T,", "PGHP,1,2024,5,1,12,0,4,0,219,,2,,1,5B",
+              "AIVDM,1,1,,A,403OtVAv7=i@D?fuDF3pB1g00D0:,0"]  # fmt: skip
+    log = "".join(f"{'!' if 'VDM' in body else '$'}{body}*00\n" for body in bodies)
+    stamped = b"\\c:1452603731*00\\" + ais.splitlines()[-1]
+    radar = "".join(line for line in log.splitlines(keepends=True) if "VDM" not in line)
+    return [ais, summed(radar.encode()), summed(log.encode() + stamped + b"\n")]
+
+
+def summed(content: bytes) -> bytes:
+    """Sentences with checksums that fit, but for those that have four digits where two belong."""
+
+    def fitting(line: re.Match[bytes]) -> bytes:
+        total = 0
+        for byte in line[1]:
+            total ^= byte
+        return line[0][:1] + line[1] + b"*%02X" % total
+
+    return re.sub(rb"[!$]([^*\n]*)\*[0-9A-Fa-f]{0,2}(?![0-9A-Fa-f])", fitting, content)
+
+
+def asterix() -> list[bytes]:
+    blocks = [
+        bytes.fromhex(case["block"]) for case in json.loads((DATA / "asterix_oracle.json").read_text())["records"]
+    ]
+    return [b"".join(blocks), *blocks[:6]]
+
+
+def asterix_pcap() -> list[bytes]:
+    out = [struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)]
+    for k, payload in enumerate(asterix()[1:]):
+        udp = struct.pack(">HHHH", 8600, 8600, 8 + len(payload), 0) + payload
+        ip = struct.pack(">BBHHHBBH8x", 0x45, 0, 20 + len(udp), 0, 0, 64, 17, 0) + udp
+        packet = bytes(12) + b"\x08\0" + ip
+        out.append(struct.pack("<IIII", 1714564800 + k, 0, len(packet), len(packet)) + packet)
+    return [b"".join(out)]
+
+
+SENSORS_TOML = b"""\
+[sources.radar]
+kind = "marine radar"
+site = { lat_deg = 50.0, lon_deg = -1.0, height_m = 20.0 }
+file = { path = "plots.csv", start = "2024-05-01", columns = { range_m = "d" }, units = { d = "km" } }
+errors = { range_m = 25.0, bearing_deg = 0.5 }
+motion = { speed_m_per_s = 8.0, standing_share = 0.2, standing_m_per_s = 0.1 }
+[sources.ais]
+kind = "ais"
+file = "log.nmea"
+"""
+REPORT_TOML = b"""\
+observers = { name = ["J. Doe"] }
+comment = { line = ["clear"] }
+[observatory]
+mpcCode = "810"
+[submitter]
+name = "J. Doe"
+[telescope]
+design = "Schmidt-Cassegrain"
+aperture = "0.36"
+detector = "CCD"
+[report]
+astCat = "Gaia3"
+band = "G"
+"""
+
+
+def coasts() -> list[bytes]:
+    ring = [[-1.0, 50.0], [-1.1, 50.0], [-1.1, 50.2], [-1.0, 50.0]]
+    features = [
+        {"type": "Feature", "properties": {}, "geometry": {"type": "Polygon", "coordinates": [ring]}},
+        {"type": "Feature", "properties": {}, "geometry": {"type": "MultiLineString", "coordinates": [ring[:2]]}},
+    ]
+    return [json.dumps({"type": "FeatureCollection", "features": features}).encode()]
+
+
+ORBITS = b"""\
+00001    3.34  0.15 K2555 188.70269   73.27343   80.25221   10.58780  0.0794013  0.21424651   2.7660512  0 E2024-V47  7330 125 1801-2024 0.80 M-v 30k MPCLINUX   4000      (1) Ceres              20241101
+00433   10.40  0.15 K2555 310.55432  178.92978  304.27009   10.82847  0.2228359  0.55977529   1.4581207  0 E2024-V47  9999  59 1893-2024 0.50 M-v 3Ek MPCLINUX   1804    (433) Eros               20241101
+"""  # noqa: E501
+
+
+def packed(seeds: Callable[[], list[bytes]]) -> Callable[[], list[bytes]]:
+    return lambda: [gzip.compress(seed, mtime=0) for seed in seeds()]
+
+
+def _packed_again(content: bytes) -> bytes:
+    return gzip.compress(content, compresslevel=1, mtime=0)
+
+
+TARGETS: Mapping[str, Target] = {
+    "fits": Target(".fits", written(".fits"), table),
+    "fits.gz": Target(".fits.gz", written(".fits.gz"), table, gzip.decompress, _packed_again),
+    "votable": Target(".vot", votables, table),
+    "ecsv": Target(".ecsv", written(".ecsv"), table),
+    "parquet": Target(".parquet", written(".parquet"), table),
+    "csv": Target(".csv", written(".csv"), table),
+    "csv.gz": Target(".csv.gz", packed(written(".csv")), table),
+    "sextractor": Target(".cat", texts("SEXTRACTOR"), table),
+    "vizier": Target(".tsv", texts("VIZIER", instead="\t"), table),
+    "ipac": Target(".tbl", texts("IPAC"), table),
+    "mrt": Target(".mrt", texts("MRT", "MRT_ROWS"), table),
+    "ascii": Target(".dat", texts("BLANKS"), table),
+    "frame": Target(".fits", frames(), frame),
+    "frame.fz": Target(".fits.fz", lambda: [seed for kind in ("RICE_1", "GZIP_1", "PLIO_1")
+                                            for seed in frames(kind)()], frame),
+    "frame hcompress": Target(".fits.fz", frames("HCOMPRESS_1"), frame),
+    "frame.gz": Target(".fits.gz", packed(frames()), frame, gzip.decompress, _packed_again),
+    "sensor csv": Target(".csv", sensor_csv, sensor),
+    "sensor json": Target(".jsonl", sensor_json, sensor),
+    "sensor parquet": Target(".parquet", sensor_parquet, sensor),
+    "ship's log": Target(".nmea", ships_log, sensor, outside=summed),
+    "aircraft.json": Target(".json", aircraft, sensor),
+    "sbs": Target(".sbs", sbs, sensor),
+    "mode s": Target(".csv", lambda: [(DATA / "mode_s_sample.csv").read_bytes()], sensor),
+    "asterix": Target(".ast", asterix, sensor),
+    "asterix pcap": Target(".pcap", asterix_pcap, sensor),
+    "sensors.toml": Target(".toml", lambda: [SENSORS_TOML], sensors_toml),
+    "report.toml": Target(".toml", lambda: [REPORT_TOML], report_toml),
+    "coast": Target(".geojson", coasts, coast),
+    "orbits": Target(".txt", lambda: [ORBITS], elements),
+}  # fmt: skip
+
+
+@dataclass
+class Corpus:
+    """The seeds of the targets, made when they are first asked for, ready to be changed."""
+
+    made: dict[str, list[bytes]] = field(default_factory=dict)
+
+    def seeds(self, name: str) -> list[bytes]:
+        """The seeds of a target, unpacked."""
+        if name not in self.made:
+            self.made[name] = [TARGETS[name].inside(seed) for seed in TARGETS[name].seeds()]
+        return self.made[name]

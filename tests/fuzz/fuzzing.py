@@ -1,0 +1,384 @@
+"""Fuzzes the readers: small files of all formats, changed at random, give an answer or one line that refuses them.
+
+``scripts/fuzz --all --inputs 100000`` runs this for hours, tests/fuzz/test_fuzz.py for seconds. Inputs are read in one
+child process that lives long, each within seconds and within memory beyond what the child had before; a child that
+dies or hangs is a fault of the input it was at, and another goes on behind it. Input k of a format is the same in every
+run with the same seed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).parent
+#: An input is read within so many seconds, and so many bytes beyond those that the child had before.
+SECONDS, BYTES = 5.0, 1 << 30
+#: A child reads so many inputs; a new one then takes over, so that what libraries keep does not add up.
+INPUTS_OF_A_CHILD = 5000
+
+NUMBERS = (
+    b"0",
+    b"-1",
+    b"1",
+    b"nan",
+    b"inf",
+    b"-inf",
+    b"1e308",
+    b"1e999",
+    b"-0.0",
+    b"999999999999",
+    b"2147483648",
+    b"91",
+    b"361",
+    b"9" * 25,
+    b"18446744073709551616",
+    b"1e-320",
+    b"",
+    b"0x10",
+    b"1_0",
+    b"1d5",
+    "½".encode(),
+    b"T",
+)
+TEXTS = (
+    b"\0", b"\x1b[31m", b"<script>alert(1)</script>", b'"', b"'", b"\xff\xfe", "\u2028".encode(), "\ufeff".encode(),
+    b"\n", b"\r", b",", b";", b"|", b"=cmd()", b"../../x", b"{", b"[", b"[" * 5000, b"A" * 3000, b"%s%n", b"--",
+    b"null", b"true", b"&lt;", b"<!ENTITY a 'b'>", b"&a;", b"END".ljust(80), b"\t", b"  ",
+)  # fmt: skip
+
+
+def changed(content: bytes, rng: random.Random, others: Sequence[bytes]) -> bytes:
+    """The content after some random changes, mostly one or two."""
+    out = bytearray(content)
+    for _ in range(1 + min(int(rng.expovariate(0.9)), 12)):
+        rng.choice(CHANGES)(out, rng, others)
+    return bytes(out)
+
+
+def _place(out: bytearray, rng: random.Random) -> int:
+    return rng.randrange(len(out) + 1)
+
+
+def _bits(out: bytearray, rng: random.Random, others: Sequence[bytes]) -> None:
+    if out:
+        out[rng.randrange(len(out))] ^= 1 << rng.randrange(8)
+
+
+def _byte(out: bytearray, rng: random.Random, others: Sequence[bytes]) -> None:
+    if out:
+        at = rng.randrange(len(out))
+        size = rng.choice((1, 1, 2, 4, 8))
+        out[at : at + size] = rng.choice((b"\0", b"\xff", b"\x7f", b"\x80", rng.randbytes(1))) * len(
+            out[at : at + size]
+        )
+
+
+def _cut(out: bytearray, rng: random.Random, others: Sequence[bytes]) -> None:
+    del out[_place(out, rng) :]
+
+
+def _less(out: bytearray, rng: random.Random, others: Sequence[bytes]) -> None:
+    at = _place(out, rng)
+    del out[at : at + 1 + int(rng.expovariate(0.02))]
+
+
+def _again(out: bytearray, rng: random.Random, others: Sequence[bytes]) -> None:
+    at = _place(out, rng)
+    out[at:at] = bytes(out[at : at + 1 + int(rng.expovariate(0.01))]) * rng.choice((1, 1, 2, 30))
+
+
+def _other(out: bytearray, rng: random.Random, others: Sequence[bytes]) -> None:
+    other, at = rng.choice(others), _place(out, rng)
+    begin = rng.randrange(len(other) + 1)
+    out[at : at + rng.choice((0, 200))] = other[begin : begin + 1 + int(rng.expovariate(0.01))]
+
+
+def _text(out: bytearray, rng: random.Random, others: Sequence[bytes]) -> None:
+    at, text = _place(out, rng), rng.choice(TEXTS)
+    out[at : at + rng.choice((0, len(text)))] = text
+
+
+def _number(out: bytearray, rng: random.Random, others: Sequence[bytes]) -> None:
+    """A number becomes another; in cards of FITS with as many characters as before."""
+    begin = _place(out, rng)
+    digits = [at for at in range(begin, min(begin + 4000, len(out))) if 48 <= out[at] <= 57]
+    if digits:
+        first = last = digits[0]
+        while last < len(out) and out[last] in b"0123456789.eE+-":
+            last += 1
+        number = rng.choice(NUMBERS)
+        if out[:6] == b"SIMPLE":
+            number = number[: max(last - first, 12)]
+            last = first + len(number)
+        out[first:last] = number
+
+
+def _card(out: bytearray, rng: random.Random, others: Sequence[bytes]) -> None:
+    """In FITS the value of a card; elsewhere a line, gone or twice."""
+    if out[:6] == b"SIMPLE":
+        cards = [at for at in range(0, min(len(out), 40000), 80) if out[at + 8 : at + 10] == b"= "]
+        if cards:
+            at = rng.choice(cards)
+            value = rng.choice((*NUMBERS, b"'x'", b"F", b"''", b"'1PB(99999999)'", b"'99999999D'", b"'0A'", b"(1,2)"))[
+                :60
+            ]
+            out[at + 10 : at + 80] = value.rjust(rng.choice((20, 1))).ljust(70)[:70]
+        return
+    lines = bytes(out).split(b"\n")
+    at = rng.randrange(len(lines))
+    lines[at : at + 1] = rng.choice(([], [lines[at]] * 2, [rng.choice(lines)], [b"".join(lines[at : at + 2])]))
+    out[:] = b"\n".join(lines)
+
+
+CHANGES = (_bits, _bits, _byte, _byte, _cut, _less, _again, _other, _text, _number, _number, _number, _card, _card)
+
+
+# The child: reads inputs, and says of each what came of it.
+
+
+class TooLong(BaseException):
+    """An input was not read within its seconds."""
+
+
+def input_of(name: str, seed: int, number: int, corpus: Any) -> bytes:
+    """Input ``number`` of a target: a file of its corpus, changed."""
+    from corpus import TARGETS
+
+    rng = random.Random(f"{name}:{seed}:{number}")
+    seeds = corpus.seeds(name)
+    return TARGETS[name].outside(changed(rng.choice(seeds), rng, seeds))
+
+
+def outcome(read: Any, path: Path) -> str:
+    """What came of reading a file: "answered", "refused", or what is wrong with it."""
+    from sameas.errors import InputError
+
+    try:
+        read(path)
+    except InputError as error:
+        said = str(error)
+        if not said.isprintable() or len(said) > 2100:
+            return f"says {said[:300]!r}"
+        return "refused"
+    except TooLong:
+        return f"took more than {SECONDS:g} s"
+    except MemoryError:
+        return f"needed more than {BYTES >> 20} MB"
+    except BaseException as error:
+        import traceback
+
+        at = traceback.extract_tb(error.__traceback__)
+        ours = [f for f in at if "sameas" in f.filename] or at
+        where = f"{Path(ours[-1].filename).name}:{ours[-1].lineno}"
+        return f"{type(error).__name__}: {str(error)[:150]} ({where})"
+    return "answered"
+
+
+def _child() -> None:
+    """Reads lines "format seed first last" and answers each input with "number seconds outcome"."""
+    import resource
+    import warnings
+
+    sys.path.insert(0, str(HERE))
+    from corpus import TARGETS, Corpus
+
+    warnings.simplefilter("ignore")
+    corpus, warm = Corpus(), set()
+
+    def too_long(number: int, frame: Any) -> None:
+        raise TooLong
+
+    signal.signal(signal.SIGALRM, too_long)
+    with tempfile.TemporaryDirectory(dir="/dev/shm" if os.path.isdir("/dev/shm") else None) as folder:
+        for line in sys.stdin:
+            name, seed, first, last = line.rstrip("\n").split("\t")
+            path = Path(folder) / f"input{TARGETS[name].ending}"
+            if name not in warm:
+                warm.add(name)
+                resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+                for content in corpus.seeds(name):
+                    path.write_bytes(TARGETS[name].outside(content))
+                    TARGETS[name].read(path)
+                if os.path.exists("/proc/self/statm"):
+                    pages = int(Path("/proc/self/statm").read_text().split()[0])
+                    most = pages * resource.getpagesize() + BYTES
+                    resource.setrlimit(resource.RLIMIT_AS, (most, resource.RLIM_INFINITY))
+            for number in range(int(first), int(last)):
+                path.write_bytes(input_of(name, int(seed), number, corpus))
+                began = time.perf_counter()
+                signal.setitimer(signal.ITIMER_REAL, SECONDS)
+                try:
+                    what = outcome(TARGETS[name].read, path)
+                except TooLong:
+                    what = f"took more than {SECONDS:g} s"
+                finally:
+                    signal.setitimer(signal.ITIMER_REAL, 0.0)
+                said = " ".join(what.split())
+                sys.stdout.write(f"{number}\t{time.perf_counter() - began:.4f}\t{said}\n")
+                sys.stdout.flush()
+
+
+# The parent: gives a child its work, and takes over where it dies or hangs.
+
+
+@dataclass
+class Findings:
+    """What came of the inputs of one format. faults : by what was wrong, the numbers of the inputs."""
+
+    tried: int = 0
+    answered: int = 0
+    refused: int = 0
+    slowest_s: float = 0.0
+    faults: dict[str, list[int]] = field(default_factory=dict)
+
+    def add(self, number: int, seconds: float, what: str) -> None:
+        self.tried += 1
+        self.slowest_s = max(self.slowest_s, seconds)
+        if what == "answered":
+            self.answered += 1
+        elif what == "refused":
+            self.refused += 1
+        else:
+            self.faults.setdefault(what, []).append(number)
+
+
+class Fuzzer:
+    """A child process, renewed when it has died, hung or read enough."""
+
+    def __init__(self, seed: int = 0) -> None:
+        self.seed, self.read = seed, 0
+        self.process: subprocess.Popen[bytes] | None = None
+        self.rest = b""
+
+    def run(self, name: str, first: int, last: int) -> Findings:
+        """The findings on inputs first to last − 1 of a format."""
+        found = Findings()
+        at = first
+        while at < last:
+            process = self._child()
+            end = min(last, at + INPUTS_OF_A_CHILD)
+            assert process.stdin is not None
+            process.stdin.write(f"{name}\t{self.seed}\t{at}\t{end}\n".encode())
+            process.stdin.flush()
+            for line in self._lines(process):
+                number, seconds, what = line.split("\t", 2)
+                found.add(int(number), float(seconds), what)
+                at, self.read = int(number) + 1, self.read + 1
+                if at == end:
+                    break
+            if at < end:
+                process.kill()
+                code = process.wait()
+                self.process = None
+                found.add(at, 0.0, "hung" if code == -signal.SIGKILL else f"ended the process ({code})")
+                at += 1
+        return found
+
+    def _child(self) -> subprocess.Popen[bytes]:
+        if self.process is not None and self.read >= INPUTS_OF_A_CHILD:
+            self.close()
+        if self.process is None:
+            environment = {**os.environ, "ARROW_DEFAULT_MEMORY_POOL": "system", "MALLOC_ARENA_MAX": "2",
+                           "SAMEAS_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONFAULTHANDLER": "0"}  # fmt: skip
+            self.process = subprocess.Popen(
+                [sys.executable, __file__, "--child"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL, env=environment,
+            )  # fmt: skip
+            self.read, self.rest = 0, b""
+        return self.process
+
+    def _lines(self, process: subprocess.Popen[bytes]) -> Iterator[str]:
+        """What the child says, until it ends, or says nothing for far longer than an input may take."""
+        assert process.stdout is not None
+        while True:
+            while b"\n" in self.rest:
+                line, _, self.rest = self.rest.partition(b"\n")
+                yield line.decode("utf-8", "replace")
+            if not select.select([process.stdout], [], [], 12 * SECONDS)[0]:
+                return
+            part = os.read(process.stdout.fileno(), 1 << 16)
+            if not part:
+                process.wait()
+                return
+            self.rest += part
+
+    def close(self) -> None:
+        if self.process is not None:
+            assert self.process.stdin is not None and self.process.stdout is not None
+            self.process.stdin.close()
+            self.process.stdout.close()
+            self.process.wait()
+            self.process = None
+
+
+def main() -> int:
+    sys.path.insert(0, str(HERE))
+    from corpus import TARGETS, Corpus
+
+    parser = argparse.ArgumentParser(prog="scripts/fuzz", description=(__doc__ or "").split("\n\n")[0])
+    parser.add_argument("--all", action="store_true", help="every format")
+    parser.add_argument("--format", action="append", choices=sorted(TARGETS), default=[], help="one format; repeat it")
+    parser.add_argument("--inputs", type=int, default=1000, help="inputs of each format")
+    parser.add_argument("--first", type=int, default=0, help="number of the first input")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="time for each format, at most")
+    parser.add_argument("--keep", type=Path, help="folder for the inputs that end in a fault")
+    given = parser.parse_args()
+    names = list(TARGETS) if given.all else given.format
+    if not names:
+        parser.error("give --all or --format NAME")
+    print(
+        f"{'format':16}{'tried':>9}{'answered':>10}{'refused':>9}{'faults':>8}{'slowest s':>11}{'a minute':>10}",
+        flush=True,
+    )
+    fuzzer, failed = Fuzzer(given.seed), False
+    total = Findings()
+    for name in names:
+        began, found, at, last = time.monotonic(), Findings(), given.first, given.first + given.inputs
+        while at < last and time.monotonic() - began < given.seconds:
+            end = min(at + 250, last)
+            part = fuzzer.run(name, at, end)
+            for total_of in (found, total):
+                total_of.tried += part.tried
+                total_of.answered += part.answered
+                total_of.refused += part.refused
+                total_of.slowest_s = max(total_of.slowest_s, part.slowest_s)
+                for what, numbers in part.faults.items():
+                    total_of.faults.setdefault(what, []).extend(numbers)
+            at = end
+        rate = 60.0 * found.tried / (time.monotonic() - began)
+        print(_row(name, found) + f"{rate:10.0f}", flush=True)
+        for what, numbers in sorted(found.faults.items(), key=lambda fault: -len(fault[1])):
+            failed = True
+            print(f"    {len(numbers)} × {what}; inputs {', '.join(map(str, numbers[:5]))}", flush=True)
+            if given.keep:
+                given.keep.mkdir(parents=True, exist_ok=True)
+                path = given.keep / f"{name.replace(' ', '-')}-{numbers[0]}{TARGETS[name].ending}"
+                path.write_bytes(input_of(name, given.seed, numbers[0], Corpus()))
+    fuzzer.close()
+    print(_row("together", total), flush=True)
+    return int(failed)
+
+
+def _row(name: str, found: Findings) -> str:
+    faults = sum(map(len, found.faults.values()))
+    return f"{name:16}{found.tried:9}{found.answered:10}{found.refused:9}{faults:8}{found.slowest_s:11.2f}"
+
+
+if __name__ == "__main__":
+    if sys.argv[1:] == ["--child"]:
+        _child()
+    else:
+        sys.exit(main())
