@@ -33,6 +33,7 @@ from sameas.sky.join_types import JOINS
 if TYPE_CHECKING:
     from sameas.cli.outputs import Outputs
     from sameas.cli.terminal import Pace, Printer
+    from sameas.evidence import Column, Related
     from sameas.front.request import Request
     from sameas.sky.catalogue import Catalogue
     from sameas.sky.crossmatch import MatchOptions, SkyMatch
@@ -107,6 +108,23 @@ def match(
             help="Whether the sizes of the quoted errors are evidence too, where magnitudes tell too little.",
         ),
     ] = True,
+    column1: Annotated[
+        list[str] | None,
+        option(
+            "--column1", panel=THE_MATCH, metavar="NAME[=FILE]",
+            help="Column of A that is evidence; with a table of odds by its value, a prior of your own. Repeatable.",
+        ),
+    ] = None,
+    column2: Annotated[
+        list[str] | None, option("--column2", panel=THE_MATCH, metavar="NAME[=FILE]", help="The same of B.")
+    ] = None,
+    relation: Annotated[
+        list[str] | None,
+        option(
+            "--relation", panel=THE_MATCH, metavar="A:B",
+            help="Column of A and column of B that may go together, such as two fluxes. Repeatable.",
+        ),
+    ] = None,
     offset: Annotated[
         str,
         option(
@@ -148,6 +166,7 @@ def match(
 
         columns |= {"format1": format1, "format2": format2, "hdu1": hdu1, "hdu2": hdu2}
         options = match_options(to_epoch, gate_sigmas, error_scale, density, magnitudes, offset, precision)
+        options = replace(options, evidence=columns_said(column1 or [], column2 or [], relation or []))
         request = Request((str(first), str(second)), options, columns)
         if output is None or dry_run:
             look(request, quiet)
@@ -196,6 +215,24 @@ def match_options(
     for check in (options.errors, options.gate, options.density):
         check()
     return options
+
+
+def columns_said(of_first: list[str], of_second: list[str], related: list[str]) -> tuple[Column | Related, ...]:
+    """The columns that are evidence: names, or NAME=FILE with a table of odds; and A:B."""
+    from sameas.evidence import Column, Related
+    from sameas.front.tables import odds_of
+
+    found: list[Column | Related] = []
+    for source, said in ((1, of_first), (2, of_second)):
+        for text in said:
+            name, given, path = text.partition("=")
+            found.append(Column(source, name.strip(), odds_of(path.strip()) if given else None))
+    for text in related:
+        one, colon, other = (part.strip() for part in text.partition(":"))
+        if not (one and colon and other):
+            raise InputError(f"--relation {text}: give a column of A and a column of B, A:B")
+        found.append(Related(one, other, (one, other)))
+    return tuple(found)
 
 
 def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quiet: bool) -> None:

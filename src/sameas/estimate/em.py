@@ -18,6 +18,7 @@ from sameas.arrays import BoolArray, FloatArray
 from sameas.assignment import assign
 from sameas.errors import InputError
 from sameas.estimate.averaging import Average, but_positions
+from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.coverage import local_share
 from sameas.estimate.error_scales import DEFAULT_SCALES, ScalesTuning, fit_errors
 from sameas.estimate.grades import Grades
@@ -25,6 +26,7 @@ from sameas.estimate.photometry import Lesson, Photometry
 from sameas.estimate.quantity import MOST_MISSING
 from sameas.estimate.sample import Setting
 from sameas.evidence import Brightness, Errors, PoissonField, Rule
+from sameas.evidence.detection import logit
 from sameas.gate import Pairs
 from sameas.groups import laid_out
 from sameas.kernels import threads
@@ -99,6 +101,7 @@ class Estimates:
     precision : whether the sizes of the quoted errors are asked. grades : what they say, None as long as they were not.
     density : (ρ₁, ρ₂) of all records of each source where the user gave them, else None.
     average : errors that too few pairs leave open, over which probabilities are averaged; None where ``errors`` hold.
+    columns : other columns that are evidence, None where none are.
     """
 
     setting: Setting
@@ -116,6 +119,7 @@ class Estimates:
     precision: bool = True
     grades: Grades | None = None
     average: Average | None = None
+    columns: ColumnEvidence | None = None
     tuning: EMTuning = DEFAULT_EM
 
     @classmethod
@@ -128,6 +132,7 @@ class Estimates:
         share: float,
         precision: bool,
         tuning: EMTuning = DEFAULT_EM,
+        columns: ColumnEvidence | None = None,
     ) -> Estimates:
         """Before the first round, when this ``share`` of the poorer source is taken to be common."""
         n1, n2 = (len(rows) for rows in setting.rows)
@@ -136,12 +141,12 @@ class Estimates:
         of_1, of_2 = ((np.full(n1, guess / n), np.full(n2, guess / n)) for n in (n1, n2))
         known = cls(
             setting, partner, setting.counted, (of_1, of_2), errors or Errors(), errors is None, photometry, density,
-            precision=precision, tuning=tuning,
+            precision=precision, tuning=tuning, columns=columns and columns.dealt(setting),
         )  # fmt: skip
         return replace(known, common=float(partner[0][setting.counted[0]].sum()))
 
-    def at(self, setting: Setting, photometry: Photometry | None) -> Estimates:
-        """The same where other candidates and records take part, with the magnitudes of these."""
+    def at(self, setting: Setting, photometry: Photometry | None, columns: ColumnEvidence | None = None) -> Estimates:
+        """The same where other candidates and records take part, with the magnitudes and other columns of these."""
         partner, counted = [], []
         for old, new, p, known in zip(self.setting.rows, setting.rows, self.partner, self.counted, strict=True):
             whole = np.full(max(old[-1], new[-1]) + 1, np.nan)
@@ -151,7 +156,9 @@ class Estimates:
         if photometry is not None and self.photometry is not None:
             photometry = replace(photometry, chains=self.photometry.chains, curves=self.photometry.curves)
         grades = self.grades and self.grades.at(setting, photometry)
-        known_there = replace(self, setting=setting, photometry=photometry, change=0.0, grades=grades)
+        if columns is not None and self.columns is not None:
+            columns = self.columns.at(setting, columns)
+        known_there = replace(self, setting=setting, photometry=photometry, change=0.0, grades=grades, columns=columns)
         return known_there._with_partners((partner[0], partner[1]), (counted[0], counted[1]))
 
     def _with_partners(self, partner: Both, counted: tuple[BoolArray, BoolArray]) -> Estimates:
@@ -185,7 +192,7 @@ class Estimates:
         """The rule with all that is known."""
         rule: Rule = self._positions()
         graded = None if self.grades is None else self.grades.rule
-        for more in (self.brightness(), graded):
+        for more in (self.brightness(), graded, None if self.columns is None else self.columns.rule()):
             rule = rule if more is None else rule + more
         return rule
 
@@ -248,12 +255,11 @@ class Estimates:
 
     def has_heard(self, before: Estimates) -> bool:
         """Whether what is learned from pairs, magnitudes and grades, has had its say in the last round."""
-        magnitudes = (
-            self.photometry is None or self.common < self.tuning.fewest or self.lessons >= self.tuning.with_brightness
-        )
+        silent = self.photometry is None and self.columns is None
+        magnitudes = silent or self.common < self.tuning.fewest or self.lessons >= self.tuning.with_brightness
         graded = None if before.grades is None else before.grades.rule
-        silent = self.grades is None or self.grades.rule is None
-        return magnitudes and (silent or (graded is not None and graded.trained_on(self.setting.pairs)))
+        ungraded = self.grades is None or self.grades.rule is None
+        return magnitudes and (ungraded or (graded is not None and graded.trained_on(self.setting.pairs)))
 
     def learned(self, p_pair: FloatArray, log_ratio: FloatArray) -> Estimates:
         """What a round says of shares and errors; what it says of magnitudes is ``with_lesson``.
@@ -273,7 +279,7 @@ class Estimates:
             return known
         grades = self.grades or (Grades.of(self.setting, self.photometry) if self._asks_errors() else None)
         if grades is not None:
-            known = replace(known, grades=grades.learned(pairs, told, partner, known.covered))
+            known = replace(known, grades=grades.learned(pairs, told, partner, known.covered, self._like_partners()))
         if self.learns_errors:
             # A component so wide that chance fills it cannot be told from chance.
             square = self.errors.pairs(pairs).mahalanobis_sq
@@ -286,6 +292,14 @@ class Estimates:
             )  # fmt: skip
             known = replace(known, errors=self.errors.with_mixture(fit.errors), tail=fit.tail)
         return known
+
+    def _like_partners(self) -> Both | None:
+        """How much likelier partners are than others to have the columns of each record; None where nothing is known."""
+        rule = None if self.columns is None else self.columns.rule()
+        if rule is None or rule.learned is None:
+            return None
+        one, two = (np.exp(log_ratio) for log_ratio in rule.learned)
+        return one, two
 
     def _asks_errors(self) -> bool:
         """Whether the sizes of the quoted errors may say what nothing else does: of faint objects they are larger."""
@@ -317,11 +331,28 @@ class Estimates:
         return out
 
     def with_lesson(self, told: FloatArray, *, last: bool = False) -> Estimates:
-        """The magnitudes learned from, where there are any, with pairs of these probabilities (m,)."""
-        if self.photometry is None or self.common < self.tuning.fewest:
+        """The magnitudes and other columns learned from, where there are any, with pairs of these probabilities (m,)."""
+        photometry, columns = self.photometry, self.columns
+        if (photometry is None and columns is None) or self.common < self.tuning.fewest:
             return self
-        lesson: Lesson = (self.setting.pairs, told, self.partner, self.shares(), self.covered)
-        return replace(self, photometry=self.photometry.learned(*lesson, last=last), lessons=self.lessons + 1)
+        if photometry is not None:
+            lesson: Lesson = (self.setting.pairs, told, self.partner, self.shares(), self.covered)
+            photometry = photometry.learned(*lesson, last=last)
+        if columns is not None:
+            columns = columns.learned(
+                self.setting.pairs, told, self.partner, self._expected_logits(), self.covered, last=last
+            )
+        return replace(self, photometry=photometry, columns=columns, lessons=self.lessons + 1)
+
+    def _expected_logits(self) -> Both:
+        """(n₁,), (n₂,) the logit of the share with a partner that places, magnitudes and given priors let expect."""
+        one, two = map(logit, self.shares())
+        if self.photometry is not None:
+            one, two = (at + more for at, more in zip((one, two), self.photometry.logits(), strict=True))
+        rule = None if self.columns is None else self.columns.rule()
+        if rule is not None and rule.given is not None:
+            one, two = one + rule.given[0], two + rule.given[1]
+        return one, two
 
 
 def _local(setting: Setting, partner: Both, counted: tuple[BoolArray, BoolArray]) -> tuple[Both, Both]:

@@ -136,15 +136,19 @@ class Grades:
             self, grades=grades, cells=cells, rule=self.rule and replace(self.rule, grades=grades, training=None)
         )
 
-    def learned(self, pairs: Pairs, told: FloatArray, partner: Both, covered: tuple[BoolArray, ...]) -> Grades:
+    def learned(
+        self, pairs: Pairs, told: FloatArray, partner: Both, covered: tuple[BoolArray, ...], like: Both | None = None
+    ) -> Grades:
         """What pairs of these probabilities (m,) say.
 
         partner : (n₁,), (n₂,) probability of having one. covered : (n₁,), (n₂,) whether a record tells of it.
+        like : (n₁,), (n₂,) how much likelier partners are than others to have what else is known of a record; records
+        without a partner count with it, so that only what this leaves unsaid is counted.
         """
         from sameas.kernels.mixture import count_pairs
 
         k1, k2 = (scale.size for scale in self.scales)
-        common, chance = np.zeros((k1, k2)), self._by_chance(partner, covered)
+        common, chance = np.zeros((k1, k2)), self._by_chance(partner, covered, like)
         at = count_pairs(pairs.i, pairs.j, *self.grades, told, common)
         apart = _margin(common, 1)[:, None] * _margin(common, 0) * chance
         apart /= chance.sum(axis=1)[:, None] * chance.sum(axis=0)
@@ -156,7 +160,7 @@ class Grades:
         tells = gained > TELLING * (k1 * k2 - 1)
         return replace(self, rule=Precision(self.grades, log_ratio, TrainingPairs(pairs, at, own)) if tells else None)
 
-    def _by_chance(self, partner: Both, covered: tuple[BoolArray, ...]) -> FloatArray:
+    def _by_chance(self, partner: Both, covered: tuple[BoolArray, ...], like: Both | None) -> FloatArray:
         """(k₁, k₂) how probable each two grades are of two different objects, where common objects lie.
 
         Cell by cell, because grades that change over the sky alike say nothing of which two records are one object.
@@ -166,7 +170,10 @@ class Grades:
         number, parts = int(max(cells.max() for cells in self.cells)) + 1, []
         for source in range(2):
             count = np.zeros((number, self.scales[source].size))
-            count_alone(self.cells[source], self.grades[source], partner[source], covered[source], count)
+            alone = partner[source]
+            if like is not None:
+                alone = 1.0 - (1.0 - alone) * like[source]
+            count_alone(self.cells[source], self.grades[source], alone, covered[source], count)
             count += SHARED_PSEUDO_COUNT * _margin(count, 0)
             parts.append(count / count.sum(axis=1, keepdims=True))
         weight = np.bincount(self.cells[0], np.where(covered[0], partner[0], 0.0), number)

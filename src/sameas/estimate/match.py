@@ -14,7 +14,7 @@ expected number of common objects settles:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -26,6 +26,7 @@ from sameas.errors import InputError
 from sameas.estimate import em as going
 from sameas.estimate.averaging import Average
 from sameas.estimate.averaging import identified as averaged
+from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.em import DEFAULT_EM, EMTuning, Estimates
 from sameas.estimate.error_grid import DEFAULT_GRID, ErrorScan, GridTuning, LeftOpen, scanned
@@ -33,7 +34,7 @@ from sameas.estimate.error_model import ErrorModel, Tail, bettered, error_model,
 from sameas.estimate.photometry import Photometry
 from sameas.estimate.quantity import Quantity, changed_without, decisive, quantities
 from sameas.estimate.sample import Sampling, Setting
-from sameas.evidence import Errors, Magnitudes, Precision
+from sameas.evidence import Column, Errors, Magnitudes, Precision, Related
 from sameas.evidence.detection import DetectionCurve
 from sameas.evidence.residuals import AS_QUOTED
 from sameas.gate import ChiSquare, Pairs, Radius
@@ -42,6 +43,7 @@ from sameas.representation import in_short
 from sameas.result import Identification
 
 BRIGHTNESS_TERMS, PRECISION_TERMS = ("completeness", "brightness"), ("precision",)
+COLUMN_TERMS = ("columns", "prior odds", "relations")
 
 
 @in_short
@@ -105,6 +107,7 @@ class Estimate:
     notes : what a user should know.
     photometry : how the magnitudes of both sources are related, None where they were not given or told nothing.
     precision : what the sizes of the quoted errors say, None where they were not asked or told nothing.
+    columns : what other columns say, None where none were given.
     answer : the identification. judged : whether the spread of the errors was learned from its pairs.
     left_open : what few pairs leave open of the errors; probabilities are averages over it. None where they are many.
 
@@ -126,6 +129,7 @@ class Estimate:
     answer: Identification = field(repr=False)
     judged: bool
     left_open: LeftOpen | None = None
+    columns: ColumnEvidence | None = None
 
     @cached_property
     def quantities(self) -> Mapping[str, Quantity]:
@@ -164,6 +168,11 @@ class Estimate:
         return changed_without(self.answer, PRECISION_TERMS)
 
     @cached_property
+    def changed_by_columns(self) -> int:
+        """How many records of source 1 would be identified otherwise without the columns that were evidence."""
+        return changed_without(self.answer, COLUMN_TERMS)
+
+    @cached_property
     def tail(self) -> Tail | None:
         """The share of the pairs whose errors are far larger than the typical ones; None where there is none."""
         return tail(self.answer, self.errors)
@@ -198,6 +207,7 @@ def match(
     density: tuple[float, float] | None = None,
     brightness: tuple[Magnitudes, Magnitudes] | None = None,
     precision: bool = True,
+    evidence: Sequence[Column | Related] = (),
     rounds: int = 30,
     sampling: Sampling = Sampling(),  # noqa: B008
     tuning: MatchTuning = DEFAULT_MATCH,
@@ -212,6 +222,7 @@ def match(
     density : (ρ₁, ρ₂) of all records of each source per (residual unit)^d, instead of local ones from the data.
     brightness : magnitudes of every row of both tables, which are then evidence too; None leaves it to the positions.
     precision : whether the sizes of the quoted errors are evidence too: of faint objects they are larger.
+    evidence : columns of either source that are evidence too, alone or as related to one of the other.
     rounds : at most so many rounds of identification.
     sampling : how a part of large sources is drawn, from which is estimated.
     tuning : when what is believed, such as with how few pairs probabilities are averaged.
@@ -222,7 +233,8 @@ def match(
             raise InputError(f"{records.source} has no usable records; nothing can be identified")
     progress("densities")
     seen, coverage = _photometry(first, second, brightness), Coverage.of(first, second)
-    search = _GateSearch(coverage, seen, precision, density, gate, sampling, progress, tuning=tuning)
+    columns = ColumnEvidence.of(first, second, evidence)
+    search = _GateSearch(coverage, seen, precision, density, gate, sampling, progress, tuning=tuning, columns=columns)
     scan = scanned(coverage, density, tuning.grid) if errors is None and gate is None else None
     if scan is not None and scan.contrast > tuning.bettering:
         if scan.common < tuning.grid.many:
@@ -238,10 +250,11 @@ def match(
         again = search.settled(None, max(rounds - found.rounds, 5))
         found = replace(again, rounds=found.rounds + again.rounds)
     if found.has_learned and not _stands_out(search.start.pairs(found.whole.pairs), found.gate_sigmas, tuning):
-        search = replace(search, photometry=None, precision=False)
+        search = replace(search, photometry=None, precision=False, columns=columns and columns.given_only)
         again = search.settled(errors or Errors(), max(rounds - found.rounds, 5))
         found = replace(again, rounds=found.rounds + again.rounds)
-        believed = "the quoted errors" if brightness is None else "positions and quoted errors alone"
+        more = brightness is not None or columns is not None
+        believed = "positions and quoted errors alone" if more else "the quoted errors"
         remarks.append(f"close candidates do not exceed what chance gives; {believed} are believed")
     answer, found = search.identified(found, rounds)
     return answer, _told(answer, search.coverage, found, remarks)
@@ -334,6 +347,7 @@ class _GateSearch:
     progress: Callable[[str], None]
     start: Errors = AS_QUOTED
     tuning: MatchTuning = DEFAULT_MATCH
+    columns: ColumnEvidence | None = None
 
     def settled(self, errors: Errors | None, most: int) -> _Converged:
         """The end of at most so many rounds; ``errors`` are estimated if not given."""
@@ -348,14 +362,17 @@ class _GateSearch:
             whole = Setting.whole(pairs, self.coverage) if whole is None else replace(whole, pairs=pairs)
             part = whole.sample(self.sampling)
             seen = self.photometry if part is whole or self.photometry is None else self.photometry.part(*part.rows)
+            columns = self.columns if part is whole or self.columns is None else self.columns.part(*part.rows)
             if known is None:
                 # More close candidates than chance gives are common objects.
                 inner, by_chance = _halves(near, limit)
                 excess = (inner - by_chance) / min(len(first), len(second))
-                known = Estimates.nothing(part, errors, seen, self.density, excess, self.precision, self.tuning.em)
+                known = Estimates.nothing(
+                    part, errors, seen, self.density, excess, self.precision, self.tuning.em, columns
+                )
                 known = replace(known, errors=errors or self.start)
             else:
-                known = known.at(part, seen)
+                known = known.at(part, seen, columns)
             found = self._in_gate(known, whole, limit, most - total)
             found = replace(found, rounds=total + found.rounds)
             known, told, total = found.known, found.told, found.rounds
@@ -382,7 +399,7 @@ class _GateSearch:
         whole = Setting.whole(pairs, self.coverage)
         share = scan.common / min(len(first), len(second))
         known = Estimates.nothing(
-            whole, AS_QUOTED, self.photometry, self.density, share, self.precision, self.tuning.em
+            whole, AS_QUOTED, self.photometry, self.density, share, self.precision, self.tuning.em, self.columns
         )
         known = replace(known, average=Average.of(left, pairs, scan.weight, scan.common))
         known, told, number, settled = going.settled(known, most, self.progress)
@@ -400,7 +417,7 @@ class _GateSearch:
 
     def identified(self, found: _Converged, most: int) -> tuple[Identification, _Converged]:
         """All records identified with what is known; with rounds over all of them, where a sample misled."""
-        known = found.known.at(found.whole, self.photometry) if found.sampled else found.known
+        known = found.known.at(found.whole, self.photometry, self.columns) if found.sampled else found.known
         answer = self._identified(known)
         if not found.sampled or _as_expected(
             float(answer.p_pair.sum()), known.expected(), float(found.told.sum()), self.tuning
@@ -435,7 +452,7 @@ def _told(answer: Identification, coverage: Coverage, found: _Converged, remarks
         common, min(1.0, common / seen_1), min(1.0, common / seen_2), known.errors, found.gate_sigmas, coverage,
         found.rounds, found.settled, found.learned_from, tuple(remarks) + _notes(found, common), photometry, precision,
         answer,
-        known.learns_errors and common >= found.tuning.em.fewest,
+        known.learns_errors and common >= found.tuning.em.fewest, columns=known.columns,
     )  # fmt: skip
     if not known.errors.as_modelled:
         return estimate

@@ -159,6 +159,14 @@ class Photometry:
         ]
         return Brightness(self.sides, self.chains, shown[0], shown[1], self.known)
 
+    def logits(self) -> tuple[FloatArray, FloatArray]:
+        """(n₁,), (n₂,) what the magnitude of each record adds to the logit of its share; 0 where it has none."""
+        one, two = (
+            np.zeros(len(side.measured.values)) if curve is None else curve.logit(side.measured.values[:, 0])
+            for side, curve in zip(self.sides, self.curves, strict=True)
+        )
+        return one, two
+
     def detection(
         self, answer: Identification, coverage: Coverage
     ) -> tuple[DetectionCurve | None, DetectionCurve | None]:

@@ -12,6 +12,8 @@ Every rule gives a natural logarithm per pair, term by term; rules add with ``+`
   (METHOD 3.2 [T14–T19, T26]). For pictures of a few targets.
 - :class:`Brightness`: magnitudes and colours, beside positions; ``sameas.match`` learns it from the
   :class:`Magnitudes` of both sources.
+- :class:`Columns`: any columns of one source, beside all others; ``sameas.match`` learns it from each :class:`Column`,
+  and of :class:`Related` columns of both; an :class:`OddsTable` is a prior of one's own.
 - :class:`Precision`: the sizes of both quoted errors, beside positions and magnitudes; ``sameas.match`` learns it.
 - :class:`Identity`: addresses, callsigns, names, types, lengths, beside positions, each attribute with a model of its
   errors: :class:`Code`, :class:`Category`, :class:`Size`. :func:`alarms` are one identity at two places.
@@ -36,6 +38,7 @@ from sameas.evidence.brightness import (
     comparisons_of,
 )  # fmt: skip
 from sameas.evidence.close import CloseObjects
+from sameas.evidence.columns import Association, CodedColumn, Column, Columns, OddsTable, Related
 from sameas.evidence.densities import Displacement, Flat, GaussianMixture, Samples
 from sameas.evidence.fields import ConstantCost, DetectionField, Field, PoissonField
 from sameas.evidence.heights import Heights
@@ -46,9 +49,10 @@ from sameas.evidence.rule import Evidence, Rule, Sum
 from sameas.evidence.universal import Universal
 
 __all__ = [
-    "MODELS", "Alarm", "Brightness", "Category", "Chain", "CloseObjects", "Code", "Comparison",
-    "Comparisons", "ConstantCost", "DetectionField", "Displacement", "Errors", "Evidence", "Field", "Flat",
-    "GaussianMixture", "Heights", "Identity", "MagnitudeDensity", "Magnitudes", "MeasuredMagnitudes", "Model",
-    "Pattern", "PoissonField", "Precision", "Regressors", "Relation", "Rule", "Samples", "Size", "SourceMagnitudes",
-    "Sum", "TrainingPairs", "Universal", "alarms", "comparisons_of", "log_neighbour_density", "log_surface_density",
+    "MODELS", "Alarm", "Association", "Brightness", "Category", "Chain", "CloseObjects", "Code", "CodedColumn",
+    "Column", "Columns", "Comparison", "Comparisons", "ConstantCost", "DetectionField", "Displacement", "Errors",
+    "Evidence", "Field", "Flat", "GaussianMixture", "Heights", "Identity", "MagnitudeDensity", "Magnitudes",
+    "MeasuredMagnitudes", "Model", "OddsTable", "Pattern", "PoissonField", "Precision", "Regressors", "Related",
+    "Relation", "Rule", "Samples", "Size", "SourceMagnitudes", "Sum", "TrainingPairs", "Universal", "alarms",
+    "comparisons_of", "log_neighbour_density", "log_surface_density",
 ]  # fmt: skip

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray
-from sameas.evidence.piecewise import knots_of, roughness
+from sameas.evidence.piecewise import Hats, knots_of, roughness
 from sameas.representation import in_short
 
 #: Records per knot of the curve, and most knots.
@@ -119,6 +119,12 @@ class ShareCurve:
         steps = STEPS if values.any() else FIRST_STEPS
         climb(magnitude, logit(share), p_partner, start.knots, _penalty(k), values, steps, LONGEST, SETTLED)
         return cls(start.knots, values)
+
+    def logit(self, magnitude: FloatArray) -> FloatArray:
+        """(n,) what is added to the logit at magnitudes (n,); 0 where there is none."""
+        known = np.isfinite(magnitude)
+        hats = Hats.at(self.knots, np.where(known, magnitude, self.knots[0]))
+        return np.where(known, hats.curve(self.values), 0.0)
 
     def terms(self, magnitude: FloatArray, share: FloatArray, rows: NDArray[np.integer] | None = None) -> FloatArray:
         """(n,) what a pair's log-odds gain when the share s of its record becomes s(m); 0 where m is not known.

@@ -14,7 +14,7 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 from sameas.errors import InputError
-from sameas.evidence import Errors
+from sameas.evidence import Column, Errors, Related
 from sameas.front.options import refuse_unknown, side_parameters, with_side_options
 from sameas.front.tables import kind_of
 from sameas.records import Records
@@ -309,6 +309,7 @@ def match(
     density: tuple[float, float] | None = None,
     magnitudes: str | tuple[Magnitudes, Magnitudes] = "auto",
     precision: bool = True,
+    evidence: Column | Related | Sequence[Column | Related] = (),
     offset: str = "none",
     names: tuple[str, str] | None = None,
     progress: Callable[[str], None] = lambda stage: None,
@@ -328,6 +329,8 @@ def match(
     density : of all records of the first and the second per square degree; of ``Records`` per unit of residuals.
     magnitudes : "auto", "off", or columns of both as "G,BP:J,H"; of ``Records`` two ``Magnitudes``.
     precision : whether the sizes of the quoted errors are evidence too.
+    evidence : columns that are evidence too: ``Column(2, "MAG")`` of the second, learned from the pairs; with
+        ``odds`` a prior of your own; ``Related("flux", "MAG")`` of both.
     offset : "find" looks for a shift and turn of the second against the first, and takes it away.
     names : of the two in messages. progress : called with the name of what is being done.
     columns : what is said of the columns, as the command has it: ``ra1``, ``sigma2=0.1``, ``epoch2=2015.5``; without a
@@ -351,7 +354,7 @@ def match(
     own = {
         "join": join, "nway_columns": nway_columns, "to_epoch": to_epoch, "gate_sigmas": gate_sigmas,
         "error_scale": error_scale, "density": density, "magnitudes": magnitudes, "precision": precision,
-        "offset": offset, "names": names,
+        "evidence": evidence, "offset": offset, "names": names,
     }  # fmt: skip
     refuse_unknown(columns, (*own, "progress", *side_parameters(2)), "match")
     said = {name: value for name, value in columns.items() if value is not None}
@@ -365,7 +368,9 @@ def match(
             raise InputError(f"match: Records have no columns, so {next(iter(said))} says nothing of them")
         if offset != "none" or to_epoch is not None:
             raise InputError("match: Records have no epochs or frames", "see register for offsets between them")
-        found = _match_records(first, second, error_scale, gate_sigmas, density, magnitudes, precision, progress)
+        found = _match_records(
+            first, second, error_scale, gate_sigmas, density, magnitudes, precision, _listed(evidence), progress
+        )
         return replace(found, join=join, nway_columns=nway_columns, call=call)
     from sameas.front.request import Request
     from sameas.sky import crossmatch
@@ -375,7 +380,10 @@ def match(
         raise InputError(f"join {join!r} is not known; choose one of {', '.join(JOINS)}")
     if not isinstance(magnitudes, str):
         raise InputError("match: Magnitudes are those of Records", 'name columns of both catalogues, "G,BP:J,H"')
-    options = crossmatch.MatchOptions(to_epoch, gate_sigmas, error_scale, density, magnitudes, offset, precision)
+    options = crossmatch.MatchOptions(
+        to_epoch, gate_sigmas, error_scale, density, magnitudes, offset, precision,
+        tuple(_listed(evidence)),
+    )  # fmt: skip
     for check in (options.errors, options.gate, options.density):
         check()
     request = Request(tuple(map(as_source, (first, second))), options, said, tuple(names or ()))
@@ -397,6 +405,17 @@ def identified(
     return Match.of_sky(found, request, **table)
 
 
+def _listed(evidence: Any) -> list[Column | Related]:
+    """The columns that are evidence, however many; a path or table of odds read."""
+    listed = [evidence] if isinstance(evidence, Column | Related) else list(evidence)
+    for one in listed:
+        if not isinstance(one, Column | Related):
+            raise InputError(
+                f"match: evidence holds {one!r}", 'give Column(2, "NAME") of sameas.evidence, or Related("A", "B")'
+            )
+    return listed
+
+
 def as_source(source: Any) -> Any:
     """A source, its path as text where it is one."""
     return os.fspath(source) if isinstance(source, os.PathLike) else source
@@ -410,6 +429,7 @@ def _match_records(
     density: tuple[float, float] | None,
     magnitudes: Any,
     precision: bool,
+    evidence: list[Column | Related],
     progress: Callable[[str], None],
 ) -> Match:
     from sameas.estimate.match import match as estimated
@@ -420,6 +440,7 @@ def _match_records(
     options = MatchOptions(gate_sigmas=gate_sigmas, error_scale=error_scale)
     identification, estimate = estimated(
         first, second, errors=options.errors(), gate=options.gate(), density=density,
-        brightness=None if isinstance(magnitudes, str) else magnitudes, precision=precision, progress=progress,
+        brightness=None if isinstance(magnitudes, str) else magnitudes, precision=precision, evidence=evidence,
+        progress=progress,
     )  # fmt: skip
     return Match(identification, estimate)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from sameas.errors import InputError
-from sameas.evidence import Errors
+from sameas.evidence import Column, Errors, OddsTable, Related
 from sameas.front.options import COLUMN_OPTIONS, FILE_OPTIONS, SIDE_OPTIONS, fields_of, of_side, renamed
 from sameas.front.tables import kind_of, table_of
 from sameas.io import checksum
@@ -155,7 +155,7 @@ class Request(Generic[Options]):
             for one in FILE_OPTIONS:
                 facts[f"{one.name}_{k}"] = of_side(self.columns, one.parameter, k)
             facts[f"options_{k}"] = json.dumps(fields_of(self.columns, k), sort_keys=True)
-        facts["options_match"] = json.dumps(asdict(self.options), sort_keys=True)
+        facts["options_match"] = json.dumps(asdict(self.options), sort_keys=True, default=_in_memory)
         return facts
 
     @staticmethod
@@ -177,6 +177,7 @@ class Request(Generic[Options]):
                 held: dict[str, Any] = options["error_scale"]
                 quoted: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in held.items()}
                 options["error_scale"] = Errors(**quoted)
+            options["evidence"] = tuple(map(_column_of, options.get("evidence", ())))
             for k in (1, 2):
                 columns |= {f"{name}{k}": facts[f"{name}_{k}"] for name in ("format", "hdu")}
                 fields = json.loads(facts[f"options_{k}"])
@@ -194,6 +195,18 @@ class Request(Generic[Options]):
                     f"{output}: was made from {path}, which has changed since (another SHA-256); match again"
                 )
         return request
+
+
+def _in_memory(value: Any) -> Any:
+    """What provenance says of numbers that were given and stand in no table."""
+    return value.item() if hasattr(value, "item") and not getattr(value, "ndim", 0) else None
+
+
+def _column_of(held: Mapping[str, Any]) -> Column | Related:
+    if "first" in held:
+        return Related(held["first"], held["second"], tuple(held["names"]))
+    odds = None if held["odds"] is None else OddsTable(held["odds"]["rows"])
+    return Column(held["source"], held["values"], odds, held["name"])
 
 
 def _is_catalogue(source: Any) -> bool:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sameas.errors import InputError
+from sameas.evidence import OddsTable
 
 if TYPE_CHECKING:
     from astropy.coordinates import SkyCoord
@@ -48,6 +49,51 @@ def table_of(data: Any, name: str, *, format: str | None = None, hdu: int | str 
             "Catalogue or Records",
         )
     return _with_plain_places(table, name)
+
+
+def odds_of(source: Any) -> OddsTable:
+    """The table of odds by the value of a column, of a path, a table, a mapping of values to odds, or rows.
+
+    Columns are (low, high, odds), (value, odds), or those of NWAY's files, (low, high, selected, others): the odds are
+    then the ratio of the two densities.
+
+    Raises
+    ------
+    InputError : a table of other columns; odds that are not positive.
+    """
+    from astropy.table import Table
+
+    if isinstance(source, OddsTable):
+        return source
+    if isinstance(source, str | os.PathLike):
+        source = _odds_file(source)
+    if not isinstance(source, Table):
+        return OddsTable(source)
+    rows = [tuple(row) for row in source.iterrows()]
+    if len(source.colnames) == 4:
+        rows = [(low, high, one / max(other, 1e-6)) for low, high, one, other in rows if one > 0.0]
+    if len(source.colnames) not in (2, 3, 4):
+        raise InputError(
+            f"table of odds: it has {len(source.colnames)} columns, {', '.join(source.colnames)}",
+            "give low, high, odds; or value, odds; or NWAY's low, high, selected, others",
+        )
+    return OddsTable([tuple(cell.item() if hasattr(cell, "item") else cell for cell in row) for row in rows])
+
+
+def _odds_file(path: str | os.PathLike[str]) -> Table:
+    """The table of a file; of NWAY's, whose columns have no names, too."""
+    from astropy.table import Table
+
+    from sameas.io import read_table
+
+    text = os.fspath(path)
+    if text.endswith(".txt") or not os.path.splitext(text)[1]:
+        try:
+            values = np.loadtxt(path, ndmin=2)
+        except (OSError, ValueError) as error:
+            raise InputError(f"{text}: is no table of odds ({error})") from None
+        return Table(values)
+    return read_table(path)
 
 
 def kind_of(data: Any) -> str:

@@ -31,6 +31,7 @@ def findings(match: SkyMatch) -> list[str]:
         *(entry("  by catalogue", words) if (words := by_source(match)) else ()),
         *(entry("  in the evidence", words) if (words := _evidence_errors(match)) else ()),
         *_brightness(match),
+        *_columns(match),
         *entry("gate", f"{e.gate_sigmas:.1f} quoted σ"),
         *entry("rounds", f"{e.rounds}{_sampled(match)}, " + ("settled" if e.settled else "not settled")),
     ]
@@ -125,6 +126,30 @@ def _brightness(match: SkyMatch) -> list[str]:
             changed.append(f"; precision, the sizes of the quoted errors, changes {count(e.changed_by_precision)}")
         lines += entry("what decides", f"median |ln odds| over the identified: {weights}{''.join(changed)}")
     return lines
+
+
+def _columns(match: SkyMatch) -> list[str]:
+    """What each column says that was given as evidence."""
+    columns, names = match.estimate.columns, (match.first.name, match.second.name)
+    if columns is None:
+        return []
+    lines = []
+    for one in columns.said:
+        what = f"{one.name} of {names[one.source - 1]}" if one.source else f"{one.name} of {names[0]} with {one.other}"
+        if not one.tells:
+            words = "tells nothing, and is not used"
+        elif one.other:
+            words = f"go together in pairs: they better ln likelihood by {one.gain:.1f}"
+        else:
+            words = f"ln odds of a partner {one.span[0]:+.1f} to {one.span[1]:+.1f}; it betters ln likelihood by {one.gain:.1f}"
+        lines += entry("column" if one.source else "related", f"{what}: {words}")
+    for source, side in enumerate(columns.sides):
+        for column in side:
+            if column.log_odds is not None:
+                lines += entry("column", f"{column.name} of {names[source]}: odds as given")
+    if not lines:
+        return entry("columns", "too few pairs to learn from them; they are not used")
+    return [*lines, *entry("  they change", f"{count(match.estimate.changed_by_columns)} answers")]
 
 
 def _completeness(curve: DetectionCurve) -> str:

@@ -3,6 +3,8 @@
 from .areas import Cap as Cap
 from .areas import LonLatBox as LonLatBox
 from .areas import WholeSky as WholeSky
+from .counterparts import Counterparts as Counterparts
+from .counterparts import counterparts as counterparts
 from .exposures import Exposure as Exposure
 from .exposures import Sky as Sky
 from .exposures import exposure as exposure

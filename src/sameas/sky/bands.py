@@ -1,14 +1,16 @@
-"""Bands: which columns of two catalogues are magnitudes to be compared."""
+"""Bands: which columns of two catalogues are magnitudes to be compared, and which are evidence by themselves."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
-from sameas.evidence import Magnitudes
+from sameas.evidence import Column, Magnitudes, Related
 from sameas.sky import column_values
 from sameas.sky.catalogue import Catalogue
 
@@ -42,6 +44,57 @@ def magnitudes_of(first: Catalogue, second: Catalogue, said: str = AUTO) -> tupl
         raise InputError(f'magnitudes {said!r}: give "auto", "off", or columns of both catalogues, BAND,…:BAND,…')
     named = [tuple(name.strip() for name in side.split(",")) for side in sides]
     return _columns(first, named[0]), _columns(second, named[1])
+
+
+def columns_of(
+    first: Catalogue, second: Catalogue, evidence: Sequence[Column | Related], magnitudes: str = AUTO
+) -> tuple[Column | Related, ...]:
+    """The columns that are evidence by themselves, with their values.
+
+    A magnitude that the user named of one catalogue, where the other has none, is one of them.
+
+    Parameters
+    ----------
+    evidence : as said, by names of columns. magnitudes : as :func:`magnitudes_of` takes them.
+
+    Raises
+    ------
+    InputError : no such columns.
+    """
+    sides = first, second
+    found: list[Column | Related] = []
+    for one in evidence:
+        if isinstance(one, Related):
+            a, b = (_column(sides[c.source - 1], c) for c in one.columns)
+            found.append(Related(a.values, b.values, (a.name, b.name)))
+        else:
+            found.append(_column(sides[one.source - 1], one))
+    if magnitudes == AUTO:
+        for source, (mine, other) in enumerate(((first, second), (second, first)), start=1):
+            name = mine.magnitude_name
+            if name and mine.options.magnitude and other.magnitude is None:
+                named = any(isinstance(c, Column) and (c.source, c.name) == (source, name) for c in found)
+                found += [] if named else [Column(source, mine.magnitude, name=name)]
+    return tuple(found)
+
+
+def _column(catalogue: Catalogue, column: Column) -> Column:
+    """The column with its values, of a name; of values as it is."""
+    if not isinstance(column.values, str):
+        return column
+    known = {name.lower(): name for name in catalogue.table.colnames}
+    name = known.get(column.values.lower())
+    if name is None:
+        raise InputError(
+            f"{catalogue.name}: no column {column.values!r} to be evidence; it has "
+            f"{', '.join(catalogue.table.colnames)}",
+            source=catalogue.name,
+        )
+    if column_values.is_text(catalogue.table, name):
+        return replace(column, values=np.ma.asarray(catalogue.table[name]), name=name)
+    if name == catalogue.magnitude_name or catalogue.table[name].dtype.kind == "f":
+        return replace(column, values=_measured(catalogue.table, name, catalogue.name), name=name)
+    return replace(column, values=np.ma.asarray(catalogue.table[name]), name=name)
 
 
 def _understood(catalogue: Catalogue) -> Magnitudes | None:

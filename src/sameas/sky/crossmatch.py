@@ -6,7 +6,7 @@ Data passes: two :class:`Catalogue` → epoch → two ``Records`` on the sphere 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -17,14 +17,14 @@ from sameas.errors import InputError, Message, naming
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.match import Estimate
 from sameas.estimate.match import match as estimated
-from sameas.evidence import Errors
+from sameas.evidence import Column, Errors, Related
 from sameas.gate import ChiSquare, Radius
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.result import Identification
 from sameas.sky.assumed import completed
-from sameas.sky.bands import AUTO, magnitudes_of
+from sameas.sky.bands import AUTO, columns_of, magnitudes_of
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.rotation import Rotation, find_rotation, residual_rotation
 from sameas.space import ARCSEC_PER_RADIAN, sphere_offset
@@ -102,6 +102,7 @@ class MatchOptions:
     precision : whether the sizes of the quoted errors are evidence too, where magnitudes tell too little.
     offset : "none" takes both catalogues to be on one frame, and doubts it where the pairs show an offset; "find"
         estimates the shift and rotation of the second catalogue and takes it away (see :mod:`sameas.sky.rotation`).
+    evidence : columns of either catalogue that are evidence too, by name, alone or related to one of the other.
     """
 
     epoch_jyr: float | None = None
@@ -111,6 +112,7 @@ class MatchOptions:
     magnitudes: str = AUTO
     offset: str = "none"
     precision: bool = True
+    evidence: Sequence[Column | Related] = ()
 
     def errors(self) -> Errors | None:
         """The spread of the residuals, None where it is to be estimated."""
@@ -215,7 +217,8 @@ def match(
         two = rotation.of(two)
     result, estimate = estimated(
         one, two, errors=options.errors(), gate=options.gate(), density=options.density(),
-        brightness=magnitudes_of(first, second, options.magnitudes), precision=options.precision, progress=progress,
+        brightness=magnitudes_of(first, second, options.magnitudes), precision=options.precision,
+        evidence=columns_of(first, second, options.evidence, options.magnitudes), progress=progress,
     )  # fmt: skip
     doubts = assumed + density_doubts(estimate.coverage, options, tuning)
     doubts += _error_doubts(result, estimate, tuning) + _near_miss_doubts(result, estimate, tuning)

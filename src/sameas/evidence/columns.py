@@ -1,0 +1,244 @@
+"""Columns of one source as evidence: what a number or a category of one record says of whether it has a partner.
+
+A column with the value c weighs (METHOD 11.2)
+
+    ln r(c) = ln p(c | record has a partner) − ln p(c | record that the other source does not show),
+
+in the limit of sure pairs Sutherland & Saunders' q(m)/n(m). ``sameas.estimate.columns`` learns it from the pairs, all
+columns of a source jointly; :class:`OddsTable` is a prior that the user gives instead. A :class:`Related` pair of
+columns, one of either source, weighs ln p(c₁, c₂ | one object) − ln p(c₁ | one object) − ln p(c₂ | one object) besides.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.arrays import FloatArray, IntArray
+from sameas.errors import InputError
+from sameas.evidence.rule import Evidence, Rule
+from sameas.gate import Pairs
+from sameas.records import Records
+from sameas.representation import in_short
+
+#: A column of whole numbers with no more different values than this is one of categories (chosen).
+MOST_CODES = 12
+
+
+@dataclass(frozen=True)
+class OddsTable:
+    """Odds of having a partner by the value of a column, against those of any record; 1 where no row speaks of it.
+
+    rows : (low, high, odds) for numbers in low ≤ value < high, or (value, odds) for numbers or words that are equal.
+
+    Example
+    -------
+    >>> OddsTable([(15.0, 20.0, 3.0), (20.0, 26.0, 0.5)]).log_odds([16.0, 25.0, 30.0]).round(2).tolist()
+    [1.1, -0.69, 0.0]
+    >>> OddsTable({"AGN": 4.0}).log_odds(["AGN", "star"]).round(2).tolist()
+    [1.39, 0.0]
+    """
+
+    rows: Sequence[Sequence[Any]] | Mapping[Any, float]
+
+    def __post_init__(self) -> None:
+        rows = self.rows.items() if isinstance(self.rows, Mapping) else self.rows
+        object.__setattr__(self, "rows", tuple(tuple(row) for row in rows))
+        for number, row in enumerate(self.rows):
+            if len(row) not in (2, 3):
+                raise InputError(
+                    f"table of odds: row {number} has {len(row)} cells; give low, high, odds, or value, odds"
+                )
+            if not 0.0 < float(row[-1]) < math.inf:
+                raise InputError(f"table of odds: row {number} has odds of {row[-1]}; give positive numbers")
+            if len(row) == 3 and not float(row[0]) < float(row[1]):
+                raise InputError(f"table of odds: row {number} is from {row[0]} to {row[1]}; give the lower end first")
+
+    def log_odds(self, values: Any) -> FloatArray:
+        """(n,) ln odds at values (n,)."""
+        values = np.ma.asarray(values)
+        out, given = np.zeros(len(values)), ~np.ma.getmaskarray(values)
+        data = np.ma.getdata(values)
+        number = data.astype(np.float64) if data.dtype.kind in "fiub" else None
+        words = None if number is not None else np.array([str(cell).strip() for cell in data.tolist()])
+        for row in self.rows:
+            if number is None:
+                here = words == str(row[0]) if len(row) == 2 else np.zeros(len(out), np.bool_)
+            elif len(row) == 2:
+                here = number == _as_number(row[0])
+            else:
+                here = (number >= float(row[0])) & (number < float(row[1]))
+            out[given & here] = math.log(float(row[-1]))
+        return out
+
+
+def _as_number(value: Any) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return math.nan
+
+
+@in_short
+@dataclass(frozen=True)
+class Column:
+    """A column of one source that is evidence.
+
+    Parameters
+    ----------
+    source : 1 or 2. values : the name of the column in the source's table, or (n_table,) its numbers or words; NaN,
+        masked or empty where there is none, which is a value of its own.
+    odds : a prior by value, or the rows of its :class:`OddsTable`; learned from the pairs where it is not given.
+    name : for reports.
+
+    Raises
+    ------
+    InputError : another source.
+    """
+
+    source: int
+    values: Any
+    odds: OddsTable | Mapping[Any, float] | Sequence[Sequence[Any]] | None = None
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        if self.source not in (1, 2):
+            raise InputError(f"Column: source is {self.source!r}; give 1 or 2")
+        if self.odds is not None and not isinstance(self.odds, OddsTable):
+            object.__setattr__(self, "odds", OddsTable(self.odds))
+        if not self.name:
+            object.__setattr__(self, "name", self.values if isinstance(self.values, str) else "column")
+
+    def of(self, records: Records) -> CodedColumn:
+        """The column at a source's usable records.
+
+        Raises
+        ------
+        InputError : it has not one value for every row of the table.
+        """
+        values = np.ma.asarray(self.values)
+        if isinstance(self.values, str) or values.shape != (records.n_table,):
+            shape = "a name" if isinstance(self.values, str) else f"shape {values.shape}"
+            raise InputError(
+                f"{records.source}: column {self.name!r} has {shape} for {records.n_table} rows; give one value for "
+                "every row of its table"
+            )
+        values = values[records.rows]
+        log_odds = self.odds.log_odds(values) if isinstance(self.odds, OddsTable) else None
+        return CodedColumn.of(self.name, values, log_odds)
+
+
+@dataclass(frozen=True)
+class Related:
+    """A column of source 1 and one of source 2 that may go together in the records of one object, such as two fluxes.
+
+    first, second : of either source, as the ``values`` of :class:`Column`.
+    """
+
+    first: Any
+    second: Any
+    names: tuple[str, str] = ("", "")
+
+    @property
+    def columns(self) -> tuple[Column, Column]:
+        """Both as columns."""
+        return Column(1, self.first, name=self.names[0]), Column(2, self.second, name=self.names[1])
+
+
+@in_short
+@dataclass(frozen=True)
+class CodedColumn:
+    """The values of a column at the records of a source: numbers (n,), NaN where there is none, or codes of words.
+
+    words : what the codes stand for; None for numbers. log_odds : (n,) of a given prior, None where it is learned.
+    """
+
+    name: str
+    values: FloatArray
+    words: tuple[str, ...] | None = None
+    log_odds: FloatArray | None = None
+
+    @classmethod
+    def of(cls, name: str, values: Any, log_odds: FloatArray | None = None) -> CodedColumn:
+        """Numbers as they are; words, truths and whole numbers with few different values as categories."""
+        values = np.ma.asarray(values)
+        data, gone = np.ma.getdata(values), np.ma.getmaskarray(values)
+        if data.dtype.kind in "f":
+            number = np.where(gone | ~np.isfinite(data), np.nan, data).astype(np.float64)
+            return cls(name, number, None, log_odds)
+        if data.dtype.kind in "iu":
+            known = np.unique(data[~gone])
+            if len(known) > MOST_CODES:
+                return cls(name, np.where(gone, np.nan, data.astype(np.float64)), None, log_odds)
+        texts = np.array([_word(cell) for cell in data.tolist()], dtype=object)
+        gone = gone | (texts == "")
+        known, code = np.unique(texts.astype(str), return_inverse=True)
+        return cls(name, np.where(gone, np.nan, code.astype(np.float64)), tuple(known.tolist()), log_odds)
+
+    def take(self, rows: NDArray[np.integer]) -> CodedColumn:
+        """Some records."""
+        log_odds = None if self.log_odds is None else self.log_odds[rows]
+        return CodedColumn(self.name, self.values[rows], self.words, log_odds)
+
+
+def _word(cell: Any) -> str:
+    return "" if cell is None else (cell.decode() if isinstance(cell, bytes) else str(cell)).strip()
+
+
+@in_short
+@dataclass(frozen=True)
+class Association:
+    """ln p(c₁, c₂ | one object) − ln p(c₁ | one object) − ln p(c₂ | one object) on a grid of cells.
+
+    cells : (n₁,), (n₂,) of the records, with the part (n₁,), (n₂,) that counts to the next cell; −1 where a value is
+    missing. folds : (n₁,) of the records of source 1. log_ratio : (folds, k₁, k₂), each learned on the other folds.
+    """
+
+    cells: tuple[IntArray, IntArray] = field(repr=False)
+    parts: tuple[FloatArray, FloatArray] = field(repr=False)
+    folds: IntArray = field(repr=False)
+    log_ratio: FloatArray = field(repr=False)
+
+    def __call__(self, pairs: Pairs) -> FloatArray:
+        """(m,) for the pairs."""
+        one, two = self.cells[0][pairs.i], self.cells[1][pairs.j]
+        part_1, part_2 = self.parts[0][pairs.i], self.parts[1][pairs.j]
+        fold, (_, k1, k2) = self.folds[pairs.i], self.log_ratio.shape
+        out = np.zeros(len(pairs))
+        for a, weight_1 in ((one, 1.0 - part_1), (np.minimum(one + 1, k1 - 1), part_1)):
+            for b, weight_2 in ((two, 1.0 - part_2), (np.minimum(two + 1, k2 - 1), part_2)):
+                out += weight_1 * weight_2 * self.log_ratio[fold, a, b]
+        return np.where((one < 0) | (two < 0), 0.0, out)
+
+
+@in_short
+@dataclass(frozen=True)
+class Columns(Rule):
+    """Evidence of columns, learned by ``sameas.estimate.columns`` or given; add it to a rule of positions.
+
+    Parameters
+    ----------
+    learned : (n₁,), (n₂,) ln r of the columns of either source together. given : the same of priors that were given.
+    associations : of related columns.
+    """
+
+    learned: tuple[FloatArray, FloatArray] | None = field(repr=False)
+    given: tuple[FloatArray, FloatArray] | None = field(repr=False)
+    associations: tuple[Association, ...] = ()
+
+    def __call__(self, pairs: Pairs) -> Evidence:
+        terms = {}
+        for name, both in (("columns", self.learned), ("prior odds", self.given)):
+            if both is not None:
+                terms[name] = both[0][pairs.i] + both[1][pairs.j]
+        if self.associations:
+            terms["relations"] = np.sum([related(pairs) for related in self.associations], axis=0)
+        return Evidence(terms)
+
+
+__all__ = ["Association", "CodedColumn", "Column", "Columns", "OddsTable", "Related"]
