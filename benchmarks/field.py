@@ -1,8 +1,9 @@
-"""Formal errors, few pairs, floors that nobody quotes: ours beside mutual nearest at the best radius."""
+"""Formal errors, few pairs, floors nobody quotes, columns as evidence: beside mutual nearest, STILTS, NWAY."""
 
 from __future__ import annotations
 
 import argparse
+import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -11,13 +12,15 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import peers, workload
-from benchmarks.frames import Tally
+from benchmarks.frames import HOME, Tally
 from benchmarks.recovered import true_rule
 from benchmarks.tables import Table, report
 from sameas import Identification, Sphere, identify
 from sameas.estimate.match import match
+from sameas.evidence import Column, Related
 from sameas.records import Records
 from sameas.score.pairs import is_true_pair, reliability
+from sameas.simulate.counterparts import Counterparts, counterparts
 from sameas.simulate.exposures import Exposure, Sky, exposure
 from sameas.simulate.formal import formal_field
 from sameas.simulate.scenes import SimulatedScene
@@ -252,6 +255,100 @@ def _theirs(scene: SimulatedScene, folder: Path, options: argparse.Namespace, mi
     return claims
 
 
+# ---- columns of one catalogue ----
+
+
+@dataclass
+class Counted:
+    """What was claimed of all sets, and with which probabilities."""
+
+    p: list[np.ndarray] = field(default_factory=list)
+    right: list[np.ndarray] = field(default_factory=list)
+    true: int = 0
+
+    def add(self, claimed: Pairs, p: np.ndarray, made: Counterparts) -> None:
+        """One set."""
+        true = made.scene.true_pairs()
+        self.p.append(p)
+        self.right.append(is_true_pair(claimed, true))
+        self.true += len(true[0])
+
+    def line(self, least: float = 0.0) -> list[object]:
+        """Found, wrong, expected wrong, and wrong beyond those in σ, of what is at least so probable."""
+        p, right = np.concatenate(self.p), np.concatenate(self.right)
+        kept = p > least
+        wrong, expected = int((~right[kept]).sum()), float((1.0 - p[kept]).sum())
+        spread = np.sqrt(max(float((p[kept] * (1.0 - p[kept])).sum()), 1.0))
+        return [int(right[kept].sum()), wrong, expected, (wrong - expected) / spread]
+
+    def least_for(self, found: int) -> float:
+        """The least probability that keeps so many right claims."""
+        p, right = np.concatenate(self.p), np.concatenate(self.right)
+        order = np.argsort(-p)
+        place = int(np.searchsorted(np.cumsum(right[order]), found))
+        return float(p[order][min(place, len(p) - 1)]) - 1e-12
+
+
+def columns(options: argparse.Namespace) -> Iterator[Table]:
+    """Counterparts of sources with wide errors: columns of the deep catalogue as evidence, beside NWAY."""
+    ours: dict[str, Counted] = {}
+    theirs: Counted | None = None
+    told: dict[str, list[str]] = {}
+    for number in range(options.sets):
+        made = counterparts(np.random.default_rng([16, number + 1]))
+        scene = made.scene
+        magnitude = Column(2, made.magnitude, name="MAG")
+        noise = Column(2, made.noise, name="noise")
+        more = [Column(2, made.colour, name="colour"), Column(2, made.kind, name="kind"), noise]
+        ways: dict[str, list[Column | Related]] = {
+            "positions": [], "MAG": [magnitude], "noise": [noise], "MAG, colour, kind, noise": [magnitude, *more],
+            "MAG and its relation to flux": [Related(made.flux, made.magnitude, ("flux", "MAG"))],
+        }  # fmt: skip
+        for name, evidence in ways.items():
+            answer, estimate = match(scene.first, scene.second, evidence=evidence)
+            found = answer.matches
+            ours.setdefault(name, Counted()).add((found.rows_1, found.rows_2), found.p_match, made)
+            if estimate.columns is not None:
+                silent = [one.name for one in estimate.columns.said if not one.tells]
+                told.setdefault(name, []).append(",".join(silent) or "none")
+        pairs = _counterparts_of_nway(made, options)
+        if pairs is not None:
+            theirs = theirs or Counted()
+            theirs.add(*pairs, made)
+    true = ours["MAG"].true
+    lines: list[list[object]] = [[f"sameas, {name}", "all", true, *counted.line()] for name, counted in ours.items()]
+    if theirs is not None:
+        for least in (0.0, 0.25, 0.5):
+            theirs_line = theirs.line(least)
+            lines.append(["NWAY, MAG auto", f"p > {least:g}" if least else "all", true, *theirs_line])
+            same = ours["MAG"].least_for(int(theirs_line[0]))  # type: ignore[call-overload]
+            lines.append(["sameas, MAG, as many found", f"p > {same:.2f}", true, *ours["MAG"].line(same)])
+    notes = [f"said to tell nothing, set by set: {name}: {'; '.join(silent)}" for name, silent in told.items()]
+    names = ("by", "kept", "true pairs", "found", "wrong", "expected wrong", "off, σ")
+    yield Table(
+        f"Counterparts: {options.sets} sets of 1 500 sources with errors of 1–2″ among 241 000 records, λ 0.3",
+        names, lines, (*notes, *(() if theirs else ("NWAY: missing",))),
+    )  # fmt: skip
+
+
+def _counterparts_of_nway(made: Counterparts, options: argparse.Namespace) -> tuple[Pairs, np.ndarray] | None:
+    """NWAY's counterparts and their probabilities, told the true area and completeness; None where it is missing."""
+    python = options.interpreters.python("nway")
+    if peers.PEERS["nway"].version(python) is None:
+        return None
+    area = made.area_arcsec2
+    n, n1, n2 = len(made.scene.true_pairs()[0]), len(made.scene.first), len(made.scene.second)
+    with tempfile.TemporaryDirectory(prefix="sameas-bench-") as name:
+        densities = workload.Densities(n / area, (n1 - n) / area, (n2 - n) / area)
+        folder = workload.save(Path(name) / "scene", made.scene, densities)
+        np.save(folder / "magnitude.npy", made.magnitude)
+        told = f"{str(folder)!r}, {area / 3600.0**2!r}, {n / n1!r}"
+        code = f"from benchmarks import peers; peers.nway_counterparts({told})"
+        subprocess.run([python, "-W", "ignore", "-c", code], check=True, capture_output=True, cwd=HOME)
+        row_1, row_2, p_any, p_i = np.load(folder / "nway.npy")
+    return (row_1.astype(np.int64), row_2.astype(np.int64)), p_any * p_i
+
+
 def tables(options: argparse.Namespace) -> Iterator[Table]:
     """The sections that are asked for."""
     sections: dict[str, Callable[[], Iterator[Table]]] = {
@@ -259,6 +356,7 @@ def tables(options: argparse.Namespace) -> Iterator[Table]:
         "scales": lambda: formal(SCALES, "Scales", options),
         "crowded": lambda: crowded(options),
         "others": lambda: others(options),
+        "columns": lambda: columns(options),
     }
     for name in options.only:
         yield from sections[name]()
@@ -271,7 +369,8 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=8, help="crowded frames (default 8)")
     parser.add_argument("--side", type=float, default=0.05, help="side of a frame, degrees (default 0.05)")
     parser.add_argument("--peer-python", action="append", default=[], help="NAME=PYTHON, where a peer is installed")
-    every = ["floors", "scales", "crowded", "others"]
+    parser.add_argument("--sets", type=int, default=2, help="sets of counterparts (default 2)")
+    every = ["floors", "scales", "crowded", "others", "columns"]
     parser.add_argument("--only", nargs="+", default=every, choices=every)
     options = parser.parse_args()
     options.interpreters = peers.Interpreters.of(options.peer_python)

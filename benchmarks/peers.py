@@ -211,6 +211,32 @@ def nway_pairs(folder: str, area_deg2: float, completeness: float) -> None:
     np.save(arrays.folder / "nway.npy", np.array([found["T1"][best], found["T2"][best]], np.int64))
 
 
+def nway_counterparts(folder: str, area_deg2: float, completeness: float) -> None:
+    """Leave every source's most probable counterpart by NWAY with ``--mag OPT:MAG auto`` in ``nway.npy``: rows of both
+    sources, p_any and p_i. The magnitudes of the second source are in ``magnitude.npy``."""
+    import nwaylib
+    from nwaylib.logger import NullOutputLogger
+
+    arrays = Arrays.load(folder)
+    magnitude = np.load(arrays.folder / "magnitude.npy")
+    (one, two), (sigma_1, sigma_2) = arrays.features, arrays.sigmas()
+    tables = [
+        {"name": "X", "ra": one[:, 0], "dec": one[:, 1], "error": sigma_1, "area": area_deg2}
+        | {"mags": [], "maghists": [], "magnames": []},
+        {"name": "OPT", "ra": two[:, 0], "dec": two[:, 1], "error": sigma_2, "area": area_deg2}
+        | {"mags": [magnitude], "maghists": [None], "magnames": ["MAG"]},
+    ]
+    radius = 5.0 * float(np.hypot(sigma_1.max(), sigma_2.max()))
+    found = nwaylib.nway_match(
+        tables, match_radius=radius, prior_completeness=completeness, store_mag_hists=False, logger=NullOutputLogger()
+    )
+    best = found[(found["match_flag"] == 1) & (found["OPT"] >= 0)]
+    np.save(
+        arrays.folder / "nway.npy",
+        np.array([best["X"], best["OPT"], best["prob_has_match"], best["prob_this_match"]], np.float64),
+    )
+
+
 def stonesoup(folder: str) -> Callable[[], int]:
     """Stone Soup: tracks of one source, detections of the other, its global nearest neighbour by 2-D assignment."""
     from datetime import datetime

@@ -1,7 +1,7 @@
 """What columns of one source say of its records' having partners, learned along with the identification.
 
-The columns of a source are taken jointly: ln r of METHOD 11.2 is what they add to the logit of the share of records that
-have a partner, fitted by penalised likelihood with every record's probability of having one,
+The columns of a source are taken jointly: ln r of METHOD 11.2 is what they add to the logit of the share of records
+that have a partner, fitted by penalised likelihood with every record's probability of having one,
 
     logit P(partner | place, c) = logit of the share at the place + Σ f(c of one column) + Σ g(cells of two columns),
 
@@ -48,7 +48,7 @@ class ColumnsTuning:
     cells : of a column beside another. per_two : expected partners to each two cells; with fewer they are not asked.
     alone : records without a partner that stand for all of them. likely : a record counts as one that may have a
         partner from this probability on; enough : so many of these stand for all.
-    steps, first_steps, longest, done : Newton steps of a later and of the first fit, the longest, and the one that ends.
+    steps, first_steps, longest, done : Newton steps of a later and of the first fit, the longest, the one that ends.
     farthest : ln r lies between −farthest and farthest.
     telling : ln of the likelihood, of records not learned from, that a column must better.
     fewest : expected partners from which anything is learned.
@@ -91,8 +91,8 @@ DEFAULT_COLUMNS = ColumnsTuning()
 class Said:
     """What one column says: ``gain`` of ln of the likelihood of records it was not learned from.
 
-    source : 1 or 2. tells : whether it is used. span : least and greatest ln r of it alone, at its records' 1st and 99th
-    percentile. With ``other``, of two related columns.
+    source : 1 or 2; 0 of two related columns, the second of which is ``other``. tells : whether it is used. span : ln r
+    by it alone, between which all but 1 % of the records lie on either side.
     """
 
     source: int
@@ -109,8 +109,8 @@ class ColumnEvidence:
     """The columns of two sources, and what has been learned of them. Make it with :meth:`of`.
 
     sides : of either source. relations : of both. folds : (n₁,), (n₂,) of the records; None before they are dealt.
-    fits : of either source, None where nothing was learned. log_ratio : (n₁,), (n₂,) ln r of all learned columns; None as long as nothing was.
-    said : of every column.
+    fits : of either source, None where nothing was learned. log_ratio : (n₁,), (n₂,) ln r of all learned columns; None
+    as long as nothing was. associations : of related columns. said : of every column.
     """
 
     sides: tuple[tuple[CodedColumn, ...], tuple[CodedColumn, ...]] = field(repr=False)

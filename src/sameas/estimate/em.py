@@ -294,7 +294,7 @@ class Estimates:
         return known
 
     def _like_partners(self) -> Both | None:
-        """How much likelier partners are than others to have the columns of each record; None where nothing is known."""
+        """How much likelier partners are than others to have each record's columns; None where nothing is known."""
         rule = None if self.columns is None else self.columns.rule()
         if rule is None or rule.learned is None:
             return None
@@ -331,7 +331,7 @@ class Estimates:
         return out
 
     def with_lesson(self, told: FloatArray, *, last: bool = False) -> Estimates:
-        """The magnitudes and other columns learned from, where there are any, with pairs of these probabilities (m,)."""
+        """The magnitudes and columns learned from, where there are any, with pairs of these probabilities (m,)."""
         photometry, columns = self.photometry, self.columns
         if (photometry is None and columns is None) or self.common < self.tuning.fewest:
             return self

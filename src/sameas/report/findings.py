@@ -141,7 +141,8 @@ def _columns(match: SkyMatch) -> list[str]:
         elif one.other:
             words = f"go together in pairs: they better ln likelihood by {one.gain:.1f}"
         else:
-            words = f"ln odds of a partner {one.span[0]:+.1f} to {one.span[1]:+.1f}; it betters ln likelihood by {one.gain:.1f}"
+            low, high = one.span
+            words = f"ln odds of a partner {low:+.1f} to {high:+.1f}; it betters ln likelihood by {one.gain:.1f}"
         lines += entry("column" if one.source else "related", f"{what}: {words}")
     for source, side in enumerate(columns.sides):
         for column in side:

@@ -1,0 +1,222 @@
+"""Columns of one source as evidence: learned from the pairs, jointly, never more than these support; priors given."""
+
+import numpy as np
+import pytest
+from astropy.table import Table
+from typer.testing import CliRunner
+
+import sameas
+from sameas import InputError
+from sameas.cli.app import app
+from sameas.estimate.columns import ColumnEvidence, ColumnsTuning
+from sameas.estimate.match import match
+from sameas.evidence import Column, OddsTable, Related
+from sameas.score.pairs import is_true_pair
+from sameas.simulate import counterparts
+
+MADE = counterparts(np.random.default_rng(3), sources=500, records=30_000)
+MAG = Column(2, MADE.magnitude, name="MAG")
+
+
+def judged(answer, made=MADE):
+    """Found, wrong, expected wrong and its standard deviation."""
+    right = is_true_pair((answer.matches.rows_1, answer.matches.rows_2), made.scene.true_pairs())
+    p = answer.matches.p_match
+    return int(right.sum()), int((~right).sum()), answer.expected_wrong, float(np.sqrt(max((p * (1 - p)).sum(), 1.0)))
+
+
+@pytest.fixture(scope="module")
+def found():
+    return match(MADE.scene.first, MADE.scene.second, evidence=[MAG])
+
+
+@pytest.fixture(scope="module")
+def by_position():
+    return match(MADE.scene.first, MADE.scene.second)
+
+
+def test_a_magnitude_of_one_source_finds_more_with_fewer_wrong(found, by_position):
+    (more, fewer, expected, spread), (less, many, _, _) = judged(found[0]), judged(by_position[0])
+    assert more > less and fewer < 0.7 * many
+    assert abs(fewer - expected) < 2.0 * spread
+
+
+def test_what_is_learned_is_the_ratio_of_the_true_densities(found):
+    """q(m)/n(m) of Sutherland & Saunders, which the simulation knows."""
+    from scipy.stats import norm
+
+    steep, width = 0.3 * np.log(10.0), np.hypot(1.3, 1.8 * 0.6)
+    m = MADE.magnitude
+    true = norm.logpdf(m, 21.5, width) - np.log(steep) - steep * (m - 26.0)
+    inner = (m > 19.0) & (m < 24.5)
+    learned = found[1].columns.log_ratio[1]
+    assert np.abs(learned - true)[inner].max() < 0.8
+    assert np.sqrt(np.mean((learned - true)[inner] ** 2)) < 0.3
+
+
+def test_of_one_category_column_the_fit_is_the_ratio_of_counts():
+    """Without a penalty to speak of: ln of the share of partners over that of the others."""
+    first, second = MADE.scene.first, MADE.scene.second
+    evidence = ColumnEvidence.of(
+        first, second, [Column(2, MADE.kind)], ColumnsTuning(apart=1e3, done=1e-9, first_steps=50, alone=10**6)
+    )
+    from sameas.estimate.coverage import Coverage
+    from sameas.estimate.sample import Setting
+    from sameas.gate import Radius
+
+    setting = Setting.whole(Radius(3.0)(first, second), Coverage.of(first, second))
+    p = np.zeros(len(second))
+    p[MADE.scene.true_pairs()[1]] = 1.0
+    seen = np.ones(len(first), bool), np.ones(len(second), bool)
+    mean = np.log(p.mean() / (1 - p.mean()))
+    offset = np.zeros(len(first)), np.full(len(second), mean)
+    evidence = evidence.dealt(setting).learned(setting.pairs, np.zeros(len(setting.pairs)), (np.zeros(len(first)), p),
+                                               offset, seen)  # fmt: skip
+    fold = evidence.folds[1]
+    for k in range(4):
+        for kind in ("point", "extended"):
+            taught = fold != k
+            here = MADE.kind == kind
+            partners, others = p[taught & here].sum() / p[taught].sum(), (1 - p[taught & here]).sum()
+            # Of the sums of this fold's teachers, with the offset of all.
+            logit = np.log(p[taught & here].sum() / others) - mean
+            got = evidence.log_ratio[1][(fold == k) & here]
+            assert partners > 0 and np.allclose(got, logit, atol=5e-3)
+
+
+def test_a_column_that_tells_nothing_is_said_to_and_changes_nothing(by_position):
+    answer, estimate = match(MADE.scene.first, MADE.scene.second, evidence=[Column(2, MADE.noise, name="noise")])
+    (said,) = estimate.columns.said
+    assert not said.tells and said.name == "noise"
+    assert estimate.changed_by_columns == 0
+    assert abs(judged(answer)[1] - judged(by_position[0])[1]) <= 2
+
+
+@pytest.mark.slow
+def test_columns_that_say_the_same_are_not_counted_twice(found):
+    again = Column(2, 3.0 * MADE.magnitude + 1.0, name="flux")
+    _, estimate = match(MADE.scene.first, MADE.scene.second, evidence=[MAG, again])
+    both, once = estimate.columns.log_ratio[1], found[1].columns.log_ratio[1]
+    likely = MADE.scene.true_pairs()[1]
+    assert np.median(np.abs(both - once)[likely]) < 0.15
+    assert [one.tells for one in estimate.columns.said].count(True) == 1
+
+
+@pytest.mark.slow
+def test_every_column_that_tells_betters_the_answer(found):
+    more = [Column(2, MADE.colour, name="colour"), Column(2, MADE.kind, name="kind")]
+    answer, estimate = match(MADE.scene.first, MADE.scene.second, evidence=[MAG, *more])
+    assert all(one.tells for one in estimate.columns.said)
+    (more, fewer, expected, spread), (less, many, _, _) = judged(answer), judged(found[0])
+    assert more >= less and fewer < many
+    assert abs(fewer - expected) < 2.0 * spread
+
+
+@pytest.mark.slow
+def test_related_columns_are_evidence_of_pairs(found):
+    related = Related(MADE.flux, MADE.magnitude, ("flux", "MAG"))
+    answer, estimate = match(MADE.scene.first, MADE.scene.second, evidence=[related])
+    said = {(one.name, one.other): one.tells for one in estimate.columns.said}
+    assert said == {("flux", ""): False, ("MAG", ""): True, ("flux", "MAG"): True}
+    assert judged(answer)[0] >= judged(found[0])[0]
+    unrelated = Related(np.random.default_rng(1).permutation(MADE.flux), MADE.magnitude, ("flux", "MAG"))
+    _, estimate = match(MADE.scene.first, MADE.scene.second, evidence=[unrelated])
+    assert [one.tells for one in estimate.columns.said if one.other] == [False]
+
+
+@pytest.mark.slow
+def test_swapped_sources_give_the_transposed_answer(found):
+    answer, _ = match(MADE.scene.second, MADE.scene.first, evidence=[Column(1, MADE.magnitude, name="MAG")])
+    one = dict(zip(found[0].matches.rows_1.tolist(), found[0].matches.rows_2.tolist(), strict=True))
+    other = dict(zip(answer.matches.rows_2.tolist(), answer.matches.rows_1.tolist(), strict=True))
+    assert sum(one.get(key) != value for key, value in other.items()) <= 2
+
+
+def test_missing_values_are_a_value(found):
+    gone = np.random.default_rng(2).uniform(size=len(MADE.magnitude)) < 0.2
+    column = Column(2, np.where(gone, np.nan, MADE.magnitude), name="MAG")
+    answer, estimate = match(MADE.scene.first, MADE.scene.second, evidence=[column])
+    assert np.abs(estimate.columns.log_ratio[1][gone]).max() < 0.7
+    _, wrong, expected, spread = judged(answer)
+    assert abs(wrong - expected) < 2.0 * spread
+
+
+def test_given_odds_are_the_odds():
+    odds = OddsTable([(0.0, 22.0, 4.0), (22.0, 30.0, 0.5)])
+    answer, _ = match(MADE.scene.first, MADE.scene.second, evidence=[Column(2, MADE.magnitude, odds)])
+    expected = np.where(MADE.magnitude < 22.0, np.log(4.0), np.log(0.5))[answer.pairs.j]
+    expected = np.where((MADE.magnitude < 0.0)[answer.pairs.j], 0.0, expected)
+    np.testing.assert_allclose(answer.evidence.terms["prior odds"], expected)
+
+
+def test_too_few_pairs_are_not_learned_from():
+    made = counterparts(np.random.default_rng(8), sources=20, records=1_000)
+    _, estimate = match(made.scene.first, made.scene.second, evidence=[Column(2, made.magnitude, name="MAG")])
+    assert estimate.columns.log_ratio is None and estimate.columns.said == ()
+
+
+@pytest.mark.parametrize(
+    ("odds", "words"),
+    [
+        ([(1.0, 2.0, -1.0)], "odds of -1.0"),
+        ([(2.0, 1.0, 3.0)], "from 2.0 to 1.0"),
+        ([(1.0,)], "has 1 cells"),
+    ],
+)
+def test_tables_of_odds_that_make_no_sense_are_refused(odds, words):
+    with pytest.raises(InputError, match=words):
+        OddsTable(odds)
+
+
+def test_columns_are_refused_in_the_users_words():
+    with pytest.raises(InputError, match="give 1 or 2"):
+        Column(3, "MAG")
+    with pytest.raises(InputError, match="one value for every row"):
+        match(MADE.scene.first, MADE.scene.second, evidence=[Column(2, [1.0, 2.0], name="MAG")])
+    with pytest.raises(InputError, match="evidence holds 'MAG'"):
+        sameas.match(*tables(), evidence=["MAG"])
+    with pytest.raises(InputError, match="no column 'mags' to be evidence"):
+        sameas.match(*tables(), evidence=Column(2, "mags"))
+
+
+def tables():
+    """Both as tables, as people have them."""
+    one, two = MADE.scene.first, MADE.scene.second
+    return (
+        Table({"ra": one.features[:, 0], "dec": one.features[:, 1], "pos_err": np.sqrt(one.covariance[:, 0])}),
+        Table({
+            "ra": two.features[:, 0], "dec": two.features[:, 1], "pos_err": np.sqrt(two.covariance[:, 0]),
+            "MAG_I": MADE.magnitude, "kind": MADE.kind,
+        }),
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_the_command_takes_columns_and_priors_and_explains_them(tmp_path, monkeypatch, found):
+    monkeypatch.chdir(tmp_path)
+    for name, table in zip(("x.fits", "o.fits"), tables(), strict=True):
+        table.write(name)
+    (tmp_path / "prior.csv").write_text("low,high,odds\n10,22,4\n22,30,0.5\n")
+    # As NWAY has it: low, high, selected, others.
+    (tmp_path / "prior.txt").write_text("10 22 0.4 0.1\n22 30 0.05 0.1\n")
+    run = CliRunner().invoke
+
+    def said(*options):
+        result = run(app, ["match", "x.fits", "o.fits", "-o", "out.fits", *options])
+        assert result.exit_code == 0, result.output
+        return " ".join(result.output.split())
+
+    learned = said("--column2", "mag_i", "--column2", "kind")
+    assert "MAG_I of o: ln odds of a partner" in learned and "kind of o" in learned
+    assert "MAG_I of o: ln odds of a partner" in said("--magnitude2", "MAG_I")
+    outputs = [(said("--column2", f"MAG_I={name}"), Table.read("out.fits"))[1] for name in ("prior.csv", "prior.txt")]
+    assert np.array_equal(outputs[0]["p_match"], outputs[1]["p_match"])
+    explained = run(app, ["explain", "out.fits", "3", "--row", "--again"])
+    assert explained.exit_code == 0 and "prior odds" in explained.output
+
+
+@pytest.mark.slow
+def test_python_takes_the_same(found):
+    one = sameas.match(*tables(), evidence=Column(2, "MAG_I"))
+    assert judged(one.identification)[:2] == judged(found[0])[:2]
+    assert "MAG_I" in str(one.report())
