@@ -19,6 +19,7 @@ from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.estimate.sample import Setting
@@ -216,7 +217,8 @@ class ColumnEvidence:
         The first time and the last columns that tell nothing are dropped.
         """
         assert self.folds is not None
-        fits, said = [], []
+        fits: list[_Fit | None] = []
+        said: list[Said] = []
         for source, (side, p, at, seen, fold, before) in enumerate(
             zip(self.sides, partner, offset, covered, self.folds, self.fits, strict=True), start=1
         ):
@@ -277,8 +279,8 @@ class _Basis:
         x, w = column.values[known], weight[known]
         if not len(x):
             return cls(np.zeros(1), False, np.empty(0))
-        count = int(np.clip(partners / tuning.per_knot, 2, tuning.most_knots))
-        of_partners = _quantiles(x, w, np.linspace(0.01, 0.99, count)) if w.sum() > 0.0 else np.empty(0)
+        number = int(np.clip(partners / tuning.per_knot, 2, tuning.most_knots))
+        of_partners = _quantiles(x, w, np.linspace(0.01, 0.99, number)) if w.sum() > 0.0 else np.empty(0)
         of_all = np.quantile(x, np.linspace(0.002, 0.998, tuning.knots_of_all))
         knots = np.unique(np.concatenate([of_partners, of_all]))
         apart = 1e-3 * max(float(knots[-1] - knots[0]), 1e-12)
@@ -468,8 +470,8 @@ class _Lesson:
         parts = []
         for rows, enough in ((likely, tuning.enough), (alone, tuning.alone)):
             every = max(1, -(-len(rows) // enough))
-            some = rows[::every]
-            parts.append((some, np.full(len(some), len(rows) / max(len(some), 1))))
+            kept = rows[::every]
+            parts.append((kept, np.full(len(kept), len(rows) / max(len(kept), 1))))
         rows, weight = (np.concatenate(both) for both in zip(*parts, strict=True))
         some = tuple(column.take(rows) for column in columns)
         p = partner[rows]
@@ -554,7 +556,7 @@ class _Lesson:
 # ---- related columns ----
 
 
-def _grid(column: CodedColumn, weight: FloatArray, rows: IntArray, number: int) -> FloatArray:
+def _grid(column: CodedColumn, weight: FloatArray, rows: NDArray[np.integer], number: int) -> FloatArray:
     """(k,) knots of a column of numbers at quantiles of the pairs, or its codes."""
     values, w = column.values[rows], weight
     known = np.isfinite(values)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sameas.arrays import FloatArray
+from sameas.arrays import FloatArray, IntArray
 from sameas.errors import Message, naming
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import GUESSED, Column, PositionError
@@ -147,7 +147,12 @@ def common_error(
     position, other_variance = _positions(catalogue, other, shared)
     if not len(position[0]) or not len(position[1]):
         return tuning.usual_arcsec, 0.0
-    distance, density, partner = _neighbours(*position, tuning)
+    # From the side of fewer records: of those of a deep catalogue next to none have a partner in a sparse one.
+    if len(position[1]) < len(position[0]):
+        distance, density, partner, own = _neighbours(position[1], position[0], tuning)
+        partner = own
+    else:
+        distance, density, partner, _ = _neighbours(*position, tuning)
     known = other_variance[partner] if len(other_variance) else np.zeros(len(distance))
     s = np.geomspace(tuning.least_arcsec, tuning.largest_arcsec, tuning.steps)[:, None]
     variance = s**2 * (2.0 if shared else 1.0) + known
@@ -182,14 +187,15 @@ def _directions(position_deg: FloatArray) -> FloatArray:
 
 def _neighbours(
     one: FloatArray, two: FloatArray, tuning: CommonErrorTuning
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(k,) distances to the nearest in arcsec, local densities per arcsec², and which the nearest is."""
+) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
+    """(k,) distances to the nearest in arcsec, local densities per arcsec², which the nearest is, and whose it is."""
     from scipy.spatial import cKDTree
 
-    some = one[:: max(1, len(one) // tuning.most_records)]
+    own = np.arange(0, len(one), max(1, len(one) // tuning.most_records))
+    some = one[own]
     count = min(tuning.neighbours, len(two))
     chord, which = cKDTree(two).query(some, k=np.arange(1, count + 1))
     apart = 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)) * ARCSEC_PER_RADIAN
     # The nearest may be the partner; of those beyond it the density follows. A lone record's is that of its distance.
     density = max(count - 1, 1) / (np.pi * np.maximum(apart[:, -1], 1e-3) ** 2)
-    return np.maximum(apart[:, 0], 1e-6), density, which[:, 0]
+    return np.maximum(apart[:, 0], 1e-6), density, which[:, 0], own
