@@ -35,6 +35,7 @@ maps
 io
 plots
 pages
+live
 front
 adapters
 cli

@@ -67,6 +67,25 @@ class Damaged:
         return sentences
 
 
+class NoReports(InputError):
+    """There is no report in what a reader was given; ``damaged`` and ``passed_over`` say what there was.
+
+    For a file that is a refusal; of a stream the next lines may have some.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        remedy: Any = "",
+        *,
+        damaged: Damaged | None = None,
+        passed_over: Mapping[str, int] | None = None,
+    ) -> None:
+        super().__init__(message, remedy) if remedy else super().__init__(message)
+        self.damaged = Damaged() if damaged is None else damaged
+        self.passed_over = dict(passed_over or {})
+
+
 @in_short
 @dataclass(frozen=True)
 class Reports:

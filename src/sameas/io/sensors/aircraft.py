@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from sameas.arrays import FloatArray
-from sameas.errors import InputError
 from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S, seconds
 from sameas.io.sensors.format import SensorFormat
 from sameas.tracks.accuracy import (
@@ -26,7 +25,7 @@ from sameas.tracks.accuracy import (
     sigma_of_nacv,
     sigma_of_nic,
 )
-from sameas.tracks.reports import LAST_S, Damaged, Reports, of_rows
+from sameas.tracks.reports import LAST_S, Damaged, NoReports, Reports, of_rows
 
 #: Snapshots round the age of a position to 0.1 s: the times of one position differ by less than 0.25 s.
 _SAME_POSITION_S = 0.25
@@ -45,13 +44,14 @@ _NUMBERS = {
 }
 
 
-def read(lines: Sequence[str], source: str) -> Reports:
+def read(lines: Sequence[str], source: str, last: dict[str, Mapping[str, Any]] | None = None) -> Reports:
     """The positions of aircraft in snapshots.
 
     Parameters
     ----------
     lines : of a file that is one snapshot, or has one in each line.
     source : its name in messages.
+    last : of a stream, the last report of each aircraft; it is kept up to date.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def read(lines: Sequence[str], source: str) -> Reports:
     damaged: list[tuple[int, str]] = []
     passed_over: Counter[str] = Counter()
     rows: list[dict[str, Any]] = []
-    last: dict[str, Mapping[str, Any]] = {}
+    last = {} if last is None else last
     for number, snapshot in _snapshots(lines, damaged):
         for aircraft in snapshot["aircraft"]:
             row = _row(number, snapshot["now"], aircraft)
@@ -76,7 +76,9 @@ def read(lines: Sequence[str], source: str) -> Reports:
                 rows.append(row)
     if not rows:
         reasons = "; ".join(Damaged.of(damaged).sentences()) or "no aircraft has one"
-        raise InputError(f"{source}: no position of an aircraft: {reasons}")
+        raise NoReports(
+            f"{source}: no position of an aircraft: {reasons}", damaged=Damaged.of(damaged), passed_over=passed_over
+        )
     columns = of_rows(rows)
     columns |= errors_of(columns)
     return Reports.of(

@@ -11,7 +11,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
@@ -23,7 +23,7 @@ from sameas.io.sensors.clock import KNOT_M_PER_S, MILE_M, at_second, forward_fil
 from sameas.io.sensors.nmea import Log, Sentence
 from sameas.tracks.accuracy import AIS_RECKONED_SIGMA_M, AIS_SIGMA_M, round_covariance
 from sameas.tracks.coordinates import along_and_across, geodesy
-from sameas.tracks.reports import Damaged, Reports, of_rows
+from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,15 @@ class Static:
     values: Mapping[str, Any]
 
 
-def read(log: Log, source: str, start_s: float | None = None) -> Reports:
+@dataclass
+class Heard:
+    """What a receiver has heard before these lines: parts of messages that wait for the others, data of ships."""
+
+    waiting: dict[tuple[str, ...], list[Sentence]] = field(default_factory=dict)
+    statics: dict[str, Mapping[str, Any]] = field(default_factory=dict)
+
+
+def read(log: Log, source: str, start_s: float | None = None, heard: Heard | None = None) -> Reports:
     """The reports of ships in a log.
 
     Parameters
@@ -135,12 +143,14 @@ def read(log: Log, source: str, start_s: float | None = None) -> Reports:
     log : sentences with their clock; those that are not AIS are left alone.
     source : its name in messages.
     start_s : UTC of the first message, for logs without any clock: the seconds in the messages are counted on from it.
+    heard : of a stream, what came before; it is kept up to date. Parts at the end of the log wait for the others.
 
     Raises
     ------
     InputError : pyais is not installed; no position among the messages; no time.
     """
-    messages, damaged = _messages(log)
+    messages, damaged = _messages(log, heard)
+    statics = _statics(messages, heard)
     positions, passed_over = [], Counter[str]()
     for message in messages:
         reason = _unusable(message)
@@ -158,9 +168,12 @@ def read(log: Log, source: str, start_s: float | None = None) -> Reports:
         else:
             positions.append(message)
     if not positions:
-        raise InputError(f"{source}: no AIS position in {len(messages)} messages; {_what_else(damaged, passed_over)}")
+        raise NoReports(
+            f"{source}: no AIS position in {len(messages)} messages; {_what_else(damaged, passed_over)}",
+            damaged=Damaged.of(damaged), passed_over=passed_over,
+        )  # fmt: skip
     time_s, clock = _times(log, messages, positions, source, start_s)
-    columns = of_rows(_rows(positions, _statics(messages)))
+    columns = of_rows(_rows(positions, statics))
     columns |= {"time_s": time_s, **_placed(columns, np.array([message.type for message in positions]))}
     return Reports.of(
         source, "ais", columns, damaged=Damaged.of(damaged), passed_over=passed_over, notes=_notes(source, clock)
@@ -188,53 +201,52 @@ def own_ship(sentence: Sentence) -> dict[str, float | None]:
     return fields if heading is None else fields | {"heading": heading}
 
 
-def _messages(log: Log) -> tuple[list[Message], list[tuple[int, str]]]:
+def _messages(log: Log, heard: Heard | None) -> tuple[list[Message], list[tuple[int, str]]]:
     """The decoded messages, those of several sentences joined, and the lines that could not be decoded."""
     decode = _decoder()
     messages: list[Message] = []
     damaged = list(log.damaged)
-    waiting: dict[tuple[str, ...], list[int]] = {}
+    waiting: dict[tuple[str, ...], list[Sentence]] = {} if heard is None else heard.waiting
     for place, sentence in enumerate(log.sentences):
         if sentence.kind not in SENTENCES:
             continue
-        parts = [place]
+        parts = [sentence]
         if not sentence.field(5):
             damaged.append((sentence.line, "AIS sentence without a message"))
             continue
         if sentence.field(1) != "1":
             key = (sentence.kind, sentence.field(1), sentence.field(3), sentence.field(4))
-            parts = _parts(waiting, key, place, log, damaged)
+            parts = _parts(waiting, key, sentence, damaged)
         if not parts:
             continue
         try:
-            decoded = decode(*(log.sentences[k].text for k in parts))
+            decoded = decode(*(part.text for part in parts))
         except Exception as error:
             # An error of the decoder is one damaged message, never the end of the file.
-            damaged += [(log.sentences[k].line, f"cannot be decoded ({type(error).__name__})") for k in parts]
+            damaged += [(part.line, f"cannot be decoded ({type(error).__name__})") for part in parts]
             continue
         messages.append(Message(sentence.line, place, sentence.kind == "VDO", decoded))
-    for parts in waiting.values():
-        damaged += [(log.sentences[k].line, "part of a message without the others") for k in parts]
+    for parts in waiting.values() if heard is None else ():
+        damaged += [(part.line, "part of a message without the others") for part in parts]
     return messages, damaged
 
 
 def _parts(
-    waiting: dict[tuple[str, ...], list[int]],
+    waiting: dict[tuple[str, ...], list[Sentence]],
     key: tuple[str, ...],
-    place: int,
-    log: Log,
+    sentence: Sentence,
     damaged: list[tuple[int, str]],
-) -> list[int]:
-    """The places of all parts of a message when its last one has come, else none; broken rows become damaged."""
-    total, number = key[1], log.sentences[place].field(2)
+) -> list[Sentence]:
+    """All parts of a message when its last one has come, else none; broken rows become damaged."""
+    total, number = key[1], sentence.field(2)
     before = waiting.pop(key, [])
     if number != str(len(before) + 1):
-        damaged += [(log.sentences[k].line, "part of a message without the others") for k in before]
+        damaged += [(part.line, "part of a message without the others") for part in before]
         before = []
     if number != "1" and not before:
-        damaged.append((log.sentences[place].line, "part of a message without the others"))
+        damaged.append((sentence.line, "part of a message without the others"))
         return []
-    parts = [*before, place]
+    parts = [*before, sentence]
     if str(len(parts)) == total:
         return parts
     waiting[key] = parts
@@ -334,9 +346,12 @@ def _below(value: Any, limit: float) -> float | None:
     return None if value is None or not 0 <= float(value) < limit else float(value)
 
 
-def _statics(messages: Sequence[Message]) -> dict[str, list[Static]]:
+def _statics(messages: Sequence[Message], heard: Heard | None) -> dict[str, list[Static]]:
     """The static data of each ship, in the order of the lines; later values replace earlier ones."""
     by_ship: dict[str, list[Static]] = {}
+    if heard is not None:
+        spoken = {f"{int(message.decoded.mmsi):09d}" for message in messages}
+        by_ship = {mmsi: [Static(0, heard.statics[mmsi])] for mmsi in spoken & heard.statics.keys()}
     for message in messages:
         if message.type not in _STATICS or message.own_ship or _unusable(message):
             continue
@@ -344,6 +359,8 @@ def _statics(messages: Sequence[Message]) -> dict[str, list[Static]]:
         before = by_ship.setdefault(mmsi, [])
         fields = _static(message.decoded)
         before.append(Static(message.line, {**(before[-1].values if before else {}), **fields}))
+        if heard is not None:
+            heard.statics[mmsi] = before[-1].values
     return by_ship
 
 
@@ -356,8 +373,8 @@ def _static_at(statics: Sequence[Static], line: int) -> Mapping[str, Any]:
 
 def _static(decoded: Any) -> dict[str, Any]:
     values: dict[str, Any] = {}
-    for column, field in (("name", "shipname"), ("callsign", "callsign")):
-        text = str(getattr(decoded, field, None) or "").rstrip("@ ").strip()
+    for column, entry in (("name", "shipname"), ("callsign", "callsign")):
+        text = str(getattr(decoded, entry, None) or "").rstrip("@ ").strip()
         if text:
             values[column] = text
     if getattr(decoded, "imo", None):

@@ -8,8 +8,10 @@ has the accuracy of the radar: its errors are in the description of the source.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,7 +21,7 @@ from sameas.errors import InputError, naming
 from sameas.io.sensors.ais import own_ship
 from sameas.io.sensors.clock import KNOT_M_PER_S, MILE_M, forward_filled
 from sameas.io.sensors.nmea import Log, Sentence, dated, latitude, longitude, time_of_day
-from sameas.tracks.reports import Damaged, Reports, of_rows
+from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 
 #: The sentences of targets.
 SENTENCES = ("TTM", "TLL")
@@ -28,7 +30,17 @@ _UNITS = {"N": (MILE_M, KNOT_M_PER_S), "K": (1000.0, 1.0 / 3.6), "S": (1609.344,
 _STATUS = {"L": "lost", "Q": "being acquired", "T": "tracked"}
 
 
-def read(log: Log, source: str, start_s: float | None = None) -> Reports:
+@dataclass
+class OwnShip:
+    """What the log said of own ship before these lines, and whether it has had TTM sentences."""
+
+    heading: float = math.nan
+    lat: float = math.nan
+    lon: float = math.nan
+    ttm: bool = False
+
+
+def read(log: Log, source: str, start_s: float | None = None, ship: OwnShip | None = None) -> Reports:
     """The targets of a ship's radar.
 
     Parameters
@@ -36,15 +48,18 @@ def read(log: Log, source: str, start_s: float | None = None) -> Reports:
     log : sentences with their clock; those of other kinds are left alone.
     source : its name in messages.
     start_s : UTC of the first line, for logs with the time of day but no date.
+    ship : of a stream, what came before; it is kept up to date.
 
     Raises
     ------
     InputError : no target; no time.
     """
-    kind = "TTM" if any(s.kind == "TTM" for s in log.sentences) else "TLL"
+    ship = OwnShip() if ship is None else ship
+    ship.ttm |= any(s.kind == "TTM" for s in log.sentences)
+    kind = "TTM" if ship.ttm else "TLL"
     damaged = list(log.damaged)
     passed_over: Counter[str] = Counter()
-    own = _own_ship(log)
+    own = _own_ship(log, ship)
     places, rows = [], []
     for place, sentence in enumerate(log.sentences):
         if sentence.kind != kind:
@@ -63,7 +78,9 @@ def read(log: Log, source: str, start_s: float | None = None) -> Reports:
             rows.append(row)
     if not rows:
         lost = "; ".join(Damaged.of(damaged).sentences()) or "every target is lost"
-        raise InputError(f"{source}: no radar target that can be used: {lost}")
+        raise NoReports(
+            f"{source}: no radar target that can be used: {lost}", damaged=Damaged.of(damaged), passed_over=passed_over
+        )
     columns = of_rows(rows)
     if kind == "TLL" and not np.isfinite(columns["station_lat_deg"]).all():
         # Positions need no own ship; one that is known at some times only would help at these only.
@@ -79,9 +96,11 @@ def read(log: Log, source: str, start_s: float | None = None) -> Reports:
     )
 
 
-def _own_ship(log: Log) -> dict[str, FloatArray]:
+def _own_ship(log: Log, ship: OwnShip) -> dict[str, FloatArray]:
     """Heading and position of own ship at each sentence: the last ones, and none before the first."""
     columns = {name: np.full(len(log.sentences), np.nan) for name in ("heading", "lat", "lon")}
+    for name, values in columns.items():
+        values[:1] = getattr(ship, name)
     for place, sentence in enumerate(log.sentences):
         reader = _OWN_SHIP.get(sentence.kind)
         if reader:
@@ -91,7 +110,10 @@ def _own_ship(log: Log) -> dict[str, FloatArray]:
                 continue
             for name, value in position.items():
                 columns[name][place] = np.nan if value is None else value
-    return {name: _until_now(values) for name, values in columns.items()}
+    known = {name: _until_now(values) for name, values in columns.items()}
+    for name, values in known.items():
+        setattr(ship, name, float(values[-1]) if len(values) else getattr(ship, name))
+    return known
 
 
 def _until_now(values: FloatArray) -> FloatArray:

@@ -71,10 +71,11 @@ class Log:
     damaged: tuple[tuple[int, str], ...]
 
 
-def log_of(lines: Sequence[str], unended: bool = False) -> Log:
+def log_of(lines: Sequence[str], unended: bool = False, received_s: Sequence[float] | None = None) -> Log:
     """The sentences of these lines. Lines that are no sentences, or have a wrong checksum, are damaged.
 
     unended : whether the last line has no end; then it must have its checksum.
+    received_s : (n,) of a stream, when each line came; it is the clock where the lines have no time of receipt.
     """
     sentences, damaged = [], []
     for number, raw in enumerate(lines, start=1):
@@ -85,6 +86,10 @@ def log_of(lines: Sequence[str], unended: bool = False) -> Log:
             sentences.append(sentence)
         else:
             damaged.append((number, sentence))
+    if received_s is not None:
+        own = np.array([sentence.time_s for sentence in sentences], np.float64)
+        came = np.array([received_s[sentence.line - 1] for sentence in sentences], np.float64)
+        return Log(tuple(sentences), np.where(np.isfinite(own), own, came), "the times of receipt", tuple(damaged))
     clock_s, clock = _clock(sentences)
     return Log(tuple(sentences), clock_s, clock, tuple(damaged))
 

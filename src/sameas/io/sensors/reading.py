@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from sameas.errors import InputError, reading
-from sameas.io.sensors import aircraft, asterix, mode_s, sbs, ship_log, tables
+from sameas.io.sensors import aircraft, asterix, mode_s, sbs, ship_log, signalk, tables
 from sameas.io.sensors.format import ReadOptions, SensorFile, SensorFormat
 from sameas.tracks.reports import Reports
 
 #: The formats, in the order in which they are tried.
 FORMATS: tuple[SensorFormat, ...] = (
-    asterix.FORMAT, ship_log.FORMAT, aircraft.FORMAT, sbs.FORMAT, mode_s.FORMAT, tables.FORMAT,
+    asterix.FORMAT, ship_log.FORMAT, aircraft.FORMAT, signalk.FORMAT, sbs.FORMAT, mode_s.FORMAT, tables.FORMAT,
 )  # fmt: skip
 #: What each of them is, by its name.
 REPORT_FORMATS: Mapping[str, str] = {known.name: known.label for known in (FORMATS[-1], *FORMATS[1:-1], FORMATS[0])}

@@ -12,11 +12,10 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from sameas.errors import InputError
 from sameas.io.sensors.aircraft import identity_of
 from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S, instant
 from sameas.io.sensors.format import SensorFormat
-from sameas.tracks.reports import Damaged, Reports, of_rows
+from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 
 #: Fields older than this, in seconds, are not joined to a position (chosen).
 _STALE_S = 30.0
@@ -31,7 +30,11 @@ _FIELDS = {
 }
 
 
-def read(lines: Sequence[str], source: str, unended: bool = False) -> Reports:
+#: By aircraft and name of a field its time and value.
+Latest = dict[str, dict[str, tuple[float, Any]]]
+
+
+def read(lines: Sequence[str], source: str, unended: bool = False, latest_fields: Latest | None = None) -> Reports:
     """The positions of aircraft in SBS lines.
 
     Parameters
@@ -39,6 +42,7 @@ def read(lines: Sequence[str], source: str, unended: bool = False) -> Reports:
     lines : those that are no MSG (SEL, ID, AIR, STA, CLK) are passed over.
     source : its name in messages.
     unended : whether the last line has no end; then it must have all its cells.
+    latest_fields : of a stream, what came before; it is kept up to date.
 
     Raises
     ------
@@ -46,7 +50,7 @@ def read(lines: Sequence[str], source: str, unended: bool = False) -> Reports:
     """
     damaged: list[tuple[int, str]] = []
     passed_over: Counter[str] = Counter()
-    by_aircraft: dict[str, dict[str, tuple[float, Any]]] = {}
+    by_aircraft: Latest = {} if latest_fields is None else latest_fields
     rows = []
     for number, line in enumerate(lines, start=1):
         if not line.strip():
@@ -68,7 +72,11 @@ def read(lines: Sequence[str], source: str, unended: bool = False) -> Reports:
             current = {name: value for name, (when, value) in latest.items() if abs(time_s - when) <= _STALE_S}
             rows.append({"line": number, "time_s": time_s, **identity_of(address), **current})
     if not rows:
-        raise InputError(f"{source}: no position: {'; '.join(Damaged.of(damaged).sentences()) or 'no MSG,2 or MSG,3'}")
+        about = Damaged.of(damaged)
+        raise NoReports(
+            f"{source}: no position: {'; '.join(about.sentences()) or 'no MSG,2 or MSG,3'}",
+            damaged=about, passed_over=passed_over,
+        )  # fmt: skip
     notes = (f"{source}: times are taken as UTC; SBS lines do not tell their zone", f"{source}: SBS states no errors")
     return Reports.of(source, "adsb", of_rows(rows), damaged=Damaged.of(damaged), passed_over=passed_over, notes=notes)
 

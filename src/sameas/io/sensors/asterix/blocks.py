@@ -10,8 +10,6 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import numpy as np
-
 _PCAP = {b"\xd4\xc3\xb2\xa1": ("<", 1e6), b"\xa1\xb2\xc3\xd4": (">", 1e6),
          b"\x4d\x3c\xb2\xa1": ("<", 1e9), b"\xa1\xb2\x3c\x4d": (">", 1e9)}  # fmt: skip
 #: Bytes before the IP header by the kind of link; −2 of them are the protocol where there are any.
@@ -34,13 +32,13 @@ class Block:
     problem: str = ""
 
 
-def blocks_of(content: bytes) -> Iterator[Block]:
-    """The blocks in a file. Other bytes become a block with a problem."""
+def blocks_of(content: bytes, received_s: float = float("nan")) -> Iterator[Block]:
+    """The blocks in a file, or in a datagram received then. Other bytes become a block with a problem."""
     if content[:4] in _PCAP:
         for number, (received_s, payload) in enumerate(_packets(content), start=1):
             yield from _cut(payload, number, received_s)
     else:
-        yield from _cut(content, 1, np.nan)
+        yield from _cut(content, 1, received_s)
 
 
 def looks_like(content: bytes) -> bool:

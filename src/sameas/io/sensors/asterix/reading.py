@@ -16,14 +16,21 @@ from sameas.io.sensors.asterix.blocks import PCAPNG, Block, blocks_of, looks_lik
 from sameas.io.sensors.asterix.records import CATEGORIES, DamagedRecord, records_of, unsigned
 from sameas.io.sensors.clock import DAY_S, unwrapped
 from sameas.io.sensors.format import SensorFormat
-from sameas.tracks.reports import Damaged, Reports, of_rows
+from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 
 _MEANINGS: dict[int, ModuleType] = {21: cat021, 48: cat048, 62: cat062}
 #: Category, SAC and SIC: one sensor.
 Sensor = tuple[int, int, int]
 
 
-def read(content: bytes, source: str, start_s: float | None = None) -> list[Reports]:
+def read(
+    content: bytes,
+    source: str,
+    start_s: float | None = None,
+    *,
+    received_s: float = float("nan"),
+    blocks_read: set[tuple[int, bytes]] | None = None,
+) -> list[Reports]:
     """The reports in ASTERIX bytes, one :class:`Reports` for each category and sensor (SAC, SIC).
 
     Parameters
@@ -31,6 +38,8 @@ def read(content: bytes, source: str, start_s: float | None = None) -> list[Repo
     content : blocks one after the other, or a pcap capture. A line number is the number of the record in the file.
     source : its name in messages; several sensors are called ``source:048 SAC/SIC``.
     start_s : UTC date of the first record, for files that are no capture: records have the time of day only.
+    received_s, blocks_read : of a stream, when these blocks came, and those that came before, kept up to date; every
+        sensor is then named as one of several.
 
     Raises
     ------
@@ -42,8 +51,9 @@ def read(content: bytes, source: str, start_s: float | None = None) -> list[Repo
     damaged: list[tuple[int, str]] = []
     passed_over: Counter[str] = Counter()
     number = 0
-    blocks_read: set[tuple[int, bytes]] = set()
-    for block in blocks_of(content):
+    live = blocks_read is not None
+    blocks_read = set() if blocks_read is None else blocks_read
+    for block in blocks_of(content, received_s):
         again = (block.category, block.data) in blocks_read
         blocks_read.add((block.category, block.data))
         if again and not block.problem:
@@ -60,12 +70,15 @@ def read(content: bytes, source: str, start_s: float | None = None) -> list[Repo
             *Damaged.of(damaged, "record").sentences(),
             *(f"{n} passed over: {what}" for what, n in passed_over.items()),
         ]
-        raise InputError(f"{source}: no target of category 021, 048 or 062; {'; '.join(problems) or 'is it ASTERIX?'}")
+        raise NoReports(
+            f"{source}: no target of category 021, 048 or 062; {'; '.join(problems) or 'is it ASTERIX?'}",
+            damaged=Damaged.of(damaged, "record"), passed_over=passed_over,
+        )  # fmt: skip
     # Damaged and passed over records are of the file; the first source has them.
     about: list[tuple[Damaged, Mapping[str, int]]] = [(Damaged.of(damaged, "record"), passed_over)]
     about += [(Damaged(unit="record"), {})] * (len(rows) - 1)
     return [
-        _reports(sensor, of_rows(its), _name(source, sensor, len(rows)), start_s, *its_about)
+        _reports(sensor, of_rows(its), _name(source, sensor, 2 if live else len(rows)), start_s, *its_about)
         for (sensor, its), its_about in zip(sorted(rows.items()), about, strict=True)
     ]
 

@@ -1,0 +1,151 @@
+"""Signal K: the deltas that a server sends, one JSON object a line, of vessels and of targets of its radars.
+
+Positions of vessels become reports under their MMSI; speed, course, heading and name come in deltas of their own, and
+every position gets the last ones of its vessel. Own ship is ``vessels.self`` or what the hello calls ``self``; its own
+position is where the radars stand. Angles are radians, speeds m/s. Source: Signal K 1.7, "Delta format"; the Radar API
+of Signal K 2 puts targets under ``radars.ID.targets.NUMBER``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from sameas.io.sensors.clock import instant
+from sameas.io.sensors.format import SensorFormat
+from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
+
+_MMSI = re.compile(r"mmsi:(\d{9})$")
+_TARGET = re.compile(r"(?:^|\.)radars\.([^.]+)\.targets\.([^.]+)$")
+#: Paths of numbers, their columns, and the factor to our unit.
+_NUMBERS = {
+    "navigation.speedOverGround": ("speed_m_per_s", 1.0),
+    "navigation.courseOverGroundTrue": ("course_deg", 180.0 / math.pi),
+    "navigation.headingTrue": ("heading_deg", 180.0 / math.pi),
+}
+#: Fields older than this, in seconds, are not joined to a position (chosen).
+_STALE_S = 60.0
+
+
+@dataclass
+class Vessels:
+    """What came before: by context its last fields with their times, and who own ship is."""
+
+    fields: dict[str, dict[str, tuple[float, Any]]] = field(default_factory=dict)
+    own: str = "vessels.self"
+    station: tuple[float, float] = (math.nan, math.nan)
+
+
+def read(lines: Sequence[str], source: str, vessels: Vessels | None = None) -> list[Reports]:
+    """The vessels and the radar targets in deltas, one :class:`Reports` each where there are both.
+
+    Parameters
+    ----------
+    lines : JSON objects. source : its name in messages; of both ``source:ais`` and ``source:arpa``.
+    vessels : of a stream, what came before; it is kept up to date.
+
+    Raises
+    ------
+    InputError : no position and no target.
+    """
+    vessels, live = Vessels() if vessels is None else vessels, vessels is not None
+    damaged: list[tuple[int, str]] = []
+    passed_over: Counter[str] = Counter()
+    rows: dict[str, list[dict[str, Any]]] = {"ais": [], "arpa": []}
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        try:
+            _take(json.loads(line), number, vessels, rows, passed_over)
+        except (ValueError, TypeError, KeyError, AttributeError) as error:
+            damaged.append((number, "no delta" if isinstance(error, json.JSONDecodeError) else f"no delta: {error}"))
+    about, have = Damaged.of(damaged), [kind for kind in rows if rows[kind]]
+    if not have:
+        raise NoReports(
+            f"{source}: no position of a vessel and no target: {'; '.join(about.sentences()) or 'no deltas'}",
+            damaged=about, passed_over=passed_over,
+        )  # fmt: skip
+    several = live or len(have) > 1
+    return [
+        Reports.of(
+            f"{source}:{kind}" if several else source, kind, of_rows(rows[kind]),
+            damaged=about if kind == have[0] else Damaged(), passed_over=passed_over if kind == have[0] else {},
+        )
+        for kind in have
+    ]  # fmt: skip
+
+
+def _take(
+    delta: Any, number: int, vessels: Vessels, rows: dict[str, list[dict[str, Any]]], passed_over: Counter[str]
+) -> None:
+    if "updates" not in delta:
+        vessels.own = str(delta.get("self", vessels.own))
+        passed_over["hello or other message"] += 1
+        return
+    context = str(delta.get("context", vessels.own))
+    own = context in ("vessels.self", vessels.own, f"vessels.{vessels.own}")
+    fields = vessels.fields.setdefault("self" if own else context, {})
+    for update in delta["updates"]:
+        time_s = instant(str(update.get("timestamp", "")))
+        if time_s is None:
+            raise ValueError("an update without a time")
+        placed = None
+        for one in update.get("values", ()):
+            path, value = str(one["path"]), one["value"]
+            if found := _TARGET.search(path):
+                row = _target(value, found[1], found[2], vessels.station)
+                if row is not None:
+                    rows["arpa"].append({"line": number, "time_s": time_s, **row})
+            elif path == "navigation.position" and value is not None:
+                placed = (float(value["latitude"]), float(value["longitude"]))
+            elif path in _NUMBERS and value is not None:
+                column, scale = _NUMBERS[path]
+                fields[column] = (time_s, scale * float(value))
+            elif path in ("", "name") and (name := value.get("name") if isinstance(value, Mapping) else value):
+                fields["name"] = (math.inf, str(name))
+        if placed is None:
+            passed_over["update without a position"] += 1
+        elif not (abs(placed[0]) <= 90.0 and abs(placed[1]) <= 180.0):
+            raise ValueError("position outside the earth")
+        elif own:
+            vessels.station = placed
+        else:
+            known = _MMSI.search(context)
+            mmsi = known[1] if known else None
+            last = {
+                name: value for name, (when, value) in fields.items() if not _STALE_S < abs(time_s - when) < math.inf
+            }
+            rows["ais"].append({
+                "line": number, "time_s": time_s, "lat_deg": placed[0], "lon_deg": placed[1], "mmsi": mmsi,
+                "track_id": mmsi or context, **last,
+            })  # fmt: skip
+
+
+def _target(value: Any, radar: str, target: str, station: tuple[float, float]) -> dict[str, Any] | None:
+    """A radar's target; None where it is lost. Distance in metres and bearing in radians, from true north."""
+    if value is None or value.get("status") == "lost":
+        return None
+    position, motion = value.get("position", value), value.get("motion", value)
+    distance, bearing = float(position["distance"]), math.degrees(float(position["bearing"]))
+    if not distance > 0.0:
+        raise ValueError("target at distance 0")
+    speed, course = motion.get("speed"), motion.get("course")
+    return {
+        "range_m": distance, "bearing_deg": bearing, "track_id": f"{radar} {target}",
+        "speed_m_per_s": None if speed is None else float(speed),
+        "course_deg": None if course is None else math.degrees(float(course)),
+        "station_lat_deg": station[0], "station_lon_deg": station[1],
+    }  # fmt: skip
+
+
+FORMAT = SensorFormat(
+    "signalk",
+    "Signal K deltas, one a line",
+    lambda file: read(file.lines, file.source),
+    lambda file: re.search(rb'"updates"\s*:\s*\[', file.head) is not None,
+)

@@ -1,0 +1,199 @@
+"""Streams: the formats of files as they come over a wire, a piece at a time.
+
+A :class:`ReportStream` cuts what it is given into lines or datagrams and has the readers of this package read them;
+what they remember between lines (parts of messages, names of ships, own ship's heading) is kept from piece to piece.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+from sameas.errors import InputError
+from sameas.io.sensors import aircraft, ais, arpa, asterix, nmea, sbs, signalk, tables
+from sameas.io.sensors.asterix.blocks import looks_like
+from sameas.io.sensors.format import ReadOptions, SensorFile
+from sameas.tracks.reports import Damaged, NoReports, Reports
+
+#: A line longer than this is damaged: the format is another, or bytes were lost.
+LONGEST_LINE = 4 << 20
+#: Aircraft and blocks that are remembered, at most; then the memory begins anew.
+MOST_REMEMBERED = 20_000
+STREAM_FORMATS = ("nmea", "sbs", "aircraft", "asterix", "table", "signalk")
+
+
+def format_of(data: bytes) -> str | None:
+    """The format of the first bytes of a stream; None where they do not tell yet."""
+    if looks_like(data):
+        return "asterix"
+    text = data.lstrip()
+    if text[:1] in b"!$\\" and text:
+        return "nmea"
+    if re.match(rb"(MSG|SEL|ID|AIR|STA|CLK),", text):
+        return "sbs"
+    if text[:1] == b"{":
+        if b'"updates"' in text or b'"roles"' in text:
+            return "signalk"
+        return "aircraft" if b'"aircraft"' in text else "table" if b"\n" in text else None
+    # A time of receipt may stand before a sentence.
+    return "nmea" if re.search(rb"[!$][A-Z]{4,9}[A-Z0-9]?,", text) else None
+
+
+@dataclass
+class ReportStream:
+    """Reports out of bytes as they come.
+
+    Parameters
+    ----------
+    source : its name in messages; sensors of a stream of several are called as in a file, NAME:ais, NAME:048 1/2.
+    format : one of :data:`STREAM_FORMATS`; None: by the first bytes.
+    options : of tables, their columns and units.
+
+    Attributes
+    ----------
+    damaged, passed_over : by reason the number of lines or records that were not used.
+
+    Example
+    -------
+    >>> stream = ReportStream("coast")
+    >>> stream.feed(b'{"time": 1714560000, "lat": 50.1, "lon": -1.2, "mmsi"', 0.0)
+    >>> stream.reports()
+    []
+    >>> stream.feed(b': "235070762"}\\n', 0.5)
+    >>> [reports] = stream.reports()
+    >>> reports.mmsi.tolist()
+    ['235070762']
+    """
+
+    source: str
+    format: str | None = None
+    options: ReadOptions = field(default_factory=ReadOptions)
+    damaged: Counter[str] = field(default_factory=Counter)
+    passed_over: Counter[str] = field(default_factory=Counter)
+
+    def __post_init__(self) -> None:
+        if self.format is not None and self.format not in STREAM_FORMATS:
+            raise InputError(
+                f"{self.source}: {self.format!r} is no format of a stream", f"give one of {', '.join(STREAM_FORMATS)}"
+            )
+        self._rest = b""
+        self._lines: list[tuple[float, str]] = []
+        self._datagrams: list[tuple[float, bytes]] = []
+        self._heard, self._ship, self._vessels = ais.Heard(), arpa.OwnShip(), signalk.Vessels()
+        self._latest: sbs.Latest = {}
+        self._aircraft: dict[str, object] = {}
+        self._blocks: set[tuple[int, bytes]] = set()
+
+    def feed(self, data: bytes, received_s: float, *, whole: bool = False) -> None:
+        """Takes bytes that came then. whole : a datagram, which ends what it holds."""
+        if self.format is None:
+            self.format = format_of(self._rest + data)
+        if self.format == "asterix":
+            self._feed_blocks(self._rest + data, received_s)
+            return
+        pieces = re.split(rb"[\r\n]+", self._rest + data)
+        self._rest = pieces.pop()
+        if whole and self._rest:
+            pieces.append(self._rest)
+            self._rest = b""
+        if len(self._rest) > LONGEST_LINE:
+            self.damaged["a line without an end"] += 1
+            self._rest = b""
+        self._lines += [(received_s, piece.decode("utf-8", errors="replace")) for piece in pieces if piece.strip()]
+        if self.format is None and self._lines:
+            self.format = format_of("\n".join(line for _, line in self._lines).encode() + b"\n")
+
+    def _feed_blocks(self, data: bytes, received_s: float) -> None:
+        """Whole blocks; a rest that is no block yet waits for the next bytes."""
+        at = 0
+        while at + 3 <= len(data):
+            length = int.from_bytes(data[at + 1 : at + 3], "big")
+            if length < 4:
+                self.damaged["bytes that are no ASTERIX block"] += 1
+                at = len(data)
+                break
+            if at + length > len(data):
+                break
+            at += length
+        if at:
+            self._datagrams.append((received_s, data[:at]))
+        self._rest = data[at:]
+
+    @property
+    def own_ship(self) -> tuple[float, float, float]:
+        """Latitude, longitude and heading of own ship as the stream told them last, NaN where it did not."""
+        if self.format == "signalk":
+            heading = self._vessels.fields.get("self", {}).get("heading_deg", (0.0, math.nan))[1]
+            return (*self._vessels.station, heading)
+        return self._ship.lat, self._ship.lon, self._ship.heading
+
+    def reports(self) -> list[Reports]:
+        """The reports of all that has come since the last time, one :class:`Reports` a sensor.
+
+        Raises
+        ------
+        InputError : what came can be no report of this format: a column, a library or a time is missing.
+        """
+        if not self._lines and not self._datagrams:
+            return []
+        lines, datagrams = self._lines, self._datagrams
+        self._lines, self._datagrams = [], []
+        texts, received = [text for _, text in lines], [when for when, _ in lines]
+        if self.format == "nmea":
+            return self._nmea(texts, received)
+        if self.format == "asterix":
+            parts = [self._read(partial(self._asterix, data, when)) for when, data in datagrams]
+            return [reports for part in parts for reports in part]
+        if self.format == "sbs":
+            if len(self._latest) > MOST_REMEMBERED:
+                self._latest.clear()
+            return self._read(lambda: [sbs.read(texts, self.source, latest_fields=self._latest)])
+        if self.format == "aircraft":
+            if len(self._aircraft) > MOST_REMEMBERED:
+                self._aircraft.clear()
+            return self._read(lambda: [aircraft.read(texts, self.source, self._aircraft)])  # type: ignore[arg-type]
+        if self.format == "signalk":
+            return self._read(lambda: signalk.read(texts, self.source, self._vessels))
+        if self.format == "table":
+            content = "\n".join(texts).encode()
+            file = SensorFile(Path(self.source), content + b"\n", self.source, self.options)
+            return self._read(lambda: tables.FORMAT.read(file))
+        self.damaged["lines of no known format"] += len(texts)
+        return []
+
+    def _asterix(self, data: bytes, received_s: float) -> list[Reports]:
+        if len(self._blocks) > MOST_REMEMBERED:
+            self._blocks.clear()
+        return asterix.read(data, self.source, received_s=received_s, blocks_read=self._blocks)
+
+    def _nmea(self, texts: list[str], received: list[float]) -> list[Reports]:
+        log = nmea.log_of(texts, received_s=received)
+        self._count(Damaged.of(log.damaged), {})
+        log = nmea.Log(log.sentences, log.clock_s, log.clock, ())
+        kinds = {sentence.kind for sentence in log.sentences}
+        out: list[Reports] = []
+        if kinds & set(ais.SENTENCES):
+            out += self._read(lambda: [ais.read(log, f"{self.source}:ais", heard=self._heard)])
+        if kinds - {"VDM"}:
+            out += self._read(lambda: [arpa.read(log, f"{self.source}:arpa", ship=self._ship)])
+        return out
+
+    def _read(self, read: Callable[[], list[Reports]]) -> list[Reports]:
+        """What a reader makes of a piece; without reports it is counted what there was."""
+        try:
+            out = read()
+        except NoReports as nothing:
+            self._count(nothing.damaged, nothing.passed_over)
+            return []
+        for reports in out:
+            self._count(reports.damaged, reports.passed_over)
+        return out
+
+    def _count(self, damaged: Damaged, passed_over: object) -> None:
+        self.damaged.update(damaged.counts())
+        self.passed_over.update(passed_over)  # type: ignore[call-overload]

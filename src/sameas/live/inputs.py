@@ -1,0 +1,302 @@
+"""Inputs: one reader task a wire, which takes bytes with their time of receipt and connects again when it breaks.
+
+Wires: ``udp://`` (a multicast group is joined), ``tcp://`` (connects), ``tcp-listen://``, ``http(s)://`` (asked every
+second), ``serial:`` (with pyserial), ``stdin:``. What arrives goes into a bounded queue: where the picture cannot keep
+up the oldest is dropped and counted, so a flood costs its own source reports and no other anything.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import ipaddress
+import socket
+import struct
+import sys
+import time
+import urllib.request
+from collections import deque
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from urllib.parse import parse_qs, urlsplit
+
+from sameas.errors import InputError
+from sameas.io.sensors.stream import ReportStream
+from sameas.tracks.reports import Reports
+
+#: Seconds until the first and the longest wait for another try to connect.
+FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 15.0
+#: A wire on which nothing has come for this long is connected anew.
+SILENT_S = 120.0
+_SCHEMES = ("udp", "tcp", "tcp-listen", "http", "https", "serial", "stdin")
+
+
+@dataclass
+class BoundedQueue:
+    """Pieces with their times of receipt; ``most_bytes`` of them, then the oldest go. dropped : how many went."""
+
+    most_bytes: int = 8 << 20
+    dropped: int = 0
+    _pieces: deque[tuple[float, bytes, bool]] = field(default_factory=deque)
+    _bytes: int = 0
+
+    def put(self, data: bytes, received_s: float, whole: bool) -> None:
+        self._pieces.append((received_s, data, whole))
+        self._bytes += len(data)
+        while self._bytes > self.most_bytes:
+            _, lost, _ = self._pieces.popleft()
+            self._bytes -= len(lost)
+            self.dropped += 1
+
+    def take(self, most_bytes: int) -> list[tuple[float, bytes, bool]]:
+        """The oldest pieces, ``most_bytes`` or one more."""
+        out, size = [], 0
+        while self._pieces and size < most_bytes:
+            piece = self._pieces.popleft()
+            out.append(piece)
+            size += len(piece[1])
+        self._bytes -= size
+        return out
+
+    def __len__(self) -> int:
+        return len(self._pieces)
+
+
+@dataclass
+class WireState:
+    """What is known of a wire. connected, connections, error : of the wire. received : bytes. last_s : of the last."""
+
+    connected: bool = False
+    connections: int = 0
+    error: str = ""
+    received: int = 0
+    last_s: float = 0.0
+
+
+class Wire:
+    """One wire, its queue and its stream of reports.
+
+    Parameters
+    ----------
+    url : as in the module. stream : what reads it. most_bytes : of the queue.
+    clock : seconds of UTC.
+    """
+
+    def __init__(
+        self, url: str, stream: ReportStream, *, most_bytes: int = 8 << 20, clock: Callable[[], float] = time.time
+    ) -> None:
+        self.url, self.stream, self.clock = url, stream, clock
+        self.queue, self.state = BoundedQueue(most_bytes), WireState()
+        parts = urlsplit(url)
+        if parts.scheme not in _SCHEMES:
+            raise InputError(f"input {url!r}: is no wire that is known", f"give one of {', '.join(_SCHEMES)}")
+        if parts.scheme in ("udp", "tcp", "tcp-listen") and not parts.port:
+            raise InputError(f"input {url!r}: has no port", f"give {parts.scheme}://HOST:PORT")
+
+    async def run(self) -> None:
+        """Reads for ever; a wire that breaks is connected anew, after longer and longer waits."""
+        wait_s = FIRST_WAIT_S
+        scheme = urlsplit(self.url).scheme
+        reader: Callable[[], Awaitable[None]] = {
+            "udp": self._udp, "tcp": self._tcp, "tcp-listen": self._listen, "http": self._http, "https": self._http,
+            "serial": self._serial, "stdin": self._stdin,
+        }[scheme]  # fmt: skip
+        while True:
+            before = self.state.received
+            try:
+                await reader()
+                self.state.error = "closed by the other side"
+            except asyncio.CancelledError:
+                raise
+            except (OSError, TimeoutError, InputError) as error:
+                self.state.error = str(error) or type(error).__name__
+            self.state.connected = False
+            if scheme == "stdin":
+                return
+            wait_s = FIRST_WAIT_S if self.state.received > before else min(2.0 * wait_s, LONGEST_WAIT_S)
+            await asyncio.sleep(wait_s)
+
+    def take(self, most_bytes: int = 2 << 20) -> list[Reports]:
+        """The reports of what has come, ``most_bytes`` of it at most.
+
+        Raises
+        ------
+        InputError : what came can be no report; it is gone.
+        """
+        for received_s, data, whole in self.queue.take(most_bytes):
+            self.stream.feed(data, received_s, whole=whole)
+        return self.stream.reports()
+
+    def _came(self, data: bytes, whole: bool = False) -> None:
+        now_s = self.clock()
+        self.state.received += len(data)
+        self.state.last_s, self.state.error = now_s, ""
+        self.queue.put(data, now_s, whole)
+
+    def _up(self) -> None:
+        self.state.connected = True
+        self.state.connections += 1
+        self.state.error = ""
+
+    async def _udp(self) -> None:
+        parts = urlsplit(self.url)
+        host, port = parts.hostname or "0.0.0.0", parts.port or 0
+        made = _udp_socket(host, port, parse_qs(parts.query).get("interface", ["0.0.0.0"])[0])
+        loop, came = asyncio.get_running_loop(), self._came
+
+        class Receiver(asyncio.DatagramProtocol):
+            def datagram_received(self, data: bytes, addr: object) -> None:
+                came(data, True)
+
+        transport, _ = await loop.create_datagram_endpoint(Receiver, sock=made)
+        try:
+            self._up()
+            await asyncio.Event().wait()
+        finally:
+            transport.close()
+
+    async def _tcp(self) -> None:
+        parts = urlsplit(self.url)
+        reader, writer = await asyncio.wait_for(asyncio.open_connection(parts.hostname, parts.port), 10.0)
+        try:
+            self._up()
+            while data := await asyncio.wait_for(reader.read(65536), SILENT_S):
+                self._came(data)
+        finally:
+            writer.close()
+            with suppress(OSError):
+                await writer.wait_closed()
+
+    async def _listen(self) -> None:
+        parts = urlsplit(self.url)
+
+        writers: set[asyncio.StreamWriter] = set()
+
+        async def served(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            writers.add(writer)
+            try:
+                with suppress(OSError):
+                    while data := await reader.read(65536):
+                        self._came(data)
+            finally:
+                writers.discard(writer)
+                writer.close()
+
+        async with await asyncio.start_server(served, parts.hostname, parts.port) as server:
+            self._up()
+            try:
+                await server.serve_forever()
+            finally:
+                for writer in list(writers):
+                    writer.close()
+
+    async def _http(self) -> None:
+        def asked() -> bytes:
+            with urllib.request.urlopen(self.url, timeout=5.0) as answer:
+                return bytes(answer.read(32 << 20))
+
+        while True:
+            data = await asyncio.to_thread(asked)
+            if not self.state.connected:
+                self._up()
+            self._came(data.replace(b"\n", b" "), True)
+            await asyncio.sleep(1.0)
+
+    async def _serial(self) -> None:
+        try:
+            import serial
+        except ImportError as error:
+            raise InputError("a serial line needs pyserial: pip install pyserial") from error
+        parts = urlsplit(self.url)
+        speed = int(parse_qs(parts.query).get("baud", ["38400"])[0])
+        try:
+            line = serial.Serial(parts.path, speed, timeout=1.0)
+        except serial.SerialException as error:
+            raise OSError(str(error)) from error
+        with line:
+            self._up()
+            while True:
+                if data := await asyncio.to_thread(line.read, max(line.in_waiting, 1)):
+                    self._came(data)
+
+    async def _stdin(self) -> None:
+        self._up()
+        while data := await asyncio.to_thread(sys.stdin.buffer.read1, 65536):
+            self._came(data)
+
+
+def _udp_socket(host: str, port: int, interface: str) -> socket.socket:
+    """A socket that receives what is sent to this place; a multicast group is joined."""
+    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 << 20)
+    try:
+        address = ipaddress.ip_address(socket.gethostbyname(host))
+        if address.is_multicast:
+            made.bind((str(address), port))
+            group = struct.pack("4s4s", socket.inet_aton(str(address)), socket.inet_aton(interface))
+            made.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group)
+        else:
+            made.bind((str(address), port))
+    except OSError:
+        made.close()
+        raise
+    made.setblocking(False)
+    return made
+
+
+@dataclass
+class Replay:
+    """Reports of files, given as their times pass, ``pace`` times as fast as they did.
+
+    Parameters
+    ----------
+    sources : name and reports of each source. pace : seconds of the reports per second of the clock.
+
+    Example
+    -------
+    >>> replay = Replay([("a", Reports.of("a", "table", {"time_s": [5.0, 7.0], "x_m": [0, 1], "y_m": [0, 0]}))], 2.0)
+    >>> replay.begin(100.0)
+    >>> replay.now_s(100.75), [(name, len(reports)) for name, reports in replay.take(6.5)]
+    (6.5, [('a', 1)])
+    >>> [(name, len(reports)) for name, reports in replay.take(7.0)], replay.done
+    ([('a', 1)], True)
+    """
+
+    sources: list[tuple[str, Reports]]
+    pace: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.pace < float("inf"):
+            raise InputError(f"replay: pace is {self.pace}; give a factor above 0")
+        self.sources = [(name, reports.in_time_order()) for name, reports in self.sources if len(reports)]
+        if not self.sources:
+            raise InputError("replay: no source has a report")
+        self.first_s = min(float(reports.time_s[0]) for _, reports in self.sources)
+        self.last_s = max(float(reports.time_s[-1]) for _, reports in self.sources)
+        self._next = [0] * len(self.sources)
+        self._began_s = 0.0
+
+    def begin(self, clock_s: float, from_s: float | None = None) -> None:
+        """The replay begins now by the clock, at its first report or at ``from_s``."""
+        start_s = self.first_s if from_s is None else from_s
+        self._began_s = clock_s - (start_s - self.first_s) / self.pace
+
+    def now_s(self, clock_s: float) -> float:
+        """The time of the reports at this time of the clock."""
+        return self.first_s + self.pace * (clock_s - self._began_s)
+
+    @property
+    def done(self) -> bool:
+        """Whether all reports were given."""
+        return all(k >= len(reports) for k, (_, reports) in zip(self._next, self.sources, strict=True))
+
+    def take(self, until_s: float) -> list[tuple[str, Reports]]:
+        """The reports up to this time that were not given yet."""
+        out = []
+        for s, (name, reports) in enumerate(self.sources):
+            stop = int(reports.time_s.searchsorted(until_s, side="right"))
+            if stop > self._next[s]:
+                out.append((name, reports.where(range(self._next[s], stop))))
+                self._next[s] = stop
+        return out

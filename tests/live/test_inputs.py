@@ -1,0 +1,102 @@
+"""Inputs: real sockets on the loopback; a wire that breaks is connected again, a flood drops the oldest."""
+
+import asyncio
+import json
+import socket
+
+import pytest
+
+from sameas.errors import InputError
+from sameas.io.sensors.stream import ReportStream
+from sameas.live.inputs import BoundedQueue, Wire
+
+LINE = json.dumps({"time": 1714560000, "lat": 50.1, "lon": -1.2, "mmsi": "235070762"}).encode() + b"\n"
+
+
+def free_port(kind=socket.SOCK_STREAM):
+    with socket.socket(socket.AF_INET, kind) as made:
+        made.bind(("127.0.0.1", 0))
+        return made.getsockname()[1]
+
+
+async def until(true, seconds=5.0):
+    for _ in range(int(seconds / 0.01)):
+        if true():
+            return
+        await asyncio.sleep(0.01)
+    raise AssertionError("it did not come to that")
+
+
+@pytest.mark.parametrize("group", ["127.0.0.1", "239.192.77.1"])
+def test_datagrams_come_in_from_a_place_and_from_a_group(group):
+    async def run():
+        port = free_port(socket.SOCK_DGRAM)
+        wire = Wire(f"udp://{group}:{port}?interface=127.0.0.1", ReportStream("coast", "table"))
+        task = asyncio.create_task(wire.run())
+        await until(lambda: wire.state.connected or wire.state.error)
+        assert not wire.state.error
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+            out.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
+            # Without an end of line: the datagram is its end.
+            out.sendto(LINE.strip(), (group, port))
+        await until(lambda: len(wire.queue))
+        [reports] = wire.take()
+        task.cancel()
+        return reports
+
+    assert asyncio.run(run()).mmsi.tolist() == ["235070762"]
+
+
+def test_a_wire_that_breaks_is_connected_again():
+    async def run():
+        port, served = free_port(), []
+
+        async def serve(reader, writer):
+            served.append(1)
+            writer.write(LINE if len(served) == 1 else LINE.replace(b"235070762", b"235070763"))
+            await writer.drain()
+            writer.close()
+
+        wire = Wire(f"tcp://127.0.0.1:{port}", ReportStream("coast", "table"))
+        task = asyncio.create_task(wire.run())
+        await until(lambda: wire.state.error)  # nobody listens yet
+        async with await asyncio.start_server(serve, "127.0.0.1", port):
+            await until(lambda: len(served) > 1 and len(wire.queue) > 1)
+        task.cancel()
+        return wire
+
+    wire = asyncio.run(run())
+    [reports] = wire.take()
+    assert reports.mmsi.tolist()[:2] == ["235070762", "235070763"] and wire.state.connections >= 2
+
+
+def test_who_connects_to_us_is_heard():
+    async def run():
+        port = free_port()
+        wire = Wire(f"tcp-listen://127.0.0.1:{port}", ReportStream("coast", "table"))
+        task = asyncio.create_task(wire.run())
+        await until(lambda: wire.state.connected)
+        _, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(LINE)
+        await writer.drain()
+        await until(lambda: len(wire.queue))
+        writer.close()
+        await writer.wait_closed()
+        await asyncio.sleep(0.05)
+        task.cancel()
+        return wire
+
+    assert len(asyncio.run(run()).take()[0]) == 1
+
+
+def test_a_flood_drops_the_oldest_and_counts_them():
+    queue = BoundedQueue(100)
+    for k in range(50):
+        queue.put(bytes([k]) * 10, float(k), False)
+    assert queue.dropped == 40 and [piece[0] for piece in queue.take(1000)] == list(range(40, 50)) and not len(queue)
+
+
+def test_a_wire_that_is_none_is_refused():
+    for url in ("carrier-pigeon://loft", "udp://10.0.0.1"):
+        with pytest.raises(InputError, match="input"):
+            Wire(url, ReportStream("x"))

@@ -1,0 +1,132 @@
+"""Streams: the readers of files, fed by pieces, read what they read of the whole."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.tracks.test_asterix import block, plot
+
+from sameas.errors import InputError
+from sameas.io.sensors import ReadOptions, nmea, read_reports
+from sameas.io.sensors.stream import ReportStream, format_of
+from sameas.tracks.reports import joined
+
+DATA = Path(__file__).parent / "data"
+
+
+def by_pieces(data, cuts, **options):
+    """The reports of a stream that is given these bytes in pieces, by name of the sensor."""
+    stream, out = ReportStream("wire", **options), {}
+    for a, b in zip([0, *cuts], [*cuts, len(data)], strict=True):
+        stream.feed(data[a:b], 1_714_560_000.0)
+        for reports in stream.reports():
+            out.setdefault(reports.source, []).append(reports)
+    return stream, {name: joined(parts) for name, parts in out.items()}
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_ais_in_any_pieces_is_the_ais_of_the_file(seed):
+    data = (DATA / "ais_sample.nmea").read_bytes()
+    cuts = np.sort(np.random.default_rng(seed).choice(len(data), 40, replace=False)).tolist()
+    stream, found = by_pieces(data, cuts)
+    [whole] = read_reports(DATA / "ais_sample.nmea", ReadOptions(start=1_714_560_000.0))
+    live = found["wire:ais"]
+    assert stream.format == "nmea" and len(live) == len(whole) > 5
+    assert live.mmsi.tolist() == whole.mmsi.tolist()
+    np.testing.assert_allclose(live.extra["antenna_lat_deg"], whole.extra["antenna_lat_deg"])
+    assert np.all(np.abs(live.time_s - 1_714_560_000.0) <= 60.0)
+
+
+def sentence(body):
+    checksum = 0
+    for letter in body:
+        checksum ^= ord(letter)
+    return f"${body}*{checksum:02X}\r\n"
+
+
+def test_own_ship_is_remembered_from_piece_to_piece():
+    stream = ReportStream("bridge")
+    stream.feed(sentence("GPGGA,120000,5033.0,N,00057.0,W,1,8,1,0,M,0,M,,").encode(), 100.0)
+    stream.feed(sentence("HEHDT,90.0,T").encode(), 100.5)
+    assert stream.reports() == []
+    stream.feed(sentence("RATTM,01,2.0,10.0,R,5.0,45.0,T,,,N,,T,,,").encode(), 101.0)
+    [reports] = stream.reports()
+    assert reports.source == "bridge:arpa" and reports.bearing_deg.tolist() == [100.0]
+    assert reports.station_lat_deg[0] == pytest.approx(50.55) and reports.time_s.tolist() == [101.0]
+    assert stream.own_ship == pytest.approx((50.55, -0.95, 90.0))
+
+
+def test_damaged_lines_are_counted_and_end_nothing():
+    stream = ReportStream("bridge", "nmea")
+    stream.feed(b"!AIVDM,1,1,,A,33P;Tw0tjBQO22:E7dm66DrB20UP,0*00\n\xff\xfe nonsense\n", 0.0)
+    assert stream.reports() == [] and sum(stream.damaged.values()) == 2
+    stream.feed(b"!AIVDM,1,1,,A,33P;Tw0tjBQO22:E7dm66DrB20UP,0*2E\n", 1.0)
+    assert len(stream.reports()[0]) == 1
+
+
+def test_aircraft_told_again_are_no_new_reports_in_later_pieces():
+    snapshot = {"now": 1e9, "aircraft": [{"hex": "a0b1c2", "lat": 50.0, "lon": 1.0, "seen_pos": 0.2}]}
+    stream = ReportStream("feeder")
+    for k in range(3):
+        stream.feed(json.dumps(snapshot | {"now": 1e9 + 0.1 * k}).encode() + b"\n", 0.0)
+        reports = stream.reports()
+        assert len(reports) == (k == 0)
+    assert stream.passed_over["position told before"] == 2
+
+
+def test_sbs_positions_take_the_last_words_of_earlier_pieces():
+    stream = ReportStream("feeder")
+    head = "1,1,A0B1C2,1,2024/05/01,12:00:00.000,2024/05/01,12:00:00.000"
+    stream.feed(f"MSG,1,{head},BAW12,,,,,,,,,,,\n".encode(), 0.0)
+    assert stream.reports() == []
+    stream.feed(f"MSG,3,{head},,35000,,,50.1,-1.2,,,,,,0\n".encode(), 0.0)
+    [reports] = stream.reports()
+    assert reports.callsign.tolist() == ["BAW12"] and reports.lat_deg.tolist() == [50.1]
+
+
+def test_asterix_has_the_date_of_its_receipt_and_a_source_for_every_sensor():
+    received = 1_714_560_000.0
+    day_s = received % 86400.0
+    stream, data = ReportStream("lan"), block(48, plot(day_s))
+    stream.feed(data, received, whole=True)
+    stream.feed(data, received, whole=True)
+    [reports] = stream.reports()
+    assert reports.source.startswith("lan:048 ") and reports.time_s[0] == pytest.approx(received, abs=0.01)
+    assert stream.passed_over["block that came before, from a second network"] == 1
+
+
+def test_signal_k_tells_vessels_own_ship_and_targets_of_its_radar(tmp_path):
+    def delta(context, *values, time="2024-05-01T12:00:00Z"):
+        return {
+            "context": context,
+            "updates": [{"timestamp": time, "values": [{"path": p, "value": v} for p, v in values]}],
+        }
+
+    lines = [
+        {"name": "server", "self": "urn:mrn:imo:mmsi:230099999", "roles": ["master"]},
+        delta("vessels.urn:mrn:imo:mmsi:230099999", ("navigation.position", {"latitude": 50.0, "longitude": -1.0})),
+        delta("vessels.urn:mrn:imo:mmsi:235070762", ("navigation.speedOverGround", 5.0), ("", {"name": "ALBA"})),
+        delta("vessels.urn:mrn:imo:mmsi:235070762", ("navigation.position", {"latitude": 50.1, "longitude": -1.1})),
+        delta("vessels.self", ("radars.quay.targets.3", {"distance": 900.0, "bearing": math.pi / 2})),
+        delta("vessels.self", ("navigation.position", {"latitude": "north"})),
+    ]  # fmt: skip
+    data = "".join(json.dumps(line) + "\n" for line in lines).encode()
+    stream, found = by_pieces(data, [100, 333])
+    ships, targets = found["wire:ais"], found["wire:arpa"]
+    assert (ships.mmsi.tolist(), ships.name.tolist(), ships.speed_m_per_s.tolist()) == (["235070762"], ["ALBA"], [5.0])
+    assert targets.range_m.tolist() == [900.0] and targets.bearing_deg[0] == pytest.approx(90.0)
+    assert targets.station_lat_deg.tolist() == [50.0] and sum(stream.damaged.values()) == 1
+    path = tmp_path / "deltas.jsonl"
+    path.write_bytes(data)
+    assert [reports.kind for reports in read_reports(path)] == ["ais", "arpa"]
+
+
+def test_the_first_bytes_tell_the_format():
+    assert format_of(b"!AIVDM,1,1") == format_of(b"\\s:x*00\\!AIVDM") == "nmea"
+    assert format_of(b"MSG,3,") == "sbs" and format_of(b'{"now": 1, "aircraft": [') == "aircraft"
+    assert format_of(b"") is None and format_of(b'{"lat": 1') is None
+    with pytest.raises(InputError, match="no format of a stream"):
+        ReportStream("x", "csv")
+    assert nmea.log_of(["$GPHDT,1,T"], received_s=[7.0]).clock_s.tolist() == [7.0]
