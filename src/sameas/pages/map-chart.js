@@ -3,6 +3,9 @@ const chart = el("chart");
 const [boxWest, boxSouth, boxEast, boxNorth] = data.box;
 // Metres in the middle, pixels per metre and their limits, and the size of the chart in pixels.
 const view = { x: 0, y: 0, scale: 1, least: 1e-9, most: 1, w: 1, h: 1 };
+// What a page that goes on draws above all, and says of an object.
+const overlays = [],
+  furtherFacts = [];
 let picked = null,
   following = false,
   pending = false,
@@ -121,6 +124,7 @@ function paint() {
       drawn.filter(d => d.inside),
     );
   furniture(c, w, h);
+  for (const overlay of overlays) overlay(c, w, h);
   document.body.dataset.drawn = String(now.k);
 }
 

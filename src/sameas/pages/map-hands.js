@@ -1,7 +1,7 @@
 // ---- what people do: time, picking, keys, hands ----
-const slider = el("slider"),
-  last = data.instants.length - 1;
-let playing = 0,
+const slider = el("slider");
+let last = data.instants.length - 1,
+  playing = 0,
   drag = null,
   pinch = null;
 const touches = new Map();
@@ -86,7 +86,7 @@ function showHidden() {
 }
 
 // Above the slider: how many objects, and of those ambiguous; alarms as ticks.
-const counts = data.instants.map((_, k) => {
+const counted = k => {
   let live = 0,
     doubt = 0;
   for (const r of objectsAt(k))
@@ -95,7 +95,8 @@ const counts = data.instants.map((_, k) => {
       if (objects.ambiguous[r]) doubt++;
     }
   return [live, doubt];
-});
+};
+let counts = data.instants.map((_, k) => counted(k));
 function strip() {
   const [c, w, h] = surface(el("strip")),
     most = Math.max(1, ...counts.map(n => n[0])),
@@ -372,7 +373,11 @@ window.mapPage = {
   get now() {
     return now;
   },
-  objects,
-  records,
+  get objects() {
+    return objects;
+  },
+  get records() {
+    return records;
+  },
 };
 start();

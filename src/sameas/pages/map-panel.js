@@ -94,6 +94,7 @@ function state(r) {
       ["Mode A", "mode_a"],
       ["Type", "type"],
     ].map(([label, key]) => [label, said("o", key, r)]),
+    ...furtherFacts.flatMap(of => of(r)),
     ...data.alarms.filter(a => a.objects.includes(numberOf(r)) && holds(a, now.k)).map(a => ["Alarm", a.text]),
   ];
 }
@@ -172,7 +173,7 @@ function listAlarms() {
       if (a.instant !== null) show(a.instant);
       if (a.objects.length) pick(a.objects[0], true);
     });
-    item.append(button);
+    item.append(button, ...(a.beside ? a.beside() : []));
     list.append(item);
   }
   el("alarms").replaceChildren(data.alarms.length ? list : text("p", "No alarms.", "hint"));

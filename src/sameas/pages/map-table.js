@@ -59,20 +59,25 @@ try {
   document.body.replaceChildren(said);
   return;
 }
-const objects = tables.o,
-  records = tables.r;
-const objectsAt = byInstant(objects.t),
+// A page that goes on puts longer tables in their place (map-live.js).
+let objects = tables.o,
+  records = tables.r,
+  objectsAt = byInstant(objects.t),
   recordsAt = byInstant(records.t);
 const said = (table, name, row) => data.strings[`${table}.${name}`][tables[table][name][row]];
 const STAGE = Object.fromEntries(data.stages.map((name, k) => [name, k]));
 
 // Rows of an object lie together, in the order of time.
 const rowsOf = new Map();
-for (let row = 0, start = 0; row < objects.n.length; row++)
-  if (objects.n[row + 1] !== objects.n[row]) {
-    rowsOf.set(objects.n[row], [start, row + 1]);
-    start = row + 1;
-  }
+function findRows() {
+  rowsOf.clear();
+  for (let row = 0, start = 0; row < objects.n.length; row++)
+    if (objects.n[row + 1] !== objects.n[row]) {
+      rowsOf.set(objects.n[row], [start, row + 1]);
+      start = row + 1;
+    }
+}
+findRows();
 
 const unpackedTexts = new Map();
 async function whyText(number, instant) {

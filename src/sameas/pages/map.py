@@ -22,7 +22,7 @@ from sameas.errors import InputError
 from sameas.io.atomic import replacing
 from sameas.maps.outline import Outline, outline
 from sameas.maps.sheet import STAGES, Columns, MapSheet, members_of
-from sameas.pages.template import asset, page_of, script_safe
+from sameas.pages.template import POLICY, SERVED_POLICY, asset, page_of, script_safe
 
 # Columns of numbers packed for a page: small in the file, and unpacked by a few lines of script (map-table.js).
 #
@@ -98,22 +98,25 @@ def write_map_page(sheet: MapSheet, path: str | os.PathLike[str]) -> None:
         draft.write_text(page, encoding="utf-8")
 
 
-def map_page(sheet: MapSheet) -> str:
-    """The same as text."""
+def map_page(sheet: MapSheet, live: Mapping[str, Any] | None = None) -> str:
+    """The same as text.
+
+    live : of a page that is served and goes on: what ``map-live.js`` needs to know.
+    """
     objects, strings = _objects(sheet)
     records, tracks = _records(sheet)
     heads, columns = packed({f"o.{k}": v for k, v in objects.items()} | {f"r.{k}": v for k, v in records.items()})
-    told = _told(sheet) | {"columns": heads, "strings": strings | tracks}
+    told = _told(sheet) | {"columns": heads, "strings": strings | tracks, "live": live}
     marks = {
         "title": html.escape(sheet.title),
         "version": html.escape(sameas.__version__),
         "css": asset("map.css"),
-        "js": "\n".join(asset(f"map-{name}.js") for name in SCRIPTS),
+        "js": "\n".join(asset(f"map-{name}.js") for name in (SCRIPTS if live is None else (*SCRIPTS, "live"))),
         "data": script_safe(told),
         "columns": columns,
         "texts": script_safe(_texts(sheet)),
     }
-    return page_of("map.html", marks)
+    return page_of("map.html", marks, POLICY if live is None else SERVED_POLICY)
 
 
 def _told(sheet: MapSheet) -> dict[str, Any]:

@@ -22,7 +22,11 @@ def asset(name: str) -> str:
     return (files("sameas.pages") / name).read_text(encoding="utf-8")
 
 
-def page_of(template: str, marks: Mapping[str, str]) -> str:
+#: The same of a page that is served: it may talk to the server that it came from, and to no other.
+SERVED_POLICY = POLICY + "; connect-src 'self'"
+
+
+def page_of(template: str, marks: Mapping[str, str], policy: str = POLICY) -> str:
     """A template with its marks ``{{name}}`` filled in, ``{{policy}}`` with that of its script.
 
     The marks of the script must be files of ours. All are filled in one pass: what stands for one is no mark itself.
@@ -30,7 +34,7 @@ def page_of(template: str, marks: Mapping[str, str]) -> str:
     text = asset(template)
     script = _filled(_SCRIPT.findall(text)[0], marks)
     digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
-    return _filled(text, {**marks, "policy": POLICY.format(f"sha256-{digest}")})
+    return _filled(text, {**marks, "policy": policy.format(f"sha256-{digest}")})
 
 
 def _filled(text: str, marks: Mapping[str, str]) -> str:

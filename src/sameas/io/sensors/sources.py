@@ -86,7 +86,7 @@ def read_source_options(path: str | Path) -> dict[str, SourceOptions]:
 
 
 def _options(name: str, table: Mapping[str, Any], toml: Path) -> SourceOptions:
-    description = {key: value for key, value in table.items() if key != "file"}
+    description = {key: value for key, value in table.items() if key not in ("file", "input")}
     file = table.get("file", {})
     file = {"path": file} if isinstance(file, str) else file
     where = f"{toml}: sources.{name}.file"

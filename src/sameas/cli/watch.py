@@ -1,0 +1,187 @@
+"""``sameas watch``: the picture live, from what sensors send or from files that are replayed."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import signal
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from sameas.cli.options import Debug, Quiet, option, sensor_option
+from sameas.cli.outcome import answering
+from sameas.cli.picture import duration_s
+from sameas.cli.terminal import Printer, share_compilation
+from sameas.errors import InputError
+
+_INPUTS, _MAP = "What is read", "The map"
+
+
+def watch(
+    files: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[FILE]...",
+            show_default=False,
+            help="Files to replay instead of what sensors send: as for sameas picture. NAME=FILE names the source.",
+        ),
+    ] = None,
+    sensors: Annotated[
+        Path | None,
+        option(
+            "--sensors",
+            "-s",
+            metavar="TOML",
+            help="The sensors: what is known of each, and its input: udp://, tcp://, tcp-listen://, http://, serial:, "
+            "stdin:.",
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        option("-o", "--output", metavar="FOLDER", help="State, journal and archive; a watch that was killed goes on."),
+    ] = None,
+    pace: Annotated[
+        float,
+        option("--pace", panel=_INPUTS, metavar="N", show_default=True, help="Files N times as fast as they were."),
+    ] = 1.0,
+    every: Annotated[str | None, option("--every", panel=_INPUTS, metavar="1s", help="Time between instants.")] = None,
+    start: Annotated[
+        str | None,
+        option("--start", panel=_INPUTS, metavar="TIME", help="UTC of the first line of files that tell no date."),
+    ] = None,
+    duration: Annotated[
+        str | None, option("--for", panel=_INPUTS, metavar="10s", help="End after this long; otherwise with Ctrl-C.")
+    ] = None,
+    host: Annotated[
+        str,
+        option("--host", panel=_MAP, show_default=True, help="Where the map is served; beyond this machine by token."),
+    ] = "127.0.0.1",
+    port: Annotated[int, option("--port", panel=_MAP, show_default=True, help="0: any that is free.")] = 8642,
+    token: Annotated[
+        str | None, option("--token", panel=_MAP, metavar="TEXT", help="Of who may acknowledge alarms.")
+    ] = None,
+    viewer_token: Annotated[
+        str | None, option("--viewer-token", panel=_MAP, metavar="TEXT", help="Of who may look only.")
+    ] = None,
+    no_map: Annotated[bool, option("--no-map", panel=_MAP, help="Serve nothing.")] = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """The picture live: which of the sensors' records are the same ship or aircraft, while it happens.
+
+    Reads what sensors send, or replays files; serves a map; keeps a journal of identities; sends to other programs.
+    """
+    if not files and sensors is None:
+        raise typer.BadParameter("say what to read: --sensors with a TOML that has inputs, or files to replay")
+    with answering(debug, sensor_option):
+        from sameas.live.keeper import Keeper
+
+        settings, replay = _settings(files or [], sensors, start, pace, duration_s(every))
+        share_compilation(quiet)
+        keeper = Keeper(settings, output, replay=replay)
+        say = Printer(quiet)
+        until_s = None if duration is None else time.monotonic() + (duration_s(duration) or 0.0)
+        server = None if no_map else _server(keeper, host, port, token, viewer_token, say)
+        asyncio.run(_run(keeper, server, until_s))
+        told = keeper.health()
+        say([f"Watched: {told['tick']} instants, {told['objects']} objects in the last"])
+        for name, one in told["sources"].items():
+            aside = {word: one[word] for word in ("late", "repeated", "jumps", "refused") if one[word]}
+            words = "".join(f", {n} {word}" for word, n in aside.items())
+            say([f"  {name}: {one['reports']} reports{words}" + (f"; {one['error']}" if one["error"] else "")])
+
+
+def _settings(
+    files: list[str], sensors: Path | None, start: str | None, pace: float, every_s: float | None
+) -> tuple[Any, Any]:
+    """The settings, and the replay where there are files."""
+    from dataclasses import replace
+
+    from sameas.io.sensors.sources import read_source_options, read_sources
+    from sameas.live.inputs import Replay
+    from sameas.live.settings import LiveSource, Settings, WatchSettings, read_settings
+
+    settings = Settings({}, WatchSettings()) if sensors is None else read_settings(sensors)
+    replay = None
+    if files or not any(source.url for source in settings.sources.values()):
+        options = {} if sensors is None else read_source_options(sensors)
+        sources = read_sources(list(files), options, start=start)
+        replay = Replay([(source.description.name, source.reports) for source in sources], pace)
+        live = {source.description.name: LiveSource(source.description) for source in sources}
+        # The picture lies where the files do, not about the first of their positions.
+        settings = Settings(live, replace(settings.watch, plane=settings.watch.plane or _origin(sources)))
+    if every_s is not None:
+        settings = replace(settings, watch=replace(settings.watch, every_s=every_s))
+    return settings, replay
+
+
+def _origin(sources: Any) -> dict[str, float] | None:
+    """The middle of the positions of all files; None where they are metres of the user's own."""
+    from sameas.tracks.scene import Scene
+
+    plane = Scene.of([(source.description, source.reports) for source in sources]).plane
+    return None if plane is None else {"lat_deg": plane.lat_deg, "lon_deg": plane.lon_deg}
+
+
+def _server(keeper: Any, host: str, port: int, token: str | None, viewer: str | None, say: Printer) -> Any:
+    """The server with its socket, and where it is said to be."""
+    import socket
+
+    try:
+        import uvicorn
+    except ImportError as error:
+        raise InputError(
+            "the live map needs Starlette and uvicorn: pip install 'sameas[live]'; or say --no-map"
+        ) from error
+    from sameas.live.server import Access, application
+
+    access = Access.of(host, token, viewer)
+    made = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
+    made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        made.bind((host, port))
+    except OSError as error:
+        made.close()
+        raise InputError(f"{host}:{port} cannot be served on ({error.strerror})", "give another --port") from error
+    config = uvicorn.Config(
+        application(keeper, access), log_level="warning", access_log=False, timeout_graceful_shutdown=1
+    )
+    key = f"?token={access.operator}" if access.operator else ""
+    shown = f"[{host}]" if ":" in host else host
+    say([f"Map: http://{shown}:{made.getsockname()[1]}/{key}"])
+    return uvicorn.Server(config), made
+
+
+async def _run(keeper: Any, server: Any, until_s: float | None) -> None:
+    """The loop and the server, until time is over or somebody ends it."""
+    over = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        with contextlib.suppress(NotImplementedError):
+            loop.add_signal_handler(number, over.set)
+
+    def ends() -> bool:
+        done = keeper.replay is not None and keeper.replay.done
+        return over.is_set() or (until_s is not None and time.monotonic() >= until_s) or (done and until_s is None)
+
+    served = None
+    if server is not None:
+        # The loop ends on a signal; the server then ends with it.
+        server[0].install_signal_handlers = lambda: None
+        server[0].capture_signals = contextlib.nullcontext
+        served = asyncio.create_task(server[0].serve(sockets=[server[1]]))
+    watched = asyncio.create_task(keeper.run(until=ends))
+    ending = asyncio.create_task(over.wait())
+    try:
+        await asyncio.wait({watched, ending}, return_when=asyncio.FIRST_COMPLETED)
+        await watched
+    finally:
+        ending.cancel()
+        if server is not None and served is not None:
+            server[0].should_exit = True
+            with contextlib.suppress(asyncio.CancelledError):
+                await served
+            server[1].close()

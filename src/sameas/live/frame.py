@@ -1,0 +1,186 @@
+"""A frame: the picture of one tick as others see it, objects and records as plain rows, and the alarms.
+
+Everything that leaves the program (journal, outputs, page) is made of frames; nothing of it looks into the picture.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.arrays import FloatArray
+from sameas.picture.live import LiveState
+from sameas.picture.picture import Columns, object_columns, record_columns, with_degrees
+from sameas.tracks.coordinates import LocalPlane
+
+#: Columns of an object's row as it is sent to pages, and of a record's.
+OBJECT = (
+    "n", "stage", "x", "y", "vx", "vy", "speed", "course", "major", "minor", "angle", "sources", "p", "ambiguous",
+    "rival", "label", "mmsi", "icao", "callsign", "name", "mode_a", "type",
+)  # fmt: skip
+RECORD = ("n", "source", "row", "x", "y", "major", "minor", "angle", "p", "alone", "age", "bearing", "sb", "sx", "sy",
+          "track_id")  # fmt: skip
+_STAGES = ("tentative", "confirmed", "coasting", "ended")
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """An alarm. key : what it is about, the same as long as it goes on. objects : numbers."""
+
+    key: str
+    kind: str
+    text: str
+    objects: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class OwnShipState:
+    """Where own ship is in the plane and how it moves, metres and metres per second; heading in degrees or NaN."""
+
+    x_m: float
+    y_m: float
+    vx_m_per_s: float = 0.0
+    vy_m_per_s: float = 0.0
+    heading_deg: float = math.nan
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One tick.
+
+    Attributes
+    ----------
+    tick : counted since the state began. time_s : of the picture.
+    objects, records : columns as of :mod:`sameas.picture.picture`. members : by number of an object the source and the
+        track of each of its records.
+    cpa : by number of an object its closest distance to own ship and the time until then, where they near each other.
+    """
+
+    tick: int
+    time_s: float
+    plane: LocalPlane | None
+    objects: Columns = field(repr=False)
+    records: Columns = field(repr=False)
+    members: Mapping[int, tuple[tuple[str, str], ...]] = field(repr=False)
+    alarms: tuple[Alarm, ...] = ()
+    own_ship: OwnShipState | None = None
+
+    @classmethod
+    def of(
+        cls,
+        tick: int,
+        state: LiveState,
+        plane: LocalPlane | None,
+        alarms: Sequence[Alarm] = (),
+        own_ship: OwnShipState | None = None,
+    ) -> Frame:
+        """The frame of a state."""
+        objects, records = object_columns(state), record_columns(state)
+        members: dict[int, list[tuple[str, str]]] = {}
+        for number, source, track, row in zip(
+            records["object"].tolist(), records["source"].tolist(), records["track_id"].tolist(),
+            records["row"].tolist(), strict=True,
+        ):  # fmt: skip
+            members.setdefault(number, []).append((source, track or f"plot {row}"))
+        return cls(
+            tick, state.now.instant_s, plane, with_degrees(objects, plane), with_degrees(records, plane),
+            {number: tuple(its) for number, its in members.items()}, tuple(alarms), own_ship,
+        )  # fmt: skip
+
+    @cached_property
+    def cpa(self) -> dict[int, tuple[float, float]]:
+        """By number (metres, seconds) of the closest approach to own ship that is still to come."""
+        own, objects = self.own_ship, self.objects
+        if own is None or not len(objects["object"]):
+            return {}
+        place = np.column_stack([np.ma.filled(objects[name], np.nan) for name in ("x_m", "y_m")]) - (own.x_m, own.y_m)
+        speed = np.column_stack([np.ma.filled(objects[name], np.nan) for name in ("vx_m_per_s", "vy_m_per_s")])
+        metres, seconds = closest_approach(place, speed - (own.vx_m_per_s, own.vy_m_per_s))
+        kept = np.flatnonzero(np.isfinite(metres) & (objects["stage"] != "ended"))
+        return {int(objects["object"][k]): (float(metres[k]), float(seconds[k])) for k in kept}
+
+    @cached_property
+    def object_rows(self) -> dict[int, tuple[Any, ...]]:
+        """By number the rows of :data:`OBJECT`; None where there is no number."""
+        o = self.objects
+        major, minor, angle = _ellipse(o)
+        stage = [_STAGES.index(name) for name in o["stage"].tolist()]
+        columns = [
+            o["object"].tolist(), stage, _numbers(o["x_m"], 2), _numbers(o["y_m"], 2), _numbers(o["vx_m_per_s"], 2),
+            _numbers(o["vy_m_per_s"], 2), _numbers(o["speed_m_per_s"], 2), _numbers(o["course_deg"], 1),
+            _numbers(major, 1), _numbers(minor, 1), _numbers(angle, 0), o["n_sources"].tolist(),
+            _numbers(o["probability"], 5), o["ambiguous"].astype(int).tolist(), _numbers(o["p_runner_up"], 5),
+            *(o[name].tolist() for name in OBJECT[15:]),
+        ]  # fmt: skip
+        return {row[0]: row for row in zip(*columns, strict=True)}
+
+    @cached_property
+    def record_rows(self) -> dict[str, tuple[Any, ...]]:
+        """By source and row the rows of :data:`RECORD`."""
+        r = self.records
+        major, minor, angle = _ellipse(r)
+        columns = [
+            r["object"].tolist(), r["source"].tolist(), r["row"].tolist(), _numbers(r["x_m"], 2), _numbers(r["y_m"], 2),
+            _numbers(major, 1), _numbers(minor, 1), _numbers(angle, 0), _numbers(r["p_object"], 5),
+            _numbers(r["p_alone"], 5), _numbers(r["age_s"], 1), _numbers(r["bearing_deg"], 2),
+            _numbers(r["sigma_bearing_deg"], 2), _numbers(r["sensor_x_m"], 1), _numbers(r["sensor_y_m"], 1),
+            r["track_id"].tolist(),
+        ]  # fmt: skip
+        return {f"{row[1]}:{row[2]}": row for row in zip(*columns, strict=True)}
+
+    def listed(self) -> list[dict[str, Any]]:
+        """Every object as a mapping for outputs: numbers in degrees, metres and seconds, None where unknown."""
+        o, cpa = self.objects, self.cpa
+        names = [name for name in ("lat_deg", "lon_deg", "x_m", "y_m", "speed_m_per_s", "course_deg", "var_x_m2",
+                                   "cov_xy_m2", "var_y_m2", "probability") if name in o]  # fmt: skip
+        digits = {"lat_deg": 7, "lon_deg": 7, "probability": 6}
+        columns = {name: _numbers(o[name], digits.get(name, 2)) for name in names}
+        out = []
+        for k, number in enumerate(o["object"].tolist()):
+            one = {"object": number, "stage": str(o["stage"][k]), **{name: columns[name][k] for name in names}}
+            one |= {
+                name: str(o[name][k]) for name in ("label", "mmsi", "icao", "callsign", "name", "type") if o[name][k]
+            }
+            one["sources"] = [f"{source}:{track}" for source, track in self.members.get(number, ())]
+            if number in cpa:
+                one["cpa_m"], one["tcpa_s"] = round(cpa[number][0], 1), round(cpa[number][1], 1)
+            out.append(one)
+        return out
+
+
+def closest_approach(place: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Distance (n,) of the closest approach of places (n, 2) with relative velocities (n, 2), and seconds until then.
+
+    NaN where a velocity is unknown or the two part already.
+
+    >>> closest_approach(np.array([[0.0, 1000.0], [0.0, 1000.0]]), np.array([[1.0, -10.0], [0.0, 5.0]]))[1].round(1)
+    array([99. ,  nan])
+    """
+    speed_sq = (velocity**2).sum(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        seconds = -(place * velocity).sum(axis=1) / speed_sq
+        seconds = np.where((seconds > 0.0) & (speed_sq > 1e-4), seconds, np.nan)
+    there = place + velocity * seconds[:, None]
+    return np.hypot(there[:, 0], there[:, 1]), seconds
+
+
+def _numbers(column: NDArray[Any], digits: int) -> list[float | None]:
+    values = np.ma.filled(np.ma.asarray(column, np.float64), np.nan).round(digits)
+    return [None if value != value else value for value in values.tolist()]
+
+
+def _ellipse(columns: Columns) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """1σ along and across the longer axis, and the angle of that from east to north; NaN without a position."""
+    a, b, c = (np.ma.filled(np.ma.asarray(columns[n], float), np.nan) for n in ("var_x_m2", "cov_xy_m2", "var_y_m2"))
+    half, spread = (a + c) / 2.0, np.hypot((a - c) / 2.0, b)
+    with np.errstate(invalid="ignore"):
+        major, minor = np.sqrt(half + spread), np.sqrt(np.maximum(half - spread, 0.0))
+    angle = np.degrees(np.arctan2(b, (a - c) / 2.0)) / 2.0
+    huge = ~(major < 2e6)
+    return tuple(np.where(huge, np.nan, values) for values in (major, minor, angle))  # type: ignore[return-value]

@@ -1,0 +1,439 @@
+"""The keeper: the loop of a live picture, tick by tick, with its state, its journal and its alarms.
+
+A tick takes in what the wires (or a replay) have brought, advances the picture, raises and ends alarms, writes the
+journal, and tells those who listen what has changed. What cannot be used is counted at its source and ends nothing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sameas.errors import InputError
+from sameas.io.sensors.stream import ReportStream
+from sameas.live.frame import Alarm, Frame, OwnShipState
+from sameas.live.inputs import Replay, Wire
+from sameas.live.journal import Journal, load_state, save_state
+from sameas.live.outputs import sinks_of
+from sameas.live.settings import Settings
+from sameas.picture.live import LivePicture, estimated
+from sameas.picture.picture_state import PictureState
+from sameas.tracks.reports import Reports
+
+LOG = logging.getLogger("sameas.live")
+#: An alarm ends when it has not held for this long, in seconds of the picture.
+ALARM_ENDS_S = 10.0
+#: Deltas that are kept for listeners who come back.
+KEPT_DELTAS = 300
+#: Ticks whose duration is remembered.
+KEPT_DURATIONS = 600
+
+
+@dataclass
+class SourceState:
+    """Of a source: reports set aside with the last reason, when it was last heard, how late its stamps are."""
+
+    refused: int = 0
+    error: str = ""
+    last_s: float = -math.inf
+    delay_s: float = math.nan
+
+
+@dataclass
+class Delta:
+    """What has changed from one tick to the next, as it is sent to pages."""
+
+    tick: int
+    time_s: float
+    objects: list[tuple[Any, ...]] = field(default_factory=list)
+    gone: list[int] = field(default_factory=list)
+    records: list[tuple[Any, ...]] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)
+
+    @classmethod
+    def between(cls, before: Frame | None, frame: Frame) -> Delta:
+        """From one frame to the next; from None everything is new."""
+        old = {} if before is None else before.object_rows
+        seen = {} if before is None else before.record_rows
+        return cls(
+            frame.tick, frame.time_s, [row for n, row in frame.object_rows.items() if old.get(n) != row],
+            [n for n in old if n not in frame.object_rows],
+            [row for key, row in frame.record_rows.items() if seen.get(key) != row],
+            [key for key in seen if key not in frame.record_rows],
+        )  # fmt: skip
+
+
+class Keeper:
+    """The live picture of some settings.
+
+    Parameters
+    ----------
+    settings : sources and the watch. folder : of state, journal and archive; None keeps nothing.
+    replay : reports of files instead of wires. clock : seconds of UTC.
+
+    Raises
+    ------
+    InputError : a source has no wire and is not replayed; the folder cannot be written.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        folder: Path | None = None,
+        *,
+        replay: Replay | None = None,
+        clock: Callable[[], float] = time.time,
+    ) -> None:
+        self.settings, self.folder, self.replay, self.clock = settings, folder, replay, clock
+        self.wires = _wires(settings, clock) if replay is None else {}
+        self.sources = {name: SourceState() for name in settings.sources}
+        self.frame: Frame | None = None
+        self.deltas: deque[Delta] = deque(maxlen=KEPT_DELTAS)
+        self.history: deque[Frame] = deque()
+        self.counters: Counter[str] = Counter()
+        self.durations_s: deque[float] = deque(maxlen=KEPT_DURATIONS)
+        self.lock = threading.Lock()
+        self.sinks = sinks_of(settings.watch.outputs)
+        self._listeners: set[asyncio.Event] = set()
+        self._alarms: dict[str, tuple[int, float]] = {}
+        self._own: deque[tuple[float, float, float]] = deque(maxlen=30)
+        self._saved_s = self._registered_s = -math.inf
+        self._tick = 0
+        watch = settings.watch
+        self.journal = None if folder is None else Journal(folder, archive_every_s=watch.archive_every_s)
+        state = None if folder is None else load_state(folder)
+        descriptions = [source.description for source in settings.sources.values()]
+        self.restored = state is not None and state["names"] == [d.name for d in descriptions]
+        if state is not None and self.restored:
+            self.picture: LivePicture = state["picture"]
+            self._tick = state["tick"]
+        else:
+            self.picture = LivePicture(descriptions, plane=watch.origin, lag_s=watch.lag_s)
+        if self.journal is not None:
+            self._alarms = {key: (alarm_id, self.picture.instant_s) for key, alarm_id in self.journal.active().items()}
+
+    # ---- one tick ----
+
+    def now_s(self) -> float:
+        """The time of the picture now."""
+        clock_s = self.clock()
+        now_s = clock_s if self.replay is None else self.replay.now_s(clock_s)
+        return now_s - self.settings.watch.behind_s
+
+    def tick(self, now_s: float | None = None) -> Frame | None:
+        """Takes in what has come, and gives the picture of this time; None where it failed, which is logged."""
+        began = time.perf_counter()
+        instant_s = max(self.now_s() if now_s is None else now_s, self.picture.instant_s)
+        self._take_in(instant_s)
+        try:
+            state: PictureState[Any] = self.picture.advance(instant_s)
+        except Exception as error:
+            # A fault in one tick must not end the watch: the next one has other reports.
+            LOG.exception("tick at %.1f s", instant_s)
+            self.counters["faults"] += 1
+            self._raise_alarms([Alarm("fault", "fault", f"the picture could not be advanced: {error}")], instant_s)
+            return None
+        with self.lock:
+            self._tick += 1
+            frame = Frame.of(self._tick, state, self.picture.plane, (), self._own_ship(instant_s, state))
+            alarms = [*_identity_alarms(state), *self._source_alarms(instant_s), *self._close_calls(frame)]
+            frame = Frame(
+                frame.tick, frame.time_s, frame.plane, frame.objects, frame.records, frame.members, tuple(alarms),
+                frame.own_ship,
+            )  # fmt: skip
+            self._raise_alarms(alarms, instant_s)
+            self.deltas.append(Delta.between(self.frame, frame))
+            self.frame = frame
+            self._remember(frame)
+            if self.journal is not None:
+                self.journal.write(frame)
+                if instant_s - self._saved_s >= self.settings.watch.save_every_s:
+                    self.save()
+        self.durations_s.append(time.perf_counter() - began)
+        self.counters["ticks"] += 1
+        return frame
+
+    def _tick_and_send(self) -> None:
+        frame = self.tick()
+        for sink in self.sinks if frame is not None else ():
+            sink.send(frame)
+
+    def save(self) -> None:
+        """Saves the state."""
+        if self.folder is not None:
+            names = list(self.settings.sources)
+            save_state(self.folder, {"names": names, "picture": self.picture, "tick": self._tick})
+            self._saved_s = self.picture.instant_s
+
+    def register(self) -> None:
+        """Estimates the sources' biases by the last minutes; what fails is said and changes nothing."""
+        try:
+            found = estimated(self.picture.recent(), self.picture.plane)
+        except InputError as error:
+            LOG.info("registration: %s", error)
+            return
+        self.picture.take_off(found)
+
+    def _take_in(self, until_s: float) -> None:
+        if self.replay is not None:
+            for name, reports in self.replay.take(until_s):
+                self._add(name, reports, self.clock())
+            return
+        for url, wire in self.wires.items():
+            try:
+                parts = wire.take()
+            except InputError as error:
+                for name in self._names_on(url):
+                    self.sources[name].error = str(error)
+                self.counters["refused pieces"] += 1
+                continue
+            for reports in parts:
+                taken = [n for n in self._names_on(url) if self.settings.sources[n].takes(reports)]
+                if not taken:
+                    self.counters[f"reports of no source: {reports.source}"] += len(reports)
+                for name in taken[:1]:
+                    self._add(name, reports, wire.state.last_s)
+
+    def _names_on(self, url: str) -> list[str]:
+        return [name for name, source in self.settings.sources.items() if source.url == url]
+
+    def _add(self, name: str, reports: Reports, received_s: float) -> None:
+        state = self.sources[name]
+        try:
+            self.picture.add(name, reports)
+        except InputError as error:
+            state.refused += len(reports)
+            state.error = str(error)
+            return
+        state.last_s, state.error = received_s, ""
+        if self.replay is None:
+            state.delay_s = received_s - float(np.median(reports.time_s))
+
+    def _remember(self, frame: Frame) -> None:
+        """Keeps every tenth second of the picture for pages that look back."""
+        every_s = max(10.0, self.settings.watch.every_s)
+        if not self.history or frame.time_s - self.history[-1].time_s >= every_s:
+            self.history.append(frame)
+        while self.history and frame.time_s - self.history[0].time_s > self.settings.watch.history_s:
+            self.history.popleft()
+
+    # ---- own ship and alarms ----
+
+    def _own_ship(self, now_s: float, state: PictureState[Any]) -> OwnShipState | None:
+        own, plane = self.settings.watch.own_ship, self.picture.plane
+        if own is None:
+            return None
+        if own.mmsi is not None:
+            texts = state.watch.texts
+            for k, number in enumerate(state.objects.number.tolist()):
+                if number in texts and texts[number][0] == own.mmsi and state.objects.placed[k]:
+                    return OwnShipState(*state.objects.state[k].tolist())
+            return None
+        if plane is None:
+            return None
+        heading = math.nan
+        lat, lon = own.lat_deg, own.lon_deg
+        if own.source is not None and own.source in self.settings.sources:
+            wire = self.wires.get(self.settings.sources[own.source].url or "")
+            lat, lon, heading = (math.nan,) * 3 if wire is None else wire.stream.own_ship
+        if lat is None or lon is None or not math.isfinite(lat + lon):
+            return None
+        east, north = plane.of_geodetic([lat], [lon])[0].tolist()
+        if not self._own or (self._own[-1][1], self._own[-1][2]) != (east, north):
+            self._own.append((now_s, east, north))
+        return OwnShipState(east, north, *self._own_velocity(), heading)
+
+    def _own_velocity(self) -> tuple[float, float]:
+        """By a straight line through the last places."""
+        recent = [one for one in self._own if one[0] > self._own[-1][0] - 30.0]
+        if len(recent) < 2 or recent[-1][0] - recent[0][0] < 1.0:
+            return 0.0, 0.0
+        times, east, north = np.array(recent).T
+        slope = np.polynomial.polynomial.polyfit(times - times[-1], np.column_stack([east, north]), 1)[1]
+        return float(slope[0]), float(slope[1])
+
+    def _close_calls(self, frame: Frame) -> list[Alarm]:
+        watch, out = self.settings.watch, []
+        own = watch.own_ship.mmsi if watch.own_ship else None
+        stages = dict(zip(frame.objects["object"].tolist(), frame.objects["stage"].tolist(), strict=True))
+        label = dict(zip(frame.objects["object"].tolist(), frame.objects["label"].tolist(), strict=True))
+        mmsi = dict(zip(frame.objects["object"].tolist(), frame.objects["mmsi"].tolist(), strict=True))
+        for number, (metres, seconds) in frame.cpa.items():
+            if metres < watch.cpa_m and seconds < watch.tcpa_s and stages[number] in ("confirmed", "coasting"):
+                if own and mmsi[number] == own:
+                    continue
+                text = f"{label[number] or f'object {number}'} will pass at {metres:.0f} m in {seconds / 60.0:.1f} min"
+                out.append(Alarm(f"cpa {number}", "cpa", text, (number,)))
+        return out
+
+    def _source_alarms(self, now_s: float) -> list[Alarm]:
+        watch, out, clock_s = self.settings.watch, [], self.clock()
+        for name, state in self.sources.items() if self.replay is None else ():
+            if math.isfinite(state.last_s) and clock_s - state.last_s > watch.silent_s:
+                out.append(Alarm(f"silent {name}", "source", f"{name} has said nothing for {watch.silent_s:.0f} s"))
+            elif abs(state.delay_s) > watch.clock_s:
+                sense = "behind" if state.delay_s > 0.0 else "ahead of"
+                text = f"{name}: its stamps are {abs(state.delay_s):.0f} s {sense} the times of receipt"
+                out.append(Alarm(f"clock {name}", "source", text))
+        for url, wire in self.wires.items():
+            if wire.queue.dropped > self.counters[f"dropped {url}"]:
+                out.append(
+                    Alarm(f"flood {url}", "source", f"{url} brings more than can be read; the oldest is dropped")
+                )
+                self.counters[f"dropped {url}"] = wire.queue.dropped
+        return out
+
+    def _raise_alarms(self, alarms: list[Alarm], now_s: float) -> None:
+        """New alarms are noted in the journal; those that have not held for a while end."""
+        for alarm in alarms:
+            known = self._alarms.get(alarm.key)
+            if known is None:
+                alarm_id = self.counters["alarms"] + 1 if self.journal is None else self.journal.alarm(alarm, now_s)
+                self.counters["alarms"] += 1
+                known = (alarm_id, now_s)
+            self._alarms[alarm.key] = (known[0], now_s)
+        for key, (alarm_id, held_s) in list(self._alarms.items()):
+            if now_s - held_s > ALARM_ENDS_S:
+                del self._alarms[key]
+                if self.journal is not None:
+                    self.journal.ended(alarm_id, held_s)
+
+    # ---- the loop ----
+
+    async def run(self, *, until: Callable[[], bool] | None = None) -> None:
+        """Ticks until it is cancelled, or ``until`` says so; the state is saved at the end."""
+        readers = [asyncio.create_task(wire.run()) for wire in self.wires.values()]
+        every_s = self.settings.watch.every_s
+        registration: asyncio.Task[None] | None = None
+        if self.replay is not None:
+            from_s = self.picture.instant_s if self.restored else None
+            self.replay.begin(self.clock(), from_s if from_s is not None and math.isfinite(from_s) else None)
+        next_s = self.clock()
+        try:
+            while until is None or not until():
+                await asyncio.to_thread(self._tick_and_send)
+                for listener in self._listeners:
+                    listener.set()
+                every = self.settings.watch.register_every_s
+                due = every > 0.0 and self.picture.instant_s - self._registered_s >= every
+                if due and (registration is None or registration.done()):
+                    self._registered_s = self.picture.instant_s
+                    registration = asyncio.create_task(asyncio.to_thread(self.register))
+                # A tick that took too long is not made up for: the next one has all reports.
+                next_s = max(next_s + every_s, self.clock())
+                await asyncio.sleep(max(next_s - self.clock(), 0.0))
+        finally:
+            for task in readers:
+                task.cancel()
+            await asyncio.gather(*readers, return_exceptions=True)
+            if registration is not None:
+                with suppress(asyncio.CancelledError):
+                    await registration
+            self.close()
+
+    def close(self) -> None:
+        """Saves the state and closes the journal."""
+        with self.lock:
+            self.save()
+            if self.journal is not None:
+                self.journal.close()
+                self.journal = None
+            for sink in self.sinks:
+                sink.close()
+
+    def listen(self) -> asyncio.Event:
+        """An event that is set at every tick; give it back to :meth:`leave`."""
+        event = asyncio.Event()
+        self._listeners.add(event)
+        return event
+
+    def leave(self, event: asyncio.Event) -> None:
+        """The listener goes."""
+        self._listeners.discard(event)
+
+    # ---- what is asked of it ----
+
+    def alarm_list(self) -> list[dict[str, Any]]:
+        """The alarms, the newest first, with their ids and whether they hold."""
+        with self.lock:
+            if self.journal is not None:
+                return self.journal.alarms()
+            active = [] if self.frame is None else self.frame.alarms
+            return [
+                {"id": self._alarms[a.key][0], "key": a.key, "kind": a.kind, "text": a.text, "objects": list(a.objects),
+                 "active": 1, "first_s": self._alarms[a.key][1], "last_s": self._alarms[a.key][1],
+                 "acknowledged_s": None, "acknowledged_by": None}
+                for a in active if a.key in self._alarms
+            ]  # fmt: skip
+
+    def acknowledge(self, alarm_id: int, who: str) -> bool:
+        """Notes who acknowledged an alarm."""
+        with self.lock:
+            return self.journal is not None and self.journal.acknowledge(alarm_id, who, self.clock())
+
+    def health(self) -> dict[str, Any]:
+        """Whether it ticks, and every source and wire in numbers."""
+        age_s = None if self.frame is None else self.now_s() - self.frame.time_s
+        late_s = max(10.0 * self.settings.watch.every_s * (self.replay.pace if self.replay else 1.0), 10.0)
+        ticking = age_s is not None and age_s < late_s
+        counts = self.picture.counts
+        sources = {
+            name: {
+                "reports": counts[name].taken, "late": counts[name].late, "repeated": counts[name].repeated,
+                "jumps": counts[name].jumps, "refused": state.refused, "error": state.error,
+                "delay_s": None if math.isnan(state.delay_s) else round(state.delay_s, 3),
+            }
+            for name, state in self.sources.items()
+        }  # fmt: skip
+        wires = {
+            url: {
+                "connected": wire.state.connected, "connections": wire.state.connections, "error": wire.state.error,
+                "bytes": wire.state.received, "dropped": wire.queue.dropped,
+                "damaged": sum(wire.stream.damaged.values()),
+            }
+            for url, wire in self.wires.items()
+        }  # fmt: skip
+        return {
+            "ok": bool(ticking), "tick": self._tick, "time_s": None if self.frame is None else self.frame.time_s,
+            "objects": 0 if self.frame is None else len(self.frame.objects["object"]),
+            "faults": self.counters["faults"], "sources": sources, "wires": wires,
+        }  # fmt: skip
+
+
+def _wires(settings: Settings, clock: Callable[[], float]) -> dict[str, Wire]:
+    wires: dict[str, Wire] = {}
+    for name, source in settings.sources.items():
+        if source.url is None:
+            raise InputError(f"{name}: has no input", 'give input = "udp://HOST:PORT", tcp://, serial: … in its table')
+        if source.url not in wires:
+            wires[source.url] = Wire(source.url, ReportStream(name, source.format, source.options), clock=clock)
+    return wires
+
+
+def _identity_alarms(state: PictureState[Any]) -> list[Alarm]:
+    out = []
+    number: Mapping[tuple[str, int], int] = {}
+    if state.alarms:
+        names = [d.name for d in state.scan.now.descriptions]
+        owner = state.number[state.object_of_record].tolist()
+        places = zip(state.scan.source.tolist(), state.scan.row.tolist(), owner, strict=True)
+        number = {(names[s], row): n for s, row, n in places}
+    for alarm in state.alarms:
+        text = (
+            f"{alarm.attribute.upper()} {alarm.value} is shown at two places {alarm.distance:.0f} m apart: "
+            "forged, duplicate or wrong"
+        )
+        objects = tuple(sorted({number[where] for where in (alarm.first, alarm.second) if where in number}))
+        out.append(Alarm(f"identity {alarm.attribute} {alarm.value}", "identity", text, objects))
+    return out

@@ -1,0 +1,297 @@
+"""Outputs: a frame in the formats of other programs, and where they are sent.
+
+:data:`FORMATS` has what each gives: ``jsonl`` a line an object, ``nmea`` TTM (with own ship) and TLL sentences, ``cot``
+Cursor on Target events, ``signalk`` a delta an object, ``asterix`` a block of category 062. Objects are those that are
+confirmed or coast; tentative ones are in ``jsonl`` only, where ``stage`` says so.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import json
+import math
+import socket
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+from urllib.parse import urlsplit
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from sameas.errors import InputError
+from sameas.live.frame import Frame
+
+_KNOT_M_PER_S, _MILE_M = 1852.0 / 3600.0, 1852.0
+#: Seconds for which a Cursor on Target event holds.
+STALE_S = 15.0
+#: Bytes of a datagram, within which packets are not cut on the way.
+_DATAGRAM = 1400
+
+
+def geojson(frame: Frame) -> dict[str, Any]:
+    """A FeatureCollection (RFC 7946) of the objects as points; empty where the picture has no place on the earth."""
+    features = [
+        {
+            "type": "Feature", "id": one["object"],
+            "geometry": {"type": "Point", "coordinates": [one["lon_deg"], one["lat_deg"]]},
+            "properties": {
+                "time": _iso(frame.time_s), **{k: v for k, v in one.items() if k not in ("lat_deg", "lon_deg")},
+            },
+        }
+        for one in frame.listed() if one.get("lat_deg") is not None
+    ]  # fmt: skip
+    return {"type": "FeatureCollection", "features": features}
+
+
+def jsonl(frame: Frame) -> Iterator[bytes]:
+    """A line an object."""
+    for one in frame.listed():
+        yield json.dumps({"time_s": frame.time_s, **one}, ensure_ascii=False, allow_nan=False).encode() + b"\n"
+
+
+def nmea(frame: Frame) -> Iterator[bytes]:
+    """TTM of every object where own ship is known, and TLL where the picture is on the earth.
+
+    A target has two digits: the number of the object modulo 100. Its name is the object's, else its MMSI.
+    """
+    own, clock = frame.own_ship, datetime.fromtimestamp(frame.time_s, UTC).strftime("%H%M%S.%f")[:9]
+    for one in _shown(frame):
+        number, name = (
+            f"{one['object'] % 100:02d}",
+            _plain(one.get("name") or one.get("mmsi") or one.get("label") or ""),
+        )
+        if own is not None and one["x_m"] is not None:
+            east, north = one["x_m"] - own.x_m, one["y_m"] - own.y_m
+            bearing, range_nm = math.degrees(math.atan2(east, north)) % 360.0, math.hypot(east, north) / _MILE_M
+            cpa, tcpa = frame.cpa.get(one["object"], (math.nan, math.nan))
+            speed, course = one["speed_m_per_s"], one["course_deg"]
+            fields = [
+                "RATTM", number, f"{range_nm:.3f}", f"{bearing:.1f}", "T",
+                "" if speed is None else f"{speed / _KNOT_M_PER_S:.1f}", "" if course is None else f"{course:.1f}", "T",
+                "" if math.isnan(cpa) else f"{cpa / _MILE_M:.3f}",
+                "" if math.isnan(tcpa) else f"{tcpa / 60.0:.2f}", "N",
+                name, "T", "", clock, "A",
+            ]  # fmt: skip
+            yield sentence(",".join(fields))
+        if one.get("lat_deg") is not None:
+            lat, lon = _degrees(one["lat_deg"], 2, "NS"), _degrees(one["lon_deg"], 3, "EW")
+            yield sentence(f"RATLL,{number},{lat},{lon},{name},{clock},T,")
+
+
+def sentence(body: str) -> bytes:
+    """An NMEA 0183 sentence with its checksum.
+
+    >>> sentence("HEHDT,90.0,T")
+    b'$HEHDT,90.0,T*16\\r\\n'
+    """
+    checksum = 0
+    for letter in body.encode("ascii"):
+        checksum ^= letter
+    return f"${body}*{checksum:02X}\r\n".encode("ascii")
+
+
+def cot(frame: Frame) -> Iterator[bytes]:
+    """An event an object: ``a-u-S`` at sea, ``a-u-A`` in the air, ``ce`` the radius that holds it with 90 %."""
+    start, stale = _iso(frame.time_s), _iso(frame.time_s + STALE_S)
+    for one in _shown(frame):
+        if one.get("lat_deg") is None:
+            continue
+        kind = "a-u-A" if one.get("icao") else "a-u-S"
+        variance = max(one["var_x_m2"] or 0.0, one["var_y_m2"] or 0.0)
+        radius = math.sqrt(variance) * math.sqrt(-2.0 * math.log(0.1))
+        track = ""
+        if one["speed_m_per_s"] is not None:
+            track = f'<track course="{one["course_deg"]:.1f}" speed="{one["speed_m_per_s"]:.2f}"/>'
+        callsign = quoteattr(_printable(one.get("label") or f"object {one['object']}"))
+        yield (
+            f'<?xml version="1.0" encoding="UTF-8"?><event version="2.0" uid="sameas.{one["object"]}" type="{kind}" '
+            f'how="m-f" time="{start}" start="{start}" stale="{stale}"><point lat="{one["lat_deg"]:.7f}" '
+            f'lon="{one["lon_deg"]:.7f}" hae="9999999.0" ce="{radius:.1f}" le="9999999.0"/>'
+            f"<detail><contact callsign={callsign}/>{track}</detail></event>"
+        ).encode()
+
+
+def signalk(frame: Frame) -> Iterator[bytes]:
+    """A delta an object: of the vessel with its MMSI, else of ``urn:mrn:sameas:object:NUMBER``."""
+    for one in _shown(frame):
+        if one.get("lat_deg") is None:
+            continue
+        values: list[dict[str, Any]] = [
+            {"path": "navigation.position", "value": {"latitude": one["lat_deg"], "longitude": one["lon_deg"]}}
+        ]
+        if one["speed_m_per_s"] is not None:
+            values += [
+                {"path": "navigation.speedOverGround", "value": one["speed_m_per_s"]},
+                {"path": "navigation.courseOverGroundTrue", "value": round(math.radians(one["course_deg"]), 5)},
+            ]
+        if one.get("name"):
+            values.append({"path": "", "value": {"name": one["name"]}})
+        mmsi = str(one.get("mmsi", ""))
+        who = f"mrn:imo:mmsi:{mmsi}" if mmsi.isdigit() else f"mrn:sameas:object:{one['object']}"
+        update = {"$source": "sameas", "timestamp": _iso(frame.time_s), "values": values}
+        delta = {"context": f"vessels.urn:{who}", "updates": [update]}
+        yield json.dumps(delta, ensure_ascii=False, allow_nan=False).encode() + b"\n"
+
+
+def asterix(frame: Frame) -> Iterator[bytes]:
+    """Blocks of category 062, edition 1.18, of some forty tracks each, with accuracies (item 500).
+
+    Items 010, 070, 105, 185, 380 (the address, where there is one), 040, 080 and 500.
+    """
+    records = [_record(frame, one) for one in _shown(frame) if one.get("lat_deg") is not None]
+    for first in range(0, len(records), 40):
+        data = b"".join(records[first : first + 40])
+        yield bytes([62]) + (len(data) + 3).to_bytes(2, "big") + data
+
+
+def _record(frame: Frame, one: Mapping[str, Any]) -> bytes:
+    unit = 180.0 / 2**25
+    lat, lon = round(one["lat_deg"] / unit), round(one["lon_deg"] / unit)
+    course, speed, icao = one["course_deg"], one["speed_m_per_s"], str(one.get("icao", ""))
+    moving, named = speed is not None, len(icao) == 6
+    # A presence bit for each item in the order of the standard; the lowest bit of an octet says that one follows.
+    octets = [0b10011001 | (0b00000010 if moving else 0), 0b00001101 | (0b00010000 if named else 0), 0b1, 0b00000100]
+    out = bytes(octets) + bytes([0, 0])
+    out += (round(frame.time_s % 86400.0 * 128.0) % (86400 * 128)).to_bytes(3, "big")
+    out += lat.to_bytes(4, "big", signed=True) + lon.to_bytes(4, "big", signed=True)
+    if moving:
+        velocity = speed * math.sin(math.radians(course)), speed * math.cos(math.radians(course))
+        out += b"".join(int(np.clip(round(v / 0.25), -32768, 32767)).to_bytes(2, "big", signed=True) for v in velocity)
+    if named:
+        out += bytes([0x80]) + int(icao, 16).to_bytes(3, "big")
+    out += (one["object"] % 65536).to_bytes(2, "big")
+    # Octet 1 of item 080: multisensor; a coasting track has bit CST of octet 4.
+    coasting = one["stage"] == "coasting"
+    out += bytes([0x01, 0x01, 0x01, 0x80]) if coasting else bytes([0x00])
+    sigmas = [int(np.clip(round(math.sqrt(one[name] or 0.0) / 0.5), 0, 65535)) for name in ("var_x_m2", "var_y_m2")]
+    cross = one["cov_xy_m2"] or 0.0
+    root = int(np.clip(round(math.copysign(math.sqrt(abs(cross)), cross) / 0.5), -32768, 32767))
+    out += bytes([0b11000000]) + sigmas[0].to_bytes(2, "big") + sigmas[1].to_bytes(2, "big")
+    return out + root.to_bytes(2, "big", signed=True)
+
+
+FORMATS: Mapping[str, Callable[[Frame], Iterator[bytes]]] = {
+    "jsonl": jsonl, "nmea": nmea, "cot": cot, "signalk": signalk, "asterix": asterix,
+}  # fmt: skip
+
+
+def _shown(frame: Frame) -> list[dict[str, Any]]:
+    return [one for one in frame.listed() if one["stage"] in ("confirmed", "coasting")]
+
+
+def _iso(time_s: float) -> str:
+    return datetime.fromtimestamp(time_s, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def _printable(text: str) -> str:
+    """Without what XML cannot hold."""
+    return "".join(letter if letter.isprintable() else " " for letter in text)
+
+
+def _plain(text: str) -> str:
+    """What a field of a sentence may hold: no commas, no checksums, no ends of lines."""
+    return "".join(letter for letter in text if letter.isascii() and (letter.isalnum() or letter in " -_./"))[:20]
+
+
+def _degrees(value: float, digits: int, sides: str) -> str:
+    degrees, minutes = divmod(round(abs(value) * 600_000.0) / 10_000.0, 60.0)
+    return f"{int(degrees):0{digits}d}{minutes:07.4f},{sides[value < 0.0]}"
+
+
+@dataclass
+class Sink:
+    """Where frames are sent: ``udp://HOST:PORT`` or ``stdout:``. What cannot be sent is counted, and ends nothing."""
+
+    url: str
+    format: str
+    failed: int = 0
+
+    def __post_init__(self) -> None:
+        parts = urlsplit(self.url)
+        if parts.scheme not in ("udp", "stdout") or (parts.scheme == "udp" and not parts.port):
+            raise InputError(f"output {self.url!r}: cannot be sent to", "give udp://HOST:PORT or stdout:")
+        if self.format not in FORMATS:
+            raise InputError(f"output {self.url!r}: format is {self.format!r}", f"give one of {', '.join(FORMATS)}")
+        self._socket: socket.socket | None = None
+        if parts.scheme == "udp":
+            self._address = (parts.hostname or "127.0.0.1", int(parts.port or 0))
+            self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            self._socket.setblocking(False)
+            try:
+                group = ipaddress.ip_address(self._address[0])
+            except ValueError:
+                group = None
+            if group is not None and group.is_multicast:
+                self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 1)
+
+    def send(self, frame: Frame) -> None:
+        """Sends a frame."""
+        if self._socket is None:
+            for part in FORMATS[self.format](frame):
+                sys.stdout.buffer.write(part)
+            sys.stdout.buffer.flush()
+            return
+        for datagram in _datagrams(FORMATS[self.format](frame), joined=self.format in ("nmea", "jsonl", "signalk")):
+            try:
+                self._socket.sendto(datagram, self._address)
+            except OSError:
+                self.failed += 1
+
+    def close(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+
+
+def sinks_of(outputs: Sequence[Mapping[str, str]]) -> list[Sink]:
+    """The sinks of the table ``outputs``."""
+    for one in outputs:
+        if not isinstance(one, Mapping) or set(one) != {"url", "format"}:
+            raise InputError(f'watch.outputs: {one!r}; give {{ url = "udp://HOST:PORT", format = "nmea" }}')
+    return [Sink(one["url"], one["format"]) for one in outputs]
+
+
+def _datagrams(parts: Iterator[bytes], *, joined: bool) -> Iterator[bytes]:
+    """Whole parts in datagrams, as many as fit where they may be joined."""
+    waiting = b""
+    for part in parts:
+        if not joined:
+            yield part
+        elif waiting and len(waiting) + len(part) > _DATAGRAM:
+            yield waiting
+            waiting = part
+        else:
+            waiting += part
+    if waiting:
+        yield waiting
+
+
+def metrics(health: Mapping[str, Any], durations_s: Sequence[float]) -> str:
+    """Prometheus text (format 0.0.4) of a keeper's health and the durations of its last ticks."""
+    lines = [
+        "# HELP sameas_up Whether the picture ticks.", "# TYPE sameas_up gauge", f"sameas_up {int(health['ok'])}",
+        "# TYPE sameas_ticks_total counter", f"sameas_ticks_total {health['tick']}",
+        "# TYPE sameas_faults_total counter", f"sameas_faults_total {health['faults']}",
+        "# TYPE sameas_objects gauge", f"sameas_objects {health['objects']}",
+    ]  # fmt: skip
+    if durations_s:
+        lines.append("# TYPE sameas_tick_seconds summary")
+        for share in (0.5, 0.9, 0.99):
+            lines.append(f'sameas_tick_seconds{{quantile="{share}"}} {np.quantile(durations_s, share):.6f}')
+        lines += [f"sameas_tick_seconds_sum {sum(durations_s):.6f}", f"sameas_tick_seconds_count {len(durations_s)}"]
+    for name in ("reports", "late", "repeated", "jumps", "refused"):
+        lines.append(f"# TYPE sameas_source_{name}_total counter")
+        for source, numbers in health["sources"].items():
+            lines.append(f"sameas_source_{name}_total{{source={_label(source)}}} {numbers[name]}")
+    for name in ("bytes", "dropped", "damaged", "connections"):
+        lines.append(f"# TYPE sameas_wire_{name}_total counter")
+        for url, numbers in health["wires"].items():
+            lines.append(f"sameas_wire_{name}_total{{wire={_label(url)}}} {numbers[name]}")
+    return "\n".join(lines) + "\n"
+
+
+def _label(text: str) -> str:
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+    return f'"{escaped}"'

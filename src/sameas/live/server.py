@@ -1,0 +1,274 @@
+"""The server: the map that goes on, its events, and what other programs ask for.
+
+Bound to the loopback it asks for nothing but that the browser means this host (so no other page can reach it by a name
+of its own); elsewhere it asks for a token: the operator's, who may acknowledge alarms, or a viewer's, who may look. A
+token in the address is taken into a cookie and out of the address. Names of ships are texts to the page, never markup,
+and its policy runs no script but its own.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import json
+import math
+import secrets
+from collections.abc import AsyncIterator, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sameas.errors import InputError
+from sameas.live.frame import OBJECT, RECORD, Frame
+from sameas.live.keeper import Delta, Keeper
+from sameas.live.outputs import geojson, metrics
+from sameas.maps.coast import read_coast
+from sameas.maps.sheet import MapSensor, MapSheet
+from sameas.pages.map import map_page
+
+if TYPE_CHECKING:
+    from starlette.applications import Starlette
+    from starlette.requests import Request
+    from starlette.responses import Response
+
+#: Seconds between two signs of life of an event stream on which nothing happens.
+SIGN_OF_LIFE_S = 10.0
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+_COOKIE = "sameas_token"
+_HEADERS = {
+    "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer", "X-Frame-Options": "DENY",
+    "Cache-Control": "no-store",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Access:
+    """Who may do what. host : that the server is bound to. operator, viewer : tokens; None on the loopback."""
+
+    host: str = "127.0.0.1"
+    operator: str | None = None
+    viewer: str | None = None
+
+    @classmethod
+    def of(cls, host: str, operator: str | None = None, viewer: str | None = None) -> Access:
+        """Tokens are made where the server is bound to more than the loopback and none are given."""
+        if host not in LOOPBACK and operator is None:
+            operator = secrets.token_urlsafe(18)
+        return cls(host, operator, viewer)
+
+    def role(self, given: str | None) -> str | None:
+        """ "operator", "viewer" or None, of a token."""
+        if self.operator is None:
+            return "operator"
+        given = given or ""
+        if hmac.compare_digest(given.encode(), self.operator.encode()):
+            return "operator"
+        if self.viewer is not None and hmac.compare_digest(given.encode(), self.viewer.encode()):
+            return "viewer"
+        return None
+
+    def means_us(self, host_header: str) -> bool:
+        """Whether the browser means this server: on the loopback only by a name of the loopback."""
+        return (
+            self.host not in LOOPBACK
+            or host_header.rpartition(":")[0].strip("[]") in LOOPBACK
+            or (host_header.strip("[]") in LOOPBACK)
+        )
+
+
+@dataclass
+class Clients:
+    """How many listen now, and how many may."""
+
+    most: int = 100
+    now: int = 0
+    dropped: int = field(default=0)
+
+
+def application(keeper: Keeper, access: Access | None = None) -> Starlette:
+    """The application of a keeper, for uvicorn or any other ASGI server.
+
+    Raises
+    ------
+    InputError : Starlette is not installed.
+    """
+    try:
+        from starlette.applications import Starlette
+        from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response, StreamingResponse
+        from starlette.routing import Route
+    except ImportError as error:
+        raise InputError("the live map needs Starlette and uvicorn: pip install 'sameas[live]'") from error
+    access, clients = access or Access(), Clients()
+
+    def answer(content: Any, status: int = 200, **headers: str) -> Response:
+        return JSONResponse(content, status, headers=_HEADERS | headers)
+
+    def role_of(request: Request) -> str | None:
+        bearer = request.headers.get("authorization", "").removeprefix("Bearer ")
+        return access.role(bearer or request.cookies.get(_COOKIE) or request.query_params.get("token"))
+
+    def guarded(handler: Any, *, operator: bool = False, changes: bool = False) -> Any:
+        async def guard(request: Request) -> Response:
+            if not access.means_us(request.headers.get("host", "")):
+                return answer({"error": "another host is meant"}, 421)
+            role = role_of(request)
+            if role is None:
+                return answer({"error": "give a token: ?token=…, or Authorization: Bearer …"}, 401)
+            if operator and role != "operator":
+                return answer({"error": "viewers may look only"}, 403)
+            if changes and request.headers.get("x-sameas") != "1":
+                return answer({"error": "give the header X-Sameas: 1"}, 403)
+            result: Response = await handler(request, role)
+            return result
+
+        return guard
+
+    async def page(request: Request, role: str) -> Response:
+        token = request.query_params.get("token")
+        if token is not None:
+            moved = RedirectResponse(request.url.path, 303, headers=_HEADERS)
+            moved.set_cookie(_COOKIE, token, httponly=True, samesite="strict", secure=request.url.scheme == "https")
+            return moved
+        text = await asyncio.to_thread(live_page, keeper, role == "operator")
+        return Response(text, media_type="text/html", headers=_HEADERS)
+
+    async def events(request: Request, role: str) -> Response:
+        if clients.now >= clients.most:
+            return answer({"error": "too many listen"}, 503, **{"Retry-After": "10"})
+        since = request.headers.get("last-event-id", "")
+        stream = _events(keeper, clients, int(since) if since.isdigit() else None)
+        return StreamingResponse(stream, media_type="text/event-stream", headers=_HEADERS | {"X-Accel-Buffering": "no"})
+
+    async def history(request: Request, role: str) -> Response:
+        with keeper.lock:
+            frames = list(keeper.history)
+        return answer({"frames": [
+            {"t": frame.time_s, "objects": list(frame.object_rows.values())} for frame in frames
+        ]})  # fmt: skip
+
+    async def objects(request: Request, role: str) -> Response:
+        frame = keeper.frame
+        listed = [] if frame is None else frame.listed()
+        return answer({"time_s": None if frame is None else frame.time_s, "objects": listed})
+
+    async def objects_geojson(request: Request, role: str) -> Response:
+        frame = keeper.frame
+        content = {"type": "FeatureCollection", "features": []} if frame is None else geojson(frame)
+        return Response(json.dumps(content, allow_nan=False), media_type="application/geo+json", headers=_HEADERS)
+
+    async def alarms(request: Request, role: str) -> Response:
+        return answer({"alarms": keeper.alarm_list()})
+
+    async def acknowledge(request: Request, role: str) -> Response:
+        who = request.client.host if request.client else "operator"
+        done = keeper.acknowledge(int(request.path_params["alarm"]), f"operator at {who}")
+        return answer({"acknowledged": done}, 200 if done else 404)
+
+    async def prometheus(request: Request, role: str) -> Response:
+        return PlainTextResponse(metrics(keeper.health(), list(keeper.durations_s)), headers=_HEADERS)
+
+    async def health(request: Request) -> Response:
+        told = keeper.health()
+        # Who has no token learns whether it ticks and no more.
+        full = access.means_us(request.headers.get("host", "")) and role_of(request) is not None
+        return answer(told if full else {"ok": told["ok"]}, 200 if told["ok"] else 503)
+
+    return Starlette(routes=[
+        Route("/", guarded(page)),
+        Route("/events", guarded(events)),
+        Route("/history", guarded(history)),
+        Route("/objects", guarded(objects)),
+        Route("/objects.geojson", guarded(objects_geojson)),
+        Route("/alarms", guarded(alarms)),
+        Route("/alarms/{alarm:int}/acknowledge", guarded(acknowledge, operator=True, changes=True), methods=["POST"]),
+        Route("/metrics", guarded(prometheus)),
+        Route("/health", health),
+    ])  # fmt: skip
+
+
+async def _events(keeper: Keeper, clients: Clients, since: int | None) -> AsyncIterator[str]:
+    """Server-sent events: the whole frame, or what a listener has missed since, then a delta a tick."""
+    listener, sent = keeper.listen(), since
+    clients.now += 1
+    try:
+        while True:
+            with keeper.lock:
+                frame, deltas = keeper.frame, list(keeper.deltas)
+            if frame is not None:
+                missed = [] if sent is None else [delta for delta in deltas if delta.tick > sent]
+                known = sent is not None and (missed[0].tick == sent + 1 if missed else sent == frame.tick)
+                if not known:
+                    yield _event("whole", keeper, frame, Delta.between(None, frame))
+                else:
+                    for delta in missed:
+                        yield _event("delta", keeper, frame, delta)
+                sent = frame.tick
+            listener.clear()
+            try:
+                await asyncio.wait_for(listener.wait(), SIGN_OF_LIFE_S)
+            except TimeoutError:
+                yield ": still here\n\n"
+    finally:
+        clients.now -= 1
+        keeper.leave(listener)
+
+
+def _event(kind: str, keeper: Keeper, frame: Frame, delta: Delta) -> str:
+    own = frame.own_ship
+    content = {
+        "tick": delta.tick, "t": delta.time_s, "whole": kind == "whole", "objects": delta.objects, "gone": delta.gone,
+        "records": delta.records, "lost": delta.lost,
+    }  # fmt: skip
+    if delta.tick == frame.tick:
+        content |= {
+            "own": None if own is None else {
+                "x": round(own.x_m, 1), "y": round(own.y_m, 1), "vx": round(own.vx_m_per_s, 2),
+                "vy": round(own.vy_m_per_s, 2),
+                "heading": None if math.isnan(own.heading_deg) else round(own.heading_deg, 1),
+            },
+            "cpa": {n: [round(metres), round(seconds)] for n, (metres, seconds) in frame.cpa.items()},
+            "alarms": keeper.alarm_list()[:100],
+        }  # fmt: skip
+    return f"id: {delta.tick}\nevent: {kind}\ndata: {json.dumps(content, allow_nan=False, separators=(',', ':'))}\n\n"
+
+
+def live_page(keeper: Keeper, operator: bool) -> str:
+    """The page of the map, as it is now; events go on from there."""
+    watch, plane = keeper.settings.watch, keeper.picture.plane
+    with keeper.lock:
+        frame = keeper.frame
+    empty: Mapping[str, Any] = {}
+    objects = empty if frame is None else frame.objects
+    sensors = [MapSensor.of(source.description, plane) for source in keeper.settings.sources.values()
+               if source.description.site is None or _same_plane(source.description.site, plane)]  # fmt: skip
+    sensors += [MapSensor(name, source.description.kind) for name, source in keeper.settings.sources.items()
+                if name not in {sensor.name for sensor in sensors}]  # fmt: skip
+    instant_s = keeper.now_s() if frame is None else frame.time_s
+    sheet = MapSheet.of(
+        "Live picture", _filled(objects), {}, instants_s=np.array([instant_s]), sensors=sensors, plane=plane,
+        summary=[str(one) for one in keeper.picture.biases.values()],
+        ground=None if watch.chart is None or plane is None else _chart(watch.chart).in_plane(plane),
+    )  # fmt: skip
+    live = {
+        "object": list(OBJECT), "record": list(RECORD), "operator": operator, "tick": watch.every_s,
+        "every": max(10.0, watch.every_s), "history": watch.history_s,
+    }  # fmt: skip
+    return map_page(sheet, live)
+
+
+@lru_cache(maxsize=4)
+def _chart(path: str) -> Any:
+    return read_coast(Path(path))
+
+
+def _same_plane(site: Any, plane: Any) -> bool:
+    return (site.lat_deg is not None) == (plane is not None)
+
+
+def _filled(objects: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: column for name, column in objects.items() if name not in ("sources", "members")} | (
+        {"runner_up": np.full(len(objects["object"]), "", object)} if objects else {}
+    )

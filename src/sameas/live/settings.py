@@ -1,0 +1,167 @@
+"""Settings: the file of sensors, with the wire of each, and a table ``[watch]`` for the picture as a whole.
+
+    [watch]
+    every_s = 1
+    own_ship = { lat_deg = 50.55, lon_deg = -0.95 }       # or { mmsi = "235000001" }, or { source = "bridge" }
+
+    [sources.coast]
+    kind = "ais"
+    input = "udp://239.192.0.4:60004"
+
+    [sources.quay]
+    kind = "air radar"
+    input = { url = "udp://239.1.1.1:8600", sensor = "048 25/201" }
+
+Sources of one wire share it. Where a wire has several sensors, ``sensor`` says which is meant: the end of its name in a
+file (``ais``, ``arpa``, ``048 SAC/SIC``); without it AIS goes to the source of that kind, targets to the radar.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from sameas.errors import InputError
+from sameas.io.sensors.format import ReadOptions
+from sameas.io.sensors.sources import KIND_OF_FORMAT
+from sameas.io.sensors.stream import STREAM_FORMATS
+from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.reports import Reports
+from sameas.tracks.source import Description, source_tables
+
+
+@dataclass(frozen=True)
+class OwnShip:
+    """Who own ship is: a fixed place, the object with an MMSI, or what a source's wire says of itself."""
+
+    lat_deg: float | None = None
+    lon_deg: float | None = None
+    mmsi: str | None = None
+    source: str | None = None
+
+
+@dataclass(frozen=True)
+class WatchSettings:
+    """The table ``[watch]``.
+
+    every_s : between two instants. lag_s : reports may be late by this. behind_s : the picture is of so long ago.
+    register_every_s : between two estimates of the sources' biases; 0: never.
+    plane : origin of the plane; without it, it is about the first site or position.
+    own_ship : for CPA and TCPA. cpa_m, tcpa_s : an object that will pass nearer, and so soon, is an alarm.
+    silent_s : a source that has said nothing for so long is an alarm. clock_s : so is one whose stamps differ from the
+        times of receipt by more.
+    archive_every_s : an instant so often goes into the archive; 0: none. history_s : the page looks back so far.
+    save_every_s : between two savings of the state.
+    outputs : ``udp://HOST:PORT`` with a format: ``{ url = …, format = "nmea" }``.
+    chart : GeoJSON of the user, drawn under the objects.
+    """
+
+    every_s: float = 1.0
+    lag_s: float = 10.0
+    behind_s: float = 0.0
+    register_every_s: float = 60.0
+    plane: Mapping[str, float] | None = None
+    own_ship: OwnShip | None = None
+    cpa_m: float = 926.0
+    tcpa_s: float = 1200.0
+    silent_s: float = 60.0
+    clock_s: float = 30.0
+    archive_every_s: float = 10.0
+    history_s: float = 1800.0
+    save_every_s: float = 5.0
+    outputs: tuple[Mapping[str, str], ...] = ()
+    chart: str | None = None
+
+    @property
+    def origin(self) -> LocalPlane | None:
+        """The plane that is given."""
+        return None if self.plane is None else LocalPlane(self.plane["lat_deg"], self.plane["lon_deg"])
+
+
+@dataclass(frozen=True)
+class LiveSource:
+    """One source: its description, its wire (None: it is replayed), its format, and its name on a wire of several."""
+
+    description: Description
+    url: str | None = None
+    format: str | None = None
+    sensor: str | None = None
+    options: ReadOptions = field(default_factory=ReadOptions)
+
+    def takes(self, reports: Reports) -> bool:
+        """Whether reports of its wire are its own."""
+        if self.sensor is not None:
+            return reports.source.endswith(f":{self.sensor}") or reports.source == self.sensor
+        kind = KIND_OF_FORMAT.get(reports.kind)
+        return kind is None or kind == self.description.kind or self.description.kind in ("tracks", "other", "mlat")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """All sources by name, and the watch."""
+
+    sources: Mapping[str, LiveSource]
+    watch: WatchSettings = field(default_factory=WatchSettings)
+
+
+def read_settings(path: str | Path) -> Settings:
+    """The settings of a TOML file.
+
+    Raises
+    ------
+    InputError : not TOML, no sources, a name that is not known, a value that is none.
+    """
+    tables = source_tables(path)
+    content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    sources = {name: _source(name, table, f"{path}: sources.{name}") for name, table in tables.items()}
+    return Settings(sources, _watch(content.get("watch", {}), f"{path}: watch"))
+
+
+def _source(name: str, table: Mapping[str, Any], where: str) -> LiveSource:
+    described = {key: value for key, value in table.items() if key not in ("input", "file")}
+    given = table.get("input")
+    given = {"url": given} if isinstance(given, str) else {} if given is None else given
+    if not isinstance(given, Mapping):
+        raise InputError(f'{where}.input is {given!r}; give "udp://HOST:PORT", or {{ url = "…", format = "…" }}')
+    known = ("url", "format", "sensor", "columns", "units")
+    for key in given:
+        if key not in known:
+            raise InputError(f"{where}.input: {key!r} is not known; give {', '.join(known)}")
+    if given.get("format") not in (None, *STREAM_FORMATS):
+        raise InputError(f"{where}.input: format is {given['format']!r}; give one of {', '.join(STREAM_FORMATS)}")
+    options = ReadOptions(name, columns=given.get("columns"), units=given.get("units"))
+    description = Description.from_mapping(name, described)
+    return LiveSource(description, given.get("url"), given.get("format"), given.get("sensor"), options)
+
+
+def _watch(table: Any, where: str) -> WatchSettings:
+    if not isinstance(table, Mapping):
+        raise InputError(f"{where} is no table; give [watch]")
+    known = {f.name for f in fields(WatchSettings)}
+    values: dict[str, Any] = {}
+    for key, value in table.items():
+        if key not in known:
+            raise InputError(f"{where}: {key!r} is not known; give {', '.join(sorted(known))}")
+        if key == "own_ship":
+            try:
+                values[key] = OwnShip(**value)
+            except TypeError as error:
+                raise InputError(f"{where}.own_ship is {value!r}; give lat_deg and lon_deg, mmsi, or source") from error
+        elif key == "plane":
+            if not isinstance(value, Mapping) or set(value) != {"lat_deg", "lon_deg"}:
+                raise InputError(f"{where}.plane is {value!r}; give {{ lat_deg = …, lon_deg = … }}")
+            values[key] = value
+        elif key == "outputs":
+            values[key] = tuple(value)
+        elif key == "chart":
+            values[key] = str(Path(where.split(": ")[0]).parent / str(value))
+        elif isinstance(value, bool) or not isinstance(value, (int, float)) or value < 0:
+            raise InputError(f"{where}.{key} is {value!r}; give a number, 0 or more")
+        else:
+            values[key] = float(value)
+    if values.get("every_s", 1.0) <= 0.0:
+        raise InputError(f"{where}.every_s is 0; give seconds above 0")
+    return WatchSettings(**values)

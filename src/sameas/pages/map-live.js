@@ -1,0 +1,231 @@
+// ---- a page that goes on: deltas from the server, joined to the tables that the page has ----
+// A frame is an instant: its rows by number of the object, or by source and row of the record. The newest is the
+// present; every ten seconds one stays behind, for the slider and the trails. All tables are made anew of the frames,
+// at most MOST_ROWS of them, as the file's page has them: objects together, in the order of time.
+const MOST_ROWS = 60000;
+const O = Object.fromEntries(data.live.object.map((name, k) => [name, k])),
+  R = Object.fromEntries(data.live.record.map((name, k) => [name, k]));
+const OBJECT_TEXTS = ["label", "mmsi", "icao", "callsign", "name", "mode_a", "type"];
+const sourceNumber = new Map(data.sensors.map((s, k) => [s.name, k]));
+let frames = [],
+  present = { t: NaN, objects: new Map(), records: new Map(), own: null, cpa: {} },
+  tick = 0,
+  watching = true,
+  heardAt = performance.now();
+const interned = new Map();
+function numberOfText(key, words) {
+  if (!interned.has(key)) {
+    interned.set(key, new Map());
+    data.strings[key] = [];
+  }
+  const known = interned.get(key);
+  if (!known.has(words)) {
+    known.set(words, data.strings[key].length);
+    data.strings[key].push(words);
+  }
+  return known.get(words);
+}
+
+const orNaN = v => (v === null || v === undefined ? NaN : v);
+function assemble() {
+  const all = [...frames, present];
+  let count = 0;
+  const rowsOfNumber = new Map();
+  all.forEach((frame, k) => {
+    for (const [n, row] of frame.objects) {
+      if (!rowsOfNumber.has(n)) rowsOfNumber.set(n, []);
+      rowsOfNumber.get(n).push([k, row]);
+      count++;
+    }
+  });
+  const table = { t: new Float64Array(count), rivals: new Float64Array(count + 1), rivalRows: new Float64Array(0) };
+  for (const name of Object.keys(O)) table[name] = new Float64Array(count);
+  let at = 0;
+  for (const rows of rowsOfNumber.values())
+    for (const [k, row] of rows) {
+      table.t[at] = k;
+      for (const name in O)
+        table[name][at] = OBJECT_TEXTS.includes(name) ? numberOfText(`o.${name}`, row[O[name]] || "") : orNaN(row[O[name]]);
+      at++;
+    }
+  // Records of the present, and of the frames that stay behind none: the slider shows objects.
+  const marks = [...present.records.values()],
+    r = { t: new Float64Array(marks.length).fill(all.length - 1), line: new Float64Array(marks.length).fill(-1) };
+  for (const name in R)
+    r[name] = Float64Array.from(marks, row =>
+      name === "source"
+        ? sourceNumber.get(row[R.source])
+        : name === "track_id"
+          ? numberOfText("r.track_id", row[R.track_id] || "")
+          : orNaN(row[R[name]]),
+    );
+  data.instants.splice(0, Infinity, ...all.map(frame => frame.t));
+  tables.o = objects = table;
+  tables.r = records = r;
+  objectsAt = byInstant(objects.t);
+  recordsAt = byInstant(records.t);
+  findRows();
+  last = all.length - 1;
+  slider.max = last;
+  counts = data.instants.map((_, k) => counted(k));
+}
+function thin() {
+  let rows = 0;
+  for (const frame of frames) rows += frame.objects.size;
+  while (frames.length && (rows > MOST_ROWS || present.t - frames[0].t > data.live.history)) {
+    rows -= frames[0].objects.size;
+    frames.shift();
+  }
+}
+function take(delta) {
+  if (Number.isFinite(present.t) && (!frames.length || present.t - frames[frames.length - 1].t >= data.live.every))
+    frames.push({ t: present.t, objects: new Map(present.objects) });
+  if (delta.whole) {
+    present.objects.clear();
+    present.records.clear();
+  }
+  for (const row of delta.objects) present.objects.set(row[O.n], row);
+  for (const n of delta.gone) present.objects.delete(n);
+  for (const row of delta.records) present.records.set(`${row[R.source]}:${row[R.row]}`, row);
+  for (const key of delta.lost) present.records.delete(key);
+  // What is said once, by an object that has ended, is not said again.
+  present.t = delta.t;
+  present.own = delta.own;
+  present.cpa = delta.cpa || {};
+  takeAlarms(delta.alarms || []);
+  thin();
+}
+function renew() {
+  const shownTime = now && !watching ? now.time : null;
+  assemble();
+  for (const a of data.alarms) a.instant = a.active ? null : nearestInstant(a.time);
+  const k = shownTime === null ? last : nearestInstant(shownTime);
+  show(k);
+}
+
+// ---- alarms, acknowledged by those who may ----
+let alarmWords = "";
+function takeAlarms(alarms) {
+  const words = JSON.stringify(alarms);
+  if (words === alarmWords) return;
+  alarmWords = words;
+  data.alarms.splice(
+    0,
+    Infinity,
+    ...alarms.map(a => ({
+      text: a.text,
+      time: a.first_s,
+      objects: a.objects,
+      active: !!a.active,
+      instant: null,
+      beside: () => {
+        if (a.acknowledged_s !== null)
+          return [text("span", ` acknowledged ${clock(a.acknowledged_s)[0]} by ${a.acknowledged_by}`, "hint")];
+        if (!data.live.operator) return [];
+        const button = text("button", "acknowledge", "acknowledge");
+        button.addEventListener("click", () => acknowledge(a.id));
+        return [button];
+      },
+    })),
+  );
+  for (const a of data.alarms) a.instant = a.active ? null : nearestInstant(a.time);
+  listAlarms();
+}
+const acknowledge = id =>
+  fetch(`alarms/${id}/acknowledge`, { method: "POST", headers: { "X-Sameas": "1" } }).catch(() => {});
+
+// ---- own ship ----
+overlays.push(c => {
+  const own = present.own;
+  if (!own || !watching) return;
+  const [u, v] = toScreen(own.x, own.y),
+    far = +el("vector").value * view.scale;
+  c.setLineDash([]);
+  strokeOnHalo(c, outlineAt("circle", u, v, 9), colour.accent, 2);
+  strokeOnHalo(c, outlineAt("circle", u, v, 4), colour.accent, 2);
+  const path = new Path2D();
+  path.moveTo(u, v);
+  path.lineTo(u + own.vx * far, v - own.vy * far);
+  strokeOnHalo(c, path, colour.accent, 2);
+});
+furtherFacts.push(r => {
+  const near = watching ? present.cpa[numberOf(r)] : null;
+  return near
+    ? [
+        ["CPA", distance(near[0])],
+        ["TCPA", duration(Math.round(near[1]))],
+      ]
+    : [];
+});
+
+// ---- time: the present until someone goes back ----
+slider.addEventListener("input", () => {
+  watching = +slider.value >= last;
+  mark();
+});
+el("player").title = "▶ returns to the present";
+for (const id of ["back", "on", "play"]) {
+  const button = el(id),
+    fresh = button.cloneNode(true);
+  button.replaceWith(fresh);
+  fresh.addEventListener("click", () => {
+    if (id === "play") watching = true;
+    else show(now.k + (id === "on" ? 1 : -1));
+    if (id !== "play") watching = now.k >= last;
+    mark();
+    if (watching) renew();
+  });
+}
+el("pace-label").hidden = true;
+const liveMark = document.createElement("span");
+liveMark.id = "live-state";
+el("clock").append(" ", liveMark);
+function mark() {
+  const silent = (performance.now() - heardAt) / 1000,
+    broken = silent > Math.max(5, 5 * data.live.tick);
+  liveMark.textContent = broken ? `no news for ${Math.round(silent)} s` : watching ? "live" : "looking back";
+  liveMark.className = broken ? "broken-live" : watching ? "on-live" : "";
+  document.body.dataset.live = broken ? "broken" : watching ? "yes" : "back";
+}
+setInterval(mark, 1000);
+
+// ---- the server ----
+let queued = false;
+function heard(event) {
+  const delta = JSON.parse(event.data);
+  heardAt = performance.now();
+  tick = delta.tick;
+  take(delta);
+  mark();
+  if (queued) return;
+  queued = true;
+  requestAnimationFrame(() => {
+    queued = false;
+    if (!watching && now) {
+      // Whoever looks back keeps his instant; the tables wait.
+      if (now.k < last) return;
+    }
+    renew();
+    document.body.dataset.tick = String(tick);
+  });
+}
+try {
+  const told = await (await fetch("history")).json();
+  for (const frame of told.frames)
+    frames.push({ t: frame.t, objects: new Map(frame.objects.map(row => [row[O.n], row])) });
+} catch {
+  /* without a past the page begins with the present */
+}
+const events = new EventSource("events");
+events.addEventListener("whole", heard);
+events.addEventListener("delta", heard);
+window.mapPage.live = {
+  get tick() {
+    return tick;
+  },
+  get present() {
+    return present;
+  },
+  renew,
+};
+mark();
