@@ -1,0 +1,189 @@
+"""The keeper: its journal and state survive a kill, its alarms begin and end, bad input ends nothing."""
+
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.live.conftest import START_S, harbour, replay, settings
+
+from sameas.errors import InputError
+from sameas.io import read_table
+from sameas.live.journal import load_state
+from sameas.live.keeper import Delta, Keeper
+from sameas.live.settings import LiveSource, OwnShip, Settings, WatchSettings, read_settings
+from sameas.tracks import Description
+from sameas.tracks.reports import Reports
+
+
+def numbers(frame):
+    """MMSI to the number of the object."""
+    return {m: n for m, n in zip(frame.objects["mmsi"].tolist(), frame.objects["object"].tolist(), strict=True) if m}
+
+
+def ticked(keeper, until_s, since_s=0.0, every_s=2.0):
+    for t in np.arange(since_s + every_s, until_s + 1e-9, every_s):
+        frame = keeper.tick(START_S + t)
+    return frame
+
+
+def test_ships_and_their_targets_are_one_and_the_journal_says_so(keeper, tmp_path):
+    frame = ticked(keeper, 60.0)
+    assert len(numbers(frame)) == 5
+    assert all(len(its) == 2 for its in frame.members.values())
+    keeper.close()
+    base = sqlite3.connect(tmp_path / "state" / "journal.sqlite")
+    rows = base.execute("SELECT object, source, track FROM identities WHERE event = 'joined'").fetchall()
+    assert base.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+    base.close()
+    told = {(source, track): number for number, source, track in rows}
+    for number, its in frame.members.items():
+        assert all(told[member] == number for member in its)
+    [path] = (tmp_path / "state" / "archive").iterdir()
+    archive = read_table(path)
+    assert set(archive["object"]) == set(frame.objects["object"].tolist()) and len(set(archive["time_s"])) >= 5
+
+
+def test_a_watch_that_ended_goes_on_with_the_same_numbers(tmp_path):
+    first = Keeper(settings(), tmp_path, replay=replay())
+    before = numbers(ticked(first, 60.0))
+    first.close()
+    again = Keeper(settings(), tmp_path, replay=replay())
+    again.replay.take(START_S + 60.0)
+    after = again.tick(START_S + 62.0)
+    assert again.restored and numbers(after) == before and after.tick == 31
+    again.close()
+
+
+@pytest.mark.slow
+def test_killed_without_warning_it_keeps_who_is_who(tmp_path):
+    program = (
+        "import sys; sys.path.insert(0, '.')\n"
+        "from pathlib import Path\nfrom tests.live.conftest import *\nfrom tests.live.test_keeper import numbers\n"
+        f"keeper = Keeper(settings(save_every_s=0.0), Path({str(tmp_path)!r}), replay=replay())\n"
+        "for k in range(1, 95):\n"
+        "    frame = keeper.tick(START_S + 2.0 * k)\n"
+        "    print(frame.tick, numbers(frame), flush=True)\n"
+    )
+    home = Path(__file__).parents[2]
+    with subprocess.Popen([sys.executable, "-c", program], cwd=home, stdout=subprocess.PIPE, text=True) as run:
+        lines = [run.stdout.readline() for _ in range(30)]
+        os.kill(run.pid, signal.SIGKILL)
+        lines += run.stdout.read().splitlines()
+    told = eval(lines[25].split(" ", 1)[1])
+    again = Keeper(settings(), tmp_path, replay=replay())
+    assert again.restored and again.picture.instant_s >= START_S + 2.0 * 29
+    again.replay.take(again.picture.instant_s)
+    assert numbers(again.tick(again.picture.instant_s + 2.0)) == told
+    base = sqlite3.connect(tmp_path / "journal.sqlite")
+    assert base.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+    base.close()
+    again.close()
+
+
+def test_deltas_joined_are_the_frame(keeper):
+    objects, records = {}, {}
+    for k in range(1, 20):
+        frame = keeper.tick(START_S + 2.0 * k)
+        delta = keeper.deltas[-1]
+        objects = {n: r for n, r in objects.items() if n not in delta.gone} | {row[0]: row for row in delta.objects}
+        records = {n: r for n, r in records.items() if n not in delta.lost}
+        records |= {f"{row[1]}:{row[2]}": row for row in delta.records}
+        assert objects == frame.object_rows and records == frame.record_rows
+    assert Delta.between(frame, frame).objects == [] and Delta.between(None, frame).objects
+    keeper.close()
+
+
+def test_who_will_pass_near_is_an_alarm_until_he_has(tmp_path):
+    t = np.arange(0.0, 400.0, 2.0)
+    ship = {"time_s": START_S + t, "x_m": 100.0 + 0.0 * t, "y_m": 2000.0 - 10.0 * t, "mmsi": ["235000001"] * len(t),
+            "vx_m_per_s": 0.0 * t, "vy_m_per_s": -10.0 + 0.0 * t}  # fmt: skip
+    own = {"time_s": START_S + t, "x_m": 0.0 * t, "y_m": 0.0 * t, "mmsi": ["235000002"] * len(t),
+           "vx_m_per_s": 0.0 * t, "vy_m_per_s": 0.0 * t}  # fmt: skip
+    watch = WatchSettings(own_ship=OwnShip(mmsi="235000002"), register_every_s=0.0)
+    keeper = Keeper(Settings({"ais": LiveSource(Description("ais", "ais"))}, watch), tmp_path, replay=replay())
+    keeper.replay.sources, keeper.replay._next = [], []
+    said = []
+    for k, time_s in enumerate(t):
+        for one in (ship, own):
+            row = {name: column[k : k + 1] for name, column in one.items()}
+            keeper.picture.add("ais", Reports.of("ais", "ais", row))
+        frame = keeper.tick(START_S + time_s)
+        said.append([alarm.kind for alarm in frame.alarms])
+    assert said[20] == ["cpa"] and frame.alarms == ()
+    [one] = keeper.alarm_list()
+    assert (
+        "will pass at 100 m" in one["text"]
+        and not one["active"]
+        and one["last_s"] == pytest.approx(START_S + 198, abs=4)
+    )
+    assert keeper.acknowledge(one["id"], "mate") and not keeper.acknowledge(one["id"], "mate")
+    assert keeper.alarm_list()[0]["acknowledged_by"] == "mate"
+    keeper.close()
+
+
+def test_reports_that_cannot_be_used_end_nothing(keeper):
+    ticked(keeper, 20.0)
+    keeper._add("radar", Reports.of("radar", "table", {"time_s": [START_S], "x_m": [0.0], "y_m": [0.0]}), 0.0)
+    assert keeper.health()["sources"]["radar"]["refused"] == 0 or keeper.health()["sources"]["radar"]["error"]
+    keeper.picture.advance = lambda instant_s: 1 / 0
+    assert keeper.tick(START_S + 22.0) is None and keeper.counters["faults"] == 1
+    del keeper.picture.advance
+    assert keeper.tick(START_S + 24.0) is not None
+    keeper.close()
+
+
+def test_a_damaged_state_is_refused_and_another_version_begins_anew(tmp_path):
+    (tmp_path / "state.pickle").write_bytes(b"\x80\x05nonsense")
+    with pytest.raises(InputError, match="is damaged"):
+        load_state(tmp_path)
+    (tmp_path / "state.pickle").unlink()
+    assert load_state(tmp_path) is None
+
+
+def test_settings_are_read_and_what_is_unknown_is_refused(tmp_path):
+    path = tmp_path / "sensors.toml"
+    path.write_text(
+        "[watch]\nevery_s = 2\nown_ship = { lat_deg = 50.0, lon_deg = -1.0 }\nplane = { lat_deg = 50, lon_deg = -1 }\n"
+        'outputs = [{ url = "udp://127.0.0.1:10110", format = "nmea" }]\n'
+        '[sources.coast]\nkind = "ais"\ninput = "udp://239.192.0.4:60004"\n'
+        '[sources.quay]\nkind = "air radar"\ninput = { url = "udp://239.1.1.1:8600", sensor = "048 25/201" }\n'
+    )
+    found = read_settings(path)
+    assert found.watch.every_s == 2.0 and found.watch.own_ship == OwnShip(50.0, -1.0)
+    assert found.sources["quay"].sensor == "048 25/201" and found.sources["coast"].url == "udp://239.192.0.4:60004"
+    ais = Reports.of("lan:ais", "ais", {"time_s": [0.0], "x_m": [0.0], "y_m": [0.0]})
+    assert found.sources["coast"].takes(ais) and not found.sources["quay"].takes(ais)
+    for text, words in (
+        ("[watch]\nevery = 1\n", "'every' is not known"), ("[watch]\nlag_s = -1\n", "give a number, 0 or more"),
+        ("[watch]\nown_ship = { name = 1 }\n", "give lat_deg and lon_deg"),
+    ):  # fmt: skip
+        path.write_text(text + '[sources.coast]\nkind = "ais"\n')
+        with pytest.raises(InputError, match=words):
+            read_settings(path)
+    path.write_text('[sources.coast]\nkind = "ais"\n')
+    with pytest.raises(InputError, match="has no input"):
+        Keeper(read_settings(path))
+
+
+@pytest.mark.slow
+def test_an_hour_at_a_hundred_times_its_pace_leaves_memory_flat(tmp_path):
+    import psutil
+
+    made = harbour(until_s=3600.0)
+    keeper = Keeper(settings(), tmp_path, replay=replay(until_s=3600.0))
+    process, sizes = psutil.Process(), []
+    for k in range(1, 720):
+        keeper.tick(START_S + 5.0 * k)
+        if k == 300:  # a source dies, and comes back as a flood
+            flood = made["radar"].where(np.flatnonzero(made["radar"].time_s > START_S + 1400.0)[:5000])
+            keeper._add("radar", flood, time.time())
+        sizes.append(process.memory_info().rss / 1e6)
+    assert sizes[-1] - sizes[360] < 30.0
+    assert len(numbers(keeper.frame)) == 5 and keeper.counters["faults"] == 0
+    keeper.close()

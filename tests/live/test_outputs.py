@@ -1,0 +1,92 @@
+"""Outputs are read back by our own readers, and by parsers that are not ours."""
+
+import json
+import socket
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+from tests.live.conftest import EVIL, SITE, START_S
+
+from sameas.errors import InputError
+from sameas.io.sensors.stream import ReportStream
+from sameas.live.outputs import FORMATS, Sink, geojson, sinks_of
+
+
+@pytest.fixture
+def frame(keeper):
+    for k in range(1, 30):
+        made = keeper.tick(START_S + 2.0 * k)
+    keeper.close()
+    return made
+
+
+def read_back(frame, format, stream_format):
+    stream = ReportStream("out", stream_format)
+    for part in FORMATS[format](frame):
+        stream.feed(part, frame.time_s, whole=True)
+    return stream.reports()
+
+
+def placed(frame):
+    return {one["object"]: one for one in frame.listed()}
+
+
+def test_asterix_062_is_what_the_reader_reads(frame):
+    [reports] = read_back(frame, "asterix", "asterix")
+    truth = placed(frame)
+    assert reports.kind == "asterix 062" and len(reports) == 5
+    for k, number in enumerate(reports.track_id.tolist()):
+        one = truth[int(number)]
+        assert reports.lat_deg[k] == pytest.approx(one["lat_deg"], abs=1e-5)
+        assert reports.lon_deg[k] == pytest.approx(one["lon_deg"], abs=1e-5)
+        assert np.hypot(reports.vx_m_per_s[k], reports.vy_m_per_s[k]) == pytest.approx(one["speed_m_per_s"], abs=0.4)
+        assert reports.time_s[k] == pytest.approx(frame.time_s, abs=0.01)
+        assert np.sqrt(reports.covariance_m2[k, 0]) == pytest.approx(np.sqrt(one["var_x_m2"]), abs=0.5)
+
+
+def test_ttm_and_tll_are_what_the_reader_reads(frame):
+    lines = b"".join(FORMATS["nmea"](frame)).decode()
+    assert lines.count("$RATTM") == 5 == lines.count("$RATLL")
+    [reports] = read_back(frame, "nmea", "nmea")
+    truth = placed(frame)
+    for k, number in enumerate(reports.track_id.tolist()):
+        one = truth[int(number)]
+        assert reports.range_m[k] == pytest.approx(np.hypot(one["x_m"], one["y_m"]), abs=2.0)
+        assert reports.speed_m_per_s[k] == pytest.approx(one["speed_m_per_s"], abs=0.1)
+
+
+def test_signal_k_deltas_are_what_the_reader_reads(frame):
+    [reports] = read_back(frame, "signalk", "signalk")
+    truth = {one["mmsi"]: one for one in frame.listed()}
+    assert set(reports.mmsi) == set(truth)
+    for k, mmsi in enumerate(reports.mmsi):
+        assert reports.lat_deg[k] == pytest.approx(truth[mmsi]["lat_deg"])
+
+
+def test_cursor_on_target_is_xml_whatever_a_ship_is_called(frame):
+    found = [ET.fromstring(part) for part in FORMATS["cot"](frame)]
+    assert len(found) == 5 and EVIL in {one.find("detail/contact").get("callsign") for one in found}
+    assert all(one.get("type") == "a-u-S" and 0.0 < float(one.find("point").get("ce")) < 200.0 for one in found)
+    assert all(abs(float(one.find("point").get("lat")) - SITE[0]) < 0.2 for one in found)
+
+
+def test_lines_and_geojson_hold_every_object(frame):
+    lines = [json.loads(line) for line in b"".join(FORMATS["jsonl"](frame)).splitlines()]
+    assert {one["object"] for one in lines} == set(frame.objects["object"].tolist())
+    assert all(set(one["sources"]) and one["time_s"] == frame.time_s for one in lines)
+    assert len(geojson(frame)["features"]) == 5
+
+
+def test_a_sink_sends_what_fits_in_datagrams(frame):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as made:
+        made.bind(("127.0.0.1", 0))
+        made.settimeout(5.0)
+        sink = Sink(f"udp://127.0.0.1:{made.getsockname()[1]}", "nmea")
+        sink.send(frame)
+        came = made.recv(65536)
+        sink.close()
+    assert came.startswith(b"$RATTM") and len(came) <= 1400 and came.endswith(b"\r\n")
+    for wrong in ({"url": "ftp://x", "format": "nmea"}, {"url": "udp://x:1", "format": "morse"}, {"url": "udp://x:1"}):
+        with pytest.raises(InputError, match="output"):
+            sinks_of([wrong])

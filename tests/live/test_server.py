@@ -1,0 +1,102 @@
+"""The server, served for real: events with ids, tokens, and what other programs ask for."""
+
+import json
+import urllib.error
+import urllib.request
+
+import pytest
+from tests.live.conftest import EVIL, served
+
+from sameas.live.server import Access
+
+
+def ask(url, method="GET", **headers):
+    """Status, headers and body."""
+    request = urllib.request.Request(url, method=method, headers={k.replace("_", "-"): v for k, v in headers.items()})
+    opener = urllib.request.build_opener(NoRedirect)
+    try:
+        with opener.open(request, timeout=10.0) as answer:
+            return answer.status, dict(answer.headers), answer.read().decode()
+    except urllib.error.HTTPError as error:
+        return error.code, dict(error.headers), error.read().decode()
+
+
+class NoRedirect(urllib.request.HTTPRedirectHandler):
+    def redirect_request(self, *anything):
+        return None
+
+
+def events(url, count, **headers):
+    """The first events of a stream: kind, id and content."""
+    request, out = (
+        urllib.request.Request(f"{url}/events", headers={k.replace("_", "-"): v for k, v in headers.items()}),
+        [],
+    )
+    with urllib.request.urlopen(request, timeout=10.0) as stream:
+        block = {}
+        while len(out) < count:
+            line = stream.readline().decode().rstrip("\n")
+            if not line and block.get("data"):
+                out.append((block["event"], int(block["id"]), json.loads(block["data"])))
+                block = {}
+            name, _, value = line.partition(": ")
+            block[name] = value
+    return out
+
+
+def test_events_begin_with_the_whole_and_go_on_from_the_last_id(keeper):
+    with served(keeper) as url:
+        first, second, third = events(url, 3)
+        assert (first[0], second[0]) == ("whole", "delta") and first[1] + 1 == second[1]
+        assert len(first[2]["objects"]) >= 4 and first[2]["own"]["x"] == 0.0 and "cpa" in first[2]
+        [again] = events(url, 1, Last_Event_ID=str(second[1]))
+        assert again[:2] == ("delta", third[1]) and again[2]["objects"] == third[2]["objects"]
+        # Of a time that is forgotten, or another run's, nothing can be continued.
+        assert events(url, 1, Last_Event_ID="123456789")[0][0] == "whole"
+
+
+def test_others_may_ask_for_objects_metrics_and_health(keeper):
+    with served(keeper) as url:
+        events(url, 8)
+        status, headers, body = ask(f"{url}/objects.geojson")
+        collection = json.loads(body)
+        assert status == 200 and headers["content-type"] == "application/geo+json" and len(collection["features"]) == 5
+        lon, lat = collection["features"][0]["geometry"]["coordinates"]
+        assert abs(lon + 0.95) < 0.2 and abs(lat - 50.55) < 0.2
+        assert {one["mmsi"] for one in json.loads(ask(f"{url}/objects")[2])["objects"]} == {
+            f"23500{k}111" for k in range(5)
+        }
+        assert json.loads(ask(f"{url}/health")[2])["ok"] is True
+        words = ask(f"{url}/metrics")[2]
+        assert "sameas_up 1" in words and 'sameas_source_reports_total{source="radar"}' in words
+        assert ask(f"{url}/alarms")[0] == 200 and ask(f"{url}/history")[0] == 200
+        status, headers, body = ask(url)
+        assert status == 200 and "connect-src 'self'" in body and "script-src 'sha256-" in body
+        assert EVIL not in body and headers["x-frame-options"] == "DENY"
+
+
+def test_a_page_of_another_name_cannot_reach_the_loopback(keeper):
+    with served(keeper) as url:
+        assert ask(f"{url}/objects", Host="evil.example:80")[0] == 421
+        assert ask(f"{url}/alarms/1/acknowledge", "POST")[0] == 403
+        assert ask(f"{url}/alarms/999/acknowledge", "POST", X_Sameas="1")[0] == 404
+
+
+def test_beyond_the_loopback_tokens_say_who_may_look_and_who_may_act(keeper):
+    with served(keeper, Access("0.0.0.0", "op-secret", "view-secret")) as url:
+        assert ask(f"{url}/objects")[0] == 401 and ask(f"{url}/objects?token=wrong")[0] == 401
+        assert ask(f"{url}/objects", Authorization="Bearer view-secret")[0] == 200
+        status, headers, _ = ask(f"{url}/?token=view-secret")
+        assert status == 303 and headers["location"] == "/" and "HttpOnly" in headers["set-cookie"]
+        cookie = headers["set-cookie"].partition(";")[0]
+        assert ask(url, Cookie=cookie)[0] == 200 and '"operator":false' in ask(url, Cookie=cookie)[2]
+        assert ask(f"{url}/alarms/1/acknowledge", "POST", X_Sameas="1", Cookie=cookie)[0] == 403
+        operator = {"Authorization": "Bearer op-secret", "X_Sameas": "1"}
+        assert ask(f"{url}/alarms/1/acknowledge", "POST", **operator)[0] == 404
+        assert json.loads(ask(f"{url}/health")[2]) == {"ok": True}
+    assert Access.of("0.0.0.0").operator and Access.of("127.0.0.1").operator is None
+
+
+@pytest.mark.parametrize(("token", "role"), [("a", "operator"), ("b", "viewer"), ("c", None), (None, None)])
+def test_roles(token, role):
+    assert Access("0.0.0.0", "a", "b").role(token) == role
