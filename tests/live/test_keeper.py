@@ -176,7 +176,7 @@ def test_an_hour_at_a_hundred_times_its_pace_leaves_memory_flat(tmp_path):
     import psutil
 
     made = harbour(until_s=3600.0)
-    keeper = Keeper(settings(), tmp_path, replay=replay(until_s=3600.0))
+    keeper = Keeper(settings(save_every_s=60.0), tmp_path, replay=replay(until_s=3600.0))
     process, sizes = psutil.Process(), []
     for k in range(1, 720):
         keeper.tick(START_S + 5.0 * k)

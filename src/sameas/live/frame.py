@@ -118,7 +118,8 @@ class Frame:
             _numbers(o["probability"], 5), o["ambiguous"].astype(int).tolist(), _numbers(o["p_runner_up"], 5),
             *(o[name].tolist() for name in OBJECT[15:]),
         ]  # fmt: skip
-        return {row[0]: row for row in zip(*columns, strict=True)}
+        rows: list[tuple[Any, ...]] = list(zip(*columns, strict=True))
+        return {int(row[0]): row for row in rows}
 
     @cached_property
     def record_rows(self) -> dict[str, tuple[Any, ...]]:
@@ -143,7 +144,11 @@ class Frame:
         columns = {name: _numbers(o[name], digits.get(name, 2)) for name in names}
         out = []
         for k, number in enumerate(o["object"].tolist()):
-            one = {"object": number, "stage": str(o["stage"][k]), **{name: columns[name][k] for name in names}}
+            one: dict[str, Any] = {
+                "object": number,
+                "stage": str(o["stage"][k]),
+                **{name: columns[name][k] for name in names},
+            }
             one |= {
                 name: str(o[name][k]) for name in ("label", "mmsi", "icao", "callsign", "name", "type") if o[name][k]
             }
@@ -175,9 +180,13 @@ def _numbers(column: NDArray[Any], digits: int) -> list[float | None]:
     return [None if value != value else value for value in values.tolist()]
 
 
+def _filled(column: NDArray[Any]) -> FloatArray:
+    return np.asarray(np.ma.filled(np.ma.asarray(column, np.float64), np.nan), np.float64)
+
+
 def _ellipse(columns: Columns) -> tuple[FloatArray, FloatArray, FloatArray]:
     """1σ along and across the longer axis, and the angle of that from east to north; NaN without a position."""
-    a, b, c = (np.ma.filled(np.ma.asarray(columns[n], float), np.nan) for n in ("var_x_m2", "cov_xy_m2", "var_y_m2"))
+    a, b, c = (_filled(columns[name]) for name in ("var_x_m2", "cov_xy_m2", "var_y_m2"))
     half, spread = (a + c) / 2.0, np.hypot((a - c) / 2.0, b)
     with np.errstate(invalid="ignore"):
         major, minor = np.sqrt(half + spread), np.sqrt(np.maximum(half - spread, 0.0))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import ipaddress
+import os
 import socket
 import struct
 import sys
@@ -221,7 +222,7 @@ class Wire:
 
     async def _stdin(self) -> None:
         self._up()
-        while data := await asyncio.to_thread(sys.stdin.buffer.read1, 65536):
+        while data := await asyncio.to_thread(os.read, sys.stdin.fileno(), 65536):
             self._came(data)
 
 

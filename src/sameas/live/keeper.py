@@ -166,8 +166,9 @@ class Keeper:
 
     def _tick_and_send(self) -> None:
         frame = self.tick()
-        for sink in self.sinks if frame is not None else ():
-            sink.send(frame)
+        if frame is not None:
+            for sink in self.sinks:
+                sink.send(frame)
 
     def save(self) -> None:
         """Saves the state."""

@@ -154,7 +154,7 @@ def _record(frame: Frame, one: Mapping[str, Any]) -> bytes:
     moving, named = speed is not None, len(icao) == 6
     # A presence bit for each item in the order of the standard; the lowest bit of an octet says that one follows.
     octets = [0b10011001 | (0b00000010 if moving else 0), 0b00001101 | (0b00010000 if named else 0), 0b1, 0b00000100]
-    out = bytes(octets) + bytes([0, 0])
+    out: bytes = bytes(octets) + bytes([0, 0])
     out += (round(frame.time_s % 86400.0 * 128.0) % (86400 * 128)).to_bytes(3, "big")
     out += lat.to_bytes(4, "big", signed=True) + lon.to_bytes(4, "big", signed=True)
     if moving:
@@ -170,7 +170,7 @@ def _record(frame: Frame, one: Mapping[str, Any]) -> bytes:
     cross = one["cov_xy_m2"] or 0.0
     root = int(np.clip(round(math.copysign(math.sqrt(abs(cross)), cross) / 0.5), -32768, 32767))
     out += bytes([0b11000000]) + sigmas[0].to_bytes(2, "big") + sigmas[1].to_bytes(2, "big")
-    return out + root.to_bytes(2, "big", signed=True)
+    return bytes(out + root.to_bytes(2, "big", signed=True))
 
 
 FORMATS: Mapping[str, Callable[[Frame], Iterator[bytes]]] = {

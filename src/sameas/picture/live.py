@@ -17,6 +17,7 @@ import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -98,6 +99,10 @@ class LivePicture:
         self._biases: dict[str, SourceBiases] = {}
         self._recent: dict[str, deque[Reports]] = {name: deque() for name in names}
         self._last_s = -math.inf
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without the reports of the last minutes: biases that were found stay, others are found by the next ones."""
+        return self.__dict__ | {"_recent": {name: deque() for name in self._recent}}
 
     @property
     def descriptions(self) -> tuple[Description, ...]:

@@ -1,0 +1,86 @@
+"""The live map in a browser that really draws it; every page as long as the whole suite of units, so slow."""
+
+import time
+
+import pytest
+from tests.browser import CHROMIUM, Browser
+from tests.live.conftest import EVIL, served
+
+from sameas.live.server import Access
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")]
+
+
+class Address:
+    """What the browser is given instead of a file."""
+
+    def __init__(self, url):
+        self.url = url
+
+    def resolve(self):
+        return self
+
+    def as_uri(self):
+        return self.url
+
+
+def test_the_map_goes_on_looks_back_and_runs_nothing_that_a_ship_says(keeper, tmp_path):
+    with served(keeper) as url:
+        page = Browser(tmp_path / "profile", Address(url))
+        try:
+            page.until("mapPage.live && mapPage.live.tick > 8 && document.body.dataset.live === 'yes'")
+            first = page.js("mapPage.live.tick")
+            page.until(f"mapPage.live.tick > {first + 4}")
+            assert page.js("mapPage.now.time") == pytest.approx(page.js("mapPage.live.present.t"), abs=21.0)
+            # The name that is markup is a text.
+            page.until(f"[...document.querySelectorAll('#rows .label')].some(e => e.textContent === {EVIL!r})")
+            assert page.js("document.querySelectorAll('img').length") == 0
+            number = next(n for n, row in keeper.frame.object_rows.items() if row[15] == EVIL)
+            page.js(f"mapPage.pick({number})")
+            page.until(f"document.querySelector('#object h2')?.textContent === {EVIL!r}")
+            assert len(page.js("mapPage.now.marks.length && [...mapPage.now.members.values()].map(m => m.length)")) == 5
+            # Going back holds the instant; the present goes on behind it.
+            page.until("document.getElementById('slider').max > 3")
+            page.js("(s => { s.value = 0; s.dispatchEvent(new Event('input')); })(document.getElementById('slider'))")
+            held = page.js("mapPage.now.time")
+            tick = page.js("mapPage.live.tick")
+            page.until(f"mapPage.live.tick > {tick + 3}")
+            assert page.js("mapPage.now.time") == held and page.js("document.body.dataset.live") == "back"
+            page.js("document.getElementById('play').click()")
+            page.until("document.body.dataset.live === 'yes' && mapPage.now.time > " + str(held))
+            assert page.errors == [] and all(one.startswith(url) for one in page.requests if "about:" not in one)
+            page.picture(tmp_path / "live.png")
+            assert (tmp_path / "live.png").stat().st_size > 20_000
+        finally:
+            page.close()
+
+
+def test_a_viewer_sees_alarms_and_an_operator_acknowledges_them(keeper, tmp_path):
+    keeper.settings.watch.__dict__.update(cpa_m=1e5, tcpa_s=1e5)
+    with served(keeper, Access("0.0.0.0", "op", "view")) as url:
+        for token, buttons in (("view", False), ("op", True)):
+            page = Browser(tmp_path / token, Address(f"{url}/?token={token}"))
+            try:
+                page.until("mapPage.live && document.querySelectorAll('#alarms li').length > 0")
+                assert bool(page.js("document.querySelectorAll('#alarms .acknowledge').length")) == buttons
+                assert page.js("location.search") == "" and page.js("document.cookie") == ""
+                if buttons:
+                    page.js("document.querySelector('#alarms .acknowledge').click()")
+                    page.until("document.querySelector('#alarms').textContent.includes('acknowledged')")
+            finally:
+                page.close()
+        assert any(one["acknowledged_by"] for one in keeper.alarm_list())
+
+
+def test_the_page_says_when_no_news_come(keeper, tmp_path):
+    with served(keeper) as url:
+        page = Browser(tmp_path / "profile", Address(url))
+        try:
+            page.until("mapPage.live && document.body.dataset.live === 'yes'")
+            keeper.tick = lambda now_s=None: None
+            keeper.deltas.clear()
+            time.sleep(1.0)
+            page.until("document.body.dataset.live === 'broken'", patience_s=20.0)
+            assert "no news" in page.js("document.getElementById('live-state').textContent")
+        finally:
+            page.close()
