@@ -88,6 +88,26 @@ def test_the_difference_of_the_kinds_is_a_line_that_reports_with_both_show() -> 
     assert np.all(heights[1].sigma_m < 30.0) and "by 392 reports with both" in heights[1].notes[0]
 
 
+def test_the_line_between_two_sources_is_found_from_the_aircraft_that_both_show() -> None:
+    rng = np.random.default_rng(8)
+    times = np.arange(0.0, 100.0, 5.0)
+    place, speed = rng.uniform(-6e4, 6e4, (30, 2)), rng.normal(0.0, 150.0, (30, 2))
+    level = rng.uniform(1e3, 12e3, 30)
+
+    def seen(name: str, column: str, heights: np.ndarray):
+        where = place[:, None] + speed[:, None] * times[:, None] + rng.normal(0.0, 30.0, (30, len(times), 2))
+        return source(name, {
+            "time_s": np.tile(times, 30), "x_m": where[..., 0].ravel(), "y_m": where[..., 1].ravel(),
+            "track_id": np.repeat([f"{name}{k}" for k in range(30)], len(times)),
+            column: np.repeat(heights, len(times)) + rng.normal(0.0, 10.0, 30 * len(times)),
+        }, sigma=30.0)  # fmt: skip
+
+    scene = Scene.of([seen("a", "pressure_alt_m", level), seen("b", "alt_m", 120.0 + 1.03 * level)])
+    heights = scene.heights[1]
+    assert np.median(np.abs(heights.height_m - np.repeat(level, len(times)))) < 12.0
+    assert np.median(heights.sigma_m) < 40.0 and "+3.0 % against a" in heights.notes[0]
+
+
 def test_kinds_that_nothing_compares_are_not_believed_to_agree() -> None:
     """Pressure heights alone against heights above the ellipsoid alone, far from each other: no line, wide errors."""
     here = {"time_s": [0.0], "x_m": [0.0], "y_m": [0.0], "track_id": ["1"], "pressure_alt_m": [10e3]}

@@ -30,7 +30,8 @@ class HeightTuning:
     sigma_m : 1σ of a height whose error nobody says. climb_m_per_s : 1σ of an unknown vertical speed;
     reported_climb_m_per_s : of a reported one. pressure_m, pressure_share : 1σ by which pressure height and height
     above the ellipsoid differ, at the ground and as a share of the height, where nothing shows it. offset_m : 1σ of the
-    offset between two sources of one kind. both_fewest : reports with both kinds that establish their line.
+    offset between two sources of one kind. both_fewest, span_m : reports, and the span of their heights, that establish
+    a line.
     instants : at which sources are compared, by so many pairs at most. pairs_fewest : pairs that establish an offset.
     share : the least share of the records that agree with it. near : the gate of positions. least_m : an established
     error is at least this.
@@ -43,6 +44,7 @@ class HeightTuning:
     pressure_share: float = 0.04
     offset_m: float = 300.0
     both_fewest: int = 20
+    span_m: float = 2000.0
     instants: int = 32
     pairs_fewest: int = 5
     share: float = 0.5
@@ -145,18 +147,25 @@ def _line(known: Sequence[_Columns], tuning: HeightTuning) -> _Line | None:
     if both.sum() < tuning.both_fewest:
         return None
     x, y = pressure[both], (geometric - pressure)[both]
+    offset, gain, sigma = _robust_line(x, y, tuning)
+    keep = np.abs(y - offset - gain * x) <= 4.0 * max(sigma, tuning.least_m)
+    return _Line(offset, gain, max(sigma, tuning.least_m), int(keep.sum()))
+
+
+def _robust_line(x: FloatArray, y: FloatArray, tuning: HeightTuning) -> tuple[float, float, float]:
+    """Offset, gain and scatter (1σ) of y over x; the gain is 0 where x hardly varies or the points are few."""
     keep = np.ones(len(x), bool)
     offset = gain = sigma = 0.0
     for _ in range(5):
-        design = np.column_stack([np.ones(keep.sum()), x[keep]])
-        if np.ptp(x[keep]) < 10.0 * tuning.sigma_m:
+        if keep.sum() < tuning.both_fewest or np.ptp(x[keep]) < tuning.span_m:
             offset, gain = float(np.median(y[keep])), 0.0
         else:
+            design = np.column_stack([np.ones(keep.sum()), x[keep]])
             offset, gain = map(float, np.linalg.lstsq(design, y[keep], rcond=None)[0])
         left = np.abs(y - offset - gain * x)
         sigma = 1.4826 * float(np.median(left))
         keep = left <= 4.0 * max(sigma, tuning.least_m)
-    return _Line(offset, gain, max(sigma, tuning.least_m), int(keep.sum()))
+    return offset, gain, sigma
 
 
 def _of_kind(
@@ -187,7 +196,7 @@ def _without_offset(
 ) -> HeightReports | None:
     """The heights without their offset against those of another source, where aircraft that both show establish it."""
     assert heights is not None and against is not None
-    difference, sigma, records = _differences(heights, feed, against, reference, tuning)
+    difference, sigma, height, records = _differences(heights, feed, against, reference, tuning)
     if records < tuning.pairs_fewest:
         return heights
     width = np.hypot(sigma, tuning.least_m)
@@ -197,27 +206,28 @@ def _without_offset(
     near = np.abs(difference - best) < 3.0 * width
     if near.sum() < max(tuning.pairs_fewest, tuning.share * records):
         return heights
-    offset = float(np.median(difference[near]))
-    error = max(1.2533 * float(np.std(difference[near])) / np.sqrt(near.sum()), tuning.least_m)
-    if abs(offset) < 2.0 * error:
+    offset, gain, scatter = _robust_line(height[near], difference[near], tuning)
+    error = max(1.2533 * scatter / np.sqrt(near.sum()), tuning.least_m)
+    if abs(offset) < 2.0 * error and gain == 0.0:
         return heights
     note = (
-        f"{feed.description.name}: heights {offset:+.0f} ± {error:.0f} m against {reference.description.name}, "
-        f"taken away; by {near.sum()} pairs"
+        f"{feed.description.name}: heights {offset:+.0f} ± {error:.0f} m{f' {100.0 * gain:+.1f} %' if gain else ''} "
+        f"against {reference.description.name}, taken away; by {near.sum()} pairs"
     )
     # Errors that were those of an unknown difference of the kinds are the scatter that the pairs show.
-    scatter = 1.4826 * float(np.median(np.abs(difference[near] - offset)))
     found = np.minimum(heights.sigma_m, max(scatter, tuning.least_m) + error)
-    return replace(heights, height_m=heights.height_m - offset, sigma_m=found, notes=(*heights.notes, note))
+    corrected = (heights.height_m - offset) / (1.0 + gain)
+    return replace(heights, height_m=corrected, sigma_m=found, notes=(*heights.notes, note))
 
 
 def _differences(
     heights: HeightReports, feed: Feed, against: HeightReports, reference: Feed, tuning: HeightTuning
-) -> tuple[FloatArray, FloatArray, int]:
-    """(k,) differences of height of records that are near in position, their 1σ, and of how many records they are."""
+) -> tuple[FloatArray, FloatArray, FloatArray, int]:
+    """(k,) differences of height of records that are near in position, their 1σ, the heights that they are less, and
+    of how many records they are."""
     start = max(feed.reports.time_s.min(), reference.reports.time_s.min())
     stop = min(feed.reports.time_s.max(), reference.reports.time_s.max())
-    parts, records = [(np.empty(0), np.empty(0))], 0
+    parts, records = [(np.empty(0),) * 3], 0
     for instant_s in np.linspace(start, stop, tuning.instants) if stop >= start else ():
         one, two = Snapshot.of(feed, float(instant_s)), Snapshot.of(reference, float(instant_s))
         if not (len(one.rows) and len(two.rows)):
@@ -229,10 +239,10 @@ def _differences(
         i, j = _near(one, two, tuning)
         both = np.isfinite(h[i]) & np.isfinite(k[j])
         i, j = i[both], j[both]
-        parts.append((h[i] - k[j], np.hypot(s[i], t[j])))
+        parts.append((h[i] - k[j], np.hypot(s[i], t[j]), k[j]))
         records += min(len(np.unique(i)), len(np.unique(j)))
-    difference, sigma = (np.concatenate(column)[: tuning.most_pairs] for column in zip(*parts, strict=True))
-    return difference, sigma, records if len(difference) < tuning.most_pairs else min(records, tuning.most_pairs)
+    difference, sigma, height = (np.concatenate(column)[: tuning.most_pairs] for column in zip(*parts, strict=True))
+    return difference, sigma, height, min(records, len(difference))
 
 
 def _near(one: Snapshot, two: Snapshot, tuning: HeightTuning) -> tuple[IntArray, IntArray]:
