@@ -223,6 +223,7 @@ def test_refusals_say_what_is_wrong():
     picture = LivePicture([Description("ais", "ais")])
     with pytest.raises(InputError, match="no source 'radar'"):
         picture.add("radar", Reports.of("radar", "table", {"time_s": [0.0], "x_m": [0.0], "y_m": [0.0]}))
+    picture.add("ais", Reports.of("ais", "ais", {"time_s": [], "x_m": [], "y_m": []}))
     picture.advance(5.0)
     with pytest.raises(InputError, match="order of time"):
         picture.advance(4.0)

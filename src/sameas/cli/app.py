@@ -31,7 +31,7 @@ COMMANDS = {
     "movers": "Find what moves: tracklets of detections, how sure each is, and each of its detections.",
     "picture": "One picture from many sensors: which record of each source is which ship or aircraft, "
     "and how sure that is.",
-    "watch": "The picture live: sensors read as they send, a served map, a journal, outputs for other programs.",
+    "watch": "The picture live: which of the sensors' records are the same ship or aircraft, while it happens.",
 }
 
 

@@ -165,7 +165,7 @@ def closest_approach(place: FloatArray, velocity: FloatArray) -> tuple[FloatArra
     NaN where a velocity is unknown or the two part already.
 
     >>> closest_approach(np.array([[0.0, 1000.0], [0.0, 1000.0]]), np.array([[1.0, -10.0], [0.0, 5.0]]))[1].round(1)
-    array([99. ,  nan])
+    array([99., nan])
     """
     speed_sq = (velocity**2).sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -133,8 +133,10 @@ class LivePicture:
         """
         if source not in self._feeds:
             raise InputError(f"live picture: there is no source {source!r}", f"give one of {', '.join(self._feeds)}")
+        if not len(reports):
+            return
         feed = self._feeds[source]
-        if self.plane is None and reports.lat_deg is not None and reports.lon_deg is not None and len(reports):
+        if self.plane is None and reports.lat_deg is not None and reports.lon_deg is not None:
             if any(other.heard for other in self._feeds.values()):
                 raise InputError(
                     f"{source}: gives latitudes and longitudes, others metres of their own", "give the plane"
