@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import json
+import subprocess
 import time
 import zipfile
 from collections import Counter
@@ -14,19 +16,34 @@ from typing import Any
 import numpy as np
 
 from benchmarks.tables import Table, report
-from sameas.sky import Detections, Movers, find_movers, learn_motion
+from sameas.sky import Detections, find_movers, learn_motion
 
 #: Detections without a name are of unknown truth: they take part, their tracklets are counted by themselves.
 NAMELESS = ("null", "None", "nan", "")
 #: Position error of ZTF alerts, arcsec: the scatter about straight motion of its brighter asteroids.
 SIGMA_ARCSEC = 0.15
-COLUMNS = ("night", "detections", "objects", "tracklets", "nameless", "purity", "links right", "whole", "time, s")
+COLUMNS = ("night", "by", "detections", "objects", "tracklets", "nameless", "purity", "links right", "whole", "time, s")
 NOTES = (
     "objects: named ones with two detections or more; nameless: tracklets with a detection without a name, not judged; "
     "purity: tracklets of one object; links right: successive detections of one object; whole: objects of which a "
     "tracklet has all detections and no other",
     "the model is learned on nights of March 2021 without names; the nights judged are of April to June",
 )
+#: What a Python with fink-fat does: the same rows to tracklets, timed after the first one has warmed it up.
+PEER = """
+import io, json, sys, time, warnings
+warnings.simplefilter("ignore")
+import pandas as pd
+from astropy import units as u
+from fink_fat.associations.intra_night_association import intra_night_association, new_trajectory_id_assignation
+rows = pd.read_csv(io.StringIO(sys.stdin.read()))
+for part in (rows[:2000], rows):
+    began = time.perf_counter()
+    left, right = intra_night_association(part.copy(), sep_criterion=145 * u.arcsecond)
+    found = new_trajectory_id_assignation(left, right, 0)
+    seconds = time.perf_counter() - began
+print(json.dumps({"seconds": seconds, "row": found.candid.tolist(), "tracklet": found.trajectory_id.tolist()}))
+"""
 
 
 @dataclass(frozen=True)
@@ -36,6 +53,26 @@ class Night:
     name: str
     detections: Detections
     truth: np.ndarray
+
+
+def by_peer(python: Path, night: Night) -> tuple[np.ndarray, float]:
+    """(k, S) tracklets of fink-fat with its own defaults, −1 behind the last detection, and its time."""
+    seen = night.detections
+    table = {"ra": seen.ra_deg, "dec": seen.dec_deg, "jd": seen.mjd_utc + 2400000.5, "dcmag": seen.magnitude,
+             "fid": np.array(seen.bands).astype(int)[seen.band], "candid": np.arange(len(seen))}  # fmt: skip
+    lines = [
+        ",".join(table),
+        *(",".join(map(repr, row)) for row in zip(*(v.tolist() for v in table.values()), strict=True)),
+    ]
+    done = subprocess.run([str(python), "-c", PEER], input="\n".join(lines), capture_output=True, text=True, check=True)
+    told = json.loads(done.stdout.splitlines()[-1])
+    members: dict[int, set[int]] = {}
+    for row, tracklet in zip(told["row"], told["tracklet"], strict=True):
+        members.setdefault(tracklet, set()).add(row)
+    out = np.full((len(members), max(map(len, members.values()), default=2)), -1)
+    for k, rows in enumerate(members.values()):
+        out[k, : len(rows)] = sorted(rows, key=lambda row: seen.mjd_utc[row])
+    return out, told["seconds"]
 
 
 def month(place: Path, number: str) -> Any:
@@ -68,11 +105,11 @@ def night(rows: Any, name: str) -> Night:
     return Night(name, found, np.where(nameless, -1 - np.arange(len(names)), truth))
 
 
-def judged(night: Night, found: Movers) -> dict[str, float]:
+def judged(night: Night, members: np.ndarray) -> dict[str, float]:
     """Counts of tracklets and objects against the names."""
     size = Counter(night.truth[night.truth >= 0].tolist())
     out = Counter(objects=sum(n > 1 for n in size.values()))
-    for row in found.members:
+    for row in members:
         names = night.truth[row[row >= 0]]
         if (names < 0).any():
             out["nameless"] += 1
@@ -101,6 +138,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="scripts/bench movers", description=__doc__)
     parser.add_argument("--data", type=Path, help="wheel of fink-fat 0.6.3, or a folder that it is unpacked in")
     parser.add_argument("--nights", type=int, default=2, help="the fullest nights of each of the three months")
+    parser.add_argument("--peer", type=Path, help="a Python in which fink-fat 0.6.3 (pandas < 3) runs beside")
     parser.add_argument("--probability", type=float, default=0.5, help="least probability of a tracklet")
     arguments = parser.parse_args()
     place = arguments.data or installed()
@@ -112,24 +150,28 @@ def main() -> None:
         return
     model = learn_motion(*(night.detections for night in nights(month(place, "03"), 2, skip=1)))
     rows = []
-    total: Counter[str] = Counter()
+    totals: dict[str, Counter[str]] = {"sameas": Counter(), **({"fink-fat": Counter()} if arguments.peer else {})}
     for number in ("04", "05", "06"):
         for one in nights(month(place, number), arguments.nights):
             find_movers(one.detections, model=model)  # compiled and cached
             began = time.perf_counter()
             found = find_movers(one.detections, model=model, least_probability=arguments.probability)
             seconds = time.perf_counter() - began
-            counts = judged(one, found)
-            total.update(counts)
-            rows.append(row(f"2021-{number} {one.name}", len(one.detections), counts, seconds))
-    rows.append(row("all", 0, total, 0.0))
+            answers = {"sameas": (found.members, seconds)}
+            if arguments.peer:
+                answers["fink-fat"] = by_peer(arguments.peer, one)
+            for by, (members, took) in answers.items():
+                counts = judged(one, members)
+                totals[by].update(counts)
+                rows.append(row(f"2021-{number} {one.name}", by, len(one.detections), counts, took))
+    rows += [row("all", by, 0, total, 0.0) for by, total in totals.items()]
     report("movers", [Table("Tracklets of two detections and more", COLUMNS, rows, NOTES)])
 
 
-def row(name: str, n: int, counts: Any, seconds: float) -> tuple[Any, ...]:
+def row(name: str, by: str, n: int, counts: Any, seconds: float) -> tuple[Any, ...]:
     """A row of the table."""
     return (
-        name, n or "", counts["objects"], counts["tracklets"], counts.get("nameless", 0),
+        name, by, n or "", counts["objects"], counts["tracklets"], counts.get("nameless", 0),
         f"{counts['pure'] / counts['tracklets']:.4f}", f"{counts['right'] / counts['links']:.4f}",
         f"{counts['whole'] / counts['objects']:.4f}", f"{seconds:.2f}" if n else "",
     )  # fmt: skip

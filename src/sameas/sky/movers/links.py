@@ -59,8 +59,16 @@ class Links:
 def candidate_links(around: Surroundings, model: MotionModel, tuning: Tuning = DEFAULT_TUNING) -> Links:
     """The links that could belong to a mover, by ascending exposure of j."""
     seen, t = around.detections, around.minutes
-    tree = cKDTree(around.axes.unit)
-    pairs = tree.query_pairs(reach_arcsec(around, model, tuning) / 206264.80624709636, output_type="ndarray")
+    reach = reach_arcsec(around, model, tuning) / 206264.80624709636
+    frames = len(seen.frame_names)
+    # Where all exposures show one field, few of them lie between the detections that may be linked.
+    unseen = float(np.percentile(frames - around.seen[:, -1], 95.0))
+    apart = tuning.misses + 3.0 + unseen
+    if apart < 0.5 * frames:
+        tree = cKDTree(np.column_stack([around.axes.unit, seen.frame * (reach / apart)]))
+        pairs = tree.query_pairs(reach, p=np.inf, output_type="ndarray")
+    else:
+        pairs = cKDTree(around.axes.unit).query_pairs(reach, output_type="ndarray")
     i, j = pairs.astype(np.int64).T
     later = seen.frame[i] > seen.frame[j]
     i, j = np.where(later, j, i), np.where(later, i, j)

@@ -28,6 +28,8 @@ from sameas.sky.series.stars import Stars, gather
 if TYPE_CHECKING:
     from astropy.table import Table
 
+#: Sources of a frame that may be near a place within the reach.
+NEIGHBOURS = 3
 #: Measurements whose place is that of no light, or of a part of it: never movers.
 _SPOILT = Flag.HOT | Flag.COSMIC | Flag.POOR | Flag.EDGE
 #: Measurements whose light is not all of it: they say nothing of zero points.
@@ -47,6 +49,7 @@ class SeriesTuning:
     still_px : and over the whole series is so far.
     often : a source seen on this share of the other frames, and drifting less, stands still.
     sure_star : a measurement is a star of the catalogue with at least this probability.
+    compared : frames that each measurement is compared with, evenly over the series.
     overlap : frames show one field when their middles are nearer than this share of their diagonal.
     """
 
@@ -58,6 +61,7 @@ class SeriesTuning:
     still_px: float = 0.6
     often: float = 0.5
     sure_star: float = 0.5
+    compared: int = 24
     overlap: float = 0.7
 
 
@@ -429,38 +433,46 @@ def _still(
     place: FloatArray, frame: IntArray, minutes: FloatArray, sigma: FloatArray, reach: float, far: float, frames: int,
     tuning: SeriesTuning,
 ) -> BoolArray:  # fmt: skip
-    """(n,) whether each measurement is of something that other frames show at the same place, without a drift."""
-    tree = cKDTree(place)
-    i, j = tree.query_pairs(reach + 3.0 * float(np.median(sigma)), output_type="ndarray").T
-    i, j = np.concatenate([i, j]), np.concatenate([j, i])
-    near = np.hypot(*(place[i] - place[j]).T) < np.maximum(reach, 3.0 * np.hypot(sigma[i], sigma[j]))
-    keep = (frame[i] != frame[j]) & near
-    i, j = i[keep], j[keep]
+    """(n,) whether each measurement is of something that other frames show at the same place, without a drift.
+
+    At most ``compared`` frames, evenly over the series, are those others, so that the cost of a frame does not grow.
+    """
     n = len(frame)
+    others = np.unique(np.linspace(0, frames - 1, min(frames, tuning.compared)).astype(np.int64))
     # A straight line through the neighbours, the measurement itself among them.
-    every, other = np.concatenate([i, np.arange(n)]), np.concatenate([j, np.arange(n)])
-    weight = 1.0 / sigma[other] ** 2
-    t = minutes[other] - minutes[every]
-    off = place[other] - place[every]
-    s0, s1, s2 = (np.bincount(every, weight * t**p, n) for p in (0, 1, 2))
+    weight = 1.0 / sigma**2
+    s0, s1, s2, hits = weight.copy(), np.zeros(n), np.zeros(n), np.zeros(n)
+    off0, off1 = np.zeros((n, 2)), np.zeros((n, 2))
+    widest = max(reach, 3.0 * math.sqrt(2.0) * float(np.percentile(sigma, 99.0)))
+    for k in others:
+        there = np.flatnonzero(frame == k)
+        if not len(there):
+            continue
+        distance, at = cKDTree(place[there]).query(place, NEIGHBOURS, distance_upper_bound=widest, workers=-1)
+        found = np.zeros(n, bool)
+        for column in range(NEIGHBOURS):
+            i = np.flatnonzero(np.isfinite(distance[:, column]) & (frame != k))
+            j = there[at[i, column]]
+            near = distance[i, column] < np.maximum(reach, 3.0 * np.hypot(sigma[i], sigma[j]))
+            i, j = i[near], j[near]
+            w, t, off = weight[j], minutes[j] - minutes[i], place[j] - place[i]
+            s0[i] += w
+            s1[i] += w * t
+            s2[i] += w * t**2
+            off0[i] += w[:, None] * off
+            off1[i] += (w * t)[:, None] * off
+            found[i] = True
+        hits += found
     determinant = s0 * s2 - s1**2
-    hits = np.zeros(n)
-    pairs = np.unique(np.column_stack([i, frame[j]]), axis=0)
-    np.add.at(hits, pairs[:, 0], 1.0)
     span = float(np.ptp(minutes))
     with np.errstate(all="ignore"):
-        drift = np.column_stack(
-            [
-                (s0 * np.bincount(every, weight * t * off[:, a], n) - s1 * np.bincount(every, weight * off[:, a], n))
-                / determinant
-                for a in (0, 1)
-            ]
-        )
+        drift = (s0[:, None] * off1 - s1[:, None] * off0) / determinant[:, None]
         error = np.sqrt(s0 / determinant)
         speed = np.hypot(*drift.T)
     drifting = np.nan_to_num(speed, nan=0.0) * span > far
     significant = np.nan_to_num(speed / error, nan=0.0) > tuning.still_sigmas
-    often = hits >= max(2.0, tuning.often * (frames - 1))
+    compared = len(others) - np.isin(frame, others)
+    often = hits >= np.maximum(2.0, tuning.often * compared)
     few = hits >= (2.0 if frames > 3 else 1.0)
     return (often & ~(drifting & significant)) | (few & ~significant)
 
