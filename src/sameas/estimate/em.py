@@ -277,9 +277,19 @@ class Estimates:
         known = known._with_partners(partner, self.setting.counted)
         if common < self.tuning.fewest:
             return known
-        grades = self.grades or (Grades.of(self.setting, self.photometry) if self._asks_errors() else None)
+        grades = self.grades
+        if grades is None and self._asks_errors():
+            # Among records of like magnitude only where magnitudes of a pair go together: else what an error says of the
+            # other record's magnitude would be left out, though its completeness counts.
+            unrelated = self.photometry is None or (self.lessons > 0 and not self.photometry.telling)
+            grades = Grades.of(self.setting, None if unrelated else self.photometry)
         if grades is not None:
-            known = replace(known, grades=grades.learned(pairs, told, partner, known.covered, self._like_partners()))
+            known = replace(
+                known,
+                grades=grades.learned(
+                    pairs, told, partner, known.covered, replace(known, grades=grades)._like_partners()
+                ),
+            )
         if self.learns_errors:
             # A component so wide that chance fills it cannot be told from chance.
             square = self.errors.pairs(pairs).mahalanobis_sq
@@ -294,11 +304,14 @@ class Estimates:
         return known
 
     def _like_partners(self) -> Both | None:
-        """How much likelier partners are than others to have each record's columns; None where nothing is known."""
+        """How much likelier partners are than others to have what else is known of a record; None where nothing is."""
         rule = None if self.columns is None else self.columns.rule()
-        if rule is None or rule.learned is None:
+        known = [] if rule is None or rule.learned is None else [rule.learned]
+        if self.photometry is not None and self.grades is not None and not self.grades.by_magnitude:
+            known.append(self.photometry.logits())
+        if not known:
             return None
-        one, two = (np.exp(log_ratio) for log_ratio in rule.learned)
+        one, two = (np.exp(np.sum(log_ratios, axis=0)) for log_ratios in zip(*known, strict=True))
         return one, two
 
     def _asks_errors(self) -> bool:

@@ -107,13 +107,15 @@ class Grades:
     """The grades of two sources' records, and what has been learned of them. Make it with :meth:`Grades.of`.
 
     scales : of either source. grades : (n₁,), (n₂,) of the records. cells : (n₁,), (n₂,) in which the records lie.
-    rule : None as long as nothing was learned, or where the grades say too little.
+    rule : None as long as nothing was learned, or where the grades say too little. by_magnitude : whether records are
+    graded among those of like magnitude.
     """
 
     scales: tuple[Scale, Scale] = field(repr=False)
     grades: BothGrades = field(repr=False)
     cells: BothGrades = field(repr=False)
     rule: Precision | None = None
+    by_magnitude: bool = False
 
     @classmethod
     def of(cls, setting: Setting, photometry: Photometry | None) -> Grades | None:
@@ -126,12 +128,13 @@ class Grades:
             Scale.of(volume, magnitude, number)
             for volume, magnitude in zip(volumes, _magnitudes(photometry), strict=True)
         )
-        return cls((one, two), *_placed((one, two), volumes, setting, photometry))
+        placed = _placed((one, two), volumes, setting, photometry)
+        return cls((one, two), *placed, by_magnitude=photometry is not None)
 
     def at(self, setting: Setting, photometry: Photometry | None) -> Grades:
         """The same where other records take part, with the magnitudes of these."""
         volumes = [_volume(records) for records in (setting.pairs.first, setting.pairs.second)]
-        grades, cells = _placed(self.scales, volumes, setting, photometry)
+        grades, cells = _placed(self.scales, volumes, setting, photometry if self.by_magnitude else None)
         return replace(
             self, grades=grades, cells=cells, rule=self.rule and replace(self.rule, grades=grades, training=None)
         )
