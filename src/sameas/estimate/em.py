@@ -279,8 +279,8 @@ class Estimates:
             return known
         grades = self.grades
         if grades is None and self._asks_errors():
-            # Among records of like magnitude only where magnitudes of a pair go together: else what an error says of the
-            # other record's magnitude would be left out, though its completeness counts.
+            # Among records of like magnitude only where magnitudes of a pair go together: else what an error says of
+            # the other record's magnitude would be left out, though its completeness counts.
             unrelated = self.photometry is None or (self.lessons > 0 and not self.photometry.telling)
             grades = Grades.of(self.setting, None if unrelated else self.photometry)
         if grades is not None:

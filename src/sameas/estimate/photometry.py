@@ -23,6 +23,7 @@ from sameas.evidence import (
     Comparisons,
     MagnitudeDensity,
     MeasuredMagnitudes,
+    PartnerTilt,
     Pattern,
     Regressors,
     Relation,
@@ -113,9 +114,13 @@ class Photometry:
         there = self.known is not None and self.known[0] is pairs
         sides = self.known[1] if there and self.known else comparisons_of(self.sides, pairs)
         before = self.chains or (None, None)
+        tilts = [
+            PartnerTilt.of(curve, side.measured.values[:, 0], float(p[seen].mean()) if seen.any() else 0.0)
+            for curve, side, p, seen in zip(curves, self.sides, p_partner, covered, strict=True)
+        ]
         forth, back = (
-            _chain(side, these, np.where(telling, p_pair, 0.0), start, last=last)
-            for side, these, start in zip(self.sides, sides, before, strict=True)
+            _chain(side, these.tilted(tilt), np.where(telling, p_pair, 0.0), start, tilt, last=last)
+            for side, these, start, tilt in zip(self.sides, sides, before, tilts, strict=True)
         )
         chains = (forth, back) if any(forth.related) and any(back.related) else None
         return replace(self, chains=chains, curves=curves)
@@ -191,7 +196,13 @@ def _some(telling: IntArray, enough: int) -> IntArray:
 
 
 def _chain(
-    side: SourceMagnitudes, these: Comparisons, weight: FloatArray, before: Chain | None, *, last: bool
+    side: SourceMagnitudes,
+    these: Comparisons,
+    weight: FloatArray,
+    before: Chain | None,
+    tilt: PartnerTilt | None,
+    *,
+    last: bool,
 ) -> Chain:
     """How the bands of one source follow those of the other, in pairs of these weights (m,).
 
@@ -207,7 +218,7 @@ def _chain(
             for x in comparisons
         }
         related.append({pattern: relation for pattern, relation in found.items() if relation is not None})
-    return Chain(tuple(related))
+    return Chain(tuple(related), tilt)
 
 
 def _side(measured: MeasuredMagnitudes) -> SourceMagnitudes:

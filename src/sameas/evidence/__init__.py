@@ -31,6 +31,7 @@ from sameas.evidence.brightness import (
     MagnitudeDensity,
     Magnitudes,
     MeasuredMagnitudes,
+    PartnerTilt,
     Pattern,
     Regressors,
     Relation,
@@ -52,7 +53,7 @@ __all__ = [
     "MODELS", "Alarm", "Association", "Brightness", "Category", "Chain", "CloseObjects", "Code", "CodedColumn",
     "Column", "Columns", "Comparison", "Comparisons", "ConstantCost", "DetectionField", "Displacement", "Errors",
     "Evidence", "Field", "Flat", "GaussianMixture", "Heights", "Identity", "MagnitudeDensity", "Magnitudes",
-    "MeasuredMagnitudes", "Model", "OddsTable", "Pattern", "PoissonField", "Precision", "Regressors", "Related",
-    "Relation", "Rule", "Samples", "Size", "SourceMagnitudes", "Sum", "TrainingPairs", "Universal", "alarms",
+    "MeasuredMagnitudes", "Model", "OddsTable", "PartnerTilt", "Pattern", "PoissonField", "Precision", "Regressors",
+    "Related", "Relation", "Rule", "Samples", "Size", "SourceMagnitudes", "Sum", "TrainingPairs", "Universal", "alarms",
     "comparisons_of", "log_neighbour_density", "log_surface_density",
 ]  # fmt: skip

@@ -14,13 +14,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
+from sameas.evidence.detection import ShareCurve
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
 from sameas.records import Records
@@ -123,6 +124,38 @@ class Relation:
         out = np.empty(len(y))
         log_mixture(y, variance, others, other_variance, self.knots, relation, background, out)
         return out
+
+
+@in_short
+@dataclass(frozen=True)
+class PartnerTilt:
+    """How the magnitudes of records with a partner differ from those of all records of a source.
+
+    ln p(m | partner) − ln p(m) = ln s(m) − ln of the mean of s, with s(m) of ``curve`` about the logit ``middle``.
+    A pair whose magnitudes have nothing to do with each other still has the magnitudes of partners.
+    """
+
+    curve: ShareCurve
+    middle: float
+    log_mean: float
+
+    @classmethod
+    def of(cls, curve: ShareCurve | None, magnitude: FloatArray, share: float) -> PartnerTilt | None:
+        """For a source's magnitudes (n,), NaN where there is none, and its mean share; None without a curve."""
+        known = magnitude[np.isfinite(magnitude)]
+        if curve is None or not len(known) or not 0.0 < share < 1.0:
+            return None
+        middle = math.log(share / (1.0 - share))
+        logs = _log_share(middle + curve.logit(known[:: max(1, len(known) // 10_000)]))
+        return cls(curve, middle, float(np.log(np.exp(logs).mean())))
+
+    def __call__(self, magnitude: FloatArray) -> FloatArray:
+        """(n,) at magnitudes (n,), which are measured."""
+        return _log_share(self.middle + self.curve.logit(magnitude)) - self.log_mean
+
+
+def _log_share(logit: FloatArray) -> FloatArray:
+    return -np.logaddexp(0.0, -logit)
 
 
 #: Which of a magnitude's possible regressors are measured.
@@ -322,6 +355,13 @@ class Comparisons:
     m: int
     bands: tuple[tuple[Comparison, ...], ...]
 
+    def tilted(self, tilt: PartnerTilt | None) -> Comparisons:
+        """The same, where unrelated magnitudes of the first band are those of partners."""
+        if tilt is None or not self.bands:
+            return self
+        first = tuple(replace(one, background=one.background * np.exp(tilt(one.regressors.y))) for one in self.bands[0])
+        return replace(self, bands=(first, *self.bands[1:]))
+
 
 @in_short
 @dataclass(frozen=True)
@@ -329,15 +369,17 @@ class Chain:
     """ln p(m of one source | m of the other) − ln p(m of one source), band after band.
 
     ``related[k]`` holds the density of band k given its source's earlier bands and the other source's, by pattern of
-    what is measured. A pattern without a relation, because hardly any pair has it, adds nothing.
+    what is measured. A pattern without a relation, because hardly any pair has it, adds nothing. tilt : of the
+    magnitudes in the first band of pairs whose magnitudes are unrelated; None where they are as those of all records.
     """
 
     related: tuple[Mapping[Pattern, Relation], ...]
+    tilt: PartnerTilt | None = None
 
     def log_ratio(self, compared: Comparisons) -> FloatArray:
         """(m,) for the magnitudes of both sides of the pairs."""
         total = np.zeros(compared.m)
-        for related, comparisons in zip(self.related, compared.bands, strict=True):
+        for related, comparisons in zip(self.related, compared.tilted(self.tilt).bands, strict=True):
             for comparison in comparisons:
                 these, relation = comparison.regressors, related.get(comparison.regressors.pattern)
                 if relation is not None:
