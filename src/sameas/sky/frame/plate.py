@@ -3,7 +3,8 @@
     (ξ, η) = Σ_{a+b ≤ p} c_ab uᵃ vᵇ,   (u, v) = (x − middle) / half diagonal,
 
 ξ east and η north on the tangent plane, arcsec. Every pair counts with its probability; its error is that of the
-measurement, brought to the plane, and that of the star. The order p is the one of least BIC, or given.
+measurement, brought to the plane, and that of the star. The order p is given, or the one that foretells each star best
+from the others (leave-one-out), no higher than the one of least BIC, and such that its WCS can be inverted.
 :meth:`PlateModel.predict` gives the pixel of a star with its covariance, :meth:`PlateModel.to_sky` the
 reverse, :meth:`PlateModel.to_wcs` gives an astropy WCS (TAN, or TAN-SIP: Shupe et al. 2005, ASP 347, 491).
 """
@@ -43,7 +44,9 @@ class PlateTuning:
     tail_sigmas : the weight of a residual beyond this falls as its inverse square: a wrong pair does not pull.
     quoted_weight : prior weight, in residuals, of a scale of 1 of the quoted errors.
     reverse_px : the reverse of a SIP polynomial is approximated until its largest error over the frame is below this,
-        or by the order ``reverse_order`` at most.
+        or by the order ``reverse_order`` at most. An order whose reverse errs by more than ``most_reverse_px`` there is
+        not taken, unless it was asked for.
+    foretelling : a higher order must better −2 ln L of stars foretold by the others by more than this.
     """
 
     iterations: int = 8
@@ -51,6 +54,8 @@ class PlateTuning:
     quoted_weight: float = 4.0
     reverse_px: float = 0.002
     reverse_order: int = 9
+    most_reverse_px: float = 0.01
+    foretelling: float = 8.0
 
 
 TUNING = PlateTuning()
@@ -150,7 +155,7 @@ def sip(polynomial: Polynomial, centre: FloatArray, shape: tuple[int, int], tuni
     if polynomial.order > 1:
         bent = np.linalg.solve(cd, coefficients)
         forward = [_table(bent[axis], polynomial.order) for axis in range(2)]
-        wcs.sip = Sip(*forward, *_reverse(polynomial, origin, cd, shape, tuning), origin + 1.0)
+        wcs.sip = Sip(*forward, *_reverse(polynomial, origin, cd, shape, tuning)[:2], origin + 1.0)
     wcs.wcs.set()
     wcs.array_shape = shape
     return wcs
@@ -167,8 +172,8 @@ def _table(row: FloatArray, order: int, least: int = 2) -> FloatArray:
 
 def _reverse(
     polynomial: Polynomial, origin: FloatArray, cd: FloatArray, shape: tuple[int, int], tuning: PlateTuning
-) -> tuple[FloatArray, FloatArray]:
-    """The tables AP and BP: from linear pixels back to those of the frame."""
+) -> tuple[FloatArray, FloatArray, float]:
+    """The tables AP and BP, from linear pixels back to those of the frame, and their largest error over it, px."""
     n = 4 * tuning.reverse_order
     x, y = np.meshgrid(np.linspace(-0.5, shape[1] - 0.5, n), np.linspace(-0.5, shape[0] - 0.5, n))
     px = np.column_stack([x.ravel(), y.ravel()])
@@ -179,10 +184,11 @@ def _reverse(
             [(straight[:, 0] / unit) ** a * (straight[:, 1] / unit) ** b for a, b in terms(order)], axis=1
         )
         fit = np.linalg.lstsq(powers, px - origin - straight, rcond=None)[0]
-        if np.abs(powers @ fit - (px - origin - straight)).max() < tuning.reverse_px:
+        worst = float(np.abs(powers @ fit - (px - origin - straight)).max())
+        if worst < tuning.reverse_px:
             break
     fit = fit / unit ** np.array([a + b for a, b in terms(order)])[:, None]
-    return _table(fit[:, 0], order, least=0), _table(fit[:, 1], order, least=0)
+    return _table(fit[:, 0], order, least=0), _table(fit[:, 1], order, least=0), worst
 
 
 @dataclass(frozen=True)
@@ -228,7 +234,8 @@ class PlateModel:
     covariance : (2q, 2q) of the coefficients (those of ξ, then those of η), arcsec², grown by ``error_scale``².
     error_scale : residuals over quoted errors; never below 1.
     shape : (rows, columns) of the frame.
-    effective_pairs : the sum of the probabilities. bic : of every order that was tried.
+    effective_pairs : the sum of the probabilities. bic, left_out : of every order that was tried, the criterion of
+        Bayes, and −2 ln L of the stars, each by a fit to the others.
     residual_arcsec : (n, 2) star minus model. weight : (n,) of each pair in the fit.
     """
 
@@ -239,6 +246,7 @@ class PlateModel:
     shape: tuple[int, int]
     effective_pairs: float
     bic: Mapping[int, float]
+    left_out: Mapping[int, float]
     residual_arcsec: FloatArray = field(repr=False)
     weight: FloatArray = field(repr=False)
 
@@ -355,7 +363,23 @@ def fit_plate(
         raise InputError(f"plate: the star of pair {behind[0]} is 90° or more from the frame; check the pairs")
     fits = {p: _fitted(stars, start, shape, p, tuning) for p in possible}
     bic = {p: model.bic[p] for p, model in fits.items()}
-    return replace(fits[min(bic, key=lambda p: (bic[p], p))], bic=bic)
+    left_out = {p: model.left_out[p] for p, model in fits.items()}
+    best = min(bic, key=lambda p: (bic[p], p))
+    supported = [p for p in possible if p <= best]
+    if order is None:
+        supported = [p for p in supported if p == possible[0] or _invertible(fits[p], tuning)]
+    least = min(left_out[p] for p in supported)
+    best = min(p for p in supported if left_out[p] <= least + tuning.foretelling)
+    return replace(fits[best], bic=bic, left_out=left_out)
+
+
+def _invertible(model: PlateModel, tuning: PlateTuning) -> bool:
+    """Whether the WCS of a model leads from the sky back to the pixels it came from, all over the frame."""
+    if model.order == 1:
+        return True
+    origin = model.polynomial.inverse(np.zeros((1, 2)))[0]
+    cd = model.polynomial.about(origin)[:, 1:3]
+    return _reverse(model.polynomial, origin, cd, model.shape, tuning)[2] < tuning.most_reverse_px
 
 
 def _fitted(
@@ -391,6 +415,7 @@ def _fitted(
         shape=shape,
         effective_pairs=float(stars.p_match.sum()),
         bic={order: _bic(square / scale_sq, scale_sq, down, stars.p_match, 2 * q, tuning)},
+        left_out={order: _left_out(basis, precision, left, stars.p_match, down, tuning)},
         residual_arcsec=left,
         weight=stars.p_match * down,
     )
@@ -413,6 +438,33 @@ def _bic(
     # From the scale with as many degrees of freedom as are left to that of greatest likelihood.
     share = max(n - parameters + prior, 1.0) / (n + prior)
     return n * math.log(scale_sq * share) + float(p_match @ loss) / share + parameters * math.log(n / 2.0)
+
+
+def _left_out(
+    basis: FloatArray,
+    precision: FloatArray,
+    left: FloatArray,
+    p_match: FloatArray,
+    down: FloatArray,
+    tuning: PlateTuning,
+) -> float:
+    """−2 ln L of the residuals ``left`` (n, 2) of every star from a fit to the others, the scale being unknown.
+
+    Of a linear fit these follow without fitting again: (1 − H)⁻¹ of the residual, H = w X (Σ w Xᵀ P X)⁻¹ Xᵀ P.
+    """
+    q, weight = basis.shape[1], p_match * down
+    information = _normal_equations(basis, precision, left, weight)[0]
+    blocks = _solved(information, np.eye(2 * q)).reshape(2, q, 2, q)
+    spread = np.einsum("nq,aqbr,nr->nab", basis, blocks, basis)
+    leverage = weight[:, None, None] * spread @ precision
+    # A star that the model follows wherever it goes is foretold by nothing.
+    foretold = np.linalg.solve(np.eye(2) * (1.0 + 1e-9) - leverage, left[:, :, None])[:, :, 0]
+    square = np.einsum("ni,nij,nj->n", foretold, precision, foretold)
+    scale_sq = max(float(weight @ square), 1e-300) / max(2.0 * float(weight.sum()), 1e-300)
+    far = square / scale_sq > tuning.tail_sigmas**2
+    ratio = np.maximum(square / scale_sq, 1e-300)
+    loss = np.where(far, tuning.tail_sigmas**2 * (1.0 + np.log(ratio / tuning.tail_sigmas**2)), ratio)
+    return float(2.0 * p_match.sum() * math.log(scale_sq) + p_match @ loss)
 
 
 def _normal_equations(
