@@ -210,7 +210,7 @@ def match_frame(
     time : middle of the exposure: a date, a Julian year or an astropy ``Time``.
     dark, flat, bias : paths of calibration frames. mask : of an image, not 0 where not usable. hdu : of the image.
     threshold : faintest detection in σ. gain, read_noise, saturation : in electrons per unit, electrons, units.
-    order : of the plate model, 1 to 5; that of the least BIC if not said. magnitudes : "off" leaves brightness out.
+    order : of the plate model, 1 to 5; what the pairs support if not said. magnitudes : "off" leaves brightness out.
     faintest : use no fainter stars. motion : False leaves the stars at their own epoch.
     progress : called with the name of what is being done.
     columns : what is said of the catalogue's columns, as of :func:`sameas.match`, without numbers: ``sigma=0.1``.
