@@ -30,6 +30,7 @@ from sameas.representation import in_short
 MOST_CODES = 12
 
 
+@in_short
 @dataclass(frozen=True)
 class OddsTable:
     """Odds of having a partner by the value of a column, against those of any record; 1 where no row speaks of it.
@@ -133,6 +134,7 @@ class Column:
         return CodedColumn.of(self.name, values, log_odds)
 
 
+@in_short
 @dataclass(frozen=True)
 class Related:
     """A column of source 1 and one of source 2 that may go together in the records of one object, such as two fluxes.
