@@ -188,3 +188,38 @@ except SystemExit:
 """
     done = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, timeout=60)
     assert done.stdout.splitlines()[-1] == "[]" and "--nway-columns" in done.stdout
+
+
+_BUSY = """
+import sys, time
+import sameas.cli, sameas.cli.outcome as outcome
+from sameas.io.atomic import replacing
+from numba import njit
+
+@njit(nogil=True)
+def long(n):
+    total = 0.0
+    for k in range(n):
+        total += (k % 7) ** 0.5
+    return total
+
+long(10)
+outcome.end_cleanly_when_asked()
+with outcome.answering(False), replacing(sys.argv[1]) as draft:
+    draft.write_text("half")
+    print("begun", flush=True)
+    long(60_000_000_000)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_compiled_loop_does_not_keep_a_process_that_is_to_stop(number, code, tmp_path):
+    process = subprocess.Popen([sys.executable, "-c", _BUSY, str(tmp_path / "out.txt")], stdout=subprocess.PIPE,
+                               stderr=subprocess.PIPE, text=True, preexec_fn=_interruptible)  # fmt: skip
+    assert process.stdout.readline() == "begun\n"
+    time.sleep(0.5)
+    process.send_signal(number)
+    _, said = process.communicate(timeout=20)  # the loop itself takes minutes
+    assert (process.returncode, said) == (code, "sameas: stopped; nothing was written\n")
+    assert not list(tmp_path.iterdir())

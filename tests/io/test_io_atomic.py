@@ -163,3 +163,19 @@ def test_a_pipe_is_written_to():
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
     assert said.stdout == b"x\n1\n2\n"
+
+
+def test_the_draft_of_a_killed_process_goes_with_the_next_output(tmp_path):
+    code = (
+        "import os, sys, signal\nfrom sameas.io.atomic import filling, replacing\n"
+        "with replacing(sys.argv[1]) as draft, filling(sys.argv[2]):\n os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    subprocess.run([sys.executable, "-c", code, tmp_path / "a.txt", tmp_path], check=False)
+    assert len(os.listdir(tmp_path)) == 2 and all(name.startswith(".sameas-") for name in os.listdir(tmp_path))
+    others = tmp_path / f".sameas-00000000-{os.getpid()}-0123456789ab"  # of another machine: it may be at work
+    others.touch()
+    with replacing(tmp_path / "a.txt") as draft:
+        with replacing(tmp_path / "b.txt"):
+            pass
+        draft.write_text("whole")  # that of a living process stays
+    assert sorted(os.listdir(tmp_path)) == [others.name, "a.txt", "b.txt"]

@@ -23,10 +23,16 @@ def main() -> None:
             warnings.simplefilter("ignore")
         app()
     except KeyboardInterrupt as error:
-        from sameas.cli.outcome import exit_code
+        from sameas.cli.outcome import end_now, exit_code, stopped
 
-        sys.stderr.write("sameas: stopped; nothing was written\n")
-        sys.exit(exit_code(error))
+        end_now(exit_code(error), stopped())
+    except SystemExit as error:
+        from sameas.cli.outcome import INTERRUPTED, TERMINATED, end_now
+
+        if error.code in (INTERRUPTED, TERMINATED) and "multiprocessing.resource_tracker" not in sys.modules:
+            # Libraries may still have threads at work, which C++ does not let end with the process.
+            end_now(error.code)
+        raise
 
 
 __all__ = ["main"]

@@ -101,10 +101,10 @@ def _in_processes(
     ):
         listener = threading.Thread(target=_listen, args=(stages, row), daemon=True)
         listener.start()
-        futures: dict[Future[Outcome], int] = {
-            pool.submit(_worked, number, request, again): number for number, request in enumerate(requests)
-        }
+        futures: dict[Future[Outcome], int] = {}
         try:
+            for number, request in enumerate(requests):
+                futures[pool.submit(_worked, number, request, again)] = number
             for future in as_completed(futures):
                 number = futures[future]
                 try:

@@ -6,10 +6,13 @@ end (SIGTERM).
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import typer
@@ -18,6 +21,8 @@ from sameas.cli.options import in_options, option_of
 from sameas.errors import Argument, InputError, printable
 
 INPUT_ERROR, INTERRUPTED, TERMINATED = 1, 130, 143
+#: Seconds in which the main thread may end by itself: an answer within a second is promised.
+PATIENCE_S = 0.7
 
 
 class Terminated(KeyboardInterrupt):
@@ -25,8 +30,47 @@ class Terminated(KeyboardInterrupt):
 
 
 def end_cleanly_when_asked() -> None:
-    """From now on SIGTERM raises ``Terminated`` in the main thread, the first time; a second one ends at once."""
+    """From now on SIGTERM raises ``Terminated`` in the main thread, the first time; a second one ends at once.
+
+    Compiled loops do not look whether they are to stop: where the main thread has not ended the process within
+    ``PATIENCE_S`` of SIGINT or SIGTERM, another removes the drafts and ends it.
+    """
     signal.signal(signal.SIGTERM, _terminate)
+    heard, told = os.pipe()
+    os.set_blocking(told, False)
+    signal.set_wakeup_fd(told, warn_on_full_buffer=False)
+    threading.Thread(target=_watch, args=(heard,), daemon=True).start()
+
+
+def _watch(heard: int) -> None:
+    """Waits for a signal, and for the main thread to heed it; where it does not, ends the process."""
+    while True:
+        number = os.read(heard, 1)
+        if number and number[0] in (signal.SIGINT, signal.SIGTERM):
+            time.sleep(PATIENCE_S)
+            end_now(TERMINATED if number[0] == signal.SIGTERM else INTERRUPTED, stopped())
+
+
+def end_now(code: int, words: str = "") -> None:
+    """Ends the process at once, and those it has started: drafts are removed, threads of libraries not waited for."""
+    from sameas.io.atomic import discard_drafts
+
+    discard_drafts()
+    if "multiprocessing.process" in sys.modules:
+        for child in sys.modules["multiprocessing.process"].active_children():
+            child.terminate()
+    with suppress(OSError, ValueError):
+        sys.stdout.flush()
+        sys.stderr.write(f"sameas: {words}\n" if words else "")
+        sys.stderr.flush()
+    os._exit(code)
+
+
+def stopped() -> str:
+    """What is said of a process that was stopped."""
+    atomic = sys.modules.get("sameas.io.atomic")
+    written = [str(path) for path in atomic.written] if atomic else []
+    return f"stopped; {', '.join(written) or 'nothing'} was written"
 
 
 def _terminate(number: int, frame: Any) -> None:
@@ -50,7 +94,7 @@ def answering(debug: bool, option: Callable[[Argument], str] = option_of) -> Ite
     except (typer.Exit, typer.Abort, typer.BadParameter):
         raise
     except KeyboardInterrupt as error:
-        _end("stopped; nothing was written", exit_code(error), debug)
+        _end(stopped(), exit_code(error), debug)
     except InputError as error:
         _end(in_options(error.words, option), INPUT_ERROR, debug)
     except MemoryError:

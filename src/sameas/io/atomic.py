@@ -1,17 +1,22 @@
 """Whole or absent: an output appears under its name only when the last byte of it is written.
 
-For any writer that takes a path: tables, pictures, text. What was there before stays until then.
+For any writer that takes a path: tables, pictures, text. What was there before stays until then. A killed process
+leaves its draft, whose name begins with .sameas-; the next output into that folder removes it.
 """
 
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
+import platform
+import re
 import secrets
 import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 
 from sameas.errors import InputError
@@ -23,6 +28,12 @@ _NO_ROOM = {
     errno.EIO: "the device reports an input/output error",
     errno.EROFS: "the file system is read-only",
 }
+
+
+_DRAFT = re.compile(r"\.sameas-([0-9a-f]{8})-(\d+)-[0-9a-f]{12}")
+#: What this process has begun, and what it has written.
+_drafts: set[Path] = set()
+written: list[Path] = []
 
 
 @contextmanager
@@ -53,6 +64,7 @@ def replacing(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iterat
     target = Path(os.path.realpath(given))
     _check_target(given, target, overwrite)
     draft = _beside(target)
+    _drafts.add(draft)
     try:
         with _clear_errors(given):
             # Not tempfile.mkstemp: its files are readable by their owner only, whatever the umask says.
@@ -61,10 +73,13 @@ def replacing(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iterat
             if target.exists():
                 shutil.copymode(target, draft)
             os.replace(draft, target)
+            written.append(given)
     except BaseException:
         with suppress(OSError):
             draft.unlink()
         raise
+    finally:
+        _drafts.discard(draft)
 
 
 @contextmanager
@@ -85,10 +100,12 @@ def filling(folder: str | os.PathLike[str]) -> Iterator[Path]:
     """
     target = Path(folder)
     made = not target.exists()
-    draft = target / f".sameas-{secrets.token_hex(6)}"
+    draft = target / _draft_name()
+    _drafts.add(draft)
     try:
         try:
             target.mkdir(parents=True, exist_ok=True)
+            _remove_abandoned(target)
             draft.mkdir(mode=0o700)
         except OSError as error:
             raise InputError(
@@ -98,8 +115,10 @@ def filling(folder: str | os.PathLike[str]) -> Iterator[Path]:
             yield draft
             for file in sorted(draft.iterdir()):
                 os.replace(file, target / file.name)
+            written.append(target)
         made = False
     finally:
+        _drafts.discard(draft)
         shutil.rmtree(draft, ignore_errors=True)
         if made:
             with suppress(OSError):
@@ -129,7 +148,54 @@ def _check_target(given: Path, target: Path, overwrite: bool) -> None:
 
 
 def _beside(target: Path) -> Path:
-    return target.with_name(f".sameas-{secrets.token_hex(6)}{''.join(target.suffixes[-2:])}")
+    _remove_abandoned(target.parent)
+    return target.with_name(_draft_name() + "".join(target.suffixes[-2:]))
+
+
+def discard_drafts() -> None:
+    """Removes what has been begun and not ended: for a process that ends without unwinding."""
+    for draft in list(_drafts):
+        _remove(draft)
+
+
+def _draft_name() -> str:
+    return f".sameas-{_machine()}-{os.getpid()}-{secrets.token_hex(6)}"
+
+
+@cache
+def _machine() -> str:
+    """Eight digits for this machine and its space of process numbers: containers count their own."""
+    space = os.readlink("/proc/self/ns/pid") if os.path.exists("/proc/self/ns/pid") else ""
+    return hashlib.sha256(f"{platform.node()} {space}".encode()).hexdigest()[:8]
+
+
+def _remove_abandoned(folder: Path) -> None:
+    """Removes the drafts of processes of this machine that were killed: no other's, and none that may be at work."""
+    if os.name != "posix":  # elsewhere asking for a process may end it
+        return
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            found = _DRAFT.match(entry.name)
+            if found and found[1] == _machine() and not _lives(int(found[2])):
+                _remove(Path(entry.path))
+
+
+def _lives(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True
+    return True
+
+
+def _remove(draft: Path) -> None:
+    with suppress(OSError):
+        if draft.is_dir() and not draft.is_symlink():
+            shutil.rmtree(draft, ignore_errors=True)
+        else:
+            draft.unlink()
 
 
 @contextmanager
