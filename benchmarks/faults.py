@@ -10,17 +10,18 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import json
 import os
 import random
 import resource
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -34,20 +35,27 @@ ENDINGS = (".fits", ".vot", ".ecsv", ".csv", ".parquet")
 
 @dataclass(frozen=True)
 class Work:
-    """One command: its name in the table, its arguments with the output left out, and what it writes."""
+    """One command: its name in the table, its arguments, those of the earlier run, and what it writes."""
 
     name: str
     arguments: tuple[str, ...]
+    earlier: tuple[str, ...]
     output: Path
 
-    def command(self) -> list[str]:
-        return [*COMMAND, *self.arguments, "-o", str(self.output), "--quiet"]
+    def command(self, earlier: bool = False) -> list[str]:
+        return [*COMMAND, *(self.earlier if earlier else self.arguments), "-o", str(self.output), "--quiet"]
+
+    def done(self, earlier: bool = False) -> dict[str, str]:
+        """The files after a run that nothing disturbs."""
+        done = subprocess.run(self.command(earlier), capture_output=True, text=True)
+        if done.returncode:
+            raise RuntimeError(f"{self.name}: {done.stderr}")
+        return self.files()
 
     def files(self) -> dict[str, str]:
         """The files of the output by name, each as a digest."""
-        paths = (
-            sorted(self.output.iterdir()) if self.output.is_dir() else self.output.parent.glob(f"{self.output.name}*")
-        )
+        folder, pattern = (self.output, "*") if self.output.is_dir() else (self.output.parent, f"{self.output.name}*")
+        paths = sorted(folder.glob(pattern))
         return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in paths if not p.name.startswith(".sameas-")}
 
     def drafts(self) -> list[Path]:
@@ -143,24 +151,29 @@ def works(folder: Path, endings: tuple[str, ...] = ENDINGS) -> list[Work]:
         (folder / name).mkdir()
         return folder / name / "out"
 
-    made = [Work(f"match {e}", ("match", a, b), output(f"m{e[1:]}").with_suffix(e)) for e in endings]
-    made.append(Work("many .parquet", ("many", a, b, c), output("many").with_suffix(".parquet")))
-    made.append(Work("frame", ("frame", image, "--catalog", stars, "--no-picture", "--again"), output("frame")))
-    made.append(Work("picture", ("picture", *sensors(folder), "--every", "20s", "--no-image"), output("picture")))
+    made = [Work(f"match {e}", ("match", a, b), ("match", b, a), output(f"m{e[1:]}").with_suffix(e)) for e in endings]
+    many = output("many").with_suffix(".parquet")
+    made.append(Work("many .parquet", ("many", a, b, c), ("many", c, b, a), many))
+    shot = ("frame", image, "--catalog", stars, "--no-picture", "--again")
+    made.append(Work("frame", shot, (*shot, "--threshold", "6"), output("frame")))
+    seen = ("picture", *sensors(folder), "--no-image", "--every")
+    made.append(Work("picture", (*seen, "20s"), (*seen, "30s"), output("picture")))
     return made
 
 
 def hit(work: Work, number: signal.Signals, moments: int, rng: random.Random) -> Count:
     """Runs of a command, each hit once."""
     found = Count()
+    old = work.done(earlier=True)
+    kept = {name: (_folder(work) / name).read_bytes() for name in old}
     began = time.monotonic()
-    done = subprocess.run(work.command(), capture_output=True, text=True)
-    if done.returncode:
-        raise RuntimeError(f"{work.name}: {done.stderr}")
-    longest, old = time.monotonic() - began, work.files()
+    new = work.done()
+    longest = time.monotonic() - began
     for moment in range(moments):
+        for name, content in kept.items():
+            (_folder(work) / name).write_bytes(content)
         process = subprocess.Popen(work.command(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-                                   preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler))  # fmt: skip
+                                   preexec_fn=_interruptible)  # fmt: skip
         if moment % 2:
             time.sleep(rng.uniform(0.0, 1.05) * longest)
         else:
@@ -171,17 +184,16 @@ def hit(work: Work, number: signal.Signals, moments: int, rng: random.Random) ->
         _, said = process.communicate()
         answer_s = time.monotonic() - asked
         code = process.returncode
-        new = work.files()
+        now = work.files()
         found.runs += 1
-        judged = _judged(work, old, new)
-        if judged == "mixed" and number == signal.SIGKILL and len(old) > 1:
-            found.mixed += 1  # several files come one after the other
-        elif judged == "broken" or judged == "mixed":
-            found.faults.append(f"{work.name}, {number.name}: output {judged}")
-        elif new == old:
+        if now == old:
             found.old += 1
-        else:
+        elif now == new:
             found.new += 1
+        elif all(now.get(name) in (old.get(name), new.get(name)) for name in {*old, *new}) and number == signal.SIGKILL:
+            found.mixed += 1  # several files come one after the other
+        else:
+            found.faults.append(f"{work.name}, {number.name}: the output is neither: {sorted(now)}")
         # In the first moments Python itself is still starting: its own ends are as good.
         if code not in (0, CODES[number], -number) and not (code == 1 and "KeyboardInterrupt" in said):
             found.faults.append(f"{work.name}, {number.name}: exit code {code}: {said[-200:]}")
@@ -193,46 +205,39 @@ def hit(work: Work, number: signal.Signals, moments: int, rng: random.Random) ->
             found.faults.append(f"{work.name}, {number.name}: a draft stayed")
             for draft in work.drafts():
                 _removed(draft)
-        old = new
-    subprocess.run(work.command(), capture_output=True, check=True)
+    work.done()
     if work.drafts():
         found.faults.append(f"{work.name}, {number.name}: a draft stayed after the next run")
     return found
 
 
-def _judged(work: Work, old: dict[str, str], new: dict[str, str]) -> str:
-    """Whether the files of an output are whole, and all of one run: what is new can be read."""
-    if set(new) != set(old):
-        return "broken"
-    changed = [name for name in new if new[name] != old[name]]
-    folder = work.output if work.output.is_dir() else work.output.parent
-    if not all(_whole(folder / name) for name in changed):
-        return "broken"
-    same = [name for name in new if name not in changed]
-    # Files that are the same in every run tell nothing.
-    return (
-        "mixed" if changed and any(name.endswith((".json", ".parquet", ".fits", ".csv")) for name in same) else "whole"
-    )
-
-
-def _whole(path: Path) -> bool:
-    from sameas.io import read_table
-
-    text = path.suffix in (".json", ".html", ".geojson", ".reg", ".png", ".wcs", ".txt")
-    if path.suffix in (".json", ".geojson"):
-        return bool(json.loads(path.read_text()))
-    if text:
-        return path.suffix != ".html" or path.read_text().rstrip().endswith("</html>")
-    return len(read_table(path).colnames) > 1
+def _folder(work: Work) -> Path:
+    return work.output if work.output.is_dir() else work.output.parent
 
 
 def _removed(draft: Path) -> None:
-    import shutil
-
     if draft.is_dir():
         shutil.rmtree(draft)
     else:
         draft.unlink()
+
+
+def _interruptible() -> None:
+    """Undo what a shell does to jobs in the background: they ignore Ctrl-C."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+@contextmanager
+def mounted(folder: Path) -> Iterator[bool]:
+    """A disk of 4 MB in memory at a folder; False where this user may not mount one."""
+    folder.mkdir(exist_ok=True)
+    command = ["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", str(folder)]
+    may = bool(shutil.which("mount")) and subprocess.run(command, capture_output=True).returncode == 0
+    try:
+        yield may
+    finally:
+        if may:
+            subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
 def _until(true: Callable[[], bool], patience_s: float = 60.0) -> None:
@@ -242,13 +247,12 @@ def _until(true: Callable[[], bool], patience_s: float = 60.0) -> None:
 
 
 def places(work: Work) -> Count:
-    """What no output can be written to, and what no output may replace: refused in one line, the old output stays."""
+    """Disks that are full or read-only, folders that disappear, links, two runs at once: one line, nothing lost."""
     found = Count()
-    output = work.output if not work.output.is_dir() else work.output / "x"
 
-    def run(what: str, *, expected: int, **settings: object) -> subprocess.CompletedProcess[str]:
+    def run(work: Work, what: str, expected: int, limited: bool = False) -> None:
         old = work.files()
-        done = subprocess.run(work.command(), capture_output=True, text=True, **settings)  # type: ignore[call-overload]
+        done = subprocess.run(work.command(), capture_output=True, text=True, preexec_fn=_small if limited else None)
         found.runs += 1
         if done.returncode != expected or "Traceback" in done.stderr or "fault of sameas" in done.stderr:
             found.faults.append(f"{work.name}, {what}: exit code {done.returncode}: {done.stderr[-300:]}")
@@ -260,27 +264,50 @@ def places(work: Work) -> Count:
             found.old += 1
         else:
             found.new += 1
-        return done
 
-    def small() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (2048, 2048))
-
-    def nobody() -> None:
-        os.setgid(65534)
-        os.setuid(65534)
-
-    run("a full disk", expected=1, preexec_fn=small)
-    if os.getuid() == 0:
-        output.parent.chmod(0o755)
-        run("a folder of another user", expected=1, preexec_fn=nobody, env={**os.environ, "HOME": "/nonexistent"})
-    one, two = (subprocess.Popen(work.command(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) for _ in range(2))
-    said = one.communicate()[1] + two.communicate()[1]
+    run(work, "files no larger than 2 kB", 1, limited=True)
+    disk = work.output.with_name("disk")
+    with mounted(disk) as may:
+        if may:
+            there = replace(work, output=disk / work.output.name)
+            run(there, "a disk in memory", 0)
+            with (disk / "filler").open("wb", buffering=0) as filler, suppress(OSError):
+                while True:
+                    filler.write(bytes(4096))
+            run(there, "a full disk", 1)
+            (disk / "filler").unlink()
+            subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
+            run(there, "a read-only disk", 1)
+    if work.arguments[0] == "match":
+        run(replace(work, output=Path(work.arguments[1])), "output = input", 1)
+        link = work.output.with_name(f"link{work.output.suffix}")
+        link.symlink_to(work.output)
+        run(replace(work, output=link), "a link", 0)
+        if not link.is_symlink():
+            found.faults.append(f"{work.name}: a link was replaced")
+    two = [subprocess.Popen(work.command(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) for _ in range(2)]
+    said = b"".join(process.communicate()[1] for process in two)
     found.runs += 1
-    if one.returncode or two.returncode or said or work.drafts():
-        found.faults.append(f"{work.name}, two runs at once: {one.returncode}, {two.returncode}, {said[-300:]!r}")
+    if any(process.returncode for process in two) or said or work.drafts():
+        found.faults.append(f"{work.name}, two runs at once: {said[-300:]!r}")
     else:
         found.new += 1
+    gone = replace(work, output=work.output.with_name("gone") / work.output.name)
+    gone.output.parent.mkdir()
+    process = subprocess.Popen(gone.command(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    time.sleep(0.3)
+    shutil.rmtree(gone.output.parent)
+    words = process.communicate()[1]
+    found.runs += 1
+    if "Traceback" in words or "fault of sameas" in words or (process.returncode and words.count("\n") != 1):
+        found.faults.append(f"{work.name}, a folder that disappears: exit code {process.returncode}: {words[-300:]}")
+    else:
+        found.old += 1
     return found
+
+
+def _small() -> None:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2048, 2048))
 
 
 def main() -> None:
@@ -289,6 +316,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     rng = random.Random(given.seed)
+    os.environ["SOURCE_DATE_EPOCH"] = "1700000000"  # so that runs at different times write the same bytes
     rows, faults = [], []
     with tempfile.TemporaryDirectory() as folder:
         for work in works(Path(folder)):

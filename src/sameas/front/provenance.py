@@ -6,7 +6,9 @@ Flat mappings of plain values; the same for the same inputs and options, but for
 from __future__ import annotations
 
 import math
+import os
 import platform
+import re
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
@@ -38,7 +40,10 @@ def made_by(command: str) -> dict[str, Any]:
 
 
 def _made_now(command: str) -> dict[str, Any]:
-    now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    # The date that reproducible builds give (reproducible-builds.org): the same command then writes the same bytes.
+    given = os.environ.get("SOURCE_DATE_EPOCH", "")
+    moment = datetime.fromtimestamp(int(given), UTC) if re.fullmatch(r"\d{1,10}", given) else datetime.now(UTC)
+    now = moment.strftime("%Y-%m-%dT%H:%M:%SZ")
     return made_by(command) | {"date_utc": now, "python": platform.python_version()}
 
 

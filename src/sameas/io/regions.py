@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, Any
 
+from sameas.errors import printable
 from sameas.io.atomic import replacing
 
 if TYPE_CHECKING:
@@ -41,12 +42,17 @@ def _line(row: Any, radius: float) -> str:
     cell = row.__getitem__
     at, fate = f"{cell('ra_deg'):.7f},{cell('dec_deg'):+.7f}", str(cell("fate"))
     if fate == "identified":
-        return f'circle({at},{radius:.2f}") # tag={{identified}} tag={{{cell("star")} p={cell("p_match"):.4f}}}'
+        return f'circle({at},{radius:.2f}") # tag={{identified}} tag={{{_tag(cell("star"))} p={cell("p_match"):.4f}}}'
     if fate == "unidentified":
         side = 1.8 * radius
         tag = f"measurement {cell('measurement')} p_none={cell('p_none'):.4f}"
         return f'box({at},{side:.2f}",{side:.2f}",0) # color=yellow tag={{unidentified}} tag={{{tag}}}'
     if fate == "missing":
-        tag = f"{cell('star')} {cell('remark')}".replace("}", ")").replace(";", ",")
+        tag = _tag(f"{cell('star')} {cell('remark')}")
         return f"point({at}) # point=diamond color=red tag={{missing}} tag={{{tag}}}"
     return ""
+
+
+def _tag(text: object) -> str:
+    """A text as a tag may hold it: DS9 ends a tag at a brace, and a region at a semicolon or the end of the line."""
+    return printable(str(text)).translate(str.maketrans("{};", "(),"))
