@@ -208,6 +208,23 @@ def test_a_star_close_to_another_is_missing_because_of_it() -> None:
     assert f"is {10**6 + row}; one mark for both" in companion["remark"][0]
 
 
+def test_what_a_shallow_catalogue_does_not_reach_is_said(seen: Scene, found: FrameIdentification) -> None:
+    from sameas.report.frame import frame_lines
+
+    assert not len(found.beyond_catalogue)
+    table = seen.catalogue.table
+    limit = 16.0
+    shallow = Catalogue.of(table[table["phot_g_mean_mag"] < limit], "shallow")
+    hint = ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE)))
+    few = solve(seen.measured, shallow, hint, epoch_jyr=2020.0)
+    fainter = np.asarray(table["phot_g_mean_mag"])[seen.truth] > limit + 0.2
+    fainter &= seen.truth >= 0
+    beyond = np.isin(np.arange(len(seen.truth)), few.beyond_catalogue)
+    assert beyond[fainter].mean() > 0.9 and len(few.missing) < 0.05 * len(shallow)
+    told = next(line for line in frame_lines(summary(few)) if "not in the catalogue" in line)
+    assert f"{len(few.beyond_catalogue)} are fainter than it reaches" in told
+
+
 def test_stars_fainter_than_said_are_not_used(seen: Scene) -> None:
     header = ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE)))
     few = solve(seen.measured, seen.catalogue, header, epoch_jyr=2020.0, faintest=15.0)

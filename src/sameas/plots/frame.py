@@ -90,27 +90,33 @@ def _marks(axes: Axes, found: FrameIdentification, brightest: int) -> list[Any]:
                 transOffset=axes.transData,
             )
         )
-    alone = found.result.leftovers_1
+    beyond = found.beyond_catalogue
+    alone = np.setdiff1d(found.result.leftovers_1, beyond)
     lost = found.predicted_px[found.missing]
     axes.plot(m.x_px[alone], m.y_px[alone], "x", color=YELLOW, ms=3.2, mew=0.6, alpha=0.9)
     axes.plot(*lost.T, "D", color="none", markeredgecolor=RED, ms=4.4, mew=0.7)
-    return _legend(len(kept), len(i), len(alone), len(lost))
+    return _legend(len(kept), len(i), len(alone), len(beyond), len(lost))
 
 
-def _legend(marked: int, found: int, alone: int, lost: int) -> list[Any]:
+def _legend(marked: int, found: int, alone: int, beyond: int, lost: int) -> list[Any]:
     """The handles of the legend: what the marks mean, and their numbers."""
     from matplotlib.lines import Line2D
 
     first = f"{count(marked)} brightest identified" + (f" of {count(found)}" if found > marked else "")
     legend = [
         ("o", GREEN, first),
-        ("x", YELLOW, f"{count(alone)} not in the catalogue"),
+        ("x", YELLOW, f"{count(alone)} not in the catalogue{_beyond(beyond)}"),
         ("D", RED, f"{count(lost)} of the catalogue missing"),
     ]
     return [
         Line2D([], [], ls="", marker=mark, color=colour, label=words, markersize=7, markerfacecolor="none")
         for mark, colour, words in legend
     ]
+
+
+def _beyond(number: int) -> str:
+    """How many more are not marked."""
+    return f" (and {count(number)} fainter than it reaches, not marked)" if number else ""
 
 
 def _compass(axes: Axes, found: FrameIdentification) -> None:

@@ -9,10 +9,8 @@ from sameas.estimate.error_model import ErrorModel
 from sameas.estimate.quantity import Quantity
 from sameas.report.findings import error_model_in_words, judged
 from sameas.report.prose import DOUBT, count, entry
+from sameas.sky.frame.identified import FEW
 from sameas.sky.frame.summary import ERROR_NAMES
-
-#: With fewer pairs the rms is told instead of the robust scatter.
-FEW = 20
 
 
 def frame_lines(told: Mapping[str, Any]) -> list[str]:
@@ -37,7 +35,7 @@ def frame_lines(told: Mapping[str, Any]) -> list[str]:
         *_understood(told),
         f"Found in {told['catalogue']}",
         *entry("measurements", f"{count(found['measurements'])}, of which {count(found['identified'])} identified"),
-        *entry("not in the catalogue", count(found["unidentified"])),
+        *entry("not in the catalogue", _alone(found)),
         *entry("missing stars", f"{count(found['missing'])} of {count(found['stars_on_frame'])} on the frame"),
         *entry("expected wrong", f"{found['expected_wrong']:.1f}; {count(found['ambiguous'])} less sure than 0.9"),
         *entry("scatter", _scatter(told)),
@@ -77,6 +75,11 @@ def totals(done: int, skipped: int, failed: int) -> str:
         *([f"{failed} failed"] if failed else []),
     ]
     return f"Frames: {done + skipped + failed}; " + ", ".join(parts)
+
+
+def _alone(found: Mapping[str, Any]) -> str:
+    beyond = found.get("beyond_catalogue", 0)
+    return count(found["unidentified"]) + (f", of which {count(beyond)} are fainter than it reaches" if beyond else "")
 
 
 def _scatter(told: Mapping[str, Any]) -> str:

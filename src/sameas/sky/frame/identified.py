@@ -23,12 +23,19 @@ from sameas.representation import in_short
 from sameas.result import Identification
 from sameas.sky.frame.field import StarField
 from sameas.sky.frame.measurements import Flag, Measurements
-from sameas.sky.frame.photometry import Completeness, PhotometryTuning, ZeroPoint
+from sameas.sky.frame.photometry import Completeness, PhotometryTuning, ZeroPoint, instrumental
 from sameas.sky.frame.place import Placement
 from sameas.sky.frame.plate import MatchedStars, PlateModel, PlateTuning, fit_plate
 
 #: Magnitudes of a relative error of one.
 POGSON = 2.5 / math.log(10.0)
+#: With fewer pairs the root mean square is told instead of the robust scatter (chosen).
+FEW = 20
+#: The catalogue reaches as faint as this share of the identified measurements; it is shallow where more than this share
+#: of all measurements is fainter, and not identified (both chosen).
+REACHED, SHALLOW = 0.98, 0.2
+#: Stars of a catalogue that are fainter than this share of it are its faintest (chosen).
+FAINTEST = 0.8
 #: Stars that the frame shows with at least this probability are missing when they are not identified.
 EXPECTED = 0.5
 
@@ -146,12 +153,35 @@ class FrameIdentification:
         ra, dec, _ = self.plate.to_sky(self.measured.x_px[i], self.measured.y_px[i])
         return sphere_offset(ra, dec, self.stars.ra_deg[j], self.stars.dec_deg[j])
 
+    @cached_property
+    def beyond_catalogue(self) -> IntArray:
+        """Rows of the measurements that are not identified because the catalogue does not reach so faint.
+
+        They are many, and fainter than nearly all identified ones, and the frame shows the faintest stars of the
+        catalogue; else there are none.
+        """
+        magnitude = instrumental(self.measured.flux)
+        alone, found = self.result.leftovers_1, magnitude[self.pairs[0]]
+        found = found[np.isfinite(found)]
+        identified = np.zeros(len(self.stars), np.bool_)
+        identified[self.pairs[1]] = True
+        identified, of_stars = identified[self.inside], self.stars.magnitude[self.inside]
+        if np.isfinite(of_stars).any():
+            identified = identified[of_stars > np.nanquantile(of_stars, FAINTEST)]
+        if len(found) < FEW or not len(identified) or identified.mean() < EXPECTED:
+            return np.empty(0, np.int64)
+        fainter = alone[magnitude[alone] > np.quantile(found, REACHED)]
+        return fainter if len(fainter) > SHALLOW * len(magnitude) else fainter[:0]
+
     @property
     def scatter_arcsec(self) -> FloatArray:
-        """(2,) robust standard deviation (1.4826 · median |Δ|) of the residuals east and north."""
+        """(2,) robust standard deviation (1.4826 · median |Δ|) of the residuals east and north; of few, whose median
+        says little, the root mean square."""
         left = self.residual_arcsec
         if not len(left):
             return np.full(2, np.nan)
+        if len(left) < FEW:
+            return np.asarray(np.sqrt(np.mean(left**2, axis=0)))
         return np.asarray(1.4826 * np.median(np.abs(left - np.median(left, axis=0)), axis=0))
 
 

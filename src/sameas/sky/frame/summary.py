@@ -98,6 +98,7 @@ def _plate(identification: FrameIdentification) -> dict[str, Any]:
     return {
         "order": plate.order,
         "bic": {str(order): float(value) for order, value in plate.bic.items()},
+        "left_out": {str(order): float(value) for order, value in plate.left_out.items()},
         "effective_pairs": plate.effective_pairs,
         "error_scale": plate.error_scale,
         "tangent_ra_deg": float(ra),
@@ -120,6 +121,7 @@ def _counts(identification: FrameIdentification) -> dict[str, Any]:
         "candidate_stars": int(identification.candidate.sum()),
         "identified": len(i),
         "unidentified": len(identification.measured) - len(i),
+        "beyond_catalogue": len(identification.beyond_catalogue),
         "missing": len(identification.missing),
         "ambiguous": int(np.count_nonzero(p < AMBIGUOUS)),
         "expected_wrong": result.expected_wrong,
