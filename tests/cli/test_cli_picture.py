@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from sameas.cli.picturing import Instants
+from sameas.front.picture import Instants
 from sameas.io import read_table
 from sameas.io.sensors.sources import read_sources
 from sameas.kernels import threads

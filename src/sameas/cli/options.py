@@ -78,9 +78,16 @@ def frame_option(argument: Argument) -> str:
     return _OF_FRAME.get(argument.name) or option_of(argument)
 
 
+_OF_PICTURE = {
+    "read_source_options": "--sensors", "at": "--at", "begin": "--from", "end": "--to", "every": "--every",
+    "without": "--without",
+}  # fmt: skip
+
+
 def sensor_option(argument: Argument) -> str:
     """The option of ``sameas picture`` for an argument; most are names in the file of ``--sensors``."""
-    return "--sensors" if argument.name == "read_source_options" else str(argument)
+    option = _OF_PICTURE.get(argument.name)
+    return str(argument) if option is None else f"{option} {argument.value}".rstrip()
 
 
 def in_options(text: str, option: Callable[[Argument], str] = option_of) -> str:

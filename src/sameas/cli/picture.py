@@ -93,7 +93,8 @@ def picture(
     if at is not None and (every or begin or end):
         raise typer.BadParameter("say --at, or --every with --from and --to, not both", param_hint="--at")
     with answering(debug, sensor_option):
-        from sameas.cli.picturing import Instants, Method, PictureOutputs, run
+        from sameas.cli.picturing import run
+        from sameas.front.picture import Instants, Method, PictureOutputs
         from sameas.maps.coast import read_coast
 
         instants = Instants(duration_s(every), at, begin, end)

@@ -73,8 +73,8 @@ class Scene:
         """
         if far := apart(sources, tuning):
             raise InputError("; ".join(far))
-        if plane is None and any(r.lat_deg is not None or r.station_lat_deg is not None for _, r in sources):
-            plane = LocalPlane.about(*_middle(sources))
+        if plane is None and (middle := _middle(sources)) is not None:
+            plane = LocalPlane.about(*middle)
         names = [description.name for description, _ in sources]
         if len(set(names)) < len(names):
             raise InputError(f"two sources are called {max(names, key=names.count)}; give every source its own name")
@@ -265,9 +265,15 @@ def _places(source: Source) -> FloatArray:
     return records.features[:, :2] if records.d > 1 else np.empty((0, 2))
 
 
-def _middle(sources: Sequence[tuple[Description, Reports]]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """All latitudes and longitudes of positions, or of the sensors where there are none."""
+def _middle(sources: Sequence[tuple[Description, Reports]]) -> tuple[NDArray[Any], NDArray[Any]] | None:
+    """All latitudes and longitudes of positions, or of the sensors where there are none; None where these, too, stand
+    in a plane of the user's own."""
     pairs = [(r.lat_deg, r.lon_deg) for _, r in sources if r.lat_deg is not None]
     pairs = pairs or [(r.station_lat_deg, r.station_lon_deg) for _, r in sources if r.station_lat_deg is not None]
+    if not pairs and not any(r.x_m is not None for _, r in sources):
+        sites = [one.site for one, _ in sources if one.site is not None and one.site.lat_deg is not None]
+        pairs = [(np.array([site.lat_deg]), np.array([site.lon_deg])) for site in sites]
+    if not pairs:
+        return None
     lat, lon = (np.concatenate([np.asarray(column) for column in side]) for side in zip(*pairs, strict=True))
     return lat, lon

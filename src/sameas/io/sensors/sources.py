@@ -142,7 +142,7 @@ def read_sources(
             reading = replace(reading, start=start)
         try:
             for reports in read_reports(path, reading):
-                sources.append(_source(reports, described.get(reports.source), path))
+                sources.append(source_of(reports, described.get(reports.source), path))
         except InputError as error:
             if set_aside is None or not path.is_file() or error.words.arguments:
                 raise
@@ -168,7 +168,8 @@ def _named(argument: str) -> tuple[str, Path]:
     return (path.rpartition(".")[0] or path), Path(argument)
 
 
-def _source(reports: Reports, options: SourceOptions | None, path: Path) -> SensorSource:
+def source_of(reports: Reports, options: SourceOptions | None, path: Path) -> SensorSource:
+    """The source of these reports, with its description, or the kind that its format, name or columns tell."""
     if options is not None and options.has_kind:
         return SensorSource(options.description, reports, path, None)
     kind, why = _kind(reports)

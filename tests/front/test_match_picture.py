@@ -1,0 +1,101 @@
+"""A picture in one call: the command's answer from Python, from files and from tables in memory."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import sameas
+from sameas.errors import InputError
+
+START = 1_714_560_000.0
+
+
+def harbour(seed: int = 4) -> tuple[dict, dict]:
+    """Five vessels with AIS, a radar that reads 60 m too far; the sixth has no transponder."""
+    rng = np.random.default_rng(seed)
+    place, speed = rng.uniform(-6e3, 6e3, (6, 2)), rng.normal(0.0, 5.0, (6, 2))
+    ais = {name: [] for name in ("time", "mmsi", "lat", "lon", "sog_kn", "cog_deg")}
+    radar = {name: [] for name in ("time", "track_id", "range_m", "bearing_deg")}
+    for t in np.arange(0.0, 90.0, 3.0):
+        where = place + speed * t
+        for k in range(6):
+            radar["time"].append(START + t)
+            radar["track_id"].append(str(k + 101))
+            radar["range_m"].append(np.hypot(*where[k]) + 60.0 + 15.0 * rng.normal())
+            radar["bearing_deg"].append(np.degrees(np.arctan2(*where[k])) % 360.0 + 0.2 * rng.normal())
+            if k < 5 and t % 9 == 3 * (k % 3):
+                ais["time"].append(START + t)
+                ais["mmsi"].append(f"23500{k}111")
+                ais["lat"].append(50.55 + where[k, 1] / 111_240.0)
+                ais["lon"].append(-0.95 + where[k, 0] / 70_870.0)
+                ais["sog_kn"].append(np.hypot(*speed[k]) / 0.5144)
+                ais["cog_deg"].append(np.degrees(np.arctan2(*speed[k])) % 360.0)
+    return ais, radar
+
+
+@pytest.fixture(scope="module")
+def toml(tmp_path_factory):
+    path = tmp_path_factory.mktemp("picture") / "sensors.toml"
+    path.write_text('[sources.radar]\nkind = "marine radar"\nsite = { lat_deg = 50.55, lon_deg = -0.95 }\n')
+    return path
+
+
+@pytest.fixture(scope="module")
+def found(toml):
+    ais, radar = harbour()
+    return sameas.match_picture({"ais": ais, "radar": radar}, sensors=toml, every=15.0)
+
+
+def test_tables_in_memory_make_the_picture_that_their_files_make(found, toml, tmp_path) -> None:
+    pd = pytest.importorskip("pandas")
+    ais, radar = harbour()
+    pd.DataFrame(ais).to_csv(tmp_path / "ais.csv", index=False)
+    pd.DataFrame(radar).to_csv(tmp_path / "radar.csv", index=False)
+    files = sameas.match_picture([tmp_path / "ais.csv", tmp_path / "radar.csv"], sensors=toml, every=15.0)
+    stamped = pd.DataFrame(ais)
+    stamped["time"] = pd.to_datetime(stamped["time"], unit="s")
+    mixed = sameas.match_picture({"ais": stamped, "radar": tmp_path / "radar.csv"}, sensors=toml, every=15.0)
+    for other in (files, mixed):
+        for name in ("object", "members", "stage"):
+            assert other.objects[name].tolist() == found.objects[name].tolist()
+        np.testing.assert_allclose(other.objects["x_m"].filled(0), found.objects["x_m"].filled(0), atol=1e-3)
+
+
+def test_it_answers_as_other_results_do(found, tmp_path) -> None:
+    assert len(found) == len(found.picture.instants_s) == 6
+    assert {"object", "members", "probability"} <= set(found.table.colnames)
+    assert {"source", "row", "object", "p_object"} <= set(found.pairs.colnames)
+    both = found.objects[found.objects["n_sources"] == 2]
+    number = int(both["object"][-1])
+    assert "radar" in str(found.explain(number)) and str(both["mmsi"][-1]) in str(found.explain(number))
+    assert str(found.explain("101", source="radar")) != str(found.explain(number, at=START + 30.0))
+    for words in ("Sources", "Picture: 6 instants", "offset", "assumed"):
+        assert words in found.report()
+    assert len(repr(found).splitlines()) <= 10 and "confirmed object" in repr(found)
+    found.write(tmp_path / "out", format="csv", image=False)
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names - {f"{name}.csv.provenance.json" for name in ("objects", "identities")} == {
+        "objects.csv", "identities.csv", "objects.geojson", "summary.json", "map.html"
+    }  # fmt: skip
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["command"].startswith("sameas.match_picture(dict, dict, sensors=") and summary["files"] == []
+
+
+def test_a_sensor_left_out_and_an_instant(toml) -> None:
+    ais, radar = harbour()
+    sources = {"ais": ais, "radar": radar}
+    alone = sameas.match_picture(sources, sensors=toml, at=START + 60.0, without="ais")
+    assert len(alone) == 1 and set(alone.pairs["source"].tolist()) == {"radar"}
+    with pytest.raises(InputError, match=r"without=sonar: there is no such source; give one of ais, radar"):
+        sameas.match_picture(sources, sensors=toml, without=["sonar"])
+    with pytest.raises(InputError, match=r"at=noon: give a time such as"):
+        sameas.match_picture(sources, sensors=toml, at="noon")
+    with pytest.raises(InputError, match="give at, or every with begin and end, not both"):
+        sameas.match_picture(sources, sensors=toml, at=START, every=3.0)
+    with pytest.raises(InputError, match=r"say at, or begin and end, within that"):
+        sameas.match_picture(sources, sensors=toml, at=START + 1e6)
+    with pytest.raises(InputError, match="radar is described, but none of the files is of it"):
+        sameas.match_picture({"ais": ais}, sensors=toml)
