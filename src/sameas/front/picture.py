@@ -501,7 +501,8 @@ def _sources(sources: Any, described: Mapping[str, SourceOptions], start: str | 
     unused = [name for name in described if name not in sources and described[name].path is None]
     if unused and not files:
         raise InputError(f"{unused[0]} is described, but none of the files is of it; there are {', '.join(sources)}")
-    return read
+    order = {name: k for k, name in enumerate(sources)}
+    return sorted(read, key=lambda one: order.get(one.description.name, len(order)))
 
 
 def _cells(data: Any, name: str) -> TableText:
