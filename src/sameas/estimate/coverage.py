@@ -272,6 +272,11 @@ class Coverage:
     volume: float
     levels: tuple[GridLevel, ...]
 
+    @property
+    def counted(self) -> tuple[BoolArray, BoolArray]:
+        """(n₁,), (n₂,) whether a record counts; in a sample others only compete."""
+        return np.ones(len(self.first), np.bool_), np.ones(len(self.second), np.bool_)
+
     @classmethod
     def of(cls, first: Records, second: Records) -> Coverage:
         """Cells over the stretch that both sources span together; both must have records."""

@@ -236,11 +236,64 @@ def match(
     columns = ColumnEvidence.of(first, second, evidence)
     search = _GateSearch(coverage, seen, precision, density, gate, sampling, progress, tuning=tuning, columns=columns)
     scan = scanned(coverage, density, tuning.grid) if errors is None and gate is None else None
-    if scan is not None and scan.contrast > tuning.bettering:
-        if scan.common < tuning.grid.many:
-            return search.averaged(scan, rounds)
-        if scan.gain > tuning.bettering:
-            search = replace(search, start=scan.likeliest)
+    if scan is not None and scan.contrast > tuning.bettering and scan.common < tuning.grid.many:
+        return search.averaged(scan, rounds)
+    search, found, remarks = _converged(search, scan, errors, rounds)
+    answer, found = search.identified(found, rounds)
+    return answer, _told(answer, search.coverage, found, remarks)
+
+
+@in_short
+@dataclass(frozen=True)
+class SampleMatch:
+    """What a sample of two sources says of all of them: made by :func:`match_sample`.
+
+    estimate : as of :func:`match`, of the sample. known : where its rounds ended. start : the errors by which the gate
+    measures, gate_sigmas : its radius in these.
+    """
+
+    estimate: Estimate
+    known: Estimates = field(repr=False)
+    start: Errors
+    gate_sigmas: float
+
+
+def match_sample(
+    coverage: Coverage,
+    *,
+    errors: Errors | None = None,
+    gate: ChiSquare | Radius | None = None,
+    density: tuple[float, float] | None = None,
+    brightness: tuple[Magnitudes, Magnitudes] | None = None,
+    precision: bool = True,
+    rounds: int = 30,
+    tuning: MatchTuning = DEFAULT_MATCH,
+    progress: Callable[[str], None] = lambda stage: None,
+) -> SampleMatch:
+    """What is not known of two sources, estimated from a sample that somebody else has drawn.
+
+    coverage : of the sample, with which of its records count. The others are those of :func:`match`; the likeliest
+    errors are taken, however few the pairs are.
+    """
+    seen = _photometry(coverage.first, coverage.second, brightness)
+    every = Sampling(enough=2**62)
+    search = _GateSearch(coverage, seen, precision, density, gate, every, progress, tuning=tuning)
+    scan = scanned(coverage, density, tuning.grid) if errors is None and gate is None else None
+    search, found, remarks = _converged(search, scan, errors, rounds)
+    answer, found = search.identified(found, rounds)
+    estimate = _told(answer, coverage, found, remarks)
+    (one, two), common = found.known.setting.numbers, found.known.common
+    shares = {"share_1": min(1.0, common / max(one, 1)), "share_2": min(1.0, common / max(two, 1))}
+    return SampleMatch(replace(estimate, common=common, **shares), found.known, search.start, found.gate_sigmas)
+
+
+def _converged(
+    search: _GateSearch, scan: ErrorScan | None, errors: Errors | None, rounds: int
+) -> tuple[_GateSearch, _Converged, list[str]]:
+    """Where the rounds end, with the errors that the records show, and what is to be said of it."""
+    tuning = search.tuning
+    if scan is not None and scan.contrast > tuning.bettering and scan.gain > tuning.bettering:
+        search = replace(search, start=scan.likeliest)
     found, remarks = search.settled(errors, rounds), []
     while errors is None and found.rounds < rounds:
         model, gain = found.bettered()
@@ -250,14 +303,14 @@ def match(
         again = search.settled(None, max(rounds - found.rounds, 5))
         found = replace(again, rounds=found.rounds + again.rounds)
     if found.has_learned and not _stands_out(search.start.pairs(found.whole.pairs), found.gate_sigmas, tuning):
-        search = replace(search, photometry=None, precision=False, columns=columns and columns.given_only)
+        more = search.photometry is not None or search.columns is not None
+        believed = "positions and quoted errors alone" if more else "the quoted errors"
+        given = search.columns and search.columns.given_only
+        search = replace(search, photometry=None, precision=False, columns=given)
         again = search.settled(errors or Errors(), max(rounds - found.rounds, 5))
         found = replace(again, rounds=found.rounds + again.rounds)
-        more = brightness is not None or columns is not None
-        believed = "positions and quoted errors alone" if more else "the quoted errors"
         remarks.append(f"close candidates do not exceed what chance gives; {believed} are believed")
-    answer, found = search.identified(found, rounds)
-    return answer, _told(answer, search.coverage, found, remarks)
+    return search, found, remarks
 
 
 def _photometry(first: Records, second: Records, brightness: tuple[Magnitudes, Magnitudes] | None) -> Photometry | None:

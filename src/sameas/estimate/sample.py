@@ -63,9 +63,8 @@ class Setting:
     def whole(cls, pairs: Pairs, coverage: Coverage) -> Setting:
         """All candidates and records."""
         n1, n2 = len(pairs.first), len(pairs.second)
-        every = np.ones(n1, np.bool_), np.ones(n2, np.bool_)
         rows, densities = (np.arange(n1), np.arange(n2)), coverage.covered_densities
-        return cls(pairs, rows, coverage.levels, coverage.covered, every, densities)
+        return cls(pairs, rows, coverage.levels, coverage.covered, coverage.counted, densities)
 
     @property
     def numbers(self) -> tuple[int, int]:

@@ -44,7 +44,7 @@ def read(path: Path, hdu: None) -> Table:
                 f"{path}: column {name} ({content.schema.field(name).type}) is no column of cells; left out"
             )
             continue
-        _describe(column, _decoded(content.schema.field(name).metadata))
+        described(column, decoded(content.schema.field(name).metadata))
         columns.append(column)
     table = _with_file_metadata(Table(columns, copy=False), content.schema.metadata or {})
     # What was read is NumPy's now; Arrow would keep as much again for what it might read next.
@@ -62,7 +62,7 @@ def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
 
     arrays = [array_of(table[name]) for name in table.colnames]
     fields = [
-        pa.field(name, array.type, metadata=_column_metadata(table[name]))
+        pa.field(name, array.type, metadata=column_metadata(table[name]))
         for name, array in zip(table.colnames, arrays, strict=True)
     ]
     schema = pa.schema(fields, metadata=_file_metadata(table, provenance))
@@ -83,11 +83,12 @@ def provenance(path: Path) -> dict[str, Any]:
     return dict(json.loads(metadata.get(_KEY, b"{}")))
 
 
-def _decoded(metadata: Mapping[bytes, bytes] | None) -> dict[str, str]:
+def decoded(metadata: Mapping[bytes, bytes] | None) -> dict[str, str]:
+    """Metadata of a field of Arrow as text."""
     return {key.decode("utf-8", "replace"): value.decode("utf-8", "replace") for key, value in (metadata or {}).items()}
 
 
-def _describe(column: Column, facts: Mapping[str, Any]) -> None:
+def described(column: Column, facts: Mapping[str, Any]) -> None:
     """Gives a column the unit, description and UCD that are known of it."""
     from astropy.units import Unit
 
@@ -110,7 +111,7 @@ def _with_file_metadata(table: Table, metadata: Mapping[bytes, bytes]) -> Table:
             fields = votable.parse(BytesIO(metadata[_VOPARQUET])).get_first_table().fields
         for field in fields:
             if field.name in table.colnames:
-                _describe(table[field.name], {k: getattr(field, k) for k in ("unit", "description", "ucd")})
+                described(table[field.name], {k: getattr(field, k) for k in ("unit", "description", "ucd")})
     return table
 
 
@@ -121,7 +122,7 @@ def _with_astropys(table: Table, text: str) -> Table:
     for described in header["datatype"]:
         if described["name"] in table.colnames:
             column = table[described["name"]]
-            _describe(column, described)
+            described(column, described)
             column.format = described.get("format", column.format)
             column.meta.update(described.get("meta", {}))
     table.meta.update(header.get("meta", {}))
@@ -131,7 +132,8 @@ def _with_astropys(table: Table, text: str) -> Table:
     return table
 
 
-def _column_metadata(column: Column) -> dict[str, str] | None:
+def column_metadata(column: Column) -> dict[str, str] | None:
+    """Unit, description and UCD of a column, for a field of Arrow."""
     facts = {
         "unit": column.unit.to_string() if column.unit is not None else None,
         "description": column.description,

@@ -247,6 +247,17 @@ class Catalogue:
             magnitude_error=_brightness(rows, choice.magnitude_error, name),
         )
 
+    def alike(self, table: Any) -> Catalogue:
+        """Other rows of the same source, understood as these are; nothing is said of them, and they may be none."""
+        rows = column_values.as_table(table, self.name)
+        magnitude = _brightness(rows, self.choice.magnitude, self.name)
+        astrometry, _ = _astrometry(rows, self.choice, self.options, magnitude, self.name)
+        ids, _ = _ids(rows, self.choice, self.options, self.name)
+        return replace(
+            self, table=rows, ids=ids, astrometry=astrometry, doubts=(), magnitude=magnitude,
+            magnitude_error=_brightness(rows, self.choice.magnitude_error, self.name),
+        )  # fmt: skip
+
     @property
     def error_is_unknown(self) -> bool:
         """Whether nothing is known of the position errors."""

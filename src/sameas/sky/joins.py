@@ -176,6 +176,13 @@ class _JoinedRows:
     pair: IntArray
     answers: bool = False
 
+    def of(self, own_1: BoolArray, own_2: BoolArray) -> _JoinedRows:
+        """Those that speak for some rows of the first table, (n₁,), and without one for some of the second, (n₂,)."""
+        kept = np.zeros(len(self.one), np.bool_)
+        kept[self.mine] = own_1[self.one[self.mine]]
+        kept[~self.mine] = own_2[self.two[~self.mine]]
+        return _JoinedRows(self.one[kept], self.two[kept], self.pair[kept], self.answers)
+
     @cached_property
     def absent(self) -> BoolArray:
         """Whether a row has no candidate."""
@@ -187,13 +194,21 @@ class _JoinedRows:
         return self.one >= 0
 
 
-def joined(match: Joinable, join: str = JOINS[0], *, nway_columns: bool = False) -> Table:
+def joined(
+    match: Joinable,
+    join: str = JOINS[0],
+    *,
+    nway_columns: bool = False,
+    own: tuple[BoolArray, BoolArray] | None = None,
+) -> Table:
     """The joined table.
 
     Parameters
     ----------
     join : one of :data:`~sameas.sky.join_types.JOINS`.
     nway_columns : add ``p_any``, ``p_i`` and ``dist_bayesfactor`` by NWAY's names.
+    own : (n₁,), (n₂,) which rows of the two tables may speak: of a joined row the first's, else, without one, the
+        second's. None: all.
 
     Raises
     ------
@@ -202,6 +217,8 @@ def joined(match: Joinable, join: str = JOINS[0], *, nway_columns: bool = False)
     if join not in JOINS:
         raise InputError(f"join {join!r} is not known; choose one of {', '.join(JOINS)}")
     rows = _rows(match, join)
+    if own is not None:
+        rows = rows.of(*own)
     table = Table()
     names = joined_names(match.first.table, match.second.table)
     for side, (source, at) in enumerate(((match.first.table, rows.one), (match.second.table, rows.two))):

@@ -1,0 +1,395 @@
+"""What is known of two sources at every place, learned once: densities, coverage, shares, errors, magnitudes.
+
+Sources that outgrow one machine are identified part by part. No part may estimate for itself (shares would scatter by
+a per cent, and decisions near a border would depend on which part asks), so all that evidence is made of is
+
+- counted in cells by every part, and added up (:class:`Counts`): local densities, and where a source does not look;
+- estimated from a sample of cells with all that competes there (:func:`learn`), by the rounds of ``estimate.match``;
+- handed to all parts as one value (:class:`Learned`), whose rule depends on a pair and its places alone.
+
+Cells are nested: four of one size make one of the next, cell ``c`` lies in ``c >> 2``. All cells of a size are equal in
+volume, as those of HEALPix are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.errors import InputError
+from sameas.estimate.cells import FINEST, GridLevel
+from sameas.estimate.coverage import HOLE, IN_CELL, PSEUDO_COUNT, SHARED_PSEUDO_COUNT, SMOOTH, Coverage
+from sameas.estimate.em import Estimates
+from sameas.estimate.grades import Grades
+from sameas.estimate.match import DEFAULT_MATCH, Estimate, MatchTuning, match_sample
+from sameas.estimate.photometry import Photometry
+from sameas.estimate.sample import Sampling, Setting
+from sameas.evidence import Errors, Magnitudes, MeasuredMagnitudes, Rule
+from sameas.gate import ChiSquare, Pairs, Radius
+from sameas.records import Records
+from sameas.representation import in_short
+
+#: Cells so large that they hold so many records on average tell no more than the mean of all.
+COARSEST = 100_000.0
+_NOTHING = np.empty(0)
+
+
+@in_short
+@dataclass(frozen=True)
+class Counts:
+    """Records of both sources in occupied cells.
+
+    cells : (u,) their numbers, rising. numbers : (u, 2) records of either source.
+    """
+
+    cells: IntArray
+    numbers: IntArray
+
+    @classmethod
+    def of(cls, cells_1: IntArray, cells_2: IntArray) -> Counts:
+        """Of records in these cells, (n₁,) and (n₂,)."""
+        cells, at = np.unique(np.concatenate([cells_1, cells_2]), return_inverse=True)
+        one, two = at[: len(cells_1)], at[len(cells_1) :]
+        numbers = np.column_stack([np.bincount(one, minlength=len(cells)), np.bincount(two, minlength=len(cells))])
+        return cls(cells, numbers)
+
+    @classmethod
+    def sum(cls, parts: Sequence[Counts]) -> Counts:
+        """All of several parts."""
+        return cls._summed(np.concatenate([part.cells for part in parts]), np.concatenate([p.numbers for p in parts]))
+
+    @classmethod
+    def _summed(cls, cells: IntArray, numbers: IntArray) -> Counts:
+        order = np.argsort(cells, kind="stable")
+        cells, numbers = cells[order], numbers[order]
+        if not len(cells):
+            return cls(cells, numbers)
+        start = np.flatnonzero(np.append(True, cells[1:] != cells[:-1]))
+        return cls(cells[start], np.add.reduceat(numbers, start, axis=0))
+
+    def coarser(self, steps: int) -> Counts:
+        """In cells ``4 ** steps`` times as large."""
+        return self._summed(self.cells >> (2 * steps), self.numbers)
+
+    def at(self, cells: IntArray) -> IntArray:
+        """Places among the occupied cells of some cells, which are among them."""
+        return np.minimum(np.searchsorted(self.cells, cells), len(self.cells) - 1)
+
+
+@in_short
+@dataclass(frozen=True)
+class Places:
+    """Densities, coverage and shares in cells. Make it with :meth:`of`.
+
+    cells : (u,) the occupied cells, rising; each in ``steps`` steps from the cells that were counted.
+    density : (u, 2, 2) of the covered records of source k + 1 at those of its own, [:, k, 0], which do not count
+    themselves, and at those of the other source, [:, k, 1]. seen : (u, 2) whether the other source looks there.
+    share : (u, 2) of the records of a source there that have a partner. levels : steps from these to coarser cells.
+    volume : of a cell.
+    """
+
+    cells: IntArray
+    steps: int
+    density: FloatArray = field(repr=False)
+    seen: BoolArray = field(repr=False)
+    share: FloatArray = field(repr=False)
+    levels: tuple[int, ...]
+    volume: float
+
+    @classmethod
+    def of(cls, counts: Counts, volume: float) -> Places:
+        """From the counts of all records, in cells of this volume; shares are not known yet.
+
+        Raises
+        ------
+        InputError : a source has no records.
+        """
+        totals = counts.numbers.sum(axis=0)
+        if not totals.all():
+            raise InputError("one of the catalogues has no usable records; nothing can be identified")
+        by_step = [counts]
+        while len(by_step[-1].cells) * COARSEST > totals.sum() and len(by_step[-1].cells) > 1 and len(by_step) < 25:
+            by_step.append(by_step[-1].coarser(1))
+        richer = int(np.argmax(totals))
+        finest = 0
+        for steps in range(len(by_step) - 1, -1, -1):
+            number = by_step[steps].numbers[:, richer].astype(np.float64)
+            if number @ number <= FINEST * totals[richer]:
+                finest = steps
+                break
+        cells = by_step[finest].cells
+        levels = tuple(range(len(by_step) - 1 - finest, -1, -1))
+        volume *= 4.0**finest
+        numbers = by_step[finest].numbers.astype(np.float64)
+        area = len(by_step[-1].cells) * volume * 4.0 ** levels[0]
+        seen = np.column_stack(
+            [_seen(cells, numbers[:, k], numbers[:, 1 - k], levels, volume, area) for k in range(2)]
+        )
+        density = np.stack([_density(cells, numbers[:, k] * seen[:, k], levels, volume, area) for k in range(2)], 1)
+        return cls(cells, finest, density, seen, np.full((len(cells), 2), np.nan), levels, volume)
+
+    def at(self, counted: IntArray) -> IntArray:
+        """The places of records among ``cells``, from the cells in which they were counted."""
+        return np.minimum(np.searchsorted(self.cells, counted >> (2 * self.steps)), len(self.cells) - 1)
+
+    def densities(self, at_1: IntArray, at_2: IntArray) -> tuple[tuple[FloatArray, FloatArray], ...]:
+        """Of source 1, and of source 2, each at the records of both."""
+        one, two = self.density[:, 0], self.density[:, 1]
+        return (one[at_1, 0], one[at_2, 1]), (two[at_1, 1], two[at_2, 0])
+
+    def with_shares(self, cells: Sequence[IntArray], part: Sequence[FloatArray], weight: Sequence[FloatArray]) -> Places:
+        """With the shares of a sample: ``part`` of ``weight``, of the records of either source, in these cells."""
+        share = np.column_stack([self._share(*side) for side in zip(cells, part, weight, strict=True)])
+        return replace(self, share=share)
+
+    def _share(self, counted: IntArray, part: FloatArray, weight: FloatArray) -> FloatArray:
+        """Drawn from that of coarser cells towards that of each, level after level, as ``coverage.local_share``."""
+        share = np.full(len(self.cells), (float(part.sum()) + 0.5) / (float(weight.sum()) + 1.0))
+        cells = counted >> (2 * self.steps)
+        # One cell says no more than the mean of all, and the finest say next to nothing.
+        for steps in self.levels[1:-1] or self.levels:
+            known, at = np.unique(cells >> (2 * steps), return_inverse=True)
+            parts, weights = np.bincount(at, part), np.bincount(at, weight)
+            own = self.cells >> (2 * steps)
+            place = np.minimum(np.searchsorted(known, own), len(known) - 1)
+            there = known[place] == own
+            parts, weights = np.where(there, parts[place], 0.0), np.where(there, weights[place], 0.0)
+            share = (parts + SHARED_PSEUDO_COUNT * share) / (weights + SHARED_PSEUDO_COUNT)
+        return share
+
+    def write(self, folder: Path) -> None:
+        """Into files of a folder, from which parts read what they need only."""
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in _COLUMNS:
+            np.save(folder / f"{name}.npy", getattr(self, name))
+
+    def without_columns(self) -> Places:
+        """All but what :meth:`write` writes."""
+        return replace(self, **{name: _NOTHING for name in _COLUMNS})
+
+    def with_columns(self, folder: Path) -> Places:
+        """With what was written into a folder."""
+        return replace(self, **{name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in _COLUMNS})
+
+
+_COLUMNS = ("cells", "density", "seen", "share")
+
+
+def _by_level(
+    cells: IntArray, levels: Sequence[int], *numbers: FloatArray
+) -> list[tuple[float, tuple[FloatArray, ...]]]:
+    """Level by level, by how much larger its cells are, and the sums of numbers (u,) over the cell of each."""
+    out: list[tuple[float, tuple[FloatArray, ...]]] = []
+    for steps in levels:
+        own = cells >> (2 * steps)
+        first = np.append(True, own[1:] != own[:-1])
+        start, at = np.flatnonzero(first), np.cumsum(first) - 1
+        out.append((4.0**steps, tuple(np.add.reduceat(number, start)[at] for number in numbers)))
+    return out
+
+
+def _seen(
+    cells: IntArray, asking: FloatArray, other: FloatArray, levels: Sequence[int], volume: float, area: float
+) -> BoolArray:
+    """(u,) whether the other source looks there, as ``kernels.coverage.look`` has it."""
+    density, highest = np.full(len(cells), other.sum() / area), np.zeros(len(cells))
+    least, seen = IN_CELL * asking.sum() / other.sum(), np.ones(len(cells), np.bool_)
+    for larger, (company, count) in _by_level(cells, levels, asking, other):
+        expected = np.maximum(density, 0.5 * highest) * volume * larger
+        seen &= ~((count == 0.0) & (company >= least) & (expected >= HOLE))
+        highest = np.maximum(highest, density)
+        density = (count + PSEUDO_COUNT) / (volume * larger + PSEUDO_COUNT / density)
+    return seen
+
+
+def _density(cells: IntArray, number: FloatArray, levels: Sequence[int], volume: float, area: float) -> FloatArray:
+    """(u, 2) density of the counted records at those of their own source, and at others, as ``Coverage.density``."""
+    start = (number.sum() + 0.5) / area
+    own, others = np.full(len(cells), start), np.full(len(cells), start)
+    for larger, (count,) in _by_level(cells, levels, number):
+        size = volume * larger
+        own = (np.maximum(count - 1.0, 0.0) + SMOOTH) / (size + SMOOTH / own)
+        others = (count + SMOOTH) / (size + SMOOTH / others)
+    return np.column_stack([own, others])
+
+
+def drawn(counts: Counts, sampling: Sampling = Sampling()) -> tuple[int, IntArray]:  # noqa: B008
+    """Cells that hold enough records of both sources, from the counts of all: steps to their size, and their numbers.
+
+    The draw depends on where records lie alone.
+    """
+    total, steps, level = int(counts.numbers.sum()), 0, counts
+    while len(level.cells) * sampling.cell > total and len(level.cells) > 1 and steps < 25:
+        level, steps = level.coarser(1), steps + 1
+    order = np.random.default_rng(sampling.seed).permutation(len(level.cells))
+    held = np.cumsum(level.numbers[order], axis=0)
+    needed = max(int(np.searchsorted(held[:, k], sampling.enough)) for k in range(2)) + 1
+    return steps, np.sort(level.cells[order[:needed]])
+
+
+@in_short
+@dataclass(frozen=True)
+class _SampleCoverage(Coverage):
+    """The coverage of a sample, known from all records."""
+
+    known_counted: tuple[BoolArray, BoolArray] = field(repr=False)
+    known_covered: tuple[BoolArray, BoolArray] = field(repr=False)
+    known_densities: tuple[tuple[FloatArray, FloatArray], ...] = field(repr=False)
+
+    @property
+    def counted(self) -> tuple[BoolArray, BoolArray]:
+        return self.known_counted
+
+    @property
+    def covered(self) -> tuple[BoolArray, BoolArray]:  # type: ignore[override]
+        return self.known_covered
+
+    @property
+    def covered_densities(self) -> tuple[tuple[FloatArray, FloatArray], ...]:  # type: ignore[override]
+        return self.known_densities
+
+    @property
+    def common_volume(self) -> float:  # type: ignore[override]
+        seen, counted = self.known_covered, self.known_counted
+        return self.volume * min(float(s[c].mean()) if c.any() else 1.0 for s, c in zip(seen, counted, strict=True))
+
+
+@in_short
+@dataclass(frozen=True)
+class Learned:
+    """All that evidence is made of, for any part of both sources. Make it with :func:`learn`.
+
+    errors : of the evidence. start, gate_sigmas : the errors by which the gate measures, and its radius in these.
+    means : shares of all that have a partner. photometry : without magnitudes of its own. grades : without records.
+    density : of all records of either source where the user gave them. places : densities, coverage and shares.
+    estimate : of the sample, for reports; None where it is not needed.
+    """
+
+    errors: Errors
+    start: Errors
+    gate_sigmas: float
+    means: tuple[float, float]
+    photometry: Photometry | None = field(repr=False)
+    grades: Grades | None = field(repr=False)
+    density: tuple[float, float] | None
+    places: Places
+    estimate: Estimate | None = field(repr=False, default=None)
+
+    def pairs(self, first: Records, second: Records) -> Pairs:
+        """The candidates."""
+        pairs = Radius(self.gate_sigmas)(*self.start.records(first, second))
+        return pairs.of(first, second) if self.start.as_modelled else pairs
+
+    def rule(
+        self,
+        pairs: Pairs,
+        cells: tuple[IntArray, IntArray],
+        measured: tuple[MeasuredMagnitudes, MeasuredMagnitudes] | None = None,
+    ) -> Rule:
+        """The evidence of pairs whose records lie in these cells, (n₁,) and (n₂,), of those that were counted.
+
+        measured : magnitudes of the records; None where magnitudes are no evidence.
+        """
+        n1, n2 = len(pairs.first), len(pairs.second)
+        at_1, at_2 = self.places.at(cells[0]), self.places.at(cells[1])
+        every = np.ones(n1, np.bool_), np.ones(n2, np.bool_)
+        level = GridLevel(np.zeros(n1, np.int32), np.zeros(n2, np.int32), np.ones(1))
+        (d_1, d_2), share = self.places.densities(at_1, at_2), self.places.share
+        setting = Setting(pairs, (np.arange(n1), np.arange(n2)), (level,), every, every, (d_1, d_2))
+        photometry = self._photometry(measured)
+        known = Estimates(
+            setting, (np.full(n1, self.means[0]), np.full(n2, self.means[1])), every,
+            ((share[at_1, 0], share[at_2, 0]), (share[at_1, 1], share[at_2, 1])), self.errors, False, photometry,
+            self.density,
+        )  # fmt: skip
+        if self.grades is not None:
+            known = replace(known, grades=self.grades.at(setting, photometry))
+        return known.rule()
+
+    def seen(self, cells: IntArray, source: int) -> BoolArray:
+        """(n,) whether the other source looks where records of ``source`` (1 or 2) lie."""
+        return np.asarray(self.places.seen[self.places.at(cells), source - 1])
+
+    def _photometry(self, measured: tuple[MeasuredMagnitudes, MeasuredMagnitudes] | None) -> Photometry | None:
+        if self.photometry is None or measured is None:
+            return None
+        one, two = (replace(s, measured=m) for s, m in zip(self.photometry.sides, measured, strict=True))
+        return replace(self.photometry, sides=(one, two), known=None)
+
+
+def learn(
+    records: tuple[Records, Records],
+    cells: tuple[IntArray, IntArray],
+    counted: tuple[BoolArray, BoolArray],
+    places: Places,
+    volume: float,
+    *,
+    errors: Errors | None = None,
+    gate: ChiSquare | Radius | None = None,
+    density: tuple[float, float] | None = None,
+    brightness: tuple[Magnitudes, Magnitudes] | None = None,
+    precision: bool = True,
+    tuning: MatchTuning = DEFAULT_MATCH,
+    progress: Callable[[str], None] = lambda stage: None,
+) -> Learned:
+    """What a sample says, for all.
+
+    Parameters
+    ----------
+    records : of the sample: those that count, and all that compete with them. cells : (n₁,), (n₂,) of them, of the
+        size that was counted. counted : (n₁,), (n₂,).
+    places : densities and coverage, from the counts of all records. volume : of the sample.
+    errors, gate, density, brightness, precision : as of ``estimate.match.match``.
+
+    Raises
+    ------
+    InputError : the sample holds no records of one source.
+    """
+    for one, some in zip(records, counted, strict=True):
+        if not some.any():
+            raise InputError(f"{one.source} has no usable records in the sample; nothing can be identified")
+    first, second = records
+    at = places.at(cells[0]), places.at(cells[1])
+    seen = places.seen[at[0], 0], places.seen[at[1], 1]
+    levels = tuple(_level(places.cells[at[0]], places.cells[at[1]], steps, places.volume) for steps in places.levels)
+    coverage = _SampleCoverage(first, second, volume, levels, counted, seen, places.densities(*at))
+    found = match_sample(
+        coverage, errors=errors, gate=gate, density=density, brightness=brightness, precision=precision,
+        tuning=tuning, progress=progress,
+    )  # fmt: skip
+    known = found.known
+    weights = [(s & c).astype(np.float64) for s, c in zip(seen, known.counted, strict=True)]
+    part = [p * w for p, w in zip(known.partner, weights, strict=True)]
+    places = places.with_shares(cells, part, weights)
+    return Learned(
+        known.errors, found.start, found.gate_sigmas, known.means, _without_records(known.photometry),
+        None if known.grades is None or known.grades.rule is None else _without_grades(known.grades), density, places,
+        found.estimate,
+    )  # fmt: skip
+
+
+def _level(one: IntArray, two: IntArray, steps: int, volume: float) -> GridLevel:
+    known, at = np.unique(np.concatenate([one, two]) >> (2 * steps), return_inverse=True)
+    at = at.astype(np.int32)
+    return GridLevel(at[: len(one)], at[len(one) :], np.full(len(known), volume * 4.0**steps))
+
+
+def _without_records(photometry: Photometry | None) -> Photometry | None:
+    if photometry is None or not photometry.tells:
+        return None
+    none = np.empty(0, np.int64)
+    return photometry.part(none, none)
+
+
+def _without_grades(grades: Grades) -> Grades:
+    none = np.empty(0, np.int32)
+    rule = grades.rule and replace(grades.rule, grades=(none, none), training=None)
+    return replace(grades, grades=(none, none), cells=(none, none), rule=rule)
+
+
+__all__ = ["Counts", "Learned", "Places", "drawn", "learn"]

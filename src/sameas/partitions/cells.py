@@ -1,0 +1,105 @@
+"""Cells of HEALPix in nested numbering: those of positions, and the stretches around a cell that a halo fills.
+
+A stretch is a range [begin, end) of cell numbers at order 29, the order of the column ``_healpix_29`` of a HATS
+catalogue. A set of them is an (k, 2) array, rising and disjoint.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.errors import InputError
+
+FINEST = 29
+#: The mean side of a cell over the least distance across one; hats counts with the same number for its margins.
+SIDE_OVER_WIDTH = 1.6
+#: Side of a cell of order 0, arcsec: the root of 4π/12 steradian.
+SIDE_ARCSEC = math.degrees(math.sqrt(math.pi / 3.0)) * 3600.0
+
+
+def area_arcsec2(order: int) -> float:
+    """Area of a cell."""
+    return (SIDE_ARCSEC / 2.0**order) ** 2
+
+
+def width_arcsec(order: int) -> float:
+    """Least distance across a cell."""
+    return SIDE_ARCSEC / 2.0**order / SIDE_OVER_WIDTH
+
+
+def order_of_width(arcsec: float) -> int:
+    """The finest order whose cells are at least so wide."""
+    return int(min(max(math.floor(math.log2(SIDE_ARCSEC / SIDE_OVER_WIDTH / max(arcsec, 1e-6))), 0), 24))
+
+
+def cells_of(position_deg: FloatArray, order: int) -> IntArray:
+    """(n,) cells of positions (n, 2), right ascension and declination in degrees."""
+    from astropy.coordinates import Latitude, Longitude
+
+    if not len(position_deg):
+        return np.empty(0, np.int64)
+    lon = Longitude(np.mod(position_deg[:, 0], 360.0), unit="deg")
+    lat = Latitude(position_deg[:, 1], unit="deg")
+    return np.asarray(_nested().lonlat_to_healpix(lon, lat, order, num_threads=1), np.int64)
+
+
+def centres(cells: IntArray, order: int) -> FloatArray:
+    """(n, 3) directions of the middles of cells."""
+    lon, lat = _nested().healpix_to_lonlat(cells.astype(np.uint64), order, num_threads=1)
+    lon, lat = np.asarray(lon.rad), np.asarray(lat.rad)
+    return np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+
+
+def stretches(cells: IntArray, order: int) -> IntArray:
+    """(k, 2) stretches of cells of one order, neighbours taken together."""
+    cells = np.unique(np.asarray(cells, np.int64))
+    return joined(np.column_stack([cells, cells + 1]) << (2 * (FINEST - order)))
+
+
+def joined(stretch: IntArray) -> IntArray:
+    """The same set, (k, 2), rising, and none touching the next."""
+    if not len(stretch):
+        return stretch.reshape(0, 2)
+    stretch = stretch[np.argsort(stretch[:, 0], kind="stable")]
+    reach = np.maximum.accumulate(stretch[:, 1])
+    first = np.ones(len(stretch), np.bool_)
+    first[1:] = stretch[1:, 0] > reach[:-1]
+    last = np.append(np.flatnonzero(first)[1:] - 1, len(stretch) - 1)
+    return np.column_stack([stretch[first, 0], reach[last]])
+
+
+def within(stretch: IntArray, cells: IntArray) -> BoolArray:
+    """(n,) whether cells of order 29 lie in a set of stretches."""
+    if not len(stretch):
+        return np.zeros(len(cells), np.bool_)
+    at = np.searchsorted(stretch[:, 0], cells, side="right") - 1
+    return np.asarray((at >= 0) & (cells < stretch[np.maximum(at, 0), 1]))
+
+
+def ring(cells: IntArray, order: int, fine: int) -> IntArray:
+    """The cells of order ``fine`` around a set of cells of an order that is not finer, none of them inside."""
+    nested, fine = _nested(), max(fine, order)
+    edges, corners = nested.external_neighbours(np.asarray(cells, np.uint64), order, fine - order, num_threads=1)
+    # Corners that do not exist are −1.
+    around = np.concatenate([np.ravel(edges).astype(np.int64), np.ravel(corners).astype(np.int64)])
+    around = np.unique(around[around >= 0])
+    return around[~np.isin(around >> (2 * (fine - order)), cells)]
+
+
+def around(cells: IntArray, order: int) -> IntArray:
+    """The cells of the same order that touch a set of cells, without these."""
+    near = np.asarray(_nested().neighbours(np.asarray(cells, np.uint64), order, num_threads=1)).astype(np.int64)
+    near = np.unique(near[near >= 0])
+    return np.setdiff1d(near, cells, assume_unique=True)
+
+
+def _nested():  # type: ignore[no-untyped-def]
+    try:
+        from cdshealpix import nested
+    except ImportError as error:
+        message = "catalogues in partitions need cdshealpix: pip install 'sameas[hats]'"
+        raise InputError(message) from error
+    return nested

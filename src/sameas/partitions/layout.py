@@ -1,0 +1,258 @@
+"""A HATS catalogue on disk: which partitions it has, and its rows in a stretch of the sky, read with pyarrow alone.
+
+https://www.ivoa.net/documents/Notes/HATS/: a folder ``dataset`` with a Parquet file for each cell of HEALPix, whose
+rows have their cell of order 29 in ``_healpix_29``; a collection names the folder of its catalogue.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sameas.arrays import IntArray
+from sameas.errors import InputError
+from sameas.partitions.cells import FINEST, cells_of, joined, within
+from sameas.representation import in_short
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+#: The column of the cell of order 29.
+CELL = "_healpix_29"
+#: Columns of HATS itself, which no catalogue is understood by.
+OWN = (CELL, "_hipscat_index", "Norder", "Dir", "Npix")
+COLLECTION, PROPERTIES = "collection.properties", ("hats.properties", "properties")
+
+
+@dataclass(frozen=True, order=True)
+class Cell:
+    """A cell of HEALPix: order and number; of a partition, or of a piece of work."""
+
+    order: int
+    number: int
+
+    @property
+    def stretch(self) -> IntArray:
+        """(1, 2) its stretch."""
+        shift = 2 * (FINEST - self.order)
+        return np.array([[self.number << shift, (self.number + 1) << shift]], np.int64)
+
+    def __str__(self) -> str:
+        return f"Norder={self.order}, Npix={self.number}"
+
+
+def is_hats(path: Any) -> bool:
+    """Whether a path is a HATS catalogue or a collection of them."""
+    if not isinstance(path, str | os.PathLike) or not os.path.isdir(path):
+        return False
+    folder = Path(path)
+    return any((folder / name).is_file() for name in (COLLECTION, *PROPERTIES)) and (
+        (folder / COLLECTION).is_file() or (folder / "dataset").is_dir()
+    )
+
+
+def properties(path: Path) -> dict[str, str]:
+    """The pairs of a file of properties."""
+    lines = (line.partition("=") for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#"))
+    return {key.strip(): value.strip() for key, equals, value in lines if equals}
+
+
+@in_short
+@dataclass(frozen=True)
+class HatsCatalogue:
+    """A catalogue in partitions. Make it with :meth:`open`.
+
+    path : the folder that holds ``dataset``. name : for messages. cells : of the partitions, by their place on the sky.
+    told : what its properties say.
+    """
+
+    path: Path
+    name: str
+    cells: tuple[Cell, ...]
+    told: dict[str, str]
+
+    @classmethod
+    def open(cls, path: str | os.PathLike[str], name: str = "") -> HatsCatalogue:
+        """The catalogue of a folder, or that of a collection.
+
+        Raises
+        ------
+        InputError : no HATS catalogue; it has no partitions.
+        """
+        folder = Path(path)
+        if (folder / COLLECTION).is_file():
+            folder = folder / properties(folder / COLLECTION).get("hats_primary_table_url", "")
+        file = next((folder / name for name in PROPERTIES if (folder / name).is_file()), None)
+        if file is None or not (folder / "dataset").is_dir():
+            raise InputError(f"{path}: no HATS catalogue", "give a folder with hats.properties and dataset/")
+        told = properties(file)
+        suffix = told.get("hats_npix_suffix", ".parquet")
+        cells = sorted(_listed(folder, suffix), key=lambda cell: (int(cell.stretch[0, 0]), cell.order))
+        if not cells:
+            raise InputError(f"{path}: the catalogue has no partitions", "was it imported to the end?")
+        return cls(folder, name or folder.name, tuple(cells), told)
+
+    @cached_property
+    def stretches(self) -> IntArray:
+        """(p, 2) the partitions' own."""
+        return np.concatenate([cell.stretch for cell in self.cells])
+
+    def file(self, cell: Cell) -> Path:
+        """The file of a partition, or the folder of its files."""
+        place = self.path / "dataset" / f"Norder={cell.order}" / f"Dir={cell.number // 10000 * 10000}"
+        suffix = self.told.get("hats_npix_suffix", ".parquet")
+        return place / f"Npix={cell.number}{'' if suffix == '/' else suffix}"
+
+    @cached_property
+    def schema(self) -> pa.Schema:
+        """The columns, as the first partition has them."""
+        return _opened(self._files(self.cells[0])[0], self.cells[0]).schema_arrow
+
+    @property
+    def position(self) -> tuple[str, str]:
+        """The columns of right ascension and declination by which the catalogue is cut."""
+        return self.told.get("hats_col_ra", "ra"), self.told.get("hats_col_dec", "dec")
+
+    def _files(self, cell: Cell) -> list[Path]:
+        file = self.file(cell)
+        files = sorted(file.glob("*.parquet")) if file.is_dir() else [file] if file.is_file() else []
+        if not files:
+            raise InputError(f"{file}: the partition {cell} of {self.name} is missing", "restore it, and call again")
+        return files
+
+    def touching(self, stretch: IntArray) -> list[int]:
+        """The partitions that a set of stretches touches, rising."""
+        own = self.stretches
+        first = np.searchsorted(stretch[:, 1], own[:, 0], side="right")
+        touched = (first < len(stretch)) & (stretch[np.minimum(first, len(stretch) - 1), 0] < own[:, 1])
+        return [int(k) for k in np.flatnonzero(touched)] if len(stretch) else []
+
+    def rows(self, stretch: IntArray, columns: list[str] | None = None) -> pa.Table:
+        """The rows in a set of stretches, in the order of the files, with their cells in ``_healpix_29``.
+
+        columns : their names; None for all but those of HATS itself. Of a file only those row groups are read whose
+        statistics do not exclude it.
+
+        Raises
+        ------
+        InputError : a partition is missing or broken; it is named.
+        """
+        import pyarrow as pa
+
+        stretch = joined(stretch)
+        names = [name for name in self.schema.names if name not in OWN] if columns is None else columns
+        names = list(dict.fromkeys(names))
+        parts = []
+        for number in self.touching(stretch):
+            cell = self.cells[number]
+            for file in self._files(cell):
+                try:
+                    parts += self._part(file, cell, stretch, names)
+                except (OSError, pa.ArrowException) as error:
+                    raise _broken(file, cell, error) from error
+        if parts:
+            return pa.concat_tables(parts, promote_options="permissive")
+        empty = self.schema.empty_table().select(names)
+        return empty.append_column(CELL, pa.array([], pa.int64()))
+
+    def _part(self, file: Path, cell: Cell, stretch: IntArray, names: list[str]) -> list[pa.Table]:
+        """The rows of one file."""
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        whole = within(stretch, cell.stretch[:, 0])[0] and within(stretch, cell.stretch[:, 1] - 1)[0]
+        whole = bool(whole) and bool(np.any((stretch[:, 0] <= cell.stretch[0, 0]) & (stretch[:, 1] >= cell.stretch[0, 1])))
+        parts = []
+        with parquet.ParquetFile(file, memory_map=True) as opened:
+            stored = CELL in opened.schema_arrow.names
+            for group in range(opened.num_row_groups):
+                if stored and not whole and _outside(opened.metadata.row_group(group), stretch):
+                    continue
+                keys = [CELL] if stored else list(self.position)
+                key = opened.read_row_group(group, keys, use_threads=False)
+                cells = self._cells(key, stored)
+                kept = np.ones(len(cells), np.bool_) if whole else within(stretch, cells)
+                if not kept.any():
+                    continue
+                # A table without columns has no rows.
+                part = opened.read_row_group(group, names or keys, use_threads=False).select(names or keys[:1])
+                if not kept.all():
+                    some = pa.array(np.flatnonzero(kept))
+                    part, cells = part.take(some), cells[kept]
+                if CELL in part.column_names:
+                    part = part.drop_columns([CELL])
+                parts.append(part.replace_schema_metadata(None).append_column(CELL, pa.array(cells)))
+        return parts
+
+    def _cells(self, key: pa.Table, stored: bool) -> IntArray:
+        if stored:
+            return np.asarray(key.column(0).to_numpy(), np.int64)
+        ra, dec = (np.asarray(key.column(name).to_numpy(), np.float64) for name in self.position)
+        return cells_of(np.column_stack([ra, dec]), FINEST)
+
+    def count(self) -> IntArray:
+        """(p,) rows of the partitions, by their footers.
+
+        Raises
+        ------
+        InputError : a partition is missing or broken; it is named.
+        """
+        return np.array([sum(_opened(file, cell).metadata.num_rows for file in self._files(cell))
+                         for cell in self.cells], np.int64)  # fmt: skip
+
+    def fingerprint(self) -> str:
+        """SHA-256 of the names, sizes and times of its files: other contents have another."""
+        told = [(str(file.relative_to(self.path)), file.stat().st_size, file.stat().st_mtime_ns)
+                for cell in self.cells for file in self._files(cell)]  # fmt: skip
+        return hashlib.sha256(json.dumps(told).encode()).hexdigest()
+
+
+def _outside(group: Any, stretch: IntArray) -> bool:
+    """Whether the statistics of a row group say that none of its rows lies in a set of stretches."""
+    for k in range(group.num_columns):
+        column = group.column(k)
+        if column.path_in_schema == CELL:
+            told = column.statistics
+            if told is None or not told.has_min_max:
+                return False
+            at = int(np.searchsorted(stretch[:, 1], told.min, side="right"))
+            return at == len(stretch) or bool(stretch[at, 0] > told.max)
+    return False
+
+
+def _opened(file: Path, cell: Cell) -> Any:
+    """The file's footer."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        return parquet.ParquetFile(file)
+    except (OSError, pa.ArrowException) as error:
+        raise _broken(file, cell, error) from error
+
+
+def _broken(file: Path, cell: Cell, error: BaseException) -> InputError:
+    words = " ".join(str(error).split())[:160]
+    return InputError(f"{file}: the partition {cell} cannot be read ({words})", "restore it, and call again")
+
+
+def _listed(folder: Path, suffix: str) -> list[Cell]:
+    """The partitions that a catalogue says it has; those that are there where it does not say."""
+    listing = folder / "partition_info.csv"
+    if listing.is_file():
+        with listing.open(encoding="utf-8", newline="") as lines:
+            return [Cell(int(row["Norder"]), int(row["Npix"])) for row in csv.DictReader(lines)]
+    pattern = "Norder=*/Dir=*/Npix=*" + ("" if suffix == "/" else suffix)
+    cells = []
+    for path in (folder / "dataset").glob(pattern):
+        number = path.name.removeprefix("Npix=").split(".")[0]
+        cells.append(Cell(int(path.parent.parent.name.removeprefix("Norder=")), int(number)))
+    return cells
