@@ -33,6 +33,7 @@ picture simulate
 report
 maps
 io
+partitions
 plots
 pages
 live

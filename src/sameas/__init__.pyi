@@ -29,6 +29,7 @@ from .front.many import MatchMany as MatchMany
 from .front.many import match_many as match_many
 from .front.match import Match as Match
 from .front.match import match as match
+from .front.partitioned import PartitionedMatch as PartitionedMatch
 from .front.picture import MatchPicture as MatchPicture
 from .front.picture import match_picture as match_picture
 from .gate import Box as Box

@@ -152,6 +152,10 @@ def match(
         option("--out-format", panel=FILES, metavar="NAME", callback=known_format, help="The same of OUT."),
     ] = None,
     overwrite: Overwrite = True,
+    workers: Annotated[
+        int | None,
+        option("--workers", panel=FILES, metavar="N", help="Processes, where A and B are HATS catalogues."),
+    ] = None,
     **columns: Any,
 ) -> None:  # fmt: skip
     """Identify the records of two catalogues and join their tables.
@@ -167,7 +171,12 @@ def match(
         columns |= {"format1": format1, "format2": format2, "hdu1": hdu1, "hdu2": hdu2}
         options = match_options(to_epoch, gate_sigmas, error_scale, density, magnitudes, offset, precision)
         options = replace(options, evidence=columns_said(column1 or [], column2 or [], relation or []))
+        from sameas.front.partitioned import both_hats
+
         request = Request((str(first), str(second)), options, columns)
+        if both_hats(first, second):
+            over_partitions(request, join, nway_columns, None if dry_run else output, workers, quiet)
+            return
         if output is None or dry_run:
             look(request, quiet)
         else:
@@ -271,6 +280,26 @@ def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quie
     if joining.pictures is not None:
         printer([f"Pictures: {joining.pictures}/: {', '.join(drawn(match.sky, joining.pictures))}"])
     printer([f"Time: {time.perf_counter() - began:.1f} s; peak memory: {_peak_memory()}"])
+
+
+def over_partitions(
+    request: Request[MatchOptions], join: str, nway_columns: bool, output: Path | None, workers: int | None, quiet: bool
+) -> None:
+    """Match two HATS catalogues, print, write a third; only what is estimated without an output."""
+    from sameas.cli.terminal import Pace, Printer
+    from sameas.front.partitioned import PartitionedMatch, written_lines
+
+    began, printer = time.perf_counter(), Printer(quiet)
+    with Pace(quiet) as pace:
+        typed = f"sameas match {' '.join(request.paths)}"
+        match = PartitionedMatch(request, join, nway_columns, typed, pace, workers)
+        lines = list(match.report_lines(in_options))
+        pace.pause()
+        printer(lines)
+        if output is not None:
+            lines = written_lines(match.write(output))
+    printer(["", *lines] if output is not None else ["", "Nothing was identified or written (--dry-run)."])
+    printer([f"Time: {time.perf_counter() - began:.1f} s"])
 
 
 def look(request: Request[MatchOptions], quiet: bool) -> None:

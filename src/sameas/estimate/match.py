@@ -283,8 +283,9 @@ def match_sample(
     answer, found = search.identified(found, rounds)
     estimate = _told(answer, coverage, found, remarks)
     (one, two), common = found.known.setting.numbers, found.known.common
-    shares = {"share_1": min(1.0, common / max(one, 1)), "share_2": min(1.0, common / max(two, 1))}
-    return SampleMatch(replace(estimate, common=common, **shares), found.known, search.start, found.gate_sigmas)
+    share_1, share_2 = (min(1.0, common / max(n, 1)) for n in (one, two))
+    estimate = replace(estimate, common=common, share_1=share_1, share_2=share_2)
+    return SampleMatch(estimate, found.known, search.start, found.gate_sigmas)
 
 
 def _converged(

@@ -13,10 +13,10 @@ volume, as those of HEALPix are.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -127,9 +127,7 @@ class Places:
         volume *= 4.0**finest
         numbers = by_step[finest].numbers.astype(np.float64)
         area = len(by_step[-1].cells) * volume * 4.0 ** levels[0]
-        seen = np.column_stack(
-            [_seen(cells, numbers[:, k], numbers[:, 1 - k], levels, volume, area) for k in range(2)]
-        )
+        seen = np.column_stack([_seen(cells, numbers[:, k], numbers[:, 1 - k], levels, volume, area) for k in range(2)])
         density = np.stack([_density(cells, numbers[:, k] * seen[:, k], levels, volume, area) for k in range(2)], 1)
         return cls(cells, finest, density, seen, np.full((len(cells), 2), np.nan), levels, volume)
 
@@ -142,7 +140,9 @@ class Places:
         one, two = self.density[:, 0], self.density[:, 1]
         return (one[at_1, 0], one[at_2, 1]), (two[at_1, 1], two[at_2, 0])
 
-    def with_shares(self, cells: Sequence[IntArray], part: Sequence[FloatArray], weight: Sequence[FloatArray]) -> Places:
+    def with_shares(
+        self, cells: Sequence[IntArray], part: Sequence[FloatArray], weight: Sequence[FloatArray]
+    ) -> Places:
         """With the shares of a sample: ``part`` of ``weight``, of the records of either source, in these cells."""
         share = np.column_stack([self._share(*side) for side in zip(cells, part, weight, strict=True)])
         return replace(self, share=share)
@@ -170,11 +170,13 @@ class Places:
 
     def without_columns(self) -> Places:
         """All but what :meth:`write` writes."""
-        return replace(self, **{name: _NOTHING for name in _COLUMNS})
+        nothing: dict[str, Any] = dict.fromkeys(_COLUMNS, _NOTHING)
+        return replace(self, **nothing)
 
     def with_columns(self, folder: Path) -> Places:
         """With what was written into a folder."""
-        return replace(self, **{name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in _COLUMNS})
+        stored: dict[str, Any] = {name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in _COLUMNS}
+        return replace(self, **stored)
 
 
 _COLUMNS = ("cells", "density", "seen", "share")
@@ -246,7 +248,7 @@ class _SampleCoverage(Coverage):
         return self.known_counted
 
     @property
-    def covered(self) -> tuple[BoolArray, BoolArray]:  # type: ignore[override]
+    def covered(self) -> tuple[BoolArray, BoolArray]:
         return self.known_covered
 
     @property
@@ -254,7 +256,7 @@ class _SampleCoverage(Coverage):
         return self.known_densities
 
     @property
-    def common_volume(self) -> float:  # type: ignore[override]
+    def common_volume(self) -> float:
         seen, counted = self.known_covered, self.known_counted
         return self.volume * min(float(s[c].mean()) if c.any() else 1.0 for s, c in zip(seen, counted, strict=True))
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from sameas.errors import InputError
 from sameas.evidence import Column, Errors, Related
 from sameas.front.options import refuse_unknown, side_parameters, with_side_options
+from sameas.front.partitioned import PartitionedMatch, both_hats
 from sameas.front.tables import kind_of
 from sameas.records import Records
 
@@ -314,13 +315,14 @@ def match(
     names: tuple[str, str] | None = None,
     progress: Callable[[str], None] = lambda stage: None,
     **columns: Any,
-) -> Match:
+) -> Match | PartitionedMatch:
     """Which records of two sources are the same object, and how sure that is; what is not said is estimated.
 
     Parameters
     ----------
     first, second : anything that holds positions: a path; astropy ``Table``, ``QTable`` or ``SkyCoord``; a pandas,
-        polars or Arrow table; a structured array; a dict of columns; a ``Catalogue``; or both ``Records``.
+        polars or Arrow table; a structured array; a dict of columns; a ``Catalogue``; or both ``Records``. Two folders
+        of HATS catalogues give a :class:`PartitionedMatch`, which identifies them partition by partition.
     join : of ``.table``, by the names of STILTS; all1 keeps every row of the first. nway_columns : add those of NWAY.
     to_epoch : Julian year to which both are moved; as the catalogues need it if not said.
     gate_sigmas : radius of the gate in quoted σ; as wide as the errors need if not said.
@@ -387,6 +389,8 @@ def match(
     for check in (options.errors, options.gate, options.density):
         check()
     request = Request(tuple(map(as_source, (first, second))), options, said, tuple(names or ()))
+    if both_hats(first, second):
+        return PartitionedMatch(request, join, nway_columns, call, progress)
     first, second = request.catalogues()
     return identified(request, (first, second), progress=progress, join=join, nway_columns=nway_columns, call=call)
 

@@ -36,7 +36,8 @@ class Tuning:
     square : a zone is as high as a square that holds this many records: to look up a stretch costs as much as some
         tests.
     few_tests : a class of errors is laid out apart where that saves at least this many tests a record.
-    squares : squares along either axis of the grid that shows where records lie.
+    squares, most_squares : squares along either axis of the grid that shows where records lie; finer, up to the latter,
+        where most are empty and the others crowded.
     sample : records in a row whose candidates are counted to estimate the room for all.
     """
 
@@ -45,6 +46,7 @@ class Tuning:
     square: float = 8.0
     few_tests: float = 4.0
     squares: int = 32
+    most_squares: int = 2048
     sample: int = 128
 
 
@@ -189,11 +191,16 @@ class Extent:
         x, y = ((float(a), float(b)) for a, b in zip(low, high, strict=True))
         if len(sources[0].features) + len(sources[1].features) <= geometry.tuning.one_zone:
             return cls(x, y, 0.0)
-        squares = geometry.tuning.squares
-        counts = np.zeros((squares, squares), np.int64)
-        size = np.maximum((high - low) / squares, 1e-300)
-        for source in sources:
-            tally(source.features, geometry.x, geometry.y, *low, *(1.0 / size), counts)
+        squares, total = geometry.tuning.squares, sum(len(source.features) for source in sources)
+        while True:
+            counts = np.zeros((squares, squares), np.int64)
+            size = np.maximum((high - low) / squares, 1e-300)
+            for source in sources:
+                tally(source.features, geometry.x, geometry.y, *low, *(1.0 / size), counts)
+            held = int(np.count_nonzero(counts))
+            if 4 * held > squares**2 or total < 64 * held or squares >= geometry.tuning.most_squares:
+                break
+            squares *= 8  # fields far from each other: the squares are far larger than they
         shrink = np.ones(squares)
         if geometry.sphere:
             shrink = np.maximum(np.cos(np.radians(low[1] + size[1] * (np.arange(squares) + 0.5))), 1e-6)

@@ -7,6 +7,7 @@ catalogue. A set of them is an (k, 2) array, rising and disjoint.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -96,7 +97,7 @@ def around(cells: IntArray, order: int) -> IntArray:
     return np.setdiff1d(near, cells, assume_unique=True)
 
 
-def _nested():  # type: ignore[no-untyped-def]
+def _nested() -> Any:
     try:
         from cdshealpix import nested
     except ImportError as error:

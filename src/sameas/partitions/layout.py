@@ -169,7 +169,9 @@ class HatsCatalogue:
         from pyarrow import parquet
 
         whole = within(stretch, cell.stretch[:, 0])[0] and within(stretch, cell.stretch[:, 1] - 1)[0]
-        whole = bool(whole) and bool(np.any((stretch[:, 0] <= cell.stretch[0, 0]) & (stretch[:, 1] >= cell.stretch[0, 1])))
+        whole = bool(whole) and bool(
+            np.any((stretch[:, 0] <= cell.stretch[0, 0]) & (stretch[:, 1] >= cell.stretch[0, 1]))
+        )
         parts = []
         with parquet.ParquetFile(file, memory_map=True) as opened:
             stored = CELL in opened.schema_arrow.names

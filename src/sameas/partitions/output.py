@@ -65,9 +65,7 @@ def partition_file(folder: Path, cell: Cell) -> Path:
     return place / f"Npix={cell.number}.parquet"
 
 
-def finish_catalogue(
-    folder: Path, cells: Iterable[Cell], told: Mapping[str, Any], facts: Mapping[str, Any]
-) -> int:
+def finish_catalogue(folder: Path, cells: Iterable[Cell], told: Mapping[str, Any], facts: Mapping[str, Any]) -> int:
     """Writes what a catalogue says of itself, from its partitions; the number of its rows.
 
     told : properties besides those that follow from the partitions. facts : how it was made.
@@ -84,7 +82,7 @@ def finish_catalogue(
         schema = opened.schema_arrow if schema is None else schema
     if schema is None:
         raise AssertionError("a catalogue without partitions is not written")
-    rows = sum(one.num_rows for one in collected)
+    rows = sum(int(one.num_rows) for one in collected)
     parquet.write_metadata(schema, folder / "dataset" / "_metadata", metadata_collector=collected)
     parquet.write_metadata(schema, folder / "dataset" / "_common_metadata")
     lines = ["Norder,Npix", *(f"{cell.order},{cell.number}" for cell in cells)]
@@ -124,7 +122,9 @@ def write_margin(catalogue: HatsCatalogue, cell: Cell, margin_arcsec: float, fol
     schema = catalogue.schema
     rows = rows.select(schema.names).cast(pa.schema(list(schema)))
     order_of_rows = np.argsort(rows.column(CELL).to_numpy(), kind="stable")
-    write_rows(rows.take(pa.array(order_of_rows)).replace_schema_metadata(schema.metadata), partition_file(folder, cell))
+    write_rows(
+        rows.take(pa.array(order_of_rows)).replace_schema_metadata(schema.metadata), partition_file(folder, cell)
+    )
     return int(rows.num_rows)
 
 

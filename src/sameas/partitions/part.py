@@ -130,7 +130,7 @@ class Rows:
     @cached_property
     def sigma_arcsec(self) -> FloatArray:
         """(n,) the larger of both errors, or more."""
-        return np.sqrt(self.records.variances.max(axis=1))
+        return np.asarray(np.sqrt(self.records.variances.max(axis=1)))
 
 
 @dataclass(frozen=True)
@@ -333,15 +333,16 @@ class Part:
     def table(self, work: Work) -> tuple[Table, IntArray]:
         """The joined rows of the cell by their cells of order 29, and these."""
         assert work.learned is not None
-        seen = [rows.records.over_table(work.learned.seen(rows.cells, k + 1)) for k, rows in enumerate((self.one, self.two))]
+        seen = [
+            rows.records.over_table(work.learned.seen(rows.cells, k + 1)) for k, rows in enumerate((self.one, self.two))
+        ]
         joinable = _Joinable(self.first, self.second, self.result, seen[0], seen[1])
-        carried = {"cell": lambda rows: rows.stored, "ra": lambda rows: rows.catalogue.astrometry.ra_deg,
-                   "dec": lambda rows: rows.catalogue.astrometry.dec_deg}  # fmt: skip
         for k, rows in enumerate((self.one, self.two), 1):
-            for name, values in carried.items():
-                rows.catalogue.table[f"{_CARRIED}{name}_{k}"] = values(rows)
+            place = rows.catalogue.astrometry
+            for name, values in zip(_PLACE, (rows.stored, place.ra_deg, place.dec_deg), strict=True):
+                rows.catalogue.table[f"{_CARRIED}{name}_{k}"] = values
         table = joined(joinable, work.join, nway_columns=work.nway_columns, own=self.own)
-        cell, ra, dec = (_of_either(table, name) for name in carried)
+        cell, ra, dec = (_of_either(table, name) for name in _PLACE)
         table.remove_columns([name for name in table.colnames if name.startswith(_CARRIED)])
         for rows in (self.one, self.two):
             names = [name for name in rows.catalogue.table.colnames if name.startswith(_CARRIED)]
@@ -383,7 +384,7 @@ class _Joinable:
 
 
 #: Columns that carry the rows' stored places through a join begin so.
-_CARRIED = "_sameas_carried_"
+_CARRIED, _PLACE = "_sameas_carried_", ("cell", "ra", "dec")
 #: Joins that write rows of the second catalogue that have no partner.
 WITH_SECOND = ("all2", "1or2", "2not1", "1xor2")
 

@@ -33,8 +33,26 @@ from sameas.estimate.sample import Sampling
 from sameas.kernels import threads
 from sameas.partitions import cells as healpix
 from sameas.partitions.layout import CELL, OWN, Cell, HatsCatalogue
-from sameas.partitions.output import arrow_of, finish_catalogue, partition_file, write_collection, write_margin, write_rows, written_whole  # fmt: skip
-from sameas.partitions.part import DEFAULT_PART, WITH_SECOND, Counted, PartTuning, Side, Work, brightness, table_of, without_rows
+from sameas.partitions.output import (  # fmt: skip
+    arrow_of,
+    finish_catalogue,
+    partition_file,
+    write_collection,
+    write_margin,
+    write_rows,
+    written_whole,
+)
+from sameas.partitions.part import (
+    DEFAULT_PART,
+    WITH_SECOND,
+    Counted,
+    PartTuning,
+    Side,
+    Work,
+    brightness,
+    table_of,
+    without_rows,
+)
 from sameas.representation import in_short
 from sameas.sky.assumed import completed
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
@@ -123,6 +141,8 @@ def estimate(
     """
     if options.offset != "none":
         raise InputError("offset: an offset is not looked for over partitions", "take it away before the import")
+    if options.evidence:
+        raise InputError("evidence: columns are not learned over partitions", "leave them out")
     for side in columns:
         if side.fill_errors:
             raise InputError("fill_errors: typical errors would depend on the partition", "give every row an error")
@@ -230,7 +250,9 @@ def _with_far(side: Side, counted: Sequence[Counted], work: Work) -> Side:
     kept = rows.records.rows
     import pyarrow as pa
 
-    return replace(side, far=table.take(pa.array(kept)), far_place=rows.place, far_reach_arcsec=10.0 * rows.sigma_arcsec)
+    return replace(
+        side, far=table.take(pa.array(kept)), far_place=rows.place, far_reach_arcsec=10.0 * rows.sigma_arcsec
+    )
 
 
 def _learned(
@@ -260,7 +282,11 @@ def _learned(
 
 
 def _motion(work: Work) -> float:
-    return work.far_arcsec if any(side.epoch_jyr is not None and side.understood.has_motion for side in work.sides) else 0.0
+    return (
+        work.far_arcsec
+        if any(side.epoch_jyr is not None and side.understood.has_motion for side in work.sides)
+        else 0.0
+    )
 
 
 def _halo(work: Work, tuning: RunTuning) -> float:
@@ -280,7 +306,7 @@ def _halo(work: Work, tuning: RunTuning) -> float:
         grouped = laid_out(pairs.place_1[kept], pairs.place_2[kept], i, j, len(pairs.first), len(pairs.second))
         lat = pairs.first.features[i, 1]
         lon = pairs.first.features[i, 0]
-        extents = _extents(grouped.of_pairs(), len(grouped), lon, lat)
+        extents = _extents(grouped.of_pairs().astype(np.int64), len(grouped), lon, lat)
         extent = float(np.quantile(extents, tuning.groups))
     halo = max(min(extent, 32.0 * reach) + 2.0 * reach, tuning.least_halo_arcsec) + _motion(work)
     return halo
@@ -469,8 +495,8 @@ class Written:
     """What a run wrote.
 
     path : the collection. rows : of the joined catalogue. partitions : of it. pairs : identified. expected_wrong,
-    expected_common : of them. doubtful : rows of the first catalogue whose answer a wider halo might change. halo_arcsec
-    : the widest. decided : parts decided in this call, the others were there. cpu_seconds : of these, all workers.
+    expected_common : of them. doubtful : rows of the first catalogue whose answer a wider halo might change.
+    halo_arcsec : the widest. decided : parts decided in this call, the others were there. cpu_seconds : of these.
     """
 
     path: Path

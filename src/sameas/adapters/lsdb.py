@@ -1,0 +1,125 @@
+"""LSDB's ``crossmatch``, decided one to one: ``left.crossmatch(right, algorithm=OneToOne(found), how="outer")``.
+
+What is not known is estimated once, from the catalogues on disk: ``found = sameas.match("left_hats", "right_hats")``.
+LSDB then brings every partition with its margins, and this says which of its rows are pairs; each pair is emitted by
+the partition of its left row, and no right row twice.
+
+LSDB brings the left margin for ``how="outer"`` alone, and from version 0.11 on; without it rows beyond a border
+compete for nothing, and are claimed twice. So other joins, older versions and narrow margins are refused. Unlike
+``found.write(...)``, nothing is decided again with a wider halo, and records that move or reach farther than the margin
+are not brought to where they belong.
+
+Needs ``pip install sameas[lsdb]``.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from lsdb.core.crossmatch.abstract_crossmatch_algorithm import AbstractCrossmatchAlgorithm
+
+from sameas.errors import InputError
+from sameas.partitions.layout import CELL
+
+if TYPE_CHECKING:
+    from lsdb.core.crossmatch.crossmatch_args import CrossmatchArgs
+
+    from sameas.front.partitioned import PartitionedMatch
+
+_NUMBER = pd.ArrowDtype(pa.float64())
+_COLUMNS = ("p_match", "log_odds", "sep_arcsec")
+
+
+class OneToOne(AbstractCrossmatchAlgorithm):
+    """One to one with probabilities; columns ``p_match``, ``log_odds`` and ``sep_arcsec``.
+
+    Parameters
+    ----------
+    match : of the same two catalogues on disk, for what is estimated once.
+    margin_arcsec : that both catalogues need; :attr:`halo_arcsec` if not given. Narrower ones decide some rows wrongly.
+
+    Raises
+    ------
+    InputError : LSDB is older than 0.11; at ``crossmatch``: another join than "outer", no margins, or too narrow ones.
+    """
+
+    extra_columns = pd.DataFrame({name: pd.Series(dtype=_NUMBER) for name in _COLUMNS})
+
+    def __init__(self, match: PartitionedMatch, margin_arcsec: float | None = None) -> None:
+        super().__init__()
+        _refuse_old()
+        self.work = match.estimated.work
+        self.margin_arcsec = self.halo_arcsec if margin_arcsec is None else margin_arcsec
+        # LSDB asks for a left margin of so much, and a right one of twice as much.
+        self.radius_arcsec = 0.5 * self.margin_arcsec
+
+    @property
+    def halo_arcsec(self) -> float:
+        """The halo that the groups of the sample need, arcsec: build both margins no narrower."""
+        return self.work.halo_arcsec
+
+    def validate(self, left: Any, right: Any) -> None:
+        """Refuses catalogues without margins as wide as the halo."""
+        super().validate(left, right)
+        for side, catalogue in (("left", left), ("right", right)):
+            margin = catalogue.margin
+            width = 0.0 if margin is None else float(margin.hc_structure.catalog_info.margin_threshold)
+            if width < self.margin_arcsec:
+                has = "no margin" if margin is None else f"a margin of {width:g} arcsec"
+                raise InputError(
+                    f"the {side} catalogue has {has}; {self.margin_arcsec:.0f} arcsec are needed, so that what "
+                    "competes beyond a border is there",
+                    f"build it with hats-import, margin_threshold={np.ceil(self.margin_arcsec):.0f}, or let "
+                    "sameas.match(left, right).write(path) read its own halos",
+                )
+
+    def crossmatch(
+        self, crossmatch_args: CrossmatchArgs, how: str, suffixes: tuple[str, str], suffix_method: str = "all_columns"
+    ) -> Any:
+        """The joined rows of a partition, as LSDB asks for them."""
+        if how != "outer":
+            raise _only_outer(how)
+        return super().crossmatch(crossmatch_args, how, suffixes, suffix_method)
+
+    def crossmatch_nested(self, crossmatch_args: CrossmatchArgs, nested_column_name: str, how: str) -> Any:
+        """Refused: nested joins bring no left margin."""
+        raise _only_outer(f"{how} (nested)")
+
+    def perform_crossmatch(self, crossmatch_args: CrossmatchArgs) -> tuple[Any, Any, pd.DataFrame]:
+        """Positions of the pairs' rows in both frames, and what is said of them."""
+        if crossmatch_args.left_native_len is None:
+            raise _only_outer("of a version of LSDB that brings no left margin")
+        one, two = (
+            side.rows(_arrow(frame, side.columns(self.work.magnitudes)))
+            for side, frame in zip(self.work.sides, (crossmatch_args.left_df, crossmatch_args.right_df), strict=True)
+        )
+        found = self.work.identified(one, two).matches
+        values = (found.p_match, found.log_odds, np.linalg.norm(found.residual, axis=1))
+        said = pd.DataFrame({name: pd.Series(v, dtype=_NUMBER) for name, v in zip(_COLUMNS, values, strict=True)})
+        return found.rows_1, found.rows_2, said
+
+
+def _arrow(frame: Any, columns: list[str]) -> pa.Table:
+    table = pa.Table.from_pandas(pd.DataFrame(frame[columns]), preserve_index=False).replace_schema_metadata(None)
+    return table.append_column(CELL, pa.array(np.asarray(frame.index, np.int64)))
+
+
+def _only_outer(how: str) -> InputError:
+    return InputError(
+        f"how={how!r}: LSDB brings what competes beyond a border for how='outer' alone",
+        "say how='outer', and drop the rows that are not wanted",
+    )
+
+
+def _refuse_old() -> None:
+    from importlib.metadata import version
+
+    major, minor = (int(part) for part in version("lsdb").split(".")[:2])
+    if (major, minor) < (0, 11):
+        raise InputError(f"lsdb {version('lsdb')} has no margin of the left catalogue", "pip install 'lsdb>=0.11'")
+
+
+__all__ = ["OneToOne"]

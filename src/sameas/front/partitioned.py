@@ -1,0 +1,213 @@
+"""Two HATS catalogues identified: what :func:`sameas.match` gives where both sources are catalogues in partitions."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sameas.errors import InputError
+from sameas.front.options import fields_of
+from sameas.front.provenance import made_by
+from sameas.front.request import Request
+from sameas.partitions.layout import HatsCatalogue, is_hats
+
+if TYPE_CHECKING:
+    from sameas.partitions.run import Estimated, Written
+    from sameas.sky.crossmatch import MatchOptions
+
+
+@dataclass(frozen=True, repr=False)
+class PartitionedMatch:
+    """Two catalogues in partitions, to be identified over all of them: what :func:`sameas.match` gives of HATS.
+
+    Nothing is read before it is needed: :attr:`estimated`, and with it :meth:`report`, reads both catalogues' positions
+    once; :meth:`write` decides all partitions and writes a HATS catalogue.
+
+    Attributes
+    ----------
+    request : what was asked for. join, nway_columns : of the output. call : that made it. progress : called with the
+        name of what is being done. workers : processes; as many as there are processors if None.
+    """
+
+    request: Request[MatchOptions]
+    join: str = "all1"
+    nway_columns: bool = False
+    call: str = ""
+    progress: Callable[[str], None] = field(default=lambda stage: None)
+    workers: int | None = None
+
+    @cached_property
+    def catalogues(self) -> tuple[HatsCatalogue, HatsCatalogue]:
+        """Both catalogues as they lie on disk."""
+        one, two = (HatsCatalogue.open(path, name) for path, name in
+                    zip(self.request.paths, self.request.names, strict=True))  # fmt: skip
+        return one, two
+
+    @cached_property
+    def estimated(self) -> Estimated:
+        """Everything that was not known, learned once from all partitions."""
+        with tempfile.TemporaryDirectory(prefix="sameas-") as scratch:
+            return self._estimated(Path(scratch), self.workers, None)
+
+    def _estimated(self, scratch: Path, workers: int | None, executor: Executor | None) -> Estimated:
+        from sameas.partitions.run import estimate
+        from sameas.sky.catalogue import CatalogueOptions
+
+        said = [CatalogueOptions(**fields_of(self.request.columns, side)) for side in (1, 2)]
+        found: Estimated = self.request.naming_sides(
+            lambda: estimate(
+                self.catalogues,
+                (said[0], said[1]),
+                self.request.options,
+                join=self.join,
+                nway_columns=self.nway_columns,
+                workers=workers,
+                executor=executor,
+                progress=self.progress,
+                scratch=scratch,
+            )
+        )
+        return found
+
+    def write(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        workers: int | None = None,
+        executor: Executor | None = None,
+        margin_arcsec: float = 10.0,
+    ) -> Written:
+        """Decides all partitions and writes the joined catalogue, with a margin, as a HATS collection.
+
+        A call that was interrupted is gone on with by the same call: partitions that are done stay.
+
+        Parameters
+        ----------
+        path : the collection's folder. margin_arcsec : of the margin catalogue; 0 writes none.
+        workers : processes. executor : used instead of processes of our own, such as ``client.get_executor()`` of
+            dask.distributed; its workers must see the folders.
+
+        Raises
+        ------
+        InputError : the folder exists and is no unfinished match of the same; a partition cannot be read, by name;
+            workers keep dying.
+        """
+        from sameas.partitions.run import write
+
+        target, workers = Path(path).absolute(), self.workers if workers is None else workers
+        for source in self.request.paths:
+            if target == Path(source).resolve() or target.is_relative_to(Path(source).resolve()):
+                raise InputError(f"{path}: lies in an input", "give another name")
+        facts = self.facts() | {"margin_arcsec": margin_arcsec}
+        if "estimated" not in self.__dict__:
+            scratch = target / ".sameas-run"
+            begun = scratch.exists() or not target.exists() or not any(target.iterdir())
+            if not begun:
+                raise InputError(
+                    f"{path}: exists already, and is no unfinished match", "give another name, or remove it"
+                )
+            with tempfile.TemporaryDirectory(prefix=".sameas-", dir=_there(target.parent)) as folder:
+                self.__dict__["estimated"] = self._estimated(Path(folder), workers, executor)
+        return write(self.estimated, target, facts, margin_arcsec=margin_arcsec, workers=workers, executor=executor,
+                     progress=self.progress)  # fmt: skip
+
+    def facts(self) -> dict[str, Any]:
+        """How the output is made; the same for the same inputs and options."""
+        facts = made_by(self.call) | {"join": self.join, "nway_columns": self.nway_columns}
+        for k, (path, stored) in enumerate(zip(self.request.paths, self.catalogues, strict=True), 1):
+            facts |= {f"input_{k}": str(Path(path).resolve()), f"fingerprint_{k}": stored.fingerprint(),
+                      f"options_{k}": json.dumps(fields_of(self.request.columns, k), sort_keys=True)}  # fmt: skip
+        return facts | {"options_match": json.dumps(asdict(self.request.options), sort_keys=True)}
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What looks wrong, a sentence each."""
+        twice = (self.request.twice,) if self.request.twice else ()
+        return (*twice, *self.estimated.doubts)
+
+    def report(self) -> str:
+        """What was understood and estimated."""
+        return "\n".join(self.report_lines())
+
+    def report_lines(self, words: Callable[[str], str] = str) -> Iterator[str]:
+        """The lines of :meth:`report`. words : how a message that names arguments is put."""
+        from sameas.report.prose import DOUBT, count, entry, figures, percent
+
+        found = self.estimated
+        learned, work = found.learned, found.work
+        for side, (stored, rows, catalogue) in enumerate(
+            zip(self.catalogues, found.rows, found.catalogues, strict=True), 1
+        ):
+            yield f"Catalogue {side}: {stored.name}, {count(rows)} rows in {count(len(stored.cells))} partitions"
+            for line in catalogue.interpretation:
+                label, colon, text = words(line).partition(": ")
+                yield from entry(
+                    label if colon and len(label) < 24 else "note", text if colon and len(label) < 24 else line
+                )
+            yield ""
+        yield "Estimated, once for all partitions"
+        yield from entry("epoch", found.moved)
+        one, two = found.sample
+        yield from entry("sample", f"{count(one)} and {count(two)} records")
+        shares = " and ".join(percent(share) for share in learned.means)
+        yield from entry("have a partner", f"{shares} of the records of both")
+        yield from entry("errors", f"{figures(learned.errors.typical_scale)} times what is quoted, typically")
+        yield from entry("gate", f"{figures(learned.gate_sigmas)} σ")
+        yield from entry("halo", f"{figures(work.halo_arcsec)} arcsec, wider where that is not certain")
+        far = [0 if side.far is None else len(side.far) for side in work.sides]
+        if any(far):
+            yield from entry("far", f"{count(far[0])} and {count(far[1])} records reach farther than that")
+        yield from (DOUBT + words(doubt) for doubt in self.doubts)
+
+    def __repr__(self) -> str:
+        one, two = self.catalogues
+        return (
+            f"Match of {one.name} and {two.name}, {len(one.cells)} and {len(two.cells)} partitions: "
+            ".write(path) identifies them; .report() tells what was estimated"
+        )
+
+
+def _there(folder: Path) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def both_hats(first: Any, second: Any) -> bool:
+    """Whether both sources are catalogues in partitions.
+
+    Raises
+    ------
+    InputError : one is, and the other is not.
+    """
+    found = [is_hats(source) for source in (first, second)]
+    if any(found) and not all(found):
+        raise InputError(
+            f"{first if found[0] else second}: a HATS catalogue is matched with another one",
+            "import the other with hats-import, or give a table of both",
+        )
+    return all(found)
+
+
+def written_lines(written: Written) -> list[str]:
+    """What a run wrote, in lines."""
+    from sameas.report.prose import count, entry, figures
+
+    return [
+        "Identified",
+        *entry("pairs", f"{count(written.pairs)}, {figures(written.expected_wrong)} expected wrong"),
+        *entry("rows", f"{count(written.rows)} in {count(written.partitions)} partitions"),
+        *entry("halo", f"{figures(written.halo_arcsec)} arcsec at most"),
+        *(
+            entry("not certain", f"{count(written.doubtful)} rows, whose groups reach farther")
+            if written.doubtful
+            else ()
+        ),
+        *entry("output", f"{written.path}, a HATS collection"),
+    ]

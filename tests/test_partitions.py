@@ -1,0 +1,285 @@
+"""Catalogues in partitions: the same answer as on one machine, however they are cut, and whatever dies meanwhile."""
+
+import os
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from astropy.table import Table
+
+import sameas
+from sameas import InputError
+
+pytest.importorskip("cdshealpix", reason="catalogues in partitions need cdshealpix: pip install 'sameas[hats]'")
+
+from sameas.io import read_table
+from sameas.partitions import cells as healpix
+from sameas.partitions import run
+from sameas.partitions.layout import CELL, Cell, HatsCatalogue, is_hats
+from sameas.partitions.output import partition_file, write_hats
+
+EVERYTHING = np.array([[0, 12 << 58]], np.int64)
+
+
+def sky(middle, n, crowding, seed, holes=0):
+    """Two catalogues of n objects about (ra, dec), with so many chance candidates within 3σ; the second has holes."""
+    rng = np.random.default_rng(seed)
+    sigma = np.exp(rng.uniform(np.log(0.05), np.log(0.5), (2, n)))
+    density = crowding / (9.0 * np.pi * 2.0 * np.mean(sigma**2))
+    radius = np.sqrt(n / density / np.pi) / 206264.8
+    r, angle = radius * np.sqrt(rng.uniform(size=n)), rng.uniform(0.0, 2.0 * np.pi, n)
+    place = np.column_stack([r * np.cos(angle), r * np.sin(angle)])
+    east, north, up = axes(*middle)
+    kind = rng.choice(3, n, p=[0.8, 0.1, 0.1])
+    hidden = np.zeros(n, bool)
+    for hole in rng.choice(n, holes, replace=False):
+        hidden |= np.hypot(*(place - place[hole]).T) < np.sqrt(60.0 / density / np.pi) / 206264.8
+    magnitude, tables = rng.normal(20.0, 1.5, n), []
+    for side in (1, 2):
+        some = rng.permutation(np.flatnonzero(((kind == 0) | (kind == side)) & ~(hidden & (side == 2))))
+        at = place[some] + rng.normal(size=(len(some), 2)) * sigma[side - 1, some, None] / 206264.8
+        v = up + at[:, :1] * east + at[:, 1:] * north
+        v /= np.linalg.norm(v, axis=1)[:, None]
+        tables.append(Table({
+            "id": 2 * some + side, "ra": np.degrees(np.arctan2(v[:, 1], v[:, 0])) % 360.0,
+            "dec": np.degrees(np.arcsin(v[:, 2])), "pos_err": sigma[side - 1, some],
+            "mag": magnitude[some] + rng.normal(0.0, 0.2, len(some)),
+        }))  # fmt: skip
+    return tables
+
+
+def axes(ra, dec):
+    a, d = np.radians([ra, dec])
+    up = np.array([np.cos(d) * np.cos(a), np.cos(d) * np.sin(a), np.sin(d)])
+    east = np.array([-np.sin(a), np.cos(a), 0.0])
+    return east, np.cross(up, east), up
+
+
+def stored(folder, tables, most):
+    for name, table, rows in zip("ab", tables, most, strict=True):
+        write_hats(table, folder / name, most_rows=rows)
+    return folder / "a", folder / "b"
+
+
+def matched(folder, paths, join="all1", out="out", **options):
+    found = sameas.match(*paths, sigma="pos_err", sigma_unit="arcsec", join=join, **options)
+    return found, found.write(folder / out, workers=1)
+
+
+def table_of(folder):
+    catalogue = HatsCatalogue.open(folder)
+    rows = catalogue.rows(EVERYTHING)
+    return {name: rows.column(name).to_pandas().to_numpy() for name in rows.column_names}
+
+
+def at_once(found):
+    """What one machine says that holds everything, with the same estimates: partner and probabilities by id."""
+    work = found.estimated.work
+    one, two = (work.read(side, EVERYTHING, np.array([0.0, 0.0, 1.0, 1e9])) for side in (1, 2))
+    result = work.identified(one, two)
+    ids_1, ids_2 = result.first.ids, result.second.ids
+    partner = dict(zip(ids_1[result.matches.rows_1], ids_2[result.matches.rows_2], strict=True))
+    return partner, dict(zip(ids_1, np.ma.getdata(result.answers_1.p_none), strict=True))
+
+
+PLACES = {"over the pole": (10.0, 90.0), "across RA 0": (0.0, 0.0), "southern": (200.0, -89.9)}
+
+
+@pytest.mark.slow_after(1)
+@pytest.mark.parametrize("most", [(20_000, 20_000), (400, 250), (40, 60)], ids=["whole", "some", "many"])
+@pytest.mark.parametrize("place", PLACES)
+def test_the_answer_is_that_of_one_machine_however_the_sky_is_cut(tmp_path, place, most):
+    tables = sky(PLACES[place], 4_000, 0.4, seed=5, holes=3)
+    found, written = matched(tmp_path, stored(tmp_path, tables, most))
+    partner, p_none = at_once(found)
+    told = table_of(tmp_path / "out")
+    paired = {i: j for i, j in zip(told["id_1"], told["id_2"], strict=True) if not np.isnan(j)}
+    assert paired == partner and len(set(paired.values())) == len(paired) == written.pairs > 2_500
+    assert len(told["id_1"]) == len(tables[0]) and len(set(told["id_1"])) == len(tables[0])
+    assert max(abs(p_none[i] - p) for i, p in zip(told["id_1"], told["p_none"], strict=True)) < 1e-6
+    assert written.doubtful == 0
+
+
+@pytest.mark.slow
+def test_in_a_crowd_pairs_are_the_same_and_probabilities_nearly(tmp_path):
+    """Groups percolate there and are summed approximately, which depends on the cut by some 1e-5."""
+    tables = sky((0.0, 0.0), 6_000, 2.0, seed=6)
+    found, _ = matched(tmp_path, stored(tmp_path, tables, (1_500, 900)))
+    partner, p_none = at_once(found)
+    told = table_of(tmp_path / "out")
+    assert {i: j for i, j in zip(told["id_1"], told["id_2"], strict=True) if not np.isnan(j)} == partner
+    assert max(abs(p_none[i] - p) for i, p in zip(told["id_1"], told["p_none"], strict=True)) < 1e-3
+
+
+def test_a_halo_that_is_too_narrow_is_noticed(tmp_path):
+    tables = sky((0.0, 0.0), 3_000, 0.5, seed=7)
+    found = sameas.match(*stored(tmp_path, tables, (300, 300)), sigma="pos_err", sigma_unit="arcsec")
+    work = found.estimated.work
+    cell = run.output_cells(work)[3]
+    narrow, enough = work.within(cell, 1.0), work.decided(cell)
+    assert narrow.doubtful > 0 == enough.doubtful and enough.halo_arcsec > narrow.halo_arcsec
+
+
+def test_every_row_of_both_is_written_once_by_joins_that_keep_all(tmp_path):
+    tables = sky((0.0, 0.0), 3_000, 0.3, seed=8)
+    tables[0] = tables[0][tables[0]["dec"] > -0.02]  # the second reaches beyond
+    found, written = matched(tmp_path, stored(tmp_path, tables, (300, 500)), join="1or2")
+    told = table_of(tmp_path / "out")
+    for table, name in zip(tables, ("id_1", "id_2"), strict=True):
+        there = told[name][~np.isnan(told[name])]
+        assert sorted(there) == sorted(table["id"])
+    assert np.isfinite(told["_ra"]).all() and len(told["_ra"]) == written.rows
+    assert set(at_once(found)[0].items()) <= set(zip(told["id_1"], told["id_2"], strict=True))
+
+
+@pytest.mark.slow
+def test_the_output_is_a_hats_collection_that_hats_and_lsdb_read(tmp_path):
+    hats = pytest.importorskip("hats", reason="hats is not installed")
+    _, written = matched(tmp_path, stored(tmp_path, sky((0.0, 0.0), 2_000, 0.3, seed=9), (300, 500)))
+    read = hats.read_hats(tmp_path / "out")
+    assert read.main_catalog.catalog_info.total_rows == written.rows == len(table_of(tmp_path / "out")["id_1"])
+    assert len(read.main_catalog.get_healpix_pixels()) == written.partitions
+    assert hats.io.validation.is_valid_catalog(tmp_path / "out" / "out", strict=False)
+    margin = HatsCatalogue.open(tmp_path / "out" / "out_10arcs")
+    for cell in margin.cells:
+        rows = np.asarray(margin.rows(EVERYTHING).column(CELL))
+        assert len(rows)
+        inside = read_table(partition_file(margin.path, cell))[CELL]
+        assert not healpix.within(cell.stretch, np.asarray(inside)).any()
+
+
+def test_motion_across_a_border_finds_its_partner(tmp_path):
+    """A fast star is stored in one partition and seen, years later, in another."""
+    tables = sky((0.0, 0.0), 2_000, 0.05, seed=10)
+    first, second = tables
+    for table, epoch in ((first, 2000.0), (second, 2016.0)):
+        table["epoch"] = np.full(len(table), epoch)
+    first["pmra"], first["pmdec"] = np.zeros(len(first)), np.zeros(len(first))
+    first["pmra_error"] = first["pmdec_error"] = np.full(len(first), 0.01)
+    star = {"id": -1, "ra": 359.999, "dec": 0.001, "pos_err": 0.05, "mag": 20.0}
+    first.add_row({**star, "epoch": 2000.0, "pmra": 900.0, "pmdec": 0.0, "pmra_error": 0.01,
+                   "pmdec_error": 0.01})  # fmt: skip
+    second.add_row({**star, "id": -2, "ra": (359.999 + 14.4 / 3600.0) % 360.0, "epoch": 2016.0})
+    found, _ = matched(tmp_path, stored(tmp_path, tables, (200, 200)))
+    told = table_of(tmp_path / "out")
+    assert told["id_2"][list(told["id_1"]).index(-1)] == -2
+    assert len(found.estimated.work.sides[0].far) == 1
+
+
+def test_a_broken_partition_is_named_and_what_is_done_stays(tmp_path):
+    tables = sky((0.0, 0.0), 3_000, 0.3, seed=11)
+    a, b = stored(tmp_path, tables, (400, 400))
+    found = sameas.match(a, b, sigma="pos_err", sigma_unit="arcsec")
+    _ = found.estimated
+    cell = found.catalogues[1].cells[-1]
+    file = partition_file(b, cell)
+    whole = file.read_bytes()
+    file.write_bytes(whole[:2_000])
+    with pytest.raises(InputError, match=f"Norder={cell.order}, Npix={cell.number} cannot be read"):
+        found.write(tmp_path / "out", workers=1)
+    done = list((tmp_path / "out" / "out" / "dataset").rglob("*.parquet"))
+    assert done and not is_hats(tmp_path / "out")
+
+
+def test_a_run_goes_on_where_it_ended_with_the_same_bytes(tmp_path, monkeypatch):
+    paths = stored(tmp_path, sky((0.0, 0.0), 2_000, 0.3, seed=12), (250, 250))
+    found, whole = matched(tmp_path, paths, out="one/out")
+    work, n = run.decide_partition, [0]
+
+    def dying(folder, task):
+        n[0] += 1
+        if n[0] > 3:
+            raise KeyboardInterrupt
+        return work(folder, task)
+
+    monkeypatch.setattr(run, "decide_partition", dying)
+    with pytest.raises(KeyboardInterrupt):
+        found.write(tmp_path / "two" / "out", workers=1)
+    monkeypatch.undo()
+    with pytest.raises(InputError, match="was begun with other catalogues or options"):
+        found.write(tmp_path / "two" / "out", workers=1, margin_arcsec=1.0)
+    again = found.write(tmp_path / "two" / "out", workers=1)
+    assert again.decided == whole.decided - 3 and replace(
+        again, path=whole.path, decided=0, cpu_seconds=0.0
+    ) == replace(whole, decided=0, cpu_seconds=0.0)
+    assert contents(tmp_path / "one") == contents(tmp_path / "two")
+    with pytest.raises(InputError, match="exists already"):
+        found.write(tmp_path / "two" / "out", workers=1)
+
+
+def contents(folder):
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+SCRIPT = """
+import sys, sameas
+found = sameas.match({a!r}, {b!r}, sigma="pos_err", sigma_unit="arcsec")
+print("written", found.write({out!r}, workers=2).pairs, flush=True)
+"""
+
+
+def children(pid):
+    told = subprocess.run(["ps", "-o", "pid=,args=", "--ppid", str(pid)], capture_output=True, text=True).stdout
+    return [int(line.split()[0]) for line in told.splitlines() if "spawn_main" in line]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="kills processes as POSIX does")
+@pytest.mark.parametrize("victim", ["worker", "client"])
+def test_a_killed_worker_is_replaced_and_a_killed_client_resumes_with_the_same_bytes(tmp_path, victim):
+    """The script has no guard of __main__: workers do not run it again."""
+    a, b = stored(tmp_path, sky((0.0, 0.0), 3_000, 0.3, seed=13), (60, 60))
+    runs = {out: [sys.executable, "-c", SCRIPT.format(a=str(a), b=str(b), out=str(tmp_path / out / "out"))]
+            for out in ("one", "two")}  # fmt: skip
+    subprocess.run(runs["one"], check=True, capture_output=True)
+    process = subprocess.Popen(runs["two"], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    done = tmp_path / "two" / "out" / ".sameas-run" / "done"
+    until = time.monotonic() + 240.0
+    while len(list(done.glob("*.json"))) < 3 and time.monotonic() < until:
+        assert process.poll() is None, process.stderr.read().decode()
+        time.sleep(0.01)
+    workers = children(process.pid)
+    assert workers
+    os.kill(workers[0] if victim == "worker" else process.pid, 9)
+    process.communicate(timeout=300)
+    if victim == "client":
+        assert process.returncode != 0 and not (tmp_path / "two" / "out" / "collection.properties").exists()
+        subprocess.run(runs["two"], check=True, capture_output=True)
+    assert contents(tmp_path / "one") == contents(tmp_path / "two")
+
+
+def test_cells_around_a_cell_hold_all_within_the_width():
+    rng = np.random.default_rng(1)
+    for cell in (Cell(3, 0), Cell(3, 255), Cell(5, 7_000), Cell(0, 4)):
+        width = 40.0
+        order = healpix.order_of_width(width)
+        ring = healpix.stretches(healpix.ring(np.array([cell.number]), cell.order, order), order)
+        # Points of the edge, moved by less than the width.
+        edge = healpix.ring(np.array([cell.number]), cell.order, min(cell.order + 8, 20))
+        at = healpix.centres(rng.choice(edge, 200), min(cell.order + 8, 20))
+        inner = healpix.centres(np.array([cell.number]), cell.order)
+        near = at + 1e-12 * inner
+        lon, lat = np.degrees(np.arctan2(near[:, 1], near[:, 0])), np.degrees(np.arcsin(near[:, 2]))
+        side = healpix.SIDE_ARCSEC / 2.0 ** min(cell.order + 8, 20)
+        if side < width:
+            found = healpix.cells_of(np.column_stack([lon, lat]), healpix.FINEST)
+            assert healpix.within(np.concatenate([cell.stretch, ring])[np.argsort(
+                np.concatenate([cell.stretch, ring])[:, 0])], found).all()  # fmt: skip
+    assert healpix.width_arcsec(healpix.order_of_width(40.0)) >= 40.0
+
+
+def test_a_hats_catalogue_and_a_table_are_refused_together(tmp_path):
+    a, _ = stored(tmp_path, sky((0.0, 0.0), 300, 0.1, seed=14), (300, 300))
+    with pytest.raises(InputError, match="a HATS catalogue is matched with another one"):
+        sameas.match(a, {"ra": [1.0], "dec": [1.0]})
+
+
+def test_options_that_would_depend_on_the_partition_are_refused(tmp_path):
+    paths = stored(tmp_path, sky((0.0, 0.0), 300, 0.1, seed=15), (300, 300))
+    with pytest.raises(InputError, match="columns are not learned over partitions"):
+        _ = sameas.match(*paths, sigma="pos_err", evidence=sameas.evidence.Column(2, "mag")).estimated
+    with pytest.raises(InputError, match="offset is not looked for over partitions"):
+        _ = sameas.match(*paths, sigma="pos_err", offset="find").estimated
