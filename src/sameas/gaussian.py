@@ -23,6 +23,10 @@ from sameas.representation import in_short
 LOG_2PI = math.log(2.0 * math.pi)
 
 
+#: In the plane an inverse is written out where the determinant is at least this share of the product of the variances.
+LEAST_SHARE = 1e-6
+
+
 def symmetric(matrix: FloatArray) -> FloatArray:
     """(…, d, d) the mean of a matrix and its transpose."""
     return np.asarray(0.5 * (matrix + np.swapaxes(matrix, -1, -2)))
@@ -30,6 +34,14 @@ def symmetric(matrix: FloatArray) -> FloatArray:
 
 def inverse(covariance: FloatArray) -> FloatArray:
     """(…, d, d) the inverse of a covariance or an information, symmetric to the last digit."""
+    if covariance.shape[-1] == 2:
+        a, b, c = covariance[..., 0, 0], 0.5 * (covariance[..., 0, 1] + covariance[..., 1, 0]), covariance[..., 1, 1]
+        determinant = a * c - b * b
+        if (determinant > LEAST_SHARE * a * c).all():
+            out = np.empty(covariance.shape)
+            out[..., 0, 0], out[..., 1, 1] = c / determinant, a / determinant
+            out[..., 0, 1] = out[..., 1, 0] = -b / determinant
+            return out
     return symmetric(np.asarray(np.linalg.inv(covariance), np.float64))
 
 

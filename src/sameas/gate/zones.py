@@ -39,6 +39,7 @@ class Tuning:
     squares, most_squares : squares along either axis of the grid that shows where records lie; finer, up to the latter,
         where most are empty and the others crowded.
     sample : records in a row whose candidates are counted to estimate the room for all.
+    few_rows : fewer rows than this are looked through without a compiled loop.
     """
 
     each_with_each: int = 512
@@ -48,6 +49,7 @@ class Tuning:
     squares: int = 32
     most_squares: int = 2048
     sample: int = 128
+    few_rows: int = 10_000
 
 
 DEFAULT_TUNING = Tuning()
@@ -94,6 +96,15 @@ class Geometry:
         return None if self.sphere else (float(self.periods[self.x]), float(self.periods[self.y]))
 
 
+def _extent(values: FloatArray) -> FloatArray:
+    """(2, d) the least and the greatest of every column; a few thousand rows are no work for the compiler."""
+    if 0 < len(values) < DEFAULT_TUNING.few_rows:
+        return np.stack([values.min(axis=0), values.max(axis=0)])
+    from sameas.kernels.order import extent
+
+    return np.asarray(extent(values))
+
+
 @in_short
 @dataclass(frozen=True)
 class Source:
@@ -111,10 +122,8 @@ class Source:
 
     @classmethod
     def of(cls, records: Records, geometry: Geometry) -> Source:
-        from sameas.kernels.order import extent
-
         features = records.features
-        ends = extent(features)
+        ends = _extent(features)
         for axis in np.flatnonzero(np.isfinite(geometry.periods)):
             period = geometry.periods[axis]
             if ends[0, axis] < 0 or ends[1, axis] >= period:
@@ -156,9 +165,7 @@ class Source:
 
     def widest(self, rows: Rows, geometry: Geometry) -> tuple[float, float]:
         """The largest variances in x and in y of some of the rows, or of all."""
-        from sameas.kernels.order import extent
-
-        largest = extent(self.variance if len(rows) == len(self.variance) else self.variance[rows])[1].tolist()
+        largest = _extent(self.variance if len(rows) == len(self.variance) else self.variance[rows])[1].tolist()
         return (largest[0], largest[0]) if len(largest) == 1 else (largest[geometry.x], largest[geometry.y])
 
     def rank(self) -> IntArray:

@@ -174,7 +174,7 @@ class GrowingFeed:
     def feed(self, instant_s: float) -> Feed:
         """The feed by which a scene knows the source at an instant; reports that no later instant needs are dropped."""
         self._drop(instant_s - self.lag_s)
-        rows = self._rows.copy()
+        rows = self._rows.shown()
         time_s, sensor_m = rows.time_s, rows.sensor_m if np.isfinite(rows.sensor_m).any() else None
         track = rows.name if self._named else None
         every = np.arange(len(rows))
@@ -513,9 +513,15 @@ class _Rows:
         out.attributes = {name: column[which] for name, column in self.attributes.items()}
         return out
 
-    def copy(self) -> _Rows:
-        """The same, which later reports do not change."""
-        return self.take(np.arange(len(self)))
+    def shown(self) -> _Rows:
+        """Of a feed: copies of what later reports would change, without what only the filter needs."""
+        out = _Rows(0)
+        for name in ("time_s", "state", "covariance", "p_stationary", "sensor_m", "taken", "number", "serial", "name"):
+            setattr(out, name, getattr(self, name).copy())
+        # Directions are in what was measured.
+        out.measured = self.measured.copy()
+        out.attributes = {name: column.copy() for name, column in self.attributes.items()}
+        return out
 
     def grown(self, n: int) -> _Rows:
         """The same with ``n`` empty rows more."""
