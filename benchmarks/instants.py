@@ -67,6 +67,13 @@ class Stopwatch:
 
 
 def scene(case: Case, crowd: float, seed: int, span_s: float) -> Scene:
+    """The scene of :func:`modelled`."""
+    return Scene.of(modelled(case, crowd, seed, span_s))
+
+
+def modelled(
+    case: Case, crowd: float, seed: int, span_s: float, period_s: float = PERIOD_S
+) -> list[tuple[Description, Reports]]:
     """Targets on straight courses over a square, as sources that number them report them."""
     rng = np.random.default_rng(seed)
     width_m = math.sqrt(case.targets * math.pi * PAIR_M**2 / crowd)
@@ -74,7 +81,7 @@ def scene(case: Case, crowd: float, seed: int, span_s: float) -> Scene:
     velocity = SPEED_M_PER_S * rng.standard_normal((case.targets, 2))
     sources = []
     for number in range(case.sources):
-        looks = np.arange(rng.uniform(-PERIOD_S, 0.0), span_s, PERIOD_S)
+        looks = np.arange(rng.uniform(-period_s, 0.0), span_s, period_s)
         who, look = np.nonzero(rng.random((case.targets, len(looks))) >= MISSES)
         place = start[who] + looks[look, None] * velocity[who] + SIGMA_M * rng.standard_normal((len(who), 2))
         told = velocity[who] + 0.3 * rng.standard_normal((len(who), 2))
@@ -84,10 +91,10 @@ def scene(case: Case, crowd: float, seed: int, span_s: float) -> Scene:
         }  # fmt: skip
         said = Description(
             f"source {number}", "tracks", errors=SensorErrors(position_m=SIGMA_M, speed_m_per_s=0.3, course_deg=3.0),
-            misses=MissRate(MISSES), motion=Motion(0.01, SPEED_M_PER_S), timing=Timing(PERIOD_S, 0.0, 0.0),
+            misses=MissRate(MISSES), motion=Motion(0.01, SPEED_M_PER_S), timing=Timing(period_s, 0.0, 0.0),
         )  # fmt: skip
         sources.append((said, Reports.of(said.name, "table", columns)))
-    return Scene.of(sources)
+    return sources
 
 
 STAGES = ("said", "picture", "columns")

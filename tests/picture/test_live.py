@@ -219,6 +219,15 @@ def test_biases_are_found_by_the_last_minutes_and_taken_off():
     assert several[0] < 0.2 < 0.5 < several[1]
 
 
+def test_a_ships_radar_without_a_site_lays_the_plane_about_the_ship():
+    picture = LivePicture([Description("radar", "marine radar")])
+    columns = {"time_s": [0.0], "range_m": [900.0], "bearing_deg": [90.0], "track_id": ["1"]}
+    columns |= {"station_lat_deg": [50.0], "station_lon_deg": [-1.0]}
+    picture.add("radar", Reports.of("radar", "arpa", columns))
+    assert picture.plane == LocalPlane(50.0, -1.0)
+    np.testing.assert_allclose(picture.advance(1.0).objects.state[0, :2], [900.0, 0.0], atol=1.0)
+
+
 def test_refusals_say_what_is_wrong():
     picture = LivePicture([Description("ais", "ais")])
     with pytest.raises(InputError, match="no source 'radar'"):

@@ -123,6 +123,15 @@ def test_signal_k_tells_vessels_own_ship_and_targets_of_its_radar(tmp_path):
     assert [reports.kind for reports in read_reports(path)] == ["ais", "arpa"]
 
 
+def test_a_line_that_is_no_object_does_not_cost_the_others():
+    stream = ReportStream("coast", "table")
+    stream.feed(b'time,lat\n{"time": 1714560000, "lat": 50.1, "lon": -1.2, "mmsi": "235070762"}\n[1]\n', 0.0)
+    [reports] = stream.reports()
+    assert len(reports) == 1 and stream.damaged["no JSON object"] == 2
+    stream.feed(b"\nnothing\n", 1.0)
+    assert stream.reports() == []
+
+
 def test_the_first_bytes_tell_the_format():
     assert format_of(b"!AIVDM,1,1") == format_of(b"\\s:x*00\\!AIVDM") == "nmea"
     assert format_of(b"MSG,3,") == "sbs" and format_of(b'{"now": 1, "aircraft": [') == "aircraft"

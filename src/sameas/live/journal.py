@@ -81,7 +81,8 @@ class Journal:
         except BaseException:
             self._base.execute("ROLLBACK")
             raise
-        if self.archive_every_s and frame.time_s - self._archived_s >= self.archive_every_s:
+        due = self.archive_every_s > 0.0 and frame.time_s - self._archived_s >= self.archive_every_s
+        if due and len(frame.objects["object"]):
             self._archived_s = frame.time_s
             self._archive.append(frame.objects)
             if sum(len(part["object"]) for part in self._archive) >= ARCHIVE_ROWS:

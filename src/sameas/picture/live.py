@@ -136,12 +136,15 @@ class LivePicture:
         if not len(reports):
             return
         feed = self._feeds[source]
-        if self.plane is None and reports.lat_deg is not None and reports.lon_deg is not None:
+        places = (reports.lat_deg, reports.lon_deg)
+        if places[0] is None:
+            places = (reports.station_lat_deg, reports.station_lon_deg)
+        if self.plane is None and places[0] is not None and places[1] is not None:
             if any(other.heard for other in self._feeds.values()):
                 raise InputError(
                     f"{source}: gives latitudes and longitudes, others metres of their own", "give the plane"
                 )
-            self.plane = LocalPlane.about(reports.lat_deg, reports.lon_deg)
+            self.plane = LocalPlane.about(places[0], places[1])
             for every in self._feeds.values():
                 every.plane = self.plane
         feed.add(reports)

@@ -160,7 +160,12 @@ class ReportStream:
         if self.format == "signalk":
             return self._read(lambda: signalk.read(texts, self.source, self._vessels))
         if self.format == "table":
-            content = "\n".join(texts).encode()
+            # One line that is none must not make the others a table of another kind.
+            rows = [text for text in texts if text.lstrip()[:1] == "{"]
+            self.damaged["no JSON object"] += len(texts) - len(rows)
+            if not rows:
+                return []
+            content = "\n".join(rows).encode()
             file = SensorFile(Path(self.source), content + b"\n", self.source, self.options)
             return self._read(lambda: tables.FORMAT.read(file))
         self.damaged["lines of no known format"] += len(texts)

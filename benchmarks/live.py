@@ -1,0 +1,77 @@
+"""How long a cycle of the live picture takes: three sources that report every target every second.
+
+Timed is the processor's time of one thread, second by second after the first ones: taking in what has come
+(``LivePicture.add``: positions brought to the plane, repetitions and jumps set aside, tracks continued) and the picture
+of the instant (``LivePicture.advance``).
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+
+import numpy as np
+
+from benchmarks.instants import CROWDS, MISSES, Case, modelled
+from benchmarks.tables import Table, report
+from sameas.arrays import FloatArray
+from sameas.kernels import compiled
+from sameas.picture.live import LivePicture
+
+#: What a cycle may take, p99 in milliseconds, by targets: far apart, busy, crowded.
+ASKED_MS = {500: (40.0, 60.0, 90.0), 1000: (60.0, 100.0, 180.0)}
+#: Cycles that are not counted: the first compile, and then every track is new.
+FIRST = 4
+
+
+def cycles(targets: int, crowd: float, seed: int, count: int) -> FloatArray:
+    """(count, 2) milliseconds of ``add`` and of ``advance`` of each cycle."""
+    sources = modelled(Case(3, targets, 0.0), crowd, seed, count + FIRST + 1.0, period_s=1.0)
+    picture = LivePicture([description for description, _ in sources], lag_s=5.0)
+    spent = []
+    for second in range(1, count + FIRST + 1):
+        came = [
+            (description.name, reports.where((reports.time_s > second - 1.0) & (reports.time_s <= second)))
+            for description, reports in sources
+        ]
+        began = time.thread_time()
+        for name, reports in came:
+            picture.add(name, reports)
+        added = time.thread_time()
+        picture.advance(float(second))
+        spent.append((added - began, time.thread_time() - added))
+    return 1e3 * np.array(spent[FIRST:])
+
+
+def lines(seeds: int, count: int) -> Iterator[list[object]]:
+    """The rows of the table, one for each number of targets and crowd."""
+    for targets, asked in ASKED_MS.items():
+        for crowd, limit in zip(CROWDS, asked, strict=True):
+            spent = np.concatenate([cycles(targets, crowd, seed, count) for seed in range(seeds)])
+            whole = spent.sum(axis=1)
+            yield [
+                3, targets, crowd, float(np.median(spent[:, 0])), float(np.median(spent[:, 1])),
+                float(np.median(whole)), float(np.quantile(whole, 0.99)), limit,
+            ]  # fmt: skip
+
+
+COLUMNS = ("sources", "targets", "others within σ", "add, ms", "advance, ms", "cycle, ms", "p99", "asked")
+
+
+def main() -> None:
+    """Prints the table and keeps it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="one scene of ten cycles each")
+    options = parser.parse_args()
+    compiled.compile_all()
+    seeds, count = (1, 10) if options.quick else (2, 60)
+    notes = (
+        f"milliseconds of one thread over {seeds} scene{'s' * (seeds > 1)} of {count} cycles, every target reported by "
+        f"every source every second with a miss in {1 / MISSES:g}",
+    )
+    report("live", [Table("One cycle of the live picture", COLUMNS, list(lines(seeds, count)), notes)])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,128 @@
+"""From the wire to the picture: sensors that send over real sockets, one of which dies and floods, and the command."""
+
+import asyncio
+import json
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+
+import numpy as np
+import pytest
+from tests.live.conftest import SITE, harbour
+from tests.live.test_inputs import free_port, until
+
+from sameas.live.keeper import Keeper
+from sameas.live.settings import read_settings
+
+TOML = """
+[watch]
+every_s = 0.2
+register_every_s = 0
+silent_s = 1.5
+own_ship = {{ lat_deg = 50.55, lon_deg = -0.95 }}
+
+[sources.ais]
+kind = "ais"
+input = {{ url = "udp://127.0.0.1:{udp}", format = "table" }}
+
+[sources.radar]
+kind = "marine radar"
+site = {{ lat_deg = 50.55, lon_deg = -0.95 }}
+errors = {{ range_m = 20, range_share = 0, bearing_deg = 0.5, extent_m = 5 }}
+input = {{ url = "tcp://127.0.0.1:{tcp}", format = "table" }}
+"""
+
+
+def lines(reports, when):
+    """JSON lines of the reports of one time of the harbour, as of ``when``."""
+    columns = {name: column.tolist() for name, column in reports.columns().items() if name not in ("line", "time_s")}
+    for k in range(len(reports)):
+        row = {
+            name.removesuffix("_m").removesuffix("_deg").replace("_m_per_s", ""): cells[k]
+            for name, cells in columns.items()
+        }
+        yield json.dumps(row | {"time": when}).encode() + b"\n"
+
+
+def at(reports, k):
+    """The reports of the k-th second step."""
+    times = np.unique(reports.time_s)
+    return reports.where(reports.time_s == times[k])
+
+
+def test_sensors_that_send_become_one_picture_and_one_that_dies_is_an_alarm(tmp_path):
+    made, ports = harbour(until_s=60.0), {"udp": free_port(socket.SOCK_DGRAM), "tcp": free_port()}
+    path = tmp_path / "sensors.toml"
+    path.write_text(TOML.format(**ports))
+
+    async def run():
+        keeper, over, writers = Keeper(read_settings(path), tmp_path / "state"), asyncio.Event(), []
+
+        async def served(reader, writer):
+            writers.append(writer)
+
+        server = await asyncio.start_server(served, "127.0.0.1", ports["tcp"])
+        task = asyncio.create_task(keeper.run(until=over.is_set))
+        out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        await until(lambda: writers and all(wire.state.connected for wire in keeper.wires.values()))
+        for k in range(20):
+            now = time.time()
+            for line in lines(at(made["ais"], min(k // 3, 9)), now):
+                out.sendto(line, ("127.0.0.1", ports["udp"]))
+            writers[-1].write(b"no line of any format\n" + b"".join(lines(at(made["radar"], k), now)))
+            await asyncio.sleep(0.1)
+        await until(lambda: keeper.frame is not None and len(keeper.frame.members) >= 5)
+        frame, health = keeper.frame, keeper.health()
+        writers[-1].close()
+        server.close()
+        await until(lambda: any(alarm.key == "silent radar" for alarm in keeper.frame.alarms), 10.0)
+        out.sendto(b"x" * 60000, ("127.0.0.1", ports["udp"]))
+        await asyncio.sleep(0.5)
+        ticking = keeper.health()["ok"]
+        over.set()
+        await task
+        out.close()
+        return frame, health, ticking, keeper
+
+    frame, health, ticking, keeper = asyncio.run(run())
+    assert {source for its in frame.members.values() for source, _ in its} == {"ais", "radar"}
+    assert health["sources"]["ais"]["reports"] >= 50 and abs(health["sources"]["ais"]["delay_s"]) < 5.0
+    assert health["wires"][f"tcp://127.0.0.1:{keeper_port(keeper)}"]["damaged"] >= 10
+    assert ticking and keeper.counters["faults"] == 0
+
+
+def keeper_port(keeper):
+    return next(url for url in keeper.wires if url.startswith("tcp")).rpartition(":")[2]
+
+
+@pytest.mark.slow
+def test_the_command_serves_a_replay_and_ends_on_a_signal(tmp_path):
+    for name, reports in harbour().items():
+        times = np.unique(reports.time_s)[:30]
+        rows = [json.loads(line) for k, t in enumerate(times) for line in lines(at(reports, k), float(t))]
+        (tmp_path / f"{name}.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    (tmp_path / "sensors.toml").write_text(
+        f'[sources.radar]\nkind = "marine radar"\nsite = {{ lat_deg = {SITE[0]}, lon_deg = {SITE[1]} }}\n'
+        '[sources.ais]\nkind = "ais"\n'
+    )
+    command = [sys.executable, "-m", "sameas", "watch", "ais.jsonl", "radar.jsonl", "--sensors", "sensors.toml",
+               "--port", "0", "--pace", "5", "--every", "0.5s", "--for", "60s", "-o", "state"]  # fmt: skip
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
+        address = re.search(r"http://\S+", run.stdout.readline())[0]
+        end, told = time.monotonic() + 30.0, {}
+        while not told.get("ok") or told["objects"] < 5:
+            assert time.monotonic() < end and run.poll() is None, run.stderr.read()
+            time.sleep(0.2)
+            try:
+                with urllib.request.urlopen(f"{address}health", timeout=5.0) as answer:
+                    told = json.loads(answer.read())
+            except OSError:
+                continue
+        run.send_signal(signal.SIGTERM)
+        out, err = run.communicate(timeout=20.0)
+    assert run.returncode == 0 and "Watched:" in out and "radar: " in out and "Traceback" not in err
+    assert (tmp_path / "state" / "state.pickle").exists()
