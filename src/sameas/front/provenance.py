@@ -146,9 +146,10 @@ def of_records(result: Identification, estimate: Estimate, command: str) -> dict
 
 def _offset(match: SkyMatch) -> dict[str, Any]:
     """What was taken away from the second catalogue: in words, and east, north and turn with their errors, arcsec."""
+    warp = {} if match.warp is None else {"offset_warp": str(match.warp), "offset_warp_order": match.warp.order}
     if match.rotation is None:
-        return {"offset": None}
-    return {f"offset{name}": value for name, value in _taken_away(match.rotation).items()}
+        return {"offset": None, **warp}
+    return {f"offset{name}": value for name, value in _taken_away(match.rotation).items()} | warp
 
 
 def _taken_away(rotation: Rotation) -> dict[str, Any]:

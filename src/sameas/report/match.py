@@ -77,6 +77,7 @@ def estimate_lines(match: SkyMatch, words: Callable[[str], str] = str) -> list[s
         "Estimated",
         *entry("epoch", match.moved),
         *(entry("offset", f"added to {match.second.name}: {match.rotation}") if match.rotation else ()),
+        *(entry("warp", f"added to {match.second.name}: {match.warp}") if match.warp else ()),
         *common_objects(match),
         *_area(match.estimate.coverage),
         *findings(match),

@@ -27,6 +27,8 @@ from sameas.sky.assumed import completed
 from sameas.sky.bands import AUTO, columns_of, magnitudes_of
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.rotation import Rotation, find_rotation, residual_rotation
+from sameas.sky.warp import TUNING as WARP_TUNING
+from sameas.sky.warp import Warp, find_warp
 from sameas.space import ARCSEC_PER_RADIAN, sphere_offset
 
 
@@ -101,7 +103,8 @@ class MatchOptions:
         as "G,BP:J,H" (see ``sky.bands``).
     precision : whether the sizes of the quoted errors are evidence too, where magnitudes tell too little.
     offset : "none" takes both catalogues to be on one frame, and doubts it where the pairs show an offset; "find"
-        estimates the shift and rotation of the second catalogue and takes it away (see :mod:`sameas.sky.rotation`).
+        estimates the shift and rotation of the second catalogue and takes it away (see :mod:`sameas.sky.rotation`), and
+        a smooth warp of the field beside it (see :mod:`sameas.sky.warp`).
     evidence : columns of either catalogue that are evidence too, by name, alone or related to one of the other.
     """
 
@@ -146,6 +149,7 @@ class SkyMatch:
     epoch_jyr : the epoch both were brought to, None where each stayed where it was observed.
     moved : one sentence on what was moved and why. doubts : what looks wrong with the result.
     rotation : of the second catalogue onto the first; None where it was not looked for, or chance explains it as well.
+    warp : what is left after that, of higher order, and was taken away too; None likewise.
     """
 
     first: Catalogue
@@ -156,6 +160,7 @@ class SkyMatch:
     estimate: Estimate
     doubts: tuple[str, ...]
     rotation: Rotation | None = None
+    warp: Warp | None = None
 
     @cached_property
     def covered_1(self) -> BoolArray:
@@ -215,15 +220,24 @@ def match(
     rotation = None if search is None or search.by_chance else search
     if rotation is not None:
         two = rotation.of(two)
-    result, estimate = estimated(
-        one, two, errors=options.errors(), gate=options.gate(), density=options.density(),
+    identified = partial(
+        estimated, errors=options.errors(), gate=options.gate(), density=options.density(),
         brightness=magnitudes_of(first, second, options.magnitudes), precision=options.precision,
         evidence=columns_of(first, second, options.evidence, options.magnitudes), progress=progress,
     )  # fmt: skip
+    result, estimate = identified(one, two)
+    warp: Warp | None = None
+    for _ in range(WARP_TUNING.passes if search is not None else 0):
+        progress("warp")
+        found = find_warp(result, warp)
+        if found is None:
+            break
+        warp = found
+        result, estimate = identified(one, warp.of(two))
     doubts = assumed + density_doubts(estimate.coverage, options, tuning)
     doubts += _error_doubts(result, estimate, tuning) + _near_miss_doubts(result, estimate, tuning)
-    doubts += _offset_doubts(result, estimate, tuning) if search is None else _search_doubts(search)
-    return SkyMatch(first, second, epoch, words, result, estimate, doubts, rotation)
+    doubts += _offset_doubts(result, estimate, tuning) if search is None else _search_doubts(search, warp)
+    return SkyMatch(first, second, epoch, words, result, estimate, doubts, rotation, warp)
 
 
 def brought_together(
@@ -365,9 +379,11 @@ def _error_doubts(result: Identification, estimate: Estimate, tuning: Crossmatch
     return tuple(doubts)
 
 
-def _search_doubts(search: Rotation) -> tuple[str, ...]:
+def _search_doubts(search: Rotation, warp: Warp | None) -> tuple[str, ...]:
     """Doubts of a rotation that was looked for."""
-    return (*search.notes, "no offset was taken away") if search.by_chance else search.notes
+    if not search.by_chance:
+        return search.notes
+    return (*search.notes, "no offset was taken away" if warp is None else "no shift or turn was taken away")
 
 
 def _offset_doubts(result: Identification, estimate: Estimate, tuning: CrossmatchTuning) -> tuple[str, ...]:
