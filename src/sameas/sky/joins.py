@@ -31,6 +31,7 @@ from sameas.kernels import threads
 from sameas.records import Records
 from sameas.result import Answers, Identification
 from sameas.sky.join_types import JOINS
+from sameas.sky.ucds import meta_of
 from sameas.space import Sphere
 
 #: Row of a partner that does not exist; within this module only, tables carry masks.
@@ -145,7 +146,8 @@ def pair_table(result: Identification) -> Table:
     columns |= {"mahalanobis": found.mahalanobis, "log_odds": found.log_odds}
     table = Table()
     for name, values in columns.items():
-        table.add_column(Column(values, unit=_UNITS.get(name), description=_words(name)), name=name, copy=False)
+        column = Column(values, unit=_UNITS.get(name), description=_words(name), meta=meta_of(name))
+        table.add_column(column, name=name, copy=False)
     return table
 
 
@@ -227,7 +229,7 @@ def joined(
             table.add_column(column, name=name, copy=False)
     for name, values in _JoinedColumns(match, rows).columns(nway_columns).items():
         unique = name if name not in table.colnames else f"{name}_sameas"
-        added = MaskedColumn(values, unit=_UNITS.get(name), description=_words(name))
+        added = MaskedColumn(values, unit=_UNITS.get(name), description=_words(name), meta=meta_of(name))
         table.add_column(added, name=unique, copy=False)
     return table
 

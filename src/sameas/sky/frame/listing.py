@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from sameas.arrays import FloatArray, IntArray
 from sameas.sky.frame.identified import EXPECTED, FrameIdentification
 from sameas.sky.frame.measurements import Flag
+from sameas.sky.ucds import meta_of
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -47,7 +48,7 @@ def listing(identification: FrameIdentification, *, faint: bool = True) -> Table
         kinds = [part for part in parts if part.dtype != object]
         dtype = np.result_type(*(part.dtype for part in kinds)) if kinds else np.dtype("U1")
         values = np.ma.concatenate([_cast(part, dtype) for part in parts])  # type: ignore[no-untyped-call]
-        table[name] = MaskedColumn(values, unit=unit or None, description=words)
+        table[name] = MaskedColumn(values, unit=unit or None, description=words, meta=meta_of(name))
     table.meta.update(frame=identification.measured.name, catalogue=identification.stars.name)
     return table
 

@@ -27,6 +27,7 @@ from sameas.errors import InputError
 from sameas.many.joint import NO_RECORD
 from sameas.records import Records
 from sameas.sky.many.match import ManyMatch
+from sameas.sky.ucds import meta_of
 
 #: Least probability of a runner-up that is named (chosen).
 LEAST_RUNNER_UP = 1e-3
@@ -81,7 +82,8 @@ def joined_many(match: ManyMatch, *, least: int = 1) -> Table:
         unique = name if name not in table.colnames else f"{name}_sameas"
         unit, words = _WORDS[name]
         mask = np.ma.getmaskarray(values) | absent
-        table[unique] = MaskedColumn(np.ma.getdata(values), mask=mask, unit=unit or None, description=words)
+        kept = {"unit": unit or None, "description": words, "meta": meta_of(name)}
+        table[unique] = MaskedColumn(np.ma.getdata(values), mask=mask, **kept)
     return table
 
 
