@@ -70,6 +70,7 @@ class MatchTuning:
         judged.
     misled : a sample has misled where it lets expect another number of common objects, by more than this share beyond
         chance.
+    unrelated : from this share of pairs on whose magnitudes follow no relation, that is said.
     em : of the EM iterations. grid : of the errors that are thought of before any are believed.
     """
 
@@ -84,6 +85,7 @@ class MatchTuning:
     bettering: float = 8.0
     significant: float = 4.0
     misled: float = 0.02
+    unrelated: float = 0.5
     em: EMTuning = DEFAULT_EM
     grid: GridTuning = DEFAULT_GRID
 
@@ -528,6 +530,12 @@ def _notes(found: _Converged, common: float) -> tuple[str, ...]:
     if known.photometry is not None and known.photometry.chains is None:
         few = f"too few pairs with magnitudes of both (of {common:.1f})"
         notes.append(f"{few} to learn from the magnitudes; they are not used")
+    relation = None if known.photometry is None else known.photometry.first_relation
+    if relation is not None and relation.unrelated > found.tuning.unrelated:
+        notes.append(
+            f"the magnitudes of {relation.unrelated:.0%} of the pairs have nothing to do with each other, and weigh "
+            "next to nothing: are they of these objects, and in the columns that were meant?"
+        )
     return tuple(notes)
 
 
