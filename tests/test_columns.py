@@ -35,12 +35,14 @@ def by_position():
     return match(MADE.scene.first, MADE.scene.second)
 
 
+@pytest.mark.slow
 def test_a_magnitude_of_one_source_finds_more_with_fewer_wrong(found, by_position):
     (more, fewer, expected, spread), (less, many, _, _) = judged(found[0]), judged(by_position[0])
     assert more > less and fewer < 0.7 * many
     assert abs(fewer - expected) < 2.0 * spread
 
 
+@pytest.mark.slow
 def test_what_is_learned_is_the_ratio_of_the_true_densities(found):
     """q(m)/n(m) of Sutherland & Saunders, which the simulation knows."""
     from scipy.stats import norm
@@ -84,6 +86,7 @@ def test_of_one_category_column_the_fit_is_the_ratio_of_counts():
             assert partners > 0 and np.allclose(got, logit, atol=5e-3)
 
 
+@pytest.mark.slow
 def test_a_column_that_tells_nothing_is_said_to_and_changes_nothing(by_position):
     answer, estimate = match(MADE.scene.first, MADE.scene.second, evidence=[Column(2, MADE.noise, name="noise")])
     (said,) = estimate.columns.said
@@ -132,6 +135,7 @@ def test_swapped_sources_give_the_transposed_answer(found):
     assert sum(one.get(key) != value for key, value in other.items()) <= 2
 
 
+@pytest.mark.slow
 def test_missing_values_are_a_value(found):
     gone = np.random.default_rng(2).uniform(size=len(MADE.magnitude)) < 0.2
     column = Column(2, np.where(gone, np.nan, MADE.magnitude), name="MAG")

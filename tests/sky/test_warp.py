@@ -36,6 +36,7 @@ def wrong_and_found(match, scene):
     return int((~right).sum()), int(right.sum())
 
 
+@pytest.mark.slow
 def test_a_warp_is_found_and_taken_away():
     tables, scene = field(1, 0.3)
     match = sameas.match(*tables, sigma_unit="arcsec", offset="find")
@@ -48,10 +49,11 @@ def test_a_warp_is_found_and_taken_away():
     assert "smooth warp of order" in str(match.report())
 
 
-def test_without_a_warp_none_is_found():
-    for seed in range(4):
-        tables, _ = field([2, seed], 0.0, n=400)
-        assert sameas.match(*tables, sigma_unit="arcsec", offset="find").sky.warp is None
+@pytest.mark.slow_after(1)
+@pytest.mark.parametrize("seed", range(4))
+def test_without_a_warp_none_is_found(seed):
+    tables, _ = field([2, seed], 0.0, n=300)
+    assert sameas.match(*tables, sigma_unit="arcsec", offset="find").sky.warp is None
 
 
 @pytest.mark.slow
