@@ -41,6 +41,7 @@ def edited(path, number, **said):
         ({"NAXIS": 500000000}, "says NAXIS = 500000000, not 0 to 999"),
         ({"NAXIS2": -3}, "says NAXIS2 = -3"),
         ({"PCOUNT": -8}, "says PCOUNT = -8"),
+        ({"TFORM1": "'99999999D'"}, "says columns of 799999992 bytes in rows of 8"),
         ({"NAXIS1": 0, "NAXIS2": 2000000000}, "says 2000000000 rows without a byte"),
     ],
 )

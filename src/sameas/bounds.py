@@ -82,6 +82,10 @@ class Headers:
 
 _BLOCK, _CARD_BYTES = 2880, 80
 _BEGIN = re.compile(rb"SIMPLE  = +[TF] |XTENSION= *'[A-Z0-9 ]*' *(?:/| {20})")
+_FORM = re.compile(rb"(TFORM\d+) *= *' *(\d*)([LXBIJKAEDCMPQ])")
+#: Bits of one value of a column of a binary table (FITS 4.0, table 18).
+_BITS = {b"X": 1, b"L": 8, b"B": 8, b"A": 8, b"I": 16, b"J": 32, b"E": 32, b"K": 64, b"D": 64, b"C": 64, b"M": 128,
+         b"P": 64, b"Q": 128}  # fmt: skip
 _WHOLE = re.compile(rb"([A-Z0-9_-]{1,8}) *= *([+-]?\d+) *(?:/|$)")
 
 
@@ -135,6 +139,9 @@ def _whole_numbers(file: Any, path: Path, number: int, limits: Headers) -> dict[
                 return cards
             if found := _WHOLE.match(card):
                 cards.setdefault(found[1].decode("ascii"), int(found[2]))
+            elif found := _FORM.match(card):
+                cells = (int(found[2] or 1) * _BITS[found[3]] + 7) // 8
+                cards[found[1].decode("ascii")] = cells
         if len(block) < _BLOCK:
             break
     if not known:  # what stands behind the last extension is nobody's
@@ -158,6 +165,9 @@ def _data_bytes(cards: Mapping[str, int], path: Path, number: int, size: int, li
             raise refuse(f"says {name} = {value}")
     if "TFIELDS" in cards and len(axes) == 2 and axes[0] == 0 < axes[1]:
         raise refuse(f"says {axes[1]} rows without a byte in them")
+    row = sum(cards.get(f"TFORM{k}", 0) for k in range(1, cards.get("TFIELDS", 0) + 1))
+    if axes and row > axes[0]:
+        raise refuse(f"says columns of {row} bytes in rows of {axes[0]}")
     image = [cards.get(f"ZNAXIS{k}", 0) for k in range(1, cards.get("ZNAXIS", 0) + 1)]
     if image and 8 * prod(image) > max(limits.least, limits.shrunk * size):
         raise refuse(f"says a compressed image of {' × '.join(map(str, image))} pixels, in a file of {size} bytes")

@@ -336,6 +336,10 @@ def _without_the_infinite(
             nowhere |= infinite
         elif name != "time_s":
             own[name] = np.where(infinite, np.nan, column)
+    extra = {
+        name: np.where(np.isinf(column), np.nan, column) if column.dtype.kind == "f" else column
+        for name, column in extra.items()
+    }
     reasons = np.where(no_time, "no time", "no position").astype(object)
     left_out = np.flatnonzero(no_time | nowhere)
     if not len(left_out):

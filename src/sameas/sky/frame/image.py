@@ -283,6 +283,8 @@ def _quality(data: NDArray[Any], header: Header) -> PixelFlags:
         return np.where(data != 0, Flag.MASKED, 0).astype(np.uint16)
     flags = np.zeros(data.shape, np.uint16)
     for key, flag in named.items():
+        if str(header[key]) not in map(str, range(64)):
+            raise ValueError(f"{key} = {header[key]} is no number of a bit")
         flags |= np.where(data & (1 << int(header[key])), flag, 0).astype(np.uint16)
     return flags
 
