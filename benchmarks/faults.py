@@ -313,13 +313,14 @@ def _small() -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--moments", type=int, default=21, help="moments for each command and signal; 21 make 504")
+    parser.add_argument("--only", default="", help="commands whose name begins so")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     rng = random.Random(given.seed)
     os.environ["SOURCE_DATE_EPOCH"] = "1700000000"  # so that runs at different times write the same bytes
     rows, faults = [], []
     with tempfile.TemporaryDirectory() as folder:
-        for work in works(Path(folder)):
+        for work in (work for work in works(Path(folder)) if work.name.startswith(given.only)):
             every = [(number.name, hit(work, number, given.moments, rng)) for number in CODES]
             every.append(("disks, two runs", places(work)))
             for name, found in every:

@@ -223,3 +223,78 @@ def test_a_compiled_loop_does_not_keep_a_process_that_is_to_stop(number, code, t
     _, said = process.communicate(timeout=20)  # the loop itself takes minutes
     assert (process.returncode, said) == (code, "sameas: stopped; nothing was written\n")
     assert not list(tmp_path.iterdir())
+
+
+def _answer(path):
+    from sameas.io import read_table
+
+    table = read_table(path)
+    return {name: table[name].tolist() for name in table.colnames}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("circumstance", ["python -O", "no home", "no home, no place for compiled kernels"])
+def test_the_answer_is_the_same_in_every_home(circumstance, tmp_path, field_files):
+    run("match", *field_files, "-o", tmp_path / "here.parquet")
+    switches = ["-O"] if circumstance == "python -O" else []
+    environment = dict(os.environ)
+    if "no home" in circumstance:
+        environment["HOME"] = str(tmp_path / "none")
+    if "compiled" in circumstance:
+        environment["NUMBA_CACHE_DIR"] = str(tmp_path / "file" / "below")
+        (tmp_path / "file").touch()
+    arguments = ["match", *map(str, field_files), "-o", str(tmp_path / "there.parquet"), "-q"]
+    done = subprocess.run([sys.executable, *switches, "-m", "sameas", *arguments], capture_output=True, text=True,
+                          env=environment, timeout=120)  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    assert _answer(tmp_path / "there.parquet") == _answer(tmp_path / "here.parquet")
+
+
+_FORKED = """
+import os, sys
+import numpy as np
+import sameas
+from sameas.kernels import compiled
+
+compiled.compile_all()
+rng = np.random.default_rng(1)
+a = {"ra": rng.uniform(10.0, 11.0, 30000), "dec": rng.uniform(-0.5, 0.5, 30000)}
+b = {name: column + rng.normal(0.0, 3e-5, 30000) for name, column in a.items()}
+answer = lambda: np.array(sameas.match(a, b, sigma=0.1).pairs["p_match"])
+before = answer()
+child = os.fork()
+if child == 0:
+    os._exit(0 if np.array_equal(answer(), before) else 3)
+print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), np.array_equal(answer(), before))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+def test_a_process_forked_after_use_answers_the_same():
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", _FORKED], capture_output=True, text=True, timeout=120)
+    assert done.stdout == "0 True\n", done.stderr[-2000:]
+
+
+_FIRST = """
+import numpy as np
+from sameas.kernels import components
+
+one = np.array([0, 1, 1], np.int32)  # three pairs, of two components
+short = [np.zeros(size, np.int32) for size in (2, 2, 3)]
+parent = np.arange(4, dtype=np.int32)
+print(components.label_pairs.compiled(one, one, parent, *short, *(np.zeros(4, np.int64) for _ in range(3))))
+"""
+
+
+@pytest.mark.slow
+def test_two_first_compilations_at_once_do_not_disturb_each_other(tmp_path):
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, "-c", _FIRST]
+    two = [subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
+           for _ in range(2)]  # fmt: skip
+    said = [process.communicate(timeout=120) for process in two]
+    third = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=120)
+    assert [process.returncode for process in (*two, third)] == [0, 0, 0], said
+    assert said[0][0] == said[1][0] == third.stdout != "" and list(tmp_path.rglob("*.nbi"))
+    assert "compiling" not in third.stderr
