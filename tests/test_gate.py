@@ -419,3 +419,16 @@ def test_a_source_that_is_no_records_says_how_to_make_them():
     for gate in (ChiSquare(), Radius(3.0), Box()):
         with pytest.raises(InputError, match=r"a source is a list; make it with Records\.of\(features, sigma=…\)"):
             gate([[0.0, 0.0]], records)
+
+
+def test_fields_far_from_each_other_are_laid_out_as_if_they_lay_side_by_side():
+    """Squares of the whole sky are far larger than two fields in it: zones by these would hold all of a field."""
+    from sameas.gate.zones import DEFAULT_TUNING, Extent, Geometry, Source
+
+    rng = np.random.default_rng(3)
+    fields = [rng.uniform(size=(4_000, 2)) * 0.1 + place for place in ((10.0, -50.0), (200.0, 60.0))]
+    records = Records.of(np.concatenate(fields), sigma=0.1, space=Sphere())
+    geometry = Geometry.of(records, records, 9.0, False, DEFAULT_TUNING)
+    source = Source.of(records, geometry)
+    covered = 0.01 * (np.cos(np.radians(50.0)) + np.cos(np.radians(60.0)))
+    assert Extent.of((source, source), geometry).area < 30.0 * covered
