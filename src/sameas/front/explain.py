@@ -198,22 +198,33 @@ def _of_other(record: str, name: str, other: int) -> InputError:
 
 
 def _of_picture(folder: Path, record: str, source: int | str, at: float | str | None) -> list[str]:
-    from sameas.io import read_table
     from sameas.io.sensors.clock import instant
     from sameas.report.written import picture_lines
 
-    tables = []
-    for name in _TABLES:
-        found = next(
-            (folder / f"{name}.{end}" for end in ("parquet", "csv") if (folder / f"{name}.{end}").exists()), None
-        )
-        if found is None:
-            raise InputError(f"{folder}: has no {name}.parquet or {name}.csv; give the folder of a picture")
-        tables.append(read_table(found))
+    objects, records = picture_tables(folder)
     when = None if at is None else float(at) if _is_number(at) else instant(str(at))
     if at is not None and when is None:
         raise InputError(f"at={at}: give a time such as 2024-05-01T13:00:00Z, or seconds")
-    return picture_lines(tables[0], tables[1], record, None if source in (1, "1") else str(source), when)
+    return picture_lines(objects, records, record, None if source in (1, "1") else str(source), when)
+
+
+def picture_tables(folder: Path) -> tuple[Table, Table]:
+    """The objects and the records of a picture in a folder.
+
+    Raises
+    ------
+    InputError : they are not there.
+    """
+    from sameas.io import read_table
+
+    paths = []
+    for name in _TABLES:
+        there = [folder / f"{name}.{ending}" for ending in ("parquet", "csv") if (folder / f"{name}.{ending}").exists()]
+        if not there:
+            raise InputError(f"{folder}: has no {name}.parquet or {name}.csv; give the folder of a picture")
+        paths.append(there[0])
+    objects, records = map(read_table, paths)
+    return objects, records
 
 
 def _is_number(text: float | str) -> bool:

@@ -119,12 +119,12 @@ def _with_astropys(table: Table, text: str) -> Table:
     from astropy.table import meta, serialize
 
     header = meta.get_header_from_yaml(text.split("\n"))
-    for described in header["datatype"]:
-        if described["name"] in table.colnames:
-            column = table[described["name"]]
-            described(column, described)
-            column.format = described.get("format", column.format)
-            column.meta.update(described.get("meta", {}))
+    for facts in header["datatype"]:
+        if facts["name"] in table.colnames:
+            column = table[facts["name"]]
+            described(column, facts)
+            column.format = facts.get("format", column.format)
+            column.meta.update(facts.get("meta", {}))
     table.meta.update(header.get("meta", {}))
     if "__serialized_columns__" in table.meta:
         # Masks and sky coordinates that astropy's own writer takes apart.

@@ -1,0 +1,32 @@
+"""``sameas compare``: which identities two outputs give differently."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sameas.cli.options import Debug
+from sameas.cli.outcome import answering
+
+_WHAT = "A table that `sameas match` or `many` wrote, or the folder of a picture."
+
+
+def compare(
+    one: Annotated[Path, typer.Argument(metavar="A", help=_WHAT, show_default=False)],
+    other: Annotated[Path, typer.Argument(metavar="B", help="Another, of the same records.", show_default=False)],
+    debug: Debug = False,
+) -> None:
+    """Which identities two outputs give differently: a what-if, another gate, a sensor left out.
+
+    Records that one of the two does not have are counted and left out of the comparison.
+    """
+    with answering(debug):
+        from sameas.cli.terminal import Pace, Printer
+        from sameas.front.compare import compare as told
+
+        with Pace(quiet=False) as pace:
+            pace(f"reading {one} and {other}")
+            lines = told(one, other).lines
+        Printer(quiet=False)(lines)
