@@ -97,4 +97,5 @@ def served(keeper, access=None):
 
 @pytest.fixture
 def keeper(tmp_path):
-    return Keeper(settings(), tmp_path / "state", replay=replay())
+    # Long enough for a busy machine: a replay that has ended shows no ships any more.
+    return Keeper(settings(), tmp_path / "state", replay=replay(until_s=2400.0))
