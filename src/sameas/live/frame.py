@@ -22,7 +22,7 @@ from sameas.tracks.coordinates import LocalPlane
 #: Columns of an object's row as it is sent to pages, and of a record's.
 OBJECT = (
     "n", "stage", "x", "y", "vx", "vy", "speed", "course", "major", "minor", "angle", "sources", "p", "ambiguous",
-    "rival", "label", "mmsi", "icao", "callsign", "name", "mode_a", "type",
+    "rival", "height", "sh", "climb", "label", "mmsi", "icao", "callsign", "name", "mode_a", "type",
 )  # fmt: skip
 RECORD = ("n", "source", "row", "x", "y", "major", "minor", "angle", "p", "alone", "age", "bearing", "sb", "sx", "sy",
           "track_id")  # fmt: skip
@@ -110,13 +110,14 @@ class Frame:
         """By number the rows of :data:`OBJECT`; None where there is no number."""
         o = self.objects
         major, minor, angle = _ellipse(o)
-        stage = [_STAGES.index(name) for name in o["stage"].tolist()]
+        stage, unknown = [_STAGES.index(name) for name in o["stage"].tolist()], np.full(len(o["object"]), np.nan)
         columns = [
             o["object"].tolist(), stage, _numbers(o["x_m"], 2), _numbers(o["y_m"], 2), _numbers(o["vx_m_per_s"], 2),
             _numbers(o["vy_m_per_s"], 2), _numbers(o["speed_m_per_s"], 2), _numbers(o["course_deg"], 1),
             _numbers(major, 1), _numbers(minor, 1), _numbers(angle, 0), o["n_sources"].tolist(),
             _numbers(o["probability"], 5), o["ambiguous"].astype(int).tolist(), _numbers(o["p_runner_up"], 5),
-            *(o[name].tolist() for name in OBJECT[15:]),
+            *(_numbers(o.get(name, unknown), 1) for name in ("height_m", "sigma_height_m", "climb_m_per_s")),
+            *(o[name].tolist() for name in OBJECT[OBJECT.index("label") :]),
         ]  # fmt: skip
         rows: list[tuple[Any, ...]] = list(zip(*columns, strict=True))
         return {int(row[0]): row for row in rows}
@@ -138,8 +139,9 @@ class Frame:
     def listed(self) -> list[dict[str, Any]]:
         """Every object as a mapping for outputs: numbers in degrees, metres and seconds, None where unknown."""
         o, cpa = self.objects, self.cpa
-        names = [name for name in ("lat_deg", "lon_deg", "x_m", "y_m", "speed_m_per_s", "course_deg", "var_x_m2",
-                                   "cov_xy_m2", "var_y_m2", "probability") if name in o]  # fmt: skip
+        names = [name for name in ("lat_deg", "lon_deg", "x_m", "y_m", "speed_m_per_s", "course_deg", "height_m",
+                                   "climb_m_per_s", "var_x_m2", "cov_xy_m2", "var_y_m2", "probability")
+                 if name in o]  # fmt: skip
         digits = {"lat_deg": 7, "lon_deg": 7, "probability": 6}
         columns = {name: _numbers(o[name], digits.get(name, 2)) for name in names}
         out = []
