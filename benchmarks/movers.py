@@ -139,8 +139,16 @@ def main() -> None:
     parser.add_argument("--data", type=Path, help="wheel of fink-fat 0.6.3, or a folder that it is unpacked in")
     parser.add_argument("--nights", type=int, default=2, help="the fullest nights of each of the three months")
     parser.add_argument("--peer", type=Path, help="a Python in which fink-fat 0.6.3 (pandas < 3) runs beside")
+    parser.add_argument("--frames", type=Path, help="folder of raw frames and darks to inject movers in")
+    parser.add_argument("--rounds", type=int, default=0, help="series of simulated (and --frames) to inject movers in")
     parser.add_argument("--probability", type=float, default=0.5, help="least probability of a tracklet")
     arguments = parser.parse_args()
+    if arguments.rounds:
+        from benchmarks.injected import crowded_scene, real_scene, tables
+
+        rng = np.random.default_rng(1)
+        scenes = [*([real_scene(arguments.frames)] if arguments.frames else []), crowded_scene(rng)]
+        report("movers-injected", tables(scenes, arguments.rounds, rng))
     place = arguments.data or installed()
     if place is None or not place.exists():
         print(

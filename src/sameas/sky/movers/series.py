@@ -8,7 +8,6 @@ import numpy as np
 
 from sameas.arrays import FloatArray
 from sameas.sky.movers.detections import Detections
-from sameas.sky.movers.model import DEFAULT_TUNING as MOTION_TUNING
 from sameas.sky.movers.model import MotionModel, Tuning
 from sameas.sky.movers.search import Movers, find_movers, learn_motion
 from sameas.sky.series.tied import Series
@@ -32,6 +31,9 @@ class SearchTuning:
 
 
 DEFAULT_TUNING = SearchTuning()
+#: Little is left of a series, and three frames have to agree: links that no main-belt object makes are tried too. With
+#: −6, the bound of alerts, no injected mover faster than 2″/min was found, bright or faint; with −14 most are.
+MOTION_TUNING = Tuning(least_log_ratio=-14.0)
 
 
 def left_over(series: Series) -> Detections:
@@ -68,7 +70,7 @@ def search(
         if len(np.unique(series.frame[series.left])) < 2:
             return _nothing(series), series
         detections = left_over(series)
-        model = learn_motion(detections, counts=tuning.counts, tuning=motion)
+        model = learn_motion(detections, counts=tuning.counts)
         found = find_movers(detections, model=model, least=2, least_probability=0.0, tuning=motion)
         slow = found.only(_moved_arcsec(found) < tuning.least_move_px * series.scale_arcsec_per_px)
         rows = slow.members[slow.members >= 0]
