@@ -234,7 +234,7 @@ def children(pid):
 @pytest.mark.parametrize("victim", ["worker", "client"])
 def test_a_killed_worker_is_replaced_and_a_killed_client_resumes_with_the_same_bytes(tmp_path, victim):
     """The script has no guard of __main__: workers do not run it again."""
-    a, b = stored(tmp_path, sky((0.0, 0.0), 3_000, 0.3, seed=13), (120, 120))
+    a, b = stored(tmp_path, sky((0.0, 0.0), 3_000, 0.3, seed=13), (60, 60))
     runs = {out: [sys.executable, "-c", SCRIPT.format(a=str(a), b=str(b), out=str(tmp_path / out / "out"))]
             for out in ("one", "two")}  # fmt: skip
     subprocess.run(runs["one"], check=True, capture_output=True)
