@@ -202,6 +202,9 @@ def test_a_run_goes_on_where_it_ended_with_the_same_bytes(tmp_path, monkeypatch)
     monkeypatch.undo()
     with pytest.raises(InputError, match="was begun with other catalogues or options"):
         found.write(tmp_path / "two" / "out", workers=1, margin_arcsec=1.0)
+    # What a worker that is killed while it writes leaves behind.
+    beside = next((tmp_path / "two" / "out" / "out" / "dataset").rglob("*.parquet"))
+    beside.with_name(f".{beside.name}.1.part").write_bytes(b"PAR1")
     again = found.write(tmp_path / "two" / "out", workers=1)
     assert again.decided == whole.decided - 3 and replace(
         again, path=whole.path, decided=0, cpu_seconds=0.0

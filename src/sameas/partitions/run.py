@@ -554,6 +554,8 @@ def write(
         if margin is not None:
             progress("margin")
             _write_margins(pool, str(scratch), catalogue, path / margin, full, margin_arcsec, _told(work, name), facts)
+    for left in path.rglob(".*.part"):  # of workers that died while they wrote
+        left.unlink(missing_ok=True)
     write_collection(path, name, margin if margin is not None and (path / margin).exists() else None)
     shutil.rmtree(scratch)
     sums = {key: sum(one[key] for one in sorted(told, key=lambda one: (one["order"], one["number"])))
