@@ -103,10 +103,8 @@ def test_the_source_runs_no_text_and_unpacks_no_objects(path):
         alias.name.split(".")[0] for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names
     }
     imported |= {(node.module or "").split(".")[0] for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
-    # A live picture's saved state, and the work that a run over partitions hands to its processes, are pickles in
-    # folders that must be the user's own (SECURITY.md).
-    trusted = path.relative_to(SOURCE).as_posix() in ("live/journal.py", "partitions/run.py")
-    allowed = {"pickle"} if trusted else set()
+    # Saved states are read there, and make data only (tests/test_saved.py).
+    allowed = {"pickle"} if path.relative_to(SOURCE).as_posix() == "saved.py" else set()
     assert not imported & {"pickle", "dill", "cloudpickle", "marshal", "shelve", "joblib"} - allowed
     for name, words in calls(tree):
         assert name not in ("eval", "exec", "compile", "__import__", "os.system", "os.popen", "yaml.load"), name

@@ -13,7 +13,7 @@ HOME = Path(sameas.__file__).parent
 #: The rooms (modules and packages of ``sameas``) from the ground up; those of one line do not import each other.
 FLOORS = """
 arrays errors kernels representation
-bounds gaussian ragged
+bounds gaussian ragged saved
 space
 records
 gate

@@ -8,7 +8,6 @@ that is killed leaves whole ticks. The state is saved beside it and replaces the
 from __future__ import annotations
 
 import os
-import pickle
 import sqlite3
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -22,6 +21,7 @@ from sameas.errors import InputError
 from sameas.io.atomic import replacing
 from sameas.live.frame import Alarm, Frame
 from sameas.picture.picture import Columns, gathered
+from sameas.saved import dumps, loads
 
 _TABLES = """
 CREATE TABLE IF NOT EXISTS objects (object INTEGER PRIMARY KEY, first_s REAL, last_s REAL, confirmed INTEGER,
@@ -192,14 +192,12 @@ class Journal:
 def save_state(folder: Path, state: Mapping[str, Any]) -> None:
     """Saves the state: whole, or the one before stays."""
     with replacing(folder / "state.pickle") as draft:
-        draft.write_bytes(pickle.dumps({"version": sameas.__version__, **state}, protocol=5))
+        draft.write_bytes(dumps({"version": sameas.__version__, **state}))
         os.chmod(draft, 0o600)
 
 
 def load_state(folder: Path) -> dict[str, Any] | None:
     """The saved state; None where there is none, or another version's.
-
-    A pickle can run what it wants when it is loaded: the folder must be the user's own.
 
     Raises
     ------
@@ -210,8 +208,5 @@ def load_state(folder: Path) -> dict[str, Any] | None:
         return None
     if hasattr(os, "getuid") and path.stat().st_uid not in (os.getuid(), 0):
         raise InputError(f"{path}: belongs to another user", "give a folder of your own")
-    try:
-        state: dict[str, Any] = pickle.loads(path.read_bytes())
-    except (pickle.UnpicklingError, EOFError, AttributeError, ImportError, IndexError, TypeError) as error:
-        raise InputError(f"{path}: is damaged ({type(error).__name__})", "move it away to begin anew") from error
+    state: dict[str, Any] = loads(path.read_bytes(), str(path))
     return state if state.get("version") == sameas.__version__ else None

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import pickle
 import shutil
 import sys
 import threading
@@ -54,6 +53,7 @@ from sameas.partitions.part import (
     without_rows,
 )
 from sameas.representation import in_short
+from sameas.saved import dumps, loads
 from sameas.sky.assumed import completed
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import MatchOptions, common_epoch
@@ -341,7 +341,7 @@ def store(work: Work, folder: Path) -> None:
         work.learned.places.write(folder / "places")
         bare = replace(work.learned, places=work.learned.places.without_columns(), estimate=None)
         work = replace(work, learned=bare)
-    written_whole(folder / "work.pickle", pickle.dumps(work, protocol=5))
+    written_whole(folder / "work.pickle", dumps(work))
 
 
 def stored_work(folder: str) -> Work:
@@ -351,7 +351,8 @@ def stored_work(folder: str) -> Work:
 
 @lru_cache(maxsize=2)
 def _read_work(folder: str, time_ns: int) -> Work:
-    work: Work = pickle.loads((Path(folder) / "work.pickle").read_bytes())
+    path = Path(folder) / "work.pickle"
+    work: Work = loads(path.read_bytes(), str(path))
     if work.learned is None:
         return work
     places = work.learned.places.with_columns(Path(folder) / "places")

@@ -121,6 +121,10 @@ NO_TEXTS = np.full(len(TEXTS), "", dtype=object)
 EvidenceOf = Callable[[Instant, Past], SetRule]
 
 
+#: Functions that saved states name (:mod:`sameas.saved`).
+SAVED = ("all_evidence",)
+
+
 def all_evidence(now: Instant, past: Past) -> SetRule:
     """The rule of positions, misses and clutter as described, of heights and identities, and of the tracks' past."""
     return now.rule() + now.height() + now.identity() + past.rule()

@@ -1,0 +1,71 @@
+"""Saved states come back as they were, and reading one runs nothing that it says."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sameas import Records
+from sameas.errors import InputError
+from sameas.picture import Watch
+from sameas.saved import dumps, loads
+
+
+def test_data_come_back_as_they_were() -> None:
+    records = Records.of([[0.0, 1.0]], sigma=2.0, ids=["a"])
+    masked = np.ma.MaskedArray([1.0, 2.0], [True, False])
+    kept = {
+        "records": records,
+        "watch": Watch(),
+        "path": Path("a"),
+        "of": {1, 2},
+        "texts": np.array(["x", None], object),
+    }
+    again = loads(dumps(kept | {"masked": masked}), "state")
+    assert again["records"].features.tolist() == [[0.0, 1.0]] and again["records"].ids.tolist() == ["a"]
+    assert again["path"] == Path("a") and again["of"] == {1, 2} and again["texts"].tolist() == ["x", None]
+    assert again["masked"].tolist() == [None, 2.0] and again["watch"].evidence is Watch().evidence
+
+
+class Harm:
+    """What a hostile state holds: a call, made when it is read."""
+
+    def __init__(self, function, *arguments) -> None:
+        self.function, self.arguments = function, arguments
+
+    def __reduce__(self):
+        return self.function, self.arguments
+
+
+def named(module: str, name: str, argument: str) -> bytes:
+    """A pickle that calls a function by its name, as no pickler of ours would write it."""
+    texts = b"".join(b"\x8c" + bytes([len(text)]) + text.encode() for text in (module, name))
+    return b"\x80\x04" + texts + b"\x93\x8c" + bytes([len(argument)]) + argument.encode() + b"\x85R."
+
+
+@pytest.mark.parametrize(
+    ("module", "name"),
+    [("os", "system"), ("builtins", "eval"), ("builtins", "open"), ("subprocess", "check_output"), ("posix", "system"),
+     ("sameas.io.tables", "os.remove"), ("sameas.io", "read_table"), ("importlib", "import_module"),
+     ("sameas.saved", "pickle.loads"), ("numpy", "load")],
+)  # fmt: skip
+def test_no_call_of_a_hostile_state_is_made(module: str, name: str, tmp_path) -> None:
+    mark = tmp_path / "mark"
+    mark.write_text("there")
+    content = named(module, name, str(mark))
+    with pytest.raises(InputError, match=r"state.pickle: is damaged \(it names .*, which is no data\); move it away"):
+        loads(content, "state.pickle")
+    assert mark.read_text() == "there"
+
+
+def test_what_python_would_run_is_refused() -> None:
+    ran = []
+    with pytest.raises(InputError, match="no data"):
+        loads(pickle.dumps(Harm(print, "run")), "state")
+    for content in (b"", b"\x80\x05nonsense", dumps({"a": 1})[:-3]):
+        with pytest.raises(InputError, match="state: is damaged"):
+            loads(content, "state")
+    assert not ran
