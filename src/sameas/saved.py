@@ -1,7 +1,7 @@
 """Saved states: objects of sameas as bytes, read back without running anything that a file says.
 
 A plain pickle can call any function when it is read. :func:`loads` makes nothing but data: sameas' own classes, NumPy's
-arrays, paths, and Python's containers; whatever else a file names is refused.
+arrays, astropy's tables and units, paths, and Python's containers; whatever else a file names is refused.
 """
 
 from __future__ import annotations
@@ -27,8 +27,26 @@ _MADE = {
     "numpy._core.numeric": {"_frombuffer"},
     "numpy.core.numeric": {"_frombuffer"},
     "numpy.ma": {"MaskedArray"},
+    "pyarrow.lib": {
+        "schema",
+        "field",
+        "type_for_alias",
+        "dictionary",
+        "list_",
+        "timestamp",
+        "KeyValueMetadata",
+        "_reconstruct_table",
+        "_reconstruct_record_batch",
+        "chunked_array",
+        "_restore_array",
+        "py_buffer",
+    },
     "numpy.ma.core": {"MaskedArray", "_mareconstruct"},
 }
+
+
+#: Functions by which astropy's units and columns are made again.
+_OF_ASTROPY = {"_recreate_irreducible_unit", "_column_rebuild", "_construct_mixin_from_columns"}
 
 
 class _DataOnly(pickle.Unpickler):
@@ -41,6 +59,10 @@ class _DataOnly(pickle.Unpickler):
                 return found
             # Functions that states hold by name, such as a rule of evidence: of sameas, and not called by the reading.
             if callable(found) and name in getattr(sys.modules[module], "SAVED", ()):
+                return found
+        if module.startswith(("astropy.table.", "astropy.units.")) and name.isidentifier():
+            found = super().find_class(module, name)
+            if isinstance(found, type) or name in _OF_ASTROPY:
                 return found
         raise pickle.UnpicklingError(f"it names {module}.{name}, which is no data")
 
