@@ -179,3 +179,18 @@ def test_the_draft_of_a_killed_process_goes_with_the_next_output(tmp_path):
             pass
         draft.write_text("whole")  # that of a living process stays
     assert sorted(os.listdir(tmp_path)) == [others.name, "a.txt", "b.txt"]
+
+
+def test_files_of_a_folder_that_is_still_a_draft_are_not_said_to_be_written(tmp_path, monkeypatch):
+    from sameas.io import atomic
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(atomic, "written", [])
+    with pytest.raises(KeyboardInterrupt), filling("out") as draft:
+        with replacing(draft / "table.csv") as table:
+            table.write_text("a")
+        raise KeyboardInterrupt
+    assert atomic.written == [] and not (tmp_path / "out").exists()
+    with filling("out") as draft, replacing(draft / "table.csv") as table:
+        table.write_text("a")
+    assert [path.name for path in atomic.written] == ["out"]

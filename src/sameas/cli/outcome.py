@@ -89,6 +89,8 @@ def answering(debug: bool, option: Callable[[Argument], str] = option_of) -> Ite
 
     debug : print the traceback too. option : what the command has instead of an argument of the library.
     """
+    if "sameas.io.atomic" in sys.modules:
+        sys.modules["sameas.io.atomic"].written.clear()
     try:
         yield
     except (typer.Exit, typer.Abort, typer.BadParameter):

@@ -73,7 +73,9 @@ def replacing(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iterat
             if target.exists():
                 shutil.copymode(target, draft)
             os.replace(draft, target)
-            written.append(given)
+            # A file of a folder that is itself a draft is not there yet.
+            if not _drafts.intersection(target.parents):
+                written.append(given)
     except BaseException:
         with suppress(OSError):
             draft.unlink()
@@ -101,7 +103,8 @@ def filling(folder: str | os.PathLike[str]) -> Iterator[Path]:
     target = Path(folder)
     made = not target.exists()
     draft = target / _draft_name()
-    _drafts.add(draft)
+    known = Path(os.path.realpath(draft))
+    _drafts.add(known)
     try:
         try:
             target.mkdir(parents=True, exist_ok=True)
@@ -118,7 +121,7 @@ def filling(folder: str | os.PathLike[str]) -> Iterator[Path]:
             written.append(target)
         made = False
     finally:
-        _drafts.discard(draft)
+        _drafts.discard(known)
         shutil.rmtree(draft, ignore_errors=True)
         if made:
             with suppress(OSError):
