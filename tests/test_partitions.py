@@ -89,7 +89,14 @@ PLACES = {"over the pole": (10.0, 90.0), "across RA 0": (0.0, 0.0), "southern": 
 
 
 @pytest.mark.slow_after(1)
-@pytest.mark.parametrize("most", [(20_000, 20_000), (400, 250), (40, 60)], ids=["whole", "some", "many"])
+@pytest.mark.parametrize(
+    "most",
+    [
+        pytest.param((20_000, 20_000), id="whole"),
+        pytest.param((400, 250), id="some"),
+        pytest.param((40, 60), id="many", marks=pytest.mark.long),
+    ],
+)
 @pytest.mark.parametrize("place", PLACES)
 def test_the_answer_is_that_of_one_machine_however_the_sky_is_cut(tmp_path, place, most):
     tables = sky(PLACES[place], 4_000, 0.4, seed=5, holes=3)
@@ -232,7 +239,7 @@ def children(pid):
     return [int(line.split()[0]) for line in told.splitlines() if "spawn_main" in line]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="kills processes as POSIX does")
 @pytest.mark.parametrize("victim", ["worker", "client"])
 def test_a_killed_worker_is_replaced_and_a_killed_client_resumes_with_the_same_bytes(tmp_path, victim):

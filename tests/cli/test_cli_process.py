@@ -51,7 +51,10 @@ def test_a_process_that_is_asked_to_end_leaves_no_draft(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ending", [".fits", ".parquet", ".csv"])
+@pytest.mark.parametrize(
+    "ending",
+    [".fits", pytest.param(".parquet", marks=pytest.mark.long), pytest.param(".csv", marks=pytest.mark.long)],
+)
 def test_whenever_it_is_asked_to_end_the_output_is_the_old_one_or_the_new_one(ending, tmp_path, field_files):
     out = tmp_path / f"o{ending}"
     began = time.monotonic()

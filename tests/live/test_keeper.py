@@ -171,9 +171,9 @@ def test_settings_are_read_and_what_is_unknown_is_refused(tmp_path):
         Keeper(read_settings(path))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_hour_at_a_hundred_times_its_pace_leaves_memory_flat(tmp_path):
-    import psutil
+    psutil = pytest.importorskip("psutil")
 
     made = harbour(until_s=3600.0)
     keeper = Keeper(settings(save_every_s=60.0), tmp_path, replay=replay(until_s=3600.0))
