@@ -13,12 +13,12 @@ from sameas.pages.map import map_page
 from sameas.pages.template import asset, page_of, script_safe
 
 HOSTILE = '</script><script>document.title="taken"</script><img src=x onerror="document.title=1">{{js}}{{policy}}'
-TEMPLATES = ["map.html", "frame.html"]
+TEMPLATES = ["map.html", "frame.html", "series.html", "movers.html"]
 
 
-def filled(template, **marks):
-    names = ("title", "version", "css", "data", "texts", "columns", "picture")
-    return page_of(template, dict.fromkeys(names, "") | {"js": "1 < 2;"} | marks)
+def filled(template, title="", **marks):
+    names = ("css", "data", "texts", "columns", "picture")
+    return page_of(template, title, "page", dict.fromkeys(names, "") | {"js": "1 < 2;"} | marks)
 
 
 @pytest.mark.parametrize("template", TEMPLATES)
@@ -42,7 +42,7 @@ def test_what_stands_for_a_mark_is_no_mark_itself(template):
 
 
 def test_templates_have_no_handlers_that_the_policy_would_stop():
-    for template in TEMPLATES:
+    for template in ["head.html", *TEMPLATES]:
         assert not re.search(r"\son\w+=|javascript:", asset(template))
 
 

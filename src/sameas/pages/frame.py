@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import base64
-import html
 import os
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-import sameas
 from sameas.arrays import IntArray
 from sameas.io.atomic import replacing
 from sameas.pages.numbers import column, png, rounded
@@ -57,14 +55,12 @@ def frame_page(
     picture = base64.b64encode(png(np.ascontiguousarray(grey))).decode("ascii")
     facts = summary(found, frame) if facts is None else facts
     marks = {
-        "title": html.escape(found.measured.name),
-        "version": html.escape(sameas.__version__),
         "css": asset("frame.css"),
         "js": asset("chart.js") + asset("frame.js"),
         "picture": picture,
         "data": script_safe(_data(found, facts, factor, brightest)),
     }
-    return page_of("frame.html", marks)
+    return page_of("frame.html", found.measured.name, "identified", marks)
 
 
 def _data(found: FrameIdentification, facts: Mapping[str, Any], factor: int, brightest: int) -> dict[str, Any]:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import base64
 import gzip
-import html
 import json
 import os
 from collections.abc import Iterable, Mapping
@@ -16,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import sameas
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.io.atomic import replacing
@@ -108,15 +106,13 @@ def map_page(sheet: MapSheet, live: Mapping[str, Any] | None = None) -> str:
     heads, columns = packed({f"o.{k}": v for k, v in objects.items()} | {f"r.{k}": v for k, v in records.items()})
     told = _told(sheet) | {"columns": heads, "strings": strings | tracks, "live": live}
     marks = {
-        "title": html.escape(sheet.title),
-        "version": html.escape(sameas.__version__),
         "css": asset("map.css"),
         "js": "\n".join(asset(f"map-{name}.js") for name in (SCRIPTS if live is None else (*SCRIPTS, "live"))),
         "data": script_safe(told),
         "columns": columns,
         "texts": script_safe(_texts(sheet)),
     }
-    return page_of("map.html", marks, POLICY if live is None else SERVED_POLICY)
+    return page_of("map.html", sheet.title, "map", marks, POLICY if live is None else SERVED_POLICY)
 
 
 def _told(sheet: MapSheet) -> dict[str, Any]:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import base64
-import html
 import os
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-import sameas
 from sameas.io.atomic import replacing
 from sameas.pages.numbers import column, png, rounded
 from sameas.pages.template import asset, page_of, script_safe
@@ -52,14 +50,12 @@ def write_movers_page(
         "movers": [_mover(found, series, pixels, known, k) for k in range(count)],
     }  # fmt: skip
     marks = {
-        "title": html.escape(title),
-        "version": html.escape(sameas.__version__),
         "css": asset("frame.css") + asset("series.css") + asset("movers.css"),
         "js": asset("chart.js") + asset("movers.js"),
         "data": script_safe(data),
     }
     with replacing(path) as draft:
-        draft.write_text(page_of("movers.html", marks), encoding="utf-8")
+        draft.write_text(page_of("movers.html", title, "movers", marks), encoding="utf-8")
 
 
 def _mover(found: Movers, series: Series, pixels: Stack, known: KnownObjects | None, k: int) -> dict[str, Any]:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import html
 import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-import sameas
 from sameas.arrays import IntArray
 from sameas.io.atomic import replacing
 from sameas.pages.numbers import column, rounded
@@ -87,11 +85,9 @@ def write_series_page(
         "movers": None if movers is None else {"page": movers[0], "words": movers[1]},
     }  # fmt: skip
     marks = {
-        "title": html.escape(title),
-        "version": html.escape(sameas.__version__),
         "css": asset("frame.css") + asset("series.css"),
         "js": asset("chart.js") + asset("series.js"),
         "data": script_safe(data),
     }
     with replacing(path) as draft:
-        draft.write_text(page_of("series.html", marks), encoding="utf-8")
+        draft.write_text(page_of("series.html", title, "series", marks), encoding="utf-8")

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import html
 import json
 import re
 from collections.abc import Mapping
 from importlib.resources import files
 from typing import Any
+
+import sameas
 
 #: Content-Security-Policy: no network, no frame, no form; the one script whose digest is told.
 POLICY = (
@@ -26,12 +29,16 @@ def asset(name: str) -> str:
 SERVED_POLICY = POLICY + "; connect-src 'self'"
 
 
-def page_of(template: str, marks: Mapping[str, str], policy: str = POLICY) -> str:
-    """A template with its marks ``{{name}}`` filled in, ``{{policy}}`` with that of its script.
+def page_of(template: str, title: str, kind: str, marks: Mapping[str, str], policy: str = POLICY) -> str:
+    """The head that all pages have and a template, with their marks ``{{name}}`` filled in.
+
+    title, kind : what the window is called; the title is any text, the kind a word of ours.
+    policy : that of the page, to which the digest of its script is added.
 
     The marks of the script must be files of ours. All are filled in one pass: what stands for one is no mark itself.
     """
-    text = asset(template)
+    text = asset("head.html") + asset(template)
+    marks = {"title": html.escape(title), "kind": kind, "version": html.escape(sameas.__version__), **marks}
     script = _filled(_SCRIPT.findall(text)[0], marks)
     digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
     return _filled(text, {**marks, "policy": policy.format(f"sha256-{digest}")})
