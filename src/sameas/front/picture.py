@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,18 +28,16 @@ from sameas.io.sensors.clock import DAY_S, instant
 from sameas.io.sensors.sources import SensorSource, SourceOptions, read_source_options, read_sources, source_of
 from sameas.io.sensors.tables import TableText
 from sameas.io.sensors.tables import read as read_cells
-from sameas.many.rules import SetRule
 from sameas.maps.coast import Coast
 from sameas.maps.sheet import MapAlarm, MapSensor, MapSheet
-from sameas.picture.memory import Past
 from sameas.picture.picture import MOST_INSTANTS, Picture, instants
 from sameas.picture.plot_picture import PlotPicture, nameless
-from sameas.picture.watch import Watch
+from sameas.picture.watch import EvidenceOf, Watch, all_evidence
 from sameas.report.picture import assumed_lines, doubt_lines, found_lines, listed, read_lines, scene_lines
 from sameas.report.prose import count, counted, span
 from sameas.tracks.registration import SourceBiases
 from sameas.tracks.reports import Reports
-from sameas.tracks.scene import Instant, Scene
+from sameas.tracks.scene import Scene
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -108,16 +106,10 @@ class Method:
             raise InputError(Message(Argument("without", ", ".join(self.without)), ": no source is left"))
         return left
 
-    def say(self) -> Callable[[Instant, Past], SetRule]:
+    def say(self) -> EvidenceOf:
         """What counts as evidence at an instant."""
 
-        def rule(now: Instant, past: Past) -> SetRule:
-            said: SetRule = now.rule() + now.height()
-            if self.identity:
-                said = said + now.identity()
-            return said + past.rule() if self.memory else said
-
-        return rule
+        return partial(all_evidence, identity=self.identity, memory=self.memory)
 
     def watch(self, scene: Scene) -> Watch | PlotPicture:
         """What the picture carries from instant to instant; without memory every instant is its own."""

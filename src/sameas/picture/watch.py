@@ -125,9 +125,14 @@ EvidenceOf = Callable[[Instant, Past], SetRule]
 SAVED = ("all_evidence",)
 
 
-def all_evidence(now: Instant, past: Past) -> SetRule:
+def all_evidence(now: Instant, past: Past, *, identity: bool = True, memory: bool = True) -> SetRule:
     """The rule of positions, misses and clutter as described, of heights and identities, and of the tracks' past."""
-    return now.rule() + now.height() + now.identity() + past.rule()
+    said: SetRule = now.rule()
+    if any(heights is not None for heights in now.heights):
+        said = said + now.height()
+    if identity:
+        said = said + now.identity()
+    return said + past.rule() if memory else said
 
 
 @in_short
