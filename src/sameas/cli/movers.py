@@ -199,10 +199,10 @@ def _catalogue(path: str, columns: dict[str, Any]) -> Any:
 
 def _facts(paths: tuple[str, ...], found: Any) -> dict[str, Any]:
     """Provenance: inputs with their checksums, and what was believed of movers."""
-    import sameas
+    from sameas.front.provenance import program
     from sameas.io import checksum
 
-    facts: dict[str, Any] = {"program": "sameas", "version": sameas.__version__}
+    facts = program()
     for k, path in enumerate(paths, 1):
         facts[f"input_{k}"], facts[f"sha256_{k}"] = str(Path(path).resolve()), checksum(path)
     model = found.model

@@ -11,6 +11,7 @@ from typing import Any
 import sameas
 from sameas.errors import InputError
 from sameas.front.framing import FrameRequest, PointingOptions
+from sameas.front.provenance import program
 
 #: Tracklets of at least this probability are measured in the pixels, which may raise it.
 FAINT = 0.02
@@ -92,7 +93,7 @@ def run(request: SeriesRequest, quiet: bool) -> None:
     if elements is not None:
         known = name_movers(found, elements, site=site)
         printer(["", *known_lines(found, known, site is not None)])
-    facts = {"program": "sameas", "version": sameas.__version__, "catalogue": request.catalogue}
+    facts = {**program(), "catalogue": request.catalogue}
     written = ["movers.fits", "tracklets.fits"]
     failed = [(one.request.name, one.error) for one in outcomes if one.told is None]
     write_table(found.detection_table(), request.folder / written[0], provenance=facts, overwrite=True)

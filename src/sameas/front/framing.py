@@ -19,6 +19,7 @@ from typing import Any, Literal
 
 import sameas
 from sameas.errors import Argument, InputError, Message, naming
+from sameas.front.provenance import program
 from sameas.io import checksum, replacing, write_table
 from sameas.io.catalogues import BRIGHT, GAIA, catalogue
 from sameas.io.plate import write_copy, write_solution
@@ -242,7 +243,7 @@ def write(
     """
     began = time.perf_counter()
     told = {
-        "program": "sameas", "version": sameas.__version__, "digest": request.digest() if digest is None else digest,
+        **program(), "digest": request.digest() if digest is None else digest,
         "file": str(Path(request.path).resolve()), **facts,
     }  # fmt: skip
     _write(request, frame, found, told, facts)
@@ -352,7 +353,7 @@ def _in_short(told: Mapping[str, Any]) -> dict[str, Any]:
 
 def provenance_of(request: FrameRequest, facts: Mapping[str, Any]) -> dict[str, Any]:
     """How a table that Python writes was made. facts : the summary."""
-    told = {"program": "sameas", "version": sameas.__version__, "file": request.path, **facts}
+    told = {**program(), "file": request.path, **facts}
     return _in_short(told)
 
 

@@ -34,9 +34,14 @@ ERROR_NAMES = {
 }
 
 
+def program() -> dict[str, Any]:
+    """Which program."""
+    return {"program": "sameas", "version": sameas.__version__}
+
+
 def made_by(command: str) -> dict[str, Any]:
     """Which program, and as what command."""
-    return {"program": "sameas", "version": sameas.__version__, "command": command}
+    return {**program(), "command": command}
 
 
 def _made_now(command: str) -> dict[str, Any]:
@@ -81,13 +86,7 @@ def of_match(
         "area_deg2": area,
         "density_1_per_deg2": density_1,
         "density_2_per_deg2": density_2,
-        "common_objects": estimate.common,
-        "share_1": estimate.share_1,
-        "share_2": estimate.share_2,
-        "error_scales": list(estimate.spread.scales),
-        "error_shares": list(estimate.spread.shares),
-        "evidence_error_factor_1": estimate.errors.factor_1,
-        "evidence_error_factor_2": estimate.errors.factor_2,
+        **_learned(estimate),
         "evidence_error_floor_arcsec": estimate.errors.floor,
         "gate_sigmas": estimate.gate_sigmas,
         "rounds": estimate.rounds,
@@ -99,6 +98,19 @@ def of_match(
         "pairs": len(result.matches),
         "expected_wrong": result.expected_wrong,
         "doubts": [words(doubt) for doubt in match.doubts],
+    }
+
+
+def _learned(estimate: Estimate) -> dict[str, Any]:
+    """What was estimated of two sources, whatever their unit."""
+    return {
+        "common_objects": estimate.common,
+        "share_1": estimate.share_1,
+        "share_2": estimate.share_2,
+        "error_scales": list(estimate.spread.scales),
+        "error_shares": list(estimate.spread.shares),
+        "evidence_error_factor_1": estimate.errors.factor_1,
+        "evidence_error_factor_2": estimate.errors.factor_2,
     }
 
 
@@ -128,13 +140,7 @@ def of_records(result: Identification, estimate: Estimate, command: str) -> dict
         "rows_2": result.second.n_table,
         "used_1": len(result.first),
         "used_2": len(result.second),
-        "common_objects": estimate.common,
-        "share_1": estimate.share_1,
-        "share_2": estimate.share_2,
-        "error_scales": list(estimate.spread.scales),
-        "error_shares": list(estimate.spread.shares),
-        "evidence_error_factor_1": estimate.errors.factor_1,
-        "evidence_error_factor_2": estimate.errors.factor_2,
+        **_learned(estimate),
         "evidence_error_floor": estimate.errors.floor,
         "gate_sigmas": estimate.gate_sigmas,
         "candidates": len(result.pairs),

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import sameas
 from sameas.errors import InputError
 from sameas.front.framing import FrameRequest, frame_of
+from sameas.front.provenance import program
 from sameas.io import read_table, write_table
 from sameas.sky.frame.image import Frame
 from sameas.sky.series.tied import DEFAULT_TUNING, Exposure, Series, tie
@@ -160,7 +160,7 @@ def _near(one: Identified, other: Identified) -> bool:
 def write_series(each: Sequence[FieldSeries], folder: str | Path, facts: Mapping[str, Any]) -> list[str]:
     """Writes the tables of the stars and of the frames of every series; the names of the files."""
     written = []
-    made = {"program": "sameas", "version": sameas.__version__, **facts}
+    made = {**program(), **facts}
     for one in each:
         tables = {"stars": one.series.star_table(), "frames": one.series.frame_table()}
         for what, table in tables.items():
