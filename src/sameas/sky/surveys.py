@@ -6,7 +6,7 @@ They are medians from the literature, 1σ an axis: right on the average of a mag
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -67,13 +67,14 @@ def _by_magnitude(
 _GAIA = ("Gaia archive", "Gaia at VizieR")
 _MOTIONS_DR3 = ((15.0, 0.02), (17.0, 0.07), (20.0, 0.5), (21.0, 1.4))
 _MOTIONS_DR2 = ((15.0, 0.06), (17.0, 0.2), (20.0, 1.2), (21.0, 3.0))
+_DR3 = Survey(
+    "Gaia DR3", "Gaia Collaboration 2021, A&A 649, A1", "G",
+    ((15.0, 0.015), (17.0, 0.05), (20.0, 0.4), (21.0, 1.0)), 0.1,
+    _GAIA, (2015.9, 2016.1), r"gaia[ _-]?e?dr3|\bI[/_]35[05]\b", _MOTIONS_DR3, 0.12,
+)  # fmt: skip
 #: The first one that fits is taken.
 SURVEYS = (
-    Survey(
-        "Gaia DR3", "Gaia Collaboration 2021, A&A 649, A1", "G",
-        ((15.0, 0.015), (17.0, 0.05), (20.0, 0.4), (21.0, 1.0)), 0.1,
-        _GAIA, (2015.9, 2016.1), r"gaia[ _-]?e?dr3|\bI[/_]35[05]\b", _MOTIONS_DR3, 0.12,
-    ),
+    _DR3,
     Survey(
         "Gaia DR2", "Gaia Collaboration 2018, A&A 616, A1", "G",
         ((15.0, 0.03), (17.0, 0.1), (20.0, 0.7), (21.0, 2.0)), 0.2,
@@ -83,11 +84,8 @@ SURVEYS = (
         "Gaia DR1", "Gaia Collaboration 2016, A&A 595, A2", "G", ((21.0, 10.0),), 10.0,
         _GAIA, (2014.9, 2015.1), r"gaia[ _-]?dr1|\bI[/_]337\b",
     ),
-    Survey(
-        "Gaia DR3", "Gaia Collaboration 2021, A&A 649, A1", "G",
-        ((15.0, 0.015), (17.0, 0.05), (20.0, 0.4), (21.0, 1.0)), 0.1, _GAIA,
-        mag_mas_per_yr=_MOTIONS_DR3, typical_mas_per_yr=0.12,
-    ),
+    # Of a release that nothing tells, the last.
+    replace(_DR3, epochs_jyr=(-np.inf, np.inf), words=""),
     Survey(
         "Hipparcos", "ESA 1997, SP-1200", "Hp", ((9.0, 0.7), (12.0, 1.6)), 0.8,
         ("Hipparcos (I/239)", "Hipparcos, the new reduction (I/311)"), words=r"\bI[/_](239|311)\b|hipparcos",
