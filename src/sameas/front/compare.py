@@ -15,10 +15,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.front.explain import Told
 from sameas.report.explain import probability
 from sameas.report.prose import count, entry, moment
+from sameas.report.written import source_numbers, texts_of
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -117,14 +119,14 @@ def _of_picture(folder: Path) -> _Objects:
 
     objects, records = picture_tables(folder)
     times = np.asarray(records["time_s"], dtype=np.float64)
-    tracks = _texts(records["track_id"])
-    names = np.where(tracks == "", np.char.add("row ", _texts(records["row"])), tracks)
-    keys = zip(times.tolist(), _texts(records["source"]).tolist(), names.tolist(), strict=True)
+    tracks = texts_of(records["track_id"])
+    names = np.where(tracks == "", np.char.add("row ", texts_of(records["row"])), tracks)
+    keys = zip(times.tolist(), texts_of(records["source"]).tolist(), names.tolist(), strict=True)
     instants = np.unique(times)
     at, n = np.searchsorted(instants, times), int(np.max(records["object"], initial=0)) + 1
     numbers = at * n + np.asarray(records["object"], dtype=np.int64)
     where = np.searchsorted(instants, np.asarray(objects["time_s"], dtype=np.float64))
-    p = np.ma.filled(np.ma.asarray(objects["probability"]).astype(np.float64), np.nan)
+    p = _numbers(objects["probability"])
     own = (where * n + np.asarray(objects["object"], dtype=np.int64)).tolist()
     known = {number: value for number, value in zip(own, p.tolist(), strict=True) if value == value}
     return _Objects(folder.name or str(folder), dict(zip(keys, numbers.tolist(), strict=True)), known)
@@ -134,7 +136,7 @@ def _of_table(path: Path) -> _Objects:
     from sameas.io import read_provenance, read_table
 
     facts, table = read_provenance(path), read_table(path)
-    sources = [k for k in range(1, 100) if f"name_{k}" in facts]
+    sources = source_numbers(facts)
     if len(sources) < 2:
         raise InputError(f"{path}: does not say how it was made; give a table that `sameas match` or `many` wrote")
     chosen = np.ones(len(table), bool)
@@ -150,11 +152,9 @@ def _of_table(path: Path) -> _Objects:
         for row in np.flatnonzero(there & ~chosen).tolist():
             of.setdefault((0.0, name, str(names[row])), len(table) + len(of))
     p = next((table[name] for name in ("p_object", "p_match") if name in table.colnames), None)
-    values = np.full(len(table), np.nan) if p is None else np.ma.filled(np.ma.asarray(p).astype(np.float64), np.nan)
+    values = np.full(len(table), np.nan) if p is None else _numbers(p)
     if "p_none" in table.colnames:
-        values = np.where(
-            np.isnan(values), np.ma.filled(np.ma.asarray(table["p_none"]).astype(np.float64), np.nan), values
-        )
+        values = np.where(np.isnan(values), _numbers(table["p_none"]), values)
     return _Objects(path.name, of, {row: value for row, value in enumerate(values.tolist()) if value == value})
 
 
@@ -171,14 +171,10 @@ def _names(table: Table, facts: Mapping[str, Any], k: int) -> tuple[NDArray[Any]
         there &= np.isfinite(np.ma.getdata(columns[0]))
     identifier = facts.get(f"id_column_{k}")
     if identifier is not None and identifier in table.colnames:
-        return _texts(table[identifier]), there
-    texts = [_texts(column) for column in columns]
+        return texts_of(table[identifier]), there
+    texts = [texts_of(column) for column in columns]
     return np.char.add(np.char.add(texts[0], " "), texts[1]), there
 
 
-def _texts(column: Any) -> NDArray[np.str_]:
-    values = np.ma.asarray(column)
-    return np.ma.getdata(values).astype(np.str_)
-
-
-__all__ = ["compare"]
+def _numbers(column: Any) -> FloatArray:
+    return np.asarray(np.ma.filled(np.ma.asarray(column).astype(np.float64), np.nan))

@@ -6,6 +6,7 @@ one, and the records that compete. What each term of the odds says is not in the
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -81,7 +82,7 @@ def _speaks(table: Table, facts: Mapping[str, Any], row: int) -> int:
 def many_lines(table: Table, facts: Mapping[str, Any], record: str, source: int, by_row: bool = False) -> list[str]:
     """One record of several catalogues, and its object. source : number of its catalogue, from 1."""
     row = int(_found(table, facts, record, source, by_row)[0])
-    sources = [k for k in range(1, 100) if f"name_{k}" in facts]
+    sources = source_numbers(facts)
 
     def members(at: int) -> list[str]:
         return [f"{facts[f'name_{k}']} {_called(table, facts, at, k)}" for k in sources
@@ -109,9 +110,9 @@ def many_lines(table: Table, facts: Mapping[str, Any], record: str, source: int,
 def frame_lines(table: Table, facts: Mapping[str, Any], record: str, source: int, by_row: bool = False) -> list[str]:
     """One measurement (source 1) or star (source 2) of a frame. facts : of the file."""
     column = "measurement" if source == 1 else "star"
-    rows = np.array([int(record)]) if by_row else np.flatnonzero(_texts(table[column]) == record.strip())
+    rows = np.array([int(record)]) if by_row else np.flatnonzero(texts_of(table[column]) == record.strip())
     if not len(rows) or not 0 <= rows[0] < len(table):
-        listed = ", ".join(_texts(table[column])[:3])
+        listed = ", ".join(texts_of(table[column])[:3])
         raise InputError(f"{facts['frame']} has no {column} {record}; its first are {listed}")
     row = int(rows[0])
     fate, star, number = (_value(table, name, row) for name in ("fate", "star", "measurement"))
@@ -152,9 +153,9 @@ def picture_lines(objects: Table, records: Table, record: str, source: str | Non
                 f"of no other record {probability(float(records['p_alone'][at]))}", *told, ""]  # fmt: skip
         return head + _object(objects, records, number, float(records["time_s"][at]))
     names = [name for name in ("label", "mmsi", "icao", "callsign", "name") if name in objects.colnames]
-    known = _texts(objects["object"]) == record.strip()
+    known = texts_of(objects["object"]) == record.strip()
     for name in names:
-        known = known if known.any() else np.char.lower(_texts(objects[name])) == record.strip().lower()
+        known = known if known.any() else np.char.lower(texts_of(objects[name])) == record.strip().lower()
     if not known.any():
         raise InputError(f"the picture has no object {record}; give its number, label, MMSI or name")
     when = _nearest(np.asarray(objects["time_s"])[known], at_s)
@@ -164,12 +165,12 @@ def picture_lines(objects: Table, records: Table, record: str, source: str | Non
 
 def _record_of(records: Table, record: str, source: str, at_s: float | None) -> tuple[int, str, list[str]]:
     """Row in the table of records, its name, and what is told of it."""
-    ours = _texts(records["source"]) == source
+    ours = texts_of(records["source"]) == source
     if not ours.any():
-        known = ", ".join(sorted(set(_texts(records["source"]).tolist())))
+        known = ", ".join(sorted(set(texts_of(records["source"]).tolist())))
         raise InputError(f"the picture has no source {source}; it has {known}")
     for column in ("track_id", "line", "row"):
-        named = ours & (_texts(records[column]) == record.strip())
+        named = ours & (texts_of(records[column]) == record.strip())
         if named.any():
             when = _nearest(np.asarray(records["time_s"])[named], at_s)
             at = int(np.flatnonzero(named & (np.asarray(records["time_s"]) == when))[0])
@@ -210,9 +211,9 @@ def _found(table: Table, facts: Mapping[str, Any], record: str, source: int, by_
     name, column = facts[f"name_{source}"], facts.get(f"id_column_{source}")
     there = ~_absent(table[facts[f"ra_column_{source}"]])
     if column is not None and not by_row:
-        rows = np.flatnonzero(there & (_texts(table[column]) == record.strip()))
+        rows = np.flatnonzero(there & (texts_of(table[column]) == record.strip()))
         if not len(rows):
-            listed = ", ".join(_texts(table[column])[np.flatnonzero(there)[:3]])
+            listed = ", ".join(texts_of(table[column])[np.flatnonzero(there)[:3]])
             raise InputError(f"{name} has no record with the id {record} in the output; its first ids are {listed}")
         return rows
     number, position = _whole_number(record, name), _row_numbers(table, facts, source, there)
@@ -225,7 +226,7 @@ def _found(table: Table, facts: Mapping[str, Any], record: str, source: int, by_
 def _row_numbers(table: Table, facts: Mapping[str, Any], source: int, there: BoolArray) -> IntArray:
     """(n,) the row of its catalogue that each row of the table holds, −1 for none, where all of them are there."""
     leading = {"all1": (1,), "1or2": (1,), "pairs": (1,), "all2": (2,)}.get(facts.get("join", ""), ())
-    ids = [_texts(table[facts[f"{role}_column_{source}"]]) for role in ("ra", "dec")]
+    ids = [texts_of(table[facts[f"{role}_column_{source}"]]) for role in ("ra", "dec")]
     held = np.flatnonzero(there)
     same = np.ones(len(held), bool)
     same[1:] = np.any([part[held][1:] != part[held][:-1] for part in ids], axis=0)
@@ -293,7 +294,13 @@ def _competing(told: Sequence[str]) -> list[str]:
     return lines + ([f"    and {count(len(told) - LISTED)} more"] if len(told) > LISTED else [])
 
 
-def _texts(column: Any) -> NDArray[np.str_]:
+def source_numbers(facts: Mapping[str, Any]) -> list[int]:
+    """The numbers of the catalogues that a table was made of, from 1."""
+    return sorted(int(name.removeprefix("name_")) for name in facts if re.fullmatch(r"name_\d+", name))
+
+
+def texts_of(column: Any) -> NDArray[np.str_]:
+    """(n,) the cells of a column as texts, without spaces around them; those of empty cells mean nothing."""
     return np.char.strip(np.asarray(np.ma.filled(column, "" if column.dtype.kind in "USO" else 0)).astype(str))
 
 
