@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray
+from sameas.maps.sheet import ellipse_axes
 from sameas.picture.live import LiveState
 from sameas.picture.picture import Columns, object_columns, record_columns, with_degrees
 from sameas.tracks.coordinates import LocalPlane
@@ -109,7 +110,7 @@ class Frame:
     def object_rows(self) -> dict[int, tuple[Any, ...]]:
         """By number the rows of :data:`OBJECT`; None where there is no number."""
         o = self.objects
-        major, minor, angle = _ellipse(o)
+        major, minor, angle = ellipse_axes(o)
         stage, unknown = [_STAGES.index(name) for name in o["stage"].tolist()], np.full(len(o["object"]), np.nan)
         columns = [
             o["object"].tolist(), stage, _numbers(o["x_m"], 2), _numbers(o["y_m"], 2), _numbers(o["vx_m_per_s"], 2),
@@ -126,7 +127,7 @@ class Frame:
     def record_rows(self) -> dict[str, tuple[Any, ...]]:
         """By source and row the rows of :data:`RECORD`."""
         r = self.records
-        major, minor, angle = _ellipse(r)
+        major, minor, angle = ellipse_axes(r)
         columns = [
             r["object"].tolist(), r["source"].tolist(), r["row"].tolist(), _numbers(r["x_m"], 2), _numbers(r["y_m"], 2),
             _numbers(major, 1), _numbers(minor, 1), _numbers(angle, 0), _numbers(r["p_object"], 5),
@@ -180,18 +181,3 @@ def closest_approach(place: FloatArray, velocity: FloatArray) -> tuple[FloatArra
 def _numbers(column: NDArray[Any], digits: int) -> list[float | None]:
     values = np.ma.filled(np.ma.asarray(column, np.float64), np.nan).round(digits)
     return [None if value != value else value for value in values.tolist()]
-
-
-def _filled(column: NDArray[Any]) -> FloatArray:
-    return np.asarray(np.ma.filled(np.ma.asarray(column, np.float64), np.nan), np.float64)
-
-
-def _ellipse(columns: Columns) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """1σ along and across the longer axis, and the angle of that from east to north; NaN without a position."""
-    a, b, c = (_filled(columns[name]) for name in ("var_x_m2", "cov_xy_m2", "var_y_m2"))
-    half, spread = (a + c) / 2.0, np.hypot((a - c) / 2.0, b)
-    with np.errstate(invalid="ignore"):
-        major, minor = np.sqrt(half + spread), np.sqrt(np.maximum(half - spread, 0.0))
-    angle = np.degrees(np.arctan2(b, (a - c) / 2.0)) / 2.0
-    huge = ~(major < 2e6)
-    return tuple(np.where(huge, np.nan, values) for values in (major, minor, angle))  # type: ignore[return-value]

@@ -220,6 +220,22 @@ class MapSheet:
         return np.array(sites, np.float64).reshape(-1, 2)
 
 
+def ellipse_axes(columns: Columns) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """1σ along and across the longer axis, metres, and the angle of that from east to north, degrees.
+
+    columns : with var_x_m2, cov_xy_m2 and var_y_m2 (n,), masked or NaN where there is no position. All are NaN there,
+    and for ellipses wider than the earth, which are not drawn.
+    """
+    names = ("var_x_m2", "cov_xy_m2", "var_y_m2")
+    a, b, c = (np.ma.filled(np.ma.asarray(columns[name], np.float64), np.nan) for name in names)
+    half, spread = (a + c) / 2.0, np.hypot((a - c) / 2.0, b)
+    with np.errstate(invalid="ignore"):
+        major, minor = np.sqrt(half + spread), np.sqrt(np.maximum(half - spread, 0.0))
+    angle = np.degrees(np.arctan2(b, (a - c) / 2.0)) / 2.0
+    huge = ~(major < 2e6)
+    return np.where(huge, np.nan, major), np.where(huge, np.nan, minor), np.where(huge, np.nan, angle)
+
+
 def _around(places: FloatArray) -> tuple[float, float, float, float]:
     """West, south, east and north of places, at least 100 m wide and high."""
     finite = places[np.isfinite(places).all(axis=1)]

@@ -19,7 +19,7 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.io.atomic import replacing
 from sameas.maps.outline import Outline, outline
-from sameas.maps.sheet import STAGES, Columns, MapSheet, members_of
+from sameas.maps.sheet import STAGES, Columns, MapSheet, ellipse_axes, members_of
 from sameas.pages.template import POLICY, SERVED_POLICY, asset, page_of, script_safe
 
 # Columns of numbers packed for a page: small in the file, and unpacked by a few lines of script (map-table.js).
@@ -207,15 +207,7 @@ def _step(sheet: MapSheet) -> float:
 
 
 def _ellipses(columns: Columns, step: float) -> dict[str, tuple[NDArray[Any], float]]:
-    """1σ along and across the longer axis, and the angle of that from east to north."""
-    a, b, c = columns["var_x_m2"], columns["cov_xy_m2"], columns["var_y_m2"]
-    half, spread = (a + c) / 2.0, np.hypot((a - c) / 2.0, b)
-    with np.errstate(invalid="ignore"):
-        major, minor = np.sqrt(half + spread), np.sqrt(np.maximum(half - spread, 0.0))
-    angle = np.degrees(np.arctan2(b, (a - c) / 2.0)) / 2.0
-    # No ellipse that is wider than the earth is drawn, nor has to be.
-    huge = ~(major < 2e6)
-    major, minor, angle = (np.where(huge, np.nan, v) for v in (major, minor, angle))
+    major, minor, angle = ellipse_axes(columns)
     return {"major": (major, step), "minor": (minor, step), "angle": (angle, 1.0)}
 
 

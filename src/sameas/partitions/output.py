@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,28 +25,30 @@ if TYPE_CHECKING:
 GROUP_ROWS = 1 << 16
 
 
-def written_whole(path: Path, content: bytes) -> None:
-    """Puts a file into its place, whole or not at all."""
+@contextmanager
+def _whole(path: Path) -> Iterator[Path]:
+    """A file beside ``path`` that comes into its place when the block ends well, and vanishes otherwise."""
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        beside.write_bytes(content)
+        yield beside
         os.replace(beside, path)
     finally:
         beside.unlink(missing_ok=True)
+
+
+def written_whole(path: Path, content: bytes) -> None:
+    """Puts a file into its place, whole or not at all."""
+    with _whole(path) as beside:
+        beside.write_bytes(content)
 
 
 def write_rows(table: pa.Table, path: Path) -> None:
     """Writes a partition's file, whole or not at all."""
     from pyarrow import parquet
 
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
+    with _whole(path) as beside:
         parquet.write_table(table, beside, compression="zstd", row_group_size=GROUP_ROWS)
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
 
 
 def arrow_of(table: Table, cells: IntArray, facts: Mapping[str, Any]) -> pa.Table:
