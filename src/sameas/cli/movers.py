@@ -88,7 +88,7 @@ def movers(
     ] = None,
     elements: Annotated[
         Path | None,
-        option("--elements", panel=_FRAMES, metavar="FILE", help="Of known objects: MPCORB.DAT or JPL's JSON."),
+        option("--elements", panel=_FRAMES, metavar="FILE", help="Of known objects: MPCORB.DAT, JPL's JSON, or demo."),
     ] = None,
     report: Annotated[
         Path | None,

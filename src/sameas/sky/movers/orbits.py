@@ -15,6 +15,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,8 @@ _TILT = math.radians(84381.448 / 3600.0)
 _TO_EQUATOR = np.array(
     [[1.0, 0.0, 0.0], [0.0, math.cos(_TILT), -math.sin(_TILT)], [0.0, math.sin(_TILT), math.cos(_TILT)]]
 )
+#: What a file of elements is called that comes with the package; ``elements.json`` names its source.
+DEMO = "demo"
 #: Of an error of place, relative to the distance, that the integrator may make in a step.
 _TOLERANCE = 1e-10
 #: Places of the planets are tabulated so finely, in tables of so many days.
@@ -77,12 +80,20 @@ class Elements:
     def read(cls, path: str | Path) -> Elements:
         """From MPCORB.DAT, or JSON of JPL's small-body database (``fields`` and ``data``).
 
+        path : of the file; ``"demo"`` for the five that come with the package: (1) to (4) and (2713).
+
         Raises
         ------
         InputError : neither of the two; a row without its elements.
+
+        Example
+        -------
+        >>> Elements.read("demo").number
+        ('1', '2', '3', '4', '2713')
         """
         try:
-            text = Path(path).read_text(encoding="utf-8", errors="replace")
+            place = files("sameas.sky.movers") / "elements.json" if str(path) == DEMO else Path(path)
+            text = place.read_text(encoding="utf-8", errors="replace")
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror})") from None
         with reading(str(path), "is neither MPCORB nor JSON of the small-body database"):
