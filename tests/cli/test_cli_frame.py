@@ -239,7 +239,6 @@ BARE = {"solved": False}
         (BARE, ("--aim", "150,20"), r"bare\.fits: the aim is known, but not the scale; say --scale LO,HI"),
         (BARE, ("--aim", "150,20", "--scale", "3,3.3", "--radius", "0.02"), "no solution: by the aim .* odds 1:"),
         (BARE, ("--aim", "15,20", "--scale", "1.6,2.4"), r"stars: 0 stars within .* cover the field\?"),
-        ({"DATE-OBS": ""}, (), r"bare\.fits: the header has no time of the exposure .*; say --time DATE"),
         ({}, ("--epoch", "none"), "epoch"),
         ({}, ("--threshold", "1e6"), r"bare\.fits: no star above 1e\+06σ"),
         ({}, ("--aim", "here",), "--aim here: give RA,DEC in degrees"),
@@ -284,6 +283,22 @@ def test_a_catalogue_without_epoch_is_used_where_it_is_and_one_that_moves_is_dou
     assert "its epoch is not said: 2016.0 was assumed; say --epoch YEAR" in text
     text = sameas("frame", files.frame, "-c", tmp_path / "moves.ecsv", *more, "--pm", "none").stdout
     assert "identified" in text
+
+
+@pytest.mark.slow
+def test_errors_and_a_time_that_nobody_says_are_estimated_or_doubted_and_never_asked_for(files, sameas, tmp_path):
+    table = sky()["source_id", "ra", "dec", "phot_g_mean_mag", "pmra", "pmdec", "ref_epoch"]
+    table.rename_columns(["source_id", "phot_g_mean_mag"], ["star", "mag"])
+    table["ra"].unit = table["dec"].unit = "deg"
+    write_table(table, tmp_path / "bare.ecsv", provenance={})
+    frame = picture(tmp_path / "timeless.fits", sky(), **{"DATE-OBS": ""})
+    more = ["-o", tmp_path / "out", "--no-page", "--no-picture"]
+    text = re.sub(r"\s+", " ", sameas("frame", frame, "-c", tmp_path / "bare.ecsv", *more).stdout)
+    assert re.search(
+        r"it has no position errors; 0\.0\d+ arcsec on each axis was taken, estimated from the resid", text
+    )
+    assert "say --sigma ARCSEC or --sigma COLUMN" in text
+    assert "left where they are at 2016.0; say --time DATE" in text
 
 
 def test_a_folder_of_parquet_is_read_where_the_cone_is(files, tmp_path):

@@ -114,6 +114,24 @@ def test_nearly_all_stars_are_identified_and_the_wrong_ones_are_as_many_as_expec
     assert len(np.unique(found.pairs[1])) == len(found.pairs[1])
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("sigma_arcsec", [0.05, 0.3])
+def test_the_error_of_a_catalogue_without_one_is_estimated_from_the_residuals(sigma_arcsec: float) -> None:
+    seen = scene(2)
+    table = seen.catalogue.table["source_id", "ra", "dec", "pmra", "pmdec", "ref_epoch", "phot_g_mean_mag"].copy()
+    table.rename_columns(["source_id", "phot_g_mean_mag"], ["star", "mag"])
+    off = np.random.default_rng(4).normal(0, sigma_arcsec / 3600.0, (len(table), 2))
+    table["ra"] += off[:, 0] / np.cos(np.radians(table["dec"]))
+    table["dec"] += off[:, 1]
+    bare = Catalogue.of(table, "bare")
+    assert bare.error_is_unknown
+    found = solve(seen.measured, bare, ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE))), epoch_jyr=2020.0)
+    assert np.sqrt(found.stars.covariance_arcsec[:, 0]) == pytest.approx(sigma_arcsec, rel=0.2)
+    assert "no position errors" in found.notes[-1] and found.notes[-1].endswith("say sigma=ARCSEC or sigma=COLUMN")
+    real = int((seen.truth >= 0).sum())
+    assert len(found.pairs[0]) - wrong(found, seen.truth) >= 0.96 * real
+
+
 def test_the_loop_rests_and_finds_the_cubic_that_bends_the_frame(found: FrameIdentification) -> None:
     assert found.settled and found.plate.order == 3
     truth = found.placement.pointing.to_sky(np.array([[499.5, 499.5]]))

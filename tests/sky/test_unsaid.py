@@ -135,7 +135,7 @@ def test_where_only_the_other_moves_the_epoch_is_assumed() -> None:
 # How well.
 
 
-@pytest.mark.parametrize(("survey", "magnitude", "mas"), [("Gaia DR3", 17.0, 0.05), ("2MASS", 12.0, 75.0)])
+@pytest.mark.parametrize(("survey", "magnitude", "mas"), [("Gaia DR3", 17.0, 0.05), ("2MASS", 9.5, 75.0)])
 def test_the_errors_of_a_survey_are_those_of_its_magnitudes(survey: str, magnitude: float, mas: float) -> None:
     known = next(one for one in SURVEYS if one.title == survey)
     assert known.sigma_mas(np.array([magnitude]), 1)[0] == pytest.approx(mas)

@@ -224,7 +224,8 @@ def summary_of(
 
     words : how a message that names arguments is put.
     """
-    told = summary(replace(found, notes=(*found.notes, *(f"doubt: {words(doubt)}" for doubt in stars.doubts))), frame)
+    notes = [*map(words, found.notes), *(f"doubt: {words(doubt)}" for doubt in stars.doubts)]
+    told = summary(replace(found, notes=tuple(notes)), frame)
     return told | {"understood": [words(line) for line in stars.interpretation]}
 
 
@@ -291,12 +292,7 @@ def found_on(
     progress("reading the catalogue")
     stars = _catalogue(request, near, progress) if given is None else given
     moment = frame.facts.mid_time
-    if moment is None and stars.epoch_jyr is not None:
-        raise InputError(
-            f"{frame.name}: the header has no time of the exposure (DATE-OBS, MJD-OBS, JD), so the stars cannot be "
-            "moved to it",
-            naming("say {time:DATE}"),
-        )
+    moves = stars.epoch_jyr is not None and stars.has_motion
     epoch = None if moment is None else float(moment.tdb.jyear)
     all_sky = next((hint for hint in own_hints if isinstance(hint, AllSky)), None)
     progress("identifying" if all_sky is None else "searching the whole sky")
@@ -307,9 +303,15 @@ def found_on(
         epoch_jyr=epoch,
         refinement=Refinement(order=request.order, magnitudes=request.magnitudes),
         index=None if all_sky is None or given else _index(_key(request, near), epoch, frame.shape, all_sky),
-        motion=request.motion,
+        motion=request.motion and not (moves and moment is None),
         faintest=request.faintest,
     )
+    if moves and moment is None and request.motion:
+        told = (
+            "doubt: the header has no time of the exposure (DATE-OBS, MJD-OBS, JD), so the stars were left where they "
+            f"are at {stars.epoch_jyr:.1f}; "
+        )
+        found = replace(found, notes=(*found.notes, Message(told, naming("say {time:DATE}"))))
     return found, stars
 
 

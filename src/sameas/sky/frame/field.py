@@ -13,7 +13,9 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, naming
 from sameas.records import unpack
 from sameas.representation import in_short
+from sameas.sky.assumed import TUNING
 from sameas.sky.catalogue import Catalogue
+from sameas.sky.column_choice import PositionError
 from sameas.sky.column_values import numbers
 from sameas.sky.frame.stars import Stars
 from sameas.sky.frame.tangent import unit_vectors
@@ -84,14 +86,15 @@ class StarField:
         """The catalogue's usable stars at an epoch.
 
         epoch_jyr : Julian year of the frame, None if it is not known. motion : False leaves every star at its own
-        epoch, for comparison. near : only stars in this cone.
+        epoch, for comparison. near : only stars in this cone. Stars of a catalogue without position errors get a usual
+        one, to start with.
 
         Raises
         ------
         InputError : the catalogue moves, but either epoch is not known; no row has a position and an error.
         """
         known = catalogue.epoch_jyr is not None
-        if epoch_jyr is None and known and catalogue.has_motion:
+        if epoch_jyr is None and known and motion and catalogue.has_motion:
             raise InputError(
                 f"{catalogue.name}: its stars move, but the time of the frame is not known",
                 naming("say {epoch_jyr:YEAR}, or {pm:'none'} to leave them where they are"),
@@ -100,6 +103,9 @@ class StarField:
         if near is not None:
             used = _near(catalogue, near, epoch_jyr)
             catalogue = _only(catalogue, used)
+        if catalogue.error_is_unknown:
+            usual = PositionError("number", sigma_arcsec=TUNING.usual_arcsec, reason="assumed")
+            catalogue = catalogue.with_error(usual)
         records = catalogue.records(epoch_jyr if known and motion and len(catalogue) else None)
         if not len(records) and near is None:
             raise InputError(f"{catalogue.name}: no row has a position and an error of it; check its columns")
@@ -131,6 +137,11 @@ class StarField:
         one = {key: values[key] for key in ("name", "epoch_jyr", "colour_name")}
         many = {key: values[key][which] for key in self.__dataclass_fields__ if key not in one}
         return StarField(**one, **many)
+
+    def with_error(self, sigma_arcsec: float) -> StarField:
+        """The same stars with one position error on each axis."""
+        variance = np.broadcast_to([sigma_arcsec**2, 0.0, sigma_arcsec**2], (len(self), 3))
+        return replace(self, covariance_arcsec=variance.copy())
 
     @cached_property
     def vectors(self) -> FloatArray:

@@ -12,7 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from sameas.errors import InputError
+from sameas.arrays import FloatArray
+from sameas.errors import InputError, Message, naming
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.frame.field import Cone, StarField
 from sameas.sky.frame.identified import FrameIdentification, Refinement, identify_frame
@@ -71,7 +72,50 @@ def solve(
     near_frame[placement.rows_stars] = True
     number = np.cumsum(near_frame) - 1
     placement = replace(placement, rows_stars=number[placement.rows_stars])
-    return identify_frame(measured, stars[near_frame], placement, refinement)
+    found = identify_frame(measured, stars[near_frame], placement, refinement)
+    return _with_own_error(found, refinement) if catalogue.error_is_unknown else found
+
+
+#: The common error of stars is sought between these shares of a pixel, in so many steps (chosen).
+LEAST_PX, LARGEST_PX, STEPS = 1e-3, 10.0, 200
+#: Pairs more probable than this tell it. A share of them has errors larger by a factor: doubles, blends (chosen).
+SURE, TAIL_SHARE, TAIL = 0.9, 0.05, 5.0
+
+
+def common_star_error(found: FrameIdentification) -> float:
+    """One position error of the stars, arcsec an axis, that explains the residuals beside the measurements' errors.
+
+    The likeliest s of residuals r with variances σ² + s², σ that of the measurement; what the plate model has taken away
+    of them is given back by their degrees of freedom.
+    """
+    i, _, p = found.pairs
+    sure = p >= SURE
+    scale = found.placement.pointing.scale_arcsec
+    left = found.residual_arcsec[sure]
+    count = (found.plate.order + 1) * (found.plate.order + 2) // 2
+    left2 = left**2 * len(left) / max(len(left) - count, 1)
+    sigma2 = scale**2 * found.measured.covariance[i[sure]][:, [0, 2]].mean(axis=1, keepdims=True)
+    s2 = (scale * np.geomspace(LEAST_PX, LARGEST_PX, STEPS)) ** 2
+    fit = [_log_tailed(left2, sigma2 + one).sum() for one in s2]
+    return float(np.sqrt(s2[int(np.argmax(fit))]))
+
+
+def _log_tailed(square: FloatArray, variance: FloatArray) -> FloatArray:
+    """Logarithm of a normal density at residuals squared, with a tail: a few stars far off do not pull."""
+    near = np.exp(-0.5 * square / variance) / np.sqrt(variance)
+    far = np.exp(-0.5 * square / (TAIL**2 * variance)) / (TAIL * np.sqrt(variance))
+    return np.asarray(np.log((1.0 - TAIL_SHARE) * near + TAIL_SHARE * far + 1e-300))
+
+
+def _with_own_error(found: FrameIdentification, refinement: Refinement | None) -> FrameIdentification:
+    """Identified anew with the common error that the residuals tell, and the doubt that says so."""
+    sigma = common_star_error(found)
+    again = identify_frame(found.measured, found.stars.with_error(sigma), found.placement, refinement)
+    told = (
+        f"doubt: {found.stars.name}: it has no position errors; {sigma:.2g} arcsec on each axis was taken, estimated "
+        "from the residuals; "
+    )
+    return replace(again, notes=(*again.notes, Message(told, naming("say {sigma:ARCSEC} or {sigma:COLUMN}"))))
 
 
 def footprint(pointing: Pointing, shape: tuple[int, int]) -> Cone:
