@@ -106,7 +106,7 @@ SURVEYS = (
         ("SDSS",), words=r"\bSDSS\b|\bV[/_]147\b",
     ),
     Survey(
-        # A median distance of 13.5 mas to Gaia is 11.5 mas an axis; 5 mas of the frame besides; the faint end is assumed.
+        # A median distance of 13.5 mas to Gaia is 11.5 mas an axis; 5 mas of the frame; the faint end is assumed.
         "Pan-STARRS1", "Lubow et al. 2021, AJ 161, 6, and Magnier et al. 2020, ApJS 251, 6, abstracts", "r",
         ((19.0, 12.5), (21.5, 60.0)), 30.0,
         ("Pan-STARRS1",), words=r"pan-?starrs|\bII[/_]349\b",
@@ -118,9 +118,9 @@ SURVEYS = (
         ("AllWISE", "AllWISE at VizieR (II/328)"), words=r"allwise|\bII[/_]328\b",
     ),
     Survey(
-        # 15 to 20 mas from 10 to 14 mag, 15 to 100 mas and 1 to 10 mas a year over all; UCAC2 has 70 mas at 16 mag, motions
-        # of 1 to 3 mas a year to 12 mag and of 4 to 7 to 16 mag.
-        "UCAC4", "Zacharias et al. 2013, AJ 145, 44, abstract and readme; UCAC2: Zacharias et al. 2004, AJ 127, 3043", "f",
+        # 15 to 20 mas from 10 to 14 mag, 15 to 100 mas and 1 to 10 mas a year over all; UCAC2 has 70 mas at 16 mag,
+        # motions of 1 to 3 mas a year to 12 mag and of 4 to 7 to 16 mag.
+        "UCAC4", "Zacharias et al. 2013, AJ 145, 44, and of UCAC2 2004, AJ 127, 3043, abstracts", "f",
         ((10.0, 15.0), (14.0, 20.0), (16.0, 70.0)), 40.0,
         words=r"\bUCAC4\b|\bI[/_]322", mag_mas_per_yr=((12.0, 2.0), (14.0, 4.0), (16.0, 7.0)), typical_mas_per_yr=4.0,
     ),

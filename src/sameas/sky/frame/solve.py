@@ -85,8 +85,8 @@ SURE, TAIL_SHARE, TAIL = 0.9, 0.05, 5.0
 def common_star_error(found: FrameIdentification) -> float:
     """One position error of the stars, arcsec an axis, that explains the residuals beside the measurements' errors.
 
-    The likeliest s of residuals r with variances σ² + s², σ that of the measurement; what the plate model has taken away
-    of them is given back by their degrees of freedom.
+    The likeliest s of residuals r with variances σ² + s², σ that of the measurement; what the plate model has taken
+    away of them is given back by their degrees of freedom.
     """
     i, _, p = found.pairs
     sure = p >= SURE
