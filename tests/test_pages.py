@@ -2,6 +2,7 @@
 
 import base64
 import hashlib
+import itertools
 import re
 
 import numpy as np
@@ -11,6 +12,7 @@ from browser import CHROMIUM, Browser
 from charted import charted
 from sameas.pages.map import map_page
 from sameas.pages.template import asset, page_of, script_safe
+from sameas.plots import frame as frame_plots
 
 HOSTILE = '</script><script>document.title="taken"</script><img src=x onerror="document.title=1">{{js}}{{policy}}'
 TEMPLATES = ["map.html", "frame.html", "series.html", "movers.html"]
@@ -59,3 +61,63 @@ def test_a_script_that_got_into_a_page_is_not_run(tmp_path):
         assert not [url for url in browser.requests if not url.startswith(("file:", "data:"))]
     finally:
         browser.close()
+
+
+# Marks are told apart by everyone.
+
+#: Deuteranopia, on linear red, green and blue: Machado, Oliveira, Fernandes 2009, IEEE TVCG 15, 1291, severity 1.
+DEUTERANOPIA = [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
+SRGB_TO_XYZ = [
+    [0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041],
+]  # fmt: skip
+
+
+def lab(colour, seen_by):
+    """CIE L*a*b* (D65) of #rrggbb as an eye sees it."""
+    channel = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255.0
+    linear = np.where(channel <= 0.04045, channel / 12.92, ((channel + 0.055) / 1.055) ** 2.4)
+    x, y, z = np.array(SRGB_TO_XYZ) @ np.clip(seen_by @ linear, 0.0, 1.0) / [0.95047, 1.0, 1.08883]
+    fx, fy, fz = (np.cbrt(t) if t > 216 / 24389 else (24389 / 27 * t + 16) / 116 for t in (x, y, z))
+    return 116 * fy - 16, 500 * (fx - fy), 200 * (fy - fz)
+
+
+def ciede2000(one, two):
+    """Difference of two colours: Sharma, Wu, Dalal 2005, Color Res. Appl. 30, 21."""
+    (l1, a1, b1), (l2, a2, b2) = one, two
+    mean = (np.hypot(a1, b1) + np.hypot(a2, b2)) / 2
+    g = 0.5 * (1 - np.sqrt(mean**7 / (mean**7 + 25.0**7)))
+    a1, a2 = (1 + g) * a1, (1 + g) * a2
+    c1, c2 = np.hypot(a1, b1), np.hypot(a2, b2)
+    h1, h2 = (np.degrees(np.arctan2(b, a)) % 360 for a, b in ((a1, b1), (a2, b2)))
+    turn = (h2 - h1 + 180) % 360 - 180 if c1 * c2 else 0.0
+    hue = (h1 + turn / 2) % 360 if c1 * c2 else h1 + h2
+    bright, chroma = (l1 + l2) / 2, (c1 + c2) / 2
+    waves = ((0.17, 1, -30), (-0.24, 2, 0), (-0.32, 3, 6), (0.20, 4, -63))
+    t = 1 - sum(f * np.cos(np.radians(n * hue + shift)) for f, n, shift in waves)
+    dl = (l2 - l1) / (1 + 0.015 * (bright - 50) ** 2 / np.sqrt(20 + (bright - 50) ** 2))
+    dc = (c2 - c1) / (1 + 0.045 * chroma)
+    dh = 2 * np.sqrt(c1 * c2) * np.sin(np.radians(turn / 2)) / (1 + 0.015 * chroma * t)
+    both = -2 * np.sqrt(chroma**7 / (chroma**7 + 25.0**7)) * np.sin(np.radians(60 * np.exp(-(((hue - 275) / 25) ** 2))))
+    return np.sqrt(dl**2 + dc**2 + dh**2 + both * dc * dh)
+
+
+def test_the_difference_of_colours_is_that_of_the_published_pairs():
+    # Pairs 1, 7, 17 and 25 of Sharma's table 1.
+    assert ciede2000((50, 2.6772, -79.7751), (50, 0, -82.7485)) == pytest.approx(2.0425, abs=1e-4)
+    assert ciede2000((50, 0, 0), (50, -1, 2)) == pytest.approx(2.3669, abs=1e-4)
+    assert ciede2000((50, 2.5, 0), (73, 25, -18)) == pytest.approx(27.1492, abs=1e-4)
+    assert ciede2000((60.2574, -34.0099, 36.2677), (60.4626, -34.1751, 39.4387)) == pytest.approx(1.2644, abs=1e-4)
+
+
+@pytest.mark.parametrize("theme", [":root", ":root.day"])
+@pytest.mark.parametrize("eye", [np.eye(3), np.array(DEUTERANOPIA)], ids=["all cones", "deuteranopia"])
+def test_the_marks_of_a_frame_differ_from_each_other_and_from_the_sky(theme, eye):
+    (block,) = re.findall(rf"^{theme} {{(.*?)}}", asset("frame.css"), re.DOTALL | re.MULTILINE)
+    named = dict(re.findall(r"--(\w+): (#\w{6})\b", block))
+    marks = {name: lab(named[name], eye) for name in ("found", "alone", "lost", "odd", "night")}
+    apart = {pair: ciede2000(marks[pair[0]], marks[pair[1]]) for pair in itertools.combinations(marks, 2)}
+    assert min(apart.values()) >= 25.0, apart
+    if theme == ":root":
+        assert [named[n] for n in ("found", "alone", "lost")] == [
+            frame_plots.BLUE, frame_plots.YELLOW, frame_plots.RED,
+        ]  # fmt: skip

@@ -13,6 +13,7 @@ from urllib.parse import parse_qs
 
 import numpy as np
 import pytest
+from astropy.coordinates import SkyCoord
 from astropy.io import fits
 from astropy.table import Table
 from astropy.wcs import WCS
@@ -89,7 +90,7 @@ def done(files, tmp_path_factory):
     from sameas.cli.app import app
 
     out = tmp_path_factory.mktemp("out")
-    arguments = ["frame", files.frame, "-c", files.stars, "-o", out, "--wcs-copy", "--brightest", 40]
+    arguments = ["frame", files.frame, "-c", files.stars, "-o", out, "--wcs-copy"]
     result = CliRunner().invoke(app, [str(a) for a in arguments])
     assert result.exit_code == 0, result.output
     return out, result.stdout
@@ -180,7 +181,7 @@ def test_a_second_run_does_nothing_until_something_changes(done, files, sameas):
     out, _ = done
     before = (out / "night.json").stat().st_mtime_ns
     arguments = ["frame", files.frame, "-c", files.stars, "-o", out, "--wcs-copy"]
-    assert "done before" in sameas(*arguments, "--brightest", 40).stdout
+    assert "done before" in sameas(*arguments).stdout
     assert (out / "night.json").stat().st_mtime_ns == before
     assert "done before" not in sameas(*arguments, "--brightest", 41, "--no-page", "--no-picture").stdout
 
@@ -407,6 +408,7 @@ def test_round_cones_hold_the_ones_they_are_about():
 
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to show the page in")
+@pytest.mark.filterwarnings("ignore:The WCS transformation has more axes")
 def test_the_page_shows_zooms_and_tells_a_stars_record_in_a_browser(done, tmp_path):
     out, _ = done
     rows = read_table(out / "night.stars.fits")
@@ -434,6 +436,27 @@ def test_the_page_shows_zooms_and_tells_a_stars_record_in_a_browser(done, tmp_pa
         assert browser.js("document.getElementById('record').innerText").startswith(missing)
         browser.js("document.getElementById('whole').click()")
         assert browser.js("framePage.view.scale") == pytest.approx(before)
+        assert browser.js("document.getElementById('many').value === document.getElementById('many').max")
+        # The page's own plate model is that of the files, there and back.
+        solved = WCS(fits.getheader(out / "night.wcs"))
+        for px in ([0.0, 0.0], [319.0, 12.0], [150.5, 300.25]):
+            sky = solved.pixel_to_world(*px)
+            own = browser.js(f"framePage.toSky({px[0]}, {px[1]})")
+            assert sky.separation(SkyCoord(*own, unit="deg")).arcsec < 0.01
+            assert browser.js(f"framePage.fromSky({own[0]}, {own[1]})") == pytest.approx(px, abs=1e-5)
+        browser.do("Input.dispatchMouseEvent", type="mouseMoved", x=left + nx, y=top + ny)
+        own = browser.js(f"framePage.toSky(...framePage.toPixel({nx}, {ny}))")
+        assert f"{own[0]:.5f}°" in browser.js("document.getElementById('place').textContent")
+        shade = "(c => [...c.getContext('2d').getImageData(0, 0, c.width, c.height).data].reduce((a, b) => a + b))"
+        drawn = shade + "(document.getElementById('sky'))"
+        for change in (
+            "e => { e.value = 120; e.dispatchEvent(new Event('input')); }, 'black'",
+            "e => e.click(), 'negative'", "e => e.click(), 'show-grid'", "e => e.click(), 'theme'",
+        ):  # fmt: skip
+            was = browser.js(drawn)
+            act, name = change.rsplit(", ", 1)
+            browser.js(f"({act})(document.getElementById({name}))")
+            browser.until(f"{drawn} !== {was}")
         assert not browser.errors
         assert not [url for url in browser.requests if not url.startswith(("file:", "data:", "blob:"))]
     finally:

@@ -132,6 +132,24 @@ def test_the_error_of_a_catalogue_without_one_is_estimated_from_the_residuals(si
     assert len(found.pairs[0]) - wrong(found, seen.truth) >= 0.96 * real
 
 
+@pytest.mark.slow
+def test_a_star_that_is_much_brighter_than_catalogued_is_told(seen: Scene) -> None:
+    kept = np.flatnonzero(seen.truth >= 0)[[40, 60]]
+    flux = seen.measured.flux.copy()
+    flux[kept] *= 10 ** (0.4 * np.array([2.3, -1.2]))
+    measured = replace(seen.measured, flux=flux)
+    found = solve(measured, seen.catalogue, ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE))), epoch_jyr=2020.0)
+    rows = found.pairs[0][found.odd_brightness]
+    assert set(kept) <= set(rows) and len(rows) <= len(kept) + found.result.expected_wrong + 3
+    words = listing(found)["remark"]
+    assert words[kept[0]] == "2.3 mag brighter than catalogued"
+    assert words[kept[1]] == "1.2 mag fainter than catalogued"
+    assert "mag " not in words[int(np.setdiff1d(found.pairs[0], rows)[0])]
+    assert summary(found)["brightness"]["odd"]["words"].startswith(
+        f"{np.sum(found.excess_mag[found.odd_brightness] < 0)} "
+    )
+
+
 def test_the_loop_rests_and_finds_the_cubic_that_bends_the_frame(found: FrameIdentification) -> None:
     assert found.settled and found.plate.order == 3
     truth = found.placement.pointing.to_sky(np.array([[499.5, 499.5]]))

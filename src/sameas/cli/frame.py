@@ -100,11 +100,9 @@ def frame(
         bool, option("--no-motion", help="Leave the stars at their own epoch, to see what motion does.")
     ] = False,
     brightest: Annotated[
-        int,
-        option(
-            "--brightest", panel=_FILES, metavar="N", min=0, show_default=True, help="Stars marked in the pictures."
-        ),
-    ] = 1000,
+        int | None,
+        option("--brightest", panel=_FILES, metavar="N", min=0, help="Mark only the N brightest identified stars."),
+    ] = None,
     format: Annotated[
         str, option("--format", panel=_FILES, metavar="NAME", callback=known_format, help="Of the table of stars.")
     ] = "fits",

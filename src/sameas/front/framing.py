@@ -156,7 +156,7 @@ class FrameRequest:
     magnitudes: Literal["auto", "off"] = "auto"
     faintest: float | None = None
     motion: bool = True
-    brightest: int = 1000
+    brightest: int | None = None
     format: str = "fits"
     page: bool = True
     picture: bool = True

@@ -2,7 +2,23 @@
 "use strict";
 const el = id => document.getElementById(id);
 const css = name => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-const colour = Object.fromEntries(["found", "alone", "lost", "east", "north", "ink", "dim", "line", "night"].map(n => [n, css("--" + n)]));
+const colour = {};
+
+// ---- light and dark: what the reader has chosen, else what the system has ----
+const SCHEME = "sameas-theme";
+function stored() { try { return localStorage.getItem(SCHEME); } catch { return null; } }
+function themed(day) {
+  document.documentElement.classList.toggle("day", day); el("theme").textContent = day ? "dark" : "light";
+  for (const n of ["found", "alone", "lost", "odd", "east", "north", "ink", "dim", "line", "night", "bar", "grid"]) colour[n] = css("--" + n);
+}
+const isDay = () => document.documentElement.classList.contains("day");
+themed((stored() ?? (window.matchMedia("(prefers-color-scheme: light)").matches ? "day" : "night")) === "day");
+// redraw : what draws everything anew in other colours.
+function onTheme(redraw) {
+  const turn = () => { themed(!isDay()); try { localStorage.setItem(SCHEME, isDay() ? "day" : "night"); } catch { /* a page from disk may have no store */ } redraw(); };
+  el("theme").addEventListener("click", turn);
+  document.addEventListener("keydown", e => { if ((e.key === "d" || e.key === "D") && !e.ctrlKey && !e.metaKey && !["INPUT", "SELECT"].includes(e.target.tagName)) turn(); });
+}
 
 // ---- words ----
 const fix = (v, n) => v === null || v === undefined || !isFinite(v) ? "–" : v.toFixed(n).replace(/^-(?=[0.]*$)/, "").replace("-", "−");

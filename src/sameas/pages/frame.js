@@ -11,7 +11,7 @@ s.missing.forEach((is, k) => { if (is) lost.push(k); });
 const sky = el("sky"), picture = el("picture");
 const view = { x: (columns - 1) / 2, y: (rows - 1) / 2, scale: 1, least: 1 };
 let picked = null, pending = false;
-const show = { found: el("show-found"), alone: el("show-alone"), lost: el("show-lost"), arrows: el("show-arrows") };
+const show = Object.fromEntries(["found", "alone", "lost", "odd", "arrows", "grid"].map(n => [n, el("show-" + n)]));
 const toScreen = (x, y) => [(x - view.x) * view.scale + sky.clientWidth / 2, (view.y - y) * view.scale + sky.clientHeight / 2];
 const toPixel = (u, v) => [(u - sky.clientWidth / 2) / view.scale + view.x, view.y - (v - sky.clientHeight / 2) / view.scale];
 const fit = () => { view.least = Math.min(sky.clientWidth / columns, sky.clientHeight / rows); };
@@ -25,13 +25,16 @@ function paint() {
   const wide = picture.naturalWidth * data.bin, high = picture.naturalHeight * data.bin;
   const [u, v] = toScreen(-0.5, -0.5 + high);
   c.imageSmoothingEnabled = view.scale * data.bin < 3;
-  c.drawImage(picture, u, v, wide * view.scale, high * view.scale);
+  c.drawImage(stretched ?? picture, u, v, wide * view.scale, high * view.scale);
+  if (show.grid.checked) graticule(c, w, h);
   const inside = (x, y, r) => x > -r && x < w + r && y > -r && y < h + r;
   c.lineWidth = 1.15;
+  // Of a whole frame on a small screen marks are small, or they hide it.
+  const least = Math.min(Math.max(4 * view.scale, 1.5), 3);
   if (show.found.checked) {
     c.strokeStyle = colour.found;
     for (const i of found.slice(0, +el("many").value)) {
-      const [x, y] = toScreen(m.x[i], m.y[i]), r = Math.max(radius(i) * view.scale, 3);
+      const [x, y] = toScreen(m.x[i], m.y[i]), r = Math.max(radius(i) * view.scale, least);
       if (!inside(x, y, r)) continue;
       c.setLineDash(m.rivals[i].some(e => e[5] && e[1] < 0.9) ? [2, 3] : []);
       c.beginPath(); c.arc(x, y, r, 0, 7); c.stroke();
@@ -40,7 +43,7 @@ function paint() {
   }
   if (show.alone.checked) {
     c.strokeStyle = colour.alone; c.beginPath();
-    const r = Math.max(3, Math.min(1.3 * data.width_px * view.scale, 12));
+    const r = Math.max(least, Math.min(1.3 * data.width_px * view.scale, 12));
     for (const i of alone) {
       const [x, y] = toScreen(m.x[i], m.y[i]);
       if (inside(x, y, r)) { c.moveTo(x - r, y - r); c.lineTo(x + r, y + r); c.moveTo(x - r, y + r); c.lineTo(x + r, y - r); }
@@ -49,11 +52,16 @@ function paint() {
   }
   if (show.lost.checked) {
     c.strokeStyle = colour.lost; c.beginPath();
-    const r = Math.max(4, Math.min(1.6 * data.width_px * view.scale, 15));
+    const r = Math.max(1.3 * least, Math.min(1.6 * data.width_px * view.scale, 15));
     for (const k of lost) {
       const [x, y] = toScreen(s.x[k], s.y[k]);
       if (inside(x, y, r)) { c.moveTo(x - r, y); c.lineTo(x, y - r); c.lineTo(x + r, y); c.lineTo(x, y + r); c.closePath(); }
     }
+    c.stroke();
+  }
+  if (show.odd.checked) {
+    c.strokeStyle = colour.odd; c.lineWidth = 1.6; c.beginPath();
+    for (const i of data.odd) { const [x, y] = toScreen(m.x[i], m.y[i]), r = Math.max(radius(i) * view.scale, least) + 3; if (inside(x, y, r)) c.rect(x - r, y - r, 2 * r, 2 * r); }
     c.stroke();
   }
   if (show.arrows.checked) arrows(c);
@@ -64,15 +72,95 @@ function paint() {
   }
 }
 function arrows(c) {
-  const grown = +el("grown").value;
-  c.strokeStyle = colour.east; c.lineWidth = 1.4; c.beginPath();
-  for (const i of found) {
-    const [x, y] = toScreen(m.x[i], m.y[i]), [u, v] = toScreen(m.x[i] + grown * m.dx[i], m.y[i] + grown * m.dy[i]);
-    const a = Math.atan2(v - y, u - x), l = Math.min(5, 0.4 * Math.hypot(u - x, v - y));
-    c.moveTo(x, y); c.lineTo(u, v); c.lineTo(u - l * Math.cos(a - 0.5), v - l * Math.sin(a - 0.5));
-    c.moveTo(u, v); c.lineTo(u - l * Math.cos(a + 0.5), v - l * Math.sin(a + 0.5));
+  const grown = +el("grown").value, most = 0.045 * Math.max(columns, rows);
+  c.strokeStyle = colour.odd; c.lineWidth = 1.2;
+  // An outlier's arrow is cut at a length that does not cover its neighbours', and dashed.
+  for (const cut of [false, true]) {
+    c.setLineDash(cut ? [3, 3] : []); c.beginPath();
+    for (const i of found) {
+      const far = grown * Math.hypot(m.dx[i], m.dy[i]); if (far > most !== cut) continue;
+      const f = cut ? grown * most / far : grown, [x, y] = toScreen(m.x[i], m.y[i]), [u, v] = toScreen(m.x[i] + f * m.dx[i], m.y[i] + f * m.dy[i]);
+      const a = Math.atan2(v - y, u - x), l = Math.min(5, 0.4 * Math.hypot(u - x, v - y));
+      c.moveTo(x, y); c.lineTo(u, v); if (cut) continue;
+      c.lineTo(u - l * Math.cos(a - 0.5), v - l * Math.sin(a - 0.5)); c.moveTo(u, v); c.lineTo(u - l * Math.cos(a + 0.5), v - l * Math.sin(a + 0.5));
+    }
+    c.stroke();
   }
-  c.stroke();
+  c.setLineDash([]);
+}
+function sayCut() {
+  const grown = +el("grown").value, most = 0.045 * Math.max(columns, rows), cut = found.filter(i => grown * Math.hypot(m.dx[i], m.dy[i]) > most).length;
+  el("cut").textContent = cut && show.arrows.checked ? `${grouped(cut)} longer ones are cut short and dashed` : "";
+}
+
+// ---- stretch: a table of 256 shades, applied to the picture once ----
+let shades = null, stretched = null;
+function stretch() {
+  const black = +el("black").value, white = Math.max(+el("white").value, black + 5), power = 2 ** (-+el("middle").value / 50), negative = el("negative").checked;
+  if (!black && white === 255 && power === 1 && !negative) { stretched = null; draw(); return; }
+  const w = picture.naturalWidth, h = picture.naturalHeight;
+  if (!shades) { const o = document.createElement("canvas"); o.width = w; o.height = h; const oc = o.getContext("2d"); oc.drawImage(picture, 0, 0);
+    const all = oc.getImageData(0, 0, w, h).data; shades = new Uint8Array(w * h); for (let k = 0; k < shades.length; k++) shades[k] = all[4 * k]; }
+  const table = new Uint32Array(256);
+  for (let k = 0; k < 256; k++) { const v = Math.round(255 * Math.min(Math.max((k - black) / (white - black), 0), 1) ** power), g = negative ? 255 - v : v; table[k] = (255 << 24 | g << 16 | g << 8 | g) >>> 0; }
+  stretched ??= Object.assign(document.createElement("canvas"), { width: w, height: h });
+  const c = stretched.getContext("2d"), image = c.createImageData(w, h), px = new Uint32Array(image.data.buffer);
+  for (let k = 0; k < px.length; k++) px[k] = table[shades[k]];
+  c.putImageData(image, 0, 0); draw();
+}
+
+// ---- the sky: the plate model, (ξ, η) = Σ c uᵃ vᵇ on the plane that touches it (METHOD of the plate) ----
+const plate = told.plate, RAD = Math.PI / 180, ARC = 3600 / RAD;
+const powers = []; for (let n = 0; n <= plate.order; n++) for (let b = 0; b <= n; b++) powers.push([n - b, b]);
+const ra0 = plate.tangent_ra_deg * RAD, dec0 = plate.tangent_dec_deg * RAD, [s0, c0] = [Math.sin(dec0), Math.cos(dec0)];
+function toPlane(x, y) {
+  const u = (x - plate.middle_px[0]) / plate.unit_px, v = (y - plate.middle_px[1]) / plate.unit_px; let e = 0, n = 0, eu = 0, ev = 0, nu = 0, nv = 0;
+  powers.forEach(([a, b], k) => { const [p, q] = [plate.coefficients_arcsec[0][k], plate.coefficients_arcsec[1][k]], t = u ** a * v ** b;
+    const tu = a ? a * u ** (a - 1) * v ** b : 0, tv = b ? b * u ** a * v ** (b - 1) : 0;
+    e += p * t; n += q * t; eu += p * tu; ev += p * tv; nu += q * tu; nv += q * tv; });
+  return [e / ARC, n / ARC, eu / ARC, ev / ARC, nu / ARC, nv / ARC];
+}
+function toSky(x, y) {
+  const [e, n] = toPlane(x, y), d = c0 - n * s0;
+  return [((ra0 + Math.atan2(e, d)) / RAD + 720) % 360, Math.atan2(s0 + n * c0, Math.hypot(e, d)) / RAD];
+}
+function fromSky(ra, dec) {
+  const d = ra * RAD - ra0, t = dec * RAD, z = Math.sin(t) * s0 + Math.cos(t) * c0 * Math.cos(d); if (z < 0.05) return null;
+  const e = Math.cos(t) * Math.sin(d) / z, n = (Math.sin(t) * c0 - Math.cos(t) * s0 * Math.cos(d)) / z;
+  let x = plate.middle_px[0], y = plate.middle_px[1];
+  for (let k = 0; k < 12; k++) { const [a, b, eu, ev, nu, nv] = toPlane(x, y), det = eu * nv - ev * nu, fe = e - a, fn = n - b;
+    const du = (fe * nv - fn * ev) / det, dv = (fn * eu - fe * nu) / det; x += Math.min(Math.max(du, -2), 2) * plate.unit_px; y += Math.min(Math.max(dv, -2), 2) * plate.unit_px;
+    if (Math.hypot(du, dv) < 1e-7) return [x, y]; if (Math.hypot(x - columns / 2, y - rows / 2) > 8 * (columns + rows)) return null; }
+  return null;
+}
+const DEC_STEPS = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 18000, 36000, 108000].map(v => v / 3600);
+const RA_STEPS = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 10800].map(v => v / 240);
+const two = n => String(n).padStart(2, "0");
+function raWords(deg, step) { const t = Math.round(((deg + 720) % 360) * 2400) / 10, h = Math.floor(t / 3600), mi = Math.floor((t - 3600 * h) / 60), se = t - 3600 * h - 60 * mi;
+  return `${two(h)}ʰ${two(mi)}ᵐ` + (step * 240 < 60 ? (step * 240 < 1 ? se.toFixed(1).padStart(4, "0") : two(Math.round(se))) + "ˢ" : ""); }
+function decWords(deg, step) { const t = Math.round(Math.abs(deg) * 3600), d = Math.floor(t / 3600), mi = Math.floor(t / 60) % 60; return (deg < 0 ? "−" : "+") + two(d) + "°" + (step < 1 ? two(mi) + "′" : "") + (step < 1 / 60 ? two(t % 60) + "″" : ""); }
+function graticule(c, w, h) {
+  const at = []; for (let k = 0; k <= 8; k++) for (let l = 0; l <= 8; l++) at.push(toSky(...toPixel(w * k / 8, h * l / 8)));
+  const middle = toSky(...toPixel(w / 2, h / 2))[0], off = at.map(([ra]) => (ra - middle + 540) % 360 - 180), decs = at.map(p => p[1]);
+  let [d0, d1] = [Math.min(...decs), Math.max(...decs)], [r0, r1] = [Math.min(...off), Math.max(...off)];
+  for (const pole of [90, -90]) { const p = fromSky(0, pole); if (!p) continue; const [u, v] = toScreen(...p); if (u > 0 && u < w && v > 0 && v < h) { r0 = -180; r1 = 180; if (pole > 0) d1 = 90; else d0 = -90; } }
+  const wide = Math.max(2, w / 190), high = Math.max(2, h / 150);
+  const decStep = DEC_STEPS.find(v => (d1 - d0) / v <= high) ?? 30, raStep = RA_STEPS.find(v => (r1 - r0) / v <= wide) ?? 45;
+  c.strokeStyle = colour.grid; c.fillStyle = colour.grid; c.lineWidth = 0.8; c.font = "12px ui-monospace, monospace"; c.globalAlpha = 0.6;
+  const line = (points, words, edge) => {
+    let last = null, named = false; c.beginPath();
+    for (const p of points) { const s = p && toScreen(...p); if (s && last) { c.moveTo(...last); c.lineTo(...s);
+        // The name stands where the line leaves the picture: below, or on the left.
+        const crosses = edge === "below" ? (last[1] - (h - 26)) * (s[1] - (h - 26)) <= 0 : (last[0] - 6) * (s[0] - 6) <= 0;
+        if (crosses && !named) { const f = edge === "below" ? (h - 26 - last[1]) / (s[1] - last[1] || 1) : (6 - last[0]) / (s[0] - last[0] || 1), x = last[0] + f * (s[0] - last[0]), y = last[1] + f * (s[1] - last[1]);
+          if (x > -1 && x < w - 60 && y > 60 && y < h - 20) { c.save(); c.globalAlpha = 1; c.strokeStyle = colour.night; c.lineWidth = 3; c.strokeText(words, x + 4, y - 4); c.fillText(words, x + 4, y - 4); c.restore(); named = true; } } }
+      last = s; }
+    c.stroke();
+  };
+  const steps = (a, b) => Array.from({ length: 33 }, (_, k) => a + (b - a) * k / 32);
+  for (let r = Math.ceil((middle + r0) / raStep) * raStep; r <= middle + r1 + 1e-9; r += raStep) line(steps(Math.max(d0 - decStep, -89.99), Math.min(d1 + decStep, 89.99)).map(d => fromSky(r, d)), raWords(r, raStep), "below");
+  for (let d = Math.ceil(d0 / decStep) * decStep; d <= d1 + 1e-9; d += decStep) if (Math.abs(d) < 90) line(steps(middle + r0 - raStep, middle + r1 + raStep).map(r => fromSky(r, d)), decWords(d, decStep), "left");
+  c.globalAlpha = 1;
 }
 function rivalLines(c, i) {
   const [x, y] = toScreen(m.x[i], m.y[i]);
@@ -121,6 +209,7 @@ function starFacts(k) {
 function measured(box, i) {
   const k = m.star[i];
   box.append(text("h2", k === null ? "Not in the catalogue" : s.id[k], k === null ? "alone" : "found"));
+  if (data.odd.includes(i)) box.append(text("p", `Identified, but ${oddWords(i)}.`, "odd-words"));
   const chosen = m.rivals[i].find(e => e[5]);
   const facts = document.createElement("table");
   table(facts, [["is this star", k === null ? "none: " + probability(m.none[i]) : probability(chosen[1])],
@@ -143,6 +232,12 @@ function measured(box, i) {
     ["magnitude", fix(m.mag[i], 2)], ["significance", fix(m.snr[i], 1)], ["width", m.fwhm[i] === null ? "–" : fix(m.fwhm[i], 2) + " px"],
     ["flags", m.words[m.flags[i]] || "none"]]);
   box.append(own);
+}
+const oddWords = i => `${fix(Math.abs(m.excess[i]), 1)} mag ${m.excess[i] < 0 ? "brighter" : "fainter"} than catalogued`;
+function oddList() {
+  const box = el("odd-list"); box.hidden = !data.odd.length; el("n-odd").textContent = grouped(data.odd.length);
+  box.querySelector("summary").textContent = `${grouped(data.odd.length)} not as bright as catalogued`;
+  for (const i of data.odd) { const b = text("button", `${s.id[m.star[i]]}: ${oddWords(i)}${m.words[m.flags[i]] ? ` (${m.words[m.flags[i]]})` : ""}`); b.addEventListener("click", () => pick({ kind: "measured", row: i }, true)); box.append(b); }
 }
 function missing(box, k) {
   box.append(text("h2", s.id[k], "lost"), text("p", "Missing: " + s.why[k] + "."));
@@ -182,15 +277,15 @@ function diagrams() {
   if (zero) {
     const [a, b] = range(known.map(i => m.inst[i]), 0.03), [p, q] = range(known.map(bright), 0.03);
     [c, X, Y] = axes(el("magnitudes"), [b, a], [q, p], "instrumental magnitude", "catalogue magnitude");
-    dots(c, known.map(i => [m.inst[i], bright(i)]), X, Y, colour.east);
-    c.strokeStyle = colour.found; c.lineWidth = 2; c.beginPath(); data.relation.forEach(([x, y], k) => k ? c.lineTo(X(x), Y(y)) : c.moveTo(X(x), Y(y))); c.stroke();
+    dots(c, known.map(i => [m.inst[i], bright(i)]), X, Y, colour.east); dots(c, data.odd.map(i => [m.inst[i], bright(i)]), X, Y, colour.odd);
+    c.strokeStyle = colour.north; c.lineWidth = 2; c.beginPath(); data.relation.forEach(([x, y], k) => k ? c.lineTo(X(x), Y(y)) : c.moveTo(X(x), Y(y))); c.stroke();
   }
   const curve = told.brightness.completeness;
   el("shown").textContent = curve ? curve.words : "the catalogue has no magnitudes";
   if (curve) {
     const e = curve.edges_mag; [c, X, Y] = axes(el("complete"), [e[0], e[e.length - 1]], [0, 1.08 * Math.max(...curve.stars, 1)], "magnitude", "stars on the frame");
     curve.stars.forEach((n, k) => { const x = X(e[k]), w = X(e[k + 1]) - x - 1;
-      c.fillStyle = "#3a4a63"; c.fillRect(x, Y(n), w, Y(0) - Y(n)); c.fillStyle = "#2f9e70"; c.fillRect(x, Y(curve.found[k]), w, Y(0) - Y(curve.found[k])); });
+      c.fillStyle = colour.bar; c.fillRect(x, Y(n), w, Y(0) - Y(n)); c.fillStyle = colour.found; c.fillRect(x, Y(curve.found[k]), w, Y(0) - Y(curve.found[k])); });
     const top = 1.08 * Math.max(...curve.stars, 1); c.strokeStyle = c.fillStyle = colour.north; c.lineWidth = 1.2;
     curve.stars.forEach((n, k) => { if (!n) return; const x = X((e[k] + e[k + 1]) / 2), f = curve.found[k] / n, y = v => Y(v * top / 1.08);
       c.beginPath(); c.arc(x, y(f), 2.6, 0, 7); c.fill(); c.beginPath(); c.moveTo(x, y(f - curve.sigma[k])); c.lineTo(x, y(Math.min(1.05, f + curve.sigma[k]))); c.stroke(); });
@@ -217,12 +312,12 @@ function facts() {
   table(el("counts"), [["measurements", grouped(f.measurements)], ["stars on the frame", grouped(f.stars_on_frame)], ["identified", grouped(f.identified)], ["expected wrong", fix(f.expected_wrong, 1)],
     ["less sure than 0.9", grouped(f.ambiguous)], ["not in the catalogue", grouped(f.unidentified)], ["missing", grouped(f.missing)], ["gate", fix(f.gate_sigmas, 1) + " quoted σ"], ["typical error", `${fix(f.typical_error_scale, 2)} times the quoted`]]);
   el("notes").replaceChildren(...[...(told.exposure ? told.exposure.read : []), ...told.notes].map(n => text("li", n, /^(doubt|assumed)/.test(n) ? "doubt" : "")));
-  const many = el("many"); many.max = found.length; many.value = Math.min(data.brightest, found.length);
+  const many = el("many"); many.max = found.length; many.value = Math.min(data.brightest ?? found.length, found.length);
   const say = () => { el("n-many").textContent = grouped(+many.value); }; say(); many.addEventListener("input", () => { say(); draw(); });
   const lengths = found.map(i => Math.hypot(m.dx[i], m.dy[i])).sort((a, b) => a - b), typical = lengths[Math.floor(0.7 * lengths.length)] || 1;
   const ideal = 0.02 * columns / typical, steps = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000];
   el("grown").replaceChildren(...steps.map(n => { const o = text("option", String(n)); o.value = n; return o; }));
-  el("grown").value = steps.filter(n => n <= ideal).pop() || 1;
+  el("grown").value = steps.filter(n => n <= ideal).pop() || 1; sayCut(); oddList();
 }
 
 // ---- what people do ----
@@ -230,7 +325,8 @@ let drag = null;
 sky.addEventListener("wheel", e => { e.preventDefault(); zoom(Math.exp(-0.0016 * e.deltaY), e.offsetX, e.offsetY); }, { passive: false });
 sky.addEventListener("pointerdown", e => { drag = { u: e.offsetX, v: e.offsetY, x: view.x, y: view.y, moved: false }; sky.setPointerCapture(e.pointerId); });
 sky.addEventListener("pointermove", e => {
-  const [x, y] = toPixel(e.offsetX, e.offsetY); el("place").textContent = `x ${fix(x, 1)}  y ${fix(y, 1)}`;
+  const [x, y] = toPixel(e.offsetX, e.offsetY), [ra, dec] = toSky(x, y);
+  el("place").textContent = `${hms(ra)} ${dms(dec)}   ${fix(ra, 5)}° ${fix(dec, 5)}°   x ${fix(x, 1)} y ${fix(y, 1)}`;
   if (!drag) return;
   if (Math.hypot(e.offsetX - drag.u, e.offsetY - drag.v) > 4) drag.moved = true;
   if (drag.moved) { view.x = drag.x - (e.offsetX - drag.u) / view.scale; view.y = drag.y + (e.offsetY - drag.v) / view.scale; keep(); draw(); }
@@ -240,12 +336,17 @@ sky.addEventListener("dblclick", e => zoom(2, e.offsetX, e.offsetY));
 sky.addEventListener("keydown", e => { if (e.key === "+" || e.key === "=") zoom(1.5); else if (e.key === "-") zoom(1 / 1.5); else if (e.key === "0") whole();
   else if (e.key.startsWith("Arrow")) { const d = 60 / view.scale; view.x += { ArrowLeft: -d, ArrowRight: d }[e.key] || 0; view.y += { ArrowUp: d, ArrowDown: -d }[e.key] || 0; keep(); draw(); e.preventDefault(); } });
 el("closer").addEventListener("click", () => zoom(1.6)); el("farther").addEventListener("click", () => zoom(1 / 1.6)); el("whole").addEventListener("click", whole);
-el("grown").addEventListener("change", draw); for (const box of Object.values(show)) box.addEventListener("change", draw);
+for (const id of ["grown", "show-arrows"]) el(id).addEventListener("change", () => { sayCut(); draw(); });
+for (const id of ["black", "middle", "white"]) el(id).addEventListener("input", stretch);
+el("negative").addEventListener("change", stretch);
+// On paper stars are black.
+onTheme(() => { el("negative").checked = isDay(); stretch(); record(); diagrams(); });
+el("negative").checked = isDay(); for (const box of Object.values(show)) box.addEventListener("change", draw);
 el("search").addEventListener("change", search);
 el("by-magnitude").addEventListener("click", e => { let best = null, least = 8; for (const i of byMagnitude.list) for (const [u, v] of byMagnitude.points(i)) {
   const d = Math.hypot(u - e.offsetX, v - e.offsetY); if (d < least) { least = d; best = i; } } if (best !== null) { pick({ kind: "measured", row: best }, true); sky.scrollIntoView({ block: "nearest" }); } });
 window.addEventListener("resize", () => { const was = view.least; fit(); if (view.scale <= was * 1.001) whole(); draw(); diagrams(); });
 facts();
-(picture.decode ? picture.decode() : Promise.resolve()).catch(() => {}).then(() => { whole(); diagrams(); document.body.dataset.ready = "yes"; });
-window.framePage = { toScreen, view, pick };
+(picture.decode ? picture.decode() : Promise.resolve()).catch(() => {}).then(() => { stretch(); whole(); diagrams(); document.body.dataset.ready = "yes"; });
+window.framePage = { toScreen, toPixel, toSky, fromSky, view, pick };
 })();

@@ -30,12 +30,12 @@ def write_frame_page(
     frame: Frame,
     path: str | os.PathLike[str],
     *,
-    brightest: int = 1000,
+    brightest: int | None = None,
     facts: Mapping[str, Any] | None = None,
 ) -> None:
     """Writes the page of an identified frame: one file, complete in itself.
 
-    brightest : number of the brightest identified stars that are marked at first; the page has a slider.
+    brightest : number of the brightest identified stars that are marked at first, None for all; the page has a slider.
     facts : of :func:`sameas.sky.frame.summary.summary` for this frame, where it was made already.
 
     Raises
@@ -47,7 +47,7 @@ def write_frame_page(
 
 
 def frame_page(
-    found: FrameIdentification, frame: Frame, *, brightest: int = 1000, facts: Mapping[str, Any] | None = None
+    found: FrameIdentification, frame: Frame, *, brightest: int | None = None, facts: Mapping[str, Any] | None = None
 ) -> str:
     """The page as text; arguments as for :func:`write_frame_page`."""
     factor = binning(frame.shape)
@@ -63,7 +63,7 @@ def frame_page(
     return page_of("frame.html", found.measured.name, "identified", marks)
 
 
-def _data(found: FrameIdentification, facts: Mapping[str, Any], factor: int, brightest: int) -> dict[str, Any]:
+def _data(found: FrameIdentification, facts: Mapping[str, Any], factor: int, brightest: int | None) -> dict[str, Any]:
     rows, columns = found.measured.shape
     listed = _listed_stars(found)
     number = np.full(len(found.stars), -1)
@@ -77,6 +77,7 @@ def _data(found: FrameIdentification, facts: Mapping[str, Any], factor: int, bri
         "width_px": rounded(found.measured.psf_fwhm_px, 2),
         "brightest": brightest,
         "expected": EXPECTED,
+        "odd": found.pairs[0][found.odd_brightness].tolist(),
         "summary": facts,
         "measured": _measured(found, number),
         "stars": _stars(found, listed),
@@ -107,11 +108,13 @@ def _measured(found: FrameIdentification, number: IntArray) -> dict[str, Any]:
     left, arc, chi = np.full((len(m), 2), np.nan), np.full((len(m), 2), np.nan), np.full(len(m), np.nan)
     i = found.pairs[0]
     left[i], arc[i], chi[i] = found.residual_px, found.residual_arcsec, result.matches.mahalanobis
+    excess = np.full(len(m), np.nan)
+    excess[i] = found.excess_mag
     return {
         "x": column(m.x_px, 2), "y": column(m.y_px, 2), "sx": column(sigma[:, 0], 3), "sy": column(sigma[:, 1], 3),
         "ra": column(ra, 6), "dec": column(dec, 6), "flux": column(m.flux, 1),
         "inst": column(instrumental(m.flux), 3),
-        "mag": column(magnitude, 3), "snr": column(m.snr, 1), "fwhm": column(m.fwhm_px, 2),
+        "mag": column(magnitude, 3), "excess": column(excess, 2), "snr": column(m.snr, 1), "fwhm": column(m.fwhm_px, 2),
         "words": flags, "flags": [flags.index(Flag.words(bits)) for bits in m.flags],
         "star": [None if masked else int(number[row]) for row, masked in _masked(partner)],
         "none": column(result.answers_1.p_none.filled(np.nan), 6),

@@ -9,7 +9,7 @@ function load(sheet) { const image = new Image(); image.src = "data:image/png;ba
 
 function tile(canvas, image, size, number, magnified) {
   const [c, w, h] = surface(canvas), side = Math.min(w, h);
-  c.imageSmoothingEnabled = magnified; c.fillStyle = colour.night; c.fillRect(0, 0, w, h);
+  c.imageSmoothingEnabled = magnified; c.fillStyle = "#000000"; c.fillRect(0, 0, w, h);
   if (image.complete && image.naturalWidth) c.drawImage(image, number * size, 0, size, size, (w - side) / 2, (h - side) / 2, side, side);
   return [c, (w - side) / 2, (h - side) / 2, side / size];
 }
@@ -75,7 +75,7 @@ el("list").replaceChildren(...data.movers.map(m => { const b = text("button", na
 el("play").addEventListener("click", () => play(!playing)); el("frame").addEventListener("input", () => { play(false); frame = +el("frame").value; paint(); });
 for (const id of ["fixed", "along", "marks"]) el(id).addEventListener("change", paint);
 el("blink").addEventListener("keydown", e => { if (e.key === " ") play(!playing); else if (e.key === "ArrowRight") { play(false); step(1); } else if (e.key === "ArrowLeft") { play(false); step(-1); } else return; e.preventDefault(); });
-window.addEventListener("resize", () => { paint(); diagrams(); });
+window.addEventListener("resize", () => { paint(); diagrams(); }); onTheme(() => { paint(); diagrams(); });
 const first = data.movers.find(m => m.name === location.hash.slice(1)) || data.movers[0];
 if (first) { show(first); Promise.all(Object.values(images).map(i => i.decode ? i.decode().catch(() => {}) : null)).then(() => { paint(); document.body.dataset.ready = "yes"; }); } else document.body.dataset.ready = "yes";
 })();

@@ -59,7 +59,7 @@ function show(f) {
   frames(); series(); notes();
 }
 el("scatter").addEventListener("click", e => { let best = -1, least = 14; marks.forEach((p, k) => { if (!p) return; const d = Math.hypot(p[0] - e.offsetX, p[1] - e.offsetY); if (d < least) { least = d; best = k; } }); if (best >= 0) { chosen = best; series(); } });
-window.addEventListener("resize", series);
+window.addEventListener("resize", series); onTheme(series);
 if (data.movers) { const a = document.createElement("a"); a.href = encodeURIComponent(data.movers.page); a.textContent = data.movers.words; el("movers").append(a); }
 show(field); document.body.dataset.ready = "yes";
 })();

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,17 +22,18 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: On the dark sky: identified, not identified, missing.
-GREEN, YELLOW, RED = "#4be39a", "#ffc845", "#ff6b6b"
+#: On the dark sky: identified, not identified, missing; apart for every colour vision, as those of the page.
+BLUE, YELLOW, RED = "#2f9bff", "#ffe14a", "#d9522e"
 NIGHT, PAPER = "#0b0d12", "#e8e6df"
-#: Number of the brightest identified stars that are marked.
-BRIGHTEST = 1000
 #: Number of the brightest identified stars whose residuals are arrows.
 ARROWS = 1500
 
 
-def picture(found: FrameIdentification, frame: Frame, *, brightest: int = BRIGHTEST) -> Figure:
-    """The frame with marks on its brightest identified stars, unidentified measurements and missing stars."""
+def picture(found: FrameIdentification, frame: Frame, *, brightest: int | None = None) -> Figure:
+    """The frame with marks on its identified stars, unidentified measurements and missing stars.
+
+    brightest : mark only so many of the identified stars.
+    """
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
@@ -56,13 +58,13 @@ def picture(found: FrameIdentification, frame: Frame, *, brightest: int = BRIGHT
     return figure
 
 
-def brightest_pairs(found: FrameIdentification, number: int) -> IntArray:
-    """(number,) positions of the brightest among the identified pairs, brightest first."""
+def brightest_pairs(found: FrameIdentification, number: int | None) -> IntArray:
+    """(number,) positions of the brightest among the identified pairs, of all where None, brightest first."""
     order = np.argsort(-found.measured.flux[found.pairs[0]], kind="stable")
     return order[:number]
 
 
-def _marks(axes: Axes, found: FrameIdentification, brightest: int) -> list[Any]:
+def _marks(axes: Axes, found: FrameIdentification, brightest: int | None) -> list[Any]:
     """Circles that grow with brightness, crosses and diamonds; returns the handles of the legend."""
     from matplotlib.collections import EllipseCollection
 
@@ -82,7 +84,7 @@ def _marks(axes: Axes, found: FrameIdentification, brightest: int) -> list[Any]:
                 np.zeros(which.sum()),
                 units="xy",
                 facecolors="none",
-                edgecolors=GREEN,
+                edgecolors=BLUE,
                 linewidths=0.55,
                 linestyles=style,
                 alpha=0.9,
@@ -102,9 +104,11 @@ def _legend(marked: int, found: int, alone: int, beyond: int, lost: int) -> list
     """The handles of the legend: what the marks mean, and their numbers."""
     from matplotlib.lines import Line2D
 
-    first = f"{count(marked)} brightest identified" + (f" of {count(found)}" if found > marked else "")
+    first = (
+        f"{count(marked)} brightest identified of {count(found)}" if found > marked else f"{count(found)} identified"
+    )
     legend = [
-        ("o", GREEN, first),
+        ("o", BLUE, first),
         ("x", YELLOW, f"{count(alone)} not in the catalogue{_beyond(beyond)}"),
         ("D", RED, f"{count(lost)} of the catalogue missing"),
     ]
@@ -208,7 +212,8 @@ def _arrows(axes: Axes, found: FrameIdentification, left: FloatArray) -> None:
     rows, columns = found.measured.shape
     px = found.residual_px[kept]
     length = np.hypot(*px.T)
-    typical = max(float(np.quantile(length, 0.9)), 1e-6)
+    # Of the many near ones: wrong pairs and doubles, however many, do not make the arrows of the others short.
+    typical = max(float(np.quantile(length, 0.7)), 1e-6)
     magnified = 10.0 ** math.floor(math.log10(0.05 * max(rows, columns) / typical))
     magnified *= max((f for f in (1, 2, 5) if f * magnified * typical <= 0.05 * max(rows, columns)), default=1)
     drawn = length <= 3 * typical
@@ -310,7 +315,7 @@ def _complete(axes: Axes, found: FrameIdentification) -> None:
         return
     axes.stairs(curve.stars, curve.edges, fill=True, color=FILL, label="in the catalogue")
     axes.stairs(curve.identified, curve.edges, fill=True, color=FOUND, alpha=0.55, label="identified")
-    tidy(axes, f"magnitude, {found.stars.name}", "stars on the frame", curve.describe())
+    tidy(axes, f"magnitude, {found.stars.name}", "stars on the frame", textwrap.fill(curve.describe(), 58))
     axes.legend(frameon=False, fontsize=9.5, loc="center left")
     share = axes.twinx()
     middle, some = 0.5 * (curve.edges[1:] + curve.edges[:-1]), curve.stars > 0

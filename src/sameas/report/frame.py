@@ -42,8 +42,8 @@ def frame_lines(told: Mapping[str, Any]) -> list[str]:
         *_estimated(told),
     ]
     brightness = told["brightness"]
-    for label, what in (("magnitudes", "zero_point"), ("completeness", "completeness")):
-        if brightness[what]:
+    for label, what in (("magnitudes", "zero_point"), ("brightness", "odd"), ("completeness", "completeness")):
+        if brightness.get(what):
             lines += entry(label, brightness[what]["words"])
     return [*lines, *(line for words in told["notes"] for line in _noted(words))]
 

@@ -38,6 +38,9 @@ REACHED, SHALLOW = 0.98, 0.2
 FAINTEST = 0.8
 #: Stars that the frame shows with at least this probability are missing when they are not identified.
 EXPECTED = 0.5
+#: A star is not as bright as catalogued when it is off by this many robust standard deviations of the pairs and this
+#: many magnitudes (both chosen): a variable, a wrong identification, another's light.
+ODD_SIGMAS, ODD_MAG = 5.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -172,6 +175,22 @@ class FrameIdentification:
             return np.empty(0, np.int64)
         fainter = alone[magnitude[alone] > np.quantile(found, REACHED)]
         return fainter if len(fainter) > SHALLOW * len(magnitude) else fainter[:0]
+
+    @cached_property
+    def excess_mag(self) -> FloatArray:
+        """(k,) of the identified pairs: measured minus catalogued magnitude; NaN where one of them is not known."""
+        i, j, _ = self.pairs
+        if self.zero_point is None:
+            return np.full(len(i), np.nan)
+        return np.asarray(self.zero_point(self.measured.flux[i], self.stars.colour[j]) - self.stars.magnitude[j])
+
+    @cached_property
+    def odd_brightness(self) -> IntArray:
+        """Which of the identified pairs are much brighter or fainter than catalogued, the farthest off first."""
+        off = np.abs(np.nan_to_num(self.excess_mag))
+        scatter = 0.0 if self.zero_point is None else self.zero_point.scatter
+        odd = np.flatnonzero(off > max(ODD_SIGMAS * scatter, ODD_MAG))
+        return odd[np.argsort(-off[odd], kind="stable")]
 
     @property
     def scatter_arcsec(self) -> FloatArray:

@@ -88,13 +88,31 @@ def _what(identification: FrameIdentification, lost: IntArray) -> dict[str, _Col
         "star": (ids, stars.ids[lost], "", f"identifier in {stars.name}"),
         "star_row": (_taken(stars.rows, partner), stars.rows[lost], "", f"row in {stars.name}"),
         "remark": (
-            np.array([Flag.words(bits) for bits in m.flags], dtype=str),
+            np.array(_remarks(identification), dtype=str),
             np.array(why_missing(identification, lost), dtype=str),
             "",
-            "flags of a measurement; what stands in the place of a missing star",
+            "flags of a measurement, and whether its star is brighter or fainter than catalogued; what stands in the "
+            "place of a missing star",
         ),
         "flags": (m.flags, None, "", "bits: " + ", ".join(f"{int(f)} {str(f.name).lower()}" for f in Flag)),
     }
+
+
+def _remarks(identification: FrameIdentification) -> list[str]:
+    words = [Flag.words(bits) for bits in identification.measured.flags]
+    for k in identification.odd_brightness:
+        row = int(identification.pairs[0][k])
+        words[row] = "; ".join(filter(None, [odd_words(float(identification.excess_mag[k])), words[row]]))
+    return words
+
+
+def odd_words(excess_mag: float) -> str:
+    """How a star differs from its catalogued magnitude.
+
+    >>> odd_words(-2.31)
+    '2.3 mag brighter than catalogued'
+    """
+    return f"{abs(excess_mag):.1f} mag {'brighter' if excess_mag < 0 else 'fainter'} than catalogued"
 
 
 def _where(identification: FrameIdentification, lost: IntArray) -> dict[str, _Column]:

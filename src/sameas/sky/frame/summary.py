@@ -10,6 +10,7 @@ import numpy as np
 from sameas.result.identification import AMBIGUOUS
 from sameas.sky.frame.identified import FrameIdentification
 from sameas.sky.frame.image import Frame
+from sameas.sky.frame.listing import odd_words
 from sameas.sky.frame.place import odds_in_words
 from sameas.sky.frame.tangent import directions_deg
 
@@ -174,6 +175,7 @@ def _brightness(identification: FrameIdentification) -> dict[str, Any]:
         "colour": identification.stars.colour_name or None,
         "zero_point": None,
         "completeness": None,
+        "odd": _odd(identification),
     }
     if zero is not None:
         values["zero_point"] = {
@@ -197,6 +199,17 @@ def _brightness(identification: FrameIdentification) -> dict[str, Any]:
             "words": curve.describe(),
         }
     return values
+
+
+def _odd(identification: FrameIdentification) -> dict[str, Any] | None:
+    """The stars that are much brighter or fainter than catalogued, None where there are none."""
+    odd, excess = identification.odd_brightness, identification.excess_mag
+    if not len(odd):
+        return None
+    brighter = int(np.count_nonzero(excess[odd] < 0))
+    first = str(identification.stars.ids[identification.pairs[1][odd[0]]])
+    words = f"{brighter} brighter and {len(odd) - brighter} fainter than catalogued; most so {first}: "
+    return {"brighter": brighter, "fainter": len(odd) - brighter, "words": words + odd_words(float(excess[odd[0]]))}
 
 
 def _number(value: float) -> float | None:
