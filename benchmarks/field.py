@@ -309,7 +309,7 @@ def columns(options: argparse.Namespace) -> Iterator[Table]:
             found = answer.matches
             ours.setdefault(name, Counted()).add((found.rows_1, found.rows_2), found.p_match, made)
             if estimate.columns is not None:
-                silent = [one.name for one in estimate.columns.said if not one.tells]
+                silent = [one.name for one in estimate.columns.findings if not one.tells]
                 told.setdefault(name, []).append(",".join(silent) or "none")
         pairs = _counterparts_of_nway(made, options)
         if pairs is not None:

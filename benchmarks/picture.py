@@ -23,7 +23,17 @@ from benchmarks.tables import Table, report
 from sameas.many.identify import identify_many
 from sameas.many.observations import records_of
 from sameas.picture.picture import Picture
-from sameas.score.picture import Identities, Nees, PictureScore, Siap, mean_gospa, nees, pair_score, siap, standing
+from sameas.score.picture import (
+    Identities,
+    Nees,
+    PictureScore,
+    Siap,
+    majority_votes,
+    mean_gospa,
+    nees,
+    pair_score,
+    siap,
+)
 from sameas.simulate.sensors import Bias, Sensor, Tracker, TrueMotion
 from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane
@@ -213,8 +223,8 @@ class Remembered:
     @classmethod
     def of(cls, trial: Trial, picture: Picture) -> Remembered:
         identities = Identities.of(picture.records, trial.true_of(picture.records))
-        stands = standing(identities)
-        key = {pair: k for k, pair in enumerate(zip(stands.time_s.tolist(), stands.told.tolist(), strict=True))}
+        stands = majority_votes(identities)
+        key = {pair: k for k, pair in enumerate(zip(stands.time_s.tolist(), stands.assigned.tolist(), strict=True))}
         objects = picture.objects
         at = [key.get(pair, -1) for pair in zip(objects["time_s"].tolist(), objects["object"].tolist(), strict=True)]
         row = np.flatnonzero([k >= 0 and stands.true[k] >= 0 for k in at])

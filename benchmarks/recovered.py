@@ -219,7 +219,7 @@ def found(estimate: Estimate) -> Iterator[tuple[str, Quantity]]:
     yield from estimate.quantities.items()
     model = estimate.error_model
     if model is not None:
-        yield from model.told.items()
+        yield from model.terms.items()
 
 
 def curve_deviations(estimate: Estimate, made: Exposure) -> Iterator[tuple[str, float]]:

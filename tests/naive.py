@@ -375,11 +375,11 @@ def hats(knots: np.ndarray, x: np.ndarray | float) -> np.ndarray:
 
 
 def log_odds_but_errors(
-    p: float, log_ratio: float, partners: tuple[float, float], profile: float, faint: float, surest: float
+    p: float, log_ratio: float, partners: tuple[float, float], profile: float, faint: float, most_p: float
 ) -> float:
     """ln of the odds of a pair but for its errors: from its p, or from its ratio if its records are free for it."""
     if p > faint:
-        p = min(p, surest)
+        p = min(p, most_p)
         return math.log(p / (1 - p)) - profile
     return log_ratio + sum(math.log(max(1 - x, 1e-30)) for x in partners) - profile
 

@@ -72,8 +72,8 @@ def test_of_one_category_column_the_fit_is_the_ratio_of_counts():
     seen = np.ones(len(first), bool), np.ones(len(second), bool)
     mean = np.log(p.mean() / (1 - p.mean()))
     offset = np.zeros(len(first)), np.full(len(second), mean)
-    evidence = evidence.dealt(setting).learned(setting.pairs, np.zeros(len(setting.pairs)), (np.zeros(len(first)), p),
-                                               offset, seen)  # fmt: skip
+    partner = np.zeros(len(first)), p
+    evidence = evidence.in_folds(setting).learned(setting.pairs, np.zeros(len(setting.pairs)), partner, offset, seen)
     fold = evidence.folds[1]
     for k in range(4):
         for kind in ("point", "extended"):
@@ -89,7 +89,7 @@ def test_of_one_category_column_the_fit_is_the_ratio_of_counts():
 @pytest.mark.slow
 def test_a_column_that_tells_nothing_is_said_to_and_changes_nothing(by_position):
     answer, estimate = match(MADE.scene.first, MADE.scene.second, evidence=[Column(2, MADE.noise, name="noise")])
-    (said,) = estimate.columns.said
+    (said,) = estimate.columns.findings
     assert not said.tells and said.name == "noise"
     assert estimate.changed_by_columns == 0
     assert abs(judged(answer)[1] - judged(by_position[0])[1]) <= 2
@@ -102,14 +102,14 @@ def test_columns_that_say_the_same_are_not_counted_twice(found):
     both, once = estimate.columns.log_ratio[1], found[1].columns.log_ratio[1]
     likely = MADE.scene.true_pairs()[1]
     assert np.median(np.abs(both - once)[likely]) < 0.15
-    assert [one.tells for one in estimate.columns.said].count(True) == 1
+    assert [one.tells for one in estimate.columns.findings].count(True) == 1
 
 
 @pytest.mark.slow
 def test_every_column_that_tells_betters_the_answer(found):
     more = [Column(2, MADE.colour, name="colour"), Column(2, MADE.kind, name="kind")]
     answer, estimate = match(MADE.scene.first, MADE.scene.second, evidence=[MAG, *more])
-    assert all(one.tells for one in estimate.columns.said)
+    assert all(one.tells for one in estimate.columns.findings)
     (more, fewer, expected, spread), (less, many, _, _) = judged(answer), judged(found[0])
     assert more >= less and fewer < many
     assert abs(fewer - expected) < 2.0 * spread
@@ -119,12 +119,12 @@ def test_every_column_that_tells_betters_the_answer(found):
 def test_related_columns_are_evidence_of_pairs(found):
     related = Related(MADE.flux, MADE.magnitude, ("flux", "MAG"))
     answer, estimate = match(MADE.scene.first, MADE.scene.second, evidence=[related])
-    said = {(one.name, one.other): one.tells for one in estimate.columns.said}
+    said = {(one.name, one.other): one.tells for one in estimate.columns.findings}
     assert said == {("flux", ""): False, ("MAG", ""): True, ("flux", "MAG"): True}
     assert judged(answer)[0] >= judged(found[0])[0]
     unrelated = Related(np.random.default_rng(1).permutation(MADE.flux), MADE.magnitude, ("flux", "MAG"))
     _, estimate = match(MADE.scene.first, MADE.scene.second, evidence=[unrelated])
-    assert [one.tells for one in estimate.columns.said if one.other] == [False]
+    assert [one.tells for one in estimate.columns.findings if one.other] == [False]
 
 
 @pytest.mark.slow
@@ -156,7 +156,7 @@ def test_given_odds_are_the_odds():
 def test_too_few_pairs_are_not_learned_from():
     made = counterparts(np.random.default_rng(8), sources=20, records=1_000)
     _, estimate = match(made.scene.first, made.scene.second, evidence=[Column(2, made.magnitude, name="MAG")])
-    assert estimate.columns.log_ratio is None and estimate.columns.said == ()
+    assert estimate.columns.log_ratio is None and estimate.columns.findings == ()
 
 
 @pytest.mark.parametrize(

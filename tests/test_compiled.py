@@ -157,7 +157,7 @@ def _doubled(values):
 
 def test_that_kernels_are_compiled_is_said_once(monkeypatch, capsys, tmp_path):
     begun = []
-    monkeypatch.setattr(compiled, "_told", False)
+    monkeypatch.setattr(compiled, "_announced", False)
     monkeypatch.setattr(compiled, "beginnings", [compiled.say, begun.append])
     monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path))
     for _ in range(2):

@@ -120,7 +120,7 @@ def test_a_floor_that_errors_too_small_to_matter_cannot_be_is_named_alone():
 
 def test_few_pairs_do_not_judge_the_sources_apart():
     found = error_model(answer(4, n=50))
-    assert not found.is_told and "fewer than 200 pairs" in found.note
+    assert not found.is_estimated and "fewer than 200 pairs" in found.note
 
 
 def test_the_modelled_variance_takes_as_quoted_what_was_not_told():

@@ -41,15 +41,15 @@ def pairs_to_judge(seed, m=400):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_log_odds_but_for_the_errors(seed):
     rng = np.random.default_rng(seed)
-    n, m, faint, surest = 30, 200, 1e-3, 1.0 - 1e-12
+    n, m, faint, most_p = 30, 200, 1e-3, 1.0 - 1e-12
     i, j = rng.integers(0, n, m).astype(np.int32), rng.integers(0, n, m).astype(np.int32)
     p = rng.choice([0.0, 1e-4, 0.2, 0.999, 1.0], m)
     log_ratio, profile, counted = rng.normal(0.0, 5.0, m), rng.normal(0.0, 2.0, m), rng.uniform(size=n) < 0.8
     partners = rng.choice([0.0, 0.5, 1.0], n), rng.uniform(size=n)
     found = profile.copy()
-    mixture.log_odds(i, j, p, log_ratio, *partners, counted, faint, surest, found)
+    mixture.log_odds(i, j, p, log_ratio, *partners, counted, faint, most_p, found)
     expected = [
-        naive.log_odds_but_errors(p[e], log_ratio[e], (partners[0][i[e]], partners[1][j[e]]), profile[e], faint, surest)
+        naive.log_odds_but_errors(p[e], log_ratio[e], (partners[0][i[e]], partners[1][j[e]]), profile[e], faint, most_p)
         for e in range(m)
     ]
     assert np.all(np.isneginf(found[~counted[i]]))

@@ -104,7 +104,7 @@ def test_what_pairs_pull_at_an_offset(seed):
     s, j = np.sort(rng.integers(0, sets, m)), rng.integers(0, many, m)
     weight, residual, precision = rng.choice([0.0, 1e-7, 0.3, 1.0], m), rng.normal(size=(m, d)), errors(rng, m, d)
     jacobian = rng.normal(size=(sets, many, d, p))
-    score, information = offsets.pulls(s, j, residual, precision, weight, jacobian, 1e-6)
+    score, information = offsets.score_and_information(s, j, residual, precision, weight, jacobian, 1e-6)
     for k in range(sets):
         rows = [e for e in range(m) if s[e] == k and weight[e] > 1e-6]
         of = {e: weight[e] * jacobian[k, j[e]].T @ precision[e] for e in rows}

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sameas.errors import InputError
-from sameas.score.picture import FALSE, Identities, mean_gospa, nees, pair_score, siap, standing
+from sameas.score.picture import FALSE, Identities, majority_votes, mean_gospa, nees, pair_score, siap
 from sameas.score.subpattern import gospa
 
 
@@ -20,9 +20,9 @@ def table(seed: int, instants: int = 6, objects: int = 5, sources: int = 3) -> t
     rows, true = [], []
     for t, s in itertools.product(range(instants), range(sources)):
         shown = np.flatnonzero(rng.random(objects) < 0.8)
-        told = np.where(rng.random(len(shown)) < 0.2, shown + 1, shown) % objects
-        _, first = np.unique(told, return_index=True)
-        rows += [(t, f"s{s}", int(k)) for k in told[first]]
+        assigned = np.where(rng.random(len(shown)) < 0.2, shown + 1, shown) % objects
+        _, first = np.unique(assigned, return_index=True)
+        rows += [(t, f"s{s}", int(k)) for k in assigned[first]]
         true += [FALSE if rng.random() < 0.1 else int(k) for k in shown[first]]
     time_s, source, number = zip(*rows, strict=True)
     return {"time_s": np.array(time_s, float), "source": np.array(source), "object": np.array(number)}, np.array(true)
@@ -34,8 +34,8 @@ def counted(records: dict[str, np.ndarray], true: np.ndarray) -> tuple[int, int,
     for a, b in itertools.combinations(range(len(true)), 2):
         if records["time_s"][a] != records["time_s"][b] or records["source"][a] == records["source"][b]:
             continue
-        told, same = records["object"][a] == records["object"][b], true[a] == true[b] != FALSE
-        told_pairs, true_pairs, right = told_pairs + told, true_pairs + same, right + (told and same)
+        assigned, same = records["object"][a] == records["object"][b], true[a] == true[b] != FALSE
+        told_pairs, true_pairs, right = told_pairs + assigned, true_pairs + same, right + (assigned and same)
     return told_pairs, true_pairs, right
 
 
@@ -97,8 +97,8 @@ def test_false_records_are_never_a_true_pair() -> None:
 
 def test_an_object_stands_for_what_most_of_its_records_are() -> None:
     records = {"time_s": [0] * 7, "source": list("abcabab"), "object": [1, 1, 1, 2, 2, 3, 3]}
-    found = standing(Identities.of(records, [4, 4, 9, 4, 9, FALSE, FALSE]))
-    assert dict(zip(found.told.tolist(), found.true.tolist(), strict=True)) == {1: 4, 2: FALSE, 3: FALSE}
+    found = majority_votes(Identities.of(records, [4, 4, 9, 4, 9, FALSE, FALSE]))
+    assert dict(zip(found.assigned.tolist(), found.true.tolist(), strict=True)) == {1: 4, 2: FALSE, 3: FALSE}
 
 
 def test_switches_count_only_what_had_to_change() -> None:
@@ -134,19 +134,22 @@ def test_completeness_ambiguity_and_spuriousness_are_those_of_stone_soup() -> No
     def when(t: float) -> datetime.datetime:
         return begin + datetime.timedelta(seconds=float(t))
 
-    stands = standing(identities)
+    stands = majority_votes(identities)
     shown = {(t, k) for t, k in zip(identities.time_s, identities.true, strict=True) if k != FALSE}
     truths = {
         k: GroundTruthPath([GroundTruthState([0.0, 0.0], timestamp=when(t)) for t, j in sorted(shown) if j == k])
         for k in {k for _, k in shown}
     }
     tracks = {
-        k: Track([GaussianState([[0.0], [0.0]], np.eye(2), timestamp=when(t)) for t in stands.time_s[stands.told == k]])
-        for k in np.unique(stands.told).tolist()
+        k: Track(
+            [GaussianState([[0.0], [0.0]], np.eye(2), timestamp=when(t)) for t in stands.time_s[stands.assigned == k]]
+        )
+        for k in np.unique(stands.assigned).tolist()
     }
     associations = AssociationSet({
-        TimeRangeAssociation({tracks[told], truths[k]}, TimeRange(when(t - 0.2), when(t + 0.2)))
-        for t, told, k in zip(stands.time_s, stands.told.tolist(), stands.true.tolist(), strict=True) if k != FALSE
+        TimeRangeAssociation({tracks[assigned], truths[k]}, TimeRange(when(t - 0.2), when(t + 0.2)))
+        for t, assigned, k in zip(stands.time_s, stands.assigned.tolist(), stands.true.tolist(), strict=True)
+        if k != FALSE
     })  # fmt: skip
     manager = MultiManager([])
     manager.association_set = associations

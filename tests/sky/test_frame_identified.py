@@ -281,7 +281,7 @@ def test_the_summary_is_json_without_surprises(found: FrameIdentification) -> No
     model, scale = found.estimate.error_model, told["place"]["scale_arcsec_per_px"]
     assert model is not None and told["error_note"] == model.note
     for term, name in ERROR_NAMES.items():
-        quantity, unit = model.told.get(term), scale if "floor" in term else 1.0
+        quantity, unit = model.terms.get(term), scale if "floor" in term else 1.0
         assert told["estimated"].get(name) == (
             None if quantity is None else pytest.approx([unit * quantity.value, unit * quantity.standard_error])
         )

@@ -98,8 +98,8 @@ class OneToOne(AbstractCrossmatchAlgorithm):
         )
         found = self.work.identified(one, two).matches
         values = (found.p_match, found.log_odds, np.linalg.norm(found.residual, axis=1))
-        said = pd.DataFrame({name: pd.Series(v, dtype=_NUMBER) for name, v in zip(_COLUMNS, values, strict=True)})
-        return found.rows_1, found.rows_2, said
+        answers = pd.DataFrame({name: pd.Series(v, dtype=_NUMBER) for name, v in zip(_COLUMNS, values, strict=True)})
+        return found.rows_1, found.rows_2, answers
 
 
 def _arrow(frame: Any, columns: list[str]) -> pa.Table:

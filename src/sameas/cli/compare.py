@@ -24,9 +24,9 @@ def compare(
     """
     with answering(debug):
         from sameas.cli.terminal import Pace, Printer
-        from sameas.front.compare import compare as told
+        from sameas.front.compare import compare as comparison
 
         with Pace(quiet=False) as pace:
             pace(f"reading {one} and {other}")
-            lines = told(one, other).lines
+            lines = comparison(one, other).lines
         Printer(quiet=False)(lines)

@@ -60,12 +60,14 @@ def explain(
     """
     with answering(debug):
         from sameas.cli.terminal import Pace, Printer, share_compilation
-        from sameas.front.explain import explain as told
+        from sameas.front.explain import explain as explanation_of
 
         with Pace(quiet=False) as pace:
             share_compilation(quiet=False)
             record_or_row = {"row": _row(record)} if row else {"id": record}
-            lines = told(output, source=source, at=at, again=again, format=format, progress=pace, **record_or_row).lines
+            lines = explanation_of(
+                output, source=source, at=at, again=again, format=format, progress=pace, **record_or_row
+            ).lines
         Printer(quiet=False)(lines)
 
 

@@ -134,7 +134,7 @@ def frame(
         paths = expanded(
             [str(path) for path in images], [str(path) for path in (*(dark or ()), *(flat or ()), *(bias or ()))]
         )
-        said = PointingOptions(aim_of(aim), radius, scale_of(scale), header=not ignore_header)
+        pointing = PointingOptions(aim_of(aim), radius, scale_of(scale), header=not ignore_header)
         given = {"gain_e_per_adu": gain, "read_noise_e": read_noise, "saturation_adu": saturation}
         requests = [
             FrameRequest(
@@ -142,7 +142,7 @@ def frame(
                 folder=str(output),
                 name=name,
                 catalogue=catalog,
-                said=said,
+                pointing=pointing,
                 columns=fields_of(columns, 1),
                 given={key: value for key, value in given.items() if value is not None},
                 time=time,
@@ -184,25 +184,25 @@ def _run(requests: list[Any], processes: int, again: bool, quiet: bool, series: 
     share_compilation(quiet)
 
     def tell(outcome: Outcome) -> None:
-        if outcome.told is None:
+        if outcome.summary is None:
             notice(f"{outcome.request.name}: {outcome.error}" if many else outcome.error)
         elif many:
             state = "done before" if outcome.skipped else f"{outcome.seconds:.1f} s"
-            printer([one_line(outcome.request.name, outcome.told, state)])
+            printer([one_line(outcome.request.name, outcome.summary, state)])
         else:
-            printer(frame_lines(outcome.told))
+            printer(frame_lines(outcome.summary))
             printer(["", *_written(outcome)])
 
     outcomes = run_all(requests, processes=processes, again=again, shown=not quiet, tell=tell)
     if many:
-        failed, skipped = sum(o.told is None for o in outcomes), sum(o.skipped for o in outcomes)
+        failed, skipped = sum(o.summary is None for o in outcomes), sum(o.skipped for o in outcomes)
         printer([totals(len(outcomes) - failed - skipped, skipped, failed)])
     if series is not None:
         from sameas.cli.series import product
 
         first = requests[0]
         product(outcomes, Path(first.folder), series, {"catalogue": first.catalogue}, quiet)
-    return any(outcome.told is None for outcome in outcomes)
+    return any(outcome.summary is None for outcome in outcomes)
 
 
 def _written(outcome: Any) -> list[str]:

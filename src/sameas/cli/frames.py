@@ -28,7 +28,7 @@ class Outcome:
     """What became of a frame: its summary, or why there is none. skipped : it had been done before."""
 
     request: FrameRequest
-    told: dict[str, Any] | None
+    summary: dict[str, Any] | None
     error: str = ""
     skipped: bool = False
     seconds: float = 0.0
@@ -143,8 +143,8 @@ def _worked(number: int, request: FrameRequest, again: bool) -> Outcome:
 
 
 def _listen(stages: Any, row: Callable[[int, str], None]) -> None:
-    while (said := stages.get()) is not None:
-        row(*said)
+    while (message := stages.get()) is not None:
+        row(*message)
 
 
 def _one(request: FrameRequest, again: bool, progress: Callable[[str], None]) -> Outcome:
@@ -153,8 +153,8 @@ def _one(request: FrameRequest, again: bool, progress: Callable[[str], None]) ->
         before = None if again else request.done()
         if before is not None:
             return Outcome(request, before, skipped=True)
-        told = fulfil(request, progress, partial(in_options, option=frame_option))
-        return Outcome(request, told, seconds=time.perf_counter() - began)
+        summary = fulfil(request, progress, partial(in_options, option=frame_option))
+        return Outcome(request, summary, seconds=time.perf_counter() - began)
     except InputError as error:
         return Outcome(request, None, in_options(error.words, frame_option), seconds=time.perf_counter() - began)
     except MemoryError:
@@ -164,7 +164,7 @@ def _one(request: FrameRequest, again: bool, progress: Callable[[str], None]) ->
 
 
 def _in_a_word(outcome: Outcome) -> str:
-    if outcome.told is None:
+    if outcome.summary is None:
         return "failed"
     return "done before" if outcome.skipped else f"done in {outcome.seconds:.1f} s"
 

@@ -170,7 +170,7 @@ def match(
 
         columns |= {"format1": format1, "format2": format2, "hdu1": hdu1, "hdu2": hdu2}
         options = match_options(to_epoch, gate_sigmas, error_scale, density, magnitudes, offset, precision)
-        options = replace(options, evidence=columns_said(column1 or [], column2 or [], relation or []))
+        options = replace(options, evidence=column_evidence(column1 or [], column2 or [], relation or []))
         from sameas.front.partitioned import both_hats
 
         request = Request((str(first), str(second)), options, columns)
@@ -226,14 +226,14 @@ def match_options(
     return options
 
 
-def columns_said(of_first: list[str], of_second: list[str], related: list[str]) -> tuple[Column | Related, ...]:
+def column_evidence(of_first: list[str], of_second: list[str], related: list[str]) -> tuple[Column | Related, ...]:
     """The columns that are evidence: names, or NAME=FILE with a table of odds; and A:B."""
     from sameas.evidence import Column, Related
     from sameas.front.tables import odds_of
 
     found: list[Column | Related] = []
-    for source, said in ((1, of_first), (2, of_second)):
-        for text in said:
+    for source, of_source in ((1, of_first), (2, of_second)):
+        for text in of_source:
             name, given, path = text.partition("=")
             found.append(Column(source, name.strip(), odds_of(path.strip()) if given else None))
     for text in related:

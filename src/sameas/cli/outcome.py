@@ -36,16 +36,16 @@ def end_cleanly_when_asked() -> None:
     ``PATIENCE_S`` of SIGINT or SIGTERM, another removes the drafts and ends it.
     """
     signal.signal(signal.SIGTERM, _terminate)
-    heard, told = os.pipe()
-    os.set_blocking(told, False)
-    signal.set_wakeup_fd(told, warn_on_full_buffer=False)
-    threading.Thread(target=_watch, args=(heard,), daemon=True).start()
+    read_end, write_end = os.pipe()
+    os.set_blocking(write_end, False)
+    signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
+    threading.Thread(target=_watch, args=(read_end,), daemon=True).start()
 
 
-def _watch(heard: int) -> None:
+def _watch(read_end: int) -> None:
     """Waits for a signal, and for the main thread to heed it; where it does not, ends the process."""
     while True:
-        number = os.read(heard, 1)
+        number = os.read(read_end, 1)
         if number and number[0] in (signal.SIGINT, signal.SIGTERM):
             time.sleep(PATIENCE_S)
             end_now(TERMINATED if number[0] == signal.SIGTERM else INTERRUPTED, stopped())

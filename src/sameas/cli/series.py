@@ -66,14 +66,14 @@ def run(request: SeriesRequest, quiet: bool) -> None:
         paths, names_of(paths), strict=True)]  # fmt: skip
 
     def tell(outcome: Any) -> None:
-        if outcome.told is None:
+        if outcome.summary is None:
             notice(f"{outcome.request.name}: {outcome.error}")
         else:
             state = "done before" if outcome.skipped else f"{outcome.seconds:.1f} s"
-            printer([one_line(outcome.request.name, outcome.told, state)])
+            printer([one_line(outcome.request.name, outcome.summary, state)])
 
     outcomes = run_all(requests, processes=request.processes, again=False, shown=not quiet, tell=tell)
-    done = [Identified(one.request, one.told) for one in outcomes if one.told is not None]
+    done = [Identified(one.request, one.summary) for one in outcomes if one.summary is not None]
     if len(done) < 2:
         raise InputError(f"{len(done)} of {len(outcomes)} frames could be identified; what moves shows on two or more")
     each, reasons = series_of(done, by_filter=False)
@@ -95,7 +95,7 @@ def run(request: SeriesRequest, quiet: bool) -> None:
         printer(["", *known_lines(found, known, site is not None)])
     facts = {**program(), "catalogue": request.catalogue}
     written = ["movers.fits", "tracklets.fits"]
-    failed = [(one.request.name, one.error) for one in outcomes if one.told is None]
+    failed = [(one.request.name, one.error) for one in outcomes if one.summary is None]
     write_table(found.detection_table(), request.folder / written[0], provenance=facts, overwrite=True)
     write_table(found.table(), request.folder / written[1], provenance=facts, overwrite=True)
     if observer is not None:
@@ -121,11 +121,11 @@ def product(outcomes: Sequence[Any], folder: Path, title: str, facts: dict[str, 
     from sameas.report.prose import DOUBT
 
     printer = Printer(quiet)
-    each, reasons = series_of([Identified(one.request, one.told) for one in outcomes if one.told is not None])
+    each, reasons = series_of([Identified(one.request, one.summary) for one in outcomes if one.summary is not None])
     for one in each:
         printer(["", *star_lines(one.series, one.filter)])
     printer([f"{DOUBT}{reason}" for reason in reasons])
-    failed = [(one.request.name, one.error) for one in outcomes if one.told is None]
+    failed = [(one.request.name, one.error) for one in outcomes if one.summary is None]
     written = _product(each, folder, title, facts, failed, reasons)
     printer([f"Output: {folder}/: {', '.join(written)}"])
 
@@ -140,7 +140,11 @@ def _product(
     written = write_series(each, folder, facts)
     fields = [
         series_field(
-            one.name, one.series, [m.told for m in one.members], [doubts_of(m.told) for m in one.members], one.filter
+            one.name,
+            one.series,
+            [m.summary for m in one.members],
+            [doubts_of(m.summary) for m in one.members],
+            one.filter,
         )
         for one in each
     ]
@@ -161,7 +165,7 @@ def _about(one: Any) -> str:
 
 def _frame_request(request: SeriesRequest, path: str, name: str) -> FrameRequest:
     return FrameRequest(
-        path=path, folder=str(request.folder), name=name, catalogue=request.catalogue, said=request.pointing,
+        path=path, folder=str(request.folder), name=name, catalogue=request.catalogue, pointing=request.pointing,
         columns=request.columns, darks=request.darks, flats=request.flats, biases=request.biases, page=False,
         picture=False,
     )  # fmt: skip

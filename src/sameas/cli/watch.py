@@ -86,9 +86,9 @@ def watch(
         until_s = None if duration is None else time.monotonic() + (duration_s(duration) or 0.0)
         server = None if no_map else _server(keeper, host, port, token, viewer_token, say)
         asyncio.run(_run(keeper, server, until_s))
-        told = keeper.health()
-        say([f"Watched: {told['tick']} instants, {told['objects']} objects in the last"])
-        for name, one in told["sources"].items():
+        state = keeper.health()
+        say([f"Watched: {state['tick']} instants, {state['objects']} objects in the last"])
+        for name, one in state["sources"].items():
             aside = {word: one[word] for word in ("late", "repeated", "jumps", "refused") if one[word]}
             words = "".join(f", {n} {word}" for word, n in aside.items())
             say([f"  {name}: {one['reports']} reports{words}" + (f"; {one['error']}" if one["error"] else "")])

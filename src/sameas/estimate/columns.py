@@ -89,7 +89,7 @@ DEFAULT_COLUMNS = ColumnsTuning()
 
 @in_short
 @dataclass(frozen=True)
-class Said:
+class ColumnFinding:
     """What one column says: ``gain`` of ln of the likelihood of records it was not learned from.
 
     source : 1 or 2; 0 of two related columns, the second of which is ``other``. tells : whether it is used. span : ln r
@@ -120,7 +120,7 @@ class ColumnEvidence:
     associations: tuple[Association, ...] = field(repr=False, default=())
     folds: tuple[IntArray, IntArray] | None = field(repr=False, default=None)
     log_ratio: Both | None = field(repr=False, default=None)
-    said: tuple[Said, ...] = ()
+    findings: tuple[ColumnFinding, ...] = ()
     tuning: ColumnsTuning = DEFAULT_COLUMNS
 
     @classmethod
@@ -154,7 +154,7 @@ class ColumnEvidence:
         relations = tuple((a.take(rows_1), b.take(rows_2)) for a, b in self.relations)
         return replace(self, sides=(one, two), relations=relations, associations=(), folds=None)
 
-    def dealt(self, setting: Setting) -> ColumnEvidence:
+    def in_folds(self, setting: Setting) -> ColumnEvidence:
         """With the records of cells of the sky dealt into folds."""
         if self.folds is not None:
             return self
@@ -165,7 +165,7 @@ class ColumnEvidence:
 
     def at(self, setting: Setting, columns: ColumnEvidence) -> ColumnEvidence:
         """The same where other records take part, whose ``columns`` are given."""
-        there = replace(columns, fits=self.fits, said=self.said).dealt(setting)
+        there = replace(columns, fits=self.fits, findings=self.findings).in_folds(setting)
         related = tuple(
             replace(_placed(association, pair), folds=there.folds[0] if there.folds else association.folds)
             for association, pair in zip(self.associations, columns.relations, strict=False)
@@ -208,7 +208,7 @@ class ColumnEvidence:
         return len(self.folds[0]), len(self.folds[1])
 
     def learned(
-        self, pairs: Pairs, told: FloatArray, partner: Both, offset: Both, covered: tuple[BoolArray, BoolArray], *,
+        self, pairs: Pairs, p_counted: FloatArray, partner: Both, offset: Both, covered: tuple[BoolArray, BoolArray], *,
         last: bool = False,
     ) -> ColumnEvidence:  # fmt: skip
         """After a round: probabilities of pairs (m,) and of having a partner (n₁,), (n₂,), the logit of the shares that
@@ -218,30 +218,36 @@ class ColumnEvidence:
         """
         assert self.folds is not None
         fits: list[_Fit | None] = []
-        said: list[Said] = []
+        findings: list[ColumnFinding] = []
         for source, (side, p, at, seen, fold, before) in enumerate(
             zip(self.sides, partner, offset, covered, self.folds, self.fits, strict=True), start=1
         ):
             columns = _learnable(side)
-            lesson = _Lesson.of(p, at, seen, fold, before, columns, self.tuning) if columns else None
-            if lesson is None:
+            regression = _ShareRegression.of(p, at, seen, fold, before, columns, self.tuning) if columns else None
+            if regression is None:
                 fits.append(None)
                 continue
-            fit, mine = lesson.told(source) if last or before is None else (lesson.fit(lesson.bases), [])
+            fit, mine = (
+                regression.informative(source) if last or before is None else (regression.fit(regression.bases), [])
+            )
             fits.append(fit)
-            said += mine
+            findings += mine
         associations = []
         for a, b in self.relations:
-            association, words = _associated(a, b, pairs, told, self.folds[0], self.tuning)
-            said += [words] if last else []
+            association, words = _associated(a, b, pairs, p_counted, self.folds[0], self.tuning)
+            findings += [words] if last else []
             if association is not None and (words.tells or not last):
                 associations.append(association)
         relations = self.relations
         if last:
-            kept = [words.tells for words in said if words.other]
+            kept = [words.tells for words in findings if words.other]
             relations = tuple(pair for pair, tells in zip(self.relations, kept, strict=True) if tells)
         return replace(
-            self, fits=(fits[0], fits[1]), associations=tuple(associations), relations=relations, said=tuple(said)
+            self,
+            fits=(fits[0], fits[1]),
+            associations=tuple(associations),
+            relations=relations,
+            findings=tuple(findings),
         )._applied()
 
 
@@ -440,7 +446,7 @@ class _Fit:
 
 
 @dataclass(frozen=True)
-class _Lesson:
+class _ShareRegression:
     """Some records of a source, that stand for all.
 
     columns : of them. p, offset, fold : (n,) probability of a partner, the logit expected without columns, the fold.
@@ -460,7 +466,7 @@ class _Lesson:
     def of(
         cls, partner: FloatArray, offset: FloatArray, seen: BoolArray, fold: IntArray, before: _Fit | None,
         columns: Sequence[CodedColumn], tuning: ColumnsTuning,
-    ) -> _Lesson | None:  # fmt: skip
+    ) -> _ShareRegression | None:  # fmt: skip
         """None where partners are too few."""
         likely = np.flatnonzero(seen & (partner >= tuning.likely))
         alone = np.flatnonzero(seen & (partner < tuning.likely))
@@ -508,9 +514,9 @@ class _Lesson:
         root = design * np.sqrt(weight * share * (1.0 - share))[:, None]
         return design.T @ (weight * (p - share)), root.T @ root
 
-    def told(self, source: int) -> tuple[_Fit | None, list[Said]]:
+    def informative(self, source: int) -> tuple[_Fit | None, list[ColumnFinding]]:
         """The fit with the columns that tell something, and what is said of all."""
-        weight, said = self.p * self.weight, []
+        weight, findings = self.p * self.weight, []
         bases = _Bases.of(self.columns, weight, float(weight.sum()), self.tuning)
         whole = self.fit(bases)
         reached = self.gain(whole)
@@ -525,8 +531,8 @@ class _Lesson:
             gain = reached - (without := self.gain(rest))
             if gain <= self.tuning.telling:
                 bases, whole, reached = fewer, rest, without
-            said.append(Said(source, column.name, gain, gain > self.tuning.telling, self._span(column)))
-        return whole, said
+            findings.append(ColumnFinding(source, column.name, gain, gain > self.tuning.telling, self._span(column)))
+        return whole, findings
 
     def _span(self, column: CodedColumn) -> tuple[float, float]:
         """ln r by this column alone, its least and greatest, but for 1 % of the records."""
@@ -577,13 +583,13 @@ def _place(column: CodedColumn, knots: FloatArray) -> tuple[IntArray, FloatArray
 
 
 def _associated(
-    a: CodedColumn, b: CodedColumn, pairs: Pairs, told: FloatArray, folds: IntArray, tuning: ColumnsTuning
-) -> tuple[Association | None, Said]:
+    a: CodedColumn, b: CodedColumn, pairs: Pairs, p_counted: FloatArray, folds: IntArray, tuning: ColumnsTuning
+) -> tuple[Association | None, ColumnFinding]:
     """How two columns go together in pairs of these probabilities, and what is said of it."""
-    known = np.isfinite(a.values[pairs.i]) & np.isfinite(b.values[pairs.j]) & (told > tuning.likely)
-    i, j, p = pairs.i[known], pairs.j[known], told[known]
+    known = np.isfinite(a.values[pairs.i]) & np.isfinite(b.values[pairs.j]) & (p_counted > tuning.likely)
+    i, j, p = pairs.i[known], pairs.j[known], p_counted[known]
     number = int(min(math.sqrt(float(p.sum()) / tuning.per_two_related), tuning.most_related))
-    nothing = Said(0, a.name, 0.0, False, other=b.name)
+    nothing = ColumnFinding(0, a.name, 0.0, False, other=b.name)
     if number < 2:
         return None, nothing
     knots = _grid(a, p, i, number), _grid(b, p, j, number)

@@ -95,18 +95,18 @@ class Points:
         points[:, : self.points.shape[1]] = self.points[rows]
         return points
 
-    def lonely(
+    def isolated(
         self, wanted: BoolArray, density: FloatArray, limits: tuple[float, float], volume: float, other: Points
     ) -> IntArray:
         """Rows of those ``wanted`` with a density within limits in whose discs no point of the other is at hand.
 
         volume : of the discs, times the density.
         """
-        from sameas.kernels.coverage import lonely
+        from sameas.kernels.coverage import isolated
 
         rows = np.empty(len(self.points), np.int32)
         cells = _PointCells.over(other, (volume / limits[1]) ** (1.0 / self.d) / math.sqrt(self.d), len(other.points))
-        found = lonely(self.points, wanted, density, *limits, volume, self.d, other.points, *cells.arrays(), rows)
+        found = isolated(self.points, wanted, density, *limits, volume, self.d, other.points, *cells.arrays(), rows)
         return rows[:found].astype(np.int64)
 
     def beside(self, centres: FloatArray, radius: FloatArray, side: float) -> IntArray:
@@ -193,7 +193,7 @@ def opened(
         high = float(left.max())
         low = high / 2.0**here.d  # discs up to twice as large share their cells
         left = left[left <= low]
-        rows = here.lonely(wanted, density, (low, high), expected / _volume_of_disc(here.d), there)
+        rows = here.isolated(wanted, density, (low, high), expected / _volume_of_disc(here.d), there)
         if len(rows):
             radius = _radius(expected, density[rows], here.d)
             inside = _inside(here, there, rows, radius, beyond * density[rows] ** (-1.0 / here.d), least)
@@ -308,10 +308,10 @@ class Coverage:
     def covered(self) -> tuple[BoolArray, BoolArray]:
         """Whether source 2 looks where each record of source 1 lies, (n₁,), and the reverse, (n₂,)."""
         rough = self._by_cells((0.0, 0.0))
-        shown = [max(int(np.count_nonzero(seen)), 1) for seen, _, _ in rough]
-        if shown != [len(self.first), len(self.second)]:
+        n_seen = [max(int(np.count_nonzero(seen)), 1) for seen, _, _ in rough]
+        if n_seen != [len(self.first), len(self.second)]:
             # By the other records of its own source too, so that a place poor in objects is not taken for a hole.
-            rough = self._by_cells((IN_CELL * shown[0] / shown[1], IN_CELL * shown[1] / shown[0]))
+            rough = self._by_cells((IN_CELL * n_seen[0] / n_seen[1], IN_CELL * n_seen[1] / n_seen[0]))
         elif max(excess for _, _, excess in rough) < UNEVEN:
             return rough[0][0], rough[1][0]
         (seen_1, highest_2, _), (seen_2, highest_1, _) = rough

@@ -22,7 +22,7 @@ from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.coverage import local_share
 from sameas.estimate.error_scales import DEFAULT_SCALES, ScalesTuning, fit_errors
 from sameas.estimate.grades import Grades
-from sameas.estimate.photometry import Lesson, Photometry
+from sameas.estimate.photometry import LearningPairs, Photometry
 from sameas.estimate.quantity import MOST_MISSING
 from sameas.estimate.sample import Setting
 from sameas.evidence import Brightness, Errors, PoissonField, Rule
@@ -41,16 +41,16 @@ class EMTuning:
 
     Attributes
     ----------
-    faint, surest : pairs less probable than this, and more, are not taken at their word when errors are judged.
+    faint, largest_p : pairs less probable than this, and more, are not taken at their word when errors are judged.
     least_log_ratio : pairs of smaller ln of the odds, before one-to-one, are less probable than 1e-5, and count for
         nothing in sums.
     least_guess, most_guess : the first guess of the share of the poorer source that is common lies between these.
-    thinkable : errors this many times too small are always thought of.
+    widest_scale : errors this many times too small are always thought of.
     least_share : of records that only one source shows.
     filled : chance candidates within √2 of its scale that a component of the errors may hold, times two.
     fewest : fewer expected pairs than this say too little of errors and magnitudes.
-    lacking : quoted errors are not asked where magnitudes tell and hardly more than this share of the records lacks
-        them.
+    share_missing : quoted errors are not asked where magnitudes tell and hardly more than this share of the records
+        lacks them.
     with_brightness : EM iterations with magnitudes at least.
     settled, settled_number : the number of common objects has settled when all changes to come are no more than this
         share of its standard error, or, of very few, when it changes by no more than this number.
@@ -60,15 +60,15 @@ class EMTuning:
     """
 
     faint: float = 1e-3
-    surest: float = 1.0 - 1e-12
+    largest_p: float = 1.0 - 1e-12
     least_log_ratio: float = math.log(1e-5)
     least_guess: float = 0.1
     most_guess: float = 0.95
-    thinkable: float = 3.4
+    widest_scale: float = 3.4
     least_share: float = 1e-6
     filled: float = 0.15
     fewest: float = 50.0
-    lacking: float = 0.05
+    share_missing: float = 0.05
     with_brightness: int = 1
     settled: float = 0.2
     settled_number: float = 0.01
@@ -93,7 +93,7 @@ class Estimates:
     partner : (n₁,), (n₂,) probability of having a partner; ``counted`` for which records it is known.
     local : local share of the records of source 1, and of source 2, that have a partner, each at the records of both.
     errors : the spread of the residuals; learned from the pairs where ``learns_errors``.
-    photometry : how the magnitudes are related, None where they are not asked for. lessons : how often it was learned.
+    photometry : how the magnitudes are related, None where they are not asked for. times_learned : how often.
     common : expected number of common objects among the counted, a guess before the first round. change : by how much
         the last round changed it, NaN before the first; 0 after it, which changed a guess, and where other candidates
         take part since.
@@ -112,7 +112,7 @@ class Estimates:
     learns_errors: bool
     photometry: Photometry | None
     density: tuple[float, float] | None = None
-    lessons: int = 0
+    times_learned: int = 0
     common: float = math.nan
     change: float = math.nan
     tail: float = 0.0
@@ -141,7 +141,7 @@ class Estimates:
         of_1, of_2 = ((np.full(n1, guess / n), np.full(n2, guess / n)) for n in (n1, n2))
         known = cls(
             setting, partner, setting.counted, (of_1, of_2), errors or Errors(), errors is None, photometry, density,
-            precision=precision, tuning=tuning, columns=columns and columns.dealt(setting),
+            precision=precision, tuning=tuning, columns=columns and columns.in_folds(setting),
         )  # fmt: skip
         return replace(known, common=float(partner[0][setting.counted[0]].sum()))
 
@@ -253,16 +253,16 @@ class Estimates:
             to_come.append(abs(self.change) * r**2 / (1.0 - r) <= self.tuning.settled * error)
         return all(to_come) or abs(self.change) <= self.tuning.settled_number
 
-    def has_heard(self, before: Estimates) -> bool:
+    def evidence_settled(self, before: Estimates) -> bool:
         """Whether what is learned from pairs, magnitudes and grades, has had its say in the last round."""
         silent = self.photometry is None and self.columns is None
-        magnitudes = silent or self.common < self.tuning.fewest or self.lessons >= self.tuning.with_brightness
+        magnitudes = silent or self.common < self.tuning.fewest or self.times_learned >= self.tuning.with_brightness
         graded = None if before.grades is None else before.grades.rule
         ungraded = self.grades is None or self.grades.rule is None
         return magnitudes and (ungraded or (graded is not None and graded.trained_on(self.setting.pairs)))
 
     def learned(self, p_pair: FloatArray, log_ratio: FloatArray) -> Estimates:
-        """What a round says of shares and errors; what it says of magnitudes is ``with_lesson``.
+        """What a round says of shares and errors; what it says of magnitudes is ``with_evidence``.
 
         p_pair, log_ratio : (m,) probabilities of the pairs, and ln of their odds before one-to-one.
         """
@@ -271,8 +271,8 @@ class Estimates:
             np.minimum(np.bincount(pairs.i, p_pair, len(self.partner[0])), 1.0),
             np.minimum(np.bincount(pairs.j, p_pair, len(self.partner[1])), 1.0),
         )
-        told = self.setting.told(p_pair)
-        common = float(told.sum())
+        p_counted = self.setting.p_counted(p_pair)
+        common = float(p_counted.sum())
         known = replace(self, common=common, change=0.0 if math.isnan(self.change) else common - self.common)
         known = known._with_partners(partner, self.setting.counted)
         if common < self.tuning.fewest:
@@ -281,23 +281,23 @@ class Estimates:
         if grades is None and self._asks_errors():
             # Among records of like magnitude only where magnitudes of a pair go together: else what an error says of
             # the other record's magnitude would be left out, though its completeness counts.
-            unrelated = self.photometry is None or (self.lessons > 0 and not self.photometry.telling)
+            unrelated = self.photometry is None or (self.times_learned > 0 and not self.photometry.telling)
             grades = Grades.of(self.setting, None if unrelated else self.photometry)
         if grades is not None:
             known = replace(
                 known,
                 grades=grades.learned(
-                    pairs, told, partner, known.covered, replace(known, grades=grades)._like_partners()
+                    pairs, p_counted, partner, known.covered, replace(known, grades=grades)._like_partners()
                 ),
             )
         if self.learns_errors:
             # A component so wide that chance fills it cannot be told from chance.
             square = self.errors.pairs(pairs).mahalanobis_sq
             radius = math.sqrt(float(square.max(initial=1.0)))
-            widest = radius * (self.tuning.filled / max(self.setting.by_chance(told), 1e-12)) ** (1.0 / pairs.d)
+            widest = radius * (self.tuning.filled / max(self.setting.by_chance(p_counted), 1e-12)) ** (1.0 / pairs.d)
             log_odds = known.log_odds_but_errors(square, p_pair, log_ratio)
             fit = fit_errors(
-                square, log_odds, pairs.d, self.errors, widest=max(widest, self.tuning.thinkable),
+                square, log_odds, pairs.d, self.errors, widest=max(widest, self.tuning.widest_scale),
                 tuning=self.tuning.scales,
             )  # fmt: skip
             known = replace(known, errors=self.errors.with_mixture(fit.errors), tail=fit.tail)
@@ -317,9 +317,9 @@ class Estimates:
     def _asks_errors(self) -> bool:
         """Whether the sizes of the quoted errors may say what nothing else does: of faint objects they are larger."""
         magnitudes = self.photometry
-        if not self.precision or magnitudes is None or magnitudes.lacking > self.tuning.lacking:
+        if not self.precision or magnitudes is None or magnitudes.share_missing > self.tuning.share_missing:
             return self.precision
-        return self.lessons > 0 and not magnitudes.telling
+        return self.times_learned > 0 and not magnitudes.telling
 
     def log_odds_but_errors(self, square: FloatArray, p_pair: FloatArray, log_ratio: FloatArray) -> FloatArray:
         """(m,) ln of the odds of the pairs but for what the errors say, given how sure their records are of others.
@@ -338,24 +338,30 @@ class Estimates:
             *self.partner,
             self.setting.counted[0],
             self.tuning.faint,
-            self.tuning.surest,
+            self.tuning.largest_p,
             out,
         )
         return out
 
-    def with_lesson(self, told: FloatArray, *, last: bool = False) -> Estimates:
+    def with_evidence(self, p_counted: FloatArray, *, last: bool = False) -> Estimates:
         """The magnitudes and columns learned from, where there are any, with pairs of these probabilities (m,)."""
         photometry, columns = self.photometry, self.columns
         if (photometry is None and columns is None) or self.common < self.tuning.fewest:
             return self
         if photometry is not None:
-            lesson: Lesson = (self.setting.pairs, told, self.partner, self.shares(), self.covered)
-            photometry = photometry.learned(*lesson, last=last)
+            evidence: LearningPairs = (
+                self.setting.pairs,
+                p_counted,
+                self.partner,
+                self.shares(),
+                self.covered,
+            )
+            photometry = photometry.learned(*evidence, last=last)
         if columns is not None:
             columns = columns.learned(
-                self.setting.pairs, told, self.partner, self._expected_logits(), self.covered, last=last
+                self.setting.pairs, p_counted, self.partner, self._expected_logits(), self.covered, last=last
             )
-        return replace(self, photometry=photometry, columns=columns, lessons=self.lessons + 1)
+        return replace(self, photometry=photometry, columns=columns, times_learned=self.times_learned + 1)
 
     def _expected_logits(self) -> Both:
         """(n₁,), (n₂,) the logit of the share with a partner that places, magnitudes and given priors let expect."""
@@ -382,7 +388,7 @@ def settled(
     known: Estimates,
     rounds: int,
     progress: Callable[[str], None],
-    useless: Callable[[Estimates, FloatArray], bool] = lambda known, told: False,
+    useless: Callable[[Estimates, FloatArray], bool] = lambda known, p_counted: False,
 ) -> tuple[Estimates, FloatArray, int, bool]:
     """Rounds over one list of candidates: what is known then, the probabilities (m,) of the pairs that count, how many
     rounds it took, and whether the estimates settled.
@@ -395,16 +401,16 @@ def settled(
     if known.photometry is not None:
         known = replace(known, photometry=known.photometry.facing(setting.pairs))
     done, number = False, 0
-    told = np.empty(0)
+    p_counted = np.empty(0)
     while not done and number < max(rounds, 1):
         if number:
-            known = known.with_lesson(told)
+            known = known.with_evidence(p_counted)
         number += 1
         progress(f"estimation, round {number}")
         before = known
         known, p_pair, log_ratio = known.expectation()
-        told = setting.told(p_pair)
-        common = float(told.sum())
+        p_counted = setting.p_counted(p_pair)
+        common = float(p_counted.sum())
         if not math.isfinite(common):
             raise InputError(
                 f"{setting.pairs.first.source} and {setting.pairs.second.source}: probabilities are beyond computing, "
@@ -412,10 +418,10 @@ def settled(
                 "understood?"
             )
         known = known.learned(p_pair, log_ratio)
-        done = known.settled(before) and known.has_heard(before)
-        if number == 1 and not done and useless(known, told):
+        done = known.settled(before) and known.evidence_settled(before)
+        if number == 1 and not done and useless(known, p_counted):
             break
-    return known, told, number, done
+    return known, p_counted, number, done
 
 
 def _probabilities(pairs: Pairs, log_ratio: FloatArray, least: float) -> FloatArray:

@@ -69,18 +69,18 @@ class ErrorModel:
     note: str = ""
 
     @property
-    def told(self) -> Mapping[str, Quantity]:
+    def terms(self) -> Mapping[str, Quantity]:
         """What could be told, by its name here.
 
-        >>> list(ErrorModel(both=Quantity(1.7, 0.1), floor_instead=Quantity(0.2, 0.1)).told)
+        >>> list(ErrorModel(both=Quantity(1.7, 0.1), floor_instead=Quantity(0.2, 0.1)).terms)
         ['both', 'floor_instead']
         """
         return {name: value for name, value in vars(self).items() if isinstance(value, Quantity)}
 
     @property
-    def is_told(self) -> bool:
+    def is_estimated(self) -> bool:
         """Whether anything was."""
-        return bool(self.told)
+        return bool(self.terms)
 
     def variance(self, quoted_1: FloatArray, quoted_2: FloatArray) -> FloatArray:
         """Variances (n,) of pairs, on an axis, from the quoted ones of both sides.
@@ -118,20 +118,20 @@ def error_model(answer: Identification) -> ErrorModel:
 
 def model_of(pairs: Pairs, p_pair: FloatArray, most: int) -> ErrorModel:
     """The error model of pairs with these probabilities (m,), learned from ``most`` of them."""
-    told = _probable(p_pair, most)
-    weight = p_pair[told]
+    probable = _probable(p_pair, most)
+    weight = p_pair[probable]
     if weight.sum() < FEWEST:
         return ErrorModel(note=f"fewer than {FEWEST:.0f} pairs: too few to judge the sources' errors apart")
-    one = unpack(pairs.first.covariance[pairs.i[told]], pairs.d)
-    two = unpack(pairs.second.covariance[pairs.j[told]], pairs.d)
+    one = unpack(pairs.first.covariance[pairs.i[probable]], pairs.d)
+    two = unpack(pairs.second.covariance[pairs.j[probable]], pairs.d)
     names = pairs.first.source, pairs.second.source
-    return _Judgement(pairs.residual[told], weight, one, two, names).model()
+    return _Judgement(pairs.residual[probable], weight, one, two, names).model()
 
 
 def _probable(p_pair: FloatArray, most: int) -> IntArray:
     """Pairs that are more probable than not; every second, third, … where there are more than ``most``."""
-    told = np.flatnonzero(p_pair > 0.5)
-    return told[:: max(1, -(-len(told) // most))]
+    probable = np.flatnonzero(p_pair > 0.5)
+    return probable[:: max(1, -(-len(probable) // most))]
 
 
 def bettered(errors: Errors, pairs: Pairs, p_pair: FloatArray, most: int) -> tuple[Errors, float]:
@@ -139,11 +139,11 @@ def bettered(errors: Errors, pairs: Pairs, p_pair: FloatArray, most: int) -> tup
 
     errors : the model to be bettered. Either has the tail that suits it best.
     """
-    told = _probable(p_pair, most)
+    probable = _probable(p_pair, most)
     model = model_of(pairs, p_pair, most)
-    if not model.is_told:
+    if not model.is_estimated:
         return errors, 0.0
-    some, weight = pairs.part(told), p_pair[told]
+    some, weight = pairs.part(probable), p_pair[probable]
     now, there = (_log_likelihood(each, some, weight) for each in (errors, model.errors))
     if np.any(errors.floor) or errors.factor_1 != errors.factor_2:
         factor = over_quoted(errors, pairs, p_pair) * errors.typical_scale
@@ -183,21 +183,21 @@ def over_quoted(errors: Errors, pairs: Pairs, p_pair: FloatArray) -> float:
     """The modelled error of the typical probable pair over that quoted, the mixture left aside."""
     if not errors.as_modelled or not len(pairs):
         return 1.0
-    told = _probable(p_pair, ENOUGH)
-    some = pairs.part(told) if len(told) else pairs
+    probable = _probable(p_pair, ENOUGH)
+    some = pairs.part(probable) if len(probable) else pairs
     ratio = errors.pairs(some).determinant / some.determinant
     return float(np.median(ratio) ** (0.5 / pairs.d))
 
 
 def spread(pairs: Pairs, p_pair: FloatArray) -> Errors:
     """How the residuals of pairs (m,) spread about their quoted covariances."""
-    told = _probable(p_pair, ENOUGH)
-    if not len(told):
+    probable = _probable(p_pair, ENOUGH)
+    if not len(probable):
         return Errors()
-    square = pairs.mahalanobis_sq[told]
+    square = pairs.mahalanobis_sq[probable]
     farthest = max(math.sqrt(float(square.max())), 2.0)
     rungs = math.ceil(math.log(farthest) / math.log(1.5)) + 1
-    mixture = _mixture(square, pairs.d, p_pair[told], 1.5 ** np.arange(-5.0, rungs))
+    mixture = _mixture(square, pairs.d, p_pair[probable], 1.5 ** np.arange(-5.0, rungs))
     kept = [(scale, share) for scale, share in zip(mixture.scales, mixture.shares, strict=True) if share > 0.0]
     scales, shares = zip(*kept, strict=True)
     return Errors(scales, shares)
@@ -424,13 +424,13 @@ def tail(answer: Identification, errors: Errors) -> Tail | None:
     if not LEAST_SHARE < share < 1.0:
         return None
     d, weight = answer.pairs.d, answer.p_pair
-    told = weight > TAILS_TELLING
+    probable = weight > TAILS_TELLING
     # Densities but for what all components have in common.
-    square = errors.pairs(answer.pairs.part(told)).mahalanobis_sq[:, None]
+    square = errors.pairs(answer.pairs.part(probable)).mahalanobis_sq[:, None]
     density = shares * np.exp(-0.5 * square / scales**2) / scales**d
     outer, core = density[:, far].sum(axis=1) / share, density[:, ~far].sum(axis=1) / (1.0 - share)
     slope = (outer - core) / np.maximum(share * outer + (1.0 - share) * core, np.finfo(float).tiny)
-    information = float(np.sum(weight[told] * slope**2))
+    information = float(np.sum(weight[probable] * slope**2))
     factor = math.exp(float(shares[far] @ np.log(scales[far])) / share)
     factor *= over_quoted(errors, answer.pairs, answer.p_pair)
     return Tail(Quantity(share, 1.0 / math.sqrt(max(information, np.finfo(float).tiny))), factor)

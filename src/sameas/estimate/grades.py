@@ -140,7 +140,12 @@ class Grades:
         )
 
     def learned(
-        self, pairs: Pairs, told: FloatArray, partner: Both, covered: tuple[BoolArray, ...], like: Both | None = None
+        self,
+        pairs: Pairs,
+        p_counted: FloatArray,
+        partner: Both,
+        covered: tuple[BoolArray, ...],
+        like: Both | None = None,
     ) -> Grades:
         """What pairs of these probabilities (m,) say.
 
@@ -152,14 +157,14 @@ class Grades:
 
         k1, k2 = (scale.size for scale in self.scales)
         common, chance = np.zeros((k1, k2)), self._by_chance(partner, covered, like)
-        at = count_pairs(pairs.i, pairs.j, *self.grades, told, common)
+        at = count_pairs(pairs.i, pairs.j, *self.grades, p_counted, common)
         apart = _margin(common, 1)[:, None] * _margin(common, 0) * chance
         apart /= chance.sum(axis=1)[:, None] * chance.sum(axis=0)
         counted = common + PSEUDO_COUNT * k1 * k2 * apart / apart.sum()
         log_ratio = np.log(counted / counted.sum()) - np.log(chance)
         # A pair must not be its own witness: to first order, what its own count adds to ln of the counts.
-        own = told / counted.ravel()[at]
-        gained = 2.0 * float(told @ (log_ratio.ravel()[at] - own))
+        own = p_counted / counted.ravel()[at]
+        gained = 2.0 * float(p_counted @ (log_ratio.ravel()[at] - own))
         tells = gained > TELLING * (k1 * k2 - 1)
         return replace(self, rule=Precision(self.grades, log_ratio, TrainingPairs(pairs, at, own)) if tells else None)
 

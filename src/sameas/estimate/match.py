@@ -242,7 +242,7 @@ def match(
         return search.averaged(scan, rounds)
     search, found, remarks = _converged(search, scan, errors, rounds)
     answer, found = search.identified(found, rounds)
-    return answer, _told(answer, search.coverage, found, remarks)
+    return answer, _estimate_of(answer, search.coverage, found, remarks)
 
 
 @in_short
@@ -283,7 +283,7 @@ def match_sample(
     scan = scanned(coverage, density, tuning.grid) if errors is None and gate is None else None
     search, found, remarks = _converged(search, scan, errors, rounds)
     answer, found = search.identified(found, rounds)
-    estimate = _told(answer, coverage, found, remarks)
+    estimate = _estimate_of(answer, coverage, found, remarks)
     (one, two), common = found.known.setting.numbers, found.known.common
     share_1, share_2 = (min(1.0, common / max(n, 1)) for n in (one, two))
     estimate = replace(estimate, common=common, share_1=share_1, share_2=share_2)
@@ -328,12 +328,12 @@ def _photometry(first: Records, second: Records, brightness: tuple[Magnitudes, M
 class _Converged:
     """Where the rounds ended, for one gate.
 
-    whole : all candidates. known : what is known, of all or of a sample. told : (m,) probabilities of its pairs.
+    whole : all candidates. known : what is known, of all or of a sample. p_counted : (m,) probabilities of its pairs.
     """
 
     whole: Setting
     known: Estimates
-    told: FloatArray
+    p_counted: FloatArray
     gate_sigmas: float
     rounds: int
     settled: bool
@@ -350,44 +350,44 @@ class _Converged:
         """Whether errors, their sizes or magnitudes have been learned from the pairs."""
         graded = self.known.grades is not None and self.known.grades.rule is not None
         learned = self.known.errors.scales != (1.0,) or self.known.errors.as_modelled
-        return (self.known.learns_errors and learned) or self.known.lessons > 0 or graded
+        return (self.known.learns_errors and learned) or self.known.times_learned > 0 or graded
 
     def bettered(self) -> tuple[Errors, float]:
         """The error model that the pairs show, and by how much it betters ln of their likelihood."""
         known = self.known
         if not known.learns_errors or known.common < self.tuning.em.fewest:
             return known.errors, 0.0
-        return bettered(known.errors, known.setting.pairs, self.told, self.tuning.modelled)
+        return bettered(known.errors, known.setting.pairs, self.p_counted, self.tuning.modelled)
 
     def must_open(self) -> bool:
         """Whether the outermost part of the gate still holds true pairs, and opening it is affordable."""
-        pairs, limit, common = self.known.setting.pairs, self.gate_sigmas, float(self.told.sum())
+        pairs, limit, common = self.known.setting.pairs, self.gate_sigmas, float(self.p_counted.sum())
         tuning, standing_out = self.tuning, self.tuning.em.scales.standing_out
         if limit >= tuning.widest_sigmas or not self.known.learns_errors:
             return False
-        if _is_narrow(self.known, self.told, limit, tuning):
+        if _is_narrow(self.known, self.p_counted, limit, tuning):
             return True
-        chance = _chance(self.known, self.told)
+        chance = _chance(self.known, self.p_counted)
         if tuning.suspected < self.known.tail < standing_out and chance < tuning.suspected_crowded:
             return True  # what lies farther out decides whether it is one
         if chance > (tuning.suspected_crowded if self.known.tail >= standing_out else tuning.crowded):
             return False
         square = self.known.errors.pairs(pairs).mahalanobis_sq
-        beyond = float(self.told[square > (0.7 * limit) ** 2].sum())
+        beyond = float(self.p_counted[square > (0.7 * limit) ** 2].sum())
         return beyond > 1.0 + tuning.opening * common
 
 
-def _chance(known: Estimates, told: FloatArray) -> float:
+def _chance(known: Estimates, p_counted: FloatArray) -> float:
     """Candidates of a record that are there by chance, if the gate were twice as wide."""
-    return known.setting.by_chance(told) * 2.0**known.setting.pairs.d
+    return known.setting.by_chance(p_counted) * 2.0**known.setting.pairs.d
 
 
-def _is_narrow(known: Estimates, told: FloatArray, limit: float, tuning: MatchTuning) -> bool:
+def _is_narrow(known: Estimates, p_counted: FloatArray, limit: float, tuning: MatchTuning) -> bool:
     """Whether a gate of so many sigmas is too narrow for the typical errors, and opening it is affordable."""
     if limit >= tuning.widest_sigmas or not known.learns_errors:
         return False
     needed = _radius(None, known.setting.pairs.d) * known.errors.typical_scale
-    return tuning.exceeded * limit < needed and _chance(known, told) < tuning.most_crowded
+    return tuning.exceeded * limit < needed and _chance(known, p_counted) < tuning.most_crowded
 
 
 @dataclass(frozen=True)
@@ -431,20 +431,20 @@ class _GateSearch:
                 known = known.at(part, seen, columns)
             found = self._in_gate(known, whole, limit, most - total)
             found = replace(found, rounds=total + found.rounds)
-            known, told, total = found.known, found.told, found.rounds
+            known, p_counted, total = found.known, found.p_counted, found.rounds
             if self.gate is not None or total >= most or not found.must_open():
-                return replace(found, known=known.with_lesson(told, last=True))
-            known = known.with_lesson(told)
+                return replace(found, known=known.with_evidence(p_counted, last=True))
+            known = known.with_evidence(p_counted)
             limit = min(2.0 * limit, self.tuning.widest_sigmas)
 
     def _in_gate(self, known: Estimates, whole: Setting, limit: float, most: int) -> _Converged:
         """The end of at most so many rounds with one gate; of the first where it shows that the gate is too narrow."""
 
-        def narrow(known: Estimates, told: FloatArray) -> bool:
-            return self.gate is None and _is_narrow(known, told, limit, self.tuning)
+        def narrow(known: Estimates, p_counted: FloatArray) -> bool:
+            return self.gate is None and _is_narrow(known, p_counted, limit, self.tuning)
 
-        known, told, number, settled = going.settled(known, most, self.progress, narrow)
-        return _Converged(whole, known, told, limit, number, settled, known.setting.numbers, self.tuning)
+        known, p_counted, number, settled = going.settled(known, most, self.progress, narrow)
+        return _Converged(whole, known, p_counted, limit, number, settled, known.setting.numbers, self.tuning)
 
     def averaged(self, scan: ErrorScan, most: int) -> tuple[Identification, Estimate]:
         """All records identified, averaged over the errors that few pairs leave open."""
@@ -458,16 +458,16 @@ class _GateSearch:
             whole, AS_QUOTED, self.photometry, self.density, share, self.precision, self.tuning.em, self.columns
         )
         known = replace(known, average=Average.of(left, pairs, scan.weight, scan.common))
-        known, told, number, settled = going.settled(known, most, self.progress)
-        known = known.with_lesson(told, last=True)
+        known, p_counted, number, settled = going.settled(known, most, self.progress)
+        known = known.with_evidence(p_counted, last=True)
         self.progress("identification")
         assert known.average is not None
         answer = averaged(known.average, pairs, known.rule(), *known.numbers())
         typical = known.average.typical
         limit = math.sqrt(left.limit)
         known = replace(known, errors=typical, learns_errors=True)
-        found = _Converged(whole, known, told, limit, number, settled, whole.numbers, self.tuning)
-        estimate = _told(answer, self.coverage, found, [])
+        found = _Converged(whole, known, p_counted, limit, number, settled, whole.numbers, self.tuning)
+        estimate = _estimate_of(answer, self.coverage, found, [])
         assert known.average is not None
         return answer, replace(estimate, left_open=left.left_open(known.average.weight))
 
@@ -476,14 +476,14 @@ class _GateSearch:
         known = found.known.at(found.whole, self.photometry, self.columns) if found.sampled else found.known
         answer = self._identified(known)
         if not found.sampled or _as_expected(
-            float(answer.p_pair.sum()), known.expected(), float(found.told.sum()), self.tuning
+            float(answer.p_pair.sum()), known.expected(), float(found.p_counted.sum()), self.tuning
         ):
             return answer, replace(found, known=known)
         known = known.learned(answer.p_pair, answer.evidence.log_ratio)
-        known, told, done, settled = going.settled(known, max(most - found.rounds, 5), self.progress)
-        total, known = found.rounds + done, known.with_lesson(told, last=True)
+        known, p_counted, done, settled = going.settled(known, max(most - found.rounds, 5), self.progress)
+        total, known = found.rounds + done, known.with_evidence(p_counted, last=True)
         found = _Converged(
-            found.whole, known, told, found.gate_sigmas, total, settled, found.whole.numbers, self.tuning
+            found.whole, known, p_counted, found.gate_sigmas, total, settled, found.whole.numbers, self.tuning
         )
         return self._identified(known), found
 
@@ -498,7 +498,7 @@ def _as_expected(common: float, expected: float, sampled: float, tuning: MatchTu
     return abs(common - expected) <= (tuning.misled + tuning.significant / math.sqrt(max(sampled, 1.0))) * expected
 
 
-def _told(answer: Identification, coverage: Coverage, found: _Converged, remarks: list[str]) -> Estimate:
+def _estimate_of(answer: Identification, coverage: Coverage, found: _Converged, remarks: list[str]) -> Estimate:
     """What was found, as it stands in the last identification."""
     known, common = found.known, float(answer.p_pair.sum())
     seen_1, seen_2 = (max(int(np.count_nonzero(seen)), 1) for seen in coverage.covered)

@@ -47,7 +47,7 @@ SCATTERING = 2_654_435_769
 
 #: The pairs and their probabilities (m,), those of having a partner (n₁,), (n₂,), the shares at the records' positions
 #: (n₁,), (n₂,), and whether each is covered.
-Lesson = tuple[
+LearningPairs = tuple[
     Pairs,
     FloatArray,
     tuple[FloatArray, FloatArray],
@@ -126,7 +126,7 @@ class Photometry:
         return replace(self, chains=chains, curves=curves)
 
     @property
-    def lacking(self) -> float:
+    def share_missing(self) -> float:
         """Share of the records without a magnitude in the first band, of the source with more of them."""
         return max(float(np.isnan(side.measured.values[:, 0]).mean()) for side in self.sides)
 
@@ -158,11 +158,11 @@ class Photometry:
         if not self.tells:
             return None
         rows = (None, None) if pairs is None else (pairs.i, pairs.j)
-        shown = [
+        completeness = [
             np.zeros(len(share)) if curve is None else curve.terms(side.measured.values[:, 0], share, wanted)
             for side, share, curve, wanted in zip(self.sides, shares, self.curves, rows, strict=True)
         ]
-        return Brightness(self.sides, self.chains, shown[0], shown[1], self.known)
+        return Brightness(self.sides, self.chains, completeness[0], completeness[1], self.known)
 
     def logits(self) -> tuple[FloatArray, FloatArray]:
         """(n₁,), (n₂,) what the magnitude of each record adds to the logit of its share; 0 where it has none."""

@@ -201,9 +201,9 @@ def _seen(
     """(u,) whether the other source looks there, as ``kernels.coverage.look`` has it."""
     density, highest = np.full(len(cells), other.sum() / area), np.zeros(len(cells))
     least, seen = IN_CELL * asking.sum() / other.sum(), np.ones(len(cells), np.bool_)
-    for larger, (company, count) in _by_level(cells, levels, asking, other):
+    for larger, (own_count, count) in _by_level(cells, levels, asking, other):
         expected = np.maximum(density, 0.5 * highest) * volume * larger
-        seen &= ~((count == 0.0) & (company >= least) & (expected >= HOLE))
+        seen &= ~((count == 0.0) & (own_count >= least) & (expected >= HOLE))
         highest = np.maximum(highest, density)
         density = (count + PSEUDO_COUNT) / (volume * larger + PSEUDO_COUNT / density)
     return seen

@@ -58,8 +58,8 @@ def quantities(
     """
     works = [partial(_Share.of, answer, coverage, source, learned_from[source - 1]) for source in (1, 2)]
     shares = threads.each(works, len(answer.pairs))
-    surest = min(shares, key=lambda share: share.count_error)
-    common = Quantity(surest.found, surest.count_error)
+    best_known = min(shares, key=lambda share: share.count_error)
+    common = Quantity(best_known.found, best_known.count_error)
     found = {"common": common, "share_1": shares[0].quantity(), "share_2": shares[1].quantity()}
     volume = coverage.common_volume
     if volume > 0.0:
@@ -129,8 +129,8 @@ def _error_scale(answer: Identification) -> Quantity:
     Pairs of probability p count as p; the standard error is that of a median of χ_d.
     """
     d, weight = answer.pairs.d, answer.p_pair
-    told = weight > 1e-3
-    median = weighted_median(np.sqrt(answer.pairs.mahalanobis_sq[told]), weight[told])
+    weighty = weight > 1e-3
+    median = weighted_median(np.sqrt(answer.pairs.mahalanobis_sq[weighty]), weight[weighty])
     due = math.sqrt(quantile(0.5, d))
     log_density = (d - 1) * math.log(due) - 0.5 * due**2 - (0.5 * d - 1) * math.log(2.0) - math.lgamma(0.5 * d)
     enough = float(weight.sum() - (weight * (1.0 - weight)).sum())

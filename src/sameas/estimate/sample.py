@@ -26,13 +26,13 @@ class Sampling:
     Attributes
     ----------
     enough : records of each source that estimation needs.
-    worthwhile : how many times more records there must be; below that all of them are taken.
+    worth_sampling : how many times more records there must be; below that all of them are taken.
     cell : the least mean number of records of both sources in a cell that is drawn.
     seed : of the generator that draws the cells.
     """
 
     enough: int = 30_000
-    worthwhile: int = 4
+    worth_sampling: int = 4
     cell: int = 1_000
     seed: int = 20_041
 
@@ -72,14 +72,14 @@ class Setting:
         one, two = (int(np.count_nonzero(counted)) for counted in self.counted)
         return one, two
 
-    def told(self, p_pair: FloatArray) -> FloatArray:
+    def p_counted(self, p_pair: FloatArray) -> FloatArray:
         """(m,) probabilities of the pairs whose record 1 is counted, 0 of the others."""
         return p_pair if self.counted[0].all() else p_pair * self.counted[0][self.pairs.i]
 
-    def by_chance(self, told: FloatArray) -> float:
+    def by_chance(self, p_counted: FloatArray) -> float:
         """Mean number of candidates of a record that are there by chance, with these probabilities (m,)."""
         candidates = np.count_nonzero(self.counted[0][self.pairs.i])
-        return max(int(candidates) - float(told.sum()), 0.0) / min(self.numbers)
+        return max(int(candidates) - float(p_counted.sum()), 0.0) / min(self.numbers)
 
     def sample(self, sampling: Sampling) -> Setting:
         """Enough of it: itself where it is not large."""
@@ -100,7 +100,7 @@ class Setting:
     def _drawn(self, sampling: Sampling) -> tuple[GridLevel, BoolArray] | None:
         """Cells that hold enough records of both sources; None where these would be most of all."""
         n = len(self.pairs.first), len(self.pairs.second)
-        if min(n) <= sampling.worthwhile * sampling.enough:
+        if min(n) <= sampling.worth_sampling * sampling.enough:
             return None
         level = next((x for x in self.levels[::-1] if len(x.volume) * sampling.cell <= sum(n)), self.levels[0])
         counts = [np.bincount(of, minlength=len(level.volume)) for of in (level.of_first, level.of_second)]
@@ -109,7 +109,7 @@ class Setting:
         drawn = np.zeros(len(level.volume), np.bool_)
         drawn[order[:needed]] = True
         share = max(count[drawn].sum() / count.sum() for count in counts)
-        return (level, drawn) if share * sampling.worthwhile < 1.0 else None
+        return (level, drawn) if share * sampling.worth_sampling < 1.0 else None
 
 
 def _competing(pairs: Pairs, counted_1: BoolArray, counted_2: BoolArray) -> tuple[IntArray, BoolArray, BoolArray]:

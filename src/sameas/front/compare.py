@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
-from sameas.front.explain import Told
+from sameas.front.explain import Lines
 from sameas.report.explain import probability
 from sameas.report.prose import count, entry, moment
 from sameas.report.written import source_numbers, texts_of
@@ -48,7 +48,7 @@ class _Objects:
         return {record: whole[self.of[record]] for record in shared}
 
 
-def compare(one: str | os.PathLike[str], other: str | os.PathLike[str]) -> Told:
+def compare(one: str | os.PathLike[str], other: str | os.PathLike[str]) -> Lines:
     """Which identities two outputs give differently; ``print`` it.
 
     Parameters
@@ -67,7 +67,7 @@ def compare(one: str | os.PathLike[str], other: str | os.PathLike[str]) -> Told:
         raise InputError(
             f"{one} and {other} have no record in common", "give outputs of the same catalogues, or of the same sensors"
         )
-    return Told(tuple(_lines(first, second, shared)))
+    return Lines(tuple(_lines(first, second, shared)))
 
 
 def _lines(first: _Objects, second: _Objects, shared: set[Record]) -> Iterator[str]:
@@ -85,13 +85,13 @@ def _lines(first: _Objects, second: _Objects, shared: set[Record]) -> Iterator[s
         yield from entry("joined otherwise", f"{count(len(own - same))} in {one.title}")
     changed = sorted(record for record in shared if sides[0][1][record] != sides[1][1][record])
     yield from entry("records moved", f"{count(len(changed))} of {count(len(shared))} are of another object")
-    told: set[frozenset[Record]] = set()
+    listed: set[frozenset[Record]] = set()
     shown = 0
     for record in changed:
         answers = [members[record] for _, members in sides]
-        if answers[0] | answers[1] in told:
+        if answers[0] | answers[1] in listed:
             continue
-        told.add(answers[0] | answers[1])
+        listed.add(answers[0] | answers[1])
         shown += 1
         if shown <= LISTED:
             yield ""

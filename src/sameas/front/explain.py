@@ -29,7 +29,7 @@ _TABLES = ("objects", "identities")
 
 
 @dataclass(frozen=True, repr=False)
-class Told:
+class Lines:
     """A text for people; ``print`` it, or look at its ``lines``."""
 
     lines: tuple[str, ...]
@@ -38,7 +38,7 @@ class Told:
         return "\n".join(self.lines)
 
     def __repr__(self) -> str:
-        from sameas.front.shown import in_first_lines
+        from sameas.front.display import in_first_lines
 
         return in_first_lines(self.lines)
 
@@ -53,7 +53,7 @@ def explain(
     again: bool = False,
     format: str | None = None,
     progress: Callable[[str], None] = lambda stage: None,
-) -> Told:
+) -> Lines:
     """Why a record was identified as it was, from a file that ``match``, ``many``, ``frame`` or ``picture`` wrote.
 
     Parameters
@@ -79,7 +79,7 @@ def explain(
     record, by_row = str(row if id is None else id), id is None
     progress(f"reading {path}")
     if path.is_dir():
-        return Told(tuple(_of_picture(path, record, source, at)))
+        return Lines(tuple(_of_picture(path, record, source, at)))
     from sameas.io import read_provenance, read_table
 
     facts = read_provenance(path, format=format)
@@ -87,27 +87,27 @@ def explain(
     if kind == "match":
         number = _number(facts, source, path)
         if again or _is_small(facts):
-            told = _repeated(facts, path, record, number, by_row, again, progress)
-            if told is not None:
-                return told
+            repeated = _repeated(facts, path, record, number, by_row, again, progress)
+            if repeated is not None:
+                return repeated
         from sameas.report.written import match_lines
 
         progress(f"reading {path}")
         lines = _either(match_lines, read_table(path, format=format), facts, record, number, by_row)
-        return Told((*lines, "", ALONE))
+        return Lines((*lines, "", ALONE))
     if again:
         raise InputError(f"{path}: only a match of two catalogues is repeated; leave again out")
     table = read_table(path, format=format)
     if kind == "many":
         from sameas.report.written import many_lines
 
-        return Told(tuple(many_lines(table, facts, record, _number(facts, source, path), by_row)))
+        return Lines(tuple(many_lines(table, facts, record, _number(facts, source, path), by_row)))
     from sameas.report.written import frame_lines
 
     sides = {1: 1, "measurement": 1, "1": 1, 2: 2, "star": 2, "2": 2}
     if source not in sides:
         raise InputError(f"{path}: source is {source!r}; give measurement or star")
-    return Told(tuple(frame_lines(table, facts, record, sides[source], by_row)))
+    return Lines(tuple(frame_lines(table, facts, record, sides[source], by_row)))
 
 
 def _kind(facts: Mapping[str, Any], path: Path) -> str:
@@ -142,7 +142,7 @@ def _repeated(
     by_row: bool,
     again: bool,
     progress: Callable[[str], None],
-) -> Told | None:
+) -> Lines | None:
     """What the match says when it is repeated; None where it cannot be, and was not asked for."""
     from sameas.front.match import id_of
     from sameas.front.request import Request
@@ -159,7 +159,7 @@ def _repeated(
     match = request.naming_sides(lambda: crossmatch.match(first, second, request.options, progress=progress))
     if by_row:
         record = id_of(match.result.first if source == 1 else match.result.second, None, int(record))
-    return Told(tuple(explanation_lines(match, _explained(match, record, source), source)))
+    return Lines(tuple(explanation_lines(match, _explained(match, record, source), source)))
 
 
 def _explained(match: SkyMatch, record: str, source: int) -> Any:

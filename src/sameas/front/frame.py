@@ -162,13 +162,13 @@ class MatchFrame:
         )
 
     def __repr__(self) -> str:
-        from sameas.front.shown import in_lines
+        from sameas.front.display import in_lines
 
         offers = ".table .pairs .wcs .report() .explain(star) .plot() .write(path or folder)"
         return in_lines(self.headline, self.doubts, offers)
 
     def _repr_html_(self) -> str:
-        from sameas.front.shown import in_html
+        from sameas.front.display import in_html
 
         return in_html(self.headline, self.report(), self.plot)
 
@@ -232,19 +232,19 @@ def match_frame(
     }  # fmt: skip
     known = (*own, "dark", "flat", "bias", "progress", *(one.parameter for one in COLUMN_OPTIONS))
     refuse_unknown(columns, known, "match_frame")
-    said = {name: value for name, value in columns.items() if value is not None}
+    stated = {name: value for name, value in columns.items() if value is not None}
     given = {"gain_e_per_adu": gain, "read_noise_e": read_noise, "saturation_adu": saturation}
     image, catalogue = as_source(image), as_source(catalogue)
     in_memory = isinstance(image, Frame)
     name = image.name if isinstance(image, Frame) else Path(image).name
-    stars = None if isinstance(catalogue, str) else _understood(catalogue, said)
+    stars = None if isinstance(catalogue, str) else _understood(catalogue, stated)
     request = framing.FrameRequest(
         path=name if in_memory else str(image),
         folder="identified",
         name=Path(name).stem,
         catalogue=catalogue if isinstance(catalogue, str) else "in memory",
-        said=framing.PointingOptions(_aim(aim), radius, _scale(scale), header),
-        columns=fields_of(said, 0),
+        pointing=framing.PointingOptions(_aim(aim), radius, _scale(scale), header),
+        columns=fields_of(stated, 0),
         given={key: value for key, value in given.items() if value is not None},
         time=None if time is None else _time(time),
         hdu=None if hdu is None else str(hdu),
@@ -265,17 +265,17 @@ def match_frame(
         found, stars = framing.found_on(request, frame, measured, progress, stars)
     except InputError as error:
         raise InputError(renamed(error.words, 0, {}), source=error.source) from error
-    return MatchFrame(found, frame, stars, request, call_text(match_frame, (image, catalogue), own | said))
+    return MatchFrame(found, frame, stars, request, call_text(match_frame, (image, catalogue), own | stated))
 
 
-def _understood(source: Any, said: dict[str, Any]) -> Catalogue:
+def _understood(source: Any, stated: dict[str, Any]) -> Catalogue:
     """A catalogue in memory."""
     from sameas.front.request import Request
     from sameas.sky.crossmatch import MatchOptions
 
     if not hasattr(source, "astrometry"):
-        return Request((source,), MatchOptions(), said, ("catalogue",)).catalogue(1)
-    return Request((source,), MatchOptions(), {f"{name}1": value for name, value in said.items()}).catalogue(1)
+        return Request((source,), MatchOptions(), stated, ("catalogue",)).catalogue(1)
+    return Request((source,), MatchOptions(), {f"{name}1": value for name, value in stated.items()}).catalogue(1)
 
 
 def _aim(aim: Any) -> tuple[float, float] | None:

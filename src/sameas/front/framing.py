@@ -68,7 +68,7 @@ class PointingOptions:
     header: bool = True
 
 
-def hints(said: PointingOptions, frame: Frame, *, whole_sky: bool = True) -> list[Hint]:
+def hints(pointing: PointingOptions, frame: Frame, *, whole_sky: bool = True) -> list[Hint]:
     """From the surest to the least sure: the header's solution, the aim, and nothing but a range of scales.
 
     Raises
@@ -76,11 +76,11 @@ def hints(said: PointingOptions, frame: Frame, *, whole_sky: bool = True) -> lis
     InputError : nothing is known of the place, or not the scale.
     """
     found: list[Hint] = []
-    wcs = _solution(frame) if said.header and said.aim_deg is None else None
+    wcs = _solution(frame) if pointing.header and pointing.aim_deg is None else None
     if wcs is not None:
-        found.append(ApproximateWcs(wcs, radius_deg=said.radius_deg))
-    scale = said.scale_arcsec or _scale(frame, wcs)
-    aim = said.aim_deg or frame.facts.aim_deg
+        found.append(ApproximateWcs(wcs, radius_deg=pointing.radius_deg))
+    scale = pointing.scale_arcsec or _scale(frame, wcs)
+    aim = pointing.aim_deg or frame.facts.aim_deg
     if scale is None:
         if found:
             return found
@@ -89,7 +89,7 @@ def hints(said: PointingOptions, frame: Frame, *, whole_sky: bool = True) -> lis
         raise InputError(f"{frame.name}: {where}", naming(f"say {more}" if aim else f"say {{aim:RA,DEC}} and {more}"))
     if aim is not None:
         half_deg = 0.5 * math.hypot(*frame.shape) * scale[1] / 3600.0
-        radius = said.radius_deg if said.radius_deg is not None else max(OFF_DEG, OFF_FRAMES * half_deg)
+        radius = pointing.radius_deg if pointing.radius_deg is not None else max(OFF_DEG, OFF_FRAMES * half_deg)
         found.append(Aim(*aim, radius_deg=min(radius, 180.0), scale_arcsec=scale))
     elif not found:
         if not whole_sky:
@@ -122,12 +122,12 @@ def _solution(frame: Frame) -> Any:
 
 
 def _scale(frame: Frame, wcs: Any) -> tuple[float, float] | None:
-    told = frame.facts.scale_arcsec_per_px
-    if math.isfinite(told) and told > 0:
-        return told * (1 - LOOSE), told * (1 + LOOSE)
+    outcome = frame.facts.scale_arcsec_per_px
+    if math.isfinite(outcome) and outcome > 0:
+        return outcome * (1 - LOOSE), outcome * (1 + LOOSE)
     if wcs is not None:
-        told = Pointing.of_wcs(wcs, frame.shape).scale_arcsec
-        return told * (1 - CLOSE), told * (1 + CLOSE)
+        outcome = Pointing.of_wcs(wcs, frame.shape).scale_arcsec
+        return outcome * (1 - CLOSE), outcome * (1 + CLOSE)
     return None
 
 
@@ -142,7 +142,7 @@ class FrameRequest:
     folder: str
     name: str
     catalogue: str
-    said: PointingOptions = field(default_factory=PointingOptions)
+    pointing: PointingOptions = field(default_factory=PointingOptions)
     columns: Mapping[str, Any] = field(default_factory=dict)
     given: Mapping[str, Any] = field(default_factory=dict)
     time: str | None = None
@@ -187,11 +187,11 @@ class FrameRequest:
     def done(self) -> dict[str, Any] | None:
         """The summary of a run with the same files and words whose outputs are all there."""
         try:
-            told = json.loads(self.summary_path.read_text(encoding="utf-8"))
+            outcome = json.loads(self.summary_path.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return None
-        same = isinstance(told, dict) and told.get("digest") == self.digest()
-        return told if same and all(path.exists() for path in self.outputs().values()) else None
+        same = isinstance(outcome, dict) and outcome.get("digest") == self.digest()
+        return outcome if same and all(path.exists() for path in self.outputs().values()) else None
 
 
 def fulfil(
@@ -225,8 +225,8 @@ def summary_of(
     words : how a message that names arguments is put.
     """
     notes = [*map(words, found.notes), *(f"doubt: {words(doubt)}" for doubt in stars.doubts)]
-    told = summary(replace(found, notes=tuple(notes)), frame)
-    return told | {"understood": [words(line) for line in stars.interpretation]}
+    outcome = summary(replace(found, notes=tuple(notes)), frame)
+    return outcome | {"understood": [words(line) for line in stars.interpretation]}
 
 
 def write(
@@ -243,18 +243,18 @@ def write(
     of, where that is not files.
     """
     began = time.perf_counter()
-    told = {
+    outcome = {
         **program(), "digest": request.digest() if digest is None else digest,
         "file": str(Path(request.path).resolve()), **facts,
     }  # fmt: skip
-    _write(request, frame, found, told, facts)
+    _write(request, frame, found, outcome, facts)
     steps = [*seconds, time.perf_counter() - began]
     named = ("to_detections", "to_identification", "to_outputs")[-len(steps) :]
-    told["seconds"] = {name: round(step, 2) for name, step in zip(named, steps, strict=True)}
-    told["outputs"] = {what: path.name for what, path in request.outputs().items()}
+    outcome["seconds"] = {name: round(step, 2) for name, step in zip(named, steps, strict=True)}
+    outcome["outputs"] = {what: path.name for what, path in request.outputs().items()}
     with replacing(request.summary_path) as draft:
-        draft.write_text(json.dumps(told, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    return told
+        draft.write_text(json.dumps(outcome, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    return outcome
 
 
 def frame_of(request: FrameRequest, progress: Progress) -> Frame:
@@ -270,16 +270,16 @@ def frame_of(request: FrameRequest, progress: Progress) -> Frame:
     return frame
 
 
-def _moment(said: str, kind: Any) -> Any:
+def _moment(text: str, kind: Any) -> Any:
     """A time as people type it: a Julian year, or a date."""
     try:
-        year = float(said)
+        year = float(text)
     except ValueError:
         year = None
     try:
-        return kind(said, scale="utc") if year is None else kind(year, format="jyear", scale="tdb")
+        return kind(text, scale="utc") if year is None else kind(year, format="jyear", scale="tdb")
     except ValueError:
-        given = Message(Argument("time", said), ": give a date such as 2018-10-18T03:01:20, or a year such as 2018.795")
+        given = Message(Argument("time", text), ": give a date such as 2018-10-18T03:01:20, or a year such as 2018.795")
         raise InputError(given) from None
 
 
@@ -287,7 +287,7 @@ def found_on(
     request: FrameRequest, frame: Frame, measured: Measurements, progress: Progress, given: Catalogue | None = None
 ) -> tuple[FrameIdentification, Catalogue]:
     """The frame identified, and the catalogue with which it was. given : the catalogue, where it is in memory."""
-    own_hints = hints(request.said, frame, whole_sky=request.catalogue.lower() != GAIA)
+    own_hints = hints(request.pointing, frame, whole_sky=request.catalogue.lower() != GAIA)
     near = searched(own_hints, frame.shape)
     progress("reading the catalogue")
     stars = _catalogue(request, near, progress) if given is None else given
@@ -307,16 +307,16 @@ def found_on(
         faintest=request.faintest,
     )
     if moves and moment is None and request.motion:
-        told = (
+        outcome = (
             "doubt: the header has no time of the exposure (DATE-OBS, MJD-OBS, JD), so the stars were left where they "
             f"are at {stars.epoch_jyr:.1f}; "
         )
-        found = replace(found, notes=(*found.notes, Message(told, naming("say {time:DATE}"))))
+        found = replace(found, notes=(*found.notes, Message(outcome, naming("say {time:DATE}"))))
     return found, stars
 
 
 def _write(
-    request: FrameRequest, frame: Frame, found: FrameIdentification, told: dict[str, Any], facts: dict[str, Any]
+    request: FrameRequest, frame: Frame, found: FrameIdentification, outcome: dict[str, Any], facts: dict[str, Any]
 ) -> None:
     folder = Path(request.folder)
     try:
@@ -325,11 +325,11 @@ def _write(
         raise InputError(f"{folder}: cannot be made ({error.strerror}); say -o another folder") from error
     paths = request.outputs()
     rows = listing(found)
-    if told["epoch_jyr"] is not None:
-        rows.meta["REFEPOCH"] = told["epoch_jyr"]
-    write_table(rows, paths["table"], provenance=_in_short(told))
+    if outcome["epoch_jyr"] is not None:
+        rows.meta["REFEPOCH"] = outcome["epoch_jyr"]
+    write_table(rows, paths["table"], provenance=_in_short(outcome))
     write_solution(found.plate, paths["solution"])
-    radius = 2.0 * found.measured.psf_fwhm_px * told["place"]["scale_arcsec_per_px"]
+    radius = 2.0 * found.measured.psf_fwhm_px * outcome["place"]["scale_arcsec_per_px"]
     write_regions(rows, paths["regions"], radius_arcsec=radius)
     if "copy" in paths:
         write_copy(found.plate, request.path, paths["copy"])
@@ -347,16 +347,16 @@ def _write(
             save(quality(found), paths["quality"])
 
 
-def _in_short(told: Mapping[str, Any]) -> dict[str, Any]:
+def _in_short(outcome: Mapping[str, Any]) -> dict[str, Any]:
     """How the table was made, from the summary."""
     named = ("program", "version", "digest", "file", "frame", "catalogue", "epoch_jyr")
-    return {**{key: told[key] for key in named if key in told}, "summary": json.dumps(told, ensure_ascii=True)}
+    return {**{key: outcome[key] for key in named if key in outcome}, "summary": json.dumps(outcome, ensure_ascii=True)}
 
 
 def provenance_of(request: FrameRequest, facts: Mapping[str, Any]) -> dict[str, Any]:
     """How a table that Python writes was made. facts : the summary."""
-    told = {**program(), "file": request.path, **facts}
-    return _in_short(told)
+    outcome = {**program(), "file": request.path, **facts}
+    return _in_short(outcome)
 
 
 # ---- kept from frame to frame of one process ----
@@ -393,8 +393,8 @@ def _kept_catalogue(key: _Key, progress: Progress = lambda stage: None) -> Catal
         name, columns, near, faintest = key
         while len(_catalogues) >= 4:
             _catalogues.pop(next(iter(_catalogues)))
-        said = CatalogueOptions(**json.loads(columns))
-        _catalogues[key] = catalogue(name, near, said, faintest=faintest, progress=progress)
+        pointing = CatalogueOptions(**json.loads(columns))
+        _catalogues[key] = catalogue(name, near, pointing, faintest=faintest, progress=progress)
     return _catalogues[key]
 
 

@@ -82,8 +82,8 @@ class MatchMany:
 
         for side, catalogue in enumerate(self.sky.catalogues, 1):
             path = self.request.sources[side - 1]
-            said = partial(self.request.said, words, side)
-            yield from (*catalogue_lines(catalogue, side, path if isinstance(path, str) else "", said), "")
+            stated = partial(self.request.in_own_terms, words, side)
+            yield from (*catalogue_lines(catalogue, side, path if isinstance(path, str) else "", stated), "")
         yield from self.result_lines(words)
 
     def result_lines(self, words: Callable[[str], str] = str) -> list[str]:
@@ -188,13 +188,13 @@ class MatchMany:
         return f"Match of {names}: {count(len(self))} objects, {count(several)} of them in several"
 
     def __repr__(self) -> str:
-        from sameas.front.shown import in_lines
+        from sameas.front.display import in_lines
 
         offers = ".table .joined(2) .objects .report() .explain(id, source=1) .plot() .write(path)"
         return in_lines(self.headline, self.doubts, offers)
 
     def _repr_html_(self) -> str:
-        from sameas.front.shown import in_html
+        from sameas.front.display import in_html
 
         return in_html(self.headline, self.report(), self.plot)
 
@@ -252,14 +252,14 @@ def match_many(
     refuse_unknown(columns, (*own, "progress", *side_parameters(len(sources))), "match_many")
     if not 1 <= least <= len(sources):
         raise InputError(f"least is {least}; give 1 to {len(sources)}, in how many catalogues an object must be")
-    said = {name: value for name, value in columns.items() if value is not None}
+    stated = {name: value for name, value in columns.items() if value is not None}
     options = ManyOptions(to_epoch, gate_sigmas, error_scale, offset=offset)
     for check in (options.of_two().errors, options.of_two().gate):
         check()
-    request = Request(tuple(map(as_source, sources)), options, said, tuple(names or ()))
+    request = Request(tuple(map(as_source, sources)), options, stated, tuple(names or ()))
     catalogues = request.catalogues()
     found = identified(request, catalogues, progress=progress)
-    return MatchMany(found, request, least, call_text(match_many, sources, own | said))
+    return MatchMany(found, request, least, call_text(match_many, sources, own | stated))
 
 
 def identified(

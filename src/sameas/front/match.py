@@ -133,8 +133,8 @@ class Match:
         yield from (f"{DOUBT}{note}" for note in self.notes)
         if self.sky is not None:
             for side, catalogue in enumerate((self.sky.first, self.sky.second), 1):
-                said = words if self.request is None else partial(self.request.said, words, side)
-                yield from (*catalogue_lines(catalogue, side, self._path(side), said), "")
+                stated = words if self.request is None else partial(self.request.in_own_terms, words, side)
+                yield from (*catalogue_lines(catalogue, side, self._path(side), stated), "")
         yield from self.result_lines(words)
 
     def result_lines(self, words: Callable[[str], str] = str) -> list[str]:
@@ -167,9 +167,9 @@ class Match:
         if source not in (1, 2):
             raise InputError(f"source is {source}; give 1 or 2")
         records = self.identification.first if source == 1 else self.identification.second
-        told = self.identification.explain(id_of(records, id, row), source=source)
-        lines = str(told).splitlines() if self.sky is None else explanation_lines(self.sky, told, source)
-        return RecordStory(tuple(lines), told)
+        explanation = self.identification.explain(id_of(records, id, row), source=source)
+        lines = str(explanation).splitlines() if self.sky is None else explanation_lines(self.sky, explanation, source)
+        return RecordStory(tuple(lines), explanation)
 
     def plot(self, name: str = PLOTS[0], *, record: Any = None) -> Figure:
         """A picture of the match, as matplotlib has figures; notebooks show it.
@@ -226,7 +226,7 @@ class Match:
     @property
     def headline(self) -> str:
         """What it is, in one line."""
-        from sameas.front.shown import expected
+        from sameas.front.display import expected
         from sameas.report.prose import count
 
         sizes = [f"{records.source} ({count(records.n_table)} rows)"
@@ -236,13 +236,13 @@ class Match:
         )
 
     def __repr__(self) -> str:
-        from sameas.front.shown import in_lines
+        from sameas.front.display import in_lines
 
         offers = ".table .joined('1or2') .pairs .report() .explain(id) .plot() .write(path)"
         return in_lines(self.headline, self.doubts, offers)
 
     def _repr_html_(self) -> str:
-        from sameas.front.shown import in_html
+        from sameas.front.display import in_html
 
         return in_html(self.headline, self.report(), self.plot)
 
@@ -273,7 +273,7 @@ class RecordStory:
         return "\n".join(self.lines)
 
     def __repr__(self) -> str:
-        from sameas.front.shown import in_first_lines
+        from sameas.front.display import in_first_lines
 
         return in_first_lines(self.lines)
 
@@ -288,12 +288,12 @@ def id_of(records: Records, id: Any, row: int | None) -> Any:
     return records.ids[row]
 
 
-def call_text(function: Callable[..., Any], sources: Sequence[Any], said: Mapping[str, Any]) -> str:
+def call_text(function: Callable[..., Any], sources: Sequence[Any], stated: Mapping[str, Any]) -> str:
     """The call as text: paths, kinds of other sources, options that are not the default."""
     paths = map(as_source, sources)
     given = [repr(source) if isinstance(source, str) else kind_of(source) for source in paths]
     defaults = {name: parameter.default for name, parameter in inspect.signature(function).parameters.items()}
-    options = [f"{name}={value!r}" for name, value in said.items() if value is not defaults.get(name)]
+    options = [f"{name}={value!r}" for name, value in stated.items() if value is not defaults.get(name)]
     return f"sameas.{function.__name__}({', '.join([*given, *options])})"
 
 
@@ -359,15 +359,15 @@ def match(
         "evidence": evidence, "offset": offset, "names": names,
     }  # fmt: skip
     refuse_unknown(columns, (*own, "progress", *side_parameters(2)), "match")
-    said = {name: value for name, value in columns.items() if value is not None}
-    call = call_text(match, (first, second), own | said)
+    stated = {name: value for name, value in columns.items() if value is not None}
+    call = call_text(match, (first, second), own | stated)
     given = isinstance(first, Records), isinstance(second, Records)
     if any(given):
         if not all(given):
             other = kind_of(second if given[0] else first)
             raise InputError(f"match: Records are matched with Records, not with a {other}", "make both of one kind")
-        if said:
-            raise InputError(f"match: Records have no columns, so {next(iter(said))} says nothing of them")
+        if stated:
+            raise InputError(f"match: Records have no columns, so {next(iter(stated))} says nothing of them")
         if offset != "none" or to_epoch is not None:
             raise InputError("match: Records have no epochs or frames", "see register for offsets between them")
         found = _match_records(
@@ -388,7 +388,7 @@ def match(
     )  # fmt: skip
     for check in (options.errors, options.gate, options.density):
         check()
-    request = Request(tuple(map(as_source, (first, second))), options, said, tuple(names or ()))
+    request = Request(tuple(map(as_source, (first, second))), options, stated, tuple(names or ()))
     if both_hats(first, second):
         return PartitionedMatch(request, join, nway_columns, call, progress)
     first, second = request.catalogues()

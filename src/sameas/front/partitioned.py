@@ -60,11 +60,11 @@ class PartitionedMatch:
         from sameas.partitions.run import estimate
         from sameas.sky.catalogue import CatalogueOptions
 
-        said = [CatalogueOptions(**fields_of(self.request.columns, side)) for side in (1, 2)]
+        stated = [CatalogueOptions(**fields_of(self.request.columns, side)) for side in (1, 2)]
         found: Estimated = self.request.naming_sides(
             lambda: estimate(
                 self.catalogues,
-                (said[0], said[1]),
+                (stated[0], stated[1]),
                 self.request.options,
                 join=self.join,
                 nway_columns=self.nway_columns,

@@ -17,10 +17,10 @@ import numpy as np
 
 from sameas.arrays import FloatArray
 from sameas.errors import Argument, InputError, Message, naming
-from sameas.front.explain import Told
+from sameas.front.display import in_html, in_lines
+from sameas.front.explain import Lines
 from sameas.front.match import call_text
 from sameas.front.provenance import made_by
-from sameas.front.shown import in_html, in_lines
 from sameas.front.tables import table_of
 from sameas.io import checksum
 from sameas.io.atomic import filling
@@ -189,7 +189,7 @@ class MatchPicture:
         lines += doubt_lines(self.source_doubts)
         return "\n".join([*lines, *found_lines(self.picture.summary), *assumed_lines(self.scene)])
 
-    def explain(self, id: Any, *, source: str | None = None, at: float | str | None = None) -> Told:
+    def explain(self, id: Any, *, source: str | None = None, at: float | str | None = None) -> Lines:
         """Why an object has its records; ``print`` it.
 
         Parameters
@@ -204,7 +204,7 @@ class MatchPicture:
         from sameas.report.written import picture_lines
 
         when = None if at is None else _time(at, "at", self.scene.span_s)
-        return Told(tuple(picture_lines(self.objects, self.pairs, str(id), source, when)))
+        return Lines(tuple(picture_lines(self.objects, self.pairs, str(id), source, when)))
 
     def plot(self, at: float | str | None = None) -> Figure:
         """The chart of an instant, of the fullest if none is given; notebooks show it.

@@ -175,7 +175,7 @@ def _quantities(match: SkyMatch) -> dict[str, float]:
     if estimate.tail is not None:
         found["error_tail_share"] = estimate.tail.share
     if estimate.error_model is not None:
-        found |= {ERROR_NAMES[name]: quantity for name, quantity in estimate.error_model.told.items()}
+        found |= {ERROR_NAMES[name]: quantity for name, quantity in estimate.error_model.terms.items()}
     facts = {}
     for name, quantity in found.items():
         if math.isfinite(quantity.standard_error):

@@ -38,7 +38,7 @@ class Request(Generic[Options]):
     sources: tuple[Any, ...]
     options: Options
     columns: Mapping[str, Any] = field(default_factory=dict)
-    said_names: tuple[str, ...] = ()
+    given_names: tuple[str, ...] = ()
 
     @property
     def paths(self) -> tuple[str, ...]:
@@ -49,8 +49,8 @@ class Request(Generic[Options]):
     def names(self) -> tuple[str, ...]:
         """The catalogues' names in messages: as said, else their files' stems, or more where these are not different;
         of tables their numbers."""
-        if self.said_names:
-            return self.said_names
+        if self.given_names:
+            return self.given_names
         stems = self._named(lambda path: Path(path).name.removesuffix(".gz").rsplit(".", 1)[0])
         for names in (stems, self._named(lambda path: Path(path).name), self._named(str)):
             if len(set(names)) == len(names):
@@ -107,10 +107,10 @@ class Request(Generic[Options]):
         return understood
 
     def _refuse_options(self, side: int, name: str) -> None:
-        said = [one.parameter for one in SIDE_OPTIONS if self.columns.get(f"{one.parameter}{side}") is not None]
-        if said:
+        in_own_terms = [one.parameter for one in SIDE_OPTIONS if self.columns.get(f"{one.parameter}{side}") is not None]
+        if in_own_terms:
             raise InputError(
-                f"{name}: it is a Catalogue, understood already, so {said[0]}{side} changes nothing",
+                f"{name}: it is a Catalogue, understood already, so {in_own_terms[0]}{side} changes nothing",
                 "say it with CatalogueOptions, or give its table",
             )
 
@@ -130,7 +130,7 @@ class Request(Generic[Options]):
         """A text on one catalogue, or on all, that names the options as they are said here."""
         return renamed(text, side, self.columns)
 
-    def said(self, words: Callable[[str], str], side: int, text: str) -> str:
+    def in_own_terms(self, words: Callable[[str], str], side: int, text: str) -> str:
         """:meth:`words`, put by ``words``."""
         return words(self.words(text, side))
 

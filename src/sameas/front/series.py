@@ -60,12 +60,12 @@ class Identified:
     """A frame that was identified: what was asked for, and its summary."""
 
     request: FrameRequest
-    told: Mapping[str, Any]
+    summary: Mapping[str, Any]
 
     @property
     def filter(self) -> str:
         """Of the header, "" where it does not tell."""
-        return str(self.told["exposure"].get("filter") or "")
+        return str(self.summary["exposure"].get("filter") or "")
 
     def frame(self) -> Frame:
         """Its pixels, calibrated."""
@@ -80,16 +80,16 @@ class Identified:
         """
         from astropy.time import Time
 
-        told = self.told
-        if told["exposure"]["mid_time"] is None:
-            raise InputError(f"{told['frame']}: the header has no time of the exposure; a series needs the order")
-        date, scale = told["exposure"]["mid_time"].split()
-        place = told["place"]
+        summary = self.summary
+        if summary["exposure"]["mid_time"] is None:
+            raise InputError(f"{summary['frame']}: the header has no time of the exposure; a series needs the order")
+        date, scale = summary["exposure"]["mid_time"].split()
+        place = summary["place"]
         return Exposure.of_listing(
-            read_table(self.request.outputs()["table"]), told["frame"],
+            read_table(self.request.outputs()["table"]), summary["frame"],
             float(Time(date, scale=scale.lower()).utc.mjd), place["scale_arcsec_per_px"],
-            (place["rows"], place["columns"]), float(told["exposure"]["exposure_s"] or "nan"),
-            float(told.get("psf_fwhm_px") or 3.0),
+            (place["rows"], place["columns"]), float(summary["exposure"]["exposure_s"] or "nan"),
+            float(summary.get("psf_fwhm_px") or 3.0),
         )  # fmt: skip
 
 
@@ -149,7 +149,7 @@ def _fields(frames: Sequence[tuple[Identified, Exposure]], by_filter: bool) -> l
 
 
 def _near(one: Identified, other: Identified) -> bool:
-    a, b = one.told["place"], other.told["place"]
+    a, b = one.summary["place"], other.summary["place"]
     north = b["middle_dec_deg"] - a["middle_dec_deg"]
     east = ((b["middle_ra_deg"] - a["middle_ra_deg"] + 180.0) % 360.0 - 180.0) * math.cos(
         math.radians(a["middle_dec_deg"])
@@ -169,7 +169,7 @@ def write_series(each: Sequence[FieldSeries], folder: str | Path, facts: Mapping
     return written
 
 
-def doubts_of(told: Mapping[str, Any]) -> list[str]:
+def doubts_of(summary: Mapping[str, Any]) -> list[str]:
     """What is doubtful about a frame."""
-    notes = itertools.chain(told["exposure"]["read"], told["notes"])
+    notes = itertools.chain(summary["exposure"]["read"], summary["notes"])
     return [note for note in notes if note.startswith("doubt") or "not settled" in note]

@@ -69,35 +69,35 @@ class Observer:
         InputError : not TOML, something needed is missing, names of a wrong form.
         """
         try:
-            told = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+            settings = tomllib.loads(Path(path).read_text(encoding="utf-8"))
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror})") from None
         except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
             raise InputError(f"{path}: is not TOML ({error}); write it like\n{_EXAMPLE}") from None
-        code = str(_needed(told, path, "observatory", "mpcCode"))
+        code = str(_needed(settings, path, "observatory", "mpcCode"))
         if not re.fullmatch(r"[0-9A-Z][0-9A-Za-z]{2,3}", code):
             raise InputError(f"{path}: mpcCode {code!r} is not a code of the Minor Planet Center, such as 810 or J95")
-        telescope = dict(_needed(told, path, "telescope"))
+        telescope = dict(_needed(settings, path, "telescope"))
         for key in ("design", "aperture", "detector"):
-            _needed(told, path, "telescope", key)
-        report = told.get("report", {})
-        submitter = str(_needed(told, path, "submitter", "name"))
+            _needed(settings, path, "telescope", key)
+        report = settings.get("report", {})
+        submitter = str(_needed(settings, path, "submitter", "name"))
         return cls(
             code,
             submitter,
-            _names(told.get("observers", {}).get("name", submitter)),
-            _names(told.get("measurers", {}).get("name", submitter)),
+            _names(settings.get("observers", {}).get("name", submitter)),
+            _names(settings.get("measurers", {}).get("name", submitter)),
             tuple((k, str(telescope[k])) for k in ("name", "design", "aperture", "detector", "fRatio", "pixelScale")
                   if k in telescope),
-            str(_needed(told, path, "report", "astCat")),
+            str(_needed(settings, path, "report", "astCat")),
             str(report.get("mode", "CCD")),
             str(report.get("band", "")),
-            _names(told.get("comment", {}).get("line", ())),
+            _names(settings.get("comment", {}).get("line", ())),
         )  # fmt: skip
 
 
-def _needed(told: Any, path: Any, *keys: str) -> Any:
-    value = told
+def _needed(settings: Any, path: Any, *keys: str) -> Any:
+    value = settings
     for key in keys:
         if not isinstance(value, dict) or key not in value:
             raise InputError(f"{path}: says no {'.'.join(keys)}; write it like\n{_EXAMPLE}")

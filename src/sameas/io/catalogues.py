@@ -140,9 +140,9 @@ def rounded(cone: Cone) -> Cone:
 
 def cache_folder() -> Path:
     """Where things are kept: $SAMEAS_CACHE, else sameas in $XDG_CACHE_HOME or ~/.cache."""
-    said = os.environ.get("SAMEAS_CACHE")
-    if said:
-        return Path(said)
+    named = os.environ.get("SAMEAS_CACHE")
+    if named:
+        return Path(named)
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "sameas"
 
 
@@ -224,9 +224,9 @@ def folder_table(folder: Path, cone: Cone | None, options: CatalogueOptions) -> 
     if not files:
         raise InputError(f"{folder}: the folder has no Parquet files; give a HATS catalogue or a file")
     whole = dataset.dataset(files, format="parquet")
-    told = _properties(folder)
-    ra = _column(whole.schema.names, options.ra or told.get("hats_col_ra"), _RA, folder, "ra")
-    dec = _column(whole.schema.names, options.dec or told.get("hats_col_dec"), _DEC, folder, "dec")
+    properties = _properties(folder)
+    ra = _column(whole.schema.names, options.ra or properties.get("hats_col_ra"), _RA, folder, "ra")
+    dec = _column(whole.schema.names, options.dec or properties.get("hats_col_dec"), _DEC, folder, "dec")
     arrow = whole.to_table(filter=None if cone is None else _box(cone, ra, dec))
     if not arrow.num_rows:
         raise InputError(f"{folder}: no stars there; does the catalogue cover the field?")
@@ -247,12 +247,12 @@ def _properties(folder: Path) -> dict[str, str]:
     return {}
 
 
-def _column(names: list[str], said: str | None, usual: tuple[str, ...], folder: Path, what: str) -> str:
+def _column(names: list[str], named: str | None, usual: tuple[str, ...], folder: Path, what: str) -> str:
     known = {name.lower(): name for name in names}
-    for name in (said,) if said else usual:
+    for name in (named,) if named else usual:
         if name and name.lower() in known:
             return known[name.lower()]
-    message = f"{folder}: no column {said or what!r} among {', '.join(names[:8])} …"
+    message = f"{folder}: no column {named or what!r} among {', '.join(names[:8])} …"
     raise InputError(message, Message("say ", Argument(what, "NAME")))
 
 

@@ -284,8 +284,8 @@ def _check_kind(path: Path, known: Format, kind: str | None) -> None:
         kind = f"a {kind} file"
     elif kind == "a web page (HTML)":
         remedy = "the download probably failed"
-    said = f"is {kind}, not {known.label}" if kind else f"is not a {known.label} file"
-    raise InputError(f"{path}: {said}", remedy)
+    reason = f"is {kind}, not {known.label}" if kind else f"is not a {known.label} file"
+    raise InputError(f"{path}: {reason}", remedy)
 
 
 def _similar_names(path: Path) -> str:

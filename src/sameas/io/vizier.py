@@ -67,8 +67,8 @@ def read(path: Path, hdu: None) -> Table:
     comments = _comments(text[: head.start()].decode("utf-8", "replace"))
     table = _described(_without_blanks(table), cells[1], comments)
     if after and _HEAD.search(text, after.start()):
-        told = f" ({comments.meta['name'].rpartition('; ')[2]})" if "name" in comments.meta else ""
-        table.meta["sameas_notes"] = [f"{path} holds several tables of VizieR; took the first{told}"]
+        title = f" ({comments.meta['name'].rpartition('; ')[2]})" if "name" in comments.meta else ""
+        table.meta["sameas_notes"] = [f"{path} holds several tables of VizieR; took the first{title}"]
     return table
 
 

@@ -162,8 +162,8 @@ def _parsed(content: bytes, path: Path) -> tuple[Any, Any]:
     for element in document.iter_tables():
         return document, element
     messages = [info.content or info.value for info in document.iter_info() if info.value == "ERROR"]
-    said = f"; it says: {messages[0].strip()}" if messages else ""
-    raise InputError(f"{path}: has no table in it{said}")
+    warning = f"; it says: {messages[0].strip()}" if messages else ""
+    raise InputError(f"{path}: has no table in it{warning}")
 
 
 def _with_meta(table: Table, document: Any, element: Any, path: Path) -> Table:

@@ -42,7 +42,7 @@ _plains: dict[FunctionType, FunctionType] = {}
 _dispatchers: dict[FunctionType, Any] = {}
 _lock = threading.RLock()
 _spent = float("inf") if os.environ.get("SAMEAS_COMPILE") == "1" else 0.0
-_told = False
+_announced = False
 
 
 def say(cache: Path) -> None:
@@ -99,7 +99,7 @@ class Kernel:
         with _lock:
             if self._dispatcher is None:
                 dispatcher = _dispatcher(self.function)
-                if not _told:
+                if not _announced:
                     _tell(dispatcher)
                 self._dispatcher = dispatcher
         return self._dispatcher
@@ -204,10 +204,10 @@ def _dispatcher(function: FunctionType) -> Any:
 
 def _tell(dispatcher: Any) -> None:
     """Say once that something is going to be compiled, where this machine has not done so yet."""
-    global _told
+    global _announced
     folder, function = Path(str(dispatcher.stats.cache_path)), dispatcher.py_func
     if not any(folder.glob(f"{function.__module__.rsplit('.', 1)[-1]}.{function.__qualname__}-*.nbi")):
-        _told = True
+        _announced = True
         for begin in beginnings:
             begin(folder)
 

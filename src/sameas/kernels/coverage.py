@@ -100,7 +100,7 @@ def look(
     cell: Int32Array,
     volume: FloatArray,
     count: FloatArray,
-    company: FloatArray,
+    own_count: FloatArray,
     least: float,
     pseudo_count: float,
     hole: float,
@@ -112,7 +112,7 @@ def look(
     of those that are asked for lie in it; refine the ``density`` (n,) by its count, in place.
 
     of_source : (n',) cells of the records that are counted. cell : (n,) of those that are asked for. volume : of the
-    cells. count, company : room for the counts of either. highest : (n,) of the densities so far, which is what is
+    cells. count, own_count : room for the counts of either. highest : (n,) of the densities so far, which is what is
     expected at least half of: just outside a border coarse cells are empty for the most part, and their own density
     says too little.
 
@@ -121,9 +121,9 @@ def look(
     count[:] = 0.0
     for c in of_source:
         count[c] += 1.0
-    company[:] = 0.0
+    own_count[:] = 0.0
     for c in cell:
-        company[c] += 1.0
+        own_count[c] += 1.0
     empty, due, variance, never = 0.0, 0.0, 1.0, 20.0
     for k in range(len(cell)):
         c = cell[k]
@@ -131,8 +131,8 @@ def look(
         chance = math.exp(-expected) if expected < never else 0.0
         empty += count[c] == 0.0
         due += chance
-        variance += chance * (1.0 - chance) * company[c]  # all of a cell together
-        if count[c] == 0.0 and company[c] >= least and max(density[k], 0.5 * highest[k]) * volume[c] >= hole:
+        variance += chance * (1.0 - chance) * own_count[c]  # all of a cell together
+        if count[c] == 0.0 and own_count[c] >= least and max(density[k], 0.5 * highest[k]) * volume[c] >= hole:
             seen[k] = False
         highest[k] = max(highest[k], density[k])
         density[k] = (count[c] + pseudo_count) / (volume[c] + pseudo_count / density[k])
@@ -305,7 +305,7 @@ def cells_at(
 
 
 @part
-def company_beside(
+def has_neighbour(
     points: FloatArray,
     p: int,
     limit: float,
@@ -331,7 +331,7 @@ def company_beside(
 
 
 @small
-def lonely(
+def isolated(
     points: FloatArray,
     wanted: BoolArray,
     density: FloatArray,
@@ -369,7 +369,7 @@ def lonely(
             q = some[bucket_of(i, j, k, number, mask)]
             if q >= 0 and inside and (diagonal_sq <= limit or apart_sq(source, q, points, p, period) < limit):
                 continue
-            if not company_beside(points, p, limit, source, some, low, side, number, period, mask):
+            if not has_neighbour(points, p, limit, source, some, low, side, number, period, mask):
                 out[found] = p
                 found += 1
     return found
@@ -443,7 +443,7 @@ def is_empty(
     """Whether no point lies closer to the centre than the radius."""
     i, j, k = cells_at(centres, c, low, side, number, period)
     own = bucket_of(i, j, k, number, mask)
-    for place in range(start[own], start[own + 1]):  # most centres have company in their own cell
+    for place in range(start[own], start[own + 1]):  # most centres have another in their own cell
         if apart_sq(points, rows[place], centres, c, period) < radius * radius:
             return False
     (west, east), (south, north), (below, above) = reach_of(centres, c, radius, low, side, number, period)

@@ -370,7 +370,9 @@ def balls(
         )
         if after < 0:
             stamp += count + 1
-            lonely(center, base2, edges1, local1, local2, column_start, column_pairs, weight, u, v, to_column, share)
+            from_messages(
+                center, base2, edges1, local1, local2, column_start, column_pairs, weight, u, v, to_column, share
+            )
             continue
         stamp = after
         for e in range(edges1[center], edges1[center + 1]):
@@ -378,7 +380,7 @@ def balls(
 
 
 @part
-def lonely(
+def from_messages(
     center: int,
     base2: int,
     edges1: IntArray,

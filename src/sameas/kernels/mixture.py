@@ -22,20 +22,20 @@ def log_odds(
     partner_2: FloatArray,
     counted: BoolArray,
     faint: float,
-    surest: float,
+    largest_p: float,
     profile: FloatArray,
 ) -> None:
     """Turn ``profile`` (m,), what the errors say of pairs, into ln of their odds but for that; −∞ if i is not counted.
 
     i, j, p_pair, log_ratio : (m,) records of the pairs, their probabilities, and ln of their odds before one-to-one.
     partner_1, partner_2 : how probably each record has a partner. Less probable pairs than ``faint`` may have been
-    left at zero: they are as probable as both their records are free for them. None is surer than ``surest``.
+    left at zero: they are as probable as both their records are free for them. None is surer than ``largest_p``.
     """
     for e in range(len(profile)):
         if not counted[i[e]]:
             profile[e] = -np.inf
         elif p_pair[e] > faint:
-            p = min(p_pair[e], surest)
+            p = min(p_pair[e], largest_p)
             profile[e] = math.log(p / (1.0 - p)) - profile[e]
         else:
             free = max(1.0 - partner_1[i[e]], 1e-30) * max(1.0 - partner_2[j[e]], 1e-30)
@@ -59,7 +59,7 @@ def cells(
     log odds.
     Returns start (b + 1,), count and odds (c,) of the cells that are not empty, squares (b,) of distances that are not.
     """
-    number, told = np.zeros(shape), np.zeros(shape)
+    number, log_odds_sum = np.zeros(shape), np.zeros(shape)
     squares, there = np.zeros(shape[0]), np.zeros(shape[0])
     begin, closest = math.log(nearest), nearest * nearest
     along, across = (shape[0] - 1) / (math.log(reach) - begin), (shape[1] - 1) / (most - least)
@@ -69,7 +69,7 @@ def cells(
             a = int((0.5 * math.log(max(square[e], closest)) - begin) * along)
             b = int((here - least) * across)
             number[a, b] += 1.0
-            told[a, b] += here
+            log_odds_sum[a, b] += here
             squares[a] += square[e]
             there[a] += 1.0
     size = min(len(square), shape[0] * shape[1])
@@ -80,7 +80,7 @@ def cells(
         if there[a] > 0.0:
             for b in range(shape[1]):
                 if number[a, b] > 0.0:
-                    count[full], odds[full] = number[a, b], math.exp(told[a, b] / number[a, b])
+                    count[full], odds[full] = number[a, b], math.exp(log_odds_sum[a, b] / number[a, b])
                     full += 1
             mean[distances] = squares[a] / there[a]
             distances += 1
@@ -180,11 +180,11 @@ def _on_simplex(slope: FloatArray, bend: FloatArray, free: BoolArray, wanted: Fl
         best, gain = -1, 1e-9 * steepest
         for k in range(size):
             if not free[k]:
-                pull = slope[k] - right[n, 0]
+                descent = slope[k] - right[n, 0]
                 for a in range(n):
-                    pull -= bend[k, at[a]] * right[a, 0]
-                if pull > gain:
-                    best, gain = k, pull
+                    descent -= bend[k, at[a]] * right[a, 0]
+                if descent > gain:
+                    best, gain = k, descent
         if best < 0:
             return
         free[best] = True
@@ -313,14 +313,14 @@ def grade(place: FloatArray, within: IntArray, limits: FloatArray, number: int, 
 
 @small
 def count_pairs(
-    i: Int32Array, j: Int32Array, grades_1: Int32Array, grades_2: Int32Array, told: FloatArray, common: FloatArray
+    i: Int32Array, j: Int32Array, grades_1: Int32Array, grades_2: Int32Array, p_counted: FloatArray, common: FloatArray
 ) -> IntArray:
-    """Add the probabilities ``told`` (m,) of pairs to ``common`` (k₁, k₂); returns (m,) where each was added, row by
-    row."""
+    """Add the probabilities ``p_counted`` (m,) of pairs to ``common`` (k₁, k₂); returns (m,) where each was added,
+    row by row."""
     at = np.empty(len(i), np.int64)
     for e in range(len(i)):
         one, two = grades_1[i[e]], grades_2[j[e]]
-        common[one, two] += told[e]
+        common[one, two] += p_counted[e]
         at[e] = one * common.shape[1] + two
     return at
 

@@ -1,4 +1,4 @@
-"""Compiled search for the offset between two sources: pairs under many offsets, their messages, what they pull at.
+"""Compiled search for the offset between two sources: pairs under many offsets, their messages, scores and information.
 
 Arrays of pairs run over the pairs of all offsets, offset by offset: those of offset s are ``start[s]`` to
 ``start[s + 1]``.
@@ -244,26 +244,26 @@ def exchange(
     pairs: IntArray, i: IntArray, j: IntArray, weight: FloatArray, to_row: FloatArray, to_column: FloatArray,
     by_row: FloatArray, by_column: FloatArray, sweeps: int, settled: float,
 ) -> None:  # fmt: skip
-    """Send messages along the pairs of one component until they settle; leave what every record hears in its place."""
+    """Send messages along the pairs of one component until they settle; leave the sum of every record in its place."""
     for _ in range(sweeps):
         moving = False
-        heard(pairs, i, weight, to_row, by_row)
+        sum_by_row(pairs, i, weight, to_row, by_row)
         for e in pairs:
             new = weight[e] / (1.0 + max(by_row[i[e]] - 1.0 - weight[e] * to_row[e], 0.0))
             moving = moving or abs(new - to_column[e]) > 1e-9 + settled * new
             to_column[e] = new
-        told(pairs, j, to_column, by_column)
+        sum_by_column(pairs, j, to_column, by_column)
         for e in pairs:
             to_row[e] = 1.0 / (1.0 + max(by_column[j[e]] - 1.0 - to_column[e], 0.0))
         if not moving:
             break
-    heard(pairs, i, weight, to_row, by_row)
-    told(pairs, j, to_column, by_column)
+    sum_by_row(pairs, i, weight, to_row, by_row)
+    sum_by_column(pairs, j, to_column, by_column)
 
 
 @inlined
-def heard(pairs: IntArray, i: IntArray, weight: FloatArray, to_row: FloatArray, by_row: FloatArray) -> None:
-    """1 for having no partner, and what the records of the first source hear of these pairs."""
+def sum_by_row(pairs: IntArray, i: IntArray, weight: FloatArray, to_row: FloatArray, by_row: FloatArray) -> None:
+    """1 for having no partner, and the sum of the messages of these pairs to each record of the first source."""
     for e in pairs:
         by_row[i[e]] = 1.0
     for e in pairs:
@@ -271,8 +271,8 @@ def heard(pairs: IntArray, i: IntArray, weight: FloatArray, to_row: FloatArray, 
 
 
 @inlined
-def told(pairs: IntArray, j: IntArray, to_column: FloatArray, by_column: FloatArray) -> None:
-    """1 for having no partner, and what the records of the second source hear of these pairs."""
+def sum_by_column(pairs: IntArray, j: IntArray, to_column: FloatArray, by_column: FloatArray) -> None:
+    """1 for having no partner, and the sum of the messages of these pairs to each record of the second source."""
     for e in pairs:
         by_column[j[e]] = 1.0
     for e in pairs:
@@ -280,7 +280,7 @@ def told(pairs: IntArray, j: IntArray, to_column: FloatArray, by_column: FloatAr
 
 
 @kernel
-def pulls(
+def score_and_information(
     s: IntArray,
     j: IntArray,
     residual: FloatArray,
@@ -289,28 +289,28 @@ def pulls(
     jacobian: FloatArray,
     faint: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """What the pairs pull at every offset: Σ w Jᵀ Σ⁻¹ Δ (s, p), and their information Σ w Jᵀ Σ⁻¹ J (s, p, p).
+    """The score of the pairs at every offset: Σ w Jᵀ Σ⁻¹ Δ (s, p), and their information Σ w Jᵀ Σ⁻¹ J (s, p, p).
 
     s, j : (m,) offset and record of the second source of every pair. jacobian : (s, k, d, p). Pairs of less weight than
     ``faint`` are left out.
     """
     sets, _, d, p = jacobian.shape
     score, information = np.zeros((sets, p)), np.zeros((sets, p, p))
-    pull = np.empty((d, p))
+    gradient = np.empty((d, p))
     for e in range(len(s)):
         if weight[e] <= faint:
             continue
         here = jacobian[s[e], j[e]]
         for v in range(d):
             for q in range(p):
-                pull[v, q] = 0.0
+                gradient[v, q] = 0.0
                 for w in range(d):
-                    pull[v, q] += weight[e] * precision[e, v, w] * here[w, q]
+                    gradient[v, q] += weight[e] * precision[e, v, w] * here[w, q]
         for q in range(p):
             for v in range(d):
-                score[s[e], q] += pull[v, q] * residual[e, v]
+                score[s[e], q] += gradient[v, q] * residual[e, v]
                 for r in range(p):
-                    information[s[e], q, r] += pull[v, q] * here[v, r]
+                    information[s[e], q, r] += gradient[v, q] * here[v, r]
     return score, information
 
 

@@ -58,7 +58,7 @@ def sweep_plane(
     grid: Grid,
     reach: Reach,
     folds: tuple[float, float],
-    told: IntArray,
+    listed: IntArray,
     limit: float,
     box: bool,
     periods: FloatArray,
@@ -68,7 +68,7 @@ def sweep_plane(
 ) -> tuple[int, int]:
     """Candidates of the records at places ``first`` ≤ k < ``last`` of source 1, written into the arrays ``out``.
 
-    one, two : ``order.Side``. grid, reach : of what lies in source 2. folds : periods of x and y. told : see
+    one, two : ``order.Side``. grid, reach : of what lies in source 2. folds : periods of x and y. listed : see
     ``spans.near``, from ``first`` on. periods (d,). out : the columns of ``gate.Pairs``. Returns (candidates written,
     next k): next k < last when out is full.
     """
@@ -76,7 +76,7 @@ def sweep_plane(
     count = np.int64(0)  # not a literal: numba would compile for it apart
     at = (np.int64(first), np.int64(0), np.int64(0), np.int64(0))
     while True:
-        found, at = near(one, two, grid, reach, folds, told, at, last, room)
+        found, at = near(one, two, grid, reach, folds, listed, at, last, room)
         if found == 0:
             return count, last
         count, t = measured_on_plane(one, two, limit, box, periods, room[0], room[1], found, count, out)

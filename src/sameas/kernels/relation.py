@@ -49,7 +49,7 @@ def interval(knots: FloatArray, found: IntArray, x: float) -> tuple[int, int, fl
 def climb(
     magnitude: FloatArray,
     log_odds: FloatArray,
-    shown: FloatArray,
+    p_detected: FloatArray,
     knots: FloatArray,
     penalty: FloatArray,
     values: FloatArray,
@@ -59,9 +59,9 @@ def climb(
 ) -> None:
     """Newton's steps towards the penalised maximum of the likelihood of ``values`` (k,) at ``knots``, in place.
 
-    magnitude, log_odds, shown : (n,) of the records, what their log odds are without the curve, and the probability
-    that they are shown. penalty : (k, k). No value changes by more than ``longest`` in a step; when none changes by
-    more than ``settled``, no more steps are taken.
+    magnitude, log_odds, p_detected : (n,) of the records, what their log odds are without the curve, and the
+    probability that they are detected. penalty : (k, k). No value changes by more than ``longest`` in a step; when none
+    changes by more than ``settled``, no more steps are taken.
     """
     n, k = len(magnitude), len(knots)
     low, along, found = np.empty(n, np.int64), np.empty(n), directory(knots)
@@ -77,7 +77,7 @@ def climb(
             b = min(a + 1, k - 1)
             against = -(log_odds[e] + values[a] + t * (values[b] - values[a]))
             expected = 1.0 / (1.0 + math.exp(min(against, DEEPEST)))
-            missing, weight = shown[e] - expected, expected * (1.0 - expected)
+            missing, weight = p_detected[e] - expected, expected * (1.0 - expected)
             step[a, 0] += missing * (1.0 - t)
             gram[a, a] += weight * ((1.0 - t) * (1.0 - t))
             if b > a:
@@ -247,12 +247,12 @@ def learn(
     k, c = len(offset), len(slopes)
     share = summed(mean[:k])
     typical = np.sqrt(summed(mean[:k] * scatter**2) / share) if share > 0.0 else np.inf
-    told, hats = np.empty((len(sample), 2)), (np.empty(len(sample), np.int64), np.empty(len(sample)))
+    leverages, hats = np.empty((len(sample), 2)), (np.empty(len(sample), np.int64), np.empty(len(sample)))
     found = directory(knots)
     for e in range(len(sample)):
         hats[0][e], _, hats[1][e] = interval(knots, found, sample[e, 5])
     for _ in range(steps):
-        system, right, owned, counts, excess, weight, wider = _summed(sample, colours, hats, relation, told)
+        system, right, owned, counts, excess, weight, wider = _summed(sample, colours, hats, relation, leverages)
         number = summed(owned[:k])
         inverse = np.eye(k + c)
         solve(system + penalty, inverse)
@@ -261,7 +261,7 @@ def learn(
             solved[a] = summed(inverse[a] * right)
         covariance[:] = inverse * wider
         mean[:] = owned / max(number, 1e-300)
-        before, typical = typical, _scatters(scatter, error, hats, told, excess, mean[:k], number, k + c, priors)
+        before, typical = typical, _scatters(scatter, error, hats, leverages, excess, mean[:k], number, k + c, priors)
         settled = abs(typical - before) <= priors[-1] * error[0]
         alone = shares[-1]
         _shares(shares, counts, weight, number, priors)
@@ -280,14 +280,14 @@ def _summed(
     colours: FloatArray,
     hats: tuple[IntArray, FloatArray],
     relation: tuple[FloatArray, ...],
-    told: FloatArray,
+    leverages: FloatArray,
 ) -> tuple[FloatArray | float, ...]:
     """What a step needs of the pairs.
 
     Normal equations (k + c, k + c) and (k + c,); Σ of what is owned · basis (k + c,); counts of the mixture's normals
     (s,); (3, k) the squares of the residuals, what of them the quoted errors explain, and what they tell, · basis; the
-    expected number of pairs; by how much the residuals scatter more than the mixture says. Fills ``told`` (n, 2): the
-    square of each residual and what it should be, by what it tells of the scatter.
+    expected number of pairs; by how much the residuals scatter more than the mixture says. Fills ``leverages`` (n, 2):
+    the square of each residual and what it should be, by what it tells of the scatter.
     """
     left, upper = hats
     offset, scatter, slopes, scales, shares = relation[:5]
@@ -320,11 +320,11 @@ def _summed(
         precision, leverage = precise * inverse, inverse * inverse
         squared += (precision * precision) * (residual * residual)
         simple += precision
-        told[e, 0], told[e, 1] = leverage * precise * (residual * residual), own * inverse
+        leverages[e, 0], leverages[e, 1] = leverage * precise * (residual * residual), own * inverse
         for at, basis in ((low, 1.0 - along), (high, along)):
             right[at] += precision * basis * sample[e, 0]
             owned[at] += own * basis
-            excess[0, at] += told[e, 0] * basis
+            excess[0, at] += leverages[e, 0] * basis
             excess[1, at] += leverage * own * (total - width * width) * basis
             excess[2, at] += leverage * own * basis
             for v in range(c):
@@ -349,7 +349,7 @@ def _scatters(
     scatter: FloatArray,
     error: FloatArray,
     hats: tuple[IntArray, FloatArray],
-    told: FloatArray,
+    leverages: FloatArray,
     excess: FloatArray,
     share: FloatArray,
     number: float,
@@ -364,18 +364,18 @@ def _scatters(
     beyond, weight = larger * excess[0] - excess[1], excess[2]
     overall, drawn = summed(beyond) / summed(weight), drawing * weight / max(number, 1e-300)
     for a in range(len(scatter)):
-        told_here = (beyond[a] + drawn[a] * overall) / (weight[a] + drawn[a]) if weight[a] > 0.0 else overall
-        scatter[a] = np.sqrt(max(told_here, least * least))
+        pooled = (beyond[a] + drawn[a] * overall) / (weight[a] + drawn[a]) if weight[a] > 0.0 else overall
+        scatter[a] = np.sqrt(max(pooled, least * least))
     # The typical scatter weighs the knots by their pairs; its error comes from how the squares scatter.
     by_knot = np.where(weight > 0.0, share / np.maximum(weight + drawn, 1e-300), 0.0)
     by_all = summed(by_knot * drawn) / summed(weight)
     typical = np.sqrt(max(summed(share * scatter**2), least * least))
     total = 0.0
-    for e in range(len(told)):
+    for e in range(len(leverages)):
         low = left[e]
         high = min(low + 1, len(scatter) - 1)
         here = by_knot[low] + upper[e] * (by_knot[high] - by_knot[low]) + by_all
-        total += _square((larger * told[e, 0] - told[e, 1]) * here)
+        total += _square((larger * leverages[e, 0] - leverages[e, 1]) * here)
     error[0] = np.sqrt(total) / (2.0 * typical)
     return typical
 

@@ -25,7 +25,7 @@ Grid = namedtuple("Grid", "first starts scale low_x low_y per_y wraps")
 
 #: How far records reach into a grid: what a variance of one opens, squared; the largest variances in x and in y there;
 #: ``stretch`` (zones,) the half width of the window per unit of reach; and the place from which on records do not
-#: reach into it, but have only the pairs that are told.
+#: reach into it, but have only the pairs that are listed.
 Reach = namedtuple("Reach", "opening widest_x widest_y stretch end")
 
 #: Pairs that are looked up before they are measured.
@@ -123,23 +123,23 @@ def near(
     grid: Grid,
     reach: Reach,
     folds: tuple[float, float] | None,
-    told: IntArray,
+    listed: IntArray,
     at: tuple[int, ...],
     last: int,
     room: tuple[Int32Array, Int32Array, ByteArray],
 ) -> tuple[int, tuple[int, ...]]:
     """Fill of1, of2 with pairs near enough to be measured, of the records from ``at`` on, as many as fit.
 
-    at : (k, zones of k done, records of the next one done, pairs of ``told`` done). told : further pairs k << 32 | q,
-    sorted, which follow what the grid gives. room : (of1, of2, passes), as long as each other. Returns (pairs, at); at
-    the end none.
+    at : (k, zones of k done, records of the next one done, pairs of ``listed`` done). listed : further pairs
+    k << 32 | q, sorted, which follow what the grid gives. room : (of1, of2, passes), as long as each other.
+    Returns (pairs, at); at the end none.
     """
     of1, of2, _ = room
     k, done, skip, e = at
     count = np.int64(0)
     while True:
-        while e < len(told) and told[e] >> 32 < k and count < len(of1):
-            of1[count], of2[count] = told[e] >> 32, told[e] & 0xFFFFFFFF
+        while e < len(listed) and listed[e] >> 32 < k and count < len(of1):
+            of1[count], of2[count] = listed[e] >> 32, listed[e] & 0xFFFFFFFF
             count += 1
             e += 1
         if k >= last or count == len(of1):
@@ -246,12 +246,12 @@ def visit(
 
     Written into out[0]; returns (pairs written, next k): next k < last when it is full.
     """
-    pairs, told = out[0], np.empty(0, np.int64)
+    pairs, listed = out[0], np.empty(0, np.int64)
     room = np.empty(ROOM, np.int32), np.empty(ROOM, np.int32), np.empty(ROOM, np.uint8)
     count = np.int64(0)
     at = (np.int64(first), np.int64(0), np.int64(0), np.int64(0))
     while True:
-        found, at = near(one, two, grid, reach, folds, told, at, last, room)
+        found, at = near(one, two, grid, reach, folds, listed, at, last, room)
         if found == 0:
             return count, last
         if count + found > len(pairs):

@@ -121,7 +121,7 @@ def sweep_sphere(
     two: Side,
     grid: Grid,
     reach: Reach,
-    told: IntArray,
+    listed: IntArray,
     limit: float,
     box: bool,
     first: int,
@@ -131,7 +131,7 @@ def sweep_sphere(
     """Candidates of the records at places ``first`` ≤ k < ``last`` of source 1, written into the arrays ``out``.
 
     one, two : ``order.Side``, guards (longitude, latitude, its cosine, variance). grid, reach : of what lies in source
-    2. told : see ``spans.near``, from ``first`` on. out : the columns of ``gate.Pairs``. Returns (candidates written,
+    2. listed : see ``spans.near``, from ``first`` on. out : the columns of ``gate.Pairs``. Returns (candidates written,
     next k): next k < last when out is full.
     """
     room = np.empty(ROOM, np.int32), np.empty(ROOM, np.int32), np.empty(ROOM, np.uint8)
@@ -139,7 +139,7 @@ def sweep_sphere(
     count = np.int64(0)  # not a literal: numba would compile for it apart
     at = (np.int64(first), np.int64(0), np.int64(0), np.int64(0))
     while True:
-        found, at = near(one, two, grid, reach, None, told, at, last, room)
+        found, at = near(one, two, grid, reach, None, listed, at, last, room)
         if found == 0:
             return count, last
         count, t = measured_on_sphere(one, two, limit, box, room[0], room[1], found, terms, count, out)

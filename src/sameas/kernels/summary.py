@@ -29,7 +29,7 @@ def per_record(
 
 
 @small
-def foremost(position: Int32Array, n: int, value: FloatArray) -> IntArray:
+def greatest_pair(position: Int32Array, n: int, value: FloatArray) -> IntArray:
     """(n,) the pair of greatest value of each record, the first of equal ones; −1 without pairs.
 
     position : (m,) record of each pair. value : (m,).
@@ -45,7 +45,7 @@ def foremost(position: Int32Array, n: int, value: FloatArray) -> IntArray:
 @small
 def by_row(
     at: IntArray,
-    told: tuple[FloatArray | Int32Array | IntArray, ...],
+    of_record: tuple[FloatArray | Int32Array | IntArray, ...],
     pairs: tuple[FloatArray | Int32Array | IntArray, ...],
     rows: tuple[IntArray, IntArray, IntArray],
     shares: tuple[FloatArray, FloatArray, FloatArray],
@@ -54,12 +54,12 @@ def by_row(
 ) -> None:
     """Write what is told of each record to its row ``at[k]`` of the table.
 
-    told : what :func:`per_record` gave. pairs : probability and position of the other record, (m,) each, the rows (n,)
-    of such records, the group (m,), and the sizes of the groups. Filled are rows (partner, pair, second), shares
+    of_record : what :func:`per_record` gave. pairs : probability and position of the other record, (m,) each, the rows
+    (n,) of such records, the group (m,), and the sizes of the groups. Filled are rows (partner, pair, second), shares
     (p_match, p_none, p_second), counts (candidates, group, group_size), and in absent, all True at first, what is
     there: (partner, second, group, record).
     """
-    partner, second, number, total = told
+    partner, second, number, total = of_record
     p, other, other_rows, group_of, size = pairs
     of_partner, of_pair, of_second = rows
     p_match, p_none, p_second = shares

@@ -171,10 +171,10 @@ def application(keeper: Keeper, access: Access | None = None) -> Starlette:
         return PlainTextResponse(metrics(keeper.health(), list(keeper.durations_s)), headers=_HEADERS)
 
     async def health(request: Request) -> Response:
-        told = keeper.health()
+        state = keeper.health()
         # Who has no token learns whether it ticks and no more.
         full = access.means_us(request.headers.get("host", "")) and role_of(request) is not None
-        return answer(told if full else {"ok": told["ok"]}, 200 if told["ok"] else 503)
+        return answer(state if full else {"ok": state["ok"]}, 200 if state["ok"] else 503)
 
     return Starlette(routes=[
         Route("/", guarded(page)),

@@ -104,18 +104,18 @@ def map_page(sheet: MapSheet, live: Mapping[str, Any] | None = None) -> str:
     objects, strings = _objects(sheet)
     records, tracks = _records(sheet)
     heads, columns = packed({f"o.{k}": v for k, v in objects.items()} | {f"r.{k}": v for k, v in records.items()})
-    told = _told(sheet) | {"columns": heads, "strings": strings | tracks, "live": live}
+    filled = _filled(sheet) | {"columns": heads, "strings": strings | tracks, "live": live}
     marks = {
         "css": asset("map.css"),
         "js": "\n".join(asset(f"map-{name}.js") for name in (SCRIPTS if live is None else (*SCRIPTS, "live"))),
-        "data": script_safe(told),
+        "data": script_safe(filled),
         "columns": columns,
         "texts": script_safe(_texts(sheet)),
     }
     return page_of("map.html", sheet.title, "map", marks, POLICY if live is None else SERVED_POLICY)
 
 
-def _told(sheet: MapSheet) -> dict[str, Any]:
+def _filled(sheet: MapSheet) -> dict[str, Any]:
     plane = sheet.plane
     return {
         "title": sheet.title,
@@ -173,7 +173,7 @@ def _texts(sheet: MapSheet) -> dict[str, str]:
 def _objects(sheet: MapSheet) -> tuple[dict[str, tuple[NDArray[Any], float]], dict[str, list[str]]]:
     """Packed columns of the objects, and the lists of texts that some of them count in."""
     o, step = sheet.objects, _step(sheet)
-    numbers, said = _counted(o, ("label", "mmsi", "icao", "callsign", "name", "mode_a", "type"), "o")
+    numbers, strings = _counted(o, ("label", "mmsi", "icao", "callsign", "name", "mode_a", "type"), "o")
     stage = np.array([STAGES.index(name) for name in o["stage"].tolist()], np.float64)
     first, rows = _runners_up(sheet)
     return {
@@ -183,21 +183,21 @@ def _objects(sheet: MapSheet) -> tuple[dict[str, tuple[NDArray[Any], float]], di
         "height": (o["height_m"], 1.0), "sh": (o["sigma_height_m"], 1.0), "climb": (o["climb_m_per_s"], 0.1),
         "sources": (o["n_sources"], 1), "p": (o["probability"], SHARE), "ambiguous": (o["ambiguous"], 1),
         "rival": (o["p_runner_up"], SHARE), "rivals": (first, 1), "rivalRows": (rows, 1), **numbers,
-    }, said  # fmt: skip
+    }, strings  # fmt: skip
 
 
 def _records(sheet: MapSheet) -> tuple[dict[str, tuple[NDArray[Any], float]], dict[str, list[str]]]:
     r, step = sheet.records, _step(sheet)
     places = {sensor.name: k for k, sensor in enumerate(sheet.sensors)}
     source = np.array([places[name] for name in r["source"].tolist()], np.float64)
-    numbers, said = _counted(r, ("track_id",), "r")
+    numbers, strings = _counted(r, ("track_id",), "r")
     return {
         "t": (sheet.instant_of(r), 1), "n": (r["object"], 1), "source": (source, 1), "row": (r["row"], 1),
         "line": (r["line"], 1), "x": (r["x_m"], step), "y": (r["y_m"], step), **_ellipses(r, step),
         "p": (r["p_object"], SHARE), "alone": (r["p_alone"], SHARE), "age": (r["age_s"], 0.1),
         "bearing": (r["bearing_deg"], 0.01), "sb": (r["sigma_bearing_deg"], 0.01),
         "sx": (r["sensor_x_m"], step), "sy": (r["sensor_y_m"], step), **numbers,
-    }, said  # fmt: skip
+    }, strings  # fmt: skip
 
 
 def _step(sheet: MapSheet) -> float:
@@ -215,11 +215,11 @@ def _counted(
     columns: Columns, names: Iterable[str], table: str
 ) -> tuple[dict[str, tuple[NDArray[Any], float]], dict[str, list[str]]]:
     """Texts as places in lists of those that occur."""
-    numbers, said = {}, {}
+    numbers, strings = {}, {}
     for name in names:
         texts, place = np.unique(columns[name].astype(str), return_inverse=True)
-        numbers[name], said[f"{table}.{name}"] = (place, 1.0), texts.tolist()
-    return numbers, said
+        numbers[name], strings[f"{table}.{name}"] = (place, 1.0), texts.tolist()
+    return numbers, strings
 
 
 def _runners_up(sheet: MapSheet) -> tuple[IntArray, IntArray]:

@@ -20,7 +20,7 @@ MOST, LEAST_CONSTANT = 600, 200
 
 
 def series_field(
-    name: str, series: Series, told: Sequence[Mapping[str, Any]], doubts: Sequence[Sequence[str]], filter: str = ""
+    name: str, series: Series, summary: Sequence[Mapping[str, Any]], doubts: Sequence[Sequence[str]], filter: str = ""
 ) -> dict[str, Any]:
     """What the page has of one series. told : summaries of its frames, doubts : of each, in the order of time."""
     stars = series.stars
@@ -36,7 +36,7 @@ def series_field(
             "scatter": rounded(series.floor_arcsec[k], 3), "width": rounded(one.get("psf_fwhm_px") or np.nan, 2),
             "shift": column(series.shift_arcsec[k], 3), "doubts": list(doubts[k]),
         }
-        for k, (one, exposure) in enumerate(zip(told, series.exposures, strict=True))
+        for k, (one, exposure) in enumerate(zip(summary, series.exposures, strict=True))
     ]  # fmt: skip
     return {
         "name": name, "filter": filter, "middle": list(series.middle_deg), "frames": frames, "count": len(stars),

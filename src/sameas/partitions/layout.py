@@ -71,13 +71,13 @@ class HatsCatalogue:
     """A catalogue in partitions. Make it with :meth:`open`.
 
     path : the folder that holds ``dataset``. name : for messages. cells : of the partitions, by their place on the sky.
-    told : what its properties say.
+    properties : what its properties say.
     """
 
     path: Path
     name: str
     cells: tuple[Cell, ...]
-    told: dict[str, str]
+    properties: dict[str, str]
 
     @classmethod
     def open(cls, path: str | os.PathLike[str], name: str = "") -> HatsCatalogue:
@@ -93,12 +93,12 @@ class HatsCatalogue:
         file = next((folder / name for name in PROPERTIES if (folder / name).is_file()), None)
         if file is None or not (folder / "dataset").is_dir():
             raise InputError(f"{path}: no HATS catalogue", "give a folder with hats.properties and dataset/")
-        told = properties(file)
-        suffix = told.get("hats_npix_suffix", ".parquet")
+        stated = properties(file)
+        suffix = stated.get("hats_npix_suffix", ".parquet")
         cells = sorted(_listed(folder, suffix), key=lambda cell: (int(cell.stretch[0, 0]), cell.order))
         if not cells:
             raise InputError(f"{path}: the catalogue has no partitions", "was it imported to the end?")
-        return cls(folder, name or folder.name, tuple(cells), told)
+        return cls(folder, name or folder.name, tuple(cells), stated)
 
     @cached_property
     def stretches(self) -> IntArray:
@@ -108,7 +108,7 @@ class HatsCatalogue:
     def file(self, cell: Cell) -> Path:
         """The file of a partition, or the folder of its files."""
         place = self.path / "dataset" / f"Norder={cell.order}" / f"Dir={cell.number // 10000 * 10000}"
-        suffix = self.told.get("hats_npix_suffix", ".parquet")
+        suffix = self.properties.get("hats_npix_suffix", ".parquet")
         return place / f"Npix={cell.number}{'' if suffix == '/' else suffix}"
 
     @cached_property
@@ -119,7 +119,7 @@ class HatsCatalogue:
     @property
     def position(self) -> tuple[str, str]:
         """The columns of right ascension and declination by which the catalogue is cut."""
-        return self.told.get("hats_col_ra", "ra"), self.told.get("hats_col_dec", "dec")
+        return self.properties.get("hats_col_ra", "ra"), self.properties.get("hats_col_dec", "dec")
 
     def _files(self, cell: Cell) -> list[Path]:
         file = self.file(cell)
@@ -212,9 +212,9 @@ class HatsCatalogue:
 
     def fingerprint(self) -> str:
         """SHA-256 of the names, sizes and times of its files: other contents have another."""
-        told = [(str(file.relative_to(self.path)), file.stat().st_size, file.stat().st_mtime_ns)
+        files = [(str(file.relative_to(self.path)), file.stat().st_size, file.stat().st_mtime_ns)
                 for cell in self.cells for file in self._files(cell)]  # fmt: skip
-        return hashlib.sha256(json.dumps(told).encode()).hexdigest()
+        return hashlib.sha256(json.dumps(files).encode()).hexdigest()
 
 
 def _outside(group: Any, stretch: IntArray) -> bool:
@@ -222,11 +222,11 @@ def _outside(group: Any, stretch: IntArray) -> bool:
     for k in range(group.num_columns):
         column = group.column(k)
         if column.path_in_schema == CELL:
-            told = column.statistics
-            if told is None or not told.has_min_max:
+            statistics = column.statistics
+            if statistics is None or not statistics.has_min_max:
                 return False
-            at = int(np.searchsorted(stretch[:, 1], told.min, side="right"))
-            return at == len(stretch) or bool(stretch[at, 0] > told.max)
+            at = int(np.searchsorted(stretch[:, 1], statistics.min, side="right"))
+            return at == len(stretch) or bool(stretch[at, 0] > statistics.max)
     return False
 
 

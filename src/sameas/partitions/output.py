@@ -68,10 +68,12 @@ def partition_file(folder: Path, cell: Cell) -> Path:
     return place / f"Npix={cell.number}.parquet"
 
 
-def finish_catalogue(folder: Path, cells: Iterable[Cell], told: Mapping[str, Any], facts: Mapping[str, Any]) -> int:
+def finish_catalogue(
+    folder: Path, cells: Iterable[Cell], properties: Mapping[str, Any], facts: Mapping[str, Any]
+) -> int:
     """Writes what a catalogue says of itself, from its partitions; the number of its rows.
 
-    told : properties besides those that follow from the partitions. facts : how it was made.
+    properties : properties besides those that follow from the partitions. facts : how it was made.
     """
     from pyarrow import parquet
 
@@ -96,21 +98,21 @@ def finish_catalogue(folder: Path, cells: Iterable[Cell], told: Mapping[str, Any
         "hats_nrows": rows, "hats_order": max(cell.order for cell in cells), "moc_sky_fraction": f"{sky:.6g}",
         "hats_estsize": size, "hats_version": "v1.0", "hats_npix_suffix": ".parquet",
     }  # fmt: skip
-    written_whole(folder / "hats.properties", _lines({**told, **own}))
+    written_whole(folder / "hats.properties", _lines({**properties, **own}))
     written_whole(folder / "sameas.json", json.dumps(facts, indent=1, sort_keys=True).encode() + b"\n")
     return rows
 
 
 def write_collection(folder: Path, name: str, margin: str | None) -> None:
     """Says which catalogue and margin a folder holds."""
-    told = {"obs_collection": name, "hats_primary_table_url": name}
+    properties = {"obs_collection": name, "hats_primary_table_url": name}
     if margin is not None:
-        told |= {"all_margins": margin, "default_margin": margin}
-    written_whole(folder / COLLECTION, _lines(told))
+        properties |= {"all_margins": margin, "default_margin": margin}
+    written_whole(folder / COLLECTION, _lines(properties))
 
 
-def _lines(told: Mapping[str, Any]) -> bytes:
-    return "".join(f"{key}={value}\n" for key, value in told.items()).encode()
+def _lines(properties: Mapping[str, Any]) -> bytes:
+    return "".join(f"{key}={value}\n" for key, value in properties.items()).encode()
 
 
 def write_margin(catalogue: HatsCatalogue, cell: Cell, margin_arcsec: float, folder: Path) -> int:
@@ -151,9 +153,9 @@ def write_hats(
         if begin < end:
             write_rows(arrow_of(table[begin:end], place[begin:end], {}), partition_file(folder, cell))
             full.append(cell)
-    told = {"obs_collection": folder.name, "dataproduct_type": "object", "hats_col_ra": ra, "hats_col_dec": dec,
+    properties = {"obs_collection": folder.name, "dataproduct_type": "object", "hats_col_ra": ra, "hats_col_dec": dec,
             "hats_col_healpix": CELL, "hats_col_healpix_order": healpix.FINEST, "hats_builder": "sameas"}  # fmt: skip
-    finish_catalogue(folder, full, told, {})
+    finish_catalogue(folder, full, properties, {})
     return full
 
 

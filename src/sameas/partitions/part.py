@@ -214,8 +214,8 @@ class Work:
         learned, measured = self.learned, None
         pairs = learned.pairs(one.records, two.records)
         if learned.photometry is not None:
-            said = brightness(one.catalogue, two.catalogue, self.magnitudes)
-            measured = None if said is None else (said[0].of(one.records), said[1].of(two.records))
+            magnitudes = brightness(one.catalogue, two.catalogue, self.magnitudes)
+            measured = None if magnitudes is None else (magnitudes[0].of(one.records), magnitudes[1].of(two.records))
         rule = learned.rule(pairs, (one.cells, two.cells), measured)
         return identify(pairs.first, pairs.second, rule=rule, gate=lambda first, second: pairs)
 

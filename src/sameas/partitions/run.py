@@ -147,7 +147,7 @@ def estimate(
         if side.fill_errors:
             raise InputError("fill_errors: typical errors would depend on the partition", "give every row an error")
     progress("columns")
-    looks = tuple(_look(one, said, tuning) for one, said in zip(stored, columns, strict=True))
+    looks = tuple(_look(one, stated, tuning) for one, stated in zip(stored, columns, strict=True))
     epochs = completed_epochs(looks, options.epoch_jyr)
     epoch, moved = common_epoch(*epochs, options.epoch_jyr)
     order = _cell_order(stored, tuning)
@@ -180,7 +180,7 @@ def completed_epochs(looks: Sequence[Catalogue], epoch_jyr: float | None) -> tup
     return looks[0], looks[1]
 
 
-def _look(stored: HatsCatalogue, said: CatalogueOptions, tuning: RunTuning) -> Catalogue:
+def _look(stored: HatsCatalogue, stated: CatalogueOptions, tuning: RunTuning) -> Catalogue:
     """A catalogue understood by some rows of some partitions."""
     import pyarrow as pa
     from astropy.table import Table, vstack
@@ -201,7 +201,7 @@ def _look(stored: HatsCatalogue, said: CatalogueOptions, tuning: RunTuning) -> C
     if not tables:
         raise InputError(f"{stored.name}: the catalogue has no rows")
     table = vstack(tables, metadata_conflicts="silent") if len(tables) > 1 else tables[0]
-    return Catalogue.of(Table(table, copy=False), stored.name, options=said)
+    return Catalogue.of(Table(table, copy=False), stored.name, options=stated)
 
 
 def _rows_of(table: Any) -> Any:
@@ -231,12 +231,12 @@ def _counted(
     """What every partition of both catalogues tells, counted side by side."""
     store(work, scratch)
     tasks = [(side, cell) for side in (1, 2) for cell in work.sides[side - 1].stored.cells]
-    told: dict[tuple[int, Cell], Counted] = {}
+    by_task: dict[tuple[int, Cell], Counted] = {}
     with Workers(workers, executor, tuning) as pool:
         for n, (task, counted) in enumerate(pool.each(count_partition, str(scratch), tasks), 1):
-            told[task] = counted
+            by_task[task] = counted
             progress(f"counting partition {n} of {len(tasks)}")
-    one, two = ([told[task] for task in tasks if task[0] == side] for side in (1, 2))
+    one, two = ([by_task[task] for task in tasks if task[0] == side] for side in (1, 2))
     return one, two
 
 
@@ -541,27 +541,29 @@ def write(
     cells = output_cells(work)
     summaries = [_finished(scratch, catalogue, cell) for cell in cells]
     tasks = [(cell, str(catalogue), facts) for cell, done in zip(cells, summaries, strict=True) if done is None]
-    told, cpu = [one for one in summaries if one is not None], 0.0
+    done, cpu = [one for one in summaries if one is not None], 0.0
     with Workers(workers, executor, tuning) as pool:
         for n, (_, summary) in enumerate(pool.each(decide_partition, str(scratch), tasks), 1):
-            told.append(summary)
+            done.append(summary)
             cpu += summary["cpu_seconds"]
             progress(f"partition {n + len(cells) - len(tasks)} of {len(cells)}")
-        full = [Cell(one["order"], one["number"]) for one in told if one["written"]]
+        full = [Cell(one["order"], one["number"]) for one in done if one["written"]]
         if not full:
             raise InputError(f"{path}: the join {work.join} has no rows; nothing was written")
-        rows = finish_catalogue(catalogue, full, _told(work, name), facts)
+        rows = finish_catalogue(catalogue, full, _properties(work, name), facts)
         margin = f"{name}_{margin_arcsec:g}arcs" if margin_arcsec > 0.0 else None
         if margin is not None:
             progress("margin")
-            _write_margins(pool, str(scratch), catalogue, path / margin, full, margin_arcsec, _told(work, name), facts)
+            _write_margins(
+                pool, str(scratch), catalogue, path / margin, full, margin_arcsec, _properties(work, name), facts
+            )
     for left in path.rglob(".*.part"):  # of workers that died while they wrote
         left.unlink(missing_ok=True)
     write_collection(path, name, margin if margin is not None and (path / margin).exists() else None)
     shutil.rmtree(scratch)
-    sums = {key: sum(one[key] for one in sorted(told, key=lambda one: (one["order"], one["number"])))
+    sums = {key: sum(one[key] for one in sorted(done, key=lambda one: (one["order"], one["number"])))
             for key in ("pairs", "expected_common", "expected_wrong", "doubtful")}  # fmt: skip
-    widest = max(one["halo_arcsec"] for one in told)
+    widest = max(one["halo_arcsec"] for one in done)
     return Written(path, rows, len(full), sums["pairs"], sums["expected_common"], sums["expected_wrong"],
                    sums["doubtful"], widest, len(tasks), cpu)  # fmt: skip
 
@@ -571,13 +573,13 @@ def _finished(scratch: Path, catalogue: Path, cell: Cell) -> dict[str, Any] | No
     file = summary_file(scratch, cell)
     if not file.exists():
         return None
-    told: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    return told if not told["written"] or partition_file(catalogue, cell).exists() else None
+    summary: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    return summary if not summary["written"] or partition_file(catalogue, cell).exists() else None
 
 
 def _write_margins(
     pool: Workers, scratch: str, catalogue: Path, margin: Path, cells: Sequence[Cell], arcsec: float,
-    told: dict[str, Any], facts: dict[str, Any],
+    stated: dict[str, Any], facts: dict[str, Any],
 ) -> None:  # fmt: skip
     _output.cache_clear()
     tasks = [(cell, str(catalogue), str(margin), arcsec) for cell in cells]
@@ -585,10 +587,10 @@ def _write_margins(
     if full:
         own = {"dataproduct_type": "margin", "obs_collection": margin.name, "hats_primary_table_url": catalogue.name,
                "hats_margin_threshold": f"{arcsec:g}"}  # fmt: skip
-        finish_catalogue(margin, full, {**told, **own}, facts)
+        finish_catalogue(margin, full, {**stated, **own}, facts)
 
 
-def _told(work: Work, name: str) -> dict[str, Any]:
+def _properties(work: Work, name: str) -> dict[str, Any]:
     """Properties of the output besides those that follow from its partitions."""
     ra, dec = position_columns(work)
     return {

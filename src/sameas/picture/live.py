@@ -140,7 +140,7 @@ class LivePicture:
         if places[0] is None:
             places = (reports.station_lat_deg, reports.station_lon_deg)
         if self.plane is None and places[0] is not None and places[1] is not None:
-            if any(other.heard for other in self._feeds.values()):
+            if any(other.has_reports for other in self._feeds.values()):
                 raise InputError(
                     f"{source}: gives latitudes and longitudes, others metres of their own", "give the plane"
                 )
@@ -209,8 +209,10 @@ class LivePicture:
         return unbiased_now(feed, known.theta, known.covariance)
 
     def _start(self) -> Watch | PlotPicture:
-        heard = [feed for feed in self._feeds.values() if feed.heard]
-        bare = heard and not any(feed.named for feed in heard) and not all(feed.directions for feed in heard)
+        reporting = [feed for feed in self._feeds.values() if feed.has_reports]
+        bare = (
+            reporting and not any(feed.named for feed in reporting) and not all(feed.directions for feed in reporting)
+        )
         return PlotPicture() if bare else Watch()
 
     def _named(self, carried: Watch | PlotPicture) -> Watch | PlotPicture:

@@ -127,12 +127,12 @@ SAVED = ("all_evidence",)
 
 def all_evidence(now: Instant, past: Past, *, identity: bool = True, memory: bool = True) -> SetRule:
     """The rule of positions, misses and clutter as described, of heights and identities, and of the tracks' past."""
-    said: SetRule = now.rule()
+    evidence: SetRule = now.rule()
     if any(heights is not None for heights in now.heights):
-        said = said + now.height()
+        evidence = evidence + now.height()
     if identity:
-        said = said + now.identity()
-    return said + past.rule() if memory else said
+        evidence = evidence + now.identity()
+    return evidence + past.rule() if memory else evidence
 
 
 @in_short

@@ -123,7 +123,7 @@ Box = tuple[float, float, float, float]
 MOST_LABELS = 200
 
 
-def chart(shown: MapSheet, instant_s: float | None = None) -> Figure:
+def chart(drawn: MapSheet, instant_s: float | None = None) -> Figure:
     """Objects with their courses, ellipses and records on coast and grid.
 
     Parameters
@@ -139,17 +139,17 @@ def chart(shown: MapSheet, instant_s: float | None = None) -> Figure:
     >>> from sameas.plots import save
     >>> save(chart(shown), "map.png")  # doctest: +SKIP
     """
-    k = len(shown.instants_s) - 1 if instant_s is None else shown.nearest(instant_s)
-    now = _Now.of(shown, k)
-    box = _box(shown)
+    k = len(drawn.instants_s) - 1 if instant_s is None else drawn.nearest(instant_s)
+    now = _Now.of(drawn, k)
+    box = _box(drawn)
     # The chart fills the width; title and legend take the rest of the height.
     height_in = WIDTH_IN * (box[3] - box[1]) / (box[2] - box[0]) + 1.7
-    figure = sheet(f"{shown.title}: {now.finding}", now.time, WIDTH_IN, height_in)
+    figure = sheet(f"{drawn.title}: {now.finding}", now.time, WIDTH_IN, height_in)
     axes = _frame(figure, box)
-    _ground(axes, shown, box)
-    for number, sensor in enumerate(shown.sensors):
+    _ground(axes, drawn, box)
+    for number, sensor in enumerate(drawn.sensors):
         _coverage(axes, sensor, COLOURS[number % len(COLOURS)])
-    _rings(axes, shown, box)
+    _rings(axes, drawn, box)
     ahead_s = _ahead_s(now, box)
     _records(axes, now)
     _objects(axes, now, ahead_s)
@@ -162,25 +162,25 @@ def chart(shown: MapSheet, instant_s: float | None = None) -> Figure:
 class _Now:
     """What is there at one instant of a sheet: rows of its objects and of its records."""
 
-    def __init__(self, shown: MapSheet, rows: IntArray, marks: IntArray, time_s: float) -> None:
-        self.shown, self.rows, self.marks, self.time_s = shown, rows, marks, time_s
-        self.place = {int(shown.objects["object"][row]): int(row) for row in rows}
+    def __init__(self, drawn: MapSheet, rows: IntArray, marks: IntArray, time_s: float) -> None:
+        self.drawn, self.rows, self.marks, self.time_s = drawn, rows, marks, time_s
+        self.place = {int(drawn.objects["object"][row]): int(row) for row in rows}
         self.alarmed = {
             n
-            for a in shown.alarms
-            if a.time_s is None or shown.nearest(a.time_s) == shown.nearest(time_s)
+            for a in drawn.alarms
+            if a.time_s is None or drawn.nearest(a.time_s) == drawn.nearest(time_s)
             for n in a.objects
         }
 
     @classmethod
-    def of(cls, shown: MapSheet, k: int) -> _Now:
-        o, r = shown.objects, shown.records
-        there = (shown.instant_of(o) == k) & (o["stage"] != "ended") & np.isfinite(o["x_m"].astype(np.float64))
-        return cls(shown, np.flatnonzero(there), np.flatnonzero(shown.instant_of(r) == k), float(shown.instants_s[k]))
+    def of(cls, drawn: MapSheet, k: int) -> _Now:
+        o, r = drawn.objects, drawn.records
+        there = (drawn.instant_of(o) == k) & (o["stage"] != "ended") & np.isfinite(o["x_m"].astype(np.float64))
+        return cls(drawn, np.flatnonzero(there), np.flatnonzero(drawn.instant_of(r) == k), float(drawn.instants_s[k]))
 
     @property
     def finding(self) -> str:
-        o = self.shown.objects
+        o = self.drawn.objects
         doubtful, several = int(o["ambiguous"][self.rows].sum()), int((o["n_sources"][self.rows] > 1).sum())
         plural = "" if len(self.rows) == 1 else "s"
         words = f"{count(len(self.rows))} object{plural}, {count(several)} seen by two or more sources"
@@ -188,14 +188,14 @@ class _Now:
 
     @property
     def time(self) -> str:
-        if not self.shown.utc:
+        if not self.drawn.utc:
             return f"{self.time_s:g} s"
         words = datetime.fromtimestamp(self.time_s, UTC).strftime("%Y-%m-%d %H:%M:%S.%f")[:-4]
         return f"{words.removesuffix('.00')} UTC"
 
     def state(self, row: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Place (2,), velocity (2,) and covariance (2, 2) of an object."""
-        o = self.shown.objects
+        o = self.drawn.objects
         a, b, c = (o[name][row] for name in ("var_x_m2", "cov_xy_m2", "var_y_m2"))
         place = np.array([o["x_m"][row], o["y_m"][row]], np.float64)
         velocity = np.array([o["vx_m_per_s"][row], o["vy_m_per_s"][row]], np.float64)
@@ -203,7 +203,7 @@ class _Now:
 
     def mark_of(self, r: int) -> FloatArray | None:
         """Where a record is drawn: its position, or the point of its ray nearest to its object."""
-        m, owner = self.shown.records, self.place.get(int(self.shown.records["object"][r]))
+        m, owner = self.drawn.records, self.place.get(int(self.drawn.records["object"][r]))
         if np.isfinite(m["x_m"][r]):
             return np.array([m["x_m"][r], m["y_m"][r]], np.float64)
         if owner is None or not np.isfinite(m["sensor_x_m"][r]):
@@ -213,9 +213,9 @@ class _Now:
         return np.asarray(site + max(float((self.state(owner)[0] - site) @ along), 0.0) * along)
 
 
-def _box(shown: MapSheet) -> Box:
+def _box(drawn: MapSheet) -> Box:
     """West, south, east and north around sites and confirmed objects of all times, not too wide and not too high."""
-    west, south, east, north = shown.home()
+    west, south, east, north = drawn.home()
     pad = 0.06 * max(east - west, north - south)
     half_x, half_y = (east - west) / 2.0 + pad, (north - south) / 2.0 + pad
     half_x, half_y = max(half_x, 1.2 * half_y), max(half_y, 0.6 * half_x)
@@ -235,14 +235,14 @@ def _frame(figure: Figure, box: Box) -> Axes:
     return axes
 
 
-def _ground(axes: Axes, shown: MapSheet, box: Box) -> None:
+def _ground(axes: Axes, drawn: MapSheet, box: Box) -> None:
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path
 
     lines = Outline()
-    if shown.plane is not None:
-        lines = outline(shown.plane, *box) if shown.ground is None else shown.ground.within(*box)
-        credit = "coast: Natural Earth, ± 1 km, not for navigation" if shown.ground is None else ""
+    if drawn.plane is not None:
+        lines = outline(drawn.plane, *box) if drawn.ground is None else drawn.ground.within(*box)
+        credit = "coast: Natural Earth, ± 1 km, not for navigation" if drawn.ground is None else ""
         axes.text(0.006, 0.008, credit, transform=axes.transAxes, fontsize=7.5, color="#5c6b76", zorder=3)
     if lines.land:
         # One path, so that cells that touch show no seams.
@@ -253,7 +253,7 @@ def _ground(axes: Axes, shown: MapSheet, box: Box) -> None:
     for line in lines.borders:
         axes.plot(*line.T, color=BORDER, lw=0.8, ls=(0, (6, 3)), zorder=0.3)
     ticks: dict[bool, list[tuple[float, str]]] = {True: [], False: []}
-    for each in graticule(shown.plane, *box):
+    for each in graticule(drawn.plane, *box):
         axes.plot(*each.points.T, color=GRID, lw=0.7, zorder=0.2)
         place = _crossing(each, box)
         if place is not None:
@@ -301,11 +301,11 @@ def _coverage(axes: Axes, sensor: MapSensor, colour: str) -> None:
     )  # fmt: skip
 
 
-def _rings(axes: Axes, shown: MapSheet, box: Box) -> None:
+def _rings(axes: Axes, drawn: MapSheet, box: Box) -> None:
     """Ranges from the first sensor that has a site, in nautical miles, or in metres where these are small."""
     from matplotlib.patches import Circle
 
-    site = next(((s.x_m, s.y_m) for s in shown.sensors if s.x_m is not None and s.y_m is not None), None)
+    site = next(((s.x_m, s.y_m) for s in drawn.sensors if s.x_m is not None and s.y_m is not None), None)
     if site is None:
         return
     wanted = (box[2] - box[0]) / 6.0
@@ -329,8 +329,8 @@ def marks_of(sensors: tuple[MapSensor, ...]) -> list[str]:
 def _records(axes: Axes, now: _Now) -> None:
     from matplotlib.collections import LineCollection
 
-    r, marks = now.shown.records, marks_of(now.shown.sensors)
-    for number, sensor in enumerate(now.shown.sensors):
+    r, marks = now.drawn.records, marks_of(now.drawn.sensors)
+    for number, sensor in enumerate(now.drawn.sensors):
         colour, mark = COLOURS[number % len(COLOURS)], marks[number]
         own = now.marks[r["source"][now.marks] == sensor.name]
         places = [(int(row), place) for row in own if (place := now.mark_of(int(row))) is not None]
@@ -353,7 +353,7 @@ def _records(axes: Axes, now: _Now) -> None:
 
 def _rival_lines(now: _Now) -> Iterator[tuple[FloatArray, FloatArray]]:
     """From ambiguous objects to the records that they would have otherwise."""
-    r, o = now.shown.records, now.shown.objects
+    r, o = now.drawn.records, now.drawn.objects
     place = {(str(r["source"][k]), int(r["row"][k])): int(k) for k in now.marks}
     for row in now.rows[o["ambiguous"][now.rows].astype(bool)]:
         for member in members_of(str(o["runner_up"][row])):
@@ -366,7 +366,7 @@ def _rival_lines(now: _Now) -> Iterator[tuple[FloatArray, FloatArray]]:
 
 def _objects(axes: Axes, now: _Now, ahead_s: float) -> None:
     """Symbols near to those of tracked radar targets: dashed while tentative, crossed while coasting."""
-    o = now.shown.objects
+    o = now.drawn.objects
     alike: dict[tuple[str, str], list[int]] = {}
     for row in now.rows.tolist():
         colour = ALARM if int(o["object"][row]) in now.alarmed else DOUBT if o["ambiguous"][row] else INK
@@ -396,7 +396,7 @@ def _alike(axes: Axes, now: _Now, ahead_s: float, colour: str, stage: str, rows:
     if stage == "coasting":
         axes.plot(*places.T, ls="", marker="x", ms=6, mec=colour, mew=1.0, zorder=2.1)
     else:
-        several = now.shown.objects["n_sources"][rows] > 1
+        several = now.drawn.objects["n_sources"][rows] > 1
         axes.plot(*places[several].T, ls="", marker="o", ms=2.6, mfc=colour, mec="none", zorder=2.1)
 
 
@@ -404,7 +404,7 @@ def _labels(axes: Axes, now: _Now, box: Box) -> None:
     """Names where there is room, the important ones first."""
     from matplotlib.patheffects import withStroke
 
-    o = now.shown.objects
+    o = now.drawn.objects
     important = [int(o["object"][row]) in now.alarmed or bool(o["ambiguous"][row]) for row in now.rows]
     metres_per_point = (box[2] - box[0]) / (9.2 * 72.0)
     taken = [np.concatenate([p - 6 * metres_per_point, p + 6 * metres_per_point])
@@ -465,9 +465,9 @@ def _scale(axes: Axes, box: Box) -> None:
 def _legend(figure: Figure, now: _Now, ahead_s: float) -> None:
     from matplotlib.lines import Line2D
 
-    r, marks = now.shown.records, marks_of(now.shown.sensors)
+    r, marks = now.drawn.records, marks_of(now.drawn.sensors)
     handles = []
-    for number, sensor in enumerate(now.shown.sensors):
+    for number, sensor in enumerate(now.drawn.sensors):
         seen = int((r["source"][now.marks] == sensor.name).sum())
         handles.append(Line2D([], [], ls="", marker=marks[number], color=COLOURS[number % len(COLOURS)], ms=6,
                               mfc="none", label=f"{sensor.name} ({count(seen)})"))  # fmt: skip

@@ -85,7 +85,7 @@ def _sigmas(match: SkyMatch) -> tuple[FloatArray, FloatArray]:
     of_1, of_2 = (0.5 * np.einsum("mvv->m", covariance) for covariance in (one, two))
     quoted = np.sqrt(of_1 + of_2)
     model = e.error_model
-    if model is None or not model.is_told:
+    if model is None or not model.is_estimated:
         scale = e.quantities["error_scale"].value if "error_scale" in e.quantities else e.typical_scale
         return quoted, scale * quoted
     return quoted, np.sqrt(model.variance(of_1, of_2))

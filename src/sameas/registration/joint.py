@@ -21,7 +21,7 @@ from sameas.registration.hough import Votes, vote
 from sameas.registration.offsets import Offset
 from sameas.registration.solution import Solution, refine
 from sameas.registration.tuning import DEFAULT_TUNING, Tuning
-from sameas.registration.weights import PlacedSources, arrived
+from sameas.registration.weights import PlacedSources, records_moved
 from sameas.representation import in_short
 from sameas.result import Identification
 
@@ -73,7 +73,7 @@ class Registration:
     def established(self) -> bool:
         """Whether this offset, and no other, nor nothing in common, explains the data."""
         return self.probability >= self.tuning.sure and not any(
-            _serious(rival, self.log_evidence, self.tuning) for rival in self.rivals
+            _credible(rival, self.log_evidence, self.tuning) for rival in self.rivals
         )
 
     @property
@@ -166,7 +166,7 @@ def _beginnings(first: Records, second: Records, model: Offset, tuning: Tuning) 
     return Votes(theta, np.append(votes.score, 0.0), np.append(votes.patch, 0), votes.patches)
 
 
-def _serious(rival: Solution, log_evidence: float, tuning: Tuning) -> bool:
+def _credible(rival: Solution, log_evidence: float, tuning: Tuning) -> bool:
     """Whether a solution comes near the best one, or explains so much that the pattern must repeat.
 
     Objects scattered at random never fit twice. Where they do, as on a lattice, the assumptions of the evidence do not
@@ -182,7 +182,7 @@ def _registered(scene: PlacedSources, solution: Solution) -> Records:
     carried = scene.model.carried(features, solution.theta)
     jacobian = scene.model.jacobian(features, solution.theta)
     covariance = propagated(carried, scene.covariance_2) + propagated(jacobian, solution.covariance)
-    return arrived(scene.second, scene.model.moved(features, solution.theta), covariance)
+    return records_moved(scene.second, scene.model.moved(features, solution.theta), covariance)
 
 
 def _notes(scene: PlacedSources, solutions: list[Solution]) -> tuple[str, ...]:
@@ -194,7 +194,7 @@ def _notes(scene: PlacedSources, solutions: list[Solution]) -> tuple[str, ...]:
             f"{names[0]} and {names[1]} may have nothing in common: the offset is no better established than chance "
             f"(log evidence {best.log_evidence:.1f})"
         )
-    rivals = [one for one in solutions[1:] if _serious(one, best.log_evidence, scene.tuning)]
+    rivals = [one for one in solutions[1:] if _credible(one, best.log_evidence, scene.tuning)]
     if rivals:
         columns = zip(scene.model.names, rivals[0].theta, strict=True)
         values = ", ".join(f"{name} {value:.4g}" for name, value in columns)

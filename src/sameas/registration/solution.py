@@ -129,7 +129,7 @@ def _searched(scene: PlacedSources, sample: PlacedSources, prior: OffsetPrior, v
             trials = trials.shared_by(len(sample.second) / len(here.second))
         ends.append(trials)
     if len(ends) == 1:
-        trials, steps = _distinct(scene, _hopeful(ends[0], scene.tuning)), len(scene.tuning.widenings)
+        trials, steps = _distinct(scene, _promising(ends[0], scene.tuning)), len(scene.tuning.widenings)
         if len(votes.patches[0]) == len(sample.second) or len(trials.gain) == 1:
             return trials, steps
         closing = scene.tuning.widenings[scene.tuning.from_sample :]
@@ -138,12 +138,12 @@ def _searched(scene: PlacedSources, sample: PlacedSources, prior: OffsetPrior, v
         trials = _distinct(scene, Trials.fresh(sample, np.concatenate([trials.theta for trials in ends])))
         steps, closing = len(scene.tuning.widenings), scene.tuning.widenings[scene.tuning.from_patches :]
     trials = _anneal(sample, prior, Trials.fresh(sample, trials.theta), scene.tuning.kept[-1], closing)
-    return _distinct(scene, _hopeful(trials, scene.tuning)), steps + len(closing)
+    return _distinct(scene, _promising(trials, scene.tuning)), steps + len(closing)
 
 
-def _hopeful(trials: Trials, tuning: Tuning) -> Trials:
+def _promising(trials: Trials, tuning: Tuning) -> Trials:
     """Those that may be true, or show that a pattern repeats."""
-    return trials.chosen(trials.gain > min(trials.gain[0] - tuning.hopeless, tuning.repeating * trials.gain[0]))
+    return trials.chosen(trials.gain > min(trials.gain[0] - tuning.most_behind, tuning.repeating * trials.gain[0]))
 
 
 def _nested(scene: PlacedSources, rows: IntArray) -> list[tuple[IntArray | None, int]]:
@@ -180,12 +180,12 @@ def _normal_equations(
     scene: PlacedSources, prior: OffsetPrior, theta: FloatArray, weights: Weighed
 ) -> tuple[FloatArray, FloatArray]:
     """Score (s, p) of the log posterior of θ, and its information (s, p, p) if the weights were the truth."""
-    from sameas.kernels.offsets import pulls
+    from sameas.kernels.offsets import score_and_information
 
     d, p = scene.second.d, theta.shape[1]
     jacobian = scene.model.jacobian(scene.second.features, theta[:, None, :])
     jacobian = np.ascontiguousarray(np.broadcast_to(jacobian, (len(theta), len(scene.second), d, p)))
-    score, information = pulls(
+    score, information = score_and_information(
         weights.s, weights.j, weights.residual, weights.precision, weights.weight, jacobian, scene.tuning.weak
     )
     return score - prior.precision * theta, information + np.diag(prior.precision)

@@ -40,7 +40,7 @@ class Tuning:
     settled : the refinement ends at a step below this share of a standard error.
     same_sigmas, same_errors : two solutions are one where no record moves by more than this many σ, or where they
         differ by no more than this many standard errors.
-    hopeless : solutions are dropped whose log likelihood is lower than the best by this.
+    most_behind : solutions are dropped whose log likelihood is lower than the best by this.
     repeating : a pattern repeats where another solution explains this share of the best one's log likelihood.
     sample : records of the second source in the search; all of them are in the last refinement.
     sample_ratio : records in the search per record whose votes decided.
@@ -89,7 +89,7 @@ class Tuning:
     settled: float = 0.01
     same_sigmas: float = 0.7
     same_errors: float = 2.0
-    hopeless: float = 8.0
+    most_behind: float = 8.0
     repeating: float = 0.4
     sample: int = 4000
     sample_ratio: int = 16

@@ -192,7 +192,7 @@ def _candidates(scene: PlacedSources, moved: FloatArray, spread: FloatArray, wid
 def _gated(scene: PlacedSources, moved: FloatArray, spread: FloatArray, widening: float) -> Candidates:
     """The same on the sphere, by the gate."""
     gate = Radius(scene.tuning.gate_sigmas * widening)
-    gated = [gate(scene.first, arrived(scene.second, moved[s], spread[s])) for s in range(len(moved))]
+    gated = [gate(scene.first, records_moved(scene.second, moved[s], spread[s])) for s in range(len(moved))]
     residual = np.concatenate([pairs.residual for pairs in gated])
     covariance = np.concatenate([pairs.covariance for pairs in gated]) * widening**2
     return (
@@ -228,7 +228,7 @@ def _in_cells(
     return Cells(features[rows], covariance[rows], rows, start, low, sizes, shape)
 
 
-def arrived(second: Records, moved: FloatArray, covariance: FloatArray) -> Records:
+def records_moved(second: Records, moved: FloatArray, covariance: FloatArray) -> Records:
     """The second source's records at their new places (n, d), with covariances (n, d, d)."""
     upper = np.triu_indices(second.d)
     packed = np.ascontiguousarray(covariance[:, upper[0], upper[1]])

@@ -13,43 +13,43 @@ from sameas.sky.catalogue import Catalogue
 from sameas.sky.crossmatch import SkyMatch
 
 
-def explanation_lines(match: SkyMatch, told: Explanation, source: int) -> list[str]:
+def explanation_lines(match: SkyMatch, explanation: Explanation, source: int) -> list[str]:
     """The story of one record: what it is, its competitors, and what other answers would cost."""
     mine, other = (match.first, match.second) if source == 1 else (match.second, match.first)
-    head = f"{told.source} {told.id} (row {told.row})"
-    if told.usable:
-        return [f"{head} could not be used: {told.usable}"]
-    seen = (match.covered_1 if source == 1 else match.covered_2)[told.row]
+    head = f"{explanation.source} {explanation.id} (row {explanation.row})"
+    if explanation.usable:
+        return [f"{head} could not be used: {explanation.usable}"]
+    seen = (match.covered_1 if source == 1 else match.covered_2)[explanation.row]
     where = [
-        *entry("position", _position(mine, told.row)),
-        *entry("brightness", _brightness(mine, told.row)),
+        *entry("position", _position(mine, explanation.row)),
+        *entry("brightness", _brightness(mine, explanation.row)),
     ]
-    if told.group is None:
+    if explanation.group is None:
         why = "passes the gate" if seen else "passes the gate: it does not look there"
         return [f"{head} has no partner: no record of {other.name} {why}", *where]
-    chosen = next(c for c in told.competitors if c.chosen)
+    chosen = next(c for c in explanation.competitors if c.chosen)
     who = "has no partner" if chosen.id is None else f"is {other.name} {chosen.id}"
     when = "" if match.epoch_jyr is None else f" at {match.epoch_jyr:.2f}"
-    sizes = f"{told.records[0]} of {match.first.name} and {told.records[1]} of {match.second.name}"
+    sizes = f"{explanation.records[0]} of {match.first.name} and {explanation.records[1]} of {match.second.name}"
     lines = [
         f"{head} {who}, probability {probability(chosen.probability)}",
         *where,
-        *entry("group", f"{told.group}: {sizes}; probabilities by {told.method}"),
+        *entry("group", f"{explanation.group}: {sizes}; probabilities by {explanation.method}"),
         "",
         f"Answers ({other.name}{when}), and how many times less probable the group is with each",
     ]
-    lines += _answers(told.competitors, other)
-    return lines + _next_best(told)
+    lines += _answers(explanation.competitors, other)
+    return lines + _next_best(explanation)
 
 
-def _next_best(told: Explanation) -> list[str]:
-    if told.next_best_cost is None:
+def _next_best(explanation: Explanation) -> list[str]:
+    if explanation.next_best_cost is None:
         return []
-    added, removed = (", ".join(f"{a} = {b}" for a, b in pairs) for pairs in told.next_best)
+    added, removed = (", ".join(f"{a} = {b}" for a, b in pairs) for pairs in explanation.next_best)
     change = f"without {removed}"
     if added:
         change = f"with {added}" + (f" instead of {removed}" if removed else "")
-    words = f"The group's next best answer is {_times(told.next_best_cost)} times less probable: {change}."
+    words = f"The group's next best answer is {_times(explanation.next_best_cost)} times less probable: {change}."
     return ["", *textwrap.wrap(words, WIDTH, break_long_words=False, break_on_hyphens=False)]
 
 

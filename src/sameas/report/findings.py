@@ -134,7 +134,7 @@ def _columns(match: SkyMatch) -> list[str]:
     if columns is None:
         return []
     lines = []
-    for one in columns.said:
+    for one in columns.findings:
         what = f"{one.name} of {names[one.source - 1]}" if one.source else f"{one.name} of {names[0]} with {one.other}"
         if not one.tells:
             words = "tells nothing, and is not used"

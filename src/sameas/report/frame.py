@@ -13,16 +13,16 @@ from sameas.sky.frame.identified import FEW
 from sameas.sky.frame.summary import ERROR_NAMES
 
 
-def frame_lines(told: Mapping[str, Any]) -> list[str]:
+def frame_lines(summary: Mapping[str, Any]) -> list[str]:
     """All that is to be said of one frame."""
-    place, plate, found = told["place"], told["plate"], told["found"]
+    place, plate, found = summary["place"], summary["plate"], summary["found"]
     size = f"{place['columns']} × {place['rows']} px, {_angle(place['width_deg'])} × {_angle(place['height_deg'])}"
     middle = f"RA {place['middle_ra_deg']:.5f}° Dec {place['middle_dec_deg']:+.5f}°"
     hand = "mirrored" if place["mirrored"] else "not mirrored"
     order = f"order {plate['order']} on {plate['effective_pairs']:.1f} pairs, errors {plate['error_scale']:.2f} times"
     lines = [
-        f"Frame: {told['frame']}",
-        *(line for words in told.get("exposure", {}).get("read", ()) for line in _noted(words)),
+        f"Frame: {summary['frame']}",
+        *(line for words in summary.get("exposure", {}).get("read", ()) for line in _noted(words)),
         "",
         "Placed",
         *entry("by", f"{place['found_by']}, odds {place['odds']}; next best {place['next_best_odds']}"),
@@ -32,37 +32,37 @@ def frame_lines(told: Mapping[str, Any]) -> list[str]:
         ),
         *entry("plate model", f"{order} those quoted"),
         "",
-        *_understood(told),
-        f"Found in {told['catalogue']}",
+        *_understood(summary),
+        f"Found in {summary['catalogue']}",
         *entry("measurements", f"{count(found['measurements'])}, of which {count(found['identified'])} identified"),
         *entry("not in the catalogue", _alone(found)),
         *entry("missing stars", f"{count(found['missing'])} of {count(found['stars_on_frame'])} on the frame"),
         *entry("expected wrong", f"{found['expected_wrong']:.1f}; {count(found['ambiguous'])} less sure than 0.9"),
-        *entry("scatter", _scatter(told)),
-        *_estimated(told),
+        *entry("scatter", _scatter(summary)),
+        *_estimated(summary),
     ]
-    brightness = told["brightness"]
+    brightness = summary["brightness"]
     for label, what in (("magnitudes", "zero_point"), ("brightness", "odd"), ("completeness", "completeness")):
         if brightness.get(what):
             lines += entry(label, brightness[what]["words"])
-    return [*lines, *(line for words in told["notes"] for line in _noted(words))]
+    return [*lines, *(line for words in summary["notes"] for line in _noted(words))]
 
 
-def _understood(told: Mapping[str, Any]) -> list[str]:
+def _understood(summary: Mapping[str, Any]) -> list[str]:
     """What the catalogue was taken for; summaries of earlier versions lack it."""
-    parts = [line.partition(": ") for line in told.get("understood", ())]
+    parts = [line.partition(": ") for line in summary.get("understood", ())]
     lines = [entry(label, text) if text else entry("note", label) for label, _, text in parts]
-    return [f"Catalogue: {told['catalogue']}", *(line for part in lines for line in part), ""] if lines else []
+    return [f"Catalogue: {summary['catalogue']}", *(line for part in lines for line in part), ""] if lines else []
 
 
-def one_line(name: str, told: Mapping[str, Any], state: str) -> str:
+def one_line(name: str, summary: Mapping[str, Any], state: str) -> str:
     """A frame among many, from its summary; ``state``: when it was done, or in what time."""
-    found, place = told["found"], told["place"]
+    found, place = summary["found"], summary["place"]
     words = (
         f"{count(found['identified'])} of {count(found['measurements'])} identified, {count(found['missing'])} missing"
     )
     return (
-        f"{name}: {words}, scatter {_scatter(told)}, {place['scale_arcsec_per_px']:.4f}″/px, "
+        f"{name}: {words}, scatter {_scatter(summary)}, {place['scale_arcsec_per_px']:.4f}″/px, "
         f"odds {place['odds']}; {state}"
     )
 
@@ -82,17 +82,17 @@ def _alone(found: Mapping[str, Any]) -> str:
     return count(found["unidentified"]) + (f", of which {count(beyond)} are fainter than it reaches" if beyond else "")
 
 
-def _scatter(told: Mapping[str, Any]) -> str:
+def _scatter(summary: Mapping[str, Any]) -> str:
     # A median of few residuals says little.
-    few = told["found"]["identified"] < FEW
-    east, north = told["residuals"]["rms_arcsec" if few else "scatter_arcsec"]
+    few = summary["found"]["identified"] < FEW
+    east, north = summary["residuals"]["rms_arcsec" if few else "scatter_arcsec"]
     return "not known" if east is None else f"{east:.2g}″ × {north:.2g}″{' rms' if few else ''}"
 
 
-def _estimated(told: Mapping[str, Any]) -> list[str]:
+def _estimated(summary: Mapping[str, Any]) -> list[str]:
     """Densities of what one of both shows only, and the errors."""
     # Summaries of earlier versions may lack them.
-    known = {name: Quantity(value, error) for name, (value, error) in told.get("estimated", {}).items()}
+    known = {name: Quantity(value, error) for name, (value, error) in summary.get("estimated", {}).items()}
     lines = []
     if "only_on_frame_per_arcmin2" in known:
         alone = f"{known['only_on_frame_per_arcmin2']} of the frame and {known['only_in_catalogue_per_arcmin2']}"
@@ -104,8 +104,8 @@ def _estimated(told: Mapping[str, Any]) -> list[str]:
         words.append(f"a tail: {percent} of the pairs lie far beyond")
     lines += entry("errors", "; ".join(words)) if words else []
     terms = {term: known.get(name) for term, name in ERROR_NAMES.items()}
-    model = ErrorModel(**terms, note=told.get("error_note", ""))
-    apart = error_model_in_words(model, (told["frame"], told["catalogue"]))
+    model = ErrorModel(**terms, note=summary.get("error_note", ""))
+    apart = error_model_in_words(model, (summary["frame"], summary["catalogue"]))
     return lines + (entry("  by source", apart) if apart else [])
 
 

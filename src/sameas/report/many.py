@@ -19,8 +19,8 @@ def estimate_lines(match: ManyMatch, words: Callable[[str], str] = str) -> list[
     if match.epoch_jyr is None:
         lines += entry("epoch", "not all epochs are known: nothing is moved")
     else:
-        told = [f"{c.name} {in_years(c.epoch_jyr)}" for c in match.catalogues if c.epoch_jyr is not None]
-        lines += entry("epoch", f"places of the objects are of {in_years(match.epoch_jyr)} ({', '.join(told)})")
+        epochs = [f"{c.name} {in_years(c.epoch_jyr)}" for c in match.catalogues if c.epoch_jyr is not None]
+        lines += entry("epoch", f"places of the objects are of {in_years(match.epoch_jyr)} ({', '.join(epochs)})")
     for name, rotation in match.rotations.items():
         lines += entry("offset", f"added to {name}: {rotation}")
     for (first, second), pair in match.two_by_two.items():
@@ -60,11 +60,11 @@ def _objects(match: ManyMatch) -> list[str]:
     found = ~np.ma.getmaskarray(match.objects.members)
     names = [catalogue.name for catalogue in match.catalogues]
     rows = []
-    for shown, expected in match.expected.items():
-        inside = np.array([name in shown for name in names])
+    for pattern, expected in match.expected.items():
+        inside = np.array([name in pattern for name in names])
         number = int((found == inside).all(axis=1).sum())
         if number or expected >= 0.5:
-            rows.append((len(shown), " = ".join(name for name in names if name in shown), number, expected))
+            rows.append((len(pattern), " = ".join(name for name in names if name in pattern), number, expected))
     rows.sort(key=lambda row: (-row[0], -row[2]))
     wide = max(len("Objects shown by"), *(len(words) + 2 for _, words, _, _ in rows)) + 2
     lines = [f"{'Objects shown by':{wide}}{'found':>12}{'expected':>12}"]

@@ -54,9 +54,9 @@ def catalogue_lines(catalogue: Catalogue, side: int, path: str = "", words: Call
     """
     where = f" ({path})" if path else ""
     lines = [f"{ORDINALS[side - 1]} catalogue: {catalogue.name}, {count(len(catalogue))} rows{where}"]
-    told = [words(line).partition(": ") for line in catalogue.interpretation]
-    last = {label: k for k, (label, _, _) in enumerate(told)}
-    for k, (label, colon, text) in enumerate(told):
+    lines_read = [words(line).partition(": ") for line in catalogue.interpretation]
+    last = {label: k for k, (label, _, _) in enumerate(lines_read)}
+    for k, (label, colon, text) in enumerate(lines_read):
         if not colon or len(label) > LABEL:
             lines += entry("note", label + colon + text)
         elif last[label] == k:  # what is said of the same thing later corrects what was said before
@@ -193,9 +193,9 @@ def _fates(
 
 def _claims(claimant: NDArray[np.int32], claimed: NDArray[np.int32], log_odds: FloatArray) -> int:
     """How many records are the likeliest candidate, each alone, of several records of the other side."""
-    from sameas.kernels.summary import foremost
+    from sameas.kernels.summary import greatest_pair
 
-    best = foremost(claimant, int(claimant.max(initial=-1)) + 1, log_odds)
+    best = greatest_pair(claimant, int(claimant.max(initial=-1)) + 1, log_odds)
     return int(np.count_nonzero(np.bincount(claimed[best[best >= 0]]) > 1))
 
 

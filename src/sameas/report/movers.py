@@ -55,10 +55,10 @@ def mover_lines(found: Movers) -> list[str]:
     angle = np.degrees(np.arctan2(*found.rate_arcsec_per_min.T)) % 360.0
     for k in range(min(len(found), MOST)):
         scatter = found.scatter_arcsec[k]
-        shown = f"{scatter:9.3f}" if np.isfinite(scatter) else "        –"
+        scatter_text = f"{scatter:9.3f}" if np.isfinite(scatter) else "        –"
         lines.append(
             f"  {found.names[k]:8} {found.size[k]:3d}  {found.p_tracklet[k]:.4f}  {found.expected_chance[k]:18.1e}"
-            f"  {rate[k]:10.3f}  {angle[k]:5.1f}°  {shown}"
+            f"  {rate[k]:10.3f}  {angle[k]:5.1f}°  {scatter_text}"
         )
     if len(found) > MOST:
         lines.append(f"  … and {count(len(found) - MOST)} more")
@@ -149,9 +149,9 @@ def reasons(found: Movers, pixels: Stack, k: int) -> list[tuple[str, bool]]:
     missed, hidden = usable & ~pixels.detected[k] & ~pixels.hidden[k], usable & ~pixels.detected[k] & pixels.hidden[k]
     if missed.any():
         ratio = pixels.log_ratio[k]
-        said = f"{abs(ratio) / np.log(10):.1f} powers of ten {'more' if ratio >= 0 else 'less'} probable"
+        times = f"{abs(ratio) / np.log(10):.1f} powers of ten {'more' if ratio >= 0 else 'less'} probable"
         out.append((
-            f"{int(missed.sum())} frames do not show it by themselves; the light at its place there makes it {said}",
+            f"{int(missed.sum())} frames do not show it by themselves; the light at its place there makes it {times}",
             bool(ratio < 0),
         ))  # fmt: skip
     if hidden.any():

@@ -36,25 +36,25 @@ def doubt_lines(doubts: Sequence[str]) -> Iterator[str]:
     yield from (f"{DOUBT}{doubt}" for doubt in doubts)
 
 
-def found_lines(said: Summary) -> Iterator[str]:
+def found_lines(summary: Summary) -> Iterator[str]:
     """The summary: what was found, what is to be looked at, offsets and misses."""
     yield ""
-    times = f"{counted(said.instants, 'instant')}, " if said.instants > 1 else ""
-    yield f"Picture: {times}{span(said.first_s, said.last_s)}"
-    yield from (f"{ALARM}{alarm}, from {moment(alarm.first_s)}" for alarm in said.alarms)
-    for label, words in said.entries():
+    times = f"{counted(summary.instants, 'instant')}, " if summary.instants > 1 else ""
+    yield f"Picture: {times}{span(summary.first_s, summary.last_s)}"
+    yield from (f"{ALARM}{alarm}, from {moment(alarm.first_s)}" for alarm in summary.alarms)
+    for label, words in summary.entries():
         yield from [f"{DOUBT}{words}"] if label == "doubt" else entry(label, words)
 
 
 def assumed_lines(scene: Scene) -> Iterator[str]:
     """Every number that nobody gave, those of one kind of source together; summary.json says why each was taken."""
-    said: dict[tuple[str, str], list[str]] = {}
+    taken: dict[tuple[str, str], list[str]] = {}
     for feed in scene.feeds:
         described = feed.description
         if described.assumed:
             numbers = ", ".join(f"{line.name} {_number(line.value)}" for line in described.assumed)
-            said.setdefault((described.kind, numbers), []).append(described.name)
-    for (kind, numbers), names in said.items():
+            taken.setdefault((described.kind, numbers), []).append(described.name)
+    for (kind, numbers), names in taken.items():
         yield from entry("assumed", f"{listed(names)} ({kind}): {numbers}")
 
 

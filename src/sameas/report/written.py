@@ -50,8 +50,8 @@ def match_lines(table: Table, facts: Mapping[str, Any], record: str, source: int
     lines += ["", f"Answers ({other})"]
     lines += _answers(table, facts, rows, best, source)
     rivals = _group(table, best, "group_id")
-    told = [_pair(table, facts, int(row), names) for row in rivals if row not in rows]
-    return [*lines, *_competing(told)]
+    details = [_pair(table, facts, int(row), names) for row in rivals if row not in rows]
+    return [*lines, *_competing(details)]
 
 
 def _answers(table: Table, facts: Mapping[str, Any], rows: IntArray, best: int, source: int) -> list[str]:
@@ -60,21 +60,21 @@ def _answers(table: Table, facts: Mapping[str, Any], rows: IntArray, best: int, 
     for row in rows.tolist():
         if not _is_absent(table, "p_match", row):
             east, north = (_value(table, name, row) for name in ("dx_arcsec", "dy_arcsec"))
-            told = f"{_value(table, 'sep_arcsec', row):.3f} arcsec ({east:+.3f} east, {north:+.3f} north), "
-            told += f"{_value(table, 'mahalanobis', row):.2f} σ, ln odds {_value(table, 'log_odds', row):+.2f}"
-            answers[_called(table, facts, row, 3 - source)] = float(_value(table, "p_match", row)), told
+            details = f"{_value(table, 'sep_arcsec', row):.3f} arcsec ({east:+.3f} east, {north:+.3f} north), "
+            details += f"{_value(table, 'mahalanobis', row):.2f} σ, ln odds {_value(table, 'log_odds', row):+.2f}"
+            answers[_called(table, facts, row, 3 - source)] = float(_value(table, "p_match", row)), details
     second = _value(table, "id_second", best)
     mine = not _is_absent(table, facts.get(f"id_column_{source}") or f"ra_column_{source}", best)
-    if second is not None and mine and source == _speaks(table, facts, best):
+    if second is not None and mine and source == _side_of(table, facts, best):
         answers.setdefault(str(second), (float(_value(table, "p_second", best)), "the most probable other candidate"))
-    if (alone := _value(table, "p_none", best)) is not None and source == _speaks(table, facts, best):
+    if (alone := _value(table, "p_none", best)) is not None and source == _side_of(table, facts, best):
         answers["no partner"] = float(alone), ""
     wide = max(map(len, answers))
     order = sorted(answers.items(), key=lambda answer: -answer[1][0])
-    return [f"    {name:{wide}}  {probability(p):>10}  {told}".rstrip() for name, (p, told) in order]
+    return [f"    {name:{wide}}  {probability(p):>10}  {details}".rstrip() for name, (p, details) in order]
 
 
-def _speaks(table: Table, facts: Mapping[str, Any], row: int) -> int:
+def _side_of(table: Table, facts: Mapping[str, Any], row: int) -> int:
     """The catalogue of whose record a row's p_none and id_second speak: the first, where it has one there."""
     return 2 if _is_absent(table, facts.get("ra_column_1") or "", row) else 1
 
@@ -147,10 +147,10 @@ def picture_lines(objects: Table, records: Table, record: str, source: str | Non
     at_s : the instant, the nearest one is taken; the last at which it is there if not given.
     """
     if source is not None:
-        at, mine, told = _record_of(records, record, source, at_s)
+        at, mine, details = _record_of(records, record, source, at_s)
         number = int(records["object"][at])
         head = [f"{mine} is of object {number}, probability {probability(float(records['p_object'][at]))}; "
-                f"of no other record {probability(float(records['p_alone'][at]))}", *told, ""]  # fmt: skip
+                f"of no other record {probability(float(records['p_alone'][at]))}", *details, ""]  # fmt: skip
         return head + _object(objects, records, number, float(records["time_s"][at]))
     names = [name for name in ("label", "mmsi", "icao", "callsign", "name") if name in objects.colnames]
     known = texts_of(objects["object"]) == record.strip()
@@ -196,9 +196,9 @@ def _object(objects: Table, records: Table, number: int, when: float) -> list[st
     for at in np.flatnonzero(mine).tolist():
         track = str(_value(records, "track_id", at) or "")
         age = f"{float(records['age_s'][at]):.0f} s old"
-        told = f"row {_value(records, 'row', at)}{f', track {track}' * bool(track)}, {age}"
+        details = f"row {_value(records, 'row', at)}{f', track {track}' * bool(track)}, {age}"
         alone = probability(float(records["p_alone"][at]))
-        lines += entry(f"  {_value(records, 'source', at)}", f"{told}; no partner anywhere {alone}")
+        lines += entry(f"  {_value(records, 'source', at)}", f"{details}; no partner anywhere {alone}")
     return lines
 
 
@@ -287,11 +287,11 @@ def _group(table: Table, row: int, column: str) -> IntArray:
     return np.flatnonzero(same & ~_absent(table[column]))
 
 
-def _competing(told: Sequence[str]) -> list[str]:
-    if not told:
+def _competing(details: Sequence[str]) -> list[str]:
+    if not details:
         return []
-    lines = ["", "Competing records", *(f"    {words}" for words in told[:LISTED])]
-    return lines + ([f"    and {count(len(told) - LISTED)} more"] if len(told) > LISTED else [])
+    lines = ["", "Competing records", *(f"    {words}" for words in details[:LISTED])]
+    return lines + ([f"    and {count(len(details) - LISTED)} more"] if len(details) > LISTED else [])
 
 
 def source_numbers(facts: Mapping[str, Any]) -> list[int]:

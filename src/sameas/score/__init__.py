@@ -5,7 +5,7 @@ What to use when:
 - pairs and records right, wrong and missed: :func:`score_pairs`, :func:`score_records`;
 - are stated probabilities frequencies: :func:`score_probabilities`, :func:`reliability`;
 - positions found and missed, as one distance: :func:`gospa`;
-- a picture over time, by its identities: :func:`pair_score`, :func:`siap`, :func:`standing`, :func:`nees`;
+- a picture over time, by its identities: :func:`pair_score`, :func:`siap`, :func:`majority_votes`, :func:`nees`;
 - what nearest neighbour, mutual nearest and others would say: :func:`nearest`, :func:`mutual_nearest`,
 :func:`most_pairs`.
 """

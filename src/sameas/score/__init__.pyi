@@ -16,15 +16,15 @@ from .pairs import score_pairs as score_pairs
 from .pairs import score_probabilities as score_probabilities
 from .pairs import score_records as score_records
 from .picture import Identities as Identities
+from .picture import MajorityVotes as MajorityVotes
 from .picture import Nees as Nees
 from .picture import PictureScore as PictureScore
 from .picture import Siap as Siap
-from .picture import Standing as Standing
+from .picture import majority_votes as majority_votes
 from .picture import mean_gospa as mean_gospa
 from .picture import nees as nees
 from .picture import pair_score as pair_score
 from .picture import siap as siap
-from .picture import standing as standing
 from .subpattern import Gospa as Gospa
 from .subpattern import gospa as gospa
 from .subpattern import nearest_match as nearest_match

@@ -87,9 +87,9 @@ def classified(pairs: Pairs, log_odds: FloatArray, loss: Loss = ALL_ALIKE) -> Bo
     n = len(pairs.first)
     top = np.zeros(n)
     np.maximum.at(top, pairs.i, log_odds)
-    odds, nobody = np.exp(log_odds - top[pairs.i]), np.exp(-top)
-    total = nobody + np.bincount(pairs.i, odds, n)
-    naming, alone = loss.expected(odds / total[pairs.i], pairs.i, nobody / total)
+    odds, p_none = np.exp(log_odds - top[pairs.i]), np.exp(-top)
+    total = p_none + np.bincount(pairs.i, odds, n)
+    naming, alone = loss.expected(odds / total[pairs.i], pairs.i, p_none / total)
     return _first_of_each(pairs.i, naming) & (naming < alone[pairs.i])
 
 

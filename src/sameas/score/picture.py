@@ -5,8 +5,8 @@ identities, one row per record and instant, from whatever program: when, of whic
 its object, and which object it truly is (−1: false). So other programs are judged by the same code.
 
 - :func:`pair_score` : precision, recall and F1 of the pairs of records, and the share of instants wholly right.
-- :func:`siap` : completeness, ambiguity, spuriousness, continuity, switches of identity. :func:`standing` : which true
-  object an object of the picture stands for.
+- :func:`siap` : completeness, ambiguity, spuriousness, continuity, switches of identity. :func:`majority_votes` :
+  which true object an object of the picture stands for.
 - :func:`nees` : whether fused states are as near to the truth as their covariances say. :func:`mean_gospa` : how far
   the picture as a whole is from the truth.
 """
@@ -37,13 +37,13 @@ class Identities:
 
     Attributes
     ----------
-    time_s : (n,) the instant. source : (n,) number of the source. told : (n,) number of the object in the picture.
+    time_s : (n,) the instant. source : (n,) number of the source. assigned : (n,) number of the object in the picture.
     true : (n,) number of the true object, −1 for a false record. Rows are in the order of instants.
     """
 
     time_s: FloatArray
     source: IntArray
-    told: IntArray
+    assigned: IntArray
     true: IntArray
 
     @classmethod
@@ -60,13 +60,13 @@ class Identities:
         if missing:
             raise InputError(f"identities: no column {missing[0]}; give time_s, source and object")
         time_s, truth = np.asarray(records["time_s"], np.float64), np.asarray(true, np.int64)
-        told = np.ma.filled(np.ma.asarray(records["object"]), -1).astype(np.int64)
+        assigned = np.ma.filled(np.ma.asarray(records["object"]), -1).astype(np.int64)
         _, source = np.unique(np.asarray(records["source"]).astype(str), return_inverse=True)
-        if not len(time_s) == len(truth) == len(told) == len(source):
-            raise InputError(f"identities: {len(time_s)} times for {len(told)} objects and {len(truth)} truths")
-        told = np.where(told < 0, told.max(initial=0) + 1 + np.arange(len(told)), told)
-        order = np.lexsort([source, told, time_s])
-        return cls(time_s[order], source[order].astype(np.int64), told[order], truth[order])
+        if not len(time_s) == len(truth) == len(assigned) == len(source):
+            raise InputError(f"identities: {len(time_s)} times for {len(assigned)} objects and {len(truth)} truths")
+        assigned = np.where(assigned < 0, assigned.max(initial=0) + 1 + np.arange(len(assigned)), assigned)
+        order = np.lexsort([source, assigned, time_s])
+        return cls(time_s[order], source[order].astype(np.int64), assigned[order], truth[order])
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -95,9 +95,9 @@ class PictureScore:
 def pair_score(identities: Identities) -> PictureScore:
     """Precision, recall and F1 of pairs, and instants wholly right.
 
-    A pair is two records of different sources at one instant; it is told where both are in one object, true where both
-    are of one true object. Where a source shows an object twice (a track that broke, and its successor), it has as many
-    true pairs with another source as can be made one to one.
+    A pair is two records of different sources at one instant; it is claimed where both are in one object, true
+    where both are of one true object. Where a source shows an object twice (a track that broke, and its successor),
+    it has as many true pairs with another source as can be made one to one.
 
     Example
     -------
@@ -109,12 +109,12 @@ def pair_score(identities: Identities) -> PictureScore:
     times, instant = identities.instants
     single = len(identities) + np.arange(len(identities))
     true = np.where(identities.true == FALSE, single, identities.true)
-    told_of = _Sightings.of(instant, identities.told, identities.source).pairs(len(times))
+    of_assigned = _Sightings.of(instant, identities.assigned, identities.source).pairs(len(times))
     true_of = _Sightings.of(instant, true, identities.source).pairs_one_to_one(len(times))
-    both = np.unique(np.column_stack([identities.told, true]), axis=0, return_inverse=True)[1].reshape(-1)
+    both = np.unique(np.column_stack([identities.assigned, true]), axis=0, return_inverse=True)[1].reshape(-1)
     right_of = _Sightings.of(instant, both, identities.source).pairs_one_to_one(len(times))
-    score = PairScore(int(told_of.sum()), int(true_of.sum()), int(right_of.sum()))
-    return PictureScore(score, (told_of == right_of) & (true_of == right_of))
+    score = PairScore(int(of_assigned.sum()), int(true_of.sum()), int(right_of.sum()))
+    return PictureScore(score, (of_assigned == right_of) & (true_of == right_of))
 
 
 @dataclass(frozen=True)
@@ -188,18 +188,18 @@ def siap(identities: Identities) -> Siap:
     >>> found.completeness, found.continuity, found.switches
     (1.0, 0.5, 1)
     """
-    stands = standing(identities)
-    held_by = stands.where(stands.true != FALSE)
+    majority = majority_votes(identities)
+    held_by = majority.where(majority.true != FALSE)
     times, instant = identities.instants
-    shown = len(np.unique(np.column_stack([instant, identities.true])[identities.true != FALSE], axis=0))
+    n_true = len(np.unique(np.column_stack([instant, identities.true])[identities.true != FALSE], axis=0))
     held = len(np.unique(np.column_stack([held_by.instant, held_by.true]), axis=0))
     single = [held_by.where(held_by.true == one) for one in np.unique(held_by.true)]
     hours = held * _step(times) / 3600.0
     return Siap(
-        completeness=_ratio(held, shown),
+        completeness=_ratio(held, n_true),
         ambiguity=_ratio(len(held_by), held),
-        spuriousness=_ratio(len(stands) - len(held_by), len(stands)),
-        continuity=_ratio(sum(_longest(one) for one in single), shown),
+        spuriousness=_ratio(len(majority) - len(held_by), len(majority)),
+        continuity=_ratio(sum(_longest(one) for one in single), n_true),
         number_changes_per_hour=_ratio(sum(_fewest_changes(one) for one in single), hours),
         switches=sum(_switches(one) for one in single),
     )
@@ -207,31 +207,33 @@ def siap(identities: Identities) -> Siap:
 
 @in_short
 @dataclass(frozen=True)
-class Standing:
+class MajorityVotes:
     """Per object of the picture and instant (k,), in the order of time: which true object it stands for.
 
-    instant : which of the distinct times. told : the object's number in the picture. true : of the true object that
+    instant : which of the distinct times. assigned : the object's number in the picture. true : of the true object that
     most of its records are of; −1 where the vote is even or the most are false. votes : the number of those records.
     """
 
     time_s: FloatArray
     instant: IntArray
-    told: IntArray
+    assigned: IntArray
     true: IntArray
     votes: IntArray
 
     def __len__(self) -> int:
-        return len(self.told)
+        return len(self.assigned)
 
-    def where(self, which: BoolArray) -> Standing:
+    def where(self, which: BoolArray) -> MajorityVotes:
         """Some of the rows."""
-        return Standing(*(column[which] for column in vars(self).values()))
+        return MajorityVotes(*(column[which] for column in vars(self).values()))
 
 
-def standing(identities: Identities) -> Standing:
+def majority_votes(identities: Identities) -> MajorityVotes:
     """Which true object every object of the picture stands for at every instant."""
     times, instant = identities.instants
-    cells, votes = np.unique(np.column_stack([instant, identities.told, identities.true]), axis=0, return_counts=True)
+    cells, votes = np.unique(
+        np.column_stack([instant, identities.assigned, identities.true]), axis=0, return_counts=True
+    )
     # The most votes stand last of each object.
     order = np.lexsort([votes, cells[:, 1], cells[:, 0]])
     cells, votes = cells[order], votes[order]
@@ -240,17 +242,17 @@ def standing(identities: Identities) -> Standing:
     even = np.zeros(len(cells), bool)
     even[1:] = ~last[:-1] & (votes[1:] == votes[:-1])
     true = np.where(even, FALSE, cells[:, 2])
-    return Standing(times[cells[last, 0]], cells[last, 0], cells[last, 1], true[last], votes[last])
+    return MajorityVotes(times[cells[last, 0]], cells[last, 0], cells[last, 1], true[last], votes[last])
 
 
-def _longest(one: Standing) -> int:
+def _longest(one: MajorityVotes) -> int:
     """Instants for which the object that stands longest for a true one does."""
-    return int(np.unique(one.told, return_counts=True)[1].max())
+    return int(np.unique(one.assigned, return_counts=True)[1].max())
 
 
-def _fewest_changes(one: Standing) -> int:
+def _fewest_changes(one: MajorityVotes) -> int:
     """Changes of number when every instant keeps the number that lasts longest without a gap."""
-    held = [set(one.told[one.instant == step].tolist()) for step in np.unique(one.instant)]
+    held = [set(one.assigned[one.instant == step].tolist()) for step in np.unique(one.instant)]
     changes, going = 0, held[0]
     for now in held[1:]:
         going = going & now
@@ -259,14 +261,14 @@ def _fewest_changes(one: Standing) -> int:
     return changes
 
 
-def _switches(one: Standing) -> int:
+def _switches(one: MajorityVotes) -> int:
     """Changes of the number that was last, which is kept for as long as it stands for the object."""
     last, switches = -1, 0
     for step in np.unique(one.instant):
         here = np.flatnonzero(one.instant == step)
-        if last in one.told[here]:
+        if last in one.assigned[here]:
             continue
-        best = int(one.told[here[np.lexsort([one.told[here], -one.votes[here]])[0]]])
+        best = int(one.assigned[here[np.lexsort([one.assigned[here], -one.votes[here]])[0]]])
         switches += last >= 0
         last = best
     return switches

@@ -45,7 +45,7 @@ class Sky:
     gap_yr: float = 15.0
     uncatalogued: float = 0.08
     frame_sigma_arcsec: tuple[float, float] = (0.05, 0.26)
-    shown: float = 0.98
+    plateau: float = 0.98
     limit: float = 19.0
     softness: float = 0.3
     false_share: float = 0.08
@@ -55,7 +55,7 @@ class Sky:
 
     def completeness(self, magnitude: FloatArray) -> FloatArray:
         """P_d(m): (n,) the probability that the frame detects a star."""
-        return self.shown / (1.0 + np.exp((magnitude - self.limit) / self.softness))
+        return self.plateau / (1.0 + np.exp((magnitude - self.limit) / self.softness))
 
     def depth(self, magnitude: FloatArray, faint: float) -> FloatArray:
         """(n,) where errors stand between their bright and faint ends, 0 … 1."""

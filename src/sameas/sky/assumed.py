@@ -63,14 +63,14 @@ def completed(
         epoch = _epoch_of_others(made, k, epoch_jyr)
         if epoch is not None:
             made[k] = catalogue.with_epoch(epoch, "assumed")
-            told = f"{catalogue.name}: its epoch is not known; {epoch:g} was assumed, so that nothing of it moves; "
-            doubts.append(Message(told, naming(f"say {{epoch{k + 1}:YEAR}}")))
+            text = f"{catalogue.name}: its epoch is not known; {epoch:g} was assumed, so that nothing of it moves; "
+            doubts.append(Message(text, naming(f"say {{epoch{k + 1}:YEAR}}")))
     before = tuple(made)
     for k, catalogue in enumerate(before):
         if catalogue.error_is_unknown:
             sigma, source = _error_against_others(before, k, tuning)
-            told = f"{catalogue.name}: it has no position errors; {sigma:.2g} arcsec on each axis was taken, {source}; "
-            doubts.append(Message(told, naming(f"say {{sigma{k + 1}:ARCSEC}} or {{sigma{k + 1}:COLUMN}}")))
+            text = f"{catalogue.name}: it has no position errors; {sigma:.2g} arcsec on each axis was taken, {source}; "
+            doubts.append(Message(text, naming(f"say {{sigma{k + 1}:ARCSEC}} or {{sigma{k + 1}:COLUMN}}")))
             made[k] = catalogue.with_error(PositionError("number", sigma_arcsec=sigma, reason="assumed"))
     for k, catalogue in enumerate(made):
         if catalogue.choice.error.guessed_unit:
@@ -122,8 +122,8 @@ def _with_likelier_unit(catalogues: Sequence[Catalogue], k: int, tuning: CommonE
         return catalogue, ""
     angles = tuple(replace(column, unit=best) if _is_guessed(column) else column for column in error.columns)
     names = ", ".join(column.name for column in angles if _is_guessed(column))
-    told = f"{catalogue.name}: the unit of {names} is not said; {best} fits the distances to the other catalogue best, "
-    doubt = Message(f"{told}so it was taken; ", naming(f"say {{sigma_unit{k + 1}:UNIT}}"))
+    text = f"{catalogue.name}: the unit of {names} is not said; {best} fits the distances to the other catalogue best, "
+    doubt = Message(f"{text}so it was taken; ", naming(f"say {{sigma_unit{k + 1}:UNIT}}"))
     return catalogue.with_error(replace(error, columns=angles, guessed_unit=False)), doubt
 
 

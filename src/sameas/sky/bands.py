@@ -22,26 +22,26 @@ AUTO, OFF = "auto", "off"
 ERROR_NAMES = ("e_{}", "{}_error", "{}_err", "{}err", "{}Err", "sigma_{}", "{}_msigcom", "{}_sigma")
 
 
-def magnitudes_of(first: Catalogue, second: Catalogue, said: str = AUTO) -> tuple[Magnitudes, Magnitudes] | None:
+def magnitudes_of(first: Catalogue, second: Catalogue, choice: str = AUTO) -> tuple[Magnitudes, Magnitudes] | None:
     """The magnitudes of both catalogues; None where they are not to be used or one has none.
 
     Parameters
     ----------
-    said : "auto" takes the magnitude that each catalogue was understood to have; "off" none; "G,BP,RP:J,H" those
+    choice : "auto" takes the magnitude that each catalogue was understood to have; "off" none; "G,BP,RP:J,H" those
         columns of the first and of the second catalogue, the brightest known band of either first.
 
     Raises
     ------
     InputError : no such columns; words that are none of these.
     """
-    if said == OFF:
+    if choice == OFF:
         return None
-    if said == AUTO:
+    if choice == AUTO:
         one, two = _understood(first), _understood(second)
         return None if one is None or two is None else (one, two)
-    sides = said.split(":")
+    sides = choice.split(":")
     if len(sides) != 2 or not all(side.strip() for side in sides):
-        raise InputError(f'magnitudes {said!r}: give "auto", "off", or columns of both catalogues, BAND,…:BAND,…')
+        raise InputError(f'magnitudes {choice!r}: give "auto", "off", or columns of both catalogues, BAND,…:BAND,…')
     named = [tuple(name.strip() for name in side.split(",")) for side in sides]
     return _columns(first, named[0]), _columns(second, named[1])
 

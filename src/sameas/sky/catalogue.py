@@ -60,11 +60,11 @@ def _doubts_errors(astrometry: Astrometry, choice: ColumnChoice) -> str:
         return f"the position errors ({names}) have a median of {median:g} arcsec: are they rather in degrees?"
     lost = len(sigma) - len(known)
     if lost:
-        told = f"{lost} of {len(sigma)} rows lack a position or a positive error and are set aside"
+        text = f"{lost} of {len(sigma)} rows lack a position or a positive error and are set aside"
         placed = np.isfinite(astrometry.ra_deg) & np.isfinite(astrometry.dec_deg)
         if np.count_nonzero(placed) == len(known):
-            return told
-        return Message(f"{told}; ", naming("{fill_errors} gives them the typical error of their magnitude"))
+            return text
+        return Message(f"{text}; ", naming("{fill_errors} gives them the typical error of their magnitude"))
     return ""
 
 
@@ -73,8 +73,8 @@ def _taken_errors(choice: ColumnChoice) -> str:
     error = choice.error
     if error.survey is not None:
         by = f" at its {choice.magnitude}" if choice.magnitude else ""
-        told = f"no column of position errors: those of {error.survey.title}{by} are taken ({error.survey.source}); "
-        return Message(told, naming("say {sigma:ARCSEC} or {sigma:COLUMN} if you know better"))
+        text = f"no column of position errors: those of {error.survey.title}{by} are taken ({error.survey.source}); "
+        return Message(text, naming("say {sigma:ARCSEC} or {sigma:COLUMN} if you know better"))
     if error.guessed_unit:
         names, unit = ", ".join(column.name for column in error.columns), error.columns[0].unit
         return Message(f"the unit of {names} is not said; by its size {unit}: ", naming("say {sigma_unit:UNIT}"))
@@ -484,8 +484,8 @@ def _errors(
         motion[1:3] = [of_survey if column is None else column for column in motion[1:3]]
     if options.pm_sigma_mas_per_yr is not None:
         for k in (1, 2):
-            said = motion[k]
-            empty = np.full(len(table), np.nan) if said is None else said
+            motion_error = motion[k]
+            empty = np.full(len(table), np.nan) if motion_error is None else motion_error
             motion[k] = np.where(np.isnan(empty), options.pm_sigma_mas_per_yr, empty)
     correlated = rho is not None or bool(choice.weights) or bool(choice.correlations)
     spoken = motion if correlated or any(column is not None for column in motion) else []

@@ -243,7 +243,7 @@ def _all_of(asked: tuple[Callable[[], Any], ...]) -> list[Any]:
 def _convention(search: ColumnSearch) -> tuple[Convention, tuple[str, ...]]:
     """The convention of the position, and the right ascensions that were passed over."""
     if search.options.ra or search.options.dec:
-        return _said_position(search), ()
+        return _position_of_options(search), ()
     there = [c for c in conventions.CONVENTIONS if _applies(search, c)]
     if not there:
         elsewhere = (c for c in conventions.OTHER_FRAMES if _applies(search, c))
@@ -293,24 +293,24 @@ def _refuse_equals(search: ColumnSearch, chosen: list[Convention]) -> None:
     chosen.sort(key=lambda c: _own_error(search, c) is None)
 
 
-def _said_position(search: ColumnSearch) -> Convention:
+def _position_of_options(search: ColumnSearch) -> Convention:
     """The convention of the columns that the options name."""
     options = search.options
-    said = search.required(options.ra or options.dec or "", "ra" if options.ra else "dec")
+    stated = search.required(options.ra or options.dec or "", "ra" if options.ra else "dec")
     axis = 0 if options.ra else 1
     other = search.required(options.dec, "dec") if options.ra and options.dec else None
     known = [
         c
         for c in (*conventions.CONVENTIONS, *conventions.OTHER_FRAMES)
         if _applies(search, c)
-        and search.find(c.position[axis]) == said
+        and search.find(c.position[axis]) == stated
         and other in (None, search.find(c.position[1 - axis]))
     ]
     if known:
         return min(known, key=lambda c: _own_error(search, c) is None)
     if other is None:
-        raise InputError(f"{search.source}: {said!r} has no known partner", naming("say {ra:NAME} and {dec:NAME}"))
-    return conventions.plain((said, other), title="options")
+        raise InputError(f"{search.source}: {stated!r} has no known partner", naming("say {ra:NAME} and {dec:NAME}"))
+    return conventions.plain((stated, other), title="options")
 
 
 def _position_by_ucd(search: ColumnSearch) -> Convention | None:
@@ -363,7 +363,7 @@ def _position_error(search: ColumnSearch, convention: Convention) -> PositionErr
     if options.ellipse:
         return _error_columns(search, ErrorNames("ellipse", search.several(options.ellipse, 3, "ellipse")))
     if options.sigma is not None:
-        return _said_error(search, options.sigma, convention)
+        return _error_of_option(search, options.sigma, convention)
     own = _own_error(search, convention)
     if own:
         return _error_columns(search, own, convention)
@@ -385,7 +385,7 @@ def _may_be_angle(search: ColumnSearch, names: tuple[str, ...]) -> bool:
     return all(unit is None or unit.is_equivalent(u.deg) for unit in units)
 
 
-def _said_error(search: ColumnSearch, sigma: float | str, convention: Convention) -> PositionError:
+def _error_of_option(search: ColumnSearch, sigma: float | str, convention: Convention) -> PositionError:
     try:
         number = float(sigma)
     except ValueError:
@@ -420,9 +420,9 @@ def _error_columns(search: ColumnSearch, way: ErrorNames, convention: Convention
     columns = tuple(search.angle(name, way.unit) for name in names[:2])
     if kind == "ellipse":
         columns = (*columns, search.checked(search.column(names[2], "deg"), "deg", "an angle"))
-    said = search.options.correlation
-    correlation = search.required(said, "correlation") if said else ""
-    if not said and kind == "axes" and convention:
+    stated = search.options.correlation
+    correlation = search.required(stated, "correlation") if stated else ""
+    if not stated and kind == "axes" and convention:
         correlation = next((n for i, j, w in convention.correlations if (i, j) == (0, 1) and (n := search.find(w))), "")
     found = "" if correlation or kind != "axes" else search.find(way.covariance) or ""
     guessed = any(column.reason == GUESSED for column in columns)
@@ -445,11 +445,11 @@ def _motion(search: ColumnSearch, convention: Convention) -> tuple[tuple[Any, ..
     if options.pm and options.pm.lower() == "none":
         names[1:3] = errors[1:3] = [None, None]
     elif options.pm:
-        said = search.several(options.pm, 2, "pm")
+        stated = search.several(options.pm, 2, "pm")
         errors[1:3] = [
-            e if said == tuple(names[1:3]) else _error_of(search, s) for s, e in zip(said, errors[1:3], strict=True)
+            e if stated == tuple(names[1:3]) else _error_of(search, s) for s, e in zip(stated, errors[1:3], strict=True)
         ]
-        names[1:3] = said
+        names[1:3] = stated
     for k, text, option in (
         (0, options.parallax, "parallax"),
         (3, options.radial_velocity, "radial_velocity"),
@@ -474,12 +474,12 @@ def _error_of(search: ColumnSearch, name: str | None) -> str | None:
 
 
 def _epoch(search: ColumnSearch, convention: Convention, ra: str) -> Epoch:
-    said, table = search.options.epoch, search.table
-    if said is not None:
+    stated, table = search.options.epoch, search.table
+    if stated is not None:
         try:
-            return Epoch(jyr=column_values.year_of(str(said)), reason="option")
+            return Epoch(jyr=column_values.year_of(str(stated)), reason="option")
         except ValueError:
-            column = search.required(str(said), "epoch")
+            column = search.required(str(stated), "epoch")
             return Epoch(column=column, reason=f"column {column}, option")
     name = search.first(convention.epochs)
     if name:
@@ -560,9 +560,9 @@ def _weights(search: ColumnSearch, convention: Convention) -> tuple[str, ...]:
 
 
 def _magnitude(search: ColumnSearch, convention: Convention) -> tuple[str | None, str | None]:
-    said = search.options.magnitude
-    if said:
-        name = None if said.lower() == "none" else search.required(said, "magnitude")
+    stated = search.options.magnitude
+    if stated:
+        name = None if stated.lower() == "none" else search.required(stated, "magnitude")
         return name, _error_of(search, name)
     for wanted, error in convention.magnitudes + conventions.PLAIN_MAGNITUDES:
         name = search.find(wanted)

@@ -531,9 +531,9 @@ def correlations(weights: FloatArray, errors: FloatArray, f2: FloatArray, n_tran
     inverse = np.linalg.inv(scaled[usable])
     covariance = inverse @ inverse.transpose(0, 2, 1)
     deviation = np.sqrt(np.einsum("nii->ni", covariance))
-    told = (np.abs(deviation - 1) < _TOLERANCE).all(axis=1)
-    spread = deviation[told]
-    result[usable[told]] = covariance[told] / (spread[:, :, None] * spread[:, None, :])
+    with_deviation = (np.abs(deviation - 1) < _TOLERANCE).all(axis=1)
+    spread = deviation[with_deviation]
+    result[usable[with_deviation]] = covariance[with_deviation] / (spread[:, :, None] * spread[:, None, :])
     return result
 
 

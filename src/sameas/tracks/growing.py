@@ -124,7 +124,7 @@ class GrowingFeed:
         return bool(self._named) or bool(self._rows.attributes)
 
     @property
-    def heard(self) -> bool:
+    def has_reports(self) -> bool:
         """Whether it has had a report."""
         return self._serial > 0
 
@@ -174,7 +174,7 @@ class GrowingFeed:
     def feed(self, instant_s: float) -> Feed:
         """The feed by which a scene knows the source at an instant; reports that no later instant needs are dropped."""
         self._drop(instant_s - self.lag_s)
-        rows = self._rows.shown()
+        rows = self._rows.visible()
         time_s, sensor_m = rows.time_s, rows.sensor_m if np.isfinite(rows.sensor_m).any() else None
         track = rows.name if self._named else None
         every = np.arange(len(rows))
@@ -374,9 +374,9 @@ class GrowingFeed:
         done = np.flatnonzero(~base)
         at, tracks, measured = again[done], tracks.take(done), measured.take(done)
         table.filtered[at], table.filtered_covariance[at] = tracks.state, tracks.covariance
-        shown = in_place(measured, tracks) if self.to_tracks and self.description.kind in LASTING else tracks
-        shown, still = stationary(shown, self.description.motion, self.tuning)
-        table.state[at], table.covariance[at] = shown.state, shown.covariance
+        visible = in_place(measured, tracks) if self.to_tracks and self.description.kind in LASTING else tracks
+        visible, still = stationary(visible, self.description.motion, self.tuning)
+        table.state[at], table.covariance[at] = visible.state, visible.covariance
         table.p_stationary[at] = 0.0 if still is None else still
 
     def _claim(self, n: int) -> IntArray:
@@ -513,7 +513,7 @@ class _Rows:
         out.attributes = {name: column[which] for name, column in self.attributes.items()}
         return out
 
-    def shown(self) -> _Rows:
+    def visible(self) -> _Rows:
         """Of a feed: copies of what later reports would change, without what only the filter needs."""
         out = _Rows(0)
         for name in ("time_s", "state", "covariance", "p_stationary", "sensor_m", "taken", "number", "serial", "name"):

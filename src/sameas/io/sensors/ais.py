@@ -128,14 +128,14 @@ class Static:
 
 
 @dataclass
-class Heard:
+class ReceiverState:
     """What a receiver has heard before these lines: parts of messages that wait for the others, data of ships."""
 
     waiting: dict[tuple[str, ...], list[Sentence]] = field(default_factory=dict)
     statics: dict[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
-def read(log: Log, source: str, start_s: float | None = None, heard: Heard | None = None) -> Reports:
+def read(log: Log, source: str, start_s: float | None = None, state: ReceiverState | None = None) -> Reports:
     """The reports of ships in a log.
 
     Parameters
@@ -143,14 +143,14 @@ def read(log: Log, source: str, start_s: float | None = None, heard: Heard | Non
     log : sentences with their clock; those that are not AIS are left alone.
     source : its name in messages.
     start_s : UTC of the first message, for logs without any clock: the seconds in the messages are counted on from it.
-    heard : of a stream, what came before; it is kept up to date. Parts at the end of the log wait for the others.
+    state : of a stream, what came before; it is kept up to date. Parts at the end of the log wait for the others.
 
     Raises
     ------
     InputError : pyais is not installed; no position among the messages; no time.
     """
-    messages, damaged = _messages(log, heard)
-    statics = _statics(messages, heard)
+    messages, damaged = _messages(log, state)
+    statics = _statics(messages, state)
     positions, passed_over = [], Counter[str]()
     for message in messages:
         reason = _unusable(message)
@@ -201,12 +201,12 @@ def own_ship(sentence: Sentence) -> dict[str, float | None]:
     return fields if heading is None else fields | {"heading": heading}
 
 
-def _messages(log: Log, heard: Heard | None) -> tuple[list[Message], list[tuple[int, str]]]:
+def _messages(log: Log, state: ReceiverState | None) -> tuple[list[Message], list[tuple[int, str]]]:
     """The decoded messages, those of several sentences joined, and the lines that could not be decoded."""
     decode = _decoder()
     messages: list[Message] = []
     damaged = list(log.damaged)
-    waiting: dict[tuple[str, ...], list[Sentence]] = {} if heard is None else heard.waiting
+    waiting: dict[tuple[str, ...], list[Sentence]] = {} if state is None else state.waiting
     for place, sentence in enumerate(log.sentences):
         if sentence.kind not in SENTENCES:
             continue
@@ -226,7 +226,7 @@ def _messages(log: Log, heard: Heard | None) -> tuple[list[Message], list[tuple[
             damaged += [(part.line, f"cannot be decoded ({type(error).__name__})") for part in parts]
             continue
         messages.append(Message(sentence.line, place, sentence.kind == "VDO", decoded))
-    for parts in waiting.values() if heard is None else ():
+    for parts in waiting.values() if state is None else ():
         damaged += [(part.line, "part of a message without the others") for part in parts]
     return messages, damaged
 
@@ -346,12 +346,12 @@ def _below(value: Any, limit: float) -> float | None:
     return None if value is None or not 0 <= float(value) < limit else float(value)
 
 
-def _statics(messages: Sequence[Message], heard: Heard | None) -> dict[str, list[Static]]:
+def _statics(messages: Sequence[Message], state: ReceiverState | None) -> dict[str, list[Static]]:
     """The static data of each ship, in the order of the lines; later values replace earlier ones."""
     by_ship: dict[str, list[Static]] = {}
-    if heard is not None:
+    if state is not None:
         spoken = {f"{int(message.decoded.mmsi):09d}" for message in messages}
-        by_ship = {mmsi: [Static(0, heard.statics[mmsi])] for mmsi in spoken & heard.statics.keys()}
+        by_ship = {mmsi: [Static(0, state.statics[mmsi])] for mmsi in spoken & state.statics.keys()}
     for message in messages:
         if message.type not in _STATICS or message.own_ship or _unusable(message):
             continue
@@ -359,8 +359,8 @@ def _statics(messages: Sequence[Message], heard: Heard | None) -> dict[str, list
         before = by_ship.setdefault(mmsi, [])
         fields = _static(message.decoded)
         before.append(Static(message.line, {**(before[-1].values if before else {}), **fields}))
-        if heard is not None:
-            heard.statics[mmsi] = before[-1].values
+        if state is not None:
+            state.statics[mmsi] = before[-1].values
     return by_ship
 
 

@@ -84,7 +84,7 @@ class ReportStream:
         self._rest = b""
         self._lines: list[tuple[float, str]] = []
         self._datagrams: list[tuple[float, bytes]] = []
-        self._heard, self._ship, self._vessels = ais.Heard(), arpa.OwnShip(), signalk.Vessels()
+        self._ais_state, self._ship, self._vessels = ais.ReceiverState(), arpa.OwnShip(), signalk.Vessels()
         self._latest: sbs.Latest = {}
         self._aircraft: dict[str, object] = {}
         self._blocks: set[tuple[int, bytes]] = set()
@@ -183,7 +183,7 @@ class ReportStream:
         kinds = {sentence.kind for sentence in log.sentences}
         out: list[Reports] = []
         if kinds & set(ais.SENTENCES):
-            out += self._read(lambda: [ais.read(log, f"{self.source}:ais", heard=self._heard)])
+            out += self._read(lambda: [ais.read(log, f"{self.source}:ais", state=self._ais_state)])
         if kinds - {"VDM"}:
             out += self._read(lambda: [arpa.read(log, f"{self.source}:arpa", ship=self._ship)])
         return out

@@ -148,7 +148,7 @@ def _estimated(identification: FrameIdentification) -> dict[str, list[float]]:
     model = estimate.error_model
     if model is not None:
         quantities |= {
-            (ERROR_NAMES[name], scale if name.startswith("floor") else 1.0): q for name, q in model.told.items()
+            (ERROR_NAMES[name], scale if name.startswith("floor") else 1.0): q for name, q in model.terms.items()
         }
     estimates = {
         name: (unit * q.value, unit * q.standard_error) for (name, unit), q in quantities.items() if q is not None

@@ -127,7 +127,7 @@ class Population:
             p, d = np.minimum(probability[here], tuning.largest_p_set), freedom(pattern)
             log_odds = np.log(p / (1.0 - p)) - errors.log_profile(chi_sq[here], d)
             # Not wider than of the catalogues two by two: chance pairs prevail beyond.
-            widest = max(DEFAULT_EM.thinkable, *(max(self.spread[pair].scales) for pair in pairs_within(pattern)))
+            widest = max(DEFAULT_EM.widest_scale, *(max(self.spread[pair].scales) for pair in pairs_within(pattern)))
             spread[pattern] = fit_errors(chi_sq[here], log_odds, d, errors, widest=widest).errors
         return spread
 

@@ -93,7 +93,7 @@ class Elements:
         """
         try:
             place = files("sameas.sky.movers") / "elements.json" if str(path) == DEMO else Path(path)
-            text = place.read_text(encoding="utf-8", errors="replace")
+            text = place.read_bytes().decode("utf-8", errors="replace")
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror})") from None
         with reading(str(path), "is neither MPCORB nor JSON of the small-body database"):
@@ -102,8 +102,8 @@ class Elements:
 
 def _of_json(text: str, path: Any) -> Elements:
     try:
-        told = json.loads(text)
-        fields, data = list(told["fields"]), told["data"]
+        answer = json.loads(text)
+        fields, data = list(answer["fields"]), answer["data"]
         at = {name: fields.index(name) for name in ("full_name", "epoch_mjd", "e", "q", "i", "om", "w")}
     except (ValueError, KeyError, TypeError):
         raise InputError(

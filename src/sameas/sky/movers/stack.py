@@ -321,13 +321,13 @@ def _stacked(
     return out, snr
 
 
-def confirmed(found: Movers, told: Stack, least_probability: float) -> tuple[Movers, Stack]:
+def confirmed(found: Movers, stacked: Stack, least_probability: float) -> tuple[Movers, Stack]:
     """The tracklets with the probability that the pixels leave them, those below a least one left out."""
-    p = np.concatenate([told.p, found.p_tracklet[len(told) :]])
+    p = np.concatenate([stacked.p, found.p_tracklet[len(stacked) :]])
     found = replace(found, p_tracklet=p)
     keep = p >= least_probability
-    mine = keep[: len(told)]
+    mine = keep[: len(stacked)]
     names = ("place", "chip", "flux", "error", "hidden", "detected", "log_ratio", "p", "along", "stacked", "snr")
-    parts = {name: getattr(told, name)[mine] for name in names}
-    fixed = tuple(one for one, kept in zip(told.fixed, mine, strict=True) if kept)
-    return found.only(keep), replace(told, **parts, fixed=fixed)
+    parts = {name: getattr(stacked, name)[mine] for name in names}
+    fixed = tuple(one for one, kept in zip(stacked.fixed, mine, strict=True) if kept)
+    return found.only(keep), replace(stacked, **parts, fixed=fixed)

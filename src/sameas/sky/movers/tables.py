@@ -111,17 +111,17 @@ def _one(catalogue: Catalogue, wanted: DetectionColumns) -> tuple[dict[str, Any]
         "band": _texts(table[band]) if band else np.full(n, ""),
         "exposure": _texts(table[exposure]) if exposure else np.full(n, ""),
     }
-    shown = f"exposure {exposure}" if exposure else "exposures by equal times"
-    return columns, f"{catalogue.name}: time {time} ({how}, UTC), {shown}, {f'band {band}' if band else 'no band'}"
+    by = f"exposure {exposure}" if exposure else "exposures by equal times"
+    return columns, f"{catalogue.name}: time {time} ({how}, UTC), {by}, {f'band {band}' if band else 'no band'}"
 
 
-def _chosen(catalogue: Catalogue, said: str | None, known: Sequence[str], what: str) -> str | None:
+def _chosen(catalogue: Catalogue, option: str | None, known: Sequence[str], what: str) -> str | None:
     names = {name.lower(): name for name in reversed(catalogue.table.colnames)}
-    if said is not None:
-        if said in catalogue.table.colnames:
-            return said
+    if option is not None:
+        if option in catalogue.table.colnames:
+            return option
         there = ", ".join(catalogue.table.colnames[:12])
-        raise InputError(f"{catalogue.name}: no column {said!r} (there are {there})", naming(f"say {{{what}:NAME}}"))
+        raise InputError(f"{catalogue.name}: no column {option!r} (there are {there})", naming(f"say {{{what}:NAME}}"))
     return next((names[name] for name in known if name in names), None)
 
 
