@@ -20,10 +20,12 @@ from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.registration.weights import weigh
 from sameas.tracks.alignment import States
+from sameas.tracks.bias_fit import BiasFit
 from sameas.tracks.biases import TIME
 from sameas.tracks.common_scans import ComparedSource, bias_widths, common_scans
 from sameas.tracks.coordinates import EARTH_M, FARTHEST_M, LocalPlane
 from sameas.tracks.feed import Feed
+from sameas.tracks.plot_offsets import fit_plots, shows_bare_plots, shows_tracks
 from sameas.tracks.registration import unbiased
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description, Site
@@ -175,6 +177,9 @@ class Shared:
 
 def doubts(feeds: Sequence[Feed], plane: LocalPlane | None, tuning: Tuning = DEFAULT_TUNING) -> tuple[str, ...]:
     """One sentence for each source that looks wrong as a whole; see :meth:`sameas.tracks.scene.Scene.doubts`."""
+    # A radar in clutter shares little with others at any instant: its plots of all scans tell.
+    by_plots = [_by_plots(feed, feeds) for feed in feeds]
+    met = {name for fit in by_plots if fit is not None and fit[0].established for name in fit[1]}
     tolerant = [_tolerant(feed) for feed in feeds]
     others = [
         _comparable(feed, [other for other in tolerant if other.description != feed.description]) for feed in feeds
@@ -182,7 +187,7 @@ def doubts(feeds: Sequence[Feed], plane: LocalPlane | None, tuning: Tuning = DEF
     shared = [_best(feed, partners, tuning) for feed, partners in zip(tolerant, others, strict=True)]
     guesses = [
         _best_guess(feed, partners, in_common, plane, tuning)
-        if partners and (in_common is None or in_common.share < tuning.much)
+        if partners and feed.description.name not in met and (in_common is None or in_common.share < tuning.much)
         else None
         for feed, partners, in_common in zip(feeds, others, shared, strict=True)
     ]
@@ -192,13 +197,34 @@ def doubts(feeds: Sequence[Feed], plane: LocalPlane | None, tuning: Tuning = DEF
         if guess is not None and guess.other not in sentences:
             sentences[feed.description.name] = guess.sentence
     named = {guess.other for guess in guesses if guess is not None}
-    for feed, partners, in_common in zip(feeds, others, shared, strict=True):
+    for feed, partners, in_common, fit in zip(feeds, others, shared, by_plots, strict=True):
         name = feed.description.name
-        has_common = in_common is not None and in_common.share > tuning.nothing and in_common.gain > 0.0
+        has_common = name in met or (
+            in_common is not None and in_common.share > tuning.nothing and in_common.gain > 0.0
+        )
         accused = all(other.description.name in sentences for other in partners)
         if not (has_common or name in sentences or name in named or accused):
-            sentences[name] = _nothing_in_common(feed, partners, in_common)
+            undecided = fit is not None and fit[0].log_evidence > -tuning.registration.decisive
+            sentences[name] = (
+                _undecided(fit[0], fit[1]) if undecided and fit else _nothing_in_common(feed, partners, in_common)
+            )
     return tuple(sentences[feed.description.name] for feed in feeds if feed.description.name in sentences)
+
+
+def _by_plots(feed: Feed, feeds: Sequence[Feed]) -> tuple[BiasFit, tuple[str, ...]] | None:
+    """The offsets of a source of bare plots by all its scans, and the names of the sources that took part."""
+    if not shows_bare_plots(feed):
+        return None
+    named = [other for other in feeds if other is not feed and shows_tracks(other)]
+    fit = fit_plots(feed, named)
+    return None if fit is None else (fit, tuple(one.description.name for one in (feed, *named)))
+
+
+def _undecided(fit: BiasFit, names: tuple[str, ...]) -> str:
+    return (
+        f"{names[0]}: its plots do not tell whether it shows what {' or '.join(names[1:])} shows (log evidence "
+        f"{fit.log_evidence:.1f}, by {fit.instants} scans); more scans would, or a known offset in its calibration"
+    )
 
 
 def _comparable(feed: Feed, others: Sequence[Feed]) -> list[Feed]:

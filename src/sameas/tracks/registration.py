@@ -21,6 +21,7 @@ from sameas.tracks.biases import BIASES, TIME, corrected
 from sameas.tracks.common_scans import ComparedSource, bias_widths, common_scans
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions
+from sameas.tracks.plot_offsets import fit_plots, shows_bare_plots, shows_tracks
 
 _UNITS = ("m", "deg", "", "s", "m", "m")
 _TEXTS = {
@@ -141,6 +142,10 @@ def _against(feed: Feed, partners: Sequence[Feed]) -> Settled:
         return feed, SourceBiases(name, notes=(f"{name}: may have no bias that could be looked for",))
     if not partners:
         return feed, SourceBiases(name, notes=(f"{name}: there is no other source of positions to compare it with",))
+    named = [other for other in partners if shows_tracks(other)]
+    by_plots = fit_plots(feed, named) if named and shows_bare_plots(feed) else None
+    if by_plots is not None:
+        return _settled(feed, 0, by_plots, tuple(other.description.name for other in named))
     scans = [scan for other in partners for scan in common_scans(ComparedSource(other, None), ComparedSource(feed, 0))]
     if not scans:
         return feed, SourceBiases(name, established=False, notes=(_unmet(name, partners),))

@@ -51,6 +51,21 @@ class Tuning:
     moved_sigmas : instants are independent once records have moved by this many σ.
     registration : tuning of the offset search at each instant; its ``decisive`` evidence establishes biases.
 
+    azimuth_reach, azimuth_step_deg : bare plots' azimuth is searched within this many prior widths, in such steps.
+    azimuth_peaks : peaks of the search that are told.
+    gate_sigmas : plots farther than this many σ in range are of no track. path_m : a track is compared while its place
+        is known this well. beside_m : nearer to the sensor than this it is taken for the sensor's own.
+    gone_s, stays_s : plots in the same place between these times before and after one are background: by then what
+        moves has gone. echo_m : added to the width over which they are counted. ring_share : share of the plots on
+        either side in range whose density is that of the range.
+    plot_rates : mean numbers of plots of a track in a scan that are averaged over. plot_scales : factors on the errors
+        of plots that are tried. scale_limits, scale_prior : bounds of the factors that are fitted then, and the plots
+        that the first one is worth.
+    companion : probability that something else keeps its place beside a track: its vote saturates at 1/companion.
+    many_tracks : where a scan may show more tracks than this, instants are compared instead.
+    hull_prior : axes of tracks that the described extents are worth when they are learned.
+    rate_prior : scans that the mean of plot_rates is worth. seen : a track is seen with more plots than this.
+
     doubt_instants, doubt_steps : instants at which sources are compared, and iterations of the common number.
     nothing, much : a source shares nothing below this share of records with a partner; a guess must reach the second.
     guess_gain : least gain of the log likelihood of an instant by a guess: some thirty guesses are made.
@@ -99,6 +114,26 @@ class Tuning:
     least_information: float = 0.02
     moved_sigmas: float = 3.0
     registration: RegistrationTuning = REGISTRATION
+
+    azimuth_reach: float = 20.0
+    azimuth_step_deg: float = 0.1
+    azimuth_peaks: int = 8
+    gate_sigmas: float = 3.5
+    path_m: float = 100.0
+    beside_m: float = 50.0
+    gone_s: float = 40.0
+    stays_s: float = 240.0
+    echo_m: float = 15.0
+    ring_share: float = 0.03
+    plot_rates: tuple[float, ...] = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
+    plot_scales: tuple[float, ...] = (1.0, 2.0)
+    scale_limits: tuple[float, float] = (0.4, 4.0)
+    scale_prior: float = 10.0
+    companion: float = 3e-4
+    many_tracks: float = 12.0
+    hull_prior: float = 4.0
+    rate_prior: float = 10.0
+    seen: float = 3.0
 
     doubt_instants: int = 5
     doubt_steps: int = 8

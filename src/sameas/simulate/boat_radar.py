@@ -1,0 +1,226 @@
+"""A modelled small radar on a moving boat, among vessels with AIS, land, buoys and sea.
+
+Modelled on recordings of a research vessel in a strait: a turn takes 2.5 s, the radar reaches 7.4 km, its azimuths come
+in steps of half a degree. A turn shows some ten plots. One or two are of vessels with AIS, each seen in 10 to 30 % of
+the turns, a long hull at times as several plots; the rest are returns of a shore, of buoys and of the sea. Shore and
+buoys stay where they are while the boat moves, and the sea stays about the boat. Vessels without AIS move among them.
+
+:func:`boat_radar` draws such a scene. It is a model, not a recording: rain, masts in the way, side lobes and second
+echoes are not in it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sameas.arrays import FloatArray, IntArray
+from sameas.errors import InputError
+from sameas.representation import in_short
+from sameas.simulate.sensors import Bias
+from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.reports import Reports
+from sameas.tracks.source import Description, SensorCoverage, Timing
+
+#: Middle of the modelled strait, and the first second of every scene.
+MIDDLE, START_S = (50.78, -1.30), 1.7e9
+TURN_S, REACH_M, STEP_DEG = 2.5, 7400.0, 0.5
+#: 1σ of one plot besides the step of the azimuth, of the boat's heading and how long its error lasts.
+RANGE_M, BEARING_DEG, HEADING_DEG, HEADING_S = 12.0, 0.4, 0.3, 20.0
+#: Plots of a turn: of the shore, of the sea about the boat; scatterers of the shore, buoys, mean reach of the sea.
+SHORE_PLOTS, SEA_PLOTS, SCATTERERS, BUOYS, SEA_M = 6.0, 1.0, 150, 6, 500.0
+
+
+@in_short
+@dataclass(frozen=True)
+class BoatRadarScene:
+    """A drawn scene.
+
+    Attributes
+    ----------
+    sources : the radar and AIS, each with a description as a user would write it.
+    truth : (n,) number of the vessel of each plot, −1 for land, buoys and sea. Vessels with AIS come first.
+    mmsi : of the vessels with AIS, in their order. common : (k,) numbers of those under way that the radar sees.
+    bias : what the radar reads wrong.
+    """
+
+    sources: tuple[tuple[Description, Reports], tuple[Description, Reports]]
+    truth: IntArray
+    mmsi: tuple[str, ...]
+    common: IntArray
+    bias: Bias
+
+
+@dataclass(frozen=True)
+class _Hulls:
+    """Vessels on gently curved courses: place (2,), speed, course and rate of turn (rad/s), length and antenna (m)."""
+
+    start: FloatArray
+    speed: FloatArray
+    course: FloatArray
+    turning: FloatArray
+    length: FloatArray
+
+    @classmethod
+    def drawn(cls, count: int, rng: np.random.Generator, within_m: float = 4500.0) -> _Hulls:
+        angle, away = rng.uniform(0.0, 2.0 * np.pi, count), within_m * np.sqrt(rng.uniform(0.02, 1.0, count))
+        return cls(
+            away[:, None] * np.column_stack([np.sin(angle), np.cos(angle)]), rng.uniform(1.0, 8.0, count),
+            rng.uniform(0.0, 2.0 * np.pi, count), rng.normal(0.0, 3e-4, count),
+            np.exp(rng.uniform(np.log(12.0), np.log(150.0), count)),
+        )  # fmt: skip
+
+    def at(self, which: IntArray, since_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(n, 2) places of the middles, and (n,) courses, of some vessels at times since the middle of the scene."""
+        turn = self.turning[which] * since_s / 2.0
+        chord = self.speed[which] * since_s * np.sinc(turn / np.pi)
+        heading = self.course[which] + turn
+        return self.start[which] + chord[:, None] * _unit(heading), heading + turn
+
+
+def _unit(angle: FloatArray) -> FloatArray:
+    return np.stack([np.sin(angle), np.cos(angle)], axis=-1)
+
+
+def boat_radar(
+    rng: np.random.Generator,
+    *,
+    bias: Bias | None = None,
+    common: int = 4,
+    moored: int = 1,
+    unseen: int = 1,
+    silent: int = 1,
+    minutes: float = 10.0,
+) -> BoatRadarScene:
+    """A scene of ``minutes``.
+
+    Parameters
+    ----------
+    bias : of the radar; an azimuth too far clockwise by 3° and a range too long by 20 m if not given.
+    common : vessels under way with AIS that the radar sees. moored : as many more that lie still.
+    unseen : vessels with AIS that it never sees. silent : vessels that it sees and that have no AIS.
+
+    Raises
+    ------
+    InputError : a negative number of vessels, or no time.
+
+    Example
+    -------
+    >>> scene = boat_radar(np.random.default_rng(1), minutes=5.0)
+    >>> radar, ais = (reports for _, reports in scene.sources)
+    >>> round(len(radar) / (300.0 / 2.5)), len(scene.mmsi)
+    (9, 6)
+    """
+    counts = (common, moored, unseen, silent)
+    if min(counts) < 0 or not minutes > 0.0:
+        raise InputError(f"boat_radar: {counts} vessels in {minutes} minutes; give none or more, and a time above 0")
+    bias = Bias(range_m=20.0, azimuth_deg=3.0) if bias is None else bias
+    plane, span_s = LocalPlane.about(*(np.array([each]) for each in MIDDLE)), 60.0 * minutes
+    turns = np.arange(0.0, span_s, TURN_S)
+    told = common + moored + unseen
+    vessels, boat = _Hulls.drawn(told + silent, rng), _Hulls.drawn(1, rng, 500.0)
+    vessels.speed[common : common + moored], boat.speed[:] = 0.0, rng.uniform(2.5, 5.0)
+    since = turns - span_s / 2.0
+    station = boat.at(np.zeros(len(turns), np.int64), since)[0]
+    rows = np.concatenate([np.arange(common + moored), np.arange(told, told + silent)])
+    echoes = [
+        _hull_echoes(vessels, rows.astype(np.int64), station, since, rng), _shore(station, rng), _sea(station, rng)
+    ]  # fmt: skip
+    look, place, truth = (np.concatenate(part) for part in zip(*echoes, strict=True))
+    arm = place - station[look]
+    away = np.hypot(*arm.T)
+    kept = (away < REACH_M) & (away > 60.0)
+    look, arm, away, truth = look[kept], arm[kept], away[kept], truth[kept]
+    heading = _lasting(len(turns), rng)[look]
+    bearing = np.degrees(np.arctan2(arm[:, 0], arm[:, 1])) + bias.azimuth_deg + heading
+    bearing = STEP_DEG * np.round((bearing + BEARING_DEG * rng.normal(size=len(look))) / STEP_DEG) % 360.0
+    lat, lon = plane.to_geodetic(station + 3.0 * rng.normal(size=station.shape))
+    # An antenna passes one bearing after another; the stamps are whole tenths of a second.
+    stamp = np.round(turns[look] + bearing / 360.0 * TURN_S + bias.time_s, 1)
+    order = np.argsort(stamp, kind="stable")
+    columns = {
+        "time_s": START_S + stamp,
+        "bearing_deg": bearing,
+        "station_lat_deg": lat[look],
+        "station_lon_deg": lon[look],
+    }
+    read_m = away * (1.0 + bias.range_gain) + bias.range_m + RANGE_M * rng.normal(size=len(look))
+    columns["range_m"] = np.maximum(read_m, 1.0)
+    radar = Reports.of("radar", "table", {name: column[order] for name, column in columns.items()})
+    ais, mmsi = _ais(vessels, told, since, span_s, plane, rng)
+    described = (
+        Description("radar", "marine radar", coverage=SensorCoverage(range_m=REACH_M), timing=Timing(period_s=TURN_S)),
+        Description("ais", "ais"),
+    )
+    return BoatRadarScene(
+        ((described[0], radar), (described[1], ais)), truth[order], mmsi, np.arange(common), bias
+    )  # fmt: skip
+
+
+Echoes = tuple[IntArray, FloatArray, IntArray]
+
+
+def _hull_echoes(
+    vessels: _Hulls, rows: IntArray, station: FloatArray, since: FloatArray, rng: np.random.Generator
+) -> Echoes:
+    """Turn, place and vessel of the echoes of hulls: each seen in 10 to 30 % of the turns, a long one several times."""
+    share = rng.uniform(0.1, 0.3, len(rows))
+    seen, look = np.nonzero(rng.random((len(rows), len(since))) < share[:, None])
+    times = 1 + rng.poisson(vessels.length[rows[seen]] / 150.0)
+    which, look = np.repeat(rows[seen], times), np.repeat(look, times)
+    place, course = vessels.at(which, since[look])
+    along = rng.uniform(-0.4, 0.4, len(which)) * vessels.length[which]
+    return look, place + along[:, None] * _unit(course), which
+
+
+def _shore(station: FloatArray, rng: np.random.Generator) -> Echoes:
+    """Returns of a shore on one side and of buoys, each at its place."""
+    along, off = rng.uniform(-7000.0, 7000.0, SCATTERERS), 2500.0 + rng.gamma(1.5, 500.0, SCATTERERS)
+    side = rng.uniform(0.0, 2.0 * np.pi)
+    coast = along[:, None] * _unit(np.array([side])) + off[:, None] * _unit(np.array([side + np.pi / 2.0]))
+    place = np.concatenate([coast, rng.uniform(-4000.0, 4000.0, (BUOYS, 2))])
+    strength = np.concatenate([rng.gamma(0.7, 1.0, SCATTERERS), np.full(BUOYS, 2.0)])
+    share = np.minimum(SHORE_PLOTS * strength / strength.sum(), 0.6)
+    look, which = np.nonzero(rng.random((len(station), len(place))) < share)
+    return look, place[which] + 8.0 * rng.normal(size=(len(which), 2)), np.full(len(look), -1)
+
+
+def _sea(station: FloatArray, rng: np.random.Generator) -> Echoes:
+    """Returns of the sea, about the boat."""
+    look = np.repeat(np.arange(len(station)), rng.poisson(SEA_PLOTS, len(station)))
+    away = 60.0 + rng.exponential(SEA_M, len(look))
+    return look, station[look] + away[:, None] * _unit(rng.uniform(0.0, 2.0 * np.pi, len(look))), np.full(len(look), -1)
+
+
+def _lasting(turns: int, rng: np.random.Generator) -> FloatArray:
+    """(turns,) the error of the heading, which lasts for some seconds."""
+    keep = np.exp(-TURN_S / HEADING_S)
+    error, steps = np.zeros(turns), HEADING_DEG * rng.normal(size=turns)
+    error[0] = steps[0]
+    for k in range(1, turns):
+        error[k] = keep * error[k - 1] + np.sqrt(1.0 - keep**2) * steps[k]
+    return error
+
+
+def _ais(
+    vessels: _Hulls, count: int, since: FloatArray, span_s: float, plane: LocalPlane, rng: np.random.Generator
+) -> tuple[Reports, tuple[str, ...]]:
+    """The reports of the vessels with AIS: every 2 to 10 s or 30 s, of an antenna that stands anywhere on the hull."""
+    period = rng.choice([5.0, 10.0, 30.0], count)
+    mmsi = tuple(str(235000001 + k) for k in range(count))
+    times = [np.arange(rng.uniform(-each, 0.0), span_s + each, each) for each in period]
+    which = np.repeat(np.arange(count), [len(each) for each in times])
+    time_s = np.concatenate([*times, np.empty(0)])
+    place, course = vessels.at(which, time_s - span_s / 2.0)
+    antenna = (rng.uniform(-0.35, 0.35, count) * vessels.length[:count])[which]
+    place = place + antenna[:, None] * _unit(course) + 4.0 * rng.normal(size=place.shape)
+    lat, lon = plane.to_geodetic(place) if count else (np.empty(0), np.empty(0))
+    columns = {
+        "time_s": START_S + np.round(time_s), "lat_deg": lat, "lon_deg": lon,
+        "speed_m_per_s": np.abs(vessels.speed[which] + 0.1 * rng.normal(size=len(which))),
+        "course_deg": np.degrees(course + 0.02 * rng.normal(size=len(which))) % 360.0,
+        "mmsi": np.array([mmsi[k] for k in which], object), "length_m": vessels.length[which],
+    }  # fmt: skip
+    order = np.argsort(columns["time_s"], kind="stable")
+    return Reports.of("ais", "ais", {name: column[order] for name, column in columns.items()}), mmsi

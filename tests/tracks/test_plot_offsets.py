@@ -1,0 +1,63 @@
+"""Offsets of a small radar's plots in clutter: found by all scans together, and not where nothing is in common."""
+
+import numpy as np
+import pytest
+
+from sameas.errors import InputError
+from sameas.simulate.boat_radar import boat_radar
+from sameas.simulate.sensors import Bias
+from sameas.tracks.plot_offsets import fit_plots, shows_bare_plots, shows_tracks
+from sameas.tracks.scene import Scene
+
+
+def drawn(seed, azimuth_deg, **counts):
+    return boat_radar(np.random.default_rng(seed), bias=Bias(20.0, azimuth_deg, time_s=0.5), **counts)
+
+
+def fitted(scene):
+    radar, ais = Scene.of(scene.sources).feeds
+    return fit_plots(radar, [ais])
+
+
+@pytest.mark.parametrize(("seed", "azimuth_deg"), [(4, 7.5), (10, -7.7), (1, 4.0), (3, 0.5)])
+def test_three_vessels_in_clutter_establish_an_offset_within_its_error(seed, azimuth_deg):
+    scene = Scene.of(drawn(seed, azimuth_deg, common=3).sources)
+    assert scene.doubts() == ()
+    found = scene.registered()[1][0]
+    azimuth = found.parameters["azimuth_deg"]
+    assert found.established and found.against == ("ais",)
+    assert abs(azimuth.value - azimuth_deg) < min(4.0 * azimuth.standard_error, 0.5)
+
+
+@pytest.mark.parametrize("seed", [100, 101, 110])
+def test_vessels_that_the_radar_never_sees_establish_nothing(seed):
+    scene = Scene.of(drawn(seed, 3.0, common=0, moored=0, unseen=6, silent=3).sources)
+    registered, (found, _) = scene.registered()
+    assert not found.established and registered.feeds[0] is scene.feeds[0]
+    assert "is left as it is" in " ".join(found.notes)
+    assert len(scene.doubts()) == 1 and scene.doubts()[0].startswith("radar: ")
+
+
+def test_what_stays_in_place_is_background_and_not_evidence():
+    """A moored vessel amid echoes that stay: hundreds of plots at its place are no more than one coincidence."""
+    moored = fitted(drawn(7, 2.0, common=0, moored=4, unseen=0, silent=0))
+    moving = fitted(drawn(7, 2.0, common=4, moored=0, unseen=0, silent=0))
+    assert moored.pairs > 50.0 and moving.established
+    assert moored.log_evidence < moving.log_evidence - 10.0
+
+
+def test_bare_plots_of_a_radar_and_tracks_are_told_apart():
+    radar, ais = Scene.of(drawn(2, 1.0, minutes=2.0).sources).feeds
+    assert (shows_bare_plots(radar), shows_tracks(radar)) == (True, False)
+    assert (shows_bare_plots(ais), shows_tracks(ais)) == (False, True)
+    assert fit_plots(radar, []) is None
+
+
+def test_a_scene_is_what_it_is_said_to_be():
+    scene = drawn(5, 3.0, common=4)
+    per_turn = np.bincount(scene.truth + 1) / 240.0
+    assert 0.4 < per_turn[1:5].sum() < 3.0 and 4.0 < per_turn[0] < 11.0
+    assert scene.common.tolist() == [0, 1, 2, 3] and len(scene.mmsi) == 6
+    assert np.allclose(np.mod(scene.sources[0][1].bearing_deg, 0.5), 0.0)
+    with pytest.raises(InputError, match="give none or more"):
+        boat_radar(np.random.default_rng(1), common=-1)
