@@ -29,9 +29,9 @@ def test_three_vessels_in_clutter_establish_an_offset_within_its_error(seed, azi
     assert abs(azimuth.value - azimuth_deg) < min(4.0 * azimuth.standard_error, 0.5)
 
 
-@pytest.mark.parametrize("seed", [100, 101, 110])
+@pytest.mark.parametrize("seed", [100, 101])
 def test_vessels_that_the_radar_never_sees_establish_nothing(seed):
-    scene = Scene.of(drawn(seed, 3.0, common=0, moored=0, unseen=6, silent=3).sources)
+    scene = Scene.of(drawn(seed, 3.0, common=0, moored=0, unseen=6, silent=3, minutes=5.0).sources)
     registered, (found, _) = scene.registered()
     assert not found.established and registered.feeds[0] is scene.feeds[0]
     assert "is left as it is" in " ".join(found.notes)

@@ -24,8 +24,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gaussian import LOG_2PI, inverse
@@ -128,7 +130,9 @@ def candidates(plots: Plots, feed: Feed, partners: Sequence[Feed], tuning: Tunin
     """All plots within the reach of the biases of all tracks of the partners."""
     widths = bias_widths(feed)
     reach_deg = min(tuning.azimuth_reach * widths[AZIMUTH], 180.0)
-    parts, scans, lasting = [], [], (feed.description.errors.extent_m or 0.0) ** 2
+    parts: list[tuple[NDArray[Any], ...]] = []
+    scans: list[float] = []
+    lasting = (feed.description.errors.extent_m or 0.0) ** 2
     looks = _first_of_scans(plots)
     for partner in partners:
         lasting = max(lasting, sum((f.description.errors.extent_m or 0.0) ** 2 for f in (feed, partner)))
@@ -304,11 +308,11 @@ def fit_plots(feed: Feed, partners: Sequence[Feed]) -> BiasFit | None:
     log_prior = -np.log(np.pi * width * (1.0 + (vote.azimuth_deg / width) ** 2))
     step = float(vote.azimuth_deg[1] - vote.azimuth_deg[0])
     whole = np.logaddexp.reduce(saturated.sum(axis=1), axis=0) - np.log(len(tuning.plot_scales)) + log_prior
-    peaks = []
+    peaks: list[tuple[float, int, int]] = []
     for low, high in _peaks(whole, tuning):
         inside = vote.log_likelihood[:, :, low:high].sum(axis=1)
-        s, at = np.unravel_index(int(np.argmax(inside)), inside.shape)
-        peaks.append((float(np.logaddexp.reduce(whole[low:high]) + np.log(step)), int(s), low + int(at)))
+        scale, place = divmod(int(np.argmax(inside)), high - low)
+        peaks.append((float(np.logaddexp.reduce(whole[low:high]) + np.log(step)), scale, low + place))
     evidence, s, at = max(peaks)
     start = np.zeros(len(FITTED))
     start[FITTED.index(AZIMUTH)] = vote.azimuth_deg[at]
@@ -327,7 +331,8 @@ def fit_plots(feed: Feed, partners: Sequence[Feed]) -> BiasFit | None:
 
 def _peaks(log_density: FloatArray, tuning: Tuning) -> list[tuple[int, int]]:
     """Ranges of the grid about its peaks, the highest first: all that is connected to a peak and not far below it."""
-    left, peaks = log_density.copy(), []
+    left = log_density.copy()
+    peaks: list[tuple[int, int]] = []
     while len(peaks) < tuning.azimuth_peaks and np.isfinite(left).any():
         at = int(np.argmax(left))
         out = np.flatnonzero(left < left[at] - tuning.registration.decisive)
@@ -391,7 +396,8 @@ def _refined(
         settled = bool(step > 3 and np.all(moved_by < tuning.settled))
         if settled:
             break
-    together = _together(all_of, left / np.sqrt(variance), weight)
+    sure = weight > 0.5
+    together = _together(plots.time_s[all_of.plot[sure]], (left[:, 1] / np.sqrt(variance[:, 1]))[sure])
     held = np.diag(np.concatenate([precision, np.full(axes, 1.0 / lasting_m2)]))
     covariance = inverse((information - held) / together + held)[:p, :p]
     return BiasFit(
@@ -400,14 +406,12 @@ def _refined(
     )  # fmt: skip
 
 
-def _together(all_of: Candidates, error: FloatArray, weight: FloatArray) -> float:
-    """How many plots count as one: errors of plots of one track that follow each other are alike for some time."""
-    sure = np.flatnonzero(weight > 0.5)
-    sure = sure[np.lexsort([all_of.plot[sure], all_of.track[sure]])]
-    one, other = sure[:-1], sure[1:]
-    same = all_of.track[one] == all_of.track[other]
-    if not same.any():
-        return 1.0
-    product = np.sum(error[one[same], 1] * error[other[same], 1]) / same.sum()
-    alike = float(np.clip(product / max(float(np.mean(error[sure, 1] ** 2)), 1e-9), 0.0, 0.9))
-    return (1.0 + alike) / (1.0 - alike)
+def _together(time_s: FloatArray, error: FloatArray) -> float:
+    """How many plots count as one, by their times (m,) and errors across (m,), in σ.
+
+    Errors of the sensor's heading are alike for all tracks for some time: sums of blocks scatter by more than their
+    plots do.
+    """
+    block = ((time_s - time_s.min(initial=0.0)) // 60.0).astype(np.int64)
+    alone = float(np.sum(error**2))
+    return max(float(np.sum(np.bincount(block, error) ** 2)) / alone, 1.0) if alone > 0.0 else 1.0
