@@ -118,3 +118,36 @@ def test_vessels_off_manhattan_are_told_from_each_other(
     assert all(number is not None for number in numbers), said
     assert float(numbers[0][1]) > 0.9 and float(numbers[1][1]) > 90.0  # type: ignore[index]
     assert re.search(r"twice +[1-9]", said)
+
+
+@pytest.mark.slow
+def test_the_asteroid_of_the_night_is_found_named_and_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for package in ("photutils", "jplephem", "skyfield_data", "matplotlib"):
+        pytest.importorskip(package, reason="the night needs the extra sameas[demo]")
+    from typer.testing import CliRunner
+
+    from sameas.cli.app import app
+
+    spec = importlib.util.spec_from_file_location("asteroid_night", EXAMPLES / "asteroid_night.py")
+    assert spec is not None and spec.loader is not None
+    night = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(night)
+    monkeypatch.setattr(night, "STARTS", night.STARTS[::2])
+    monkeypatch.setattr(night, "SIDE_PX", 300)
+    monkeypatch.setattr(night, "STARS", 160)
+    night.simulate(tmp_path)
+    options = "--scale 1.0,1.4 --elements demo -j 1"
+    files = {"--catalog": "stars.fits", "--report": "observer.toml", "-o": "movers"}
+    named = [word for option, name in files.items() for word in (option, str(tmp_path / name))]
+    told = CliRunner().invoke(app, ["movers", str(tmp_path / "frames"), *options.split(), *named])
+    assert told.exit_code == 0, told.output
+    assert re.search(r"is 2713 Luxembourg \(1938 EA\), p (1\.0000|0\.99)", told.stdout)
+    capsys.readouterr()
+    night.judge(tmp_path)
+    said = capsys.readouterr().out
+    assert "5 of its 5 detections are (2713)'s; 5 frames show it" in said and "5 lines of 80 columns" in said
+    off = re.search(r"off by +(0\.\d+)″", said)
+    assert off is not None and float(off[1]) < 0.1
+    assert (tmp_path / "movers" / "movers.png").stat().st_size > 20_000

@@ -138,6 +138,26 @@ def test_the_page_blinks_steps_and_says_why(tmp_path):
         browser.close()
 
 
+def test_the_picture_shows_a_row_of_dots_and_the_stack(tmp_path):
+    from sameas.plots.movers import mover_picture
+
+    tied, frames, _ = series(7, seen=(0, 2, 3, 5))
+    found, tied = search(tied)
+    told = stack(found, tied, frames)
+    left, right = (figure := mover_picture(found, tied, told)).axes
+    words = [text.get_text() for text in figure.texts]
+    assert words[0] == "sa00001" and "4 of 6 frames" in words[1] and "O−C" not in words[1]
+    # A tick for each frame, and the scale; the times of the first and the last detection.
+    assert len(left.lines) == 6 + 1 and len(left.texts) == 2 + 1
+    shown = left.images[0].get_array()
+    assert shown.shape == told.fixed[0].shape[1:] and right.images[0].get_array().shape == told.stacked[0].shape
+    # The dots lie where the ticks say, and are bright there.
+    for line in left.lines[:6]:
+        assert 0 <= line.get_xdata().mean() <= shown.shape[1]
+    middle = (np.array(told.stacked[0].shape) - 1) // 2
+    assert right.images[0].get_array()[tuple(middle)] > 0.6
+
+
 def test_a_series_without_movers_has_a_page_that_says_so(tmp_path):
     from sameas.pages.movers import write_movers_page
 

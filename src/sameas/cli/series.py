@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +109,7 @@ def run(request: SeriesRequest, quiet: bool) -> None:
     link = "movers.html", _link_words(found, known)
     written += [
         "movers.html",
+        *_drawn(request.folder, found, series, pixels, known),
         *_product(each, request.folder, title, {"catalogue": request.catalogue}, failed, reasons, link),
     ]
     printer(["", f"Output: {request.folder}/: {', '.join(written)}", f"Time: {time.perf_counter() - began:.1f} s"])
@@ -174,7 +176,19 @@ def _frame_request(request: SeriesRequest, path: str, name: str) -> FrameRequest
 def _link_words(found: Any, known: Any) -> str:
     names = [] if known is None else [known.name(k) for k in range(len(found)) if known.object[k] >= 0]
     shown = ", ".join(names[:3]) + (" …" if len(names) > 3 else "")
-    return f"What moves: {len(found)} candidates{f', {shown} among them' if names else ''}"
+    candidates = f"{len(found)} {'candidate' if len(found) == 1 else 'candidates'}"
+    return f"What moves: {candidates}{f', {shown} among them' if names else ''}"
+
+
+def _drawn(folder: Path, found: Any, series: Any, pixels: Any, known: Any) -> list[str]:
+    """The picture of the first candidate, where there is one and matplotlib."""
+    if not len(pixels) or find_spec("matplotlib") is None:
+        return []
+    from sameas.plots.movers import mover_picture
+    from sameas.plots.sheet import save
+
+    save(mover_picture(found, series, pixels, known), folder / "movers.png")
+    return ["movers.png"]
 
 
 def _site(done: tuple[Any, ...]) -> tuple[float, float, float] | None:

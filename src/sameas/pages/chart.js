@@ -41,7 +41,7 @@ function surface(canvas) {
 }
 
 function axes(canvas, [x0, x1], [y0, y1], labelX, labelY) {
-  const [c, w, h] = surface(canvas), left = 60, right = 12, top = 10, bottom = 34;
+  const [c, w, h] = surface(canvas), left = 72, right = 12, top = 10, bottom = 34;
   const X = v => left + (v - x0) / (x1 - x0) * (w - left - right), Y = v => h - bottom - (v - y0) / (y1 - y0) * (h - top - bottom);
   c.font = "12px system-ui, sans-serif"; c.fillStyle = colour.dim; c.strokeStyle = colour.line; c.lineWidth = 1;
   const ticks = (a, b, n) => { const span = Math.abs(b - a), raw = span / n, p = 10 ** Math.floor(Math.log10(raw));

@@ -2,6 +2,8 @@
 const data = JSON.parse(document.getElementById("data").textContent);
 let mover = null, frame = 0, playing = true, images = {}, timer = null;
 const still = window.matchMedia("(prefers-reduced-motion: reduce)").matches; playing = !still;
+// The frames are dark by day too, and so are the marks on them light.
+const lit = { found: "#2f9bff", alone: "#ffe14a", dim: "#a9adb5", ink: "#ffffff" };
 const clock = mjd => { const s = Math.round((mjd % 1) * 86400); return `${String(Math.floor(s / 3600)).padStart(2, "0")}:${String(Math.floor(s / 60) % 60).padStart(2, "0")}:${String(s % 60).padStart(2, "0")}`; };
 const named = m => m.known ? m.known.name : m.name;
 const mode = () => el("fixed").checked && mover.fixed ? "fixed" : "along";
@@ -16,7 +18,7 @@ function tile(canvas, image, size, number, magnified) {
 function mark(c, x, y, r, fill, dashed) { c.strokeStyle = fill; c.lineWidth = 1.5; c.setLineDash(dashed ? [3, 4] : []); c.beginPath(); c.arc(x, y, r, 0, 7); c.stroke(); c.setLineDash([]); }
 function bar(c, left, top, zoom, size, arcsec) { // a scale in the lower right corner
   const step = [1, 2, 5, 10, 20, 30, 60, 120].filter(v => v / arcsec < size / 3).pop() || 1, x = left + size * zoom - 12, y = top + size * zoom - 12;
-  c.strokeStyle = c.fillStyle = colour.ink; c.lineWidth = 2; c.beginPath(); c.moveTo(x, y); c.lineTo(x - step / arcsec * zoom, y); c.stroke();
+  c.strokeStyle = c.fillStyle = lit.ink; c.lineWidth = 2; c.beginPath(); c.moveTo(x, y); c.lineTo(x - step / arcsec * zoom, y); c.stroke();
   c.font = "12px system-ui, sans-serif"; c.textAlign = "right"; c.fillText(`${step}″`, x, y - 6);
 }
 function paint() {
@@ -24,12 +26,12 @@ function paint() {
   const m = mover, kind = mode(), sheet = m[kind], f = m.frames[frame];
   let [c, left, top, zoom] = tile(el("blink"), images[kind], sheet.size, frame, true);
   const [u, v] = kind === "along" ? [(sheet.size - 1) / 2, (sheet.size - 1) / 2] : f.at, x = left + (u + 0.5) * zoom, y = top + (v + 0.5) * zoom;
-  if (el("marks").checked && f.flux !== null) mark(c, x, y, Math.max(8, data.width * 1.6 * zoom), f.detected ? colour.found : f.hidden ? colour.dim : colour.alone, !f.detected);
+  if (el("marks").checked && f.flux !== null) mark(c, x, y, Math.max(8, data.width * 1.6 * zoom), f.detected ? lit.found : f.hidden ? lit.dim : lit.alone, !f.detected);
   bar(c, left, top, zoom, sheet.size, m.scale);
   el("blink-words").textContent = `${f.name}: ${f.flux === null ? "not on this frame" : f.detected ? "detected" : f.hidden ? "hidden by a star" : "not detected; the ring is where it is predicted"}`;
   el("when").textContent = `${frame + 1}/${m.frames.length}  ${clock(f.mjd)} UTC`; el("frame").value = frame;
   [c, left, top, zoom] = tile(el("stack"), images.stack, m.stack.size, 0, true);
-  if (el("marks").checked) mark(c, left + m.stack.size / 2 * zoom, top + m.stack.size / 2 * zoom, Math.max(8, data.width * 1.6 * zoom), colour.found, true);
+  if (el("marks").checked) mark(c, left + m.stack.size / 2 * zoom, top + m.stack.size / 2 * zoom, Math.max(8, data.width * 1.6 * zoom), lit.found, true);
   bar(c, left, top, zoom, m.stack.size, m.scale);
 }
 function step(by) { frame = (frame + by + mover.frames.length) % mover.frames.length; paint(); }

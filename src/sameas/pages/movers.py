@@ -39,9 +39,9 @@ def write_movers_page(
     count = min(len(pixels), MOST)
     more = f", the first {count} of them here" if count < len(found) else ""
     about = (
-        f"{len(found)} candidates{more} on {len(series.exposures)} frames over "
+        f"{len(found)} {'candidate' if len(found) == 1 else 'candidates'}{more} on {len(series.exposures)} frames over "
         f"{1440.0 * (series.exposures[-1].mjd_utc - series.exposures[0].mjd_utc):.0f} minutes; "
-        f"{found.p_tracklet.sum():.1f} are expected to be real"
+        f"{found.p_tracklet.sum():.1f} expected to be real"
     )
     data = {
         "about": about if len(found) else "Nothing was found to move.", "asked": known is not None,

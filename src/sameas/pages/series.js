@@ -32,8 +32,9 @@ function series() {
   const log = s.scatter.map(v => v === null ? null : Math.log10(Math.max(v, 1e-4)));
   const [c, X, Y] = axes(el("scatter"), range(s.mag, 0.03), range(log, 0.06), "magnitude", "scatter, log₁₀ mag");
   marks = s.mag.map((m, k) => m === null || log[k] === null ? null : [X(m), Y(log[k])]);
-  const one = (k, fill) => { if (!marks[k]) return; c.fillStyle = fill; c.beginPath(); c.arc(...marks[k], k === chosen ? 6 : 2.6, 0, 7); c.fill(); };
-  s.mag.forEach((_, k) => one(k, s.p[k] !== null && s.p[k] < 0.001 ? colour.alone : colour.east)); if (chosen >= 0) one(chosen, colour.found);
+  const one = (k, fill) => { if (!marks[k]) return; c.fillStyle = fill; c.beginPath(); c.arc(...marks[k], fill === colour.alone ? 4 : 2.6, 0, 7); c.fill(); };
+  s.mag.forEach((_, k) => one(k, s.p[k] !== null && s.p[k] < 0.001 ? colour.alone : colour.east));
+  if (chosen >= 0 && marks[chosen]) { c.strokeStyle = colour.ink; c.lineWidth = 2; c.beginPath(); c.arc(...marks[chosen], 9, 0, 7); c.stroke(); }
   const odd = s.p.filter(p => p !== null && p < 0.001).length;
   el("scatter-words").textContent = `${grouped(field.count)} stars${field.count > s.mag.length ? `, ${grouped(s.mag.length)} on this page, the brightest and the least constant` : ""}; yellow: ${odd} that scatter as constant ones do less than once in a thousand`;
   star();
