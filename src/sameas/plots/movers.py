@@ -1,4 +1,4 @@
-"""The picture of a mover: its frames with the stars standing still, where it is a row of dots, and with it standing still."""
+"""The picture of a mover: the frames with the stars standing still, where it is a row of dots, and along its motion."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def mover_picture(
     """What one candidate looks like, north up and east to the left.
 
     found, pixels : of the search and of the stack. known : which objects they are. k : the candidate; the first is the
-    most probable. On the left the brightest of all frames at every place, stars standing still; where the mover goes too
-    far for that, the frame on which it is brightest, the mover in the middle. On the right the mean along its motion.
+    most probable. On the left the brightest of all frames at every place, stars standing still; where the mover goes
+    too far for that, the frame on which it is brightest. On the right the mean along its motion.
 
     Raises
     ------
