@@ -6,8 +6,12 @@ import ast
 import gzip
 import io
 import json
+import os
 import re
+import signal
 import struct
+import subprocess
+import sys
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -48,6 +52,44 @@ def frame(path: Path) -> object:
     from sameas.sky.frame.image import read
 
     return read(path)
+
+
+def hcompressed(path: Path) -> object:
+    """A frame whose decoder, a process of its own, is forked here: to start Python takes longer than to decode."""
+    from unittest import mock
+
+    from sameas.sky.frame import image
+
+    with mock.patch.object(image.subprocess, "run", _forked):
+        return frame(path)
+
+
+def _forked(command: list[str], **_: Any) -> subprocess.CompletedProcess[str]:
+    """What ``subprocess.run`` gives for [Python, "-c", a program, its arguments]."""
+    import resource
+
+    program, arguments = command[2], command[2:]
+    arguments[0] = "-c"
+    heard, told = os.pipe()
+    child = os.fork()
+    if not child:
+        code = 1
+        try:
+            resource.setrlimit(resource.RLIMIT_CPU, (10, 10))
+            sys.argv = arguments
+            exec(compile(program, "decoder", "exec"), {"__name__": "__main__"})
+            code = 0
+        except BaseException as error:
+            os.write(told, f"{type(error).__name__}: {error}"[:4000].encode())
+        finally:
+            os._exit(code)
+    os.close(told)
+    with os.fdopen(heard, encoding="utf-8", errors="replace") as file:
+        said = file.read()
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if code == -signal.SIGXCPU:
+        raise AssertionError("the decoder hung")
+    return subprocess.CompletedProcess(command, code, "", said)
 
 
 def sensor(path: Path) -> object:
@@ -338,7 +380,7 @@ TARGETS: Mapping[str, Target] = {
     "frame": Target(".fits", frames(), frame),
     "frame.fz": Target(".fits.fz", lambda: [seed for kind in ("RICE_1", "GZIP_1", "PLIO_1")
                                             for seed in frames(kind)()], frame),
-    "frame hcompress": Target(".fits.fz", frames("HCOMPRESS_1"), frame),
+    "frame hcompress": Target(".fits.fz", frames("HCOMPRESS_1"), hcompressed),
     "frame.gz": Target(".fits.gz", packed(frames()), frame, gzip.decompress, _packed_again),
     "sensor csv": Target(".csv", sensor_csv, sensor),
     "sensor json": Target(".jsonl", sensor_json, sensor),

@@ -1,14 +1,17 @@
 """Fuzzes the readers: small files of all formats, changed at random, give an answer or one line that refuses them.
 
 ``scripts/fuzz --all --inputs 100000`` runs this for hours, tests/fuzz/test_fuzz.py for seconds. Inputs are read in one
-child process that lives long, each within seconds and within memory beyond what the child had before; a child that
-dies or hangs is a fault of the input it was at, and another goes on behind it. Input k of a format is the same in every
-run with the same seed.
+child process that lives long, each within seconds of the processor and within memory beyond what the child had before;
+a child that dies or hangs is a fault of the input it was at, and another goes on behind it. Input k of a format is the
+same in every run with the same seed. With ``--results FOLDER`` the findings on a format are kept in a file: a run that
+was stopped goes on where it stood, and ``--again`` reads once more the inputs that ended in a fault.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import math
 import os
 import random
 import select
@@ -18,15 +21,21 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).parent
 #: An input is read within so many seconds of the processor, and so many bytes beyond those that the child had before.
 SECONDS, BYTES = 5.0, 1 << 30
+#: Where Python is not asked in that time (a loop in C), so many seconds of the processor end the child.
+LAST_SECONDS = 12
+#: A child that sleeps says nothing for so many seconds.
+SILENT_SECONDS = 600.0
 #: A child reads so many inputs; a new one then takes over, so that what libraries keep does not add up.
-INPUTS_OF_A_CHILD = 5000
+INPUTS_OF_A_CHILD = 20_000
+#: Findings are kept after so many inputs.
+INPUTS_OF_A_PART = 500
 
 NUMBERS = (
     b"0",
@@ -218,6 +227,8 @@ def _child() -> None:
             for number in range(int(first), int(last)):
                 path.write_bytes(input_of(name, int(seed), number, corpus))
                 began = time.process_time()
+                last_s = math.ceil(began) + LAST_SECONDS
+                resource.setrlimit(resource.RLIMIT_CPU, (last_s, resource.RLIM_INFINITY))
                 signal.setitimer(signal.ITIMER_PROF, SECONDS)
                 try:
                     what = outcome(TARGETS[name].read, path)
@@ -253,6 +264,46 @@ class Findings:
         else:
             self.faults.setdefault(what, []).append(number)
 
+    def include(self, more: Findings) -> None:
+        """Add the findings on other inputs."""
+        self.tried, self.answered = self.tried + more.tried, self.answered + more.answered
+        self.refused, self.slowest_s = self.refused + more.refused, max(self.slowest_s, more.slowest_s)
+        for what, numbers in more.faults.items():
+            self.faults.setdefault(what, []).extend(numbers)
+
+
+@dataclass
+class Kept:
+    """The findings on the inputs of one format up to ``upto``, in a file."""
+
+    path: Path
+    seed: int
+    upto: int = 0
+    findings: Findings = field(default_factory=Findings)
+
+    @classmethod
+    def of(cls, folder: Path, name: str, seed: int) -> Kept:
+        """Those of an earlier run with this seed, or none yet."""
+        path = folder / f"{name.replace(' ', '-')}-{seed}.json"
+        if not path.exists():
+            return cls(path, seed)
+        saved = json.loads(path.read_text(encoding="utf-8"))
+        return cls(path, seed, saved["upto"], Findings(**saved["findings"]))
+
+    def save(self) -> None:
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        draft = self.path.with_suffix(".draft")
+        draft.write_text(json.dumps({"upto": self.upto, "findings": asdict(self.findings)}, indent=1) + "\n", "utf-8")
+        draft.replace(self.path)
+
+    def again(self, fuzzer: Fuzzer, name: str) -> None:
+        """Read once more what ended in a fault."""
+        before, self.findings.faults = self.findings.faults, {}
+        for number in sorted(number for numbers in before.values() for number in numbers):
+            self.findings.tried -= 1
+            self.findings.include(fuzzer.run(name, number, number + 1))
+        self.save()
+
 
 class Fuzzer:
     """A child process, renewed when it has died, hung or read enough."""
@@ -282,7 +333,8 @@ class Fuzzer:
                 process.kill()
                 code = process.wait()
                 self.process = None
-                found.add(at, 0.0, "hung" if code == -signal.SIGKILL else f"ended the process ({code})")
+                hung = code in (-signal.SIGKILL, -signal.SIGXCPU)
+                found.add(at, 0.0, "hung" if hung else f"ended the process ({code})")
                 at += 1
         return found
 
@@ -300,13 +352,13 @@ class Fuzzer:
         return self.process
 
     def _lines(self, process: subprocess.Popen[bytes]) -> Iterator[str]:
-        """What the child says, until it ends, or says nothing for far longer than an input may take."""
+        """What the child says, until it ends, or says nothing for long."""
         assert process.stdout is not None
         while True:
             while b"\n" in self.rest:
                 line, _, self.rest = self.rest.partition(b"\n")
                 yield line.decode("utf-8", "replace")
-            if not select.select([process.stdout], [], [], 12 * SECONDS)[0]:
+            if not select.select([process.stdout], [], [], SILENT_SECONDS)[0]:
                 return
             part = os.read(process.stdout.fileno(), 1 << 16)
             if not part:
@@ -335,41 +387,41 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=float("inf"), help="time for each format, at most")
     parser.add_argument("--keep", type=Path, help="folder for the inputs that end in a fault")
+    parser.add_argument("--results", type=Path, help="folder for the findings; a stopped run goes on from there")
+    parser.add_argument("--again", action="store_true", help="first read again what ended in a fault (with --results)")
     given = parser.parse_args()
     names = list(TARGETS) if given.all else given.format
     if not names:
         parser.error("give --all or --format NAME")
-    print(
-        f"{'format':16}{'tried':>9}{'answered':>10}{'refused':>9}{'faults':>8}{'slowest s':>11}{'a minute':>10}",
-        flush=True,
-    )
-    fuzzer, failed = Fuzzer(given.seed), False
-    total = Findings()
+    heads = f"{'format':16}{'tried':>9}{'answered':>10}{'refused':>9}{'faults':>8}{'slowest s':>11}{'a minute':>10}"
+    print(heads, flush=True)
+    fuzzer, together = Fuzzer(given.seed), Findings()
     for name in names:
-        began, found, at, last = time.monotonic(), Findings(), given.first, given.first + given.inputs
+        kept = Kept.of(given.results, name, given.seed) if given.results else None
+        found = kept.findings if kept else Findings()
+        if kept and given.again:
+            kept.again(fuzzer, name)
+        began, at, last = time.monotonic(), max(given.first, kept.upto if kept else 0), given.first + given.inputs
+        first = at
         while at < last and time.monotonic() - began < given.seconds:
-            end = min(at + 250, last)
-            part = fuzzer.run(name, at, end)
-            for total_of in (found, total):
-                total_of.tried += part.tried
-                total_of.answered += part.answered
-                total_of.refused += part.refused
-                total_of.slowest_s = max(total_of.slowest_s, part.slowest_s)
-                for what, numbers in part.faults.items():
-                    total_of.faults.setdefault(what, []).extend(numbers)
+            end = min(at + INPUTS_OF_A_PART, last)
+            found.include(fuzzer.run(name, at, end))
             at = end
-        rate = 60.0 * found.tried / (time.monotonic() - began)
+            if kept:
+                kept.upto = at
+                kept.save()
+        together.include(found)
+        rate = 60.0 * (at - first) / (time.monotonic() - began)
         print(_row(name, found) + f"{rate:10.0f}", flush=True)
         for what, numbers in sorted(found.faults.items(), key=lambda fault: -len(fault[1])):
-            failed = True
             print(f"    {len(numbers)} × {what}; inputs {', '.join(map(str, numbers[:5]))}", flush=True)
             if given.keep:
                 given.keep.mkdir(parents=True, exist_ok=True)
                 path = given.keep / f"{name.replace(' ', '-')}-{numbers[0]}{TARGETS[name].ending}"
                 path.write_bytes(input_of(name, given.seed, numbers[0], Corpus()))
     fuzzer.close()
-    print(_row("together", total), flush=True)
-    return int(failed)
+    print(_row("together", together), flush=True)
+    return int(bool(together.faults))
 
 
 def _row(name: str, found: Findings) -> str:
