@@ -7,7 +7,7 @@ import pytest
 from astropy.io import fits
 from astropy.table import Table
 
-from sameas.bounds import Headers, Unpacking, checked_fits, unpacked
+from sameas.bounds import Headers, Unpacking, checked_fits, memory_left, unpacked
 from sameas.errors import InputError
 from sameas.io import read_table, write_table
 from sameas.sky.frame.image import read as read_frame
@@ -95,3 +95,29 @@ def test_a_packed_file_that_grows_out_of_bounds_is_refused(tmp_path):
     path.write_bytes(gzip.compress(b"1,2,3\n" * 99)[:20] + bytes(60))
     with pytest.raises(InputError, match="is damaged, it cannot be unpacked"):
         unpacked(path)
+
+
+def system(folder, **said):
+    """A system's files in which it says what there is."""
+    for name, text in said.items():
+        path = folder / {"meminfo": "proc", "statm": "proc/self"}.get(name, "sys/fs/cgroup") / name.replace("_", ".")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    return folder
+
+
+def test_memory_is_what_machine_and_container_leave(tmp_path):
+    machine = system(tmp_path, meminfo="MemTotal: 9 kB\nMemAvailable:     4000 kB\n")
+    assert memory_left(machine) == 4000 * 1024
+    assert memory_left(system(machine, memory_max="3000000\n", memory_current="1000000\n")) == 2_000_000
+    assert memory_left(system(machine, memory_current="5000000\n")) == 0
+    assert memory_left(system(machine, memory_max="max\n")) == 4000 * 1024
+
+
+def test_memory_is_no_more_than_the_limit_of_the_process(tmp_path, monkeypatch):
+    resource = pytest.importorskip("resource")
+    machine = system(tmp_path, meminfo="MemAvailable: 4000 kB\n", statm="10 5 1\n")
+    page = resource.getpagesize()
+    monkeypatch.setattr(resource, "getrlimit", lambda which: (30 * page, resource.RLIM_INFINITY))
+    assert memory_left(machine) == 20 * page
+    assert memory_left() is None or memory_left() >= 0

@@ -21,6 +21,31 @@ GATES = {
 }
 
 
+def crowd(n, source="a", seed=1):
+    """Records that are all within one error."""
+    return Records.of(np.random.default_rng(seed).normal(0.0, 0.3, (n, 2)), sigma=1.0, source=source)
+
+
+def test_more_pairs_than_the_memory_holds_are_refused_before_it_is_full():
+    gate = ChiSquare(tuning=Tuning(each_with_each=0, bytes_of_pair=1 << 50))
+    with pytest.raises(InputError, match=r"a, b: more than 0\.0 million pairs lie within the gate.*smaller gate"):
+        gate(crowd(60), crowd(70, "b", 2))
+    # One of a far larger error is looked for by another way.
+    wide = Records.of([[0.0, 0.0]], sigma=100.0, source="b")
+    with pytest.raises(InputError, match="the memory holds no more"):
+        gate(crowd(300), wide)
+
+
+def test_a_crowd_that_would_take_hours_is_refused_and_its_row_said():
+    gate = ChiSquare(tuning=Tuning(most_choices=20.0**3))
+    assert len(gate(crowd(20), crowd(20, "b", 2))) == 400
+    apart = Records.of([[1000.0, 0.0], *crowd(21).features], sigma=1.0, source="a")
+    with pytest.raises(InputError, match=r"a: at row \d+, 21 records of b may each be any of 21: .* some 0 minutes"):
+        gate(apart, crowd(21, "b", 2))
+    # One among many, and many of few candidates each, are no crowd.
+    assert len(gate(crowd(1), crowd(2000, "b", 2))) == 2000
+
+
 def laid_out(first, second, gate):
     """The candidates as the search of many records finds them, which lays both sources out first."""
     return replace(gate, tuning=Tuning(each_with_each=0))(first, second)

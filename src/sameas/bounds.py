@@ -1,7 +1,7 @@
-"""Bounds: how much a file may ask for, so that a small one fills neither the memory nor the day.
+"""Bounds: how much input may ask for, so that a small file fills neither the memory nor the day.
 
 :func:`unpacked` unpacks gzip within them; :func:`checked_fits` looks at the headers of a FITS file before a library
-believes them.
+believes them. :func:`memory_left` is what there is to be had.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import os
 import re
 import zlib
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
@@ -62,6 +63,51 @@ def unpacked(path: str | os.PathLike[str], bounds: Unpacking | None = None) -> b
     except (zlib.error, gzip.BadGzipFile) as error:
         raise InputError(f"{path}: is damaged, it cannot be unpacked ({error}); copy it again") from error
     return b"".join(parts)
+
+
+def memory_left(system: Path = Path("/")) -> int | None:
+    """Bytes that this process may still take: the least of what its limits, its container and the machine leave.
+
+    None where none of them says (on Windows). system : the root of the files in which Linux says it.
+    """
+    left = [_within_limit(system), _within_container(system), _of_machine(system)]
+    return min((max(one, 0) for one in left if one is not None), default=None)
+
+
+def _within_limit(system: Path) -> int | None:
+    """What ``ulimit -v`` leaves."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    most = resource.getrlimit(resource.RLIMIT_AS)[0]
+    used = _first_number(system / "proc/self/statm")
+    return None if most == resource.RLIM_INFINITY or used is None else most - used * resource.getpagesize()
+
+
+def _within_container(system: Path) -> int | None:
+    """What the control group of the process leaves; that of a container stands at the root."""
+    most, used = (_first_number(system / f"sys/fs/cgroup/memory.{name}") for name in ("max", "current"))
+    return None if most is None or used is None else most - used
+
+
+def _of_machine(system: Path) -> int | None:
+    """What is free; half of all memory where the system does not say it."""
+    with suppress(OSError):
+        for line in (system / "proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                return int(line.split()[1]) << 10
+    names = getattr(os, "sysconf_names", {})
+    if "SC_PHYS_PAGES" in names and "SC_PAGE_SIZE" in names:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
+    return None
+
+
+def _first_number(path: Path) -> int | None:
+    try:
+        return int(path.read_text().split()[0])
+    except (OSError, ValueError):  # "max" where there is no limit
+        return None
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from typing import Any
@@ -18,6 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray, IntArray
+from sameas.bounds import memory_left
+from sameas.errors import InputError
 from sameas.gate.zones import Extent, Geometry, Layout, Source, Tuning
 from sameas.kernels import threads
 from sameas.records import Records
@@ -30,13 +33,73 @@ Columns = tuple[
 
 #: Records for which an interpreted search takes some milliseconds.
 FEW_RECORDS = 64
+#: Bytes that nobody need ask for.
+_SMALL = 1 << 28
 
 #: Writes the pairs of the records first ≤ k < last into columns; gives (pairs, next k), less than last when full.
 Sweep = Callable[[int, int, Any], tuple[int, int]]
 
 
 def search(first: Records, second: Records, limit: float, box: bool, tuning: Tuning) -> Columns:
-    """All pairs with Δᵀ Σ⁻¹ Δ ≤ limit (or, with ``box``, Δ_v² ≤ limit·Σ_vv in every feature v)."""
+    """All pairs with Δᵀ Σ⁻¹ Δ ≤ limit (or, with ``box``, Δ_v² ≤ limit·Σ_vv in every feature v).
+
+    Raises
+    ------
+    InputError : they are more than the memory holds, or so many records may be so many others that an answer is far.
+    """
+    allowed = _Allowed.of(first, second, tuning)
+    columns = _search(first, second, limit, box, tuning, allowed)
+    allowed.choices(*columns[2:4], tuning.most_choices)
+    return columns
+
+
+@dataclass
+class _Allowed:
+    """How many pairs of two sources the memory holds."""
+
+    first: Records
+    second: Records
+    most: float
+    count: int = 0
+
+    @classmethod
+    def of(cls, first: Records, second: Records, tuning: Tuning) -> _Allowed:
+        if len(first) * len(second) * tuning.bytes_of_pair < _SMALL:
+            return cls(first, second, math.inf)
+        left = memory_left()
+        return cls(first, second, (tuning.memory if left is None else left) / tuning.bytes_of_pair)
+
+    def take(self, count: int) -> None:
+        """Raises InputError where these are too many, with those before."""
+        self.count += count
+        if self.count > self.most:
+            size = self.most / 1e6
+            raise InputError(
+                f"{self.first.source}, {self.second.source}: more than {size:,.1f} million pairs lie within the gate, "
+                "and the memory holds no more",
+                "are the errors in another unit? Give smaller ones, a smaller gate, or fewer records at a time",
+            )
+
+    def choices(self, i: NDArray[np.int32], j: NDArray[np.int32], most: float) -> None:
+        """Raises InputError where so many records compete that the most probable answer takes hours."""
+        if float(len(i)) ** 1.5 <= most:  # each of √m with each
+            return
+        of_1, of_2 = np.bincount(i, minlength=len(self.first)), np.bincount(j, minlength=len(self.second))
+        fewer = np.minimum(of_1[i], of_2[j])
+        choices = float(fewer.sum(dtype=np.float64))
+        if choices > most:
+            worst = int(np.argmax(fewer))
+            one, two = of_1[i[worst]], of_2[j[worst]]
+            row = int(self.first.rows[i[worst]])
+            raise InputError(
+                f"{self.first.source}: at row {row}, {one} records of {self.second.source} may each be any of {two}: "
+                f"to tell them apart would take some {choices / 1e9:,.0f} minutes",
+                "are their errors in another unit? Give smaller ones, or leave these records out",
+                source=self.first.source,
+            )
+
+
+def _search(first: Records, second: Records, limit: float, box: bool, tuning: Tuning, allowed: _Allowed) -> Columns:
     if not len(first) or not len(second):
         return _room(first.d, 0)
     if len(first) + len(second) <= tuning.each_with_each and isinstance(first.space, Plane):
@@ -52,7 +115,7 @@ def search(first: Records, second: Records, limit: float, box: bool, tuning: Tun
         [partial(Layout.of, source, rows, extent, geometry) for source, rows in zip(sources, classes, strict=True)],
         len(first) + len(second),
     )
-    return _candidates(one, two, _wide_pairs(one, two, geometry), geometry)
+    return _candidates(one, two, _wide_pairs(one, two, geometry, allowed), geometry, allowed)
 
 
 def _each_with_each(first: Records, second: Records, limit: float, box: bool, space: Plane) -> Columns | None:
@@ -65,7 +128,7 @@ def _each_with_each(first: Records, second: Records, limit: float, box: bool, sp
     return None if count < 0 else tuple(column[:count] for column in out)  # type: ignore[return-value]
 
 
-def _candidates(one: Layout, two: Layout, wide: IntArray, geometry: Geometry) -> Columns:
+def _candidates(one: Layout, two: Layout, wide: IntArray, geometry: Geometry, allowed: _Allowed) -> Columns:
     """The candidates of the two narrowest classes, and those of the pairs ``wide`` of other classes."""
     about: tuple[Any, ...] = one.side, two.side, two.grids[0], two.reach(0, one.widest[0], one.starts[1], geometry)
     gate: tuple[Any, ...] = geometry.limit, geometry.box
@@ -91,12 +154,13 @@ def _candidates(one: Layout, two: Layout, wide: IntArray, geometry: Geometry) ->
 
     n, d = len(one.side.rows), len(geometry.periods)
     each = _expected(partial(kernel, *about, wide[:0], *gate), one.starts[1], d, geometry.tuning.sample)
+    each = min(each, allowed.most / n)
     bounds = threads.even(n)
     starts = [math.ceil(each * k) + (int(np.searchsorted(wide, k << 32)) if len(wide) else 0) for k in bounds]
-    return _gathered(sweep, bounds, starts, partial(_room, d), len(two.side.rows))
+    return _gathered(sweep, bounds, starts, partial(_room, d), len(two.side.rows), replace(allowed, count=0))
 
 
-def _wide_pairs(one: Layout, two: Layout, geometry: Geometry) -> IntArray:
+def _wide_pairs(one: Layout, two: Layout, geometry: Geometry, allowed: _Allowed) -> IntArray:
     """Pairs of places k << 32 | q near enough to be measured, without those of the two narrowest classes; sorted.
 
     Of two classes the wider one does the looking up.
@@ -108,16 +172,16 @@ def _wide_pairs(one: Layout, two: Layout, geometry: Geometry) -> IntArray:
         if a == b == 0:
             continue
         if max(one.widest[a]) >= max(two.widest[b]):
-            parts.append(_visits(one, a, two, b, geometry))
+            parts.append(_visits(one, a, two, b, geometry, allowed))
         else:
-            back = _visits(two, b, one, a, geometry)
+            back = _visits(two, b, one, a, geometry, allowed)
             parts.append(np.empty_like(back))
             turned_round(back, np.zeros(len(one.side.rows) + 1, np.int32), parts[-1])
     # Each part is in order already, which a stable sort makes use of.
     return np.sort(np.concatenate(parts), kind="stable") if len(parts) > 1 else parts[0]
 
 
-def _visits(visitors: Layout, a: int, hosts: Layout, b: int, geometry: Geometry) -> IntArray:
+def _visits(visitors: Layout, a: int, hosts: Layout, b: int, geometry: Geometry, allowed: _Allowed) -> IntArray:
     """Pairs visitor << 32 | host of a class of one source with one of the other, near enough to be measured."""
     from sameas.kernels.spans import ROOM, visit
 
@@ -126,11 +190,20 @@ def _visits(visitors: Layout, a: int, hosts: Layout, b: int, geometry: Geometry)
     sweep = partial(visit, visitors.side, hosts.side, hosts.grids[b], reach, geometry.folds)
     each = len(hosts.side.rows) + ROOM
     starts = [each * t for t in range(len(bounds))]
-    return _gathered(sweep, bounds, starts, lambda n: (np.empty(n, np.int64),), each)[0]  # type: ignore[no-any-return]
+
+    def room(n: int) -> tuple[IntArray]:
+        return (np.empty(n, np.int64),)
+
+    return _gathered(sweep, bounds, starts, room, each, allowed)[0]  # type: ignore[no-any-return]
 
 
 def _gathered(
-    sweep: Sweep, bounds: list[int], starts: list[int], room: Callable[[int], tuple[Any, ...]], least: int
+    sweep: Sweep,
+    bounds: list[int],
+    starts: list[int],
+    room: Callable[[int], tuple[Any, ...]],
+    least: int,
+    allowed: _Allowed,
 ) -> tuple[Any, ...]:
     """The pairs of a sweep over ranges of records, side by side; range t stands from starts[t] on in one room.
 
@@ -144,6 +217,7 @@ def _gathered(
         chunks: list[tuple[Any, ...]] = []
         while first < last:
             count, first = sweep(first, last, out)
+            allowed.take(count)
             chunks.append(tuple(column[:count] for column in out))
             out = room(max(len(out[0]), least)) if first < last else ()
         return chunks

@@ -40,6 +40,10 @@ class Tuning:
         where most are empty and the others crowded.
     sample : records in a row whose candidates are counted to estimate the room for all.
     few_rows : fewer rows than this are looked through without a compiled loop.
+    bytes_of_pair : what a pair takes in all stages together, measured. Pairs that would need more than there is are
+        refused; where the system does not say what there is, more than ``memory`` bytes.
+    most_choices : the sum over the pairs of the fewer candidates of either record, which is n³ where each of n records
+        may be each of n others: 10⁹ take a minute of the processor.
     """
 
     each_with_each: int = 512
@@ -50,6 +54,9 @@ class Tuning:
     most_squares: int = 2048
     sample: int = 128
     few_rows: int = 10_000
+    bytes_of_pair: int = 300
+    memory: int = 1 << 33
+    most_choices: float = 4e9
 
 
 DEFAULT_TUNING = Tuning()

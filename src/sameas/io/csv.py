@@ -12,6 +12,7 @@ import gzip
 import io
 import json
 import re
+from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -212,9 +213,10 @@ def _header(text: pa.Buffer, path: Path) -> TableHead:
 def distinct(names: list[str], path: Path) -> list[str]:
     """The names of columns, none of them empty; refused where one stands twice."""
     names = [name or f"column_{number}" for number, name in enumerate(names, start=1)]
-    twice = [name for name in names if names.count(name) > 1]
-    if twice:
-        raise InputError(f"{path}: two columns are called {twice[0]}; rename one")
+    counts = Counter(names)
+    if len(counts) < len(names):
+        twice = next(name for name in names if counts[name] > 1)
+        raise InputError(f"{path}: two columns are called {twice}; rename one")
     return names
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from astropy.table import Table
 
 #: No row of a file has more columns (chosen); a number beyond is a damaged one.
-_MOST_COLUMNS = 100_000
+_MOST_COLUMNS = 10_000
 _LINE = re.compile(r"#\s*(\d+)\s+(\S+)\s*(.*?)\s*(?:\[([^\]]*)\])?\s*$")
 _FIRST = re.compile(rb"\A\s*#\s*1\s+[A-Z]\w+\b")
 
