@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from sameas import Plane, Records, Sphere
-from sameas.estimate.coverage import SMOOTH, Coverage
+from sameas.estimate.coverage import SMOOTH, Coverage, local_share
+from sameas.simulate.areas import Cap
 from sameas.simulate.scenes import LonLatBox, WholeSky
 from sameas.space import ARCSEC_PER_RADIAN
 
@@ -133,3 +134,26 @@ def test_cells_and_densities_are_those_of_the_definition(space):
         assert at_first[k] == pytest.approx(defined(cover, weights, "of_first", k))
     for k in range(0, len(two), 17):
         assert at_second[k] == pytest.approx(defined(cover, weights, "of_second", k))
+
+
+def test_a_sparse_source_has_its_density_at_the_borders_of_a_field_too():
+    """Its cells reach beyond the field; where it looks is told by the richer source."""
+    rng = np.random.default_rng(5)
+    disc = Cap(150.0, 2.0, 1.0)
+    for few, many in ((300, 60_000), (1_500, 60_000)):
+        cover = Coverage.of(sky(rng, few, disc), sky(rng, many, disc))
+        due = few / (2.0 * np.pi * (1.0 - np.cos(np.radians(1.0))) * ARCSEC_PER_RADIAN**2)
+        for density in cover.covered_densities[0]:
+            assert np.mean(np.log(density / due)) == pytest.approx(0.0, abs=0.06)
+
+
+@pytest.mark.parametrize("share", [0.005, 0.5, 0.95])
+def test_shares_of_an_even_field_do_not_follow_the_records_that_chance_puts_into_a_cell(share):
+    """Shares near 0 and 1 rest on few records of the rarer kind in every cell."""
+    rng = np.random.default_rng(6)
+    first, second = uniform(rng, 500), uniform(rng, 60_000)
+    partner = (rng.uniform(size=60_000) < share).astype(float)
+    for at in local_share(Coverage.of(first, second).levels[1:-1], 2, partner, np.ones(60_000)):
+        logit = np.log(at / (1.0 - at))
+        assert np.mean(logit) == pytest.approx(np.log(share / (1.0 - share)), abs=0.1)
+        assert np.std(logit) < 0.2

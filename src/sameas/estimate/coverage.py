@@ -246,7 +246,10 @@ def _apart(points: FloatArray, side: float) -> IntArray:
 PSEUDO_COUNT = 2.0
 #: The same for densities: their noise would make the odds of chance pairs too good.
 SMOOTH = 20.0
+#: The same for shares of one half; for others as many as say as much of the logit of the share.
 SHARED_PSEUDO_COUNT = 200.0
+#: A source so many times as rich as the other tells which part of a cell both look at.
+RICHER = 2.0
 #: Expected records in an empty cell that make it a hole: e⁻⁷ is the chance of it by accident.
 HOLE = 7.0
 #: Records to be expected in it at least by those of the asking source that it holds (see ``holes.COMPANY``).
@@ -282,27 +285,49 @@ class Coverage:
         """Cells over the stretch that both sources span together; both must have records."""
         return cls(first, second, *levels_of(first, second))
 
-    def density(self, source: int, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def density(
+        self, source: int, weights: FloatArray, volumes: Sequence[FloatArray] | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """Local density of the records of ``source`` (1 or 2) counted with ``weights``, at the records of both.
 
         Unit 1 / (residual unit)^d. A record does not count where it stands itself.
+
+        volumes : of the cells of each level where the source looks; if not given, all of them.
         """
         from sameas.kernels.coverage import refine
 
-        start = (float(weights.sum()) + 0.5) / self.volume
+        volumes = [level.volume for level in self.levels] if volumes is None else volumes
+        start = (float(weights.sum()) + 0.5) / float(volumes[0].sum())
         at_first, at_second = np.full(len(self.first), start), np.full(len(self.second), start)
         at = (at_first, at_second) if source == 1 else (at_second, at_first)
-        for level in self.levels:
-            count = np.empty(len(level.volume))
-            refine(*level.facing(source), weights, level.volume, count, SMOOTH, *at)
+        for level, volume in zip(self.levels, volumes, strict=True):
+            refine(*level.facing(source), weights, volume, np.empty(len(volume)), SMOOTH, *at)
         return at_first, at_second
 
     @cached_property
     def covered_densities(self) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
         """Local densities of the covered records of source 1 and of source 2, each at the records of both."""
-        seen_1, seen_2 = (seen.astype(np.float64) for seen in self.covered)
-        one, two = threads.each([partial(self.density, 1, seen_1), partial(self.density, 2, seen_2)], len(seen_1))
-        return one, two
+        seen = [covered.astype(np.float64) for covered in self.covered]
+        one, two = (float(weights.sum()) for weights in seen)
+        if max(one, two) < RICHER * min(one, two):
+            at_1, at_2 = threads.each([partial(self.density, k + 1, seen[k]) for k in (0, 1)], len(seen[0]))
+            return at_1, at_2
+        richer = 1 if one > two else 2
+        known = self.density(richer, seen[richer - 1])
+        other = self.density(3 - richer, seen[2 - richer], self._seen_volumes(richer, seen[richer - 1], known))
+        return (known, other) if richer == 1 else (other, known)
+
+    def _seen_volumes(self, richer: int, seen: FloatArray, density: tuple[FloatArray, FloatArray]) -> list[FloatArray]:
+        """Level by level (c,) the volume of the cells where both sources look, as the records of the ``richer`` tell.
+
+        Each of them stands for a volume in proportion to 1/density. Where the poorer source has few records in a cell,
+        its density is that of cells much larger, which at the borders of a field reach far beyond it.
+
+        seen : (n,) 1 for its records where the other source looks, else 0. density : its own, at the records of both.
+        """
+        stands_for = seen / density[richer - 1]
+        stands_for *= self.common_volume / float(stands_for.sum())
+        return [np.bincount(level.facing(richer)[0], stands_for, len(level.volume)) for level in self.levels]
 
     @cached_property
     def covered(self) -> tuple[BoolArray, BoolArray]:

@@ -159,7 +159,8 @@ class Places:
             place = np.minimum(np.searchsorted(known, own), len(known) - 1)
             there = known[place] == own
             parts, weights = np.where(there, parts[place], 0.0), np.where(there, weights[place], 0.0)
-            share = (parts + SHARED_PSEUDO_COUNT * share) / (weights + SHARED_PSEUDO_COUNT)
+            pseudo = 0.25 * SHARED_PSEUDO_COUNT / (share * (1.0 - share))
+            share = (parts + pseudo * share) / (weights + pseudo)
         return share
 
     def write(self, folder: Path) -> None:

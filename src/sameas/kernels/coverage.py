@@ -207,6 +207,7 @@ def refine_share(
 
     own, part, weight : (n,) cells of the records that are counted, and what of each counts; its own is left out at
     itself. other : (n',) cells of the other records. parts, weights : room for the sums of the cells.
+    pseudo_count : of a share of one half; of others as many as say as much of the logit of the share.
     """
     parts[:] = 0.0
     weights[:] = 0.0
@@ -216,10 +217,12 @@ def refine_share(
     for k in range(len(own)):
         c = own[k]
         others_part, others = max(parts[c] - part[k], 0.0), max(weights[c] - weight[k], 0.0)
-        at_own[k] = (others_part + pseudo_count * at_own[k]) / (others + pseudo_count)
+        pseudo = 0.25 * pseudo_count / (at_own[k] * (1.0 - at_own[k]))
+        at_own[k] = (others_part + pseudo * at_own[k]) / (others + pseudo)
     for k in range(len(other)):
         c = other[k]
-        at_other[k] = (parts[c] + pseudo_count * at_other[k]) / (weights[c] + pseudo_count)
+        pseudo = 0.25 * pseudo_count / (at_other[k] * (1.0 - at_other[k]))
+        at_other[k] = (parts[c] + pseudo * at_other[k]) / (weights[c] + pseudo)
 
 
 # Compiled discs (intervals, balls) over sorted points: which are empty, and what lies in those that are.
