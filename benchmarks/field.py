@@ -16,10 +16,12 @@ from benchmarks.frames import HOME, Tally
 from benchmarks.recovered import true_rule
 from benchmarks.tables import Table, report
 from sameas import Identification, Sphere, identify
+from sameas.estimate.blends import Blends, find_blends
 from sameas.estimate.match import match
 from sameas.evidence import Column, Related
 from sameas.records import Records
 from sameas.score.pairs import is_true_pair, reliability
+from sameas.simulate.blended import BlendedField, blended_field
 from sameas.simulate.counterparts import Counterparts, counterparts
 from sameas.simulate.exposures import Exposure, Sky, exposure
 from sameas.simulate.formal import formal_field
@@ -349,6 +351,66 @@ def _counterparts_of_nway(made: Counterparts, options: argparse.Namespace) -> tu
     return (row_1.astype(np.int64), row_2.astype(np.int64)), p_any * p_i
 
 
+# ---- blends ----
+
+
+def blended(options: argparse.Namespace) -> Iterator[Table]:
+    """Fields like WISE's on Gaia's: coarse records that are two objects, beside rules that know one only."""
+    tallies: dict[str, Blended] = {}
+    for number in range(options.fields):
+        made = blended_field(np.random.default_rng([164, number]), objects=options.blend_objects)
+        first, second = made.first, made.second
+        answer, estimate = match(first, second)
+        nearby = nearest(first, second), nearest(second, first)
+        mutual = (nearby[1].rows[nearby[0].rows] == np.arange(len(first))) & (nearby[0].separation_arcsec < 3.0)
+        one = np.full(len(first), -1)
+        one[answer.matches.rows_1] = answer.matches.rows_2
+        alone = np.full(len(first), -1)
+        tallies.setdefault("mutual nearest, 3″", Blended()).add(np.where(mutual, nearby[0].rows, -1), alone, made)
+        tallies.setdefault("sameas, one to one", Blended()).add(one, alone, made)
+        for title, flux in (("sameas, blends", None), ("sameas, blends, fluxes told", made.flux)):
+            found = find_blends(first, second, made.resolution_arcsec, errors=estimate.errors, flux=flux,
+                                coverage=estimate.coverage)  # fmt: skip
+            tallies.setdefault(title, Blended()).add(found.partner.filled(-1), found.other.filled(-1), made, found)
+    columns = ("by", "records", "right", "blends", "found", "wrong", "missed", "p_blend expects", "off, σ", "not exact")
+    yield Table(
+        f"Blends: {options.fields} fields of {options.blend_objects} objects, 20 000 per deg², resolution 6″",
+        columns, [[name, *tally.line()] for name, tally in tallies.items()],
+        ("right: records whose answer, none, one or two objects, is the truth; found, wrong, missed: of blends",),
+    )  # fmt: skip
+    for title in ("sameas, blends", "sameas, blends, fluxes told"):
+        judged = Judged(stated=tallies[title].p, happened=tallies[title].two)
+        yield calibrated(judged, f"{title}: p_blend")
+
+
+@dataclass
+class Blended:
+    """What was said of all fields' coarse records, and which of them are blends."""
+
+    counts: np.ndarray = field(default_factory=lambda: np.zeros(6, np.int64))
+    p: list[np.ndarray] = field(default_factory=list)
+    two: list[np.ndarray] = field(default_factory=list)
+
+    def add(self, partner: np.ndarray, other: np.ndarray, made: BlendedField, found: Blends | None = None) -> None:
+        """One field."""
+        right = (np.sort(np.column_stack([partner, other]), axis=1) == np.sort(made.parts, axis=1)).all(axis=1)
+        two, said = (made.parts >= 0).all(axis=1), other >= 0
+        inexact = 0 if found is None else int((~found.exact).sum())
+        self.counts += [len(two), right.sum(), two.sum(), (right & two).sum(), (said & ~right).sum(), inexact]
+        if found is not None:
+            self.p.append(found.p_blend)
+            self.two.append(two)
+
+    def line(self) -> list[object]:
+        """Numbers, and how far the expected number of blends is off."""
+        records, right, blends, found, wrong, inexact = map(int, self.counts)
+        line: list[object] = [records, right, blends, found, wrong, blends - found]
+        if not self.p:
+            return [*line, "", "", ""]
+        p = np.concatenate(self.p)
+        return [*line, float(p.sum()), (blends - float(p.sum())) / np.sqrt(float((p * (1 - p)).sum())), inexact]
+
+
 def tables(options: argparse.Namespace) -> Iterator[Table]:
     """The sections that are asked for."""
     sections: dict[str, Callable[[], Iterator[Table]]] = {
@@ -357,6 +419,7 @@ def tables(options: argparse.Namespace) -> Iterator[Table]:
         "crowded": lambda: crowded(options),
         "others": lambda: others(options),
         "columns": lambda: columns(options),
+        "blends": lambda: blended(options),
     }
     for name in options.only:
         yield from sections[name]()
@@ -370,7 +433,9 @@ def main() -> None:
     parser.add_argument("--side", type=float, default=0.05, help="side of a frame, degrees (default 0.05)")
     parser.add_argument("--peer-python", action="append", default=[], help="NAME=PYTHON, where a peer is installed")
     parser.add_argument("--sets", type=int, default=2, help="sets of counterparts (default 2)")
-    every = ["floors", "scales", "crowded", "others", "columns"]
+    parser.add_argument("--fields", type=int, default=4, help="fields with blends (default 4)")
+    parser.add_argument("--blend-objects", type=int, default=4000, help="objects of each (default 4000)")
+    every = ["floors", "scales", "crowded", "others", "columns", "blends"]
     parser.add_argument("--only", nargs="+", default=every, choices=every)
     options = parser.parse_args()
     options.interpreters = peers.Interpreters.of(options.peer_python)

@@ -309,7 +309,7 @@ class Coverage:
         """Local densities of the covered records of source 1 and of source 2, each at the records of both."""
         seen = [covered.astype(np.float64) for covered in self.covered]
         one, two = (float(weights.sum()) for weights in seen)
-        if max(one, two) < RICHER * min(one, two):
+        if max(one, two) <= RICHER * min(one, two):
             at_1, at_2 = threads.each([partial(self.density, k + 1, seen[k]) for k in (0, 1)], len(seen[0]))
             return at_1, at_2
         richer = 1 if one > two else 2
@@ -327,7 +327,8 @@ class Coverage:
         """
         stands_for = seen / density[richer - 1]
         stands_for *= self.common_volume / float(stands_for.sum())
-        return [np.bincount(level.facing(richer)[0], stands_for, len(level.volume)) for level in self.levels]
+        cells = ((level.facing(richer)[0], len(level.volume)) for level in self.levels)
+        return [np.asarray(np.bincount(of, stands_for, n), np.float64) for of, n in cells]
 
     @cached_property
     def covered(self) -> tuple[BoolArray, BoolArray]:

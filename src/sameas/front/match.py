@@ -99,6 +99,39 @@ class Match:
 
         return pair_table(self.identification)
 
+    def blends(self, resolution: float, *, flux: Any = None) -> Table:
+        """Which records of the first source are two objects of the second that it does not tell apart.
+
+        One row for each record of the first source: ``row_1``, ``id_1``; the most probable answer, ``row_2`` and
+        ``id_2``, of a blend also ``row_2b`` and ``id_2b``, masked where there is none; ``p_match``, the probability of
+        that answer, and ``p_blend``, that the record is two objects, whichever. Errors are those of :attr:`estimate`;
+        magnitudes and other columns do not take part.
+
+        Parameters
+        ----------
+        resolution : separation at which half of the couples are one record of the first source; in arcsec on the sky.
+        flux : (n,) of every row of the second source, in the band of the first; a blend lies between its objects where
+            that says. Not said, it may lie anywhere between.
+
+        Raises
+        ------
+        InputError : a resolution that is not positive, fluxes that are not those of the second source.
+        """
+        import numpy as np
+
+        from sameas.estimate.blends import find_blends
+        from sameas.sky.joins import blend_table
+
+        first, second = self.identification.first, self.identification.second
+        if flux is not None:
+            flux = np.asarray(flux, np.float64)
+            if flux.shape != (second.n_table,):
+                raise InputError(f"blends: fluxes of shape {flux.shape}; give one for each of {second.n_table} rows")
+            flux = flux[second.rows]
+        errors, coverage = self.estimate.errors, self.estimate.coverage
+        found = find_blends(first, second, resolution, errors=errors, flux=flux, coverage=coverage)
+        return blend_table(first, second, found)
+
     @cached_property
     def table(self) -> Table:
         """The joined table, by :attr:`join`: all columns of both, and what is said of each row; see :meth:`joined`."""

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, IntArray
 from sameas.errors import InputError
+from sameas.estimate.blends import Blends
 from sameas.estimate.coverage import Coverage
 from sameas.kernels import threads
 from sameas.records import Records
@@ -148,6 +149,26 @@ def pair_table(result: Identification) -> Table:
     for name, values in columns.items():
         column = Column(values, unit=_UNITS.get(name), description=_words(name), meta=meta_of(name))
         table.add_column(column, name=name, copy=False)
+    return table
+
+
+def blend_table(first: Records, second: Records, found: Blends) -> Table:
+    """One row for each record of the coarse source: what it is, and how probable that is."""
+    table = Table()
+    columns: dict[str, tuple[NDArray[Any], str]] = {
+        "row_1": (first.rows, "row in the first source"),
+        "id_1": (first.ids[first.rows], "id in the first source"),
+    }
+    for mark, partner, which in (("", found.partner, "object"), ("b", found.other, "other object of a blend")):
+        rows = np.ma.array(second.rows[partner.filled(0)], mask=np.ma.getmaskarray(partner))
+        columns[f"row_2{mark}"] = rows, f"row of the {which} in the second source"
+        ids = np.ma.array(second.ids[rows.filled(0)], mask=np.ma.getmaskarray(partner))
+        columns[f"id_2{mark}"] = ids, f"id of the {which} in the second source"
+    columns["p_match"] = found.p_match, "probability of this answer"
+    columns["p_blend"] = found.p_blend, "probability that the record is two objects, whichever"
+    for name, (values, words) in columns.items():
+        made = MaskedColumn if isinstance(values, np.ma.MaskedArray) else Column
+        table.add_column(made(values, description=words), name=name)
     return table
 
 

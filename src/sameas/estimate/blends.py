@@ -1,0 +1,373 @@
+"""Blends: one record of a coarse source may be two objects of a fine one (METHOD 11.3).
+
+Two objects of the fine source (2) at separation s give one record of the coarse source (1) with probability B(s), which
+is 1 at s = 0 and ½ at the resolution; else each is shown by itself. With c the probability that the coarse source shows
+an object, or the two that are one record, and ρ₁ its density of other records, the odds against all of them having no
+partner are, with Z = (1 − c)(1 − c(1 − B)) what both without partner weigh,
+
+    {i; j, k}            B c N(x_i − w x_j − (1 − w) x_k; Σ) / (ρ₁ Z)
+    {i; j}, {i; j} {i′; k}    those of the pairs, c N(Δ; Σ) / (ρ₁ (1 − c)), times (1 − B)(1 − c)² / Z once a couple,
+
+w being j's share of the flux, or all of 0 to 1 where fluxes are not given. The hypotheses of a group are summed
+exactly: every record of the coarse source has no partner, one, or two, and no object is taken twice. c, ρ₁ and the
+shares of the error scales are estimated from the result in turn.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.errors import InputError
+from sameas.estimate.coverage import Coverage
+from sameas.evidence import Errors
+from sameas.gate import Radius
+from sameas.records import Records
+from sameas.representation import in_short
+
+
+@dataclass(frozen=True)
+class BlendTuning:
+    """How blends are looked for; chosen with ``scripts/bench field --only blends``.
+
+    Attributes
+    ----------
+    steepness : B(s) = exp(−ln 2 · (s/resolution)^steepness).
+    reach : objects farther apart than so many resolutions are never blended.
+    gate_sigmas : farther than this from where it is due no partner is.
+    flux_shares : shares w that are averaged over where fluxes are not given.
+    least_log_odds : candidates of smaller ln of the odds against no partner are left out.
+    most_hypotheses : of a group; with more, its least probable candidates are left out until it has fewer.
+    rounds, settled : of the estimation, and the change of c that ends it.
+    least_share : of c, and of 1 − c.
+    """
+
+    steepness: float = 4.0
+    reach: float = 1.75
+    gate_sigmas: float = 6.4
+    flux_shares: int = 9
+    least_log_odds: float = math.log(1e-9)
+    most_hypotheses: float = 2e4
+    rounds: int = 20
+    settled: float = 1e-4
+    least_share: float = 1e-3
+
+
+DEFAULT_BLENDS = BlendTuning()
+
+
+@in_short
+@dataclass(frozen=True)
+class Candidates:
+    """What records of the coarse source may be: o candidates, those of one object first.
+
+    i, j, k : (o,) record of source 1, of source 2, and the other of a blend, −1 where there is none.
+    log_density : (o, s) ln N by every scale of the errors. blend : (o,) B, 1 for one object.
+    couples : (q, 2) objects of source 2 that may be one record. blended : (q,) B of each.
+    """
+
+    i: IntArray
+    j: IntArray
+    k: IntArray
+    log_density: FloatArray
+    blend: FloatArray
+    couples: IntArray
+    blended: FloatArray
+
+    def part(self, kept: BoolArray) -> Candidates:
+        """Some of the candidates."""
+        return replace(
+            self, i=self.i[kept], j=self.j[kept], k=self.k[kept], log_density=self.log_density[kept],
+            blend=self.blend[kept],
+        )  # fmt: skip
+
+
+@in_short
+@dataclass(frozen=True)
+class Blends:
+    """Records of the coarse source, each with no partner, one, or two.
+
+    Attributes
+    ----------
+    partner, other : (n₁,) records of source 2 by the most probable answer of each group, the other of a blend; masked
+        where there is none.
+    p_match : (n₁,) probability of that answer, of no partner where it has none. p_blend : (n₁,) probability that the
+        record is two objects, whichever.
+    candidates, p : (o,) what records may be, and how probable it is.
+    share : c, the probability that the coarse source shows an object. shares : of the error scales.
+    exact : (n₁,) whether all candidates of the record's group were summed.
+    """
+
+    partner: np.ma.MaskedArray
+    other: np.ma.MaskedArray
+    p_match: FloatArray
+    p_blend: FloatArray
+    candidates: Candidates = field(repr=False)
+    p: FloatArray = field(repr=False)
+    share: float
+    shares: tuple[float, ...]
+    exact: BoolArray = field(repr=False)
+
+
+def find_blends(
+    first: Records,
+    second: Records,
+    resolution: float,
+    *,
+    errors: Errors,
+    flux: FloatArray | None = None,
+    coverage: Coverage | None = None,
+    tuning: BlendTuning = DEFAULT_BLENDS,
+) -> Blends:
+    """Which records of a coarse source are one object of a fine one, which are two, and how sure that is.
+
+    Parameters
+    ----------
+    first, second : the coarse and the fine source.
+    resolution : separation in the unit of the residuals (arcsec on the sphere) at which half of the couples are one
+        record of the coarse source.
+    errors : how residuals spread about the quoted errors, as :func:`sameas.estimate.match.match` estimates them.
+    flux : (n₂,) of the fine source's records in the coarse source's band; NaN where not known.
+    coverage : of both, where it is known already.
+
+    Raises
+    ------
+    InputError : a resolution that is not positive, fluxes that are not those of the records.
+
+    Source: METHOD 11.3, with the probability that neither of a couple is shown written out.
+
+    >>> rng = np.random.default_rng(3)
+    >>> fine = rng.uniform(0.0, 100.0, (60, 2))
+    >>> fine[1] = fine[0] + (1.0, 0.0)
+    >>> coarse = np.concatenate([[fine[:2].mean(axis=0)], fine[2:50]]) + 0.1 * rng.standard_normal((49, 2))
+    >>> two = find_blends(Records.of(coarse, sigma=0.1), Records.of(fine, sigma=1e-3), 2.0, errors=Errors())
+    >>> int(two.partner[0]), int(two.other[0]), bool(two.p_blend[0] > 0.9)
+    (0, 1, True)
+    """
+    if not 0.0 < resolution < math.inf:
+        raise InputError(f"blends: the resolution is {resolution:g}; give a positive separation")
+    if flux is not None and (np.shape(flux) != (len(second),) or np.any(np.asarray(flux) <= 0.0)):
+        raise InputError(
+            f"blends: fluxes of shape {np.shape(flux)}; give one above 0 for each of {len(second)} records"
+        )
+    coverage = Coverage.of(first, second) if coverage is None else coverage
+    n1, n2 = (max(int(np.count_nonzero(seen)), 1) for seen in coverage.covered)
+    density = coverage.covered_densities[0][0]
+    every = candidates_of(first, second, resolution, errors, flux, tuning)
+    share, alone, shares = 0.5, 0.5, np.asarray(errors.shares)
+    for _ in range(tuning.rounds):
+        log_odds, log_factor = log_odds_of(every, share, shares, density * alone)
+        kept = log_odds > tuning.least_log_odds
+        found = every.part(kept)
+        summed = hypotheses(found, log_odds[kept], log_factor, len(first), tuning)
+        shown, two = float(summed.p.sum()), float(summed.p[found.k >= 0].sum())
+        before = share
+        # Of couples that are one record, a share c is shown: so many more objects than units that may be.
+        units = max(n2 - two / share, 1.0)
+        share = float(np.clip((shown + 0.5) / (units + 1.0), tuning.least_share, 1.0 - tuning.least_share))
+        alone = min(max(1.0 - shown / n1, tuning.least_share), 1.0)
+        part = shares * np.exp(found.log_density - found.log_density.max(axis=1, keepdims=True, initial=-np.inf))
+        shares = (summed.p @ (part / part.sum(axis=1, keepdims=True)) + shares) / (shown + 1.0)
+        if abs(share - before) < tuning.settled:
+            break
+    return _answered(found, summed, len(first), share, shares)
+
+
+def candidates_of(
+    first: Records, second: Records, resolution: float, errors: Errors, flux: FloatArray | None, tuning: BlendTuning
+) -> Candidates:
+    """All that records of the coarse source may be, one object or two, without regard to how dense they are."""
+    by_model = errors.records(first, second)
+    widest = max(errors.scales) * math.sqrt(
+        sum(float(np.diagonal(records.full_covariance(), axis1=1, axis2=2).max()) for records in by_model)
+    )
+    apart, alike = tuning.reach * resolution, [records.with_errors(0.0, 0.5) for records in (first, second)]
+    near = Radius(apart + tuning.gate_sigmas * widest)(*alike).of(*by_model)
+    order = np.lexsort((near.j, near.i))
+    i, j, residual = near.i[order].astype(np.int64), near.j[order].astype(np.int64), near.residual[order]
+    covariance = near.covariance[order]
+    single = Candidates(
+        i, j, np.full(len(i), -1), _log_densities(residual, covariance, errors), np.ones(len(i)),
+        np.empty((0, 2), np.int64), np.empty(0),
+    )  # fmt: skip
+    e, f = _of_one_record(i)
+    separation = np.sqrt(((residual[e] - residual[f]) ** 2).sum(axis=1))
+    close = separation <= apart
+    e, f, separation = e[close], f[close], separation[close]
+    blended = np.exp(-math.log(2.0) * (separation / resolution) ** tuning.steepness)
+    couples, at = np.unique(np.column_stack([j[e], j[f]]), axis=0, return_index=True)
+    if flux is not None:
+        parts = (np.asarray(flux)[j[e]] / (np.asarray(flux)[j[e]] + np.asarray(flux)[j[f]]))[:, None]
+    else:
+        parts = np.broadcast_to(
+            (np.arange(tuning.flux_shares) + 0.5) / tuning.flux_shares, (len(e), tuning.flux_shares)
+        )
+    density = np.full((len(e), len(errors.scales)), -np.inf)
+    for part in parts.T:
+        between = part[:, None] * residual[e] + (1.0 - part[:, None]) * residual[f]
+        log_n = _log_densities(between, covariance[np.where(part >= 0.5, e, f)], errors)
+        density = np.logaddexp(density, log_n - math.log(parts.shape[1]))
+    return Candidates(
+        np.concatenate([i, i[e]]), np.concatenate([j, j[e]]), np.concatenate([single.k, j[f]]),
+        np.concatenate([single.log_density, density]), np.concatenate([single.blend, blended]), couples, blended[at],
+    )  # fmt: skip
+
+
+def _of_one_record(i: IntArray) -> tuple[IntArray, IntArray]:
+    """(c,), (c,) every two places with the same number, of numbers that rise."""
+    count = np.bincount(i) if len(i) else np.zeros(1, np.int64)
+    parts = [(np.empty(0, np.int64), np.empty(0, np.int64))]
+    for step in range(1, int(count.max())):
+        e = np.flatnonzero(i[:-step] == i[step:])
+        parts.append((e, e + step))
+    one, two = (np.concatenate(side) for side in zip(*parts, strict=True))
+    return one, two
+
+
+def _log_densities(residual: FloatArray, covariance: FloatArray, errors: Errors) -> FloatArray:
+    """(m, s) ln N of residuals (m, d) by every scale of the errors."""
+    d = residual.shape[1]
+    square = np.einsum("md,md->m", residual, np.linalg.solve(covariance, residual[:, :, None])[:, :, 0])
+    peak = -0.5 * (np.linalg.slogdet(covariance)[1] + d * math.log(2.0 * math.pi))
+    scales = np.asarray(errors.scales)
+    return np.asarray(peak[:, None] - d * np.log(scales) - 0.5 * square[:, None] / scales**2)
+
+
+def log_odds_of(
+    found: Candidates, share: float, shares: FloatArray, alone: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(o,) ln of the odds of each candidate against no partner, and (q,) of what a couple, shown apart, loses.
+
+    share : c. shares : (s,) of the error scales. alone : (n₁,) density ρ₁ of coarse records that are nothing else.
+    """
+    missed = 1.0 - share
+    with np.errstate(divide="ignore"):
+        log_n = np.logaddexp.reduce(found.log_density + np.log(shares), axis=1)
+        log_factor = np.log((1.0 - found.blended) * missed / (1.0 - share * (1.0 - found.blended)))
+        as_blend = np.log(found.blend / (1.0 - share * (1.0 - found.blend)))
+    log_odds = log_n - np.log(alone[found.i]) + math.log(share / missed) + np.where(found.k >= 0, as_blend, 0.0)
+    log_factor = np.maximum(log_factor, -1e3)
+    apart = np.zeros(int(max(found.j.max(initial=0), found.k.max(initial=0), found.couples.max(initial=0))) + 1)
+    for side in found.couples.T:
+        np.add.at(apart, side, log_factor)
+    return np.where(found.k >= 0, log_odds, log_odds + apart[found.j]), log_factor
+
+
+@in_short
+@dataclass(frozen=True)
+class Summed:
+    """(o,) probability of each candidate, and whether it is in the most probable answer of its group; (n₁,) exact."""
+
+    p: FloatArray
+    chosen: BoolArray
+    exact: BoolArray
+
+
+def hypotheses(
+    found: Candidates, log_odds: FloatArray, log_factor: FloatArray, n1: int, tuning: BlendTuning = DEFAULT_BLENDS
+) -> Summed:
+    """The sum over all hypotheses of every group.
+
+    log_odds : (o,) of the candidates. log_factor : (q,) of couples; what two of a couple lose is counted once.
+    """
+    p, chosen, exact = np.zeros(len(log_odds)), np.zeros(len(log_odds), np.bool_), np.ones(n1, np.bool_)
+    if not len(log_odds):
+        return Summed(p, chosen, exact)
+    factors = {(int(a), int(b)): float(x) for (a, b), x in zip(found.couples, log_factor, strict=True)}
+    group = _groups(found, n1)
+    order = np.lexsort((found.i, group))
+    for rows in np.split(order, np.flatnonzero(np.diff(group[order])) + 1):
+        i = found.i[rows]
+        if i[0] == i[-1]:
+            w = np.exp(np.minimum(log_odds[rows], 700.0))
+            p[rows] = w / (1.0 + w.sum())
+            best = int(np.argmax(w))
+            chosen[rows[best]] = w[best] > 1.0
+            continue
+        least = -np.inf
+        while np.prod(np.bincount(np.unique(i, return_inverse=True)[1]) + 1.0) > tuning.most_hypotheses:
+            least = float(np.quantile(log_odds[rows], 0.2))
+            rows = rows[log_odds[rows] > least]
+            i = found.i[rows]
+        exact[i] = np.isneginf(least)
+        p[rows], chosen[rows] = _enumerated(found, rows, log_odds[rows], factors)
+    return Summed(p, chosen, exact)
+
+
+def _groups(found: Candidates, n1: int) -> IntArray:
+    """(o,) number of the group of each candidate: of records that compete, or that a couple's objects tie."""
+    two = found.k >= 0
+    by_object = [found.j, found.k[two]]
+    by_record = [found.i, found.i[two]]
+    # A couple shown apart counts once: whoever has the one is of one group with whoever has the other.
+    label = np.arange(n1)
+    n2 = int(max(found.j.max(), found.k.max(), found.couples.max(initial=0))) + 1
+    objects, records = np.concatenate(by_object), np.concatenate(by_record)
+    while True:
+        of_object = np.full(n2, n1)
+        np.minimum.at(of_object, objects, label[records])
+        a, b = found.couples.T if len(found.couples) else (np.empty(0, np.int64),) * 2
+        both = np.minimum(of_object[a], of_object[b])
+        held = (of_object[a] < n1) & (of_object[b] < n1)
+        for side in (a, b):
+            np.minimum.at(of_object, side[held], both[held])
+        new = label.copy()
+        np.minimum.at(new, records, of_object[objects])
+        if np.array_equal(new, label):
+            return label[found.i]
+        label = new
+
+
+def _enumerated(
+    found: Candidates, rows: IntArray, log_odds: FloatArray, factors: dict[tuple[int, int], float]
+) -> tuple[FloatArray, BoolArray]:
+    """Probabilities of the candidates ``rows`` of one group, and which are in its most probable answer."""
+    options: dict[int, list[int]] = {}
+    for place, row in enumerate(rows):
+        options.setdefault(int(found.i[row]), []).append(place)
+    j, k = found.j[rows].tolist(), found.k[rows].tolist()
+
+    def walked(level: int, taken: frozenset[int], apart: tuple[int, ...]) -> Iterator[tuple[float, tuple[int, ...]]]:
+        """ln of the weight, and the candidates, of every way to go on from the first ``level`` records."""
+        if level == len(lists):
+            yield 0.0, ()
+            return
+        yield from walked(level + 1, taken, apart)
+        for place in lists[level]:
+            one, two = j[place], k[place]
+            if one in taken or two in taken:
+                continue
+            log_weight, more = float(log_odds[place]), apart
+            if two < 0:
+                log_weight -= sum(factors.get((min(one, at), max(one, at)), 0.0) for at in apart)
+                more = (*apart, one)
+            for rest, others in walked(level + 1, taken | ({one} if two < 0 else {one, two}), more):
+                yield log_weight + rest, (place, *others)
+
+    lists = list(options.values())
+    told = list(walked(0, frozenset(), ()))
+    weight = np.array([log_weight for log_weight, _ in told])
+    weight = np.exp(weight - weight.max())
+    weight /= weight.sum()
+    p = np.zeros(len(rows))
+    for share, (_, places) in zip(weight, told, strict=True):
+        p[list(places)] += share
+    chosen = np.zeros(len(rows), np.bool_)
+    chosen[list(told[int(np.argmax(weight))][1])] = True
+    return p, chosen
+
+
+def _answered(found: Candidates, summed: Summed, n1: int, share: float, shares: FloatArray) -> Blends:
+    partner, other = (np.ma.array(np.zeros(n1, np.int64), mask=True) for _ in range(2))
+    p_match: FloatArray = np.clip(1.0 - np.bincount(found.i, summed.p, n1), 0.0, 1.0)
+    at = np.flatnonzero(summed.chosen)
+    partner[found.i[at]] = found.j[at]
+    p_match[found.i[at]] = summed.p[at]
+    two = at[found.k[at] >= 0]
+    other[found.i[two]] = found.k[two]
+    p_blend: FloatArray = np.clip(np.bincount(found.i, summed.p * (found.k >= 0), n1), 0.0, 1.0)
+    return Blends(partner, other, p_match, p_blend, found, summed.p, share, tuple(shares.tolist()), summed.exact)

@@ -1,0 +1,137 @@
+"""Blends: sums over all hypotheses, written out; what is stated happens so often."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from sameas import Records, match
+from sameas.errors import InputError
+from sameas.estimate.blends import BlendTuning as Tuning
+from sameas.estimate.blends import candidates_of, find_blends, hypotheses, log_odds_of
+from sameas.evidence import Errors
+from sameas.simulate.blended import blended_field
+
+SIGMA, RESOLUTION, SHARE, ALONE = 0.3, 2.0, 0.7, 0.02
+
+
+def small(rng):
+    fine = rng.uniform(0.0, 4.0, (4, 2))
+    coarse = rng.uniform(0.0, 4.0, (3, 2))
+    flux = rng.uniform(0.2, 3.0, 4)
+    return Records.of(coarse, sigma=SIGMA), Records.of(fine, sigma=1e-6), flux
+
+
+def written_out(coarse, fine, flux):
+    """Every way in which four objects are shown by the coarse source, with its probability up to one factor.
+
+    Objects that are nearer than the reach merge pair by pair; no object takes part in two merged couples.
+    """
+
+    def density(x, at):
+        return math.exp(-((x - at) ** 2).sum() / (2 * SIGMA**2)) / (2 * math.pi * SIGMA**2)
+
+    weights = {}
+    for answer in itertools.product(range(-1, 10), repeat=len(coarse)):
+        couples = list(itertools.combinations(range(len(fine)), 2))
+        said = [() if a < 0 else (a,) if a < 4 else couples[a - 4] for a in answer]
+        used = [n for objects in said for n in objects]
+        if len(set(used)) < len(used):
+            continue
+        weight = 1.0
+        for x, objects in zip(coarse, said, strict=True):
+            if len(objects) == 1:
+                weight *= SHARE * density(x, fine[objects[0]]) / (ALONE * (1 - SHARE))
+            elif objects:
+                w = flux[objects[0]] / flux[list(objects)].sum()
+                weight *= density(x, w * fine[objects[0]] + (1 - w) * fine[objects[1]]) / ALONE
+        for j, k in couples:
+            s = math.dist(fine[j], fine[k])
+            if s > 1.75 * RESOLUTION:
+                weight *= (j, k) not in said
+                continue
+            b = 2.0 ** -((s / RESOLUTION) ** 4)
+            neither = b * (1 - SHARE) + (1 - b) * (1 - SHARE) ** 2
+            if (j, k) in said:
+                weight *= b * SHARE / neither
+            elif any(objects in ((j,), (k,)) for objects in said):
+                weight *= (1 - b) * (1 - SHARE) ** 2 / neither
+        weights[answer] = weight
+    total = sum(weights.values())
+    return {answer: weight / total for answer, weight in weights.items()}
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_probabilities_are_the_sums_over_all_hypotheses(seed):
+    rng = np.random.default_rng([11, seed])
+    first, second, flux = small(rng)
+    tuning = Tuning(least_log_odds=-np.inf, most_hypotheses=1e9)
+    found = candidates_of(first, second, RESOLUTION, Errors(), flux, tuning)
+    log_odds, log_factor = log_odds_of(found, SHARE, np.ones(1), np.full(3, ALONE))
+    summed = hypotheses(found, log_odds, log_factor, 3, tuning)
+    due = written_out(first.features, second.features, flux)
+    couples = list(itertools.combinations(range(4), 2))
+    for i, j, k, p in zip(found.i, found.j, found.k, summed.p, strict=True):
+        number = j if k < 0 else 4 + couples.index((min(j, k), max(j, k)))
+        assert p == pytest.approx(sum(x for answer, x in due.items() if answer[i] == number), abs=1e-9)
+    best = max(due, key=due.get)
+    said = [sum(1 for n in best if n >= 0), summed.chosen.sum()]
+    assert said[0] == said[1]
+
+
+def test_without_neighbours_there_are_pairs_only():
+    rng = np.random.default_rng(2)
+    fine = np.column_stack([np.arange(80.0) * 20.0, np.zeros(80)])
+    coarse = fine[:60] + 0.1 * rng.standard_normal((60, 2))
+    found = find_blends(Records.of(coarse, sigma=0.1), Records.of(fine, sigma=1e-3), 2.0, errors=Errors())
+    assert np.array_equal(found.partner, np.arange(60)) and found.other.mask.all() and not found.p_blend.any()
+    assert found.share == pytest.approx(0.75, abs=0.01) and found.exact.all()
+
+
+@pytest.mark.parametrize("resolution", [0.0, -1.0, np.inf, np.nan])
+def test_a_resolution_is_a_positive_number(resolution):
+    first, second, _ = small(np.random.default_rng(1))
+    with pytest.raises(InputError, match="resolution"):
+        find_blends(first, second, resolution, errors=Errors())
+
+
+def test_fluxes_are_those_of_the_records():
+    first, second, flux = small(np.random.default_rng(1))
+    for wrong in (flux[:2], -flux):
+        with pytest.raises(InputError, match="one above 0 for each of 4 records"):
+            find_blends(first, second, 2.0, errors=Errors(), flux=wrong)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("told", [True, False])
+def test_what_is_said_of_blends_happens_as_often(told):
+    """Fields like WISE on Gaia, 6″: the answers of coarse records, and whether they are blends."""
+    p, right, p_two, two, found_two, real = [], [], [], [], 0, 0
+    for seed in range(3):
+        made = blended_field(np.random.default_rng([12, seed]), objects=1_500)
+        flux = made.flux if told else None
+        said = find_blends(made.first, made.second, made.resolution_arcsec, errors=Errors(), flux=flux)
+        answer = np.column_stack([said.partner.filled(-1), said.other.filled(-1)])
+        ok = (np.sort(answer, axis=1) == np.sort(made.parts, axis=1)).all(axis=1)
+        p.append(said.p_match), right.append(ok)
+        p_two.append(said.p_blend), two.append((made.parts >= 0).all(axis=1))
+        found_two += int((ok & two[-1]).sum())
+        real += int(two[-1].sum())
+    for stated, happened in ((p, right), (p_two, two)):
+        stated, happened = np.concatenate(stated), np.concatenate(happened)
+        sure = np.sqrt(max((stated * (1 - stated)).sum(), 1.0))
+        assert abs(stated.sum() - happened.sum()) < 4.0 * sure
+    assert found_two > (0.8 if told else 0.6) * real > 60
+
+
+def test_a_match_says_which_of_its_records_are_blends():
+    made = blended_field(np.random.default_rng(5), objects=300)
+    found = match(made.first, made.second)
+    table = found.blends(made.resolution_arcsec, flux=made.flux)
+    assert table["row_1"].tolist() == list(range(len(made.first))) and not np.ma.is_masked(table["p_blend"])
+    two = ~np.ma.getmaskarray(table["row_2b"])
+    said = np.sort(np.column_stack([table["row_2"][two], table["row_2b"][two]]), axis=1)
+    assert len(said) > 10 and (said == np.sort(made.parts[two], axis=1)).all(axis=1).mean() > 0.6
+    with pytest.raises(InputError, match="one for each of 300 rows"):
+        found.blends(6.0, flux=[1.0])
