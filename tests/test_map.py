@@ -419,6 +419,61 @@ def test_nothing_went_wrong_and_nothing_was_fetched(shown: tuple[Browser, MapShe
 
 @pytest.mark.slow
 @in_a_browser
+def test_thousands_of_ships_thin_out_and_come_back_whole_when_one_zooms_in(tmp_path: Path) -> None:
+    write_map_page(charted(2000, 2, reach_m=20_000.0), tmp_path / "map.html")
+    browser = Browser(tmp_path / "profile", tmp_path / "map.html", (1400, 900))
+    try:
+        marks = "(mapPage.paint(), mapPage.hits.filter(hit => hit.record).length)"
+        ambiguous = "[...mapPage.now.rows].filter(r => mapPage.objects.ambiguous[r]).map(r => mapPage.objects.n[r])"
+        few, whole = browser.js(marks), browser.js("mapPage.now.marks.length")
+        assert browser.js("mapPage.crowd.radius") < 5 and whole > 2000
+        # Of the records only those of the ambiguous two are left.
+        assert few <= 3 * len(browser.js(ambiguous))
+        # A dot is an object to the hand as a symbol is.
+        assert browser.js("mapPage.hits.filter(hit => !hit.record).length") > 1500
+        for _ in range(7):
+            browser.js("document.getElementById('closer').click()")
+        browser.js("mapPage.paint()")
+        assert browser.js("mapPage.crowd.radius") == 8 and browser.js("mapPage.crowd.details")
+        assert browser.js(marks) > 5
+        # The chosen row is in the middle of the chart, wherever it was.
+        browser.click(*centre_of(browser, "#rows tr[data-number='4']"))
+        assert place_of(browser, 4) == pytest.approx(centre_of(browser, "#chart"), abs=2.0)
+        assert not browser.errors
+    finally:
+        browser.close()
+
+
+@pytest.mark.slow
+@in_a_browser
+def test_what_is_improbable_is_not_said_to_be_seen_by_several(tmp_path: Path) -> None:
+    sheet = charted(6, 6)
+    several = np.asarray(sheet.objects["n_sources"]) > 1
+    first = int(np.flatnonzero(several & (sheet.instant_of(sheet.objects) == 3) & (sheet.objects["object"] != 1))[0])
+    number, sources = int(sheet.objects["object"][first]), int(sheet.objects["n_sources"][first])
+    sheet.objects["probability"][first] = 0.00005
+    write_map_page(sheet, tmp_path / "map.html")
+    browser = Browser(tmp_path / "profile", tmp_path / "map.html", (1400, 900))
+    try:
+        browser.js(f"mapPage.show(3); mapPage.pick({number})")
+        browser.until("document.getElementById('object').innerText.includes('Perhaps these records')")
+        told = words(browser, "object")
+        assert f"perhaps {sources} sources" in told and "probability < 0.0001" in told
+        assert f"\n{sources} sources" not in told and "These records are one object" not in told
+        row = f"document.querySelector('#rows tr[data-number=\"{number}\"]')"
+        assert browser.js(f"{row}.querySelector('.sources').textContent") == "?"
+        # Nothing of a number is cut off.
+        cut = "[...document.querySelectorAll('#rows td.number')].filter(td => td.scrollWidth > td.clientWidth).length"
+        assert browser.js(cut) == 0
+        seen = int(np.sum(several & (sheet.instant_of(sheet.objects) == 3))) - 1
+        assert f"{seen} seen by two or more sources" in words(browser, "counts")
+        assert not browser.errors
+    finally:
+        browser.close()
+
+
+@pytest.mark.slow
+@in_a_browser
 def test_metres_alone_make_a_map_on_a_phone(tmp_path: Path) -> None:
     write_map_page(charted(plane=None), tmp_path / "map.html")
     browser = Browser(tmp_path / "profile", tmp_path / "map.html", (1000, 700))

@@ -109,13 +109,14 @@ function paint() {
       };
     });
   trails(c, drawn);
+  crowd = crowding(drawn);
   if (shown.ellipses) ellipses(c, drawn);
   hits = [];
   marks(c, w, h);
   if (shown.members) memberLines(c, drawn);
   markSymbols(c);
-  const crowded = drawn.filter(d => d.inside).length > 120;
-  for (const d of drawn) if (d.inside) symbol(c, d, crowded ? 6 : 8);
+  // What matters lies on top.
+  for (const d of drawn.filter(d => d.inside).sort((a, b) => rank(b) - rank(a))) symbol(c, d, matters(d.n) ? 8 : crowd.radius);
   if (shown.labels)
     labels(
       c,
@@ -127,6 +128,26 @@ function paint() {
   for (const overlay of overlays) overlay(c, w, h);
   document.body.dataset.drawn = String(now.k);
 }
+
+// How far apart objects are where they are, px, and what room that leaves: symbols of many shrink to dots, and what hangs
+// on them comes back when one zooms in. What is picked, ambiguous or alarmed is drawn whole always.
+let crowd = { radius: 8, details: true };
+function crowding(drawn) {
+  const cell = 40,
+    cells = new Set();
+  let n = 0;
+  for (const d of drawn)
+    if (d.inside) {
+      n++;
+      cells.add(Math.floor(d.u / cell) * 4096 + Math.floor(d.v / cell));
+    }
+  const spacing = n > 60 ? Math.sqrt((cells.size * cell * cell) / n) : Infinity;
+  return { radius: Math.min(8, Math.max(2, spacing / 4)), details: spacing > 22 };
+}
+function matters(n) {
+  return n === picked || now.alarmed.has(n) || !!objects.ambiguous[now.rowOf.get(n)];
+}
+const drawnWhole = n => crowd.details || matters(n);
 
 function trails(c, drawn) {
   const back = +el("trail").value;
@@ -168,7 +189,7 @@ function ellipses(c, drawn) {
   c.lineWidth = 1.2;
   for (const d of drawn) {
     const stage = objects.stage[d.r];
-    if (!d.inside || stage === STAGE.ended || !traceEllipse(c, objects, d.r, d.u, d.v, 2)) continue;
+    if (!d.inside || stage === STAGE.ended || !drawnWhole(d.n) || !traceEllipse(c, objects, d.r, d.u, d.v, 2)) continue;
     c.strokeStyle = objects.ambiguous[d.r] ? colour.warn : d.n === picked ? colour.accent : colour.dim;
     c.stroke();
   }
@@ -197,11 +218,13 @@ function markPlace(r) {
 function marks(c, w, h) {
   if (!shown.records) return;
   for (const r of now.marks) {
-    if (!shown.source[records.source[r]]) continue;
-    if (Number.isFinite(records.bearing[r]) && Number.isFinite(records.sx[r])) ray(c, r, w, h);
-    const place = rowsOf.has(records.n[r]) && markPlace(r);
+    if (!shown.source[records.source[r]] || !drawnWhole(records.n[r])) continue;
+    const place = rowsOf.has(records.n[r]) && markPlace(r),
+      [u, v] = place ? toScreen(...place) : [NaN, NaN];
+    // Of directions to what is out of sight none is drawn: of hundreds they would cover the chart.
+    const unseen = place && (u < -10 || v < -10 || u > w + 10 || v > h + 10);
+    if (Number.isFinite(records.bearing[r]) && Number.isFinite(records.sx[r]) && (!unseen || matters(records.n[r]))) ray(c, r, w, h);
     if (!place) continue;
-    const [u, v] = toScreen(...place);
     if (u > -10 && v > -10 && u < w + 10 && v < h + 10) hits.push({ u, v, r, n: records.n[r], record: true });
   }
 }
@@ -236,6 +259,7 @@ function ray(c, r, w, h) {
 
 function memberLines(c, drawn) {
   for (const d of drawn) {
+    if (!drawnWhole(d.n)) continue;
     c.setLineDash([]);
     c.lineWidth = d.n === picked ? 2 : 1;
     for (const r of now.members.get(d.n)) join(c, d, r, colourOf(records.source[r]));
@@ -260,7 +284,7 @@ function join(c, d, r, ink) {
 
 function symbol(c, d, radius) {
   const stage = objects.stage[d.r];
-  if (d.ahead) {
+  if (d.ahead && drawnWhole(d.n)) {
     const [u, v] = d.ahead;
     c.setLineDash(stage === STAGE.coasting || stage === STAGE.tentative ? [6, 4] : []);
     const path = new Path2D();
@@ -269,7 +293,7 @@ function symbol(c, d, radius) {
     strokeOnHalo(c, path, objects.ambiguous[d.r] ? colour.warn : colour.ink, 1.7);
   }
   drawSymbol(c, stage, d.u, d.v, {
-    several: objects.sources[d.r] > 1,
+    several: isSeveral(d.r),
     ambiguous: !!objects.ambiguous[d.r],
     alarmed: now.alarmed.has(d.n),
     r: radius,

@@ -360,6 +360,12 @@ function start() {
   document.body.dataset.ready = "yes";
 }
 window.mapPage = {
+  get crowd() {
+    return crowd;
+  },
+  get hits() {
+    return hits;
+  },
   paint,
   toScreen,
   toMetres,

@@ -23,6 +23,8 @@ function takenRoom() {
 }
 function takeSymbols(room, drawn) {
   for (const d of drawn) {
+    // Dots of a crowd may lie under labels, or it would have none.
+    if (!drawnWhole(d.n)) continue;
     room.take([d.u - 7, d.v - 7, d.u + 7, d.v + 7]);
     const steps = d.ahead ? Math.min(12, Math.hypot(d.ahead[0] - d.u, d.ahead[1] - d.v) / 9) : 0;
     for (let k = 1; k <= steps; k++) {
@@ -75,6 +77,8 @@ function labels(c, w, h, drawn) {
   const named = drawn.filter(d => objects.stage[d.r] !== STAGE.ended).sort((a, b) => rank(a) - rank(b) || a.n - b.n);
   const room = takenRoom();
   takeSymbols(room, drawn);
+  // In a crowd labels stand so far apart that they are read as some of many.
+  const spread = crowd.details ? 0 : 46;
   c.font = "12px system-ui, 'DejaVu Sans', sans-serif";
   c.textBaseline = "middle";
   c.textAlign = "left";
@@ -84,6 +88,7 @@ function labels(c, w, h, drawn) {
     const full = Number.isFinite(objects.speed[d.r]) && (named.length < 60 || d.n === picked);
     const high = Number.isFinite(objects.height[d.r]) ? ` ${flightLevel(objects.height[d.r])}` : "";
     const moving = `${knots(objects.speed[d.r])} ${course(objects.course[d.r])}${high}`;
+    if (spread && !matters(d.n) && !room.free([d.u - 2 * spread, d.v - spread, d.u + 2 * spread, d.v + spread])) continue;
     if (!full || !placed(c, room, d, [name, moving], w)) placed(c, room, d, [name], w);
   }
 }

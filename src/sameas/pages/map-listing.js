@@ -4,13 +4,13 @@ const COLUMNS = [
   { key: "label", words: "object", of: r => nameOf(r).toLowerCase(), say: r => nameOf(r) },
   { key: "speed", words: "kn", number: true, of: r => objects.speed[r], say: r => fix(objects.speed[r] / KNOT, 1) },
   { key: "course", words: "course", number: true, of: r => objects.course[r], say: r => course(objects.course[r]) },
-  { key: "sources", words: "seen by", of: r => -objects.sources[r], say: null },
+  { key: "sources", words: "seen by", of: r => (isSeveral(r) ? -objects.sources[r] : objects.sources[r] ? -1 : 0), say: null },
   {
     key: "p",
     words: "p",
     number: true,
     of: r => objects.p[r],
-    say: r => (now.members.get(numberOf(r)).length > 1 ? probability(objects.p[r]).replace("> 0.9999", "1.00") : ""),
+    say: r => (now.members.get(numberOf(r)).length > 1 ? probability(objects.p[r]).replace("> 0.9999", "1.00").replace("< 0.0001", "0.00") : ""),
   },
 ];
 const order = { key: "number", down: false };
@@ -139,13 +139,14 @@ function fill(tr, r) {
       return;
     }
     const seen = [...new Set(now.members.get(n).map(m => records.source[m]))].sort((a, b) => a - b),
-      key = seen.join() + night;
+      unsure = seen.length > 1 && !isSeveral(r),
+      key = seen.join() + night + unsure;
     if (td.dataset.seen === key) return;
     td.dataset.seen = key;
-    td.title = seen.map(s => data.sensors[s].name).join(", ");
+    td.title = (unsure ? "perhaps " : "") + seen.map(s => data.sensors[s].name).join(", ");
     td.setAttribute("aria-label", td.title || "none now");
     td.replaceChildren(
-      ...(seen.length ? seen.map(s => sourceIcon(s)) : [text("span", data.stages[objects.stage[r]], "hint")]),
+      ...(seen.length ? [...seen.map(s => sourceIcon(s)), ...(unsure ? [text("span", "?", "unsure")] : [])] : [text("span", data.stages[objects.stage[r]], "hint")]),
     );
   });
 }

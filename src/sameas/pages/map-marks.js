@@ -89,6 +89,13 @@ function drawSymbol(c, stage, x, y, { several = false, ambiguous = false, alarme
   c.setLineDash([]);
   c.lineWidth = 1.5;
   if (stage === STAGE.ended) return c.stroke(outlineAt("cross", x, y, 4));
+  // Among thousands an object is a dot, pale where no source shows it for certain.
+  if (r < 4 && !ambiguous && !alarmed) {
+    c.globalAlpha = stage === STAGE.confirmed ? 1 : 0.55;
+    c.fill(outlineAt("circle", x, y, Math.max(r, 1.6)));
+    c.globalAlpha = 1;
+    return;
+  }
   const ring = outlineAt("circle", x, y, r);
   c.save();
   c.strokeStyle = colour.halo;

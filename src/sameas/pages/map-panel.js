@@ -53,8 +53,10 @@ function tags(r) {
   line.className = "tags";
   line.append(
     tag(`object ${numberOf(r)}`),
-    tag(data.stages[objects.stage[r]], objects.stage[r] === STAGE.coasting ? "warn" : ""),
-    tag(objects.sources[r] ? plural(objects.sources[r], "source") : "no source now"),
+    tag(`track ${data.stages[objects.stage[r]]}`, objects.stage[r] === STAGE.coasting ? "warn" : ""),
+    isSeveral(r) || objects.sources[r] < 2
+      ? tag(objects.sources[r] ? plural(objects.sources[r], "source") : "no source now")
+      : tag(`perhaps ${plural(objects.sources[r], "source")}`, "warn"),
   );
   if (objects.ambiguous[r]) line.append(tag("ambiguous", "warn"));
   if (now.alarmed.has(numberOf(r))) line.append(tag("alarm", "alarm"));
@@ -101,11 +103,12 @@ function state(r) {
 function membership(r) {
   const own = now.members.get(numberOf(r)),
     parts = [];
+  const one = own.length < 2 ? "This record is an object of its own" : isSeveral(r) ? "These records are one object" : "Perhaps these records are one object";
   parts.push(
     text(
       "h3",
       own.length
-        ? `${own.length > 1 ? "These records are one object" : "This record is an object of its own"}: probability ${probability(objects.p[r])}`
+        ? `${one}: probability ${probability(objects.p[r])}`
         : "No source shows it now; its place is predicted",
     ),
   );
@@ -284,7 +287,7 @@ function showCounts() {
   for (const e of document.querySelectorAll("[data-count]")) e.textContent = grouped(counts[e.dataset.count]);
   const live = now.rows.filter(r => objects.stage[r] !== STAGE.ended),
     doubtful = live.filter(r => objects.ambiguous[r]).length,
-    several = live.filter(r => objects.sources[r] > 1).length;
+    several = live.filter(isSeveral).length;
   el("counts").replaceChildren(
     text("b", plural(live.length, "object")),
     `, ${grouped(several)} seen by two or more sources`,

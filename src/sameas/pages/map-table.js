@@ -112,4 +112,7 @@ function instant(k) {
 }
 const rivalsOf = row => [...objects.rivalRows.subarray(objects.rivals[row], objects.rivals[row + 1])];
 const numberOf = row => objects.n[row];
+// Whether several sources show an object: what is said of it everywhere follows the probability that they do.
+const LIKELY = 0.5;
+const isSeveral = row => objects.sources[row] > 1 && !(objects.p[row] < LIKELY);
 const nameOf = row => said("o", "label", row) || `#${numberOf(row)}`;

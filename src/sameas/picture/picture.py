@@ -89,7 +89,7 @@ class Picture:
     objects : columns, one row per object and instant; records : one row per record that took part and instant. See
         :mod:`sameas.picture.picture`.
     summary : of the whole.
-    texts : explanations, by place in ``instants_s`` and number of the object: where its records or rivals changed.
+    texts : explanations, by place in ``instants_s`` and number of the object: where records, rivals or p changed.
     plane : of x_m and y_m; None for the user's own.
     watch : the state for later instants.
     """
@@ -146,7 +146,7 @@ class Picture:
             raise InputError("picture: give one instant or more, in seconds, each later than the one before")
         objects, records, tallies = [], [], []
         texts: dict[tuple[int, int], str] = {}
-        explained: dict[int, tuple[str, str]] = {}
+        explained: dict[int, tuple[str, str, float]] = {}
         state = None
         for k, state in enumerate(picture_states(scene, times, watch, features=features)):
             if progress is not None:
@@ -163,21 +163,24 @@ class Picture:
         )  # fmt: skip
 
 
-def _to_explain(state: PictureState[Carried], explained: dict[int, tuple[str, str]]) -> list[int]:
-    """Objects of two records or with a likely rival, whose tracks, or the rival's, differ from the last explanation.
+def _to_explain(state: PictureState[Carried], explained: dict[int, tuple[str, str, float]]) -> list[int]:
+    """Objects of two records or with a likely rival, whose tracks, or the rival's, or probability are new.
 
     A plot without a track is a new one at every scan.
     """
     scan = state.scan
     names = [description.name for description in scan.now.descriptions]
-    columns = zip(scan.source.tolist(), scan.track.tolist(), scan.row.tolist(), strict=True)
-    words = [f"{names[s]}:{track or row}" for s, track, row in columns]
+    records = zip(scan.source.tolist(), scan.track.tolist(), scan.row.tolist(), strict=True)
+    words = [f"{names[s]}:{track or row}" for s, track, row in records]
     several, out = (state.members >= 0).sum(axis=1) > 1, []
     rivals = np.where(state.p_runner_up[:, None] > scan.tuning.explained_rival, state.runner_up, -1)
     texts = joined(state.members, words).tolist(), joined(rivals, words).tolist()
-    for number, members, rival, is_joint in zip(state.number.tolist(), *texts, several.tolist(), strict=True):
-        if (is_joint or rival) and explained.get(number) != (members, rival):
-            explained[number] = members, rival
+    columns = state.number.tolist(), *texts, several.tolist(), state.probability.tolist()
+    for number, members, rival, is_joint, p in zip(*columns, strict=True):
+        *last, p_last = explained.get(number, ("", "", -1.0))
+        changed = last != [members, rival] or abs(p - p_last) > scan.tuning.explained_change
+        if (is_joint or rival) and changed:
+            explained[number] = members, rival, p
             out.append(number)
     return out
 

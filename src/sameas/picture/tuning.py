@@ -15,6 +15,7 @@ class Tuning:
         velocity. It is below 1, since taking a range bias off changes an unmeasured velocity by some percent.
     ambiguous_below : an object is ambiguous where its records are less probable than this.
     explained_rival : a rival less probable than this gives no new explanation.
+    explained_change : a probability that changes by more than this does.
     crossing_share : directions cross where they leave the object less than this share of the region's width.
 
     manoeuvre_chi_sq : a report farther than this χ² from its prediction is of a manoeuvre and does not measure errors;
@@ -60,6 +61,7 @@ class Tuning:
     unknown_velocity_share: float = 0.9
     ambiguous_below: float = 0.95
     explained_rival: float = 1e-3
+    explained_change: float = 0.02
     crossing_share: float = 0.2
 
     manoeuvre_chi_sq: float = 13.8
