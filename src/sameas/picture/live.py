@@ -28,6 +28,7 @@ from sameas.picture.watch import Watch
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.feed import Feed
 from sameas.tracks.growing import Counts, GrowingFeed, unbiased_now
+from sameas.tracks.heights import HeightModel
 from sameas.tracks.registration import SourceBiases
 from sameas.tracks.reports import Reports, joined
 from sameas.tracks.scene import POSITION, Scene
@@ -97,6 +98,7 @@ class LivePicture:
         self._feeds = {d.name: GrowingFeed(d, self.plane, lag_s, tuning=tuning) for d in descriptions}
         self._carried: Watch | PlotPicture | None = watch
         self._biases: dict[str, SourceBiases] = {}
+        self._heights: HeightModel | None = None
         self._recent: dict[str, deque[Reports]] = {name: deque() for name in names}
         self._last_s = -math.inf
 
@@ -168,7 +170,8 @@ class LivePicture:
                 f"the picture is at {self._last_s:g} s and was asked for {instant_s:g} s; give instants in the order "
                 "of time"
             )
-        scene = Scene(tuple(self._feed(feed, instant_s) for feed in self._feeds.values()), self.plane, self.tuning)
+        feeds = tuple(self._feed(feed, instant_s) for feed in self._feeds.values())
+        scene = Scene(feeds, self.plane, self.tuning, self._heights or HeightModel.as_given(feeds))
         carried = self._start() if self._carried is None else self._named(self._carried)
         state: LiveState
         if isinstance(carried, PlotPicture):
@@ -188,7 +191,7 @@ class LivePicture:
         """
         found = estimated(self.recent(), self.plane)
         self.take_off(found)
-        return found
+        return found.biases
 
     def recent(self) -> list[tuple[Description, Reports]]:
         """The sources with their reports of the last minutes, of those that have any."""
@@ -196,9 +199,10 @@ class LivePicture:
             (self._feeds[name].description, joined(list(recent))) for name, recent in self._recent.items() if recent
         ]
 
-    def take_off(self, found: Sequence[SourceBiases]) -> None:
+    def take_off(self, found: Registered) -> None:
         """Takes these biases off the later instants; those that are not established leave what is taken off."""
-        for one in found:
+        self._heights = found.heights or self._heights
+        for one in found.biases:
             if one.established and one.theta is not None:
                 self._biases[one.source] = one
 
@@ -224,13 +228,20 @@ class LivePicture:
         return replace(watch, objects=replace(watch.objects, n_numbers=used))
 
 
-def estimated(
-    sources: Sequence[tuple[Description, Reports]], plane: LocalPlane | None = None
-) -> tuple[SourceBiases, ...]:
-    """The biases of sources by some minutes of their reports; none where there is but one."""
+@dataclass(frozen=True)
+class Registered:
+    """What some minutes of reports show: the biases of the sources, and how their heights are brought to one kind."""
+
+    biases: tuple[SourceBiases, ...] = ()
+    heights: HeightModel | None = None
+
+
+def estimated(sources: Sequence[tuple[Description, Reports]], plane: LocalPlane | None = None) -> Registered:
+    """The biases of sources and of their heights by some minutes of their reports; none where there is but one."""
     if len(sources) < 2:
-        return ()
-    return Scene.of(sources, plane).registered()[1]
+        return Registered()
+    scene, biases = Scene.of(sources, plane).registered()
+    return Registered(biases, HeightModel.of(scene.feeds))
 
 
 def _on_earth(description: Description) -> bool:

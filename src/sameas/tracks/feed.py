@@ -153,7 +153,8 @@ class Feed:
     measured : where a filter made tracks of them, what was measured at each report, with the velocity of its track.
     rotation : of an antenna whose bare plots bear their own stamps; None where looks are exposures.
     p_stationary : (n,) probability that a report is of a stationary object; None where the motion has no such objects.
-    tuning : of tracks.
+    tuning : of tracks. heights : of a growing feed the (n, 4) columns of ``heights.HeightColumns``, None where it has
+        had none; otherwise they are in ``raw_reports``.
     """
 
     description: Description
@@ -168,6 +169,7 @@ class Feed:
     rotation: AntennaRotation | None = None
     p_stationary: FloatArray | None = None
     tuning: Tuning = DEFAULT_TUNING
+    heights: FloatArray | None = None
 
     @classmethod
     def of(

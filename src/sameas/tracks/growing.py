@@ -38,6 +38,7 @@ from sameas.tracks.feed import (
     walk_of,
 )
 from sameas.tracks.filter import follow, measures_anew
+from sameas.tracks.heights import HeightColumns
 from sameas.tracks.placement import Directions, PlacedReports
 from sameas.tracks.reports import Reports
 from sameas.tracks.scans import scans_of
@@ -117,6 +118,7 @@ class GrowingFeed:
         self._named: bool | None = None
         self._horizon_s = -math.inf
         self._directions = self.description.kind in _DIRECTIONS
+        self._has_heights = False
 
     @property
     def named(self) -> bool:
@@ -147,6 +149,7 @@ class GrowingFeed:
         biases = known_biases(self.description, sensor_m)
         there = corrected(there, sensor_m, biases) if biases.any() else there
         attributes = {name: column for name in MODELS if (column := getattr(reports, name, None)) is not None}
+        heights = None if isinstance(there, Directions) else HeightColumns.of(self.description, reports)
         usable = np.flatnonzero(there.usable)
         self.counts.newest_s = max(self.counts.newest_s, float(there.time_s.max()))
         if isinstance(there, Directions):
@@ -156,6 +159,8 @@ class GrowingFeed:
             if self.to_tracks is None and there.track is not None:
                 self._decide_filtering(placed)
             new = _Rows.of_states(there, usable, sensor_m, attributes)
+        if heights is not None:
+            new.heights, self._has_heights = heights.table[usable], True
         if self._named is None:
             self._named = there.track is not None
         if there.track is not None:
@@ -195,7 +200,7 @@ class GrowingFeed:
             still = rows.p_stationary
         feed = Feed(
             self.description, reports, scan_times_s, scan_s, sensor_m, rows.attributes, None, (), None, rotation,
-            still, self.tuning,
+            still, self.tuning, rows.heights if self._has_heights else None,
         )  # fmt: skip
         if self._named:
             feed = feed.knowing(self._succession(rows), self.track_timeout_s)
@@ -443,6 +448,10 @@ def unbiased_now(feed: Feed, biases: FloatArray, covariance: FloatArray) -> Feed
     return without.knowing(timed, feed.track_timeout_s)
 
 
+#: Columns of a feed that its reports have.
+_VISIBLE = ("time_s", "state", "covariance", "p_stationary", "sensor_m", "heights")
+
+
 class _Rows:
     """Rows of reports, columns by name; ``taken`` says which hold one."""
 
@@ -450,6 +459,7 @@ class _Rows:
         ("time_s", (), -math.inf), ("measured", (4,), math.nan), ("measured_covariance", (4, 4), math.nan),
         ("filtered", (4,), math.nan), ("filtered_covariance", (4, 4), math.nan), ("state", (4,), math.nan),
         ("covariance", (4, 4), math.nan), ("p_stationary", (), 0.0), ("sensor_m", (2,), math.nan),
+        ("heights", (4,), math.nan),
     )  # fmt: skip
     time_s: FloatArray
     measured: FloatArray
@@ -460,6 +470,7 @@ class _Rows:
     covariance: FloatArray
     p_stationary: FloatArray
     sensor_m: FloatArray
+    heights: FloatArray
 
     def __init__(self, n: int) -> None:
         for name, shape, empty in self.ARRAYS:
@@ -516,7 +527,7 @@ class _Rows:
     def visible(self) -> _Rows:
         """Of a feed: copies of what later reports would change, without what only the filter needs."""
         out = _Rows(0)
-        for name in ("time_s", "state", "covariance", "p_stationary", "sensor_m", "taken", "number", "serial", "name"):
+        for name in (*_VISIBLE, "taken", "number", "serial", "name"):
             setattr(out, name, getattr(self, name).copy())
         # Directions are in what was measured.
         out.measured = self.measured.copy()

@@ -8,8 +8,8 @@ sources of one kind, such as the pressure that one of them corrects for, is esti
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -21,6 +21,7 @@ from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions, heights_by_elevation
 from sameas.tracks.reports import Reports
 from sameas.tracks.snapshot import Snapshot
+from sameas.tracks.source import Description
 
 
 @dataclass(frozen=True)
@@ -80,24 +81,28 @@ class HeightReports:
 
 
 @dataclass(frozen=True)
-class _Columns:
-    """The heights of one source as it gives them."""
+class HeightColumns:
+    """The heights of one source as it gives them, (n,) each, NaN where a report has none.
 
-    pressure: FloatArray
-    geometric: FloatArray
+    pressure_m, geometric_m : height in the standard atmosphere, and above the ellipsoid. sigma_m : 1σ of either.
+    climb_m_per_s : vertical speed.
+    """
+
+    pressure_m: FloatArray
+    geometric_m: FloatArray
     sigma_m: FloatArray
+    climb_m_per_s: FloatArray
 
     @classmethod
-    def of(cls, feed: Feed, tuning: HeightTuning) -> _Columns | None:
-        reports = feed.raw_reports
-        if reports is None or isinstance(feed.reports, Directions):
-            return None
+    def of(
+        cls, description: Description, reports: Reports, tuning: HeightTuning = DEFAULT_TUNING
+    ) -> HeightColumns | None:
+        """Those of reports with positions; None where none has a height."""
         n, nothing = len(reports), np.full(len(reports), np.nan)
         pressure = nothing if reports.pressure_alt_m is None else reports.pressure_alt_m
         geometric = nothing if reports.alt_m is None else reports.alt_m
-        if reports.z_m is not None and feed.description.site is None:
+        if reports.z_m is not None and description.site is None:
             geometric = np.where(np.isfinite(geometric), geometric, reports.z_m)
-        description = feed.description
         stated = nothing if reports.sigma_alt_m is None else reports.sigma_alt_m
         sigma = np.where(stated > 0.0, stated, np.full(n, description.errors.height_m or tuning.sigma_m))
         site_m = 0.0 if description.site is None else description.site.height_m
@@ -105,29 +110,107 @@ class _Columns:
         if measured is not None:
             only = ~np.isfinite(geometric) & ~np.isfinite(pressure) & np.isfinite(measured[0]) & (measured[1] > 0.0)
             geometric, sigma = np.where(only, measured[0], geometric), np.where(only, measured[1], sigma)
-        if not (np.isfinite(pressure).any() or np.isfinite(geometric).any()):
+        climb = nothing if reports.climb_m_per_s is None else reports.climb_m_per_s
+        out = cls(pressure, geometric, sigma, climb)
+        return out if out.any else None
+
+    @property
+    def any(self) -> bool:
+        """Whether any report has a height."""
+        return bool(np.isfinite(self.pressure_m).any() or np.isfinite(self.geometric_m).any())
+
+    @property
+    def table(self) -> FloatArray:
+        """(n, 4) the columns, in their order."""
+        return np.column_stack([self.pressure_m, self.geometric_m, self.sigma_m, self.climb_m_per_s])
+
+
+def _columns_of(feed: Feed, tuning: HeightTuning) -> HeightColumns | None:
+    """The heights of a feed's reports: of those that the reader gave, or those that a growing feed has kept."""
+    if isinstance(feed.reports, Directions):
+        return None
+    if feed.heights is not None:
+        kept = HeightColumns(*feed.heights.T)
+        return kept if kept.any else None
+    return None if feed.raw_reports is None else HeightColumns.of(feed.description, feed.raw_reports, tuning)
+
+
+@dataclass(frozen=True)
+class HeightOffset:
+    """By how much a source's heights are above the reference's: ``offset_m`` + ``gain`` × height; scatter and words."""
+
+    offset_m: float
+    gain: float
+    scatter_m: float
+    note: str
+
+
+@dataclass(frozen=True)
+class HeightModel:
+    """How the heights of all sources become heights of one kind, without offsets between the sources.
+
+    kind : PRESSURE or GEOMETRIC. line : between the kinds, None where nothing shows it. offsets : by name of source.
+    """
+
+    kind: str = PRESSURE
+    line: _Line | None = None
+    offsets: Mapping[str, HeightOffset] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, feeds: Sequence[Feed], tuning: HeightTuning = DEFAULT_TUNING) -> HeightModel | None:
+        """What the reports of these feeds show; None where none has a height."""
+        columns = [_columns_of(feed, tuning) for feed in feeds]
+        known = [one for one in columns if one is not None]
+        if not known:
             return None
-        return cls(pressure, geometric, sigma)
+        model = cls(kind_of(known), _line(known, tuning))
+        raw = [None if one is None else _of_kind(one, model.kind, model.line, tuning) for one in columns]
+        counts = [0 if one is None else int(np.isfinite(one.height_m).sum()) for one in raw]
+        reference = int(np.argmax(counts))
+        against, offsets = raw[reference], {}
+        assert against is not None
+        for k, (one, feed) in enumerate(zip(raw, feeds, strict=True)):
+            if k != reference and one is not None and counts[k]:
+                found = _offset(one, feed, against, feeds[reference], tuning)
+                if found is not None:
+                    offsets[feed.description.name] = found
+        return replace(model, offsets=offsets)
+
+    @classmethod
+    def as_given(cls, feeds: Sequence[Feed], tuning: HeightTuning = DEFAULT_TUNING) -> HeightModel | None:
+        """Of the kind that these feeds have, line and offsets unknown; None where none has a height."""
+        known = [one for feed in feeds if (one := _columns_of(feed, tuning)) is not None]
+        return cls(kind_of(known)) if known else None
+
+    def heights(self, source: str, columns: HeightColumns, tuning: HeightTuning = DEFAULT_TUNING) -> HeightReports:
+        """The heights of a source, all of the one kind, without its offset."""
+        heights = _of_kind(columns, self.kind, self.line, tuning)
+        offset = self.offsets.get(source)
+        if offset is None:
+            return heights
+        # Errors that were those of an unknown difference of the kinds are the scatter that the pairs show.
+        found = np.minimum(heights.sigma_m, offset.scatter_m)
+        corrected = (heights.height_m - offset.offset_m) / (1.0 + offset.gain)
+        return replace(heights, height_m=corrected, sigma_m=found, notes=(*heights.notes, offset.note))
 
 
-def heights_of(feeds: Sequence[Feed], tuning: HeightTuning = DEFAULT_TUNING) -> tuple[HeightReports | None, ...]:
-    """The heights of every source, all of one kind and without offsets between them; None where a source has none."""
-    columns = [_Columns.of(feed, tuning) for feed in feeds]
-    known = [one for one in columns if one is not None]
-    if not known:
+def kind_of(columns: Sequence[HeightColumns]) -> str:
+    """The kind that heights are brought to: PRESSURE where any source has pressure heights."""
+    return PRESSURE if any(np.isfinite(one.pressure_m).any() for one in columns) else GEOMETRIC
+
+
+def heights_of(
+    feeds: Sequence[Feed], model: HeightModel | None = None, tuning: HeightTuning = DEFAULT_TUNING
+) -> tuple[HeightReports | None, ...]:
+    """The heights of every source, all of one kind and without offsets between them; None where a source has none.
+
+    model : how they become so; what these reports show where not given.
+    """
+    model = HeightModel.of(feeds, tuning) if model is None else model
+    if model is None:
         return (None,) * len(feeds)
-    kind = PRESSURE if any(np.isfinite(one.pressure).any() for one in known) else GEOMETRIC
-    line = _line(known, tuning)
-    out = [
-        None if one is None else _of_kind(one, kind, line, feed.raw_reports, tuning)
-        for one, feed in zip(columns, feeds, strict=True)
-    ]
-    counts = [0 if one is None else int(np.isfinite(one.height_m).sum()) for one in out]
-    reference = int(np.argmax(counts))
-    for k in range(len(out)):
-        if k != reference and counts[k]:
-            out[k] = _without_offset(out[k], feeds[k], out[reference], feeds[reference], tuning)
-    return tuple(out)
+    given = ((feed.description.name, _columns_of(feed, tuning)) for feed in feeds)
+    return tuple(None if columns is None else model.heights(name, columns, tuning) for name, columns in given)
 
 
 @dataclass(frozen=True)
@@ -140,9 +223,11 @@ class _Line:
     count: int
 
 
-def _line(known: Sequence[_Columns], tuning: HeightTuning) -> _Line | None:
+def _line(known: Sequence[HeightColumns], tuning: HeightTuning) -> _Line | None:
     """The line of reports that have both heights; None where they are too few."""
-    pressure, geometric = (np.concatenate([getattr(one, name) for one in known]) for name in ("pressure", "geometric"))
+    pressure, geometric = (
+        np.concatenate([getattr(one, name) for one in known]) for name in ("pressure_m", "geometric_m")
+    )
     both = np.isfinite(pressure) & np.isfinite(geometric)
     if both.sum() < tuning.both_fewest:
         return None
@@ -168,12 +253,10 @@ def _robust_line(x: FloatArray, y: FloatArray, tuning: HeightTuning) -> tuple[fl
     return offset, gain, sigma
 
 
-def _of_kind(
-    one: _Columns, kind: str, line: _Line | None, reports: Reports | None, tuning: HeightTuning
-) -> HeightReports:
+def _of_kind(one: HeightColumns, kind: str, line: _Line | None, tuning: HeightTuning) -> HeightReports:
     """The heights of one source, those of the other kind converted."""
     notes: tuple[str, ...] = ()
-    own, other = (one.pressure, one.geometric) if kind == PRESSURE else (one.geometric, one.pressure)
+    own, other = (one.pressure_m, one.geometric_m) if kind == PRESSURE else (one.geometric_m, one.pressure_m)
     foreign = ~np.isfinite(own) & np.isfinite(other)
     converted, extra = other, np.hypot(tuning.pressure_m, tuning.pressure_share * other)
     if line is not None:
@@ -186,38 +269,34 @@ def _of_kind(
             )
     height = np.where(foreign, converted, own)
     sigma = np.where(foreign, np.hypot(one.sigma_m, extra), one.sigma_m)
-    climb = np.full(len(height), np.nan) if reports is None or reports.climb_m_per_s is None else reports.climb_m_per_s
+    climb = one.climb_m_per_s
     sigma_climb = np.where(np.isfinite(climb), tuning.reported_climb_m_per_s, tuning.climb_m_per_s)
     return HeightReports(height, np.where(np.isfinite(height), sigma, np.nan), climb, sigma_climb, kind, notes)
 
 
-def _without_offset(
-    heights: HeightReports | None, feed: Feed, against: HeightReports | None, reference: Feed, tuning: HeightTuning
-) -> HeightReports | None:
-    """The heights without their offset against those of another source, where aircraft that both show establish it."""
-    assert heights is not None and against is not None
+def _offset(
+    heights: HeightReports, feed: Feed, against: HeightReports, reference: Feed, tuning: HeightTuning
+) -> HeightOffset | None:
+    """The offset of a source against another, where aircraft that both show establish one."""
     difference, sigma, height, records = _differences(heights, feed, against, reference, tuning)
     if records < tuning.pairs_fewest:
-        return heights
+        return None
     width = np.hypot(sigma, tuning.least_m)
     # Of the offsets that pairs show the one by which most agree, near 0 rather than far.
     agree = np.exp(-0.5 * ((difference[:, None] - difference[None, :]) / width[None, :]) ** 2).sum(axis=1)
     best = difference[np.argmax(np.log(agree) - 0.5 * (difference / np.hypot(tuning.offset_m, sigma)) ** 2)]
     near = np.abs(difference - best) < 3.0 * width
     if near.sum() < max(tuning.pairs_fewest, tuning.share * records):
-        return heights
+        return None
     offset, gain, scatter = _robust_line(height[near], difference[near], tuning)
     error = max(1.2533 * scatter / np.sqrt(near.sum()), tuning.least_m)
     if abs(offset) < 2.0 * error and gain == 0.0:
-        return heights
+        return None
     note = (
         f"{feed.description.name}: heights {offset:+.0f} ± {error:.0f} m{f' {100.0 * gain:+.1f} %' if gain else ''} "
         f"against {reference.description.name}, taken away; by {near.sum()} pairs"
     )
-    # Errors that were those of an unknown difference of the kinds are the scatter that the pairs show.
-    found = np.minimum(heights.sigma_m, max(scatter, tuning.least_m) + error)
-    corrected = (heights.height_m - offset) / (1.0 + gain)
-    return replace(heights, height_m=corrected, sigma_m=found, notes=(*heights.notes, note))
+    return HeightOffset(offset, gain, max(scatter, tuning.least_m) + error, note)
 
 
 def _differences(

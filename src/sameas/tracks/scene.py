@@ -39,7 +39,7 @@ from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.doubts import apart, doubts
 from sameas.tracks.feed import Feed, need_filtering
-from sameas.tracks.heights import HeightReports, heights_of
+from sameas.tracks.heights import HeightModel, HeightReports, heights_of
 from sameas.tracks.placement import PlacedReports
 from sameas.tracks.registration import SourceBiases, registered
 from sameas.tracks.reports import Reports
@@ -53,11 +53,15 @@ __all__ = ["POSITION", "POSITION_AND_VELOCITY", "Feed", "Instant", "Scene"]
 @in_short
 @dataclass(frozen=True)
 class Scene:
-    """Feeds of all sources in one plane. Make it with :meth:`Scene.of`; ask :meth:`at` for an instant."""
+    """Feeds of all sources in one plane. Make it with :meth:`Scene.of`; ask :meth:`at` for an instant.
+
+    height_model : how heights of all sources are brought to one kind; what their reports show where not given.
+    """
 
     feeds: tuple[Feed, ...]
     plane: LocalPlane | None = None
     tuning: Tuning = DEFAULT_TUNING
+    height_model: HeightModel | None = None
 
     @classmethod
     def of(
@@ -119,7 +123,7 @@ class Scene:
     @cached_property
     def heights(self) -> tuple[HeightReports | None, ...]:
         """Per source the heights of its reports, all of one kind; None where a source has none."""
-        return heights_of(self.feeds)
+        return heights_of(self.feeds, self.height_model)
 
     def at(self, instant_s: float, *, features: int = POSITION) -> Instant:
         """The records of every source at an instant: its last reports at or before it, moved there by their motion.
