@@ -8,6 +8,7 @@ import subprocess
 import time
 import zipfile
 from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.measure import Work, measure
 from benchmarks.tables import Table, report
 from sameas.sky import Detections, find_movers, learn_motion
 
@@ -133,6 +135,90 @@ def installed() -> Path | None:
         return None
 
 
+#: Of a long series: side of the chip, arcsec per px, minutes between frames, stars, false measurements, movers.
+SIDE, SCALE, EVERY, STARS, FALSE, MOVING = 2048, 1.2, 1.5, 4700, 700, 20
+
+
+def long_series(frames: int, measurements: int = 5000, seed: int = 1) -> list[Any]:
+    """Exposures of a field of unknown stars, brighter and fainter than the limit, with false measurements and movers.
+
+    measurements : of each frame, on average.
+    """
+    from sameas.sky.series.tied import Exposure
+
+    rng, share = np.random.default_rng(seed), measurements / 5000.0
+    stars, false = round(STARS * share), round(FALSE * share)
+    at, light = rng.uniform(10, SIDE - 10, (stars, 2)), 500.0 * (1.0 - rng.random(stars)) ** -0.9
+    start, step = rng.uniform(200, SIDE - 200, (MOVING, 2)), rng.normal(0.0, 0.4, (MOVING, 2))
+    out = []
+    for k in range(frames):
+        sky = np.concatenate([at, start + k * EVERY * step])
+        flux = np.concatenate([light, np.geomspace(900.0, 9000.0, MOVING)])
+        seen = rng.random(len(sky)) < np.clip((flux / 60.0 - 5.5) / 5.0, 0.0, 1.0)
+        seen &= ((sky > 0) & (sky < SIDE)).all(axis=1)
+        flux = np.concatenate([flux[seen], rng.uniform(250.0, 420.0, false)])
+        sigma = np.clip(80.0 / flux, 0.02, 0.4)
+        xy = np.concatenate([sky[seen], rng.uniform(0, SIDE, (false, 2))])
+        xy = xy + sigma[:, None] * rng.standard_normal(xy.shape)
+        off = (xy - SIDE / 2) * SCALE + 0.3 * rng.standard_normal(2)
+        dec, n = 20.0 + off[:, 1] / 3600.0, len(xy)
+        cov = np.column_stack([sigma**2, np.zeros(n), sigma**2])
+        out.append(
+            Exposure(
+                f"{k:03d}", 58409.1 + k * EVERY / 1440.0, xy[:, 0], xy[:, 1], cov,
+                60.0 + off[:, 0] / 3600.0 / np.cos(np.radians(dec)), dec, cov * SCALE**2 + [0.01, 0.0, 0.01],
+                flux, np.full(n, 60.0), flux / 60.0, np.zeros(n, np.int64), np.zeros(n), np.full(n, np.nan), SCALE,
+                (SIDE, SIDE), 60.0,
+            )
+        )  # fmt: skip
+    return out
+
+
+def tied_and_searched(frames: int, measurements: int) -> Callable[[], dict[str, Any]]:
+    """The work that is measured: a series tied together and searched."""
+    from sameas.sky.movers.series import search
+    from sameas.sky.series.tied import tie
+
+    exposures = long_series(frames, measurements)
+
+    def work() -> dict[str, Any]:
+        began, cpu = time.perf_counter(), time.process_time()
+        series = tie(exposures)
+        between = time.process_time()
+        found, left = search(series)
+        return {"n": len(series.frame), "left": int(left.left.sum()), "found": len(found), "tie": between - cpu,
+                "search": time.process_time() - between, "wall": time.perf_counter() - began}  # fmt: skip
+
+    work.warm = False  # type: ignore[attr-defined]
+    return work
+
+
+def cost_table(counts: Sequence[int], measurements: int) -> Table:
+    """What series of more and more frames cost."""
+    rows: list[tuple[Any, ...]] = []
+    for frames in counts:
+        options = {"frames": frames, "measurements": measurements}
+        done = measure(Work("benchmarks.movers:tied_and_searched", options, runs=1))
+        if done.missing:
+            raise SystemExit(f"{frames} frames: {done.missing}")
+        told = done.returned[0]
+        cpu = told["tie"] + told["search"]
+        rows.append((frames, told["n"], told["left"], told["found"], round(told["tie"], 1), round(told["search"], 1),
+                     round(1e3 * cpu / frames), round(told["wall"], 1), round(done.peak_mb)))  # fmt: skip
+    columns = (
+        "frames",
+        "measurements",
+        "left over",
+        "found",
+        "tie, CPU s",
+        "search, CPU s",
+        "CPU ms a frame",
+        "wall, s",
+    )
+    note = f"simulated, {MOVING} movers; nothing is warmed up, the compiled kernels are on the disk"
+    return Table("A series tied together and searched", (*columns, "peak MB"), rows, (note,))
+
+
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(prog="scripts/bench movers", description=__doc__)
@@ -141,8 +227,13 @@ def main() -> None:
     parser.add_argument("--peer", type=Path, help="a Python in which fink-fat 0.6.3 (pandas < 3) runs beside")
     parser.add_argument("--frames", type=Path, help="folder of raw frames and darks to inject movers in")
     parser.add_argument("--rounds", type=int, default=0, help="series of simulated (and --frames) to inject movers in")
+    parser.add_argument("--series", type=int, nargs="+", metavar="FRAMES", help="what series of so many frames cost")
+    parser.add_argument("--measurements", type=int, default=5000, help="of each frame of --series")
     parser.add_argument("--probability", type=float, default=0.5, help="least probability of a tracklet")
     arguments = parser.parse_args()
+    if arguments.series:
+        report("movers-series", [cost_table(arguments.series, arguments.measurements)])
+        return
     if arguments.rounds:
         from benchmarks.injected import crowded_scene, real_scene, tables
 

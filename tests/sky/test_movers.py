@@ -102,6 +102,19 @@ def test_links_are_one_to_one():
     assert (detections.frame[links.i] < detections.frame[links.j]).all()
 
 
+def test_links_of_a_long_series_are_those_among_all_pairs(monkeypatch):
+    detections, _ = night(8, movers=8, false=20, times_min=tuple(range(0, 90, 3)))
+    around, n = Surroundings.of(detections), len(detections)
+    model = MotionModel().for_bands(detections.bands)
+    quick = candidate_links(around, model)
+    every = np.column_stack(np.triu_indices(n, 1))
+    monkeypatch.setattr("sameas.sky.movers.links._pairs", lambda *_: every)
+    monkeypatch.setattr("sameas.sky.movers.links.AT_ONCE", 10_000)
+    monkeypatch.setattr("sameas.sky.movers.links.Reach.__call__", lambda _, minutes: np.full(len(minutes), 1e9))
+    slow = candidate_links(around, model)
+    assert len(quick) > 100 and (set(zip(quick.i, quick.j, strict=True)) == set(zip(slow.i, slow.j, strict=True)))
+
+
 def test_competing_tracks_are_summed_over_all_choices():
     rng = np.random.default_rng(9)
     members = [(0, 1), (1, 2), (0, 2), (0, 1, 2), (2, 3), (4, 5)]

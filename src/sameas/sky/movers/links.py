@@ -28,6 +28,9 @@ from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, T
 #: ln of the change of brightness that carries no limit where magnitudes are odd: spread evenly over 8 mag.
 _ODD = math.log(1.0 / 8.0)
 
+ARCSEC = 206264.80624709636
+#: Pairs that are weighed at once, which bounds the memory.
+AT_ONCE = 200_000
 #: Share of the detections that have a next one, as believed beforehand (chosen; alerts have 0.3, frames less).
 PRIOR_SHARE = 0.02
 
@@ -58,39 +61,72 @@ class Links:
 
 def candidate_links(around: Surroundings, model: MotionModel, tuning: Tuning = DEFAULT_TUNING) -> Links:
     """The links that could belong to a mover, by ascending exposure of j."""
-    seen, t = around.detections, around.minutes
-    reach = reach_arcsec(around, model, tuning) / 206264.80624709636
+    reach = Reach.of(around, model, tuning)
+    pairs = _pairs(around, reach, tuning)
+    parts = [
+        _weighed(around, model, tuning, reach, pairs[first : first + AT_ONCE])
+        for first in range(0, max(len(pairs), 1), AT_ONCE)
+    ]
+    links = Links(*(np.concatenate([getattr(p, name) for p in parts]) for name in Links.__dataclass_fields__))
+    order = np.lexsort([-links.log_ratio, links.i])
+    place = np.arange(len(order)) - np.searchsorted(links.i[order], links.i[order])
+    links = links.only(order[place < tuning.links])
+    return links.only(np.lexsort([links.i, around.detections.frame[links.j]]))
+
+
+def _pairs(around: Surroundings, reach: Reach, tuning: Tuning) -> IntArray:
+    """(m, 2) detections that are no farther apart than the farthest link."""
+    seen, unit = around.detections, around.axes.unit
     frames = len(seen.frame_names)
-    # Where all exposures show one field, few of them lie between the detections that may be linked.
-    unseen = float(np.percentile(frames - around.seen[:, -1], 95.0))
-    apart = tuning.misses + 3.0 + unseen
-    if apart < 0.5 * frames:
-        tree = cKDTree(np.column_stack([around.axes.unit, seen.frame * (reach / apart)]))
-        pairs = tree.query_pairs(reach, p=np.inf, output_type="ndarray")
-    else:
-        pairs = cKDTree(around.axes.unit).query_pairs(reach, output_type="ndarray")
-    i, j = pairs.astype(np.int64).T
-    later = seen.frame[i] > seen.frame[j]
-    i, j = np.where(later, j, i), np.where(later, i, j)
+    apart = _frames_apart(around, tuning.misses)
+    if apart >= 0.5 * frames:
+        return cKDTree(unit).query_pairs(reach.most() / ARCSEC, output_type="ndarray")
+    when = seen.frame_mjd * 1440.0
+    radius = reach.most(float((when[apart:] - when[: frames - apart]).max())) / ARCSEC
+    tree = cKDTree(np.column_stack([unit, seen.frame * (radius / apart)]))
+    return tree.query_pairs(radius, p=np.inf, output_type="ndarray")
+
+
+def _frames_apart(around: Surroundings, misses: int) -> int:
+    """How many exposures lie between two that are linked: few, where all exposures show one field.
+
+    With more between them than this, one place in a hundred was seen so rarely that the link passes over no more than
+    ``misses`` of those that saw it.
+    """
+    some = around.seen[:: max(1, len(around.seen) // 500)]
+    spans = [
+        np.searchsorted(saw, saw[1:][np.diff(saw) > 0] + misses, side="right") - np.flatnonzero(np.diff(saw)) - 1
+        for saw in some
+    ]
+    return int(np.percentile(np.concatenate(spans), 99.0)) + 1
+
+
+def _weighed(around: Surroundings, model: MotionModel, tuning: Tuning, reach: Reach, pairs: IntArray) -> Links:
+    """The links among some pairs."""
+    seen, t, unit = around.detections, around.minutes, around.axes.unit
+    i, j = pairs.T
     minutes = t[j] - t[i]
-    offset = around.axes.offsets(i, j)
-    fast = np.hypot(*offset.T) > tuning.fastest_arcsec_per_min * minutes + 1.0
-    keep = (seen.frame[i] != seen.frame[j]) & (minutes > 0) & ~fast
-    i, j, minutes, offset = i[keep], j[keep], minutes[keep], offset[keep]
+    # Nearly all pairs are farther apart than their time allows: they go before anything else is worked out.
+    chord2 = np.zeros(len(i))
+    for axis in unit.T:
+        chord2 += (axis[i] - axis[j]) ** 2
+    near = (chord2 < (reach(np.abs(minutes)) / ARCSEC) ** 2) & (seen.frame[i] != seen.frame[j]) & (minutes != 0)
+    kept = np.flatnonzero(near)
+    later = minutes[kept] < 0
+    i, j = np.where(later, j[kept], i[kept]).astype(np.int64), np.where(later, i[kept], j[kept]).astype(np.int64)
     misses = around.misses(i, j)
-    keep = misses <= tuning.misses
-    i, j, minutes, offset, misses = i[keep], j[keep], minutes[keep], offset[keep], misses[keep]
+    kept = np.flatnonzero(misses <= tuning.misses)
+    i, j, misses = i[kept], j[kept], misses[kept]
+    minutes, offset = t[j] - t[i], around.axes.offsets(i, j)
+    kept = np.flatnonzero(np.hypot(*offset.T) <= tuning.fastest_arcsec_per_min * minutes + 1.0)
+    i, j, minutes, offset, misses = i[kept], j[kept], minutes[kept], offset[kept], misses[kept]
     rate, error = rates_of(around, i, j, minutes, offset)
     bright = brightness_ratio(around, model, tuning, i, j)
     log_ratio = (
         model.log_odds + model.rates.log_density(rate, error) - 2.0 * np.log(minutes) - around.log_density[j]
         + bright + misses * math.log(1.0 - model.p_detect)
     )  # fmt: skip
-    links = Links(i, j, minutes, offset, log_ratio, bright, misses)
-    order = np.lexsort([-log_ratio, i])
-    place = np.arange(len(order)) - np.searchsorted(i[order], i[order])
-    kept = order[(place < tuning.links) & (log_ratio[order] > tuning.least_log_ratio)]
-    return links.only(kept[np.lexsort([i[kept], seen.frame[j[kept]]])])
+    return Links(i, j, minutes, offset, log_ratio, bright, misses).only(log_ratio > tuning.least_log_ratio)
 
 
 def rates_of(
@@ -102,25 +138,44 @@ def rates_of(
     return rate, (around.covariance[i] + around.covariance[j]) / minutes[:, None, None] ** 2
 
 
-def reach_arcsec(around: Surroundings, model: MotionModel, tuning: Tuning) -> float:
-    """How far the next detection of a mover may be before its ln λ falls below the least, for any time between."""
-    span = float(np.ptp(around.minutes))
-    minutes = np.geomspace(max(span * 1e-4, 1e-3), max(span, 1e-2), 200)
-    thin = float(np.percentile(around.log_density, 1.0))
-    spread = np.sqrt(np.linalg.eigvalsh(model.rates.covariance).max(axis=1))
-    off = np.abs(around.reference).max() + np.hypot(*model.rates.mean.T)
-    error = np.sqrt(np.percentile(around.covariance[:, [0, 1], [0, 1]].sum(axis=1), 99.0))
-    # Where more detections than a detection may have links lie by chance, none of them says anything.
-    crowded = math.sqrt(tuning.links / math.pi) * math.exp(-0.5 * float(np.median(around.log_density)))
-    # A gain of brightness evidence of some units is allowed for.
-    room = model.log_odds - thin - tuning.least_log_ratio + 3.0
-    best = 0.0
-    for share, width, mean in zip(model.rates.share, spread, off, strict=True):
-        sigma = np.hypot(width * minutes, error)
-        height = room + math.log(share) - np.log(2 * np.pi * sigma**2)
-        far = np.where(height > 0, mean * minutes + sigma * np.sqrt(2 * np.maximum(height, 0.0)), 0.0)
-        best = max(best, float(np.minimum(far, tuning.fastest_arcsec_per_min * minutes + 1.0).max()))
-    return min(best, max(crowded, 3.0 * error))
+@dataclass(frozen=True)
+class Reach:
+    """How far the next detection of a mover may be before its ln λ falls below the least.
+
+    minutes, arcsec : (200,) ascending times between the two, and how far.
+    """
+
+    minutes: FloatArray
+    arcsec: FloatArray
+
+    def __call__(self, minutes: FloatArray) -> FloatArray:
+        """(m,) arcsec after some minutes."""
+        return np.interp(minutes, self.minutes, self.arcsec)
+
+    def most(self, minutes: float = math.inf) -> float:
+        """The farthest, arcsec, after so many minutes or less."""
+        return float(self.arcsec[: np.searchsorted(self.minutes, minutes) + 1].max())
+
+    @classmethod
+    def of(cls, around: Surroundings, model: MotionModel, tuning: Tuning) -> Reach:
+        """That of some detections."""
+        span = float(np.ptp(around.minutes))
+        minutes = np.geomspace(max(span * 1e-4, 1e-3), max(span, 1e-2), 200)
+        thin = float(np.percentile(around.log_density, 1.0))
+        spread = np.sqrt(np.linalg.eigvalsh(model.rates.covariance).max(axis=1))
+        off = np.abs(around.reference).max() + np.hypot(*model.rates.mean.T)
+        error = np.sqrt(np.percentile(around.covariance[:, [0, 1], [0, 1]].sum(axis=1), 99.0))
+        # Where more detections than a detection may have links lie by chance, none of them says anything.
+        crowded = math.sqrt(tuning.links / math.pi) * math.exp(-0.5 * float(np.median(around.log_density)))
+        # A gain of brightness evidence of some units is allowed for.
+        room = model.log_odds - thin - tuning.least_log_ratio + 3.0
+        best = np.zeros(len(minutes))
+        for share, width, mean in zip(model.rates.share, spread, off, strict=True):
+            sigma = np.hypot(width * minutes, error)
+            height = room + math.log(share) - np.log(2 * np.pi * sigma**2)
+            far = np.where(height > 0, mean * minutes + sigma * np.sqrt(2 * np.maximum(height, 0.0)), 0.0)
+            best = np.maximum(best, np.minimum(far, tuning.fastest_arcsec_per_min * minutes + 1.0))
+        return cls(minutes, np.minimum(best, max(crowded, 3.0 * error)))
 
 
 def brightness_ratio(around: Surroundings, model: MotionModel, tuning: Tuning, i: IntArray, j: IntArray) -> FloatArray:
