@@ -20,6 +20,7 @@ from sameas.sky.frame.detect import detect
 from sameas.sky.frame.image import Frame
 from sameas.sky.movers.series import search
 from sameas.sky.movers.stack import stack
+from sameas.sky.movers.trails import with_trails
 from sameas.sky.series.tied import Exposure, tie
 
 #: Bins: magnitudes above (−) and below (+) the limit of a single frame at which S/N is 5, and rates, arcsec/min.
@@ -165,7 +166,7 @@ def exposures(scene: Scene, frames: Sequence[Frame]) -> list[Exposure]:
 
 def searched(scene: Scene, frames: Sequence[Frame]) -> tuple[list[np.ndarray], np.ndarray]:
     """Of every tracklet from a probability of 0.02 on: (s, 3) frame and pixels of its detections; and (k,) p."""
-    series = tie(exposures(scene, frames))
+    series = with_trails(tie(exposures(scene, frames)), frames)
     found, series = search(series, least_probability=0.02)
     p = stack(found, series, frames).p
     p = np.concatenate([p, found.p_tracklet[len(p) :]])

@@ -57,6 +57,7 @@ def run(request: SeriesRequest, quiet: bool) -> None:
     from sameas.sky.movers.orbits import Elements
     from sameas.sky.movers.series import search
     from sameas.sky.movers.stack import confirmed, stack
+    from sameas.sky.movers.trails import with_trails
 
     began, printer = time.perf_counter(), Printer(quiet)
     observer = None if request.header is None else Observer.read(request.header)
@@ -84,7 +85,8 @@ def run(request: SeriesRequest, quiet: bool) -> None:
         raise InputError(
             f"the frames show {len(each)} fields ({fields}); search the frames of each field by themselves"
         )
-    found, series = search(each[0].series, least=request.least, least_probability=min(request.probability, FAINT))
+    tied = with_trails(each[0].series, (one.frame() for one in each[0].members))
+    found, series = search(tied, least=request.least, least_probability=min(request.probability, FAINT))
     each = [replace(each[0], series=series)]
     pixels = stack(found, series, (one.frame() for one in each[0].members))
     found, pixels = confirmed(found, pixels, request.probability)

@@ -10,6 +10,7 @@ The way of the data; each module hands on one frozen value:
 - :mod:`~sameas.sky.movers.tracks`: ``Links`` → ``Tracks`` grown along them → ``Competition`` of whole tracks for the
   detections, by set packing;
 - :mod:`~sameas.sky.movers.search`: → ``Movers``, the tracklets with their probabilities (``find_movers``).
+- :mod:`~sameas.sky.movers.trails`: what is left over of a tied series, measured as trails where it is one;
 - :mod:`~sameas.sky.movers.series`: what a tied series of frames (:mod:`sameas.sky.series`) leaves over → ``Movers``;
 - :mod:`~sameas.sky.movers.known`: ``Movers`` and ``Elements`` (:mod:`~sameas.sky.movers.orbits`) → ``KnownObjects``.
 

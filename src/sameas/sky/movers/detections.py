@@ -21,6 +21,23 @@ SAME_EXPOSURE_S = 0.5
 _FIRST_MJD, _LAST_MJD = -3241.0, 106332.0
 
 
+@dataclass(frozen=True)
+class TrailRates:
+    """What the lengths of trails say of rates, (n,) detections.
+
+    arcsec_per_min : (n, 2) east and north, either way; NaN without a trail. sigma : (n,) its error per axis.
+    least : (n,) a detection of a higher rate would show a trail; infinite where that is not known.
+    """
+
+    arcsec_per_min: FloatArray
+    sigma: FloatArray
+    least: FloatArray
+
+    def some(self, rows: NDArray[Any]) -> TrailRates:
+        """Those of some detections."""
+        return TrailRates(self.arcsec_per_min[rows], self.sigma[rows], self.least[rows])
+
+
 @in_short
 @dataclass(frozen=True)
 class Detections:
@@ -34,6 +51,7 @@ class Detections:
     magnitude, magnitude_error : (n,), NaN where not measured. band : (n,) number of the band. bands : their names.
     ids : (n,) of the rows. rows : (n,) in the user's table.
     frame_names : of the exposures. set_aside : rows that cannot be used. name : used in messages.
+    trail : what trails say of rates.
     """
 
     ra_deg: FloatArray
@@ -50,6 +68,7 @@ class Detections:
     frame_names: tuple[str, ...]
     set_aside: SetAside = field(default_factory=lambda: SetAside(np.empty(0, np.int64), np.empty(0, object)))
     name: str = "detections"
+    trail: TrailRates | None = None
 
     def __len__(self) -> int:
         return len(self.ra_deg)
@@ -133,7 +152,8 @@ class Detections:
     def some(self, rows: NDArray[Any]) -> Detections:
         """Some of the detections, exposures numbered as before. rows : indices or a mask."""
         names = ("ra_deg", "dec_deg", "covariance", "mjd_utc", "frame", "magnitude", "magnitude_error", "band", "ids")
-        return replace(self, **{k: getattr(self, k)[rows] for k in (*names, "rows")})
+        trail = None if self.trail is None else self.trail.some(rows)
+        return replace(self, **{k: getattr(self, k)[rows] for k in (*names, "rows")}, trail=trail)
 
 
 def _numbers(values: ArrayLike, name: str, what: str) -> FloatArray:

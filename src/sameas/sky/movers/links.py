@@ -40,7 +40,7 @@ class Links:
     """Links of detections i to later ones j, (m,) each.
 
     minutes : between them. offset : (m, 2) arcsec on the ecliptic axes at i. log_ratio : ln λ. log_brightness : the
-    part of it that magnitudes say. misses : exposures between that saw the place.
+    part of it that magnitudes, and the trail of j, say. misses : exposures between that saw the place.
     """
 
     i: IntArray
@@ -122,9 +122,11 @@ def _weighed(around: Surroundings, model: MotionModel, tuning: Tuning, reach: Re
     i, j, minutes, offset, misses = i[kept], j[kept], minutes[kept], offset[kept], misses[kept]
     rate, error = rates_of(around, i, j, minutes, offset)
     bright = brightness_ratio(around, model, tuning, i, j)
+    trail_i, trail_j = (trail_ratio(around, tuning, end, offset / minutes[:, None], minutes) for end in (i, j))
+    bright += trail_j
     log_ratio = (
         model.log_odds + model.rates.log_density(rate, error) - 2.0 * np.log(minutes) - around.log_density[j]
-        + bright + misses * math.log(1.0 - model.p_detect)
+        + bright + trail_i + misses * math.log(1.0 - model.p_detect)
     )  # fmt: skip
     return Links(i, j, minutes, offset, log_ratio, bright, misses).only(log_ratio > tuning.least_log_ratio)
 
@@ -190,6 +192,29 @@ def brightness_ratio(around: Surroundings, model: MotionModel, tuning: Tuning, i
     with np.errstate(invalid="ignore"):
         out = np.logaddexp(same, math.log(tuning.odd_brightness) + _ODD) - around.log_brightness[j]
     return np.where(np.isfinite(out), out, 0.0)
+
+
+def trail_ratio(
+    around: Surroundings, tuning: Tuning, end: IntArray, rate: FloatArray, minutes: FloatArray
+) -> FloatArray:
+    """(m,) ln of how much more probable the trails of some detections are with the rates (m, 2) of their links.
+
+    A trail's vector v, either way, is ½ N(v; r) + ½ N(v; −r) about the rate r, and 1/(2π |v|² · range) of no link.
+    """
+    trail = around.detections.trail
+    if trail is None:
+        return np.zeros(len(end))
+    v = around.trail[end]
+    variance = trail.sigma[end] ** 2 + np.trace(around.covariance[end], axis1=1, axis2=2) / minutes**2
+    # Quoted lengths are as good as the star's profile: a tenth.
+    variance = variance + (0.1 * np.hypot(*v.T)) ** 2
+    near = np.minimum(((v - rate) ** 2).sum(axis=1), ((v + rate) ** 2).sum(axis=1)) / variance
+    known = -0.5 * near - np.log(4.0 * np.pi * variance)
+    null = -np.log(2.0 * np.pi * tuning.trail_range * (v**2).sum(axis=1))
+    odd = math.log(tuning.odd_brightness)
+    there = np.logaddexp(np.nan_to_num(known - null), odd)
+    missing = np.where(np.hypot(*rate.T) > trail.least[end], math.log(tuning.no_trail), 0.0)
+    return np.where(np.isfinite(v[:, 0]), there, missing)
 
 
 def link_probabilities(links: Links, n: int) -> FloatArray:

@@ -39,6 +39,8 @@ class Tuning:
     outlier, outlier_scale : share of detections whose error is so many times the quoted one.
     variability_mag : 1σ of the change of brightness between two exposures, beside the errors.
     odd_brightness : share of detections whose brightness says nothing (blends, wrong bands).
+    no_trail : share of the detections of fast movers whose trail is not measured.
+    trail_range : trails of no common rate differ in length by so many e-folds, evenly in ln length.
     sure : tracks of another by one detection less, whose last one adds more than this to ln w, do not compete.
     """
 
@@ -54,6 +56,8 @@ class Tuning:
     outlier_scale: float = 4.0
     variability_mag: float = 0.12
     odd_brightness: float = 0.05
+    no_trail: float = 0.15
+    trail_range: float = 3.0
     sure: float = 12.0
 
 
@@ -102,6 +106,7 @@ class Surroundings:
     reference : (n,) rate in longitude of a circular orbit there, arcsec/min.
     log_brightness : (n,) ln of the density per magnitude of detections as bright in its band, NaN where not measured.
     cell : (n,) of the sky. seen : (cells, frames+1) number of the exposures before each that saw the cell.
+    trail : (n, 2) rate that the trail shows, arcsec/min on these axes, either way; NaN without one.
     """
 
     detections: Detections
@@ -113,6 +118,7 @@ class Surroundings:
     log_brightness: FloatArray
     cell: IntArray
     seen: IntArray
+    trail: FloatArray
 
     @classmethod
     def of(cls, detections: Detections, tuning: Tuning = DEFAULT_TUNING) -> Surroundings:
@@ -124,13 +130,21 @@ class Surroundings:
         cell, seen = _coverage(detections, axes, density)
         return cls(
             detections, axes, minutes, axes.rotated(detections.covariance), np.log(density),
-            reference_rate(elongation), _brightness(detections), cell, seen,
+            reference_rate(elongation), _brightness(detections), cell, seen, _trail(detections, axes),
         )  # fmt: skip
 
     def misses(self, i: IntArray, j: IntArray) -> IntArray:
         """(m,) how many exposures between those of i and j saw the place of i."""
         frame = self.detections.frame
         return np.maximum(self.seen[self.cell[i], frame[j]] - self.seen[self.cell[i], frame[i] + 1], 0)
+
+
+def _trail(detections: Detections, axes: EclipticAxes) -> FloatArray:
+    if detections.trail is None:
+        return np.full((len(detections), 2), np.nan)
+    cos, sin = axes.turn.T
+    east, north = detections.trail.arcsec_per_min.T
+    return np.column_stack([cos * east + sin * north, cos * north - sin * east])
 
 
 def _density(detections: Detections, axes: EclipticAxes, neighbours: int) -> FloatArray:

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sameas.arrays import FloatArray
-from sameas.sky.movers.detections import Detections
+from sameas.arrays import FloatArray, IntArray
+from sameas.sky.movers.detections import Detections, TrailRates
 from sameas.sky.movers.model import MotionModel, Tuning
 from sameas.sky.movers.search import Movers, find_movers, learn_motion
 from sameas.sky.series.tied import Series
@@ -48,7 +48,22 @@ def left_over(series: Series) -> Detections:
         name="series",
     )  # fmt: skip
     names = tuple(series.exposures[int(k)].name for k in seen.frame_names)
-    return replace(seen, rows=at[seen.rows], ids=at[seen.rows], frame_names=names)
+    rows = at[seen.rows]
+    return replace(seen, rows=rows, ids=rows, frame_names=names, trail=_trail_rates(series, rows))
+
+
+def _trail_rates(series: Series, rows: IntArray) -> TrailRates | None:
+    """What the trails of some measurements say of rates; None where none were measured."""
+    if series.trails is None:
+        return None
+    minutes = np.array([e.exposure_s for e in series.exposures])[series.frame[rows]] / 60.0
+    width = np.array([max(e.psf_fwhm_px, 1.5) * e.scale_arcsec_per_px for e in series.exposures])[series.frame[rows]]
+    # A trail of twice the least length is seen as one also where it is faint.
+    least = 2.0 * series.trails.least_widths * width / minutes
+    return TrailRates(
+        series.trails.arcsec[rows] / minutes[:, None], series.trails.sigma_arcsec[rows] / minutes,
+        np.where(minutes > 0, least, np.inf),
+    )  # fmt: skip
 
 
 def search(

@@ -157,8 +157,8 @@ def _fixed_halves(place: FloatArray, scale: float, tuning: StackTuning) -> list[
     return [max(int(h), tuning.half_px) if h <= tuning.most_half_px else None for h in need]
 
 
-class _ChipMap:
-    """From places, arcsec, to pixels of one frame: a polynomial through its measurements."""
+class ChipMap:
+    """From places, arcsec, to pixels of one frame, or back: a polynomial through its measurements."""
 
     def __init__(self, place: FloatArray, chip: FloatArray) -> None:
         self.middle, self.unit = place.mean(axis=0), max(float(np.abs(place - place.mean(axis=0)).max()), 1.0)
@@ -176,9 +176,9 @@ class _ChipMap:
         return np.asarray(self._terms(place.reshape(-1, 2)) @ self.fit).reshape(shape)
 
 
-def _chip_map(series: Series, n: int) -> _ChipMap:
+def _chip_map(series: Series, n: int) -> ChipMap:
     here, exposure = series.frame == n, series.exposures[n]
-    return _ChipMap(series.place[here], np.column_stack([exposure.x_px, exposure.y_px])[series.row[here]])
+    return ChipMap(series.place[here], np.column_stack([exposure.x_px, exposure.y_px])[series.row[here]])
 
 
 def _width(series: Series, n: int) -> float:
@@ -242,7 +242,7 @@ class _Measuring:
 
 
 def _forced(
-    measured: _Measuring, chip: FloatArray, to_chip: _ChipMap, place: FloatArray, width: float, scale: float,
+    measured: _Measuring, chip: FloatArray, to_chip: ChipMap, place: FloatArray, width: float, scale: float,
     rng: np.random.Generator, tuning: StackTuning,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """(k,) fluxes at the places, and their errors from places around each."""

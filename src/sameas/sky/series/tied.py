@@ -138,6 +138,19 @@ class Exposure:
 
 
 @dataclass(frozen=True)
+class Trails:
+    """What moved while the shutter was open.
+
+    arcsec : (n, 2) from one end to the other, east and north, either way; NaN without a trail. sigma_arcsec : (n,) its
+    error per axis. least_widths : shorter trails, in full widths of a star, are not seen as such.
+    """
+
+    arcsec: FloatArray
+    sigma_arcsec: FloatArray
+    least_widths: float
+
+
+@dataclass(frozen=True)
 class Series:
     """A series of frames tied together.
 
@@ -151,6 +164,7 @@ class Series:
     magnitude : (n,) differential, on the scale of the catalogue where one of the frames knows it.
     floor_arcsec : (f,) scatter of bright sources beside their errors. shift_arcsec : (f, 2) by which plates were moved.
     ties : (f,) sources that tie each frame. stars : each once, with its measurements. notes : what a user should know.
+    trails : where they were measured.
     """
 
     exposures: tuple[Exposure, ...]
@@ -169,6 +183,7 @@ class Series:
     ties: IntArray
     stars: Stars
     notes: tuple[str, ...] = ()
+    trails: Trails | None = None
 
     @property
     def scale_arcsec_per_px(self) -> float:
