@@ -162,7 +162,7 @@ class MatchPicture:
     def doubts(self) -> tuple[str, ...]:
         """What looks wrong, a sentence each: alarms, then what is in doubt."""
         said = self.picture.summary
-        return (*(f"ALARM {alarm}" for alarm in said.alarms), *self.source_doubts, *said.notes)
+        return (*(f"ALARM {alarm}" for alarm in (*said.alarms, *said.faults)), *self.source_doubts, *said.notes)
 
     @cached_property
     def objects(self) -> Table:
@@ -270,7 +270,8 @@ class MatchPicture:
             "confirmed_objects_by_number_of_sources": list(said.by_sources), "unconfirmed_objects": said.unconfirmed,
             "objects_per_instant": said.detected, "expected_wrong_per_instant": said.expected_wrong,
             "ambiguous_groups_per_instant": said.ambiguous_groups, "places": asdict(said.places),
-            "alarms": [str(alarm) for alarm in said.alarms], "doubts": [*self.source_doubts, *said.notes],
+            "alarms": [str(alarm) for alarm in (*said.alarms, *said.faults)],
+            "doubts": [*self.source_doubts, *said.notes],
             "offsets": [_offset(found) for found in self.biases], "misses": [asdict(misses) for misses in said.misses],
             "assumed": [asdict(line) for source in self.sources for line in source.description.assumed],
         }  # fmt: skip
@@ -362,6 +363,9 @@ def _map_alarms(picture: Picture) -> Iterator[MapAlarm]:
         for source, row in (found.alarm.first, found.alarm.second):
             about |= (records["source"] == source) & (records["row"] == row)
         yield MapAlarm(str(found), found.first_s, tuple(np.unique(records["object"][about]).tolist()))
+    for fault in picture.summary.faults:
+        about = (records["source"] == fault.source) & (records["track_id"] == (fault.track or None))
+        yield MapAlarm(str(fault), fault.first_s, tuple(np.unique(records["object"][about]).tolist()))
 
 
 def _source(source: SensorSource) -> dict[str, Any]:

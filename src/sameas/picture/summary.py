@@ -16,6 +16,7 @@ from sameas.picture.object_table import CONFIRMED
 from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.plot_picture import PlotObjects
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.tracks.faults import Fault
 from sameas.tracks.feed import Feed
 from sameas.tracks.scene import Scene
 
@@ -167,6 +168,7 @@ class Summary:
     unconfirmed : objects that were never confirmed.
     detected, expected_wrong, ambiguous_groups : per instant the objects that sources show, the expected number of them
         that are not exactly right, and groups with an ambiguous object.
+    faults : alarms on sources and tracks: clocks, ends, floods, deception, each with its probability.
     places : uncertainty of positions. misses : per source. biases : printable lines, as given. alarms. assumed : every
         assumed number.
     notes : other doubts.
@@ -186,6 +188,7 @@ class Summary:
     alarms: tuple[Alarmed, ...]
     assumed: tuple[str, ...]
     notes: tuple[str, ...]
+    faults: tuple[Fault, ...] = ()
 
     @classmethod
     def of(
@@ -195,8 +198,9 @@ class Summary:
         tallies: Sequence[Tally],
         biases: Sequence[str] = (),
         tuning: Tuning = DEFAULT_TUNING,
+        faults: Sequence[Fault] = (),
     ) -> Summary:
-        """Of the columns of a picture's objects and the tallies of its instants."""
+        """Of the columns of a picture's objects, the tallies of its instants, and the faults that were found."""
         by_sources, unconfirmed = _by_sources(objects, len(scene.feeds))
         assumed = tuple(str(line) for feed in scene.feeds for line in feed.description.assumed)
         return cls(
@@ -205,7 +209,7 @@ class Summary:
             float(np.mean([tally.expected_wrong for tally in tallies])),
             float(np.mean([tally.ambiguous_groups for tally in tallies])), Places.of(objects, len(tallies)),
             tuple(_misses(scene.feeds, tallies, tuning)), tuple(biases), tuple(_alarms(scene.feeds, tallies)), assumed,
-            tuple(_notes(scene.feeds, tallies)),
+            tuple(_notes(scene.feeds, tallies)), tuple(faults),
         )  # fmt: skip
 
     def entries(self) -> list[tuple[str, str]]:
@@ -222,7 +226,7 @@ class Summary:
 
     def lines(self) -> list[str]:
         """Printable lines, the most important first, assumed numbers at the end."""
-        entries = [("alarm", str(alarm)) for alarm in self.alarms] + self.entries()
+        entries = [("alarm", str(alarm)) for alarm in (*self.alarms, *self.faults)] + self.entries()
         return [*(f"{label}: {words}" for label, words in entries), *self.assumed]
 
     def _objects(self) -> str:

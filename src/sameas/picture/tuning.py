@@ -54,6 +54,15 @@ class Tuning:
     joint_scan_share : scans within this share of the shortest period are processed together.
     confirming_plots : an object that no scan shows now is confirmed with this many plots or more.
 
+    known_instants : instants for which two tracks were one object before their parting means anything.
+    known_reports : reports of a track before its silence does.
+    apart_sigmas, apart_instants : two tracks are apart beyond this many σ, at this many instants or more.
+    dragged_odds, swap : odds that the places of one that names itself are false, against a sensor's tracker that went
+        over to another ship, and the probability of the latter for each further sensor. empty_vote : the most that one
+        sensor counts which shows nothing where a track says it is.
+    silent_s, silent_odds : a silence is at least this long, and its odds before it is seen. sure_deception :
+        probability at which either is an alarm.
+
     fewest_due : below this many expected detections the summary gives no miss rate.
     stretches : stretches of the picture by whose differences a miss rate's standard error is estimated.
     """
@@ -99,6 +108,17 @@ class Tuning:
     same_state: float = 0.99
     joint_scan_share: float = 0.2
     confirming_plots: int = 3
+
+    known_instants: int = 5
+    known_reports: int = 5
+    apart_sigmas: float = 5.0
+    apart_instants: int = 3
+    dragged_odds: float = 0.1
+    swap: float = 0.01
+    empty_vote: float = 6.0
+    silent_s: float = 60.0
+    silent_odds: float = 0.01
+    sure_deception: float = 0.95
 
     fewest_due: int = 20
     stretches: int = 12

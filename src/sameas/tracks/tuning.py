@@ -66,6 +66,16 @@ class Tuning:
     hull_prior : axes of tracks that the described extents are worth when they are learned.
     rate_prior : scans that the mean of plot_rates is worth. seen : a track is seen with more plots than this.
 
+    fault_prior, sure_fault : probability that a source has a fault of one kind, and that at which it is an alarm.
+    fault_reports : fewest reports of a source that is judged. clock_jumps : jumps of a clock that are told at most.
+    clock_speed_m_per_s, clock_gap_s, stamp_s : tracks as fast as this, reports at most so far apart, and the error of a
+        sound stamp. clock_search_s : jumps that are looked for: from, to, step. clock_outlier, clock_vote : share of
+        steps that say nothing, and the most that one can count.
+    ended_s, ended_share : a source ends early by this much, and this share of the time. frozen_reports, repeats : least
+        repetitions of a frozen track, and the probability that a moving one repeats a position.
+    flood_s, flood_factor, flood_least : stretches that are counted, and what is more than usual.
+    track_vote : the most that one track can count.
+
     doubt_instants, doubt_steps : instants at which sources are compared, and iterations of the common number.
     nothing, much : a source shares nothing below this share of records with a partner; a guess must reach the second.
     guess_gain : least gain of the log likelihood of an instant by a guess: some thirty guesses are made.
@@ -134,6 +144,25 @@ class Tuning:
     hull_prior: float = 4.0
     rate_prior: float = 10.0
     seen: float = 3.0
+
+    fault_prior: float = 1e-3
+    sure_fault: float = 0.95
+    fault_reports: int = 20
+    clock_jumps: int = 3
+    clock_speed_m_per_s: float = 1.5
+    clock_gap_s: float = 400.0
+    stamp_s: float = 1.5
+    clock_search_s: tuple[float, float, float] = (6.0, 181.0, 2.0)
+    clock_outlier: float = 0.05
+    clock_vote: float = 8.0
+    ended_s: float = 60.0
+    ended_share: float = 0.1
+    frozen_reports: int = 3
+    repeats: float = 0.02
+    flood_s: float = 10.0
+    flood_factor: float = 5.0
+    flood_least: float = 50.0
+    track_vote: float = 8.0
 
     doubt_instants: int = 5
     doubt_steps: int = 8

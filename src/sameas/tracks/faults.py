@@ -1,0 +1,259 @@
+"""Faults of sources in the course of time: a clock that jumps, a source that ends early, freezes or floods.
+
+Each is an alarm with its evidence, ln of its odds against a source that is sound, and so with a probability. Sound
+sources differ from each other more than any model of them, so each is measured by what it did itself before.
+
+- :func:`source_faults`: of all sources of a scene. :func:`clock_jumps`: of the clock of one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sameas.arrays import FloatArray, IntArray
+from sameas.tracks.alignment import States
+from sameas.tracks.feed import Feed
+from sameas.tracks.reports import Reports
+from sameas.tracks.tuning import Tuning
+
+
+@dataclass(frozen=True)
+class Fault:
+    """An alarm on one source, or on one of its tracks.
+
+    kind : "clock", "ended", "frozen", "flood", "dragged" or "silent". source, track : name, "" where it is the whole
+    source. first_s, last_s : from when to when. log_odds : ln of its odds against a sound source. words : what is wrong
+    and what to do.
+    """
+
+    kind: str
+    source: str
+    first_s: float
+    last_s: float
+    log_odds: float
+    words: str
+    track: str = ""
+
+    @property
+    def probability(self) -> float:
+        """Of the fault."""
+        return 1.0 / (1.0 + math.exp(-min(self.log_odds, 700.0)))
+
+    def __str__(self) -> str:
+        sure = "more than 0.999" if self.probability > 0.999 else f"{self.probability:.3f}"
+        return f"{self.words} (probability {sure}, log evidence {self.log_odds:.1f})"
+
+
+def source_faults(feeds: Sequence[Feed]) -> tuple[Fault, ...]:
+    """The faults of the sources of a scene that are more probable than ``fault_probability``, in the order of time."""
+    found = [fault for feed in feeds for fault in _faults(feed, feeds) if fault.probability > feed.tuning.sure_fault]
+    return tuple(sorted(found, key=lambda fault: fault.first_s))
+
+
+def _faults(feed: Feed, feeds: Sequence[Feed]) -> Iterator[Fault]:
+    if feed.raw_reports is None or len(feed.raw_reports) < feed.tuning.fault_reports:
+        return
+    yield from clock_jumps(feed)
+    yield from _ended(feed, feeds)
+    yield from _frozen(feed)
+    yield from _floods(feed)
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Reports of moving tracks and the next of the same in the file (m,): rows, and by how long stamps disagree.
+
+    late_s, sigma_s : seconds that the second stamp is beyond what the way between them says, and their 1σ.
+    track : number of the track.
+    """
+
+    first: IntArray
+    second: IntArray
+    late_s: FloatArray
+    sigma_s: FloatArray
+    track: IntArray
+
+    @classmethod
+    def of(cls, reports: States, walk: FloatArray, tuning: Tuning) -> Steps:
+        """Of reports with velocities, in the order of the file."""
+        assert reports.track is not None
+        rows = np.flatnonzero(reports.usable)
+        rows = rows[np.argsort(reports.rows[rows], kind="stable")]
+        _, number = np.unique(reports.track[rows].astype(str), return_inverse=True)
+        order = np.argsort(number, kind="stable")
+        rows, number = rows[order], number[order]
+        same = number[1:] == number[:-1]
+        a, b, track = rows[:-1][same], rows[1:][same], number[1:][same]
+        velocity = 0.5 * (reports.state[a, 2:] + reports.state[b, 2:])
+        speed = np.maximum(np.hypot(*velocity.T), 1e-9)
+        way, dt = reports.state[b, :2] - reports.state[a, :2], reports.time_s[b] - reports.time_s[a]
+        beyond = way - velocity * dt[:, None]
+        along = np.einsum("nv,nv->n", beyond, velocity) / speed
+        across = np.abs(beyond[:, 0] * velocity[:, 1] - beyond[:, 1] * velocity[:, 0]) / speed
+        spread = reports.covariance[a] + reports.covariance[b]
+        # True seconds between the reports are those of the way, where stamps are wrong.
+        passed = np.hypot(*way.T) / speed + np.abs(dt)
+        variance = 0.5 * np.einsum("nvv->n", spread[:, :2, :2]) + walk[a] * passed**3 / 6.0
+        variance = variance + passed**2 * np.einsum("nvv->n", spread[:, 2:, 2:]) / 8.0
+        known = spread[:, 2, 2] < 0.1 * speed**2 + 1.0
+        turned = np.hypot(*(reports.state[a, 2:] - reports.state[b, 2:]).T) > 0.3 * speed
+        kept = known & ~turned & (speed > tuning.clock_speed_m_per_s) & (across < 4.0 * np.sqrt(variance))
+        kept &= passed < tuning.clock_gap_s
+        sigma = np.sqrt(variance) / speed
+        return cls(a[kept], b[kept], -(along / speed)[kept], np.hypot(sigma, tuning.stamp_s)[kept], track[kept])
+
+
+def clock_jumps(feed: Feed, least_log_odds: float = 0.0) -> list[Fault]:
+    """Jumps of a clock within its file: from a line on, the stamps of all moving tracks are early or late.
+
+    A ship that manoeuvres or leaps says it of itself only, so that a track's vote is bounded.
+    """
+    reports, tuning = feed.reports, feed.tuning
+    if not isinstance(reports, States) or reports.track is None or not feed.has_velocities:
+        return []
+    steps = Steps.of(reports, feed.walk_m2_per_s3, tuning)
+    jumps: list[Fault] = []
+    at = np.asarray(reports.rows)
+    for _ in range(tuning.clock_jumps):
+        found = _jump(steps, at, tuning)
+        if found is None or found[0] <= least_log_odds:
+            break
+        log_odds, row, jump_s, votes = found
+        when = float(reports.time_s[int(np.flatnonzero(at == row)[0])])
+        words = (
+            f"{feed.description.name}: its clock jumps by {jump_s:+.0f} s, as the motion of {votes} tracks shows; "
+            "correct the stamps from then on, or leave the source out"
+        )
+        jumps.append(Fault("clock", feed.description.name, when, float(reports.time_s.max()), log_odds, words))
+        over = (at[steps.first] < row) & (row <= at[steps.second])
+        steps = Steps(*(getattr(steps, name)[~over] for name in ("first", "second", "late_s", "sigma_s", "track")))
+    return jumps
+
+
+def _jump(steps: Steps, at: IntArray, tuning: Tuning) -> tuple[float, int, float, int] | None:
+    """The most probable jump: log-odds, row of the file from which on, seconds, number of tracks that vote for it."""
+    if len(steps.first) < 2:
+        return None
+    size = int(at.max()) + 2
+    seconds = np.concatenate([-np.arange(*tuning.clock_search_s)[::-1], np.arange(*tuning.clock_search_s)])
+    outlier = math.log(tuning.clock_outlier / (2.0 * tuning.clock_search_s[1]))
+    sound = np.logaddexp(_normal(steps.late_s, steps.sigma_s), outlier)
+    best: tuple[float, int, float, int] | None = None
+    # Lines between the same two reports of a track are one place to jump.
+    places = len(steps.first) / len(np.unique(steps.track))
+    for jump_s in seconds:
+        vote = np.logaddexp(_normal(steps.late_s - jump_s, steps.sigma_s), outlier) - sound
+        vote = np.clip(vote, -tuning.clock_vote, tuning.clock_vote)
+        total = np.zeros(size)
+        np.add.at(total, at[steps.first] + 1, vote)
+        np.add.at(total, at[steps.second] + 1, -vote)
+        total = np.cumsum(total)
+        row = int(np.argmax(total))
+        log_odds = float(total[row]) + math.log(tuning.fault_prior / (len(seconds) * places))
+        if best is None or log_odds > best[0]:
+            over = (at[steps.first] < row) & (row <= at[steps.second]) & (vote > 0.0)
+            best = log_odds, row, float(jump_s), len(np.unique(steps.track[over]))
+    return best
+
+
+def _normal(value: FloatArray, sigma: FloatArray) -> FloatArray:
+    return np.asarray(-0.5 * (value / sigma) ** 2 - np.log(sigma * math.sqrt(2.0 * math.pi)))
+
+
+def _ended(feed: Feed, feeds: Sequence[Feed]) -> Iterator[Fault]:
+    """A source that says nothing more while others go on: by the longest pause that it made before."""
+    others = [other.reports.time_s for other in feeds if other is not feed and len(other.reports)]
+    times = np.unique(feed.reports.time_s)
+    if not others or len(times) < feed.tuning.fault_reports:
+        return
+    end, begin = max(float(t.max()) for t in others), min(float(t.min()) for t in others)
+    silent_s, pauses = end - float(times[-1]), np.diff(times)
+    longest = max(float(pauses.max()), feed.description.timing.period_s or 0.0)
+    if silent_s < max(feed.tuning.ended_s, feed.tuning.ended_share * (end - begin)):
+        return
+    # Pauses as long as the longest come once in all; longer ones fall off as an exponential does.
+    log_odds = silent_s / longest * math.log(len(pauses)) - math.log(len(pauses)) + math.log(feed.tuning.fault_prior)
+    name = feed.description.name
+    words = (
+        f"{name}: ends {silent_s:.0f} s before the others, its longest pause before was {longest:.3g} s; what it "
+        "showed is unseen from then on, not gone"
+    )
+    yield Fault("ended", name, float(times[-1]), end, log_odds, words)
+
+
+def _places(reports: Reports) -> FloatArray | None:
+    """(n, 2) positions to the last digit, as a source gives them."""
+    for one, other in (("lat_deg", "lon_deg"), ("x_m", "y_m"), ("range_m", "bearing_deg")):
+        first, second = getattr(reports, one), getattr(reports, other)
+        if first is not None and second is not None:
+            return np.column_stack([first, second])
+    return None
+
+
+def _frozen(feed: Feed) -> Iterator[Fault]:
+    """A source whose moving tracks all repeat their last positions, to the last digit, until it ends."""
+    raw, reports, tuning = feed.raw_reports, feed.reports, feed.tuning
+    place = None if raw is None else _places(raw)
+    if raw is None or place is None or not isinstance(reports, States) or raw.object_ids is None:
+        return
+    _, number = np.unique(np.array([str(one) for one in raw.object_ids]), return_inverse=True)
+    order = np.lexsort([raw.time_s, number])
+    time_s, place, number = raw.time_s[order], place[order], number[order]
+    velocity = raw.velocity_m_per_s()
+    # Without speeds a place that changes at every report is all that says that a track moves.
+    speed = np.full(len(order), np.inf) if velocity is None else np.nan_to_num(np.hypot(*velocity.T), nan=0.0)[order]
+    end, votes, still, begins = float(raw.time_s.max()), 0.0, 0, []
+    active = 0
+    for rows in np.split(np.arange(len(order)), np.flatnonzero(np.diff(number)) + 1):
+        changed = np.flatnonzero((place[rows[1:]] != place[rows[:-1]]).any(axis=1))
+        if len(changed) < tuning.frozen_reports or end - time_s[rows[-1]] > 0.25 * (end - float(raw.time_s.min())):
+            continue
+        last = int(changed[-1]) + 1
+        moves_s = np.diff(time_s[rows[np.append(0, changed + 1)]])
+        # A track that changes its place with every report or so moves; one at anchor may repeat it.
+        if len(changed) < 0.8 * last or (np.median(speed[rows]) < 1.0):
+            continue
+        active += 1
+        again = len(rows) - 1 - last
+        if again >= tuning.frozen_reports and time_s[rows[-1]] - time_s[rows[last]] > 5.0 * float(np.median(moves_s)):
+            still += 1
+            begins.append(float(time_s[rows[last]]))
+            votes += min(again * math.log(1.0 / tuning.repeats), tuning.track_vote)
+    log_odds = votes + (active - still) * math.log(tuning.repeats) + math.log(tuning.fault_prior)
+    if still:
+        name = feed.description.name
+        words = (
+            f"{name}: is frozen: {still} of {active} moving tracks repeat their last positions while their stamps go "
+            "on; what it shows from then on is old"
+        )
+        yield Fault("frozen", name, float(np.median(begins)), end, log_odds, words)
+
+
+def _floods(feed: Feed) -> Iterator[Fault]:
+    """Stretches in which a source says many times what it usually does."""
+    assert feed.raw_reports is not None
+    tuning, time_s = feed.tuning, feed.raw_reports.time_s
+    width = max(tuning.flood_s, 5.0 * (feed.description.timing.period_s or 0.0))
+    bins = ((time_s - time_s.min()) // width).astype(np.int64)
+    if not 5 <= bins.max(initial=0) < 10**6:
+        return
+    count = np.bincount(bins)
+    usual = max(float(np.median(count)), 1.0)
+    usually = count[count <= np.quantile(count, 0.9)]
+    scatter = max(float(np.var(usually)) / max(float(usually.mean()), 1.0), 1.0)
+    over = (count > tuning.flood_factor * usual) & (count > usual + tuning.flood_least)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], over.astype(np.int64), [0]])))
+    for low, high in zip(edges[::2], edges[1::2], strict=True):
+        reports, due = float(count[low:high].sum()), usual * (high - low)
+        log_odds = (reports * math.log(reports / due) - reports + due) / scatter
+        log_odds += math.log(tuning.fault_prior / len(count))
+        name, begin = feed.description.name, float(time_s.min()) + float(low) * width
+        words = (
+            f"{name}: floods: {reports:.0f} reports in {width * (high - low):.0f} s, {due:.0f} are usual; look for "
+            "reports that are repeated or made up"
+        )
+        yield Fault("flood", name, begin, begin + float(high - low) * width, log_odds, words)

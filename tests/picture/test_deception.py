@@ -1,0 +1,55 @@
+"""Deception is an alarm with its probability: AIS that drags or falls silent; a sound picture has none."""
+
+import numpy as np
+import pytest
+from modelled_scenes import describe, straight, told
+
+from sameas.picture.picture import Picture, instants
+from sameas.tracks.scene import Scene
+
+MMSI = [f"23500000{k}" for k in range(6)]
+TIMES = np.arange(0.0, 401.0, 10.0)
+
+
+def scene(seed=1, drag_m_per_s=0.0, leap_m=0.0, silent_from_s=np.inf, radars=("radar",)):
+    """Six ships 1.5 km apart: radars that track them, and AIS; the first ship's drags, leaps, or falls silent."""
+    rng = np.random.default_rng(seed)
+    start = np.column_stack([1500.0 * np.arange(6), 2000.0 + 300.0 * rng.standard_normal(6)])
+    x, v = straight(start, 4.0 * rng.standard_normal((6, 2)), TIMES)
+    sources = [
+        told(rng, describe(name, "tracks"), TIMES, x, v, 30.0, [f"{name}{k}" for k in range(6)]) for name in radars
+    ]
+    false, late = x.copy(), np.maximum(TIMES - 150.0, 0.0)
+    false[0, :, 1] += drag_m_per_s * late + leap_m * (late > 0.0)
+    ais, reports = told(rng, describe("ais", "ais"), TIMES, false, v, 300.0, MMSI, {"mmsi": MMSI})
+    kept = (reports.track_id != MMSI[0]) | (reports.time_s < silent_from_s)
+    return Scene.of([*sources, (ais, reports.where(kept))])
+
+
+def faults(made):
+    return Picture.of(made, instants(made.span_s, 10.0)).summary.faults
+
+
+@pytest.mark.parametrize(("drag", "leap"), [(4.0, 0.0), (0.0, 800.0)])
+@pytest.mark.parametrize("radars", [("radar",), ("radar", "other")])
+def test_ais_that_drags_a_ship_away_from_where_radars_see_it_is_an_alarm(drag, leap, radars):
+    (fault,) = faults(scene(drag_m_per_s=drag, leap_m=leap, radars=radars))
+    assert (fault.kind, fault.source, fault.track) == ("dragged", "ais", MMSI[0])
+    assert fault.probability > 0.95 and 150.0 < fault.first_s < 230.0
+    assert f"ais says {MMSI[0]} is at one place" in str(fault) and "probability" in str(fault)
+
+
+def test_a_second_radar_makes_it_more_probable():
+    one, two = (faults(scene(drag_m_per_s=4.0, radars=radars))[0] for radars in (("radar",), ("radar", "other")))
+    assert two.log_odds > one.log_odds + 2.0
+
+
+def test_a_ship_that_falls_silent_while_a_radar_goes_on_seeing_it_is_an_alarm():
+    (fault,) = faults(scene(silent_from_s=200.0))
+    assert (fault.kind, fault.track) == ("silent", MMSI[0]) and 190.0 <= fault.first_s < 200.1
+    assert "has gone silent: radar saw it for" in str(fault)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_sound_picture_raises_none(seed):
+    assert faults(scene(seed, radars=("radar", "other"))) == ()

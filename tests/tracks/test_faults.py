@@ -1,0 +1,68 @@
+"""Faults of sources: clocks that jump, sources that end early, freeze, flood; sound ones raise no alarm."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sameas.simulate.boat_radar import boat_radar
+from sameas.tracks.faults import source_faults
+from sameas.tracks.scene import Scene
+
+
+def sources(seed=0):
+    return boat_radar(np.random.default_rng(seed), common=6).sources
+
+
+def found(radar, ais):
+    """Kinds of the alarms by their sources."""
+    return [(fault.kind, fault.source) for fault in source_faults(Scene.of([radar, ais]).feeds)]
+
+
+def with_jump(reports, seconds):
+    """The clock jumps in the middle of the file."""
+    time_s = reports.time_s.copy()
+    time_s[len(time_s) // 2 :] += seconds
+    return replace(reports, time_s=time_s)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sound_sources_raise_no_alarm(seed):
+    assert found(*sources(seed)) == []
+
+
+@pytest.mark.parametrize("seconds", [30.0, -30.0])
+def test_a_clock_that_jumps_is_told_with_its_jump_and_when(seconds):
+    radar, (described, ais) = sources()
+    (fault,) = source_faults(Scene.of([radar, (described, with_jump(ais, seconds))]).feeds)
+    assert fault.kind == "clock" and fault.probability > 0.95
+    assert f"its clock jumps by {seconds:+.0f} s" in str(fault) or abs(float(str(fault).split()[5]) - seconds) <= 4.0
+    assert abs(fault.first_s - ais.time_s[len(ais) // 2]) < 60.0
+
+
+def test_one_ship_that_leaps_is_no_jump_of_the_clock():
+    radar, (described, ais) = sources()
+    mine = (ais.mmsi == ais.mmsi[0]) & (np.arange(len(ais)) > len(ais) // 2)
+    leapt = replace(ais, lat_deg=np.where(mine, ais.lat_deg + 0.001, ais.lat_deg))
+    assert ("clock", "ais") not in found(radar, (described, leapt))
+
+
+def test_a_source_that_ends_early_is_told():
+    radar, (described, ais) = sources()
+    assert found(radar, (described, ais.where(ais.time_s < ais.time_s.min() + 300.0))) == [("ended", "ais")]
+
+
+def test_a_source_that_freezes_is_told():
+    radar, (described, ais) = sources()
+    lat, lon = np.array(ais.lat_deg), np.array(ais.lon_deg)
+    for name in set(ais.mmsi):
+        late = np.flatnonzero((ais.mmsi == name) & (ais.time_s > ais.time_s.min() + 400.0))
+        lat[late], lon[late] = lat[late[0]], lon[late[0]]
+    assert found(radar, (described, replace(ais, lat_deg=lat, lon_deg=lon))) == [("frozen", "ais")]
+
+
+def test_a_source_that_floods_is_told():
+    (described, radar), ais = sources()
+    burst = np.flatnonzero(np.abs(radar.time_s - radar.time_s.mean()) < 10.0)
+    rows = np.sort(np.concatenate([np.arange(len(radar)), np.repeat(burst, 20)]))
+    assert found((described, radar.where(rows)), ais) == [("flood", "radar")]
