@@ -12,20 +12,26 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from benchmarks import motion
+from benchmarks.autoferry_models import describe_all, learned_elsewhere
+from benchmarks.autoferry_scenes import FOLDER, SCENARIOS, scene_of
 from benchmarks.tables import Table, report
 from sameas.simulate.boat_radar import BoatRadarScene, boat_radar
 from sameas.simulate.sensors import Bias
 from sameas.tracks.bias_fit import BiasFit, fit_biases
 from sameas.tracks.biases import AZIMUTH
 from sameas.tracks.common_scans import ComparedSource, common_scans
+from sameas.tracks.faults import source_faults
 from sameas.tracks.feed import Feed
 from sameas.tracks.plot_offsets import Plots, candidates, fit_plots
+from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
+from sameas.tracks.source import Description
 
 #: Of the peers: plots within it are a vessel's.
 RADIUS_M = 60.0
@@ -148,17 +154,111 @@ def offsets(scenes: int) -> Table:
     )  # fmt: skip
 
 
+@dataclass(frozen=True)
+class Injected:
+    """A fault that is put into AIS. kind : of the alarm that is due. change : AIS with it."""
+
+    words: str
+    kind: str
+    change: Callable[[Reports, np.random.Generator], Reports]
+
+
+def _middle(reports: Reports, rng: np.random.Generator) -> float:
+    """A time in the middle third."""
+    begin, end = float(reports.time_s.min()), float(reports.time_s.max())
+    return float(rng.uniform(begin + (end - begin) / 3.0, end - (end - begin) / 3.0))
+
+
+def _jumped(seconds: float) -> Callable[[Reports, np.random.Generator], Reports]:
+    def change(reports: Reports, rng: np.random.Generator) -> Reports:
+        late = reports.time_s >= _middle(reports, rng)
+        return replace(reports, time_s=reports.time_s + seconds * late)
+
+    return change
+
+
+def _cut(reports: Reports, rng: np.random.Generator) -> Reports:
+    return reports.where(reports.time_s < _middle(reports, rng))
+
+
+def _stuck(reports: Reports, rng: np.random.Generator) -> Reports:
+    lat, lon, when = np.array(reports.lat_deg), np.array(reports.lon_deg), _middle(reports, rng)
+    assert reports.object_ids is not None
+    for name in set(reports.object_ids):
+        late = np.flatnonzero((reports.object_ids == name) & (reports.time_s > when))
+        lat[late], lon[late] = lat[late[:1]], lon[late[:1]]
+    return replace(reports, lat_deg=lat, lon_deg=lon)
+
+
+def _flooded(reports: Reports, rng: np.random.Generator) -> Reports:
+    burst = np.flatnonzero(np.abs(reports.time_s - _middle(reports, rng)) < 10.0)
+    return reports.where(np.sort(np.concatenate([np.arange(len(reports)), np.repeat(burst, 60)])))
+
+
+INJECTED = (
+    Injected("nothing", "", lambda reports, rng: reports),
+    Injected("clock jumps by +30 s", "clock", _jumped(30.0)),
+    Injected("clock jumps by -30 s", "clock", _jumped(-30.0)),
+    Injected("ends early", "ended", _cut),
+    Injected("freezes", "frozen", _stuck),
+    Injected("floods", "flood", _flooded),
+)
+
+
+def alarms(scenes: int) -> Table:
+    """Faults that are put into AIS, and alarms on what is sound."""
+    sets: dict[str, Callable[[int], tuple[tuple[Description, Reports], tuple[Description, Reports]] | None]] = {
+        "boat's radar, 8 vessels": lambda seed: drawn(Kind("", (8, 8), 1, 1, 1, 10.0), 5000 + seed)[0].sources,
+        "Solent's AIS, 10 min": _of_the_solent,
+    }
+    lines = []
+    for words, made in sets.items():
+        for injected in INJECTED:
+            found = false = tried = 0
+            for seed in range(scenes):
+                sources = made(seed)
+                if sources is None:
+                    continue
+                radar, (described, ais) = sources
+                changed = injected.change(ais, np.random.default_rng(seed))
+                kinds = {fault.kind for fault in source_faults(Scene.of([radar, (described, changed)]).feeds)}
+                tried, found, false = tried + 1, found + (injected.kind in kinds), false + len(kinds - {injected.kind})
+            if tried:
+                lines.append([words, injected.words, tried, found if injected.kind else None, false])
+    notes = ["false: alarms of another kind than the fault"]
+    if FOLDER.exists():
+        count = sum(
+            len(source_faults(scene_of(name, describe_all(learned_elsewhere(name, SCENARIOS), name)).feeds))
+            for name in SCENARIOS
+        )
+        notes.append(f"autoferry, {len(SCENARIOS)} recordings as they are: {count} alarms")
+    return Table("Alarms", ("sources", "fault", "scenes", "found", "false"), lines, tuple(notes))
+
+
+def _of_the_solent(seed: int) -> tuple[tuple[Description, Reports], tuple[Description, Reports]] | None:
+    """Ten minutes of real AIS, and a radar about the Solent that shows nothing but clutter."""
+    log = motion.solent()
+    if log is None:
+        return None
+    begin = float(log.time_s.min()) + 60.0 + 150.0 * (seed % 25)
+    radar = boat_radar(np.random.default_rng(seed), common=0, moored=0, unseen=0).sources[0]
+    moved = replace(radar[1], time_s=radar[1].time_s - radar[1].time_s.min() + begin)
+    return (radar[0], moved), (Description("ais", "ais"), motion.between(log, begin, begin + 600.0))
+
+
 def tables(options: argparse.Namespace) -> Iterator[Table]:
     """All tables."""
     if "offsets" in options.only:
         yield offsets(options.scenes)
+    if "alarms" in options.only:
+        yield alarms(min(options.scenes, 20))
 
 
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(prog="scripts/bench sensors", description=__doc__)
     parser.add_argument("--scenes", type=int, default=100, help="modelled scenes of each line (default 100)")
-    sections = ("offsets",)
+    sections = ("alarms", "offsets")
     parser.add_argument("--only", nargs="+", choices=sections, default=sections, help="sections to print")
     report("sensors", tables(parser.parse_args()))
 

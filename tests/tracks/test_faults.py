@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sameas.io.sensors.clock import unwrapped
 from sameas.simulate.boat_radar import boat_radar
 from sameas.tracks.faults import source_faults
 from sameas.tracks.scene import Scene
@@ -66,3 +67,29 @@ def test_a_source_that_floods_is_told():
     burst = np.flatnonzero(np.abs(radar.time_s - radar.time_s.mean()) < 10.0)
     rows = np.sort(np.concatenate([np.arange(len(radar)), np.repeat(burst, 20)]))
     assert found((described, radar.where(rows)), ais) == [("flood", "radar")]
+
+
+def counted(reports, pauses):
+    """AIS without stamps: silent in pauses of the receiver, its clock counted on from the seconds in messages."""
+    since = reports.time_s - reports.time_s.min()
+    kept = ~np.any([(since > begin) & (since < end) for begin, end in pauses], axis=0)
+    left = reports.where(kept)
+    return replace(left, time_s=unwrapped(left.time_s % 60.0, 60.0, left.time_s[0]), counted_clock=True), left.time_s
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_minutes_that_a_counted_clock_lost_are_put_in_by_the_motion_of_the_tracks(seed):
+    radar, (described, ais) = sources(seed)
+    reports, truth = counted(ais, [(120.0, 200.0), (330.0, 470.0)])
+    assert np.ptp(reports.time_s) < np.ptp(truth) - 100.0
+    scene = Scene.of([radar, (described, reports)])
+    mended = scene.feeds[1].reports.time_s
+    assert np.allclose(mended - mended[0], truth - truth[0], atol=1.0)
+    assert any("counted on from the seconds in messages; 3 minutes" in note for note in scene.notes)
+
+
+def test_a_counted_clock_without_pauses_is_left_as_it_is():
+    radar, (described, ais) = sources()
+    reports, _ = counted(ais, [(1e6, 2e6)])
+    feed = Scene.of([radar, (described, reports)]).feeds[1]
+    assert np.allclose(feed.reports.time_s, reports.time_s) and "0 minutes" in feed.notes[-1]

@@ -19,7 +19,7 @@ from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 
 def split_duplicate_ids(
-    reports: States, speed_m_per_s: float, tuning: Tuning = DEFAULT_TUNING
+    reports: States, speed_m_per_s: float, tuning: Tuning = DEFAULT_TUNING, *, doubtful_s: float = 0.0
 ) -> tuple[States, tuple[str, ...]]:
     """The reports with a track for every object of a duplicate id, and printable notes.
 
@@ -27,6 +27,7 @@ def split_duplicate_ids(
     ----------
     reports : of one source; without track ids they are returned unchanged.
     speed_m_per_s : usual speed of its objects, motion.speed_m_per_s of the description.
+    doubtful_s : by how much the stamps of two reports may disagree: the clock is doubted before the identity.
     """
     if reports.track is None or not len(reports):
         return reports, ()
@@ -35,7 +36,10 @@ def split_duplicate_ids(
     names, number = np.unique(reports.track[usable].astype(str), return_inverse=True)
     order = np.lexsort([reports.time_s[usable], number])
     rows, owner = usable[order], number[order]
-    radius = tuning.place_sigmas * np.sqrt(np.trace(reports.covariance[rows, :2, :2], axis1=1, axis2=2))
+    radius = (
+        tuning.place_sigmas * np.sqrt(np.trace(reports.covariance[rows, :2, :2], axis1=1, axis2=2))
+        + 0.5 * doubtful_s * limit
+    )
     leaps = _too_far(reports, rows[:-1], rows[1:], radius[:-1] + radius[1:], limit) & (owner[1:] == owner[:-1])
     track, state, notes = reports.track.astype(object), reports.state.copy(), []
     for k in np.unique(owner[1:][leaps]):

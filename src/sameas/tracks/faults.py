@@ -14,11 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import FloatArray
 from sameas.tracks.alignment import States
+from sameas.tracks.clock import Steps, jump_of
 from sameas.tracks.feed import Feed
 from sameas.tracks.reports import Reports
-from sameas.tracks.tuning import Tuning
 
 
 @dataclass(frozen=True)
@@ -63,50 +63,6 @@ def _faults(feed: Feed, feeds: Sequence[Feed]) -> Iterator[Fault]:
     yield from _floods(feed)
 
 
-@dataclass(frozen=True)
-class Steps:
-    """Reports of moving tracks and the next of the same in the file (m,): rows, and by how long stamps disagree.
-
-    late_s, sigma_s : seconds that the second stamp is beyond what the way between them says, and their 1σ.
-    track : number of the track.
-    """
-
-    first: IntArray
-    second: IntArray
-    late_s: FloatArray
-    sigma_s: FloatArray
-    track: IntArray
-
-    @classmethod
-    def of(cls, reports: States, walk: FloatArray, tuning: Tuning) -> Steps:
-        """Of reports with velocities, in the order of the file."""
-        assert reports.track is not None
-        rows = np.flatnonzero(reports.usable)
-        rows = rows[np.argsort(reports.rows[rows], kind="stable")]
-        _, number = np.unique(reports.track[rows].astype(str), return_inverse=True)
-        order = np.argsort(number, kind="stable")
-        rows, number = rows[order], number[order]
-        same = number[1:] == number[:-1]
-        a, b, track = rows[:-1][same], rows[1:][same], number[1:][same]
-        velocity = 0.5 * (reports.state[a, 2:] + reports.state[b, 2:])
-        speed = np.maximum(np.hypot(*velocity.T), 1e-9)
-        way, dt = reports.state[b, :2] - reports.state[a, :2], reports.time_s[b] - reports.time_s[a]
-        beyond = way - velocity * dt[:, None]
-        along = np.einsum("nv,nv->n", beyond, velocity) / speed
-        across = np.abs(beyond[:, 0] * velocity[:, 1] - beyond[:, 1] * velocity[:, 0]) / speed
-        spread = reports.covariance[a] + reports.covariance[b]
-        # True seconds between the reports are those of the way, where stamps are wrong.
-        passed = np.hypot(*way.T) / speed + np.abs(dt)
-        variance = 0.5 * np.einsum("nvv->n", spread[:, :2, :2]) + walk[a] * passed**3 / 6.0
-        variance = variance + passed**2 * np.einsum("nvv->n", spread[:, 2:, 2:]) / 8.0
-        known = spread[:, 2, 2] < 0.1 * speed**2 + 1.0
-        turned = np.hypot(*(reports.state[a, 2:] - reports.state[b, 2:]).T) > 0.3 * speed
-        kept = known & ~turned & (speed > tuning.clock_speed_m_per_s) & (across < 4.0 * np.sqrt(variance))
-        kept &= passed < tuning.clock_gap_s
-        sigma = np.sqrt(variance) / speed
-        return cls(a[kept], b[kept], -(along / speed)[kept], np.hypot(sigma, tuning.stamp_s)[kept], track[kept])
-
-
 def clock_jumps(feed: Feed, least_log_odds: float = 0.0) -> list[Fault]:
     """Jumps of a clock within its file: from a line on, the stamps of all moving tracks are early or late.
 
@@ -117,9 +73,11 @@ def clock_jumps(feed: Feed, least_log_odds: float = 0.0) -> list[Fault]:
         return []
     steps = Steps.of(reports, feed.walk_m2_per_s3, tuning)
     jumps: list[Fault] = []
+    ahead = np.arange(*tuning.clock_search_s)
+    seconds = np.concatenate([-ahead[::-1], ahead])
     at = np.asarray(reports.rows)
     for _ in range(tuning.clock_jumps):
-        found = _jump(steps, at, tuning)
+        found = jump_of(steps, at, seconds, tuning.fault_prior, tuning)
         if found is None or found[0] <= least_log_odds:
             break
         log_odds, row, jump_s, votes = found
@@ -132,36 +90,6 @@ def clock_jumps(feed: Feed, least_log_odds: float = 0.0) -> list[Fault]:
         over = (at[steps.first] < row) & (row <= at[steps.second])
         steps = Steps(*(getattr(steps, name)[~over] for name in ("first", "second", "late_s", "sigma_s", "track")))
     return jumps
-
-
-def _jump(steps: Steps, at: IntArray, tuning: Tuning) -> tuple[float, int, float, int] | None:
-    """The most probable jump: log-odds, row of the file from which on, seconds, number of tracks that vote for it."""
-    if len(steps.first) < 2:
-        return None
-    size = int(at.max()) + 2
-    seconds = np.concatenate([-np.arange(*tuning.clock_search_s)[::-1], np.arange(*tuning.clock_search_s)])
-    outlier = math.log(tuning.clock_outlier / (2.0 * tuning.clock_search_s[1]))
-    sound = np.logaddexp(_normal(steps.late_s, steps.sigma_s), outlier)
-    best: tuple[float, int, float, int] | None = None
-    # Lines between the same two reports of a track are one place to jump.
-    places = len(steps.first) / len(np.unique(steps.track))
-    for jump_s in seconds:
-        vote = np.logaddexp(_normal(steps.late_s - jump_s, steps.sigma_s), outlier) - sound
-        vote = np.clip(vote, -tuning.clock_vote, tuning.clock_vote)
-        total = np.zeros(size)
-        np.add.at(total, at[steps.first] + 1, vote)
-        np.add.at(total, at[steps.second] + 1, -vote)
-        total = np.cumsum(total)
-        row = int(np.argmax(total))
-        log_odds = float(total[row]) + math.log(tuning.fault_prior / (len(seconds) * places))
-        if best is None or log_odds > best[0]:
-            over = (at[steps.first] < row) & (row <= at[steps.second]) & (vote > 0.0)
-            best = log_odds, row, float(jump_s), len(np.unique(steps.track[over]))
-    return best
-
-
-def _normal(value: FloatArray, sigma: FloatArray) -> FloatArray:
-    return np.asarray(-0.5 * (value / sigma) ** 2 - np.log(sigma * math.sqrt(2.0 * math.pi)))
 
 
 def _ended(feed: Feed, feeds: Sequence[Feed]) -> Iterator[Fault]:

@@ -20,6 +20,7 @@ from sameas.gaussian import Gaussian, log_density, mahalanobis_sq, symmetric
 from sameas.representation import in_short
 from sameas.tracks.alignment import States, Succession
 from sameas.tracks.biases import corrected
+from sameas.tracks.clock import with_minutes
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.duplicate_ids import split_duplicate_ids
 from sameas.tracks.filter import follow, measures_anew
@@ -202,9 +203,15 @@ class Feed:
         notes, sensor_m = placed.notes, placed.sensor_m
         biases = known_biases(description, sensor_m)
         there = corrected(there, sensor_m, biases) if biases.any() else there
+        if isinstance(there, States) and reports.counted_clock:
+            there, minutes = with_minutes(there, np.full(len(there), walk_of(description)), placed.tuning)
+            notes += (_counted_note(description.name, minutes),)
         if isinstance(there, States):
             there, repeated = position_updates(there, placed.tuning)
-            there, duplicates = split_duplicate_ids(there, description.motion.speed_m_per_s or math.inf, placed.tuning)
+            there, duplicates = split_duplicate_ids(
+                there, description.motion.speed_m_per_s or math.inf, placed.tuning,
+                doubtful_s=60.0 if reports.counted_clock else 0.0,
+            )  # fmt: skip
             notes += tuple(f"{description.name}: {note}" for note in (*repeated, *duplicates))
         p_stationary, measured = None, None
         if to_tracks:
@@ -321,6 +328,11 @@ def _bearings(there: States | Directions, sensor_m: FloatArray | None) -> FloatA
     if there.track is not None:
         return None
     return there.bearing_deg if isinstance(there, Directions) else seen_from(there.state[:, :2], sensor_m)
+
+
+def _counted_note(name: str, minutes: int) -> str:
+    mended = f"{minutes} minute{'s' * (minutes != 1)} that the motion of tracks shows to be missing were put in"
+    return f"{name}: its clock is counted on from the seconds in messages; {mended}, others may be missing"
 
 
 def known_biases(description: Description, sensor_m: FloatArray | None) -> FloatArray:

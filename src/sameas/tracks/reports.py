@@ -116,6 +116,7 @@ class Reports:
     damaged : lines that could not be used.
     passed_over : number of other lines of the file, by kind.
     notes : assumptions, one printable sentence each.
+    counted_clock : whether stamps are counted on from the seconds in messages, so that minutes may be missing.
     """
 
     source: str
@@ -162,6 +163,7 @@ class Reports:
     damaged: Damaged = field(default_factory=Damaged)
     passed_over: Mapping[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    counted_clock: bool = False
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -285,7 +287,8 @@ def joined(parts: Sequence[Reports]) -> Reports:
         columns[name] = np.concatenate(cells)
     own: dict[str, Any] = {name: column for name, column in columns.items() if name in _COLUMNS}
     extra = {name: column for name, column in columns.items() if name not in _COLUMNS}
-    return Reports(first.source, first.kind, **own, extra=extra)
+    counted = any(part.counted_clock for part in parts)
+    return Reports(first.source, first.kind, **own, extra=extra, counted_clock=counted)
 
 
 def _absent(like: NDArray[Any], n: int) -> NDArray[Any]:
@@ -315,7 +318,7 @@ def of_rows(rows: Sequence[Mapping[str, Any]], names: Iterable[str] = ()) -> dic
 
 _MATRICES = ("covariance_m2", "velocity_covariance_m2_per_s2")
 _TEXTS = ("track_id", "mmsi", "imo", "icao", "callsign", "mode_a", "name", "type")
-_NO_COLUMNS = ("source", "kind", "extra", "damaged", "passed_over", "notes")
+_NO_COLUMNS = ("source", "kind", "extra", "damaged", "passed_over", "notes", "counted_clock")
 _COLUMNS = tuple(f.name for f in fields(Reports) if f.name not in _NO_COLUMNS)
 _PLACES = ("lat_deg", "lon_deg", "x_m", "y_m", "range_m", "bearing_deg")
 _ANGLES = ("bearing_deg", "course_deg", "heading_deg")

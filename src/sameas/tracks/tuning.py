@@ -71,6 +71,8 @@ class Tuning:
     clock_speed_m_per_s, clock_gap_s, stamp_s : tracks as fast as this, reports at most so far apart, and the error of a
         sound stamp. clock_search_s : jumps that are looked for: from, to, step. clock_outlier, clock_vote : share of
         steps that say nothing, and the most that one can count.
+    most_minutes, most_pauses, pause_prior : of a clock that is counted on from the seconds in messages: whole minutes
+        that one pause may have lost, pauses that are mended, and the probability that there is one more.
     ended_s, ended_share : a source ends early by this much, and this share of the time. frozen_reports, repeats : least
         repetitions of a frozen track, and the probability that a moving one repeats a position.
     flood_s, flood_factor, flood_least : stretches that are counted, and what is more than usual.
@@ -155,6 +157,9 @@ class Tuning:
     clock_search_s: tuple[float, float, float] = (6.0, 181.0, 2.0)
     clock_outlier: float = 0.05
     clock_vote: float = 8.0
+    most_minutes: int = 10
+    most_pauses: int = 100
+    pause_prior: float = 0.3
     ended_s: float = 60.0
     ended_share: float = 0.1
     frozen_reports: int = 3

@@ -11,7 +11,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -175,9 +175,10 @@ def read(log: Log, source: str, start_s: float | None = None, state: ReceiverSta
     time_s, clock = _times(log, messages, positions, source, start_s)
     columns = of_rows(_rows(positions, statics))
     columns |= {"time_s": time_s, **_placed(columns, np.array([message.type for message in positions]))}
-    return Reports.of(
+    made = Reports.of(
         source, "ais", columns, damaged=Damaged.of(damaged), passed_over=passed_over, notes=_notes(source, clock)
     )
+    return replace(made, counted_clock=clock == COUNTED)
 
 
 def own_ship(sentence: Sentence) -> dict[str, float | None]:
@@ -278,6 +279,10 @@ def _unusable(message: Message) -> str:
     return "AIS report, positioning inoperative" if getattr(decoded, "second", None) == 63 else ""
 
 
+#: Whose clock it is where a log has none.
+COUNTED = "the seconds in the messages, counted on from the start that was given"
+
+
 def _times(
     log: Log, messages: Sequence[Message], positions: Sequence[Message], source: str, start_s: float | None
 ) -> tuple[FloatArray, str]:
@@ -299,7 +304,7 @@ def _times(
             naming("give {start}, the UTC of the first line"),
         )
     counted = forward_filled(unwrapped(second, 60.0, start_s))
-    return counted, "the seconds in the messages, counted on from the start that was given"
+    return counted, COUNTED
 
 
 def _base_station(decoded: Any) -> float:
