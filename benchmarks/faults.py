@@ -3,13 +3,15 @@
 Every command writes over an output of an earlier run and is then hit: by SIGKILL, SIGTERM or SIGINT at a moment drawn
 over its run, every second time just after its draft has appeared. The output must be the old one or the new one, whole;
 no draft may stay (after SIGKILL: none after the next run); the exit code must say what happened; nothing but one line
-may be on stderr.
+may be on stderr. The runs are forked from a process that has done the command once: to load modules takes longer than
+the work, and is not what is to be hit.
 """
 
 from __future__ import annotations
 
 import argparse
 import hashlib
+import json
 import os
 import random
 import resource
@@ -19,9 +21,11 @@ import subprocess
 import sys
 import tempfile
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +56,11 @@ class Work:
             raise RuntimeError(f"{self.name}: {done.stderr}")
         return self.files()
 
+    def forked(self, server: Server, earlier: bool = False) -> tuple[int, str]:
+        """Exit code and stderr of a run that nothing disturbs."""
+        server.start(self.command(earlier))
+        return server.ended()
+
     def files(self) -> dict[str, str]:
         """The files of the output by name, each as a digest."""
         folder, pattern = (self.output, "*") if self.output.is_dir() else (self.output.parent, f"{self.output.name}*")
@@ -60,6 +69,70 @@ class Work:
 
     def drafts(self) -> list[Path]:
         return list((self.output if self.output.is_dir() else self.output.parent).glob(".sameas-*"))
+
+
+class Server:
+    """A process that has done a command once, and from which others of the same kind are forked."""
+
+    def __init__(self, work: Work) -> None:
+        begun = [sys.executable, "-m", "benchmarks.faults", "--serve", *work.command()[3:]]
+        self.process = subprocess.Popen(begun, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1,
+                                        preexec_fn=_interruptible)  # fmt: skip
+        self._heard("ready")
+
+    def start(self, command: list[str]) -> int:
+        """Fork a run of a command; the number of its process."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(json.dumps(command[3:]) + "\n")
+        return int(self._heard("begun"))
+
+    def ended(self) -> tuple[int, str]:
+        """Exit code and stderr of the run, when it has ended."""
+        code, said = json.loads(self._heard("ended"))
+        return code, said
+
+    def close(self) -> None:
+        self.process.communicate()
+
+    def _heard(self, what: str) -> str:
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline()
+        if not line.startswith(what):
+            raise RuntimeError(f"{what}: {line!r}")
+        return line[len(what) :]
+
+
+def serve(arguments: list[str]) -> None:
+    """Do a command, then fork those of the lines of stdin; say of each its process, its exit code and its stderr."""
+    from sameas.cli import main as command
+    from sameas.cli.app import app
+
+    told = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    app(arguments, standalone_mode=False)
+    told.write("ready\n")
+    with tempfile.TemporaryFile() as heard:
+        for line in sys.stdin:
+            heard.truncate(0)
+            child = os.fork()
+            if not child:
+                os.dup2(heard.fileno(), 2)
+                sys.argv = ["sameas", *json.loads(line)]
+                try:
+                    command()
+                except SystemExit as error:
+                    sys.stderr.flush()
+                    os._exit(error.code if isinstance(error.code, int) else 0)
+                except BaseException:
+                    traceback.print_exc()
+                    sys.stderr.flush()
+                    os._exit(99)
+                os._exit(0)
+            told.write(f"begun {child}\n")
+            code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+            heard.seek(0)
+            told.write(f"ended {json.dumps([code, heard.read().decode(errors='replace')])}\n")
+            heard.seek(0)
 
 
 @dataclass
@@ -142,6 +215,23 @@ def sensors(folder: Path) -> list[str]:
     return [str(path) for path in paths]
 
 
+def night(folder: Path) -> Path:
+    """Detections of forty movers on eight exposures, among as many that are none."""
+    rng = np.random.default_rng(8)
+    x, way = rng.uniform(-0.1, 0.1, (2, 40)), rng.uniform(0.0, 6.28, 40)
+    path = folder / "night.csv"
+    lines = ["ra,dec,mjd,mag"]
+    for k in range(8):
+        day = k / 100.0
+        ra, dec = 150.0 + x[0] + 0.2 * day * np.cos(way), x[1] + 0.2 * day * np.sin(way)
+        noise = rng.normal(0.0, 0.2 / 3600.0, (2, 40))
+        chance = rng.uniform(-0.1, 0.1, (40, 2)) + np.array([150.0, 0.0])
+        rows = [*zip(ra + noise[0], dec + noise[1], strict=True), *chance]
+        lines += [f"{a:.7f},{b:.7f},{60000 + day:.5f},{rng.uniform(17, 20):.2f}" for a, b in rows]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
 def works(folder: Path, endings: tuple[str, ...] = ENDINGS) -> list[Work]:
     """The commands, and every format of tables."""
     a, b, c = map(str, catalogues(folder))
@@ -152,38 +242,48 @@ def works(folder: Path, endings: tuple[str, ...] = ENDINGS) -> list[Work]:
         return folder / name / "out"
 
     made = [Work(f"match {e}", ("match", a, b), ("match", b, a), output(f"m{e[1:]}").with_suffix(e)) for e in endings]
-    many = output("many").with_suffix(".parquet")
-    made.append(Work("many .parquet", ("many", a, b, c), ("many", c, b, a), many))
+    for e in endings:
+        many = output(f"n{e[1:]}").with_suffix(e)
+        made.append(Work(f"many {e}", ("many", a, b, c), ("many", c, b, a), many))
     shot = ("frame", image, "--catalog", stars, "--no-picture", "--again")
     made.append(Work("frame", shot, (*shot, "--threshold", "6"), output("frame")))
+    for ending in (".csv", ".fits"):
+        moved = ("movers", str(night(folder)), "--sigma", "0.2", "--least")
+        made.append(
+            Work(f"movers {ending}", (*moved, "3"), (*moved, "2"), output(f"v{ending[1:]}").with_suffix(ending))
+        )
     seen = ("picture", *sensors(folder), "--no-image", "--every")
     made.append(Work("picture", (*seen, "20s"), (*seen, "30s"), output("picture")))
     return made
 
 
-def hit(work: Work, number: signal.Signals, moments: int, rng: random.Random) -> Count:
+def hit(work: Work, server: Server, number: signal.Signals, moments: int, rng: random.Random) -> Count:
     """Runs of a command, each hit once."""
     found = Count()
-    old = work.done(earlier=True)
-    kept = {name: (_folder(work) / name).read_bytes() for name in old}
-    began = time.monotonic()
-    new = work.done()
-    longest = time.monotonic() - began
+    for earlier in (True, False):
+        began = time.monotonic()
+        code, said = work.forked(server, earlier)
+        longest = time.monotonic() - began
+        if code:
+            raise RuntimeError(f"{work.name}: {said}")
+        if earlier:
+            old = work.files()
+            kept = {name: (_folder(work) / name).read_bytes() for name in old}
+    new = work.files()
     for moment in range(moments):
         for name, content in kept.items():
             (_folder(work) / name).write_bytes(content)
-        process = subprocess.Popen(work.command(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-                                   preexec_fn=_interruptible)  # fmt: skip
+        process = server.start(work.command())
         if moment % 2:
             time.sleep(rng.uniform(0.0, 1.05) * longest)
         else:
-            _until(lambda process=process: process.poll() is not None or bool(work.drafts()))
-            time.sleep(rng.choice((0.0, 1.0)) * rng.uniform(0.0, 0.1))
+            _until(lambda process=process: _ended(process) or bool(work.drafts()))
+            time.sleep(rng.choice((0.0, 1.0)) * rng.uniform(0.0, 0.1) * min(longest, 1.0))
         asked = time.monotonic()
-        process.send_signal(number)
-        _, said = process.communicate()
+        with suppress(ProcessLookupError):  # it has ended
+            os.kill(process, number)
+        code, said = server.ended()
         answer_s = time.monotonic() - asked
-        code = process.returncode
         now = work.files()
         found.runs += 1
         if now == old:
@@ -194,8 +294,8 @@ def hit(work: Work, number: signal.Signals, moments: int, rng: random.Random) ->
             found.mixed += 1  # several files come one after the other
         else:
             found.faults.append(f"{work.name}, {number.name}: the output is neither: {sorted(now)}")
-        # In the first moments Python itself is still starting: its own ends are as good.
-        if code not in (0, CODES[number], -number) and not (code == 1 and "KeyboardInterrupt" in said):
+        # In the first moments of a process nothing has been begun, and Python's own ends are as good.
+        if code not in (0, CODES[number], -number) and not (code == 99 and "KeyboardInterrupt" in said):
             found.faults.append(f"{work.name}, {number.name}: exit code {code}: {said[-200:]}")
         if "terminate called" in said or (said.count("\n") > 1 and "KeyboardInterrupt" not in said):
             found.faults.append(f"{work.name}, {number.name}: says {said[-300:]!r}")
@@ -205,10 +305,18 @@ def hit(work: Work, number: signal.Signals, moments: int, rng: random.Random) ->
             found.faults.append(f"{work.name}, {number.name}: a draft stayed")
             for draft in work.drafts():
                 _removed(draft)
-    work.done()
+    work.forked(server)
     if work.drafts():
         found.faults.append(f"{work.name}, {number.name}: a draft stayed after the next run")
     return found
+
+
+def _ended(process: int) -> bool:
+    """Whether the process has ended, which another waits for."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except OSError:
+        return True
 
 
 def _folder(work: Work) -> Path:
@@ -311,9 +419,12 @@ def _small() -> None:
 
 
 def main() -> None:
+    if sys.argv[1:2] == ["--serve"]:
+        return serve(sys.argv[2:])
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
-    parser.add_argument("--moments", type=int, default=21, help="moments for each command and signal; 21 make 504")
+    parser.add_argument("--moments", type=int, default=12, help="moments for each command and signal; 12 make 540")
     parser.add_argument("--only", default="", help="commands whose name begins so")
+    parser.add_argument("--signals-only", action="store_true", help="no disks, no two runs at once")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     rng = random.Random(given.seed)
@@ -321,12 +432,15 @@ def main() -> None:
     rows, faults = [], []
     with tempfile.TemporaryDirectory() as folder:
         for work in (work for work in works(Path(folder)) if work.name.startswith(given.only)):
-            every = [(number.name, hit(work, number, given.moments, rng)) for number in CODES]
-            every.append(("disks, two runs", places(work)))
-            for name, found in every:
+            server = Server(work)
+            every = [(number.name, partial(hit, work, server, number, given.moments, rng)) for number in CODES]
+            every += [] if given.signals_only else [("disks, two runs", partial(places, work))]
+            for name, runs in every:
+                found = runs()
                 rows.append(found.row(f"{work.name}: {name}"))
                 faults += found.faults
                 print(*rows[-1], *found.faults, flush=True)
+            server.close()
     columns = ("what", "runs", "old one", "new one", "files of both", "faults")
     report("faults", [Table("Outputs of processes that were hit", columns, rows, faults)])
     sys.exit(bool(faults))
