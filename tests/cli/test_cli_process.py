@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 
 from sameas.cli.app import COMMANDS
 
@@ -235,14 +236,31 @@ def _answer(path):
     return {name: table[name].tolist() for name in table.colnames}
 
 
+def test_an_interruption_in_compiled_code_is_one(capsys):
+    """numba's wrappers make a SystemError of it; it was called a fault of sameas."""
+    from sameas.cli import outcome
+
+    with pytest.raises(typer.Exit) as ended, outcome.answering(False):
+        raise SystemError("returned a result with an exception set") from outcome.Terminated()
+    assert (ended.value.exit_code, capsys.readouterr().err) == (143, "sameas: stopped; nothing was written\n")
+    with pytest.raises(typer.Exit) as ended, outcome.answering(False):
+        raise SystemError("another")
+    assert ended.value.exit_code == 1 and "fault of sameas" in capsys.readouterr().err
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("circumstance", ["python -O", "no home", "no home, no place for compiled kernels"])
+@pytest.mark.parametrize(
+    "circumstance", ["python -O", "no home", "a home that is read-only", "no home, no place for compiled kernels"]
+)
 def test_the_answer_is_the_same_in_every_home(circumstance, tmp_path, field_files):
     run("match", *field_files, "-o", tmp_path / "here.parquet")
     switches = ["-O"] if circumstance == "python -O" else []
     environment = dict(os.environ)
     if "no home" in circumstance:
         environment["HOME"] = str(tmp_path / "none")
+    if circumstance == "a home that is read-only":
+        (tmp_path / "home").mkdir(mode=0o500)
+        environment["HOME"] = environment["XDG_CACHE_HOME"] = environment["XDG_CONFIG_HOME"] = str(tmp_path / "home")
     if "compiled" in circumstance:
         environment["NUMBA_CACHE_DIR"] = str(tmp_path / "file" / "below")
         (tmp_path / "file").touch()
@@ -253,6 +271,29 @@ def test_the_answer_is_the_same_in_every_home(circumstance, tmp_path, field_file
     assert _answer(tmp_path / "there.parquet") == _answer(tmp_path / "here.parquet")
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root may become another user")
+def test_another_user_to_whom_the_installation_is_read_only(tmp_path, field_files):
+    """Nobody has no home, and may write into his own folder only: neither kernels beside the source, nor caches."""
+    run("match", *field_files, "-o", tmp_path / "here.parquet")
+    for folder in (tmp_path, *tmp_path.parents[:-2]):
+        folder.chmod(folder.stat().st_mode | 0o055)
+    theirs = tmp_path / "theirs"
+    theirs.mkdir()
+    os.chown(theirs, 65534, 65534)
+    environment = {"PATH": os.environ["PATH"], "HOME": "/nonexistent", "TMPDIR": str(theirs)}
+    environment |= {name: os.environ[name] for name in ("PYTHONPATH",) if name in os.environ}
+    command = [sys.executable, "-m", "sameas", "match", *map(str, field_files), "-o", str(theirs / "o.parquet"), "-q"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=200, cwd="/",
+                              user=65534, group=65534, extra_groups=[])  # fmt: skip
+    except PermissionError:
+        pytest.skip("another user may not run this Python")
+    assert (done.returncode, done.stderr.replace(_COMPILING, "")) == (0, "")
+    assert _answer(theirs / "o.parquet") == _answer(tmp_path / "here.parquet")
+
+
+_COMPILING = "sameas: compiling kernels for this machine, once; it takes some seconds\n"
 _FORKED = """
 import os, sys
 import numpy as np

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import signal
 import stat
 import subprocess
 import sys
@@ -194,3 +195,32 @@ def test_files_of_a_folder_that_is_still_a_draft_are_not_said_to_be_written(tmp_
     with filling("out") as draft, replacing(draft / "table.csv") as table:
         table.write_text("a")
     assert [path.name for path in atomic.written] == ["out"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are those of POSIX")
+@pytest.mark.parametrize("kind", ["folder", "csv with its provenance"])
+def test_files_of_one_output_come_together_however_it_is_interrupted(kind, tmp_path, monkeypatch):
+    """A page was the new one, and the table beside it the old one, where SIGTERM came between."""
+    replaced = os.replace
+
+    def interrupted(draft, target):
+        replaced(draft, target)
+        signal.raise_signal(signal.SIGINT)
+
+    def write(content):
+        if kind == "folder":
+            with filling(tmp_path / "out") as draft:
+                for name in ("a", "b", "c"):
+                    (draft / name).write_text(content)
+        else:
+            (tmp_path / "out").mkdir(exist_ok=True)
+            write_table(Table({"name": [content]}), tmp_path / "out" / "t.csv", provenance={"by": content})
+
+    write("old")
+    handler = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(os, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write("new")
+    files = sorted((tmp_path / "out").iterdir())
+    assert len(files) in (2, 3) and all("new" in file.read_text() for file in files)
+    assert signal.getsignal(signal.SIGINT) is handler

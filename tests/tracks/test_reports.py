@@ -65,6 +65,14 @@ def test_damage_is_told_by_reason_and_number():
     assert reports().damaged.sentences() == []
 
 
+def test_half_a_character_can_be_written():
+    """A picture of an aircraft of such a name could not be written: JSON holds halves, files of text do not."""
+    halves = ["\ud83d\ude80a", "\ud800", "é", None]
+    columns = {"time_s": range(4), "lat_deg": np.zeros(4), "lon_deg": np.zeros(4), "name": halves}
+    made = Reports.of("adsb", "ads-b", columns | {"owner": np.array([*halves[:3], "x"])})
+    assert made.name.tolist() == ["🚀a", "�", "é", None] and made.extra["owner"].tolist() == ["🚀a", "�", "é", "x"]
+
+
 def test_rows_become_columns_with_what_is_missing_absent():
     columns = of_rows([{"time_s": 1.0, "name": "A"}, {"time_s": 2.0, "covariance_m2": (1.0, 0.0, 1.0)}])
     assert columns["name"].tolist() == ["A", None]

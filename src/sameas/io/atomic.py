@@ -13,11 +13,14 @@ import platform
 import re
 import secrets
 import shutil
+import signal
 import tempfile
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from sameas.errors import InputError
 
@@ -116,9 +119,11 @@ def filling(folder: str | os.PathLike[str]) -> Iterator[Path]:
             ) from error
         with _clear_errors(target):
             yield draft
-            for file in sorted(draft.iterdir()):
-                os.replace(file, target / file.name)
-            written.append(target)
+            with together() as arm:
+                arm()
+                for file in sorted(draft.iterdir()):
+                    os.replace(file, target / file.name)
+                written.append(target)
         made = False
     finally:
         _drafts.discard(known)
@@ -126,6 +131,30 @@ def filling(folder: str | os.PathLike[str]) -> Iterator[Path]:
         if made:
             with suppress(OSError):
                 target.rmdir()
+
+
+@contextmanager
+def together() -> Iterator[Callable[[], None]]:
+    """A function after whose call Ctrl-C and SIGTERM wait for the end of the block: files of one output come together.
+
+    Only in the main thread, which alone is interrupted.
+    """
+    came: list[int] = []
+    before: dict[int, Any] = {}
+
+    def arm() -> None:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                if signal.getsignal(number) is not None:  # not one of another language
+                    before[number] = signal.signal(number, lambda number, frame: came.append(number))
+
+    try:
+        yield arm
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for number in came[:1]:
+            signal.raise_signal(number)
 
 
 @contextmanager

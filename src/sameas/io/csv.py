@@ -24,7 +24,7 @@ import numpy as np
 from sameas.bounds import unpacked
 from sameas.errors import InputError
 from sameas.io.arrow import FEW_ROWS, array_of, column_of, numbers_in
-from sameas.io.atomic import replacing
+from sameas.io.atomic import replacing, together
 from sameas.io.format import TEXT_EXTENSIONS, Format
 
 if TYPE_CHECKING:
@@ -103,9 +103,10 @@ def write_with_sidecar(table: Table, path: Path, provenance: Mapping[str, Any], 
             # What an earlier run said is not true of this file.
             beside.unlink()
         return
-    with replacing(beside) as notes, replacing(path, overwrite=overwrite) as draft:
+    with together() as arm, replacing(beside) as notes, replacing(path, overwrite=overwrite) as draft:
         notes.write_text(json.dumps(provenance, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
         write(table, draft, {})
+        arm()
 
 
 def provenance(path: Path) -> dict[str, Any]:

@@ -203,7 +203,7 @@ class Reports:
             if len(array) != n:
                 raise InputError(f"{source}: column {name} has {len(array)} values for {n} times")
             if name not in _COLUMNS:
-                extra[name] = array
+                extra[name] = _all_writable(array)
             elif name in ("time_s", "line") or not _is_empty(array):
                 own[name] = _typed(name, array)
         about = Damaged() if damaged is None else damaged
@@ -364,7 +364,22 @@ def _typed(name: str, array: NDArray[Any]) -> NDArray[Any]:
         return array.astype(np.int64)
     if name not in _TEXTS:
         return array.astype(np.float64)
-    return np.array([*(None if cell is None else str(cell) for cell in array), None], object)[:-1]
+    return np.array([*(None if cell is None else _writable(str(cell)) for cell in array), None], object)[:-1]
+
+
+def _all_writable(array: NDArray[Any]) -> NDArray[Any]:
+    """A column of any kind; its texts can be written."""
+    if array.dtype.kind not in "UO" or not any(isinstance(cell, str) and not cell.isascii() for cell in array):
+        return array
+    cells = [_writable(cell) if isinstance(cell, str) else cell for cell in array]
+    return np.array([*cells, None], object)[:-1].astype(array.dtype)
+
+
+def _writable(text: str) -> str:
+    """A text with U+FFFD for each half of a character: JSON may hold one (\\ud800), which no file of text takes."""
+    if text.isascii():
+        return text
+    return text.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "replace")
 
 
 def _is_empty(array: NDArray[Any]) -> bool:
