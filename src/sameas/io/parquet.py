@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from collections import OrderedDict
 from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
@@ -142,12 +143,48 @@ def column_metadata(column: Column) -> dict[str, str] | None:
     return {key: str(value) for key, value in facts.items() if value} or None
 
 
+def _header_of(table: Table) -> list[str]:
+    """The lines of YAML with which astropy's readers describe a table, as :mod:`astropy.table.meta` writes them.
+
+    What astropy writes them with knows times and coordinates too, and imports all of both for that: a tenth of a short
+    run. Plain values, as nearly all tables have, do without.
+    """
+    import yaml
+    from astropy.table import meta
+
+    try:
+        parts = meta.ColumnDict, meta._get_col_attributes, meta._repr_odict
+    except AttributeError:  # another astropy
+        return list(meta.get_yaml_from_table(table))
+    ordered, attributes, of_ordered = parts
+
+    class Plain(yaml.SafeDumper):
+        """Raises for what is not plain."""
+
+    def of_column(dumper: Plain, column: Mapping[str, Any]) -> yaml.MappingNode:
+        pairs: Any = column.items()
+        pairs.sort()  # in the order that is astropy's for columns
+        return dumper.represent_mapping("tag:yaml.org,2002:map", pairs)
+
+    Plain.add_representer(ordered, of_column)
+    Plain.add_representer(OrderedDict, of_ordered)
+    Plain.add_representer(tuple, Plain.represent_undefined)
+    header: dict[str, Any] = {"datatype": [attributes(column) for column in table.columns.values()]}
+    if table.meta:
+        header["meta"] = OrderedDict(table.meta)
+    try:
+        text: str = yaml.dump(header, default_flow_style=None, Dumper=Plain, width=130)
+    except yaml.representer.RepresenterError:
+        return list(meta.get_yaml_from_table(table))
+    return text.splitlines()
+
+
 def _file_metadata(table: Table, provenance: Mapping[str, Any]) -> dict[bytes, bytes]:
-    from astropy.table import Table, meta
+    from astropy.table import Table
 
     kept = {key: value for key, value in table.meta.items() if key != "sameas_notes"}
     bare = Table(list(table[:0].columns.values()), names=table.colnames, meta=kept)
-    metadata = {_ASTROPY: "\n".join(meta.get_yaml_from_table(bare)).encode()}
+    metadata = {_ASTROPY: "\n".join(_header_of(bare)).encode()}
     for name in table.colnames:
         kind = table[name].dtype
         if kind.kind in "US":

@@ -191,8 +191,29 @@ def _plain(function: FunctionType) -> FunctionType:
     return _plains[function]
 
 
+def _without_linear_algebra() -> None:
+    """Imports what numba needs to read a kernel, but not ``scipy.linalg`` with it: a fifth of the time of loading it.
+
+    numba imports that only to see whether it is there (it is: SciPy is one of our dependencies); what is compiled with
+    linear algebra still looks for it then.
+    """
+    try:
+        from numba.np import linalg
+
+        look, linalg.ensure_blas = linalg.ensure_blas, lambda: None
+        try:
+            from numba.np import arraymath
+        finally:
+            linalg.ensure_blas = look
+        arraymath.ensure_blas = look
+    except (ImportError, AttributeError):  # another numba, which looks elsewhere
+        pass
+
+
 def _dispatcher(function: FunctionType) -> Any:
     """The function as numba has it, with those it calls."""
+    if "numba" not in sys.modules:
+        _without_linear_algebra()
     from numba import njit
 
     if function not in _dispatchers:
