@@ -126,14 +126,17 @@ import numpy as np
 from sameas import Records
 
 Records.of(np.zeros((3, 2)), sigma=0.1)
-print("numba" in sys.modules)
+print("numba" in sys.modules, "scipy.linalg" in sys.modules)
+if "numba" in sys.modules:  # and for others numba is what it was
+    import numba
+    assert numba.njit(lambda a: a @ a)(np.eye(2)).trace() == 2.0
 """
     for wanted in ("0", "1"):
         environment = os.environ | {"SAMEAS_COMPILE": wanted}
         run = subprocess.run(
             [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
         )
-        assert run.stdout.strip() == str(wanted == "1")
+        assert run.stdout.split() == [str(wanted == "1"), "False"]
 
 
 def test_what_is_interpreted_is_soon_compiled(monkeypatch):

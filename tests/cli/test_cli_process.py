@@ -12,8 +12,10 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pyarrow
 import pytest
 import typer
+from pyarrow import parquet
 
 from sameas.cli.app import COMMANDS
 
@@ -171,6 +173,42 @@ except SystemExit:
     done = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, timeout=60)
     assert done.stdout.splitlines()[-1] == "[]"
     assert "match" in done.stdout and "explain" in done.stdout
+
+
+@pytest.mark.slow
+def test_a_short_run_imports_nothing_that_it_does_not_need(tmp_path):
+    """Which would take longer than the match itself."""
+    rng = np.random.default_rng(3)
+    ra, dec = rng.uniform(10.0, 11.0, (2, 60))
+    for name in ("one", "two"):
+        off = rng.normal(0.0, 0.1 / 3600.0, (2, 60))
+        columns = {"ra": ra + off[0], "dec": dec + off[1], "sigma": np.full(60, 0.1)}
+        parquet.write_table(pyarrow.table(columns), tmp_path / f"{name}.parquet")
+    probe = """
+import sys
+from sameas.cli import main
+try:
+    main()
+except SystemExit as error:
+    print(error.code, [name for name in ("numba", "scipy.linalg", "pydantic", "astropy.coordinates", "matplotlib")
+                       if name in sys.modules])
+"""
+    arguments = [
+        "match",
+        "one.parquet",
+        "two.parquet",
+        "-o",
+        "out.parquet",
+        "--sigma",
+        "sigma",
+        "--sigma-unit",
+        "arcsec",
+        "-q",
+    ]
+    done = subprocess.run(
+        [sys.executable, "-c", probe, *arguments], capture_output=True, text=True, timeout=60, cwd=tmp_path
+    )
+    assert done.stdout.splitlines()[-1] == "0 []", done.stderr
 
 
 def test_commands_are_listed_with_the_first_sentence_of_their_docstring():

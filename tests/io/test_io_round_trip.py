@@ -11,12 +11,14 @@ import pytest
 from astropy import units as u
 from astropy.io import fits
 from astropy.table import Column, MaskedColumn, QTable, Table
+from astropy.table.meta import get_yaml_from_table
 from astropy.time import Time
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sameas.errors import InputError
 from sameas.io import read_table, write_table, written_formats
+from sameas.io.parquet import _header_of
 
 ENDINGS = [".fits", ".vot", ".ecsv", ".csv", ".parquet"]
 ZIPPED = [".fits.gz", ".vot.gz", ".ecsv.gz", ".csv.gz", ".tsv"]
@@ -387,3 +389,18 @@ def test_lists_of_several_lengths_survive(ending, tmp_path):
 def test_any_name_of_a_column_is_written(ending, tmp_path):
     table = Table({"RA (deg)": [1.0], "pm[mas/yr]": [2.0], "a,b": [3.0]})
     assert_same(table, through(table, ending, tmp_path))
+
+
+@pytest.mark.parametrize(
+    "more", [None, (1, 2), np.float64(3.0), np.str_("text"), 1j, u.m, Time(2016.0, format="jyear")]
+)
+def test_what_astropy_reads_of_a_parquet_table_is_as_astropy_writes_it(more):
+    """Plain values without the half of astropy, anything else with it."""
+    table = Table({"b": [1.0, 2.0], "a": ["x", "é"], "c": MaskedColumn([True, False], mask=[0, 1]), "d": [[1], [2]]})
+    table["b"].unit, table["b"].format = u.mas / u.yr, ".3f"
+    table["b"].description = "with #: and 'quotes', and so long that it has to go on in the line after, " * 2
+    table["a"].meta["ucd"] = "meta.id;meta.main"
+    table.meta.update(z=1, list=["a", "b"], small=1e-30, none=None, nan=np.nan, nested={"y": 1, "x": [1.5, {"k": "v"}]})
+    if more is not None:
+        table.meta["more"] = more
+    assert _header_of(table) == get_yaml_from_table(table)

@@ -15,6 +15,7 @@ from typer.core import TyperCommand, TyperGroup
 import sameas
 from sameas.cli.options import ellipses_split
 
+
 class _AsTyped:
     """The value of one option where it is a text or a path; of another type, typer's own.
 
@@ -39,9 +40,9 @@ class _AsTyped:
         return param.get_runtime_param().coerce(value, param=param, ctx=ctx)
 
 
-def _as_typed(command: Any) -> None:
+def _as_typed(command: Any, ctx: Any) -> None:
     """Takes texts and paths among the options of a command as they are typed, where this typer would check them."""
-    for parameter in command.params:
+    for parameter in command.get_params(ctx):
         if getattr(parameter, "_runtime_param", command) is None and hasattr(parameter, "type_descriptor"):
             parameter._runtime_param = _AsTyped(parameter.type_descriptor.annotation)
 
@@ -50,7 +51,7 @@ class _Group(TyperGroup):
     """All commands."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        _as_typed(self)
+        _as_typed(self, ctx)
         return super().parse_args(ctx, args)
 
 
@@ -82,7 +83,7 @@ class _Recorded(TyperCommand):
     """A command that keeps its arguments as they were typed, for the output's provenance."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        _as_typed(self)
+        _as_typed(self, ctx)
         ctx.meta["typed"] = shlex.join(["sameas", str(self.name), *args])
         return super().parse_args(ctx, ellipses_split(args))
 
