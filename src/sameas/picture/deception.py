@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.ragged import ranges
 from sameas.tracks.faults import Fault
 from sameas.tracks.feed import LASTING, Feed
 
@@ -59,6 +60,33 @@ def _followed(feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], instan
     return out
 
 
+@dataclass(frozen=True)
+class _Together:
+    """Which tracks were one object with which: (k,) keys of instant and object, ascending, and numbers of tracks."""
+
+    tracks: list[Followed]
+    key: IntArray
+    track: IntArray
+
+    @classmethod
+    def of(cls, tracks: list[Followed]) -> _Together:
+        key = np.concatenate([_key(one) for one in tracks])
+        track = np.repeat(np.arange(len(tracks)), [len(one.at) for one in tracks])
+        order = np.argsort(key, kind="stable")
+        return cls(tracks, key[order], track[order])
+
+    def with_(self, own: Followed) -> list[Followed]:
+        """The tracks of other sources that were one object with this one at any instant."""
+        keys = _key(own)
+        low, high = np.searchsorted(self.key, keys), np.searchsorted(self.key, keys, side="right")
+        _, rows = ranges(low, high - low)
+        return [one for k in np.unique(self.track[rows]) if (one := self.tracks[k]).source != own.source]
+
+
+def _key(one: Followed) -> IntArray:
+    return np.asarray(one.at.astype(np.int64) << 32 | one.object.astype(np.int64))
+
+
 def deceptions(
     feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], tuning: Tuning = DEFAULT_TUNING
 ) -> tuple[Fault, ...]:
@@ -67,21 +95,21 @@ def deceptions(
         return ()
     instants = np.unique(records["time_s"])
     tracks = _followed(feeds, records, instants)
-    selves = [one for one in tracks if feeds[one.source].description.kind in LASTING]
-    found = [
-        fault
-        for own in selves
-        for fault in (*_dragged(own, tracks, feeds, instants, tuning), *_silent(own, tracks, feeds, instants, tuning))
-        if fault.probability > tuning.sure_deception
-    ]
+    if not tracks:
+        return ()
+    together = _Together.of(tracks)
+    found: list[Fault] = []
+    for own in [one for one in tracks if feeds[one.source].description.kind in LASTING]:
+        others = together.with_(own)
+        found += _dragged(own, others, feeds, instants, tuning)
+        found += _silent(own, others, feeds, instants, tuning)
+    found = [fault for fault in found if fault.probability > tuning.sure_deception]
     return tuple(sorted(found, key=lambda fault: fault.first_s))
 
 
-def _companions(own: Followed, tracks: Sequence[Followed], tuning: Tuning) -> Iterator[tuple[Followed, int]]:
-    """Tracks of other sources that were one object with it for a while, and the place of the last such instant."""
-    for other in tracks:
-        if other.source == own.source:
-            continue
+def _companions(own: Followed, others: Sequence[Followed], tuning: Tuning) -> Iterator[tuple[Followed, int]]:
+    """Those that were one object with it for a while, and the place of the last such instant."""
+    for other in others:
         both, i, j = np.intersect1d(own.at, other.at, return_indices=True)
         together = own.object[i] == other.object[j]
         if together.sum() >= tuning.known_instants:
@@ -89,12 +117,12 @@ def _companions(own: Followed, tracks: Sequence[Followed], tuning: Tuning) -> It
 
 
 def _dragged(
-    own: Followed, tracks: Sequence[Followed], feeds: Sequence[Feed], instants: FloatArray, tuning: Tuning
+    own: Followed, others: Sequence[Followed], feeds: Sequence[Feed], instants: FloatArray, tuning: Tuning
 ) -> Iterator[Fault]:
     """The track says it is elsewhere than the sensors that knew it go on seeing the ship."""
     stay, begins = [], []
     after = np.zeros(len(own.at), bool)
-    for other, last in _companions(own, tracks, tuning):
+    for other, last in _companions(own, others, tuning):
         both, i, j = np.intersect1d(own.at, other.at, return_indices=True)
         away = np.sum((own.place[i] - other.place[j]) ** 2, axis=1) / (own.variance[i] + other.variance[j])
         apart = (both > last) & (away > tuning.apart_sigmas**2)
@@ -105,7 +133,7 @@ def _dragged(
             after |= own.at >= both[apart][0]
     if not stay:
         return
-    alone = after & ~_seen(own, tracks)
+    alone = after & ~_seen(own, others)
     if alone.sum() < 0.8 * after.sum():
         return
     empty = sum(
@@ -124,18 +152,17 @@ def _dragged(
     yield Fault("dragged", name, first, float(instants[own.at[-1]]), log_odds, words, own.track)
 
 
-def _seen(own: Followed, tracks: Sequence[Followed]) -> BoolArray:
+def _seen(own: Followed, others: Sequence[Followed]) -> BoolArray:
     """(k,) whether another source's track is one object with it."""
     out = np.zeros(len(own.at), bool)
-    for other in tracks:
-        if other.source != own.source:
-            _, i, j = np.intersect1d(own.at, other.at, return_indices=True)
-            out[i[own.object[i] == other.object[j]]] = True
+    for other in others:
+        _, i, j = np.intersect1d(own.at, other.at, return_indices=True)
+        out[i[own.object[i] == other.object[j]]] = True
     return out
 
 
 def _silent(
-    own: Followed, tracks: Sequence[Followed], feeds: Sequence[Feed], instants: FloatArray, tuning: Tuning
+    own: Followed, others: Sequence[Followed], feeds: Sequence[Feed], instants: FloatArray, tuning: Tuning
 ) -> Iterator[Fault]:
     """The track says nothing more, while its source speaks on and a sensor goes on seeing the ship."""
     reports = feeds[own.source].reports
@@ -147,7 +174,7 @@ def _silent(
     pauses, end = np.diff(times), float(reports.time_s.max())
     longest = float(pauses.max())
     seen_until, sensors = -math.inf, set()
-    for other, last in _companions(own, tracks, tuning):
+    for other, last in _companions(own, others, tuning):
         if instants[last] < times[-1] - longest or other.at[-1] <= last:
             continue
         # The same track of the sensor goes on, at every instant or nearly so.

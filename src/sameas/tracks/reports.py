@@ -191,7 +191,8 @@ class Reports:
         ------
         InputError : no time, no position, columns of different lengths, a latitude beyond ±90°.
 
-        Rows whose time or position is not finite are set aside as damaged; what else is infinite is absent.
+        Rows whose time or position is not finite, or whose range is negative, are set aside as damaged; what else
+        is infinite is absent.
         """
         if "time_s" not in columns:
             raise InputError(f"{source}: no time; give a column time_s (UTC, seconds since 1970)")
@@ -327,10 +328,11 @@ _ANGLES = ("bearing_deg", "course_deg", "heading_deg")
 def _without_the_infinite(
     source: str, own: dict[str, Any], extra: dict[str, NDArray[Any]], damaged: Damaged
 ) -> tuple[dict[str, Any], dict[str, NDArray[Any]], Damaged]:
-    """The columns without rows at no time or at no place, these among the damaged; other infinite cells are NaN."""
+    """The columns without rows at no time, no place or a negative range, these among the damaged; no infinite cells."""
     with np.errstate(invalid="ignore"):
         no_time = ~(np.abs(own["time_s"]) <= LAST_S)
-    nowhere = np.zeros(len(no_time), bool)
+        negative = np.zeros(len(no_time), bool) if "range_m" not in own else own["range_m"] < 0.0
+    nowhere = negative.copy()
     for name, column in own.items():
         infinite = np.isinf(column) if name not in _TEXTS else np.zeros(0, bool)
         if not infinite.any():
@@ -343,11 +345,13 @@ def _without_the_infinite(
         name: np.where(np.isinf(column), np.nan, column) if column.dtype.kind == "f" else column
         for name, column in extra.items()
     }
-    reasons = np.where(no_time, "no time", "no position").astype(object)
+    reasons = np.where(no_time, "no time", np.where(negative, "a negative range", "no position")).astype(object)
     left_out = np.flatnonzero(no_time | nowhere)
     if not len(left_out):
         return own, extra, damaged
     if len(left_out) == len(no_time):
+        if negative.all():
+            raise InputError(f"{source}: all ranges are negative; give the distances from the sensor")
         what = "time" if no_time.all() else "position"
         raise InputError(f"{source}: no report has a {what} that is a finite number")
     lines = [
