@@ -97,6 +97,6 @@ def test_refusals_say_what_is_missing(columns, words):
 def test_a_negative_range_is_set_aside_and_the_rest_stays():
     columns = {"time_s": [0.0, 1.0, 2.0], "range_m": [100.0, -5.0, 120.0], "bearing_deg": [10.0, 20.0, 30.0]}
     reports = Reports.of("radar", "table", columns)
-    assert reports.range_m.tolist() == [100.0, 120.0] and reports.damaged.counts() == {"a negative range": 1}
+    assert reports.range_m.tolist() == [100.0, 120.0] and reports.damaged.counts() == {"a distance below 0": 1}
     with pytest.raises(InputError, match="all ranges are negative"):
         Reports.of("radar", "table", columns | {"range_m": [-1.0, -2.0, -3.0]})

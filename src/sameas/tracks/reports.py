@@ -345,7 +345,7 @@ def _without_the_infinite(
         name: np.where(np.isinf(column), np.nan, column) if column.dtype.kind == "f" else column
         for name, column in extra.items()
     }
-    reasons = np.where(no_time, "no time", np.where(negative, "a negative range", "no position")).astype(object)
+    reasons = np.where(no_time, "no time", np.where(negative, "a distance below 0", "no position")).astype(object)
     left_out = np.flatnonzero(no_time | nowhere)
     if not len(left_out):
         return own, extra, damaged
