@@ -13,17 +13,19 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.estimate.cells import GridLevel, levels_of
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.space import ARCSEC_PER_RADIAN, Sphere
+
+if TYPE_CHECKING:
+    from sameas.kernels.coverage import Buckets
 
 # Holes and edges of a source, as fine as its records lie: discs that are empty although many were to be expected.
 #
@@ -105,8 +107,8 @@ class Points:
         from sameas.kernels.coverage import isolated
 
         rows = np.empty(len(self.points), np.int32)
-        cells = _PointCells.over(other, (volume / limits[1]) ** (1.0 / self.d) / math.sqrt(self.d), len(other.points))
-        found = isolated(self.points, wanted, density, *limits, volume, self.d, other.points, *cells.arrays(), rows)
+        buckets = _buckets(other, (volume / limits[1]) ** (1.0 / self.d) / math.sqrt(self.d), len(other.points))
+        found = isolated(self.points, wanted, density, *limits, volume, self.d, other.points, buckets, rows)
         return rows[:found].astype(np.int64)
 
     def beside(self, centres: FloatArray, radius: FloatArray, side: float) -> IntArray:
@@ -114,39 +116,24 @@ class Points:
         from sameas.kernels.coverage import beside
 
         rows = np.empty(len(self.points), np.int32)
-        cells = _PointCells.over(self, side, len(self.points))
-        found = beside(self.points, *cells.arrays(), centres, radius, rows)
+        found = beside(self.points, _buckets(self, side, len(self.points)), centres, radius, rows)
         return rows[:found].astype(np.int64)
 
 
-@in_short
-@dataclass(frozen=True)
-class _PointCells:
-    """Cells over points and the table their numbers are taken into; see ``kernels/discs.py``. All (3,)."""
+def _buckets(ground: Points, side: float, n: int) -> Buckets:
+    """Cells of about one side over a ground, in a table for n points."""
+    from sameas.kernels.coverage import Buckets
 
-    low: FloatArray
-    side: FloatArray
-    number: IntArray
-    period: FloatArray
-    mask: int
-
-    @classmethod
-    def over(cls, ground: Points, side: float, n: int) -> _PointCells:
-        """Cells of about one side over a ground, in a table for n points."""
-        low, number, period = np.zeros(3), np.ones(3, np.int64), np.full(3, np.inf)
-        sides = np.where(np.arange(3) < len(ground.period), side, np.inf)  # an unused axis is one cell
-        for v, wraps in enumerate(ground.period):
-            if math.isfinite(wraps):
-                number[v], period[v] = math.ceil(wraps / side), wraps
-                sides[v] = wraps / number[v]
-            else:
-                low[v] = float(ground.points[:, v].min())
-                number[v] = int(min((float(ground.points[:, v].max()) - low[v]) / side, MOST_CELLS)) + 1 | 1
-        return cls(low, sides, number, period, (1 << max(4, math.ceil(math.log2(2 * n)))) - 1)
-
-    def arrays(self) -> tuple[FloatArray, FloatArray, IntArray, FloatArray, int]:
-        """What the kernels take."""
-        return self.low, self.side, self.number, self.period, self.mask
+    low, number, period = np.zeros(3), np.ones(3, np.int64), np.full(3, np.inf)
+    sides = np.where(np.arange(3) < len(ground.period), side, np.inf)  # an unused axis is one cell
+    for v, wraps in enumerate(ground.period):
+        if math.isfinite(wraps):
+            number[v], period[v] = math.ceil(wraps / side), wraps
+            sides[v] = wraps / number[v]
+        else:
+            low[v] = float(ground.points[:, v].min())
+            number[v] = int(min((float(ground.points[:, v].max()) - low[v]) / side, MOST_CELLS)) + 1 | 1
+    return Buckets(low, sides, number, period, (1 << max(4, math.ceil(math.log2(2 * n)))) - 1)
 
 
 def within_holes(here: Points, seen: BoolArray, there: Points, density: FloatArray, share: float) -> BoolArray:
@@ -221,16 +208,12 @@ def _inside(
     return asked[~seen]
 
 
-#: Points (n, 3), their cells, and the lists of each bucket.
-Sorted = tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray, int, NDArray[np.int32], NDArray[np.int32]]
-
-
-def _sorted(ground: Points, rows: IntArray, side: float) -> Sorted:
-    """Some points of a ground in lists of cells."""
+def _sorted(ground: Points, rows: IntArray, side: float) -> tuple[FloatArray, Buckets, Int32Array, Int32Array]:
+    """Some points of a ground (n, 3), their buckets, and the rows of each."""
     from sameas.kernels.coverage import into_buckets
 
-    points, cells = ground.at(rows), _PointCells.over(ground, side, max(len(rows), 1)).arrays()
-    return points, *cells, *into_buckets(points, *cells)
+    points, buckets = ground.at(rows), _buckets(ground, side, max(len(rows), 1))
+    return points, buckets, *into_buckets(points, buckets)
 
 
 def _apart(points: FloatArray, side: float) -> IntArray:

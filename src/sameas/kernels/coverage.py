@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import namedtuple
 
 import numpy as np
 
@@ -232,22 +233,27 @@ def refine_share(
 # room than its points, however wide it is. Buckets may hold points of several cells; every point is asked for its own.
 
 
+# A grid: lower corner, side and number of its cells and period along each axis (3,), and the table's size less one.
+Buckets = namedtuple("Buckets", "low side number period mask")
+
+
 @part
-def cell_of(x: float, low: float, side: float, number: int, period: float) -> int:
+def cell_of(x: float, v: int, buckets: Buckets) -> int:
     """The cell along one axis; the last of a period takes what rounding puts beyond it."""
-    cell = math.floor((x - low) / side)
-    return min(cell, number - 1) if period < np.inf else cell
+    cell = math.floor((x - buckets.low[v]) / buckets.side[v])
+    return min(cell, buckets.number[v] - 1) if buckets.period[v] < np.inf else cell
 
 
 @part
-def bucket_of(i: int, j: int, k: int, number: IntArray, mask: int) -> int:
+def bucket_of(i: int, j: int, k: int, buckets: Buckets) -> int:
     """Where the points of a cell are kept."""
-    return ((i * number[1] + j) * number[2] + k) & mask
+    return ((i * buckets.number[1] + j) * buckets.number[2] + k) & buckets.mask
 
 
 @part
-def along(x: float, low: float, side: float, number: int, period: float, radius: float) -> tuple[int, int]:
+def along(x: float, v: int, buckets: Buckets, radius: float) -> tuple[int, int]:
     """(first, last) cell along one axis that a disc around ``x`` reaches; in a period they may lie outside it."""
+    low, side, number, period = buckets.low[v], buckets.side[v], buckets.number[v], buckets.period[v]
     if period < np.inf and 2.0 * radius + 2.0 * side >= period:
         return 0, number - 1
     return math.floor((x - radius - low) / side), math.floor((x + radius - low) / side)
@@ -255,13 +261,13 @@ def along(x: float, low: float, side: float, number: int, period: float, radius:
 
 @part
 def reach_of(
-    centres: FloatArray, c: int, radius: float, low: FloatArray, side: FloatArray, number: IntArray, period: FloatArray
+    centres: FloatArray, c: int, radius: float, buckets: Buckets
 ) -> tuple[tuple[int, int], tuple[int, int], tuple[int, int]]:
     """The same along three axes of a disc around a centre."""
     return (
-        along(centres[c, 0], low[0], side[0], number[0], period[0], radius),
-        along(centres[c, 1], low[1], side[1], number[1], period[1], radius),
-        along(centres[c, 2], low[2], side[2], number[2], period[2], radius),
+        along(centres[c, 0], 0, buckets, radius),
+        along(centres[c, 1], 1, buckets, radius),
+        along(centres[c, 2], 2, buckets, radius),
     )
 
 
@@ -272,8 +278,9 @@ def turned(cell: int, number: int, period: float) -> int:
 
 
 @part
-def turned_round(i: int, j: int, k: int, number: IntArray, period: FloatArray) -> tuple[int, int, int]:
+def turned_round(i: int, j: int, k: int, buckets: Buckets) -> tuple[int, int, int]:
     """The same along three axes."""
+    number, period = buckets.number, buckets.period
     return turned(i, number[0], period[0]), turned(j, number[1], period[1]), turned(k, number[2], period[2])
 
 
@@ -296,14 +303,12 @@ def at(points: FloatArray, p: int, v: int) -> float:
 
 
 @part
-def cells_at(
-    points: FloatArray, p: int, low: FloatArray, side: FloatArray, number: IntArray, period: FloatArray
-) -> tuple[int, int, int]:
+def cells_at(points: FloatArray, p: int, buckets: Buckets) -> tuple[int, int, int]:
     """The cell of a point along three axes."""
     return (
-        cell_of(at(points, p, 0), low[0], side[0], number[0], period[0]),
-        cell_of(at(points, p, 1), low[1], side[1], number[1], period[1]),
-        cell_of(at(points, p, 2), low[2], side[2], number[2], period[2]),
+        cell_of(at(points, p, 0), 0, buckets),
+        cell_of(at(points, p, 1), 1, buckets),
+        cell_of(at(points, p, 2), 2, buckets),
     )
 
 
@@ -314,21 +319,17 @@ def has_neighbour(
     limit: float,
     source: FloatArray,
     some: Int32Array,
-    low: FloatArray,
-    side: FloatArray,
-    number: IntArray,
-    period: FloatArray,
-    mask: int,
+    buckets: Buckets,
 ) -> bool:
     """Whether one of the points asked in the cells around that of a point is closer to it, squared, than a limit."""
-    i, j, k = cells_at(points, p, low, side, number, period)
+    i, j, k = cells_at(points, p, buckets)
     wide, deep = min(points.shape[1] - 1, 1), max(points.shape[1] - 2, 0)
     for at_i in range(i - 1, i + 2):
         for at_j in range(j - wide, j + wide + 1):
             for at_k in range(k - deep, k + deep + 1):
-                cell_i, cell_j, cell_k = turned_round(at_i, at_j, at_k, number, period)
-                q = some[bucket_of(cell_i, cell_j, cell_k, number, mask)]
-                if q >= 0 and apart_sq(source, q, points, p, period) < limit:
+                cell_i, cell_j, cell_k = turned_round(at_i, at_j, at_k, buckets)
+                q = some[bucket_of(cell_i, cell_j, cell_k, buckets)]
+                if q >= 0 and apart_sq(source, q, points, p, buckets.period) < limit:
                     return True
     return False
 
@@ -343,11 +344,7 @@ def isolated(
     expected: float,
     d: int,
     source: FloatArray,
-    low: FloatArray,
-    side: FloatArray,
-    number: IntArray,
-    period: FloatArray,
-    mask: int,
+    buckets: Buckets,
     out: Int32Array,
 ) -> int:
     """Write the rows of the points whose disc may be empty of ``source`` into ``out`` (n,); returns how many.
@@ -355,24 +352,25 @@ def isolated(
     Of those ``wanted`` with least < density ≤ most; a disc has the volume in which so many are ``expected``. One point
     of each cell of ``source`` is asked, in the point's own cell and in those around it: whoever stays is a suspect.
     """
-    some, found = np.full(mask + 1, -1, np.int32), 0
+    number, side = buckets.number, buckets.side
+    some, found = np.full(buckets.mask + 1, -1, np.int32), 0
     # Where every cell has a bucket of its own, nobody in the same cell is farther away than its diagonal.
-    diagonal_sq = 0.0 if float(number[0]) * number[1] * number[2] <= mask + 1 else np.inf
+    diagonal_sq = 0.0 if float(number[0]) * number[1] * number[2] <= buckets.mask + 1 else np.inf
     for v in range(source.shape[1]):
         diagonal_sq += side[v] * side[v]
     for q in range(len(source)):
-        i, j, k = cells_at(source, q, low, side, number, period)
-        some[bucket_of(i, j, k, number, mask)] = q
+        i, j, k = cells_at(source, q, buckets)
+        some[bucket_of(i, j, k, buckets)] = q
     for p in range(len(points)):
         if wanted[p] and least < density[p] <= most:
             part = expected / density[p]
             limit = part if d == 2 else part ** (2.0 / d)
-            i, j, k = cells_at(points, p, low, side, number, period)
+            i, j, k = cells_at(points, p, buckets)
             inside = 0 <= i < number[0] and 0 <= j < number[1] and 0 <= k < number[2]
-            q = some[bucket_of(i, j, k, number, mask)]
-            if q >= 0 and inside and (diagonal_sq <= limit or apart_sq(source, q, points, p, period) < limit):
+            q = some[bucket_of(i, j, k, buckets)]
+            if q >= 0 and inside and (diagonal_sq <= limit or apart_sq(source, q, points, p, buckets.period) < limit):
                 continue
-            if not has_neighbour(points, p, limit, source, some, low, side, number, period, mask):
+            if not has_neighbour(points, p, limit, source, some, buckets):
                 out[found] = p
                 found += 1
     return found
@@ -381,42 +379,36 @@ def isolated(
 @small
 def beside(
     points: FloatArray,
-    low: FloatArray,
-    side: FloatArray,
-    number: IntArray,
-    period: FloatArray,
-    mask: int,
+    buckets: Buckets,
     centres: FloatArray,
     radius: FloatArray,
     out: Int32Array,
 ) -> int:
     """Write the rows of the points in buckets that discs around centres (c, 3) reach into ``out``; returns how many."""
-    marked, found = np.zeros(mask + 1, np.bool_), 0
+    marked, found = np.zeros(buckets.mask + 1, np.bool_), 0
     for c in range(len(centres)):
-        (west, east), (south, north), (below, above) = reach_of(centres, c, radius[c], low, side, number, period)
+        (west, east), (south, north), (below, above) = reach_of(centres, c, radius[c], buckets)
         for i in range(west, east + 1):
             for j in range(south, north + 1):
                 for k in range(below, above + 1):
-                    at_i, at_j, at_k = turned_round(i, j, k, number, period)
-                    marked[bucket_of(at_i, at_j, at_k, number, mask)] = True
+                    at_i, at_j, at_k = turned_round(i, j, k, buckets)
+                    marked[bucket_of(at_i, at_j, at_k, buckets)] = True
     for p in range(len(points)):
-        i, j, k = cells_at(points, p, low, side, number, period)
-        if marked[bucket_of(i, j, k, number, mask)]:
+        i, j, k = cells_at(points, p, buckets)
+        if marked[bucket_of(i, j, k, buckets)]:
             out[found] = p
             found += 1
     return found
 
 
 @small
-def into_buckets(
-    points: FloatArray, low: FloatArray, side: FloatArray, number: IntArray, period: FloatArray, mask: int
-) -> tuple[Int32Array, Int32Array]:
+def into_buckets(points: FloatArray, buckets: Buckets) -> tuple[Int32Array, Int32Array]:
     """(start, rows): the rows of the points of bucket b are ``rows[start[b]:start[b + 1]]``, rising."""
-    bucket = np.empty(len(points), np.int32)
+    bucket, mask = np.empty(len(points), np.int32), buckets.mask
     start, rows = np.zeros(mask + 2, np.int32), np.empty(len(points), np.int32)
     for p in range(len(points)):
-        i, j, k = cells_at(points, p, low, side, number, period)
-        bucket[p] = bucket_of(i, j, k, number, mask)
+        i, j, k = cells_at(points, p, buckets)
+        bucket[p] = bucket_of(i, j, k, buckets)
         start[bucket[p] + 1] += 1
     for b in range(mask + 1):
         start[b + 1] += start[b]
@@ -435,28 +427,24 @@ def is_empty(
     c: int,
     radius: float,
     points: FloatArray,
-    low: FloatArray,
-    side: FloatArray,
-    number: IntArray,
-    period: FloatArray,
-    mask: int,
+    buckets: Buckets,
     start: Int32Array,
     rows: Int32Array,
 ) -> bool:
     """Whether no point lies closer to the centre than the radius."""
-    i, j, k = cells_at(centres, c, low, side, number, period)
-    own = bucket_of(i, j, k, number, mask)
+    i, j, k = cells_at(centres, c, buckets)
+    own = bucket_of(i, j, k, buckets)
     for place in range(start[own], start[own + 1]):  # most centres have another in their own cell
-        if apart_sq(points, rows[place], centres, c, period) < radius * radius:
+        if apart_sq(points, rows[place], centres, c, buckets.period) < radius * radius:
             return False
-    (west, east), (south, north), (below, above) = reach_of(centres, c, radius, low, side, number, period)
+    (west, east), (south, north), (below, above) = reach_of(centres, c, radius, buckets)
     for i in range(west, east + 1):
         for j in range(south, north + 1):
             for k in range(below, above + 1):
-                at_i, at_j, at_k = turned_round(i, j, k, number, period)
-                b = bucket_of(at_i, at_j, at_k, number, mask)
+                at_i, at_j, at_k = turned_round(i, j, k, buckets)
+                b = bucket_of(at_i, at_j, at_k, buckets)
                 for place in range(start[b], start[b + 1]):
-                    if apart_sq(points, rows[place], centres, c, period) < radius * radius:
+                    if apart_sq(points, rows[place], centres, c, buckets.period) < radius * radius:
                         return False
     return True
 
@@ -466,18 +454,14 @@ def empty_discs(
     centres: FloatArray,
     radius: FloatArray,
     points: FloatArray,
-    low: FloatArray,
-    side: FloatArray,
-    number: IntArray,
-    period: FloatArray,
-    mask: int,
+    buckets: Buckets,
     start: Int32Array,
     rows: Int32Array,
     empty: BoolArray,
 ) -> None:
     """Fill ``empty`` (n,): whether no point lies closer to centre k than ``radius[k]``."""
     for c in range(len(centres)):
-        empty[c] = is_empty(centres, c, radius[c], points, low, side, number, period, mask, start, rows)
+        empty[c] = is_empty(centres, c, radius[c], points, buckets, start, rows)
 
 
 @part
@@ -490,15 +474,12 @@ def is_within(
     points: FloatArray,
     centres: FloatArray,
     c: int,
-    low: FloatArray,
-    side: FloatArray,
-    number: IntArray,
-    period: FloatArray,
+    buckets: Buckets,
 ) -> bool:
     """Whether a point lies in a cell, and closer to a centre than the limit."""
-    if apart_sq(points, p, centres, c, period) >= limit * limit:
+    if apart_sq(points, p, centres, c, buckets.period) >= limit * limit:
         return False
-    own_i, own_j, own_k = cells_at(points, p, low, side, number, period)
+    own_i, own_j, own_k = cells_at(points, p, buckets)
     return own_i == i and own_j == j and own_k == k
 
 
@@ -509,11 +490,7 @@ def holds(
     radius: float,
     least: float,
     points: FloatArray,
-    low: FloatArray,
-    side: FloatArray,
-    number: IntArray,
-    period: FloatArray,
-    mask: int,
+    buckets: Buckets,
     start: Int32Array,
     rows: Int32Array,
 ) -> bool:
@@ -521,15 +498,15 @@ def holds(
     if least <= 1.0:
         return True
     count = 0
-    (west, east), (south, north), (below, above) = reach_of(centres, c, radius, low, side, number, period)
+    (west, east), (south, north), (below, above) = reach_of(centres, c, radius, buckets)
     for i in range(west, east + 1):
         for j in range(south, north + 1):
             for k in range(below, above + 1):
-                at_i, at_j, at_k = turned_round(i, j, k, number, period)
-                b = bucket_of(at_i, at_j, at_k, number, mask)
+                at_i, at_j, at_k = turned_round(i, j, k, buckets)
+                b = bucket_of(at_i, at_j, at_k, buckets)
                 for place in range(start[b], start[b + 1]):
                     p = rows[place]
-                    if is_within(p, at_i, at_j, at_k, radius, points, centres, c, low, side, number, period):
+                    if is_within(p, at_i, at_j, at_k, radius, points, centres, c, buckets):
                         count += 1
                         if count >= least:
                             return True
@@ -543,11 +520,7 @@ def clear(
     inner: FloatArray,
     least: float,
     points: FloatArray,
-    low: FloatArray,
-    side: FloatArray,
-    number: IntArray,
-    period: FloatArray,
-    mask: int,
+    buckets: Buckets,
     start: Int32Array,
     rows: Int32Array,
     seen: BoolArray,
@@ -556,18 +529,18 @@ def clear(
     radius."""
     left = start[1:] - start[:-1]  # points of each bucket that are still seen
     for c in range(len(centres)):
-        if not holds(centres, c, radius[c], least, points, low, side, number, period, mask, start, rows):
+        if not holds(centres, c, radius[c], least, points, buckets, start, rows):
             continue
-        (west, east), (south, north), (below, above) = reach_of(centres, c, inner[c], low, side, number, period)
+        (west, east), (south, north), (below, above) = reach_of(centres, c, inner[c], buckets)
         for i in range(west, east + 1):
             for j in range(south, north + 1):
                 for k in range(below, above + 1):
-                    at_i, at_j, at_k = turned_round(i, j, k, number, period)
-                    b = bucket_of(at_i, at_j, at_k, number, mask)
+                    at_i, at_j, at_k = turned_round(i, j, k, buckets)
+                    b = bucket_of(at_i, at_j, at_k, buckets)
                     if not left[b]:
                         continue
                     for place in range(start[b], start[b + 1]):
                         p = rows[place]
-                        if seen[p] and apart_sq(points, p, centres, c, period) < inner[c] * inner[c]:
+                        if seen[p] and apart_sq(points, p, centres, c, buckets.period) < inner[c] * inner[c]:
                             seen[p] = False
                             left[b] -= 1

@@ -57,7 +57,8 @@ def mover_picture(
             left.plot(*ends.T, color=YELLOW if seen[n] else PAPER, lw=1.0, ls="-" if seen[n] else ":")
         for n in (shown[0], shown[-1]):
             words = _clock(series.exposures[n].mjd_utc)
-            left.text(*(at[n] + across * 2.4 * width), words, color=YELLOW, fontsize=9.5, ha="center", va="center")
+            x, y = (at[n] + across * 2.4 * width).tolist()
+            left.text(x, y, words, color=YELLOW, fontsize=9.5, ha="center", va="center")
     else:
         best = int(np.nanargmax(np.where(seen, pixels.flux[k], np.nan)))
         _show(left, pixels.along[k][best], f"one frame, {_clock(series.exposures[best].mjd_utc)} UTC")
