@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+#: The highest cut on probability that is drawn is one less this.
+SUREST = 1e-4
+
 
 def certainty(match: SkyMatch) -> Figure:
     """Expected numbers of wrong pairs and of lost true pairs against a cut on probability, and the identified share.
@@ -36,20 +39,36 @@ def certainty(match: SkyMatch) -> Figure:
 
 def _cut(axes: Axes, match: SkyMatch) -> None:
     """Expected numbers of wrong pairs kept and of true pairs given up, against the least probability kept."""
+    from matplotlib.ticker import FuncFormatter, NullLocator
+
     p = np.sort(match.result.matches.p_match)
-    cuts = np.linspace(0.0, 0.999, 400)
+    # What a cut does happens near 1: the axis is that of 1 − p, a decade of it as wide as any other.
+    doubt = np.geomspace(1.0, SUREST, 400)
+    cuts = 1.0 - doubt
     first_kept = np.searchsorted(p, cuts)
     below = np.concatenate([[0.0], np.cumsum(p)])[first_kept]
     wrong_above = np.concatenate([[0.0], np.cumsum((1.0 - p)[::-1])])[len(p) - first_kept]
-    axes.plot(cuts, wrong_above, color=SECOND, lw=2.2)
-    axes.plot(cuts, below, color=FIRST, lw=2.2)
+    axes.plot(doubt, wrong_above, color=SECOND, lw=2.2)
+    axes.plot(doubt, below, color=FIRST, lw=2.2)
     at = int(np.searchsorted(below, 0.5 * below[-1]))
     for words, place, shift, colour, side in (
-        ("wrong pairs kept", (0.04, wrong_above[0]), (0, 6), SECOND, "left"),
-        ("true pairs given up", (cuts[at], below[at]), (-6, 0), FIRST, "right"),
+        ("wrong pairs kept", (doubt[200], wrong_above[200]), (0, 6), SECOND, "left"),
+        ("true pairs given up", (doubt[at], below[at]), (-6, 0), FIRST, "right"),
     ):
         axes.annotate(words, place, shift, textcoords="offset points", color=colour, ha=side)
-    axes.set_xlim(0.0, 1.0)
+    axes.set_xscale("log")
+    axes.set_xlim(1.0, SUREST)
+    shown = (1.0, 0.5, 0.1, 0.01, 1e-3, 1e-4)
+    axes.set_xticks(shown, [f"{1.0 - value:g}" for value in shown])
+    axes.xaxis.set_minor_locator(NullLocator())
+    # Few wrong ones beside many given up are seen both.
+    axes.set_yscale("symlog", linthresh=10.0)
+    top = max(float(below.max()), float(wrong_above.max()), 1.0)
+    axes.set_yticks(
+        [0.0, *(step * 10.0**power for power in range(8) for step in (2, 5, 10) if step * 10.0**power <= top)]
+    )
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_minor_locator(NullLocator())
     axes.set_ylim(bottom=0.0)
     tidy(axes, "least p_match that is kept", "expected number of pairs", "what a cut would do")
 

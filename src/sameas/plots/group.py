@@ -28,6 +28,8 @@ DRAWABLE = 60
 INSIDE = 0.99
 #: σ; the contour is drawn where its radius is larger. For normal errors it is 3.03 σ.
 LEAST_CONTOUR = 3.2
+#: Candidates less probable than this are left out, unless they are of the record that is asked about.
+LEAST_DRAWN = 1e-3
 DASHES = (0, (5, 4))
 
 
@@ -100,11 +102,16 @@ def group(match: SkyMatch, *, record: Any = None, source: int = 1) -> Figure:
         if group_of_record is None:
             raise InputError(f"{record} has no candidates; there is nothing to draw")
         number = group_of_record
-    sides = _sides(match, number)
+    pairs = np.flatnonzero(result.groups.of_pairs() == number)
+    own = None
+    if record is not None:
+        records = (result.first, result.second)[source - 1]
+        own = int(np.searchsorted(records.rows, result.explain(record, source=source).row))
+    pairs = _competing(result, pairs, own, source)
+    sides = _sides(match, pairs)
     count = sum(len(side.position) for side in sides)
     if count > DRAWABLE:
         raise InputError(f"the group has {count} records; pictures are drawn of up to {DRAWABLE}")
-    pairs = np.flatnonzero(result.groups.of_pairs() == number)
     when = "as observed" if match.epoch_jyr is None else f"at epoch {match.epoch_jyr:.2f}"
     subtitle = f"Positions {when}; each probability is that of the two records being one object."
     figure = sheet(_finding(result, sides, pairs), subtitle, 13.0, 6.8)
@@ -116,12 +123,31 @@ def group(match: SkyMatch, *, record: Any = None, source: int = 1) -> Figure:
     return figure
 
 
-def _sides(match: SkyMatch, number: int) -> tuple[_CatalogueSide, _CatalogueSide]:
-    groups, result = match.result.groups, match.result
-    chosen = (
-        groups.rows_1[groups.start_1[number] : groups.start_1[number + 1]].astype(np.int64),
-        groups.rows_2[groups.start_2[number] : groups.start_2[number + 1]].astype(np.int64),
-    )
+def _competing(result: Identification, pairs: IntArray, own: int | None, source: int) -> IntArray:
+    """The pairs of a group that are worth drawing: probable ones that hang together, about a record if one is named.
+
+    own : position of the record in its source. A candidate far off and next to impossible would make the others small.
+    """
+    i, j, p = result.pairs.i[pairs], result.pairs.j[pairs], result.p_pair[pairs]
+    probable = (p >= LEAST_DRAWN) | result.chosen[pairs]
+    if own is not None:
+        probable |= (i if source == 1 else j) == own
+        seed = np.flatnonzero((i if source == 1 else j) == own)[:1]
+    else:
+        q = np.clip(p, 1e-15, 1.0 - 1e-15)
+        seed = np.array([int(np.argmax(-q * np.log(q) - (1.0 - q) * np.log1p(-q)))])
+    joined = np.zeros(len(pairs), np.bool_)
+    joined[seed] = True
+    while True:
+        more = probable & (np.isin(i, i[joined]) | np.isin(j, j[joined]))
+        if np.array_equal(more | joined, joined):
+            return np.asarray(pairs[joined])
+        joined |= more
+
+
+def _sides(match: SkyMatch, pairs: IntArray) -> tuple[_CatalogueSide, _CatalogueSide]:
+    result = match.result
+    chosen = np.unique(result.pairs.i[pairs]).astype(np.int64), np.unique(result.pairs.j[pairs]).astype(np.int64)
     frame = TangentAxes.about(np.concatenate([result.first.features[chosen[0]], result.second.features[chosen[1]]]))
 
     def side(catalogue: Catalogue, records: Records, at: IntArray, sign: tuple[str, str]) -> _CatalogueSide:
@@ -152,11 +178,10 @@ def _draw(axes: Axes, match: SkyMatch, sides: tuple[_CatalogueSide, _CatalogueSi
     outlines = [_ellipses(axes, side, reach if side is _wider(sides) else 3.0) for side in sides]
     places = np.concatenate([side.place for side in sides])
     low, high = _view(places, np.concatenate(outlines))
-    for side in sides:
-        _labels(axes, side, places)
     axes.set_aspect("equal")
     axes.set_xlim(high[0], low[0])
     axes.set_ylim(low[1], high[1])
+    _labels(axes, sides)
     tidy(axes, "east [arcsec]", "north [arcsec]")
     _compass(axes, 0.5 * float(high[0] - low[0]))
 
@@ -174,19 +199,21 @@ def _view(places: FloatArray, outlines: FloatArray) -> tuple[FloatArray, FloatAr
         margin = max(margin, 0.1 * float(span))
     low = np.maximum(outlines.min(axis=0), low - margin)
     high = np.minimum(outlines.max(axis=0), high + margin)
-    half = 0.62 * float((high - low).max())
+    half = 0.8 * float((high - low).max())
     middle = 0.5 * (low + high)
     return middle - half, middle + half
 
 
 def _lines(axes: Axes, result: Identification, sides: tuple[_CatalogueSide, _CatalogueSide], pairs: IntArray) -> None:
     order = pairs[np.argsort(result.chosen[pairs], kind="stable")]
-    for pair in order:
+    for k, pair in enumerate(order):
         ends = _ends(result, sides, pair)
         chosen = bool(result.chosen[pair])
         line, ink, weight = (FOUND, FOUND, "bold") if chosen else (FAINT, "#555555", "normal")
         axes.plot(*ends.T, color=line, lw=3.4 if chosen else 1.2, zorder=1, solid_capstyle="round")
-        x, y = 0.42 * ends[0] + 0.58 * ends[1]
+        # Lines that nearly coincide have their numbers at different places.
+        share = (0.58, 0.4, 0.75, 0.25)[k % 4]
+        x, y = (1.0 - share) * ends[0] + share * ends[1]
         axes.text(
             x, y, percent(result.p_pair[pair]), ha="center", va="center", fontsize=10, fontweight=weight,
             color=ink, zorder=4, bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.2, "alpha": 0.9},
@@ -214,17 +241,22 @@ def _ellipses(axes: Axes, side: _CatalogueSide, reach: float) -> FloatArray:
     return np.concatenate(outermost)
 
 
-def _labels(axes: Axes, side: _CatalogueSide, places: FloatArray) -> None:
-    """Names beside their ellipses, on the side where the other records are not."""
-    for place, covariance, name in zip(side.place, side.covariance, side.names, strict=True):
-        away = place - places.mean(axis=0)
-        sign = 1.0 if away[0] > 0 else -1.0
-        edge = place[0] + sign * 3.0 * float(np.sqrt(covariance[0, 0]))
-        axes.annotate(
-            name, (edge, place[1]), (-8 * sign, 4 if away[1] >= 0 else -4), textcoords="offset points",
-            ha="right" if sign > 0 else "left", va="center", fontsize=9, color=side.colour, zorder=6,
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8, "alpha": 0.75},
-        )  # fmt: skip
+def _labels(axes: Axes, sides: tuple[_CatalogueSide, _CatalogueSide]) -> None:
+    """Names in a column on either side, a line from each to its record; none covers another."""
+    places = np.concatenate([side.place for side in sides])
+    names = [(name, side.colour) for side in sides for name in side.names]
+    # East is left: the half that lies farther east has its names there.
+    eastward = np.argsort(-places[:, 0], kind="stable")
+    for rows, x, ha in ((eastward[: len(names) // 2], 0.01, "left"), (eastward[len(names) // 2 :], 0.99, "right")):
+        step = min(0.12, 0.86 / max(len(rows), 1))
+        for k, row in enumerate(rows[np.argsort(-places[rows, 1], kind="stable")]):
+            name, colour = names[row]
+            axes.annotate(
+                name, tuple(places[row]), (x, 0.97 - step * k), textcoords="axes fraction", ha=ha, va="top",
+                fontsize=min(9.0, 75.0 * step), color=colour, zorder=6,
+                bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8, "alpha": 0.85},
+                arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.6, "alpha": 0.6, "shrinkA": 0, "shrinkB": 3},
+            )  # fmt: skip
 
 
 def _compass(axes: Axes, half: float) -> None:
