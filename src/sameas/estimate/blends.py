@@ -38,7 +38,8 @@ class BlendTuning:
     ----------
     steepness : B(s) = exp(−ln 2 · (s/resolution)^steepness).
     reach : objects farther apart than so many resolutions are never blended.
-    gate_sigmas : farther than this from where it is due no partner is.
+    gate_sigmas, tail_sigmas : farther than this from where it is due no partner is, in typical standard deviations and
+        in those of the widest scale of the errors, the latter to a resolution at most.
     flux_shares : shares w that are averaged over where fluxes are not given.
     least_log_odds : candidates of smaller ln of the odds against no partner are left out.
     most_hypotheses : of a group; with more, its least probable candidates are left out until it has fewer.
@@ -49,11 +50,12 @@ class BlendTuning:
     steepness: float = 4.0
     reach: float = 1.75
     gate_sigmas: float = 6.4
+    tail_sigmas: float = 3.0
     flux_shares: int = 9
-    least_log_odds: float = math.log(1e-9)
-    most_hypotheses: float = 2e4
-    rounds: int = 20
-    settled: float = 1e-4
+    least_log_odds: float = math.log(1e-6)
+    most_hypotheses: float = 1e4
+    rounds: int = 10
+    settled: float = 1e-3
     least_share: float = 1e-3
 
 
@@ -182,11 +184,11 @@ def candidates_of(
 ) -> Candidates:
     """All that records of the coarse source may be, one object or two, without regard to how dense they are."""
     by_model = errors.records(first, second)
-    widest = max(errors.scales) * math.sqrt(
-        sum(float(np.diagonal(records.full_covariance(), axis1=1, axis2=2).max()) for records in by_model)
-    )
+    sigma = math.sqrt(sum(float(np.einsum("ndd->nd", one.full_covariance()).max()) for one in by_model))
+    in_tail = min(sigma * tuning.tail_sigmas * max(errors.scales), resolution)
+    off = max(sigma * tuning.gate_sigmas * errors.typical_scale, in_tail)
     apart, alike = tuning.reach * resolution, [records.with_errors(0.0, 0.5) for records in (first, second)]
-    near = Radius(apart + tuning.gate_sigmas * widest)(*alike).of(*by_model)
+    near = Radius(apart + off)(*alike).of(*by_model)
     order = np.lexsort((near.j, near.i))
     i, j, residual = near.i[order].astype(np.int64), near.j[order].astype(np.int64), near.residual[order]
     covariance = near.covariance[order]

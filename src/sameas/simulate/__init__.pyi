@@ -3,6 +3,8 @@
 from .areas import Cap as Cap
 from .areas import LonLatBox as LonLatBox
 from .areas import WholeSky as WholeSky
+from .blended import BlendedField as BlendedField
+from .blended import blended_field as blended_field
 from .counterparts import Counterparts as Counterparts
 from .counterparts import counterparts as counterparts
 from .exposures import Exposure as Exposure
