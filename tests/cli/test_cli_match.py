@@ -10,6 +10,7 @@ from fields import field, save
 
 from sameas.estimate.quantity import Quantity
 from sameas.io import read_provenance, read_table
+from sameas.simulate import blended_field
 
 
 def pairs(path):
@@ -18,6 +19,22 @@ def pairs(path):
     return sorted(
         zip(np.asarray(table["name_1"][p > 0]).tolist(), np.asarray(table["name_2"][p > 0]).tolist(), strict=True)
     )
+
+
+def test_blends_are_written_beside_the_joined_table(tmp_path, sameas, refusal):
+    made = blended_field(np.random.default_rng(6), objects=300)
+    files = [tmp_path / "coarse.csv", tmp_path / "fine.csv"]
+    for records, path in zip((made.first, made.second), files, strict=True):
+        ra, dec = records.features.T
+        Table({"ra": ra, "dec": dec, "sigma": np.sqrt(records.covariance[:, 0])}).write(path)
+    out = tmp_path / "out.fits"
+    text = sameas("match", *files, "-o", out, "--sigma", "sigma", "--blends", "6").stdout
+    told = read_table(tmp_path / "out-blends.fits")
+    two = np.flatnonzero(~np.ma.getmaskarray(told["row_2b"]))
+    assert f"at 6 arcsec {len(two)} of {len(made.first)} records are two objects" in text and len(two) > 5
+    said = np.sort(np.column_stack([told["row_2"][two], told["row_2b"][two]]), axis=1)
+    assert (said == np.sort(made.parts[two], axis=1)).all(axis=1).mean() > 0.6
+    assert "give the resolution of the first catalogue" in refusal("match", *files, "-o", out, "--blends", "-1")
 
 
 @pytest.mark.slow_after(2)

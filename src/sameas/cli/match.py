@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -79,6 +80,13 @@ def match(
         Path | None,
         option(
             "--pictures", metavar="FOLDER", help="Draw residuals, errors, certainty and brightness into a folder."
+        ),
+    ] = None,
+    blends: Annotated[
+        float | None,
+        option(
+            "--blends", metavar="ARCSEC",
+            help="Resolution of A: tell which of its records are two of B, in OUT-blends.",
         ),
     ] = None,
     dry_run: DryRun = False,
@@ -180,7 +188,7 @@ def match(
         if output is None or dry_run:
             look(request, quiet)
         else:
-            joining = Joining(join, nway_columns, compare_nearest, certify, pictures)
+            joining = Joining(join, nway_columns, compare_nearest, certify, pictures, blends)
             run(request, joining, Outputs(output, out_format, overwrite, ctx.meta["typed"]), quiet)
 
 
@@ -193,6 +201,7 @@ class Joining:
     compare_nearest: bool
     certify: bool
     pictures: Path | None
+    blends: float | None
 
 
 def match_options(
@@ -248,12 +257,19 @@ def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quie
     """Match, print, write."""
     from sameas.cli.terminal import Pace, Printer, share_compilation
     from sameas.front.match import identified
-    from sameas.report.match import nearest_lines
+    from sameas.report.match import blends_lines, nearest_lines
 
     if joining.pictures is not None:
         from sameas.plots.sheet import required
 
         required()
+    beside = replace(outputs, path=outputs.path.with_stem(f"{outputs.path.stem}-blends"))
+    if joining.blends is not None:
+        if not 0.0 < joining.blends < math.inf:
+            raise InputError(
+                f"--blends {joining.blends:g}: give the resolution of the first catalogue in arcsec, above 0"
+            )
+        beside.check(request.paths)
     outputs.check(request.paths)
     began = time.perf_counter()
     printer = Printer(quiet)
@@ -275,8 +291,13 @@ def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quie
         pace("joining the tables")
         table = match.table
         pace(f"writing {outputs.path}")
-        written = outputs.write(table, match.facts(outputs.command, in_options), joining.join)
-    printer(["", written])
+        facts = match.facts(outputs.command, in_options)
+        written = [outputs.write(table, facts, joining.join)]
+        if joining.blends is not None:
+            pace("blends")
+            told = match.blends(joining.blends)
+            written = [*blends_lines(told, joining.blends), "", *written, beside.write(told, facts, "blends")]
+    printer(["", *written])
     if joining.pictures is not None:
         printer([f"Pictures: {joining.pictures}/: {', '.join(drawn(match.sky, joining.pictures))}"])
     printer([f"Time: {time.perf_counter() - began:.1f} s; peak memory: {_peak_memory()}"])

@@ -111,7 +111,7 @@ class ColumnEvidence:
 
     sides : of either source. relations : of both. folds : (n₁,), (n₂,) of the records; None before they are dealt.
     fits : of either source, None where nothing was learned. log_ratio : (n₁,), (n₂,) ln r of all learned columns; None
-    as long as nothing was. associations : of related columns. said : of every column.
+    as long as nothing was. associations : of related columns. findings : of every column.
     """
 
     sides: tuple[tuple[CodedColumn, ...], tuple[CodedColumn, ...]] = field(repr=False)

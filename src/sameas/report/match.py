@@ -12,6 +12,7 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
+from astropy.table import Table
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray
@@ -94,6 +95,15 @@ def summary_lines(match: SkyMatch) -> list[str]:
         *_residuals(match),
         *_magnitudes(match),
     ]
+
+
+def blends_lines(told: Table, resolution_arcsec: float) -> list[str]:
+    """How many records of the first catalogue are two objects of the second; ``told`` as of ``Match.blends``."""
+    two = int(np.count_nonzero(~np.ma.getmaskarray(told["row_2b"])))
+    return entry(
+        "blends", f"at {resolution_arcsec:g} arcsec {count(two)} of {count(len(told))} records are two objects; "
+        f"{float(np.sum(told['p_blend'])):.1f} expected",
+    )  # fmt: skip
 
 
 def nearest_lines(match: SkyMatch) -> list[str]:
