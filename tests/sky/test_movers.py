@@ -1,5 +1,6 @@
 """Movers: tracklets are right, whole, as sure as they say, and the same whatever the order of the rows."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -8,6 +9,7 @@ from moving import night
 
 from sameas import InputError
 from sameas.sky import Detections, MotionModel, find_movers, learn_motion
+from sameas.sky.movers.classes import near_earth_scores
 from sameas.sky.movers.links import candidate_links, link_probabilities
 from sameas.sky.movers.model import Surroundings, Tuning
 from sameas.sky.movers.rates import EclipticAxes, RateDensity, log_normal, reference_rate, sun_longitude_deg
@@ -204,6 +206,18 @@ def test_ecliptic_axes_turn_covariances_and_back():
     np.testing.assert_allclose(both[1], np.eye(2), atol=1e-12)
     there = axes.to_equator(np.array([0]), np.array([[3.0, 4.0]]))
     assert np.hypot(*there[0]) == pytest.approx(5.0)
+
+
+def test_fast_tracklets_score_as_near_earth_objects():
+    pytest.importorskip("digest2", reason="scores need the package digest2")
+    rates = np.array([[-0.5, 0.21], [4.0, -3.0]])
+    detections, truth = night(3, movers=2, false=0, rate=rates, p_detect=1.0)
+    found = find_movers(detections, least=3)
+    scores = near_earth_scores(found, site=(42.61, -71.485, 100.0))
+    slow, fast = (int(np.flatnonzero(truth[found.members[:, 0]] == k)[0]) for k in (0, 1))
+    assert scores[fast] > 90 and scores[slow] < 50
+    table = replace(found, near_earth=scores).only(np.array([fast])).table()
+    assert table["digest2_neo"][0] == scores[fast]
 
 
 @pytest.mark.parametrize(

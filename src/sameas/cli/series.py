@@ -53,6 +53,7 @@ def run(request: SeriesRequest, quiet: bool) -> None:
     from sameas.report.frame import one_line
     from sameas.report.movers import known_lines, model_lines, mover_lines, series_lines
     from sameas.report.prose import DOUBT
+    from sameas.sky.movers.classes import near_earth_scores
     from sameas.sky.movers.known import name_movers
     from sameas.sky.movers.orbits import Elements
     from sameas.sky.movers.series import search
@@ -90,8 +91,9 @@ def run(request: SeriesRequest, quiet: bool) -> None:
     each = [replace(each[0], series=series)]
     pixels = stack(found, series, (one.frame() for one in each[0].members))
     found, pixels = confirmed(found, pixels, request.probability)
-    printer(["", *series_lines(series), "", *model_lines(found), "", *mover_lines(found)])
     site = _site(each[0].members)
+    found = replace(found, near_earth=near_earth_scores(found, site))
+    printer(["", *series_lines(series), "", *model_lines(found), "", *mover_lines(found)])
     known = None
     if elements is not None:
         known = name_movers(found, elements, site=site)

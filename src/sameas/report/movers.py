@@ -60,6 +60,9 @@ def mover_lines(found: Movers) -> list[str]:
             f"  {found.names[k]:8} {found.size[k]:3d}  {found.p_tracklet[k]:.4f}  {found.expected_chance[k]:18.1e}"
             f"  {rate[k]:10.3f}  {angle[k]:5.1f}°  {scatter_text}"
         )
+    if found.near_earth is not None:
+        near = [f"{found.names[k]} {found.near_earth[k]:.0f}" for k in range(min(len(found), MOST))]
+        lines.append(f"  digest2, of 100 for a near-Earth object: {', '.join(near)}")
     if len(found) > MOST:
         lines.append(f"  … and {count(len(found) - MOST)} more")
     return lines
@@ -159,6 +162,8 @@ def reasons(found: Movers, pixels: Stack, k: int) -> list[tuple[str, bool]]:
     off = frames - int(usable.sum())
     if off:
         out.append((f"it is off {off} of {frames} frames, or where they are not usable", False))
+    if found.near_earth is not None and np.isfinite(found.near_earth[k]):
+        out.append((f"digest2 gives it {found.near_earth[k]:.0f} of 100 for a near-Earth object", False))
     out.append((f"the stack along its motion has a signal to noise of {pixels.snr[k]:.1f}", bool(pixels.snr[k] < 4.0)))
     return out
 

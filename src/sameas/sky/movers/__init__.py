@@ -12,6 +12,7 @@ The way of the data; each module hands on one frozen value:
 - :mod:`~sameas.sky.movers.search`: → ``Movers``, the tracklets with their probabilities (``find_movers``).
 - :mod:`~sameas.sky.movers.trails`: what is left over of a tied series, measured as trails where it is one;
 - :mod:`~sameas.sky.movers.series`: what a tied series of frames (:mod:`sameas.sky.series`) leaves over → ``Movers``;
+- :mod:`~sameas.sky.movers.classes`: ``Movers`` → scores of digest2 for near-Earth objects, where it is installed;
 - :mod:`~sameas.sky.movers.known`: ``Movers`` and ``Elements`` (:mod:`~sameas.sky.movers.orbits`) → ``KnownObjects``.
 
 When to use what: :func:`find_movers` of :class:`Detections` finds tracklets; :func:`learn_motion` of other nights gives

@@ -29,7 +29,7 @@ from sameas.errors import InputError, reading
 _GM_SUN = 0.01720209895**2
 #: Masses of Mercury, Venus, the Earth and the Moon together, Mars … Neptune, Pluto: the Sun's over theirs (DE421).
 _MASS_RATIO = (6023600.0, 408523.71, 328900.56, 3098708.0, 1047.3486, 3497.898, 22902.98, 19412.24, 135200000.0)
-_AU_KM = 149597870.7
+AU_KM = 149597870.7
 _LIGHT_AU_PER_DAY = 173.14463267424034
 _TILT = math.radians(84381.448 / 3600.0)
 #: Parts of the ecliptic of J2000 along the axes of the ICRS equator.
@@ -235,7 +235,7 @@ def ephemeris(elements: Elements, mjd_utc: FloatArray, observer_km: FloatArray |
     tdb = Time(np.asarray(mjd_utc), format="mjd", scale="utc").tdb.mjd
     order = np.argsort(tdb)
     earth = planets.earth(tdb)
-    observer = earth + (0.0 if observer_km is None else np.asarray(observer_km).T / _AU_KM)
+    observer = earth + (0.0 if observer_km is None else np.asarray(observer_km).T / AU_KM)
     shape = (len(elements), len(tdb))
     middle = float(tdb[order[len(order) // 2]])
     state = np.empty((2, 3, len(elements)))
@@ -376,7 +376,7 @@ class _Planets:
 
     def _of(self, body: int, mjd: Any) -> FloatArray:
         """(3, t) au from the barycentre of the Solar System."""
-        return np.asarray(self.kernel[0, body].compute(2400000.5, mjd)[:3]) / _AU_KM
+        return np.asarray(self.kernel[0, body].compute(2400000.5, mjd)[:3]) / AU_KM
 
     def sun(self, mjd: FloatArray) -> FloatArray:
         """(3, t)."""
@@ -386,7 +386,7 @@ class _Planets:
     def earth(self, mjd: FloatArray) -> FloatArray:
         """(3, t) the middle of the Earth."""
         self.check(mjd)
-        return self._of(3, mjd) + np.asarray(self.kernel[3, 399].compute(2400000.5, mjd)[:3]) / _AU_KM
+        return self._of(3, mjd) + np.asarray(self.kernel[3, 399].compute(2400000.5, mjd)[:3]) / AU_KM
 
     def check(self, mjd: FloatArray) -> None:
         """Refuses times that the file does not have."""

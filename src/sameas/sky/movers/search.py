@@ -38,6 +38,7 @@ class Movers:
     expected_chance : how many tracklets of as much evidence chance makes of all detections, at most (n e^−ln w: what
         is e^x times more probable as a mover than by chance happens by chance e^−x times as often as movers do).
     gap : ln of how much more probable another choice of tracklets could be at most.
+    near_earth : (k,) scores of digest2 for near-Earth objects, 0 … 100, where they were asked for.
     """
 
     detections: Detections
@@ -50,6 +51,7 @@ class Movers:
     expected_chance: FloatArray
     gap: float
     state: FloatArray = field(repr=False)
+    near_earth: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.members)
@@ -94,7 +96,8 @@ class Movers:
     def only(self, keep: BoolArray | IntArray) -> Movers:
         """Some of the tracklets."""
         names = ("members", "p_tracklet", "p_exact", "p_member", "log_weight", "expected_chance", "state")
-        return replace(self, **{name: getattr(self, name)[keep] for name in names})
+        near_earth = None if self.near_earth is None else self.near_earth[keep]
+        return replace(self, **{name: getattr(self, name)[keep] for name in names}, near_earth=near_earth)
 
     def table(self) -> Table:
         """One row a tracklet."""
@@ -124,6 +127,8 @@ class Movers:
                 "scatter_arcsec": np.ma.masked_invalid(self.scatter_arcsec),
             }
         )
+        if self.near_earth is not None:
+            table["digest2_neo"] = np.ma.masked_invalid(self.near_earth)
         units = {"_deg": "deg", "_arcsec": "arcsec", "per_min": "arcsec / min", "mjd": "d"}
         for name in table.colnames:
             unit = next((u for key, u in units.items() if name.endswith(key) or name.startswith(key)), None)
