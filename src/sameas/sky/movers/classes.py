@@ -1,8 +1,8 @@
 """Orbit classes of tracklets: the score of ``digest2``, of the Minor Planet Center, for a near-Earth object.
 
 digest2 (Keys et al. 2019, PASP 131, 064501; public domain) draws orbits through the ends of a tracklet, and compares
-them with a model of the Solar System. It takes a station's parallax from a list that it downloads; here every detection is
-given with the observer's place instead, as for a satellite, so that no list is needed.
+them with a model of the Solar System. It takes a station's parallax from a list that it downloads; here every detection
+is given with the observer's place instead, as for a satellite, so that no list is needed.
 """
 
 from __future__ import annotations
