@@ -500,3 +500,28 @@ def test_a_folder_of_frames_is_one_product(files, sameas, tmp_path):
 def test_a_folder_without_frames_is_refused(files, sameas, tmp_path):
     (tmp_path / "empty").mkdir()
     assert "no frames in this folder" in sameas("frame", tmp_path / "empty", "-c", files.stars, exit_code=1).stderr
+
+
+@pytest.mark.slow
+def test_files_of_a_frame_come_together_and_say_the_same_every_time(files, sameas, tmp_path, monkeypatch):
+    """An interruption between two files left the table of the new run beside the page of the old one."""
+    from sameas.io import regions
+
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    folder = tmp_path / "out"
+
+    def written(*options):
+        sameas("frame", files.frame, "-c", files.stars, "-o", folder, "--no-picture", "--again", *options)
+        return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+    first = written()
+    assert written() == first
+
+    def interrupted(*given, **named):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(regions, "write_regions", interrupted)
+    monkeypatch.setattr("sameas.front.framing.write_regions", interrupted, raising=False)
+    with pytest.raises((AssertionError, KeyboardInterrupt)):
+        written("--threshold", "6")
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == first

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -20,7 +21,8 @@ from typing import Any, Literal
 import sameas
 from sameas.errors import Argument, InputError, Message, naming
 from sameas.front.provenance import program
-from sameas.io import checksum, replacing, write_table
+from sameas.io import checksum, write_table
+from sameas.io.atomic import filling
 from sameas.io.catalogues import BRIGHT, GAIA, catalogue
 from sameas.io.plate import write_copy, write_solution
 from sameas.io.regions import write_regions
@@ -247,13 +249,16 @@ def write(
         **program(), "digest": request.digest() if digest is None else digest,
         "file": str(Path(request.path).resolve()), **facts,
     }  # fmt: skip
-    _write(request, frame, found, outcome, facts)
-    steps = [*seconds, time.perf_counter() - began]
-    named = ("to_detections", "to_identification", "to_outputs")[-len(steps) :]
-    outcome["seconds"] = {name: round(step, 2) for name, step in zip(named, steps, strict=True)}
-    outcome["outputs"] = {what: path.name for what, path in request.outputs().items()}
-    with replacing(request.summary_path) as draft:
-        draft.write_text(json.dumps(outcome, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    with filling(request.folder) as folder:
+        drafts = replace(request, folder=str(folder))
+        _write(drafts, frame, found, outcome, facts)
+        if "SOURCE_DATE_EPOCH" not in os.environ:  # by which the same command writes the same bytes
+            steps = [*seconds, time.perf_counter() - began]
+            named = ("to_detections", "to_identification", "to_outputs")[-len(steps) :]
+            outcome["seconds"] = {name: round(step, 2) for name, step in zip(named, steps, strict=True)}
+        outcome["outputs"] = {what: path.name for what, path in request.outputs().items()}
+        text = json.dumps(outcome, indent=1, ensure_ascii=False) + "\n"
+        drafts.summary_path.write_text(text, encoding="utf-8")
     return outcome
 
 
@@ -318,11 +323,6 @@ def found_on(
 def _write(
     request: FrameRequest, frame: Frame, found: FrameIdentification, outcome: dict[str, Any], facts: dict[str, Any]
 ) -> None:
-    folder = Path(request.folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be made ({error.strerror}); say -o another folder") from error
     paths = request.outputs()
     rows = listing(found)
     if outcome["epoch_jyr"] is not None:

@@ -91,7 +91,8 @@ def replacing(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iterat
 def filling(folder: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary folder whose files all come into ``folder`` when the block ends well, and vanish otherwise.
 
-    What was there before stays, save files of the same names. A folder made for this goes where nothing comes of it.
+    What was there before stays, save files of the same names; the one written last comes last. A folder made for this
+    goes where nothing comes of it.
 
     Raises
     ------
@@ -121,7 +122,7 @@ def filling(folder: str | os.PathLike[str]) -> Iterator[Path]:
             yield draft
             with together() as arm:
                 arm()
-                for file in sorted(draft.iterdir()):
+                for file in sorted(draft.iterdir(), key=lambda file: (file.stat().st_mtime_ns, file.name)):
                     os.replace(file, target / file.name)
                 written.append(target)
         made = False
