@@ -17,7 +17,10 @@ CHROMIUM = next(
 
 
 class Browser:
-    """One page of a headless Chromium: ``js`` evaluates, ``click`` and ``wheel`` do as a hand would."""
+    """One page of a headless Chromium: ``js`` evaluates, ``click`` and ``wheel`` do as a hand would.
+
+    errors : exceptions of its scripts. complaints : errors that the browser has logged. requests : addresses asked for.
+    """
 
     def __init__(self, profile: Path, page: Path, size: tuple[int, int] = (1400, 1000)) -> None:
         assert CHROMIUM is not None
@@ -39,6 +42,7 @@ class Browser:
         self.commands, self.answers = os.fdopen(in_write, "wb", 0), os.fdopen(out_read, "rb", 0)
         self.number, self.session, self.rest = 0, None, b""
         self.errors: list[str] = []
+        self.complaints: list[str] = []
         self.requests: list[str] = []
         pages = [t for t in self.do("Target.getTargets")["targetInfos"] if t["type"] == "page"]
         self.session = self.do("Target.attachToTarget", targetId=pages[0]["targetId"], flatten=True)["sessionId"]
@@ -68,6 +72,8 @@ class Browser:
         message = json.loads(line)
         if message.get("method") == "Runtime.exceptionThrown":
             self.errors.append(str(message["params"]["exceptionDetails"]))
+        if message.get("method") == "Log.entryAdded" and message["params"]["entry"]["level"] == "error":
+            self.complaints.append(str(message["params"]["entry"]["text"]))
         if message.get("method") == "Network.requestWillBeSent":
             self.requests.append(message["params"]["request"]["url"])
         return message

@@ -7,6 +7,7 @@ import re
 
 import numpy as np
 import pytest
+from astropy.table import Table
 
 from browser import CHROMIUM, Browser
 from charted import charted
@@ -59,6 +60,75 @@ def test_a_script_that_got_into_a_page_is_not_run(tmp_path):
     try:
         assert browser.js("document.title").endswith("map")  # and the page's own script has made it ready
         assert not [url for url in browser.requests if not url.startswith(("file:", "data:"))]
+    finally:
+        browser.close()
+
+
+#: A laptop's window and a phone's.
+SIZES = ((1400, 900), (390, 844))
+
+
+@pytest.fixture(scope="module")
+def every_page(tmp_path_factory):
+    """A page of each kind, by name: of frames, their series, what moves on them, and a map."""
+    for package in ("photutils", "matplotlib"):
+        pytest.importorskip(package, reason="frames need the extras sameas[frames,plots]")
+    from astropy.io import fits
+    from typer.testing import CliRunner
+
+    from sameas.cli.app import app
+    from sameas.io import write_table
+    from sameas.simulate import Camera, frame_of_sky
+    from sameas.sky import Pointing
+    from sameas.sky.frame.tangent import unit_vectors
+
+    folder, rng, side = tmp_path_factory.mktemp("pages"), np.random.default_rng(5), 260
+    (folder / "night").mkdir()
+    ra, dec, mag = 62.6 + rng.uniform(-0.06, 0.06, 150), 22.9 + rng.uniform(-0.06, 0.06, 150), rng.uniform(12, 18, 150)
+    wcs = Pointing(unit_vectors(62.6, 22.9), np.diag([-6e-6, 6e-6]), np.full(2, (side - 1) / 2)).to_wcs((side, side))
+    for k in range(4):
+        seen = frame_of_sky(
+            rng, ra_deg=np.append(ra, 62.6 - 0.001 * k), dec_deg=np.append(dec, 22.9), magnitude=np.append(mag, 14.5),
+            wcs=wcs, zero_point=20.5, camera=Camera(shape=(side, side)),
+        )  # fmt: skip
+        header = wcs.to_header()
+        header.update({"DATE-OBS": f"2018-10-18T03:{10 * k:02d}:00", "EXPTIME": 60.0, "GAIN": 1.5, "RDNOISE": 6.0})
+        fits.PrimaryHDU(seen.frame.image.astype(np.uint16), header).writeto(folder / "night" / f"long_name_of_{k}.fits")
+    stars = {"source_id": np.arange(150) + 10**17, "ra": ra, "dec": dec, "phot_g_mean_mag": mag}
+    write_table(Table({**stars, "ref_epoch": np.full(150, 2018.8)}), folder / "stars.fits", provenance={})
+    where = [str(folder / "night"), "-c", str(folder / "stars.fits"), "-j", "1", "-o"]
+    for command in ("frame", "movers"):
+        done = CliRunner().invoke(app, [command, *where, str(folder / command)])
+        assert done.exit_code == 0, done.output
+    (folder / "map.html").write_text(map_page(charted(80, 6, names={1: "A VESSEL OF A VERY LONG NAME" * 3})), "utf-8")
+    return {
+        "frame": folder / "frame" / "long_name_of_0.html", "series": folder / "movers" / "index.html",
+        "movers": folder / "movers" / "movers.html", "map": folder / "map.html",
+    }  # fmt: skip
+
+
+@pytest.mark.long
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to show the page in")
+@pytest.mark.parametrize("size", SIZES, ids=["window", "phone"])
+@pytest.mark.parametrize("kind", ["frame", "series", "movers", "map"])
+def test_no_page_is_wider_than_its_window_by_day_and_by_night(every_page, kind, size, tmp_path):
+    browser = Browser(tmp_path / "profile", every_page[kind], size)
+    try:
+        browser.do(
+            "Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], deviceScaleFactor=1,
+            mobile=size[0] < 500,
+        )  # fmt: skip
+        browser.until(f"innerWidth === {size[0]}")
+        if kind == "map":
+            browser.js("mapPage.pick(1)")
+        grounds = []
+        for _ in range(2):
+            assert browser.js("document.documentElement.scrollWidth - innerWidth") <= 0
+            grounds.append(browser.js("getComputedStyle(document.body).backgroundColor"))
+            browser.js("document.getElementById('theme').click()")
+        assert len(set(grounds)) == 2
+        assert browser.errors == [] and browser.complaints == []
+        assert not [url for url in browser.requests if not url.startswith(("file:", "data:", "blob:"))]
     finally:
         browser.close()
 
