@@ -19,6 +19,7 @@ import numpy as np
 from benchmarks.measure import Work, measure
 from benchmarks.tables import Table, report
 from sameas.sky import Detections, find_movers, learn_motion
+from sameas.sky.movers.orbits import Elements
 
 #: Detections without a name are of unknown truth: they take part, their tracklets are counted by themselves.
 NAMELESS = ("null", "None", "nan", "")
@@ -31,6 +32,8 @@ NOTES = (
     "tracklet has all detections and no other",
     "the model is learned on nights of March 2021 without names; the nights judged are of April to June",
 )
+#: Latitude, longitude, height of the telescope; half of an exposure.
+PALOMAR, HALF_EXPOSURE_S = (33.3563, -116.8648, 1712.0), 15.0
 #: What a Python with fink-fat does: the same rows to tracklets, timed after the first one has warmed it up.
 PEER = """
 import io, json, sys, time, warnings
@@ -55,6 +58,7 @@ class Night:
     name: str
     detections: Detections
     truth: np.ndarray
+    named: np.ndarray
 
 
 def by_peer(python: Path, night: Night) -> tuple[np.ndarray, float]:
@@ -104,7 +108,7 @@ def night(rows: Any, name: str) -> Night:
     names = rows.ssnamenr.astype(str).to_numpy()[found.rows].astype(str)
     _, truth = np.unique(names, return_inverse=True)
     nameless = np.isin(names, NAMELESS)
-    return Night(name, found, np.where(nameless, -1 - np.arange(len(names)), truth))
+    return Night(name, found, np.where(nameless, -1 - np.arange(len(names)), truth), names)
 
 
 def judged(night: Night, members: np.ndarray) -> dict[str, float]:
@@ -123,6 +127,29 @@ def judged(night: Night, members: np.ndarray) -> dict[str, float]:
         out["pure"] += int(pure)
         out["whole"] += int(pure and size[names[0]] == len(names))
     return dict(out)
+
+
+def off_arcsec(night: Night, elements: Any) -> np.ndarray:
+    """(k, 2) mean O−C, east and north, of the objects of a night with two detections whose elements are known."""
+    from sameas.sky.movers.orbits import ephemeris, geocentric_km
+
+    seen, numbers = night.detections, np.array(elements.number)
+    # The time of an alert is the beginning of its exposure of 30 s.
+    times = seen.mjd_utc + HALF_EXPOSURE_S / 86400.0
+    known = np.intersect1d(numbers[numbers != ""], night.named)
+    rows = np.array([np.flatnonzero(numbers == name)[0] for name in known])
+    grid = np.unique(times.round(6))
+    there = ephemeris(elements.some(rows), grid, geocentric_km(*PALOMAR, grid))
+    out = []
+    for k, name in enumerate(known):
+        mine = np.flatnonzero(night.named == name)
+        at = np.searchsorted(grid, times[mine].round(6))
+        north = 3600.0 * (seen.dec_deg[mine] - there.dec_deg[k, at])
+        east = 3600.0 * ((seen.ra_deg[mine] - there.ra_deg[k, at] + 180.0) % 360.0 - 180.0)
+        east *= np.cos(np.radians(seen.dec_deg[mine]))
+        if len(mine) > 1:
+            out.append([east.mean(), north.mean()])
+    return np.array(out).reshape(-1, 2)
 
 
 def installed() -> Path | None:
@@ -227,6 +254,9 @@ def main() -> None:
     parser.add_argument("--peer", type=Path, help="a Python in which fink-fat 0.6.3 (pandas < 3) runs beside")
     parser.add_argument("--frames", type=Path, help="folder of raw frames and darks to inject movers in")
     parser.add_argument("--rounds", type=int, default=0, help="series of simulated (and --frames) to inject movers in")
+    parser.add_argument(
+        "--elements", type=Path, help="of known objects, as sameas movers --elements: O−C of the nights"
+    )
     parser.add_argument("--series", type=int, nargs="+", metavar="FRAMES", help="what series of so many frames cost")
     parser.add_argument("--measurements", type=int, default=5000, help="of each frame of --series")
     parser.add_argument("--probability", type=float, default=0.5, help="least probability of a tracklet")
@@ -248,10 +278,12 @@ def main() -> None:
         )
         return
     model = learn_motion(*(night.detections for night in nights(month(place, "03"), 2, skip=1)))
-    rows = []
+    rows, offsets = [], []
     totals: dict[str, Counter[str]] = {"sameas": Counter(), **({"fink-fat": Counter()} if arguments.peer else {})}
     for number in ("04", "05", "06"):
         for one in nights(month(place, number), arguments.nights):
+            if arguments.elements:
+                offsets.append((f"2021-{number} {one.name}", off_arcsec(one, Elements.read(arguments.elements))))
             find_movers(one.detections, model=model)  # compiled and cached
             began = time.perf_counter()
             found = find_movers(one.detections, model=model, least_probability=arguments.probability)
@@ -264,7 +296,19 @@ def main() -> None:
                 totals[by].update(counts)
                 rows.append(row(f"2021-{number} {one.name}", by, len(one.detections), counts, took))
     rows += [row("all", by, 0, total, 0.0) for by, total in totals.items()]
-    report("movers", [Table("Tracklets of two detections and more", COLUMNS, rows, NOTES)])
+    tables_ = [Table("Tracklets of two detections and more", COLUMNS, rows, NOTES)]
+    if offsets:
+        offsets.append(("all", np.concatenate([off for _, off in offsets])))
+        far = [(name, np.hypot(*off.T)) for name, off in offsets]
+        tables_.append(
+            Table(
+                "Known objects: mean O−C of those with two detections and more",
+                ("night", "objects", "median ″", "99 % within ″", "within 0.3 ″"),
+                [(name, len(r), f"{np.median(r):.3f}", f"{np.percentile(r, 99):.3f}", f"{np.mean(r < 0.3):.4f}")
+                 for name, r in far],
+            )
+        )  # fmt: skip
+    report("movers", tables_)
 
 
 def row(name: str, by: str, n: int, counts: Any, seconds: float) -> tuple[Any, ...]:
