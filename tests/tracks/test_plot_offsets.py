@@ -61,3 +61,11 @@ def test_a_scene_is_what_it_is_said_to_be():
     assert np.allclose(np.mod(scene.sources[0][1].bearing_deg, 0.5), 0.0)
     with pytest.raises(InputError, match="give none or more"):
         boat_radar(np.random.default_rng(1), common=-1)
+
+
+def test_two_peaks_of_the_search_that_are_one_solution_are_no_rivals():
+    rng = np.random.default_rng(2035)
+    azimuth_deg = rng.uniform(0.5, 8.0) * rng.choice([-1, 1])
+    bias = Bias(rng.normal(0.0, 25.0), azimuth_deg, time_s=rng.uniform(0.0, 1.5))
+    found = fitted(boat_radar(rng, bias=bias, common=3))
+    assert found.established and abs(found.theta[1] - azimuth_deg) < 0.3

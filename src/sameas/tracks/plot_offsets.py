@@ -324,9 +324,21 @@ def fit_plots(feed: Feed, partners: Sequence[Feed]) -> BiasFit | None:
         limit = -float(np.log(tuning.companion))
         less = float(np.clip(ahead, -limit, limit).sum() + log_prior[at] - log_prior[other])
         theta = np.where(best.biases == AZIMUTH, vote.azimuth_deg[other], best.theta)
+        if less < tuning.registration.decisive:
+            # Two peaks of the search may be one solution.
+            begin = np.where(np.arange(len(FITTED)) == FITTED.index(AZIMUTH), vote.azimuth_deg[other], 0.0)
+            theta = _refined(all_of, widths, begin, tuning.plot_scales[s], plots, tuning).theta
+            if _same(best, theta):
+                continue
         rivals.append((theta, evidence - less))
     rivals.sort(key=lambda rival: -rival[1])
     return replace(best, log_evidence=evidence, rivals=tuple(rivals))
+
+
+def _same(best: BiasFit, theta: FloatArray) -> bool:
+    """Whether biases have the azimuth of a fit, within two of its standard errors."""
+    at = int(np.flatnonzero(best.biases == AZIMUTH)[0])
+    return bool(abs(theta[at] - best.theta[at]) <= 2.0 * np.sqrt(best.covariance[at, at]))
 
 
 def _peaks(log_density: FloatArray, tuning: Tuning) -> list[tuple[int, int]]:
