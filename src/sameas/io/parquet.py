@@ -158,7 +158,7 @@ def _header_of(table: Table) -> list[str]:
         return list(meta.get_yaml_from_table(table))
     ordered, attributes, of_ordered = parts
 
-    class Plain(yaml.SafeDumper):
+    class Plain(yaml.SafeDumper):  # type: ignore[misc]  # PyYAML has no types
         """Raises for what is not plain."""
 
     def of_column(dumper: Plain, column: Mapping[str, Any]) -> yaml.MappingNode:

@@ -205,7 +205,7 @@ def _without_linear_algebra() -> None:
             from numba.np import arraymath
         finally:
             linalg.ensure_blas = look
-        arraymath.ensure_blas = look
+        arraymath.ensure_blas = look  # type: ignore[attr-defined]
     except (ImportError, AttributeError):  # another numba, which looks elsewhere
         pass
 
