@@ -90,3 +90,16 @@ def test_a_sink_sends_what_fits_in_datagrams(frame):
     for wrong in ({"url": "ftp://x", "format": "nmea"}, {"url": "udp://x:1", "format": "morse"}, {"url": "udp://x:1"}):
         with pytest.raises(InputError, match="output"):
             sinks_of([wrong])
+
+
+def test_no_text_of_a_transponder_ends_an_output(frame, monkeypatch):
+    """An address of six letters that are no digits ended the output of ASTERIX, and the tick with it."""
+    hostile = {"icao": "zzzzzz", "mmsi": "=cmd()", "name": 'a*00\r\n$GPGLL,"/><x', "label": "]]>\x1b[31m\u2028"}
+    listed = [one | hostile for one in frame.listed()]
+    monkeypatch.setattr(type(frame), "listed", lambda self: listed)
+    parts = {name: list(FORMATS[name](frame)) for name in FORMATS}
+    assert all(parts.values())
+    for part in parts["cot"]:
+        assert ET.fromstring(part).find("detail/contact").get("callsign").isprintable()
+    assert all(part.endswith(b"\r\n") and part[:-2].isascii() and part.count(b"*") == 1 for part in parts["nmea"])
+    assert all(part.count(b"\n") == 1 and json.loads(part) for name in ("jsonl", "signalk") for part in parts[name])

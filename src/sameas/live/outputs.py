@@ -10,6 +10,7 @@ from __future__ import annotations
 import ipaddress
 import json
 import math
+import re
 import socket
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -151,7 +152,7 @@ def _record(frame: Frame, one: Mapping[str, Any]) -> bytes:
     unit = 180.0 / 2**25
     lat, lon = round(one["lat_deg"] / unit), round(one["lon_deg"] / unit)
     course, speed, icao = one["course_deg"], one["speed_m_per_s"], str(one.get("icao", ""))
-    moving, named = speed is not None, len(icao) == 6
+    moving, named = speed is not None, re.fullmatch(r"[0-9A-Fa-f]{6}", icao) is not None
     # A presence bit for each item in the order of the standard; the lowest bit of an octet says that one follows.
     octets = [0b10011001 | (0b00000010 if moving else 0), 0b00001101 | (0b00010000 if named else 0), 0b1, 0b00000100]
     out: bytes = bytes(octets) + bytes([0, 0])
