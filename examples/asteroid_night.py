@@ -32,8 +32,8 @@ from sameas.space import ARCSEC_PER_RADIAN
 SEED = 2713
 #: Starts of the exposures, and how long they are; latitude, longitude and height of the station.
 NIGHT = "2018-10-18"
-STARTS = ("03:01:20", "03:17:43", "03:34:14", "03:46:46", "03:54:57", "04:03:08", "04:11:19", "04:19:30", "04:27:41",
-          "04:34:12")  # fmt: skip
+STARTS = ("03:01:53.784", "03:14:07.814", "03:30:43.875", "03:42:57.904", "03:51:07.264", "03:57:59.304",
+          "04:06:08.663", "04:14:18.010", "04:22:27.375", "04:34:41.402")  # fmt: skip
 EXPOSURE_S = 240.0
 SITE = (42.61, -71.485, 100.0)
 SIDE_PX, SCALE_ARCSEC, TURN_DEG, FWHM_PX = 480, 1.18, 3.0, 2.6
