@@ -21,21 +21,28 @@ from sameas.partitions.output import write_hats
 
 EVERYTHING = np.array([[0, 12 << 58]], np.int64)
 COLUMNS = ("partitions", "pairs", "others than one machine", "claimed twice", "largest |Δp|", "% |Δp| > 1e-6",
-           "not certain", "halo, arcsec", "estimating, µs/row", "deciding, µs/row")  # fmt: skip
+           "not certain", "halo, arcsec", "decided on, per row", "estimating, µs/row", "deciding, µs/row",
+           "memory, GB")  # fmt: skip
 NOTES = (
     "one machine: everything in memory at once, decided by the same estimates; |Δp| of having no partner",
-    "µs of the processor per row of both catalogues, all workers together, reading and writing Parquet included",
+    "µs of the processor per row of both catalogues, in one process that does all, its start after the first import, "
+    "reading and writing Parquet included; decided on: records with halos, and again where a halo was widened",
 )
+#: Of how a row's cost grows with a catalogue.
+SIZES = ("rows", "partitions", "pairs", "estimating, µs/row", "deciding, µs/row", "both, seconds", "memory, GB")
 #: Times of a process and its children, in a process of its own: what was loaded and compiled before does not count.
 OURS = """
-import resource, sys, time, sameas
+import dataclasses, resource, sys, sameas
+def used():
+    return resource.getrusage(resource.RUSAGE_SELF)
 def cpu():
-    return sum(sum(resource.getrusage(who)[:2]) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-a, b, out, workers = sys.argv[1:]
-found = sameas.match(a, b, sigma="pos_err", sigma_unit="arcsec")
+    return sum(used()[:2])
+a, b, out = sys.argv[1:]
+found = dataclasses.replace(sameas.match(a, b, sigma="pos_err", sigma_unit="arcsec"), workers=1)
 start = cpu(); found.estimated; middle = cpu()
-written = found.write(out, workers=int(workers), margin_arcsec=0.0)
-print(middle - start, cpu() - middle, written.doubtful, written.halo_arcsec)
+written = found.write(out, workers=1, margin_arcsec=0.0)
+print(middle - start, cpu() - middle, written.doubtful, written.halo_arcsec, written.read, written.pairs,
+      used().ru_maxrss / (1e9 if sys.platform == "darwin" else 1e6))
 """
 THEIRS = """
 import resource, sys, warnings; warnings.simplefilter("ignore")
@@ -64,7 +71,7 @@ def run(program: str, *arguments: Any) -> list[float]:
     done = subprocess.run([sys.executable, "-c", program, *map(str, arguments)], capture_output=True, text=True)
     if done.returncode:
         raise SystemExit(done.stderr)
-    return [float(word) for word in done.stdout.split()[-4:]]
+    return [float(word) for word in done.stdout.splitlines()[-1].split()]
 
 
 def told(folder: Path) -> dict[str, Any]:
@@ -73,14 +80,29 @@ def told(folder: Path) -> dict[str, Any]:
     return {name: rows.column(name).to_numpy(zero_copy_only=False) for name in ("id_1", "id_2", "p_none")}
 
 
-def row(folder: Path, both: list[Any], most: int, workers: int) -> tuple[Any, ...]:
-    """One way to cut the sky; the second catalogue is cut coarser."""
+def stored(folder: Path, both: list[Any], most: int) -> tuple[str, tuple[Path, Path]]:
+    """Both as catalogues, the second cut coarser: how many partitions, and where."""
     for name in ("a", "b", "out"):
         shutil.rmtree(folder / name, ignore_errors=True)
-    cells = [write_hats(table, folder / name, most_rows=rows)
-             for table, name, rows in zip(both, "ab", (most, 3 * most), strict=True)]  # fmt: skip
-    paths = folder / "a", folder / "b"
-    estimating, deciding, doubtful, halo = run(OURS, *paths, folder / "out", workers)
+    one, two = (write_hats(table, folder / name, most_rows=rows)
+                for table, name, rows in zip(both, "ab", (most, 3 * most), strict=True))  # fmt: skip
+    return f"{len(one)} and {len(two)}", (folder / "a", folder / "b")
+
+
+def size(folder: Path, rows: int, lam: float, most: int) -> tuple[Any, ...]:
+    """What a row costs in catalogues of so many objects, without the comparison with one machine."""
+    both = tables(rows, lam)
+    n = sum(map(len, both))
+    cells, paths = stored(folder, both, most)
+    del both
+    estimating, deciding, _, _, _, pairs, memory = run(OURS, *paths, folder / "out")
+    return (n, cells, int(pairs), 1e6 * estimating / n, 1e6 * deciding / n, estimating + deciding, memory)
+
+
+def row(folder: Path, both: list[Any], most: int) -> tuple[Any, ...]:
+    """One way to cut the sky."""
+    cells, paths = stored(folder, both, most)
+    estimating, deciding, doubtful, halo, read, _, memory = run(OURS, *paths, folder / "out")
     found = sameas.match(*paths, sigma="pos_err", sigma_unit="arcsec")
     work = found.estimated.work
     one, two = (work.read(side, EVERYTHING, np.array([0.0, 0.0, 1.0, 1e9])) for side in (1, 2))
@@ -94,9 +116,9 @@ def row(folder: Path, both: list[Any], most: int, workers: int) -> tuple[Any, ..
     claims, apart = id_2[id_2 >= 0], np.abs(ours["p_none"] - p_none[id_1])
     rows = sum(map(len, both))
     return (
-        f"{len(cells[0])} and {len(cells[1])}", len(claims), int(np.count_nonzero(id_2 != partner[id_1])),
+        cells, len(claims), int(np.count_nonzero(id_2 != partner[id_1])),
         len(claims) - len(np.unique(claims)), float(apart.max()), 100.0 * float((apart > 1e-6).mean()),
-        int(doubtful), halo, 1e6 * estimating / rows, 1e6 * deciding / rows,
+        int(doubtful), halo, read / rows, 1e6 * estimating / rows, 1e6 * deciding / rows, memory,
     )  # fmt: skip
 
 
@@ -107,8 +129,8 @@ def lsdb_row(folder: Path, rows: int) -> tuple[Any, ...] | None:
     except ImportError:
         return None
     seconds, found = run(THEIRS, folder / "a", folder / "b")[-2:]
-    nothing = (None,) * 6
-    return (f"LSDB {lsdb.__version__}, nearest", int(found), *nothing, None, 1e6 * seconds / rows)
+    nothing = (None,) * 7
+    return (f"LSDB {lsdb.__version__}, nearest", int(found), *nothing, None, 1e6 * seconds / rows, None)
 
 
 def main() -> None:
@@ -116,13 +138,18 @@ def main() -> None:
     parser.add_argument("--rows", type=float, default=1e6, help="of objects")
     parser.add_argument("--lam", type=float, default=0.5, help="chance candidates of a record within 3σ")
     parser.add_argument("--most-rows", type=float, nargs="*", default=[3e5, 2.5e4, 1.5e3], help="of a partition")
-    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--sizes", type=float, nargs="+", help="instead: what a row costs with so many objects")
     options = parser.parse_args()
+    if options.sizes:
+        with tempfile.TemporaryDirectory() as name:
+            rows = [size(Path(name), int(n), options.lam, int(options.most_rows[0])) for n in options.sizes]
+        report("partitions", [Table(f"λ {options.lam:g}", SIZES, rows, NOTES[1:])])
+        return
     both = tables(int(options.rows), options.lam)
     with tempfile.TemporaryDirectory() as name:
-        lines = [row(Path(name), both, int(most), options.workers) for most in options.most_rows]
+        lines = [row(Path(name), both, int(most)) for most in options.most_rows]
         peer = lsdb_row(Path(name), sum(map(len, both)))
-    title = f"{len(both[0])} and {len(both[1])} rows, λ {options.lam:g}, {options.workers} workers"
+    title = f"{len(both[0])} and {len(both[1])} rows, λ {options.lam:g}"
     report("partitions", [Table(title, COLUMNS, [*lines, *([peer] if peer else [])], NOTES)])
 
 

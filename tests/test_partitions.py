@@ -15,11 +15,15 @@ from sameas import InputError
 
 pytest.importorskip("cdshealpix", reason="catalogues in partitions need cdshealpix: pip install 'sameas[hats]'")
 
+from typer.testing import CliRunner
+
+from sameas.cli.app import app
 from sameas.io import read_table
 from sameas.partitions import cells as healpix
 from sameas.partitions import run
 from sameas.partitions.layout import CELL, Cell, HatsCatalogue, is_hats
 from sameas.partitions.output import partition_file, write_hats
+from sameas.partitions.part import Patch
 
 EVERYTHING = np.array([[0, 12 << 58]], np.int64)
 
@@ -64,9 +68,9 @@ def stored(folder, tables, most):
     return folder / "a", folder / "b"
 
 
-def matched(folder, paths, join="all1", out="out", **options):
+def matched(folder, paths, join="all1", out="out", piece_rows=800, **options):
     found = sameas.match(*paths, sigma="pos_err", sigma_unit="arcsec", join=join, **options)
-    return found, found.write(folder / out, workers=1)
+    return found, found.write(folder / out, workers=1, piece_rows=piece_rows)
 
 
 def table_of(folder):
@@ -90,17 +94,17 @@ PLACES = {"over the pole": (10.0, 90.0), "across RA 0": (0.0, 0.0), "southern": 
 
 @pytest.mark.slow_after(1)
 @pytest.mark.parametrize(
-    "most",
+    ("most", "piece_rows"),
     [
-        pytest.param((20_000, 20_000), id="whole"),
-        pytest.param((400, 250), id="some"),
-        pytest.param((40, 60), id="many", marks=pytest.mark.long),
+        pytest.param((20_000, 20_000), 1_000, id="whole"),
+        pytest.param((400, 250), 1_500, id="some"),
+        pytest.param((40, 60), 90, id="many", marks=pytest.mark.long),
     ],
 )
 @pytest.mark.parametrize("place", PLACES)
-def test_the_answer_is_that_of_one_machine_however_the_sky_is_cut(tmp_path, place, most):
+def test_the_answer_is_that_of_one_machine_however_the_sky_is_cut(tmp_path, place, most, piece_rows):
     tables = sky(PLACES[place], 4_000, 0.4, seed=5, holes=3)
-    found, written = matched(tmp_path, stored(tmp_path, tables, most))
+    found, written = matched(tmp_path, stored(tmp_path, tables, most), piece_rows=piece_rows)
     partner, p_none = at_once(found)
     told = table_of(tmp_path / "out")
     paired = {i: j for i, j in zip(told["id_1"], told["id_2"], strict=True) if not np.isnan(j)}
@@ -126,8 +130,22 @@ def test_a_halo_that_is_too_narrow_is_noticed(tmp_path):
     found = sameas.match(*stored(tmp_path, tables, (300, 300)), sigma="pos_err", sigma_unit="arcsec")
     work = found.estimated.work
     cell = run.output_cells(work)[3]
-    narrow, enough = work.within(cell, 1.0), work.decided(cell)
-    assert narrow.doubtful > 0 == enough.doubtful and enough.halo_arcsec > narrow.halo_arcsec
+    narrow = work.within(Patch(cell.order, np.array([cell.number])), 1.0)
+    first, *again = replace(work, halo_arcsec=1.0).decided(cell)
+    assert narrow.doubtful > 0 == first.doubtful == again[-1].doubtful and again[-1].halo_arcsec > first.halo_arcsec
+    # Every row of the cell is of one of the parts.
+    enough = work.decided(cell)
+    for parts in ([first, *again], enough):
+        own = np.concatenate([part.first.ids[part.own[0]] for part in parts])
+        assert sorted(own) == sorted(narrow.first.ids[narrow.own[0]])
+    partner = [{i: j for part in parts for i, j in pairs_of(part).items()} for parts in ([first, *again], enough)]
+    assert partner[0] == partner[1]
+
+
+def pairs_of(part):
+    found = part.result.matches
+    own = part.own[0][found.rows_1]
+    return dict(zip(part.first.ids[found.rows_1[own]], part.second.ids[found.rows_2[own]], strict=True))
 
 
 def test_every_row_of_both_is_written_once_by_joins_that_keep_all(tmp_path):
@@ -187,7 +205,7 @@ def test_a_broken_partition_is_named_and_what_is_done_stays(tmp_path):
     whole = file.read_bytes()
     file.write_bytes(whole[:2_000])
     with pytest.raises(InputError, match=f"Norder={cell.order}, Npix={cell.number} cannot be read"):
-        found.write(tmp_path / "out", workers=1)
+        found.write(tmp_path / "out", workers=1, piece_rows=800)
     done = list((tmp_path / "out" / "out" / "dataset").rglob("*.parquet"))
     assert done and not is_hats(tmp_path / "out")
 
@@ -205,20 +223,20 @@ def test_a_run_goes_on_where_it_ended_with_the_same_bytes(tmp_path, monkeypatch)
 
     monkeypatch.setattr(run, "decide_partition", dying)
     with pytest.raises(KeyboardInterrupt):
-        found.write(tmp_path / "two" / "out", workers=1)
+        found.write(tmp_path / "two" / "out", workers=1, piece_rows=800)
     monkeypatch.undo()
     with pytest.raises(InputError, match="was begun with other catalogues or options"):
-        found.write(tmp_path / "two" / "out", workers=1, margin_arcsec=1.0)
+        found.write(tmp_path / "two" / "out", workers=1)
     # What a worker that is killed while it writes leaves behind.
     beside = next((tmp_path / "two" / "out" / "out" / "dataset").rglob("*.parquet"))
     beside.with_name(f".{beside.name}.1.part").write_bytes(b"PAR1")
-    again = found.write(tmp_path / "two" / "out", workers=1)
+    again = found.write(tmp_path / "two" / "out", workers=1, piece_rows=800)
     assert again.decided == whole.decided - 3 and replace(
         again, path=whole.path, decided=0, cpu_seconds=0.0
     ) == replace(whole, decided=0, cpu_seconds=0.0)
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
     with pytest.raises(InputError, match="exists already"):
-        found.write(tmp_path / "two" / "out", workers=1)
+        found.write(tmp_path / "two" / "out", workers=1, piece_rows=800)
 
 
 def contents(folder):
@@ -228,15 +246,16 @@ def contents(folder):
 SCRIPT = """
 import sys, sameas
 found = sameas.match({a!r}, {b!r}, sigma="pos_err", sigma_unit="arcsec")
-print("written", found.write({out!r}, workers=2).pairs, flush=True)
+print("written", found.write({out!r}, workers=2, piece_rows=100).pairs, flush=True)
 """
 
 
-def children(pid):
-    told = subprocess.run(
-        ["ps", "-ww", "-o", "pid=", "-o", "args=", "--ppid", str(pid)], capture_output=True, text=True
-    ).stdout
-    return [int(line.split()[0]) for line in told.splitlines() if "spawn_main" in line]
+def workers_of(pid):
+    """Those that the process of which all workers are copies has made, or the process itself."""
+    told = subprocess.run(["ps", "-ww", "-eo", "pid=,ppid=,args="], capture_output=True, text=True).stdout
+    lines = [(int(line.split()[0]), int(line.split()[1]), line) for line in told.splitlines()]
+    servers = [one for one, parent, line in lines if parent == pid and "forkserver" in line]
+    return [one for one, parent, line in lines if parent in servers or (parent == pid and "spawn_main" in line)]
 
 
 @pytest.mark.long
@@ -254,7 +273,7 @@ def test_a_killed_worker_is_replaced_and_a_killed_client_resumes_with_the_same_b
     while len(list(done.glob("*.json"))) < 3 and time.monotonic() < until:
         assert process.poll() is None, process.stderr.read().decode()
         time.sleep(0.01)
-    workers = children(process.pid)
+    workers = workers_of(process.pid)
     os.kill(workers[0] if victim == "worker" and workers else process.pid, 9)
     process.communicate(timeout=300)
     assert workers
@@ -262,6 +281,49 @@ def test_a_killed_worker_is_replaced_and_a_killed_client_resumes_with_the_same_b
         assert process.returncode != 0 and not (tmp_path / "two" / "out" / "collection.properties").exists()
         subprocess.run(runs["two"], check=True, capture_output=True)
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
+
+
+@pytest.mark.long
+@pytest.mark.skipif(sys.platform != "linux", reason="mounts a file system of bounded size")
+def test_a_full_disk_is_said_and_what_is_done_stays(tmp_path):
+    paths = stored(tmp_path, sky((0.0, 0.0), 3_000, 0.3, seed=18), (100, 100))
+    found, whole = matched(tmp_path, paths, out="one/out", piece_rows=200)
+    room = sum(map(len, contents(tmp_path / "one").values())) * 6 // 10
+    small = tmp_path / "two"
+    small.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={room}", "tmpfs", small], capture_output=True).returncode:
+        pytest.skip("no right to mount")
+    try:
+        with pytest.raises(InputError, match="the disk is full; the parts that are done stay"):
+            found.write(small / "out", workers=1, piece_rows=200)
+        subprocess.run(["mount", "-o", "remount,size=100m", small], check=True)
+        again = found.write(small / "out", workers=1, piece_rows=200)
+        assert 0 < again.decided < whole.decided
+        assert contents(tmp_path / "one") == contents(small)
+    finally:
+        subprocess.run(["umount", small], check=True)
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore")  # Dask's own
+@pytest.mark.skipif(sys.platform == "win32", reason="kills processes as POSIX does")
+def test_on_a_cluster_of_dask_a_killed_worker_changes_no_byte(tmp_path):
+    distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed")
+    paths = stored(tmp_path, sky((0.0, 0.0), 3_000, 0.3, seed=19), (100, 100))
+    found, _ = matched(tmp_path, paths, out="one/out", piece_rows=100)
+    killed = []
+
+    def kill(stage):
+        if stage.startswith("part 3 ") and not killed:
+            killed.extend(list(client.run(os.getpid).values())[:1])
+            os.kill(killed[0], 9)
+
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        replace(found, progress=kill).write(tmp_path / "two" / "out", executor=client.get_executor(), piece_rows=100)
+    assert killed and contents(tmp_path / "one") == contents(tmp_path / "two")
 
 
 def test_cells_around_a_cell_hold_all_within_the_width():
@@ -292,7 +354,51 @@ def test_a_hats_catalogue_and_a_table_are_refused_together(tmp_path):
 
 def test_options_that_would_depend_on_the_partition_are_refused(tmp_path):
     paths = stored(tmp_path, sky((0.0, 0.0), 300, 0.1, seed=15), (300, 300))
-    with pytest.raises(InputError, match="columns are not learned over partitions"):
-        _ = sameas.match(*paths, sigma="pos_err", evidence=sameas.evidence.Column(2, "mag")).estimated
+    with pytest.raises(InputError, match="values for rows say nothing of partitions"):
+        _ = sameas.match(*paths, sigma="pos_err", evidence=sameas.evidence.Column(2, np.zeros(300))).estimated
     with pytest.raises(InputError, match="offset is not looked for over partitions"):
         _ = sameas.match(*paths, sigma="pos_err", offset="find").estimated
+
+
+def test_options_that_need_the_whole_result_are_refused_over_partitions(tmp_path):
+    a, b = stored(tmp_path, sky((0.0, 0.0), 100, 0.1, seed=16), (300, 300))
+    for option in (("--certify",), ("--compare-nearest",), ("--pictures", "x"), ("--out-format", "csv")):
+        told = CliRunner().invoke(app, ["match", str(a), str(b), "-o", str(tmp_path / "out"), *option])
+        assert told.exit_code != 0 and f"{option[0]}: not over the partitions of HATS catalogues" in told.output
+        assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_columns_are_evidence_learned_once_and_coded_alike_in_every_part(tmp_path):
+    tables = sky((0.0, 0.0), 4_000, 0.4, seed=17)
+    rng, ids = np.random.default_rng(17), [(table["id"] - side) // 2 for side, table in enumerate(tables, 1)]
+    shared = np.isin(ids[1], ids[0])
+    # Most of what both show is "disk"; "odd" occurs in few parts, so that codes by parts would differ.
+    names = np.where(rng.uniform(size=len(shared)) < np.where(shared, 0.9, 0.2), "disk", "spur")
+    names[rng.choice(len(names), 20, replace=False)] = "odd"
+    tables[1]["class"] = names
+    tables[0]["code"] = rng.integers(0, 3, len(tables[0]))
+    evidence = [sameas.evidence.Column(2, "class"), sameas.evidence.Column(1, "code")]
+    paths = stored(tmp_path, tables, (400, 250))
+    found, _ = matched(tmp_path, paths, evidence=evidence)
+    partner, p_none = at_once(found)
+    told = table_of(tmp_path / "out")
+    assert {i: j for i, j in zip(told["id_1"], told["id_2"], strict=True) if not np.isnan(j)} == partner
+    assert max(abs(p_none[i] - p) for i, p in zip(told["id_1"], told["p_none"], strict=True)) < 1e-6
+    report = found.report()
+    assert "class of b: ln odds of a partner" in report and "code of a: tells nothing" in report
+    # Of the records of the second, those that look like what both show have partners.
+    of_class = dict(zip(tables[1]["id"], names, strict=True))
+    without, _ = matched(tmp_path, paths, out="without")
+    plain, _ = at_once(without)
+    spurs = [sum(of_class[j] == "spur" for j in pairs.values()) for pairs in (partner, plain)]
+    assert spurs[0] < spurs[1]
+    with pytest.raises(InputError, match=r"no column 'kind' to be evidence; it has id, ra, dec, pos_err, mag, class"):
+        _ = sameas.match(*paths, sigma="pos_err", evidence=sameas.evidence.Column(2, "kind")).estimated
+
+
+@pytest.mark.parametrize("option", ["format1", "hdu2", "hdu"])
+def test_formats_are_refused_over_partitions(tmp_path, option):
+    paths = stored(tmp_path, sky((0.0, 0.0), 100, 0.1, seed=16), (300, 300))
+    with pytest.raises(InputError, match=f"^{option}: HATS catalogues are Parquet files"):
+        sameas.match(*paths, sigma="pos_err", **{option: "fits"})

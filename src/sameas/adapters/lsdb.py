@@ -93,7 +93,7 @@ class OneToOne(AbstractCrossmatchAlgorithm):
         if crossmatch_args.left_native_len is None:
             raise _only_outer("of a version of LSDB that brings no left margin")
         one, two = (
-            side.rows(_arrow(frame, side.columns(self.work.magnitudes)))
+            side.rows(_arrow(frame, side.columns(self.work.magnitudes, self.work.evidence)))
             for side, frame in zip(self.work.sides, (crossmatch_args.left_df, crossmatch_args.right_df), strict=True)
         )
         found = self.work.identified(one, two).matches

@@ -183,6 +183,11 @@ def match(
 
         request = Request((str(first), str(second)), options, columns)
         if both_hats(first, second):
+            beside = {"--compare-nearest": compare_nearest, "--certify": certify, "--pictures": pictures,
+                      "--out-format": out_format}  # fmt: skip
+            for name, value in beside.items():
+                if value:
+                    raise InputError(f"{name}: not over the partitions of HATS catalogues", "leave it out")
             over_partitions(request, join, nway_columns, None if dry_run else output, workers, quiet)
             return
         if output is None or dry_run:

@@ -165,12 +165,35 @@ class ColumnEvidence:
 
     def at(self, setting: Setting, columns: ColumnEvidence) -> ColumnEvidence:
         """The same where other records take part, whose ``columns`` are given."""
-        there = replace(columns, fits=self.fits, findings=self.findings).in_folds(setting)
-        related = tuple(
-            replace(_placed(association, pair), folds=there.folds[0] if there.folds else association.folds)
-            for association, pair in zip(self.associations, columns.relations, strict=False)
+        folds = columns.in_folds(setting).folds
+        assert folds is not None
+        return self.over(columns, folds)
+
+    def over(self, columns: ColumnEvidence, folds: tuple[IntArray, IntArray]) -> ColumnEvidence:
+        """What was learned, for other records of the same sources, whose columns and folds (n₁,), (n₂,) are given."""
+        one, two = (
+            tuple(column.coded_as(known) for column, known in zip(given, mine, strict=True))
+            for given, mine in zip(columns.sides, self.sides, strict=True)
         )
-        return replace(there, associations=related)._applied()
+        coded = {(source, c.name): c for source, side in ((1, one), (2, two)) for c in side}
+        pairs = [(coded[1, a.name], coded[2, b.name]) for a, b in self.relations]
+        related = tuple(
+            replace(_placed(association, pair), folds=folds[0])
+            for association, pair in zip(self.associations, pairs, strict=False)
+        )
+        return replace(
+            columns, sides=(one, two), relations=tuple(pairs), fits=self.fits, findings=self.findings, folds=folds,
+            associations=related,
+        )._applied()  # fmt: skip
+
+    def without_records(self) -> ColumnEvidence:
+        """What was learned alone, for :meth:`over`."""
+        none = np.empty(0, np.int64)
+        associations = tuple(
+            replace(one, cells=(none, none), parts=(none.astype(np.float64),) * 2, folds=none)
+            for one in self.associations
+        )
+        return replace(self.part(none, none), associations=associations, log_ratio=None)
 
     @property
     def given_only(self) -> ColumnEvidence | None:
@@ -577,6 +600,7 @@ def _place(column: CodedColumn, knots: FloatArray) -> tuple[IntArray, FloatArray
     """(n,) cells of values, −1 where there is none, and the part of each that counts to the next."""
     gone = ~np.isfinite(column.values)
     if column.words is not None:
+        gone |= column.values >= len(column.words)  # a word that was not known
         return np.where(gone, -1, np.nan_to_num(column.values)).astype(np.int64), np.zeros(len(gone))
     hats = Hats.at(knots, np.where(gone, knots[0], column.values))
     return np.where(gone, -1, hats.left), np.where(gone, 0.0, hats.part)

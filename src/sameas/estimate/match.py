@@ -268,6 +268,7 @@ def match_sample(
     density: tuple[float, float] | None = None,
     brightness: tuple[Magnitudes, Magnitudes] | None = None,
     precision: bool = True,
+    columns: ColumnEvidence | None = None,
     rounds: int = 30,
     tuning: MatchTuning = DEFAULT_MATCH,
     progress: Callable[[str], None] = lambda stage: None,
@@ -275,11 +276,11 @@ def match_sample(
     """What is not known of two sources, estimated from a sample that somebody else has drawn.
 
     coverage : of the sample, with which of its records count. The others are those of :func:`match`; the likeliest
-    errors are taken, however few the pairs are.
+    errors are taken, however few the pairs are. columns : of its records, that are evidence too.
     """
     seen = _photometry(coverage.first, coverage.second, brightness)
     every = Sampling(enough=2**62)
-    search = _GateSearch(coverage, seen, precision, density, gate, every, progress, tuning=tuning)
+    search = _GateSearch(coverage, seen, precision, density, gate, every, progress, tuning=tuning, columns=columns)
     scan = scanned(coverage, density, tuning.grid) if errors is None and gate is None else None
     search, found, remarks = _converged(search, scan, errors, rounds)
     answer, found = search.identified(found, rounds)

@@ -23,13 +23,14 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.estimate.cells import FINEST, GridLevel
+from sameas.estimate.columns import DEFAULT_COLUMNS, ColumnEvidence
 from sameas.estimate.coverage import HOLE, IN_CELL, PSEUDO_COUNT, SHARED_PSEUDO_COUNT, SMOOTH, Coverage
 from sameas.estimate.em import Estimates
 from sameas.estimate.grades import Grades
 from sameas.estimate.match import DEFAULT_MATCH, Estimate, MatchTuning, match_sample
 from sameas.estimate.photometry import Photometry
 from sameas.estimate.sample import Sampling, Setting
-from sameas.evidence import Errors, Magnitudes, MeasuredMagnitudes, Rule
+from sameas.evidence import Column, Errors, Magnitudes, MeasuredMagnitudes, Related, Rule
 from sameas.gate import ChiSquare, Pairs, Radius
 from sameas.records import Records
 from sameas.representation import in_short
@@ -134,6 +135,11 @@ class Places:
     def at(self, counted: IntArray) -> IntArray:
         """The places of records among ``cells``, from the cells in which they were counted."""
         return np.minimum(np.searchsorted(self.cells, counted >> (2 * self.steps)), len(self.cells) - 1)
+
+    def folds(self, counted: Sequence[IntArray]) -> tuple[IntArray, IntArray]:
+        """(n₁,), (n₂,) the parts into which cells of some dozens of records are dealt, that columns are learned by."""
+        one, two = ((cells >> 2 * (self.steps + 2)) % DEFAULT_COLUMNS.folds for cells in counted)
+        return one, two
 
     def densities(self, at_1: IntArray, at_2: IntArray) -> tuple[tuple[FloatArray, FloatArray], ...]:
         """Of source 1, and of source 2, each at the records of both."""
@@ -269,8 +275,8 @@ class Learned:
 
     errors : of the evidence. start, gate_sigmas : the errors by which the gate measures, and its radius in these.
     means : shares of all that have a partner. photometry : without magnitudes of its own. grades : without records.
-    density : of all records of either source where the user gave them. places : densities, coverage and shares.
-    estimate : of the sample, for reports; None where it is not needed.
+    columns : without records. density : of all records of either source where the user gave them. places : densities,
+    coverage and shares. estimate : of the sample, for reports; None where it is not needed.
     """
 
     errors: Errors
@@ -279,6 +285,7 @@ class Learned:
     means: tuple[float, float]
     photometry: Photometry | None = field(repr=False)
     grades: Grades | None = field(repr=False)
+    columns: ColumnEvidence | None = field(repr=False)
     density: tuple[float, float] | None
     places: Places
     estimate: Estimate | None = field(repr=False, default=None)
@@ -293,10 +300,12 @@ class Learned:
         pairs: Pairs,
         cells: tuple[IntArray, IntArray],
         measured: tuple[MeasuredMagnitudes, MeasuredMagnitudes] | None = None,
+        columns: ColumnEvidence | None = None,
     ) -> Rule:
         """The evidence of pairs whose records lie in these cells, (n₁,) and (n₂,), of those that were counted.
 
-        measured : magnitudes of the records; None where magnitudes are no evidence.
+        measured : magnitudes of the records; None where magnitudes are no evidence. columns : of the records, of which
+        nothing is learned; None where they are no evidence.
         """
         n1, n2 = len(pairs.first), len(pairs.second)
         at_1, at_2 = self.places.at(cells[0]), self.places.at(cells[1])
@@ -312,6 +321,8 @@ class Learned:
         )  # fmt: skip
         if self.grades is not None:
             known = replace(known, grades=self.grades.at(setting, photometry))
+        if self.columns is not None and columns is not None:
+            known = replace(known, columns=self.columns.over(columns, self.places.folds(cells)))
         return known.rule()
 
     def seen(self, cells: IntArray, source: int) -> BoolArray:
@@ -337,6 +348,7 @@ def learn(
     density: tuple[float, float] | None = None,
     brightness: tuple[Magnitudes, Magnitudes] | None = None,
     precision: bool = True,
+    evidence: Sequence[Column | Related] = (),
     tuning: MatchTuning = DEFAULT_MATCH,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> Learned:
@@ -347,7 +359,7 @@ def learn(
     records : of the sample: those that count, and all that compete with them. cells : (n₁,), (n₂,) of them, of the
         size that was counted. counted : (n₁,), (n₂,).
     places : densities and coverage, from the counts of all records. volume : of the sample.
-    errors, gate, density, brightness, precision : as of ``estimate.match.match``.
+    errors, gate, density, brightness, precision, evidence : as of ``estimate.match.match``.
 
     Raises
     ------
@@ -361,9 +373,11 @@ def learn(
     seen = places.seen[at[0], 0], places.seen[at[1], 1]
     levels = tuple(_level(places.cells[at[0]], places.cells[at[1]], steps, places.volume) for steps in places.levels)
     coverage = _SampleCoverage(first, second, volume, levels, counted, seen, places.densities(*at))
+    columns = ColumnEvidence.of(first, second, evidence)
+    columns = columns and replace(columns, folds=places.folds(cells))
     found = match_sample(
         coverage, errors=errors, gate=gate, density=density, brightness=brightness, precision=precision,
-        tuning=tuning, progress=progress,
+        columns=columns, tuning=tuning, progress=progress,
     )  # fmt: skip
     known = found.known
     weights = [(s & c).astype(np.float64) for s, c in zip(seen, known.counted, strict=True)]
@@ -371,7 +385,8 @@ def learn(
     places = places.with_shares(cells, part, weights)
     return Learned(
         known.errors, found.start, found.gate_sigmas, known.means, _without_records(known.photometry),
-        None if known.grades is None or known.grades.rule is None else _without_grades(known.grades), density, places,
+        None if known.grades is None or known.grades.rule is None else _without_grades(known.grades),
+        known.columns and known.columns.without_records(), density, places,
         found.estimate,
     )  # fmt: skip
 

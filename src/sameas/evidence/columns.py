@@ -71,14 +71,14 @@ class OddsTable:
             if number is None:
                 here = words == str(row[0]) if len(row) == 2 else np.zeros(len(out), np.bool_)
             elif len(row) == 2:
-                here = number == _as_number(row[0])
+                here = number == _number(row[0])
             else:
                 here = (number >= float(row[0])) & (number < float(row[1]))
             out[given & here] = math.log(float(row[-1]))
         return out
 
 
-def _as_number(value: Any) -> float:
+def _number(value: Any) -> float:
     try:
         return float(value)
     except (TypeError, ValueError):
@@ -181,6 +181,23 @@ class CodedColumn:
         gone = gone | (texts == "")
         known, code = np.unique(texts.astype(str), return_inverse=True)
         return cls(name, np.where(gone, np.nan, code.astype(np.float64)), tuple(known.tolist()), log_odds)
+
+    def coded_as(self, known: CodedColumn) -> CodedColumn:
+        """The same values as another of the same column counts them, which other records may have been coded by: words
+        that it does not have get a code beyond those that it has."""
+        if known.words == self.words:
+            return self
+        there = np.isfinite(self.values)
+        cells = self.values[there]
+        mine = [str(int(cell)) for cell in cells] if self.words is None else np.array(self.words)[cells.astype(int)]
+        if known.words is None:
+            coded = np.array([_number(word) for word in mine])
+        else:
+            code = {word: k for k, word in enumerate(known.words)}
+            coded = np.array([code.get(str(word), len(code)) for word in mine])
+        values = np.full(len(self.values), np.nan)
+        values[there] = coded
+        return CodedColumn(self.name, values, known.words, self.log_odds)
 
     def take(self, rows: NDArray[np.integer]) -> CodedColumn:
         """Some records."""

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sameas.errors import InputError
-from sameas.front.options import fields_of
+from sameas.front.options import FILE_OPTIONS, fields_of
 from sameas.front.provenance import made_by
 from sameas.front.request import Request
 from sameas.partitions.layout import HatsCatalogue, is_hats
@@ -42,6 +42,13 @@ class PartitionedMatch:
     call: str = ""
     progress: Callable[[str], None] = field(default=lambda stage: None)
     workers: int | None = None
+
+    def __post_init__(self) -> None:
+        said = (f"{one.parameter}{side}" for one in FILE_OPTIONS for side in ("", 1, 2))
+        for name in said:
+            if self.request.columns.get(name) is not None:
+                raise InputError(f"{name}: HATS catalogues are Parquet files, nothing is to be said of their format",
+                                 "leave it out")  # fmt: skip
 
     @cached_property
     def catalogues(self) -> tuple[HatsCatalogue, HatsCatalogue]:
@@ -83,6 +90,7 @@ class PartitionedMatch:
         workers: int | None = None,
         executor: Executor | None = None,
         margin_arcsec: float = 10.0,
+        piece_rows: int = 300_000,
     ) -> Written:
         """Decides all partitions and writes the joined catalogue, with a margin, as a HATS collection.
 
@@ -93,6 +101,8 @@ class PartitionedMatch:
         path : the collection's folder. margin_arcsec : of the margin catalogue; 0 writes none.
         workers : processes. executor : used instead of processes of our own, such as ``client.get_executor()`` of
             dask.distributed; its workers must see the folders.
+        piece_rows : records of both catalogues that a worker decides at once, about, however they are partitioned:
+            0.5 GB of memory for the default.
 
         Raises
         ------
@@ -105,7 +115,7 @@ class PartitionedMatch:
         for source in self.request.paths:
             if target == Path(source).resolve() or target.is_relative_to(Path(source).resolve()):
                 raise InputError(f"{path}: lies in an input", "give another name")
-        facts = self.facts() | {"margin_arcsec": margin_arcsec}
+        facts = self.facts() | {"margin_arcsec": margin_arcsec, "piece_rows": piece_rows}
         if "estimated" not in self.__dict__:
             scratch = target / ".sameas-run"
             begun = scratch.exists() or not target.exists() or not any(target.iterdir())
@@ -116,7 +126,7 @@ class PartitionedMatch:
             with tempfile.TemporaryDirectory(prefix=".sameas-", dir=_there(target.parent)) as folder:
                 self.__dict__["estimated"] = self._estimated(Path(folder), workers, executor)
         return write(self.estimated, target, facts, margin_arcsec=margin_arcsec, workers=workers, executor=executor,
-                     progress=self.progress)  # fmt: skip
+                     progress=self.progress, piece_rows=piece_rows)  # fmt: skip
 
     def facts(self) -> dict[str, Any]:
         """How the output is made; the same for the same inputs and options."""
@@ -138,6 +148,7 @@ class PartitionedMatch:
 
     def report_lines(self, words: Callable[[str], str] = str) -> Iterator[str]:
         """The lines of :meth:`report`. words : how a message that names arguments is put."""
+        from sameas.report.findings import column_lines
         from sameas.report.prose import DOUBT, count, entry, figures, percent
 
         found = self.estimated
@@ -160,6 +171,9 @@ class PartitionedMatch:
         yield from entry("have a partner", f"{shares} of the records of both")
         yield from entry("errors", f"{figures(learned.errors.typical_scale)} times what is quoted, typically")
         yield from entry("gate", f"{figures(learned.gate_sigmas)} σ")
+        if learned.columns is not None:
+            nothing = entry("columns", "too few pairs to learn from them; they are not used")
+            yield from column_lines(learned.columns, (self.catalogues[0].name, self.catalogues[1].name)) or nothing
         yield from entry("halo", f"{figures(work.halo_arcsec)} arcsec, wider where that is not certain")
         far = [0 if side.far is None else len(side.far) for side in work.sides]
         if any(far):

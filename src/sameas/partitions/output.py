@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,7 @@ from sameas.arrays import IntArray
 from sameas.io.arrow import array_of
 from sameas.io.parquet import column_metadata
 from sameas.partitions import cells as healpix
-from sameas.partitions.layout import CELL, COLLECTION, Cell, HatsCatalogue
+from sameas.partitions.layout import CELL, COLLECTION, Cell, HatsCatalogue, numbers_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -43,12 +44,28 @@ def written_whole(path: Path, content: bytes) -> None:
         beside.write_bytes(content)
 
 
-def write_rows(table: pa.Table, path: Path) -> None:
-    """Writes a partition's file, whole or not at all."""
+def write_rows(tables: Iterable[pa.Table], path: Path) -> int:
+    """Writes a partition's file, whole or not at all, and none where there are no rows; their number.
+
+    tables : its rows, one piece after another, with the columns of the first.
+    """
+    import pyarrow as pa
     from pyarrow import parquet
 
-    with _whole(path) as beside:
-        parquet.write_table(table, beside, compression="zstd", row_group_size=GROUP_ROWS)
+    pieces = (table for table in tables if table.num_rows)
+    first = next(pieces, None)
+    if first is None:
+        return 0
+    # A dictionary of numbers that are nearly all different costs two thirds of the writing and makes files larger.
+    texts = [field.name for field in first.schema if pa.types.is_string(field.type)]
+    rows = 0
+    with _whole(path) as beside, parquet.ParquetWriter(
+        beside, first.schema, compression="zstd", use_dictionary=texts or False
+    ) as writer:  # fmt: skip
+        for table in chain([first], pieces):
+            writer.write_table(table.cast(first.schema), row_group_size=GROUP_ROWS)
+            rows += int(table.num_rows)
+    return rows
 
 
 def arrow_of(table: Table, cells: IntArray, facts: Mapping[str, Any]) -> pa.Table:
@@ -126,11 +143,9 @@ def write_margin(catalogue: HatsCatalogue, cell: Cell, margin_arcsec: float, fol
         return 0
     schema = catalogue.schema
     rows = rows.select(schema.names).cast(pa.schema(list(schema)))
-    order_of_rows = np.argsort(rows.column(CELL).to_numpy(), kind="stable")
-    write_rows(
-        rows.take(pa.array(order_of_rows)).replace_schema_metadata(schema.metadata), partition_file(folder, cell)
-    )
-    return int(rows.num_rows)
+    order_of_rows = np.argsort(numbers_of(rows, CELL), kind="stable")
+    rows = rows.take(pa.array(order_of_rows)).replace_schema_metadata(schema.metadata)
+    return write_rows([rows], partition_file(folder, cell))
 
 
 def write_hats(
@@ -151,7 +166,7 @@ def write_hats(
     for cell in chosen:
         begin, end = np.searchsorted(place, cell.stretch[0])
         if begin < end:
-            write_rows(arrow_of(table[begin:end], place[begin:end], {}), partition_file(folder, cell))
+            write_rows([arrow_of(table[begin:end], place[begin:end], {})], partition_file(folder, cell))
             full.append(cell)
     properties = {"obs_collection": folder.name, "dataproduct_type": "object", "hats_col_ra": ra, "hats_col_dec": dec,
             "hats_col_healpix": CELL, "hats_col_healpix_order": healpix.FINEST, "hats_builder": "sameas"}  # fmt: skip
@@ -164,5 +179,4 @@ def _parts(cell: Cell, place: IntArray, most_rows: int) -> list[Cell]:
     begin, end = np.searchsorted(place, cell.stretch[0])
     if end - begin <= most_rows or cell.order == 20:
         return [cell] if begin < end else []
-    inner = (Cell(cell.order + 1, 4 * cell.number + k) for k in range(4))
-    return [one for part in inner for one in _parts(part, place, most_rows)]
+    return [one for part in cell.inner for one in _parts(part, place, most_rows)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -11,20 +12,22 @@ from numpy.typing import NDArray
 
 from sameas._identify import identify
 from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.places import Counts, Learned
-from sameas.evidence import Magnitudes
+from sameas.evidence import Column, Magnitudes, Related
+from sameas.gate import Pairs
 from sameas.groups import laid_out
 from sameas.io.arrow import column_of
 from sameas.io.parquet import decoded, described
 from sameas.partitions import cells as healpix
-from sameas.partitions.layout import CELL, Cell, HatsCatalogue
+from sameas.partitions.layout import CELL, Cell, HatsCatalogue, numbers_of
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.result import Identification
-from sameas.sky.bands import ERROR_NAMES, OFF, magnitudes_of
+from sameas.sky.bands import ERROR_NAMES, OFF, columns_of, magnitudes_of
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import PositionError
-from sameas.sky.joins import joined
+from sameas.sky.joins import joined, joined_rows
 from sameas.space import ARCSEC_PER_RADIAN
 
 if TYPE_CHECKING:
@@ -38,13 +41,13 @@ class PartTuning:
 
     Attributes
     ----------
-    competing : pairs of smaller ln of the odds carry no group on. 0 is where pairs may be chosen; those below move
-        probabilities by what they are worth.
+    competing : pairs of smaller ln of the odds carry no group on: others are never chosen (METHOD 11.5). What they move
+        probabilities by falls off over a gate or two: a halo of 32″ and one of 129″ gave the same to 1e-11 at λ 2.
     certain_arcsec : the halo is widened no further than to this.
     finer : the halo's edge is followed by cells that are smaller than its own by so many orders.
     """
 
-    competing: float = -4.0
+    competing: float = 0.0
     certain_arcsec: float = 1000.0
     finer: int = 3
 
@@ -72,9 +75,11 @@ class Side:
     far_place: FloatArray = field(repr=False, default_factory=lambda: np.empty((0, 3)))
     far_reach_arcsec: FloatArray = field(repr=False, default_factory=lambda: np.empty(0))
 
-    def columns(self, magnitudes: str) -> list[str]:
+    def columns(self, magnitudes: str, evidence: Sequence[Column | Related] = ()) -> list[str]:
         """The columns that the identification needs."""
         words = set(_words(self.understood.choice))
+        for one in evidence:
+            words |= {c.values for c in (one.columns if isinstance(one, Related) else (one,))}
         named = {name.strip() for side in magnitudes.split(":") for name in side.split(",")}
         named |= {way.format(name) for name in named for way in ERROR_NAMES}
         known = {name.lower() for name in words | named}
@@ -82,9 +87,11 @@ class Side:
 
     def rows(self, table: pa.Table) -> Rows:
         """Rows understood, and brought to the epoch."""
-        cells = np.asarray(table.column(CELL).to_numpy(), np.int64)
+        cells = numbers_of(table, CELL)
         catalogue = self.understood.alike(table_of(table.drop_columns([CELL])))
-        return Rows(catalogue, cells, self.records(catalogue), self.cell_order)
+        choice = self.understood.choice
+        cut = (choice.ra.name, choice.dec.name) == self.stored.position and choice.frame == "icrs"
+        return Rows(catalogue, cells, self.records(catalogue), self.cell_order, cut)
 
     def records(self, catalogue: Catalogue) -> Records:
         """The records of some rows; with errors of 1 arcsec as long as nothing is known of them."""
@@ -96,16 +103,31 @@ class Side:
 @in_short
 @dataclass(frozen=True)
 class Rows:
-    """Rows of a catalogue in memory: stored : (n_table,) cells of order 29 by their stored positions."""
+    """Rows of a catalogue in memory.
+
+    stored : (n_table,) cells of order 29 by their stored positions; cut_by_position : whether these are the positions
+    of the records.
+    """
 
     catalogue: Catalogue
     stored: IntArray
     records: Records
     cell_order: int
+    cut_by_position: bool
+
+    @cached_property
+    def still(self) -> bool:
+        """Whether the records are where the catalogue has them."""
+        at, rows, features = self.catalogue.astrometry, self.records.rows, self.records.features
+        if len(rows) == len(at.ra_deg):
+            return np.array_equal(features[:, 0], at.ra_deg) and np.array_equal(features[:, 1], at.dec_deg)
+        return np.array_equal(features[:, 0], at.ra_deg[rows]) and np.array_equal(features[:, 1], at.dec_deg[rows])
 
     @cached_property
     def cells(self) -> IntArray:
         """(n,) cells in which the records are counted."""
+        if self.still and self.cut_by_position:
+            return self.stored[self.records.rows] >> 2 * (healpix.FINEST - self.cell_order)
         return healpix.cells_of(self.records.features, self.cell_order)
 
     @cached_property
@@ -117,6 +139,8 @@ class Rows:
     @cached_property
     def moved_arcsec(self) -> FloatArray:
         """(n,) distance of the records from their stored positions."""
+        if self.still:
+            return np.zeros(len(self.records))
         at = self.catalogue.astrometry
         lon, lat = np.radians(at.ra_deg[self.records.rows]), np.radians(at.dec_deg[self.records.rows])
         stored = np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
@@ -147,13 +171,14 @@ class Counted:
 class Work:
     """What is the same for all parts.
 
-    sides : both catalogues. learned : what is known; None as long as it is not. magnitudes, join, nway_columns : as of
-    ``sameas.match``. far_arcsec : records that move or whose errors reach farther are looked for everywhere.
-    halo_arcsec : with which a part is decided first.
+    sides : both catalogues. learned : what is known; None as long as it is not. magnitudes, evidence, join,
+    nway_columns : as of ``sameas.match``. far_arcsec : records that move or whose errors reach farther are looked for
+    everywhere. halo_arcsec : with which a part is decided first.
     """
 
     sides: tuple[Side, Side]
     magnitudes: str
+    evidence: tuple[Column | Related, ...]
     join: str
     nway_columns: bool
     far_arcsec: float
@@ -161,10 +186,14 @@ class Work:
     learned: Learned | None = None
     tuning: PartTuning = DEFAULT_PART
 
+    def columns(self, side: int) -> list[str]:
+        """The columns of catalogue 1 or 2 that the identification needs."""
+        return self.sides[side - 1].columns(self.magnitudes, self.evidence)
+
     def count(self, side: int, cell: Cell) -> Counted:
         """The records of a partition of catalogue 1 or 2, counted."""
         one = self.sides[side - 1]
-        rows = one.rows(one.stored.rows(cell.stretch, one.columns(self.magnitudes)))
+        rows = one.rows(one.stored.rows(cell.stretch, self.columns(side)))
         far = (rows.moved_arcsec > self.far_arcsec) | (rows.sigma_arcsec * 10.0 > self.far_arcsec)
         none, cells = np.empty(0, np.int64), rows.cells
         counts = Counts.of(cells, none) if side == 1 else Counts.of(none, cells)
@@ -181,7 +210,7 @@ class Work:
             import pyarrow as pa
 
             apart = np.linalg.norm(one.far_place - near[:3], axis=1) * ARCSEC_PER_RADIAN
-            cells = np.asarray(one.far.column(CELL).to_numpy(), np.int64)
+            cells = numbers_of(one.far, CELL)
             wanted = (apart <= near[3] + one.far_reach_arcsec) & ~healpix.within(stretch, cells)
             if wanted.any():
                 table = pa.concat_tables(
@@ -190,50 +219,61 @@ class Work:
                 )
         return one.rows(table)
 
-    def decided(self, cell: Cell) -> Part:
-        """A cell of the output, decided with a halo that is wide enough."""
-        part = self.within(cell, self.halo_arcsec)
-        while part.doubtful and part.halo_arcsec < self.tuning.certain_arcsec:
-            part = self.within(cell, 2.0 * part.halo_arcsec)
-        return part
+    def decided(self, cell: Cell) -> list[Part]:
+        """A piece of the sky: it, but for the small cells of those whose groups come near its halo's edge; these, with
+        a halo twice as wide, but for those of theirs …"""
+        patch = Patch(cell.order, np.array([cell.number]))
+        parts = [self.within(patch, self.halo_arcsec)]
+        order = max(cell.order, self.sides[0].cell_order)
+        while parts[-1].doubtful and parts[-1].halo_arcsec < self.tuning.certain_arcsec:
+            last = parts.pop()
+            again = Patch(order, last.doubtful_cells(order))
+            parts += [last.without(again), self.within(again, 2.0 * last.halo_arcsec)]
+        return parts
 
-    def within(self, cell: Cell, halo_arcsec: float) -> Part:
-        """A cell decided with a halo at least so wide."""
-        halo = Halo.around(cell, halo_arcsec, self.tuning.finer)
+    def within(self, patch: Patch, halo_arcsec: float) -> Part:
+        """Cells decided with a halo at least so wide."""
+        halo = Halo.around(patch, halo_arcsec, self.tuning.finer)
         near = halo.reach()
         one, two = (self.read(side, halo.stretch, near) for side in (1, 2))
         result = self.identified(one, two)
-        own = tuple(healpix.within(cell.stretch, rows.stored) for rows in (one, two))
-        doubtful = self._doubtful(result, one, two, halo)
-        of_1 = doubtful & own[0][one.records.rows]
-        return Part(cell, halo.width_arcsec, one, two, result, (own[0], own[1]), int(np.count_nonzero(of_1)))
+        own_1, own_2 = (healpix.within(patch.stretch, rows.stored) for rows in (one, two))
+        touching = self._doubtful(result, one, two, halo)
+        doubtful_1, doubtful_2 = (
+            own[rows.records.rows] & of for own, rows, of in zip((own_1, own_2), (one, two), touching, strict=True)
+        )
+        return Part(halo.width_arcsec, one, two, result, (own_1, own_2), (doubtful_1, doubtful_2))
 
     def identified(self, one: Rows, two: Rows) -> Identification:
         """All records of both, with what is known."""
         assert self.learned is not None
-        learned, measured = self.learned, None
-        pairs = learned.pairs(one.records, two.records)
+        learned, measured, columns = self.learned, None, None
+        pairs = _by_cells(learned.pairs(one.records, two.records), one, two)
         if learned.photometry is not None:
             magnitudes = brightness(one.catalogue, two.catalogue, self.magnitudes)
             measured = None if magnitudes is None else (magnitudes[0].of(one.records), magnitudes[1].of(two.records))
-        rule = learned.rule(pairs, (one.cells, two.cells), measured)
+        if learned.columns is not None:
+            given = columns_of(one.catalogue, two.catalogue, self.evidence, self.magnitudes)
+            columns = ColumnEvidence.of(one.records, two.records, given)
+        rule = learned.rule(pairs, (one.cells, two.cells), measured, columns)
         return identify(pairs.first, pairs.second, rule=rule, gate=lambda first, second: pairs)
 
-    def _doubtful(self, result: Identification, one: Rows, two: Rows, halo: Halo) -> BoolArray:
-        """(n₁,) whether a record's group comes so near to where the halo ends that others may compete with it."""
+    def _doubtful(self, result: Identification, one: Rows, two: Rows, halo: Halo) -> tuple[BoolArray, BoolArray]:
+        """(n₁,), (n₂,) whether a record's group comes so near to the halo's edge that others may compete with it."""
         assert self.learned is not None
         tuning, learned = self.tuning, self.learned
         kept = np.flatnonzero(result.evidence.log_ratio > tuning.competing)
         pairs = result.pairs
+        doubtful = np.zeros(len(one.records), np.bool_), np.zeros(len(two.records), np.bool_)
         if not len(kept):
-            return np.zeros(len(one.records), np.bool_)
+            return doubtful
         sigma = [np.sqrt(records.variances.max(axis=1))
                  for records in learned.start.records(one.records, two.records)]  # fmt: skip
         usual = [float(np.quantile(s, 0.999)) if len(s) else 0.0 for s in sigma]
         moved = max((s.moved_limit(self.far_arcsec) for s in (one, two)), default=0.0)
         edge = []
         for rows, s, other in ((one, sigma[0], usual[1]), (two, sigma[1], usual[0])):
-            inside = healpix.within(halo.cell.stretch, rows.stored[rows.records.rows])
+            inside = healpix.within(halo.own, rows.stored[rows.records.rows])
             reach = np.minimum(learned.gate_sigmas * np.hypot(s, other), tuning.certain_arcsec)
             near = np.zeros(len(reach), np.bool_)
             # A record of the cell itself that has hardly moved is farther from the edge than the halo is wide.
@@ -246,53 +286,74 @@ class Work:
         group = grouped.of_pairs()
         bad = np.zeros(len(grouped), np.bool_)
         bad[group[touched]] = True
-        doubtful = np.zeros(len(one.records), np.bool_)
-        doubtful[i[bad[group]]] = True
+        doubtful[0][i[bad[group]]] = True
+        doubtful[1][j[bad[group]]] = True
         # Without a competing pair a record is alone, whatever may be missing, unless it lies at the edge itself.
         return doubtful
 
 
 @in_short
 @dataclass(frozen=True)
-class Halo:
-    """A cell and the cells around it. stretch : (k, 2) of all. edges : (e, 3) directions outside, along the edge.
+class Patch:
+    """Cells of one order, (c,), that are decided together."""
 
-    width_arcsec : everything so near to the cell is in it. side_arcsec : no point outside is farther from one of the
-    edges than 0.85 of this.
+    order: int
+    cells: IntArray
+
+    @cached_property
+    def stretch(self) -> IntArray:
+        """(k, 2) their stretches."""
+        return healpix.stretches(self.cells, self.order)
+
+    def coarser(self, order: int) -> Patch:
+        """The cells of an order that hold them; itself, where that is not coarser."""
+        if order >= self.order:
+            return self
+        return Patch(order, np.unique(self.cells >> 2 * (self.order - order)))
+
+
+@in_short
+@dataclass(frozen=True)
+class Halo:
+    """A patch and the cells around it. own : (o, 2) stretches of the patch, stretch : (k, 2) of all.
+
+    middle : (3,) a direction within. edges : (e, 3) directions outside, along the edge. width_arcsec : everything so
+    near to the patch is in it. side_arcsec : no point outside is farther from one of the edges than 0.85 of this.
     """
 
-    cell: Cell
+    own: IntArray
     stretch: IntArray
+    middle: FloatArray
     edges: FloatArray
     width_arcsec: float
     side_arcsec: float
 
     @classmethod
-    def around(cls, cell: Cell, width_arcsec: float, finer: int) -> Halo:
+    def around(cls, patch: Patch, width_arcsec: float, finer: int) -> Halo:
         """At least so wide; everything where that is wider than a cell of order 0."""
         order = healpix.order_of_width(width_arcsec)
+        middle = healpix.centres(patch.cells, patch.order).sum(axis=0)
+        middle /= max(float(np.linalg.norm(middle)), 1e-9)
         if width_arcsec > healpix.width_arcsec(0):
             every = np.array([[0, 12 << 2 * healpix.FINEST]], np.int64)
-            return cls(cell, every, np.empty((0, 3)), np.inf, 0.0)
-        if order >= cell.order:
-            inner, base = np.array([cell.number]), cell.order
-        else:
-            inner, base = np.array([cell.number >> 2 * (cell.order - order)]), order
+            return cls(patch.stretch, every, middle, np.empty((0, 3)), np.inf, 0.0)
+        coarse = patch.coarser(order)
+        inner, base = coarse.cells, coarse.order
         ring = healpix.ring(inner, base, order)
         stretch = healpix.joined(np.concatenate([healpix.stretches(inner, base), healpix.stretches(ring, order)]))
         finest = min(order + finer, healpix.FINEST)
         border = healpix.ring(ring, order, finest)
         border = border[~healpix.within(stretch, border << 2 * (healpix.FINEST - finest))]
         side = healpix.SIDE_ARCSEC / 2.0**finest
-        return cls(cell, stretch, healpix.centres(border, finest), healpix.width_arcsec(order), side)
+        centres = healpix.centres(border, finest)
+        return cls(patch.stretch, stretch, middle, centres, healpix.width_arcsec(order), side)
 
     def reach(self) -> FloatArray:
         """(4,) a direction and a distance, arcsec, within which all of it lies."""
-        middle = healpix.centres(np.array([self.cell.number]), self.cell.order)[0]
         if not len(self.edges):
-            return np.append(middle, 2.0 * ARCSEC_PER_RADIAN)
-        far = float(np.linalg.norm(self.edges - middle, axis=1).max()) * ARCSEC_PER_RADIAN
-        return np.append(middle, far)
+            return np.append(self.middle, 2.0 * ARCSEC_PER_RADIAN)
+        far = float(np.linalg.norm(self.edges - self.middle, axis=1).max()) * ARCSEC_PER_RADIAN
+        return np.append(self.middle, far)
 
     def edge_arcsec(self, place: FloatArray, up_to: FloatArray) -> FloatArray:
         """(n,) distances of directions from where it ends, or less; infinite where that is more than asked for."""
@@ -309,16 +370,34 @@ class Halo:
 @in_short
 @dataclass(frozen=True)
 class Part:
-    """A cell decided. own : (n_table,) of either whether a row is stored in the cell. doubtful : records of the first
-    catalogue for whose answer the halo may be too narrow."""
+    """Cells decided. own : (n_table,) of either whether a row is stored in them. open : (n,) of either whether the halo
+    may be too narrow for the answer of a record that is."""
 
-    cell: Cell
     halo_arcsec: float
     one: Rows
     two: Rows
     result: Identification
     own: tuple[BoolArray, BoolArray]
-    doubtful: int
+    open: tuple[BoolArray, BoolArray]
+
+    @property
+    def doubtful(self) -> int:
+        """Records for whose answer the halo may be too narrow."""
+        return sum(int(np.count_nonzero(of)) for of in self.open)
+
+    def doubtful_cells(self, order: int) -> IntArray:
+        """The cells of an order that hold these."""
+        shift = 2 * (healpix.FINEST - order)
+        held = [rows.stored[rows.records.rows[of]] >> shift
+                for rows, of in zip((self.one, self.two), self.open, strict=True)]  # fmt: skip
+        return np.unique(np.concatenate(held))
+
+    def without(self, patch: Patch) -> Part:
+        """Less cells that are decided otherwise."""
+        own_1, own_2 = (own & ~healpix.within(patch.stretch, rows.stored)
+                        for own, rows in zip(self.own, (self.one, self.two), strict=True))  # fmt: skip
+        none_1, none_2 = (np.zeros(len(of), np.bool_) for of in self.open)
+        return replace(self, own=(own_1, own_2), open=(none_1, none_2))
 
     @property
     def first(self) -> Catalogue:
@@ -337,24 +416,20 @@ class Part:
             rows.records.over_table(work.learned.seen(rows.cells, k + 1)) for k, rows in enumerate((self.one, self.two))
         ]
         joinable = _Joinable(self.first, self.second, self.result, seen[0], seen[1])
-        for k, rows in enumerate((self.one, self.two), 1):
-            place = rows.catalogue.astrometry
-            for name, values in zip(_PLACE, (rows.stored, place.ra_deg, place.dec_deg), strict=True):
-                rows.catalogue.table[f"{_CARRIED}{name}_{k}"] = values
-        table = joined(joinable, work.join, nway_columns=work.nway_columns, own=self.own)
-        cell, ra, dec = (_of_either(table, name) for name in _PLACE)
-        table.remove_columns([name for name in table.colnames if name.startswith(_CARRIED)])
-        for rows in (self.one, self.two):
-            names = [name for name in rows.catalogue.table.colnames if name.startswith(_CARRIED)]
-            rows.catalogue.table.remove_columns(names)
+        rows = joined_rows(joinable, work.join).of(*self.own)
+        cell = rows.either(self.one.stored, self.two.stored)
+        if np.any(cell[1:] < cell[:-1]):
+            order = np.argsort(cell, kind="stable")
+            rows, cell = rows.take(order), cell[order]
+        table = joined(joinable, work.join, nway_columns=work.nway_columns, rows=rows)
         if work.join in WITH_SECOND:
-            table["_ra"], table["_dec"] = ra, dec
+            one, two = self.first.astrometry, self.second.astrometry
+            table["_ra"], table["_dec"] = rows.either(one.ra_deg, two.ra_deg), rows.either(one.dec_deg, two.dec_deg)
         # A group's number and size depend on how far the halo reaches, and rows that are numbered on the part.
         numbered = any(c.choice.id is None for c in (self.first, self.second))
         table.remove_columns([name for name in ("group_id", "group_size", *["id_second"] * numbered)
                               if name in table.colnames])  # fmt: skip
-        order = np.argsort(cell, kind="stable")
-        return table[order], cell[order]
+        return table, cell
 
     @cached_property
     def summary(self) -> dict[str, Any]:
@@ -363,9 +438,7 @@ class Part:
         own_pairs = self.own[0][self.result.rows_1]
         p, chosen = self.result.p_pair[own_pairs], self.result.chosen[own_pairs]
         return {
-            "rows_1": int(np.count_nonzero(self.own[0])),
-            "rows_2": int(np.count_nonzero(self.own[1])),
-            "candidates": len(p),
+            "read": len(self.one.records) + len(self.two.records),
             "pairs": int(np.count_nonzero(own)),
             "expected_common": float(p.sum()),
             "expected_wrong": float((1.0 - p[chosen]).sum()),
@@ -383,16 +456,23 @@ class _Joinable:
     covered_2: BoolArray
 
 
-#: Columns that carry the rows' stored places through a join begin so.
-_CARRIED, _PLACE = "_sameas_carried_", ("cell", "ra", "dec")
 #: Joins that write rows of the second catalogue that have no partner.
 WITH_SECOND = ("all2", "1or2", "2not1", "1xor2")
 
 
-def _of_either(table: Table, name: str) -> NDArray[Any]:
-    """What is carried of the first catalogue's row, or, without one, of the second's."""
-    one, two = (np.ma.masked_array(table[f"{_CARRIED}{name}_{k}"]) for k in (1, 2))
-    return np.where(np.ma.getmaskarray(one), np.ma.getdata(two), np.ma.getdata(one))
+def _by_cells(pairs: Pairs, one: Rows, two: Rows) -> Pairs:
+    """The candidates by the stored cells of their records: in which order a group is summed, and with it where sums are
+    approximated, does not depend on what else a part holds."""
+    place_1, place_2 = (_places(rows)[k] for rows, k in ((one, pairs.i), (two, pairs.j)))
+    order = np.argsort(place_1.astype(np.int64) << 32 | place_2)
+    return replace(pairs.part(order), place_1=place_1[order], place_2=place_2[order])
+
+
+def _places(rows: Rows) -> NDArray[np.int32]:
+    """(n,) places of the records in the order of their stored cells."""
+    place = np.empty(len(rows.records), np.int32)
+    place[np.argsort(rows.stored[rows.records.rows], kind="stable")] = np.arange(len(place), dtype=np.int32)
+    return place
 
 
 def brightness(first: Catalogue, second: Catalogue, magnitudes: str) -> tuple[Magnitudes, Magnitudes] | None:

@@ -6,6 +6,7 @@ the output; what a part gives is a file that is whole or absent, so that nothing
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import os
@@ -18,7 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -29,9 +30,10 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.estimate.places import Counts, Learned, Places, drawn, learn
 from sameas.estimate.sample import Sampling
+from sameas.evidence import Related
 from sameas.kernels import threads
 from sameas.partitions import cells as healpix
-from sameas.partitions.layout import CELL, OWN, Cell, HatsCatalogue
+from sameas.partitions.layout import CELL, OWN, Cell, HatsCatalogue, numbers_of
 from sameas.partitions.output import (  # fmt: skip
     arrow_of,
     finish_catalogue,
@@ -55,6 +57,7 @@ from sameas.partitions.part import (
 from sameas.representation import in_short
 from sameas.saved import dumps, loads
 from sameas.sky.assumed import completed
+from sameas.sky.bands import columns_of
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import MatchOptions, common_epoch
 from sameas.sky.joins import joined_names
@@ -75,6 +78,7 @@ class RunTuning:
     margin_gates : the margin of the sample, in gates that are as wide as the quoted errors let expect.
     groups : the halo holds this share of the groups of the sample. least_halo_arcsec : at least.
     failures : a worker may die so often without anything being done meanwhile.
+    few_rows : so many rows are counted without workers, which take a second of the processor to start.
     """
 
     looked_at: int = 20_000
@@ -86,10 +90,30 @@ class RunTuning:
     groups: float = 0.9999
     least_halo_arcsec: float = 1.0
     failures: int = 3
+    few_rows: int = 3_000_000
     sampling: Sampling = Sampling()  # noqa: RUF009
 
 
 DEFAULT_RUN = RunTuning()
+#: Records of both catalogues that are decided at once: 0.5 GB of memory. Fewer make halos a larger part of the work.
+PIECE_ROWS = 300_000
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a worker decides and writes at once.
+
+    cells : of the output. pieces : cells that are decided one after another: one that holds all of the output's, or
+    several that make up the one of the output.
+    """
+
+    cells: tuple[Cell, ...]
+    pieces: tuple[Cell, ...]
+
+    @property
+    def cell(self) -> Cell:
+        """The one that holds all."""
+        return self.cells[0] if len(self.cells) == 1 else self.pieces[0]
 
 
 @in_short
@@ -97,11 +121,13 @@ DEFAULT_RUN = RunTuning()
 class Estimated:
     """Two catalogues understood, and everything estimated: what every part is decided by.
 
-    work : the same for all parts. catalogues : as understood, with a sample of their rows. moved : one sentence on the
-    common epoch. rows : of both. doubts : what looks wrong. sample : of both catalogues, which was estimated from.
+    work : the same for all parts. counts : of the records of both. catalogues : as understood, with a sample of their
+    rows. moved : one sentence on the common epoch. rows : of both. doubts : what looks wrong. sample : of both
+    catalogues, which was estimated from.
     """
 
     work: Work
+    counts: Counts = field(repr=False)
     catalogues: tuple[Catalogue, Catalogue]
     moved: str
     rows: tuple[int, int]
@@ -141,19 +167,24 @@ def estimate(
     """
     if options.offset != "none":
         raise InputError("offset: an offset is not looked for over partitions", "take it away before the import")
-    if options.evidence:
-        raise InputError("evidence: columns are not learned over partitions", "leave them out")
+    for one in options.evidence:
+        for column in one.columns if isinstance(one, Related) else (one,):
+            if not isinstance(column.values, str):
+                raise InputError("evidence: values for rows say nothing of partitions", "give the names of columns")
     for side in columns:
         if side.fill_errors:
             raise InputError("fill_errors: typical errors would depend on the partition", "give every row an error")
     progress("columns")
     looks = tuple(_look(one, stated, tuning) for one, stated in zip(stored, columns, strict=True))
+    columns_of(looks[0], looks[1], options.evidence)  # that there are such
     epochs = completed_epochs(looks, options.epoch_jyr)
     epoch, moved = common_epoch(*epochs, options.epoch_jyr)
     order = _cell_order(stored, tuning)
     sides = tuple(Side(one, without_rows(look), epoch, order) for one, look in zip(stored, epochs, strict=True))
     far = max(tuning.far_arcsec, tuning.far_sigmas * max(_usual_sigma(look) for look in epochs))
-    work = Work((sides[0], sides[1]), options.magnitudes, join, nway_columns, far, tuning=part_tuning)
+    work = Work(
+        (sides[0], sides[1]), options.magnitudes, tuple(options.evidence), join, nway_columns, far, tuning=part_tuning
+    )
     counted = _counted(work, scratch, workers, executor, progress, tuning)
     work = replace(work, sides=tuple(_with_far(s, counted[k], work) for k, s in enumerate(work.sides)))  # type: ignore[arg-type]
     progress("sample")
@@ -167,7 +198,7 @@ def estimate(
     work = replace(work, halo_arcsec=_halo(work, tuning))
     assert learned.estimate is not None
     rows = tuple(sum(one.rows for one in side) for side in counted)
-    return Estimated(work, (sampled[0], sampled[1]), moved, (rows[0], rows[1]),
+    return Estimated(work, counts, (sampled[0], sampled[1]), moved, (rows[0], rows[1]),
                      (*assumed, *learned.estimate.notes), learned.estimate.learned_from)  # fmt: skip
 
 
@@ -219,7 +250,7 @@ def _cell_order(stored: Sequence[HatsCatalogue], tuning: RunTuning) -> int:
     """The order of cells that hold a few records where a catalogue is densest."""
     most = 1.0
     for one in stored:
-        rows = one.count()
+        rows = one.partition_rows
         density = max(n / healpix.area_arcsec2(cell.order) for n, cell in zip(rows, one.cells, strict=True))
         most = max(most, math.log(max(density, 1e-30) / tuning.in_cell * healpix.area_arcsec2(0), 4.0))
     return int(min(max(math.ceil(most), 3), 24))
@@ -232,6 +263,8 @@ def _counted(
     store(work, scratch)
     tasks = [(side, cell) for side in (1, 2) for cell in work.sides[side - 1].stored.cells]
     by_task: dict[tuple[int, Cell], Counted] = {}
+    if executor is None and sum(int(side.stored.partition_rows.sum()) for side in work.sides) <= tuning.few_rows:
+        workers = 1
     with Workers(workers, executor, tuning) as pool:
         for n, (task, counted) in enumerate(pool.each(count_partition, str(scratch), tasks), 1):
             by_task[task] = counted
@@ -267,7 +300,7 @@ def _learned(
     ring = healpix.ring(cells, order, fine) if healpix.width_arcsec(fine) >= margin or fine > order else cells
     stretch = healpix.joined(np.concatenate([healpix.stretches(cells, order), healpix.stretches(ring, fine)]))
     every = np.array([0.0, 0.0, 1.0, 2.0 * 206265.0])
-    rows = [work.read(side, stretch, every, work.sides[side - 1].columns(work.magnitudes)) for side in (1, 2)]
+    rows = [work.read(side, stretch, every, work.columns(side)) for side in (1, 2)]
     # The epoch is the same for all; errors and their units may follow from both together.
     (one, two), assumed = completed([part.catalogue for part in rows], options.epoch_jyr)
     made = [replace(part, catalogue=c, records=c.records(side.epoch_jyr))
@@ -277,6 +310,7 @@ def _learned(
         (made[0].records, made[1].records), (made[0].cells, made[1].cells), (counted[0], counted[1]), places, volume,
         errors=options.errors(), gate=options.gate(), density=options.density(),
         brightness=brightness(one, two, options.magnitudes), precision=options.precision, progress=progress,
+        evidence=columns_of(one, two, options.evidence, options.magnitudes),
     )  # fmt: skip
     return [one, two], learned, tuple(assumed)
 
@@ -364,18 +398,39 @@ def count_partition(folder: str, task: tuple[int, Cell]) -> Counted:
     return stored_work(folder).count(*task)
 
 
-def decide_partition(folder: str, task: tuple[Cell, str, dict[str, Any]]) -> dict[str, Any]:
-    """A part decided and written; its summary. task : its cell, the catalogue's folder, how it was made."""
-    cell, catalogue, facts = task
+def decide_partition(folder: str, given: tuple[Task, str, dict[str, Any]]) -> dict[str, Any]:
+    """A part decided and written; its summary. given : the part, the catalogue's folder, how it was made."""
+    task, catalogue, facts = given
     work = stored_work(folder)
-    began, cpu = time.perf_counter(), time.process_time()
-    part = work.decided(cell)
-    table, cells = part.table(work)
-    summary = part.summary | {"written": len(cells), "order": cell.order, "number": cell.number}
-    if len(cells):
-        write_rows(arrow_of(table, cells, facts), partition_file(Path(catalogue), cell))
-    written_whole(summary_file(Path(folder), cell), json.dumps(summary).encode())
-    return summary | {"seconds": time.perf_counter() - began, "cpu_seconds": time.process_time() - cpu}
+    cpu = time.process_time()
+    summaries: list[dict[str, Any]] = []
+    pieces = (_decided(work, piece, facts, summaries) for piece in task.pieces)
+    if len(task.cells) == 1:
+        written = [write_rows(pieces, partition_file(Path(catalogue), task.cells[0]))]
+    else:
+        (rows,) = pieces
+        begins = np.searchsorted(numbers_of(rows, CELL), [cell.stretch[0] for cell in task.cells])
+        written = [write_rows([rows.slice(begin, end - begin)], partition_file(Path(catalogue), cell))
+                   for cell, (begin, end) in zip(task.cells, begins, strict=True)]  # fmt: skip
+    full = [[cell.order, cell.number] for cell, rows in zip(task.cells, written, strict=True) if rows]
+    summary = {key: (max if key == "halo_arcsec" else sum)(one[key] for one in summaries) for key in summaries[0]}
+    summary |= {"written": full, "order": task.cell.order, "number": task.cell.number}
+    written_whole(summary_file(Path(folder), task), json.dumps(summary).encode())
+    return summary | {"cpu_seconds": time.process_time() - cpu}
+
+
+def _decided(work: Work, piece: Cell, facts: dict[str, Any], summaries: list[dict[str, Any]]) -> Any:
+    """The joined rows of a piece by their cells of order 29, as Arrow has them; ``summaries`` gets the summary."""
+    import pyarrow as pa
+
+    tables = []
+    for part in work.decided(piece):
+        summaries.append(part.summary)
+        tables.append(arrow_of(*part.table(work), facts))
+    if len(tables) == 1:
+        return tables[0]
+    rows = pa.concat_tables([table.cast(tables[0].schema) for table in tables])
+    return rows.take(pa.array(np.argsort(numbers_of(rows, CELL), kind="stable")))
 
 
 def margin_partition(folder: str, task: tuple[Cell, str, str, float]) -> int:
@@ -389,9 +444,9 @@ def _output(folder: str) -> HatsCatalogue:
     return HatsCatalogue.open(folder)
 
 
-def summary_file(folder: Path, cell: Cell) -> Path:
+def summary_file(folder: Path, task: Task) -> Path:
     """Where the summary of a part that is done lies."""
-    return folder / "done" / f"{cell.order}-{cell.number}.json"
+    return folder / "done" / f"{task.cell.order}-{task.cell.number}.json"
 
 
 class Workers:
@@ -452,11 +507,14 @@ class Workers:
         if self.given is not None:
             return self.given
         if self._own is None:
-            from multiprocessing import get_context
+            import multiprocessing
 
-            self._own = ProcessPoolExecutor(
-                self.number, mp_context=get_context("spawn"), initializer=_begin, initargs=(os.getpid(),)
-            )
+            # Where it can be, one process loads everything, and workers are copies of it.
+            copied = "forkserver" in multiprocessing.get_all_start_methods()
+            context: Any = multiprocessing.get_context("forkserver" if copied else "spawn")
+            if copied:
+                context.set_forkserver_preload(list(_LOADED))
+            self._own = ProcessPoolExecutor(self.number, mp_context=context, initializer=_begin)
         return self._own
 
 
@@ -475,9 +533,15 @@ def _nameless_main() -> Iterator[None]:
         sys.modules["__main__"] = main
 
 
-def _begin(parent: int) -> None:
+#: What workers need.
+_LOADED = ("sameas.partitions.run", "sameas._identify", "numba", "pyarrow.parquet", "pyarrow.compute", "cdshealpix",
+           "scipy.spatial", "astropy.table", "astropy.coordinates")  # fmt: skip
+
+
+def _begin() -> None:
     """A worker uses one thread, and ends when the one who started it is gone."""
     os.environ["SAMEAS_THREADS"] = "1"
+    parent = os.getppid()
 
     def watch() -> None:
         while os.getppid() == parent:
@@ -496,8 +560,9 @@ class Written:
     """What a run wrote.
 
     path : the collection. rows : of the joined catalogue. partitions : of it. pairs : identified. expected_wrong,
-    expected_common : of them. doubtful : rows of the first catalogue whose answer a wider halo might change.
-    halo_arcsec : the widest. decided : parts decided in this call, the others were there. cpu_seconds : of these.
+    expected_common : of them. doubtful : rows of both catalogues whose answer a wider halo might change. halo_arcsec :
+    the widest. decided : parts decided in this call, the others were there. cpu_seconds : of these. read : records that
+    were decided on, with halos, and again where a halo had to be widened.
     """
 
     path: Path
@@ -510,6 +575,7 @@ class Written:
     halo_arcsec: float
     decided: int
     cpu_seconds: float
+    read: int
 
 
 def write(
@@ -521,12 +587,33 @@ def write(
     workers: int | None = None,
     executor: Executor | None = None,
     progress: Progress = lambda stage: None,
+    piece_rows: int = PIECE_ROWS,
     tuning: RunTuning = DEFAULT_RUN,
 ) -> Written:
     """All parts decided and written as a HATS collection; parts that an interrupted run has written stay.
 
-    path : the collection's folder. facts : how it is made; a folder that was begun otherwise is refused.
+    path : the collection's folder. facts : how it is made; a folder that was begun otherwise is refused. piece_rows :
+    records of both catalogues that are decided at once, about.
+
+    Raises
+    ------
+    InputError : the folder exists and is no unfinished match of the same; a partition cannot be read, by name; workers
+        keep dying; the disk is full.
     """
+    try:
+        return _written(estimated, path, facts, margin_arcsec, workers, executor, progress, piece_rows, tuning)
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
+            raise
+        raise InputError(
+            f"{path}: the disk is full; the parts that are done stay", "make room, and call again"
+        ) from error
+
+
+def _written(
+    estimated: Estimated, path: Path, facts: dict[str, Any], margin_arcsec: float, workers: int | None,
+    executor: Executor | None, progress: Progress, piece_rows: int, tuning: RunTuning,
+) -> Written:  # fmt: skip
     work, name = estimated.work, path.name
     catalogue, scratch = path / name, path / ".sameas-run"
     if (path / "collection.properties").exists():
@@ -538,16 +625,16 @@ def write(
         raise InputError(f"{path}: exists already, and is no unfinished match", "give another name, or remove it")
     store(work, scratch)
     written_whole(mark, json.dumps(facts).encode())
-    cells = output_cells(work)
-    summaries = [_finished(scratch, catalogue, cell) for cell in cells]
-    tasks = [(cell, str(catalogue), facts) for cell, done in zip(cells, summaries, strict=True) if done is None]
+    every = list(divided(output_cells(work), estimated.counts, work.sides[0].cell_order, piece_rows))
+    summaries = [_finished(scratch, catalogue, task) for task in every]
+    tasks = [(task, str(catalogue), facts) for task, there in zip(every, summaries, strict=True) if there is None]
     done, cpu = [one for one in summaries if one is not None], 0.0
-    with Workers(workers, executor, tuning) as pool:
+    with Workers(workers if len(tasks) > 1 else 1, executor, tuning) as pool:
         for n, (_, summary) in enumerate(pool.each(decide_partition, str(scratch), tasks), 1):
             done.append(summary)
             cpu += summary["cpu_seconds"]
-            progress(f"partition {n + len(cells) - len(tasks)} of {len(cells)}")
-        full = [Cell(one["order"], one["number"]) for one in done if one["written"]]
+            progress(f"part {n + len(summaries) - len(tasks)} of {len(summaries)}")
+        full = [Cell(*cell) for one in done for cell in one["written"]]
         if not full:
             raise InputError(f"{path}: the join {work.join} has no rows; nothing was written")
         rows = finish_catalogue(catalogue, full, _properties(work, name), facts)
@@ -562,19 +649,19 @@ def write(
     write_collection(path, name, margin if margin is not None and (path / margin).exists() else None)
     shutil.rmtree(scratch)
     sums = {key: sum(one[key] for one in sorted(done, key=lambda one: (one["order"], one["number"])))
-            for key in ("pairs", "expected_common", "expected_wrong", "doubtful")}  # fmt: skip
+            for key in ("pairs", "expected_common", "expected_wrong", "doubtful", "read")}  # fmt: skip
     widest = max(one["halo_arcsec"] for one in done)
     return Written(path, rows, len(full), sums["pairs"], sums["expected_common"], sums["expected_wrong"],
-                   sums["doubtful"], widest, len(tasks), cpu)  # fmt: skip
+                   sums["doubtful"], widest, len(tasks), cpu, sums["read"])  # fmt: skip
 
 
-def _finished(scratch: Path, catalogue: Path, cell: Cell) -> dict[str, Any] | None:
+def _finished(scratch: Path, catalogue: Path, task: Task) -> dict[str, Any] | None:
     """The summary of a part that is done; None where it is not."""
-    file = summary_file(scratch, cell)
+    file = summary_file(scratch, task)
     if not file.exists():
         return None
     summary: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    return summary if not summary["written"] or partition_file(catalogue, cell).exists() else None
+    return summary if all(partition_file(catalogue, Cell(*cell)).exists() for cell in summary["written"]) else None
 
 
 def _write_margins(
@@ -614,14 +701,56 @@ def position_columns(work: Work) -> tuple[str, str]:
 
 
 def output_cells(work: Work) -> list[Cell]:
-    """The cells that are decided one by one: the first catalogue's partitions, and where the join writes rows of the
-    second alone, what of its partitions these leave uncovered."""
+    """The cells of the output: the first catalogue's partitions, and where the join writes rows of the second alone,
+    what of its partitions these leave uncovered."""
     cells = list(work.sides[0].stored.cells)
     if work.join in WITH_SECOND:
         covered = healpix.joined(work.sides[0].stored.stretches)
         for cell in work.sides[1].stored.cells:
             cells += _uncovered(cell, covered)
     return sorted(cells, key=lambda cell: (int(cell.stretch[0, 0]), cell.order))
+
+
+def divided(cells: Sequence[Cell], counts: Counts, order: int, most: int) -> Iterator[Task]:
+    """Cells of the output, by their place on the sky, in tasks of at most so many records of both catalogues, where the
+    cells that were counted, of an order, are smaller."""
+    begins = counts.cells << 2 * (healpix.FINEST - order)
+    total = np.concatenate([[0], np.cumsum(counts.numbers.sum(axis=1))])
+
+    def few(cell: Cell) -> bool:
+        begin, end = np.searchsorted(begins, cell.stretch[0])
+        return cell.order >= order or bool(total[end] - total[begin] <= most)
+
+    def pieces(cell: Cell) -> Iterator[Cell]:
+        if few(cell):
+            yield cell
+        else:
+            for inner in cell.inner:
+                yield from pieces(inner)
+
+    def tasks(cell: Cell, own: Sequence[Cell]) -> Iterator[Task]:
+        if len(own) == 1 and (own[0].order <= cell.order or not few(own[0])):
+            yield Task((own[0],), tuple(pieces(own[0])))
+        elif few(cell):
+            yield Task(tuple(own), (common(own),))
+        else:
+            for inner in cell.inner:
+                held = [one for one in own if one.order > cell.order and one.at(inner.order) == inner]
+                if held:
+                    yield from tasks(inner, held)
+
+    for k in range(12):
+        own = [cell for cell in cells if cell.at(0) == Cell(0, k)]
+        if own:
+            yield from tasks(Cell(0, k), own)
+
+
+def common(cells: Sequence[Cell]) -> Cell:
+    """The smallest cell that holds all."""
+    order = min(cell.order for cell in cells)
+    while len({cell.at(order) for cell in cells}) > 1:
+        order -= 1
+    return cells[0].at(order)
 
 
 def _uncovered(cell: Cell, covered: IntArray) -> list[Cell]:
@@ -632,5 +761,4 @@ def _uncovered(cell: Cell, covered: IntArray) -> list[Cell]:
         return [cell]
     if covered[at, 0] <= begin and covered[at, 1] >= end:
         return []
-    inner = (Cell(cell.order + 1, 4 * cell.number + k) for k in range(4))
-    return [one for part in inner for one in _uncovered(part, covered)]
+    return [one for part in cell.inner for one in _uncovered(part, covered)]

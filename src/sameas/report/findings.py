@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.error_model import ErrorModel
 from sameas.estimate.quantity import Quantity
 from sameas.evidence.detection import DetectionCurve
@@ -130,9 +131,17 @@ def _brightness(match: SkyMatch) -> list[str]:
 
 def _columns(match: SkyMatch) -> list[str]:
     """What each column says that was given as evidence."""
-    columns, names = match.estimate.columns, (match.first.name, match.second.name)
+    columns = match.estimate.columns
     if columns is None:
         return []
+    lines = column_lines(columns, (match.first.name, match.second.name))
+    if not lines:
+        return entry("columns", "too few pairs to learn from them; they are not used")
+    return [*lines, *entry("  they change", f"{count(match.estimate.changed_by_columns)} answers")]
+
+
+def column_lines(columns: ColumnEvidence, names: tuple[str, str]) -> list[str]:
+    """What each column of catalogues of these names says that was given as evidence; none where nothing was learned."""
     lines = []
     for one in columns.findings:
         what = f"{one.name} of {names[one.source - 1]}" if one.source else f"{one.name} of {names[0]} with {one.other}"
@@ -148,9 +157,7 @@ def _columns(match: SkyMatch) -> list[str]:
         for column in side:
             if column.log_odds is not None:
                 lines += entry("column", f"{column.name} of {names[source]}: odds as given")
-    if not lines:
-        return entry("columns", "too few pairs to learn from them; they are not used")
-    return [*lines, *entry("  they change", f"{count(match.estimate.changed_by_columns)} answers")]
+    return lines
 
 
 def _completeness(curve: DetectionCurve) -> str:

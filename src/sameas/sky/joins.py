@@ -188,7 +188,7 @@ def _words(name: str) -> str:
 
 
 @dataclass(frozen=True)
-class _JoinedRows:
+class JoinedRows:
     """The output's rows: row in the first and in the second table (−1 for none), and the candidate (−1 for none).
 
     answers : whether each is a possible answer for its row of the first table, "no partner" among them.
@@ -199,12 +199,22 @@ class _JoinedRows:
     pair: IntArray
     answers: bool = False
 
-    def of(self, own_1: BoolArray, own_2: BoolArray) -> _JoinedRows:
+    def of(self, own_1: BoolArray, own_2: BoolArray) -> JoinedRows:
         """Those that speak for some rows of the first table, (n₁,), and without one for some of the second, (n₂,)."""
-        kept = np.zeros(len(self.one), np.bool_)
-        kept[self.mine] = own_1[self.one[self.mine]]
-        kept[~self.mine] = own_2[self.two[~self.mine]]
-        return _JoinedRows(self.one[kept], self.two[kept], self.pair[kept], self.answers)
+        return self.take(np.flatnonzero(self.either(own_1, own_2)))
+
+    def take(self, rows: IntArray) -> JoinedRows:
+        """Some of them, (k,), in this order."""
+        return JoinedRows(self.one[rows], self.two[rows], self.pair[rows], self.answers)
+
+    def either(self, of_1: NDArray[Any], of_2: NDArray[Any]) -> NDArray[Any]:
+        """What a row of the first table has, of (n₁,), or, where there is none, one of the second, of (n₂,)."""
+        if self.mine.all():
+            return of_1[self.one]
+        values = np.empty(len(self.one), of_1.dtype)
+        values[self.mine] = of_1[self.one[self.mine]]
+        values[~self.mine] = of_2[self.two[~self.mine]]
+        return values
 
     @cached_property
     def absent(self) -> BoolArray:
@@ -222,7 +232,7 @@ def joined(
     join: str = JOINS[0],
     *,
     nway_columns: bool = False,
-    own: tuple[BoolArray, BoolArray] | None = None,
+    rows: JoinedRows | None = None,
 ) -> Table:
     """The joined table.
 
@@ -230,18 +240,13 @@ def joined(
     ----------
     join : one of :data:`~sameas.sky.join_types.JOINS`.
     nway_columns : add ``p_any``, ``p_i`` and ``dist_bayesfactor`` by NWAY's names.
-    own : (n₁,), (n₂,) which rows of the two tables may speak: of a joined row the first's, else, without one, the
-        second's. None: all.
+    rows : some of :func:`joined_rows`; None: all.
 
     Raises
     ------
     InputError : an unknown join.
     """
-    if join not in JOINS:
-        raise InputError(f"join {join!r} is not known; choose one of {', '.join(JOINS)}")
-    rows = _rows(match, join)
-    if own is not None:
-        rows = rows.of(*own)
+    rows = joined_rows(match, join) if rows is None else rows
     table = Table()
     names = joined_names(match.first.table, match.second.table)
     for side, (source, at) in enumerate(((match.first.table, rows.one), (match.second.table, rows.two))):
@@ -255,16 +260,24 @@ def joined(
     return table
 
 
-def _rows(match: Joinable, join: str) -> _JoinedRows:
+def joined_rows(match: Joinable, join: str) -> JoinedRows:
+    """The rows of a join.
+
+    Raises
+    ------
+    InputError : an unknown join.
+    """
+    if join not in JOINS:
+        raise InputError(f"join {join!r} is not known; choose one of {', '.join(JOINS)}")
     result = match.result
     if join == "pairs":
         return _every_answer(result)
     found = result.matches
-    both = _JoinedRows(found.rows_1, found.rows_2, found.pair)
+    both = JoinedRows(found.rows_1, found.rows_2, found.pair)
     alone_1 = _others(len(match.first), found.rows_1)
     alone_2 = _others(len(match.second), found.rows_2)
-    only_1 = _JoinedRows(alone_1, np.full(len(alone_1), NO_PARTNER), np.full(len(alone_1), NO_PARTNER))
-    only_2 = _JoinedRows(np.full(len(alone_2), NO_PARTNER), alone_2, np.full(len(alone_2), NO_PARTNER))
+    only_1 = JoinedRows(alone_1, np.full(len(alone_1), NO_PARTNER), np.full(len(alone_1), NO_PARTNER))
+    only_2 = JoinedRows(np.full(len(alone_2), NO_PARTNER), alone_2, np.full(len(alone_2), NO_PARTNER))
     parts = {
         "1and2": (both,), "1or2": (both, only_1, only_2), "all1": (both, only_1), "all2": (both, only_2),
         "1not2": (only_1,), "2not1": (only_2,), "1xor2": (only_1, only_2),
@@ -274,7 +287,7 @@ def _rows(match: Joinable, join: str) -> _JoinedRows:
     # Each part is in its order already, which a stable sort makes use of; ties are among rows of one part.
     leading = two if join == "all2" else one
     order = np.argsort(np.where(leading >= 0, leading, np.iinfo(np.int64).max), kind="stable")
-    return _JoinedRows(one[order], two[order], pair[order])
+    return JoinedRows(one[order], two[order], pair[order])
 
 
 def _others(n: int, rows: IntArray) -> IntArray:
@@ -284,7 +297,7 @@ def _others(n: int, rows: IntArray) -> IntArray:
     return np.flatnonzero(other)
 
 
-def _every_answer(result: Identification) -> _JoinedRows:
+def _every_answer(result: Identification) -> JoinedRows:
     """Every candidate, the most probable first, and after those of a row of the first catalogue "no partner"."""
     n = result.first.n_table
     none = np.full(n, NO_PARTNER)
@@ -292,7 +305,7 @@ def _every_answer(result: Identification) -> _JoinedRows:
     two = np.concatenate([result.rows_2, none])
     pair = np.concatenate([np.arange(len(result.pairs)), none])
     order = np.lexsort([np.concatenate([-result.p_pair, np.ones(n)]), one])
-    return _JoinedRows(one[order], two[order], pair[order], answers=True)
+    return JoinedRows(one[order], two[order], pair[order], answers=True)
 
 
 def joined_names(first: Table, second: Table) -> tuple[list[str], list[str]]:
@@ -337,7 +350,7 @@ class _JoinedColumns:
     """What the identification says at the output's rows."""
 
     match: Joinable
-    rows: _JoinedRows
+    rows: JoinedRows
 
     def columns(self, nway_columns: bool) -> dict[str, np.ma.MaskedArray]:
         """The added columns, by name."""
