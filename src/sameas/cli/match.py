@@ -184,7 +184,7 @@ def match(
         request = Request((str(first), str(second)), options, columns)
         if both_hats(first, second):
             beside = {"--compare-nearest": compare_nearest, "--certify": certify, "--pictures": pictures,
-                      "--out-format": out_format}  # fmt: skip
+                      "--out-format": out_format, "--blends": blends}  # fmt: skip
             for name, value in beside.items():
                 if value:
                     raise InputError(f"{name}: not over the partitions of HATS catalogues", "leave it out")
