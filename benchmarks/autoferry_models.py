@@ -18,6 +18,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from functools import cache
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -147,7 +148,8 @@ class _Shown:
         """What it showed in several scenarios."""
         parts = [_shown(scenario, sensor, latency_s) for scenario in scenarios]
         columns = [[getattr(part, f.name) for part in parts] for f in fields(cls)]
-        return cls(*(np.concatenate(c) if isinstance(c[0], np.ndarray) else sum(c) for c in columns))
+        joined: list[Any] = [np.concatenate(c) if isinstance(c[0], np.ndarray) else sum(c) for c in columns]
+        return cls(*joined)
 
 
 @cache
@@ -168,7 +170,10 @@ def _shown(scenario: str, sensor: int, latency_s: float) -> _Shown:
             splits += max(len(at) - 1, 0)
             own += [(away[v], truth.half_m[v], along[v, k], across[v, k], 1.0 / len(at)) for k in at]
     sight_m, missed = np.array(sights).T
-    return _Shown(*np.array(own).T, sight_m, missed.astype(bool), splits, clutter, len(looks))
+    range_m, half_m, along_m, across_m_or_deg, share = np.array(own).T
+    return _Shown(
+        range_m, half_m, along_m, across_m_or_deg, share, sight_m, missed.astype(bool), splits, clutter, len(looks)
+    )
 
 
 def _compared(
@@ -207,9 +212,13 @@ def _learned(scenarios: Sequence[str], sensor: int, latency_s: float) -> Learned
 def _fitted(shown: _Shown, sensor: int) -> Errors:
     """The errors of most likelihood."""
 
+    def errors(logs: np.ndarray) -> Errors:
+        range_m, bearing_deg = np.exp(logs).tolist()
+        return Errors(range_m, bearing_deg, sensor in CAMERAS)
+
     def cost(logs: np.ndarray) -> float:
-        return Errors(*np.exp(logs).tolist(), sensor in CAMERAS).log_loss(shown)
+        return errors(logs).log_loss(shown)
 
     bounds = [(np.log(0.2), np.log(10.0))] * 2
     best = minimize(cost, np.log([2.0, 2.0]), method="L-BFGS-B", bounds=bounds)
-    return Errors(*np.exp(best.x).tolist(), sensor in CAMERAS)
+    return errors(best.x)

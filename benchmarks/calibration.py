@@ -48,8 +48,12 @@ class Statements:
     @classmethod
     def joined(cls, parts: list[Statements]) -> Statements:
         """Many scenes together."""
-        names = ("pairs", "claimed", "alone")
-        return cls(*(tuple(np.concatenate([getattr(s, n)[k] for s in parts]) for k in (0, 1)) for n in names))
+
+        def both(name: str) -> tuple[np.ndarray, np.ndarray]:
+            p, happened = (np.concatenate([getattr(s, name)[k] for s in parts]) for k in (0, 1))
+            return p, happened
+
+        return cls(both("pairs"), both("claimed"), both("alone"))
 
     def line(self) -> list[object]:
         """The numbers of one row of the table."""

@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks.tables import Table, report
-from sameas.simulate.frames import Camera, Gaussian, Moffat, SimulatedFrame, Trail, frame_of
+from sameas.simulate.frames import Camera, Gaussian, Moffat, Profile, SimulatedFrame, Trail, frame_of
 from sameas.sky.frame.detect import detect
 from sameas.sky.frame.detection import Detection
 
@@ -26,7 +26,7 @@ COLUMNS = ("frame", "by", "found %", "S/N 5–15, px", "15–100, px", "above 10
 
 def frames(size: int) -> list[tuple[str, SimulatedFrame]]:
     """Frames of stars on a loose grid, at random places within their pixels."""
-    cases = [
+    cases: list[tuple[str, Profile, Trail]] = [
         ("Gaussian 3 px", Gaussian(3.0), Trail()),
         ("Moffat 3 px", Moffat(3.0), Trail()),
         ("Moffat 5 px", Moffat(5.0), Trail()),

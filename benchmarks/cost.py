@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks import workload
-from benchmarks.frames import one_band, true_rule
+from benchmarks.frames import one_band
+from benchmarks.recovered import true_rule
 from benchmarks.registration import drawn, put
 from benchmarks.tables import Table, report
 from sameas import Errors, Identification, Records, identify
@@ -77,7 +78,7 @@ def told(task: Task, estimate: Estimate) -> Rule:
     """The rule of a task, with what magnitudes and the sizes of the errors say as it was learned."""
     shares = np.full(len(task.first), estimate.share_1), np.full(len(task.second), estimate.share_2)
     brightness = estimate.photometry.rule(shares) if estimate.photometry is not None else None
-    rule = task.rule if brightness is None else task.rule + replace(brightness, known=None)
+    rule = task.rule if brightness is None else task.rule + replace(brightness, comparisons=None)
     return rule if estimate.precision is None else rule + estimate.precision
 
 
@@ -96,9 +97,9 @@ def measured(task: Task, times: int) -> Iterator[list[object]]:
         _, estimate = match(task.first, task.second, brightness=brightness)
         rule = told(task, estimate)
         runs = (
-            lambda rule=rule: identify(task.first, task.second, rule=rule),  # type: ignore[misc]
+            lambda rule=rule: identify(task.first, task.second, rule=rule),
             lambda: identify(task.first, task.second, rule=task.rule),
-            lambda b=brightness: match(task.first, task.second, brightness=b),  # type: ignore[misc]
+            lambda b=brightness: match(task.first, task.second, brightness=b),
         )
         given, plain, all_of_it = seconds(runs, times)
         (asked_all,) = seconds([lambda b=brightness: every_quantity(task, b)], 1)  # type: ignore[misc]
@@ -132,8 +133,8 @@ def registration(options: argparse.Namespace) -> Table:
         for shift in SHIFTS_SIGMAS:
             moved = put(made.second, made.second.features - [shift, 0.0])
             runs = (
-                lambda m=made: _matched(m.first, m.second),  # type: ignore[misc]
-                lambda m=made, s=moved: register(m.first, s, Shift()),  # type: ignore[misc]
+                lambda m=made: _matched(m.first, m.second),
+                lambda m=made, s=moved: register(m.first, s, Shift()),
             )
             once, found = seconds(runs, options.times)
             span = np.ptp(made.first.features, axis=0) + np.ptp(moved.features, axis=0)

@@ -277,7 +277,7 @@ def hit(work: Work, server: Server, number: signal.Signals, moments: int, rng: r
         if moment % 2:
             time.sleep(rng.uniform(0.0, 1.05) * longest)
         else:
-            _until(lambda process=process: _ended(process) or bool(work.drafts()))
+            _until(partial(_ended_or_drafted, process, work))
             time.sleep(rng.choice((0.0, 1.0)) * rng.uniform(0.0, 0.1) * min(longest, 1.0))
         asked = time.monotonic()
         with suppress(ProcessLookupError):  # it has ended
@@ -346,6 +346,10 @@ def mounted(folder: Path) -> Iterator[bool]:
     finally:
         if may:
             subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+def _ended_or_drafted(process: int, work: Work) -> bool:
+    return _ended(process) or bool(work.drafts())
 
 
 def _until(true: Callable[[], bool], patience_s: float = 60.0) -> None:

@@ -394,7 +394,7 @@ class Blended:
     def add(self, partner: np.ndarray, other: np.ndarray, made: BlendedField, found: Blends | None = None) -> None:
         """One field."""
         right = (np.sort(np.column_stack([partner, other]), axis=1) == np.sort(made.parts, axis=1)).all(axis=1)
-        two, said = (made.parts >= 0).all(axis=1), other >= 0
+        two, said = np.all(made.parts >= 0, axis=1), other >= 0
         inexact = 0 if found is None else int((~found.exact).sum())
         self.counts += [len(two), right.sum(), two.sum(), (right & two).sum(), (said & ~right).sum(), inexact]
         if found is not None:

@@ -144,19 +144,21 @@ def others(made: Exposure, options: argparse.Namespace, missing: set[str]) -> It
             yield "STILTS find=best, 3σ", peers.stilts_pairs(arrays)
         else:
             missing.add("STILTS")
-        pairs = nway(arrays, made, options.interpreters)
+        pairs = nway(arrays, made.scene, made.area_arcsec2, options.interpreters)
         if pairs is None:
             missing.add("NWAY")
         else:
             yield "NWAY, p > ½", pairs
 
 
-def nway(arrays: workload.Arrays, made: Exposure, interpreters: peers.Interpreters) -> Pairs | None:
+def nway(
+    arrays: workload.Arrays, scene: SimulatedScene, area_arcsec2: float, interpreters: peers.Interpreters
+) -> Pairs | None:
     """NWAY's pairs, told the true area and completeness; None where it is missing."""
     if peers.PEERS["nway"].version(interpreters.python("nway")) is None:
         return None
-    completeness = len(made.scene.true_pairs()[0]) / len(made.scene.first)
-    told = f"{str(arrays.folder)!r}, {made.area_arcsec2 / 3600.0**2!r}, {completeness!r}"
+    completeness = len(scene.true_pairs()[0]) / len(scene.first)
+    told = f"{str(arrays.folder)!r}, {area_arcsec2 / 3600.0**2!r}, {completeness!r}"
     code = f"from benchmarks import peers; peers.nway_pairs({told})"
     command = [interpreters.python("nway"), "-W", "ignore", "-c", code]
     subprocess.run(command, check=True, capture_output=True, cwd=HOME)

@@ -62,10 +62,10 @@ def real_scene(folder: Path) -> Scene:
         frame_of(FrameRequest(path=p, folder=".", name=Path(p).stem, catalogue="", darks=darks), lambda stage: None)
         for p in paths
     ]
-    order = np.argsort([f.facts.mid_time.mjd for f in frames])  # type: ignore[union-attr]
+    order = np.argsort([f.facts.mid_time.mjd for f in frames])
     frames = [frames[k] for k in order]
     found = [detect(f) for f in frames]
-    minutes = np.array([f.facts.mid_time.mjd for f in frames]) * 1440.0  # type: ignore[union-attr]
+    minutes = np.array([f.facts.mid_time.mjd for f in frames]) * 1440.0
     shifts = np.array([_shift(found[0], one) for one in found])
     fwhm = np.array([one.psf_fwhm_px for one in found])
     limit = float(np.median([5.0 * np.median(one.flux_err[one.snr < 8]) for one in found]))

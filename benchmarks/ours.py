@@ -26,10 +26,14 @@ compiled.compile_all()
 def records(arrays: Arrays) -> tuple[Records, Records]:
     """Plain arrays as records."""
     space = Sphere() if arrays.sphere else Plane()
-    return tuple(  # type: ignore[return-value]
-        Records.of(f, **({"sigma": e[:, None]} if e.ndim == 1 else {"covariance": e}), space=space, source=name)
-        for f, e, name in zip(arrays.features, arrays.errors, ("first", "second"), strict=True)
-    )
+
+    def source(name: str, features: np.ndarray, errors: np.ndarray) -> Records:
+        if errors.ndim == 1:
+            return Records.of(features, sigma=errors[:, None], space=space, source=name)
+        return Records.of(features, covariance=errors, space=space, source=name)
+
+    (features_1, features_2), (errors_1, errors_2) = arrays.features, arrays.errors
+    return source("first", features_1, errors_1), source("second", features_2, errors_2)
 
 
 def gate_of(sigmas: float | None) -> Radius | ChiSquare:
@@ -44,13 +48,13 @@ def walk(folder: str, until: str = "posterior", gate_sigmas: float | None = 3.0)
 
     def work() -> dict[str, Any]:
         seconds: dict[str, float] = {}
+        last = time.perf_counter()
 
         def lap(stage: str) -> None:
             nonlocal last
             now = time.perf_counter()
             seconds[stage], last = now - last, now
 
-        last = time.perf_counter()
         first, second = records(arrays)
         lap("prepare")
         pairs = gate(first, second)

@@ -183,15 +183,15 @@ def differences(field: Field, name: str, theirs: np.ndarray) -> Table:
     """Every Gaia star of which another says something else."""
     ours = field.ours()
     lines = []
-    for i in np.flatnonzero(theirs != ours):
+    for i in np.flatnonzero(theirs != ours).tolist():
         t, o = int(theirs[i]), int(ours[i])
-        cells = [str(field.first.ids[i])]
+        cells: list[object] = [str(field.first.ids[i])]
         for j in (t, o):
             cells += ["none", None, None] if j < 0 else [
                 str(field.second.ids[j]), field.separation(i, j), field.probability(i, j)
             ]  # fmt: skip
         p_none = float(field.found.result.answers_1.p_none[i])
-        lines.append([*cells, p_none, explanation(field, int(i), theirs, ours)])
+        lines.append([*cells, p_none, explanation(field, i, theirs, ours)])
     columns = ("Gaia", name, "sep ″", "our p", "sameas", "sep ″", "our p", "p none", "why")
     kinds, count = np.unique([str(line[-1]).split(":")[0] for line in lines], return_counts=True)
     notes = [f"{n} × {kind}" for kind, n in sorted(zip(kinds, count, strict=True), key=lambda x: -x[1])]

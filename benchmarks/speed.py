@@ -10,6 +10,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -160,7 +161,7 @@ def targets(b: Bench) -> Iterator[Row]:
     limits = {2: (60e-6, 0.4e-3, 3e-3, 30e-3), 4: (150e-6, 1e-3, 15e-3, 200e-3)}
     for d, most in limits.items():
         for n, limit in zip((50, 200, 1000, 5000), most, strict=True):
-            folder = b.made(f"targets-{n}-{d}", lambda n=n, d=d: workload.targets(17, n, d))
+            folder = b.made(f"targets-{n}-{d}", partial(workload.targets, 17, n, d))
             calls = max(200, 200_000 // n)
             work = Work("benchmarks.ours:identified", {"folder": folder}, min(calls, 2000), 20.0)
             beside = b.beside(folder, "stonesoup") if n <= 200 else ()

@@ -54,7 +54,8 @@ def crowded(seed: int, n: int, lam: float, elliptical: bool = False) -> tuple[An
 
 def frame(seed: int, n_1: int = 2000, n_2: int = 5000, lam: float = 0.5) -> tuple[Any, Densities]:
     """One frame of n₁ detections, of which 90 % are among the n₂ stars of a catalogue."""
-    from sameas.simulate.scenes import Cap, chance_area_steradians, sky_field
+    from sameas.simulate.areas import Cap
+    from sameas.simulate.scenes import chance_area_steradians, sky_field
     from sameas.space import ARCSEC_PER_RADIAN
 
     steradians = chance_area_steradians(n_2, lam, SIGMA_ARCSEC)
@@ -94,7 +95,7 @@ def widened(seed: int, scene: Any, share: float = 1e-3, factor: float = 40.0) ->
     from dataclasses import replace
 
     from sameas import Records
-    from sameas.simulate.scenes import displaced
+    from sameas.space import displaced
 
     rng = np.random.default_rng(seed)
     sources = []
@@ -134,7 +135,8 @@ class Arrays:
 
     def sigmas(self) -> tuple[np.ndarray, np.ndarray]:
         """(n,) one σ per record, the mean of the axes where it has more."""
-        return tuple(e if e.ndim == 1 else np.sqrt(np.trace(e, axis1=1, axis2=2) / e.shape[-1]) for e in self.errors)
+        one, two = (e if e.ndim == 1 else np.sqrt(np.trace(e, axis1=1, axis2=2) / e.shape[-1]) for e in self.errors)
+        return one, two
 
     def directions(self) -> list[np.ndarray]:
         """(n, 3) unit vectors of longitude and latitude, or the features themselves on a plane."""

@@ -102,7 +102,7 @@ def _write_radar(path: Path, reports: Reports) -> None:
     columns = (reports.time_s, reports.track_id, reports.range_m, reports.bearing_deg)
     rows = (
         (_iso(time_s), number, f"{distance:.1f}", f"{bearing:.2f}")
-        for time_s, number, distance, bearing in zip(*columns, strict=True)  # type: ignore[arg-type]
+        for time_s, number, distance, bearing in zip(*columns, strict=True)
     )
     _write(path, RADAR_COLUMNS, rows)
 

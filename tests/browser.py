@@ -22,7 +22,7 @@ class Browser:
     errors : exceptions of its scripts. complaints : errors that the browser has logged. requests : addresses asked for.
     """
 
-    def __init__(self, profile: Path, page: Path, size: tuple[int, int] = (1400, 1000)) -> None:
+    def __init__(self, profile: Path, page: Path | str, size: tuple[int, int] = (1400, 1000)) -> None:
         assert CHROMIUM is not None
         (in_read, in_write), (out_read, out_write) = os.pipe(), os.pipe()
 
@@ -48,7 +48,7 @@ class Browser:
         self.session = self.do("Target.attachToTarget", targetId=pages[0]["targetId"], flatten=True)["sessionId"]
         for domain in ("Page", "Runtime", "Network", "Log"):
             self.do(f"{domain}.enable")
-        self.do("Page.navigate", url=page.resolve().as_uri())
+        self.do("Page.navigate", url=page if isinstance(page, str) else page.resolve().as_uri())
         self.until("document.body && document.body.dataset.ready === 'yes'")
 
     def do(self, method: str, **parameters: Any) -> dict[str, Any]:

@@ -114,8 +114,10 @@ def test_what_is_said_of_blends_happens_as_often(told):
         said = find_blends(made.first, made.second, made.resolution_arcsec, errors=Errors(), flux=flux)
         answer = np.column_stack([said.partner.filled(-1), said.other.filled(-1)])
         ok = (np.sort(answer, axis=1) == np.sort(made.parts, axis=1)).all(axis=1)
-        p.append(said.p_match), right.append(ok)
-        p_two.append(said.p_blend), two.append((made.parts >= 0).all(axis=1))
+        p.append(said.p_match)
+        right.append(ok)
+        p_two.append(said.p_blend)
+        two.append((made.parts >= 0).all(axis=1))
         found_two += int((ok & two[-1]).sum())
         real += int(two[-1].sum())
     for stated, happened in ((p, right), (p_two, two)):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -110,8 +111,9 @@ def test_errors_not_as_quoted_do_not_spoil_the_probabilities(frame, change):
 
 def test_useless_magnitudes_change_next_to_nothing(frame, alone):
     rng = np.random.default_rng(3)
-    noise = tuple(Magnitudes(rng.normal(15.0, 1.0, len(r))) for r in (frame.scene.first, frame.scene.second))
-    answer, estimate = match(frame.scene.first, frame.scene.second, brightness=noise)
+    first, second = frame.scene.first, frame.scene.second
+    noise = Magnitudes(rng.normal(15.0, 1.0, len(first))), Magnitudes(rng.normal(15.0, 1.0, len(second)))
+    answer, estimate = match(first, second, brightness=noise)
     assert wrong(answer, frame.scene) < 1.15 * wrong(alone[0], frame.scene)
     # Sums over the candidates: the gate by positions alone holds more of them.
     score, before = calibration(answer, frame.scene), calibration(alone[0], frame.scene)
@@ -173,7 +175,7 @@ def test_rounds_may_run_out_before_and_after_the_gate_opens(rounds):
 def test_sources_with_nothing_in_common_learn_nothing_from_magnitudes():
     rng = np.random.default_rng(6)
     first, second = (Records.of(rng.uniform(0.0, 40.0, (1000, 2)), sigma=0.3) for _ in range(2))
-    magnitudes = tuple(Magnitudes(rng.normal(15.0, 1.0, 1000)) for _ in range(2))
+    magnitudes = Magnitudes(rng.normal(15.0, 1.0, 1000)), Magnitudes(rng.normal(15.0, 1.0, 1000))
     answer, estimate = match(first, second, brightness=magnitudes)
     assert estimate.photometry is None
     assert len(answer.matches) < 200 and "brightness" not in answer.evidence.terms
@@ -210,12 +212,12 @@ def test_the_ratio_is_that_of_the_true_densities_for_one_normal_band():
     true = rng.normal(16.0, spread, n)
     one, two = true + 0.3 + rng.normal(0.0, scatter, n), true
     measured = [Magnitudes(x).of(Records.of(np.arange(n)[:, None], sigma=1.0)) for x in (one, two)]
-    photometry = Photometry.of(tuple(measured), (("a",), ("b",)))
+    photometry = Photometry.of((measured[0], measured[1]), (("a",), ("b",)))
 
     class EveryPair:
         i = j = np.arange(n)
 
-    told = EveryPair, np.ones(n), (np.ones(n),) * 2, (np.full(n, 0.5),) * 2, (np.ones(n, bool),) * 2
+    told: Any = EveryPair, np.ones(n), (np.ones(n),) * 2, (np.full(n, 0.5),) * 2, (np.ones(n, bool),) * 2
     learned = photometry.learned(*told).learned(*told, last=True)
     at = rng.permutation(n)[:500]
     forth = learned.chains[0].log_ratio(learned.sides[0].compared(at, measured[1].take(at)))
@@ -253,7 +255,7 @@ def test_bands_of_one_source_are_not_counted_twice():
     class EveryPair:
         i = j = np.arange(n)
 
-    told = EveryPair, np.ones(n), (np.ones(n),) * 2, (np.full(n, 0.5),) * 2, (np.ones(n, bool),) * 2
+    told: Any = EveryPair, np.ones(n), (np.ones(n),) * 2, (np.full(n, 0.5),) * 2, (np.ones(n, bool),) * 2
     ratios = []
     for values in (once, twice):
         measured = Magnitudes(values).of(records), second.of(records)

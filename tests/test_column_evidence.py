@@ -214,7 +214,8 @@ def test_the_command_takes_columns_and_priors_and_explains_them(tmp_path, monkey
     assert "MAG_I of o: ln odds of a partner" in learned and "kind of o" in learned
     assert "MAG_I of o: ln odds of a partner" in said("--magnitude2", "MAG_I")
     outputs = [(said("--column2", f"MAG_I={name}"), Table.read("out.fits"))[1] for name in ("prior.csv", "prior.txt")]
-    np.testing.assert_allclose(*(np.ma.filled(table["p_match"], -1.0) for table in outputs))
+    one, other = (np.ma.filled(table["p_match"], -1.0) for table in outputs)
+    np.testing.assert_allclose(one, other)
     explained = run(app, ["explain", "out.fits", "3", "--row", "--again"])
     assert explained.exit_code == 0 and "prior odds" in explained.output
 

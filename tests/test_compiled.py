@@ -78,11 +78,11 @@ def test_estimation_with_magnitudes(both):
     first, second = crowd(2, False)
     rng = np.random.default_rng(3)
     depth = rng.uniform(14.0, 20.0, 120)
-    magnitudes = [
+    one, two = (
         Magnitudes(np.concatenate([depth + rng.normal(0.3, 0.1, 120), rng.uniform(14.0, 20.0, 60)]), np.full(180, 0.05))
         for _ in range(2)
-    ]
-    match(first, second, brightness=tuple(magnitudes))
+    )
+    match(first, second, brightness=(one, two))
     ran, different = both
     assert not different and any(name.startswith("relation.") for name in ran)
 

@@ -5,8 +5,7 @@ import pytest
 
 from sameas import Plane, Records, Sphere
 from sameas.estimate.coverage import SMOOTH, Coverage, local_share
-from sameas.simulate.areas import Cap
-from sameas.simulate.scenes import LonLatBox, WholeSky
+from sameas.simulate.areas import Cap, LonLatBox, WholeSky
 from sameas.space import ARCSEC_PER_RADIAN
 
 

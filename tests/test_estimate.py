@@ -1,6 +1,7 @@
 """What is not known in advance is found: how many are common, how large the errors are, how wide the gate must be."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from sameas.estimate.match import match
 from sameas.estimate.quantity import Quantity
 from sameas.evidence import Errors
 from sameas.score.pairs import is_true_pair, score_probabilities
-from sameas.simulate.scenes import Cap, poisson_field, sky_field
+from sameas.simulate.areas import Cap
+from sameas.simulate.scenes import poisson_field, sky_field
 
 
 def scene(seed, *, sigma=0.1, quoted=1.0, q1=0.2, q2=0.3, extent=40.0, d=2):
@@ -83,10 +85,7 @@ def test_errors_of_either_source_are_told_apart_where_they_vary():
     made = poisson_field(
         rng, density=1.0, extent=(50.0, 50.0), q1=0.1, q2=0.1, sigma_1=(0.01, 0.1), sigma_2=(0.01, 0.1)
     )
-    wide = Records(*(
-        getattr(made.first, name) if name != "covariance" else made.first.covariance / 4.0
-        for name in ("features", "covariance", "rows", "ids", "space", "source")
-    ))  # fmt: skip
+    wide = replace(made.first, covariance=made.first.covariance / 4.0)
     model = match(wide, made.second)[1].error_model
     assert model.factor_1.value == pytest.approx(2.0, abs=4 * model.factor_1.standard_error)
     assert model.factor_2.value == pytest.approx(1.0, abs=4 * model.factor_2.standard_error)

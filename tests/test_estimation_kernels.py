@@ -1,5 +1,7 @@
 """The loops that estimate what is not known give the answer of their slow obvious twins."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from sameas.kernels.compiled import kernel
 from sameas.kernels.linear import solve
 
 SEEDS = range(6)
-exactly = {"rel": 1e-9, "abs": 1e-9}
+exactly: dict[str, Any] = {"rel": 1e-9, "abs": 1e-9}
 
 
 @kernel

@@ -116,7 +116,7 @@ def test_vessels_off_manhattan_are_told_from_each_other(
     said = "\n".join(lines)
     numbers = re.search(r"F1 (\d\.\d+), over 24", said), re.search(r"tug, (\d+\.\d+)% kept", said)
     assert all(number is not None for number in numbers), said
-    assert float(numbers[0][1]) > 0.9 and float(numbers[1][1]) > 90.0  # type: ignore[index]
+    assert float(numbers[0][1]) > 0.9 and float(numbers[1][1]) > 90.0
     assert re.search(r"twice +[1-9]", said)
 
 

@@ -1,6 +1,7 @@
 """An explanation gives what every other answer would cost, as enumeration finds it, in words that people read."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import naive
 from problems import plane_records
 from sameas import Box, CloseObjects, CommonObjects, Field, InputError, PerPair, Records, identify
 
-PRIORS = {
+PRIORS: dict[str, tuple[PerPair | CommonObjects, Callable]] = {
     "per pair": (PerPair(-0.7), lambda n1, n2: lambda k: 0.0),
     "common objects": (
         CommonObjects(0.2, 0.3),

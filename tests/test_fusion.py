@@ -1,5 +1,7 @@
 """Fused states: least variance where correlation is known, consistency where it is not."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
@@ -58,7 +60,9 @@ def test_no_cross_covariance_is_independent_fusion():
 @pytest.mark.parametrize("criterion", ["determinant", "trace"])
 def test_intersection_of_two_has_the_weight_that_a_search_finds(criterion):
     rng = np.random.default_rng(5)
-    measure = {"determinant": lambda c: np.linalg.slogdet(c)[1], "trace": np.trace}[criterion]
+    measures: dict[str, Callable[[np.ndarray], float]]
+    measures = {"determinant": lambda c: np.linalg.slogdet(c)[1], "trace": np.trace}
+    measure = measures[criterion]
     for _ in range(10):
         x, p = rng.normal(size=(2, 2)), covariances(rng, 2, d=2)
         information = np.linalg.inv(p)

@@ -21,9 +21,11 @@ def cells(path: Path, kind: str) -> list[str]:
 def run(code: str, name: str, names: dict[str, object]) -> None:
     """As a notebook does: the value of the last expression is shown."""
     tree = ast.parse(code)
-    last = tree.body.pop() if isinstance(tree.body[-1], ast.Expr) else None
+    last = tree.body[-1]
+    if isinstance(last, ast.Expr):
+        tree.body.pop()
     exec(compile(tree, name, "exec"), names)
-    if last is not None:
+    if isinstance(last, ast.Expr):
         value = eval(compile(ast.Expression(last.value), name, "eval"), names)
         assert value is None or len(repr(value)) < 5000
         if hasattr(value, "_repr_html_"):

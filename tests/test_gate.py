@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -101,7 +102,7 @@ def test_plane_candidates_are_those_of_the_definition(d, name):
         judge(first, second, gate, definition)
 
 
-PERIODS = {
+PERIODS: dict[str, list[tuple[float | None, ...]]] = {
     "swept or zone axis": [(1.0, None), (None, 1.0)],
     "all axes": [(1.0, 1.0), (0.7, 1.3)],
     "one feature": [(1.0,)],
@@ -262,10 +263,11 @@ def test_skies_of_thousands_with_few_wide_errors_of_either_source(sky, share):
         features = np.column_stack(SKIES[sky](rng, n))
         features[:50, 0] += 360.0  # the same places, a turn on
         sources.append(Records.of(features, sigma=some_wide(rng, n, 2.0, few, 40.0), space=Sphere()))
-    pairs = Radius(3.0)(*sources)
+    first, second = sources
+    pairs = Radius(3.0)(first, second)
     found = list(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True))
     assert len(found) == len(set(found)) > 20
-    assert set(found) == by_matrix(*sources, 3.0)
+    assert set(found) == by_matrix(first, second, 3.0)
     # Listed by place, which is one for each record.
     assert (np.diff(pairs.place_1) >= 0).all()
     for place, record in ((pairs.place_1, pairs.i), (pairs.place_2, pairs.j)):
@@ -284,12 +286,13 @@ def test_one_record_may_have_more_candidates_than_are_looked_up_at_a_time(period
             sigma[:3, 0] = 0.3, 0.1, 0.05
         features = rng.uniform(0, 1, (len(sigma), 2)) * [1.0, 0.5]
         sources.append(Records.of(features, sigma=sigma, space=Plane(periods)))
-    pairs = Radius(1.5)(*sources)
+    first, second = sources
+    pairs = Radius(1.5)(first, second)
     found = list(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True))
     counts = np.bincount((pairs.i, pairs.j)[wide_source])
     assert counts.max() > 4096
     assert len(found) == len(set(found))
-    assert set(found) == by_matrix(*sources, 1.5)
+    assert set(found) == by_matrix(first, second, 1.5)
 
 
 @pytest.mark.slow
@@ -301,9 +304,10 @@ def test_fields_far_apart_and_clumps_are_searched_like_any_other():
         features = np.column_stack([fields + rng.uniform(0, 0.05, 2000), 70.0 + 0.02 * rng.standard_normal(2000)])
         features[:600] = [120.02, 70.0] + 0.0005 * rng.standard_normal((600, 2))
         sources.append(Records.of(features, sigma=0.5, space=Sphere()))
-    pairs = Radius(3.0)(*sources)
-    assert set(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True)) == by_matrix(*sources, 3.0)
-    listed_alike(rng, *sources, gate=Radius(3.0), times=1)
+    first, second = sources
+    pairs = Radius(3.0)(first, second)
+    assert set(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True)) == by_matrix(first, second, 3.0)
+    listed_alike(rng, first, second, gate=Radius(3.0), times=1)
 
 
 # ---- degenerate scenes ----
@@ -366,7 +370,7 @@ def test_threads_do_not_change_a_digit(monkeypatch, sky):
 
 
 def listed_alike(rng, first, second, gate=GATES["box"][0], times=4):
-    for search in (lambda *sources: laid_out(*sources, gate), gate):
+    for search in (lambda one, two: laid_out(one, two, gate), gate):
         expected = by_id(search(first, second))
         assert len(expected) > 1
         for _ in range(times):
@@ -440,10 +444,10 @@ def test_the_gate_says_what_it_is():
 
 
 def test_a_source_that_is_no_records_says_how_to_make_them():
-    records = Records.of([[0.0, 0.0]], sigma=1.0)
+    records, positions = Records.of([[0.0, 0.0]], sigma=1.0), cast(Any, [[0.0, 0.0]])
     for gate in (ChiSquare(), Radius(3.0), Box()):
         with pytest.raises(InputError, match=r"a source is a list; make it with Records\.of\(features, sigma=…\)"):
-            gate([[0.0, 0.0]], records)
+            gate(positions, records)
 
 
 def test_fields_far_from_each_other_are_laid_out_as_if_they_lay_side_by_side():

@@ -167,10 +167,10 @@ def test_grades_that_change_over_the_sky_alike_say_nothing_of_pairs(found):
     pairs, n1, n2 = answer.pairs, len(answer.first), len(answer.second)
     rng = np.random.default_rng(7)
     west = [features[:, 0] > np.median(features[:, 0]) for features in (answer.first.features, answer.second.features)]
-    cells = tuple(side.astype(np.int32) for side in west)
-    sizes = tuple(side + rng.uniform(size=len(side)) for side in west)
-    scales = tuple(Scale.of(size, None, 4) for size in sizes)
-    graded = Grades(scales, tuple(s.grades(x, None) for s, x in zip(scales, sizes, strict=True)), cells)
+    cells = west[0].astype(np.int32), west[1].astype(np.int32)
+    sizes = [side + rng.uniform(size=len(side)) for side in west]
+    scales = Scale.of(sizes[0], None, 4), Scale.of(sizes[1], None, 4)
+    graded = Grades(scales, (scales[0].grades(sizes[0], None), scales[1].grades(sizes[1], None)), cells)
     partner = np.full(n1, 0.5), np.full(n2, 0.5)
     every = np.ones(n1, bool), np.ones(n2, bool)
     assert graded.learned(pairs, answer.p_pair, partner, every).rule is None
@@ -185,10 +185,13 @@ def test_what_is_learned_is_the_ratio_of_the_counts(found):
     rng = np.random.default_rng(6)
     size = rng.normal(size=n1), rng.normal(size=n2)
     size[1][pairs.j[answer.chosen]] = size[0][pairs.i[answer.chosen]]
-    scales = tuple(Scale.of(x, None, 3) for x in size)
+    scales = Scale.of(size[0], None, 3), Scale.of(size[1], None, 3)
     nowhere = np.zeros(n1, np.int32), np.zeros(n2, np.int32)
-    grades = tuple(s.grades(x, None) for s, x in zip(scales, size, strict=True))
-    partner = tuple(np.clip(np.bincount(at, answer.p_pair, n), 0.0, 1.0) for at, n in ((pairs.i, n1), (pairs.j, n2)))
+    grades = scales[0].grades(size[0], None), scales[1].grades(size[1], None)
+    partner = (
+        np.minimum(np.bincount(pairs.i, answer.p_pair, n1), 1.0),
+        np.minimum(np.bincount(pairs.j, answer.p_pair, n2), 1.0),
+    )
     rule = (
         Grades(scales, grades, nowhere)
         .learned(pairs, answer.p_pair, partner, (np.ones(n1, bool), np.ones(n2, bool)))
@@ -210,5 +213,5 @@ def test_what_is_learned_is_the_ratio_of_the_counts(found):
 
 def test_useless_magnitudes_do_not_silence_the_errors(frames):
     scene, rng = frames[0].scene, np.random.default_rng(3)
-    noise = tuple(Magnitudes(rng.normal(15.0, 1.0, len(records))) for records in (scene.first, scene.second))
-    assert "precision" in match(scene.first, scene.second, brightness=noise)[0].evidence.terms
+    one, two = (Magnitudes(rng.normal(15.0, 1.0, len(records))) for records in (scene.first, scene.second))
+    assert "precision" in match(scene.first, scene.second, brightness=(one, two))[0].evidence.terms

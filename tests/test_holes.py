@@ -9,7 +9,7 @@ import naive
 from sameas import Plane, Records, Sphere
 from sameas.estimate import coverage
 from sameas.estimate.coverage import Coverage, Points, opened
-from sameas.simulate.scenes import LonLatBox
+from sameas.simulate.areas import LonLatBox
 from sameas.space import sphere_offset
 
 SEEDS = range(5)
@@ -125,7 +125,8 @@ def test_a_hole_beside_the_pole():
     points = LonLatBox((0.0, 360.0), (80.0, 90.0)).draw(rng, 8000)
 
     def masked(sky):
-        return np.hypot(*sphere_offset(*sky.T, np.full(len(sky), 30.0), np.full(len(sky), 88.0)).T) < 3.0 * 3600.0
+        lon, lat = sky.T
+        return np.hypot(*sphere_offset(lon, lat, np.full(len(sky), 30.0), np.full(len(sky), 88.0)).T) < 3.0 * 3600.0
 
     first, second, dark, there = shown(rng, points, masked, 0.8, Sphere())
     seen = Coverage.of(first, second).covered[1]
@@ -180,7 +181,12 @@ def test_discs_are_those_of_the_definition(seed, periods):
 
 def test_an_even_field_is_not_searched_and_one_with_a_mask_is(monkeypatch):
     searched = []
-    monkeypatch.setattr(coverage, "within_holes", lambda here, seen, *about: searched.append(1) or ~seen)
+
+    def within_holes(here, seen, *about):
+        searched.append(1)
+        return ~seen
+
+    monkeypatch.setattr(coverage, "within_holes", within_holes)
     rng = np.random.default_rng(12)
     place = rng.uniform(0.0, 1000.0, (4000, 2))
     shown = rng.uniform(size=4000) < 0.8

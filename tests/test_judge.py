@@ -18,7 +18,8 @@ from sameas import (
 )
 from sameas.evidence import DetectionField, Errors
 from sameas.score.pairs import is_true_pair, reliability, score_probabilities
-from sameas.simulate.scenes import Cap, poisson_field, sky_field
+from sameas.simulate.areas import Cap
+from sameas.simulate.scenes import poisson_field, sky_field
 from sameas.space import Plane
 
 EVENTS = 20_000
@@ -36,6 +37,10 @@ def judged(p, happened):
     # A judge that would not see probabilities that are too sure would be none.
     sure = 1 / (1 + np.exp(-2 * np.log(np.clip(p, 1e-12, 1 - 1e-12) / (1 - np.clip(p, 1e-12, 1 - 1e-12)))))
     assert np.abs(reliability(sure, happened).deviation).max() > 4.5
+
+
+def total(parts):
+    return sum(map(len, parts))
 
 
 def events(answer, scene):
@@ -68,7 +73,7 @@ def test_rules_of_known_densities_are_calibrated(name):
     rule, prior = PLANE_RULES[name]
     rng = np.random.default_rng(1)
     p, happened = [], []
-    while sum(map(len, p)) < EVENTS:
+    while total(p) < EVENTS:
         scene = plane_scene(rng, (0.05, 0.25), correlated=name == "poisson field")
         one = events(identify(scene.first, scene.second, rule=rule, prior=prior), scene)
         p.append(one[0])
@@ -80,7 +85,7 @@ def test_rules_of_known_densities_are_calibrated(name):
 def test_the_poisson_field_is_calibrated_in_other_dimensions(d):
     rng = np.random.default_rng(d)
     p, happened = [], []
-    while sum(map(len, p)) < EVENTS:
+    while total(p) < EVENTS:
         scene = plane_scene(rng, 0.03 if d == 1 else 0.15, d)
         one = events(identify(scene.first, scene.second, rule=PoissonField(COMMON, ONLY_1, ONLY_2)), scene)
         p.append(one[0])
@@ -91,7 +96,7 @@ def test_the_poisson_field_is_calibrated_in_other_dimensions(d):
 def test_detection_probabilities_of_every_record_are_calibrated():
     rng = np.random.default_rng(2)
     p, happened = [], []
-    while sum(map(len, p)) < EVENTS:
+    while total(p) < EVENTS:
         # Bright objects are seen by source 1 nine times out of ten, faint ones four times; a catalogue of all objects.
         side, n = 35.0, rng.poisson(35.0**2)
         place, bright = rng.uniform(0, side, (n, 2)), rng.uniform(size=n) < 0.5
@@ -118,7 +123,7 @@ def test_detection_probabilities_of_every_record_are_calibrated():
 def test_errors_larger_than_quoted_are_calibrated_once_told(errors, scale_of):
     rng = np.random.default_rng(3)
     p, happened = [], []
-    while sum(map(len, p)) < EVENTS:
+    while total(p) < EVENTS:
         side, n = 35.0, 1200
         place, scale = rng.uniform(0, side, (n, 2)), scale_of(rng, n)
         seen = [np.flatnonzero(rng.uniform(size=n) < 0.8) for _ in range(2)]
@@ -132,7 +137,7 @@ def test_errors_larger_than_quoted_are_calibrated_once_told(errors, scale_of):
         density = n / side**2
         rule = PoissonField(0.64 * density, 0.16 * density, 0.16 * density, errors)
         answer = identify(*records, rule=rule, gate=Radius(12.0))
-        both = np.intersect1d(*seen)
+        both = np.intersect1d(seen[0], seen[1])
         true = np.searchsorted(seen[0], both), np.searchsorted(seen[1], both)
         p.append(answer.p_pair)
         happened.append(is_true_pair((answer.rows_1, answer.rows_2), true))
@@ -148,12 +153,12 @@ def test_the_sky_is_calibrated(elliptical, lat):
     area = cap.steradians() * 206264.80624709636**2
     counts = 2000, 400, 600
     p, happened = [], []
-    while sum(map(len, p)) < EVENTS:
+    while total(p) < EVENTS:
         scene = sky_field(
             rng, n_common=counts[0], n_only_1=counts[1], n_only_2=counts[2], sigma_arcsec=(0.2, 0.7), area=cap,
             elliptical=elliptical,
         )  # fmt: skip
-        rule = PoissonField(*(count / area for count in counts))
+        rule = PoissonField(counts[0] / area, counts[1] / area, counts[2] / area)
         one = events(identify(scene.first, scene.second, rule=rule), scene)
         p.append(one[0])
         happened.append(one[1])

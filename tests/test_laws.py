@@ -1,6 +1,7 @@
 """What must not matter does not matter: the order of sources, rows and units, the width of the gate."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,7 +35,7 @@ RULES = {
     "close surface": lambda d, unit: CloseObjects(0.2 * unit),
 }
 SWAPPED = {"poisson": PoissonField(2.0, 1.0, 3.0)}
-PRIORS = {
+PRIORS: dict[str, tuple[PerPair | CommonObjects, PerPair | CommonObjects]] = {
     "per pair": (PerPair(-0.2), PerPair(-0.2)),
     "common": (CommonObjects(0.1, 0.3), CommonObjects(0.3, 0.1)),
     "linear": (CommonObjects(0.1, 0.3, linear=True), CommonObjects(0.3, 0.1, linear=True)),
@@ -81,7 +82,7 @@ def test_swapping_the_sources_transposes_the_answer(rule, prior, seed):
 def test_shuffling_rows_changes_nothing(rule, prior, seed):
     first, second = scene(seed)
     rng = np.random.default_rng(seed)
-    method = {"rule": RULES[rule](2, 1.0), "prior": PRIORS[prior][0]}
+    method: dict[str, Any] = {"rule": RULES[rule](2, 1.0), "prior": PRIORS[prior][0]}
     other = identify(shuffled(rng, first), shuffled(rng, second), **method)
     straight = identify(first, second, **method)
     assert by_id(straight.pairs) == by_id(other.pairs)
@@ -97,7 +98,7 @@ def test_ties_are_broken_the_same_way_whatever_the_row_order(prior, seed):
     sides = []
     for n in rng.integers(2, 9, 2):
         sides.append(Records.of(rng.integers(0, 2, (n, 2)) * 1.0, sigma=0.7, ids=rng.permutation(n)))
-    method = {"rule": Field(0.01), "prior": PRIORS[prior][0], "gate": Radius(3.0)}
+    method: dict[str, Any] = {"rule": Field(0.01), "prior": PRIORS[prior][0], "gate": Radius(3.0)}
     straight = identify(*sides, **method)
     for _ in range(3):
         same(told(straight), told(identify(*(shuffled(rng, side) for side in sides), **method)), tolerance=0)

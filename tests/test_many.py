@@ -6,7 +6,9 @@ import math
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from functools import cache
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -260,7 +262,7 @@ def test_the_order_of_sources_and_rows_changes_nothing(grid):
     rng = np.random.default_rng(21)
     sources = field_scene(rng, 3, 10, extent=12.0, grid=grid)
     q = (0.1, 0.2, 0.3)
-    believed = [
+    believed: list[tuple[Callable[..., Any], Callable[..., Any]]] = [
         (lambda q: PoissonObjects(0.07, q), lambda q: PerPair(0.0)),
         (lambda q: CloseObjects(1.0, 6.0), MissedObjects),
     ]
@@ -301,7 +303,7 @@ def test_large_groups_are_solved_and_probabilities_add_up():
 def test_a_count_prior_too_large_to_sum_is_solved_by_branch_and_bound():
     rng = np.random.default_rng(23)
     sources = field_scene(rng, 3, 6, extent=6.0)
-    arguments = {"rule": CloseObjects(1.0, 6.0), "prior": MissedObjects(0.2)}
+    arguments: dict[str, Any] = {"rule": CloseObjects(1.0, 6.0), "prior": MissedObjects(0.2)}
     whole = identify_many(sources, **arguments)
     cramped = identify_many(sources, **arguments, tuning=ManyTuning(most_steps=256))
     assert not cramped.groups.exact.all() and whole.groups.exact.all()
@@ -338,7 +340,11 @@ print(json.dumps([[x.members.filled(-1).tolist(), x.answer.probability.tolist()]
 
 @pytest.mark.slow
 def test_the_kernel_gives_the_same_interpreted():
-    run = {"args": [sys.executable, "-W", "error", "-c", INTERPRETED], "capture_output": True, "check": True}
+    run: dict[str, Any] = {
+        "args": [sys.executable, "-W", "error", "-c", INTERPRETED],
+        "capture_output": True,
+        "check": True,
+    }
     answers = [
         json.loads(subprocess.run(**run, env={**os.environ, "NUMBA_DISABLE_JIT": off}).stdout) for off in ("0", "1")
     ]
@@ -369,7 +375,7 @@ def test_joint_is_right_at_least_as_often_as_sequential_and_does_not_depend_on_t
         seen = [rng.permutation(np.flatnonzero(rng.uniform(size=5) >= 0.1)) for _ in range(3)]
         sources = [Records.of(targets[k] + rng.normal(size=(len(k), 2)), sigma=1.0) for k in seen]
         truth = {frozenset((s, int(np.flatnonzero(k == t)[0])) for s, k in enumerate(seen) if t in k) for t in range(5)}
-        arguments = {"rule": PoissonObjects(5 / 96, 0.1)}
+        arguments: dict[str, Any] = {"rule": PoissonObjects(5 / 96, 0.1)}
         joint = set(sets_of(identify_many(sources, **arguments)))
         forward = set(sets_of(identify_sequentially(sources, **arguments)))
         backward = sets_of(identify_sequentially(sources[::-1], **arguments))
@@ -415,13 +421,14 @@ def test_the_joint_density_of_parts_is_the_marginal_of_the_stacked_observations(
     from sameas.many.joint import joint_density
 
     joint = joint_density(sources, np.zeros((1, 3), int), region)
+    centre = np.asarray(region.centre)
     h, z = np.vstack(parts), np.concatenate([r.features[0] for r in records])
     spread = h @ region.covariance @ h.T + np.diag(np.repeat([0.25, 2.25, 6.25], [1, 2, 2]))
-    log_marginal = naive.log_normal(z - h @ region.centre, spread)
+    log_marginal = naive.log_normal(z - h @ centre, spread)
     peak = naive.log_normal(np.zeros(3), region.covariance)
     assert joint.log_density[0] == pytest.approx(log_marginal - peak, rel=1e-10)
     gain = region.covariance @ h.T @ np.linalg.inv(spread)
-    np.testing.assert_allclose(joint.state[0], region.centre + gain @ (z - h @ region.centre), rtol=1e-9)
+    np.testing.assert_allclose(joint.state[0], centre + gain @ (z - h @ centre), rtol=1e-9)
     np.testing.assert_allclose(joint.covariance[0], region.covariance - gain @ h @ region.covariance, rtol=1e-8)
 
 
@@ -433,21 +440,23 @@ def test_what_cannot_be_used_is_refused_in_words():
     line = Records.of([[0.0]], sigma=1.0, source="sonar")
     rule = PoissonObjects(0.1, 0.1)
     part = Observations(line, LinearPart([[1.0, 0.0]]))
+    path, counted = cast(Any, "ais.csv"), cast(Any, CommonObjects(0.1, 0.1))
+    partial = cast(Any, part)
     cases = [
         (lambda: identify_many([plane], rule=rule), "1 source given"),
-        (lambda: identify_many([plane, "ais.csv"], rule=rule), r"source 1 is a str; make it with Records\.of"),
+        (lambda: identify_many([plane, path], rule=rule), r"source 1 is a str; make it with Records\.of"),
         (lambda: identify_many([plane, line], rule=rule), "radar: 2, sonar: 1"),
         (lambda: identify_many([plane, part], rule=rule), "sonar observes a part of the state; give region"),
         (lambda: identify_many([plane, part], rule=Field(0.1), region=Region((0, 0), (9, 9))), "compares whole"),
         (lambda: identify_many([plane, plane], rule=PoissonField(0.1, 0.1, 0.1)), "PoissonField speaks of two sources"),
         (lambda: identify_many([plane, plane], rule=PoissonObjects(0.1, (0.1,) * 3)), "q has 3 numbers for 2 sources"),
-        (lambda: identify_many([plane, plane], rule=rule, prior=CommonObjects(0.1, 0.1)), r"give MissedObjects\(q\)"),
+        (lambda: identify_many([plane, plane], rule=rule, prior=counted), r"give MissedObjects\(q\)"),
         (lambda: PoissonObjects(0.0, 0.1), "density is 0"),
         (lambda: MissedObjects((0.1, 1.0)), "strictly between 0 and 1"),
         (lambda: Observations(plane, LinearPart([[1.0, 0.0]])), "radar: its part gives 1 features of 2 components"),
         (lambda: Region((0, 0), [[1.0, 2.0], [2.0, 1.0]]), "not positive definite"),
         (lambda: identify_many([plane, plane], rule=rule).of(5), "source is 5; give 0 … 1"),
-        (lambda: identify_sequentially([plane, part], rule=rule), "part of the state"),
+        (lambda: identify_sequentially([plane, partial], rule=rule), "part of the state"),
     ]
     for call, words in cases:
         with pytest.raises(InputError, match=words):

@@ -3,6 +3,7 @@
 import itertools
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ from sameas import (
 from sameas.evidence import Displacement, Evidence, Flat, Identity, Rule
 from sameas.gate import Radius
 from sameas.many.identify import identify_many
-from sameas.many.observations import Bearing, Observations
+from sameas.many.observations import Bearing, Observations, records_of
 from sameas.many.pooled import pooled
 from sameas.many.rules import MissedObjects, PoissonObjects, SetRules, parts_of, terms_of
 from sameas.many.sequential import identify_sequentially
@@ -263,15 +264,15 @@ def test_identities_are_heard_with_bearings():
     radar = Records.of([[0.0, 1000.0], [100.0, 1000.0]], sigma=30.0, source="radar")
     heard = Records.of([[2.9]], sigma=2.0, space=Plane(periods=(360.0,)), source="esm")
     region = Region((0.0, 0.0), (5000.0, 5000.0))
-    arguments = {"region": region}
-    sources = [radar, Observations(heard, Bearing(sensor=(0.0, 0.0)))]
+    sources: list[Records | Observations] = [radar, Observations(heard, Bearing(sensor=(0.0, 0.0)))]
     belief = PoissonObjects(1e-6, 0.1, (0.0, 1e-4))
-    open_ = identify_many(sources, rule=belief, **arguments)
+    open_ = identify_many(sources, rule=belief, region=region)
     assert open_.of("esm").p_partner[0, 0] < 0.6
     for row in (0, 1):
-        said = {"radar": {"callsign": [None, None]}, "esm": {"callsign": ["SUPER7"]}}
-        said["radar"]["callsign"][row] = "SUPER7"
-        told = identify_many(sources, rule=belief + Identity(said), **arguments).of("esm")
+        of_radar: list[str | None] = [None, None]
+        of_radar[row] = "SUPER7"
+        said = {"radar": {"callsign": of_radar}, "esm": {"callsign": ["SUPER7"]}}
+        told = identify_many(sources, rule=belief + Identity(said), region=region).of("esm")
         assert told.partner[0, 0] == row and told.p_partner[0, 0] > 0.95
 
 
@@ -280,13 +281,13 @@ def test_identities_are_heard_with_bearings():
 
 def test_rules_are_parted_into_positions_and_beside():
     identity, objects = Identity({}), PoissonObjects(1.0, 0.1)
+    no_rules: list[Any] = [1.0, objects]
     for rule in (objects + identity + Told({}), identity + objects + Told({}), objects + (identity + Told({}))):
         assert isinstance(rule, SetRules) and parts_of(rule) == (objects, (identity, Told({})))
     assert [type(part) for part in parts_of(identity + Field(1.0))[1]] == [Identity]
-    with pytest.raises(TypeError):
-        objects + 1.0
-    with pytest.raises(TypeError):
-        objects + objects
+    for other in no_rules:
+        with pytest.raises(TypeError):
+            objects + other
 
 
 @dataclass(frozen=True)
@@ -301,7 +302,7 @@ def test_mistakes_are_refused_in_words():
     rng = np.random.default_rng(31)
     sources = small_scene(rng, (2, 2, 2))
     objects, identity = PoissonObjects(0.1, 0.2), Identity({})
-    refused = {
+    refused: dict[str, Any] = {
         "Identity says nothing of positions; add it to PoissonObjects": identity,
         "both rules speak of position": objects + Field(1.0),
         "Universal speaks of two sources": objects + Universal(Flat(1.0), Displacement(Flat(1.0))),
@@ -341,7 +342,7 @@ def test_reasons_say_what_every_term_weighs():
                 numbers = [-1, -1, -1]
                 for source, row in rival.members:
                     s = found.pooled.given.index(int(source[1:]))
-                    at = np.flatnonzero(found.pooled.sources[s].rows == row)[0]
+                    at = np.flatnonzero(records_of(found.pooled.sources[s]).rows == row)[0]
                     numbers[s] = int(found.pooled.start[s] + at)
                 assert weight[tuple(numbers)] == rival.log_odds
             if found.groups.exact[why.group]:

@@ -95,7 +95,7 @@ def test_lines_of_the_graticule_lie_on_what_they_say(lat: float, lon: float) -> 
     lines = graticule(plane, -90e3, -90e3, 90e3, 90e3)
     assert min(sum(line.parallel for line in lines), sum(not line.parallel for line in lines)) >= 3
     for line in lines:
-        degrees, minutes, letter = re.fullmatch(r"(\d+)°([\d.]+)′([NSEW])", line.words).groups()  # type: ignore[union-attr]
+        degrees, minutes, letter = re.fullmatch(r"(\d+)°([\d.]+)′([NSEW])", line.words).groups()
         said = (float(degrees) + float(minutes) / 60.0) * (-1.0 if letter in "SW" else 1.0)
         inside = line.points[np.abs(line.points).max(axis=1) < 500e3]
         own = plane.to_geodetic(inside)[0 if line.parallel else 1]

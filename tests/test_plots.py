@@ -184,11 +184,11 @@ def test_the_scatter_that_is_drawn_is_the_one_that_was_made() -> None:
     second = Table({"ra": ra, "dec": dec, "sigma_arcsec": np.full(n, 1e-3)})
     found = match(Catalogue.of(first, "plate"), Catalogue.of(second, "gaia"))
     left, right = plots.scatter(found).axes
-    quoted = left.lines[0].get_xdata()
-    seen = left.lines[2].get_ydata()
-    np.testing.assert_allclose(left.lines[0].get_ydata(), quoted, rtol=1e-12)
+    quoted = np.asarray(left.lines[0].get_xdata())
+    seen = np.asarray(left.lines[2].get_ydata())
+    np.testing.assert_allclose(np.asarray(left.lines[0].get_ydata()), quoted, rtol=1e-12)
     np.testing.assert_allclose(seen, np.hypot(1.5 * quoted, 0.1), rtol=0.2)
-    assert len(right.lines[2].get_xdata()) == len(quoted)
+    assert len(np.asarray(right.lines[2].get_xdata())) == len(quoted)
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -65,52 +66,52 @@ def test_a_perfect_picture() -> None:
 
 
 def test_an_instant_is_right_only_with_every_record() -> None:
-    records = {"time_s": [0, 0, 1, 1], "source": ["a", "b", "a", "b"], "object": [1, 1, 1, 2]}
+    records: dict[str, Any] = {"time_s": [0, 0, 1, 1], "source": ["a", "b", "a", "b"], "object": [1, 1, 1, 2]}
     assert pair_score(Identities.of(records, [5, 5, 5, 5])).right.tolist() == [True, False]
     assert pair_score(Identities.of(records, [5, 5, 5, FALSE])).right.tolist() == [True, True]
 
 
 def test_who_claims_a_record_twice_claims_a_pair_too_many() -> None:
-    records = {"time_s": [0, 0, 0], "source": ["a", "b", "b"], "object": [1, 1, 1]}
+    records: dict[str, Any] = {"time_s": [0, 0, 0], "source": ["a", "b", "b"], "object": [1, 1, 1]}
     found = pair_score(Identities.of(records, [5, 5, 6])).pairs
     assert (found.n_claimed, found.n_true, found.n_right) == (2, 1, 1)
 
 
 def test_a_track_and_its_successor_make_one_true_pair() -> None:
-    records = {"time_s": [0, 0, 0], "source": ["a", "b", "b"], "object": [1, 1, 2]}
+    records: dict[str, Any] = {"time_s": [0, 0, 0], "source": ["a", "b", "b"], "object": [1, 1, 2]}
     found = pair_score(Identities.of(records, [5, 5, 5])).pairs
     assert (found.n_claimed, found.n_true, found.n_right) == (1, 1, 1)
 
 
 def test_records_without_an_object_are_alone() -> None:
     numbers = np.ma.MaskedArray([1, 1, 3, 3], [False, False, True, True])
-    records = {"time_s": [0, 0, 1, 1], "source": ["a", "b", "a", "b"], "object": numbers}
+    records: dict[str, Any] = {"time_s": [0, 0, 1, 1], "source": ["a", "b", "a", "b"], "object": numbers}
     found = pair_score(Identities.of(records, [0, 0, 0, 0])).pairs
     assert (found.n_claimed, found.n_true, found.n_right) == (1, 2, 1)
 
 
 def test_false_records_are_never_a_true_pair() -> None:
-    records = {"time_s": [0, 0], "source": ["a", "b"], "object": [1, 1]}
+    records: dict[str, Any] = {"time_s": [0, 0], "source": ["a", "b"], "object": [1, 1]}
     found = pair_score(Identities.of(records, [FALSE, FALSE])).pairs
     assert (found.n_claimed, found.n_true, found.n_right) == (1, 0, 0)
 
 
 def test_an_object_stands_for_what_most_of_its_records_are() -> None:
-    records = {"time_s": [0] * 7, "source": list("abcabab"), "object": [1, 1, 1, 2, 2, 3, 3]}
+    records: dict[str, Any] = {"time_s": [0] * 7, "source": list("abcabab"), "object": [1, 1, 1, 2, 2, 3, 3]}
     found = majority_votes(Identities.of(records, [4, 4, 9, 4, 9, FALSE, FALSE]))
     assert dict(zip(found.assigned.tolist(), found.true.tolist(), strict=True)) == {1: 4, 2: FALSE, 3: FALSE}
 
 
 def test_switches_count_only_what_had_to_change() -> None:
     # Number 2 joins while 1 still stands: no switch until 1 is gone.
-    records = {"time_s": [0, 1, 1, 2, 3], "source": list("aabaa"), "object": [1, 1, 2, 2, 1]}
+    records: dict[str, Any] = {"time_s": [0, 1, 1, 2, 3], "source": list("aabaa"), "object": [1, 1, 2, 2, 1]}
     found = siap(Identities.of(records, [0, 0, 0, 0, 0]))
     assert found.switches == 2 and found.ambiguity == 5 / 4 and found.continuity == 3 / 4
     assert found.number_changes_per_hour == pytest.approx(2 / (4 / 3600.0))
 
 
 def test_continuity_counts_the_time_in_which_nothing_stands() -> None:
-    records = {"time_s": [0, 1, 1, 2], "source": list("aaba"), "object": [1, 1, 1, 1]}
+    records: dict[str, Any] = {"time_s": [0, 1, 1, 2], "source": list("aaba"), "object": [1, 1, 1, 1]}
     # At instant 1 the object's two records are of two objects: it stands for none.
     found = siap(Identities.of(records, [0, 0, 3, 0]))
     assert found.completeness == 2 / 4 and found.continuity == 2 / 4 and found.spuriousness == 1 / 3

@@ -1,6 +1,7 @@
 """Scenes: the numbers they promise, errors as stated, no leak of the truth."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,20 +12,17 @@ from scipy.stats import chi2, kstest, spearmanr
 
 import naive
 from sameas.errors import InputError
+from sameas.simulate.areas import Cap, LonLatBox, WholeSky
 from sameas.simulate.scenes import (
-    Cap,
-    LonLatBox,
     SimulatedScene,
-    WholeSky,
     chance_area_steradians,
     crowded_sky,
-    displaced,
     grid,
     line,
     poisson_field,
     sky_field,
 )
-from sameas.space import ARCSEC_PER_RADIAN, Plane
+from sameas.space import ARCSEC_PER_RADIAN, Plane, displaced
 
 
 def vectors(features):
@@ -38,7 +36,7 @@ def common_mahalanobis(scene):
 
 
 def field_scene(seed=0, **changes):
-    usual = {"density": 2.0, "extent": (20.0, 20.0), "q1": 0.2, "q2": 0.4, "sigma_1": 0.1}
+    usual: dict[str, Any] = {"density": 2.0, "extent": (20.0, 20.0), "q1": 0.2, "q2": 0.4, "sigma_1": 0.1}
     usual["sigma_2"] = (0.05, 0.5)
     return poisson_field(np.random.default_rng(seed), **(usual | changes))
 

@@ -21,7 +21,7 @@ from benchmarks.study.contenders import (
     line_up,
 )
 from benchmarks.study.reach import EstimatedReach
-from benchmarks.study.scenes import EQUAL, FAR, UNEQUAL, Lattice, Scatter
+from benchmarks.study.scenes import EQUAL, FAR, UNEQUAL, Formation, Lattice, Scatter
 from benchmarks.study.study import studied
 from benchmarks.study.tally import Ratio, Tally, count, rightly
 
@@ -33,7 +33,7 @@ from sameas.score.subpattern import gospa
 from sameas.simulate.scenes import grid
 
 FIVE = Lattice((5, 1), 1.9, (0.2, 0.3), UNEQUAL)
-FORMATIONS = {
+FORMATIONS: dict[str, Formation] = {
     "line": FIVE,
     "grid": Lattice((2, 3), 2.5, (0.3, 0.1)),
     "four features": Lattice((2, 2, 1, 1), 2.0, (0.1, 0.4)),
@@ -75,7 +75,8 @@ def test_all_at_once_is_one_by_one(name):
         assert pairs_of(verdict) == sorted(claimed)
         i, j, p = verdict.candidates
         assert len(p) == len(certain) > 30
-        np.testing.assert_allclose(p, [certain[a, b] for a, b in zip(i.tolist(), j.tolist(), strict=True)], atol=1e-6)
+        expected = np.array([certain[a, b] for a, b in zip(i.tolist(), j.tolist(), strict=True)])
+        np.testing.assert_allclose(p, expected, atol=1e-6)
 
 
 def test_groups_never_cross_scenes_even_without_a_gate():
@@ -142,7 +143,7 @@ def test_a_tally_is_what_the_scores_say_scene_by_scene():
         true = np.argwhere(truth[0][:, None] == truth[1][None])
         here = np.isin(verdict.i, rows[0])
         claimed = np.searchsorted(rows[0], verdict.i[here]), np.searchsorted(rows[1], verdict.j[here])
-        score = score_records(claimed, true.T, *map(len, rows))
+        score = score_records(claimed, (true[:, 0], true[:, 1]), len(rows[0]), len(rows[1]))
         right, total = right + score.n_right_1 + score.n_right_2, total + score.n_1 + score.n_2
         whole += score.whole_scene_right
         weight = [1 / r.covariance[0, 0] for r in records]
@@ -229,7 +230,9 @@ def test_an_estimated_reach_is_that_of_each_scene():
     for scene in range(25):
         rows, (first, second) = scenes.one(scene)
         b = tuple(estimate_reach(first, second).b)
-        found = identify(first, second, rule=CloseObjects(1.1, b), prior=CommonObjects(*FIVE.q), gate=PAPERS_GATE)
+        found = identify(
+            first, second, rule=CloseObjects(1.1, b), prior=CommonObjects(FIVE.q[0], FIVE.q[1]), gate=PAPERS_GATE
+        )
         claimed += zip(rows[0][found.matches.rows_1].tolist(), rows[1][found.matches.rows_2].tolist(), strict=True)
     assert pairs_of(verdict) == sorted(claimed)
     alone = Lattice((1, 1), 1.0, (0.3, 0.3))

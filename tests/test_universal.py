@@ -1,6 +1,7 @@
 """The universal rule: its closed forms, its integrals within their stated errors, and the rules that it contains."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -166,7 +167,7 @@ def test_smoothed_samples_have_their_mean_and_spread():
     smooth = Samples(points).smoothed()
     assert len(smooth) == 500 and smooth.d == 2
     factor = 500 ** (-2 / 6)
-    np.testing.assert_allclose(smooth.covariances[0], np.cov(points.T) * factor)
+    np.testing.assert_allclose(np.asarray(smooth.covariances)[0], np.cov(points.T) * factor)
     x = np.stack(np.meshgrid(np.arange(-6, 6, 0.2), np.arange(-14, 14, 0.4)), axis=-1).reshape(-1, 2)
     assert smooth(x).sum() * 0.08 == pytest.approx(1.0, abs=1e-3)
 
@@ -219,14 +220,16 @@ def test_functions_without_a_scipy_that_integrates_name_what_to_install(monkeypa
         expectation_module.expectation(lambda rows, z: np.ones((1, len(z))), 1, 1, 1e-3, 0, "it")
 
 
+NO_DENSITY: Any = 0.3
+NO_DISPLACEMENT: Any = Flat(1.0)
 ONE = GaussianMixture([1.0], [[0.0, 0.0]], [np.eye(2)])
 
 
 @pytest.mark.parametrize(
     "make, words",
     [
-        (lambda p: Universal(0.3, ONE), "position is a float; give a GaussianMixture, Samples or a function"),
-        (lambda p: Universal(Flat(1.0), Flat(1.0)), "neighbour is Flat; give Displacement"),
+        (lambda p: Universal(NO_DENSITY, ONE), "position is a float; give a GaussianMixture, Samples or a function"),
+        (lambda p: Universal(Flat(1.0), NO_DISPLACEMENT), "neighbour is Flat; give Displacement"),
         (lambda p: Universal(Flat(1.0), ONE, relative_error=0.0), "relative_error is 0.0; give a number between"),
         (lambda p: Universal(lambda m: m[:, 0], Samples(np.eye(2))), r"give neighbour.smoothed\(\)"),
         (lambda p: Universal(Samples(np.eye(2)), lambda a, b: a[:, 0]), r"give position.smoothed\(\)"),

@@ -110,7 +110,7 @@ def _orders(n: int) -> list[tuple[int, ...]]:
     return [every[k] for k in np.linspace(0, len(every) - 1, ORDERS).astype(int)]
 
 
-def _in_order(identify, scenes: Scenes, formation: Formation, order: Sequence[int]) -> _Answer:  # type: ignore[no-untyped-def]
+def _in_order(identify, scenes: Scenes, formation: Formation, order: Sequence[int]) -> _Answer:
     q = [formation.q[s] for s in order]
     objects = identify([scenes.sources[s] for s in order], rule=PoissonObjects(formation.density, q))
     members = np.empty((len(objects), len(order)), np.int64)

@@ -9,6 +9,7 @@ import threading
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, ClassVar
 from urllib.parse import parse_qs
 
 import numpy as np
@@ -292,7 +293,8 @@ def test_errors_and_a_time_that_nobody_says_are_estimated_or_doubted_and_never_a
     table.rename_columns(["source_id", "phot_g_mean_mag"], ["star", "mag"])
     table["ra"].unit = table["dec"].unit = "deg"
     write_table(table, tmp_path / "bare.ecsv", provenance={})
-    frame = picture(tmp_path / "timeless.fits", sky(), **{"DATE-OBS": ""})
+    undated: dict[str, Any] = {"DATE-OBS": ""}
+    frame = picture(tmp_path / "timeless.fits", sky(), **undated)
     more = ["-o", tmp_path / "out", "--no-page", "--no-picture"]
     text = re.sub(r"\s+", " ", sameas("frame", frame, "-c", tmp_path / "bare.ecsv", *more).stdout)
     assert re.search(r"no position errors; 0\.0\d+ arcsec on each axis was taken, estimated from the residuals", text)
@@ -321,7 +323,7 @@ def test_a_folder_of_parquet_is_read_where_the_cone_is(files, tmp_path):
 class Archive(http.server.BaseHTTPRequestHandler):
     """Answers as the archive's TAP service does to a job: made, run, asked for its phase, fetched, deleted."""
 
-    asked: list[str]
+    asked: ClassVar[list[str]]
 
     def log_message(self, *_):
         pass
@@ -367,10 +369,13 @@ class Archive(http.server.BaseHTTPRequestHandler):
 @pytest.fixture
 def archive(tmp_path):
     pytest.importorskip("pyvo", reason="the archive needs the extra sameas[archive]")
-    handler = type("Answering", (Archive,), {"asked": []})
-    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
+
+    class Answering(Archive):
+        asked: ClassVar[list[str]] = []
+
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Answering)
     threading.Thread(target=server.serve_forever, daemon=True).start()
-    yield GaiaArchive(url=f"http://127.0.0.1:{server.server_port}/tap", folder=tmp_path / "kept"), handler.asked
+    yield GaiaArchive(url=f"http://127.0.0.1:{server.server_port}/tap", folder=tmp_path / "kept"), Answering.asked
     server.shutdown()
     server.server_close()
 
@@ -468,8 +473,9 @@ def test_a_folder_of_frames_is_one_product(files, sameas, tmp_path):
     night, out = tmp_path / "night", tmp_path / "out"
     night.mkdir()
     for k in range(3):
-        picture(night / f"n{k}.fits", sky(), seed=k, **{"DATE-OBS": f"2016-01-01T12:{10 * k:02d}:00", "FILTER": "V"})
-    picture(night / "red.fits", sky(), seed=4, **{"DATE-OBS": "2016-01-01T13:00:00", "FILTER": "R"})
+        cards: dict[str, Any] = {"DATE-OBS": f"2016-01-01T12:{10 * k:02d}:00", "FILTER": "V"}
+        picture(night / f"n{k}.fits", sky(), seed=k, **cards)
+    picture(night / "red.fits", sky(), seed=4, **(cards | {"DATE-OBS": "2016-01-01T13:00:00", "FILTER": "R"}))
     picture(night / "dark.fits", sky(), seed=5, IMAGETYP="Dark Frame")
     (night / "bad.fits").write_bytes((night / "n0.fits").read_bytes()[:30_000])
     done = sameas("frame", night, "-c", files.stars, "-o", out, "--no-picture", "-j", 1, exit_code=1)

@@ -377,6 +377,6 @@ def test_two_first_compilations_at_once_do_not_disturb_each_other(tmp_path):
            for _ in range(2)]  # fmt: skip
     said = [process.communicate(timeout=120) for process in two]
     third = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=120)
-    assert [process.returncode for process in (*two, third)] == [0, 0, 0], said
+    assert [*(process.returncode for process in two), third.returncode] == [0, 0, 0], said
     assert said[0][0] == said[1][0] == third.stdout != "" and list(tmp_path.rglob("*.nbi"))
     assert "compiling" not in third.stderr

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import threading
 
 import pytest
 
@@ -42,7 +43,7 @@ def test_compilation_is_said_and_shared(quiet, said, monkeypatch, capsys, tmp_pa
 
 def test_one_process_compiles_at_a_time(tmp_path, monkeypatch):
     begun = []
-    monkeypatch.setattr(warmup.threading.Thread, "start", lambda thread: begun.append(thread))
+    monkeypatch.setattr(threading.Thread, "start", lambda thread: begun.append(thread))
     warmup.beside(tmp_path)
     warmup.beside(tmp_path)
     assert len(begun) == 1

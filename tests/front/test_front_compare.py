@@ -37,9 +37,9 @@ def test_what_changed_is_told_and_nothing_else(tables, tmp_path, ending: str) ->
 
 def test_every_candidate_of_a_join_of_all_is_no_second_answer(tables, tmp_path) -> None:
     first, second, _ = tables
-    crowd = {name: np.concatenate([np.asarray(second[name]), np.asarray(second[name])]) for name in ("ra", "dec")}
-    crowd["ra"][10:] += 0.3 / 3600.0
-    crowd["name"] = [f"b{k}" for k in range(20)]
+    ra, dec = (np.concatenate([np.asarray(second[name]), np.asarray(second[name])]) for name in ("ra", "dec"))
+    ra[10:] += 0.3 / 3600.0
+    crowd = {"ra": ra, "dec": dec, "name": [f"b{k}" for k in range(20)]}
     for name, join in (("best", "1or2"), ("all", "pairs")):
         sameas.match(first, crowd, sigma=0.2, id="name").write(tmp_path / f"{name}.fits", join=join)
     told = str(sameas.compare(tmp_path / "best.fits", tmp_path / "all.fits"))

@@ -1,5 +1,7 @@
 """`sameas.match_frame`: a frame and whatever holds stars, and what the result offers."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
@@ -95,13 +97,14 @@ def test_pictures_and_notebooks(found):
 
 def test_what_is_lacking_is_named_as_python_has_it(made):
     path, stars = made
-    for words, options in {
+    refused: dict[str, dict[str, Any]] = {
         "no plate solution and no aim in the header; say aim=RA,DEC and scale=LO,HI": {},
         "the aim is known, but not the scale; say scale=LO,HI": {"aim": WHERE},
         "match_frame has no option 'aimm'; did you mean aim": {"aimm": WHERE},
         "scale=-1: give arcsec per pixel": {"scale": -1}, "aim='x': give": {"aim": "x"},
         "time=soon: give a date": {"time": "soon", "aim": WHERE, "scale": 2.0},
         "catalogue: no column 'x' for ra": {"ra": "x", "dec": "dec"},
-    }.items():  # fmt: skip
+    }  # fmt: skip
+    for words, options in refused.items():
         with pytest.raises(InputError, match=words):
             sameas.match_frame(path, stars, **options)

@@ -1,5 +1,7 @@
 """`sameas.match_many`: several sources at once, and what the result offers."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from guises import GUISES
@@ -66,10 +68,11 @@ def test_it_takes_what_match_takes(three):
 def test_records_are_explained_by_id_and_by_row(found):
     by_id, by_row = found.explain("s40", source=2), found.explain(row=10, source="second")
     assert str(by_id) == str(by_row) and "first s40" in str(by_id)
-    for words, options in {
+    refused: dict[str, dict[str, Any]] = {
         "give the id of a record, or row=": {}, "no record with the id x9": {"id": "x9"},
         "source is 4; give 1 to 3": {"id": "s1", "source": 4}, "no catalogue is named 'x'": {"id": "s1", "source": "x"},
-    }.items():  # fmt: skip
+    }  # fmt: skip
+    for words, options in refused.items():
         with pytest.raises(InputError, match=words):
             found.explain(**options)
 

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -182,7 +183,7 @@ def test_plots_by_name(in_memory):
         in_memory.plot("residual")
 
 
-REFUSED = {
+REFUSED: dict[str, dict[str, Any]] = {
     "match has no option 'sigm1'; did you mean sigma1": {"sigm1": 0.1},
     "match has no option 'to_epock'; did you mean to_epoch": {"to_epock": 2000},
     "match has no option 'zzz'; see its documentation": {"zzz": 1},

@@ -3,6 +3,7 @@
 import dataclasses
 import importlib
 import inspect
+from typing import Any
 
 import numpy as np
 import pytest
@@ -79,7 +80,7 @@ def test_arrays_are_told_by_kind_and_shape():
     text = repr(Many(np.zeros((5, 2)), "x" * 500, {k: np.zeros(9) for k in range(40)}))
     assert "one=<float64 (5, 2)>" in text and "<dict of 40>" in text and len(text) < 200
     assert shown(np.ma.masked_equal(np.arange(9), 3)) == "<masked int64 (9,)>" and shown([1, 2]) == "[1, 2]"
-    wide = dataclasses.make_dataclass("Wide", [(f"field_number_{k}", int) for k in range(200)])
+    wide: type[Any] = dataclasses.make_dataclass("Wide", [(f"field_number_{k}", int) for k in range(200)])
     assert len(repr(in_short(wide)(*range(200))).splitlines()) == LINES + 1
 
 

@@ -58,9 +58,7 @@ def hcompressed(path: Path) -> object:
     """A frame whose decoder, a process of its own, is forked here: to start Python takes longer than to decode."""
     from unittest import mock
 
-    from sameas.sky.frame import image
-
-    with mock.patch.object(image.subprocess, "run", _forked):
+    with mock.patch.object(subprocess, "run", _forked):
         return frame(path)
 
 
@@ -177,7 +175,11 @@ def texts(*names: str, mark: str = ";", instead: str = ";") -> Callable[[], list
 
     def seeds() -> list[bytes]:
         source = (TESTS / "io" / "test_io_text.py").read_text(encoding="utf-8")
-        made = {node.targets[0].id: node.value for node in ast.parse(source).body if isinstance(node, ast.Assign)}
+        made = {
+            target.id: node.value
+            for node in ast.parse(source).body
+            if isinstance(node, ast.Assign) and isinstance(target := node.targets[0], ast.Name)
+        }
         text = "".join(ast.literal_eval(made[name]) for name in names)
         return [text.replace(mark, instead).replace(f"ra{instead}", f"ra{mark}").encode()]
 

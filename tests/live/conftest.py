@@ -5,6 +5,7 @@ import contextlib
 import socket
 import threading
 import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -56,8 +57,8 @@ def descriptions():
 
 
 def settings(**watch):
-    watch = {"register_every_s": 0.0, "own_ship": OwnShip(*SITE), "every_s": 0.25} | watch
-    return Settings({d.name: LiveSource(d) for d in descriptions()}, WatchSettings(**watch))
+    usual: dict[str, Any] = {"register_every_s": 0.0, "own_ship": OwnShip(*SITE), "every_s": 0.25}
+    return Settings({d.name: LiveSource(d) for d in descriptions()}, WatchSettings(**(usual | watch)))
 
 
 def replay(pace=20.0, **made):
@@ -69,11 +70,17 @@ def served(keeper, access=None):
     """The address of a real uvicorn that serves a keeper while it runs, in a thread of its own."""
     import uvicorn
 
+    class Server(uvicorn.Server):
+        """One that leaves signals alone: only the main thread may catch them."""
+
+        @contextlib.contextmanager
+        def capture_signals(self):
+            yield
+
     made = socket.socket()
     made.bind(("127.0.0.1", 0))
     config = uvicorn.Config(application(keeper, access or Access()), log_level="error", timeout_graceful_shutdown=1)
-    server, over = uvicorn.Server(config), threading.Event()
-    server.capture_signals = contextlib.nullcontext
+    server, over = Server(config), threading.Event()
 
     async def run():
         task = asyncio.create_task(server.serve(sockets=[made]))

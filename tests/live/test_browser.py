@@ -11,22 +11,9 @@ from sameas.live.server import Access
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")]
 
 
-class Address:
-    """What the browser is given instead of a file."""
-
-    def __init__(self, url):
-        self.url = url
-
-    def resolve(self):
-        return self
-
-    def as_uri(self):
-        return self.url
-
-
 def test_the_map_goes_on_looks_back_and_runs_nothing_that_a_ship_says(keeper, tmp_path):
     with served(keeper) as url:
-        page = Browser(tmp_path / "profile", Address(url))
+        page = Browser(tmp_path / "profile", url)
         try:
             page.until("mapPage.live && mapPage.live.tick > 8 && document.body.dataset.live === 'yes'")
             first = page.js("mapPage.live.tick")
@@ -59,7 +46,7 @@ def test_a_viewer_sees_alarms_and_an_operator_acknowledges_them(keeper, tmp_path
     keeper.settings.watch.__dict__.update(cpa_m=1e5, tcpa_s=1e5)
     with served(keeper, Access("0.0.0.0", "op", "view")) as url:
         for token, buttons in (("view", False), ("op", True)):
-            page = Browser(tmp_path / token, Address(f"{url}/?token={token}"))
+            page = Browser(tmp_path / token, f"{url}/?token={token}")
             try:
                 page.until("mapPage.live && document.querySelectorAll('#alarms li').length > 0")
                 assert bool(page.js("document.querySelectorAll('#alarms .acknowledge').length")) == buttons
@@ -74,7 +61,7 @@ def test_a_viewer_sees_alarms_and_an_operator_acknowledges_them(keeper, tmp_path
 
 def test_the_page_says_when_no_news_come(keeper, tmp_path):
     with served(keeper) as url:
-        page = Browser(tmp_path / "profile", Address(url))
+        page = Browser(tmp_path / "profile", url)
         try:
             page.until("mapPage.live && document.body.dataset.live === 'yes'")
             keeper.tick = lambda now_s=None: None

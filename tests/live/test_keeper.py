@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -101,10 +102,14 @@ def test_deltas_joined_are_the_frame(keeper):
 
 def test_who_will_pass_near_is_an_alarm_until_he_has(tmp_path):
     t = np.arange(0.0, 400.0, 2.0)
-    ship = {"time_s": START_S + t, "x_m": 100.0 + 0.0 * t, "y_m": 2000.0 - 10.0 * t, "mmsi": ["235000001"] * len(t),
-            "vx_m_per_s": 0.0 * t, "vy_m_per_s": -10.0 + 0.0 * t}  # fmt: skip
-    own = {"time_s": START_S + t, "x_m": 0.0 * t, "y_m": 0.0 * t, "mmsi": ["235000002"] * len(t),
-           "vx_m_per_s": 0.0 * t, "vy_m_per_s": 0.0 * t}  # fmt: skip
+    ship: dict[str, Any] = {
+        "time_s": START_S + t, "x_m": 100.0 + 0.0 * t, "y_m": 2000.0 - 10.0 * t, "mmsi": ["235000001"] * len(t),
+        "vx_m_per_s": 0.0 * t, "vy_m_per_s": -10.0 + 0.0 * t,
+    }  # fmt: skip
+    own: dict[str, Any] = {
+        "time_s": START_S + t, "x_m": 0.0 * t, "y_m": 0.0 * t, "mmsi": ["235000002"] * len(t),
+        "vx_m_per_s": 0.0 * t, "vy_m_per_s": 0.0 * t,
+    }  # fmt: skip
     watch = WatchSettings(own_ship=OwnShip(mmsi="235000002"), register_every_s=0.0)
     keeper = Keeper(Settings({"ais": LiveSource(Description("ais", "ais"))}, watch), tmp_path, replay=replay())
     keeper.replay.sources, keeper.replay._next = [], []

@@ -1,6 +1,7 @@
 """The live picture: what the batch picture makes of a file, made of the same reports as they arrive."""
 
 import pickle
+from typing import Any
 
 import numpy as np
 import pytest
@@ -221,7 +222,7 @@ def test_biases_are_found_by_the_last_minutes_and_taken_off():
 
 def test_a_ships_radar_without_a_site_lays_the_plane_about_the_ship():
     picture = LivePicture([Description("radar", "marine radar")])
-    columns = {"time_s": [0.0], "range_m": [900.0], "bearing_deg": [90.0], "track_id": ["1"]}
+    columns: dict[str, Any] = {"time_s": [0.0], "range_m": [900.0], "bearing_deg": [90.0], "track_id": ["1"]}
     columns |= {"station_lat_deg": [50.0], "station_lon_deg": [-1.0]}
     picture.add("radar", Reports.of("radar", "arpa", columns))
     assert picture.plane == LocalPlane(50.0, -1.0)

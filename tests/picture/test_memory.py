@@ -80,7 +80,7 @@ def test_memory_is_bounded_by_what_numbers_are_worth():
         past = past.with_pairs(found.pooled)
         assert np.abs(past.rule().log_ratio).max(initial=0.0) <= np.log(0.99 / 0.01) + 1e-9
     # Who met and went on is another's: less so than who stays together by as much as a look's name is worth.
-    said = past.rule().log_ratio
+    said = np.asarray(past.rule().log_ratio)
     assert said.max() > 0.5 and said.max() - said.min() > 0.9 * np.log(0.99 / 0.01)
 
 
@@ -91,11 +91,11 @@ def test_what_is_said_twice_is_no_evidence():
         now = scene.at(time_s)
         past = past.on(Scan.of(now))
         past = past.with_pairs(identify_many(now.sources, rule=now.rule() + past.rule(), region=now.region).pooled)
-    said = past.rule().log_ratio + past.track_pairs.now
+    said = np.asarray(past.rule().log_ratio) + past.track_pairs.now
     for time_s in (21.0, 24.0, 29.0):
         past = past.on(Scan.of(scene.at(time_s)))
         # Now and past together say what they did; the reports have only grown older.
-        np.testing.assert_allclose(past.rule().log_ratio + past.track_pairs.now, said, atol=1e-9)
+        np.testing.assert_allclose(np.asarray(past.rule().log_ratio) + past.track_pairs.now, said, atol=1e-9)
 
 
 def test_a_track_that_jumps_begins_anew():

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,7 +58,9 @@ def test_one_instant_is_what_identify_many_says():
         mine, of = r["source"] == name, found.of(s)
         np.testing.assert_allclose(r["p_alone"][mine], of.p_alone, atol=1e-12)
         np.testing.assert_allclose(r["p_object"][mine], of.p_object)
-        np.testing.assert_allclose(np.column_stack([r["x_m"][mine], r["y_m"][mine]]), now.sources[s].features)
+        np.testing.assert_allclose(
+            np.column_stack([r["x_m"][mine], r["y_m"][mine]]), records_of(now.sources[s]).features
+        )
 
 
 def test_objects_are_nearer_to_the_truth_than_their_records_and_as_near_as_they_say():
@@ -207,7 +210,7 @@ def test_the_summary_says_what_a_user_should_know():
     # Of the third, half is taken away, and it lies elsewhere.
     description, reports = sources[2]
     kept = reports.where(np.isin(reports.track_id, [str(k) for k in range(3, 16)]))
-    forged = {"time_s": [0.0], "x_m": [9e3], "y_m": [9e3], "mmsi": ["235000001"], "track_id": ["x"]}
+    forged: dict[str, Any] = {"time_s": [0.0], "x_m": [9e3], "y_m": [9e3], "mmsi": ["235000001"], "track_id": ["x"]}
     elsewhere = describe("elsewhere", "tracks"), Reports.of("elsewhere", "table", forged)
     never = told(rng, describe("never", "tracks"), np.array([900.0, 910.0]), *straight([[0.0, 0.0]], [[0.0, 0.0]],
                  np.array([0.0, 10.0])), 0.0, ["1"])  # fmt: skip
@@ -224,7 +227,12 @@ def test_the_summary_says_what_a_user_should_know():
 
 
 def test_stale_reports_are_said_to_be_left_out():
-    said = {"time_s": [0.0, 0.0, 900.0], "x_m": [0.0, 900.0, 900.0], "y_m": [0.0] * 3, "mmsi": ["1", "2", "2"]}
+    said: dict[str, Any] = {
+        "time_s": [0.0, 0.0, 900.0],
+        "x_m": [0.0, 900.0, 900.0],
+        "y_m": [0.0] * 3,
+        "mmsi": ["1", "2", "2"],
+    }
     ais = describe("ais", "ais", clutter_per_km2=0.0)
     picture = Picture.of(Scene.of([(ais, Reports.of("ais", "ais", said))]), [0.0, 300.0, 900.0, 2500.0])
     stages = picture.objects["stage"][picture.objects["mmsi"] == "1"].tolist()

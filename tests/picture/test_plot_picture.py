@@ -1,6 +1,7 @@
 """Pictures of bare plots go through every look, and say of objects what the tracker says."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from sameas.many.identify import identify_many
 from sameas.many.observations import records_of
 from sameas.picture import Picture, PlotPicture, Watch
 from sameas.picture.bernoulli import KNOWN
+from sameas.picture.instant_objects import TrackedObjects
 from sameas.picture.plot_picture import nameless, scan_times_between
 from sameas.tracks.feed import Feed
 from sameas.tracks.reports import Reports
@@ -104,6 +106,7 @@ def test_an_object_that_nobody_shows_coasts_and_ends_once():
 def test_probabilities_are_of_records_whatever_known_object_they_are():
     """Sets of the answer that differ in what is remembered only count as one."""
     state = PlotPicture().at(passing(2), 16.1)
+    assert isinstance(state.detections, TrackedObjects)
     found, scan = state.detections.tracks.identification, state.scan
     names = [records_of(source).source for source in found.pooled.sources]
     assert KNOWN in names and len(state.members) > 3
@@ -150,7 +153,7 @@ def test_explanations_call_what_is_remembered_by_its_number():
 def test_it_is_for_scenes_in_which_nobody_names_anything_and_somebody_tells_places():
     scene = passing(1, 6.0)
     assert nameless(scene) and isinstance(Picture.of(scene, [3.0]).watch, PlotPicture)
-    said = {"time_s": [0.0, 1.0], "x_m": [0.0, 1.0], "y_m": [0.0, 0.0]}
+    said: dict[str, Any] = {"time_s": [0.0, 1.0], "x_m": [0.0, 1.0], "y_m": [0.0, 0.0]}
     for more in ({"track_id": ["a", "a"]}, {"mode_a": ["1234", "1234"]}):
         named = Feed.of(sensor("tracker", 2.0, 0.5), Reports.of("tracker", "table", said | more))
         mixed = Scene((*scene.feeds, named))
@@ -162,6 +165,7 @@ def test_a_picture_without_memory_is_what_identify_many_says():
     scene = passing(4)
     now = scene.at(0.0, features=POSITION_AND_VELOCITY)
     state = PlotPicture().advance(now)
+    assert isinstance(state.detections, TrackedObjects)
     rule = state.detections.tracks.rule
     found = identify_many(now.sources, rule=rule, region=now.region)
     there = [tuple(sorted(m[m >= 0].tolist())) for m in state.scan.places(found.members)]

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import pytest
@@ -266,11 +267,12 @@ def test_what_it_does_not_follow_is_refused_in_words():
         tracker.advance(scene.at(1.0, features=POSITION_AND_VELOCITY), tracker.advance(now))
     with pytest.raises(InputError, match="all of them at every instant"):
         tracker.advance(Scene(scene.feeds[:1]).at(3.0, features=POSITION_AND_VELOCITY), tracker.advance(now))
-    said = {"time_s": [0.0, 1.0], "x_m": [0.0, 1.0], "y_m": [0.0, 0.0], "track_id": ["a", "a"]}
+    said: dict[str, Any] = {"time_s": [0.0, 1.0], "x_m": [0.0, 1.0], "y_m": [0.0, 0.0], "track_id": ["a", "a"]}
     named = Feed.of(sensor("tracker", 2.0, 0.5), Reports.of("tracker", "table", said))
     with pytest.raises(InputError, match="tracker names its objects"):
         tracker.advance(Scene((named,)).at(1.0, features=POSITION_AND_VELOCITY))
-    for wrong in ({"correlation_s": -1.0}, {"least_q": 0.5}, {"lifetime_s": np.inf}):
+    refused: list[dict[str, Any]] = [{"correlation_s": -1.0}, {"least_q": 0.5}, {"lifetime_s": np.inf}]
+    for wrong in refused:
         with pytest.raises(InputError, match=f"PlotTracker: .*{next(iter(wrong)).split('_')[0]}"):
             PlotTracker(**wrong)
 

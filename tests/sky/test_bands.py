@@ -42,17 +42,20 @@ def wrong(found, made):
 
 @pytest.fixture(scope="module")
 def found(sides):
-    return match(*sides)
+    first, second = sides
+    return match(first, second)
 
 
 def test_magnitudes_are_used_unless_switched_off(sides, found, made):
-    off = match(*sides, MatchOptions(magnitudes="off"))
+    first, second = sides
+    off = match(first, second, MatchOptions(magnitudes="off"))
     assert off.estimate.photometry is None and "brightness" not in off.result.evidence.terms
     assert found.estimate.photometry is not None and wrong(found, made) < 0.5 * wrong(off, made)
 
 
 def test_bands_can_be_named(sides, made):
-    found = match(*sides, MatchOptions(magnitudes="mag:vmag, Imag"))
+    first, second = sides
+    found = match(first, second, MatchOptions(magnitudes="mag:vmag, Imag"))
     assert found.estimate.photometry.names == (("mag",), ("Vmag", "Imag"))
     colour = found.estimate.quantities["colour_Imag"]
     assert colour.value == pytest.approx(-made.sky.colour_term, abs=5 * colour.standard_error)
@@ -60,7 +63,8 @@ def test_bands_can_be_named(sides, made):
 
 
 def test_99_is_not_a_magnitude(sides):
-    one, two = magnitudes_of(*sides, "mag:Vmag")
+    first, second = sides
+    one, two = magnitudes_of(first, second, "mag:Vmag")
     assert np.isnan(one.values).any() and np.nanmax(one.values) < 30.0 and np.nanmax(two.values) < 30.0
 
 
@@ -78,8 +82,9 @@ def test_a_catalogue_without_a_magnitude_leaves_it_to_the_positions(sides):
     ],
 )
 def test_bands_that_are_not_there_are_refused_in_words(sides, said, words):
+    first, second = sides
     with pytest.raises(InputError, match=words):
-        magnitudes_of(*sides, said)
+        magnitudes_of(first, second, said)
 
 
 def test_the_report_says_what_brightness_did(found):
@@ -104,5 +109,6 @@ def test_the_picture_shows_completeness_densities_and_relation(found, sides):
     seen = np.concatenate([c.density[c.density > c.density_error] for c in curves if c is not None]) * 3600.0**2
     assert np.isin(np.round(seen, 6), np.round(drawn, 6)).all() and len(seen)
     assert "Vmag of catalogue" in right.get_xlabel() and len(right.lines) == 2
+    first, second = sides
     with pytest.raises(InputError, match="no magnitudes were used"):
-        plots.brightness(match(*sides, MatchOptions(magnitudes="off")))
+        plots.brightness(match(first, second, MatchOptions(magnitudes="off")))

@@ -74,7 +74,7 @@ def test_positions_count_from_the_middle_of_the_first_pixel():
     found = detect(seen.frame)
     assert (found.x_px[0], found.y_px[0]) == pytest.approx((31.0, 17.0), abs=0.01)
     y, x = np.unravel_index(seen.frame.image.argmax(), seen.frame.shape)
-    assert (x, y) == (31, 17)
+    assert (int(x), int(y)) == (31, 17)
 
 
 @pytest.mark.slow

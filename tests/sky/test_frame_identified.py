@@ -285,7 +285,7 @@ def test_the_summary_is_json_without_surprises(found: FrameIdentification) -> No
         assert told["estimated"].get(name) == (
             None if quantity is None else pytest.approx([unit * quantity.value, unit * quantity.standard_error])
         )
-    assert told["brightness"]["completeness"]["words"].endswith(f"{found.completeness.limit:.2f}")  # type: ignore[union-attr]
+    assert told["brightness"]["completeness"]["words"].endswith(f"{found.completeness.limit:.2f}")
 
 
 def test_a_catalogue_that_does_not_cover_the_field_is_refused(seen: Scene) -> None:
@@ -396,7 +396,7 @@ def test_two_raw_frames_without_a_solution_agree_to_a_tenth_of_a_pixel() -> None
     found = []
     for path in (sorted(folder.glob("*Light*"))[k] for k in (0, 9)):
         frame = calibration(read(path))
-        aim = Aim(*frame.facts.aim_deg, 5 / 60, (1.176 * 0.8, 1.176 * 1.2))  # type: ignore[misc]
+        aim = Aim(*frame.facts.aim_deg, 5 / 60, (1.176 * 0.8, 1.176 * 1.2))
         found.append(solve(detect(frame), tycho, aim, epoch_jyr=frame.facts.time().jyear))
     for each in found:
         assert len(each.pairs[0]) == 7 and (np.sqrt(np.mean(each.residual_arcsec**2, axis=0)) < 0.3).all()

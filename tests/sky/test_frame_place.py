@@ -98,7 +98,7 @@ def test_an_aim_and_a_rough_scale_are_enough(mirror: bool, n: int, brightest: in
     assert placed.parity == (1 if mirror else -1) and placed.scale_arcsec == pytest.approx(1.2, rel=0.005)
     # The pairs are rows of the caller's tables, and nearly all are right.
     right = truth[placed.rows_measured] == placed.rows_stars
-    assert right.mean() > 0.9 and placed.n_matched >= 0.6 * min(brightest, np.sum(truth >= 0))
+    assert right.mean() > 0.9 and placed.n_matched >= 0.6 * min(brightest, int(np.sum(truth >= 0)))
     assert placed.log_odds - max(placed.runner_up_log_odds, 0) > math.log(1e6)
 
 
@@ -251,7 +251,8 @@ def test_nothing_but_a_range_of_scales_finds_a_wide_field_anywhere() -> None:
         placed = place(seen, stars, hint, index=index)
         assert off_px(placed, where) < 6.0
     rng = np.random.default_rng(3)
-    nowhere = Seen(*(rng.uniform(0, 1, (15, 2)) * SHAPE[::-1]).T, np.tile([0.02, 0, 0.02], (15, 1)), rng.random(15))
+    x, y = (rng.uniform(0, 1, (15, 2)) * SHAPE[::-1]).T
+    nowhere = Seen(x, y, np.tile([0.02, 0, 0.02], (15, 1)), rng.random(15))
     with pytest.raises(InputError, match=r"whole sky the best has odds 1:.*give an aim, a wider range of scales"):
         place(nowhere, stars, hint, index=index)
 

@@ -8,7 +8,8 @@ import pytest
 from sameas.errors import InputError
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import MatchOptions, match
-from sameas.sky.joins import JOINS, joined
+from sameas.sky.join_types import JOINS
+from sameas.sky.joins import joined
 
 ARCSEC = 1.0 / 3600.0
 
@@ -20,8 +21,9 @@ def matched():
     rng = np.random.default_rng(3)
     place = np.column_stack([10 + rng.uniform(0, 60, 10) * ARCSEC, 20 + np.arange(10) * 30 * ARCSEC])
     place[8] = place[0] + [0.0, 0.35 * ARCSEC]
-    first = {"id": [f"a{k}" for k in range(8)], "ra": place[:8, 0].copy(), "dec": place[:8, 1], "note": np.arange(8)}
-    first["ra"][7] = np.nan
+    ra = place[:8, 0].copy()
+    ra[7] = np.nan
+    first = {"id": [f"a{k}" for k in range(8)], "ra": ra, "dec": place[:8, 1], "note": np.arange(8)}
     both = [0, 1, 2, 3, 4, 5, 8, 9]
     second = {
         "id": [f"b{k}" for k in both],
@@ -30,8 +32,8 @@ def matched():
         "mag": np.arange(8.0),
     }
     options = CatalogueOptions(sigma=0.1, epoch=2000.0)
-    catalogues = [Catalogue.of(t, n, options=options) for t, n in ((first, "one"), (second, "two"))]
-    return match(*catalogues, MatchOptions(error_scale=1.0))
+    one, two = (Catalogue.of(t, n, options=options) for t, n in ((first, "one"), (second, "two")))
+    return match(one, two, MatchOptions(error_scale=1.0))
 
 
 def test_each_join_has_the_rows_that_its_name_says(matched):

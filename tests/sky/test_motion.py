@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import doctest
 from pathlib import Path
+from typing import Any
 
 import astropy.units as u
 import numpy as np
@@ -19,7 +20,7 @@ from sameas.sky import motion
 from sameas.sky.motion import PARAMETERS, Astrometry, MissingMotion, Variances, position_at, propagate
 
 MAS = np.radians(1 / 3.6e6)
-BARNARD = {"parallax_mas": [547.45], "pm_ra_mas_per_yr": [-801.551], "pm_dec_mas_per_yr": [10362.394]}
+BARNARD: dict[str, Any] = {"parallax_mas": [547.45], "pm_ra_mas_per_yr": [-801.551], "pm_dec_mas_per_yr": [10362.394]}
 EXACT = MissingMotion(0.0, 0.0, 0.0)
 
 
@@ -305,8 +306,8 @@ def test_missing_proper_motion_grows_with_time():
 def test_missing_radial_velocity_is_felt_by_a_near_star_only():
     sigma = np.full((1, 6), 1e-3)
     near = Astrometry.of([269.45], [4.69], epoch_jyr=2016.0, sigma=sigma, **BARNARD)
-    far = {name: [value[0] / 100] for name, value in BARNARD.items()}
-    far = Astrometry.of([269.45], [4.69], epoch_jyr=2016.0, sigma=sigma, **far)
+    hundredth: dict[str, Any] = {name: [value[0] / 100] for name, value in BARNARD.items()}
+    far = Astrometry.of([269.45], [4.69], epoch_jyr=2016.0, sigma=sigma, **hundredth)
     # ∂(place)/∂v = μ t² π / A, of sigma 50 km/s over 50 years
     expected = 10393.35 * 50**2 * 547.45 * MAS / motion.AU_KM_PER_S_YR * 50 * 1e-3
     spread = [position_at(star, 2066.0).covariance_arcsec2[0, 1, 1] ** 0.5 for star in (near, far)]
@@ -417,9 +418,10 @@ def test_without_correlations_variances_are_all_that_is_kept():
     full = Astrometry.of(
         [10.0, 20.0], [0.0, 1.0], epoch_jyr=2000.0, sigma=[[3.0, 4.0], [5.0, 6.0]], correlation=np.zeros((2, 2, 2))
     )
-    assert isinstance(plain.packed, Variances) and full.packed.shape == (2, 6, 6)
+    assert isinstance(plain.packed, Variances)
+    assert isinstance(full.packed, np.ndarray) and full.packed.shape == (2, 6, 6)
     np.testing.assert_array_equal(plain.covariance, full.covariance)
     np.testing.assert_array_equal(plain.position_covariance, full.position_covariance)
     np.testing.assert_array_equal(plain.variance(4), full.variance(4))
-    moved = [position_at(stars, 2010.0).covariance_arcsec2 for stars in (plain, full)]
-    np.testing.assert_allclose(*moved, rtol=1e-14)
+    one, other = (position_at(stars, 2010.0).covariance_arcsec2 for stars in (plain, full))
+    np.testing.assert_allclose(one, other, rtol=1e-14)

@@ -9,6 +9,7 @@ from sameas.tracks import Description, Feed, KnownBiases, Motion, Reports, Scene
 from sameas.tracks.alignment import States
 from sameas.tracks.biases import BIASES, BiasModel, RelativeBias, corrected
 from sameas.tracks.coordinates import plane_polar
+from sameas.tracks.placement import Directions
 
 RNG = np.random.default_rng(1)
 PLACE, VELOCITY = RNG.uniform(-9e3, 9e3, (7, 2)), 6.0 * RNG.standard_normal((7, 2))
@@ -75,6 +76,7 @@ def test_a_radar_is_still_exact_in_range_when_its_azimuth_is_corrected():
                         velocity_covariance=np.eye(2), track=["1"])  # fmt: skip
     theta = np.array([0.0, 2.0, 0.0, 3.0, 0.0, 0.0])
     right = corrected(reports, site, theta)
+    assert isinstance(right, States)
     wanted, spread = plane_polar(
         range_m=10e3, bearing_deg=bearing, sensor_m=site, sigma_range_m=5.0, sigma_bearing_deg=1.0
     )
@@ -83,9 +85,9 @@ def test_a_radar_is_still_exact_in_range_when_its_azimuth_is_corrected():
     assert right.time_s[0] == -3.0 and np.hypot(*right.state[0, 2:]) == pytest.approx(5.0)
     # What is taken off is not known exactly: 0.1° across, nothing along; 2 m along, nothing across.
     for variance, along, across in [((0.0, 0.01), 0.0, (10e3 * np.radians(0.1)) ** 2), ((4.0, 0.0), 4.0, 0.0)]:
-        grown = (
-            corrected(reports, site, theta, np.diag([*variance, 0.0, 0.0, 0.0, 0.0])).covariance[0, :2, :2] - spread[0]
-        )
+        less_sure = corrected(reports, site, theta, np.diag([*variance, 0.0, 0.0, 0.0, 0.0]))
+        assert isinstance(less_sure, States)
+        grown = less_sure.covariance[0, :2, :2] - spread[0]
         out = np.array([np.sin(np.radians(bearing)), np.cos(np.radians(bearing))])
         assert out @ grown @ out == pytest.approx(along, abs=1e-6)
         assert np.trace(grown) == pytest.approx(along + across, rel=1e-6)
@@ -97,6 +99,7 @@ def test_a_calibration_that_is_known_is_taken_off_at_once():
     known = KnownBiases(range_m=30.0, azimuth_deg=1.0, north_m=7.0)
     there = Site(east_m=0.0, north_m=0.0)
     feed = Feed.of(Description("radar", "marine radar", site=there, errors=errors, calibration=known), said)
+    assert isinstance(feed.reports, States)
     np.testing.assert_allclose(feed.reports.state[0, :2], [1000.0, -7.0], atol=0.3)
     with pytest.raises(InputError, match=r"radar: calibration of range or azimuth needs .* give site"):
         said = Reports.of("radar", "table", {"time_s": [0.0], "x_m": [1030.0], "y_m": [0.0]})
@@ -110,6 +113,8 @@ def test_directions_are_turned_and_grow_by_what_is_not_known():
     )  # fmt: skip
     scene = Scene.of([(camera, Reports.of("camera", "table", {"time_s": [0.0], "bearing_deg": [1.0]}))])
     directions = scene.feeds[0].reports
+    assert isinstance(directions, Directions)
     assert directions.bearing_deg[0] == pytest.approx(359.0) and camera.bias.azimuth_deg is None
     grown = corrected(directions, scene.feeds[0].sensor_m, np.zeros(6), np.diag([0.0, 0.16, 0, 0, 0, 0]))
+    assert isinstance(grown, Directions)
     assert grown.sigma_deg[0] == pytest.approx(0.5)

@@ -2,6 +2,7 @@
 
 import json
 import struct
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -99,8 +100,10 @@ def test_a_receipt_at_no_time_is_set_aside(tmp_path):
 
 
 def test_what_is_infinite_is_set_aside_or_absent():
-    columns = {"time_s": [1.0, 2.0, 3.0, np.nan], "lat_deg": [1.0, np.inf, 1.0, 1.0], "lon_deg": [2.0, 2.0, 2.0, 2.0],
-               "speed_m_per_s": [1.0, 1.0, np.inf, 1.0], "line": [5, 6, 7, 8]}  # fmt: skip
+    columns: dict[str, Any] = {
+        "time_s": [1.0, 2.0, 3.0, np.nan], "lat_deg": [1.0, np.inf, 1.0, 1.0], "lon_deg": [2.0, 2.0, 2.0, 2.0],
+        "speed_m_per_s": [1.0, 1.0, np.inf, 1.0], "line": [5, 6, 7, 8],
+    }  # fmt: skip
     columns["nic"] = columns["speed_m_per_s"]
     made = Reports.of("radar", "table", columns)
     assert made.time_s.tolist() == [1.0, 3.0] and damage(made) == {6: "no position", 8: "no time"}

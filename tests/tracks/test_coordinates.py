@@ -1,5 +1,7 @@
 """Coordinates: there and back, covariances as a sample shows them, poles and the antimeridian, refusals."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -98,7 +100,7 @@ def test_the_covariance_on_the_ground_is_that_of_a_sample(distance, height):
 def test_a_wide_beam_bends_to_an_arc_that_the_covariance_holds():
     rng = np.random.default_rng(4)
     bearing = 30.0 + 8.0 * rng.standard_normal(40_000)
-    about = {"sensor_m": (100.0, -50.0), "sigma_range_m": 5.0, "sigma_bearing_deg": 8.0}
+    about: dict[str, Any] = {"sensor_m": (100.0, -50.0), "sigma_range_m": 5.0, "sigma_bearing_deg": 8.0}
     sample, _ = plane_polar(
         range_m=np.full(40_000, 2e3) + 5.0 * rng.standard_normal(40_000), bearing_deg=bearing, **about
     )

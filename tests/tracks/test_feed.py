@@ -5,6 +5,7 @@ import pytest
 
 from sameas import identify_many
 from sameas.many.observations import records_of
+from sameas.tracks.alignment import States
 from sameas.tracks.feed import Feed, need_filtering
 from sameas.tracks.placement import PlacedReports
 from sameas.tracks.reports import Reports
@@ -65,6 +66,7 @@ def test_whether_a_tracker_that_tells_velocities_tells_plots_or_smoothed_places_
     radar, _ = vessels(np.random.default_rng(4))
     about = Description("radar", "marine radar", errors=SensorErrors(position_m=said_m, extent_m=0.0))
     tracks = Feed.of(RADAR, radar, to_tracks=True).reports
+    assert isinstance(tracks, States)
     velocity = {"vx_m_per_s": tracks.state[:, 2], "vy_m_per_s": tracks.state[:, 3]}
     names = {"time_s": radar.time_s, "track_id": radar.track_id}
     plots = Reports.of("radar", "table", names | velocity | {"x_m": radar.x_m, "y_m": radar.y_m})
@@ -109,6 +111,7 @@ def test_filtering_makes_pairs_right_that_bare_positions_get_wrong():
 def test_satellite_positions_are_given_velocities_and_stay_as_they_are():
     _, ais = vessels(np.random.default_rng(5))
     plain, filtered = (Feed.of(AIS, ais, to_tracks=to_tracks).reports for to_tracks in (False, True))
+    assert isinstance(plain, States) and isinstance(filtered, States)
     np.testing.assert_array_equal(filtered.state[:, :2], plain.state[:, :2])
     np.testing.assert_array_equal(filtered.covariance[:, :2, :2], plain.covariance[:, :2, :2])
     last = filtered.time_s > 450.0
@@ -121,6 +124,7 @@ def test_the_velocities_of_a_filter_are_as_sure_as_it_says():
     rng = np.random.default_rng(8)
     radar, _ = vessels(rng, n=200, width_m=50e3)
     tracks = Feed.of(RADAR, radar, to_tracks=True).reports
+    assert isinstance(tracks, States)
     place = np.random.default_rng(8)
     place.uniform(-50e3, 50e3, (200, 2))
     speed = place.normal(0.0, 6.0, (200, 2))

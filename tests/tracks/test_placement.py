@@ -1,5 +1,7 @@
 """Reports brought to the plane: the same place however it was said, with the errors that were said or assumed."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -54,7 +56,8 @@ def test_an_aircraft_is_below_its_slant_range():
 
 def test_stated_errors_count_and_the_rest_is_the_descriptions():
     ais = Description("ais", "ais", errors=SensorErrors(position_m=15.0, extent_m=20.0))
-    said = {"time_s": [0.0, 0.0], "lat_deg": LAT, "lon_deg": LON, "covariance_m2": [[9.0, 1.0, 4.0], [np.nan] * 3]}
+    said: dict[str, Any] = {"time_s": [0.0, 0.0], "lat_deg": LAT, "lon_deg": LON}
+    said["covariance_m2"] = [[9.0, 1.0, 4.0], [np.nan] * 3]
     there = placed(ais, Reports.of("ais", "ais", said), PLANE)
     np.testing.assert_allclose(there.covariance[0, :2, :2], [[9, 1], [1, 4]], atol=0.1)
     np.testing.assert_allclose(there.covariance[1, :2, :2], 625.0 * np.eye(2), atol=2.0)
@@ -83,7 +86,7 @@ def test_velocities_are_turned_to_the_plane_with_their_errors():
 
 def test_who_lies_still_has_a_velocity_and_who_says_nothing_has_none():
     ais = Description("ais", "ais", motion=Motion(0.01, 6.0))
-    said = {"time_s": [0.0, 0.0], "lat_deg": LAT, "lon_deg": LON, "speed_m_per_s": [0.0, np.nan]}
+    said: dict[str, Any] = {"time_s": [0.0, 0.0], "lat_deg": LAT, "lon_deg": LON, "speed_m_per_s": [0.0, np.nan]}
     there = placed(ais, Reports.of("ais", "ais", said), PLANE)
     np.testing.assert_allclose(there.covariance[:, 2, 2], [0.09, 36.0], rtol=1e-4)
 
@@ -112,7 +115,8 @@ def test_a_sight_is_a_bearing_that_has_a_slope_at_the_sensor_too():
 
 def test_places_without_errors_are_as_good_as_the_radar_measures():
     radar = Description("radar", "marine radar", site=SITE)
-    plots = {"time_s": np.zeros(6), "range_m": [2e3] * 3 + [15e3] * 3, "bearing_deg": [0.0, 60.0, 200.0] * 2}
+    plots: dict[str, Any] = {"time_s": np.zeros(6), "range_m": [2e3] * 3 + [15e3] * 3}
+    plots["bearing_deg"] = [0.0, 60.0, 200.0] * 2
     measured = placed(radar, Reports.of("radar", "table", plots), PLANE)
     lat, lon = PLANE.to_geodetic(measured.state[:, :2])
     said = Reports.of("radar", "table", {"time_s": np.zeros(6), "lat_deg": lat, "lon_deg": lon})

@@ -1,5 +1,7 @@
 """Fixes: positions handed out again are set aside where the object moves, and nowhere else."""
 
+from typing import Any
+
 import numpy as np
 
 from sameas.tracks.alignment import States
@@ -41,8 +43,10 @@ def test_who_may_stand_may_be_twice_in_one_place():
 
 
 def test_a_feed_says_what_it_set_aside():
-    columns = {"time_s": [0.0, 1.0, 2.0], "lat_deg": [48.0, 48.0, 48.001], "lon_deg": [2.0, 2.0, 2.0],
-               "speed_m_per_s": [50.0] * 3, "course_deg": [0.0] * 3, "icao": ["4bc844"] * 3}  # fmt: skip
+    columns: dict[str, Any] = {
+        "time_s": [0.0, 1.0, 2.0], "lat_deg": [48.0, 48.0, 48.001], "lon_deg": [2.0, 2.0, 2.0],
+        "speed_m_per_s": [50.0] * 3, "course_deg": [0.0] * 3, "icao": ["4bc844"] * 3,
+    }  # fmt: skip
     from sameas.tracks.coordinates import LocalPlane
 
     feed = Feed.of(Description("adsb", "ads-b"), Reports.of("adsb", "table", columns), LocalPlane(48.0, 2.0))

@@ -1,5 +1,7 @@
 """Scenes: real motion of many objects seen by unlike sensors comes back as the objects that they are."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -86,11 +88,11 @@ def test_the_order_of_reports_changes_nothing():
 
 
 def test_a_stale_report_ages_out_and_says_which():
-    said = {"time_s": [0.0, 5000.0], "x_m": [0.0, 900.0], "y_m": [0.0, 0.0], "mmsi": ["1", "2"]}
+    said: dict[str, Any] = {"time_s": [0.0, 5000.0], "x_m": [0.0, 900.0], "y_m": [0.0, 0.0], "mmsi": ["1", "2"]}
     scene = Scene.of([(AIS, Reports.of("ais", "ais", said))])
-    assert len(scene.at(10.0).sources[0]) == 1
+    assert len(records_of(scene.at(10.0).sources[0])) == 1
     late = scene.at(5001.0)
-    assert [int(k) for k in late.sources[0].ids] == [1] and [int(k) for k in late.aged[0]] == [0]
+    assert [int(k) for k in records_of(late.sources[0]).ids] == [1] and [int(k) for k in late.aged[0]] == [0]
 
 
 def test_bare_plots_in_four_features_observe_where_the_object_was():
@@ -104,7 +106,7 @@ def test_bare_plots_in_four_features_observe_where_the_object_was():
 
 def test_velocities_tell_apart_what_positions_do_not():
     names = {"mmsi": ["1", "2"]}
-    one = {
+    one: dict[str, Any] = {
         "time_s": [0.0, 0.0],
         "x_m": [0.0, 10.0],
         "y_m": [0.0, 0.0],
@@ -163,20 +165,20 @@ def test_silent_sources_are_left_out_and_looks_that_showed_nothing_count():
     )
     scene = Scene(feeds)
     assert len(scene.at(2.9).with_records().sources) == 2
-    assert [s.source for s in scene.at(3.1).with_records().sources] == ["ais"]
+    assert [records_of(s).source for s in scene.at(3.1).with_records().sources] == ["ais"]
 
 
 def test_identities_come_with_the_instant_and_alarms_are_raised():
-    one = {
+    one: dict[str, Any] = {
         "time_s": [0.0, 0.0, 1.0],
         "x_m": [0.0, 5e3, 5e3],
         "y_m": [0.0] * 3,
         "mmsi": ["235000001", "235000002", None],
     }
-    two = {"time_s": [0.0], "x_m": [9e3], "y_m": [0.0], "mmsi": ["235000001"], "track_id": ["x"]}
+    two: dict[str, Any] = {"time_s": [0.0], "x_m": [9e3], "y_m": [0.0], "mmsi": ["235000001"], "track_id": ["x"]}
     twin = Description("coast", "tracks", errors=SensorErrors(position_m=15.0), motion=WALK)
     now = Scene.of([(AIS, Reports.of("ais", "ais", one)), (twin, Reports.of("coast", "table", two))]).at(2.0)
-    assert list(now.identity().attributes["ais"]["mmsi"]) == ["235000001", "235000002", None]
+    assert np.asarray(now.identity().attributes["ais"]["mmsi"]).tolist() == ["235000001", "235000002", None]
     assert [(alarm.value, alarm.first, alarm.second) for alarm in now.alarms()] == [
         ("235000001", ("ais", 0), ("coast", 0))
     ]

@@ -25,6 +25,7 @@ from sameas.tracks import (
 )
 from sameas.tracks.bias_fit import Pool
 from sameas.tracks.common_scans import ComparedSource, common_scans
+from sameas.tracks.placement import Directions
 
 NAMES = ("range_m", "azimuth_deg", "time_s")
 
@@ -151,7 +152,9 @@ def test_a_camera_is_turned_back():
     scene = Scene.of([*made.sources, (camera, Reports.of("camera", "table", columns))])
     registered, (_, found) = scene.registered()
     assert found.established and abs(normalised(found, {"azimuth_deg": 1.7})[0]) < 3.5
-    turned = (scene.feeds[1].reports.bearing_deg - registered.feeds[1].reports.bearing_deg) % 360.0
+    before, after = scene.feeds[1].reports, registered.feeds[1].reports
+    assert isinstance(before, Directions) and isinstance(after, Directions)
+    turned = (before.bearing_deg - after.bearing_deg) % 360.0
     np.testing.assert_allclose(turned, found.parameters["azimuth_deg"].value)
     # Hulls of 5 m stay 5 m wide, seen from some kilometres; ships go at some metres a second.
     for met in common_scans(ComparedSource(scene.feeds[0], None), ComparedSource(scene.feeds[1], 0)):

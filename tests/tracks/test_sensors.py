@@ -9,6 +9,7 @@ import pytest
 
 from sameas.errors import InputError
 from sameas.simulate.sensors import LEVEL_M, Bias, Sensor, SensorOutput, Tracker, TrueMotion
+from sameas.tracks.alignment import States
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
 from sameas.tracks.source import (
@@ -60,6 +61,7 @@ def errors_of(sensor: Sensor, got: SensorOutput, motion: TrueMotion) -> np.ndarr
     place = np.array([motion.paths[j].at(np.array([t]))[0, :2] for j, t in zip(k, time_s, strict=True)])
     out = place - feed.sensor_m[0]
     out /= np.linalg.norm(out, axis=1)[:, None]
+    assert isinstance(feed.reports, States)
     off = feed.reports.state[true, :2] - place
     return np.column_stack([np.sum(off * out, axis=1), off[:, 0] * out[:, 1] - off[:, 1] * out[:, 0]])
 

@@ -89,6 +89,7 @@ def test_a_vessel_at_anchor_stays_where_it_is_and_one_under_way_does_not():
                "speed_m_per_s": [0.05, 6.0], "course_deg": [200.0, 90.0]}  # fmt: skip
     reports = Reports.of("ais", "table", columns | {"mmsi": ["235000001", "235000002"]})
     feed = Feed.of(Description("ais", "ais"), reports, LocalPlane(50.85, -1.3))
+    assert isinstance(feed.reports, States)
     ahead, spread = moved(feed.reports.state, feed.reports.covariance, 180.0, feed.walk_m2_per_s3)
     sigma = np.sqrt(spread[:, 0, 0])
     assert sigma[0] < 35.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -50,9 +52,9 @@ def test_two_aircraft_over_one_place_are_told_apart_by_their_heights(other: str,
     picture = Picture.of(scene, times)
     right, wrong = judged(picture)
     assert wrong == 0 and right >= 20
-    heights = picture.objects["height_m"].compressed()
+    heights = np.ma.compressed(picture.objects["height_m"])
     assert np.all(np.minimum(abs(heights - 3000.0), abs(heights - 10_000.0)) < 100.0)
-    assert picture.objects["sigma_height_m"].compressed().max() < 100.0
+    assert np.ma.compressed(picture.objects["sigma_height_m"]).max() < 100.0
     if shift_m:
         assert any("taken away" in note for heights in scene.heights for note in heights.notes)
 
@@ -71,7 +73,7 @@ def test_without_heights_the_same_aircraft_are_mistaken() -> None:
 def test_the_difference_of_the_kinds_is_a_line_that_reports_with_both_show() -> None:
     rng = np.random.default_rng(5)
     level = rng.uniform(500.0, 12e3, 400)
-    both = {
+    both: dict[str, Any] = {
         "time_s": np.arange(400.0), "x_m": rng.uniform(-9e4, 9e4, 400), "y_m": rng.uniform(-9e4, 9e4, 400),
         "track_id": [str(k) for k in range(400)], "pressure_alt_m": level,
         "alt_m": 80.0 + 1.03 * level + rng.normal(0.0, 8.0, 400),

@@ -75,8 +75,8 @@ class PoissonObjects(ObjectsRule):
     """
 
     density: float
-    q: float | Sequence[float]
-    false: float | Sequence[float] = 0.0
+    q: float | Sequence[float] | FloatArray
+    false: float | Sequence[float] | FloatArray = 0.0
 
     def __post_init__(self) -> None:
         if not 0.0 < self.density < math.inf:
@@ -165,7 +165,7 @@ class MissedObjects:
     q : per source, in the order in which the sources are given; or one for all.
     """
 
-    q: float | Sequence[float]
+    q: float | Sequence[float] | FloatArray
 
     def __post_init__(self) -> None:
         _probabilities(self.q, "MissedObjects")
@@ -259,7 +259,7 @@ def _probabilities(q: ArrayLike, name: str) -> None:
         raise InputError(f"{name}: q is {q!r}; give per source the probability of a miss, strictly between 0 and 1")
 
 
-def _per_source(values: float | Sequence[float], pooled: PooledRecords, name: str) -> FloatArray:
+def _per_source(values: float | Sequence[float] | FloatArray, pooled: PooledRecords, name: str) -> FloatArray:
     """(S,) the values in the order of the pooled records' sources."""
     array = np.asarray(values, dtype=np.float64)
     if array.ndim and len(array) != len(pooled.sources):
