@@ -288,7 +288,7 @@ def test_a_killed_worker_is_replaced_and_a_killed_client_resumes_with_the_same_b
 def test_a_full_disk_is_said_and_what_is_done_stays(tmp_path):
     paths = stored(tmp_path, sky((0.0, 0.0), 3_000, 0.3, seed=18), (100, 100))
     found, whole = matched(tmp_path, paths, out="one/out", piece_rows=200)
-    room = sum(map(len, contents(tmp_path / "one").values())) * 6 // 10
+    room = sum(map(len, contents(tmp_path / "one").values())) * 3 // 10
     small = tmp_path / "two"
     small.mkdir()
     if subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={room}", "tmpfs", small], capture_output=True).returncode:
@@ -301,7 +301,8 @@ def test_a_full_disk_is_said_and_what_is_done_stays(tmp_path):
         assert 0 < again.decided < whole.decided
         assert contents(tmp_path / "one") == contents(small)
     finally:
-        subprocess.run(["umount", small], check=True)
+        # Lazily: files that were mapped to memory are let go of when their arrays are.
+        subprocess.run(["umount", "-l", small], check=True)
 
 
 @pytest.mark.long

@@ -540,12 +540,15 @@ _LOADED = ("sameas.partitions.run", "sameas._identify", "numba", "pyarrow.parque
 
 def _begin() -> None:
     """A worker uses one thread, and ends when the one who started it is gone."""
+    import multiprocessing
+
     os.environ["SAMEAS_THREADS"] = "1"
-    parent = os.getppid()
+    # The process that forks the workers lives on while they do: who started the run is asked for by name.
+    parent = multiprocessing.parent_process()
+    assert parent is not None
 
     def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(1.0)
+        parent.join()
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
