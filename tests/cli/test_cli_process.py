@@ -314,7 +314,7 @@ def test_the_answer_is_the_same_in_every_home(circumstance, tmp_path, field_file
 def test_another_user_to_whom_the_installation_is_read_only(tmp_path, field_files):
     """Nobody has no home, and may write into his own folder only: neither kernels beside the source, nor caches."""
     run("match", *field_files, "-o", tmp_path / "here.parquet")
-    for folder in (tmp_path, *tmp_path.parents[:-2]):
+    for folder in {above for path in (tmp_path / "x", *map(Path, field_files)) for above in path.parents[:-2]}:
         folder.chmod(folder.stat().st_mode | 0o055)
     theirs = tmp_path / "theirs"
     theirs.mkdir()
@@ -329,6 +329,13 @@ def test_another_user_to_whom_the_installation_is_read_only(tmp_path, field_file
         pytest.skip("another user may not run this Python")
     assert (done.returncode, done.stderr.replace(_COMPILING, "")) == (0, "")
     assert _answer(theirs / "o.parquet") == _answer(tmp_path / "here.parquet")
+    closed = tmp_path / "closed"
+    closed.mkdir(mode=0o700)
+    refused = subprocess.run([*command[:4], str(closed / "a.fits"), *command[5:]], capture_output=True, text=True,
+                             env=environment, timeout=200, cwd="/", user=65534, group=65534, extra_groups=[])  # fmt: skip
+    assert refused.returncode == 1 and refused.stderr == (
+        f"sameas: {closed / 'a.fits'}: permission denied: this user may not use it, or a folder above it\n"
+    )
 
 
 _COMPILING = "sameas: compiling kernels for this machine, once; it takes some seconds\n"

@@ -99,6 +99,9 @@ def answering(debug: bool, option: Callable[[Argument], str] = option_of) -> Ite
         _end(stopped(), exit_code(error), debug)
     except InputError as error:
         _end(in_options(error.words, option), INPUT_ERROR, debug)
+    except PermissionError as error:
+        _end(f"{error.filename or 'a file'}: permission denied: this user may not use it, or a folder above it",
+             INPUT_ERROR, debug)  # fmt: skip
     except MemoryError:
         _end("not enough memory for these catalogues; nothing was written", INPUT_ERROR, debug)
     except Exception as error:

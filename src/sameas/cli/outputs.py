@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -35,7 +36,7 @@ class Outputs:
             raise InputError(
                 f"{self.path}: its extension does not tell a format; see `sameas formats`, or say --out-format NAME"
             )
-        if all(Path(path).exists() for path in inputs):  # reading the others says so, which is more important
+        if all(map(os.path.exists, inputs)):  # reading the others says so, which is more important
             # Opens the temporary file beside the output and throws it away: no directory, no permission.
             with suppress(_Rehearsed), replacing(self.path, overwrite=self.overwrite):
                 raise _Rehearsed
