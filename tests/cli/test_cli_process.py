@@ -331,8 +331,9 @@ def test_another_user_to_whom_the_installation_is_read_only(tmp_path, field_file
     assert _answer(theirs / "o.parquet") == _answer(tmp_path / "here.parquet")
     closed = tmp_path / "closed"
     closed.mkdir(mode=0o700)
-    refused = subprocess.run([*command[:4], str(closed / "a.fits"), *command[5:]], capture_output=True, text=True,
-                             env=environment, timeout=200, cwd="/", user=65534, group=65534, extra_groups=[])  # fmt: skip
+    command[4] = str(closed / "a.fits")
+    refused = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=200, cwd="/",
+                             user=65534, group=65534, extra_groups=[])  # fmt: skip
     assert refused.returncode == 1 and refused.stderr == (
         f"sameas: {closed / 'a.fits'}: permission denied: this user may not use it, or a folder above it\n"
     )
