@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from astropy.io import fits
 from astropy.table import Table
+from astropy.utils import minversion
 from typer.testing import CliRunner
 
 import sameas
@@ -36,6 +37,8 @@ def test_cells_come_back_as_they_were(ending, tmp_path):
     names = [name for name in HOSTILE if name.isascii() or ending != ".fits"]
     # XML has no control characters, and it and CSV know one line end only.
     names = [name for name in names if ending != ".vot" or not re.search(r"[\x00-\x08\x0b-\x1f]", name)]
+    if ending == ".ecsv" and not minversion("astropy", "7.2"):
+        names = [name for name in names if "\r" not in name]  # earlier ones read every end of a line as a line feed
     write_table(stars(names), tmp_path / f"t{ending}", provenance={"command": HOSTILE[4], "names": HOSTILE[:3]})
     back = np.ma.filled(read_table(tmp_path / f"t{ending}")["name"], "").tolist()
     assert back == names

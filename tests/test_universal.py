@@ -11,7 +11,6 @@ import naive
 from problems import plane_records, sky_records
 from sameas import CloseObjects, Field, InputError, Plane, Radius, Records
 from sameas.evidence import Displacement, Flat, GaussianMixture, Samples, Universal
-from sameas.evidence import universal as expectation_module
 
 SHELL_A, SHELL_B = 0.6, 2.0
 
@@ -210,14 +209,6 @@ def test_no_pairs_no_evidence():
     nothing = Radius(3.0)(Records.of([0.0], sigma=1.0), Records.of([100.0], sigma=1.0))
     evidence = Universal(lambda m: np.ones(len(m)), lambda a, b: np.ones(len(a)))(nothing)
     assert evidence.log_ratio.shape == evidence.log_error.shape == (0,)
-
-
-def test_functions_without_a_scipy_that_integrates_name_what_to_install(monkeypatch):
-    import scipy.integrate
-
-    monkeypatch.delattr(scipy.integrate, "cubature")
-    with pytest.raises(InputError, match=r"need SciPy 1\.15 or later: pip install 'scipy>=1\.15'"):
-        expectation_module.expectation(lambda rows, z: np.ones((1, len(z))), 1, 1, 1e-3, 0, "it")
 
 
 NO_DENSITY: Any = 0.3

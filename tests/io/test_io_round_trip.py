@@ -13,6 +13,7 @@ from astropy.io import fits
 from astropy.table import Column, MaskedColumn, QTable, Table
 from astropy.table.meta import get_yaml_from_table
 from astropy.time import Time
+from astropy.utils import minversion
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -396,6 +397,8 @@ def test_any_name_of_a_column_is_written(ending, tmp_path):
 )
 def test_what_astropy_reads_of_a_parquet_table_is_as_astropy_writes_it(more):
     """Plain values without the half of astropy, anything else with it."""
+    if isinstance(more, np.str_) and not minversion("astropy", "7.2"):
+        pytest.skip("this astropy cannot write NumPy's text in metadata itself")
     table = Table({"b": [1.0, 2.0], "a": ["x", "é"], "c": MaskedColumn([True, False], mask=[0, 1]), "d": [[1], [2]]})
     table["b"].unit, table["b"].format = u.mas / u.yr, ".3f"
     table["b"].description = "with #: and 'quotes', and so long that it has to go on in the line after, " * 2

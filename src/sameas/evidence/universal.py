@@ -58,7 +58,6 @@ def expectation(integrand: Integrand, pairs: int, k: int, relative_error: float,
     ------
     InputError : the values are negative or not finite, or zero around every pair.
     """
-    _require_scipy()
     f, rows = _Checked(integrand, density), np.arange(pairs)
     if k > 2:
         value, error, bound = _scrambled(f, rows, k, relative_error, seed, MOST)
@@ -144,13 +143,6 @@ def _scrambled(
         error[going] = np.divide(spread, middle, out=np.full(len(going), np.inf), where=middle > 0.0)
         going, n = going[error[going] > relative_error], int(drawn.max())
     return total.mean(axis=0) / drawn, error, 1.0 / (SCRAMBLES * int(drawn.max(initial=1)))
-
-
-def _require_scipy() -> None:
-    import scipy.integrate
-
-    if not hasattr(scipy.integrate, "cubature"):
-        raise InputError("Universal: densities that are functions need SciPy 1.15 or later: pip install 'scipy>=1.15'")
 
 
 @in_short
