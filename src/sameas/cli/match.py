@@ -300,8 +300,8 @@ def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quie
         written = [outputs.write(table, facts, joining.join)]
         if joining.blends is not None:
             pace("blends")
-            told = match.blends(joining.blends)
-            written = [*blends_lines(told, joining.blends), "", *written, beside.write(told, facts, "blends")]
+            blended = match.blends(joining.blends)
+            written = [*blends_lines(blended, joining.blends), "", *written, beside.write(blended, facts, "blends")]
     printer(["", *written])
     if joining.pictures is not None:
         printer([f"Pictures: {joining.pictures}/: {', '.join(drawn(match.sky, joining.pictures))}"])

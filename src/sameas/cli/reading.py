@@ -17,7 +17,7 @@ def catalogues(request: Request[Any], printer: Printer, pace: Pace) -> list[Cata
 
     def told(side: int, catalogue: Catalogue) -> None:
         pace.pause()
-        printer([*catalogue_lines(catalogue, side, request.paths[side - 1], partial(_said, request, side)), ""])
+        printer([*catalogue_lines(catalogue, side, request.paths[side - 1], partial(_in_own_terms, request, side)), ""])
         if side < len(request.paths):
             pace(f"reading {request.paths[side]}")
 
@@ -25,6 +25,6 @@ def catalogues(request: Request[Any], printer: Printer, pace: Pace) -> list[Cata
     return request.catalogues(told)
 
 
-def _said(request: Request[Any], side: int, text: str) -> str:
+def _in_own_terms(request: Request[Any], side: int, text: str) -> str:
     """A text on one catalogue, with that catalogue's own options."""
     return in_options(request.words(text, side))

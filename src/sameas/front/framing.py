@@ -124,12 +124,12 @@ def _solution(frame: Frame) -> Any:
 
 
 def _scale(frame: Frame, wcs: Any) -> tuple[float, float] | None:
-    outcome = frame.facts.scale_arcsec_per_px
-    if math.isfinite(outcome) and outcome > 0:
-        return outcome * (1 - LOOSE), outcome * (1 + LOOSE)
+    scale = frame.facts.scale_arcsec_per_px
+    if math.isfinite(scale) and scale > 0:
+        return scale * (1 - LOOSE), scale * (1 + LOOSE)
     if wcs is not None:
-        outcome = Pointing.of_wcs(wcs, frame.shape).scale_arcsec
-        return outcome * (1 - CLOSE), outcome * (1 + CLOSE)
+        scale = Pointing.of_wcs(wcs, frame.shape).scale_arcsec
+        return scale * (1 - CLOSE), scale * (1 + CLOSE)
     return None
 
 
@@ -312,11 +312,11 @@ def found_on(
         faintest=request.faintest,
     )
     if moves and moment is None and request.motion:
-        outcome = (
+        text = (
             "doubt: the header has no time of the exposure (DATE-OBS, MJD-OBS, JD), so the stars were left where they "
             f"are at {stars.epoch_jyr:.1f}; "
         )
-        found = replace(found, notes=(*found.notes, Message(outcome, naming("say {time:DATE}"))))
+        found = replace(found, notes=(*found.notes, Message(text, naming("say {time:DATE}"))))
     return found, stars
 
 
@@ -393,8 +393,8 @@ def _kept_catalogue(key: _Key, progress: Progress = lambda stage: None) -> Catal
         name, columns, near, faintest = key
         while len(_catalogues) >= 4:
             _catalogues.pop(next(iter(_catalogues)))
-        pointing = CatalogueOptions(**json.loads(columns))
-        _catalogues[key] = catalogue(name, near, pointing, faintest=faintest, progress=progress)
+        options = CatalogueOptions(**json.loads(columns))
+        _catalogues[key] = catalogue(name, near, options, faintest=faintest, progress=progress)
     return _catalogues[key]
 
 

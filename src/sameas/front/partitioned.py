@@ -44,8 +44,7 @@ class PartitionedMatch:
     workers: int | None = None
 
     def __post_init__(self) -> None:
-        said = (f"{one.parameter}{side}" for one in FILE_OPTIONS for side in ("", 1, 2))
-        for name in said:
+        for name in (f"{one.parameter}{side}" for one in FILE_OPTIONS for side in ("", 1, 2)):
             if self.request.columns.get(name) is not None:
                 raise InputError(f"{name}: HATS catalogues are Parquet files, nothing is to be said of their format",
                                  "leave it out")  # fmt: skip

@@ -64,7 +64,7 @@ class Instants:
         first = span_s[0] if self.begin is None else _time(self.begin, "begin", span_s)
         last = span_s[1] if self.end is None else _time(self.end, "end", span_s)
         if first > last:
-            words = Message("the picture would be from ", self._said(first, last), ": it ends before it begins")
+            words = Message("the picture would be from ", self._in_words(first, last), ": it ends before it begins")
             raise InputError(words)
         if self.every_s is not None and (last - first) / self.every_s >= MOST_INSTANTS:
             times = f" makes {count(round((last - first) / self.every_s))} instants from {span(first, last)}"
@@ -73,7 +73,7 @@ class Instants:
         step = next((step for step in STEPS_S if (last - first) / step <= ENOUGH), (last - first) / ENOUGH)
         return instants((first, last), self.every_s or step)
 
-    def _said(self, first_s: float, last_s: float) -> Message:
+    def _in_words(self, first_s: float, last_s: float) -> Message:
         begin, end = span(first_s, last_s).split(" to ", 1)
         given = [Message(" (", Argument(name, str(value)), ")") if value else ""
                  for name, value in (("begin", self.begin), ("end", self.end))]  # fmt: skip
@@ -161,8 +161,12 @@ class MatchPicture:
     @property
     def doubts(self) -> tuple[str, ...]:
         """What looks wrong, a sentence each: alarms, then what is in doubt."""
-        said = self.picture.summary
-        return (*(f"ALARM {alarm}" for alarm in (*said.alarms, *said.faults)), *self.source_doubts, *said.notes)
+        summary = self.picture.summary
+        return (
+            *(f"ALARM {alarm}" for alarm in (*summary.alarms, *summary.faults)),
+            *self.source_doubts,
+            *summary.notes,
+        )
 
     @cached_property
     def objects(self) -> Table:
@@ -242,9 +246,9 @@ class MatchPicture:
     @property
     def headline(self) -> str:
         """What it is, in one line."""
-        said = self.picture.summary
-        times = f"{counted(said.instants, 'instant')}, {span(said.first_s, said.last_s)}"
-        confirmed = counted(sum(said.by_sources), "confirmed object")
+        summary = self.picture.summary
+        times = f"{counted(summary.instants, 'instant')}, {span(summary.first_s, summary.last_s)}"
+        confirmed = counted(sum(summary.by_sources), "confirmed object")
         return f"Picture of {listed([one.description.name for one in self.sources])}: {confirmed}; {times}"
 
     def __repr__(self) -> str:
@@ -263,16 +267,18 @@ class MatchPicture:
 
     def told(self) -> dict[str, Any]:
         """The summary as JSON has it."""
-        said = self.picture.summary
+        summary = self.picture.summary
         return {
             "sources": [_source(source) for source in self.sources],
-            "instants": said.instants, "first_s": said.first_s, "last_s": said.last_s,
-            "confirmed_objects_by_number_of_sources": list(said.by_sources), "unconfirmed_objects": said.unconfirmed,
-            "objects_per_instant": said.detected, "expected_wrong_per_instant": said.expected_wrong,
-            "ambiguous_groups_per_instant": said.ambiguous_groups, "places": asdict(said.places),
-            "alarms": [str(alarm) for alarm in (*said.alarms, *said.faults)],
-            "doubts": [*self.source_doubts, *said.notes],
-            "offsets": [_offset(found) for found in self.biases], "misses": [asdict(misses) for misses in said.misses],
+            "instants": summary.instants, "first_s": summary.first_s, "last_s": summary.last_s,
+            "confirmed_objects_by_number_of_sources": list(summary.by_sources),
+            "unconfirmed_objects": summary.unconfirmed,
+            "objects_per_instant": summary.detected, "expected_wrong_per_instant": summary.expected_wrong,
+            "ambiguous_groups_per_instant": summary.ambiguous_groups, "places": asdict(summary.places),
+            "alarms": [str(alarm) for alarm in (*summary.alarms, *summary.faults)],
+            "doubts": [*self.source_doubts, *summary.notes],
+            "offsets": [_offset(found) for found in self.biases],
+            "misses": [asdict(misses) for misses in summary.misses],
             "assumed": [asdict(line) for source in self.sources for line in source.description.assumed],
         }  # fmt: skip
 
@@ -465,13 +471,13 @@ def match_picture(
     >>> sorted(set(picture.pairs["object"].tolist()))
     [1]
     """
-    said = {
+    stated = {
         "sensors": sensors, "every": every, "at": at, "begin": begin, "end": end, "start": start, "without": without,
         "registration": registration, "identity": identity, "memory": memory,
     }  # fmt: skip
     alone = isinstance(sources, str | os.PathLike)
     given = [sources] if alone else list(sources.values() if isinstance(sources, Mapping) else sources)
-    call = call_text(match_picture, given, said)
+    call = call_text(match_picture, given, stated)
     if at is not None and (every or begin or end):
         raise InputError("match_picture: give at, or every with begin and end, not both")
     described = read_source_options(Path(sensors)) if sensors is not None else {}

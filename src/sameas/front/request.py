@@ -32,7 +32,7 @@ class Request(Generic[Options]):
 
     sources : two or more: paths, or whatever :func:`sameas.front.tables.table_of` takes, or catalogues. options : of
     the match. columns : options of the catalogues as they were said, by parameter: ``sigma`` is that of all, ``sigma2``
-    that of the second. said_names : the catalogues' names in messages, where the user says them.
+    that of the second. given_names : the catalogues' names in messages, where the user says them.
     """
 
     sources: tuple[Any, ...]
@@ -107,10 +107,10 @@ class Request(Generic[Options]):
         return understood
 
     def _refuse_options(self, side: int, name: str) -> None:
-        in_own_terms = [one.parameter for one in SIDE_OPTIONS if self.columns.get(f"{one.parameter}{side}") is not None]
-        if in_own_terms:
+        stated = [one.parameter for one in SIDE_OPTIONS if self.columns.get(f"{one.parameter}{side}") is not None]
+        if stated:
             raise InputError(
-                f"{name}: it is a Catalogue, understood already, so {in_own_terms[0]}{side} changes nothing",
+                f"{name}: it is a Catalogue, understood already, so {stated[0]}{side} changes nothing",
                 "say it with CatalogueOptions, or give its table",
             )
 

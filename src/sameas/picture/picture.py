@@ -158,10 +158,10 @@ class Picture:
             tallies.append(Tally.of(state))
             texts |= {(k, number): str(state.explain(number)) for number in _to_explain(state, explained)}
         assert state is not None
-        table, told = (with_degrees(gathered(columns), scene.plane) for columns in (objects, records))
-        faults = (*source_faults(scene.feeds), *deceptions(scene.feeds, told))
+        table, records_table = (with_degrees(gathered(columns), scene.plane) for columns in (objects, records))
+        faults = (*source_faults(scene.feeds), *deceptions(scene.feeds, records_table))
         return cls(
-            times, table, told, Summary.of(scene, table, tallies, biases, state.scan.tuning, faults), texts,
+            times, table, records_table, Summary.of(scene, table, tallies, biases, state.scan.tuning, faults), texts,
             scene.plane, state.watch,
         )  # fmt: skip
 

@@ -118,12 +118,12 @@ def boat_radar(
     bias = Bias(range_m=20.0, azimuth_deg=3.0) if bias is None else bias
     plane, span_s = LocalPlane.about(*(np.array([each]) for each in MIDDLE)), 60.0 * minutes
     turns = np.arange(0.0, span_s, TURN_S)
-    told = common + moored + unseen
-    vessels, boat = _Hulls.drawn(told + silent, rng), _Hulls.drawn(1, rng, 500.0)
+    named = common + moored + unseen
+    vessels, boat = _Hulls.drawn(named + silent, rng), _Hulls.drawn(1, rng, 500.0)
     vessels.speed[common : common + moored], boat.speed[:] = 0.0, rng.uniform(2.5, 5.0)
     since = turns - span_s / 2.0
     station = boat.at(np.zeros(len(turns), np.int64), since)[0]
-    rows = np.concatenate([np.arange(common + moored), np.arange(told, told + silent)])
+    rows = np.concatenate([np.arange(common + moored), np.arange(named, named + silent)])
     echoes = [
         _hull_echoes(vessels, rows.astype(np.int64), station, since, rng), _shore(station, rng), _sea(station, rng)
     ]  # fmt: skip
@@ -148,7 +148,7 @@ def boat_radar(
     read_m = away * (1.0 + bias.range_gain) + bias.range_m + RANGE_M * rng.normal(size=len(look))
     columns["range_m"] = np.maximum(read_m, 1.0)
     radar = Reports.of("radar", "table", {name: column[order] for name, column in columns.items()})
-    ais, mmsi = _ais(vessels, told, since, span_s, plane, rng)
+    ais, mmsi = _ais(vessels, named, since, span_s, plane, rng)
     described = (
         Description("radar", "marine radar", coverage=SensorCoverage(range_m=REACH_M), timing=Timing(period_s=TURN_S)),
         Description("ais", "ais"),

@@ -251,9 +251,9 @@ class GrowingFeed:
             return
         rows, taken = self._rows, np.flatnonzero(self._rows.taken)
         if len(taken) > self.tuning.measured_fewest + len(np.unique(rows.number[taken])):
-            told = States(rows.time_s, rows.measured, rows.measured_covariance, rows.number, np.arange(len(rows)))
+            measured = States(rows.time_s, rows.measured, rows.measured_covariance, rows.number, np.arange(len(rows)))
             self.to_tracks = measures_anew(
-                told.take(taken), acceleration_m2_per_s3=walk_of(self.description), tuning=self.tuning
+                measured.take(taken), acceleration_m2_per_s3=walk_of(self.description), tuning=self.tuning
             )
 
     def _add_to_tracks(self, new: _Rows) -> None:
@@ -301,12 +301,12 @@ class GrowingFeed:
     def _measured_anew(self, new: _Rows, own: IntArray) -> BoolArray:
         """(n,) whether a report has a position of its own, and does not repeat that of the one before."""
         rows = self._rows
-        told = States(
+        measured = States(
             np.concatenate([rows.time_s[own], new.time_s]), np.concatenate([rows.measured[own], new.measured]),
             np.concatenate([rows.measured_covariance[own], new.measured_covariance]),
             np.concatenate([rows.number[own], new.number]), np.arange(len(own) + len(new)),
         )  # fmt: skip
-        anew, _ = position_updates(told, self.tuning)
+        anew, _ = position_updates(measured, self.tuning)
         return np.asarray(anew.usable[len(own) :])
 
     def _split_ids(self, new: _Rows, own: IntArray) -> None:
