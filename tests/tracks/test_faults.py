@@ -7,7 +7,7 @@ import pytest
 
 from sameas.io.sensors.clock import unwrapped
 from sameas.simulate.boat_radar import boat_radar
-from sameas.tracks.faults import source_faults
+from sameas.tracks.faults import Fault, source_faults
 from sameas.tracks.scene import Scene
 
 
@@ -67,6 +67,12 @@ def test_a_source_that_floods_is_told():
     burst = np.flatnonzero(np.abs(radar.time_s - radar.time_s.mean()) < 10.0)
     rows = np.sort(np.concatenate([np.arange(len(radar)), np.repeat(burst, 20)]))
     assert found((described, radar.where(rows)), ais) == [("flood", "radar")]
+
+
+@pytest.mark.parametrize(("log_odds", "p"), [(-2000.0, 0.0), (0.0, 0.5), (2000.0, 1.0)])
+def test_evidence_of_any_size_is_a_probability(log_odds, p):
+    # One track that stands still among hundreds that move is evidence of this size against a frozen source.
+    assert Fault("frozen", "radar", 0.0, 1.0, log_odds, "").probability == p
 
 
 def counted(reports, pauses):

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import expit
 
 from sameas.arrays import FloatArray
 from sameas.tracks.alignment import States
@@ -41,7 +42,7 @@ class Fault:
     @property
     def probability(self) -> float:
         """Of the fault."""
-        return 1.0 / (1.0 + math.exp(-min(self.log_odds, 700.0)))
+        return float(expit(self.log_odds))
 
     def __str__(self) -> str:
         sure = "more than 0.999" if self.probability > 0.999 else f"{self.probability:.3f}"
@@ -49,7 +50,7 @@ class Fault:
 
 
 def source_faults(feeds: Sequence[Feed]) -> tuple[Fault, ...]:
-    """The faults of the sources of a scene that are more probable than ``fault_probability``, in the order of time."""
+    """The faults of the sources of a scene that are more probable than ``sure_fault``, in the order of time."""
     found = [fault for feed in feeds for fault in _faults(feed, feeds) if fault.probability > feed.tuning.sure_fault]
     return tuple(sorted(found, key=lambda fault: fault.first_s))
 
