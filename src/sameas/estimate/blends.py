@@ -20,12 +20,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.estimate.coverage import Coverage
 from sameas.evidence import Errors
 from sameas.gate import Radius
+from sameas.gaussian import log_density
 from sameas.records import Records
 from sameas.representation import in_short
 
@@ -232,11 +235,7 @@ def _of_one_record(i: IntArray) -> tuple[IntArray, IntArray]:
 
 def _log_densities(residual: FloatArray, covariance: FloatArray, errors: Errors) -> FloatArray:
     """(m, s) ln N of residuals (m, d) by every scale of the errors."""
-    d = residual.shape[1]
-    square = np.einsum("md,md->m", residual, np.linalg.solve(covariance, residual[:, :, None])[:, :, 0])
-    peak = -0.5 * (np.linalg.slogdet(covariance)[1] + d * math.log(2.0 * math.pi))
-    scales = np.asarray(errors.scales)
-    return np.asarray(peak[:, None] - d * np.log(scales) - 0.5 * square[:, None] / scales**2)
+    return np.stack([log_density(residual, scale**2 * covariance) for scale in errors.scales], axis=1)
 
 
 def log_odds_of(
@@ -303,25 +302,13 @@ def hypotheses(
 def _groups(found: Candidates, n1: int) -> IntArray:
     """(o,) number of the group of each candidate: of records that compete, or that a couple's objects tie."""
     two = found.k >= 0
-    by_object = [found.j, found.k[two]]
-    by_record = [found.i, found.i[two]]
+    records, objects = np.concatenate([found.i, found.i[two]]), n1 + np.concatenate([found.j, found.k[two]])
     # A couple shown apart counts once: whoever has the one is of one group with whoever has the other.
-    label = np.arange(n1)
-    n2 = int(max(found.j.max(), found.k.max(), found.couples.max(initial=0))) + 1
-    objects, records = np.concatenate(by_object), np.concatenate(by_record)
-    while True:
-        of_object = np.full(n2, n1)
-        np.minimum.at(of_object, objects, label[records])
-        a, b = found.couples.T if len(found.couples) else (np.empty(0, np.int64),) * 2
-        both = np.minimum(of_object[a], of_object[b])
-        held = (of_object[a] < n1) & (of_object[b] < n1)
-        for side in (a, b):
-            np.minimum.at(of_object, side[held], both[held])
-        new = label.copy()
-        np.minimum.at(new, records, of_object[objects])
-        if np.array_equal(new, label):
-            return label[found.i]
-        label = new
+    couples = n1 + found.couples[np.isin(found.couples + n1, objects).all(axis=1)]
+    one, other = np.concatenate([records, couples[:, 0]]), np.concatenate([objects, couples[:, 1]])
+    n = int(max(one.max(), other.max())) + 1
+    part = connected_components(coo_array((np.ones(len(one), np.bool_), (one, other)), (n, n)), directed=False)[1]
+    return np.asarray(part[found.i])
 
 
 def _enumerated(
@@ -351,15 +338,15 @@ def _enumerated(
                 yield log_weight + rest, (place, *others)
 
     lists = list(options.values())
-    told = list(walked(0, frozenset(), ()))
-    weight = np.array([log_weight for log_weight, _ in told])
+    ways = list(walked(0, frozenset(), ()))
+    weight = np.array([log_weight for log_weight, _ in ways])
     weight = np.exp(weight - weight.max())
     weight /= weight.sum()
     p = np.zeros(len(rows))
-    for share, (_, places) in zip(weight, told, strict=True):
+    for share, (_, places) in zip(weight, ways, strict=True):
         p[list(places)] += share
     chosen = np.zeros(len(rows), np.bool_)
-    chosen[list(told[int(np.argmax(weight))][1])] = True
+    chosen[list(ways[int(np.argmax(weight))][1])] = True
     return p, chosen
 
 
