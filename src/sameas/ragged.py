@@ -5,10 +5,12 @@ Row k owns the entries ``start[k]`` … ``start[k + 1] − 1`` of all columns th
 - :class:`Ragged`: the rows of given sizes, or of entries that are sorted by row; the row of each entry and its number
   within it.
 - :func:`ranges`: all whole numbers of several ranges, and which range each belongs to.
+- :func:`flattened`: the same of several lists, as a k-d tree gives neighbours.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -82,3 +84,15 @@ def ranges(first: IntArray, size: IntArray) -> tuple[IntArray, IntArray]:
     """
     rows = Ragged.of_sizes(size)
     return rows.row, rows.value(first)
+
+
+def flattened(lists: Sequence[Sequence[int]]) -> tuple[IntArray, IntArray]:
+    """Row and value of each entry of lists of whole numbers, one after the other.
+
+    Example
+    -------
+    >>> flattened([[7, 8], [], [4]])
+    (array([0, 0, 2]), array([7, 8, 4]))
+    """
+    rows = Ragged.of_sizes([len(each) for each in lists])
+    return rows.row, np.concatenate([np.empty(0, np.int64), *(np.asarray(each, np.int64) for each in lists)])

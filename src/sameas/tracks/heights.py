@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 from sameas.arrays import FloatArray, IntArray
 from sameas.gate import ChiSquare
 from sameas.gaussian import mahalanobis_sq
+from sameas.ragged import flattened
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions, heights_by_elevation
 from sameas.tracks.reports import Reports
@@ -328,9 +329,7 @@ def _near(one: Snapshot, two: Snapshot, tuning: HeightTuning) -> tuple[IntArray,
     """Rows of two snapshots that are near each other in position."""
     limit = ChiSquare(tuning.near).limit(2)
     widest = np.sqrt(limit * (_usual(one) + _usual(two)))
-    near = cKDTree(two.state[:, :2]).query_ball_point(one.state[:, :2], float(widest))
-    i = np.repeat(np.arange(len(near)), [len(each) for each in near])
-    j = np.concatenate([np.empty(0, np.int64), *(np.asarray(each, np.int64) for each in near)])
+    i, j = flattened(cKDTree(two.state[:, :2]).query_ball_point(one.state[:, :2], float(widest)))
     delta = one.state[i, :2] - two.state[j, :2]
     keep = mahalanobis_sq(delta, one.covariance[i, :2, :2] + two.covariance[j, :2, :2]) < limit
     return i[keep], j[keep]

@@ -29,8 +29,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import FloatArray, IntArray
 from sameas.gaussian import LOG_2PI, inverse
+from sameas.ragged import flattened
+from sameas.registration.offsets import RADIAN
 from sameas.tracks.alignment import States, Succession, moved
 from sameas.tracks.bias_fit import BiasFit
 from sameas.tracks.biases import AZIMUTH, EAST, GAIN, NORTH, RANGE, TIME
@@ -38,7 +40,6 @@ from sameas.tracks.common_scans import bias_widths
 from sameas.tracks.feed import Feed
 from sameas.tracks.tuning import Tuning
 
-RADIAN = np.pi / 180.0
 #: The biases of a radar's plots, in the order of BIASES.
 FITTED = (RANGE, AZIMUTH, GAIN, TIME)
 
@@ -115,15 +116,6 @@ class Candidates:
     scans: FloatArray
     lasting_m2: float
     frame: FloatArray
-
-    def of_track(self, number: int) -> Candidates:
-        """Those of one track."""
-        return self.take(self.track == number)
-
-    def take(self, which: BoolArray) -> Candidates:
-        """Some of them."""
-        names = ("plot", "track", "residual", "jacobian", "variance", "background", "frame")
-        return replace(self, **{name: getattr(self, name)[which] for name in names})
 
 
 def candidates(plots: Plots, feed: Feed, partners: Sequence[Feed], tuning: Tuning) -> Candidates:
@@ -225,9 +217,7 @@ def _background(plots: Plots, rows: IntArray, tuning: Tuning) -> FloatArray:
     looks = plots.time_s[_first_of_scans(plots)]
     width = np.sqrt(2.0 * plots.variance[rows]) + tuning.echo_m
     frame = _sight(plots.place[rows] - plots.sensor[rows])[2]
-    near = tree.query_ball_point(plots.place[rows], 3.0 * width.max(axis=1), return_sorted=False)
-    owner = np.repeat(np.arange(len(rows)), [len(each) for each in near])
-    other = np.concatenate([np.asarray(each, np.int64) for each in near])
+    owner, other = flattened(tree.query_ball_point(plots.place[rows], 3.0 * width.max(axis=1), return_sorted=False))
     apart_s = np.abs(plots.time_s[other] - plots.time_s[rows[owner]])
     kept = (apart_s >= tuning.gone_s) & (apart_s <= tuning.stays_s)
     owner, other = owner[kept], other[kept]
