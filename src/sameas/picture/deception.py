@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import ranges
-from sameas.tracks.faults import Fault
+from sameas.tracks.faults import Fault, log_odds_of_silence
 from sameas.tracks.feed import LASTING, Feed
 
 
@@ -186,7 +186,7 @@ def _silent(
     silent_s = min(seen_until, end) - float(times[-1])
     if silent_s < tuning.silent_s or not sensors:
         return
-    log_odds = silent_s / longest * math.log(len(pauses)) - math.log(len(pauses)) + math.log(tuning.silent_odds)
+    log_odds = log_odds_of_silence(silent_s, longest, len(pauses), tuning.silent_odds)
     name = feeds[own.source].description.name
     words = (
         f"{name}: {own.track} has gone silent: {' and '.join(sorted(sensors))} saw it for {silent_s:.0f} s more, its "

@@ -104,14 +104,21 @@ def _ended(feed: Feed, feeds: Sequence[Feed]) -> Iterator[Fault]:
     longest = max(float(pauses.max()), feed.description.timing.period_s or 0.0)
     if silent_s < max(feed.tuning.ended_s, feed.tuning.ended_share * (end - begin)):
         return
-    # Pauses as long as the longest come once in all; longer ones fall off as an exponential does.
-    log_odds = silent_s / longest * math.log(len(pauses)) - math.log(len(pauses)) + math.log(feed.tuning.fault_prior)
+    log_odds = log_odds_of_silence(silent_s, longest, len(pauses), feed.tuning.fault_prior)
     name = feed.description.name
     words = (
         f"{name}: ends {silent_s:.0f} s before the others, its longest pause before was {longest:.3g} s; what it "
         "showed is unseen from then on, not gone"
     )
     yield Fault("ended", name, float(times[-1]), end, log_odds, words)
+
+
+def log_odds_of_silence(silent_s: float, longest_s: float, pauses: int, prior: float) -> float:
+    """ln of the odds that a silence is the end, by the longest of so many pauses before and its odds beforehand.
+
+    Pauses as long as the longest come once in all; longer ones fall off as an exponential does.
+    """
+    return (silent_s / longest_s - 1.0) * math.log(pauses) + math.log(prior)
 
 
 def _places(reports: Reports) -> FloatArray | None:
