@@ -13,6 +13,7 @@ import sameas
 from sameas.errors import InputError
 from sameas.front.framing import FrameRequest, PointingOptions
 from sameas.front.provenance import program
+from sameas.report.prose import counted
 
 #: Tracklets of at least this probability are measured in the pixels, which may raise it.
 FAINT = 0.02
@@ -180,8 +181,7 @@ def _frame_request(request: SeriesRequest, path: str, name: str) -> FrameRequest
 def _link_words(found: Any, known: Any) -> str:
     names = [] if known is None else [known.name(k) for k in range(len(found)) if known.object[k] >= 0]
     shown = ", ".join(names[:3]) + (" …" if len(names) > 3 else "")
-    candidates = f"{len(found)} {'candidate' if len(found) == 1 else 'candidates'}"
-    return f"What moves: {candidates}{f', {shown} among them' if names else ''}"
+    return f"What moves: {counted(len(found), 'candidate')}{f', {shown} among them' if names else ''}"
 
 
 def _drawn(folder: Path, found: Any, series: Any, pixels: Any, known: Any) -> list[str]:

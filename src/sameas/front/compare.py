@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.front.explain import Lines
-from sameas.report.explain import probability
 from sameas.report.prose import count, entry, moment
 from sameas.report.written import source_numbers, texts_of
+from sameas.result.explanation import probability_text
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -100,7 +100,7 @@ def _lines(first: _Objects, second: _Objects, shared: set[Record]) -> Iterator[s
                 others = sorted(members - {record})
                 words = " = ".join(map(_called, others)) if others else "no partner"
                 p = one.probability.get(one.of[record])
-                yield from entry(one.title[:20], words + ("" if p is None else f", probability {probability(p)}"))
+                yield from entry(one.title[:20], words + ("" if p is None else f", probability {probability_text(p)}"))
     if shown > LISTED:
         yield ""
         yield f"and {count(shown - LISTED)} more"

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sameas.report.prose import WIDTH, entry
-from sameas.result.explanation import Competitor, Explanation
+from sameas.result.explanation import Competitor, Explanation, probability_text
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.crossmatch import SkyMatch
 
@@ -32,7 +32,7 @@ def explanation_lines(match: SkyMatch, explanation: Explanation, source: int) ->
     when = "" if match.epoch_jyr is None else f" at {match.epoch_jyr:.2f}"
     sizes = f"{explanation.records[0]} of {match.first.name} and {explanation.records[1]} of {match.second.name}"
     lines = [
-        f"{head} {who}, probability {probability(chosen.probability)}",
+        f"{head} {who}, probability {probability_text(chosen.probability)}",
         *where,
         *entry("group", f"{explanation.group}: {sizes}; probabilities by {explanation.method}"),
         "",
@@ -63,7 +63,7 @@ def _answers(competitors: Sequence[Competitor], other: Catalogue) -> list[str]:
     row_of = {str(name): row for row, name in enumerate(other.ids)}
     for name, c in zip(ids, competitors, strict=True):
         mark = "→" if c.chosen else " "
-        line = f"  {mark} {name:{wide}}{probability(c.probability):>13}{_times(c.cost):>12}"
+        line = f"  {mark} {name:{wide}}{probability_text(c.probability):>13}{_times(c.cost):>12}"
         if c.id is not None:
             line += _candidate(c, other, row_of[name])
         lines.append(line.rstrip())
@@ -103,10 +103,3 @@ def _brightness(catalogue: Catalogue, row: int) -> str:
     if catalogue.magnitude is None or not np.isfinite(catalogue.magnitude[row]):
         return "not known"
     return f"{catalogue.magnitude_name} {catalogue.magnitude[row]:.2f}"
-
-
-def probability(p: float) -> str:
-    """A probability; close to 1 as its distance from it."""
-    if p > 0.9999:
-        return f"1 − {1 - p:.0e}" if p < 1 else "1"
-    return f"{p:.4f}" if p > 1e-3 else f"{p:.1e}"

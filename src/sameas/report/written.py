@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, IntArray
 from sameas.errors import InputError
-from sameas.report.explain import probability
 from sameas.report.prose import count, entry, moment
+from sameas.result.explanation import probability_text
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -42,7 +42,7 @@ def match_lines(table: Table, facts: Mapping[str, Any], record: str, source: int
     partner = None if _is_absent(table, "p_match", best) else _called(table, facts, best, 3 - source)
     p = _value(table, "p_none" if partner is None else "p_match", best)
     who = "has no partner" if partner is None else f"is {other} {partner}"
-    lines = [f"{mine} {words} {who}, probability {probability(float(p))}", *_where(table, facts, best, source)]
+    lines = [f"{mine} {words} {who}, probability {probability_text(float(p))}", *_where(table, facts, best, source)]
     if partner is None and not _value(table, "n_within", best):
         covered = bool(_value(table, "covered", best))
         return [*lines, *entry("candidates", "none" if covered else f"none: {other} does not look there")]
@@ -71,7 +71,7 @@ def _answers(table: Table, facts: Mapping[str, Any], rows: IntArray, best: int, 
         answers["no partner"] = float(alone), ""
     wide = max(map(len, answers))
     order = sorted(answers.items(), key=lambda answer: -answer[1][0])
-    return [f"    {name:{wide}}  {probability(p):>10}  {details}".rstrip() for name, (p, details) in order]
+    return [f"    {name:{wide}}  {probability_text(p):>10}  {details}".rstrip() for name, (p, details) in order]
 
 
 def _side_of(table: Table, facts: Mapping[str, Any], row: int) -> int:
@@ -94,15 +94,17 @@ def many_lines(table: Table, facts: Mapping[str, Any], record: str, source: int,
     others = [name for name in members(row) if name != mine]
     who = f"is {' = '.join(others)}" if others else "has no partner in any catalogue"
     p = float(_value(table, "p_object", row))
-    lines = [f"{mine} {who}, probability {probability(p)}", *_where(table, facts, row, source)]
+    lines = [f"{mine} {who}, probability {probability_text(p)}", *_where(table, facts, row, source)]
     if (chi_sq := _value(table, "chi_sq", row)) is not None:
         free = 2 * (len(members(row)) - 1)
         lines += entry("residuals", f"χ² {chi_sq:.2f} of {free} degrees of freedom, by the quoted errors")
     if (second := _value(table, "runner_up", row)) is not None:
-        lines += entry("next best", f"{second}, probability {probability(float(_value(table, 'p_runner_up', row)))}")
+        lines += entry(
+            "next best", f"{second}, probability {probability_text(float(_value(table, 'p_runner_up', row)))}"
+        )
     rivals = [int(other) for other in _group(table, row, "group_id") if other != row]
     return lines + _competing(
-        [f"{' = '.join(members(other))}, probability {probability(float(_value(table, 'p_object', other)))}"
+        [f"{' = '.join(members(other))}, probability {probability_text(float(_value(table, 'p_object', other)))}"
          for other in rivals]
     )  # fmt: skip
 
@@ -120,7 +122,7 @@ def frame_lines(table: Table, facts: Mapping[str, Any], record: str, source: int
     lines = [f"{mine} is {'a star that is ' * (fate == 'missing')}{fate}"]
     if fate == "identified":
         lines = [f"measurement {number} is {facts['catalogue']} {star}, "
-                 f"probability {probability(float(_value(table, 'p_match', row)))}"]  # fmt: skip
+                 f"probability {probability_text(float(_value(table, 'p_match', row)))}"]  # fmt: skip
         off = f"{_value(table, 'residual_x_px', row):+.2f}, {_value(table, 'residual_y_px', row):+.2f} px"
         east, north = (_value(table, f"residual_{axis}_arcsec", row) for axis in ("east", "north"))
         far = f"{_value(table, 'distance_sigma', row):.2f} σ"
@@ -131,10 +133,10 @@ def frame_lines(table: Table, facts: Mapping[str, Any], record: str, source: int
                   if _value(table, name, row) is not None]  # fmt: skip
     lines += entry("magnitude", ", ".join(magnitudes)) if magnitudes else []
     if (alone := _value(table, "p_none", row)) is not None:
-        lines += entry("no partner", f"probability {probability(float(alone))}")
+        lines += entry("no partner", f"probability {probability_text(float(alone))}")
     second = _value(table, "second_star" if number is not None else "second_measurement", row)
     if second is not None:
-        lines += entry("next best", f"{second}, probability {probability(float(_value(table, 'p_second', row)))}")
+        lines += entry("next best", f"{second}, probability {probability_text(float(_value(table, 'p_second', row)))}")
     if (seen := _value(table, "p_detect", row)) is not None:
         lines += entry("to be seen", f"the frame shows {100 * float(seen):.0f} % of stars so bright")
     return lines + (entry("remark", str(_value(table, "remark", row))) if _value(table, "remark", row) else [])
@@ -149,8 +151,8 @@ def picture_lines(objects: Table, records: Table, record: str, source: str | Non
     if source is not None:
         at, mine, details = _record_of(records, record, source, at_s)
         number = int(records["object"][at])
-        head = [f"{mine} is of object {number}, probability {probability(float(records['p_object'][at]))}; "
-                f"of no other record {probability(float(records['p_alone'][at]))}", *details, ""]  # fmt: skip
+        head = [f"{mine} is of object {number}, probability {probability_text(float(records['p_object'][at]))}; "
+                f"of no other record {probability_text(float(records['p_alone'][at]))}", *details, ""]  # fmt: skip
         return head + _object(objects, records, number, float(records["time_s"][at]))
     names = [name for name in ("label", "mmsi", "icao", "callsign", "name") if name in objects.colnames]
     known = texts_of(objects["object"]) == record.strip()
@@ -188,16 +190,16 @@ def _object(objects: Table, records: Table, number: int, when: float) -> list[st
     if _value(objects, "probability", row) is None:
         return [*lines, *entry("records", "none now: its place is predicted from what was seen before")]
     lines += entry("records", str(_value(objects, "members", row)))
-    lines += entry("probability", probability(float(_value(objects, "probability", row))))
+    lines += entry("probability", probability_text(float(_value(objects, "probability", row))))
     if _value(objects, "p_runner_up", row) is not None and _value(objects, "runner_up", row):
-        p = probability(float(_value(objects, "p_runner_up", row)))
+        p = probability_text(float(_value(objects, "p_runner_up", row)))
         lines += entry("next best", f"{_value(objects, 'runner_up', row)}, probability {p}")
     mine = (np.asarray(records["object"]) == number) & (np.asarray(records["time_s"]) == when)
     for at in np.flatnonzero(mine).tolist():
         track = str(_value(records, "track_id", at) or "")
         age = f"{float(records['age_s'][at]):.0f} s old"
         details = f"row {_value(records, 'row', at)}{f', track {track}' * bool(track)}, {age}"
-        alone = probability(float(records["p_alone"][at]))
+        alone = probability_text(float(records["p_alone"][at]))
         lines += entry(f"  {_value(records, 'source', at)}", f"{details}; no partner anywhere {alone}")
     return lines
 
@@ -276,7 +278,9 @@ def _pair(table: Table, facts: Mapping[str, Any], row: int, names: Sequence[str]
     there = [k for k in (1, 2) if not _is_absent(table, facts[f"ra_column_{k}"], row)]
     called = " = ".join(f"{names[k - 1]} {_called(table, facts, row, k)}" for k in there)
     p = _value(table, "p_match" if len(there) == 2 else "p_none", row)
-    return f"{called}{' alone' * (len(there) == 1)}" + ("" if p is None else f", probability {probability(float(p))}")
+    return f"{called}{' alone' * (len(there) == 1)}" + (
+        "" if p is None else f", probability {probability_text(float(p))}"
+    )
 
 
 def _group(table: Table, row: int, column: str) -> IntArray:
