@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from sameas.errors import InputError
 from sameas.representation import in_short
 from sameas.sky.frame.observation import Cards, Station, aim, middle, station
+from sameas.space import ARCSEC_PER_RADIAN
 
 if TYPE_CHECKING:
     from astropy.io.fits import Header
@@ -43,7 +44,6 @@ _SCALE_NAMES = (
 _CALLED = {"gain_e_per_adu": "gain", "read_noise_e": "read noise", "saturation_adu": "saturation"}
 #: Highest gain, e⁻ per ADU; a larger value of GAIN is a setting of the camera (chosen).
 _HIGHEST_GAIN = 30.0
-_ARCSEC_PER_RADIAN = 206264.80624709636
 
 
 @dataclass(frozen=True)
@@ -233,7 +233,7 @@ def _scale(cards: Cards) -> tuple[float, tuple[str, ...]]:
         return card.number(), (f"scale {card.number():g}″ per pixel ({card.name})",)
     pixel, focus = cards.number(("XPIXSZ", "PIXSIZE1")), cards.number(("FOCALLEN", "FOCUSLEN"))
     if pixel is not None and focus is not None and pixel.number() > 0 and focus.number() > 0:
-        scale = pixel.number() * 1e-3 / focus.number() * _ARCSEC_PER_RADIAN
+        scale = pixel.number() * 1e-3 / focus.number() * ARCSEC_PER_RADIAN
         return scale, (f"scale about {scale:.4g}″ per pixel ({pixel.name} and {focus.name})",)
     plate, scanned = cards.number(["PLTSCALE"]), cards.number(["XPIXELSZ"])
     if plate is not None and scanned is not None:

@@ -18,6 +18,7 @@ from sameas.prior import PerPair
 from sameas.records import Records
 from sameas.sky.movers.orbits import Elements, ephemeris, geocentric_km, near
 from sameas.sky.movers.search import Movers
+from sameas.space import ARCSEC_PER_RADIAN
 
 #: Elements are wrong by more than their age says as often as this many times: predicted places are so much wider.
 _DOUBT = 2.0
@@ -146,4 +147,4 @@ def _plane(ra_deg: FloatArray, dec_deg: FloatArray, ra0: float, dec0: float) -> 
     east = np.cos(dec) * np.sin(ra)
     north = math.cos(middle) * np.sin(dec) - math.sin(middle) * np.cos(dec) * np.cos(ra)
     with np.errstate(divide="ignore"):
-        return 206264.80624709636 * np.stack([east, north], -1) / np.where(depth > 0.1, depth, np.nan)[..., None]
+        return ARCSEC_PER_RADIAN * np.stack([east, north], -1) / np.where(depth > 0.1, depth, np.nan)[..., None]

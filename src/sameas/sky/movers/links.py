@@ -24,11 +24,11 @@ from sameas.groups import laid_out
 from sameas.posterior import posterior
 from sameas.prior import EVIDENCE_ALONE
 from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning
+from sameas.space import ARCSEC_PER_RADIAN
 
 #: ln of the change of brightness that carries no limit where magnitudes are odd: spread evenly over 8 mag.
 _ODD = math.log(1.0 / 8.0)
 
-ARCSEC = 206264.80624709636
 #: Pairs that are weighed at once, which bounds the memory.
 AT_ONCE = 200_000
 #: Share of the detections that have a next one, as believed beforehand (chosen; alerts have 0.3, frames less).
@@ -80,9 +80,9 @@ def _pairs(around: Surroundings, reach: Reach, tuning: Tuning) -> IntArray:
     frames = len(seen.frame_names)
     apart = _frames_apart(around, tuning.misses)
     if apart >= 0.5 * frames:
-        return cKDTree(unit).query_pairs(reach.most() / ARCSEC, output_type="ndarray")
+        return cKDTree(unit).query_pairs(reach.most() / ARCSEC_PER_RADIAN, output_type="ndarray")
     when = seen.frame_mjd * 1440.0
-    radius = reach.most(float((when[apart:] - when[: frames - apart]).max())) / ARCSEC
+    radius = reach.most(float((when[apart:] - when[: frames - apart]).max())) / ARCSEC_PER_RADIAN
     tree = cKDTree(np.column_stack([unit, seen.frame * (radius / apart)]))
     return tree.query_pairs(radius, p=np.inf, output_type="ndarray")
 
@@ -110,7 +110,9 @@ def _weighed(around: Surroundings, model: MotionModel, tuning: Tuning, reach: Re
     chord2 = np.zeros(len(i))
     for axis in unit.T:
         chord2 += (axis[i] - axis[j]) ** 2
-    near = (chord2 < (reach(np.abs(minutes)) / ARCSEC) ** 2) & (seen.frame[i] != seen.frame[j]) & (minutes != 0)
+    near = (
+        (chord2 < (reach(np.abs(minutes)) / ARCSEC_PER_RADIAN) ** 2) & (seen.frame[i] != seen.frame[j]) & (minutes != 0)
+    )
     kept = np.flatnonzero(near)
     later = minutes[kept] < 0
     i, j = np.where(later, j[kept], i[kept]).astype(np.int64), np.where(later, i[kept], j[kept]).astype(np.int64)

@@ -20,6 +20,7 @@ from sameas.sky.movers.rates import (
     reference_rate,
     sun_longitude_deg,
 )
+from sameas.space import ARCSEC_PER_RADIAN
 
 
 @dataclass(frozen=True)
@@ -156,13 +157,13 @@ def _density(detections: Detections, axes: EclipticAxes, neighbours: int) -> Flo
         if b - a > 2:
             k = min(neighbours, b - a - 1)
             at = axes.unit[order[a:b]]
-            reach = cKDTree(at).query(at, k + 1)[0][:, -1] * 206264.80624709636
+            reach = cKDTree(at).query(at, k + 1)[0][:, -1] * ARCSEC_PER_RADIAN
             # The k-th neighbour bounds an area in which k − 1 others lie, on average over places (Poisson).
             out[order[a:b]] = k / (math.pi * np.maximum(reach, 1.0) ** 2)
     rest = np.isnan(out)
     if rest.any():
         whole = axes.unit
-        spread = float(np.linalg.norm(whole - whole.mean(axis=0), axis=1).max()) * 206264.80624709636
+        spread = float(np.linalg.norm(whole - whole.mean(axis=0), axis=1).max()) * ARCSEC_PER_RADIAN
         size = np.bincount(detections.frame)[detections.frame[rest]]
         out[rest] = size / (math.pi * max(spread, 60.0) ** 2)
     return out

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from sameas.arrays import FloatArray
+from sameas.space import ARCSEC_PER_RADIAN
 
 #: Angular speed of the Earth about the Sun, arcsec per minute (Gauss's constant).
-_EARTH_ARCSEC_PER_MIN = 0.01720209895 * 206264.80624709636 / 1440.0
+_EARTH_ARCSEC_PER_MIN = 0.01720209895 * ARCSEC_PER_RADIAN / 1440.0
 #: Obliquity of the ecliptic of J2000, degrees (IAU 1976).
 _TILT = math.radians(23.4392911)
 #: Direction of the pole of the ecliptic, ICRS.
@@ -74,7 +75,7 @@ class EclipticAxes:
         to = self.unit[other]
         depth = (self.unit[origin] * to).sum(1)
         along = (self.east[origin] * to).sum(1), (self.north[origin] * to).sum(1)
-        return 206264.80624709636 * np.column_stack(along) / depth[:, None]
+        return ARCSEC_PER_RADIAN * np.column_stack(along) / depth[:, None]
 
     def rotated(self, covariance: FloatArray) -> FloatArray:
         """(n, 2, 2) covariances (ee, en, nn) of the equator's axes, (n, 3), on these axes."""

@@ -24,6 +24,7 @@ from sameas.errors import InputError
 from sameas.representation import in_short
 from sameas.sky.frame.measurements import PIXEL_FLAGS, Flag
 from sameas.sky.series.stars import Stars, gather
+from sameas.space import ARCSEC_PER_RADIAN
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -198,7 +199,7 @@ class Series:
     def sky(self, place: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(k,) ra_deg, dec_deg of places (k, 2) on the tangent plane."""
         east, north, unit = _basis(*self.middle_deg)
-        direction = unit + (place[:, :1] * east + place[:, 1:] * north) / 206264.80624709636
+        direction = unit + (place[:, :1] * east + place[:, 1:] * north) / ARCSEC_PER_RADIAN
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         ra = np.degrees(np.arctan2(direction[:, 1], direction[:, 0])) % 360.0
         return ra, np.degrees(np.arcsin(np.clip(direction[:, 2], -1, 1)))
@@ -358,7 +359,7 @@ def _projected(ra_deg: FloatArray, dec_deg: FloatArray, middle: tuple[float, flo
     east, north, unit = _basis(*middle)
     ra, dec = np.radians(ra_deg), np.radians(dec_deg)
     to = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
-    return np.asarray(206264.80624709636 * np.column_stack([to @ east, to @ north]) / (to @ unit)[:, None])
+    return np.asarray(ARCSEC_PER_RADIAN * np.column_stack([to @ east, to @ north]) / (to @ unit)[:, None])
 
 
 def _tied(
