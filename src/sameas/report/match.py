@@ -97,12 +97,12 @@ def summary_lines(match: SkyMatch) -> list[str]:
     ]
 
 
-def blends_lines(told: Table, resolution_arcsec: float) -> list[str]:
-    """How many records of the first catalogue are two objects of the second; ``told`` as of ``Match.blends``."""
-    two = int(np.count_nonzero(~np.ma.getmaskarray(told["row_2b"])))
+def blends_lines(blended: Table, resolution_arcsec: float) -> list[str]:
+    """How many records of the first catalogue are two objects of the second; ``blended`` as of ``Match.blends``."""
+    two = int(np.count_nonzero(~np.ma.getmaskarray(blended["row_2b"])))
     return entry(
-        "blends", f"at {resolution_arcsec:g} arcsec {count(two)} of {count(len(told))} records are two objects; "
-        f"{float(np.sum(told['p_blend'])):.1f} expected",
+        "blends", f"at {resolution_arcsec:g} arcsec {count(two)} of {count(len(blended))} records are two objects; "
+        f"{float(np.sum(blended['p_blend'])):.1f} expected",
     )  # fmt: skip
 
 

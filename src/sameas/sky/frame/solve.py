@@ -111,11 +111,11 @@ def _with_own_error(found: FrameIdentification, refinement: Refinement | None) -
     """Identified anew with the common error that the residuals tell, and the doubt that says so."""
     sigma = common_star_error(found)
     again = identify_frame(found.measured, found.stars.with_error(sigma), found.placement, refinement)
-    told = (
+    words = (
         f"doubt: {found.stars.name}: it has no position errors; {sigma:.2g} arcsec on each axis was taken, estimated "
         "from the residuals; "
     )
-    return replace(again, notes=(*again.notes, Message(told, naming("say {sigma:ARCSEC} or {sigma:COLUMN}"))))
+    return replace(again, notes=(*again.notes, Message(words, naming("say {sigma:ARCSEC} or {sigma:COLUMN}"))))
 
 
 def footprint(pointing: Pointing, shape: tuple[int, int]) -> Cone:
