@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from astropy.table import Column, MaskedColumn, Table
@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, IntArray
 from sameas.errors import InputError
-from sameas.estimate.blends import Blends
 from sameas.estimate.coverage import Coverage
 from sameas.kernels import threads
 from sameas.records import Records
@@ -34,6 +33,9 @@ from sameas.result import Answers, Identification
 from sameas.sky.join_types import JOINS
 from sameas.sky.ucds import meta_of
 from sameas.space import Sphere
+
+if TYPE_CHECKING:
+    from sameas.estimate.blends import Blends
 
 #: Row of a partner that does not exist; within this module only, tables carry masks.
 NO_PARTNER = -1
