@@ -15,10 +15,14 @@ from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 
 import naive
 from problems import DRAWS, chosen_edges, components_of, laid_out, many_blocks, random_ratios, solved
-from sameas import CommonObjects, PerPair
-from sameas.assignment import Certificate, assign
+from sameas import CloseObjects, CommonObjects, InputError, PerPair, Radius, Records, identify
+from sameas.assignment import Certificate, Tuning, assign, refuse_crowds
+from sameas.estimate.match import match
 from sameas.kernels import threads
+from sameas.many.identify import identify_many
+from sameas.many.rules import PoissonObjects
 from sameas.prior import LogPrior
+from sameas.score.subpattern import gospa
 
 PRIORS = {
     "per pair": (PerPair(0.0), lambda n1, n2: lambda k: 0.0),
@@ -246,3 +250,38 @@ def test_threads_do_not_change_the_hypothesis(monkeypatch, prior):
     for other in answers[1:]:
         for ours, theirs in zip(answers[0], other, strict=True):
             np.testing.assert_array_equal(ours, theirs)
+
+
+def crowd(n, source="a", seed=1):
+    """Records that are all within one error."""
+    return Records.of(np.random.default_rng(seed).normal(0.0, 0.3, (n, 2)), sigma=1.0, source=source)
+
+
+def test_a_crowd_that_would_take_hours_is_refused_and_its_row_said():
+    gate, tuning = Radius(6.0), Tuning(most_choices=20.0**3)
+    refuse_crowds(gate(crowd(20), crowd(20, "b", 2)), tuning)
+    apart = Records.of([[1000.0, 0.0], *crowd(21).features], sigma=1.0, source="a")
+    with pytest.raises(InputError, match=r"a: at row \d+, 21 records of b may each be any of 21: .* some 0 minutes"):
+        refuse_crowds(gate(apart, crowd(21, "b", 2)), tuning)
+    # One among many, and many of few candidates each, are no crowd.
+    refuse_crowds(gate(crowd(1), crowd(2000, "b", 2)), tuning)
+    refuse_crowds(gate(crowd(2000), crowd(1, "b", 2)), tuning)
+
+
+CHOOSERS = {
+    "identify": lambda a, b: identify(a, b, rule=CloseObjects(a=2.0, b=20.0)),
+    "match": match,
+    "match with errors": lambda a, b: match(a, b, gate=Radius(6.0)),
+    "many": lambda a, b: identify_many([a, b], rule=PoissonObjects(1.0, [0.1, 0.1])),
+    "gospa": lambda a, b: gospa(a.features, b.features, cutoff=9.0),
+}
+
+
+@pytest.mark.parametrize("name", CHOOSERS)
+def test_who_chooses_among_pairs_refuses_a_crowd_before_beginning(name):
+    with pytest.raises(InputError, match=r"at row \d+, 1800 records of .* may each be any of 1800: .* some 6 minutes"):
+        CHOOSERS[name](crowd(1800), crowd(1800, "b", 2))
+
+
+def test_who_only_weighs_pairs_refuses_no_crowd():
+    assert len(Radius(6.0)(crowd(1800), crowd(1800, "b", 2))) == 1800**2

@@ -37,16 +37,6 @@ def test_more_pairs_than_the_memory_holds_are_refused_before_it_is_full():
         gate(crowd(300), wide)
 
 
-def test_a_crowd_that_would_take_hours_is_refused_and_its_row_said():
-    gate = ChiSquare(tuning=Tuning(most_choices=20.0**3))
-    assert len(gate(crowd(20), crowd(20, "b", 2))) == 400
-    apart = Records.of([[1000.0, 0.0], *crowd(21).features], sigma=1.0, source="a")
-    with pytest.raises(InputError, match=r"a: at row \d+, 21 records of b may each be any of 21: .* some 0 minutes"):
-        gate(apart, crowd(21, "b", 2))
-    # One among many, and many of few candidates each, are no crowd.
-    assert len(gate(crowd(1), crowd(2000, "b", 2))) == 2000
-
-
 def laid_out(first, second, gate):
     """The candidates as the search of many records finds them, which lays both sources out first."""
     return replace(gate, tuning=Tuning(each_with_each=0))(first, second)

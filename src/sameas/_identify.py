@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from sameas.assignment import assign
+from sameas.assignment import assign, refuse_crowds
 from sameas.evidence import Rule
 from sameas.gate import DEFAULT_GATE, Pairs
 from sameas.groups import groups
@@ -43,6 +43,7 @@ def identify(
     (array([0]), array([0]))
     """
     pairs = gate(first, second)
+    refuse_crowds(pairs)
     grouped = groups(pairs)
     evidence = rule(pairs)
     believed = prior(grouped.sizes_1, grouped.sizes_2)

@@ -3,7 +3,8 @@
 Under a prior linear in the number of pairs it is a maximum-weight matching in which any record may stay alone; under
 any other prior, the best matching of every size k comes from one sequence of shortest augmenting paths, and the k of
 greatest ln P(k) + W_k is kept (METHOD 4.2). Either is exact, with dual variables as its certificate, at O(n³) at
-worst and in memory proportional to the candidates.
+worst and in memory proportional to the candidates. :func:`refuse_crowds` comes first: whoever chooses among pairs asks
+it, whoever only weighs them (registration, the scale of errors) need not.
 """
 
 from __future__ import annotations
@@ -13,10 +14,26 @@ from dataclasses import dataclass
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray
+from sameas.errors import InputError
+from sameas.gate import Pairs
 from sameas.groups import Groups
 from sameas.kernels import threads
 from sameas.prior import LogPrior
 from sameas.representation import in_short
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """How much may be asked.
+
+    most_choices : the sum over the pairs of the fewer candidates of either record, which is n³ where each of n records
+        may be each of n others: 10⁹ take a minute of the processor.
+    """
+
+    most_choices: float = 4e9
+
+
+DEFAULT_TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -78,6 +95,27 @@ class Hypothesis:
         certificate = self.certificate(groups)
         if not certificate.holds:
             raise ArithmeticError(f"the assignment is {certificate}; please report this with the records")
+
+
+def refuse_crowds(pairs: Pairs, tuning: Tuning = DEFAULT_TUNING) -> None:
+    """Raise InputError where so many records compete that the most probable hypothesis takes hours."""
+    if float(len(pairs)) ** 1.5 <= tuning.most_choices:  # each of √m with each
+        return
+    of_1 = np.bincount(pairs.i, minlength=len(pairs.first))
+    if float(np.square(of_1, dtype=np.float64).sum()) <= tuning.most_choices:
+        return
+    fewer = np.minimum(of_1[pairs.i], np.bincount(pairs.j, minlength=len(pairs.second))[pairs.j])
+    choices = float(fewer.sum(dtype=np.float64))
+    if choices > tuning.most_choices:
+        worst = int(np.argmax(fewer))
+        first, second = pairs.first.source, pairs.second.source
+        one, two = of_1[pairs.i[worst]], np.count_nonzero(pairs.j == pairs.j[worst])
+        raise InputError(
+            f"{first}: at row {int(pairs.first.rows[pairs.i[worst]])}, {one} records of {second} may each be any of "
+            f"{two}: to tell them apart would take some {choices / 1e9:,.0f} minutes",
+            "are their errors in another unit? Give smaller ones, or leave these records out",
+            source=first,
+        )
 
 
 def assign(groups: Groups, log_ratio: FloatArray, prior: LogPrior) -> Hypothesis:

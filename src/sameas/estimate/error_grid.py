@@ -26,7 +26,6 @@ from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.estimate.coverage import Coverage
 from sameas.evidence import Errors
 from sameas.gate import ChiSquare, Pairs, Radius
-from sameas.gate.zones import DEFAULT_TUNING
 from sameas.records import Records
 from sameas.space import Sphere
 
@@ -203,9 +202,7 @@ def scanned(
     if widest < math.sqrt(ChiSquare().limit(d)):
         return None
     wide = Errors(factor_1=1e-6, factor_2=1e-6, floor=_floor(widest / tuning.reach * unit))
-    # Pairs are only weighed here, none is chosen: many that compete cost no more than as many apart.
-    gate = Radius(tuning.reach, replace(DEFAULT_TUNING, most_choices=math.inf))
-    pairs = gate(*wide.records(first, second)).of(first, second)
+    pairs = Radius(tuning.reach)(*wide.records(first, second)).of(first, second)
     return _weighed(pairs, coverage, (rows_1, rows_2), unit, widest, density, tuning)
 
 

@@ -22,6 +22,7 @@ import numpy as np
 
 from sameas._identify import identify
 from sameas.arrays import FloatArray
+from sameas.assignment import refuse_crowds
 from sameas.errors import InputError
 from sameas.estimate import em as going
 from sameas.estimate.averaging import Average
@@ -413,6 +414,7 @@ class _GateSearch:
         while True:
             self.progress("gate")
             pairs = (self.gate or Radius(limit))(*self.start.records(first, second))
+            refuse_crowds(pairs)
             near = pairs
             if self.start.as_modelled:
                 pairs = pairs.of(first, second)
@@ -453,6 +455,7 @@ class _GateSearch:
         self.progress("gate")
         left = scan.average(first.d)
         pairs = left.candidates(first, second)
+        refuse_crowds(pairs)
         whole = Setting.whole(pairs, self.coverage)
         share = scan.common / min(len(first), len(second))
         known = Estimates.nothing(

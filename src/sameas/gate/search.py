@@ -45,12 +45,9 @@ def search(first: Records, second: Records, limit: float, box: bool, tuning: Tun
 
     Raises
     ------
-    InputError : they are more than the memory holds, or so many records may be so many others that an answer is far.
+    InputError : they are more than the memory holds.
     """
-    allowed = _Allowed.of(first, second, tuning)
-    columns = _search(first, second, limit, box, tuning, allowed)
-    allowed.choices(*columns[2:4], tuning.most_choices)
-    return columns
+    return _search(first, second, limit, box, tuning, _Allowed.of(first, second, tuning))
 
 
 @dataclass
@@ -78,24 +75,6 @@ class _Allowed:
                 f"{self.first.source}, {self.second.source}: more than {size:,.1f} million pairs lie within the gate, "
                 "and the memory holds no more",
                 "are the errors in another unit? Give smaller ones, a smaller gate, or fewer records at a time",
-            )
-
-    def choices(self, i: NDArray[np.int32], j: NDArray[np.int32], most: float) -> None:
-        """Raises InputError where so many records compete that the most probable answer takes hours."""
-        if float(len(i)) ** 1.5 <= most:  # each of √m with each
-            return
-        of_1, of_2 = np.bincount(i, minlength=len(self.first)), np.bincount(j, minlength=len(self.second))
-        fewer = np.minimum(of_1[i], of_2[j])
-        choices = float(fewer.sum(dtype=np.float64))
-        if choices > most:
-            worst = int(np.argmax(fewer))
-            one, two = of_1[i[worst]], of_2[j[worst]]
-            row = int(self.first.rows[i[worst]])
-            raise InputError(
-                f"{self.first.source}: at row {row}, {one} records of {self.second.source} may each be any of {two}: "
-                f"to tell them apart would take some {choices / 1e9:,.0f} minutes",
-                "are their errors in another unit? Give smaller ones, or leave these records out",
-                source=self.first.source,
             )
 
 

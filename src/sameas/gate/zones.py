@@ -42,8 +42,6 @@ class Tuning:
     few_rows : fewer rows than this are looked through without a compiled loop.
     bytes_of_pair : what a pair takes in all stages together, measured. Pairs that would need more than there is are
         refused; where the system does not say what there is, more than ``memory`` bytes.
-    most_choices : the sum over the pairs of the fewer candidates of either record, which is n³ where each of n records
-        may be each of n others: 10⁹ take a minute of the processor.
     """
 
     each_with_each: int = 512
@@ -56,7 +54,6 @@ class Tuning:
     few_rows: int = 10_000
     bytes_of_pair: int = 300
     memory: int = 1 << 33
-    most_choices: float = 4e9
 
 
 DEFAULT_TUNING = Tuning()

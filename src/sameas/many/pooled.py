@@ -20,6 +20,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.assignment import refuse_crowds
 from sameas.errors import InputError
 from sameas.gate import DEFAULT_COMPLETENESS, ChiSquare, Pairs
 from sameas.many.joint import NO_RECORD, Observers
@@ -153,6 +154,7 @@ def _pairs(
                 description = pairs.gate
             else:
                 pairs = _possible(observers, s, t, gate)
+            refuse_crowds(pairs)
             compared.append(pairs)
             numbers.append((pairs.i.astype(np.int64) + start[s], pairs.j.astype(np.int64) + start[t]))
     i, j = (np.concatenate(column) for column in zip(*numbers, strict=True))

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sameas.arrays import FloatArray, IntArray
-from sameas.assignment import assign
+from sameas.assignment import assign, refuse_crowds
 from sameas.errors import InputError
 from sameas.gate import Radius
 from sameas.groups import groups
@@ -85,6 +85,7 @@ def nearest_match(
         if len(side) < side.n_table:
             raise InputError(f"gospa: a {name} object has no position (first: row {side.set_aside.rows[0]})")
     pairs = Radius(1.0)(*sides)
+    refuse_crowds(pairs)
     grouped = groups(pairs)
     gain = 1.0 - pairs.mahalanobis_sq ** (order / 2.0)
     best = assign(grouped, gain, PerPair(0.0)(grouped.sizes_1, grouped.sizes_2))
