@@ -1,6 +1,8 @@
 """The keeper: its journal and state survive a kill, its alarms begin and end, bad input ends nothing."""
 
+import contextlib
 import os
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -15,7 +17,8 @@ from tests.live.conftest import START_S, harbour, replay, settings
 
 from sameas.errors import InputError
 from sameas.io import read_table
-from sameas.live.journal import load_state
+from sameas.live.frame import Alarm
+from sameas.live.journal import Journal, load_state
 from sameas.live.keeper import Delta, Keeper
 from sameas.live.settings import LiveSource, OwnShip, Settings, WatchSettings, read_settings
 from sameas.tracks import Description
@@ -191,4 +194,81 @@ def test_an_hour_at_a_hundred_times_its_pace_leaves_memory_flat(tmp_path):
         sizes.append(process.memory_info().rss / 1e6)
     assert sizes[-1] - sizes[360] < 30.0
     assert len(numbers(keeper.frame)) == 5 and keeper.counters["faults"] == 0
+    keeper.close()
+
+
+def events(folder):
+    """What the journal says of identities and alarms."""
+    with contextlib.closing(sqlite3.connect(folder / "journal.sqlite")) as base:
+        assert base.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+        joined = base.execute("SELECT object, source, track, event FROM identities ORDER BY rowid").fetchall()
+        alarms = base.execute("SELECT key, active FROM alarms ORDER BY id").fetchall()
+        return joined, alarms, base.execute("SELECT object, confirmed FROM objects ORDER BY object").fetchall()
+
+
+def test_a_full_disk_is_an_alarm_and_what_is_missing_is_written_when_there_is_room(tmp_path):
+    """The watch ended with "a fault of sameas", and without its alarms."""
+    one, two = (Keeper(settings(), tmp_path / name, replay=replay()) for name in ("one", "two"))
+    ticked(one, 60.0), ticked(two, 20.0)
+    [pages] = two.journal._base.execute("PRAGMA page_count").fetchone()
+    two.journal._base.execute(f"PRAGMA max_page_count = {pages}")
+    big = Alarm("flood", "source", "x" * 100_000)
+    assert two._kept(lambda journal: journal.alarm(big, 0.0)) is None
+    frame = two.tick(START_S + 22.0)
+    assert [alarm.text for alarm in frame.alarms if alarm.key == "folder"] == [
+        f"{tmp_path / 'two'} cannot be written, what happens is not kept: database or disk is full"
+    ]
+    listed = {alarm["key"]: alarm["id"] for alarm in two.alarm_list()}
+    assert "folder" in listed and not two.acknowledge(-1, "me")
+    two.journal._base.execute("PRAGMA max_page_count = 1000000")
+    ticked(two, 60.0, 22.0)
+    assert not two._refusal
+    one.close(), two.close()
+    (joined, _, objects), (joined_2, alarms, objects_2) = events(tmp_path / "one"), events(tmp_path / "two")
+    assert joined == joined_2 and objects == objects_2 and ("folder", 0) in alarms
+
+
+def test_ticks_that_the_journal_refused_are_made_up_for(tmp_path, monkeypatch):
+    one, two = (Keeper(settings(), tmp_path / name, replay=replay()) for name in ("one", "two"))
+    written = Journal._write_identities
+
+    def full(journal, frame):
+        written(journal, frame)
+        raise sqlite3.OperationalError("database or disk is full")
+
+    ticked(one, 60.0)
+    monkeypatch.setattr(Journal, "_write_identities", full)
+    ticked(two, 20.0)
+    monkeypatch.undo()
+    ticked(two, 60.0, 20.0)
+    one.close(), two.close()
+    (joined, _, objects), (joined_2, _, objects_2) = events(tmp_path / "one"), events(tmp_path / "two")
+    # Those that came and went in between are not known.
+    assert {row for row in joined if row[3] == "joined"} >= set(joined_2) and objects == objects_2
+
+
+def test_a_folder_that_disappears_ends_nothing_but_is_said_at_the_end(tmp_path):
+    keeper = Keeper(settings(save_every_s=2.0), tmp_path / "state", replay=replay())
+    ticked(keeper, 10.0)
+    shutil.rmtree(tmp_path / "state")
+    frame = ticked(keeper, 20.0, 10.0)
+    assert any(alarm.key == "folder" for alarm in frame.alarms)
+    with pytest.raises(InputError, match=r"the end of the watch is not kept: .*make room, or give a folder"):
+        keeper.close()
+
+
+def test_a_folder_is_one_watchs_alone(tmp_path):
+    keeper = Keeper(settings(), tmp_path, replay=replay())
+    with pytest.raises(InputError, match="another watch writes there; give another folder, or end that one"):
+        Keeper(settings(), tmp_path, replay=replay())
+    keeper.close()
+    Keeper(settings(), tmp_path, replay=replay()).close()
+
+
+def test_the_archive_waits_ten_minutes_at_most(tmp_path):
+    keeper = Keeper(settings(), tmp_path, replay=replay())
+    ticked(keeper, 20.0)
+    assert not (tmp_path / "archive").exists()
+    keeper.tick(START_S + 620.0)
+    assert len(list((tmp_path / "archive").iterdir())) == 1
     keeper.close()

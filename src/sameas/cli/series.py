@@ -50,6 +50,7 @@ def run(request: SeriesRequest, quiet: bool) -> None:
     from sameas.front.series import Identified, series_of
     from sameas.io import write_table
     from sameas.io.ades import Observer, write_80_columns, write_psv, write_xml
+    from sameas.io.atomic import filling
     from sameas.pages.movers import write_movers_page
     from sameas.report.frame import one_line
     from sameas.report.movers import known_lines, model_lines, mover_lines, series_lines
@@ -102,21 +103,23 @@ def run(request: SeriesRequest, quiet: bool) -> None:
     facts = {**program(), "catalogue": request.catalogue}
     written = ["movers.fits", "tracklets.fits"]
     failed = [(one.request.name, one.error) for one in outcomes if one.summary is None]
-    write_table(found.detection_table(), request.folder / written[0], provenance=facts, overwrite=True)
-    write_table(found.table(), request.folder / written[1], provenance=facts, overwrite=True)
-    if observer is not None:
-        rows, software = observations(found, series, known), f"sameas {sameas.__version__}"
-        for name, write in (("report.psv", write_psv), ("report.xml", write_xml), ("report.txt", write_80_columns)):
-            write(rows, observer, request.folder / name, software=software)
-            written.append(name)
     title = _title(request.paths)
-    write_movers_page(request.folder / "movers.html", title, found, series, pixels, known)
-    link = "movers.html", _link_words(found, known)
-    written += [
-        "movers.html",
-        *_drawn(request.folder, found, series, pixels, known),
-        *_product(each, request.folder, title, {"catalogue": request.catalogue}, failed, reasons, link),
-    ]
+    # All files of the series come at once: a page beside the tables of another run would contradict them.
+    with filling(request.folder) as draft:
+        write_table(found.detection_table(), draft / written[0], provenance=facts)
+        write_table(found.table(), draft / written[1], provenance=facts)
+        if observer is not None:
+            rows, software = observations(found, series, known), f"sameas {sameas.__version__}"
+            for name, write in (("report.psv", write_psv), ("report.xml", write_xml), ("report.txt", write_80_columns)):
+                write(rows, observer, draft / name, software=software)
+                written.append(name)
+        write_movers_page(draft / "movers.html", title, found, series, pixels, known)
+        link = "movers.html", _link_words(found, known)
+        written += [
+            "movers.html",
+            *_drawn(draft, found, series, pixels, known),
+            *_product(each, draft, title, {"catalogue": request.catalogue}, failed, reasons, link),
+        ]
     printer(["", f"Output: {request.folder}/: {', '.join(written)}", f"Time: {time.perf_counter() - began:.1f} s"])
 
 
@@ -124,6 +127,7 @@ def product(outcomes: Sequence[Any], folder: Path, title: str, facts: dict[str, 
     """The tables and the page of a folder of frames: its series, and what is in none."""
     from sameas.cli.terminal import Printer
     from sameas.front.series import Identified, series_of
+    from sameas.io.atomic import filling
     from sameas.report.movers import star_lines
     from sameas.report.prose import DOUBT
 
@@ -133,7 +137,8 @@ def product(outcomes: Sequence[Any], folder: Path, title: str, facts: dict[str, 
         printer(["", *star_lines(one.series, one.filter)])
     printer([f"{DOUBT}{reason}" for reason in reasons])
     failed = [(one.request.name, one.error) for one in outcomes if one.summary is None]
-    written = _product(each, folder, title, facts, failed, reasons)
+    with filling(folder) as draft:
+        written = _product(each, draft, title, facts, failed, reasons)
     printer([f"Output: {folder}/: {', '.join(written)}"])
 
 

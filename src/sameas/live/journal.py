@@ -2,7 +2,8 @@
 
 ``identities`` has a line when a track joins an object or leaves it, ``objects`` what is known of every object,
 ``alarms`` every alarm with who acknowledged it when. SQLite writes ahead (WAL): readers see whole ticks, and a program
-that is killed leaves whole ticks. The state is saved beside it and replaces the one before only when it is whole.
+that is killed leaves whole ticks. The state is saved beside it and replaces the one before only when it is whole. What
+waits for the archive, ten minutes at most, is lost with a process that is killed. A folder is one watch's alone.
 """
 
 from __future__ import annotations
@@ -33,8 +34,10 @@ CREATE TABLE IF NOT EXISTS alarms (id INTEGER PRIMARY KEY, key TEXT, kind TEXT, 
     last_s REAL, active INTEGER, acknowledged_s REAL, acknowledged_by TEXT);
 CREATE INDEX IF NOT EXISTS alarms_active ON alarms (active, key);
 """
-#: Rows of objects that one file of the archive has at most.
-ARCHIVE_ROWS = 200_000
+#: A file of the archive is written at so many rows of objects, or after so many seconds.
+ARCHIVE_ROWS, ARCHIVE_S = 200_000, 600.0
+#: Where the disk refuses them, so many rows wait in memory; the oldest go first.
+WAITING_ROWS = 4 * ARCHIVE_ROWS
 _TEXTS = ("label", "mmsi", "icao", "callsign", "name", "type")
 
 
@@ -43,13 +46,14 @@ class Journal:
 
     Raises
     ------
-    InputError : the folder cannot be made or written; the journal is another program's.
+    InputError : the folder cannot be made or written; another watch writes there; the journal is another program's.
     """
 
     def __init__(self, folder: Path, *, archive_every_s: float = 10.0) -> None:
         self.folder, self.archive_every_s = folder, archive_every_s
         try:
             folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+            self._lock = _locked(folder)
             self._base = sqlite3.connect(folder / "journal.sqlite", isolation_level=None, check_same_thread=False)
             self._base.execute("PRAGMA journal_mode=WAL")
             self._base.execute("PRAGMA synchronous=NORMAL")
@@ -72,20 +76,32 @@ class Journal:
                 self._tracks.pop((source, track), None)
 
     def write(self, frame: Frame) -> None:
-        """One tick, in one transaction."""
+        """One tick, in one transaction.
+
+        Raises
+        ------
+        sqlite3.Error, OSError, InputError : the disk refuses it; the next tick then writes what is missing.
+        """
+        tracks = self._tracks
         self._base.execute("BEGIN IMMEDIATE")
         try:
             self._write_objects(frame)
             self._write_identities(frame)
             self._base.execute("COMMIT")
         except BaseException:
-            self._base.execute("ROLLBACK")
+            # What did not come into the journal is written with the next tick that does.
+            self._tracks, self._known = tracks, {}
+            if self._base.in_transaction:
+                self._base.execute("ROLLBACK")
             raise
         due = self.archive_every_s > 0.0 and frame.time_s - self._archived_s >= self.archive_every_s
         if due and len(frame.objects["object"]):
             self._archived_s = frame.time_s
             self._archive.append(frame.objects)
-            if sum(len(part["object"]) for part in self._archive) >= ARCHIVE_ROWS:
+            waiting = sum(len(part["object"]) for part in self._archive)
+            while waiting > WAITING_ROWS and len(self._archive) > 1:
+                waiting -= len(self._archive.pop(0)["object"])
+            if waiting >= ARCHIVE_ROWS or frame.time_s - float(self._archive[0]["time_s"][0]) >= ARCHIVE_S:
                 self.flush()
 
     def _write_objects(self, frame: Frame) -> None:
@@ -138,13 +154,14 @@ class Journal:
         import pyarrow as pa
         from pyarrow import parquet
 
-        columns, self._archive = gathered(self._archive), []
+        columns = gathered(self._archive)
         (self.folder / "archive").mkdir(exist_ok=True)
         stamp = datetime.fromtimestamp(float(columns["time_s"][0]), UTC).strftime("%Y%m%dT%H%M%S")
         path = self.folder / "archive" / f"objects-{stamp}.parquet"
         with replacing(path) as draft:
             arrays = {n: pa.array(np.ma.getdata(c), mask=np.ma.getmaskarray(c)) for n, c in columns.items()}
             parquet.write_table(pa.table(arrays), draft)
+        self._archive = []
         return path
 
     # ---- alarms ----
@@ -184,9 +201,28 @@ class Journal:
         return dict(self._base.execute("SELECT key, id FROM alarms WHERE active = 1").fetchall())
 
     def close(self) -> None:
-        """Writes what waits and closes the files."""
-        self.flush()
-        self._base.close()
+        """Writes what waits and closes the files, in any case."""
+        try:
+            self.flush()
+        finally:
+            self._base.close()
+            self._lock.close()
+
+
+def _locked(folder: Path) -> sqlite3.Connection:
+    """Holds a folder for this process, until it is closed or the process ends in whatever way.
+
+    SQLite's locks are those of the system, on each system. The journal itself stays free to be read.
+    """
+    lock = sqlite3.connect(folder / "lock.sqlite", isolation_level=None, check_same_thread=False, timeout=0.0)
+    try:
+        lock.execute("BEGIN EXCLUSIVE")
+    except sqlite3.OperationalError as error:
+        lock.close()
+        if "locked" not in str(error):
+            raise
+        raise InputError(f"{folder}: another watch writes there", "give another folder, or end that one") from None
+    return lock
 
 
 def save_state(folder: Path, state: Mapping[str, Any]) -> None:

@@ -9,14 +9,16 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
+import sqlite3
 import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -31,6 +33,7 @@ from sameas.picture.live import LivePicture, estimated
 from sameas.picture.picture_state import PictureState
 from sameas.tracks.reports import Reports
 
+T = TypeVar("T")
 LOG = logging.getLogger("sameas.live")
 #: An alarm ends when it has not held for this long, in seconds of the picture.
 ALARM_ENDS_S = 10.0
@@ -109,6 +112,7 @@ class Keeper:
         self._alarms: dict[str, tuple[int, float]] = {}
         self._own: deque[tuple[float, float, float]] = deque(maxlen=30)
         self._saved_s = self._registered_s = -math.inf
+        self._refusal = ""
         self._tick = 0
         watch = settings.watch
         self.journal = None if folder is None else Journal(folder, archive_every_s=watch.archive_every_s)
@@ -147,7 +151,8 @@ class Keeper:
         with self.lock:
             self._tick += 1
             frame = Frame.of(self._tick, state, self.picture.plane, (), self._own_ship(instant_s, state))
-            alarms = [*_identity_alarms(state), *self._source_alarms(instant_s), *self._close_calls(frame)]
+            alarms = [*_identity_alarms(state), *self._source_alarms(instant_s), *self._close_calls(frame),
+                      *self._folder_alarms()]  # fmt: skip
             frame = Frame(
                 frame.tick, frame.time_s, frame.plane, frame.objects, frame.records, frame.members, tuple(alarms),
                 frame.own_ship,
@@ -156,10 +161,9 @@ class Keeper:
             self.deltas.append(Delta.between(self.frame, frame))
             self.frame = frame
             self._remember(frame)
-            if self.journal is not None:
-                self.journal.write(frame)
-                if instant_s - self._saved_s >= self.settings.watch.save_every_s:
-                    self.save()
+            self._kept(lambda journal: journal.write(frame))
+            if self.journal is not None and instant_s - self._saved_s >= self.settings.watch.save_every_s:
+                self._kept(lambda journal: self.save())
         self.durations_s.append(time.perf_counter() - began)
         self.counters["ticks"] += 1
         return frame
@@ -295,20 +299,47 @@ class Keeper:
                 self.counters[f"dropped {url}"] = wire.queue.dropped
         return out
 
+    def _folder_alarms(self) -> list[Alarm]:
+        if not self._refusal:
+            return []
+        return [Alarm("folder", "fault", f"{self.folder} cannot be written, what happens is not kept: {self._refusal}")]
+
+    def _kept(self, write: Callable[[Journal], T]) -> T | None:
+        """What writing into the folder gives; None where there is none, or the disk refuses.
+
+        A full disk must not end the watch: it is an alarm, and what is missing is written when there is room again.
+        """
+        if self.journal is None:
+            return None
+        try:
+            value = write(self.journal)
+        except (OSError, sqlite3.Error, InputError) as error:
+            if not self._refusal:
+                LOG.warning("%s: %s", self.folder, error)
+            self._refusal = str(error)
+            self.counters["refused writes"] += 1
+            return None
+        self._refusal = ""
+        return value
+
     def _raise_alarms(self, alarms: list[Alarm], now_s: float) -> None:
-        """New alarms are noted in the journal; those that have not held for a while end."""
+        """New alarms are noted in the journal; those that have not held for a while end.
+
+        The ids of those that the journal does not hold, or not yet, are below zero.
+        """
         for alarm in alarms:
             known = self._alarms.get(alarm.key)
             if known is None:
-                alarm_id = self.counters["alarms"] + 1 if self.journal is None else self.journal.alarm(alarm, now_s)
                 self.counters["alarms"] += 1
-                known = (alarm_id, now_s)
-            self._alarms[alarm.key] = (known[0], now_s)
+            number = -self.counters["alarms"] if known is None else known[0]
+            if number < 0:
+                number = self._kept(partial(Journal.alarm, alarm=alarm, time_s=now_s)) or number
+            self._alarms[alarm.key] = (number, now_s)
         for key, (alarm_id, held_s) in list(self._alarms.items()):
             if now_s - held_s > ALARM_ENDS_S:
                 del self._alarms[key]
-                if self.journal is not None:
-                    self.journal.ended(alarm_id, held_s)
+                if alarm_id > 0:
+                    self._kept(partial(Journal.ended, alarm_id=alarm_id, time_s=held_s))
 
     # ---- the loop ----
 
@@ -344,14 +375,24 @@ class Keeper:
             self.close()
 
     def close(self) -> None:
-        """Saves the state and closes the journal."""
+        """Saves the state and closes the journal.
+
+        Raises
+        ------
+        InputError : the disk refused it; the last state that was saved is there.
+        """
         with self.lock:
-            self.save()
-            if self.journal is not None:
-                self.journal.close()
-                self.journal = None
             for sink in self.sinks:
                 sink.close()
+            self._kept(lambda journal: self.save())
+            refusal = self._refusal
+            self._kept(Journal.close)
+            self.journal = None
+            if refusal or self._refusal:
+                raise InputError(
+                    f"{self.folder}: the end of the watch is not kept: {refusal or self._refusal}",
+                    "make room, or give a folder that can be written",
+                )
 
     def listen(self) -> asyncio.Event:
         """An event that is set at every tick; give it back to :meth:`leave`."""
@@ -368,20 +409,20 @@ class Keeper:
     def alarm_list(self) -> list[dict[str, Any]]:
         """The alarms, the newest first, with their ids and whether they hold."""
         with self.lock:
-            if self.journal is not None:
-                return self.journal.alarms()
+            kept = self._kept(Journal.alarms) or []
             active = [] if self.frame is None else self.frame.alarms
-            return [
+            others = [
                 {"id": self._alarms[a.key][0], "key": a.key, "kind": a.kind, "text": a.text, "objects": list(a.objects),
                  "active": 1, "first_s": self._alarms[a.key][1], "last_s": self._alarms[a.key][1],
                  "acknowledged_s": None, "acknowledged_by": None}
-                for a in active if a.key in self._alarms
+                for a in active if a.key in self._alarms and self._alarms[a.key][0] < 0
             ]  # fmt: skip
+            return [*others, *kept]
 
     def acknowledge(self, alarm_id: int, who: str) -> bool:
         """Notes who acknowledged an alarm."""
         with self.lock:
-            return self.journal is not None and self.journal.acknowledge(alarm_id, who, self.clock())
+            return bool(self._kept(lambda journal: journal.acknowledge(alarm_id, who, self.clock())))
 
     def health(self) -> dict[str, Any]:
         """Whether it ticks, and every source and wire in numbers."""
