@@ -17,13 +17,14 @@ import random
 import resource
 import shutil
 import signal
+import sqlite3
 import subprocess
 import sys
 import tempfile
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -45,6 +46,10 @@ class Work:
     arguments: tuple[str, ...]
     earlier: tuple[str, ...]
     output: Path
+    #: What a stopped run may leave of both runs whatever the signal: parts, each whole, that the next run completes.
+    resumes: bool = False
+    #: Exit codes beside those of the signals.
+    codes: tuple[int, ...] = (0,)
 
     def command(self, earlier: bool = False) -> list[str]:
         return [*COMMAND, *(self.earlier if earlier else self.arguments), "-o", str(self.output), "--quiet"]
@@ -69,6 +74,128 @@ class Work:
 
     def drafts(self) -> list[Path]:
         return list((self.output if self.output.is_dir() else self.output.parent).glob(".sameas-*"))
+
+    def keep(self) -> dict[str, bytes]:
+        """What the output holds, to be put back."""
+        return {name: (_folder(self) / name).read_bytes() for name in self.files()}
+
+    def restore(self, kept: dict[str, bytes]) -> None:
+        """Put it back, and nothing else."""
+        for name in set(self.files()) - set(kept):
+            (_folder(self) / name).unlink()
+        for name, content in kept.items():
+            (_folder(self) / name).write_bytes(content)
+
+    def fresh(self, what: str) -> Work:
+        """The work into an output that may be written: this one, where an output is replaced."""
+        return self
+
+    def part(self, name: str) -> str:
+        """What part of the output a file belongs to, of which all files come at once."""
+        return "" if not self.resumes else name.split(".")[0] if name[0] == "f" else "series"
+
+    def verdict(self, now: dict[str, str], old: dict[str, str], new: dict[str, str], number: signal.Signals) -> str:
+        """Whether the output is "old", "new", or of both runs where that may be; otherwise what is wrong with it."""
+        if now in (old, new):
+            return "old" if now == old else "new"
+        whole = all(now.get(name) in (old.get(name), new.get(name)) for name in {*now, *old, *new})
+        if whole and number == signal.SIGKILL:
+            return "mixed"  # several files come one after the other
+        if self.resumes and whole:
+            names: dict[str, set[bool]] = {}
+            for name in {*old, *new}:
+                if old.get(name) != new.get(name):
+                    names.setdefault(self.part(name), set()).add(now.get(name) == new.get(name))
+            if all(len(which) == 1 for which in names.values()):
+                return "mixed"
+        return f"the output is neither: {sorted(now)}"
+
+
+class Watch(Work):
+    """A live picture: it is whole where its journal, its archive and its state can be read, and goes on."""
+
+    def files(self) -> dict[str, str]:
+        return {}
+
+    def drafts(self) -> list[Path]:
+        return list(self.output.rglob(".sameas-*"))
+
+    def keep(self) -> dict[str, bytes]:
+        return {}
+
+    def restore(self, kept: dict[str, bytes]) -> None:
+        """Every second run goes on where the last one was hit, the others begin anew."""
+        if random.Random(len(list(self.output.rglob("*")))).random() < 0.5 and self.output.exists():
+            shutil.rmtree(self.output)
+
+    def verdict(self, now: dict[str, str], old: dict[str, str], new: dict[str, str], number: signal.Signals) -> str:
+        from pyarrow import parquet
+
+        from sameas.live.journal import load_state
+
+        if not (self.output / "journal.sqlite").exists():
+            return "old"
+        try:
+            with closing(sqlite3.connect(self.output / "journal.sqlite")) as base:
+                if base.execute("PRAGMA integrity_check").fetchone() != ("ok",):
+                    return "the journal is damaged"
+                tables = {row[0] for row in base.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+                if tables >= {"identities", "objects"}:
+                    lost = base.execute(
+                        "SELECT COUNT(*) FROM identities WHERE object NOT IN (SELECT object FROM objects)"
+                    )
+                    if lost.fetchone() != (0,):
+                        return "the journal has identities of no object"
+            for path in (self.output / "archive").glob("*.parquet"):
+                parquet.read_table(path)
+            state = load_state(self.output)
+        except Exception as error:
+            return f"cannot be read: {error}"
+        return "old" if state is None else "new"
+
+
+class Hats(Work):
+    """Partitions: what is there is a part of the new output, and the next run completes it to the same bytes."""
+
+    def files(self) -> dict[str, str]:
+        paths = sorted(path for path in self.output.rglob("*") if path.is_file())
+        inside = [path for path in paths if not path.relative_to(self.output).as_posix().startswith(".sameas-run")]
+        return {str(p.relative_to(self.output)): hashlib.sha256(p.read_bytes()).hexdigest()
+                for p in inside if not p.name.endswith(".part")}  # fmt: skip
+
+    def drafts(self) -> list[Path]:
+        """Those after a run that ended well; while a run can be resumed, the next one removes them."""
+        if not (self.output / "collection.properties").exists():
+            return []
+        try:
+            return [path for path in self.output.rglob("*") if path.suffix == ".part" or path.name == ".sameas-run"]
+        except FileNotFoundError:  # a folder that is being removed
+            return []
+
+    def keep(self) -> dict[str, bytes]:
+        return {}
+
+    def restore(self, kept: dict[str, bytes]) -> None:
+        shutil.rmtree(self.output, ignore_errors=True)
+
+    def forked(self, server: Server, earlier: bool = False) -> tuple[int, str]:
+        """A run that nothing disturbs, of what is there; none where it is whole, which is refused to be replaced."""
+        if earlier:
+            self.restore({})
+        if earlier or (self.output / "collection.properties").exists():
+            return 0, ""
+        return super().forked(server)
+
+    def fresh(self, what: str) -> Work:
+        return replace(self, output=self.output.with_name(what.replace(" ", "-")))
+
+    def verdict(self, now: dict[str, str], old: dict[str, str], new: dict[str, str], number: signal.Signals) -> str:
+        if now == new:
+            return "new"
+        if (self.output / "collection.properties").exists():
+            return "is called whole, and is not"
+        changed = [name for name, digest in now.items() if name in new and new[name] != digest]
+        return f"{changed} are not those of a whole run" if changed else "mixed" if now else "old"
 
 
 class Server:
@@ -232,6 +359,37 @@ def night(folder: Path) -> Path:
     return path
 
 
+def nights(folder: Path, image: Path) -> Path:
+    """A folder of three frames of one field."""
+    from astropy.io import fits
+
+    night_folder = folder / "frames"
+    night_folder.mkdir()
+    with fits.open(image) as hdus:
+        for k in range(3):
+            noise = np.random.default_rng(k).normal(0.0, 7.0, hdus[0].data.shape)
+            rows, columns = np.mgrid[:256, :256]
+            noise += 900.0 * np.exp(-((columns - 100.3 - 9.0 * k) ** 2 + (rows - 91.4 - 7.0 * k) ** 2) / (2 * 1.5**2))
+            header = hdus[0].header.copy()
+            header["DATE-OBS"] = f"2016-01-01T00:{10 * k:02d}:00"
+            fits.PrimaryHDU((hdus[0].data + noise).astype("f4"), header).writeto(night_folder / f"f{k}.fits")
+    return night_folder
+
+
+def partitioned(folder: Path) -> tuple[str, str]:
+    """Two HATS catalogues of one field."""
+    from astropy.table import Table as Stars
+
+    from sameas.partitions.output import write_hats
+
+    rng = np.random.default_rng(9)
+    ra, dec = rng.uniform(40.0, 40.6, 3000), rng.uniform(10.0, 10.6, 3000)
+    for name in ("one", "two"):
+        moved = dec + rng.normal(0.0, 0.1 / 3600.0, 3000)
+        write_hats(Stars({"id": np.arange(3000), "ra": ra, "dec": moved}), folder / name, most_rows=400)
+    return str(folder / "one"), str(folder / "two")
+
+
 def works(folder: Path, endings: tuple[str, ...] = ENDINGS) -> list[Work]:
     """The commands, and every format of tables."""
     a, b, c = map(str, catalogues(folder))
@@ -252,6 +410,15 @@ def works(folder: Path, endings: tuple[str, ...] = ENDINGS) -> list[Work]:
         made.append(
             Work(f"movers {ending}", (*moved, "3"), (*moved, "2"), output(f"v{ending[1:]}").with_suffix(ending))
         )
+    many, series = str(nights(folder, Path(image))), output("series")
+    shot = ("frame", many, "--catalog", stars, "--no-picture", "--processes", "1")
+    made.append(Work("series of frames", shot, (*shot, "--threshold", "6"), series, resumes=True))
+    moved = ("movers", *map(str, sorted(Path(many).iterdir())), "--catalog", stars, "--processes", "1", "--least")
+    made.append(Work("movers on frames", (*moved, "2"), (*moved, "3"), output("moved"), resumes=True))
+    seen = ("watch", *sensors(folder), "--no-map", "--pace", "60", "--every", "1s")
+    made.append(Watch("watch", seen, seen, output("watch")))
+    parted = ("match", *partitioned(folder), "--sigma", "0.1", "--workers", "1")
+    made.append(Hats("match, partitions", parted, parted, output("hats")))
     seen = ("picture", *sensors(folder), "--no-image", "--every")
     made.append(Work("picture", (*seen, "20s"), (*seen, "30s"), output("picture")))
     return made
@@ -267,12 +434,12 @@ def hit(work: Work, server: Server, number: signal.Signals, moments: int, rng: r
         if code:
             raise RuntimeError(f"{work.name}: {said}")
         if earlier:
-            old = work.files()
-            kept = {name: (_folder(work) / name).read_bytes() for name in old}
+            old, kept = work.files(), work.keep()
     new = work.files()
+    if new and old == new:
+        raise RuntimeError(f"{work.name}: two runs of different options write the same")
     for moment in range(moments):
-        for name, content in kept.items():
-            (_folder(work) / name).write_bytes(content)
+        work.restore(kept)
         process = server.start(work.command())
         if moment % 2:
             time.sleep(rng.uniform(0.0, 1.05) * longest)
@@ -286,16 +453,13 @@ def hit(work: Work, server: Server, number: signal.Signals, moments: int, rng: r
         answer_s = time.monotonic() - asked
         now = work.files()
         found.runs += 1
-        if now == old:
-            found.old += 1
-        elif now == new:
-            found.new += 1
-        elif all(now.get(name) in (old.get(name), new.get(name)) for name in {*old, *new}) and number == signal.SIGKILL:
-            found.mixed += 1  # several files come one after the other
+        which = work.verdict(now, old, new, number)
+        if which in ("old", "new", "mixed"):
+            setattr(found, which, getattr(found, which) + 1)
         else:
-            found.faults.append(f"{work.name}, {number.name}: the output is neither: {sorted(now)}")
+            found.faults.append(f"{work.name}, {number.name}: {which}")
         # In the first moments of a process nothing has been begun, and Python's own ends are as good.
-        if code not in (0, CODES[number], -number) and not (code == 99 and "KeyboardInterrupt" in said):
+        if code not in (*work.codes, CODES[number], -number) and not (code == 99 and "KeyboardInterrupt" in said):
             found.faults.append(f"{work.name}, {number.name}: exit code {code}: {said[-200:]}")
         if "terminate called" in said or (said.count("\n") > 1 and "KeyboardInterrupt" not in said):
             found.faults.append(f"{work.name}, {number.name}: says {said[-300:]!r}")
@@ -305,7 +469,9 @@ def hit(work: Work, server: Server, number: signal.Signals, moments: int, rng: r
             found.faults.append(f"{work.name}, {number.name}: a draft stayed")
             for draft in work.drafts():
                 _removed(draft)
-    work.forked(server)
+    code, said = work.forked(server)
+    if code or (work.files() != new):
+        found.faults.append(f"{work.name}, {number.name}: the next run does not complete it: {code}: {said[-200:]}")
     if work.drafts():
         found.faults.append(f"{work.name}, {number.name}: a draft stayed after the next run")
     return found
@@ -363,6 +529,7 @@ def places(work: Work) -> Count:
     found = Count()
 
     def run(work: Work, what: str, expected: int, limited: bool = False) -> None:
+        work = work.fresh(what)
         old = work.files()
         done = subprocess.run(work.command(), capture_output=True, text=True, preexec_fn=_small if limited else None)
         found.runs += 1
@@ -390,17 +557,20 @@ def places(work: Work) -> Count:
             (disk / "filler").unlink()
             subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
             run(there, "a read-only disk", 1)
-    if work.arguments[0] == "match":
+    if work.name.startswith("match ."):
         run(replace(work, output=Path(work.arguments[1])), "output = input", 1)
         link = work.output.with_name(f"link{work.output.suffix}")
         link.symlink_to(work.output)
         run(replace(work, output=link), "a link", 0)
         if not link.is_symlink():
             found.faults.append(f"{work.name}: a link was replaced")
-    two = [subprocess.Popen(work.command(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) for _ in range(2)]
+    twice = work.fresh("two")
+    two = [subprocess.Popen(twice.command(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) for _ in range(2)]
     said = b"".join(process.communicate()[1] for process in two)
     found.runs += 1
-    if any(process.returncode for process in two) or said or work.drafts():
+    # One of them may be refused, in one line.
+    refused = said.count(b"\n") == 1 and b"another" in said and sum(process.returncode for process in two) == 1
+    if ((any(process.returncode for process in two) or said) and not refused) or work.drafts():
         found.faults.append(f"{work.name}, two runs at once: {said[-300:]!r}")
     else:
         found.new += 1

@@ -1,9 +1,12 @@
 """Catalogues in partitions: the same answer as on one machine, however they are cut, and whatever dies meanwhile."""
 
 import os
+import re
+import shutil
 import subprocess
 import sys
 import time
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +22,7 @@ from typer.testing import CliRunner
 
 from sameas.cli.app import app
 from sameas.io import read_table
+from sameas.io.atomic import held
 from sameas.partitions import cells as healpix
 from sameas.partitions import run
 from sameas.partitions.layout import CELL, Cell, HatsCatalogue, is_hats
@@ -281,6 +285,45 @@ def test_a_killed_worker_is_replaced_and_a_killed_client_resumes_with_the_same_b
         assert process.returncode != 0 and not (tmp_path / "two" / "out" / "collection.properties").exists()
         subprocess.run(runs["two"], check=True, capture_output=True)
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
+
+
+def test_a_folder_is_one_runs_alone_and_what_a_kill_left_in_it_is_no_hindrance(tmp_path):
+    found, _ = matched(tmp_path, stored(tmp_path, sky((0.0, 0.0), 300, 0.1, seed=12), (300, 300)), out="one/out")
+    out = tmp_path / "two" / "out"
+    (out / ".sameas-run").mkdir(parents=True)
+    with closing(held(out / ".sameas-run")), pytest.raises(InputError, match="another run writes there; give another"):
+        found.write(out, workers=1, piece_rows=800)
+    # A run that was killed before it had said what it had begun left a folder that was refused for ever.
+    found.write(out, workers=1, piece_rows=800)
+    assert contents(tmp_path / "one") == contents(tmp_path / "two")
+    (out / ".sameas-run").mkdir()
+    with pytest.raises(InputError, match="exists already"):
+        found.write(out, workers=1, piece_rows=800)
+    assert contents(tmp_path / "one") == contents(tmp_path / "two") and not (out / ".sameas-run").exists()
+
+
+@pytest.mark.parametrize("what", ["files no larger than 2 kB", "a folder that disappears"])
+def test_a_disk_that_refuses_is_one_line_and_no_fault_of_sameas(what, tmp_path, monkeypatch):
+    resource = pytest.importorskip("resource")
+    found, _ = matched(tmp_path, stored(tmp_path, sky((0.0, 0.0), 300, 0.1, seed=12), (300, 300)), out="one/out")
+    limits, out = resource.getrlimit(resource.RLIMIT_FSIZE), tmp_path / "two" / "out"
+    work = run.decide_partition
+
+    def gone(folder, task):
+        shutil.rmtree(out)
+        return work(folder, task)
+
+    if what == "a folder that disappears":
+        monkeypatch.setattr(run, "decide_partition", gone)
+    else:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (2048, limits[1]))
+    try:
+        with pytest.raises(
+            InputError, match=f"cannot write {re.escape(str(out))}: the f.*; the parts that are done stay"
+        ):
+            found.write(out, workers=1)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
 @pytest.mark.long

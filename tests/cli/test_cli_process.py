@@ -1,5 +1,6 @@
 """The command as its own process: what depends on signals, devices and terminals."""
 
+import errno
 import importlib
 import inspect
 import os
@@ -284,6 +285,18 @@ def test_an_interruption_in_compiled_code_is_one(capsys):
     with pytest.raises(typer.Exit) as ended, outcome.answering(False):
         raise SystemError("another")
     assert ended.value.exit_code == 1 and "fault of sameas" in capsys.readouterr().err
+
+
+def test_a_disk_that_is_full_where_temporary_files_go_is_no_fault_of_sameas(capsys):
+    from sameas.cli import outcome
+
+    with pytest.raises(typer.Exit) as ended, outcome.answering(False):
+        raise OSError(errno.ENOSPC, "No space left on device", "/tmp/x")
+    told = "sameas: /tmp/x: no space left on device; make room, there too where TMPDIR says\n"
+    assert (ended.value.exit_code, capsys.readouterr().err) == (1, told)
+    with pytest.raises(typer.Exit), outcome.answering(False):
+        raise OSError("what nobody knows")
+    assert "fault of sameas" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -259,7 +259,7 @@ def test_a_folder_that_disappears_ends_nothing_but_is_said_at_the_end(tmp_path):
 
 def test_a_folder_is_one_watchs_alone(tmp_path):
     keeper = Keeper(settings(), tmp_path, replay=replay())
-    with pytest.raises(InputError, match="another watch writes there; give another folder, or end that one"):
+    with pytest.raises(InputError, match="another run writes there; give another folder, or end that one"):
         Keeper(settings(), tmp_path, replay=replay())
     keeper.close()
     Keeper(settings(), tmp_path, replay=replay()).close()

@@ -102,6 +102,14 @@ def answering(debug: bool, option: Callable[[Argument], str] = option_of) -> Ite
     except PermissionError as error:
         _end(f"{error.filename or 'a file'}: permission denied: this user may not use it, or a folder above it",
              INPUT_ERROR, debug)  # fmt: skip
+    except OSError as error:
+        from sameas.io.atomic import refused_by_disk
+
+        reason = refused_by_disk(error)
+        if reason is None:
+            _end(f"{fault(error)} with what --debug shows", INPUT_ERROR, debug)
+        _end(f"{error.filename or 'a temporary file'}: {reason}; make room, there too where TMPDIR says",
+             INPUT_ERROR, debug)  # fmt: skip
     except MemoryError:
         _end("not enough memory for these catalogues; nothing was written", INPUT_ERROR, debug)
     except Exception as error:

@@ -20,9 +20,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sameas.errors import InputError
+
+if TYPE_CHECKING:
+    import sqlite3
 
 _NO_ROOM = {
     errno.ENOSPC: "no space left on device",
@@ -185,6 +188,28 @@ def _beside(target: Path) -> Path:
     return target.with_name(_draft_name() + "".join(target.suffixes[-2:]))
 
 
+def held(folder: Path) -> sqlite3.Connection:
+    """Holds a folder for this process until what is given back is closed, or the process ends in whatever way.
+
+    SQLite's locks are those of the system, on each system; no file but ``lock.sqlite`` is locked.
+
+    Raises
+    ------
+    InputError : another process holds it. sqlite3.Error : it cannot be written.
+    """
+    import sqlite3
+
+    lock = sqlite3.connect(folder / "lock.sqlite", isolation_level=None, check_same_thread=False, timeout=0.0)
+    try:
+        lock.execute("BEGIN EXCLUSIVE")
+    except sqlite3.OperationalError as error:
+        lock.close()
+        if "locked" not in str(error):
+            raise
+        raise InputError(f"{folder}: another run writes there", "give another folder, or end that one") from None
+    return lock
+
+
 def discard_drafts() -> None:
     """Removes what has been begun and not ended: for a process that ends without unwinding."""
     for draft in list(_drafts):
@@ -238,13 +263,13 @@ def _clear_errors(given: Path) -> Iterator[None]:
     except InputError:
         raise
     except Exception as error:
-        reason = _reason(error)
+        reason = refused_by_disk(error)
         if reason is None:
             raise
         raise InputError(f"cannot write {given}: {reason}; nothing was written") from error
 
 
-def _reason(error: BaseException | None) -> str | None:
+def refused_by_disk(error: BaseException | None) -> str | None:
     """Why the device refused, or None; libraries wrap the first error, so its causes are asked too."""
     while error is not None:
         if isinstance(error, PermissionError):

@@ -19,7 +19,7 @@ import numpy as np
 
 import sameas
 from sameas.errors import InputError
-from sameas.io.atomic import replacing
+from sameas.io.atomic import held, replacing
 from sameas.live.frame import Alarm, Frame
 from sameas.picture.picture import Columns, gathered
 from sameas.saved import dumps, loads
@@ -46,14 +46,14 @@ class Journal:
 
     Raises
     ------
-    InputError : the folder cannot be made or written; another watch writes there; the journal is another program's.
+    InputError : the folder cannot be made or written; another run writes there; the journal is another program's.
     """
 
     def __init__(self, folder: Path, *, archive_every_s: float = 10.0) -> None:
         self.folder, self.archive_every_s = folder, archive_every_s
         try:
             folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            self._lock = _locked(folder)
+            self._lock = held(folder)
             self._base = sqlite3.connect(folder / "journal.sqlite", isolation_level=None, check_same_thread=False)
             self._base.execute("PRAGMA journal_mode=WAL")
             self._base.execute("PRAGMA synchronous=NORMAL")
@@ -207,22 +207,6 @@ class Journal:
         finally:
             self._base.close()
             self._lock.close()
-
-
-def _locked(folder: Path) -> sqlite3.Connection:
-    """Holds a folder for this process, until it is closed or the process ends in whatever way.
-
-    SQLite's locks are those of the system, on each system. The journal itself stays free to be read.
-    """
-    lock = sqlite3.connect(folder / "lock.sqlite", isolation_level=None, check_same_thread=False, timeout=0.0)
-    try:
-        lock.execute("BEGIN EXCLUSIVE")
-    except sqlite3.OperationalError as error:
-        lock.close()
-        if "locked" not in str(error):
-            raise
-        raise InputError(f"{folder}: another watch writes there", "give another folder, or end that one") from None
-    return lock
 
 
 def save_state(folder: Path, state: Mapping[str, Any]) -> None:

@@ -11,6 +11,7 @@ import json
 import math
 import os
 import shutil
+import sqlite3
 import sys
 import threading
 import time
@@ -18,7 +19,7 @@ import types
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -31,6 +32,7 @@ from sameas.errors import InputError
 from sameas.estimate.places import Counts, Learned, Places, drawn, learn
 from sameas.estimate.sample import Sampling
 from sameas.evidence import Related
+from sameas.io.atomic import held, refused_by_disk
 from sameas.kernels import threads
 from sameas.partitions import cells as healpix
 from sameas.partitions.layout import CELL, OWN, Cell, HatsCatalogue, numbers_of
@@ -606,26 +608,50 @@ def write(
     try:
         return _written(estimated, path, facts, margin_arcsec, workers, executor, progress, piece_rows, tuning)
     except OSError as error:
-        if error.errno != errno.ENOSPC:
+        if error.errno == errno.ENOSPC:
+            raise InputError(
+                f"{path}: the disk is full; the parts that are done stay", "make room, and call again"
+            ) from error
+        gone = "the folder is not there any more" if isinstance(error, FileNotFoundError) else None
+        reason = refused_by_disk(error) or gone
+        if reason is None:
             raise
-        raise InputError(
-            f"{path}: the disk is full; the parts that are done stay", "make room, and call again"
-        ) from error
+        raise InputError(f"cannot write {path}: {reason}; the parts that are done stay", "call again") from error
 
 
 def _written(
     estimated: Estimated, path: Path, facts: dict[str, Any], margin_arcsec: float, workers: int | None,
     executor: Executor | None, progress: Progress, piece_rows: int, tuning: RunTuning,
 ) -> Written:  # fmt: skip
-    work, name = estimated.work, path.name
-    catalogue, scratch = path / name, path / ".sameas-run"
+    scratch = path / ".sameas-run"
     if (path / "collection.properties").exists():
+        shutil.rmtree(scratch, ignore_errors=True)  # of a run that was killed in its last step
         raise InputError(f"{path}: exists already", "give another name, or remove it")
     mark = scratch / "begun.json"
     if mark.exists() and json.loads(mark.read_text(encoding="utf-8")) != facts:
         raise InputError(f"{path}: was begun with other catalogues or options", "give another name, or remove it")
-    if path.exists() and not mark.exists() and any(path.iterdir()):
+    # One that was killed before it could say what it had begun has begun nothing.
+    if path.exists() and not mark.exists() and any(one != scratch for one in path.iterdir()):
         raise InputError(f"{path}: exists already, and is no unfinished match", "give another name, or remove it")
+    scratch.mkdir(parents=True, exist_ok=True)
+    with ExitStack() as stack:
+        with suppress(sqlite3.Error):  # a file system without locks
+            stack.enter_context(closing(held(scratch)))
+        if (path / "collection.properties").exists():
+            raise InputError(f"{path}: another run has just written it", "give another name, or remove it")
+        done = _all_written(estimated, path, facts, margin_arcsec, workers, executor, progress, piece_rows, tuning)
+    shutil.rmtree(scratch)
+    return done
+
+
+def _all_written(
+    estimated: Estimated, path: Path, facts: dict[str, Any], margin_arcsec: float, workers: int | None,
+    executor: Executor | None, progress: Progress, piece_rows: int, tuning: RunTuning,
+) -> Written:  # fmt: skip
+    """The collection, by a run that is alone in its folder and may go on where another has ended."""
+    work, name = estimated.work, path.name
+    catalogue, scratch = path / name, path / ".sameas-run"
+    mark = scratch / "begun.json"
     store(work, scratch)
     written_whole(mark, json.dumps(facts).encode())
     every = list(divided(output_cells(work), estimated.counts, work.sides[0].cell_order, piece_rows))
@@ -650,7 +676,6 @@ def _written(
     for left in path.rglob(".*.part"):  # of workers that died while they wrote
         left.unlink(missing_ok=True)
     write_collection(path, name, margin if margin is not None and (path / margin).exists() else None)
-    shutil.rmtree(scratch)
     sums = {key: sum(one[key] for one in sorted(done, key=lambda one: (one["order"], one["number"])))
             for key in ("pairs", "expected_common", "expected_wrong", "doubtful", "read")}  # fmt: skip
     widest = max(one["halo_arcsec"] for one in done)
