@@ -27,7 +27,7 @@ from sameas.partitions import cells as healpix
 from sameas.partitions import run
 from sameas.partitions.layout import CELL, Cell, HatsCatalogue, is_hats
 from sameas.partitions.output import partition_file, write_hats
-from sameas.partitions.part import Patch
+from sameas.partitions.part import DEFAULT_PART, Halo, Patch
 
 EVERYTHING = np.array([[0, 12 << 58]], np.int64)
 
@@ -127,6 +127,28 @@ def test_in_a_crowd_pairs_are_the_same_and_probabilities_nearly(tmp_path):
     told = table_of(tmp_path / "out")
     assert {i: j for i, j in zip(told["id_1"], told["id_2"], strict=True) if not np.isnan(j)} == partner
     assert max(abs(p_none[i] - p) for i, p in zip(told["id_1"], told["p_none"], strict=True)) < 1e-3
+
+
+@pytest.mark.parametrize("order, number", [(6, 0), (6, 4095), (6, 4096 * 12 - 1), (9, 777_777), (12, 5), (3, 40)])
+@pytest.mark.parametrize("width", [0.7, 19.7, 64.4, 900.0])
+def test_a_halo_holds_all_that_is_so_near_and_little_more(order, number, width):
+    """At corners where three cells meet, on the equator, and where the halo is wider than the cell."""
+    patch, rng = Patch(order, np.array([number])), np.random.default_rng(number)
+    halo = Halo.around(patch, width, DEFAULT_PART.finer)
+    assert width <= halo.width_arcsec <= 1.34 * width
+    shift = 2 * (healpix.FINEST - order)
+    inside = (number << shift) + rng.integers(0, 1 << shift, 2_000)
+    # The cell's corners and edges among them: runs of equal digits in nested numbering.
+    runs = [((1 << shift) - 1) // 3 * k >> 2 * j << 2 * j for k in range(4) for j in range(16)]
+    inside[:64] = (number << shift) + np.array(runs)
+    from_here = healpix.centres(inside, healpix.FINEST)
+    along = np.cross(from_here, rng.normal(size=from_here.shape))
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    turn = rng.choice([1.0, 0.999, 0.5], len(along))[:, None] * (halo.width_arcsec / 206264.80625)
+    at = from_here * np.cos(turn) + along * np.sin(turn)
+    lon_lat = np.degrees(np.column_stack([np.arctan2(at[:, 1], at[:, 0]), np.arcsin(np.clip(at[:, 2], -1.0, 1.0))]))
+    assert healpix.within(halo.stretch, healpix.cells_of(lon_lat, healpix.FINEST)).all()
+    assert np.all(halo.edge_arcsec(from_here, np.full(len(at), 4.0 * width)) >= 0.0)
 
 
 def test_a_halo_that_is_too_narrow_is_noticed(tmp_path):

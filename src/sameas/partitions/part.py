@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -55,6 +56,8 @@ class PartTuning:
 DEFAULT_PART = PartTuning()
 #: A cell's middle to its farthest corner, over its side.
 CORNER = 0.85
+#: A halo is made of rings of cells that are smaller by so many orders than cells as wide as it: hardly wider than asked.
+THINNER = 2
 
 
 @in_short
@@ -337,16 +340,20 @@ class Halo:
         if width_arcsec > healpix.width_arcsec(0):
             every = np.array([[0, 12 << 2 * healpix.FINEST]], np.int64)
             return cls(patch.stretch, every, middle, np.empty((0, 3)), np.inf, 0.0)
-        coarse = patch.coarser(order)
-        inner, base = coarse.cells, coarse.order
-        ring = healpix.ring(inner, base, order)
-        stretch = healpix.joined(np.concatenate([healpix.stretches(inner, base), healpix.stretches(ring, order)]))
+        coarse, thin = patch.coarser(order), order + THINNER
+        rings = math.ceil(width_arcsec / healpix.width_arcsec(thin))
+        stretch, ring = coarse.stretch, healpix.ring(coarse.cells, coarse.order, thin)
+        for _ in range(rings - 1):
+            stretch = healpix.joined(np.concatenate([stretch, healpix.stretches(ring, thin)]))
+            ring = healpix.around(ring, thin)
+            ring = ring[~healpix.within(stretch, ring << 2 * (healpix.FINEST - thin))]
+        stretch = healpix.joined(np.concatenate([stretch, healpix.stretches(ring, thin)]))
         finest = min(order + finer, healpix.FINEST)
-        border = healpix.ring(ring, order, finest)
+        border = healpix.ring(ring, thin, finest)
         border = border[~healpix.within(stretch, border << 2 * (healpix.FINEST - finest))]
         side = healpix.SIDE_ARCSEC / 2.0**finest
         centres = healpix.centres(border, finest)
-        return cls(patch.stretch, stretch, middle, centres, healpix.width_arcsec(order), side)
+        return cls(patch.stretch, stretch, middle, centres, rings * healpix.width_arcsec(thin), side)
 
     def reach(self) -> FloatArray:
         """(4,) a direction and a distance, arcsec, within which all of it lies."""
