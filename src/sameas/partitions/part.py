@@ -56,7 +56,7 @@ class PartTuning:
 DEFAULT_PART = PartTuning()
 #: A cell's middle to its farthest corner, over its side.
 CORNER = 0.85
-#: A halo is made of rings of cells smaller by so many orders than one as wide as it, so that it is hardly wider than asked.
+#: A halo is made of rings of cells smaller by so many orders than one as wide as it: hardly wider than asked.
 THINNER = 2
 
 
