@@ -12,8 +12,14 @@ from numpy.typing import NDArray
 
 from sameas.arrays import AnyIntArray, BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import kernel, part
+from sameas.kernels.components import root
 
 NONE = -1
+#: Sweeps over the duals of a group, how often sets are left out by them, and sweeps that exchange the sets of a
+#: partition, at most (tuned on crowded pictures).
+SWEEPS, PRUNINGS, EXCHANGES = 6, 8, 6
+#: They end where a sweep gains less, in nats, and where less than this share of the sets is left out.
+LEAST_NATS, LEAST_SHARE = 0.01, 0.02
 
 
 @kernel
@@ -249,3 +255,368 @@ def _wider(values: AnyIntArray) -> AnyIntArray:
     out = np.zeros(2 * len(values), values.dtype)
     out[: len(values)] = values
     return out
+
+
+# ---- groups whose sets are pruned by duals of their own, and summed block by block ----
+
+
+@kernel
+def packed(
+    groups: IntArray,
+    start: IntArray,
+    members: IntArray,
+    weight: FloatArray,
+    small: int,
+    cuts: FloatArray,
+    most_records: int,
+    cap: int,
+    dual: FloatArray,
+    hint: BoolArray,
+    kept: BoolArray,
+    share: FloatArray,
+    chosen: BoolArray,
+    cut: FloatArray,
+) -> None:
+    """Fill ``share`` with every set's probability, ``chosen`` with the best partition, ``cut`` per group.
+
+    groups : the groups to do. start : (g+1,) sets of each group. members : (k, S) records of the sets, −1 for none; a
+    record alone is a set of weight 0. Of groups of more than ``small`` records, sets are left out that make every
+    partition e^c times less probable than the best or more: duals u of the records, Σ u ≥ ln w for every set, bound a
+    partition with a set by the best less the set's reduced cost Σ u − ln w. ``dual`` (n,) are such duals; they are
+    lowered coordinate by coordinate. ``hint`` (k,) are sets of a good partition, if one is known. Sets that are left out split the group into blocks, and a block's duals are
+    tighter than those of the whole. c is the first of ``cuts`` at which a block has at most ``most_records`` records
+    and its sum at most ``cap`` steps from state to state; ``cut`` is the lowest c of a group's blocks. It is −1 where a
+    block has none: only the other blocks are filled in there, and ``kept`` (k,) are the sets of such blocks.
+    """
+    local = np.full(len(dual), NONE)
+    for g in groups:
+        a, b = start[g], start[g + 1]
+        cut[g] = _packed_group(
+            members[a:b], weight[a:b], local, small, cuts, most_records, cap, dual, hint[a:b], kept[a:b], share[a:b],
+            chosen[a:b],
+        )  # fmt: skip
+
+
+@part
+def _packed_group(
+    members: IntArray,
+    weight: FloatArray,
+    local: IntArray,
+    small: int,
+    cuts: FloatArray,
+    most_records: int,
+    cap: int,
+    dual: FloatArray,
+    hint: BoolArray,
+    kept: BoolArray,
+    share: FloatArray,
+    chosen: BoolArray,
+) -> float:
+    k, n = len(members), 0
+    begin = np.zeros(k + 1, np.int64)
+    entry = np.empty(members.size, np.int64)
+    at = 0
+    for s in range(k):
+        for record in members[s]:
+            if record != NONE:
+                if local[record] == NONE:
+                    local[record] = n
+                    n += 1
+                entry[at] = local[record]
+                at += 1
+        begin[s + 1] = at
+    own_dual = np.empty(n)
+    for s in range(k):
+        for record in members[s]:
+            if record != NONE and local[record] != NONE:
+                own_dual[local[record]] = dual[record]
+                local[record] = NONE
+    block, done = np.zeros(n, np.int64), np.zeros(n, np.bool_)
+    kept[:] = True
+    if n <= small:
+        _blocks(begin, entry, kept, block)
+        if _sum_blocks(begin, entry, weight, kept, block, done, most_records, cap, share, chosen):
+            return cuts[0]
+    for cut in cuts:
+        _prune(begin, entry, weight, cut, kept, block, done, own_dual, hint)
+        if _sum_blocks(begin, entry, weight, kept, block, done, most_records, cap, share, chosen):
+            return cut
+    for s in range(k):
+        kept[s] = kept[s] and not done[entry[begin[s]]]
+    return -1.0
+
+
+@part
+def _blocks(begin: IntArray, entry: IntArray, kept: BoolArray, block: IntArray) -> None:
+    """Fill ``block`` (n,) with the least record that each record is entangled with by the kept sets."""
+    for r in range(len(block)):
+        block[r] = r
+    for s in range(len(kept)):
+        if kept[s]:
+            for e in range(begin[s] + 1, begin[s + 1]):
+                one, other = root(block, entry[begin[s]]), root(block, entry[e])
+                block[max(one, other)] = min(one, other)
+    for r in range(len(block)):
+        block[r] = root(block, r)
+
+
+@part
+def _prune(
+    begin: IntArray,
+    entry: IntArray,
+    weight: FloatArray,
+    cut: float,
+    kept: BoolArray,
+    block: IntArray,
+    done: BoolArray,
+    dual: FloatArray,
+    hint: BoolArray,
+) -> None:
+    """Leave out of ``kept`` the sets that are improbable by the duals of their block, until no more are."""
+    n, k = len(block), len(kept)
+    value, total, partition = np.zeros(n), np.zeros(n), np.empty(0, np.int64)
+    for turn in range(PRUNINGS):
+        _blocks(begin, entry, kept, block)
+        own, sets = _sets_of_records(begin, entry, kept, done, n)
+        _descend(begin, entry, weight, own, sets, dual)
+        value[:], total[:] = 0.0, 0.0
+        if turn == 0:
+            partition = _greedy(begin, entry, weight, kept, done, dual, hint)
+        for s in partition:
+            value[block[entry[begin[s]]]] += weight[s]
+        for r in range(n):
+            total[block[r]] += dual[r]
+        left_out, left = 0, 0
+        for s in range(k):
+            b = block[entry[begin[s]]]
+            if kept[s] and not done[b]:
+                left += 1
+                if _cost(s, begin, entry, weight, dual) > cut + total[b] - value[b]:
+                    kept[s] = False
+                    left_out += 1
+        if left_out <= LEAST_SHARE * left:
+            break
+    _blocks(begin, entry, kept, block)
+
+
+@part
+def _cost(s: int, begin: IntArray, entry: IntArray, weight: FloatArray, dual: FloatArray) -> float:
+    """The reduced cost of a set."""
+    cost = -weight[s]
+    for e in range(begin[s], begin[s + 1]):
+        cost += dual[entry[e]]
+    return cost
+
+
+@part
+def _sets_of_records(
+    begin: IntArray, entry: IntArray, kept: BoolArray, done: BoolArray, n: int
+) -> tuple[IntArray, IntArray]:
+    """The kept sets of several records that each of n records is in, as CSR; those that are done have none."""
+    own = np.zeros(n + 1, np.int64)
+    for s in range(len(kept)):
+        if kept[s] and begin[s + 1] - begin[s] > 1 and not done[entry[begin[s]]]:
+            for e in range(begin[s], begin[s + 1]):
+                own[entry[e] + 1] += 1
+    for r in range(n):
+        own[r + 1] += own[r]
+    fill, sets = own[:-1].copy(), np.empty(own[n], np.int64)
+    for s in range(len(kept)):
+        if kept[s] and begin[s + 1] - begin[s] > 1 and not done[entry[begin[s]]]:
+            for e in range(begin[s], begin[s + 1]):
+                sets[fill[entry[e]]] = s
+                fill[entry[e]] += 1
+    return own, sets
+
+
+@part
+def _descend(
+    begin: IntArray, entry: IntArray, weight: FloatArray, own: IntArray, sets: IntArray, dual: FloatArray
+) -> None:
+    """Lower the duals one after another as far as their sets allow, there and back."""
+    n = len(dual)
+    for sweep in range(SWEEPS):
+        lowered = 0.0
+        for turn in range(n):
+            r = turn if sweep % 2 == 0 else n - 1 - turn
+            if own[r] == own[r + 1]:
+                continue
+            least = 0.0
+            for at in range(own[r], own[r + 1]):
+                s = sets[at]
+                least = max(least, dual[r] - _cost(s, begin, entry, weight, dual))
+            if least < dual[r]:
+                lowered += dual[r] - least
+                dual[r] = least
+        if lowered < LEAST_NATS:
+            return
+
+
+@part
+def _greedy(
+    begin: IntArray,
+    entry: IntArray,
+    weight: FloatArray,
+    kept: BoolArray,
+    done: BoolArray,
+    dual: FloatArray,
+    hint: BoolArray,
+) -> IntArray:
+    """Kept sets of several records that share none: those of the ``hint`` and those of least reduced cost first, then
+    any that weighs more than those it takes records from."""
+    several = np.flatnonzero(kept & (begin[1:] - begin[:-1] > 1) & (weight > 0.0) & ~done[entry[begin[:-1]]])
+    cost = np.empty(len(several))
+    for at in range(len(several)):
+        s = several[at]
+        cost[at] = -1.0 if hint[s] else _cost(s, begin, entry, weight, dual) - 1e-6 * weight[s]
+    owner, order = np.full(len(dual), NONE), several[np.argsort(cost)]
+    for turn in range(EXCHANGES):
+        changed = False
+        for s in order:
+            if owner[entry[begin[s]]] == s:
+                continue
+            lost = 0.0
+            for e in range(begin[s], begin[s + 1]):
+                other, again = owner[entry[e]], False
+                for f in range(begin[s], e):
+                    again = again or owner[entry[f]] == other
+                if other != NONE and not again:
+                    lost += weight[other]
+            if weight[s] > lost + 1e-9 * abs(lost) and (turn > 0 or lost == 0.0):
+                for e in range(begin[s], begin[s + 1]):
+                    other = owner[entry[e]]
+                    if other != NONE:
+                        for f in range(begin[other], begin[other + 1]):
+                            owner[entry[f]] = NONE
+                for e in range(begin[s], begin[s + 1]):
+                    owner[entry[e]] = s
+                changed = True
+        if not changed:
+            break
+    out, size = np.empty(len(order), np.int64), 0
+    for s in order:
+        if owner[entry[begin[s]]] == s:
+            out[size] = s
+            size += 1
+    return out[:size]
+
+
+@part
+def _sum_blocks(
+    begin: IntArray,
+    entry: IntArray,
+    weight: FloatArray,
+    kept: BoolArray,
+    block: IntArray,
+    done: BoolArray,
+    most_records: int,
+    cap: int,
+    share: FloatArray,
+    chosen: BoolArray,
+) -> bool:
+    """Sum the blocks of records that the kept sets entangle, but those that are ``done`` (n,); whether all are now."""
+    n, k = len(block), len(kept)
+    count, records = np.zeros(n, np.int64), np.zeros(n, np.int64)
+    for s in range(k):
+        if kept[s]:
+            count[block[entry[begin[s]]]] += 1
+    for r in range(n):
+        records[block[r]] += 1
+    first_set = np.zeros(n + 1, np.int64)
+    for b in range(n):
+        first_set[b + 1] = first_set[b] + count[b]
+    fill, of_block = first_set[:-1].copy(), np.empty(first_set[n], np.int64)
+    for s in range(k):
+        if kept[s]:
+            b = block[entry[begin[s]]]
+            of_block[fill[b]] = s
+            fill[b] += 1
+    number, own, summed = np.full(n, NONE), np.zeros(n, np.int64), np.zeros(n, np.bool_)
+    for b in range(n):
+        sets = of_block[first_set[b] : first_set[b + 1]]
+        if done[b] or len(sets) == 0:
+            continue
+        if len(sets) == 1:
+            share[sets[0]], chosen[sets[0]], summed[b] = 1.0, True, True
+        elif records[b] <= most_records:
+            _order(begin, entry, sets, number, own)
+            summed[b] = _sum_block(begin, entry, weight, sets, number, records[b], cap, share, chosen)
+    whole = True
+    for r in range(n):
+        done[r] = done[r] or summed[block[r]]
+        whole = whole and done[r]
+    return whole
+
+
+@part
+def _order(begin: IntArray, entry: IntArray, sets: IntArray, number: IntArray, own: IntArray) -> None:
+    """Number the records of a block (``number`` −1 so far), breadth first from one with few sets, so that those that
+    share sets follow each other and states hold few of them (Cuthill and McKee). own : (n,) zeros, and so again."""
+    total = 0
+    for s in sets:
+        for e in range(begin[s], begin[s + 1]):
+            own[entry[e]] += 1
+            total += 1
+    queue, seed = np.empty(total, np.int64), entry[begin[sets[0]]]
+    for s in sets:
+        for e in range(begin[s], begin[s + 1]):
+            if own[entry[e]] < own[seed]:
+                seed = entry[e]
+    number[seed], queue[0], size = 0, seed, 1
+    done, low = np.zeros(len(sets), np.bool_), 0
+    for at in range(total):
+        if at == size:
+            break
+        # Sets of the record that has waited longest bring in their others, those of few sets first.
+        record, low = queue[at], size
+        for k in range(len(sets)):
+            if done[k]:
+                continue
+            inside = False
+            for e in range(begin[sets[k]], begin[sets[k] + 1]):
+                inside = inside or entry[e] == record
+            if not inside:
+                continue
+            done[k] = True
+            for e in range(begin[sets[k]], begin[sets[k] + 1]):
+                if number[entry[e]] == NONE:
+                    place = size
+                    while place > low and own[queue[place - 1]] > own[entry[e]]:
+                        queue[place] = queue[place - 1]
+                        number[queue[place]] = place
+                        place -= 1
+                    queue[place], number[entry[e]] = entry[e], place
+                    size += 1
+    for at in range(size):
+        own[queue[at]] = 0
+
+
+@part
+def _sum_block(
+    begin: IntArray,
+    entry: IntArray,
+    weight: FloatArray,
+    sets: IntArray,
+    number: IntArray,
+    n: int,
+    cap: int,
+    share: FloatArray,
+    chosen: BoolArray,
+) -> bool:
+    low, mask = np.empty(len(sets), np.int64), np.zeros(len(sets), np.uint64)
+    for at in range(len(sets)):
+        low[at] = 1 << 30
+        for e in range(begin[sets[at]], begin[sets[at] + 1]):
+            low[at] = min(low[at], number[entry[e]])
+            mask[at] |= np.uint64(1) << np.uint64(number[entry[e]])
+    order = np.argsort(low * len(sets) + np.arange(len(sets)))
+    those = sets[order]
+    part_share, part_chosen = np.zeros(len(sets)), np.zeros(len(sets), np.bool_)
+    merges = np.zeros(len(sets), np.int64)
+    if not _group(
+        n, low[order], mask[order], weight[those], merges, np.zeros(1), False, cap, part_share, part_chosen
+    ):
+        return False
+    for at in range(len(those)):
+        share[those[at]], chosen[those[at]] = part_share[at], part_chosen[at]
+    return True

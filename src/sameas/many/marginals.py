@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.many.joint import NO_RECORD
-from sameas.many.partition import best_counted, best_partition, incidence_of
+from sameas.many.partition import best_counted, best_partition, incidence_of, relaxed
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import MissedObjects
 from sameas.many.sets import Sets
@@ -80,19 +80,78 @@ def answer(
 
 def additive_answer(sets: Sets, sizes: IntArray, *, time_limit_s: float, tuning: ManyTuning = TUNING) -> Answer:
     """The same without a count prior; sizes : (g,) records of every group."""
-    # Small groups need no linear programme: their sums are short, and give the best partition too.
     n = int(sizes.sum())
-    sums = _Sums.additive(sets, n, tuning)
-    small = (sizes <= tuning.small) & (sets.floor <= 0)
-    share, chosen, solved = sums.without(np.zeros(len(sets)), EXACT, small)
-    solved &= small
-    best = best_partition(sets, n, ~solved, time_limit_s=time_limit_s)
+    share, chosen, cut = packed_groups(sets, n, np.ones(len(sizes), bool), tuning)
+    rest = cut < 0
+    if not rest.any():
+        return Answer(chosen, share, np.zeros(len(sizes)), cut)
+    best = best_partition(sets, n, rest, time_limit_s=time_limit_s)
     cost = _reduced_cost(sets, best.dual, best.slack, sets.log_weight)
-    part, _, cut = sums.all(cost, best.chosen, np.where(solved, EXACT, -1.0))
-    done = solved[sets.group]
+    part, _, cut = _Sums.additive(sets, n, tuning).all(cost, best.chosen, cut)
+    open_ = rest[sets.group]
     return Answer(
-        np.where(done, chosen, best.chosen), np.where(done, share, part), np.where(solved, 0.0, best.gap), cut
+        np.where(open_, best.chosen, chosen), np.where(open_, part, share), np.where(rest, best.gap, 0.0), cut
     )
+
+
+def best_sets(
+    sets: Sets, n_records: int, groups: BoolArray, possible: BoolArray, *, time_limit_s: float,
+    tuning: ManyTuning = TUNING,
+) -> BoolArray:  # fmt: skip
+    """(k,) the sets of the best partition of some groups (g,), without a count prior, from those that are possible.
+
+    possible : (k,) the sets that have a probability under other weights near these, a partition among them. The others
+        are considered where the blocks of the possible ones are too large to be summed.
+    """
+    which = np.flatnonzero(possible & groups[sets.group])
+    chosen = np.zeros(len(sets), bool)
+    _, chosen[which], cut = packed_groups(sets.take(which), n_records, groups, tuning)
+    rest = groups & (cut < 0)
+    if not rest.any():
+        return chosen
+    best = best_partition(sets, n_records, rest, time_limit_s=time_limit_s).chosen
+    return np.where(rest[sets.group], best, chosen)
+
+
+def packed_groups(
+    sets: Sets, n_records: int, groups: BoolArray, tuning: ManyTuning = TUNING
+) -> tuple[FloatArray, BoolArray, FloatArray]:
+    """Probabilities and best partition (k,) of the groups (g,) of which all blocks can be summed, and their cut.
+
+    Most groups need no linear programme: their duals are found by descent. For the others there is one, of the sets
+    that these duals leave. The cut of the groups that are not solved is −1.
+    """
+    asked, even = groups & (sets.floor <= 0), np.zeros(n_records)
+    at, record = sets.entries()
+    np.maximum.at(even, record, (sets.log_weight / sets.size)[at])
+    share, chosen, kept, cut = _packed(sets, asked, (even, np.zeros(len(sets), bool)), tuning.descent_cuts, tuning)
+    rest = asked & (cut < 0)
+    if rest.any():
+        left = np.flatnonzero(kept & rest[sets.group])
+        blocks = sets.take(left)
+        share[left], chosen[left], _, lower = _packed(
+            blocks, rest, relaxed(blocks, n_records), tuning.cuts, tuning
+        )
+        cut = np.where(rest, lower, cut)
+    return share, chosen, cut
+
+
+def _packed(
+    sets: Sets, groups: BoolArray, known: tuple[FloatArray, BoolArray], cuts: tuple[float, ...], tuning: ManyTuning
+) -> tuple[FloatArray, BoolArray, BoolArray, FloatArray]:
+    """Probabilities, best partition, sets that were not left out (k,), and the cut of every group (g,).
+
+    known : duals of the records, and sets of a good partition.
+    """
+    from sameas.kernels.partitions import packed
+
+    n = len(sets)
+    share, chosen, kept, cut = np.zeros(n), np.zeros(n, bool), np.zeros(n, bool), np.full(len(groups), -1.0)
+    packed(
+        np.flatnonzero(groups), sets.start, sets.members, sets.log_weight, tuning.small, np.array(cuts), MOST_RECORDS,
+        min(tuning.block_steps, tuning.most_steps), *known, kept, share, chosen, cut,
+    )  # fmt: skip
+    return share, chosen, kept, cut
 
 
 def _reduced_cost(sets: Sets, dual: FloatArray, slack: FloatArray, weight: FloatArray) -> FloatArray:

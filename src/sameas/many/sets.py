@@ -47,6 +47,12 @@ class Sets:
     def __len__(self) -> int:
         return len(self.size)
 
+    def take(self, which: IntArray) -> Sets:
+        """Some of the sets (ascending), in the same groups."""
+        group = self.group[which]
+        start = Ragged.of_sorted(group, len(self.start) - 1).start
+        return Sets(self.members[which], self.size[which], self.log_weight[which], group, start, self.floor)
+
     def entries(self) -> tuple[IntArray, IntArray]:
         """(set, record) of every membership, sets ascending."""
         at, source = np.nonzero(self.members != NO_RECORD)

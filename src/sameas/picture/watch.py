@@ -21,12 +21,13 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.gate import ChiSquare
 from sameas.many.identify import identify_many
+from sameas.many.marginals import best_sets
 from sameas.many.objects import Objects
 from sameas.many.observations import records_of
-from sameas.many.partition import best_partition
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import PoissonObjects, SetRule
 from sameas.many.sets import Sets
+from sameas.many.tuning import ManyTuning
 from sameas.picture.instant_objects import IdentifiedObjects
 from sameas.picture.memory import Past
 from sameas.picture.named import places_in
@@ -73,7 +74,8 @@ def with_hysteresis(
     if not reopened.any():
         return identification, np.zeros(len(identification), bool)
     tilted = replace(sets, log_weight=sets.log_weight + log_bound * links)
-    steady = best_partition(tilted, len(identification.pooled), reopened, time_limit_s=search_s).chosen
+    steady = best_sets(tilted, len(identification.pooled), reopened, answer.probability > 0.0, time_limit_s=search_s,
+                       tuning=LIVE)  # fmt: skip
     chosen = np.where(reopened[sets.group], steady, answer.chosen)
     log_loss = _value(sets, answer.chosen) - _value(sets, chosen)
     steadied = replace(
@@ -113,6 +115,8 @@ def _value(sets: Sets, chosen: BoolArray) -> FloatArray:
 TEXTS = ("mmsi", "icao", "callsign", "name", "mode_a", "type")
 #: Those of them that are unique to an object.
 UNIQUE_IDS = ("mmsi", "icao", "callsign")
+#: Bounds of the work of an instant: cuts below 30 change no probability by more than e⁻¹⁰.
+LIVE = ManyTuning(descent_cuts=(30.0, 20.0, 14.0, 10.0), block_steps=10_000)
 #: The texts of an object without any.
 NO_TEXTS = np.full(len(TEXTS), "", dtype=object)
 
@@ -210,7 +214,9 @@ class Watch:
             empty = Records.of(np.empty((0, now.features)), sigma=1.0, source="")
             rule = PoissonObjects(now.density, 0.5)
             return identify_many((*now.sources, empty), rule=rule, region=now.region)
-        return identify_many(now.sources, rule=self.evidence(now, past), gate=self.gate, region=now.region)
+        return identify_many(
+            now.sources, rule=self.evidence(now, past), gate=self.gate, region=now.region, tuning=LIVE
+        )
 
     def _detections(
         self,
