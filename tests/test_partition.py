@@ -1,11 +1,13 @@
 """The best partition: exact where the relaxation is broken, whatever was left out on the way to it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
 from sameas.many.identify import identify_many
-from sameas.many.marginals import MOST_RECORDS
+from sameas.many.marginals import EXACT, MOST_RECORDS, packed_groups
 from sameas.many.partition import best_partition, incidence_of
 from sameas.many.rules import PoissonObjects
 from sameas.many.sets import Sets
@@ -54,6 +56,22 @@ def test_the_partition_is_the_best_where_the_relaxation_is_broken():
         )
         assert found.dual.sum() - found.slack[0] == pytest.approx(best, abs=1e-6)
     assert broken >= 3
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_sets_that_duals_prove_improbable_change_no_probability(seed):
+    sets, n = entangled(np.random.default_rng(seed), per_source=6, triples=30)
+    every = np.ones(1, bool)
+    whole = packed_groups(sets, n, every, replace(TUNING, small=n))
+    pruned = packed_groups(sets, n, every, replace(TUNING, small=0))
+    assert (whole[2] >= EXACT).all() and (pruned[2] >= EXACT).all()
+    np.testing.assert_allclose(pruned[0], whole[0], rtol=0.0, atol=1e-10)
+    assert (pruned[1] == whole[1]).all()
+    assert sets.log_weight[pruned[1]].sum() == pytest.approx(direct(sets, n, whole=True), abs=1e-6)
+    # A sum that may take few steps goes without more sets, says so, and still has the best partition.
+    short = packed_groups(sets, n, every, replace(TUNING, small=0, block_steps=300))
+    if short[2][0] >= 0.0:
+        assert short[2][0] < EXACT and (short[1] == whole[1]).all()
 
 
 def test_a_group_of_more_records_than_a_sum_can_hold_is_summed_without_improbable_sets():

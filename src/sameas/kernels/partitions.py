@@ -283,10 +283,11 @@ def packed(
     record alone is a set of weight 0. Of groups of more than ``small`` records, sets are left out that make every
     partition e^c times less probable than the best or more: duals u of the records, Σ u ≥ ln w for every set, bound a
     partition with a set by the best less the set's reduced cost Σ u − ln w. ``dual`` (n,) are such duals; they are
-    lowered coordinate by coordinate. ``hint`` (k,) are sets of a good partition, if one is known. Sets that are left out split the group into blocks, and a block's duals are
-    tighter than those of the whole. c is the first of ``cuts`` at which a block has at most ``most_records`` records
-    and its sum at most ``cap`` steps from state to state; ``cut`` is the lowest c of a group's blocks. It is −1 where a
-    block has none: only the other blocks are filled in there, and ``kept`` (k,) are the sets of such blocks.
+    lowered coordinate by coordinate. ``hint`` (k,) are sets of a good partition, if one is known. Sets that are left
+    out split the group into blocks, and a block's duals are tighter than those of the whole. c is the first of ``cuts``
+    at which a block has at most ``most_records`` records and its sum at most ``cap`` steps from state to state; ``cut``
+    is the lowest c of a group's blocks. It is −1 where a block has none: only the other blocks are filled in there, and
+    ``kept`` (k,) are the sets of such blocks.
     """
     local = np.full(len(dual), NONE)
     for g in groups:
@@ -613,9 +614,7 @@ def _sum_block(
     those = sets[order]
     part_share, part_chosen = np.zeros(len(sets)), np.zeros(len(sets), np.bool_)
     merges = np.zeros(len(sets), np.int64)
-    if not _group(
-        n, low[order], mask[order], weight[those], merges, np.zeros(1), False, cap, part_share, part_chosen
-    ):
+    if not _group(n, low[order], mask[order], weight[those], merges, np.zeros(1), False, cap, part_share, part_chosen):
         return False
     for at in range(len(those)):
         share[those[at]], chosen[those[at]] = part_share[at], part_chosen[at]

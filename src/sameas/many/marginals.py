@@ -129,9 +129,7 @@ def packed_groups(
     if rest.any():
         left = np.flatnonzero(kept & rest[sets.group])
         blocks = sets.take(left)
-        share[left], chosen[left], _, lower = _packed(
-            blocks, rest, relaxed(blocks, n_records), tuning.cuts, tuning
-        )
+        share[left], chosen[left], _, lower = _packed(blocks, rest, relaxed(blocks, n_records), tuning.cuts, tuning)
         cut = np.where(rest, lower, cut)
     return share, chosen, cut
 

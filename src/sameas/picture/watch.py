@@ -214,9 +214,7 @@ class Watch:
             empty = Records.of(np.empty((0, now.features)), sigma=1.0, source="")
             rule = PoissonObjects(now.density, 0.5)
             return identify_many((*now.sources, empty), rule=rule, region=now.region)
-        return identify_many(
-            now.sources, rule=self.evidence(now, past), gate=self.gate, region=now.region, tuning=LIVE
-        )
+        return identify_many(now.sources, rule=self.evidence(now, past), gate=self.gate, region=now.region, tuning=LIVE)
 
     def _detections(
         self,
