@@ -66,6 +66,7 @@ def crowd(seed, elliptical, sigma=(0.5, 2.0), radius_deg=0.03):
     return scene.first, scene.second
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("elliptical", [False, True])
 def test_estimation_on_the_sky(both, elliptical):
     first, second = crowd(1, elliptical)
@@ -74,6 +75,7 @@ def test_estimation_on_the_sky(both, elliptical):
     assert not different and len(ran) > 15
 
 
+@pytest.mark.slow
 def test_estimation_with_magnitudes(both):
     first, second = crowd(2, False)
     rng = np.random.default_rng(3)
@@ -101,6 +103,7 @@ def test_identification_on_a_plane(both, space, prior, n):
     assert not different and len(ran) > 3
 
 
+@pytest.mark.slow
 def test_few_records_need_no_compiler_and_many_do():
     """In a process of its own: numba is imported when a kernel has much to do, and not before."""
     program = """
@@ -119,6 +122,7 @@ print(identified(200), identified(20_000))
     assert run.stdout.split() == ["False", "True"]
 
 
+@pytest.mark.slow
 def test_everything_is_compiled_where_that_is_wanted():
     program = """
 import sys

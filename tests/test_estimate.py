@@ -44,6 +44,7 @@ def test_the_number_of_common_objects_and_the_misses_are_found():
     assert calibration(answer, made).expected_calibration_error < 0.015
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quoted, sigma", [(1 / 2, 0.1), (1 / 10, 0.1), (1.6, 0.1)])
 def test_errors_that_are_quoted_wrongly_are_seen_and_corrected(quoted, sigma):
     made, first, second = scene(1, quoted=quoted, sigma=sigma)

@@ -71,6 +71,7 @@ def test_large_errors_speak_against_a_source_that_sees_less_deep(found):
     assert np.median(said[faint]) < -0.5 < np.median(said[answer.chosen])
 
 
+@pytest.mark.slow
 def test_missing_magnitudes_leave_the_word_to_the_errors():
     crowded, lost = Sky(stars_per_deg2=400_000.0), 0
     kept = 0

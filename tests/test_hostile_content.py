@@ -99,6 +99,7 @@ def calls(tree):
             yield ast.unparse(node.func), {word.arg: word.value for word in node.keywords}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda path: str(path.relative_to(SOURCE)))
 def test_the_source_runs_no_text_and_unpacks_no_objects(path):
     tree = ast.parse(path.read_text(encoding="utf-8"))

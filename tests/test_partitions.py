@@ -96,7 +96,7 @@ def at_once(found):
 PLACES = {"over the pole": (10.0, 90.0), "across RA 0": (0.0, 0.0), "southern": (200.0, -89.9)}
 
 
-@pytest.mark.slow_after(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("most", "piece_rows"),
     [
@@ -129,6 +129,7 @@ def test_in_a_crowd_pairs_are_the_same_and_probabilities_nearly(tmp_path):
     assert max(abs(p_none[i] - p) for i, p in zip(told["id_1"], told["p_none"], strict=True)) < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order, number", [(6, 0), (6, 4095), (6, 4096 * 12 - 1), (9, 777_777), (12, 5), (7, 99_000)])
 @pytest.mark.parametrize("width", [0.7, 19.7, 64.4, 900.0])
 def test_a_halo_holds_all_that_is_so_near_and_little_more(order, number, width):
@@ -151,6 +152,7 @@ def test_a_halo_holds_all_that_is_so_near_and_little_more(order, number, width):
     assert np.all(halo.edge_arcsec(from_here, np.full(len(at), 4.0 * width)) >= 0.0)
 
 
+@pytest.mark.slow
 def test_a_halo_that_is_too_narrow_is_noticed(tmp_path):
     tables = sky((0.0, 0.0), 3_000, 0.5, seed=7)
     found = sameas.match(*stored(tmp_path, tables, (300, 300)), sigma="pos_err", sigma_unit="arcsec")
@@ -174,6 +176,7 @@ def pairs_of(part):
     return dict(zip(part.first.ids[found.rows_1[own]], part.second.ids[found.rows_2[own]], strict=True))
 
 
+@pytest.mark.slow
 def test_every_row_of_both_is_written_once_by_joins_that_keep_all(tmp_path):
     tables = sky((0.0, 0.0), 3_000, 0.3, seed=8)
     tables[0] = tables[0][tables[0]["dec"] > -0.02]  # the second reaches beyond
@@ -203,6 +206,7 @@ def test_the_output_is_a_hats_collection_that_hats_and_lsdb_read(tmp_path):
         assert not healpix.within(cell.stretch, np.asarray(inside)).any()
 
 
+@pytest.mark.slow
 def test_motion_across_a_border_finds_its_partner(tmp_path):
     """A fast star is stored in one partition and seen, years later, in another."""
     tables = sky((0.0, 0.0), 2_000, 0.05, seed=10)
@@ -221,6 +225,7 @@ def test_motion_across_a_border_finds_its_partner(tmp_path):
     assert len(found.estimated.work.sides[0].far) == 1
 
 
+@pytest.mark.slow
 def test_a_broken_partition_is_named_and_what_is_done_stays(tmp_path):
     tables = sky((0.0, 0.0), 3_000, 0.3, seed=11)
     a, b = stored(tmp_path, tables, (400, 400))
@@ -236,6 +241,7 @@ def test_a_broken_partition_is_named_and_what_is_done_stays(tmp_path):
     assert done and not is_hats(tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_where_it_ended_with_the_same_bytes(tmp_path, monkeypatch):
     paths = stored(tmp_path, sky((0.0, 0.0), 2_000, 0.3, seed=12), (250, 250))
     found, whole = matched(tmp_path, paths, out="one/out")
@@ -309,6 +315,7 @@ def test_a_killed_worker_is_replaced_and_a_killed_client_resumes_with_the_same_b
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
 
 
+@pytest.mark.slow
 def test_a_folder_is_one_runs_alone_and_what_a_kill_left_in_it_is_no_hindrance(tmp_path):
     found, _ = matched(tmp_path, stored(tmp_path, sky((0.0, 0.0), 300, 0.1, seed=12), (300, 300)), out="one/out")
     out = tmp_path / "two" / "out"
@@ -324,6 +331,7 @@ def test_a_folder_is_one_runs_alone_and_what_a_kill_left_in_it_is_no_hindrance(t
     assert contents(tmp_path / "one") == contents(tmp_path / "two") and not (out / ".sameas-run").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["files no larger than 2 kB", "a folder that disappears"])
 def test_a_disk_that_refuses_is_one_line_and_no_fault_of_sameas(what, tmp_path, monkeypatch):
     resource = pytest.importorskip("resource")

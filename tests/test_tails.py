@@ -35,6 +35,7 @@ def test_the_share_of_the_tail_is_found_within_its_standard_error():
     assert 5.0 < np.mean([one.factor for one in tails]) < 7.5
 
 
+@pytest.mark.slow
 def test_a_tail_is_told_beside_errors_that_are_too_small():
     beyond = found(3, share=0.05, times=6.0, quoted=1.7)
     assert abs(beyond.share.value - 0.05) < 4.0 * beyond.share.standard_error

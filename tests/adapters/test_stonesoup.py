@@ -83,6 +83,7 @@ def test_three_sets_are_one_question_whatever_their_order():
     assert frozenset(("r5", "a5", "l5")) in found and frozenset(("r2", "a2")) in found
 
 
+@pytest.mark.slow
 def test_no_threshold_is_needed_where_theirs_would_have_to_be_found():
     """Their one-to-one associator within nine standard deviations, of the first track's covariance, and ours."""
 

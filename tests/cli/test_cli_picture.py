@@ -246,6 +246,7 @@ def test_files_that_cannot_be_used_are_refused_with_what_to_do(content, words, r
     assert words in refused(coast / "ais.csv", tmp_path / "told.csv")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("content", "words"),
     [

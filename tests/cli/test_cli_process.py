@@ -42,6 +42,7 @@ def test_ctrl_c_says_so_in_one_line_and_leaves_nothing(tmp_path, field_files):
     assert [entry.name for entry in tmp_path.iterdir()] == ["never.csv"]
 
 
+@pytest.mark.slow
 def test_a_process_that_is_asked_to_end_leaves_no_draft(tmp_path):
     pipe, folder = tmp_path / "never.csv", tmp_path / "out"
     os.mkfifo(pipe)

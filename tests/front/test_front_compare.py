@@ -46,6 +46,7 @@ def test_every_candidate_of_a_join_of_all_is_no_second_answer(tables, tmp_path) 
     assert " 0 of" in told.split("records moved")[1]
 
 
+@pytest.mark.slow
 def test_a_sensor_left_out_is_no_difference_by_itself(tmp_path) -> None:
     times = np.arange(0.0, 60.0, 5.0)
     ais = {"time": times, "mmsi": ["235000001"] * 12, "x_m": 5.0 * times, "y_m": 0.0 * times}

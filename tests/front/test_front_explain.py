@@ -25,6 +25,7 @@ def match(crowded):
     return sameas.match(*crowded, sigma1=0.7, sigma2=0.7, id="name")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", ["fits", "vot", "ecsv", "csv", "parquet"])
 def test_a_match_in_memory_is_explained_from_its_file(match, tmp_path, ending):
     path = tmp_path / f"out.{ending}"
@@ -61,6 +62,7 @@ def test_every_candidate_is_told_where_the_table_has_them(match, tmp_path):
     assert len(names) > 2 and all(name in told for name in names) and "no partner" in told
 
 
+@pytest.mark.slow
 def test_records_without_ids_are_named_by_row(crowded, tmp_path):
     first, second = ({name: one[name] for name in ("ra", "dec")} for one in crowded)
     found = sameas.match(first, second, sigma=0.7)
@@ -73,6 +75,7 @@ def test_records_without_ids_are_named_by_row(crowded, tmp_path):
         sameas.explain(path, 3, source=2)
 
 
+@pytest.mark.slow
 def test_several_catalogues(crowded, tmp_path):
     first, second = crowded
     found = sameas.match_many(first, second, first | {"name": [f"c{k}" for k in range(60)]}, sigma=0.7, id="name")

@@ -77,6 +77,7 @@ def test_stars_and_measurements_are_explained(found):
         found.explain(1, source="x")
 
 
+@pytest.mark.slow
 def test_a_table_or_everything_is_written(found, tmp_path):
     found.write(tmp_path / "stars.fits")
     assert len(read_table(tmp_path / "stars.fits")) == len(found.table)

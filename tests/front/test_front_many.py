@@ -84,6 +84,7 @@ def test_a_written_table_says_how_it_was_made(found, tmp_path):
     assert facts["offset_3"].startswith("-") and len(read_table(tmp_path / "objects.fits")) == len(found.joined(2))
 
 
+@pytest.mark.slow
 def test_the_command_takes_the_option_that_its_doubt_names(three, tmp_path, monkeypatch):
     from astropy.table import Table
     from typer.testing import CliRunner

@@ -226,6 +226,7 @@ def test_one_table_given_twice_is_doubted(stars):
     assert "one astropy Table is given twice" in found.doubts[0] and "given twice" in found.report()
 
 
+@pytest.mark.slow
 def test_libraries_of_data_frames_are_not_imported_for_others():
     program = (
         "import sys, sameas; sameas.match({'ra': [1.0, 2.0], 'dec': [1.0, 2.0]}, {'ra': [1.0], 'dec': [1.0]}, sigma=1);"

@@ -84,6 +84,7 @@ def test_arrays_are_told_by_kind_and_shape():
     assert len(repr(in_short(wide)(*range(200))).splitlines()) == LINES + 1
 
 
+@pytest.mark.slow
 def test_results_show_themselves_in_notebooks(in_memory):
     pytest.importorskip("matplotlib")
     html = in_memory._repr_html_()

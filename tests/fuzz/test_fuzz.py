@@ -18,6 +18,7 @@ def fuzzer():
     one.close()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of memory are those of POSIX")
 @pytest.mark.parametrize("name", TARGETS)
 def test_a_changed_file_is_answered_or_refused(name, fuzzer):

@@ -47,6 +47,7 @@ def test_datagrams_come_in_from_a_place_and_from_a_group(group):
     assert asyncio.run(run()).mmsi.tolist() == ["235070762"]
 
 
+@pytest.mark.slow
 def test_a_wire_that_breaks_is_connected_again():
     async def run():
         port, served = free_port(), []

@@ -103,6 +103,7 @@ def test_deltas_joined_are_the_frame(keeper):
     keeper.close()
 
 
+@pytest.mark.slow
 def test_who_will_pass_near_is_an_alarm_until_he_has(tmp_path):
     t = np.arange(0.0, 400.0, 2.0)
     ship: dict[str, Any] = {
@@ -206,6 +207,7 @@ def events(folder):
         return joined, alarms, base.execute("SELECT object, confirmed FROM objects ORDER BY object").fetchall()
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_an_alarm_and_what_is_missing_is_written_when_there_is_room(tmp_path):
     """The watch ended with "a fault of sameas", and without its alarms."""
     one, two = (Keeper(settings(), tmp_path / name, replay=replay()) for name in ("one", "two"))
@@ -228,6 +230,7 @@ def test_a_full_disk_is_an_alarm_and_what_is_missing_is_written_when_there_is_ro
     assert joined == joined_2 and objects == objects_2 and ("folder", 0) in alarms
 
 
+@pytest.mark.slow
 def test_ticks_that_the_journal_refused_are_made_up_for(tmp_path, monkeypatch):
     one, two = (Keeper(settings(), tmp_path / name, replay=replay()) for name in ("one", "two"))
     written = Journal._write_identities

@@ -44,6 +44,7 @@ def events(url, count, **headers):
     return out
 
 
+@pytest.mark.slow
 def test_events_begin_with_the_whole_and_go_on_from_the_last_id(keeper):
     with served(keeper) as url:
         first, second, third = events(url, 3)
@@ -55,6 +56,7 @@ def test_events_begin_with_the_whole_and_go_on_from_the_last_id(keeper):
         assert events(url, 1, Last_Event_ID="123456789")[0][0] == "whole"
 
 
+@pytest.mark.slow
 def test_others_may_ask_for_objects_metrics_and_health(keeper):
     with served(keeper) as url:
         events(url, 8)

@@ -54,6 +54,7 @@ def at(reports, k):
     return reports.where(reports.time_s == times[k])
 
 
+@pytest.mark.slow
 def test_sensors_that_send_become_one_picture_and_one_that_dies_is_an_alarm(tmp_path):
     made, ports = harbour(until_s=60.0), {"udp": free_port(socket.SOCK_DGRAM), "tcp": free_port()}
     path = tmp_path / "sensors.toml"

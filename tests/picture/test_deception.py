@@ -39,6 +39,7 @@ def test_ais_that_drags_a_ship_away_from_where_radars_see_it_is_an_alarm(drag, l
     assert f"ais says {MMSI[0]} is at one place" in str(fault) and "probability" in str(fault)
 
 
+@pytest.mark.slow
 def test_a_second_radar_makes_it_more_probable():
     one, two = (faults(scene(drag_m_per_s=4.0, radars=radars))[0] for radars in (("radar",), ("radar", "other")))
     assert two.log_odds > one.log_odds + 2.0

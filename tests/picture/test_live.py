@@ -94,6 +94,7 @@ def assert_same(live, batch):
     assert len(set(numbers.values())) == len(numbers) and instants > 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("filtered", [False, True])
 def test_fed_as_reports_arrive_it_decides_as_the_batch_picture(filtered):
     # Nothing is missed: the batch picture knows how long tracks are silent before it begins, the live one learns it.
@@ -104,6 +105,7 @@ def test_fed_as_reports_arrive_it_decides_as_the_batch_picture(filtered):
     assert_same(live, batch)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("filtered", [False, True])
 def test_reports_that_come_late_and_out_of_order_within_the_lag_change_nothing(filtered):
     made = sources(2, filtered=filtered)
@@ -123,6 +125,7 @@ def test_what_is_later_than_the_lag_is_counted_and_left_out():
     assert picture.counts[name].late == np.sum(reports.time_s < 10.0)
 
 
+@pytest.mark.slow
 def test_pickled_and_loaded_it_goes_on_with_the_same_numbers():
     made = sources(4)
     picture = LivePicture([d for d, _ in made])
@@ -134,6 +137,7 @@ def test_pickled_and_loaded_it_goes_on_with_the_same_numbers():
     assert_same(live_states(made, after, rest, again), list(live_states(made, after, rest, picture)))
 
 
+@pytest.mark.slow
 def test_memory_stays_flat():
     made = sources(5, ships=6)
     picture = LivePicture([d for d, _ in made])
@@ -166,6 +170,7 @@ def bare(seed=0):
     return made
 
 
+@pytest.mark.slow
 def test_plots_without_names_keep_their_identity_though_rows_are_used_again():
     made = bare()
     times = np.arange(1.0, 40.0, 1.0)
@@ -180,6 +185,7 @@ def test_plots_without_names_keep_their_identity_though_rows_are_used_again():
     assert set.intersection(*numbers) and max(map(len, numbers)) == 2
 
 
+@pytest.mark.slow
 def test_one_id_at_two_places_becomes_two_objects():
     rng = np.random.default_rng(1)
     picture = LivePicture([Description("ais", "ais")])
@@ -205,6 +211,7 @@ def test_one_id_at_two_places_becomes_two_objects():
     assert state.alarms and state.alarms[0].value == "235000001"
 
 
+@pytest.mark.slow
 def test_biases_are_found_by_the_last_minutes_and_taken_off():
     from tests.tracks.harbour import harbour
 

@@ -203,6 +203,7 @@ def test_a_setting_out_of_range_is_refused():
         Detection(threshold_sigmas=0)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (DATA / "m67_poss1951").is_dir(), reason="the plate of M67 is not here")
 def test_a_photographic_plate_gives_its_stars():
     frame = read(DATA / "m67_poss1951" / "M6707HH.fits")
@@ -211,6 +212,7 @@ def test_a_photographic_plate_gives_its_stars():
     assert 1.8 < found.psf_fwhm_px < 3
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (DATA / "asteroid_2713").is_dir(), reason="the frames of asteroid 2713 are not here")
 def test_a_raw_frame_with_darks_gives_its_stars():
     folder = DATA / "asteroid_2713"

@@ -134,6 +134,7 @@ def test_a_missing_time_is_a_doubt_until_it_is_needed(tmp_path):
         frame.facts.time()
 
 
+@pytest.mark.slow
 def test_a_damaged_compressed_image_ends_neither_the_process_nor_in_an_error_of_the_library(tmp_path):
     sky = SKY.astype(np.int16)
     image = fits.CompImageHDU(sky, compression_type="HCOMPRESS_1")

@@ -312,6 +312,7 @@ def detected(path: Path, dark: np.ndarray | float, name: str) -> Seen:
     return Seen(x, y, np.tile([0.01, 0.0, 0.01], (len(x), 1)), flux, image.shape, name)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (DATA / "asteroid_2713").exists(), reason="the frames of asteroid 2713 are not here")
 def test_real_frames_without_a_solution_are_placed_by_eleven_tycho_stars() -> None:
     folder = DATA / "asteroid_2713"
@@ -327,6 +328,7 @@ def test_real_frames_without_a_solution_are_placed_by_eleven_tycho_stars() -> No
         assert placed.n_matched >= 6 and placed.rms_arcsec < 0.3 and placed.log_odds > math.log(1e12)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (DATA / "m67_poss1951").exists(), reason="the plate of M67 is not here")
 def test_a_real_plates_own_solution_is_verified_and_refined() -> None:
     folder = DATA / "m67_poss1951"

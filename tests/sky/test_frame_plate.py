@@ -252,6 +252,7 @@ def test_stars_on_a_line_and_rows_that_are_no_numbers_are_refused() -> None:
         MatchedStars(**{**vars(stars), "p_match": np.full(10, 1.5)})
 
 
+@pytest.mark.slow
 def test_the_order_is_no_higher_than_the_pairs_support() -> None:
     """Two dozen pairs on a straight plate, a third of them wrong by a few pixels: the order of least BIC was up to 5,
     with errors of up to 60 px over the frame."""

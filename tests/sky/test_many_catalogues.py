@@ -112,6 +112,7 @@ def test_expected_numbers_of_objects_are_those_of_the_truth(scene: Sky, found: M
         assert expected == pytest.approx(true, abs=4.0 * np.sqrt(true) + 3.0), pattern
 
 
+@pytest.mark.slow
 def test_fast_stars_are_followed_where_one_catalogue_knows_their_motion() -> None:
     scene = sky(seed=2, fast=0.05)
     old, new, middle = scene.stars
@@ -145,6 +146,7 @@ def test_place_and_motion_come_out_of_all_records_with_their_errors(scene: Sky, 
     assert not found.has_motion[(found.objects.n_members == 1) & (rows[:, 0] < 0)].any()
 
 
+@pytest.mark.slow
 def test_the_order_of_the_catalogues_changes_nothing(scene: Sky, found: ManyMatch) -> None:
     ours = objects(found)
     for order in list(permutations(range(3)))[1::2]:

@@ -208,6 +208,7 @@ def test_ecliptic_axes_turn_covariances_and_back():
     assert np.hypot(*there[0]) == pytest.approx(5.0)
 
 
+@pytest.mark.slow
 def test_fast_tracklets_score_as_near_earth_objects():
     pytest.importorskip("digest2", reason="scores need the package digest2")
     rates = np.array([[-0.5, 0.21], [4.0, -3.0]])

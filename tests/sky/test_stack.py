@@ -111,6 +111,7 @@ def test_motion_that_leaves_the_frame_is_measured_where_it_is_on():
     assert np.isfinite(told.flux[0])[inside].all() and np.isnan(told.flux[0])[track[:, 0] > SIDE - 8].all()
 
 
+@pytest.mark.slow
 def test_the_page_blinks_steps_and_says_why(tmp_path):
     from sameas.pages.movers import write_movers_page
 

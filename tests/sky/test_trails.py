@@ -126,6 +126,7 @@ def test_links_are_believed_less_where_a_trail_points_elsewhere():
     assert none == pytest.approx(np.log(DEFAULT_TUNING.no_trail))
 
 
+@pytest.mark.slow
 def test_a_satellite_s_trail_is_taken_away_and_told():
     def satellite(k, rng):
         return line((5.0, 40.0), (SIDE - 5.0, 260.0), 4e5) if k == 2 else (np.empty((0, 2)), np.empty(0))
@@ -137,6 +138,7 @@ def test_a_satellite_s_trail_is_taken_away_and_told():
     assert len(found) == 0
 
 
+@pytest.mark.slow
 def test_a_comet_with_a_coma_is_one_mover():
     rate = np.array([0.9, -0.6])
 

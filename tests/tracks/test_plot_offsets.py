@@ -19,6 +19,7 @@ def fitted(scene):
     return fit_plots(radar, [ais])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "azimuth_deg"), [(4, 7.5), (10, -7.7), (1, 4.0), (3, 0.5)])
 def test_three_vessels_in_clutter_establish_an_offset_within_its_error(seed, azimuth_deg):
     scene = Scene.of(drawn(seed, azimuth_deg, common=3).sources)
@@ -29,6 +30,7 @@ def test_three_vessels_in_clutter_establish_an_offset_within_its_error(seed, azi
     assert abs(azimuth.value - azimuth_deg) < min(4.0 * azimuth.standard_error, 0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [100, 101])
 def test_vessels_that_the_radar_never_sees_establish_nothing(seed):
     scene = Scene.of(drawn(seed, 3.0, common=0, moored=0, unseen=6, silent=3, minutes=5.0).sources)
@@ -38,6 +40,7 @@ def test_vessels_that_the_radar_never_sees_establish_nothing(seed):
     assert len(scene.doubts()) == 1 and scene.doubts()[0].startswith("radar: ")
 
 
+@pytest.mark.slow
 def test_what_stays_in_place_is_background_and_not_evidence():
     """A moored vessel amid echoes that stay: hundreds of plots at its place are no more than one coincidence."""
     moored = fitted(drawn(7, 2.0, common=0, moored=4, unseen=0, silent=0))

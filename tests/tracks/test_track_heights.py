@@ -59,6 +59,7 @@ def test_two_aircraft_over_one_place_are_told_apart_by_their_heights(other: str,
         assert any("taken away" in note for heights in scene.heights for note in heights.notes)
 
 
+@pytest.mark.slow
 def test_without_heights_the_same_aircraft_are_mistaken() -> None:
     wrong, told = 0, []
     for seed in range(6):
@@ -137,6 +138,7 @@ def test_an_elevation_is_a_height_and_a_vertical_speed_moves_it() -> None:
     assert later[0].tolist() == [8060.0, pytest.approx(np.hypot(20.0, 9.0)), 10.0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("other", "shift_m"), [("pressure_alt_m", 0.0), ("alt_m", 250.0), ("pressure_alt_m", 400.0)])
 def test_live_two_aircraft_over_one_place_are_told_apart_by_their_heights(other: str, shift_m: float) -> None:
     rng = np.random.default_rng(2)
