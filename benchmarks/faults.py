@@ -1,10 +1,10 @@
-"""Processes killed at random moments, full and read-only disks, two runs at once: is the output whole, old or new?
+"""Processes killed at random moments, full and read-only disks, two runs at once: is the output whole? And crowds.
 
 Every command writes over an output of an earlier run and is then hit: by SIGKILL, SIGTERM or SIGINT at a moment drawn
 over its run, every second time just after its draft has appeared. The output must be the old one or the new one, whole;
 no draft may stay (after SIGKILL: none after the next run); the exit code must say what happened; nothing but one line
 may be on stderr. The runs are forked from a process that has done the command once: to load modules takes longer than
-the work, and is not what is to be hit.
+the work, and is not what is to be hit. Loads that nobody foresaw are in ``loads.py``.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.loads import tables
 from benchmarks.tables import Table, report
 
 COMMAND = [sys.executable, "-m", "sameas"]
@@ -146,7 +147,7 @@ class Watch(Work):
                     )
                     if lost.fetchone() != (0,):
                         return "the journal has identities of no object"
-            for path in (self.output / "archive").glob("*.parquet"):
+            for path in (self.output / "archive").glob("objects-*.parquet"):
                 parquet.read_table(path)
             state = load_state(self.output)
         except Exception as error:
@@ -413,8 +414,9 @@ def works(folder: Path, endings: tuple[str, ...] = ENDINGS) -> list[Work]:
     many, series = str(nights(folder, Path(image))), output("series")
     shot = ("frame", many, "--catalog", stars, "--no-picture", "--processes", "1")
     made.append(Work("series of frames", shot, (*shot, "--threshold", "6"), series, resumes=True))
-    moved = ("movers", *map(str, sorted(Path(many).iterdir())), "--catalog", stars, "--processes", "1", "--least")
-    made.append(Work("movers on frames", (*moved, "2"), (*moved, "3"), output("moved"), resumes=True))
+    moved, options = sorted(map(str, Path(many).iterdir())), ("--catalog", stars, "--processes", "1")
+    earlier = ("movers", *moved[:2], *options)
+    made.append(Work("movers on frames", ("movers", *moved, *options), earlier, output("moved"), resumes=True))
     seen = ("watch", *sensors(folder), "--no-map", "--pace", "60", "--every", "1s")
     made.append(Watch("watch", seen, seen, output("watch")))
     parted = ("match", *partitioned(folder), "--sigma", "0.1", "--workers", "1")
@@ -597,13 +599,18 @@ def main() -> None:
         return serve(sys.argv[2:])
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--moments", type=int, default=12, help="moments for each command and signal; 12 make 540")
-    parser.add_argument("--only", default="", help="commands whose name begins so")
+    parser.add_argument("--only", default="", help="commands whose name begins so; loads: crowds and millions of rows")
+    parser.add_argument("--load", default="", help="loads whose name holds this")
     parser.add_argument("--signals-only", action="store_true", help="no disks, no two runs at once")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     rng = random.Random(given.seed)
     os.environ["SOURCE_DATE_EPOCH"] = "1700000000"  # so that runs at different times write the same bytes
     rows, faults = [], []
+    if given.only == "loads":
+        made = list(tables(given.load, rng))
+        report("loads", made)
+        sys.exit(any(table.notes for table in made))
     with tempfile.TemporaryDirectory() as folder:
         for work in (work for work in works(Path(folder)) if work.name.startswith(given.only)):
             server = Server(work)
@@ -616,8 +623,10 @@ def main() -> None:
                 print(*rows[-1], *found.faults, flush=True)
             server.close()
     columns = ("what", "runs", "old one", "new one", "files of both", "faults")
-    report("faults", [Table("Outputs of processes that were hit", columns, rows, faults)])
-    sys.exit(bool(faults))
+    made = [Table("Outputs of processes that were hit", columns, rows, faults)]
+    made += [] if given.only else tables(given.load, rng)
+    report("faults", made)
+    sys.exit(any(table.notes for table in made))
 
 
 if __name__ == "__main__":

@@ -43,6 +43,8 @@ def edited(path, number, **said):
         ({"PCOUNT": -8}, "says PCOUNT = -8"),
         ({"TFORM1": "'99999999D'"}, "says columns of 799999992 bytes in rows of 8"),
         ({"NAXIS1": 0, "NAXIS2": 2000000000}, "says 2000000000 rows without a byte"),
+        ({"NAXIS2": "'1PB(99999999)'"}, "has no whole number in NAXIS2"),
+        ({"NAXIS": "2.5"}, "has no whole number in NAXIS"),
     ],
 )
 def test_headers_that_no_file_has_are_refused_before_a_library_believes_them(said, words, tmp_path):

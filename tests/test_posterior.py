@@ -8,8 +8,9 @@ from scipy.special import logsumexp
 
 import naive
 from problems import DRAWS, components_of, laid_out, many_blocks, random_ratios, solved
-from sameas import CommonObjects, PerPair
+from sameas import CommonObjects, PerPair, Radius, Records
 from sameas.assignment import assign
+from sameas.groups import groups
 from sameas.kernels.messages import bounds
 from sameas.posterior import APPROXIMATE, EVERY, METHODS, THINNED, Tuning, _bethe, log_evidence, posterior
 from test_assignment import PRIORS
@@ -284,6 +285,18 @@ def test_thin_groups_around_an_entangled_one_stay_exact(monkeypatch):
     ours = as_table(pairs, sure.p_pair)
     assert ours[n1, n2] == pytest.approx(1 / (1 + math.exp(-1.0)), abs=1e-12)
     assert ours[n1 + 1, n2 + 1] == pytest.approx(math.exp(2.0) / (1 + math.exp(2.0) + math.exp(0.5)), abs=1e-12)
+
+
+@pytest.mark.parametrize("n", [200, 300])
+def test_a_crowd_of_hundreds_has_probabilities(n):
+    """Each of n records may be each of n others, all alike: products of hundreds of numbers made NaN of all of them."""
+    pairs = Radius(1.0)(*(Records.of(np.zeros((n, 2)), sigma=1.0) for _ in range(2)))
+    grouped = groups(pairs)
+    best = assign(grouped, np.full(n * n, 15.0), PerPair()(grouped.sizes_1, grouped.sizes_2))
+    sure = posterior(grouped, best)
+    # By symmetry one number; n/λ of the hypotheses leave a pair out.
+    np.testing.assert_allclose(sure.p_pair, 1.0 / n, rtol=2e-3)
+    assert sure.counts()["local: exact around each record, messages beyond"] == 1
 
 
 def test_without_groups_there_is_nothing_to_be_sure_of():

@@ -132,6 +132,8 @@ _FORM = re.compile(rb"(TFORM\d+) *= *' *(\d*)([LXBIJKAEDCMPQ])")
 #: Bits of one value of a column of a binary table (FITS 4.0, table 18).
 _BITS = {b"X": 1, b"L": 8, b"B": 8, b"A": 8, b"I": 16, b"J": 32, b"E": 32, b"K": 64, b"D": 64, b"C": 64, b"M": 128,
          b"P": 64, b"Q": 128}  # fmt: skip
+#: Cards that count something; a library multiplies them, whatever they are.
+_COUNTS = re.compile(rb"(BITPIX|Z?NAXIS\d*|PCOUNT|GCOUNT|TFIELDS|ZBITPIX) *$")
 _WHOLE = re.compile(rb"([A-Z0-9_-]{1,8}) *= *([+-]?\d+) *(?:/|$)")
 
 
@@ -185,6 +187,11 @@ def _whole_numbers(file: Any, path: Path, number: int, limits: Headers) -> dict[
                 return cards
             if found := _WHOLE.match(card):
                 cards.setdefault(found[1].decode("ascii"), int(found[2]))
+            elif known and _COUNTS.match(card[:8]):
+                raise InputError(
+                    f"{path}: the header of extension {number} has no whole number in {card[:8].decode().strip()}; "
+                    "it is damaged, copy it again"
+                )
             elif found := _FORM.match(card):
                 cells = (int(found[2] or 1) * _BITS[found[3]] + 7) // 8
                 cards[found[1].decode("ascii")] = cells

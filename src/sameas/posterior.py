@@ -16,6 +16,7 @@ Which method a group gets is part of the result:
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -123,6 +124,8 @@ def posterior(groups: Groups, best: Hypothesis, tuning: Tuning = DEFAULT_TUNING)
     if len(open_pairs):
         unsettled = _local(groups, best, open_pairs, method, share, neglected, tuning)
         share = _within_one(groups, share)
+        if not math.isfinite(float(share.sum())):
+            raise ArithmeticError("a probability is not a number; please report this with the records")
     p_pair = np.empty(m)
     p_pair[groups.order] = np.clip(share, 0.0, 1.0, out=share)
     return Posterior(p_pair, method, neglected, unsettled)

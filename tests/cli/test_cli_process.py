@@ -288,6 +288,20 @@ def test_an_interruption_in_compiled_code_is_one(capsys):
     assert ended.value.exit_code == 1 and "fault of sameas" in capsys.readouterr().err
 
 
+def test_a_frame_that_is_interrupted_ends_the_series(monkeypatch):
+    """It was said to be a fault of that frame, and the next one was begun."""
+    from sameas.cli import frames
+    from sameas.front.framing import FrameRequest
+
+    def interrupted(*given, **options):
+        raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+
+    monkeypatch.setattr(frames, "fulfil", interrupted)
+    request = object.__new__(FrameRequest)
+    with pytest.raises(KeyboardInterrupt):
+        frames.run_all([request], processes=1, again=True, shown=False, tell=print)
+
+
 def test_a_disk_that_is_full_where_temporary_files_go_is_no_fault_of_sameas(capsys):
     from sameas.cli import outcome
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from sameas.cli.options import frame_option, in_options
-from sameas.cli.outcome import end_cleanly_when_asked, fault
+from sameas.cli.outcome import end_cleanly_when_asked, fault, interruption
 from sameas.errors import InputError
 from sameas.front.framing import FrameRequest, fulfil
 
@@ -160,6 +160,9 @@ def _one(request: FrameRequest, again: bool, progress: Callable[[str], None]) ->
     except MemoryError:
         return Outcome(request, None, f"{request.path}: not enough memory for this frame")
     except Exception as error:
+        asked = interruption(error)
+        if asked is not None:
+            raise asked from error
         return Outcome(request, None, f"{request.path}: {fault(error)}", seconds=time.perf_counter() - began)
 
 

@@ -113,13 +113,13 @@ def answering(debug: bool, option: Callable[[Argument], str] = option_of) -> Ite
     except MemoryError:
         _end("not enough memory for these catalogues; nothing was written", INPUT_ERROR, debug)
     except Exception as error:
-        asked = _interruption(error)
+        asked = interruption(error)
         if asked is not None:
             _end(stopped(), exit_code(asked), debug)
         _end(f"{fault(error)} with what --debug shows", INPUT_ERROR, debug)
 
 
-def _interruption(error: BaseException | None) -> KeyboardInterrupt | None:
+def interruption(error: BaseException | None) -> KeyboardInterrupt | None:
     """The interruption that made the error, if one did: of one on its way out, compiled code makes a SystemError."""
     while error is not None:
         if isinstance(error, KeyboardInterrupt):

@@ -30,6 +30,8 @@ from sameas.kernels.posterior import LOCAL, bounded_exp
 SWEEPS = 4
 #: Logarithms of odds are not taken to be more than this; and no record is less probably free than exp of minus this.
 HIGHEST = 300.0
+#: Odds are not divided by less: products of them over the rows of a neighbourhood stay finite.
+TINY = 1e-30
 
 
 @kernel
@@ -365,6 +367,13 @@ def balls(
                 odds[m] = math.exp(max(weight[e] - u[inside[t]] - v[c], -700.0))
                 m += 1
         start[count] = m
+        # A column that nobody takes counts 1: the product of hundreds of other numbers is beyond a double.
+        for e in range(m):
+            if unused[column[e]] > TINY:
+                odds[e] /= unused[column[e]]
+        for c in range(nc):
+            if unused[c] > TINY:
+                unused[c] = 1.0
         after = eliminate(
             count, nc, start[: count + 1], column, odds, none, unused[:nc], prior, part, alone, stamp, work
         )
