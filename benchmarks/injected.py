@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import json
 import math
+import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,23 +20,54 @@ from sameas.simulate.frames import Camera, Moffat
 from sameas.simulate.frames import frame_of as simulated
 from sameas.sky.frame.detect import detect
 from sameas.sky.frame.image import Frame
-from sameas.sky.movers.series import search
+from sameas.sky.movers.series import left_over, search
 from sameas.sky.movers.stack import stack
 from sameas.sky.movers.trails import with_trails
-from sameas.sky.series.tied import Exposure, tie
+from sameas.sky.series.tied import Exposure, Series, tie
 
 #: Bins: magnitudes above (−) and below (+) the limit of a single frame at which S/N is 5, and rates, arcsec/min.
 MAGNITUDES = (-4.0, -2.0, -1.0, -0.5, 0.0, 0.5)
 RATES = (0.05, 0.2, 0.6, 2.0, 10.0)
-STATED = (0.02, 0.5, 0.9, 0.99, 1.0001)
+STATED = (0.02, 0.2, 0.5, 0.8, 0.95, 0.99, 1.0001)
 #: Movers of a round, and the share of them that pass a star in the middle of the series.
 EACH, ON_STARS = 25, 0.1
 NOTES = (
     "found / injected: of movers that stay on three frames, with a probability of 0.5 and more; columns: magnitude "
     "against the limit of a median frame (S/N 5 of a star that stands still); rows: arcsec/min. Fast ones trail, which "
     "dims them. One in ten passes a star.",
-    "false: tracklets of 0.5 and more that are no injected mover, those that the series shows without them left out",
+    "false: tracklets (of 0.5 and more) that are no injected mover, those that the series shows without them left out; "
+    "by their own rate and light",
+    "heliolinx 0.0.2, makeTracklets: the same measurements left over; three points and more, 10″/min at most, an arc "
+    "of two pixels at least, 0.5″ about a great circle (its default); it states no probability and uses no pixels",
 )
+NOISY = "simulated detections, two in three false"
+#: What a Python with heliolinx 0.0.2 does. Its arrays come back with the first 16 bytes of each row (MJD and RA of a
+#: detection), which tell the rows.
+HELIOLINX = """
+import json, sys
+import numpy as np
+import heliolinx.heliolinx as hl
+given = json.load(sys.stdin)
+n, f = len(given["mjd"]), len(given["times"])
+order = np.argsort(given["mjd"], kind="stable")
+seen = np.zeros(n, hl.create_hldet(1).dtype)
+for key, name in (("MJD", "mjd"), ("RA", "ra"), ("Dec", "dec"), ("mag", "magnitude"), ("image", "frame")):
+    seen[key] = np.array(given[name])[order]
+seen["obscode"], seen["band"], seen["index"] = b"500", b"V", np.arange(n)
+images = np.zeros(f, hl.create_hlimage(1).dtype)
+images["MJD"], images["obscode"], images["exptime"] = given["times"], b"500", 30.0
+images["RA"], images["Dec"] = given["middle"]
+config = hl.MakeTrackletsConfig()
+config.mintrkpts, config.maxvel, config.maxtime, config.minarc = 3, given["fastest"], given["span"], given["arc"]
+config.imagerad = 0.5
+paired, _, member = hl.makeTracklets(config, seen, images)
+row = {(float(t), float(ra)): int(k) for t, ra, k in zip(seen["MJD"], seen["RA"], order)}
+key = [row[float(t), float(ra)] for t, ra in zip(paired["MJD"], paired["RA"])]
+out = {}
+for tracklet, k in zip(member["i1"].tolist(), member["i2"].tolist()):
+    out.setdefault(tracklet, []).append(key[k])
+print(json.dumps(list(out.values())))
+"""
 
 
 @dataclass(frozen=True)
@@ -164,19 +197,38 @@ def exposures(scene: Scene, frames: Sequence[Frame]) -> list[Exposure]:
     return out
 
 
-def searched(scene: Scene, frames: Sequence[Frame]) -> tuple[list[np.ndarray], np.ndarray]:
-    """Of every tracklet from a probability of 0.02 on: (s, 3) frame and pixels of its detections; and (k,) p."""
-    series = with_trails(tie(exposures(scene, frames)), frames)
-    found, series = search(series, least_probability=0.02)
-    p = stack(found, series, frames).p
-    p = np.concatenate([p, found.p_tracklet[len(p) :]])
+def places_of(series: Series, tracklets: Sequence[Any]) -> list[np.ndarray]:
+    """Of every tracklet, rows of the series, (s, 3): frame and pixels of its detections."""
     chip = [np.column_stack([e.x_px, e.y_px]) for e in series.exposures]
-    places = []
-    for members in found.members:
-        rows = found.detections.rows[members[members >= 0]]
-        frame = series.frame[rows]
-        places.append(np.column_stack([frame, [chip[k][r] for k, r in zip(frame, series.row[rows], strict=True)]]))
-    return places, p
+    return [
+        np.array([[k, *chip[k][r]] for k, r in zip(series.frame[rows], series.row[rows], strict=True)])
+        for rows in tracklets
+    ]
+
+
+def searched(series: Series, frames: Sequence[Frame]) -> tuple[list[np.ndarray], np.ndarray]:
+    """Tracklets from a probability of 0.02 on, confirmed in the pixels where there are any; and (k,) p."""
+    found, series = search(series, least_probability=0.02)
+    p = stack(found, series, frames).p if frames else np.empty(0)
+    rows = [found.detections.rows[members[members >= 0]] for members in found.members]
+    return places_of(series, rows), np.concatenate([p, found.p_tracklet[len(p) :]])
+
+
+def by_heliolinx(python: Path, series: Series) -> list[np.ndarray]:
+    """The tracklets that heliolinx makes of what is left over."""
+    seen = left_over(series)
+    span = float(np.ptp(seen.mjd_utc))
+    given = {
+        "mjd": seen.frame_mjd[seen.frame].tolist(), "ra": seen.ra_deg.tolist(), "dec": seen.dec_deg.tolist(),
+        "magnitude": np.nan_to_num(seen.magnitude, nan=20.0).tolist(), "frame": seen.frame.tolist(),
+        "times": seen.frame_mjd.tolist(), "middle": list(series.middle_deg), "span": 1.01 * span + 1e-4,
+        # As ours: nothing slower than two pixels in all, nothing faster than what is injected.
+        "arc": 2.0 * series.scale_arcsec_per_px, "fastest": RATES[-1] * 24.0 / 60.0,
+    }  # fmt: skip
+    done = subprocess.run([str(python), "-c", HELIOLINX], input=json.dumps(given), capture_output=True, text=True,
+                          check=True)  # fmt: skip
+    told = json.loads(next(line for line in done.stdout.splitlines() if line.startswith("[")))
+    return places_of(series, [seen.rows[np.array(rows)] for rows in told])
 
 
 def whose(place: np.ndarray, path: np.ndarray, reach: np.ndarray) -> int:
@@ -188,48 +240,158 @@ def whose(place: np.ndarray, path: np.ndarray, reach: np.ndarray) -> int:
     return best if best >= 0 and count[best] >= max(3, 0.7 * len(at)) else -1
 
 
-def tables(scenes: Sequence[Scene], rounds: int, rng: np.random.Generator) -> list[Table]:
-    """What is found of injected movers, and how often what is stated is so; and draws it."""
-    out, stated, drawn = [], [], []
-    for scene in scenes:
-        got = np.zeros((len(RATES) - 1, len(MAGNITUDES) - 1), int)
-        put, wrong, cases = got.copy(), 0, []
-        before, _ = searched(scene, scene.frames)
-        for _ in range(rounds):
-            frames, path, rate, magnitude = injected(scene, rng)
-            places, p = searched(scene, frames)
-            reach = 2.0 + 0.5 * rate / scene.scale * scene.exposure_min
-            hit = set()
-            for place, sure in zip(places, p, strict=True):
-                owner = whose(place, path, reach)
-                old = any(_common(place, one) >= 2 for one in before)
-                if owner < 0 and old:
-                    continue
-                cases.append((float(sure), owner >= 0))
-                wrong += int(sure >= 0.5 and owner < 0)
-                if owner >= 0 and sure >= 0.5:
+class Tally:
+    """What one contender finds on the rounds of one scene, by rate and magnitude."""
+
+    def __init__(self, scene: str, by: str) -> None:
+        self.scene, self.by = scene, by
+        self.got, self.put, self.wrong = (np.zeros((len(RATES) - 1, len(MAGNITUDES) - 1), int) for _ in range(3))
+        self.cases: list[tuple[float, bool]] = []
+
+    def add(self, case: Case, places: Sequence[np.ndarray], p: np.ndarray | None, before: Sequence[np.ndarray]) -> None:
+        """Judges the tracklets of one round. before : tracklets of the series without movers, which do not count."""
+        hit = set()
+        for k, place in enumerate(places):
+            owner = whose(place, case.path, case.reach)
+            if owner < 0 and any(_common(place, one) >= 2 for one in before):
+                continue
+            if p is not None:
+                self.cases.append((float(p[k]), owner >= 0))
+            if p is None or p[k] >= 0.5:
+                if owner >= 0:
                     hit.add(owner)
-            rows, columns = scene.frames[0].shape
-            stays = ((path > 5) & (path < [columns - 6, rows - 6])).all(axis=2).sum(axis=1) >= 3
-            a, b = np.digitize(rate, RATES) - 1, np.digitize(magnitude, MAGNITUDES) - 1
-            for m in np.flatnonzero(stays):
-                put[a[m], b[m]] += 1
-                got[a[m], b[m]] += int(m in hit)
-        heads = [f"{lo:+.1f}…{hi:+.1f}" for lo, hi in itertools.pairwise(MAGNITUDES)]
-        rows_ = [
-            (f"{lo:g}…{hi:g}", *(f"{got[k, j]}/{put[k, j]}" for j in range(len(heads))))
-            for k, (lo, hi) in enumerate(itertools.pairwise(RATES))
-        ]
-        rows_.append(("all", *(f"{got[:, j].sum()}/{put[:, j].sum()}" for j in range(len(heads)))))
-        note = f"{rounds} series of {len(scene.frames)} frames, {rounds * EACH} movers; false in all: {wrong}"
-        out.append(Table(f"Injected movers: {scene.name}", ("rate ″/min", *heads), rows_, (note, *NOTES)))
-        cases_p, real = np.array([c[0] for c in cases]), np.array([c[1] for c in cases], bool)
+                else:
+                    self.wrong[case.bin_of(place)] += 1
+        for m in np.flatnonzero(case.stays):
+            at = case.bins(case.rate[m], case.magnitude[m])
+            self.put[at] += 1
+            self.got[at] += int(m in hit)
+
+    def rows(self) -> list[tuple[Any, ...]]:
+        """Those of the table: found / injected, and what is false."""
+        out = []
+        for k, (lo, hi) in enumerate(itertools.pairwise(RATES)):
+            cells = [f"{a}/{b}" if b else "–" for a, b in zip(self.got[k], self.put[k], strict=True)]
+            out.append((self.by, f"{lo:g}…{hi:g}", *cells, int(self.wrong[k].sum())))
+        whole = [f"{a}/{b}" for a, b in zip(self.got.sum(axis=0), self.put.sum(axis=0), strict=True)]
+        out.append((self.by, "all", *whole, int(self.wrong.sum())))
+        out.append((self.by, "false", *map(int, self.wrong.sum(axis=0)), ""))
+        return out
+
+    def stated(self) -> list[tuple[Any, ...]]:
+        """What is stated against what is so."""
+        p, real = np.array([c[0] for c in self.cases]), np.array([c[1] for c in self.cases], bool)
+        out = []
         for lo, hi in itertools.pairwise(STATED):
-            mine = (cases_p >= lo) & (cases_p < hi)
+            mine = (p >= lo) & (p < hi)
             if mine.any():
-                stated.append((scene.name, f"{lo:g}…{min(hi, 1.0):g}", int(mine.sum()), f"{cases_p[mine].mean():.3f}",
-                               f"{real[mine].mean():.3f}"))  # fmt: skip
-        drawn.append((scene.name, got, put))
+                out.append((self.scene, f"{lo:g}…{min(hi, 1.0):g}", int(mine.sum()), f"{p[mine].mean():.3f}",
+                            f"{real[mine].mean():.3f}"))  # fmt: skip
+        return out
+
+
+@dataclass(frozen=True)
+class Case:
+    """One series with movers. path : (m, f, 2) px on the chip. reach : (m,) px within which a detection is a mover's.
+
+    limit : flux of S/N 5. minutes : (f,). stays : (m,) on three frames at least.
+    """
+
+    series: Series
+    frames: tuple[Frame, ...]
+    path: np.ndarray
+    rate: np.ndarray
+    magnitude: np.ndarray
+    reach: np.ndarray
+    limit: float
+    stays: np.ndarray
+
+    def bins(self, rate: float, magnitude: float) -> tuple[int, int]:
+        """Row and column of a rate and a magnitude, the nearest ones of those beyond."""
+        a = int(np.clip(np.digitize(rate, RATES) - 1, 0, len(RATES) - 2))
+        return a, int(np.clip(np.digitize(magnitude, MAGNITUDES) - 1, 0, len(MAGNITUDES) - 2))
+
+    def bin_of(self, place: np.ndarray) -> tuple[int, int]:
+        """Those of a false tracklet: its mean rate and its median light."""
+        each = self.series.exposures
+        k = place[:, 0].astype(int)
+        minutes = 1440.0 * (each[k[-1]].mjd_utc - each[k[0]].mjd_utc)
+        rate = np.hypot(*(place[-1, 1:] - place[0, 1:])) * self.series.scale_arcsec_per_px / max(minutes, 1e-9)
+        flux = [each[f].flux[np.argmin(np.hypot(each[f].x_px - x, each[f].y_px - y))] for f, x, y in
+                zip(k, *place[:, 1:].T, strict=True)]  # fmt: skip
+        return self.bins(rate, -2.5 * math.log10(max(float(np.median(flux)), 1e-9) / self.limit))
+
+
+def case_of(scene: Scene, rng: np.random.Generator) -> Case:
+    """A round: movers in the pixels, everything measured again."""
+    frames, path, rate, magnitude = injected(scene, rng)
+    series = with_trails(tie(exposures(scene, frames)), frames)
+    rows, columns = scene.frames[0].shape
+    stays = ((path > 5) & (path < [columns - 6, rows - 6])).all(axis=2).sum(axis=1) >= 3
+    reach = 2.0 + 0.5 * rate / scene.scale * scene.exposure_min
+    return Case(series, tuple(frames), path, rate, magnitude, reach, scene.limit, stays)
+
+
+def noisy_case(rng: np.random.Generator, *, count: int = 5, side: int = 1024, false: int = 1000) -> Case:
+    """Measurements, no pixels: 500 stars, and on every frame twice as many false ones near the limit."""
+    scale, every, stars, limit = 1.2, 12.0, 500, 300.0
+    at, light = rng.uniform(5, side - 5, (stars, 2)), limit * 10 ** rng.uniform(0.0, 2.4, stars)
+    rate = np.exp(rng.uniform(math.log(RATES[0]), math.log(RATES[-1]), EACH))
+    magnitude = rng.uniform(MAGNITUDES[0], MAGNITUDES[-1], EACH)
+    angle = rng.uniform(0.0, 2 * math.pi, EACH)
+    step = (rate / scale)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    minutes = every * np.arange(count)
+    middle = rng.uniform(0.15 * side, 0.85 * side, (EACH, 2))
+    path = middle[:, None] + (minutes - minutes.mean())[None, :, None] * step[:, None]
+    out = []
+    for k in range(count):
+        flux = np.concatenate([light, limit * 10 ** (-0.4 * magnitude)])
+        xy = np.concatenate([at, path[:, k]])
+        flux = flux + limit / 5.0 * rng.standard_normal(len(flux))
+        seen = (flux > limit) & ((xy > 0) & (xy < side)).all(axis=1)
+        flux = np.concatenate([flux[seen], limit * (1.0 - rng.random(false)) ** -0.4])
+        xy = np.concatenate([xy[seen], rng.uniform(0, side, (false, 2))])
+        sigma = 0.02 + 1.3 * limit / 5.0 / flux
+        xy = xy + sigma[:, None] * rng.standard_normal(xy.shape)
+        dec, n = 22.9 + (xy[:, 1] - side / 2) * scale / 3600.0, len(xy)
+        cov = np.column_stack([sigma**2, np.zeros(n), sigma**2])
+        ra = 62.5 + (xy[:, 0] - side / 2) * scale / 3600.0 / np.cos(np.radians(dec))
+        out.append(
+            Exposure(
+                f"{k:03d}", 58409.1 + minutes[k] / 1440.0, xy[:, 0], xy[:, 1], cov, ra, dec, cov * scale**2, flux,
+                np.full(n, limit / 5.0), flux * 5.0 / limit, np.zeros(n, np.int64), np.zeros(n), np.full(n, np.nan),
+                scale, (side, side), 30.0,
+            )
+        )  # fmt: skip
+    stays = ((path > 0) & (path < side)).all(axis=2).sum(axis=1) >= 3
+    return Case(tie(out), (), path, rate, magnitude, np.full(EACH, 2.0), limit, stays)
+
+
+def tables(scenes: Sequence[Scene], rounds: int, rng: np.random.Generator, peer: Path | None = None) -> list[Table]:
+    """What is found of injected movers, by us and by heliolinx, and how often what is stated is so; and draws it."""
+    heads = [f"{lo:+.1f}…{hi:+.1f}" for lo, hi in itertools.pairwise(MAGNITUDES)]
+    out, stated, drawn = [], [], []
+    for scene in (*scenes, None):
+        name = NOISY if scene is None else scene.name
+        tallies = {by: Tally(name, by) for by in ("sameas", *(["heliolinx"] if peer else []))}
+        before: dict[str, list[np.ndarray]] = {"sameas": [], "heliolinx": []}
+        if scene is not None:
+            alone = with_trails(tie(exposures(scene, scene.frames)), scene.frames)
+            before["sameas"] = searched(alone, scene.frames)[0]
+            if peer:
+                before["heliolinx"] = by_heliolinx(peer, alone)
+        for _ in range(rounds if scene else 4 * rounds):
+            case = noisy_case(rng) if scene is None else case_of(scene, rng)
+            places, p = searched(case.series, case.frames)
+            tallies["sameas"].add(case, places, p, before["sameas"])
+            if peer:
+                tallies["heliolinx"].add(case, by_heliolinx(peer, case.series), None, before["heliolinx"])
+        ours = tallies["sameas"]
+        note = f"{rounds if scene else 4 * rounds} series, {int(ours.put.sum())} movers that stay on three frames"
+        rows = [row for tally in tallies.values() for row in tally.rows()]
+        out.append(Table(f"Injected movers: {name}", ("by", "rate ″/min", *heads, "false"), rows, (note, *NOTES)))
+        stated += ours.stated()
+        drawn += list(tallies.values())
     out.append(Table("What is stated of candidates", ("series", "stated p", "candidates", "mean p", "real"), stated))
     draw(drawn)
     return out
@@ -243,26 +405,42 @@ def _common(one: np.ndarray, other: np.ndarray) -> int:
     return int(same.any(axis=1).sum())
 
 
-def draw(drawn: Sequence[tuple[str, np.ndarray, np.ndarray]]) -> None:
-    """The picture of the efficiencies."""
+def draw(drawn: Sequence[Tally]) -> None:
+    """The picture: the share found against magnitude, a panel a scene, by rate, the peer's dotted; the false below."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(1, len(drawn), figsize=(5.2 * len(drawn), 3.8), squeeze=False, layout="constrained")
+    scenes = list(dict.fromkeys(one.scene for one in drawn))
+    figure, axes = plt.subplots(2, len(scenes), figsize=(4.6 * len(scenes), 5.6), squeeze=False, layout="constrained",
+                                sharex=True, height_ratios=(3, 1))  # fmt: skip
     middle = 0.5 * (np.array(MAGNITUDES[1:]) + np.array(MAGNITUDES[:-1]))
-    for axis, (name, got, put) in zip(axes[0], drawn, strict=True):
-        for k, (lo, hi) in enumerate(itertools.pairwise(RATES)):
-            share = got[k] / np.maximum(put[k], 1)
-            sigma = np.sqrt(np.maximum(share * (1 - share), 0.05) / np.maximum(put[k], 1))
-            there = put[k] > 0
-            axis.errorbar(
-                middle[there] + 0.03 * k, share[there], sigma[there], marker="o", label=f"{lo:g}…{hi:g} ″/min"
-            )
-        axis.set(title=name, xlabel="magnitude below the limit of a frame", ylabel="found", ylim=(-0.03, 1.08))
-        axis.axvline(0.0, color="0.7", lw=1)
-    axes[0][0].legend(fontsize=8)
+    width = np.diff(MAGNITUDES)
+    for column, scene in enumerate(scenes):
+        top, low = axes[:, column]
+        for tally in (one for one in drawn if one.scene == scene):
+            ours = tally.by == "sameas"
+            for k, (lo, hi) in enumerate(itertools.pairwise(RATES)):
+                there = tally.put[k] > 0
+                share = tally.got[k] / np.maximum(tally.put[k], 1)
+                sigma = np.sqrt(np.maximum(share * (1 - share), 0.05) / np.maximum(tally.put[k], 1))
+                x = middle[there] + 0.06 * (k - 1.5) + (0.0 if ours else 0.02)
+                top.errorbar(x, share[there], sigma[there] if ours else None, color=f"C{k}", ms=5,
+                             marker="o" if ours else "x", ls="-" if ours else ":", lw=1.4 if ours else 1.1,
+                             label=f"{tally.by}, {lo:g}…{hi:g} ″/min")  # fmt: skip
+            off = (-0.2 if ours else 0.2) * width
+            low.bar(middle + off, tally.wrong.sum(axis=0), 0.38 * width, color="C7" if ours else "0.8",
+                    label=tally.by)  # fmt: skip
+        top.set(title=scene, ylim=(-0.03, 1.08))
+        low.set(xlabel="magnitude against the limit of a frame")
+        for axis in (top, low):
+            axis.axvline(0.0, color="0.7", lw=1, zorder=0)
+            axis.spines[["top", "right"]].set_visible(False)
+    axes[0][0].set_ylabel("share found")
+    axes[1][0].set_ylabel("false")
+    axes[0][0].legend(fontsize=7, frameon=False)
+    axes[1][0].legend(fontsize=8, frameon=False)
     OUTPUT.mkdir(exist_ok=True)
     figure.savefig(OUTPUT / "movers-injected.png", dpi=110)
     plt.close(figure)

@@ -39,6 +39,7 @@ class Movers:
         is e^x times more probable as a mover than by chance happens by chance e^−x times as often as movers do).
     gap : ln of how much more probable another choice of tracklets could be at most.
     near_earth : (k,) scores of digest2 for near-Earth objects, 0 … 100, where they were asked for.
+    prefix : of their names; "sb" of those that only the frames added together show.
     """
 
     detections: Detections
@@ -52,6 +53,7 @@ class Movers:
     gap: float
     state: FloatArray = field(repr=False)
     near_earth: FloatArray | None = None
+    prefix: str = "sa"
 
     def __len__(self) -> int:
         return len(self.members)
@@ -64,7 +66,7 @@ class Movers:
     @property
     def names(self) -> tuple[str, ...]:
         """(k,) a name of eight letters and digits at most, as reports want it."""
-        return tuple(f"sa{k + 1:05d}" for k in range(len(self)))
+        return tuple(f"{self.prefix}{k + 1:05d}" for k in range(len(self)))
 
     @property
     def tracklet(self) -> IntArray:

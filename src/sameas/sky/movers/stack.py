@@ -97,7 +97,7 @@ def stack(found: Movers, series: Series, frames: Iterable[Frame], tuning: StackT
     """
     k, f = min(len(found), tuning.most), len(series.exposures)
     scale = series.scale_arcsec_per_px
-    place = _predicted(found, series)[:k]
+    place = predicted(found, series)[:k]
     size, half = 2 * tuning.half_px + 1, _fixed_halves(place, scale, tuning)
     chip, flux, error = np.full((k, f, 2), np.nan), np.full((k, f), np.nan), np.full((k, f), np.nan)
     along = np.zeros((k, f, size, size), np.float32)
@@ -134,7 +134,7 @@ def stack(found: Movers, series: Series, frames: Iterable[Frame], tuning: StackT
     )  # fmt: skip
 
 
-def _predicted(found: Movers, series: Series) -> FloatArray:
+def predicted(found: Movers, series: Series) -> FloatArray:
     """(k, f, 2) places of straight or, with enough detections over enough time, bent motion, arcsec."""
     minutes = np.array([e.mjd_utc for e in series.exposures]) * 1440.0
     minutes -= minutes.mean()

@@ -1,0 +1,562 @@
+"""Movers below the limit of single frames: the frames added along every motion on a grid of rates.
+
+Synthetic tracking (Tyson et al. 1992; Shao et al. 2014, ApJ 782, 1; Whidden et al. 2019, AJ 157, 119). Every frame
+becomes a matched filter ψ = Σ k I/v and its variance φ = Σ k²/v, with k the star's profile and v the variance of the
+sky; pixels of stars, of defects and of tracklets found before have no weight, and what faint stars leave is taken away
+as the median of the frames. A motion with rate r through a place has T = Σψ/√Σφ over the frames, which is a normal
+deviate where there is no light.
+
+How many peaks chance makes is counted, not assumed: the same frames in a scrambled order of times have the same noise,
+the same defects and the same remains of stars, and no mover is in line on them. Above the u of the hundred highest
+peaks there, N(>T) = N_u exp(−(T² − u²)/2s²), the tail of a normal distribution with its scale s fitted.
+
+A candidate then has the probability λ/(λ + ν), ν = −dN/dT that chance makes it and λ that movers do: as many per
+magnitude as their numbers grow with 10^0.4m (λ ∝ T⁻²), tied to the movers linked above the limit, and by rates as the
+model of motion believes. No light counts twice: tracklets are taken away before, and a peak loses the frames on which
+a higher one passes by.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter
+from scipy.optimize import minimize
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.errors import InputError, naming
+from sameas.kernels import threads
+from sameas.kernels.stacking import best_motion
+from sameas.representation import in_short
+from sameas.sky.frame.background import Background
+from sameas.sky.frame.image import Frame
+from sameas.sky.frame.measurements import Flag
+from sameas.sky.movers.detections import Detections
+from sameas.sky.movers.rates import EclipticAxes, reference_rate, sun_longitude_deg
+from sameas.sky.movers.search import Movers
+from sameas.sky.movers.stack import ChipMap, predicted
+from sameas.sky.series.tied import Series
+
+Plane = NDArray[np.float32]
+_NO_LIGHT = Flag.HOT | Flag.COSMIC | Flag.MASKED | Flag.SATURATED
+
+
+@dataclass(frozen=True)
+class BelowLimitTuning:
+    """How the frames are added along motions; all chosen.
+
+    Attributes
+    ----------
+    fewest_frames : fewer are not searched. step_widths : two neighbouring rates differ by so many full widths of a
+    star on the first and on the last frame. least_widths : over all frames a mover moves so many full widths.
+    hidden_widths : pixels so near a source are left out; more for bright ones. clip : what one frame may say at most,
+    in its noise: one defect makes no mover. static : what the median frame shows so clearly stands still.
+    share : of the frames' weight that a place must have. peaks : highest peaks that are weighed.
+    chance : peaks of the scrambled frames that tell the tail. sure : peaks above this T are taken away before the
+    scrambling. own_widths : a peak loses the frames on which a higher one is nearer than this.
+    most_bytes : of the frames held at a time. refined : peaks above this T are measured to a part of a pixel.
+    """
+
+    fewest_frames: int = 5
+    step_widths: float = 0.5
+    least_widths: float = 2.5
+    hidden_widths: float = 1.2
+    clip: float = 5.0
+    static: float = 2.5
+    share: float = 0.5
+    peaks: int = 300
+    chance: int = 100
+    sure: float = 7.0
+    own_widths: float = 1.5
+    most_bytes: int = 600_000_000
+    refined: float = 5.0
+
+
+TUNING = BelowLimitTuning()
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a search will do, told before it starts.
+
+    rates : (r, 2) arcsec/min east and north. origin : (2,) place of the first pixel of the grid, arcsec. shape : of the
+    grid, rows to the north. scale : arcsec per px of it. minutes : (f,) from the middle. strips : (s + 1,) rows.
+    margin : rows of a strip that its neighbours have too. width : full width of a star, px of the grid.
+    """
+
+    rates: FloatArray
+    origin: FloatArray
+    shape: tuple[int, int]
+    scale: float
+    minutes: FloatArray
+    strips: tuple[int, ...]
+    margin: int
+    width: float
+
+    @property
+    def sums(self) -> float:
+        """Pixels that are added, once for the frames and once for the scrambled ones."""
+        return 2.0 * len(self.rates) * math.prod(self.shape) * len(self.minutes)
+
+    @property
+    def peak_bytes(self) -> int:
+        """Of the frames held at a time, with what the median of a strip takes."""
+        rows = max(b - a for a, b in zip(self.strips, self.strips[1:], strict=False)) + 2 * self.margin
+        return 14 * len(self.minutes) * min(rows, self.shape[0]) * self.shape[1]
+
+    @classmethod
+    def of(cls, series: Series, fastest: float, tuning: BelowLimitTuning = TUNING) -> Plan:
+        """The plan for a series. fastest : arcsec/min.
+
+        Raises
+        ------
+        InputError : too few frames; nothing between the slowest rate that can be told from a star's and the fastest.
+        """
+        if len(series.exposures) < tuning.fewest_frames:
+            raise InputError(
+                f"{len(series.exposures)} frames: below the limit of single ones nothing is found on fewer than "
+                f"{tuning.fewest_frames}", naming("leave {below_limit} out")
+            )  # fmt: skip
+        scale = series.scale_arcsec_per_px
+        minutes = np.array([e.mjd_utc for e in series.exposures]) * 1440.0
+        minutes -= 0.5 * (minutes[0] + minutes[-1])
+        half = float(minutes[-1])
+        width = float(np.median([max(e.psf_fwhm_px * e.scale_arcsec_per_px / scale, 1.5) for e in series.exposures]))
+        slowest = tuning.least_widths * width * scale / (2.0 * half)
+        if not fastest > slowest:
+            raise InputError(
+                f"{fastest:g}″/min: over {2 * half:.0f} minutes what is slower than {slowest:.2f}″/min does not move "
+                "by enough widths of a star", naming("say {below_limit:RATE}, a higher one"),
+            )  # fmt: skip
+        step = tuning.step_widths * width * scale / half
+        count = math.ceil(fastest / step)
+        east, north = np.meshgrid(*2 * [np.arange(-count, count + 1) * step])
+        rates = np.column_stack([east.ravel(), north.ravel()])
+        speed = np.hypot(*rates.T)
+        rates = rates[(speed <= fastest + 0.5 * step) & (speed >= slowest)]
+        middle = len(series.exposures) // 2
+        rows, columns = series.exposures[middle].shape
+        edge = np.array([[x, y] for x in np.linspace(0, columns - 1, 9) for y in np.linspace(0, rows - 1, 9)])
+        place = _to_sky(series, middle)(edge)
+        origin = place.min(axis=0)
+        wide, high = np.ceil((place.max(axis=0) - origin) / scale).astype(int) + 1
+        margin = math.ceil((fastest + step) * half / scale) + 1
+        room = tuning.most_bytes // (14 * len(minutes) * wide) - 2 * margin
+        strips = max(1, math.ceil(high / max(room, 64)))
+        bounds = tuple(int(v) for v in np.linspace(0, high, strips + 1))
+        return cls(rates, origin, (int(high), int(wide)), scale, minutes, bounds, margin, width)
+
+
+@in_short
+@dataclass(frozen=True)
+class BelowLimit:
+    """What the frames show together and not one by one; (k,) the most probable first.
+
+    movers : each as three places, of the first, the middle and the last frames added along its motion. snr : T of all
+    frames together. frames : on which it counts. flux : on the scale of the mean frame. place : (k, f, 2) predicted,
+    arcsec in the system of the series. tail : N_u, u and s of the peaks that chance makes. plan : what was searched.
+    """
+
+    movers: Movers
+    snr: FloatArray
+    frames: IntArray
+    flux: FloatArray
+    place: FloatArray
+    tail: tuple[float, float, float]
+    plan: Plan
+
+    def __len__(self) -> int:
+        return len(self.movers)
+
+
+@dataclass(frozen=True)
+class _Peaks:
+    """Peaks, (n,): T; place (n, 2) arcsec in the middle of the time, rate (n, 2) arcsec/min; signal, weight (n, f);
+    parts (n, 3, 3) of the first, middle and last frames: offset east and north from the motion, arcsec, and T."""
+
+    t: FloatArray
+    place: FloatArray
+    rate: FloatArray
+    signal: FloatArray
+    weight: FloatArray
+    parts: FloatArray
+
+    def some(self, rows: NDArray[np.int64] | BoolArray) -> _Peaks:
+        return _Peaks(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+    @staticmethod
+    def together(parts: Sequence[_Peaks]) -> _Peaks:
+        return _Peaks(*(np.concatenate([getattr(p, name) for p in parts]) for name in _Peaks.__dataclass_fields__))
+
+
+def search_below_limit(
+    found: Movers,
+    series: Series,
+    frames: Sequence[Callable[[], Frame]],
+    fastest: float,
+    *,
+    least_probability: float = 0.5,
+    tuning: BelowLimitTuning = TUNING,
+) -> BelowLimit:
+    """What moves on the frames together, and shows on none of them by itself.
+
+    found : the tracklets of the series, whose light does not count again, and whose model of motion is believed.
+    frames : give the calibrated frames in the order of ``series.exposures``; each is read once a strip. fastest :
+    arcsec/min; the cost grows with its square (:class:`Plan`).
+
+    Raises
+    ------
+    InputError : fewer than five frames; a rate that is too low.
+    """
+    plan = Plan.of(series, fastest, tuning)
+    known = predicted(found, series)
+    real, chance = [], []
+    order = _scrambled(len(plan.minutes))
+    groups = _thirds(len(plan.minutes))
+    for first, last in zip(plan.strips, plan.strips[1:], strict=False):
+        low, high = max(first - plan.margin, 0), min(last + plan.margin, plan.shape[0])
+        signal, weight = _planes(series, frames, plan, (low, high), known, tuning)
+        core = (first - low, last - low)
+        strip = _Strip(plan, signal, weight, plan.origin + [0.0, low * plan.scale], core, tuning)
+        peaks = strip.peaks(plan.minutes)
+        alone = _alone(peaks, plan.minutes, plan, tuning)
+        better = [strip.refined(peaks.some(np.array([k])), groups) for k in np.flatnonzero(alone.t > tuning.refined)]
+        real.append(_Peaks.together([*better, alone.some(alone.t <= tuning.refined)]))
+        strip.take_away(alone.some(alone.t > tuning.sure))
+        chance.append(_alone(strip.peaks(plan.minutes[order]), plan.minutes[order], plan, tuning))
+    peaks = _alone(_Peaks.together(real), plan.minutes, plan, tuning)
+    tail = _tail(_Peaks.together(chance).t, tuning)
+    return _answer(found, series, plan, peaks, tail, least_probability, tuning)
+
+
+def _to_sky(series: Series, n: int) -> ChipMap:
+    """From pixels of a frame to arcsec."""
+    here, exposure = series.frame == n, series.exposures[n]
+    return ChipMap(np.column_stack([exposure.x_px, exposure.y_px])[series.row[here]], series.place[here])
+
+
+def _to_chip(series: Series, n: int) -> ChipMap:
+    here, exposure = series.frame == n, series.exposures[n]
+    return ChipMap(series.place[here], np.column_stack([exposure.x_px, exposure.y_px])[series.row[here]])
+
+
+def _planes(
+    series: Series, frames: Sequence[Callable[[], Frame]], plan: Plan, rows: tuple[int, int], known: FloatArray,
+    tuning: BelowLimitTuning,
+) -> tuple[Plane, Plane]:  # fmt: skip
+    """(f, h, w) ψ and φ of all frames on some rows of the grid, what stands still taken away."""
+    height, width = rows[1] - rows[0], plan.shape[1]
+    signal = np.zeros((len(frames), height, width), np.float32)
+    weight = np.zeros_like(signal)
+    north, east = np.mgrid[rows[0] : rows[1], 0:width].astype(np.float32)
+    place = np.stack([east, north], axis=-1).reshape(-1, 2) * plan.scale + plan.origin
+    zero = series.stars.zero_point
+    factor = 10 ** (-0.4 * np.nan_to_num(np.where(np.isfinite(zero), np.nanmean(zero) - zero, 0.0))) if np.isfinite(
+        zero).any() else np.ones(len(frames))  # fmt: skip
+    for n, give in enumerate(frames):
+        chip = _to_chip(series, n)(place)
+        psi, phi = _filtered(give(), series, n, known[:, n], tuning)
+        at = [chip[:, 1], chip[:, 0]]
+        for out, plane, scale in ((signal, psi, factor[n]), (weight, phi, factor[n] ** 2)):
+            out[n] = (map_coordinates(plane, at, order=1, cval=0.0) * scale).reshape(height, width)
+    _without_static(signal, weight, tuning)
+    return signal, weight
+
+
+def _filtered(
+    frame: Frame, series: Series, n: int, movers: FloatArray, tuning: BelowLimitTuning
+) -> tuple[Plane, Plane]:
+    """ψ and φ of one frame in its own pixels. movers : (k, 2) places of tracklets, arcsec."""
+    exposure = series.exposures[n]
+    full = max(exposure.psf_fwhm_px, 1.5)
+    sigma = full / 2.3548
+    background = Background.of(frame)
+    inverse = np.where(np.isfinite(background.variance), 1.0 / background.variance, 0.0).astype(np.float32)
+    inverse[(frame.flags & _NO_LIGHT) != 0] = 0.0
+    here = np.flatnonzero(series.frame == n)
+    own = here[(series.star | series.still | series.fixed | series.spoilt)[here]]
+    chip = np.column_stack([exposure.x_px, exposure.y_px])[series.row[own]]
+    bright = np.maximum(exposure.snr[series.row[own]] / 10.0, 1.0)
+    to_chip = _to_chip(series, n)
+    others = [to_chip(places) for places in (series.stars.place, movers) if len(places)]
+    at = np.concatenate([chip, *others])
+    reach = full * (tuning.hidden_widths + 0.6 * np.log10(np.concatenate([bright, np.ones(len(at) - len(chip))])))
+    _hide(inverse, at, reach)
+    light = (frame.image - background.level) * inverse
+    psi = gaussian_filter(light, sigma, mode="constant", truncate=3.5)
+    # k² of a Gaussian is a Gaussian narrower by √2.
+    phi = gaussian_filter(inverse, sigma / math.sqrt(2.0), mode="constant", truncate=3.5) / (4 * math.pi * sigma**2)
+    usual = float(np.median(phi[phi > 0])) if (phi > 0).any() else 0.0
+    phi[phi < tuning.share * usual] = 0.0
+    psi[phi == 0] = 0.0
+    _normalised(psi, phi)
+    return psi, phi
+
+
+def _hide(inverse: Plane, at: FloatArray, reach: FloatArray) -> None:
+    """No weight within a reach (m,) of some pixels (m, 2)."""
+    rows, columns = inverse.shape
+    for (x, y), r in zip(at, reach, strict=True):
+        a, b, c, d = max(int(y - r), 0), max(int(x - r), 0), min(int(y + r) + 2, rows), min(int(x + r) + 2, columns)
+        if a < c and b < d:
+            v, u = np.mgrid[a:c, b:d]
+            inverse[a:c, b:d][(u - x) ** 2 + (v - y) ** 2 <= r * r] = 0.0
+
+
+def _normalised(psi: Plane, phi: Plane, box: int = 64) -> None:
+    """Makes ψ/√φ a deviate of mean 0 and width 1 in every box: noise that pixels share, and the light between stars."""
+    for a in range(0, psi.shape[0], box):
+        for b in range(0, psi.shape[1], box):
+            part, noise = psi[a : a + box, b : b + box], phi[a : a + box, b : b + box]
+            good = noise > 0
+            if good.sum() < 30:
+                noise[:] = part[:] = 0.0
+                continue
+            z = part[good] / np.sqrt(noise[good])
+            low, middle, high = np.percentile(z, [15.87, 50.0, 84.13])
+            # Light of stars widens the upper side only.
+            scale = max(float(middle - low), 0.5 * float(high - low), 0.3)
+            part[good] = (part[good] - middle * np.sqrt(noise[good])) / scale**2
+            noise[good] /= scale**2
+
+
+def _without_static(signal: Plane, weight: Plane, tuning: BelowLimitTuning) -> None:
+    """Takes away what the median frame shows, and bounds what one frame may say."""
+    for row in range(signal.shape[1]):
+        psi, phi = signal[:, row], weight[:, row]
+        there = phi > 0
+        count = there.sum(axis=0)
+        flux = np.sort(np.where(there, psi / np.where(there, phi, 1.0), np.inf), axis=0)
+        low, high = np.maximum((count - 1) // 2, 0), np.minimum(count // 2, len(flux) - 1)
+        columns = np.arange(flux.shape[1])
+        middle = np.where(count > 1, 0.5 * (flux[low, columns] + flux[high, columns]), 0.0)
+        clear = np.abs(middle) * np.sqrt(phi.sum(axis=0)) > 1.2533 * tuning.static
+        psi -= np.where(clear, middle, 0.0).astype(np.float32) * phi
+        bound = tuning.clip * np.sqrt(phi)
+        np.clip(psi, -bound, bound, out=psi)
+
+
+class _Strip:
+    """The planes of some rows of the grid, and the peaks in them."""
+
+    def __init__(
+        self, plan: Plan, signal: Plane, weight: Plane, origin: FloatArray, core: tuple[int, int],
+        tuning: BelowLimitTuning,
+    ) -> None:  # fmt: skip
+        self.plan, self.signal, self.weight, self.origin, self.core = plan, signal, weight, origin, core
+        self.tuning = tuning
+
+    def shifts(self, minutes: FloatArray) -> tuple[IntArray, IntArray]:
+        """(r, f) rows and columns by which each rate stands off on each frame."""
+        off = np.rint(self.plan.rates[:, None] * minutes[None, :, None] / self.plan.scale).astype(np.int64)
+        return np.ascontiguousarray(off[..., 1]), np.ascontiguousarray(off[..., 0])
+
+    def peaks(self, minutes: FloatArray) -> _Peaks:
+        """The highest peaks with the frames at these times, the highest first."""
+        down, right = self.shifts(minutes)
+        shape = self.signal.shape[1:]
+        best, which = np.zeros(shape, np.float32), np.zeros(shape, np.int64)
+        usual = sum(float(np.median(p[p > 0])) if (p > 0).any() else 0.0 for p in self.weight[:, ::5, ::5])
+        first, last = self.core
+        bounds = [first + b for b in threads.even(last - first, 8)]
+        threads.over(
+            lambda a, b: best_motion(
+                self.signal, self.weight, down, right, self.tuning.share * usual, a, b, best, which
+            ),
+            bounds,
+        )
+        size = 2 * math.ceil(self.plan.width) + 1
+        top = (best == maximum_filter(best, size)) & (best > 0)
+        v, u = np.nonzero(top)
+        order = np.argsort(-best[v, u], kind="stable")[: self.tuning.peaks]
+        v, u = v[order], u[order]
+        rate = which[v, u]
+        frames = np.arange(len(minutes))
+        rows, columns = v[:, None] + down[rate], u[:, None] + right[rate]
+        inside = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
+        at = frames[None], np.where(inside, rows, 0), np.where(inside, columns, 0)
+        place = self.origin + np.column_stack([u, v]) * self.plan.scale
+        return _Peaks(
+            best[v, u].astype(float), place, self.plan.rates[rate], np.where(inside, self.signal[at], 0.0),
+            np.where(inside, self.weight[at], 0.0), np.full((len(v), 3, 3), np.nan),
+        )  # fmt: skip
+
+    def _sampled(self, place: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(f,) ψ and φ at a place (f, 2) of every frame."""
+        at = (place - self.origin) / self.plan.scale
+        frames = np.arange(len(at))
+        x, y = np.clip(at[:, 0], 0, self.signal.shape[2] - 1.001), np.clip(at[:, 1], 0, self.signal.shape[1] - 1.001)
+        a, b = y.astype(int), x.astype(int)
+        p, q = y - a, x - b
+        outside = (np.abs(at - np.column_stack([x, y])) > 1.0).any(axis=1)
+        out = []
+        for plane in (self.signal, self.weight):
+            value = (1 - p) * ((1 - q) * plane[frames, a, b] + q * plane[frames, a, b + 1])
+            value += p * ((1 - q) * plane[frames, a + 1, b] + q * plane[frames, a + 1, b + 1])
+            out.append(np.where(outside, 0.0, value))
+        return out[0], out[1]
+
+    def refined(self, peak: _Peaks, groups: Sequence[IntArray]) -> _Peaks:
+        """One peak measured to a part of a pixel, and its parts."""
+        minutes, reach = self.plan.minutes, self.plan.width * self.plan.scale
+        half = float(np.abs(minutes).max())
+
+        def path(x: FloatArray) -> FloatArray:
+            return np.asarray(x[:2] + minutes[:, None] * x[2:] / half)
+
+        def misfit(x: FloatArray) -> float:
+            psi, phi = self._sampled(path(x))
+            return -float(psi.sum() / math.sqrt(max(phi.sum(), 1e-30)))
+
+        start = np.concatenate([peak.place[0], peak.rate[0] * half])
+        around = start + np.vstack([np.zeros(4), 0.3 * reach * np.eye(4)])
+        fit = minimize(misfit, start, method="Nelder-Mead",
+                       options={"initial_simplex": around, "xatol": 0.01 * reach, "fatol": 1e-3, "maxfev": 300})  # fmt: skip
+        # What has slid onto another light is no refinement.
+        x = fit.x if np.abs(fit.x - start).max() < 1.5 * reach and -fit.fun > peak.t[0] else start
+        parts = np.array([self._part(path(x), frames, reach) for frames in groups])
+        psi, phi = self._sampled(path(x))
+        t = psi.sum() / math.sqrt(max(phi.sum(), 1e-30))
+        return _Peaks(np.array([max(t, peak.t[0])]), x[None, :2], x[None, 2:] / half, psi[None], phi[None], parts[None])
+
+    def _part(self, place: FloatArray, frames: IntArray, reach: float) -> FloatArray:
+        """(3,) offset from the motion and T of some frames: of the highest place within half a width."""
+        grid = np.linspace(-0.6, 0.6, 13) * reach
+        t = np.empty((13, 13))
+        for j, dy in enumerate(grid):
+            for i, dx in enumerate(grid):
+                psi, phi = self._sampled(place + [dx, dy])
+                t[j, i] = psi[frames].sum() / math.sqrt(max(phi[frames].sum(), 1e-30))
+        j, i = np.unravel_index(np.argmax(t), t.shape)
+        return np.array([grid[i], grid[j], t[j, i]])
+
+    def take_away(self, peaks: _Peaks) -> None:
+        """No weight where these peaks have their light."""
+        for place, rate in zip(peaks.place, peaks.rate, strict=True):
+            at = (place + self.plan.minutes[:, None] * rate - self.origin) / self.plan.scale
+            for n, one in enumerate(at):
+                _hide(self.weight[n], one[None], np.array([1.5 * self.plan.width]))
+                self.signal[n][self.weight[n] == 0] = 0.0
+
+
+def _alone(peaks: _Peaks, minutes: FloatArray, plan: Plan, tuning: BelowLimitTuning) -> _Peaks:
+    """The peaks, the highest first, each without the frames on which a higher one passes by; what is left of T."""
+    peaks = peaks.some(np.argsort(-peaks.t, kind="stable"))
+    path = peaks.place[:, None] + minutes[None, :, None] * peaks.rate[:, None]
+    reach = tuning.own_widths * plan.width * plan.scale
+    kept, t = list[int](), peaks.t.copy()
+    weight, signal = peaks.weight.copy(), peaks.signal.copy()
+    floor = float(peaks.t.min(initial=math.inf))
+    for k in range(len(peaks)):
+        if kept:
+            near = (np.hypot(*(path[kept] - path[k]).transpose(2, 0, 1)) < reach).any(axis=0)
+            if near.any():
+                weight[k, near] = signal[k, near] = 0.0
+                left = float(weight[k].sum())
+                # Half of its light has to be its own.
+                enough = left > tuning.share * float(peaks.weight[k].sum())
+                t[k] = signal[k].sum() / math.sqrt(left) if enough else 0.0
+        if t[k] >= floor:
+            kept.append(k)
+    rows = np.array(kept, np.int64)
+    return replace(peaks.some(rows), t=t[rows], weight=weight[rows], signal=signal[rows])
+
+
+def _scrambled(frames: int) -> IntArray:
+    """An order of the frames that keeps no motion: of a thousand the least like the true one, or its reverse."""
+    rng, t = np.random.default_rng(0), np.arange(frames)
+    orders = [rng.permutation(frames) for _ in range(1000)]
+
+    def likeness(order: IntArray) -> float:
+        # Three frames in a row that keep their distances are in line on a straight motion.
+        together = float((np.abs(np.diff(order)) == 1).mean())
+        return together + abs(float(np.corrcoef(order, t)[0, 1]))
+
+    return np.asarray(min(orders, key=likeness))
+
+
+def _thirds(frames: int) -> list[IntArray]:
+    return [np.asarray(part) for part in np.array_split(np.arange(frames), 3)]
+
+
+def _tail(t: FloatArray, tuning: BelowLimitTuning) -> tuple[float, float, float]:
+    """N_u, u and s of N(>T) = N_u exp(−(T² − u²)/2s²)."""
+    t = np.sort(t)[::-1][: tuning.chance]
+    if len(t) < 10:
+        return 1.0, 5.0, 1.0
+    u = float(t[-1])
+    # As many more with a scale of one, which a normal tail has, so that few peaks do not make it narrow.
+    return float(len(t)), u, math.sqrt(max((float((t**2 - u**2).sum()) / 2.0 + 20.0) / (len(t) + 20.0), 0.8))
+
+
+def _answer(
+    found: Movers, series: Series, plan: Plan, peaks: _Peaks, tail: tuple[float, float, float], least: float,
+    tuning: BelowLimitTuning,
+) -> BelowLimit:  # fmt: skip
+    many, u, s = tail
+    with np.errstate(over="ignore"):
+        log_chance = math.log(many) - (peaks.t**2 - u**2) / (2 * s * s)
+    # T of a mover at the limit of a single frame; as many as were linked are brighter.
+    limit = 5.0 * math.sqrt(len(plan.minutes))
+    linked = 0.5 + float(found.p_tracklet.sum())
+    log_mover = math.log(linked * limit) - 2.0 * np.log(np.maximum(peaks.t, 1e-9)) + _rate_ratio(found, series, plan, peaks)
+    log_weight = log_mover - (log_chance + np.log(np.maximum(peaks.t, 1e-9) / s**2))
+    p = 1.0 / (1.0 + np.exp(-np.clip(log_weight, -700, 700)))
+    keep = np.flatnonzero((p >= least) & np.isfinite(peaks.parts).all(axis=(1, 2)) & (peaks.t > u))
+    keep = keep[np.argsort(-p[keep], kind="stable")]
+    mine = peaks.some(keep)
+    path = mine.place[:, None] + plan.minutes[None, :, None] * mine.rate[:, None]
+    flux = mine.signal.sum(axis=1) / np.maximum(mine.weight.sum(axis=1), 1e-30)
+    movers = _movers(found, series, plan, mine, p[keep], log_weight[keep], np.exp(log_chance[keep]), flux)
+    return BelowLimit(movers, mine.t, (mine.weight > 0).sum(axis=1), flux, path, tail, plan)
+
+
+def _rate_ratio(found: Movers, series: Series, plan: Plan, peaks: _Peaks) -> FloatArray:
+    """(n,) ln of the density of rates that is believed over the even one of chance."""
+    if not len(peaks.t):
+        return np.empty(0)
+    ra, dec = series.sky(peaks.place)
+    axes = EclipticAxes.of(ra, dec)
+    mjd = np.full(len(ra), np.mean([e.mjd_utc for e in series.exposures]))
+    cos, sin = axes.turn.T
+    east, north = peaks.rate.T
+    rate = np.column_stack([cos * east + sin * north, cos * north - sin * east])
+    rate[:, 0] -= reference_rate(axes.longitude_deg - sun_longitude_deg(mjd))
+    error = (0.5 * plan.width * plan.scale / np.ptp(plan.minutes)) ** 2 * np.eye(2)[None].repeat(len(ra), axis=0)
+    fastest = float(np.hypot(*plan.rates.T).max())
+    return np.asarray(found.model.rates.log_density(rate, error) + math.log(math.pi * fastest**2))
+
+
+def _movers(
+    found: Movers, series: Series, plan: Plan, peaks: _Peaks, p: FloatArray, log_weight: FloatArray,
+    chance: FloatArray, flux: FloatArray,
+) -> Movers:  # fmt: skip
+    """The candidates as tracklets of three places, of the first, middle and last frames."""
+    groups, k = _thirds(len(plan.minutes)), len(p)
+    names = tuple(f"frames {g[0] + 1}–{g[-1] + 1} added" for g in groups)
+    if not k:
+        return replace(found, prefix="sb").only(np.empty(0, np.int64))
+    mjd0 = 0.5 * (series.exposures[0].mjd_utc + series.exposures[-1].mjd_utc)
+    when, at, sigma = np.empty((k, 3)), np.empty((k, 3, 2)), np.empty((k, 3))
+    for g, rows in enumerate(groups):
+        weight = np.maximum(peaks.weight[:, rows], 1e-12)
+        when[:, g] = (weight * plan.minutes[rows]).sum(axis=1) / weight.sum(axis=1)
+        at[:, g] = peaks.place + when[:, g, None] * peaks.rate + peaks.parts[:, g, :2]
+        # A Gaussian star against the sky: √2 σ over the signal to noise.
+        sigma[:, g] = math.sqrt(2.0) * plan.width / 2.3548 * plan.scale / np.maximum(peaks.parts[:, g, 2], 1.0)
+    ra, dec = series.sky(at.reshape(-1, 2))
+    zero = series.stars.zero_point
+    bright = np.nanmean(zero) - 2.5 * np.log10(np.maximum(flux, 1e-9)) if np.isfinite(zero).any() else np.full(k, np.nan)
+    seen = Detections.of(
+        ra, dec, (mjd0 + when / 1440.0).ravel(), sigma_arcsec=sigma.ravel(),
+        frame=np.tile([0, 1, 2], k), magnitude=np.repeat(bright, 3),
+        magnitude_error=np.repeat(1.0857 / np.maximum(peaks.t, 1.0), 3), name="frames added along motions",
+    )  # fmt: skip
+    seen = replace(seen, frame_names=names)
+    members = np.arange(3 * k).reshape(k, 3)
+    even = np.repeat(p[:, None], 3, axis=1)
+    return Movers(seen, found.model, members, p, p, even, log_weight, chance, 0.0, np.zeros((k, 6)), prefix="sb")
