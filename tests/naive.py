@@ -588,3 +588,27 @@ def inside_empty_discs(
 def ragged_ranges(first: list[int], size: list[int]) -> list[tuple[int, int, int]]:
     """(range, number within it, value) of each whole number of several ranges, one range after the other."""
     return [(k, t, first[k] + t) for k in range(len(size)) for t in range(size[k])]
+
+
+# ---- frames added along motions ----
+
+
+def best_motion(
+    signal: np.ndarray, weight: np.ndarray, down: np.ndarray, right: np.ndarray, least: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W) the largest Σψ/√Σφ over the rates, 0 where none tells enough, and the rate."""
+    frames, height, width = signal.shape
+    best, which = np.zeros((height, width)), np.zeros((height, width), int)
+    for y in range(height):
+        for x in range(width):
+            for r in range(len(down)):
+                there = [
+                    (f, y + down[r, f], x + right[r, f])
+                    for f in range(frames)
+                    if 0 <= y + down[r, f] < height and 0 <= x + right[r, f] < width
+                ]
+                noise = sum(float(weight[at]) for at in there)
+                light = sum(float(signal[at]) for at in there)
+                if noise > least and light / math.sqrt(noise) > best[y, x]:
+                    best[y, x], which[y, x] = light / math.sqrt(noise), r
+    return best, which

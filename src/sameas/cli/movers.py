@@ -94,6 +94,16 @@ def movers(
         Path | None,
         option("--report", panel=_FRAMES, metavar="TOML", help="Who observed, with what: writes ADES and 80 columns."),
     ] = None,
+    below_limit: Annotated[
+        float | None,
+        option(
+            "--below-limit",
+            panel=_FRAMES,
+            metavar="RATE",
+            min=0.0,
+            help="Add the frames along all motions to so many arcsec/min: what none shows by itself.",
+        ),
+    ] = None,
     processes: Annotated[
         int, option("--processes", "-j", panel=_FRAMES, metavar="N", min=1, show_default=True, help="Frames at a time.")
     ] = 2,
@@ -126,7 +136,7 @@ def movers(
                 folder=output or Path("movers"), pointing=PointingOptions(aim_of(aim), None, scale_of(scale)),
                 darks=darks, flats=flats, biases=biases, least=max(least, 3), probability=probability,
                 elements=None if elements is None else str(elements), header=None if report is None else str(report),
-                processes=processes,
+                processes=processes, below_limit=below_limit,
             )  # fmt: skip
             series.run(request, quiet)
         return

@@ -25,7 +25,8 @@ class SeriesRequest:
 
     paths : of the frames. catalogue, columns : of the stars. folder : of the outputs. pointing : where frames point.
     darks, flats, biases : calibration frames. least, probability : of a tracklet. elements : file of known objects, or
-    None. header : TOML of the report, or None. processes : frames at a time.
+    None. header : TOML of the report, or None. processes : frames at a time. below_limit : fastest rate, ″/min, of what
+    no frame shows by itself, or None.
     """
 
     paths: tuple[str, ...]
@@ -41,6 +42,7 @@ class SeriesRequest:
     elements: str | None
     header: str | None
     processes: int
+    below_limit: float | None = None
 
 
 def run(request: SeriesRequest, quiet: bool) -> None:
@@ -100,6 +102,7 @@ def run(request: SeriesRequest, quiet: bool) -> None:
     if elements is not None:
         known = name_movers(found, elements, site=site)
         printer(["", *known_lines(found, known, site is not None)])
+    below = None if request.below_limit is None else _below(request, found, each[0], known, elements, site, printer)
     facts = {**program(), "catalogue": request.catalogue}
     written = ["movers.fits", "tracklets.fits"]
     failed = [(one.request.name, one.error) for one in outcomes if one.summary is None]
@@ -113,7 +116,11 @@ def run(request: SeriesRequest, quiet: bool) -> None:
             for name, write in (("report.psv", write_psv), ("report.xml", write_xml), ("report.txt", write_80_columns)):
                 write(rows, observer, draft / name, software=software)
                 written.append(name)
-        write_movers_page(draft / "movers.html", title, found, series, pixels, known)
+        if below is not None:
+            written.append("below-limit.fits")
+            write_table(_below_table(below[0]), draft / written[-1], provenance=facts)
+        shown = None if below is None else (below[0].movers, *below[1:])
+        write_movers_page(draft / "movers.html", title, found, series, pixels, known, shown)
         link = "movers.html", _link_words(found, known)
         written += [
             "movers.html",
@@ -121,6 +128,45 @@ def run(request: SeriesRequest, quiet: bool) -> None:
             *_product(each, draft, title, {"catalogue": request.catalogue}, failed, reasons, link),
         ]
     printer(["", f"Output: {request.folder}/: {', '.join(written)}", f"Time: {time.perf_counter() - began:.1f} s"])
+
+
+def _below(
+    request: SeriesRequest, found: Any, field: Any, known: Any, elements: Any, site: Any, printer: Any
+) -> tuple[Any, Any, Any]:
+    """What no frame shows by itself: candidates, their pixels, and which of the objects not named yet they are."""
+    import numpy as np
+
+    from sameas.report.movers import below_lines, known_lines, plan_lines
+    from sameas.sky.movers.below_limit import Plan, search_below_limit
+    from sameas.sky.movers.known import name_movers
+    from sameas.sky.movers.stack import stack
+
+    fastest = request.below_limit or 0.0
+    printer(["", *plan_lines(Plan.of(field.series, fastest))])
+    frames = [one.frame for one in field.members]
+    below = search_below_limit(found, field.series, frames, fastest, least_probability=request.probability)
+    printer(below_lines(below))
+    names = None
+    if elements is not None:
+        named = {known.name(k) for k in range(len(found)) if known.object[k] >= 0}
+        rest = elements.some(np.array([k for k, name in enumerate(elements.name) if name not in named], np.int64))
+        names = name_movers(below.movers, rest, site=site)
+        if len(below):
+            printer(known_lines(below.movers, names, site is not None))
+    pixels = stack(below.movers, field.series, (give() for give in frames), place=below.place)
+    return below, pixels, names
+
+
+def _below_table(below: Any) -> Any:
+    """One row a candidate that only the frames added together show."""
+    import numpy as np
+
+    table = below.movers.table()
+    table.remove_columns(["n_detections", "p_exact", "log_odds"])
+    table["snr"], table["frames"] = below.snr, below.frames
+    table["magnitude"] = np.ma.masked_invalid(below.movers.detections.magnitude[below.movers.members[:, 0]])
+    table["magnitude"].unit = "mag"
+    return table
 
 
 def product(outcomes: Sequence[Any], folder: Path, title: str, facts: dict[str, Any], quiet: bool) -> None:

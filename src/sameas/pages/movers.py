@@ -26,11 +26,12 @@ _BLACK, _WHITE, _SOFT = 2.0, 12.0, 4.0
 
 def write_movers_page(
     path: str | os.PathLike[str], title: str, found: Movers, series: Series, pixels: Stack,
-    known: KnownObjects | None = None,
+    known: KnownObjects | None = None, below: tuple[Movers, Stack, KnownObjects | None] | None = None,
 ) -> None:  # fmt: skip
     """Writes the page of what moves on a series: one file, complete in itself.
 
     found : the tracklets. pixels : of the first of them. known : which objects they are, where elements were given.
+    below : the same of those that only the frames added together show, where these were searched.
 
     Raises
     ------
@@ -43,11 +44,18 @@ def write_movers_page(
         f"{1440.0 * (series.exposures[-1].mjd_utc - series.exposures[0].mjd_utc):.0f} minutes; "
         f"{found.p_tracklet.sum():.1f} expected to be real"
     )
+    movers = [_mover(found, series, pixels, known, k) for k in range(count)]
+    if below is not None:
+        faint, light, names = below
+        movers += [_mover(faint, series, light, names, k) for k in range(min(len(light), MOST))]
+        about = (
+            f"{about if len(found) else 'No frame shows by itself what moves'}; {len(faint)} below the limit of frames"
+        )
     data = {
-        "about": about if len(found) else "Nothing was found to move.", "asked": known is not None,
+        "about": about if movers or below else "Nothing was found to move.", "asked": known is not None,
         "scale": series.stars.scale,
         "width": rounded(float(np.median([e.psf_fwhm_px for e in series.exposures])), 2),
-        "movers": [_mover(found, series, pixels, known, k) for k in range(count)],
+        "movers": movers,
     }  # fmt: skip
     marks = {
         "css": asset("frame.css") + asset("series.css") + asset("movers.css"),

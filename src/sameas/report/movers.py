@@ -10,6 +10,7 @@ from sameas.report.prose import DOUBT, count
 
 if TYPE_CHECKING:
     from sameas.sky.movers import Detections, Movers
+    from sameas.sky.movers.below_limit import BelowLimit, Plan
     from sameas.sky.movers.known import KnownObjects
     from sameas.sky.movers.stack import Stack
     from sameas.sky.series.tied import Series
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 MOST = 20
 #: Fewer exposures than this leave every tracklet to rate and brightness alone.
 FEW = 3
+#: Pixels that a core adds in a second, below the limit of single frames (measured, 2 GHz).
+SUMS_PER_S = 2.5e9
 
 #: Stars whose scatter constant ones have less often than this are told as hardly constant.
 UNLIKELY = 0.001
@@ -80,6 +83,35 @@ def model_lines(found: Movers) -> list[str]:
     ]
 
 
+def plan_lines(plan: Plan) -> list[str]:
+    """What a search below the limit of single frames will cost, before it starts."""
+    seconds = plan.sums / SUMS_PER_S
+    fastest = float(np.hypot(*plan.rates.T).max())
+    return [
+        f"Below the limit: {count(len(plan.rates))} rates to {fastest:.2f} ″/min on {count(len(plan.minutes))} frames "
+        f"of {plan.shape[1]} × {plan.shape[0]} px, once in line and once scrambled",
+        f"  about {seconds:.0f} s of one core and {plan.peak_bytes / 1e6:.0f} MB",
+    ]
+
+
+def below_lines(below: BelowLimit) -> list[str]:
+    """What the frames show together and none by itself."""
+    found = below.movers
+    if not len(found):
+        return ["  nothing more is found there"]
+    lines = [
+        f"  {count(len(found))} more, of which {float(found.p_tracklet.sum()):.1f} are expected to be real",
+        "  name      S/N       p  expected by chance  rate ″/min   angle  frames",
+    ]
+    rate, angle = np.hypot(*found.rate_arcsec_per_min.T), np.degrees(np.arctan2(*found.rate_arcsec_per_min.T)) % 360.0
+    lines += [
+        f"  {found.names[k]:8} {below.snr[k]:4.1f}  {found.p_tracklet[k]:.4f}  {found.expected_chance[k]:18.1e}"
+        f"  {rate[k]:10.3f}  {angle[k]:5.1f}°  {below.frames[k]:6d}"
+        for k in range(min(len(found), MOST))
+    ]
+    return [*lines, *([f"  … and {count(len(found) - MOST)} more"] if len(found) > MOST else [])]
+
+
 def series_lines(series: Series) -> list[str]:
     """What a series of frames shows beside what moves."""
     n = len(series.frame)
@@ -137,6 +169,14 @@ def reasons(found: Movers, pixels: Stack, k: int) -> list[tuple[str, bool]]:
     """Why tracklet k is believed, sentence by sentence, and whether each is rather a doubt."""
     seen, rows = found.detections, found.members[k][found.members[k] >= 0]
     frames = len(pixels.flux[k])
+    if found.prefix == "sb":
+        return [
+            ("no frame shows it by itself; it was found by adding the frames along its motion", False),
+            (f"chance makes {_small(found.expected_chance[k])} such peaks of as much light at such rates, as the same "
+             "frames in a scrambled order show", bool(found.expected_chance[k] > 0.1)),
+            ("its three places are those of the first, the middle and the last frames, added", False),
+            (f"the stack along its motion has a signal to noise of {pixels.snr[k]:.1f}", bool(pixels.snr[k] < 4.0)),
+        ]  # fmt: skip
     out = [(f"chance makes {_small(found.expected_chance[k])} tracklets of as much evidence among what is left over",
             bool(found.expected_chance[k] > 0.1))]  # fmt: skip
     scatter, quoted = found.scatter_arcsec[k], float(np.sqrt(seen.covariance[rows][:, [0, 2]].mean()))

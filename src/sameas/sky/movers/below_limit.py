@@ -55,6 +55,7 @@ class BelowLimitTuning:
     star on the first and on the last frame. least_widths : over all frames a mover moves so many full widths.
     hidden_widths : pixels so near a source are left out; more for bright ones. clip : what one frame may say at most,
     in its noise: one defect makes no mover. static : what the median frame shows so clearly stands still.
+    blur_widths : noise about stars is measured over so many full widths.
     share : of the frames' weight that a place must have. peaks : highest peaks that are weighed.
     chance : peaks of the scrambled frames that tell the tail. sure : peaks above this T are taken away before the
     scrambling. own_widths : a peak loses the frames on which a higher one is nearer than this.
@@ -67,6 +68,7 @@ class BelowLimitTuning:
     hidden_widths: float = 1.2
     clip: float = 5.0
     static: float = 2.5
+    blur_widths: float = 1.5
     share: float = 0.5
     peaks: int = 300
     chance: int = 100
@@ -221,7 +223,7 @@ def search_below_limit(
         low, high = max(first - plan.margin, 0), min(last + plan.margin, plan.shape[0])
         signal, weight = _planes(series, frames, plan, (low, high), known, tuning)
         core = (first - low, last - low)
-        strip = _Strip(plan, signal, weight, plan.origin + [0.0, low * plan.scale], core, tuning)
+        strip = _Strip(plan, signal, weight, plan.origin + np.array([0.0, low * plan.scale]), core, tuning)
         peaks = strip.peaks(plan.minutes)
         alone = _alone(peaks, plan.minutes, plan, tuning)
         better = [strip.refined(peaks.some(np.array([k])), groups) for k in np.flatnonzero(alone.t > tuning.refined)]
@@ -229,8 +231,10 @@ def search_below_limit(
         strip.take_away(alone.some(alone.t > tuning.sure))
         chance.append(_alone(strip.peaks(plan.minutes[order]), plan.minutes[order], plan, tuning))
     peaks = _alone(_Peaks.together(real), plan.minutes, plan, tuning)
-    tail = _tail(_Peaks.together(chance).t, tuning)
-    return _answer(found, series, plan, peaks, tail, least_probability, tuning)
+    chance_peaks = _Peaks.together(chance)
+    tail = _tail(chance_peaks.t, tuning)
+    speed = np.hypot(*chance_peaks.rate[np.argsort(-chance_peaks.t)[: tuning.chance]].T)
+    return _answer(found, series, plan, peaks, tail, _Speeds.of(speed, plan), least_probability)
 
 
 def _to_sky(series: Series, n: int) -> ChipMap:
@@ -263,7 +267,7 @@ def _planes(
         at = [chip[:, 1], chip[:, 0]]
         for out, plane, scale in ((signal, psi, factor[n]), (weight, phi, factor[n] ** 2)):
             out[n] = (map_coordinates(plane, at, order=1, cval=0.0) * scale).reshape(height, width)
-    _without_static(signal, weight, tuning)
+    _without_static(signal, weight, plan.width, tuning)
     return signal, weight
 
 
@@ -280,11 +284,13 @@ def _filtered(
     here = np.flatnonzero(series.frame == n)
     own = here[(series.star | series.still | series.fixed | series.spoilt)[here]]
     chip = np.column_stack([exposure.x_px, exposure.y_px])[series.row[own]]
-    bright = np.maximum(exposure.snr[series.row[own]] / 10.0, 1.0)
+    snr = np.nan_to_num(exposure.snr[series.row[own]], nan=10.0)
     to_chip = _to_chip(series, n)
     others = [to_chip(places) for places in (series.stars.place, movers) if len(places)]
     at = np.concatenate([chip, *others])
-    reach = full * (tuning.hidden_widths + 0.6 * np.log10(np.concatenate([bright, np.ones(len(at) - len(chip))])))
+    snr = np.concatenate([np.maximum(snr, 10.0), np.full(len(at) - len(chip), 10.0)])
+    # The wings of a star fall with the fifth power (Moffat, β 2.5); what they leave beyond this is far below the noise.
+    reach = full * np.maximum(tuning.hidden_widths, 0.5 * (5.0 * snr) ** 0.2)
     _hide(inverse, at, reach)
     light = (frame.image - background.level) * inverse
     psi = gaussian_filter(light, sigma, mode="constant", truncate=3.5)
@@ -309,35 +315,66 @@ def _hide(inverse: Plane, at: FloatArray, reach: FloatArray) -> None:
 
 def _normalised(psi: Plane, phi: Plane, box: int = 64) -> None:
     """Makes ψ/√φ a deviate of mean 0 and width 1 in every box: noise that pixels share, and the light between stars."""
-    for a in range(0, psi.shape[0], box):
-        for b in range(0, psi.shape[1], box):
-            part, noise = psi[a : a + box, b : b + box], phi[a : a + box, b : b + box]
-            good = noise > 0
-            if good.sum() < 30:
-                noise[:] = part[:] = 0.0
-                continue
-            z = part[good] / np.sqrt(noise[good])
-            low, middle, high = np.percentile(z, [15.87, 50.0, 84.13])
-            # Light of stars widens the upper side only.
-            scale = max(float(middle - low), 0.5 * float(high - low), 0.3)
-            part[good] = (part[good] - middle * np.sqrt(noise[good])) / scale**2
-            noise[good] /= scale**2
+    if not (phi > 0).any():
+        return
+    z = psi / np.sqrt(np.where(phi > 0, phi, 1.0))
+    whole = _level_and_scale(z[phi > 0])
+    boxes = [max(1, round(n / box)) for n in psi.shape]
+    bounds = [np.linspace(0, n, count + 1).astype(int) for n, count in zip(psi.shape, boxes, strict=True)]
+    level, scale = np.full(boxes, whole[0], np.float32), np.full(boxes, whole[1], np.float32)
+    for a in range(boxes[0]):
+        for b in range(boxes[1]):
+            part = slice(*bounds[0][a : a + 2]), slice(*bounds[1][b : b + 2])
+            good = phi[part] > 0
+            # Few pixels between stars do not tell how wide their noise is.
+            if good.mean() > 0.25:
+                level[a, b], scale[a, b] = _level_and_scale(z[part][good])
+    rows, columns = ((np.arange(n) + 0.5) * count / n - 0.5 for n, count in zip(psi.shape, boxes, strict=True))
+    grid = np.meshgrid(rows, columns, indexing="ij")
+    between, wide = (map_coordinates(one, grid, order=1, mode="nearest") for one in (level, scale))
+    wide = np.maximum(wide, 0.9 * whole[1])
+    psi[:] = np.where(phi > 0, (z - between) * np.sqrt(phi) / wide**2, 0.0)
+    phi /= wide**2
 
 
-def _without_static(signal: Plane, weight: Plane, tuning: BelowLimitTuning) -> None:
+def _level_and_scale(z: FloatArray) -> tuple[float, float]:
+    """Median and width of some deviates; light of stars widens the upper side more than the lower one."""
+    low, middle, high = np.percentile(z, [15.87, 50.0, 84.13])
+    return float(middle), max(float(middle - low), 0.5 * float(high - low), 0.1)
+
+
+def _without_static(signal: Plane, weight: Plane, width: float, tuning: BelowLimitTuning) -> None:
     """Takes away what the median frame shows, and bounds what one frame may say."""
+    usual = np.zeros(signal.shape[1:], np.float32)
     for row in range(signal.shape[1]):
         psi, phi = signal[:, row], weight[:, row]
         there = phi > 0
-        count = there.sum(axis=0)
-        flux = np.sort(np.where(there, psi / np.where(there, phi, 1.0), np.inf), axis=0)
-        low, high = np.maximum((count - 1) // 2, 0), np.minimum(count // 2, len(flux) - 1)
-        columns = np.arange(flux.shape[1])
-        middle = np.where(count > 1, 0.5 * (flux[low, columns] + flux[high, columns]), 0.0)
+        flux, inverse = np.where(there, psi / np.where(there, phi, 1.0), np.inf), np.sqrt(phi)
+        middle = _medians(flux, there)
         clear = np.abs(middle) * np.sqrt(phi.sum(axis=0)) > 1.2533 * tuning.static
         psi -= np.where(clear, middle, 0.0).astype(np.float32) * phi
+        usual[row] = _medians(np.where(there, (psi / np.where(there, inverse, 1.0)) ** 2, np.inf), there)
+    # What most frames differ by is noise there: the seeing, and the wings of stars. A mover is on few of them.
+    seen = (usual > 0).astype(np.float32)
+    near = tuning.blur_widths * width / 2.3548
+    mean = gaussian_filter(usual, near) / np.maximum(gaussian_filter(seen, near), 1e-3)
+    if seen.any():
+        mean /= float(np.median(mean[seen > 0]))
+    rough = np.maximum(mean, 1.0)
+    for psi, phi in zip(signal, weight, strict=True):
+        psi /= rough
+        phi /= rough
         bound = tuning.clip * np.sqrt(phi)
         np.clip(psi, -bound, bound, out=psi)
+
+
+def _medians(values: FloatArray, there: NDArray[np.bool_]) -> FloatArray:
+    """(w,) medians of the columns, where something is; 0 of a column with one value or none."""
+    count, columns = there.sum(axis=0), np.arange(values.shape[1])
+    ordered = np.sort(values, axis=0)
+    low, high = np.maximum((count - 1) // 2, 0), np.minimum(count // 2, len(values) - 1)
+    with np.errstate(invalid="ignore"):
+        return np.where(count > 1, 0.5 * (ordered[low, columns] + ordered[high, columns]), 0.0)
 
 
 class _Strip:
@@ -415,7 +452,8 @@ class _Strip:
         start = np.concatenate([peak.place[0], peak.rate[0] * half])
         around = start + np.vstack([np.zeros(4), 0.3 * reach * np.eye(4)])
         fit = minimize(misfit, start, method="Nelder-Mead",
-                       options={"initial_simplex": around, "xatol": 0.01 * reach, "fatol": 1e-3, "maxfev": 300})  # fmt: skip
+                       options={"initial_simplex": around, "xatol": 0.01 * reach, "fatol": 1e-3,
+                                "maxfev": 300})  # fmt: skip
         # What has slid onto another light is no refinement.
         x = fit.x if np.abs(fit.x - start).max() < 1.5 * reach and -fit.fun > peak.t[0] else start
         parts = np.array([self._part(path(x), frames, reach) for frames in groups])
@@ -429,7 +467,7 @@ class _Strip:
         t = np.empty((13, 13))
         for j, dy in enumerate(grid):
             for i, dx in enumerate(grid):
-                psi, phi = self._sampled(place + [dx, dy])
+                psi, phi = self._sampled(place + np.array([dx, dy]))
                 t[j, i] = psi[frames].sum() / math.sqrt(max(phi[frames].sum(), 1e-30))
         j, i = np.unravel_index(np.argmax(t), t.shape)
         return np.array([grid[i], grid[j], t[j, i]])
@@ -451,7 +489,7 @@ def _alone(peaks: _Peaks, minutes: FloatArray, plan: Plan, tuning: BelowLimitTun
     kept, t = list[int](), peaks.t.copy()
     weight, signal = peaks.weight.copy(), peaks.signal.copy()
     floor = float(peaks.t.min(initial=math.inf))
-    for k in range(len(peaks)):
+    for k in range(len(peaks.t)):
         if kept:
             near = (np.hypot(*(path[kept] - path[k]).transpose(2, 0, 1)) < reach).any(axis=0)
             if near.any():
@@ -484,26 +522,64 @@ def _thirds(frames: int) -> list[IntArray]:
 
 
 def _tail(t: FloatArray, tuning: BelowLimitTuning) -> tuple[float, float, float]:
-    """N_u, u and s of N(>T) = N_u exp(−(T² − u²)/2s²)."""
+    """N_u, u and s of N(>T) = N_u (T/u)³ exp(−(T² − u²)/2s²)."""
     t = np.sort(t)[::-1][: tuning.chance]
     if len(t) < 10:
         return 1.0, 5.0, 1.0
     u = float(t[-1])
-    # As many more with a scale of one, which a normal tail has, so that few peaks do not make it narrow.
-    return float(len(t)), u, math.sqrt(max((float((t**2 - u**2).sum()) / 2.0 + 20.0) / (len(t) + 20.0), 0.8))
+    scales = np.geomspace(0.9, 3.0, 121)
+    # A scale of one, which noise alone has, is believed within a fifth beforehand.
+    score = [float(_log_rate(t, u, s).sum()) - 0.5 * (math.log(s) / 0.2) ** 2 for s in scales]
+    return float(len(t)), u, float(scales[int(np.argmax(score))])
+
+
+def _log_tail(t: FloatArray, u: float, s: float) -> FloatArray:
+    """ln N(>T)/N_u."""
+    return np.asarray(3.0 * np.log(np.maximum(t, 1e-9) / u) - (t**2 - u**2) / (2 * s * s))
+
+
+def _log_rate(t: FloatArray, u: float, s: float) -> FloatArray:
+    """ln of −dN/dT over N_u."""
+    return np.asarray(_log_tail(t, u, s) + np.log(np.maximum(t / s**2 - 3.0 / np.maximum(t, 1e-9), 1e-3)))
+
+
+@dataclass(frozen=True)
+class _Speeds:
+    """How often chance has which speed, against evenly over the rates: what stars leave makes slow ones.
+
+    edge : (b + 1,) arcsec/min. log_ratio : (b,) natural logarithms.
+    """
+
+    edge: FloatArray
+    log_ratio: FloatArray
+
+    @classmethod
+    def of(cls, speed: FloatArray, plan: Plan, bins: int = 6) -> _Speeds:
+        every = np.hypot(*plan.rates.T)
+        edge = np.geomspace(every.min(), every.max(), bins + 1)
+        edge[0], edge[-1] = 0.0, np.inf
+        share = np.histogram(every, edge)[0] / len(every)
+        count = np.histogram(speed, edge)[0]
+        # Three more of each, as even rates have them.
+        return cls(edge, np.log((count + 3.0) / (len(speed) * share + 3.0)))
+
+    def __call__(self, speed: FloatArray) -> FloatArray:
+        return np.asarray(self.log_ratio[np.digitize(speed, self.edge) - 1])
 
 
 def _answer(
-    found: Movers, series: Series, plan: Plan, peaks: _Peaks, tail: tuple[float, float, float], least: float,
-    tuning: BelowLimitTuning,
+    found: Movers, series: Series, plan: Plan, peaks: _Peaks, tail: tuple[float, float, float], speeds: _Speeds,
+    least: float,
 ) -> BelowLimit:  # fmt: skip
     many, u, s = tail
-    with np.errstate(over="ignore"):
-        log_chance = math.log(many) - (peaks.t**2 - u**2) / (2 * s * s)
+    at_rate = math.log(many) + speeds(np.hypot(*peaks.rate.T))
+    log_chance = at_rate + _log_tail(peaks.t, u, s)
     # T of a mover at the limit of a single frame; as many as were linked are brighter.
     limit = 5.0 * math.sqrt(len(plan.minutes))
     linked = 0.5 + float(found.p_tracklet.sum())
-    log_mover = math.log(linked * limit) - 2.0 * np.log(np.maximum(peaks.t, 1e-9)) + _rate_ratio(found, series, plan, peaks)
+    log_mover = (
+        math.log(linked * limit) - 2.0 * np.log(np.maximum(peaks.t, 1e-9)) + _rate_ratio(found, series, plan, peaks)
+    )
     log_weight = log_mover - (log_chance + np.log(np.maximum(peaks.t, 1e-9) / s**2))
     p = 1.0 / (1.0 + np.exp(-np.clip(log_weight, -700, 700)))
     keep = np.flatnonzero((p >= least) & np.isfinite(peaks.parts).all(axis=(1, 2)) & (peaks.t > u))
@@ -550,7 +626,9 @@ def _movers(
         sigma[:, g] = math.sqrt(2.0) * plan.width / 2.3548 * plan.scale / np.maximum(peaks.parts[:, g, 2], 1.0)
     ra, dec = series.sky(at.reshape(-1, 2))
     zero = series.stars.zero_point
-    bright = np.nanmean(zero) - 2.5 * np.log10(np.maximum(flux, 1e-9)) if np.isfinite(zero).any() else np.full(k, np.nan)
+    bright = (
+        np.nanmean(zero) - 2.5 * np.log10(np.maximum(flux, 1e-9)) if np.isfinite(zero).any() else np.full(k, np.nan)
+    )
     seen = Detections.of(
         ra, dec, (mjd0 + when / 1440.0).ravel(), sigma_arcsec=sigma.ravel(),
         frame=np.tile([0, 1, 2], k), magnitude=np.repeat(bright, 3),

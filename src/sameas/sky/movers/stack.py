@@ -90,14 +90,19 @@ class Stack:
         return len(self.flux)
 
 
-def stack(found: Movers, series: Series, frames: Iterable[Frame], tuning: StackTuning = TUNING) -> Stack:
+def stack(
+    found: Movers, series: Series, frames: Iterable[Frame], tuning: StackTuning = TUNING,
+    place: FloatArray | None = None,
+) -> Stack:  # fmt: skip
     """The tracklets measured in the pixels of the frames.
 
     found : tracklets of the series. frames : calibrated, in the order of ``series.exposures``; one is held at a time.
+    place : (k, f, 2) where they are, arcsec, of those that no frame shows by itself; None for tracklets of detections.
     """
     k, f = min(len(found), tuning.most), len(series.exposures)
     scale = series.scale_arcsec_per_px
-    place = predicted(found, series)[:k]
+    blind = place is not None
+    place = (predicted(found, series) if place is None else place)[:k]
     size, half = 2 * tuning.half_px + 1, _fixed_halves(place, scale, tuning)
     chip, flux, error = np.full((k, f, 2), np.nan), np.full((k, f), np.nan), np.full((k, f), np.nan)
     along = np.zeros((k, f, size, size), np.float32)
@@ -122,8 +127,8 @@ def stack(found: Movers, series: Series, frames: Iterable[Frame], tuning: StackT
     zero = series.stars.zero_point
     factor = 10 ** (-0.4 * np.nan_to_num(np.where(np.isfinite(zero), np.nanmean(zero) - zero, 0.0)))
     flux, error = flux / factor, error / factor
-    detected = _detected(found, series)[:k]
-    log_ratio = _evidence(found, flux, error, hidden, detected, tuning)
+    detected = np.zeros((k, f), bool) if blind else _detected(found, series)[:k]
+    log_ratio = np.zeros(k) if blind else _evidence(found, flux, error, hidden, detected, tuning)
     p = found.p_tracklet[:k]
     with np.errstate(divide="ignore", over="ignore"):
         odds = np.log(np.maximum(p, 1e-300)) - np.log(np.maximum(1 - p, 1e-16)) + log_ratio
