@@ -59,6 +59,51 @@ def test_the_remedy_names_the_options(table, tmp_path):
     assert not out.exists()
 
 
+@pytest.fixture
+def luxembourg(tmp_path):
+    """A table of four exposures of (2713) and of another mover, seen from Westfield (observatory 810)."""
+    pytest.importorskip("jplephem")
+    import numpy as np
+    from astropy.table import Table
+
+    from sameas.sky.movers.orbits import Elements, ephemeris, geocentric_km
+
+    rng, mjd = np.random.default_rng(3), 58409.13 + np.arange(4) * 25.0 / 1440.0
+    asteroid = Elements.read("demo").some(np.array([4]))
+    there = ephemeris(asteroid, mjd, geocentric_km(42.6, -71.5, 100.0, mjd))
+    ra, dec = there.ra_deg[0], there.dec_deg[0]
+    ra = np.concatenate([ra, ra[0] + 0.05 + np.arange(4) * 25 * -0.0001])
+    dec = np.concatenate([dec, np.full(4, dec[0])]) + 0.1 / 3600.0 * rng.standard_normal(8)
+    path = tmp_path / "night.csv"
+    columns = {"ra": ra, "dec": dec, "mjd": np.tile(mjd, 2), "mag": np.repeat([16.3, 18.0], 4), "e_mag": [0.05] * 8}
+    Table(columns).write(path)
+    return path
+
+
+def test_tracklets_of_a_table_are_named_and_reported(luxembourg, tmp_path):
+    header = tmp_path / "who.toml"
+    header.write_text(
+        '[observatory]\nmpcCode = "810"\n[submitter]\nname = "J. Doe"\n[telescope]\ndesign = "Reflector"\n'
+        'aperture = "0.36"\ndetector = "CCD"\n[report]\nastCat = "Gaia3"\nband = "G"\n'
+    )
+    options = ["--sigma", 0.15, "--least", 3, "--elements", "demo", "--site", "42.6,-71.5,100", "--report", header]
+    out, tracklets = tmp_path / "movers.csv", tmp_path / "tracklets.ecsv"
+    told = run(luxembourg, *options, "-o", out, "--tracklets", tracklets)
+    assert told.exit_code == 0, told.output
+    assert "is 2713 Luxembourg" in told.output and "middle of the Earth" not in told.output
+    each = read_table(tracklets)
+    named = [str(name).startswith("2713") for name in each["object"].filled("")]
+    assert sum(named) == 1 and abs(each["o_c_east_arcsec"][named.index(True)]) < 0.3
+    report = (tmp_path / "movers.psv").read_text()
+    assert report.count("|2018-10-18T") == len(read_table(out)) and "2713" in report
+    assert all((tmp_path / f"movers.{end}").exists() for end in ("xml", "txt"))
+    again = run(luxembourg, *options, "-o", tmp_path / "movers.fits", "--no-overwrite")
+    assert again.exit_code == 1 and "movers.psv: is there already" in again.output
+    told = run(luxembourg, "--sigma", 0.15, "--elements", "demo", "-o", out)
+    assert "middle of the Earth" in " ".join(told.output.split())
+    assert run(luxembourg, "--site", "north", "-o", out).exit_code == 2
+
+
 def test_without_an_output_it_is_wrong_usage(table):
     assert run(table, "--sigma", 0.2).exit_code == 2
 

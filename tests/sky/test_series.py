@@ -125,6 +125,43 @@ def test_elements_are_read_from_json_and_mpcorb(elements, tmp_path):
     assert read.perihelion_au[0] == pytest.approx(2.7672543 * (1 - 0.0789126)) and read.uncertainty[0] == 0.0
 
 
+def of_jpl(covariance=None, **object_):
+    """What JPL's small-body database answers about Ceres, with a covariance or without."""
+    row = dict(zip(CERES["fields"], CERES["data"][0], strict=True))
+    tp = float(row["epoch_mjd"]) + 2400000.5 - 200.0
+    value = {"e": row["e"], "q": row["q"], "tp": tp, "om": row["om"], "w": row["w"], "i": row["i"]}
+    orbit = {
+        "epoch": str(float(row["epoch_mjd"]) + 2400000.5), "condition_code": "3",
+        "elements": [{"name": name, "value": str(v)} for name, v in value.items()],
+    }  # fmt: skip
+    if covariance is not None:
+        own = [{"name": {"om": "node", "w": "peri"}.get(n, n), "value": str(v)} for n, v in value.items()]
+        orbit["covariance"] = {"labels": ["e", "q", "tp", "node", "peri", "i", "A2"], "epoch": orbit["epoch"],
+                               "elements": own, "data": np.pad(covariance, (0, 1)).tolist()}  # fmt: skip
+    return {"object": {"fullname": "1 Ceres (A801 AA)"}, "orbit": orbit, **object_}
+
+
+def test_a_covariance_of_elements_is_carried_to_the_sky(tmp_path):
+    rng = np.random.default_rng(6)
+    scale = np.array([2e-8, 5e-8, 2e-5, 3e-6, 1e-5, 4e-6])
+    root = rng.standard_normal((6, 6)) * scale[:, None]
+    path = tmp_path / "ceres.json"
+    path.write_text(json.dumps([of_jpl(root @ root.T), of_jpl()]))
+    both = Elements.read(path)
+    assert both.number == ("1", "1") and both.covariance is not None and np.isnan(both.covariance[1]).all()
+    times = np.array([both.epoch_mjd[0] + 400.0])
+    there = ephemeris(both, times)
+    np.testing.assert_allclose(there.ra_deg[0], there.ra_deg[1], atol=1e-9)
+    # Orbits drawn from the covariance scatter about the place as is said; the other has the scale of its U.
+    some = Elements.read(path).some(np.zeros(300, np.int64))
+    moved = ephemeris(replace(some, covariance=None).displaced(rng.standard_normal((300, 6)) @ root.T), times)
+    off = 3600.0 * np.column_stack([(moved.ra_deg - there.ra_deg[0]) * np.cos(np.radians(there.dec_deg[0])),
+                                    moved.dec_deg - there.dec_deg[0]])  # fmt: skip
+    wide = np.sqrt(np.linalg.eigvalsh(np.cov(off.T))[-1])
+    assert there.sigma_arcsec[0, 0] == pytest.approx(wide, rel=0.15)
+    assert there.sigma_arcsec[1, 0] == pytest.approx(0.1 * 648000.0 ** (2.5 / 9.0) * 400.0 / 365.25, rel=0.01)
+
+
 def test_files_without_elements_are_refused(tmp_path):
     path = tmp_path / "none.txt"
     path.write_text("nothing here\n")

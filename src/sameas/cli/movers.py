@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time as clock
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,7 +20,9 @@ from sameas.cli.options import (
     with_columns,
 )
 from sameas.cli.outcome import answering
+from sameas.errors import InputError
 from sameas.front.options import SIDE_OPTIONS
+from sameas.front.outputs import is_input
 
 _COLUMNS = "Columns of the tables"
 _FRAMES = "A series of frames"
@@ -88,11 +91,15 @@ def movers(
     ] = None,
     elements: Annotated[
         Path | None,
-        option("--elements", panel=_FRAMES, metavar="FILE", help="Of known objects: MPCORB.DAT, JPL's JSON, or demo."),
+        option("--elements", metavar="FILE", help="Of known objects: MPCORB.DAT, JPL's JSON, or demo."),
     ] = None,
     report: Annotated[
         Path | None,
-        option("--report", panel=_FRAMES, metavar="TOML", help="Who observed, with what: writes ADES and 80 columns."),
+        option("--report", metavar="TOML", help="Who observed, with what: writes ADES and 80 columns."),
+    ] = None,
+    site: Annotated[
+        str | None,
+        option("--site", metavar="LAT,LON,M", help="Of the observer: degrees, east positive, metres. [header's]"),
     ] = None,
     below_limit: Annotated[
         float | None,
@@ -136,7 +143,7 @@ def movers(
                 folder=output or Path("movers"), pointing=PointingOptions(aim_of(aim), None, scale_of(scale)),
                 darks=darks, flats=flats, biases=biases, least=max(least, 3), probability=probability,
                 elements=None if elements is None else str(elements), header=None if report is None else str(report),
-                processes=processes, below_limit=below_limit,
+                processes=processes, below_limit=below_limit, site=_site(site),
             )  # fmt: skip
             series.run(request, quiet)
         return
@@ -150,7 +157,40 @@ def movers(
             for name, path in (("detections", output), ("tracklets", tracklets))
             if path is not None
         }
-        run(tuple(map(str, files)), tuple(map(str, learn or ())), wanted, columns, outputs, least, probability, quiet)
+        known = KnownRequest(
+            None if elements is None else str(elements), None if report is None else str(report), _site(site),
+            overwrite,
+        )  # fmt: skip
+        run(
+            tuple(map(str, files)), tuple(map(str, learn or ())), wanted, columns, outputs, least, probability, known,
+            quiet,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class KnownRequest:
+    """What tracklets of tables are named by, and reported as.
+
+    elements : file of known objects, or None. header : TOML of the report, or None. site : latitude, longitude, height
+    of the observer, or None. overwrite : reports that are there.
+    """
+
+    elements: str | None
+    header: str | None
+    site: tuple[float, float, float] | None
+    overwrite: bool
+
+
+def _site(text: str | None) -> tuple[float, float, float] | None:
+    if text is None:
+        return None
+    try:
+        lat, lon, height = map(float, text.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"{text!r} is not LAT,LON,M, such as 42.61,-71.48,100", param_hint="--site") from None
+    if not (abs(lat) <= 90 and abs(lon) <= 360 and abs(height) < 1e5):
+        raise typer.BadParameter(f"{text!r} is no place on the Earth", param_hint="--site")
+    return lat, lon, height
 
 
 def run(
@@ -161,16 +201,24 @@ def run(
     outputs: dict[str, Any],
     least: int,
     probability: float,
+    wanted_known: KnownRequest,
     quiet: bool,
 ) -> None:
-    """Read, understand, search, say, write."""
+    """Read, understand, search, name, say, write."""
     from sameas.cli.terminal import Pace, Printer, share_compilation
-    from sameas.report.movers import model_lines, mover_lines, searched_lines
+    from sameas.io.ades import Observer
+    from sameas.report.movers import known_lines, model_lines, mover_lines, searched_lines
     from sameas.sky.movers import find_movers
+    from sameas.sky.movers.known import name_movers
+    from sameas.sky.movers.orbits import Elements
     from sameas.sky.movers.tables import detections_of
 
     began = clock.perf_counter()
     printer = Printer(quiet)
+    observer = None if wanted_known.header is None else Observer.read(wanted_known.header)
+    elements = None if wanted_known.elements is None else Elements.read(wanted_known.elements)
+    first = next(iter(outputs.values())).path
+    reports = [] if observer is None else _reports(first, (*paths, *others), wanted_known.overwrite)
     for one in outputs.values():
         one.check((*paths, *others))
     every = (*paths, *others)
@@ -188,10 +236,65 @@ def run(
         found = find_movers(seen, others=nights, least=least, least_probability=probability)
         pace.pause()
         printer([*model_lines(found), "", *mover_lines(found), ""])
+        known, site = None, wanted_known.site
+        if elements is not None:
+            pace("predicting known objects")
+            known = name_movers(found, elements, site=site)
+            pace.pause()
+            printer([*known_lines(found, known, site is not None), ""])
         facts = _facts(every, found)
-        tables = {"detections": found.detection_table, "tracklets": found.table}
-        written = [one.write(tables[name](), {**facts, "command": one.command}, name) for name, one in outputs.items()]
+        tables = {"detections": found.detection_table(), "tracklets": found.table()}
+        if known is not None:
+            known.into(tables["tracklets"], found)
+        written = [one.write(tables[name], {**facts, "command": one.command}, name) for name, one in outputs.items()]
+        if observer is not None:
+            rows = observations(found, known)
+            for path, write in zip(reports, _writers(), strict=True):
+                write(rows, observer, path, software=f"sameas {facts['version']}")
+                written.append(f"Report: {path}")
     printer([*written, f"Time: {clock.perf_counter() - began:.1f} s"])
+
+
+def _reports(output: Path, inputs: tuple[str, ...], overwrite: bool) -> list[Path]:
+    """Where the reports go: beside the output, PSV, XML and 80 columns."""
+    stem = output.name.split(".")[0]
+    paths = [output.with_name(f"{stem}.{end}") for end in ("psv", "xml", "txt")]
+    for path in paths:
+        if is_input(path, inputs):
+            raise InputError(f"{path}: is also an input; the report would overwrite it; give -o another name")
+        if path.exists() and not overwrite:
+            raise InputError(f"{path}: is there already; give -o another name, or leave --no-overwrite out")
+    return paths
+
+
+def _writers() -> tuple[Any, ...]:
+    from sameas.io.ades import write_80_columns, write_psv, write_xml
+
+    return write_psv, write_xml, write_80_columns
+
+
+def observations(found: Any, known: Any) -> list[Any]:
+    """The rows of a report of tracklets of tables, tracklet by tracklet."""
+    import numpy as np
+    from astropy.time import Time
+
+    from sameas.io.ades import Observation
+
+    seen, out = found.detections, []
+    for k, members in enumerate(found.members):
+        for row in members[members >= 0].tolist():
+            east, both, north = seen.covariance[row]
+            error = seen.magnitude_error[row]
+            out.append(
+                Observation(
+                    found.names[k], str(Time(seen.mjd_utc[row], format="mjd", scale="utc").isot),
+                    float(seen.ra_deg[row]), float(seen.dec_deg[row]), float(np.sqrt(east)), float(np.sqrt(north)),
+                    float(both / np.sqrt(east * north)), float(seen.magnitude[row]), float(error),
+                    float(1.0857 / error) if error > 0 else float("nan"),
+                    permanent="" if known is None else known.number(k),
+                )
+            )  # fmt: skip
+    return out
 
 
 def _catalogue(path: str, columns: dict[str, Any]) -> Any:

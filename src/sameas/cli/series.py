@@ -26,7 +26,7 @@ class SeriesRequest:
     paths : of the frames. catalogue, columns : of the stars. folder : of the outputs. pointing : where frames point.
     darks, flats, biases : calibration frames. least, probability : of a tracklet. elements : file of known objects, or
     None. header : TOML of the report, or None. processes : frames at a time. below_limit : fastest rate, ″/min, of what
-    no frame shows by itself, or None.
+    no frame shows by itself, or None. site : latitude, longitude, height of the observer; None for the header's.
     """
 
     paths: tuple[str, ...]
@@ -43,6 +43,7 @@ class SeriesRequest:
     header: str | None
     processes: int
     below_limit: float | None = None
+    site: tuple[float, float, float] | None = None
 
 
 def run(request: SeriesRequest, quiet: bool) -> None:
@@ -95,7 +96,7 @@ def run(request: SeriesRequest, quiet: bool) -> None:
     each = [replace(each[0], series=series)]
     pixels = stack(found, series, (one.frame() for one in each[0].members))
     found, pixels = confirmed(found, pixels, request.probability)
-    site = _site(each[0].members)
+    site = request.site or _site(each[0].members)
     found = replace(found, near_earth=near_earth_scores(found, site))
     printer(["", *series_lines(series), "", *model_lines(found), "", *mover_lines(found)])
     known = None
@@ -107,10 +108,13 @@ def run(request: SeriesRequest, quiet: bool) -> None:
     written = ["movers.fits", "tracklets.fits"]
     failed = [(one.request.name, one.error) for one in outcomes if one.summary is None]
     title = _title(request.paths)
+    tracklets = found.table()
+    if known is not None:
+        known.into(tracklets, found)
     # All files of the series come at once: a page beside the tables of another run would contradict them.
     with filling(request.folder) as draft:
         write_table(found.detection_table(), draft / written[0], provenance=facts)
-        write_table(found.table(), draft / written[1], provenance=facts)
+        write_table(tracklets, draft / written[1], provenance=facts)
         if observer is not None:
             rows, software = observations(found, series, known), f"sameas {sameas.__version__}"
             for name, write in (("report.psv", write_psv), ("report.xml", write_xml), ("report.txt", write_80_columns)):
@@ -118,7 +122,7 @@ def run(request: SeriesRequest, quiet: bool) -> None:
                 written.append(name)
         if below is not None:
             written.append("below-limit.fits")
-            write_table(_below_table(below[0]), draft / written[-1], provenance=facts)
+            write_table(_below_table(below[0], below[2]), draft / written[-1], provenance=facts)
         shown = None if below is None else (below[0].movers, *below[1:])
         write_movers_page(draft / "movers.html", title, found, series, pixels, known, shown)
         link = "movers.html", _link_words(found, known)
@@ -157,7 +161,7 @@ def _below(
     return below, pixels, names
 
 
-def _below_table(below: Any) -> Any:
+def _below_table(below: Any, known: Any) -> Any:
     """One row a candidate that only the frames added together show."""
     import numpy as np
 
@@ -166,6 +170,8 @@ def _below_table(below: Any) -> Any:
     table["snr"], table["frames"] = below.snr, below.frames
     table["magnitude"] = np.ma.masked_invalid(below.movers.detections.magnitude[below.movers.members[:, 0]])
     table["magnitude"].unit = "mag"
+    if known is not None:
+        known.into(table, below.movers)
     return table
 
 

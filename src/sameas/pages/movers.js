@@ -52,7 +52,7 @@ function record() {
   const m = mover;
   el("name").textContent = named(m); el("name").className = m.known ? "found" : "alone";
   table(el("numbers"), [["probability", probability(m.p)], ["like it by chance", m.chance < 1e-6 ? m.chance.toExponential(0).replace("-", "−") : fix(m.chance, 6)],
-    ["detected on", `${m.rows.length} of ${m.frames.length} frames`], ["motion", `${fix(m.rate, 3)} ″/min towards ${fix(m.angle, 1)}°`],
+    ["detected on", m.added ? `none of ${m.frames.length} frames by itself` : `${m.rows.length} of ${m.frames.length} frames`], ["motion", `${fix(m.rate, 3)} ″/min towards ${fix(m.angle, 1)}°`],
     ["place", `${hms(m.rows[0].ra)} ${dms(m.rows[0].dec)}`], ["at", `${clock(m.rows[0].mjd)} UTC`], [data.scale.startsWith("instrumental") ? "magnitude, instrumental" : "magnitude", fix(m.magnitude, 2)], ["scatter about the motion", `${fix(m.scatter, 3)}″`],
     ["stacked signal to noise", fix(m.snr, 1)],
     ...(m.known ? [["is", `${m.known.name}, ${probability(m.known.p)}`], ["observed − computed", `${fix(m.known.east, 2)}″ east, ${fix(m.known.north, 2)}″ north`], ["predicted V", fix(m.known.v, 1)]] : [["known", data.asked ? "none of the objects given" : "no elements were given"]])]);
@@ -73,7 +73,7 @@ function show(m) {
 }
 el("about").textContent = data.about;
 el("list").replaceChildren(...data.movers.map(m => { const b = text("button", named(m) + " "); b.dataset.name = m.name;
-  b.append(text("small", `p ${probability(m.p)} · ${m.rows.length} frames · ${fix(m.rate, 2)} ″/min`)); b.addEventListener("click", () => show(m)); return b; }));
+  b.append(text("small", `p ${probability(m.p)} · ${m.added ? "frames added" : m.rows.length + " frames"} · ${fix(m.rate, 2)} ″/min`)); b.addEventListener("click", () => show(m)); return b; }));
 el("play").addEventListener("click", () => play(!playing)); el("frame").addEventListener("input", () => { play(false); frame = +el("frame").value; paint(); });
 for (const id of ["fixed", "along", "marks"]) el(id).addEventListener("change", paint);
 el("blink").addEventListener("keydown", e => { if (e.key === " ") play(!playing); else if (e.key === "ArrowRight") { play(false); step(1); } else if (e.key === "ArrowLeft") { play(false); step(-1); } else return; e.preventDefault(); });

@@ -215,7 +215,7 @@ def search_below_limit(
     InputError : fewer than five frames; a rate that is too low.
     """
     plan = Plan.of(series, fastest, tuning)
-    known = predicted(found, series)
+    known = predicted(found, series), _signal_to_noise(found, series)
     real, chance = [], []
     order = _scrambled(len(plan.minutes))
     groups = _thirds(len(plan.minutes))
@@ -249,10 +249,12 @@ def _to_chip(series: Series, n: int) -> ChipMap:
 
 
 def _planes(
-    series: Series, frames: Sequence[Callable[[], Frame]], plan: Plan, rows: tuple[int, int], known: FloatArray,
-    tuning: BelowLimitTuning,
+    series: Series, frames: Sequence[Callable[[], Frame]], plan: Plan, rows: tuple[int, int],
+    known: tuple[FloatArray, FloatArray], tuning: BelowLimitTuning,
 ) -> tuple[Plane, Plane]:  # fmt: skip
-    """(f, h, w) ψ and φ of all frames on some rows of the grid, what stands still taken away."""
+    """(f, h, w) ψ and φ of all frames on some rows of the grid, what stands still taken away.
+
+    known : (k, f, 2) places of tracklets and (k,) their signal to noise."""
     height, width = rows[1] - rows[0], plan.shape[1]
     signal = np.zeros((len(frames), height, width), np.float32)
     weight = np.zeros_like(signal)
@@ -263,7 +265,7 @@ def _planes(
         zero).any() else np.ones(len(frames))  # fmt: skip
     for n, give in enumerate(frames):
         chip = _to_chip(series, n)(place)
-        psi, phi = _filtered(give(), series, n, known[:, n], tuning)
+        psi, phi = _filtered(give(), series, n, known[0][:, n], known[1], tuning)
         at = [chip[:, 1], chip[:, 0]]
         for out, plane, scale in ((signal, psi, factor[n]), (weight, phi, factor[n] ** 2)):
             out[n] = (map_coordinates(plane, at, order=1, cval=0.0) * scale).reshape(height, width)
@@ -271,10 +273,16 @@ def _planes(
     return signal, weight
 
 
+def _signal_to_noise(found: Movers, series: Series) -> FloatArray:
+    """(k,) the most that a detection of each tracklet has."""
+    snr = np.concatenate([e.snr for e in series.exposures])
+    return np.array([float(snr[found.detections.rows[one[one >= 0]]].max()) for one in found.members])
+
+
 def _filtered(
-    frame: Frame, series: Series, n: int, movers: FloatArray, tuning: BelowLimitTuning
+    frame: Frame, series: Series, n: int, movers: FloatArray, mover_snr: FloatArray, tuning: BelowLimitTuning
 ) -> tuple[Plane, Plane]:
-    """ψ and φ of one frame in its own pixels. movers : (k, 2) places of tracklets, arcsec."""
+    """ψ and φ of one frame in its own pixels. movers : (k, 2) places of tracklets, arcsec, and (k,) what they have."""
     exposure = series.exposures[n]
     full = max(exposure.psf_fwhm_px, 1.5)
     sigma = full / 2.3548
@@ -286,12 +294,13 @@ def _filtered(
     chip = np.column_stack([exposure.x_px, exposure.y_px])[series.row[own]]
     snr = np.nan_to_num(exposure.snr[series.row[own]], nan=10.0)
     to_chip = _to_chip(series, n)
-    others = [to_chip(places) for places in (series.stars.place, movers) if len(places)]
-    at = np.concatenate([chip, *others])
-    snr = np.concatenate([np.maximum(snr, 10.0), np.full(len(at) - len(chip), 10.0)])
+    for place, light in ((series.stars.place, np.full(len(series.stars), 10.0)), (movers, mover_snr)):
+        if len(place):
+            chip, snr = np.concatenate([chip, to_chip(place)]), np.concatenate([snr, light])
+    snr = np.maximum(snr, 10.0)
     # The wings of a star fall with the fifth power (Moffat, β 2.5); what they leave beyond this is far below the noise.
     reach = full * np.maximum(tuning.hidden_widths, 0.5 * (5.0 * snr) ** 0.2)
-    _hide(inverse, at, reach)
+    _hide(inverse, chip, reach)
     light = (frame.image - background.level) * inverse
     psi = gaussian_filter(light, sigma, mode="constant", truncate=3.5)
     # k² of a Gaussian is a Gaussian narrower by √2.

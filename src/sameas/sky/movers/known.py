@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from sameas.records import Records
 from sameas.sky.movers.orbits import Elements, ephemeris, geocentric_km, near
 from sameas.sky.movers.search import Movers
 from sameas.space import ARCSEC_PER_RADIAN
+
+if TYPE_CHECKING:
+    from astropy.table import Table
 
 #: Elements are wrong by more than their age says as often as this many times: predicted places are so much wider.
 _DOUBT = 2.0
@@ -53,6 +57,17 @@ class KnownObjects:
         """(2,) mean O−C of tracklet k, arcsec east and north."""
         rows = found.members[k]
         return np.asarray(np.mean(self.offset_arcsec[rows[rows >= 0]], axis=0))
+
+    def into(self, table: Table, found: Movers) -> None:
+        """Adds which object each tracklet is, how probably, and its mean O−C to the table of the tracklets."""
+        there = self.object >= 0
+        off = np.array([self.mean_offset(found, k) if there[k] else [np.nan] * 2 for k in range(len(found))])
+        off = off.reshape(-1, 2)
+        table["object"] = np.ma.MaskedArray(np.array([self.name(k) for k in range(len(found))], dtype=str), ~there)
+        table["p_object"] = np.ma.MaskedArray(self.p, ~there)
+        for name, values in (("o_c_east_arcsec", off[:, 0]), ("o_c_north_arcsec", off[:, 1])):
+            table[name] = np.ma.masked_invalid(values)
+            table[name].unit = "arcsec"
 
 
 def name_movers(

@@ -13,7 +13,7 @@ import json
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
@@ -40,6 +40,11 @@ _TO_EQUATOR = np.array(
 DEMO = "demo"
 #: Of an error of place, relative to the distance, that the integrator may make in a step.
 _TOLERANCE = 1e-10
+#: Elements that covariances are of, by their names in JPL's answers and here; angles in degrees, times in days.
+_COVARIANCE = {"e": "eccentricity", "q": "perihelion_au", "tp": "perihelion_mjd", "om": "node_deg",
+               "w": "argument_deg", "i": "inclination_deg"}  # fmt: skip
+#: What JPL's covariances call two of them.
+_LABELS = {"node": "om", "peri": "w"}
 #: Places of the planets are tabulated so finely, in tables of so many days.
 _GRID_DAYS, _BLOCK_DAYS = 2.0, 400.0
 
@@ -51,6 +56,8 @@ class Elements:
     name : as people call them. number : permanent number, '' without one. epoch_mjd : TDB. perihelion_au, eccentricity,
     inclination_deg, node_deg, argument_deg : of the orbit. perihelion_mjd : time of perihelion, TDB. h, g : absolute
     magnitude and slope, NaN where not known. uncertainty : MPC's U of 0 … 9, NaN where not known.
+    covariance : (n, 6, 6) of e, perihelion_au, perihelion_mjd, node_deg, argument_deg, inclination_deg at the epoch;
+    NaN where not known. None where of no object.
     """
 
     name: tuple[str, ...]
@@ -65,6 +72,7 @@ class Elements:
     h: FloatArray
     g: FloatArray
     uncertainty: FloatArray
+    covariance: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.name)
@@ -73,12 +81,19 @@ class Elements:
         """Some of the objects."""
         parts: dict[str, Any] = {}
         for key, value in vars(self).items():
-            parts[key] = tuple(value[k] for k in rows) if isinstance(value, tuple) else value[rows]
+            if value is not None:
+                parts[key] = tuple(value[k] for k in rows) if isinstance(value, tuple) else value[rows]
         return Elements(**parts)
+
+    def displaced(self, offset: FloatArray) -> Elements:
+        """The objects with (n, 6) added to their elements, in the order of ``covariance``."""
+        names = _COVARIANCE.values()
+        return replace(self, **{name: getattr(self, name) + offset[:, k] for k, name in enumerate(names)})
 
     @classmethod
     def read(cls, path: str | Path) -> Elements:
-        """From MPCORB.DAT, or JSON of JPL's small-body database (``fields`` and ``data``).
+        """From MPCORB.DAT, or JSON of JPL's small-body database: of a query (``fields`` and ``data``), or of objects
+        (``orbit``, with the covariance if asked for by ``cov=mat``), one or a list.
 
         path : of the file; ``"demo"`` for the five that come with the package: (1) to (4) and (2713).
 
@@ -97,12 +112,15 @@ class Elements:
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror})") from None
         with reading(str(path), "is neither MPCORB nor JSON of the small-body database"):
-            return _of_json(text, path) if text.lstrip().startswith("{") else _of_mpcorb(text, path)
+            return _of_json(text, path) if text.lstrip().startswith(("{", "[")) else _of_mpcorb(text, path)
 
 
 def _of_json(text: str, path: Any) -> Elements:
     try:
         answer = json.loads(text)
+        objects = answer if isinstance(answer, list) else [answer]
+        if all(isinstance(one, dict) and "orbit" in one for one in objects):
+            return _of_objects(objects, path)
         fields, data = list(answer["fields"]), answer["data"]
         at = {name: fields.index(name) for name in ("full_name", "epoch_mjd", "e", "q", "i", "om", "w")}
     except (ValueError, KeyError, TypeError):
@@ -130,6 +148,36 @@ def _of_json(text: str, path: Any) -> Elements:
     found = _elements(names, numbers, epoch, q, e, column("i"), column("om"), column("w"), passage, column("H"),
                    column("G"), column("condition_code"))  # fmt: skip
     return _usable(found, path)
+
+
+def _of_objects(objects: Sequence[Any], path: Any) -> Elements:
+    """From answers of JPL's small-body database about single objects.
+
+    Where there is a covariance, its own elements and epoch are those that it is of.
+    Source: ssd-api.jpl.nasa.gov/doc/sbdb.html.
+    """
+    rows, names, numbers, spread = [], [], [], np.full((len(objects), 6, 6), np.nan)
+    for k, one in enumerate(objects):
+        orbit, body = one["orbit"], one.get("object", {})
+        told = orbit.get("covariance") or {}
+        chosen = told.get("elements") or orbit["elements"]
+        value = {element["name"]: _number(element["value"]) for element in chosen}
+        value = {_LABELS.get(name, name): v for name, v in value.items()}
+        epoch = _number(told.get("epoch") or orbit["epoch"]) - 2400000.5
+        physical = {p.get("name"): _number(p.get("value")) for p in one.get("phys_par") or []}
+        name = " ".join(str(body.get("fullname") or body.get("des") or f"object {k + 1}").split())
+        names.append(name)
+        numbers.append(name.split()[0] if name.split()[0].isdigit() else "")
+        rows.append([epoch, value["q"], value["e"], value["i"], value["om"], value["w"], value["tp"] - 2400000.5,
+                     physical.get("H", math.nan), physical.get("G", math.nan),
+                     _number(orbit.get("condition_code"))])  # fmt: skip
+        labels = [_LABELS.get(label, label) for label in told.get("labels", [])]
+        if told.get("data") is not None and set(_COVARIANCE) <= set(labels):
+            at = [labels.index(label) for label in _COVARIANCE]  # others are of non-gravitational forces
+            spread[k] = np.array(told["data"], dtype=np.float64)[np.ix_(at, at)]
+    found = _elements(names, numbers, *np.array(rows, dtype=np.float64).T)
+    known = np.isfinite(spread).all(axis=(1, 2))
+    return _usable(replace(found, covariance=spread) if known.any() else found, path)
 
 
 def _elements(names: Sequence[str], numbers: Sequence[str], *columns: FloatArray) -> Elements:
@@ -225,8 +273,10 @@ def ephemeris(elements: Elements, mjd_utc: FloatArray, observer_km: FloatArray |
     elements : n objects. mjd_utc : (t,) times. observer_km : (t, 3) of the observer from the middle of the Earth on the
     ICRS axes, as :func:`geocentric_km` gives it; None for the middle of the Earth.
 
-    The error of a place grows from 0.1″ by 0.05″ a year between the elements' epoch and the time (by MPC's U where it
-    is known, ten times that per two steps above 2); it is a scale for the gate, not a covariance.
+    The error of a place is, where the covariance of the elements is known, what that makes of it: every element is
+    moved along the axes of the covariance and integrated too. Else it grows from 0.1″ with the years between the
+    elements' epoch and the time as MPC's U says (the middle of its class of runoff in longitude, 648000″^(U − ½)/9 in
+    ten years; 0.05″ a year for U of 0 and where U is not known); that is a scale for the gate.
     """
     from astropy.time import Time
 
@@ -261,10 +311,40 @@ def ephemeris(elements: Elements, mjd_utc: FloatArray, observer_km: FloatArray |
     ra = np.degrees(np.arctan2(to[1], to[0])) % 360.0
     dec = np.degrees(np.arcsin(to[2] / distance))
     age = np.abs(np.asarray(mjd_utc)[None] - elements.epoch_mjd[:, None]) / 365.25
-    worse = 10.0 ** (0.5 * np.maximum(np.nan_to_num(elements.uncertainty, nan=2.0) - 2.0, 0.0))[:, None]
-    sigma = np.hypot(0.1, 0.05 * age) * worse
+    per_year = 0.1 * 648000.0 ** ((np.nan_to_num(elements.uncertainty, nan=0.0) - 0.5) / 9.0)
+    sigma = np.hypot(0.1, per_year[:, None] * age)
+    sigma = _of_covariance(elements, mjd_utc, observer_km, ra, dec, sigma)
     between = np.linalg.norm(sun_at - observer, axis=0)
     return Ephemeris(ra, dec, distance, sun, _magnitude(elements, distance, sun, between), sigma)
+
+
+def _of_covariance(
+    elements: Elements, mjd_utc: FloatArray, observer_km: FloatArray | None, ra_deg: FloatArray, dec_deg: FloatArray,
+    sigma: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """(n, t) the error of places, arcsec, the larger axis; replaced where the covariance of the elements is known."""
+    if elements.covariance is None:
+        return sigma
+    rows = np.flatnonzero(np.isfinite(elements.covariance).all(axis=(1, 2)))
+    if not len(rows):
+        return sigma
+    # Elements differ by many powers of ten: the axes are those of their correlation.
+    scale = np.sqrt(np.maximum(np.diagonal(elements.covariance[rows], axis1=1, axis2=2), 1e-40))
+    value, axis = np.linalg.eigh(elements.covariance[rows] / scale[:, :, None] / scale[:, None, :])
+    step = axis * np.sqrt(np.maximum(value, 0.0))[:, None, :] * scale[:, :, None]  # (n, 6 elements, 6 axes)
+    moved = replace(elements.some(np.repeat(rows, 6)), covariance=None).displaced(
+        step.transpose(0, 2, 1).reshape(-1, 6)
+    )
+    there = ephemeris(moved, mjd_utc, observer_km)
+    shape = (len(rows), 6, -1)
+    north = 3600.0 * (there.dec_deg.reshape(shape) - dec_deg[rows, None])
+    east = 3600.0 * ((there.ra_deg.reshape(shape) - ra_deg[rows, None] + 180.0) % 360.0 - 180.0)
+    east = east * np.cos(np.radians(dec_deg[rows, None]))
+    both = np.stack([east, north], axis=-1)
+    spread = np.einsum("nkta,nktb->ntab", both, both)
+    out = sigma.copy()
+    out[rows] = np.sqrt(np.linalg.eigvalsh(spread)[..., -1])
+    return out
 
 
 def near(elements: Elements, mjd_utc: float, ra_deg: float, dec_deg: float, radius_deg: float) -> IntArray:
