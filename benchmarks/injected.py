@@ -20,13 +20,14 @@ from sameas.simulate.frames import Camera, Moffat
 from sameas.simulate.frames import frame_of as simulated
 from sameas.sky.frame.detect import detect
 from sameas.sky.frame.image import Frame
+from sameas.sky.movers.below_limit import search_below_limit
 from sameas.sky.movers.series import left_over, search
-from sameas.sky.movers.stack import stack
+from sameas.sky.movers.stack import chip_map, confirmed, stack
 from sameas.sky.movers.trails import with_trails
 from sameas.sky.series.tied import Exposure, Series, tie
 
 #: Bins: magnitudes above (−) and below (+) the limit of a single frame at which S/N is 5, and rates, arcsec/min.
-MAGNITUDES = (-4.0, -2.0, -1.0, -0.5, 0.0, 0.5)
+MAGNITUDES = (-4.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0)
 RATES = (0.05, 0.2, 0.6, 2.0, 10.0)
 STATED = (0.02, 0.2, 0.5, 0.8, 0.95, 0.99, 1.0001)
 #: Movers of a round, and the share of them that pass a star in the middle of the series.
@@ -40,6 +41,7 @@ NOTES = (
     "heliolinx 0.0.2, makeTracklets: the same measurements left over; three points and more, 10″/min at most, an arc "
     "of two pixels at least, 0.5″ about a great circle (its default); it states no probability and uses no pixels",
 )
+ADDED = "with --below-limit"
 NOISY = "simulated detections, two in three false"
 #: What a Python with heliolinx 0.0.2 does. Its arrays come back with the first 16 bytes of each row (MJD and RA of a
 #: detection), which tell the rows.
@@ -206,12 +208,24 @@ def places_of(series: Series, tracklets: Sequence[Any]) -> list[np.ndarray]:
     ]
 
 
-def searched(series: Series, frames: Sequence[Frame]) -> tuple[list[np.ndarray], np.ndarray]:
-    """Tracklets from a probability of 0.02 on, confirmed in the pixels where there are any; and (k,) p."""
+def searched(
+    series: Series, frames: Sequence[Frame], fastest: float | None = None
+) -> tuple[list[np.ndarray], np.ndarray, list[np.ndarray], np.ndarray]:
+    """Tracklets from a probability of 0.02 on, confirmed in the pixels where there are any, and (k,) p; and the same of
+    what no frame shows by itself, to a rate. The places of those are on all frames."""
     found, series = search(series, least_probability=0.02)
-    p = stack(found, series, frames).p if frames else np.empty(0)
+    if frames:
+        found, _ = confirmed(found, stack(found, series, frames), 0.02)
     rows = [found.detections.rows[members[members >= 0]] for members in found.members]
-    return places_of(series, rows), np.concatenate([p, found.p_tracklet[len(p) :]])
+    places, more, p = places_of(series, rows), list[np.ndarray](), np.empty(0)
+    if frames and fastest:
+        # What is not believed does not take its light away.
+        sure = found.only(found.p_tracklet >= 0.5)
+        below = search_below_limit(sure, series, [lambda f=f: f for f in frames], fastest, least_probability=0.02)
+        chip = [chip_map(series, n)(below.place[:, n]) for n in range(len(frames))]
+        more = [np.array([[n, *chip[n][k]] for n in range(len(frames))]) for k in range(len(below))]
+        p = below.movers.p_tracklet
+    return places, found.p_tracklet, more, p
 
 
 def by_heliolinx(python: Path, series: Series) -> list[np.ndarray]:
@@ -285,7 +299,7 @@ class Tally:
         for lo, hi in itertools.pairwise(STATED):
             mine = (p >= lo) & (p < hi)
             if mine.any():
-                out.append((self.scene, f"{lo:g}…{min(hi, 1.0):g}", int(mine.sum()), f"{p[mine].mean():.3f}",
+                out.append((self.scene, self.by, f"{lo:g}…{min(hi, 1.0):g}", int(mine.sum()), f"{p[mine].mean():.3f}",
                             f"{real[mine].mean():.3f}"))  # fmt: skip
         return out
 
@@ -367,32 +381,43 @@ def noisy_case(rng: np.random.Generator, *, count: int = 5, side: int = 1024, fa
     return Case(tie(out), (), path, rate, magnitude, np.full(EACH, 2.0), limit, stays)
 
 
-def tables(scenes: Sequence[Scene], rounds: int, rng: np.random.Generator, peer: Path | None = None) -> list[Table]:
-    """What is found of injected movers, by us and by heliolinx, and how often what is stated is so; and draws it."""
+def tables(
+    scenes: Sequence[Scene], rounds: int, rng: np.random.Generator, peer: Path | None = None,
+    fastest: float | None = None,
+) -> list[Table]:  # fmt: skip
+    """What is found of injected movers, by us and by heliolinx, and how often what is stated is so; and draws it.
+
+    fastest : of what is searched below the limit of single frames too, arcsec/min."""
     heads = [f"{lo:+.1f}…{hi:+.1f}" for lo, hi in itertools.pairwise(MAGNITUDES)]
     out, stated, drawn = [], [], []
     for scene in (*scenes, None):
         name = NOISY if scene is None else scene.name
-        tallies = {by: Tally(name, by) for by in ("sameas", *(["heliolinx"] if peer else []))}
-        before: dict[str, list[np.ndarray]] = {"sameas": [], "heliolinx": []}
+        contenders = ["sameas", *([ADDED] if fastest and scene else []), *(["heliolinx"] if peer else [])]
+        tallies = {by: Tally(name, by) for by in contenders}
+        before: dict[str, list[np.ndarray]] = {"sameas": [], "heliolinx": [], ADDED: []}
         if scene is not None:
             alone = with_trails(tie(exposures(scene, scene.frames)), scene.frames)
-            before["sameas"] = searched(alone, scene.frames)[0]
+            linked, _, more, _ = searched(alone, scene.frames, fastest)
+            before["sameas"], before[ADDED] = linked, linked + more
             if peer:
                 before["heliolinx"] = by_heliolinx(peer, alone)
         for _ in range(rounds if scene else 4 * rounds):
             case = noisy_case(rng) if scene is None else case_of(scene, rng)
-            places, p = searched(case.series, case.frames)
+            places, p, more, p_more = searched(case.series, case.frames, fastest)
             tallies["sameas"].add(case, places, p, before["sameas"])
+            if ADDED in tallies:
+                tallies[ADDED].add(case, places + more, np.concatenate([p, p_more]), before[ADDED])
             if peer:
                 tallies["heliolinx"].add(case, by_heliolinx(peer, case.series), None, before["heliolinx"])
         ours = tallies["sameas"]
         note = f"{rounds if scene else 4 * rounds} series, {int(ours.put.sum())} movers that stay on three frames"
         rows = [row for tally in tallies.values() for row in tally.rows()]
         out.append(Table(f"Injected movers: {name}", ("by", "rate ″/min", *heads, "false"), rows, (note, *NOTES)))
-        stated += ours.stated()
+        stated += [row for tally in tallies.values() for row in tally.stated()]
         drawn += list(tallies.values())
-    out.append(Table("What is stated of candidates", ("series", "stated p", "candidates", "mean p", "real"), stated))
+    out.append(
+        Table("What is stated of candidates", ("series", "by", "stated p", "candidates", "mean p", "real"), stated)
+    )
     draw(drawn)
     return out
 
@@ -420,6 +445,10 @@ def draw(drawn: Sequence[Tally]) -> None:
     for column, scene in enumerate(scenes):
         top, low = axes[:, column]
         for tally in (one for one in drawn if one.scene == scene):
+            if tally.by == ADDED:
+                share = tally.got.sum(axis=0) / np.maximum(tally.put.sum(axis=0), 1)
+                top.plot(middle, share, color="k", lw=1.2, ls="--", marker="s", ms=4, label="all rates, --below-limit")
+                continue
             ours = tally.by == "sameas"
             for k, (lo, hi) in enumerate(itertools.pairwise(RATES)):
                 there = tally.put[k] > 0

@@ -1,6 +1,7 @@
 """Below the limit of single frames: what the frames show together, how sure that is, and that no light counts twice."""
 
 import math
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -50,9 +51,13 @@ def series(seed, magnitude=None, *, count=10, rate=(-0.4, 0.15), listed=False, s
     return tie(exposures), frames, track
 
 
+def one(frame):
+    return frame
+
+
 def searched(tied, frames, fastest=0.6, **options):
     found, tied = search(tied)
-    return found, tied, search_below_limit(found, tied, [lambda f=f: f for f in frames], fastest, **options)
+    return found, tied, search_below_limit(found, tied, [partial(one, frame) for frame in frames], fastest, **options)
 
 
 @pytest.mark.parametrize("compiled", [False, True])
@@ -95,7 +100,7 @@ def test_what_is_linked_is_not_found_again():
     assert len(found) == 1 and len(below) == 0
     # Without the tracklet its light is there to be found, once.
     empty = found.only(np.empty(0, np.int64))
-    again = search_below_limit(empty, tied, [lambda f=f: f for f in frames], 0.6)
+    again = search_below_limit(empty, tied, [partial(one, frame) for frame in frames], 0.6)
     assert len(again) == 1
 
 

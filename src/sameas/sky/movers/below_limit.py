@@ -38,7 +38,7 @@ from sameas.sky.frame.measurements import Flag
 from sameas.sky.movers.detections import Detections
 from sameas.sky.movers.rates import EclipticAxes, reference_rate, sun_longitude_deg
 from sameas.sky.movers.search import Movers
-from sameas.sky.movers.stack import ChipMap, predicted
+from sameas.sky.movers.stack import ChipMap, chip_map, predicted
 from sameas.sky.series.tied import Series
 
 Plane = NDArray[np.float32]
@@ -243,11 +243,6 @@ def _to_sky(series: Series, n: int) -> ChipMap:
     return ChipMap(np.column_stack([exposure.x_px, exposure.y_px])[series.row[here]], series.place[here])
 
 
-def _to_chip(series: Series, n: int) -> ChipMap:
-    here, exposure = series.frame == n, series.exposures[n]
-    return ChipMap(series.place[here], np.column_stack([exposure.x_px, exposure.y_px])[series.row[here]])
-
-
 def _planes(
     series: Series, frames: Sequence[Callable[[], Frame]], plan: Plan, rows: tuple[int, int],
     known: tuple[FloatArray, FloatArray], tuning: BelowLimitTuning,
@@ -264,7 +259,7 @@ def _planes(
     factor = 10 ** (-0.4 * np.nan_to_num(np.where(np.isfinite(zero), np.nanmean(zero) - zero, 0.0))) if np.isfinite(
         zero).any() else np.ones(len(frames))  # fmt: skip
     for n, give in enumerate(frames):
-        chip = _to_chip(series, n)(place)
+        chip = chip_map(series, n)(place)
         psi, phi = _filtered(give(), series, n, known[0][:, n], known[1], tuning)
         at = [chip[:, 1], chip[:, 0]]
         for out, plane, scale in ((signal, psi, factor[n]), (weight, phi, factor[n] ** 2)):
@@ -293,7 +288,7 @@ def _filtered(
     own = here[(series.star | series.still | series.fixed | series.spoilt)[here]]
     chip = np.column_stack([exposure.x_px, exposure.y_px])[series.row[own]]
     snr = np.nan_to_num(exposure.snr[series.row[own]], nan=10.0)
-    to_chip = _to_chip(series, n)
+    to_chip = chip_map(series, n)
     for place, light in ((series.stars.place, np.full(len(series.stars), 10.0)), (movers, mover_snr)):
         if len(place):
             chip, snr = np.concatenate([chip, to_chip(place)]), np.concatenate([snr, light])
@@ -478,8 +473,8 @@ class _Strip:
             for i, dx in enumerate(grid):
                 psi, phi = self._sampled(place + np.array([dx, dy]))
                 t[j, i] = psi[frames].sum() / math.sqrt(max(phi[frames].sum(), 1e-30))
-        j, i = np.unravel_index(np.argmax(t), t.shape)
-        return np.array([grid[i], grid[j], t[j, i]])
+        north, east = np.unravel_index(np.argmax(t), t.shape)
+        return np.array([grid[east], grid[north], t[north, east]])
 
     def take_away(self, peaks: _Peaks) -> None:
         """No weight where these peaks have their light."""

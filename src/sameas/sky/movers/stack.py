@@ -112,7 +112,7 @@ def stack(
     for n, frame in enumerate(frames):
         if not k:
             break
-        to_chip = _chip_map(series, n)
+        to_chip = chip_map(series, n)
         chip[:, n] = to_chip(place[:, n])
         width = max(_width(series, n), 1.5)
         hidden[:, n] = _near_star(series, n, place[:, n], tuning.hidden_widths * width * scale)
@@ -181,7 +181,8 @@ class ChipMap:
         return np.asarray(self._terms(place.reshape(-1, 2)) @ self.fit).reshape(shape)
 
 
-def _chip_map(series: Series, n: int) -> ChipMap:
+def chip_map(series: Series, n: int) -> ChipMap:
+    """From places, arcsec, to pixels of a frame."""
     here, exposure = series.frame == n, series.exposures[n]
     return ChipMap(series.place[here], np.column_stack([exposure.x_px, exposure.y_px])[series.row[here]])
 
