@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -97,7 +98,7 @@ def test_frames_of_two_fields_or_one_time_are_refused():
         tie(made[:1])
 
 
-CERES = {
+CERES: dict[str, list[Any]] = {
     "fields": ["full_name", "H", "G", "epoch_mjd", "e", "a", "q", "i", "om", "w", "ma"],
     "data": [
         ["  1 Ceres-like", "3.3", "0.12", "59800", ".0786", "2.7666", "2.5490", "10.587", "80.27", "73.53", "334.33"]

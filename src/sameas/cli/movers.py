@@ -249,9 +249,9 @@ def run(
         written = [one.write(tables[name], {**facts, "command": one.command}, name) for name, one in outputs.items()]
         if observer is not None:
             rows = observations(found, known)
-            for path, write in zip(reports, _writers(), strict=True):
-                write(rows, observer, path, software=f"sameas {facts['version']}")
-                written.append(f"Report: {path}")
+            for place, write in zip(reports, _writers(), strict=True):
+                write(rows, observer, place, software=f"sameas {facts['version']}")
+                written.append(f"Report: {place}")
     printer([*written, f"Time: {clock.perf_counter() - began:.1f} s"])
 
 
