@@ -71,6 +71,11 @@ SIZES = ((1400, 900), (390, 844))
 @pytest.fixture(scope="module")
 def every_page(tmp_path_factory):
     """A page of each kind, by name: of frames, their series, what moves on them, and a map."""
+    return pages_in(tmp_path_factory.mktemp("pages"), "long_name_of", {}, "A VESSEL OF A VERY LONG NAME" * 3)[0]
+
+
+def pages_in(folder, name, cards, ship):
+    """The pages by kind, and what was printed. name : what frames begin with. cards : more of their headers."""
     for package in ("photutils", "matplotlib"):
         pytest.importorskip(package, reason="frames need the extras sameas[frames,plots]")
     from astropy.io import fits
@@ -82,7 +87,7 @@ def every_page(tmp_path_factory):
     from sameas.sky import Pointing
     from sameas.sky.frame.tangent import unit_vectors
 
-    folder, rng, side = tmp_path_factory.mktemp("pages"), np.random.default_rng(5), 260
+    rng, side = np.random.default_rng(5), 260
     (folder / "night").mkdir()
     ra, dec, mag = 62.6 + rng.uniform(-0.06, 0.06, 150), 22.9 + rng.uniform(-0.06, 0.06, 150), rng.uniform(12, 18, 150)
     wcs = Pointing(unit_vectors(62.6, 22.9), np.diag([-6e-6, 6e-6]), np.full(2, (side - 1) / 2)).to_wcs((side, side))
@@ -93,18 +98,45 @@ def every_page(tmp_path_factory):
         )  # fmt: skip
         header = wcs.to_header()
         header.update({"DATE-OBS": f"2018-10-18T03:{10 * k:02d}:00", "EXPTIME": 60.0, "GAIN": 1.5, "RDNOISE": 6.0})
-        fits.PrimaryHDU(seen.frame.image.astype(np.uint16), header).writeto(folder / "night" / f"long_name_of_{k}.fits")
+        header.update(cards)
+        fits.PrimaryHDU(seen.frame.image.astype(np.uint16), header).writeto(folder / "night" / f"{name}_{k}.fits")
     stars = {"source_id": np.arange(150) + 10**17, "ra": ra, "dec": dec, "phot_g_mean_mag": mag}
     write_table(Table({**stars, "ref_epoch": np.full(150, 2018.8)}), folder / "stars.fits", provenance={})
     where = [str(folder / "night"), "-c", str(folder / "stars.fits"), "-j", "1", "-o"]
+    printed = ""
     for command in ("frame", "movers"):
         done = CliRunner().invoke(app, [command, *where, str(folder / command)])
         assert done.exit_code == 0, done.output
-    (folder / "map.html").write_text(map_page(charted(80, 6, names={1: "A VESSEL OF A VERY LONG NAME" * 3})), "utf-8")
+        printed += done.output
+    (folder / "map.html").write_text(map_page(charted(80, 6, names={1: ship})), "utf-8")
     return {
-        "frame": folder / "frame" / "long_name_of_0.html", "series": folder / "movers" / "index.html",
+        "frame": folder / "frame" / f"{name}_0.html", "series": folder / "movers" / "index.html",
         "movers": folder / "movers" / "movers.html", "map": folder / "map.html",
-    }  # fmt: skip
+        "frames": folder / "frame" / "index.html",
+    }, printed  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to show the page in")
+def test_no_name_of_a_file_or_in_a_header_runs_in_a_page_or_on_a_terminal(tmp_path):
+    """A folder of frames: file names that are markup, a filter and an object that end a script; and what is printed."""
+    markup, script = "<img src=x onerror=document.title=1>", "</script><script>document.title=2</script>"
+    (tmp_path / '"><img src=x onerror=document.title=3>').mkdir()
+    folder = tmp_path / '"><img src=x onerror=document.title=3>'
+    before = set(tmp_path.rglob("*"))
+    pages, printed = pages_in(folder, f"{{{{data}}}}{markup}", {"FILTER": script, "OBJECT": script}, HOSTILE)
+    assert all(line.isprintable() for line in printed.split("\n"))
+    made = {path.relative_to(tmp_path).parts[0] for path in set(tmp_path.rglob("*")) - before}
+    assert made == {folder.name}
+    for kind, page in pages.items():
+        browser = Browser(tmp_path / f"profile {kind}", page)
+        try:
+            assert browser.js("document.title") not in ("1", "2", "3")
+            assert browser.js("document.querySelectorAll('[onerror]').length") == 0, kind
+            assert browser.errors == [] and browser.complaints == [], kind
+            assert not [url for url in browser.requests if not url.startswith(("file:", "data:", "blob:"))], kind
+        finally:
+            browser.close()
 
 
 @pytest.mark.long

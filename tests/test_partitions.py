@@ -332,6 +332,15 @@ def test_a_folder_is_one_runs_alone_and_what_a_kill_left_in_it_is_no_hindrance(t
 
 
 @pytest.mark.slow
+def test_no_name_of_a_folder_adds_a_property(tmp_path):
+    name = "out\nhats_col_ra=x<script>"
+    found, _ = matched(tmp_path, stored(tmp_path, sky((0.0, 0.0), 300, 0.1, seed=12), (300, 300)), out="plain")
+    found.write(tmp_path / name, workers=1)
+    told = (tmp_path / name / "collection.properties").read_text(encoding="utf-8")
+    assert "obs_collection=out\\u000ahats_col_ra=x<script>\n" in told
+    assert len(HatsCatalogue.open(tmp_path / name).cells) == len(HatsCatalogue.open(tmp_path / "plain").cells)
+
+
 @pytest.mark.parametrize("what", ["files no larger than 2 kB", "a folder that disappears"])
 def test_a_disk_that_refuses_is_one_line_and_no_fault_of_sameas(what, tmp_path, monkeypatch):
     resource = pytest.importorskip("resource")

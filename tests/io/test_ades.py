@@ -1,6 +1,8 @@
 """Reports for the Minor Planet Center."""
 
 import math
+from dataclasses import replace
+from xml.etree import ElementTree
 
 import pytest
 
@@ -57,6 +59,23 @@ def test_a_report_says_what_is_known_and_no_more(observer, tmp_path):
     assert head[0] == "permID" and first["permID"] == "2713" and second["permID"] == ""
     assert first["mag"] == "17.23" and first["band"] == "G" and second.get("mag", "") == ""
     assert first["obsTime"] == "2018-10-18T03:03:53.784Z" and first["rmsCorr"] == "0.030"
+
+
+def test_no_name_ends_a_line_or_a_report(tmp_path):
+    """Names of a header, of orbits and of tracklets: text in the one row or element that they belong to."""
+    name = 'a|b\nprovID|\x1b[31m</trkSub><script>&"\u2028'
+    observer = Observer("810", name, (name,), (name,), (("design", name),), "Gaia3", comments=(name,))
+    every = [replace(one, name=name, provisional=name, remarks=name) for one in rows()]
+    paths = [tmp_path / name for name in ("r.psv", "r.xml", "r.txt")]
+    for write, path in zip((write_psv, write_xml, write_80_columns), paths, strict=True):
+        write(every, observer, path, software="sameas")
+        assert all(line.isprintable() for line in path.read_text(encoding="utf-8").split("\n"))
+    psv = paths[0].read_text(encoding="utf-8").split("\n")
+    assert len({line.count("|") for line in psv if line and line[0] not in "#!"}) == 1
+    assert len(psv) - 1 == sum(line[0] in "#!" for line in psv if line) + 1 + len(every)
+    optical = ElementTree.parse(paths[1]).getroot().findall("obsBlock/obsData/optical")
+    assert [one.find("trkSub").text for one in optical] == ['a/b provID/ [31m</trkSub><script>&" '] * 2
+    assert len(paths[2].read_text(encoding="utf-8").split("\n")) - 1 == 5 + len(every)
 
 
 def test_lines_have_80_columns_and_round_over(observer, tmp_path):

@@ -1,6 +1,7 @@
 """Outputs are read back by our own readers, and by parsers that are not ours."""
 
 import json
+import re
 import socket
 import xml.etree.ElementTree as ET
 
@@ -10,7 +11,7 @@ from tests.live.conftest import EVIL, SITE, START_S
 
 from sameas.errors import InputError
 from sameas.io.sensors.stream import ReportStream
-from sameas.live.outputs import FORMATS, Sink, geojson, sinks_of
+from sameas.live.outputs import FORMATS, Sink, geojson, metrics, sinks_of
 
 
 @pytest.fixture
@@ -97,6 +98,10 @@ def test_no_text_of_a_transponder_ends_an_output(frame, monkeypatch):
     hostile = {"icao": "zzzzzz", "mmsi": "=cmd()", "name": 'a*00\r\n$GPGLL,"/><x', "label": "]]>\x1b[31m\u2028"}
     listed = [one | hostile for one in frame.listed()]
     monkeypatch.setattr(type(frame), "listed", lambda self: listed)
+    one = {"reports": 1, "late": 0, "repeated": 0, "jumps": 0, "refused": 0}
+    health = {"ok": True, "tick": 1, "faults": 0, "objects": 1, "sources": {hostile["name"]: one}, "wires": {}}
+    lines = metrics(health, []).split("\n")[:-1]
+    assert all(re.fullmatch(r'#.*|[a-z_]+(\{[a-z]+="([^"\\\n]|\\.)*"\})? [0-9.]+', line) for line in lines), lines
     parts = {name: list(FORMATS[name](frame)) for name in FORMATS}
     assert all(parts.values())
     for part in parts["cot"]:

@@ -155,13 +155,13 @@ class Observation:
             out["photCat"] = observer.catalogue
         if self.snr > 0:
             out["logSNR"] = f"{math.log10(self.snr):.2f}"
-        out["remarks"] = self.remarks.replace("|", "/")
-        return {key: out[key] for key in COLUMNS if out.get(key)}
+        out["remarks"] = self.remarks
+        return {key: _plain(out[key]).replace("|", "/") for key in COLUMNS if out.get(key)}
 
 
 def _header(observer: Observer, software: str) -> list[tuple[str, list[tuple[str, str]]]]:
     """The blocks of the header, in their order."""
-    return [
+    blocks = [
         ("observatory", [("mpcCode", observer.code)]),
         ("submitter", [("name", observer.submitter)]),
         ("observers", [("name", name) for name in observer.observers]),
@@ -170,6 +170,12 @@ def _header(observer: Observer, software: str) -> list[tuple[str, list[tuple[str
         ("software", [("astrometry", software), ("objectDetection", software)]),
         *([("comment", [("line", line) for line in observer.comments])] if observer.comments else []),
     ]
+    return [(block, [(key, _plain(value)) for key, value in entries]) for block, entries in blocks]
+
+
+def _plain(text: str) -> str:
+    """Without what ends a line, controls a terminal, or what XML cannot hold."""
+    return "".join(letter if letter.isprintable() else " " for letter in text)
 
 
 def write_psv(observations: Sequence[Observation], observer: Observer, path: str | Path, *, software: str) -> None:
@@ -212,7 +218,7 @@ def write_80_columns(
     """The older form, which the Minor Planet Center still accepts."""
     lines = [f"COD {observer.code}", f"OBS {', '.join(observer.observers)}", f"MEA {', '.join(observer.measurers)}"]
     lines += [f"TEL {' '.join(value for _, value in observer.telescope)}", f"COM measured with {software}"]
-    lines += [line_of(one, observer) for one in observations]
+    lines = [_plain(line) for line in (*lines, *(line_of(one, observer) for one in observations))]
     with replacing(Path(path)) as draft:
         draft.write_text("\n".join(lines) + "\n", encoding="utf-8")
 

@@ -10,6 +10,7 @@ import csv
 import hashlib
 import json
 import os
+import re
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -79,7 +80,11 @@ def is_hats(path: Any) -> bool:
 def properties(path: Path) -> dict[str, str]:
     """The pairs of a file of properties."""
     lines = (line.partition("=") for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#"))
-    return {key.strip(): value.strip() for key, equals, value in lines if equals}
+    return {_unescaped(key.strip()): _unescaped(value.strip()) for key, equals, value in lines if equals}
+
+
+def _unescaped(text: str) -> str:
+    return re.sub(r"\\u([0-9a-fA-F]{4})", lambda found: chr(int(found[1], 16)), text)
 
 
 @in_short

@@ -129,7 +129,12 @@ def write_collection(folder: Path, name: str, margin: str | None) -> None:
 
 
 def _lines(properties: Mapping[str, Any]) -> bytes:
-    return "".join(f"{key}={value}\n" for key, value in properties.items()).encode()
+    """Lines as Java's properties have them: what ends a line or does not show is \\uXXXX."""
+    return "".join(f"{_escaped(key)}={_escaped(str(value))}\n" for key, value in properties.items()).encode()
+
+
+def _escaped(text: str) -> str:
+    return "".join(c if c.isprintable() or ord(c) > 0xFFFF else f"\\u{ord(c):04x}" for c in text)
 
 
 def write_margin(catalogue: HatsCatalogue, cell: Cell, margin_arcsec: float, folder: Path) -> int:
