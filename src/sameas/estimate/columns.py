@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -43,7 +44,10 @@ class ColumnsTuning:
     per_cell : mean number of records of the poorer source in a cell that is dealt, at least.
     per_knot, most_knots : expected partners to a knot of a curve, and most knots, besides those of all records.
     knots_of_all : knots at quantiles of all records.
-    bend, far : standard deviations of a curve's second difference from knot to knot, and of its value.
+    extreme : share of the partners beyond the outermost of their knots.
+    bend, far : scale of a curve's second difference from knot to knot, and standard deviation of its value. freedom :
+        of Student's t, which the second differences are drawn from: a curve may break at a knot, as where a catalogue
+        ends.
     apart : of what a word, or the absence of a value, adds. together : of what cells of two columns add besides.
     most_words : categories of a column that are told apart, the most frequent ones.
     cells : of a column beside another. per_two : expected partners to each two cells; with fewer they are not asked.
@@ -62,7 +66,9 @@ class ColumnsTuning:
     per_knot: float = 40.0
     most_knots: int = 16
     knots_of_all: int = 6
+    extreme: float = 0.003
     bend: float = 0.7
+    freedom: float = 2.0
     far: float = 6.0
     apart: float = 2.0
     together: float = 0.5
@@ -309,7 +315,7 @@ class _Basis:
         if not len(x):
             return cls(np.zeros(1), False, np.empty(0))
         number = int(np.clip(partners / tuning.per_knot, 2, tuning.most_knots))
-        of_partners = _quantiles(x, w, np.linspace(0.01, 0.99, number)) if w.sum() > 0.0 else np.empty(0)
+        of_partners = _quantiles(x, w, np.linspace(tuning.extreme, 1.0 - tuning.extreme, number)) if w.sum() > 0.0 else np.empty(0)
         of_all = np.quantile(x, np.linspace(0.002, 0.998, tuning.knots_of_all))
         knots = np.unique(np.concatenate([of_partners, of_all]))
         apart = 1e-3 * max(float(knots[-1] - knots[0]), 1e-12)
@@ -323,11 +329,13 @@ class _Basis:
         """Number of functions."""
         return len(self.knots) + 1
 
-    def penalty(self, tuning: ColumnsTuning) -> FloatArray:
-        """(size, size)."""
+    def penalty(self, tuning: ColumnsTuning, values: FloatArray) -> FloatArray:
+        """(size, size) about coefficients (size,): a break that stands is drawn to a straight line the less."""
         out, k = np.eye(self.size) / tuning.apart**2, len(self.knots)
         if not self.words:
-            out[:k, :k] = roughness(k, tuning.bend) + np.eye(k) / tuning.far**2
+            bends = np.diff(values[:k], n=2) / tuning.bend
+            weight = (tuning.freedom + 1.0) / (tuning.freedom + bends**2)
+            out[:k, :k] = roughness(k, tuning.bend, weight) + np.eye(k) / tuning.far**2
         return out
 
     def design(self, values: FloatArray) -> FloatArray:
@@ -434,9 +442,13 @@ class _Bases:
             blocks.append(block)
         return np.hstack(blocks) if blocks else np.zeros((len(columns[0].values), 0))
 
-    def penalty(self, tuning: ColumnsTuning) -> FloatArray:
-        """(P, P)."""
-        parts = [basis.penalty(tuning) for basis, used in zip(self.single, self.used, strict=True) if used]
+    def penalty(self, tuning: ColumnsTuning, values: FloatArray) -> FloatArray:
+        """(P, P) about coefficients (P,)."""
+        parts: list[FloatArray] = []
+        for basis, used in zip(self.single, self.used, strict=True):
+            if used:
+                begin = sum(map(len, parts))
+                parts.append(basis.penalty(tuning, values[begin : begin + basis.size]))
         parts += [np.eye(self.cells(a, b)) / tuning.together**2 for a, b in self.two]
         out, at = np.zeros((sum(map(len, parts)),) * 2), 0
         for part in parts:
@@ -510,32 +522,41 @@ class _ShareRegression:
 
     def fit(self, bases: _Bases) -> _Fit:
         """Of greatest penalised likelihood, and without each of the folds: one Newton step on from that of all."""
-        design, penalty = bases.design(self.columns), bases.penalty(self.tuning)
+        design = bases.design(self.columns)
         known = self.before is not None and self.before.bases is bases
         values = self.before.whole.copy() if known and self.before else np.zeros(design.shape[1])
+        folds = [np.flatnonzero(self.fold == fold) for fold in range(self.tuning.folds)]
         for _ in range(self.tuning.steps if known else self.tuning.first_steps):
-            slope, curvature = self._derivatives(design, values, slice(None))
-            step = np.linalg.solve(curvature + penalty, slope - penalty @ values)
+            step = _newton(*self._derivatives(design, values, slice(None)), bases.penalty(self.tuning, values), values)
             step *= min(1.0, self.tuning.longest / max(float(np.abs(step).max(initial=0.0)), 1e-12))
             values = values + step
             if np.abs(step).max(initial=0.0) < self.tuning.done:
                 break
-        folds = [np.flatnonzero(self.fold == fold) for fold in range(self.tuning.folds)]
-        parts = [self._derivatives(design[rows], values, rows) for rows in folds]
-        slope, curvature = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
+        parts, penalty = [self._derivatives(design[k], values, k) for k in folds], bases.penalty(self.tuning, values)
+        every = [np.sum(part, axis=0) for part in zip(*parts, strict=True)]
         without = [
-            values + np.linalg.solve(curvature - own + penalty, slope - mine - penalty @ values) for mine, own in parts
+            values + _newton(*(all_of - own for all_of, own in zip(every, part, strict=True)), penalty, values)
+            for part in parts
         ]
         return _Fit(bases, np.array(without), values, self.tuning.farthest)
 
     def _derivatives(
         self, design: FloatArray, values: FloatArray, rows: IntArray | slice
-    ) -> tuple[FloatArray, FloatArray]:
-        """(P,), (P, P) of ln of the likelihood of some records: its slope, and minus its curvature."""
-        p, offset, weight = self.p[rows], self.offset[rows], self.weight[rows]
-        share = 1.0 / (1.0 + np.exp(-np.clip(offset + design @ values, -40.0, 40.0)))
-        root = design * np.sqrt(weight * share * (1.0 - share))[:, None]
-        return design.T @ (weight * (p - share)), root.T @ root
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Of ln of the likelihood of some records, Σ ln [q r + 1 − q] − ln [π r + 1 − π] (see ``gain``): its slope
+        (P,), minus its curvature (P, P), and the part of that which does not come of not being sure of partners."""
+        log_ratio, offset, weight = design @ values, self.offset[rows], self.weight[rows]
+        share = _probability(offset + log_ratio)
+        p = np.where(self.p[rows] > 0.0, _probability(self.others[rows] + log_ratio), 0.0)
+        unsure = (design * (weight * p * (1.0 - p))[:, None]).T @ design
+        complete = (design * (weight * share * (1.0 - share))[:, None]).T @ design
+        return design.T @ (weight * (p - share)), complete - unsure, complete
+
+    @cached_property
+    def others(self) -> FloatArray:
+        """(n,) logit of q, the probability of a partner by all but the columns."""
+        counted = 0.0 if self.before is None else self.before.log_ratio(self.columns, self.fold)
+        return np.asarray(logit(self.p) - counted)
 
     def informative(self, source: int) -> tuple[_Fit | None, list[ColumnFinding]]:
         """The fit with the columns that tell something, and what is said of all."""
@@ -572,14 +593,25 @@ class _ShareRegression:
         """
         if fit.coefficients.shape[1] == 0:
             return 0.0
-        used = self.before
-        log_ratio = fit.log_ratio(self.columns, self.fold)
-        counted = 0.0 if used is None else used.log_ratio(self.columns, self.fold)
-        q = 1.0 / (1.0 + np.exp(-np.clip(logit(self.p) - counted, -40.0, 40.0)))
-        q = np.where(self.p < self.tuning.likely * 1e-3, 0.0, q)
-        prior = 1.0 / (1.0 + np.exp(-np.clip(self.offset, -40.0, 40.0)))
-        r = np.expm1(log_ratio)
-        return float((self.weight * (np.log1p(q * r) - np.log1p(prior * r))).sum())
+        r = np.expm1(fit.log_ratio(self.columns, self.fold))
+        q = np.where(self.p < self.tuning.likely * 1e-3, 0.0, _probability(self.others))
+        return float((self.weight * (np.log1p(q * r) - np.log1p(_probability(self.offset) * r))).sum())
+
+
+def _probability(logits: FloatArray) -> FloatArray:
+    return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logits, -40.0, 40.0))))
+
+
+def _newton(
+    slope: FloatArray, curvature: FloatArray, complete: FloatArray, penalty: FloatArray, values: FloatArray
+) -> FloatArray:
+    """(P,) the step to the maximum; as if partners were sure, an EM step, where the likelihood is not concave."""
+    downhill = slope - penalty @ values
+    try:
+        np.linalg.cholesky(curvature + penalty)
+    except np.linalg.LinAlgError:
+        curvature = complete
+    return np.asarray(np.linalg.solve(curvature + penalty, downhill))
 
 
 # ---- related columns ----

@@ -205,7 +205,7 @@ class Estimates:
         of_1, of_2 = self.setting.densities
         share_1, share_2 = self.local
         # Both sources count the same common objects: the mean of the logarithms favours neither.
-        common = tuple(np.sqrt(of_1[k] * share_1[k] * of_2[k] * share_2[k]) for k in range(2))
+        common = of_1[0] * share_1[0], of_2[1] * share_2[1]
         only_1 = of_1[0] * np.maximum(1.0 - share_1[0], self.tuning.least_share)
         only_2 = of_2[1] * np.maximum(1.0 - share_2[1], self.tuning.least_share)
         return PoissonField(common, only_1, only_2, self.errors)

@@ -71,7 +71,8 @@ class Hats:
         return np.asarray(square + np.diag(cross, 1) + np.diag(cross, -1), np.float64)
 
 
-def roughness(k: int, bend: float) -> FloatArray:
-    """(k, k) the penalty of curves whose second difference from knot to knot is drawn from N(0, bend²)."""
+def roughness(k: int, bend: float, weight: FloatArray | float = 1.0) -> FloatArray:
+    """(k, k) the penalty of curves whose second difference from knot to knot is drawn from N(0, bend²); each counts
+    with a weight (k − 2,)."""
     second = np.diff(np.eye(k), n=2, axis=0) / bend
-    return second.T @ second
+    return np.asarray((second.T * weight) @ second)
