@@ -10,7 +10,7 @@ from sameas import InputError
 from sameas.cli.app import app
 from sameas.estimate.columns import ColumnEvidence, ColumnsTuning
 from sameas.estimate.match import match
-from sameas.evidence import Column, OddsTable, Related
+from sameas.evidence import Column, Errors, OddsTable, Related
 from sameas.score.pairs import is_true_pair
 from sameas.simulate import counterparts
 
@@ -54,6 +54,30 @@ def test_what_is_learned_is_the_ratio_of_the_true_densities(found):
     learned = found[1].columns.log_ratio[1]
     assert np.abs(learned - true)[inner].max() < 0.8
     assert np.sqrt(np.mean((learned - true)[inner] ** 2)) < 0.3
+
+
+@pytest.mark.slow
+def test_partners_are_as_many_as_expected_and_wrong_ones_too():
+    """No pair vouches for itself: neither by the local densities, which leave its records out, nor by its column."""
+    too_many, wrong, expected, variance = [], 0, 0.0, 0.0
+    for number in range(40):
+        made = counterparts(np.random.default_rng([17, number]), sources=300, records=6_000, chance=0.6)
+        evidence = [Column(2, made.magnitude, name="MAG")]
+        answer, estimate = match(made.scene.first, made.scene.second, errors=Errors(), evidence=evidence)
+        too_many.append(estimate.common - len(made.scene.true_pairs()[0]))
+        _, mine, said, spread = judged(answer, made)
+        wrong, expected, variance = wrong + mine, expected + said, variance + spread**2
+    assert abs(np.mean(too_many)) < 3.0 * np.std(too_many) / np.sqrt(len(too_many))
+    assert abs(wrong - expected) < 2.0 * np.sqrt(variance)
+
+
+@pytest.mark.slow
+def test_where_a_catalogue_ends_the_curve_breaks():
+    """Beyond 26 mag the catalogue has counterparts only, and next to none of a fifth of its records before it."""
+    made = counterparts(np.random.default_rng([16, 1]))
+    _, estimate = match(made.scene.first, made.scene.second, evidence=[Column(2, made.magnitude, name="MAG")])
+    learned, m = estimate.columns.log_ratio[1], made.magnitude
+    assert learned[m > 26.3].min() > learned[(m > 25.7) & (m < 25.95)].max() + 3.0
 
 
 def test_of_one_category_column_the_fit_is_the_ratio_of_counts():

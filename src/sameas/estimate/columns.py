@@ -315,7 +315,8 @@ class _Basis:
         if not len(x):
             return cls(np.zeros(1), False, np.empty(0))
         number = int(np.clip(partners / tuning.per_knot, 2, tuning.most_knots))
-        of_partners = _quantiles(x, w, np.linspace(tuning.extreme, 1.0 - tuning.extreme, number)) if w.sum() > 0.0 else np.empty(0)
+        levels = np.linspace(tuning.extreme, 1.0 - tuning.extreme, number)
+        of_partners = _quantiles(x, w, levels) if w.sum() > 0.0 else np.empty(0)
         of_all = np.quantile(x, np.linspace(0.002, 0.998, tuning.knots_of_all))
         knots = np.unique(np.concatenate([of_partners, of_all]))
         apart = 1e-3 * max(float(knots[-1] - knots[0]), 1e-12)

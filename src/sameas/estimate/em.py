@@ -91,7 +91,7 @@ class Estimates:
     ----------
     setting : candidates and records, which stay the same.
     partner : (n₁,), (n₂,) probability of having a partner; ``counted`` for which records it is known.
-    local : local share of the records of source 1, and of source 2, that have a partner, each at the records of both.
+    local : (n₁,), (n₂,) local share of the records of either source that have a partner, at these without themselves.
     errors : the spread of the residuals; learned from the pairs where ``learns_errors``.
     photometry : how the magnitudes are related, None where they are not asked for. times_learned : how often.
     common : expected number of common objects among the counted, a guess before the first round. change : by how much
@@ -107,7 +107,7 @@ class Estimates:
     setting: Setting
     partner: Both
     counted: tuple[BoolArray, BoolArray]
-    local: tuple[Both, Both]
+    local: Both
     errors: Errors
     learns_errors: bool
     photometry: Photometry | None
@@ -138,9 +138,8 @@ class Estimates:
         n1, n2 = (len(rows) for rows in setting.rows)
         guess = min(max(share, tuning.least_guess), tuning.most_guess) * min(n1, n2)
         partner = np.full(n1, guess / n1), np.full(n2, guess / n2)
-        of_1, of_2 = ((np.full(n1, guess / n), np.full(n2, guess / n)) for n in (n1, n2))
         known = cls(
-            setting, partner, setting.counted, (of_1, of_2), errors or Errors(), errors is None, photometry, density,
+            setting, partner, setting.counted, partner, errors or Errors(), errors is None, photometry, density,
             precision=precision, tuning=tuning, columns=columns and columns.in_folds(setting),
         )  # fmt: skip
         return replace(known, common=float(partner[0][setting.counted[0]].sum()))
@@ -181,8 +180,7 @@ class Estimates:
         if self.density is not None:
             one, two = self.means
             return np.full(len(self.partner[0]), one), np.full(len(self.partner[1]), two)
-        (at_1, _), (_, at_2) = self.local
-        return at_1, at_2
+        return self.local
 
     def brightness(self) -> Brightness | None:
         """What magnitudes say; None as long as nothing is known of that."""
@@ -204,10 +202,11 @@ class Estimates:
             return PoissonField(both, all_1 * alone_1, all_2 * alone_2, self.errors)
         of_1, of_2 = self.setting.densities
         share_1, share_2 = self.local
-        # Both sources count the same common objects: the mean of the logarithms favours neither.
-        common = of_1[0] * share_1[0], of_2[1] * share_2[1]
-        only_1 = of_1[0] * np.maximum(1.0 - share_1[0], self.tuning.least_share)
-        only_2 = of_2[1] * np.maximum(1.0 - share_2[1], self.tuning.least_share)
+        # Both sources count the same common objects: the mean of the logarithms favours neither. Each where its own
+        # record stands, which is not counted there; at the candidate it would be, and every pair vouch for itself.
+        common = of_1 * share_1, of_2 * share_2
+        only_1 = of_1 * np.maximum(1.0 - share_1, self.tuning.least_share)
+        only_2 = of_2 * np.maximum(1.0 - share_2, self.tuning.least_share)
         return PoissonField(common, only_1, only_2, self.errors)
 
     def expected(self) -> float:
@@ -374,14 +373,14 @@ class Estimates:
         return one, two
 
 
-def _local(setting: Setting, partner: Both, counted: tuple[BoolArray, BoolArray]) -> tuple[Both, Both]:
+def _local(setting: Setting, partner: Both, counted: tuple[BoolArray, BoolArray]) -> Both:
     """Local shares, of the records that tell of them."""
     # One cell says no more than the mean of all, and the finest say next to nothing.
     levels = setting.levels[1:-1] or setting.levels
     weights = [(seen & known).astype(np.float64) for seen, known in zip(setting.seen, counted, strict=True)]
     works = [partial(local_share, levels, k + 1, partner[k] * weights[k], weights[k]) for k in (0, 1)]
-    one, two = threads.each(works, len(weights[0]))
-    return one, two
+    (at_1, _), (_, at_2) = threads.each(works, len(weights[0]))
+    return at_1, at_2
 
 
 def settled(

@@ -311,12 +311,12 @@ class Learned:
         at_1, at_2 = self.places.at(cells[0]), self.places.at(cells[1])
         every = np.ones(n1, np.bool_), np.ones(n2, np.bool_)
         level = GridLevel(np.zeros(n1, np.int32), np.zeros(n2, np.int32), np.ones(1))
-        (d_1, d_2), share = self.places.densities(at_1, at_2), self.places.share
+        ((d_1, _), (_, d_2)), share = self.places.densities(at_1, at_2), self.places.share
         setting = Setting(pairs, (np.arange(n1), np.arange(n2)), (level,), every, every, (d_1, d_2))
         photometry = self._photometry(measured)
         known = Estimates(
             setting, (np.full(n1, self.means[0]), np.full(n2, self.means[1])), every,
-            ((share[at_1, 0], share[at_2, 0]), (share[at_1, 1], share[at_2, 1])), self.errors, False, photometry,
+            (share[at_1, 0], share[at_2, 1]), self.errors, False, photometry,
             self.density,
         )  # fmt: skip
         if self.grades is not None:

@@ -49,7 +49,7 @@ class Setting:
     levels : their cells, coarse to fine.
     seen : whether the other source looks there, (n₁,), (n₂,).
     counted : whether a record counts; others only compete, (n₁,), (n₂,).
-    densities : local densities of the covered records of source 1 and of source 2, each at the records of both.
+    densities : (n₁,), (n₂,) local densities of the covered records of either source, at these without themselves.
     """
 
     pairs: Pairs
@@ -57,14 +57,15 @@ class Setting:
     levels: tuple[GridLevel, ...]
     seen: tuple[BoolArray, BoolArray]
     counted: tuple[BoolArray, BoolArray]
-    densities: tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+    densities: tuple[FloatArray, FloatArray]
 
     @classmethod
     def whole(cls, pairs: Pairs, coverage: Coverage) -> Setting:
         """All candidates and records."""
         n1, n2 = len(pairs.first), len(pairs.second)
-        rows, densities = (np.arange(n1), np.arange(n2)), coverage.covered_densities
-        return cls(pairs, rows, coverage.levels, coverage.covered, coverage.counted, densities)
+        (density_1, _), (_, density_2) = coverage.covered_densities
+        rows = np.arange(n1), np.arange(n2)
+        return cls(pairs, rows, coverage.levels, coverage.covered, coverage.counted, (density_1, density_2))
 
     @property
     def numbers(self) -> tuple[int, int]:
@@ -94,7 +95,7 @@ class Setting:
         return Setting(
             pairs, (rows_1, rows_2), tuple(level.part(rows_1, rows_2) for level in self.levels),
             (self.seen[0][rows_1], self.seen[1][rows_2]), (counted[0][rows_1], counted[1][rows_2]),
-            ((of_1[0][rows_1], of_1[1][rows_2]), (of_2[0][rows_1], of_2[1][rows_2])),
+            (of_1[rows_1], of_2[rows_2]),
         )  # fmt: skip
 
     def _drawn(self, sampling: Sampling) -> tuple[GridLevel, BoolArray] | None:
