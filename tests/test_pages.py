@@ -116,7 +116,7 @@ def pages_in(folder, name, cards, ship):
     }, printed  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to show the page in")
 def test_no_name_of_a_file_or_in_a_header_runs_in_a_page_or_on_a_terminal(tmp_path):
     """A folder of frames: file names that are markup, a filter and an object that end a script; and what is printed."""

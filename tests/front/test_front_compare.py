@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import sameas
 from sameas import InputError
@@ -77,3 +78,15 @@ def test_the_command_says_it_and_refuses_what_has_nothing_in_common(tables, tmp_
         sameas.compare(tmp_path / "before.fits", tmp_path / "other.fits")
     with pytest.raises(InputError, match=r"has no objects.parquet"):
         sameas.compare(tmp_path, tmp_path)
+
+
+def test_names_in_tables_are_printed_escaped(tmp_path) -> None:
+    ra, evil = 10.0 + np.arange(10) * 20.0 / 3600.0, "\x1b[31m<script>\n=cmd()\u202e"
+    for name, order in (("before", range(10)), ("after", (1, 0, *range(2, 10)))):
+        second = {"ra": ra + 0.1 / 3600.0, "dec": np.zeros(10), "name": [f"{evil}{k}" for k in order]}
+        answer = sameas.match({"ra": ra, "dec": np.zeros(10), "name": [f"{evil}a{k}" for k in range(10)]}, second,
+                              sigma=0.2, id="name")  # fmt: skip
+        answer.write(tmp_path / f"{name}.parquet")
+    done = CliRunner().invoke(app, ["compare", *(str(path) for path in sorted(tmp_path.iterdir()))])
+    assert done.exit_code == 0 and "\\x1b[31m<script>" in done.output
+    assert all(line.isprintable() for line in done.output.split("\n"))

@@ -5,9 +5,10 @@ import urllib.error
 import urllib.request
 
 import pytest
-from tests.live.conftest import EVIL, served
+from tests.live.conftest import EVIL, START_S, served
 
-from sameas.live.server import Access
+from sameas.live.keeper import Delta
+from sameas.live.server import Access, _event
 
 
 def ask(url, method="GET", **headers):
@@ -102,3 +103,13 @@ def test_beyond_the_loopback_tokens_say_who_may_look_and_who_may_act(keeper):
 @pytest.mark.parametrize(("token", "role"), [("a", "operator"), ("b", "viewer"), ("c", None), (None, None)])
 def test_roles(token, role):
     assert Access("0.0.0.0", "a", "b").role(token) == role
+
+
+def test_no_name_ends_an_event(keeper):
+    frame = keeper.tick(START_S + 2.0)
+    delta = Delta(frame.tick, frame.time_s, objects=[(1, 'a\n\nevent: whole\r\ndata: {}\u2028</script>\x1b[31m"')])
+    event = _event("delta", keeper, frame, delta)
+    head, data, end, rest = event.split("\n", 1)[1].split("\n")
+    assert head == "event: delta" and end == rest == "" and event.isascii()
+    assert json.loads(data.removeprefix("data: "))["objects"] == [list(row) for row in delta.objects]
+    keeper.close()

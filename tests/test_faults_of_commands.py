@@ -1,0 +1,32 @@
+"""Commands that are killed, interrupted and refused by disks, a few moments each; scripts/bench faults hits more."""
+
+import os
+import random
+import signal
+import sys
+from functools import partial
+
+import pytest
+
+pytest.importorskip("photutils", reason="frames need the extra sameas[frames]")
+pytest.importorskip("cdshealpix", reason="catalogues in partitions need cdshealpix: pip install 'sameas[hats]'")
+
+from benchmarks import faults
+
+NAMES = ("series of frames", "movers on frames", "watch", "match, partitions", "picture")
+
+
+@pytest.mark.long
+@pytest.mark.skipif(sys.platform != "linux", reason="forks, and mounts a file system of bounded size")
+@pytest.mark.parametrize("name", NAMES)
+def test_outputs_are_whole_whatever_stops_a_command(name, tmp_path, monkeypatch):
+    monkeypatch.setitem(os.environ, "SOURCE_DATE_EPOCH", "1700000000")
+    [work] = [work for work in faults.works(tmp_path, endings=()) if work.name == name]
+    server = faults.Server(work)
+    try:
+        every = [partial(faults.hit, work, server, number, 3, random.Random(5)) for number in faults.CODES]
+        found = [run() for run in (*every, partial(faults.places, work))]
+    finally:
+        server.close()
+    assert [one.faults for one in found] == [[]] * 4 and all(one.runs >= 3 for one in found)
+    assert set(faults.CODES) == {signal.SIGKILL, signal.SIGTERM, signal.SIGINT}
