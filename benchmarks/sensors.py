@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,9 +20,11 @@ import numpy as np
 from benchmarks import motion
 from benchmarks.autoferry_models import describe_all, learned_elsewhere
 from benchmarks.autoferry_scenes import FOLDER, SCENARIOS, scene_of
+from benchmarks.picture import World, solent
 from benchmarks.tables import Table, report
+from sameas.picture.picture import Picture
 from sameas.simulate.boat_radar import BoatRadarScene, boat_radar
-from sameas.simulate.sensors import Bias
+from sameas.simulate.sensors import Bias, SensorOutput
 from sameas.tracks.bias_fit import BiasFit, fit_biases
 from sameas.tracks.biases import AZIMUTH
 from sameas.tracks.common_scans import ComparedSource, common_scans
@@ -235,6 +237,64 @@ def alarms(scenes: int) -> Table:
     return Table("Alarms", ("sources", "fault", "scenes", "found", "false"), lines, tuple(notes))
 
 
+#: What is done to the AIS of one ship from a moment on, and the alarm that is due; "" where it is left as it is.
+DECEPTIONS = (("nothing", ""), ("drags away at 4 m/s", "dragged"), ("leaps by 800 m", "dragged"), ("silent", "silent"))
+
+
+def deceived(reports: Reports, ship: str, words: str, from_s: float) -> Reports:
+    """AIS in which one ship's reports are false from a moment on."""
+    late = (reports.object_ids == ship) & (reports.time_s >= from_s)
+    if words == "silent":
+        return reports.where(~late)
+    away_m = {"nothing": 0.0 * reports.time_s, "leaps by 800 m": np.full(len(reports), 800.0)}.get(
+        words, 4.0 * (reports.time_s - from_s)
+    )
+    return replace(reports, lat_deg=np.asarray(reports.lat_deg) + late * away_m / 111_240.0)
+
+
+def deceptions(scenes: int) -> Table | None:
+    """One ship of real AIS that deceives two modelled radars, in pictures of twelve minutes; judged on all alarms."""
+    world = solent()
+    if world is None:
+        return None
+    span_s, begin = 720.0, float(world.log.time_s.min()) + 120.0
+    counts = {words: [0, 0, 0] for words, _ in DECEPTIONS}
+    for seed in range(scenes):
+        rng = np.random.default_rng(seed)
+        from_s = begin + 60.0 * (seed % 10)
+        log = motion.between(world.log, from_s, from_s + span_s)
+        radars = [replace(world.sensor(number, 20.0, 0.1), bias=Bias()) for number in range(2)]
+        heard = [(radar.description, radar(world.true, (from_s, from_s + span_s), rng)) for radar in radars]
+        ship, when = _seen_by_all(world, log, [output for _, output in heard], rng), from_s + rng.uniform(300.0, 420.0)
+        for words, due in DECEPTIONS:
+            sources = [
+                (world.described, deceived(log, ship, words, when)),
+                *((d, output.reports) for d, output in heard),
+            ]
+            scene = Scene.of(sources, world.true.plane)
+            found = Picture.of(scene, np.arange(from_s + 30.0, from_s + span_s, 10.0)).summary.faults
+            right = [fault.kind == due and fault.track == ship for fault in found]
+            counts[words][0] += 1
+            counts[words][1] += any(right)
+            counts[words][2] += len(right) - sum(right)
+    lines = [[words, tried, right if due else None, tried - right if due else None, false]
+             for (words, due), (tried, right, false) in zip(DECEPTIONS, counts.values(), strict=True)]  # fmt: skip
+    return Table(
+        "Deception: real motion, modelled sensors", ("one ship's AIS", "scenes", "found", "missed", "false alarms"),
+        lines, ("Solent: all ships in 12 minutes of AIS, two modelled radars; false: any other alarm",),
+    )  # fmt: skip
+
+
+def _seen_by_all(world: World, log: Reports, heard: Sequence[SensorOutput], rng: np.random.Generator) -> str:
+    """A ship that speaks and that all radars see throughout."""
+    own = world.true.objects_of(log)
+    often = [np.bincount(output.truth[output.truth >= 0], minlength=own.max() + 1) for output in heard]
+    seen = np.min([count >= 0.6 * count.max() for count in often], axis=0)
+    assert log.object_ids is not None
+    speaks = {k for k in np.unique(own[own >= 0]).tolist() if (own == k).sum() >= 60 and seen[k]}
+    return str(rng.choice(sorted({str(name) for name, k in zip(log.object_ids, own, strict=True) if k in speaks})))
+
+
 def _of_the_solent(seed: int) -> tuple[tuple[Description, Reports], tuple[Description, Reports]] | None:
     """Ten minutes of real AIS, and a radar about the Solent that shows nothing but clutter."""
     log = motion.solent()
@@ -252,13 +312,15 @@ def tables(options: argparse.Namespace) -> Iterator[Table]:
         yield offsets(options.scenes)
     if "alarms" in options.only:
         yield alarms(min(options.scenes, 20))
+    if "deception" in options.only and (table := deceptions(min(options.scenes, 10))) is not None:
+        yield table
 
 
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(prog="scripts/bench sensors", description=__doc__)
     parser.add_argument("--scenes", type=int, default=100, help="modelled scenes of each line (default 100)")
-    sections = ("alarms", "offsets")
+    sections = ("alarms", "deception", "offsets")
     parser.add_argument("--only", nargs="+", choices=sections, default=sections, help="sections to print")
     report("sensors", tables(parser.parse_args()))
 

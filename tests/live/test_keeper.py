@@ -8,6 +8,7 @@ import sqlite3
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -274,4 +275,52 @@ def test_the_archive_waits_ten_minutes_at_most(tmp_path):
     assert not (tmp_path / "archive").exists()
     keeper.tick(START_S + 620.0)
     assert len(list((tmp_path / "archive").iterdir())) == 1
+    keeper.close()
+
+
+@pytest.mark.slow_after(1)
+@pytest.mark.parametrize(
+    ("source", "change", "kind", "words"),
+    [
+        ("ais", "dragged", "deception", "ais says 235002111 is at one place, radar sees it at another"),
+        ("ais", None, "", ""),
+        ("radar", "ended", "source", "radar: ends"),
+        ("ais", "clock", "source", "ais: its clock jumps by"),
+    ],
+)
+def test_deception_and_faults_of_sources_are_alarms_that_are_acknowledged(source, change, kind, words, tmp_path):
+    made = harbour(until_s=330.0)
+    reports = made[source]
+    late, arrivals_s = reports.time_s > START_S + 200.0, {name: one.time_s for name, one in made.items()}
+    if change == "ended":
+        made[source] = reports.where(~late)
+    elif change == "dragged":
+        away = 8.0 * np.maximum(reports.time_s - START_S - 200.0, 0.0) * (reports.track_id == "235002111")
+        made[source] = replace(reports, lat_deg=np.asarray(reports.lat_deg) + away / 111_240.0)
+    elif change == "clock":
+        made[source] = replace(reports, time_s=reports.time_s + 30.0 * late)
+    keeper = Keeper(settings(), tmp_path, replay=replay())
+    keeper.replay.sources, keeper.replay._next = [], []
+
+    def goes_on(since_s, until_s):
+        for t in np.arange(since_s, until_s, 5.0) + START_S:
+            for name, one in made.items():
+                arrival_s = arrivals_s[name][: len(one)] if change != "ended" else one.time_s
+                keeper.picture.add(name, one.where((arrival_s > t) & (arrival_s <= t + 5.0)))
+            frame = keeper.tick(t + 5.0)
+        return frame
+
+    goes_on(0.0, 300.0)
+    keeper.search()
+    goes_on(300.0, 310.0)
+    assert not [alarm for alarm in keeper.alarm_list() if alarm["kind"] in ("source", "deception")]
+    keeper.search()
+    frame = goes_on(310.0, 320.0)
+    found = [alarm for alarm in keeper.alarm_list() if alarm["kind"] in ("source", "deception")]
+    assert [alarm["kind"] for alarm in found] == ([kind] if kind else [])
+    if kind:
+        assert words in found[0]["text"] and "probability" in found[0]["text"]
+        assert keeper.acknowledge(found[0]["id"], "mate") and keeper.alarm_list()[0]["acknowledged_by"] == "mate"
+    if kind == "deception":
+        assert any(numbers(frame)["235002111"] in alarm.objects for alarm in frame.alarms)
     keeper.close()

@@ -1,9 +1,12 @@
 """Deception is an alarm with its probability: AIS that drags or falls silent; a sound picture has none."""
 
+import pickle
+
 import numpy as np
 import pytest
 from modelled_scenes import describe, straight, told
 
+from sameas.picture import LivePicture
 from sameas.picture.picture import Picture, instants
 from sameas.tracks.scene import Scene
 
@@ -11,19 +14,21 @@ MMSI = [f"23500000{k}" for k in range(6)]
 TIMES = np.arange(0.0, 401.0, 10.0)
 
 
-def scene(seed=1, drag_m_per_s=0.0, leap_m=0.0, silent_from_s=np.inf, radars=("radar",)):
+def scene(seed=1, **changes):
+    return Scene.of(sources(seed, **changes))
+
+
+def sources(seed=1, drag_m_per_s=0.0, leap_m=0.0, silent_from_s=np.inf, radars=("radar",)):
     """Six ships 1.5 km apart: radars that track them, and AIS; the first ship's drags, leaps, or falls silent."""
     rng = np.random.default_rng(seed)
     start = np.column_stack([1500.0 * np.arange(6), 2000.0 + 300.0 * rng.standard_normal(6)])
     x, v = straight(start, 4.0 * rng.standard_normal((6, 2)), TIMES)
-    sources = [
-        told(rng, describe(name, "tracks"), TIMES, x, v, 30.0, [f"{name}{k}" for k in range(6)]) for name in radars
-    ]
+    made = [told(rng, describe(name, "tracks"), TIMES, x, v, 30.0, [f"{name}{k}" for k in range(6)]) for name in radars]
     false, late = x.copy(), np.maximum(TIMES - 150.0, 0.0)
     false[0, :, 1] += drag_m_per_s * late + leap_m * (late > 0.0)
     ais, reports = told(rng, describe("ais", "ais"), TIMES, false, v, 300.0, MMSI, {"mmsi": MMSI})
     kept = (reports.track_id != MMSI[0]) | (reports.time_s < silent_from_s)
-    return Scene.of([*sources, (ais, reports.where(kept))])
+    return [*made, (ais, reports.where(kept))]
 
 
 def faults(made):
@@ -49,6 +54,27 @@ def test_a_ship_that_falls_silent_while_a_radar_goes_on_seeing_it_is_an_alarm():
     (fault,) = faults(scene(silent_from_s=200.0))
     assert (fault.kind, fault.track) == ("silent", MMSI[0]) and 190.0 <= fault.first_s < 200.1
     assert "has gone silent: radar saw it for" in str(fault)
+
+
+@pytest.mark.slow_after(1)
+@pytest.mark.parametrize(
+    ("changes", "kind"),
+    [
+        ({"drag_m_per_s": 4.0}, "dragged"),
+        ({"leap_m": 800.0}, "dragged"),
+        ({"silent_from_s": 200.0}, "silent"),
+        ({}, ""),
+    ],
+)
+def test_a_live_picture_finds_them_too(changes, kind):
+    made = sources(radars=("radar", "other"), **changes)
+    live = LivePicture([description for description, _ in made])
+    for now_s in TIMES:
+        for description, reports in made:
+            live.add(description.name, reports.where((reports.time_s > now_s - 10.0) & (reports.time_s <= now_s)))
+        live.advance(now_s)
+    assert [(fault.kind, fault.track) for fault in live.faults()] == ([(kind, MMSI[0])] if kind else [])
+    assert pickle.loads(pickle.dumps(live)).faults() == ()
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

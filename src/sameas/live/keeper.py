@@ -29,8 +29,9 @@ from sameas.live.inputs import Replay, Wire
 from sameas.live.journal import Journal, load_state, save_state
 from sameas.live.outputs import sinks_of
 from sameas.live.settings import Settings
-from sameas.picture.live import LivePicture, estimated
+from sameas.picture.live import LivePicture, estimated, faults_of
 from sameas.picture.picture_state import PictureState
+from sameas.tracks.faults import Fault
 from sameas.tracks.reports import Reports
 
 T = TypeVar("T")
@@ -111,7 +112,9 @@ class Keeper:
         self._listeners: set[asyncio.Event] = set()
         self._alarms: dict[str, tuple[int, float]] = {}
         self._own: deque[tuple[float, float, float]] = deque(maxlen=30)
-        self._saved_s = self._registered_s = -math.inf
+        self._saved_s = self._registered_s = self._searched_s = -math.inf
+        self._faults: dict[str, Fault] = {}
+        self._suspected: frozenset[str] = frozenset()
         self._refusal = ""
         self._tick = 0
         watch = settings.watch
@@ -151,8 +154,8 @@ class Keeper:
         with self.lock:
             self._tick += 1
             frame = Frame.of(self._tick, state, self.picture.plane, (), self._own_ship(instant_s, state))
-            alarms = [*_identity_alarms(state), *self._source_alarms(instant_s), *self._close_calls(frame),
-                      *self._folder_alarms()]  # fmt: skip
+            alarms = [*_identity_alarms(state), *self._source_alarms(instant_s), *self._fault_alarms(frame),
+                      *self._close_calls(frame), *self._folder_alarms()]  # fmt: skip
             frame = Frame(
                 frame.tick, frame.time_s, frame.plane, frame.objects, frame.records, frame.members, tuple(alarms),
                 frame.own_ship,
@@ -189,6 +192,25 @@ class Keeper:
             LOG.info("registration: %s", error)
             return
         self.picture.take_off(found)
+
+    def search(self) -> None:
+        """Looks for deception and for faults of sources in the last minutes; what fails is said and changes nothing.
+
+        A fault is an alarm when two searches in succession have found it: a search every half minute would otherwise
+        make the false alarms of one many.
+        """
+        with self.lock:
+            recent, sightings = self.picture.recent(), self.picture.sightings()
+        try:
+            faults = faults_of(recent, sightings, self.picture.plane)
+        except Exception as error:
+            # What looks for faults must not become one: the watch goes on without it.
+            LOG.info("faults: %s", error, exc_info=not isinstance(error, InputError))
+            return
+        found = {f"{fault.kind} {fault.source} {fault.track}".rstrip(): fault for fault in reversed(faults)}
+        with self.lock:
+            self._faults = {key: fault for key, fault in found.items() if key in self._suspected}
+            self._suspected = frozenset(found)
 
     def _take_in(self, until_s: float) -> None:
         if self.replay is not None:
@@ -322,6 +344,15 @@ class Keeper:
         self._refusal = ""
         return value
 
+    def _fault_alarms(self, frame: Frame) -> list[Alarm]:
+        """What the last search found: deception of tracks, faults of sources."""
+        out = []
+        for key, fault in self._faults.items():
+            where = (fault.source, fault.track)
+            objects = tuple(number for number, its in frame.members.items() if where in its) if fault.track else ()
+            out.append(Alarm(key, "deception" if fault.track else "source", str(fault), objects))
+        return out
+
     def _raise_alarms(self, alarms: list[Alarm], now_s: float) -> None:
         """New alarms are noted in the journal; those that have not held for a while end.
 
@@ -348,6 +379,7 @@ class Keeper:
         readers = [asyncio.create_task(wire.run()) for wire in self.wires.values()]
         every_s = self.settings.watch.every_s
         registration: asyncio.Task[None] | None = None
+        search: asyncio.Task[None] | None = None
         if self.replay is not None:
             from_s = self.picture.instant_s if self.restored else None
             self.replay.begin(self.clock(), from_s if from_s is not None and math.isfinite(from_s) else None)
@@ -362,6 +394,11 @@ class Keeper:
                 if due and (registration is None or registration.done()):
                     self._registered_s = self.picture.instant_s
                     registration = asyncio.create_task(asyncio.to_thread(self.register))
+                every = self.settings.watch.faults_every_s
+                due = every > 0.0 and self.picture.instant_s - self._searched_s >= every
+                if due and (search is None or search.done()):
+                    self._searched_s = self.picture.instant_s
+                    search = asyncio.create_task(asyncio.to_thread(self.search))
                 # A tick that took too long is not made up for: the next one has all reports.
                 next_s = max(next_s + every_s, self.clock())
                 await asyncio.sleep(max(next_s - self.clock(), 0.0))
@@ -369,9 +406,10 @@ class Keeper:
             for task in readers:
                 task.cancel()
             await asyncio.gather(*readers, return_exceptions=True)
-            if registration is not None:
-                with suppress(asyncio.CancelledError):
-                    await registration
+            for beside in (registration, search):
+                if beside is not None:
+                    with suppress(asyncio.CancelledError):
+                        await beside
             self.close()
 
     def close(self) -> None:

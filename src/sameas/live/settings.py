@@ -53,6 +53,8 @@ class WatchSettings:
     own_ship : for CPA and TCPA. cpa_m, tcpa_s : an object that will pass nearer, and so soon, is an alarm.
     silent_s : a source that has said nothing for so long is an alarm. clock_s : so is one whose stamps differ from the
         times of receipt by more.
+    faults_every_s : between two searches for deception and for faults of sources in the last minutes; 0: never. An
+        alarm is what two searches in succession find.
     archive_every_s : an instant so often goes into the archive; 0: none. history_s : the page looks back so far.
     save_every_s : between two savings of the state.
     outputs : ``udp://HOST:PORT`` with a format: ``{ url = …, format = "nmea" }``.
@@ -69,6 +71,7 @@ class WatchSettings:
     tcpa_s: float = 1200.0
     silent_s: float = 60.0
     clock_s: float = 30.0
+    faults_every_s: float = 30.0
     archive_every_s: float = 10.0
     history_s: float = 1800.0
     save_every_s: float = 5.0

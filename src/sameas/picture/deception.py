@@ -7,7 +7,8 @@ A track that names itself, as AIS and ADS-B do, was one object with a sensor's t
   covers the place shows anything where the track says it is.
 - it says nothing more, while others of its source speak on, and the sensor goes on seeing the ship ("silent").
 
-:func:`deceptions` finds both in the records of a picture, each with ln of its odds.
+:func:`deceptions` finds both in the records of a picture, each with ln of its odds; :func:`faults_and_deceptions` those
+that no fault of a source explains, and these faults.
 """
 
 from __future__ import annotations
@@ -21,9 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import ranges
-from sameas.tracks.faults import Fault, log_odds_of_silence
+from sameas.tracks.faults import Fault, log_odds_of_silence, source_faults
 from sameas.tracks.feed import LASTING, Feed
 
 
@@ -58,6 +60,22 @@ def _followed(feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], instan
         for name, rows in zip(names, np.split(mine[order], np.flatnonzero(np.diff(number[order])) + 1), strict=False):
             out.append(Followed(s, str(name), at[rows], records["object"][rows], place[rows], variance[rows]))
     return out
+
+
+def sightings_of(state: PictureState[Carried]) -> dict[str, NDArray[Any]]:
+    """The columns of the records of a picture's instant that :func:`deceptions` reads."""
+    scan = state.scan
+    names = np.array([description.name for description in scan.now.descriptions] or [""], dtype=object)
+    return {
+        "time_s": np.full(len(scan), state.now.instant_s),
+        "source": names[scan.source],
+        "track_id": scan.track,
+        "object": state.number[state.object_of_record] if len(scan) else np.empty(0, np.int64),
+        **{name: np.ma.MaskedArray(column, ~scan.placed) for name, column in (
+            ("x_m", scan.state[:, 0]), ("y_m", scan.state[:, 1]),
+            ("var_x_m2", scan.covariance[:, 0, 0]), ("var_y_m2", scan.covariance[:, 1, 1]),
+        )},
+    }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -105,6 +123,22 @@ def deceptions(
         found += _silent(own, others, feeds, instants, tuning)
     found = [fault for fault in found if fault.probability > tuning.sure_deception]
     return tuple(sorted(found, key=lambda fault: fault.first_s))
+
+
+def faults_and_deceptions(
+    feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], tuning: Tuning = DEFAULT_TUNING
+) -> tuple[Fault, ...]:
+    """The faults of the sources and the deceptions that the records of a picture show.
+
+    The source is doubted first: where its clock jumps or it freezes, all of its ships are elsewhere than they are seen,
+    and that is no deception by each of them.
+    """
+    faults = source_faults(feeds)
+    doubted = [fault for fault in faults if fault.kind in ("clock", "frozen")]
+    return (*faults, *(
+        one for one in (deceptions(feeds, records, tuning) if records else ())
+        if not any(one.source == fault.source and one.first_s > fault.first_s - tuning.silent_s for fault in doubted)
+    ))  # fmt: skip
 
 
 def _companions(own: Followed, others: Sequence[Followed], tuning: Tuning) -> Iterator[tuple[Followed, int]]:

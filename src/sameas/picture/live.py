@@ -6,7 +6,8 @@
 
 It is what :class:`~sameas.picture.picture.Picture` makes of the whole files, as far as it can be known by then:
 on the same reports, none later than its lag, it decides the same. :meth:`LivePicture.register` estimates the biases of
-sources by the reports of the last minutes, and takes them off at all later instants.
+sources by the reports of the last minutes, and takes them off at all later instants; :meth:`LivePicture.faults` tells
+what of them is deception or the fault of a source.
 
 It can be pickled, and goes on where it was: so a program that is killed keeps the numbers of its objects.
 """
@@ -22,10 +23,13 @@ from typing import Any
 import numpy as np
 
 from sameas.errors import InputError
+from sameas.picture.deception import faults_and_deceptions, sightings_of
+from sameas.picture.picture import Columns, gathered
 from sameas.picture.picture_state import PictureState
 from sameas.picture.plot_picture import PlotPicture
 from sameas.picture.watch import Watch
 from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.faults import Fault
 from sameas.tracks.feed import Feed
 from sameas.tracks.growing import Counts, GrowingFeed, unbiased_now
 from sameas.tracks.heights import HeightModel
@@ -41,10 +45,12 @@ LiveState = PictureState[Watch] | PictureState[PlotPicture]
 
 @dataclass(frozen=True)
 class Window:
-    """The reports by which biases are estimated: those of the last ``span_s`` seconds, at most ``reports`` a source."""
+    """The reports by which biases and faults are found: those of the last ``span_s`` seconds, at most ``reports`` a
+    source. sightings_s : seconds between two instants whose records are kept, by which deception is found."""
 
     span_s: float = 600.0
     reports: int = 50_000
+    sightings_s: float = 10.0
 
 
 class LivePicture:
@@ -100,11 +106,12 @@ class LivePicture:
         self._biases: dict[str, SourceBiases] = {}
         self._heights: HeightModel | None = None
         self._recent: dict[str, deque[Reports]] = {name: deque() for name in names}
+        self._sightings: deque[Columns] = deque()
         self._last_s = -math.inf
 
     def __getstate__(self) -> dict[str, Any]:
         """Without the reports of the last minutes: biases that were found stay, others are found by the next ones."""
-        return self.__dict__ | {"_recent": {name: deque() for name in self._recent}}
+        return self.__dict__ | {"_recent": {name: deque() for name in self._recent}, "_sightings": deque()}
 
     @property
     def descriptions(self) -> tuple[Description, ...]:
@@ -181,6 +188,7 @@ class LivePicture:
         self._carried, self._last_s = state.watch, instant_s
         for feed in self._feeds.values():
             feed.release()
+        self._keep_sightings(state)
         return state
 
     def register(self) -> tuple[SourceBiases, ...]:
@@ -199,12 +207,33 @@ class LivePicture:
             (self._feeds[name].description, joined(list(recent))) for name, recent in self._recent.items() if recent
         ]
 
+    def faults(self) -> tuple[Fault, ...]:
+        """The deceptions and faults of sources that the last minutes show, each with its evidence and probability.
+
+        It takes as long as for a file of these minutes; :meth:`recent`, :meth:`sightings` and :func:`faults_of` are its
+        parts, for those who look elsewhere.
+        """
+        return faults_of(self.recent(), self.sightings(), self.plane)
+
+    def sightings(self) -> Columns:
+        """The records of instants of the last minutes: what :func:`sameas.picture.deception.deceptions` reads."""
+        return gathered(list(self._sightings))
+
     def take_off(self, found: Registered) -> None:
         """Takes these biases off the later instants; those that are not established leave what is taken off."""
         self._heights = found.heights or self._heights
         for one in found.biases:
             if one.established and one.theta is not None:
                 self._biases[one.source] = one
+
+    def _keep_sightings(self, state: LiveState) -> None:
+        kept, now_s = self._sightings, state.now.instant_s
+        if not kept or now_s - float(kept[-1]["time_s"][0]) >= self.window.sightings_s:
+            columns = sightings_of(state)
+            if len(columns["time_s"]):
+                kept.append(columns)
+        while kept and now_s - float(kept[0]["time_s"][0]) > self.window.span_s:
+            kept.popleft()
 
     def _feed(self, growing: GrowingFeed, instant_s: float) -> Feed:
         feed, known = growing.feed(instant_s), self._biases.get(growing.description.name)
@@ -242,6 +271,20 @@ def estimated(sources: Sequence[tuple[Description, Reports]], plane: LocalPlane 
         return Registered()
     scene, biases = Scene.of(sources, plane).registered()
     return Registered(biases, HeightModel.of(scene.feeds))
+
+
+def faults_of(
+    sources: Sequence[tuple[Description, Reports]], sightings: Columns, plane: LocalPlane | None = None
+) -> tuple[Fault, ...]:
+    """The deceptions and faults in some minutes of the reports of sources, and in the records of pictures of them.
+
+    Raises
+    ------
+    InputError : the sources have no plane in common.
+    """
+    if not sources:
+        return ()
+    return faults_and_deceptions(Scene.of(sources, plane).feeds, sightings)
 
 
 def _on_earth(description: Description) -> bool:

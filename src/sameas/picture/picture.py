@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.many.observations import Observations, records_of
-from sameas.picture.deception import deceptions
+from sameas.picture.deception import faults_and_deceptions
 from sameas.picture.object_table import STAGES
 from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.plot_picture import PlotPicture, nameless
@@ -28,7 +28,6 @@ from sameas.picture.summary import Summary, Tally
 from sameas.picture.watch import TEXTS, Watch
 from sameas.representation import in_short
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.faults import source_faults
 from sameas.tracks.placement import Directions
 from sameas.tracks.scene import POSITION, Scene
 
@@ -159,7 +158,7 @@ class Picture:
             texts |= {(k, number): str(state.explain(number)) for number in _to_explain(state, explained)}
         assert state is not None
         table, records_table = (with_degrees(gathered(columns), scene.plane) for columns in (objects, records))
-        faults = (*source_faults(scene.feeds), *deceptions(scene.feeds, records_table))
+        faults = faults_and_deceptions(scene.feeds, records_table)
         return cls(
             times, table, records_table, Summary.of(scene, table, tallies, biases, state.scan.tuning, faults), texts,
             scene.plane, state.watch,
