@@ -142,9 +142,13 @@ def _estimates(states: ArrayLike, covariances: ArrayLike) -> tuple[FloatArray, F
         raise InputError(f"fusion: states {x.shape}, covariances {p.shape}; give (n, k, L) and (n, k, L, L)")
     if not (np.isfinite(x).all() and np.isfinite(p).all()):
         raise InputError("fusion: a state or covariance is not finite; leave out estimates that are not known")
-    wrong = np.argwhere(np.linalg.eigvalsh(p)[..., 0] <= 0)
-    if len(wrong):
-        raise InputError(
-            f"fusion: the covariance of object {wrong[0][0]}, estimate {wrong[0][1]} is not positive definite"
-        )
+    try:
+        # A root takes a fifth of the time that eigenvalues take.
+        np.linalg.cholesky(p)
+    except np.linalg.LinAlgError:
+        wrong = np.argwhere(np.linalg.eigvalsh(p)[..., 0] <= 0)
+        if len(wrong):
+            raise InputError(
+                f"fusion: the covariance of object {wrong[0][0]}, estimate {wrong[0][1]} is not positive definite"
+            ) from None
     return x, p

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import repeat
 
 import numpy as np
 
@@ -33,8 +34,6 @@ from sameas.picture.error_correlation import ErrorCorrelation, error_update, gro
 from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan
 from sameas.tracks.alignment import moved, stamped_late
-
-_NEVER = (-1, -np.inf)
 
 
 @dataclass(frozen=True)
@@ -75,7 +74,8 @@ class NamedTracks:
     Attributes
     ----------
     instant_s : the instant. n_numbers : how many numbers are in use; the next track gets this one.
-    by_name : number of a track, and when it was in a scan last, by source and id.
+    by_name : number of a track, by source and then id. absent : source, id, and when it was in a scan last, by number,
+        of those that are not in the scan of the instant.
     number : (m,) ascending. place : (m,) place of the track's record in the scan of the instant.
     track_of_record : (n,) number of the track of every record of that scan, −1 for records without an id.
     error_mean, error_covariance : (m, 2), (m, 2, 2) of e, by the track's own reports.
@@ -84,7 +84,8 @@ class NamedTracks:
 
     instant_s: float = -np.inf
     n_numbers: int = 0
-    by_name: Mapping[tuple[str, str], tuple[int, float]] = field(default_factory=dict, repr=False)
+    by_name: Mapping[str, Mapping[str, int]] = field(default_factory=dict, repr=False)
+    absent: Mapping[int, tuple[str, str, float]] = field(default_factory=dict, repr=False)
     number: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     place: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     track_of_record: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
@@ -96,9 +97,12 @@ class NamedTracks:
 
     def numbers_on(self, scan: Scan) -> IntArray:
         """(n,) the number of each record's track; −1 for records without an id, and for new ids."""
-        sources = [description.name for description in scan.now.descriptions]
-        pairs = zip(scan.source.tolist(), scan.track.tolist(), strict=True)
-        return np.array([self.by_name.get((sources[s], name), _NEVER)[0] for s, name in pairs], dtype=np.int64)
+        out = np.full(len(scan), -1)
+        for s, description in enumerate(scan.now.descriptions):
+            here, known = slice(scan.start[s], scan.start[s + 1]), self.by_name.get(description.name)
+            if known:
+                out[here] = list(map(known.get, scan.track[here].tolist(), repeat(-1)))
+        return out
 
     def on(self, scan: Scan) -> tuple[NamedTracks, Step]:
         """The tracks of the next instant's scan, and the step to it.
@@ -106,10 +110,8 @@ class NamedTracks:
         A track that is not in a scan keeps its number for ``id_timeout_s``, but has no past when it comes back.
         """
         correlation = self.error_correlation.of_sources(scan)
-        sources = [description.name for description in scan.now.descriptions]
         track_of_record = self.numbers_on(scan)
         place = np.flatnonzero(scan.track != "")
-        names = [(sources[s], name) for s, name in zip(scan.source[place].tolist(), scan.track[place], strict=True)]
         number, source = track_of_record[place], correlation.numbers(scan)[scan.source[place]]
         continuing = np.flatnonzero((places_in(self.number, number) >= 0) & scan.placed[place])
         step, correlation = self._step(scan, number[continuing], place[continuing], source[continuing], correlation)
@@ -124,13 +126,36 @@ class NamedTracks:
         )
         order = np.argsort(number)
         now_s = scan.now.instant_s
-        recent = {name: entry for name, entry in self.by_name.items() if now_s - entry[1] <= scan.tuning.id_timeout_s}
-        by_name = recent | {name: (k, now_s) for name, k in zip(names, number.tolist(), strict=True)}
+        by_name, absent = self._names_on(scan, place[is_new], number[is_new], number)
         tracks = NamedTracks(
-            now_s, self.n_numbers + int(np.count_nonzero(is_new)), by_name, number[order], place[order],
+            now_s, self.n_numbers + int(np.count_nonzero(is_new)), by_name, absent, number[order], place[order],
             track_of_record, error_mean[order], error_covariance[order], scan, correlation, source[order],
         )  # fmt: skip
         return tracks, step
+
+    def _names_on(
+        self, scan: Scan, new_place: IntArray, new_number: IntArray, present: IntArray
+    ) -> tuple[Mapping[str, Mapping[str, int]], Mapping[int, tuple[str, str, float]]]:
+        """The numbers by name with those of new tracks, without those that are absent for too long; the absent ones."""
+        now_s, absent = scan.now.instant_s, dict(self.absent)
+        for k in np.intersect1d(present, np.fromiter(absent, np.int64, len(absent))).tolist():
+            del absent[k]
+        if self.scan is not None:
+            names = [description.name for description in self.scan.now.descriptions]
+            for at in np.flatnonzero(~np.isin(self.number, present)).tolist():
+                record = self.place[at]
+                absent[int(self.number[at])] = names[self.scan.source[record]], self.scan.track[record], self.instant_s
+        over = [k for k, (_, _, last_s) in absent.items() if now_s - last_s > scan.tuning.id_timeout_s]
+        if not over and not len(new_place):
+            return self.by_name, absent
+        by_name = {source: dict(known) for source, known in self.by_name.items()}
+        for k in over:
+            source, name, _ = absent.pop(k)
+            del by_name[source][name]
+        sources = [description.name for description in scan.now.descriptions]
+        for record, k in zip(new_place.tolist(), new_number.tolist(), strict=True):
+            by_name.setdefault(sources[scan.source[record]], {})[scan.track[record]] = k
+        return by_name, absent
 
     def _step(
         self, scan: Scan, number: IntArray, place: IntArray, source: IntArray, correlation: ErrorCorrelation

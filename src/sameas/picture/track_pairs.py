@@ -180,7 +180,7 @@ def with_manoeuvres(
 
     tracks, track_pairs : of the instant before. log_ratio : (k,) ln r of the pairs then.
     """
-    a, b = (_places(scan, tracks, number) for number in (track_pairs.first, track_pairs.second))
+    a, b = _places(scan, tracks, np.stack([track_pairs.first, track_pairs.second]))
     partners = (
         (a >= 0) & (b >= 0) & (log_ratio + track_pairs.now >= math.log(per_m2) - math.log(scan.tuning.partner_odds))
     )
@@ -223,7 +223,7 @@ def manoeuvre_covariance(scan: Scan) -> FloatArray:
 
 
 def _places(scan: Scan, tracks: NamedTracks, number: IntArray) -> IntArray:
-    """(k,) places of tracks in a new scan, −1 for those that are not in it."""
+    """(…) places of tracks in a new scan, −1 for those that are not in it."""
     on = tracks.numbers_on(scan)
     order = np.argsort(on, kind="stable")
     at = places_in(on[order], number)

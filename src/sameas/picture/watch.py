@@ -259,6 +259,8 @@ class Watch:
         for column, name in enumerate(TEXTS):
             values = texts[name][record]
             with_value = np.flatnonzero(values != "")
+            if not len(with_value):
+                continue
             # The newest is written last; of equally new ones the first in the alphabet.
             order = with_value[
                 np.lexsort(
@@ -266,10 +268,10 @@ class Watch:
                 )
             ]
             newest[at[order], column] = values[order]
-        object_texts = {}
+        object_texts, has_text = {}, (newest != "").any(axis=1).tolist()
         for number, k in zip(objects.number.tolist(), objects.detection.tolist(), strict=True):
             before = self.texts.get(number, NO_TEXTS)
-            object_texts[number] = before if k < 0 else np.where(newest[k] != "", newest[k], before)
+            object_texts[number] = np.where(newest[k] != "", newest[k], before) if k >= 0 and has_text[k] else before
         return object_texts
 
 
