@@ -170,7 +170,9 @@ def _names(track: NDArray[Any] | None, row: IntArray) -> NDArray[Any]:
     """Track ids; reports that the scene named by their row only have none."""
     if track is None:
         return np.full(len(row), "", dtype=object)
-    return np.array(["" if name.startswith("unnamed ") else name for name in map(str, track[row])], dtype=object)
+    out = np.empty(len(row), object)
+    out[:] = ["" if name[:8] == "unnamed " else name for name in map(str, track[row].tolist())]
+    return out
 
 
 def objects_per_m2(now: Instant) -> float:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -222,23 +223,22 @@ class GrowingFeed:
 
     def _names(self, track: NDArray[Any]) -> NDArray[Any]:
         """Names of tracks; reports without an id are called by their serial number, which no other report has."""
-        names = [str(name) for name in track]
-        return np.array(
-            [f"unnamed {self._serial + k}" if name.startswith("unnamed ") else name for k, name in enumerate(names)]
-            + [None], object,
-        )[:-1]  # fmt: skip
+        out = np.empty(len(track), object)
+        out[:] = list(map(str, track.tolist()))
+        for k in [k for k, name in enumerate(out.tolist()) if name[:8] == "unnamed "]:
+            out[k] = f"unnamed {self._serial + k}"
+        return out
 
     def _numbered(self, names: NDArray[Any]) -> IntArray:
         """(n,) the number of each track; new names get the next ones."""
-        numbers = self._numbers
-        out = np.empty(len(names), np.int64)
-        for k, name in enumerate(names.tolist()):
-            number = numbers.get(name)
-            if number is None:
-                number = numbers[name] = self._next_number
+        numbers, listed = self._numbers, names.tolist()
+        out = list(map(numbers.get, listed, repeat(-1)))
+        for k in [k for k, number in enumerate(out) if number < 0]:
+            if listed[k] not in numbers:
+                numbers[listed[k]] = self._next_number
                 self._next_number += 1
-            out[k] = number
-        return out
+            out[k] = numbers[listed[k]]
+        return np.array(out, np.int64)
 
     def _decide_filtering(self, placed: PlacedReports) -> None:
         """Whether to filter: by the kind of the reports at once; by their scatter once there are enough of them."""
