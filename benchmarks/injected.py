@@ -8,6 +8,7 @@ import math
 import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -208,6 +209,10 @@ def places_of(series: Series, tracklets: Sequence[Any]) -> list[np.ndarray]:
     ]
 
 
+def _itself(frame: Frame) -> Frame:
+    return frame
+
+
 def searched(
     series: Series, frames: Sequence[Frame], fastest: float | None = None
 ) -> tuple[list[np.ndarray], np.ndarray, list[np.ndarray], np.ndarray]:
@@ -221,7 +226,9 @@ def searched(
     if frames and fastest:
         # What is not believed does not take its light away.
         sure = found.only(found.p_tracklet >= 0.5)
-        below = search_below_limit(sure, series, [lambda f=f: f for f in frames], fastest, least_probability=0.02)
+        below = search_below_limit(
+            sure, series, [partial(_itself, frame) for frame in frames], fastest, least_probability=0.02
+        )
         chip = [chip_map(series, n)(below.place[:, n]) for n in range(len(frames))]
         more = [np.array([[n, *chip[n][k]] for n in range(len(frames))]) for k in range(len(below))]
         p = below.movers.p_tracklet

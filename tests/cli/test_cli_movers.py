@@ -68,7 +68,8 @@ def luxembourg(tmp_path):
 
     from sameas.sky.movers.orbits import Elements, ephemeris, geocentric_km
 
-    rng, mjd = np.random.default_rng(3), 58409.13 + np.arange(4) * 25.0 / 1440.0
+    rng = np.random.default_rng(3)
+    mjd = np.asarray(58409.13 + np.arange(4) * 25.0 / 1440.0, np.float64)
     asteroid = Elements.read("demo").some(np.array([4]))
     there = ephemeris(asteroid, mjd, geocentric_km(42.6, -71.5, 100.0, mjd))
     ra, dec = there.ra_deg[0], there.dec_deg[0]

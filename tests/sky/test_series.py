@@ -131,7 +131,7 @@ def of_jpl(covariance=None, **object_):
     row = dict(zip(CERES["fields"], CERES["data"][0], strict=True))
     tp = float(row["epoch_mjd"]) + 2400000.5 - 200.0
     value = {"e": row["e"], "q": row["q"], "tp": tp, "om": row["om"], "w": row["w"], "i": row["i"]}
-    orbit = {
+    orbit: dict[str, Any] = {
         "epoch": str(float(row["epoch_mjd"]) + 2400000.5), "condition_code": "3",
         "elements": [{"name": name, "value": str(v)} for name, v in value.items()],
     }  # fmt: skip
