@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sameas import InputError
-from sameas.sky.movers.orbits import Elements, _packed_date, _two_body, ephemeris, near
+from sameas.sky.movers.orbits import Elements, _packed_date, _two_body, ephemeris, near, states
 from sameas.sky.movers.series import search
 from sameas.sky.series.tied import Exposure, tie
 
@@ -161,6 +161,20 @@ def test_a_covariance_of_elements_is_carried_to_the_sky(tmp_path):
     wide = np.sqrt(np.linalg.eigvalsh(np.cov(off.T))[-1])
     assert there.sigma_arcsec[0, 0] == pytest.approx(wide, rel=0.15)
     assert there.sigma_arcsec[1, 0] == pytest.approx(0.1 * 648000.0 ** (2.5 / 9.0) * 400.0 / 365.25, rel=0.01)
+
+
+def test_objects_of_many_epochs_are_followed_together(elements):
+    """Each as if it were alone; also from a time at which all are known."""
+    some = elements.some(np.zeros(4, np.int64))
+    some = replace(some, epoch_mjd=some.epoch_mjd + np.array([0.0, -700.0, 900.0, -700.0]))
+    times = np.array([59900.3, 59900.1])
+    there = ephemeris(some, times)
+    for k in range(4):
+        alone = ephemeris(some.some(np.array([k])), times)
+        np.testing.assert_allclose(there.ra_deg[k], alone.ra_deg[0], atol=3e-8)
+        np.testing.assert_allclose(there.dec_deg[k], alone.dec_deg[0], atol=3e-8)
+    again = ephemeris(some, times, start=(59890.0, states(some, 59890.0)))
+    np.testing.assert_allclose(again.ra_deg, there.ra_deg, atol=3e-8)
 
 
 def test_files_without_elements_are_refused(tmp_path):

@@ -17,7 +17,7 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.evidence import Field
 from sameas.prior import PerPair
 from sameas.records import Records
-from sameas.sky.movers.orbits import Elements, ephemeris, geocentric_km, near
+from sameas.sky.movers.orbits import Elements, ephemeris, geocentric_km, near, states
 from sameas.sky.movers.search import Movers
 from sameas.space import ARCSEC_PER_RADIAN
 
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 _DOUBT = 2.0
 #: Odds that an object whose orbit is known, and that is predicted in the field, is one of the tracklets (chosen).
 _ODDS = 0.5
+#: Tracklets farther apart are named field by field, in cells of so many degrees.
+FIELD_DEG = 4.0
 
 
 @dataclass(frozen=True)
@@ -88,17 +90,87 @@ def name_movers(
     offset, magnitude = np.full((len(seen), 2), np.nan), np.full(k, np.nan)
     if not k:
         return KnownObjects(elements.some(np.empty(0, np.int64)), owner, p, offset, magnitude)
+    unit = seen.axes().unit
+    fields = _fields(unit[found.members[:, 0]])
     middle = float(np.median(seen.mjd_utc))
-    unit = seen.axes().unit.mean(axis=0)
+    # Of several fields all orbits are followed to the night at once; from there it is hours.
+    state = states(elements, middle) if len(fields) > 1 else None
+    there = np.zeros(len(elements), bool)
+    for rows in fields:
+        mine = found.only(rows)
+        one = _of_field(mine, unit[mine.members[mine.members >= 0]], elements, state, middle, site, least_probability)
+        there[one.near] = True
+        owner[rows], p[rows], magnitude[rows] = one.owner, one.p, one.magnitude
+        offset[one.rows] = one.offset
+    owner = _once(owner, p)
+    p = np.where(owner >= 0, p, 0.0)
+    lost = found.members[owner < 0]
+    offset[lost[lost >= 0]] = np.nan
+    magnitude[owner < 0] = np.nan
+    near_all = np.flatnonzero(there)
+    known = owner >= 0
+    owner[known] = np.searchsorted(near_all, owner[known])
+    return KnownObjects(elements.some(near_all), owner, p, offset, magnitude)
+
+
+def _fields(unit: FloatArray) -> list[IntArray]:
+    """The tracklets of each field: all, or those of each cell of the sky where they are of many fields."""
+    middle = unit.mean(axis=0)
+    if np.linalg.norm(middle) > math.cos(math.radians(FIELD_DEG)):
+        return [np.arange(len(unit))]
+    dec = np.degrees(np.arcsin(np.clip(unit[:, 2], -1, 1)))
+    row = np.floor((dec + 90.0) / FIELD_DEG).astype(np.int64)
+    wide = np.maximum(1, np.floor(360.0 * np.cos(np.radians((row + 0.5) * FIELD_DEG - 90.0)) / FIELD_DEG))
+    column = np.floor(np.degrees(np.arctan2(unit[:, 1], unit[:, 0])) % 360.0 / 360.0 * wide).astype(np.int64)
+    _, cell = np.unique(row * 1000 + column, return_inverse=True)
+    order = np.argsort(cell, kind="stable")
+    return [np.asarray(part) for part in np.split(order, np.flatnonzero(np.diff(cell[order])) + 1)]
+
+
+def _once(owner: IntArray, p: FloatArray) -> IntArray:
+    """(k,) the objects, −1 where another tracklet is the same one more probably."""
+    out, seen = np.full(len(owner), -1), set[int]()
+    for k in np.argsort(-p, kind="stable").tolist():
+        if owner[k] >= 0 and int(owner[k]) not in seen:
+            out[k] = owner[k]
+            seen.add(int(owner[k]))
+    return out
+
+
+@dataclass(frozen=True)
+class _FieldNames:
+    """Of the tracklets of one field: rows of the elements near it, of each tracklet's object, p, magnitude; rows of the
+    detections and their offsets."""
+
+    near: IntArray
+    owner: IntArray
+    p: FloatArray
+    magnitude: FloatArray
+    rows: IntArray
+    offset: FloatArray
+
+
+def _of_field(
+    found: Movers, unit_of: FloatArray, every: Elements, state: FloatArray | None, middle: float,
+    site: tuple[float, float, float] | None, least_probability: float,
+) -> _FieldNames:  # fmt: skip
+    """The objects that the tracklets of one field are. unit_of : (m, 3) directions of their detections."""
+    k, seen = len(found), found.detections
+    owner, p, magnitude = np.full(k, -1), np.zeros(k), np.full(k, np.nan)
+    offset = np.full((len(seen), 2), np.nan)
+    unit = unit_of.mean(axis=0)
     unit /= np.linalg.norm(unit)
-    radius = float(np.degrees(np.arccos(np.clip(seen.axes().unit @ unit, -1, 1)).max()))
+    radius = float(np.degrees(np.arccos(np.clip(unit_of @ unit, -1, 1)).max()))
     ra0, dec0 = math.degrees(math.atan2(unit[1], unit[0])) % 360.0, math.degrees(math.asin(unit[2]))
-    elements = elements.some(near(elements, middle, ra0, dec0, radius + 0.1))
-    if not len(elements):
-        return KnownObjects(elements, owner, p, offset, magnitude)
+    there_rows = near(every, middle, ra0, dec0, radius + 0.1)
+    no = np.empty(0, np.int64)
+    if not len(there_rows):
+        return _FieldNames(no, owner, p, magnitude, no, np.empty((0, 2)))
+    elements = every.some(there_rows)
     times = np.unique(seen.mjd_utc[found.members[found.members >= 0]])
     place = None if site is None else geocentric_km(*site, times)
-    there = ephemeris(elements, times, place)
+    start = None if state is None else (middle, state[:, :, there_rows])
+    there = ephemeris(elements, times, place, start=start)
     at = _plane(there.ra_deg, there.dec_deg, ra0, dec0)  # (objects, times, 2)
     measured, spread = _records_of(found, ra0, dec0, times)
     predicted = np.empty((k, len(elements), 4))
@@ -130,7 +202,9 @@ def name_movers(
         observed = _plane(seen.ra_deg[rows], seen.dec_deg[rows], ra0, dec0)
         offset[rows] = observed - at[known, which]
         magnitude[row] = float(there.magnitude[known, which].mean())
-    return KnownObjects(elements, owner, p, offset, magnitude)
+    known = np.flatnonzero(np.isfinite(offset).all(axis=1))
+    owner[owner >= 0] = there_rows[owner[owner >= 0]]
+    return _FieldNames(there_rows, owner, p, magnitude, known, offset[known])
 
 
 def _records_of(found: Movers, ra0: float, dec0: float, times: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -9,6 +9,7 @@ integrated together.
 from __future__ import annotations
 
 import atexit
+import itertools
 import json
 import math
 import warnings
@@ -267,11 +268,36 @@ class Ephemeris:
     sigma_arcsec: FloatArray
 
 
-def ephemeris(elements: Elements, mjd_utc: FloatArray, observer_km: FloatArray | None = None) -> Ephemeris:
+def states(elements: Elements, mjd_utc: float) -> FloatArray:
+    """(2, 3, n) heliocentric places, au, and velocities, au/day, of the objects at a time, on ICRS axes."""
+    from astropy.time import Time
+
+    planets = _planets()
+    planets.check(np.array([mjd_utc]))
+    middle = float(Time(mjd_utc, format="mjd", scale="utc").tdb.mjd)
+    state = np.empty((2, 3, len(elements)))
+    # One way from the oldest epoch on, and one back from the newest: objects join it at their epochs.
+    epochs = np.unique(elements.epoch_mjd)
+    for side in (epochs[epochs <= middle], epochs[epochs > middle][::-1]):
+        rows, at = np.empty(0, np.int64), np.empty((2, 3, 0))
+        for epoch, after in itertools.pairwise([*side.tolist(), middle]):
+            joining = np.flatnonzero(elements.epoch_mjd == epoch)
+            rows = np.concatenate([rows, joining])
+            at = np.concatenate([at, _state(elements.some(joining), epoch)], axis=2)
+            at = _integrated(at, epoch, np.array([after]), planets)[..., 0]
+        state[:, :, rows] = at
+    return state
+
+
+def ephemeris(
+    elements: Elements, mjd_utc: FloatArray, observer_km: FloatArray | None = None, *,
+    start: tuple[float, FloatArray] | None = None,
+) -> Ephemeris:  # fmt: skip
     """Where the objects are at some times.
 
     elements : n objects. mjd_utc : (t,) times. observer_km : (t, 3) of the observer from the middle of the Earth on the
-    ICRS axes, as :func:`geocentric_km` gives it; None for the middle of the Earth.
+    ICRS axes, as :func:`geocentric_km` gives it; None for the middle of the Earth. start : a time, UTC, and the
+    :func:`states` then, where they are known.
 
     The error of a place is, where the covariance of the elements is known, what that makes of it: every element is
     moved along the axes of the covariance and integrated too. Else it grows from 0.1″ with the years between the
@@ -287,11 +313,9 @@ def ephemeris(elements: Elements, mjd_utc: FloatArray, observer_km: FloatArray |
     earth = planets.earth(tdb)
     observer = earth + (0.0 if observer_km is None else np.asarray(observer_km).T / AU_KM)
     shape = (len(elements), len(tdb))
-    middle = float(tdb[order[len(order) // 2]])
-    state = np.empty((2, 3, len(elements)))
-    for epoch in np.unique(elements.epoch_mjd):
-        rows = np.flatnonzero(elements.epoch_mjd == epoch)
-        state[:, :, rows] = _integrated(_state(elements.some(rows), epoch), epoch, np.array([middle]), planets)[..., 0]
+    middle_utc, state = start or (float(np.asarray(mjd_utc)[order[len(order) // 2]]), None)
+    state = states(elements, middle_utc) if state is None else state
+    middle = float(Time(middle_utc, format="mjd", scale="utc").tdb.mjd)
     there = np.empty((2, 3, *shape))
     late = tdb >= middle
     for side in (late, ~late):
