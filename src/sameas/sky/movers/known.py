@@ -30,6 +30,8 @@ _DOUBT = 2.0
 _ODDS = 0.5
 #: Tracklets farther apart are named field by field, in cells of so many degrees.
 FIELD_DEG = 4.0
+#: Objects whose elements are older name nothing: they were lost, and could be anywhere.
+OLDEST_YEARS = 20.0
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,7 @@ def name_movers(
 
     found : the tracklets. elements : of known objects. site : latitude, longitude (degrees, east positive) and height
     (metres) of the observer; None for the middle of the Earth, which costs the main belt up to 8″.
-    least_probability : a name is given from this probability on.
+    least_probability : a name is given from this probability on. Elements older than twenty years are left out.
 
     Example
     -------
@@ -93,6 +95,7 @@ def name_movers(
     unit = seen.axes().unit
     fields = _fields(unit[found.members[:, 0]])
     middle = float(np.median(seen.mjd_utc))
+    elements = elements.some(np.flatnonzero(np.abs(elements.epoch_mjd - middle) < 365.25 * OLDEST_YEARS))
     # Of several fields all orbits are followed to the night at once; from there it is hours.
     state = states(elements, middle) if len(fields) > 1 else None
     there = np.zeros(len(elements), bool)
