@@ -377,6 +377,8 @@ def test_a_plate_of_1951_is_identified_with_gaia() -> None:
     fast = np.flatnonzero((moved > 1.9) & found.inside)
     lost = np.setdiff1d(fast, found.pairs[1])
     assert len(fast) == 34 and len(lost) <= 5 and int(np.argmax(np.where(found.inside, moved, 0))) in found.pairs[1]
+    # A saturated star has no magnitude to the hundredth, but it is none of those that are a hundred times fainter.
+    assert np.nanmin(found.excess_mag) > -4.0 and len(found.odd_brightness) <= 55
     table = listing(found)
     told = table[np.isin(np.ma.filled(table["star"], 0), found.stars.ids[lost])]
     assert len(told) == len(lost) and all(told["remark"])

@@ -528,30 +528,36 @@ class _ShareRegression:
         values = self.before.whole.copy() if known and self.before else np.zeros(design.shape[1])
         folds = [np.flatnonzero(self.fold == fold) for fold in range(self.tuning.folds)]
         for _ in range(self.tuning.steps if known else self.tuning.first_steps):
-            step = _newton(*self._derivatives(design, values, slice(None)), bases.penalty(self.tuning, values), values)
+            penalty = bases.penalty(self.tuning, values)
+            slope, curvature = self._derivatives(design, values, slice(None))
+            if not _rises(curvature + penalty):
+                # Not concave there: as if partners were sure, an EM step.
+                slope, curvature = self._derivatives(design, values, slice(None), sure=True)
+            step = np.linalg.solve(curvature + penalty, slope - penalty @ values)
             step *= min(1.0, self.tuning.longest / max(float(np.abs(step).max(initial=0.0)), 1e-12))
             values = values + step
             if np.abs(step).max(initial=0.0) < self.tuning.done:
                 break
         parts, penalty = [self._derivatives(design[k], values, k) for k in folds], bases.penalty(self.tuning, values)
-        every = [np.sum(part, axis=0) for part in zip(*parts, strict=True)]
+        slope, curvature = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
+        if not all(_rises(curvature - own + penalty) for _, own in parts):
+            parts = [self._derivatives(design[k], values, k, sure=True) for k in folds]
+            slope, curvature = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
         without = [
-            values + _newton(*(all_of - own for all_of, own in zip(every, part, strict=True)), penalty, values)
-            for part in parts
+            values + np.linalg.solve(curvature - own + penalty, slope - mine - penalty @ values) for mine, own in parts
         ]
         return _Fit(bases, np.array(without), values, self.tuning.farthest)
 
     def _derivatives(
-        self, design: FloatArray, values: FloatArray, rows: IntArray | slice
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        self, design: FloatArray, values: FloatArray, rows: IntArray | slice, *, sure: bool = False
+    ) -> tuple[FloatArray, FloatArray]:
         """Of ln of the likelihood of some records, Σ ln [q r + 1 − q] − ln [π r + 1 − π] (see ``gain``): its slope
-        (P,), minus its curvature (P, P), and the part of that which does not come of not being sure of partners."""
+        (P,) and minus its curvature (P, P), that of ``sure`` partners where this is asked for."""
         log_ratio, offset, weight = design @ values, self.offset[rows], self.weight[rows]
         share = _probability(offset + log_ratio)
         p = np.where(self.p[rows] > 0.0, _probability(self.others[rows] + log_ratio), 0.0)
-        unsure = (design * (weight * p * (1.0 - p))[:, None]).T @ design
-        complete = (design * (weight * share * (1.0 - share))[:, None]).T @ design
-        return design.T @ (weight * (p - share)), complete - unsure, complete
+        bend = share * (1.0 - share) - (0.0 if sure else p * (1.0 - p))
+        return design.T @ (weight * (p - share)), (design * (weight * bend)[:, None]).T @ design
 
     @cached_property
     def others(self) -> FloatArray:
@@ -603,16 +609,13 @@ def _probability(logits: FloatArray) -> FloatArray:
     return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logits, -40.0, 40.0))))
 
 
-def _newton(
-    slope: FloatArray, curvature: FloatArray, complete: FloatArray, penalty: FloatArray, values: FloatArray
-) -> FloatArray:
-    """(P,) the step to the maximum; as if partners were sure, an EM step, where the likelihood is not concave."""
-    downhill = slope - penalty @ values
+def _rises(curvature: FloatArray) -> bool:
+    """Whether a symmetric matrix is positive definite."""
     try:
-        np.linalg.cholesky(curvature + penalty)
+        np.linalg.cholesky(curvature)
     except np.linalg.LinAlgError:
-        curvature = complete
-    return np.asarray(np.linalg.solve(curvature + penalty, downhill))
+        return False
+    return True
 
 
 # ---- related columns ----

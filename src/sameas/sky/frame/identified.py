@@ -52,12 +52,14 @@ class RefinementTuning:
     margin_px : stars predicted outside the frame by less than this may be measured on its edge.
     least_p_pair : pairs less probable than this are not used for the plate.
     pairs_beyond_linear : the first plate may be of higher order than linear with more pairs than this.
+    saturated_mag : standard error of the magnitude of a saturated star, which loses some light, but not nearly all.
     least_p_detect : stars that the frame shows with less than this probability are no candidates.
     plate, photometry : numbers of the two fits.
     """
 
     margin_px: float = 2.0
     least_p_pair: float = 0.02
+    saturated_mag: float = 0.5
     pairs_beyond_linear: int = 30
     least_p_detect: float = 0.01
     plate: PlateTuning = field(default_factory=PlateTuning)
@@ -227,7 +229,7 @@ def identify_frame(
     for iteration in range(1, refinement.iterations + 1):
         candidate = _candidates(px, stars, measured, faintest, tuning.margin_px)
         # By the first plate brightness would confirm wrong pairs as well as right ones.
-        bright = None if iteration == 1 or refinement.magnitudes == "off" else _brightness(measured, stars)
+        bright = None if iteration == 1 or refinement.magnitudes == "off" else _brightness(measured, stars, tuning)
         result, estimate = match(records, _records(px, covariance, candidate, stars), brightness=bright)
         completeness = _completeness(px, stars, result, measured, tuning)
         if completeness is not None:
@@ -318,17 +320,23 @@ def _records(px: FloatArray, covariance: FloatArray, candidate: BoolArray, stars
     return Records(px[rows], covariance[rows], rows, stars.ids, source=stars.name)
 
 
-def _brightness(measured: Measurements, stars: StarField) -> tuple[Magnitudes, Magnitudes] | None:
+def _brightness(
+    measured: Measurements, stars: StarField, tuning: RefinementTuning
+) -> tuple[Magnitudes, Magnitudes] | None:
     """Instrumental magnitudes and those of the stars; None where the catalogue has none.
 
-    Saturated measurements, cut ones and those that have no star's shape get no magnitude.
+    Cut measurements and those that have no star's shape get no magnitude. Saturated ones keep theirs with a wide error, so
+    that none is a star of a hundredth of its light.
     """
     if not np.isfinite(stars.magnitude).any():
         return None
-    usable = measured.clean(Flag.BLENDED) & (measured.flux > 0.0)
+    usable = measured.clean(Flag.BLENDED | Flag.SATURATED) & (measured.flux > 0.0)
     flux = np.where(usable, measured.flux, np.nan)
-    instrumental = Magnitudes(-2.5 * np.log10(flux), POGSON * measured.flux_err / flux, ("instrumental",))
-    return instrumental, Magnitudes(stars.magnitude, names=("catalogue",))
+    lost = np.where((measured.flags & Flag.SATURATED) != 0, tuning.saturated_mag, 0.0)
+    error = np.hypot(POGSON * measured.flux_err / flux, lost)
+    return Magnitudes(-2.5 * np.log10(flux), error, ("instrumental",)), Magnitudes(
+        stars.magnitude, names=("catalogue",)
+    )
 
 
 def _completeness(
