@@ -325,8 +325,8 @@ def _brightness(
 ) -> tuple[Magnitudes, Magnitudes] | None:
     """Instrumental magnitudes and those of the stars; None where the catalogue has none.
 
-    Cut measurements and those that have no star's shape get no magnitude. Saturated ones keep theirs with a wide error, so
-    that none is a star of a hundredth of its light.
+    Cut measurements and those that have no star's shape get no magnitude. Saturated ones keep theirs with a wide error:
+    none is a star of a hundredth of its light.
     """
     if not np.isfinite(stars.magnitude).any():
         return None
