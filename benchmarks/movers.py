@@ -338,7 +338,7 @@ def main() -> None:
         )  # fmt: skip
     if named:
         columns = ("night", "tracklets", "named right", "named wrong", "others named", "CPU s")
-        whole = ("all", *(sum(row[k] for row in named) for k in range(1, 6)))
+        whole = ("all", *np.array([row[1:] for row in named], float).sum(axis=0).round(1).tolist())
         note = "tracklets: of one object whose elements are given; others: of objects without, or of several"
         tables_.append(Table("Known objects: names of tracklets", columns, [*named, whole], (note,)))
     report("movers", tables_)
