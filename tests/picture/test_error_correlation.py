@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 from modelled_scenes import describe, straight, told
 
-from sameas.picture import Past
+from sameas.picture import Past, Watch
 from sameas.picture.scan import Scan
-from sameas.picture.tuning import Tuning
 from sameas.tracks.scene import Scene
 
 
 def learned(tau_s, kind="tracks", seed=1, looks=25, every_s=10.0, given=None):
-    """ρ at the looks' interval, as learned of 40 tracks whose errors last for tau_s."""
+    """The correlation of errors at the looks' interval, as learned of 40 tracks whose errors last for tau_s."""
     rng = np.random.default_rng(seed)
     times = np.arange(looks) * every_s
     x, v = straight(rng.uniform(-9e3, 9e3, (40, 2)), 4.0 * rng.standard_normal((40, 2)), times)
@@ -19,7 +18,7 @@ def learned(tau_s, kind="tracks", seed=1, looks=25, every_s=10.0, given=None):
     past = Past(correlation_s=given or {})
     for time_s in times:
         past = past.on(Scan.of(scene.at(time_s)))
-    return float(past.tracks.error_correlation.rho(np.zeros(1, np.int64), np.array([every_s]))[0])
+    return float(past.tracks.error_correlation.correlation(np.zeros(1, np.int64), np.array([every_s]))[0])
 
 
 @pytest.mark.slow
@@ -40,5 +39,25 @@ def test_before_any_look_the_kind_decides():
     x, v = straight([[0.0, 0.0]], [[4.0, 0.0]], np.zeros(1))
     scene = Scene.of([told(rng, describe(name, name), np.zeros(1), x, v, 0.0, ["7"]) for name in ("ais", "air radar")])
     lasting = Past().on(Scan.of(scene.at(0.0))).tracks.error_correlation
-    ais, radar = (lasting.rho(np.array([lasting.names.index(n)]), np.array([10.0]))[0] for n in ("ais", "air radar"))
-    assert lasting.log_probable.shape == (2, len(Tuning().correlation_s)) and ais > 0.75 and radar < ais - 0.2
+    ais, radar = (
+        lasting.correlation(np.array([lasting.names.index(n)]), np.array([10.0]))[0] for n in ("ais", "air radar")
+    )
+    assert ais > 0.8 and radar < ais - 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
+def test_what_lasts_is_found_from_pairs_that_are_sure(share):
+    rng = np.random.default_rng(3)
+    times = np.arange(25) * 10.0
+    x, v = straight(rng.uniform(-9e3, 9e3, (60, 2)), 4.0 * rng.standard_normal((60, 2)), times)
+    names, sources = [str(k) for k in range(60)], []
+    for name in ("one", "two"):
+        lasting = 20.0 * np.sqrt(share) * rng.standard_normal((60, 1, 2))
+        _, reports = told(rng, describe(name, "tracks", 20.0 * np.sqrt(1.0 - share)), times, x + lasting, v, 0.0, names)
+        sources.append((describe(name, "tracks"), reports))
+    watch = Watch()
+    for time_s in times:
+        watch = watch.advance(Scene.of(sources).at(time_s)).watch
+    found = watch.past.tracks.error_correlation.lasting(np.arange(2))
+    assert np.abs(found - share).max() < 0.15

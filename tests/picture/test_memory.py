@@ -13,8 +13,11 @@ from sameas.picture import Past
 from sameas.picture.memory import Memory
 from sameas.picture.scan import Scan
 from sameas.picture.track_pairs import TrackPairs
+from sameas.picture.tuning import Tuning
 from sameas.records import Records
+from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
+from sameas.tracks.source import Description, Motion, SensorErrors, Timing
 
 
 def couples_apart(seed, tau_s, n=300, box_m=600.0, looks=30):
@@ -46,7 +49,8 @@ def _all_pairs(scan, number):
     a = np.arange(n)
     b = n + np.argsort(scan.track[n:].astype(int))[scan.track[:n].astype(int)]
     delta, spread = scan.state[a, :2] - scan.state[b, :2], scan.covariance[:, :2, :2]
-    return TrackPairs().with_(TrackPairs.of(number[a], number[b], delta, spread[a], spread[b]))
+    none = np.zeros_like(spread[a])
+    return TrackPairs().with_(TrackPairs.of(number[a], number[b], delta, (spread[a], spread[b]), (none, none)))
 
 
 def log_loss(log_odds, same):
@@ -150,3 +154,70 @@ def test_what_cannot_be_is_refused():
     scene, _ = two_meet(1, 200.0)
     with pytest.raises(InputError, match="instants in the order of time"):
         Past().on(Scan.of(scene.at(20.0))).on(Scan.of(scene.at(10.0)))
+
+
+def two_tracks(seed, same, looks=6, every_s=10.0, sigma=(20.0, 8.0)):
+    """Positions (2, looks, 2) of two tracks of moored objects, with errors of which half lasts, and each one's R."""
+    rng = np.random.default_rng(seed)
+    d = np.zeros(2) if same else rng.normal(0.0, 30.0, 2)
+    lasting = np.sqrt(0.5) * rng.standard_normal((2, 1, 2))
+    x = np.asarray(sigma)[:, None, None] * (lasting + np.sqrt(0.5) * rng.standard_normal((2, looks, 2)))
+    x[1] += d
+    return x
+
+
+def brute_force(x, sigma, rho, together):
+    """ln p of all reports but for a constant: both objects at one unknown place (or d apart)."""
+    looks = x.shape[1]
+    e = np.arange(looks)
+    blocks = [s**2 * (0.5 + 0.5 * rho ** np.abs(e[:, None] - e)) for s in sigma]
+    covariance = np.zeros((2 * looks, 2 * looks))
+    covariance[:looks, :looks], covariance[looks:, looks:] = blocks
+    wide = 1e5**2
+    covariance += wide
+    if not together:
+        covariance[looks:, looks:] += wide
+    values = x.reshape(2 * looks, 2)
+    return -0.5 * (
+        np.einsum("ka,kl,la->", values, np.linalg.inv(covariance), values)
+        + 2 * np.linalg.slogdet(covariance)[1]
+        + 2 * 2 * looks * np.log(2.0 * np.pi)
+    )
+
+
+@pytest.mark.parametrize("tau_s", [0.0, 15.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_evidence_of_a_pair_is_the_joint_density_of_all_its_reports(seed, tau_s):
+    sigma, times = (20.0, 8.0), np.arange(6) * 10.0
+    x = two_tracks(seed, same=seed % 2 == 0)
+    still = Motion(1e-12, 1e-3)
+    errors = [SensorErrors(position_m=s, speed_m_per_s=1e-6, course_deg=1e-3, extent_m=0.0) for s in sigma]
+    sources = []
+    for name, own, error in zip(("one", "two"), x, errors, strict=True):
+        columns = {
+            "time_s": times,
+            "x_m": own[:, 0],
+            "y_m": own[:, 1],
+            "vx_m_per_s": 0 * times,
+            "vy_m_per_s": 0 * times,
+        }
+        described = Description(name, "tracks", motion=still, errors=error, timing=Timing(10.0, 0.0, 0.0))
+        sources.append((described, Reports.of(name, "table", columns | {"track_id": ["7"] * len(times)})))
+    # A half surely lasts, τ is surely tau_s, convoys are certain, and nobody swaps.
+    tuning = Tuning(lasting_shares=(0.5,), correlation_s=(tau_s,), convoy_log_odds=1e9)
+    scene, past = Scene.of(sources), Past(reassigned=1e-300)
+    for time_s in times:
+        scan = Scan.of(scene.at(time_s), tuning)
+        past = past.on(scan)
+        if time_s == 0.0:
+            state, covariance, lasting = scan.state[:, :2], scan.covariance[:, :2, :2], past.tracks.lasting
+            fresh = TrackPairs.of(
+                past.tracks.track_of_record[:1], past.tracks.track_of_record[1:], (state[:1] - state[1:]),
+                (covariance[:1], covariance[1:]), (lasting[:1], lasting[1:]),
+            )  # fmt: skip
+            past = replace(past, track_pairs=replace(fresh, log_convoy=np.array([1e9])))
+    rho = np.exp(-10.0 / tau_s) if tau_s else 0.0
+    # Of any distance, an area of (1e5 m)²: the density of a pair is per m² of it.
+    due = brute_force(x, sigma, rho, True) - brute_force(x, sigma, rho, False) - np.log(2.0 * np.pi * 1e10)
+    pairs = past.track_pairs
+    assert pairs.log_ratio[0] + pairs.at_scan[0] == pytest.approx(due, abs=1e-3)

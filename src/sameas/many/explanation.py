@@ -225,6 +225,8 @@ def _lines(x: ObjectExplanation) -> list[str]:
     if other.probability > chosen.probability:
         why = x.stays or "the answer is the most probable for all records together"
         lines += ["", f"By itself {other} is more probable; {why}."]
+    elif x.stays:
+        lines += ["", f"For all records together another answer is more probable; {x.stays}."]
     total = chosen.log_odds - other.log_odds
     lines += ["", f"Against the runner-up, {other}: log-odds {total:+.2f}, of which {_in_words(x.against_runner_up)}."]
     if other.taken:

@@ -11,18 +11,25 @@ them. Most objects move far less, so κ is one of ``motion_shares``, each as pro
 probability of each τ (``correlation_s``). The prior of ln(τ + 1 s) is normal about that of the source's kind
 (:data:`CORRELATION_S`) with ``correlation_sigma``; after some dozens of reports the data dominate.
 
-Source: autocorrelated errors of tracks as in Bar-Shalom, Li and Kirubarajan 2001, section 8.
+A share s of the variance of a source's errors is *lasting*: the antenna's place on the hull, the rest of a bias. Such
+an error is one vector z ~ N(0, 1) for all reports of a track, e = √s L z + f, and only f is forgotten after τ: ρ above
+is s + (1 − s) exp(−Δt/τ). A track alone cannot tell an error that lasts from a place, so s is estimated from pairs of
+tracks that are surely one object: of their positions' differences δ and δ′ some time apart,
+
+    δ′ ~ N(M δ, S − M S Mᵀ),   M = C S⁻¹,   S = P_a + P_b,   C = Σ_{a,b} [s + (1 − s) exp(−Δt/τ)] R.
+
+Source: autocorrelated errors of tracks as in Bar-Shalom, Li and Kirubarajan 2001, section 8; METHOD 11.4.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
-from sameas.gaussian import Gaussian, log_density, mahalanobis_sq, propagated
+from sameas.gaussian import Gaussian, inverse, log_density, mahalanobis_sq, propagated
 from sameas.picture.scan import Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 
@@ -31,18 +38,16 @@ LEAST_M2 = 1e-6
 
 
 def error_update(
-    mean: FloatArray, covariance: FloatArray, transition: FloatArray, noise: FloatArray, shift: FloatArray
+    mean: FloatArray, covariance: FloatArray, slope: FloatArray, noise: FloatArray, shift: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Mean and covariance of e′ after a report that moved a track by ν, ln p(ν), and χ² of ν.
+    """Mean and covariance of x by ν = H x + n, ln p(ν), and χ² of ν.
 
-    mean, shift : (k, 2). covariance, transition, noise : (k, 2, 2) covariance of e before, G, and the covariance of n.
+    mean, covariance : (k, d), (k, d, d) of x, errors and what lasts of them, before a report that moved a track by ν.
+    slope, noise : (k, 2, d), (k, 2, 2) H and the covariance of n. shift : (k, 2) ν.
     """
-    slope = transition - np.eye(2)
     total = propagated(slope, covariance) + noise + LEAST_M2 * np.eye(2)
-    cross = transition @ covariance @ slope.transpose(0, 2, 1) + noise
     surprise = shift - np.einsum("kvw,kw->kv", slope, mean)
-    before = Gaussian(np.einsum("kvw,kw->kv", transition, mean), propagated(transition, covariance) + noise)
-    after = before.conditional(cross, surprise, total)
+    after = Gaussian(mean, covariance).conditional(covariance @ slope.transpose(0, 2, 1), surprise, total)
     return after.mean, after.covariance, log_density(surprise, total), mahalanobis_sq(surprise, total)
 
 
@@ -67,16 +72,21 @@ CORRELATION_S: Mapping[str, float] = {
 }
 
 
+#: Correlations of two reports at which likelihoods are computed; between them they are interpolated.
+CORRELATIONS = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 1.0])
+
+
 @dataclass(frozen=True)
 class ErrorCorrelation:
     """The correlation times of the errors of sources.
 
-    names : of the sources so far. log_probable : (s, τ) ln of the probability of each τ, up to a constant.
-    fixed_s : τ that the user gives, by name; these are not estimated.
+    names : of the sources so far. log_probable : (S, s, τ) ln of the probability of each lasting share and each τ, up
+    to a constant.
+    fixed_s : τ that the user gives, by name; these are not estimated, and nothing of such errors lasts.
     """
 
     names: tuple[str, ...] = ()
-    log_probable: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    log_probable: FloatArray = field(default_factory=lambda: np.empty((0, 0, 0)))
     fixed_s: Mapping[str, float] = field(default_factory=dict)
 
     def of_sources(self, scan: Scan) -> ErrorCorrelation:
@@ -87,24 +97,40 @@ class ErrorCorrelation:
         kind_s = np.array([CORRELATION_S[description.kind] for description in new], np.float64)
         away = np.log(np.array(scan.tuning.correlation_s) + 1.0) - np.log(kind_s[:, None] + 1.0)
         prior = -0.5 * (away / scan.tuning.correlation_sigma) ** 2
-        log_probable = np.vstack([self.log_probable, prior]) if self.names else prior
+        prior = np.repeat(prior[:, None], len(scan.tuning.lasting_shares), axis=1)
+        log_probable = np.concatenate([self.log_probable, prior]) if self.names else prior
         return ErrorCorrelation((*self.names, *(description.name for description in new)), log_probable, self.fixed_s)
 
     def numbers(self, scan: Scan) -> IntArray:
         """(S,) the place in ``names`` of each source of a scan."""
         return np.array([self.names.index(d.name) for d in scan.now.descriptions], dtype=np.int64)
 
-    def rho(self, source: IntArray, elapsed_s: FloatArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
-        """(n,) mean ρ of two reports of tracks of the sources, ``elapsed_s`` apart."""
-        weight = np.exp(self.log_probable - self.log_probable.max(axis=1, initial=-np.inf, keepdims=True))
-        rho_mean = np.einsum(
-            "nt,nt->n",
-            (weight / weight.sum(axis=1, keepdims=True))[source],
-            _rho(elapsed_s, np.array(tuning.correlation_s)),
-        )
-        fixed_s = np.array([self.fixed_s.get(name, np.nan) for name in self.names])[source]
-        rho_fixed = _rho(elapsed_s, np.nan_to_num(fixed_s)[:, None])[:, 0]
-        return np.where(np.isfinite(fixed_s), rho_fixed, rho_mean)
+    def lasting(self, source: IntArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
+        """(n,) mean s of tracks of the sources."""
+        mean = np.einsum("nst,s->n", self._weights, np.array(tuning.lasting_shares))
+        return np.where(np.isfinite(self._fixed_s), 0.0, mean)[source]
+
+    def correlation(self, source: IntArray, elapsed_s: FloatArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
+        """(n,) mean correlation s + (1 − s) exp(−Δt/τ) of two reports of tracks of the sources, ``elapsed_s`` apart."""
+        return self.lasting(source, tuning) + self.forgotten(source, elapsed_s, tuning)
+
+    def forgotten(self, source: IntArray, elapsed_s: FloatArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
+        """(n,) the part of it that is not lasting, mean (1 − s) exp(−Δt/τ)."""
+        of_tau = np.einsum("nst,s->nt", self._weights, 1.0 - np.array(tuning.lasting_shares))
+        mean = np.einsum("nt,nt->n", of_tau[source], _rho(elapsed_s, np.array(tuning.correlation_s)))
+        fixed_s = self._fixed_s[source]
+        return np.where(np.isfinite(fixed_s), _rho(elapsed_s, np.nan_to_num(fixed_s)[:, None])[:, 0], mean)
+
+    @property
+    def _weights(self) -> FloatArray:
+        """(S, s, τ) probabilities."""
+        weight = np.exp(self.log_probable - self.log_probable.max(axis=(1, 2), initial=-np.inf, keepdims=True))
+        return np.asarray(weight / weight.sum(axis=(1, 2), keepdims=True))
+
+    @property
+    def _fixed_s(self) -> FloatArray:
+        """(S,) τ that the user gives, NaN for others."""
+        return np.array([self.fixed_s.get(name, np.nan) for name in self.names], np.float64)
 
     def updated(
         self,
@@ -125,14 +151,56 @@ class ErrorCorrelation:
         steady = mahalanobis_sq(shift, errors[0] + motion) <= tuning.manoeuvre_chi_sq
         source, elapsed_s, shift, motion = source[steady], elapsed_s[steady], shift[steady], motion[steady]
         both, shared = errors[0][steady], (errors[1] + errors[1].transpose(0, 2, 1))[steady]
+        log_p = np.empty((len(source), len(CORRELATIONS)))
+        for k, correlation in enumerate(CORRELATIONS.tolist()):
+            covariance = both - correlation * shared + LEAST_M2 * np.eye(2)
+            densities = [log_density(shift, covariance + share * motion) for share in tuning.motion_shares]
+            log_p[:, k] = np.logaddexp.reduce(densities)
+        return self._with_evidence(source, elapsed_s, log_p, tuning)
+
+    def with_sure_pairs(
+        self,
+        sources: tuple[IntArray, IntArray],
+        elapsed_s: FloatArray,
+        differences: tuple[FloatArray, FloatArray],
+        reported: tuple[FloatArray, FloatArray],
+        total: FloatArray,
+        tuning: Tuning = DEFAULT_TUNING,
+    ) -> ErrorCorrelation:
+        """After pairs of tracks that are surely one object have been compared with what they were some time ago.
+
+        Parameters
+        ----------
+        sources : of both tracks, (n,) each. elapsed_s : (n,) Δt. differences : δ and δ′, (n, 2) each.
+        reported : R of both, (n, 2, 2) each. total : (n, 2, 2) S.
+        """
+        out, spread = self, inverse(total)
+        usual = [self.correlation(source, elapsed_s, tuning)[:, None, None] for source in sources]
+        for own, other in ((0, 1), (1, 0)):
+            log_p = np.empty((len(elapsed_s), len(CORRELATIONS)))
+            for k, correlation in enumerate(CORRELATIONS.tolist()):
+                common = correlation * reported[own] + usual[other] * reported[other]
+                slope = common @ spread
+                innovation = differences[1] - np.einsum("nvw,nw->nv", slope, differences[0])
+                log_p[:, k] = log_density(innovation, total - slope @ common.transpose(0, 2, 1) + LEAST_M2 * np.eye(2))
+            out = out._with_evidence(sources[own], elapsed_s, log_p, tuning)
+        return out
+
+    def _with_evidence(
+        self, source: IntArray, elapsed_s: FloatArray, log_p: FloatArray, tuning: Tuning
+    ) -> ErrorCorrelation:
+        """After n independent values of which ln p is given for each of :data:`CORRELATIONS`, (n, k)."""
         log_probable = self.log_probable.copy()
-        for k, rho in enumerate(_rho(elapsed_s, np.array(tuning.correlation_s)).T):
-            covariance = both - rho[:, None, None] * shared + LEAST_M2 * np.eye(2)
-            log_p = np.logaddexp.reduce(
-                [log_density(shift, covariance + share * motion) for share in tuning.motion_shares]
-            )
-            log_probable[:, k] += np.bincount(source, log_p, len(self.names))
-        return ErrorCorrelation(self.names, log_probable, self.fixed_s)
+        rho = _rho(elapsed_s, np.array(tuning.correlation_s))
+        row = np.arange(len(source))[:, None]
+        for k, share in enumerate(tuning.lasting_shares):
+            correlation = share + (1.0 - share) * rho
+            above = np.clip(np.searchsorted(CORRELATIONS, correlation), 1, len(CORRELATIONS) - 1)
+            low, high = CORRELATIONS[above - 1], CORRELATIONS[above]
+            weight = np.clip((correlation - low) / (high - low), 0.0, 1.0)
+            between = (1.0 - weight) * log_p[row, above - 1] + weight * log_p[row, above]
+            np.add.at(log_probable[:, k], source, between)
+        return replace(self, log_probable=log_probable)
 
 
 def _rho(elapsed_s: FloatArray, tau_s: FloatArray) -> FloatArray:

@@ -30,7 +30,7 @@ from sameas.many.pooled import PooledRecords
 from sameas.picture.named import NamedTracks, places_in
 from sameas.picture.scan import Scan
 from sameas.picture.track_existence import TrackExistence
-from sameas.picture.track_pairs import Rivals, TrackPairs, keys, with_manoeuvres
+from sameas.picture.track_pairs import Rivals, SwapRates, TrackPairs, keys, with_manoeuvres
 from sameas.picture.tuning import DEFAULT_TUNING
 from sameas.representation import in_short
 
@@ -89,7 +89,7 @@ class Past:
     ----------
     reassigned : ε of the module. correlation_s : by name of source the correlation time of its errors, where it is not
         to be estimated (:mod:`sameas.picture.error_correlation`); 0 where the errors of all reports are independent.
-    tracks, existence, track_pairs : filled in from instant to instant.
+    tracks, existence, track_pairs, swaps : filled in from instant to instant.
     """
 
     reassigned: float = REASSIGNED
@@ -97,6 +97,7 @@ class Past:
     tracks: NamedTracks = field(default_factory=NamedTracks)
     existence: TrackExistence = field(default_factory=TrackExistence)
     track_pairs: TrackPairs = field(default_factory=TrackPairs)
+    swaps: SwapRates = field(default_factory=SwapRates)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.reassigned < 0.5:
@@ -116,8 +117,14 @@ class Past:
             )
         correlation = replace(self.tracks.error_correlation, fixed_s=self.correlation_s)
         tracks, step = replace(self.tracks, error_correlation=correlation).on(scan)
-        track_pairs = self.track_pairs.stepped(step, self.reassigned, scan.tuning)
-        return replace(self, tracks=tracks, track_pairs=track_pairs, existence=self.existence.on(tracks))
+        kind = {description.name: description.kind for description in scan.now.descriptions}
+        known = len(self.swaps.log_probable)
+        swaps = self.swaps.of_sources(
+            ["" if k < known else kind[name] for k, name in enumerate(tracks.error_correlation.names)], scan.tuning
+        )
+        track_pairs, swaps = self.track_pairs.stepped(step, self.reassigned, swaps, scan.tuning)
+        existence = self.existence.on(tracks)
+        return replace(self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence)
 
     def rule(self) -> Memory:
         """The rule of the past at the instant."""
@@ -166,5 +173,38 @@ class Past:
         new = ~self.track_pairs.has(track[a], track[b])
         a, b = a[new], b[new]
         delta, covariance = scan.state[a, :2] - scan.state[b, :2], scan.covariance[:, :2, :2]
-        fresh = TrackPairs.of(track[a], track[b], delta, covariance[a], covariance[b])
+        lasting = self.tracks.lasting
+        fresh = TrackPairs.of(track[a], track[b], delta, (covariance[a], covariance[b]), (lasting[a], lasting[b]))
         return replace(self, track_pairs=self.track_pairs.with_(fresh))
+
+    def with_sure(self, members: IntArray, probability: FloatArray) -> Past:
+        """The same after objects of the instant, (n, S) places in the scan and their probabilities: what surely is one
+        object shows how long errors last."""
+        tracks, scan = self.tracks, self.tracks.scan
+        if scan is None or not len(members):
+            return self
+        sure = members[probability >= scan.tuning.sure_pair]
+        one, two = np.triu_indices(sure.shape[1], 1)
+        places = np.stack([sure[:, one].ravel(), sure[:, two].ravel()], axis=1)
+        places = places[(places >= 0).all(axis=1)]
+        places = places[scan.placed[places].all(axis=1) & (tracks.track_of_record[places] >= 0).all(axis=1)]
+        places = np.take_along_axis(places, np.argsort(tracks.track_of_record[places], axis=1), axis=1)
+        number = tracks.track_of_record[places]
+        at = places_in(keys(self.track_pairs.first, self.track_pairs.second), keys(number[:, 0], number[:, 1]))
+        at, places = at[at >= 0], places[at >= 0]
+        elapsed = scan.now.instant_s - self.track_pairs.anchor_s[at]
+        delta = scan.state[places[:, 0], :2] - scan.state[places[:, 1], :2]
+        due = (elapsed >= scan.tuning.lasting_s) & self.track_pairs.anchor_new[at].all(axis=1)
+        a, b = places[due].T
+        correlation = tracks.error_correlation
+        number_of = correlation.numbers(scan)[scan.source]
+        correlation = correlation.with_sure_pairs(
+            (number_of[a], number_of[b]), elapsed[due], (self.track_pairs.anchor[at[due]], delta[due]),
+            (scan.reported_covariance[a, :2, :2], scan.reported_covariance[b, :2, :2]),
+            scan.covariance[a, :2, :2] + scan.covariance[b, :2, :2], scan.tuning,
+        )  # fmt: skip
+        begin = due | np.isnan(elapsed)
+        return replace(
+            self, tracks=replace(tracks, error_correlation=correlation),
+            track_pairs=self.track_pairs.anchored(at[begin], scan.now.instant_s, delta[begin]),
+        )  # fmt: skip

@@ -6,12 +6,13 @@ place on the hull. With e the error of a track's position, R its covariance at a
 to the instant,
 
     between reports         e′ = e + n,    n ~ N(0, P′ − P), the growth by the track's motion;
-    at a new report         e′ = G e + n,  G = Cᵀ P⁻¹,  n ~ N(0, P′ − G C),  C = ρ L L′ᵀ,  ρ = exp(−Δt/τ),
+    e = B z + f,  B = √s L,  z ~ N(0, 1) of the track, which lasts;
+    at a new report         f′ = G f + n,  G = Cᵀ (P − s R)⁻¹,  n ~ N(0, P′ − s R′ − G C),  C = ρ (1 − s) L L′ᵀ,
 
-L and L′ being the roots of R at the two reports, and τ the source's correlation time
+L and L′ being the roots of R at the two reports, s the source's lasting share, ρ = exp(−Δt/τ), τ its correlation time
 (:mod:`sameas.picture.error_correlation`). A report measures e by its distance from the prediction of the last one,
-ν = (G − 1) e + n. A Kalman filter keeps the mean and covariance of e by all reports of the track;
-:func:`sameas.picture.error_correlation.error_update` is one step.
+ν = e′ − e = (G − 1) e + (B′ − G B) z + n. A Kalman filter keeps the mean and covariance of (e, z) by all reports of the
+track; :func:`sameas.picture.error_correlation.error_update` is one step.
 
 A report that is farther from its prediction than one correct report in 10⁹ starts the track anew, without a past: its
 id went to another object, or the object moved as its motion model does not allow.
@@ -42,10 +43,13 @@ class Step(ColumnTable):
 
     last : (m, 2) position at the last instant. moved : (m, 2) the same report, moved to this instant.
     here : (m, 2) position by its present report, with its ``covariance`` P′.
-    drift : (m, 2, 2) by which P grew. transition, noise : G and the covariance of n at this step's report.
-    new_report : whether the track has a new report; without one G is 1 and n is 0. source : number of its source.
+    drift : (m, 2, 2) by which P grew. lasting, reported : (m, 2, 2) B and R of the present report.
+    slope, noise : (m, 2, 4) H and (m, 2, 2) the covariance of n in ν = H (e, z) + n. shift : (m, 2) ν; all are 0
+        without a new report.
+    new_report : whether the track has one. source : number of its source.
+    elapsed_s : seconds between the track's last two reports.
     log_own : ln p of that report by the track's own reports before it, 0 without one.
-    error_mean, error_covariance : of e after it, by the track's own reports.
+    error_mean, error_covariance : of (e, z) after it, by the track's own reports.
     """
 
     number: IntArray
@@ -55,9 +59,13 @@ class Step(ColumnTable):
     here: FloatArray
     covariance: FloatArray
     drift: FloatArray
-    transition: FloatArray
+    lasting: FloatArray
+    reported: FloatArray
+    slope: FloatArray
     noise: FloatArray
+    shift: FloatArray
     new_report: BoolArray
+    elapsed_s: FloatArray
     log_own: FloatArray
     error_mean: FloatArray
     error_covariance: FloatArray
@@ -78,7 +86,8 @@ class NamedTracks:
         of those that are not in the scan of the instant.
     number : (m,) ascending. place : (m,) place of the track's record in the scan of the instant.
     track_of_record : (n,) number of the track of every record of that scan, −1 for records without an id.
-    error_mean, error_covariance : (m, 2), (m, 2, 2) of e, by the track's own reports.
+    error_mean, error_covariance : (m, 4), (m, 4, 4) of (e, z), by the track's own reports.
+    lasting : (n, 2, 2) B of every record of the scan.
     error_correlation : of all sources. source : (m,) place of the track's source among its names.
     """
 
@@ -89,8 +98,9 @@ class NamedTracks:
     number: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     place: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     track_of_record: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    error_mean: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
-    error_covariance: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
+    error_mean: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
+    error_covariance: FloatArray = field(default_factory=lambda: np.empty((0, 4, 4)))
+    lasting: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
     scan: Scan | None = None
     error_correlation: ErrorCorrelation = field(default_factory=ErrorCorrelation)
     source: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
@@ -118,7 +128,9 @@ class NamedTracks:
         is_new = number < 0
         number[is_new] = self.n_numbers + np.arange(np.count_nonzero(is_new))
         track_of_record[place] = number
-        error_mean, error_covariance = np.zeros((len(number), 2)), scan.covariance[place, :2, :2]
+        lasting = _lasting_root(scan, correlation)
+        error_mean = np.zeros((len(number), 4))
+        error_covariance = with_lasting(scan.covariance[place, :2, :2], lasting[place])
         at = step.find(number)
         error_mean[at >= 0], error_covariance[at >= 0] = (
             step.error_mean[at[at >= 0]],
@@ -129,7 +141,7 @@ class NamedTracks:
         by_name, absent = self._names_on(scan, place[is_new], number[is_new], number)
         tracks = NamedTracks(
             now_s, self.n_numbers + int(np.count_nonzero(is_new)), by_name, absent, number[order], place[order],
-            track_of_record, error_mean[order], error_covariance[order], scan, correlation, source[order],
+            track_of_record, error_mean[order], error_covariance[order], lasting, scan, correlation, source[order],
         )  # fmt: skip
         return tracks, step
 
@@ -180,24 +192,46 @@ class NamedTracks:
         correlation = correlation.updated(
             source[k], elapsed[k], shift[k], ((one + other)[k], shared[k]), motion[k], scan.tuning
         )
-        common = correlation.rho(source, elapsed, scan.tuning)[:, None, None] * shared
-        transition = common.transpose(0, 2, 1) @ inverse(old)
-        noise = new - transition @ common
+        share = correlation.lasting(source, scan.tuning)[:, None, None]
+        common = correlation.forgotten(source, elapsed, scan.tuning)[:, None, None] * shared
+        forgetting = common.transpose(0, 2, 1) @ inverse(old - share * one)
+        lasting_before, lasting = (np.sqrt(share) * np.linalg.cholesky(r) for r in (one, other))
+        slope = np.concatenate([forgetting - np.eye(2), lasting - forgetting @ lasting_before], axis=2)
+        noise = new - share * other - forgetting @ common
         drift = growth(old - before.covariance[was, :2, :2])
-        error_mean, error_covariance = self.error_mean[at], self.error_covariance[at] + drift
+        error_mean, error_covariance = self.error_mean[at], self.error_covariance[at].copy()
+        error_covariance[:, :2, :2] += drift
         updated_mean, updated_covariance, log_own, chi_sq = error_update(
-            error_mean, error_covariance, transition, noise, shift
+            error_mean, error_covariance, slope, noise, shift
         )
+        updated_mean[:, :2] += shift
         repeated = ~new_report[:, None, None]
         step = Step(
             number, source, before.state[was, :2], state[:, :2],
             state[:, :2] + np.where(new_report[:, None], shift, 0.0), np.where(repeated, old, new), drift,
-            np.where(repeated, np.eye(2), transition), np.where(repeated, 0.0, noise), new_report,
-            np.where(new_report, log_own, 0.0), np.where(new_report[:, None], updated_mean, error_mean),
+            lasting, other, np.where(repeated, 0.0, slope), np.where(repeated, 0.0, noise),
+            np.where(new_report[:, None], shift, 0.0), new_report,
+            elapsed, np.where(new_report, log_own, 0.0), np.where(new_report[:, None], updated_mean, error_mean),
             np.where(repeated, error_covariance, updated_covariance),
         )  # fmt: skip
         consistent = ~new_report | (chi_sq <= ChiSquare(1.0 - scan.tuning.new_track_probability).limit(2))
         return step.take(np.flatnonzero(consistent)[np.argsort(number[consistent])]), correlation
+
+
+def with_lasting(covariance: FloatArray, lasting: FloatArray) -> FloatArray:
+    """(k, 4, 4) covariance of (e, z) before any other report: of e P (k, 2, 2), of both B (k, 2, 2), of z 1."""
+    return np.asarray(
+        np.block([[covariance, lasting], [lasting.transpose(0, 2, 1), np.broadcast_to(np.eye(2), lasting.shape)]])
+    )
+
+
+def _lasting_root(scan: Scan, correlation: ErrorCorrelation) -> FloatArray:
+    """(n, 2, 2) B = √s L of every record, 0 for directions."""
+    out = np.zeros((len(scan), 2, 2))
+    at = np.flatnonzero(scan.placed)
+    share = correlation.lasting(correlation.numbers(scan)[scan.source[at]], scan.tuning)
+    out[at] = np.sqrt(share)[:, None, None] * np.linalg.cholesky(scan.reported_covariance[at, :2, :2])
+    return out
 
 
 def places_in(ascending: IntArray, numbers: IntArray) -> IntArray:

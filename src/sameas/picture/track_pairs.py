@@ -1,11 +1,20 @@
 """Track pairs: two named tracks, and the evidence of their reports that they are one object.
 
-Every new report of track a or b adds ln p(report | reports of both tracks) − ln p(report | reports of its own track):
-the first holds if they are one object, the second if they are two. If they are one, their positions differ by their
-errors alone, δ = x_a − x_b = e_a − e_b, so the state of a pair is the mean and covariance of e_a, with e_b = e_a − δ;
-errors develop from report to report as in :mod:`sameas.picture.named`. Between reports nothing is added: a repeated
-report is no evidence. Tracks of a convoy are distinguished by their distance only, others by their motion too: both
-follow from the same formula.
+Every new report of track a or b adds ln p(report | one object) − ln p(report | two objects), each given all reports
+before it. If they are one, their positions differ by their errors alone, δ = x_a − x_b = e_a − e_b; errors develop from
+report to report as in :mod:`sameas.picture.named`, so what a residual adds is what it is not by the residuals before
+it. If they are two, either each goes its own way, and a report is predicted by its own track; or they are in convoy,
+moored side by side or one behind the other, at a distance d that stays: δ = e_a − e_b + d. Then their motion tells
+nothing, and all that tells them from one object is how near 0 the reports show d to be. Both are weighed by the
+reports. Between reports nothing is added: a repeated report is no evidence.
+
+Trackers swap near objects: after a report the ids of two tracks of a source that are χ² apart by their own positions
+have been exchanged with the probability h e^(−χ²/8), and with ε whatever their distance. A pair whose past is then
+that of its best rival begins anew, so its state is a mixture of its own and one without a past. h is estimated for
+every source (:class:`SwapRates`) by how probable the next reports are with and without a swap.
+
+The state of a pair is the mean and covariance of (e_a, z_a, z_b, d), z what lasts of the errors, twice: if they are one
+object, d = 0, and in convoy, d unknown.
 
 Source: METHOD 3.
 """
@@ -13,6 +22,7 @@ Source: METHOD 3.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,7 +31,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gaussian import Gaussian, log_density, mahalanobis_sq
 from sameas.many.observations import Source
 from sameas.picture.error_correlation import LEAST_M2, error_update
-from sameas.picture.named import NamedTracks, Step, places_in
+from sameas.picture.named import NamedTracks, Step, places_in, with_lasting
 from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
@@ -40,29 +50,47 @@ class TrackPairs(ColumnTable):
     Attributes
     ----------
     first, second : numbers of the tracks, first < second.
-    mean, covariance : (k, 2), (k, 2, 2) of the first one's error, if they are one object.
+    mean, covariance : (k, 2, 8), (k, 2, 8, 8) of (e_a, z_a, z_b, d) if they are one object, and if they are in convoy.
+    log_convoy : log-odds that two objects, if they are two, are in convoy.
     log_ratio : ln r of the reports before the last one, bounded: see :meth:`stepped`.
     at_scan : ln N(δ; 0, P_a + P_b) at the last report of either. now : the same at the instant. chi_sq : its χ².
+    anchor_s, anchor : (k,), (k, 2) when they were surely one object, and δ then; NaN before. anchor_new : (k, 2)
+        whether each track has a new report since.
     """
 
     first: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     second: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    mean: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
-    covariance: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
+    mean: FloatArray = field(default_factory=lambda: np.empty((0, 2, 8)))
+    covariance: FloatArray = field(default_factory=lambda: np.empty((0, 2, 8, 8)))
+    log_convoy: FloatArray = field(default_factory=lambda: np.empty(0))
     log_ratio: FloatArray = field(default_factory=lambda: np.empty(0))
     at_scan: FloatArray = field(default_factory=lambda: np.empty(0))
     now: FloatArray = field(default_factory=lambda: np.empty(0))
     chi_sq: FloatArray = field(default_factory=lambda: np.empty(0))
+    anchor_s: FloatArray = field(default_factory=lambda: np.empty(0))
+    anchor: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    anchor_new: BoolArray = field(default_factory=lambda: np.empty((0, 2), bool))
 
     def __len__(self) -> int:
         return len(self.first)
 
     @classmethod
-    def of(cls, first: IntArray, second: IntArray, delta: FloatArray, one: FloatArray, other: FloatArray) -> TrackPairs:
-        """Pairs that meet now: δ (k, 2) and covariances P_a, P_b (k, 2, 2). They have no past."""
-        error = Gaussian(np.zeros_like(delta), one).updated(Gaussian(delta, other))
-        density, chi_sq = log_density(delta, one + other), mahalanobis_sq(delta, one + other)
-        return cls(first, second, error.mean, error.covariance, np.zeros(len(first)), density, density, chi_sq)
+    def of(
+        cls,
+        first: IntArray,
+        second: IntArray,
+        delta: FloatArray,
+        covariances: tuple[FloatArray, FloatArray],
+        lasting: tuple[FloatArray, FloatArray],
+    ) -> TrackPairs:
+        """Pairs that meet now: δ (k, 2), covariances P_a, P_b and roots B_a, B_b (k, 2, 2). They have no past."""
+        error, total = _without_past(delta, covariances, lasting), covariances[0] + covariances[1]
+        density, chi_sq = log_density(delta, total), mahalanobis_sq(delta, total)
+        never, none = np.full(len(first), np.nan), np.zeros(len(first))
+        return cls(
+            first, second, error.mean, error.covariance, none, none, density, density, chi_sq,
+            never, np.full_like(delta, np.nan), np.zeros(delta.shape, bool),
+        )  # fmt: skip
 
     def has(self, first: IntArray, second: IntArray) -> BoolArray:
         """(k,) whether pairs are among these."""
@@ -73,50 +101,160 @@ class TrackPairs(ColumnTable):
         both = self.stacked(others)
         return both.take(np.argsort(keys(both.first, both.second)))
 
-    def stepped(self, step: Step, reassigned: float, tuning: Tuning = DEFAULT_TUNING) -> TrackPairs:
-        """The pairs whose tracks are both in the step, after it.
+    def stepped(
+        self, step: Step, reassigned: float, swaps: SwapRates, tuning: Tuning = DEFAULT_TUNING
+    ) -> tuple[TrackPairs, SwapRates]:
+        """The pairs whose tracks are both in the step, after it, and what it shows of swaps.
 
         ``now`` is subtracted from the evidence of all reports, so that both can be added. A report may be of another
-        object than its id says, with probability ε = ``reassigned``: x ← ln[((1−ε) eˣ + ε)/((1−ε) + ε eˣ)] at every
-        report.
+        object than its id says, with probability ε = ``reassigned``: x ← ln[(1−ε) eˣ + ε e^(best)], best that of the
+        best rival or 0.
         """
         a, b = step.find(self.first), step.find(self.second)
         both = (a >= 0) & (b >= 0)
-        continuing = self.take(both)._predicted(step, a[both], b[both])
-        return continuing._updated(step, a[both], b[both], reassigned, tuning)
+        continuing, a, b = self.take(both), a[both], b[both]
+        updated = continuing._predicted(step, a, b)._updated(step, a, b, tuning)
+        rivals = Rivals.of(updated.first, updated.second, step.source[a], step.source[b])
+        log_before, log_near = continuing._swapped(step, (a, b), rivals, tuning)
+        log_rate = np.log(np.column_stack([swaps.rate(step.source[track], tuning) for track in (b, a)]))
+        for side, track in ((0, b), (1, a)):
+            weights = updated.log_ratio + updated.now, log_before[:, side] + updated.now
+            swaps = swaps.updated(rivals.sides[side], step.source[track], *weights, log_near[:, side], tuning)
+        return updated._leaked(step, (a, b), rivals, reassigned, (log_before, log_near + log_rate), tuning), swaps
+
+    def _swapped(
+        self, step: Step, tracks: tuple[IntArray, IntArray], rivals: Rivals, tuning: Tuning
+    ) -> tuple[FloatArray, FloatArray]:
+        """(k, 2) ln r of each pair's most probable rival before the step, 0 for none, and ln of the probability of a
+        swap with it for h = 1, −∞ for none: of rivals with the same first track, and with the same second."""
+        log_before, log_near = np.zeros((len(self), 2)), np.full((len(self), 2), -np.inf)
+        for side, track in ((0, tracks[1]), (1, tracks[0])):
+            weight = self.log_ratio + self.at_scan
+            best = rivals.best_other(weight, side)
+            at = np.flatnonzero((best >= 0) & step.new_report[track])
+            one, other = track[at], track[best[at]]
+            apart = mahalanobis_sq(step.here[one] - step.here[other], step.covariance[one] + step.covariance[other])
+            near = np.zeros(len(self))
+            near[at] = np.exp(-apart / tuning.swap_chi_sq)
+            # The most probable one of a set swaps with one of the others at most, and each of these with it.
+            leads = (best >= 0) & (weight >= weight[best])
+            total = np.bincount(rivals.sides[side], np.where(leads, 0.0, near))[rivals.sides[side]]
+            near[at] = np.where(leads, np.minimum(total, 1.0), near / np.maximum(total, 1.0))[at]
+            log_before[at, side] = self.log_ratio[best[at]]
+            with np.errstate(divide="ignore"):
+                log_near[at, side] = np.log(near[at])
+        return log_before, log_near
 
     def _predicted(self, step: Step, a: IntArray, b: IntArray) -> TrackPairs:
         """The errors of both tracks grown by their motion; a, b : places of the tracks in the step."""
-        drift = step.drift[a]
+        drift = step.drift[a][:, None]
         went = (step.moved[a] - step.moved[b]) - (step.last[a] - step.last[b])
-        total = drift + step.drift[b] + LEAST_M2 * np.eye(2)
-        error = Gaussian(self.mean, self.covariance + drift).conditional(drift, went, total)
+        # Much less than LEAST_M2, so that it does not matter which track is the first.
+        total = drift + step.drift[b][:, None] + 1e-4 * LEAST_M2 * np.eye(2)
+        grown, cross = self.covariance.copy(), np.zeros((len(self), 2, 8, 2))
+        grown[..., :2, :2] += drift
+        cross[..., :2, :] = drift
+        error = Gaussian(self.mean, grown).conditional(cross, went[:, None], total)
         return replace(self, mean=error.mean, covariance=error.covariance)
 
-    def _updated(self, step: Step, a: IntArray, b: IntArray, reassigned: float, tuning: Tuning) -> TrackPairs:
+    def _updated(self, step: Step, a: IntArray, b: IntArray, tuning: Tuning) -> TrackPairs:
         """After the new reports of the step: those of the first track, then of the second."""
-        mean, covariance, gain = self.mean, self.covariance, np.zeros(len(self))
+        k = len(self)
+        mean, covariance = self.mean.reshape(2 * k, 8), self.covariance.reshape(2 * k, 8, 8)
+        # ln p of the reports if they are one object, in convoy, or each on its own way.
+        log_reports = np.zeros((k, 3))
         delta = step.moved[a] - step.moved[b]
-        for track, side in ((a, 1.0), (b, -1.0)):
-            shift, new_report = step.here[track] - step.moved[track], step.new_report[track]
-            # e of this track, from the mean of the other's and δ.
-            own_mean = mean if side > 0.0 else mean - delta
-            updated_mean, updated_covariance, log_p, _ = error_update(
-                own_mean, covariance, step.transition[track], step.noise[track], shift
+        for track, is_first in ((a, True), (b, False)):
+            slope = np.zeros((k, 2, 8))
+            slope[:, :, :2], shift = step.slope[track, :, :2], step.shift[track]
+            if is_first:
+                slope[:, :, 2:4], expected = step.slope[track, :, 2:], 0.0
+            else:
+                # e_b = e_a − δ + d.
+                slope[:, :, 4:6], slope[:, :, 6:] = step.slope[track, :, 2:], slope[:, :, :2]
+                expected = np.einsum("kvw,kw->kv", slope[:, :, :2], delta)
+            twice = np.repeat(np.arange(k), 2)
+            mean, covariance, log_p, _ = error_update(
+                mean, covariance, slope[twice], step.noise[track][twice], (shift + expected)[twice]
             )
-            delta = delta + side * shift
-            mean = np.where(new_report[:, None], updated_mean if side > 0.0 else updated_mean + delta, mean)
-            covariance = np.where(new_report[:, None, None], updated_covariance, covariance)
-            gain += np.where(new_report, log_p - step.log_own[track], 0.0)
+            if is_first:
+                mean[:, :2] += shift[twice]
+            delta = delta + (shift if is_first else -shift)
+            log_report = np.column_stack([log_p.reshape(k, 2), step.log_own[track]])
+            log_reports += np.where(step.new_report[track, None], log_report, 0.0)
+        log_one, log_together, log_apart = log_reports.T
+        log_two = np.logaddexp(log_together + self.log_convoy, log_apart) - np.logaddexp(self.log_convoy, 0.0)
+        gain, bound = log_one - log_two, tuning.convoy_log_odds
+        log_convoy = np.clip(self.log_convoy + log_together - log_apart, -bound, bound)
         total = step.covariance[a] + step.covariance[b]
         now, chi_sq = log_density(delta, total), mahalanobis_sq(delta, total)
-        rivals = Rivals.of(self.first, self.second, step.source[a], step.source[b])
-        ratio = rivals.leaky(self.log_ratio + self.at_scan + gain - now, chi_sq <= tuning.manoeuvre_chi_sq, reassigned)
-        new_report = step.new_report[a] | step.new_report[b]
-        return TrackPairs(
-            self.first, self.second, mean, covariance, np.where(new_report, ratio, self.log_ratio),
-            np.where(new_report, now, self.at_scan), now, chi_sq,
+        is_new = np.column_stack([step.new_report[a], step.new_report[b]])
+        new_report = is_new.any(axis=1)
+        ratio = np.where(new_report, self.log_ratio + self.at_scan + gain - now, self.log_ratio)
+        return replace(
+            self, mean=mean.reshape(k, 2, 8), covariance=covariance.reshape(k, 2, 8, 8), log_convoy=log_convoy,
+            log_ratio=ratio,
+            at_scan=np.where(new_report, now, self.at_scan), now=now, chi_sq=chi_sq,
+            anchor_new=self.anchor_new | is_new,
         )  # fmt: skip
+
+    def _leaked(
+        self, step: Step, tracks: tuple[IntArray, IntArray], rivals: Rivals, reassigned: float,
+        swapped: tuple[FloatArray, FloatArray], tuning: Tuning,
+    ) -> TrackPairs:  # fmt: skip
+        """After reports that may be of another object than their ids say; swapped : ln r before and ln of the
+        probability of a swap, (k, 2) each."""
+        new_report = step.new_report[tracks[0]] | step.new_report[tracks[1]]
+        agrees = self.chi_sq <= tuning.manoeuvre_chi_sq
+        best = np.maximum(rivals.most(np.where(agrees, self.log_ratio, -np.inf)), 0.0)
+        log_stays = np.log1p(-reassigned - np.exp(swapped[1]).sum(axis=1)) + self.log_ratio
+        log_changes = np.logaddexp(math.log(reassigned) + best, np.logaddexp.reduce(swapped[0] + swapped[1], axis=1))
+        leaked = rivals.bounded(np.logaddexp(log_stays, log_changes), agrees, reassigned)
+        anew = 1.0 / (1.0 + np.exp(np.clip(log_stays - log_changes, -50.0, 50.0)))
+        mixed = self._mixed(step, tracks, np.where(new_report, anew, 0.0))
+        return replace(mixed, log_ratio=np.where(new_report, leaked, self.log_ratio))
+
+    def _mixed(self, step: Step, tracks: tuple[IntArray, IntArray], anew: FloatArray) -> TrackPairs:
+        """With the share ``anew`` (k,) of states without a past: the mean and covariance of the mixture."""
+        at = np.flatnonzero(anew > 1e-3)
+        if not len(at):
+            return self
+        a, b = (track[at] for track in tracks)
+        fresh = _without_past(
+            step.here[a] - step.here[b], (step.covariance[a], step.covariance[b]), (step.lasting[a], step.lasting[b])
+        )
+        share = anew[at, None, None]
+        away = fresh.mean - self.mean[at]
+        mean, covariance, log_convoy = self.mean.copy(), self.covariance.copy(), self.log_convoy.copy()
+        mean[at] += share * away
+        share = share[..., None]
+        covariance[at] = (1.0 - share) * covariance[at] + share * fresh.covariance
+        covariance[at] += share * (1.0 - share) * away[..., :, None] * away[..., None, :]
+        log_convoy[at] *= 1.0 - anew[at]
+        return replace(self, mean=mean, covariance=covariance, log_convoy=log_convoy)
+
+    def anchored(self, at: IntArray, instant_s: float, delta: FloatArray) -> TrackPairs:
+        """With pairs (places ``at``) that are surely one object at the instant, δ (m, 2) apart."""
+        anchor_s, anchor, anchor_new = self.anchor_s.copy(), self.anchor.copy(), self.anchor_new.copy()
+        anchor_s[at], anchor[at], anchor_new[at] = instant_s, delta, False
+        return replace(self, anchor_s=anchor_s, anchor=anchor, anchor_new=anchor_new)
+
+
+def _without_past(
+    delta: FloatArray, covariances: tuple[FloatArray, FloatArray], lasting: tuple[FloatArray, FloatArray]
+) -> Gaussian:
+    """(e_a, z_a, z_b, d) of pairs by δ = e_a − e_b + d alone, if they are one object and if they are in convoy."""
+    k, total = len(delta), covariances[0] + covariances[1]
+    mean, covariance, onto = np.zeros((k, 2, 8)), np.zeros((k, 2, 8, 8)), np.zeros((k, 6, 2))
+    covariance[..., :4, :4] = with_lasting(covariances[0], lasting[0])[:, None]
+    covariance[..., 4:6, 4:6] = np.eye(2)
+    onto[:, :4], onto[:, 4:] = covariance[:, 0, :4, :2], -lasting[1].transpose(0, 2, 1)
+    one = Gaussian(mean[:, 0, :6], covariance[:, 0, :6, :6]).conditional(onto, delta, total)
+    mean[:, 0, :6], covariance[:, 0, :6, :6] = one.mean, one.covariance
+    # Of any distance d, δ tells nothing of the errors: d = δ − e_a + e_b.
+    mean[:, 1, 6:], covariance[:, 1, 6:, 6:] = delta, total
+    covariance[:, 1, :6, 6:], covariance[:, 1, 6:, :6] = -onto, -onto.transpose(0, 2, 1)
+    return Gaussian(mean, covariance)
 
 
 @dataclass(frozen=True)
@@ -134,6 +272,17 @@ class Rivals:
         sets = (np.unique((track << 16) | source, return_inverse=True)[1].reshape(-1)
                   for track, source in ((first, other), (second, one)))  # fmt: skip
         return cls(tuple(sets))
+
+    def best_other(self, values: FloatArray, side: int) -> IntArray:
+        """(k,) the pair of the highest value in the set of each, itself not among them; −1 where there is none."""
+        rivals, k = self.sides[side], len(values)
+        order = np.lexsort([np.arange(k), -values, rivals])
+        place = np.empty(k, np.int64)
+        place[order] = np.arange(k)
+        first = np.searchsorted(rivals[order], rivals)
+        second = np.where(place == first, first + 1, first)
+        inside = (second < k) & (np.append(rivals[order], -1)[np.minimum(second, k)] == rivals)
+        return np.where(inside, np.append(order, -1)[np.minimum(second, k)], -1)
 
     def most(self, values: FloatArray) -> FloatArray:
         """(k,) the highest value of any rival of each pair, itself among them."""
@@ -154,11 +303,55 @@ class Rivals:
         excess = np.maximum(self.most(np.where(agrees, log_ratio, -np.inf)) - bound, 0.0)
         return np.clip(log_ratio - excess, -bound, bound)
 
-    def leaky(self, log_ratio: FloatArray, agrees: BoolArray, reassigned: float) -> FloatArray:
-        """ln r after one more report that may be of another object than its id says; see :meth:`bounded`."""
-        best = np.maximum(self.most(np.where(agrees, log_ratio, -np.inf)), 0.0)
-        leaked = np.logaddexp(math.log1p(-reassigned) + log_ratio, math.log(reassigned) + best)
-        return self.bounded(leaked, agrees, reassigned)
+
+#: Kinds of sources whose objects name themselves: these ids are not a tracker's, and nobody swaps them.
+SELF_NAMED = ("ais", "ads-b", "mlat")
+
+
+@dataclass(frozen=True)
+class SwapRates:
+    """How often trackers swap near objects; log_probable : (S, r) ln of the probability of each rate, by source."""
+
+    log_probable: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+
+    def of_sources(self, kinds: Sequence[str], tuning: Tuning = DEFAULT_TUNING) -> SwapRates:
+        """The same with the sources of these kinds, in their order; the first ones are here already."""
+        rates = np.log(np.array(tuning.swap_rates))
+        prior = -0.5 * ((rates - math.log(tuning.swap_rate)) / tuning.swap_sigma) ** 2
+        never = np.where(rates == rates.min(), 0.0, -np.inf)
+        new = [never if kind in SELF_NAMED else prior for kind in kinds[len(self.log_probable) :]]
+        if not new:
+            return self
+        return SwapRates(np.concatenate([self.log_probable.reshape(-1, len(rates)), new]))
+
+    def rate(self, source: IntArray, tuning: Tuning) -> FloatArray:
+        """(n,) mean h of sources."""
+        if not len(source):
+            return np.empty(0)
+        weight = np.exp(self.log_probable - self.log_probable.max(axis=1, initial=-np.inf, keepdims=True))
+        return np.asarray((weight @ np.array(tuning.swap_rates) / weight.sum(axis=1))[source])
+
+    def updated(
+        self, rivals: IntArray, source: IntArray, log_stayed: FloatArray, log_swapped: FloatArray,
+        log_near: FloatArray, tuning: Tuning,
+    ) -> SwapRates:  # fmt: skip
+        """After new reports: rivals : (k,) set of each pair, source : (k,) whose tracks it compares, ln of the pairs'
+        weights by all reports, without a swap before the last one and with one, and ln of its probability for h = 1."""
+        at = np.flatnonzero(np.isin(rivals, rivals[np.isfinite(log_near)]))
+        if not len(at):
+            return self
+        label, place = np.unique(rivals[at], return_inverse=True)
+        source_of = np.zeros(len(label), np.int64)
+        source_of[place] = source[at]
+        log_probable = self.log_probable.copy()
+        for r, rate in enumerate(tuning.swap_rates):
+            log_p = math.log(rate) + log_near[at]
+            weight = np.logaddexp(np.log1p(-np.exp(log_p)) + log_stayed[at], log_p + log_swapped[at])
+            most = np.full(len(label), -np.inf)
+            np.maximum.at(most, place, weight)
+            log_sum = most + np.log(np.bincount(place, np.exp(weight - most[place]), len(label)))
+            log_probable[:, r] += np.bincount(source_of, log_sum, len(log_probable))
+        return SwapRates(log_probable - log_probable.max(axis=1, keepdims=True))
 
 
 def with_manoeuvres(

@@ -22,6 +22,12 @@ class Tuning:
         the limit of 1 in 1000 for two degrees of freedom.
     correlation_s : error correlation times τ that are weighed, in seconds.
     correlation_sigma : 1σ of ln(τ + 1 s) about that of the source's kind, before its reports say more.
+    lasting_shares : shares of the variance of a source's errors that may last, each as probable before pairs show more.
+    lasting_s : time between two looks at a sure pair of tracks that show what of its errors lasts. sure_pair : a pair
+        is sure from this probability on.
+    convoy_log_odds : bound of the log-odds that two objects are in convoy, so that later reports can change them.
+    swap_rates : probabilities h that a tracker has swapped two objects at one place, per report, that are weighed.
+    swap_rate, swap_sigma : median and 1σ of ln h before reports say more. swap_chi_sq : h falls with e^(−χ²/this).
     motion_shares : shares of the largest motion noise that are weighed, each as probable.
     new_track_probability : a track begins anew beyond the χ² limit that this share of correct reports exceeds.
     id_timeout_s : a track id that is not reported keeps its number for this long.
@@ -76,6 +82,14 @@ class Tuning:
     manoeuvre_chi_sq: float = 13.8
     correlation_s: tuple[float, ...] = (0.0, 2.0, 5.0, 12.0, 30.0, 75.0, 180.0, 450.0, 1100.0)
     correlation_sigma: float = 3.0
+    lasting_shares: tuple[float, ...] = (0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 0.97)
+    lasting_s: float = 60.0
+    sure_pair: float = 0.999
+    convoy_log_odds: float = 5.0
+    swap_rates: tuple[float, ...] = (1e-5, 1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3)
+    swap_rate: float = 1e-3
+    swap_sigma: float = 2.0
+    swap_chi_sq: float = 8.0
     motion_shares: tuple[float, ...] = (1.0, 0.1, 0.01)
     new_track_probability: float = 1e-9
     id_timeout_s: float = 3600.0

@@ -189,6 +189,8 @@ class Watch:
         members = objects_now.members
         texts = {name: scan.texts(name) for name in TEXTS}
         detections = self._detections(scan, members, identification, past, texts)
+        if identification is not None:
+            past = past.with_sure(members, identification.probability)
         past = past.with_real(detections.tracks[_certain_pairs(members, identification, self.stages)])
         objects = self.objects.on(now.instant_s, detections, objects_per_m2(now), self.stages, self.tuning)
         object_texts = self._texts(scan, members, texts, objects)
