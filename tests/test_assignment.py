@@ -6,6 +6,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -268,7 +269,7 @@ def test_a_crowd_that_would_take_hours_is_refused_and_its_row_said():
     refuse_crowds(gate(crowd(2000), crowd(1, "b", 2)), tuning)
 
 
-CHOOSERS = {
+CHOOSERS: dict[str, Any] = {
     "identify": lambda a, b: identify(a, b, rule=CloseObjects(a=2.0, b=20.0)),
     "match": match,
     "match with errors": lambda a, b: match(a, b, gate=Radius(6.0)),

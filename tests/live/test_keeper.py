@@ -212,7 +212,8 @@ def events(folder):
 def test_a_full_disk_is_an_alarm_and_what_is_missing_is_written_when_there_is_room(tmp_path):
     """The watch ended with "a fault of sameas", and without its alarms."""
     one, two = (Keeper(settings(), tmp_path / name, replay=replay()) for name in ("one", "two"))
-    ticked(one, 60.0), ticked(two, 20.0)
+    ticked(one, 60.0)
+    ticked(two, 20.0)
     [pages] = two.journal._base.execute("PRAGMA page_count").fetchone()
     two.journal._base.execute(f"PRAGMA max_page_count = {pages}")
     big = Alarm("flood", "source", "x" * 100_000)
@@ -226,7 +227,8 @@ def test_a_full_disk_is_an_alarm_and_what_is_missing_is_written_when_there_is_ro
     two.journal._base.execute("PRAGMA max_page_count = 1000000")
     ticked(two, 60.0, 22.0)
     assert not two._refusal
-    one.close(), two.close()
+    one.close()
+    two.close()
     (joined, _, objects), (joined_2, alarms, objects_2) = events(tmp_path / "one"), events(tmp_path / "two")
     assert joined == joined_2 and objects == objects_2 and ("folder", 0) in alarms
 
@@ -245,7 +247,8 @@ def test_ticks_that_the_journal_refused_are_made_up_for(tmp_path, monkeypatch):
     ticked(two, 20.0)
     monkeypatch.undo()
     ticked(two, 60.0, 20.0)
-    one.close(), two.close()
+    one.close()
+    two.close()
     (joined, _, objects), (joined_2, _, objects_2) = events(tmp_path / "one"), events(tmp_path / "two")
     # Those that came and went in between are not known.
     assert {row for row in joined if row[3] == "joined"} >= set(joined_2) and objects == objects_2
