@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from modelled_scenes import describe, straight, told
 
+from sameas.gaussian import Gaussian, log_density, mahalanobis_sq, propagated
+from sameas.kernels.kalman import update_in_plane
 from sameas.picture import Past, Watch
 from sameas.picture.scan import Scan
 from sameas.tracks.scene import Scene
@@ -61,3 +63,21 @@ def test_what_lasts_is_found_from_pairs_that_are_sure(share):
         watch = watch.advance(Scene.of(sources).at(time_s)).watch
     found = watch.past.tracks.error_correlation.lasting(np.arange(2))
     assert np.abs(found - share).max() < 0.15
+
+
+@pytest.mark.parametrize("d", [4, 8])
+@pytest.mark.parametrize("way", ["interpreted", "compiled"])
+def test_an_update_is_that_of_kalman_s_matrices(d, way):
+    rng = np.random.default_rng(d)
+    root, noise_root = rng.normal(size=(60, d, d)), rng.normal(size=(60, 2, 2))
+    mean, covariance = rng.normal(size=(60, d)), root @ root.transpose(0, 2, 1)
+    slope, noise = rng.normal(size=(60, 2, d)), noise_root @ noise_root.transpose(0, 2, 1)
+    shift = 3.0 * rng.normal(size=(60, 2))
+    total, surprise = propagated(slope, covariance) + noise, shift - np.einsum("kvw,kw->kv", slope, mean)
+    after = Gaussian(mean, covariance).conditional(covariance @ slope.transpose(0, 2, 1), surprise, total)
+    out = np.empty((60, d)), np.empty((60, d, d)), np.empty(60), np.empty(60)
+    getattr(update_in_plane, way)(mean, covariance, slope, noise, shift, *out)
+    expected = after.mean, after.covariance, log_density(surprise, total), mahalanobis_sq(surprise, total)
+    for ours, theirs in zip(out, expected, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-10)
+    assert np.array_equal(out[1], out[1].transpose(0, 2, 1))

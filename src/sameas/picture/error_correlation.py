@@ -29,7 +29,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
-from sameas.gaussian import Gaussian, inverse, log_density, mahalanobis_sq, propagated
+from sameas.gaussian import inverse, log_density, mahalanobis_sq
+from sameas.kernels.kalman import update_in_plane
 from sameas.picture.scan import Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 
@@ -45,10 +46,9 @@ def error_update(
     mean, covariance : (k, d), (k, d, d) of x, errors and what lasts of them, before a report that moved a track by ν.
     slope, noise : (k, 2, d), (k, 2, 2) H and the covariance of n. shift : (k, 2) ν.
     """
-    total = propagated(slope, covariance) + noise + LEAST_M2 * np.eye(2)
-    surprise = shift - np.einsum("kvw,kw->kv", slope, mean)
-    after = Gaussian(mean, covariance).conditional(covariance @ slope.transpose(0, 2, 1), surprise, total)
-    return after.mean, after.covariance, log_density(surprise, total), mahalanobis_sq(surprise, total)
+    out = np.empty(mean.shape), np.empty(covariance.shape), np.empty(len(mean)), np.empty(len(mean))
+    update_in_plane(mean, covariance, slope, noise + LEAST_M2 * np.eye(2), shift, *out)
+    return out
 
 
 def growth(change: FloatArray) -> FloatArray:

@@ -28,7 +28,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.gaussian import Gaussian, log_density, mahalanobis_sq
+from sameas.gaussian import Gaussian, inverse, log_density, mahalanobis_sq, symmetric
 from sameas.many.observations import Source
 from sameas.picture.error_correlation import LEAST_M2, error_update
 from sameas.picture.named import NamedTracks, Step, places_in, with_lasting
@@ -147,15 +147,14 @@ class TrackPairs(ColumnTable):
 
     def _predicted(self, step: Step, a: IntArray, b: IntArray) -> TrackPairs:
         """The errors of both tracks grown by their motion; a, b : places of the tracks in the step."""
-        drift = step.drift[a][:, None]
+        drift = step.drift[a]
         went = (step.moved[a] - step.moved[b]) - (step.last[a] - step.last[b])
         # Much less than LEAST_M2, so that it does not matter which track is the first.
-        total = drift + step.drift[b][:, None] + 1e-4 * LEAST_M2 * np.eye(2)
-        grown, cross = self.covariance.copy(), np.zeros((len(self), 2, 8, 2))
-        grown[..., :2, :2] += drift
-        cross[..., :2, :] = drift
-        error = Gaussian(self.mean, grown).conditional(cross, went[:, None], total)
-        return replace(self, mean=error.mean, covariance=error.covariance)
+        gain = drift @ inverse(drift + step.drift[b] + 1e-4 * LEAST_M2 * np.eye(2))
+        mean, covariance = self.mean.copy(), self.covariance.copy()
+        mean[..., :2] += np.einsum("kvw,kw->kv", gain, went)[:, None]
+        covariance[..., :2, :2] += symmetric(drift - gain @ drift)[:, None]
+        return replace(self, mean=mean, covariance=covariance)
 
     def _updated(self, step: Step, a: IntArray, b: IntArray, tuning: Tuning) -> TrackPairs:
         """After the new reports of the step: those of the first track, then of the second."""
