@@ -5,7 +5,7 @@ import pytest
 from modelled_scenes import describe, straight, told
 
 from sameas.gaussian import Gaussian, log_density, mahalanobis_sq, propagated
-from sameas.kernels.kalman import update_in_plane
+from sameas.kernels.kalman import mix, update_in_plane
 from sameas.picture import Past, Watch
 from sameas.picture.scan import Scan
 from sameas.tracks.scene import Scene
@@ -81,3 +81,24 @@ def test_an_update_is_that_of_kalman_s_matrices(d, way):
     for ours, theirs in zip(out, expected, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-10)
     assert np.array_equal(out[1], out[1].transpose(0, 2, 1))
+
+
+@pytest.mark.parametrize("way", ["interpreted", "compiled"])
+def test_a_mixture_has_the_moments_of_what_is_drawn_from_both(way):
+    rng = np.random.default_rng(5)
+    mean, other = rng.normal(size=(3, 2, 4)), rng.normal(size=(2, 2, 4))
+    root, other_root = rng.normal(size=(3, 2, 4, 4)), rng.normal(size=(2, 2, 4, 4))
+    covariance, other_covariance = (r @ r.swapaxes(-1, -2) for r in (root, other_root))
+    at, share = np.array([2, 0]), np.array([0.3, 0.8])
+    mixed = mean.copy(), covariance.copy()
+    getattr(mix, way)(*mixed, at, share, other, other_covariance)
+    for n, (row, s) in enumerate(zip(at, share, strict=True)):
+        # E[x] and E[x xᵀ] of a mixture are the means of those of its parts.
+        first = (1 - s) * mean[row] + s * other[n]
+        second = sum(
+            w * (p + m[..., :, None] * m[..., None, :])
+            for w, m, p in ((1 - s, mean[row], covariance[row]), (s, other[n], other_covariance[n]))
+        )
+        np.testing.assert_allclose(mixed[0][row], first, atol=1e-12)
+        np.testing.assert_allclose(mixed[1][row], second - first[..., :, None] * first[..., None, :], atol=1e-12)
+    assert np.array_equal(mixed[0][1], mean[1]) and np.array_equal(mixed[1][1], covariance[1])

@@ -1,4 +1,4 @@
-"""Compiled Kalman updates: many small states, each by one measurement in the plane."""
+"""Compiled loops over many small states: Kalman updates by a measurement in the plane, and mixtures of two."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from sameas.arrays import FloatArray
+from sameas.arrays import FloatArray, IntArray
 from sameas.kernels.compiled import small
 
 
@@ -49,3 +49,28 @@ def update_in_plane(
                 updated_covariance[row, v, w] = updated_covariance[row, w, v] = value
         chi_sq[row] = x * east + y * north
         log_p[row] = -0.5 * (chi_sq[row] + math.log(determinant)) - math.log(2.0 * math.pi)
+
+
+@small
+def mix(
+    mean: FloatArray, covariance: FloatArray, at: IntArray, share: FloatArray, other_mean: FloatArray,
+    other_covariance: FloatArray,
+) -> None:  # fmt: skip
+    """Turns some states into mixtures of themselves and others: their means and covariances, in place.
+
+    mean, covariance : (k, h, d), (k, h, d, d). at : (m,) rows. share : (m,) of the others, (m, h, d), (m, h, d, d).
+    """
+    away = np.empty(mean.shape[2])
+    for n in range(len(at)):
+        row, s = at[n], share[n]
+        for h in range(mean.shape[1]):
+            for v in range(len(away)):
+                away[v] = other_mean[n, h, v] - mean[row, h, v]
+                mean[row, h, v] += s * away[v]
+            for v in range(len(away)):
+                for w in range(len(away)):
+                    covariance[row, h, v, w] = (
+                        (1.0 - s) * covariance[row, h, v, w]
+                        + s * other_covariance[n, h, v, w]
+                        + s * (1.0 - s) * away[v] * away[w]
+                    )

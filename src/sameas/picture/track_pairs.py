@@ -29,6 +29,7 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gaussian import Gaussian, inverse, log_density, mahalanobis_sq, symmetric
+from sameas.kernels.kalman import mix
 from sameas.many.observations import Source
 from sameas.picture.error_correlation import LEAST_M2, error_update
 from sameas.picture.named import NamedTracks, Step, places_in, with_lasting
@@ -222,13 +223,8 @@ class TrackPairs(ColumnTable):
         fresh = _without_past(
             step.here[a] - step.here[b], (step.covariance[a], step.covariance[b]), (step.lasting[a], step.lasting[b])
         )
-        share = anew[at, None, None]
-        away = fresh.mean - self.mean[at]
         mean, covariance, log_convoy = self.mean.copy(), self.covariance.copy(), self.log_convoy.copy()
-        mean[at] += share * away
-        share = share[..., None]
-        covariance[at] = (1.0 - share) * covariance[at] + share * fresh.covariance
-        covariance[at] += share * (1.0 - share) * away[..., :, None] * away[..., None, :]
+        mix(mean, covariance, at, anew[at], fresh.mean, fresh.covariance)
         log_convoy[at] *= 1.0 - anew[at]
         return replace(self, mean=mean, covariance=covariance, log_convoy=log_convoy)
 
