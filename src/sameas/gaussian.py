@@ -23,7 +23,8 @@ from sameas.representation import in_short
 LOG_2PI = math.log(2.0 * math.pi)
 
 
-#: In the plane an inverse is written out where the determinant is at least this share of the product of the variances.
+#: In the plane inverses and determinants are written out where these are at least this share of the product of the
+#: variances.
 LEAST_SHARE = 1e-6
 
 
@@ -52,6 +53,11 @@ def propagated(jacobian: NDArray[np.floating[Any]], covariance: FloatArray) -> F
 
 def log_determinant(matrix: FloatArray) -> FloatArray:
     """(…) ln of the determinant of a positive definite matrix (…, d, d)."""
+    if matrix.shape[-1] == 2:
+        scale = matrix[..., 0, 0] * matrix[..., 1, 1]
+        determinant = scale - matrix[..., 0, 1] * matrix[..., 1, 0]
+        if (determinant > LEAST_SHARE * scale).all():
+            return np.asarray(np.log(determinant))
     return np.asarray(np.linalg.slogdet(matrix)[1])
 
 

@@ -296,7 +296,7 @@ def _part(coverage: Coverage, tuning: GridTuning) -> tuple[IntArray, IntArray] |
 class _Spread:
     """Candidates along the axes of their quoted covariance, in units of the typical error.
 
-    variance, square : (m, d) of the quoted error, and of the residual. log_unit : (m,) ln of density per record of the
+    variance, square : (d, m) of the quoted error, and of the residual. log_unit : (m,) ln of density per record of the
     other source, in that unit.
     """
 
@@ -308,18 +308,20 @@ class _Spread:
     def of(cls, pairs: Pairs, unit: FloatArray, log_density: FloatArray) -> _Spread:
         scaled = pairs.covariance / (unit[:, None] * unit)
         variance, axes = np.linalg.eigh(scaled)
-        along = np.einsum("mvw,mv->mw", axes, pairs.residual / unit)
+        along = np.einsum("mvw,mv->wm", axes, pairs.residual / unit)
         return cls(
-            variance, along**2, -log_density - float(np.log(unit).sum()) - 0.5 * len(unit) * math.log(2 * math.pi)
+            variance.T.copy(),
+            along**2,
+            -log_density - float(np.log(unit).sum()) - 0.5 * len(unit) * math.log(2 * math.pi),
         )
 
     def sums(self, lattice: _Lattice, at: IntArray | Int32Array, n: int) -> list[FloatArray]:
         """Per point of the lattice (n,) Σ N/ρ over the candidates of every record."""
         found: list[FloatArray] = []
-        (share, scale), d = lattice.tuning.tail, self.square.shape[1]
+        (share, scale), d = lattice.tuning.tail, len(self.square)
         for factor, floor in zip(lattice.factor, lattice.floor, strict=True):
             variance = factor**2 * self.variance + floor**2
-            half, peak = -0.5 * (self.square / variance).sum(axis=1), self.log_unit - 0.5 * np.log(variance).sum(axis=1)
+            half, peak = -0.5 * (self.square / variance).sum(axis=0), self.log_unit - 0.5 * np.log(variance).sum(axis=0)
             profile = (1.0 - share) * np.exp(half) + share / scale**d * np.exp(half / scale**2)
             found.append(np.asarray(np.bincount(at, np.exp(peak) * profile, n), np.float64))
         return found
@@ -345,7 +347,7 @@ class _Lattice:
     def over(cls, spread: _Spread, widest: float, tuning: GridTuning) -> _Lattice:
         """All factors, and floors from a part of the least quoted errors to a part of the widest radius."""
         low, high = (math.log(value) for value in tuning.factors)
-        least = 0.3 * math.sqrt(float(np.quantile(spread.variance, 0.05))) if len(spread.variance) else 0.3
+        least = 0.3 * math.sqrt(float(np.quantile(spread.variance, 0.05))) if spread.variance.size else 0.3
         most = max(int(math.log(widest / 3.0 / least) / tuning.floor_step), 1)
         grids = np.meshgrid(np.arange(int((high - low) / tuning.factor_step) + 1), np.arange(-1, most + 1))
         across, up = (np.asarray(grid.ravel(), np.int64) for grid in grids)

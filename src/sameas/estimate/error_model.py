@@ -311,20 +311,28 @@ def _fit(residual: FloatArray, weight: FloatArray, parts: FloatArray, held: Floa
 
     residual (m, d), weight (m,), parts (k, m, d, d), held (m, d, d).
     """
+    # Pairs last: every product runs along them.
+    residual, parts, held = residual.T.copy(), _pairs_last(parts), _pairs_last(held)
     theta, shares, damping = np.full(len(parts), 0.5), FIRST_SHARES, 0.5
     for _ in range(STEPS):
         state = _State.of(residual, parts, held, theta, shares)
-        core = weight * state.member[:, 0]
+        core = weight * state.member[0]
         score = state.slope @ core
-        information = 0.5 * np.einsum("m,kmvw,lmwv->kl", core, state.along, state.along)
+        flat = len(parts), -1
+        information = 0.5 * (state.along * core).reshape(flat) @ state.along.swapaxes(1, 2).reshape(flat).T
         free = (theta > 1e-9) | (score > 0.0)
         step = np.zeros(len(theta))
         step[free] = np.linalg.lstsq(information[np.ix_(free, free)], score[free], rcond=1e-9)[0]
         before, theta = theta, np.maximum(theta + damping * step, 1e-9)
-        shares, damping = weight @ state.member / weight.sum(), 1.0
+        shares, damping = state.member @ weight / weight.sum(), 1.0
         if np.abs(theta - before).max() < SETTLED * max(1.0, float(theta.max())):
             break
     return _judged(_State.of(residual, parts, held, theta, shares), weight, theta, shares)
+
+
+def _pairs_last(matrices: FloatArray) -> FloatArray:
+    """(…, d, d, m) of (…, m, d, d)."""
+    return np.ascontiguousarray(np.moveaxis(matrices, -3, -1))
 
 
 @in_short
@@ -332,7 +340,7 @@ def _fit(residual: FloatArray, weight: FloatArray, parts: FloatArray, held: Floa
 class _State:
     """What a model says of every pair.
 
-    along : (k, m, d, d) S⁻¹ parts. slope : (k, m) of ln N(residual; 0, S) with θ. member : (m, n) the probabilities of
+    along : (k, d, d, m) S⁻¹ parts. slope : (k, m) of ln N(residual; 0, S) with θ. member : (n, m) the probabilities of
     core and tail. log_density : (m,) of the residual.
     """
 
@@ -345,19 +353,21 @@ class _State:
     def of(
         cls, residual: FloatArray, parts: FloatArray, held: FloatArray, theta: FloatArray, shares: FloatArray
     ) -> _State:
-        covariance, d = held + np.einsum("k,kmvw->mvw", theta, parts), residual.shape[1]
-        precision = inverse(covariance)
-        scaled = np.einsum("mvw,mw->mv", precision, residual)
-        along = np.einsum("mvw,kmwx->kmvx", precision, parts)
-        slope = 0.5 * (np.einsum("mv,kmvw,mw->km", scaled, parts, scaled) - np.einsum("kmvv->km", along))
-        square = (scaled * residual).sum(axis=1)
+        """Of residuals (d, m), parts (k, d, d, m) and held (d, d, m)."""
+        covariance = np.moveaxis(held + np.tensordot(theta, parts, 1), -1, 0)
+        precision = _pairs_last(inverse(covariance))
+        scaled = np.einsum("vwm,wm->vm", precision, residual)
+        along = np.einsum("vwm,kwxm->kvxm", precision, parts)
+        slope = 0.5 * np.einsum("vwm,kvwm->km", scaled[:, None] * scaled - precision, parts)
+        square = (scaled * residual).sum(axis=0)
         with np.errstate(divide="ignore"):
-            log_member = np.log(shares) - d * np.log(SCALES) - 0.5 * square[:, None] / SCALES**2
-        greatest = log_member.max(axis=1)
-        member = np.exp(log_member - greatest[:, None])
-        total = member.sum(axis=1)
+            log_share = np.log(shares) - len(residual) * np.log(SCALES)
+        log_member = log_share[:, None] - 0.5 * square / SCALES[:, None] ** 2
+        greatest = log_member.max(axis=0)
+        member = np.exp(log_member - greatest)
+        total = member.sum(axis=0)
         log_density = greatest + np.log(total) - 0.5 * log_determinant(covariance)
-        return cls(along, slope, member / total[:, None], log_density)
+        return cls(along, slope, member / total, log_density)
 
 
 def _judged(state: _State, weight: FloatArray, theta: FloatArray, shares: FloatArray) -> _VarianceFit:
@@ -365,9 +375,9 @@ def _judged(state: _State, weight: FloatArray, theta: FloatArray, shares: FloatA
 
     A term that is held at zero takes nothing from what is known of the others.
     """
-    core = state.member[:, 0]
+    core = state.member[0]
     tail = np.flatnonzero(shares[1:] * weight.sum() > NO_PAIRS) + 1
-    scores = np.vstack([state.slope * core, (state.member[:, tail] / shares[tail]).T - core / shares[0]])
+    scores = np.vstack([state.slope * core, state.member[tail] / shares[tail, None] - core / shares[0]])
     information = np.einsum("m,am,bm->ab", weight, scores, scores)
     k = len(theta)
     open_ = np.concatenate([theta > 1e-6, np.ones(len(tail), np.bool_)])
