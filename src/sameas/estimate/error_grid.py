@@ -250,7 +250,7 @@ def _weighed(
 
 def _log_likelihood(sums: FloatArray, tuning: GridTuning) -> FloatArray:
     """(c,) ln of the likelihood of the records with these Σ N/ρ (n,), by share in common."""
-    return np.array([float(np.log1p(c * (sums - 1.0)).sum()) for c in tuning.shares])
+    return np.asarray(np.log1p(np.multiply.outer(tuning.shares, sums - 1.0)).sum(axis=1))
 
 
 def _typical(coverage: Coverage) -> FloatArray:
