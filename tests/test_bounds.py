@@ -76,6 +76,14 @@ def test_a_compressed_image_larger_than_any_that_shrinks_so_far_is_refused(tmp_p
         read_frame(edited(path, 1, ZNAXIS1=100000, ZNAXIS2=900000))
 
 
+@pytest.mark.parametrize("name", ["ZGCOUNT", "ZTILE1"])
+def test_a_text_where_a_compressed_image_has_a_count_is_refused_before_it_is_multiplied(name, tmp_path):
+    path = tmp_path / "c.fits"
+    fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(SKY, compression_type="RICE_1")]).writeto(path)
+    with pytest.raises(InputError, match=f"the header of extension 1 has no whole number in {name}"):
+        read_frame(edited(path, 1, **{"ZPCOUNT": 9999999, name: "'x'"}))
+
+
 def test_whole_files_pass(tmp_path):
     path = tmp_path / "many.fits"
     images = [fits.ImageHDU(SKY, name=f"I{k}") for k in range(3)]

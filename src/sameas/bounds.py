@@ -133,7 +133,7 @@ _FORM = re.compile(rb"(TFORM\d+) *= *' *(\d*)([LXBIJKAEDCMPQ])")
 _BITS = {b"X": 1, b"L": 8, b"B": 8, b"A": 8, b"I": 16, b"J": 32, b"E": 32, b"K": 64, b"D": 64, b"C": 64, b"M": 128,
          b"P": 64, b"Q": 128}  # fmt: skip
 #: Cards that count something; a library multiplies them, whatever they are.
-_COUNTS = re.compile(rb"(BITPIX|Z?NAXIS\d*|PCOUNT|GCOUNT|TFIELDS|ZBITPIX) *$")
+_COUNTS = re.compile(rb"(Z?(BITPIX|NAXIS\d*|PCOUNT|GCOUNT)|TFIELDS|ZTILE\d*) *$")
 _WHOLE = re.compile(rb"([A-Z0-9_-]{1,8}) *= *([+-]?\d+) *(?:/|$)")
 
 
