@@ -306,8 +306,8 @@ def test_a_disk_that_is_full_where_temporary_files_go_is_no_fault_of_sameas(caps
     from sameas.cli import outcome
 
     with pytest.raises(typer.Exit) as ended, outcome.answering(False):
-        raise OSError(errno.ENOSPC, "No space left on device", "/tmp/x")
-    told = "sameas: /tmp/x: no space left on device; make room, there too where TMPDIR says\n"
+        raise OSError(errno.ENOSPC, "No space left on device", "/full/x")
+    told = "sameas: /full/x: no space left on device; make room, there too where TMPDIR says\n"
     assert (ended.value.exit_code, capsys.readouterr().err) == (1, told)
     with pytest.raises(typer.Exit), outcome.answering(False):
         raise OSError("what nobody knows")

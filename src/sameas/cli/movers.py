@@ -206,7 +206,7 @@ def run(
 ) -> None:
     """Read, understand, search, name, say, write."""
     from sameas.cli.terminal import Pace, Printer, share_compilation
-    from sameas.io.ades import Observer
+    from sameas.io.ades import REPORTS, Observer
     from sameas.report.movers import known_lines, model_lines, mover_lines, searched_lines
     from sameas.sky.movers import find_movers
     from sameas.sky.movers.known import name_movers
@@ -249,7 +249,7 @@ def run(
         written = [one.write(tables[name], {**facts, "command": one.command}, name) for name, one in outputs.items()]
         if observer is not None:
             rows = observations(found, known)
-            for place, write in zip(reports, _writers(), strict=True):
+            for place, write in zip(reports, REPORTS.values(), strict=True):
                 write(rows, observer, place, software=f"sameas {facts['version']}")
                 written.append(f"Report: {place}")
     printer([*written, f"Time: {clock.perf_counter() - began:.1f} s"])
@@ -257,8 +257,10 @@ def run(
 
 def _reports(output: Path, inputs: tuple[str, ...], overwrite: bool) -> list[Path]:
     """Where the reports go: beside the output, PSV, XML and 80 columns."""
+    from sameas.io.ades import REPORTS
+
     stem = output.name.split(".")[0]
-    paths = [output.with_name(f"{stem}.{end}") for end in ("psv", "xml", "txt")]
+    paths = [output.with_name(f"{stem}.{end}") for end in REPORTS]
     for path in paths:
         if is_input(path, inputs):
             raise InputError(f"{path}: is also an input; the report would overwrite it; give -o another name")
@@ -267,30 +269,19 @@ def _reports(output: Path, inputs: tuple[str, ...], overwrite: bool) -> list[Pat
     return paths
 
 
-def _writers() -> tuple[Any, ...]:
-    from sameas.io.ades import write_80_columns, write_psv, write_xml
-
-    return write_psv, write_xml, write_80_columns
-
-
 def observations(found: Any, known: Any) -> list[Any]:
     """The rows of a report of tracklets of tables, tracklet by tracklet."""
-    import numpy as np
-    from astropy.time import Time
-
     from sameas.io.ades import Observation
 
     seen, out = found.detections, []
     for k, members in enumerate(found.members):
         for row in members[members >= 0].tolist():
-            east, both, north = seen.covariance[row]
-            error = seen.magnitude_error[row]
+            error = float(seen.magnitude_error[row])
             out.append(
-                Observation(
-                    found.names[k], str(Time(seen.mjd_utc[row], format="mjd", scale="utc").isot),
-                    float(seen.ra_deg[row]), float(seen.dec_deg[row]), float(np.sqrt(east)), float(np.sqrt(north)),
-                    float(both / np.sqrt(east * north)), float(seen.magnitude[row]), float(error),
-                    float(1.0857 / error) if error > 0 else float("nan"),
+                Observation.of(
+                    found.names[k], seen.mjd_utc[row], (seen.ra_deg[row], seen.dec_deg[row]), seen.covariance[row],
+                    magnitude=float(seen.magnitude[row]), magnitude_error=error,
+                    snr=1.0857 / error if error > 0 else float("nan"),
                     permanent="" if known is None else known.number(k),
                 )
             )  # fmt: skip

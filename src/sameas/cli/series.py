@@ -52,7 +52,7 @@ def run(request: SeriesRequest, quiet: bool) -> None:
     from sameas.cli.terminal import Printer, notice, share_compilation
     from sameas.front.series import Identified, series_of
     from sameas.io import write_table
-    from sameas.io.ades import Observer, write_80_columns, write_psv, write_xml
+    from sameas.io.ades import REPORTS, Observer
     from sameas.io.atomic import filling
     from sameas.pages.movers import write_movers_page
     from sameas.report.frame import one_line
@@ -117,9 +117,9 @@ def run(request: SeriesRequest, quiet: bool) -> None:
         write_table(tracklets, draft / written[1], provenance=facts)
         if observer is not None:
             rows, software = observations(found, series, known), f"sameas {sameas.__version__}"
-            for name, write in (("report.psv", write_psv), ("report.xml", write_xml), ("report.txt", write_80_columns)):
-                write(rows, observer, draft / name, software=software)
-                written.append(name)
+            for end, write in REPORTS.items():
+                written.append(f"report.{end}")
+                write(rows, observer, draft / written[-1], software=software)
         if below is not None:
             written.append("below-limit.fits")
             write_table(_below_table(below[0], below[2]), draft / written[-1], provenance=facts)
@@ -262,9 +262,6 @@ def _site(done: tuple[Any, ...]) -> tuple[float, float, float] | None:
 
 def observations(found: Any, series: Any, known: Any) -> list[Any]:
     """The rows of a report, tracklet by tracklet."""
-    import numpy as np
-    from astropy.time import Time
-
     from sameas.io.ades import Observation
 
     seen, out = found.detections, []
@@ -272,21 +269,13 @@ def observations(found: Any, series: Any, known: Any) -> list[Any]:
         for row in members[members >= 0].tolist():
             at = int(seen.rows[row])
             exposure = series.exposures[series.frame[at]]
-            east, both, north = exposure.covariance[series.row[at]]
             flux, error = exposure.flux[series.row[at]], exposure.flux_err[series.row[at]]
             out.append(
-                Observation(
-                    found.names[k],
-                    str(Time(seen.mjd_utc[row], format="mjd", scale="utc").isot),
-                    float(seen.ra_deg[row]),
-                    float(seen.dec_deg[row]),
-                    float(np.sqrt(east)),
-                    float(np.sqrt(north)),
-                    float(both / np.sqrt(east * north)),
-                    float(exposure.magnitude[series.row[at]]),
-                    float(1.0857 * error / flux) if flux > 0 else float("nan"),
-                    float(exposure.snr[series.row[at]]),
-                    permanent="" if known is None else known.number(k),
+                Observation.of(
+                    found.names[k], seen.mjd_utc[row], (seen.ra_deg[row], seen.dec_deg[row]),
+                    exposure.covariance[series.row[at]], magnitude=float(exposure.magnitude[series.row[at]]),
+                    magnitude_error=float(1.0857 * error / flux) if flux > 0 else float("nan"),
+                    snr=float(exposure.snr[series.row[at]]), permanent="" if known is None else known.number(k),
                 )
-            )
+            )  # fmt: skip
     return out

@@ -401,9 +401,10 @@ class Coverage:
 
 
 def local_share(
-    levels: Sequence[GridLevel], source: int, part: FloatArray, weights: FloatArray
+    levels: Sequence[GridLevel], source: int, part: FloatArray, weights: FloatArray, *, elsewhere: bool = True
 ) -> tuple[FloatArray, FloatArray]:
-    """Local share Σ part / Σ weights of the records of ``source`` (1 or 2), at the records of both.
+    """Local share Σ part / Σ weights of the records of ``source`` (1 or 2), at the records of both; without
+    ``elsewhere`` at these alone, and the other source's array is empty.
 
     Drawn towards that of the coarser cell by many pseudo-counts: a share that is itself being estimated must not
     gather where a few chance pairs happen to lie.
@@ -411,9 +412,11 @@ def local_share(
     from sameas.kernels.coverage import refine_share
 
     start = (float(part.sum()) + 0.5) / (float(weights.sum()) + 1.0)
-    at_first, at_second = np.full(len(levels[0].of_first), start), np.full(len(levels[0].of_second), start)
-    at = (at_first, at_second) if source == 1 else (at_second, at_first)
+    most = None if elsewhere else 0
+    own, other = (np.full(len(cells), start) for cells in levels[0].facing(source))
+    other = other[:most]
     for level in levels:
         sums = np.empty(len(level.volume)), np.empty(len(level.volume))
-        refine_share(*level.facing(source), part, weights, *sums, SHARED_PSEUDO_COUNT, *at)
-    return at_first, at_second
+        cells, others = level.facing(source)
+        refine_share(cells, others[:most], part, weights, *sums, SHARED_PSEUDO_COUNT, own, other)
+    return (own, other) if source == 1 else (other, own)

@@ -378,7 +378,7 @@ def _local(setting: Setting, partner: Both, counted: tuple[BoolArray, BoolArray]
     # One cell says no more than the mean of all, and the finest say next to nothing.
     levels = setting.levels[1:-1] or setting.levels
     weights = [(seen & known).astype(np.float64) for seen, known in zip(setting.seen, counted, strict=True)]
-    works = [partial(local_share, levels, k + 1, partner[k] * weights[k], weights[k]) for k in (0, 1)]
+    works = [partial(local_share, levels, k + 1, partner[k] * weights[k], weights[k], elsewhere=False) for k in (0, 1)]
     (at_1, _), (_, at_2) = threads.each(works, len(weights[0]))
     return at_1, at_2
 

@@ -132,6 +132,20 @@ class Observation:
     provisional: str = ""
     remarks: str = ""
 
+    @classmethod
+    def of(
+        cls, name: str, mjd_utc: float, place_deg: tuple[float, float], covariance: Sequence[float], **measured: Any
+    ) -> Observation:
+        """By the time as MJD, right ascension and declination, and the variances and covariance (3,) east-east,
+        east-north, north-north in arcsec²; ``measured`` is everything else by its name."""
+        from astropy.time import Time
+
+        east, both, north = covariance
+        return cls(
+            name, str(Time(mjd_utc, format="mjd", scale="utc").isot), float(place_deg[0]), float(place_deg[1]),
+            math.sqrt(east), math.sqrt(north), float(both / math.sqrt(east * north)), **measured,
+        )  # fmt: skip
+
     def fields(self, observer: Observer) -> dict[str, str]:
         """The values that ADES has columns for; those without a value are left out."""
         out = {
@@ -221,6 +235,10 @@ def write_80_columns(
     lines = [_plain(line) for line in (*lines, *(line_of(one, observer) for one in observations))]
     with replacing(Path(path)) as draft:
         draft.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+#: The forms of a report, by the ends of their names.
+REPORTS = {"psv": write_psv, "xml": write_xml, "txt": write_80_columns}
 
 
 def line_of(one: Observation, observer: Observer) -> str:

@@ -26,6 +26,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.special import expit
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gaussian import Gaussian, inverse, log_density, mahalanobis_sq, symmetric
@@ -210,7 +211,7 @@ class TrackPairs(ColumnTable):
         log_stays = np.log1p(-reassigned - np.exp(swapped[1]).sum(axis=1)) + self.log_ratio
         log_changes = np.logaddexp(math.log(reassigned) + best, np.logaddexp.reduce(swapped[0] + swapped[1], axis=1))
         leaked = rivals.bounded(np.logaddexp(log_stays, log_changes), agrees, reassigned)
-        anew = 1.0 / (1.0 + np.exp(np.clip(log_stays - log_changes, -50.0, 50.0)))
+        anew = np.asarray(expit(log_changes - log_stays))
         mixed = self._mixed(step, tracks, np.where(new_report, anew, 0.0))
         return replace(mixed, log_ratio=np.where(new_report, leaked, self.log_ratio))
 
@@ -283,9 +284,7 @@ class Rivals:
         """(k,) the highest value of any rival of each pair, itself among them."""
         out = values
         for rivals in self.sides:
-            best = np.full(int(rivals.max(initial=-1)) + 1, -np.inf)
-            np.maximum.at(best, rivals, values)
-            out = np.maximum(out, best[rivals])
+            out = np.maximum(out, _most(rivals, values))
         return out
 
     def bounded(self, log_ratio: FloatArray, agrees: BoolArray, reassigned: float) -> FloatArray:

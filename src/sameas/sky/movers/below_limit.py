@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter
 from scipy.optimize import minimize
+from scipy.special import expit
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, naming
@@ -35,6 +36,7 @@ from sameas.representation import in_short
 from sameas.sky.frame.background import Background
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Flag
+from sameas.sky.frame.psf import FWHM_PER_SIGMA
 from sameas.sky.movers.detections import Detections
 from sameas.sky.movers.rates import EclipticAxes, reference_rate, sun_longitude_deg
 from sameas.sky.movers.search import Movers
@@ -190,6 +192,10 @@ class _Peaks:
     def some(self, rows: NDArray[np.int64] | BoolArray) -> _Peaks:
         return _Peaks(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
+    def path(self, minutes: FloatArray) -> FloatArray:
+        """(n, f, 2) places at these times, arcsec."""
+        return np.asarray(self.place[:, None] + minutes[None, :, None] * self.rate[:, None])
+
     @staticmethod
     def together(parts: Sequence[_Peaks]) -> _Peaks:
         return _Peaks(*(np.concatenate([getattr(p, name) for p in parts]) for name in _Peaks.__dataclass_fields__))
@@ -280,7 +286,7 @@ def _filtered(
     """ψ and φ of one frame in its own pixels. movers : (k, 2) places of tracklets, arcsec, and (k,) what they have."""
     exposure = series.exposures[n]
     full = max(exposure.psf_fwhm_px, 1.5)
-    sigma = full / 2.3548
+    sigma = full / FWHM_PER_SIGMA
     background = Background.of(frame)
     inverse = np.where(np.isfinite(background.variance), 1.0 / background.variance, 0.0).astype(np.float32)
     inverse[(frame.flags & _NO_LIGHT) != 0] = 0.0
@@ -360,7 +366,7 @@ def _without_static(signal: Plane, weight: Plane, width: float, tuning: BelowLim
         usual[row] = _medians(np.where(there, (psi / np.where(there, inverse, 1.0)) ** 2, np.inf), there)
     # What most frames differ by is noise there: the seeing, and the wings of stars. A mover is on few of them.
     seen = (usual > 0).astype(np.float32)
-    near = tuning.blur_widths * width / 2.3548
+    near = tuning.blur_widths * width / FWHM_PER_SIGMA
     mean = gaussian_filter(usual, near) / np.maximum(gaussian_filter(seen, near), 1e-3)
     if seen.any():
         mean /= float(np.median(mean[seen > 0]))
@@ -450,8 +456,7 @@ class _Strip:
             return np.asarray(x[:2] + minutes[:, None] * x[2:] / half)
 
         def misfit(x: FloatArray) -> float:
-            psi, phi = self._sampled(path(x))
-            return -float(psi.sum() / math.sqrt(max(phi.sum(), 1e-30)))
+            return -_added(*self._sampled(path(x)))
 
         start = np.concatenate([peak.place[0], peak.rate[0] * half])
         around = start + np.vstack([np.zeros(4), 0.3 * reach * np.eye(4)])
@@ -462,8 +467,14 @@ class _Strip:
         x = fit.x if np.abs(fit.x - start).max() < 1.5 * reach and -fit.fun > peak.t[0] else start
         parts = np.array([self._part(path(x), frames, reach) for frames in groups])
         psi, phi = self._sampled(path(x))
-        t = psi.sum() / math.sqrt(max(phi.sum(), 1e-30))
-        return _Peaks(np.array([max(t, peak.t[0])]), x[None, :2], x[None, 2:] / half, psi[None], phi[None], parts[None])
+        return _Peaks(
+            np.array([max(_added(psi, phi), peak.t[0])]),
+            x[None, :2],
+            x[None, 2:] / half,
+            psi[None],
+            phi[None],
+            parts[None],
+        )
 
     def _part(self, place: FloatArray, frames: IntArray, reach: float) -> FloatArray:
         """(3,) offset from the motion and T of some frames: of the highest place within half a width."""
@@ -472,23 +483,27 @@ class _Strip:
         for j, dy in enumerate(grid):
             for i, dx in enumerate(grid):
                 psi, phi = self._sampled(place + np.array([dx, dy]))
-                t[j, i] = psi[frames].sum() / math.sqrt(max(phi[frames].sum(), 1e-30))
+                t[j, i] = _added(psi[frames], phi[frames])
         north, east = np.unravel_index(np.argmax(t), t.shape)
         return np.array([grid[east], grid[north], t[north, east]])
 
     def take_away(self, peaks: _Peaks) -> None:
         """No weight where these peaks have their light."""
-        for place, rate in zip(peaks.place, peaks.rate, strict=True):
-            at = (place + self.plan.minutes[:, None] * rate - self.origin) / self.plan.scale
+        for at in (peaks.path(self.plan.minutes) - self.origin) / self.plan.scale:
             for n, one in enumerate(at):
                 _hide(self.weight[n], one[None], np.array([1.5 * self.plan.width]))
                 self.signal[n][self.weight[n] == 0] = 0.0
 
 
+def _added(psi: FloatArray, phi: FloatArray) -> float:
+    """T of some frames, (f,) each."""
+    return float(psi.sum() / math.sqrt(max(phi.sum(), 1e-30)))
+
+
 def _alone(peaks: _Peaks, minutes: FloatArray, plan: Plan, tuning: BelowLimitTuning) -> _Peaks:
     """The peaks, the highest first, each without the frames on which a higher one passes by; what is left of T."""
     peaks = peaks.some(np.argsort(-peaks.t, kind="stable"))
-    path = peaks.place[:, None] + minutes[None, :, None] * peaks.rate[:, None]
+    path = peaks.path(minutes)
     reach = tuning.own_widths * plan.width * plan.scale
     kept, t = list[int](), peaks.t.copy()
     weight, signal = peaks.weight.copy(), peaks.signal.copy()
@@ -585,11 +600,11 @@ def _answer(
         math.log(linked * limit) - 2.0 * np.log(np.maximum(peaks.t, 1e-9)) + _rate_ratio(found, series, plan, peaks)
     )
     log_weight = log_mover - (log_chance + np.log(np.maximum(peaks.t, 1e-9) / s**2))
-    p = 1.0 / (1.0 + np.exp(-np.clip(log_weight, -700, 700)))
+    p = np.asarray(expit(log_weight))
     keep = np.flatnonzero((p >= least) & np.isfinite(peaks.parts).all(axis=(1, 2)) & (peaks.t > u))
     keep = keep[np.argsort(-p[keep], kind="stable")]
     mine = peaks.some(keep)
-    path = mine.place[:, None] + plan.minutes[None, :, None] * mine.rate[:, None]
+    path = mine.path(plan.minutes)
     flux = mine.signal.sum(axis=1) / np.maximum(mine.weight.sum(axis=1), 1e-30)
     movers = _movers(found, series, plan, mine, p[keep], log_weight[keep], np.exp(log_chance[keep]), flux)
     return BelowLimit(movers, mine.t, (mine.weight > 0).sum(axis=1), flux, path, tail, plan)
@@ -627,7 +642,7 @@ def _movers(
         when[:, g] = (weight * plan.minutes[rows]).sum(axis=1) / weight.sum(axis=1)
         at[:, g] = peaks.place + when[:, g, None] * peaks.rate + peaks.parts[:, g, :2]
         # A Gaussian star against the sky: √2 σ over the signal to noise.
-        sigma[:, g] = math.sqrt(2.0) * plan.width / 2.3548 * plan.scale / np.maximum(peaks.parts[:, g, 2], 1.0)
+        sigma[:, g] = math.sqrt(2.0) * plan.width / FWHM_PER_SIGMA * plan.scale / np.maximum(peaks.parts[:, g, 2], 1.0)
     ra, dec = series.sky(at.reshape(-1, 2))
     zero = series.stars.zero_point
     bright = (

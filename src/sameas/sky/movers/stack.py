@@ -24,6 +24,7 @@ from scipy.spatial import cKDTree
 from sameas.arrays import BoolArray, FloatArray
 from sameas.representation import in_short
 from sameas.sky.frame.image import Frame
+from sameas.sky.frame.psf import FWHM_PER_SIGMA
 from sameas.sky.movers.search import Movers
 from sameas.sky.series.tied import Series
 
@@ -116,7 +117,7 @@ def stack(
         chip[:, n] = to_chip(place[:, n])
         width = max(_width(series, n), 1.5)
         hidden[:, n] = _near_star(series, n, place[:, n], tuning.hidden_widths * width * scale)
-        measured = _Measuring(frame, width / 2.3548)
+        measured = _Measuring(frame, width / FWHM_PER_SIGMA)
         flux[:, n], error[:, n] = _forced(measured, chip[:, n], to_chip, place[:, n], width, scale, rng, tuning)
         noise = measured.noise()
         for i in range(k):

@@ -23,6 +23,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from sameas.arrays import BoolArray, FloatArray
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Flag
+from sameas.sky.frame.psf import FWHM_PER_SIGMA
 from sameas.sky.movers.stack import ChipMap
 from sameas.sky.series.tied import Series, Trails
 
@@ -207,7 +208,7 @@ class _Pixels:
             box = good[a : int(y + r) + 2, b : int(x + r) + 2]
             box &= ((u - x) ** 2 + (v - y) ** 2 > r * r)[: box.shape[0], : box.shape[1]]
         image[~good] = level
-        sigma = width / 2.3548
+        sigma = width / FWHM_PER_SIGMA
         smooth = gaussian_filter(image.astype(np.float32), sigma, mode="nearest") - np.float32(level)
         gain = frame.facts.gain_e_per_adu
         return cls(image, good, smooth * (2 * math.sqrt(math.pi) * sigma / noise), noise,
@@ -276,7 +277,7 @@ class _Pixels:
         start = np.array([*middle, *(np.maximum(length, 0.5 * self.width) * way), 1.0, 0.0])
 
         def misfit(values: FloatArray) -> FloatArray:
-            model = _line(u, v, values[:2], values[2:4], self.width / 2.3548)
+            model = _line(u, v, values[:2], values[2:4], self.width / FWHM_PER_SIGMA)
             return np.asarray((light - level - values[5] * self.noise - values[4] * flux * model) / error)
 
         def star(values: FloatArray) -> FloatArray:
