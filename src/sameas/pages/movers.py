@@ -104,7 +104,7 @@ def _mover(found: Movers, series: Series, pixels: Stack, known: KnownObjects | N
         "magnitude": rounded(float(np.nanmedian(light)), 3) if np.isfinite(light).any() else None,
         "snr": rounded(pixels.snr[k], 2), "scale": pixels.scale_arcsec_per_px, "frames": frames, "rows": each,
         "reasons": [list(one) for one in reasons(found, pixels, k)], "known": _known(found, known, k),
-        "added": found.prefix == "sb",
+        "added": found.added,
         "along": _sheet(pixels.along[k][shown], top), "fixed": None if fixed is None else _sheet(fixed[shown], top),
         "stack": _sheet(pixels.stacked[k][None], max(_WHITE, 0.8 * float(pixels.stacked[k].max()))),
     }  # fmt: skip

@@ -169,7 +169,7 @@ def reasons(found: Movers, pixels: Stack, k: int) -> list[tuple[str, bool]]:
     """Why tracklet k is believed, sentence by sentence, and whether each is rather a doubt."""
     seen, rows = found.detections, found.members[k][found.members[k] >= 0]
     frames = len(pixels.flux[k])
-    if found.prefix == "sb":
+    if found.added:
         return [
             ("no frame shows it by itself; it was found by adding the frames along its motion", False),
             (f"chance makes {_small(found.expected_chance[k])} such peaks of as much light at such rates, as the same "

@@ -39,7 +39,7 @@ from sameas.sky.frame.measurements import Flag
 from sameas.sky.frame.psf import FWHM_PER_SIGMA
 from sameas.sky.movers.detections import Detections
 from sameas.sky.movers.rates import EclipticAxes, reference_rate, sun_longitude_deg
-from sameas.sky.movers.search import Movers
+from sameas.sky.movers.search import ADDED, Movers
 from sameas.sky.movers.stack import ChipMap, chip_map, predicted
 from sameas.sky.series.tied import Series
 
@@ -634,7 +634,7 @@ def _movers(
     groups, k = _thirds(len(plan.minutes)), len(p)
     names = tuple(f"frames {g[0] + 1}–{g[-1] + 1} added" for g in groups)
     if not k:
-        return replace(found, prefix="sb").only(np.empty(0, np.int64))
+        return replace(found, prefix=ADDED).only(np.empty(0, np.int64))
     mjd0 = 0.5 * (series.exposures[0].mjd_utc + series.exposures[-1].mjd_utc)
     when, at, sigma = np.empty((k, 3)), np.empty((k, 3, 2)), np.empty((k, 3))
     for g, rows in enumerate(groups):
@@ -656,4 +656,4 @@ def _movers(
     seen = replace(seen, frame_names=names)
     members = np.arange(3 * k).reshape(k, 3)
     even = np.repeat(p[:, None], 3, axis=1)
-    return Movers(seen, found.model, members, p, p, even, log_weight, chance, 0.0, np.zeros((k, 6)), prefix="sb")
+    return Movers(seen, found.model, members, p, p, even, log_weight, chance, 0.0, np.zeros((k, 6)), prefix=ADDED)

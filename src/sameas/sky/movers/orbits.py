@@ -160,11 +160,11 @@ def _of_objects(objects: Sequence[Any], path: Any) -> Elements:
     rows, names, numbers, spread = [], [], [], np.full((len(objects), 6, 6), np.nan)
     for k, one in enumerate(objects):
         orbit, body = one["orbit"], one.get("object", {})
-        told = orbit.get("covariance") or {}
-        chosen = told.get("elements") or orbit["elements"]
+        given = orbit.get("covariance") or {}
+        chosen = given.get("elements") or orbit["elements"]
         value = {element["name"]: _number(element["value"]) for element in chosen}
         value = {_LABELS.get(name, name): v for name, v in value.items()}
-        epoch = _number(told.get("epoch") or orbit["epoch"]) - 2400000.5
+        epoch = _number(given.get("epoch") or orbit["epoch"]) - 2400000.5
         physical = {p.get("name"): _number(p.get("value")) for p in one.get("phys_par") or []}
         name = " ".join(str(body.get("fullname") or body.get("des") or f"object {k + 1}").split())
         names.append(name)
@@ -172,10 +172,10 @@ def _of_objects(objects: Sequence[Any], path: Any) -> Elements:
         rows.append([epoch, value["q"], value["e"], value["i"], value["om"], value["w"], value["tp"] - 2400000.5,
                      physical.get("H", math.nan), physical.get("G", math.nan),
                      _number(orbit.get("condition_code"))])  # fmt: skip
-        labels = [_LABELS.get(label, label) for label in told.get("labels", [])]
-        if told.get("data") is not None and set(_COVARIANCE) <= set(labels):
+        labels = [_LABELS.get(label, label) for label in given.get("labels", [])]
+        if given.get("data") is not None and set(_COVARIANCE) <= set(labels):
             at = [labels.index(label) for label in _COVARIANCE]  # others are of non-gravitational forces
-            spread[k] = np.array(told["data"], dtype=np.float64)[np.ix_(at, at)]
+            spread[k] = np.array(given["data"], dtype=np.float64)[np.ix_(at, at)]
     found = _elements(names, numbers, *np.array(rows, dtype=np.float64).T)
     known = np.isfinite(spread).all(axis=(1, 2))
     return _usable(replace(found, covariance=spread) if known.any() else found, path)

@@ -21,6 +21,9 @@ from sameas.sky.movers.tracks import Competition, compete, grow
 if TYPE_CHECKING:
     from astropy.table import Table
 
+#: Prefixes of names: of movers by their detections, and of those that only the frames added together show.
+DETECTED, ADDED = "sa", "sb"
+
 
 @in_short
 @dataclass(frozen=True)
@@ -39,7 +42,7 @@ class Movers:
         is e^x times more probable as a mover than by chance happens by chance e^−x times as often as movers do).
     gap : ln of how much more probable another choice of tracklets could be at most.
     near_earth : (k,) scores of digest2 for near-Earth objects, 0 … 100, where they were asked for.
-    prefix : of their names; "sb" of those that only the frames added together show.
+    prefix : of their names, :data:`DETECTED` or :data:`ADDED`.
     """
 
     detections: Detections
@@ -53,10 +56,15 @@ class Movers:
     gap: float
     state: FloatArray = field(repr=False)
     near_earth: FloatArray | None = None
-    prefix: str = "sa"
+    prefix: str = DETECTED
 
     def __len__(self) -> int:
         return len(self.members)
+
+    @property
+    def added(self) -> bool:
+        """Whether only the frames added together show them."""
+        return self.prefix == ADDED
 
     @property
     def size(self) -> IntArray:
