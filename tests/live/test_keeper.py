@@ -1,5 +1,6 @@
 """The keeper: its journal and state survive a kill, its alarms begin and end, bad input ends nothing."""
 
+import asyncio
 import contextlib
 import os
 import shutil
@@ -146,6 +147,22 @@ def test_reports_that_cannot_be_used_end_nothing(keeper):
     del keeper.picture.advance
     assert keeper.tick(START_S + 24.0) is not None
     keeper.close()
+
+
+def test_a_registration_or_search_that_fails_ends_nothing_and_the_state_is_saved(tmp_path, monkeypatch):
+    def failing(*arguments):
+        raise ZeroDivisionError("a fault of ours")
+
+    for name in ("estimated", "faults_of"):
+        monkeypatch.setattr(f"sameas.live.keeper.{name}", failing)
+    keeper = Keeper(settings(register_every_s=0.1, faults_every_s=0.1, every_s=0.05), tmp_path, replay=replay())
+    asyncio.run(keeper.run(until=lambda: keeper._tick >= 3))
+    assert keeper.journal is None and load_state(tmp_path)["tick"] == 3
+    # Nor does one that fails in a way that it does not catch.
+    monkeypatch.setattr(Keeper, "register", failing)
+    again = Keeper(settings(register_every_s=0.1, every_s=0.05), tmp_path, replay=replay())
+    asyncio.run(again.run(until=lambda: again._tick >= 6))
+    assert again.restored and again.journal is None and load_state(tmp_path)["tick"] == 6
 
 
 def test_a_damaged_state_is_refused_and_another_version_begins_anew(tmp_path):

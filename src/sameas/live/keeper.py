@@ -14,7 +14,6 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -188,10 +187,10 @@ class Keeper:
         """Estimates the sources' biases by the last minutes; what fails is said and changes nothing."""
         try:
             found = estimated(self.picture.recent(), self.picture.plane)
-        except InputError as error:
-            LOG.info("registration: %s", error)
-            return
-        self.picture.take_off(found)
+            self.picture.take_off(found)
+        except Exception as error:
+            # What looks for biases must not end the watch: it goes on with those that it has.
+            LOG.info("registration: %s", error, exc_info=not isinstance(error, InputError))
 
     def search(self) -> None:
         """Looks for deception and for faults of sources in the last minutes; what fails is said and changes nothing.
@@ -405,12 +404,12 @@ class Keeper:
         finally:
             for task in readers:
                 task.cancel()
-            await asyncio.gather(*readers, return_exceptions=True)
-            for beside in (registration, search):
-                if beside is not None:
-                    with suppress(asyncio.CancelledError):
-                        await beside
-            self.close()
+            try:
+                # Whatever they end with, the state is saved.
+                beside = (task for task in (registration, search) if task is not None)
+                await asyncio.gather(*readers, *beside, return_exceptions=True)
+            finally:
+                self.close()
 
     def close(self) -> None:
         """Saves the state and closes the journal.
