@@ -139,10 +139,8 @@ class Past:
     def _log_ratio(self) -> FloatArray:
         """(k,) ln r of the pairs by the past."""
         track_pairs, tracks = self.track_pairs, self.tracks
-        one, other = (
-            tracks.source[places_in(tracks.number, number)] for number in (track_pairs.first, track_pairs.second)
-        )
-        rivals = Rivals.of(track_pairs.first, track_pairs.second, one, other)
+        first, second = (places_in(tracks.number, number) for number in (track_pairs.first, track_pairs.second))
+        rivals = Rivals.of(first, second, tracks.source[first], tracks.source[second])
         past = track_pairs.log_ratio + track_pairs.at_scan - track_pairs.now
         chi_sq = DEFAULT_TUNING.manoeuvre_chi_sq if tracks.scan is None else tracks.scan.tuning.manoeuvre_chi_sq
         return rivals.bounded(past, track_pairs.chi_sq <= chi_sq, self.reassigned)

@@ -29,11 +29,11 @@ import numpy as np
 from scipy.special import expit
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.gaussian import Gaussian, inverse, log_density, mahalanobis_sq, symmetric
-from sameas.kernels.kalman import mix
+from sameas.gaussian import Gaussian, log_density, mahalanobis_sq
+from sameas.kernels.kalman import best_others, mix, pairs_anew, pairs_stepped, swap_evidence
 from sameas.many.observations import Source
-from sameas.picture.error_correlation import LEAST_M2, error_update
-from sameas.picture.named import NamedTracks, Step, places_in, with_lasting
+from sameas.picture.error_correlation import LEAST_M2
+from sameas.picture.named import NamedTracks, Step, places_in
 from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
@@ -100,8 +100,17 @@ class TrackPairs(ColumnTable):
 
     def with_(self, others: TrackPairs) -> TrackPairs:
         """These and others, in order."""
-        both = self.stacked(others)
-        return both.take(np.argsort(keys(both.first, both.second)))
+        if not len(others):
+            return self
+        place = np.empty(len(self) + len(others), np.int64)
+        place[np.argsort(np.concatenate([keys(self.first, self.second), keys(others.first, others.second)]))] = (
+            np.arange(len(place))
+        )
+        columns, more = self.columns(), others.columns()
+        for name, column in columns.items():
+            columns[name] = np.empty((len(place), *column.shape[1:]), column.dtype)
+            columns[name][place[: len(self)]], columns[name][place[len(self) :]] = column, more[name]
+        return replace(self, **columns)  # type: ignore[arg-type]
 
     def stepped(
         self, step: Step, reassigned: float, swaps: SwapRates, tuning: Tuning = DEFAULT_TUNING
@@ -113,121 +122,65 @@ class TrackPairs(ColumnTable):
         best rival or 0.
         """
         a, b = step.find(self.first), step.find(self.second)
-        both = (a >= 0) & (b >= 0)
-        continuing, a, b = self.take(both), a[both], b[both]
-        updated = continuing._predicted(step, a, b)._updated(step, a, b, tuning)
-        rivals = Rivals.of(updated.first, updated.second, step.source[a], step.source[b])
-        log_before, log_near = continuing._swapped(step, (a, b), rivals, tuning)
-        log_rate = np.log(np.column_stack([swaps.rate(step.source[track], tuning) for track in (b, a)]))
+        rows = np.flatnonzero((a >= 0) & (b >= 0))
+        a, b = a[rows], b[rows]
+        updated = self._updated(step, rows, a, b, tuning)
+        rivals = Rivals.of(a, b, step.source[a], step.source[b])
+        log_before, near = _swapped(self.log_ratio[rows], self.at_scan[rows], step, (a, b), rivals, tuning)
+        rate = np.column_stack([swaps.rate(step.source[track], tuning) for track in (b, a)])
         for side, track in ((0, b), (1, a)):
             weights = updated.log_ratio + updated.now, log_before[:, side] + updated.now
-            swaps = swaps.updated(rivals.sides[side], step.source[track], *weights, log_near[:, side], tuning)
-        return updated._leaked(step, (a, b), rivals, reassigned, (log_before, log_near + log_rate), tuning), swaps
+            swaps = swaps.updated(rivals.sides[side], step.source[track], *weights, near[:, side], tuning)
+        return updated._leaked(step, (a, b), rivals, reassigned, (log_before, rate * near), tuning), swaps
 
-    def _swapped(
-        self, step: Step, tracks: tuple[IntArray, IntArray], rivals: Rivals, tuning: Tuning
-    ) -> tuple[FloatArray, FloatArray]:
-        """(k, 2) ln r of each pair's most probable rival before the step, 0 for none, and ln of the probability of a
-        swap with it for h = 1, −∞ for none: of rivals with the same first track, and with the same second."""
-        log_before, log_near = np.zeros((len(self), 2)), np.full((len(self), 2), -np.inf)
-        for side, track in ((0, tracks[1]), (1, tracks[0])):
-            weight = self.log_ratio + self.at_scan
-            best = rivals.best_other(weight, side)
-            at = np.flatnonzero((best >= 0) & step.new_report[track])
-            one, other = track[at], track[best[at]]
-            apart = mahalanobis_sq(step.here[one] - step.here[other], step.covariance[one] + step.covariance[other])
-            near = np.zeros(len(self))
-            near[at] = np.exp(-apart / tuning.swap_chi_sq)
-            # The most probable one of a set swaps with one of the others at most, and each of these with it.
-            leads = (best >= 0) & (weight >= weight[best])
-            total = np.bincount(rivals.sides[side], np.where(leads, 0.0, near))[rivals.sides[side]]
-            near[at] = np.where(leads, np.minimum(total, 1.0), near / np.maximum(total, 1.0))[at]
-            log_before[at, side] = self.log_ratio[best[at]]
-            with np.errstate(divide="ignore"):
-                log_near[at, side] = np.log(near[at])
-        return log_before, log_near
-
-    def _predicted(self, step: Step, a: IntArray, b: IntArray) -> TrackPairs:
-        """The errors of both tracks grown by their motion; a, b : places of the tracks in the step."""
-        drift = step.drift[a]
-        went = (step.moved[a] - step.moved[b]) - (step.last[a] - step.last[b])
-        # Much less than LEAST_M2, so that it does not matter which track is the first.
-        gain = drift @ inverse(drift + step.drift[b] + 1e-4 * LEAST_M2 * np.eye(2))
-        mean, covariance = self.mean.copy(), self.covariance.copy()
-        mean[..., :2] += np.einsum("kvw,kw->kv", gain, went)[:, None]
-        covariance[..., :2, :2] += symmetric(drift - gain @ drift)[:, None]
-        return replace(self, mean=mean, covariance=covariance)
-
-    def _updated(self, step: Step, a: IntArray, b: IntArray, tuning: Tuning) -> TrackPairs:
-        """After the new reports of the step: those of the first track, then of the second."""
-        k = len(self)
-        mean, covariance = self.mean.reshape(2 * k, 8), self.covariance.reshape(2 * k, 8, 8)
+    def _updated(self, step: Step, rows: IntArray, a: IntArray, b: IntArray, tuning: Tuning) -> TrackPairs:
+        """The pairs ``rows`` after the motion of their tracks, places a and b in the step, and after its new reports:
+        those of the first track, then of the second."""
+        k = len(rows)
+        mean, covariance = np.empty((k, 2, 8)), np.empty((k, 2, 8, 8))
+        log_reports, now, chi_sq = np.empty((k, 2)), np.empty(k), np.empty(k)
+        pairs_stepped(
+            self.mean, self.covariance, rows, a, b, step.last, step.moved, step.drift, step.slope, step.noise,
+            step.shift, step.new_report, step.covariance, LEAST_M2, mean, covariance, log_reports, now, chi_sq,
+        )  # fmt: skip
         # ln p of the reports if they are one object, in convoy, or each on its own way.
-        log_reports = np.zeros((k, 3))
-        delta = step.moved[a] - step.moved[b]
-        for track, is_first in ((a, True), (b, False)):
-            slope = np.zeros((k, 2, 8))
-            slope[:, :, :2], shift = step.slope[track, :, :2], step.shift[track]
-            if is_first:
-                slope[:, :, 2:4], expected = step.slope[track, :, 2:], 0.0
-            else:
-                # e_b = e_a − δ + d.
-                slope[:, :, 4:6], slope[:, :, 6:] = step.slope[track, :, 2:], slope[:, :, :2]
-                expected = np.einsum("kvw,kw->kv", slope[:, :, :2], delta)
-            twice = np.repeat(np.arange(k), 2)
-            mean, covariance, log_p, _ = error_update(
-                mean, covariance, slope[twice], step.noise[track][twice], (shift + expected)[twice]
-            )
-            if is_first:
-                mean[:, :2] += shift[twice]
-            delta = delta + (shift if is_first else -shift)
-            log_report = np.column_stack([log_p.reshape(k, 2), step.log_own[track]])
-            log_reports += np.where(step.new_report[track, None], log_report, 0.0)
-        log_one, log_together, log_apart = log_reports.T
-        log_two = np.logaddexp(log_together + self.log_convoy, log_apart) - np.logaddexp(self.log_convoy, 0.0)
+        log_one, log_together = log_reports.T
+        log_apart, log_convoy = step.log_own[a] + step.log_own[b], self.log_convoy[rows]
+        log_two = np.logaddexp(log_together + log_convoy, log_apart) - np.logaddexp(log_convoy, 0.0)
         gain, bound = log_one - log_two, tuning.convoy_log_odds
-        log_convoy = np.clip(self.log_convoy + log_together - log_apart, -bound, bound)
-        total = step.covariance[a] + step.covariance[b]
-        now, chi_sq = log_density(delta, total), mahalanobis_sq(delta, total)
         is_new = np.column_stack([step.new_report[a], step.new_report[b]])
         new_report = is_new.any(axis=1)
-        ratio = np.where(new_report, self.log_ratio + self.at_scan + gain - now, self.log_ratio)
-        return replace(
-            self, mean=mean.reshape(k, 2, 8), covariance=covariance.reshape(k, 2, 8, 8), log_convoy=log_convoy,
-            log_ratio=ratio,
-            at_scan=np.where(new_report, now, self.at_scan), now=now, chi_sq=chi_sq,
-            anchor_new=self.anchor_new | is_new,
+        before, at_scan = self.log_ratio[rows], self.at_scan[rows]
+        return TrackPairs(
+            self.first[rows], self.second[rows], mean, covariance,
+            np.clip(log_convoy + log_together - log_apart, -bound, bound),
+            np.where(new_report, before + at_scan + gain - now, before), np.where(new_report, now, at_scan), now,
+            chi_sq, self.anchor_s[rows], self.anchor[rows], self.anchor_new[rows] | is_new,
         )  # fmt: skip
 
     def _leaked(
         self, step: Step, tracks: tuple[IntArray, IntArray], rivals: Rivals, reassigned: float,
         swapped: tuple[FloatArray, FloatArray], tuning: Tuning,
     ) -> TrackPairs:  # fmt: skip
-        """After reports that may be of another object than their ids say; swapped : ln r before and ln of the
-        probability of a swap, (k, 2) each."""
+        """After reports that may be of another object than their ids say; swapped : ln r before and the probability of
+        a swap, (k, 2) each. The states are changed in place."""
         new_report = step.new_report[tracks[0]] | step.new_report[tracks[1]]
         agrees = self.chi_sq <= tuning.manoeuvre_chi_sq
         best = np.maximum(rivals.most(np.where(agrees, self.log_ratio, -np.inf)), 0.0)
-        log_stays = np.log1p(-reassigned - np.exp(swapped[1]).sum(axis=1)) + self.log_ratio
-        log_changes = np.logaddexp(math.log(reassigned) + best, np.logaddexp.reduce(swapped[0] + swapped[1], axis=1))
+        log_stays = np.log1p(-reassigned - swapped[1].sum(axis=1)) + self.log_ratio
+        # ln r is bounded, and so are its exponentials.
+        log_changes = np.log(reassigned * np.exp(best) + (np.exp(swapped[0]) * swapped[1]).sum(axis=1))
         leaked = rivals.bounded(np.logaddexp(log_stays, log_changes), agrees, reassigned)
-        anew = np.asarray(expit(log_changes - log_stays))
-        mixed = self._mixed(step, tracks, np.where(new_report, anew, 0.0))
-        return replace(mixed, log_ratio=np.where(new_report, leaked, self.log_ratio))
-
-    def _mixed(self, step: Step, tracks: tuple[IntArray, IntArray], anew: FloatArray) -> TrackPairs:
-        """With the share ``anew`` (k,) of states without a past: the mean and covariance of the mixture."""
+        anew = np.where(new_report, expit(log_changes - log_stays), 0.0)
         at = np.flatnonzero(anew > 1e-3)
-        if not len(at):
-            return self
         a, b = (track[at] for track in tracks)
+        # The share of states without a past: the mean and covariance of the mixture.
         fresh = _without_past(
             step.here[a] - step.here[b], (step.covariance[a], step.covariance[b]), (step.lasting[a], step.lasting[b])
         )
-        mean, covariance, log_convoy = self.mean.copy(), self.covariance.copy(), self.log_convoy.copy()
-        mix(mean, covariance, at, anew[at], fresh.mean, fresh.covariance)
-        log_convoy[at] *= 1.0 - anew[at]
-        return replace(self, mean=mean, covariance=covariance, log_convoy=log_convoy)
+        mix(self.mean, self.covariance, at, anew[at], fresh.mean, fresh.covariance)
+        self.log_convoy[at] *= 1.0 - anew[at]
+        return replace(self, log_ratio=np.where(new_report, leaked, self.log_ratio))
 
     def anchored(self, at: IntArray, instant_s: float, delta: FloatArray) -> TrackPairs:
         """With pairs (places ``at``) that are surely one object at the instant, δ (m, 2) apart."""
@@ -236,21 +189,36 @@ class TrackPairs(ColumnTable):
         return replace(self, anchor_s=anchor_s, anchor=anchor, anchor_new=anchor_new)
 
 
+def _swapped(
+    log_ratio: FloatArray, at_scan: FloatArray, step: Step, tracks: tuple[IntArray, IntArray], rivals: Rivals,
+    tuning: Tuning,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """(k, 2) ln r of each pair's most probable rival before the step, 0 for none, and the probability of a swap with it
+    for h = 1: of rivals with the same first track, and with the same second. log_ratio, at_scan : before the step."""
+    log_before, near_both = np.zeros((len(log_ratio), 2)), np.zeros((len(log_ratio), 2))
+    weight = log_ratio + at_scan
+    for side, track in ((0, tracks[1]), (1, tracks[0])):
+        best = rivals.best_other(weight, side)
+        at = np.flatnonzero((best >= 0) & step.new_report[track])
+        one, other = track[at], track[best[at]]
+        apart = mahalanobis_sq(step.here[one] - step.here[other], step.covariance[one] + step.covariance[other])
+        near = np.zeros(len(log_ratio))
+        near[at] = np.exp(-apart / tuning.swap_chi_sq)
+        # The most probable one of a set swaps with one of the others at most, and each of these with it.
+        leads = (best >= 0) & (weight >= weight[best])
+        total = np.bincount(rivals.sides[side], np.where(leads, 0.0, near))[rivals.sides[side]]
+        near_both[at, side] = np.where(leads, np.minimum(total, 1.0), near / np.maximum(total, 1.0))[at]
+        log_before[at, side] = log_ratio[best[at]]
+    return log_before, near_both
+
+
 def _without_past(
     delta: FloatArray, covariances: tuple[FloatArray, FloatArray], lasting: tuple[FloatArray, FloatArray]
 ) -> Gaussian:
     """(e_a, z_a, z_b, d) of pairs by δ = e_a − e_b + d alone, if they are one object and if they are in convoy."""
-    k, total = len(delta), covariances[0] + covariances[1]
-    mean, covariance, onto = np.zeros((k, 2, 8)), np.zeros((k, 2, 8, 8)), np.zeros((k, 6, 2))
-    covariance[..., :4, :4] = with_lasting(covariances[0], lasting[0])[:, None]
-    covariance[..., 4:6, 4:6] = np.eye(2)
-    onto[:, :4], onto[:, 4:] = covariance[:, 0, :4, :2], -lasting[1].transpose(0, 2, 1)
-    one = Gaussian(mean[:, 0, :6], covariance[:, 0, :6, :6]).conditional(onto, delta, total)
-    mean[:, 0, :6], covariance[:, 0, :6, :6] = one.mean, one.covariance
-    # Of any distance d, δ tells nothing of the errors: d = δ − e_a + e_b.
-    mean[:, 1, 6:], covariance[:, 1, 6:, 6:] = delta, total
-    covariance[:, 1, :6, 6:], covariance[:, 1, 6:, :6] = -onto, -onto.transpose(0, 2, 1)
-    return Gaussian(mean, covariance)
+    out = Gaussian(np.zeros((len(delta), 2, 8)), np.zeros((len(delta), 2, 8, 8)))
+    pairs_anew(delta, *covariances, *lasting, out.mean, out.covariance)
+    return out
 
 
 @dataclass(frozen=True)
@@ -264,21 +232,15 @@ class Rivals:
 
     @classmethod
     def of(cls, first: IntArray, second: IntArray, one: IntArray, other: IntArray) -> Rivals:
-        """Of tracks (k,) and the sources that they are of (k,)."""
-        sets = (np.unique((track << 16) | source, return_inverse=True)[1].reshape(-1)
-                  for track, source in ((first, other), (second, one)))  # fmt: skip
-        return cls(tuple(sets))
+        """Of tracks (k,), numbered from 0 without large gaps, and the sources that they are of (k,)."""
+        sources = 1 + max(int(one.max(initial=0)), int(other.max(initial=0)))
+        return cls((first * sources + other, second * sources + one))
 
     def best_other(self, values: FloatArray, side: int) -> IntArray:
         """(k,) the pair of the highest value in the set of each, itself not among them; −1 where there is none."""
-        rivals, k = self.sides[side], len(values)
-        order = np.lexsort([np.arange(k), -values, rivals])
-        place = np.empty(k, np.int64)
-        place[order] = np.arange(k)
-        first = np.searchsorted(rivals[order], rivals)
-        second = np.where(place == first, first + 1, first)
-        inside = (second < k) & (np.append(rivals[order], -1)[np.minimum(second, k)] == rivals)
-        return np.where(inside, np.append(order, -1)[np.minimum(second, k)], -1)
+        best = np.empty(len(values), np.int64)
+        best_others(self.sides[side], values, best)
+        return best
 
     def most(self, values: FloatArray) -> FloatArray:
         """(k,) the highest value of any rival of each pair, itself among them."""
@@ -327,24 +289,22 @@ class SwapRates:
 
     def updated(
         self, rivals: IntArray, source: IntArray, log_stayed: FloatArray, log_swapped: FloatArray,
-        log_near: FloatArray, tuning: Tuning,
+        near: FloatArray, tuning: Tuning,
     ) -> SwapRates:  # fmt: skip
         """After new reports: rivals : (k,) set of each pair, source : (k,) whose tracks it compares, ln of the pairs'
-        weights by all reports, without a swap before the last one and with one, and ln of its probability for h = 1."""
-        at = np.flatnonzero(np.isin(rivals, rivals[np.isfinite(log_near)]))
-        if not len(at):
+        weights by all reports, without a swap before the last one and with one, and its probability for h = 1."""
+        n = int(rivals.max(initial=-1)) + 1
+        sums, some, source_of = np.empty((3, n)), np.empty(n, bool), np.zeros(n, np.int64)
+        swap_evidence(rivals, log_stayed, log_swapped, near, *sums, some)
+        source_of[rivals] = source
+        if not some.any():
             return self
-        label, place = np.unique(rivals[at], return_inverse=True)
-        source_of = np.zeros(len(label), np.int64)
-        source_of[place] = source[at]
+        most, stayed, change = sums[:, some]
+        # With probability p = h · near of a swap a pair weighs (1 − p) w + p w′, so the sum of a set is affine in h.
+        log_sum = most + np.log(stayed + np.array(tuning.swap_rates)[:, None] * change)
         log_probable = self.log_probable.copy()
-        for r, rate in enumerate(tuning.swap_rates):
-            log_p = math.log(rate) + log_near[at]
-            weight = np.logaddexp(np.log1p(-np.exp(log_p)) + log_stayed[at], log_p + log_swapped[at])
-            most = np.full(len(label), -np.inf)
-            np.maximum.at(most, place, weight)
-            log_sum = most + np.log(np.bincount(place, np.exp(weight - most[place]), len(label)))
-            log_probable[:, r] += np.bincount(source_of, log_sum, len(log_probable))
+        for r in range(len(log_sum)):
+            log_probable[:, r] += np.bincount(source_of[some], log_sum[r], len(log_probable))
         return SwapRates(log_probable - log_probable.max(axis=1, keepdims=True))
 
 
