@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
+from sameas.kernels import partitions
 from sameas.many.identify import identify_many
 from sameas.many.marginals import EXACT, MOST_RECORDS, packed_groups
 from sameas.many.partition import best_partition, incidence_of
@@ -72,6 +73,19 @@ def test_sets_that_duals_prove_improbable_change_no_probability(seed):
     short = packed_groups(sets, n, every, replace(TUNING, small=0, block_steps=300))
     if short[2][0] >= 0.0:
         assert short[2][0] < EXACT and (short[1] == whole[1]).all()
+
+
+def test_annealed_duals_are_those_of_the_relaxation():
+    for seed in range(3):
+        sets, n = entangled(np.random.default_rng(seed), per_source=6, triples=30)
+        begin = np.concatenate([[0], np.cumsum(sets.size)])
+        entry = sets.members[sets.members >= 0]
+        dual = np.full(n, sets.log_weight.max())
+        chosen = partitions._anneal(begin, entry, sets.log_weight, partitions.ANNEALINGS[-1], dual)
+        assert (np.add.reduceat(dual[entry], begin[:-1]) >= sets.log_weight - 1e-9).all()
+        best = direct(sets, n, whole=False)
+        assert best - 1e-6 <= dual.sum() <= best + 0.01 * n
+        assert sets.log_weight[chosen].sum() <= best + 1e-6
 
 
 def test_a_group_of_more_records_than_a_sum_can_hold_is_summed_without_improbable_sets():

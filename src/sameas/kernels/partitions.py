@@ -18,6 +18,9 @@ NONE = -1
 #: Sweeps over the duals of a group, how often sets are left out by them, and sweeps that exchange the sets of a
 #: partition, at most (tuned on crowded pictures).
 SWEEPS, PRUNINGS, EXCHANGES = 6, 8, 6
+#: Temperatures at which duals are annealed, in nats, and sweeps at each: in the first go, and where that is not enough.
+TEMPERATURES = (1.0, 0.5, 0.25, 0.12, 0.06, 0.03, 0.015)
+ANNEALINGS = (8, 40)
 #: They end where a sweep gains less, in nats, and where less than this share of the sets is left out.
 LEAST_NATS, LEAST_SHARE = 0.01, 0.02
 
@@ -271,8 +274,6 @@ def packed(
     most_records: int,
     cap: int,
     dual: FloatArray,
-    hint: BoolArray,
-    kept: BoolArray,
     share: FloatArray,
     chosen: BoolArray,
     cut: FloatArray,
@@ -283,19 +284,17 @@ def packed(
     record alone is a set of weight 0. Of groups of more than ``small`` records, sets are left out that make every
     partition e^c times less probable than the best or more: duals u of the records, Σ u ≥ ln w for every set, bound a
     partition with a set by the best less the set's reduced cost Σ u − ln w. ``dual`` (n,) are such duals; they are
-    lowered coordinate by coordinate. ``hint`` (k,) are sets of a good partition, if one is known. Sets that are left
-    out split the group into blocks, and a block's duals are tighter than those of the whole. c is the first of ``cuts``
-    at which a block has at most ``most_records`` records and its sum at most ``cap`` steps from state to state; ``cut``
-    is the lowest c of a group's blocks. It is −1 where a block has none: only the other blocks are filled in there, and
-    ``kept`` (k,) are the sets of such blocks.
+    lowered coordinate by coordinate, and annealed where that is not enough. Sets that are left out split the group into
+    blocks, and a block's duals are tighter than those of the whole. c is the first of ``cuts`` at which a block has at
+    most ``most_records`` records and its sum at most ``cap`` steps from state to state; ``cut`` is the lowest c of a
+    group's blocks. It is −1 where a block has none: only the other blocks are filled in there.
     """
     local = np.full(len(dual), NONE)
     for g in groups:
         a, b = start[g], start[g + 1]
         cut[g] = _packed_group(
-            members[a:b], weight[a:b], local, small, cuts, most_records, cap, dual, hint[a:b], kept[a:b], share[a:b],
-            chosen[a:b],
-        )  # fmt: skip
+            members[a:b], weight[a:b], local, small, cuts, most_records, cap, dual, share[a:b], chosen[a:b]
+        )
 
 
 @part
@@ -308,8 +307,6 @@ def _packed_group(
     most_records: int,
     cap: int,
     dual: FloatArray,
-    hint: BoolArray,
-    kept: BoolArray,
     share: FloatArray,
     chosen: BoolArray,
 ) -> float:
@@ -332,31 +329,67 @@ def _packed_group(
             if record != NONE and local[record] != NONE:
                 own_dual[local[record]] = dual[record]
                 local[record] = NONE
-    block, done = np.zeros(n, np.int64), np.zeros(n, np.bool_)
-    kept[:] = True
+    block, done, place, hint = np.zeros(n, np.int64), np.zeros(n, np.bool_), np.arange(k), np.zeros(k, np.bool_)
     if n <= small:
-        _blocks(begin, entry, kept, block)
-        if _sum_blocks(begin, entry, weight, kept, block, done, most_records, cap, share, chosen):
+        _blocks(begin, entry, block)
+        if _sum_blocks(begin, entry, weight, place, block, done, most_records, cap, share, chosen):
             return cuts[0]
-    for cut in cuts:
-        _prune(begin, entry, weight, cut, kept, block, done, own_dual, hint)
-        if _sum_blocks(begin, entry, weight, kept, block, done, most_records, cap, share, chosen):
-            return cut
-    for s in range(k):
-        kept[s] = kept[s] and not done[entry[begin[s]]]
+    begin, entry, weight, place, hint = _prune(begin, entry, weight, place, hint, cuts[0], block, done, own_dual)
+    if _sum_blocks(begin, entry, weight, place, block, done, most_records, cap, share, chosen):
+        return cuts[0]
+    for sweeps in ANNEALINGS:
+        # Every go starts from the sets of the first cut.
+        hint = _anneal(begin, entry, weight, sweeps, own_dual)
+        left = begin, entry, weight, place, hint
+        for cut in cuts:
+            left = _prune(*left, cut, block, done, own_dual)
+            if _sum_blocks(*left[:4], block, done, most_records, cap, share, chosen):
+                return cut
     return -1.0
 
 
 @part
-def _blocks(begin: IntArray, entry: IntArray, kept: BoolArray, block: IntArray) -> None:
-    """Fill ``block`` (n,) with the least record that each record is entangled with by the kept sets."""
+def _anneal(begin: IntArray, entry: IntArray, weight: FloatArray, sweeps: int, dual: FloatArray) -> BoolArray:
+    """Turn duals into those of the linear relaxation, nearly, and give the sets that it chooses for the most part.
+
+    With an entropy T H(x) added, the relaxation max Σ w x, Σ_{s∋r} x_s = 1, is solved by x = exp((w − Σ u)/T)
+    with those duals that make all sums 1: they are found record by record (Sinkhorn's iteration), while T falls. In
+    the end they are raised until no set weighs more than its records.
+    """
+    k, n = len(weight), len(dual)
+    own, sets = _sets_of_records(begin, entry, n, 1)
+    x = np.empty(k)
+    for temperature in TEMPERATURES:
+        for s in range(k):
+            x[s] = math.exp(min(-_cost(s, begin, entry, weight, dual) / temperature, 50.0))
+        for sweep in range(sweeps):
+            for turn in range(n):
+                r = turn if sweep % 2 == 0 else n - 1 - turn
+                total = 0.0
+                for at in range(own[r], own[r + 1]):
+                    total += x[sets[at]]
+                if total > 0.0:
+                    for at in range(own[r], own[r + 1]):
+                        x[sets[at]] /= total
+                    dual[r] += temperature * math.log(total)
+    lack = np.zeros(n)
+    for s in range(k):
+        even = -_cost(s, begin, entry, weight, dual) / (begin[s + 1] - begin[s])
+        for e in range(begin[s], begin[s + 1]):
+            lack[entry[e]] = max(lack[entry[e]], even)
+    dual += lack
+    return x > 0.5
+
+
+@part
+def _blocks(begin: IntArray, entry: IntArray, block: IntArray) -> None:
+    """Fill ``block`` (n,) with the least record that each record is entangled with by the sets."""
     for r in range(len(block)):
         block[r] = r
-    for s in range(len(kept)):
-        if kept[s]:
-            for e in range(begin[s] + 1, begin[s + 1]):
-                one, other = root(block, entry[begin[s]]), root(block, entry[e])
-                block[max(one, other)] = min(one, other)
+    for s in range(len(begin) - 1):
+        for e in range(begin[s] + 1, begin[s + 1]):
+            one, other = root(block, entry[begin[s]]), root(block, entry[e])
+            block[max(one, other)] = min(one, other)
     for r in range(len(block)):
         block[r] = root(block, r)
 
@@ -366,38 +399,67 @@ def _prune(
     begin: IntArray,
     entry: IntArray,
     weight: FloatArray,
+    place: IntArray,
+    hint: BoolArray,
     cut: float,
-    kept: BoolArray,
     block: IntArray,
     done: BoolArray,
     dual: FloatArray,
-    hint: BoolArray,
-) -> None:
-    """Leave out of ``kept`` the sets that are improbable by the duals of their block, until no more are."""
-    n, k = len(block), len(kept)
-    value, total, partition = np.zeros(n), np.zeros(n), np.empty(0, np.int64)
+) -> tuple[IntArray, IntArray, FloatArray, IntArray, BoolArray]:
+    """The sets without those of blocks that are done and those that are improbable by the duals of their block.
+
+    place : (k,) of each set in the group. hint : (k,) sets of a good partition, if one is known.
+    """
+    n = len(block)
+    kept = ~done[entry[begin[:-1]]]
+    begin, entry, weight, place, hint = _taken(begin, entry, weight, place, hint, kept)
+    value, total = np.zeros(n), np.zeros(n)
     for turn in range(PRUNINGS):
-        _blocks(begin, entry, kept, block)
-        own, sets = _sets_of_records(begin, entry, kept, done, n)
-        _descend(begin, entry, weight, own, sets, dual)
-        value[:], total[:] = 0.0, 0.0
+        k = len(weight)
+        _blocks(begin, entry, block)
+        cost = np.empty(k)
+        for s in range(k):
+            cost[s] = _cost(s, begin, entry, weight, dual)
+        _descend(*_sets_of_records(begin, entry, n, 2), cost, dual)
         if turn == 0:
-            partition = _greedy(begin, entry, weight, kept, done, dual, hint)
-        for s in partition:
-            value[block[entry[begin[s]]]] += weight[s]
+            _greedy(begin, entry, weight, cost, hint, n)
+        value[:], total[:] = 0.0, 0.0
         for r in range(n):
             total[block[r]] += dual[r]
-        left_out, left = 0, 0
+        for s in range(k):
+            if begin[s + 1] - begin[s] == 1:
+                cost[s] = dual[entry[begin[s]]]
+            elif hint[s]:
+                value[block[entry[begin[s]]]] += weight[s]
+        kept, left_out = np.ones(k, np.bool_), 0
         for s in range(k):
             b = block[entry[begin[s]]]
-            if kept[s] and not done[b]:
-                left += 1
-                if _cost(s, begin, entry, weight, dual) > cut + total[b] - value[b]:
-                    kept[s] = False
-                    left_out += 1
-        if left_out <= LEAST_SHARE * left:
+            if cost[s] > cut + total[b] - value[b]:
+                kept[s] = False
+                left_out += 1
+        begin, entry, weight, place, hint = _taken(begin, entry, weight, place, hint, kept)
+        if left_out <= LEAST_SHARE * k:
             break
-    _blocks(begin, entry, kept, block)
+    _blocks(begin, entry, block)
+    return begin, entry, weight, place, hint
+
+
+@part
+def _taken(
+    begin: IntArray, entry: IntArray, weight: FloatArray, place: IntArray, hint: BoolArray, kept: BoolArray
+) -> tuple[IntArray, IntArray, FloatArray, IntArray, BoolArray]:
+    """The sets that are kept."""
+    count = np.count_nonzero(kept)
+    new_begin, new_entry = np.zeros(count + 1, np.int64), np.empty(len(entry), np.int64)
+    k, at = 0, 0
+    for s in range(len(kept)):
+        if kept[s]:
+            for e in range(begin[s], begin[s + 1]):
+                new_entry[at] = entry[e]
+                at += 1
+            k += 1
+            new_begin[k] = at
+    return new_begin, new_entry[:at], weight[kept], place[kept], hint[kept]
 
 
 @part
@@ -410,20 +472,18 @@ def _cost(s: int, begin: IntArray, entry: IntArray, weight: FloatArray, dual: Fl
 
 
 @part
-def _sets_of_records(
-    begin: IntArray, entry: IntArray, kept: BoolArray, done: BoolArray, n: int
-) -> tuple[IntArray, IntArray]:
-    """The kept sets of several records that each of n records is in, as CSR; those that are done have none."""
+def _sets_of_records(begin: IntArray, entry: IntArray, n: int, least: int) -> tuple[IntArray, IntArray]:
+    """The sets of ``least`` records and more that each of n records is in, as CSR."""
     own = np.zeros(n + 1, np.int64)
-    for s in range(len(kept)):
-        if kept[s] and begin[s + 1] - begin[s] > 1 and not done[entry[begin[s]]]:
+    for s in range(len(begin) - 1):
+        if begin[s + 1] - begin[s] >= least:
             for e in range(begin[s], begin[s + 1]):
                 own[entry[e] + 1] += 1
     for r in range(n):
         own[r + 1] += own[r]
     fill, sets = own[:-1].copy(), np.empty(own[n], np.int64)
-    for s in range(len(kept)):
-        if kept[s] and begin[s + 1] - begin[s] > 1 and not done[entry[begin[s]]]:
+    for s in range(len(begin) - 1):
+        if begin[s + 1] - begin[s] >= least:
             for e in range(begin[s], begin[s + 1]):
                 sets[fill[entry[e]]] = s
                 fill[entry[e]] += 1
@@ -431,10 +491,8 @@ def _sets_of_records(
 
 
 @part
-def _descend(
-    begin: IntArray, entry: IntArray, weight: FloatArray, own: IntArray, sets: IntArray, dual: FloatArray
-) -> None:
-    """Lower the duals one after another as far as their sets allow, there and back."""
+def _descend(own: IntArray, sets: IntArray, cost: FloatArray, dual: FloatArray) -> None:
+    """Lower the duals one after another, there and back, as far as the reduced costs of their sets allow."""
     n = len(dual)
     for sweep in range(SWEEPS):
         lowered = 0.0
@@ -442,35 +500,28 @@ def _descend(
             r = turn if sweep % 2 == 0 else n - 1 - turn
             if own[r] == own[r + 1]:
                 continue
-            least = 0.0
+            most = dual[r]
             for at in range(own[r], own[r + 1]):
-                s = sets[at]
-                least = max(least, dual[r] - _cost(s, begin, entry, weight, dual))
-            if least < dual[r]:
-                lowered += dual[r] - least
-                dual[r] = least
+                most = min(most, cost[sets[at]])
+            if most > 0.0:
+                lowered += most
+                dual[r] -= most
+                for at in range(own[r], own[r + 1]):
+                    cost[sets[at]] -= most
         if lowered < LEAST_NATS:
             return
 
 
 @part
-def _greedy(
-    begin: IntArray,
-    entry: IntArray,
-    weight: FloatArray,
-    kept: BoolArray,
-    done: BoolArray,
-    dual: FloatArray,
-    hint: BoolArray,
-) -> IntArray:
-    """Kept sets of several records that share none: those of the ``hint`` and those of least reduced cost first, then
-    any that weighs more than those it takes records from."""
-    several = np.flatnonzero(kept & (begin[1:] - begin[:-1] > 1) & (weight > 0.0) & ~done[entry[begin[:-1]]])
-    cost = np.empty(len(several))
+def _greedy(begin: IntArray, entry: IntArray, weight: FloatArray, cost: FloatArray, hint: BoolArray, n: int) -> None:
+    """Turn the ``hint`` into sets of several records that share none of n: those that it has and those of least reduced
+    cost first, then any that weighs more than those it takes records from."""
+    several = np.flatnonzero((begin[1:] - begin[:-1] > 1) & (weight > 0.0))
+    rank = np.empty(len(several))
     for at in range(len(several)):
         s = several[at]
-        cost[at] = -1.0 if hint[s] else _cost(s, begin, entry, weight, dual) - 1e-6 * weight[s]
-    owner, order = np.full(len(dual), NONE), several[np.argsort(cost)]
+        rank[at] = -1.0 if hint[s] else cost[s] - 1e-6 * weight[s]
+    owner, order = np.full(n, NONE), several[np.argsort(rank)]
     for turn in range(EXCHANGES):
         changed = False
         for s in order:
@@ -494,12 +545,9 @@ def _greedy(
                 changed = True
         if not changed:
             break
-    out, size = np.empty(len(order), np.int64), 0
+    hint[:] = False
     for s in order:
-        if owner[entry[begin[s]]] == s:
-            out[size] = s
-            size += 1
-    return out[:size]
+        hint[s] = owner[entry[begin[s]]] == s
 
 
 @part
@@ -507,7 +555,7 @@ def _sum_blocks(
     begin: IntArray,
     entry: IntArray,
     weight: FloatArray,
-    kept: BoolArray,
+    place: IntArray,
     block: IntArray,
     done: BoolArray,
     most_records: int,
@@ -515,33 +563,29 @@ def _sum_blocks(
     share: FloatArray,
     chosen: BoolArray,
 ) -> bool:
-    """Sum the blocks of records that the kept sets entangle, but those that are ``done`` (n,); whether all are now."""
-    n, k = len(block), len(kept)
-    count, records = np.zeros(n, np.int64), np.zeros(n, np.int64)
+    """Sum the blocks of records that the sets entangle, but those that are ``done`` (n,); whether all are now."""
+    n, k = len(block), len(place)
+    first_set, records = np.zeros(n + 1, np.int64), np.zeros(n, np.int64)
     for s in range(k):
-        if kept[s]:
-            count[block[entry[begin[s]]]] += 1
+        first_set[block[entry[begin[s]]] + 1] += 1
     for r in range(n):
         records[block[r]] += 1
-    first_set = np.zeros(n + 1, np.int64)
-    for b in range(n):
-        first_set[b + 1] = first_set[b] + count[b]
-    fill, of_block = first_set[:-1].copy(), np.empty(first_set[n], np.int64)
+        first_set[r + 1] += first_set[r]
+    fill, of_block = first_set[:-1].copy(), np.empty(k, np.int64)
     for s in range(k):
-        if kept[s]:
-            b = block[entry[begin[s]]]
-            of_block[fill[b]] = s
-            fill[b] += 1
+        b = block[entry[begin[s]]]
+        of_block[fill[b]] = s
+        fill[b] += 1
     number, own, summed = np.full(n, NONE), np.zeros(n, np.int64), np.zeros(n, np.bool_)
     for b in range(n):
         sets = of_block[first_set[b] : first_set[b + 1]]
         if done[b] or len(sets) == 0:
             continue
         if len(sets) == 1:
-            share[sets[0]], chosen[sets[0]], summed[b] = 1.0, True, True
+            share[place[sets[0]]], chosen[place[sets[0]]], summed[b] = 1.0, True, True
         elif records[b] <= most_records:
             _order(begin, entry, sets, number, own)
-            summed[b] = _sum_block(begin, entry, weight, sets, number, records[b], cap, share, chosen)
+            summed[b] = _sum_block(begin, entry, weight, place, sets, number, records[b], cap, share, chosen)
     whole = True
     for r in range(n):
         done[r] = done[r] or summed[block[r]]
@@ -597,6 +641,7 @@ def _sum_block(
     begin: IntArray,
     entry: IntArray,
     weight: FloatArray,
+    place: IntArray,
     sets: IntArray,
     number: IntArray,
     n: int,
@@ -617,5 +662,5 @@ def _sum_block(
     if not _group(n, low[order], mask[order], weight[those], merges, np.zeros(1), False, cap, part_share, part_chosen):
         return False
     for at in range(len(those)):
-        share[those[at]], chosen[those[at]] = part_share[at], part_chosen[at]
+        share[place[those[at]]], chosen[place[those[at]]] = part_share[at], part_chosen[at]
     return True

@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.many.joint import NO_RECORD
-from sameas.many.partition import best_counted, best_partition, incidence_of, relaxed
+from sameas.many.partition import best_counted, best_partition, incidence_of
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import MissedObjects
 from sameas.many.sets import Sets
@@ -118,38 +118,20 @@ def packed_groups(
 ) -> tuple[FloatArray, BoolArray, FloatArray]:
     """Probabilities and best partition (k,) of the groups (g,) of which all blocks can be summed, and their cut.
 
-    Most groups need no linear programme: their duals are found by descent. For the others there is one, of the sets
-    that these duals leave. The cut of the groups that are not solved is −1.
-    """
-    asked, even = groups & (sets.floor <= 0), np.zeros(n_records)
-    at, record = sets.entries()
-    np.maximum.at(even, record, (sets.log_weight / sets.size)[at])
-    share, chosen, kept, cut = _packed(sets, asked, (even, np.zeros(len(sets), bool)), tuning.descent_cuts, tuning)
-    rest = asked & (cut < 0)
-    if rest.any():
-        left = np.flatnonzero(kept & rest[sets.group])
-        blocks = sets.take(left)
-        share[left], chosen[left], _, lower = _packed(blocks, rest, relaxed(blocks, n_records), tuning.cuts, tuning)
-        cut = np.where(rest, lower, cut)
-    return share, chosen, cut
-
-
-def _packed(
-    sets: Sets, groups: BoolArray, known: tuple[FloatArray, BoolArray], cuts: tuple[float, ...], tuning: ManyTuning
-) -> tuple[FloatArray, BoolArray, BoolArray, FloatArray]:
-    """Probabilities, best partition, sets that were not left out (k,), and the cut of every group (g,).
-
-    known : duals of the records, and sets of a good partition.
+    No linear programme is needed: duals are found by descent, and by annealing where that is not enough. The cut of the
+    groups that are not solved is −1.
     """
     from sameas.kernels.partitions import packed
 
-    n = len(sets)
-    share, chosen, kept, cut = np.zeros(n), np.zeros(n, bool), np.zeros(n, bool), np.full(len(groups), -1.0)
+    n, dual = len(sets), np.zeros(n_records)
+    at, record = sets.entries()
+    np.maximum.at(dual, record, (sets.log_weight / sets.size)[at])
+    share, chosen, cut = np.zeros(n), np.zeros(n, bool), np.full(len(groups), -1.0)
     packed(
-        np.flatnonzero(groups), sets.start, sets.members, sets.log_weight, tuning.small, np.array(cuts), MOST_RECORDS,
-        min(tuning.block_steps, tuning.most_steps), *known, kept, share, chosen, cut,
+        np.flatnonzero(groups & (sets.floor <= 0)), sets.start, sets.members, sets.log_weight, tuning.small,
+        np.array(tuning.cuts), MOST_RECORDS, min(tuning.block_steps, tuning.most_steps), dual, share, chosen, cut,
     )  # fmt: skip
-    return share, chosen, kept, cut
+    return share, chosen, cut
 
 
 def _reduced_cost(sets: Sets, dual: FloatArray, slack: FloatArray, weight: FloatArray) -> FloatArray:

@@ -70,15 +70,6 @@ def best_partition(sets: Sets, n_records: int, groups: BoolArray | None = None, 
     return Partition(chosen, np.where(cut, np.maximum(gap, covered), gap), dual, slack)
 
 
-def relaxed(sets: Sets, n_records: int) -> tuple[FloatArray, BoolArray]:
-    """Duals (n,) of the linear relaxation, and the sets (k,) that it chooses for the most part."""
-    every = np.ones(len(sets.start) - 1, bool)
-    active, x, dual = _relaxation(sets, incidence_of(sets, n_records), every)
-    chosen = np.zeros(len(sets), bool)
-    chosen[active[x > 0.5]] = True
-    return dual, chosen
-
-
 def best_counted(weight: FloatArray, merges: IntArray, incidence: csr_array, log_p: FloatArray, time_limit_s: float
                  ) -> tuple[IntArray, float]:  # fmt: skip
     """The sets of one group that maximise Σ ln w + ln P(Σ merges), and the gap."""

@@ -18,7 +18,6 @@ class ManyTuning:
     cuts : reduced costs above which sets are left out of a group's sum, tried in this order until it is short enough.
     most_steps : from state to state in the sum of one group.
     small : groups of at most this many records are summed with all their sets.
-    descent_cuts : the cuts that are tried before a linear programme is solved.
     block_steps : from state to state in the sum of a part of a group that has a cut of its own.
     """
 
@@ -27,7 +26,6 @@ class ManyTuning:
     cuts: tuple[float, ...] = (30.0, 20.0, 14.0, 10.0, 8.0, 6.0, 4.0, 2.0, 1.0)
     most_steps: int = 300_000
     small: int = 8
-    descent_cuts: tuple[float, ...] = (30.0,)
     block_steps: int = 300_000
 
 

@@ -1,0 +1,124 @@
+"""Kernels of pairs of tracks give what the formulas give, written along the pairs; interpreted and compiled."""
+
+import numpy as np
+import pytest
+
+from sameas.gaussian import Gaussian, inverse, log_density, mahalanobis_sq, symmetric
+from sameas.kernels.kalman import best_others, pairs_anew, pairs_stepped, swap_evidence
+from sameas.picture.error_correlation import LEAST_M2, error_update
+from sameas.picture.named import with_lasting
+
+WAYS = ("interpreted", "compiled")
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(5)
+
+
+def spd(rng, *shape):
+    root = rng.standard_normal((*shape[:-1], shape[-1], shape[-1]))
+    return root @ np.swapaxes(root, -1, -2) + 0.1 * np.eye(shape[-1])
+
+
+def without_past(delta, covariances, lasting):
+    """By the conditional of (e_a, z_a, z_b) given δ."""
+    k, total = len(delta), covariances[0] + covariances[1]
+    mean, covariance, onto = np.zeros((k, 2, 8)), np.zeros((k, 2, 8, 8)), np.zeros((k, 6, 2))
+    covariance[..., :4, :4] = with_lasting(covariances[0], lasting[0])[:, None]
+    covariance[..., 4:6, 4:6] = np.eye(2)
+    onto[:, :4], onto[:, 4:] = covariance[:, 0, :4, :2], -lasting[1].transpose(0, 2, 1)
+    one = Gaussian(mean[:, 0, :6], covariance[:, 0, :6, :6]).conditional(onto, delta, total)
+    mean[:, 0, :6], covariance[:, 0, :6, :6] = one.mean, one.covariance
+    mean[:, 1, 6:], covariance[:, 1, 6:, 6:] = delta, total
+    covariance[:, 1, :6, 6:], covariance[:, 1, 6:, :6] = -onto, -onto.transpose(0, 2, 1)
+    return mean, covariance
+
+
+def stepped(mean, covariance, rows, a, b, step, total):
+    """The motion and the two updates, each along all pairs."""
+    last, moved, drift, slopes, noise, shifts, new = step
+    mean, covariance, k = mean[rows], covariance[rows], len(rows)
+    went = (moved[a] - moved[b]) - (last[a] - last[b])
+    gain = drift[a] @ inverse(drift[a] + drift[b] + 1e-4 * LEAST_M2 * np.eye(2))
+    mean[..., :2] += np.einsum("kvw,kw->kv", gain, went)[:, None]
+    covariance[..., :2, :2] += symmetric(drift[a] - gain @ drift[a])[:, None]
+    mean, covariance = mean.reshape(2 * k, 8), covariance.reshape(2 * k, 8, 8)
+    log_reports, delta, twice = np.zeros((k, 2)), moved[a] - moved[b], np.repeat(np.arange(k), 2)
+    for track, is_first in ((a, True), (b, False)):
+        slope = np.zeros((k, 2, 8))
+        slope[:, :, :2], shift = slopes[track, :, :2], shifts[track]
+        expected = np.zeros((k, 2))
+        if is_first:
+            slope[:, :, 2:4] = slopes[track, :, 2:]
+        else:
+            slope[:, :, 4:6], slope[:, :, 6:] = slopes[track, :, 2:], slope[:, :, :2]
+            expected = np.einsum("kvw,kw->kv", slope[:, :, :2], delta)
+        mean, covariance, log_p, _ = error_update(
+            mean, covariance, slope[twice], noise[track][twice], (shift + expected)[twice]
+        )
+        if is_first:
+            mean[:, :2] += shift[twice]
+        delta = delta + (shift if is_first else -shift)
+        log_reports += np.where(new[track, None], log_p.reshape(k, 2), 0.0)
+    spread = total[a] + total[b]
+    return (
+        mean.reshape(k, 2, 8), covariance.reshape(k, 2, 8, 8), log_reports, log_density(delta, spread),
+        mahalanobis_sq(delta, spread),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_pairs_go_through_an_instant_as_the_formulas_say(rng, way):
+    m, n = 7, 20
+    total = spd(rng, m, 2)
+    root = np.linalg.cholesky(total)
+    new = np.arange(m) % 3 > 0
+    zero = ~new[:, None, None]
+    step = (
+        rng.standard_normal((m, 2)), rng.standard_normal((m, 2)), spd(rng, m, 2),
+        np.where(zero, 0.0, rng.standard_normal((m, 2, 4))), np.where(zero, 0.0, spd(rng, m, 2)),
+        np.where(new[:, None], rng.standard_normal((m, 2)), 0.0), new,
+    )  # fmt: skip
+    a, b = (rng.integers(0, m, n) for _ in range(2))
+    delta = rng.standard_normal((n, 2))
+    mean, covariance = np.zeros((n, 2, 8)), np.zeros((n, 2, 8, 8))
+    given = delta, total[a], total[b], 0.3 * root[a], 0.5 * root[b]
+    getattr(pairs_anew, way)(*given, mean, covariance)
+    for ours, theirs in zip((mean, covariance), without_past(given[0], given[1:3], given[3:]), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-10)
+    rows = np.flatnonzero(rng.random(n) < 0.8)
+    a, b = a[rows], b[rows]
+    out = [np.empty((len(rows), *shape)) for shape in ((2, 8), (2, 8, 8), (2,), (), ())]
+    last, moved, drift, slope, noise, shift, _ = step
+    getattr(pairs_stepped, way)(
+        mean, covariance, rows, a, b, last, moved, drift, slope, noise, shift, new, total, LEAST_M2, *out
+    )
+    for ours, theirs in zip(out, stepped(mean, covariance, rows, a, b, step, total), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-8, atol=1e-9)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_the_best_other_of_a_set_is_the_first_of_the_highest(rng, way):
+    label, values = rng.integers(0, 6, 30), rng.integers(0, 5, 30).astype(float)
+    best = np.empty(30, np.int64)
+    getattr(best_others, way)(label, values, best)
+    for k in range(30):
+        others = [at for at in range(30) if label[at] == label[k] and at != k]
+        assert best[k] == (max(others, key=lambda at: (values[at], -at)) if others else -1)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_what_a_set_says_of_swaps_is_affine_in_their_rate(rng, way):
+    label, near = rng.integers(0, 5, 40), np.where(rng.random(40) < 0.5, 0.0, rng.random(40))
+    near[label == 3] = 0.0
+    stayed, swapped = 8.0 * rng.standard_normal((2, 40))
+    sums, some = np.empty((3, 5)), np.empty(5, bool)
+    getattr(swap_evidence, way)(label, stayed, swapped, near, *sums, some)
+    assert some.tolist() == [bool((near[label == one] > 0.0).any()) for one in range(5)]
+    for one in np.flatnonzero(some):
+        most, without, change = sums[:, one]
+        for rate in (1e-3, 0.3):
+            p, here = rate * near[label == one], label == one
+            log_p = np.log((1.0 - p) * np.exp(stayed[here]) + p * np.exp(swapped[here]))
+            assert most + np.log(without + rate * change) == pytest.approx(np.logaddexp.reduce(log_p), abs=1e-10)
