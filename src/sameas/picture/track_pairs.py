@@ -110,7 +110,7 @@ class TrackPairs(ColumnTable):
         for name, column in columns.items():
             columns[name] = np.empty((len(place), *column.shape[1:]), column.dtype)
             columns[name][place[: len(self)]], columns[name][place[len(self) :]] = column, more[name]
-        return replace(self, **columns)  # type: ignore[arg-type]
+        return replace(self, **columns)
 
     def stepped(
         self, step: Step, reassigned: float, swaps: SwapRates, tuning: Tuning = DEFAULT_TUNING
