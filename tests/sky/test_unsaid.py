@@ -9,7 +9,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import MaskedColumn, Table
 
 from sameas.errors import InputError
-from sameas.sky.assumed import common_error, completed
+from sameas.sky.assumed import CommonErrorTuning, _nearest, common_error, completed
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.column_values import year_of
 from sameas.sky.surveys import SURVEYS
@@ -180,6 +180,16 @@ def test_a_common_error_is_found_from_the_distances(sigma: float, unrelated: int
     assert found == pytest.approx(sigma, rel=0.2) and share > 0.8
     both = catalogue({"ra": there[:, 0], "dec": there[:, 1]}, "both")
     assert common_error(one, both, shared=True)[0] == pytest.approx(sigma / np.sqrt(2.0), rel=0.2)
+
+
+def test_few_neighbours_are_found_as_a_tree_finds_them() -> None:
+    rng = np.random.default_rng(6)
+    one, two = (rng.normal((0.0, 0.0, 1.0), 1e-4, (n, 3)) for n in (200, 300))
+    one, two = (x / np.linalg.norm(x, axis=1, keepdims=True) for x in (one, two))
+    two[:50] = one[:50]  # the same place
+    by_all, by_tree = (_nearest(one, two, 6, CommonErrorTuning(most_products=most)) for most in (10**6, 0))
+    np.testing.assert_allclose(by_all[0], by_tree[0], rtol=0, atol=1e-16)
+    np.testing.assert_array_equal(by_all[1], by_tree[1])
 
 
 def test_a_common_error_is_said_with_its_value() -> None:

@@ -34,6 +34,7 @@ class CommonErrorTuning:
     least_arcsec, largest_arcsec : of the grid. steps, share_steps : of the grid of s and of f.
     neighbours : the distance to this one, the nearest apart, tells the local density.
     most_records : so many are looked at, drawn evenly.
+    most_products : up to so many distances are all computed; a tree answers for more, which takes 0.15 s to import.
     """
 
     usual_arcsec: float = 0.3
@@ -44,6 +45,7 @@ class CommonErrorTuning:
     share_steps: int = 16
     neighbours: int = 6
     most_records: int = 4000
+    most_products: int = 4_000_000
 
 
 TUNING = CommonErrorTuning()
@@ -189,13 +191,25 @@ def _neighbours(
     one: FloatArray, two: FloatArray, tuning: CommonErrorTuning
 ) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
     """(k,) distances to the nearest in arcsec, local densities per arcsec², which the nearest is, and whose it is."""
-    from scipy.spatial import cKDTree
-
     own = np.arange(0, len(one), max(1, len(one) // tuning.most_records))
     some = one[own]
     count = min(tuning.neighbours, len(two))
-    chord, which = cKDTree(two).query(some, k=np.arange(1, count + 1))
+    chord, which = _nearest(some, two, count, tuning)
     apart = 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)) * ARCSEC_PER_RADIAN
     # The nearest may be the partner; of those beyond it the density follows. A lone record's is that of its distance.
     density = max(count - 1, 1) / (np.pi * np.maximum(apart[:, -1], 1e-3) ** 2)
     return np.maximum(apart[:, 0], 1e-6), density, which[:, 0], own
+
+
+def _nearest(some: FloatArray, two: FloatArray, count: int, tuning: CommonErrorTuning) -> tuple[FloatArray, IntArray]:
+    """(k, count) chords from some directions to the nearest of others, ascending, and which these are."""
+    if len(some) * len(two) > tuning.most_products:
+        from scipy.spatial import cKDTree
+
+        chord, which = cKDTree(two).query(some, k=np.arange(1, count + 1))
+        return chord, which
+    which = np.argpartition(some @ -two.T, count - 1, axis=1)[:, :count]
+    # The product tells which are nearest; the chord itself is taken from the differences, which lose no digits.
+    chord = np.sqrt(np.square(some[:, None] - two[which]).sum(axis=2))
+    order = np.argsort(chord, axis=1, kind="stable")
+    return np.take_along_axis(chord, order, axis=1), np.take_along_axis(which, order, axis=1)
