@@ -9,7 +9,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import MaskedColumn, Table
 
 from sameas.errors import InputError
-from sameas.sky.assumed import CommonErrorTuning, _nearest, common_error, completed
+from sameas.sky.assumed import CommonErrorTuning, _in_strips, _nearest, common_error, completed
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.column_values import year_of
 from sameas.sky.surveys import SURVEYS
@@ -180,6 +180,27 @@ def test_a_common_error_is_found_from_the_distances(sigma: float, unrelated: int
     assert found == pytest.approx(sigma, rel=0.2) and share > 0.8
     both = catalogue({"ra": there[:, 0], "dec": there[:, 1]}, "both")
     assert common_error(one, both, shared=True)[0] == pytest.approx(sigma / np.sqrt(2.0), rel=0.2)
+
+
+@pytest.mark.parametrize("covered", [1.0, 0.4])
+def test_strips_of_large_catalogues_tell_the_error_of_the_whole(covered: float) -> None:
+    rng = np.random.default_rng(7)
+    ra, dec = rng.uniform(10.0, 11.0, 40_000), rng.uniform(-0.5, 0.5, 40_000)
+    dec[:100] = 0.25  # a drift scan
+    in_one, in_two = rng.random((2, 40_000)) < 0.8
+    in_two &= dec < covered - 0.5
+    one = Catalogue.of({"ra": ra[in_one] + rng.normal(0, 0.3, in_one.sum()) / 3600, "dec": dec[in_one]}, "one")
+    two = Catalogue.of({"ra": ra[in_two], "dec": dec[in_two]}, "two")
+    tuning = CommonErrorTuning(most_rows=8_000)
+    parts = _in_strips(one, two, tuning)
+    assert sum(map(len, parts)) < 16_000
+    for of in ((one, two), (two, one)):
+        sigma, share = common_error(*of, shared=True, tuning=tuning)
+        whole, of_whole = common_error(*of, shared=True)
+        assert sigma == pytest.approx(whole, rel=0.3)
+        assert share == pytest.approx(of_whole, abs=0.15)
+    flat = Catalogue.of({"ra": ra, "dec": np.zeros(len(ra))}, "flat")
+    assert len(_in_strips(flat, flat, tuning)[0]) == len(flat)
 
 
 def test_few_neighbours_are_found_as_a_tree_finds_them() -> None:

@@ -34,6 +34,7 @@ class CommonErrorTuning:
     least_arcsec, largest_arcsec : of the grid. steps, share_steps : of the grid of s and of f.
     neighbours : the distance to this one, the nearest apart, tells the local density.
     most_records : so many are looked at, drawn evenly.
+    most_rows, strips : of larger catalogues about so many are looked at, in so many strips of declination.
     most_products : up to so many distances are all computed; a tree answers for more, which takes 0.15 s to import.
     """
 
@@ -45,6 +46,8 @@ class CommonErrorTuning:
     share_steps: int = 16
     neighbours: int = 6
     most_records: int = 4000
+    most_rows: int = 100_000
+    strips: int = 4
     most_products: int = 4_000_000
 
 
@@ -146,7 +149,7 @@ def common_error(
 
     shared : the other catalogue's errors are not known either, and taken to be the same.
     """
-    position, other_variance = _positions(catalogue, other, shared)
+    position, other_variance = _positions(*_in_strips(catalogue, other, tuning), shared)
     if not len(position[0]) or not len(position[1]):
         return tuning.usual_arcsec, 0.0
     # From the side of fewer records: of those of a deep catalogue next to none have a partner in a sparse one.
@@ -166,6 +169,28 @@ def common_error(
     fit = [(np.log(np.maximum(f * near + (1.0 - f) * chance, 1e-300)) - log_chance).sum(axis=1) + prior for f in shares]
     at_share, at_s = np.unravel_index(int(np.argmax(fit)), (len(shares), len(s)))
     return float(s[at_s, 0]), float(shares[at_share])
+
+
+def _in_strips(one: Catalogue, two: Catalogue, tuning: CommonErrorTuning) -> tuple[Catalogue, Catalogue]:
+    """Both catalogues, large ones in strips of declination alone; the larger's are twice as high, so that the partners
+    and neighbours of what lies at the border of a strip are there."""
+    share = tuning.most_rows / max(len(one), len(two))
+    if share >= 1.0:
+        return one, two
+    fewer = min(one, two, key=len)
+    dec_deg = np.sort(fewer.astrometry.dec_deg[np.isfinite(fewer.astrometry.dec_deg)])
+    middle, half = (np.arange(tuning.strips) + 0.5) / tuning.strips, 0.25 * share / tuning.strips
+    places = (np.array([middle - half, middle + half]) * (len(dec_deg) - 1)).round().astype(np.intp)
+    low, high = dec_deg[places]
+    margin = 0.5 * (high - low)
+
+    def part(catalogue: Catalogue, low: FloatArray, high: FloatArray) -> Catalogue:
+        edges = np.column_stack([np.nextafter(low, -np.inf), high]).ravel()
+        within = np.searchsorted(edges, catalogue.astrometry.dec_deg) % 2 == 1
+        return catalogue.alike(catalogue.table[np.flatnonzero(within)])
+
+    wide = (low - margin, high + margin)
+    return (part(one, low, high), part(two, *wide)) if fewer is one else (part(one, *wide), part(two, low, high))
 
 
 def _positions(
