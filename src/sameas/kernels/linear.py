@@ -45,7 +45,7 @@ def solve(matrix: FloatArray, right: FloatArray) -> None:
 
 @small
 def best_exchange(mu: FloatArray, most: FloatArray, halvings: int, step: FloatArray) -> None:
-    """Writes the δ of 0 … ``most`` (n,) at which ln|1 + δ D| is greatest, of matrices D of the eigenvalues ``mu`` (n, d).
+    """Writes the δ of 0 … ``most`` (n,) at which ln|1 + δ D| is greatest, for the eigenvalues ``mu`` (n, d) of D.
 
     Its slope Σ μ/(1 + δ μ) falls in δ: halving finds where it is 0, to 2^−halvings of ``most``. What is not below 0 at
     ``most`` goes all the way.
