@@ -1,6 +1,7 @@
 """Below the limit of single frames: what the frames show together, how sure that is, and that no light counts twice."""
 
 import math
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 
@@ -11,7 +12,7 @@ import naive
 from sameas.errors import InputError
 from sameas.kernels.stacking import best_motion
 from sameas.simulate.frames import Camera, Gaussian, frame_of
-from sameas.sky.movers.below_limit import Plan, search_below_limit
+from sameas.sky.movers.below_limit import Plan, _normalised, search_below_limit
 from sameas.sky.movers.series import search
 from sameas.sky.movers.stack import stack
 from sameas.sky.series.tied import Exposure, tie
@@ -49,6 +50,18 @@ def series(seed, magnitude=None, *, count=10, rate=(-0.4, 0.15), listed=False, s
             )
         )  # fmt: skip
     return tie(exposures), frames, track
+
+
+def glinting(frames, seed, each=60):
+    """The frames with places of light, six times the noise of a star, at random: what stars leave in crowded fields."""
+    rng, out = np.random.default_rng(seed), []
+    v, u = np.mgrid[0:SIDE, 0:SIDE]
+    for frame in frames:
+        image = frame.image.copy()
+        for x, y in rng.uniform(5, SIDE - 5, (each, 2)):
+            image += 1.2 * LIMIT_E / 1.5 / 10.2 * np.exp(-0.5 * ((u - x) ** 2 + (v - y) ** 2) / 1.274**2)
+        out.append(replace(frame, image=image))
+    return out
 
 
 def one(frame):
@@ -113,12 +126,30 @@ def test_noise_and_stars_alone_make_no_candidate_that_is_believed():
     assert many > 20 and 3.0 < u < 6.0 and 0.85 < s < 1.4
 
 
+@pytest.mark.slow
+def test_what_stars_leave_in_line_on_some_frames_is_no_mover_and_hides_none():
+    for magnitude, seed in ((None, 10), (0.4, 9)):
+        tied, frames, _ = series(8, magnitude)
+        _, _, below = searched(tied, glinting(frames, seed))
+        assert (below.movers.p_tracklet > 0.5).sum() == (magnitude is not None)
+
+
+def test_noise_is_one_everywhere_though_the_sky_is_uneven():
+    rng = np.random.default_rng(2)
+    phi = np.ones((256, 256), np.float32)
+    v, u = np.mgrid[0:256, 0:256]
+    psi = ((1.0 + u / 256) * rng.standard_normal(phi.shape) + 4.0 * v / 256).astype(np.float32)
+    _normalised(psi, phi)
+    z = psi / np.sqrt(phi)
+    assert [z[:, part].std() for part in (slice(0, 64), slice(192, 256))] == pytest.approx([1.0, 1.0], abs=0.1)
+
+
 def test_strips_bound_the_memory_and_change_nothing():
     from sameas.sky.movers.below_limit import BelowLimitTuning
 
     tied, frames, _ = series(1, 0.4)
     _, _, whole = searched(tied, frames)
-    small = BelowLimitTuning(most_bytes=14 * 10 * SIDE * 150)
+    small = BelowLimitTuning(most_bytes=18 * 10 * SIDE * 150)
     assert len(Plan.of(tied, 0.6, small).strips) > 2
     assert Plan.of(tied, 0.6, small).peak_bytes < Plan.of(tied, 0.6).peak_bytes
     _, _, cut = searched(tied, frames, tuning=small)

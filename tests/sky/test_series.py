@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sameas import InputError
-from sameas.sky.movers.orbits import Elements, _packed_date, _two_body, ephemeris, near, states
+from sameas.sky.movers.orbits import AU_KM, Elements, _packed_date, _planets, _two_body, ephemeris, near, states
 from sameas.sky.movers.series import search
 from sameas.sky.series.tied import Exposure, tie
 
@@ -215,6 +215,26 @@ def test_ephemerides_are_continuous_and_near_two_body_ones(elements):
     assert near(elements, 59900.0, ra + 40.0, dec, 1.0).tolist() == []
     with pytest.raises(InputError, match="the planets are known from"):
         ephemeris(elements, np.array([100000.0]))
+
+
+#: Of JPL's small-body database: it is in lists of minor planets, and among the planets that attract.
+PLUTO = ["134340 Pluto (1930 BM)", "-0.44", None, "54000", ".250248713478499", "39.4450697257358", "29.5739917738007",
+         "17.089000919562", "110.3769579554089", "112.5971416774872", "25.24718971218841"]  # fmt: skip
+
+
+def test_pluto_does_not_attract_itself(tmp_path):
+    pytest.importorskip("jplephem", reason="places of the planets need jplephem and skyfield-data")
+    pytest.importorskip("skyfield_data", reason="places of the planets need jplephem and skyfield-data")
+    path = tmp_path / "elements.json"
+    ceres = [None if key == "G" else value for key, value in zip(CERES["fields"], CERES["data"][0], strict=True)]
+    path.write_text(json.dumps({"fields": CERES["fields"], "data": [ceres, PLUTO]}))
+    both = Elements.read(path)
+    together = states(both, 59300.0)
+    alone = states(both.some(np.array([0])), 59300.0)
+    # Its elements hold its motion about Charon, 20 m/s, which is no motion of the two about the Sun.
+    assert np.abs(together[0, :, 0] - alone[0, :, 0]).max() * AU_KM < 20.0
+    there = _planets().perturbers(np.array([59300.0]))[8, :, 0]
+    assert np.abs(together[0, :, 1] - there).max() < 0.1
 
 
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data" / "asteroid_2713"

@@ -172,10 +172,7 @@ def pairs_of(pooled: PooledRecords, records: IntArray) -> IntArray:
 
 def _sum(n: int, parts: Iterable[FloatArray]) -> FloatArray:
     """(n,) the sum of any number of parts."""
-    total = np.zeros(n)
-    for part in parts:
-        total += part
-    return total
+    return np.asarray(np.sum([np.zeros(n), *parts], axis=0))
 
 
 def _size(n_pairs: int) -> int:

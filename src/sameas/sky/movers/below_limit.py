@@ -25,7 +25,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter
-from scipy.optimize import minimize
 from scipy.special import expit
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
@@ -44,6 +43,8 @@ from sameas.sky.movers.stack import ChipMap, chip_map, predicted
 from sameas.sky.series.tied import Series
 
 Plane = NDArray[np.float32]
+#: Of a pixel of a frame: three planes, and what the median of a strip takes.
+_BYTES = 18
 _NO_LIGHT = Flag.HOT | Flag.COSMIC | Flag.MASKED | Flag.SATURATED
 
 
@@ -56,25 +57,30 @@ class BelowLimitTuning:
     fewest_frames : fewer are not searched. step_widths : two neighbouring rates differ by so many full widths of a
     star on the first and on the last frame. least_widths : over all frames a mover moves so many full widths.
     hidden_widths : pixels so near a source are left out; more for bright ones. clip : what one frame may say at most,
-    in its noise: one defect makes no mover. static : what the median frame shows so clearly stands still.
-    blur_widths : noise about stars is measured over so many full widths.
+    in its noise: what stars leave is common at 5 and in line on two or three frames, so that T grew with a tail 1.5
+    times as wide as noise has; at 3 the tail is that of noise, and a mover of 2 on each loses 4 %. measured_clip : the
+    same where a candidate is measured. static : what the median frame shows so clearly stands still.
+    blur_widths : noise about stars is measured over so many full widths, and counts from so much more variance than
+    elsewhere (rough) on.
     share : of the frames' weight that a place must have. peaks : highest peaks that are weighed.
     chance : peaks of the scrambled frames that tell the tail. sure : peaks above this T are taken away before the
     scrambling. own_widths : a peak loses the frames on which a higher one is nearer than this.
-    most_bytes : of the frames held at a time. refined : peaks above this T are measured to a part of a pixel.
+    most_bytes : of the frames held at a time. refined : peaks above this T are measured.
     """
 
     fewest_frames: int = 5
     step_widths: float = 0.5
     least_widths: float = 2.5
     hidden_widths: float = 1.2
-    clip: float = 5.0
+    clip: float = 3.0
+    measured_clip: float = 5.0
     static: float = 2.5
-    blur_widths: float = 1.5
+    blur_widths: float = 2.5
+    rough: float = 1.2
     share: float = 0.5
     peaks: int = 300
     chance: int = 100
-    sure: float = 7.0
+    sure: float = 6.0
     own_widths: float = 1.5
     most_bytes: int = 600_000_000
     refined: float = 5.0
@@ -110,7 +116,7 @@ class Plan:
     def peak_bytes(self) -> int:
         """Of the frames held at a time, with what the median of a strip takes."""
         rows = max(b - a for a, b in zip(self.strips, self.strips[1:], strict=False)) + 2 * self.margin
-        return 14 * len(self.minutes) * min(rows, self.shape[0]) * self.shape[1]
+        return _BYTES * len(self.minutes) * min(rows, self.shape[0]) * self.shape[1]
 
     @classmethod
     def of(cls, series: Series, fastest: float, tuning: BelowLimitTuning = TUNING) -> Plan:
@@ -149,7 +155,7 @@ class Plan:
         origin = place.min(axis=0)
         wide, high = np.ceil((place.max(axis=0) - origin) / scale).astype(int) + 1
         margin = math.ceil((fastest + step) * half / scale) + 1
-        room = tuning.most_bytes // (14 * len(minutes) * wide) - 2 * margin
+        room = tuning.most_bytes // (_BYTES * len(minutes) * wide) - 2 * margin
         strips = max(1, math.ceil(high / max(room, 64)))
         bounds = tuple(int(v) for v in np.linspace(0, high, strips + 1))
         return cls(rates, origin, (int(high), int(wide)), scale, minutes, bounds, margin, width)
@@ -160,9 +166,10 @@ class Plan:
 class BelowLimit:
     """What the frames show together and not one by one; (k,) the most probable first.
 
-    movers : each as three places, of the first, the middle and the last frames added along its motion. snr : T of all
-    frames together. frames : on which it counts. flux : on the scale of the mean frame. place : (k, f, 2) predicted,
-    arcsec in the system of the series. tail : N_u, u and s of the peaks that chance makes. plan : what was searched.
+    movers : each as three places, of the first, the middle and the last frames added along its motion. snr : signal to
+    noise of all frames together. frames : on which it counts. flux : on the scale of the mean frame. place : (k, f, 2) predicted,
+    arcsec in the system of the series. tail : N_u, u and s of the peaks that chance makes. plan : what
+    was searched.
     """
 
     movers: Movers
@@ -179,14 +186,17 @@ class BelowLimit:
 
 @dataclass(frozen=True)
 class _Peaks:
-    """Peaks, (n,): T; place (n, 2) arcsec in the middle of the time, rate (n, 2) arcsec/min; signal, weight (n, f);
-    parts (n, 3, 3) of the first, middle and last frames: offset east and north from the motion, arcsec, and T."""
+    """Peaks, (n,): T, as the search adds the frames and as chance is counted; place (n, 2) arcsec in the middle of the
+    time, rate (n, 2) arcsec/min; signal, weight (n, f). Measured to a part of a pixel: snr; flux; parts (n, 3, 3) of
+    the first, middle and last frames: offset east and north from the motion, arcsec, and their signal to noise."""
 
     t: FloatArray
     place: FloatArray
     rate: FloatArray
     signal: FloatArray
     weight: FloatArray
+    snr: FloatArray
+    flux: FloatArray
     parts: FloatArray
 
     def some(self, rows: NDArray[np.int64] | BoolArray) -> _Peaks:
@@ -194,7 +204,7 @@ class _Peaks:
 
     def path(self, minutes: FloatArray) -> FloatArray:
         """(n, f, 2) places at these times, arcsec."""
-        return np.asarray(self.place[:, None] + minutes[None, :, None] * self.rate[:, None])
+        return _path(self.place, self.rate, minutes)
 
     @staticmethod
     def together(parts: Sequence[_Peaks]) -> _Peaks:
@@ -227,13 +237,12 @@ def search_below_limit(
     groups = _thirds(len(plan.minutes))
     for first, last in zip(plan.strips, plan.strips[1:], strict=False):
         low, high = max(first - plan.margin, 0), min(last + plan.margin, plan.shape[0])
-        signal, weight = _planes(series, frames, plan, (low, high), known, tuning)
+        planes = _planes(series, frames, plan, (low, high), known, tuning)
         core = (first - low, last - low)
-        strip = _Strip(plan, signal, weight, plan.origin + np.array([0.0, low * plan.scale]), core, tuning)
+        strip = _Strip(plan, *planes, plan.origin + np.array([0.0, low * plan.scale]), core, tuning)
         peaks = strip.peaks(plan.minutes)
         alone = _alone(peaks, plan.minutes, plan, tuning)
-        better = [strip.refined(peaks.some(np.array([k])), groups) for k in np.flatnonzero(alone.t > tuning.refined)]
-        real.append(_Peaks.together([*better, alone.some(alone.t <= tuning.refined)]))
+        real.append(strip.measured_peaks(alone, groups))
         strip.take_away(alone.some(alone.t > tuning.sure))
         chance.append(_alone(strip.peaks(plan.minutes[order]), plan.minutes[order], plan, tuning))
     peaks = _alone(_Peaks.together(real), plan.minutes, plan, tuning)
@@ -252,8 +261,8 @@ def _to_sky(series: Series, n: int) -> ChipMap:
 def _planes(
     series: Series, frames: Sequence[Callable[[], Frame]], plan: Plan, rows: tuple[int, int],
     known: tuple[FloatArray, FloatArray], tuning: BelowLimitTuning,
-) -> tuple[Plane, Plane]:  # fmt: skip
-    """(f, h, w) ψ and φ of all frames on some rows of the grid, what stands still taken away.
+) -> tuple[Plane, Plane, Plane]:  # fmt: skip
+    """(f, h, w) ψ and φ of all frames on some rows of the grid, what stands still taken away; and ψ to measure with.
 
     known : (k, f, 2) places of tracklets and (k,) their signal to noise."""
     height, width = rows[1] - rows[0], plan.shape[1]
@@ -271,7 +280,13 @@ def _planes(
         for out, plane, scale in ((signal, psi, factor[n]), (weight, phi, factor[n] ** 2)):
             out[n] = (map_coordinates(plane, at, order=1, cval=0.0) * scale).reshape(height, width)
     _without_static(signal, weight, plan.width, tuning)
-    return signal, weight
+    # What one frame may say is bounded, more so in the search.
+    measured = signal.copy()
+    for plane, most in ((signal, tuning.clip), (measured, tuning.measured_clip)):
+        for psi, phi in zip(plane, weight, strict=True):
+            bound = most * np.sqrt(phi)
+            np.clip(psi, -bound, bound, out=psi)
+    return signal, weight, measured
 
 
 def _signal_to_noise(found: Movers, series: Series) -> FloatArray:
@@ -332,6 +347,7 @@ def _normalised(psi: Plane, phi: Plane, box: int = 64) -> None:
     boxes = [max(1, round(n / box)) for n in psi.shape]
     bounds = [np.linspace(0, n, count + 1).astype(int) for n, count in zip(psi.shape, boxes, strict=True)]
     level, scale = np.full(boxes, whole[0], np.float32), np.full(boxes, whole[1], np.float32)
+    told = np.zeros(boxes, bool)
     for a in range(boxes[0]):
         for b in range(boxes[1]):
             part = slice(*bounds[0][a : a + 2]), slice(*bounds[1][b : b + 2])
@@ -339,10 +355,13 @@ def _normalised(psi: Plane, phi: Plane, box: int = 64) -> None:
             # Few pixels between stars do not tell how wide their noise is.
             if good.mean() > 0.25:
                 level[a, b], scale[a, b] = _level_and_scale(z[part][good])
+                told[a, b] = True
+    # The whole frame is wider than its boxes where the sky between them differs: it tells only what they do not.
+    least = 0.6 * float(np.median(scale[told])) if told.any() else whole[1]
     rows, columns = ((np.arange(n) + 0.5) * count / n - 0.5 for n, count in zip(psi.shape, boxes, strict=True))
     grid = np.meshgrid(rows, columns, indexing="ij")
     between, wide = (map_coordinates(one, grid, order=1, mode="nearest") for one in (level, scale))
-    wide = np.maximum(wide, 0.9 * whole[1])
+    wide = np.maximum(wide, least)
     psi[:] = np.where(phi > 0, (z - between) * np.sqrt(phi) / wide**2, 0.0)
     phi /= wide**2
 
@@ -354,7 +373,7 @@ def _level_and_scale(z: FloatArray) -> tuple[float, float]:
 
 
 def _without_static(signal: Plane, weight: Plane, width: float, tuning: BelowLimitTuning) -> None:
-    """Takes away what the median frame shows, and bounds what one frame may say."""
+    """Takes away what the median frame shows, and widens the noise where the frames differ."""
     usual = np.zeros(signal.shape[1:], np.float32)
     for row in range(signal.shape[1]):
         psi, phi = signal[:, row], weight[:, row]
@@ -370,12 +389,11 @@ def _without_static(signal: Plane, weight: Plane, width: float, tuning: BelowLim
     mean = gaussian_filter(usual, near) / np.maximum(gaussian_filter(seen, near), 1e-3)
     if seen.any():
         mean /= float(np.median(mean[seen > 0]))
-    rough = np.maximum(mean, 1.0)
+    # The median of few frames is itself uncertain by so much.
+    rough = np.maximum(mean / tuning.rough, 1.0)
     for psi, phi in zip(signal, weight, strict=True):
         psi /= rough
         phi /= rough
-        bound = tuning.clip * np.sqrt(phi)
-        np.clip(psi, -bound, bound, out=psi)
 
 
 def _medians(values: FloatArray, there: NDArray[np.bool_]) -> FloatArray:
@@ -391,11 +409,12 @@ class _Strip:
     """The planes of some rows of the grid, and the peaks in them."""
 
     def __init__(
-        self, plan: Plan, signal: Plane, weight: Plane, origin: FloatArray, core: tuple[int, int],
+        self, plan: Plan, signal: Plane, weight: Plane, measured: Plane, origin: FloatArray, core: tuple[int, int],
         tuning: BelowLimitTuning,
     ) -> None:  # fmt: skip
         self.plan, self.signal, self.weight, self.origin, self.core = plan, signal, weight, origin, core
-        self.tuning = tuning
+        self.measured, self.tuning = measured, tuning
+        self.usual = sum(float(np.median(p[p > 0])) if (p > 0).any() else 0.0 for p in weight[:, ::5, ::5])
 
     def shifts(self, minutes: FloatArray) -> tuple[IntArray, IntArray]:
         """(r, f) rows and columns by which each rate stands off on each frame."""
@@ -407,12 +426,11 @@ class _Strip:
         down, right = self.shifts(minutes)
         shape = self.signal.shape[1:]
         best, which = np.zeros(shape, np.float32), np.zeros(shape, np.int64)
-        usual = sum(float(np.median(p[p > 0])) if (p > 0).any() else 0.0 for p in self.weight[:, ::5, ::5])
         first, last = self.core
         bounds = [first + b for b in threads.even(last - first, 8)]
         threads.over(
             lambda a, b: best_motion(
-                self.signal, self.weight, down, right, self.tuning.share * usual, a, b, best, which
+                self.signal, self.weight, down, right, self.tuning.share * self.usual, a, b, best, which
             ),
             bounds,
         )
@@ -421,71 +439,67 @@ class _Strip:
         v, u = np.nonzero(top)
         order = np.argsort(-best[v, u], kind="stable")[: self.tuning.peaks]
         v, u = v[order], u[order]
-        rate = which[v, u]
-        frames = np.arange(len(minutes))
-        rows, columns = v[:, None] + down[rate], u[:, None] + right[rate]
-        inside = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
-        at = frames[None], np.where(inside, rows, 0), np.where(inside, columns, 0)
-        place = self.origin + np.column_stack([u, v]) * self.plan.scale
-        return _Peaks(
-            best[v, u].astype(float), place, self.plan.rates[rate], np.where(inside, self.signal[at], 0.0),
-            np.where(inside, self.weight[at], 0.0), np.full((len(v), 3, 3), np.nan),
-        )  # fmt: skip
+        start = self.origin + np.column_stack([u, v]) * self.plan.scale
+        place, speed = self._climbed(self.signal, start, self.plan.rates[which[v, u]], minutes)
+        psi, phi = self._sampled(self.signal, _path(place, speed, minutes))
+        t, none = _added(psi, phi), np.full(len(v), np.nan)
+        return _Peaks(t, place, speed, psi, phi, t, none, np.full((len(v), 3, 3), np.nan))
 
-    def _sampled(self, place: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(f,) ψ and φ at a place (f, 2) of every frame."""
+    def _sampled(self, signal: Plane, place: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(n, f) ψ and φ at places (n, f, 2)."""
         at = (place - self.origin) / self.plan.scale
-        frames = np.arange(len(at))
-        x, y = np.clip(at[:, 0], 0, self.signal.shape[2] - 1.001), np.clip(at[:, 1], 0, self.signal.shape[1] - 1.001)
-        a, b = y.astype(int), x.astype(int)
+        x, y = (np.clip(at[..., k], 0, signal.shape[2 - k] - 1.001) for k in (0, 1))
+        a, b, frames = y.astype(int), x.astype(int), np.arange(at.shape[-2])
         p, q = y - a, x - b
-        outside = (np.abs(at - np.column_stack([x, y])) > 1.0).any(axis=1)
+        outside = (np.abs(at[..., 0] - x) > 1.0) | (np.abs(at[..., 1] - y) > 1.0)
         out = []
-        for plane in (self.signal, self.weight):
+        for plane in (signal, self.weight):
             value = (1 - p) * ((1 - q) * plane[frames, a, b] + q * plane[frames, a, b + 1])
             value += p * ((1 - q) * plane[frames, a + 1, b] + q * plane[frames, a + 1, b + 1])
             out.append(np.where(outside, 0.0, value))
         return out[0], out[1]
 
-    def refined(self, peak: _Peaks, groups: Sequence[IntArray]) -> _Peaks:
-        """One peak measured to a part of a pixel, and its parts."""
+    def _climbed(
+        self, signal: Plane, place: FloatArray, rate: FloatArray, minutes: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Places and rates of peaks (n, 2) moved to where T is highest, by steps that grow smaller, a width at most."""
+        reach, half = self.plan.width * self.plan.scale, float(np.abs(minutes).max())
+        start = np.column_stack([place, rate * half])
+        least = self.tuning.share * self.usual
+
+        def height(x: FloatArray) -> FloatArray:
+            psi, phi = self._sampled(signal, _path(x[..., :2], x[..., 2:] / half, minutes))
+            return np.where(phi.sum(axis=-1) > least, _added(psi, phi), -np.inf)
+
+        ways = np.vstack([np.zeros(4), np.eye(4), -np.eye(4)])
+        x = start.copy()
+        for step in (0.3, 0.3, 0.15, 0.15, 0.15, 0.07, 0.07, 0.07, 0.03, 0.03):
+            tried = x[:, None] + step * reach * ways
+            high = height(tried)
+            high[(np.abs(tried - start[:, None]) > reach).any(axis=-1)] = -np.inf
+            high[:, 0] = np.maximum(high[:, 0], -1e9)
+            x = tried[np.arange(len(x)), high.argmax(axis=1)]
+        return x[:, :2], x[:, 2:] / half
+
+    def measured_peaks(self, peaks: _Peaks, groups: Sequence[IntArray]) -> _Peaks:
+        """The higher peaks measured, and their parts; their T stays, for that of chance was found in the same way."""
+        high = np.flatnonzero(peaks.t > self.tuning.refined)
         minutes, reach = self.plan.minutes, self.plan.width * self.plan.scale
-        half = float(np.abs(minutes).max())
-
-        def path(x: FloatArray) -> FloatArray:
-            return np.asarray(x[:2] + minutes[:, None] * x[2:] / half)
-
-        def misfit(x: FloatArray) -> float:
-            return -_added(*self._sampled(path(x)))
-
-        start = np.concatenate([peak.place[0], peak.rate[0] * half])
-        around = start + np.vstack([np.zeros(4), 0.3 * reach * np.eye(4)])
-        fit = minimize(misfit, start, method="Nelder-Mead",
-                       options={"initial_simplex": around, "xatol": 0.01 * reach, "fatol": 1e-3,
-                                "maxfev": 300})  # fmt: skip
-        # What has slid onto another light is no refinement.
-        x = fit.x if np.abs(fit.x - start).max() < 1.5 * reach and -fit.fun > peak.t[0] else start
-        parts = np.array([self._part(path(x), frames, reach) for frames in groups])
-        psi, phi = self._sampled(path(x))
-        return _Peaks(
-            np.array([max(_added(psi, phi), peak.t[0])]),
-            x[None, :2],
-            x[None, 2:] / half,
-            psi[None],
-            phi[None],
-            parts[None],
-        )
-
-    def _part(self, place: FloatArray, frames: IntArray, reach: float) -> FloatArray:
-        """(3,) offset from the motion and T of some frames: of the highest place within half a width."""
+        place, rate = peaks.place.copy(), peaks.rate.copy()
+        place[high], rate[high] = self._climbed(self.measured, place[high], rate[high], minutes)
+        snr, flux, parts = peaks.snr.copy(), peaks.flux.copy(), peaks.parts.copy()
+        path = _path(place[high], rate[high], minutes)
+        psi, phi = self._sampled(self.measured, path)
+        snr[high], flux[high] = _added(psi, phi), psi.sum(axis=1) / np.maximum(phi.sum(axis=1), 1e-30)
         grid = np.linspace(-0.6, 0.6, 13) * reach
-        t = np.empty((13, 13))
-        for j, dy in enumerate(grid):
-            for i, dx in enumerate(grid):
-                psi, phi = self._sampled(place + np.array([dx, dy]))
-                t[j, i] = _added(psi[frames], phi[frames])
-        north, east = np.unravel_index(np.argmax(t), t.shape)
-        return np.array([grid[east], grid[north], t[north, east]])
+        around = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
+        for k, at in zip(high, path, strict=True):
+            # Of the first, the middle and the last frames: the highest place within half a width.
+            psi, phi = self._sampled(self.measured, at[None] + around[:, None])
+            for g, frames in enumerate(groups):
+                t = _added(psi[:, frames], phi[:, frames])
+                parts[k, g] = [*around[int(np.argmax(t))], t.max()]
+        return replace(peaks, place=place, rate=rate, snr=snr, flux=flux, parts=parts)
 
     def take_away(self, peaks: _Peaks) -> None:
         """No weight where these peaks have their light."""
@@ -495,9 +509,14 @@ class _Strip:
                 self.signal[n][self.weight[n] == 0] = 0.0
 
 
-def _added(psi: FloatArray, phi: FloatArray) -> float:
-    """T of some frames, (f,) each."""
-    return float(psi.sum() / math.sqrt(max(phi.sum(), 1e-30)))
+def _path(place: FloatArray, rate: FloatArray, minutes: FloatArray) -> FloatArray:
+    """(…, f, 2) places at some times of motions (…, 2)."""
+    return np.asarray(place[..., None, :] + minutes[:, None] * rate[..., None, :])
+
+
+def _added(psi: FloatArray, phi: FloatArray) -> FloatArray:
+    """T of some frames, (…, f) each."""
+    return np.asarray(psi.sum(axis=-1) / np.sqrt(np.maximum(phi.sum(axis=-1), 1e-30)))
 
 
 def _alone(peaks: _Peaks, minutes: FloatArray, plan: Plan, tuning: BelowLimitTuning) -> _Peaks:
@@ -605,9 +624,8 @@ def _answer(
     keep = keep[np.argsort(-p[keep], kind="stable")]
     mine = peaks.some(keep)
     path = mine.path(plan.minutes)
-    flux = mine.signal.sum(axis=1) / np.maximum(mine.weight.sum(axis=1), 1e-30)
-    movers = _movers(found, series, plan, mine, p[keep], log_weight[keep], np.exp(log_chance[keep]), flux)
-    return BelowLimit(movers, mine.t, (mine.weight > 0).sum(axis=1), flux, path, tail, plan)
+    movers = _movers(found, series, plan, mine, p[keep], log_weight[keep], np.exp(log_chance[keep]))
+    return BelowLimit(movers, mine.snr, (mine.weight > 0).sum(axis=1), mine.flux, path, tail, plan)
 
 
 def _rate_ratio(found: Movers, series: Series, plan: Plan, peaks: _Peaks) -> FloatArray:
@@ -628,7 +646,7 @@ def _rate_ratio(found: Movers, series: Series, plan: Plan, peaks: _Peaks) -> Flo
 
 def _movers(
     found: Movers, series: Series, plan: Plan, peaks: _Peaks, p: FloatArray, log_weight: FloatArray,
-    chance: FloatArray, flux: FloatArray,
+    chance: FloatArray,
 ) -> Movers:  # fmt: skip
     """The candidates as tracklets of three places, of the first, middle and last frames."""
     groups, k = _thirds(len(plan.minutes)), len(p)
@@ -646,12 +664,14 @@ def _movers(
     ra, dec = series.sky(at.reshape(-1, 2))
     zero = series.stars.zero_point
     bright = (
-        np.nanmean(zero) - 2.5 * np.log10(np.maximum(flux, 1e-9)) if np.isfinite(zero).any() else np.full(k, np.nan)
+        np.nanmean(zero) - 2.5 * np.log10(np.maximum(peaks.flux, 1e-9))
+        if np.isfinite(zero).any()
+        else np.full(k, np.nan)
     )
     seen = Detections.of(
         ra, dec, (mjd0 + when / 1440.0).ravel(), sigma_arcsec=sigma.ravel(),
         frame=np.tile([0, 1, 2], k), magnitude=np.repeat(bright, 3),
-        magnitude_error=np.repeat(1.0857 / np.maximum(peaks.t, 1.0), 3), name="frames added along motions",
+        magnitude_error=np.repeat(1.0857 / np.maximum(peaks.snr, 1.0), 3), name="frames added along motions",
     )  # fmt: skip
     seen = replace(seen, frame_names=names)
     members = np.arange(3 * k).reshape(k, 3)

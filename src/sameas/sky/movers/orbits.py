@@ -9,7 +9,6 @@ integrated together.
 from __future__ import annotations
 
 import atexit
-import itertools
 import json
 import math
 import warnings
@@ -30,6 +29,8 @@ from sameas.errors import InputError, reading
 _GM_SUN = 0.01720209895**2
 #: Masses of Mercury, Venus, the Earth and the Moon together, Mars … Neptune, Pluto: the Sun's over theirs (DE421).
 _MASS_RATIO = (6023600.0, 408523.71, 328900.56, 3098708.0, 1047.3486, 3497.898, 22902.98, 19412.24, 135200000.0)
+#: Pluto among them, which lists of asteroids have as (134340): it does not attract what is so near, for that is itself.
+_PLUTO, _PLUTO_ITSELF_AU = 8, 0.03
 AU_KM = 149597870.7
 _LIGHT_AU_PER_DAY = 173.14463267424034
 _TILT = math.radians(84381.448 / 3600.0)
@@ -47,7 +48,7 @@ _COVARIANCE = {"e": "eccentricity", "q": "perihelion_au", "tp": "perihelion_mjd"
 #: What JPL's covariances call two of them.
 _LABELS = {"node": "om", "peri": "w"}
 #: Places of the planets are tabulated so finely, in tables of so many days.
-_GRID_DAYS, _BLOCK_DAYS = 2.0, 400.0
+_GRID_DAYS, _BLOCK_DAYS = 2.0, 4000.0
 
 
 @dataclass(frozen=True)
@@ -276,16 +277,17 @@ def states(elements: Elements, mjd_utc: float) -> FloatArray:
     planets.check(np.array([mjd_utc]))
     middle = float(Time(mjd_utc, format="mjd", scale="utc").tdb.mjd)
     state = np.empty((2, 3, len(elements)))
-    # One way from the oldest epoch on, and one back from the newest: objects join it at their epochs.
-    epochs = np.unique(elements.epoch_mjd)
-    for side in (epochs[epochs <= middle], epochs[epochs > middle][::-1]):
-        rows, at = np.empty(0, np.int64), np.empty((2, 3, 0))
-        for epoch, after in itertools.pairwise([*side.tolist(), middle]):
-            joining = np.flatnonzero(elements.epoch_mjd == epoch)
-            rows = np.concatenate([rows, joining])
-            at = np.concatenate([at, _state(elements.some(joining), epoch)], axis=2)
-            at = _integrated(at, epoch, np.array([after]), planets)[..., 0]
-        state[:, :, rows] = at
+    days = middle - elements.epoch_mjd
+    # Each object goes its own way from its epoch, in shares of it; those whose ways are alike in length go together.
+    length = np.floor(np.log2(np.maximum(np.abs(days), 16.0)))
+    for one in np.unique(length):
+        rows = np.flatnonzero(length == one)
+        some = elements.some(rows)
+        epochs, which = np.unique(some.epoch_mjd, return_inverse=True)
+        start = np.concatenate([_state(some.some(np.flatnonzero(which == k)), epoch) for k, epoch in enumerate(epochs)],
+                               axis=2)  # fmt: skip
+        order = np.argsort(which, kind="stable")
+        state[:, :, rows[order]] = _followed(start, epochs, which[order], middle, planets)
     return state
 
 
@@ -456,7 +458,7 @@ def _integrated(state: FloatArray, begin: float, times: FloatArray, planets: _Pl
 
     def derivative(t: float, y: FloatArray) -> FloatArray:
         r, v = y.reshape(2, 3, n)
-        return np.stack([v, planets.acceleration(t, r, v)]).ravel()
+        return np.stack([v, _acceleration(planets.perturbers(np.array([t])), r, v)]).ravel()
 
     steps, at = np.unique(times, return_inverse=True)
     ascending = times[-1] >= begin
@@ -468,6 +470,44 @@ def _integrated(state: FloatArray, begin: float, times: FloatArray, planets: _Pl
         raise InputError(f"the orbits could not be followed from MJD {begin:g} to {times[-1]:g} ({done.message})")
     values = done.y if ascending else done.y[:, ::-1]
     return np.asarray(values[:, at].reshape(2, 3, n, len(times)))
+
+
+def _followed(
+    state: FloatArray, epochs: FloatArray, which: IntArray, end: float, planets: _Planets
+) -> FloatArray:  # fmt: skip
+    """(2, 3, n) the heliocentric states (2, 3, n) of objects at their epochs, the ``which`` of (m,), at one time."""
+    from scipy.integrate import solve_ivp
+
+    n, days = state.shape[2], end - epochs
+    if not days.any():
+        return state
+
+    def derivative(share: float, y: FloatArray) -> FloatArray:
+        r, v = y.reshape(2, 3, n)
+        bodies = planets.perturbers(epochs + share * days)
+        return np.asarray(days[which] * np.stack([v, _acceleration(bodies[..., which], r, v)])).ravel()
+
+    done = solve_ivp(derivative, (0.0, 1.0), state.ravel(), method="DOP853", rtol=_TOLERANCE, atol=1e-13, t_eval=[1.0])
+    if not done.success:
+        raise InputError(f"the orbits could not be followed to MJD {end:g} ({done.message})")
+    return np.asarray(done.y[:, 0].reshape(2, 3, n))
+
+
+def _acceleration(bodies: FloatArray, r: FloatArray, v: FloatArray) -> FloatArray:
+    """(3, n) au/day² of heliocentric places and velocities (3, n); planets (9, 3, n), or (9, 3, 1) of one time."""
+    distance = np.sqrt((r * r).sum(axis=0))
+    # The Sun's field to the first order of general relativity (Schwarzschild, harmonic coordinates).
+    c2 = _LIGHT_AU_PER_DAY**2
+    speed2, radial = (v * v).sum(axis=0), (r * v).sum(axis=0)
+    out = -_GM_SUN * r / distance**3
+    out += _GM_SUN / (c2 * distance**3) * ((4 * _GM_SUN / distance - speed2) * r + 4 * radial * v)
+    for body, (planet, ratio) in enumerate(zip(bodies, _MASS_RATIO, strict=True)):
+        off = planet - r
+        gm = np.full(r.shape[1], _GM_SUN / ratio)
+        if body == _PLUTO:
+            gm[(off * off).sum(axis=0) < _PLUTO_ITSELF_AU**2] = 0.0
+        out += gm * (off / ((off * off).sum(axis=0)) ** 1.5 - planet / ((planet * planet).sum(axis=0)) ** 1.5)
+    return np.asarray(out)
 
 
 class _Planets:
@@ -499,32 +539,25 @@ class _Planets:
                 f"the planets are known from MJD {self.first:.0f} to {self.last:.0f} only, not at {np.max(mjd):.1f}"
             )
 
-    def _perturbers(self, mjd: float) -> FloatArray:
-        """(9, 3) heliocentric places of the planets, between those of every two days (Mercury to 100 km)."""
-        block = int(mjd // _BLOCK_DAYS)
+    def perturbers(self, mjd: FloatArray) -> FloatArray:
+        """(9, 3, t) heliocentric places of the planets, between those of every two days (Mercury to 100 km)."""
+        block = (mjd // _BLOCK_DAYS).astype(np.int64)
+        out = np.empty((9, 3, len(mjd)))
+        for one in set(block.tolist()):
+            here = block == one
+            out[:, :, here] = self._table(one)(mjd[here]).transpose(0, 2, 1)
+        return out
+
+    def _table(self, block: int) -> CubicSpline:
         if block not in self.tables:
-            grid = np.arange(block * _BLOCK_DAYS - _GRID_DAYS, (block + 1) * _BLOCK_DAYS + 2 * _GRID_DAYS, _GRID_DAYS)
-            self.check(grid)
+            first, last = block * _BLOCK_DAYS - _GRID_DAYS, (block + 1) * _BLOCK_DAYS + 2 * _GRID_DAYS
+            grid = np.arange(max(first, self.first), min(last, self.last), _GRID_DAYS)
+            self.check(grid if len(grid) > 3 else np.array([first, last]))
             sun = self._of(10, grid)
             self.tables[block] = CubicSpline(
                 grid, np.array([(self._of(body, grid) - sun).T for body in range(1, 10)]), axis=1
             )
-        return np.asarray(self.tables[block](mjd))
-
-    def acceleration(self, mjd: float, r: FloatArray, v: FloatArray) -> FloatArray:
-        """(3, n) au/day² of heliocentric places and velocities (3, n)."""
-        bodies = self._perturbers(mjd)
-        distance = np.sqrt((r * r).sum(axis=0))
-        # The Sun's field to the first order of general relativity (Schwarzschild, harmonic coordinates).
-        c2 = _LIGHT_AU_PER_DAY**2
-        speed2, radial = (v * v).sum(axis=0), (r * v).sum(axis=0)
-        out = -_GM_SUN * r / distance**3
-        out += _GM_SUN / (c2 * distance**3) * ((4 * _GM_SUN / distance - speed2) * r + 4 * radial * v)
-        for planet, ratio in zip(bodies[..., None], _MASS_RATIO, strict=True):
-            off = planet - r
-            gm = _GM_SUN / ratio
-            out += gm * (off / ((off * off).sum(axis=0)) ** 1.5 - planet / (planet * planet).sum() ** 1.5)
-        return np.asarray(out)
+        return self.tables[block]
 
 
 @lru_cache(maxsize=1)
