@@ -167,9 +167,9 @@ class BelowLimit:
     """What the frames show together and not one by one; (k,) the most probable first.
 
     movers : each as three places, of the first, the middle and the last frames added along its motion. snr : signal to
-    noise of all frames together. frames : on which it counts. flux : on the scale of the mean frame. place : (k, f, 2) predicted,
-    arcsec in the system of the series. tail : N_u, u and s of the peaks that chance makes. plan : what
-    was searched.
+    noise of all frames together. frames : on which it counts. flux : on the scale of the mean frame. place : (k, f, 2)
+    predicted, arcsec in the system of the series. tail : N_u, u and s of the peaks that chance makes. plan : what was
+    searched.
     """
 
     movers: Movers
