@@ -264,15 +264,26 @@ def _distances(done: dict[str, dict[str, Tally]]) -> Table:
 
 
 def _positions(done: dict[str, dict[str, Tally]]) -> Table:
-    columns = ("scenario", "sensor", "its error, m", *(f"fused {way}" for way in WAYS))
+    columns = (
+        "scenario",
+        "sensor",
+        "its error, m",
+        *(f"fused {way}" for way in WAYS),
+        *(f"NEES {way}" for way in WAYS),
+    )
     rows: list[list[object]] = []
     for scenario, by_way in done.items():
+        nees = [float(np.mean(tally.square)) for tally in by_way.values()]
         for sensor in ("lidar", "radar"):
             pairs = [tally.root_mean_square(sensor) for tally in by_way.values()]
-            rows.append([scenario, sensor, pairs[0][0], *(fused for _, fused in pairs)])
-    nees = ", ".join(f"{name} {np.mean(by_way[WAYS[-1]].square):.2f}" for name, by_way in done.items())
-    notes = (f"NEES per dimension with memory, 1 where covariances are right: {nees}",)
+            rows.append([scenario, sensor, pairs[0][0], *(fused for _, fused in pairs), *nees])
+    notes = ("NEES per dimension of all objects that a sensor of positions shows, 1 where covariances are right",)
     return Table("Positions where the sensor shows a vessel", columns, rows, notes)
+
+
+def positions(step_s: float) -> Table:
+    """Errors of the fused positions in all scenarios, beside those of the sensors."""
+    return _positions({one: run(one, learned_elsewhere(one, SCENARIOS), step_s) for one in SCENARIOS})
 
 
 def _failures(done: dict[str, dict[str, Tally]]) -> Table:

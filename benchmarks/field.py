@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import peers, workload
+from benchmarks import judged, peers, workload
 from benchmarks.frames import HOME, Tally
 from benchmarks.recovered import true_rule
 from benchmarks.tables import Table, report
@@ -420,6 +420,7 @@ def tables(options: argparse.Namespace) -> Iterator[Table]:
         "others": lambda: others(options),
         "columns": lambda: columns(options),
         "blends": lambda: blended(options),
+        "real": lambda: judged.tables(options),
     }
     for name in options.only:
         yield from sections[name]()
@@ -435,7 +436,7 @@ def main() -> None:
     parser.add_argument("--sets", type=int, default=2, help="sets of counterparts (default 2)")
     parser.add_argument("--fields", type=int, default=4, help="fields with blends (default 4)")
     parser.add_argument("--blend-objects", type=int, default=4000, help="objects of each (default 4000)")
-    every = ["floors", "scales", "crowded", "others", "columns", "blends"]
+    every = ["floors", "scales", "crowded", "others", "columns", "blends", "real"]
     parser.add_argument("--only", nargs="+", default=every, choices=every)
     options = parser.parse_args()
     options.interpreters = peers.Interpreters.of(options.peer_python)

@@ -1,4 +1,5 @@
-"""Sensors as they are: offsets of a small radar in clutter, and alarms of sources that deceive or fail.
+"""Sensors as they are: offsets of a small radar in clutter, alarms of sources that deceive or fail, what probabilities
+with memory mean (``scripts/bench memory``), how large the errors of fused positions are (``scripts/bench autoferry``).
 
 The radar in clutter is modelled (``sameas.simulate.boat_radar``): a small radar on a moving boat, ten plots a turn, one
 or two of them of vessels with AIS. Each scene has an azimuth offset of 0.5 to 8° either way. An answer is right within
@@ -17,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks import motion
+from benchmarks import autoferry, memory, motion
 from benchmarks.autoferry_models import describe_all, learned_elsewhere
 from benchmarks.autoferry_scenes import FOLDER, SCENARIOS, scene_of
 from benchmarks.picture import World, solent
@@ -312,6 +313,10 @@ def tables(options: argparse.Namespace) -> Iterator[Table]:
         yield offsets(options.scenes)
     if "alarms" in options.only:
         yield alarms(min(options.scenes, 20))
+    if "positions" in options.only and FOLDER.exists():
+        yield autoferry.positions(0.5)
+    if "memory" in options.only:
+        yield from memory.table(every_s=30.0, seeds=1, only="")
     if "deception" in options.only and (table := deceptions(min(options.scenes, 10))) is not None:
         yield table
 
@@ -320,7 +325,7 @@ def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(prog="scripts/bench sensors", description=__doc__)
     parser.add_argument("--scenes", type=int, default=100, help="modelled scenes of each line (default 100)")
-    sections = ("alarms", "deception", "offsets")
+    sections = ("alarms", "deception", "memory", "offsets", "positions")
     parser.add_argument("--only", nargs="+", choices=sections, default=sections, help="sections to print")
     report("sensors", tables(parser.parse_args()))
 

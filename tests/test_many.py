@@ -412,6 +412,26 @@ def test_parts_that_see_everything_together_are_whole_records():
         assert p == pytest.approx(probabilities(one)[members], abs=1e-5)
 
 
+@pytest.mark.parametrize("region", [None, Region((0.3, -0.2), (2.0, 3.0))])
+def test_places_in_a_plane_have_the_joint_density_of_all_records(region):
+    rng = np.random.default_rng(8)
+    roots = rng.normal(size=(3, 5, 2, 2))
+    sources = [
+        Records.of(rng.normal(size=(5, 2)), covariance=root @ root.transpose(0, 2, 1) + 0.1 * np.eye(2), source=name)
+        for root, name in zip(roots, ("one", "two", "three"), strict=True)
+    ]
+    from sameas.many.pooled import pooled
+
+    together = pooled(sources, WIDE, region)
+    for size in (2, 3):
+        starts = list(itertools.combinations(range(3), size))
+        sets = np.array([np.array(c) * 5 + rng.integers(0, 5, size) for c in starts for _ in range(4)])
+        members = np.full((len(sets), 3), -1)
+        np.put_along_axis(members, sets // 5, sets, axis=1)
+        due = together.observers.joint(together.positions(members)).log_density
+        np.testing.assert_allclose(together.log_joint(sets), due, rtol=1e-10, atol=1e-10)
+
+
 def test_the_joint_density_of_parts_is_the_marginal_of_the_stacked_observations():
     rng = np.random.default_rng(42)
     parts = [np.eye(3)[:1], np.eye(3)[1:], rng.normal(size=(2, 3))]

@@ -8,7 +8,7 @@ from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
 from sameas.kernels import partitions
 from sameas.many.identify import identify_many
-from sameas.many.marginals import EXACT, MOST_RECORDS, packed_groups
+from sameas.many.marginals import EXACT, MOST_RECORDS, best_sets, packed_groups
 from sameas.many.partition import best_partition, incidence_of
 from sameas.many.rules import PoissonObjects
 from sameas.many.sets import Sets
@@ -73,6 +73,22 @@ def test_sets_that_duals_prove_improbable_change_no_probability(seed):
     short = packed_groups(sets, n, every, replace(TUNING, small=0, block_steps=300))
     if short[2][0] >= 0.0:
         assert short[2][0] < EXACT and (short[1] == whole[1]).all()
+
+
+def test_the_best_of_possible_sets_is_found_whether_blocks_can_be_summed_or_not():
+    for seed in range(3):
+        sets, n = entangled(np.random.default_rng(seed), per_source=6, triples=30)
+        share, chosen, _ = packed_groups(sets, n, np.ones(1, bool), TUNING)
+        tilted = replace(sets, log_weight=sets.log_weight + 0.5 * (sets.size - 1) * (np.arange(len(sets)) % 3 == 0))
+        for tuning in (TUNING, replace(TUNING, small=0, cuts=(30.0,), block_steps=1)):
+            best = best_sets(tilted, n, share > 0.0, time_limit_s=10.0, tuning=tuning)
+            assert (incidence_of(sets, n)[:, best].sum(axis=1) == 1).all()
+            assert tilted.log_weight[best].sum() == pytest.approx(direct(tilted, n, whole=True), abs=1e-6)
+            assert tilted.log_weight[best].sum() >= tilted.log_weight[chosen].sum() - 1e-9
+    # What cannot be chosen is not, and records of none of the sets are left as they are.
+    here = np.flatnonzero(chosen)[:2]
+    some = best_sets(sets, n, np.isin(np.arange(len(sets)), here), time_limit_s=10.0)
+    assert np.flatnonzero(some).tolist() == here.tolist()
 
 
 def test_annealed_duals_are_those_of_the_relaxation():

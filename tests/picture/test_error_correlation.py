@@ -5,8 +5,9 @@ import pytest
 from modelled_scenes import describe, straight, told
 
 from sameas.gaussian import Gaussian, log_density, mahalanobis_sq, propagated
-from sameas.kernels.kalman import mix, update_in_plane
+from sameas.kernels.kalman import add_evidence, correlated_shifts, mix, update_in_plane
 from sameas.picture import Past, Watch
+from sameas.picture.error_correlation import CORRELATIONS
 from sameas.picture.scan import Scan
 from sameas.tracks.scene import Scene
 
@@ -81,6 +82,26 @@ def test_an_update_is_that_of_kalman_s_matrices(d, way):
     for ours, theirs in zip(out, expected, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-10)
     assert np.array_equal(out[1], out[1].transpose(0, 2, 1))
+
+
+@pytest.mark.parametrize("way", ["interpreted", "compiled"])
+def test_evidence_of_correlations_is_the_mean_over_motions_and_linear_between_correlations(way):
+    rng = np.random.default_rng(6)
+    shift, roots = 2.0 * rng.normal(size=(20, 2)), rng.normal(size=(2, 20, 2, 2))
+    first, motion = (root @ root.transpose(0, 2, 1) + 0.2 * np.eye(2) for root in roots)
+    log_p, shares = np.empty((20, len(CORRELATIONS))), np.array([1.0, 0.1])
+    getattr(correlated_shifts, way)(shift, 2.0 * first, 2.0 * first, motion, CORRELATIONS, shares, 1e-6, log_p)
+    for c, rho in enumerate(CORRELATIONS.tolist()):
+        spread = 2.0 * (1.0 - rho) * first + 1e-6 * np.eye(2)
+        due = np.logaddexp.reduce([log_density(shift, spread + share * motion) for share in shares])
+        np.testing.assert_allclose(log_p[:, c], due, rtol=1e-9)
+    source, rho, lasting = rng.integers(0, 3, 20), rng.random((20, 4)), np.array([0.0, 0.5, 0.9])
+    evidence = np.ones((3, 3, 4))
+    getattr(add_evidence, way)(source, rho, log_p, CORRELATIONS, lasting, evidence)
+    for s, share in enumerate(lasting):
+        for t in range(4):
+            each = [np.interp(share + (1 - share) * r, CORRELATIONS, p) for r, p in zip(rho[:, t], log_p, strict=True)]
+            np.testing.assert_allclose(evidence[:, s, t], 1.0 + np.bincount(source, each, 3), rtol=1e-9)
 
 
 @pytest.mark.parametrize("way", ["interpreted", "compiled"])

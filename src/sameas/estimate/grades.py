@@ -162,8 +162,8 @@ class Grades:
         apart /= chance.sum(axis=1)[:, None] * chance.sum(axis=0)
         counted = common + PSEUDO_COUNT * k1 * k2 * apart / apart.sum()
         log_ratio = np.log(counted / counted.sum()) - np.log(chance)
-        # A pair must not be its own witness: to first order, what its own count adds to ln of the counts.
-        own = p_counted / counted.ravel()[at]
+        # A pair must not be its own witness: what its own count adds to ln of the counts.
+        own = -np.log1p(-np.minimum(p_counted / counted.ravel()[at], 1.0 - 1e-9))
         gained = 2.0 * float(p_counted @ (log_ratio.ravel()[at] - own))
         tells = gained > TELLING * (k1 * k2 - 1)
         return replace(self, rule=Precision(self.grades, log_ratio, TrainingPairs(pairs, at, own)) if tells else None)

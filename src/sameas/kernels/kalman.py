@@ -277,3 +277,83 @@ def swap_evidence(
             stayed[one] += without
             if near[k] > 0.0:
                 change[one] += near[k] * (math.exp(log_swapped[k] - most[one]) - without)
+
+
+@small
+def joint_in_plane(
+    sets: IntArray, place: FloatArray, precision: FloatArray, log_peak: FloatArray, centre: FloatArray,
+    prior: FloatArray, log_density: FloatArray,
+) -> None:  # fmt: skip
+    """Writes ln J (k,) of sets of records in the plane: the integral over x of all their densities
+    (:mod:`sameas.many.joint`).
+
+    sets : (k, size) records. place, precision, log_peak : (n, 2), (n, 2, 2), (n,) z, R⁻¹ and −½ ln|2π R| of records.
+    centre, prior : (2,), (2, 2) of the region of x and its information, 0 where there is none.
+    """
+    for k in range(len(sets)):
+        x0, y0 = place[sets[k, 0], 0], place[sets[k, 0], 1]
+        x, y = centre[0] - x0, centre[1] - y0
+        a, b, c = prior[0, 0], prior[0, 1], prior[1, 1]
+        east, north = a * x + b * y, b * x + c * y
+        square, log_norm = x * east + y * north, 0.0
+        for record in sets[k]:
+            p, q, r = precision[record, 0, 0], precision[record, 0, 1], precision[record, 1, 1]
+            x, y = place[record, 0] - x0, place[record, 1] - y0
+            a, b, c = a + p, b + q, c + r
+            east, north = east + p * x + q * y, north + q * x + r * y
+            square += p * x * x + 2.0 * q * x * y + r * y * y
+            log_norm += log_peak[record]
+        determinant = a * c - b * b
+        square -= (c * east * east - 2.0 * b * east * north + a * north * north) / determinant
+        log_density[k] = log_norm + math.log(2.0 * math.pi) - 0.5 * (math.log(determinant) + max(square, 0.0))
+
+
+@small
+def correlated_shifts(
+    shift: FloatArray, both: FloatArray, shared: FloatArray, motion: FloatArray, correlations: FloatArray,
+    shares: FloatArray, least_m2: float, log_p: FloatArray,
+) -> None:  # fmt: skip
+    """Writes ln p (n, c) of the way between two reports of a track, for some correlations of their errors.
+
+    shift : (n, 2) ν. both, shared, motion : (n, 2, 2) R + R′, L L′ᵀ + L′ Lᵀ, and D. correlations : (c,) ρ. shares : of
+    D, each as probable: ν ~ N(0, R + R′ − ρ (L L′ᵀ + L′ Lᵀ) + κ D).
+    """
+    for k in range(len(shift)):
+        x, y = shift[k, 0], shift[k, 1]
+        for c in range(len(correlations)):
+            rho, total, most = correlations[c], 0.0, -math.inf
+            p = both[k, 0, 0] - rho * shared[k, 0, 0] + least_m2
+            q = both[k, 0, 1] - rho * shared[k, 0, 1]
+            r = both[k, 1, 1] - rho * shared[k, 1, 1] + least_m2
+            for share in shares:
+                a, b, d = p + share * motion[k, 0, 0], q + share * motion[k, 0, 1], r + share * motion[k, 1, 1]
+                determinant = a * d - b * b
+                value = -0.5 * ((d * x * x - 2.0 * b * x * y + a * y * y) / determinant + math.log(determinant))
+                if value > most:
+                    total, most = total * math.exp(most - value) + 1.0, value
+                else:
+                    total += math.exp(value - most)
+            log_p[k, c] = most + math.log(total) - math.log(2.0 * math.pi)
+
+
+@small
+def add_evidence(
+    source: IntArray, rho: FloatArray, log_p: FloatArray, correlations: FloatArray, shares: FloatArray,
+    evidence: FloatArray,
+) -> None:  # fmt: skip
+    """Adds to ``evidence`` (S, s, τ) of every source ln p of n values, linear between some correlations.
+
+    source : (n,). rho : (n, τ) exp(−Δt/τ). log_p : (n, c) at the ``correlations`` (c,), ascending. shares : (s,) that
+    last.
+    """
+    last = len(correlations) - 1
+    for k in range(len(source)):
+        for s in range(len(shares)):
+            for t in range(rho.shape[1]):
+                correlation = shares[s] + (1.0 - shares[s]) * rho[k, t]
+                above = 1
+                while above < last and correlations[above] < correlation:
+                    above += 1
+                weight = (correlation - correlations[above - 1]) / (correlations[above] - correlations[above - 1])
+                weight = min(max(weight, 0.0), 1.0)
+                evidence[source[k], s, t] += (1.0 - weight) * log_p[k, above - 1] + weight * log_p[k, above]

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.gaussian import Gaussian, inverse, symmetric
+from sameas.kernels.linear import best_exchange
 from sameas.representation import in_short
 
 #: Most steps of the weights.
@@ -117,16 +118,9 @@ def _exchanged(information: FloatArray, weights: FloatArray, slope: FloatArray, 
     to, off = slope.argmax(axis=1), np.where(weights > 0.0, slope, np.inf).argmin(axis=1)
     root = np.linalg.cholesky(covariance)
     change = root.transpose(0, 2, 1) @ (information[row, to] - information[row, off]) @ root
-    # ln|M + δ D| has the slope Σ μ/(1 + δ μ), falling in δ: its zero, or all the weight there is.
-    mu = np.linalg.eigvalsh(change)
-    low, high = np.zeros(len(row)), weights[row, off]
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (low + high)
-        rising = np.sum(mu / (1.0 + middle[:, None] * mu), axis=1) > 0.0
-        low, high = np.where(rising, middle, low), np.where(rising, high, middle)
-    # An estimate that is not needed gives up all of its weight.
-    whole = np.sum(mu / np.maximum(1.0 + weights[row, off][:, None] * mu, 1e-300), axis=1) >= 0.0
-    step = np.where(whole, weights[row, off], 0.5 * (low + high))
+    # ln|M + δ D| is greatest where its slope is 0; an estimate that is not needed gives up all of its weight.
+    step = np.empty(len(row))
+    best_exchange(np.linalg.eigvalsh(change), weights[row, off], BISECTIONS, step)
     out = weights.copy()
     out[row, to] += step
     out[row, off] -= step

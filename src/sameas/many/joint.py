@@ -87,6 +87,10 @@ class Observers:
             out.append((inverse(full), log_density(np.zeros(records.d), full)))
         return out
 
+    def precision(self, s: int) -> FloatArray:
+        """(n, m, m) R⁻¹ of the records of source s."""
+        return self._precision[s][0]
+
     def log_peak(self, s: int) -> FloatArray:
         """(n,) −½ ln|2π R|: no set gains more by a record of source s."""
         return self._precision[s][1]

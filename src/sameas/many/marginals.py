@@ -95,22 +95,22 @@ def additive_answer(sets: Sets, sizes: IntArray, *, time_limit_s: float, tuning:
 
 
 def best_sets(
-    sets: Sets, n_records: int, groups: BoolArray, possible: BoolArray, *, time_limit_s: float,
-    tuning: ManyTuning = TUNING,
-) -> BoolArray:  # fmt: skip
-    """(k,) the sets of the best partition of some groups (g,), without a count prior, from those that are possible.
+    sets: Sets, n_records: int, possible: BoolArray, *, time_limit_s: float, tuning: ManyTuning = TUNING
+) -> BoolArray:
+    """(k,) the sets of the best partition, without a count prior, of the records of those sets that are possible.
 
-    possible : (k,) the sets that have a probability under other weights near these, a partition among them. The others
-        are considered where the blocks of the possible ones are too large to be summed.
+    possible : (k,) sets that have a probability under other weights near these, partitions of their records among them.
     """
-    which = np.flatnonzero(possible & groups[sets.group])
-    chosen = np.zeros(len(sets), bool)
+    which, chosen, groups = np.flatnonzero(possible), np.zeros(len(sets), bool), np.zeros(len(sets.start) - 1, bool)
+    groups[sets.group[which]] = True
     _, chosen[which], cut = packed_groups(sets.take(which), n_records, groups, tuning)
     rest = groups & (cut < 0)
     if not rest.any():
         return chosen
-    best = best_partition(sets, n_records, rest, time_limit_s=time_limit_s).chosen
-    return np.where(rest[sets.group], best, chosen)
+    which = np.flatnonzero(possible | (sets.size == 1))
+    searched = np.zeros(len(sets), bool)
+    searched[which] = best_partition(sets.take(which), n_records, rest, time_limit_s=time_limit_s).chosen
+    return np.where(rest[sets.group], searched, chosen)
 
 
 def packed_groups(

@@ -23,11 +23,14 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.assignment import refuse_crowds
 from sameas.errors import InputError
 from sameas.gate import DEFAULT_COMPLETENESS, ChiSquare, Pairs
+from sameas.gaussian import inverse
+from sameas.kernels.kalman import joint_in_plane
 from sameas.many.joint import NO_RECORD, Observers
 from sameas.many.observations import Observations, Region, Source, records_of
 from sameas.ragged import Ragged
 from sameas.records import Records
 from sameas.representation import in_short
+from sameas.space import Plane
 
 Gate = Callable[[Records, Records], Pairs]
 #: Pairs of a partial source that are tested at a time, which bounds the memory.
@@ -82,6 +85,30 @@ class PooledRecords:
     def log_peak(self) -> FloatArray:
         """(n,) −½ ln|2π R| of every record."""
         return np.concatenate([self.observers.log_peak(s) for s in range(len(self.sources))])
+
+    def log_joint(self, sets: IntArray) -> FloatArray:
+        """(k,) ln J of sets (k, size) of record numbers, ascending."""
+        if self._in_plane is None:
+            members = np.full((len(sets), len(self.sources)), NO_RECORD)
+            np.put_along_axis(members, self.source[sets], sets, axis=1)
+            return self.observers.joint(self.positions(members)).log_density
+        out = np.empty(len(sets))
+        joint_in_plane(sets, *self._in_plane, out)
+        return out
+
+    @cached_property
+    def _in_plane(self) -> tuple[FloatArray, ...] | None:
+        """Places, precisions and peaks of all records, centre and information of the region, where all records are
+        places in a plane without periods."""
+        every = [source for source in self.sources if isinstance(source, Records)]
+        flat = all(isinstance(one.space, Plane) and one.d == 2 and not any(one.space.periods or ()) for one in every)
+        if len(every) < len(self.sources) or not flat:
+            return None
+        region = self.observers.region
+        centre = np.zeros(2) if region is None else np.asarray(region.centre, np.float64)
+        prior = np.zeros((2, 2)) if region is None else inverse(np.asarray(region.covariance, np.float64))
+        precision = np.concatenate([self.observers.precision(s) for s in range(len(self.sources))])
+        return np.concatenate([one.features for one in every]), precision, self.log_peak, centre, prior
 
     def positions(self, sets: NDArray[np.integer]) -> IntArray:
         """Sets (k, S) of record numbers as positions within each source; :data:`NO_RECORD` stays."""

@@ -93,6 +93,8 @@ class _SetsOfSize:
         return cls(records[:, None], np.empty((len(records), 0), np.int64), nothing, nothing)
 
     def only(self, keep: BoolArray) -> _SetsOfSize:
+        if keep.all():
+            return self
         return _SetsOfSize(self.records[keep], self.pairs[keep], self.log_weight[keep], self.between[keep])
 
     def of_groups(self, pooled: PooledRecords, groups: BoolArray) -> _SetsOfSize:
@@ -165,7 +167,7 @@ class _Growth:
         return grown.only(keep & ~too_many[group])
 
     def _weighed(self, records: IntArray, pairs: IntArray) -> _SetsOfSize:
-        log_j = self.pooled.observers.joint(self.pooled.positions(_by_source(self.pooled, records))).log_density
+        log_j = self.pooled.log_joint(records)
         between = self.terms.between_of(pairs)
         return _SetsOfSize(records, pairs, self.terms.linear_of(records) + log_j + between, between)
 
@@ -192,8 +194,18 @@ def _gathered(pooled: PooledRecords, levels: list[_SetsOfSize], floor: FloatArra
         [np.ones(len(pooled), np.int64), *(np.full(len(x.records), x.records.shape[1]) for x in levels)]
     )
     group = np.concatenate([pooled.group, *(pooled.group[x.records[:, 0]] for x in levels)])
-    order = np.argsort(group, kind="stable")
-    order = order[np.lexsort([*members[order].T[::-1], size[order], group[order]])]
+    order = _ordered([group, size, *(members + 1).T])
     group = group[order]
     start = Ragged.of_sorted(group, len(pooled.sizes)).start
     return Sets(members[order], size[order], weight[order], group, start, floor)
+
+
+def _ordered(columns: list[IntArray]) -> IntArray:
+    """(k,) rows in the order of their columns, none below 0, the first column first."""
+    key, bits = np.zeros(len(columns[0]), np.int64), 0
+    for column in columns:
+        width = int(column.max(initial=0)).bit_length()
+        key, bits = (key << width) | column, bits + width
+    if bits > 62:
+        return np.lexsort(columns[::-1])
+    return np.argsort(key, kind="stable")

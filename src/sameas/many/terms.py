@@ -172,7 +172,10 @@ def pairs_of(pooled: PooledRecords, records: IntArray) -> IntArray:
 
 def _sum(n: int, parts: Iterable[FloatArray]) -> FloatArray:
     """(n,) the sum of any number of parts."""
-    return np.asarray(np.sum([np.zeros(n), *parts], axis=0))
+    total = np.zeros(n)
+    for part in parts:
+        total += part
+    return total
 
 
 def _size(n_pairs: int) -> int:

@@ -30,7 +30,7 @@ import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.gaussian import inverse, log_density, mahalanobis_sq
-from sameas.kernels.kalman import update_in_plane
+from sameas.kernels.kalman import add_evidence, correlated_shifts, update_in_plane
 from sameas.picture.scan import Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 
@@ -152,10 +152,7 @@ class ErrorCorrelation:
         source, elapsed_s, shift, motion = source[steady], elapsed_s[steady], shift[steady], motion[steady]
         both, shared = errors[0][steady], (errors[1] + errors[1].transpose(0, 2, 1))[steady]
         log_p = np.empty((len(source), len(CORRELATIONS)))
-        for k, correlation in enumerate(CORRELATIONS.tolist()):
-            covariance = both - correlation * shared + LEAST_M2 * np.eye(2)
-            densities = [log_density(shift, covariance + share * motion) for share in tuning.motion_shares]
-            log_p[:, k] = np.logaddexp.reduce(densities)
+        correlated_shifts(shift, both, shared, motion, CORRELATIONS, np.array(tuning.motion_shares), LEAST_M2, log_p)
         return self._with_evidence(source, elapsed_s, log_p, tuning)
 
     def with_sure_pairs(
@@ -174,6 +171,8 @@ class ErrorCorrelation:
         sources : of both tracks, (n,) each. elapsed_s : (n,) Δt. differences : δ and δ′, (n, 2) each.
         reported : R of both, (n, 2, 2) each. total : (n, 2, 2) S.
         """
+        if not len(elapsed_s):
+            return self
         out, spread = self, inverse(total)
         usual = [self.correlation(source, elapsed_s, tuning)[:, None, None] for source in sources]
         for own, other in ((0, 1), (1, 0)):
@@ -192,14 +191,7 @@ class ErrorCorrelation:
         """After n independent values of which ln p is given for each of :data:`CORRELATIONS`, (n, k)."""
         log_probable = self.log_probable.copy()
         rho = _rho(elapsed_s, np.array(tuning.correlation_s))
-        row = np.arange(len(source))[:, None]
-        for k, share in enumerate(tuning.lasting_shares):
-            correlation = share + (1.0 - share) * rho
-            above = np.clip(np.searchsorted(CORRELATIONS, correlation), 1, len(CORRELATIONS) - 1)
-            low, high = CORRELATIONS[above - 1], CORRELATIONS[above]
-            weight = np.clip((correlation - low) / (high - low), 0.0, 1.0)
-            between = (1.0 - weight) * log_p[row, above - 1] + weight * log_p[row, above]
-            np.add.at(log_probable[:, k], source, between)
+        add_evidence(source, rho, log_p, CORRELATIONS, np.array(tuning.lasting_shares), log_probable)
         return replace(self, log_probable=log_probable)
 
 

@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
@@ -68,20 +70,34 @@ def with_hysteresis(
     log_bound : ln b; 0 where the most probable answer is always shown.
     search_s : longest search for the best partition of one group.
     """
-    sets, answer = identification.sets, identification.answer
-    links = _links(sets, before)
-    reopened = _parting(sets, before, answer.chosen) if log_bound > 0.0 else np.zeros(len(sets.start) - 1, bool)
+    sets, answer, n = identification.sets, identification.answer, len(identification.pooled)
+    if log_bound <= 0.0:
+        return identification, np.zeros(len(identification), bool)
+    # What no possible set joins is decided apart, and only where an object of the last instant is split.
+    possible = answer.probability > 0.0
+    part = _parts(sets, possible | answer.chosen, n)[sets.members.max(axis=1)]
+    reopened = _parting(sets, part, before, answer.chosen)[part]
     if not reopened.any():
         return identification, np.zeros(len(identification), bool)
-    tilted = replace(sets, log_weight=sets.log_weight + log_bound * links)
-    steady = best_sets(tilted, len(identification.pooled), reopened, answer.probability > 0.0, time_limit_s=search_s,
-                       tuning=LIVE)  # fmt: skip
-    chosen = np.where(reopened[sets.group], steady, answer.chosen)
+    tilted = replace(sets, log_weight=sets.log_weight + log_bound * _links(sets, before))
+    steady = best_sets(tilted, n, possible & reopened, time_limit_s=search_s, tuning=LIVE)
+    chosen = np.where(reopened, steady, answer.chosen)
     log_loss = _value(sets, answer.chosen) - _value(sets, chosen)
     steadied = replace(
         identification, answer=replace(answer, chosen=chosen, gap=answer.gap + np.maximum(log_loss, 0.0))
     )
     return steadied, ~answer.chosen[steadied.set_of_object]
+
+
+def _parts(sets: Sets, which: BoolArray, n_records: int) -> IntArray:
+    """(records,) the part that each record is in: some of the sets join all records of a part, and none joins two."""
+    several = np.flatnonzero(which & (sets.size > 1))
+    members = sets.members[several]
+    at, source = np.nonzero(members >= 0)
+    edges = (n_records + at, members[at, source])
+    size = n_records + len(several)
+    _, part = connected_components(csr_array((np.ones(len(at), np.int8), edges), shape=(size, size)), directed=False)
+    return np.asarray(part[:n_records], np.int64)
 
 
 def _links(sets: Sets, before: IntArray) -> IntArray:
@@ -94,15 +110,17 @@ def _links(sets: Sets, before: IntArray) -> IntArray:
     return np.asarray(has_previous.sum(axis=1) - objects)
 
 
-def _parting(sets: Sets, before: IntArray, chosen: BoolArray) -> BoolArray:
-    """(g,) groups in which the chosen sets split objects of the last instant."""
+def _parting(sets: Sets, part: IntArray, before: IntArray, chosen: BoolArray) -> BoolArray:
+    """(parts,) those in which the chosen sets split objects of the last instant; part : (k,) that each set is in."""
     which = np.flatnonzero(chosen)
     at, source = np.nonzero(sets.members[which] >= 0)
-    previous = before[sets.members[which][at, source]]
-    memberships = np.unique(np.column_stack([sets.group[which[at]], previous, which[at]])[previous >= 0], axis=0)
-    split = (memberships[1:, :2] == memberships[:-1, :2]).all(axis=1)
-    out = np.zeros(len(sets.start) - 1, bool)
-    out[memberships[1:][split, 0]] = True
+    previous, own = before[sets.members[which][at, source]], which[at]
+    order = np.lexsort([own, part[own], previous])
+    order = order[previous[order] >= 0]
+    one, other = order[:-1], order[1:]
+    split = (previous[one] == previous[other]) & (part[own[one]] == part[own[other]]) & (own[one] != own[other])
+    out = np.zeros(int(part.max(initial=-1)) + 1, bool)
+    out[part[own[other[split]]]] = True
     return out
 
 
