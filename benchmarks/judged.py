@@ -242,8 +242,8 @@ def tables(options: argparse.Namespace) -> Iterator[Table]:
             "pairs that differ from those found with motions are wrong"
             if one.true is not None
             else (
-                f"{judge.own:.2%} of the {len(agreed)} pairs that all claim differ in brightness by {DIFFERENT:g} σ and "
-                f"{AT_LEAST_MAG:g} mag, {judge.chance:.1%} of pairs at random"
+                f"{judge.own:.2%} of the {len(agreed)} pairs that all claim differ in brightness by {DIFFERENT:g} σ "
+                f"and {AT_LEAST_MAG:g} mag, {judge.chance:.1%} of pairs at random"
             )
         )
         notes = (
