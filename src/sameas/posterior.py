@@ -116,7 +116,7 @@ def posterior(groups: Groups, best: Hypothesis, tuning: Tuning = DEFAULT_TUNING)
     neglected = np.zeros(len(groups))
     unsettled = 0.0
     open_pairs = _NONE
-    if np.any(method == APPROXIMATE):
+    if (method == APPROXIMATE).any():
         if linear:
             open_pairs = _without_improbable(groups, best, method, share, neglected, tuning.improbable)
         else:

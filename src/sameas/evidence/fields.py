@@ -65,8 +65,9 @@ class PoissonField(Rule):
         log_1 = _log_weight(common[0], self.only_1, len(pairs.first), ("common[0]" if both else "common", "only_1"))
         log_2 = _log_weight(common[1], self.only_2, len(pairs.second), ("common[1]" if both else "common", "only_2"))
         densities = (log_1 if log_1.ndim == 0 else log_1[pairs.i]) + (log_2 if log_2.ndim == 0 else log_2[pairs.j])
-        position = self.errors.log_density(pairs)
-        return Evidence({"position": position, "densities": np.broadcast_to(densities, len(pairs))})
+        if densities.ndim == 0:
+            densities = np.full(len(pairs), densities)
+        return Evidence({"position": self.errors.log_density(pairs), "densities": densities})
 
 
 @dataclass(frozen=True)
@@ -121,6 +122,9 @@ def _at(value: ArrayLike, n: int, rows: np.ndarray, name: str) -> FloatArray:
 
 def _log_weight(common: ArrayLike, only: ArrayLike, n: int, names: tuple[str, str]) -> FloatArray:
     """ln √common / only of a number, or of values (n,)."""
+    if type(common) is float and type(only) is float and 0.0 < common < math.inf and 0.0 < only < math.inf:
+        # A tenth of the time that NumPy takes of one number.
+        return np.float64(0.5 * math.log(common) - math.log(only))
     with np.errstate(all="ignore"):
         weight = np.asarray(np.log(np.sqrt(common) / np.asarray(only)))
     if weight.shape in ((), (n,)) and np.isfinite(weight).all():
