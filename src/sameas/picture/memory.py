@@ -164,15 +164,16 @@ class Past:
             one, two = names.index(pairs.first.source), names.index(pairs.second.source)
             i, j = pairs.first.rows[pairs.i], pairs.second.rows[pairs.j]
             parts.append(np.column_stack([scan.find(one, i), scan.find(two, j)]))
-        places, track = np.concatenate(parts), self.tracks.track_of_record
-        places = places[(track[places] >= 0).all(axis=1) & scan.placed[places].all(axis=1)]
-        order = np.argsort(track[places], axis=1)
-        a, b = np.take_along_axis(places, order, axis=1).T
-        new = ~self.track_pairs.has(track[a], track[b])
+        (one, two), number = np.concatenate(parts).T, self.tracks.track_of_record
+        named = (number[one] >= 0) & (number[two] >= 0) & scan.placed[one] & scan.placed[two]
+        a, b = (np.where(number[one] < number[two], *both)[named] for both in ((one, two), (two, one)))
+        new = ~self.track_pairs.has(number[a], number[b])
         a, b = a[new], b[new]
+        if not len(a):
+            return self
         delta, covariance = scan.state[a, :2] - scan.state[b, :2], scan.covariance[:, :2, :2]
         lasting = self.tracks.lasting
-        fresh = TrackPairs.of(track[a], track[b], delta, (covariance[a], covariance[b]), (lasting[a], lasting[b]))
+        fresh = TrackPairs.of(number[a], number[b], delta, (covariance[a], covariance[b]), (lasting[a], lasting[b]))
         return replace(self, track_pairs=self.track_pairs.with_(fresh))
 
     def with_sure(self, members: IntArray, probability: FloatArray) -> Past:

@@ -102,14 +102,15 @@ class TrackPairs(ColumnTable):
         """These and others, in order."""
         if not len(others):
             return self
-        place = np.empty(len(self) + len(others), np.int64)
-        place[np.argsort(np.concatenate([keys(self.first, self.second), keys(others.first, others.second)]))] = (
-            np.arange(len(place))
-        )
+        own, fresh = keys(self.first, self.second), keys(others.first, others.second)
+        order = np.argsort(fresh)
+        # Where the others stand among both.
+        place, rest = np.searchsorted(own, fresh[order]) + np.arange(len(fresh)), np.ones(len(own) + len(fresh), bool)
+        rest[place] = False
         columns, more = self.columns(), others.columns()
         for name, column in columns.items():
-            columns[name] = np.empty((len(place), *column.shape[1:]), column.dtype)
-            columns[name][place[: len(self)]], columns[name][place[len(self) :]] = column, more[name]
+            columns[name] = np.empty((len(rest), *column.shape[1:]), column.dtype)
+            columns[name][rest], columns[name][place] = column, more[name][order]
         return replace(self, **columns)
 
     def stepped(
