@@ -27,9 +27,6 @@ from sameas.sky.movers.stack import chip_map, confirmed, stack
 from sameas.sky.movers.trails import with_trails
 from sameas.sky.series.tied import Exposure, Series, tie
 
-#: Bins: magnitudes above (−) and below (+) the limit of a single frame at which S/N is 5, and rates, arcsec/min.
-MAGNITUDES = (-4.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0)
-RATES = (0.05, 0.2, 0.6, 2.0, 10.0)
 STATED = (0.02, 0.2, 0.5, 0.8, 0.95, 0.99, 1.0001)
 #: Movers of a round, and the share of them that pass a star in the middle of the series.
 EACH, ON_STARS = 25, 0.1
@@ -74,6 +71,38 @@ print(json.dumps(list(out.values())))
 
 
 @dataclass(frozen=True)
+class Bins:
+    """Bounds: magnitudes above (−) and below (+) the limit of a single frame at which S/N is 5; rates, arcsec/min."""
+
+    magnitudes: tuple[float, ...] = (-4.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0)
+    rates: tuple[float, ...] = (0.05, 0.2, 0.6, 2.0, 10.0)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Of tables: rates, magnitudes."""
+        return len(self.rates) - 1, len(self.magnitudes) - 1
+
+    def of(self, rate: float, magnitude: float) -> tuple[int, int]:
+        """Row and column of a rate and a magnitude, the nearest ones of those beyond."""
+        each = ((rate, self.rates), (magnitude, self.magnitudes))
+        row, column = (int(np.clip(np.digitize(x, bounds) - 1, 0, len(bounds) - 2)) for x, bounds in each)
+        return row, column
+
+    def drawn(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Rates and magnitudes of the movers of a round."""
+        rate = np.exp(rng.uniform(math.log(self.rates[0]), math.log(self.rates[-1]), EACH))
+        return rate, rng.uniform(self.magnitudes[0], self.magnitudes[-1], EACH)
+
+    @classmethod
+    def below(cls, fastest: float) -> Bins:
+        """Of what is searched for below the limit."""
+        return cls((-0.5, 0.0, 0.25, 0.5, 0.75, 1.0), (0.2, fastest))
+
+
+BINS = Bins()
+
+
+@dataclass(frozen=True)
 class Scene:
     """Frames of a series.
 
@@ -88,6 +117,7 @@ class Scene:
     shifts: np.ndarray
     fwhm: np.ndarray
     limit: float
+    bins: Bins = BINS
 
 
 def real_scene(folder: Path) -> Scene:
@@ -139,8 +169,7 @@ def crowded_scene(rng: np.random.Generator, *, count: int = 8, side: int = 512, 
 def injected(scene: Scene, rng: np.random.Generator) -> tuple[list[Frame], np.ndarray, np.ndarray, np.ndarray]:
     """The frames with movers, (m, f, 2) their pixels, (m,) rates in arcsec/min, (m,) magnitudes against the limit."""
     rows, columns = scene.frames[0].shape
-    rate = np.exp(rng.uniform(math.log(RATES[0]), math.log(RATES[-1]), EACH))
-    magnitude = rng.uniform(MAGNITUDES[0], MAGNITUDES[-1], EACH)
+    rate, magnitude = scene.bins.drawn(rng)
     angle = rng.uniform(0.0, 2 * math.pi, EACH)
     step = (rate / scene.scale)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
     middle = rng.uniform([0.15 * columns, 0.15 * rows], [0.85 * columns, 0.85 * rows], (EACH, 2))
@@ -244,7 +273,7 @@ def by_heliolinx(python: Path, series: Series) -> list[np.ndarray]:
         "magnitude": np.nan_to_num(seen.magnitude, nan=20.0).tolist(), "frame": seen.frame.tolist(),
         "times": seen.frame_mjd.tolist(), "middle": list(series.middle_deg), "span": 1.01 * span + 1e-4,
         # As ours: nothing slower than two pixels in all, nothing faster than what is injected.
-        "arc": 2.0 * series.scale_arcsec_per_px, "fastest": RATES[-1] * 24.0 / 60.0,
+        "arc": 2.0 * series.scale_arcsec_per_px, "fastest": BINS.rates[-1] * 24.0 / 60.0,
     }  # fmt: skip
     done = subprocess.run([str(python), "-c", HELIOLINX], input=json.dumps(given), capture_output=True, text=True,
                           check=True)  # fmt: skip
@@ -264,34 +293,38 @@ def whose(place: np.ndarray, path: np.ndarray, reach: np.ndarray) -> int:
 class Tally:
     """What one contender finds on the rounds of one scene, by rate and magnitude."""
 
-    def __init__(self, scene: str, by: str) -> None:
-        self.scene, self.by = scene, by
-        self.got, self.put, self.wrong = (np.zeros((len(RATES) - 1, len(MAGNITUDES) - 1), int) for _ in range(3))
+    def __init__(self, scene: str, by: str, bins: Bins = BINS) -> None:
+        self.scene, self.by, self.bins = scene, by, bins
+        self.got, self.put, self.wrong = (np.zeros(bins.shape, int) for _ in range(3))
         self.cases: list[tuple[float, bool]] = []
 
-    def add(self, case: Case, places: Sequence[np.ndarray], p: np.ndarray | None, before: Sequence[np.ndarray]) -> None:
-        """Judges the tracklets of one round. before : tracklets of the series without movers, which do not count."""
+    def add(
+        self, case: Case, places: Sequence[np.ndarray], p: np.ndarray | None, before: Sequence[np.ndarray],
+        stated_from: int = 0,
+    ) -> None:  # fmt: skip
+        """Judges the tracklets of one round. before : tracklets of the series without movers, which do not count.
+        stated_from : the first of those of which is told what is stated."""
         hit = set()
         for k, place in enumerate(places):
             owner = whose(place, case.path, case.reach)
             if owner < 0 and any(_common(place, one) >= 2 for one in before):
                 continue
-            if p is not None:
+            if p is not None and k >= stated_from:
                 self.cases.append((float(p[k]), owner >= 0))
             if p is None or p[k] >= 0.5:
                 if owner >= 0:
                     hit.add(owner)
                 else:
-                    self.wrong[case.bin_of(place)] += 1
+                    self.wrong[self.bins.of(*case.like(place))] += 1
         for m in np.flatnonzero(case.stays):
-            at = case.bins(case.rate[m], case.magnitude[m])
+            at = self.bins.of(case.rate[m], case.magnitude[m])
             self.put[at] += 1
             self.got[at] += int(m in hit)
 
     def rows(self) -> list[tuple[Any, ...]]:
         """Those of the table: found / injected, and what is false."""
         out = []
-        for k, (lo, hi) in enumerate(itertools.pairwise(RATES)):
+        for k, (lo, hi) in enumerate(itertools.pairwise(self.bins.rates)):
             cells = [f"{a}/{b}" if b else "–" for a, b in zip(self.got[k], self.put[k], strict=True)]
             out.append((self.by, f"{lo:g}…{hi:g}", *cells, int(self.wrong[k].sum())))
         whole = [f"{a}/{b}" for a, b in zip(self.got.sum(axis=0), self.put.sum(axis=0), strict=True)]
@@ -327,20 +360,15 @@ class Case:
     limit: float
     stays: np.ndarray
 
-    def bins(self, rate: float, magnitude: float) -> tuple[int, int]:
-        """Row and column of a rate and a magnitude, the nearest ones of those beyond."""
-        a = int(np.clip(np.digitize(rate, RATES) - 1, 0, len(RATES) - 2))
-        return a, int(np.clip(np.digitize(magnitude, MAGNITUDES) - 1, 0, len(MAGNITUDES) - 2))
-
-    def bin_of(self, place: np.ndarray) -> tuple[int, int]:
-        """Those of a false tracklet: its mean rate and its median light."""
+    def like(self, place: np.ndarray) -> tuple[float, float]:
+        """Rate and magnitude of a false tracklet: its mean rate and its median light."""
         each = self.series.exposures
         k = place[:, 0].astype(int)
         minutes = 1440.0 * (each[k[-1]].mjd_utc - each[k[0]].mjd_utc)
         rate = np.hypot(*(place[-1, 1:] - place[0, 1:])) * self.series.scale_arcsec_per_px / max(minutes, 1e-9)
         flux = [each[f].flux[np.argmin(np.hypot(each[f].x_px - x, each[f].y_px - y))] for f, x, y in
                 zip(k, *place[:, 1:].T, strict=True)]  # fmt: skip
-        return self.bins(rate, -2.5 * math.log10(max(float(np.median(flux)), 1e-9) / self.limit))
+        return rate, -2.5 * math.log10(max(float(np.median(flux)), 1e-9) / self.limit)
 
 
 def case_of(scene: Scene, rng: np.random.Generator) -> Case:
@@ -357,8 +385,7 @@ def noisy_case(rng: np.random.Generator, *, count: int = 5, side: int = 1024, fa
     """Measurements, no pixels: 500 stars, and on every frame twice as many false ones near the limit."""
     scale, every, stars, limit = 1.2, 12.0, 500, 300.0
     at, light = rng.uniform(5, side - 5, (stars, 2)), limit * 10 ** rng.uniform(0.0, 2.4, stars)
-    rate = np.exp(rng.uniform(math.log(RATES[0]), math.log(RATES[-1]), EACH))
-    magnitude = rng.uniform(MAGNITUDES[0], MAGNITUDES[-1], EACH)
+    rate, magnitude = BINS.drawn(rng)
     angle = rng.uniform(0.0, 2 * math.pi, EACH)
     step = (rate / scale)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
     minutes = every * np.arange(count)
@@ -395,12 +422,15 @@ def tables(
     """What is found of injected movers, by us and by heliolinx, and how often what is stated is so; and draws it.
 
     fastest : of what is searched below the limit of single frames too, arcsec/min."""
-    heads = [f"{lo:+.1f}…{hi:+.1f}" for lo, hi in itertools.pairwise(MAGNITUDES)]
+    bins = Bins.below(fastest) if fastest else BINS
+    heads = [f"{lo:+g}…{hi:+g}" for lo, hi in itertools.pairwise(bins.magnitudes)]
     out, stated, drawn = [], [], []
-    for scene in (*scenes, None):
+    # Measurements without pixels have nothing below their limit.
+    each = [replace(scene, bins=bins) for scene in scenes]
+    for scene in each if fastest else (*each, None):
         name = NOISY if scene is None else scene.name
         contenders = ["sameas", *([ADDED] if fastest and scene else []), *(["heliolinx"] if peer else [])]
-        tallies = {by: Tally(name, by) for by in contenders}
+        tallies = {by: Tally(name, by, bins) for by in contenders}
         before: dict[str, list[np.ndarray]] = {"sameas": [], "heliolinx": [], ADDED: []}
         if scene is not None:
             alone = with_trails(tie(exposures(scene, scene.frames)), scene.frames)
@@ -413,7 +443,8 @@ def tables(
             places, p, more, p_more = searched(case.series, case.frames, fastest)
             tallies["sameas"].add(case, places, p, before["sameas"])
             if ADDED in tallies:
-                tallies[ADDED].add(case, places + more, np.concatenate([p, p_more]), before[ADDED])
+                both = np.concatenate([p, p_more])
+                tallies[ADDED].add(case, places + more, both, before[ADDED], stated_from=len(places))
             if peer:
                 tallies["heliolinx"].add(case, by_heliolinx(peer, case.series), None, before["heliolinx"])
         ours = tallies["sameas"]
@@ -425,7 +456,8 @@ def tables(
     out.append(
         Table("What is stated of candidates", ("series", "by", "stated p", "candidates", "mean p", "real"), stated)
     )
-    draw(drawn)
+    if not fastest:
+        draw(drawn)
     return out
 
 
@@ -447,17 +479,13 @@ def draw(drawn: Sequence[Tally]) -> None:
     scenes = list(dict.fromkeys(one.scene for one in drawn))
     figure, axes = plt.subplots(2, len(scenes), figsize=(4.6 * len(scenes), 5.6), squeeze=False, layout="constrained",
                                 sharex=True, height_ratios=(3, 1))  # fmt: skip
-    middle = 0.5 * (np.array(MAGNITUDES[1:]) + np.array(MAGNITUDES[:-1]))
-    width = np.diff(MAGNITUDES)
+    middle = 0.5 * (np.array(BINS.magnitudes[1:]) + np.array(BINS.magnitudes[:-1]))
+    width = np.diff(BINS.magnitudes)
     for column, scene in enumerate(scenes):
         top, low = axes[:, column]
         for tally in (one for one in drawn if one.scene == scene):
-            if tally.by == ADDED:
-                share = tally.got.sum(axis=0) / np.maximum(tally.put.sum(axis=0), 1)
-                top.plot(middle, share, color="k", lw=1.2, ls="--", marker="s", ms=4, label="all rates, --below-limit")
-                continue
             ours = tally.by == "sameas"
-            for k, (lo, hi) in enumerate(itertools.pairwise(RATES)):
+            for k, (lo, hi) in enumerate(itertools.pairwise(tally.bins.rates)):
                 there = tally.put[k] > 0
                 share = tally.got[k] / np.maximum(tally.put[k], 1)
                 sigma = np.sqrt(np.maximum(share * (1 - share), 0.05) / np.maximum(tally.put[k], 1))

@@ -277,7 +277,9 @@ def main() -> None:
     parser.add_argument("--peer", type=Path, help="a Python in which fink-fat 0.6.3 (pandas < 3) runs beside")
     parser.add_argument("--frames", type=Path, help="folder of raw frames and darks to inject movers in")
     parser.add_argument("--rounds", type=int, default=0, help="series of simulated (and --frames) to inject movers in")
-    parser.add_argument("--below-limit", type=float, help="rate, ″/min, to which --rounds adds the frames along them")
+    parser.add_argument(
+        "--below-limit", type=float, help="rate, ″/min, to which --rounds injects faint ones and adds the frames along"
+    )
     parser.add_argument("--heliolinx", type=Path, help="a Python in which heliolinx 0.0.2 runs beside, with --rounds")
     parser.add_argument(
         "--elements", type=Path, help="of known objects, as sameas movers --elements: O−C of the nights"

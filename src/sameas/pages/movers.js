@@ -4,7 +4,10 @@ let mover = null, frame = 0, playing = true, images = {}, timer = null;
 const still = window.matchMedia("(prefers-reduced-motion: reduce)").matches; playing = !still;
 // The frames are dark by day too, and so are the marks on them light.
 const lit = { found: "#2f9bff", alone: "#ffe14a", dim: "#a9adb5", ink: "#ffffff" };
-const clock = mjd => { const s = Math.round((mjd % 1) * 86400); return `${String(Math.floor(s / 3600)).padStart(2, "0")}:${String(Math.floor(s / 60) % 60).padStart(2, "0")}:${String(s % 60).padStart(2, "0")}`; };
+const clock = mjd => { const s = Math.round((mjd % 1) * 86400) % 86400; return `${String(Math.floor(s / 3600)).padStart(2, "0")}:${String(Math.floor(s / 60) % 60).padStart(2, "0")}:${String(s % 60).padStart(2, "0")}`; };
+const date = mjd => new Date(Math.round((mjd - 40587) * 86400) * 1000).toISOString().slice(0, 10);
+const few = p => { if (p >= 1e-3) return fix(p, 4); const k = Math.floor(Math.log10(p)); return p > 0 ? `${fix(p / 10 ** k, 0)}·10${String(k).replace(/./g, d => "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"["-0123456789".indexOf(d)])}` : "0"; };
+const ratio = r => fix(r, r < 100 ? 1 : 0);
 const named = m => m.known ? m.known.name : m.name;
 const mode = () => el("fixed").checked && mover.fixed ? "fixed" : "along";
 function load(sheet) { const image = new Image(); image.src = "data:image/png;base64," + sheet.png; return image; }
@@ -21,18 +24,22 @@ function bar(c, left, top, zoom, size, arcsec) { // a scale in the lower right c
   c.strokeStyle = c.fillStyle = lit.ink; c.lineWidth = 2; c.beginPath(); c.moveTo(x, y); c.lineTo(x - step / arcsec * zoom, y); c.stroke();
   c.font = "12px system-ui, sans-serif"; c.textAlign = "right"; c.fillText(`${step}″`, x, y - 6);
 }
+function compass(c, left, top) { // north and east in the upper left corner
+  const x = left + 34, y = top + 36; c.strokeStyle = c.fillStyle = lit.ink; c.lineWidth = 1.5; c.beginPath(); c.moveTo(x - 18, y); c.lineTo(x, y); c.lineTo(x, y - 18); c.stroke();
+  c.font = "12px system-ui, sans-serif"; c.textAlign = "center"; c.fillText("N", x, y - 22); c.fillText("E", x - 25, y + 4);
+}
 function paint() {
   if (!mover) return;
   const m = mover, kind = mode(), sheet = m[kind], f = m.frames[frame];
   let [c, left, top, zoom] = tile(el("blink"), images[kind], sheet.size, frame, true);
   const [u, v] = kind === "along" ? [(sheet.size - 1) / 2, (sheet.size - 1) / 2] : f.at, x = left + (u + 0.5) * zoom, y = top + (v + 0.5) * zoom;
   if (el("marks").checked && f.flux !== null) mark(c, x, y, Math.max(8, data.width * 1.6 * zoom), f.detected ? lit.found : f.hidden ? lit.dim : lit.alone, !f.detected);
-  bar(c, left, top, zoom, sheet.size, m.scale);
+  bar(c, left, top, zoom, sheet.size, m.scale); compass(c, left, top);
   el("blink-words").textContent = `${f.name}: ${f.flux === null ? "not on this frame" : f.detected ? "detected" : f.hidden ? "hidden by a star" : "not detected; the ring is where it is predicted"}`;
   el("when").textContent = `${frame + 1}/${m.frames.length}  ${clock(f.mjd)} UTC`; el("frame").value = frame;
   [c, left, top, zoom] = tile(el("stack"), images.stack, m.stack.size, 0, true);
   if (el("marks").checked) mark(c, left + m.stack.size / 2 * zoom, top + m.stack.size / 2 * zoom, Math.max(8, data.width * 1.6 * zoom), lit.found, true);
-  bar(c, left, top, zoom, m.stack.size, m.scale);
+  bar(c, left, top, zoom, m.stack.size, m.scale); compass(c, left, top);
 }
 function step(by) { frame = (frame + by + mover.frames.length) % mover.frames.length; paint(); }
 function play(on) { playing = on; el("play").textContent = on ? "pause" : "play"; clearInterval(timer); if (on) timer = setInterval(() => step(1), 550); }
@@ -51,23 +58,22 @@ function diagrams() {
 function record() {
   const m = mover;
   el("name").textContent = named(m); el("name").className = m.known ? "found" : "alone";
-  table(el("numbers"), [["probability", probability(m.p)], ["like it by chance", m.chance < 1e-6 ? m.chance.toExponential(0).replace("-", "−") : fix(m.chance, 6)],
+  table(el("numbers"), [["probability", probability(m.p)], ["like it by chance", few(m.chance)],
     ["detected on", m.added ? `none of ${m.frames.length} frames by itself` : `${m.rows.length} of ${m.frames.length} frames`], ["motion", `${fix(m.rate, 3)} ″/min towards ${fix(m.angle, 1)}°`],
-    ["place", `${hms(m.rows[0].ra)} ${dms(m.rows[0].dec)}`], ["at", `${clock(m.rows[0].mjd)} UTC`], [data.scale.startsWith("instrumental") ? "magnitude, instrumental" : "magnitude", fix(m.magnitude, 2)], ["scatter about the motion", `${fix(m.scatter, 3)}″`],
-    ["stacked signal to noise", fix(m.snr, 1)],
-    ...(m.known ? [["is", `${m.known.name}, ${probability(m.known.p)}`], ["observed − computed", `${fix(m.known.east, 2)}″ east, ${fix(m.known.north, 2)}″ north`], ["predicted V", fix(m.known.v, 1)]] : [["known", data.asked ? "none of the objects given" : "no elements were given"]])]);
+    ["place", `${hms(m.rows[0].ra)} ${dms(m.rows[0].dec)}`], ["at", `${date(m.rows[0].mjd)} ${clock(m.rows[0].mjd)} UTC`], [data.scale.startsWith("instrumental") ? "magnitude, instrumental" : "magnitude", fix(m.magnitude, 2)], ["scatter about the motion", `${fix(m.scatter, 3)}″`],
+    ["stacked signal to noise", ratio(m.snr)],
+    ...(m.known ? [["is", `${m.known.name}, p ${probability(m.known.p)}`], ["observed − computed", `${fix(m.known.east, 2)}″ east, ${fix(m.known.north, 2)}″ north`], ["predicted V", fix(m.known.v, 1)]] : [["known", data.asked ? "none of the objects given" : "no elements were given"]])]);
   el("reasons").replaceChildren(...m.reasons.map(([words, doubtful]) => text("li", words, doubtful ? "doubt" : "")));
-  const head = document.createElement("tr"); head.append(...["frame", "UTC", "right ascension", "declination", "magnitude", "p of it", "east ″", "north ″"].map((w, k) => text("th", w, k > 3 ? "number" : "")));
+  const head = document.createElement("tr"); head.append(...["UTC", "right ascension", "declination", "magnitude", "p of it", "east ″", "north ″", "frame"].map((w, k) => text("th", w, k > 2 && k < 7 ? "number" : "")));
   el("rows").replaceChildren(head, ...m.rows.map(r => { const tr = document.createElement("tr"), n = w => text("td", w, "number");
-    tr.append(text("td", r.frame), text("td", clock(r.mjd)), text("td", fix(r.ra, 6)), text("td", fix(r.dec, 6)), n(fix(r.magnitude, 2)), n(probability(r.p)), n(fix(r.east, 3)), n(fix(r.north, 3))); return tr; }));
+    tr.append(text("td", clock(r.mjd)), text("td", fix(r.ra, 6)), text("td", fix(r.dec, 6)), n(fix(r.magnitude, 2)), n(probability(r.p)), n(fix(r.east, 3)), n(fix(r.north, 3)), text("td", r.frame)); return tr; }));
 }
 function show(m) {
   mover = m; frame = 0; for (const id of ["mover", "diagrams-of", "table-of"]) el(id).hidden = false;
   images = Object.fromEntries(["fixed", "along", "stack"].filter(k => m[k]).map(k => [k, load(m[k])]));
   for (const image of Object.values(images)) image.addEventListener("load", paint);
   el("frame").max = m.frames.length - 1; el("fixed").disabled = !m.fixed; (m.fixed ? el("fixed") : el("along")).checked = true;
-  const still = Math.round(m.snr * 10) / 10;
-  el("stack-words").textContent = `All frames along the motion, signal to noise ${fix(still, 1)}`;
+  el("stack-words").textContent = `All frames along the motion, signal to noise ${ratio(m.snr)}`;
   for (const b of el("list").children) b.className = b.dataset.name === m.name ? "on" : "";
   record(); diagrams(); paint(); play(playing); if (location.hash.slice(1) !== m.name) history.replaceState(null, "", "#" + m.name);
 }

@@ -48,9 +48,8 @@ def write_movers_page(
     if below is not None:
         faint, light, names = below
         movers += [_mover(faint, series, light, names, k) for k in range(min(len(light), MOST))]
-        about = (
-            f"{about if len(found) else 'No frame shows by itself what moves'}; {len(faint)} below the limit of frames"
-        )
+        about = about if len(found) else "No frame shows by itself what moves"
+        about += f"; {len(faint) or 'none'} below the limit of single frames"
     data = {
         "about": about if movers or below else "Nothing was found to move.", "asked": known is not None,
         "scale": series.stars.scale,

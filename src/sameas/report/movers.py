@@ -175,7 +175,7 @@ def reasons(found: Movers, pixels: Stack, k: int) -> list[tuple[str, bool]]:
             (f"chance makes {_small(found.expected_chance[k])} such peaks of as much light at such rates, as the same "
              "frames in a scrambled order show", bool(found.expected_chance[k] > 0.1)),
             ("its three places are those of the first, the middle and the last frames, added", False),
-            (f"the stack along its motion has a signal to noise of {pixels.snr[k]:.1f}", bool(pixels.snr[k] < 4.0)),
+            _stacked(float(pixels.snr[k])),
         ]  # fmt: skip
     out = [(f"chance makes {_small(found.expected_chance[k])} tracklets of as much evidence among what is left over",
             bool(found.expected_chance[k] > 0.1))]  # fmt: skip
@@ -204,8 +204,13 @@ def reasons(found: Movers, pixels: Stack, k: int) -> list[tuple[str, bool]]:
         out.append((f"it is off {off} of {frames} frames, or where they are not usable", False))
     if found.near_earth is not None and np.isfinite(found.near_earth[k]):
         out.append((f"digest2 gives it {found.near_earth[k]:.0f} of 100 for a near-Earth object", False))
-    out.append((f"the stack along its motion has a signal to noise of {pixels.snr[k]:.1f}", bool(pixels.snr[k] < 4.0)))
+    out.append(_stacked(float(pixels.snr[k])))
     return out
+
+
+def _stacked(snr: float) -> tuple[str, bool]:
+    """What the stack says, and whether it makes the tracklet doubtful."""
+    return f"the stack along its motion has a signal to noise of {snr:.{0 if snr >= 100.0 else 1}f}", snr < 4.0
 
 
 def _small(value: float) -> str:
