@@ -497,7 +497,7 @@ def draw(drawn: Sequence[Tally]) -> None:
             low.bar(middle + off, tally.wrong.sum(axis=0), 0.38 * width, color="C7" if ours else "0.8",
                     label=tally.by)  # fmt: skip
         top.set(title=scene, ylim=(-0.03, 1.08))
-        low.set(xlabel="magnitude against the limit of a frame")
+        low.set(xlabel="magnitude against the limit of a frame", ylim=(0.0, max(1.0, low.get_ylim()[1])))
         for axis in (top, low):
             axis.axvline(0.0, color="0.7", lw=1, zorder=0)
             axis.spines[["top", "right"]].set_visible(False)
