@@ -397,17 +397,18 @@ class _Thinned:
 
     def by_neighbourhoods(self, claims: FloatArray, tuning: Tuning) -> FloatArray:
         """Probability of every pair from the neighbourhood of its record; ``claims`` are the messages."""
-        from sameas.kernels.messages import balls, columns_of
+        from sameas.kernels.balls import Graph, balls, by_columns
+        from sameas.kernels.posterior import DEEPEST
 
         g, best = self.groups, self.best
+        column, claim = g.places[1].astype(np.int32), claims[g.order]
+        reduced = np.maximum(best.weight - best.dual_1[g.places[0]] - best.dual_2[column], -700.0)
+        none, free = (np.exp(np.maximum(-dual, -DEEPEST)) for dual in (best.dual_1, best.dual_2))
+        by_column = by_columns(len(free), g.edges_1, column, claim)
+        graph = Graph(g.edges_1, column, np.exp(reduced), claim, *by_column, none, free)
         share = np.zeros(len(g.order))
-        method = np.full(len(g), APPROXIMATE, np.int8)
-        columns: tuple[Any, Any] = columns_of(len(g), g.start, g.start_1, g.start_2, g.edges_1, g.local_2, method)
-        group1 = np.repeat(np.arange(len(g), dtype=np.int32), g.sizes_1)
-        shape = (group1, g.start_1, g.start_2, g.edges_1, g.local_1, g.local_2, *columns)
-        state = (best.weight, best.dual_1, best.dual_2, method, claims[g.order])
         size = (tuning.neighbourhood_rows, tuning.neighbourhood_bits)
-        threads.over(lambda a, b: balls(a, b, *shape, *state, *size, share), threads.even(len(group1), least=256))
+        threads.over(lambda a, b: balls(a, b, graph, *size, share), threads.even(len(none), least=256))
         return self._as_given(share)
 
     def _as_given(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
