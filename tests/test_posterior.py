@@ -12,7 +12,18 @@ from sameas import CommonObjects, PerPair, Radius, Records
 from sameas.assignment import assign
 from sameas.groups import groups
 from sameas.kernels.messages import bounds
-from sameas.posterior import APPROXIMATE, EVERY, METHODS, THINNED, Tuning, _bethe, log_evidence, posterior
+from sameas.posterior import (
+    APPROXIMATE,
+    EVERY,
+    METHODS,
+    THINNED,
+    Tuning,
+    _bethe,
+    _Messages,
+    _neighbourhoods,
+    log_evidence,
+    posterior,
+)
 from test_assignment import PRIORS
 
 
@@ -209,6 +220,59 @@ def entangled(rng, n, degree, misses=0.15, wide=1.0):
     return len(sources[0]), len(sources[1]), {
         (a, b): constant - 0.5 * distance_sq[a, b] / sigma**2 for a, b in zip(i.tolist(), j.tolist(), strict=True)
     }  # fmt: skip
+
+
+def all_local(grouped, best):
+    """(m,) probabilities of the layout's pairs from balls, (m,) by messages, whatever else could have solved them."""
+    method = np.full(len(grouped), APPROXIMATE, np.int8)
+    p_messages = np.zeros(len(grouped.order))
+    messages = _Messages.of(grouped, best, method, p_messages, 1e-8, Tuning())
+    return _neighbourhoods(grouped, best, np.arange(len(grouped.order)), messages, Tuning()), p_messages
+
+
+# In the extreme some rows hardly claim anything: they are called into no ball.
+@pytest.mark.parametrize("draw", sorted(DRAWS.keys() - {"extreme"}))
+@pytest.mark.parametrize("shape", [(1, 1), (1, 5), (2, 2), (2, 7), (3, 3), (4, 3), (4, 5), (5, 3)])
+def test_a_ball_that_holds_its_whole_group_is_exact(shape, draw):
+    for seed in range(12):
+        ratios = random_ratios(np.random.default_rng([*shape, seed, len(draw)]), *shape, 1.0, DRAWS[draw])
+        _, grouped, best, sure = solved(*shape, ratios, PerPair(0.0))
+        around, _ = all_local(grouped, best)
+        np.testing.assert_allclose(around, sure.p_pair[grouped.order], rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("strength", [5.0, 30.0, 60.0])
+def test_a_ball_whose_middle_hardly_finds_anything_left_keeps_its_digits(strength):
+    """The sums of what others take differ from the whole in the twelfth digit or none: they are not subtracted."""
+    ratios = {(i, j): strength + 0.1 * i - 0.2 * j for i in range(5) for j in range(3)}
+    _, grouped, best, _ = solved(5, 3, ratios, PerPair(0.0))
+    expected, _, _ = naive.posterior(5, 3, ratios, lambda k: 0.0)
+    around, _ = all_local(grouped, best)
+    i, j = grouped.places
+    names = zip(grouped.rows_1[i].tolist(), grouped.rows_2[j].tolist(), strict=True)
+    np.testing.assert_allclose(around, [expected[name] for name in names], rtol=1e-9, atol=0)
+
+
+def test_messages_rest_only_where_they_have_settled():
+    """On a chain messages are exact, however far what one end says has to travel."""
+    n = 200
+    with np.errstate(invalid="ignore"):
+        ratios = chain(np.random.default_rng(8), n)
+    _, grouped, best, sure = solved(n, n, ratios, PerPair(0.0))
+    _, p_messages = all_local(grouped, best)
+    np.testing.assert_allclose(p_messages, sure.p_pair[grouped.order], rtol=0, atol=1e-6)
+
+
+def test_balls_do_not_depend_on_the_number_of_threads(monkeypatch):
+    n1, n2, ratios = entangled(np.random.default_rng(4), 1200, 6)
+    # One row of far more pairs than the others: room is not what a thread's own rows need.
+    ratios |= {(0, j): -3.0 - 0.01 * j for j in range(0, n2, 3) if (0, j) not in ratios}
+    _, grouped, best, _ = solved(n1, n2, ratios, PerPair(0.0))
+    found = []
+    for threads in ("1", "3"):
+        monkeypatch.setenv("SAMEAS_THREADS", threads)
+        found.append(all_local(grouped, best)[0])
+    assert np.array_equal(*found)
 
 
 def without_elimination(groups, best, share, method, most=None):

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -284,7 +284,7 @@ class _Messages:
         from sameas.kernels.messages import messages
 
         claims = np.zeros(len(weight)), np.zeros(len(weight))
-        shape = (groups.start, groups.start_1, groups.start_2, groups.edges_1, groups.local_2)
+        shape = (groups.start, groups.start_1, groups.start_2, groups.edges_1, groups.local_1, groups.local_2)
         state = (weight, best.dual_1, best.dual_2, method, *claims, share, *limits)
         bounds = groups.bounds(len(threads.even(len(weight))) - 1)
         changes = threads.over(lambda a, b: messages(a, b, *shape, *state), bounds)
@@ -397,7 +397,7 @@ class _Thinned:
 
     def by_neighbourhoods(self, claims: FloatArray, tuning: Tuning) -> FloatArray:
         """Probability of every pair from the neighbourhood of its record; ``claims`` are the messages."""
-        from sameas.kernels.balls import Graph, balls, by_columns
+        from sameas.kernels.balls import Graph, balls, by_columns, rank_rivals
         from sameas.kernels.posterior import DEEPEST
 
         g, best = self.groups, self.best
@@ -406,9 +406,11 @@ class _Thinned:
         none, free = (np.exp(np.maximum(-dual, -DEEPEST)) for dual in (best.dual_1, best.dual_2))
         by_column = by_columns(len(free), g.edges_1, column, claim)
         graph = Graph(g.edges_1, column, np.exp(reduced), claim, *by_column, none, free)
-        share = np.zeros(len(g.order))
-        size = (tuning.neighbourhood_rows, tuning.neighbourhood_bits)
-        threads.over(lambda a, b: balls(a, b, graph, *size, share), threads.even(len(none), least=256))
+        rivals = np.empty((len(none), tuning.neighbourhood_rows), np.int32)
+        strength, share = np.empty(rivals.shape), np.zeros(len(g.order))
+        ranges = threads.even(len(none), least=256)
+        threads.over(lambda a, b: rank_rivals(a, b, graph, rivals, strength), ranges)
+        threads.over(lambda a, b: balls(a, b, graph, rivals, strength, tuning.neighbourhood_bits, share), ranges)
         return self._as_given(share)
 
     def _as_given(self, values: NDArray[Scalar]) -> NDArray[Scalar]:

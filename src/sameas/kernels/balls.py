@@ -2,10 +2,11 @@
 
 The *ball* of a row is that row, its center, and the rows that compete with it most. Claims from outside weigh on the
 columns: with the odds of a pair divided by what the column counts when nobody inside takes it, a column that is left
-counts 1. A column that one row of the ball alone wants is then no more than odds of that row to need none of the
-others; what the rows share are few columns, and the sums stand in an array by the bits of those that are taken. The
-center comes last: its probabilities are the sums over the states that leave it a column, and nothing has to be followed
-back.
+counts 1, and one that a single row of the ball wants is no more than odds of that row to need none of the others.
+
+What the rows but the center do is enumerated, but for two of them: these can do all that the one can, times all that
+the other can, except where both take one column. With every sum goes the part of it in which a column is taken: the
+rest of it is what is left to the center.
 """
 
 from __future__ import annotations
@@ -17,32 +18,36 @@ import numpy as np
 
 from sameas.arrays import FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import inlined, kernel, part
-from sameas.kernels.eliminate import Scratch, eliminate, scratch
 
 #: Odds are not divided by less: products of them over the rows of a ball stay finite.
 TINY = 1e-30
 #: Weaker claims call no row into a ball.
 WEAKEST = 1e-9
+#: Where less than this share of the sums is left to the center, differences have lost digits.
 CANCELLED = 1e-6
+#: Where less than this is left, messages alone answer.
 LEAST = 1e-200
-UNKNOWN, INSIDE, NONE = -1, -2, -1
+UNKNOWN, NONE = -1, -1
 
 #: A graph by rows: CSR starts; of the pairs the columns, the reduced odds, and those with which rows claim columns.
 #: The same pairs by columns: CSR starts, rows, claims. Odds of rows and of columns to have no partner.
 Graph = namedtuple("Graph", "start column odds claim column_start rival rival_claim none free")
-#: Room for a ball. Its rows. Candidates for a place in it, their strongest claims, and when these were found. Of all
-#: rows the number of the candidate, of all columns the number in the ball. Of the ball's columns what each counts when
-#: nobody takes it, whether rows share it, whether one has taken it, what is lost to the center by that. Options of the
-#: rows: where they begin and end, columns, weights. By depth of the enumeration: the weight so far, the sum beyond,
-#: the next option, the column held.
+#: Room for a ball. Its rows, and the next rival of each. Of all rows whether they are inside, of all columns the number
+#: in the ball. Of the ball's columns what each counts when nobody takes it, whether rows share it, whether one has taken
+#: it, what is lost to the center by that, the weights that the last two rows give it. Options of the rows: where they
+#: begin and end, columns, weights. By depth of the enumeration: the weight so far, the sum beyond, the next option, the
+#: column held.
 Ball = namedtuple(
     "Ball",
-    "row candidate strength when seat place unused shared taken lost weight_a weight_b first last column weight so_far total next held",
+    "row next inside place unused shared taken lost weight_a weight_b first last column weight "
+    "so_far total option held",
 )
 
 
 @kernel
-def by_columns(columns: int, start: IntArray, column: Int32Array, claim: FloatArray) -> tuple[IntArray, Int32Array, FloatArray]:
+def by_columns(
+    columns: int, start: IntArray, column: Int32Array, claim: FloatArray
+) -> tuple[IntArray, Int32Array, FloatArray]:
     """The pairs of a graph by column and, within it, by row: CSR starts, rows (m,), claims (m,)."""
     starts = np.zeros(columns + 1, np.int64)
     for e in range(len(column)):
@@ -60,22 +65,62 @@ def by_columns(columns: int, start: IntArray, column: Int32Array, claim: FloatAr
 
 
 @kernel
-def balls(first: int, last: int, graph: Graph, most_rows: int, most_bits: float, share: FloatArray) -> None:
+def rank_rivals(first: int, last: int, graph: Graph, rivals: Int32Array, strength: FloatArray) -> None:
+    """Fill ``rivals`` (n1, k) with the k rows that compete with each of some rows most, NONE where there are fewer.
+
+    strength (n1, k) : a rival's claim on a column counts for as much as the row itself can want that.
+    """
+    most = rivals.shape[1]
+    for row in range(first, last):
+        found = np.int64(0)
+        for e in range(graph.start[row], graph.start[row + 1]):
+            wanted = min(graph.claim[e], 1.0)
+            c = graph.column[e]
+            for p in range(graph.column_start[c], graph.column_start[c + 1]):
+                claim = min(graph.rival_claim[p], 1.0) * wanted
+                rival = graph.rival[p]
+                if claim <= WEAKEST or rival == row or (found == most and claim <= strength[row, most - 1]):
+                    continue
+                at = np.int64(0)
+                while at < found and rivals[row, at] != rival:
+                    at += 1
+                if at == found:
+                    found = min(found + 1, most)
+                    at = found - 1
+                elif claim <= strength[row, at]:
+                    continue
+                while at > 0 and strength[row, at - 1] < claim:
+                    rivals[row, at], strength[row, at] = rivals[row, at - 1], strength[row, at - 1]
+                    at -= 1
+                rivals[row, at], strength[row, at] = rival, claim
+        for k in range(found, most):
+            rivals[row, k] = NONE
+
+
+@kernel
+def balls(
+    first: int,
+    last: int,
+    graph: Graph,
+    rivals: Int32Array,
+    strength: FloatArray,
+    most_bits: float,
+    share: FloatArray,
+) -> None:
     """Posterior of the pairs of rows first … last − 1 of a :data:`Graph`.
 
-    Each row is solved exactly together with the rows that compete with it most, up to ``most_rows`` of them and
-    ``most_bits`` of choices; what lies outside answers by its messages at the border.
+    Each row is solved exactly together with the rows that compete with it most, up to as many as ``rivals`` has columns
+    and ``most_bits`` of choices; what lies outside answers by its messages at the border.
     """
-    ball = room_for(graph, most_rows)
+    ball = room_for(graph, rivals.shape[1])
     for center in range(first, last):
         low, high = graph.start[center], graph.start[center + 1]
-        count, candidates = gather_rows(center, graph, most_rows, most_bits, ball)
+        count = gather_rows(center, graph, rivals, strength, most_bits, ball)
         rows = gather_options(count, graph, ball)
         if not sum_ball(rows, ball, share[low:high]):
             from_messages(center, graph, share[low:high])
-        for k in range(candidates):
-            ball.seat[ball.candidate[k]] = UNKNOWN
         for t in range(count):
+            ball.inside[ball.row[t]] = False
             for e in range(graph.start[ball.row[t]], graph.start[ball.row[t] + 1]):
                 ball.place[graph.column[e]] = UNKNOWN
 
@@ -86,15 +131,13 @@ def room_for(graph: Graph, most_rows: int) -> Ball:
     longest = np.int64(0)
     for r in range(len(graph.none)):
         longest = max(longest, graph.start[r + 1] - graph.start[r])
-    records, columns, rows = len(graph.none), len(graph.free), most_rows + 2
+    rows = most_rows + 2
     pairs = rows * (longest + 1)
     return Ball(
         np.empty(rows, np.int64),
-        np.empty(records, np.int32),
-        np.empty(records),
-        np.empty(records, np.int64),
-        np.full(records, UNKNOWN, np.int32),
-        np.full(columns, UNKNOWN, np.int32),
+        np.empty(rows, np.int64),
+        np.zeros(len(graph.none), np.bool_),
+        np.full(len(graph.free), UNKNOWN, np.int32),
         np.empty(pairs),
         np.empty(pairs, np.bool_),
         np.empty(pairs, np.bool_),
@@ -113,56 +156,34 @@ def room_for(graph: Graph, most_rows: int) -> Ball:
 
 
 @part
-def gather_rows(center: int, graph: Graph, most_rows: int, most_bits: float, ball: Ball) -> tuple[int, int]:
-    """List the rows of a ball, the strongest rival first; returns their number and that of all that have a seat.
-
-    A rival's claim counts for as much as the ball's own row can want the column.
-    """
-    count, candidates, found = np.int64(0), np.int64(1), np.int64(0)
-    ball.candidate[0], ball.strength[0], ball.when[0] = center, 1.0, 0
-    ball.seat[center] = 0
+def gather_rows(
+    center: int, graph: Graph, rivals: Int32Array, strength: FloatArray, most_bits: float, ball: Ball
+) -> int:
+    """List the rows of a ball, always the strongest rival of one of those inside; returns their number."""
+    most = rivals.shape[1]
+    count = np.int64(0)
+    row = np.int64(center)
     bits = 0.0
     while True:
-        best = np.int64(-1)
-        for k in range(candidates):
-            if ball.strength[k] > WEAKEST and (
-                best < 0
-                or ball.strength[k] > ball.strength[best]
-                or (ball.strength[k] == ball.strength[best] and ball.when[k] < ball.when[best])
-            ):
-                best = k
-        if best < 0:
-            break
-        row = np.int64(ball.candidate[best])
         bits += math.log2(1.0 + graph.start[row + 1] - graph.start[row])
         if count > 0 and bits > most_bits:
             break
-        ball.row[count] = row
-        ball.seat[row] = INSIDE
-        ball.strength[best] = 0.0
+        ball.row[count], ball.next[count] = row, 0
+        ball.inside[row] = True
         count += 1
-        if count == most_rows:
+        if count == most:
             break
-        for e in range(graph.start[row], graph.start[row + 1]):
-            wanted = min(graph.claim[e], 1.0)
-            if wanted <= WEAKEST:
-                continue
-            c = graph.column[e]
-            for p in range(graph.column_start[c], graph.column_start[c + 1]):
-                claim = min(graph.rival_claim[p], 1.0) * wanted
-                if claim <= WEAKEST:
-                    continue
-                rival = graph.rival[p]
-                seat = ball.seat[rival]
-                found += 1
-                if seat == UNKNOWN:
-                    ball.seat[rival] = candidates
-                    ball.candidate[candidates] = rival
-                    ball.strength[candidates], ball.when[candidates] = claim, found
-                    candidates += 1
-                elif seat != INSIDE and claim > ball.strength[seat]:
-                    ball.strength[seat], ball.when[seat] = claim, found
-    return count, candidates
+        strongest = 0.0
+        for t in range(count):
+            one, k = ball.row[t], ball.next[t]
+            while k < most and rivals[one, k] != NONE and ball.inside[rivals[one, k]]:
+                k += 1
+            ball.next[t] = k
+            if k < most and rivals[one, k] != NONE and strength[one, k] > strongest:
+                row, strongest = np.int64(rivals[one, k]), strength[one, k]
+        if strongest == 0.0:
+            break
+    return count
 
 
 @part
@@ -185,7 +206,7 @@ def gather_options(count: int, graph: Graph, ball: Ball) -> int:
                 ball.place[c] = at
                 unused, inside = graph.free[c], 0
                 for p in range(graph.column_start[c], graph.column_start[c + 1]):
-                    if ball.seat[graph.rival[p]] == INSIDE:
+                    if ball.inside[graph.rival[p]]:
                         inside += 1
                     else:
                         unused += graph.rival_claim[p]
@@ -235,7 +256,7 @@ def sum_others(rows: int, ball: Ball) -> float:
     ``lost`` of each column grows by the part of it in which that column is taken.
     """
     depth, inner = np.int64(1), rows - 2
-    ball.so_far[1], ball.next[1], ball.held[1], ball.total[1] = 1.0, ball.first[1], NONE, 0.0
+    ball.so_far[1], ball.option[1], ball.held[1], ball.total[1] = 1.0, ball.first[1], NONE, 0.0
     ball.total[0] = 0.0
     while depth > 0:
         if depth == inner:
@@ -243,17 +264,17 @@ def sum_others(rows: int, ball: Ball) -> float:
         else:
             if ball.held[depth] != NONE:
                 ball.taken[ball.held[depth]] = False
-            k = ball.next[depth]
+            k = ball.option[depth]
             while k < ball.last[depth] - 1 and ball.taken[ball.column[k]]:
                 k += 1
             if k < ball.last[depth]:
                 c = ball.column[k]
-                ball.next[depth], ball.held[depth] = k + 1, c
+                ball.option[depth], ball.held[depth] = k + 1, c
                 if c != NONE:
                     ball.taken[c] = True
                 weight = ball.so_far[depth] * ball.weight[k]
                 depth += 1
-                ball.so_far[depth], ball.next[depth], ball.total[depth] = weight, ball.first[depth], 0.0
+                ball.so_far[depth], ball.option[depth], ball.total[depth] = weight, ball.first[depth], 0.0
                 ball.held[depth] = NONE
                 continue
         total = ball.total[depth]
@@ -317,7 +338,7 @@ def sum_ball(rows: int, ball: Ball, share: FloatArray) -> bool:
         share[k] = ball.weight[k] * (every - ball.lost[ball.column[k]])
         total += share[k]
     if not total > CANCELLED * every:
-        # Others want whatever the center wants: differences have no digits.
+        # Others want whatever the center wants: each of its options is summed by itself, without a difference.
         total = alone
         for k in range(pairs):
             ball.taken[ball.column[k]] = True

@@ -1,4 +1,4 @@
-"""Compiled sum-product messages, and exact sums around each record with messages for what lies beyond."""
+"""Compiled sum-product messages, and bounds of probabilities."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import kernel, part
-from sameas.kernels.eliminate import eliminate, scratch
 from sameas.kernels.posterior import LOCAL, bounded_exp
 
 # Compiled upper bounds of the probability of pairs, from what their records can do without each other.
@@ -30,8 +29,8 @@ from sameas.kernels.posterior import LOCAL, bounded_exp
 SWEEPS = 4
 #: Logarithms of odds are not taken to be more than this; and no record is less probably free than exp of minus this.
 HIGHEST = 300.0
-#: Odds are not divided by less: products of them over the rows of a neighbourhood stay finite.
-TINY = 1e-30
+#: A message that changes by less than this of what counts as settled is left as it was; whoever hears no change rests.
+STILL = 0.1
 
 
 @kernel
@@ -150,6 +149,7 @@ def messages(
     start1: IntArray,
     start2: IntArray,
     edges1: IntArray,
+    local1: Int32Array,
     local2: Int32Array,
     weight: FloatArray,
     u: FloatArray,
@@ -176,54 +176,73 @@ def messages(
         n1 = start1[g + 1] - start1[g]
         n2 = start2[g + 1] - start2[g]
         edges = edges1[start1[g] : start1[g] + n1 + 1]
+        base = start2[g]
         free = np.empty(n2)
-        total = np.empty(n2)
-        largest = np.empty(n2)
-        largest_at = np.empty(n2, np.int64)
         none = np.empty(n1)
         to_row = np.ones(high - low)
-        odds = np.empty(high - low)
+        odds, product = np.empty(high - low), np.empty(high - low)
+        # The claims by column; of each pair by row its place there, and the reverse.
+        claim, at_column, at_row = np.zeros(high - low), np.empty(high - low, np.int32), np.empty(high - low, np.int32)
+        column_start = by_column(n2, local2[low:high], at_column, at_row)
+        row_open, column_open = np.ones(n1, np.bool_), np.ones(n2, np.bool_)
         for c in range(n2):
-            free[c] = bounded_exp(-v[start2[g] + c])
+            free[c] = bounded_exp(-v[base + c])
         for r in range(n1):
             none[r] = bounded_exp(-u[start1[g] + r])
             for e in range(edges[r], edges[r + 1]):
-                x = weight[e] - u[start1[g] + r] - v[start2[g] + local2[e]]
+                x = weight[e] - u[start1[g] + r] - v[base + local2[e]]
                 odds[e - low] = math.exp(max(x, -700.0))
-                to_column[e] = 0.0
-        for _ in range(sweeps):
+        for sweep in range(sweeps):
             change = 0.0
+            still = STILL * settled if sweep > 0 else -1.0
             for r in range(n1):
-                best = -1
-                rest = none[r]
-                for e in range(edges[r], edges[r + 1]):
-                    if best < 0 or odds[e - low] * to_row[e - low] > odds[best - low] * to_row[best - low]:
-                        best = e
-                for e in range(edges[r], edges[r + 1]):
-                    if e != best:
-                        rest += odds[e - low] * to_row[e - low]
-                top = odds[best - low] * to_row[best - low]
-                for e in range(edges[r], edges[r + 1]):
-                    others = rest if e == best else rest + top - odds[e - low] * to_row[e - low]
-                    new = odds[e - low] / others
-                    change = max(change, abs(new - to_column[e]) / (1.0 + new))
-                    to_column[e] = new
+                if not row_open[r]:
+                    continue
+                row_open[r] = False
+                first_, last_ = edges[r] - low, edges[r + 1] - low
+                whole = none[r]
+                for e in range(first_, last_):
+                    product[e] = odds[e] * to_row[e]
+                    whole += product[e]
+                for e in range(first_, last_):
+                    others = whole - product[e]
+                    if others < product[e]:
+                        # The greatest is not subtracted, but left out: a difference would lose digits.
+                        others = none[r]
+                        for k in range(first_, last_):
+                            if k != e:
+                                others += product[k]
+                    new = odds[e] / others
+                    at = at_column[e]
+                    moved, scale = abs(new - claim[at]), 1.0 + new
+                    if moved > still * scale:
+                        change = max(change, moved / scale)
+                        claim[at] = new
+                        column_open[local2[low + e]] = True
             for c in range(n2):
-                total[c] = free[c]
-                largest[c] = -1.0
-            for e in range(low, high):
-                if to_column[e] > largest[local2[e]]:
-                    largest[local2[e]] = to_column[e]
-                    largest_at[local2[e]] = e
-            for e in range(low, high):
-                if e != largest_at[local2[e]]:
-                    total[local2[e]] += to_column[e]
-            for e in range(low, high):
-                c = local2[e]
-                others = total[c] if e == largest_at[c] else total[c] + largest[c] - to_column[e]
-                to_row[e - low] = 1.0 / others
+                if not column_open[c]:
+                    continue
+                column_open[c] = False
+                first_, last_ = column_start[c], column_start[c + 1]
+                whole = free[c]
+                for k in range(first_, last_):
+                    whole += claim[k]
+                for k in range(first_, last_):
+                    others = whole - claim[k]
+                    if others < claim[k]:
+                        others = free[c]
+                        for e in range(first_, last_):
+                            if k != e:
+                                others += claim[e]
+                    new = 1.0 / others
+                    e = at_row[k]
+                    if abs(new - to_row[e]) > still * new:
+                        to_row[e] = new
+                        row_open[local1[low + e]] = True
             if change < settled:
                 break
+        for e in range(low, high):
+            to_column[e] = claim[at_column[e - low]]
         worst = max(worst, change)
         for r in range(n1):
             total_ = none[r]
@@ -235,183 +254,17 @@ def messages(
     return worst
 
 
-@kernel
-def columns_of(
-    groups: int,
-    start: IntArray,
-    start1: IntArray,
-    start2: IntArray,
-    edges1: IntArray,
-    local2: Int32Array,
-    method: NDArray[np.int8],
-) -> tuple[IntArray, IntArray]:
-    """CSR of the pairs by record of source 2, for the groups left LOCAL: (starts by record of the layout, pairs)."""
-    starts = np.zeros(start2[groups] + 1, np.int64)
-    for g in range(groups):
-        if method[g] == LOCAL:
-            for e in range(start[g], start[g + 1]):
-                starts[start2[g] + local2[e] + 1] += 1
-    for c in range(start2[groups]):
+@part
+def by_column(columns: int, column: Int32Array, at_column: Int32Array, at_row: Int32Array) -> IntArray:
+    """CSR starts of pairs by column; fills ``at_column`` (m,) with their places there, ``at_row`` with the reverse."""
+    starts = np.zeros(columns + 1, np.int64)
+    for c in column:
+        starts[c + 1] += 1
+    for c in range(columns):
         starts[c + 1] += starts[c]
     fill = starts[:-1].copy()
-    pairs = np.empty(starts[-1], np.int64)
-    for g in range(groups):
-        if method[g] == LOCAL:
-            for e in range(start[g], start[g + 1]):
-                pairs[fill[start2[g] + local2[e]]] = e
-                fill[start2[g] + local2[e]] += 1
-    return starts, pairs
-
-
-@kernel
-def balls(
-    first: int,
-    last: int,
-    group1: Int32Array,
-    start1: IntArray,
-    start2: IntArray,
-    edges1: IntArray,
-    local1: Int32Array,
-    local2: Int32Array,
-    column_start: IntArray,
-    column_pairs: IntArray,
-    weight: FloatArray,
-    u: FloatArray,
-    v: FloatArray,
-    method: NDArray[np.int8],
-    to_column: FloatArray,
-    most_rows: int,
-    most_bits: float,
-    share: FloatArray,
-) -> None:
-    """Posterior of the pairs of rows first … last − 1 of the layout whose group was left LOCAL.
-
-    Each row is solved exactly together with the rows that compete with it most, up to ``most_rows`` of them and
-    ``most_bits`` of choices; what lies outside answers by its messages at the border.
-    """
-    longest = 64
-    for r in range(first, last):
-        longest = max(longest, edges1[r + 1] - edges1[r])
-    capacity = longest * (most_rows + 1)
-    work = scratch(np.int64(capacity), np.int64(most_rows), np.int64(capacity))
-    inside = np.empty(most_rows, np.int64)
-    start = np.empty(most_rows + 1, np.int64)
-    column = np.empty(capacity, np.int32)
-    odds = np.empty(capacity)
-    part = np.empty(capacity)
-    none = np.empty(most_rows)
-    alone = np.empty(most_rows)
-    name = np.empty(capacity, np.int64)
-    unused = np.empty(capacity)
-    prior = np.ones(1)
-    stamp = np.int64(0)  # not a literal: numba would compile for it apart
-    for center in range(first, last):
-        g = group1[center]
-        if method[g] != LOCAL:
-            continue
-        base2 = start2[g]
-        count = 1
-        inside[0] = center
-        bits = math.log2(1.0 + edges1[center + 1] - edges1[center])
-        pairs = edges1[center + 1] - edges1[center]
-        while count < most_rows:
-            best = -1
-            strongest = 1e-9
-            for t in range(count):
-                for e in range(edges1[inside[t]], edges1[inside[t] + 1]):
-                    c = base2 + local2[e]
-                    for p in range(column_start[c], column_start[c + 1]):
-                        other = start1[g] + local1[column_pairs[p]]
-                        # A rival's claim counts for as much as the ball's own row can want the column.
-                        claim = min(to_column[column_pairs[p]], 1.0) * min(to_column[e], 1.0)
-                        if claim > strongest:
-                            known = False
-                            for s in range(count):
-                                known = known or inside[s] == other
-                            if not known:
-                                strongest = claim
-                                best = other
-            if best < 0:
-                break
-            degree = edges1[best + 1] - edges1[best]
-            if bits + math.log2(1.0 + degree) > most_bits or pairs + degree > capacity:
-                break
-            bits += math.log2(1.0 + degree)
-            pairs += degree
-            inside[count] = best
-            count += 1
-        nc = 0
-        m = 0
-        for t in range(count):
-            start[t] = m
-            none[t] = bounded_exp(-u[inside[t]])
-            for e in range(edges1[inside[t]], edges1[inside[t] + 1]):
-                c = base2 + local2[e]
-                at = -1
-                for s in range(nc):
-                    if name[s] == c:
-                        at = s
-                if at < 0:
-                    at = nc
-                    name[nc] = c
-                    nc += 1
-                    unused[at] = bounded_exp(-v[c])
-                    for p in range(column_start[c], column_start[c + 1]):
-                        other = start1[g] + local1[column_pairs[p]]
-                        known = False
-                        for s in range(count):
-                            known = known or inside[s] == other
-                        if not known:
-                            unused[at] += to_column[column_pairs[p]]
-                column[m] = at
-                odds[m] = math.exp(max(weight[e] - u[inside[t]] - v[c], -700.0))
-                m += 1
-        start[count] = m
-        # A column that nobody takes counts 1: the product of hundreds of other numbers is beyond a double.
-        for e in range(m):
-            if unused[column[e]] > TINY:
-                odds[e] /= unused[column[e]]
-        for c in range(nc):
-            if unused[c] > TINY:
-                unused[c] = 1.0
-        after = eliminate(
-            count, nc, start[: count + 1], column, odds, none, unused[:nc], prior, part, alone, stamp, work
-        )
-        if after < 0:
-            stamp += count + 1
-            from_messages(
-                center, base2, edges1, local1, local2, column_start, column_pairs, weight, u, v, to_column, share
-            )
-            continue
-        stamp = after
-        for e in range(edges1[center], edges1[center + 1]):
-            share[e] = part[e - edges1[center]]
-
-
-@part
-def from_messages(
-    center: int,
-    base2: int,
-    edges1: IntArray,
-    local1: Int32Array,
-    local2: Int32Array,
-    column_start: IntArray,
-    column_pairs: IntArray,
-    weight: FloatArray,
-    u: FloatArray,
-    v: FloatArray,
-    to_column: FloatArray,
-    share: FloatArray,
-) -> None:
-    """The posterior of one row from its messages alone."""
-    total = bounded_exp(-u[center])
-    for e in range(edges1[center], edges1[center + 1]):
-        c = base2 + local2[e]
-        open_ = bounded_exp(-v[c])
-        for p in range(column_start[c], column_start[c + 1]):
-            if column_pairs[p] != e:
-                open_ += to_column[column_pairs[p]]
-        share[e] = math.exp(max(weight[e] - u[center] - v[c], -700.0)) / open_
-        total += share[e]
-    for e in range(edges1[center], edges1[center + 1]):
-        share[e] /= total
+    for e in range(len(column)):
+        place = fill[column[e]]
+        at_column[e], at_row[place] = place, e
+        fill[column[e]] = place + 1
+    return starts
