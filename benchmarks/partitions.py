@@ -18,8 +18,11 @@ from benchmarks import workload
 from benchmarks.tables import Table, report
 from sameas.partitions.layout import HatsCatalogue
 from sameas.partitions.output import write_hats
+from sameas.partitions.run import PIECE_ROWS
 
 EVERYTHING = np.array([[0, 12 << 58]], np.int64)
+#: Holes in the awkward field.
+HOLES = 12
 COLUMNS = ("partitions", "pairs", "others than one machine", "claimed twice", "largest |Δp|", "% |Δp| > 1e-6",
            "not certain", "halo, arcsec", "decided on, per row", "estimating, µs/row", "deciding, µs/row",
            "memory, GB")  # fmt: skip
@@ -37,10 +40,10 @@ def used():
     return resource.getrusage(resource.RUSAGE_SELF)
 def cpu():
     return sum(used()[:2])
-a, b, out = sys.argv[1:]
+a, b, out, rows = sys.argv[1:]
 found = dataclasses.replace(sameas.match(a, b, sigma="pos_err", sigma_unit="arcsec"), workers=1)
 start = cpu(); found.estimated; middle = cpu()
-written = found.write(out, workers=1, margin_arcsec=0.0)
+written = found.write(out, workers=1, margin_arcsec=0.0, piece_rows=int(rows))
 print(middle - start, cpu() - middle, written.doubtful, written.halo_arcsec, written.read, written.pairs,
       used().ru_maxrss / (1e9 if sys.platform == "darwin" else 1e6))
 """
@@ -55,14 +58,24 @@ print(sum(resource.getrusage(resource.RUSAGE_SELF)[:2]) - start, n)
 """
 
 
-def tables(n: int, lam: float) -> list[Any]:
-    """The workload of the other benchmarks as two tables."""
-    scene, _ = workload.crowded(71, n, lam)
+def tables(n: int, lam: float, awkward: bool = False) -> list[Any]:
+    """The workload of the other benchmarks as two tables; ``awkward``: around the pole, so that RA 0 lies in it, with
+    holes where neither source looks."""
+    from sameas.simulate.scenes import crowded_sky
+
+    rng = np.random.default_rng(71)
+    scene = crowded_sky(rng, n, lam, centre_deg=(0.0, 90.0)) if awkward else workload.crowded(71, n, lam)[0]
+    widest = float(90.0 - scene.first.features[:, 1].min())
+    holes = widest * rng.uniform(-0.7, 0.7, (HOLES, 2)), widest * rng.uniform(0.05, 0.12, HOLES)
     out = []
     for records in (scene.first, scene.second):
         sigma = np.sqrt(records.covariance[:, 0])
         ra, dec = np.mod(records.features[:, 0], 360.0), records.features[:, 1]
-        out.append(Rows({"id": np.arange(len(ra)), "ra": ra, "dec": dec, "pos_err": sigma}))
+        seen = np.ones(len(ra), np.bool_)
+        for (x, y), radius in zip(*holes, strict=True) if awkward else ():
+            at = np.radians(ra)
+            seen &= np.hypot((90.0 - dec) * np.cos(at) - x, (90.0 - dec) * np.sin(at) - y) > radius
+        out.append(Rows({"id": np.arange(seen.sum()), "ra": ra[seen], "dec": dec[seen], "pos_err": sigma[seen]}))
     return out
 
 
@@ -95,14 +108,14 @@ def size(folder: Path, rows: int, lam: float, most: int) -> tuple[Any, ...]:
     n = sum(map(len, both))
     cells, paths = stored(folder, both, most)
     del both
-    estimating, deciding, _, _, _, pairs, memory = run(OURS, *paths, folder / "out")
+    estimating, deciding, _, _, _, pairs, memory = run(OURS, *paths, folder / "out", PIECE_ROWS)
     return (n, cells, int(pairs), 1e6 * estimating / n, 1e6 * deciding / n, estimating + deciding, memory)
 
 
-def row(folder: Path, both: list[Any], most: int) -> tuple[Any, ...]:
+def row(folder: Path, both: list[Any], most: int, piece_rows: int) -> tuple[Any, ...]:
     """One way to cut the sky."""
     cells, paths = stored(folder, both, most)
-    estimating, deciding, doubtful, halo, read, _, memory = run(OURS, *paths, folder / "out")
+    estimating, deciding, doubtful, halo, read, _, memory = run(OURS, *paths, folder / "out", piece_rows)
     found = sameas.match(*paths, sigma="pos_err", sigma_unit="arcsec")
     work = found.estimated.work
     one, two = (work.read(side, EVERYTHING, np.array([0.0, 0.0, 1.0, 1e9])) for side in (1, 2))
@@ -138,6 +151,8 @@ def main() -> None:
     parser.add_argument("--rows", type=float, default=1e6, help="of objects")
     parser.add_argument("--lam", type=float, default=0.5, help="chance candidates of a record within 3σ")
     parser.add_argument("--most-rows", type=float, nargs="*", default=[3e5, 2.5e4, 1.5e3], help="of a partition")
+    parser.add_argument("--awkward", action="store_true", help="around a pole, and with holes")
+    parser.add_argument("--together", action="store_true", help="decide small partitions together, as is the default")
     parser.add_argument("--sizes", type=float, nargs="+", help="instead: what a row costs with so many objects")
     options = parser.parse_args()
     if options.sizes:
@@ -145,9 +160,12 @@ def main() -> None:
             rows = [size(Path(name), int(n), options.lam, int(options.most_rows[0])) for n in options.sizes]
         report("partitions", [Table(f"λ {options.lam:g}", SIZES, rows, NOTES[1:])])
         return
-    both = tables(int(options.rows), options.lam)
+    both = tables(int(options.rows), options.lam, options.awkward)
     with tempfile.TemporaryDirectory() as name:
-        lines = [row(Path(name), both, int(most)) for most in options.most_rows]
+        lines = [
+            row(Path(name), both, int(most), PIECE_ROWS if options.together else int(min(4 * most, PIECE_ROWS)))
+            for most in options.most_rows
+        ]
         peer = lsdb_row(Path(name), sum(map(len, both)))
     title = f"{len(both[0])} and {len(both[1])} rows, λ {options.lam:g}"
     report("partitions", [Table(title, COLUMNS, [*lines, *([peer] if peer else [])], NOTES)])
