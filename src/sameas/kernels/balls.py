@@ -35,8 +35,8 @@ Graph = namedtuple("Graph", "start column odds claim column_start rival rival_cl
 #: Room for a ball. Its rows, and the next rival of each. Of all rows whether they are inside, of all columns the number
 #: in the ball. Of the ball's columns what each counts when nobody takes it, whether rows share it, whether one has
 #: taken it, what is lost to the center by that, the weights that the last two rows give it. Options of the rows: where
-#: they begin and end, columns, weights. By depth of the enumeration: the weight so far, the sum beyond, the next option,
-#: the column held.
+#: they begin and end, columns, weights. By depth of the enumeration: the weight so far, the sum beyond, the next
+#: option, the column held.
 Ball = namedtuple(
     "Ball",
     "row next inside place unused shared taken lost weight_a weight_b first last column weight "
