@@ -12,7 +12,7 @@ import sameas
 HOME = Path(sameas.__file__).parent
 #: The rooms (modules and packages of ``sameas``) from the ground up; those of one line do not import each other.
 FLOORS = """
-arrays errors kernels representation
+arrays errors kernels representation times
 bounds gaussian ragged saved
 space
 records

@@ -264,7 +264,7 @@ def write(
 
 def frame_of(request: FrameRequest, progress: Progress) -> Frame:
     """The frame of a request, read and calibrated."""
-    from astropy.time import Time
+    from sameas.times import Time
 
     progress("reading")
     moment = None if request.time is None else _moment(request.time, Time)

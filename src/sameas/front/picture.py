@@ -509,7 +509,7 @@ def _sources(sources: Any, described: Mapping[str, SourceOptions], start: str | 
 
 def _cells(data: Any, name: str) -> TableText:
     """The cells of a table in memory; times as seconds since 1970."""
-    from astropy.time import Time
+    from sameas.times import Time
 
     table = table_of(data, name)
     columns: dict[str, Sequence[Any]] = {}

@@ -78,7 +78,7 @@ class Identified:
         ------
         InputError : the header has no time of the exposure.
         """
-        from astropy.time import Time
+        from sameas.times import Time
 
         summary = self.summary
         if summary["exposure"]["mid_time"] is None:

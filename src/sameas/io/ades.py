@@ -138,7 +138,7 @@ class Observation:
     ) -> Observation:
         """By the time as MJD, right ascension and declination, and the variances and covariance (3,) east-east,
         east-north, north-north in arcsec²; ``measured`` is everything else by its name."""
-        from astropy.time import Time
+        from sameas.times import Time
 
         east, both, north = covariance
         return cls(

@@ -287,7 +287,7 @@ def middle(cards: Cards, exposure_s: float) -> tuple[Time | None, tuple[str, ...
 
 def _time_of(day: float, scale: str, how: str, lines: tuple[str, ...]) -> tuple[Time, tuple[str, ...]]:
     """The time of an MJD on a scale, in TT before there was UTC, and the lines with the one on ``how`` it was read."""
-    from astropy.time import Time
+    from sameas.times import Time
 
     year = 1858.8 + day / 365.25
     if scale == "utc" and year < _FIRST_UTC_YEAR:

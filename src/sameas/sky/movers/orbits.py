@@ -271,7 +271,7 @@ class Ephemeris:
 
 def states(elements: Elements, mjd_utc: float) -> FloatArray:
     """(2, 3, n) heliocentric places, au, and velocities, au/day, of the objects at a time, on ICRS axes."""
-    from astropy.time import Time
+    from sameas.times import Time
 
     planets = _planets()
     planets.check(np.array([mjd_utc]))
@@ -306,7 +306,7 @@ def ephemeris(
     elements' epoch and the time as MPC's U says (the middle of its class of runoff in longitude, 648000″^(U − ½)/9 in
     ten years; 0.05″ a year for U of 0 and where U is not known); that is a scale for the gate.
     """
-    from astropy.time import Time
+    from sameas.times import Time
 
     planets = _planets()
     planets.check(np.asarray(mjd_utc))
@@ -583,10 +583,12 @@ def geocentric_km(lat_deg: float, lon_deg: float, height_m: float, mjd_utc: Floa
     """(t, 3) of a place on the Earth, on the ICRS axes, at some times. Degrees, east positive; metres."""
     from astropy import units as u
     from astropy.coordinates import EarthLocation
-    from astropy.time import Time
+
+    from sameas.times import Time, installed_rotation
 
     place = EarthLocation.from_geodetic(
         lon_deg * u.deg, lat_deg * u.deg, (height_m if height_m == height_m else 0) * u.m
     )
-    there = place.get_gcrs_posvel(Time(np.asarray(mjd_utc), format="mjd", scale="utc"))[0]
+    with installed_rotation():
+        there = place.get_gcrs_posvel(Time(np.asarray(mjd_utc), format="mjd", scale="utc"))[0]
     return np.asarray(there.xyz.to_value(u.km)).T

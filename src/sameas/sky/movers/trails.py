@@ -295,6 +295,8 @@ class _Pixels:
         size = float(np.hypot(*half))
         if fit.x[4] <= 0 or not np.isfinite(fit.x).all() or size > 2.0 * reach:
             return None
+        if not (np.diagonal(covariance) > 0.0).all():  # of a fit that leaves a value open the inverse is anything
+            return None
         unit = half / max(size, 1e-9)
         spread = math.sqrt(max(float(unit @ covariance[2:4, 2:4] @ unit), 1e-12))
         better = 2.0 * (point.cost - fit.cost) / chi
