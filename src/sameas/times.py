@@ -19,7 +19,7 @@ def _with_leap_seconds() -> None:
     """Astropy looks for newer leap seconds once in a process, at the first time that needs them: now."""
     with iers.conf.set_temp("auto_download", False), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        Time(0.0, format="unix").tai
+        _ = Time(0.0, format="unix").tai
 
 
 _with_leap_seconds()
@@ -34,9 +34,9 @@ def _rotation() -> Any:
 
 @contextmanager
 def installed_rotation() -> Iterator[None]:
-    """Within the block astropy takes the Earth's rotation from the table that is installed, and says nothing of its age.
+    """Within the block astropy takes the Earth's rotation from the table that is installed, whatever its age.
 
-    At times that the table does not hold, the pole is the mean one and UT1 is UTC: a place is wrong by half a kilometre.
+    At times that the table does not hold, the pole is the mean one and UT1 is UTC: a place is off by half a kilometre.
     """
     with iers.earth_orientation_table.set(_rotation()), warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import gzip
 import io
 import json
@@ -20,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import outputs
 
 TESTS = Path(__file__).parents[1]
 DATA = TESTS / "tracks" / "data"
@@ -55,39 +57,97 @@ def frame(path: Path) -> object:
 
 
 def hcompressed(path: Path) -> object:
-    """A frame whose decoder, a process of its own, is forked here: to start Python takes longer than to decode."""
+    """A frame whose decoder is kept: to start Python for each takes longer than to decode."""
     from unittest import mock
 
-    with mock.patch.object(subprocess, "run", _forked):
+    with mock.patch.object(subprocess, "run", DECODER.run):
         return frame(path)
 
 
-def _forked(command: list[str], **_: Any) -> subprocess.CompletedProcess[str]:
-    """What ``subprocess.run`` gives for [Python, "-c", a program, its arguments]."""
-    import resource
+class Decoder:
+    """A process forked here that decodes one image after the other; where one ends it, another takes over.
 
-    program, arguments = command[2], command[2:]
-    arguments[0] = "-c"
-    heard, told = os.pipe()
-    child = os.fork()
-    if not child:
+    What it wrote beyond its memory stays with it: an image that ends a decoder which has read others is read again by a
+    new one, so that what comes of an image is its own.
+    """
+
+    def __init__(self) -> None:
+        self.process, self.read = 0, 0
+
+    def run(self, command: list[str], **_: Any) -> subprocess.CompletedProcess[str]:
+        """What ``subprocess.run`` gives for [Python, "-c", a program, its arguments]."""
+        while True:
+            if not self.process:
+                self._fork(command[2])
+            self.read += 1
+            answer = self._asked(command[3:])
+            if answer is not None:
+                if self.read >= DECODED:
+                    self.end()
+                return subprocess.CompletedProcess(command, answer[0], "", answer[1])
+            alone, code = self.read == 1, self.end()
+            if alone and code == -signal.SIGXCPU:
+                raise AssertionError("the decoder hung")
+            if alone:
+                return subprocess.CompletedProcess(command, code, "", "")
+
+    def _asked(self, arguments: list[str]) -> tuple[int, str] | None:
+        try:
+            self.asks.write(json.dumps(arguments) + "\n")
+            self.asks.flush()
+            line = self.answers.readline()
+        except BrokenPipeError:
+            return None
+        return tuple(json.loads(line)) if line.endswith("\n") else None
+
+    def _fork(self, program: str) -> None:
+        (heard, asks), (answers, told) = os.pipe(), os.pipe()
+        self.process, self.read = os.fork(), 0
+        if self.process:
+            os.close(heard), os.close(told)
+            self.asks, self.answers = os.fdopen(asks, "w"), os.fdopen(answers, encoding="utf-8", errors="replace")
+            return
+        os.close(asks), os.close(answers)
         code = 1
         try:
-            resource.setrlimit(resource.RLIMIT_CPU, (10, 10))
-            sys.argv = arguments
-            exec(compile(program, "decoder", "exec"), {"__name__": "__main__"})
+            _decode_all(compile(program, "decoder", "exec"), os.fdopen(heard), told)
             code = 0
-        except BaseException as error:
-            os.write(told, f"{type(error).__name__}: {error}"[:4000].encode())
         finally:
             os._exit(code)
-    os.close(told)
-    with os.fdopen(heard, encoding="utf-8", errors="replace") as file:
-        said = file.read()
-    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    if code == -signal.SIGXCPU:
-        raise AssertionError("the decoder hung")
-    return subprocess.CompletedProcess(command, code, "", said)
+
+    def end(self) -> int:
+        """The exit code of the process, which ends when nobody asks it any more."""
+        with contextlib.suppress(BrokenPipeError):
+            self.asks.close()
+        self.answers.close()
+        code = os.waitstatus_to_exitcode(os.waitpid(self.process, 0)[1])
+        self.process = 0
+        return code
+
+
+def _decode_all(program: Any, asked: Any, told: int) -> None:
+    """Runs a program with the arguments of every line, within seconds of the processor and 1 GB, and answers each."""
+    import resource
+    import time
+
+    if os.path.exists("/proc/self/statm"):
+        most = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize() + (1 << 30)
+        resource.setrlimit(resource.RLIMIT_AS, (most, resource.RLIM_INFINITY))
+    for line in asked:
+        last_s = int(time.process_time()) + 11
+        resource.setrlimit(resource.RLIMIT_CPU, (last_s, resource.RLIM_INFINITY))
+        sys.argv = ["-c", *json.loads(line)]
+        answer = (0, "")
+        try:
+            exec(program, {"__name__": "__main__"})
+        except BaseException as error:
+            answer = (1, f"{type(error).__name__}: {error}"[:4000])
+        os.write(told, (json.dumps(answer) + "\n").encode())
+
+
+#: A decoder reads so many images.
+DECODED = 500
+DECODER = Decoder()
 
 
 def sensor(path: Path) -> object:
@@ -105,6 +165,16 @@ def sensors_toml(path: Path) -> object:
     from sameas.io.sensors.sources import read_source_options
 
     return read_source_options(path)
+
+
+def settings_toml(path: Path) -> object:
+    """The settings of a watch, and its keeper before the first wire is heard."""
+    from sameas.live.keeper import Keeper
+    from sameas.live.settings import read_settings
+
+    keeper = Keeper(read_settings(path))
+    keeper.close()
+    return keeper.tick(1.7e9)
 
 
 def report_toml(path: Path) -> object:
@@ -358,6 +428,57 @@ ORBITS = b"""\
 """  # noqa: E501
 
 
+WATCH_TOML = b"""\
+[watch]
+every_s = 1.0
+plane = { lat_deg = 50.0, lon_deg = -1.0 }
+own_ship = { lat_deg = 50.0, lon_deg = -1.0, mmsi = "235070762" }
+outputs = [ { url = "udp://127.0.0.1:1", format = "nmea" } ]
+chart = "coast.geojson"
+[sources.radar]
+kind = "marine radar"
+site = { lat_deg = 50.0, lon_deg = -1.0, height_m = 20.0 }
+input = { url = "udp://127.0.0.1:5000", format = "nmea", columns = { range_m = "d" }, units = { d = "km" } }
+errors = { range_m = 25.0, bearing_deg = 0.5 }
+[sources.ais]
+kind = "ais"
+input = "tcp://127.0.0.1:5001"
+"""
+
+
+def signal_k() -> list[bytes]:
+    def delta(context: str, k: int, **values: object) -> str:
+        each = [{"path": path.replace("_", "."), "value": value} for path, value in values.items()]
+        return json.dumps({"context": context, "updates": [{"timestamp": f"2024-05-01T12:00:0{k}Z", "values": each}]})
+
+    place = {"latitude": 50.0, "longitude": -1.0}
+    lines = [json.dumps({"self": "vessels.urn:mrn:imo:mmsi:235070762", "version": "1.7.0", "roles": ["main"]})]
+    for k in range(5):
+        lines += [delta("vessels.self", k, navigation_position=place, navigation_headingTrue=0.5, name="own"),
+                  delta("vessels.urn:mrn:imo:mmsi:235070763", k, navigation_position=place | {"latitude": 50.1},
+                        navigation_speedOverGround=5.0, navigation_courseOverGroundTrue=1.5),
+                  delta("vessels.self", k, **{"radars_main_targets_4": {
+                      "position": {"distance": 900.0, "bearing": 1.0, "latitude": 50.01, "longitude": -1.01},
+                      "motion": {"course": 1.0, "speed": 4.0}, "status": "tracking"}})]  # fmt: skip
+    return ["".join(line + "\n" for line in lines).encode()]
+
+
+def small_bodies() -> list[bytes]:
+    """Answers of JPL's small-body database: of a query, and of one object with its covariance."""
+    fields = ["full_name", "epoch_mjd", "e", "q", "i", "om", "w", "a", "ma", "tp", "H", "G", "condition_code"]
+    row = ["1 Ceres (A801 AA)", "61200", ".0796", "2.5455", "10.588", "80.25", "73.3", "2.7656", "231.5", "2461599.9",
+           "3.35", "0.12", "0"]  # fmt: skip
+    names = {"e": ".2228", "q": "1.1334", "tp": "2460445.66", "node": "304.27", "peri": "178.93", "i": "10.828"}
+    elements = [{"name": name, "value": value, "sigma": "1e-9"} for name, value in names.items()]
+    covariance = {"epoch": "2459800.5", "labels": [*names, "A2"], "elements": elements,
+                  "data": (np.eye(7) * 1e-16).tolist()}  # fmt: skip
+    orbit = {"epoch": "2461200.5", "elements": elements, "covariance": covariance, "condition_code": "0"}
+    object_ = {"object": {"fullname": "433 Eros (A898 PA)"}, "orbit": orbit,
+               "phys_par": [{"name": "H", "value": "10.4"}, {"name": "G", "value": ".46"}]}  # fmt: skip
+    return [json.dumps({"fields": fields, "data": [row, row]}).encode(), json.dumps(object_).encode(),
+            json.dumps([object_] * 2).encode()]  # fmt: skip
+
+
 def packed(seeds: Callable[[], list[bytes]]) -> Callable[[], list[bytes]]:
     return lambda: [gzip.compress(seed, mtime=0) for seed in seeds()]
 
@@ -397,6 +518,16 @@ TARGETS: Mapping[str, Target] = {
     "report.toml": Target(".toml", lambda: [REPORT_TOML], report_toml),
     "coast": Target(".geojson", coasts, coast),
     "orbits": Target(".txt", lambda: [ORBITS], elements),
+    "orbits json": Target(".json", small_bodies, elements),
+    "signal k": Target(".jsonl", signal_k, sensor),
+    "watch.toml": Target(".toml", lambda: [WATCH_TOML], settings_toml),
+    "output": Target(".ecsv", outputs.SEEDS["table"], outputs.told),
+    "output fits": Target(".fits", outputs.SEEDS["fits"], outputs.told),
+    "provenance": Target(".txt", outputs.SEEDS["provenance"], outputs.told_beside),
+    "picture": Target(".csv", outputs.SEEDS["picture"], outputs.told_of_picture),
+    "state": Target(".pickle", outputs.SEEDS["state"], outputs.gone_on),
+    "journal": Target(".sqlite", outputs.SEEDS["journal"], outputs.gone_on),
+    "partitions": Target(".part", outputs.SEEDS["partitions"], outputs.unparted),
 }  # fmt: skip
 
 

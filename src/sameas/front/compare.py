@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray
-from sameas.errors import InputError
-from sameas.front.explain import Lines
+from sameas.errors import InputError, reading
+from sameas.front.explain import CHANGED, Lines
 from sameas.report.prose import count, entry, moment
 from sameas.report.written import source_numbers, texts_of
 from sameas.result.explanation import probability_text
@@ -111,7 +111,8 @@ def _called(record: Record) -> str:
 
 
 def _read(path: Path) -> _Objects:
-    return _of_picture(path) if path.is_dir() else _of_table(path)
+    with reading(str(path), CHANGED):
+        return _of_picture(path) if path.is_dir() else _of_table(path)
 
 
 def _of_picture(folder: Path) -> _Objects:

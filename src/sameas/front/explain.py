@@ -8,12 +8,12 @@ terms of the odds and what other answers would cost.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sameas.errors import InputError
+from sameas.errors import InputError, reading
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 REPEATED = 100_000
 #: What a story lacks that is told by the table of two catalogues.
 ALONE = "Told by the table alone; matching again tells the terms of the odds and the cost of other answers."
+#: What is said of an output that was edited, cut or put together, beside what its reader met.
+CHANGED = "is not as sameas wrote it"
 #: Tables of a picture's folder.
 _TABLES = ("objects", "identities")
 
@@ -83,31 +85,36 @@ def explain(
     from sameas.io import read_provenance, read_table
 
     facts = read_provenance(path, format=format)
-    kind = _kind(facts, path)
-    if kind == "match":
-        number = _number(facts, source, path)
-        if again or _is_small(facts):
-            repeated = _repeated(facts, path, record, number, by_row, again, progress)
-            if repeated is not None:
-                return repeated
-        from sameas.report.written import match_lines
-
-        progress(f"reading {path}")
-        lines = _either(match_lines, read_table(path, format=format), facts, record, number, by_row)
-        return Lines((*lines, "", ALONE))
-    if again:
+    with reading(str(path), CHANGED):
+        kind = _kind(facts, path)
+        number = 0 if kind == "frame" else _number(facts, source, path)
+        small = kind == "match" and _is_small(facts)
+    if again and kind != "match":
         raise InputError(f"{path}: only a match of two catalogues is repeated; leave again out")
+    if again or small:
+        repeated = _repeated(facts, path, record, number, by_row, again, progress)
+        if repeated is not None:
+            return repeated
+        progress(f"reading {path}")
     table = read_table(path, format=format)
+    with reading(str(path), CHANGED):
+        return Lines(tuple(_of_table(kind, table, facts, record, number, source, by_row)))
+
+
+def _of_table(
+    kind: str, table: Table, facts: Mapping[str, Any], record: str, number: int, source: int | str, by_row: bool
+) -> Iterable[str]:
+    """What a table alone tells of a record. number : of its catalogue; source : as it was given."""
+    from sameas.report.written import frame_lines, many_lines, match_lines
+
+    if kind == "match":
+        return (*_either(match_lines, table, facts, record, number, by_row), "", ALONE)
     if kind == "many":
-        from sameas.report.written import many_lines
-
-        return Lines(tuple(many_lines(table, facts, record, _number(facts, source, path), by_row)))
-    from sameas.report.written import frame_lines
-
+        return many_lines(table, facts, record, number, by_row)
     sides = {1: 1, "measurement": 1, "1": 1, 2: 2, "star": 2, "2": 2}
     if source not in sides:
-        raise InputError(f"{path}: source is {source!r}; give measurement or star")
-    return Lines(tuple(frame_lines(table, facts, record, sides[source], by_row)))
+        raise InputError(f"{facts['frame']}: source is {source!r}; give measurement or star")
+    return frame_lines(table, facts, record, sides[source], by_row)
 
 
 def _kind(facts: Mapping[str, Any], path: Path) -> str:
@@ -205,7 +212,8 @@ def _of_picture(folder: Path, record: str, source: int | str, at: float | str | 
     when = None if at is None else float(at) if _is_number(at) else instant(str(at))
     if at is not None and when is None:
         raise InputError(f"at={at}: give a time such as 2024-05-01T13:00:00Z, or seconds")
-    return picture_lines(objects, records, record, None if source in (1, "1") else str(source), when)
+    with reading(str(folder), CHANGED):
+        return picture_lines(objects, records, record, None if source in (1, "1") else str(source), when)
 
 
 def picture_tables(folder: Path) -> tuple[Table, Table]:

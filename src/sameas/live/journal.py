@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 import sameas
-from sameas.errors import InputError
+from sameas.errors import InputError, reading
 from sameas.io.atomic import held, replacing
 from sameas.live.frame import Alarm, Frame
 from sameas.picture.picture import Columns, gathered
@@ -58,22 +58,38 @@ class Journal:
             self._base.execute("PRAGMA journal_mode=WAL")
             self._base.execute("PRAGMA synchronous=NORMAL")
             self._base.executescript(_TABLES)
-        except (OSError, sqlite3.Error) as error:
+            self._tracks = self._joined()
+            self._active: dict[str, int] = dict(
+                self._base.execute("SELECT key, id FROM alarms WHERE active = 1").fetchall()
+            )
+        except sqlite3.DatabaseError as error:
+            if isinstance(error, sqlite3.OperationalError) and "malformed" not in str(error):
+                raise InputError(
+                    f"{folder}: cannot hold the journal ({error})", "give a folder that can be written"
+                ) from None
+            raise InputError(f"{folder}: its journal is damaged ({error})", "move it away to begin anew") from None
+        except UnicodeDecodeError as error:
+            raise InputError(f"{folder}: its journal is damaged ({error})", "move it away to begin anew") from None
+        except OSError as error:
             raise InputError(
                 f"{folder}: cannot hold the journal ({error})", "give a folder that can be written"
             ) from None
-        self._tracks: dict[tuple[str, str], int] = {}
         self._known: dict[int, tuple[Any, ...]] = {}
         self._archive: list[Columns] = []
         self._archived_s = -np.inf
+
+    def _joined(self) -> dict[tuple[str, str], int]:
+        """Which object every track is of, by the last lines."""
+        tracks: dict[tuple[str, str], int] = {}
         for source, track, number, event in self._base.execute(
             "SELECT source, track, object, event FROM identities WHERE rowid > "
             "(SELECT COALESCE(MAX(rowid), 0) - 200000 FROM identities) ORDER BY rowid"
         ):
             if event == "joined":
-                self._tracks[source, track] = number
+                tracks[source, track] = number
             else:
-                self._tracks.pop((source, track), None)
+                tracks.pop((source, track), None)
+        return tracks
 
     def write(self, frame: Frame) -> None:
         """One tick, in one transaction.
@@ -198,7 +214,7 @@ class Journal:
 
     def active(self) -> dict[str, int]:
         """By key the ids of the alarms that held when the journal was closed."""
-        return dict(self._base.execute("SELECT key, id FROM alarms WHERE active = 1").fetchall())
+        return self._active
 
     def close(self) -> None:
         """Writes what waits and closes the files, in any case."""
@@ -228,5 +244,6 @@ def load_state(folder: Path) -> dict[str, Any] | None:
         return None
     if hasattr(os, "getuid") and path.stat().st_uid not in (os.getuid(), 0):
         raise InputError(f"{path}: belongs to another user", "give a folder of your own")
-    state: dict[str, Any] = loads(path.read_bytes(), str(path))
-    return state if state.get("version") == sameas.__version__ else None
+    state: Any = loads(path.read_bytes(), str(path))
+    with reading(str(path), "is damaged"):
+        return dict(state) if state["version"] == sameas.__version__ else None

@@ -21,7 +21,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from sameas.errors import InputError
+from sameas.errors import InputError, reading
 from sameas.io.sensors.stream import ReportStream
 from sameas.live.frame import Alarm, Frame, OwnShipState
 from sameas.live.inputs import Replay, Wire
@@ -120,12 +120,12 @@ class Keeper:
         self.journal = None if folder is None else Journal(folder, archive_every_s=watch.archive_every_s)
         state = None if folder is None else load_state(folder)
         descriptions = [source.description for source in settings.sources.values()]
-        self.restored = state is not None and state["names"] == [d.name for d in descriptions]
-        if state is not None and self.restored:
-            self.picture: LivePicture = state["picture"]
-            self._tick = state["tick"]
-        else:
-            self.picture = LivePicture(descriptions, plane=watch.origin, lag_s=watch.lag_s)
+        self.picture = LivePicture(descriptions, plane=watch.origin, lag_s=watch.lag_s)
+        with reading(f"{folder}: the state of the watch", "is damaged"):
+            self.restored = state is not None and state["names"] == [d.name for d in descriptions]
+            if state is not None and self.restored:
+                self.picture, self._tick = state["picture"], int(state["tick"])
+                self.picture.instant_s  # noqa: B018 (the state may hold anything by that name)
         if self.journal is not None:
             self._alarms = {key: (alarm_id, self.picture.instant_s) for key, alarm_id in self.journal.active().items()}
 
@@ -495,7 +495,9 @@ def _wires(settings: Settings, clock: Callable[[], float]) -> dict[str, Wire]:
     for name, source in settings.sources.items():
         if source.url is None:
             raise InputError(f"{name}: has no input", 'give input = "udp://HOST:PORT", tcp://, serial: … in its table')
-        if source.url not in wires:
+        with reading(f"{name}: input {source.url!r}", "cannot be listened to"):
+            if source.url in wires:
+                continue
             wires[source.url] = Wire(source.url, ReportStream(name, source.format, source.options), clock=clock)
     return wires
 

@@ -22,7 +22,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from sameas.errors import InputError
+from sameas.errors import InputError, reading
 from sameas.live.frame import Frame
 
 _KNOT_M_PER_S, _MILE_M = 1852.0 / 3600.0, 1852.0
@@ -248,10 +248,13 @@ class Sink:
 
 def sinks_of(outputs: Sequence[Mapping[str, str]]) -> list[Sink]:
     """The sinks of the table ``outputs``."""
+    sinks: list[Sink] = []
     for one in outputs:
         if not isinstance(one, Mapping) or set(one) != {"url", "format"}:
             raise InputError(f'watch.outputs: {one!r}; give {{ url = "udp://HOST:PORT", format = "nmea" }}')
-    return [Sink(one["url"], one["format"]) for one in outputs]
+        with reading(f"watch.outputs: {one!r}", "cannot be sent to"):
+            sinks.append(Sink(one["url"], one["format"]))
+    return sinks
 
 
 def _datagrams(parts: Iterator[bytes], *, joined: bool) -> Iterator[bytes]:

@@ -24,7 +24,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from sameas.errors import InputError
+from sameas.errors import InputError, reading
 from sameas.io.sensors.format import ReadOptions
 from sameas.io.sensors.sources import KIND_OF_FORMAT
 from sameas.io.sensors.stream import STREAM_FORMATS
@@ -119,8 +119,9 @@ def read_settings(path: str | Path) -> Settings:
     """
     tables = source_tables(path)
     content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    sources = {name: _source(name, table, f"{path}: sources.{name}") for name, table in tables.items()}
-    return Settings(sources, _watch(content.get("watch", {}), f"{path}: watch"))
+    with reading(str(path), "is no description of a watch"):
+        sources = {name: _source(name, table, f"{path}: sources.{name}") for name, table in tables.items()}
+        return Settings(sources, _watch(content.get("watch", {}), f"{path}: watch"))
 
 
 def _source(name: str, table: Mapping[str, Any], where: str) -> LiveSource:

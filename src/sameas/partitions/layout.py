@@ -13,6 +13,7 @@ import os
 import re
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import IntArray
-from sameas.errors import InputError
+from sameas.errors import InputError, reading
 from sameas.io.arrow import numbers_in
 from sameas.partitions.cells import FINEST, cells_of, joined, within
 from sameas.representation import in_short
@@ -110,16 +111,20 @@ class HatsCatalogue:
         InputError : no HATS catalogue; it has no partitions.
         """
         folder = Path(path)
-        if (folder / COLLECTION).is_file():
-            folder = folder / properties(folder / COLLECTION).get("hats_primary_table_url", "")
-        file = next((folder / name for name in PROPERTIES if (folder / name).is_file()), None)
-        if file is None or not (folder / "dataset").is_dir():
-            raise InputError(f"{path}: no HATS catalogue", "give a folder with hats.properties and dataset/")
-        stated = properties(file)
-        suffix = stated.get("hats_npix_suffix", ".parquet")
-        cells = sorted(_listed(folder, suffix), key=lambda cell: (int(cell.stretch[0, 0]), cell.order))
+        with reading(str(path), "its list of partitions or its properties cannot be read"):
+            if (folder / COLLECTION).is_file():
+                folder = folder / properties(folder / COLLECTION).get("hats_primary_table_url", "")
+            file = next((folder / name for name in PROPERTIES if (folder / name).is_file()), None)
+            if file is None or not (folder / "dataset").is_dir():
+                raise InputError(f"{path}: no HATS catalogue", "give a folder with hats.properties and dataset/")
+            stated = properties(file)
+            suffix = stated.get("hats_npix_suffix", ".parquet")
+            cells = sorted(_listed(folder, suffix), key=lambda cell: (int(cell.stretch[0, 0]), cell.order))
         if not cells:
             raise InputError(f"{path}: the catalogue has no partitions", "was it imported to the end?")
+        for one, other in pairwise(cells):
+            if one.stretch[0, 1] > other.stretch[0, 0]:
+                raise InputError(f"{path}: the partitions {one} and {other} overlap", "import the catalogue again")
         return cls(folder, name or folder.name, tuple(cells), stated)
 
     @cached_property
@@ -178,7 +183,9 @@ class HatsCatalogue:
             for file in self._files(cell):
                 try:
                     parts += self._part(file, cell, stretch, names)
-                except (OSError, pa.ArrowException) as error:
+                except (InputError, MemoryError):
+                    raise
+                except Exception as error:  # Arrow fails in many ways on what it did not foresee
                     raise _broken(file, cell, error) from error
         if parts:
             return pa.concat_tables(parts, promote_options="permissive")
@@ -265,12 +272,13 @@ def _outside(group: Any, stretch: IntArray) -> bool:
 
 def _opened(file: Path, cell: Cell) -> Any:
     """The file's footer."""
-    import pyarrow as pa
     from pyarrow import parquet
 
     try:
         return parquet.ParquetFile(file)
-    except (OSError, pa.ArrowException) as error:
+    except MemoryError:
+        raise
+    except Exception as error:  # Arrow fails in many ways on what it did not foresee
         raise _broken(file, cell, error) from error
 
 

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
-from sameas.errors import InputError
+from sameas.errors import InputError, reading
 from sameas.estimate.places import Counts, Learned, Places, drawn, learn
 from sameas.estimate.sample import Sampling
 from sameas.evidence import Related
@@ -227,7 +227,9 @@ def _look(stored: HatsCatalogue, stated: CatalogueOptions, tuning: RunTuning) ->
             try:
                 with parquet.ParquetFile(file) as opened:
                     batch = next(opened.iter_batches(batch_size=tuning.looked_at, use_threads=False), None)
-            except (OSError, pa.ArrowException) as error:
+            except MemoryError:
+                raise
+            except Exception as error:  # Arrow fails in many ways on what it did not foresee
                 raise InputError(f"{file}: the partition {cell} cannot be read ({error})", "restore it") from error
             if batch is not None:
                 tables.append(_rows_of(pa.Table.from_batches([batch])))
@@ -628,7 +630,9 @@ def _written(
         shutil.rmtree(scratch, ignore_errors=True)  # of a run that was killed in its last step
         raise InputError(f"{path}: exists already", "give another name, or remove it")
     mark = scratch / "begun.json"
-    if mark.exists() and json.loads(mark.read_text(encoding="utf-8")) != facts:
+    with reading(str(mark), "cannot be read"):
+        begun = json.loads(mark.read_text(encoding="utf-8")) if mark.exists() else facts
+    if begun != facts:
         raise InputError(f"{path}: was begun with other catalogues or options", "give another name, or remove it")
     # One that was killed before it could say what it had begun has begun nothing.
     if path.exists() and not mark.exists() and any(one != scratch for one in path.iterdir()):
@@ -688,8 +692,10 @@ def _finished(scratch: Path, catalogue: Path, task: Task) -> dict[str, Any] | No
     file = summary_file(scratch, task)
     if not file.exists():
         return None
-    summary: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    return summary if all(partition_file(catalogue, Cell(*cell)).exists() for cell in summary["written"]) else None
+    with reading(str(file), "is not as it was written"):
+        summary: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        there = all(partition_file(catalogue, Cell(*cell)).exists() for cell in summary["written"])
+    return summary if there else None
 
 
 def _write_margins(

@@ -1,0 +1,289 @@
+"""What is fuzzed of what sameas itself writes, and reads again: tables to explain and compare, states, partitions."""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import io
+import shutil
+import sqlite3
+import tempfile
+import zlib
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+def _ran(*arguments: str) -> None:
+    """A command, done here."""
+    from sameas.cli.app import app
+
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        app([*arguments, "--quiet"], standalone_mode=False)
+
+
+@contextlib.contextmanager
+def _folder() -> Iterator[Path]:
+    with tempfile.TemporaryDirectory() as folder:
+        yield Path(folder)
+
+
+def _field(folder: Path, k: int) -> Path:
+    """A catalogue of twenty stars; the same ones for every k."""
+    from astropy.table import Table
+
+    from sameas.io import write_table
+
+    truth, own = np.random.default_rng(1), np.random.default_rng(2 + k)
+    ra, dec = truth.uniform(10.0, 10.02, 20), truth.uniform(-0.01, 0.01, 20)
+    stars = Table({"id": [f"s{i}" for i in range(20)], "ra": ra + own.normal(0.0, 3e-5, 20), "dec": dec,
+                   "sigma": np.full(20, 0.1), "mag": truth.uniform(9.0, 18.0, 20)})[:-1 - k]  # fmt: skip
+    for name, unit in {"ra": "deg", "dec": "deg", "sigma": "arcsec"}.items():
+        stars[name].unit = unit
+    write_table(stars, folder / f"c{k}.fits", provenance={})
+    return folder / f"c{k}.fits"
+
+
+@cache
+def tables(ending: str) -> tuple[bytes, ...]:
+    """Of a match, and of many."""
+    with _folder() as folder:
+        a, b, c = (str(_field(folder, k)) for k in range(3))
+        out = folder / f"out{ending}"
+        made = []
+        for given in (("match", a, b, "--join", "1or2"), ("many", a, b, c)):
+            _ran(*given, "-o", str(out))
+            made.append(out.read_bytes())
+        return tuple(made)
+
+
+@cache
+def framed() -> bytes:
+    """Of a frame."""
+    from astropy.io import fits
+    from astropy.table import Table
+    from astropy.wcs import WCS
+
+    from sameas.io import read_provenance, read_table, write_table
+
+    rng = np.random.default_rng(4)
+    wcs = WCS(naxis=2)
+    wcs.wcs.ctype, wcs.wcs.crval, wcs.wcs.crpix = ["RA---TAN", "DEC--TAN"], [150.0, 20.0], [64.0, 64.0]
+    wcs.wcs.cd = np.diag([-1.0, 1.0]) / 3600.0
+    x, y, flux = rng.uniform(8.0, 120.0, 25), rng.uniform(8.0, 120.0, 25), 10.0 ** rng.uniform(3.5, 4.6, 25)
+    rows, columns = np.mgrid[:128, :128]
+    image = rng.normal(500.0, 7.0, (128, 128))
+    for x0, y0, f in zip(x, y, flux, strict=True):
+        image += f / (2 * np.pi * 1.5**2) * np.exp(-((columns - x0) ** 2 + (rows - y0) ** 2) / (2 * 1.5**2))
+    header = wcs.to_header()
+    header["EXPTIME"], header["DATE-OBS"], header["GAIN"] = 30.0, "2016-01-01T00:00:00", 1.0
+    ra, dec = wcs.all_pix2world(x, y, 0)
+    stars = Table({"id": np.arange(25), "ra": ra, "dec": dec, "mag": 25.0 - 2.5 * np.log10(flux)})
+    stars["ra"].unit = stars["dec"].unit = "deg"
+    with _folder() as folder:
+        fits.PrimaryHDU(image.astype("f4"), header).writeto(folder / "f.fits")
+        write_table(stars, folder / "stars.fits", provenance={})
+        _ran("frame", str(folder / "f.fits"), "--catalog", str(folder / "stars.fits"), "--sigma", "0.02",
+             "--no-picture", "-o", str(folder / "out"))  # fmt: skip
+        write_table(read_table(folder / "out" / "f.stars.fits"), folder / "f.ecsv",
+                    provenance=read_provenance(folder / "out" / "f.stars.fits"))  # fmt: skip
+        return (folder / "f.ecsv").read_bytes()
+
+
+def told(path: Path) -> object:
+    """Why records are what they are, and what differs, as ``explain`` and ``compare`` say it."""
+    import sameas
+    from sameas.errors import InputError
+
+    whole = path.with_name(f"whole{path.name.removeprefix('input')}")
+    if not whole.exists():
+        whole.write_bytes(tables(path.suffix)[0])
+    answers, refused = [], None
+    questions = (
+        lambda: sameas.explain(path, "s3"), lambda: sameas.compare(path, whole),
+        lambda: sameas.explain(path, "s4", source=2), lambda: sameas.compare(whole, path),
+        lambda: sameas.explain(path, row=1),
+    )  # fmt: skip
+    first = zlib.crc32(path.read_bytes()) % 4 if path.suffix != ".csv" else 0
+    for question in questions[first : first + 2]:
+        try:
+            answers.append(str(question()))
+        except InputError as error:
+            refused = error
+    if refused is not None and not answers:
+        raise refused
+    return answers
+
+
+#: Where the catalogues of a match lay, and lie.
+_ELSEWHERE = b"/of/the/match"
+
+
+@cache
+def beside() -> tuple[bytes, bytes, bytes]:
+    """A match as CSV, the provenance beside it, and the folder of its catalogues, which stays."""
+    folder = Path(tempfile.mkdtemp())
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    a, b = (str(_field(folder, k)) for k in range(2))
+    _ran("match", a, b, "-o", str(folder / "out.csv"))
+    place, facts = str(folder.resolve()).encode(), (folder / "out.csv.provenance.json").read_bytes()
+    return (folder / "out.csv").read_bytes(), facts.replace(place, _ELSEWHERE), place
+
+
+def told_beside(path: Path) -> object:
+    """A table whose provenance is changed; where it still names the catalogues they are matched again."""
+    whole = path.with_name("input.csv")
+    if not whole.exists():
+        whole.write_bytes(beside()[0])
+    facts = path.read_bytes().replace(_ELSEWHERE, beside()[2])
+    path.with_name("input.csv.provenance.json").write_bytes(facts)
+    return told(whole)
+
+
+@cache
+def picture() -> dict[str, bytes]:
+    """The tables of a picture."""
+    with _folder() as folder:
+        paths = []
+        for name, key in (("ais", "mmsi"), ("radar", "track_id")):
+            lines = [f"time,lat,lon,sog,cog,sigma,{key}"]
+            lines += [f"{1.7e9 + t},{50.0 + 0.01 * k + 1e-5 * t:.6f},{-1.0 - 0.01 * k:.6f},3,0,15,{235000000 + k}"
+                      for t in range(0, 60, 10) for k in range(3)]  # fmt: skip
+            paths.append(folder / f"{name}.csv")
+            paths[-1].write_text("\n".join(lines) + "\n")
+        _ran("picture", *map(str, paths), "--no-image", "--every", "30s", "--format", "csv", "-o", str(folder / "out"))
+        return {path.name: path.read_bytes() for path in sorted((folder / "out").glob("*.csv"))}
+
+
+def told_of_picture(path: Path) -> object:
+    import sameas
+    from sameas.errors import InputError
+
+    content, folder = path.read_bytes(), path.with_suffix("")
+    whole = folder.with_name("whole")
+    for place in (folder, whole):
+        place.mkdir(exist_ok=True)
+        for name, own in picture().items():
+            (place / name).write_bytes(own)
+    name = "identities.csv" if b"p_alone" in content.partition(b"\n")[0] else "objects.csv"
+    (folder / name).write_bytes(content)
+    answers, refused = [], None
+    for question in (
+        lambda: sameas.explain(folder, "1"), lambda: sameas.explain(folder, "235000001", source="ais"),
+        lambda: sameas.compare(folder, whole),
+    ):  # fmt: skip
+        try:
+            answers.append(str(question()))
+        except InputError as error:
+            refused = error
+    if refused is not None and not answers:
+        raise refused
+    return answers
+
+
+@cache
+def kept() -> dict[str, bytes]:
+    """The files of a watch."""
+    from sameas.live.keeper import Keeper
+
+    with _folder() as folder:
+        keeper = Keeper(_harbour(), folder, replay=_replay())
+        for t in range(0, 40, 10):
+            keeper.tick(1.7e9 + t)
+        keeper.close()
+        base = sqlite3.connect(folder / "journal.sqlite")
+        base.execute("PRAGMA journal_mode=DELETE")
+        base.close()
+        return {name: (folder / name).read_bytes() for name in ("state.pickle", "journal.sqlite")}
+
+
+def _harbour() -> Any:
+    from sameas.live.settings import LiveSource, Settings, WatchSettings
+    from sameas.tracks import Description
+    from sameas.tracks.source import SensorErrors
+
+    sources = {"ais": Description("ais", "ais", errors=SensorErrors(position_m=10.0)),
+               "radar": Description("radar", "tracks", errors=SensorErrors(position_m=10.0))}  # fmt: skip
+    plane = {"lat_deg": 50.0, "lon_deg": -1.0}
+    return Settings({name: LiveSource(one) for name, one in sources.items()}, WatchSettings(plane=plane))
+
+
+def _replay() -> Any:
+    from sameas.live.inputs import Replay
+    from sameas.tracks.reports import Reports
+
+    place = {"time_s": [1.7e9 + t for t in range(0, 60, 10) for _ in range(3)], "lat_deg": [50.0, 50.01, 50.02] * 6,
+             "lon_deg": [-1.0, -1.01, -1.02] * 6}  # fmt: skip
+    keys = {"ais": "mmsi", "radar": "track_id"}
+    return Replay([(name, Reports.of(name, "table", place | {key: ["235000001", "2", "3"] * 6}))
+                   for name, key in keys.items()])  # fmt: skip
+
+
+def gone_on(path: Path) -> object:
+    """A watch that goes on where another was; what a tick cannot do is an alarm of it."""
+    from sameas.live.keeper import Keeper
+
+    content, folder = path.read_bytes(), path.with_suffix("")
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    for name, own in kept().items():
+        (folder / name).write_bytes(own)
+    (folder / ("journal.sqlite" if path.suffix == ".sqlite" else "state.pickle")).write_bytes(content)
+    keeper = Keeper(_harbour(), folder, replay=_replay())
+    try:
+        frame = keeper.tick(1.7e9 + 40)
+    finally:
+        keeper.close()
+    return frame
+
+
+@cache
+def parted() -> dict[str, bytes]:
+    """The files of a catalogue in partitions."""
+    from astropy.table import Table
+
+    from sameas.partitions.output import write_hats
+
+    rng = np.random.default_rng(9)
+    stars = Table({"id": np.arange(60), "ra": rng.uniform(40.0, 41.0, 60), "dec": rng.uniform(10.0, 11.0, 60)})
+    with _folder() as folder:
+        write_hats(stars, folder / "cat", most_rows=30)
+        return {str(path.relative_to(folder / "cat")): path.read_bytes()
+                for path in sorted((folder / "cat").rglob("*")) if path.is_file()}  # fmt: skip
+
+
+def parted_seeds() -> list[bytes]:
+    """One file of each kind."""
+    each = {Path(name).suffix + Path(name).name[:4]: content for name, content in parted().items()}
+    return list(each.values())
+
+
+def unparted(path: Path) -> object:
+    """A catalogue of which one file is changed, or two parts are the same."""
+    from sameas.partitions.layout import HatsCatalogue
+
+    content, folder = path.read_bytes(), path.with_suffix("")
+    shutil.rmtree(folder, ignore_errors=True)
+    for name, own in parted().items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(own)
+    begins = {own[:12]: name for name, own in parted().items() if not name.startswith("_")}
+    place = next((name for begin, name in begins.items() if content[:6] == begin[:6]), "hats.properties")
+    (folder / place).write_bytes(content)
+    catalogue = HatsCatalogue.open(folder)
+    whole = np.array([[0, 12 << 58]], np.int64)
+    return catalogue.partition_rows, catalogue.rows(whole), catalogue.fingerprint()
+
+
+SEEDS: dict[str, Callable[[], list[bytes]]] = {
+    "table": lambda: [*tables(".ecsv"), framed()],
+    "fits": lambda: list(tables(".fits")),
+    "provenance": lambda: [beside()[1]],
+    "picture": lambda: list(picture().values()),
+    "state": lambda: [kept()["state.pickle"]],
+    "journal": lambda: [kept()["journal.sqlite"]],
+    "partitions": parted_seeds,
+}
