@@ -44,7 +44,7 @@ def test_an_edited_table_is_told_of_or_refused(edit, output, tmp_path):
     table, facts = output[0].copy(), dict(output[1])
     EDITS[edit](table, facts)
     write_table(table, tmp_path / "edited.ecsv", provenance=facts)
-    write_table(*output[:1], tmp_path / "whole.ecsv", provenance=output[1])
+    write_table(output[0], tmp_path / "whole.ecsv", provenance=output[1])
     refused = 0
     for question in (
         lambda: sameas.explain(tmp_path / "edited.ecsv", "s3"),
@@ -75,7 +75,7 @@ def test_a_damaged_journal_is_refused(damage, tmp_path):
         content[begin : begin + 10] = b"\xff" * 10
     content = content[:5000] if damage == "cut" else b"a journal" * 90 if damage == "text" else content
     (tmp_path / "journal.sqlite").write_bytes(content)
-    with pytest.raises(InputError, match="its journal is damaged .*; move it away to begin anew"):
+    with pytest.raises(InputError, match=r"its journal is damaged .*; move it away to begin anew"):
         Keeper(settings(), tmp_path, replay=replay())
 
 

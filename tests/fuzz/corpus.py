@@ -104,10 +104,12 @@ class Decoder:
         (heard, asks), (answers, told) = os.pipe(), os.pipe()
         self.process, self.read = os.fork(), 0
         if self.process:
-            os.close(heard), os.close(told)
+            for end in (heard, told):
+                os.close(end)
             self.asks, self.answers = os.fdopen(asks, "w"), os.fdopen(answers, encoding="utf-8", errors="replace")
             return
-        os.close(asks), os.close(answers)
+        for end in (asks, answers):
+            os.close(end)
         code = 1
         try:
             _decode_all(compile(program, "decoder", "exec"), os.fdopen(heard), told)
