@@ -36,6 +36,8 @@ from benchmarks.tables import Table, report
 
 COMMAND = [sys.executable, "-m", "sameas"]
 CODES = {signal.SIGKILL: -signal.SIGKILL, signal.SIGTERM: 143, signal.SIGINT: 130}
+#: Seconds after which a process that another has started is an orphan.
+ORPHANED_S = 3.0
 ENDINGS = (".fits", ".vot", ".ecsv", ".csv", ".parquet")
 
 
@@ -51,6 +53,8 @@ class Work:
     resumes: bool = False
     #: Exit codes beside those of the signals.
     codes: tuple[int, ...] = (0,)
+    #: Whether it starts processes, so that it is begun anew each time: forked, it would share those of the first.
+    starts_others: bool = False
 
     def command(self, earlier: bool = False) -> list[str]:
         return [*COMMAND, *(self.earlier if earlier else self.arguments), "-o", str(self.output), "--quiet"]
@@ -62,7 +66,7 @@ class Work:
             raise RuntimeError(f"{self.name}: {done.stderr}")
         return self.files()
 
-    def forked(self, server: Server, earlier: bool = False) -> tuple[int, str]:
+    def forked(self, server: Server | Begun, earlier: bool = False) -> tuple[int, str]:
         """Exit code and stderr of a run that nothing disturbs."""
         server.start(self.command(earlier))
         return server.ended()
@@ -179,7 +183,7 @@ class Hats(Work):
     def restore(self, kept: dict[str, bytes]) -> None:
         shutil.rmtree(self.output, ignore_errors=True)
 
-    def forked(self, server: Server, earlier: bool = False) -> tuple[int, str]:
+    def forked(self, server: Server | Begun, earlier: bool = False) -> tuple[int, str]:
         """A run that nothing disturbs, of what is there; none where it is whole, which is refused to be replaced."""
         if earlier:
             self.restore({})
@@ -197,6 +201,42 @@ class Hats(Work):
             return "is called whole, and is not"
         changed = [name for name, digest in now.items() if name in new and new[name] != digest]
         return f"{changed} are not those of a whole run" if changed else "mixed" if now else "old"
+
+
+class Begun:
+    """Runs that start others: each is begun anew in a session of its own, in which nobody may stay."""
+
+    def __init__(self, work: Work) -> None:
+        self.process: subprocess.Popen[bytes] | None = None
+        self.heard = tempfile.TemporaryFile()  # noqa: SIM115 (a worker that stays would hold a pipe open)
+
+    def start(self, command: list[str]) -> int:
+        """Begin a run; the number of its process."""
+        self.heard.seek(0)
+        self.heard.truncate()
+        self.process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=self.heard, start_new_session=True,
+                                        preexec_fn=_interruptible)  # fmt: skip
+        return self.process.pid
+
+    def ended(self) -> tuple[int, str]:
+        """Exit code and stderr of the run, when it has ended."""
+        assert self.process is not None
+        code = self.process.wait()
+        self.heard.seek(0)
+        return code, self.heard.read().decode(errors="replace")
+
+    def orphans(self) -> list[str]:
+        """The commands of its session that are still there some seconds after it has ended; they are ended now."""
+        assert self.process is not None
+        _until(partial(_deserted, self.process.pid), ORPHANED_S)
+        left = [(number, Path(f"/proc/{number}/cmdline").read_bytes()) for number in _members(self.process.pid)]
+        for number, _ in left:
+            with suppress(ProcessLookupError):
+                os.kill(number, signal.SIGKILL)
+        return [words.replace(b"\0", b" ").decode(errors="replace")[:80] for _, words in left]
+
+    def close(self) -> None:
+        self.heard.close()
 
 
 class Server:
@@ -218,6 +258,10 @@ class Server:
         """Exit code and stderr of the run, when it has ended."""
         code, said = json.loads(self._heard("ended"))
         return code, said
+
+    def orphans(self) -> list[str]:
+        """It starts none."""
+        return []
 
     def close(self) -> None:
         self.process.communicate()
@@ -411,22 +455,26 @@ def works(folder: Path, endings: tuple[str, ...] = ENDINGS) -> list[Work]:
         made.append(
             Work(f"movers {ending}", (*moved, "3"), (*moved, "2"), output(f"v{ending[1:]}").with_suffix(ending))
         )
-    many, series = str(nights(folder, Path(image))), output("series")
-    shot = ("frame", many, "--catalog", stars, "--no-picture", "--processes", "1")
-    made.append(Work("series of frames", shot, (*shot, "--threshold", "6"), series, resumes=True))
-    moved, options = sorted(map(str, Path(many).iterdir())), ("--catalog", stars, "--processes", "1")
-    earlier = ("movers", *moved[:2], *options)
-    made.append(Work("movers on frames", ("movers", *moved, *options), earlier, output("moved"), resumes=True))
+    many = str(nights(folder, Path(image)))
+    frames, options = sorted(map(str, Path(many).iterdir())), ("--catalog", stars, "--processes")
+    parts = partitioned(folder)
+    for n, name in (("1", ""), ("2", ", 2 processes")):
+        two = n == "2"
+        shot = ("frame", many, *options, n, "--no-picture")
+        series = output(f"series{n}")
+        made.append(Work(f"series of frames{name}", shot, (*shot, "--threshold", "6"), series, True, starts_others=two))
+        earlier, moved = ("movers", *frames[:2], *options, n), ("movers", *frames, *options, n)
+        made.append(Work(f"movers on frames{name}", moved, earlier, output(f"moved{n}"), True, starts_others=two))
+        parted = ("match", *parts, "--sigma", "0.1", "--workers", n)
+        made.append(Hats(f"match, partitions{name}", parted, parted, output(f"hats{n}"), starts_others=two))
     seen = ("watch", *sensors(folder), "--no-map", "--pace", "60", "--every", "1s")
     made.append(Watch("watch", seen, seen, output("watch")))
-    parted = ("match", *partitioned(folder), "--sigma", "0.1", "--workers", "1")
-    made.append(Hats("match, partitions", parted, parted, output("hats")))
     seen = ("picture", *sensors(folder), "--no-image", "--every")
     made.append(Work("picture", (*seen, "20s"), (*seen, "30s"), output("picture")))
     return made
 
 
-def hit(work: Work, server: Server, number: signal.Signals, moments: int, rng: random.Random) -> Count:
+def hit(work: Work, server: Server | Begun, number: signal.Signals, moments: int, rng: random.Random) -> Count:
     """Runs of a command, each hit once."""
     found = Count()
     for earlier in (True, False):
@@ -449,10 +497,13 @@ def hit(work: Work, server: Server, number: signal.Signals, moments: int, rng: r
             _until(partial(_ended_or_drafted, process, work))
             time.sleep(rng.choice((0.0, 1.0)) * rng.uniform(0.0, 0.1) * min(longest, 1.0))
         asked = time.monotonic()
+        # A terminal tells all processes of Ctrl-C; who asks one to end, or kills it, mostly tells the first only.
+        tell = os.killpg if work.starts_others and (number == signal.SIGINT) != (moment % 4 == 3) else os.kill
         with suppress(ProcessLookupError):  # it has ended
-            os.kill(process, number)
+            tell(process, number)
         code, said = server.ended()
         answer_s = time.monotonic() - asked
+        found.faults += [f"{work.name}, {number.name}: a process stayed: {words}" for words in server.orphans()]
         now = work.files()
         found.runs += 1
         which = work.verdict(now, old, new, number)
@@ -485,6 +536,21 @@ def _ended(process: int) -> bool:
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
     except OSError:
         return True
+
+
+def _members(session: int) -> list[int]:
+    """The processes of a session that have not ended."""
+    found = []
+    for place in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            state, _, _, number = (place / "stat").read_text().rpartition(")")[2].split()[:4]
+            if int(number) == session and state != "Z":
+                found.append(int(place.name))
+    return found
+
+
+def _deserted(session: int) -> bool:
+    return not _members(session)
 
 
 def _folder(work: Work) -> Path:
@@ -613,7 +679,7 @@ def main() -> None:
         sys.exit(any(table.notes for table in made))
     with tempfile.TemporaryDirectory() as folder:
         for work in (work for work in works(Path(folder)) if work.name.startswith(given.only)):
-            server = Server(work)
+            server = Begun(work) if work.starts_others else Server(work)
             every = [(number.name, partial(hit, work, server, number, given.moments, rng)) for number in CODES]
             every += [] if given.signals_only else [("disks, two runs", partial(places, work))]
             for name, runs in every:

@@ -13,7 +13,10 @@ pytest.importorskip("cdshealpix", reason="catalogues in partitions need cdshealp
 
 from benchmarks import faults
 
-NAMES = ("series of frames", "movers on frames", "watch", "match, partitions", "picture")
+NAMES = (
+    "series of frames", "movers on frames", "watch", "match, partitions", "picture",
+    "series of frames, 2 processes", "movers on frames, 2 processes", "match, partitions, 2 processes",
+)  # fmt: skip
 
 
 @pytest.mark.long
@@ -22,7 +25,7 @@ NAMES = ("series of frames", "movers on frames", "watch", "match, partitions", "
 def test_outputs_are_whole_whatever_stops_a_command(name, tmp_path, monkeypatch):
     monkeypatch.setitem(os.environ, "SOURCE_DATE_EPOCH", "1700000000")
     [work] = [work for work in faults.works(tmp_path, endings=()) if work.name == name]
-    server = faults.Server(work)
+    server = faults.Begun(work) if work.starts_others else faults.Server(work)
     try:
         every = [partial(faults.hit, work, server, number, 3, random.Random(5)) for number in faults.CODES]
         found = [run() for run in (*every, partial(faults.places, work))]

@@ -11,7 +11,7 @@ import pytest
 from sameas import Records
 from sameas.errors import InputError
 from sameas.picture import Watch
-from sameas.saved import dumps, loads
+from sameas.saved import dumps, loads, sealed
 
 
 def test_data_come_back_as_they_were() -> None:
@@ -57,13 +57,22 @@ def test_no_call_of_a_hostile_state_is_made(module: str, name: str, tmp_path) ->
     mark.write_text("there")
     content = named(module, name, str(mark))
     with pytest.raises(InputError, match=r"state.pickle: is damaged \(it names .*, which is no data\); move it away"):
-        loads(content, "state.pickle")
+        loads(sealed(content), "state.pickle")
     assert mark.read_text() == "there"
 
 
 def test_what_python_would_run_is_refused() -> None:
     with pytest.raises(InputError, match="no data"):
-        loads(pickle.dumps(Harm(print, "run")), "state")
-    for content in (b"", b"\x80\x05nonsense", dumps({"a": 1})[:-3]):
+        loads(sealed(pickle.dumps(Harm(print, "run"))), "state")
+    for content in (b"", b"\x80\x05nonsense", sealed(b""), sealed(b"\x80\x05nonsense"), dumps({"a": 1})[:-3]):
         with pytest.raises(InputError, match="state: is damaged"):
             loads(content, "state")
+
+
+def test_a_state_of_which_one_bit_is_another_is_refused() -> None:
+    content = dumps({"at": np.arange(3)})
+    for byte in range(len(content)):
+        damaged = bytearray(content)
+        damaged[byte] ^= 1 << byte % 8
+        with pytest.raises(InputError, match=r"state: is damaged \(its checksum is another\)"):
+            loads(bytes(damaged), "state")

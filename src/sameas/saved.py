@@ -1,11 +1,13 @@
 """Saved states: objects of sameas as bytes, read back without running anything that a file says.
 
 A plain pickle can call any function when it is read. :func:`loads` makes nothing but data: sameas' own classes, NumPy's
-arrays, astropy's tables and units, paths, and Python's containers; whatever else a file names is refused.
+arrays, astropy's tables and units, paths, and Python's containers; whatever else a file names is refused. A checksum
+finds damage; who forges a state with its checksum can make numbers that are wrong, or end the process.
 """
 
 from __future__ import annotations
 
+import hashlib
 import io
 import pickle
 import sys
@@ -69,7 +71,12 @@ class _DataOnly(pickle.Unpickler):
 
 def dumps(value: Any) -> bytes:
     """An object as bytes, for :func:`loads`."""
-    return pickle.dumps(value, protocol=5)
+    return sealed(pickle.dumps(value, protocol=5))
+
+
+def sealed(content: bytes) -> bytes:
+    """The bytes after their SHA-256: arrays and indices that were damaged would be taken for what was saved."""
+    return hashlib.sha256(content).digest() + content
 
 
 def loads(content: bytes, where: str) -> Any:
@@ -81,8 +88,11 @@ def loads(content: bytes, where: str) -> Any:
     ------
     InputError : damaged bytes; or they name what is no data, and are of somebody else.
     """
+    size = hashlib.sha256().digest_size
     try:
-        return _DataOnly(io.BytesIO(content)).load()
+        if hashlib.sha256(content[size:]).digest() != content[:size]:
+            raise pickle.UnpicklingError("its checksum is another")
+        return _DataOnly(io.BytesIO(content[size:])).load()
     except Exception as error:
         reason = str(error) if isinstance(error, pickle.UnpicklingError) else type(error).__name__
         raise InputError(f"{where}: is damaged ({reason})", "move it away to begin anew") from error

@@ -226,18 +226,22 @@ def _child() -> None:
                     resource.setrlimit(resource.RLIMIT_AS, (most, resource.RLIM_INFINITY))
             for number in range(int(first), int(last)):
                 path.write_bytes(input_of(name, int(seed), number, corpus))
-                began = time.process_time()
-                last_s = math.ceil(began) + LAST_SECONDS
-                resource.setrlimit(resource.RLIMIT_CPU, (last_s, resource.RLIM_INFINITY))
-                signal.setitimer(signal.ITIMER_PROF, SECONDS)
-                try:
-                    what = outcome(TARGETS[name].read, path)
-                except TooLong:
-                    what = f"took more than {SECONDS:g} s"
-                finally:
-                    signal.setitimer(signal.ITIMER_PROF, 0.0)
+                for again in (False, True):
+                    began = time.process_time()
+                    last_s = math.ceil(began) + LAST_SECONDS
+                    resource.setrlimit(resource.RLIMIT_CPU, (last_s, resource.RLIM_INFINITY))
+                    signal.setitimer(signal.ITIMER_PROF, SECONDS)
+                    try:
+                        what = outcome(TARGETS[name].read, path)
+                    except TooLong:
+                        what = f"took more than {SECONDS:g} s"
+                    finally:
+                        signal.setitimer(signal.ITIMER_PROF, 0.0)
+                    seconds = time.process_time() - began
+                    if again or not what.startswith("took"):  # the first time a kernel may have been compiled
+                        break
                 said = " ".join(what.split())
-                sys.stdout.write(f"{number}\t{time.process_time() - began:.4f}\t{said}\n")
+                sys.stdout.write(f"{number}\t{seconds:.4f}\t{said}\n")
                 sys.stdout.flush()
 
 

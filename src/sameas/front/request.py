@@ -183,14 +183,14 @@ class Request(Generic[Options]):
                 fields = json.loads(facts[f"options_{k}"])
                 columns |= {f"{one.parameter}{k}": fields[one.field] for one in COLUMN_OPTIONS if one.field in fields}
             request = Request((facts["input_1"], facts["input_2"]), MatchOptions(**options), columns)
-        except (KeyError, TypeError, ValueError):
+        except (KeyError, TypeError, ValueError, AttributeError, RecursionError):
             raise InputError(
                 f"{output}: does not say how it was made; give a table that `sameas match` wrote"
             ) from None
         for k, path in enumerate(request.paths, 1):
             if not Path(path).is_file():
                 raise InputError(f"{output}: was made from {path}, which is not there any more; put it back")
-            if checksum(path) != facts[f"sha256_{k}"]:
+            if checksum(path) != facts.get(f"sha256_{k}"):
                 raise InputError(
                     f"{output}: was made from {path}, which has changed since (another SHA-256); match again"
                 )
