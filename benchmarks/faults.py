@@ -503,6 +503,7 @@ def hit(work: Work, server: Server | Begun, number: signal.Signals, moments: int
             tell(process, number)
         code, said = server.ended()
         answer_s = time.monotonic() - asked
+        drafts = work.drafts()
         found.faults += [f"{work.name}, {number.name}: a process stayed: {words}" for words in server.orphans()]
         now = work.files()
         found.runs += 1
@@ -518,7 +519,7 @@ def hit(work: Work, server: Server | Begun, number: signal.Signals, moments: int
             found.faults.append(f"{work.name}, {number.name}: says {said[-300:]!r}")
         if answer_s > 1.5:
             found.faults.append(f"{work.name}, {number.name}: answered after {answer_s:.1f} s")
-        if number != signal.SIGKILL and work.drafts():
+        if number != signal.SIGKILL and (drafts or work.drafts()):
             found.faults.append(f"{work.name}, {number.name}: a draft stayed")
             for draft in work.drafts():
                 _removed(draft)
@@ -686,7 +687,7 @@ def main() -> None:
                 found = runs()
                 rows.append(found.row(f"{work.name}: {name}"))
                 faults += found.faults
-                print(*rows[-1], *found.faults, flush=True)
+                print(*rows[-1], *found.faults, sep="\n    ", flush=True)
             server.close()
     columns = ("what", "runs", "old one", "new one", "files of both", "faults")
     made = [Table("Outputs of processes that were hit", columns, rows, faults)]

@@ -27,8 +27,15 @@ def main() -> None:
 
         end_now(exit_code(error), stopped())
     except SystemExit as error:
-        from sameas.cli.outcome import INTERRUPTED, TERMINATED, end_now
+        import signal
 
+        from sameas.cli.outcome import INTERRUPTED, TERMINATED, end_now, exit_code, stopped
+
+        try:
+            for number in (signal.SIGINT, signal.SIGTERM):  # nothing is begun any more: Python ends, or is ended
+                signal.signal(number, signal.SIG_DFL)
+        except KeyboardInterrupt as asked:
+            end_now(exit_code(asked), stopped())
         if error.code in (INTERRUPTED, TERMINATED) and "multiprocessing.resource_tracker" not in sys.modules:
             # Libraries may still have threads at work, which C++ does not let end with the process.
             end_now(error.code)

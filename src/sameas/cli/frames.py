@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import signal
 import sys
 import threading
 import time
@@ -18,6 +19,7 @@ from sameas.cli.options import frame_option, in_options
 from sameas.cli.outcome import end_cleanly_when_asked, fault, interruption
 from sameas.errors import InputError
 from sameas.front.framing import FrameRequest, fulfil
+from sameas.io.atomic import end_with_parent
 
 #: Rows of progress that a terminal shows at once.
 ROWS = 14
@@ -91,6 +93,8 @@ def _in_processes(
 ) -> list[Outcome]:
     # A forked process would share locks of threads that it does not have.
     context = multiprocessing.get_context("spawn")
+    # What this process leaves when it is stopped at once is removed by another, which is not to speak of it.
+    sys.warnoptions.append("ignore:resource_tracker")
     stages = context.SimpleQueue()
     outcomes: dict[int, Outcome] = {}
     with (
@@ -103,8 +107,9 @@ def _in_processes(
         listener.start()
         futures: dict[Future[Outcome], int] = {}
         try:
-            for number, request in enumerate(requests):
-                futures[pool.submit(_worked, number, request, again)] = number
+            with _without_interrupts():
+                for number, request in enumerate(requests):
+                    futures[pool.submit(_worked, number, request, again)] = number
             for future in as_completed(futures):
                 number = futures[future]
                 try:
@@ -125,6 +130,19 @@ def _in_processes(
     return [outcomes[number] for number in range(len(requests))]
 
 
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Processes that start in the block do not hear Ctrl-C, which a terminal tells all: who started them ends them."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 _stages: Any = None
 
 
@@ -134,7 +152,8 @@ def _begin(stages: Any) -> None:
 
     global _stages
     _stages = stages
-    end_cleanly_when_asked()
+    end_with_parent()
+    end_cleanly_when_asked(worker=True)
     warnings.simplefilter("ignore")
 
 

@@ -17,7 +17,7 @@ import signal
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -137,6 +137,10 @@ def filling(folder: str | os.PathLike[str]) -> Iterator[Path]:
                 target.rmdir()
 
 
+#: Held while files of one output take their places: who ends the process waits for it.
+placing = threading.RLock()
+
+
 @contextmanager
 def together() -> Iterator[Callable[[], None]]:
     """A function after whose call Ctrl-C and SIGTERM wait for the end of the block: files of one output come together.
@@ -145,9 +149,11 @@ def together() -> Iterator[Callable[[], None]]:
     """
     came: list[int] = []
     before: dict[int, Any] = {}
+    armed = ExitStack()
 
     def arm() -> None:
         if threading.current_thread() is threading.main_thread():
+            armed.enter_context(placing)
             for number in (signal.SIGINT, signal.SIGTERM):
                 if signal.getsignal(number) is not None:  # not one of another language
                     before[number] = signal.signal(number, lambda number, frame: came.append(number))
@@ -155,6 +161,7 @@ def together() -> Iterator[Callable[[], None]]:
     try:
         yield arm
     finally:
+        armed.close()
         for number, handler in before.items():
             signal.signal(number, handler)
         for number in came[:1]:
@@ -214,6 +221,21 @@ def discard_drafts() -> None:
     """Removes what has been begun and not ended: for a process that ends without unwinding."""
     for draft in list(_drafts):
         _remove(draft)
+
+
+def end_with_parent() -> None:
+    """From now on this worker ends, and its drafts with it, when the process that started it is gone."""
+    import multiprocessing
+
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        parent.join()
+        discard_drafts()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _draft_name() -> str:

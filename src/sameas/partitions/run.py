@@ -11,9 +11,9 @@ import json
 import math
 import os
 import shutil
+import signal
 import sqlite3
 import sys
-import threading
 import time
 import types
 from collections.abc import Callable, Iterator, Sequence
@@ -32,7 +32,7 @@ from sameas.errors import InputError, reading
 from sameas.estimate.places import Counts, Learned, Places, drawn, learn
 from sameas.estimate.sample import Sampling
 from sameas.evidence import Related
-from sameas.io.atomic import held, refused_by_disk
+from sameas.io.atomic import end_with_parent, held, refused_by_disk
 from sameas.kernels import threads
 from sameas.partitions import cells as healpix
 from sameas.partitions.layout import CELL, OWN, Cell, HatsCatalogue, numbers_of
@@ -544,18 +544,11 @@ _LOADED = ("sameas.partitions.run", "sameas._identify", "numba", "pyarrow.parque
 
 def _begin() -> None:
     """A worker uses one thread, and ends when the one who started it is gone."""
-    import multiprocessing
-
     os.environ["SAMEAS_THREADS"] = "1"
-    # The process that forks the workers lives on while they do: who started the run is asked for by name.
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-
-    def watch() -> None:
-        parent.join()
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
+    # A terminal tells all processes of Ctrl-C: who started the run ends its workers. It is asked for by name, for the
+    # process that forks them lives on while they do.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent()
 
 
 # The output.
