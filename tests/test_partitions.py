@@ -485,3 +485,22 @@ def test_formats_are_refused_over_partitions(tmp_path, option):
     paths = stored(tmp_path, sky((0.0, 0.0), 100, 0.1, seed=16), (300, 300))
     with pytest.raises(InputError, match=f"^{option}: HATS catalogues are Parquet files"):
         sameas.match(*paths, sigma="pos_err", **{option: "fits"})
+
+
+def test_an_interruption_in_the_last_step_leaves_no_scratch(tmp_path, monkeypatch):
+    """The collection was called whole, and the folder of the run stayed beside it."""
+    import signal
+
+    from sameas.partitions import run
+
+    whole = run.write_collection
+
+    def interrupted(*given):
+        whole(*given)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(run, "write_collection", interrupted)
+    paths = stored(tmp_path, sky((0.0, 0.0), 100, 0.1, seed=12), (300, 300))
+    with pytest.raises(KeyboardInterrupt):
+        matched(tmp_path, paths)
+    assert (tmp_path / "out" / "collection.properties").exists() and not (tmp_path / "out" / ".sameas-run").exists()

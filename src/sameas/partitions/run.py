@@ -32,7 +32,7 @@ from sameas.errors import InputError, reading
 from sameas.estimate.places import Counts, Learned, Places, drawn, learn
 from sameas.estimate.sample import Sampling
 from sameas.evidence import Related
-from sameas.io.atomic import end_with_parent, held, refused_by_disk
+from sameas.io.atomic import end_with_parent, held, refused_by_disk, together
 from sameas.kernels import threads
 from sameas.partitions import cells as healpix
 from sameas.partitions.layout import CELL, OWN, Cell, HatsCatalogue, numbers_of
@@ -631,21 +631,27 @@ def _written(
     if path.exists() and not mark.exists() and any(one != scratch for one in path.iterdir()):
         raise InputError(f"{path}: exists already, and is no unfinished match", "give another name, or remove it")
     scratch.mkdir(parents=True, exist_ok=True)
-    with ExitStack() as stack:
-        with suppress(sqlite3.Error):  # a file system without locks
-            stack.enter_context(closing(held(scratch)))
-        if (path / "collection.properties").exists():
-            raise InputError(f"{path}: another run has just written it", "give another name, or remove it")
-        done = _all_written(estimated, path, facts, margin_arcsec, workers, executor, progress, piece_rows, tuning)
-    shutil.rmtree(scratch)
+    with together() as last:
+        with ExitStack() as stack:
+            with suppress(sqlite3.Error):  # a file system without locks
+                stack.enter_context(closing(held(scratch)))
+            if (path / "collection.properties").exists():
+                raise InputError(f"{path}: another run has just written it", "give another name, or remove it")
+            done = _all_written(
+                estimated, path, facts, margin_arcsec, workers, executor, progress, piece_rows, tuning, last
+            )
+        shutil.rmtree(scratch)
     return done
 
 
 def _all_written(
     estimated: Estimated, path: Path, facts: dict[str, Any], margin_arcsec: float, workers: int | None,
-    executor: Executor | None, progress: Progress, piece_rows: int, tuning: RunTuning,
+    executor: Executor | None, progress: Progress, piece_rows: int, tuning: RunTuning, last: Callable[[], None],
 ) -> Written:  # fmt: skip
-    """The collection, by a run that is alone in its folder and may go on where another has ended."""
+    """The collection, by a run that is alone in its folder and may go on where another has ended.
+
+    last : called before the last step, which makes it whole.
+    """
     work, name = estimated.work, path.name
     catalogue, scratch = path / name, path / ".sameas-run"
     mark = scratch / "begun.json"
@@ -672,6 +678,7 @@ def _all_written(
             )
     for left in path.rglob(".*.part"):  # of workers that died while they wrote
         left.unlink(missing_ok=True)
+    last()
     write_collection(path, name, margin if margin is not None and (path / margin).exists() else None)
     sums = {key: sum(one[key] for one in sorted(done, key=lambda one: (one["order"], one["number"])))
             for key in ("pairs", "expected_common", "expected_wrong", "doubtful", "read")}  # fmt: skip
