@@ -21,6 +21,8 @@ def main() -> None:
             stream.reconfigure(errors="replace")  # type: ignore[union-attr]  # σ where the terminal has none
         if "--debug" not in sys.argv:
             warnings.simplefilter("ignore")
+            # What a process leaves that is stopped at once another removes, and is not to speak of it.
+            sys.warnoptions.append("ignore:resource_tracker")
         app()
     except KeyboardInterrupt as error:
         from sameas.cli.outcome import end_now, exit_code, stopped
@@ -36,7 +38,7 @@ def main() -> None:
                 signal.signal(number, signal.SIG_DFL)
         except KeyboardInterrupt as asked:
             end_now(exit_code(asked), stopped())
-        if error.code in (INTERRUPTED, TERMINATED) and "multiprocessing.resource_tracker" not in sys.modules:
+        if error.code in (INTERRUPTED, TERMINATED):
             # Libraries may still have threads at work, which C++ does not let end with the process.
             end_now(error.code)
         raise

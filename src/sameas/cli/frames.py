@@ -93,8 +93,6 @@ def _in_processes(
 ) -> list[Outcome]:
     # A forked process would share locks of threads that it does not have.
     context = multiprocessing.get_context("spawn")
-    # What this process leaves when it is stopped at once is removed by another, which is not to speak of it.
-    sys.warnoptions.append("ignore:resource_tracker")
     stages = context.SimpleQueue()
     outcomes: dict[int, Outcome] = {}
     with (
