@@ -491,15 +491,13 @@ def test_an_interruption_in_the_last_step_leaves_no_scratch(tmp_path, monkeypatc
     """The collection was called whole, and the folder of the run stayed beside it."""
     import signal
 
-    from sameas.partitions import run
-
-    whole = run.write_collection
+    from sameas.partitions.output import write_collection
 
     def interrupted(*given):
-        whole(*given)
+        write_collection(*given)
         signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(run, "write_collection", interrupted)
+    monkeypatch.setattr("sameas.partitions.run.write_collection", interrupted)
     paths = stored(tmp_path, sky((0.0, 0.0), 100, 0.1, seed=12), (300, 300))
     with pytest.raises(KeyboardInterrupt):
         matched(tmp_path, paths)
