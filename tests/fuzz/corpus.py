@@ -9,6 +9,7 @@ import io
 import json
 import os
 import re
+import select
 import signal
 import struct
 import subprocess
@@ -95,6 +96,10 @@ class Decoder:
         try:
             self.asks.write(json.dumps(arguments) + "\n")
             self.asks.flush()
+            # What wrote beyond its memory may wait for a lock of its own for ever.
+            there = select.select([self.answers], [], [], DECODED_S)[0]
+            if not there:
+                os.kill(self.process, signal.SIGXCPU)
             line = self.answers.readline()
         except BrokenPipeError:
             return None
@@ -147,8 +152,8 @@ def _decode_all(program: Any, asked: Any, told: int) -> None:
         os.write(told, (json.dumps(answer) + "\n").encode())
 
 
-#: A decoder reads so many images.
-DECODED = 500
+#: A decoder reads so many images, each within so many seconds of the clock.
+DECODED, DECODED_S = 500, 20.0
 DECODER = Decoder()
 
 

@@ -147,3 +147,19 @@ def test_a_damaged_compressed_image_ends_neither_the_process_nor_in_an_error_of_
     path.write_bytes(content)
     with pytest.raises(InputError, match=r"h\.fits\.fz: its compressed image is damaged \(.*\); copy it again"):
         read(path)
+
+
+def test_a_decoder_that_waits_for_ever_is_ended(tmp_path, monkeypatch):
+    import subprocess
+
+    path = saved(
+        tmp_path / "h.fits.fz",
+        fits.PrimaryHDU(),
+        fits.CompImageHDU(SKY.astype(np.int16), compression_type="HCOMPRESS_1"),
+    )
+    run = subprocess.run
+    monkeypatch.setattr(subprocess, "run", lambda command, timeout, **given: run(
+        [command[0], "-c", "import time; time.sleep(60)"], timeout=0.2 * bool(timeout), **given
+    ))  # fmt: skip
+    with pytest.raises(InputError, match=r"h\.fits\.fz: its compressed image is not decoded in 120 s"):
+        read(path)

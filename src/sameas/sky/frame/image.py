@@ -199,6 +199,8 @@ def _load(path: Path, hdu: int | str | None) -> tuple[dict[str, Any], Header, tu
 #: The decoder of HCOMPRESS, C code within astropy, writes beyond its memory where the data are damaged (found by
 #: fuzzing astropy 7.2): it runs in a process of its own, whose end is no more than a file that cannot be read.
 _DECODER = "HCOMPRESS_1"
+#: Seconds after which it is ended: an image takes one or two, and memory that is damaged can make it wait for ever.
+_DECODED_S = 120
 _DECODE = """
 import sys, warnings
 from astropy.io import fits
@@ -223,9 +225,13 @@ def _opened(path: Path) -> Iterator[Any]:
             return
     with tempfile.TemporaryDirectory(prefix="sameas-") as folder:
         decoded = Path(folder) / "decoded.fits"
-        done = subprocess.run(
-            [sys.executable, "-c", _DECODE, str(path.absolute()), str(decoded)], capture_output=True, text=True
-        )
+        command = [sys.executable, "-c", _DECODE, str(path.absolute()), str(decoded)]
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=_DECODED_S)
+        except subprocess.TimeoutExpired:
+            raise InputError(
+                f"{path.name}: its compressed image is not decoded in {_DECODED_S} s; copy it again"
+            ) from None
         if done.returncode:
             words = done.stderr.strip().splitlines()[-1:] or ["no words"]
             raise InputError(f"{path.name}: its compressed image is damaged ({words[0]}); copy it again")
