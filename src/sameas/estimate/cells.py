@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray, IntArray
+from sameas.estimate.outline import Outline
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.space import ARCSEC_PER_RADIAN, Sphere
@@ -50,7 +51,8 @@ class GridLevel:
 def levels_of(first: Records, second: Records) -> tuple[float, tuple[GridLevel, ...]]:
     """The stretch that both sources span together, which must have records: its volume, and its cells."""
     space = _SphereCells.over(first, second) if isinstance(first.space, Sphere) else _BoxCells.over(first, second)
-    levels = [GridLevel(np.zeros(len(first), np.int32), np.zeros(len(second), np.int32), np.array([space.volume]))]
+    volume = space.volume if space.outline is None else space.volume * space.outline.area / space.area
+    levels = [GridLevel(np.zeros(len(first), np.int32), np.zeros(len(second), np.int32), np.array([volume]))]
     richer, size = max(len(first), len(second)), space.volume
     while size * CELLS_PER_RECORD * richer > space.volume:
         richest = levels[-1].of_first if len(first) >= len(second) else levels[-1].of_second
@@ -59,7 +61,7 @@ def levels_of(first: Records, second: Records) -> tuple[float, tuple[GridLevel, 
             break
         size /= REFINEMENT
         levels.append(_level(*space.cells(first.features, second.features, size)))
-    return space.volume, tuple(levels)
+    return volume, tuple(levels)
 
 
 def _level(one: IntArray, two: IntArray, total: int, volumes: Callable[[IntArray], FloatArray]) -> GridLevel:
@@ -77,13 +79,15 @@ def _level(one: IntArray, two: IntArray, total: int, volumes: Callable[[IntArray
 class _SphereCells:
     """Rings of equal height in latitude, cut into nearly square cells along the arc of longitude that holds records.
 
-    west, arc : where that arc begins and how long it is, degrees.
+    west, arc : where that arc begins and how long it is, degrees. outline : of the records, in degrees of longitude
+    from there and sines of latitude, where areas are as on the sphere; None where they fill the rings.
     """
 
     low: float
     high: float
     west: float
     arc: float
+    outline: Outline | None = None
 
     @classmethod
     def over(cls, first: Records, second: Records) -> _SphereCells:
@@ -95,7 +99,20 @@ class _SphereCells:
         narrow = max(math.cos(math.radians(max(abs(low), abs(high)))), 1e-9)
         across = _margin(np.array([arc * narrow]), first, second)[0] / narrow / 3600.0
         arc += 2.0 * across
-        return cls(low, high, west - across, arc) if arc < 360.0 else cls(low, high, 0.0, 360.0)
+        if arc >= 360.0:
+            return cls(low, high, 0.0, 360.0)
+        west -= across
+        longitude, sine = np.concatenate([first.features, second.features]).T
+        points = np.column_stack([np.mod(longitude - west, 360.0), np.sin(np.radians(sine))])
+        south_west, north_east = (
+            np.array([x, math.sin(math.radians(latitude))]) for x, latitude in ((0.0, low), (arc, high))
+        )
+        return cls(low, high, west, arc, Outline.of(points, south_west, north_east, max(len(first), len(second))))
+
+    @property
+    def area(self) -> float:
+        """In the coordinates of the outline."""
+        return self.arc * (math.sin(math.radians(self.high)) - math.sin(math.radians(self.low)))
 
     @property
     def volume(self) -> float:
@@ -109,23 +126,47 @@ class _SphereCells:
         one, two = np.empty(len(first), np.int64), np.empty(len(second), np.int64)
         for features, cell in ((first, one), (second, two)):
             sphere_cells(features, self.low, self.high, self.west, self.arc, begin, cell)
-        return one, two, int(begin[-1]), lambda known: sizes(known, begin, volume)
+
+        def volumes(known: IntArray) -> FloatArray:
+            whole: FloatArray = sizes(known, begin, volume)
+            if self.outline is None:
+                return whole
+            ring = np.searchsorted(begin, known, side="right") - 1
+            number, height = known - begin[ring], (self.high - self.low) / len(volume)
+            width = self.arc / (begin[ring + 1] - begin[ring])
+            south, north = (np.sin(np.radians(self.low + height * at)) for at in (ring, ring + 1))
+            low = np.column_stack([number * width, south])
+            part: FloatArray = self.outline.part(low, np.column_stack([(number + 1) * width, north]))
+            return whole * part
+
+        return one, two, int(begin[-1]), volumes
 
 
 @in_short
 @dataclass(frozen=True)
 class _BoxCells:
-    """Boxes of equal size over a Euclidean space, cut along every feature that has an extent."""
+    """Boxes of equal size over a Euclidean space, cut along every feature that has an extent.
+
+    outline : of the records, of two features; None where they fill the box.
+    """
 
     low: FloatArray
     extent: FloatArray
+    outline: Outline | None = None
 
     @classmethod
     def over(cls, first: Records, second: Records) -> _BoxCells:
         both = np.concatenate([first.features, second.features])
         low, high = both.min(axis=0), both.max(axis=0)
         margin = _margin(high - low, first, second)
-        return cls(low - margin, high - low + 2.0 * margin)
+        low, high = low - margin, high + margin
+        outline = Outline.of(both, low, high, max(len(first), len(second))) if len(low) == 2 else None
+        return cls(low, high - low, outline)
+
+    @property
+    def area(self) -> float:
+        """In the coordinates of the outline."""
+        return self.volume
 
     @property
     def volume(self) -> float:
@@ -139,8 +180,16 @@ class _BoxCells:
         one, two = np.empty(len(first), np.int64), np.empty(len(second), np.int64)
         for features, cell in ((first, one), (second, two)):
             box_cells(features, self.low, self.extent, cuts, cell)
-        volume = self.volume / float(cuts) ** d
-        return one, two, cuts**d, lambda known: np.full(len(known), volume)
+        whole = self.volume / float(cuts) ** d
+
+        def volumes(known: IntArray) -> FloatArray:
+            if self.outline is None:
+                return np.full(len(known), whole)
+            side = self.extent / cuts
+            low = self.low + np.column_stack([known // cuts, known % cuts]) * side
+            return whole * self.outline.part(low, low + side)
+
+        return one, two, cuts**d, volumes
 
 
 def _margin(extent: FloatArray, first: Records, second: Records) -> FloatArray:
