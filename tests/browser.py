@@ -83,6 +83,11 @@ class Browser:
         assert "exceptionDetails" not in result, result
         return result["result"].get("value")
 
+    def settle(self) -> None:
+        """Wait until what was asked is drawn: a click meets what the last picture showed, not what came after it."""
+        frame = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
+        self.do("Runtime.evaluate", expression=f"{frame}.then(() => true)", awaitPromise=True, returnByValue=True)
+
     def until(self, expression: str, patience_s: float = 20.0) -> None:
         end = time.monotonic() + patience_s
         while not self.js(expression):

@@ -206,7 +206,10 @@ def test_what_is_learned_is_the_ratio_of_the_counts(found):
             alone[source][grade] += 1.0 - p
     chance = np.outer(alone[0] / alone[0].sum(), alone[1] / alone[1].sum())
     assert np.exp(rule.log_ratio) == pytest.approx(common / common.sum() / chance, rel=0.05, abs=9 * PSEUDO_COUNT)
-    own = answer.p_pair / common[grades[0][pairs.i], grades[1][pairs.j]]
+    apart = common.sum(axis=1)[:, None] * common.sum(axis=0) * chance
+    apart /= chance.sum(axis=1)[:, None] * chance.sum(axis=0)
+    counted = common + 9 * PSEUDO_COUNT * apart / apart.sum()
+    own = -np.log1p(-answer.p_pair / counted[grades[0][pairs.i], grades[1][pairs.j]])
     assert rule(pairs).terms["precision"] == pytest.approx(
         rule.log_ratio[grades[0][pairs.i], grades[1][pairs.j]] - own, rel=0.05, abs=0.05
     )

@@ -246,6 +246,7 @@ def key(browser: Browser, name: str, code: str = "", text: str = "") -> None:
 
 
 def centre_of(browser: Browser, selector: str) -> tuple[float, float]:
+    browser.settle()
     box = f"document.querySelector({json.dumps(selector)}).getBoundingClientRect()"
     found = browser.js(f"(r => [r.left + r.width / 2, r.top + r.height / 2])({box})")
     return found[0], found[1]
