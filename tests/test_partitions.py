@@ -93,6 +93,37 @@ def at_once(found):
     return partner, dict(zip(ids_1, np.ma.getdata(result.answers_1.p_none), strict=True))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("crowding", [0.4, 2.0])
+def test_what_is_estimated_does_not_depend_on_how_the_sky_is_cut(tmp_path, crowding):
+    """Partitions much larger than the field, and much smaller: cells were coarse where partitions were, and counted as
+    empty where they reach beyond the field."""
+    tables, estimates = sky((0.0, 0.0), 4_000, crowding, seed=6), []
+    for most in ((20_000, 20_000), (1_000, 500), (60, 90)):
+        found = sameas.match(*stored(tmp_path, tables, most), sigma="pos_err", sigma_unit="arcsec")
+        estimates.append(found.estimated)
+        shutil.rmtree(tmp_path / "a"), shutil.rmtree(tmp_path / "b")
+    whole, *others = estimates
+    for other in others:
+        assert all(
+            np.array_equal(getattr(whole.counts, name), getattr(other.counts, name)) for name in ("cells", "numbers")
+        )
+        for name in ("cells", "density", "seen", "share"):
+            assert np.array_equal(getattr(whole.learned.places, name), getattr(other.learned.places, name)), name
+        assert whole.learned.means == other.learned.means and whole.work.halo_arcsec == other.work.halo_arcsec
+        assert whole.learned.estimate.quantities == other.learned.estimate.quantities
+    one = sameas.match(*tables, sigma="pos_err", sigma_unit="arcsec").estimate.quantities
+    for name in ("common", "share_1", "share_2", "error_scale"):
+        quantity, of_one = whole.learned.estimate.quantities[name], one[name]
+        assert abs(quantity.value - of_one.value) < np.hypot(quantity.standard_error, of_one.standard_error), name
+    # Records are as dense as they were strewn, each without itself.
+    density = crowding / (9.0 * np.pi * 2.0 * np.mean([np.mean(np.square(table["pos_err"])) for table in tables])) * 0.9
+    places, numbers = whole.learned.places, whole.counts.numbers
+    at = places.at(whole.counts.cells)
+    for k in range(2):
+        assert np.average(places.density[at, k, 0], weights=numbers[:, k]) == pytest.approx(density, rel=0.05)
+
+
 PLACES = {"over the pole": (10.0, 90.0), "across RA 0": (0.0, 0.0), "southern": (200.0, -89.9)}
 
 

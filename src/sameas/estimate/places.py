@@ -37,6 +37,9 @@ from sameas.representation import in_short
 
 #: Cells so large that they hold so many records on average tell no more than the mean of all.
 COARSEST = 100_000.0
+#: A larger cell lies within the field for all of it, unless by so many standard deviations more pairs of its records
+#: share one of its finest cells than by chance.
+PARTLY = 2.0
 _NOTHING = np.empty(0)
 
 
@@ -127,14 +130,22 @@ class Places:
         levels = tuple(range(len(by_step) - 1 - finest, -1, -1))
         volume *= 4.0**finest
         numbers = by_step[finest].numbers.astype(np.float64)
-        area = len(by_step[-1].cells) * volume * 4.0 ** levels[0]
-        seen = np.column_stack([_seen(cells, numbers[:, k], numbers[:, 1 - k], levels, volume, area) for k in range(2)])
-        density = np.stack([_density(cells, numbers[:, k] * seen[:, k], levels, volume, area) for k in range(2)], 1)
+        seen = _seen(cells, numbers, levels, volume)
+        density = _density(cells, numbers * seen, levels, volume)
         return cls(cells, finest, density, seen, np.full((len(cells), 2), np.nan), levels, volume)
 
     def at(self, counted: IntArray) -> IntArray:
         """The places of records among ``cells``, from the cells in which they were counted."""
         return np.minimum(np.searchsorted(self.cells, counted >> (2 * self.steps)), len(self.cells) - 1)
+
+    def within(self, counts: Counts, cells: IntArray, steps: int) -> float:
+        """The volume of cells that lies within the field, ``steps`` steps from those in which the ``counts`` are."""
+        if steps < self.steps:
+            return len(cells) * self.volume / 4.0 ** (self.steps - steps)
+        counts = counts.coarser(self.steps)
+        level = _Level.of(counts.cells, counts.numbers.astype(np.float64), steps - self.steps)
+        own = counts.cells[level.start] >> 2 * (steps - self.steps)
+        return float(level.covered[np.isin(own, cells)].sum()) * self.volume
 
     def folds(self, counted: Sequence[IntArray]) -> tuple[IntArray, IntArray]:
         """(n₁,), (n₂,) the parts into which cells of some dozens of records are dealt, that columns are learned by."""
@@ -189,42 +200,68 @@ class Places:
 _COLUMNS = ("cells", "density", "seen", "share")
 
 
-def _by_level(
-    cells: IntArray, levels: Sequence[int], *numbers: FloatArray
-) -> list[tuple[float, tuple[FloatArray, ...]]]:
-    """Level by level, by how much larger its cells are, and the sums of numbers (u,) over the cell of each."""
-    out: list[tuple[float, tuple[FloatArray, ...]]] = []
-    for steps in levels:
+@dataclass(frozen=True)
+class _Level:
+    """The occupied cells of one size. start : (c,) where each begins among the finest cells. at : (u,) that of each of
+    those. numbers : (c, 2) records of either source. covered : (c,) how many of the finest lie within the field."""
+
+    start: IntArray
+    at: IntArray
+    numbers: FloatArray
+    covered: FloatArray
+
+    @classmethod
+    def of(cls, cells: IntArray, numbers: FloatArray, steps: int) -> _Level:
+        """Cells ``steps`` steps larger than these, (u,) and rising, with so many records (u, 2).
+
+        Cells reach beyond the border of a field, and into holes: of N records that are strewn over K of the finest
+        cells N²/K pairs share theirs on average, from which K follows. The source that has more records there tells.
+        """
         own = cells >> (2 * steps)
         first = np.append(True, own[1:] != own[:-1])
-        start, at = np.flatnonzero(first), np.cumsum(first) - 1
-        out.append((4.0**steps, tuple(np.add.reduceat(number, start)[at] for number in numbers)))
-    return out
+        start = np.flatnonzero(first)
+        records = np.add.reduceat(numbers, start)
+        over = _strewn_over(records, np.add.reduceat(numbers * (numbers - 1.0), start), 4.0**steps)
+        one, two = records.T
+        covered = np.where(one > two, over[:, 0], np.where(two > one, over[:, 1], over.mean(axis=1)))
+        return cls(start, np.cumsum(first) - 1, records, covered)
 
 
-def _seen(
-    cells: IntArray, asking: FloatArray, other: FloatArray, levels: Sequence[int], volume: float, area: float
-) -> BoolArray:
-    """(u,) whether the other source looks there, as ``kernels.coverage.look`` has it."""
-    density, highest = np.full(len(cells), other.sum() / area), np.zeros(len(cells))
-    least, seen = IN_CELL * asking.sum() / other.sum(), np.ones(len(cells), np.bool_)
-    for larger, (own_count, count) in _by_level(cells, levels, asking, other):
-        expected = np.maximum(density, 0.5 * highest) * volume * larger
-        seen &= ~((count == 0.0) & (own_count >= least) & (expected >= HOLE))
-        highest = np.maximum(highest, density)
-        density = (count + PSEUDO_COUNT) / (volume * larger + PSEUDO_COUNT / density)
+def _strewn_over(records: FloatArray, sharing: FloatArray, most: float) -> FloatArray:
+    """Over how many cells records are strewn of which so many pairs share theirs: all of ``most``, unless these are
+    too many for chance."""
+    due = records**2 / most
+    partly = sharing > due + PARTLY * np.sqrt(2.0 * due) + 1.0
+    return np.where(partly, np.maximum(records**2 / np.maximum(sharing, 1.0), 1.0), most)
+
+
+def _seen(cells: IntArray, numbers: FloatArray, levels: Sequence[int], volume: float) -> BoolArray:
+    """(u, 2) whether the other source looks there, as ``kernels.coverage.look`` has it. volume : of a cell."""
+    total = numbers.sum(axis=0)
+    least, seen = IN_CELL * total / total[::-1], np.ones(numbers.shape, np.bool_)
+    density, highest = np.empty(0), np.zeros(numbers.shape)
+    for level in (_Level.of(cells, numbers, steps) for steps in levels):
+        if not len(density):
+            density = np.full(numbers.shape, total[::-1] / (volume * level.covered.sum()))
+        size, count = volume * level.covered[level.at, None], level.numbers[level.at]
+        other = count[:, ::-1]
+        seen &= ~((other == 0.0) & (count >= least) & (np.maximum(density, 0.5 * highest) * size >= HOLE))
+        np.maximum(highest, density, out=highest)
+        density = (other + PSEUDO_COUNT) / (size + PSEUDO_COUNT / density)
     return seen
 
 
-def _density(cells: IntArray, number: FloatArray, levels: Sequence[int], volume: float, area: float) -> FloatArray:
-    """(u, 2) density of the counted records at those of their own source, and at others, as ``Coverage.density``."""
-    start = (number.sum() + 0.5) / area
-    own, others = np.full(len(cells), start), np.full(len(cells), start)
-    for larger, (count,) in _by_level(cells, levels, number):
-        size = volume * larger
+def _density(cells: IntArray, numbers: FloatArray, levels: Sequence[int], volume: float) -> FloatArray:
+    """(u, 2, 2) densities of the counted records of either source at those of their own, and at others, as
+    ``Coverage.density``. volume : of a cell."""
+    own = others = np.empty(0)
+    for level in (_Level.of(cells, numbers, steps) for steps in levels):
+        if not len(own):
+            own = others = np.tile((numbers.sum(axis=0) + 0.5) / (volume * level.covered.sum()), (len(cells), 1))
+        size, count = volume * level.covered[level.at, None], level.numbers[level.at]
         own = (np.maximum(count - 1.0, 0.0) + SMOOTH) / (size + SMOOTH / own)
         others = (count + SMOOTH) / (size + SMOOTH / others)
-    return np.column_stack([own, others])
+    return np.stack([own, others], axis=2)
 
 
 def drawn(counts: Counts, sampling: Sampling = Sampling()) -> tuple[int, IntArray]:  # noqa: B008

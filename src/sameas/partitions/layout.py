@@ -163,7 +163,7 @@ class HatsCatalogue:
         return [int(k) for k in np.flatnonzero(touched)] if len(stretch) else []
 
     def rows(self, stretch: IntArray, columns: list[str] | None = None) -> pa.Table:
-        """The rows in a set of stretches, in the order of the files, with their cells in ``_healpix_29``.
+        """The rows in a set of stretches by their place on the sky, with their cells in ``_healpix_29``.
 
         columns : their names; None for all but those of HATS itself. Of a file only those row groups are read whose
         statistics do not exclude it.
@@ -188,9 +188,32 @@ class HatsCatalogue:
                 except Exception as error:  # Arrow fails in many ways on what it did not foresee
                     raise _broken(file, cell, error) from error
         if parts:
-            return pa.concat_tables(parts, promote_options="permissive")
+            table = pa.concat_tables(parts, promote_options="permissive")
+            place = numbers_of(table, CELL)
+            sorted_ = bool(np.all(place[1:] >= place[:-1]))
+            return table if sorted_ else table.take(pa.array(np.argsort(place, kind="stable")))
         empty = self.schema.empty_table().select(names)
         return empty.append_column(CELL, pa.array([], pa.int64()))
+
+    def chunks(self, number: int, size: int, columns: list[str]) -> list[pa.Table]:
+        """So many tables of so many rows that follow each other on the sky, at equal distances among all rows, with
+        their cells; one of all rows where there are no more than that. Which they are does not depend on the cut."""
+        import pyarrow as pa
+
+        end = np.concatenate([[0], np.cumsum(self.partition_rows)])
+        total = int(end[-1])
+        if total <= number * size:
+            return [self.rows(self.stretches, columns)]
+        begins = (np.arange(number) * 2 + 1) * total // (2 * number) - size // 2
+        parts: list[list[pa.Table]] = [[] for _ in begins]
+        for k, cell in enumerate(self.cells):
+            some = np.flatnonzero((begins < end[k + 1]) & (begins + size > end[k]))
+            rows = self.rows(cell.stretch, columns) if len(some) else None
+            for chunk in some:
+                assert rows is not None
+                low, high = max(int(begins[chunk] - end[k]), 0), int(min(begins[chunk] + size, end[k + 1]) - end[k])
+                parts[chunk].append(rows.take(pa.array(np.arange(low, high))))  # a slice would hold all of them
+        return [pa.concat_tables(some, promote_options="permissive") for some in parts]
 
     def _part(self, file: Path, cell: Cell, stretch: IntArray, names: list[str]) -> list[pa.Table]:
         """The rows of one file."""

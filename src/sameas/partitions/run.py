@@ -76,7 +76,9 @@ class RunTuning:
     looked_at : rows of a partition by which its columns are understood. partitions : so many of them.
     far_arcsec, far_sigmas : records that move, or whose errors reach, farther than this, and than so many usual
         errors, are looked for everywhere.
-    in_cell : records in a cell of the finest counts, where the catalogue is densest.
+    chunks, in_chunk : so many times so many rows that follow each other on the sky tell how dense a catalogue is, and
+        its usual errors. Which these are does not depend on how it is cut.
+    in_cell : records in the cell of a record of the finest counts, on average in the densest chunk.
     margin_gates : the margin of the sample, in gates that are as wide as the quoted errors let expect.
     groups : the halo holds this share of the groups of the sample. least_halo_arcsec : at least.
     failures : a worker may die so often without anything being done meanwhile.
@@ -87,6 +89,8 @@ class RunTuning:
     partitions: int = 3
     far_arcsec: float = 10.0
     far_sigmas: float = 40.0
+    chunks: int = 16
+    in_chunk: int = 4_000
     in_cell: float = 4.0
     margin_gates: float = 8.0
     groups: float = 0.9999
@@ -181,20 +185,23 @@ def estimate(
     columns_of(looks[0], looks[1], options.evidence)  # that there are such
     epochs = completed_epochs(looks, options.epoch_jyr)
     epoch, moved = common_epoch(*epochs, options.epoch_jyr)
-    order = _cell_order(stored, tuning)
-    sides = tuple(Side(one, without_rows(look), epoch, order) for one, look in zip(stored, epochs, strict=True))
-    far = max(tuning.far_arcsec, tuning.far_sigmas * max(_usual_sigma(look) for look in epochs))
+    bare = tuple(Side(one, without_rows(look), epoch, 0) for one, look in zip(stored, epochs, strict=True))
     work = Work(
-        (sides[0], sides[1]), options.magnitudes, tuple(options.evidence), join, nway_columns, far, tuning=part_tuning
+        (bare[0], bare[1]), options.magnitudes, tuple(options.evidence), join, nway_columns, np.inf, tuning=part_tuning
     )
+    chunks = [_Chunks.of(side, work.columns(k), tuning) for k, side in enumerate(bare, 1)]
+    order = max(one.order for one in chunks)
+    far = max(tuning.far_arcsec, tuning.far_sigmas * max(one.sigma_arcsec for one in chunks))
+    usual = math.hypot(*(one.sigma_arcsec for one in chunks)) or 1.0
+    work = replace(work, sides=tuple(replace(side, cell_order=order) for side in bare), far_arcsec=far)  # type: ignore[arg-type]
     counted = _counted(work, scratch, workers, executor, progress, tuning)
     work = replace(work, sides=tuple(_with_far(s, counted[k], work) for k, s in enumerate(work.sides)))  # type: ignore[arg-type]
     progress("sample")
     counts = Counts.sum([one.counts for side in counted for one in side])
     places = Places.of(counts, healpix.area_arcsec2(order))
     steps, cells = drawn(counts, tuning.sampling)
-    volume = len(cells) * healpix.area_arcsec2(order - steps)
-    sampled, learned, assumed = _learned(work, epochs, places, steps, cells, volume, options, progress, tuning)
+    volume = places.within(counts, cells, steps)
+    sampled, learned, assumed = _learned(work, usual, places, steps, cells, volume, options, progress, tuning)
     final = tuple(replace(s, understood=without_rows(c)) for s, c in zip(work.sides, sampled, strict=True))
     work = replace(work, sides=(final[0], final[1]), learned=learned)
     work = replace(work, halo_arcsec=_halo(work, tuning))
@@ -243,21 +250,32 @@ def _rows_of(table: Any) -> Any:
     return table_of(table.drop_columns([name for name in OWN if name in table.column_names]))
 
 
-def _usual_sigma(look: Catalogue) -> float:
-    if look.error_is_unknown:
-        return 0.0
-    variances = look.records().variances
-    return float(np.sqrt(np.median(variances.max(axis=1)))) if len(variances) else 0.0
+@dataclass(frozen=True)
+class _Chunks:
+    """What some rows of a catalogue tell, which do not depend on how it is cut: the order of cells that hold a few
+    records where it is densest, and the usual error in arcsec, 0 where it has none."""
+
+    order: int
+    sigma_arcsec: float
+
+    @classmethod
+    def of(cls, side: Side, columns: list[str], tuning: RunTuning) -> _Chunks:
+        chunks = [side.rows(table) for table in side.stored.chunks(tuning.chunks, tuning.in_chunk, columns)]
+        order = max(_order_of(np.sort(chunk.stored), tuning.in_cell) for chunk in chunks)
+        if side.understood.error_is_unknown:
+            return cls(order, 0.0)
+        sigma = np.concatenate([chunk.sigma_arcsec for chunk in chunks])
+        return cls(order, float(np.median(sigma)) if len(sigma) else 0.0)
 
 
-def _cell_order(stored: Sequence[HatsCatalogue], tuning: RunTuning) -> int:
-    """The order of cells that hold a few records where a catalogue is densest."""
-    most = 1.0
-    for one in stored:
-        rows = one.partition_rows
-        density = max(n / healpix.area_arcsec2(cell.order) for n, cell in zip(rows, one.cells, strict=True))
-        most = max(most, math.log(max(density, 1e-30) / tuning.in_cell * healpix.area_arcsec2(0), 4.0))
-    return int(min(max(math.ceil(most), 3), 24))
+def _order_of(stored: IntArray, in_cell: float) -> int:
+    """The coarsest order in which no more records are in the cell of one on average; stored : (n,) rising cells."""
+    for order in range(3, 24):
+        cells = stored >> 2 * (healpix.FINEST - order)
+        count = np.diff(np.append(np.flatnonzero(np.append(True, cells[1:] != cells[:-1])), len(cells)))
+        if float(count @ count) <= in_cell * len(cells):
+            return order
+    return 24
 
 
 def _counted(
@@ -293,12 +311,11 @@ def _with_far(side: Side, counted: Sequence[Counted], work: Work) -> Side:
 
 
 def _learned(
-    work: Work, looks: tuple[Catalogue, Catalogue], places: Places, steps: int, cells: IntArray, volume: float,
+    work: Work, usual: float, places: Places, steps: int, cells: IntArray, volume: float,
     options: MatchOptions, progress: Progress, tuning: RunTuning,
 ) -> tuple[list[Catalogue], Learned, tuple[str, ...]]:  # fmt: skip
     """The sample's catalogues, completed; what they say; and the doubts of what was assumed."""
     order = work.sides[0].cell_order - steps
-    usual = math.hypot(*(_usual_sigma(look) for look in looks)) or 1.0
     margin = tuning.margin_gates * 6.4 * usual + 2.0 * _motion(work)
     fine = max(min(healpix.order_of_width(margin), 24), order)
     ring = healpix.ring(cells, order, fine) if healpix.width_arcsec(fine) >= margin or fine > order else cells
