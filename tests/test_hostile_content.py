@@ -16,7 +16,7 @@ import sameas
 from sameas.cli.app import app
 from sameas.io import read_table, write_table
 from sameas.io.geojson import write_geojson
-from sameas.io.regions import write_regions
+from sameas.io.plate import write_regions
 
 SOURCE = Path(sameas.__file__).parent
 HOSTILE = [

@@ -511,7 +511,7 @@ def test_a_folder_without_frames_is_refused(files, sameas, tmp_path):
 @pytest.mark.slow
 def test_files_of_a_frame_come_together_and_say_the_same_every_time(files, sameas, tmp_path, monkeypatch):
     """An interruption between two files left the table of the new run beside the page of the old one."""
-    from sameas.io import regions
+    from sameas.io import plate
 
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     folder = tmp_path / "out"
@@ -526,7 +526,7 @@ def test_files_of_a_frame_come_together_and_say_the_same_every_time(files, samea
     def interrupted(*given, **named):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(regions, "write_regions", interrupted)
+    monkeypatch.setattr(plate, "write_regions", interrupted)
     monkeypatch.setattr("sameas.front.framing.write_regions", interrupted, raising=False)
     with pytest.raises((AssertionError, KeyboardInterrupt)):
         written("--threshold", "6")

@@ -13,7 +13,7 @@ from sameas.errors import InputError
 from sameas.io.sensors import REPORT_FORMATS, ReadOptions, read_reports
 from sameas.io.sensors.clock import at_second, forward_filled, instant, unwrapped
 from sameas.io.sensors.format import SensorFile
-from sameas.io.sensors.reading import format_of
+from sameas.io.sensors.sources import format_of
 
 DATA = Path(__file__).parent / "data"
 ORACLE = json.loads((DATA / "asterix_oracle.json").read_text())

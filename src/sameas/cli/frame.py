@@ -127,8 +127,7 @@ def frame(
     done again. Of a folder the frames of one field and filter are a series: one table of stars, zero points, a page.
     """
     with answering(debug, frame_option):
-        from sameas.cli.frames import expanded, names_of
-        from sameas.cli.pointing import aim_of, scale_of
+        from sameas.cli.frames import aim_of, expanded, names_of, scale_of
         from sameas.front.framing import FrameRequest, PointingOptions
 
         paths = expanded(

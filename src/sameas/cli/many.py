@@ -110,7 +110,7 @@ def _check(request: Request[ManyOptions], least: int) -> None:
 
 def run(request: Request[ManyOptions], outputs: Outputs | None, least: int, quiet: bool) -> None:
     """Read, understand, identify, say, write; without ``outputs`` only the first two."""
-    from sameas.cli.reading import catalogues as read_catalogues
+    from sameas.cli.outputs import catalogues as read_catalogues
     from sameas.cli.terminal import Pace, Printer, share_compilation
     from sameas.front.many import MatchMany, identified
 

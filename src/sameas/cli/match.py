@@ -351,7 +351,7 @@ def look(request: Request[MatchOptions], quiet: bool) -> None:
 
 def _understood(request: Request[MatchOptions], printer: Printer, pace: Pace) -> tuple[Catalogue, Catalogue]:
     """Both catalogues, printed as soon as each is understood."""
-    from sameas.cli.reading import catalogues
+    from sameas.cli.outputs import catalogues
     from sameas.report.prose import DOUBT
 
     first, second = catalogues(request, printer, pace)

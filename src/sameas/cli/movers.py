@@ -22,7 +22,6 @@ from sameas.cli.options import (
 from sameas.cli.outcome import answering
 from sameas.errors import InputError
 from sameas.front.options import SIDE_OPTIONS
-from sameas.front.outputs import is_input
 
 _COLUMNS = "Columns of the tables"
 _FRAMES = "A series of frames"
@@ -133,7 +132,7 @@ def movers(
     if catalog is not None:
         with answering(debug, frame_option):
             from sameas.cli import series
-            from sameas.cli.pointing import aim_of, scale_of
+            from sameas.cli.frames import aim_of, scale_of
             from sameas.front.framing import PointingOptions
             from sameas.front.options import fields_of
 
@@ -258,6 +257,7 @@ def run(
 def _reports(output: Path, inputs: tuple[str, ...], overwrite: bool) -> list[Path]:
     """Where the reports go: beside the output, PSV, XML and 80 columns."""
     from sameas.io.ades import REPORTS
+    from sameas.io.atomic import is_input
 
     stem = output.name.split(".")[0]
     paths = [output.with_name(f"{stem}.{end}") for end in REPORTS]

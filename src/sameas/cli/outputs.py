@@ -1,4 +1,4 @@
-"""Outputs: the table that a command writes; refused at the door, and written whole or not at all."""
+"""Tables of a command: its catalogues, each printed as soon as it is understood, and the one that it writes."""
 
 from __future__ import annotations
 
@@ -6,16 +6,42 @@ import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sameas.cli.options import in_options
+from sameas.cli.terminal import Pace, Printer
 from sameas.errors import InputError
-from sameas.front.outputs import is_input
+from sameas.front.request import Request
 from sameas.io import replacing, write_table, written_formats
+from sameas.io.atomic import is_input
+from sameas.report.match import catalogue_lines
 from sameas.report.prose import count
+from sameas.sky.catalogue import Catalogue
 
 if TYPE_CHECKING:
     from astropy.table import Table
+
+# Reading: the catalogues of a request, each printed as soon as it is understood.
+
+
+def catalogues(request: Request[Any], printer: Printer, pace: Pace) -> list[Catalogue]:
+    """All catalogues of a request."""
+
+    def told(side: int, catalogue: Catalogue) -> None:
+        pace.pause()
+        printer([*catalogue_lines(catalogue, side, request.paths[side - 1], partial(_in_own_terms, request, side)), ""])
+        if side < len(request.paths):
+            pace(f"reading {request.paths[side]}")
+
+    pace(f"reading {request.paths[0]}")
+    return request.catalogues(told)
+
+
+def _in_own_terms(request: Request[Any], side: int, text: str) -> str:
+    """A text on one catalogue, with that catalogue's own options."""
+    return in_options(request.words(text, side))
 
 
 @dataclass(frozen=True)

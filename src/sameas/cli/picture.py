@@ -95,7 +95,7 @@ def picture(
     with answering(debug, sensor_option):
         from sameas.cli.picturing import run
         from sameas.front.picture import Instants, Method, PictureOutputs
-        from sameas.maps.coast import read_coast
+        from sameas.maps.outline import read_coast
 
         instants = Instants(duration_s(every), at, begin, end)
         method = Method(

@@ -199,7 +199,7 @@ def _product(
     reasons: list[str], movers: tuple[str, str] | None = None,
 ) -> list[str]:  # fmt: skip
     from sameas.front.series import doubts_of, write_series
-    from sameas.pages.series import series_field, write_series_page
+    from sameas.pages.movers import series_field, write_series_page
 
     written = write_series(each, folder, facts)
     fields = [

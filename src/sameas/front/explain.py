@@ -40,7 +40,7 @@ class Lines:
         return "\n".join(self.lines)
 
     def __repr__(self) -> str:
-        from sameas.front.display import in_first_lines
+        from sameas.report.prose import in_first_lines
 
         return in_first_lines(self.lines)
 

@@ -133,8 +133,8 @@ class MatchFrame:
         InputError : the path cannot be written, or is the frame itself.
         """
         from sameas.front.framing import provenance_of, write
-        from sameas.front.outputs import refuse_inputs
         from sameas.io import write_table
+        from sameas.io.atomic import refuse_inputs
 
         refuse_inputs(path, (self.request.path, self.request.catalogue))
         if Path(path).suffix or format is not None:
@@ -162,13 +162,13 @@ class MatchFrame:
         )
 
     def __repr__(self) -> str:
-        from sameas.front.display import in_lines
+        from sameas.report.prose import in_lines
 
         offers = ".table .pairs .wcs .report() .explain(star) .plot() .write(path or folder)"
         return in_lines(self.headline, self.doubts, offers)
 
     def _repr_html_(self) -> str:
-        from sameas.front.display import in_html
+        from sameas.report.prose import in_html
 
         return in_html(self.headline, self.report(), self.plot)
 

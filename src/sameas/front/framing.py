@@ -24,8 +24,7 @@ from sameas.front.provenance import program
 from sameas.io import checksum, write_table
 from sameas.io.atomic import filling
 from sameas.io.catalogues import BRIGHT, GAIA, catalogue
-from sameas.io.plate import write_copy, write_solution
-from sameas.io.regions import write_regions
+from sameas.io.plate import write_copy, write_regions, write_solution
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.frame.calibration import MasterFrames
 from sameas.sky.frame.detect import detect

@@ -165,8 +165,8 @@ class MatchMany:
         ------
         InputError : the path cannot be written, or is one of the inputs.
         """
-        from sameas.front.outputs import refuse_inputs
         from sameas.io import write_table
+        from sameas.io.atomic import refuse_inputs
 
         refuse_inputs(path, self.request.paths)
         table = self.table if least is None else self.joined(least)
@@ -188,13 +188,13 @@ class MatchMany:
         return f"Match of {names}: {count(len(self))} objects, {count(several)} of them in several"
 
     def __repr__(self) -> str:
-        from sameas.front.display import in_lines
+        from sameas.report.prose import in_lines
 
         offers = ".table .joined(2) .objects .report() .explain(id, source=1) .plot() .write(path)"
         return in_lines(self.headline, self.doubts, offers)
 
     def _repr_html_(self) -> str:
-        from sameas.front.display import in_html
+        from sameas.report.prose import in_html
 
         return in_html(self.headline, self.report(), self.plot)
 

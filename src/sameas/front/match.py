@@ -172,8 +172,7 @@ class Match:
 
     def result_lines(self, words: Callable[[str], str] = str) -> list[str]:
         """What was estimated and found, without what was understood of the input."""
-        from sameas.report.match import estimate_lines, summary_lines
-        from sameas.report.records import records_lines
+        from sameas.report.match import estimate_lines, records_lines, summary_lines
 
         if self.sky is None:
             return records_lines(self.identification, self.estimate)
@@ -239,8 +238,8 @@ class Match:
         ------
         InputError : the path cannot be written, or is one of the inputs.
         """
-        from sameas.front.outputs import refuse_inputs
         from sameas.io import write_table
+        from sameas.io.atomic import refuse_inputs
 
         if self.request is not None:
             refuse_inputs(path, self.request.paths)
@@ -259,8 +258,7 @@ class Match:
     @property
     def headline(self) -> str:
         """What it is, in one line."""
-        from sameas.front.display import expected
-        from sameas.report.prose import count
+        from sameas.report.prose import count, expected
 
         sizes = [f"{records.source} ({count(records.n_table)} rows)"
                  for records in (self.identification.first, self.identification.second)]  # fmt: skip
@@ -269,13 +267,13 @@ class Match:
         )
 
     def __repr__(self) -> str:
-        from sameas.front.display import in_lines
+        from sameas.report.prose import in_lines
 
         offers = ".table .joined('1or2') .pairs .report() .explain(id) .plot() .write(path)"
         return in_lines(self.headline, self.doubts, offers)
 
     def _repr_html_(self) -> str:
-        from sameas.front.display import in_html
+        from sameas.report.prose import in_html
 
         return in_html(self.headline, self.report(), self.plot)
 
@@ -306,7 +304,7 @@ class RecordStory:
         return "\n".join(self.lines)
 
     def __repr__(self) -> str:
-        from sameas.front.display import in_first_lines
+        from sameas.report.prose import in_first_lines
 
         return in_first_lines(self.lines)
 

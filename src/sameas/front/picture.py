@@ -17,7 +17,6 @@ import numpy as np
 
 from sameas.arrays import FloatArray
 from sameas.errors import Argument, InputError, Message, naming
-from sameas.front.display import in_html, in_lines
 from sameas.front.explain import Lines
 from sameas.front.match import call_text
 from sameas.front.provenance import made_by
@@ -28,13 +27,13 @@ from sameas.io.sensors.clock import DAY_S, instant
 from sameas.io.sensors.sources import SensorSource, SourceOptions, read_source_options, read_sources, source_of
 from sameas.io.sensors.tables import TableText
 from sameas.io.sensors.tables import read as read_cells
-from sameas.maps.coast import Coast
+from sameas.maps.outline import Coast
 from sameas.maps.sheet import MapAlarm, MapSensor, MapSheet
 from sameas.picture.picture import MOST_INSTANTS, Picture, instants
 from sameas.picture.plot_picture import PlotPicture, nameless
 from sameas.picture.watch import EvidenceOf, Watch, all_evidence
 from sameas.report.picture import assumed_lines, doubt_lines, found_lines, listed, read_lines, scene_lines
-from sameas.report.prose import count, counted, span
+from sameas.report.prose import count, counted, in_html, in_lines, span
 from sameas.tracks.registration import SourceBiases
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
@@ -234,7 +233,7 @@ class MatchPicture:
         ------
         InputError : the folder cannot be written; an unknown format.
         """
-        from sameas.maps.coast import read_coast
+        from sameas.maps.outline import read_coast
 
         if format not in ("parquet", "csv"):
             raise InputError(f"format is {format!r}; give 'parquet' or 'csv'")

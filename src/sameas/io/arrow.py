@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, IntArray
 from sameas.errors import InputError
-from sameas.io.provenance import ascii_of, unicode_of
+from sameas.io.format import ascii_of, unicode_of
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -16,7 +16,7 @@ import shutil
 import signal
 import tempfile
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -302,3 +302,21 @@ def refused_by_disk(error: BaseException | None) -> str | None:
             return _NO_ROOM[errno.ENOSPC]
         error = error.__cause__ or error.__context__
     return None
+
+
+# Outputs: files that are written and must not be one of the inputs.
+
+
+def is_input(path: str | os.PathLike[str], inputs: Sequence[str]) -> bool:
+    """Whether a path is that of one of the inputs."""
+    return any(
+        (os.path.exists(one) and os.path.exists(path) and os.path.samefile(path, one))
+        or os.path.realpath(one) == os.path.realpath(path)
+        for one in inputs
+    )
+
+
+def refuse_inputs(path: str | os.PathLike[str], inputs: Sequence[str]) -> None:
+    """Refuses an output that would destroy an input."""
+    if is_input(path, inputs):
+        raise InputError(f"{os.fspath(path)}: is also an input; it would be overwritten", "give another name")

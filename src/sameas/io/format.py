@@ -8,10 +8,18 @@ these functions, so that the list costs nothing.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
+import json
+import os
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.errors import InputError
 
 _PLAIN = (".csv", ".tsv", ".txt", ".dat", ".asc", ".ascii", ".cat", ".tbl", ".ipac", ".mrt")
 #: Endings of the names of text files, which do not tell how the text is laid out.
@@ -49,3 +57,86 @@ class Format:
     def module(self) -> ModuleType:
         """The module that reads and writes it."""
         return importlib.import_module(f"sameas.io.{self.name}")
+
+
+# How a file was made, kept with it: a flat mapping of plain values, and its spelling as text.
+
+
+def plain(provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """The mapping with plain values only: text, whole numbers, floats, truth values, None, lists of these.
+
+    Raises
+    ------
+    InputError : a key that is not text, or a value of another kind.
+    """
+    wrong = [key for key in provenance if not isinstance(key, str)]
+    if wrong:
+        raise InputError(f"provenance: the key {wrong[0]!r} is not text")
+    return {key: _plain_value(key, value) for key, value in provenance.items()}
+
+
+def _plain_value(key: str, value: Any) -> Any:
+    if hasattr(value, "tolist"):  # NumPy's scalars and arrays, without importing it
+        value = value.tolist()
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, list | tuple):
+        return [_plain_value(key, item) for item in value]
+    for kind in (bool, int, float, str):
+        # Subclasses (enumerations, astropy's strings) become the plain kind, which every format can spell.
+        if isinstance(value, kind):
+            return kind(value)
+    if value is None:
+        return None
+    raise InputError(f"provenance: {key} is a {type(value).__name__}; give text, numbers, truth values or lists")
+
+
+def to_json(provenance: Mapping[str, Any]) -> str:
+    """One line of ASCII without quotes (') and ampersands, which FITS cards treat specially."""
+    return json.dumps(provenance).replace("'", "\\u0027").replace("&", "\\u0026")
+
+
+def to_text(value: Any) -> str:
+    """One value as text: a string as it is, where that cannot be taken for another value; else JSON."""
+    if isinstance(value, str) and value.isprintable() and value.strip() == value and from_text(value) == value:
+        return value
+    return json.dumps(value)
+
+
+def from_text(text: str) -> Any:
+    """The value that :func:`to_text` spelled."""
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
+
+
+# Cells of text: bytes to Unicode and back, for whole columns at once.
+#
+# NumPy converts one cell after the other; nearly all text in catalogues is ASCII, where widening is enough.
+
+
+def unicode_of(cells: NDArray[Any]) -> NDArray[Any]:
+    """Unicode cells from bytes: ASCII, else UTF-8, else Latin-1, in which every byte means something."""
+    width = cells.dtype.itemsize
+    if width == 0 or cells.size == 0:
+        return np.zeros(cells.shape, dtype=f"U{max(width, 1)}")
+    numbers = np.ascontiguousarray(cells).reshape(-1).view(np.uint8)
+    if numbers.max() < 128:
+        return numbers.astype(np.uint32).view(f"U{width}").reshape(cells.shape)
+    try:
+        return np.char.decode(cells, "utf-8")
+    except UnicodeDecodeError:
+        return np.char.decode(cells, "latin-1")
+
+
+def ascii_of(cells: NDArray[Any]) -> NDArray[Any] | None:
+    """Bytes from Unicode cells; None when a letter is not ASCII."""
+    width = cells.dtype.itemsize // 4
+    if width == 0 or cells.size == 0:
+        return np.zeros(cells.shape, dtype=f"S{max(width, 1)}")
+    native = np.ascontiguousarray(cells.astype(cells.dtype.newbyteorder("="), copy=False))
+    numbers = native.reshape(-1).view(np.uint32)
+    if numbers.max() > 127:
+        return None
+    return numbers.astype(np.uint8).view(f"S{width}").reshape(cells.shape)

@@ -15,8 +15,7 @@ from sameas.errors import Argument, InputError, Message, first_line, reading
 from sameas.io import ascii as text
 from sameas.io import csv, ecsv, fits, ipac, mrt, parquet, sextractor, vizier, votable
 from sameas.io.atomic import replacing
-from sameas.io.format import TEXT_EXTENSIONS, Format
-from sameas.io.provenance import plain
+from sameas.io.format import TEXT_EXTENSIONS, Format, plain
 
 if TYPE_CHECKING:
     from astropy.table import Table

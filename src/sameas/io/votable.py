@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray
 from sameas.errors import InputError
-from sameas.io.format import Format
-from sameas.io.provenance import ascii_of, from_text, to_text, unicode_of
+from sameas.io.format import Format, ascii_of, from_text, to_text, unicode_of
 
 if TYPE_CHECKING:
     from astropy.table import Column, Table

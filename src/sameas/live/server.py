@@ -25,7 +25,7 @@ from sameas.errors import InputError
 from sameas.live.frame import OBJECT, RECORD, Frame
 from sameas.live.keeper import Delta, Keeper
 from sameas.live.outputs import geojson, metrics
-from sameas.maps.coast import read_coast
+from sameas.maps.outline import read_coast
 from sameas.maps.sheet import MapSensor, MapSheet
 from sameas.pages.map import map_page
 

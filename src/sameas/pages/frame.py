@@ -11,9 +11,8 @@ import numpy as np
 
 from sameas.arrays import IntArray
 from sameas.io.atomic import replacing
-from sameas.pages.numbers import column, png, rounded
-from sameas.pages.template import asset, page_of, script_safe
-from sameas.plots.stretch import binned, binning, stretched
+from sameas.pages.template import asset, column, page_of, png, rounded, script_safe
+from sameas.plots.frame import binned, binning, stretched
 from sameas.sky.frame.identified import EXPECTED, FrameIdentification
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.listing import why_missing

@@ -6,6 +6,6 @@ damaged line is counted with its number and never ends the reading.
 """
 
 from sameas.io.sensors.format import ReadOptions
-from sameas.io.sensors.reading import REPORT_FORMATS, read_reports
+from sameas.io.sensors.sources import REPORT_FORMATS, read_reports
 
 __all__ = ["REPORT_FORMATS", "ReadOptions", "read_reports"]

@@ -1,6 +1,6 @@
 """A format of sensor files: its name, how its files are recognised, and how they are read.
 
-A format is a module of this package with a ``FORMAT``, listed in :data:`sameas.io.sensors.reading.FORMATS`.
+A format is a module of this package with a ``FORMAT``, listed in :data:`sameas.io.sensors.sources.FORMATS`.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from sameas.errors import InputError
 from sameas.io.sensors import aircraft, ais, arpa, asterix, nmea, sbs, signalk, tables
-from sameas.io.sensors.asterix.blocks import looks_like
+from sameas.io.sensors.asterix.records import looks_like
 from sameas.io.sensors.format import ReadOptions, SensorFile
 from sameas.tracks.reports import Damaged, NoReports, Reports
 

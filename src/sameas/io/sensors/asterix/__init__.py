@@ -1,9 +1,173 @@
 """ASTERIX: the binary records of radars, trackers and ADS-B ground stations (EUROCONTROL-SPEC-0149).
 
-``blocks`` takes files and network captures apart into blocks of one category; ``layout`` knows how long every item of
-a category is; ``records`` walks through them; ``cat021``, ``cat048`` and ``cat062`` say what the items mean.
+``records`` takes files and network captures apart into blocks of one category and walks through the records of each;
+``cat021``, ``cat048`` and ``cat062`` say what their items mean; here they become the reports of every sensor.
 """
 
-from sameas.io.sensors.asterix.reading import FORMAT, read
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from sameas.arrays import FloatArray
+from sameas.errors import InputError, naming
+from sameas.io.sensors.asterix import cat021, cat048, cat062
+from sameas.io.sensors.asterix.records import (
+    CATEGORIES,
+    PCAPNG,
+    Block,
+    DamagedRecord,
+    blocks_of,
+    looks_like,
+    records_of,
+    unsigned,
+)
+from sameas.io.sensors.clock import DAY_S, unwrapped
+from sameas.io.sensors.format import SensorFormat
+from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 
 __all__ = ["FORMAT", "read"]
+
+
+_MEANINGS: dict[int, ModuleType] = {21: cat021, 48: cat048, 62: cat062}
+#: Category, SAC and SIC: one sensor.
+Sensor = tuple[int, int, int]
+
+
+def read(
+    content: bytes,
+    source: str,
+    start_s: float | None = None,
+    *,
+    received_s: float = float("nan"),
+    blocks_read: set[tuple[int, bytes]] | None = None,
+) -> list[Reports]:
+    """The reports in ASTERIX bytes, one :class:`Reports` for each category and sensor (SAC, SIC).
+
+    Parameters
+    ----------
+    content : blocks one after the other, or a pcap capture. A line number is the number of the record in the file.
+    source : its name in messages; several sensors are called ``source:048 SAC/SIC``.
+    start_s : UTC date of the first record, for files that are no capture: records have the time of day only.
+    received_s, blocks_read : of a stream, when these blocks came, and those that came before, kept up to date; every
+        sensor is then named as one of several.
+
+    Raises
+    ------
+    InputError : nothing of categories 021, 048 or 062; no date.
+    """
+    if content[:4] == PCAPNG:
+        raise InputError(f"{source}: is a pcapng capture; convert it: editcap -F pcap FILE FILE.pcap")
+    rows: dict[Sensor, list[dict[str, Any]]] = {}
+    damaged: list[tuple[int, str]] = []
+    passed_over: Counter[str] = Counter()
+    number = 0
+    live = blocks_read is not None
+    blocks_read = set() if blocks_read is None else blocks_read
+    for block in blocks_of(content, received_s):
+        again = (block.category, block.data) in blocks_read
+        blocks_read.add((block.category, block.data))
+        if again and not block.problem:
+            # Sensors send over two networks; times of day make every other block new.
+            passed_over["block that came before, from a second network"] += 1
+        elif block.problem:
+            damaged.append((number + 1, block.problem))
+        elif block.category not in _MEANINGS:
+            passed_over[f"block of category {block.category:03d}"] += 1
+        else:
+            number = _add(block, number, rows, damaged, passed_over)
+    if not rows:
+        problems = [
+            *Damaged.of(damaged, "record").sentences(),
+            *(f"{n} passed over: {what}" for what, n in passed_over.items()),
+        ]
+        raise NoReports(
+            f"{source}: no target of category 021, 048 or 062; {'; '.join(problems) or 'is it ASTERIX?'}",
+            damaged=Damaged.of(damaged, "record"), passed_over=passed_over,
+        )  # fmt: skip
+    # Damaged and passed over records are of the file; the first source has them.
+    about: list[tuple[Damaged, Mapping[str, int]]] = [(Damaged.of(damaged, "record"), passed_over)]
+    about += [(Damaged(unit="record"), {})] * (len(rows) - 1)
+    return [
+        _reports(sensor, of_rows(its), _name(source, sensor, 2 if live else len(rows)), start_s, *its_about)
+        for (sensor, its), its_about in zip(sorted(rows.items()), about, strict=True)
+    ]
+
+
+def _add(
+    block: Block,
+    number: int,
+    rows: dict[Sensor, list[dict[str, Any]]],
+    damaged: list[tuple[int, str]],
+    passed_over: Counter[str],
+) -> int:
+    """Adds the reports of a block; the number of its last record is returned."""
+    meaning = _MEANINGS[block.category]
+    try:
+        for items in records_of(CATEGORIES[block.category], block.data):
+            number += 1
+            row = meaning.row(items)
+            if isinstance(row, str):
+                # What begins with its category is whole, but no target.
+                if row.startswith("0"):
+                    passed_over[row] += 1
+                else:
+                    damaged.append((number, row))
+                continue
+            if abs(row.get("lat_deg", 0.0)) > 90.0:
+                damaged.append((number, "latitude beyond ±90°"))
+                continue
+            identity = items.get("010", b"\0\0")
+            sensor = (block.category, unsigned(identity[:1]), unsigned(identity[1:]))  # type: ignore[index]
+            rows.setdefault(sensor, []).append({"line": number, "received_s": block.received_s, **row})
+    except DamagedRecord as error:
+        number += 1
+        damaged.append((number, f"{error}; the rest of its block is lost"))
+    return number
+
+
+def _name(source: str, sensor: Sensor, count: int) -> str:
+    category, sac, sic = sensor
+    return source if count == 1 else f"{source}:{category:03d} {sac}/{sic}"
+
+
+def _reports(
+    sensor: Sensor,
+    columns: dict[str, Any],
+    name: str,
+    start_s: float | None,
+    damaged: Damaged,
+    passed_over: Mapping[str, int],
+) -> Reports:
+    meaning = _MEANINGS[sensor[0]]
+    received_s = columns.pop("received_s")
+    columns["time_s"] = _times(columns.pop("day_s"), received_s, name, start_s)
+    columns |= meaning.errors(columns)
+    dated = "of the capture" if np.isfinite(received_s).any() else "that was given"
+    notes = (f"{name}: times of day on the date {dated}", *meaning.notes(name))
+    return Reports.of(name, f"asterix {sensor[0]:03d}", columns, damaged=damaged, passed_over=passed_over, notes=notes)
+
+
+def _times(day_s: FloatArray, received_s: FloatArray, name: str, start_s: float | None) -> FloatArray:
+    """UTC of the times of day: on the day nearest to the packet's, else counted on from the date that was given."""
+    if np.isfinite(received_s).all():
+        day_s = np.where(np.isnan(day_s), np.mod(received_s, DAY_S), day_s)
+        return np.asarray(day_s + DAY_S * np.round((received_s - day_s) / DAY_S))
+    if start_s is None:
+        raise InputError(
+            f"{name}: no date: the records tell the time of day only", naming("give {start}, the UTC date of the first")
+        )
+    return unwrapped(day_s, DAY_S, start_s)
+
+
+FORMAT = SensorFormat(
+    "asterix",
+    "ASTERIX categories 021, 048 and 062, bare or in a pcap capture",
+    lambda file: read(file.content, file.source, file.start_s),
+    lambda file: looks_like(file.content),
+    magic=(PCAPNG,),
+)
