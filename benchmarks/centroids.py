@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.tables import Table, report
 from sameas.simulate.frames import Camera, Gaussian, Moffat, Profile, SimulatedFrame, Trail, frame_of
 from sameas.sky.frame.detect import detect
-from sameas.sky.frame.detection import Detection
+from sameas.sky.frame.measurements import Detection
 
 Found = tuple[np.ndarray, np.ndarray | None]
 BINS = ((5, 15), (15, 100), (100, 1e6))

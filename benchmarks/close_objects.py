@@ -10,8 +10,7 @@ import time
 import numpy as np
 
 from sameas.evidence import log_neighbour_density
-from sameas.evidence.boxes import log_correlated_density
-from sameas.evidence.close import log_generalized_density
+from sameas.evidence.close import log_correlated_density, log_generalized_density
 
 INNER, SPACINGS, PLACES = 1.1, (1.6, 1.9, 3.0, 6.0), (0.0, 0.5, 1.0, 2.0, 3.0, 5.0, 8.0)
 CORRELATIONS = (0.0, 0.3, 0.6, 0.9, 0.99)

@@ -22,7 +22,7 @@ from sameas.simulate.frames import frame_of as simulated
 from sameas.sky.frame.detect import detect
 from sameas.sky.frame.image import Frame
 from sameas.sky.movers.below_limit import search_below_limit
-from sameas.sky.movers.series import left_over, search
+from sameas.sky.movers.search import left_over, search
 from sameas.sky.movers.stack import chip_map, confirmed, stack
 from sameas.sky.movers.trails import with_trails
 from sameas.sky.series.tied import Exposure, Series, tie

@@ -226,7 +226,7 @@ def long_series(frames: int, measurements: int = 5000, seed: int = 1) -> list[An
 
 def tied_and_searched(frames: int, measurements: int) -> Callable[[], dict[str, Any]]:
     """The work that is measured: a series tied together and searched."""
-    from sameas.sky.movers.series import search
+    from sameas.sky.movers.search import search
     from sameas.sky.series.tied import tie
 
     exposures = long_series(frames, measurements)

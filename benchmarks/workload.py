@@ -54,8 +54,7 @@ def crowded(seed: int, n: int, lam: float, elliptical: bool = False) -> tuple[An
 
 def frame(seed: int, n_1: int = 2000, n_2: int = 5000, lam: float = 0.5) -> tuple[Any, Densities]:
     """One frame of n₁ detections, of which 90 % are among the n₂ stars of a catalogue."""
-    from sameas.simulate.areas import Cap
-    from sameas.simulate.scenes import chance_area_steradians, sky_field
+    from sameas.simulate.scenes import Cap, chance_area_steradians, sky_field
     from sameas.space import ARCSEC_PER_RADIAN
 
     steradians = chance_area_steradians(n_2, lam, SIGMA_ARCSEC)

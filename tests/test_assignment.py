@@ -23,7 +23,7 @@ from sameas.kernels import threads
 from sameas.many.identify import identify_many
 from sameas.many.rules import PoissonObjects
 from sameas.prior import LogPrior
-from sameas.score.subpattern import gospa
+from sameas.score.picture import gospa
 
 PRIORS = {
     "per pair": (PerPair(0.0), lambda n1, n2: lambda k: 0.0),

@@ -11,7 +11,7 @@ from sameas.errors import InputError
 from sameas.estimate.blends import BlendTuning as Tuning
 from sameas.estimate.blends import candidates_of, find_blends, hypotheses, log_odds_of
 from sameas.evidence import Errors
-from sameas.simulate.blended import blended_field
+from sameas.simulate.surveys import blended_field
 
 SIGMA, RESOLUTION, SHARE, ALONE = 0.3, 2.0, 0.7, 0.02
 

@@ -3,7 +3,7 @@
 import pytest
 from scipy.stats import chi2
 
-from sameas.gate.chisquare import quantile, upper_quantile
+from sameas.gate.gate import quantile, upper_quantile
 
 
 @pytest.mark.parametrize("d", [1, 2, 3, 4, 6])

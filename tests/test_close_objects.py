@@ -11,8 +11,13 @@ import naive
 from problems import plane_records
 from sameas import Box, CloseObjects, InputError, Radius, Records
 from sameas.evidence import log_neighbour_density, log_surface_density
-from sameas.evidence.boxes import log_correlated_density, log_correlated_surface, log_rectangle
-from sameas.evidence.close import log_generalized_density, log_generalized_gaussian
+from sameas.evidence.close import (
+    log_correlated_density,
+    log_correlated_surface,
+    log_generalized_density,
+    log_generalized_gaussian,
+    log_rectangle,
+)
 
 A, B = np.array([0.7, 1.3]), np.array([2.0, 1.9])
 

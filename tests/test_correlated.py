@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sameas import Field, InputError, Records, Sphere, identify
-from sameas.many.correlated import Filter, steady_tracks, without_common
+from sameas.many.fusion import Filter, steady_tracks, without_common
 
 DT = 2.0
 MOTION = np.array([[1.0, DT], [0.0, 1.0]])

@@ -5,7 +5,7 @@ import pytest
 
 from sameas import Plane, Records, Sphere
 from sameas.estimate.coverage import SMOOTH, Coverage, local_share
-from sameas.simulate.areas import Cap, LonLatBox, WholeSky
+from sameas.simulate.scenes import Cap, LonLatBox, WholeSky
 from sameas.space import ARCSEC_PER_RADIAN
 
 

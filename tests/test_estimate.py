@@ -12,8 +12,7 @@ from sameas.estimate.match import match
 from sameas.estimate.quantity import Quantity
 from sameas.evidence import Errors
 from sameas.score.pairs import is_true_pair, score_probabilities
-from sameas.simulate.areas import Cap
-from sameas.simulate.scenes import poisson_field, sky_field
+from sameas.simulate.scenes import Cap, poisson_field, sky_field
 
 
 def scene(seed, *, sigma=0.1, quoted=1.0, q1=0.2, q2=0.3, extent=40.0, d=2):

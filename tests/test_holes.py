@@ -9,7 +9,7 @@ import naive
 from sameas import Plane, Records, Sphere
 from sameas.estimate import coverage
 from sameas.estimate.coverage import Coverage, Points, opened
-from sameas.simulate.areas import LonLatBox
+from sameas.simulate.scenes import LonLatBox
 from sameas.space import sphere_offset
 
 SEEDS = range(5)

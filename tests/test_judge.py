@@ -18,8 +18,7 @@ from sameas import (
 )
 from sameas.evidence import DetectionField, Errors
 from sameas.score.pairs import is_true_pair, reliability, score_probabilities
-from sameas.simulate.areas import Cap
-from sameas.simulate.scenes import poisson_field, sky_field
+from sameas.simulate.scenes import Cap, poisson_field, sky_field
 from sameas.space import Plane
 
 EVENTS = 20_000

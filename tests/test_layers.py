@@ -46,7 +46,7 @@ FLOOR = {room: floor for floor, line in enumerate(FLOORS.strip().splitlines()) f
 #: Rooms that know no sky, no ships and no command line.
 CORE = [room for room in FLOOR if FLOOR[room] <= FLOOR["score"]]
 #: The way of many sources: its own stages, each from earlier ones only.
-MANY = ["tuning", "observations", "joint", "pooled", "terms", "rules", "sets", "partition", "marginals", "explanation",
+MANY = ["observations", "joint", "pooled", "terms", "rules", "sets", "partition", "marginals", "explanation",
         "objects", "identify", "sequential"]  # fmt: skip
 
 

@@ -22,7 +22,7 @@ from sameas.many.identify import identify_many
 from sameas.many.observations import Bearing, LinearPart, Observations, Region
 from sameas.many.rules import MissedObjects, PoissonObjects
 from sameas.many.sequential import identify_sequentially
-from sameas.many.tuning import ManyTuning
+from sameas.many.sets import ManyTuning
 
 WIDE = Radius(1e4)
 

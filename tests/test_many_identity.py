@@ -30,9 +30,8 @@ from sameas.many.observations import Bearing, Observations, records_of
 from sameas.many.pooled import pooled
 from sameas.many.rules import MissedObjects, PoissonObjects, SetRules, parts_of, terms_of
 from sameas.many.sequential import identify_sequentially
-from sameas.many.sets import candidate_sets
+from sameas.many.sets import ManyTuning, candidate_sets
 from sameas.many.terms import best_reference
-from sameas.many.tuning import ManyTuning
 from test_many import WIDE, field_scene, oracle, probabilities, same_as_identify, sets_of, small_scene
 
 

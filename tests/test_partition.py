@@ -11,8 +11,7 @@ from sameas.many.identify import identify_many
 from sameas.many.marginals import EXACT, MOST_RECORDS, best_sets, packed_groups
 from sameas.many.partition import best_partition, incidence_of
 from sameas.many.rules import PoissonObjects
-from sameas.many.sets import Sets
-from sameas.many.tuning import TUNING
+from sameas.many.sets import TUNING, Sets
 from sameas.records import Records
 
 

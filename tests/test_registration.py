@@ -17,8 +17,7 @@ from sameas.registration.offsets import Offset
 from sameas.registration.solution import OffsetPrior, Trials, _missing, _normal_equations
 from sameas.registration.weights import PlacedSources, weigh
 from sameas.score.pairs import score_pairs
-from sameas.simulate.areas import Cap
-from sameas.simulate.scenes import grid, poisson_field, sky_field
+from sameas.simulate.scenes import Cap, grid, poisson_field, sky_field
 from sameas.space import displaced
 
 

@@ -10,8 +10,7 @@ from sameas import Radius, Records
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.match import MatchTuning, match
 from sameas.estimate.sample import Sampling, Setting
-from sameas.simulate.areas import Cap
-from sameas.simulate.scenes import poisson_field, sky_field
+from sameas.simulate.scenes import Cap, poisson_field, sky_field
 
 #: Enough is little, so that scenes of a test are large.
 FEW = Sampling(enough=700, cell=100)

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from sameas.errors import InputError
-from sameas.score.picture import FALSE, Identities, majority_votes, mean_gospa, nees, pair_score, siap
-from sameas.score.subpattern import gospa
+from sameas.score.picture import FALSE, Identities, gospa, majority_votes, mean_gospa, nees, pair_score, siap
 
 
 def table(seed: int, instants: int = 6, objects: int = 5, sources: int = 3) -> tuple[dict[str, np.ndarray], np.ndarray]:

@@ -12,9 +12,11 @@ from scipy.stats import chi2, kstest, spearmanr
 
 import naive
 from sameas.errors import InputError
-from sameas.simulate.areas import Cap, LonLatBox, WholeSky
 from sameas.simulate.scenes import (
+    Cap,
+    LonLatBox,
     SimulatedScene,
+    WholeSky,
     chance_area_steradians,
     crowded_sky,
     grid,

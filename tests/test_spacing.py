@@ -8,8 +8,7 @@ import pytest
 from sameas import Box, CloseObjects, CommonObjects, InputError, Plane, Records, identify
 from sameas.evidence.spacing import estimate_reach
 from sameas.score.pairs import score_records
-from sameas.simulate.areas import Cap
-from sameas.simulate.scenes import grid, line, poisson_field, sky_field
+from sameas.simulate.scenes import Cap, grid, line, poisson_field, sky_field
 
 SIGMA = math.sqrt(2.0)
 SCENES = {

@@ -29,7 +29,7 @@ from sameas import CommonObjects, identify
 from sameas.errors import InputError
 from sameas.many.identify import identify_many
 from sameas.score.pairs import is_true_pair, score_probabilities, score_records
-from sameas.score.subpattern import gospa
+from sameas.score.picture import gospa
 from sameas.simulate.scenes import grid
 
 FIVE = Lattice((5, 1), 1.9, (0.2, 0.3), UNEQUAL)

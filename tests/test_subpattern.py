@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sameas.errors import InputError
-from sameas.score.subpattern import gospa, nearest_match
+from sameas.score.picture import gospa, nearest_match
 
 
 def by_definition(found, true, cutoff, order):

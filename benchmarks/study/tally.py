@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.study.contenders import Verdict
 from benchmarks.study.scenes import Scenes
 from sameas.arrays import FloatArray
-from sameas.score.subpattern import nearest_match
+from sameas.score.picture import nearest_match
 
 COLUMNS = ("scenes", "open", "whole", "records", "right", "open records", "open right", "claimed", "true", "hits",
            "wrong", "missed", "candidates", "brier", "gospa", "lead", "whole lead")  # fmt: skip

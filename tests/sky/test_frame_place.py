@@ -13,11 +13,11 @@ from astropy.io import fits
 from astropy.wcs import WCS, Sip
 
 from sameas.errors import InputError
+from sameas.sky.frame.field import Stars
 from sameas.sky.frame.odds import PlateProblem, SearchVolume, verify
 from sameas.sky.frame.place import Placement, odds_in_words, place
 from sameas.sky.frame.plate import MatchedStars, fit_plate
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, sky_index
-from sameas.sky.frame.stars import Stars
 from sameas.sky.frame.tangent import Pointing, directions_deg, from_plane, to_plane, unit_vectors
 from sameas.space import ARCSEC_PER_RADIAN
 

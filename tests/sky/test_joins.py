@@ -8,8 +8,8 @@ import pytest
 from sameas.errors import InputError
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import MatchOptions, match
-from sameas.sky.join_types import JOINS
 from sameas.sky.joins import joined
+from sameas.sky.output_columns import JOINS
 
 ARCSEC = 1.0 / 3600.0
 

@@ -17,7 +17,7 @@ from sameas.cli.app import app
 from sameas.errors import InputError
 from sameas.gate import Radius
 from sameas.io import read_provenance, read_table, write_table
-from sameas.simulate.areas import Cap
+from sameas.simulate.scenes import Cap
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import brought_together, match
 from sameas.sky.many import ManyMatch, ManyOptions, joined_many, match_many

@@ -8,8 +8,7 @@ from astropy.table import Table
 
 from sameas.estimate.match import match
 from sameas.score.pairs import score_pairs
-from sameas.simulate.areas import Cap, WholeSky
-from sameas.simulate.scenes import sky_field
+from sameas.simulate.scenes import Cap, WholeSky, sky_field
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.crossmatch import MatchOptions
 from sameas.sky.crossmatch import match as match_catalogues

@@ -8,7 +8,7 @@ import pytest
 
 from browser import CHROMIUM, Browser
 from sameas.simulate.frames import Camera, Gaussian, frame_of
-from sameas.sky.movers.series import search
+from sameas.sky.movers.search import search
 from sameas.sky.movers.stack import confirmed, stack
 from sameas.sky.series.tied import Exposure, tie
 

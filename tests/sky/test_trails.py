@@ -5,7 +5,7 @@ import pytest
 
 from sameas.simulate.frames import Camera, Gaussian, frame_of
 from sameas.sky.frame.detect import detect
-from sameas.sky.movers.series import search
+from sameas.sky.movers.search import search
 from sameas.sky.movers.trails import TUNING as TRAIL_TUNING
 from sameas.sky.movers.trails import _Pixels, with_trails
 from sameas.sky.series.tied import Exposure, tie

@@ -11,9 +11,8 @@ from astropy.table import MaskedColumn, Table
 from sameas.errors import InputError
 from sameas.sky.assumed import CommonErrorTuning, _in_strips, _nearest, common_error, completed
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
-from sameas.sky.column_values import year_of
+from sameas.sky.column_values import typical_errors, year_of
 from sameas.sky.surveys import SURVEYS
-from sameas.sky.typical import typical_errors
 
 
 def catalogue(table: Table | dict[str, object], name: str = "cat", **options: object) -> Catalogue:

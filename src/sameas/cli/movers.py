@@ -148,7 +148,7 @@ def movers(
         return
     with answering(debug, option_of):
         from sameas.cli.outputs import Outputs
-        from sameas.sky.movers.tables import DetectionColumns
+        from sameas.sky.movers.detections import DetectionColumns
 
         wanted = DetectionColumns(time, exposure, band)
         outputs = {
@@ -208,9 +208,9 @@ def run(
     from sameas.io.ades import REPORTS, Observer
     from sameas.report.movers import known_lines, model_lines, mover_lines, searched_lines
     from sameas.sky.movers import find_movers
+    from sameas.sky.movers.detections import detections_of
     from sameas.sky.movers.known import name_movers
     from sameas.sky.movers.orbits import Elements
-    from sameas.sky.movers.tables import detections_of
 
     began = clock.perf_counter()
     printer = Printer(quiet)

@@ -58,10 +58,9 @@ def run(request: SeriesRequest, quiet: bool) -> None:
     from sameas.report.frame import one_line
     from sameas.report.movers import known_lines, model_lines, mover_lines, series_lines
     from sameas.report.prose import DOUBT
-    from sameas.sky.movers.classes import near_earth_scores
-    from sameas.sky.movers.known import name_movers
+    from sameas.sky.movers.known import name_movers, near_earth_scores
     from sameas.sky.movers.orbits import Elements
-    from sameas.sky.movers.series import search
+    from sameas.sky.movers.search import search
     from sameas.sky.movers.stack import confirmed, stack
     from sameas.sky.movers.trails import with_trails
 

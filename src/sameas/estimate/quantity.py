@@ -13,7 +13,7 @@ from sameas.arrays import BoolArray, FloatArray
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.photometry import Photometry
 from sameas.estimate.regression import weighted_median
-from sameas.gate.chisquare import quantile
+from sameas.gate.gate import quantile
 from sameas.kernels import threads
 from sameas.result import Identification
 from sameas.space import Sphere

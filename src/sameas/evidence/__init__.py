@@ -22,7 +22,6 @@ Every rule gives a natural logarithm per pair, term by term; rules add with ``+`
   (METHOD 3.3 [T13]). Where the densities are known and are none of the above.
 """
 
-from sameas.evidence.boxes import log_neighbour_density, log_surface_density
 from sameas.evidence.brightness import (
     Brightness,
     Chain,
@@ -38,15 +37,14 @@ from sameas.evidence.brightness import (
     SourceMagnitudes,
     comparisons_of,
 )  # fmt: skip
-from sameas.evidence.close import CloseObjects
+from sameas.evidence.close import CloseObjects, log_neighbour_density, log_surface_density
 from sameas.evidence.columns import Association, CodedColumn, Column, Columns, OddsTable, Related
 from sameas.evidence.densities import Displacement, Flat, GaussianMixture, Samples
 from sameas.evidence.fields import ConstantCost, DetectionField, Field, PoissonField
 from sameas.evidence.heights import Heights
 from sameas.evidence.identity import MODELS, Alarm, Category, Code, Identity, Model, Size, alarms
 from sameas.evidence.precision import Precision, TrainingPairs
-from sameas.evidence.residuals import Errors
-from sameas.evidence.rule import Evidence, Rule, Sum
+from sameas.evidence.rule import Errors, Evidence, Rule, Sum
 from sameas.evidence.universal import Universal
 
 __all__ = [

@@ -222,8 +222,8 @@ def match_frame(
     """
     from sameas.front import framing
     from sameas.sky.frame.detect import detect
-    from sameas.sky.frame.detection import Detection
     from sameas.sky.frame.image import Frame
+    from sameas.sky.frame.measurements import Detection
 
     own = {
         "aim": aim, "radius": radius, "scale": scale, "header": header, "time": time, "hdu": hdu, "mask": mask,

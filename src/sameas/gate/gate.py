@@ -17,21 +17,265 @@ who is counted, and no gate is wide enough. 3σ is there to reproduce the papers
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.bounds import memory_left
 from sameas.errors import InputError
-from sameas.gate.chisquare import upper_quantile
-from sameas.gate.search import search
-from sameas.gate.zones import DEFAULT_TUNING, Tuning
+from sameas.gate.zones import DEFAULT_TUNING, Extent, Geometry, Layout, Source, Tuning
 from sameas.gaussian import distance_and_log_determinant
+from sameas.kernels import threads
 from sameas.records import Records
 from sameas.representation import in_short
-from sameas.space import Sphere
+from sameas.space import Plane, Sphere
+
+# The search behind the gate: every pair whose residual is small enough for its own covariance, and no other.
+#
+# Records are laid out in zones (``zones.py``, ``kernels/order.py``); what may lie within the gate of each is looked up
+# (``kernels/spans.py``) and measured (``kernels/sphere.py``, ``plane.py``). Where a few records have far wider errors
+# than the others, they do the looking up, whichever source they are of, so that they do not slow down the many. The
+# order of the pairs depends on the records' content, not on their rows.
+
+#: Places, i, j, residual, squared Mahalanobis distance, determinant: the columns of :class:`sameas.gate.Pairs`.
+Columns = tuple[
+    NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], FloatArray, FloatArray, FloatArray
+]
+
+#: Records for which an interpreted search takes some milliseconds.
+FEW_RECORDS = 64
+#: Bytes that nobody need ask for.
+_SMALL = 1 << 28
+
+#: Writes the pairs of the records first ≤ k < last into columns; gives (pairs, next k), less than last when full.
+Sweep = Callable[[int, int, Any], tuple[int, int]]
+
+
+def search(first: Records, second: Records, limit: float, box: bool, tuning: Tuning) -> Columns:
+    """All pairs with Δᵀ Σ⁻¹ Δ ≤ limit (or, with ``box``, Δ_v² ≤ limit·Σ_vv in every feature v).
+
+    Raises
+    ------
+    InputError : they are more than the memory holds.
+    """
+    return _search(first, second, limit, box, tuning, _Allowed.of(first, second, tuning))
+
+
+@dataclass
+class _Allowed:
+    """How many pairs of two sources the memory holds."""
+
+    first: Records
+    second: Records
+    most: float
+    count: int = 0
+
+    @classmethod
+    def of(cls, first: Records, second: Records, tuning: Tuning) -> _Allowed:
+        if len(first) * len(second) * tuning.bytes_of_pair < _SMALL:
+            return cls(first, second, math.inf)
+        left = memory_left()
+        return cls(first, second, (tuning.memory if left is None else left) / tuning.bytes_of_pair)
+
+    def take(self, count: int) -> None:
+        """Raises InputError where these are too many, with those before."""
+        self.count += count
+        if self.count > self.most:
+            size = self.most / 1e6
+            raise InputError(
+                f"{self.first.source}, {self.second.source}: more than {size:,.1f} million pairs lie within the gate, "
+                "and the memory holds no more",
+                "are the errors in another unit? Give smaller ones, a smaller gate, or fewer records at a time",
+            )
+
+
+def _search(first: Records, second: Records, limit: float, box: bool, tuning: Tuning, allowed: _Allowed) -> Columns:
+    if not len(first) or not len(second):
+        return _room(first.d, 0)
+    if len(first) + len(second) <= tuning.each_with_each and isinstance(first.space, Plane):
+        columns = _each_with_each(first, second, limit, box, first.space)
+        if columns is not None:
+            return columns
+    geometry = Geometry.of(first, second, limit, box, tuning)
+    sources = Source.of(first, geometry), Source.of(second, geometry)
+    extent = Extent.of(sources, geometry)
+    within = [geometry.opening * len(other) / max(extent.area, 1e-290) for other in (second, first)]
+    classes = [source.classes(others, tuning.few_tests) for source, others in zip(sources, within, strict=True)]
+    one, two = threads.each(
+        [partial(Layout.of, source, rows, extent, geometry) for source, rows in zip(sources, classes, strict=True)],
+        len(first) + len(second),
+    )
+    return _listed(one, two, _wide_pairs(one, two, geometry, allowed), geometry, allowed)
+
+
+def _each_with_each(first: Records, second: Records, limit: float, box: bool, space: Plane) -> Columns | None:
+    """All pairs of few records on a plane; None where they are too many for the room, or records are equal."""
+    from sameas.kernels.few import sweep_few
+
+    out = _room(first.d, 4 * (len(first) + len(second)))
+    periods = np.array(space.period_list(first.d))
+    count = sweep_few(first.features, first.covariance, second.features, second.covariance, limit, box, periods, out)
+    return None if count < 0 else tuple(column[:count] for column in out)  # type: ignore[return-value]
+
+
+def _listed(one: Layout, two: Layout, wide: IntArray, geometry: Geometry, allowed: _Allowed) -> Columns:
+    """The candidates of the two narrowest classes, and those of the pairs ``wide`` of other classes."""
+    about: tuple[Any, ...] = one.side, two.side, two.grids[0], two.reach(0, one.widest[0], one.starts[1], geometry)
+    gate: tuple[Any, ...] = geometry.limit, geometry.box
+    if geometry.sphere:
+        from sameas.kernels.sphere import sweep_sphere as kernel
+    else:
+        from sameas.kernels.plane import sweep_plane as kernel
+
+        about, gate = (*about, geometry.folds), (*gate, geometry.periods)
+
+    def sweep(first: int, last: int, out: Columns) -> tuple[int, int]:
+        count = 0
+        while first < last:
+            # As long as it is interpreted, a few records at a time: where they have many candidates it is compiled.
+            upto = min(first + FEW_RECORDS, last) if getattr(kernel, "interprets", False) else last
+            further = wide[np.searchsorted(wide, first << 32) :] if len(wide) else wide
+            room = tuple(column[count:] for column in out) if count else out
+            more, first = kernel(*about, further, *gate, first, upto, room)
+            count += more
+            if first < upto:
+                break
+        return count, first
+
+    n, d = len(one.side.rows), len(geometry.periods)
+    each = _expected(partial(kernel, *about, wide[:0], *gate), one.starts[1], d, geometry.tuning.sample)
+    each = min(each, allowed.most / n)
+    bounds = threads.even(n)
+    starts = [math.ceil(each * k) + (int(np.searchsorted(wide, k << 32)) if len(wide) else 0) for k in bounds]
+    return _gathered(sweep, bounds, starts, partial(_room, d), len(two.side.rows), replace(allowed, count=0))
+
+
+def _wide_pairs(one: Layout, two: Layout, geometry: Geometry, allowed: _Allowed) -> IntArray:
+    """Pairs of places k << 32 | q near enough to be measured, without those of the two narrowest classes; sorted.
+
+    Of two classes the wider one does the looking up.
+    """
+    from sameas.kernels.spans import turned_round
+
+    parts = [np.empty(0, np.int64)]
+    for a, b in product(range(len(one.grids)), range(len(two.grids))):
+        if a == b == 0:
+            continue
+        if max(one.widest[a]) >= max(two.widest[b]):
+            parts.append(_visits(one, a, two, b, geometry, allowed))
+        else:
+            back = _visits(two, b, one, a, geometry, allowed)
+            parts.append(np.empty_like(back))
+            turned_round(back, np.zeros(len(one.side.rows) + 1, np.int32), parts[-1])
+    # Each part is in order already, which a stable sort makes use of.
+    return np.sort(np.concatenate(parts), kind="stable") if len(parts) > 1 else parts[0]
+
+
+def _visits(visitors: Layout, a: int, hosts: Layout, b: int, geometry: Geometry, allowed: _Allowed) -> IntArray:
+    """Pairs visitor << 32 | host of a class of one source with one of the other, near enough to be measured."""
+    from sameas.kernels.spans import ROOM, visit
+
+    bounds = [visitors.starts[a] + k for k in threads.even(visitors.starts[a + 1] - visitors.starts[a], 256)]
+    reach = hosts.reach(b, visitors.widest[a], bounds[-1], geometry)
+    sweep = partial(visit, visitors.side, hosts.side, hosts.grids[b], reach, geometry.folds)
+    each = len(hosts.side.rows) + ROOM
+    starts = [each * t for t in range(len(bounds))]
+
+    def room(n: int) -> tuple[IntArray]:
+        return (np.empty(n, np.int64),)
+
+    return _gathered(sweep, bounds, starts, room, each, allowed)[0]  # type: ignore[no-any-return]
+
+
+def _gathered(
+    sweep: Sweep,
+    bounds: list[int],
+    starts: list[int],
+    room: Callable[[int], tuple[Any, ...]],
+    least: int,
+    allowed: _Allowed,
+) -> tuple[Any, ...]:
+    """The pairs of a sweep over ranges of records, side by side; range t stands from starts[t] on in one room.
+
+    What does not fit there gets a room of its own, no smaller than ``least``, which one record is sure to fit in.
+    """
+    whole = room(starts[-1])
+    part = {first: slice(starts[t], starts[t + 1]) for t, first in enumerate(bounds[:-1])}
+
+    def work(first: int, last: int) -> list[tuple[Any, ...]]:
+        out = tuple(column[part[first]] for column in whole)
+        chunks: list[tuple[Any, ...]] = []
+        while first < last:
+            count, first = sweep(first, last, out)
+            allowed.take(count)
+            chunks.append(tuple(column[:count] for column in out))
+            out = room(max(len(out[0]), least)) if first < last else ()
+        return chunks
+
+    ranges = threads.over(work, bounds)
+    if any(len(chunks) > 1 for chunks in ranges):
+        everything = [chunk for chunks in ranges for chunk in chunks]
+        return tuple(np.concatenate(parts) for parts in zip(*everything, strict=True))
+    used = 0
+    for (chunk,), start in zip(ranges, starts, strict=False):
+        count = len(chunk[0])
+        if start != used:
+            for column in whole:
+                column[used : used + count] = column[start : start + count]
+        used += count
+    return tuple(column[:used] for column in whole)
+
+
+def _room(d: int, capacity: int) -> Columns:
+    """Columns for ``capacity`` pairs."""
+    whole = [np.empty(capacity, np.int32) for _ in range(4)]
+    return (*whole, np.empty((capacity, d)), np.empty(capacity), np.empty(capacity))  # type: ignore[return-value]
+
+
+def _expected(sweep: Sweep, n: int, d: int, sample: int) -> float:
+    """Room for the candidates of a record: the mean of 16 samples of ``sample`` records, and some more."""
+    if n <= 32 * sample:
+        return 4.0
+    out = _room(d, 16 * sample)
+    pairs = records = 0
+    for first in range(0, n - sample, n // 16):
+        count, reached = sweep(first, first + sample, out)
+        pairs, records = pairs + count, records + max(reached - first, 1)
+    return 1.25 * pairs / records + 0.5
+
+
+# The χ² distribution: closed forms in two dimensions, where most of our work is, SciPy's functions elsewhere.
+#
+# SciPy is imported where it is needed only: it takes longer than many a match.
+
+
+def quantile(share: float, d: int) -> float:
+    """The squared length that a share of normal vectors in d dimensions does not exceed.
+
+    >>> round(quantile(0.99, 2), 4)
+    9.2103
+    """
+    if d == 2:
+        return -2.0 * math.log1p(-share)
+    from scipy.special import gammaincinv
+
+    return 2.0 * float(gammaincinv(0.5 * d, share))
+
+
+def upper_quantile(share: float, d: int) -> float:
+    """The squared length that a share of normal vectors in d dimensions exceeds; exact for the smallest shares."""
+    if d == 2:
+        return -2.0 * math.log(share)
+    from scipy.special import gammainccinv
+
+    return 2.0 * float(gammainccinv(0.5 * d, share))
+
 
 #: Share of true pairs that the default gate keeps: 6.4σ in two dimensions.
 DEFAULT_COMPLETENESS = 1.0 - 1e-9

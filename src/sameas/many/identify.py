@@ -17,8 +17,7 @@ from sameas.many.objects import Objects
 from sameas.many.observations import Region, Source
 from sameas.many.pooled import pooled
 from sameas.many.rules import MissedObjects, SetPrior, SetRule, terms_of
-from sameas.many.sets import candidate_sets
-from sameas.many.tuning import TUNING, ManyTuning
+from sameas.many.sets import TUNING, ManyTuning, candidate_sets
 from sameas.prior import EVIDENCE_ALONE
 from sameas.records import Records
 

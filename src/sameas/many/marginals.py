@@ -22,8 +22,7 @@ from sameas.many.joint import NO_RECORD
 from sameas.many.partition import best_counted, best_partition, incidence_of
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import MissedObjects
-from sameas.many.sets import Sets
-from sameas.many.tuning import TUNING, ManyTuning
+from sameas.many.sets import TUNING, ManyTuning, Sets
 from sameas.ragged import Ragged
 from sameas.representation import in_short
 

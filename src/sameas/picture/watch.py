@@ -28,8 +28,7 @@ from sameas.many.objects import Objects
 from sameas.many.observations import records_of
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import PoissonObjects, SetRule
-from sameas.many.sets import Sets
-from sameas.many.tuning import ManyTuning
+from sameas.many.sets import ManyTuning, Sets
 from sameas.picture.instant_objects import IdentifiedObjects
 from sameas.picture.memory import Past
 from sameas.picture.named import places_in

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.match import Estimate
-from sameas.gate.chisquare import quantile
+from sameas.gate.gate import quantile
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.report.findings import common_objects, findings, judged

@@ -19,7 +19,7 @@ from sameas.assignment import Hypothesis
 from sameas.errors import InputError
 from sameas.evidence import Evidence
 from sameas.gate import Pairs
-from sameas.gate.chisquare import quantile
+from sameas.gate.gate import quantile
 from sameas.groups import Groups
 from sameas.kernels import threads
 from sameas.posterior import APPROXIMATE, METHODS, Posterior

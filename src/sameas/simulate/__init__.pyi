@@ -1,18 +1,10 @@
 """The public names of simulated scenes."""
 
-from .areas import Cap as Cap
-from .areas import LonLatBox as LonLatBox
-from .areas import WholeSky as WholeSky
-from .blended import BlendedField as BlendedField
-from .blended import blended_field as blended_field
-from .counterparts import Counterparts as Counterparts
-from .counterparts import counterparts as counterparts
 from .exposures import Exposure as Exposure
 from .exposures import Sky as Sky
 from .exposures import exposure as exposure
 from .exposures import misquoted as misquoted
 from .exposures import with_outliers as with_outliers
-from .formal import formal_field as formal_field
 from .frames import Camera as Camera
 from .frames import Gaussian as Gaussian
 from .frames import Lens as Lens
@@ -21,7 +13,10 @@ from .frames import SimulatedFrame as SimulatedFrame
 from .frames import Trail as Trail
 from .frames import frame_of as frame_of
 from .frames import frame_of_sky as frame_of_sky
+from .scenes import Cap as Cap
+from .scenes import LonLatBox as LonLatBox
 from .scenes import SimulatedScene as SimulatedScene
+from .scenes import WholeSky as WholeSky
 from .scenes import chance_area_steradians as chance_area_steradians
 from .scenes import crowded_sky as crowded_sky
 from .scenes import grid as grid
@@ -32,3 +27,8 @@ from .sensors import Bias as Bias
 from .sensors import Sensor as Sensor
 from .sensors import Tracker as Tracker
 from .sensors import TrueMotion as TrueMotion
+from .surveys import BlendedField as BlendedField
+from .surveys import Counterparts as Counterparts
+from .surveys import blended_field as blended_field
+from .surveys import counterparts as counterparts
+from .surveys import formal_field as formal_field

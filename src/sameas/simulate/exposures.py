@@ -15,8 +15,7 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.evidence import Magnitudes
 from sameas.records import Records
 from sameas.representation import in_short
-from sameas.simulate.areas import LonLatBox
-from sameas.simulate.scenes import SimulatedScene
+from sameas.simulate.scenes import LonLatBox, SimulatedScene
 from sameas.space import Sphere, displaced
 
 

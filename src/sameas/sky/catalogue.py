@@ -19,10 +19,9 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.sky import column_values, conventions
 from sameas.sky.column_choice import CatalogueOptions, Column, ColumnChoice, Epoch, PositionError, in_years
+from sameas.sky.column_values import to_icrs, turned_errors, typical_errors
 from sameas.sky.columns import choose
 from sameas.sky.motion import Astrometry, MissingMotion, Variances, position_at
-from sameas.sky.other_frames import to_icrs, turned_errors
-from sameas.sky.typical import typical_errors
 from sameas.space import Sphere
 
 # Doubts: what is legal in a catalogue, but looks like a wrong unit, a wrong column or a wrong year.

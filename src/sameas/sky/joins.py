@@ -30,8 +30,7 @@ from sameas.estimate.coverage import Coverage
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.result import Answers, Identification
-from sameas.sky.join_types import JOINS
-from sameas.sky.ucds import meta_of
+from sameas.sky.output_columns import JOINS, meta_of
 from sameas.space import Sphere
 
 if TYPE_CHECKING:
@@ -240,7 +239,7 @@ def joined(
 
     Parameters
     ----------
-    join : one of :data:`~sameas.sky.join_types.JOINS`.
+    join : one of :data:`~sameas.sky.output_columns.JOINS`.
     nway_columns : add ``p_any``, ``p_i`` and ``dist_bayesfactor`` by NWAY's names.
     rows : some of :func:`joined_rows`; None: all.
 

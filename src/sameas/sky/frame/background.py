@@ -14,8 +14,8 @@ import numpy as np
 
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
-from sameas.sky.frame.detection import TUNING, DetectionTuning
 from sameas.sky.frame.image import Frame, Image
+from sameas.sky.frame.measurements import TUNING, DetectionTuning
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.sky.frame.background import Background
-from sameas.sky.frame.detection import TUNING, DetectionTuning
+from sameas.sky.frame.measurements import TUNING, DetectionTuning
 from sameas.sky.frame.psf import PSF
 
 

@@ -20,9 +20,8 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.sky.frame.background import Background
 from sameas.sky.frame.centroid import Centroids, Own, adaptive, centroids, cut
-from sameas.sky.frame.detection import Detection, DetectionTuning
 from sameas.sky.frame.image import Frame
-from sameas.sky.frame.measurements import Flag, Measurements
+from sameas.sky.frame.measurements import Detection, DetectionTuning, Flag, Measurements
 from sameas.sky.frame.psf import FWHM_PER_SIGMA, PSF
 
 _AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], bool)

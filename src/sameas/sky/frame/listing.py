@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from sameas.arrays import FloatArray, IntArray
 from sameas.sky.frame.identified import EXPECTED, FrameIdentification
 from sameas.sky.frame.measurements import Flag
-from sameas.sky.ucds import meta_of
+from sameas.sky.output_columns import meta_of
 
 if TYPE_CHECKING:
     from astropy.table import Table

@@ -22,7 +22,7 @@ from sameas.sky.frame.tangent import Pointing, from_plane, similarities, unit_ve
 from sameas.space import ARCSEC_PER_RADIAN
 
 if TYPE_CHECKING:
-    from sameas.sky.frame.stars import Stars
+    from sameas.sky.frame.field import Stars
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,15 @@
-"""UCDs (IVOA's Unified Content Descriptors, version 1+) of the columns that sameas adds to tables of the sky."""
+"""What sameas adds to tables of the sky: which rows a join has, and the columns with their UCDs.
+
+UCDs are IVOA's Unified Content Descriptors, version 1+.
+"""
 
 from __future__ import annotations
 
 from typing import Any
+
+#: The types of joins of two catalogues, by the names of STILTS; the first is taken where none is named.
+JOINS = ("all1", "1and2", "all2", "1or2", "1not2", "2not1", "1xor2", "pairs")
+
 
 _X, _Y, _RA, _DEC = "pos.cartesian.x", "pos.cartesian.y", "pos.eq.ra", "pos.eq.dec"
 UCDS = {

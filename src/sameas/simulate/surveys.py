@@ -1,0 +1,267 @@
+"""Scenes as surveys make them, in which two catalogues differ by more than their quoted errors.
+
+- :func:`blended_field`: a coarse source on a fine one; objects closer than its resolution are one of its records.
+- :func:`formal_field`: quoted errors of the noise alone.
+- :func:`counterparts`: few sources with wide errors in a deep catalogue.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sameas.arrays import FloatArray, IntArray
+from sameas.errors import InputError
+from sameas.records import Records
+from sameas.representation import in_short
+from sameas.simulate.scenes import Cap, LonLatBox, SimulatedScene
+from sameas.space import Sphere, displaced
+
+
+@in_short
+@dataclass(frozen=True)
+class BlendedField:
+    """A coarse source, a fine one, and which objects each coarse record is.
+
+    parts : (n₁, 2) records of the fine source, −1 where there is none. flux : (n₂,) in the coarse source's band.
+    """
+
+    first: Records
+    second: Records
+    parts: IntArray
+    flux: FloatArray
+    resolution_arcsec: float
+
+
+def blended_field(
+    rng: np.random.Generator,
+    *,
+    objects: int = 4_000,
+    per_deg2: float = 20_000.0,
+    share: float = 0.7,
+    only_coarse: float = 0.1,
+    resolution_arcsec: float = 6.0,
+    sigma_arcsec: tuple[float, float] = (0.1, 0.4),
+    steepness: float = 4.0,
+) -> BlendedField:
+    """A field like WISE's on Gaia's: couples at separation s are one record with probability 2^−(s/ℓ)⁴.
+
+    Parameters
+    ----------
+    rng : source of all random numbers.
+    objects, per_deg2 : of the fine source. share : of them, or of couples that are one, that the coarse source shows.
+    only_coarse : records that the fine source has not, per record of it.
+    resolution_arcsec, steepness : ℓ, and how fast couples part beyond it. Nearer couples are dealt first, and no object
+        takes part in two.
+    sigma_arcsec : error of a coarse record per axis, log-uniform between; those of the fine source are 0.001.
+
+    Raises
+    ------
+    InputError : a number that is out of range.
+
+    >>> made = blended_field(np.random.default_rng(1), objects=500)
+    >>> made.parts.shape[1], bool((made.parts[:, 1] >= 0).any())
+    (2, True)
+    """
+    if objects < 2 or not per_deg2 > 0.0 or not 0.0 < share < 1.0 or not resolution_arcsec > 0.0:
+        raise InputError(
+            f"blended_field: {objects} objects, {per_deg2:g} per square degree, share {share:g}, resolution "
+            f"{resolution_arcsec:g}; give two objects or more, and positive numbers, the share below 1"
+        )
+    area = objects / per_deg2
+    field = Cap(150.0, 2.0, math.degrees(math.acos(1.0 - area * (math.pi / 180.0) ** 2 / (2.0 * math.pi))))
+    place = field.draw(rng, objects)
+    flux = 10.0 ** rng.normal(0.0, 0.5, objects)
+    flat = np.column_stack([(place[:, 0] - 150.0) * np.cos(np.radians(place[:, 1])), place[:, 1]]) * 3600.0
+    taken = np.zeros(objects, np.bool_)
+    units: list[tuple[int, int]] = []
+    for s, j, k in _couples(flat, 1.75 * resolution_arcsec):
+        if not taken[j] and not taken[k] and rng.uniform() < 2.0 ** -((s / resolution_arcsec) ** steepness):
+            taken[[j, k]] = True
+            units.append((j, k))
+    units += [(int(j), -1) for j in np.flatnonzero(~taken)]
+    shown = np.array(units)[rng.uniform(size=len(units)) < share]
+    one, two = shown[:, 0], np.where(shown[:, 1] < 0, shown[:, 0], shown[:, 1])
+    w = (flux[one] / (flux[one] + flux[two]))[:, None]
+    offset = np.column_stack(
+        [(place[two, 0] - place[one, 0]) * np.cos(np.radians(place[one, 1])), place[two, 1] - place[one, 1]]
+    )
+    more = round(only_coarse * objects)
+    at = np.concatenate([displaced(place[one], 3600.0 * (1.0 - w) * offset), field.draw(rng, more)])
+    parts = np.concatenate([shown, np.full((more, 2), -1)])
+    low, high = sigma_arcsec
+    sigma = np.exp(rng.uniform(math.log(low), math.log(high), len(at)))
+    order = rng.permutation(len(at))
+    measured = displaced(at, sigma[:, None] * rng.standard_normal(at.shape))
+    first = Records.of(measured[order], sigma=sigma[order], space=Sphere(), source="coarse")
+    fine = displaced(place, 1e-3 * rng.standard_normal(place.shape))
+    second = Records.of(fine, sigma=1e-3, space=Sphere(), source="fine")
+    return BlendedField(first, second, parts[order], flux, resolution_arcsec)
+
+
+def _couples(flat: FloatArray, reach: float) -> list[tuple[float, int, int]]:
+    """(separation, j, k) of all couples of points within reach, nearest first."""
+    order = np.argsort(flat[:, 1], kind="stable")
+    y, out = flat[order, 1], []
+    last = np.searchsorted(y, y + reach, side="right")
+    for a in range(len(order)):
+        near = order[a + 1 : last[a]]
+        apart = np.hypot(*(flat[near] - flat[order[a]]).T)
+        out += [(float(s), int(order[a]), int(k)) for s, k in zip(apart, near, strict=True) if s < reach]
+    return sorted(out)
+
+
+# Fields whose quoted errors are formal ones: of the noise alone, while the sources also err by what nobody quotes.
+
+
+def formal_field(
+    rng: np.random.Generator,
+    objects: int,
+    *,
+    per_deg2: float = 2_000.0,
+    quoted_arcsec: tuple[float, float] = (0.003, 0.2),
+    scale: float = 1.0,
+    floor_arcsec: float = 0.0,
+    missing: tuple[float, float] = (0.1, 0.2),
+    false_share: float = 0.1,
+) -> SimulatedScene:
+    """Two sources of a square field on the sky whose residuals have the covariance scale² (Σ₁ + Σ₂) + floor² 1.
+
+    Parameters
+    ----------
+    rng : source of all random numbers.
+    objects : number of real objects in the field.
+    per_deg2 : real objects per square degree.
+    quoted_arcsec : least and largest quoted error of a record per axis, log-uniform between, arcsec.
+    scale : errors over those quoted. floor_arcsec : error of the second source that is not quoted, per axis, arcsec.
+    missing : probability with which either source misses an object.
+    false_share : false records of either source per object, scattered evenly.
+
+    Raises
+    ------
+    InputError : a number that is out of range.
+
+    Source: METHOD 11.1.
+
+    >>> scene = formal_field(np.random.default_rng(1), 40, floor_arcsec=0.15)
+    >>> len(scene.true_pairs()[0])
+    26
+    """
+    if objects < 1 or not per_deg2 > 0.0 or not scale > 0.0 or not floor_arcsec >= 0.0 or not false_share >= 0.0:
+        raise InputError(
+            f"formal_field: {objects} objects, {per_deg2:g} per square degree, scale {scale:g}, floor "
+            f"{floor_arcsec:g} arcsec, {false_share:g} false records per object; give positive numbers"
+        )
+    side_deg = math.sqrt(objects / per_deg2)
+    field = LonLatBox((150.0, 150.0 + side_deg / math.cos(math.radians(20.0))), (20.0, 20.0 + side_deg))
+    false = rng.poisson(false_share * objects, 2)
+    place = field.draw(rng, objects + int(false.sum()))
+    numbers = np.split(np.arange(objects, len(place)), [false[0]])
+    sides, truths = [], []
+    for source, (name, own) in enumerate((("first", 0.0), ("second", floor_arcsec))):
+        seen = np.flatnonzero(rng.uniform(size=objects) >= missing[source])
+        truth = rng.permutation(np.concatenate([seen, numbers[source]]))
+        sides.append(_measured(rng, place[truth], quoted_arcsec, scale, own, name))
+        truths.append(truth)
+    false_1, false_2 = (truth >= objects for truth in truths)
+    return SimulatedScene(sides[0], sides[1], truths[0], truths[1], false_1, false_2)
+
+
+def _measured(
+    rng: np.random.Generator, place: FloatArray, quoted: tuple[float, float], scale: float, floor: float, name: str
+) -> Records:
+    sigma = np.exp(rng.uniform(math.log(quoted[0]), math.log(quoted[1]), len(place)))
+    offset = np.hypot(scale * sigma, floor)[:, None] * rng.standard_normal((len(place), 2))
+    return Records.of(displaced(place, offset), sigma=sigma, space=Sphere(), source=name)
+
+
+# Counterparts of few sources with wide errors in a deep catalogue: X-ray sources and optical objects.
+
+#: Error of the catalogue's positions per axis, arcsec.
+CATALOGUE_SIGMA_ARCSEC = 0.1
+
+
+@in_short
+@dataclass(frozen=True)
+class Counterparts:
+    """Few sources, a deep catalogue, and what stands in the columns of both.
+
+    scene : records and truth. flux : (n₁,) log₁₀ of the sources' fluxes, which counterparts' magnitudes go with.
+    magnitude, colour : (n₂,) mag. kind : (n₂,) "point" or "extended". noise : (n₂,) a column that tells nothing.
+    area_arcsec2 : of the field.
+    """
+
+    scene: SimulatedScene
+    flux: FloatArray
+    magnitude: FloatArray
+    colour: FloatArray
+    kind: np.ndarray
+    noise: FloatArray
+    area_arcsec2: float
+
+
+def counterparts(
+    rng: np.random.Generator,
+    *,
+    sources: int = 1_500,
+    records: int = 241_000,
+    share: float = 0.9,
+    chance: float = 0.3,
+    sigma_arcsec: tuple[float, float] = (1.0, 2.0),
+) -> Counterparts:
+    """Sources of which a share has a counterpart, brighter and bluer than the catalogue's other records.
+
+    Parameters
+    ----------
+    rng : source of all random numbers.
+    sources, records : of the first and of the second source.
+    share : of the sources that have a counterpart.
+    chance : mean number of unrelated records within 3σ of a source.
+    sigma_arcsec : error of a source per axis, log-uniform between; the records of the catalogue have 0.1″.
+
+    Raises
+    ------
+    InputError : a number that is out of range.
+
+    Source: the manner of NWAY's COSMOS example (X-ray sources with errors of 1–2″, the counterparts' magnitudes about
+    21.5, the catalogue's counts rising as 10^(0.3 m) to 26).
+
+    >>> made = counterparts(np.random.default_rng(1), sources=60, records=2_000)
+    >>> len(made.scene.true_pairs()[0])
+    54
+    """
+    if sources < 1 or records < sources or not 0.0 <= share <= 1.0 or not chance > 0.0:
+        raise InputError(
+            f"counterparts: {sources} sources, {records} records, share {share:g}, {chance:g} chance candidates; give "
+            "positive numbers, and more records than sources"
+        )
+    low, high = sigma_arcsec
+    square = 0.5 * (high**2 - low**2) / math.log(high / low) if high > low else low**2
+    area = records * math.pi * 9.0 * square / chance
+    radius_deg = math.degrees(2.0 * math.asin(math.sqrt(area / 3600.0**2 * (math.pi / 180.0) ** 2 / (4.0 * math.pi))))
+    common = round(share * sources)
+    objects = sources + records - common
+    place = Cap(150.0, 2.0, radius_deg).draw(rng, objects)
+    one, two = (
+        rng.permutation(sources),
+        rng.permutation(np.concatenate([np.arange(common), np.arange(sources, objects)])),
+    )
+    scene = SimulatedScene(
+        _sources(rng, place[one], np.exp(rng.uniform(math.log(low), math.log(high), sources)), "xray"),
+        _sources(rng, place[two], np.full(records, CATALOGUE_SIGMA_ARCSEC), "optical"),
+        one, two, np.zeros(sources, np.bool_), np.zeros(records, np.bool_),
+    )  # fmt: skip
+    flux, bright = rng.normal(0.0, 0.6, objects), np.arange(objects) < sources
+    # Counts that rise as 10^(0.3 m) to magnitude 26; those of sources follow their fluxes.
+    counted = 26.0 + np.log10(rng.uniform(size=objects)) / 0.3
+    magnitude = np.where(bright, 21.5 - 1.8 * flux + rng.normal(0.0, 1.3, objects), counted)
+    colour = np.where(bright, 0.45, 0.9) + 0.06 * (magnitude - 22.0) + rng.normal(0.0, 0.4, objects)
+    kind = np.where(rng.uniform(size=objects) < np.where(bright, 0.55, 0.25), "point", "extended")
+    return Counterparts(scene, flux[one], magnitude[two], colour[two], kind[two], rng.normal(size=records), area)
+
+
+def _sources(rng: np.random.Generator, place: FloatArray, sigma: FloatArray, name: str) -> Records:
+    offset = sigma[:, None] * rng.standard_normal((len(place), 2))
+    return Records.of(displaced(place, offset), sigma=sigma, space=Sphere(), source=name)
