@@ -22,8 +22,9 @@ from sameas.evidence import Column, Related
 from sameas.records import Records
 from sameas.score.pairs import is_true_pair, reliability
 from sameas.simulate.exposures import Exposure, Sky, exposure
+from sameas.simulate.formal import formal_field
 from sameas.simulate.scenes import SimulatedScene
-from sameas.simulate.surveys import BlendedField, Counterparts, blended_field, counterparts, formal_field
+from sameas.simulate.surveys import BlendedField, Counterparts, blended_field, counterparts
 from sameas.sky.crossmatch import nearest
 from sameas.space import displaced
 

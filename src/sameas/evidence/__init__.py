@@ -44,7 +44,8 @@ from sameas.evidence.fields import ConstantCost, DetectionField, Field, PoissonF
 from sameas.evidence.heights import Heights
 from sameas.evidence.identity import MODELS, Alarm, Category, Code, Identity, Model, Size, alarms
 from sameas.evidence.precision import Precision, TrainingPairs
-from sameas.evidence.rule import Errors, Evidence, Rule, Sum
+from sameas.evidence.residuals import Errors
+from sameas.evidence.rule import Evidence, Rule, Sum
 from sameas.evidence.universal import Universal
 
 __all__ = [

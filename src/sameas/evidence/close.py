@@ -14,7 +14,8 @@ import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.evidence.rule import AS_QUOTED, Evidence, Rule
+from sameas.evidence.residuals import AS_QUOTED
+from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
 from sameas.gaussian import LOG_2PI
 from sameas.representation import in_short

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
-from sameas.evidence.rule import AS_QUOTED, Errors, Evidence, Rule
+from sameas.evidence.residuals import AS_QUOTED, Errors
+from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
 from sameas.representation import in_short
 

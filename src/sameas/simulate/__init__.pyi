@@ -5,6 +5,7 @@ from .exposures import Sky as Sky
 from .exposures import exposure as exposure
 from .exposures import misquoted as misquoted
 from .exposures import with_outliers as with_outliers
+from .formal import formal_field as formal_field
 from .frames import Camera as Camera
 from .frames import Gaussian as Gaussian
 from .frames import Lens as Lens
@@ -31,4 +32,3 @@ from .surveys import BlendedField as BlendedField
 from .surveys import Counterparts as Counterparts
 from .surveys import blended_field as blended_field
 from .surveys import counterparts as counterparts
-from .surveys import formal_field as formal_field

@@ -1,0 +1,111 @@
+"""The distribution of residuals about their quoted covariances."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sameas.arrays import FloatArray
+from sameas.errors import InputError
+from sameas.gate import Pairs
+from sameas.records import Records
+
+#: Pairs in one batch, which fits into the cache.
+BATCH = 16_384
+
+
+@dataclass(frozen=True)
+class Errors:
+    """How residuals spread: a mixture of normals N(0, scale²·S) about S = a₁²Σ₁ + a₂²Σ₂ + f²·1, Σ as it is quoted.
+
+    ``Errors()`` takes the quoted errors as they are. ``Errors(scales=(1.4, 6.0), shares=(0.95, 0.05))`` says that they
+    are 1.4 times too small, and that one pair in twenty has errors 6 times larger than quoted (a heavy tail).
+    ``Errors(floor=0.1)`` adds 0.1, in the unit of the residuals, in quadrature to every error.
+
+    Parameters
+    ----------
+    scales, shares : of the normals of the mixture, relative to S.
+    factor_1, factor_2 : a₁ and a₂, by which the errors of either source are multiplied.
+    floor : f, the standard deviation per axis that both sources together have beside what they quote; a tuple where the
+        axes have units of their own.
+
+    Source: METHOD 6, 11.1.
+    """
+
+    scales: tuple[float, ...] = (1.0,)
+    shares: tuple[float, ...] = (1.0,)
+    factor_1: float = 1.0
+    factor_2: float = 1.0
+    floor: float | tuple[float, ...] = 0.0
+
+    def __post_init__(self) -> None:
+        if len(self.scales) != len(self.shares) or not self.scales:
+            raise InputError(
+                f"Errors: {len(self.scales)} scales but {len(self.shares)} shares; give one share per scale"
+            )
+        positive = all(0.0 < scale < math.inf for scale in self.scales) and all(share >= 0.0 for share in self.shares)
+        if not positive or abs(sum(self.shares) - 1.0) > 1e-6:
+            raise InputError("Errors: scales must be positive, and shares non-negative with the sum 1")
+        factors = 0.0 < self.factor_1 < math.inf and 0.0 < self.factor_2 < math.inf
+        if not factors or not all(0.0 <= floor < math.inf for floor in np.atleast_1d(self.floor)):
+            raise InputError(
+                f"Errors: factors {self.factor_1} and {self.factor_2}, floor {self.floor}; give positive factors and a "
+                "floor of 0 or more in the unit of the residuals"
+            )
+
+    @property
+    def typical_scale(self) -> float:
+        """The factor by which the modelled errors, S, must be multiplied for the typical pair: the median scale."""
+        order = np.argsort(self.scales)
+        shares, logs = np.asarray(self.shares)[order], np.log(np.asarray(self.scales)[order])
+        return float(np.exp(np.interp(0.5, np.cumsum(shares) - 0.5 * shares, logs)))
+
+    @property
+    def as_modelled(self) -> bool:
+        """Whether S is not the sum of the quoted covariances."""
+        return (self.factor_1, self.factor_2) != (1.0, 1.0) or bool(np.any(self.floor))
+
+    def with_mixture(self, mixture: Errors) -> Errors:
+        """The same S with the scales and shares of another."""
+        return replace(self, scales=mixture.scales, shares=mixture.shares)
+
+    def records(self, first: Records, second: Records) -> tuple[Records, Records]:
+        """Both sources with the covariances of S; either takes half of the floor's."""
+        if not self.as_modelled:
+            return first, second
+        half = 0.5 * np.asarray(self.floor) ** 2
+        return first.with_errors(self.factor_1, half), second.with_errors(self.factor_2, half)
+
+    def pairs(self, pairs: Pairs) -> Pairs:
+        """The same candidates with distances, determinants and covariances by S instead of the quoted errors."""
+        return pairs.of(*self.records(pairs.first, pairs.second)) if self.as_modelled else pairs
+
+    def log_density(self, pairs: Pairs) -> FloatArray:
+        """(m,) ln of the density of the residuals [F14, T17, for one component of scale 1]."""
+        modelled = self.pairs(pairs)
+        if self.scales == (1.0,):
+            return modelled.log_peak - 0.5 * modelled.mahalanobis_sq
+        return modelled.log_peak + self.log_profile(modelled.mahalanobis_sq, pairs.d)
+
+    def log_profile(self, mahalanobis_sq: FloatArray, d: int) -> FloatArray:
+        """(m,) ln Σ_k share_k scale_k^(−d) exp(−m²/(2 scale_k²)): what replaces exp(−m²/2) of one normal.
+
+        mahalanobis_sq : (m,) m² by S.
+        """
+        parts = [(scale, share) for scale, share in zip(self.scales, self.shares, strict=True) if share > 0.0]
+        widest = max(scale for scale, _ in parts)
+        profile = np.empty(len(mahalanobis_sq))
+        # Relative to the widest normal no density overflows or underflows a double.
+        for begin in range(0, len(profile), BATCH):
+            half = -0.5 * mahalanobis_sq[begin : begin + BATCH]
+            total = np.zeros(len(half))
+            for scale, share in parts:
+                total += share * scale**-d * np.exp(half * (scale**-2 - widest**-2))
+            profile[begin : begin + BATCH] = np.log(total) + half * widest**-2
+        return profile
+
+
+#: The quoted errors as they are.
+AS_QUOTED = Errors()
