@@ -21,8 +21,8 @@ from sameas.sky.frame.image import read
 from sameas.sky.frame.listing import listing
 from sameas.sky.frame.measurements import Measurements
 from sameas.sky.frame.photometry import Completeness, ZeroPoint
-from sameas.sky.frame.place import footprint, searched, solve
 from sameas.sky.frame.pointing_hints import Aim, ApproximateWcs
+from sameas.sky.frame.solve import footprint, searched, solve
 from sameas.sky.frame.summary import ERROR_NAMES, summary
 from sameas.sky.frame.tangent import Pointing, directions_deg, unit_vectors
 from sameas.space import ARCSEC_PER_RADIAN

@@ -11,15 +11,8 @@ from sameas import InputError
 from sameas.sky import Detections, MotionModel, find_movers, learn_motion
 from sameas.sky.movers.known import near_earth_scores
 from sameas.sky.movers.links import candidate_links, link_probabilities
-from sameas.sky.movers.model import (
-    EclipticAxes,
-    RateDensity,
-    Surroundings,
-    Tuning,
-    log_normal,
-    reference_rate,
-    sun_longitude_deg,
-)
+from sameas.sky.movers.model import Surroundings, Tuning
+from sameas.sky.movers.rates import EclipticAxes, RateDensity, log_normal, reference_rate, sun_longitude_deg
 from sameas.sky.movers.tracks import Tracks, compete, grow
 
 

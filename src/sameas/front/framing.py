@@ -34,8 +34,8 @@ from sameas.sky.frame.image import Frame, read
 from sameas.sky.frame.keywords import Given
 from sameas.sky.frame.listing import listing
 from sameas.sky.frame.measurements import Detection, Measurements
-from sameas.sky.frame.place import searched, solve
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex, sky_index
+from sameas.sky.frame.solve import searched, solve
 from sameas.sky.frame.summary import summary
 from sameas.sky.frame.tangent import Pointing
 

@@ -37,7 +37,7 @@ from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Flag
 from sameas.sky.frame.psf import FWHM_PER_SIGMA
 from sameas.sky.movers.detections import Detections
-from sameas.sky.movers.model import EclipticAxes, reference_rate, sun_longitude_deg
+from sameas.sky.movers.rates import EclipticAxes, reference_rate, sun_longitude_deg
 from sameas.sky.movers.search import ADDED, Movers
 from sameas.sky.movers.stack import ChipMap, chip_map, predicted
 from sameas.sky.series.tied import Series

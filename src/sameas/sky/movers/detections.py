@@ -14,7 +14,7 @@ from sameas.errors import InputError, naming
 from sameas.records import SetAside
 from sameas.representation import in_short
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.movers.model import EclipticAxes
+from sameas.sky.movers.rates import EclipticAxes
 
 #: Times of this many seconds are one exposure, where no column tells which exposure a row is of (chosen).
 SAME_EXPOSURE_S = 0.5

@@ -14,7 +14,8 @@ from sameas.errors import InputError, naming
 from sameas.representation import in_short
 from sameas.sky.movers.detections import Detections, TrailRates
 from sameas.sky.movers.links import candidate_links, learn
-from sameas.sky.movers.model import DEFAULT_TUNING, EclipticAxes, MotionModel, Surroundings, Tuning
+from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning
+from sameas.sky.movers.rates import EclipticAxes
 from sameas.sky.movers.tracks import Competition, compete, grow
 from sameas.sky.series.tied import Series
 

@@ -22,7 +22,8 @@ from sameas.many.marginals import additive_answer
 from sameas.many.sets import Sets
 from sameas.ragged import Ragged, ranges
 from sameas.sky.movers.links import Links, rates_of
-from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning, log_normal
+from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning
+from sameas.sky.movers.rates import log_normal
 
 
 @dataclass(frozen=True)
